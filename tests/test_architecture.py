@@ -168,7 +168,7 @@ def test_only_the_process_that_speaks_to_ray_imports_it():
 def test_only_the_tables_the_evaluation_and_the_stores_know_pyarrow():
     """It reads and writes Parquet, and has the clients of stores; the benchmark of reports writes tables by columns."""
     users = {p.name for p in sources("roadperc_stream", "tools") if any(n.startswith("pyarrow") for n in imports(p))}
-    assert users == {"tables.py", "clients.py", "report.py"}
+    assert users == {"tables.py", "stores.py", "report.py"}
 
 
 def test_functions_have_at_most_eight_parameters():

@@ -284,7 +284,7 @@ def test_no_threads_are_too_few(tmp_path, capsys, threads):
     with pytest.raises(SystemExit) as end:
         main([str(source), str(tmp_path / "out.mcap"), "--threads", str(threads)])
     assert end.value.code == 2
-    assert "expected 1 or more" in capsys.readouterr().err
+    assert "expected a whole number of 1 or more" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("threads", [1, *THREADS])

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import polars as pl
 
-from roadperc_stream.batch.storage.folder import Folder, fetch
+from roadperc_stream.batch.storage.location import Location
 from roadperc_stream.errors import TableError
 from roadperc_stream.system.files import TABLE_SUFFIX
 
@@ -34,16 +34,13 @@ def in_a_folder(dataset: Dataset) -> Iterator[Dataset]:
     if dataset.folder is not None:
         yield dataset
         return
-    store = Folder(dataset.address)
-    files = [*store.files("metrics", TABLE_SUFFIX), *store.files("runs", TABLE_SUFFIX)]
-    if not files:
+    store = Location(dataset.address)
+    names = [f"{folder}/{name}" for folder in ("metrics", "runs") for name in store.at(folder).files(TABLE_SUFFIX)]
+    if not names:
         raise TableError(f"{dataset.address}: no tables in metrics/date=.../, so there is nothing to compare")
     with TemporaryDirectory(prefix="roadperc-compare-") as folder, ThreadPoolExecutor(_AT_ONCE) as threads:
-        copies = {file.address: Path(folder, store.name_of(file)) for file in files}
-        for target in copies.values():
-            target.parent.mkdir(parents=True, exist_ok=True)
-        list(threads.map(fetch, copies, copies.values()))
-        if (runs := store.read(RUNS)) is not None:
+        list(threads.map(lambda name: store.at(name).fetch(Path(folder, name)), names))
+        if (runs := store.at(RUNS).read()) is not None:
             Path(folder, RUNS).write_bytes(runs)
         yield Dataset(folder)
 

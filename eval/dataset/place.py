@@ -7,6 +7,7 @@ from typing import Final
 
 import polars as pl
 
+from roadperc_stream.batch.storage.addresses import is_address
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.tables import arrow_schema
 from roadperc_stream.schemas.columns.runs import RUN_TIME_COLUMNS, RunRow
@@ -43,11 +44,6 @@ class Dataset:
             return ["/".join((self.address, *below))]
         found = sorted(folder.glob("/".join(below)))
         return [str(path) for path in found if not path.name.startswith(_HIDDEN)]
-
-
-def is_address(argument: str) -> bool:
-    """Whether an argument is an address rather than a path."""
-    return "://" in argument
 
 
 def dataset_at(argument: str) -> Dataset | None:

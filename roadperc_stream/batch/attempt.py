@@ -11,7 +11,7 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection, wait
@@ -24,10 +24,10 @@ from uuid import uuid4
 
 import psutil
 
-from roadperc_stream.batch.task import BUSY, Outcome, Task, megabytes, this_worker
+from roadperc_stream.batch.task import Outcome, Task, megabytes, this_worker
 from roadperc_stream.batch.worker import scratch_of, work
 from roadperc_stream.errors import RoadpercError, TargetError
-from roadperc_stream.system.progress import no_progress
+from roadperc_stream.system.progress import Progress, no_progress, now_and_then
 
 OUTPUT: Final = "log"
 """The folder of a dataset for what workers print."""
@@ -39,11 +39,9 @@ _END_BYTES, _LONGEST = 1 << 20, 500
 """Of what a process printed: where a fatal error is looked for, and the characters of a line that a row quotes."""
 _ONE_THREAD: Final = "OPENBLAS_NUM_THREADS"
 _starting: Final = threading.Lock()
-Tell = Callable[[int, int], None]
-"""Takes the frames done and the frames expected of a log while it is replayed."""
 
 
-def attempt(task: Task, stop: threading.Event | None = None, tell: Tell = no_progress) -> Outcome:
+def attempt(task: Task, stop: threading.Event | None = None, tell: Progress = no_progress) -> Outcome:
     """Replay a log into the dataset, whatever happens to the process that does it.
 
     Args:
@@ -63,9 +61,9 @@ def attempt(task: Task, stop: threading.Event | None = None, tell: Tell = no_pro
         return Outcome("unreachable", said, worker=this_worker())
 
 
-def _attempt(task: Task, stop: threading.Event, tell: Tell) -> Outcome:
-    if task.out.is_local and not Path(task.out.address).is_dir():
-        return Outcome("unreachable", f"{task.out.address}: no such folder on this machine", worker=this_worker())
+def _attempt(task: Task, stop: threading.Event, tell: Progress) -> Outcome:
+    if task.job.out.is_local and not Path(task.job.out.address).is_dir():
+        return Outcome("unreachable", f"{task.job.out.address}: no such folder on this machine", worker=this_worker())
     scratch = scratch_of(task)
     printed = scratch.with_name(f"{scratch.name}.{uuid4().hex}.log")
     printed.parent.mkdir(parents=True, exist_ok=True)
@@ -81,7 +79,7 @@ def _attempt(task: Task, stop: threading.Event, tell: Tell) -> Outcome:
         process.kill()
         process.join()
         receiver.close()
-    _keep_printed(task, printed, outcome)
+    _keep_printed(task, printed)
     return replace(outcome, seconds=outcome.seconds or monotonic() - started, worker=outcome.worker or this_worker())
 
 
@@ -92,20 +90,20 @@ class _Watch:
     task: Task
     process: ForkServerProcess
     receiver: Connection
-    tell: Tell
+    tell: Progress
     printed: Path
 
     def outcome(self, stop: threading.Event) -> Outcome:
         """Wait until it has ended, or is to be ended."""
-        limits, started = self.task.limits, monotonic()
+        job, started = self.task.job, monotonic()
         while not stop.is_set():
             wait([self.receiver, self.process.sentinel], _LOOK_EVERY_S)
             if (outcome := self._said()) is not None:
                 return outcome
-            if limits.timeout_s is not None and monotonic() - started > limits.timeout_s:
-                return Outcome("timeout", f"took more than the {limits.timeout_s:g} s of --timeout")
-            if (held := self._memory_bytes()) > limits.memory_bytes:
-                asked = f"the {megabytes(limits.memory_bytes)} of --memory"
+            if job.timeout_s is not None and monotonic() - started > job.timeout_s:
+                return Outcome("timeout", f"took more than the {job.timeout_s:g} s of --timeout")
+            if (held := self._memory_bytes()) > job.memory_bytes:
+                asked = f"the {megabytes(job.memory_bytes)} of --memory"
                 return Outcome("memory", f"held more than {asked}: {megabytes(held)}", peak_memory_mb=held / 1e6)
         return Outcome("killed", "the batch was stopped")
 
@@ -148,14 +146,11 @@ def _fatal_error(printed: Path) -> str:
     return ""
 
 
-def _keep_printed(task: Task, printed: Path, outcome: Outcome) -> None:
+def _keep_printed(task: Task, printed: Path) -> None:
     """Put what the process printed into the dataset, where it is anything."""
     with suppress(OSError, RoadpercError):
-        if outcome.status == BUSY:
-            printed.unlink()
-            return
         if printed.stat().st_size:
-            task.out.put(printed, f"{OUTPUT}/{task.drive.stem}-{task.key}.txt")
+            task.job.out.at(f"{OUTPUT}/{task.drive.stem}-{task.key}.txt").put(printed)
         for left_over in printed.parent.glob(f"{task.key}.*.log"):  # and of attempts whose batch was killed
             left_over.unlink(missing_ok=True)
 
@@ -187,25 +182,12 @@ def _run(task: Task, printed: Path, sender: Connection) -> None:
     _print_to(printed)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
-        outcome = work(task, _Sender(sender).progress)
+        outcome = work(task, now_and_then(lambda done, expected: sender.send((done, expected)), _SAY_EVERY_S))
     except Exception as error:  # whatever it is, it is this log's: the batch goes on with the others
         traceback.print_exc()
         said = f"{type(error).__name__}: {error}; {OUTPUT}/ has the traceback"
         outcome = Outcome("killed", " ".join(said.splitlines()), worker=this_worker())
     sender.send(outcome)
-
-
-class _Sender:
-    """Sends the progress now and then."""
-
-    def __init__(self, sender: Connection) -> None:
-        self._sender, self._next_s = sender, 0.0
-
-    def progress(self, done: int, expected: int) -> None:
-        """Take the frames done and the frames expected."""
-        if monotonic() >= self._next_s:
-            self._next_s = monotonic() + _SAY_EVERY_S
-            self._sender.send((done, expected))
 
 
 def _end_with_parent() -> None:

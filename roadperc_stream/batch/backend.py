@@ -3,9 +3,9 @@
 import time
 from collections.abc import Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import AbstractContextManager
 from functools import partial
 from threading import Event
-from types import TracebackType
 from typing import Protocol, Self
 
 from roadperc_stream.batch.attempt import attempt
@@ -15,8 +15,8 @@ Frames = tuple[int, int]
 """Frames done of a task, and frames expected."""
 
 
-class Backend(Protocol):
-    """Works on tasks; a context manager, and leaving it ends all that still runs."""
+class Backend(AbstractContextManager["Backend"], Protocol):
+    """Works on tasks; leaving its context ends all that still runs."""
 
     @property
     def slots(self) -> int:
@@ -34,16 +34,6 @@ class Backend(Protocol):
     @property
     def at_work(self) -> Mapping[str, Frames]:
         """How far the tasks at work are, by their keys, as far as that is known."""
-        ...
-
-    def __enter__(self) -> Self:
-        """Start."""
-        ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """End all that still runs."""
         ...
 
 
@@ -83,9 +73,7 @@ class LocalBackend:
         """Start: processes do with the first task."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         """End all that still runs."""
         self._stop.set()
         self._threads.shutdown(cancel_futures=True)

@@ -16,7 +16,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
-from types import TracebackType
 from typing import Any, Final, Self
 from urllib.parse import urlsplit
 
@@ -24,6 +23,7 @@ from roadperc_stream.batch.attempt import attempt
 from roadperc_stream.batch.backend import Frames
 from roadperc_stream.batch.task import Outcome, Task, code_digest
 from roadperc_stream.errors import ClusterError
+from roadperc_stream.system.progress import now_and_then
 
 LOCAL: Final = "local"
 """The address that stands for a Ray of this batch alone, on this machine."""
@@ -76,14 +76,8 @@ class TaskEnd:
     outcome: Outcome
 
 
-@dataclass(frozen=True)
-class Refusal:
-    """Why a session cannot be opened, in a line."""
-
-    why: str
-
-
-SessionMessage = ClusterState | TaskEnd | Refusal
+SessionMessage = ClusterState | TaskEnd | str
+"""A text says why a session cannot be opened, in a line."""
 
 
 class RayBackend:
@@ -172,8 +166,8 @@ class RayBackend:
         match message:
             case ClusterState():
                 self._state = message
-            case Refusal(why):
-                raise ClusterError(f"--ray {self._request.address}: {why}")
+            case str():
+                raise ClusterError(f"--ray {self._request.address}: {message}")
             case TaskEnd():
                 return message
         return None
@@ -182,9 +176,7 @@ class RayBackend:
         address = self._request.address
         return ClusterError(f"--ray {address}: the connection to the cluster is lost; the same command goes on later")
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         """End all that still runs, and leave the cluster."""
         self._end()
 
@@ -270,14 +262,7 @@ def attempt_on_node(task: Task, count: Any) -> Outcome:
         task: the log, and what to do with it.
         count: Ray's handle of a ``FrameCount``.
     """
-    told_s = 0.0
-
-    def tell(done: int, expected: int) -> None:
-        nonlocal told_s
-        if time.monotonic() >= told_s + _TELL_EVERY_S:
-            told_s = time.monotonic()
-            count.tell.remote(task.key, (done, expected))
-
+    tell = now_and_then(lambda done, expected: count.tell.remote(task.key, (done, expected)), _TELL_EVERY_S)
     try:
         return attempt(task, tell=tell)
     finally:

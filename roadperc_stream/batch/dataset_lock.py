@@ -12,7 +12,7 @@ from uuid import uuid4
 
 import msgspec
 
-from roadperc_stream.batch.storage.folder import Folder
+from roadperc_stream.batch.storage.location import Location
 from roadperc_stream.errors import RoadpercError, StorageError
 from roadperc_stream.resume.lock import FolderLock
 from roadperc_stream.system.files import target_errors
@@ -52,7 +52,7 @@ class DatasetLock:
         out: the dataset.
     """
 
-    def __init__(self, out: Folder) -> None:
+    def __init__(self, out: Location) -> None:
         started = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime())
         self._out = out
         self._me = LockHolder(socket.gethostname(), os.getpid(), started, uuid4().hex, 0.0)
@@ -91,7 +91,7 @@ class DatasetLock:
             self._renewing.join()
         if self._taken_by is None:
             with suppress(RoadpercError):  # then it is dead soon
-                self._out.remove(LOCK)
+                self._out.at(LOCK).remove()
         if self._out.is_local:
             self._on_disk.release()
 
@@ -119,12 +119,12 @@ class DatasetLock:
 
     def _holder(self) -> LockHolder | None:
         try:
-            return msgspec.json.decode(self._out.read(LOCK) or b"", type=LockHolder)
+            return msgspec.json.decode(self._out.at(LOCK).read() or b"", type=LockHolder)
         except msgspec.DecodeError:
             return None
 
     def _write(self) -> None:
-        self._out.write(LOCK, msgspec.json.encode(replace(self._me, renewed_s=time.time())))
+        self._out.at(LOCK).write(msgspec.json.encode(replace(self._me, renewed_s=time.time())))
 
     def _keep_renewing(self) -> None:
         while self._taken_by is None and not self._ended.wait(RENEW_EVERY_S):

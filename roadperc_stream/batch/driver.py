@@ -3,36 +3,35 @@
 import re
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from typing import Final
 
 from roadperc_stream.batch.backend import Backend
 from roadperc_stream.batch.dataset_lock import DatasetLock
-from roadperc_stream.batch.job import BatchJob, also_named, not_named
 from roadperc_stream.batch.plan import Again, Planner, Step, find_drives_in
+from roadperc_stream.batch.rows import also_named, not_named, row_of
 from roadperc_stream.batch.runs import BatchRow, KnownRuns, RunsTable
-from roadperc_stream.batch.task import BUSY, DriveFiles, Outcome, Task, code_digest
+from roadperc_stream.batch.task import BatchJob, DriveFiles, Outcome, Task
 from roadperc_stream.schemas.columns.runs import OF_THE_MACHINE, RunRow
 
 _WAIT_S: Final = 0.2
 _SAVE_EVERY_S: Final = 1.0
-_BUSY_AGAIN_S: Final = 1.0
-_UNREACHED_AGAIN_S: Final = 1.0
-"""How long a log waits that is tried again, and each time so much longer."""
+_AGAIN_S: Final = 1.0
+"""How long a log waits for another attempt, and each time so much longer."""
 _TRIED_AGAIN: Final = frozenset({"killed", "unreachable"})
 """What another attempt may not meet again."""
 
 
 @dataclass
 class BatchProgress:
-    """How far a batch is; ``frames`` are those it has computed itself, of the logs done."""
+    """How far a batch is; ``frames`` are those it has computed itself, of the logs done, ``failed`` rows of logs."""
 
     logs: int
     bytes_expected: int
     done: int = 0
-    failed: int = 0
+    failed: list[RunRow] = field(default_factory=list)
     bytes_done: int = 0
     bytes_at_work: int = 0
     frames: int = 0
@@ -49,7 +48,7 @@ class _Try:
 
 
 Watch = Callable[[BatchProgress], None]
-Failed = Callable[[RunRow], None]
+"""Takes how far the batch is, several times a second."""
 
 
 @dataclass
@@ -60,35 +59,25 @@ class Driver:
     backend: Backend
     table: RunsTable
     known: KnownRuns
-    watch: Watch = lambda _: None
-    failed: Failed = lambda _: None
+    watch: Watch
     _waiting: deque[_Try] = field(default_factory=deque)
     _at_work: dict[str, _Try] = field(default_factory=dict)
     _save_at_s: float = 0.0
-    _added: set[tuple[str, str]] = field(default_factory=set)
-    """Keys of the rows that this batch has written."""
 
-    def run(self, steps: Sequence[Step]) -> tuple[BatchProgress, list[RunRow]]:
-        """Do all steps that are to be done; the longest logs first, lest one of them is all that is left at the end.
-
-        Returns:
-            How far it came, and the rows of the logs that failed.
-        """
+    def run(self, steps: Sequence[Step]) -> BatchProgress:
+        """Do all steps that are to be done, the longest logs first for load balance; how far it came."""
         todo = sorted((step for step in steps if step.action != "leave"), key=lambda step: -step.drive.size_bytes)
         self._waiting.extend(_Try(step) for step in todo)
         self._progress = BatchProgress(len(todo), sum(step.drive.size_bytes for step in todo))
-        failed: list[RunRow] = []
         try:
             while self._waiting or self._at_work:
                 self._give()
-                for row in self._taken():
-                    failed.append(row)
-                    self.failed(row)
-                if failed and self.job.fail_fast:
+                self._take()
+                if self._progress.failed and self.job.fail_fast:
                     break
         finally:
             self.table.save()
-        return self._progress, failed
+        return self._progress
 
     def _give(self) -> None:
         """Keep the back end busy."""
@@ -98,43 +87,25 @@ class Driver:
             item = self._waiting.popleft()
             task = self._task(item.step)
             is_early = item.not_before_s > time.monotonic()
-            if is_early or task.key in self._at_work or self._has_twin_at_work(item.step.drive):
+            if is_early or task.key in self._at_work:
                 self._waiting.append(item)
                 continue
             self._at_work[task.key] = item
             self.backend.submit(task)
 
     def _task(self, step: Step) -> Task:
-        task = self.job.task(step.drive, self._same_ids(step))
-        return replace(task, was_recovered=step.before is not None and step.before.row.recover)
+        was_recovered = step.before is not None and step.before.row.recover
+        return Task(step.drive, self.job, step.same_ids, was_recovered)
 
-    def _same_ids(self, step: Step) -> tuple[str, ...]:
-        """Logs that were done since the batch was planned may be this one, too."""
-        if step.before is not None:
-            return step.same_ids
-        done = (run for run in self.known.done_of_size(step.drive.size_bytes) if run.key in self._added)
-        return (*step.same_ids, *filter(None, (run.row.log_id for run in done if self._is_as_asked(run.row))))
-
-    def _is_as_asked(self, row: RunRow) -> bool:
-        """Whether this batch would come to the same row; it also adds rows of logs that lost a name."""
-        return row.code == code_digest() and self.job.keep_logs in {"no", row.logs}
-
-    def _has_twin_at_work(self, drive: DriveFiles) -> bool:
-        """Whether a file of the same size is: it may be the same log, and then this one need not be replayed."""
-        others = (other.step.drive for other in self._at_work.values() if other.step.drive != drive)
-        return bool(self._waiting) and any(other.size_bytes == drive.size_bytes for other in others)
-
-    def _taken(self) -> Iterable[RunRow]:
+    def _take(self) -> None:
+        """Write down what has ended, and look at what is at work."""
         for task, outcome in self.backend.wait(_WAIT_S):
             item = self._at_work.pop(task.key)
-            if outcome.status == BUSY:
-                self._wait_with(item, _BUSY_AGAIN_S)
-            elif outcome.status in _TRIED_AGAIN and item.attempts <= self.job.retries:
-                self._wait_with(replace(item, attempts=item.attempts + 1), _UNREACHED_AGAIN_S * item.attempts)
+            if outcome.status in _TRIED_AGAIN and item.attempts <= self.job.retries:
+                not_before_s = time.monotonic() + _AGAIN_S * item.attempts
+                self._waiting.append(replace(item, attempts=item.attempts + 1, not_before_s=not_before_s))
             else:
-                row = self._written(item, outcome)
-                if row.status != "done":
-                    yield row
+                self._write(item, outcome)
         self._look_at_work()
         self.watch(self._progress)
         self._save_now_and_then()
@@ -148,9 +119,6 @@ class Driver:
             if expected and key in self._at_work
         )
 
-    def _wait_with(self, item: _Try, seconds: float) -> None:
-        self._waiting.append(replace(item, not_before_s=time.monotonic() + seconds))
-
     def _save_now_and_then(self) -> None:
         """Save the rows, in a twentieth of the time at most."""
         now_s = time.monotonic()
@@ -158,31 +126,27 @@ class Driver:
             self.table.save()
             self._save_at_s = time.monotonic() + max(_SAVE_EVERY_S, 20 * (time.monotonic() - now_s))
 
-    def _written(self, item: _Try, outcome: Outcome) -> RunRow:
+    def _write(self, item: _Try, outcome: Outcome) -> None:
         """Write down what came of a log."""
         drive, progress = item.step.drive, self._progress
-        before = self.known.get(outcome.log_id or drive.name, self.job.how.name)
+        before = self.known.get(outcome.log_id or drive.name)
         if not outcome.is_new and before is not None:
             run = replace(before, row=also_named(before.row, drive))
         else:
-            run = BatchRow(self.job.row(drive, outcome, before, item.attempts), outcome.stages_s)
+            run = BatchRow(row_of(self.job, drive, outcome, before, item.attempts), outcome.stages_s)
         if outcome.status not in OF_THE_MACHINE:  # else nobody knows what is in the file
             for other in self._no_longer_there(drive, run):
                 self._add(other)
         self._add(run)
-        self._count(item.step)
+        progress.done += 1
+        progress.bytes_done += drive.size_bytes
         progress.frames += outcome.frames - outcome.frames_before
-        progress.failed += run.row.status != "done"
-        return run.row
-
-    def _count(self, step: Step) -> None:
-        self._progress.done += 1
-        self._progress.bytes_done += step.drive.size_bytes
+        if run.row.status != "done":
+            progress.failed.append(run.row)
 
     def _add(self, run: BatchRow) -> None:
         self.known.add(run)
         self.table.add(run)
-        self._added.add(run.key)
 
     def _no_longer_there(self, drive: DriveFiles, run: BatchRow) -> list[BatchRow]:
         """Rows of other logs that were under this name before; one without a digest goes by itself."""
@@ -205,8 +169,7 @@ class BatchSummary:
 
 
 StartBackend = Callable[[], Backend]
-Shows = tuple[Watch, Failed]
-Display = Callable[[], AbstractContextManager[Shows]]
+Display = Callable[[], AbstractContextManager[Watch]]
 
 
 class BatchRun:
@@ -229,7 +192,7 @@ class BatchRun:
             TableError: its list of runs cannot be read.
         """
         self._known = KnownRuns(self._table.read().values(), self._job.how.name)
-        planner = Planner(self._known, self._job.out, self._again)
+        planner = Planner(self._known, self._job, self._again)
         return tuple(planner.step(drive) for drive in self.drives)
 
     def run(self, start: StartBackend, display: Display) -> BatchSummary:
@@ -237,32 +200,31 @@ class BatchRun:
 
         Args:
             start: gives the back end; called only where anything is to be done.
-            display: shows the progress, and the logs that fail.
+            display: shows the progress.
 
         Raises:
             StorageError: the dataset cannot be written, or another batch is writing it.
         """
         with DatasetLock(self._job.out) as lock:
             steps = self.plan()
-            progress, rows = BatchProgress(0, 0), list[RunRow]()
+            progress = BatchProgress(0, 0)
             try:
                 if any(step.action != "leave" for step in steps):
-                    progress, rows = self._driven(steps, lock, start, display)
+                    progress = self._driven(steps, lock, start, display)
             finally:
                 if lock.is_held:
                     self._table.fold()
         before = [step.before.row for step in steps if step.is_failed and step.before is not None]
         left = sum(step.action == "leave" for step in steps) - len(before)
         undone = progress.logs - progress.done
-        return BatchSummary(progress.done - progress.failed, left, progress.frames, (*before, *rows), undone)
+        failed = (*before, *progress.failed)
+        return BatchSummary(progress.done - len(progress.failed), left, progress.frames, failed, undone)
 
-    def _driven(
-        self, steps: Sequence[Step], lock: DatasetLock, start: StartBackend, display: Display
-    ) -> tuple[BatchProgress, list[RunRow]]:
-        with start() as backend, display() as (watch, failed):
+    def _driven(self, steps: Sequence[Step], lock: DatasetLock, start: StartBackend, display: Display) -> BatchProgress:
+        with start() as backend, display() as watch:
 
             def watch_and_hold(progress: BatchProgress) -> None:
                 lock.require_held()
                 watch(progress)
 
-            return Driver(self._job, backend, self._table, self._known, watch_and_hold, failed).run(steps)
+            return Driver(self._job, backend, self._table, self._known, watch_and_hold).run(steps)

@@ -2,7 +2,7 @@
 
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Literal
@@ -11,15 +11,14 @@ from roadperc_stream import __version__
 from roadperc_stream.batch.publishing import LOGS, METRICS, OBJECTS, name_in
 from roadperc_stream.batch.runs import BatchRow, KnownRuns
 from roadperc_stream.batch.storage.addresses import is_address, natural
-from roadperc_stream.batch.storage.disk import StoredFile
-from roadperc_stream.batch.storage.folder import Folder, find_files
-from roadperc_stream.batch.task import DriveFiles, KeepLogs, code_digest
+from roadperc_stream.batch.storage.location import Location, StoredFile, find_files
+from roadperc_stream.batch.task import BatchJob, DriveFiles, code_digest
 from roadperc_stream.errors import StorageError
 from roadperc_stream.schemas.columns.runs import OF_THE_MACHINE, STATUSES
 from roadperc_stream.system.files import TABLE_SUFFIX
 
 
-def find_drives_in(arguments: Sequence[str], out: Folder, parts: re.Pattern[str] | None) -> list[DriveFiles]:
+def find_drives_in(arguments: Sequence[str], out: Location, parts: re.Pattern[str] | None) -> list[DriveFiles]:
     """The logs that the arguments mean, each once, in their order.
 
     Args:
@@ -38,7 +37,7 @@ def find_drives_in(arguments: Sequence[str], out: Folder, parts: re.Pattern[str]
     return [DriveFiles((file,)) for file in files] if parts is None else joined(files, parts)
 
 
-def _is_in(file: StoredFile, out: Folder) -> bool:
+def _is_in(file: StoredFile, out: Location) -> bool:
     """Whether it is a result log of the dataset, whatever links lead there."""
     if out.is_local and not is_address(file.address):
         place = Path(os.path.realpath(file.address))  # resolve() refuses a link to itself
@@ -101,22 +100,18 @@ class Again:
     Args:
         verify: read every log, rather than trust its size and time.
         retry_failed: logs that are damaged or empty, too.
-        recover: damaged logs that nobody tried to recover.
-        keep_logs: those without the result log that is asked for.
     """
 
     verify: bool = False
     retry_failed: bool = False
-    recover: bool = False
-    keep_logs: KeepLogs = "no"
 
 
 class Planner:
     """Decides for one log after the other, by what a dataset holds."""
 
-    def __init__(self, known: KnownRuns, out: Folder, again: Again) -> None:
-        self._known, self._again = known, again
-        self._there = _files_of(out, (METRICS, OBJECTS), TABLE_SUFFIX) | _files_of(out, (LOGS,), ".mcap")
+    def __init__(self, known: KnownRuns, job: BatchJob, again: Again) -> None:
+        self._known, self._job, self._again = known, job, again
+        self._there = _files_of(job.out, (METRICS, OBJECTS), TABLE_SUFFIX) | _files_of(job.out, (LOGS,), ".mcap")
 
     def step(self, drive: DriveFiles) -> Step:
         """What to do with a log."""
@@ -140,14 +135,14 @@ class Planner:
         return Step(drive, "replay", why, before, tuple(filter(None, same)))
 
     def _of_failed(self, drive: DriveFiles, run: BatchRow) -> Step:
-        row, again = run.row, self._again
+        row = run.row
         if row.status in OF_THE_MACHINE or row.status not in STATUSES:
             return self._of_unknown(drive, f"failed before: {row.status}", run)
         if row.fingerprints[row.names.index(drive.name)] != drive.fingerprint:
             return self._of_unknown(drive, f"was {row.status}, and the file has changed", run)
-        if again.retry_failed:
+        if self._again.retry_failed:
             return Step(drive, "replay", f"was {row.status}: --retry-failed", run)
-        if again.recover and not row.recover and row.status == "damaged":
+        if self._job.recover and not row.recover and row.status == "damaged":
             return Step(drive, "replay", "was damaged: --recover", run)
         return Step(drive, "leave", f"is {row.status}", run)
 
@@ -162,21 +157,16 @@ class Planner:
         names = {folder: name_in(folder, *place) for folder in (METRICS, OBJECTS, LOGS)}
         if names[METRICS] not in self._there or names[OBJECTS] not in self._there:
             return "its tables are gone"
-        if self._again.keep_logs != "no" and (row.logs != self._again.keep_logs or names[LOGS] not in self._there):
+        if self._job.keep_logs != "no" and (row.logs != self._job.keep_logs or names[LOGS] not in self._there):
             return "has no such result log"
         return ""
 
 
-def _files_of(out: Folder, folders: Sequence[str], suffix: str) -> set[str]:
+def _files_of(out: Location, folders: Sequence[str], suffix: str) -> set[str]:
     """Their names; a file with nothing in it is none, as a machine that lost its power leaves them."""
-    found = (file for folder in folders for file in out.files(folder, suffix))
-    return {out.name_of(file) for file in found if file.size_bytes}
-
-
-def counted(steps: Iterable[Step]) -> Mapping[str, int]:
-    """How many logs there are for each action and reason."""
-    counts: dict[str, int] = {}
-    for step in steps:
-        text = f"{step.action}: {step.why}"
-        counts[text] = counts.get(text, 0) + 1
-    return counts
+    return {
+        f"{folder}/{name}"
+        for folder in folders
+        for name, file in out.at(folder).files(suffix).items()
+        if file.size_bytes
+    }

@@ -26,7 +26,6 @@ from roadperc_stream.batch.cluster import (
     ClusterRequest,
     ClusterState,
     FrameCount,
-    Refusal,
     SessionMessage,
     TaskEnd,
     attempt_on_node,
@@ -53,7 +52,7 @@ def main() -> None:
             _Session(connection, request).serve()
     except Exception as error:  # Ray raises of many kinds; the batch at the other end tells its user
         with suppress(OSError):
-            connection.send(Refusal(_line(error)))
+            connection.send(_line(error))
 
 
 @contextmanager

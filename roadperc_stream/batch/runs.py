@@ -10,14 +10,13 @@ import socket
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
 import msgspec
 
-from roadperc_stream.batch.storage.addresses import joined
-from roadperc_stream.batch.storage.folder import Folder
+from roadperc_stream.batch.storage.location import Location
 from roadperc_stream.batch.task import SCRATCH
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.tables import TableWriter, rows_in
@@ -26,7 +25,6 @@ from roadperc_stream.system.files import TABLE_SUFFIX, target_errors
 
 ALL: Final = f"runs{TABLE_SUFFIX}"
 AT_WORK: Final = "runs"
-_NAMES: Final = tuple(item.name for item in fields(RunRow))
 _REMEDY: Final = "remove it and all is done anew"
 _UNFINISHED: Final = "runs-"
 
@@ -69,6 +67,7 @@ class KnownRuns:
     """The rows of one configuration, found by name and by size."""
 
     def __init__(self, runs: Iterable[BatchRow], config: str) -> None:
+        self._config = config
         self._by_key: Rows = {}
         self._by_name: dict[str, set[tuple[str, str]]] = {}
         self._by_size: dict[int, set[tuple[str, str]]] = {}
@@ -83,9 +82,9 @@ class KnownRuns:
         for name in run.row.names:
             self._by_name.setdefault(name, set()).add(run.key)
 
-    def get(self, log: str, config: str) -> BatchRow | None:
+    def get(self, log: str) -> BatchRow | None:
         """The row of a log by its digest, or by its path where it has none."""
-        return self._by_key.get((log, config))
+        return self._by_key.get((log, self._config))
 
     def named(self, name: str) -> list[BatchRow]:
         """The rows of the logs that were last seen under a name, the newest first."""
@@ -101,7 +100,7 @@ class KnownRuns:
 class RunsTable:
     """The rows of a dataset, as the batch that holds its lock reads and writes them."""
 
-    def __init__(self, folder: Folder) -> None:
+    def __init__(self, folder: Location) -> None:
         self._folder = folder
         started = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
         self._own_name = f"{AT_WORK}/{started}-{socket.gethostname()}-{os.getpid()}{TABLE_SUFFIX}"
@@ -118,13 +117,13 @@ class RunsTable:
         return merged(*self._tables(), self._own.values())
 
     def _at_work(self) -> list[str]:
-        return [self._folder.name_of(file) for file in self._folder.files(AT_WORK, TABLE_SUFFIX)]
+        return [f"{AT_WORK}/{name}" for name in self._folder.at(AT_WORK).files(TABLE_SUFFIX)]
 
     def _tables(self) -> Iterator[list[BatchRow]]:
         for name in (ALL, *self._at_work()):
-            data = self._folder.read(name)
-            if data is not None:
-                yield _runs_in(data, joined(self._folder.address, name))
+            file = self._folder.at(name)
+            if (data := file.read()) is not None:
+                yield _runs_in(data, file.address)
 
     def add(self, run: BatchRow) -> None:
         """Add a row, or replace the one of the same log and configuration."""
@@ -154,13 +153,13 @@ class RunsTable:
             self._write(self.read().values(), ALL)
             self._is_saved = True
         for name in names:
-            self._folder.remove(name)
+            self._folder.at(name).remove()
         if self._folder.is_local:
-            for left_over in self._folder.path(SCRATCH).glob(f"{_UNFINISHED}*"):  # of batches that were killed
+            for left_over in Path(self._folder.address, SCRATCH).glob(f"{_UNFINISHED}*"):  # of batches that were killed
                 shutil.rmtree(left_over, ignore_errors=True)
 
     def _write(self, runs: Iterable[BatchRow], name: str) -> None:
-        scratch = self._folder.path(SCRATCH) if self._folder.is_local else None  # the system's may be full
+        scratch = Path(self._folder.address, SCRATCH) if self._folder.is_local else None  # the system's may be full
         if scratch is not None:
             with target_errors(scratch):
                 scratch.mkdir(parents=True, exist_ok=True)
@@ -169,7 +168,7 @@ class RunsTable:
             with TableWriter(path, RunRow, {}, RUN_TIME_COLUMNS) as table:
                 for run in sorted(runs, key=lambda run: (run.row.path, run.row.config)):
                     table.append(run.row, **run.stages_s)
-            self._folder.put(path, name)
+            self._folder.at(name).put(path)
 
 
 def _runs_in(data: bytes, address: str) -> list[BatchRow]:
@@ -181,12 +180,9 @@ def _runs_in(data: bytes, address: str) -> list[BatchRow]:
 
 
 def _run_of(row: Mapping[str, Any], address: str) -> BatchRow:
-    missing = [name for name in _NAMES if name not in row]
-    if missing:
-        raise TableError(f"{address}: has no column {missing[0]}; another version of this program wrote it")
     stages_s = {name: row[name] for name in RUN_TIME_COLUMNS if row.get(name) is not None}
     try:
-        values = msgspec.convert({name: row[name] for name in _NAMES}, RunRow)
+        values = msgspec.convert(row, RunRow)
     except msgspec.ValidationError as error:
         raise TableError(f"{address}: is not a list of runs of this program: {error}; {_REMEDY}") from error
     if len(values.names) != len(values.fingerprints):

@@ -13,8 +13,7 @@ from typing import Final, Literal
 import tomli_w
 
 import roadperc_stream
-from roadperc_stream.batch.storage.disk import StoredFile
-from roadperc_stream.batch.storage.folder import Folder
+from roadperc_stream.batch.storage.location import Location, StoredFile
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.schemas.columns.runs import RunStatus
 from roadperc_stream.system.time import WHOLE, TimeRange
@@ -98,8 +97,6 @@ KeepLogs = Literal["no", "whole", "results"]
 """Which result log stays in the dataset: none, one as a replay writes it, or one without the input's messages."""
 SCRATCH: Final = ".work"
 """The folder of a local dataset for what is not complete."""
-BUSY: Final = "busy"
-"""The status of a task whose log another batch is at work on."""
 _KEY_DIGITS: Final = 16
 _MB: Final = 1e6
 
@@ -135,55 +132,61 @@ class DriveFiles:
 
 
 @dataclass(frozen=True)
-class TaskLimits:
-    """What an attempt at a log may take: seconds, and bytes of memory; no end of time unless said."""
+class BatchJob:
+    """What a batch does with each of its logs.
 
+    Args:
+        how: the configuration.
+        out: the dataset.
+        keep_logs: the result log to keep.
+        recover: replay what can be read of damaged logs.
+        timeout_s: seconds that an attempt may take; None: as long as it needs.
+        memory_bytes: memory that an attempt may take.
+        retries: how often a log is tried again whose worker died.
+        fail_fast: stop at the first log that fails.
+        scratch: folder for temporary files on the workers' machines; None: within the dataset, or the system's.
+        code: digest of the code that the batch was started with, which is to be the workers'; empty: not checked.
+    """
+
+    how: BatchConfiguration
+    out: Location
+    keep_logs: KeepLogs = "no"
+    recover: bool = False
     timeout_s: float | None = None
     memory_bytes: int = 2_000_000_000
-
-
-NO_TIMEOUT: Final = TaskLimits()
+    retries: int = 2
+    fail_fast: bool = False
+    scratch: Path | None = None
+    code: str = ""
 
 
 @dataclass(frozen=True)
 class Task:
-    """A log to replay under a configuration into a dataset.
+    """A log to replay into a dataset.
 
     Args:
         drive: the log.
-        how: the configuration.
-        out: the dataset.
-        keep_logs: the result log to keep.
-        recover: replay what can be read of a damaged log.
-        was_recovered: whether what the dataset has of it is so; it is looked at in the same way, to see whether it is
-            the same still.
-        limits: of each attempt.
+        job: what the batch does with it.
         same_ids: logs that are in the dataset already and that this one may be, under another name or another time of
             change: then nothing is left to do.
-        code: digest of the code that the batch was started with, which is to be the worker's.
-        scratch: a folder for temporary files on the worker's machine; None: within the dataset, or the system's.
+        was_recovered: whether the dataset's log was recovered; this one is then read in the same way, to see whether it
+            is the same still.
     """
 
     drive: DriveFiles
-    how: BatchConfiguration
-    out: Folder
-    keep_logs: KeepLogs = "no"
-    recover: bool = False
-    limits: TaskLimits = NO_TIMEOUT
+    job: BatchJob
     same_ids: tuple[str, ...] = ()
-    code: str = ""
-    scratch: Path | None = None
     was_recovered: bool = False
 
     @cached_property
     def content_key(self) -> str:
         """Differs where the log, or what replays it, has changed: nothing that is not complete then is of use."""
-        return hashlib.sha256(f"{self.drive.fingerprint}\n{self.code}".encode()).hexdigest()[:_KEY_DIGITS]
+        return hashlib.sha256(f"{self.drive.fingerprint}\n{self.job.code}".encode()).hexdigest()[:_KEY_DIGITS]
 
     @cached_property
     def key(self) -> str:
         """Names the log and the configuration where the log's digest is not known yet."""
-        return hashlib.sha256(f"{self.drive.name}\n{self.how.name}".encode()).hexdigest()[:_KEY_DIGITS]
+        return hashlib.sha256(f"{self.drive.name}\n{self.job.how.name}".encode()).hexdigest()[:_KEY_DIGITS]
 
 
 @dataclass(frozen=True)
@@ -194,7 +197,7 @@ class Outcome:
     ``frames_before`` those that an interrupted attempt had computed.
     """
 
-    status: RunStatus | Literal["busy"]
+    status: RunStatus
     error: str | None = None
     log_id: str | None = None
     date: str | None = None

@@ -7,18 +7,19 @@ import shutil
 import socket
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
-from typing import Final, Self
+from typing import Final
 
 import roadperc_stream
-from roadperc_stream.batch.publishing import of_summary, publish
+from roadperc_stream.batch.publishing import publish
 from roadperc_stream.batch.storage.addresses import is_address
-from roadperc_stream.batch.storage.folder import Folder, fetch
-from roadperc_stream.batch.task import BUSY, SCRATCH, Outcome, Task, as_text, code_digest, this_worker
+from roadperc_stream.batch.storage.location import Location
+from roadperc_stream.batch.task import SCRATCH, BatchJob, Outcome, Task, as_text, code_digest, this_worker
 from roadperc_stream.errors import LogError, NoFrameError, RoadpercError, StorageError, TargetError
 from roadperc_stream.input import ReplaySource
 from roadperc_stream.loop import replay
@@ -34,44 +35,12 @@ from roadperc_stream.system.text import print_line
 
 _CHECKPOINTS: Final = ReplayOptions(checkpoint_every_s=60.0, resume=True)
 """Seconds of log after which a replay that is killed goes on, rather than from the start."""
+_FREE_WITHIN_S: Final = 30.0
+_LOOKS_EVERY_S: Final = 0.2
 _DIGITS: Final = 16
 _MB: Final = 1e6
 _MEMORY_UNIT: Final = 1 if sys.platform == "darwin" else 1024
 """In which the system counts the most memory that a process has held, bytes."""
-
-
-@dataclass(frozen=True)
-class _LocalFiles:
-    """A log's files on this machine; while a replay goes over them again and again they must not change."""
-
-    paths: tuple[Path, ...]
-    identities: dict[str, tuple[int, ...]]
-    """Of those that stand on this machine by themselves."""
-
-    @classmethod
-    def of(cls, task: Task, folder: Path) -> Self:
-        """The files themselves, and those of a store copied into a folder.
-
-        Raises:
-            StorageError: one cannot be read.
-        """
-        files = cls(tuple(_copies_in(task, folder)), {})
-        for file, copy in zip(task.drive.files, files.paths, strict=True):
-            if not is_address(file.address):
-                files.identities[file.address] = _identity(file.address)
-            elif not copy.exists():
-                fetch(file.address, copy)
-        return files
-
-    def require_unchanged(self) -> None:
-        """Check that all files are what they were.
-
-        Raises:
-            StorageError: one is not, or cannot be looked at.
-        """
-        for name, identity in self.identities.items():
-            if _identity(name) != identity:
-                raise StorageError(f"{name}: changed while it was replayed")
 
 
 def work(task: Task, progress: Progress) -> Outcome:
@@ -85,14 +54,13 @@ def work(task: Task, progress: Progress) -> Outcome:
     keep_freed_memory()
     try:
         with _claimed(task) as folder:
-            outcome = Outcome(BUSY) if folder is None else _tried(task, folder, progress)
-            if folder is not None:
-                said = outcome.error and _with_addresses(outcome.error, task, folder)
-                warnings = tuple(_with_addresses(text, task, folder) for text in outcome.warnings)
-                outcome = replace(outcome, error=said, warnings=warnings)
-                if outcome.status not in OF_THE_MACHINE:
-                    shutil.rmtree(folder, ignore_errors=True)
-    except (OSError, TargetError) as error:
+            outcome = _tried(task, folder, progress)
+            said = outcome.error and _with_addresses(outcome.error, task, folder)
+            warnings = tuple(_with_addresses(text, task, folder) for text in outcome.warnings)
+            outcome = replace(outcome, error=said, warnings=warnings)
+            if outcome.status not in OF_THE_MACHINE:
+                shutil.rmtree(folder, ignore_errors=True)
+    except (OSError, StorageError, TargetError) as error:
         outcome = Outcome("unreachable", _line(error))
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _MEMORY_UNIT / _MB
     return replace(outcome, seconds=perf_counter() - started, peak_memory_mb=peak_mb, worker=this_worker())
@@ -124,36 +92,41 @@ def scratch_of(task: Task) -> Path:
     Raises:
         TargetError: as ``scratch_root``.
     """
-    return scratch_root(task.out, task.scratch) / f"{task.key}.{task.content_key}"
+    return scratch_root(task.job) / f"{task.key}.{task.content_key}"
 
 
-def scratch_root(out: Folder, scratch: Path | None) -> Path:
+def scratch_root(job: BatchJob) -> Path:
     """The folder for what is not complete of a dataset: in the dataset, or in a private folder that this makes.
 
     Raises:
         TargetError: the private folder cannot be made, or is not private.
     """
-    if scratch is None and out.is_local:
-        return out.path(SCRATCH)
+    if job.scratch is None and job.out.is_local:
+        return Path(job.out.address, SCRATCH)
     user = os.getuid() if hasattr(os, "getuid") else 0
-    private = (scratch or Path(tempfile.gettempdir())) / f"roadperc-batch-{user}"
+    private = (job.scratch or Path(tempfile.gettempdir())) / f"roadperc-batch-{user}"
     make_private(private)
-    return private / hashlib.sha256(out.address.encode()).hexdigest()[:_DIGITS]
+    return private / hashlib.sha256(job.out.address.encode()).hexdigest()[:_DIGITS]
 
 
 @contextmanager
-def _claimed(task: Task) -> Iterator[Path | None]:
-    """Hold a task's folder while nobody else does; None where somebody does.
+def _claimed(task: Task) -> Iterator[Path]:
+    """Hold a task's folder; a process of a batch that was killed may still hold it for some seconds.
 
     What is in it is of use for the next attempt: a checkpoint, or a log that has been fetched. That of a log, or code,
     as it was before goes.
+
+    Raises:
+        StorageError: another process keeps it.
     """
     folder = scratch_of(task)
     folder.mkdir(parents=True, exist_ok=True)
     lock = FolderLock(folder)
-    if not lock.take():
-        yield None
-        return
+    until_s = perf_counter() + _FREE_WITHIN_S
+    while not lock.take():
+        if perf_counter() > until_s:
+            raise StorageError(f"{folder}: another process is at work on this log; try again when it has ended")
+        time.sleep(_LOOKS_EVERY_S)
     for former in folder.parent.glob(f"{task.key}.*"):
         if former != folder and former.is_dir():
             shutil.rmtree(former, ignore_errors=True)
@@ -167,28 +140,31 @@ def _claimed(task: Task) -> Iterator[Path | None]:
 
 def _replayed(task: Task, folder: Path, progress: Progress) -> Outcome:
     _require_same_code(task)
-    files = _LocalFiles.of(task, folder)
-    target = ReplayTarget(folder / "out.mcap", results_only=task.keep_logs != "whole", force=True)
-    source = ReplaySource(files.paths, dict(task.how.topics), task.how.time_range, task.recover)
+    before = _identities(task)
+    paths = _fetched(task, folder)
+    target = ReplayTarget(folder / "out.mcap", results_only=task.job.keep_logs != "whole", force=True)
+    source = ReplaySource(paths, dict(task.job.how.topics), task.job.how.time_range, task.job.recover)
     try:
         known_id = _known_id(task, source)
         if known_id is None:
-            summary = replay(source, target, task.how.cfg, _CHECKPOINTS, Callbacks(progress))
+            summary = replay(source, target, task.job.how.cfg, _CHECKPOINTS, Callbacks(progress))
     finally:
-        files.require_unchanged()  # what is wrong with a log may be that it is half another file
+        for name, identity in _identities(task).items():  # a log may look damaged that is half another file
+            if identity != before[name]:
+                raise StorageError(f"{name}: changed while it was replayed")
     if known_id is not None:
         return Outcome("done", log_id=known_id, is_new=False)
     for remark in summary.remarks:  # what a process prints comes to stand beside the dataset's tables
         print_line(_with_addresses(remark, task, folder))
-    return publish(task, target, summary.log_id, summary.first_ns, of_summary(summary))
+    return publish(task, target, summary)
 
 
 def _known_id(task: Task, source: ReplaySource) -> str | None:
     """The digest of a log that is in the dataset already; None of another one."""
     if not task.same_ids:
         return None
-    as_before = replace(source, recover=task.recover or task.was_recovered)
-    log_id = open_log(as_before, task.how.cfg).input.log_id
+    as_before = replace(source, recover=task.job.recover or task.was_recovered)
+    log_id = open_log(as_before, task.job.how.cfg).input.log_id
     return log_id if log_id in task.same_ids else None
 
 
@@ -198,9 +174,11 @@ def _require_same_code(task: Task) -> None:
     Raises:
         StorageError: it has another version of the program.
     """
-    if task.code and task.code != code_digest():
+    if task.job.code and task.job.code != code_digest():
         found = f"{roadperc_stream.__version__}, code {code_digest()}"
-        raise StorageError(f"{this_worker()}: has another version of roadperc_stream ({found}); expected {task.code}")
+        raise StorageError(
+            f"{this_worker()}: has another version of roadperc_stream ({found}); expected {task.job.code}"
+        )
 
 
 def _copies_in(task: Task, folder: Path) -> Iterator[Path]:
@@ -216,10 +194,31 @@ def _with_addresses(text: str, task: Task, folder: Path) -> str:
     return text
 
 
-def _identity(name: str) -> tuple[int, ...]:
-    try:
-        facts = Path(name).stat()
-    except OSError as error:
-        words = f"no such file on {socket.gethostname()}; machines without a disk in common need addresses"
-        raise StorageError(f"{name}: {words}") from error
-    return facts.st_dev, facts.st_ino, facts.st_size, facts.st_mtime_ns
+def _fetched(task: Task, folder: Path) -> tuple[Path, ...]:
+    """The log's files on this machine; those of a store are copied into a folder, unless an attempt before did so.
+
+    Raises:
+        StorageError: one cannot be read.
+    """
+    paths = tuple(_copies_in(task, folder))
+    for file, path in zip(task.drive.files, paths, strict=True):
+        if is_address(file.address) and not path.exists():
+            Location(file.address).fetch(path)
+    return paths
+
+
+def _identities(task: Task) -> dict[str, tuple[int, ...]]:
+    """What differs when a file of this machine does, by its name: a replay reads a log more than once.
+
+    Raises:
+        StorageError: one cannot be looked at.
+    """
+    found = dict[str, tuple[int, ...]]()
+    for name in (file.address for file in task.drive.files if not is_address(file.address)):
+        try:
+            facts = Path(name).stat()
+        except OSError as error:
+            words = f"no such file on {socket.gethostname()}; machines without a disk in common need addresses"
+            raise StorageError(f"{name}: {words}") from error
+        found[name] = facts.st_dev, facts.st_ino, facts.st_size, facts.st_mtime_ns
+    return found

@@ -1,12 +1,12 @@
 """Arguments that several commands have in common."""
 
 import argparse
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from roadperc_stream.cli.completers import completed_by, files, settings, topics, words
-from roadperc_stream.cli.plumbing import seconds, whole_number
+from roadperc_stream.cli.plumbing import number, seconds, whole_number
 from roadperc_stream.schemas.topics import NEEDS, STAGES, switched_off
 from roadperc_stream.view.live import FASTEST, SLOWEST, PlaybackOptions
 
@@ -79,24 +79,21 @@ def config_of(arguments: argparse.Namespace) -> "ReplayConfig":
     return load_config(arguments.config, (*arguments.set, *off))
 
 
-_HIGHEST_PORT: Final = 65535
 _SERVING_OPTIONS: Final = tuple(field.name for field in fields(PlaybackOptions) if field.name != "start_s")
+
+
+_rate = number(SLOWEST, FASTEST, f"{SLOWEST:g} to {FASTEST:g}")
+_port = number(0, 65535, "0 to 65535", int)
 
 
 def add_serving_arguments(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
     """``--rate``, ``--loop``, ``--host`` and ``--port``, None where not given."""
     group = parser.add_argument_group("serving to Foxglove")
-    group.add_argument("--rate", metavar="FACTOR", type=rate, help="speed of playback at first (default 1)")
+    group.add_argument("--rate", metavar="FACTOR", type=_rate, help="speed of playback at first (default 1)")
     group.add_argument("--loop", action="store_true", default=None, help="at the end go back to where it started")
     group.add_argument("--host", metavar="ADDRESS", help="address to listen on (default 127.0.0.1: this machine only)")
-    group.add_argument("--port", metavar="N", type=port, help="port to listen on (default 8765; 0 takes a free one)")
+    group.add_argument("--port", metavar="N", type=_port, help="port to listen on (default 8765; 0 takes a free one)")
     return group
-
-
-def add_playback_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of serving and ``--start``, for a command that plays a finished log."""
-    group = add_serving_arguments(parser)
-    group.add_argument("--start", metavar="SECONDS", type=seconds, help="from here, counted from the first message")
 
 
 def serving_options(arguments: argparse.Namespace) -> PlaybackOptions:
@@ -104,27 +101,6 @@ def serving_options(arguments: argparse.Namespace) -> PlaybackOptions:
     return PlaybackOptions(**{name: getattr(arguments, name) for name in given_options(arguments)})
 
 
-def playback_options(arguments: argparse.Namespace) -> PlaybackOptions:
-    """What ``add_playback_arguments`` read, and the defaults of the others."""
-    return replace(serving_options(arguments), start_s=arguments.start or 0.0)
-
-
 def given_options(arguments: argparse.Namespace) -> list[str]:
     """Names of the serving options on the command line: without a server they are wrong usage."""
     return [name for name in _SERVING_OPTIONS if getattr(arguments, name) is not None]
-
-
-def rate(text: str) -> float:
-    """An argument that is a speed the player has."""
-    value = float(text)
-    if not SLOWEST <= value <= FASTEST:
-        raise argparse.ArgumentTypeError(f"{text}: expected {SLOWEST:g} to {FASTEST:g}")
-    return value
-
-
-def port(text: str) -> int:
-    """An argument from 0 to 65535."""
-    number = int(text)
-    if not 0 <= number <= _HIGHEST_PORT:
-        raise argparse.ArgumentTypeError(f"{text}: expected 0 to {_HIGHEST_PORT}")
-    return number

@@ -1,13 +1,14 @@
 """``roadperc-batch``: many logs into one dataset."""
 
 import argparse
+import math
 import re
 from pathlib import Path
 from typing import Final
 
 from roadperc_stream.cli.arguments import add_input_arguments, add_only_argument
 from roadperc_stream.cli.completers import LOGS, completed_by, files
-from roadperc_stream.cli.plumbing import command_parser, parse, positive_seconds, run, whole_number
+from roadperc_stream.cli.plumbing import command_parser, number, parse, positive_seconds, run, whole_number
 
 _EXAMPLE: Final = """\
 example:
@@ -100,7 +101,7 @@ def _add_worker_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--retries",
         metavar="N",
-        type=_retries,
+        type=number(0, math.inf, "a whole number", int),
         default=2,
         help="how often a log is tried again whose worker died or that could not be reached (default 2)",
     )
@@ -141,9 +142,3 @@ def _bytes(text: str) -> int:
     if size < 1e6:
         raise argparse.ArgumentTypeError(f"{text!r}: expected a size such as 500MB or 4GiB")
     return int(size)
-
-
-def _retries(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number")
-    return int(text)

@@ -1,6 +1,7 @@
 """What ``roadperc-batch`` does with its arguments, what it says of the logs, and how far it is on a terminal."""
 
 import argparse
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from time import monotonic, perf_counter
@@ -8,11 +9,10 @@ from time import monotonic, perf_counter
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from roadperc_stream.batch.backend import Backend, LocalBackend
-from roadperc_stream.batch.driver import BatchProgress, BatchRun, BatchSummary, Shows
-from roadperc_stream.batch.job import BatchJob
-from roadperc_stream.batch.plan import Again, counted
-from roadperc_stream.batch.storage.folder import Folder
-from roadperc_stream.batch.task import BatchConfiguration, KeepLogs, TaskLimits
+from roadperc_stream.batch.driver import BatchProgress, BatchRun, BatchSummary, Watch
+from roadperc_stream.batch.plan import Again
+from roadperc_stream.batch.storage.location import Location
+from roadperc_stream.batch.task import BatchConfiguration, BatchJob, KeepLogs, code_digest
 from roadperc_stream.batch.worker import scratch_root
 from roadperc_stream.cli.arguments import config_of, time_range_of
 from roadperc_stream.errors import RoadpercError
@@ -32,8 +32,7 @@ def batch_logs(arguments: argparse.Namespace) -> None:
     """
     started = perf_counter()
     job = _job(arguments)
-    again = Again(arguments.verify, arguments.retry_failed, arguments.recover, job.keep_logs)
-    batch = BatchRun(job, arguments.logs, arguments.join, again)
+    batch = BatchRun(job, arguments.logs, arguments.join, Again(arguments.verify, arguments.retry_failed))
     if arguments.dry_run:
         _print_plan(batch)
         return
@@ -59,20 +58,22 @@ def _job(arguments: argparse.Namespace) -> BatchJob:
         keep_logs = "results" if arguments.results_only else "whole"
     return BatchJob(
         how,
-        Folder(arguments.out),
+        Location(arguments.out),
         keep_logs,
         arguments.recover,
-        TaskLimits(arguments.timeout, arguments.memory),
+        arguments.timeout,
+        arguments.memory,
         arguments.retries,
         arguments.fail_fast,
         arguments.scratch,
+        code_digest(),
     )
 
 
 def _backend(arguments: argparse.Namespace, job: BatchJob) -> Backend:
     jobs = arguments.jobs or usable_cores()
     if arguments.ray is None:
-        scratch_root(job.out, job.scratch)
+        scratch_root(job)
         return LocalBackend(jobs)
     from roadperc_stream.batch.cluster import RayBackend
 
@@ -85,7 +86,7 @@ def _print_plan(batch: BatchRun) -> None:
         if step.action != "leave":
             parts = f" ({len(step.drive.files)} parts)" if len(step.drive.files) > 1 else ""
             print_line(f"{step.action}  {step.drive.name}{parts}: {step.why}")
-    for text, logs in sorted(counted(steps).items()):
+    for text, logs in sorted(Counter(f"{step.action}: {step.why}" for step in steps).items()):
         print_line(f"{number(logs, 'log')}  {text}")
 
 
@@ -101,29 +102,33 @@ def _print_summary(job: BatchJob, summary: BatchSummary, seconds: float) -> None
 
 
 @contextmanager
-def _progress_shown(enabled: bool) -> Iterator[Shows]:
+def _progress_shown(enabled: bool) -> Iterator[Watch]:
     """A bar over the bytes of the logs, with logs and frames done, failures and the time left."""
     console = PipeConsole(stderr=True, highlight=False, markup=False, emoji=False)
     if not (enabled and console.is_terminal):
-        yield (lambda _: None), (lambda _: None)
+        yield lambda _: None
         return
     columns = (BarColumn(), TaskProgressColumn(), TextColumn("{task.description}"), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as bar:
         console.show_cursor(True)  # a program that ends at once does not give it back
-        task, started_s = bar.add_task("starting", total=None), monotonic()
+        task, started_s, shown_rows = bar.add_task("starting", total=None), monotonic(), 0
 
         def watch(now: BatchProgress) -> None:
+            nonlocal shown_rows
+            for row in now.failed[shown_rows:]:
+                console.print(shown(_failure(row)), soft_wrap=True)
+            shown_rows = len(now.failed)
             text = _progress_text(now, monotonic() - started_s)
             completed, total = now.bytes_done + now.bytes_at_work, now.bytes_expected or None
             bar.update(task, completed=completed, total=total, description=text)
 
-        yield watch, lambda row: console.print(shown(_failure(row)), soft_wrap=True)
+        yield watch
 
 
 def _progress_text(now: BatchProgress, seconds: float) -> str:
     """Logs and frames done, frames a second, and failures."""
     frames = now.frames + now.frames_at_work
-    failed = f", {now.failed} failed" if now.failed else ""
+    failed = f", {len(now.failed)} failed" if now.failed else ""
     return f"{now.done}/{now.logs} logs{failed}, {frames} frames, {frames / max(seconds, 1e-9):.1f} frames/s"
 
 

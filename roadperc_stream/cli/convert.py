@@ -1,11 +1,12 @@
 """``roadperc-convert``: a CARLA dump folder to a log."""
 
 import argparse
+import math
 from pathlib import Path
 from typing import Final
 
 from roadperc_stream.cli.completers import LOGS, completed_by, files, roles_in_dump
-from roadperc_stream.cli.plumbing import command_parser, parse, part, run
+from roadperc_stream.cli.plumbing import command_parser, number, parse, part, run
 
 _EXAMPLE: Final = """\
 example:
@@ -24,6 +25,8 @@ the dump:
   timestamps.txt     lines 'frame seconds', or a value a line
   poses.json         {frame: {location, rotation}}, or poses.csv; truth.json and truth/ as roadperc-render writes
 """
+_field_of_view = number(1e-3, math.nextafter(180, 0), "degrees below 180")
+_rate = number(1e-3, 1e6, "a number from 0.001 to 1000000")
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -49,15 +52,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--carla", metavar="VERSION", help="CARLA version that wrote the tags, such as 0.9.15")
     parser.add_argument("--fov", type=_field_of_view, metavar="DEGREES", help="horizontal field of view")
-    parser.add_argument(
-        "--rate", type=_positive, metavar="HZ", help="frames per second (20, or rate_hz, or timestamps)"
-    )
-    parser.add_argument(
-        "--depth",
-        choices=("mm", "float"),
-        default="mm",
-        help="written as millimetres or metres",
-    )
+    parser.add_argument("--rate", type=_rate, metavar="HZ", help="frames per second (20, or rate_hz, or timestamps)")
+    parser.add_argument("--depth", choices=("mm", "float"), default="mm", help="written as millimetres or metres")
     parser.add_argument(
         "--grey-depth",
         choices=("linear", "linear-50", "logarithmic"),
@@ -69,20 +65,6 @@ def _parser() -> argparse.ArgumentParser:
     for action, completer in ((dump, files()), (out, files(*LOGS)), (role, roles_in_dump(roles))):
         completed_by(action, completer)
     return parser
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 1e-3 <= value <= 1e6:
-        raise argparse.ArgumentTypeError(f"{text}: expected a number from 0.001 to 1000000")
-    return value
-
-
-def _field_of_view(text: str) -> float:
-    value = _positive(text)
-    if value >= 180:
-        raise argparse.ArgumentTypeError(f"{text}: expected degrees below 180")
-    return value
 
 
 def _role(parser: argparse.ArgumentParser, option: str) -> tuple[str, str]:

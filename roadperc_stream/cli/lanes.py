@@ -1,12 +1,11 @@
 """``roadperc-lanes``: a run's lanes as TuSimple's JSON lines, and their score against true ones."""
 
 import argparse
-import re
 from pathlib import Path
 from typing import get_args
 
 from roadperc_stream.cli.completers import LOGS, completed_by, files
-from roadperc_stream.cli.plumbing import command_parser, parse, part, run
+from roadperc_stream.cli.plumbing import command_parser, image_size, parse, part, run
 
 _DESCRIPTION = """\
 Write the lanes a run saw as TuSimple's JSON lines, and score them against true ones in the same format.
@@ -55,15 +54,7 @@ def _parser() -> argparse.ArgumentParser:
         default="stamp",
         help="how true frames find theirs: by the stamp in raw_file, or in order, a line a frame (default stamp)",
     )
-    add("--size", metavar="WxH", type=_size, help="image in whose pixels FILE.json is (default the camera's)")
+    add("--size", metavar="WxH", type=image_size, help="image in whose pixels FILE.json is (default the camera's)")
     for action, suffixes in ((log, LOGS), (tusimple, (".json",)), (truth, (".json",))):
         completed_by(action, files(*suffixes))
     return parser
-
-
-def _size(text: str) -> tuple[int, int]:
-    """An argument such as 1280x720."""
-    found = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", text)
-    if not found:
-        raise argparse.ArgumentTypeError(f"{text}: expected columns and rows such as 1280x720")
-    return int(found[1]), int(found[2])

@@ -4,6 +4,7 @@ import argparse
 import gc
 import math
 import os
+import re
 import signal
 import sys
 import threading
@@ -179,28 +180,39 @@ def _interrupt_again(ignored: "sys.UnraisableHookArgs") -> None:
         sys.__unraisablehook__(ignored)
 
 
-def whole_number(text: str) -> int:
-    """An argument of 1 or more."""
-    try:
-        number = int(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number of 1 or more") from None
-    if number < 1:
-        raise argparse.ArgumentTypeError(f"{text}: expected 1 or more")
-    return number
+def number(least: float, most: float, expected: str, kind: type[float] = float) -> Callable[[str], Any]:
+    """The type of an argument that is a number of a kind between two limits; others are wrong usage.
+
+    Args:
+        least: the lowest number.
+        most: the highest number.
+        expected: what a message says of them.
+        kind: int or float.
+    """
+
+    def parsed(text: str) -> float:
+        try:
+            value = kind(text)
+        except ValueError:
+            value = math.nan
+        if not least <= value <= most:
+            raise argparse.ArgumentTypeError(f"{text!r}: expected {expected}")
+        return value
+
+    return parsed
 
 
-def seconds(text: str) -> float:
-    """An argument in seconds: finite, and no more than a century."""
-    value = float(text)
-    if not math.isfinite(value) or abs(value) > 3.2e9:
-        raise argparse.ArgumentTypeError(f"{text}: expected seconds")
-    return value
+_CENTURY_S = 3.2e9
+ABOVE_0 = 1e-9
+"""The least of numbers above 0: a nanosecond."""
+whole_number = number(1, math.inf, "a whole number of 1 or more", int)
+seconds = number(-_CENTURY_S, _CENTURY_S, "seconds")
+positive_seconds = number(ABOVE_0, _CENTURY_S, "more than 0 seconds")
 
 
-def positive_seconds(text: str) -> float:
-    """An argument in seconds above 0."""
-    value = seconds(text)
-    if value <= 0:
-        raise argparse.ArgumentTypeError(f"{text}: expected more than 0 seconds")
-    return value
+def image_size(text: str) -> tuple[int, int]:
+    """An argument such as 1280x720: columns and rows."""
+    found = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", text, re.IGNORECASE)
+    if not found:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected columns and rows such as 1280x720")
+    return int(found[1]), int(found[2])

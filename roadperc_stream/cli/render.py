@@ -2,11 +2,12 @@
 
 import argparse
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from roadperc_stream.cli.completers import completed_by, files
-from roadperc_stream.cli.plumbing import command_parser, parse, part, run
+from roadperc_stream.cli.plumbing import command_parser, image_size, parse, part, run
 
 _EXAMPLE: Final = """\
 example:
@@ -33,7 +34,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = command_parser("render", "Renders a drive as a CARLA dump with exact ground truth.", _EXAMPLE)
     add = parser.add_argument
     dump = add("dump", type=Path, metavar="DUMP", help="folder to write")
-    add("--size", type=_size, default=(defaults.width, defaults.height), metavar="WxH", help="pixels (1280x960)")
+    add("--size", type=image_size, default=(defaults.width, defaults.height), metavar="WxH", help="pixels (1280x960)")
     add("--jpeg", action="store_true", help="rgb and right as JPEG")
     add("--lidar", action="store_true", help="a lidar on the roof, 2.4 m high: its points are exact")
     add(
@@ -95,8 +96,9 @@ def _add_road(group: argparse._ArgumentGroup) -> None:
     group.add_argument("--lane", choices=("begins", "ends", "splits", "merges"), help=lane)
     group.add_argument("--crossing-cars", action="store_true", help="a crossing on which cars cross close before")
     group.add_argument("--parked-rows", action="store_true", help="rows of parked cars without gaps, on both sides")
+    stretch = partial(_numbers, form="FROM,TO", example="20,50")
     for name, text in (("--worn-lines", "worn down to faded remains"), ("--missing-lines", "missing")):
-        group.add_argument(name, type=_stretch, metavar="FROM,TO", help=f"metres of road where markings are {text}")
+        group.add_argument(name, type=stretch, metavar="FROM,TO", help=f"metres of road where markings are {text}")
 
 
 def _add_camera(group: argparse._ArgumentGroup, defaults: Any) -> None:
@@ -104,7 +106,7 @@ def _add_camera(group: argparse._ArgumentGroup, defaults: Any) -> None:
     add("--fov", type=float, default=fov, dest="fov_deg", metavar="DEG", help=f"horizontal field of view ({fov:g})")
     add(
         "--mount",
-        type=_mount,
+        type=partial(_numbers, form="X,Y,Z,ROLL,PITCH,YAW", example="1.5,0,1.4,0,-3,0"),
         default=mount,
         metavar="X,Y,Z,ROLL,PITCH,YAW",
         help="the front camera as CARLA places it: metres forward, right, up; degrees of roll, pitch up, yaw right "
@@ -139,14 +141,6 @@ def _options(arguments: argparse.Namespace) -> Any:
     )
 
 
-def _mount(text: str) -> tuple[float, ...]:
-    return _numbers(text, "X,Y,Z,ROLL,PITCH,YAW", "1.5,0,1.4,0,-3,0")
-
-
-def _stretch(text: str) -> tuple[float, ...]:
-    return _numbers(text, "FROM,TO", "20,50")
-
-
 def _numbers(text: str, form: str, example: str) -> tuple[float, ...]:
     """As many numbers as the form has words."""
     try:
@@ -156,10 +150,3 @@ def _numbers(text: str, form: str, example: str) -> tuple[float, ...]:
     if len(values) != len(form.split(",")):
         raise argparse.ArgumentTypeError(f"{text!r} is not {form}, such as {example}")
     return values
-
-
-def _size(text: str) -> tuple[int, int]:
-    width, _, height = text.lower().partition("x")
-    if not (width.isdigit() and height.isdigit()):
-        raise argparse.ArgumentTypeError(f"{text!r} is not WIDTHxHEIGHT, such as 1280x960")
-    return int(width), int(height)

@@ -1,12 +1,11 @@
 """``roadperc-trajectory``: how far a run's path is from the true one, and both as files for other tools."""
 
 import argparse
-import math
 from pathlib import Path
 from typing import get_args
 
 from roadperc_stream.cli.completers import RUNS, completed_by, files
-from roadperc_stream.cli.plumbing import command_parser, parse, part, run
+from roadperc_stream.cli.plumbing import ABOVE_0, command_parser, number, parse, part, run
 
 _DESCRIPTION = """\
 Compare the poses a run estimated with the true ones.
@@ -47,7 +46,7 @@ def main(argv: list[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     options = part("eval.options")
     parser = command_parser("trajectory", _DESCRIPTION, _EXAMPLE)
-    add = parser.add_argument
+    add, positive = parser.add_argument, number(ABOVE_0, 1e9, "more than 0")
     runs = add(
         "runs", metavar="RUN", nargs="+", help="OUT.metrics.parquet, the OUT.mcap next to it, a folder, or a glob"
     )
@@ -57,7 +56,7 @@ def _parser() -> argparse.ArgumentParser:
         help="how the estimate is aligned to the truth: turned and shifted, scaled too, first pose on first pose, or "
         "not at all (default se3; sim3 where the run has no scale)",
     )
-    add("--delta", metavar="N", type=_positive, default=1.0, help="how far apart the poses of a pair are (default 1)")
+    add("--delta", metavar="N", type=positive, default=1.0, help="how far apart the poses of a pair are (default 1)")
     add("--delta-unit", choices=get_args(options.DeltaUnit), default="frames", help="unit of N (default frames)")
     tum = add("--export-tum", metavar="DIR", type=Path, help="write TUM files into this folder; replaces earlier ones")
     kitti = add(
@@ -66,10 +65,3 @@ def _parser() -> argparse.ArgumentParser:
     for action, completer in ((runs, files(*RUNS)), (tum, files()), (kitti, files())):
         completed_by(action, completer)
     return parser
-
-
-def _positive(text: str) -> float:
-    number = float(text)
-    if not (math.isfinite(number) and number > 0):
-        raise argparse.ArgumentTypeError(f"{text}: expected more than 0")
-    return number

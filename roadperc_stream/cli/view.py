@@ -1,11 +1,12 @@
 """``roadperc-view``: a log in Rerun, in Foxglove, or as a video."""
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
-from roadperc_stream.cli.arguments import add_playback_arguments, add_topic_argument, given_options, playback_options
+from roadperc_stream.cli.arguments import add_serving_arguments, add_topic_argument, given_options, serving_options
 from roadperc_stream.cli.completers import LOGS, completed_by, files
-from roadperc_stream.cli.plumbing import command_parser, parse, run
+from roadperc_stream.cli.plumbing import command_parser, parse, run, seconds
 
 _EXAMPLE = """\
 example:
@@ -30,7 +31,8 @@ def main(argv: list[str] | None = None) -> int:
     _require_sense(parser, arguments)
     from roadperc_stream.view.modes import view_log
 
-    return run(lambda: view_log(arguments, playback_options(arguments)))
+    options = replace(serving_options(arguments), start_s=arguments.start or 0.0)
+    return run(lambda: view_log(arguments, options))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -50,7 +52,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--recover", action="store_true", help="show what can be read of a damaged log")
     parser.add_argument("--force", action="store_true", help="replace an existing file")
     parser.add_argument("--quiet", action="store_true", help="print errors only")
-    add_playback_arguments(parser)
+    serving = add_serving_arguments(parser)
+    serving.add_argument("--start", metavar="SECONDS", type=seconds, help="from here, counted from the first message")
     for action, suffixes in ((log, LOGS), (save, (".rrd",)), (layout, (".json",)), (video, (".mp4",))):
         completed_by(action, files(*suffixes))
     return parser

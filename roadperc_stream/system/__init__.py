@@ -1,1 +1,1 @@
-"""What every package shares: datatypes, geometry, semantics, configuration."""
+"""What the operating system gives: files, processes, threads, memory, times, progress, lines of text."""

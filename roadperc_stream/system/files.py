@@ -224,16 +224,8 @@ def completing_folder(target: Path, keep: Callable[[Path], bool] = lambda _: Fal
             shutil.rmtree(former, ignore_errors=True)
 
 
-class PartialFile(Protocol):
-    """A file that is being written under a hidden name: a context manager that gives it its own name at the end."""
-
-    def __enter__(self) -> Any:
-        """Open it."""
-        ...
-
-    def __exit__(self, *raised: Any) -> bool | None:
-        """Name it where nothing was raised, else discard it."""
-        ...
+class PartialFile(AbstractContextManager[Any], Protocol):
+    """A file under a hidden name while it is written: the end of its context names it, or removes it after an error."""
 
     def complete(self) -> None:
         """Write what is still to be written: then nothing is left but to give the file its name."""

@@ -9,10 +9,9 @@ import pytest
 
 from roadperc_stream.batch import worker
 from roadperc_stream.batch.driver import BatchRun
-from roadperc_stream.batch.job import BatchJob
 from roadperc_stream.batch.plan import Again
-from roadperc_stream.batch.storage.folder import Folder, find_files
-from roadperc_stream.batch.task import BatchConfiguration, DriveFiles, Outcome, Task
+from roadperc_stream.batch.storage.location import Location, find_files
+from roadperc_stream.batch.task import BatchConfiguration, BatchJob, DriveFiles, Outcome, Task
 from roadperc_stream.config import load_config
 from roadperc_stream.system.progress import no_progress
 from roadperc_stream.system.time import TimeRange
@@ -33,7 +32,9 @@ def change_rows(out, **columns):
 def task(source, out, scratch=None, **how):
     out.mkdir(exist_ok=True)
     configuration = BatchConfiguration(load_config(None), **how)
-    return Task(DriveFiles(tuple(find_files(str(source)))), configuration, Folder(str(out)), scratch=scratch)
+    return Task(
+        DriveFiles(tuple(find_files(str(source)))), BatchJob(configuration, Location(str(out)), scratch=scratch)
+    )
 
 
 def test_numbers_that_hardly_differ_are_other_configurations():
@@ -109,12 +110,9 @@ def test_a_table_with_nothing_in_it_is_none(tmp_path, out):
 def test_a_check_that_fails_leaves_what_is_done_as_it_is(tmp_path, out):
     source = write_log(tmp_path / "in" / "a.mcap")
     batch(out, source)
-    job = BatchJob(BatchConfiguration(load_config(None)), Folder(str(out)))
+    job = BatchJob(BatchConfiguration(load_config(None)), Location(str(out)))
     verifying = BatchRun(job, [str(source)], None, Again(verify=True))
-    verifying.run(
-        lambda: Scripted(lambda _: Outcome("timeout", "took too long")),
-        lambda: nullcontext((lambda _: None, lambda _: None)),
-    )
+    verifying.run(lambda: Scripted(lambda _: Outcome("timeout", "took too long")), lambda: nullcontext(lambda _: None))
     assert sorted(row["status"] for row in runs(out).to_dicts()) == ["done", "timeout"]
     assert set(runs(out)["names"].list.len()) == {1}
     written = [path.stat().st_mtime_ns for path in out.glob("metrics/*/*")]

@@ -14,13 +14,7 @@ from roadperc_stream.log import summarise
 from roadperc_stream.output.tables import read_footer
 from roadperc_stream.schemas.columns.runs import RUN_TIME_COLUMNS
 from tests import logs
-from tests.batch.dataset import (
-    assert_as_single,
-    batch,
-    runs,
-    statuses,
-    write_log,
-)
+from tests.batch.dataset import assert_as_single, batch, runs, statuses, write_log
 from tests.commands import environment, words
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
@@ -204,8 +198,7 @@ def test_lists_globs_and_what_is_not_there(drives, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "options",
-    ["--results-only", "--memory lots", "--join (", "--retries -1", "--timeout 0", "--split 9"],
+    "options", ["--results-only", "--memory lots", "--join (", "--retries -1", "--timeout 0", "--split 9"]
 )
 def test_options_that_make_no_sense(drives, tmp_path, options):
     done = batch(tmp_path / "out", drives, *options.split())

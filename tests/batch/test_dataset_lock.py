@@ -14,10 +14,9 @@ import pytest
 from roadperc_stream.batch import dataset_lock
 from roadperc_stream.batch.dataset_lock import LOCK, DatasetLock, LockHolder
 from roadperc_stream.batch.driver import BatchRun
-from roadperc_stream.batch.job import BatchJob
 from roadperc_stream.batch.plan import Again
-from roadperc_stream.batch.storage.folder import Folder
-from roadperc_stream.batch.task import BatchConfiguration, Outcome
+from roadperc_stream.batch.storage.location import Location
+from roadperc_stream.batch.task import BatchConfiguration, BatchJob, Outcome
 from roadperc_stream.config import load_config
 from roadperc_stream.errors import StorageError
 from tests.batch.backends import Scripted
@@ -33,18 +32,18 @@ def holder(renewed_s):
 
 
 def lock_of_another(folder, renewed_s):
-    folder.write(LOCK, msgspec.json.encode(holder(renewed_s)))
+    folder.at(LOCK).write(msgspec.json.encode(holder(renewed_s)))
 
 
 def read(folder):
-    return msgspec.json.decode(folder.read(LOCK), type=LockHolder)
+    return msgspec.json.decode(folder.at(LOCK).read(), type=LockHolder)
 
 
 @pytest.fixture(params=["s3", "fsspec"])
 def store(request, monkeypatch):
     monkeypatch.setattr(dataset_lock, "_SETTLES_S", 0.0)
     address = request.getfixturevalue("bucket") if request.param == "s3" else f"memory://{time.monotonic_ns()}"
-    return Folder(f"{address}/out")
+    return Location(f"{address}/out")
 
 
 def test_a_second_batch_ends_with_an_error_that_names_the_first(tmp_path):
@@ -70,7 +69,7 @@ def test_a_second_batch_ends_with_an_error_that_names_the_first(tmp_path):
 
 def test_a_plan_needs_no_lock(tmp_path):
     source, out = write_log(tmp_path / "a.mcap"), tmp_path / "out"
-    with DatasetLock(Folder(str(out))):
+    with DatasetLock(Location(str(out))):
         assert batch(out, source, "--dry-run").stdout.startswith(f"replay  {source}: is new\n")
 
 
@@ -83,7 +82,7 @@ def test_in_a_store_the_second_is_refused_until_the_first_ends(store):
         with pytest.raises(StorageError, match=f"^{re.escape(why)}; wait until it ends, or 120 s after it was killed$"):
             DatasetLock(store).__enter__()
         assert read(store) == me
-    assert store.read(LOCK) is None
+    assert store.at(LOCK).read() is None
     with DatasetLock(store):
         assert read(store).token != me.token
 
@@ -97,7 +96,7 @@ def test_a_lock_in_a_store_is_dead_after_two_minutes(store, age_s, is_free):
 
 
 def test_a_file_that_is_no_lock_is_replaced(store):
-    store.write(LOCK, b"rubbish")
+    store.at(LOCK).write(b"rubbish")
     with DatasetLock(store):
         assert read(store).process == os.getpid()
 
@@ -129,8 +128,8 @@ def test_a_batch_whose_lock_was_taken_ends_and_leaves_the_list_to_the_other(tmp_
         return Outcome("killed", "its process ended")
 
     job = BatchJob(BatchConfiguration(load_config(None)), store, retries=10**6)
-    display = nullcontext((lambda _: None, lambda _: None))
+    display = nullcontext(lambda _: None)
     with pytest.raises(StorageError, match=ELSEWHERE):
         BatchRun(job, [str(source)], None, Again()).run(lambda: Scripted(taken), lambda: display)
     assert read(store) == holder(read(store).renewed_s)
-    assert store.read("runs.parquet") is None
+    assert store.at("runs.parquet").read() is None

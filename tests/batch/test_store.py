@@ -3,7 +3,7 @@
 import polars as pl
 import pytest
 
-from roadperc_stream.batch.storage.folder import Folder
+from roadperc_stream.batch.storage.location import Location
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from tests.batch.dataset import METRICS, OBJECTS, batch, single, write_log
 from tests.object_store import BreakingProxy, environment_of
@@ -22,10 +22,9 @@ def upload(server, bucket, files):
 
 def table(server, bucket, kind, log_id, tmp_path):
     """The rows of a log, as the store has them."""
-    out = Folder(f"{bucket}/out")
-    (file,) = (file for file in out.files(kind, ".parquet") if log_id in file.address)
+    (file,) = (file for file in Location(f"{bucket}/out/{kind}").files(".parquet").values() if log_id in file.address)
     copy = tmp_path / "table.parquet"
-    copy.write_bytes(out.read(out.name_of(file)))
+    Location(file.address).fetch(copy)
     return pl.read_parquet(copy).drop("config", *TIME_COLUMNS, strict=False)
 
 

@@ -13,7 +13,7 @@ import pytest
 from roadperc_stream.cli.replay import main
 from roadperc_stream.cli.settings import as_page, as_text, as_toml
 from roadperc_stream.config import ReplayConfig, load_config
-from roadperc_stream.config.catalogue import Setting, catalogue, sections
+from roadperc_stream.config.catalogue import catalogue, sections
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.output.tables import table_facts
 from roadperc_stream.schemas.topics import STAGES
@@ -165,11 +165,6 @@ def test_the_printed_configuration_is_the_resolved_one(capsys, tmp_path):
     assert tomllib.loads(path.read_text()) == tomllib.loads(cfg.to_toml())
 
 
-def test_a_setting_that_does_not_fit_is_an_error(capsys):
-    assert main(["--print-config", "--set", "lanes.hold_s=-1"]) == 1
-    assert "lanes.hold_s" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -192,12 +187,3 @@ def test_wrong_usage_is_one_clear_line(arguments, said, capsys):
 def test_the_page_is_up_to_date():
     """``make settings-page`` writes it."""
     assert (ROOT / "docs" / "settings.md").read_text("utf-8") == as_page()
-
-
-def test_a_cell_of_the_page_ends_no_column():
-    assert {line.count("|") for line in as_page().splitlines() if line.startswith("|")} == {6}
-
-
-def test_a_setting_without_limits_in_words_is_its_choices():
-    made = Setting("a.b", "x", "string", ("x", "y"), {}, "", "", "Some meaning.")
-    assert (made.section, made.name, made.range) == ("a", "b", "x, y")

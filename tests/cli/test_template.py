@@ -19,24 +19,12 @@ BOX = (150, 120, 200, 150)
 def found(tmp_path, template, *options):
     """Rows of the template in three frames of the sample."""
     out = tmp_path / "out.mcap"
-    arguments = [
-        str(SAMPLE),
-        str(out),
-        "--quiet",
-        "--only",
-        "objects",
-        "--frames",
-        "3",
-        "--template",
-        template,
-        *options,
-    ]
-    assert replay.main(arguments) == 0
+    arguments = ["--quiet", "--only", "objects", "--frames", "3", "--template", template, *options]
+    assert replay.main([str(SAMPLE), str(out), *arguments]) == 0
     return pl.read_parquet(sidecar_path(out, "objects")).filter(pl.col("label") == "template")
 
 
 def first_grey():
-
     return next(iter(open_input(ReplaySource(SAMPLE), ReplayConfig()).samples())).frame.image.grey
 
 

@@ -186,7 +186,7 @@ def test_best_settings_are_printed_beside_the_reference(tmp_path, capsys):
         (("--vary", "lanes.gate=1,,2"), "expected KEY=VALUE,VALUE"),
         (("--vary", "lanes.gate=1,2,1.0"), "a value stands there twice"),
         (("--vary", "lanes.gate=1", "--vary", "lanes.gate=2"), "lanes.gate is varied twice"),
-        (("--vary", "lanes.gate=1,2", "--jobs", "0"), "expected 1 or more"),
+        (("--vary", "lanes.gate=1,2", "--jobs", "0"), "expected a whole number of 1 or more"),
     ],
 )
 def test_wrong_usage(source, tmp_path, capsys, options, said):

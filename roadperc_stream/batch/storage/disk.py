@@ -1,177 +1,88 @@
-"""Files of this machine, with the methods that ``stores.Store`` has for those of a store."""
+"""This machine's files as a file system of fsspec, in which a file appears whole or not at all."""
 
 import errno
 import os
 import shutil
 import stat
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Final
+from typing import Any, Final
 from uuid import uuid4
 
-from roadperc_stream.batch.storage.addresses import Parts, leads_on
+from fsspec.implementations.local import LocalFileSystem
+
+from roadperc_stream.batch.storage.addresses import Parts, left_of
 from roadperc_stream.errors import StorageError
-from roadperc_stream.system.files import completing, require_plain, system_errors, target_errors
+from roadperc_stream.system.files import completing, require_plain
 
 PIECE_BYTES: Final = 16 << 20
-"""Files are copied and sent in pieces of this size."""
+"""Files are fetched and sent in pieces of this size."""
 
 
-@dataclass(frozen=True)
-class StoredFile:
-    """A file that was found.
+class LocalFiles(LocalFileSystem):  # type: ignore[misc] # fsspec has no types
+    """Files of this machine, by their absolute paths; links are followed."""
 
-    Attributes:
-        address: its absolute path, or its address with a scheme.
-        size_bytes: its length.
-        fingerprint: differs from an earlier one whenever the content may; equal where nobody wrote the file.
-    """
+    def info(self, path: str, **_: Any) -> dict[str, Any]:
+        """Length and time of change in ns, as ``Location`` takes them."""
+        facts = Path(path).stat()
+        kind = "file" if stat.S_ISREG(facts.st_mode) else "other"
+        return {"size": facts.st_size, "mtime": facts.st_mtime_ns, "type": kind}
 
-    address: str
-    size_bytes: int
-    fingerprint: str
+    def walked(self, folder: str, pattern: Parts) -> Iterator[tuple[str, dict[str, Any]]]:
+        """Path and ``info`` of all files below a folder; none without the folder.
 
-
-def fingerprint(size_bytes: int, modified: object) -> str:
-    """Size and time of change; where a store tells no time, a text that is never seen again."""
-    return f"{size_bytes}:{uuid4().hex if modified is None else modified}"
-
-
-def disk_errors(path: str) -> AbstractContextManager[None]:
-    """What the system refuses in reading, as a StorageError that names the file or the folder."""
-    return system_errors(path, StorageError)
-
-
-@dataclass(frozen=True)
-class Disk:
-    """A file or a folder of this machine, by its absolute path.
-
-    All methods but ``write``, ``put`` and ``remove`` raise a StorageError where the disk refuses to be read, and those
-    a TargetError where it refuses to be written.
-    """
-
-    address: str
-
-    @property
-    def path(self) -> Path:
-        """As the system wants it."""
-        return Path(self.address)
-
-    def file(self) -> StoredFile | None:
-        """The file under this path; None for a folder, and where there is nothing.
-
-        Raises:
-            StorageError: it cannot be reached, or is a device or a pipe.
-        """
-        with disk_errors(self.address), suppress(FileNotFoundError, NotADirectoryError):
-            facts = self.path.stat()
-            if stat.S_ISREG(facts.st_mode):
-                return _stored(self.address, facts)
-            if not stat.S_ISDIR(facts.st_mode):
-                raise StorageError(f"{self.address}: is a device or a pipe, expected a file or a folder")
-        return None
-
-    def is_folder(self) -> bool:
-        """Whether there is a folder under this path."""
-        return self.path.is_dir()
-
-    def files_below(self, pattern: Parts) -> Iterator[tuple[Parts, StoredFile]]:
-        """The files below this folder, in no order, with their names from there on; none without the folder.
-
-        Folders behind links are entered, but none within itself. A link that leads nowhere is listed, as a file that
-        cannot be read: what it stood for is missed.
+        The walk enters a link to a folder, but not to one that the link is in. It gives a dead link as an empty file,
+        which cannot be read: else nobody would miss the log.
 
         Args:
-            pattern: folders that it does not lead to are left out.
+            folder: its absolute path.
+            pattern: folders in which it matches nothing are left out.
 
         Raises:
             StorageError: a folder cannot be read.
         """
-        return _walked(self.address, (), pattern, frozenset()) if self.is_folder() else iter(())
 
-    def read(self) -> bytes | None:
-        """All of the file, None where there is none."""
-        with disk_errors(self.address), suppress(FileNotFoundError, NotADirectoryError):
-            return self.path.read_bytes()
-        return None
+        def fail(error: OSError) -> None:
+            raise StorageError(f"{error.filename}: {error.strerror}") from error
 
-    def write(self, data: bytes) -> None:
-        """Write the file, which appears, or replaces another one, whole or not at all."""
-        with completing(self.path, mark=uuid4().hex) as hidden:
-            hidden.write_bytes(data)
+        base = Path(folder)
+        for here, folders, names in os.walk(base, onerror=fail, followlinks=True) if base.is_dir() else ():
+            below = Path(here).relative_to(base).parts
+            folders[:] = [
+                name for name in folders if left_of(pattern, (*below, name)) and not _leads_back(Path(here, name))
+            ]
+            for path in (os.path.join(here, name) for name in names):  # noqa: PTH118 - a Path for each takes long
+                try:
+                    yield path, self.info(path)
+                except OSError:
+                    if Path(path).is_symlink():
+                        yield path, {"size": 0, "mtime": "0", "type": "file"}
 
-    def put(self, source: Path) -> None:
-        """Rename another file to this one, or where that is on another disk, copy it to a hidden name first."""
-        require_plain(self.path)
-        with target_errors(self.path):
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            try:
-                source.replace(self.path)
-            except OSError as error:
-                if error.errno != errno.EXDEV:
-                    raise
-                with completing(self.path, mark=uuid4().hex) as hidden:
-                    shutil.copyfile(source, hidden)
-                source.unlink(missing_ok=True)
+    def pipe_file(self, path: str, value: bytes, **_: Any) -> None:
+        """Write a file."""
+        with completing(Path(path), mark=uuid4().hex) as hidden:
+            hidden.write_bytes(value)
 
-    def remove(self) -> None:
-        """Remove the file; it need not exist."""
-        with target_errors(self.path):
-            self.path.unlink(missing_ok=True)
-
-    def copy_to(self, target: IO[bytes]) -> None:
-        """Write all of the file to a stream.
-
-        Raises:
-            StorageError: it cannot be read, or changed meanwhile.
-        """
-        before = self.file()
-        if before is None:
-            raise StorageError(f"{self.address}: no such file")
-        for piece in pieces_of(self.address):
-            target.write(piece)
-        if self.file() != before:
-            raise changed(self.address)
+    def put_file(self, lpath: str, rpath: str, **_: Any) -> None:
+        """Rename a file, or where the new name is on another disk, copy it to a hidden name first."""
+        source, target = Path(lpath), Path(rpath)
+        require_plain(target)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            source.replace(target)
+        except OSError as error:
+            if error.errno != errno.EXDEV:
+                raise
+            with completing(target, mark=uuid4().hex) as hidden:
+                shutil.copyfile(source, hidden)
 
 
 def pieces_of(path: str) -> Iterator[bytes]:
-    """What is in a file, in pieces.
-
-    Raises:
-        StorageError: it cannot be read.
-    """
-    with disk_errors(path), Path(path).open("rb") as stream:
+    """The bytes of a file, in pieces."""
+    with Path(path).open("rb") as stream:
         while piece := stream.read(PIECE_BYTES):
             yield piece
 
 
-def changed(address: str) -> StorageError:
-    """The error of a file that is not the one that was opened."""
-    return StorageError(f"{address}: changed while it was read")
-
-
-def _walked(
-    folder: str, names: Parts, pattern: Parts, within: frozenset[tuple[int, int]]
-) -> Iterator[tuple[Parts, StoredFile]]:
-    with disk_errors(folder):
-        here = Path(folder).stat()
-        entries = list(os.scandir(folder))
-    number = (here.st_dev, here.st_ino)
-    for entry in entries if number not in within else ():
-        below = (*names, entry.name)
-        try:
-            facts = entry.stat()
-        except OSError:
-            if entry.is_symlink():  # to what is not there, cannot be reached, or is itself
-                yield below, StoredFile(entry.path, 0, fingerprint(0, 0))
-            continue
-        if stat.S_ISREG(facts.st_mode):
-            yield below, _stored(entry.path, facts)
-        elif stat.S_ISDIR(facts.st_mode) and leads_on(pattern, below):
-            yield from _walked(entry.path, below, pattern, within | {number})
-
-
-def _stored(path: str, facts: os.stat_result) -> StoredFile:
-    return StoredFile(path, facts.st_size, fingerprint(facts.st_size, facts.st_mtime_ns))
+def _leads_back(folder: Path) -> bool:
+    return folder.is_symlink() and any(folder.samefile(above) for above in folder.parents)

@@ -4,8 +4,8 @@ import os
 
 import pytest
 
-from roadperc_stream.batch.storage import disk, stores
-from roadperc_stream.batch.storage.folder import Folder, fetch
+from roadperc_stream.batch.storage import location
+from roadperc_stream.batch.storage.location import Location
 from roadperc_stream.errors import StorageError, TargetError
 from tests.object_store import BreakingProxy
 
@@ -19,57 +19,57 @@ def names_in(folder):
 
 @pytest.mark.parametrize("data", [b"", b"short", BIG], ids=["empty", "short", "big"])
 def test_a_file_is_fetched(place, tmp_path, data):
-    Folder(place).write(NAME, data)
+    Location(place).at(NAME).write(data)
     target = tmp_path / "new" / "log.mcap"
     for _ in range(2):
-        fetch(f"{place}/{NAME}", target)
+        Location(f"{place}/{NAME}").fetch(target)
         assert target.read_bytes() == data
     assert names_in(target.parent) == ["log.mcap"]
 
 
 def test_a_missing_file_leaves_nothing(place, tmp_path):
     with pytest.raises(StorageError, match="no such file"):
-        fetch(f"{place}/none.mcap", tmp_path / "new" / "log.mcap")
+        Location(f"{place}/none.mcap").fetch(tmp_path / "new" / "log.mcap")
     assert names_in(tmp_path / "new") == []
 
 
 def test_a_target_that_cannot_be_written_is_named(place, tmp_path):
-    Folder(place).write(NAME, b"log")
+    Location(place).at(NAME).write(b"log")
     (tmp_path / "file").touch()
     with pytest.raises(TargetError, match=r"file/log\.mcap: (Not a directory|File exists)"):
-        fetch(f"{place}/{NAME}", tmp_path / "file" / "log.mcap")
+        Location(f"{place}/{NAME}").fetch(tmp_path / "file" / "log.mcap")
 
 
 @pytest.mark.parametrize(("after_bytes", "breaks"), [(5_000_000, 3), (400_000, 7)])
 def test_a_connection_that_breaks_is_taken_up(bucket, s3_server, tmp_path, monkeypatch, after_bytes, breaks):
-    monkeypatch.setattr("roadperc_stream.batch.storage.stores.WAITS_S", (0.01,) * 5)
-    Folder(bucket).write(NAME, BIG)
+    monkeypatch.setattr(location, "WAITS_S", (0.01,) * 5)
+    Location(bucket).at(NAME).write(BIG)
     with BreakingProxy(s3_server.port, after_bytes, breaks) as proxy:
         monkeypatch.setenv("AWS_ENDPOINT_URL", proxy.url)
-        fetch(f"{bucket}/{NAME}", tmp_path / "log.mcap")
+        Location(f"{bucket}/{NAME}").fetch(tmp_path / "log.mcap")
         assert proxy.breaks == 0
     assert (tmp_path / "log.mcap").read_bytes() == BIG
 
 
 def test_what_came_over_a_broken_connection_is_not_fetched_again(bucket, s3_server, tmp_path, monkeypatch):
-    monkeypatch.setattr("roadperc_stream.batch.storage.stores.WAITS_S", (0.01,) * 5)
-    monkeypatch.setattr(stores, "PIECE_BYTES", 4 << 20)
-    Folder(bucket).write(NAME, BIG)
+    monkeypatch.setattr(location, "WAITS_S", (0.01,) * 5)
+    monkeypatch.setattr(location, "PIECE_BYTES", 4 << 20)
+    Location(bucket).at(NAME).write(BIG)
     with BreakingProxy(s3_server.port, after_bytes=100_000, breaks=4, first_bytes=12_000_000) as proxy:
         monkeypatch.setenv("AWS_ENDPOINT_URL", proxy.url)
-        fetch(f"{bucket}/{NAME}", tmp_path / "log.mcap")
+        Location(f"{bucket}/{NAME}").fetch(tmp_path / "log.mcap")
         assert proxy.breaks == 0
         assert len(BIG) <= proxy.brought_bytes < len(BIG) + (4 << 20) + 1_000_000
     assert (tmp_path / "log.mcap").read_bytes() == BIG
 
 
 def test_a_connection_that_never_lasts_is_an_error(bucket, s3_server, tmp_path, monkeypatch):
-    monkeypatch.setattr("roadperc_stream.batch.storage.stores.WAITS_S", (0.01,) * 2)
-    Folder(bucket).write(NAME, BIG)
+    monkeypatch.setattr(location, "WAITS_S", (0.01,) * 2)
+    Location(bucket).at(NAME).write(BIG)
     with BreakingProxy(s3_server.port, after_bytes=100_000, breaks=10**6) as proxy:
         monkeypatch.setenv("AWS_ENDPOINT_URL", proxy.url)
         with pytest.raises(StorageError) as caught:
-            fetch(f"{bucket}/{NAME}", tmp_path / "log.mcap")
+            Location(f"{bucket}/{NAME}").fetch(tmp_path / "log.mcap")
     assert str(caught.value).startswith(f"{bucket}/{NAME}: ")
     assert "\n" not in str(caught.value)
     assert names_in(tmp_path) == []
@@ -77,18 +77,15 @@ def test_a_connection_that_never_lasts_is_an_error(bucket, s3_server, tmp_path, 
 
 @pytest.mark.parametrize("after", [BIG[::-1], BIG[:-1], b""], ids=["same size", "shorter", "empty"])
 def test_a_file_that_changes_meanwhile_is_an_error(place, tmp_path, monkeypatch, after):
-    Folder(place).write("a.mcap", BIG)
-    real = stores.Store._piece if "://" in place else disk.pieces_of
+    Location(place).at("a.mcap").write(BIG)
+    piece = location._piece
 
-    def and_changed(*given):
-        Folder(place).write("a.mcap", after)
-        return real(*given)
+    def and_changed(*given, **part):
+        Location(place).at("a.mcap").write(after)
+        return piece(*given, **part)
 
-    monkeypatch.setattr("roadperc_stream.batch.storage.stores.WAITS_S", (0.01,))
-    if "://" in place:
-        monkeypatch.setattr(stores.Store, "_piece", and_changed)
-    else:
-        monkeypatch.setattr(disk, "pieces_of", and_changed)
+    monkeypatch.setattr(location, "WAITS_S", (0.01,))
+    monkeypatch.setattr(location, "_piece", and_changed)
     with pytest.raises(StorageError, match="changed while it was read"):
-        fetch(f"{place}/a.mcap", tmp_path / "new" / "log.mcap")
+        Location(f"{place}/a.mcap").fetch(tmp_path / "new" / "log.mcap")
     assert names_in(tmp_path / "new") == []

@@ -6,48 +6,35 @@ from pathlib import Path
 
 import pytest
 
-from roadperc_stream.batch.storage.folder import Folder, find_files
+from roadperc_stream.batch.storage.location import Location, find_files
 from roadperc_stream.errors import StorageError
 
-NAMES = (
-    "a b/ä?[1]%20.mcap",
-    "drive10.mcap",
-    "drive2.mcap",
-    "2024/5/x.MCAP",
-    "2024/5/x.bag",
-    ".a/t.mcap",
-    ".p.mcap",
-)
+NAMES = ("a b/ä?[1]%20.mcap", "drive10.mcap", "drive2.mcap", "2024/5/x.MCAP", "2024/5/x.bag", ".a/t.mcap", ".p.mcap")
 
 
 @pytest.fixture
 def drives(place):
-    folder = Folder(place)
+    folder = Location(place)
     for name in NAMES:
-        folder.write(name, name.encode())
+        folder.at(name).write(name.encode())
     return folder
 
 
-def found(folder, pattern, **options):
-    return [folder.name_of(stored) for stored in find_files(f"{folder.address}{pattern}", **options)]
+def found(folder, pattern):
+    return [stored.address.removeprefix(f"{folder.address}/") for stored in find_files(f"{folder.address}{pattern}")]
 
 
 @pytest.mark.parametrize(
     ("pattern", "names"),
     [
         ("", ["2024/5/x.MCAP", "a b/ä?[1]%20.mcap", "drive2.mcap", "drive10.mcap"]),
-        ("/", ["2024/5/x.MCAP", "a b/ä?[1]%20.mcap", "drive2.mcap", "drive10.mcap"]),
         ("/2024", ["2024/5/x.MCAP"]),
         ("/*.mcap", ["drive2.mcap", "drive10.mcap"]),
         ("/*", ["2024/5/x.MCAP", "a b/ä?[1]%20.mcap", "drive2.mcap", "drive10.mcap"]),
         ("/drive?.mcap", ["drive2.mcap"]),
-        ("/drive[0-9][0-9].*", ["drive10.mcap"]),
         ("/**/x.*", ["2024/5/x.MCAP"]),
-        ("/20*/?", ["2024/5/x.MCAP"]),
         ("/.a*/*", [".a/t.mcap"]),
-        ("/.p*", [".p.mcap"]),
         ("/a b/ä?[1]%20.mcap", ["a b/ä?[1]%20.mcap"]),
-        ("/drive2.mcap", ["drive2.mcap"]),
         ("/2024/5/x.bag", ["2024/5/x.bag"]),
         ("/.a/t.mcap", [".a/t.mcap"]),
     ],
@@ -56,18 +43,13 @@ def test_what_a_text_stands_for(drives, pattern, names):
     assert found(drives, pattern) == names
 
 
-def test_another_ending_may_be_asked_for(drives):
-    assert found(drives, "", suffix=".bag") == ["2024/5/x.bag"]
-    assert found(drives, "/2024", suffix="") == ["2024/5/x.MCAP", "2024/5/x.bag"]
-
-
 @pytest.mark.parametrize(
     ("pattern", "why"),
     [
-        ("/no", "no such file or folder"),
-        ("/drive2.mcap/x", "no such file or folder"),
-        ("/no/*.mcap", "no file that ends in .mcap has such a name"),
-        ("/*.bag", "no file that ends in .mcap has such a name"),
+        ("/no", "no such file, and no .mcap file below it"),
+        ("/drive2.mcap/x", "no such file, and no .mcap file below it"),
+        ("/no/*.mcap", "no .mcap file has such a name"),
+        ("/*.bag", "no .mcap file has such a name"),
     ],
 )
 def test_nothing_found_is_an_error_with_the_address(drives, pattern, why):
@@ -76,17 +58,12 @@ def test_nothing_found_is_an_error_with_the_address(drives, pattern, why):
     assert str(caught.value) == f"{drives.address}{pattern}: {why}"
 
 
-def test_a_folder_without_such_files(drives):
-    with pytest.raises(StorageError, match=r"no file that ends in \.log below this folder"):
-        find_files(drives.address, ".log")
-
-
 def test_size_and_fingerprint_are_of_the_content(drives):
     (before,) = find_files(f"{drives.address}/drive2.mcap")
     (listed,) = find_files(f"{drives.address}/drive2.*")
     assert before == listed
     assert before.size_bytes == len(b"drive2.mcap")
-    drives.write("drive2.mcap", b"longer than before")
+    drives.at("drive2.mcap").write(b"longer than before")
     (after,) = find_files(f"{drives.address}/drive2.*")
     assert after.fingerprint != before.fingerprint
     assert after.size_bytes == len(b"longer than before")
@@ -113,10 +90,9 @@ def test_links_are_followed_but_not_in_circles(tmp_path):
 
 def test_what_is_no_file_is_not_found(tmp_path):
     os.mkfifo(tmp_path / "pipe.mcap")
-    with pytest.raises(StorageError, match="is a device or a pipe"):
-        find_files(str(tmp_path / "pipe.mcap"))
-    with pytest.raises(StorageError, match=r"no file that ends in \.mcap below this folder"):
-        find_files(str(tmp_path))
+    for path in (tmp_path / "pipe.mcap", tmp_path):
+        with pytest.raises(StorageError, match=r"no \.mcap file below it"):
+            find_files(str(path))
 
 
 def test_a_folder_that_may_not_be_read_is_named(tmp_path, monkeypatch):
@@ -137,8 +113,8 @@ def test_a_folder_that_may_not_be_read_is_named(tmp_path, monkeypatch):
 @pytest.mark.parametrize("pattern", ["", "/*.mcap", "/**/*.mcap", "/*/*.mcap"])
 def test_a_store_is_listed_once_and_not_asked_for_each_file(bucket, s3_server, pattern):
     for k in range(12):
-        Folder(bucket).write(f"drives/{k}.mcap", b"")
-        Folder(bucket).write(f"drives/day {k}/{k}.mcap", b"")
+        Location(bucket).at(f"drives/{k}.mcap").write(b"")
+        Location(bucket).at(f"drives/day {k}/{k}.mcap").write(b"")
     before = len(s3_server.requests())
     assert len(find_files(f"{bucket}/drives{pattern}")) >= 12
     assert len(s3_server.requests()) - before <= 3

@@ -1,6 +1,5 @@
-"""What stores refuse is one line that says where and why; their clients are imported for addresses alone."""
+"""What stores refuse is one line that says where and why."""
 
-import os
 import socket
 import subprocess
 import sys
@@ -8,8 +7,8 @@ import time
 
 import pytest
 
-from roadperc_stream.batch.storage.folder import Folder, fetch, find_files
-from roadperc_stream.batch.storage.stores import store_errors
+from roadperc_stream.batch.storage import location
+from roadperc_stream.batch.storage.location import Location, find_files
 from roadperc_stream.errors import StorageError
 
 
@@ -19,10 +18,10 @@ def errors_of(address, tmp_path):
     for action in (
         lambda: find_files(f"{address}/*.mcap"),
         lambda: find_files(f"{address}/a.mcap"),
-        lambda: fetch(f"{address}/a.mcap", tmp_path / "a.mcap"),
-        lambda: Folder(address).write("a", b"x"),
-        lambda: Folder(address).put(tmp_path / "source", "a"),
-        lambda: Folder(address).files(),
+        lambda: Location(f"{address}/a.mcap").fetch(tmp_path / "a.mcap"),
+        lambda: Location(address).at("a").write(b"x"),
+        lambda: Location(address).at("a").put(tmp_path / "source"),
+        lambda: Location(address).files(""),
     ):
         with pytest.raises(StorageError) as caught:
             action()
@@ -33,7 +32,7 @@ def errors_of(address, tmp_path):
 
 @pytest.fixture(autouse=True)
 def no_waiting(monkeypatch):
-    monkeypatch.setattr("roadperc_stream.batch.storage.stores.WAITS_S", ())
+    monkeypatch.setattr("roadperc_stream.batch.storage.location.WAITS_S", ())
 
 
 def test_a_missing_bucket(bucket, tmp_path):
@@ -53,7 +52,7 @@ def test_no_keys_at_all(bucket, monkeypatch):
     monkeypatch.delenv("AWS_ACCESS_KEY_ID")
     with (
         pytest.raises(StorageError, match="access denied, and no credentials in the environment"),
-        store_errors(bucket),
+        location._errors(bucket),
     ):
         raise OSError("AWS Error ACCESS_DENIED during HeadObject operation: No response body.")
 
@@ -72,7 +71,7 @@ def test_a_store_that_cannot_be_reached_is_told_within_seconds(bucket, tmp_path,
 
 def test_a_store_that_does_not_answer(bucket, monkeypatch):
     monkeypatch.setattr(
-        "roadperc_stream.batch.storage.clients.TIMEOUTS_S", {"connect_timeout": 1.0, "request_timeout": 1.0}
+        "roadperc_stream.batch.storage.stores.TIMEOUTS_S", {"connect_timeout": 1.0, "request_timeout": 1.0}
     )
     with socket.create_server(("127.0.0.1", 0)) as silent:
         monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{silent.getsockname()[1]}")
@@ -89,7 +88,7 @@ def test_an_endpoint_that_is_none(bucket, monkeypatch):
 
 
 def test_the_endpoint_for_this_service_comes_first(bucket, s3_server, monkeypatch):
-    Folder(bucket).write("a.mcap", b"")
+    Location(bucket).at("a.mcap").write(b"")
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
     monkeypatch.setenv("AWS_ENDPOINT_URL_S3", s3_server.url)
     assert len(find_files(bucket)) == 1
@@ -106,37 +105,22 @@ def test_what_is_to_be_installed_is_said(monkeypatch):
         find_files("abfs://c/a")
 
 
-def run(code):
-    command = [sys.executable, "-c", f"from roadperc_stream.batch.storage import folder\n{code}"]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, env=os.environ)
-
-
-def test_local_files_need_no_store_client(tmp_path):
-    (tmp_path / "a.mcap").touch()
-    code = f"""
-import sys
-folder.find_files({str(tmp_path)!r})
-folder.Folder({str(tmp_path)!r}).write("b", b"")
-sys.exit(str([name for name in sys.modules if name.split(".")[0] in ("pyarrow", "fsspec", "numpy")]))
-"""
-    assert run(code).stderr == "[]\n"
-
-
 @pytest.mark.parametrize("end", ["", "sys.exit(0)", "os._exit(0)"])
 def test_a_process_that_used_a_store_and_forked_ends(bucket, end):
     code = f"""
 import os, sys, warnings
+from roadperc_stream.batch.storage.location import Location
 warnings.simplefilter("ignore", DeprecationWarning)  # of newer versions of Python, where threads are there
-place = folder.Folder({bucket!r})
-place.write("a", b"1")
+place = Location({bucket!r})
+place.at("a").write(b"1")
 child = os.fork()
 if child == 0:
-    assert place.read("a") == b"1"
+    assert place.at("a").read() == b"1"
     {end or "pass"}
 else:
     assert os.waitpid(child, 0)[1] == 0
-    place.write("b", b"2")
+    place.at("b").write(b"2")
 """
-    done = run(code)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stderr) == (0, "")
-    assert Folder(bucket).read("b") == b"2"
+    assert Location(bucket).at("b").read() == b"2"
