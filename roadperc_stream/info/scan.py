@@ -192,7 +192,7 @@ class Scan:
     def _run(self) -> None:
         roles = self.roles.assignment
         decoded = decoded_messages(self._counted(self.salvage.messages()), roles, "auto", self.problems)
-        items = self._without_latched(without_loops(decoded, self.latched, roles.topics, self.problems))
+        items = self._without_latched(without_loops(decoded, self.latched.tree, roles.topics, self.problems))
         if roles.reference is None:
             for _ in items:
                 pass

@@ -41,32 +41,23 @@ class OrderConfig:
 
 @dataclass(frozen=True)
 class OrderState(Generic[T]):
-    """What is remembered of the messages so far; those that wait are of any type that stands for a message.
+    """What is kept of the messages so far; those that wait are of any type that represents a message.
 
-    ``held`` are those from the first message on that lies far back, ``row`` the places of the reference messages among
-    them that may begin a segment; ``waiting`` are those of the segment ``given_segment`` that wait for earlier ones, in
-    the order in which they would be given out.
+    ``held`` are those from the first message on that lies far back. ``waiting`` are those of the segment
+    ``given_segment`` that wait for earlier ones, in the order in which they would be given out.
     """
 
     segment: int = 0
     latest_ns: int | None = None
     held: tuple[T, ...] = ()
-    row: tuple[int, ...] = ()
     waiting: tuple[T, ...] = ()
     given_segment: int = 0
     given_ns: int | None = None
 
     def mapped(self, function: Callable[[T], U]) -> "OrderState[U]":
         """The same state with other things in place of the messages."""
-        return OrderState(
-            self.segment,
-            self.latest_ns,
-            tuple(map(function, self.held)),
-            self.row,
-            tuple(map(function, self.waiting)),
-            self.given_segment,
-            self.given_ns,
-        )
+        held, waiting = tuple(map(function, self.held)), tuple(map(function, self.waiting))
+        return OrderState(self.segment, self.latest_ns, held, waiting, self.given_segment, self.given_ns)
 
 
 class StampOrder:
@@ -106,9 +97,8 @@ class StampOrder:
     def state(self) -> OrderState[Stamped]:
         """What is remembered, all that ``through`` gives having been consumed."""
         segments, buffer = self._segments, self._buffer
-        row = tuple(k for k, item in enumerate(segments.held) if any(item is other for other in segments.row))
         held, waiting = tuple(segments.held), buffer.waiting
-        return OrderState(segments.segment, segments.latest_ns, held, row, waiting, buffer.segment, buffer.given_ns)
+        return OrderState(segments.segment, segments.latest_ns, held, waiting, buffer.segment, buffer.given_ns)
 
     def _ordered(self, items: Iterable[Stamped]) -> Iterator[Stamped]:
         for item in items:
@@ -138,32 +128,32 @@ class _Segments:
         self.latest_ns = state.latest_ns
         """Latest stamp of the segment's reference messages."""
         self.held = list(state.held)  # from the first message on that lies far back
-        self.row = [state.held[k] for k in state.row]  # the reference messages among them
+        self.row = [item for item in state.held if item.role == cfg.reference]
 
-    def numbered(self, item: Stamped) -> Iterable[Stamped]:
+    def numbered(self, item: Stamped) -> Iterator[Stamped]:
         """The messages that one more decides about, with their segments, in the order in which they came."""
-        if not self.held and not self._is_back(item):
-            return (self._passed(item),)
+        is_reference, is_back = item.role == self._cfg.reference, self._is_back(item)
+        if not is_back and (is_reference or not self.held):
+            yield from self.rest()
+            yield self._passed(item)
+            return
+        if is_reference and self.row and item.stamp_ns <= self.row[-1].stamp_ns:
+            self._drop_row()
         self.held.append(item)
-        return self._decided(item)
+        if is_reference:
+            self.row.append(item)
+            yield from self._new_segment() if len(self.row) == _ROW else ()
+        else:
+            yield from self.rest() if len(self.held) > _MOST_HELD else self._too_long_held(item.log_time_ns)
 
     def rest(self) -> Iterator[Stamped]:
-        """What nothing is decided about yet."""
-        return self._same_segment()
+        """What is held, where it is of the same segment; its reference messages are too late."""
+        self._drop_row()
+        held, self.held = self.held, []
+        yield from map(self._passed, held)
 
     def _is_back(self, item: Stamped) -> bool:
         return self.latest_ns is not None and item.stamp_ns < self.latest_ns - self._cfg.max_wait_ns
-
-    def _decided(self, item: Stamped) -> Iterable[Stamped]:
-        """What is held, where the last of it shows to which segment it belongs; nothing until then."""
-        if item.role != self._cfg.reference:
-            return self._same_segment() if len(self.held) > _MOST_HELD else self._too_long_held(item.log_time_ns)
-        if not self._is_back(item):
-            return self._same_segment()
-        if self.row and item.stamp_ns <= self.row[-1].stamp_ns:
-            self._drop_row()
-        self.row.append(item)
-        return self._new_segment() if len(self.row) == _ROW else ()
 
     def _too_long_held(self, now_ns: int) -> Iterator[Stamped]:
         """The other sensors' messages about which the reference sensor was silent for too long: nothing new begins."""
@@ -172,16 +162,11 @@ class _Segments:
 
     def _first_of_others(self) -> int | None:
         first = self.held[: len(self.row) + 1]
-        return next((k for k, item in enumerate(first) if not any(item is other for other in self.row)), None)
+        return next((k for k, item in enumerate(first) if item.role != self._cfg.reference), None)
 
     def _is_given_up(self, item: Stamped, now_ns: int) -> bool:
         is_alone = not self.row and not self._is_back(item)
         return is_alone or now_ns - item.log_time_ns > _LONGEST_HOLD_NS
-
-    def _same_segment(self) -> Iterator[Stamped]:
-        self._drop_row()
-        held, self.held = self.held, []
-        yield from map(self._passed, held)
 
     def _new_segment(self) -> Iterator[Stamped]:
         old = [item for item in self.held if not self._is_back(item)]
@@ -194,7 +179,7 @@ class _Segments:
     def _drop_row(self) -> None:
         for item in self.row:
             self._drop(item)
-        self.held = [item for item in self.held if not any(item is other for other in self.row)]
+        self.held = [item for item in self.held if item.role != self._cfg.reference]
         self.row = []
 
     def _passed(self, item: Stamped) -> Stamped:

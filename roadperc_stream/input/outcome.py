@@ -59,7 +59,7 @@ class InputOutcome:
         """Count a frame that is written."""
         reference = synced.reference
         self.frames += 1
-        self.given_again += reference.place.carried
+        self.given_again += reference.carried is not None
         if reference.segment != self._segment:
             self._segment = reference.segment
             self.segments += 1

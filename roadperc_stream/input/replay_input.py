@@ -92,8 +92,8 @@ class ReplayInput:
     def _begin(self) -> None:
         plan = self.plan
         self._problems = Problems(plan.problems.strict_in)
-        self._outcome = InputOutcome(plan.start.pairing.sync.segment)
-        self._pairing = StampPairing(self._cfg.sync, plan.order, plan.roles.topics, plan.start.pairing, self._drop)
+        self._outcome = InputOutcome(plan.begun.sync.segment)
+        self._pairing = StampPairing(self._cfg.sync, plan.order, plan.roles.topics, plan.begun, self._drop)
 
     def _first_new_ns(self) -> int | None:
         """Log time of the first message that no earlier part had."""
@@ -118,7 +118,7 @@ class ReplayInput:
     @property
     def is_continuation(self) -> bool:
         """Whether it goes on from an earlier part of the drive."""
-        return self.plan.start.is_continuation
+        return self.plan.is_continuation
 
     @property
     def expected_frames(self) -> int:
@@ -141,7 +141,7 @@ class ReplayInput:
         plan, topics, numbers = self.plan, self.topics, self.plan.start.numbers
         messages, limits = self._messages.all(set(topics.values())), self._cfg.limits
         decoded = decoded_messages(messages, plan.roles, self._cfg.tag_table, self._problems, limits)
-        items = plan.start.items(decoded, topics, self._problems, limits)
+        items = plan.start.to_come(decoded, topics, self._problems, limits)
         before_ns = numbers.log_time_ns if numbers.next else None
         for synced in islice(self._pairing.frames_of(items), plan.most_frames):
             before, numbers = numbers, numbers.after(synced.reference)
@@ -261,7 +261,7 @@ class ReplayInput:
     def _before(self) -> tuple[str, ...]:
         """How the log follows the part of the drive that it goes on from."""
         plan = self.plan
-        if not plan.start.is_continuation or plan.start.numbers.written_from_ns is not None:
+        if not plan.is_continuation or plan.start.numbers.written_from_ns is not None:
             return ()
         frames = plan.first_pass.counts[self.topics[plan.order.reference]]
         waiting = [item.log_time_ns for item in plan.start.pairing.items if item.role == plan.order.reference]

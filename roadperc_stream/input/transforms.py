@@ -75,6 +75,15 @@ class TransformTree:
             edges[at] = inverted
         return TransformTree(edges)
 
+    def fitting(self, edges: tuple[Transform, ...], most: int) -> tuple[Transform, ...]:
+        """The edges without those to new frames that would give the tree more than ``most`` edges."""
+        room = most - len(self.edges)
+        if len(edges) <= room:
+            return edges
+        new = list(dict.fromkeys(edge.child for edge in edges if edge.child not in self.edges))
+        beyond = set(new[max(room, 0) :])
+        return tuple(edge for edge in edges if edge.child not in beyond)
+
     def looping(self, edges: Iterable[Transform]) -> tuple[str, ...]:
         """Children of the edges that would be part of a loop in the tree, in their order.
 

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import pytest
 
+from roadperc_stream import log
 from roadperc_stream.cli.replay import main
 from roadperc_stream.config import SyncConfig, load_config
 from roadperc_stream.input.order import OrderConfig
 from roadperc_stream.input.outcome import InputOutcome, PartSpan, continuation_notes
-from roadperc_stream.input.stream import MessagePlace
 from roadperc_stream.input.sync import PairingState, StampPairing, SyncedMessages
 from tests import logs
 from tests.analytic import STEP_NS
@@ -18,6 +18,7 @@ from tests.resume.parts import inputs, results, rows, write
 
 CFG = load_config(None, ("sync.max_wait_s=0.2",))
 ROAD = replace(logs.SMALL, width=96, height=72)
+CARRIED = log.Message(logs.channel("image"), 0, 0, 0, b"")
 S = 1_000_000_000
 
 
@@ -41,7 +42,7 @@ def notes_of(outcome, nearest_ns=None):
 
 
 def synced(segment, stamp_ms, *others, carried=False):
-    reference = replace(item("image", stamp_ms), segment=segment, place=MessagePlace(carried=carried))
+    reference = replace(item("image", stamp_ms), segment=segment, carried=CARRIED if carried else None)
     return SyncedMessages(reference, {"image": reference} | dict.fromkeys(others, reference), None, None)
 
 

@@ -14,6 +14,7 @@ from roadperc_stream.geometry import Camera
 from roadperc_stream.input.order import OrderConfig
 from roadperc_stream.input.stream import Problems, Stamped
 from roadperc_stream.input.sync import LatchedState, PairingState, StampPairing, without_loops
+from roadperc_stream.input.transforms import TransformTree
 from roadperc_stream.model import Transform
 
 MS = 1_000_000
@@ -173,7 +174,7 @@ def test_what_closes_a_loop_is_left_out_and_reported_once_a_topic():
         transforms(("camera", "ego"), ("ego", "lidar"), log_time_ns=6),
         Stamped("calibration", 7, 7, CAMERA),
     ]
-    kept = list(without_loops(items, LatchedState(), {"tf": "/tf", "calibration": "/c"}, problems))
+    kept = list(without_loops(items, TransformTree(), {"tf": "/tf", "calibration": "/c"}, problems))
     assert [[edge.child for edge in item.edges] for item in kept] == [["camera"], ["lidar"], []]
     (text,) = problems.first.values()
     assert text == "/tf: message at 5 ns: a loop of transforms ('camera' to 'ego'), expected a tree: left out"

@@ -31,6 +31,11 @@ def inputs(path):
     return [message for message in log.read(log.summarise(path)) if not is_result(message.channel)]
 
 
+def carried(state):
+    """The messages that an input's state holds."""
+    return [item.message for item in state.pairing.items if item.message is not None]
+
+
 def cut(messages, times_ns):
     """The messages between the times, by log time: one part more than there are times."""
     edges = [0, *sorted(times_ns), 2**63]

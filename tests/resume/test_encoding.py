@@ -65,7 +65,7 @@ MANY = struct.pack(">I", 10_000_000)
     [
         (b"", "is no state"),
         (b"PK\3\4 and so on", "is no state"),
-        (encoding._MAGIC + b"\1abc", "version 1, expected 5"),
+        (encoding._MAGIC + b"\1abc", "version 1, expected 6"),
         (encoding._MAGIC + bytes([FORMAT_VERSION]) + b"abc", "CRC is wrong"),
         (checked(b"\x28\xb5\x2f\xfdrubbish"), "damaged"),
         (packed(b""), "damaged"),

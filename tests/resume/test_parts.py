@@ -134,7 +134,7 @@ def test_what_a_state_holds_is_that_of_its_version():
     held = _held(msgspec.inspect.type_info(SavedState), {})
     names = sorted(f"{kind.__name__}.{name}" for kind, names in held.items() for name in names)
     digest = hashlib.sha256(" ".join(names).encode()).hexdigest()[:8]
-    assert (FORMAT_VERSION, digest) == (5, "69dca7e3"), names
+    assert (FORMAT_VERSION, digest) == (6, "33cabe27"), names
 
 
 @pytest.mark.parametrize("kind", [SavedState, Checkpoint, FrameOutput])
@@ -243,9 +243,9 @@ def with_attachments(source, target, **changed):
     [
         (None, r"has no attachment roadperc\.state"),
         (b"", "is no state of a replay"),
-        (b"RPSTATE\x63 and so on", "version 99, expected 5; replay its input again"),
-        (b"RPSTATE\x03 and so on", "version 3, expected 5; replay its input again"),
-        (b"RPSTATE\x05 and so on", "damaged"),
+        (b"RPSTATE\x63 and so on", "version 99, expected 6; replay its input again"),
+        (b"RPSTATE\x03 and so on", "version 3, expected 6; replay its input again"),
+        (b"RPSTATE\x06 and so on", "damaged"),
     ],
 )
 def test_what_is_no_state_is_refused(drive, parts, tmp_path, data, expected):
