@@ -147,9 +147,8 @@ class ReplayInput:
             before, numbers = numbers, numbers.after(synced.reference)
             is_written = before.is_written(synced.reference)
             sample = self._sample(synced, before.next if is_written else UNWRITTEN)
-            self._outcome.pair(synced)
+            self._outcome.add(synced, is_written=is_written)
             if is_written:
-                self._outcome.add(synced)
                 lost = self._losses.reason(before_ns, self._until_ns(synced, before_ns, numbers.log_time_ns))
                 yield replace(sample, log_time_ns=numbers.log_time_ns, lost=lost)
                 before_ns = numbers.log_time_ns
@@ -238,7 +237,7 @@ class ReplayInput:
     @property
     def dropped(self) -> dict[str, int]:
         """Messages per role that belong to no frame."""
-        return {role: found.messages for role, found in self._outcome.dropped.items()}
+        return dict(self._outcome.dropped)
 
     @property
     def unreadable(self) -> dict[str, int]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import DecodeError, LogError
 from roadperc_stream.input.decoding import Context, Payload, context_of_channel, decode
-from roadperc_stream.log import Channel, Message
+from roadperc_stream.log.records import Channel, Message
 from roadperc_stream.model import Transform
 from roadperc_stream.schemas.roles import LATCHED_KINDS, REFERENCE_ROLES, ROLES, Role
 

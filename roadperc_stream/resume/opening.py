@@ -187,10 +187,8 @@ def _opened(
     found: ReadableLog, source: ReplaySource, cfg: ReplayConfig, begin: SavedState | None, notes: Notes = ()
 ) -> OpenedLog:
     """The input of a replay that begins with a state."""
-    if begin is None:
-        return OpenedLog(input_of(found, source, cfg), begin, notes, found.warnings, source.strict)
-    log_in = input_of(found, source, cfg, begin.input, begin.lost)
-    first = begin.input.numbers.next
+    log_in = input_of(found, source, cfg, *(() if begin is None else (begin.input, begin.lost)))
+    first = log_in.plan.start.numbers.next
     if first < 0 or first + log_in.expected_frames > _MOST_FRAMES:
         raise StateError(f"frame {first} and {log_in.expected_frames} more: a log numbers {_MOST_FRAMES} at most")
     return OpenedLog(log_in, begin, notes, found.warnings, source.strict)

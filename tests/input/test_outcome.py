@@ -91,7 +91,7 @@ def test_messages_of_no_frame_are_one_note():
 
 def test_a_sensor_that_is_in_no_frame_is_said_with_the_setting_that_decides():
     outcome = InputOutcome()
-    outcome.pair(synced(0, 5, "lidar"))
+    outcome.add(synced(0, 5, "lidar"), is_written=False)
     for role in ("depth", "lidar"):
         outcome.drop(item(role, 3))
     _, note = notes_of(outcome, {"depth": 12 * MS, "lidar": 11 * MS})

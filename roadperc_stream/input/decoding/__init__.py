@@ -20,7 +20,7 @@ from roadperc_stream.input.decoding.payload import (
     require_within,
 )
 from roadperc_stream.input.decoding.wire import from_json, parsed
-from roadperc_stream.log import Channel
+from roadperc_stream.log.records import Channel
 from roadperc_stream.model.tag_tables import TABLES
 from roadperc_stream.schemas import cdr, ros2
 from roadperc_stream.schemas.record import TAG_TABLE_KEY
