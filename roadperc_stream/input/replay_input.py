@@ -17,7 +17,8 @@ from roadperc_stream.input.stream import Problems, Stamped, decoded_messages
 from roadperc_stream.input.sync import StampPairing, SyncedMessages
 from roadperc_stream.input.window import WindowMessages
 from roadperc_stream.log import DIGEST_ALGORITHM, Channel, LogSummary, LostSpan, Message, Piece, Recovery
-from roadperc_stream.model import UNWRITTEN, Sample
+from roadperc_stream.model import UNWRITTEN, FrameResult, Sample
+from roadperc_stream.model.reason import UNUSABLE
 from roadperc_stream.schemas.record import (
     DIGEST_ALGORITHM_KEY,
     DIGEST_KEY,
@@ -189,6 +190,16 @@ class ReplayInput:
         if self.is_continuation or any(ROLES[role].kind == "calibration" for role in self.topics):
             return ()
         return ("give a part of a drive together with those before it, or --continue the result of the one before",)
+
+    def require_usable(self, result: FrameResult) -> None:
+        """Check that all messages of a frame are usable, in a strict replay.
+
+        Raises:
+            LogError: one is not.
+        """
+        for reason in result.reasons() if self._problems.strict_in is not None else ():
+            if reason.code in UNUSABLE:
+                self._problems.require_lenient(f"message with stamp {result.stamp_ns} ns: {reason}")
 
     @property
     def channels(self) -> tuple[Channel, ...]:

@@ -9,10 +9,8 @@ from pathlib import Path
 
 from roadperc_stream import log
 from roadperc_stream.config import LimitsConfig
-from roadperc_stream.errors import LogError
 from roadperc_stream.log import Damage, DamagedLogError, LogSummary, LostSpan, Recovery, RepairedLog
-from roadperc_stream.model import FrameResult, Reason
-from roadperc_stream.model.reason import UNUSABLE
+from roadperc_stream.model import Reason
 from roadperc_stream.system.time import WHOLE, TimeRange, ns_to_seconds
 
 SOURCE = "log"
@@ -119,17 +117,6 @@ def warnings_of(source: Path, damages: Sequence[Damage], recovery: Recovery, fir
     more = f" (the first of {number} damages)" if number > 1 else ""
     yield f"{source}: damaged at byte {damages[0].byte}: {damages[0].words}{more}"
     yield from recovery.lines(first_ns)
-
-
-def require_sound(source: Path, result: FrameResult) -> None:
-    """Check that no message of a frame is unusable, as ``--strict`` asks for.
-
-    Raises:
-        LogError: one is.
-    """
-    for reason in result.reasons():
-        if reason.code in UNUSABLE:
-            raise LogError(f"{source}: message with stamp {result.stamp_ns} ns: {reason}; --strict stops there")
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ class Problems:
         Raises:
             LogError: the replay is strict.
         """
-        self._require_lenient(f"{topic}: message at {time_ns} ns: {error}")
+        self.require_lenient(f"{topic}: message at {time_ns} ns: {error}")
         self.counts[topic] += 1
         self.first.setdefault(topic, f"{topic}: message at {time_ns} ns: {error}")
 
@@ -41,10 +41,15 @@ class Problems:
         Raises:
             LogError: the replay is strict.
         """
-        self._require_lenient(text)
+        self.require_lenient(text)
         self.first.setdefault(f"{topic}, in part", text)
 
-    def _require_lenient(self, text: str) -> None:
+    def require_lenient(self, text: str) -> None:
+        """Raise an error of a message, if the replay is strict.
+
+        Raises:
+            LogError: it is.
+        """
         if self.strict_in is not None:
             raise LogError(f"{self.strict_in}: {text}; --strict stops there")
 

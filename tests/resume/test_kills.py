@@ -15,7 +15,7 @@ import pytest
 from roadperc_stream.config import load_config
 from roadperc_stream.errors import StateError, TargetError
 from roadperc_stream.output.tables import sidecar_path
-from roadperc_stream.output.writing import Counted, FrameOutput
+from roadperc_stream.output.writing import FrameOutput
 from roadperc_stream.resume.checkpoint import Checkpoint, CheckpointFolder, checkpoint_folder
 from roadperc_stream.resume.state import ReplayState
 from roadperc_stream.schemas.columns import FrameMetrics
@@ -210,7 +210,7 @@ def test_killed_while_the_files_get_their_names_before_any_checkpoint(source, un
 
 def test_checkpoints_of_little_behind_what_was_cut_off_count_right(tmp_path):
     """What a replay wrote behind its last checkpoint is computed again: it may be little until the next one."""
-    checkpoint = Checkpoint({}, 0, 0, ReplayState(), Counted())
+    checkpoint = Checkpoint({}, ReplayState())
     with CheckpointFolder(tmp_path / "out.mcap") as folder:
         folder.begin(None)
         folder.append(LITTLE)

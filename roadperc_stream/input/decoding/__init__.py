@@ -67,10 +67,10 @@ def _cdr(name: str, decoder: Callable[[Any, Context], Decoded]) -> Decoder:
     return decode_cdr
 
 
+_MESSAGES: Final = {**own.DECODERS, **foxglove.DECODERS}
 DECODERS: Final[Mapping[tuple[Kind, str, str], Decoder]] = {
-    **{(kind, t.DESCRIPTOR.full_name, "protobuf"): _protobuf(t, f) for (kind, t), f in own.DECODERS.items()},
+    **{(kind, t.DESCRIPTOR.full_name, "protobuf"): _protobuf(t, f) for (kind, t), f in _MESSAGES.items()},
     **{(kind, t.DESCRIPTOR.full_name, "protobuf"): _picture(t, f) for (kind, t), f in foxglove.PICTURES.items()},
-    **{(kind, t.DESCRIPTOR.full_name, "protobuf"): _protobuf(t, f) for (kind, t), f in foxglove.DECODERS.items()},
     **{(kind, name, "cdr"): _cdr(name, f) for (kind, name), f in ros.DECODERS.items()},
     **{(kind, t.DESCRIPTOR.full_name, "json"): _json(t, _whole(f)) for (kind, t), f in foxglove.PICTURES.items()},
     **{(kind, t.DESCRIPTOR.full_name, "json"): _json(t, f) for (kind, t), f in foxglove.DECODERS.items()},
