@@ -11,7 +11,7 @@ from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.outcome import InputOutcome, PartSpan, continuation_notes, part_notes
 from roadperc_stream.input.plan import InputPlan, plan_input, span_ns
 from roadperc_stream.input.roles import tag_table_to_record
-from roadperc_stream.input.source import LossTimes, ReadableLog, ReplaySource, ended
+from roadperc_stream.input.source import LossTimes, ReadableLog, ReplaySource
 from roadperc_stream.input.state import InputState
 from roadperc_stream.input.stream import Problems, Stamped, decoded_messages
 from roadperc_stream.input.sync import StampPairing, SyncedMessages
@@ -85,8 +85,7 @@ class ReplayInput:
         self.summary, self.plan = summary, plan
         self._cfg = cfg
         recovery = Recovery.of_records(summary.metadata)
-        before = ended(lost, self._first_new_ns()) if lost else ()
-        self._gaps = (*before, *(() if recovery is None else recovery.gaps))
+        self._gaps = (*self._ended(lost), *(() if recovery is None else recovery.gaps))
         self._losses = LossTimes(self._gaps)
         self._begin()
 
@@ -96,10 +95,14 @@ class ReplayInput:
         self._outcome = InputOutcome(plan.begun.sync.segment)
         self._pairing = StampPairing(self._cfg.sync, plan.order, plan.roles.topics, plan.begun, self._drop)
 
-    def _first_new_ns(self) -> int | None:
-        """Log time of the first message that no earlier part had."""
-        times = (message.log_time_ns for message in self._messages.inside())
-        return next((time_ns for time_ns in times if time_ns >= self.plan.start.from_ns), None)
+    def _ended(self, lost: Sequence[LostSpan]) -> tuple[LostSpan, ...]:
+        """The gaps of the part before; one without an end ends before the first message that part did not have."""
+        inside = (message.log_time_ns for message in self._messages.inside()) if lost else ()
+        next_ns = next((time_ns for time_ns in inside if time_ns >= self.plan.start.from_ns), None)
+        return tuple(
+            replace(gap, last_ns=max(next_ns - 1, gap.first_ns or 0)) if gap.last_ns is None and next_ns else gap
+            for gap in lost
+        )
 
     @property
     def frames(self) -> int:

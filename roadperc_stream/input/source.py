@@ -53,14 +53,6 @@ def _or(time_ns: int | None, otherwise: float) -> float:
     return otherwise if time_ns is None else time_ns
 
 
-def ended(gaps: Iterable[LostSpan], next_ns: int | None) -> tuple[LostSpan, ...]:
-    """The gaps of a part of a drive, where one without an end ends before the first message of the next part."""
-    return tuple(
-        replace(gap, last_ns=max(next_ns - 1, gap.first_ns or 0)) if gap.last_ns is None and next_ns else gap
-        for gap in gaps
-    )
-
-
 @dataclass(frozen=True)
 class ReadableLog:
     """A log that can be replayed: as it stands, or what was saved of it.

@@ -106,11 +106,6 @@ def _own_words(role: Role) -> set[str]:
     return {role.name.removesuffix("_calibration")} & _WORDS.keys()
 
 
-def no_probe(_kind: Kind, _channel: Channel) -> bool:
-    """Whether a channel is of a kind, where nothing is read: it is not known to be."""
-    return False
-
-
 def probe_first_message(summary: LogSummary, kind: Kind, channel: Channel) -> bool:
     """Whether the first message of a channel is depth, or tags: by its encoding, and by pixels that are all some class.
 
