@@ -147,12 +147,6 @@ class InputPlan:
     most_frames: int | None = None
     """How many frames are asked for at most: of those that arrive in the part, the first ones by their stamps."""
 
-    @property
-    def expected_frames(self) -> int:
-        """Messages of the reference role; one that cannot be read makes no frame."""
-        there = self.first_pass.counts[self.roles.topics[self.order.reference]] + self.start.frames_waiting
-        return there if self.most_frames is None else min(there, self.most_frames)
-
 
 def plan_input(
     summary: LogSummary, cfg: ReplayConfig, asked: ReplaySource, begin: InputState | None = None
@@ -211,14 +205,6 @@ def _roles_so_far(summary: LogSummary, overrides: Mapping[str, str], begin: Inpu
     topics = {**roles.topics, **begin.topics, **overrides}
     in_order = {role: topics[role] for role in ROLES if role in topics}
     return replace(roles, topics=in_order, tag_table=roles.tag_table or begin.tag_table)
-
-
-def span_ns(summary: LogSummary, window: Window) -> tuple[int, int]:
-    """First and last log time of the part to replay; what was latched before and what arrives late lie outside."""
-    first_ns, last_ns = summary.first_ns or 0, summary.last_ns or 0
-    start_ns = first_ns if window.start_ns is None else max(window.start_ns, first_ns)
-    end_ns = last_ns if window.end_ns is None else min(window.end_ns, last_ns)
-    return start_ns, max(start_ns, end_ns)
 
 
 def _window(summary: LogSummary, cfg: ReplayConfig, part: TimeRange, roles: RoleAssignment, reference: str) -> Window:

@@ -9,7 +9,7 @@ from roadperc_stream.errors import ChannelError, NoFrameError
 from roadperc_stream.input.assemble import sample_of
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.outcome import InputOutcome, PartSpan, continuation_notes, part_notes
-from roadperc_stream.input.plan import InputPlan, plan_input, span_ns
+from roadperc_stream.input.plan import InputPlan, plan_input
 from roadperc_stream.input.roles import tag_table_to_record
 from roadperc_stream.input.source import LossTimes, ReadableLog, ReplaySource
 from roadperc_stream.input.state import InputState
@@ -120,19 +120,19 @@ class ReplayInput:
         return self.plan.roles.topics
 
     @property
-    def is_continuation(self) -> bool:
-        """Whether it goes on from an earlier part of the drive."""
-        return self.plan.is_continuation
-
-    @property
     def expected_frames(self) -> int:
-        """Messages that make frames; one that cannot be read makes none."""
-        return self.plan.expected_frames
+        """Messages of the reference role; one that cannot be read makes no frame."""
+        plan = self.plan
+        there = plan.first_pass.counts[self.topics[plan.order.reference]] + plan.start.frames_waiting
+        return there if plan.most_frames is None else min(there, plan.most_frames)
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """First and last log time of the part to replay."""
-        return span_ns(self.summary, self.plan.window)
+        """First and last log time of the part to replay; what held before and what arrives late lie outside."""
+        window, first_ns, last_ns = self.plan.window, self.summary.first_ns or 0, self.summary.last_ns or 0
+        start_ns = first_ns if window.start_ns is None else max(window.start_ns, first_ns)
+        end_ns = last_ns if window.end_ns is None else min(window.end_ns, last_ns)
+        return start_ns, max(start_ns, end_ns)
 
     def samples(self) -> Iterator[Sample]:
         """The frames in order, a few messages in memory at a time.
@@ -158,7 +158,7 @@ class ReplayInput:
                 before_ns = numbers.log_time_ns
             else:
                 yield sample
-        if not self.frames and not self.is_continuation:
+        if not self.frames and not self.plan.is_continuation:
             topic = self.topics[plan.order.reference]
             raise NoFrameError(f"{self.summary.path}: no message on {topic} makes a frame; {'; '.join(self.notes)}")
 
@@ -190,7 +190,7 @@ class ReplayInput:
     @property
     def _if_in_parts(self) -> tuple[str, ...]:
         """What to do where another part of the drive holds the calibrations."""
-        if self.is_continuation or any(ROLES[role].kind == "calibration" for role in self.topics):
+        if self.plan.is_continuation or any(ROLES[role].kind == "calibration" for role in self.topics):
             return ()
         return ("give a part of a drive together with those before it, or --continue the result of the one before",)
 

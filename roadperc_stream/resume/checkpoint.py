@@ -127,7 +127,8 @@ class CheckpointFolder:
             self._hold()
             if checkpoint is None:
                 self._clear()
-            self._frames = os.fdopen(_opened_to_append(self.path / _FRAMES), "ab")
+            flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW
+            self._frames = os.fdopen(os.open(self.path / _FRAMES, flags, 0o666), "ab")
             self._frames.truncate(0 if checkpoint is None else checkpoint.length)
             self._frames.seek(0, os.SEEK_END)  # else its length counts from the end it had
             sync_folder(self.path.parent)
@@ -284,8 +285,3 @@ class Checkpoints:
         """Make the names of the complete outputs durable, if the checkpoints are."""
         if self.are_durable:
             sync_folder(target.parent)
-
-
-def _opened_to_append(path: Path) -> int:
-    """A file opened without following a link."""
-    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0), 0o666)

@@ -25,7 +25,6 @@ from roadperc_stream.resume.state import (
     Notes,
     ReplayState,
     SavedState,
-    attachment_of,
     settings_of,
     state_at_begin,
     state_at_end,
@@ -47,6 +46,8 @@ from roadperc_stream.schemas.topics import result_schemas
 from roadperc_stream.system.threads import one_thread
 from roadperc_stream.system.time import TimeRange, ns_to_seconds, seconds_to_ns
 
+_MEDIA_TYPE: Final = "application/zstd"
+"""Of an attached state."""
 _MOST_FRAMES: Final = 2**32
 """A log numbers its messages with 32 bits."""
 
@@ -81,11 +82,11 @@ class OpenedLog:
             with_messages: whether the state at the end carries its messages, because the output does not.
         """
         begin, log_in = self.saved_for(cfg), self.input
-        states = () if begin is None else (attachment_of(BEGIN_ATTACHMENT, begin),)
+        states = () if begin is None else (Attachment(BEGIN_ATTACHMENT, _MEDIA_TYPE, encode(begin)),)
         waiting = log_in.end_state(with_messages=with_messages)
         saved = SavedState(log_in.log_id, settings_of(cfg), waiting, end, log_in.lost_to_come)
         try:
-            return (*states, attachment_of(STATE_ATTACHMENT, saved)), ()
+            return (*states, Attachment(STATE_ATTACHMENT, _MEDIA_TYPE, encode(saved))), ()
         except StateError as error:  # the results do not depend on it
             return states, (f"{STATE_ATTACHMENT}: left out, this part cannot be continued: {error}",)
 
