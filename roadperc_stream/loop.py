@@ -56,7 +56,8 @@ def replay(
             target = replace(target, force=target.force or found is not None or was_killed)
             target.require_free(source.files)
             outputs = Outputs(target, cfg, opened.input, opened.table_facts())
-            with one_thread(), checkpoints, all_or_none(*outputs.files):
+            checkpoints.begin()
+            with one_thread(), all_or_none(*outputs.files):
                 frames = _Frames(cfg, opened, outputs, checkpoints, callbacks)
                 frames.replay(options.threads)
                 states, notes = opened.attachments(cfg, frames.end, with_messages=target.results_only)

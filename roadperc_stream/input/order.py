@@ -78,7 +78,11 @@ class StampOrder:
         state = state or OrderState()
         self._cfg, self._drop = cfg, drop
         self._segments = _Segments(cfg, drop, state)
-        self._buffer = _Buffer(cfg, state.given_segment, state.given_ns, state.waiting)
+        self._given_segment, self._given_ns = state.given_segment, state.given_ns  # of the latest reference message
+        self._heap: list[tuple[int, bool, int, Stamped]] = []
+        self._number = 0
+        for item in state.waiting:
+            self._add(item)
         self.lateness_ns = 0
         """By how much messages trailed the reference sensor's latest stamp, at most the wait; stragglers among the
         reference messages do not count."""
@@ -91,28 +95,56 @@ class StampOrder:
     def rest(self) -> Iterator[Stamped]:
         """All that still waits: nothing follows."""
         yield from self._ordered(self._segments.rest())
-        yield from self._buffer.rest()
+        yield from self._all()
 
     @property
     def state(self) -> OrderState[Stamped]:
-        """What is remembered, all that ``through`` gives having been consumed."""
-        segments, buffer = self._segments, self._buffer
-        held, waiting = tuple(segments.held), buffer.waiting
-        return OrderState(segments.segment, segments.latest_ns, held, waiting, buffer.segment, buffer.given_ns)
+        """What is kept, all that ``through`` gives having been consumed."""
+        found = self._segments
+        waiting = tuple(entry[-1] for entry in sorted(self._heap, key=lambda entry: entry[:3]))
+        given = self._given_segment, self._given_ns
+        return OrderState(found.segment, found.latest_ns, tuple(found.held), waiting, *given)
 
     def _ordered(self, items: Iterable[Stamped]) -> Iterator[Stamped]:
         for item in items:
-            if item.segment != self._buffer.segment:
-                yield from self._buffer.rest()
-                self._buffer = _Buffer(self._cfg, item.segment)
-            if self._buffer.is_too_late(item):
+            if item.segment != self._given_segment:
+                yield from self._all()
+                self._given_segment, self._given_ns = item.segment, None
+            if self._is_too_late(item):
                 self._drop(item)
                 continue
             latest_ns = self._segments.latest_ns
             if latest_ns is not None:
                 self.lateness_ns = max(self.lateness_ns, min(latest_ns - item.stamp_ns, self._cfg.max_wait_ns))
-            self._buffer.add(item)
-            yield from self._buffer.due(item.log_time_ns, latest_ns)
+            self._add(item)
+            while self._heap and self._is_due(self._heap[0][-1], item.log_time_ns, latest_ns):
+                yield self._next()
+
+    def _is_too_late(self, item: Stamped) -> bool:
+        """Whether the frame of a later stamp was given out already."""
+        late = self._given_ns is not None and item.stamp_ns < self._given_ns
+        return late and item.role == self._cfg.reference
+
+    def _is_due(self, item: Stamped, now_ns: int, latest_ns: int | None) -> bool:
+        """Whether no earlier message can follow, at a log time and the latest stamp of a reference message."""
+        if latest_ns is not None and item.stamp_ns < latest_ns - self._cfg.lateness_ns:
+            return True
+        is_silent = now_ns - item.log_time_ns > 2 * self._cfg.max_wait_ns
+        return is_silent or len(self._heap) > _MOST_HELD
+
+    def _add(self, item: Stamped) -> None:
+        heappush(self._heap, (item.stamp_ns, not item.is_latched, self._number, item))
+        self._number += 1
+
+    def _next(self) -> Stamped:
+        item = heappop(self._heap)[-1]
+        if item.role == self._cfg.reference:  # another sensor's clock may be ahead
+            self._given_ns = item.stamp_ns
+        return item
+
+    def _all(self) -> Iterator[Stamped]:
+        while self._heap:
+            yield self._next()
 
 
 class _Segments:
@@ -186,55 +218,3 @@ class _Segments:
         if item.role == self._cfg.reference:
             self.latest_ns = item.stamp_ns if self.latest_ns is None else max(self.latest_ns, item.stamp_ns)
         return replace(item, segment=self.segment) if self.segment else item
-
-
-class _Buffer:
-    """The messages of a segment that wait for earlier ones."""
-
-    def __init__(
-        self, cfg: OrderConfig, segment: int = 0, given_ns: int | None = None, waiting: Iterable[Stamped] = ()
-    ) -> None:
-        self._cfg, self.segment = cfg, segment
-        self._heap: list[tuple[int, bool, int, Stamped]] = []
-        self._number = 0
-        self.given_ns = given_ns
-        """Stamp of the latest reference message given out."""
-        for item in waiting:
-            self.add(item)
-
-    @property
-    def waiting(self) -> tuple[Stamped, ...]:
-        """What waits, in the order in which it would be given out."""
-        return tuple(entry[-1] for entry in sorted(self._heap, key=lambda entry: entry[:3]))
-
-    def is_too_late(self, item: Stamped) -> bool:
-        """Whether the frame of a later stamp was given out already."""
-        late = self.given_ns is not None and item.stamp_ns < self.given_ns
-        return late and item.role == self._cfg.reference
-
-    def add(self, item: Stamped) -> None:
-        """Take one more message."""
-        heappush(self._heap, (item.stamp_ns, not item.is_latched, self._number, item))
-        self._number += 1
-
-    def due(self, now_ns: int, latest_ns: int | None) -> Iterator[Stamped]:
-        """What no earlier message can follow any more, at a log time and the latest stamp of a reference message."""
-        while self._heap and self._is_due(self._heap[0][-1], now_ns, latest_ns):
-            yield self._next()
-
-    def rest(self) -> Iterator[Stamped]:
-        """All that still waits."""
-        while self._heap:
-            yield self._next()
-
-    def _is_due(self, item: Stamped, now_ns: int, latest_ns: int | None) -> bool:
-        if latest_ns is not None and item.stamp_ns < latest_ns - self._cfg.lateness_ns:
-            return True
-        is_silent = now_ns - item.log_time_ns > 2 * self._cfg.max_wait_ns
-        return is_silent or len(self._heap) > _MOST_HELD
-
-    def _next(self) -> Stamped:
-        item = heappop(self._heap)[-1]
-        if item.role == self._cfg.reference:  # another sensor's clock may be ahead
-            self.given_ns = item.stamp_ns
-        return item

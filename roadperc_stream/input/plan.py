@@ -21,7 +21,7 @@ from roadperc_stream.input.roles import NOTHING_TO_REPLAY, assignment_of_log
 from roadperc_stream.input.source import ReplaySource
 from roadperc_stream.input.state import InputState, PendingMessage, pending, restored
 from roadperc_stream.input.stream import Problems, RoleAssignment, Stamped, decoded_messages
-from roadperc_stream.input.sync import LatchedState, PairingState, StampPairing, SyncState, without_loops
+from roadperc_stream.input.sync import LatchedState, PairingState, StampPairing, without_loops
 from roadperc_stream.input.transforms import TransformTree
 from roadperc_stream.input.window import Window, WindowMessages
 from roadperc_stream.log import LogSummary, Message, MessageDigest
@@ -171,7 +171,7 @@ def plan_input(
     window = _window(summary, cfg, part, roles, reference)
     latched, latched_messages = _latched_at_start(summary, cfg, roles, window, problems)
     order = OrderConfig(reference, seconds_to_ns(cfg.sync.max_wait_s))
-    waiting = PairingState[PendingMessage](sync=SyncState(latched))
+    waiting = PairingState[PendingMessage](latched=latched)
     start = begin or InputState(0, reference, roles.topics, roles.tag_table, {}, latched.tree, waiting)
     begun = restored(start, roles, cfg.tag_table)
     messages = WindowMessages(summary, cfg, roles, window, latched_messages).with_late()

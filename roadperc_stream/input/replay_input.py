@@ -92,7 +92,7 @@ class ReplayInput:
     def _begin(self) -> None:
         plan = self.plan
         self._problems = Problems(plan.problems.strict_in)
-        self._outcome = InputOutcome(plan.begun.sync.segment)
+        self._outcome = InputOutcome(plan.begun.segment)
         self._pairing = StampPairing(self._cfg.sync, plan.order, plan.roles.topics, plan.begun, self._drop)
 
     def _ended(self, lost: Sequence[LostSpan]) -> tuple[LostSpan, ...]:

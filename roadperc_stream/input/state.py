@@ -102,7 +102,7 @@ class InputState:
         Raises:
             StateError: one is beyond the limits, unknown, or the transforms are no tree.
         """
-        latched = (self.pairing.sync.latched, *(held for _, held in self.pairing.sync.waiting))
+        latched = (self.pairing.latched, *(held for _, held in self.pairing.waiting))
         cameras = [camera for held in latched for camera in held.cameras.values()]
         cameras += [item.camera for item in self.pairing.items if item.camera is not None]
         unknown = {self.reference, *self.topics, *(item.role for item in self.pairing.items)} - ROLES.keys()

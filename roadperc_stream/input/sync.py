@@ -93,44 +93,33 @@ class SyncedMessages:
 
 
 @dataclass(frozen=True)
-class SyncState(Generic[T]):
-    """What is remembered of the messages so far; those that wait are of any type that stands for a message.
+class PairingState(Generic[T]):
+    """What is kept of the messages so far; those that wait are of any type that represents a message.
 
     ``streams`` are the messages of each role that no frame has taken yet, ``waiting`` the reference messages of the
     frames to come, each with what was latched when it came.
     """
 
+    order: OrderState[T] = field(default_factory=OrderState)
     latched: LatchedState = field(default_factory=LatchedState)
     segment: int = 0
     streams: Mapping[str, tuple[T, ...]] = field(default_factory=dict)
     waiting: tuple[tuple[T, LatchedState], ...] = ()
 
-    def mapped(self, function: Callable[[T], U]) -> "SyncState[U]":
+    def mapped(self, function: Callable[[T], U]) -> "PairingState[U]":
         """The same state with other things in place of the messages."""
         streams = {role: tuple(map(function, items)) for role, items in self.streams.items()}
         waiting = tuple((function(item), latched) for item, latched in self.waiting)
-        return SyncState(self.latched, self.segment, streams, waiting)
-
-
-@dataclass(frozen=True)
-class PairingState(Generic[T]):
-    """What is remembered of the messages that have arrived, for the frames to come."""
-
-    order: OrderState[T] = field(default_factory=OrderState)
-    sync: SyncState[T] = field(default_factory=SyncState)
-
-    def mapped(self, function: Callable[[T], U]) -> "PairingState[U]":
-        """The same state with other things in place of the messages."""
-        return PairingState(self.order.mapped(function), self.sync.mapped(function))
+        return PairingState(self.order.mapped(function), self.latched, self.segment, streams, waiting)
 
     @property
     def items(self) -> Iterator[T]:
-        """All that stands for a message."""
+        """All that represents a message."""
         yield from self.order.held
         yield from self.order.waiting
-        for stream in self.sync.streams.values():
+        for stream in self.streams.values():
             yield from stream
-        yield from (item for item, _ in self.sync.waiting)
+        yield from (item for item, _ in self.waiting)
 
 
 class StampPairing:
@@ -151,10 +140,10 @@ class StampPairing:
         self._order = StampOrder(order, drop, state.order)
         self._tolerance_ns, self._reference, self._drop = seconds_to_ns(cfg.tolerance_s), order.reference, drop
         self._forget_after_ns = 4 * order.max_wait_ns
-        self._latched, self._segment = state.sync.latched, state.sync.segment
+        self._latched, self._segment = state.latched, state.segment
         others = (role for role in roles if role != order.reference and ROLES[role].kind not in LATCHED_KINDS)
-        self._streams = {role: deque[Stamped](state.sync.streams.get(role, ())) for role in others}
-        self._waiting = deque[tuple[Stamped, LatchedState]](state.sync.waiting)
+        self._streams = {role: deque[Stamped](state.streams.get(role, ())) for role in others}
+        self._waiting = deque[tuple[Stamped, LatchedState]](state.waiting)
         self._last_ns: int | None = None  # stamp of the latest frame of this segment
         self.frames = 0
         """Frames made so far."""
@@ -175,8 +164,7 @@ class StampPairing:
     def state(self) -> PairingState[Stamped]:
         """What is remembered, all frames that ``through`` gives having been consumed."""
         streams = {role: tuple(items) for role, items in self._streams.items() if items}
-        sync = SyncState(self._latched, self._segment, streams, tuple(self._waiting))
-        return PairingState(self._order.state, sync)
+        return PairingState(self._order.state, self._latched, self._segment, streams, tuple(self._waiting))
 
     @property
     def lateness_ns(self) -> int:

@@ -23,11 +23,6 @@ class TransformTree:
         """Paths to the root of the frames looked up so far. No field: a field would be part of an encoded state."""
         return {}
 
-    @property
-    def parent_of(self) -> dict[str, str]:
-        """The parent of every frame that has one."""
-        return {child: edge.parent for child, edge in self.edges.items()}
-
     def updated(self, edges: Iterable[Transform]) -> "TransformTree":
         """The tree with some edges added or replaced."""
         return TransformTree({**self.edges, **{edge.child: edge for edge in edges}})

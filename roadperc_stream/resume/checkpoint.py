@@ -10,7 +10,7 @@ import shutil
 import struct
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import IO, Final, Self
 
@@ -140,15 +140,10 @@ class CheckpointFolder:
         with target_errors(self.path):
             self._frames.write(_LENGTH.pack(len(data)) + data)
 
-    @property
-    def length(self) -> int:
-        """Length of the file of frames."""
-        assert self._frames is not None
-        return self._frames.tell()
-
     def write(self, checkpoint: Checkpoint) -> None:
-        """Make a checkpoint durable: first the frames, then the state with their number, in one step."""
+        """Make a checkpoint of all frames so far durable: first the frames, then the state with their number."""
         assert self._frames is not None
+        checkpoint = replace(checkpoint, length=self._frames.tell())
         new = self.path / f"{_STATE}.new"
         with target_errors(self.path):
             self._frames.flush()
@@ -187,7 +182,7 @@ class CheckpointFolder:
 
 
 class Checkpoints:
-    """The checkpoints that a replay writes, and the one that it resumes. Use it as a context manager.
+    """The checkpoints that a replay writes, and the one that it resumes.
 
     If the replay is interrupted, its checkpoints stay; a folder without a checkpoint is removed.
     """
@@ -235,6 +230,13 @@ class Checkpoints:
         """Whether complete frames outlive a loss of power."""
         return self._every_ns is not None
 
+    def begin(self) -> None:
+        """Prepare to write checkpoints, if some are to be written, and to read the frames that are complete."""
+        if self.is_resumed:
+            self._outputs = self._folder.outputs(self.begun)
+        if self._every_ns is not None:
+            self._folder.begin(self.begun if self.is_resumed else None)
+
     def next_output(self, index: int) -> FrameOutput:
         """The output of the next complete frame.
 
@@ -248,16 +250,6 @@ class Checkpoints:
         if output is None or output.row.frame != index:
             raise self._folder.damaged(f"does not hold frame {index}")
         return output
-
-    def __enter__(self) -> Self:
-        if self.is_resumed:
-            self._outputs = self._folder.outputs(self.begun)
-        if self._every_ns is not None:
-            self._folder.begin(self.begun if self.is_resumed else None)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._folder.close()
 
     def keep(self, output: FrameOutput | None) -> None:
         """Keep the output of one more frame."""
@@ -278,7 +270,7 @@ class Checkpoints:
         if self._last_ns is None or samples <= self.begun.samples:
             self._last_ns = log_time_ns
         elif log_time_ns - self._last_ns >= self._every_ns:
-            self._folder.write(Checkpoint(self.begun.run, state, samples, self._folder.length, counted()))
+            self._folder.write(Checkpoint(self.begun.run, state, samples, counted=counted()))
             self._last_ns = log_time_ns
 
     def sync(self, target: Path) -> None:

@@ -108,13 +108,13 @@ def long_tree(state):
 
 
 def looped(state):
-    tree = state["input"]["pairing"]["sync"]["latched"]["tree"]
+    tree = state["input"]["pairing"]["latched"]["tree"]
     edge = next(iter(tree["edges"].values()))
     tree["edges"] |= {"a": {**edge, "parent": "b", "child": "a"}, "b": {**edge, "parent": "a", "child": "b"}}
 
 
 def large_camera(state):
-    for camera in state["input"]["pairing"]["sync"]["latched"]["cameras"].values():
+    for camera in state["input"]["pairing"]["latched"]["cameras"].values():
         camera.update(width=40_000, height=40_000)
 
 

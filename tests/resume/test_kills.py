@@ -214,13 +214,12 @@ def test_checkpoints_of_little_behind_what_was_cut_off_count_right(tmp_path):
     with CheckpointFolder(tmp_path / "out.mcap") as folder:
         folder.begin(None)
         folder.append(LITTLE)
-        folder.write(replace(checkpoint, samples=1, length=folder.length))
+        folder.write(replace(checkpoint, samples=1))
         folder.append(LITTLE)
     with CheckpointFolder(tmp_path / "out.mcap") as again:
-        again.begin(found := again.read())
-        assert again.length == found.length
+        again.begin(again.read())
         again.append(LITTLE)
-        again.write(replace(checkpoint, samples=2, length=again.length))
+        again.write(replace(checkpoint, samples=2))
     assert len(list(again.outputs(again.read()))) == 2
 
 
