@@ -295,14 +295,6 @@ def test_a_lidar_slower_than_the_camera_is_missing_in_between(tmp_path):
     assert table["surface_source"].to_list() == ["lidar", "estimated", "lidar", "held"]
 
 
-def test_replaying_a_lidars_log_gives_the_same_bytes_and_its_output_too(tmp_path):
-    source = log_of(tmp_path / "in.mcap", EGO_T_LIDAR, edges=[Transform("ego", "lidar", EGO_T_LIDAR)])
-    first, _ = replayed(source, "a.mcap")
-    second, _ = replayed(source, "b.mcap")
-    again, _ = replayed(first, "c.mcap")
-    assert first.read_bytes() == second.read_bytes() == again.read_bytes()
-
-
 @pytest.mark.parametrize("edges", [[("lidar", "lidar")], [("a", "b"), ("b", "a")], [("camera", "ego")]])
 def test_a_loop_of_transforms_is_left_out_and_told_with_its_topic_and_stamp(tmp_path, edges):
     """It comes after the good ones, which hold on; whether it is before the first frame or later."""

@@ -46,13 +46,6 @@ def synced(segment, stamp_ms, *others, carried=False):
     return SyncedMessages(reference, {"image": reference} | dict.fromkeys(others, reference), None, None)
 
 
-def test_of_a_tidy_log_nothing_is_said():
-    outcome = InputOutcome()
-    for k in range(3):
-        outcome.add(synced(0, 50 * k))
-    assert (outcome.frames, notes_of(outcome)) == (3, [])
-
-
 def test_segments_that_begin_are_named_with_their_stamps_and_frames():
     outcome = InputOutcome()
     for segment, stamp_ms in [(0, 5), (0, 55), (1, 7), (2, 3), (2, 53)]:

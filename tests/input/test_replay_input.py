@@ -6,7 +6,7 @@ import pytest
 
 from roadperc_stream import log
 from roadperc_stream.config import ReplayConfig, load_config
-from roadperc_stream.errors import ChannelError, LogError
+from roadperc_stream.errors import ChannelError
 from roadperc_stream.input import ReplaySource, open_input
 from roadperc_stream.input.window import WindowMessages
 from roadperc_stream.log import LogWriter
@@ -62,11 +62,6 @@ def test_a_topic_that_the_user_chose_is_recorded(source, tmp_path):
     with pytest.raises(ChannelError, match="2 topics fit role image"):
         open_input(ReplaySource(source), CFG)
     assert open_input(ReplaySource(source, {"image": "/cam/rgb"}), CFG).record()["topic.image"] == "/cam/rgb"
-
-
-def test_a_part_without_a_frame_is_refused(source):
-    with pytest.raises(LogError, match="no message on /camera/front/image in the part asked for"):
-        open_input(ReplaySource(source, time_range=TimeRange(start_s=9.0)), CFG)
 
 
 FRAMES = 3

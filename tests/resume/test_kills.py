@@ -177,22 +177,14 @@ def test_a_damaged_checkpoint_is_one_error(source, tmp_path, name):
         replay(source, target, CFG, checkpoint_every_s=0.2, resume=True)
 
 
-def test_a_finished_replay_has_nothing_left_to_do_and_another_file_is_not_replaced(source, undisturbed, tmp_path):
-    target = tmp_path / "out.mcap"
-    replay(source, target, CFG)
-    before = target.stat().st_mtime_ns
-    assert "nothing is left to do" in replay(source, target, CFG, checkpoint_every_s=9, resume=True).notes[0]
-    assert target.stat().st_mtime_ns == before
-    with pytest.raises(TargetError, match="--force"):
-        replay(source, target, load_config(), checkpoint_every_s=9, resume=True)
-
-
-@pytest.mark.parametrize("options", [{"results_only": True}, {"on_request": ("overlay",)}])
-def test_a_finished_replay_that_wrote_something_else_is_another_one(source, tmp_path, options):
+@pytest.mark.parametrize(
+    ("cfg", "options"), [(load_config(), {}), (CFG, {"results_only": True}), (CFG, {"on_request": ("overlay",)})]
+)
+def test_a_finished_replay_that_wrote_something_else_is_another_one(source, tmp_path, cfg, options):
     target = tmp_path / "out.mcap"
     replay(source, target, CFG)
     with pytest.raises(TargetError, match="--force"):
-        replay(source, target, CFG, checkpoint_every_s=9, resume=True, **options)
+        replay(source, target, cfg, checkpoint_every_s=9, resume=True, **options)
 
 
 @pytest.mark.parametrize("named", [1, 2])

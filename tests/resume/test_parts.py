@@ -243,9 +243,6 @@ def with_attachments(source, target, **changed):
     [
         (None, r"has no attachment roadperc\.state"),
         (b"", "is no state of a replay"),
-        (b"RPSTATE\x63 and so on", "version 99, expected 6; replay its input again"),
-        (b"RPSTATE\x03 and so on", "version 3, expected 6; replay its input again"),
-        (b"RPSTATE\x06 and so on", "damaged"),
     ],
 )
 def test_what_is_no_state_is_refused(drive, parts, tmp_path, data, expected):
