@@ -9,11 +9,10 @@ from roadperc_stream.config import ReplayConfig, load_config
 from roadperc_stream.errors import ChannelError
 from roadperc_stream.input import ReplaySource, open_input
 from roadperc_stream.input.window import WindowMessages
-from roadperc_stream.log import LogWriter
 from roadperc_stream.system.time import TimeRange
 from tests import logs
 from tests.analytic import STEP_NS
-from tests.resume.parts import carried
+from tests.resume.parts import carried, write
 
 CFG = ReplayConfig()
 
@@ -92,10 +91,7 @@ def with_late_depth(source, path, frame, by_ns):
         replace(m, log_time_ns=m.log_time_ns + delays.get((m.channel.topic, m.log_time_ns), 0))
         for m in log.read(log.summarise(source))
     ]
-    with LogWriter(path) as writer:
-        for message in sorted(moved, key=lambda m: m.log_time_ns):
-            writer.write(message)
-    return path
+    return write(path, moved)
 
 
 def test_where_nothing_arrives_late_what_is_behind_the_end_is_looked_at_once(tmp_path, reads):

@@ -23,7 +23,6 @@ from roadperc_stream.errors import NoFrameError, StateError
 from roadperc_stream.eval.runs import collect, find_runs
 from roadperc_stream.eval.scan import rows_of
 from roadperc_stream.input import ReplaySource, open_input
-from roadperc_stream.log import Attachment
 from roadperc_stream.metrics import frame_metrics
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.output.writing import FrameOutput
@@ -35,7 +34,7 @@ from roadperc_stream.schemas.record import BEGIN_ATTACHMENT, STATE_ATTACHMENT
 from roadperc_stream.system.time import TimeRange
 from tests import logs
 from tests.replaying import replay
-from tests.resume.parts import cut, inputs, replayed, results, rows, write
+from tests.resume.parts import cut, inputs, replayed, results, rows, with_attachments, write
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
 WAIT = ("sync.max_wait_s=0.2",)
@@ -224,18 +223,6 @@ def test_a_state_that_is_too_large_is_left_out_and_the_results_are_not(drive, tm
 def test_results_alone_can_be_continued_too(drive, parts, tmp_path):
     made = replayed(tmp_path, cut(drive, [drive[0].log_time_ns + 500_000_000]), CFG, results_only=True)
     assert results(made) == results(parts)
-
-
-def with_attachments(source, target, **changed):
-    """A copy of a log with other attachments: None for none."""
-    with log.LogWriter(target) as writer:
-        for message in log.read(log.summarise(source)):
-            writer.write(message)
-        for item in log.summarise(source).attachments:
-            data = changed.get(item.name, item.data)
-            if data is not None:
-                writer.attach(Attachment(item.name, item.media_type, data))
-    return target
 
 
 @pytest.mark.parametrize(
