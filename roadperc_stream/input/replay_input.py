@@ -71,7 +71,7 @@ def input_of(
     asked = replace(source, time_range=found.part(source.time_range))
     plan = plan_input(found.summary, cfg, asked, begin)
     if not source.recover:
-        found.require_outside(*plan.window.limits_ns)
+        found.require_outside(plan.window.start_ns, plan.window.end_ns)
     return ReplayInput(found.summary, cfg, plan, lost)
 
 

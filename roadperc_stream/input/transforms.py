@@ -46,18 +46,15 @@ class TransformTree:
 
     def _to_root(self, frame: str) -> dict[str, Float]:
         """ancestor_T_frame of a frame and all its ancestors, nearest first."""
-        if frame not in self._paths:
-            self._paths[frame] = self._path_to_root(frame)
-        return self._paths[frame]
-
-    def _path_to_root(self, frame: str) -> dict[str, Float]:
-        path = {frame: np.eye(4)}
-        at = frame
+        if frame in self._paths:
+            return self._paths[frame]
+        path, at = {frame: np.eye(4)}, frame
         while (edge := self.edges.get(at)) is not None:
             if edge.parent in path:
                 raise ChannelError(f"/tf: frame {edge.parent!r} is its own ancestor: expected a tree of transforms")
             path[edge.parent] = edge.parent_T_child @ path[at]
             at = edge.parent
+        self._paths[frame] = path
         return path
 
     def rooted_at(self, frame: str) -> "TransformTree":
