@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from roadperc_stream.chain.step import ChainState, step
@@ -25,14 +24,14 @@ from roadperc_stream.input.arrays import (
     checked_camera,
     checked_detections,
     checked_stamp_ns,
-    depth_pixels,
+    depth_image,
     mounting,
-    tag_pixels,
+    tag_image,
 )
 from roadperc_stream.loop import replay as _replay
 from roadperc_stream.metrics import frame_metrics
-from roadperc_stream.model import DepthImage, Detection, Frame, FrameResult, TagImage, Truth
-from roadperc_stream.model.tag_tables import TagTable, table_for_version
+from roadperc_stream.model import Detection, Frame, FrameResult, Truth
+from roadperc_stream.model.tag_tables import table_for_version
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.output.writing import ReplaySummary
 from roadperc_stream.resume.opening import ReplayOptions, open_log
@@ -183,7 +182,8 @@ class Chain:
         self._ego_T_camera = (
             level_mounting(self._cfg.surface.assumed_height_m) if ego_T_camera is None else mounting(ego_T_camera)
         )
-        self._table = _tag_table(tag_table or self._cfg.tag_table)
+        version = tag_table or self._cfg.tag_table
+        self._table = None if version == "auto" else table_for_version(version)
         self._state = ChainState()
 
     def reset(self) -> None:
@@ -232,27 +232,13 @@ class Chain:
             image=None if image is None else camera_image("image", image, camera),
             right=None if right_image is None else camera_image("right_image", right_image, right_camera),
             right_camera=self._right_camera,
-            depth=self._depth(depth_m),
-            segmentation=self._tags(tags),
+            depth=None if depth_m is None else depth_image(depth_m, camera),
+            segmentation=None if tags is None else tag_image(tags, camera, self._table),
             detections=None if detections is None else checked_detections(detections),
         )
         with one_thread():
             self._state, result = step(self._cfg, self._state, frame)
         return result
-
-    def _depth(self, depth_m: ArrayLike | None) -> DepthImage | None:
-        if depth_m is None:
-            return None
-        pixels = depth_pixels(depth_m, self._camera)
-        return DepthImage(self._camera.frame_id, lambda: (pixels, np.inf))
-
-    def _tags(self, tags: ArrayLike | None) -> TagImage | None:
-        if tags is None:
-            return None
-        if self._table is None:
-            raise ConfigError("tags: of which table? Expected Chain(camera, tag_table='0.9.15') or another version")
-        pixels = tag_pixels(tags, self._camera)
-        return TagImage(self._camera.frame_id, self._table, lambda: pixels)
 
 
 def read_metrics(run: str | Path | Sequence[str | Path]) -> pl.DataFrame:
@@ -310,7 +296,3 @@ def _threads(threads: int | None) -> int:
     if threads is not None and threads < 1:
         raise ConfigError(f"threads: {threads}, expected 1 or more")
     return threads or usable_cores()
-
-
-def _tag_table(version: str) -> TagTable | None:
-    return None if version == "auto" else table_for_version(version)

@@ -8,13 +8,12 @@ from time import perf_counter, thread_time
 from roadperc_stream.chain.step import ChainState, LocalisedFrame, localise, observe, perceive
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.input import ReplaySource
-from roadperc_stream.input.source import require_sound
 from roadperc_stream.metrics import frame_metrics, object_metrics
 from roadperc_stream.model import FrameResult, Sample
 from roadperc_stream.model.scene import Scene
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.output.writing import NO_CALLBACKS, Callbacks, Outputs, ReplaySummary
-from roadperc_stream.resume.checkpoint import CheckpointFolder, Checkpoints
+from roadperc_stream.resume.checkpoint import Checkpoint, CheckpointFolder, Checkpoints
 from roadperc_stream.resume.opening import PLAIN, OpenedLog, ReplayOptions, finished, open_replay, run_of
 from roadperc_stream.resume.state import ReplayState
 from roadperc_stream.system.files import all_or_none
@@ -51,13 +50,14 @@ def replay(
         opened = open_replay(source, cfg, options)
         summary = finished(target, cfg, opened) if options.resume and found is None else None
         if summary is None:
-            run = run_of(cfg, opened, target)
-            checkpoints = Checkpoints(folder, options.checkpoint_every_s, run, found, force=target.force)
-            was_killed = options.resume and folder.exists and not target.is_complete
+            start = Checkpoint(run_of(cfg, opened, target), opened.state_for(cfg))
+            checkpoints = Checkpoints(folder, options.checkpoint_every_s, start, found, force=target.force)
+            was_killed = options.resume and folder.path.exists() and not target.is_complete
             target = replace(target, force=target.force or found is not None or was_killed)
             target.require_free(source.files)
             outputs = Outputs(target, cfg, opened.input, opened.table_facts())
-            with one_thread(), checkpoints, all_or_none(*outputs.files):
+            checkpoints.begin()
+            with one_thread(), all_or_none(*outputs.files):
                 frames = _Frames(cfg, opened, outputs, checkpoints, callbacks)
                 frames.replay(options.threads)
                 states, notes = opened.attachments(cfg, frames.end, with_messages=target.results_only)
@@ -83,18 +83,18 @@ class _Frames:
     def __init__(
         self, cfg: ReplayConfig, opened: OpenedLog, outputs: Outputs, checkpoints: Checkpoints, callbacks: Callbacks
     ) -> None:
-        self._cfg, self._input, self._strict = cfg, opened.input, opened.strict
+        self._cfg, self._input = cfg, opened.input
         self._outputs, self._checkpoints, self._callbacks = outputs, checkpoints, callbacks
         self._samples = self._written = 0
-        self.end = checkpoints.state or opened.state_for(cfg)
+        self.end = checkpoints.begun.state
         self._localised = self._perceived = self.end.chain
         self._earlier = self.end.earlier
 
     def replay(self, threads: int) -> None:
         """Write all frames: those of an interrupted replay again, the others computed."""
         self._threads, samples = threads, self._input.samples()
-        self._outputs.begin(self._callbacks, self.end.shown, self._checkpoints.counted)
-        for sample in islice(samples, self._checkpoints.samples):
+        self._outputs.begin(self._callbacks, self.end.shown, self._checkpoints.begun.counted)
+        for sample in islice(samples, self._checkpoints.begun.samples):
             if sample.is_written:
                 self._outputs.write_again(sample, self._checkpoints.next_output(sample.index))
             self._done(sample, self.end)
@@ -128,8 +128,7 @@ class _Frames:
     def _write(self, item: tuple[_Timed, ChainState, FrameResult]) -> None:
         (sample, timer), chain, result = item
         if sample.is_written:
-            if self._strict:
-                require_sound(self._input.summary.path, result)
+            self._input.require_usable(result)
             with timer("metrics"):
                 row = frame_metrics(self._cfg, self._input.log_id, sample, result, self._earlier)
                 objects = object_metrics(self._input.log_id, sample, result)

@@ -12,7 +12,7 @@ import polars as pl
 import pytest
 
 import roadperc_stream as rp
-from roadperc_stream.input.arrays import depth_pixels
+from roadperc_stream.input.arrays import depth_image
 from roadperc_stream.output.tables import sidecar_path
 
 SAMPLE = Path(__file__).parents[1] / "logs" / "sample.mcap"
@@ -108,12 +108,6 @@ def test_detections_are_filtered_and_measured():
     found, dropped = result.objects.objects
     assert (found.kept, dropped.kept) == (True, False)
     assert found.distance_m == pytest.approx(12.0, abs=0.3)
-
-
-def test_what_is_missing_is_said():
-    result = rp.Chain(CAMERA).step(0, image=np.zeros((240, 320, 3), np.uint8))
-    assert isinstance(result.lanes, rp.Absent)
-    assert any("segmentation" in str(reason) for reason in result.reasons())
 
 
 def test_an_absent_output_is_false_and_says_why():
@@ -270,7 +264,7 @@ def test_what_is_no_depth_is_unknown(nothing):
     """Zero, negative and infinite depths of a caller do what NaN does."""
     depth_m = np.full((240, 320), 20.0, np.float32)
     depth_m[200:204, 100:110] = nothing
-    taken = depth_pixels(depth_m, CAMERA)
+    taken = depth_image(depth_m, CAMERA).depth_m
     assert np.isnan(taken[200:204, 100:110]).all()
     assert np.isfinite(taken).sum() == depth_m.size - 40
     assert (depth_m[0, 0], taken[0, 0]) == (20.0, 20.0)

@@ -378,13 +378,6 @@ def test_a_file_that_is_no_log_is_one_line_and_no_file(tmp_path, capsys, kind):
     assert not list(tmp_path.glob("*out*"))
 
 
-def test_an_existing_output_is_refused_without_force(source):
-    run(source)
-    with pytest.raises(TargetError, match="--force"):
-        run(source)
-    run(source, force=True)
-
-
 def test_the_input_is_never_the_output(source):
     before = source.read_bytes()
     with pytest.raises(TargetError, match="is the input itself"):

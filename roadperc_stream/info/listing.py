@@ -16,7 +16,6 @@ from roadperc_stream.info.printing import listed, print_log, print_roles
 from roadperc_stream.info.role_states import roles_of
 from roadperc_stream.input.outcome import PartSpan, joins
 from roadperc_stream.input.source import warnings_of
-from roadperc_stream.input.topics import no_probe
 from roadperc_stream.log import Channel
 from roadperc_stream.output.terminal import console_for, print_lines, print_table
 from roadperc_stream.output.text_table import TextTable, row
@@ -47,7 +46,7 @@ def print_parts(console: Console, logs: Sequence[LogFacts], overrides: Mapping[s
     lines = (*filter(None, joins(spans)), *_continuations(logs), *_only_in_some(logs), *_whole(logs, spans))
     print_lines(console, "", *lines)
     if not any(facts.provenance for facts in logs):
-        print_roles(console, roles_of(_channels(logs), overrides, no_probe).states)
+        print_roles(console, roles_of(_channels(logs), overrides, None).states)
 
 
 def _spans(logs: Iterable[LogFacts]) -> Iterator[PartSpan]:

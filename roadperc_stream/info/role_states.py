@@ -52,7 +52,7 @@ class Roles:
     """Why a replay with these topics stops before its first frame."""
 
 
-def roles_of(channels: Sequence[Channel], overrides: Mapping[str, str], probe: ContentProbe) -> Roles:
+def roles_of(channels: Sequence[Channel], overrides: Mapping[str, str], probe: ContentProbe | None) -> Roles:
     """The state of every role.
 
     Args:

@@ -20,7 +20,7 @@ from roadperc_stream.input.earlier_replay import digest_algorithm, is_result, re
 from roadperc_stream.input.order import OrderConfig
 from roadperc_stream.input.stream import Problems, Stamped, decoded_messages
 from roadperc_stream.input.sync import LatchedState, PairingState, StampPairing, without_loops
-from roadperc_stream.input.topics import no_probe, probe_first_message
+from roadperc_stream.input.topics import probe_first_message
 from roadperc_stream.log import DIGEST_ALGORITHM, Channel, LogSummary, Message, MessageDigest, Salvage
 from roadperc_stream.model import CameraImage, DepthImage
 from roadperc_stream.schemas.record import BEGIN_ATTACHMENT
@@ -163,7 +163,7 @@ class Scan:
         metadata = first.described.metadata
         channels = tuple(first.channels[number] for number in sorted(first.channels) if first.counts[number])
         named = {**recorded_topics(metadata, channels), **overrides}
-        roles = roles_of(channels, named, no_probe if summary is None else cache(partial(probe_first_message, summary)))
+        roles = roles_of(channels, named, None if summary is None else cache(partial(probe_first_message, summary)))
         if any(attachment.name == BEGIN_ATTACHMENT for attachment in first.described.attachments):
             roles = continued(roles)
         assignment = replace(roles.assignment, tag_table=recorded_tag_table(metadata))
@@ -192,7 +192,7 @@ class Scan:
     def _run(self) -> None:
         roles = self.roles.assignment
         decoded = decoded_messages(self._counted(self.salvage.messages()), roles, "auto", self.problems)
-        items = self._without_latched(without_loops(decoded, self.latched, roles.topics, self.problems))
+        items = self._without_latched(without_loops(decoded, self.latched.tree, roles.topics, self.problems))
         if roles.reference is None:
             for _ in items:
                 pass

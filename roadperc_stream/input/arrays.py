@@ -10,8 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from roadperc_stream.geometry import Camera, Float, Float32, pinhole_fault
-from roadperc_stream.model import Box, CameraImage, Detection, Image
+from roadperc_stream.errors import ConfigError
+from roadperc_stream.geometry import Camera, Float, pinhole_fault
+from roadperc_stream.model import Box, CameraImage, DepthImage, Detection, Image, TagImage
+from roadperc_stream.model.tag_tables import TagTable
 
 _ROTATION_TOLERANCE: Final = 1e-3
 """Of a rotation times its transpose: what is left of one that was written with four digits."""
@@ -75,16 +77,20 @@ def camera_image(name: str, pixels: ArrayLike, camera: Camera) -> CameraImage:
     )
 
 
-def tag_pixels(pixels: ArrayLike, camera: Camera) -> Image:
+def tag_image(pixels: ArrayLike, camera: Camera, table: TagTable | None) -> TagImage:
     """A copy of (H, W) tags, 0 to 255.
 
     Raises:
+        ConfigError: there is no table.
         ValueError: they are of another size or type.
     """
-    return _bytes("tags", _of_size("tags", pixels, [camera.size]))
+    if table is None:
+        raise ConfigError("tags: of which table? Expected Chain(camera, tag_table='0.9.15') or another version")
+    tags = _bytes("tags", _of_size("tags", pixels, [camera.size]))
+    return TagImage(camera.frame_id, table, lambda: tags)
 
 
-def depth_pixels(pixels: ArrayLike, camera: Camera) -> Float32:
+def depth_image(pixels: ArrayLike, camera: Camera) -> DepthImage:
     """A copy of (H, W) metres, NaN where they are no depth: 0 or less.
 
     Raises:
@@ -95,7 +101,7 @@ def depth_pixels(pixels: ArrayLike, camera: Camera) -> Float32:
         raise ValueError(f"depth_m: expected metres as float32, found {found.dtype}: divide millimetres by 1000")
     metres = np.array(found, np.float32, order="C")
     metres[~(metres > 0)] = np.nan
-    return metres
+    return DepthImage(camera.frame_id, lambda: (metres, np.inf))
 
 
 def checked_detections(detections: Iterable[Any]) -> tuple[Detection, ...]:

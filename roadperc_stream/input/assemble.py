@@ -1,6 +1,7 @@
 """Synchronised messages to samples: which camera, which mounting, what is missing."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Final, TypeVar
 
 import numpy as np
@@ -120,9 +121,7 @@ def _depth_camera(latched: LatchedState, camera: Camera, depth: DepthImage | Non
         return own
     if depth is None or depth.frame_id in ("", camera.frame_id):
         return camera
-    return Camera(
-        depth.frame_id, camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, None, camera.distortion
-    )
+    return replace(camera, frame_id=depth.frame_id, baseline_m=None, lens=None)
 
 
 def _left_camera(synced: SyncedMessages, camera: Camera, topics: Mapping[str, str]) -> Camera:

@@ -41,32 +41,23 @@ class OrderConfig:
 
 @dataclass(frozen=True)
 class OrderState(Generic[T]):
-    """What is remembered of the messages so far; those that wait are of any type that stands for a message.
+    """What is kept of the messages so far; those that wait are of any type that represents a message.
 
-    ``held`` are those from the first message on that lies far back, ``row`` the places of the reference messages among
-    them that may begin a segment; ``waiting`` are those of the segment ``given_segment`` that wait for earlier ones, in
-    the order in which they would be given out.
+    ``held`` are those from the first message on that lies far back. ``waiting`` are those of the segment
+    ``given_segment`` that wait for earlier ones, in the order in which they would be given out.
     """
 
     segment: int = 0
     latest_ns: int | None = None
     held: tuple[T, ...] = ()
-    row: tuple[int, ...] = ()
     waiting: tuple[T, ...] = ()
     given_segment: int = 0
     given_ns: int | None = None
 
     def mapped(self, function: Callable[[T], U]) -> "OrderState[U]":
         """The same state with other things in place of the messages."""
-        return OrderState(
-            self.segment,
-            self.latest_ns,
-            tuple(map(function, self.held)),
-            self.row,
-            tuple(map(function, self.waiting)),
-            self.given_segment,
-            self.given_ns,
-        )
+        held, waiting = tuple(map(function, self.held)), tuple(map(function, self.waiting))
+        return OrderState(self.segment, self.latest_ns, held, waiting, self.given_segment, self.given_ns)
 
 
 class StampOrder:
@@ -87,7 +78,11 @@ class StampOrder:
         state = state or OrderState()
         self._cfg, self._drop = cfg, drop
         self._segments = _Segments(cfg, drop, state)
-        self._buffer = _Buffer(cfg, state.given_segment, state.given_ns, state.waiting)
+        self._given_segment, self._given_ns = state.given_segment, state.given_ns  # of the latest reference message
+        self._heap: list[tuple[int, bool, int, Stamped]] = []
+        self._number = 0
+        for item in state.waiting:
+            self._add(item)
         self.lateness_ns = 0
         """By how much messages trailed the reference sensor's latest stamp, at most the wait; stragglers among the
         reference messages do not count."""
@@ -100,29 +95,56 @@ class StampOrder:
     def rest(self) -> Iterator[Stamped]:
         """All that still waits: nothing follows."""
         yield from self._ordered(self._segments.rest())
-        yield from self._buffer.rest()
+        yield from self._all()
 
     @property
     def state(self) -> OrderState[Stamped]:
-        """What is remembered, all that ``through`` gives having been consumed."""
-        segments, buffer = self._segments, self._buffer
-        row = tuple(k for k, item in enumerate(segments.held) if any(item is other for other in segments.row))
-        held, waiting = tuple(segments.held), buffer.waiting
-        return OrderState(segments.segment, segments.latest_ns, held, row, waiting, buffer.segment, buffer.given_ns)
+        """What is kept, all that ``through`` gives having been consumed."""
+        found = self._segments
+        waiting = tuple(entry[-1] for entry in sorted(self._heap, key=lambda entry: entry[:3]))
+        given = self._given_segment, self._given_ns
+        return OrderState(found.segment, found.latest_ns, tuple(found.held), waiting, *given)
 
     def _ordered(self, items: Iterable[Stamped]) -> Iterator[Stamped]:
         for item in items:
-            if item.segment != self._buffer.segment:
-                yield from self._buffer.rest()
-                self._buffer = _Buffer(self._cfg, item.segment)
-            if self._buffer.is_too_late(item):
+            if item.segment != self._given_segment:
+                yield from self._all()
+                self._given_segment, self._given_ns = item.segment, None
+            if self._is_too_late(item):
                 self._drop(item)
                 continue
             latest_ns = self._segments.latest_ns
             if latest_ns is not None:
                 self.lateness_ns = max(self.lateness_ns, min(latest_ns - item.stamp_ns, self._cfg.max_wait_ns))
-            self._buffer.add(item)
-            yield from self._buffer.due(item.log_time_ns, latest_ns)
+            self._add(item)
+            while self._heap and self._is_due(self._heap[0][-1], item.log_time_ns, latest_ns):
+                yield self._next()
+
+    def _is_too_late(self, item: Stamped) -> bool:
+        """Whether the frame of a later stamp was given out already."""
+        late = self._given_ns is not None and item.stamp_ns < self._given_ns
+        return late and item.role == self._cfg.reference
+
+    def _is_due(self, item: Stamped, now_ns: int, latest_ns: int | None) -> bool:
+        """Whether no earlier message can follow, at a log time and the latest stamp of a reference message."""
+        if latest_ns is not None and item.stamp_ns < latest_ns - self._cfg.lateness_ns:
+            return True
+        is_silent = now_ns - item.log_time_ns > 2 * self._cfg.max_wait_ns
+        return is_silent or len(self._heap) > _MOST_HELD
+
+    def _add(self, item: Stamped) -> None:
+        heappush(self._heap, (item.stamp_ns, not item.is_latched, self._number, item))
+        self._number += 1
+
+    def _next(self) -> Stamped:
+        item = heappop(self._heap)[-1]
+        if item.role == self._cfg.reference:  # another sensor's clock may be ahead
+            self._given_ns = item.stamp_ns
+        return item
+
+    def _all(self) -> Iterator[Stamped]:
+        while self._heap:
+            yield self._next()
 
 
 class _Segments:
@@ -138,32 +160,32 @@ class _Segments:
         self.latest_ns = state.latest_ns
         """Latest stamp of the segment's reference messages."""
         self.held = list(state.held)  # from the first message on that lies far back
-        self.row = [state.held[k] for k in state.row]  # the reference messages among them
+        self.row = [item for item in state.held if item.role == cfg.reference]
 
-    def numbered(self, item: Stamped) -> Iterable[Stamped]:
+    def numbered(self, item: Stamped) -> Iterator[Stamped]:
         """The messages that one more decides about, with their segments, in the order in which they came."""
-        if not self.held and not self._is_back(item):
-            return (self._passed(item),)
+        is_reference, is_back = item.role == self._cfg.reference, self._is_back(item)
+        if not is_back and (is_reference or not self.held):
+            yield from self.rest()
+            yield self._passed(item)
+            return
+        if is_reference and self.row and item.stamp_ns <= self.row[-1].stamp_ns:
+            self._drop_row()
         self.held.append(item)
-        return self._decided(item)
+        if is_reference:
+            self.row.append(item)
+            yield from self._new_segment() if len(self.row) == _ROW else ()
+        else:
+            yield from self.rest() if len(self.held) > _MOST_HELD else self._too_long_held(item.log_time_ns)
 
     def rest(self) -> Iterator[Stamped]:
-        """What nothing is decided about yet."""
-        return self._same_segment()
+        """What is held, where it is of the same segment; its reference messages are too late."""
+        self._drop_row()
+        held, self.held = self.held, []
+        yield from map(self._passed, held)
 
     def _is_back(self, item: Stamped) -> bool:
         return self.latest_ns is not None and item.stamp_ns < self.latest_ns - self._cfg.max_wait_ns
-
-    def _decided(self, item: Stamped) -> Iterable[Stamped]:
-        """What is held, where the last of it shows to which segment it belongs; nothing until then."""
-        if item.role != self._cfg.reference:
-            return self._same_segment() if len(self.held) > _MOST_HELD else self._too_long_held(item.log_time_ns)
-        if not self._is_back(item):
-            return self._same_segment()
-        if self.row and item.stamp_ns <= self.row[-1].stamp_ns:
-            self._drop_row()
-        self.row.append(item)
-        return self._new_segment() if len(self.row) == _ROW else ()
 
     def _too_long_held(self, now_ns: int) -> Iterator[Stamped]:
         """The other sensors' messages about which the reference sensor was silent for too long: nothing new begins."""
@@ -172,16 +194,11 @@ class _Segments:
 
     def _first_of_others(self) -> int | None:
         first = self.held[: len(self.row) + 1]
-        return next((k for k, item in enumerate(first) if not any(item is other for other in self.row)), None)
+        return next((k for k, item in enumerate(first) if item.role != self._cfg.reference), None)
 
     def _is_given_up(self, item: Stamped, now_ns: int) -> bool:
         is_alone = not self.row and not self._is_back(item)
         return is_alone or now_ns - item.log_time_ns > _LONGEST_HOLD_NS
-
-    def _same_segment(self) -> Iterator[Stamped]:
-        self._drop_row()
-        held, self.held = self.held, []
-        yield from map(self._passed, held)
 
     def _new_segment(self) -> Iterator[Stamped]:
         old = [item for item in self.held if not self._is_back(item)]
@@ -194,62 +211,10 @@ class _Segments:
     def _drop_row(self) -> None:
         for item in self.row:
             self._drop(item)
-        self.held = [item for item in self.held if not any(item is other for other in self.row)]
+        self.held = [item for item in self.held if item.role != self._cfg.reference]
         self.row = []
 
     def _passed(self, item: Stamped) -> Stamped:
         if item.role == self._cfg.reference:
             self.latest_ns = item.stamp_ns if self.latest_ns is None else max(self.latest_ns, item.stamp_ns)
         return replace(item, segment=self.segment) if self.segment else item
-
-
-class _Buffer:
-    """The messages of a segment that wait for earlier ones."""
-
-    def __init__(
-        self, cfg: OrderConfig, segment: int = 0, given_ns: int | None = None, waiting: Iterable[Stamped] = ()
-    ) -> None:
-        self._cfg, self.segment = cfg, segment
-        self._heap: list[tuple[int, bool, int, Stamped]] = []
-        self._number = 0
-        self.given_ns = given_ns
-        """Stamp of the latest reference message given out."""
-        for item in waiting:
-            self.add(item)
-
-    @property
-    def waiting(self) -> tuple[Stamped, ...]:
-        """What waits, in the order in which it would be given out."""
-        return tuple(entry[-1] for entry in sorted(self._heap, key=lambda entry: entry[:3]))
-
-    def is_too_late(self, item: Stamped) -> bool:
-        """Whether the frame of a later stamp was given out already."""
-        late = self.given_ns is not None and item.stamp_ns < self.given_ns
-        return late and item.role == self._cfg.reference
-
-    def add(self, item: Stamped) -> None:
-        """Take one more message."""
-        heappush(self._heap, (item.stamp_ns, not item.is_latched, self._number, item))
-        self._number += 1
-
-    def due(self, now_ns: int, latest_ns: int | None) -> Iterator[Stamped]:
-        """What no earlier message can follow any more, at a log time and the latest stamp of a reference message."""
-        while self._heap and self._is_due(self._heap[0][-1], now_ns, latest_ns):
-            yield self._next()
-
-    def rest(self) -> Iterator[Stamped]:
-        """All that still waits."""
-        while self._heap:
-            yield self._next()
-
-    def _is_due(self, item: Stamped, now_ns: int, latest_ns: int | None) -> bool:
-        if latest_ns is not None and item.stamp_ns < latest_ns - self._cfg.lateness_ns:
-            return True
-        is_silent = now_ns - item.log_time_ns > 2 * self._cfg.max_wait_ns
-        return is_silent or len(self._heap) > _MOST_HELD
-
-    def _next(self) -> Stamped:
-        item = heappop(self._heap)[-1]
-        if item.role == self._cfg.reference:  # another sensor's clock may be ahead
-            self.given_ns = item.stamp_ns
-        return item

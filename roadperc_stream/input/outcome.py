@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Final
 
 from roadperc_stream.config import SyncConfig
@@ -20,25 +21,8 @@ _OF_EACH_RESULT: Final = {CONFIG_ATTACHMENT, METADATA_RECORD}
 
 
 @dataclass
-class SegmentFrames:
-    """A segment, the stamp it begins with, and how many of its frames there are so far."""
-
-    number: int
-    first_stamp_ns: int
-    frames: int = 1
-
-
-@dataclass
-class DroppedMessages:
-    """The messages of a role that belong to no frame: how many so far, and the stamp of the first."""
-
-    first_stamp_ns: int
-    messages: int = 1
-
-
-@dataclass
 class InputOutcome:
-    """What became of the messages so far; of many segments the first ones are named.
+    """What became of the messages so far.
 
     Args:
         begun_segment: the segment at the beginning.
@@ -46,39 +30,34 @@ class InputOutcome:
 
     begun_segment: int = 0
     frames: int = 0
+    """Frames that are written."""
     given_again: int = 0
-    """Frames that the part before gave as well."""
-    segments: int = 0
-    first_segments: list[SegmentFrames] = field(default_factory=list)
+    """Of these the ones that the part before gave as well."""
+    segment_frames: Counter[int] = field(default_factory=Counter)
+    """The same by segment."""
+    segment_stamps_ns: dict[int, int] = field(default_factory=dict)
+    """The stamp that each segment begins with."""
     paired: set[str] = field(default_factory=set)
     """Roles of which some frame has a message."""
-    dropped: dict[str, DroppedMessages] = field(default_factory=dict)
-    _segment: int | None = None
+    dropped: Counter[str] = field(default_factory=Counter)
+    """Messages of each role that belong to no frame."""
+    dropped_stamps_ns: dict[str, int] = field(default_factory=dict)
+    """The stamp of the first of them."""
 
-    def add(self, synced: SyncedMessages) -> None:
-        """Count a frame that is written."""
+    def add(self, synced: SyncedMessages, *, is_written: bool = True) -> None:
+        """Take note of a frame."""
         reference = synced.reference
-        self.frames += 1
-        self.given_again += reference.place.carried
-        if reference.segment != self._segment:
-            self._segment = reference.segment
-            self.segments += 1
-            if self.segments <= _MOST_NAMED:
-                self.first_segments.append(SegmentFrames(reference.segment, reference.stamp_ns))
-        elif self.segments <= _MOST_NAMED:
-            self.first_segments[-1].frames += 1
-
-    def pair(self, synced: SyncedMessages) -> None:
-        """Take note of the roles that a frame has."""
         self.paired.update(synced.parts)
+        if is_written:
+            self.frames += 1
+            self.given_again += reference.carried is not None
+            self.segment_frames[reference.segment] += 1
+            self.segment_stamps_ns.setdefault(reference.segment, reference.stamp_ns)
 
     def drop(self, item: Stamped) -> None:
         """Count a message that belongs to no frame."""
-        known = self.dropped.get(item.role)
-        if known is None:
-            self.dropped[item.role] = DroppedMessages(item.stamp_ns)
-        else:
-            known.messages += 1
+        self.dropped[item.role] += 1
+        self.dropped_stamps_ns.setdefault(item.role, item.stamp_ns)
 
     def notes(self, topics: Mapping[str, str], cfg: SyncConfig, nearest_ns: Mapping[str, int]) -> Iterator[str]:
         """What the user should know of it.
@@ -90,34 +69,31 @@ class InputOutcome:
         """
         if self.given_again:
             yield f"{self.given_again} of {self.frames} frames are in the part before as well, and given again"
-        if self._segment is not None and self._segment > self.begun_segment:
+        if max(self.segment_frames, default=0) > self.begun_segment:
             yield self._segments_in_words()
         if self.dropped:
-            by_topic = {topics[role]: found for role, found in self.dropped.items()}
-            yield f"messages that belong to no frame: {'; '.join(_grouped(by_topic))}"
+            yield f"messages that belong to no frame: {'; '.join(self._dropped_in_words(topics))}"
         for role in self.dropped:
             if role in nearest_ns and role not in self.paired:
                 yield _never_near(topics[role], cfg.tolerance_s, nearest_ns[role])
 
     def _segments_in_words(self) -> str:
-        named = [f"{s.number} from stamp {s.first_stamp_ns} ns, {s.frames} frames" for s in self.first_segments]
-        more = [f"and {self.segments - len(named)} more"] if self.segments > len(named) else []
-        return f"{self.segments} segments, the stages' memory begins anew in each: {'; '.join(named + more)}"
+        found = [
+            f"{number} from stamp {self.segment_stamps_ns[number]} ns, {frames} frames"
+            for number, frames in islice(self.segment_frames.items(), _MOST_NAMED)
+        ]
+        more = len(self.segment_frames) - len(found)
+        named = "; ".join(found + [f"and {more} more"] * (more > 0))
+        return f"{len(self.segment_frames)} segments, the stages' memory begins anew in each: {named}"
 
-
-def _grouped(dropped: Mapping[str, DroppedMessages]) -> Iterator[str]:
-    """Numbers, topics and first stamps; topics that agree in the others together."""
-    groups: dict[tuple[int, int], list[str]] = {}
-    for topic, found in dropped.items():
-        groups.setdefault((found.messages, found.first_stamp_ns), []).append(topic)
-    for (messages, stamp_ns), topics in groups.items():
-        stamp = f"{'the first with ' if messages > 1 else ''}stamp {stamp_ns} ns"
-        yield f"{messages} on {_listed(topics)}, {stamp}"
-
-
-def _listed(topics: Iterable[str]) -> str:
-    names = list(topics)
-    return names[0] if len(names) == 1 else f"each of {', '.join(names)}"
+    def _dropped_in_words(self, topics: Mapping[str, str]) -> Iterator[str]:
+        """Numbers, topics and first stamps; topics that agree in the others together."""
+        groups: dict[tuple[int, int], list[str]] = {}
+        for role, messages in self.dropped.items():
+            groups.setdefault((messages, self.dropped_stamps_ns[role]), []).append(topics[role])
+        for (messages, stamp_ns), names in groups.items():
+            stamp = f"{'the first with ' if messages > 1 else ''}stamp {stamp_ns} ns"
+            yield f"{messages} on {'each of ' if len(names) > 1 else ''}{', '.join(names)}, {stamp}"
 
 
 def _never_near(topic: str, tolerance_s: float, nearest_ns: int) -> str:

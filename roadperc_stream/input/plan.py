@@ -13,15 +13,15 @@ from pathlib import Path
 from typing import Final
 
 from roadperc_stream import log
-from roadperc_stream.config import LimitsConfig, ReplayConfig
+from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ChannelError, NoFrameError, StateError
 from roadperc_stream.input.earlier_replay import is_result, replay_record
 from roadperc_stream.input.order import OrderConfig
 from roadperc_stream.input.roles import NOTHING_TO_REPLAY, assignment_of_log
 from roadperc_stream.input.source import ReplaySource
-from roadperc_stream.input.state import FrameNumbers, InputState, only_needed, pending, restored
+from roadperc_stream.input.state import InputState, PendingMessage, pending, restored
 from roadperc_stream.input.stream import Problems, RoleAssignment, Stamped, decoded_messages
-from roadperc_stream.input.sync import LatchedState, PairingState, StampPairing, SyncState, without_loops
+from roadperc_stream.input.sync import LatchedState, PairingState, StampPairing, without_loops
 from roadperc_stream.input.transforms import TransformTree
 from roadperc_stream.input.window import Window, WindowMessages
 from roadperc_stream.log import LogSummary, Message, MessageDigest
@@ -31,29 +31,6 @@ from roadperc_stream.system.time import TimeRange, ns_to_seconds, seconds_to_ns
 
 _MOST_DIGITS: Final = 19
 """Of a log time that is recorded."""
-
-
-@dataclass(frozen=True)
-class InputStart:
-    """What is known before the first message that is read: latched, or left by an earlier part of the drive."""
-
-    pairing: PairingState[Stamped]
-    arrived: TransformTree
-    numbers: FrameNumbers = field(default_factory=FrameNumbers)
-    parent_of: Mapping[str, str] = field(default_factory=dict)
-    from_ns: int = 0
-    """Messages of an earlier log time have had their effect."""
-    carried: tuple[Message, ...] = ()
-    frames_waiting: int = 0
-    """Frames of the earlier part that were not complete."""
-    is_continuation: bool = False
-
-    def items(
-        self, messages: Iterable[Stamped], topics: Mapping[str, str], problems: Problems, limits: LimitsConfig
-    ) -> Iterator[Stamped]:
-        """Those of the messages that are still to be taken, without transforms that close a loop."""
-        new = (item for item in messages if item.log_time_ns >= self.from_ns)
-        return without_loops(new, LatchedState(tree=self.arrived), topics, problems, limits)
 
 
 @dataclass(frozen=True)
@@ -71,18 +48,6 @@ class FirstPass:
     parent_of: Mapping[str, str]
     complete_frames: int
     end: InputState
-
-
-def _start(begin: InputState | None, latched: LatchedState, roles: RoleAssignment, tag_table: str) -> InputStart:
-    """The start of a drive, where some calibrations and transforms hold, or of a part that goes on from another.
-
-    Raises:
-        StateError: a message that the state carries is not what it says.
-    """
-    if begin is None:
-        return InputStart(PairingState(sync=SyncState(latched)), latched.tree)
-    known = begin.arrived, begin.numbers, begin.parent_of, begin.from_ns, begin.carried, begin.frames_waiting
-    return InputStart(restored(begin, roles, tag_table), *known, is_continuation=True)
 
 
 @dataclass
@@ -107,15 +72,13 @@ class _Tally:
             self.parent_of |= {edge.child: edge.parent for edge in item.edges}
             yield item
 
-    def light(self, items: Iterable[Stamped]) -> Iterator[Stamped]:
-        """The items without what is not needed to pair them."""
-        for item in items:
-            self.arrived = self.arrived.updated(item.edges) if item.edges else self.arrived
-            yield item if item.is_latched else replace(item, payload=())
-
 
 def first_pass(
-    reader: WindowMessages, order: OrderConfig, start: InputStart, strict_in: Path | None = None
+    reader: WindowMessages,
+    order: OrderConfig,
+    start: InputState,
+    begun: PairingState[Stamped],
+    strict_in: Path | None = None,
 ) -> FirstPass:
     """Read all messages once.
 
@@ -123,6 +86,7 @@ def first_pass(
         reader: reads them.
         order: which role makes the frames, and how late messages may be.
         start: what is known before the first of them.
+        begun: the messages of ``start`` that wait.
         strict_in: names the log, where the first message that cannot be read is an error.
 
     Raises:
@@ -131,38 +95,33 @@ def first_pass(
     roles, cfg = reader.roles, reader.cfg
     tally = _Tally(start.arrived, dict(start.parent_of))
     patient = replace(order, lateness_ns=order.max_wait_ns)
-    pairing = StampPairing(cfg.sync, patient, roles.topics, start.pairing, lambda _: None)
+    pairing = StampPairing(cfg.sync, patient, roles.topics, begun, lambda _: None)
 
     def items(messages: Iterable[Message]) -> Iterator[Stamped]:
+        """What is paired of the messages: without the contents, which pairing does not need."""
         decoded = decoded_messages(tally.counted(messages), roles, cfg.tag_table, Problems(strict_in), cfg.limits)
         known = replace(start, arrived=tally.arrived)
-        return tally.light(known.items(tally.with_parents(decoded), roles.topics, Problems(), cfg.limits))
+        for item in known.to_come(tally.with_parents(decoded), roles.topics, Problems(), cfg.limits):
+            tally.arrived = tally.arrived.updated(item.edges) if item.edges else tally.arrived
+            yield item if item.is_latched else replace(item, payload=())
 
     numbers = start.numbers
     for synced in pairing.through(items(reader.inside())):
         numbers = numbers.after(synced.reference)
-    complete_frames, last_ns = pairing.frames, tally.last_ns
-    carried, waiting = only_needed(start.carried, pairing.state.mapped(pending))
-    end = InputState(
-        _from_ns(reader, start, last_ns),
-        order.reference,
-        roles.topics,
-        roles.tag_table,
-        dict(tally.parent_of),
-        tally.arrived,
-        waiting,
-        numbers,
-        carried,
+    complete_frames, cut_ns = pairing.frames, reader.window.cut_ns
+    end = replace(
+        start,
+        from_ns=max(start.from_ns, (tally.last_ns or 0) if cut_ns is None else cut_ns),
+        topics=roles.topics,
+        tag_table=roles.tag_table,
+        parent_of=dict(tally.parent_of),
+        arrived=tally.arrived,
+        pairing=pairing.state.mapped(pending),
+        numbers=numbers,
     )
     for _ in pairing.through(items(reader.late())):
         pass  # only how late they are
     return FirstPass(tally.digest.hexdigest(), tally.counts, pairing.lateness_ns, tally.parent_of, complete_frames, end)
-
-
-def _from_ns(reader: WindowMessages, start: InputStart, last_ns: int | None) -> int:
-    """From where on a later part's messages are new: where this one was cut, else the last message's time."""
-    cut_ns = reader.window.cut_ns
-    return max(start.from_ns, (last_ns or 0) if cut_ns is None else cut_ns)
 
 
 @dataclass(frozen=True)
@@ -177,18 +136,16 @@ class InputPlan:
     order: OrderConfig
     """Which role's messages make the frames, and how late messages are."""
     window: Window
-    start: InputStart
+    start: InputState
+    """What is known before the first message: what is latched, or what an earlier log left."""
+    begun: PairingState[Stamped]
+    """The messages of ``start`` that wait."""
+    is_continuation: bool
     latched_messages: tuple[Message, ...]
     problems: Problems
     first_pass: FirstPass
     most_frames: int | None = None
     """How many frames are asked for at most: of those that arrive in the part, the first ones by their stamps."""
-
-    @property
-    def expected_frames(self) -> int:
-        """Messages of the reference role; one that cannot be read makes no frame."""
-        there = self.first_pass.counts[self.roles.topics[self.order.reference]] + self.start.frames_waiting
-        return there if self.most_frames is None else min(there, self.most_frames)
 
 
 def plan_input(
@@ -214,9 +171,11 @@ def plan_input(
     window = _window(summary, cfg, part, roles, reference)
     latched, latched_messages = _latched_at_start(summary, cfg, roles, window, problems)
     order = OrderConfig(reference, seconds_to_ns(cfg.sync.max_wait_s))
-    start = _start(begin, latched, roles, cfg.tag_table)
+    waiting = PairingState[PendingMessage](latched=latched)
+    start = begin or InputState(0, reference, roles.topics, roles.tag_table, {}, latched.tree, waiting)
+    begun = restored(start, roles, cfg.tag_table)
     messages = WindowMessages(summary, cfg, roles, window, latched_messages).with_late()
-    found = first_pass(messages, order, start, problems.strict_in)
+    found = first_pass(messages, order, start, begun, problems.strict_in)
     topic = roles.topics[reference]
     if begin is None and not found.counts[topic]:
         length_s = ns_to_seconds((summary.last_ns or 0) - (summary.first_ns or 0))
@@ -224,7 +183,8 @@ def plan_input(
         raise NoFrameError(f"{summary.path}: no message on {topic} in the part asked for; {lasts}")
     most = None if part.frames is None else part.frames + start.frames_waiting
     order = replace(order, lateness_ns=found.lateness_ns)
-    return InputPlan(roles, order, messages.window, start, latched_messages, problems, found, most)
+    read = messages.window, start, begun, begin is not None, latched_messages
+    return InputPlan(roles, order, *read, problems, found, most)
 
 
 def _roles(summary: LogSummary, overrides: Mapping[str, str], begin: InputState | None) -> tuple[RoleAssignment, str]:
@@ -245,14 +205,6 @@ def _roles_so_far(summary: LogSummary, overrides: Mapping[str, str], begin: Inpu
     topics = {**roles.topics, **begin.topics, **overrides}
     in_order = {role: topics[role] for role in ROLES if role in topics}
     return replace(roles, topics=in_order, tag_table=roles.tag_table or begin.tag_table)
-
-
-def span_ns(summary: LogSummary, window: Window) -> tuple[int, int]:
-    """First and last log time of the part to replay; what was latched before and what arrives late lie outside."""
-    first_ns, last_ns = summary.first_ns or 0, summary.last_ns or 0
-    start_ns = first_ns if window.start_ns is None else max(window.start_ns, first_ns)
-    end_ns = last_ns if window.end_ns is None else min(window.end_ns, last_ns)
-    return start_ns, max(start_ns, end_ns)
 
 
 def _window(summary: LogSummary, cfg: ReplayConfig, part: TimeRange, roles: RoleAssignment, reference: str) -> Window:
@@ -295,11 +247,12 @@ def _latched_at_start(
         if not (before or waiting):
             break
         decoded = decoded_messages([message], roles, cfg.tag_table, problems, cfg.limits)
-        for item in without_loops(decoded, latched, roles.topics, problems, cfg.limits):
+        for item in without_loops(decoded, latched.tree, roles.topics, problems, cfg.limits):
             if before or item.role in waiting:
                 latched = latched.updated(item)
                 waiting.discard(item.role)
             if before:
-                sources |= dict.fromkeys(((item.role, child) for child in item.children()), message)
+                placed = [edge.child for edge in item.edges] or [""]
+                sources |= dict.fromkeys(((item.role, child) for child in placed), message)
     kept = {id(message): message for message in sources.values()}
     return latched, tuple(sorted(kept.values(), key=lambda message: message.log_time_ns))

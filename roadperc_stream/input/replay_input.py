@@ -9,15 +9,16 @@ from roadperc_stream.errors import ChannelError, NoFrameError
 from roadperc_stream.input.assemble import sample_of
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.outcome import InputOutcome, PartSpan, continuation_notes, part_notes
-from roadperc_stream.input.plan import InputPlan, plan_input, span_ns
+from roadperc_stream.input.plan import InputPlan, plan_input
 from roadperc_stream.input.roles import tag_table_to_record
-from roadperc_stream.input.source import LossTimes, ReadableLog, ReplaySource, ended
+from roadperc_stream.input.source import LossTimes, ReadableLog, ReplaySource
 from roadperc_stream.input.state import InputState
 from roadperc_stream.input.stream import Problems, Stamped, decoded_messages
 from roadperc_stream.input.sync import StampPairing, SyncedMessages
 from roadperc_stream.input.window import WindowMessages
 from roadperc_stream.log import DIGEST_ALGORITHM, Channel, LogSummary, LostSpan, Message, Piece, Recovery
-from roadperc_stream.model import UNWRITTEN, Sample
+from roadperc_stream.model import UNWRITTEN, FrameResult, Sample
+from roadperc_stream.model.reason import UNUSABLE
 from roadperc_stream.schemas.record import (
     DIGEST_ALGORITHM_KEY,
     DIGEST_KEY,
@@ -70,7 +71,7 @@ def input_of(
     asked = replace(source, time_range=found.part(source.time_range))
     plan = plan_input(found.summary, cfg, asked, begin)
     if not source.recover:
-        found.require_outside(*plan.window.limits_ns)
+        found.require_outside(plan.window.start_ns, plan.window.end_ns)
     return ReplayInput(found.summary, cfg, plan, lost)
 
 
@@ -84,21 +85,24 @@ class ReplayInput:
         self.summary, self.plan = summary, plan
         self._cfg = cfg
         recovery = Recovery.of_records(summary.metadata)
-        before = ended(lost, self._first_new_ns()) if lost else ()
-        self._gaps = (*before, *(() if recovery is None else recovery.gaps))
+        self._gaps = (*self._ended(lost), *(() if recovery is None else recovery.gaps))
         self._losses = LossTimes(self._gaps)
         self._begin()
 
     def _begin(self) -> None:
         plan = self.plan
         self._problems = Problems(plan.problems.strict_in)
-        self._outcome = InputOutcome(plan.start.pairing.sync.segment)
-        self._pairing = StampPairing(self._cfg.sync, plan.order, plan.roles.topics, plan.start.pairing, self._drop)
+        self._outcome = InputOutcome(plan.begun.segment)
+        self._pairing = StampPairing(self._cfg.sync, plan.order, plan.roles.topics, plan.begun, self._drop)
 
-    def _first_new_ns(self) -> int | None:
-        """Log time of the first message that no earlier part had."""
-        times = (message.log_time_ns for message in self._messages.inside())
-        return next((time_ns for time_ns in times if time_ns >= self.plan.start.from_ns), None)
+    def _ended(self, lost: Sequence[LostSpan]) -> tuple[LostSpan, ...]:
+        """The gaps of the part before; one without an end ends before the first message that part did not have."""
+        inside = (message.log_time_ns for message in self._messages.inside()) if lost else ()
+        next_ns = next((time_ns for time_ns in inside if time_ns >= self.plan.start.from_ns), None)
+        return tuple(
+            replace(gap, last_ns=max(next_ns - 1, gap.first_ns or 0)) if gap.last_ns is None and next_ns else gap
+            for gap in lost
+        )
 
     @property
     def frames(self) -> int:
@@ -116,19 +120,19 @@ class ReplayInput:
         return self.plan.roles.topics
 
     @property
-    def is_continuation(self) -> bool:
-        """Whether it goes on from an earlier part of the drive."""
-        return self.plan.start.is_continuation
-
-    @property
     def expected_frames(self) -> int:
-        """Messages that make frames; one that cannot be read makes none."""
-        return self.plan.expected_frames
+        """Messages of the reference role; one that cannot be read makes no frame."""
+        plan = self.plan
+        there = plan.first_pass.counts[self.topics[plan.order.reference]] + plan.start.frames_waiting
+        return there if plan.most_frames is None else min(there, plan.most_frames)
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """First and last log time of the part to replay."""
-        return span_ns(self.summary, self.plan.window)
+        """First and last log time of the part to replay; what held before and what arrives late lie outside."""
+        window, first_ns, last_ns = self.plan.window, self.summary.first_ns or 0, self.summary.last_ns or 0
+        start_ns = first_ns if window.start_ns is None else max(window.start_ns, first_ns)
+        end_ns = last_ns if window.end_ns is None else min(window.end_ns, last_ns)
+        return start_ns, max(start_ns, end_ns)
 
     def samples(self) -> Iterator[Sample]:
         """The frames in order, a few messages in memory at a time.
@@ -141,21 +145,20 @@ class ReplayInput:
         plan, topics, numbers = self.plan, self.topics, self.plan.start.numbers
         messages, limits = self._messages.all(set(topics.values())), self._cfg.limits
         decoded = decoded_messages(messages, plan.roles, self._cfg.tag_table, self._problems, limits)
-        items = plan.start.items(decoded, topics, self._problems, limits)
+        items = plan.start.to_come(decoded, topics, self._problems, limits)
         before_ns = numbers.log_time_ns if numbers.next else None
         for synced in islice(self._pairing.frames_of(items), plan.most_frames):
             before, numbers = numbers, numbers.after(synced.reference)
             is_written = before.is_written(synced.reference)
             sample = self._sample(synced, before.next if is_written else UNWRITTEN)
-            self._outcome.pair(synced)
+            self._outcome.add(synced, is_written=is_written)
             if is_written:
-                self._outcome.add(synced)
                 lost = self._losses.reason(before_ns, self._until_ns(synced, before_ns, numbers.log_time_ns))
                 yield replace(sample, log_time_ns=numbers.log_time_ns, lost=lost)
                 before_ns = numbers.log_time_ns
             else:
                 yield sample
-        if not self.frames and not self.is_continuation:
+        if not self.frames and not self.plan.is_continuation:
             topic = self.topics[plan.order.reference]
             raise NoFrameError(f"{self.summary.path}: no message on {topic} makes a frame; {'; '.join(self.notes)}")
 
@@ -187,9 +190,19 @@ class ReplayInput:
     @property
     def _if_in_parts(self) -> tuple[str, ...]:
         """What to do where another part of the drive holds the calibrations."""
-        if self.is_continuation or any(ROLES[role].kind == "calibration" for role in self.topics):
+        if self.plan.is_continuation or any(ROLES[role].kind == "calibration" for role in self.topics):
             return ()
         return ("give a part of a drive together with those before it, or --continue the result of the one before",)
+
+    def require_usable(self, result: FrameResult) -> None:
+        """Check that all messages of a frame are usable, in a strict replay.
+
+        Raises:
+            LogError: one is not.
+        """
+        for reason in result.reasons() if self._problems.strict_in is not None else ():
+            if reason.code in UNUSABLE:
+                self._problems.require_lenient(f"message with stamp {result.stamp_ns} ns: {reason}")
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -238,7 +251,7 @@ class ReplayInput:
     @property
     def dropped(self) -> dict[str, int]:
         """Messages per role that belong to no frame."""
-        return {role: found.messages for role, found in self._outcome.dropped.items()}
+        return dict(self._outcome.dropped)
 
     @property
     def unreadable(self) -> dict[str, int]:
@@ -261,7 +274,7 @@ class ReplayInput:
     def _before(self) -> tuple[str, ...]:
         """How the log follows the part of the drive that it goes on from."""
         plan = self.plan
-        if not plan.start.is_continuation or plan.start.numbers.written_from_ns is not None:
+        if not plan.is_continuation or plan.start.numbers.written_from_ns is not None:
             return ()
         frames = plan.first_pass.counts[self.topics[plan.order.reference]]
         waiting = [item.log_time_ns for item in plan.start.pairing.items if item.role == plan.order.reference]

@@ -18,7 +18,6 @@ from roadperc_stream.input.topics import (
     fitting,
     known_elsewhere,
     nearest,
-    no_probe,
     probe_first_message,
     shared_parts,
     without_a_word,
@@ -145,7 +144,7 @@ def tag_table_to_record(channels: Iterable[Channel], roles: RoleAssignment, conf
 
 
 def assign_roles(
-    channels: Iterable[Channel], overrides: Mapping[str, str], probe: ContentProbe = no_probe
+    channels: Iterable[Channel], overrides: Mapping[str, str], probe: ContentProbe | None = None
 ) -> RoleAssignment:
     """Assign topics to roles: those the user names, those that are known, else the only topic that fits.
 
@@ -155,7 +154,7 @@ def assign_roles(
     Args:
         channels: of the log; results of earlier replays do not count.
         overrides: topic by role, from ``--topic``.
-        probe: says which candidates hold depth or tags, where no name does.
+        probe: as ``candidates`` takes it.
 
     Raises:
         ChannelError: a topic asked for is not there or has the wrong schema, or several fit a role that is needed.
@@ -203,14 +202,14 @@ def channel_state(role: Role, named: Sequence[Channel]) -> tuple[RoleFilling, st
 
 
 def candidates(
-    channels: Iterable[Channel], assigned: Mapping[str, str], probe: ContentProbe = no_probe
+    channels: Iterable[Channel], assigned: Mapping[str, str], probe: ContentProbe | None = None
 ) -> Mapping[str, tuple[str, ...]]:
     """Topics that could serve the unassigned roles, by role; roles without any, and truths, are left out.
 
     Args:
         channels: of the log; results of earlier replays do not count.
         assigned: topic of each role that has one; these topics are nobody's candidates.
-        probe: says which channels hold depth or tags, where no name does.
+        probe: says which channels hold depth or tags, where no name does; None if nothing may be read.
     """
     unused = unassigned((channel for channel in channels if not is_result(channel)), assigned)
     left = [role for role in ROLES.values() if role.name not in assigned and not role.truth]
@@ -218,7 +217,7 @@ def candidates(
     if not (assigned.keys() | {name for name, topics in found.items() if topics}) & set(REFERENCE_ROLES):
         found["image"] = distinct(c for c in unused if fits(ROLES["image"], c))
     for name in _UNNAMED_ROLES:
-        if name in found and not found[name]:
+        if probe is not None and name in found and not found[name]:
             found[name] = distinct(c for c in without_a_word(ROLES[name], unused) if probe(ROLES[name].kind, c))
     return {name: topics for name, topics in found.items() if topics}
 

@@ -9,10 +9,8 @@ from pathlib import Path
 
 from roadperc_stream import log
 from roadperc_stream.config import LimitsConfig
-from roadperc_stream.errors import LogError
 from roadperc_stream.log import Damage, DamagedLogError, LogSummary, LostSpan, Recovery, RepairedLog
-from roadperc_stream.model import FrameResult, Reason
-from roadperc_stream.model.reason import UNUSABLE
+from roadperc_stream.model import Reason
 from roadperc_stream.system.time import WHOLE, TimeRange, ns_to_seconds
 
 SOURCE = "log"
@@ -24,13 +22,13 @@ class LossTimes:
 
     def __init__(self, gaps: Iterable[LostSpan]) -> None:
         """Sort the gaps of the log."""
-        spans = sorted((-inf if g.first_ns is None else g.first_ns, _end(g)) for g in gaps)
+        spans = sorted((_or(g.first_ns, -inf), _or(g.last_ns, inf)) for g in gaps)
         self._firsts = [first for first, _ in spans]
         self._latest = list(accumulate((last for _, last in spans), max))
         """Of each gap and those that begin before it, the end that is last: it never falls."""
 
     def reason(self, since_ns: int | None, until_ns: int) -> Reason | None:
-        """That messages were lost since the frame before, or at this one; None where none were.
+        """That messages were lost since the frame before, or at this one; None if all are there.
 
         Args:
             since_ns: log time of the frame before; None of the first one, which speaks for all that was lost before it.
@@ -38,30 +36,21 @@ class LossTimes:
         """
         begun = bisect_right(self._firsts, until_ns)
         over = 0 if since_ns is None else bisect_right(self._latest, since_ns)
-        return _reason(self._firsts[over], self._latest[begun - 1]) if over < begun else None
+        if over >= begun:
+            return None
+        first_ns, last_ns = self._firsts[over], self._latest[begun - 1]
+        match first_ns > -inf, last_ns < inf:
+            case False, False:
+                return Reason(SOURCE, "lost_to_damage_somewhere")
+            case False, True:
+                return Reason(SOURCE, "lost_to_damage_before", (last_ns,))
+            case True, False:
+                return Reason(SOURCE, "lost_to_damage_after", (first_ns,))
+        return Reason(SOURCE, "lost_to_damage", (first_ns, last_ns))
 
 
-def _end(gap: LostSpan) -> float:
-    return inf if gap.last_ns is None else gap.last_ns
-
-
-def _reason(first_ns: float, last_ns: float) -> Reason:
-    match first_ns > -inf, last_ns < inf:
-        case False, False:
-            return Reason(SOURCE, "lost_to_damage_somewhere")
-        case False, True:
-            return Reason(SOURCE, "lost_to_damage_before", (last_ns,))
-        case True, False:
-            return Reason(SOURCE, "lost_to_damage_after", (first_ns,))
-    return Reason(SOURCE, "lost_to_damage", (first_ns, last_ns))
-
-
-def ended(gaps: Iterable[LostSpan], next_ns: int | None) -> tuple[LostSpan, ...]:
-    """The gaps of a part of a drive, where one without an end ends before the first message of the next part."""
-    return tuple(
-        replace(gap, last_ns=max(next_ns - 1, gap.first_ns or 0)) if gap.last_ns is None and next_ns else gap
-        for gap in gaps
-    )
+def _or(time_ns: int | None, otherwise: float) -> float:
+    return otherwise if time_ns is None else time_ns
 
 
 @dataclass(frozen=True)
@@ -102,41 +91,6 @@ class ReadableLog:
         return tuple(text for facts in found for text in warnings_of(*facts, self.first_ns))
 
 
-def readable_log(
-    paths: Sequence[Path],
-    limits: LimitsConfig,
-    asked: TimeRange = WHOLE,
-    *,
-    recover: bool = False,
-) -> ReadableLog:
-    """A log, or what can be read of it where that is asked for, or where only some of it is to be replayed.
-
-    Args:
-        paths: of the log, or of its parts; ``-`` is standard input.
-        limits: of its records and chunks.
-        asked: the part to replay; damage elsewhere is none of it.
-        recover: whether damage is no error.
-
-    Raises:
-        LogError: it cannot be read, or is damaged.
-        TargetError: there is no space for temporary files, where it needs some.
-    """
-    sources = log.received(paths)
-    despite_damage = recover or asked != WHOLE
-    try:
-        return ReadableLog(log.summarise(sources, limits, check_chunks=despite_damage))
-    except DamagedLogError as error:
-        if not despite_damage:
-            raise
-        copies = [_repaired(path, limits, error) for path in sources]
-        files = [copy.path if copy else path for copy, path in zip(copies, sources, strict=True)]
-        summary = log.summarise(files, limits)
-        damaged = tuple(_in_log(copy, summary.parts) for copy in copies if copy is not None)
-        firsts = (summary.first_ns, *(copy.salvage.first_ns for copy in damaged))
-        first_ns = min((ns for ns in firsts if ns is not None), default=None)
-        return ReadableLog(summary, error, damaged, first_ns)
-
-
 def _repaired(path: Path, limits: LimitsConfig, error: DamagedLogError) -> RepairedLog | None:
     """The repaired copy of a file, which may be the one that the error is of; None where it is whole."""
     is_whole = path != error.path and log.audited(path, limits, check_chunks=True).whole
@@ -155,17 +109,6 @@ def warnings_of(source: Path, damages: Sequence[Damage], recovery: Recovery, fir
     more = f" (the first of {number} damages)" if number > 1 else ""
     yield f"{source}: damaged at byte {damages[0].byte}: {damages[0].words}{more}"
     yield from recovery.lines(first_ns)
-
-
-def require_sound(source: Path, result: FrameResult) -> None:
-    """Check that no message of a frame is unusable, as ``--strict`` asks for.
-
-    Raises:
-        LogError: one is.
-    """
-    for reason in result.reasons():
-        if reason.code in UNUSABLE:
-            raise LogError(f"{source}: message with stamp {result.stamp_ns} ns: {reason}; --strict stops there")
 
 
 @dataclass(frozen=True)
@@ -192,10 +135,26 @@ class ReplaySource:
         return (self.paths,) if isinstance(self.paths, Path) else tuple(self.paths)
 
     def read(self, limits: LimitsConfig) -> ReadableLog:
-        """The log, as far as it can be read.
+        """The log, or what can be read of it with ``recover``, or where only some of it is to be replayed.
+
+        Args:
+            limits: of its records and chunks.
 
         Raises:
-            LogError: it cannot, or is damaged where that is an error.
-            TargetError: there is no space for temporary files, where the log needs some.
+            LogError: it cannot be read, or is damaged where that is an error.
+            TargetError: there is no space for temporary files, where it needs some.
         """
-        return readable_log(self.files, limits, self.time_range, recover=self.recover)
+        sources = log.received(self.files)
+        despite_damage = self.recover or self.time_range != WHOLE
+        try:
+            return ReadableLog(log.summarise(sources, limits, check_chunks=despite_damage))
+        except DamagedLogError as error:
+            if not despite_damage:
+                raise
+            copies = [_repaired(path, limits, error) for path in sources]
+            files = [copy.path if copy else path for copy, path in zip(copies, sources, strict=True)]
+            summary = log.summarise(files, limits)
+            damaged = tuple(_in_log(copy, summary.parts) for copy in copies if copy is not None)
+            firsts = (summary.first_ns, *(copy.salvage.first_ns for copy in damaged))
+            first_ns = min((ns for ns in firsts if ns is not None), default=None)
+            return ReadableLog(summary, error, damaged, first_ns)

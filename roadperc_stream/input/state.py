@@ -7,15 +7,9 @@ from roadperc_stream.config import LimitsConfig
 from roadperc_stream.errors import DecodeError, StateError
 from roadperc_stream.formats.images import require_pixels
 from roadperc_stream.geometry import Camera
-from roadperc_stream.input.stream import (
-    MessagePlace,
-    Problems,
-    RoleAssignment,
-    Stamped,
-    decoded_messages,
-    in_their_places,
-)
-from roadperc_stream.input.sync import PairingState
+from roadperc_stream.input.decoding import Payload
+from roadperc_stream.input.stream import Problems, RoleAssignment, Stamped, decoded_messages, numbered
+from roadperc_stream.input.sync import PairingState, without_loops
 from roadperc_stream.input.transforms import TransformTree
 from roadperc_stream.log import Message
 from roadperc_stream.model import Transform
@@ -47,15 +41,21 @@ class FrameNumbers:
 
 @dataclass(frozen=True)
 class PendingMessage:
-    """A message that waits: of calibrations and transforms the content, of any other its place."""
+    """A message that waits: calibrations and transforms with their content, any other in ``message`` or in its log."""
 
     role: str
     log_time_ns: int
     stamp_ns: int
     segment: int
-    place: MessagePlace
+    number: int = 0
+    message: Message | None = None
     camera: Camera | None = None
     edges: tuple[Transform, ...] | None = None
+
+    @property
+    def is_in_log(self) -> bool:
+        """Whether only the log has its content, at its log time and number."""
+        return self.message is None and self.camera is None and self.edges is None
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,6 @@ class InputState:
     """Of all transforms that have arrived: a later one that closes a loop is left out."""
     pairing: PairingState[PendingMessage]
     numbers: FrameNumbers = field(default_factory=FrameNumbers)
-    carried: tuple[Message, ...] = ()
-    """Messages that no log of the next part holds."""
 
     @property
     def frames_waiting(self) -> int:
@@ -89,7 +87,14 @@ class InputState:
     @property
     def next_ns(self) -> int:
         """The first log time of which no message has had its effect yet: behind the last message, or at a cut."""
-        return self.from_ns + any(message.log_time_ns == self.from_ns for message in self.carried)
+        return self.from_ns + any(item.message and item.log_time_ns == self.from_ns for item in self.pairing.items)
+
+    def to_come(
+        self, messages: Iterable[Stamped], topics: Mapping[str, str], problems: Problems, limits: LimitsConfig
+    ) -> Iterator[Stamped]:
+        """The messages that are still to be taken, without transforms that close a loop."""
+        new = (item for item in messages if item.log_time_ns >= self.from_ns)
+        return without_loops(new, self.arrived, topics, problems, limits)
 
     def require_usable(self, limits: LimitsConfig) -> None:
         """Check a state that was read as a log's own messages are checked: roles, cameras and transforms.
@@ -97,7 +102,7 @@ class InputState:
         Raises:
             StateError: one is beyond the limits, unknown, or the transforms are no tree.
         """
-        latched = (self.pairing.sync.latched, *(held for _, held in self.pairing.sync.waiting))
+        latched = (self.pairing.latched, *(held for _, held in self.pairing.waiting))
         cameras = [camera for held in latched for camera in held.cameras.values()]
         cameras += [item.camera for item in self.pairing.items if item.camera is not None]
         unknown = {self.reference, *self.topics, *(item.role for item in self.pairing.items)} - ROLES.keys()
@@ -113,68 +118,49 @@ class InputState:
                 raise StateError(f"damaged: transforms: expected a tree of at most {limits.transforms}")
 
     def carrying(self, messages: Iterable[Message]) -> "InputState":
-        """The same state with the messages in it that it names by their places.
+        """The same state with the messages in it that it names by log time and number.
 
         Args:
-            messages: of the log that the places are in, at least from ``first_pending_ns`` on.
+            messages: of the log that has them, at least from ``first_pending_ns`` on.
 
         Raises:
             StateError: one is not there.
         """
-        carried = list(self.carried)
-        numbers = {place: k for k, place in enumerate(_places_in_log(self.pairing.items), start=len(carried))}
+        needed = {(item.log_time_ns, item.number) for item in self.pairing.items if item.is_in_log}
         found = {
-            key: message
-            for message, place in in_their_places(messages, set(self.topics.values()))
-            if (key := (message.log_time_ns, place.number)) in numbers
+            key: replace(message, channel=replace(message.channel, source_id=0))
+            for message, number in numbered(messages, set(self.topics.values()))
+            if (key := (message.log_time_ns, number)) in needed
         }
-        if len(found) < len(numbers):
-            raise StateError(f"{len(numbers) - len(found)} of {len(numbers)} messages it needs are not in its log")
-        carried += [replace(found[key], channel=replace(found[key].channel, source_id=0)) for key in numbers]
+        if len(found) < len(needed):
+            raise StateError(f"{len(needed) - len(found)} of {len(needed)} messages it needs are not in its log")
 
-        def moved(item: PendingMessage) -> PendingMessage:
-            if item.place.carried or _has_content(item):
-                return item
-            return replace(item, place=MessagePlace(numbers[item.log_time_ns, item.place.number], carried=True))
+        def with_message(item: PendingMessage) -> PendingMessage:
+            return replace(item, message=found[item.log_time_ns, item.number]) if item.is_in_log else item
 
-        return replace(self, pairing=self.pairing.mapped(moved), carried=tuple(carried))
+        return replace(self, pairing=self.pairing.mapped(with_message))
 
     @property
     def first_pending_ns(self) -> int | None:
-        """Log time of the first message that it names by its place; None without one."""
-        return min((time_ns for time_ns, _ in _places_in_log(self.pairing.items)), default=None)
+        """Log time of the first message that only the log has; None without one."""
+        return min((item.log_time_ns for item in self.pairing.items if item.is_in_log), default=None)
 
 
 def pending(item: Stamped) -> PendingMessage:
     """What is kept of a message that waits."""
-    kept = PendingMessage(item.role, item.log_time_ns, item.stamp_ns, item.segment, item.place)
+    kept = PendingMessage(item.role, item.log_time_ns, item.stamp_ns, item.segment)
     if isinstance(item.payload, Camera):
-        return replace(kept, camera=item.payload, place=MessagePlace())
-    return replace(kept, edges=item.edges, place=MessagePlace()) if item.is_latched else kept
-
-
-_Needed = tuple[tuple[Message, ...], PairingState[PendingMessage]]
-"""Messages that are carried, and the state that names them."""
-
-
-def only_needed(carried: tuple[Message, ...], state: PairingState[PendingMessage]) -> _Needed:
-    """The carried messages that a state still names, and the state that names them by their new places."""
-    used = sorted({item.place.number for item in state.items if item.place.carried})
-    numbers = {old: new for new, old in enumerate(used)}
-
-    def renumbered(item: PendingMessage) -> PendingMessage:
-        return (
-            replace(item, place=MessagePlace(numbers[item.place.number], carried=True)) if item.place.carried else item
-        )
-
-    return tuple(carried[k] for k in used), state.mapped(renumbered)
+        return replace(kept, camera=item.payload)
+    return (
+        replace(kept, edges=item.edges) if item.is_latched else replace(kept, number=item.number, message=item.carried)
+    )
 
 
 def restored(state: InputState, roles: RoleAssignment, tag_table: str) -> PairingState[Stamped]:
     """The messages that wait, decoded as when they arrived.
 
     Args:
-        state: carrying all messages that it names.
+        state: carrying all messages that it needs.
         roles: the topic of each role.
         tag_table: configured table, or ``auto``.
 
@@ -183,28 +169,18 @@ def restored(state: InputState, roles: RoleAssignment, tag_table: str) -> Pairin
     """
 
     def decoded(item: PendingMessage) -> Stamped:
-        content = item.edges if item.camera is None else item.camera
-        payload = _message_of(state, item, roles, tag_table).payload if content is None else content
-        return Stamped(item.role, item.log_time_ns, item.stamp_ns, payload, item.segment, item.place)
+        content: Payload | None = item.edges if item.camera is None else item.camera
+        payload = _decoded(item, roles, tag_table).payload if content is None else content
+        times = item.log_time_ns, item.stamp_ns
+        return Stamped(item.role, *times, payload, item.segment, item.number, item.message)
 
     return state.pairing.mapped(decoded)
 
 
-def _message_of(state: InputState, item: PendingMessage, roles: RoleAssignment, tag_table: str) -> Stamped:
-    if not (item.place.carried and 0 <= item.place.number < len(state.carried)):
+def _decoded(item: PendingMessage, roles: RoleAssignment, tag_table: str) -> Stamped:
+    if item.message is None:
         raise StateError(f"it names a message of role {item.role} that it does not hold")
-    message = state.carried[item.place.number]
-    for found in decoded_messages([message], roles, tag_table, Problems()):
+    for found in decoded_messages([item.message], roles, tag_table, Problems()):
         if found.role == item.role and found.log_time_ns == item.log_time_ns and found.stamp_ns == item.stamp_ns:
             return found
-    raise StateError(f"message {item.place.number} on {message.channel.topic} is not the one of role {item.role}")
-
-
-def _has_content(item: PendingMessage) -> bool:
-    return item.camera is not None or item.edges is not None
-
-
-def _places_in_log(items: Iterable[PendingMessage]) -> Iterator[tuple[int, int]]:
-    """Log time and place of the messages that are to be found in the log."""
-    places = ((item.log_time_ns, item.place.number) for item in items if not (item.place.carried or _has_content(item)))
-    yield from sorted(set(places))
+    raise StateError(f"a message on {item.message.channel.topic} is not the one of role {item.role}")

@@ -4,12 +4,11 @@ from collections import Counter
 from collections.abc import Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
 
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import DecodeError, LogError
 from roadperc_stream.input.decoding import Context, Payload, context_of_channel, decode
-from roadperc_stream.log import Channel, Message
+from roadperc_stream.log.records import Channel, Message
 from roadperc_stream.model import Transform
 from roadperc_stream.schemas.roles import LATCHED_KINDS, REFERENCE_ROLES, ROLES, Role
 
@@ -32,7 +31,7 @@ class Problems:
         Raises:
             LogError: the replay is strict.
         """
-        self._require_lenient(f"{topic}: message at {time_ns} ns: {error}")
+        self.require_lenient(f"{topic}: message at {time_ns} ns: {error}")
         self.counts[topic] += 1
         self.first.setdefault(topic, f"{topic}: message at {time_ns} ns: {error}")
 
@@ -42,39 +41,34 @@ class Problems:
         Raises:
             LogError: the replay is strict.
         """
-        self._require_lenient(text)
+        self.require_lenient(text)
         self.first.setdefault(f"{topic}, in part", text)
 
-    def _require_lenient(self, text: str) -> None:
+    def require_lenient(self, text: str) -> None:
+        """Raise an error of a message, if the replay is strict.
+
+        Raises:
+            LogError: it is.
+        """
         if self.strict_in is not None:
             raise LogError(f"{self.strict_in}: {text}; --strict stops there")
 
 
-@dataclass(frozen=True)
-class MessagePlace:
-    """Where a message stands.
-
-    ``number`` is its place among the messages of assigned roles with equal log time; of one that an earlier part of the
-    drive handed on (``carried``) its place among those.
-    """
-
-    number: int = 0
-    carried: bool = False
-
-
-_FIRST: Final = MessagePlace()
-
-
 @dataclass(frozen=True, eq=False)
 class Stamped:
-    """One decoded message of a role; ``segment`` counts how often the stamps before it began anew."""
+    """One decoded message of a role.
+
+    ``segment`` counts how often the stamps before it began again. ``number`` is its place among the messages of
+    assigned roles with equal log time. ``carried`` is the message itself if an earlier log handed it on.
+    """
 
     role: str
     log_time_ns: int
     stamp_ns: int
     payload: Payload
     segment: int = 0
-    place: MessagePlace = _FIRST
+    number: int = 0
+    carried: Message | None = None
 
     @property
     def is_latched(self) -> bool:
@@ -86,10 +80,6 @@ class Stamped:
         """The transforms of a transforms message; none of any other."""
         parts = self.payload if isinstance(self.payload, tuple) else ()
         return tuple(part for part in parts if isinstance(part, Transform))
-
-    def children(self) -> tuple[str, ...]:
-        """Frames that a transforms message places; for other messages one empty name."""
-        return tuple(edge.child for edge in self.edges) or ("",)
 
 
 @dataclass(frozen=True)
@@ -136,7 +126,7 @@ def decoded_messages(
     """
     contexts: dict[Channel, Context] = {}
     roles_by_topic = {topic: roles.roles_of(topic) for topic in set(roles.topics.values())}
-    for message, place in in_their_places(messages, roles_by_topic):
+    for message, number in numbered(messages, roles_by_topic):
         channel = message.channel
         if channel not in contexts:
             contexts[channel] = context_of_channel(channel, tag_table, roles.tag_table, limits)
@@ -153,19 +143,19 @@ def decoded_messages(
             except DecodeError as error:
                 problems.add(channel.topic, message.log_time_ns, error)
                 continue
-            yield Stamped(role.name, message.log_time_ns, decoded.stamp_ns, decoded.payload, place=place)
+            yield Stamped(role.name, message.log_time_ns, decoded.stamp_ns, decoded.payload, number=number)
 
 
-def in_their_places(messages: Iterable[Message], topics: Container[str]) -> Iterator[tuple[Message, MessagePlace]]:
+def numbered(messages: Iterable[Message], topics: Container[str]) -> Iterator[tuple[Message, int]]:
     """The messages on some topics, each with its place among those of equal log time.
 
     Args:
         messages: in log-time order.
         topics: those that are assigned to roles.
     """
-    log_time_ns, place = None, _FIRST
+    log_time_ns, number = None, 0
     for message in messages:
         if message.channel.topic in topics:
-            place = MessagePlace(place.number + 1) if message.log_time_ns == log_time_ns else _FIRST
+            number = number + 1 if message.log_time_ns == log_time_ns else 0
             log_time_ns = message.log_time_ns
-            yield message, place
+            yield message, number

@@ -15,6 +15,7 @@ from roadperc_stream.geometry import Camera
 from roadperc_stream.input.order import Drop, OrderConfig, OrderState, StampOrder
 from roadperc_stream.input.stream import Problems, Stamped
 from roadperc_stream.input.transforms import TransformTree
+from roadperc_stream.model import Transform
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
 from roadperc_stream.system.time import seconds_to_ns
 
@@ -37,58 +38,47 @@ class LatchedState:
             return LatchedState({**self.cameras, item.role: item.payload}, self.tree)
         return LatchedState(self.cameras, self.tree.updated(item.edges))
 
-    def split_new(self, item: Stamped, most: int) -> tuple[Stamped, int]:
-        """The item without the edges to new frames that would make the tree larger, and how many these are."""
-        room = most - len(self.tree.edges)
-        if len(item.edges) <= room:
-            return item, 0
-        new = list(dict.fromkeys(edge.child for edge in item.edges if edge.child not in self.tree.edges))
-        beyond = set(new[max(room, 0) :])
-        kept = tuple(edge for edge in item.edges if edge.child not in beyond)
-        return (replace(item, payload=kept), len(beyond)) if beyond else (item, 0)
-
-    def split_loops(self, item: Stamped) -> tuple[Stamped, tuple[str, ...]]:
-        """The item without the edges that would be part of a loop, and these edges' children."""
-        looping = self.tree.looping(item.edges) if item.edges else ()
-        kept = tuple(edge for edge in item.edges if edge.child not in looping)
-        return replace(item, payload=kept) if looping else item, looping
-
 
 def without_loops(
     items: Iterable[Stamped],
-    latched: LatchedState,
+    tree: TransformTree,
     topics: Mapping[str, str],
     problems: Problems,
     limits: LimitsConfig = DEFAULT_LIMITS,
 ) -> Iterator[Stamped]:
-    """The items, but for transforms that close a loop or are too many: those are left out and reported.
+    """The items without transforms that close a loop or are too many; those are reported.
 
     Args:
         items: in the order in which they come to hold.
-        latched: the state before the first of them.
+        tree: the transforms before the first of them.
         topics: of the roles.
         problems: takes the loops, and what is too many.
         limits: of the tree.
     """
-    for found in items:
-        item, beyond = latched.split_new(found, limits.transforms)
-        if beyond:
-            topic, most = topics[item.role], f"limits.transforms {limits.transforms}"
-            words = f"{beyond} transforms to more frames than {most}: left out"
-            problems.report(topic, f"{topic}: message at {item.log_time_ns} ns: {words}")
-        kept, looping = latched.split_loops(item)
+    for item in items:
+        edges = item.edges
+        if not edges:
+            yield item
+            continue
+        fitting = tree.fitting(edges, limits.transforms)
+        looping = tree.looping(fitting)
+        kept = tuple(edge for edge in fitting if edge.child not in looping)
+        topic = topics[item.role]
+        at = f"{topic}: message at {item.log_time_ns} ns"
+        if len(fitting) < len(edges):
+            beyond = {edge.child for edge in edges} - {edge.child for edge in fitting}
+            most = f"limits.transforms {limits.transforms}"
+            problems.report(topic, f"{at}: {len(beyond)} transforms to more frames than {most}: left out")
         if looping:
-            topic = topics[item.role]
-            problems.report(topic, f"{topic}: message at {item.log_time_ns} ns: {_loop_in_words(item, looping)}")
-        if kept.edges:
-            latched = latched.updated(kept)
-        if kept.edges or not (looping or beyond):
-            yield kept
+            problems.report(topic, f"{at}: {_loop_in_words(fitting, looping)}")
+        if kept:
+            tree = tree.updated(kept)
+            yield item if len(kept) == len(edges) else replace(item, payload=kept)
 
 
-def _loop_in_words(item: Stamped, children: Collection[str]) -> str:
-    edges = [f"{edge.parent!r} to {edge.child!r}" for edge in item.edges if edge.child in children]
-    some = ", ".join(edges[:_MOST_EDGES_NAMED]) + ", ..." * (len(edges) > _MOST_EDGES_NAMED)
+def _loop_in_words(edges: Iterable[Transform], children: Collection[str]) -> str:
+    names = [f"{edge.parent!r} to {edge.child!r}" for edge in edges if edge.child in children]
+    some = ", ".join(names[:_MOST_EDGES_NAMED]) + ", ..." * (len(names) > _MOST_EDGES_NAMED)
     return f"a loop of transforms ({some}), expected a tree: left out"
 
 
@@ -103,44 +93,33 @@ class SyncedMessages:
 
 
 @dataclass(frozen=True)
-class SyncState(Generic[T]):
-    """What is remembered of the messages so far; those that wait are of any type that stands for a message.
+class PairingState(Generic[T]):
+    """What is kept of the messages so far; those that wait are of any type that represents a message.
 
     ``streams`` are the messages of each role that no frame has taken yet, ``waiting`` the reference messages of the
     frames to come, each with what was latched when it came.
     """
 
+    order: OrderState[T] = field(default_factory=OrderState)
     latched: LatchedState = field(default_factory=LatchedState)
     segment: int = 0
     streams: Mapping[str, tuple[T, ...]] = field(default_factory=dict)
     waiting: tuple[tuple[T, LatchedState], ...] = ()
 
-    def mapped(self, function: Callable[[T], U]) -> "SyncState[U]":
+    def mapped(self, function: Callable[[T], U]) -> "PairingState[U]":
         """The same state with other things in place of the messages."""
         streams = {role: tuple(map(function, items)) for role, items in self.streams.items()}
         waiting = tuple((function(item), latched) for item, latched in self.waiting)
-        return SyncState(self.latched, self.segment, streams, waiting)
-
-
-@dataclass(frozen=True)
-class PairingState(Generic[T]):
-    """What is remembered of the messages that have arrived, for the frames to come."""
-
-    order: OrderState[T] = field(default_factory=OrderState)
-    sync: SyncState[T] = field(default_factory=SyncState)
-
-    def mapped(self, function: Callable[[T], U]) -> "PairingState[U]":
-        """The same state with other things in place of the messages."""
-        return PairingState(self.order.mapped(function), self.sync.mapped(function))
+        return PairingState(self.order.mapped(function), self.latched, self.segment, streams, waiting)
 
     @property
     def items(self) -> Iterator[T]:
-        """All that stands for a message."""
+        """All that represents a message."""
         yield from self.order.held
         yield from self.order.waiting
-        for stream in self.sync.streams.values():
+        for stream in self.streams.values():
             yield from stream
-        yield from (item for item, _ in self.sync.waiting)
+        yield from (item for item, _ in self.waiting)
 
 
 class StampPairing:
@@ -161,10 +140,10 @@ class StampPairing:
         self._order = StampOrder(order, drop, state.order)
         self._tolerance_ns, self._reference, self._drop = seconds_to_ns(cfg.tolerance_s), order.reference, drop
         self._forget_after_ns = 4 * order.max_wait_ns
-        self._latched, self._segment = state.sync.latched, state.sync.segment
+        self._latched, self._segment = state.latched, state.segment
         others = (role for role in roles if role != order.reference and ROLES[role].kind not in LATCHED_KINDS)
-        self._streams = {role: deque[Stamped](state.sync.streams.get(role, ())) for role in others}
-        self._waiting = deque[tuple[Stamped, LatchedState]](state.sync.waiting)
+        self._streams = {role: deque[Stamped](state.streams.get(role, ())) for role in others}
+        self._waiting = deque[tuple[Stamped, LatchedState]](state.waiting)
         self._last_ns: int | None = None  # stamp of the latest frame of this segment
         self.frames = 0
         """Frames made so far."""
@@ -185,8 +164,7 @@ class StampPairing:
     def state(self) -> PairingState[Stamped]:
         """What is remembered, all frames that ``through`` gives having been consumed."""
         streams = {role: tuple(items) for role, items in self._streams.items() if items}
-        sync = SyncState(self._latched, self._segment, streams, tuple(self._waiting))
-        return PairingState(self._order.state, sync)
+        return PairingState(self._order.state, self._latched, self._segment, streams, tuple(self._waiting))
 
     @property
     def lateness_ns(self) -> int:

@@ -10,7 +10,7 @@ import numpy as np
 from roadperc_stream import log
 from roadperc_stream.errors import DecodeError, LogError
 from roadperc_stream.input.decoding import context_of_channel, decode, schemas_of_kind
-from roadperc_stream.log import Channel, LogSummary, Message
+from roadperc_stream.log import Channel, LogSummary
 from roadperc_stream.model import DepthImage, TagImage
 from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14
 from roadperc_stream.schemas.roles import Kind, Role
@@ -106,11 +106,6 @@ def _own_words(role: Role) -> set[str]:
     return {role.name.removesuffix("_calibration")} & _WORDS.keys()
 
 
-def no_probe(_kind: Kind, _channel: Channel) -> bool:
-    """Whether a channel is of a kind, where nothing is read: it is not known to be."""
-    return False
-
-
 def probe_first_message(summary: LogSummary, kind: Kind, channel: Channel) -> bool:
     """Whether the first message of a channel is depth, or tags: by its encoding, and by pixels that are all some class.
 
@@ -123,21 +118,13 @@ def probe_first_message(summary: LogSummary, kind: Kind, channel: Channel) -> bo
     """
     try:
         message = next(log.read(summary, topics=(channel.topic,)), None)
-        return message is not None and _is_of_kind(kind, message)
+        if message is None:
+            return False
+        found, context = message.channel, context_of_channel(message.channel, _MOST_CLASSES.name)
+        schema, encoding = found.schema_name, found.message_encoding
+        payload = decode(kind, schema, encoding, message.data, message.log_time_ns, context).payload
+        if isinstance(payload, TagImage):
+            return 0 < int(np.max(payload.tags)) < len(_MOST_CLASSES.names)  # a black image is no tags
+        return isinstance(payload, DepthImage) and payload.depth_m.size > 0
     except (LogError, DecodeError):
         return False
-
-
-def _is_of_kind(kind: Kind, message: Message) -> bool:
-    """Whether a message decodes as the kind.
-
-    Raises:
-        DecodeError: it does not.
-    """
-    channel = message.channel
-    context = context_of_channel(channel, _MOST_CLASSES.name)
-    schema, encoding = channel.schema_name, channel.message_encoding
-    payload = decode(kind, schema, encoding, message.data, message.log_time_ns, context).payload
-    if isinstance(payload, TagImage):
-        return 0 < int(np.max(payload.tags)) < len(_MOST_CLASSES.names)  # a black image is no tags
-    return isinstance(payload, DepthImage) and payload.depth_m.size > 0

@@ -23,11 +23,6 @@ class TransformTree:
         """Paths to the root of the frames looked up so far. No field: a field would be part of an encoded state."""
         return {}
 
-    @property
-    def parent_of(self) -> dict[str, str]:
-        """The parent of every frame that has one."""
-        return {child: edge.parent for child, edge in self.edges.items()}
-
     def updated(self, edges: Iterable[Transform]) -> "TransformTree":
         """The tree with some edges added or replaced."""
         return TransformTree({**self.edges, **{edge.child: edge for edge in edges}})
@@ -51,18 +46,15 @@ class TransformTree:
 
     def _to_root(self, frame: str) -> dict[str, Float]:
         """ancestor_T_frame of a frame and all its ancestors, nearest first."""
-        if frame not in self._paths:
-            self._paths[frame] = self._path_to_root(frame)
-        return self._paths[frame]
-
-    def _path_to_root(self, frame: str) -> dict[str, Float]:
-        path = {frame: np.eye(4)}
-        at = frame
+        if frame in self._paths:
+            return self._paths[frame]
+        path, at = {frame: np.eye(4)}, frame
         while (edge := self.edges.get(at)) is not None:
             if edge.parent in path:
                 raise ChannelError(f"/tf: frame {edge.parent!r} is its own ancestor: expected a tree of transforms")
             path[edge.parent] = edge.parent_T_child @ path[at]
             at = edge.parent
+        self._paths[frame] = path
         return path
 
     def rooted_at(self, frame: str) -> "TransformTree":
@@ -74,6 +66,15 @@ class TransformTree:
             at, above = above.parent, edges.get(above.parent)
             edges[at] = inverted
         return TransformTree(edges)
+
+    def fitting(self, edges: tuple[Transform, ...], most: int) -> tuple[Transform, ...]:
+        """The edges without those to new frames that would give the tree more than ``most`` edges."""
+        room = most - len(self.edges)
+        if len(edges) <= room:
+            return edges
+        new = list(dict.fromkeys(edge.child for edge in edges if edge.child not in self.edges))
+        beyond = set(new[max(room, 0) :])
+        return tuple(edge for edge in edges if edge.child not in beyond)
 
     def looping(self, edges: Iterable[Transform]) -> tuple[str, ...]:
         """Children of the edges that would be part of a loop in the tree, in their order.

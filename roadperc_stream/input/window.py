@@ -29,11 +29,6 @@ class Window:
     cut_ns: int | None = None
     late_until_ns: int | None = None
 
-    @property
-    def limits_ns(self) -> tuple[int | None, int | None]:
-        """Its first log time, and the first one behind it."""
-        return self.start_ns, self.end_ns
-
 
 @dataclass(frozen=True)
 class WindowMessages:
@@ -71,7 +66,7 @@ class WindowMessages:
 
     def pieces(self) -> Iterator[Piece]:
         """All of them, whole chunks of the log where they are as they stand."""
-        start_ns, end_ns = self.window.limits_ns
+        start_ns, end_ns = self.window.start_ns, self.window.end_ns
         if self.window.cut_ns is not None and start_ns is not None:
             start_ns = min(start_ns, self.window.cut_ns)
         yield from self.latched

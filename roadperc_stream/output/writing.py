@@ -7,7 +7,7 @@ from typing import Final
 from roadperc_stream import __version__
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.geometry import Float
-from roadperc_stream.input import ReplayInput
+from roadperc_stream.input.replay_input import ReplayInput
 from roadperc_stream.log import Attachment, Channel, LogSummary, LogWriter, Message, MessageCopy, Metadata, Piece
 from roadperc_stream.model import FrameResult, Odometry, ReasonKind, Sample
 from roadperc_stream.model.sample import frame_reasons

@@ -10,7 +10,7 @@ import shutil
 import struct
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import IO, Final, Self
 
@@ -37,10 +37,10 @@ class Checkpoint:
     """
 
     run: Mapping[str, str]
-    samples: int
-    length: int
     state: ReplayState
-    counted: Counted
+    samples: int = 0
+    length: int = 0
+    counted: Counted = field(default_factory=Counted)
 
 
 def checkpoint_folder(target: Path) -> Path:
@@ -127,7 +127,8 @@ class CheckpointFolder:
             self._hold()
             if checkpoint is None:
                 self._clear()
-            self._frames = os.fdopen(_opened_to_append(self.path / _FRAMES), "ab")
+            flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW
+            self._frames = os.fdopen(os.open(self.path / _FRAMES, flags, 0o666), "ab")
             self._frames.truncate(0 if checkpoint is None else checkpoint.length)
             self._frames.seek(0, os.SEEK_END)  # else its length counts from the end it had
             sync_folder(self.path.parent)
@@ -139,15 +140,10 @@ class CheckpointFolder:
         with target_errors(self.path):
             self._frames.write(_LENGTH.pack(len(data)) + data)
 
-    @property
-    def length(self) -> int:
-        """Length of the file of frames."""
-        assert self._frames is not None
-        return self._frames.tell()
-
     def write(self, checkpoint: Checkpoint) -> None:
-        """Make a checkpoint durable: first the frames, then the state with their number, in one step."""
+        """Make a checkpoint of all frames so far durable: first the frames, then the state with their number."""
         assert self._frames is not None
+        checkpoint = replace(checkpoint, length=self._frames.tell())
         new = self.path / f"{_STATE}.new"
         with target_errors(self.path):
             self._frames.flush()
@@ -159,11 +155,6 @@ class CheckpointFolder:
                 os.fsync(state.fileno())
             new.replace(self.path / _STATE)
             sync_folder(self.path)
-
-    @property
-    def exists(self) -> bool:
-        """Whether a replay has begun to write checkpoints and has not ended."""
-        return self.path.exists()
 
     @property
     def holds_one(self) -> bool:
@@ -191,7 +182,7 @@ class CheckpointFolder:
 
 
 class Checkpoints:
-    """The checkpoints that a replay writes, and the one that it resumes. Use it as a context manager.
+    """The checkpoints that a replay writes, and the one that it resumes.
 
     If the replay is interrupted, its checkpoints stay; a folder without a checkpoint is removed.
     """
@@ -200,7 +191,7 @@ class Checkpoints:
         self,
         folder: CheckpointFolder,
         every_s: float | None,
-        run: Mapping[str, str],
+        start: Checkpoint,
         found: Checkpoint | None,
         *,
         force: bool,
@@ -210,18 +201,24 @@ class Checkpoints:
         Args:
             folder: reads and writes the checkpoints.
             every_s: seconds of log between two; None: no checkpoints.
-            run: all that decides the results.
+            start: the replay before its first sample.
             found: the checkpoint to resume; None to begin.
             force: start over if the checkpoint is of another replay, or if there is one that is not to be resumed.
 
         Raises:
             StateError: it is of another replay.
         """
-        self._folder, self._run = folder, run
+        self._folder = folder
         self._every_ns = None if every_s is None else seconds_to_ns(every_s)
-        self._found = _of_this_run(folder, run, found, force=force)
+        run, known = start.run, start.run if found is None else found.run
+        differing = ", ".join(name for name in {**run, **known} if run.get(name) != known.get(name))
+        if differing and not force:
+            raise StateError(f"{folder.path}: of another replay ({differing} differ); --force (force=True) starts over")
+        self.is_resumed = found is not None and not differing
+        self.begun = found if found is not None and not differing else start
+        """The replay after the samples that are complete already."""
         self._last_ns: int | None = None
-        left_over = folder.holds_one and self._found is None and every_s is None
+        left_over = folder.holds_one and not self.is_resumed and every_s is None
         self.notes = (f"{folder.path}: left by an interrupted replay, removed",) if left_over else ()
         if found is None and every_s is not None and not force and folder.holds_one:
             raise StateError(
@@ -233,20 +230,12 @@ class Checkpoints:
         """Whether complete frames outlive a loss of power."""
         return self._every_ns is not None
 
-    @property
-    def samples(self) -> int:
-        """Samples that are complete already."""
-        return 0 if self._found is None else self._found.samples
-
-    @property
-    def state(self) -> ReplayState | None:
-        """The replay's state after these samples; None if no checkpoint is resumed."""
-        return None if self._found is None else self._found.state
-
-    @property
-    def counted(self) -> Counted:
-        """What was counted in these samples."""
-        return Counted() if self._found is None else self._found.counted
+    def begin(self) -> None:
+        """Prepare to write checkpoints, if some are to be written, and to read the frames that are complete."""
+        if self.is_resumed:
+            self._outputs = self._folder.outputs(self.begun)
+        if self._every_ns is not None:
+            self._folder.begin(self.begun if self.is_resumed else None)
 
     def next_output(self, index: int) -> FrameOutput:
         """The output of the next complete frame.
@@ -261,16 +250,6 @@ class Checkpoints:
         if output is None or output.row.frame != index:
             raise self._folder.damaged(f"does not hold frame {index}")
         return output
-
-    def __enter__(self) -> Self:
-        if self._found is not None:
-            self._outputs = self._folder.outputs(self._found)
-        if self._every_ns is not None:
-            self._folder.begin(self._found)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._folder.close()
 
     def keep(self, output: FrameOutput | None) -> None:
         """Keep the output of one more frame."""
@@ -288,28 +267,13 @@ class Checkpoints:
         """
         if self._every_ns is None:
             return
-        if self._last_ns is None or samples <= self.samples:
+        if self._last_ns is None or samples <= self.begun.samples:
             self._last_ns = log_time_ns
         elif log_time_ns - self._last_ns >= self._every_ns:
-            self._folder.write(Checkpoint(self._run, samples, self._folder.length, state, counted()))
+            self._folder.write(Checkpoint(self.begun.run, state, samples, counted=counted()))
             self._last_ns = log_time_ns
 
     def sync(self, target: Path) -> None:
         """Make the names of the complete outputs durable, if the checkpoints are."""
         if self.are_durable:
             sync_folder(target.parent)
-
-
-def _of_this_run(
-    folder: CheckpointFolder, run: Mapping[str, str], found: Checkpoint | None, *, force: bool
-) -> Checkpoint | None:
-    if found is None or not (names := [name for name in {**run, **found.run} if run.get(name) != found.run.get(name)]):
-        return found
-    if force:
-        return None
-    raise StateError(f"{folder.path}: of another replay ({', '.join(names)} differ); --force (force=True) starts over")
-
-
-def _opened_to_append(path: Path) -> int:
-    """A file opened without following a link."""
-    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0), 0o666)

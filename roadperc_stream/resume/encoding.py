@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from roadperc_stream.errors import StateError
 from roadperc_stream.resume.bounds import DEFAULT_BOUNDS, StateBounds, require_bounded
 
-FORMAT_VERSION: Final = 5
+FORMAT_VERSION: Final = 6
 """To be raised with every change of what a state holds: an older state would be taken for something else."""
 MOST_BYTES: Final = 512 * 1024**2
 """Of a state, unpacked."""

@@ -1,17 +1,13 @@
 """A lock on a folder for one process at a time; the system releases it when the process ends."""
 
+import fcntl
 import os
 from contextlib import suppress
 from pathlib import Path
 
-try:
-    import fcntl
-except ImportError:  # not on Windows, which cannot lock a folder
-    fcntl = None  # type: ignore[assignment]
-
 
 class FolderLock:
-    """A lock on an existing folder. Without locks in the system or the file system, every process gets it."""
+    """A lock on an existing folder. On a file system without locks, every process gets it."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -28,7 +24,7 @@ class FolderLock:
         Raises:
             OSError: the folder cannot be opened, or is not a folder.
         """
-        if self.is_held or fcntl is None:
+        if self.is_held:
             return True
         try:
             number = os.open(self._path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)

@@ -25,7 +25,6 @@ from roadperc_stream.resume.state import (
     Notes,
     ReplayState,
     SavedState,
-    attachment_of,
     settings_of,
     state_at_begin,
     state_at_end,
@@ -47,6 +46,8 @@ from roadperc_stream.schemas.topics import result_schemas
 from roadperc_stream.system.threads import one_thread
 from roadperc_stream.system.time import TimeRange, ns_to_seconds, seconds_to_ns
 
+_MEDIA_TYPE: Final = "application/zstd"
+"""Of an attached state."""
 _MOST_FRAMES: Final = 2**32
 """A log numbers its messages with 32 bits."""
 
@@ -60,8 +61,6 @@ class OpenedLog:
     notes: Notes = ()
     warnings: tuple[str, ...] = ()
     """What the user should know of a damaged log."""
-    strict: bool = False
-    """Whether a message that cannot be used is an error."""
 
     def saved_for(self, cfg: ReplayConfig) -> SavedState | None:
         """The saved state that a replay with these settings begins with."""
@@ -83,11 +82,11 @@ class OpenedLog:
             with_messages: whether the state at the end carries its messages, because the output does not.
         """
         begin, log_in = self.saved_for(cfg), self.input
-        states = () if begin is None else (attachment_of(BEGIN_ATTACHMENT, begin),)
+        states = () if begin is None else (Attachment(BEGIN_ATTACHMENT, _MEDIA_TYPE, encode(begin)),)
         waiting = log_in.end_state(with_messages=with_messages)
         saved = SavedState(log_in.log_id, settings_of(cfg), waiting, end, log_in.lost_to_come)
         try:
-            return (*states, attachment_of(STATE_ATTACHMENT, saved)), ()
+            return (*states, Attachment(STATE_ATTACHMENT, _MEDIA_TYPE, encode(saved))), ()
         except StateError as error:  # the results do not depend on it
             return states, (f"{STATE_ATTACHMENT}: left out, this part cannot be continued: {error}",)
 
@@ -172,14 +171,19 @@ def _open_continued(source: ReplaySource, cfg: ReplayConfig, before: Path) -> Op
 
 
 def _open_warmed(source: ReplaySource, cfg: ReplayConfig, warm_up_s: float) -> OpenedLog:
-    """Open a part of a log, with the state after the seconds before it."""
+    """Open a part of a log, with the state after the seconds before it.
+
+    Raises:
+        LogError: these seconds are damaged, and the state would be another one; else as ``open_log``.
+    """
     found = source.read(cfg.limits)
-    start_s = found.part(source.time_range).start_s or 0.0
+    start_s, first_ns = found.part(source.time_range).start_s or 0.0, found.summary.first_ns or 0
     short = (f"warm-up: {start_s:g} s, the log has no more before the start",) if start_s < warm_up_s else ()
     lead = replace(source, time_range=TimeRange(start_s - warm_up_s, start_s))
+    start_ns = first_ns + seconds_to_ns(start_s)
     if not source.recover:
-        _require_sound_lead(found, lead.time_range)
-    begin = _warmed(found.summary, lead, cfg) if start_s > 0 else None
+        found.require_outside(first_ns + seconds_to_ns(start_s - warm_up_s), start_ns)
+    begin = _warmed(found.summary, lead, cfg, start_ns) if start_s > 0 else None
     return _opened(found, source, cfg, begin, short)
 
 
@@ -187,27 +191,14 @@ def _opened(
     found: ReadableLog, source: ReplaySource, cfg: ReplayConfig, begin: SavedState | None, notes: Notes = ()
 ) -> OpenedLog:
     """The input of a replay that begins with a state."""
-    if begin is None:
-        return OpenedLog(input_of(found, source, cfg), begin, notes, found.warnings, source.strict)
-    log_in = input_of(found, source, cfg, begin.input, begin.lost)
-    first = begin.input.numbers.next
+    log_in = input_of(found, source, cfg, *(() if begin is None else (begin.input, begin.lost)))
+    first = log_in.plan.start.numbers.next
     if first < 0 or first + log_in.expected_frames > _MOST_FRAMES:
         raise StateError(f"frame {first} and {log_in.expected_frames} more: a log numbers {_MOST_FRAMES} at most")
-    return OpenedLog(log_in, begin, notes, found.warnings, source.strict)
+    return OpenedLog(log_in, begin, notes, found.warnings)
 
 
-def _require_sound_lead(found: ReadableLog, lead: TimeRange) -> None:
-    """Check that the seconds before a start are not damaged: the state would be another one.
-
-    Raises:
-        LogError: they are.
-    """
-    first_ns = found.summary.first_ns or 0
-    start_ns, end_ns = (first_ns + seconds_to_ns(limit_s or 0.0) for limit_s in (lead.start_s, lead.end_s))
-    found.require_outside(start_ns, end_ns)
-
-
-def _warmed(summary: LogSummary, lead: ReplaySource, cfg: ReplayConfig) -> SavedState | None:
+def _warmed(summary: LogSummary, lead: ReplaySource, cfg: ReplayConfig, start_ns: int) -> SavedState | None:
     """The state after the frames before a start, which are not written; None without such frames."""
     try:
         log_in = input_of(ReadableLog(summary), lead, cfg)
@@ -219,7 +210,6 @@ def _warmed(summary: LogSummary, lead: ReplaySource, cfg: ReplayConfig) -> Saved
             chain, _ = step(cfg, chain, sample.frame)
             earlier = sample.as_earlier
     end = log_in.end_state(with_messages=True)
-    start_ns = (summary.first_ns or 0) + seconds_to_ns(lead.time_range.end_s or 0.0)
     end = replace(end, from_ns=start_ns, numbers=FrameNumbers(written_from_ns=start_ns))
     saved = SavedState("", settings_of(cfg), end, ReplayState(chain, earlier))
     return decode(encode(saved), SavedState)  # as a later replay reads it
@@ -236,7 +226,7 @@ def run_of(cfg: ReplayConfig, opened: OpenedLog, target: ReplayTarget) -> dict[s
         "frames at most": str(plan.most_frames),
         "pictures": json.dumps(sorted(target.on_request)),
         "results only": str(target.results_only),
-        "strict": str(opened.strict),
+        "strict": str(plan.problems.strict_in is not None),
         "state at the beginning": "" if begin is None else hashlib.sha256(encode(begin)).hexdigest(),
     }
 

@@ -12,16 +12,15 @@ from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import StateError
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.state import InputState
-from roadperc_stream.log import Attachment, LogSummary, LostSpan, Message
+from roadperc_stream.log import LogSummary, LostSpan, Message
 from roadperc_stream.model import EarlierTruth
 from roadperc_stream.output.writing import Shown
 from roadperc_stream.resume.bounds import StateBounds
-from roadperc_stream.resume.encoding import decode, encode
+from roadperc_stream.resume.encoding import decode
 from roadperc_stream.schemas.record import BEGIN_ATTACHMENT, STATE_ATTACHMENT
 from roadperc_stream.system.time import TimeRange
 
 Notes = tuple[str, ...]
-_MEDIA_TYPE = "application/zstd"
 _MOST_NAMED = 3
 """Settings that a message about them names."""
 
@@ -111,15 +110,6 @@ def state_at_begin(summary: LogSummary, cfg: ReplayConfig, part: TimeRange) -> t
     if state is None or not (differing := state.differences(cfg)):
         return state, ()
     return state, (f"{BEGIN_ATTACHMENT}: of other settings ({_some(differing)}): the chain begins without a state",)
-
-
-def attachment_of(name: str, state: SavedState) -> Attachment:
-    """A state as an attachment.
-
-    Raises:
-        StateError: it is too large.
-    """
-    return Attachment(name, _MEDIA_TYPE, encode(state))
 
 
 def _attached(summary: LogSummary, name: str, cfg: ReplayConfig) -> SavedState | None:

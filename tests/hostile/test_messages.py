@@ -15,7 +15,8 @@ from roadperc_stream.formats import images
 from roadperc_stream.geometry import Camera
 from roadperc_stream.input.decoding import Context, decode
 from roadperc_stream.input.stream import Problems, Stamped
-from roadperc_stream.input.sync import LatchedState, without_loops
+from roadperc_stream.input.sync import without_loops
+from roadperc_stream.input.transforms import TransformTree
 from roadperc_stream.model import Transform
 from roadperc_stream.output import encoding
 from tests import logs
@@ -141,17 +142,16 @@ def test_a_long_chain_of_transforms_is_cut_where_the_tree_is_full():
     edges = [Transform(f"f{k}", f"f{k + 1}", np.eye(4)) for k in range(20_000)]
     items = (Stamped("tf", k, k, (edge,)) for k, edge in enumerate(edges))
     problems, started = Problems(), time.process_time()
-    kept = list(without_loops(items, LatchedState(), {"tf": "/tf"}, problems, LimitsConfig(transforms=300)))
+    kept = list(without_loops(items, TransformTree(), {"tf": "/tf"}, problems, LimitsConfig(transforms=300)))
     assert len(kept) == 300
     assert "1 transforms to more frames than limits.transforms 300: left out" in problems.first["/tf, in part"]
     assert time.process_time() - started < 10
 
 
 def test_edges_that_are_known_are_still_replaced_in_a_full_tree():
-    tree = LatchedState().updated(Stamped("tf", 0, 0, (Transform("a", "b", np.eye(4)),)))
-    again = Stamped("tf", 1, 1, (Transform("a", "b", np.eye(4)), Transform("a", "c", np.eye(4))))
-    item, beyond = tree.split_new(again, 1)
-    assert ([edge.child for edge in item.edges], beyond) == (["b"], 1)
+    tree = TransformTree().updated([Transform("a", "b", np.eye(4))])
+    again = (Transform("a", "b", np.eye(4)), Transform("a", "c", np.eye(4)))
+    assert [edge.child for edge in tree.fitting(again, 1)] == ["b"]
 
 
 def test_many_detections_take_a_time_that_grows_with_their_number(tmp_path):

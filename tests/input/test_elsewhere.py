@@ -28,6 +28,7 @@ from roadperc_stream.schemas.protobuf import stamp_ns
 from roadperc_stream.schemas.roadperc_pb2 import Detections
 from tests import rosbag
 from tests.replaying import replay
+from tests.resume.parts import write
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
 FRAMES = 8
@@ -109,13 +110,6 @@ def transform(edge):
     }
 
 
-def ours(path, messages):
-    with log.LogWriter(path) as writer:
-        for message in messages:
-            writer.write(message)
-    return path
-
-
 def bag(path, messages, colours="bgra8", vehicles=("ego_vehicle",), static=False):
     """The messages in a bag under the topic names of CARLA's bridge."""
     with path.open("wb") as stream:
@@ -146,7 +140,7 @@ def rows(target, kind="metrics"):
 )
 def test_a_bag_of_carlas_bridge_gives_the_metrics_of_our_own_log(tmp_path, recorded, colours, depth, static):
     messages = [in_metres(m) for m in recorded] if depth == "32FC1" else recorded
-    expected, _ = run(ours(tmp_path / "ours.mcap", messages))
+    expected, _ = run(write(tmp_path / "ours.mcap", messages))
     found, summary = run(bag(tmp_path / "bag.mcap", messages, colours, static=static))
     assert summary.problems == {}
     assert summary.notes == ("role detections: /carla/ego_vehicle/detections, the only topic that fits",)

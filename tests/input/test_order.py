@@ -83,24 +83,24 @@ def test_a_calibration_that_is_too_late_holds_for_what_is_not_given_out_yet():
     assert ordered(items) == ([*images(0, 500), (0, "calibration", 10), *images(1000, 1500)], [])
 
 
-@pytest.mark.parametrize("stragglers", [(100,), (100, 150), (150, 100), (300, 200, 100)])
-def test_stragglers_disturb_nothing(stragglers):
-    """Three in a row that do not ascend are none of another recording."""
-    given, left_out = ordered(arriving(1000, 1050, *stragglers, 1100, 1150))
-    assert given == images(1000, 1050, 1100, 1150)
-    assert left_out == [("image", stamp) for stamp in stragglers]
+RECORDING = range(0, 1000, 50)
 
 
-def test_three_images_in_a_row_begin_a_segment_the_first_of_them_included():
-    given, left_out = ordered(arriving(1000, 1050, 0, 50, 100, 150))
-    assert given == images(1000, 1050) + images(0, 50, 100, 150, segment=1)
-    assert left_out == []
-
-
-def test_a_straggler_before_another_recording_is_none_of_it():
-    given, left_out = ordered(arriving(1000, 1050, 500, 0, 50, 100))
-    assert given == images(1000, 1050) + images(0, 50, 100, segment=1)
-    assert left_out == [("image", 500)]
+@pytest.mark.parametrize(
+    ("stamps", "given", "stragglers"),
+    [
+        ((1000, 1050, 100, 1100, 1150), images(1000, 1050, 1100, 1150), (100,)),
+        ((1000, 1050, 100, 150, 1100, 1150), images(1000, 1050, 1100, 1150), (100, 150)),
+        ((1000, 1050, 150, 100, 1100, 1150), images(1000, 1050, 1100, 1150), (150, 100)),
+        ((1000, 1050, 300, 200, 100, 1100, 1150), images(1000, 1050, 1100, 1150), (300, 200, 100)),
+        ((1000, 1050, 0, 50, 100, 150), images(1000, 1050) + images(0, 50, 100, 150, segment=1), ()),
+        ((1000, 1050, 500, 0, 50, 100), images(1000, 1050) + images(0, 50, 100, segment=1), (500,)),
+        ([*RECORDING] * 3, [row for k in range(3) for row in images(*RECORDING, segment=k)], ()),
+    ],
+    ids=["one", "two", "two that fall", "three that fall", "three that ascend", "one before three", "played thrice"],
+)
+def test_three_images_in_a_row_that_ascend_begin_a_segment_and_others_are_left_out(stamps, given, stragglers):
+    assert ordered(arriving(*stamps)) == (given, [("image", stamp) for stamp in stragglers])
 
 
 def test_what_comes_before_its_first_image_belongs_to_the_new_segment_and_late_messages_to_the_old_one():
@@ -164,39 +164,34 @@ def test_a_sensor_that_catches_up_while_the_images_are_silent_waits_no_more():
     assert held.held == []
 
 
-def test_a_sensor_that_is_always_too_late_disturbs_nothing():
-    items = [item("image", t) for t in range(0, 3000, 50)]
-    items += [item("depth", t, t + 3 * WAIT_MS) for t in range(0, 2000, 50)]
-    given, left_out = ordered(items)
-    assert [row for row in given if row[1] == "image"] == images(*range(0, 3000, 50))
-    assert left_out == []
+def image_every_50_ms(*times, late=0):
+    return [item("image", t, t + late) for t in times]
 
 
-@pytest.mark.parametrize("ahead_ms", [3000, 3_600_000])
-def test_a_sensor_whose_clock_is_ahead_disturbs_nothing(ahead_ms):
-    """It begins before the images and goes on while they pause."""
-    times = [*range(5000, 6000, 50), *range(9000, 10_000, 50)]
-    items = [item("image", t) for t in times] + [item("depth", t + ahead_ms, t) for t in range(0, 10_000, 50)]
-    given, left_out = ordered(items)
-    assert [row for row in given if row[1] == "image"] == images(*times)
-    assert left_out == []
+PAUSING = (*range(5000, 6000, 50), *range(9000, 10_000, 50))
+OTHERS = {
+    "always too late": (
+        image_every_50_ms(*range(0, 3000, 50)),
+        [item("depth", t, t + 3 * WAIT_MS) for t in range(0, 2000, 50)],
+    ),
+    "ahead by seconds": (image_every_50_ms(*PAUSING), [item("depth", t + 3000, t) for t in range(0, 10_000, 50)]),
+    "ahead by an hour": (image_every_50_ms(*PAUSING), [item("depth", t + 3_600_000, t) for t in range(0, 10_000, 50)]),
+    "long before the images": (
+        image_every_50_ms(*range(0, 3000, 50), late=5 * WAIT_MS),
+        [item("depth", t) for t in range(0, 3000, 50)],
+    ),
+    "many of them": (
+        [*(image_every_50_ms(*range(0, 1000, 50), *range(1050, 2000, 50))), item("image", 1000, 1000 + WAIT_MS)],
+        [item("detections", t / 10) for t in range(20_000)],
+    ),
+}
 
 
-def test_images_that_are_logged_long_after_all_others_are_not_late():
-    items = [item("depth", t) for t in range(0, 3000, 50)] + [
-        item("image", t, t + 5 * WAIT_MS) for t in range(0, 3000, 50)
-    ]
-    given, left_out = ordered(items)
-    assert [row for row in given if row[1] == "image"] == images(*range(0, 3000, 50))
-    assert left_out == []
-
-
-def test_many_messages_of_another_sensor_do_not_shorten_the_wait():
-    items = [item("detections", t / 10) for t in range(20_000)] + [
-        item("image", t) for t in range(0, 2000, 50) if t != 1000
-    ]
-    given, left_out = ordered([*items, item("image", 1000, 1000 + WAIT_MS)])
-    assert [row for row in given if row[1] == "image"] == images(*range(0, 2000, 50))
+@pytest.mark.parametrize("case", OTHERS)
+def test_messages_of_another_sensor_disturb_no_image(case):
+    arrived, others = OTHERS[case]
+    given, left_out = ordered([*others, *arrived])
+    assert [row for row in given if row[1] == "image"] == images(*sorted(i.stamp_ns // MS for i in arrived))
     assert left_out == []
 
 

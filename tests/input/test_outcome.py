@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import pytest
 
+from roadperc_stream import log
 from roadperc_stream.cli.replay import main
 from roadperc_stream.config import SyncConfig, load_config
 from roadperc_stream.input.order import OrderConfig
 from roadperc_stream.input.outcome import InputOutcome, PartSpan, continuation_notes
-from roadperc_stream.input.stream import MessagePlace
 from roadperc_stream.input.sync import PairingState, StampPairing, SyncedMessages
 from tests import logs
 from tests.analytic import STEP_NS
@@ -18,6 +18,7 @@ from tests.resume.parts import inputs, results, rows, write
 
 CFG = load_config(None, ("sync.max_wait_s=0.2",))
 ROAD = replace(logs.SMALL, width=96, height=72)
+CARRIED = log.Message(logs.channel("image"), 0, 0, 0, b"")
 S = 1_000_000_000
 
 
@@ -41,15 +42,8 @@ def notes_of(outcome, nearest_ns=None):
 
 
 def synced(segment, stamp_ms, *others, carried=False):
-    reference = replace(item("image", stamp_ms), segment=segment, place=MessagePlace(carried=carried))
+    reference = replace(item("image", stamp_ms), segment=segment, carried=CARRIED if carried else None)
     return SyncedMessages(reference, {"image": reference} | dict.fromkeys(others, reference), None, None)
-
-
-def test_of_a_tidy_log_nothing_is_said():
-    outcome = InputOutcome()
-    for k in range(3):
-        outcome.add(synced(0, 50 * k))
-    assert (outcome.frames, notes_of(outcome)) == (3, [])
 
 
 def test_segments_that_begin_are_named_with_their_stamps_and_frames():
@@ -90,7 +84,7 @@ def test_messages_of_no_frame_are_one_note():
 
 def test_a_sensor_that_is_in_no_frame_is_said_with_the_setting_that_decides():
     outcome = InputOutcome()
-    outcome.pair(synced(0, 5, "lidar"))
+    outcome.add(synced(0, 5, "lidar"), is_written=False)
     for role in ("depth", "lidar"):
         outcome.drop(item(role, 3))
     _, note = notes_of(outcome, {"depth": 12 * MS, "lidar": 11 * MS})

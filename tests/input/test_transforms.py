@@ -26,7 +26,7 @@ def test_transforms_chain_through_the_tree():
     assert rig.lookup("left", "lidar")[0, 3] == 2.0
     assert rig.lookup("ego", "nowhere") is None
     assert rig.updated([edge("ego", "rig", 4.0)]).lookup("ego", "left")[0, 3] == 6.0
-    assert rig.parent_of == {"rig": "ego", "left": "rig", "lidar": "ego"}
+    assert {child: e.parent for child, e in rig.edges.items()} == {"rig": "ego", "left": "rig", "lidar": "ego"}
 
 
 @pytest.mark.parametrize(("frame", "known"), [("rig", True), ("ego", True), ("left", False)])
@@ -74,6 +74,6 @@ def test_without_the_edges_of_loops_there_is_always_a_tree(messages):
 def test_another_root_moves_no_frame(root):
     rig = tree(edge("ego", "rig", 1.0), edge("rig", "left", 2.0), edge("ego", "lidar", 5.0))
     turned = rig.rooted_at(root)
-    assert root not in turned.parent_of
+    assert root not in turned.edges
     for frame in ("ego", "rig", "left", "lidar"):
         np.testing.assert_allclose(turned.lookup("left", frame), rig.lookup("left", frame))

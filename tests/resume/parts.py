@@ -31,6 +31,23 @@ def inputs(path):
     return [message for message in log.read(log.summarise(path)) if not is_result(message.channel)]
 
 
+def with_attachments(source, target, **changed):
+    """A copy of a log with other attachments: None for none."""
+    with log.LogWriter(target) as writer:
+        for message in log.read(log.summarise(source)):
+            writer.write(message)
+        for item in log.summarise(source).attachments:
+            data = changed.get(item.name, item.data)
+            if data is not None:
+                writer.attach(replace(item, data=data))
+    return target
+
+
+def carried(state):
+    """The messages that an input's state holds."""
+    return [item.message for item in state.pairing.items if item.message is not None]
+
+
 def cut(messages, times_ns):
     """The messages between the times, by log time: one part more than there are times."""
     edges = [0, *sorted(times_ns), 2**63]

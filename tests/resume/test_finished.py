@@ -21,8 +21,9 @@ from roadperc_stream.resume.encoding import FORMAT_VERSION, encode
 from roadperc_stream.schemas.record import BEGIN_ATTACHMENT, STATE_ATTACHMENT
 from tests import logs
 from tests.analytic import STEP_NS
+from tests.resume.parts import with_attachments
 from tests.resume.test_kills import interrupt
-from tests.resume.test_parts import ANYHOW, ROAD, with_attachments
+from tests.resume.test_parts import ANYHOW, ROAD
 
 FRAMES = 12
 NAMES = ("map", "odom", "base_link", "mast", "camera", "ego", "lidar")

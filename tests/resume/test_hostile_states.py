@@ -1,6 +1,5 @@
 """States from untrusted files: one of a wrong type, shape or size is one line, and is not allocated."""
 
-import copy
 import math
 import struct
 import subprocess
@@ -16,13 +15,12 @@ import zstandard
 from roadperc_stream import log
 from roadperc_stream.config import load_config
 from roadperc_stream.errors import StateError
-from roadperc_stream.log import Attachment
 from roadperc_stream.resume import encoding
 from roadperc_stream.resume.state import state_at_end
 from roadperc_stream.schemas.record import BEGIN_ATTACHMENT, STATE_ATTACHMENT
 from tests import logs
 from tests.replaying import replay
-from tests.resume.parts import cut, inputs, replayed, write
+from tests.resume.parts import cut, inputs, replayed, with_attachments, write
 
 CFG = load_config(None, ("sync.max_wait_s=0.2",))
 ROAD = replace(logs.SMALL, width=96, height=72)
@@ -63,14 +61,9 @@ def unpacked(path, name):
 
 def changed(source, target, name, change):
     """A copy of a result with another state; ``change`` alters it as MessagePack gives it."""
-    state = copy.deepcopy(unpacked(source, name))
+    state = unpacked(source, name)
     change(state)
-    with log.LogWriter(target) as writer:
-        for message in log.read(log.summarise(source)):
-            writer.write(message)
-        for item in log.summarise(source).attachments:
-            writer.attach(Attachment(item.name, item.media_type, packed(state) if item.name == name else item.data))
-    return target
+    return with_attachments(source, target, **{name: packed(state)})
 
 
 def grey(rows, columns):
@@ -108,13 +101,13 @@ def long_tree(state):
 
 
 def looped(state):
-    tree = state["input"]["pairing"]["sync"]["latched"]["tree"]
+    tree = state["input"]["pairing"]["latched"]["tree"]
     edge = next(iter(tree["edges"].values()))
     tree["edges"] |= {"a": {**edge, "parent": "b", "child": "a"}, "b": {**edge, "parent": "a", "child": "b"}}
 
 
 def large_camera(state):
-    for camera in state["input"]["pairing"]["sync"]["latched"]["cameras"].values():
+    for camera in state["input"]["pairing"]["latched"]["cameras"].values():
         camera.update(width=40_000, height=40_000)
 
 

@@ -1,9 +1,7 @@
 """Checkpoints that are damaged, held by another replay, or no folder; and what a replay says of them."""
 
-import os
 import signal
 import subprocess
-import sys
 import time
 from random import Random
 
@@ -138,17 +136,3 @@ def test_the_same_command_with_force_resumes_over_an_older_output(source, tmp_pa
     interrupt(source, target, 14, force=True)
     resumed = replay(source, target, CFG, **RESUMED, force=True)
     assert resumed.frames_before > 0
-
-
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_who_interrupts_it_learns_how_it_goes_on(tmp_path, number):
-    source, target = logs.write(tmp_path / "in.mcap", logs.items(300, road=ROAD)), tmp_path / "out.mcap"
-    code = "import sys; from roadperc_stream.cli.replay import main; sys.exit(main())"
-    started = [sys.executable, "-c", code, *words(source, target)]
-    process = subprocess.Popen(started, stderr=subprocess.PIPE, text=True, env=os.environ)
-    while process.poll() is None and not (checkpoint_folder(target) / "state").exists():
-        time.sleep(0.01)
-    process.send_signal(number)
-    _, err = process.communicate(timeout=60)
-    expected = "error: interrupted; the same command with --resume goes on from the last checkpoint\n"
-    assert (process.returncode, err) == (1, expected)

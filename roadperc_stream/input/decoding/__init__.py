@@ -10,17 +10,16 @@ from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats.raster import Content
 from roadperc_stream.input.decoding import foxglove, own, ros
-from roadperc_stream.input.decoding.own import detection_from_proto
 from roadperc_stream.input.decoding.payload import (
+    READ_AS_A_WHOLE,
     Context,
     Decoded,
     Payload,
     camera_from_calibration,
-    require_length,
     require_within,
 )
 from roadperc_stream.input.decoding.wire import from_json, parsed
-from roadperc_stream.log import Channel
+from roadperc_stream.log.records import Channel
 from roadperc_stream.model.tag_tables import TABLES
 from roadperc_stream.schemas import cdr, ros2
 from roadperc_stream.schemas.record import TAG_TABLE_KEY
@@ -28,14 +27,12 @@ from roadperc_stream.schemas.roles import CARLA_BRIDGE, Kind
 from roadperc_stream.system.time import END_OF_TIME_NS
 
 __all__ = [
-    "DECODERS",
     "Context",
     "Decoded",
     "Payload",
     "camera_from_calibration",
     "context_of_channel",
     "decode",
-    "detection_from_proto",
     "schemas_of_kind",
 ]
 Decoder = Callable[[bytes, Context], Decoded]
@@ -67,10 +64,10 @@ def _cdr(name: str, decoder: Callable[[Any, Context], Decoded]) -> Decoder:
     return decode_cdr
 
 
+_MESSAGES: Final = {**own.DECODERS, **foxglove.DECODERS}
 DECODERS: Final[Mapping[tuple[Kind, str, str], Decoder]] = {
-    **{(kind, t.DESCRIPTOR.full_name, "protobuf"): _protobuf(t, f) for (kind, t), f in own.DECODERS.items()},
+    **{(kind, t.DESCRIPTOR.full_name, "protobuf"): _protobuf(t, f) for (kind, t), f in _MESSAGES.items()},
     **{(kind, t.DESCRIPTOR.full_name, "protobuf"): _picture(t, f) for (kind, t), f in foxglove.PICTURES.items()},
-    **{(kind, t.DESCRIPTOR.full_name, "protobuf"): _protobuf(t, f) for (kind, t), f in foxglove.DECODERS.items()},
     **{(kind, name, "cdr"): _cdr(name, f) for (kind, name), f in ros.DECODERS.items()},
     **{(kind, t.DESCRIPTOR.full_name, "json"): _json(t, _whole(f)) for (kind, t), f in foxglove.PICTURES.items()},
     **{(kind, t.DESCRIPTOR.full_name, "json"): _json(t, f) for (kind, t), f in foxglove.DECODERS.items()},
@@ -111,7 +108,8 @@ def decode(kind: Kind, schema: str, encoding: str, data: bytes, log_time_ns: int
     if decoder is None:
         expected = ", ".join(f"{known} ({written})" for known, written in schemas_of_kind(kind))
         raise DecodeError(f"expected {expected}; found {schema or 'no schema'} ({encoding})")
-    require_length(kind, data, context.limits)
+    if len(data) > context.limits.message_bytes and kind not in READ_AS_A_WHOLE:
+        raise DecodeError(f"{len(data)} bytes: expected limits.message_mb {context.limits.message_mb} at most")
     try:
         decoded = decoder(data, context)
         require_within(decoded.payload, context.limits)

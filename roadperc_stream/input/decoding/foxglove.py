@@ -24,22 +24,23 @@ from roadperc_stream.schemas.roles import Kind
 Picture = Callable[[Any, Content, Context], Decoded]
 
 
-def _encoded(decoder: Callable[[str, Content, Context], Any]) -> Picture:
+def _file(kind: Kind) -> Picture:
     """A decoder of messages whose data are a file."""
-    return lambda message, data, context: _stamped(message, decoder(message.frame_id, data, context))
+    return lambda message, data, context: _stamped(message, pictures.of_file(kind, message.frame_id, data, context))
 
 
-def _raw(decoder: Callable[[str, Raster, Context], Any]) -> Picture:
+def _raw(kind: Kind) -> Picture:
     """A decoder of messages whose data are pixels."""
-    return lambda message, data, context: _stamped(message, decoder(message.frame_id, _raster(message, data), context))
+
+    def decoded(message: Any, data: Content, context: Context) -> Decoded:
+        raster = Raster(message.encoding, message.width, message.height, message.step, data)
+        return _stamped(message, pictures.of_raster(kind, message.frame_id, raster, context))
+
+    return decoded
 
 
 def _stamped(message: Any, payload: Any) -> Decoded:
     return Decoded(stamp_ns(message.timestamp), payload)
-
-
-def _raster(message: Any, data: Content) -> Raster:
-    return Raster(message.encoding, message.width, message.height, message.step, data)
 
 
 def _point_cloud(message: Any, context: Context) -> Decoded:
@@ -83,13 +84,8 @@ def _pose(message: Any, _: Context) -> Decoded:
 
 
 PICTURES: Final[Mapping[tuple[Kind, Any], Picture]] = {
-    ("image", CompressedImage): _encoded(pictures.encoded_image),
-    ("image", RawImage): _raw(pictures.raw_image),
-    ("tags", CompressedImage): _encoded(pictures.encoded_tags),
-    ("tags", RawImage): _raw(pictures.raw_tags),
-    ("instances", CompressedImage): _encoded(pictures.encoded_instances),
-    ("instances", RawImage): _raw(pictures.raw_instances),
-    ("depth", RawImage): _raw(pictures.raw_depth),
+    **{(kind, CompressedImage): _file(kind) for kind in pictures.FILE_KINDS},
+    **{(kind, RawImage): _raw(kind) for kind in pictures.RASTER_KINDS},
 }
 """By kind and type of message, of which field ``data`` is given apart."""
 DECODERS: Final[Mapping[tuple[Kind, Any], Callable[[Any, Context], Decoded]]] = {

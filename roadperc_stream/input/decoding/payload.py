@@ -42,7 +42,7 @@ Payload = (
     | Lanes
     | Objects
 )
-_LARGE: Final[frozenset[Kind]] = frozenset(("image", "tags", "instances", "depth", "points"))
+READ_AS_A_WHOLE: Final[frozenset[Kind]] = frozenset(("image", "tags", "instances", "depth", "points"))
 """Kinds whose messages are read as a whole; those of others item by item."""
 _INTRINSICS: Final = (0, 4, 2, 5)
 """Where fx, fy, cx and cy stand in K, row by row."""
@@ -101,16 +101,6 @@ def pose_matrix(position: Any, orientation: Any) -> Float:
         raise DecodeError(f"pose without an orientation: {error}") from error
     require_finite("pose", position.x, position.y, position.z)
     return rigid(rotation, np.array([position.x, position.y, position.z]))
-
-
-def require_length(kind: Kind, data: bytes, limits: LimitsConfig) -> None:
-    """Refuse a message that would take long to read.
-
-    Raises:
-        DecodeError: the message names the limit.
-    """
-    if len(data) > limits.message_bytes and kind not in _LARGE:
-        raise DecodeError(f"{len(data)} bytes: expected limits.message_mb {limits.message_mb} at most")
 
 
 def require_count(items: Literal["points", "detections", "transforms"], found: int, limits: LimitsConfig) -> None:

@@ -11,8 +11,9 @@ from roadperc_stream.formats import images
 from roadperc_stream.formats.raster import PALETTE_TABLE, Content, Raster, tags_of_colours
 from roadperc_stream.geometry import Float32
 from roadperc_stream.input.decoding.payload import Context
-from roadperc_stream.model import CameraImage, DepthImage, InstanceImage, TagImage
+from roadperc_stream.model import CameraImage, DepthImage, Image, InstanceImage, TagImage
 from roadperc_stream.model.tag_tables import TagTable
+from roadperc_stream.schemas.roles import Kind
 
 _COLOUR_TYPE: Final = 25
 """Where a PNG says how its pixels are coloured."""
@@ -21,91 +22,59 @@ _DEPTH_HEADER: Final = struct.Struct("<iff")
 """Of compressedDepth: a number nobody uses, and both parameters of the quantisation of 32FC1."""
 
 
-def encoded_image(frame_id: str, content: Content, context: Context) -> CameraImage:
-    """A camera's image of a file's bytes."""
-    limits = context.limits
-    return CameraImage(
-        frame_id,
-        lambda: images.decode_bgr(bytes(content), limits),
-        lambda: images.decode_grey(bytes(content), limits),
-        lambda: images.image_size(bytes(content), limits),
-    )
+Picture = CameraImage | TagImage | InstanceImage | DepthImage
+FILE_KINDS: Final[tuple[Kind, ...]] = ("image", "tags", "instances")
+RASTER_KINDS: Final[tuple[Kind, ...]] = (*FILE_KINDS, "depth")
 
 
-def raw_image(frame_id: str, raster: Raster, context: Context) -> CameraImage:
-    """A camera's image of raw pixels.
+def of_raster(kind: Kind, frame_id: str, raster: Raster, context: Context) -> Picture:
+    """An image, tags (numbers or CARLA's colours), instance masks in CARLA's coding, or depth of raw pixels.
 
     Raises:
-        DecodeError: it is beyond the limits.
+        DecodeError: it is beyond the limits, or tags are numbers of an unknown table.
     """
-    _require_pixels("image", raster, context.limits)
-    return CameraImage(frame_id, raster.bgr, raster.grey, raster.size)
+    if raster.width * raster.height <= len(raster.data):  # of a size that the data do not have, decoding says so
+        images.require_pixels(kind, raster.width, raster.height, context.limits)
+    match kind:
+        case "image":
+            return CameraImage(frame_id, raster.bgr, raster.grey, raster.size)
+        case "depth":
+            return DepthImage(frame_id, raster.depth)
+        case "instances":
+            return InstanceImage(frame_id, lambda: images.instance_ids(raster.bgr()))
+    table = _table_of(context.tag_table, indexed=raster.indexed)
+    return TagImage(frame_id, table, lambda: raster.tags(table))
 
 
-def raw_depth(frame_id: str, raster: Raster, context: Context) -> DepthImage:
-    """Depth of raw pixels.
+def of_file(kind: Kind, frame_id: str, content: Content, context: Context) -> Picture:
+    """An image of a file's bytes, instance masks of a PNG in CARLA's coding, or tags of a PNG.
 
-    Raises:
-        DecodeError: it is beyond the limits.
-    """
-    _require_pixels("depth", raster, context.limits)
-    return DepthImage(frame_id, raster.depth)
-
-
-def raw_tags(frame_id: str, raster: Raster, context: Context) -> TagImage:
-    """Tags of raw pixels, numbers or CARLA's colours.
-
-    Raises:
-        DecodeError: numbers, and nobody says which table is theirs; or beyond the limits.
-    """
-    _require_pixels("tags", raster, context.limits)
-    known = _table_of(context.tag_table, indexed=raster.indexed)
-    return TagImage(frame_id, known, lambda: raster.tags(known))
-
-
-def _require_pixels(what: str, raster: Raster, limits: LimitsConfig) -> None:
-    """Refuse too many pixels; of a size that the data do not have, decoding says so."""
-    if raster.width * raster.height <= len(raster.data):
-        images.require_pixels(what, raster.width, raster.height, limits)
-
-
-def encoded_tags(frame_id: str, content: Content, context: Context) -> TagImage:
-    """Tags of a PNG: palette indices, grey values, or CARLA's colours.
+    Tags are palette indices, grey values, or CARLA's colours.
 
     Raises:
-        DecodeError: numbers, and nobody says which table is theirs.
+        DecodeError: tags are numbers of an unknown table, or instance masks are in a file whose numbers are not exact.
     """
     limits = context.limits
-    if _is_png(content) and content[_COLOUR_TYPE : _COLOUR_TYPE + 1] in _TRUE_COLOURS:
-        known = _table_of(context.tag_table, indexed=False)
-        return TagImage(frame_id, known, lambda: tags_of_colours(images.decode_bgr(bytes(content), limits), known))
-    known = _table_of(context.tag_table, indexed=True)
-    return TagImage(frame_id, known, lambda: images.decode_indices(bytes(content), limits))
 
+    def bgr() -> Image:
+        return images.decode_bgr(bytes(content), limits)
 
-def encoded_instances(frame_id: str, content: Content, context: Context) -> InstanceImage:
-    """Masks of a PNG in CARLA's coding.
-
-    Raises:
-        DecodeError: another file, whose numbers are not exact.
-    """
-    if not _is_png(content):
-        raise DecodeError("instance masks that are no PNG: expected CARLA's coding, which no lossy file keeps")
-    return InstanceImage(frame_id, lambda: images.instance_ids(images.decode_bgr(bytes(content), context.limits)))
+    if kind == "image":
+        grey, size = images.decode_grey, images.image_size
+        return CameraImage(frame_id, bgr, lambda: grey(bytes(content), limits), lambda: size(bytes(content), limits))
+    if kind == "instances":
+        if not _is_png(content):
+            raise DecodeError("instance masks that are no PNG: expected CARLA's coding, which no lossy file keeps")
+        return InstanceImage(frame_id, lambda: images.instance_ids(bgr()))
+    in_colours = _is_png(content) and content[_COLOUR_TYPE : _COLOUR_TYPE + 1] in _TRUE_COLOURS
+    table = _table_of(context.tag_table, indexed=not in_colours)
+    if in_colours:
+        return TagImage(frame_id, table, lambda: tags_of_colours(bgr(), table))
+    return TagImage(frame_id, table, lambda: images.decode_indices(bytes(content), limits))
 
 
 def _is_png(content: Content) -> bool:
     return content[: len(images.PNG_MAGIC)] == images.PNG_MAGIC
-
-
-def raw_instances(frame_id: str, raster: Raster, context: Context) -> InstanceImage:
-    """Masks of raw pixels in CARLA's coding.
-
-    Raises:
-        DecodeError: beyond the limits.
-    """
-    _require_pixels("instances", raster, context.limits)
-    return InstanceImage(frame_id, lambda: images.instance_ids(raster.bgr()))
 
 
 def _table_of(table: TagTable | None, *, indexed: bool) -> TagTable:

@@ -37,20 +37,30 @@ def _frame_id(message: Any) -> str:
 Decoder = Callable[[Any, Context], Decoded]
 
 
-def _raw(decoder: Callable[[str, Raster, Context], Any]) -> Decoder:
+def _raw(kind: Kind) -> Decoder:
     """A decoder of sensor_msgs/msg/Image."""
-    return lambda message, context: _stamped(message, decoder(_frame_id(message), Raster.of_ros(message), context))
+
+    def decoded(message: Any, context: Context) -> Decoded:
+        raster = Raster.of_ros(message)
+        return _stamped(message, pictures.of_raster(kind, _frame_id(message), raster, context))
+
+    return decoded
 
 
-def _encoded(decoder: Callable[[str, bytes, Context], Any]) -> Decoder:
+def _file(kind: Kind) -> Decoder:
     """A decoder of sensor_msgs/msg/CompressedImage."""
-    return lambda message, context: _stamped(message, decoder(_frame_id(message), message.data.tobytes(), context))
+
+    def decoded(message: Any, context: Context) -> Decoded:
+        content = message.data.tobytes()
+        return _stamped(message, pictures.of_file(kind, _frame_id(message), content, context))
+
+    return decoded
 
 
 def _compressed_image(message: Any, context: Context) -> Decoded:
     if "compressedDepth" in message.format:
         raise DecodeError(f"image of format {message.format!r}: that is depth, expected jpeg or png")
-    return _encoded(pictures.encoded_image)(message, context)
+    return _file("image")(message, context)
 
 
 def _compressed_depth(message: Any, context: Context) -> Decoded:
@@ -189,13 +199,9 @@ def unpack_image(data: bytes) -> ros2.RosImage:
 
 _COMPRESSED: Final = "sensor_msgs/msg/CompressedImage"
 DECODERS: Final[Mapping[tuple[Kind, str], Decoder]] = {
-    ("image", ros2.IMAGE): _raw(pictures.raw_image),
+    **{(kind, ros2.IMAGE): _raw(kind) for kind in pictures.RASTER_KINDS},
+    **{(kind, _COMPRESSED): _file(kind) for kind in pictures.FILE_KINDS},
     ("image", _COMPRESSED): _compressed_image,
-    ("instances", ros2.IMAGE): _raw(pictures.raw_instances),
-    ("instances", _COMPRESSED): _encoded(pictures.encoded_instances),
-    ("tags", ros2.IMAGE): _raw(pictures.raw_tags),
-    ("tags", _COMPRESSED): _encoded(pictures.encoded_tags),
-    ("depth", ros2.IMAGE): _raw(pictures.raw_depth),
     ("depth", _COMPRESSED): _compressed_depth,
     ("points", "sensor_msgs/msg/PointCloud2"): _point_cloud,
     ("calibration", "sensor_msgs/msg/CameraInfo"): _calibration,

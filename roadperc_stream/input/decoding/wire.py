@@ -50,25 +50,19 @@ def _place(data: bytes, number: int) -> tuple[int, int, int] | None:
             return found
         first = at
         tag, at = _varint(data, at)
-        length, at = _length(data, at, tag & 7)
+        wire_type = tag & 7
+        length = _LENGTHS.get(wire_type, -1)
+        if wire_type in (_VARINT, _BYTES):
+            value, after = _varint(data, at)
+            length, at = (value, after) if wire_type == _BYTES else (after - at or -1, at)
         if tag >> 3 <= 0 or length < 0 or at + length > len(data):
             return None
         if tag >> 3 == number:
-            if found is not None or tag & 7 != _BYTES:
+            if found is not None or wire_type != _BYTES:
                 return None
             found = first, at, at + length
         at += length
     return None
-
-
-def _length(data: bytes, at: int, wire_type: int) -> tuple[int, int]:
-    """How long a field's content is, and where it begins; -1 where that cannot be said."""
-    if wire_type == _BYTES:
-        return _varint(data, at)
-    if wire_type == _VARINT:
-        _, end = _varint(data, at)
-        return (0 if end > at else -1), end
-    return _LENGTHS.get(wire_type, -1), at
 
 
 def _varint(data: bytes, at: int) -> tuple[int, int]:

@@ -1,7 +1,7 @@
 """What is logged to Rerun, what holds from one message to the next, and the transform tree as Rerun draws it."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -63,8 +63,10 @@ class SceneState:
 
     def latch(self, role: str, payload: Payload) -> None:
         """Take in a calibration or transforms; edges that close a loop are left out, as the chain leaves them out."""
-        kept, _ = self.latched.split_loops(Stamped(role, 0, 0, payload))
-        self.latched = self.latched.updated(kept)
+        item = Stamped(role, 0, 0, payload)
+        looping = self.latched.tree.looping(item.edges)
+        kept = tuple(edge for edge in item.edges if edge.child not in looping)
+        self.latched = self.latched.updated(replace(item, payload=kept) if looping else item)
 
 
 def image_plane(frame_id: str) -> str:

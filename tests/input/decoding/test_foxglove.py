@@ -120,8 +120,12 @@ STAMPED = {"timestamp": {"sec": 1, "nsec": 2}}
         json.dumps({"timestamp": {"sec": "1", "nsec": []}}).encode(),
         json.dumps({"timestamp": {"sec": 2**70, "nsec": 0}}).encode(),
         json.dumps({"timestamp": {"sec": 1, "nsec": 2**31}}).encode(),
+        b'{"K": [1' + b"0" * 400 + b"]}",
+        b'{"timestamp": "\\ud800"}',
+        b'{"timestamp": {"sec": 1' + b"0" * 400 + b', "nsec": 0}}',
+        b'{"frame_id": "\\ud800"}',
     ],
-    ids=["empty", "cut", "bytes", "list", "number", "deep", "text", "nan", "time", "late", "nanoseconds"],
+    ids=range(15),
 )
 def test_json_that_is_no_message_is_a_stated_error(data):
     with pytest.raises(DecodeError, match=r"bytes are no foxglove\.CameraCalibration as JSON"):
@@ -139,21 +143,6 @@ def test_a_raw_image_of_too_few_bytes_is_named():
     found = decode("image", "foxglove.RawImage", "protobuf", raw("bgr8", BGR, step=16), 5, Context()).payload
     with pytest.raises(DecodeError, match="'bgr8' image 5x3 with step 16: expected 48 bytes or more, found 45"):
         _ = found.grey
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        '{"K": [1' + "0" * 400 + "]}",
-        '{"timestamp": "\\ud800"}',
-        '{"timestamp": {"sec": 1' + "0" * 400 + ', "nsec": 0}}',
-        '{"frame_id": "\\ud800"}',
-    ],
-    ids=["number", "surrogate object", "time", "surrogate text"],
-)
-def test_json_of_no_number_and_no_unicode_is_a_stated_error(text):
-    with pytest.raises(DecodeError, match=r"bytes are no foxglove.CameraCalibration as JSON: "):
-        decode("calibration", "foxglove.CameraCalibration", "json", text.encode(), STAMP, Context())
 
 
 def test_a_schema_of_another_kind_is_named():
