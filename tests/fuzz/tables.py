@@ -2,6 +2,7 @@
 
 import io
 import math
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -25,14 +26,8 @@ VALUES: dict[str, Any] = {
     "span": 1,
 }  # fmt: skip
 FACTS = (
-    "roadperc.config",
-    "roadperc.config_digest",
-    "roadperc.version",
-    "roadperc.log",
-    "roadperc.source",
-    "ARROW:schema",
-)
-
+    "roadperc.config", "roadperc.config_digest", "roadperc.version", "roadperc.log", "roadperc.source", "ARROW:schema",
+)  # fmt: skip
 POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 
 
@@ -106,10 +101,6 @@ def _retype(found: pa.Table, choices: Choices) -> pa.Table:
     return found.set_column(at, name, pa.array([VALUES[kind]] * found.num_rows, TYPES[kind]))
 
 
-def _remove(found: pa.Table, choices: Choices) -> pa.Table:
-    return found.remove_column(_column(found, choices)[0])
-
-
 def _rename(found: pa.Table, choices: Choices) -> pa.Table:
     at, _ = _column(found, choices)
     name = choices.of("to", found.column_names) if choices.chance("twice", 0.2) else wild_text(choices)
@@ -143,13 +134,8 @@ def _facts(found: pa.Table, choices: Choices) -> pa.Table:
     return found.replace_schema_metadata(facts)
 
 
-FAULTS = {
-    "value": _value,
-    "missing": _missing,
-    "retype": _retype,
-    "remove": _remove,
-    "rename": _rename,
-    "rows": _rows,
-    "facts": _facts,
-}
+FAULTS: dict[str, Callable[[pa.Table, Choices], pa.Table]] = {
+    "value": _value, "missing": _missing, "retype": _retype, "rename": _rename, "rows": _rows, "facts": _facts,
+    "remove": lambda found, choices: found.remove_column(_column(found, choices)[0]),
+}  # fmt: skip
 WEIGHTED = ("value",) * 5 + ("retype",) * 3 + tuple(FAULTS)
