@@ -90,7 +90,8 @@ def test_ego_lane_and_surface_on_the_noisy_bend(tmp_path, options):
         smoothed = run.jitter(f"lane_{side}_offset_m")
         assert smoothed < 0.015
         assert smoothed <= run.jitter(f"lane_{side}_raw_offset_m") / 3
-        assert abs(run.lag(side)) <= 1
+        if options != SHORT:  # too short to tell by how many frames it lies behind
+            assert abs(run.lag(side)) <= 1
     angle, coverage = run.errors("surface_angle_error_deg")
     assert coverage >= 0.95
     assert np.median(angle) < 0.1

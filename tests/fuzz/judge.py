@@ -43,8 +43,7 @@ def faults(ran: Ran) -> list[str]:
         return [f"traceback: {crash_line(ran.crash)}"]
     found = [] if ran.code in CODES else [f"exit code {ran.code}"]
     refused = _REFUSED.search(ran.out + ran.err)
-    if refused:
-        found.append(f"memory: {refused[0].decode()}")
+    found += [f"memory: {refused[0].decode()}"] if refused else []
     return [*found, *_errors(ran), *_printed("stdout", ran.out), *_printed("stderr", ran.err), *_left(ran)]
 
 
@@ -75,11 +74,7 @@ def _printed(stream: str, data: bytes) -> list[str]:
     found = _CONTROL.search(text)
     if found:
         return [f"{stream}: control character {found[0]!a}"]
-    return (
-        [f"{stream}: a name begins a line of its own"]
-        if any(line.startswith(INJECTED) for line in text.split("\n"))
-        else []
-    )
+    return [f"{stream}: a name begins a line of its own"] * any(line.startswith(INJECTED) for line in text.split("\n"))
 
 
 def _left(ran: Ran) -> list[str]:

@@ -42,15 +42,6 @@ def test_a_case_is_its_name_and_its_recipe_is_the_case(tmp_path):
     assert set(FAMILIES) == {*families, "files"}
 
 
-def test_a_recipe_may_say_less_than_a_drawn_one(tmp_path):
-    """What it does not name is as it is in a sound log."""
-    recipe = {"family": "log", "base": "drive", "writer": "zstd", "command": ["replay", "in.mcap", "out.mcap"]}
-    words, whole, _ = made(Case("short", recipe), tmp_path / "a")
-    assert (tmp_path / "a" / "in.mcap").read_bytes() == contents.encoded(contents.BASES["drive"](), "zstd")
-    assert words == recipe["command"]
-    assert json.loads(whole)["records"] == []
-
-
 @pytest.mark.parametrize("writer", contents.WRITERS)
 @pytest.mark.parametrize("base", contents.BASES)
 def test_a_log_taken_apart_goes_together_again(tmp_path, base, writer):

@@ -117,8 +117,7 @@ def write_log(path, name=EVIL):
     items.append(logs.Item("image", stamp + 1, b"no image", f"/image/{name}"))
     with logs.LogWriter(path) as writer:
         for sequence, item in enumerate(items):
-            channel = logs.channel(item.role, item.topic, **{name: name})
-            writer.write(logs.Message(channel, item.stamp_ns, item.stamp_ns, sequence, item.data))
+            writer.write(logs.message(item, sequence, **{name: name}))
         odd = dataclasses.replace(logs.foreign().channel, topic=f"/odd/{name}", schema_name=name, message_encoding=name)
         writer.write(dataclasses.replace(logs.foreign(), channel=odd, log_time_ns=stamp, publish_time_ns=stamp))
         writer.describe(Metadata(name, ((name, name),)))
