@@ -45,12 +45,9 @@ def errors_of(folder, *options):
             rows[model].append((surface_height_error_m(surface, truth), worst, mask.sum() / road.sum()))
     for model, values in rows.items():
         error, worst, share = np.array(values).T
-        print(
-            f"\n{' '.join(options)}: {model}, {len(error)} frames: height at 5 to 40 m: median {np.median(error):.4f},"
-        )
-        print(
-            f"  worst frame {error.max():.4f}, to 60 m at most {worst.max():.2f} m; drivable {share.min():.1%} of road"
-        )
+        heights = f"height at 5 to 40 m: median {np.median(error):.4f}, worst frame {error.max():.4f}"
+        rest = f"to 60 m at most {worst.max():.2f} m; drivable {share.min():.1%} of road"
+        print(f"\n{' '.join(options)}: {model}, {len(error)} frames: {heights}, {rest}")
     return (np.array(rows[model]).T for model in ("plane", "spline"))
 
 

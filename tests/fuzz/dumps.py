@@ -12,6 +12,7 @@ from tests.fuzz.trees import mutate_json
 from tests.tools import dump_writer
 
 FRAMES = (0, 1)
+POINTS = np.linspace(1, 9, 32, dtype="<f4").reshape(8, 4)
 NAMES = (
     "000001", "1", "-1", "1305031102.933", "99999999999999999999", "1e5", "nan", "a", "", " ", "\x1b[31m5",
     "5\nINJECTED", "\uff11\uff12", "1403636579763555584", "0001_0002", "..5", "x" * 200, "[nope]7", "[red]8",
@@ -58,44 +59,44 @@ def _described(folder: Path) -> None:
 
 
 def _listed(folder: Path) -> None:
-    (folder / "label_2").mkdir()
-    for number in FRAMES:
-        (folder / "label_2" / f"{number:06d}.txt").write_text("Car 0 0 0 1 2 8 9 1 1 1 0 0 5 0 0.9\n")
+    _each(folder / "label_2", ".txt", b"Car 0 0 0 1 2 8 9 1 1 1 0 0 5 0 0.9\n")
     (folder / "poses.csv").write_text("frame,x,y,z,roll,pitch,yaw\n0,0,0,0,0,0,0\n1,1,0,0,0,0,0\n")
     (folder / "timestamps.csv").write_text("frame,seconds\n0,0.0\n1,0.05\n")
 
 
 def _scanned(folder: Path) -> None:
-    (folder / "lidar").mkdir()
-    points = np.linspace(1, 9, 32, dtype="<f4").reshape(8, 4)
     properties = "".join(f"property float32 {name}\n" for name in "xyzI")
-    header = f"ply\nformat ascii 1.0\nelement vertex 8\n{properties}end_header"
-    for number in FRAMES:
-        path = folder / "lidar" / f"{number:06d}.ply"
-        np.savetxt(path, points, fmt="%.4f", header=header, comments="")
+    rows = "".join("{:.4f} {:.4f} {:.4f} {:.4f}\n".format(*row) for row in POINTS)
+    text = f"ply\nformat ascii 1.0\nelement vertex 8\n{properties}end_header\n{rows}"
+    _each(folder / "lidar", ".ply", text.encode())
 
 
 def _velodyne(folder: Path) -> None:
-    (folder / "velodyne").mkdir()
+    _each(folder / "velodyne", ".bin", POINTS.tobytes())
+
+
+def _each(folder: Path, suffix: str, data: bytes) -> None:
+    folder.mkdir()
     for number in FRAMES:
-        (folder / "velodyne" / f"{number:06d}.bin").write_bytes(np.linspace(1, 9, 32, dtype="<f4").tobytes())
+        (folder / f"{number:06d}{suffix}").write_bytes(data)
 
 
 def _arrays(folder: Path) -> None:
-    for path in list((folder / "depth").iterdir()):
-        np.save(path.with_suffix(".npy"), dump_writer.depth_m().astype(np.float32))
-        path.unlink()
+    _instead(folder / "depth", ".npy", lambda path: np.save(path, dump_writer.depth_m().astype(np.float32)))
 
 
 def _csv(folder: Path) -> None:
-    for path in list((folder / "depth").iterdir()):
-        np.savetxt(path.with_suffix(".csv"), dump_writer.depth_m(), delimiter=",", fmt="%.3f")
-        path.unlink()
+    _instead(folder / "depth", ".csv", lambda path: np.savetxt(path, dump_writer.depth_m(), delimiter=",", fmt="%.3f"))
 
 
 def _jpeg(folder: Path) -> None:
-    for path in list((folder / "rgb").iterdir()):
-        dump_writer.jpeg(path.with_suffix(".jpg"), dump_writer.camera_pixels())
+    _instead(folder / "rgb", ".jpg", lambda path: dump_writer.jpeg(path, dump_writer.camera_pixels()))
+
+
+def _instead(folder: Path, suffix: str, write: Callable[[Path], object]) -> None:
+    """Other files in place of those of a folder."""
+    for path in list(folder.iterdir()):
+        write(path.with_suffix(suffix))
         path.unlink()
 
 
@@ -113,9 +114,8 @@ def _chosen(folder: Path, choices: Choices) -> Path:
 
 def _content(folder: Path, choices: Choices) -> None:
     path = _chosen(folder, choices)
-    if not path.is_file():  # an earlier step has renamed it
-        return
-    path.write_bytes(MUTATORS.get(path.suffix, damage)(path.read_bytes(), choices))
+    if path.is_file():  # an earlier step may have renamed it
+        path.write_bytes(MUTATORS.get(path.suffix, damage)(path.read_bytes(), choices))
 
 
 WORDS = ("nan", "inf", "-1", "1e308", "1e400", "9" * 400, "", '"', "x", "\x1b[31m", "99999999999999999999", "\xff\xfe")

@@ -160,7 +160,7 @@ def _mutate_jpeg(data: bytes, choices: Choices) -> bytes:
     elif fault in _IN_A_LIST:
         _IN_A_LIST[fault](segments, at, choices)
     elif fault == "length":
-        return jpeg_of(segments, scan, lie=(at, choices.of("length", (0, 1, 2, 17, 65535))))
+        segments[at].append(choices.of("length", (0, 1, 2, 17, 65535)))
     elif fault == "marker":
         segments[at][0] = choices.of("marker", (0x00, 0x01, 0xC1, 0xC3, 0xC9, 0xD8, 0xD9, 0xDA, 0xE1, 0xFE, 0xFF))
     else:
@@ -187,10 +187,9 @@ def jpeg_segments(data: bytes) -> tuple[list[list], bytes]:
     return segments, data[at:]
 
 
-def jpeg_of(segments: list[list], scan: bytes, lie: tuple[int, int] | None = None) -> bytes:
-    """A JPEG of segments, one of which may state another length than it has."""
+def jpeg_of(segments: list[list], scan: bytes) -> bytes:
+    """A JPEG of segments; one with a third item states that as its length."""
     made = [b"\xff\xd8"]
-    for k, (marker, content) in enumerate(segments):
-        length = lie[1] if lie is not None and lie[0] == k else (len(content) + 2) & 0xFFFF
-        made.append(bytes([0xFF, marker]) + struct.pack(">H", length) + content)
+    for marker, content, *stated in segments:
+        made.append(struct.pack(">BBH", 0xFF, marker, *stated or [(len(content) + 2) & 0xFFFF]) + content)
     return b"".join(made) + scan

@@ -27,14 +27,16 @@ def compressed(data, compression, size=HUGE):
     return inputs.file(*KNOWN, inputs.chunk(data, compression, size=size))
 
 
+def by_index(stated):
+    return inputs.indexed(inputs.chunk(zeros_as_zstd(HUGE), "zstd", size=HUGE), *KNOWN, size=stated)
+
+
 CASES = {
     "zstd that says its size": lambda: compressed(zeros_as_zstd(HUGE), "zstd"),
     "zstd that does not": lambda: compressed(zeros_as_zstd(HUGE, stated=False), "zstd"),
     "zstd in a chunk that lies": lambda: compressed(zeros_as_zstd(HUGE), "zstd", size=100),
-    "zstd by an index": lambda: inputs.indexed(inputs.chunk(zeros_as_zstd(HUGE), "zstd", size=HUGE), *KNOWN, size=HUGE),
-    "zstd by an index that lies": lambda: inputs.indexed(
-        inputs.chunk(zeros_as_zstd(HUGE), "zstd", size=HUGE), *KNOWN, size=100
-    ),
+    "zstd by an index": lambda: by_index(HUGE),
+    "zstd by an index that lies": lambda: by_index(100),
     "lz4": lambda: compressed(inputs.lz4_zeros(HUGE), "lz4"),
     "lz4 in a chunk that lies": lambda: compressed(inputs.lz4_zeros(HUGE), "lz4", size=100),
     "chunk that claims 100 GB": lambda: compressed(b"x" * 100, "zstd", size=CLAIMED),

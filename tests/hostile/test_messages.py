@@ -94,27 +94,17 @@ def test_texts_that_are_compressed_in_an_image_cost_that_image():
     assert time.process_time() - started < 5
 
 
+BOXES = [box("Car", 1, 1, 9, 9)] * 5
+EDGES = [Transform("ego", f"f{k}", np.eye(4)) for k in range(5)]
+POINTS = np.zeros((5, 4), np.float32)
+
+
 @pytest.mark.parametrize(
     ("limit", "kind", "schema", "data"),
     [
-        (
-            "detections",
-            "detections",
-            "roadperc.Detections",
-            encoding.encode_detections(STAMP, "camera", [box("Car", 1, 1, 9, 9)] * 5),
-        ),
-        (
-            "transforms",
-            "tf",
-            "foxglove.FrameTransforms",
-            encoding.encode_transforms(STAMP, [Transform("ego", f"f{k}", np.eye(4)) for k in range(5)]),
-        ),
-        (
-            "points",
-            "points",
-            "foxglove.PointCloud",
-            encoding.encode_points(STAMP, "lidar", np.zeros((5, 4), np.float32)),
-        ),
+        ("detections", "detections", "roadperc.Detections", encoding.encode_detections(STAMP, "camera", BOXES)),
+        ("transforms", "tf", "foxglove.FrameTransforms", encoding.encode_transforms(STAMP, EDGES)),
+        ("points", "points", "foxglove.PointCloud", encoding.encode_points(STAMP, "lidar", POINTS)),
     ],
 )
 def test_items_beyond_the_limit_cost_their_message(limit, kind, schema, data):
