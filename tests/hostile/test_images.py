@@ -1,7 +1,6 @@
 """Images of formats that are not allowed, and of sizes that their containers hide: no decoder is given them."""
 
 import ast
-import dataclasses
 import io
 import os
 from pathlib import Path
@@ -44,8 +43,7 @@ def ghostscript(tmp_path):
 
 def log_of(path, data):
     picture = encoding.encode_image(logs.START_NS, "camera", "png", data)
-    items = [dataclasses.replace(item, data=picture) if item.role == "image" else item for item in logs.items(1)]
-    return logs.write(path, items)
+    return logs.write(path, inputs.replaced("image", picture, frames=1))
 
 
 @pytest.mark.commands
