@@ -17,15 +17,9 @@ from tests.object_store import environment_of, object_server
 
 DEFAULT_DATA = Path(__file__).parents[2] / "shared" / "data"
 STREAM_VARIABLES = (
-    "PYTHONUNBUFFERED",
-    "PYTHONIOENCODING",
-    "PYTHONWARNINGS",
-    "PYTHONDEVMODE",
-    "FORCE_COLOR",
-    "NO_COLOR",
-    "TTY_COMPATIBLE",
-    "TTY_INTERACTIVE",
-)
+    "PYTHONUNBUFFERED", "PYTHONIOENCODING", "PYTHONWARNINGS", "PYTHONDEVMODE", "FORCE_COLOR", "NO_COLOR",
+    "TTY_COMPATIBLE", "TTY_INTERACTIVE",
+)  # fmt: skip
 """What developers and CI services set, and what changes how a command prints: a fault must not hide behind it."""
 
 for _name in STREAM_VARIABLES:

@@ -77,10 +77,14 @@ def foreign():
     return Message(unknown, 5, 5, 0, b"\0\1\0\0\0\0\0\0")
 
 
+def message(item, sequence, **labels):
+    return Message(channel(item.role, item.topic, **labels), item.stamp_ns, item.stamp_ns, sequence, item.data)
+
+
 def write(path, messages, extra=()):
     with LogWriter(path) as writer:
         for sequence, item in enumerate(messages):
-            writer.write(Message(channel(item.role, item.topic), item.stamp_ns, item.stamp_ns, sequence, item.data))
-        for message in extra:
-            writer.write(message)
+            writer.write(message(item, sequence))
+        for whole in extra:
+            writer.write(whole)
     return path

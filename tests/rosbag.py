@@ -9,17 +9,7 @@ from scipy.spatial.transform import Rotation
 
 _RULE = "=" * 80 + "\n"
 _STORE = get_typestore(Stores.ROS2_HUMBLE)
-_HEADER = (
-    """MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-"""
-    + _RULE
-    + """MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-"""
-)
+_HEADER = "MSG: std_msgs/Header\n" + _STORE.generate_msgdef("std_msgs/msg/Header", ros_version=2)[0]
 _HYPOTHESIS = "MSG: vision_msgs/ObjectHypothesisWithPose\n"
 DETECTIONS_V4 = _RULE.join(
     (
@@ -171,18 +161,12 @@ def pose(matrix):
 def detection(box, label, score, identity=""):
     """A vision_msgs/Detection2D of Humble around a box with x_min, y_min, x_max, y_max."""
     pose = {"position": {"x": 0.0, "y": 0.0, "z": 0.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+    center = {"position": {"x": (box.x_min + box.x_max) / 2, "y": (box.y_min + box.y_max) / 2}, "theta": 0.0}
     return {
         "header": header(0, ""),
         "results": [
             {"hypothesis": {"class_id": label, "score": score}, "pose": {"pose": pose, "covariance": [0.0] * 36}}
         ],
-        "bbox": {
-            "center": {
-                "position": {"x": (box.x_min + box.x_max) / 2, "y": (box.y_min + box.y_max) / 2},
-                "theta": 0.0,
-            },
-            "size_x": box.x_max - box.x_min,
-            "size_y": box.y_max - box.y_min,
-        },
+        "bbox": {"center": center, "size_x": box.x_max - box.x_min, "size_y": box.y_max - box.y_min},
         "id": identity,
     }

@@ -21,6 +21,11 @@ NOISE = ("--tag-noise", "0.02", "--depth-noise", "0.01")
 SHORT = ("--size", "640x480", "--seconds", "1.5")
 
 
+def long(*options):
+    """Options of a drive at full size."""
+    return pytest.param(options, marks=pytest.mark.accuracy)
+
+
 @dataclass(frozen=True)
 class Run:
     metrics: pl.DataFrame
@@ -41,11 +46,10 @@ class Run:
         return lag_frames(table.select(correlations(f"lane_{side}_offset_m", "truth")).item().to_list())
 
 
-def drive(folder, *options, settings=()):
+def drive(folder, *options):
     assert render.main([str(folder / "dump"), *options]) == 0
     assert convert.main([str(folder / "dump"), str(folder / "in.mcap"), "--quiet"]) == 0
-    arguments = [part for setting in settings for part in ("--set", setting)]
-    assert replay_main([str(folder / "in.mcap"), str(folder / "out.mcap"), "--quiet", *arguments]) == 0
+    assert replay_main([str(folder / "in.mcap"), str(folder / "out.mcap"), "--quiet"]) == 0
     offsets = {"left": [], "right": []}
     for message in log.read(log.summarise(folder / "in.mcap"), topics=["/truth/lanes"]):
         for boundary in Lanes.FromString(message.data).boundaries:
@@ -74,12 +78,10 @@ def report(name, run):
     print(f"  surface: median {np.median(angle):.4f} deg, coverage {coverage:.0%}")
 
 
-@pytest.mark.accuracy
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_ego_lane_and_surface_on_the_noisy_bend(tmp_path, seed):
-    run = drive(tmp_path, *BEND, *NOISE, "--seed", str(seed))
-    report(f"bend, weave 0.5, noise, seed {seed}", run)
-    assert run.metrics.height == 100
+@pytest.mark.parametrize("options", [SHORT, *(long("--seed", str(seed)) for seed in (0, 1, 2))])
+def test_ego_lane_and_surface_on_the_noisy_bend(tmp_path, options):
+    run = drive(tmp_path, *BEND, *NOISE, *options)
+    report(f"bend, weave 0.5, noise, {' '.join(options)}", run)
     for side in ("left", "right"):
         error, coverage = run.errors(f"lane_{side}_error_m")
         assert coverage >= 0.95
@@ -88,15 +90,16 @@ def test_ego_lane_and_surface_on_the_noisy_bend(tmp_path, seed):
         smoothed = run.jitter(f"lane_{side}_offset_m")
         assert smoothed < 0.015
         assert smoothed <= run.jitter(f"lane_{side}_raw_offset_m") / 3
-        assert abs(run.lag(side)) <= 1
+        assert options == SHORT or abs(run.lag(side)) <= 1, "the short drive cannot tell"
     angle, coverage = run.errors("surface_angle_error_deg")
     assert coverage >= 0.95
     assert np.median(angle) < 0.1
+    assert options != SHORT or run.errors("drivable_iou")[0].min() > 0.9
 
 
-@pytest.mark.accuracy
-def test_odometry_makes_the_lanes_better(tmp_path):
-    run = drive(tmp_path, *BEND, *NOISE)
+@pytest.mark.parametrize(("options", "factor"), [(SHORT, 1.0), pytest.param((), 1.5, marks=pytest.mark.accuracy)])
+def test_odometry_makes_the_lanes_better(tmp_path, options, factor):
+    run = drive(tmp_path, *BEND, *NOISE, *options)
     without = replay_again(tmp_path, run, "lanes.use_odometry=false")
     report("predicted by odometry", run)
     report("without", without)
@@ -104,44 +107,19 @@ def test_odometry_makes_the_lanes_better(tmp_path):
         error, _ = run.errors(f"lane_{side}_error_m")
         worse, _ = without.errors(f"lane_{side}_error_m")
         assert np.quantile(error, 0.95) < np.quantile(worse, 0.95)
-        assert run.jitter(f"lane_{side}_offset_m") < without.jitter(f"lane_{side}_offset_m") / 1.5
+        assert run.jitter(f"lane_{side}_offset_m") < without.jitter(f"lane_{side}_offset_m") / factor
 
 
-@pytest.mark.accuracy
-@pytest.mark.parametrize("scene", ["straight", "bend"])
-def test_surface_without_noise(tmp_path, scene):
-    run = drive(tmp_path, "--scene", scene, "--seconds", "2")
-    report(f"{scene}, clean", run)
+@pytest.mark.parametrize("options", [
+    ("--scene", "straight", "--size", "640x480", "--seconds", "0.5"),
+    *(long("--scene", scene, "--seconds", "2") for scene in ("straight", "bend")),
+])  # fmt: skip
+def test_surface_without_noise(tmp_path, options):
+    run = drive(tmp_path, *options)
+    report(f"clean, {' '.join(options)}", run)
     angle, coverage = run.errors("surface_angle_error_deg")
     assert (np.median(angle) < 0.02, coverage) == (True, 1.0)
-
-
-def test_short_ego_lane_and_surface_on_the_noisy_bend(tmp_path):
-    run = drive(tmp_path, *BEND, *NOISE, *SHORT)
-    for side in ("left", "right"):
-        error, coverage = run.errors(f"lane_{side}_error_m")
-        assert coverage >= 0.95
-        assert np.median(error) < 0.05
-        assert np.quantile(error, 0.95) < 0.15
-        assert run.jitter(f"lane_{side}_offset_m") < 0.015
-    angle, coverage = run.errors("surface_angle_error_deg")
-    assert (np.median(angle) < 0.1, coverage) == (True, 1.0)
-    assert run.errors("drivable_iou")[0].min() > 0.9
-
-
-def test_short_odometry_makes_the_lanes_steadier(tmp_path):
-    run = drive(tmp_path, *BEND, *NOISE, *SHORT)
-    without = replay_again(tmp_path, run, "lanes.use_odometry=false")
-    for side in ("left", "right"):
-        assert run.jitter(f"lane_{side}_offset_m") < without.jitter(f"lane_{side}_offset_m")
-
-
-def test_short_surface_without_noise(tmp_path):
-    run = drive(tmp_path, "--scene", "straight", "--size", "640x480", "--seconds", "0.5")
-    angle, coverage = run.errors("surface_angle_error_deg")
-    assert (np.median(angle) < 0.02, coverage) == (True, 1.0)
-    heights, _ = run.errors("camera_height_error_m")
-    assert heights.max() < 0.005
+    assert "640x480" not in options or run.errors("camera_height_error_m")[0].max() < 0.005
 
 
 def test_dropped_sensors_leave_their_frames_with_what_is_left(tmp_path):

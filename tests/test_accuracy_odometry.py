@@ -5,6 +5,7 @@ long forms, at full size over 20 s, run with ``make accuracy-long``; a short for
 """
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import polars as pl
@@ -51,6 +52,13 @@ CASES = {
 }
 
 
+LENGTHS = {
+    "short": (("--seconds", "1.5", "--size", "640x480"), (5, 10)),
+    "long": (("--seconds", "20"), (25, 50, 100)),
+}
+"""Options of the drive, and the metres over which errors are taken."""
+
+
 def town(folder, *options):
     """The log of a drive through the town."""
     assert render.main([str(folder / "dump"), "--scene", "town", *options]) == 0
@@ -59,13 +67,9 @@ def town(folder, *options):
 
 
 @pytest.fixture(scope="module")
-def long_drive(tmp_path_factory):
-    return town(tmp_path_factory.mktemp("town"), "--seconds", "20")
-
-
-@pytest.fixture(scope="module")
-def short_drive(tmp_path_factory):
-    return town(tmp_path_factory.mktemp("short"), "--seconds", "1.5", "--size", "640x480")
+def drives(tmp_path_factory):
+    """The log of the short or the long drive, rendered once."""
+    return cache(lambda length: town(tmp_path_factory.mktemp(length), *LENGTHS[length][0]))
 
 
 def without(source, target, roles):
@@ -88,10 +92,13 @@ def poses(path, topic):
     return inverse(matrices[0]) @ matrices, [d.stamp_ns for d in decoded]
 
 
-def judge(name, source, folder, lengths_m):
-    """Replay the drive as one case has it, and hold it to its limits."""
-    case, target = CASES[name], folder / "out.mcap"
-    seen = without(source, folder / "in.mcap", case.missing)
+@pytest.mark.parametrize(("length", "name"), [
+    *(("short", name) for name in CASES if name != "stereo full"),
+    *(pytest.param("long", name, marks=pytest.mark.accuracy) for name in CASES),
+])  # fmt: skip
+def test_town(tmp_path, drives, length, name):
+    case, source, target = CASES[name], drives(length), tmp_path / "out.mcap"
+    seen = without(source, tmp_path / "in.mcap", case.missing)
     options = ("--quiet", "--results-only", "--only", STAGES, "--set", case.setting)
     assert replay_main([str(seen), str(target), *options]) == 0
     metrics = pl.read_parquet(sidecar_path(target, "metrics"))
@@ -99,7 +106,7 @@ def judge(name, source, folder, lengths_m):
     assert set(metrics["surface_source"][1:]) == {case.road}
     (estimated, stamps), (true, true_stamps) = poses(target, "/perception/odometry"), poses(source, "/truth/pose")
     assert stamps == true_stamps
-    shift, turn = relative_errors(estimated, true, lengths_m)
+    shift, turn = relative_errors(estimated, true, LENGTHS[length][1])
     shape = np.sqrt(np.mean(aligned_errors_m(estimated, true) ** 2)) / distances_m(true)[-1]
     print(
         f"\ntown, {name}: {len(true)} frames, {distances_m(true)[-1]:.1f} m: {shift:.3%} of the distance, "
@@ -108,14 +115,3 @@ def judge(name, source, folder, lengths_m):
     assert shift < case.shift
     assert turn < case.turn
     assert shape < case.shape
-
-
-@pytest.mark.accuracy
-@pytest.mark.parametrize("name", CASES)
-def test_town(tmp_path, long_drive, name):
-    judge(name, long_drive, tmp_path, (25, 50, 100))
-
-
-@pytest.mark.parametrize("name", [name for name in CASES if name != "stereo full"])
-def test_short_town(tmp_path, short_drive, name):
-    judge(name, short_drive, tmp_path, (5, 10))

@@ -16,10 +16,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PAGES = [
-    ROOT / "README.md",
-    *(ROOT / "docs" / f"{name}.md" for name in ("viewing", "recordings", "chain", "evaluation")),
-]
+PAGES = [ROOT / "README.md", *(ROOT / f"docs/{name}.md" for name in ("viewing", "recordings", "chain", "evaluation"))]
 """Pages whose commands run, in the order in which a reader meets them."""
 EXAMPLES = sorted((ROOT / "docs" / "examples").glob("*.py"))
 TEXTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -74,13 +71,9 @@ def run(command, folder):
 def serve(command, folder):
     """Run a command that serves until it is stopped: it must say where, and end when it is told to."""
     served = subprocess.Popen(
-        ["bash", "-c", f"exec {command} --port 0"],
-        cwd=folder,
-        env=environment(),
-        text=True,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-    )
+        ["bash", "-c", f"exec {command} --port 0"], cwd=folder, env=environment(), text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+    )  # fmt: skip
     try:
         printed = served.stdout.readline()
         while printed and "ws://" not in printed:

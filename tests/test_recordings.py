@@ -11,6 +11,7 @@ from roadperc_stream.cli import convert
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.output.tables import sidecar_path
 from tests import course
+from tests.accuracy import kitti
 
 PUBLIC_HOUGH = ("median_px=0", "hough_rho_px=10", "hough_threshold=200", "hough_min_length_px=150")
 
@@ -30,17 +31,13 @@ def replayed(data_dir, tmp_path_factory):
     return run
 
 
-@pytest.mark.parametrize(
-    ("name", "frames"),
-    [
-        ("carla_frame", 1),
-        ("carla_raw_tags", 3),
-        ("carla_rgbd", 90),
-        ("course_frames", 2),
-        ("course_odometry", 16),
-        ("course_stereo", 1),
-    ],
-)
+FRAMES = {
+    "carla_frame": 1, "carla_raw_tags": 3, "carla_rgbd": 90, "course_frames": 2, "course_odometry": 16,
+    "course_stereo": 1,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "frames"), FRAMES.items(), ids=FRAMES)
 def test_every_set_converts_and_replays(replayed, name, frames):
     assert replayed(name)[0].height == frames
 
@@ -121,12 +118,7 @@ def test_carlas_principal_point_as_it_stands_is_a_tenth_of_a_degree_off(data_dir
 def test_kittis_steps_have_their_length_by_one_camera_whose_height_alone_is_known(data_dir, tmp_path):
     """The camera looks down by about a degree, which nobody says."""
     folder, dump = data_dir / "kitti_odometry", tmp_path / "dump"
-    dump.mkdir()
-    (dump / "rgb").symlink_to(folder / "image_0")
-    P = np.array((folder / "calib.txt").read_text().splitlines()[0].split()[1:], float).reshape(3, 4)
-    known = {"width": 1226, "height": 370, "K": P[:, :3].tolist(), "pixel_origin": "centre", "rate_hz": 10}
-    known["mounting"] = {"rgb": {"x": 0, "y": 0, "z": 1.65, "roll": 0, "pitch": 0, "yaw": 0}}
-    (dump / "calibration.json").write_text(json.dumps(known))
+    kitti.write_dump(folder, dump)
     assert convert.main([str(dump), str(tmp_path / "in.mcap"), "--quiet"]) == 0
     options = ("--quiet", "--results-only", "--only", "surface,odometry")
     assert replay_main([str(tmp_path / "in.mcap"), str(tmp_path / "out.mcap"), *options]) == 0

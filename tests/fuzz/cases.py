@@ -28,12 +28,6 @@ class Case:
     name: str
     recipe: dict[str, Any] | None = None
 
-    def choices(self) -> Choices:
-        """What the case is made of."""
-        if self.recipe is not None:
-            return Choices(self.recipe, random.Random(self.name))
-        return Choices(None, random.Random(self.name))
-
 
 def drawn(seed: int, index: int) -> Case:
     """The case of a number: it follows from the seed and the number alone."""
@@ -68,9 +62,8 @@ def prepared(case: Case, folder: Path) -> tuple[list[str], dict[str, Any]]:
     Returns:
         The command to run in that folder, and the whole recipe.
     """
-    choices = case.choices()
-    family: Callable[[Path, Choices], list[str]] = FAMILIES[choices.of("family", WEIGHTED)]
-    words = family(folder, choices)
+    choices = Choices(case.recipe, random.Random(case.name))
+    words = FAMILIES[choices.of("family", WEIGHTED)](folder, choices)
     return list(choices.of("command", (words,))), choices.made
 
 
@@ -221,13 +214,9 @@ def _dump(folder: Path, choices: Choices) -> list[str]:
 
 
 CONVERT_OPTIONS = ("",) * 4 + (
-    "--depth float",
-    "--rate 0.5",
-    "--carla 0.9.10",
-    "--fov 60 --quiet",
-    "--role image=segmentation",
+    "--depth float", "--rate 0.5", "--carla 0.9.10", "--fov 60 --quiet", "--role image=segmentation",
     "--allow-lossy-tags",
-)
+)  # fmt: skip
 
 
 def _files(folder: Path, choices: Choices) -> list[str]:

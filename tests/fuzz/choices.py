@@ -35,10 +35,10 @@ class Choices:
         numbers: what is drawn from.
     """
 
-    def __init__(self, given: dict[str, Any] | None = None, numbers: random.Random | None = None) -> None:
+    def __init__(self, given: dict[str, Any] | None, numbers: random.Random) -> None:
         self._given = given or {}
         self._is_given = given is not None
-        self._numbers = numbers or random.Random(0)
+        self._numbers = numbers
         self.made: dict[str, Any] = {}
 
     def of(self, name: str, options: Sequence[Any]) -> Any:
@@ -95,72 +95,49 @@ def wild_text(choices: Choices, name: str = "value") -> str:
     return str(choices.of(name, TEXTS))
 
 
+def wild_like(before: Any, choices: Choices) -> Any:
+    """A value of the same type that few expect."""
+    if isinstance(before, bytes):
+        return damage(before, choices.part("damage"))
+    if isinstance(before, bool):
+        return not before
+    if isinstance(before, str):
+        return wild_text(choices)
+    return wild_float(choices) if isinstance(before, float) else wild_integer(choices)
+
+
 MOST_COPIED = 4096
 
 
 def damage(data: bytes, choices: Choices) -> bytes:
     """The bytes with one fault; none can get longer by more than a few thousand."""
-    fault: Callable[[bytearray, Choices], None] = FAULTS[choices.of("fault", tuple(FAULTS))]
-    changed = bytearray(data)
-    fault(changed, choices)
-    return bytes(changed)
+    fault = FAULTS[choices.of("fault", tuple(FAULTS))]
+    at = int(choices.share("at") * len(data))
+    end, new = fault(data, at, choices)
+    return data[:at] + new + data[end:]
 
 
-def _at(data: bytearray, choices: Choices) -> int:
-    return int(choices.share("at") * len(data))
+def _overwritten(_: bytes, at: int, choices: Choices) -> tuple[int, bytes]:
+    layout, value = choices.of("layout", ("<H", "<I", "<Q", ">I", "<d")), wild_integer(choices)
+    size = struct.calcsize(layout)
+    return at + size, struct.pack(layout, float(value) if layout == "<d" else value % (1 << (8 * size)))
 
 
-def _flip(data: bytearray, choices: Choices) -> None:
-    at, bit = _at(data, choices), choices.number("bit", 0, 7)
-    if data:
-        data[at] ^= 1 << bit
-
-
-def _set(data: bytearray, choices: Choices) -> None:
-    at, value = _at(data, choices), choices.of("byte", (0, 1, 0x0A, 0x1B, 0x7F, 0x80, 0xFE, 0xFF))
-    if data:
-        data[at] = value
-
-
-def _cut(data: bytearray, choices: Choices) -> None:
-    del data[_at(data, choices) :]
-
-
-def _remove(data: bytearray, choices: Choices) -> None:
-    at = _at(data, choices)
-    del data[at : at + choices.number("length", 1, 64)]
-
-
-def _repeat(data: bytearray, choices: Choices) -> None:
-    at, length = _at(data, choices), choices.number("length", 1, MOST_COPIED)
-    data[at:at] = data[at : at + length]
-
-
-def _insert(data: bytearray, choices: Choices) -> None:
-    at, length = _at(data, choices), choices.number("length", 1, 64)
-    data[at:at] = bytes([choices.of("byte", (0, 0x20, 0x41, 0xFF))]) * length
-
-
-def _overwrite(data: bytearray, choices: Choices) -> None:
-    at, layout, value = _at(data, choices), choices.of("layout", ("<H", "<I", "<Q", ">I", "<d")), wild_integer(choices)
-    if layout == "<d":
-        packed = struct.pack(layout, float(value))
-    else:
-        packed = struct.pack(layout, value % (1 << (8 * struct.calcsize(layout))))
-    data[at : at + len(packed)] = packed
-
-
-def _swap(data: bytearray, choices: Choices) -> None:
-    half = len(data) // 2
+def _swapped(data: bytes, at: int, choices: Choices) -> tuple[int, bytes]:
     length = choices.number("length", 1, 64)
-    first = int(choices.share("at") * half)
-    second = half + int(choices.share("other") * half)
-    data[first : first + length], data[second : second + length] = (
-        data[second : second + length], data[first : first + length],
-    )  # fmt: skip
+    other = at + length + int(choices.share("other") * max(len(data) - at - 2 * length, 0))
+    end = other + length
+    return end, data[other:end] + data[at + length : other] + data[at : at + length]
 
 
-FAULTS = {
-    "flip": _flip, "set": _set, "cut": _cut, "remove": _remove, "repeat": _repeat, "insert": _insert,
-    "overwrite": _overwrite, "swap": _swap,
-}  # fmt: skip
+FAULTS: dict[str, Callable[[bytes, int, Choices], tuple[int, bytes]]] = {
+    "flip": lambda d, at, c: (at + 1, bytes(byte ^ 1 << c.number("bit", 0, 7) for byte in d[at : at + 1])),
+    "set": lambda _, at, c: (at + 1, bytes([c.of("byte", (0, 1, 0x0A, 0x1B, 0x7F, 0x80, 0xFE, 0xFF))])),
+    "cut": lambda d, _at, _c: (len(d), b""),
+    "remove": lambda _, at, c: (at + c.number("length", 1, 64), b""),
+    "repeat": lambda d, at, c: (at, d[at : at + c.number("length", 1, MOST_COPIED)]),
+    "insert": lambda _, at, c: (at, c.number("length", 1, 64) * bytes([c.of("byte", (0, 0x20, 0x41, 0xFF))])),
+    "overwrite": _overwritten,
+    "swap": _swapped,
+}
+"""Each gives where what is replaced ends, and what comes in its place."""

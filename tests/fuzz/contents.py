@@ -82,19 +82,8 @@ def _registered(writer: Writer, channel: Channel) -> int:
     return writer.register_channel(channel.topic, channel.message_encoding, schema_id, dict(channel.metadata))
 
 
-def read(path: Path) -> Content:
-    """What a whole log holds."""
-    summary = log.summarise(path)
-    return Content(list(log.read(summary)), list(summary.attachments), list(summary.metadata), summary.profile)
-
-
 def _of_items(items: list[Item]) -> Content:
-    return Content(
-        [
-            Message(logs.channel(item.role, item.topic), item.stamp_ns, item.stamp_ns, sequence, item.data)
-            for sequence, item in enumerate(items)
-        ]
-    )
+    return Content([logs.message(item, sequence) for sequence, item in enumerate(items)])
 
 
 def drive(frames: int = FRAMES) -> Content:
@@ -239,7 +228,8 @@ def replayed() -> Content:
     with TemporaryDirectory() as folder:
         target = Path(folder, "out.mcap")
         target.write_bytes(results()["out.mcap"])
-        return read(target)
+        summary = log.summarise(target)
+        return Content(list(log.read(summary)), list(summary.attachments), list(summary.metadata), summary.profile)
 
 
 BASES: dict[str, Callable[[], Content]] = {

@@ -1,7 +1,6 @@
 """Folders of frames for roadperc-convert, with one thing wrong."""
 
 import json
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from tests.fuzz.trees import mutate_json
 from tests.tools import dump_writer
 
 FRAMES = (0, 1)
+POINTS = np.linspace(1, 9, 32, dtype="<f4").reshape(8, 4)
 NAMES = (
     "000001", "1", "-1", "1305031102.933", "99999999999999999999", "1e5", "nan", "a", "", " ", "\x1b[31m5",
     "5\nINJECTED", "\uff11\uff12", "1403636579763555584", "0001_0002", "..5", "x" * 200, "[nope]7", "[red]8",
@@ -59,47 +59,44 @@ def _described(folder: Path) -> None:
 
 
 def _listed(folder: Path) -> None:
-    (folder / "label_2").mkdir()
-    for number in FRAMES:
-        (folder / "label_2" / f"{number:06d}.txt").write_text("Car 0 0 0 1 2 8 9 1 1 1 0 0 5 0 0.9\n")
+    _each(folder / "label_2", ".txt", b"Car 0 0 0 1 2 8 9 1 1 1 0 0 5 0 0.9\n")
     (folder / "poses.csv").write_text("frame,x,y,z,roll,pitch,yaw\n0,0,0,0,0,0,0\n1,1,0,0,0,0,0\n")
     (folder / "timestamps.csv").write_text("frame,seconds\n0,0.0\n1,0.05\n")
 
 
 def _scanned(folder: Path) -> None:
-    (folder / "lidar").mkdir()
-    points = np.linspace(1, 9, 32, dtype="<f4").reshape(8, 4)
-    header = "ply\nformat ascii 1.0\nelement vertex 8\n" + "".join(
-        f"property float32 {n}\n" for n in ("x", "y", "z", "I")
-    )
-    rows = "".join(" ".join(f"{value:.4f}" for value in row) + "\n" for row in points)
-    (folder / "lidar" / "000000.ply").write_text(f"{header}end_header\n{rows}")
-    (folder / "lidar" / "000001.ply").write_text(f"{header}end_header\n{rows}")
+    properties = "".join(f"property float32 {name}\n" for name in "xyzI")
+    rows = "".join("{:.4f} {:.4f} {:.4f} {:.4f}\n".format(*row) for row in POINTS)
+    text = f"ply\nformat ascii 1.0\nelement vertex 8\n{properties}end_header\n{rows}"
+    _each(folder / "lidar", ".ply", text.encode())
 
 
 def _velodyne(folder: Path) -> None:
-    (folder / "velodyne").mkdir()
+    _each(folder / "velodyne", ".bin", POINTS.tobytes())
+
+
+def _each(folder: Path, suffix: str, data: bytes) -> None:
+    folder.mkdir()
     for number in FRAMES:
-        (folder / "velodyne" / f"{number:06d}.bin").write_bytes(np.linspace(1, 9, 32, dtype="<f4").tobytes())
+        (folder / f"{number:06d}{suffix}").write_bytes(data)
 
 
 def _arrays(folder: Path) -> None:
-    shutil.rmtree(folder / "depth")
-    (folder / "depth").mkdir()
-    for number in FRAMES:
-        np.save(folder / "depth" / f"{number:06d}.npy", dump_writer.depth_m().astype(np.float32))
+    _instead(folder / "depth", ".npy", lambda path: np.save(path, dump_writer.depth_m().astype(np.float32)))
 
 
 def _csv(folder: Path) -> None:
-    shutil.rmtree(folder / "depth")
-    (folder / "depth").mkdir()
-    for number in FRAMES:
-        np.savetxt(folder / "depth" / f"{number:06d}.csv", dump_writer.depth_m(), delimiter=",", fmt="%.3f")
+    _instead(folder / "depth", ".csv", lambda path: np.savetxt(path, dump_writer.depth_m(), delimiter=",", fmt="%.3f"))
 
 
 def _jpeg(folder: Path) -> None:
-    for path in (folder / "rgb").iterdir():
-        dump_writer.jpeg(path.with_suffix(".jpg"), dump_writer.camera_pixels())
+    _instead(folder / "rgb", ".jpg", lambda path: dump_writer.jpeg(path, dump_writer.camera_pixels()))
+
+
+def _instead(folder: Path, suffix: str, write: Callable[[Path], object]) -> None:
+    """Other files in place of those of a folder."""
+    for path in list(folder.iterdir()):
+        write(path.with_suffix(suffix))
         path.unlink()
 
 
@@ -109,46 +106,19 @@ EXTRAS: dict[str, tuple[Callable[[Path], None], ...]] = {
 }  # fmt: skip
 
 
-def _files(folder: Path) -> list[str]:
-    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
-
-
 def _chosen(folder: Path, choices: Choices) -> Path:
-    names = _files(folder)
+    names = sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
     documents = [name for name in names if "/" not in name]
     return folder / choices.of("file", documents if documents and choices.chance("document", 0.4) else names)
 
 
 def _content(folder: Path, choices: Choices) -> None:
     path = _chosen(folder, choices)
-    if not path.is_file():  # an earlier step has renamed it
-        return
-    data = path.read_bytes()
-    if path.suffix == ".json":
-        changed = mutate_json(data, choices)
-    elif path.suffix in (".png", ".jpg"):
-        changed = mutate_picture(data, choices)
-    elif path.suffix in (".csv", ".txt", ".ply"):
-        changed = _mutated_text(data, choices)
-    else:
-        changed = damage(data, choices)
-    path.write_bytes(changed)
+    if path.is_file():  # an earlier step may have renamed it
+        path.write_bytes(MUTATORS.get(path.suffix, damage)(path.read_bytes(), choices))
 
 
-WORDS = (
-    b"nan",
-    b"inf",
-    b"-1",
-    b"1e308",
-    b"1e400",
-    b"9" * 400,
-    b"",
-    b'"',
-    b"x",
-    b"\x1b[31m",
-    b"99999999999999999999",
-    b"\xff\xfe",
-)
+WORDS = ("nan", "inf", "-1", "1e308", "1e400", "9" * 400, "", '"', "x", "\x1b[31m", "99999999999999999999", "\xff\xfe")
 
 
 def _mutated_text(data: bytes, choices: Choices) -> bytes:
@@ -159,14 +129,18 @@ def _mutated_text(data: bytes, choices: Choices) -> bytes:
     lines = [line.replace(b",", b" , ").split() for line in data.splitlines()] or [[]]
     row = lines[choices.index("line", len(lines))]
     if how == "word" and row:
-        row[choices.index("word", len(row))] = choices.of("value", [word.decode("latin-1") for word in WORDS]).encode(
-            "latin-1"
-        )
+        row[choices.index("word", len(row))] = choices.of("value", WORDS).encode("latin-1")
     elif how == "line":
         lines.append(list(row))
     elif how == "long":
         row.extend([b"1"] * 5000)
     return b"" if how == "empty" else b"\n".join(b" ".join(row).replace(b" , ", b",") for row in lines)
+
+
+MUTATORS = {
+    ".json": mutate_json, ".png": mutate_picture, ".jpg": mutate_picture, ".csv": _mutated_text, ".txt": _mutated_text,
+    ".ply": _mutated_text,
+}  # fmt: skip
 
 
 def _rename(folder: Path, choices: Choices) -> None:
@@ -176,13 +150,9 @@ def _rename(folder: Path, choices: Choices) -> None:
         path.rename(path.with_name(name))
 
 
-def _remove(folder: Path, choices: Choices) -> None:
-    _chosen(folder, choices).unlink(missing_ok=True)
-
-
 def _copy(folder: Path, choices: Choices) -> None:
     """A file where another kind is expected."""
-    source, target = _chosen(folder, choices), folder / choices.of("over", _files(folder))
+    source, target = _chosen(folder, choices), _chosen(folder, choices.part("over"))
     if source.is_file():
         target.write_bytes(source.read_bytes())
 
@@ -201,5 +171,8 @@ def _folder(folder: Path, choices: Choices) -> None:
     path.mkdir()
 
 
-FAULTS = {"content": _content, "rename": _rename, "remove": _remove, "copy": _copy, "link": _link, "folder": _folder}
+FAULTS: dict[str, Callable[[Path, Choices], None]] = {
+    "content": _content, "rename": _rename, "copy": _copy, "link": _link, "folder": _folder,
+    "remove": lambda folder, choices: _chosen(folder, choices).unlink(missing_ok=True),
+}  # fmt: skip
 WEIGHTED = ("content",) * 9 + tuple(FAULTS)

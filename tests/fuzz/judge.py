@@ -43,8 +43,7 @@ def faults(ran: Ran) -> list[str]:
         return [f"traceback: {crash_line(ran.crash)}"]
     found = [] if ran.code in CODES else [f"exit code {ran.code}"]
     refused = _REFUSED.search(ran.out + ran.err)
-    if refused:
-        found.append(f"memory: {refused[0].decode()}")
+    found += [f"memory: {refused[0].decode()}"] if refused else []
     return [*found, *_errors(ran), *_printed("stdout", ran.out), *_printed("stderr", ran.err), *_left(ran)]
 
 
@@ -75,37 +74,30 @@ def _printed(stream: str, data: bytes) -> list[str]:
     found = _CONTROL.search(text)
     if found:
         return [f"{stream}: control character {found[0]!a}"]
-    return (
-        [f"{stream}: a name begins a line of its own"]
-        if any(line.startswith(INJECTED) for line in text.split("\n"))
-        else []
-    )
+    return [f"{stream}: a name begins a line of its own"] * any(line.startswith(INJECTED) for line in text.split("\n"))
 
 
 def _left(ran: Ran) -> list[str]:
     partial = [name for name in ran.appeared if ".partial" in name]
     if partial:
-        return [f"left behind: {suffix_of(partial[0])}"]
+        return [f"left behind: {_kind_of_file(partial[0])}"]
     if ran.code and ran.appeared and ran.words[0] != "batch":  # in its list of runs a failure is a row
-        return [f"exit code {ran.code}, but it wrote: {suffix_of(ran.appeared[0])}"]
+        return [f"exit code {ran.code}, but it wrote: {_kind_of_file(ran.appeared[0])}"]
     return []
 
 
-def suffix_of(name: str) -> str:
-    """What kind of file it is."""
+def _kind_of_file(name: str) -> str:
     return "".join(Path(name).suffixes) or "a file without a suffix"
 
 
 def crash_line(trace: str, sources: Sequence[Path] = SOURCES) -> str:
     """The exception, and the last function below the folders that it came through."""
     lines = [line for line in trace.splitlines() if line.strip()]
-    places = [(Path(file), name) for file, name in _CODE.findall(trace) if _is_below(file, sources)]
+    places = [
+        (Path(file), name) for file, name in _CODE.findall(trace) if any(Path(file).is_relative_to(f) for f in sources)
+    ]
     where = f"{places[-1][0].name}:{places[-1][1]}" if places else "?"
     return f"{lines[-1].strip()[:160] if lines else '?'} in {where}"
-
-
-def _is_below(file: str, folders: Sequence[Path]) -> bool:
-    return any(Path(file).is_relative_to(folder) for folder in folders)
 
 
 def crash_of(error: BaseException) -> str:

@@ -17,7 +17,7 @@ from roadperc_stream.output import encoding
 from roadperc_stream.schemas.definitions import types_of
 from roadperc_stream.schemas.record import TAG_TABLE_KEY
 from tests.analytic import box
-from tests.fuzz.choices import Choices, damage, wild_float, wild_integer, wild_text
+from tests.fuzz.choices import Choices, damage, wild_float, wild_integer, wild_like, wild_text
 from tests.fuzz.contents import TYPES, Content
 from tests.fuzz.pictures import mutate_picture
 from tests.fuzz.trees import mutate_json, mutate_message, mutate_toml
@@ -28,9 +28,8 @@ PICTURES = ("foxglove.CompressedImage", "sensor_msgs/msg/CompressedImage")
 
 def mutate_content(content: Content, choices: Choices) -> None:
     """Change one thing in place."""
-    fault: Callable[[Content, Choices], None] = FAULTS[choices.of("do", WEIGHTED)]
     if content.messages:
-        fault(content, choices)
+        FAULTS[choices.of("do", WEIGHTED)](content, choices)
 
 
 def _chosen(content: Content, choices: Choices) -> int:
@@ -116,12 +115,8 @@ def _set_ros(owner: Any, name: str, choices: Choices) -> None:
         changed = changed[: choices.of("items", (len(value), len(value), 0, len(value) // 2))]
     elif isinstance(value, list):
         changed = value * choices.of("copies", (0, 2, 50))
-    elif isinstance(value, str):
-        changed = wild_text(choices)
-    elif isinstance(value, float):
-        changed = wild_float(choices)
     else:
-        changed = wild_integer(choices)
+        changed = wild_like(value, choices)
     object.__setattr__(owner, name, changed)
 
 
@@ -145,17 +140,9 @@ def _shift(content: Content, choices: Choices) -> None:
 def _order(content: Content, choices: Choices) -> None:
     """The messages in another order; their log times stay in place."""
     times = [message.log_time_ns for message in content.messages]
-    turned = content.messages[::-1] if choices.chance("reverse", 0.5) else _rotated(content.messages, choices)
+    by = choices.index("by", len(times))
+    turned = content.messages[::-1] if choices.chance("reverse", 0.5) else content.messages[by:] + content.messages[:by]
     content.messages[:] = [replace(m, log_time_ns=t) for m, t in zip(turned, times, strict=True)]
-
-
-def _rotated(messages: list[Message], choices: Choices) -> list[Message]:
-    by = choices.index("by", len(messages))
-    return messages[by:] + messages[:by]
-
-
-def _drop(content: Content, choices: Choices) -> None:
-    del content.messages[_chosen(content, choices)]
 
 
 def _drop_channel(content: Content, choices: Choices) -> None:
@@ -257,10 +244,11 @@ def _foreign(content: Content, choices: Choices) -> None:
     content.messages[at:at] = [message] * choices.of("copies", (1, 5))
 
 
-FAULTS = {
-    "payload": _payload, "log_time": _log_time, "shift": _shift, "order": _order, "drop": _drop, "repeat": _repeat,
-    "drop_channel": _drop_channel, "channel": _channel, "attach": _attach, "metadata": _metadata,
-    "transforms": _transforms, "detections": _detections, "foreign": _foreign,
+FAULTS: dict[str, Callable[[Content, Choices], object]] = {
+    "payload": _payload, "log_time": _log_time, "shift": _shift, "order": _order, "repeat": _repeat,
+    "drop": lambda content, choices: content.messages.pop(_chosen(content, choices)), "drop_channel": _drop_channel,
+    "channel": _channel, "attach": _attach, "metadata": _metadata, "transforms": _transforms,
+    "detections": _detections, "foreign": _foreign,
 }  # fmt: skip
 WEIGHTED = ("payload",) * 14 + ("channel",) * 3 + tuple(FAULTS)
 """Mostly messages themselves: all else has fewer ways to be odd."""

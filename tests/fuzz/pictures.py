@@ -3,6 +3,7 @@
 import base64
 import struct
 import zlib
+from collections.abc import Callable
 
 from tests.fuzz.choices import Choices, damage
 
@@ -48,30 +49,40 @@ def _mutate_png(data: bytes, choices: Choices) -> bytes:
     fault = choices.of(
         "fault", ("zeros", "size", "size", "depth", "remove", "repeat", "move", "palette", "new", "content", "inflate")
     )
-    if fault == "zeros":
-        side = choices.of("side", (100, 3000, 30_000))
-        chunks[:] = _zeros(chunks[0][1], side)
+    if fault in _IN_A_LIST:
+        _IN_A_LIST[fault](chunks, at, choices)
+    elif fault == "zeros":
+        chunks[:] = _zeros(chunks[0][1], choices.of("side", (100, 3000, 30_000)))
     elif fault == "size":
-        chunks[0][1] = _sized(chunks[0][1], choices)
+        chunks[0][1] = _with_a_size(chunks[0][1], 0, ">I", choices.of("size", SIZES), choices)
     elif fault == "depth":
         chunks[0][1] = _with_byte(chunks[0][1], choices.of("where", (8, 9, 10, 11, 12)), choices)
-    elif fault == "remove":
-        del chunks[at]
-    elif fault == "repeat":
-        chunks.insert(at, list(chunks[at]))
-    elif fault == "move":
-        chunks.insert(choices.index("to", len(chunks)), chunks.pop(at))
     elif fault == "palette":
         palette = bytes(range(256)) * 3
         chunks.insert(1, [b"PLTE", palette[: choices.of("length", (0, 1, 3, 6, 765, 768))]])
     elif fault == "new":
         name = choices.of("name", tuple(NEW_CHUNKS))
         chunks.insert(choices.number("to", 1, len(chunks)), [name.encode(), NEW_CHUNKS[name]])
-    elif fault == "content":
-        chunks[at][1] = damage(chunks[at][1], choices.part("damage"))
     else:
         _repack(chunks, choices)
     return png_of(chunks, fixed=choices.chance("fixed", 0.8))
+
+
+def _repeat(parts: list[list], at: int, choices: Choices) -> None:
+    parts[at:at] = [list(parts[at])] * choices.of("copies", (1, 100))
+
+
+def _damage(parts: list[list], at: int, choices: Choices) -> None:
+    parts[at][1] = damage(parts[at][1], choices.part("damage"))
+
+
+_IN_A_LIST: dict[str, Callable[[list[list], int, Choices], object]] = {
+    "remove": lambda parts, at, _: parts.pop(at),
+    "move": lambda parts, at, choices: parts.insert(choices.index("to", len(parts)), parts.pop(at)),
+    "repeat": _repeat,
+    "content": _damage,
+}
+"""Of a PNG's chunks and of a JPEG's segments."""
 
 
 def _zeros(header: bytes, side: int) -> list[list[bytes]]:
@@ -104,10 +115,11 @@ def _repack(chunks: list[list[bytes]], choices: Choices) -> None:
     chunks.insert(max(len(chunks) - 1, 0), [b"IDAT", changed])
 
 
-def _sized(header: bytes, choices: Choices) -> bytes:
-    size = struct.pack(">I", choices.of("size", SIZES))
-    which = choices.of("which", ("width", "height", "both"))
-    return (size if which != "height" else header[:4]) + (size if which != "width" else header[4:8]) + header[8:]
+def _with_a_size(header: bytes, at: int, layout: str, size: int, choices: Choices) -> bytes:
+    """The header with one or both of two neighbouring numbers replaced."""
+    packed, first, count = struct.pack(layout, size), *choices.of("which", ((0, 1), (1, 1), (0, 2)))
+    at += first * len(packed)
+    return header[:at] + packed * count + header[at + count * len(packed) :]
 
 
 def _with_byte(data: bytes, where: int, choices: Choices) -> bytes:
@@ -140,21 +152,17 @@ def _mutate_jpeg(data: bytes, choices: Choices) -> bytes:
         return damage(data, choices.part("damage"))
     at = choices.index("segment", len(segments))
     fault = choices.of(
-        "fault", ("size", "size", "remove", "repeat", "length", "marker", "content", "cut", "components")
+        "fault", ("size", "size", "remove", "repeat", "move", "length", "marker", "content", "cut", "components")
     )
     frames = [k for k, (marker, _) in enumerate(segments) if marker in (0xC0, 0xC2)]
     if fault in ("size", "components") and frames:
         segments[frames[0]][1] = _frame_header(segments[frames[0]][1], fault, choices)
-    elif fault == "remove":
-        del segments[at]
-    elif fault == "repeat":
-        segments[at:at] = [list(segments[at])] * choices.of("copies", (1, 100))
+    elif fault in _IN_A_LIST:
+        _IN_A_LIST[fault](segments, at, choices)
     elif fault == "length":
-        return jpeg_of(segments, scan, lie=(at, choices.of("length", (0, 1, 2, 17, 65535))))
+        segments[at].append(choices.of("length", (0, 1, 2, 17, 65535)))
     elif fault == "marker":
         segments[at][0] = choices.of("marker", (0x00, 0x01, 0xC1, 0xC3, 0xC9, 0xD8, 0xD9, 0xDA, 0xE1, 0xFE, 0xFF))
-    elif fault == "content":
-        segments[at][1] = damage(segments[at][1], choices.part("damage"))
     else:
         scan = damage(scan, choices.part("damage"))
     return jpeg_of(segments, scan)
@@ -164,10 +172,7 @@ def _frame_header(content: bytes, fault: str, choices: Choices) -> bytes:
     """Of a frame segment: precision, rows, columns, number of components, then three bytes for each."""
     if fault == "components":
         return _with_byte(content, choices.of("where", (0, 5, 6, 7, 8)), choices)
-    size = struct.pack(">H", choices.of("size", JPEG_SIZES))
-    which = choices.of("which", ("rows", "columns", "both"))
-    rows, columns = content[1:3], content[3:5]
-    return content[:1] + (size if which != "columns" else rows) + (size if which != "rows" else columns) + content[5:]
+    return _with_a_size(content, 1, ">H", choices.of("size", JPEG_SIZES), choices)
 
 
 def jpeg_segments(data: bytes) -> tuple[list[list], bytes]:
@@ -182,10 +187,9 @@ def jpeg_segments(data: bytes) -> tuple[list[list], bytes]:
     return segments, data[at:]
 
 
-def jpeg_of(segments: list[list], scan: bytes, lie: tuple[int, int] | None = None) -> bytes:
-    """A JPEG of segments, one of which may state another length than it has."""
+def jpeg_of(segments: list[list], scan: bytes) -> bytes:
+    """A JPEG of segments; one with a third item states that as its length."""
     made = [b"\xff\xd8"]
-    for k, (marker, content) in enumerate(segments):
-        length = lie[1] if lie is not None and lie[0] == k else (len(content) + 2) & 0xFFFF
-        made.append(bytes([0xFF, marker]) + struct.pack(">H", length) + content)
+    for marker, content, *stated in segments:
+        made.append(struct.pack(">BBH", 0xFF, marker, *stated or [(len(content) + 2) & 0xFFFF]) + content)
     return b"".join(made) + scan

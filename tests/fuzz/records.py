@@ -81,8 +81,7 @@ class Record:
 
 def filled(opcode: int, fields: dict[str, Any]) -> dict[str, Any]:
     """All fields of a kind of record: those given, and zeros."""
-    zeros = {name: b"" if kind in "sdDr" else 0 for name, kind in LAYOUTS.get(opcode, (("data", "r"),))}
-    return zeros | fields
+    return {name: b"" if kind in "sdDr" else 0 for name, kind in LAYOUTS.get(opcode, (("data", "r"),))} | fields
 
 
 def taken_apart(data: bytes) -> list[Record]:
@@ -97,7 +96,7 @@ def _records(data: bytes) -> list[Record]:
         at += _HEAD.size
         record = Record(opcode, _fields(opcode, data[at : at + length]))
         if opcode == Opcode.CHUNK:
-            record.inner = _records(_decompressed(record))
+            record.inner = _records(_DECOMPRESS.get(record.fields["compression"], bytes)(record.fields["records"]))
         found.append(record)
         at += length
     return found
@@ -120,17 +119,8 @@ def _fields(opcode: int, content: bytes) -> dict[str, Any]:
     return values
 
 
-def _decompressed(chunk: Record) -> bytes:
-    data, name = chunk.fields["records"], chunk.fields["compression"]
-    if name == b"zstd":
-        return zstandard.decompress(data, chunk.fields["size"])
-    return lz4.frame.decompress(data) if name == b"lz4" else data
-
-
-def _compressed(data: bytes, name: bytes) -> bytes:
-    if name == b"zstd":
-        return zstandard.compress(data)
-    return lz4.frame.compress(data) if name == b"lz4" else data
+_COMPRESS = {b"zstd": zstandard.compress, b"lz4": lz4.frame.compress}
+_DECOMPRESS = {b"zstd": zstandard.decompress, b"lz4": lz4.frame.decompress}
 
 
 FIXES = ("nothing", "checksums", "everything")
@@ -166,7 +156,7 @@ def put_together(records: list[Record], fix: str) -> bytes:
 def _pack_chunk(chunk: Record, fix: str) -> None:
     data = b"".join(record.packed() for record in chunk.inner or ())
     codec = chunk.fields["compression"] if "compression" not in chunk.held else b"zstd"
-    chunk.fields["records"] = _compressed(data, codec)
+    chunk.fields["records"] = _COMPRESS.get(codec, bytes)(data)
     if fix != "nothing":
         right = {"size": len(data), "crc": zlib.crc32(data) if chunk.fields["crc"] else 0}
         chunk.fields |= {name: value for name, value in right.items() if name not in chunk.held}
@@ -239,20 +229,16 @@ def mutate_records(records: list[Record], choices: Choices) -> None:
     kind = choices.of("kind", kinds)
     places = [k for k, record in enumerate(scope) if record.opcode == kind] or [0]
     at = places[choices.index("record", len(places))]
-    fault: Callable[[list[Record], int, Choices], None] = FAULTS[choices.of("do", WEIGHTED)]
-    fault(scope, at, choices)
+    FAULTS[choices.of("do", WEIGHTED)](scope, at, choices)
 
 
 def _field(scope: list[Record], at: int, choices: Choices) -> None:
-    record = scope[at]
-    names = [name for name, _ in LAYOUTS.get(record.opcode, ())]
-    if not names:
-        return
-    name = choices.of("field", names)
-    kind = dict(LAYOUTS[record.opcode]).get(name)
-    record.held.add(name)
+    record, kinds = scope[at], dict(LAYOUTS.get(scope[at].opcode, ()))
+    name = choices.of("field", tuple(kinds) or ("",))
+    kind = kinds.get(name)
     if kind is None:
         return
+    record.held.add(name)
     if kind == "s":
         record.fields[name] = wild_text(choices).encode("utf-8", "surrogatepass")
     elif kind in "dDr":
@@ -281,16 +267,8 @@ def _inner_length(scope: list[Record], at: int, choices: Choices) -> None:
         scope[at].lies[choices.of("field", names)] = wild_integer(choices)
 
 
-def _remove(scope: list[Record], at: int, _: Choices) -> None:
-    del scope[at]
-
-
 def _repeat(scope: list[Record], at: int, choices: Choices) -> None:
     scope[at:at] = [scope[at]] * choices.of("copies", (1, 2, 300))
-
-
-def _move(scope: list[Record], at: int, choices: Choices) -> None:
-    scope.insert(choices.index("to", len(scope)), scope.pop(at))
 
 
 def _opcode(scope: list[Record], at: int, choices: Choices) -> None:
@@ -299,10 +277,6 @@ def _opcode(scope: list[Record], at: int, choices: Choices) -> None:
     scope[at] = Record(opcode, filled(opcode, {}))
     with contextlib.suppress(struct.error):  # a body too short for it: the record is then one of zeros
         scope[at] = Record(opcode, _fields(opcode, body))
-
-
-def _garbage(scope: list[Record], at: int, choices: Choices) -> None:
-    scope.insert(at, Record(0x90, {"data": bytes(choices.of("bytes", (0, 1, 8, 9, 5000)))}))
 
 
 def _bomb(scope: list[Record], at: int, choices: Choices) -> None:
@@ -327,8 +301,11 @@ def zeros_as_zstd(size: int, *, stated: bool = True) -> bytes:
     return head + (struct.pack("<Q", size) if stated else b"") + bytes(blocks)
 
 
-FAULTS = {
-    "bomb": _bomb, "field": _field, "near": _near, "length": _length, "inner_length": _inner_length, "remove": _remove,
-    "repeat": _repeat, "move": _move, "opcode": _opcode, "garbage": _garbage,
+FAULTS: dict[str, Callable[[list[Record], int, Choices], object]] = {
+    "bomb": _bomb, "field": _field, "near": _near, "length": _length, "inner_length": _inner_length, "opcode": _opcode,
+    "repeat": _repeat,
+    "remove": lambda scope, at, _: scope.pop(at),
+    "move": lambda scope, at, choices: scope.insert(choices.index("to", len(scope)), scope.pop(at)),
+    "garbage": lambda scope, at, c: scope.insert(at, Record(0x90, {"data": bytes(c.of("bytes", (0, 1, 8, 9, 5000)))})),
 }  # fmt: skip
 WEIGHTED = ("field",) * 6 + ("near",) * 2 + tuple(FAULTS)

@@ -2,6 +2,7 @@
 
 import io
 import math
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -13,26 +14,18 @@ from tests.fuzz import contents
 from tests.fuzz.choices import FLOATS, TEXTS, Choices, damage, wild_integer, wild_text
 from tests.fuzz.trees import mutate_toml
 
-TYPES = {
-    "null": pa.null(), "text": pa.string(), "float": pa.float64(), "half": pa.float32(), "integer": pa.int64(),
-    "unsigned": pa.uint64(), "truth": pa.bool_(), "list": pa.list_(pa.string()), "numbers": pa.list_(pa.float64()),
-    "struct": pa.struct([("a", pa.int64())]), "time": pa.timestamp("ns"), "bytes": pa.binary(), "days": pa.date32(),
-    "decimal": pa.decimal128(38, 10), "words": pa.dictionary(pa.int32(), pa.string()), "span": pa.duration("ns"),
+TYPES: dict[str, tuple[pa.DataType, Any]] = {
+    "null": (pa.null(), None), "text": (pa.string(), "x"), "float": (pa.float64(), 1.5), "half": (pa.float32(), 1.5),
+    "integer": (pa.int64(), 7), "unsigned": (pa.uint64(), 2**64 - 1), "truth": (pa.bool_(), True),
+    "list": (pa.list_(pa.string()), ["a"]), "numbers": (pa.list_(pa.float64()), [math.nan]),
+    "struct": (pa.struct([("a", pa.int64())]), {"a": 1}), "time": (pa.timestamp("ns"), 1),
+    "bytes": (pa.binary(), b"\xff"), "days": (pa.date32(), 1), "decimal": (pa.decimal128(38, 10), 1),
+    "span": (pa.duration("ns"), 1), "words": (pa.dictionary(pa.int32(), pa.string()), "x"),
 }  # fmt: skip
-VALUES: dict[str, Any] = {
-    "text": "x", "float": 1.5, "half": 1.5, "integer": 7, "unsigned": 2**64 - 1, "truth": True, "list": ["a"],
-    "numbers": [math.nan], "struct": {"a": 1}, "time": 1, "bytes": b"\xff", "days": 1, "decimal": 1, "words": "x",
-    "span": 1,
-}  # fmt: skip
+"""Types of a column, and a value of each."""
 FACTS = (
-    "roadperc.config",
-    "roadperc.config_digest",
-    "roadperc.version",
-    "roadperc.log",
-    "roadperc.source",
-    "ARROW:schema",
-)
-
+    "roadperc.config", "roadperc.config_digest", "roadperc.version", "roadperc.log", "roadperc.source", "ARROW:schema",
+)  # fmt: skip
 POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 
 
@@ -100,14 +93,9 @@ def _missing(found: pa.Table, choices: Choices) -> pa.Table:
 
 def _retype(found: pa.Table, choices: Choices) -> pa.Table:
     at, name = _column(found, choices)
-    kind = choices.of("type", tuple(TYPES))
-    if kind == "null" or choices.chance("empty", 0.2):
-        return found.set_column(at, name, pa.nulls(found.num_rows, TYPES[kind]))
-    return found.set_column(at, name, pa.array([VALUES[kind]] * found.num_rows, TYPES[kind]))
-
-
-def _remove(found: pa.Table, choices: Choices) -> pa.Table:
-    return found.remove_column(_column(found, choices)[0])
+    kind, value = TYPES[choices.of("type", tuple(TYPES))]
+    value = None if choices.chance("empty", 0.2) else value
+    return found.set_column(at, name, pa.array([value] * found.num_rows, kind))
 
 
 def _rename(found: pa.Table, choices: Choices) -> pa.Table:
@@ -143,13 +131,8 @@ def _facts(found: pa.Table, choices: Choices) -> pa.Table:
     return found.replace_schema_metadata(facts)
 
 
-FAULTS = {
-    "value": _value,
-    "missing": _missing,
-    "retype": _retype,
-    "remove": _remove,
-    "rename": _rename,
-    "rows": _rows,
-    "facts": _facts,
-}
+FAULTS: dict[str, Callable[[pa.Table, Choices], pa.Table]] = {
+    "value": _value, "missing": _missing, "retype": _retype, "rename": _rename, "rows": _rows, "facts": _facts,
+    "remove": lambda found, choices: found.remove_column(_column(found, choices)[0]),
+}  # fmt: skip
 WEIGHTED = ("value",) * 5 + ("retype",) * 3 + tuple(FAULTS)

@@ -2,20 +2,15 @@
 
 import hashlib
 import json
-import random
-from collections import Counter
 
 import pytest
-import zstandard
-from mcap.opcode import Opcode
 
 from roadperc_stream import log
 from tests.fuzz import contents
-from tests.fuzz.cases import FAMILIES, WEIGHTED, Case, drawn, named, prepared
-from tests.fuzz.choices import Choices
+from tests.fuzz.cases import FAMILIES, WEIGHTED, Case, drawn, prepared
 from tests.fuzz.judge import Ran, faults
 from tests.fuzz.pictures import jpeg_of, jpeg_segments, png_chunks, png_of
-from tests.fuzz.records import FIXES, LAYOUTS, mutate_records, put_together, taken_apart, zeros_as_zstd
+from tests.fuzz.records import FIXES, put_together, taken_apart
 
 CASES = 60
 
@@ -35,37 +30,15 @@ def digest(path):
 
 
 def test_a_case_is_its_name_and_its_recipe_is_the_case(tmp_path):
-    families = Counter()
+    families = set()
     for k in range(CASES):
         found = made(drawn(7, k), tmp_path / f"a{k}")
         assert made(drawn(7, k), tmp_path / f"b{k}") == found
         recipe = json.loads(found[1])
         assert made(Case("another name", recipe), tmp_path / f"c{k}") == found, recipe
-        families[recipe["family"]] += 1
-    assert set(families) == set(WEIGHTED)
+        families.add(recipe["family"])
+    assert families == set(WEIGHTED)
     assert set(FAMILIES) == {*families, "files"}
-
-
-def test_a_recipe_may_say_less_than_a_drawn_one(tmp_path):
-    """What it does not name is as it is in a sound log."""
-    recipe = {"family": "log", "base": "drive", "writer": "zstd", "command": ["replay", "in.mcap", "out.mcap"]}
-    words, whole, _ = made(Case("short", recipe), tmp_path / "a")
-    assert (tmp_path / "a" / "in.mcap").read_bytes() == contents.encoded(contents.BASES["drive"](), "zstd")
-    assert words == recipe["command"]
-    assert json.loads(whole)["records"] == []
-
-
-def test_no_name_is_chosen_twice():
-    choices = Choices(None, random.Random(1))
-    choices.number("at", 0, 5)
-    with pytest.raises(AssertionError, match="at is chosen twice"):
-        choices.share("at")
-
-
-@pytest.mark.parametrize("name", ["1:x", "nothing of that name", "1.5:3"])
-def test_a_name_of_no_case_is_an_error(name):
-    with pytest.raises(ValueError, match="expected SEED:NUMBER"):
-        named(name)
 
 
 @pytest.mark.parametrize("writer", contents.WRITERS)
@@ -78,38 +51,6 @@ def test_a_log_taken_apart_goes_together_again(tmp_path, base, writer):
         assert put_together(taken_apart(data), fix) == data
     (tmp_path / "a.mcap").write_bytes(data)
     assert len(list(log.read(log.summarise(tmp_path / "a.mcap")))) == len(content.messages)
-
-
-def test_what_is_removed_from_a_log_is_put_right(tmp_path):
-    """Offsets, sizes and checksums fit again: only the statistics miss a message."""
-    records = taken_apart(contents.encoded(contents.BASES["drive"](), "lz4 and every CRC"))
-    chunk = next(record for record in records if record.inner)
-    chunk.inner = [record for record in chunk.inner if record.opcode != 5][:1] + chunk.inner[2:]
-    path = tmp_path / "a.mcap"
-    path.write_bytes(put_together(records, "everything"))
-    reread = taken_apart(path.read_bytes())
-    assert put_together(reread, "everything") == path.read_bytes()
-
-
-@pytest.mark.parametrize("fix", FIXES)
-@pytest.mark.parametrize("opcode", [Opcode.FOOTER, Opcode.CHUNK, Opcode.ATTACHMENT])
-def test_a_record_that_is_too_short_for_its_new_kind_becomes_one_of_zeros(opcode, fix):
-    records = taken_apart(contents.encoded(contents.BASES["drive"](), "zstd"))
-    count = len(records)
-    recipe = {"chunk": 0, "inside": False, "kind": Opcode.DATA_END, "record": 0, "do": "opcode", "opcode": opcode}
-    mutate_records(records, Choices(recipe))
-    (changed,) = (record for record in records if record.opcode == opcode and not any(record.fields.values()))
-    assert set(changed.fields) == {name for name, _ in LAYOUTS[opcode]}
-    data = put_together(records, fix)
-    assert changed.packed() in data
-    assert len(records) == count
-
-
-@pytest.mark.parametrize("size", [1, 131_072, 131_073, 1_000_000])
-def test_zeros_in_a_few_bytes(size):
-    assert zstandard.decompress(zeros_as_zstd(size)) == bytes(size)
-    assert zstandard.decompress(zeros_as_zstd(size, stated=False), size) == bytes(size)
-    assert len(zeros_as_zstd(10**9)) < 40_000
 
 
 def test_pictures_go_together_again():

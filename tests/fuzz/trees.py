@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any
 
 import tomli_w
@@ -9,18 +10,14 @@ from google.protobuf.descriptor import FieldDescriptor
 
 from roadperc_stream.config.settings import parsed_toml
 from roadperc_stream.errors import ConfigError
-from tests.fuzz.choices import Choices, damage, wild_float, wild_integer, wild_text
+from tests.fuzz.choices import Choices, damage, wild_float, wild_integer, wild_like, wild_text
 
 DEPTHS = (2, 50, 1000, 100_000)
 COPIES = (2, 30, 1000)
 
 
-def places(tree: Any) -> list[tuple[Any, Any]]:
-    """(container, key) of every value in a tree of dictionaries and lists."""
-    return list(_places(tree))
-
-
 def _places(tree: Any) -> Iterator[tuple[Any, Any]]:
+    """(container, key) of every value in a tree of dictionaries and lists."""
     items = tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ()
     for key, value in items:
         yield tree, key
@@ -29,7 +26,7 @@ def _places(tree: Any) -> Iterator[tuple[Any, Any]]:
 
 def mutate(tree: Any, choices: Choices) -> None:
     """Change one value of a tree of dictionaries and lists in place."""
-    found = places(tree)
+    found = list(_places(tree))
     if not found:
         return
     container, key = found[choices.index("place", len(found))]
@@ -43,25 +40,15 @@ def mutate(tree: Any, choices: Choices) -> None:
     elif fault == "copies":
         container[key] = [container[key]] * choices.of("copies", COPIES)
     elif fault == "nest":
-        container[key] = nested(container[key], choices.of("depth", DEPTHS[:2]))
-
-
-def nested(value: Any, depth: int) -> Any:
-    """The value in so many lists."""
-    for _ in range(depth):
-        value = [value]
-    return value
+        for _ in range(choices.of("depth", DEPTHS[:2])):
+            container[key] = [container[key]]
 
 
 def wild_value(choices: Choices) -> Any:
     """A value of any type."""
     kind = choices.of("kind", ("integer", "float", "text", "true", "null", "list", "object", "digits"))
-    if kind == "integer":
-        return wild_integer(choices)
-    if kind == "float":
-        return wild_float(choices)
-    if kind == "text":
-        return wild_text(choices)
+    if kind in ("integer", "float", "text"):
+        return {"integer": wild_integer, "float": wild_float, "text": wild_text}[kind](choices)
     if kind == "digits":
         return 10 ** choices.of("digits", (20, 400, 4000))
     return {"true": True, "null": None, "list": [], "object": {}}[kind]
@@ -95,7 +82,7 @@ def mutate_message(message: Any, choices: Choices) -> None:
     elif field.message_type:
         owner.ClearField(field.name)
     else:
-        _set(lambda value: setattr(owner, field.name, value), getattr(owner, field.name), field, choices)
+        _set(lambda value: setattr(owner, field.name, value), getattr(owner, field.name), choices)
 
 
 def _fields(message: Any, prefix: str, depth: int) -> Iterator[tuple[str, tuple[Any, FieldDescriptor]]]:
@@ -123,37 +110,16 @@ def _mutate_repeated(values: Any, field: FieldDescriptor, choices: Choices) -> N
         values.extend([values[0]] * choices.of("copies", COPIES))
     elif not field.message_type:
         item = choices.index("item", len(values))
-        _set(lambda value: values.__setitem__(item, value), values[item], field, choices)
+        _set(lambda value: values.__setitem__(item, value), values[item], choices)
 
 
-def _set(assign: Any, before: Any, field: FieldDescriptor, choices: Choices) -> None:
-    """Assign a value of the field's type; one that does not fit its width is left away."""
-    if isinstance(before, bytes):
-        value: Any = damage(before, choices.part("damage"))
-    elif isinstance(before, str):
-        value = wild_text(choices)
-    elif isinstance(before, bool):
-        value = not before
-    elif isinstance(before, float):
-        value = wild_float(choices)
-    else:
-        value = wild_integer(choices)
-    try:
-        assign(value)
-    except (ValueError, OverflowError):
-        assign(_within(value, field))
-
-
-def _within(value: int, field: FieldDescriptor) -> int:
-    bits = 64 if "64" in _TYPE_NAMES[field.type] else 32
-    signed = not _TYPE_NAMES[field.type].startswith(("UINT", "FIXED"))
-    low = value & ((1 << bits) - 1)
-    return low - (1 << bits) if signed and low >= 1 << (bits - 1) else low
-
-
-_TYPE_NAMES = {
-    number: name.removeprefix("TYPE_") for name, number in vars(FieldDescriptor).items() if name.startswith("TYPE_")
-}
+def _set(assign: Any, before: Any, choices: Choices) -> None:
+    """Assign a value of the field's type; a number that does not fit its width is cut to it."""
+    value = wild_like(before, choices)
+    for fitting in (value,) if not isinstance(value, int) else (value, *(value % 2**bits for bits in (64, 32, 31))):
+        with suppress(ValueError, OverflowError):
+            assign(fitting)
+            return
 
 
 def mutate_toml(text: bytes, choices: Choices) -> bytes:
@@ -169,10 +135,6 @@ def mutate_toml(text: bytes, choices: Choices) -> bytes:
         return b"seed = " + b"9" * choices.of("digits", (19, 20, 400, 5000, 1_000_000)) + b"\n"
     if how == "more":
         return text + f"\n[{choices.of('table', ('lanes', 'unknown', 'a.b.c'))}]\nx = 1\n".encode()
-    return _with_a_value(text, choices)
-
-
-def _with_a_value(text: bytes, choices: Choices) -> bytes:
     try:
         tree: dict[str, Any] = parsed_toml(text)
         mutate(tree, choices)
@@ -187,21 +149,8 @@ def wild_setting(choices: Choices) -> str:
         "key", ("lanes.hold_s", "surface.model", "seed", "sync.max_wait_s", "stereo.method", "tag_table", "", "x.y")
     )
     values = (
-        "1",
-        "-1",
-        "0",
-        "nan",
-        "inf",
-        "1e308",
-        "1e-300",
-        "true",
-        "[]",
-        "{}",
-        '"x"',
-        "2020-01-01",
-        "9" * 400,
-        "[" * 60,
+        "1", "-1", "0", "nan", "inf", "1e308", "1e-300", "true", "[]", "{}", '"x"', "2020-01-01", "9" * 400, "[" * 60,
         "",
-    )
+    )  # fmt: skip
     value = choices.of("value", values) if choices.chance("number", 0.8) else wild_text(choices, "text")
     return f"{key}={value}".replace("\0", "\x01")  # no argument of a process holds a NUL

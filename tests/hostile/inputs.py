@@ -3,6 +3,7 @@ names that would command a terminal.
 """
 
 import dataclasses
+import resource
 import struct
 import zlib
 
@@ -17,6 +18,16 @@ from tests.fuzz.pictures import png_of
 from tests.fuzz.records import MAGIC, Record, filled
 
 _LZ4_BLOCK = 4 * 1024 * 1024
+
+
+def bounded():
+    """Bound the address space of a process: three gigabytes."""
+    resource.setrlimit(resource.RLIMIT_AS, (3 * 2**30, 3 * 2**30))
+
+
+def replaced(role, data, frames=2):
+    """A drive in which every message of a role is this one."""
+    return [dataclasses.replace(item, data=data) if item.role == role else item for item in logs.items(frames)]
 
 
 def lz4_zeros(size):
@@ -117,8 +128,7 @@ def write_log(path, name=EVIL):
     items.append(logs.Item("image", stamp + 1, b"no image", f"/image/{name}"))
     with logs.LogWriter(path) as writer:
         for sequence, item in enumerate(items):
-            channel = logs.channel(item.role, item.topic, **{name: name})
-            writer.write(logs.Message(channel, item.stamp_ns, item.stamp_ns, sequence, item.data))
+            writer.write(logs.message(item, sequence, **{name: name}))
         odd = dataclasses.replace(logs.foreign().channel, topic=f"/odd/{name}", schema_name=name, message_encoding=name)
         writer.write(dataclasses.replace(logs.foreign(), channel=odd, log_time_ns=stamp, publish_time_ns=stamp))
         writer.describe(Metadata(name, ((name, name),)))

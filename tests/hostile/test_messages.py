@@ -1,7 +1,5 @@
 """Messages that ask for more than is real: each costs itself, and says which limit it is beyond."""
 
-import dataclasses
-import resource
 import time
 import zlib
 
@@ -26,25 +24,15 @@ from tests.hostile import inputs
 from tests.replaying import replay
 
 pytestmark = pytest.mark.commands
-GIB = 2**30
 STAMP = logs.START_NS
 JPEG = cv2.imencode(".jpg", np.zeros((16, 16, 3), np.uint8))[1].tobytes()
 NOISE = cv2.imencode(".jpg", np.random.default_rng(0).integers(0, 255, (240, 320, 3)).astype(np.uint8))[1].tobytes()
 HUGE_PNG = inputs.png(30_000, 30_000, rows=4)
 
 
-def replaced(role, data, frames=2):
-    """A drive in which every message of a role is this one."""
-    return [dataclasses.replace(i, data=data) if i.role == role else i for i in logs.items(frames)]
-
-
-def bounded():
-    resource.setrlimit(resource.RLIMIT_AS, (3 * GIB, 3 * GIB))
-
-
 def replayed(tmp_path, items, *options):
     source = logs.write(tmp_path / "in.mcap", items)
-    return run("roadperc-replay", source, tmp_path / "out.mcap", *options, preexec_fn=bounded)
+    return run("roadperc-replay", source, tmp_path / "out.mcap", *options, preexec_fn=inputs.bounded)
 
 
 def read(kind, schema, data, limits):
@@ -61,7 +49,7 @@ def test_an_image_is_held_against_its_header_before_it_is_decoded(data):
 @pytest.mark.parametrize("role", ["image", "segmentation"])
 def test_a_huge_image_costs_its_frames_that_image(tmp_path, role):
     data = inputs.png(30_000, 30_000, mode=3, rows=4) if role == "segmentation" else HUGE_PNG
-    done = replayed(tmp_path, replaced(role, encoding.encode_image(STAMP, "camera", "png", data), frames=1))
+    done = replayed(tmp_path, inputs.replaced(role, encoding.encode_image(STAMP, "camera", "png", data), frames=1))
     assert done.returncode == 0, done.stderr
     assert "in the only frame" in done.stdout
     assert "expected limits.image_megapixels 40 at most" in done.stdout
@@ -71,7 +59,7 @@ def test_a_calibration_is_held_against_the_limit(tmp_path):
     """The sparse depth of a lidar's points is as large as the calibration says."""
     camera = Camera("camera", 40_000, 40_000, 2e4, 2e4, 2e4, 2e4)
     points = np.ones((100, 4), np.float32)
-    items = replaced("calibration", encoding.encode_calibration(STAMP, camera))
+    items = inputs.replaced("calibration", encoding.encode_calibration(STAMP, camera))
     items = [item for item in items if item.role in ("calibration", "tf", "image")]
     items += [
         logs.Item("lidar", i.stamp_ns, encoding.encode_points(i.stamp_ns, "camera", points))
@@ -95,27 +83,17 @@ def test_texts_that_are_compressed_in_an_image_cost_that_image():
     assert time.process_time() - started < 5
 
 
+BOXES = [box("Car", 1, 1, 9, 9)] * 5
+EDGES = [Transform("ego", f"f{k}", np.eye(4)) for k in range(5)]
+POINTS = np.zeros((5, 4), np.float32)
+
+
 @pytest.mark.parametrize(
     ("limit", "kind", "schema", "data"),
     [
-        (
-            "detections",
-            "detections",
-            "roadperc.Detections",
-            encoding.encode_detections(STAMP, "camera", [box("Car", 1, 1, 9, 9)] * 5),
-        ),
-        (
-            "transforms",
-            "tf",
-            "foxglove.FrameTransforms",
-            encoding.encode_transforms(STAMP, [Transform("ego", f"f{k}", np.eye(4)) for k in range(5)]),
-        ),
-        (
-            "points",
-            "points",
-            "foxglove.PointCloud",
-            encoding.encode_points(STAMP, "lidar", np.zeros((5, 4), np.float32)),
-        ),
+        ("detections", "detections", "roadperc.Detections", encoding.encode_detections(STAMP, "camera", BOXES)),
+        ("transforms", "tf", "foxglove.FrameTransforms", encoding.encode_transforms(STAMP, EDGES)),
+        ("points", "points", "foxglove.PointCloud", encoding.encode_points(STAMP, "lidar", POINTS)),
     ],
 )
 def test_items_beyond_the_limit_cost_their_message(limit, kind, schema, data):
@@ -158,7 +136,8 @@ def test_many_detections_take_a_time_that_grows_with_their_number(tmp_path):
     places = np.random.default_rng(1).uniform(0, 200, (2000, 2))
     boxes = [box(("Car", "Pedestrian")[k % 2], x, y, x + 20, y + 20) for k, (x, y) in enumerate(places)]
     source = logs.write(
-        tmp_path / "in.mcap", replaced("detections", encoding.encode_detections(STAMP, "camera", boxes), frames=1)
+        tmp_path / "in.mcap",
+        inputs.replaced("detections", encoding.encode_detections(STAMP, "camera", boxes), frames=1),
     )
     started = time.process_time()
     assert replay(source, tmp_path / "out.mcap", load_config(None, ("tag_table=0.9.13",))).frames == 1
@@ -177,7 +156,7 @@ def test_many_detections_take_a_time_that_grows_with_their_number(tmp_path):
     ids=["cut png", "rows missing", "broken profile", "damaged jpeg", "cut jpeg"],
 )
 def test_what_libpng_and_libjpeg_say_reaches_no_terminal(tmp_path, data):
-    done = replayed(tmp_path, replaced("image", encoding.encode_image(STAMP, "camera", "png", data), frames=1))
+    done = replayed(tmp_path, inputs.replaced("image", encoding.encode_image(STAMP, "camera", "png", data), frames=1))
     assert (done.returncode, done.stderr) == (0, "")
 
 

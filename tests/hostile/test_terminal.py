@@ -75,10 +75,7 @@ def test_info(replayed):
     source, target, _ = replayed
     require_plain(run("roadperc-info", source))
     require_plain(run("roadperc-info", target))
-
-
-def test_info_as_json(replayed):
-    done = run("roadperc-info", replayed[0], "--json")
+    done = run("roadperc-info", source, "--json")
     require_plain(done, names=r"\u001b[31m")
     assert any(EVIL in channel["topic"] for channel in json.loads(done.stdout)["channels"])
 
@@ -88,12 +85,9 @@ def test_view(replayed, tmp_path):
     require_plain(run("roadperc-view", replayed[1], "--video", tmp_path / f"{EVIL[:7]}.mp4"), names=r"\x1b")
 
 
-def test_report(tainted, tmp_path):
+def test_report(tainted, replayed, tmp_path):
     require_plain(run("roadperc-report", tainted / "out.metrics.parquet", "--html", tmp_path / "a.html"))
     assert "\x1b" not in (tmp_path / "a.html").read_text()
-
-
-def test_report_of_several(tainted, replayed):
     require_plain(run("roadperc-report", tainted, replayed[1].with_suffix(".metrics.parquet")))
 
 

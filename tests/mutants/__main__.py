@@ -27,6 +27,7 @@ SOURCES = ("roadperc_stream", "tools", "eval")
 KEPT = Path(".mutants")
 HOOK = Path(__file__).parent / "hook"
 WANTED_SHARE = 0.85
+BUDGET_S = 45.0  # of tests for one fault
 PATIENCE_S = 60.0
 PATIENCE_FACTOR = 8.0  # the machine may do other work as well
 LEFT_OUT = {Path("tests/test_docs.py"), Path("tests/fuzz/test_fuzz.py")}  # they reach far and take too long
@@ -101,18 +102,16 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--count", type=int, default=200, metavar="N", help="number of faults (default: 200)")
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="the faults follow from it (default: 1)")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), metavar="N", help="processes (default: the cores)")
-    parser.add_argument("--seconds", type=float, default=45, help="of tests for one fault (default: 45)")
-    parser.add_argument("--tests", default="tests", metavar="FOLDER", help="tests to run (default: tests)")
     asked = parser.parse_args(arguments)
     drawn = draw(asked.only, asked.count, asked.seed)
     if not drawn:
         print("no faults to try")
         return 0
     started, survivors = time.monotonic(), 0
-    test_files = sorted(map(str, {*Path(asked.tests).rglob("test_*.py")} - LEFT_OUT))
+    test_files = sorted(map(str, {*Path("tests").rglob("test_*.py")} - LEFT_OUT))
     with ThreadPoolExecutor(asked.jobs) as pool:
         reaches = list(pool.map(measured, test_files))
-        near = [nearest(fault, reaches, asked.seconds) for fault in drawn]
+        near = [nearest(fault, reaches) for fault in drawn]
         try:
             for fault, tests, noticed in zip(drawn, near, pool.map(notices, drawn, near), strict=True):
                 if not noticed:
@@ -202,14 +201,14 @@ def measured(test_file: str) -> Reach:
     return found
 
 
-def nearest(fault: Fault, reaches: list[Reach], budget_s: float) -> list[Reach]:
+def nearest(fault: Fault, reaches: list[Reach]) -> list[Reach]:
     """The test files that execute a fault, the nearest and quickest first, as many as fit the budget, at least one."""
     there = [(reach, set(reach.lines.get(fault.path, ()))) for reach in reaches]
     found = [reach for reach, lines in there if lines.intersection(range(fault.first_line, fault.line + 1))]
     found = found or [reach for reach, lines in there if lines]
     chosen, spent = [], 0.0
     for reach in sorted(found, key=lambda reach: (not reach.is_near(fault.path), reach.seconds)):
-        if not chosen or spent + reach.seconds <= budget_s:
+        if not chosen or spent + reach.seconds <= BUDGET_S:
             chosen.append(reach)
             spent += reach.seconds
     return chosen
