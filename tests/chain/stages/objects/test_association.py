@@ -5,13 +5,10 @@ from dataclasses import replace
 from time import process_time
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
-from scipy.optimize import linear_sum_assignment
 
-from roadperc_stream.chain.stages.objects import tracker, tracking
+from roadperc_stream.chain.stages.objects import tracking
 from roadperc_stream.chain.stages.objects.tracker import DISTANCE_PENALTY, assign, similarities
 from roadperc_stream.model import Box, Object
 from roadperc_stream.model.tag_tables import classes_of_label
@@ -78,15 +75,6 @@ def plain_similarity(cfg, track, item, box_px):
         contradiction = min(surprise / cfg.gate, 1.0)
     score = track.box_px.overlap(box_px) * (1.0 - DISTANCE_PENALTY * contradiction)
     return score if score >= cfg.min_overlap else 0.0
-
-
-@given(arrays(float, st.tuples(st.integers(1, 6), st.integers(1, 6)), elements=st.sampled_from([0.0, 0.3, 0.5, 0.9])))
-def test_pairs_are_those_of_the_assignment_problem(scores):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tracker, "similarities", lambda *_: scores)
-        pairs = assign(CFG, [None] * len(scores), [None] * scores.shape[1], [])
-    rows, columns = linear_sum_assignment(scores, maximize=True)
-    assert pairs == {r: c for r, c in zip(rows.tolist(), columns.tolist(), strict=True) if scores[r, c] > 0}
 
 
 def test_all_pairs_at_once_are_the_pairs_one_by_one_bit_for_bit():

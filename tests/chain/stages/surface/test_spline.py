@@ -85,12 +85,6 @@ def test_the_plane_beside_the_field_is_the_plane_models():
     )
 
 
-def test_a_level_road_stays_level():
-    hill = replace(HILL, grade=0.0)
-    x, y = np.meshgrid(np.arange(61.0), np.arange(-10.0, 11.0))
-    assert np.abs(height_at(fit(hill), x, y)).max() < 2e-3
-
-
 def test_cars_called_road_do_not_bend_it():
     depth_m, mask = HILL.depth_m(), road_of(HILL)
     for rows, columns, distance_m in (
