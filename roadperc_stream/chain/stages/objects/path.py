@@ -193,14 +193,11 @@ def _placed(cfg: ObjectsConfig, path: EgoPath, item: Object, track: ObjectTrack)
     half_m = cfg.car_width_m / 2 + cfg.path_margin_m
     in_path = right.value < half_m and left.value > -half_m
     nearer = right if right.value + left.value > 0 else left.mirrored()
-    cut_in = None if path.lane_half_m is None else not in_path and _cuts_in(cfg, nearer, path.lane_half_m)
+    cut_in = None
+    if path.lane_half_m is not None:  # over the lane's line, and surely on its way in
+        surely_mps = max(cfg.cut_in_mps, _SURE_SIGMAS * sqrt(nearer.rate_var))
+        cut_in = not in_path and nearer.value < path.lane_half_m and -nearer.rate > surely_mps
     return replace(item, lateral_m=(right.value + left.value) / 2, in_path=in_path, cut_in=cut_in)
-
-
-def _cuts_in(cfg: ObjectsConfig, edge: RateFilter, lane_half_m: float) -> bool:
-    """Whether the edge that faces the path, metres beside its middle, is over the lane's line and surely moves in."""
-    inward = -edge.rate
-    return edge.value < lane_half_m and inward > max(cfg.cut_in_mps, _SURE_SIGMAS * sqrt(edge.rate_var))
 
 
 def _timed(cfg: ObjectsConfig, item: Object, track: ObjectTrack) -> Object:

@@ -208,7 +208,11 @@ def _robust_fit(design: _Design, heights: Float, certainty: Float, prior: Float,
     for i in range(_HUBER_ROUNDS + _TUKEY_ROUNDS):
         residual = np.abs(heights - design.heights(coefficients))
         std = max(NORMAL_MAD * median(residual), _FINEST_STD_M)
-        robust = _huber(residual / std) if i < _HUBER_ROUNDS else _tukey(residual / std)
+        off = residual / std
+        if i < _HUBER_ROUNDS:  # beyond the constant residuals pull no harder
+            robust = np.minimum(1.0, _HUBER / np.maximum(off, _HUBER))
+        else:  # beyond it they do not pull at all
+            robust = np.clip(1.0 - (off / _TUKEY) ** 2, 0.0, None) ** 2
         weights = robust * certainty / std**2
         lower, right = normal_equations(first, design.values, weights, heights, count)
         coefficients = solved(band_of(lower) + prior, right, coefficients)
@@ -240,18 +244,6 @@ def normal_equations(
         (first[:, None] + np.arange(unknowns)).ravel(), ((weights * targets)[:, None] * values).ravel(), count
     )
     return lower.reshape(unknowns, count).astype(float, copy=False), right.astype(float, copy=False)
-
-
-def _huber(residual: Float) -> Float:
-    """Weights of residuals in standard deviations: beyond the constant they pull no harder."""
-    result: Float = np.minimum(1.0, _HUBER / np.maximum(residual, _HUBER))
-    return result
-
-
-def _tukey(residual: Float) -> Float:
-    """Weights of residuals in standard deviations: beyond the constant they do not pull at all."""
-    result: Float = np.clip(1.0 - (residual / _TUKEY) ** 2, 0.0, None) ** 2
-    return result
 
 
 def _grid(cfg: SurfaceConfig, surface: Surface, coefficients: Float) -> HeightGrid:
