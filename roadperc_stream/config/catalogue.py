@@ -76,11 +76,8 @@ def catalogue() -> tuple[Setting, ...]:
 def sections() -> Mapping[str, str]:
     """What each section is about, in a sentence."""
     models = {name: field.default for name, field in ReplayConfig.model_fields.items()}
-    return {name: _first_line(model) for name, model in models.items() if isinstance(model, BaseModel)}
-
-
-def _first_line(model: BaseModel) -> str:
-    return inspect.cleandoc(type(model).__doc__ or "").partition("\n")[0]
+    texts = {name: type(model).__doc__ or "" for name, model in models.items() if isinstance(model, BaseModel)}
+    return {name: text.partition("\n")[0] for name, text in texts.items()}
 
 
 def _settings(model: type[BaseModel], prefix: str) -> Iterator[Setting]:
@@ -96,6 +93,7 @@ def _settings(model: type[BaseModel], prefix: str) -> Iterator[Setting]:
 def _setting(key: str, default: Value, schema: Mapping[str, Any], meaning: str) -> Setting:
     """A setting of its JSON schema, where several kinds of values stand in ``anyOf``."""
     kinds = [schema, *schema.get("anyOf", ())]
+    unit_of_name = next((unit for ending, unit in _UNIT_OF_ENDING.items() if key.endswith(ending)), "")
     return Setting(
         key=key,
         default=default,
@@ -103,7 +101,7 @@ def _setting(key: str, default: Value, schema: Mapping[str, Any], meaning: str) 
         choices=tuple(choice for kind in kinds for choice in _choices(kind)),
         limits={limit: kind[limit] for kind in kinds for limit in _LIMITS if limit in kind},
         remark=next((kind["remark"] for kind in kinds if "remark" in kind), ""),
-        unit=next((kind["unit"] for kind in kinds if "unit" in kind), "") or _unit_of_name(key),
+        unit=next((kind["unit"] for kind in kinds if "unit" in kind), "") or unit_of_name,
         meaning=meaning,
     )
 
@@ -113,10 +111,6 @@ def _choices(kind: Mapping[str, Any]) -> tuple[str, ...]:
         return ("true", "false")
     named = kind.get("choices", kind.get("enum", (kind["const"],) if "const" in kind else ()))
     return tuple(str(choice) for choice in named)
-
-
-def _unit_of_name(key: str) -> str:
-    return next((unit for ending, unit in _UNIT_OF_ENDING.items() if key.endswith(ending)), "")
 
 
 def _range_in_words(limits: Mapping[str, float], remark: str) -> str:

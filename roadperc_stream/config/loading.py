@@ -27,7 +27,6 @@ def load_config(path: str | Path | None = None, settings: str | Sequence[str] = 
 
     Raises:
         ConfigError: the file cannot be read, or a key or value does not fit; the message names it.
-
     """
     tree = without_fixed(_read_toml(Path(path)), Path(path)) if path else {}
     for setting in [settings] if isinstance(settings, str) else settings:

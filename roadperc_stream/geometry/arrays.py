@@ -18,7 +18,6 @@ def read_only(array: NDArray[Any], dtype: type[Kind], shape: tuple[int | None, .
 
     Raises:
         ValueError: with what was expected and what came.
-
     """
     fits = array.ndim == len(shape) and all(want in (None, got) for want, got in zip(shape, array.shape, strict=False))
     if array.dtype != np.dtype(dtype) or not fits:

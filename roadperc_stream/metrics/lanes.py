@@ -144,23 +144,13 @@ def lane_benchmarks(
     found_px = [line for side in SIDES if len(line := in_view(lanes.side(side).line_px, camera))]
     top = min(line[:, 1].min() for line in true_px)
     rows = np.arange(np.ceil(top / ROW_STEP_PX) * ROW_STEP_PX, camera.height, ROW_STEP_PX)
-    points = None
+    points: tuple[float | None, float | None, float | None] = (None, None, None)
     if len(rows):
         found, true = ([columns_at(line, rows, camera) for line in lines] for lines in (found_px, true_px))
         points = tusimple(found, true, rows, camera.width)
     overlaps = line_overlaps(found_px, true_px, camera.size)
     at_50, at_30 = (counts_above(overlaps, threshold) for threshold in CULANE_THRESHOLDS)
-    return LaneScoreColumns(
-        lane_tusimple_accuracy=None if points is None else points.accuracy,
-        lane_tusimple_fp=None if points is None else points.fp,
-        lane_tusimple_fn=None if points is None else points.fn,
-        lane_culane_tp_50=at_50.tp,
-        lane_culane_fp_50=at_50.fp,
-        lane_culane_fn_50=at_50.fn,
-        lane_culane_tp_30=at_30.tp,
-        lane_culane_fp_30=at_30.fp,
-        lane_culane_fn_30=at_30.fn,
-    )
+    return LaneScoreColumns(*points, *at_50, *at_30)
 
 
 def columns_at(line_px: Float, rows: Float, camera: Camera) -> Float:

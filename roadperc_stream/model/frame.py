@@ -46,7 +46,6 @@ class CameraImage:
 
         Raises:
             DecodeError: the bytes are no image.
-
         """
         return read_only(self.decode_bgr(), np.uint8, (None, None, 3), "image")
 
@@ -69,7 +68,6 @@ class DepthImage:
 
         Raises:
             DecodeError: the message does not hold what it promises.
-
         """
         return self._decoded[0]
 
@@ -102,7 +100,6 @@ class PointCloud:
 
         Raises:
             DecodeError: the message does not hold what it promises.
-
         """
         finite = np.isfinite(self._all_m).all(axis=1)
         return read_only(self._all_m if finite.all() else self._all_m[finite], np.float32, (None, 3), "points")
@@ -131,7 +128,6 @@ class TagImage:
 
         Raises:
             DecodeError: the bytes are no tag image.
-
         """
         return read_only(self.decode_tags(), np.uint8, (None, None), "tags")
 
@@ -149,7 +145,6 @@ class InstanceImage:
 
         Raises:
             DecodeError: the bytes are no instance masks.
-
         """
         return read_only(self.decode_ids(), np.uint16, (None, None), "instances")
 

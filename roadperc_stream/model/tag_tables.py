@@ -43,7 +43,6 @@ class TagTable:
 
         Raises:
             ConfigError: no table knows such a class.
-
         """
         wanted = {member for name in classes for member in _members(name)}
         return tuple(tag for tag, name in enumerate(self.names) if name in wanted)
@@ -186,7 +185,6 @@ def table_for_version(version: str) -> TagTable:
 
     Raises:
         ConfigError: neither a version nor a table's name.
-
     """
     if version in TABLES:
         return TABLES[version]

@@ -110,7 +110,6 @@ def parse_topic_options(options: Iterable[str]) -> dict[str, str]:
 
     Raises:
         ChannelError: not of that form, or a role that does not exist.
-
     """
     mapping = {}
     for option in options:

@@ -120,7 +120,6 @@ def unpack_header(data: bytes, name: str) -> tuple[int, str]:
 
     Raises:
         DecodeError: the bytes are no such message.
-
     """
     header = cdr.read(data, name, DEFINITIONS[name]).header
     return cdr.stamp_ns(header.stamp), header.frame_id

@@ -119,13 +119,6 @@ def test_an_image_that_cannot_be_used_is_lost_and_one_that_is_not_there_is_no_od
     assert "odometry: lost, its image cannot be used" in texts(lost.reasons())
 
 
-def test_switched_off_stages_say_so():
-    cfg = load_config(None, ("lanes.enabled=false", "objects.enabled=false"))
-    _, (result,) = run(drive(1), cfg=cfg)
-    assert result.lanes == Absent(Reason("lanes", "switched_off"))
-    assert result.objects == Absent(Reason("objects", "switched_off"))
-
-
 def test_arrays_cannot_be_written_to():
     _, (result,) = run(drive(1))
     with pytest.raises(ValueError, match="read-only"):

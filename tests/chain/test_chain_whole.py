@@ -106,6 +106,15 @@ def test_the_second_half_may_be_far_behind_the_first(drive, request):
     assert same(state, end)
 
 
+ABSENT_WITHOUT = {
+    "image": {"odometry": "no_image", "stereo": "no_left_image"},
+    "right": {"stereo": "no_right_image"},
+    "right_camera": {"stereo": "no_right_calibration"},
+    "segmentation": {"lanes": "no_segmentation"},
+    "detections": {"objects": "no_detections"},
+}
+
+
 @pytest.mark.parametrize("missing", ["image", "right", "right_camera", "depth", "segmentation", "detections", "points"])
 def test_any_input_may_be_missing(frames, whole, missing):
     _, results = run([replace(frame, **{missing: None}) for frame in frames[:3]])
@@ -115,35 +124,28 @@ def test_any_input_may_be_missing(frames, whole, missing):
     reasons = {reason for result in results for reason in result.reasons()}
     assert reasons or missing == "depth", "stereo stands in for the depth, and the source says so"
     last = results[-1]
-    if missing == "image":
-        assert last.odometry == Absent(Reason("odometry", "no_image"))
-        assert last.stereo == Absent(Reason("stereo", "no_left_image"))
-    if missing == "right":
-        assert last.stereo == Absent(Reason("stereo", "no_right_image"))
-    if missing == "right_camera":
-        assert last.stereo == Absent(Reason("stereo", "no_right_calibration"))
-    if missing == "depth":
-        assert last.surface.source == "stereo"
-        assert last.odometry.status == "tracked"
-    if missing == "segmentation":
-        assert last.surface.source == "lower_image"
-        assert last.lanes == Absent(Reason("lanes", "no_segmentation"))
-    if missing == "detections":
-        assert last.objects == Absent(Reason("objects", "no_detections"))
+    for stage, code in ABSENT_WITHOUT.get(missing, {}).items():
+        assert getattr(last, stage) == Absent(Reason(stage, code))
+    assert last.surface.source == {"depth": "stereo", "segmentation": "lower_image"}.get(missing, "depth")
+    assert missing == "image" or last.odometry.status == "tracked"
 
 
-def test_two_cameras_and_tags_are_enough_for_everything(frames, whole):
-    """Without a depth sensor, stereo gives the plane, the lane on the ground, distances and metric odometry."""
-    _, results = run([replace(frame, depth=None) for frame in frames])
-    last, with_sensor = results[-1], whole[-1]
+def assert_alike(last, with_sensor, offset_m):
+    """The road, the lane and what is near are where the depth sensor shows them, and odometry is metric."""
     assert last.surface.camera_height_m == pytest.approx(with_sensor.surface.camera_height_m, abs=0.05)
     for side in ("left", "right"):
-        assert last.lanes.side(side).offset_m == pytest.approx(with_sensor.lanes.side(side).offset_m, abs=0.1)
+        assert last.lanes.side(side).offset_m == pytest.approx(with_sensor.lanes.side(side).offset_m, abs=offset_m)
     near = [item for item in with_sensor.objects.objects if item.kept and (item.distance_m or 99) < 15]
     for item in near:
         (same_one,) = [other for other in last.objects.objects if other.detection == item.detection]
         assert same_one.distance_m == pytest.approx(item.distance_m, rel=0.1)
     assert not last.odometry.up_to_scale
+
+
+def test_two_cameras_and_tags_are_enough_for_everything(frames, whole):
+    """Without a depth sensor, stereo gives the plane, the lane on the ground, distances and metric odometry."""
+    _, results = run([replace(frame, depth=None) for frame in frames])
+    assert_alike(results[-1], whole[-1], offset_m=0.1)
 
 
 @pytest.mark.parametrize("missing", ["image", "segmentation", "detections", "points"])
@@ -173,15 +175,8 @@ def test_one_camera_a_lidar_and_tags_are_enough_for_everything(lidar_frames, who
     assert {str(reason) for result in results for reason in result.reasons()} == {"stereo: no right image"}
     assert last.surface.source == "lidar"
     assert last.surface.height_grid is not None
-    assert last.surface.camera_height_m == pytest.approx(with_sensor.surface.camera_height_m, abs=0.05)
-    for side in ("left", "right"):
-        assert last.lanes.side(side).offset_m == pytest.approx(with_sensor.lanes.side(side).offset_m, abs=0.05)
-    near = [item for item in with_sensor.objects.objects if item.kept and (item.distance_m or 99) < 15]
-    for item in near:
-        (same_one,) = [other for other in last.objects.objects if other.detection == item.detection]
-        assert same_one.distance_m == pytest.approx(item.distance_m, rel=0.1)
+    assert_alike(last, with_sensor, offset_m=0.05)
     assert last.odometry.status == "tracked"
-    assert not last.odometry.up_to_scale
     assert last.odometry.odom_T_ego[0, 3] == pytest.approx(with_sensor.odometry.odom_T_ego[0, 3], rel=0.1)
     assert {-1, 0, 100} == set(last.occupancy.cells.ravel().tolist())
 

@@ -8,7 +8,7 @@ import pytest
 from roadperc_stream.chain.step import ChainState, localise, observe, perceive, step
 from roadperc_stream.config import STAGES, load_config, switched_off
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.model import Absent, CameraImage, DepthImage, InstanceImage, PointCloud, Reason, TagImage
+from roadperc_stream.model import Absent, CameraImage, DepthImage, InstanceImage, PointCloud, TagImage
 from roadperc_stream.schemas.topics import NEEDS
 from tests.analytic import STEP_NS, box
 from tests.logs import SMALL
@@ -112,17 +112,6 @@ def test_without_depth_the_points_of_a_lidar_are_asked_for():
     read, cfg = [], only("surface")
     observe(cfg, watched(read, depth=None))
     assert sorted(read) == ["points", "tags"]
-
-
-def test_what_cannot_be_decoded_is_said_by_the_step():
-    def fails():
-        raise DecodeError("no image")
-
-    cfg, read = only("lanes"), []
-    frame = watched(read)
-    frame = replace(frame, segmentation=TagImage("camera", frame.segmentation.table, fails))
-    _, result = step(cfg, ChainState(), frame)
-    assert Reason("segmentation", "undecodable", ("no image",)) in result.reasons()
 
 
 def test_stereo_alone_says_nothing_of_road_and_objects():

@@ -17,12 +17,6 @@ def test_settings_win_over_the_file(tmp_path):
     assert (cfg.seed, cfg.lanes.hold_s, cfg.surface.classes, cfg.lanes.model) == (3, 0.8, ("road",), "line")
 
 
-def test_a_file_by_its_name_and_a_single_setting(tmp_path):
-    (tmp_path / "c.toml").write_text("seed = 3\n")
-    cfg = load_config(str(tmp_path / "c.toml"), "lanes.hold_s=1")
-    assert (cfg.seed, cfg.lanes.hold_s) == (3, 1.0)
-
-
 def test_toml_comes_back_as_it_was(tmp_path):
     cfg = load_config(None, ("surface.inlier_m=0.07", "tag_table=0.9.15"))
     path = tmp_path / "c.toml"

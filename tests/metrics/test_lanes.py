@@ -40,31 +40,27 @@ def test_lane_error_needs_both():
     assert lane_error_m(boundary(1.8), Boundary("left", "measured")) is None
 
 
-def seen(true, right_px=0.0):
+def seen(true, right_px=0.0, road=ROAD):
     """A boundary that is seen where the true one is, so many columns to the right."""
-    line_px = project(ROAD.camera, transform(inverse(ROAD.ego_T_camera), true.line_ego_m[1:]))
+    line_px = project(road.camera, transform(inverse(road.ego_T_camera), true.line_ego_m[1:]))
     return replace(true, line_px=line_px + np.array([right_px, 0.0]))
 
 
 TRUTH = Lanes((boundary(1.8), boundary(-1.9, side="right")))
 
 
-def scored(left_px, right_px):
-    found = Lanes((seen(TRUTH.side("left"), left_px), seen(TRUTH.side("right"), right_px)))
-    columns = lane_benchmarks(found, TRUTH, ROAD.camera, ROAD.ego_T_camera)
-    return [getattr(columns, f"lane_tusimple_{name}") for name in ("accuracy", "fp", "fn")], [
-        getattr(columns, name) for name in COUNTS
-    ]
-
-
-def test_the_true_boundaries_score_full():
-    assert scored(0, 0) == ([1.0, 0.0, 0.0], [2, 0, 0, 2, 0, 0])
-
-
-def test_a_boundary_moved_by_a_tenth_of_the_image_is_found_wrongly_and_missed():
-    points, counts = scored(128, 0)
-    assert points == [0.5, 0.5, 0.5]
-    assert counts == [1, 1, 1, 1, 1, 1]
+@pytest.mark.parametrize(
+    ("found", "points", "counts"),
+    [
+        ((seen(TRUTH.side("left"), 128), seen(TRUTH.side("right"))), [0.5, 0.5, 0.5], [1, 1, 1, 1, 1, 1]),
+        ((Boundary("left", "lost"), Boundary("right", "lost")), [0.0, 0.0, 1.0], [0, 0, 2, 0, 0, 2]),
+    ],
+    ids=["one moved by a tenth of the image", "both lost"],
+)
+def test_a_boundary_that_is_not_where_it_is_true_is_missed(found, points, counts):
+    columns = lane_benchmarks(Lanes(found), TRUTH, ROAD.camera, ROAD.ego_T_camera)
+    assert [getattr(columns, f"lane_tusimple_{name}") for name in ("accuracy", "fp", "fn")] == points
+    assert [getattr(columns, name) for name in COUNTS] == counts
 
 
 def test_thresholds_grow_with_the_image():
@@ -73,8 +69,7 @@ def test_thresholds_grow_with_the_image():
     for shift_px, right in ((20, True), (40, False)):
         for road, px in ((ROAD, shift_px), (small, shift_px / 2)):
             steep = Lanes((boundary(0.1),))
-            line_px = project(road.camera, transform(inverse(road.ego_T_camera), steep.side("left").line_ego_m[1:]))
-            found = Lanes((replace(steep.side("left"), line_px=line_px + np.array([0.9 * px, 0.0])),))
+            found = Lanes((seen(steep.side("left"), 0.9 * px, road),))
             score = lane_benchmarks(found, steep, road.camera, road.ego_T_camera)
             assert (score.lane_tusimple_fn == 0) is right, (shift_px, road.width)
 
@@ -87,17 +82,8 @@ def test_drawn_lines_grow_with_the_image(scale):
     """23 px wide in 1280, moved by 10: 13 of 33 columns are shared, 0.39."""
     road = replace(ROAD, width=1280 // scale, height=720 // scale)
     true = boundary(0.1)
-    line_px = project(road.camera, transform(inverse(road.ego_T_camera), true.line_ego_m[1:]))
-    found = Lanes((replace(true, line_px=line_px + np.array([10.0 / scale, 0.0])),))
-    score = lane_benchmarks(found, Lanes((true,)), road.camera, road.ego_T_camera)
+    score = lane_benchmarks(Lanes((seen(true, 10.0 / scale, road),)), Lanes((true,)), road.camera, road.ego_T_camera)
     assert (score.lane_culane_tp_50, score.lane_culane_tp_30) == (0, 1)
-
-
-def test_lost_boundaries_are_missed_and_nothing_is_found_wrongly():
-    lost = Lanes((Boundary("left", "lost"), Boundary("right", "lost")))
-    columns = lane_benchmarks(lost, TRUTH, ROAD.camera, ROAD.ego_T_camera)
-    assert [getattr(columns, f"lane_tusimple_{name}") for name in ("accuracy", "fp", "fn")] == [0.0, 0.0, 1.0]
-    assert [getattr(columns, name) for name in COUNTS] == [0, 0, 2, 0, 0, 2]
 
 
 @pytest.mark.parametrize(
@@ -118,9 +104,8 @@ def test_a_line_behind_a_crest_is_not_scored():
     x = np.arange(0.0, 40.0)
     line = np.stack((x, np.full_like(x, 1.8), np.where(x < 10, 0.05 * x, 0.5 - 0.3 * (x - 10))), axis=-1)
     hill = Lanes((replace(boundary(1.8), line_ego_m=line),))
-    near = line[1:11]
-    line_px = project(ROAD.camera, transform(inverse(ROAD.ego_T_camera), near))
-    found = Lanes((replace(hill.side("left"), line_px=line_px),))
+    near = seen(replace(hill.side("left"), line_ego_m=line[:11]))
+    found = Lanes((replace(hill.side("left"), line_px=near.line_px),))
     columns = lane_benchmarks(found, hill, ROAD.camera, ROAD.ego_T_camera)
     assert (columns.lane_tusimple_accuracy, columns.lane_culane_tp_50) == (1.0, 1)
 

@@ -26,18 +26,17 @@ def row_of(step, true_step, **odometry):
     return frame_metrics(CFG, "id", now, replace(result, odometry=found), before.as_earlier)
 
 
-def test_a_step_that_is_off_by_three_and_four_metres_is_off_by_five():
-    row = row_of(moved(13.0, 4.0), moved(10.0, 0.0))
-    assert (row.step_error_m, row.turn_error_deg) == (pytest.approx(5.0), pytest.approx(0.0, abs=1e-9))
-
-
-def test_a_turn_that_is_off():
-    assert row_of(moved(1.0, 0.0, 3.0), moved(1.0, 0.0, 1.0)).turn_error_deg == pytest.approx(2.0)
-
-
-def test_the_true_step_stands_beside_the_estimated_one():
-    row = row_of(moved(13.0, 4.0), moved(3.0, 4.0, 2.0))
-    assert (row.true_step_m, row.true_turn_deg) == (pytest.approx(5.0), pytest.approx(2.0))
+@pytest.mark.parametrize(
+    ("step", "true_step", "errors", "true"),
+    [
+        (moved(13.0, 4.0), moved(10.0, 0.0), (5.0, 0.0), (10.0, 0.0)),
+        (moved(1.0, 0.0, 3.0), moved(3.0, 4.0, 1.0), (np.hypot(2.0, 4.0), 2.0), (5.0, 1.0)),
+    ],
+)
+def test_what_is_left_of_a_step_stands_beside_the_true_one(step, true_step, errors, true):
+    row = row_of(step, true_step)
+    assert (row.step_error_m, row.turn_error_deg) == pytest.approx(errors, abs=1e-6)
+    assert (row.true_step_m, row.true_turn_deg) == pytest.approx(true, abs=1e-6)
 
 
 def test_the_true_step_has_no_error_and_the_true_pose_is_in_the_row():

@@ -15,8 +15,6 @@ from roadperc_stream.chain.kernels.class_pixels_plain import count_of_class, mar
 from roadperc_stream.chain.kernels.lanes_plain import follow, rows_beside
 from roadperc_stream.chain.kernels.objects_plain import (
     divided,
-    left_of,
-    mean_direction,
     object_points,
     region_distances,
 )
@@ -29,7 +27,6 @@ from roadperc_stream.chain.kernels.surface_plain import (
     marked,
     median_places,
     moments_near,
-    normal_equations,
 )
 
 try:

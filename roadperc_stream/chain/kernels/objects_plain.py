@@ -1,7 +1,4 @@
-"""What ``objects_compiled`` does, in numpy and OpenCV; the compiled form alone checks the sizes.
-
-``left_of`` and ``mean_direction`` are fast enough in numpy alone.
-"""
+"""What ``objects_compiled`` does, in numpy and OpenCV; the compiled form alone checks the sizes."""
 
 import cv2
 import numpy as np
@@ -189,37 +186,3 @@ def object_points(
     z = depths[chosen]
     points = np.stack((x[columns] * z, y[rows] * z, z), axis=-1)
     return points, np.sqrt(points[:, 0] ** 2 + points[:, 1] ** 2 + z**2)
-
-
-def left_of(points: Float, ego_T_camera: Float, circle: Numbers) -> Float:
-    """(N,) how far points are to the left of a circle, square to it, summed in the order of the coordinates.
-
-    That is exact on the circle, and without a singularity where it is a straight line.
-
-    Args:
-        points: (N, 3) in the camera's frame.
-        ego_T_camera: (4, 4).
-        circle: how far it is to the left at x = 0 of the ego frame, cosine and sine of its heading there, and its
-            curvature.
-    """
-    offset_m, cosine, sine, bend = circle
-    along, across = (
-        row[0] * points[:, 0] + row[1] * points[:, 1] + row[2] * points[:, 2] + row[3] for row in ego_T_camera[:2]
-    )
-    across = across - offset_m
-    ahead, aside = cosine * along + sine * across, cosine * across - sine * along
-    to_centre = np.hypot(bend * ahead, 1.0 - bend * aside)
-    lateral: Float = (2.0 * aside - bend * (ahead**2 + aside**2)) / (1.0 + to_centre)
-    return lateral
-
-
-def mean_direction(points: Float, ranges_m: Float, most_m: float) -> tuple[float, float]:
-    """Mean x and y at z = 1 of the (N, 3) points that are no farther, of (N,) distances; NaN of none.
-
-    Summed from the first to the last.
-    """
-    nearest = points[ranges_m <= most_m]
-    if not len(nearest):
-        return np.nan, np.nan
-    x, y = ((np.cumsum(nearest[:, :2] / nearest[:, 2:], axis=0)[-1] + 0.0) / len(nearest)).tolist()  # no sum is -0
-    return x, y

@@ -117,7 +117,12 @@ def lens_fault(side: str, camera: Camera) -> Reason | None:
         return Reason("stereo", "lens_rotation_invalid", (side, str(list(lens.R))))
     if lens.model not in _MODELS:
         return Reason("stereo", "lens_model_unknown", (side, lens.model, ", ".join(filter(None, _MODELS))))
-    return _distortion_fault(side, camera.distortion)
+    coefficients = camera.distortion  # none at all are no distortion
+    if coefficients and len(coefficients) not in _COEFFICIENTS:
+        known = ", ".join(str(count) for count in _COEFFICIENTS)
+        return Reason("stereo", "lens_coefficient_count", (side, len(coefficients), known))
+    wild = [d for d in coefficients if not abs(d) <= _LARGEST_COEFFICIENT]
+    return Reason("stereo", "lens_coefficient_size", (side, wild[0], _LARGEST_COEFFICIENT)) if wild else None
 
 
 def _is_rotation(R: Float) -> bool:
@@ -125,17 +130,6 @@ def _is_rotation(R: Float) -> bool:
     if not np.isfinite(R).all():
         return False
     return bool(np.abs(R @ R.T - np.eye(3)).max() <= _NOT_TURNED and np.linalg.det(R) > 0)
-
-
-def _distortion_fault(side: str, coefficients: tuple[float, ...]) -> Reason | None:
-    """Why no image can be rectified by such coefficients; none at all are no distortion."""
-    if coefficients and len(coefficients) not in _COEFFICIENTS:
-        known = ", ".join(str(count) for count in _COEFFICIENTS)
-        return Reason("stereo", "lens_coefficient_count", (side, len(coefficients), known))
-    wild = [d for d in coefficients if not abs(d) <= _LARGEST_COEFFICIENT]
-    if wild:
-        return Reason("stereo", "lens_coefficient_size", (side, wild[0], _LARGEST_COEFFICIENT))
-    return None
 
 
 def rectification(camera: Camera) -> Float:

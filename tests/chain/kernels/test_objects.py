@@ -73,7 +73,6 @@ def test_distances_of_other_sizes_are_refused():
             compiled.region_distances(labels.astype(np.int32), np.zeros(1, bool), distances, noise)
 
 
-EGO_T_CAMERA = np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 1], [0, 0, 0, 1]], np.float64)
 WANTED = (np.arange(256) == 7).astype(np.uint8)
 
 
@@ -83,14 +82,10 @@ def test_points_of_the_class_behind_a_distance(kernel):
     tags = np.zeros((5, 7), np.uint8)
     depth_m[1:4:2, 1:6:2] = [[3, 4, np.nan], [3, 3, 9]]
     tags[1:4:2, 1:6:2] = [[7, 7, 7], [7, 0, 7]]
-    camera, straight = (4.0, 2.0, 1.0, 1.0), (0.5, 1.0, 0.0, 0.0)
-    asked = depth_m, camera, (1, 1, 6, 4, 2), (tags, WANTED), 3.0, (-0.5, 3.0)
+    asked = depth_m, (4.0, 2.0, 1.0, 1.0), (1, 1, 6, 4, 2), (tags, WANTED), 3.0, (-0.5, 3.0)
     points, ranges_m = kernel.object_points(*asked)
     assert points.tolist() == [[0, 0, 3], [2, 0, 4], [0, 3, 3]]
     assert ranges_m.tolist() == [3.0, np.sqrt(20), np.sqrt(18)]
-    assert plain.left_of(points, EGO_T_CAMERA, straight).tolist() == [-0.5, -2.5, -0.5]
-    assert plain.mean_direction(points, ranges_m, 4.5) == (0.5 / 3, 1 / 3)
-    assert np.isnan(plain.mean_direction(points, ranges_m, 1.0)).all()
     assert len(kernel.object_points(*asked[:3], None, *asked[4:])[0]) == 4
     nothing = kernel.object_points(*asked[:2], (6, 1, 3, 4, 2), *asked[3:])
     assert [found.shape for found in nothing] == [(0, 3), (0,)]
@@ -116,11 +111,6 @@ def test_compiled_points_have_the_same_bits(seed, height, width, step, of_any, d
     for ours, theirs in zip(compiled.object_points(*asked), plain.object_points(*asked), strict=True):
         assert (ours.dtype, ours.shape) == (theirs.dtype, theirs.shape)
         np.testing.assert_array_equal(ours, theirs)
-
-
-def test_a_mean_of_negative_zeros_is_zero():
-    direction = plain.mean_direction(np.array([[-0.0, -0.0, 1.0]]), np.ones(1), 2.0)
-    assert not np.signbit(direction).any()
 
 
 def test_points_refuse_what_does_not_fit():

@@ -7,14 +7,8 @@ from hypothesis import strategies as st
 
 from roadperc_stream.chain.kernels import lanes_plain as plain
 
-try:
-    from roadperc_stream.chain.kernels import lanes_compiled as compiled
-except ImportError:
-    compiled = None
-
-EVERY_WAY = pytest.mark.parametrize(
-    "way", [plain, pytest.param(compiled, marks=pytest.mark.skipif(compiled is None, reason="not compiled"))]
-)
+compiled = pytest.importorskip("roadperc_stream.chain.kernels.lanes_compiled")
+BOTH = pytest.mark.parametrize("way", [plain, compiled], ids=["plain", "compiled"])
 STATE = (1.7, 0.02, 1 / 150)
 
 
@@ -33,7 +27,7 @@ def follow(way, x, y, std, rows, inward=1.0, innermost=True):
     return way.follow(points, (1.7, 0.0, 0.0), how, plain.Weighing(2.0, 24.0, 1e4))
 
 
-@EVERY_WAY
+@BOTH
 def test_points_of_a_quadratic_give_it_back(way):
     x, y, std, rows = drawn()
     found = follow(way, x, y, std, rows, innermost=False)
@@ -43,7 +37,7 @@ def test_points_of_a_quadratic_give_it_back(way):
     assert (np.linalg.eigvalsh(np.array(found.information)[[0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(3, 3)) > 0).all()
 
 
-@EVERY_WAY
+@BOTH
 def test_it_is_the_weighted_least_squares_solution(way):
     """Of points so good that none counts for less, all in rows of their own."""
     x, y, std, _ = drawn(noise_m=0.001)
@@ -58,7 +52,7 @@ def test_it_is_the_weighted_least_squares_solution(way):
     )
 
 
-@EVERY_WAY
+@BOTH
 @pytest.mark.parametrize("inward", [1.0, -1.0])
 def test_of_a_row_the_innermost_counts(way, inward):
     x, y, std, _ = drawn()
@@ -69,20 +63,20 @@ def test_of_a_row_the_innermost_counts(way, inward):
     np.testing.assert_allclose(found.state, STATE, atol=1e-3)
 
 
-@EVERY_WAY
+@BOTH
 @pytest.mark.parametrize("count", [0, 1, 7])
 def test_too_few_points_have_none(way, count):
     x, y, std, rows = drawn()
     assert follow(way, *(values[:count] for values in (x, y, std, rows))) is None
 
 
-@EVERY_WAY
+@BOTH
 def test_points_at_one_place_have_none(way):
     x, y, std, _ = drawn()
     assert follow(way, np.full_like(x, 5.0), np.full_like(y, 1.7), std, np.arange(len(x))) is None
 
 
-@EVERY_WAY
+@BOTH
 def test_what_is_no_number_is_no_point(way):
     x, y, std, rows = drawn()
     some = np.arange(len(y)) % 5 == 0
@@ -91,7 +85,6 @@ def test_what_is_no_number_is_no_point(way):
     assert follow(way, x, np.full_like(y, np.nan), std, rows) is None
 
 
-@pytest.mark.skipif(compiled is None, reason="not compiled")
 @given(st.integers(0, 2**32 - 1), st.integers(1, 300), st.floats(0.0, 0.5), st.booleans(), st.sampled_from((-1.0, 1.0)))
 def test_both_ways_give_the_same_bits(seed, count, noise_m, innermost, inward):
     x, y, std, rows = drawn(noise_m=noise_m, seed=seed, count=count)
@@ -100,7 +93,7 @@ def test_both_ways_give_the_same_bits(seed, count, noise_m, innermost, inward):
     assert ours == theirs
 
 
-@EVERY_WAY
+@BOTH
 @pytest.mark.parametrize("inward", [1.0, -1.0])
 def test_rows_are_counted_once_and_only_beside_the_line(way, inward):
     x = np.array([1.0, 1.0, 2.0, 3.0, 4.0, 5.0])
@@ -114,7 +107,6 @@ def test_rows_are_counted_once_and_only_beside_the_line(way, inward):
     assert way.rows_beside(none, STATE, inward, 5.0, (0.0, 1.0)) == (0, 0)
 
 
-@pytest.mark.skipif(compiled is None, reason="not compiled")
 @given(st.integers(0, 2**32 - 1), st.integers(0, 300), st.floats(0.0, 0.5), st.sampled_from((-1.0, 1.0)))
 def test_both_ways_count_the_same_rows(seed, count, noise_m, inward):
     x, y, std, rows = drawn(noise_m=noise_m, seed=seed, count=count)
@@ -123,7 +115,6 @@ def test_both_ways_count_the_same_rows(seed, count, noise_m, inward):
     assert ours == theirs
 
 
-@pytest.mark.skipif(compiled is None, reason="not compiled")
 def test_arrays_that_do_not_belong_together_are_refused():
     x, y, std, rows = drawn()
     with pytest.raises(ValueError, match="expected 200 numbers"):

@@ -99,12 +99,9 @@ def test_low_things_are_in_the_way_by_their_class_alone():
     low = (12.0, -1.0, 1.0, 0.2)
     assert (grid(*pictures(block=low, tag=VEHICLE)).cells == OCCUPIED).any()
     assert (grid(*pictures(block=low, tag=OTHER)).cells != OCCUPIED).all()
-    assert (build_without_tags(*pictures(block=low)).cells != OCCUPIED).all()
-    assert (build_without_tags(*pictures(block=CAR)).cells == OCCUPIED).any()
-
-
-def build_without_tags(depth_m, _tags, drivable):
-    return grid(depth_m, None, drivable)
+    for block, stands in ((low, False), (CAR, True)):
+        depth_m, _, drivable = pictures(block=block)
+        assert (grid(depth_m, None, drivable).cells == OCCUPIED).any() == stands
 
 
 def test_one_passes_below_what_hangs_high():

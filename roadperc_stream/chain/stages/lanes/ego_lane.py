@@ -234,16 +234,13 @@ def _boundaries(
     for side in SIDES:
         tracked, reason = state.side(side), reasons.get(side)
         if reason is None and tracked is None:
-            reason = Reason("lanes", "boundary_lost", (side,), _why_unseen(side, found))
+            if isinstance(found, Absent):
+                unseen = found.reason
+            else:
+                unseen = Reason("lanes", "edges_disagree" if side in found.near else "no_line_near")
+            reason = Reason("lanes", "boundary_lost", (side,), unseen)
         boundaries.append(boundary_of(side, tracked, reason, observation, projection))
     return tuple(boundaries)
-
-
-def _why_unseen(side: Side, found: Observation | Absent) -> Reason:
-    """Why a frame shows no boundary on a side."""
-    if isinstance(found, Absent):
-        return found.reason
-    return Reason("lanes", "edges_disagree" if side in found.near else "no_line_near")
 
 
 def _observed(

@@ -8,7 +8,9 @@ is the distance over the relative speed; a vehicle cuts in that is beside the pa
 from dataclasses import dataclass, replace
 from math import atan2, ceil, cos, exp, fsum, hypot, sin, sqrt
 
-from roadperc_stream.chain.kernels import left_of, mean_direction, object_points
+import numpy as np
+
+from roadperc_stream.chain.kernels import object_points
 from roadperc_stream.chain.stages.objects.rate_filter import RateFilter
 from roadperc_stream.chain.stages.objects.regions import ranked
 from roadperc_stream.chain.stages.objects.tracking import Extent, ObjectTrack
@@ -71,11 +73,6 @@ class EgoPath:
     def goes_on(self, before: "EgoPath") -> bool:
         """Whether it is the path of the frame before, so that places beside it can be compared."""
         return (self.source, self.lane_changes) == (before.source, before.lane_changes)
-
-    @property
-    def circle(self) -> tuple[float, float, float, float]:
-        """Its place at x = 0, cosine and sine of its heading there, and its curvature."""
-        return self.offset_m, cos(self.heading), sin(self.heading), self.curvature_per_m
 
 
 @dataclass(frozen=True)
@@ -146,9 +143,26 @@ def extent(scene: Scene, path: EgoPath, item: Object) -> Extent | None:
     points, ranges_m = _points(scene, scene.depth_m, item.detection, item.distance_m)
     if len(points) < _FEWEST_PIXELS:
         return None
-    right, left = ranked(left_of(points, scene.ego_T_camera, path.circle), _OUTERMOST, 1.0 - _OUTERMOST)
-    nearest_ray = *mean_direction(points, ranges_m, ranked(ranges_m, _NEAREST)[0]), 1.0
-    return Extent(right, left, _LATERAL_STD_M + _STD_SHARE * item.distance_m, nearest_ray)
+    right, left = ranked(left_of(path, points, scene.ego_T_camera), _OUTERMOST, 1.0 - _OUTERMOST)
+    nearest = points[ranges_m <= ranked(ranges_m, _NEAREST)[0]]
+    x, y = (np.cumsum(nearest[:, :2] / nearest[:, 2:], axis=0)[-1] / len(nearest)).tolist()
+    return Extent(right, left, _LATERAL_STD_M + _STD_SHARE * item.distance_m, (x, y, 1.0))
+
+
+def left_of(path: EgoPath, points: Float, ego_T_camera: Float) -> Float:
+    """(N,) how far (N, 3) points in the camera's frame are to the left of the path, square to it.
+
+    That is exact on the circle, and without a singularity where it is a straight line.
+    """
+    bend, cosine, sine = path.curvature_per_m, cos(path.heading), sin(path.heading)
+    along, across = (
+        row[0] * points[:, 0] + row[1] * points[:, 1] + row[2] * points[:, 2] + row[3] for row in ego_T_camera[:2]
+    )
+    across = across - path.offset_m
+    ahead, aside = cosine * along + sine * across, cosine * across - sine * along
+    to_centre = np.hypot(bend * ahead, 1.0 - bend * aside)
+    lateral: Float = (2.0 * aside - bend * (ahead**2 + aside**2)) / (1.0 + to_centre)
+    return lateral
 
 
 def _points(scene: Scene, depth_m: Float32, detection: Detection, distance_m: float) -> tuple[Float, Float]:
@@ -179,14 +193,11 @@ def _placed(cfg: ObjectsConfig, path: EgoPath, item: Object, track: ObjectTrack)
     half_m = cfg.car_width_m / 2 + cfg.path_margin_m
     in_path = right.value < half_m and left.value > -half_m
     nearer = right if right.value + left.value > 0 else left.mirrored()
-    cut_in = None if path.lane_half_m is None else not in_path and _cuts_in(cfg, nearer, path.lane_half_m)
+    cut_in = None
+    if path.lane_half_m is not None:  # over the lane's line, and surely on its way in
+        surely_mps = max(cfg.cut_in_mps, _SURE_SIGMAS * sqrt(nearer.rate_var))
+        cut_in = not in_path and nearer.value < path.lane_half_m and -nearer.rate > surely_mps
     return replace(item, lateral_m=(right.value + left.value) / 2, in_path=in_path, cut_in=cut_in)
-
-
-def _cuts_in(cfg: ObjectsConfig, edge: RateFilter, lane_half_m: float) -> bool:
-    """Whether the edge that faces the path, metres beside its middle, is over the lane's line and surely moves in."""
-    inward = -edge.rate
-    return edge.value < lane_half_m and inward > max(cfg.cut_in_mps, _SURE_SIGMAS * sqrt(edge.rate_var))
 
 
 def _timed(cfg: ObjectsConfig, item: Object, track: ObjectTrack) -> Object:

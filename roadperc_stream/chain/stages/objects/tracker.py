@@ -102,7 +102,7 @@ def step(
     filtered = filter_detections(cfg, scene, scene.detections, _expected(cfg, scene, known))
     own = () if isinstance(filtered, Absent) else filtered.objects
     kept = _kept(scene.camera, own)
-    pairs = assign(cfg, known, kept.items, kept.boxes)
+    pairs = largest_total(similarities(cfg, known, kept.items, kept.boxes))
     detected = {
         k: tracking.placed(track, extent(scene, path, own[k]), _template(cfg, scene, track))
         for k, track in _detected(cfg, state.next_number, scene, known, kept, pairs).items()
@@ -139,22 +139,6 @@ def _expected(cfg: ObjectsConfig, scene: Scene, known: Sequence[ObjectTrack]) ->
     best = overlap.argmax(axis=0)
     distances = [None if track.distance_m is None else track.distance_m.value for track in tracks]
     return {k: distances[best[k]] for k in np.flatnonzero(overlap.max(axis=0)).tolist()}
-
-
-def assign(
-    cfg: ObjectsConfig, tracks: Sequence[ObjectTrack], items: Sequence[Object], boxes: Sequence[Box]
-) -> dict[int, int]:
-    """The position in ``items`` of each track's detection, by the track's position; both appear at most once.
-
-    Args:
-        cfg: gates.
-        tracks: predicted to the time of the detections.
-        items: filtered detections.
-        boxes: their boxes within the image.
-
-    Equal similarities are decided by the order of tracks and items.
-    """
-    return largest_total(similarities(cfg, tracks, items, boxes))
 
 
 def similarities(

@@ -5,8 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from roadperc_stream.chain.kernels import left_of
-from roadperc_stream.chain.stages.objects.path import PATH_MEMORY_M, DrivenArc, EgoPath, path_of
+from roadperc_stream.chain.stages.objects.path import PATH_MEMORY_M, DrivenArc, EgoPath, left_of, path_of
 from roadperc_stream.chain.stages.objects.tracker import ObjectsState, step
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Camera, level_mounting, rigid
@@ -48,7 +47,7 @@ def test_places_beside_a_circle_are_square_to_it(radius_m, offset_m, heading):
     middle = np.stack((np.sin(turned) - np.sin(heading), np.cos(heading) - np.cos(turned)), axis=-1) * radius_m
     points = middle + [0, offset_m] + aside[:, None] * np.stack((-np.sin(turned), np.cos(turned)), axis=-1)
     for (x, y), expected in zip(points, aside, strict=True):
-        lateral = left_of(np.array([[x, y, 0.0]]), np.eye(4), path.circle)
+        lateral = left_of(path, np.array([[x, y, 0.0]]), np.eye(4))
         assert lateral == pytest.approx([expected], abs=1e-5)
 
 

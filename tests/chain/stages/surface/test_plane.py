@@ -80,13 +80,6 @@ def test_plane_printed_for_course_frame_0(data_dir, outliers):
     assert surface.camera_height_m == pytest.approx(plane.offset_m, abs=1e-3)
 
 
-def test_without_segmentation_the_lower_image_stands_in():
-    road = Road()
-    surface = fit(road, road.depth_m(), None)
-    assert surface.source == "lower_image"
-    assert surface.camera_height_m == pytest.approx(1.4, abs=1e-3)
-
-
 def test_without_depth_the_mounting_stands_in():
     road = Road(pitch=0.05)
     surface = assumed_surface(road.camera, road.ego_T_camera)
@@ -101,12 +94,6 @@ def test_a_plane_above_the_camera_is_no_road():
     found = fit(road, np.ascontiguousarray(np.flipud(road.depth_m())), above)
     assert found.reason.code == "plane_tilted"
     assert found.reason.values[0] > 170
-
-
-def test_a_wall_is_no_road():
-    road = Road()
-    wall = np.full((480, 640), 5.0, np.float32)
-    assert isinstance(fit(road, wall, None), Absent)
 
 
 @pytest.mark.parametrize(
