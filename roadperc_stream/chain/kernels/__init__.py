@@ -27,6 +27,7 @@ from roadperc_stream.chain.kernels.surface_plain import (
     marked,
     median_places,
     moments_near,
+    normal_equations,
 )
 
 try:

@@ -1,5 +1,5 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
-"""Pixels near a plane, and medians of cells: ``surface_plain`` says what they are.
+"""Pixels near a plane, medians of cells, and normal equations: ``surface_plain`` says what they are.
 
 Medians by Hoare's quickselect (1961) among keys, unsigned numbers in the order of value and place.
 """
@@ -258,3 +258,33 @@ def median_places(const int32_t[::1] cell, const float[::1] values, Py_ssize_t c
             first = end[c]
     free(keys)
     return np.asarray(places)[:found], np.asarray(counts)[:found]
+
+
+def normal_equations(
+    const Py_ssize_t[:] first, const double[:, ::1] values, const double[:] weights, const double[:] targets,
+    Py_ssize_t count,
+):
+    """As ``surface_plain``.
+
+    Raises:
+        ValueError: arrays of different lengths, or unknowns that do not exist.
+    """
+    cdef Py_ssize_t equations = values.shape[0], unknowns = values.shape[1], n, i, j, at
+    cdef double weight, pull
+    if not first.shape[0] == weights.shape[0] == targets.shape[0] == equations:
+        raise ValueError(f"{equations} equations, {first.shape[0]} places, {weights.shape[0]} weights, "
+                         f"{targets.shape[0]} targets")
+    for n in range(equations):
+        if not 0 <= first[n] <= count - unknowns:
+            raise ValueError(f"unknowns {first[n]} to {first[n] + unknowns - 1} of {count}")
+    cdef double[:, ::1] lower = np.zeros((unknowns, count))
+    cdef double[::1] right = np.zeros(count)
+    with nogil:
+        for n in range(equations):
+            at, weight = first[n], weights[n]
+            pull = weight * targets[n]
+            for i in range(unknowns):
+                right[at + i] += pull * values[n, i]
+                for j in range(i + 1):
+                    lower[i - j, at + j] += weight * (values[n, i] * values[n, j])
+    return np.asarray(lower), np.asarray(right)

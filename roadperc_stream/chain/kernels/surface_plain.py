@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 Float32 = NDArray[np.float32]
 Marks = NDArray[np.uint8]
+Float = NDArray[np.float64]
 Places = NDArray[np.int64]
 
 
@@ -102,3 +103,30 @@ def median_places(cell: NDArray[np.int32], values: NDArray[np.float32], cells: i
     filled = counts > 0
     counts, last = counts[filled], last[filled]
     return order[last - counts // 2], counts
+
+
+def normal_equations(
+    first: NDArray[np.intp], values: Float, weights: Float, targets: Float, count: int
+) -> tuple[Float, Float]:
+    """A^T W A and A^T W b of N weighted equations A x = b, each of D unknowns that are neighbours.
+
+    The sums go from the first equation to the last.
+
+    Args:
+        first: (N,) index of the first of the unknowns in each.
+        values: (N, D) by how much each counts.
+        weights: (N,).
+        targets: (N,).
+        count: of the unknowns, P.
+
+    Returns:
+        (D, P) diagonals of the matrix in and below its middle, each element at its column, and the (P,) right side.
+    """
+    unknowns = values.shape[1]
+    row, column = np.tril_indices(unknowns)
+    products = weights[:, None] * (values[:, row] * values[:, column])
+    lower = np.bincount(((row - column) * count + first[:, None] + column).ravel(), products.ravel(), unknowns * count)
+    right = np.bincount(
+        (first[:, None] + np.arange(unknowns)).ravel(), ((weights * targets)[:, None] * values).ravel(), count
+    )
+    return lower.reshape(unknowns, count).astype(float, copy=False), right.astype(float, copy=False)

@@ -1,4 +1,4 @@
-"""Pixels near a plane, medians of cells: known answers, and both ways to the same bits."""
+"""Pixels near a plane, medians of cells, normal equations: known answers, and both ways to the same bits."""
 
 import numpy as np
 import pytest
@@ -131,3 +131,30 @@ def test_medians_refuse_what_does_not_fit():
     for wrong in (cells(0, 1), cells(0, 1, 2), cells(-1, 0, 1)):
         with pytest.raises(ValueError, match="3 values in"):
             compiled.median_places(wrong, values(1, 2, 3), 2)
+
+
+@given(st.integers(1, 8), st.integers(0, 2**32 - 1), st.integers(0, 30))
+def test_normal_equations_are_those_of_the_full_matrix(unknowns, seed, number):
+    rng, count = np.random.default_rng(seed), 9
+    first, values = rng.integers(0, count - unknowns + 1, number), rng.normal(size=(number, unknowns))
+    weights, targets = rng.uniform(size=number), rng.normal(size=number)
+    A = np.zeros((number, count))
+    np.put_along_axis(A, first[:, None] + np.arange(unknowns), values, axis=1)
+    N = A.T @ (weights[:, None] * A)
+    lower, right = plain.normal_equations(first, values, weights, targets, count)
+    for beside in range(unknowns):
+        np.testing.assert_allclose(lower[beside, : count - beside], np.diag(N, -beside), atol=1e-12)
+    np.testing.assert_allclose(right, A.T @ (weights * targets), atol=1e-12)
+    for found, expected in zip(
+        compiled.normal_equations(first, values, weights, targets, count), (lower, right), strict=True
+    ):
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_equations_that_do_not_fit_are_refused():
+    first, values, weights = np.zeros(5, np.intp), np.ones((5, 3)), np.ones(5)
+    with pytest.raises(ValueError, match="5 equations"):
+        compiled.normal_equations(first, values, weights[:4], weights, 9)
+    for off in (-1, 7):
+        with pytest.raises(ValueError, match="of 9"):
+            compiled.normal_equations(first + off, values, weights, weights, 9)

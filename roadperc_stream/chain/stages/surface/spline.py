@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.chain.kernels import median_places
+from roadperc_stream.chain.kernels import median_places, normal_equations
 from roadperc_stream.chain.stages.surface.plane import NORMAL_MAD, first_row, median
 from roadperc_stream.config import SurfaceConfig
 from roadperc_stream.geometry import Camera, Float, Float32
@@ -217,33 +217,6 @@ def _robust_fit(design: _Design, heights: Float, certainty: Float, prior: Float,
         lower, right = normal_equations(first, design.values, weights, heights, count)
         coefficients = solved(band_of(lower) + prior, right, coefficients)
     return coefficients
-
-
-def normal_equations(
-    first: NDArray[np.intp], values: Float, weights: Float, targets: Float, count: int
-) -> tuple[Float, Float]:
-    """A^T W A and A^T W b of N weighted equations A x = b, each of D unknowns that are neighbours.
-
-    The sums go from the first equation to the last.
-
-    Args:
-        first: (N,) index of the first of the unknowns in each.
-        values: (N, D) by how much each counts.
-        weights: (N,).
-        targets: (N,).
-        count: of the unknowns, P.
-
-    Returns:
-        (D, P) diagonals of the matrix in and below its middle, each element at its column, and the (P,) right side.
-    """
-    unknowns = values.shape[1]
-    row, column = np.tril_indices(unknowns)
-    products = weights[:, None] * (values[:, row] * values[:, column])
-    lower = np.bincount(((row - column) * count + first[:, None] + column).ravel(), products.ravel(), unknowns * count)
-    right = np.bincount(
-        (first[:, None] + np.arange(unknowns)).ravel(), ((weights * targets)[:, None] * values).ravel(), count
-    )
-    return lower.reshape(unknowns, count).astype(float, copy=False), right.astype(float, copy=False)
 
 
 def _grid(cfg: SurfaceConfig, surface: Surface, coefficients: Float) -> HeightGrid:

@@ -14,7 +14,7 @@ from roadperc_stream.chain.stages.lanes import ego_lane
 from roadperc_stream.chain.stages.lanes.tracking import LanesState
 from roadperc_stream.chain.stages.surface import spline
 from roadperc_stream.chain.stages.surface.road import drivable_mask, fit_surface
-from roadperc_stream.chain.stages.surface.spline import DEGREE, band_of, basis, normal_equations, solved
+from roadperc_stream.chain.stages.surface.spline import DEGREE, band_of, basis, solved
 from roadperc_stream.config import LanesConfig, SurfaceConfig
 from roadperc_stream.geometry.ground import height_at
 from roadperc_stream.geometry.rotations import rotation_from_rpy
@@ -253,20 +253,6 @@ def test_a_band_is_solved_as_its_matrix(diagonals, seed):
     full = full + np.tril(full, -1).T
     right = rng.normal(size=size)
     np.testing.assert_allclose(solved(band_of(lower), right, np.zeros(size)), np.linalg.solve(full, right), atol=1e-9)
-
-
-@given(st.integers(1, 8), st.integers(0, 2**32 - 1), st.integers(0, 30))
-def test_normal_equations_are_those_of_the_full_matrix(unknowns, seed, number):
-    rng, count = np.random.default_rng(seed), 9
-    first, values = rng.integers(0, count - unknowns + 1, number), rng.normal(size=(number, unknowns))
-    weights, targets = rng.uniform(size=number), rng.normal(size=number)
-    A = np.zeros((number, count))
-    np.put_along_axis(A, first[:, None] + np.arange(unknowns), values, axis=1)
-    N = A.T @ (weights[:, None] * A)
-    lower, right = normal_equations(first, values, weights, targets, count)
-    for beside in range(unknowns):
-        np.testing.assert_allclose(lower[beside, : count - beside], np.diag(N, -beside), atol=1e-12)
-    np.testing.assert_allclose(right, A.T @ (weights * targets), atol=1e-12)
 
 
 def test_equations_without_a_solution_leave_what_there_was():
