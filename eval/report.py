@@ -9,7 +9,7 @@ from typing import Final
 from rich.console import Console
 
 from roadperc_stream.errors import TableError
-from roadperc_stream.output.terminal import console_for, print_lines, print_table
+from roadperc_stream.output.terminal import console_for, print_lines, print_parts
 from roadperc_stream.output.text_table import TextRow, TextTable, row
 
 from .configurations import UNKNOWN, grouped, settings_table, short_digest
@@ -49,7 +49,7 @@ def print_report(arguments: Sequence[str], worst: int, html: Path | None, write_
     if len(filled) == 1:
         summary = summarise_run(filled[0], worst)
         print_lines(console, identity(summary), extent(summary), inputs(summary))
-        print_tables(console, *sections([summary]), worst_frames([summary]))
+        print_parts(console, *sections([summary]), worst_frames([summary]))
     else:
         _print_several(console, filled, worst)
     if html is not None:
@@ -66,15 +66,15 @@ def _print_several(console: Console, found: Sequence[Run], worst: int) -> None:
     runs = [summary for summaries, _ in groups for summary in summaries]
     rows = least_covered(runs)
     print_lines(console, contents(runs))
-    print_tables(console, settings, runs_table(rows, tuple(legend(names))))
+    print_parts(console, settings, runs_table(rows, tuple(legend(names))))
     for summary in together[:LISTED]:
         name = [f"{summary.name}:"] if len(groups) > 1 else []
         print_lines(console, "", *name, extent(summary), inputs(summary))
         if summary.rank_error:
             print_lines(console, precision(summary))
-    print_tables(console, *sections(together), worst_frames(together), coverage_by_run(rows))
+    print_parts(console, *sections(together), worst_frames(together), coverage_by_run(rows))
     if len(runs) > len(groups):
-        print_tables(console, *tables_by_run(runs))
+        print_parts(console, *tables_by_run(runs))
     if len(runs) > len(rows):
         print_lines(console, f"listed: the {len(rows)} of {len(runs)} runs with the least coverage")
     each_time = f"at most {LISTED} of {{}} each time, those with the worst p95"
@@ -82,12 +82,6 @@ def _print_several(console: Console, found: Sequence[Run], worst: int) -> None:
         print_lines(console, f"by configuration: {each_time.format(len(groups))}")
     if len(runs) > max(len(groups), LISTED):
         print_lines(console, f"by run: {each_time.format(len(runs))}")
-
-
-def print_tables(console: Console, *tables: TextTable) -> None:
-    """Print tables, of which those without rows take no space."""
-    for table in tables:
-        print_table(console, table)
 
 
 def identity(summary: Summary) -> str:

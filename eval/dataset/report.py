@@ -10,14 +10,14 @@ import polars as pl
 from rich.console import Console
 
 from roadperc_stream.errors import TableError
-from roadperc_stream.output.terminal import console_for, print_lines, print_table
+from roadperc_stream.output.terminal import console_for, print_lines, print_parts, print_table
 from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.system.text import number
 from roadperc_stream.system.time import NS_PER_S
 
 from ..configurations import Settings, rows_that_differ
 from ..quantities import Quantity, legend, listed, percent, rounded, short_names
-from ..report import inputs, precision, print_tables
+from ..report import inputs, precision
 from ..sections import LISTED, sections
 from ..summary import Summary
 from .groups import GroupedFrames, group_frames, summaries_of
@@ -212,7 +212,7 @@ def _print_groups(console: Console, summaries: Sequence[Summary], found: Grouped
         print_lines(console, inputs(called[0]))
     if any(summary.rank_error for summary in called):
         print_lines(console, precision(max(called, key=lambda summary: summary.rank_error)))
-    print_tables(console, *sections(called, consistency=False))
+    print_parts(console, *sections(called, consistency=False))
     if len(called) > LISTED:
         print_lines(console, f"by group: at most {LISTED} of {len(called)} each time, those with the worst p95")
 
@@ -233,5 +233,5 @@ def _print_worst(
     whole = {key: f"{names[key[0]]} {key[1]}" if several else names[key[0]] for key in dict.fromkeys(named)}
     shown = short_names(list(whole.values()), console.width - _WORST_COLUMNS)
     called = {key: shown[name] for key, name in whole.items()}
-    print_tables(console, worst_logs_table(by_quantity, called), least_covered_table(by_coverage, called))
+    print_parts(console, worst_logs_table(by_quantity, called), least_covered_table(by_coverage, called))
     print_lines(console, "", *where_the_logs_are((log_id for log_id, _ in named), names, runs), unbroken=True)

@@ -11,14 +11,13 @@ from roadperc_stream.geometry.rotations import rotation_from_quaternion
 
 from ..quantities import TRUTH, Quantity
 from ..sections import better
+from ..trajectories.poses import ESTIMATED_COLUMNS, TRUE_COLUMNS, known_poses
 from .figures import BUCKETS, TRUTH_COLOUR, Figure, Series, Trace, axis, colour_of, layout, line
 
 MOST_BINS, LEAST_BINS = 40, 8
 ERROR_COLUMNS: Final = tuple(quantity.column for quantity in TRUTH)
 """What these charts need of a table, where it has them."""
-_PLACE: Final = tuple(f"{{}}_{name}_m" for name in "xyz")
-_TURN: Final = tuple(f"{{}}_q{name}" for name in "xyzw")
-POSE_COLUMNS: Final = tuple(name.format(which) for which in ("odom", "true") for name in (*_PLACE, *_TURN))
+POSE_COLUMNS: Final = (*ESTIMATED_COLUMNS, *TRUE_COLUMNS)
 """What this chart needs of a table, where it has them."""
 
 
@@ -79,21 +78,15 @@ def paths(run: Series) -> dict[str, Float]:
     ahead: odometry's path and the truth are compared from the same start. Each segment of the log has its own start,
     for its odometry begins anew.
     """
-    names = {which: [name.format(which) for name in (*_PLACE, *_TURN)] for which in ("odom", "true")}
     poses = {  # (N, 7) x, y, z and quaternion
         which: np.stack([run.values[name] for name in columns], axis=-1)
-        for which, columns in names.items()
+        for which, columns in (("odom", ESTIMATED_COLUMNS), ("true", TRUE_COLUMNS))
         if all(name in run.values for name in columns)
     }
-    known = np.all([_usable(found) for found in poses.values()], axis=0) if poses else np.zeros(1, bool)
+    known = np.all([known_poses(found) for found in poses.values()], axis=0) if poses else np.zeros(1, bool)
     if not known.any():
         return {}
     return {which: _from_starts(found, known, run.segments) for which, found in poses.items()}
-
-
-def _usable(poses: Float) -> NDArray[np.bool_]:
-    """(N,) poses that are known and have an orientation."""
-    return np.asarray(np.isfinite(poses).all(axis=1) & (np.abs(poses[:, 3:]).max(axis=1) > 0))
 
 
 def _from_starts(poses: Float, known: NDArray[np.bool_], segments: NDArray[np.int64]) -> Float:

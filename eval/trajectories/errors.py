@@ -30,15 +30,10 @@ class Similarity:
     translation_m: Float
     scale: float = 1.0
 
-    def points(self, points_m: Float) -> Float:
-        """(N, 3) points, mapped."""
-        result: Float = self.scale * points_m @ self.rotation.T + self.translation_m
-        return result
-
     def poses(self, poses: Float) -> Float:
         """(N, 4, 4) poses: their places mapped, their axes turned, never scaled."""
         mapped = poses.copy()
-        mapped[:, :3, 3] = self.points(poses[:, :3, 3])
+        mapped[:, :3, 3] = self.scale * poses[:, :3, 3] @ self.rotation.T + self.translation_m
         mapped[:, :3, :3] = self.rotation @ poses[:, :3, :3]
         return mapped
 

@@ -96,7 +96,7 @@ def read_poses(run: Run) -> RunPoses:
         raise TableError(run.why_empty)
     lost = (table["odometry_status"] == "lost").fill_null(value=False).to_numpy()
     estimated, true = (table.select(names).to_numpy() for names in (ESTIMATED_COLUMNS, TRUE_COLUMNS))
-    has_estimate, has_truth = _known(estimated) & ~lost, _known(true)
+    has_estimate, has_truth = known_poses(estimated) & ~lost, known_poses(true)
     if not has_estimate.any():
         raise TableError(
             f"{run.source_name}: no frame has an estimated pose (odom_x_m to odom_qw); was odometry replayed?"
@@ -119,7 +119,7 @@ def read_poses(run: Run) -> RunPoses:
     )
 
 
-def _known(rows: Float) -> NDArray[np.bool_]:
+def known_poses(rows: Float) -> NDArray[np.bool_]:
     """(N,) which of (N, 7) rows are a pose."""
     with np.errstate(over="ignore"):  # what is too long for a number is too long
         length = np.linalg.norm(rows[:, 3:], axis=1)

@@ -3,7 +3,6 @@
 import hashlib
 from pathlib import Path
 
-import polars as pl
 import pytest
 
 from roadperc_stream.config import ReplayConfig, load_config
@@ -29,14 +28,6 @@ def table_without_settings(path, toml=SLOW):
     (found,) = find_runs([str(path)])
     assert found.config == ""
     return found
-
-
-def test_a_table_carries_its_settings(tmp_path):
-    path = write(tmp_path / "a.metrics.parquet", [row(0)])
-    facts = {"roadperc.config": SLOW, "roadperc.config_digest": digest(SLOW)}
-    pl.read_parquet(path).write_parquet(path, metadata=facts)
-    (found,) = find_runs([str(path)])
-    assert settings_of(found)["lanes.hold_s"] == 2.0
 
 
 def test_settings_of_an_older_table_are_those_of_the_log_next_to_it(tmp_path):

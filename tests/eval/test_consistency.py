@@ -131,22 +131,6 @@ def test_a_run_is_read_from_both_tables(tmp_path):
     assert found["distance"].nees == pytest.approx(2.5)
 
 
-def test_a_column_that_is_absent_is_stated(tmp_path, capsys):
-    path = tmp_path / "drive.metrics.parquet"
-    write(path, [row(k, step_m=1.0, true_step_m=1.1) for k in range(4)])
-    assert main([str(path)]) == 0
-    text = capsys.readouterr().out
-    assert "Consistency" in text
-    assert "no standard deviation: step" in text
-    assert "NEES" not in text.replace("\n", " ").partition("no standard deviation")[0].rpartition("Consistency")[2]
-
-
-def test_without_truth_there_is_no_table(tmp_path, capsys):
-    path = write(tmp_path / "drive.metrics.parquet", [row(k, step_m=1.0) for k in range(4)])
-    assert main([str(path)]) == 0
-    assert "Consistency" not in capsys.readouterr().out
-
-
 def test_the_report_and_its_page_have_the_table(tmp_path, capsys):
     errors = np.random.default_rng(4).normal(size=200)
     path = frames(tmp_path / "drive.metrics.parquet", 0.1 * errors, np.full(200, 0.1))

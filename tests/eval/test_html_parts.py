@@ -94,15 +94,6 @@ def test_a_truth_that_comes_later_joins_the_path_there():
     np.testing.assert_allclose(found["true"][1:], [(0, 0, 0), (1, 0, 0)], atol=1e-9)
 
 
-def test_the_trajectory_has_equal_axes_ahead_is_up_and_left_is_left():
-    chart = trajectory([series(**poses("odom", [(0, 0), (5, 1)]))])
-    assert chart.traces[0]["x"] == [0, 1]
-    assert chart.traces[0]["y"] == [0, 5]
-    assert chart.layout["xaxis"]["autorange"] == "reversed"
-    assert chart.layout["yaxis"]["scaleanchor"] == "x"
-    assert trajectory([series(total_ms=[1.0])]) is None
-
-
 def test_plotly_knows_every_property_of_the_charts():
     run = series(
         **poses("odom", [(0, 0), (1, 0)]),

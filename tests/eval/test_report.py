@@ -48,19 +48,11 @@ def drive(tmp_path):
     return write(tmp_path / "drive.metrics.parquet", rows, times)
 
 
-def test_accuracy_stands_beside_coverage(drive, capsys):
-    code, text, _ = report(capsys, drive)
-    assert code == 0
-    assert line_of(text, "lane left at 10 m, m") == [
-        *["lane", "left", "at", "10", "m,", "m"],
-        *["75.0", "0.010", "0.020", "0.272", "0.300"],
-    ]
-    assert line_of(text, "drivable IoU")[2:] == ["100.0", "0.970", "p5", "0.970", "0.970"]
-
-
 def test_log_without_truth_says_so_and_shows_signs_of_trouble(tmp_path, capsys):
-    _, text, _ = report(capsys, write(tmp_path / "drive.metrics.parquet", [row(0), row(1, lane_left_status="lost")]))
+    rows = [row(0, step_m=1.0), row(1, lane_left_status="lost")]
+    _, text, _ = report(capsys, write(tmp_path / "drive.metrics.parquet", rows))
     assert "No frame has a truth" in text
+    assert "Consistency" not in text
     assert "error" not in text
     assert line_of(text, "lane boundaries lost")[3:] == ["1", "1", "0.050", "1577836800050000000"]
 

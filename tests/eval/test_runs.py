@@ -37,11 +37,6 @@ def test_names_take_as_many_folders_as_tell_them_apart(tmp_path):
     assert [run.name for run in find_runs([str(tmp_path)])] == ["base/x/drive", "slow/x/drive", "other"]
 
 
-def test_footer_facts(tmp_path):
-    (run,) = find_runs([str(write(tmp_path / "a.metrics.parquet", [row(0), row(1)], config="f" * 64))])
-    assert (run.frames, run.config_digest, run.version) == (2, "f" * 64, "1.2.3")
-
-
 @pytest.mark.parametrize("argument", ["nowhere", "nowhere/x.metrics.parquet", "nowhere.mcap"])
 def test_missing_path(tmp_path, argument):
     with pytest.raises(TableError, match=rf"{argument}: no such file"):

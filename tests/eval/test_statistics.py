@@ -24,11 +24,6 @@ def wave(frames, shift=0):
     return [math.sin((k - shift) / 4) + 0.3 * math.sin((k - shift) / 1.7) for k in range(frames)]
 
 
-def test_scores_from_counts():
-    (kept,) = scores(SUMS)
-    assert (kept.precision, kept.recall, kept.f1) == (0.75, 0.6, pytest.approx(2 / 3))
-
-
 def test_scores_where_nothing_was_found_or_there():
     (kept,) = scores(dict.fromkeys(SUMS, 0))
     assert (kept.precision, kept.recall, kept.f1) == (None, None, None)

@@ -102,17 +102,11 @@ def test_damaged_data_behind_a_whole_footer(tmp_path):
         find_runs([str(path)])
 
 
-def two_runs(tmp_path):
+def test_over_all_lists_each_run_as_it_is_alone(tmp_path):
     long = [row(k, "a" * 16, lane_left_error_m=k / 100, missing=("depth",)) for k in range(9)]
     short = [row(0, "b" * 16, lane_left_error_m=-0.5, surface_source="depth")]
     write(tmp_path / "long.metrics.parquet", long)
     write(tmp_path / "short.metrics.parquet", short)
-    runs = find_runs([str(tmp_path)])
-    return summarise_all(runs, 2)[1]
-
-
-def test_over_all_lists_each_run_as_it_is_alone(tmp_path):
-    two_runs(tmp_path)
     runs = find_runs([str(tmp_path)])
     assert summarise_all(runs, 2)[0] == [summarise_run(run, 2) for run in runs]
 

@@ -1,7 +1,5 @@
 """Hand-made datasets of a batch, with known answers."""
 
-from dataclasses import replace
-
 import polars as pl
 
 from roadperc_stream.output.tables import TableWriter
@@ -78,7 +76,3 @@ def compact(folder, date=DATE, name="part-0.parquet"):
     )
     for path in parts:
         path.unlink()
-
-
-def renamed(rows, number):
-    return [replace(item, log_id=log_id(number)) for item in rows]

@@ -50,11 +50,8 @@ def test_what_groups_are_called(dataset, by, names):
 
 def test_the_longest_stretch_without_an_output(tmp_path, capsys):
     offsets = [1.0, None, 1.0, None, None, None, 1.0, None]
-    rows = [frames(1, [0.1] * len(offsets))[k] for k in range(len(offsets))]
-    rows = [
-        type(item)(**{**vars(item), "lane_left_offset_m": offset}) for item, offset in zip(rows, offsets, strict=True)
-    ]
-    add_table(tmp_path, rows)
+    seen = zip(frames(1, [0.1] * len(offsets)), offsets, strict=True)
+    add_table(tmp_path, [replace(item, lane_left_offset_m=offset) for item, offset in seen])
     _, text, _ = report(capsys, tmp_path)
     at = text.index("Least covered logs")
     assert [line.split() for line in text[at:].splitlines()[2:4]] == [

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from roadperc_stream.errors import TableError
 from roadperc_stream.eval.trajectories.errors import (
     Delta,
-    ErrorStatistics,
     absolute_errors_m,
     align,
     pairs,
@@ -82,19 +81,6 @@ def test_standing_still_is_aligned_but_has_no_scale():
     for estimated, true in ((standing, TRUE[:10]), (TRUE[:10], standing), (standing, standing)):
         with pytest.raises(TableError, match=r"no Sim\(3\) alignment: one of the paths stands still"):
             align(estimated, true, "sim3")
-
-
-def test_statistics_of_a_3_4_5_triangle():
-    found = ErrorStatistics.of(np.array([3.0, 4.0, 5.0]))
-    assert (found.count, found.mean, found.median, found.least, found.most, found.sse) == (3, 4.0, 4.0, 3.0, 5.0, 50.0)
-    assert found.rmse == pytest.approx(np.sqrt(50 / 3))
-    assert found.std == pytest.approx(np.sqrt(2 / 3))
-
-
-def test_absolute_error_of_a_3_4_5_triangle():
-    true = poses_at(np.zeros((2, 3)))
-    estimated = poses_at(np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 0.0]]))
-    np.testing.assert_array_equal(absolute_errors_m(estimated, true), [5.0, 0.0])
 
 
 def test_a_relative_error_is_in_the_moving_frame():
