@@ -8,7 +8,7 @@ import polars as pl
 import pytest
 
 from roadperc_stream import log
-from roadperc_stream.cli import replay
+from roadperc_stream.cli import info, replay
 from roadperc_stream.cli.convert import main
 from roadperc_stream.geometry import Camera
 from roadperc_stream.input.decoding import context_of_channel, decode
@@ -592,3 +592,35 @@ def test_a_lidar_without_any_frame_of_the_cameras_is_left_out(tmp_path, capsys):
         (dump / "velodyne" / f"{number:06d}.bin").unlink()
     assert main([str(dump), str(tmp_path / "out.mcap")]) == 0
     assert "note: velodyne is left out: none of its 1 frames has an image" in capsys.readouterr().out
+
+
+K = [[8.0, 0.0, 8.0], [0.0, 8.0, 6.0], [0.0, 0.0, 1.0]]
+
+
+@pytest.mark.parametrize(
+    ("folder", "said", "cx", "words"),
+    [
+        ("rgb", {}, 7.5, "the first pixel's corner, as CARLA has it"),
+        ("image_2", {}, 8.0, "the first pixel's centre, as KITTI has it"),
+        ("image_02/data", {}, 8.0, "the first pixel's centre, as KITTI has it"),
+        ("image_2", {"pixel_origin": "corner"}, 7.5, "the first pixel's corner, as calibration.json says"),
+        ("rgb", {"pixel_origin": "centre"}, 8.0, "the first pixel's centre, as calibration.json says"),
+    ],
+)
+def test_the_origin_of_pixels_is_that_of_the_format_and_said(tmp_path, capsys, folder, said, cx, words):
+    dump, out = tmp_path / "dump", tmp_path / "in.mcap"
+    write_png(dump / folder / "0000000001.png", camera_pixels())
+    document(dump / "calibration.json", {"width": WIDTH, "height": HEIGHT, "K": K, **said})
+    role = () if folder == "rgb" else ("--role", f"image={folder}")
+    assert main([str(dump), str(out), *role]) == 0
+    assert words in capsys.readouterr().out
+    camera = payloads(out)["calibration"][0][2]
+    assert (camera.cx, camera.cy) == (cx, cx - 2.0)
+    assert info.main([str(out)]) == 0
+    assert f"converted with a K that counts pixels from {words}" in capsys.readouterr().out
+
+
+def test_a_field_of_view_needs_none(tmp_path, capsys):
+    write_png(tmp_path / "dump" / "rgb" / "1.png", camera_pixels())
+    assert main([str(tmp_path / "dump"), str(tmp_path / "in.mcap"), "--fov", "90"]) == 0
+    assert "pixel origin" not in capsys.readouterr().out
