@@ -259,16 +259,13 @@ def _stamps_beside(layout: DumpLayout) -> Path | None:
 def _tags(
     surveys: Mapping[str, SensorSurvey], options: ConvertOptions, carla_tags: str | None
 ) -> tuple[dict[str, TagEncoding], TagTable | None, str]:
-    encodings: dict[str, TagEncoding] = {}
-    table: TagTable | None = None
-    source = ""
-    for role in (r for r in _TAG_ROLES if r in surveys):
-        encoding, seen = tag_encoding(surveys[role].paths, allow_lossy=options.allow_lossy_tags)
-        encodings[role] = encoding
-        if table is None:
-            version = options.carla or carla_tags
-            table, source = choose_table(version, encoding, seen, surveys[role].sensor.source)
-    return encodings, table, source
+    roles = [role for role in _TAG_ROLES if role in surveys]
+    if not roles:
+        return {}, None, ""
+    found = {role: tag_encoding(surveys[role].paths, allow_lossy=options.allow_lossy_tags) for role in roles}
+    first = roles[0]
+    table, source = choose_table(options.carla or carla_tags, *found[first], surveys[first].sensor.source)
+    return {role: encoding for role, (encoding, _) in found.items()}, table, source
 
 
 def _detections(layout: DumpLayout, notes: list[str]) -> tuple[Mapping[int, tuple[Detection, ...]], str]:
