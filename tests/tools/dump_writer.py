@@ -18,17 +18,27 @@ def depth_m() -> np.ndarray:
     return values
 
 
-def png(path: Path, pixels: np.ndarray) -> Path:
+def png(path: Path, pixels: np.ndarray, form: str = ".png") -> Path:
     """Write pixels in OpenCV's channel order; the suffix may lie."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(cv2.imencode(".png", pixels)[1].tobytes())
+    path.write_bytes(cv2.imencode(form, pixels)[1].tobytes())
     return path
 
 
 def jpeg(path: Path, pixels: np.ndarray) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(cv2.imencode(".jpg", pixels)[1].tobytes())
+    return png(path, pixels, ".jpg")
+
+
+def npy(path: Path, values: np.ndarray) -> Path:
+    """Write an array; the suffix may lie."""
+    with path.open("wb") as stream:
+        np.save(stream, values)
     return path
+
+
+def alpha(pixels: np.ndarray) -> np.ndarray:
+    """(H, W, 4) the same colours, opaque."""
+    return np.dstack((pixels, np.full(pixels.shape[:2], 255, np.uint8)))
 
 
 def camera_pixels(seed: int = 0) -> np.ndarray:

@@ -1,6 +1,7 @@
 """A rendered dump, read independently of the renderer."""
 
 import json
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -9,6 +10,23 @@ from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14
 
 CAMERA_X, CAMERA_Z = 1.5, 1.4
 TAG = {name: tag for tag, name in enumerate(CARLA_FROM_0_9_14.names)}
+
+
+def carla_rotation(roll, pitch, yaw):
+    """(3, 3) of angles in degrees, as carla/geom/Transform.h's GetMatrix has it."""
+    (cr, cp, cy), (sr, sp, sy) = (wave(np.radians([roll, pitch, yaw])) for wave in (np.cos, np.sin))
+    return np.array(
+        [
+            [cp * cy, cy * sp * sr - sy * cr, -cy * sp * cr - sy * sr],
+            [cp * sy, sy * sp * sr + cy * cr, -sy * sp * cr + cy * sr],
+            [sp, -cp * sr, cp * cr],
+        ]
+    )
+
+
+@lru_cache(maxsize=8)
+def picture(path):
+    return cv2.imread(str(path))
 
 
 class Dump:
@@ -22,14 +40,14 @@ class Dump:
         return json.loads((self.folder / f"{name}.json").read_text())
 
     def tags(self, name, room="segmentation"):
-        return cv2.imread(str(self.folder / room / f"{name}.png"), cv2.IMREAD_UNCHANGED)[..., 2]
+        return picture(self.folder / room / f"{name}.png")[..., 2]
 
     def depth(self, name, room="depth"):
-        b, g, r = np.moveaxis(cv2.imread(str(self.folder / room / f"{name}.png"))[..., :3].astype(float), 2, 0)
+        b, g, r = np.moveaxis(picture(self.folder / room / f"{name}.png").astype(float), 2, 0)
         return (r + 256 * g + 65536 * b) / (2**24 - 1) * 1000
 
     def rgb(self, name, room="rgb"):
-        return cv2.imread(str(self.folder / room / f"{name}.png")).astype(float)
+        return picture(self.folder / room / f"{name}.png").astype(float)
 
     @property
     def pinhole(self):
@@ -48,17 +66,17 @@ class Dump:
         return np.stack((z + CAMERA_X, -(u - cx) / f * z, CAMERA_Z - (v - cy) / f * z), axis=-1)
 
     def world_points(self, name):
-        """The same in the right-handed world, by CARLA's own left-handed matrix (carla.Transform.get_matrix)."""
+        """The same in the right-handed world, by CARLA's own left-handed matrix."""
         pose = self.json("poses")[name]
-        cp, cy, cr = (np.cos(np.radians(pose["rotation"][a])) for a in ("pitch", "yaw", "roll"))
-        sp, sy, sr = (np.sin(np.radians(pose["rotation"][a])) for a in ("pitch", "yaw", "roll"))
-        R = np.array(
-            [
-                [cp * cy, cy * sp * sr - sy * cr, -cy * sp * cr - sy * sr],
-                [cp * sy, sy * sp * sr + cy * cr, -sy * sp * cr + cy * sr],
-                [sp, -cp * sr, cp * cr],
-            ]
-        )
         left_handed = self.ego_points(name) * (1, -1, 1)
-        world = left_handed @ R.T + [pose["location"][a] for a in "xyz"]
+        world = left_handed @ carla_rotation(**pose["rotation"]).T + [pose["location"][a] for a in "xyz"]
         return world * (1, -1, 1)
+
+    def tag_at(self, name, point, aside_m):
+        """The tag seen beside a point of the ego frame, further to its left; None where it is hidden or out of view."""
+        f, cx, cy = self.pinhole
+        x, y, z = point[0] - CAMERA_X, point[1] + aside_m, point[2] - CAMERA_Z
+        u, v = round(cx - f * y / x), round(cy - f * z / x)
+        inside = 0 <= u < self.calibration["width"] and 0 <= v < self.calibration["height"]
+        seen = inside and abs(self.depth(name)[v, u] - x) < 0.05 * x
+        return self.tags(name)[v, u] if seen else None

@@ -8,7 +8,7 @@ import polars as pl
 import pytest
 
 from roadperc_stream import log
-from roadperc_stream.cli import replay
+from roadperc_stream.cli import info, replay
 from roadperc_stream.cli.convert import main
 from roadperc_stream.geometry import Camera
 from roadperc_stream.input.decoding import context_of_channel, decode
@@ -37,6 +37,12 @@ def convert(dump: Path, *options: str) -> Path:
     out = dump.parent / f"{dump.name}.mcap"
     assert main([str(dump), str(out), "--quiet", *options]) == 0
     return out
+
+
+def told(capsys, dump: Path, out: Path, *options: str) -> str:
+    """What a conversion prints."""
+    assert main([str(dump), str(out), *options]) == 0
+    return capsys.readouterr().out
 
 
 def failure(capsys, *arguments: object) -> str:
@@ -168,8 +174,7 @@ def tum_dump(folder, behind_s=(0.004, 0.004, 0.004, 0.004)):
 
 def test_names_that_are_stamps_are_read_as_stamps(tmp_path, capsys):
     out = tmp_path / "dump.mcap"
-    assert main([str(tum_dump(tmp_path / "dump")), str(out)]) == 0
-    assert "stamps in the names of the files, " in capsys.readouterr().out
+    assert "stamps in the names of the files, " in told(capsys, tum_dump(tmp_path / "dump"), out)
     found = payloads(out)
     stamps_ns = [round(float(name) * 1000) * 1_000_000 for name in TUM]
     assert [t + EPOCH_NS for t, _, _ in found["image"]] == stamps_ns
@@ -183,8 +188,7 @@ def test_names_that_are_stamps_are_read_as_stamps(tmp_path, capsys):
 def test_stamps_in_names_that_do_not_meet_are_reported_by_converter_and_replay(tmp_path, capsys):
     """One frame per image, whatever the other sensors' names; the setting that pairs them is named, and does."""
     dump, out = tum_dump(tmp_path / "dump", (0.012,) * 4), tmp_path / "dump.mcap"
-    assert main([str(dump), str(out)]) == 0
-    said = capsys.readouterr().out
+    said = told(capsys, dump, out)
     assert f"{dump}: 4 frames\n" in said
     assert ", 20 Hz in the mean" in said
     assert re.search(r"^ *image +rgb +4 +0 ", said, re.MULTILINE)
@@ -206,8 +210,7 @@ def test_stamps_in_names_that_do_not_meet_are_reported_by_converter_and_replay(t
 
 def test_stamps_in_names_that_meet_for_some_images_are_counted(tmp_path, capsys):
     dump = tum_dump(tmp_path / "dump", (0.004, 0.011, 0.016, 0.004))
-    assert main([str(dump), str(tmp_path / "dump.mcap")]) == 0
-    said = capsys.readouterr().out
+    said = told(capsys, dump, tmp_path / "dump.mcap")
     assert re.search(r"^ *depth +depth +4 +2 ", said, re.MULTILINE)
     assert (
         "depth: 2 of 4 images have no file within sync.tolerance_s (0.01 s), the nearest are 0.011 to 0.016 s" in said
@@ -221,8 +224,9 @@ def test_a_rate_where_names_are_stamps_is_refused(tmp_path, capsys):
 
 def test_a_document_that_is_not_read_is_named(dump, capsys):
     document(dump / "metadata.json", {"timestamps": [1.0, 2.0, 3.0]})
-    assert main([str(dump), str(dump.parent / "out.mcap")]) == 0
-    assert "metadata.json is not used: documents are called calibration.json, " in capsys.readouterr().out
+    assert "metadata.json is not used: documents are called calibration.json, " in told(
+        capsys, dump, dump.parent / "out.mcap"
+    )
 
 
 def test_kitti_raw_keeps_its_own_dates(tmp_path):
@@ -236,8 +240,7 @@ def test_kitti_raw_keeps_its_own_dates(tmp_path):
 def test_frames_stepping_by_more_than_one_are_told(tmp_path, capsys):
     dump = plain_dump(tmp_path / "dump", frames=(142917, 142921, 142925))
     out = tmp_path / "out.mcap"
-    assert main([str(dump), str(out)]) == 0
-    assert "frame numbers go in steps of 4: 0.2 s from frame to frame at 20 Hz" in capsys.readouterr().out
+    assert "frame numbers go in steps of 4: 0.2 s from frame to frame at 20 Hz" in told(capsys, dump, out)
     assert [t for t, _, _ in payloads(out)["image"]] == [0, 200_000_000, 400_000_000]
 
 
@@ -260,8 +263,7 @@ def test_left_alone_becomes_the_front_camera(tmp_path, capsys):
     write_png(dump / "right.png", camera_pixels(2))
     document(dump / "calibration.json", {"fov_deg": 90, "baseline_m": 0.25})
     out = dump.parent / "out.mcap"
-    assert main([str(dump), str(out)]) == 0
-    assert "the left camera is the front camera" in capsys.readouterr().out
+    assert "the left camera is the front camera" in told(capsys, dump, out)
     found = payloads(out)
     assert set(found) == {"image", "calibration", "right", "right_calibration", "tf"}
     assert found["right_calibration"][0][2].baseline_m == 0.25
@@ -290,8 +292,7 @@ def test_detections_and_poses_without_an_image_are_left_out(dump, capsys):
     pose = {"location": {"x": 1, "y": 2, "z": 0}, "rotation": {"pitch": 0, "yaw": 90, "roll": 0}}
     document(dump / "poses.json", {"000002": pose, "000009": pose})
     out = dump.parent / "out.mcap"
-    assert main([str(dump), str(out)]) == 0
-    printed = capsys.readouterr().out
+    printed = told(capsys, dump, out)
     assert "detections: 1 of 2 frames have no image" in printed
     assert "poses: 1 of 2 frames have no image" in printed
     found = payloads(out)
@@ -326,8 +327,7 @@ def test_a_role_option_inside_the_dump_or_from_here(dump, monkeypatch):
 def test_what_is_found_is_printed_before_writing(dump, capsys):
     document(dump / "detections.json", {"0": [{"label": "Car", "box_px": [1, 2, 3, 4], "score": 0.5}] * 2})
     write_png(dump / "sonar" / "0.png", camera_pixels())
-    assert main([str(dump), str(dump.parent / "no" / "out.mcap")]) == 0
-    printed = capsys.readouterr().out
+    printed = told(capsys, dump, dump.parent / "no" / "out.mcap")
     for words in ("png RGB 8 bit", "carla 24 bit", "raw in red", "2 boxes", "20 Hz", "carla-from-0.9.14", "sonar/"):
         assert words in printed
     last = printed.splitlines()[-1]
@@ -560,8 +560,7 @@ def test_a_lidar_becomes_points_with_their_place(tmp_path, capsys):
 
 def test_a_lidar_nobody_placed_is_said(tmp_path, capsys):
     dump = lidar_dump(tmp_path / "dump")
-    assert main([str(dump), str(tmp_path / "out.mcap")]) == 0
-    printed = capsys.readouterr().out
+    printed = told(capsys, dump, tmp_path / "out.mcap")
     assert "the place of the lidar is not known" in printed
     assert "lidar: 1 of 4 frames have no image: left out" in printed
     assert "KITTI velodyne, right-handed" in printed
@@ -590,5 +589,35 @@ def test_a_lidar_without_any_frame_of_the_cameras_is_left_out(tmp_path, capsys):
     dump = lidar_dump(tmp_path / "dump")
     for number in (0, 1, 2):
         (dump / "velodyne" / f"{number:06d}.bin").unlink()
-    assert main([str(dump), str(tmp_path / "out.mcap")]) == 0
-    assert "note: velodyne is left out: none of its 1 frames has an image" in capsys.readouterr().out
+    assert "note: velodyne is left out: none of its 1 frames has an image" in told(capsys, dump, tmp_path / "out.mcap")
+
+
+K = [[8.0, 0.0, 8.0], [0.0, 8.0, 6.0], [0.0, 0.0, 1.0]]
+
+
+@pytest.mark.parametrize(
+    ("folder", "said", "cx", "words"),
+    [
+        ("rgb", {}, 7.5, "the first pixel's corner, as CARLA has it"),
+        ("image_2", {}, 8.0, "the first pixel's centre, as KITTI has it"),
+        ("image_02/data", {}, 8.0, "the first pixel's centre, as KITTI has it"),
+        ("image_2", {"pixel_origin": "corner"}, 7.5, "the first pixel's corner, as calibration.json says"),
+        ("rgb", {"pixel_origin": "centre"}, 8.0, "the first pixel's centre, as calibration.json says"),
+    ],
+)
+def test_the_origin_of_pixels_is_that_of_the_format_and_said(tmp_path, capsys, folder, said, cx, words):
+    dump, out = tmp_path / "dump", tmp_path / "in.mcap"
+    write_png(dump / folder / "0000000001.png", camera_pixels())
+    document(dump / "calibration.json", {"width": WIDTH, "height": HEIGHT, "K": K, **said})
+    role = () if folder == "rgb" else ("--role", f"image={folder}")
+    assert words in told(capsys, dump, out, *role)
+    camera = payloads(out)["calibration"][0][2]
+    assert (camera.cx, camera.cy) == (cx, cx - 2.0)
+    assert info.main([str(out)]) == 0
+    assert f"converted with a K that counts pixels from {words}" in capsys.readouterr().out
+
+
+def test_a_field_of_view_needs_none(tmp_path, capsys):
+    write_png(tmp_path / "dump" / "rgb" / "1.png", camera_pixels())
+    assert main([str(tmp_path / "dump"), str(tmp_path / "in.mcap"), "--fov", "90"]) == 0
+    assert "pixel origin" not in capsys.readouterr().out

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.tools.rendered import TAG
+from tests.tools.rendered import TAG, carla_rotation
 
 PATH_KEYS = {"lateral_m", "in_path", "time_to_impact_s"}
 
@@ -20,17 +20,9 @@ def test_road_seen_by_a_turned_camera_lies_on_the_level_ground(rendered):
     f, cx, cy = dump.pinhole
     u, v = dump.pixels()
     z = dump.depth("000000")
-    # Unreal's axes: x forward, y right, z up, and carla.Transform.get_matrix.
+    # Unreal's axes: x forward, y right, z up.
     forward = np.stack((z, (u - cx) / f * z, -(v - cy) / f * z), axis=-1)
-    (cr, cp, cw), (sr, sp, sw) = (fn(np.radians([5, -8, 15])) for fn in (np.cos, np.sin))
-    R = np.array(
-        [
-            [cp * cw, cw * sp * sr - sw * cr, -cw * sp * cr - sw * sr],
-            [cp * sw, sw * sp * sr + cw * cr, -sw * sp * cr + cw * sr],
-            [sp, -cp * sr, cp * cr],
-        ]
-    )
-    heights = (forward @ R.T)[..., 2] + 2
+    heights = (forward @ carla_rotation(5, -8, 15).T)[..., 2] + 2
     road = (dump.tags("000000") == TAG["road"]) & (z < 60)
     assert road.mean() > 0.2
     assert np.abs(heights[road]).max() < 1e-3
@@ -111,23 +103,16 @@ def test_the_lane_is_the_one_the_car_is_in_and_its_edges_lie_on_the_tags(rendere
     found = lanes(dump)
     assert [lane["lane_changes"] for lane in found] == [0, 0, 0, 0, 1, 1]
     assert {lane["lane_change"] for lane in found[:3]} == {"none"} == {found[5]["lane_change"]}
-    f, cx, cy = dump.pinhole
     on_line = 0
     for name, lane in zip(dump.names, found, strict=True):
         assert lane["left"]["offset_m"] > 0 > lane["right"]["offset_m"]
-        tags, points = dump.tags(name), dump.ego_points(name)
         for edge, away in ((lane["left"], 1), (lane["right"], -1)):
             for point in np.array(edge["line_ego_m"])[3:10]:
-                seen = []
-                for step in (-0.07 * away, 0.07 * away):
-                    x, y, z = point[0] - 1.5, point[1] + step, point[2] - 1.4
-                    u, v = round(cx - f * y / x), round(cy - f * z / x)
-                    if 0 <= u < 320 and 0 <= v < 240 and abs(points[v, u, 0] - point[0]) < 0.05 * x:
-                        seen.append(tags[v, u])
-                if len(seen) == 2:
-                    assert seen[0] == TAG["road"]
-                    assert seen[1] in (TAG["road"], TAG["road_line"], TAG["sidewalk"])
-                    on_line += seen[1] != TAG["road"]
+                inside, outside = (dump.tag_at(name, point, step) for step in (-0.07 * away, 0.07 * away))
+                if None not in (inside, outside):
+                    assert inside == TAG["road"]
+                    assert outside in (TAG["road"], TAG["road_line"], TAG["sidewalk"])
+                    on_line += outside != TAG["road"]
     assert on_line > 20
 
 

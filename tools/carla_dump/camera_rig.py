@@ -14,7 +14,6 @@ from roadperc_stream.model import EGO, Transform
 from .calibration_file import (
     CalibrationFile,
     Intrinsics,
-    Pinhole,
     ProjectionPair,
     decompose_pair,
     pinhole_of_fov,
@@ -133,21 +132,15 @@ def _camera(known: _Known, frame_id: str, role: str) -> Camera:
     of_pair = None
     if known.pair and own is None:
         of_pair = known.pair.K_right if role == "right" else known.pair.K_left
-    pinhole = _pinhole(source, known.file.pixel_origin, width, height, of_pair)
-    if pinhole is None:
+    K = of_pair if source.K is None else np.array(source.K)
+    if source.fov_deg is not None and source.K is None:
+        return Camera(frame_id, width, height, *pinhole_of_fov(source.fov_deg, width, height))
+    if K is None:
         raise DumpError(
             f"{frame_id} has no calibration: {known.path} gives neither K nor fov_deg; "
             "add one there, or say --fov DEGREES (horizontal field of view)"
         )
-    return Camera(frame_id, width, height, *pinhole)
-
-
-def _pinhole(source: Intrinsics, pixel_origin: str, width: int, height: int, K_of_pair: Float | None) -> Pinhole | None:
-    if source.K is not None:
-        return pinhole_of_K(np.array(source.K), pixel_origin)
-    if source.fov_deg is not None:
-        return pinhole_of_fov(source.fov_deg, width, height)
-    return None if K_of_pair is None else pinhole_of_K(K_of_pair, pixel_origin)
+    return Camera(frame_id, width, height, *pinhole_of_K(K, known.file.pixel_origin))
 
 
 def _size(known: _Known, frame_id: str, role: str, source: Intrinsics) -> Size:

@@ -64,7 +64,9 @@ def _encoding(pixels: Pixels) -> DepthEncoding | None:
     """None where a file alone does not tell: all black or white, such as a frame of sky, or nothing known."""
     values = pixels.values
     if values.dtype.kind == "f" and pixels.channels == 1:
-        return _number_encoding(values)
+        # A road scene reaches beyond 1 m, and metres / 1000 never beyond 1, which is CARLA's far plane.
+        known = values[values > 0]
+        return ("metres" if known.max() > 1.0 else "metres / 1000") if known.size else None
     if values.dtype == np.uint16 and pixels.channels == 1:
         return "millimetres"
     if values.dtype == np.uint8 and pixels.container == "npy" and pixels.channels == 4:
@@ -74,16 +76,8 @@ def _encoding(pixels: Pixels) -> DepthEncoding | None:
     raise DumpError(f"{pixels.path}: {pixels.shape} is no depth encoding known")
 
 
-def _number_encoding(values: NDArray[np.floating]) -> DepthEncoding | None:
-    """A road scene reaches beyond 1 m, and metres / 1000 never beyond 1, which is CARLA's far plane."""
-    known = values[values > 0]
-    if not known.size:
-        return None
-    return "metres" if known.max() > 1.0 else "metres / 1000"
-
-
 def _colour_encoding(pixels: Pixels) -> DepthEncoding | None:
-    if pixels.channels == 1 and not _coloured(pixels):
+    if pixels.channels == 1 and all(len(set(colour)) == 1 for colour in pixels.palette):
         return "logarithmic grey"
     if pixels.channels in (3, 4) and pixels.equal_channels():
         grey = pixels.values[..., 0]
@@ -91,10 +85,6 @@ def _colour_encoding(pixels: Pixels) -> DepthEncoding | None:
     if pixels.container == "jpeg" or pixels.channels not in (3, 4):
         raise DumpError(f"{pixels.path}: {pixels.shape} with colours: only a PNG keeps 24-bit depth")
     return "carla 24 bit"
-
-
-def _coloured(pixels: Pixels) -> bool:
-    return any(len(set(colour)) > 1 for colour in pixels.palette)
 
 
 def depth_metres(pixels: Pixels, encoding: DepthEncoding) -> Float32:
@@ -111,15 +101,20 @@ def depth_metres(pixels: Pixels, encoding: DepthEncoding) -> Float32:
         case "carla 24 bit":
             return carla_metres(pixels.values)
         case "logarithmic grey":
-            return logarithmic_metres(grey_of(pixels))
-        case "linear grey to 1000 m" | "linear grey to 50 m":
-            return linear_metres(grey_of(pixels), FAR_PLANE_M if encoding == "linear grey to 1000 m" else CLIPPED_M)
+            levels = np.arange(256, dtype=np.float64) / 255.0
+            depth_m: Float32 = (FAR_PLANE_M * np.exp((levels - 1.0) * LOG_SCALE)).astype(np.float32)[grey_of(pixels)]
+        case "linear grey to 1000 m":
+            depth_m = grey_of(pixels).astype(np.float32) * np.float32(FAR_PLANE_M / 255)
+        case "linear grey to 50 m":
+            depth_m = grey_of(pixels).astype(np.float32) * np.float32(CLIPPED_M / 255)
+            depth_m[grey_of(pixels) == np.iinfo(np.uint8).max] = np.nan  # white says that depth was cut off
         case "millimetres":
-            return _known(pixels.values.astype(np.float32) * np.float32(0.001))
+            depth_m = pixels.values.astype(np.float32) * np.float32(0.001)
         case "metres":
-            return _known(pixels.values.astype(np.float32))
+            depth_m = pixels.values.astype(np.float32)
         case "metres / 1000":
-            return _known((pixels.values * FAR_PLANE_M).astype(np.float32))
+            depth_m = (pixels.values * FAR_PLANE_M).astype(np.float32)
+    return _known(depth_m)
 
 
 def carla_metres(pixels: NDArray[np.uint8]) -> Float32:
@@ -130,22 +125,6 @@ def carla_metres(pixels: NDArray[np.uint8]) -> Float32:
     bgra = cv2.cvtColor(pixels, cv2.COLOR_BGR2BGRA) if pixels.shape[2] == 3 else np.ascontiguousarray(pixels)
     codes = bgra.view(">u4")[..., 0] >> 8
     return _known(codes.astype(np.float32) * np.float32(FAR_PLANE_M / _LARGEST_CODE))
-
-
-def logarithmic_metres(grey: NDArray[np.uint8]) -> Float32:
-    """(H, W) float32 metres of (H, W) grey."""
-    levels = np.arange(256, dtype=np.float64) / 255.0
-    table = FAR_PLANE_M * np.exp((levels - 1.0) * LOG_SCALE)
-    result: Float32 = table.astype(np.float32)[grey]
-    return result
-
-
-def linear_metres(grey: NDArray[np.uint8], far_m: float) -> Float32:
-    """(H, W) float32 metres of (H, W) grey; black is no depth, and so is white where it says that depth was cut off."""
-    depth_m = _known(grey.astype(np.float32) * np.float32(far_m / 255))
-    if far_m < FAR_PLANE_M:
-        depth_m[grey == np.iinfo(np.uint8).max] = np.nan
-    return depth_m
 
 
 def grey_of(pixels: Pixels) -> NDArray[np.uint8]:

@@ -1,7 +1,7 @@
 """Detections of a dump: the project's own JSON, COCO results and KITTI label files."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,7 +10,7 @@ from pydantic import FiniteFloat, TypeAdapter
 from roadperc_stream.errors import DumpError
 from roadperc_stream.model import Box, Detection
 
-from .json_files import Document, Numbers4, by_frame, checked, frame_number, read_json
+from .json_files import Document, Numbers4, by_frame, checked, frame_number, read_json, read_lines
 
 Detections = dict[int, tuple[Detection, ...]]
 
@@ -58,12 +58,6 @@ class _Image(Document):
     file_name: str
 
 
-_FRAMES = TypeAdapter(dict[str, list[_Entry]])
-_COCO = TypeAdapter(list[_CocoEntry])
-_CATEGORIES = TypeAdapter(list[_Category])
-_IMAGES = TypeAdapter(list[_Image])
-
-
 def load_detections(path: Path) -> tuple[Detections, str, tuple[str, ...]]:
     """Detections by frame number of a JSON file, the format found, and notes.
 
@@ -73,8 +67,7 @@ def load_detections(path: Path) -> tuple[Detections, str, tuple[str, ...]]:
     data = read_json(path)
     if isinstance(data, list) or (isinstance(data, dict) and any(isinstance(data.get(k), list) for k in _COCO_LISTS)):
         return _coco(path, data)
-    entries_by_name: dict[str, list[_Entry]] = checked(path, _FRAMES, data)
-    frames = by_frame(path, entries_by_name)
+    frames = by_frame(path, checked(path, TypeAdapter(dict[str, list[_Entry]]), data))
     return {n: tuple(_detection(path, n, e) for e in entries) for n, entries in frames.items()}, "boxes by frame", ()
 
 
@@ -96,9 +89,12 @@ def checked_box(where: str, x_min: float, y_min: float, x_max: float, y_max: flo
 def _coco(path: Path, data: Any) -> tuple[Detections, str, tuple[str, ...]]:
     """COCO results (a list), or an object with a list of annotations and, where it has them, images and categories."""
     tree: Mapping[str, Any] = data if isinstance(data, dict) else {"annotations": data}
-    entries = checked(path, _COCO, next(tree[key] for key in _COCO_LISTS if isinstance(tree.get(key), list)))
-    names = {c.id: c.name for c in checked(path, _CATEGORIES, tree.get("categories") or [])} or COCO_LABELS
-    files = {str(i.id): Path(i.file_name).stem for i in checked(path, _IMAGES, tree.get("images") or [])}
+    listed = next(tree[key] for key in _COCO_LISTS if isinstance(tree.get(key), list))
+    entries = checked(path, TypeAdapter(list[_CocoEntry]), listed)
+    categories = checked(path, TypeAdapter(list[_Category]), tree.get("categories") or [])
+    images = checked(path, TypeAdapter(list[_Image]), tree.get("images") or [])
+    names = {category.id: category.name for category in categories} or COCO_LABELS
+    files = {str(image.id): Path(image.file_name).stem for image in images}
     frames: dict[int, list[Detection]] = {n: [] for name in files.values() if (n := frame_number(name)) is not None}
     for entry in entries:
         name = files.get(str(entry.image_id), str(entry.image_id))
@@ -115,13 +111,13 @@ def _coco(path: Path, data: Any) -> tuple[Detections, str, tuple[str, ...]]:
 def _coco_detection(path: Path, number: int, entry: _CocoEntry, names: Mapping[int, str]) -> Detection:
     """COCO's box is x, y, width, height; its right and lower edges are the half-open maxima."""
     label = entry.label or entry.category
-    if label is None and entry.category_id is None:
-        raise DumpError(f"{path}: frame {number}: expected category_id, category or label")
-    if label is None and entry.category_id is not None:
+    if label is None:
+        if entry.category_id is None:
+            raise DumpError(f"{path}: frame {number}: expected category_id, category or label")
         label = names.get(entry.category_id, f"coco_{entry.category_id}")
     x, y, width, height = entry.bbox
     box = checked_box(f"{path}: frame {number}", x, y, x + width, y + height)
-    return Detection(label or "", box, entry.score, str(entry.id))
+    return Detection(label, box, entry.score, str(entry.id))
 
 
 def load_kitti_labels(files: Mapping[int, Path]) -> Detections:
@@ -130,16 +126,13 @@ def load_kitti_labels(files: Mapping[int, Path]) -> Detections:
     Raises:
         DumpError: names file and line.
     """
-    return {number: _kitti_file(path) for number, path in files.items()}
+    return {number: tuple(_kitti_objects(path)) for number, path in files.items()}
 
 
-def _kitti_file(path: Path) -> tuple[Detection, ...]:
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise DumpError(f"{path}: {error}") from error
-    found = [_kitti_line(f"{path}: line {at}", line.split()) for at, line in enumerate(lines, 1) if line.strip()]
-    return tuple(detection for detection in found if detection.label != _KITTI_IGNORED)
+def _kitti_objects(path: Path) -> Iterator[Detection]:
+    for at, line in enumerate(read_lines(path), 1):
+        if line.strip() and (found := _kitti_line(f"{path}: line {at}", line.split())).label != _KITTI_IGNORED:
+            yield found
 
 
 def _kitti_line(where: str, fields: list[str]) -> Detection:
@@ -150,15 +143,9 @@ def _kitti_line(where: str, fields: list[str]) -> Detection:
     if len(fields) not in (_KITTI_COLUMNS, _KITTI_COLUMNS + 1):
         raise DumpError(f"{where}: expected {_KITTI_COLUMNS} or {_KITTI_COLUMNS + 1} KITTI columns, got {len(fields)}")
     try:
-        x_min, y_min, x_max, y_max = (_finite(value) for value in fields[4:8])
-        score = _finite(fields[15]) if len(fields) > _KITTI_COLUMNS else 1.0
+        x_min, y_min, x_max, y_max, score = (float(text) for text in (*fields[4:8], (*fields[15:], "1")[0]))
     except ValueError as error:
         raise DumpError(f"{where}: {error}") from error
+    if not all(map(math.isfinite, (x_min, y_min, x_max, y_max, score))):
+        raise DumpError(f"{where}: expected numbers that are finite, got {' '.join(fields)}")
     return Detection(fields[0], checked_box(where, x_min, y_min, x_max + 1.0, y_max + 1.0), score)
-
-
-def _finite(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise ValueError(f"{text} is no number")
-    return value

@@ -16,7 +16,7 @@ from typing import Final
 from roadperc_stream.errors import DumpError
 from roadperc_stream.system.time import NS_PER_S
 
-from .json_files import frame_number
+from .json_files import frame_number, read_lines
 
 _UNITS: Final = {"ns": 9, "nsec": 9, "nanoseconds": 9, "us": 6, "ms": 3, "s": 0, "sec": 0, "seconds": 0}
 """Digits behind the decimal point of seconds."""
@@ -151,18 +151,6 @@ def stamps_of_file(path: Path, frames: Sequence[int]) -> dict[int, int]:
             raise DumpError(f"{path}: {len(lines)} stamps for {len(frames)} frames; give 'frame seconds' on each line")
         stamps = {number: (stamp, line) for number, (_, stamp, line) in zip(frames, lines, strict=True)}
     return _increasing(path, frames, stamps)
-
-
-def read_lines(path: Path) -> list[str]:
-    """The lines of a text file.
-
-    Raises:
-        DumpError: it cannot be read.
-    """
-    try:
-        return path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise DumpError(f"{path}: {error}") from error
 
 
 def _lines(path: Path, texts: Sequence[str]) -> list[tuple[int | None, int, int]]:

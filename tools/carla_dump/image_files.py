@@ -11,7 +11,6 @@ from roadperc_stream.errors import DumpError
 from roadperc_stream.formats.images import PNG_MAGIC, format_of
 
 ImageFormat = Literal["png", "jpeg"]
-_JPEG_END: Final = b"\xff\xd9"
 _PNG_MODES: Final = {0: "grey", 2: "RGB", 3: "palette", 4: "grey + alpha", 6: "RGBA"}
 _TAIL_BYTES: Final = 1024
 
@@ -27,10 +26,8 @@ def image_format(path: Path, data: bytes) -> ImageFormat:
         UnreadableFrameError: empty, or neither PNG nor JPEG; the message says what it is.
     """
     name = format_of(data)
-    if name == "PNG":
-        return "png"
-    if name == "JPEG":
-        return "jpeg"
+    if name in ("PNG", "JPEG"):
+        return "png" if name == "PNG" else "jpeg"
     found = f"{name} image" if name else f"no image (starts with {data[:8].hex(' ')})" if data else "empty file"
     raise UnreadableFrameError(f"{path}: {found}, expected PNG or JPEG")
 
@@ -58,8 +55,7 @@ def read_header(path: Path) -> tuple[tuple[int, int], str]:
 
 
 def _require_end(path: Path, form: ImageFormat, tail: bytes) -> None:
-    end = b"IEND" if form == "png" else _JPEG_END
-    if end not in tail:
+    if (b"IEND" if form == "png" else b"\xff\xd9") not in tail:
         raise UnreadableFrameError(f"{path}: {form} is cut off")
 
 

@@ -1,4 +1,4 @@
-"""JSON documents of a dump: read and checked, every fault a DumpError that names file and key."""
+"""Documents of a dump: read and checked, every fault a DumpError that names file and key."""
 
 import json
 import re
@@ -37,6 +37,18 @@ def read_json(path: Path) -> Any:
         raise DumpError(f"{path}: {error.strerror or error}") from error
     except (ValueError, RecursionError) as error:
         raise DumpError(f"{path}: not JSON: {error}") from error
+
+
+def read_lines(path: Path) -> list[str]:
+    """The lines of a text file.
+
+    Raises:
+        DumpError: it cannot be read.
+    """
+    try:
+        return path.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise DumpError(f"{path}: {error}") from error
 
 
 def checked(path: Path, expected: TypeAdapter[T], data: Any) -> T:

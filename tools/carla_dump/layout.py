@@ -105,7 +105,11 @@ def _entries(folder: Path) -> list[Path]:
 
 def _candidates(entries: Sequence[Path], notes: list[str]) -> Iterator[Sensor]:
     yield from _flat_sensors([entry for entry in entries if _may_be_frame(entry)], notes)
-    notes += [f"{entry.name} is not used: {_KNOWN_DOCUMENTS}" for entry in entries if _is_unknown_document(entry)]
+    notes += [
+        f"{entry.name} is not used: {_KNOWN_DOCUMENTS}"
+        for entry in entries
+        if entry.suffix.lower() in _DOCUMENT_SUFFIXES and entry.name not in _DOCUMENT_NAMES and entry.is_file()
+    ]
     for folder in (entry for entry in entries if entry.is_dir()):
         if folder.name == _TRUTH_FOLDER:
             yield from _truth_sensors(folder, notes)
@@ -147,10 +151,6 @@ def _may_be_frame(path: Path) -> bool:
     return path.is_file() and path.suffix.lower() in _FRAME_SUFFIXES and path.name not in _DOCUMENT_NAMES
 
 
-def _is_unknown_document(path: Path) -> bool:
-    return path.is_file() and path.suffix.lower() in _DOCUMENT_SUFFIXES and path.name not in _DOCUMENT_NAMES
-
-
 def _label_files(folder: Path) -> list[Path]:
     return [p for p in _entries(folder) if p.suffix == ".txt" and p.name not in _DOCUMENT_NAMES]
 
@@ -185,8 +185,9 @@ def _flat_sensors(files: Iterable[Path], notes: list[str]) -> Iterator[Sensor]:
     """Sensors of files that lie in the dump itself, recognised by their names: ``left.png``, ``depth_0001.png``."""
     groups: dict[str, list[Path]] = {}
     for path in files:
-        role = _flat_role(path.stem)
-        if role:
+        # Without its frame number; a bare number is a camera image.
+        words = re.sub(r"[0-9]+(?=[^0-9]*$)", "", path.stem).strip("_-. ")
+        if role := role_of(words) if words else "image":
             groups.setdefault(role, []).append(path)
         else:
             notes.append(f"{path.name} is left out: its name fits no role (--role)")
@@ -194,12 +195,6 @@ def _flat_sensors(files: Iterable[Path], notes: list[str]) -> Iterator[Sensor]:
         alone = len(group) == 1 and _stands_alone(group[0])
         source = group[0].name if len(group) == 1 else f"{group[0].name} to {group[-1].name}"
         yield _numbered(role, source, group, notes, alone=alone)
-
-
-def _flat_role(stem: str) -> str | None:
-    """Role of a name without its frame number; a bare number is a camera image."""
-    words = re.sub(r"[0-9]+(?=[^0-9]*$)", "", stem).strip("_-. ")
-    return role_of(words) if words else "image"
 
 
 def _document(dump: Path, kind: str, overrides: Mapping[str, Path]) -> Path | None:

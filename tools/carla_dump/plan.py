@@ -166,11 +166,9 @@ def _origin_in_words(layout: DumpLayout, said: CalibrationFile, used: Calibratio
     matrices = [said.P_left, said.K, *(camera.K for camera in said.cameras.values())]
     if all(matrix is None for matrix in matrices):
         return ""
-    if "pixel_origin" in said.model_fields_set:
-        how = "as calibration.json says"
-    else:
-        how = "as KITTI has it" if _is_kitti(layout) else "as CARLA has it"
-    return f"the first pixel's {used.pixel_origin}, {how}"
+    stated = "pixel_origin" in said.model_fields_set
+    how = "calibration.json says" if stated else f"{'KITTI' if _is_kitti(layout) else 'CARLA'} has it"
+    return f"the first pixel's {used.pixel_origin}, as {how}"
 
 
 def _surveys(layout: DumpLayout, options: ConvertOptions, notes: list[str]) -> dict[str, SensorSurvey]:
@@ -191,10 +189,9 @@ def _surveys(layout: DumpLayout, options: ConvertOptions, notes: list[str]) -> d
 def _depth_encoding(files: Sequence[Path], camera: Camera, options: ConvertOptions, notes: list[str]) -> DepthEncoding:
     """The encoding of a sensor's depth; what was decided of 8-bit grey is noted."""
     found = depth_encoding(files)
-    if found not in GREY:
-        return found
-    found, why = grey_encoding(files, camera, options.grey_depth)
-    notes.append(why)
+    if found in GREY:
+        found, why = grey_encoding(files, camera, options.grey_depth)
+        notes.append(why)
     return found
 
 
@@ -259,16 +256,13 @@ def _stamps_beside(layout: DumpLayout) -> Path | None:
 def _tags(
     surveys: Mapping[str, SensorSurvey], options: ConvertOptions, carla_tags: str | None
 ) -> tuple[dict[str, TagEncoding], TagTable | None, str]:
-    encodings: dict[str, TagEncoding] = {}
-    table: TagTable | None = None
-    source = ""
-    for role in (r for r in _TAG_ROLES if r in surveys):
-        encoding, seen = tag_encoding(surveys[role].paths, allow_lossy=options.allow_lossy_tags)
-        encodings[role] = encoding
-        if table is None:
-            version = options.carla or carla_tags
-            table, source = choose_table(version, encoding, seen, surveys[role].sensor.source)
-    return encodings, table, source
+    roles = [role for role in _TAG_ROLES if role in surveys]
+    if not roles:
+        return {}, None, ""
+    found = {role: tag_encoding(surveys[role].paths, allow_lossy=options.allow_lossy_tags) for role in roles}
+    first = roles[0]
+    table, source = choose_table(options.carla or carla_tags, *found[first], surveys[first].sensor.source)
+    return {role: encoding for role, (encoding, _) in found.items()}, table, source
 
 
 def _detections(layout: DumpLayout, notes: list[str]) -> tuple[Mapping[int, tuple[Detection, ...]], str]:

@@ -65,9 +65,8 @@ def _same_files(ours: Mapping[int, Path], theirs: Mapping[int, Path]) -> bool:
     """Whether both hold the same frames, by sizes and by the first frame's bytes."""
     if ours.keys() != theirs.keys():
         return False
-    if any(ours[number].stat().st_size != theirs[number].stat().st_size for number in ours):
-        return False
-    return ours[min(ours)].read_bytes() == theirs[min(theirs)].read_bytes()
+    same_sizes = all(ours[number].stat().st_size == theirs[number].stat().st_size for number in ours)
+    return same_sizes and ours[min(ours)].read_bytes() == theirs[min(theirs)].read_bytes()
 
 
 def survey(sensor: Sensor) -> SensorSurvey:

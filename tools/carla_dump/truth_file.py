@@ -22,7 +22,7 @@ from roadperc_stream.model import Boundary, Detection, HeightGrid, Lanes, Object
 from roadperc_stream.model.results import LaneChange
 
 from .detection_files import checked_box
-from .json_files import Document, Numbers3, Numbers4, by_frame, checked, read_json
+from .json_files import Document, Numbers3, Numbers4, by_frame, checked, read_json, read_lines
 
 COLUMNS = ("frame", "x", "y", "z", "roll", "pitch", "yaw")
 
@@ -51,10 +51,6 @@ class _Transform(Document):
     yaw: FiniteFloat = Field(validation_alias=AliasPath("rotation", "yaw"))
 
 
-_TRANSFORMS = TypeAdapter(dict[str, _Transform])
-_ROWS = TypeAdapter(dict[str, CarlaPose])
-
-
 def right_handed(pose: CarlaPose | _Transform) -> Float:
     """(4, 4) right-handed parent_T_body of a CARLA pose, metres."""
     roll, pitch, yaw = np.deg2rad((pose.roll, -pose.pitch, -pose.yaw))
@@ -73,18 +69,15 @@ def load_poses(path: Path) -> dict[int, Float]:
         DumpError: the file is neither the JSON nor the table expected, or holds values that are no pose.
     """
     if path.suffix == ".json":
-        entries = checked(path, _TRANSFORMS, read_json(path))
-        return {number: right_handed(pose) for number, pose in by_frame(path, entries).items()}
-    rows = checked(path, _ROWS, _read_table(path))
-    return {number: right_handed(pose) for number, pose in by_frame(path, rows).items()}
+        poses: Mapping[str, CarlaPose | _Transform] = checked(path, TypeAdapter(dict[str, _Transform]), read_json(path))
+    else:
+        poses = checked(path, TypeAdapter(dict[str, CarlaPose]), _read_table(path))
+    return {number: right_handed(pose) for number, pose in by_frame(path, poses).items()}
 
 
 def _read_table(path: Path) -> dict[str, dict[str, str]]:
     """Rows by frame of a table with a header line, separated by commas or blanks."""
-    try:
-        lines = [line for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
-    except (OSError, UnicodeDecodeError) as error:
-        raise DumpError(f"{path}: {error}") from error
+    lines = [line for line in read_lines(path) if line.strip()]
     split = list(csv.reader(lines)) if lines and "," in lines[0] else [line.split() for line in lines]
     rows = [[cell.strip() for cell in row] for row in split]
     header = [name.lower() for name in rows[0]] if rows else []

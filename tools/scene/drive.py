@@ -4,17 +4,18 @@ Houses, lamp posts, trees and parked cars stand slot by slot along s. Every slot
 drive can be as long as one likes and each place looks the same whenever one comes by.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from math import ceil, floor
 from typing import Final
 
 import numpy as np
 
-from roadperc_stream.geometry import Float
+from roadperc_stream.geometry import Float, rigid
+from roadperc_stream.geometry.rotations import rotation_from_rpy
 
 from .ego import Ego, LaneChangeState, lane_changes, shake_of
-from .faces import Faces, Thing, Vector, building, car, lamp_post, together, tree
+from .faces import Faces, Thing, building, car, lamp_post, together, tree
 from .options import RenderOptions
 from .scenario import pair_of
 from .shade import Shadow
@@ -49,12 +50,12 @@ class Fixtures:
             (self._house, HOUSE_SLOT_M, -25.0, 230.0),
             (self._post, POST_SLOT_M, -5.0, 130.0),
             (self._tree, TREE_SLOT_M, -8.0, 120.0),
-            (self._parked, self._parking_slot_m, -6.0, 100.0),
+            (self._parked, ROW_SLOT_M if self.parked_rows else PARKING_SLOT_M, -6.0, 100.0),
         )
         return [
             fixture
             for place, slot_m, behind_m, ahead_m in kinds
-            for slot in _slots(s_m + behind_m, s_m + ahead_m, slot_m)
+            for slot in range(floor((s_m + behind_m) / slot_m), ceil((s_m + ahead_m) / slot_m))
             for side in (1, -1)
             if (fixture := place(slot, side)) is not None and self._is_free(fixture, place == self._house)
         ]
@@ -70,21 +71,14 @@ class Fixtures:
         other = own + HOUSE_SLOT_M if is_house else crossing.curb_m + crossing.corner_m
         return bool(distances.min() > own - 0.5 and distances.max() > other)
 
-    @property
-    def _parking_slot_m(self) -> float:
-        return ROW_SLOT_M if self.parked_rows else PARKING_SLOT_M
-
     def _rng(self, slot: int, side: int, kind: int) -> np.random.Generator:
         return np.random.default_rng((self.seed, 101, kind, side + 1, slot + 1_000_000))
 
     def _upright(self, name: str, faces: Faces, s_m: float, d_m: float, turn: float) -> Thing:
         """Placed with its axis vertical, whatever the slope."""
-        x, y, heading = (float(v[0]) for v in self.world.path.pose(np.array([s_m])))
-        yaw = heading + turn
-        pose = np.eye(4)
-        pose[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
-        pose[:2, 3] = x - d_m * np.sin(heading), y + d_m * np.cos(heading)
-        pose[2, 3] = self.world.terrain.height(pose[:1, 3])[0]
+        x, y, heading = self.world.place(s_m, d_m)
+        height = self.world.terrain.height(np.array([x]))[0]
+        pose = rigid(rotation_from_rpy(0.0, 0.0, heading + turn), np.array([x, y, height]))
         return _standing(name, "", faces, pose)
 
     @lru_cache(maxsize=256)  # noqa: B019 - a layout lives as long as its run
@@ -92,10 +86,9 @@ class Fixtures:
         rng = self._rng(slot, side, 0)
         length, depth, floors = rng.uniform(11.5, 15.5), rng.uniform(8.0, 12.0), int(rng.integers(1, 4))
         b, g, r = (float(c) for c in rng.uniform(0.82, 1.08) * rng.uniform(0.94, 1.06, 3))
-        tint: Vector = (b, g, r)
         if rng.random() < 0.12:
             return None
-        faces = building(int(rng.integers(100)), length, depth, 3.2 * floors + 0.5, tint)
+        faces = building(int(rng.integers(100)), length, depth, 3.2 * floors + 0.5, (b, g, r))
         setback = self.world.section.walk_m + rng.uniform(0.2, 2.0)
         turn = np.pi if side > 0 else 0.0
         s = (slot + 0.5) * HOUSE_SLOT_M
@@ -104,9 +97,8 @@ class Fixtures:
     @lru_cache(maxsize=256)  # noqa: B019
     def _post(self, slot: int, side: int) -> Thing:
         s = (slot + (0.3 if side > 0 else 0.75)) * POST_SLOT_M
-        faces = lamp_post(-side)
         d = self.world.road.aside(side, s, self.world.section.curb_m + 0.5)
-        return self._upright(f"post{side}:{slot}", faces, s, d, 0.0)
+        return self._upright(f"post{side}:{slot}", lamp_post(-side), s, d, 0.0)
 
     @lru_cache(maxsize=256)  # noqa: B019
     def _tree(self, slot: int, side: int) -> Thing | None:
@@ -120,8 +112,8 @@ class Fixtures:
     @lru_cache(maxsize=256)  # noqa: B019
     def _parked(self, slot: int, side: int) -> Thing | None:
         rng = self._rng(slot, side, 2)
-        sway_m = ROW_SWAY_M if self.parked_rows else 0.8
-        s = (slot + 0.5) * self._parking_slot_m + rng.uniform(-sway_m, sway_m)
+        slot_m, sway_m = (ROW_SLOT_M, ROW_SWAY_M) if self.parked_rows else (PARKING_SLOT_M, 0.8)
+        s = (slot + 0.5) * slot_m + rng.uniform(-sway_m, sway_m)
         d = self.world.road.aside(side, s, self.world.section.curb_m - PARKED_M - rng.uniform(-0.1, 0.1))
         taken = self.world.section.outside_right == "road" and (rng.random() < 0.42 or self.parked_rows)
         if not taken:
@@ -133,10 +125,6 @@ class Fixtures:
 
 def _standing(name: str, label: str, faces: Faces, world_T_body: Float) -> Thing:
     return Thing(name, label, faces.moved(world_T_body), lambda _: world_T_body)
-
-
-def _slots(from_m: float, to_m: float, slot_m: float) -> Iterator[int]:
-    return iter(range(int(np.floor(from_m / slot_m)), int(np.ceil(to_m / slot_m))))
 
 
 @dataclass(frozen=True)

@@ -76,9 +76,7 @@ class _Job:
     detections: dict[str, Any] = field(default_factory=dict)
     poses: dict[str, Any] = field(default_factory=dict)
     stamps: list[str] = field(default_factory=list)
-    lanes: dict[str, Any] = field(default_factory=dict)
-    surface: dict[str, Any] = field(default_factory=dict)
-    objects: dict[str, Any] = field(default_factory=dict)
+    truth: dict[str, dict[str, Any]] = field(default_factory=lambda: {"lanes": {}, "surface": {}, "objects": {}})
     ids: dict[str, int] = field(default_factory=dict)
     """Number of each thing that has come into view, by its name."""
 
@@ -100,15 +98,19 @@ class _Job:
         self.detections[name] = noise.detect(moment, rig.camera, world_T_camera, objects, rng)
         self.poses[name] = dump.carla_transform(moment.world_T_ego)
         self.stamps.append(f"{name} {moment.time_s:.9f}\n")
-        self.lanes[name] = lanes_truth(moment, with_change=options.knows_path)
-        self.surface[name] = surface_truth(moment, rig)
-        self.objects[name] = entries
+        self.truth["lanes"][name] = lanes_truth(moment, with_change=options.knows_path)
+        self.truth["surface"][name] = surface_truth(moment, rig)
+        self.truth["objects"][name] = entries
 
     def write_records(self) -> None:
         """Write the JSON files and the stamps."""
-        truth = {"lanes": self.lanes, "surface": self.surface, "objects": self.objects}
         calibration = dump.calibration(self.rig, self.options.rate_hz, lidar=self.options.lidar)
-        documents = {"calibration": calibration, "detections": self.detections, "poses": self.poses, "truth": truth}
+        documents = {
+            "calibration": calibration,
+            "detections": self.detections,
+            "poses": self.poses,
+            "truth": self.truth,
+        }
         for name, content in documents.items():
             dump.write_json(self.folder / f"{name}.json", content)
         dump.write_file(self.folder / "timestamps.txt", "".join(self.stamps).encode())

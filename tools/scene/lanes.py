@@ -149,11 +149,6 @@ class Along:
     s_m: tuple[float, ...]
     value: tuple[float, ...]
 
-    @property
-    def constant(self) -> bool:
-        """Whether it is the same everywhere."""
-        return len(set(self.value)) == 1
-
     def at(self, s_m: Real | float) -> Float:
         """The quantity at s of any shape."""
         return np.asarray(np.interp(s_m, self.s_m, self.value))

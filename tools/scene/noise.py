@@ -42,20 +42,16 @@ def noisy_tags(tags: Tags, share: float, rng: np.random.Generator) -> Tags:
     while area < share * tags.size:
         low, high = (radius * scale for radius in BLOB_RADIUS_PX)
         axes = rng.uniform(low, high, 2)
-        centre = rng.uniform((0, 0), tags.shape[::-1])
-        _ellipse(wrong, centre, axes, float(rng.uniform(0, 180)), int(rng.choice(classes)))
+        x, y = (round(c) for c in rng.uniform((0, 0), tags.shape[::-1]))
+        a, b = (max(round(c), 1) for c in axes)
+        angle = float(rng.uniform(0, 180))
+        cv2.ellipse(wrong, (x, y), (a, b), angle, 0, 360, int(rng.choice(classes)), -1)
         area += float(np.pi * axes.prod())
     wrong = _wobbled(wrong, 3.0 * scale, WOBBLE_CELL_PX * scale / 2, rng)
     np.copyto(result, wrong, where=wrong != 255)
     salt = rng.integers(0, tags.size, round(SALT * share * tags.size))
     result.ravel()[salt] = rng.choice(classes, len(salt))
     return result
-
-
-def _ellipse(picture: Tags, centre: NDArray[np.float64], axes: NDArray[np.float64], angle: float, tag: int) -> None:
-    x, y = (round(c) for c in centre)
-    a, b = (max(round(c), 1) for c in axes)
-    cv2.ellipse(picture, (x, y), (a, b), angle, 0, 360, tag, -1)
 
 
 def _wobbled(tags: Tags, deviation_px: float, cell_px: float, rng: np.random.Generator) -> Tags:

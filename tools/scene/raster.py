@@ -66,25 +66,19 @@ def _draw(
     inside = q2 > inverse_depth
     if not inside.any():
         return
-    for row in (0, 1):
-        q = (H[row, 0] * u) + (H[row, 1] * v + H[row, 2])
+    for i in (0, 1):
+        q = (H[i, 0] * u) + (H[i, 1] * v + H[i, 2])
         inside &= q >= 0
         inside &= q <= q2
     if texture is not None:
-        _cut(inside, H, corner, *texture)
+        (u0, du, v0, dv), outline = texture
+        y, x = np.nonzero(inside)
+        q0, q1, q2_there = H @ np.stack((x + corner[0], y + corner[1], np.ones(len(x))))
+        column = np.rint(u0 + du * q0 / q2_there).astype(np.intp)
+        row = np.rint(v0 + dv * q1 / q2_there).astype(np.intp)
+        inside[y, x] = outline[row, column]
     np.copyto(inverse_depth, q2, where=inside, casting="same_kind")
     owner[inside] = number
-
-
-def _cut(
-    inside: NDArray[np.bool_], H: Float, corner: tuple[int, int], patch: Float, outline: NDArray[np.bool_]
-) -> None:
-    """Takes away what lies outside the texture's outline."""
-    y, x = np.nonzero(inside)
-    q0, q1, q2 = H @ np.stack((x + corner[0], y + corner[1], np.ones(len(x))))
-    u0, du, v0, dv = patch
-    column, row = np.rint(u0 + du * q0 / q2).astype(np.intp), np.rint(v0 + dv * q1 / q2).astype(np.intp)
-    inside[y, x] = outline[row, column]
 
 
 def _facing(faces: Faces) -> Faces:

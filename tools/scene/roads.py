@@ -155,7 +155,7 @@ class Road:
 
     def section_d(self, s_m: Real, d_m: Real) -> Real:
         """The place in the cross-section of (s, d): the right half's outer part is moved outwards."""
-        if not self.wider_m.value[0] and self.wider_m.constant:
+        if not any(self.wider_m.value):
             return d_m
         inner = -self.section.lane_m
         moved = np.minimum(d_m + self.wider_m.at(s_m), inner + LINE_M)

@@ -45,14 +45,9 @@ class SpeedProfile:
         return s_m + speed * since + acceleration * since**2 / 2, speed + acceleration * since
 
 
-def stopping(speed_mps: float, braking_mps2: float) -> Phase:
-    """The phase from a speed to a standstill."""
-    return speed_mps / braking_mps2, -braking_mps2
-
-
-def starting(speed_mps: float, acceleration_mps2: float) -> Phase:
-    """The phase from a standstill to a speed."""
-    return speed_mps / acceleration_mps2, acceleration_mps2
+def ramp(speed_mps: float, acceleration_mps2: float) -> Phase:
+    """The phase from a standstill to a speed or, with a negative acceleration, back."""
+    return speed_mps / abs(acceleration_mps2), acceleration_mps2
 
 
 BRAKES_AFTER_S: Final = 2.0
@@ -98,9 +93,9 @@ def pair_of(options: RenderOptions) -> Pair:
 def hard_braking(speed_mps: float) -> Pair:
     """The car before brakes hard to a standstill, the ego car brakes late, and both drive off again."""
     gap = max(GAP_S * speed_mps, CAR_M[0] + 2.0)
-    off = starting(speed_mps, DRIVE_OFF_MPS2)
-    leader = SpeedProfile(gap, speed_mps, ((BRAKES_AFTER_S, 0.0), stopping(speed_mps, HARD_MPS2), (STAND_S, 0.0), off))
-    ego_stop = stopping(speed_mps, HARDER_MPS2)
+    off = ramp(speed_mps, DRIVE_OFF_MPS2)
+    leader = SpeedProfile(gap, speed_mps, ((BRAKES_AFTER_S, 0.0), ramp(speed_mps, -HARD_MPS2), (STAND_S, 0.0), off))
+    ego_stop = ramp(speed_mps, -HARDER_MPS2)
     leader_stops_m = leader.at(BRAKES_AFTER_S + speed_mps / HARD_MPS2)[0]
     room = leader_stops_m - CAR_M[0] - NEAR_MISS_M - speed_mps * ego_stop[0] / 2
     brakes_s = room / speed_mps
@@ -119,7 +114,7 @@ def slow_turn(speed_mps: float) -> SpeedProfile:
 
 def queue(speed_mps: float, seconds: float) -> Pair:
     """Both drive off, drive, brake and stand, again and again; the ego car does all of it a little later."""
-    brake, off = stopping(speed_mps, QUEUE_MPS2), starting(speed_mps, DRIVE_OFF_MPS2)
+    brake, off = ramp(speed_mps, -QUEUE_MPS2), ramp(speed_mps, DRIVE_OFF_MPS2)
     wave: tuple[Phase, ...] = ((CRUISE_S, 0.0), brake, (STAND_S, 0.0), off)
     times = int(seconds / sum(phase[0] for phase in wave)) + 2
     gap = CAR_M[0] + QUEUE_GAP_M + speed_mps * REACTION_S

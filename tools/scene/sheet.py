@@ -51,13 +51,22 @@ class Drawing:
     outline: NDArray[np.bool_]
 
 
-def _grained(colour: NDArray[np.float32], rng: np.random.Generator, share: float, paint: int) -> Drawing:
-    """The picture with grain of a relative strength at every scale, taking the tint everywhere."""
-    height, width = colour.shape[:2]
-    noise = pink_noise((height, width), rng)[..., None] * np.float32(share)
+def _grained(
+    colour: NDArray[np.float32],
+    rng: np.random.Generator,
+    share: float,
+    paint: int | Texels,
+    outline: NDArray[np.bool_] | None = None,
+) -> Drawing:
+    """The picture with grain of a relative strength at every scale, whole unless an outline (H, W) cuts it.
+
+    ``paint`` says how much of the tint it takes, everywhere or (H, W) by texel.
+    """
+    size = colour.shape[:2]
+    noise = pink_noise((size[0], size[1]), rng)[..., None] * np.float32(share)
     picture = np.clip(colour * (1 + noise), 0, 255).astype(np.uint8)
-    tinted = np.dstack((picture, np.full((height, width), paint, np.uint8)))
-    return Drawing(tinted, np.ones((height, width), np.bool_))
+    tinted = np.dstack((picture, np.broadcast_to(np.uint8(paint), size)))
+    return Drawing(tinted, np.ones(size, np.bool_) if outline is None else outline)
 
 
 def _plain(rng: np.random.Generator) -> Drawing:
@@ -131,8 +140,7 @@ def _car_side(rng: np.random.Generator) -> Drawing:
             cv2.circle(picture, centre, round(radius * CAR_TEXELS_PER_M), (colour,) * 3, -1)
         cv2.circle(paint, centre, round((WHEEL_RADIUS_M + 0.06) * CAR_TEXELS_PER_M), 0, -1)
         cv2.circle(outline, centre, round(WHEEL_RADIUS_M * CAR_TEXELS_PER_M) - 1, 1, -1)
-    drawn = _grained(picture, rng, 0.06, 255)
-    return Drawing(np.dstack((drawn.texels[..., :3], paint)), outline > 0)
+    return _grained(picture, rng, 0.06, paint, outline > 0)
 
 
 def _car_end(lamps: Colour, grille: Colour, rng: np.random.Generator) -> Drawing:
@@ -150,8 +158,7 @@ def _car_end(lamps: Colour, grille: Colour, rng: np.random.Generator) -> Drawing
     for low, high, colour in parts:
         cv2.rectangle(picture, low, high, colour, -1)
         cv2.rectangle(paint, low, high, 0, -1)
-    drawn = _grained(picture, rng, 0.06, 255)
-    return Drawing(np.dstack((drawn.texels[..., :3], paint)), drawn.outline)
+    return _grained(picture, rng, 0.06, paint)
 
 
 def _glass(rng: np.random.Generator) -> Drawing:
@@ -168,7 +175,7 @@ def _crown(rng: np.random.Generator) -> Drawing:
     clumps = clumps / np.float32(clumps.std())
     outline = np.hypot(x, y) < 0.84 + 0.09 * clumps
     picture = np.full((side, side, 3), (52, 92, 66), np.float32) * (1 + 0.16 * clumps[..., None])
-    return Drawing(_grained(picture, rng, 0.3, 120).texels, outline)
+    return _grained(picture, rng, 0.3, 120, outline)
 
 
 DRAWINGS: Final[tuple[tuple[str, Callable[[np.random.Generator], Drawing]], ...]] = (

@@ -52,7 +52,8 @@ class Traffic:
 
     def at(self, time_s: float) -> list[Thing]:
         """Those that may be seen at a time, in a fixed order."""
-        leaders = self._leaders() if self.leader is None else self._led(self.leader)
+        motion = self.leader
+        leaders = self._leaders() if motion is None else (self._before(0, lambda time_s: motion.at(time_s)[0]),)
         # People run across before a car whose speed is constant; before another they would be run over.
         crossing = self._crossing(time_s) if self.ego.motion is None else ()
         across = self._across() if self.crossing_cars else ()
@@ -67,23 +68,22 @@ class Traffic:
         headway = max(HEADWAY_MIN_M, HEADWAY_S * self.ego.speed_mps)
         for i, (gap, swing, period) in enumerate(((headway, 0.18, 11.0), (headway + 34.0, 0.1, 17.0))):
 
-            def pose(time_s: float, gap: float = gap, swing: float = swing, period: float = period) -> Float:
+            def s_at(time_s: float, gap: float = gap, swing: float = swing, period: float = period) -> float:
                 ahead = gap * (1 + swing * np.sin(2 * np.pi * time_s / period))
                 if self.ego.static:
                     ahead = gap + self.ego.speed_mps * time_s
-                s = self.ego.s(time_s) + ahead
-                return self.world.ground_pose(s, self.world.road.lanes.start.way_m(s))
+                return self.ego.s(time_s) + float(ahead)
 
-            yield Thing(f"leader:{i}", "Car", car(int(self._rng(0, i).integers(100))), pose)
+            yield self._before(i, s_at)
 
-    def _led(self, motion: SpeedProfile) -> Iterator[Thing]:
-        """One car in the ego's lane with a motion of its own."""
+    def _before(self, number: int, s_at: Callable[[float], float]) -> Thing:
+        """A car in the ego's lane whose way along the road is given by the time."""
 
         def pose(time_s: float) -> Float:
-            s = motion.at(time_s)[0]
+            s = s_at(time_s)
             return self.world.ground_pose(s, self.world.road.lanes.start.way_m(s))
 
-        yield Thing("leader:0", "Car", car(int(self._rng(0, 0).integers(100))), pose)
+        return Thing(f"leader:{number}", "Car", car(int(self._rng(0, number).integers(100))), pose)
 
     def _oncoming(self, time_s: float) -> Iterator[Thing]:
         """An endless row of cars in the other lane, numbered by where they were at time 0."""
@@ -170,8 +170,7 @@ class Traffic:
 
     def _on_foot(self, s_m: float, d_m: float, turn: float) -> Float:
         """Pose of somebody upright on the road or, beyond the curb, on the sidewalk."""
-        x, y, heading = (float(v[0]) for v in self.world.path.pose(np.array([s_m])))
-        x, y = x - d_m * np.sin(heading), y + d_m * np.cos(heading)
+        x, y, heading = self.world.place(s_m, d_m)
         beyond = abs(float(self.world.road.section_d(np.array([s_m]), np.array([d_m]))[0])) > self.world.section.curb_m
         step = CURB_HEIGHT_M if beyond else 0.0
         height = float(self.world.terrain.height(np.array([x]))[0]) + step

@@ -29,8 +29,7 @@ def lanes_truth(moment: SceneMoment, *, with_change: bool) -> dict[str, Any]:
     None for an edge that is not there. ``with_change`` adds whether the lane is being changed.
     """
     lane = moment.scenery.world.road.lanes.at(moment.scenery.s_m, moment.d_m)
-    edges = {"left": None, "right": None} if lane is None else {"left": lane.left, "right": lane.right}
-    sides: dict[str, Any] = {side: None if edge is None else _boundary(moment, edge) for side, edge in edges.items()}
+    sides: dict[str, Any] = {side: lane and _boundary(moment, getattr(lane, side)) for side in ("left", "right")}
     if with_change:
         sides |= {"lane_change": moment.lane_change.direction, "lane_changes": moment.lane_change.count}
     return sides

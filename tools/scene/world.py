@@ -87,9 +87,7 @@ class Terrain:
         return np.where(strip < len(view), hit, np.inf)
 
 
-def level_ground() -> Terrain:
-    """Flat ground at height 0."""
-    return Terrain(np.zeros(1), np.zeros(1))
+LEVEL_GROUND: Final = Terrain(np.zeros(1), np.zeros(1))
 
 
 def rolling_ground(length_m: float, wave_m: float, max_grade: float, knot_m: float = 2.0) -> Terrain:
@@ -136,13 +134,17 @@ class World:
         """The road's cross-section."""
         return self.road.section
 
+    def place(self, s_m: float, d_m: float) -> tuple[float, float, float]:
+        """x, y and the road's heading at (s, d)."""
+        x, y, heading = (float(v[0]) for v in self.path.pose(np.array([s_m])))
+        return x - d_m * np.sin(heading), y + d_m * np.cos(heading), heading
+
     def ground_pose(self, s_m: float, d_m: float, turn: float = 0.0) -> Float:
         """world_T_body of a body on its wheels at (s, d), turned by ``turn`` radians against the road.
 
         Its x and y axes lie in the plane of the wheels, which are a wheelbase apart; its origin touches the ground.
         """
-        x, y, heading = (float(v[0]) for v in self.path.pose(np.array([s_m])))
-        x, y = x - d_m * np.sin(heading), y + d_m * np.cos(heading)
+        x, y, heading = self.place(s_m, d_m)
         height, slope = self.terrain.below(x, WHEELBASE_M / 2)
         yaw = heading + turn
         forward = np.array([np.cos(yaw), np.sin(yaw), slope * np.cos(yaw)])
@@ -156,10 +158,10 @@ def make_world(options: RenderOptions, length_m: float) -> World:
     """The world for a drive of ``length_m`` along the road, which starts at s = 0."""
     name = options.scene
     wave_m = _WAVES_M.get(name)
-    terrain = rolling_ground(length_m + MARGIN_M, wave_m, _MAX_GRADE) if wave_m else level_ground()
+    terrain = rolling_ground(length_m + MARGIN_M, wave_m, _MAX_GRADE) if wave_m else LEVEL_GROUND
     road = road_of(options)
     if road.crossing is not None:
-        return World(name, road.crossing.path, level_ground(), road)
+        return World(name, road.crossing.path, LEVEL_GROUND, road)
     if options.bumps:
         terrain = with_bumps(terrain, length_m + MARGIN_M)
     return World(name, _path(name, length_m), terrain, road)

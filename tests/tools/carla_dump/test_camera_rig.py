@@ -63,20 +63,26 @@ def test_other_intrinsics_of_the_depth_camera_are_calibrated():
     assert found.camera_of("segmentation").fx == 640
 
 
-def test_a_mounted_pair():
-    found = rig(roles=("image", "right"), mounting={"rgb": RGB, "right": {**RGB, "y": 0.5}})
+PAIR = ("image", "right")
+
+
+@pytest.mark.parametrize(
+    ("content", "edge", "place"),
+    [
+        ({"mounting": {"rgb": RGB, "right": {**RGB, "y": 0.5}}}, ("ego", "camera_right"), [1.5, -0.5, 1.4]),
+        (
+            {"mounting": {"rgb": {**RGB, "yaw": 90}}, "baseline_m": 0.5},
+            ("ego", "camera_right"),
+            [1.0, 0.0, 1.4],
+        ),
+        ({"baseline_m": 0.5}, ("camera_front", "camera_right"), [0.5, 0, 0]),
+    ],
+    ids=["mounted", "baseline and front mounting", "baseline alone"],
+)
+def test_the_right_camera_has_its_place_and_baseline(content, edge, place):
+    found = rig(roles=PAIR, **content)
     assert found.cameras["right_calibration"].baseline_m == pytest.approx(0.5)
-    np.testing.assert_allclose(edges(found)["ego", "camera_right"][:3, 3], [1.5, -0.5, 1.4])
-
-
-def test_a_baseline_and_the_front_mounting_place_the_right_camera():
-    found = rig(roles=("image", "right"), mounting={"rgb": {**RGB, "yaw": 90}}, baseline_m=0.5)
-    np.testing.assert_allclose(edges(found)["ego", "camera_right"][:3, 3], [1.0, 0.0, 1.4], atol=1e-12)
-
-
-def test_a_baseline_alone_gives_the_edge_between_the_cameras():
-    found = rig(roles=("image", "right"), baseline_m=0.5)
-    np.testing.assert_allclose(edges(found)["camera_front", "camera_right"][:3, 3], [0.5, 0, 0])
+    np.testing.assert_allclose(edges(found)[edge][:3, 3], place, atol=1e-12)
 
 
 def test_the_left_camera_as_front_takes_its_mounting():
@@ -92,7 +98,7 @@ def test_a_left_camera_beside_the_front_one_is_the_pairs_base():
 
 
 def test_a_pair_without_a_baseline_is_said():
-    found = rig(roles=("image", "right"))
+    found = rig(roles=PAIR)
     assert found.cameras["right_calibration"].baseline_m is None
     assert "baseline unknown" in found.notes[0]
 
@@ -114,7 +120,7 @@ def test_unknown_names_and_a_shifted_segmentation_are_said():
 )
 def test_contradictions_are_errors(content, fault):
     with pytest.raises(DumpError, match=fault):
-        rig(roles=("image", "right"), **content)
+        rig(roles=PAIR, **content)
 
 
 def test_an_unknown_size_is_an_error():

@@ -5,27 +5,31 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from roadperc_stream.errors import DumpError
-from roadperc_stream.tools.carla_dump.depth_files import carla_metres, depth_encoding, depth_metres, logarithmic_metres
+from roadperc_stream.geometry import Camera
+from roadperc_stream.tools.carla_dump.depth_files import (
+    ENCODINGS,
+    carla_metres,
+    depth_encoding,
+    depth_metres,
+    grey_encoding,
+)
 from roadperc_stream.tools.carla_dump.pixel_files import load_pixels
-from tests.tools.dump_writer import HEIGHT, WIDTH, camera_pixels, carla_codes, depth_m, jpeg, png
+from tests.analytic import Road
+from tests.tools.dump_writer import HEIGHT, WIDTH, alpha, camera_pixels, carla_codes, depth_m, jpeg, npy, png
 
-
-def alpha(pixels):
-    return np.dstack((pixels, np.full(pixels.shape[:2], 255, np.uint8)))
+CODINGS = {
+    "linear": lambda metres: metres / 1000.0,
+    "linear-50": lambda metres: np.minimum(metres / 50.0, 1.0),
+    "logarithmic": lambda metres: 1.0 + np.log(metres / 1000.0) / 5.70378,
+}
 
 
 def log_grey(metres):
-    return np.rint((1.0 + np.log(metres / 1000.0) / 5.70378) * 255.0).clip(0, 255).astype(np.uint8)
+    return np.rint(CODINGS["logarithmic"](metres) * 255.0).clip(0, 255).astype(np.uint8)
 
 
 def csv(path, values):
     np.savetxt(path, values, delimiter=", ")
-    return path
-
-
-def npy(path, values):
-    with path.open("wb") as stream:
-        np.save(stream, values)
     return path
 
 
@@ -72,19 +76,15 @@ def test_24_bits_as_carla_documents_them(code):
     assert np.isnan(found) if code == 0 else abs(found - expected) <= 1e-6 * expected
 
 
-def test_logarithmic_grey_ends_at_the_far_plane():
-    metres = logarithmic_metres(np.array([[255, 0]], np.uint8))
-    np.testing.assert_allclose(metres, [[1000.0, 1000.0 * np.exp(-5.70378)]], rtol=1e-6)
-
-
-def test_a_frame_of_sky_does_not_decide(tmp_path):
+def test_the_first_file_that_tells_decides(tmp_path):
     sky = png(tmp_path / "0.png", np.full((HEIGHT, WIDTH, 3), 255, np.uint8))
-    road = png(tmp_path / "1.png", carla_codes(depth_m()))
-    grey = png(tmp_path / "2.png", log_grey(depth_m()))
-    assert depth_encoding([sky, road]) == "carla 24 bit"
-    assert depth_encoding([sky, grey]) == "logarithmic grey"
-    np.testing.assert_allclose(depth_metres(load_pixels(sky), "carla 24 bit"), 1000.0)
-    np.testing.assert_allclose(depth_metres(load_pixels(sky), "logarithmic grey"), 1000.0)
+    black = png(tmp_path / "1.png", np.zeros((2, 2, 3), np.uint8))
+    codes = png(tmp_path / "2.png", carla_codes(depth_m()))
+    grey = png(tmp_path / "3.png", log_grey(depth_m()))
+    assert depth_encoding([sky, codes, grey]) == depth_encoding([black, codes, grey]) == "carla 24 bit"
+    assert depth_encoding([sky, grey]) == depth_encoding([grey, black, codes]) == "logarithmic grey"
+    for encoding in ("carla 24 bit", "logarithmic grey"):
+        np.testing.assert_allclose(depth_metres(load_pixels(sky), encoding), 1000.0)
 
 
 def test_where_no_file_tells_the_kind_of_number_does(tmp_path):
@@ -96,14 +96,6 @@ def test_where_no_file_tells_the_kind_of_number_does(tmp_path):
     assert np.isnan(depth_metres(load_pixels(black[0]), "carla 24 bit")).all()
 
 
-def test_the_first_file_that_tells_decides(tmp_path):
-    black = png(tmp_path / "0.png", np.zeros((2, 2, 3), np.uint8))
-    codes = png(tmp_path / "1.png", carla_codes(depth_m()))
-    grey = png(tmp_path / "2.png", log_grey(depth_m()))
-    assert depth_encoding([black, codes, grey]) == "carla 24 bit"
-    assert depth_encoding([grey, black, codes]) == "logarithmic grey"
-
-
 @pytest.mark.parametrize("metres", [1.0, 1.001])
 def test_one_is_the_far_plane_and_beyond_it_are_metres(tmp_path, metres):
     path = npy(tmp_path / "0.npy", np.array([[0.0, 0.2, metres]]))
@@ -111,13 +103,13 @@ def test_one_is_the_far_plane_and_beyond_it_are_metres(tmp_path, metres):
 
 
 def test_grey_of_a_palette_is_its_colour_not_its_index(tmp_path):
-    indices = np.array([[0, 1], [2, 2]], np.uint8)
+    indices = np.array([[0, 1], [2, 3]], np.uint8)
     image = Image.fromarray(indices, "P")
-    image.putpalette([255, 255, 255, 10, 10, 10, 100, 100, 100])
+    image.putpalette([255, 255, 255, 10, 10, 10, 100, 100, 100, 0, 0, 0])
     image.save(tmp_path / "0.png")
     assert depth_encoding([tmp_path / "0.png"]) == "logarithmic grey"
     found = depth_metres(load_pixels(tmp_path / "0.png"), "logarithmic grey")
-    expected = 1000.0 * np.exp((np.array([[255, 10], [100, 100]]) / 255.0 - 1.0) * 5.70378)
+    expected = 1000.0 * np.exp((np.array([[255, 10], [100, 0]]) / 255.0 - 1.0) * 5.70378)
     np.testing.assert_allclose(found, expected, rtol=1e-6)
 
 
@@ -160,3 +152,64 @@ def test_a_file_encoded_otherwise_is_named(tmp_path):
     path = png(tmp_path / "5.png", log_grey(depth_m()))
     with pytest.raises(DumpError, match=r"5\.png: depth as logarithmic grey, the files before as carla 24 bit"):
         depth_metres(load_pixels(path), "carla 24 bit")
+
+
+def grey(path, coding, road, rounded=np.rint):
+    """A file of what a camera sees of a road, and how deep it truly is."""
+    depth_m = np.nan_to_num(road.depth_m(), nan=1000.0).clip(0.1, 1000.0)
+    levels = 255.0 * CODINGS[coding](depth_m)
+    return png(path, rounded(levels).clip(0, 255).astype(np.uint8)), depth_m
+
+
+@pytest.mark.parametrize("coding", CODINGS)
+@pytest.mark.parametrize(
+    ("road", "rounded"),
+    [
+        (Road(width=320, height=240), np.rint),
+        (Road(width=320, height=240), np.floor),
+        (Road(width=320, height=240, height_m=2.4, pitch=0.06), np.rint),
+        (Road(pitch=-0.04), np.rint),
+    ],
+    ids=["level", "cut off", "high and down", "up"],
+)
+def test_the_ground_tells_the_coding(tmp_path, coding, road, rounded):
+    path, depth_m = grey(tmp_path / "0.png", coding, road, rounded)
+    found, why = grey_encoding([path], road.camera, None)
+    assert found == ENCODINGS[coding]
+    assert f"8-bit depth is {found}: greys of a level ground are off as {coding} by " in why
+    metres = depth_metres(load_pixels(path), found)
+    near = (depth_m > 5.0) & (depth_m < 45.0) & np.isfinite(metres)
+    assert near.any()
+    assert np.median(np.abs(metres[near] - depth_m[near])) < (2.0 if coding == "linear" else 0.3)
+
+
+@pytest.mark.parametrize("asked", CODINGS)
+def test_what_is_asked_for_is_taken(tmp_path, asked):
+    road = Road(width=320, height=240)
+    path, _ = grey(tmp_path / "0.png", "logarithmic", road)
+    found, why = grey_encoding([path], road.camera, asked)
+    assert (found, why.endswith(f"--grey-depth {asked}")) == (ENCODINGS[asked], True)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        np.full((240, 320), 90, np.uint8),
+        np.random.default_rng(0).integers(1, 255, (240, 320)).astype(np.uint8),
+        np.tile(np.linspace(0, 200, 240).astype(np.uint8)[:, None], (1, 320)),
+    ],
+    ids=["a wall", "noise", "upside down"],
+)
+def test_what_shows_no_ground_is_an_error_that_names_the_option(tmp_path, values):
+    path = png(tmp_path / "0.png", values)
+    assert depth_encoding([path]) == "logarithmic grey"
+    with pytest.raises(
+        DumpError, match=r"8-bit grey depth, and nothing tells its coding \(.*\): say --grey-depth linear"
+    ):
+        grey_encoding([path], Camera("camera", 320, 240, 160.0, 160.0, 159.5, 119.5), None)
+
+
+def test_a_cut_off_depth_is_unknown(tmp_path):
+    path = png(tmp_path / "0.png", np.array([[0, 51, 255]], np.uint8))
+    np.testing.assert_allclose(depth_metres(load_pixels(path), "linear grey to 50 m"), [[np.nan, 10.0, np.nan]])
+    np.testing.assert_allclose(depth_metres(load_pixels(path), "linear grey to 1000 m"), [[np.nan, 200.0, 1000.0]])

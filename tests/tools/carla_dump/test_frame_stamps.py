@@ -46,16 +46,15 @@ def test_files_of_seconds(tmp_path, text, seconds):
         ([1_305_031_102_933_000_000, 1_305_031_102_983_000_000], 1),
         ([1_305_031_102_933_000, 1_305_031_102_983_000], 1000),
         ([1_305_031_102_933, 1_305_031_102_983], 1_000_000),
+        ([], None),
+        ([0, 1], None),
+        ([142_916], None),
+        ([20_240_101], None),
     ],
-    ids=["ns", "us", "ms"],
+    ids=["ns", "us", "ms", "none", "counted", "simulation", "date"],
 )
-def test_numbers_that_are_unix_time_are_stamps(names, unit_ns):
-    assert stamps_of_names(names) == {name: name * unit_ns for name in names}
-
-
-@pytest.mark.parametrize("names", [[], [0, 1], [142_916], [20_240_101]], ids=["none", "counted", "simulation", "date"])
-def test_other_numbers_count_frames(names):
-    assert stamps_of_names(names) is None
+def test_numbers_that_are_unix_time_are_stamps_and_others_count_frames(names, unit_ns):
+    assert stamps_of_names(names) == (unit_ns and {name: name * unit_ns for name in names})
 
 
 @pytest.mark.parametrize(
@@ -68,17 +67,13 @@ def test_names_of_two_kinds_are_an_error(names):
         stamps_of_names(names)
 
 
-@pytest.mark.parametrize("text", ["2011-09-26 13:02:25.964389445", "5, 2011-09-26T13:02:25.964389445Z"])
-def test_kitti_dates_are_kept_to_the_nanosecond(tmp_path, text):
+@pytest.mark.parametrize(
+    "text", ["2011-09-26 13:02:25.964389445", "5, 2011-09-26T13:02:25.964389445Z", "1317042145.964389445"]
+)
+def test_dates_and_unix_seconds_are_kept_to_the_nanosecond(tmp_path, text):
     path = tmp_path / "timestamps.txt"
     path.write_text(text + "\n")
     assert stamps_of_file(path, [5]) == {5: 1317042145964389445}
-
-
-def test_unix_seconds_are_not_counted_from_the_epoch_again(tmp_path):
-    path = tmp_path / "times.txt"
-    path.write_text("1317042145.964389445\n")
-    assert stamps_of_file(path, [0]) == {0: 1317042145964389445}
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from roadperc_stream.formats.images import encode_indices
 from roadperc_stream.tools.carla_dump.image_files import UnreadableFrameError, read_header, require_whole
 from roadperc_stream.tools.carla_dump.pixel_files import load_pixels
-from tests.tools.dump_writer import camera_pixels, jpeg, png
+from tests.tools.dump_writer import camera_pixels, jpeg, npy, png
 
 
 def npy_bytes() -> bytes:
@@ -66,15 +66,6 @@ def test_a_cut_file_is_unreadable(tmp_path, make, kept):
             read(path)
 
 
-def test_a_flipped_byte_in_a_png_is_found(tmp_path):
-    path = png(tmp_path / "0.png", camera_pixels())
-    data = bytearray(path.read_bytes())
-    data[len(data) // 2] ^= 1
-    path.write_bytes(data)
-    with pytest.raises(UnreadableFrameError, match="damaged"):
-        load_pixels(path)
-
-
 @pytest.mark.parametrize(
     ("text", "fault"), [("1, 2\n3\n", "no table of numbers"), ("1,,2\n", "no table"), ("\n \n", "empty")]
 )
@@ -85,27 +76,9 @@ def test_broken_tables_are_unreadable(tmp_path, text, fault):
         load_pixels(path)
 
 
-def test_broken_npy_is_unreadable(tmp_path):
-    path = tmp_path / "0.npy"
-    np.save(path, np.zeros((4, 4)))
-    path.write_bytes(path.read_bytes()[:-8])
-    with pytest.raises(UnreadableFrameError, match="damaged"):
-        load_pixels(path)
-    np.save(path, np.array(["text"]))
-    with pytest.raises(UnreadableFrameError, match="expected an array of plain numbers"):
-        load_pixels(path)
-    np.save(path, np.zeros(4))
+def test_an_npy_that_is_no_image_is_unreadable(tmp_path):
     with pytest.raises(UnreadableFrameError, match="expected an image of numbers"):
-        load_pixels(path)
-
-
-@pytest.mark.parametrize("shape", [f"({10**30}, 4)", "(100000000, 4)", "(True, 4)"])
-def test_an_npy_of_an_absurd_shape_is_unreadable(tmp_path, shape):
-    header = f"{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}\n".encode()
-    path = tmp_path / "0.npy"
-    path.write_bytes(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + bytes(16))
-    with pytest.raises(UnreadableFrameError, match=r"0\.npy"):
-        load_pixels(path)
+        load_pixels(npy(tmp_path / "0.npy", np.zeros(4)))
 
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -15,48 +15,32 @@ def frames(layout, role):
     return sorted(layout.sensors[role].files)
 
 
-def test_folders_are_found_and_paired_by_number_in_the_name(tmp_path):
-    png(tmp_path / "CameraRGB" / "frame_00007.png", camera_pixels())
-    png(tmp_path / "CameraRGB" / "frame_00010.png", camera_pixels())
-    png(tmp_path / "CameraDepth" / "10.png", camera_pixels())
+@pytest.mark.parametrize(
+    ("names", "found"),
+    [
+        (
+            ("CameraRGB/frame_00007.png", "CameraRGB/frame_00010.png", "CameraDepth/10.png"),
+            {"image": ("CameraRGB", [7, 10]), "depth": ("CameraDepth", [10])},
+        ),
+        (
+            ("image_02/data/0000000003.png", "image_03/data/0000000003.png"),
+            {"image": ("image_02", [3]), "right": ("image_03", [3])},
+        ),
+        (("left.png", "right.png"), {"left": ("left.png", [0]), "right": ("right.png", [0])}),
+        (
+            ("rgb_0001.png", "0001_depth.png", "rgb_0002.png", "0002_depth.png"),
+            {"depth": ("0001_depth.png to 0002_depth.png", [1, 2]), "image": ("rgb_0001.png to rgb_0002.png", [1, 2])},
+        ),
+        (("000042.png",), {"image": ("000042.png", [42])}),
+        (("rgb/0.png", "labels/000000.txt"), {"image": ("rgb", [0]), "detections": ("labels", [0])}),
+    ],
+    ids=["numbers in names", "KITTI", "flat", "flat, numbers", "bare number", "label text"],
+)
+def test_sensors_are_told_by_the_names_of_folders_and_files(tmp_path, names, found):
+    for name in names:
+        png(tmp_path / name, camera_pixels())
     layout = find_layout(tmp_path, {})
-    assert sources(layout) == {"image": "CameraRGB", "depth": "CameraDepth"}
-    assert frames(layout, "image") == [7, 10]
-    assert frames(layout, "depth") == [10]
-
-
-def test_kitti_folders_keep_frames_in_data(tmp_path):
-    png(tmp_path / "image_02" / "data" / "0000000003.png", camera_pixels())
-    png(tmp_path / "image_03" / "data" / "0000000003.png", camera_pixels())
-    layout = find_layout(tmp_path, {})
-    assert sources(layout) == {"image": "image_02", "right": "image_03"}
-    assert frames(layout, "right") == [3]
-
-
-def test_flat_files_are_told_by_their_names(tmp_path):
-    png(tmp_path / "left.png", camera_pixels())
-    png(tmp_path / "right.png", camera_pixels())
-    assert sources(find_layout(tmp_path, {})) == {"left": "left.png", "right": "right.png"}
-
-
-def test_flat_files_with_numbers(tmp_path):
-    for number in (1, 2):
-        png(tmp_path / f"rgb_{number:04d}.png", camera_pixels())
-        png(tmp_path / f"{number:04d}_depth.png", camera_pixels())
-    layout = find_layout(tmp_path, {})
-    assert frames(layout, "image") == frames(layout, "depth") == [1, 2]
-
-
-def test_a_folder_of_bare_numbers_is_the_camera(tmp_path):
-    png(tmp_path / "000042.png", camera_pixels())
-    assert frames(find_layout(tmp_path, {}), "image") == [42]
-
-
-def test_label_text_in_a_labels_folder_is_detections(tmp_path):
-    png(tmp_path / "rgb" / "0.png", camera_pixels())
-    (tmp_path / "labels").mkdir()
-    (tmp_path / "labels" / "000000.txt").write_text("")
-    assert frames(find_layout(tmp_path, {}), "detections") == [0]
+    assert {role: (source, frames(layout, role)) for role, source in sources(layout).items()} == found
 
 
 def test_truth_folder_is_a_role_of_its_own(tmp_path):

@@ -1,5 +1,3 @@
-import io
-
 import numpy as np
 import pytest
 from PIL import Image
@@ -9,13 +7,9 @@ from roadperc_stream.formats.images import encode_indices
 from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14, CARLA_FROM_0_9_14
 from roadperc_stream.tools.carla_dump.pixel_files import load_pixels
 from roadperc_stream.tools.carla_dump.tag_files import choose_table, tag_encoding, tags_of
-from tests.tools.dump_writer import TAGS, camera_pixels, jpeg, png, red
+from tests.tools.dump_writer import TAGS, alpha, camera_pixels, jpeg, npy, png, red
 
 NEW = CARLA_FROM_0_9_14
-
-
-def alpha(pixels):
-    return np.dstack((pixels, np.full(pixels.shape[:2], 255, np.uint8)))
 
 
 def colours(tags, table=NEW):
@@ -41,13 +35,6 @@ def optimised(path, tags):
 
 def csv(path, tags, fmt="%d"):
     np.savetxt(path, tags, delimiter=", ", fmt=fmt)
-    return path
-
-
-def npy(path, values):
-    stream = io.BytesIO()
-    np.save(stream, values)
-    path.write_bytes(stream.getvalue())
     return path
 
 

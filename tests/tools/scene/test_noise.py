@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from roadperc_stream.tools.scene.noise import _wobbled, noisy_depth, noisy_rgb, noisy_tags
+from roadperc_stream.tools.scene.noise import _wobbled, noisy_depth, noisy_tags
 
 
 def stripes():
@@ -39,11 +39,6 @@ def test_depth_noise_is_relative_and_spares_the_sky():
     assert (noisy[:50] == 1000).all()
     assert noisy[50:].std() == pytest.approx(0.2, rel=0.03)
     assert noisy[50:].mean() == pytest.approx(20.0, abs=0.01)
-
-
-def test_rgb_noise_has_its_deviation():
-    grey = np.full((200, 300, 3), 120, np.uint8)
-    assert noisy_rgb(grey, 4.0, np.random.default_rng(0)).std() == pytest.approx(4.0, rel=0.05)
 
 
 def test_a_pixel_comes_from_a_place_nearby_and_its_neighbours_from_beside_it():
