@@ -23,20 +23,6 @@ def test_a_whole_log_of_any_writer_is_whole(tmp_path, options):
     assert messages == list(read(summarise(tmp_path / "a.mcap")))
 
 
-def test_a_log_cut_anywhere_gives_what_was_whole_before_the_cut(tmp_path):
-    path = write(tmp_path / "a.mcap", TIMES, use_chunking=False, enable_data_crcs=True)
-    whole = path.read_bytes()
-    ends = [whole.index(message.data) + len(message.data) for message in read(summarise(path))]
-    for length in range(8, len(whole), 37):
-        path.write_bytes(whole[:length])
-        salvage, messages = salvaged(path)
-        expected = sum(end <= length for end in ends)
-        assert [m.log_time_ns for m in messages] == TIMES[:expected], length
-        assert not salvage.whole
-        assert salvage.damages[-1].byte <= length
-        assert salvage.last_good_ns == (TIMES[expected - 1] if expected else None)
-
-
 def test_a_damaged_chunk_costs_its_own_messages_only(tmp_path):
     path = write(tmp_path / "a.mcap", TIMES)
     whole = path.read_bytes()
