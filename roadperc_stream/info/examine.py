@@ -1,6 +1,6 @@
 """A log's facts, from one pass over it."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 from roadperc_stream.geometry import Camera
@@ -9,7 +9,7 @@ from roadperc_stream.info.scan import Scan, Tally
 from roadperc_stream.input.assemble import ego_T_camera_of
 from roadperc_stream.input.earlier_replay import is_result_log
 from roadperc_stream.input.topics import CAMERA_OF
-from roadperc_stream.log import Channel, Metadata, Recovery, Salvage
+from roadperc_stream.log import Channel, Recovery, Salvage
 from roadperc_stream.schemas.record import CONVERSION_RECORD, PRODUCER, TAG_TABLE_KEY, log_id_of
 from roadperc_stream.system.time import ns_to_seconds
 
@@ -64,12 +64,8 @@ def _file_facts(salvage: Salvage) -> FileFacts:
         absent=salvage.absent,
         attachments={item.name: len(item.data) for item in salvage.described.attachments},
         metadata=tuple(record.name for record in salvage.described.metadata),
-        conversion=_conversion(salvage.described.metadata),
+        conversion=dict(next((r.values for r in salvage.described.metadata if r.name == CONVERSION_RECORD), ())),
     )
-
-
-def _conversion(metadata: Iterable[Metadata]) -> dict[str, str]:
-    return next((dict(record.values) for record in metadata if record.name == CONVERSION_RECORD), {})
 
 
 def _channel_facts(channel: Channel, scan: Scan, first_ns: int | None) -> ChannelFacts:

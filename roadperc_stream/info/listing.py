@@ -141,7 +141,6 @@ def list_logs(paths: Sequence[Path], topics: Sequence[str], *, as_json: bool) ->
         LogError: one of the logs is not whole; the others are printed all the same.
     """
     overrides = parse_topic_options(topics)
-    show = _show_json if as_json else _show_text
     faults, parts = [], list[LogFacts]()
     for path in paths:
         found: LogFacts | LogError
@@ -150,7 +149,14 @@ def list_logs(paths: Sequence[Path], topics: Sequence[str], *, as_json: bool) ->
             found = examine(file, overrides)
         except LogError as error:
             found = error
-        show(path, found)
+        if as_json:
+            facts = {"log": str(path), "error": str(found)} if isinstance(found, LogError) else asdict(found)
+            finite = json.loads(json.dumps(facts), parse_constant=lambda _: None)  # JSON has no NaN and no infinity
+            print(json.dumps(finite, allow_nan=False))
+        elif isinstance(found, LogFacts):  # what cannot be opened is said once, by the error at the end
+            console = console_for(sys.stdout)
+            print_log(console, found)
+            print_lines(console, "")
         parts += [found] if isinstance(found, LogFacts) else []
         fault = _fault(found)
         faults += [fault] if fault else []
@@ -168,17 +174,3 @@ def _fault(found: LogFacts | LogError) -> str:
         return ""
     damage = found.file.damages[0]
     return f"{found.log}: byte {damage.byte}: {damage.words}"
-
-
-def _show_json(path: Path, found: LogFacts | LogError) -> None:
-    facts = {"log": str(path), "error": str(found)} if isinstance(found, LogError) else asdict(found)
-    finite = json.loads(json.dumps(facts), parse_constant=lambda _: None)  # JSON has no NaN and no infinity
-    print(json.dumps(finite, allow_nan=False))
-
-
-def _show_text(_: Path, found: LogFacts | LogError) -> None:
-    """The facts; what cannot be opened is said once, by the error at the end."""
-    if isinstance(found, LogFacts):
-        console = console_for(sys.stdout)
-        print_log(console, found)
-        print_lines(console, "")

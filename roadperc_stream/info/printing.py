@@ -42,14 +42,6 @@ _CHOICES: Final = {
 }
 
 
-def print_replay(console: Console, facts: LogFacts) -> None:
-    """What a replay would make of the log."""
-    replay = facts.replay
-    print_roles(console, replay.roles)
-    print_lines(console, "", *_frame_lines(facts.file.whole, replay))
-    print_table(console, _cameras(replay.cameras))
-
-
 def print_roles(console: Console, states: Sequence[RoleState]) -> None:
     """Which topic fills which role, and what a replay does without."""
     filled = {state.role for state in states if state.state == "filled"}
@@ -116,11 +108,6 @@ def _tag_lines(replay: ReplayFacts) -> Iterator[str]:
         )
 
 
-def _cameras(cameras: Iterable[CameraFacts]) -> TextTable:
-    headers = ("pixels", "fx px", "baseline m", "height m", "remark")
-    return TextTable("Camera", headers, tuple(map(_camera, cameras)), last_is_text=True, label_columns=18)
-
-
 def _camera(found: CameraFacts) -> TextRow:
     camera, height_m = found.camera, None if found.ego_T_camera is None else found.ego_T_camera[2][3]
     remarks = [] if found.image_size in (None, (camera.width, camera.height)) else [_other_size(found)]
@@ -160,7 +147,11 @@ def print_log(console: Console, facts: LogFacts) -> None:
     print_table(console, _channels(facts.channels, console.width))
     print_table(console, _odd_intervals(facts.channels))
     print_table(console, _odd_stamps(facts.channels))
-    print_replay(console, facts)
+    print_roles(console, facts.replay.roles)
+    print_lines(console, "", *_frame_lines(facts.file.whole, facts.replay))
+    headers = ("pixels", "fx px", "baseline m", "height m", "remark")
+    cameras = tuple(map(_camera, facts.replay.cameras))
+    print_table(console, TextTable("Camera", headers, cameras, last_is_text=True, label_columns=18))
     if facts.provenance is not None:
         print_lines(console, "", *_provenance_lines(facts.provenance, facts.replay.frames), unbroken=True)
         print_table(console, _settings(facts.provenance))

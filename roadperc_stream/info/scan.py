@@ -3,6 +3,7 @@
 from array import array
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
@@ -21,7 +22,7 @@ from roadperc_stream.input.order import OrderConfig
 from roadperc_stream.input.stream import Problems, Stamped, decoded_messages
 from roadperc_stream.input.sync import LatchedState, PairingState, StampPairing, without_loops
 from roadperc_stream.input.topics import probe_first_message
-from roadperc_stream.log import DIGEST_ALGORITHM, Channel, LogSummary, Message, MessageDigest, Salvage
+from roadperc_stream.log import DIGEST_ALGORITHM, LogSummary, Message, MessageDigest, Salvage
 from roadperc_stream.model import CameraImage, DepthImage
 from roadperc_stream.schemas.record import BEGIN_ATTACHMENT
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
@@ -159,7 +160,10 @@ class Scan:
             LogError: the file cannot be opened, or is no log at all.
         """
         first, salvage = log.audited(path, check_chunks=True), Salvage(path)
-        summary = _summary(path) if first.whole else None
+        summary = None
+        if first.whole:
+            with suppress(LogError):
+                summary = log.summarise(path)
         metadata = first.described.metadata
         channels = tuple(first.channels[number] for number in sorted(first.channels) if first.counts[number])
         named = {**recorded_topics(metadata, channels), **overrides}
@@ -219,7 +223,10 @@ class Scan:
         for message in messages:
             self.log_times_back += message.log_time_ns < latest_ns
             latest_ns = max(latest_ns, message.log_time_ns)
-            self._tally_of(message.channel).add(message.log_time_ns, message.data)
+            source_id = message.channel.source_id
+            if source_id not in self.tallies:
+                self.tallies[source_id] = Tally(stamp_reader(message.channel))
+            self.tallies[source_id].add(message.log_time_ns, message.data)
             if not is_result(message.channel):
                 self.inputs += 1
                 self.inputs_back += message.log_time_ns < latest_input_ns
@@ -227,34 +234,13 @@ class Scan:
                 self._digest.update(message)
             yield message
 
-    def _tally_of(self, channel: Channel) -> Tally:
-        tally = self.tallies.get(channel.source_id)
-        if tally is None:
-            tally = self.tallies[channel.source_id] = Tally(stamp_reader(channel))
-        return tally
-
     def _without_latched(self, items: Iterable[Stamped]) -> Iterator[Stamped]:
         """The items that are paired, without their content; calibrations and transforms are kept."""
         for item in items:
             if ROLES[item.role].kind in LATCHED_KINDS:
                 self.latched = self.latched.updated(item)
             else:
-                self._measure(item)
+                if item.role not in self.sizes and isinstance(item.payload, CameraImage | DepthImage):
+                    with suppress(DecodeError):
+                        self.sizes[item.role] = item.payload.size
                 yield replace(item, payload=())
-
-    def _measure(self, item: Stamped) -> None:
-        """Keep the size of a camera's first image."""
-        if item.role in self.sizes or not isinstance(item.payload, CameraImage | DepthImage):
-            return
-        try:
-            self.sizes[item.role] = item.payload.size
-        except DecodeError:
-            return
-
-
-def _summary(path: Path) -> LogSummary | None:
-    """What a log says of itself; None of a damaged file."""
-    try:
-        return log.summarise(path)
-    except LogError:
-        return None

@@ -23,7 +23,6 @@ from roadperc_stream.model import (
     Boundary,
     Detection,
     Lanes,
-    Line,
     Object,
     Objects,
     Occupancy,
@@ -93,8 +92,7 @@ def encode_pose(stamp_ns: int, frame_id: str, frame_T_body: Float) -> bytes:
     """foxglove.PoseInFrame of a (4, 4) transform."""
     message = PoseInFrame(frame_id=frame_id)
     set_stamp(message, stamp_ns)
-    _set_vector(message.pose.position, frame_T_body[:3, 3])
-    _set_quaternion(message.pose.orientation, frame_T_body)
+    _set_pose(message.pose, frame_T_body)
     return message.SerializeToString()
 
 
@@ -113,9 +111,7 @@ def encode_poses(stamp_ns: int, frame_id: str, frame_T_body: Iterable[Float]) ->
 def _listed_pose(matrix: bytes) -> bytes:
     """A pose as an element of foxglove.PosesInFrame, of a (4, 4) float64 transform's bytes."""
     message = PosesInFrame()
-    pose, frame_T_body = message.poses.add(), np.frombuffer(matrix).reshape(4, 4)
-    _set_vector(pose.position, frame_T_body[:3, 3])
-    _set_quaternion(pose.orientation, frame_T_body)
+    _set_pose(message.poses.add(), np.frombuffer(matrix).reshape(4, 4))
     return message.SerializeToString()
 
 
@@ -225,17 +221,13 @@ def _line(line: Iterable[float]) -> pb.Line:
     return pb.Line(x1=x1, y1=y1, x2=x2, y2=y2)
 
 
-def _optional_line(line: Line | None) -> pb.Line | None:
-    return None if line is None else _line(line)
-
-
 def _boundary(boundary: Boundary) -> pb.Boundary:
     """Fields of a boundary have the same names in the message; these are of other types there."""
     converted = {
         "side": pb.Boundary.Side.Value(boundary.side.upper()),
         "status": pb.Boundary.Status.Value(boundary.status.upper()),
-        "raw_px": _optional_line(boundary.raw_px),
-        "smoothed_px": _optional_line(boundary.smoothed_px),
+        "raw_px": None if boundary.raw_px is None else _line(boundary.raw_px),
+        "smoothed_px": None if boundary.smoothed_px is None else _line(boundary.smoothed_px),
         "line_ego_m": [pb.Vector3(x=x, y=y, z=z) for x, y, z in boundary.line_ego_m.tolist()],
         "line_px": [pb.Point2(x=x, y=y) for x, y in boundary.line_px.tolist()],
         "reason": "" if boundary.reason is None else str(boundary.reason),
@@ -250,9 +242,13 @@ def _object(item: Object) -> pb.Object:
 
 def _pose(transform: Float) -> pb.Pose:
     pose = pb.Pose()
+    _set_pose(pose, transform)
+    return pose
+
+
+def _set_pose(pose: Any, transform: Float) -> None:
     _set_vector(pose.position, transform[:3, 3])
     _set_quaternion(pose.orientation, transform)
-    return pose
 
 
 def _set_vector(vector: Any, values: Float) -> None:

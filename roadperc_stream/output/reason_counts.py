@@ -72,7 +72,9 @@ def throughout(counts: Mapping[ReasonKind, ReasonCount], frames: int, filled: Co
     """
     always = {kind: count for kind, count in ranked(counts).items() if count.frames == frames}
     unexpected = {kind: count for kind, count in always.items() if not _is_expected(kind, filled)}
-    first = [str(count) for kind, count in unexpected.items() if not _follows(kind, unexpected)]
+    # A reason follows where its cause, or its cause's, is itself among the reasons.
+    follows = {kind for kind in unexpected if any(kind[k:] in unexpected for k in range(1, len(kind)))}
+    first = [str(count) for kind, count in unexpected.items() if kind not in follows]
     where = f"in all {frames} frames" if frames > 1 else "in the only frame"
     rest = len(first) - _MOST_REPORTED
     more = (f"{where}: {rest} more reason{'s' * (rest > 1)}, which roadperc-report lists",) if rest > 0 else ()
@@ -97,8 +99,3 @@ def _is_expected(kind: ReasonKind, filled: Collection[str]) -> bool:
     codes = {code for _, code, *_ in kind}
     missing = {role for code, roles in MISSING_ROLES.items() if code in codes for role in roles}
     return "switched_off" in codes or not missing.issubset(filled)
-
-
-def _follows(kind: ReasonKind, others: Collection[ReasonKind]) -> bool:
-    """Whether a reason's cause, or its cause's, is itself among the reasons."""
-    return any(kind[k:] in others for k in range(1, len(kind)))

@@ -12,7 +12,7 @@ from roadperc_stream.input.decoding import Decoded, Payload, context_of_channel,
 from roadperc_stream.input.earlier_replay import is_result, is_result_of
 from roadperc_stream.input.roles import assignment_of_log
 from roadperc_stream.input.stream import Problems, RoleAssignment
-from roadperc_stream.log import Channel, LogSummary, Message
+from roadperc_stream.log import LogSummary, Message
 from roadperc_stream.model import Absent, CameraImage, Lanes, Mask, Objects, Reason, TagImage, parse_reason
 from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14
 from roadperc_stream.output.drawing.overlay import PerceivedFrame
@@ -196,16 +196,11 @@ def _seen(
         return None
     mask = content_of(lambda: _drivable(found), DRIVABLE_TOPIC, stamp_ns, problems)
     drivable = _drivable({}) if mask is None else mask
+    wrong_size = any((r.source, r.code) == ("image", "wrong_size") for r in map(parse_reason, reasons))
     # A mask of another size belongs to another camera than this image, and so do lanes and objects.
-    fits = _image_fits(reasons) and (isinstance(drivable, Absent) or drivable.shape == image_bgr.shape[:2])
+    fits = not wrong_size and (isinstance(drivable, Absent) or drivable.shape == image_bgr.shape[:2])
     lanes = _result(found, LANES_TOPIC, Lanes, "lanes")
     return PerceivedFrame(image_bgr, lanes, _result(found, OBJECTS_TOPIC, Objects, "objects"), drivable, fits)
-
-
-def _image_fits(reasons: Iterable[str]) -> bool:
-    """Whether a frame's reasons leave it open that its camera image is of its calibration's size."""
-    parsed = (parse_reason(text) for text in reasons)
-    return not any((reason.source, reason.code) == ("image", "wrong_size") for reason in parsed)
 
 
 def _messages(
@@ -224,8 +219,11 @@ def _messages(
 
 def _decoded(message: Message, image_topic: str, problems: Problems) -> Decoded | None:
     channel, log_time_ns = message.channel, message.log_time_ns
-    kind = _kind(channel, image_topic)
-    if kind is None:
+    if is_result(channel):
+        kind = _KINDS.get(channel.topic) if is_result_of(channel, channel.topic) else None
+    else:
+        kind = "image" if channel.topic == image_topic else None
+    if kind is None:  # no picture needs it
         return None
     # A mask's indices are no tags; the decoder wants a table all the same.
     context = replace(context_of_channel(channel, "auto"), tag_table=CARLA_BEFORE_0_9_14)
@@ -236,13 +234,6 @@ def _decoded(message: Message, image_topic: str, problems: Problems) -> Decoded 
         log_time_ns,
         problems,
     )
-
-
-def _kind(channel: Channel, image_topic: str) -> Kind | None:
-    """What a channel is read as; None for those a picture does not need."""
-    if is_result(channel):
-        return _KINDS.get(channel.topic) if is_result_of(channel, channel.topic) else None
-    return "image" if channel.topic == image_topic else None
 
 
 def _result(found: Mapping[str, Decoded], topic: str, kind: type[Content], name: str) -> Content | Absent:

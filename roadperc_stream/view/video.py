@@ -93,12 +93,9 @@ def write_video(
 def _frame_stamps(summary: LogSummary) -> list[int]:
     source, problems = summary.path, Problems()
     stamps = [row.stamp_ns for row in read_rows(summary, problems)]
-    if problems.first and not stamps:
-        raise LogError(f"{source}: no results to make a video of; {problems.first[METRICS_TOPIC]}")
     if not stamps:
-        raise LogError(
-            f"{source}: no results to make a video of; roadperc-replay {quote(str(source))} OUT.mcap makes them"
-        )
+        why = problems.first.get(METRICS_TOPIC, f"roadperc-replay {quote(str(source))} OUT.mcap makes them")
+        raise LogError(f"{source}: no results to make a video of; {why}")
     return stamps
 
 

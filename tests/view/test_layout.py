@@ -301,26 +301,23 @@ def test_the_left_camera_stands_for_the_front_one_where_there_is_none(tmp_path):
     assert [p["imageMode"]["imageTopic"] for p in pictures.values()] == ["/camera/left/image"]
 
 
-def test_a_topic_that_is_not_there_names_the_log(tmp_path):
-    source = logs.write(tmp_path / "in.mcap", logs.items(frames=1))
-    with pytest.raises(ChannelError, match=r"in\.mcap: --topic image=/none: no such topic"):
-        write_layout(tmp_path / "layout.json", source, {"image": "/none"}, force=False)
-    assert not (tmp_path / "layout.json").exists()
-
-
-def test_a_layout_never_replaces_its_log(tmp_path):
-    source = logs.write(tmp_path / "in.mcap", logs.items(frames=1))
+@pytest.mark.parametrize(
+    ("frames", "name", "topics", "error", "fault"),
+    [
+        (1, "layout.json", {"image": "/none"}, ChannelError, "--topic image=/none: no such topic"),
+        (0, "layout.json", {}, LogError, "nothing here that this project shows"),
+        (1, "in.mcap", {}, TargetError, r"expected a name that ends in \.json"),
+    ],
+    ids=["no such topic", "nothing to show", "the log itself"],
+)
+def test_what_gets_no_layout_is_named_and_the_log_stays_alone(tmp_path, frames, name, topics, error, fault):
+    items = logs.items(frames=frames) if frames else []
+    source = logs.write(tmp_path / "in.mcap", items, extra=[logs.foreign()])
     before = source.read_bytes()
-    with pytest.raises(TargetError, match=r"in\.mcap: expected a name that ends in \.json"):
-        write_layout(source, source, force=True)
+    with pytest.raises(error, match=rf"in\.mcap: {fault}"):
+        write_layout(tmp_path / name, source, topics, force=True)
+    assert list(tmp_path.iterdir()) == [source]
     assert source.read_bytes() == before
-
-
-def test_a_log_with_nothing_to_show_gets_no_layout(tmp_path):
-    source = logs.write(tmp_path / "in.mcap", [], extra=[logs.foreign()])
-    with pytest.raises(LogError, match=r"in\.mcap: nothing here that this project shows"):
-        write_layout(tmp_path / "layout.json", source, force=False)
-    assert not (tmp_path / "layout.json").exists()
 
 
 def test_a_layout_is_written_and_replaced_only_when_told(tmp_path):

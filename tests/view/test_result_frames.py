@@ -70,13 +70,11 @@ def test_no_times_of_what_the_table_has_not(path, log_id, frame):
     assert TableTimes(path).of(log_id, frame) == {}
 
 
-def test_no_table_no_times(tmp_path):
-    assert TableTimes(tmp_path / "out.metrics.parquet").of("log", 0) == {}
-
-
-def test_an_empty_table(tmp_path):
-    with TableWriter(tmp_path / "out.metrics.parquet", FrameMetrics, {}, TIME_COLUMNS):
-        pass
+@pytest.mark.parametrize("written", [False, True])
+def test_no_or_an_empty_table_has_no_times(tmp_path, written):
+    if written:
+        with TableWriter(tmp_path / "out.metrics.parquet", FrameMetrics, {}, TIME_COLUMNS):
+            pass
     assert TableTimes(tmp_path / "out.metrics.parquet").of("log", 0) == {}
 
 
@@ -132,20 +130,20 @@ def channel(topic, name=""):
     return Channel(topic, found.message_encoding, found.name, found.schema_encoding, found.data, marks)
 
 
-def contents(frame, status):
+def contents(frame):
     stamp = STAMPS[frame]
     return {
         IMAGE: encoding.encode_image(stamp, "camera", "png", PNG),
         "/perception/lanes": encoding.encode_lanes(stamp, "camera", LANES),
-        METRICS: encode_metrics("camera", FrameMetrics("log", frame, stamp, lane_left_status=status)),
+        METRICS: encode_metrics("camera", FrameMetrics("log", frame, stamp, lane_left_status="held")),
     }
 
 
-def write_log(path, bad=None, foreign="", status="held"):
-    """Three frames; ``bad`` are messages of the second one, ``status`` is its left boundary's."""
+def write_log(path, bad=None, foreign=""):
+    """Three frames; ``bad`` are messages of the second one."""
     with LogWriter(path) as writer:
         for frame, stamp in enumerate(STAMPS):
-            messages = contents(frame, status if frame == 1 else "held") | ((bad or {}) if frame == 1 else {})
+            messages = contents(frame) | ((bad or {}) if frame == 1 else {})
             for topic in sorted(messages, key=list(SCHEMAS).index):
                 known = channel(topic, "sensor_msgs/msg/Image" if topic == foreign else "")
                 writer.write(Message(known, stamp, stamp, frame, messages[topic]))
@@ -157,45 +155,41 @@ def frames(path):
     return list(read_frames(log.summarise(path), problems)), problems
 
 
-def test_a_part_that_cannot_be_read_is_not_there_and_is_counted(tmp_path):
-    found, problems = frames(write_log(tmp_path / "out.mcap", {"/perception/lanes": BAD}))
-    assert [isinstance(seen.lanes, Absent) for _, seen in found] == [False, True, False]
-    assert problems.counts == {"/perception/lanes": 1}
-    assert problems.first["/perception/lanes"].startswith(
-        f"/perception/lanes: message at {STAMPS[1]} ns: 2 bytes are no"
-    )
+NO_IMAGE = encoding.encode_image(STAMPS[1], "camera", "png", b"no png")
 
 
 @pytest.mark.parametrize(
-    "image", [BAD, encoding.encode_image(STAMPS[1], "camera", "png", b"no png")], ids=["message", "pixels"]
+    ("topic", "data", "there"),
+    [
+        ("/perception/lanes", BAD, lambda seen: not isinstance(seen.lanes, Absent)),
+        (IMAGE, BAD, lambda seen: seen is not None),
+        (IMAGE, NO_IMAGE, lambda seen: seen is not None),
+        ("/perception/drivable", NO_IMAGE, lambda seen: isinstance(seen.drivable, Absent)),
+    ],
+    ids=["lanes", "image", "pixels", "mask"],
 )
-def test_a_frame_whose_image_cannot_be_read_has_none(tmp_path, image):
-    found, problems = frames(write_log(tmp_path / "out.mcap", {IMAGE: image}))
-    assert [seen is None for _, seen in found] == [False, True, False]
-    assert problems.counts == {IMAGE: 1}
+def test_a_part_that_cannot_be_read_is_not_there_and_is_counted(tmp_path, topic, data, there):
+    found, problems = frames(write_log(tmp_path / "out.mcap", {topic: data}))
+    assert [there(seen) for _, seen in found] == [True, topic == "/perception/drivable", True]
+    assert problems.counts == {topic: 1}
+    assert problems.first[topic].startswith(f"{topic}: message at {STAMPS[1]} ns: ")
 
 
-def test_a_mask_that_is_no_png_is_not_there(tmp_path):
-    mask = encoding.encode_image(STAMPS[1], "camera", "png", b"no png")
-    found, problems = frames(write_log(tmp_path / "out.mcap", {"/perception/drivable": mask}))
-    assert [isinstance(seen.drivable, Absent) for _, seen in found] == [True] * 3
-    assert problems.counts == {"/perception/drivable": 1}
-
-
-@pytest.mark.parametrize("status", ["weird", ""])
-def test_a_row_with_an_unknown_status_is_left_out(tmp_path, status):
-    path = write_log(tmp_path / "out.mcap", status=status)
+@pytest.mark.parametrize(
+    ("values", "fault"),
+    [
+        ({"lane_left_status": "weird"}, "lane_left_status 'weird': expected one of measured, held, lost"),
+        ({"lane_left_status": ""}, "lane_left_status '': expected one of measured, held, lost"),
+        ({"lane_left_offset_m": np.inf}, "metrics: a number is not finite"),
+    ],
+)
+def test_a_row_that_cannot_be_read_is_left_out(tmp_path, values, fault):
+    row = encode_metrics("camera", FrameMetrics("log", 1, STAMPS[1], **values))
+    path = write_log(tmp_path / "out.mcap", {METRICS: row})
     found, problems = frames(path)
     assert [row.frame for row, _ in found] == [0, 2]
     assert [row.frame for row in read_rows(log.summarise(path), Problems())] == [0, 2]
-    assert f"lane_left_status {status!r}: expected one of measured, held, lost" in problems.first[METRICS]
-
-
-def test_a_row_with_a_number_that_is_none_is_left_out(tmp_path):
-    row = encode_metrics("camera", FrameMetrics("log", 1, STAMPS[1], lane_left_offset_m=np.inf))
-    found, problems = frames(write_log(tmp_path / "out.mcap", {METRICS: row}))
-    assert [row.frame for row, _ in found] == [0, 2]
-    assert "metrics: a number is not finite" in problems.first[METRICS]
+    assert fault in problems.first[METRICS]
 
 
 def test_results_of_a_foreign_schema_are_no_results(tmp_path):
@@ -227,7 +221,7 @@ def test_an_overlay_that_cannot_be_read_is_a_still(tmp_path):
     with LogWriter(path) as writer:
         for frame, content in enumerate((good, BAD, good)):
             stamp = STAMPS[frame]
-            row = contents(frame, "held")[METRICS]
+            row = contents(frame)[METRICS]
             writer.write(Message(channel(METRICS), stamp, stamp, frame, row))
             writer.write(Message(channel("/perception/overlay"), stamp, stamp, frame, content))
     video = write_video(path, tmp_path / "video.mp4")

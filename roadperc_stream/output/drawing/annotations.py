@@ -32,6 +32,7 @@ from roadperc_stream.schemas.protobuf import set_stamp
 _FAINT: Final = 0.45
 """Opacity of the many proposals, under the few lines that were made of them."""
 _TEXT_UP_TO: Final = 0.8
+"""Part of the image's columns from which on a text has no space to its right."""
 _PATCH_M: Final = (2.0, 40.0, 4.0)
 """Nearest and farthest x, and half the width."""
 _PATCH_STRIPS: Final = 19
@@ -56,7 +57,8 @@ def lane_annotations(stamp_ns: int, camera: Camera, lanes: Lanes) -> bytes:
             colour = colours.BOUNDARY[boundary.status]
             _points(message, PointsAnnotation.LINE_STRIP, boundary.line_px, colour, 4.0)
             text = f"{boundary.offset_m:+.2f} m {boundary.outside}".strip()
-            visible = boundary.line_px[_space_for_text(camera, boundary.line_px)]
+            x, y = boundary.line_px.T
+            visible = boundary.line_px[(x >= 0) & (x < _TEXT_UP_TO * camera.width) & (y < camera.height)]
             if len(visible):
                 _text(message, camera, visible[0], text, colour)
     return message.SerializeToString()
@@ -196,13 +198,6 @@ def _outline(surface: Surface, camera: Camera, ego_T_camera: Float, mask: Mask) 
     points = ground_points(surface, camera, ego_T_camera, pixels)
     near = np.linalg.norm(np.nan_to_num(points, nan=np.inf), axis=1) < _OUTLINE_MAX_M
     return np.asarray(points[near], float)
-
-
-def _space_for_text(camera: Camera, pixels: Float) -> Mask:
-    """Which of (N, 2) pixels are in the image with space to their right."""
-    x, y = pixels.T
-    fits: Mask = (x >= 0) & (x < _TEXT_UP_TO * camera.width) & (y < camera.height)
-    return fits
 
 
 def _box_style(item: Object) -> tuple[Colour, float]:

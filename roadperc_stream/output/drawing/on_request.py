@@ -9,7 +9,7 @@ import numpy as np
 
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats.images import encode_jpeg
-from roadperc_stream.geometry import Camera, Float, Float32
+from roadperc_stream.geometry import Camera, Float32
 from roadperc_stream.model import (
     CameraImage,
     Correlation,
@@ -17,7 +17,6 @@ from roadperc_stream.model import (
     FrameResult,
     Image,
     Lanes,
-    Mask,
     Matches,
     Objects,
     Odometry,
@@ -71,7 +70,8 @@ def lanes_picture(image_bgr: Image, lanes: Lanes) -> Image:
         (lanes.merged_px, _MERGED, pen.line_px),
         (lanes.proposals_px, _PROPOSED, max(pen.line_px // 2, 1)),
     ):
-        _draw_lines(canvas, lines, colour, width_px, pen)
+        for line in lines:
+            polyline(canvas, line.reshape(2, 2), colour, width_px, pen)
     legend = (
         (f"{len(lanes.proposals_px)} proposed", _PROPOSED),
         (f"{len(lanes.merged_px)} merged", _MERGED),
@@ -92,7 +92,10 @@ def matches_picture(image_bgr: Image, matches: Matches) -> Image:
     pen = Pen.of(canvas)
     groups = ((~matches.inliers, _OUTLIER, "outliers"), (matches.inliers, _INLIER, "inliers"))
     for chosen, colour, _ in groups:
-        _draw_flow(canvas, matches, chosen, colour, pen)
+        for start, end in zip(matches.key_px[chosen], matches.px[chosen], strict=True):
+            polyline(canvas, np.array((start, end), float), colour, max(pen.line_px // 2, 1), pen)
+            dot = round(float(end[0])), round(float(end[1]))
+            cv2.circle(canvas, dot, pen.line_px, colour, cv2.FILLED, cv2.LINE_AA)
     legend = [(f"{np.count_nonzero(chosen)} {name}", colour) for chosen, colour, name in reversed(groups)]
     _draw_legend(canvas, legend, pen)
     return canvas
@@ -129,19 +132,13 @@ def disparity_picture(left: Camera, baseline_m: float, stereo: StereoDepth) -> I
         stereo: (H, W) depth as the left camera sees it.
     """
     most_px = left.fx * baseline_m / _NEAREST_M
-    canvas = _disparity_colours(left.fx * baseline_m, most_px, stereo.depth_m)
-    pen = Pen.of(canvas)
-    _draw_legend(canvas, [(f"disparity 0 to {most_px:.0f} px", _PEAK)], pen)
-    return canvas
-
-
-def _disparity_colours(focal_times_baseline: float, most_px: float, depth_m: Float32) -> Image:
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = np.float32(focal_times_baseline / most_px) / depth_m
+        share = np.float32(left.fx * baseline_m / most_px) / stereo.depth_m
     known = np.isfinite(share)
-    colours = _turbo(np.where(known, share, np.float32(0)))
-    colours[~known] = 0
-    return colours
+    canvas = _turbo(np.where(known, share, np.float32(0)))
+    canvas[~known] = 0
+    _draw_legend(canvas, [(f"disparity 0 to {most_px:.0f} px", _PEAK)], Pen.of(canvas))
+    return canvas
 
 
 def _turbo(share: Float32) -> Image:
@@ -154,17 +151,6 @@ def _dimmed(image_bgr: Image) -> Image:
     """Grey and dark, so that what is drawn in stands out."""
     grey = cv2.cvtColor(image_bgr, cv2.COLOR_BGR2GRAY)
     return np.asarray(cv2.cvtColor(cv2.convertScaleAbs(grey, alpha=_DIMMED), cv2.COLOR_GRAY2BGR), np.uint8)
-
-
-def _draw_lines(canvas: Image, lines: Float, colour: Colour, width_px: int, pen: Pen) -> None:
-    for line in lines:
-        polyline(canvas, line.reshape(2, 2), colour, width_px, pen)
-
-
-def _draw_flow(canvas: Image, matches: Matches, chosen: Mask, colour: Colour, pen: Pen) -> None:
-    for start, end in zip(matches.key_px[chosen], matches.px[chosen], strict=True):
-        polyline(canvas, np.array((start, end), float), colour, max(pen.line_px // 2, 1), pen)
-        cv2.circle(canvas, (round(float(end[0])), round(float(end[1]))), pen.line_px, colour, cv2.FILLED, cv2.LINE_AA)
 
 
 def _lay_heat(canvas: Image, search: Correlation) -> None:
@@ -251,18 +237,13 @@ def _pixels(image: CameraImage | None) -> Image | None:
 
 
 def _debug(frame: Frame, image: Image | None, result: FrameResult) -> Iterator[Picture]:
-    if image is not None:
-        yield from _over_image(image, result)
+    if image is not None and isinstance(result.lanes, Lanes):
+        yield DEBUG_LANES_TOPIC, result.frame_id, lanes_picture(image, result.lanes)
+    if image is not None and isinstance(result.odometry, Odometry) and result.odometry.matches is not None:
+        yield DEBUG_MATCHES_TOPIC, result.frame_id, matches_picture(image, result.odometry.matches)
+    if image is not None and isinstance(result.objects, Objects) and result.objects.searches:
+        yield DEBUG_TEMPLATE_TOPIC, result.frame_id, template_picture(image, result.objects.searches)
     baseline_m = frame.right_camera.baseline_m if frame.right_camera else None
     if isinstance(result.stereo, StereoDepth) and baseline_m:
         disparity = disparity_picture(frame.left_camera, baseline_m, result.stereo)
         yield DEBUG_DISPARITY_TOPIC, result.stereo.frame_id, disparity
-
-
-def _over_image(image: Image, result: FrameResult) -> Iterator[Picture]:
-    if isinstance(result.lanes, Lanes):
-        yield DEBUG_LANES_TOPIC, result.frame_id, lanes_picture(image, result.lanes)
-    if isinstance(result.odometry, Odometry) and result.odometry.matches is not None:
-        yield DEBUG_MATCHES_TOPIC, result.frame_id, matches_picture(image, result.odometry.matches)
-    if isinstance(result.objects, Objects) and result.objects.searches:
-        yield DEBUG_TEMPLATE_TOPIC, result.frame_id, template_picture(image, result.objects.searches)

@@ -34,8 +34,6 @@ _TINT: Final = 0.22
 _LEVELS: Final = np.arange(256)[None, :, None]
 _TINTED: Final = np.rint((1 - _TINT) * _LEVELS + _TINT * np.array(bgr(colours.DRIVABLE))).astype(np.uint8)
 """(1, 256, 3) what each level of each colour becomes where the road is drivable."""
-
-
 _RAW_DASH: Final = 7.0
 _BOX_DASH: Final = 4.0
 """Length of a dash by a line's width."""
@@ -82,23 +80,17 @@ def draw_results(frame: PerceivedFrame, width_px: int, top_px: int = 0) -> Image
         return canvas
     pen = Pen.of(canvas, scale)
     if not isinstance(frame.drivable, Absent):
-        _require_same_size(frame.image_bgr, frame.drivable)
-        _tint(canvas, frame.drivable, pen)
+        if frame.drivable.shape != frame.image_bgr.shape[:2]:
+            raise ValueError(
+                f"drivable: expected the image's {frame.image_bgr.shape[:2]} pixels, got {frame.drivable.shape}"
+            )
+        mask = cv2.resize(frame.drivable.astype(np.uint8), pen.size, interpolation=cv2.INTER_NEAREST)
+        cv2.copyTo(cv2.LUT(canvas, _TINTED), mask, canvas)
     if not isinstance(frame.lanes, Absent):
         _draw_lanes(canvas, frame.lanes, pen)
     if not isinstance(frame.objects, Absent):
         _draw_objects(canvas, frame.objects.objects, pen, top_px)
     return canvas
-
-
-def _require_same_size(image_bgr: Image, drivable: Mask) -> None:
-    if drivable.shape != image_bgr.shape[:2]:
-        raise ValueError(f"drivable: expected the image's {image_bgr.shape[:2]} pixels, got {drivable.shape}")
-
-
-def _tint(canvas: Image, drivable: Mask, pen: Pen) -> None:
-    mask = cv2.resize(drivable.astype(np.uint8), pen.size, interpolation=cv2.INTER_NEAREST)
-    cv2.copyTo(cv2.LUT(canvas, _TINTED), mask, canvas)
 
 
 def _draw_lanes(canvas: Image, lanes: Lanes, pen: Pen) -> None:

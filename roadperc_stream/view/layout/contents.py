@@ -32,15 +32,7 @@ from roadperc_stream.view.result_frames import read_rows, require_shown
 _DEPTH_ROLES: Final = ("depth", "truth_depth")
 _TF_ROLES: Final = ("tf", "tf_static")
 _COLUMNS: Final = frozenset(field.name for field in fields(FrameMetrics))
-IN_THE_EGO_FRAME: Final = frozenset(
-    {
-        DRIVABLE_SCENE_TOPIC,
-        LANES_SCENE_TOPIC,
-        OBJECTS_SCENE_TOPIC,
-        OCCUPANCY_TOPIC,
-        TF_TOPIC,
-    }
-)
+_IN_THE_EGO_FRAME: Final = {DRIVABLE_SCENE_TOPIC, LANES_SCENE_TOPIC, OBJECTS_SCENE_TOPIC, OCCUPANCY_TOPIC, TF_TOPIC}
 """Results that name the ego frame."""
 
 
@@ -100,7 +92,7 @@ def contents_of(path: Path, overrides: Mapping[str, str]) -> LogContents:
         columns=_columns(summary) if METRICS_TOPIC in results else frozenset(),
         depth_in_metres=frozenset(_depth_in_metres(summary, roles.topics)),
         more_images=_more_images(present, roles.topics.values()),
-        has_ego_frame=bool(results & IN_THE_EGO_FRAME) or EGO in _frames(summary, roles.topics),
+        has_ego_frame=bool(results & _IN_THE_EGO_FRAME) or EGO in _frames(summary, roles.topics),
     )
 
 

@@ -175,7 +175,11 @@ class _Sender:
         for entry in entries:
             self._log(entry)
         if metrics:  # each frame has them
-            self._clear({entry.entity for entry in entries if _is_of_a_frame(entry)})
+            of_frame = {e.entity for e in entries if e.frame and e.entity.startswith(tuple(RESULTS))}
+            # The viewer shows the last of everything: what this frame has not would be shown of an earlier one.
+            for entity in sorted(self._drawn - of_frame):
+                self._recording.log(entity, rr.Clear(recursive=False))
+            self._drawn = of_frame
 
     def _frame_of(self, messages: Sequence[Message], metrics: Sequence[Message]) -> int:
         """The number that the metrics say, else the next one where a frame is among the messages."""
@@ -203,13 +207,3 @@ class _Sender:
             self._recording.log(entry.entity, entry.archetype, rr.CoordinateFrame(entry.frame))
         else:
             self._recording.log(entry.entity, entry.archetype)
-
-    def _clear(self, drawn: set[str]) -> None:
-        """The viewer shows the last of everything: what this frame has not would be shown of an earlier one."""
-        for entity in sorted(self._drawn - drawn):
-            self._recording.log(entity, rr.Clear(recursive=False))
-        self._drawn = drawn
-
-
-def _is_of_a_frame(entry: Entry) -> bool:
-    return bool(entry.frame) and entry.entity.startswith(tuple(RESULTS))

@@ -64,19 +64,6 @@ def test_a_text_too_high_for_the_picture_is_left_out():
     assert places([car(5.0)], (50.0, 241.0)) == (None,)
 
 
-coordinate = st.integers(-50, 350)
-
-
-@given(st.lists(st.tuples(st.none() | st.floats(0, 100), *[coordinate] * 4, st.booleans()), max_size=12))
-def test_no_caption_lies_over_another_one(rows):
-    objects = [car(distance_m, corners, kept=kept) for distance_m, *corners, kept in rows]
-    found = [place for place in places(objects) if place is not None]
-    for index, place in enumerate(found):
-        assert 0 <= place.x_min < place.x_max <= SIZE[0]
-        assert 0 <= place.y_min < place.y_max <= SIZE[1]
-        assert not any(place.overlap(other) for other in found[:index])
-
-
 def test_text_in_a_viewer_grows_with_the_image_and_its_letters():
     columns, rows = viewer_text_size(CAMERA, "Car 4.0 m")
     assert viewer_text_size(CAMERA, 2 * "Car 4.0 m") == pytest.approx((2 * columns, rows))
@@ -141,10 +128,11 @@ coordinate = st.integers(-50, 350)
 
 
 @given(st.lists(st.tuples(st.none() | st.floats(0, 100), *[coordinate] * 4, st.booleans()), max_size=12))
-def test_labels_lie_in_the_picture_and_over_no_other_one(rows):
+def test_captions_and_labels_lie_in_the_picture_and_over_no_other_one(rows):
     objects = [car(distance_m, corners, kept=kept) for distance_m, *corners, kept in rows]
-    found = [place for place in labels(*objects, top_px=30.0) if place is not None]
-    for index, place in enumerate(found):
-        assert 0 <= place.x_min < place.x_max <= SIZE[0]
-        assert 30 <= place.y_min < place.y_max <= SIZE[1]
-        assert not any(place.overlap(other) for other in found[:index])
+    for top_px, placed in ((0, places(objects)), (30, labels(*objects, top_px=30.0))):
+        found = [place for place in placed if place is not None]
+        for index, place in enumerate(found):
+            assert 0 <= place.x_min < place.x_max <= SIZE[0]
+            assert top_px <= place.y_min < place.y_max <= SIZE[1]
+            assert not any(place.overlap(other) for other in found[:index])

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from roadperc_stream import log
-from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.config import load_config
 from roadperc_stream.geometry import Camera
 from roadperc_stream.input.decoding import Context, decode
@@ -114,12 +113,6 @@ def test_frames_without_an_image_are_told_of_and_not_drawn(tmp_path):
     summary = replay(source, target, CFG, on_request=("overlay",))
     assert not pictures(target)
     assert "--overlay: frames without a camera image that can be read: 3" in summary.notes
-
-
-def test_the_command_has_both_options(source):
-    target = source.with_name("out.mcap")
-    assert replay_main([str(source), str(target), "--overlay", "--debug", "--quiet"]) == 0
-    assert {"/perception/overlay", "/perception/debug/lanes"} <= set(pictures(target))
 
 
 def test_a_broken_image_leaves_its_frame_without_pictures(tmp_path):

@@ -118,18 +118,6 @@ def test_pause_seek_and_speed(path):
         viewer.until(lambda: [m for m in viewer.shown() if m.data == b"image 102"])
 
 
-def test_a_second_viewer_sees_the_paused_frame(path):
-    with served(path) as port, Viewer(port) as first:
-        first.subscribe()
-        first.until(lambda: first.shown("/image"))
-        first.control(play=False, seek_ns=1040 * S)
-        with Viewer(port) as second:
-            second.subscribe()
-            second.until(lambda: len(second.shown()) >= 2)
-            assert {m.data for m in second.shown()} == {b"calibration", b"image 400"}
-            assert second.until(second.states)[-1][:2] == ("paused", 1040 * S)
-
-
 def test_a_disk_that_stands_still_keeps_no_viewer_from_an_answer(path, monkeypatch):
     """The server has a few threads for all its viewers: none of them may wait for what a seek reads."""
     reading, on, ends = Event(), Event(), []
@@ -197,6 +185,7 @@ def test_who_comes_after_the_end_knows_the_time_and_sees_the_last_frame(path):
             second.until(lambda: len(second.shown()) >= 2)
             assert {m.data for m in second.shown()} == {b"calibration", b"image 599"}
             assert (1059_900_000_000,) in second.until(lambda: [t for t in second.heard if len(t) == 1])
+            assert second.until(second.states)[-1][:2] == ("ended", 1059_900_000_000)
 
 
 def test_a_viewer_that_sleeps_does_not_keep_the_server_from_ending(tmp_path):

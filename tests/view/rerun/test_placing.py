@@ -121,12 +121,6 @@ def test_the_map_lies_a_little_below_the_road(road):
     assert (x_m, y_m) == pytest.approx((occupancy.x_min_m, -occupancy.half_width_m), abs=1e-6)
 
 
-def test_a_camera_nobody_places_stands_at_the_assumed_height(tmp_path):
-    entities = replayed(tmp_path, logs.items(frames=2, roles=("calibration", "image", "depth", "segmentation")))
-    wanted = level_mounting(load_config().surface.assumed_height_m)
-    assert front(entities)[1] == pytest.approx(wanted, abs=1e-5)
-
-
 def test_where_the_left_image_makes_the_frames_the_results_are_its_cameras(tmp_path):
     stereo = {"image": "left", "calibration": "left_calibration"}
     items = [replace(i, role=stereo.get(i.role, i.role)) for i in logs.items(frames=2) if i.role != "tf"]

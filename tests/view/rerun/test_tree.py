@@ -63,6 +63,11 @@ TREES = {
         ],
     ),
     "turning camera": ("camera", [[FOOT, MOUNT], [edge("base_link", "camera", 1.1, yaw=0.3)]]),
+    "camera moved to another parent": (
+        "camera",
+        [[FOOT, MOUNT], [Transform("base_footprint", "camera", MOUNT.parent_T_child)]],
+    ),
+    "an edge that closes a loop": ("camera", [[FOOT, MOUNT], [edge("camera", "base_footprint", 1.0)]]),
     "odometry": ("camera", [[edge("map", "odom", 3.0)], [edge("odom", "base_link", 9.0)], [MOUNT]]),
     "by odometry alone": ("camera", [[edge("odom", "base_link", 9.0), edge("odom", "camera", 8.0, yaw=0.1)]]),
     "ego below": ("camera", [[edge("map", "ego", 5.0)], [edge("ego", "camera", 1.4)]]),
@@ -97,9 +102,15 @@ def placed(world, drawn, frame_id):
     return wanted is not None
 
 
-def test_frames_above_the_car_are_kept_below_it():
+def with_camera(frame_id):
+    """What is drawn of a calibration that comes before all else."""
     world, drawn = SceneState(), Drawn()
-    drawn.add(pictures.calibration("/c", "calibration", camera("cam"), world))
+    drawn.add(pictures.calibration("/c", "calibration", camera(frame_id), world))
+    return world, drawn
+
+
+def test_frames_above_the_car_are_kept_below_it():
+    world, drawn = with_camera("cam")
     above = edge("map", "base_link", 50.0, yaw=0.3)
     messages = (above, edge("base_link", "cam", 1.0)), (edge("map", "sign", 60.0),)
     for message in messages:
@@ -117,23 +128,6 @@ def test_only_what_changes_is_drawn_again():
     assert again.entity == "/tf/camera"
 
 
-def test_a_frame_that_is_moved_to_another_parent_is_drawn_again():
-    world, drawn = SceneState(), Drawn()
-    moved = Transform("base_footprint", "camera", MOUNT.parent_T_child)
-    drawn.add(pictures.calibration("/c", "calibration", camera("camera"), world))
-    for message in ((FOOT, MOUNT), (moved,)):
-        drawn.add(scene.transforms("/tf", "tf", message, world))
-    assert placed(world, drawn, "camera")
-
-
-def test_an_edge_that_closes_a_loop_is_left_out():
-    world, drawn = SceneState(), Drawn()
-    drawn.add(pictures.calibration("/c", "calibration", camera("camera"), world))
-    drawn.add(scene.transforms("/tf", "tf", (FOOT, MOUNT), world))
-    drawn.add(scene.transforms("/tf", "tf", (edge("camera", "base_footprint", 1.0),), world))
-    assert placed(world, drawn, "camera")
-
-
 def surface(height_m):
     """A road 0.2 m below ego's origin, seen by a camera so high above that."""
     plane = Plane((0.0, 0.0, 1.0), 0.2)
@@ -143,8 +137,7 @@ def surface(height_m):
 @pytest.mark.parametrize("frame_id", ["camera", "base_link"])
 def test_a_camera_nobody_places_stands_as_high_as_the_chain_took_it_to_be(frame_id):
     """The vehicle's own frame is no optical one: its camera is not placed, wherever the tree has the frame."""
-    world, drawn = SceneState(), Drawn()
-    drawn.add(pictures.calibration("/c", "calibration", camera(frame_id), world))
+    world, drawn = with_camera(frame_id)
     drawn.add(scene.transforms("/tf", "tf", (edge("ego", "base_link", 9.0), edge("map", "camera", 9.0)), world))
     drawn.add(e for e in scene.road("/perception/surface", "result", surface(1.7), world))
     assert drawn.ego_T(frame_id) == pytest.approx(level_mounting(1.7), abs=1e-6)
@@ -152,8 +145,7 @@ def test_a_camera_nobody_places_stands_as_high_as_the_chain_took_it_to_be(frame_
 
 
 def test_a_transform_that_comes_later_takes_the_place_of_what_was_assumed():
-    world, drawn = SceneState(), Drawn()
-    drawn.add(pictures.calibration("/c", "calibration", camera("camera"), world))
+    world, drawn = with_camera("camera")
     drawn.add(scene.road("/perception/surface", "result", surface(1.7), world))
     drawn.add(scene.transforms("/tf_static", "tf_static", (FOOT, MOUNT), world))
     assert placed(world, drawn, "camera")
