@@ -3,7 +3,6 @@
 import pytest
 from mcap.writer import CompressionType, Writer
 
-from roadperc_stream.errors import LogError
 from roadperc_stream.log import Salvage, read, summarise
 from tests.info.odd import WRITERS, write
 
@@ -21,20 +20,6 @@ def test_a_whole_log_of_any_writer_is_whole(tmp_path, options):
     assert (salvage.whole, salvage.damages) == (True, [])
     assert [m.log_time_ns for m in messages] == TIMES
     assert messages == list(read(summarise(tmp_path / "a.mcap")))
-
-
-def test_a_log_cut_anywhere_gives_what_was_whole_before_the_cut(tmp_path):
-    path = write(tmp_path / "a.mcap", TIMES, use_chunking=False, enable_data_crcs=True)
-    whole = path.read_bytes()
-    ends = [whole.index(message.data) + len(message.data) for message in read(summarise(path))]
-    for length in range(8, len(whole), 37):
-        path.write_bytes(whole[:length])
-        salvage, messages = salvaged(path)
-        expected = sum(end <= length for end in ends)
-        assert [m.log_time_ns for m in messages] == TIMES[:expected], length
-        assert not salvage.whole
-        assert salvage.damages[-1].byte <= length
-        assert salvage.last_good_ns == (TIMES[expected - 1] if expected else None)
 
 
 def test_a_damaged_chunk_costs_its_own_messages_only(tmp_path):
@@ -106,11 +91,3 @@ def test_a_changed_summary_and_a_changed_attachment_are_found(tmp_path):
     at = whole.rindex(b"notes")
     path.write_bytes(whole[:at] + b"nodes" + whole[at + 5 :])
     assert "CRC of the summary" in salvaged(path)[0].damages[0].words
-
-
-@pytest.mark.parametrize(("content", "words"), [(b"", "empty file"), (b"not a log at all", "not an MCAP log")])
-def test_what_is_no_log_is_refused(tmp_path, content, words):
-    path = tmp_path / "a.mcap"
-    path.write_bytes(content)
-    with pytest.raises(LogError, match=words):
-        Salvage(path)

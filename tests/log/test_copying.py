@@ -4,7 +4,6 @@ import zlib
 from dataclasses import replace
 
 import pytest
-import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap import records
@@ -13,10 +12,8 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType
 
 from roadperc_stream import log
-from roadperc_stream.config import DEFAULT_LIMITS
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import Channel, LogWriter, Message, MessageCopy
-from roadperc_stream.log.audit import in_file_order
 from roadperc_stream.log.indexed import IndexedFile
 from roadperc_stream.log.mcap_file import ChunkRecords, McapFile, OpenChunk
 from tests.arranged import by_library, plain
@@ -194,25 +191,6 @@ def test_messages_that_no_index_names_are_no_results_of_the_copy(tmp_path):
         file.finish()
     with pytest.raises(LogError, match="message of channel 2, which nothing describes"):
         copied(source, tmp_path / "b.mcap", topics=["/a"], results=[1])
-
-
-@pytest.mark.parametrize("crcs", [True, False])
-def test_a_chunk_of_several_frames_of_zstandard_is_read_to_its_end(tmp_path, monkeypatch, crcs):
-    compress = zstandard.compress
-    monkeypatch.setattr(zstandard, "compress", lambda data: compress(data[:100]) + compress(data[100:]))
-    source = by_library(tmp_path / "a.mcap", IN_ORDER, chunk_size=1000, enable_crcs=crcs)
-    summary = log.summarise(source)
-    assert isinstance(summary.source, IndexedFile)
-    assert [m[:2] for m in plain(log.read(summary))] == IN_ORDER
-    assert [m[:2] for m in plain(in_file_order(source, DEFAULT_LIMITS))] == IN_ORDER
-    with LogWriter(tmp_path / "b.mcap") as writer:
-        copy = MessageCopy(
-            writer, summary.channels, log.pieces(summary, summary.channels, None, None), summary.schema_ids
-        )
-        growing = writer.while_written()
-        copy.rest()
-        assert [m[:2] for m in plain(growing.read())] == IN_ORDER
-    assert [m[:2] for m in inputs(tmp_path / "b.mcap")] == IN_ORDER
 
 
 @settings(max_examples=60)
