@@ -7,7 +7,7 @@ from roadperc_stream.log.audit import audited
 from roadperc_stream.log.damage import Damage, DamagedLogError, number_of
 from roadperc_stream.log.growing import GrowingLog
 from roadperc_stream.log.mcap_file import Piece
-from roadperc_stream.log.parts import gone_on_ns
+from roadperc_stream.log.parts import counted_topics, gone_on_ns
 from roadperc_stream.log.reading import pieces, read, summarise
 from roadperc_stream.log.records import (
     DIGEST_ALGORITHM,

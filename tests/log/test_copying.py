@@ -146,35 +146,31 @@ def test_a_chunk_that_is_large_is_written_anew(tmp_path, monkeypatch):
     assert not any(whole(pieces))
 
 
+def pieces_of_changed(path, place_of):
+    """Which pieces are whole chunks, of a log of six in which a byte was changed after its CRCs were checked."""
+    source = by_library(path, IN_ORDER, chunk_size=TWO)
+    file = log.summarise(source).source
+    assert isinstance(file, IndexedFile)
+    data = bytearray(source.read_bytes())
+    data[place_of(file.chunks)] ^= 3
+    source.write_bytes(data)
+    return whole(replace(file, check_chunks=False).pieces(frozenset({1, 2}), None, None))
+
+
 def test_a_chunk_whose_own_crc_is_wrong_is_written_anew(tmp_path):
     """The data section's CRC says that these are the bytes that were written: then the writer was wrong."""
-    source = by_library(tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO)
-    summary = log.summarise(source)
-    file = summary.source
-    assert isinstance(file, IndexedFile)
-    first = file.chunks[0]
-    data = bytearray(source.read_bytes())
-    data[first.chunk_start_offset + 33] ^= 1
-    source.write_bytes(data)
-    unchecked = replace(file, check_chunks=False)
-    pieces = list(unchecked.pieces(frozenset({1, 2}), None, None))
-    assert whole(pieces)[:2] == [False, False]
-    assert whole(pieces)[-1] is True
+    found = pieces_of_changed(tmp_path / "a.mcap", lambda chunks: chunks[0].chunk_start_offset + 33)
+    assert found[:2] == [False, False]
+    assert found[-1] is True
 
 
 @pytest.mark.parametrize("byte", [9, 17, 25], ids=["channel", "log time", "place"])
 def test_a_chunk_whose_message_indexes_are_wrong_is_written_anew(tmp_path, byte):
     """Who trusts them would not find its messages; and one that they do not name may be of any channel."""
-    source = by_library(tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO)
-    file = log.summarise(source).source
-    assert isinstance(file, IndexedFile)
-    last = file.chunks[-1]
-    data = bytearray(source.read_bytes())
-    data[last.chunk_start_offset + last.chunk_length + byte] ^= 3
-    source.write_bytes(data)
-    unchecked = replace(file, check_chunks=False)
-    pieces = list(unchecked.pieces(frozenset({1, 2}), None, None))
-    assert whole(pieces) == [True] * (len(file.chunks) - 1) + [False] * 2
+    found = pieces_of_changed(
+        tmp_path / "a.mcap", lambda chunks: chunks[-1].chunk_start_offset + chunks[-1].chunk_length + byte
+    )
+    assert found == [True] * 5 + [False] * 2
 
 
 def test_messages_that_no_index_names_are_no_results_of_the_copy(tmp_path):
