@@ -135,27 +135,6 @@ def raw(path, messages=40, **options):
     return path
 
 
-OTHER_WRITERS = {
-    "no chunks": {"use_chunking": False},
-    "no chunk index": {"index_types": IndexType.NONE},
-    "no statistics": {"use_statistics": False},
-    "no channels in the summary": {"repeat_channels": False},
-    "no schemas in the summary": {"repeat_schemas": False},
-    "lz4": {"compression": CompressionType.LZ4},
-    "no compression": {"compression": CompressionType.NONE},
-}
-
-
-@pytest.mark.parametrize("options", OTHER_WRITERS.values(), ids=OTHER_WRITERS)
-def test_logs_of_other_writers_are_read_whole(tmp_path, options):
-    summary, messages = read_whole(raw(tmp_path / "a.mcap", **options))
-    assert [m.data for m in messages] == [bytes([k]) * 50 for k in range(40)]
-    assert [c.schema_name for c in summary.channels] == ["S"]
-    assert list(summary.counts.values()) == [40]
-    assert [a.name for a in summary.attachments] == ["a.txt"]
-    assert summary.metadata == (Metadata("m", (("k", "v"),)),)
-
-
 @pytest.mark.parametrize("options", [{"use_chunking": False}, {"index_types": IndexType.NONE}, {}])
 def test_any_byte_changed_in_the_data_is_found(tmp_path, options):
     path = raw(tmp_path / "a.mcap", enable_data_crcs=True, compression=CompressionType.NONE, **options)

@@ -14,12 +14,20 @@ def salvaged(path):
     return salvage, list(salvage.messages())
 
 
-@pytest.mark.parametrize("options", WRITERS.values(), ids=WRITERS)
+ALL_WRITERS = WRITERS | {
+    "no channels in the summary": {"repeat_channels": False},
+    "no schemas in the summary": {"repeat_schemas": False},
+}
+
+
+@pytest.mark.parametrize("options", ALL_WRITERS.values(), ids=ALL_WRITERS)
 def test_a_whole_log_of_any_writer_is_whole(tmp_path, options):
     salvage, messages = salvaged(write(tmp_path / "a.mcap", TIMES, **options))
     assert (salvage.whole, salvage.damages) == (True, [])
     assert [m.log_time_ns for m in messages] == TIMES
-    assert messages == list(read(summarise(tmp_path / "a.mcap")))
+    summary = summarise(tmp_path / "a.mcap")
+    assert messages == list(read(summary))
+    assert ([c.schema_name for c in summary.channels], list(summary.counts.values())) == (["Text"], [len(TIMES)])
 
 
 def test_a_damaged_chunk_costs_its_own_messages_only(tmp_path):
