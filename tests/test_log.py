@@ -4,8 +4,6 @@ import hashlib
 
 import pytest
 from blake3 import blake3
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType, Writer
 
 from roadperc_stream import log
@@ -23,21 +21,6 @@ def message(channel=TEXT, time=5, data=b"hello", sequence=3):
 
 def write(path, messages, **extra):
     return by_us(path, messages, profile="p", **extra)
-
-
-def plain(item):
-    channel = item.channel
-    return (channel.topic, channel.schema_name, channel.metadata, item.log_time_ns, item.sequence, item.data)
-
-
-@settings(max_examples=25)
-@given(st.lists(st.tuples(st.integers(0, 2**40), st.binary(max_size=50)), max_size=30))
-def test_messages_come_back_in_log_time_order(tmp_path_factory, items):
-    path = tmp_path_factory.mktemp("log") / "a.mcap"
-    written = [message(time=time, data=data, sequence=k) for k, (time, data) in enumerate(items)]
-    write(path, written)
-    expected = sorted(written, key=lambda m: m.log_time_ns)
-    assert [plain(m) for m in log.read(log.summarise(path))] == [plain(m) for m in expected]
 
 
 def test_everything_comes_back(tmp_path):
@@ -150,27 +133,6 @@ def raw(path, messages=40, **options):
         writer.add_metadata("m", {"k": "v"})
         writer.finish()
     return path
-
-
-OTHER_WRITERS = {
-    "no chunks": {"use_chunking": False},
-    "no chunk index": {"index_types": IndexType.NONE},
-    "no statistics": {"use_statistics": False},
-    "no channels in the summary": {"repeat_channels": False},
-    "no schemas in the summary": {"repeat_schemas": False},
-    "lz4": {"compression": CompressionType.LZ4},
-    "no compression": {"compression": CompressionType.NONE},
-}
-
-
-@pytest.mark.parametrize("options", OTHER_WRITERS.values(), ids=OTHER_WRITERS)
-def test_logs_of_other_writers_are_read_whole(tmp_path, options):
-    summary, messages = read_whole(raw(tmp_path / "a.mcap", **options))
-    assert [m.data for m in messages] == [bytes([k]) * 50 for k in range(40)]
-    assert [c.schema_name for c in summary.channels] == ["S"]
-    assert list(summary.counts.values()) == [40]
-    assert [a.name for a in summary.attachments] == ["a.txt"]
-    assert summary.metadata == (Metadata("m", (("k", "v"),)),)
 
 
 @pytest.mark.parametrize("options", [{"use_chunking": False}, {"index_types": IndexType.NONE}, {}])

@@ -359,25 +359,6 @@ def test_what_cannot_be_replayed_is_one_line_and_no_file(tmp_path, capsys, items
     assert [p.name for p in tmp_path.iterdir()] == ["in.mcap"]
 
 
-@pytest.mark.parametrize("kind", ["missing", "empty", "text", "half", "damaged"])
-def test_a_file_that_is_no_log_is_one_line_and_no_file(tmp_path, capsys, kind):
-    whole = logs.write(tmp_path / "whole.mcap", logs.items()).read_bytes()
-    source = tmp_path / "in.mcap"
-    middle = len(whole) // 3
-    contents = {
-        "empty": b"",
-        "text": b"hello world, no log\n" * 9,
-        "half": whole[: len(whole) // 2],
-        "damaged": whole[:middle] + bytes(64) + whole[middle + 64 :],
-    }
-    if kind in contents:
-        source.write_bytes(contents[kind])
-    assert replay_main([str(source), str(tmp_path / "out.mcap")]) == 1
-    err = capsys.readouterr().err
-    assert re.fullmatch(r"error: [^\n]*in\.mcap[^\n]*\n", err)
-    assert not list(tmp_path.glob("*out*"))
-
-
 def test_the_input_is_never_the_output(source):
     before = source.read_bytes()
     with pytest.raises(TargetError, match="is the input itself"):

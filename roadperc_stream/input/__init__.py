@@ -7,6 +7,3 @@ transforms, ``sync`` groups what belongs together, ``assemble`` makes the sample
 
 from roadperc_stream.input.replay_input import ReplayInput, input_of, open_input
 from roadperc_stream.input.source import ReplaySource
-from roadperc_stream.input.stream import Problems
-
-__all__ = ["Problems", "ReplayInput", "ReplaySource", "input_of", "open_input"]

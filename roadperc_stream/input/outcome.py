@@ -9,7 +9,7 @@ from typing import Final
 from roadperc_stream.config import SyncConfig
 from roadperc_stream.input.stream import Stamped
 from roadperc_stream.input.sync import SyncedMessages
-from roadperc_stream.log import Attachment, LogSummary, Metadata
+from roadperc_stream.log import Attachment, LogSummary, Metadata, counted_topics
 from roadperc_stream.schemas.record import CONFIG_ATTACHMENT, METADATA_RECORD
 from roadperc_stream.system.time import ns_to_seconds
 
@@ -123,7 +123,7 @@ def part_notes(summary: LogSummary, topic: str) -> tuple[str, ...]:
         topic: of the reference sensor.
     """
     spans = [
-        PartSpan(str(part.path), part.first_ns, part.last_ns, _messages_on(part, topic), part.repeats)
+        PartSpan(str(part.path), part.first_ns, part.last_ns, counted_topics(part)[topic], part.repeats)
         for part in summary.parts
         if part.first_ns is not None and part.last_ns is not None and any(part.counts.values())
     ]
@@ -188,10 +188,6 @@ def _interval_ns(parts: Iterable[PartSpan]) -> float:
     counted = [part for part in parts if part.frames > 1]
     intervals = sum(part.frames - 1 for part in counted)
     return sum(part.last_ns - part.first_ns for part in counted) / intervals if intervals else 0.0
-
-
-def _messages_on(part: LogSummary, topic: str) -> int:
-    return sum(part.counts.get(channel.source_id, 0) for channel in part.channels if channel.topic == topic)
 
 
 def _differing(kind: str, records: Iterable[Attachment | Metadata]) -> tuple[str, ...]:

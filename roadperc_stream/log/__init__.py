@@ -7,7 +7,7 @@ from roadperc_stream.log.audit import audited
 from roadperc_stream.log.damage import Damage, DamagedLogError, number_of
 from roadperc_stream.log.growing import GrowingLog
 from roadperc_stream.log.mcap_file import Piece
-from roadperc_stream.log.parts import gone_on_ns
+from roadperc_stream.log.parts import counted_topics, gone_on_ns
 from roadperc_stream.log.reading import pieces, read, summarise
 from roadperc_stream.log.records import (
     DIGEST_ALGORITHM,
@@ -24,34 +24,3 @@ from roadperc_stream.log.salvage import Salvage
 from roadperc_stream.log.sorting import in_order_within
 from roadperc_stream.log.stored import received
 from roadperc_stream.log.writing import LogWriter, MessageCopy
-
-__all__ = [
-    "DIGEST_ALGORITHM",
-    "RECOVERY_RECORD",
-    "Attachment",
-    "Channel",
-    "Damage",
-    "DamagedLogError",
-    "GrowingLog",
-    "LogSummary",
-    "LogWriter",
-    "LostSpan",
-    "Message",
-    "MessageCopy",
-    "MessageDigest",
-    "Metadata",
-    "Piece",
-    "Recovery",
-    "RepairedLog",
-    "Salvage",
-    "audited",
-    "gone_on_ns",
-    "in_order_within",
-    "number_of",
-    "pieces",
-    "read",
-    "received",
-    "repaired_copy",
-    "summarise",
-    "write_repaired",
-]

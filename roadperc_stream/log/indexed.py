@@ -106,13 +106,7 @@ class IndexedFile:
             yield from self._in_order(stream, chunks, wanted, start_ns, end_ns)
 
     def pieces(self, kept: frozenset[int], start_ns: int | None, end_ns: int | None) -> Iterator[Piece]:
-        """The messages of some channels; whole chunks where these hold nothing else and are tidy.
-
-        Args:
-            kept: ids of the channels.
-            start_ns: first log time read.
-            end_ns: first log time no longer read.
-        """
+        """As ``reading.pieces``, of channels by their ids; only tidy chunks are given whole."""
         chunks = self._holding(kept, start_ns, end_ns)
         if held_bytes(chunks) > MOST_HELD_BYTES:
             messages = self.in_order.messages({self.channels[i].topic for i in kept}, start_ns, end_ns)

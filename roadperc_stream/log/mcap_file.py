@@ -5,7 +5,7 @@ as well. Layout: https://mcap.dev/spec.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import IO, Final
@@ -93,12 +93,11 @@ class OpenChunk:
         times = [time_ns for entries in self._entries.values() for time_ns, _ in entries]
         fields = CHUNK.pack(min(times), max(times), len(data), crc32(data), len(_COMPRESSION))
         record = _record(Opcode.CHUNK, fields, _COMPRESSION, LENGTH.pack(len(stored)), stored)
-        return ChunkRecords(record, b"".join(_index_record(*item) for item in self._entries.items()))
-
-
-def _index_record(channel_id: int, entries: Sequence[tuple[int, int]]) -> bytes:
-    body = b"".join(ENTRY.pack(*entry) for entry in entries)
-    return _record(Opcode.MESSAGE_INDEX, INDEX.pack(channel_id, len(body)), body)
+        indexes = b""
+        for channel_id, entries in self._entries.items():
+            body = b"".join(ENTRY.pack(*entry) for entry in entries)
+            indexes += _record(Opcode.MESSAGE_INDEX, INDEX.pack(channel_id, len(body)), body)
+        return ChunkRecords(record, indexes)
 
 
 def _record(opcode: int, *fields: bytes) -> bytes:

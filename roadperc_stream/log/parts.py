@@ -182,15 +182,15 @@ def gone_on_ns(summary: LogSummary, files: Iterable[LogSummary]) -> int | None:
     Returns:
         None where one of its topics does not come again; what has a single message need not, if others have more.
     """
-    first_ns, counts = summary.first_ns or 0, _counted_topics(summary)
+    first_ns, counts = summary.first_ns or 0, counted_topics(summary)
     repeated = [topic for topic, messages in counts.items() if messages > 1] or list(counts)
-    later = [(f.first_ns, _counted_topics(f)) for f in files if f.first_ns is not None and f.first_ns > first_ns]
+    later = [(f.first_ns, counted_topics(f)) for f in files if f.first_ns is not None and f.first_ns > first_ns]
     begins = [min((begin_ns for begin_ns, topics in later if topic in topics), default=None) for topic in repeated]
     known = [ns for ns in begins if ns is not None]
     return max(known) if known and len(known) == len(begins) else None
 
 
-def _counted_topics(summary: LogSummary) -> Counter[str]:
+def counted_topics(summary: LogSummary) -> Counter[str]:
     """Messages by topic, of those that have some."""
     counts = Counter[str]()
     for channel in summary.channels:

@@ -99,15 +99,7 @@ def pieces(
 ) -> Iterator[Piece]:
     """The messages of some channels as ``read`` gives them, whole chunks of the file where nothing else is in them.
 
-    Args:
-        summary: of the log.
-        channels: of it.
-        start_ns: first log time read.
-        end_ns: first log time no longer read.
-
-    Raises:
-        LogError: as ``read``.
-        TargetError: as ``read``.
+    Times and errors are those of ``read``.
     """
     source, kept, topics = summary.source, frozenset(channels), {channel.topic for channel in channels}
     if isinstance(source, UnitedParts) and source.in_turn:

@@ -113,17 +113,6 @@ def test_indices_come_back():
     np.testing.assert_array_equal(images.decode_indices(images.encode_indices(tags, TABLE.colours)), tags)
 
 
-def test_depth_comes_back_and_saturates():
-    depth = np.array([[np.nan, 0.0004, 1.2345, 65.5, 70.0, np.inf, -1.0]], np.float32)
-    np.testing.assert_array_equal(images.depth_to_mm(depth), [[0, 1, 1234, 65500, 65535, 65535, 0]])
-    back = images.depth_from_mm(images.depth_to_mm(depth))
-    np.testing.assert_allclose(back, [[np.nan, 0.001, 1.234, 65.5, 65.535, 65.535, np.nan]], rtol=1e-6)
-
-
-def test_depth_beyond_any_number_of_millimetres_is_beyond_the_range():
-    np.testing.assert_array_equal(images.depth_to_mm(np.array([[3e38, -3e38]], np.float32)), [[65535, 0]])
-
-
 def test_set_stamp_keeps_nanoseconds():
     message = pb.Detections()
     set_stamp(message, STAMP + 123_456_789)

@@ -232,17 +232,13 @@ def test_a_bag_without_calibration_says_what_could_be_one(tmp_path, recorded, ca
         made = rosbag.Bag(stream)
         for message in recorded:
             topic = renamed.get(message.channel.topic, TOPICS[message.channel.topic])
-            made.write(f"/{topic.strip('/')}", *reordered(message))
+            name, content = in_ros(message, "bgr8")
+            made.write(f"/{topic.strip('/')}", name, message.log_time_ns, content)
         made.finish()
     assert replay_main([str(source), str(tmp_path / "out.mcap")]) == 1
     err = capsys.readouterr().err
     assert "no calibration" in err
     assert "role left_calibration: not assigned; candidates: /rgb_left/camera_info (sensor_msgs/msg/CameraInfo)" in err
-
-
-def reordered(message):
-    name, content = in_ros(message, "bgr8")
-    return name, message.log_time_ns, content
 
 
 BROKEN = {

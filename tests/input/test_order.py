@@ -119,12 +119,6 @@ def test_what_comes_before_its_first_image_belongs_to_the_new_segment_and_late_m
     assert left_out == []
 
 
-def test_a_recording_played_three_times_has_three_segments():
-    given, left_out = ordered(arriving(*list(range(0, 1000, 50)) * 3))
-    assert given == [row for segment in range(3) for row in images(*range(0, 1000, 50), segment=segment)]
-    assert left_out == []
-
-
 def test_a_sensor_without_images_is_given_out_in_time():
     items = (item("depth", t) for t in range(0, 100_000, 50))
     stream = in_stamp_order(items, CFG, None)

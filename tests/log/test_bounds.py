@@ -67,10 +67,14 @@ def test_a_repaired_copy_never_has_a_name(tmp_path, monkeypatch):
         assert stream.read() == repaired.read_bytes()
 
 
-def test_an_error_of_reading_what_is_sorted_names_the_folder():
+def test_an_error_of_reading_what_is_sorted_names_the_folder_but_a_reading_may_be_given_up():
+    """The garbage collector ends a reading and its database in any order."""
     source = SortedMessages("a.mcap", lambda: [Message(A, k, k, 0, b"x") for k in (2, 1)])
     assert [m.log_time_ns for m in source.messages(None, None, None)] == [1, 2]
+    reading = source.messages(None, None, None)
+    next(reading)
     source._keys.close()
+    reading.close()
     with pytest.raises(TargetError, match=r"a\.mcap: cannot be sorted in /.*TMPDIR names a folder"):
         list(source.messages(None, None, None))
 
@@ -186,12 +190,3 @@ def test_attachments_have_a_limit_together(tmp_path):
     described = [Metadata(f"m{k}", (("k", "x" * (MIB * 6 // 10)),)) for k in range(2)]
     with pytest.raises(LogError, match=expected):
         log.summarise(written(tmp_path / "m.mcap", metadata=described), limits)
-
-
-def test_a_reading_may_be_given_up_after_its_database_is_closed():
-    """The garbage collector ends the two in any order."""
-    source = SortedMessages("a.mcap", lambda: [Message(A, k, k, 0, b"x") for k in (2, 1)])
-    reading = source.messages(None, None, None)
-    next(reading)
-    source._keys.close()
-    reading.close()

@@ -167,16 +167,6 @@ def test_a_checkpoint_of_another_replay_is_refused(source, tmp_path):
     assert same(target, tmp_path / "direct.mcap")
 
 
-@pytest.mark.parametrize("name", ["state", "frames"])
-def test_a_damaged_checkpoint_is_one_error(source, tmp_path, name):
-    target = tmp_path / "out.mcap"
-    interrupt(source, target, 15)
-    path = checkpoint_folder(target) / name
-    path.write_bytes(path.read_bytes()[:100])
-    with pytest.raises(StateError, match=r"\.out\.mcap\.checkpoint: .*remove it to start over"):
-        replay(source, target, CFG, checkpoint_every_s=0.2, resume=True)
-
-
 @pytest.mark.parametrize(
     ("cfg", "options"), [(load_config(), {}), (CFG, {"results_only": True}), (CFG, {"on_request": ("overlay",)})]
 )

@@ -43,6 +43,9 @@ def test_a_flipped_bit_anywhere_is_one_error(source, stopped, name):
         with pytest.raises(StateError, match="remove it to start over"):
             replay(source, stopped, CFG, **RESUMED)
         assert not stopped.exists()
+    path.write_bytes(data[:100])
+    with pytest.raises(StateError, match=r"\.out\.mcap\.checkpoint: .*remove it to start over"):
+        replay(source, stopped, CFG, **RESUMED)
 
 
 def test_a_second_replay_of_one_output_is_refused_while_the_first_lives(source, tmp_path):

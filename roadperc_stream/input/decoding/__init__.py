@@ -26,15 +26,6 @@ from roadperc_stream.schemas.record import TAG_TABLE_KEY
 from roadperc_stream.schemas.roles import CARLA_BRIDGE, Kind
 from roadperc_stream.system.time import END_OF_TIME_NS
 
-__all__ = [
-    "Context",
-    "Decoded",
-    "Payload",
-    "camera_from_calibration",
-    "context_of_channel",
-    "decode",
-    "schemas_of_kind",
-]
 Decoder = Callable[[bytes, Context], Decoded]
 
 

@@ -56,14 +56,6 @@ def _points_m(message: Any) -> Float32:
     )
 
 
-def _calibration(message: Any, _: Context) -> Decoded:
-    return _stamped(message, camera_from_calibration(message))
-
-
-def _transform(message: Any, _: Context) -> Decoded:
-    return _stamped(message, (_edge(message),))
-
-
 def _transforms(message: Any, context: Context) -> Decoded:
     """The first transform's stamp is the message's."""
     require_count("transforms", len(message.transforms), context.limits)
@@ -90,9 +82,9 @@ PICTURES: Final[Mapping[tuple[Kind, Any], Picture]] = {
 """By kind and type of message, of which field ``data`` is given apart."""
 DECODERS: Final[Mapping[tuple[Kind, Any], Callable[[Any, Context], Decoded]]] = {
     ("points", PointCloudProto): _point_cloud,
-    ("calibration", CameraCalibration): _calibration,
+    ("calibration", CameraCalibration): lambda message, _: _stamped(message, camera_from_calibration(message)),
     ("tf", FrameTransforms): _transforms,
-    ("tf", FrameTransform): _transform,
+    ("tf", FrameTransform): lambda message, _: _stamped(message, (_edge(message),)),
     ("pose", PoseInFrame): _pose,
 }
 """By kind and type of message."""

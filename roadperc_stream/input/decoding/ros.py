@@ -176,10 +176,6 @@ def _odometry(message: Any, _: Context) -> Decoded:
     return _pose_of(message, message.pose.pose, str(message.child_frame_id) or EGO)
 
 
-def _pose_stamped(message: Any, _: Context) -> Decoded:
-    return _pose_of(message, message.pose, EGO)
-
-
 def _pose_of(message: Any, pose: Any, child: str) -> Decoded:
     matrix = pose_matrix(pose.position, pose.orientation)
     return _stamped(message, Transform(_frame_id(message), child, matrix))
@@ -208,6 +204,6 @@ DECODERS: Final[Mapping[tuple[Kind, str], Decoder]] = {
     ("detections", "vision_msgs/msg/Detection2DArray"): _detections,
     ("tf", "tf2_msgs/msg/TFMessage"): _transforms,
     ("pose", "nav_msgs/msg/Odometry"): _odometry,
-    ("pose", "geometry_msgs/msg/PoseStamped"): _pose_stamped,
+    ("pose", "geometry_msgs/msg/PoseStamped"): lambda message, _: _pose_of(message, message.pose, EGO),
 }
 """By kind and type of message."""
