@@ -3,17 +3,19 @@
 import re
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Final
 
+from roadperc_stream import __version__
 from roadperc_stream.batch.backend import Backend
 from roadperc_stream.batch.dataset_lock import DatasetLock
 from roadperc_stream.batch.plan import Again, Planner, Step, find_drives_in
-from roadperc_stream.batch.rows import also_named, not_named, row_of
 from roadperc_stream.batch.runs import BatchRow, KnownRuns, RunsTable
-from roadperc_stream.batch.task import BatchJob, DriveFiles, Outcome, Task
+from roadperc_stream.batch.task import BatchJob, DriveFiles, Outcome, Task, code_digest, libraries
+from roadperc_stream.log import DIGEST_ALGORITHM
+from roadperc_stream.output.tables import config_digest
 from roadperc_stream.schemas.columns.runs import OF_THE_MACHINE, RunRow
 
 _WAIT_S: Final = 0.2
@@ -22,6 +24,7 @@ _AGAIN_S: Final = 1.0
 """How long a log waits for another attempt, and each time so much longer."""
 _TRIED_AGAIN: Final = frozenset({"killed", "unreachable"})
 """What another attempt may not meet again."""
+_RUN_COLUMNS = frozenset(item.name for item in fields(RunRow))
 
 
 @dataclass
@@ -85,17 +88,15 @@ class Driver:
             if len(self._at_work) >= max(self.backend.slots, 1):  # a cluster may grow only once it is asked to
                 return
             item = self._waiting.popleft()
-            task = self._task(item.step)
+            before = item.step.before
+            was_recovered = before is not None and before.row.recover
+            task = Task(item.step.drive, self.job, item.step.same_ids, was_recovered)
             is_early = item.not_before_s > time.monotonic()
             if is_early or task.key in self._at_work:
                 self._waiting.append(item)
                 continue
             self._at_work[task.key] = item
             self.backend.submit(task)
-
-    def _task(self, step: Step) -> Task:
-        was_recovered = step.before is not None and step.before.row.recover
-        return Task(step.drive, self.job, step.same_ids, was_recovered)
 
     def _take(self) -> None:
         """Write down what has ended, and look at what is at work."""
@@ -131,12 +132,13 @@ class Driver:
         drive, progress = item.step.drive, self._progress
         before = self.known.get(outcome.log_id or drive.name)
         if not outcome.is_new and before is not None:
-            run = replace(before, row=also_named(before.row, drive))
+            run = replace(before, row=_also_named(before.row, drive))
         else:
-            run = BatchRow(row_of(self.job, drive, outcome, before, item.attempts), outcome.stages_s)
+            run = BatchRow(_row_of(self.job, drive, outcome, before, item.attempts), outcome.stages_s)
         if outcome.status not in OF_THE_MACHINE:  # else nobody knows what is in the file
-            for other in self._no_longer_there(drive, run):
-                self._add(other)
+            for other in self.known.named(drive.name):  # logs that were under this name before
+                if other.key != run.key and other.row.log_id:
+                    self._add(replace(other, row=_not_named(other.row, drive.name)))
         self._add(run)
         progress.done += 1
         progress.bytes_done += drive.size_bytes
@@ -148,13 +150,57 @@ class Driver:
         self.known.add(run)
         self.table.add(run)
 
-    def _no_longer_there(self, drive: DriveFiles, run: BatchRow) -> list[BatchRow]:
-        """Rows of other logs that were under this name before; one without a digest goes by itself."""
-        return [
-            replace(other, row=not_named(other.row, drive.name))
-            for other in self.known.named(drive.name)
-            if other.key != run.key and other.row.log_id
-        ]
+
+def _row_of(job: BatchJob, drive: DriveFiles, outcome: Outcome, before: BatchRow | None, attempts: int) -> RunRow:
+    """What came of a log; most columns are those of the outcome.
+
+    Args:
+        job: what the batch does.
+        drive: the log.
+        outcome: of its last attempt.
+        before: its row so far.
+        attempts: how often it was begun.
+    """
+    how = job.how
+    row = RunRow(
+        **{name: value for name, value in asdict(outcome).items() if name in _RUN_COLUMNS},
+        config=how.name,
+        path=drive.name,
+        names=before.row.names if before else (),
+        fingerprints=before.row.fingerprints if before else (),
+        size_bytes=drive.size_bytes,
+        version=__version__,
+        code=code_digest(),
+        libraries=libraries(),
+        config_digest=config_digest(how.cfg),
+        settings=how.settings,
+        options=how.options,
+        recover=job.recover,
+        logs=job.keep_logs,
+        digest_algorithm=DIGEST_ALGORITHM,
+        attempts=attempts,
+        finished_ns=before.row.finished_ns if before else 0,
+    )
+    return _also_named(row, drive)
+
+
+def _also_named(row: RunRow, drive: DriveFiles) -> RunRow:
+    """The row of a log that has been seen under this name."""
+    seen = dict(zip(row.names, row.fingerprints, strict=True)) | {drive.name: drive.fingerprint}
+    return _with_names(row, seen)
+
+
+def _not_named(row: RunRow, name: str) -> RunRow:
+    """The row of a log that is under this name no more."""
+    seen = {n: print_ for n, print_ in zip(row.names, row.fingerprints, strict=True) if n != name}
+    return _with_names(row, seen)
+
+
+def _with_names(row: RunRow, seen: Mapping[str, str]) -> RunRow:
+    """The row with the fingerprints of a log's files by their names, newer than it was; its path is one of those."""
+    path = row.path if row.path in seen or not seen else next(iter(seen))
+    finished_ns = max(time.time_ns(), row.finished_ns + 1)
+    return replace(row, path=path, names=tuple(seen), fingerprints=tuple(seen.values()), finished_ns=finished_ns)
 
 
 @dataclass(frozen=True)

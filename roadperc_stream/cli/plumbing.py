@@ -150,7 +150,7 @@ def _unencodable(error: UnicodeEncodeError) -> str:
 
 @contextmanager
 def _signals_unwind() -> Iterator[None]:
-    if not _in_main_thread():
+    if threading.current_thread() is not threading.main_thread():
         yield
         return
     before = {number: signal.signal(number, _interrupt) for number in (*ending_signals(), signal.SIGALRM)}
@@ -162,10 +162,6 @@ def _signals_unwind() -> Iterator[None]:
         sys.unraisablehook = hook
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def _in_main_thread() -> bool:
-    return threading.current_thread() is threading.main_thread()
 
 
 def _interrupt(_number: int, _frame: FrameType | None) -> None:

@@ -42,8 +42,9 @@ def replay_log(arguments: argparse.Namespace, live: "LiveReplay | None", bar: Ba
     """
     keep_freed_memory()
     target = _target(arguments)
+    shown = nullcontext(no_progress) if bar is None else bar("replaying", True)
     with live or nullcontext():
-        with _naming_resume(arguments, target), _shown(bar) as progress:
+        with _naming_resume(arguments, target), shown as progress:
             summary = replay(
                 _source(arguments),
                 target,
@@ -56,10 +57,6 @@ def replay_log(arguments: argparse.Namespace, live: "LiveReplay | None", bar: Ba
                 _print_summary(target, summary)
         if live:
             live.wait()
-
-
-def _shown(bar: Bar | None) -> AbstractContextManager[Progress]:
-    return nullcontext(no_progress) if bar is None else bar("replaying", True)
 
 
 @contextmanager
@@ -91,14 +88,10 @@ def _source(arguments: argparse.Namespace) -> ReplaySource:
 
 
 def _target(arguments: argparse.Namespace) -> ReplayTarget:
-    """The last file."""
-    return ReplayTarget(arguments.logs[-1], arguments.results_only, _requests(arguments), arguments.force)
-
-
-def _requests(arguments: argparse.Namespace) -> tuple[Request, ...]:
-    """The pictures that the options ask for."""
+    """The last file, with the pictures that the options ask for."""
     asked: dict[Request, bool] = {"overlay": arguments.overlay, "debug": arguments.debug}
-    return tuple(request for request, wanted in asked.items() if wanted)
+    requests = tuple(request for request, wanted in asked.items() if wanted)
+    return ReplayTarget(arguments.logs[-1], arguments.results_only, requests, arguments.force)
 
 
 def _print_summary(target: ReplayTarget, summary: ReplaySummary) -> None:

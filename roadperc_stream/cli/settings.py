@@ -22,6 +22,7 @@ from roadperc_stream.model.tag_tables import CLASS_NAMES
 _NARROWEST, _WIDEST = 50, 100
 _CLASSES: Final = "names of classes"
 _SCALING: Final = "Lengths in pixels are given at 960 image rows and scale with the image, those of `stereo` excepted."
+_PLAIN_SCALING: Final = _SCALING.replace("`", "")
 _PAGE_HEAD: Final = f"""\
 # Settings
 
@@ -49,29 +50,27 @@ def print_settings(arguments: argparse.Namespace) -> None:
 
 def as_text(width: int) -> str:
     """All settings by stage, no line longer than ``width`` unless a single word is."""
-    lines = [f"{len(catalogue())} settings: KEY = DEFAULT [UNIT] (RANGE), for --set and --config", _plain(_SCALING)]
+    lines = [f"{len(catalogue())} settings: KEY = DEFAULT [UNIT] (RANGE), for --set and --config", _PLAIN_SCALING]
     for section, settings in _by_section():
-        lines += ["", _heading(section)]
+        lines += ["", f"{section}: {sections()[section]}" if section else "whole replay:"]
         for setting in settings:
             quantity = f"  {setting.key} = {_value(setting.default)}{f'  [{setting.unit}]' if setting.unit else ''}"
-            lines += [
-                f"{quantity}  ({_CLASSES if _takes_classes(setting) else setting.range})",
-                f"    {setting.meaning}",
-            ]
+            lines += [f"{quantity}  ({_range(setting)})", f"    {setting.meaning}"]
     lines += ["", f"{_CLASSES}: {', '.join(_class_names())}"]
     return "".join(f"{_wrapped(line, width)}\n" for line in lines)
 
 
 def as_json() -> str:
     """A JSON array with an object a setting; limits are named as in JSON Schema."""
-    return json.dumps([_facts(setting) for setting in catalogue()], indent=2)
+    facts = [{**asdict(item), "section": item.section, "range": item.range} for item in catalogue()]
+    return json.dumps(facts, indent=2)
 
 
 def as_toml(cfg: ReplayConfig) -> str:
     """A configuration as TOML that ``load_config`` reads back, every key with its meaning, range and default."""
     values = cfg.model_dump(mode="json")
     lines = ["# Settings of roadperc-replay, for --config. What is left out has its default."]
-    lines += [f"# {_plain(_SCALING)}"]
+    lines += [f"# {_PLAIN_SCALING}"]
     for section, settings in _by_section():
         lines += ["", *([f"# {sections()[section]}", f"[{section}]"] if section else [])]
         for setting in settings:
@@ -96,10 +95,6 @@ def _by_section() -> Iterator[tuple[str, Iterable[Setting]]]:
     return groupby(catalogue(), key=lambda setting: setting.section)
 
 
-def _heading(section: str) -> str:
-    return f"{section}: {sections()[section]}" if section else "whole replay:"
-
-
 def _wrapped(line: str, width: int) -> str:
     """A line folded between words, what follows two columns further in than it begins."""
     indent = " " * (len(line) - len(line.lstrip()))
@@ -107,29 +102,19 @@ def _wrapped(line: str, width: int) -> str:
     return textwrap.fill(line, width, subsequent_indent=further, break_long_words=False, break_on_hyphens=False)
 
 
-def _facts(setting: Setting) -> dict[str, object]:
-    return {**asdict(setting), "section": setting.section, "range": setting.range}
-
-
 def _comment(setting: Setting) -> Iterator[str]:
-    values = _CLASSES if _takes_classes(setting) else setting.range
-    said = f"{values}{f' [{setting.unit}]' if setting.unit else ''}; default {_value(setting.default)}"
+    said = f"{_range(setting)}{f' [{setting.unit}]' if setting.unit else ''}; default {_value(setting.default)}"
     for text in (setting.meaning, said):
         yield from textwrap.wrap(text, _WIDEST, initial_indent="# ", subsequent_indent="# ", break_on_hyphens=False)
 
 
 def _row(setting: Setting) -> str:
-    values = _CLASSES if _takes_classes(setting) else setting.range
-    return f"| `{setting.key}` | {_value(setting.default)} | {values} | {setting.unit} | {setting.meaning} |"
+    return f"| `{setting.key}` | {_value(setting.default)} | {_range(setting)} | {setting.unit} | {setting.meaning} |"
 
 
-def _plain(text: str) -> str:
-    """A sentence of the page without its marks."""
-    return text.replace("`", "")
-
-
-def _takes_classes(setting: Setting) -> bool:
-    return setting.choices == _class_names()
+def _range(setting: Setting) -> str:
+    """The range, where it is not the long list of classes."""
+    return _CLASSES if setting.choices == _class_names() else setting.range
 
 
 def _class_names() -> tuple[str, ...]:

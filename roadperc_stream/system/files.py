@@ -229,11 +229,9 @@ class PartialFile(AbstractContextManager[Any], Protocol):
 
     def complete(self) -> None:
         """Write what is still to be written: then nothing is left but to give the file its name."""
-        ...
 
     def discard(self) -> None:
         """Remove what is not complete."""
-        ...
 
 
 @contextmanager

@@ -16,17 +16,12 @@ from roadperc_stream.config import load_config
 from roadperc_stream.system.progress import no_progress
 from roadperc_stream.system.time import TimeRange
 from tests.batch.backends import Scripted
-from tests.batch.dataset import assert_as_single, batch, runs, statuses, write_log
+from tests.batch.dataset import assert_as_single, batch, change_rows, runs, statuses, write_log
 
 
 @pytest.fixture
 def out(tmp_path):
     return tmp_path / "out"
-
-
-def change_rows(out, **columns):
-    path = out / "runs.parquet"
-    pl.read_parquet(path).with_columns(**columns).write_parquet(path)
 
 
 def task(source, out, scratch=None, **how):
@@ -164,6 +159,9 @@ def test_result_logs_are_no_input_by_whatever_name_the_dataset_goes(tmp_path):
     for _ in range(2):
         batch(link / "out", real, "--logs")
     assert runs(real / "out").height == 1
+    nothing = batch(link / "out", real / "out" / "logs")
+    assert (nothing.returncode, nothing.stderr.count("\n")) == (1, 1)
+    assert "no log but those of the dataset itself" in nothing.stderr
 
 
 def test_a_list_from_elsewhere(tmp_path, out):

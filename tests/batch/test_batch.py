@@ -14,7 +14,7 @@ from roadperc_stream.log import summarise
 from roadperc_stream.output.tables import read_footer
 from roadperc_stream.schemas.columns.runs import RUN_TIME_COLUMNS
 from tests import logs
-from tests.batch.dataset import assert_as_single, batch, runs, statuses, write_log
+from tests.batch.dataset import assert_as_single, batch, change_rows, runs, statuses, write_log
 from tests.commands import environment, words
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
@@ -28,7 +28,7 @@ def drives(tmp_path_factory):
     return folder
 
 
-def test_a_dataset_holds_the_rows_of_single_replays(drives, tmp_path):
+def test_a_dataset_holds_the_rows_of_single_replays_and_says_how_each_was_made(drives, tmp_path):
     done = batch(tmp_path / "out", drives, "--jobs", "2")
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[0].startswith("4 logs done: 18 frames in ")
@@ -39,10 +39,6 @@ def test_a_dataset_holds_the_rows_of_single_replays(drives, tmp_path):
     assert every.height == 18
     assert every["config"].n_unique() == 1
     assert every["date"].unique().to_list() == [pl.Series(["2020-09-13"]).str.to_date()[0]]
-
-
-def test_the_list_of_runs_says_how_each_was_made(drives, tmp_path):
-    batch(tmp_path / "out", drives)
     rows = runs(tmp_path / "out")
     assert rows["status"].to_list() == ["done"] * 4
     assert rows["frames"].to_list() == [3, 4, 5, 6]
@@ -144,9 +140,7 @@ def test_changed_content_that_size_and_time_do_not_show_is_found_by_verify(tmp_p
     batch(out, folder)
     facts = write_log(folder / "a.mcap", lane_m=0.3).stat()
     unchanged = [f"{facts.st_size}:{facts.st_mtime_ns}"]
-    pl.read_parquet(out / "runs.parquet").with_columns(fingerprints=pl.lit(unchanged)).write_parquet(
-        out / "runs.parquet"
-    )
+    change_rows(out, fingerprints=pl.lit(unchanged))
     assert batch(out, folder).stdout.startswith("0 logs done")
     assert batch(out, folder, "--verify").stdout.startswith("1 log done")
     assert runs(out).height == 2
@@ -186,10 +180,7 @@ def test_parts_of_a_drive_are_joined(tmp_path):
     assert rows["frames"].to_list() == [4, 8]
 
 
-def test_lists_globs_and_what_is_not_there(drives, tmp_path):
-    listed = tmp_path / "some.txt"
-    listed.write_text(f"# two of them\n{drives}/drive_0.mcap\n\n{drives}/drive_1.mcap\n")
-    assert batch(tmp_path / "a", f"@{listed}").stdout.startswith("2 logs done")
+def test_globs_and_what_is_not_there(drives, tmp_path):
     assert batch(tmp_path / "b", f"{drives}/drive_[23].mcap", "--dry-run").stdout.count("replay  ") == 2
     missing = batch(tmp_path / "c", drives / "none.mcap")
     assert missing.returncode == 1
@@ -277,15 +268,6 @@ def test_a_name_that_is_no_text_is_a_row_like_others(tmp_path):
     assert done.returncode == 1
     assert statuses(out) == {"good.mcap": "done", "\\udcff.mcap": "damaged", "\\udcfe_0.mcap": "damaged"}
     assert batch(out, folder, "--join", r"_\d+$").stdout.startswith("0 logs done, 1 left as they are, 2 failed")
-
-
-def test_what_lies_in_the_dataset_folder_is_input_but_its_own_logs_are_not(drives, tmp_path):
-    shutil.copy(drives / "drive_0.mcap", tmp_path)
-    assert batch(tmp_path, tmp_path, "--logs").stdout.startswith("1 log done")
-    assert batch(tmp_path, tmp_path, "--logs").stdout.startswith("0 logs done, 1 left")
-    nothing = batch(tmp_path, tmp_path / "logs")
-    assert (nothing.returncode, nothing.stderr.count("\n")) == (1, 1)
-    assert "no log but those of the dataset itself" in nothing.stderr
 
 
 def test_rows_of_a_batch_that_was_killed_come_into_the_list(drives, tmp_path):

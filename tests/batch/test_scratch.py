@@ -10,7 +10,7 @@ import pytest
 from roadperc_stream.batch.attempt import attempt
 from roadperc_stream.batch.worker import scratch_of, work
 from roadperc_stream.system.progress import no_progress
-from tests.batch.dataset import batch, statuses, write_log
+from tests.batch.dataset import batch, write_log
 from tests.batch.test_again import task as task_of
 
 NAME = f"roadperc-batch-{os.getuid()}"
@@ -101,15 +101,6 @@ def test_a_scratch_folder_is_made_for_its_user_alone(task, scratch, mask):
         os.umask(before)
     assert stat.S_IMODE((scratch / NAME).stat().st_mode) == 0o700
     assert list(scratch.iterdir()) == [scratch / NAME] == list(scratch_of(task).parents)[1:2]
-
-
-def test_a_scratch_folder_is_used_again(tmp_path, scratch):
-    for name in ("a", "b"):
-        done = batch(
-            tmp_path / "out", write_log(tmp_path / "in" / f"{name}.mcap", 4 + (name == "b")), "--scratch", scratch
-        )
-        assert done.returncode == 0, done.stdout + done.stderr
-    assert statuses(tmp_path / "out") == {"a.mcap": "done", "b.mcap": "done"}
 
 
 def test_the_scratch_folder_of_a_store_is_in_the_folder_for_temporary_files(tmp_path, bucket, monkeypatch):

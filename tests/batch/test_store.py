@@ -1,4 +1,4 @@
-"""A batch whose logs and dataset are in an object store: a real server, and a connection to it that breaks."""
+"""A batch whose logs and dataset are in an object store: a real server."""
 
 import polars as pl
 import pytest
@@ -6,7 +6,6 @@ import pytest
 from roadperc_stream.batch.storage.location import Location
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from tests.batch.dataset import METRICS, OBJECTS, batch, single, write_log
-from tests.object_store import BreakingProxy, environment_of
 
 
 @pytest.fixture
@@ -39,23 +38,6 @@ def test_logs_and_dataset_in_a_store(tmp_path, s3_server, bucket, drives, monkey
         assert table(s3_server, bucket, OBJECTS, log_id, tmp_path).equals(objects)
     again = batch(f"{bucket}/out", f"{bucket}/drives/")
     assert again.stdout.startswith("0 logs done, 3 left")
-
-
-def test_a_connection_that_is_cut_in_the_middle(tmp_path, s3_server, bucket, drives, monkeypatch):
-    upload(s3_server, bucket, drives)
-    size = drives[0].stat().st_size
-    with BreakingProxy(s3_server.port, after_bytes=size // 2, breaks=3) as proxy:
-        for name, value in environment_of(proxy.url).items():
-            monkeypatch.setenv(name, value)
-        done = batch(f"{bucket}/out", f"{bucket}/drives/", "--scratch", tmp_path)
-        assert proxy.breaks == 0
-    assert done.returncode == 0, done.stdout + done.stderr
-    for source in drives:
-        log_id, frames, _ = single(source, tmp_path)
-        with pytest.MonkeyPatch.context() as patch:
-            for name, value in environment_of(s3_server.url).items():
-                patch.setenv(name, value)
-            assert table(s3_server, bucket, METRICS, log_id, tmp_path).equals(frames)
 
 
 def test_a_log_that_is_gone_from_the_store_is_a_row(tmp_path, s3_server, bucket, drives):

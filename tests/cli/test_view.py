@@ -54,12 +54,14 @@ def test_a_log_with_nothing_to_show_is_an_error(tmp_path, options, monkeypatch, 
     assert [path.name for path in tmp_path.iterdir()] == ["in.mcap"]
 
 
-def test_a_topic_of_another_name_fills_a_role(tmp_path):
+def test_topics_of_other_names_fill_roles_in_a_recording_and_in_a_layout(tmp_path):
     items = [logs.Item(i.role, i.stamp_ns, i.data, "/a" if i.role == "image" else "") for i in logs.items(frames=1)]
     source = logs.write(tmp_path / "in.mcap", items)
-    target = tmp_path / "in.rrd"
+    target, layout = tmp_path / "in.rrd", tmp_path / "layout.json"
     assert main([str(source), "--save", str(target), "--topic", "left=/a", "--quiet"]) == 0
     assert "EncodedImage" in recorded(target)["/a"].archetypes
+    assert main([str(source), "--foxglove-layout", str(layout), "--topic", "image=/a", "--quiet"]) == 0
+    assert '"imageTopic": "/a"' in layout.read_text("utf-8")
 
 
 @pytest.mark.parametrize(
@@ -91,14 +93,6 @@ def test_the_layout_needs_no_log(tmp_path, capsys):
     capsys.readouterr()
     assert main(["--foxglove-layout", str(target), "--force", "--quiet"]) == 0
     assert capsys.readouterr().out == ""
-
-
-def test_the_layout_takes_a_log_and_its_topics(tmp_path):
-    items = [logs.Item(i.role, i.stamp_ns, i.data, "/a" if i.role == "image" else "") for i in logs.items(frames=1)]
-    source = logs.write(tmp_path / "in.mcap", items)
-    target = tmp_path / "layout.json"
-    assert main([str(source), "--foxglove-layout", str(target), "--topic", "image=/a", "--quiet"]) == 0
-    assert '"imageTopic": "/a"' in target.read_text("utf-8")
 
 
 @pytest.mark.parametrize("timed", [True, False])

@@ -12,7 +12,6 @@ from functools import partial
 from pathlib import Path
 
 from roadperc_stream.cli.plumbing import run, whole_number
-from roadperc_stream.system.cost import cost_of
 
 from .agreement import require_agreement
 from .figures import (
@@ -32,7 +31,7 @@ from .figures import (
 )
 from .inputs import BenchLog, add_input_arguments, logs_of
 from .long import long_figures
-from .replays import replay_cost, replay_words, start_cost
+from .replays import cost_of, replay_cost, replay_words, start_cost
 
 
 def main(argv: list[str] | None = None) -> int:

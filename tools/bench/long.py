@@ -13,13 +13,12 @@ from typing import Final
 from roadperc_stream.api import read_metrics
 from roadperc_stream.log import LogWriter, Message, summarise
 from roadperc_stream.schemas.protobuf import MESSAGE_TYPES, set_stamp
-from roadperc_stream.system.cost import Cost, cost_of
 from roadperc_stream.system.text import print_line
 from roadperc_stream.system.time import NS_PER_S
 
 from .figures import SpeedFigure
 from .inputs import BenchLog
-from .replays import replay_words
+from .replays import Cost, cost_of, replay_words
 
 _CDR_STAMP: Final = struct.Struct("<iI")
 _CDR_HEADER_BYTES: Final = 4

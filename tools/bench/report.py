@@ -20,7 +20,8 @@ from roadperc_stream.output.terminal import console_for, frame_progress, print_t
 from roadperc_stream.output.text_table import TextTable, row
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics, columns_of
 from roadperc_stream.schemas.columns.runs import RUN_TIME_COLUMNS, RunRow
-from roadperc_stream.system.cost import cost_of
+
+from .replays import cost_of
 
 _COLUMNS: Final = (*(name for name, column in columns_of(FrameMetrics).items() if column.label), *TIME_COLUMNS)
 """The numbers that a report shows."""

@@ -2,7 +2,6 @@
 
 import errno
 import os
-import pickle
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -63,13 +62,6 @@ def test_its_files_are_listed_and_named(place):
     assert list(folder.files("")) == names
     assert list(folder.at("runs").files(".parquet")) == ["9.parquet", "10.parquet"]
     assert {stored.size_bytes for stored in folder.files("").values()} == {4}
-
-
-def test_it_goes_to_other_processes(place):
-    folder = Location(place)
-    folder.at("a").write(b"1")
-    assert pickle.loads(pickle.dumps(folder)) == folder
-    assert pickle.loads(pickle.dumps(folder)).at("a").read() == b"1"
 
 
 def test_many_writers_of_one_name_leave_one_whole_file(place):

@@ -4,12 +4,11 @@ import json
 
 import pytest
 
-from roadperc_stream.system.cost import Cost
 from roadperc_stream.tools.bench import __main__ as bench
 from roadperc_stream.tools.bench.figures import SpeedFigure, figures, measured, middle, noise, parts_of
 from roadperc_stream.tools.bench.inputs import WARM_UP
 from roadperc_stream.tools.bench.long import growth
-from roadperc_stream.tools.bench.replays import a_frame
+from roadperc_stream.tools.bench.replays import Cost, a_frame
 
 SERIES = {
     "control": [100.0, 110.0, 95.0],

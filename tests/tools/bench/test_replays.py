@@ -1,11 +1,15 @@
-"""A replay measured from outside."""
+"""Programs and replays measured from outside."""
+
+import signal
+import sys
 
 import pytest
 
 from roadperc_stream.errors import ProgramError
 from roadperc_stream.tools.bench import __main__ as bench
 from roadperc_stream.tools.bench.inputs import BenchLog
-from roadperc_stream.tools.bench.replays import replay_cost
+from roadperc_stream.tools.bench.replays import cost_of, replay_cost
+from tests.batch.machines import wait_until
 
 
 def test_a_replay_gives_its_parts(bench_logs, tmp_path):
@@ -43,3 +47,48 @@ def test_the_floor_comes_behind_a_replay_whose_results_it_needs(bench_logs, tmp_
 
 def test_the_course_runs_as_a_program_of_its_own(bench_logs, tmp_path):
     assert {"cpu", "wall", "part/odometry"} <= set(bench._jobs(tmp_path, bench_logs, 1)["course png"]())
+
+
+def test_memory_and_time_are_those_of_the_program_and_its_text_is_dropped(capfd):
+    here = b"x" * 300_000_000  # this process's own memory does not count
+    small = cost_of("small", [sys.executable, "-S", "-c", "pass"])
+    large = cost_of("large", [sys.executable, "-c", "print(len(b'x' * 200_000_000)); sum(range(3_000_000))"])
+    assert large.peak_mb > small.peak_mb + 190
+    assert small.peak_mb < 60 < len(here)
+    assert large.cpu_s > 0
+    assert large.wall_s > 0
+    assert capfd.readouterr().out == ""
+
+
+def test_a_program_that_does_not_exist_is_named(capfd):
+    with pytest.raises(ProgramError, match="the missing one could not be started"):
+        cost_of("the missing one", ["/no/such/program"])
+
+
+PROGRAM = """
+import pathlib, signal, sys, time
+folder = pathlib.Path(sys.argv[1])
+def end(*_):
+    (folder / "ended").touch()
+    sys.exit()
+signal.signal(signal.SIGTERM, end)
+(folder / "started").touch()
+time.sleep(600)
+"""
+
+
+def test_who_interrupts_it_ends_the_program(tmp_path):
+    def interrupt_once_it_runs(*_):
+        if (tmp_path / "started").exists():
+            raise KeyboardInterrupt
+        signal.setitimer(signal.ITIMER_REAL, 0.1)
+
+    before = signal.signal(signal.SIGALRM, interrupt_once_it_runs)
+    signal.setitimer(signal.ITIMER_REAL, 0.1)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            cost_of("long", [sys.executable, "-c", PROGRAM, str(tmp_path)])
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+    wait_until((tmp_path / "ended").exists, 30)
