@@ -21,16 +21,20 @@ class Backend(AbstractContextManager["Backend"], Protocol):
     @property
     def slots(self) -> int:
         """How many tasks to give it at a time; a cluster grows and shrinks."""
+        ...
 
     def submit(self, task: Task) -> None:
         """Begin with a task."""
+        ...
 
     def wait(self, timeout_s: float) -> list[tuple[Task, Outcome]]:
         """The tasks that have ended since, after so many seconds at most."""
+        ...
 
     @property
     def at_work(self) -> Mapping[str, Frames]:
         """How far the tasks at work are, by their keys, as far as that is known."""
+        ...
 
 
 class LocalBackend:

@@ -21,7 +21,7 @@ from urllib.parse import urlsplit
 
 from roadperc_stream.batch.attempt import attempt
 from roadperc_stream.batch.backend import Frames
-from roadperc_stream.batch.task import Outcome, Task
+from roadperc_stream.batch.task import Outcome, Task, code_digest
 from roadperc_stream.errors import ClusterError
 from roadperc_stream.system.progress import now_and_then
 
@@ -51,11 +51,13 @@ class ClusterRequest:
         address: of the cluster, or ``local``.
         jobs: CPUs of a local one.
         memory_bytes: what a task may take.
+        code: digest of the code that the machines are to have.
     """
 
     address: str
     jobs: int
     memory_bytes: int
+    code: str
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,7 @@ class RayBackend:
     def __init__(self, address: str, jobs: int, memory_bytes: int) -> None:
         if importlib.util.find_spec("ray") is None:
             raise ClusterError("--ray: Ray is not installed: pip install 'roadperc_stream[cluster]'")
-        self._request = ClusterRequest(address, jobs, memory_bytes)
+        self._request = ClusterRequest(address, jobs, memory_bytes, code_digest())
         self._tasks: dict[str, Task] = {}
         self._state = ClusterState(0, {})
 
@@ -111,7 +113,7 @@ class RayBackend:
         """Start Ray or join a cluster.
 
         Raises:
-            ClusterError: there is none at the address.
+            ClusterError: there is none at the address, or none that fits.
         """
         _require_listener(self._request.address)
         self._connection, other = Pipe()
@@ -227,6 +229,11 @@ def _require_listener(address: str) -> None:
 
 
 _TELL_EVERY_S: Final = 1.0
+
+
+def code_on_node() -> str:
+    """Digest of the code that a machine has."""
+    return code_digest()
 
 
 class FrameCount:

@@ -12,7 +12,7 @@ import tempfile
 import threading
 from collections.abc import Iterator
 from concurrent.futures import Future
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any, Final
@@ -29,12 +29,15 @@ from roadperc_stream.batch.cluster import (
     SessionMessage,
     TaskEnd,
     attempt_on_node,
+    code_on_node,
 )
 from roadperc_stream.batch.task import Outcome, Task
+from roadperc_stream.errors import ClusterError
 
 _OBJECTS_BYTES: Final = 100_000_000
 """Ray's store of objects: outcomes are small and bypass it."""
 _STATE_EVERY_S: Final = 1.0
+_CHECK_WITHIN_S: Final = 30.0
 _LONGEST_FOLDER: Final = 36
 """Characters of a folder below which Ray's sockets have names short enough for the system."""
 _COLOURS: Final = re.compile(r"\x1b\[\d+m")
@@ -54,17 +57,24 @@ def main() -> None:
 
 @contextmanager
 def _joined(request: ClusterRequest) -> Iterator[None]:
-    """Within Ray: one that is started here, or the cluster of the address."""
-    with ExitStack() as stack:
-        if request.address == LOCAL:
-            stack.enter_context(_started(request))
-        else:
-            ray.init(request.address, log_to_driver=False, logging_level=logging.CRITICAL)
+    """Within Ray, and the workers have the code that the batch was started with.
+
+    Raises:
+        ClusterError: they have another.
+    """
+    with _started(request) if request.address == LOCAL else _connected(request.address):
         signal.signal(signal.SIGTERM, signal.SIG_DFL)  # Ray's own handler says what nobody asked for
         try:
+            _require_code(request.code)
             yield
         finally:
             ray.shutdown()
+
+
+@contextmanager
+def _connected(address: str) -> Iterator[None]:
+    ray.init(address, log_to_driver=False, logging_level=logging.CRITICAL)
+    yield
 
 
 @contextmanager
@@ -85,6 +95,12 @@ def _started(request: ClusterRequest) -> Iterator[None]:
             _temp_dir=folder,
         )
         yield
+
+
+def _require_code(code: str) -> None:
+    check = ray.remote(code_on_node).options(num_cpus=0)
+    if ray.get(check.remote(), timeout=_CHECK_WITHIN_S) != code:
+        raise ClusterError("its machines have another version of roadperc_stream than this one: install the same")
 
 
 class _Session:
