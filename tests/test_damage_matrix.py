@@ -123,6 +123,7 @@ def run(source, name, **options):
     return target, replay(source, target, config=CFG, **options)
 
 
+@pytest.mark.promise("Logs", "Replay and repair with `--recover` recover the same messages and report each gap")
 @pytest.mark.parametrize(("writer", "damage"), CASES)
 def test_a_replay_recovers_what_the_repair_does(tmp_path, tidy, writer, damage):
     whole, path = damaged(tmp_path / "a.mcap", writer, damage)
@@ -160,6 +161,7 @@ def assert_incomplete_frames_say_so(found, tidy):
     assert len(found) >= STRUCK
 
 
+@pytest.mark.promise("Logs", "Without `--recover` damage is an error; behind the replayed part it is a warning")
 @pytest.mark.parametrize(("writer", "damage"), CASES)
 def test_without_the_option_it_is_refused_and_before_it_replayed(tmp_path, tidy, writer, damage):
     whole, path = damaged(tmp_path / "a.mcap", writer, damage)

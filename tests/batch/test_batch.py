@@ -211,6 +211,7 @@ def test_a_timeout_and_too_little_memory_are_rows_that_are_tried_again(drives, t
     assert_as_single(out, slow, tmp_path)
 
 
+@pytest.mark.promise("Crashes", "A log that crashes its worker is a row in `runs.parquet` with the error and its place")
 @pytest.mark.parametrize(
     ("code", "said"),
     [

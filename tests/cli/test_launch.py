@@ -72,6 +72,7 @@ def dying(folder, code, python=()):
     return subprocess.run([command, *python, *words_after], check=False, capture_output=True, text=True, env=env)
 
 
+@pytest.mark.promise("Crashes", 'A crash prints "Fatal Python error", each thread\'s stack and what the library wrote')
 @pytest.mark.parametrize("python", [(), ("-X", "faulthandler")], ids=["plain", "faulthandler"])
 @pytest.mark.parametrize("kind", FATAL)
 def test_a_crash_is_shown_and_the_reason_that_a_library_gave(tmp_path, kind, python):
@@ -84,6 +85,7 @@ def test_a_crash_is_shown_and_the_reason_that_a_library_gave(tmp_path, kind, pyt
     assert ended.stderr.count("free(): ?[31m pointer\n") == (number == signal.SIGABRT)  # at others there is no reason
 
 
+@pytest.mark.promise("Crashes", "A crash after the interpreter has ended is shown")
 def test_a_crash_after_the_interpreter_has_ended_is_shown(tmp_path):
     pytest.importorskip("roadperc_stream.system.fatal_output")
     code = "import ctypes\nlibc = ctypes.CDLL(None)\nlibc['__cxa_atexit'](libc.abort, None, None)\nraise SystemExit(3)"
@@ -91,6 +93,7 @@ def test_a_crash_after_the_interpreter_has_ended_is_shown(tmp_path):
     assert (ended.returncode, ended.stderr) == (-signal.SIGABRT, "free(): ?[31m pointer\n")
 
 
+@pytest.mark.promise("Crashes", "At most 1 MiB of what libraries write to stderr is kept, in memory")
 def test_what_libraries_write_has_a_limit_and_a_crash_is_shown_beyond_it(tmp_path):
     ended = dying(tmp_path, f"os.write(2, b'x' * {1 << 21})\nimport ctypes; ctypes.CDLL(None).abort()")
     assert ended.returncode == -signal.SIGABRT
@@ -98,6 +101,7 @@ def test_what_libraries_write_has_a_limit_and_a_crash_is_shown_beyond_it(tmp_pat
     assert len(ended.stderr) < 20_000
 
 
+@pytest.mark.promise("Crashes", "A command that does not crash prints none of that")
 def test_a_command_that_does_not_crash_shows_nothing_of_it(tmp_path):
     ended = dying(tmp_path, "raise SystemExit(3)")
     assert (ended.returncode, ended.stderr) == (3, "")
@@ -178,6 +182,7 @@ def test_wrong_usage_has_its_exit_code_where_nobody_reads(state, buffering):
     assert status(words("roadperc-report", "--worst", "many"), state, buffering) == 2
 
 
+@pytest.mark.promise("Start and end", "Output to a full device is one error line")
 @needs_full
 @pytest.mark.parametrize("buffering", BUFFERINGS)
 @pytest.mark.parametrize("argument", ["--version", "--help", SAMPLE])
@@ -188,6 +193,7 @@ def test_text_that_finds_no_space_is_one_line(buffering, argument):
     assert (ended.returncode, ended.stderr) == (1, "error: No space left on device\n")
 
 
+@pytest.mark.promise("Start and end", "With stderr on a full device the exit code is the documented one")
 @needs_full
 @pytest.mark.parametrize("buffering", BUFFERINGS)
 @pytest.mark.parametrize(("argument", "code"), [("--help", 0), ("--wrong", 2), ("none.mcap", 1)])
@@ -201,6 +207,7 @@ def test_an_error_that_finds_no_space_has_its_exit_code(command, argument, code,
         assert run(command, *arguments, env=environment(buffering), **options).returncode == code
 
 
+@pytest.mark.promise("Start and end", "With stdout and stderr on a full device the exit code is the documented one")
 @needs_full
 @pytest.mark.parametrize(("argument", "code"), [("--help", 1), ("--version", 1), ("--wrong", 2), ("none.mcap", 1)])
 def test_no_space_on_both_streams_has_its_exit_code(argument, code, tmp_path):
@@ -209,6 +216,7 @@ def test_no_space_on_both_streams_has_its_exit_code(argument, code, tmp_path):
         assert run("roadperc-info", argument, **options).returncode == code
 
 
+@pytest.mark.promise("Start and end", "File names after `--` may begin with `-`")
 def test_names_behind_two_dashes_may_begin_with_one(made, tmp_path):
     for name in ("-run.mcap", "-run.metrics.parquet", "--run.mcap"):
         (tmp_path / name).write_bytes((made / name.lstrip("-")).read_bytes())
@@ -237,6 +245,7 @@ def limited(megabytes):
     return lambda: resource.setrlimit(resource.RLIMIT_AS, (megabytes << 20, megabytes << 20))
 
 
+@pytest.mark.promise("Start and end", "Too little memory under `ulimit -v` or `-d` is one line and exit code 1")
 @pytest.mark.skipif(sys.platform != "linux", reason="the system does not limit address space")
 @pytest.mark.parametrize("megabytes", [40, 95, 150, 400, 550])
 @pytest.mark.parametrize("command", ["roadperc-info", "roadperc-replay", "roadperc-report", "roadperc-sweep"])
@@ -256,6 +265,7 @@ def test_too_little_memory_is_one_line(command, megabytes, made, tmp_path):
     assert not list(tmp_path.glob("out*"))
 
 
+@pytest.mark.promise("Start and end", "Under such a limit a signal ends the command as usual")
 @pytest.mark.skipif(sys.platform != "linux", reason="the system does not limit address space")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_under_a_memory_limit_is_one_line(tmp_path, number):
@@ -270,6 +280,7 @@ def test_a_signal_under_a_memory_limit_is_one_line(tmp_path, number):
         assert (started.communicate(timeout=60)[1], started.returncode) == ("error: interrupted\n", 1)
 
 
+@pytest.mark.promise("Start and end", "A signal while Python exits does not change the exit code")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 @pytest.mark.parametrize("command", ["roadperc-sweep", "roadperc-info"])
 def test_a_signal_while_python_ends_leaves_the_exit_code(command, number, tmp_path):

@@ -254,6 +254,7 @@ def test_other_things_are_never_replaced(source, tmp_path, capsys):
     assert source.is_file()
 
 
+@pytest.mark.promise("Start and end", "SIGINT, SIGTERM and SIGHUP end a sweep with one line, exit code 1 and no files")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_a_signal_leaves_nothing(tmp_path, jobs, number):

@@ -38,6 +38,7 @@ def stamps(folder):
     return [m.log_time_ns for m in log.read(log.summarise(target), topics=["/camera/front/image"])]
 
 
+@pytest.mark.promise("Dumps", "A misspelled key of `calibration.json` is named with the nearest known key")
 @pytest.mark.parametrize(
     ("calibration", "named"),
     [
@@ -51,6 +52,7 @@ def test_a_misspelled_key_is_named_with_the_nearest(tmp_path, calibration, named
     assert (done.returncode, named in done.stderr) == (1, True), done.stderr
 
 
+@pytest.mark.promise("Dumps", "An image of another size is skipped")
 @pytest.mark.parametrize("odd", [0, 2])
 def test_an_image_of_another_size_costs_that_image(tmp_path, odd):
     sizes = [(64, 48)] * 3
@@ -66,6 +68,7 @@ def test_images_that_are_all_of_another_size_are_an_error(tmp_path):
     assert (done.returncode, "image is 32x48, its camera 64x48" in done.stderr) == (1, True)
 
 
+@pytest.mark.promise("Dumps", "File names that mix counts and times are reported")
 def test_names_of_two_kinds_are_said_to_be_so(tmp_path):
     done = convert(dump(tmp_path / "dump", names=("1", "2", "1305031102.933")))
     assert done.returncode == 1
@@ -78,6 +81,7 @@ def test_a_rate_that_is_not_used_is_said_to_be_so(tmp_path):
     assert "rate_hz 5 of the calibration is not used: the names of the files are stamps" in done.stdout
 
 
+@pytest.mark.promise("Dumps", "Stamps are found by column name in a table with more columns")
 @pytest.mark.parametrize(
     ("table", "expected"),
     [
@@ -106,6 +110,7 @@ def test_a_table_without_a_column_of_stamps_is_an_error(tmp_path):
         stamps_of_file(path, [1])
 
 
+@pytest.mark.promise("Dumps", "EuRoC's `data.csv` is read")
 def test_euroc_keeps_its_table_beside_the_data(tmp_path):
     folder = dump(tmp_path / "dump")
     (folder / "rgb").rename(folder / "data")
@@ -118,6 +123,7 @@ def test_euroc_keeps_its_table_beside_the_data(tmp_path):
     assert stamps(folder) == [TIME_NS + k * NS_PER_S for k in (1, 2, 3)]
 
 
+@pytest.mark.promise("Dumps", "Unused files with stamps are reported")
 def test_stamps_that_are_not_used_are_said_to_be_so(tmp_path):
     folder = dump(tmp_path / "dump")
     (folder / "metadata.json").write_text('{"1": {"timestamp": 5}}')
@@ -127,6 +133,7 @@ def test_stamps_that_are_not_used_are_said_to_be_so(tmp_path):
     assert "rgb/metadata.json is not used: stamps are in timestamps.txt or timestamps.csv" in done.stdout
 
 
+@pytest.mark.promise("Dumps", "An interrupted `roadperc-render` leaves its target as it was")
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
 @pytest.mark.parametrize("former", [False, True])
 def test_an_interrupted_render_leaves_nothing_under_its_name(tmp_path, name, former):

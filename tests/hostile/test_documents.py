@@ -25,6 +25,7 @@ TEXTS = {
 }
 
 
+@pytest.mark.promise("Settings and tables", "A configuration with huge numbers or deep nesting is one line")
 @pytest.mark.parametrize("text", TEXTS.values(), ids=TEXTS)
 def test_a_configuration_is_read_or_refused_in_a_line(tmp_path, text):
     path = tmp_path / "a.toml"
@@ -35,6 +36,9 @@ def test_a_configuration_is_read_or_refused_in_a_line(tmp_path, text):
     assert len(str(caught.value)) < 1000
 
 
+@pytest.mark.promise(
+    "Settings and tables", "A configuration attached to a log or a table is read or refused the same way"
+)
 @pytest.mark.parametrize("text", TEXTS.values(), ids=TEXTS)
 def test_an_attached_configuration_is_read_or_refused(text):
     with suppress(ConfigError):
@@ -56,6 +60,7 @@ def table(tmp_path_factory):
     return pl.read_parquet(folder / "out.metrics.parquet")
 
 
+@pytest.mark.promise("Settings and tables", "A column with a wrong type or with numbers too large to square is named")
 @pytest.mark.parametrize(
     ("column", "values", "words"),
     [
@@ -84,6 +89,7 @@ def test_a_column_without_a_value_counts_as_missing(tmp_path, table):
     assert run("roadperc-report", path).returncode == 0
 
 
+@pytest.mark.promise("Settings and tables", "A panic of polars is one line")
 def test_a_panic_of_polars_is_a_stated_error():
     frame = pl.LazyFrame({"a": [1]}).map_batches(panic)
     with pytest.raises(TableError, match=r"a\.parquet: its data cannot be read"):
@@ -94,6 +100,7 @@ def panic(_):
     raise pl.exceptions.PanicException("index out of bounds")
 
 
+@pytest.mark.promise("Settings and tables", "A damaged table is one line")
 @pytest.mark.parametrize("place", [0.2, 0.5, 0.8, 0.97])
 def test_a_damaged_table_is_one_line(tmp_path, table, place):
     path = tmp_path / "a.metrics.parquet"

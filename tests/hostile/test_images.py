@@ -46,6 +46,7 @@ def log_of(path, data):
     return logs.write(path, inputs.replaced("image", picture, frames=1))
 
 
+@pytest.mark.promise("Messages", "No image starts a program")
 @pytest.mark.commands
 @pytest.mark.parametrize("data", [POSTSCRIPT, b"\xc5\xd0\xd3\xc6" + bytes(28) + POSTSCRIPT], ids=["PS", "DOS EPS"])
 @pytest.mark.parametrize("command", ["replay", "overlay", "info", "convert", "template"])
@@ -77,6 +78,7 @@ def test_the_trap_is_one(ghostscript, monkeypatch):
     assert started.exists()
 
 
+@pytest.mark.promise("Messages", "Pillow gets an explicit format wherever it opens a file")
 @pytest.mark.parametrize("folder", ["roadperc_stream", "tools", "eval"])
 def test_pillow_is_told_the_formats_wherever_it_opens(folder):
     calls = [
@@ -88,6 +90,7 @@ def test_pillow_is_told_the_formats_wherever_it_opens(folder):
     assert [call for call in calls if "formats" not in call[2]] == []
 
 
+@pytest.mark.promise("Messages", "Images other than PNG, JPEG and WebP are refused by name before a decoder sees them")
 @pytest.mark.parametrize(
     ("data", "name", "todo"),
     [
@@ -109,6 +112,7 @@ def test_other_formats_are_refused_by_name(monkeypatch, data, name, todo):
             decoder(data)
 
 
+@pytest.mark.promise("Messages", "`limits.image_formats` can add AVIF, BMP and GIF")
 @pytest.mark.parametrize("name", ["PNG", "JPEG", "WEBP", "AVIF", "BMP", "GIF"])
 def test_formats_that_are_listed_are_read(name):
     data = packed(name)
@@ -120,12 +124,14 @@ def test_formats_that_are_listed_are_read(name):
         images.decode_bgr(packed(name, PICTURE.resize((320, 240))), small)
 
 
+@pytest.mark.promise("Messages", "Formats that can state two sizes, such as TIFF and JPEG 2000, cannot be added")
 def test_a_format_whose_size_cannot_be_known_is_not_listed():
     assert load_config(None, ("limits.image_formats=png,avif",)).limits.image_formats == ("png", "avif")
     with pytest.raises(ConfigError, match="image_formats"):
         load_config(None, ("limits.image_formats=png,tiff",))
 
 
+@pytest.mark.promise("Messages", "The size of an AVIF is that of its coded frames")
 def test_an_avif_is_held_against_its_coded_frame():
     for decoder in DECODERS:
         with pytest.raises(DecodeError, match="AVIF of 96x72 with frames of 16000x16000"):
@@ -166,12 +172,14 @@ LAYOUTS = {
 }
 
 
+@pytest.mark.promise("Messages", "An AVIF that is not a still picture is refused")
 @pytest.mark.parametrize("changed", LAYOUTS.values(), ids=LAYOUTS)
 def test_an_avif_of_another_layout_is_refused(changed):
     with pytest.raises(DecodeError, match=r"AVIF"):
         images.decode_bgr(changed, LISTED)
 
 
+@pytest.mark.promise("Messages", "`limits.image_megapixels` holds also where a decoder only reports a damage")
 def test_the_reason_for_a_damaged_image_is_asked_within_the_limit():
     """OpenCV refuses a second header, Pillow takes its size."""
     twice = [[b"IHDR", inputs.png(12_000, 12_000, rows=0)[16:29]]]

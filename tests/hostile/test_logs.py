@@ -45,6 +45,7 @@ CASES = {
 }
 
 
+@pytest.mark.promise("Logs", "A declared size is checked against the file and the limits before memory is allocated")
 @pytest.mark.parametrize("case", CASES)
 def test_what_is_declared_is_not_allocated(tmp_path, case):
     path = tmp_path / "in.mcap"
@@ -58,6 +59,7 @@ def test_what_is_declared_is_not_allocated(tmp_path, case):
     assert list(tmp_path.glob("*out*")) == []
 
 
+@pytest.mark.promise("Logs", "A chunk above `limits.chunk_mb` is refused; the error names the setting")
 def test_a_chunk_beyond_the_limit_names_the_setting(tmp_path):
     path = tmp_path / "in.mcap"
     data = b"".join(KNOWN) + inputs.message(1, 1, bytes(2_000_000))
@@ -67,6 +69,7 @@ def test_a_chunk_beyond_the_limit_names_the_setting(tmp_path):
         list(log.read(log.summarise(path, LimitsConfig(chunk_mb=1))))
 
 
+@pytest.mark.promise("Logs", "A record above `limits.record_mb` is refused; the error names the setting")
 def test_a_record_beyond_the_limit_names_the_setting(tmp_path):
     path = tmp_path / "in.mcap"
     path.write_bytes(inputs.file(*KNOWN, inputs.message(1, 1, bytes(3_000_000))))
@@ -75,6 +78,7 @@ def test_a_record_beyond_the_limit_names_the_setting(tmp_path):
         list(log.read(log.summarise(path, LimitsConfig(record_mb=1))))
 
 
+@pytest.mark.promise("Logs", "Chunks that do not state their size are read")
 @pytest.mark.parametrize("stated", [True, False])
 def test_chunks_as_writers_make_them_are_read(tmp_path, stated):
     """lz4 with and without its size, whose contents are measured before they are decompressed."""
@@ -88,6 +92,7 @@ def test_chunks_as_writers_make_them_are_read(tmp_path, stated):
         list(log.read(log.summarise(path)))
 
 
+@pytest.mark.promise("Logs", "A chunk with more messages than `limits.chunk_messages` is refused")
 @pytest.mark.parametrize("indexed", [True, False])
 def test_a_chunk_of_more_messages_than_may_be_is_named(tmp_path, indexed):
     path = tmp_path / "in.mcap"
@@ -103,6 +108,7 @@ def test_a_chunk_of_more_messages_than_may_be_is_named(tmp_path, indexed):
         log.summarise(path, LimitsConfig(chunk_messages=900))
 
 
+@pytest.mark.promise("Logs", "The limits also hold when a damaged log is recovered")
 def test_what_can_be_salvaged_is_bounded_too(tmp_path):
     path = tmp_path / "in.mcap"
     bomb = inputs.chunk(zeros_as_zstd(HUGE), "zstd", size=HUGE)
@@ -114,6 +120,7 @@ def test_what_can_be_salvaged_is_bounded_too(tmp_path):
     assert "limits.chunk_mb" in salvage.damages[0].words
 
 
+@pytest.mark.promise("Logs", "Any 64-bit time is read or refused with one line")
 def test_the_last_instant_of_64_bits_is_one_line(tmp_path):
     path = tmp_path / "in.mcap"
     path.write_bytes(inputs.file(*KNOWN, inputs.message(1, 2**64 - 1, b"{}"), inputs.message(1, 5, b"{}")))

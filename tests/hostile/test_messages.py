@@ -39,6 +39,7 @@ def read(kind, schema, data, limits):
     return decode(kind, schema, "protobuf", data, STAMP, Context(limits=limits))
 
 
+@pytest.mark.promise("Messages", "An image above `limits.image_megapixels` is refused before it is decoded")
 @pytest.mark.parametrize("data", [HUGE_PNG, inputs.jpeg_of_size(JPEG, 30_000, 30_000)], ids=["png", "jpeg"])
 def test_an_image_is_held_against_its_header_before_it_is_decoded(data):
     for decoder in (images.decode_bgr, images.decode_grey, images.decode_unchanged):
@@ -46,6 +47,7 @@ def test_an_image_is_held_against_its_header_before_it_is_decoded(data):
             decoder(data)
 
 
+@pytest.mark.promise("Messages", "An oversized image is skipped; the frame's other inputs are used")
 @pytest.mark.parametrize("role", ["image", "segmentation"])
 def test_a_huge_image_costs_its_frames_that_image(tmp_path, role):
     data = inputs.png(30_000, 30_000, mode=3, rows=4) if role == "segmentation" else HUGE_PNG
@@ -55,6 +57,7 @@ def test_a_huge_image_costs_its_frames_that_image(tmp_path, role):
     assert "expected limits.image_megapixels 40 at most" in done.stdout
 
 
+@pytest.mark.promise("Messages", "A calibration above `limits.image_megapixels` is refused")
 def test_a_calibration_is_held_against_the_limit(tmp_path):
     """The sparse depth of a lidar's points is as large as the calibration says."""
     camera = Camera("camera", 40_000, 40_000, 2e4, 2e4, 2e4, 2e4)
@@ -71,6 +74,7 @@ def test_a_calibration_is_held_against_the_limit(tmp_path):
     assert "calibration of 40000x40000, 1600 megapixels: expected limits.image_megapixels 40 at most" in done.stderr
 
 
+@pytest.mark.promise("Messages", "Compressed texts and profiles in an image are never expanded beyond the limits")
 def test_texts_that_are_compressed_in_an_image_cost_that_image():
     zeros = zlib.compress(bytes(100_000_000), 9)
     extra = ([b"iCCP", b"x\0\0" + zeros], [b"zTXt", b"c\0\0" + zeros])
@@ -88,6 +92,7 @@ EDGES = [Transform("ego", f"f{k}", np.eye(4)) for k in range(5)]
 POINTS = np.zeros((5, 4), np.float32)
 
 
+@pytest.mark.promise("Messages", "A message with more detections, transforms or points than `limits` allows is skipped")
 @pytest.mark.parametrize(
     ("limit", "kind", "schema", "data"),
     [
@@ -102,6 +107,7 @@ def test_items_beyond_the_limit_cost_their_message(limit, kind, schema, data):
         read(kind, schema, data, LimitsConfig(**{limit: 4}))
 
 
+@pytest.mark.promise("Messages", "A message with a name above `limits.name_length` is skipped")
 def test_a_long_name_costs_its_message():
     data = encoding.encode_detections(STAMP, "camera", [box("x" * 1001, 1, 1, 9, 9)])
     with pytest.raises(DecodeError, match=r"a name of 1001 characters: expected limits\.name_length 1000 at most"):
@@ -109,12 +115,14 @@ def test_a_long_name_costs_its_message():
     assert read("detections", "roadperc.Detections", data, LimitsConfig(name_length=1001))
 
 
+@pytest.mark.promise("Messages", "A message above `limits.message_mb` is not read item by item")
 def test_a_long_message_is_not_read_item_by_item():
     data = encoding.encode_detections(STAMP, "camera", [box("x" * 1_100_000, 1, 1, 9, 9)])
     with pytest.raises(DecodeError, match=r"bytes: expected limits\.message_mb 1 at most"):
         read("detections", "roadperc.Detections", data, LimitsConfig(message_mb=1, name_length=1_000_000))
 
 
+@pytest.mark.promise("Messages", "Transforms beyond `limits.transforms` are skipped and reported")
 def test_a_long_chain_of_transforms_is_cut_where_the_tree_is_full():
     """One edge a message: the tree grows until the limit, and what is beyond is reported once."""
     edges = [Transform(f"f{k}", f"f{k + 1}", np.eye(4)) for k in range(20_000)]
@@ -132,6 +140,7 @@ def test_edges_that_are_known_are_still_replaced_in_a_full_tree():
     assert [edge.child for edge in tree.fitting(again, 1)] == ["b"]
 
 
+@pytest.mark.promise("Messages", "Time per frame grows linearly with the number of detections")
 def test_many_detections_take_a_time_that_grows_with_their_number(tmp_path):
     places = np.random.default_rng(1).uniform(0, 200, (2000, 2))
     boxes = [box(("Car", "Pedestrian")[k % 2], x, y, x + 20, y + 20) for k, (x, y) in enumerate(places)]
@@ -144,6 +153,7 @@ def test_many_detections_take_a_time_that_grows_with_their_number(tmp_path):
     assert time.process_time() - started < 15
 
 
+@pytest.mark.promise("The terminal", "Messages of libpng and libjpeg are in the frame's reasons, not on the terminal")
 @pytest.mark.parametrize(
     "data",
     [
@@ -160,6 +170,7 @@ def test_what_libpng_and_libjpeg_say_reaches_no_terminal(tmp_path, data):
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.promise("The terminal", "A damaged image is reported once")
 def test_what_a_decoder_says_of_a_damaged_image_is_said_once():
     with pytest.raises(DecodeError, match=r"bytes are no image: .*truncated"):
         images.decode_bgr(inputs.png(320, 240)[:-40])

@@ -47,6 +47,7 @@ def tainted(replayed):
     return folder
 
 
+@pytest.mark.promise("The terminal", "Text from files is printed with control characters escaped (`system.text.shown`)")
 def test_no_sign_that_a_terminal_obeys_is_left():
     assert shown(EVIL) == SHOWN
     assert shown("straße 車 → ±") == "straße 車 → ±"
@@ -55,22 +56,27 @@ def test_no_sign_that_a_terminal_obeys_is_left():
         assert shown(chr(code)).isprintable()
 
 
+@pytest.mark.promise("The terminal", "A line is cut after 10,000 characters")
 def test_a_line_of_a_hundred_million_characters_is_cut():
     assert len(shown("x" * 100_000_000)) < 10_100
 
 
+@pytest.mark.promise("The terminal", "`roadperc-replay` prints escaped text")
 def test_replay(replayed):
     require_plain(replayed[2])
 
 
+@pytest.mark.promise("The terminal", "Errors are escaped")
 def test_a_stated_error():
     require_plain(run("roadperc-replay", f"no-{EVIL}.mcap", "out.mcap"), names=r"\x1b[31m", codes=(1,))
 
 
+@pytest.mark.promise("The terminal", "Usage errors are escaped")
 def test_wrong_usage():
     require_plain(run("roadperc-replay", "a.mcap", "b.mcap", f"--{EVIL}"), names=SHOWN, codes=(2,))
 
 
+@pytest.mark.promise("The terminal", "`roadperc-info` prints escaped text")
 def test_info(replayed):
     source, target, _ = replayed
     require_plain(run("roadperc-info", source))
@@ -80,21 +86,25 @@ def test_info(replayed):
     assert any(EVIL in channel["topic"] for channel in json.loads(done.stdout)["channels"])
 
 
+@pytest.mark.promise("The terminal", "`roadperc-view` prints escaped text")
 def test_view(replayed, tmp_path):
     require_plain(run("roadperc-view", replayed[0], "--save", tmp_path / f"{EVIL[:7]}.rrd"), names=r"\x1b")
     require_plain(run("roadperc-view", replayed[1], "--video", tmp_path / f"{EVIL[:7]}.mp4"), names=r"\x1b")
 
 
+@pytest.mark.promise("The terminal", "`roadperc-report` prints escaped text")
 def test_report(tainted, replayed, tmp_path):
     require_plain(run("roadperc-report", tainted / "out.metrics.parquet", "--html", tmp_path / "a.html"))
     assert "\x1b" not in (tmp_path / "a.html").read_text()
     require_plain(run("roadperc-report", tainted, replayed[1].with_suffix(".metrics.parquet")))
 
 
+@pytest.mark.promise("The terminal", "`roadperc-compare` prints escaped text")
 def test_compare(tainted, replayed):
     require_plain(run("roadperc-compare", replayed[1], tainted / "out.mcap"), codes=(0, 1))
 
 
+@pytest.mark.promise("The terminal", "`roadperc-sweep` prints escaped text")
 def test_sweep(replayed, tmp_path):
     options = ["--vary", "lanes.hold_s=0.5,0.6", "--set", "tag_table=0.9.13", "--out", tmp_path / "sweep"]
     require_plain(run("roadperc-sweep", replayed[0], *options, *topic_options()))
@@ -106,6 +116,7 @@ def test_batch(replayed, tmp_path):
     require_plain(failed, names=r"\x1b", codes=(1,))
 
 
+@pytest.mark.promise("The terminal", "`roadperc-trajectory` and `roadperc-lanes` print escaped text")
 def test_trajectory_and_lanes(replayed):
     hostile = replayed[1].with_name(f"{EVIL[:7]}.mcap")
     for path in replayed[1].parent.glob("out.*"):
@@ -116,12 +127,14 @@ def test_trajectory_and_lanes(replayed):
     )
 
 
+@pytest.mark.promise("The terminal", "`roadperc-convert` prints escaped text")
 def test_convert(tmp_path):
     (tmp_path / f"rgb{EVIL}").mkdir()
     (tmp_path / f"rgb{EVIL}" / "1.png").write_bytes(b"no image")
     require_plain(run("roadperc-convert", tmp_path, tmp_path / "out.mcap"), names=r"\x1b[31m", codes=(1,))
 
 
+@pytest.mark.promise("The terminal", "Text that a client sends to the live server is escaped when the SDK logs it")
 def test_what_a_client_of_the_live_server_sends(replayed):
     """The SDK of the server logs what is wrong with a message, in the client's own words."""
     command = words("roadperc-view", replayed[1], "--foxglove", "--port", 0)
@@ -154,6 +167,7 @@ sys.exit(run(command))
 """
 
 
+@pytest.mark.promise("The terminal", "Log records of libraries are escaped, whichever handler prints them")
 @pytest.mark.parametrize("handler", ["own handler", "no handler"])
 def test_what_a_library_logs(handler):
     done = subprocess.run([sys.executable, "-c", LIBRARY, EVIL, handler], check=False, capture_output=True, timeout=60)

@@ -29,6 +29,7 @@ def written(path, attachments=(), metadata=()):
     return by_us(path, messages, attachments=attachments, metadata=metadata)
 
 
+@pytest.mark.promise("Logs", "A pipe that is not MCAP is refused at once; an endless one cannot fill the disk")
 def test_a_pipe_that_is_no_log_is_refused_by_its_first_bytes(tmp_path):
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
@@ -88,6 +89,7 @@ def message_like(length):
     return (b"\x05" + struct.pack("<Q", 60) + b"\0\0") * (length // 11)
 
 
+@pytest.mark.promise("Logs", "Bytes that only look like records take time in proportion to their number")
 @pytest.mark.parametrize(("junk", "length"), [(chunk_like, 4_000_000), (message_like, 20_000_000)])
 def test_what_looks_like_records_is_read_in_time_in_proportion(tmp_path, junk, length):
     path = tmp_path / "junk.mcap"
@@ -114,6 +116,7 @@ def recovered(gaps):
     return Recovery(5, {}, exact=True, gaps=tuple(gaps))
 
 
+@pytest.mark.promise("Logs", "A record with more gaps than `limits.gaps` is refused before decoding")
 def test_more_gaps_than_may_be_are_refused_before_they_are_decoded(tmp_path):
     gaps = [LostSpan(k, k, {"/[a]": 1}) for k in range(20)]
     path = written(tmp_path / "a.mcap", metadata=[recovered(gaps).to_record()])
@@ -175,6 +178,7 @@ def test_gaps_that_overlap_are_found_as_by_looking_at_all():
             assert reason.values == tuple(ns for ns in expected if abs(ns) < float("inf"))
 
 
+@pytest.mark.promise("Logs", "All attachments and metadata together stay below `limits.attachments_mb`")
 def test_attachments_have_a_limit_together(tmp_path):
     half = [Attachment(name, "x", bytes([k]) * (MIB * 6 // 10)) for k, name in enumerate("ab")]
     one, other = written(tmp_path / "1.mcap", half[:1]), written(tmp_path / "2.mcap", half[1:])

@@ -5,6 +5,7 @@ import sys
 
 import pyarrow as pa
 import pyarrow.parquet as pq
+import pytest
 
 CODE = """
 import sys
@@ -21,6 +22,7 @@ print(rows[1]["c7"], process.num_threads() - before)
 """
 
 
+@pytest.mark.promise("Crashes", "No Arrow thread frees Python memory while a batch ends")
 def test_no_thread_of_arrow_holds_bytes_of_python(tmp_path):
     """It may give them back when the interpreter ends, and then Python up to 3.13 aborts the process."""
     pq.write_table(pa.table({f"c{k}": ["a", "b"] for k in range(45)}), tmp_path / "table.parquet")

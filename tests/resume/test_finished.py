@@ -72,6 +72,7 @@ def assert_complete(folder, source, beginning):
     assert {path: path.read_bytes() for path in folder.iterdir()} == before
 
 
+@pytest.mark.promise("States", "`--resume` of a finished replay exits 0 and changes nothing")
 @pytest.mark.parametrize("beginning", BEGINNINGS)
 @settings(max_examples=5, **ANYHOW)
 @given(made=transforms())
@@ -80,6 +81,7 @@ def test_a_finished_replay_is_complete_whatever_its_transforms(beginning, made):
         assert_complete(Path(folder), with_transforms(Path(folder) / "in.mcap", made), beginning)
 
 
+@pytest.mark.promise("States", "Lookups in the transform tree do not change the state's bytes")
 @settings(max_examples=20, **ANYHOW)
 @given(made=transforms(), asked=st.lists(st.sampled_from(NAMES), min_size=2, max_size=8))
 def test_a_tree_is_the_same_bytes_whatever_was_looked_up(made, asked):
@@ -101,6 +103,7 @@ def warmed(tmp_path_factory):
     return folder / "out.mcap"
 
 
+@pytest.mark.promise("States", "A state of an older format is one error that says what to do")
 @pytest.mark.parametrize("name", [STATE_ATTACHMENT, BEGIN_ATTACHMENT])
 def test_a_state_of_an_older_version_is_one_error(warmed, tmp_path, capsys, name):
     """Where a replay goes on from it, and where it began the result that is replayed."""
@@ -114,6 +117,7 @@ def test_a_state_of_an_older_version_is_one_error(warmed, tmp_path, capsys, name
     assert list(tmp_path.iterdir()) == [older]
 
 
+@pytest.mark.promise("States", "A checkpoint of an older format is one error that says what to do")
 def test_a_checkpoint_of_an_older_version_is_one_error(tmp_path, capsys):
     source, target = with_transforms(tmp_path / "in.mcap", []), tmp_path / "out.mcap"
     interrupt(source, target, 10)

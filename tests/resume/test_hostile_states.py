@@ -146,6 +146,7 @@ CASES = {
 }
 
 
+@pytest.mark.promise("States", "A state with a wrong type or shape, or above `limits`, is one line")
 @pytest.mark.parametrize("case", CASES)
 def test_a_state_of_a_wrong_type_shape_or_size_is_one_line(parts, tmp_path, case):
     change, expected = CASES[case]
@@ -158,6 +159,7 @@ def test_a_state_of_a_wrong_type_shape_or_size_is_one_line(parts, tmp_path, case
     assert len(str(caught.value).splitlines()) == 1
 
 
+@pytest.mark.promise("States", "A plain replay refuses a damaged state too")
 def test_a_plain_replay_refuses_it_too(parts, tmp_path):
     source = changed(
         parts[1], tmp_path / "in.mcap", BEGIN_ATTACHMENT, lambda state: keyframe(state).update(grey=grey(1, 1))
@@ -167,6 +169,7 @@ def test_a_plain_replay_refuses_it_too(parts, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["in.mcap"]
 
 
+@pytest.mark.promise("States", "A state whose frame numbers would overflow is refused before the first frame")
 @pytest.mark.parametrize("part", [0, 1])
 def test_frames_that_have_no_number_left_are_refused_before_the_first(parts, tmp_path, part):
     """By ``--continue`` and by a plain replay of what began with it."""
@@ -177,6 +180,7 @@ def test_frames_that_have_no_number_left_are_refused_before_the_first(parts, tmp
         replay(source, tmp_path / "out.mcap", CFG, continued=continued)
 
 
+@pytest.mark.promise("States", "Nothing is allocated beyond the limits")
 def test_what_is_declared_is_not_made(parts, tmp_path):
     """256 MB of an array, which several times as much was used for."""
     path = changed(

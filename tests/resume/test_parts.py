@@ -136,6 +136,7 @@ def test_what_a_state_holds_is_that_of_its_version():
     assert (FORMAT_VERSION, digest) == (6, "321c9cb3"), names
 
 
+@pytest.mark.promise("States", "A state contains no caches")
 @pytest.mark.parametrize("kind", [SavedState, Checkpoint, FrameOutput])
 def test_no_field_of_what_is_encoded_is_a_cache(kind):
     """A private field, or one that comparisons leave out, may differ in equal states."""

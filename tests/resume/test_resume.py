@@ -31,6 +31,7 @@ def stopped(source, tmp_path):
     return target
 
 
+@pytest.mark.promise("States", "Any flipped bit in a checkpoint is one error")
 @pytest.mark.parametrize("name", ["state", "frames"])
 def test_a_flipped_bit_anywhere_is_one_error(source, stopped, name):
     """14 of 14, of which 7 gave another output before records had a CRC."""
@@ -48,6 +49,7 @@ def test_a_flipped_bit_anywhere_is_one_error(source, stopped, name):
         replay(source, stopped, CFG, **RESUMED)
 
 
+@pytest.mark.promise("States", "Two replays never write to one checkpoint")
 def test_a_second_replay_of_one_output_is_refused_while_the_first_lives(source, tmp_path):
     target = tmp_path / "out.mcap"
     first = subprocess.Popen(command(source, target, "--resume", "--quiet"))
@@ -68,6 +70,7 @@ def test_a_second_replay_of_one_output_is_refused_while_the_first_lives(source, 
     assert not checkpoint_folder(target).exists()
 
 
+@pytest.mark.promise("States", "A symbolic link in place of a checkpoint folder is refused")
 @pytest.mark.parametrize("options", [RESUMED, {"checkpoint_every_s": 0.2}, {}])
 def test_a_link_in_place_of_the_folder_is_one_error(source, tmp_path, options):
     (tmp_path / "victim").mkdir()
@@ -78,6 +81,7 @@ def test_a_link_in_place_of_the_folder_is_one_error(source, tmp_path, options):
     assert (tmp_path / "victim" / "frames").read_bytes() == b"theirs"
 
 
+@pytest.mark.promise("States", "A symbolic link in place of a checkpoint file is not followed")
 def test_a_link_in_place_of_the_frames_is_not_written_through(source, stopped, tmp_path):
     path = checkpoint_folder(stopped) / "frames"
     path.rename(tmp_path / "victim")

@@ -237,6 +237,7 @@ def test_an_order_to_a_player_that_ended_is_answered():
     assert script.player.on_playback_control_request(order(play=False)).current_time == round(1.5 * S)
 
 
+@pytest.mark.promise("The live server", "Only the newest waiting seek reads the log")
 def test_only_the_newest_waiting_seek_is_carried_out():
     seeks = [order(play=False, seek_ns=k * S) for k in (4, 3, 1, 2)]
     once, storm = (Script(drive(), {0: WATCH, 1.5: asked, 9: STOP}).run() for asked in (seeks[-1:], seeks))

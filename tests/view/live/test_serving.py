@@ -118,6 +118,7 @@ def test_pause_seek_and_speed(path):
         viewer.until(lambda: [m for m in viewer.shown() if m.data == b"image 102"])
 
 
+@pytest.mark.promise("The live server", "The server answers while the disk is blocked")
 def test_a_disk_that_stands_still_keeps_no_viewer_from_an_answer(path, monkeypatch):
     """The server has a few threads for all its viewers: none of them may wait for what a seek reads."""
     reading, on, ends = Event(), Event(), []
@@ -148,6 +149,7 @@ def test_a_disk_that_stands_still_keeps_no_viewer_from_an_answer(path, monkeypat
     assert 1010 * S + 200 in ends
 
 
+@pytest.mark.promise("The live server", "A viewer that seeks 200 times a second does not block a second viewer")
 def test_a_storm_of_seeks_leaves_a_second_viewer_an_answer(path):
     """The storm lasts until the answer is there, with twenty seeks on their way: as many as are answered."""
     raging, ended = Event(), Event()
