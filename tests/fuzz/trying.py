@@ -28,7 +28,7 @@ from unittest.mock import patch
 
 import cv2
 
-import roadperc_stream
+import roadperc_stream.eval
 from roadperc_stream.cli import launch
 from tests import commands
 from tests.conftest import DEFAULT_DATA
@@ -72,8 +72,9 @@ class Verdict:
 
 def import_commands() -> None:
     """Import what the commands import, and make the sound inputs, before any process is forked."""
-    for module in pkgutil.walk_packages(roadperc_stream.__path__, "roadperc_stream."):
-        importlib.import_module(module.name)
+    for package in (roadperc_stream, roadperc_stream.eval):
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            importlib.import_module(module.name)
     for make in contents.BASES.values():
         make()
 
