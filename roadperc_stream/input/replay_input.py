@@ -221,7 +221,8 @@ class ReplayInput:
         """What the frames still to come need of the messages so far.
 
         Args:
-            with_messages: whether it carries its messages itself; else it names those of the copy by their places.
+            with_messages: whether it carries its messages itself; else it names those of the copy by log time and
+                number.
         """
         end = self.plan.first_pass.end
         first_ns = end.first_pending_ns

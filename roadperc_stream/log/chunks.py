@@ -110,7 +110,10 @@ def _at_once(head: ChunkHead) -> memoryview | None:
                 return None  # the library would allocate that size; -1 is an unknown one
             data = ZstdDecompressor().decompress(head.stored, max_output_size=head.size_bytes)
         elif head.compression == "lz4":
-            data = lz4.frame.LZ4FrameDecompressor().decompress(head.stored, max_length=head.size_bytes + 1)
+            frame = lz4.frame.LZ4FrameDecompressor()
+            data = frame.decompress(head.stored, max_length=head.size_bytes + 1)
+            if not frame.eof:
+                return None
     except (ZstdError, RuntimeError):
         return None
     return memoryview(data) if len(data) == head.size_bytes else None

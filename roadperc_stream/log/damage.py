@@ -74,6 +74,13 @@ class Damage:
         starts_behind = self.first_ns is not None and end_ns is not None and self.first_ns >= end_ns
         return self.of_messages and not (ends_before or starts_behind)
 
+    def with_more(self, other: "Damage") -> "Damage":
+        """A damage that also stands for one behind it."""
+        first_ns = None if None in (self.first_ns, other.first_ns) else min(self.first_ns or 0, other.first_ns or 0)
+        last_ns = None if None in (self.last_ns, other.last_ns) else max(self.last_ns or 0, other.last_ns or 0)
+        of_messages = self.of_messages or other.of_messages
+        return Damage(self.byte, self.words, first_ns, last_ns, of_messages, self.number + other.number)
+
 
 def number_of(damages: Iterable[Damage]) -> int:
     """How many they are, those included that are not listed one by one."""

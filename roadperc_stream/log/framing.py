@@ -290,8 +290,7 @@ class Framing:
         if len(self.damages) < _MOST_LISTED:
             self.damages.append(damage)
         else:
-            number = self.damages[-1].number + 1
-            self.damages[-1] = replace(self.damages[-1], first_ns=None, last_ns=None, of_messages=True, number=number)
+            self.damages[-1] = self.damages[-1].with_more(damage)
 
 
 def _crc_in(record: Record) -> int:

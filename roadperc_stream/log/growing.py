@@ -12,7 +12,7 @@ from mcap.records import ChunkIndex
 
 from roadperc_stream.errors import LogError
 from roadperc_stream.log.chunks import unpacked
-from roadperc_stream.log.index import is_within, may_hold
+from roadperc_stream.log.index import is_within, may_hold, share_channels
 from roadperc_stream.log.layout import UNREADABLE, chunk_of, message_head, records_in
 from roadperc_stream.log.records import Channel, Message
 
@@ -21,9 +21,9 @@ from roadperc_stream.log.records import Channel, Message
 class GrowingLog:
     """What a ``LogWriter`` has written so far, for one reader in another thread.
 
-    A chunk's place and time span are kept, and the messages of the one chunk that is still open: the memory is that of
-    a few chunks, however long the log. Messages come in the order of log time, as far as it is reached: a chunk that
-    was copied whole may hold later ones, between which results are still to be written.
+    A chunk's place, channels and time span are kept, and the messages of the one chunk that is still open: the memory
+    is that of a few chunks, however long the log. Messages come in the order of log time, as far as it is reached: a
+    chunk that was copied whole may hold later ones, between which results are still to be written.
     """
 
     path: Path
@@ -31,6 +31,7 @@ class GrowingLog:
     _channels: dict[int, Channel]
     """Those registered so far, by their ids."""
     _chunks: list[ChunkIndex] = field(default_factory=list)
+    _channel_sets: dict[frozenset[int], dict[int, int]] = field(default_factory=dict)
     _open: list[Message] = field(default_factory=list)
     _reached_ns: int | None = None
     _complete: bool = False
@@ -53,6 +54,7 @@ class GrowingLog:
 
     def add_chunk(self, chunk: ChunkIndex) -> None:
         """Take note of a chunk that is now in the file: the open one, or a copied one."""
+        share_channels(chunk, self._channel_sets)
         with self._lock:
             self._chunks.append(chunk)
             self._open.clear()

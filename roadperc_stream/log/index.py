@@ -9,6 +9,7 @@ from typing import IO, Final, TypeVar
 
 from deflate import crc32
 from mcap import records
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Channel as McapChannel
 from mcap.records import ChunkIndex
@@ -22,6 +23,8 @@ MOST_HELD_BYTES: Final = 32 * 1024 * 1024
 """Messages held to put a log in order by its index; where it would take more it is sorted on disk."""
 T = TypeVar("T")
 _FOOTER: Final = struct.Struct("<BQQQI")
+_DATA_END: Final = struct.Struct("<BQI")
+_BLOCK_BYTES: Final = 1024 * 1024
 
 
 def most_at_once(spans: Iterable[tuple[int, int, int]]) -> int:
@@ -52,6 +55,12 @@ def may_hold(chunk: ChunkIndex, wanted: Collection[int], start_ns: int | None, e
     return in_time and (not channels or not channels.isdisjoint(wanted))
 
 
+def share_channels(chunk: ChunkIndex, known: dict[frozenset[int], dict[int, int]]) -> None:
+    """Let chunks of the same channels share a dict, of which the keys are used: a log may have very many chunks."""
+    offsets = chunk.message_index_offsets
+    chunk.message_index_offsets = known.setdefault(frozenset(offsets), offsets)
+
+
 def is_within(log_time_ns: int, start_ns: int | None, end_ns: int | None) -> bool:
     """Whether a log time lies in a range; None is no limit."""
     return (start_ns is None or log_time_ns >= start_ns) and (end_ns is None or log_time_ns < end_ns)
@@ -70,22 +79,22 @@ def channel_of(channel: McapChannel, schema: McapSchema | None) -> Channel:
     )
 
 
-def places_of(index: Summary) -> tuple[int, ...]:
-    """Where reading can go on behind a break, by the index: chunks and what stands beside them."""
+def places_of(index: Summary, data_end: int | None) -> tuple[int, ...]:
+    """Where reading can go on behind a break, by the index: chunks, what stands beside them, the data section's end."""
     places = {chunk.chunk_start_offset for chunk in index.chunk_indexes}
     places |= {attachment.offset for attachment in index.attachment_indexes}
     places |= {metadata.offset for metadata in index.metadata_indexes}
-    return tuple(sorted(places))
+    return tuple(sorted(places if data_end is None else {*places, data_end}))
 
 
 def index_of(stream: IO[bytes]) -> Summary | None:
-    """The index, where its CRC fits and it names every chunk, channel and schema that the messages use."""
+    """The index, where it names every chunk, channel and schema that the messages use; its CRC may be wrong."""
     stream.seek(0)
     try:
         index = make_reader(stream).get_summary()
-        if index is None or index.statistics is None or not index.chunk_indexes or not _summary_fits(stream):
-            return None
     except (OSError, *UNREADABLE):  # a seek before the start is an OSError; one of the disk comes again in reading
+        return None
+    if index is None or index.statistics is None or not index.chunk_indexes:
         return None
     used = [index.channels.get(i) for i in index.statistics.channel_message_counts]
     known = all(channel is not None and channel.schema_id in {0, *index.schemas} for channel in used)
@@ -93,13 +102,34 @@ def index_of(stream: IO[bytes]) -> Summary | None:
     return index if known and whole and index.statistics.channel_count <= len(index.channels) else None
 
 
-def _summary_fits(stream: IO[bytes]) -> bool:
+def data_end_of(stream: IO[bytes]) -> int | None:
+    """The byte where the data section's last record starts, by the footer; None where no such record does."""
+    footer_start = stream.seek(0, os.SEEK_END) - len(MAGIC) - _FOOTER.size
+    opcode, _, summary_start, _, _ = _unpack(stream, _FOOTER, footer_start)
+    data_end = (summary_start or footer_start) - _DATA_END.size
+    is_data_end = opcode == Opcode.FOOTER and _unpack(stream, _DATA_END, data_end)[0] == Opcode.DATA_END
+    return data_end if is_data_end else None
+
+
+def summary_fits(stream: IO[bytes]) -> bool:
     """Whether the CRC of the summary fits; true without a CRC."""
-    footer_start = stream.seek(-len(MAGIC) - _FOOTER.size, os.SEEK_END)
-    _, _, summary_start, _, expected = _FOOTER.unpack(stream.read(_FOOTER.size))
-    stream.seek(summary_start)
-    summary = stream.read(footer_start + _FOOTER.size - CRC_BYTES - summary_start)
-    return not expected or crc32(summary) == expected
+    footer_start = stream.seek(0, os.SEEK_END) - len(MAGIC) - _FOOTER.size
+    opcode, _, summary_start, _, expected = _unpack(stream, _FOOTER, footer_start)
+    if opcode != Opcode.FOOTER or not expected or not summary_start:
+        return True
+    if summary_start >= footer_start:
+        return False
+    crc, left = 0, footer_start + _FOOTER.size - CRC_BYTES - stream.seek(summary_start)
+    while left > 0 and (block := stream.read(min(left, _BLOCK_BYTES))):
+        crc, left = crc32(block, crc), left - len(block)
+    return crc == expected
+
+
+def _unpack(stream: IO[bytes], record: struct.Struct, start: int) -> tuple[int, ...]:
+    """The fields of a record; zeros where the file has none there."""
+    stream.seek(max(start, 0))
+    content = stream.read(record.size) if start >= 0 else b""
+    return record.unpack(content.ljust(record.size, b"\0"))
 
 
 @dataclass

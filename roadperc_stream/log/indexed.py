@@ -23,7 +23,7 @@ from mcap.summary import Summary
 from roadperc_stream.config import LimitsConfig
 from roadperc_stream.log.audit import in_file_order, opened
 from roadperc_stream.log.chunks import Unpacked, unpacked
-from roadperc_stream.log.index import MOST_HELD_BYTES, channel_of, held_bytes, is_within, may_hold
+from roadperc_stream.log.index import MOST_HELD_BYTES, channel_of, held_bytes, is_within, may_hold, share_channels
 from roadperc_stream.log.layout import (
     UNREADABLE,
     ChunkHead,
@@ -84,6 +84,9 @@ class IndexedFile:
         """A log with its index."""
         known = {number: channel_of(c, index.schemas.get(c.schema_id)) for number, c in sorted(index.channels.items())}
         chunks = tuple(sorted(index.chunk_indexes, key=_start))
+        shared: dict[frozenset[int], dict[int, int]] = {}
+        for chunk in chunks:
+            share_channels(chunk, shared)
         descriptions: dict[tuple[int, int], McapRecord] = {(Opcode.SCHEMA, i): s for i, s in index.schemas.items()}
         descriptions |= {(Opcode.CHANNEL, i): channel for i, channel in index.channels.items()}
         in_order = SortedMessages(str(path), partial(in_file_order, path, limits))

@@ -9,6 +9,8 @@ import re
 from pathlib import Path
 from typing import Final
 
+import lz4.frame
+import zstandard
 from mcap.exceptions import McapError
 
 from roadperc_stream.config import LimitsConfig
@@ -55,13 +57,23 @@ class GuardedFile(io.BufferedReader):
 
 
 def require_chunk(head: ChunkHead, limits: LimitsConfig) -> None:
-    """Refuse a chunk that declares more bytes, decompressed, than the limit.
+    """Refuse a chunk that declares more bytes, decompressed, than the limit, or fewer than its compressed data do.
 
     Raises:
-        LimitError: it does.
+        LimitError: it is beyond the limit.
+        McapError: the two sizes contradict each other.
     """
     if head.size_bytes > limits.chunk_bytes:
         raise LimitError(_beyond("a chunk", head.size_bytes, "chunk_mb", limits.chunk_bytes))
+    if _stated_bytes(head) > head.size_bytes:
+        raise McapError(f"holds more than the {head.size_bytes} bytes it promises")
+
+
+def _stated_bytes(head: ChunkHead) -> int:
+    """What the compressed data say that they hold; -1 or 0 where they do not say it."""
+    if head.compression == "zstd":
+        return int(zstandard.frame_content_size(head.stored))
+    return int(lz4.frame.get_frame_info(head.stored)["content_size"]) if head.compression == "lz4" else 0
 
 
 def require_attachments(size_bytes: int, limits: LimitsConfig) -> None:

@@ -124,6 +124,8 @@ def _summary_of(path: Path, limits: LimitsConfig, *, check_chunks: bool) -> LogS
     index = found.index if found.all_in_chunks else None
     if index is None and not found.inside:  # its channels may stand in chunks
         found = salvaged(path, limits)
+        if not found.whole:
+            raise damage_in(found)
     described = found.described
     beside = tuple(described.attachments), tuple(described.metadata)
     if index is None or index.statistics is None:

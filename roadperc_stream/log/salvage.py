@@ -21,7 +21,7 @@ from roadperc_stream.errors import LogError
 from roadperc_stream.log.chunks import contents_of, too_many
 from roadperc_stream.log.damage import Damage, require_log, unopened
 from roadperc_stream.log.framing import BREAK, Framing, is_chunk
-from roadperc_stream.log.index import Described, index_of, places_of
+from roadperc_stream.log.index import Described, data_end_of, index_of, places_of, summary_fits
 from roadperc_stream.log.inventory import Gap, Inventory, Losses, Positions, expected_messages, lost_in_chunk
 from roadperc_stream.log.layout import (
     ENTRY,
@@ -83,14 +83,16 @@ class Salvage:
             with GuardedFile(self.path, self.limits) as stream:
                 self.size_bytes = stream.size_bytes
                 require_log(self.path, stream)
-                self.index = index_of(stream)
-                """What the file says at its end, where that can be believed and names all of it."""
+                parsed = index_of(stream)
+                resume_at = () if parsed is None else places_of(parsed, data_end_of(stream))
+                self._is_without_index = parsed is None
+                self.index = parsed if summary_fits(stream) else None
+                """What the file says at its end, where its CRC fits and it names all of the file."""
         except OSError as error:
             raise unopened(self.path, error) from error
         self._entries = {entry.chunk_start_offset: entry for entry in self.index.chunk_indexes} if self.index else {}
-        resume_at = places_of(self.index) if self.index else ()
-        if self.index is not None:
-            self.described.add_index(self.index)
+        if parsed is not None:  # also with a wrong CRC: what the data describe differently takes its place
+            self.described.add_index(parsed)
         self._inventory, self._losses = Inventory(), Losses()
         is_message = partial(_is_message, self.described, self._inventory)  # not of this object: it is freed at once
         self._framing = Framing(self.size_bytes, resume_at, is_message)
@@ -322,7 +324,7 @@ class Salvage:
         if self._covered and self.inside:
             self._framing.explain_data_crc()
         lacking = {
-            "index": self.index is None,
+            "index": self._is_without_index,
             "CRC of the data section": not self._framing.sealed,
             f"CRCs of {self._chunks_without_crc} chunks": bool(self._chunks_without_crc),
         }

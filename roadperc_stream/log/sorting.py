@@ -96,14 +96,18 @@ class SortedMessages:
         if self._keys is not None and self._spool is not None:
             return self._keys, self._spool
         spool, keys = Spool(self._what), sqlite3.connect("", isolation_level=None, check_same_thread=False)
+        try:
+            with storing(self._what, "sorted"):
+                folder = gettempdir().replace("'", "''")
+                for statement in (_PLACE.format(folder=folder), *_SETUP, "BEGIN"):
+                    keys.execute(statement)
+                keys.executemany(_ADD, self._added_to(spool))
+                keys.execute("COMMIT")
+            spool.finish()
+        except BaseException:
+            keys.close()
+            raise
         weakref.finalize(self, keys.close)
-        with storing(self._what, "sorted"):
-            folder = gettempdir().replace("'", "''")
-            for statement in (_PLACE.format(folder=folder), *_SETUP, "BEGIN"):
-                keys.execute(statement)
-            keys.executemany(_ADD, self._added_to(spool))
-            keys.execute("COMMIT")
-        spool.finish()
         self._keys, self._spool = keys, spool
         return keys, spool
 

@@ -1,16 +1,22 @@
 """A damaged log gives every message that is whole, in order, and says which were lost."""
 
+import io
 from random import Random
 
+import lz4.frame
 import pytest
-from mcap.writer import CompressionType, IndexType
+from mcap.opcode import Opcode
+from mcap.writer import CompressionType, IndexType, Writer
 
 from roadperc_stream import log
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import Metadata, Recovery
-from roadperc_stream.log.chunks import contents_of
+from roadperc_stream.log.chunks import contents_of, unpacked
+from roadperc_stream.log.damage import Damage
 from roadperc_stream.log.framing import Framing
-from roadperc_stream.log.layout import chunk_head
+from roadperc_stream.log.layout import ChunkHead, chunk_head
+from roadperc_stream.log.salvage import Salvage
+from tests.fuzz.records import put_together, taken_apart
 from tests.log import flips
 
 CRC = {"enable_crcs": True, "enable_data_crcs": True}
@@ -225,3 +231,46 @@ def test_a_repaired_log_that_is_damaged_again_keeps_both_losses(tmp_path, monkey
 )
 def test_a_record_of_losses_that_makes_no_sense_is_none(values):
     assert Recovery.of_records([Metadata("roadperc.recovery", tuple(values.items()))]) is None
+
+
+def test_channels_are_known_by_an_index_whose_crc_is_wrong(tmp_path):
+    """The chunk that describes them is damaged, and the statistics are: the index's channels are all there is."""
+    stream = io.BytesIO()
+    writer = Writer(stream, chunk_size=100)
+    writer.start()
+    channel = writer.register_channel("/a", "json", writer.register_schema("A", "jsonschema", b"{}"))
+    for k in range(20):
+        writer.add_message(channel, k, b"x" * 60, k)
+    writer.finish()
+    records = taken_apart(stream.getvalue())
+    chunk = next(record for record in records if record.opcode == Opcode.CHUNK)
+    chunk.held.add("records")
+    chunk.fields["records"] = chunk.fields["records"][:20] + b"?" + chunk.fields["records"][21:]
+    statistics = next(record for record in records if record.opcode == Opcode.STATISTICS)
+    statistics.fields["end"] += 1
+    path = tmp_path / "a.mcap"
+    path.write_bytes(put_together(records, "nothing"))
+    salvage = Salvage(path)
+    assert [message.log_time_ns for message in salvage.messages()] == list(range(len(chunk.inner) - 2, 20))
+    assert salvage.undescribed == {}
+
+
+def test_a_frame_of_lz4_without_its_end_is_cut_off():
+    data = b"a record" * 100
+    frame = lz4.frame.compress(data, store_size=False)
+    assert bytes(unpacked(head_of(frame, len(data)), check_crc=True).data) == data
+    with pytest.raises(ValueError, match="ends before its contents do"):
+        unpacked(head_of(frame[:-4], len(data)), check_crc=True)
+
+
+def head_of(stored, size_bytes):
+    return ChunkHead(0, 1, size_bytes, 0, "lz4", len(stored), memoryview(stored))
+
+
+def test_very_many_damages_keep_their_times():
+    framing = Framing(10, (), lambda _: False)
+    for k in range(1500):
+        framing.note(Damage(k, "x", 1000 + k, 2000 + k))
+    assert (len(framing.damages), sum(damage.number for damage in framing.damages)) == (1000, 1500)
+    assert not framing.damages[-1].concerns(0, 1000)
+    assert (framing.damages[-1].first_ns, framing.damages[-1].last_ns) == (1999, 3499)

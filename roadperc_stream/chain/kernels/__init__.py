@@ -9,37 +9,46 @@ So a kernel does elementwise or integer work, or sums in a stated order, and is 
 contraction. It releases the interpreter's lock. Tests compare both ways.
 """
 
-from importlib import import_module
-
-from roadperc_stream.chain.kernels.class_pixels_plain import count_of_class, mark, mark_together
-from roadperc_stream.chain.kernels.lanes_plain import follow, rows_beside
-from roadperc_stream.chain.kernels.objects_plain import (
-    divided,
-    object_points,
-    region_distances,
-)
-from roadperc_stream.chain.kernels.occupancy_plain import count_points, mark_visible
-from roadperc_stream.chain.kernels.odometry_plain import align_patches, linearise
-from roadperc_stream.chain.kernels.stereo_plain import disparity_errors, doubled, refined_disparities, seen_by_both
-from roadperc_stream.chain.kernels.surface_plain import (
-    count_near,
-    mark_near,
-    marked,
-    median_places,
-    moments_near,
-    normal_equations,
-)
+from typing import TYPE_CHECKING
 
 try:
-    _COMPILED = [
-        import_module(f"{__name__}.{name}_compiled")
-        for name in ("class_pixels", "lanes", "objects", "occupancy", "odometry", "stereo", "surface")
-    ]
     from roadperc_stream.chain.kernels.png_compiled import reverse_filters, reverse_to_grey
-except ImportError:
-    COMPILED = False
-else:
+
+    if not TYPE_CHECKING:  # the plain functions have the annotations
+        from roadperc_stream.chain.kernels.class_pixels_compiled import count_of_class, mark, mark_together
+        from roadperc_stream.chain.kernels.lanes_compiled import follow, rows_beside
+        from roadperc_stream.chain.kernels.objects_compiled import divided, object_points, region_distances
+        from roadperc_stream.chain.kernels.occupancy_compiled import count_points, mark_visible
+        from roadperc_stream.chain.kernels.odometry_compiled import align_patches, linearise
+        from roadperc_stream.chain.kernels.stereo_compiled import (
+            disparity_errors,
+            doubled,
+            refined_disparities,
+            seen_by_both,
+        )
+        from roadperc_stream.chain.kernels.surface_compiled import (
+            count_near,
+            mark_near,
+            marked,
+            median_places,
+            moments_near,
+            normal_equations,
+        )
     COMPILED = True
-    for _module in _COMPILED:  # each function takes the place of the plain one, whose annotations stay
-        _kernels = {name: kernel for name, kernel in vars(_module).items() if name in globals() and name[0] != "_"}
-        globals().update(_kernels)
+except ImportError:
+    from roadperc_stream.chain.kernels.class_pixels_plain import count_of_class, mark, mark_together
+    from roadperc_stream.chain.kernels.lanes_plain import follow, rows_beside
+    from roadperc_stream.chain.kernels.objects_plain import divided, object_points, region_distances
+    from roadperc_stream.chain.kernels.occupancy_plain import count_points, mark_visible
+    from roadperc_stream.chain.kernels.odometry_plain import align_patches, linearise
+    from roadperc_stream.chain.kernels.stereo_plain import disparity_errors, doubled, refined_disparities, seen_by_both
+    from roadperc_stream.chain.kernels.surface_plain import (
+        count_near,
+        mark_near,
+        marked,
+        median_places,
+        moments_near,
+        normal_equations,
+    )
+
+    COMPILED = False
