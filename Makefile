@@ -59,8 +59,8 @@ KILLS ?= 100
 kills: $(VENV)/.installed  # a replay with checkpoints is killed so often at random moments: are its files the same?
 	KILLS=$(KILLS) $(BIN)/python -m pytest -m accuracy -s tests/resume/test_kills.py
 
-cluster: $(VENV)/.installed  # a batch on a Ray cluster of two machines, from outside too
-	$(BIN)/python -m pytest -m 'accuracy or not accuracy' tests/batch/test_cluster.py
+cluster: $(VENV)/.installed  # a batch on a Ray cluster of two machines, from outside too, and workers killed at random
+	$(BIN)/python -m pytest -m 'accuracy or not accuracy' tests/batch/test_cluster.py tests/batch/test_chaos.py
 
 PARTS ?= 500
 parts: $(VENV)/.installed  # drives cut at so many random places: are the results of the parts those of the whole?

@@ -51,9 +51,9 @@ def parent_of(process):
 @pytest.mark.parametrize(
     ("back_end", "kinds"),
     [
-        (["--jobs", 1], [replaying]),
         (["--jobs", 2], [replaying]),
-        (["--ray", "local", "--jobs", 2], [replaying, watching]),
+        pytest.param(["--jobs", 1], [replaying], marks=pytest.mark.accuracy),
+        pytest.param(["--ray", "local", "--jobs", 2], [replaying, watching], marks=pytest.mark.accuracy),
     ],
 )
 def test_workers_killed_at_random(drives, tmp_path, back_end, kinds):

@@ -11,7 +11,7 @@ choose is noted, so that a recipe repeats its case without them.
 - ``judge.py`` holds the promise: exit code 0 to 3, one line on stderr where it is not 0, no traceback and no line of a
   C library, no control characters, nothing half written; ``trying.py`` adds that logs that are written are whole by
   roadperc-info and by a second reader, and that a replay gives the same bytes again.
-- ``trying.py`` tries each case in a forked process, whose memory may grow by a gigabyte and whose command has ten
+- ``trying.py`` tries each case in a forked process, whose memory may grow by 1.25 GB and whose command has ten
   seconds of the processor.
 - ``corpus/`` holds what was found.
 """

@@ -1,6 +1,6 @@
 """The corpus, and cases drawn anew: whatever is wrong with an input, a command ends with a result or one clear line.
 
-CI draws 2000; for as many as one likes: make fuzz N=20000.
+CI draws 500; for as many as one likes: make fuzz N=20000.
 """
 
 import re
