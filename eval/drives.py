@@ -1,13 +1,19 @@
 """Drives that were replayed in parts, with ``--continue``: each is one run, whose frames stand in several tables."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Final
 
+import pyarrow.parquet as pq
+
 from .quantities import listed
-from .runs import Run, find_runs
+from .runs import Run, collect, cut_before, find_runs
+from .scan import rows_of
 
 _PARTS_NAMED: Final = 12
+_Link = tuple[Run, Run]
+"""A part, and the one it goes on from."""
 
 
 @dataclass(frozen=True)
@@ -21,32 +27,25 @@ class Drives:
 def find_drives(arguments: Sequence[str]) -> Drives:
     """The runs the arguments mean; the parts of a drive are one run, at the place of the first of them.
 
-    Parts of several versions, and those that several others go on from, stay by themselves.
+    Where a part in the middle is not among them, the parts around it are one drive all the same if they share frames,
+    which count once. Parts of several versions, and those that several others go on from, stay by themselves.
 
     Raises:
         TableError: an argument names no table, a file is not a metrics table, or its data cannot be read.
     """
     runs = find_runs(arguments)
     found = {run.name: _parts_before(run, runs) for run in runs if run.continues}
-    before = {name: parts[0] for name, parts in found.items() if len(parts) == 1}
-    apart = {name: why for name in before if (why := _why_apart(name, before, runs))}
-    after = {before[run.name].name: run for run in runs if run.name in before and run.name not in apart}
-    chains = _chains(runs, after)
+    direct = {name: before[0].name for name, before in found.items() if len(before) == 1}
+    orphans = [run for run in runs if found.get(run.name) == []]
+    gaps = _across_gaps(orphans, [run for run in runs if run.name not in direct.values()])
+    parts = {run.name: run for run in runs} | {earlier.name: cut_before(earlier, run) for run, earlier in gaps}
+    links = [(parts[name], parts[to]) for name, to in (direct | {run.name: to.name for run, to in gaps}).items()]
+    chains = _chains(list(parts.values()), [link for link in links if not _apart(*link, links)])
     notes = [
         *(_one_drive(chain) for chain in chains if len(chain) > 1),
-        *(
-            f"{run.name}: goes on from a part that is not among these tables (log {run.continues}): "
-            f"evaluated by itself, from frame {run.first_frame} on"
-            for run in runs
-            if found.get(run.name) == [] and run.first_frame
-        ),
-        *(
-            f"{name}: goes on from a part of which there are {len(parts)} results "
-            f"({listed([run.name for run in parts])}): evaluated by itself"
-            for name, parts in found.items()
-            if len(parts) > 1
-        ),
-        *(f"{name}: {why}: evaluated by itself" for name, why in apart.items()),
+        *(_without_part(run, dict(gaps).get(run)) for run in orphans if run.first_frame),
+        *(_undecided(name, before) for name, before in found.items() if len(before) > 1),
+        *(f"{run.name}: {why}: evaluated by itself" for run, to in links if (why := _apart(run, to, links))),
     ]
     return Drives(tuple(map(_joined, chains)), tuple(notes))
 
@@ -54,31 +53,62 @@ def find_drives(arguments: Sequence[str]) -> Drives:
 def _parts_before(run: Run, runs: Iterable[Run]) -> list[Run]:
     """The results that a part may go on from: several only where neither version nor folder tells them apart."""
     same = (run.continues, run.config_digest)
-    others = [other for other in runs if other is not run and (other.log_id, other.config_digest) == same]
+    return _nearest(run, [other for other in runs if other is not run and (other.log_id, other.config_digest) == same])
+
+
+def _nearest(run: Run, others: list[Run]) -> list[Run]:
+    """Those of the run's version, where there are any, and of these those of its folder."""
     same_version = [other for other in others if other.version == run.version] or others
     return [other for other in same_version if other.path.parent == run.path.parent] or same_version
 
 
-def _why_apart(name: str, before: Mapping[str, Run], runs: Iterable[Run]) -> str:
+def _across_gaps(orphans: Sequence[Run], ends: Sequence[Run]) -> list[_Link]:
+    """Each part whose predecessor is missing with the one that ends within it: the last frame of that is one of its."""
+    keys = cache(_keys)
+    pairs = []
+    for run in orphans:
+        earlier = [
+            other
+            for other in ends
+            if other is not run and other.config_digest == run.config_digest and other.first_frame <= run.first_frame
+        ]
+        # each ends with a frame that is one of the run's, but not its last
+        nearest = _nearest(run, [o for o in earlier if keys(o) and keys(o)[-1] in keys(run)[:-1]])
+        pairs += [(run, nearest[0])] if len(nearest) == 1 else []
+    return pairs
+
+
+def _keys(run: Run) -> tuple[tuple[int, int], ...]:
+    """Number and stamp of each frame."""
+    return tuple(collect(rows_of(run).select("frame", "stamp_ns"), run.source_name).iter_rows())
+
+
+def _apart(run: Run, before: Run, links: Sequence[_Link]) -> str:
     """Why a part is not joined to the one it goes on from; empty where it is."""
-    earlier = before[name]
-    behind = [run for run in runs if before.get(run.name) is earlier]
+    behind = [after.name for after, to in links if to is before]
     if len(behind) > 1:
-        return f"{listed([run.name for run in behind])} go on from {earlier.name} alike"
-    return f"goes on from {earlier.name}, which another version made" if behind[0].version != earlier.version else ""
+        return f"{listed(behind)} go on from {before.name} alike"
+    if run.version != before.version:
+        return f"goes on from {before.name}, which another version made"
+    same = pq.read_schema(run.path).equals(pq.read_schema(before.path))
+    return "" if same else f"goes on from {before.name}, whose table has other columns"
 
 
-def _chains(runs: Sequence[Run], after: Mapping[str, Run]) -> list[list[Run]]:
+def _chains(runs: Sequence[Run], links: Sequence[_Link]) -> list[list[Run]]:
     """The parts of each drive in order, in the order in which the first of any is named; a circle is no drive."""
-    later = {run.name for run in after.values()}
-    chains = [[run] for run in runs if run.name not in later]
-    for chain in chains:
-        while chain[-1].name in after:
-            chain.append(after[chain[-1].name])
+    after = {before.name: run for run, before in links}
+    later = {run.name for run, _ in links}
+    chains = [list(_chain(run, after)) for run in runs if run.name not in later]
     reached = {run.name for chain in chains for run in chain}
     chains += [[run] for run in runs if run.name not in reached]
     place = {run.name: at for at, run in enumerate(runs)}
     return sorted(chains, key=lambda chain: min(place[run.name] for run in chain))
+
+
+def _chain(run: Run | None, after: Mapping[str, Run]) -> Iterator[Run]:
+    while run is not None:
+        yield run
+        run = after.get(run.name)
 
 
 def _joined(chain: Sequence[Run]) -> Run:
@@ -102,3 +132,15 @@ def _one_drive(chain: Sequence[Run]) -> str:
         for part in chain
     ]
     return f"{_joined(chain).name}: one drive in {len(chain)} parts: {listed(names, _PARTS_NAMED)}"
+
+
+def _without_part(run: Run, earlier: Run | None) -> str:
+    missing = f"{run.name}: goes on from a part that is not among these tables (log {run.continues})"
+    if earlier is None:
+        return f"{missing}: evaluated by itself, from frame {run.first_frame} on"
+    return f"{missing}; frames that {earlier.name} has too, from {run.first_frame} on, count once"
+
+
+def _undecided(name: str, before: Sequence[Run]) -> str:
+    alike = listed([run.name for run in before])
+    return f"{name}: goes on from a part of which there are {len(before)} results ({alike}): evaluated by itself"

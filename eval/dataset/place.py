@@ -7,7 +7,7 @@ from typing import Final
 
 import polars as pl
 
-from roadperc_stream.batch.storage.addresses import is_address
+from roadperc_stream.batch.storage.addresses import is_address, local_path
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.tables import arrow_schema
 from roadperc_stream.schemas.columns.runs import RUN_TIME_COLUMNS, RunRow
@@ -47,14 +47,19 @@ class Dataset:
 
 
 def dataset_at(argument: str) -> Dataset | None:
-    """The dataset that an argument names; None for folders and files of replays."""
+    """The dataset that an argument names; None for folders and files of replays.
+
+    Raises:
+        StorageError: it names a file of another machine.
+    """
     if is_address(argument):
         return Dataset(argument.rstrip("/"))
-    folder = Path(argument)
+    path = local_path(argument)
+    folder = Path(path)
     if not folder.is_dir() or any(folder.glob(f"*{METRICS_SUFFIX}")):
         return None
     partitioned = any(folder.glob(f"metrics/{_PARTITION}*"))
-    return Dataset(argument) if partitioned or (folder / RUNS).is_file() else None
+    return Dataset(path) if partitioned or (folder / RUNS).is_file() else None
 
 
 def metrics_files(dataset: Dataset) -> list[str]:

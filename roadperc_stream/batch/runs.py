@@ -10,7 +10,7 @@ import socket
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Final
 
@@ -180,6 +180,9 @@ def _runs_in(data: bytes, address: str) -> list[BatchRow]:
 
 
 def _run_of(row: Mapping[str, Any], address: str) -> BatchRow:
+    missing = [column.name for column in fields(RunRow) if column.name not in row]
+    if missing:
+        raise TableError(f"{address}: has no column {missing[0]}; another version of this program wrote it")
     stages_s = {name: row[name] for name in RUN_TIME_COLUMNS if row.get(name) is not None}
     try:
         values = msgspec.convert(row, RunRow)

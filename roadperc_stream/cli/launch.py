@@ -76,6 +76,7 @@ def _ended_under_limit(command: str) -> int:
     faulthandler.disable()  # the one line comes from the parent
     signal.signal(signal.SIGABRT, signal.SIG_DFL)
     warnings.simplefilter("ignore")
+    warnings.filterwarnings("default", category=UserWarning, module=r"roadperc_stream\.")  # what is for the user
     os.setpgid(0, 0)  # a terminal signals the parent alone, which passes it on once
     try:
         with suppress(AttributeError, OSError):  # Linux only

@@ -193,6 +193,15 @@ def test_a_list_of_runs_with_other_values_is_an_error_in_a_line(tmp_path, out, c
     assert refused.stderr.count("\n") == 1
 
 
+def test_a_list_of_runs_without_a_column_is_of_another_version(tmp_path, out):
+    source = write_log(tmp_path / "in" / "a.mcap")
+    batch(out, source)
+    pl.read_parquet(out / "runs.parquet").drop("logs").write_parquet(out / "runs.parquet")
+    said = f"error: {out}/runs.parquet: has no column logs; another version of this program wrote it\n"
+    refused = batch(out, source)
+    assert (refused.returncode, refused.stderr) == (1, said)
+
+
 def test_a_status_of_another_version_is_no_reason_to_leave_a_log(tmp_path, out):
     source = write_log(tmp_path / "in" / "a.mcap")
     batch(out, source)

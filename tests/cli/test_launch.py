@@ -266,6 +266,15 @@ def test_too_little_memory_is_one_line(command, megabytes, made, tmp_path):
     assert not list(tmp_path.glob("out*"))
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="the system does not limit address space")
+def test_a_note_is_printed_under_a_memory_limit(tmp_path):
+    (tmp_path / "old.toml").write_text("[lanes]\nfit_huber = 3.0\n")
+    options = ["--config", "old.toml", "--print-config"]
+    ended = run("roadperc-replay", *options, cwd=tmp_path, preexec_fn=limited(16000))
+    assert (ended.returncode, ended.stderr.count("\n")) == (0, 1)
+    assert ended.stderr.startswith("note: old.toml: 1 setting of an older version")
+
+
 @pytest.mark.promise("Start and end", "Under such a limit a signal ends the command as usual")
 @pytest.mark.skipif(sys.platform != "linux", reason="the system does not limit address space")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

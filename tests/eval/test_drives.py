@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 
+import polars as pl
 import pytest
 
 from roadperc_stream.cli.compare import main as compare_main
@@ -97,7 +98,20 @@ def test_a_part_all_of_whose_frames_are_given_again_is_named_so(tmp_path, capsys
         )
 
 
-def test_a_part_whose_predecessor_is_missing_stays_by_itself_and_that_is_stated(tmp_path):
+def test_a_part_in_the_middle_that_is_missing_is_stated_and_nothing_counts_twice(tmp_path):
+    """out_2 gives again what out_0 gave from frame 5 on, though out_1 lay between them."""
+    first, _, last = parts(tmp_path, ((0, 8), (2, 10), (5, 20)))
+    found = find_drives([first, last])
+    (run,) = found.runs
+    assert (run.frames, numbers_of(run)) == (FRAMES, list(range(FRAMES)))
+    assert found.notes == (
+        "out_0+1: one drive in 2 parts: out_0, out_2",
+        f"out_2: goes on from a part that is not among these tables (log {LOGS[1]}); "
+        "frames that out_0 has too, from 5 on, count once",
+    )
+
+
+def test_parts_that_share_no_frame_stay_apart_and_that_is_stated(tmp_path):
     first, _, last = parts(tmp_path)
     found = find_drives([first, last])
     assert [(run.name, run.frames) for run in found.runs] == [("out_0", 8), ("out_2", 10)]
@@ -105,6 +119,22 @@ def test_a_part_whose_predecessor_is_missing_stays_by_itself_and_that_is_stated(
         f"out_2: goes on from a part that is not among these tables (log {LOGS[1]}): "
         "evaluated by itself, from frame 10 on",
     )
+
+
+def test_the_whole_is_no_earlier_part_of_its_own_end(tmp_path, whole):
+    """Both end with the same frame: a part that ends within a later one ends before it does."""
+    found = find_drives([whole, parts(tmp_path)[2]])
+    assert [run.frames for run in found.runs] == [FRAMES, 10]
+
+
+def test_parts_of_other_columns_stay_apart_and_that_is_stated(tmp_path):
+    tables = parts(tmp_path, PARTS[:2])
+    pl.read_parquet(tables[1]).drop("lane_left_error_m").write_parquet(
+        tables[1], metadata=pl.read_parquet_metadata(tables[1])
+    )
+    found = find_drives(tables)
+    assert found.notes == ("out_1: goes on from out_0, whose table has other columns: evaluated by itself",)
+    assert report_main(tables) == 0
 
 
 def test_results_of_two_folders_are_two_drives(tmp_path):

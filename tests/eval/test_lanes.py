@@ -132,6 +132,13 @@ def test_rows_are_the_same_part_of_every_height(height, first, last):
     assert (rows[0], rows[-1]) == (first, last)
 
 
+def test_an_image_too_small_for_any_row_gives_lines_without_points(drive, tmp_path, capsys):
+    code, _, error = lanes(capsys, drive, "--tusimple", tmp_path / "small.json", "--size", "16x9")
+    assert (code, error) == (0, "")
+    lines = [json.loads(line) for line in (tmp_path / "small.json").read_text().splitlines()]
+    assert [(line["lanes"], line["h_samples"]) for line in lines] == [([], [])] * 3
+
+
 def test_what_is_written_is_its_own_truth(drive, tmp_path, capsys):
     own, again = tmp_path / "own.json", tmp_path / "again.json"
     lanes(capsys, drive, "--tusimple", own)

@@ -19,7 +19,23 @@ _NUMBER: Final = re.compile(r"([0-9]+)")
 
 def is_address(text: str) -> bool:
     """Whether a text names a file or a folder of a store; ``file://`` is this machine."""
-    return "://" in text and not text.startswith(_HERE)
+    return "://" in text and not _is_here(text)
+
+
+def local_path(text: str) -> str:
+    """The path of a text that is no address; ``file://`` and ``file://localhost`` before it are left out.
+
+    Raises:
+        StorageError: it names a file of another machine.
+    """
+    path = text[len(_HERE) :].removeprefix("localhost") if _is_here(text) else text
+    if _is_here(text) and not path.startswith("/"):
+        raise StorageError(f"{text}: expected a file of this machine, such as file:///drives/a.mcap")
+    return path
+
+
+def _is_here(text: str) -> bool:
+    return text[: len(_HERE)].lower() == _HERE
 
 
 def whole(text: str) -> str:
@@ -28,14 +44,14 @@ def whole(text: str) -> str:
     Letters stand for themselves, as in the stores' own programs: ``%20`` is no blank, ``?`` no query.
 
     Raises:
-        StorageError: it names nothing.
+        StorageError: it names nothing, or a file of another machine.
     """
     scheme, _, path = text.partition("://")
     if "\0" in text or not text or (is_address(text) and not path.strip("/")):
         raise StorageError(f"{text!r}: expected the path or the address of a file or a folder")
     if is_address(text):
         return f"{scheme.lower()}://{path.rstrip('/')}"
-    return os.path.abspath(text.removeprefix(_HERE))  # noqa: PTH100 - pathlib's keeps what ".." stands for
+    return os.path.abspath(local_path(text))  # noqa: PTH100 - pathlib's keeps what ".." stands for
 
 
 def split_pattern(address: str) -> tuple[str, Parts]:

@@ -49,7 +49,7 @@ class LocalFiles(LocalFileSystem):  # type: ignore[misc] # fsspec has no types
         for here, folders, names in os.walk(base, onerror=fail, followlinks=True) if base.is_dir() else ():
             below = Path(here).relative_to(base).parts
             folders[:] = [
-                name for name in folders if left_of(pattern, (*below, name)) and not _leads_back(Path(here, name))
+                name for name in folders if left_of(pattern, (*below, name)) and not _leads_back(Path(here, name), base)
             ]
             for path in (os.path.join(here, name) for name in names):  # noqa: PTH118 - a Path for each takes long
                 try:
@@ -84,5 +84,7 @@ def pieces_of(path: str) -> Iterator[bytes]:
             yield piece
 
 
-def _leads_back(folder: Path) -> bool:
-    return folder.is_symlink() and any(folder.samefile(above) for above in folder.parents)
+def _leads_back(folder: Path, base: Path) -> bool:
+    """Whether it is a link to a folder of the walk that it is in; those above ``base`` are not walked."""
+    walked = folder.parents[: len(folder.relative_to(base).parts)]
+    return folder.is_symlink() and any(folder.samefile(above) for above in walked)

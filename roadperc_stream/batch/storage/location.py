@@ -131,7 +131,12 @@ class Location:
 
     def put(self, source: Path) -> None:
         """Move a file of this machine here, where it appears whole or not at all."""
-        self._tried(lambda system, path: system.put_file(str(source), path))
+        if self.is_local:
+            self._tried(lambda system, path: system.put_file(str(source), path))
+        else:
+            from roadperc_stream.batch.storage.stores import upload
+
+            self._tried(partial(upload, source))
         source.unlink(missing_ok=True)
 
     def remove(self) -> None:

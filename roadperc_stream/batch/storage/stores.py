@@ -46,27 +46,28 @@ class PyarrowFiles(ArrowFSWrapper):  # type: ignore[misc] # fsspec has no types
         with self.fs.open_input_file(path) as stream:
             return str(stream.metadata() or self.info(path))
 
-    def put_file(self, lpath: str, rpath: str, **_: Any) -> None:
-        """Send a file in pieces.
 
-        A stream that is closed makes a file of what it was given, even where an error closes it: then what is not whole
-        goes. Where it is the store that failed, closing fails too, and what was there before stays: S3's client
-        remembers a failure as long as it writes in the background. It is waited for after each piece, or all of a file
-        that is faster read than sent would be in memory.
-        """
-        stream = self.fs.open_output_stream(rpath, compression=None)
-        try:
-            for piece in pieces_of(lpath):
-                stream.write(piece)
-                stream.flush()
+def upload(source: Path, system: Any, path: str) -> None:
+    """Send a file in pieces to a store, where it appears whole or not at all.
+
+    A stream that is closed makes a file of what it was given, even where an error closes it: then what is not whole
+    goes. Where it is the store that failed, closing fails too, and what was there before stays: S3's client
+    remembers a failure as long as it writes in the background. It is waited for after each piece, or all of a file
+    that is faster read than sent would be in memory.
+    """
+    stream = system.open(path, "wb")
+    try:
+        for piece in pieces_of(str(source)):
+            stream.write(piece)
+            stream.flush()
+        stream.close()
+    except BaseException:
+        with suppress(Exception):
+            is_whole = stream.closed or stream.tell() == source.stat().st_size
             stream.close()
-        except BaseException:
-            with suppress(Exception):
-                is_whole = stream.closed or stream.tell() == Path(lpath).stat().st_size
-                stream.close()
-                if not is_whole:
-                    self.rm_file(rpath)
-            raise
+            if not is_whole:
+                system.rm_file(path)
+        raise
 
 
 def store_of(address: str) -> tuple[Any, str]:

@@ -104,25 +104,25 @@ def saving(recording: rr.RecordingStream, path: Path) -> Iterator[Callable[[], N
         OSError: the SDK cannot open the pipe, or the file cannot be written whole, as when the disk is full.
     """
     readable, writable = os.pipe()
-    with FileIO(readable) as pipe, ThreadPoolExecutor(1, "recording") as thread:
-        copied = thread.submit(_copy, pipe, path)
-        thread.submit(_drain, pipe)
+    with FileIO(readable) as pipe, ThreadPoolExecutor(1, "recording") as thread, FileIO(writable, "wb") as end:
         try:
-            _open(recording, writable)
+            copied = thread.submit(_copy, pipe, path)
+            thread.submit(_drain, pipe)
+            _open(recording, end)
             yield lambda: copied.result() if copied.done() else None
         finally:
             recording.disconnect()
     copied.result()
 
 
-def _open(recording: rr.RecordingStream, writable: int) -> None:
+def _open(recording: rr.RecordingStream, end: FileIO) -> None:
     """Have a recording written into the pipe; its end is the SDK's alone from here on."""
     try:
-        recording.save(f"/dev/fd/{writable}")
+        recording.save(f"/dev/fd/{end.fileno()}")
     except RuntimeError as error:  # what the SDK throws
         raise OSError(str(error)) from error
     finally:
-        os.close(writable)
+        end.close()
 
 
 def _copy(pipe: FileIO, path: Path) -> None:

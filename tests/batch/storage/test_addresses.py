@@ -38,6 +38,7 @@ def found_by_glob(root, pattern):
         ("s3://bucket/drives/*.mcap", True),
         ("abfs://container@account.dfs.core.windows.net/a", True),
         ("file:///drives/a.mcap", False),
+        ("FILE:///drives/a.mcap", False),
         ("/drives/a.mcap", False),
         ("a:b.mcap", False),
     ],
@@ -54,6 +55,8 @@ def test_whole_addresses(tmp_path, monkeypatch):
         ("/drives/", "/drives"),
         ("/", "/"),
         ("file:///drives/a b%20.mcap", "/drives/a b%20.mcap"),
+        ("FILE:///drives/a.mcap", "/drives/a.mcap"),
+        ("file://localhost/drives/a.mcap", "/drives/a.mcap"),
         ("s3://bucket/a%20b?c#d//", "s3://bucket/a%20b?c#d"),
         ("S3://bucket/", "s3://bucket"),
     ):
@@ -63,6 +66,12 @@ def test_whole_addresses(tmp_path, monkeypatch):
 @pytest.mark.parametrize("text", ["", "s3://", "s3:///", "a\0b"])
 def test_what_names_nothing(text):
     with pytest.raises(StorageError, match="expected the path or the address of a file or a folder"):
+        whole(text)
+
+
+@pytest.mark.parametrize("text", ["file://host/drives", "file://localhosts/drives", "file://drives", "file://"])
+def test_a_file_of_another_machine(text):
+    with pytest.raises(StorageError, match=f"^{text}: expected a file of this machine, such as file:///"):
         whole(text)
 
 

@@ -88,6 +88,14 @@ def test_links_are_followed_but_not_in_circles(tmp_path):
     assert found == {str(drives / "dead.mcap"): 0, str(drives / "linked" / "a.mcap"): 3}
 
 
+def test_a_link_to_a_folder_above_the_one_that_is_searched_is_followed(tmp_path):
+    drives = tmp_path / "disk" / "drives"
+    drives.mkdir(parents=True)
+    (tmp_path / "disk" / "a.mcap").write_bytes(b"log")
+    (drives / "all").symlink_to(tmp_path / "disk")
+    assert [stored.address for stored in find_files(str(drives))] == [str(drives / "all" / "a.mcap")]
+
+
 def test_what_is_no_file_is_not_found(tmp_path):
     os.mkfifo(tmp_path / "pipe.mcap")
     for path in (tmp_path / "pipe.mcap", tmp_path):

@@ -5,10 +5,12 @@ import os
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from io import BytesIO
 from pathlib import Path
 from uuid import uuid4
 
 import pytest
+from fsspec.implementations.memory import MemoryFile
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
@@ -122,6 +124,25 @@ def test_an_upload_that_fails_leaves_what_was_there(bucket, s3_server, tmp_path,
     monkeypatch.setenv("AWS_ENDPOINT_URL", s3_server.url)
     assert Location(bucket).at("a").read() == b"before"
     assert (tmp_path / "source").read_bytes() == BIG
+
+
+def test_an_upload_to_any_other_store_that_fails_leaves_no_part_of_the_file(tmp_path, monkeypatch):
+    monkeypatch.setattr("roadperc_stream.batch.storage.location.WAITS_S", ())
+    sent = []
+
+    def refused(self, data):
+        sent.append(data)
+        if len(sent) > 1:
+            raise OSError("the store is full")
+        return BytesIO.write(self, data)
+
+    monkeypatch.setattr(MemoryFile, "write", refused, raising=False)
+    (tmp_path / "source").write_bytes(BIG)
+    target = Location(f"memory://{uuid4().hex}/a")
+    with pytest.raises(StorageError, match="the store is full"):
+        target.put(tmp_path / "source")
+    assert target.read() is None
+    assert (tmp_path / "source").exists()
 
 
 def test_an_upload_takes_memory_for_a_piece_and_not_for_the_file(bucket, tmp_path):

@@ -48,6 +48,10 @@ def test_what_groups_are_called(dataset, by, names):
     assert [summary.name for summary in summaries_of(grouping, logs, [A, B])] == names
 
 
+def test_a_dataset_is_found_by_its_address_on_this_machine(dataset, capsys):
+    assert report(capsys, f"file://{dataset}") == report(capsys, dataset)
+
+
 def test_the_longest_stretch_without_an_output(tmp_path, capsys):
     offsets = [1.0, None, 1.0, None, None, None, 1.0, None]
     seen = zip(frames(1, [0.1] * len(offsets)), offsets, strict=True)
