@@ -124,7 +124,8 @@ class DatasetLock:
             return None
 
     def _write(self) -> None:
-        self._out.at(LOCK).write(msgspec.json.encode(replace(self._me, renewed_s=time.time())))
+        # Whole seconds: clients fail at an object whose length changes while they read it.
+        self._out.at(LOCK).write(msgspec.json.encode(replace(self._me, renewed_s=float(int(time.time())))))
 
     def _keep_renewing(self) -> None:
         while self._taken_by is None and not self._ended.wait(RENEW_EVERY_S):
