@@ -241,7 +241,7 @@ NOTHING = "nothing here that this project shows; "
         (
             [logs.Item("image", 5, b"\xff\xfe\x07bad")],
             [],
-            f"{NOTHING}/camera/front/image: message at 5 ns: 6 bytes are no .*; rerun \\S*in.mcap or ",
+            f"{NOTHING}/camera/front/image: message at 5 ns: 6 bytes are no .*; rerun .*in.mcap.* or ",
         ),
     ],
     ids=["no message", "nothing known", "a topic that could fill a role", "nothing that can be read"],
