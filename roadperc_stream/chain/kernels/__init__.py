@@ -27,7 +27,6 @@ try:
             seen_by_both,
         )
         from roadperc_stream.chain.kernels.surface_compiled import (
-            count_near,
             mark_near,
             marked,
             median_places,
@@ -43,7 +42,6 @@ except ImportError:
     from roadperc_stream.chain.kernels.odometry_plain import align_patches, linearise
     from roadperc_stream.chain.kernels.stereo_plain import disparity_errors, doubled, refined_disparities, seen_by_both
     from roadperc_stream.chain.kernels.surface_plain import (
-        count_near,
         mark_near,
         marked,
         median_places,

@@ -29,12 +29,27 @@ def divided(log_depth: Float32, of_class: Image, jumps: Float32) -> Divided:
     """
     beside, below = (of_class[:, 1:] & of_class[:, :-1]) > 0, (of_class[1:] & of_class[:-1]) > 0
     across, down = np.abs(log_depth[:, 1:] - log_depth[:, :-1]), np.abs(log_depth[1:] - log_depth[:-1])
-    labels = _connected(of_class, beside & (across < jumps[0]), below & (down < jumps[0]))
-    finest = numbered(labels, int(labels.max(initial=0)))
-    beside, below = beside & (across < jumps[-1]), below & (down < jumps[-1])
-    aside, under = _edges(labels[:, 1:], labels[:, :-1], beside, across), _edges(labels[1:], labels[:-1], below, down)
-    pairs, steps = np.concatenate((aside[0], under[0]), axis=1), np.concatenate((aside[1], under[1]))
-    return _with_joined(finest, pairs, steps, jumps)
+    finest, *coarser = (_connected(of_class, beside & (across < jump), below & (down < jump)) for jump in jumps)
+    count = int(finest.max(initial=0))
+    _, first_names, first_ways, first_bounds, first_pixels = numbered(finest, count)
+    names, ways, bounds, pixels = [first_names[0]], [first_ways], [first_bounds], [first_pixels]
+    before, regions = np.ones(count, np.int64), count
+    for way, labels in enumerate(coarser, 1):
+        label_of = np.zeros(count + 1, np.int64)
+        label_of[finest] = labels
+        _, first, group, members = np.unique(label_of[1:], return_index=True, return_inverse=True, return_counts=True)
+        new = np.flatnonzero(members != before[first])
+        number = np.full(len(members), -1)
+        number[new] = np.arange(len(new))
+        parts = np.flatnonzero(number[group] >= 0)
+        groups = number[group[parts]]
+        called = np.zeros(count + 1, np.int64)
+        called[parts + 1] = regions + 1 + groups
+        joined = _together(groups, len(new), first_bounds[:, parts], first_pixels[parts])
+        for kept, of_way in zip((names, ways, bounds, pixels), (called, np.full(len(new), way), *joined), strict=True):
+            kept.append(of_way)
+        before, regions = members[group], regions + len(new)
+    return finest, np.stack(names), np.concatenate(ways), np.concatenate(bounds, axis=1), np.concatenate(pixels)
 
 
 def _connected(of_class: Image, beside: NDArray[np.bool_], below: NDArray[np.bool_]) -> Labels:
@@ -71,52 +86,6 @@ def _together(groups: Indices, count: int, bounds: Indices, pixels: Indices) -> 
     for into, values in zip(joined[2:], bounds[2:], strict=True):
         np.maximum.at(into, groups, values)
     return joined, np.bincount(groups, pixels, count).astype(np.int64)
-
-
-def _edges(one: Labels, other: Labels, neighbours: NDArray[np.bool_], steps: Float32) -> tuple[Indices, Float32]:
-    """(2, E) the regions on either side, from 0, and (E,) the step, where neighbours are of two regions."""
-    rows, columns = _places(neighbours & (one != other))
-    return np.array((one[rows, columns], other[rows, columns]), np.int64) - 1, steps[rows, columns]
-
-
-def _with_joined(finest: Divided, pairs: Indices, steps: Float32, jumps: Float32) -> Divided:
-    """The regions of the smallest jump, with those that larger ones make of them."""
-    labels, first_names, first_ways, first_bounds, first_pixels = finest
-    count = len(first_pixels)
-    names, ways, bounds, pixels = [first_names[0]], [first_ways], [first_bounds], [first_pixels]
-    before, regions = np.ones(count, np.int64), count
-    for way, jump in enumerate(jumps[1:], 1):
-        first = _first_of_joined(pairs[:, steps < jump], count)
-        members = np.bincount(first, minlength=count)
-        new = np.flatnonzero((members > 0) & (members != before))
-        number = np.full(count, -1)
-        number[new] = np.arange(len(new))
-        parts = np.flatnonzero(number[first] >= 0)
-        groups = number[first[parts]]
-        joined = _together(groups, len(new), first_bounds[:, parts], first_pixels[parts])
-        called = np.zeros(count + 1, np.int64)
-        called[parts + 1] = regions + 1 + groups
-        for kept, of_way in zip((names, ways, bounds, pixels), (called, np.full(len(new), way), *joined), strict=True):
-            kept.append(of_way)
-        before, regions = members, regions + len(new)
-    return labels, np.stack(names), np.concatenate(ways), np.concatenate(bounds, axis=1), np.concatenate(pixels)
-
-
-def _first_of_joined(pairs: Indices, count: int) -> Indices:
-    """(count,) the first of all that each region is joined with by (2, E) pairs, itself among them.
-
-    Source: Y. Shiloach and U. Vishkin, An O(log n) parallel connectivity algorithm, Journal of Algorithms 3 (1982).
-    """
-    first = np.arange(count)
-    while True:
-        lower = first.copy()
-        least = np.minimum(first[pairs[0]], first[pairs[1]])
-        np.minimum.at(lower, pairs[0], least)
-        np.minimum.at(lower, pairs[1], least)
-        lower = lower[lower]
-        if np.array_equal(lower, first):
-            return first
-        first = lower
 
 
 def region_distances(

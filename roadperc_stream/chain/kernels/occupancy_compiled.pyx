@@ -10,8 +10,6 @@ from libc.stdint cimport int32_t, int64_t, uint8_t
 
 import numpy as np
 
-from roadperc_stream.chain.kernels.occupancy_plain import require_belonging, require_cells
-
 cdef enum:
     DRIVABLE = 1
     MOST = 256
@@ -95,12 +93,12 @@ def count_points(
     cdef Road road
     cdef Points points
     cdef int count, k
-    require_belonging(
-        (height, width), (column.shape[0], column.shape[1]), (parts.shape[0], parts.shape[1]), (start.shape[0],),
-        (abd.shape[0],), None if is_plane else (height_m.shape[0], height_m.shape[1]),
-        (drivable.shape[0], drivable.shape[1]), (tags.shape[0], tags.shape[1]), (obstacle_tags.shape[0],),
-        (free.shape[0], free.shape[1]), (occupied.shape[0], occupied.shape[1]),
-    )
+    sizes = {image.shape for image in pixels[:4] if image is not None}
+    parts_of = tuple([np.shape(each) for each in (*rays, abd, obstacle_tags)])
+    if len(sizes) != 1 or parts_of != ((3, width), (3, height), (3,), (3,), (256,)):
+        raise ValueError(f"rays, marks, tags or heights of other sizes than {height}x{width} depths")
+    if free.shape[0] != occupied.shape[0] or free.shape[1] != occupied.shape[1]:
+        raise ValueError(f"counts of {np.shape(free)} and {np.shape(occupied)}")
     rules.x_min, rules.y_min, rules.resolution = cells.x_min, cells.y_min, cells.resolution
     rules.lowest, rules.highest = cells.min_height, cells.max_height
     rules.rows, rules.columns = free.shape[0], free.shape[1]
@@ -155,10 +153,10 @@ def mark_visible(
     cdef Py_ssize_t j, i, v, u, height = drivable.shape[0], width = drivable.shape[1]
     cdef const double* T
     cdef bint seen
-    require_cells(
-        (camera_T_ego.shape[0], camera_T_ego.shape[1]), (x_m.shape[0],), (y_m.shape[0],), (z_m.shape[0], z_m.shape[1]),
-        (height, width), None if depth_m is None else (depth_m.shape[0], depth_m.shape[1]),
-    )
+    shapes = np.shape(camera_T_ego), np.shape(z_m), (height, width) if depth_m is None else np.shape(depth_m)
+    if shapes != ((4, 4), (y_m.shape[0], x_m.shape[0]), (height, width)):
+        raise ValueError(f"{height}x{width} pixels and {y_m.shape[0]}x{x_m.shape[0]} cells: transform, heights and "
+                         f"depths of {shapes}")
     cdef double tolerance = within[0], slack_m = within[1]
     cdef uint8_t[:, ::1] visible = np.empty((z_m.shape[0], z_m.shape[1]), np.uint8)
     fx, fy, cx, cy = projection

@@ -1,4 +1,4 @@
-"""What ``occupancy_compiled`` does, in numpy."""
+"""What ``occupancy_compiled`` does, in numpy; the compiled form alone checks the sizes."""
 
 from dataclasses import dataclass
 from typing import Final, NamedTuple
@@ -79,18 +79,8 @@ def count_points(cells: Cells, pixels: KnownPixels, rays: Rays, abd: Float32, fr
         abd: (3,) the road as a x + b y + z = d.
         free: (rows along y, columns along x), changed.
         occupied: likewise.
-
-    Raises:
-        ValueError: the arrays do not fit each other.
     """
     depth_m, height_m, drivable, tags, obstacle_tags = pixels
-    require_belonging(
-        depth_m.shape,
-        *(part.shape for part in rays),
-        abd.shape,
-        None if height_m is None else height_m.shape,
-        *(a.shape for a in (drivable, tags, obstacle_tags, free, occupied)),
-    )
     with np.errstate(invalid="ignore", over="ignore"):
         x, y, z = ((rays.row[k, :, None] + rays.column[k]) * depth_m + rays.start_m[k] for k in range(3))
         height = z - (abd[2] - abd[0] * x - abd[1] * y) if height_m is None else height_m
@@ -99,20 +89,6 @@ def count_points(cells: Cells, pixels: KnownPixels, rays: Rays, abd: Float32, fr
     on_road = drivable.view(bool) & np.isfinite(height)
     free += _counts(cells, x[on_road], y[on_road], free.shape)
     occupied += _counts(cells, x[in_the_way], y[in_the_way], free.shape)
-
-
-def require_belonging(*shapes: tuple[int, ...] | None) -> None:
-    """Check the shapes of the arrays that ``count_points`` takes, in its order.
-
-    Raises:
-        ValueError: sizes that do not belong together.
-    """
-    depth, column, row, start, abd, height, drivable, tags, obstacle_tags, free, occupied = shapes
-    marks, sizes = {drivable, tags, height or depth}, (column, row, start, abd, obstacle_tags)
-    if depth is None or marks != {depth} or sizes != ((3, depth[1]), (3, depth[0]), (3,), (3,), (256,)):
-        raise ValueError(f"rays, marks, tags or heights of other sizes than {depth} depths")
-    if free != occupied:
-        raise ValueError(f"counts of {free} and {occupied}")
 
 
 def _counts(cells: Cells, x: Float32, y: Float32, shape: tuple[int, ...]) -> Counts:
@@ -147,15 +123,8 @@ def mark_visible(
         drivable: (H, W) 0 or 1.
         depth_m: (H, W) of the same pixels, NaN hides the road; None: no depth can.
         within: share of the distance by which the depth may differ from it, and metres.
-
-    Raises:
-        ValueError: the arrays do not fit each other.
     """
     x_m, y_m, z_m = middles
-    require_cells(
-        *(a.shape for a in (camera_T_ego, x_m, y_m, z_m, drivable)),
-        None if depth_m is None else depth_m.shape,
-    )
     tolerance, slack_m = within
     fx, fy, cx, cy = projection
     height, width = drivable.shape
@@ -172,14 +141,3 @@ def mark_visible(
     visible = np.zeros(z_m.shape, np.uint8)
     visible[inside] = seen
     return visible
-
-
-def require_cells(*shapes: tuple[int, ...] | None) -> None:
-    """Check the shapes of the arrays that ``mark_visible`` takes, in its order.
-
-    Raises:
-        ValueError: sizes that do not belong together.
-    """
-    transform, x, y, z, drivable, depth = shapes
-    if transform != (4, 4) or z != (*(y or ()), *(x or ())) or (depth or drivable) != drivable:
-        raise ValueError(f"{z} cells of {y} rows and {x} columns, {drivable} pixels, {depth} depths")

@@ -6,8 +6,6 @@ from libc.stdint cimport uint8_t
 
 import numpy as np
 
-from roadperc_stream.chain.kernels.odometry_plain import require_patches, require_points
-
 cdef enum:
     REACH_PX = 5
     SIDE = 2 * REACH_PX + 1
@@ -234,13 +232,9 @@ def align_patches(
     cdef Patch patch
     cdef Stretched stretched
     cdef int step
-    require_patches(
-        (before.shape[0], before.shape[1]),
-        (before_px.shape[0], before_px.shape[1]),
-        (stretch.shape[0], stretch.shape[1], stretch.shape[2]),
-        (after.shape[0], after.shape[1]),
-        (px.shape[0], px.shape[1]),
-    )
+    shapes = tuple(map(np.shape, (before_px, stretch, px)))
+    if shapes != ((count, 2), (count, 2, 2), (count, 2)) or not before.size * after.size:
+        raise ValueError(f"patches of {shapes}: expected one number of them, and images with pixels")
     cdef double[::1] correlation = np.empty(count)
     first = Levels(&before[0, 0], before.shape[0], before.shape[1])
     second = Levels(&after[0, 0], after.shape[0], after.shape[1])
@@ -313,9 +307,9 @@ def linearise(
 ):
     cdef Py_ssize_t count = points_m.shape[0], i
     cdef Weights rules
-    require_points(
-        (points_m.shape[0], points_m.shape[1]), (px.shape[0], px.shape[1]), (this_T_key.shape[0], this_T_key.shape[1])
-    )
+    shapes = tuple(map(np.shape, (points_m, px, this_T_key)))
+    if shapes != ((count, 3), (count, 2), (4, 4)):
+        raise ValueError(f"points, pixels and motion of {shapes}: expected one number of points")
     cdef double[::1] residual = np.empty(2 * count)
     cdef double[:, ::1] derivative = np.empty((2 * count, 6))
     cdef uint8_t[::1] agrees = np.empty(count, np.uint8)

@@ -52,11 +52,7 @@ def align_patches(before: Image, before_px: Float, stretch: Float, after: Image,
         after: (H, W) image in which they are searched.
         px: (N, 2) where the search begins; overwritten with where it ends.
         iterations: steps of the search.
-
-    Raises:
-        ValueError: sizes that do not belong together, or an image without pixels.
     """
-    require_patches(*(a.shape for a in (before, before_px, stretch, after, px)))
     down, right = np.mgrid[-REACH_PX - 1 : REACH_PX + 2, -REACH_PX - 1 : REACH_PX + 2].astype(float)
     around = _sampled(before, before_px[:, 0, None, None] + right, before_px[:, 1, None, None] + down)
     template = _centred(around[:, 1:-1, 1:-1])
@@ -104,18 +100,6 @@ def _centred(patches: Float) -> Float:
     return np.asarray(flat - (_summed(flat) / _SIDE**2)[:, None])
 
 
-def require_patches(*shapes: tuple[int, ...]) -> None:
-    """Check the shapes of the arrays that ``align_patches`` takes, in its order.
-
-    Raises:
-        ValueError: sizes that do not belong together, or an image without pixels.
-    """
-    before, before_px, stretch, after, px = shapes
-    count = px[0]
-    if (before_px, stretch, px) != ((count, 2), (count, 2, 2), (count, 2)) or not all(before + after):
-        raise ValueError(f"patches of {shapes}: expected one number of them, and images with pixels")
-
-
 def linearise(
     projection: Projection, weighting: Weighting, points_m: Float, px: Float, this_T_key: Float
 ) -> tuple[Float, Float, NDArray[np.uint8]]:
@@ -132,11 +116,7 @@ def linearise(
         (2 N,) residuals, u and v of each point, 0 of one that does not agree; (2 N, 6) derivatives by a small
         translation and rotation of this camera's coordinates; (N,) 1 of points in front of the camera and within the
         gate, else 0.
-
-    Raises:
-        ValueError: sizes that do not belong together.
     """
-    require_points(points_m.shape, px.shape, this_T_key.shape)
     fx, fy, cx, cy = projection
     X, Y, Z = points_m.T
     with np.errstate(all="ignore"):  # what lies behind the camera is written over
@@ -158,14 +138,3 @@ def linearise(
     residual[refused] = 0.0
     derivative[refused] = 0.0
     return residual.reshape(-1), derivative.reshape(-1, 6), (~refused).view(np.uint8)
-
-
-def require_points(*shapes: tuple[int, ...]) -> None:
-    """Check the shapes of the arrays that ``linearise`` takes, in its order.
-
-    Raises:
-        ValueError: sizes that do not belong together.
-    """
-    count = shapes[0][0]
-    if shapes != ((count, 3), (count, 2), (4, 4)):
-        raise ValueError(f"points, pixels and motion of {shapes}: expected one number of points")

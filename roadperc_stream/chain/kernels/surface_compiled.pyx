@@ -30,19 +30,6 @@ cdef void _mark_row(
         near[u] = among[u] & (fabsf(distance) <= within)
 
 
-cdef int _count_row(
-    const float* depth, const float* column, float row, float offset, float within, const uint8_t* among,
-    Py_ssize_t width,
-) noexcept nogil:
-    cdef Py_ssize_t u
-    cdef int count = 0
-    cdef float distance
-    for u in range(width):
-        distance = depth[u] * (row + column[u]) + offset
-        count += (fabsf(distance) <= within) & among[u]
-    return count
-
-
 cdef int _choose_row(
     const float* depth, const float* column, float row, float offset, float within, const uint8_t* among, float* z,
     Py_ssize_t width,
@@ -94,20 +81,6 @@ def mark_near(
     with nogil:
         for v in range(height if width else 0):
             _mark_row(&depth_m[v, 0], &column[0], row[v], offset_m, within_m, &among[v, 0], &near[v, 0], width)
-
-
-def count_near(
-    const float[:, ::1] depth_m, distances, float within_m,
-    const uint8_t[:, ::1] among,
-):
-    cdef const float[::1] column = distances[0], row = distances[1]
-    cdef float offset_m = distances[2]
-    cdef Py_ssize_t height = depth_m.shape[0], width = depth_m.shape[1], v, count = 0
-    _require_fitting(height, width, column.shape[0], row.shape[0], among.shape[0], among.shape[1])
-    with nogil:
-        for v in range(height if width else 0):
-            count += _count_row(&depth_m[v, 0], &column[0], row[v], offset_m, within_m, &among[v, 0], width)
-    return count
 
 
 def moments_near(

@@ -35,13 +35,6 @@ def mark_near(depth_m: Float32, distances: PlaneDistances, within_m: float, amon
     np.bitwise_and(among, _near(depth_m, distances, within_m), out=near)
 
 
-def count_near(depth_m: Float32, distances: PlaneDistances, within_m: float, among: Marks) -> int:
-    """How many pixels ``mark_near`` marks."""
-    near = np.empty_like(among)
-    mark_near(depth_m, distances, within_m, among, near)
-    return int(np.count_nonzero(near))
-
-
 def moments_near(
     depth_m: Float32, distances: PlaneDistances, within_m: float, among: Marks, ray_x: Float32
 ) -> NDArray[np.float64]:

@@ -11,7 +11,6 @@ class's tags. Its distance is a low quantile of the distances of those pixels.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from math import inf, log
-from types import MappingProxyType
 from typing import Final
 
 import cv2
@@ -42,8 +41,6 @@ SAME_PLACE = 0.5
 """Least share of the smaller one's bounds that regions of one object have in common."""
 _ROWS = 64
 """Candidates that are compared with all others at once: a detector may give thousands."""
-NOWHERE: Final[Mapping[int, float | None]] = MappingProxyType({})
-"""No object is expected."""
 _NO_REGION: Final = (0.0, UNKNOWN)
 FITS_ALIKE = 0.1
 """Difference of fits that says little."""
@@ -62,7 +59,7 @@ def choose(
     labels: Sequence[str],
     candidates: Sequence[Sequence[Region]],
     measure: Callable[[Region], Measured],
-    expected_m: Mapping[int, float | None] = NOWHERE,
+    expected_m: Mapping[int, float | None],
 ) -> list[tuple[float, Measured]]:
     """Fit and distance of one candidate of each detection, those that fit best before the others.
 
@@ -130,7 +127,7 @@ def filter_detections(
     cfg: ObjectsConfig,
     scene: Scene,
     detections: tuple[Detection, ...] | None,
-    expected_m: Mapping[int, float | None] = NOWHERE,
+    expected_m: Mapping[int, float | None],
 ) -> Objects | Absent:
     """Every detection with its class ratio, whether it is kept, and its distance.
 

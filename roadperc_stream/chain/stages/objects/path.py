@@ -182,7 +182,7 @@ def _points(scene: Scene, depth_m: Float32, detection: Detection, distance_m: fl
 
 def judged(cfg: ObjectsConfig, path: EgoPath, item: Object, track: ObjectTrack) -> Object:
     """An object with its track's id, its place beside the path, its closing speed and its time to impact."""
-    return _timed(cfg, _placed(cfg, path, replace(item, track_id=track.id), track), track)
+    return _timed(cfg, _placed(cfg, path, replace(item, track_id=str(track.number)), track), track)
 
 
 def _placed(cfg: ObjectsConfig, path: EgoPath, item: Object, track: ObjectTrack) -> Object:

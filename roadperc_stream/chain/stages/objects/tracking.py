@@ -80,11 +80,6 @@ class ObjectTrack:
     nearest_ray: Ray | None = None
     jitter: Jitter | None = None
 
-    @property
-    def id(self) -> str:
-        """As the output names it."""
-        return str(self.number)
-
 
 def start(cfg: ObjectsConfig, number: int, item: Object, box_px: Box, stamp_ns: int) -> ObjectTrack:
     """A new track of a detected object; ``box_px`` is its box within the image."""

@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.chain.kernels import count_near, mark_near, marked, moments_near
+from roadperc_stream.chain.kernels import mark_near, marked, moments_near
 from roadperc_stream.chain.kernels.surface_plain import PlaneDistances
 from roadperc_stream.config import SurfaceConfig
 from roadperc_stream.geometry import (
@@ -101,12 +101,6 @@ def pixels_near(camera: Camera, depth_m: Float32, plane: Plane, within_m: float,
     return near
 
 
-def count_of_pixels_near(camera: Camera, depth_m: Float32, plane: Plane, within_m: float, among: Mask) -> int:
-    """How many the same pixels are."""
-    top = first_row(among)
-    return count_near(depth_m[top:], _distances(camera, plane, top), within_m, among[top:].view(np.uint8))
-
-
 def plane_near(camera: Camera, depth_m: Float32, plane: Plane, within_m: float, among: Mask) -> Plane | None:
     """The plane through the points of the same pixels; None where these are fewer than three.
 
@@ -183,7 +177,8 @@ def road_plane(
         tilt_deg = 180.0 - tilt_deg
     if not tilt_deg <= cfg.max_tilt_deg:
         return Absent(Reason("surface", "plane_tilted", (tilt_deg, cfg.max_tilt_deg)))
-    return plane, count_of_pixels_near(camera, depth_m, plane, cfg.inlier_m, usable) / count
+    inliers = pixels_near(camera, depth_m, plane, cfg.inlier_m, usable)
+    return plane, int(np.count_nonzero(inliers)) / count
 
 
 def _ransac(cfg: SurfaceConfig, points: Float, up: Float, rng: np.random.Generator) -> Plane | None:

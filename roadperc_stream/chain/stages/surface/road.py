@@ -91,10 +91,10 @@ def fit_surface(
     surface = _surface(source, camera, ego_T_camera, *found)
     if cfg.model == "plane":
         return surface
-    cells = road_cells(cfg, surface, camera, ego_T_camera, depth_m, usable)
-    if cfg.model == "auto" and not leaves_plane(cells.points):
+    points, certainty = road_cells(cfg, surface, camera, ego_T_camera, depth_m, usable)
+    if cfg.model == "auto" and not leaves_plane(points):
         return surface
-    grid = fit_height_grid(cfg, surface, cells)
+    grid = fit_height_grid(cfg, surface, points, certainty)
     return surface if grid is None else replace(surface, model="spline", height_grid=grid)
 
 

@@ -70,23 +70,12 @@ class _Design:
         return result
 
 
-@dataclass(frozen=True)
-class RoadCells:
-    """(N, 3) x, y and height above the plane of one point for each square metre of the road, metres.
-
-    ``counts`` (N,) are the points of each.
-    """
-
-    points: Float
-    counts: NDArray[np.intp]
-
-
 def road_cells(
     cfg: SurfaceConfig, surface: Surface, camera: Camera, ego_T_camera: Float, depth_m: Float32, usable: Mask
-) -> RoadCells:
-    """The road's cells, ``spline_half_width_m`` to either side and ``max_depth_m`` ahead, at most 200 m.
+) -> tuple[Float, Float]:
+    """One point for each square metre of the road, ``spline_half_width_m`` to either side and ``max_depth_m`` ahead.
 
-    Each is its point of median height. A mean of places and a median of heights do not belong together on a slope.
+    It is the point of median height. A mean of places and a median of heights do not belong together on a slope.
 
     Args:
         cfg: the extent.
@@ -95,6 +84,9 @@ def road_cells(
         ego_T_camera: its mounting.
         depth_m: (H, W) metres, NaN unknown.
         usable: (H, W) pixels of the road with known depth.
+
+    Returns:
+        (N, 3) x, y and height above the plane, metres, and (N,) certainty, 0 to 1, which grows with a cell's points.
     """
     columns = max(min(camera.width // _COLUMNS, int(np.count_nonzero(usable)) // _ENOUGH_POINTS), 1)
     top = first_row(usable)
@@ -110,24 +102,24 @@ def road_cells(
     # One row of cells more: y at the left edge may be rounded up to it.
     along = int(np.ceil(_length_m(cfg) / _STEP_M)) + 1
     chosen, counts = median_places(cells, points[2], along * _cells_across(cfg))
-    return RoadCells(np.ascontiguousarray(points[:, chosen].T, np.float64), counts)
+    certainty = np.minimum(counts, _POINTS_THAT_COUNT) / _POINTS_THAT_COUNT
+    return np.ascontiguousarray(points[:, chosen].T, np.float64), certainty
 
 
-def fit_height_grid(cfg: SurfaceConfig, surface: Surface, cells: RoadCells) -> HeightGrid | None:
+def fit_height_grid(cfg: SurfaceConfig, surface: Surface, points: Float, certainty: Float) -> HeightGrid | None:
     """The height field through the road's cells.
 
     Args:
         cfg: knots, smoothness and extent.
         surface: the road's plane.
-        cells: of the road, over that plane.
+        points: (N, 3) of the cells, as ``road_cells`` gives them.
+        certainty: (N,) of each.
 
     Returns:
         The field on a grid of 1 m, or None where too few cells ahead of the car support one.
     """
-    points = cells.points
     if len(points) < _MIN_CELLS or np.ptp(points[:, 0]) < _MIN_LENGTH_KNOTS * cfg.spline_knot_m:
         return None
-    certainty = np.minimum(cells.counts, _POINTS_THAT_COUNT) / _POINTS_THAT_COUNT
     return _grid(cfg, surface, _grow(cfg, points, certainty))
 
 

@@ -50,7 +50,7 @@ def test_the_order_of_detections_decides_nothing_but_the_order_of_objects(frames
 def test_names_are_unique_in_a_frame_and_never_given_anew(frames):
     follower, known = Follower(), set()
     for frame in frames:
-        before = {track.id for track in follower.state.tracks}
+        before = {str(track.number) for track in follower.state.tracks}
         names = [item.track_id for item in follower.frame(*frame)]
         assert len(set(names)) == len(names)
         assert not (set(names) - before) & known

@@ -1,11 +1,12 @@
 """Detections filtered by tags: ratios counted by hand, distances by the 3-4-5 triangle, each with its own region."""
 
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 import pytest
 
-from roadperc_stream.chain.stages.objects.filtering import NOWHERE, choose, filter_detections
+from roadperc_stream.chain.stages.objects.filtering import choose, filter_detections
 from roadperc_stream.chain.stages.objects.regions import Measured, Region
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Camera
@@ -31,7 +32,7 @@ def filtered(detection, cfg=CFG, tags=None, depth=None, limit_m=65.535):
     if depth is None:
         _, depth = pictures()
     scene = scene_of(CAMERA, tags=tags, depth_m=depth, limit_m=limit_m)
-    return filter_detections(cfg, scene, (detection,)).objects[0]
+    return filter_detections(cfg, scene, (detection,), {}).objects[0]
 
 
 @pytest.mark.parametrize(
@@ -72,7 +73,7 @@ def test_distance_is_along_the_ray():
     depth = np.full(camera.size, np.nan, np.float32)
     depth[40, 87] = 4.0
     scene = scene_of(camera, tags=tags, depth_m=depth, limit_m=65.535)
-    (item,) = filter_detections(CFG, scene, (box("Car", 80, 30, 95, 50),)).objects
+    (item,) = filter_detections(CFG, scene, (box("Car", 80, 30, 95, 50),), {}).objects
     assert item.distance_m == pytest.approx(5.0)
 
 
@@ -101,12 +102,12 @@ def test_unknown_label_is_kept_without_a_ratio():
 def test_without_tags_everything_is_kept():
     _, depth = pictures()
     scene = scene_of(CAMERA, depth_m=depth, limit_m=65.535)
-    (item,) = filter_detections(CFG, scene, (box("Car", 60, 50, 90, 70),)).objects
+    (item,) = filter_detections(CFG, scene, (box("Car", 60, 50, 90, 70),), {}).objects
     assert (item.kept, item.class_ratio) == (True, None)
 
 
 def test_no_detections_is_a_stated_absence():
-    assert filter_detections(CFG, scene_of(CAMERA), None) == Absent(Reason("objects", "no_detections"))
+    assert filter_detections(CFG, scene_of(CAMERA), None, {}) == Absent(Reason("objects", "no_detections"))
 
 
 def two_cars():
@@ -117,7 +118,7 @@ def two_cars():
     return tags, depth
 
 
-def judged(*boxes, expected=NOWHERE, cfg=CFG, **inputs):
+def judged(*boxes, expected=MappingProxyType({}), cfg=CFG, **inputs):
     tags, depth = two_cars()
     scene = scene_of(CAMERA, **{"tags": tags, "depth_m": depth, "limit_m": 65.535, **inputs})
     return filter_detections(cfg, scene, tuple(box("Car", *b) for b in boxes), expected).objects
@@ -147,7 +148,7 @@ def test_the_score_decides_nothing():
     scene = scene_of(CAMERA, tags=tags, depth_m=depth)
     boxes = ((10, 20, 40, 50), (15, 22, 30, 36), (30, 15, 70, 40))
     scored = [tuple(replace(box("Car", *b), score=s) for b, s in zip(boxes, scores, strict=True)) for scores in SCORES]
-    assert len({tuple(i.kept for i in filter_detections(CFG, scene, found).objects) for found in scored}) == 1
+    assert len({tuple(i.kept for i in filter_detections(CFG, scene, found, {}).objects) for found in scored}) == 1
 
 
 def test_beyond_the_depths_range_the_share_of_the_class_decides():
@@ -229,7 +230,7 @@ def measure(region):
 
 
 def chosen(labels, *candidates):
-    return [(fit, measured.distance_m) for fit, measured in choose(labels, candidates, measure)]
+    return [(fit, measured.distance_m) for fit, measured in choose(labels, candidates, measure, {})]
 
 
 def test_each_gets_what_fits_best():
@@ -263,7 +264,8 @@ def test_nothing_to_choose_from():
 def test_what_is_not_looked_at_is_not_measured():
     """Distances are what costs the most."""
     measured = []
-    choose(["Car"], [[candidate(0, 0.9, 10.0), candidate(0, 0.5, 20.0)]], lambda r: measured.append(r) or measure(r))
+    regions = [[candidate(0, 0.9, 10.0), candidate(0, 0.5, 20.0)]]
+    choose(["Car"], regions, lambda region: measured.append(region) or measure(region), {})
     assert [region.fit for region in measured] == [0.9]
 
 
