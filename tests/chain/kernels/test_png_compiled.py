@@ -1,63 +1,9 @@
-"""The compiled filters of PNG against the specification's own words, a byte at a time."""
+"""Lines that the compiled PNG filters refuse; ``tests/formats/test_png.py`` compares the decoded pixels."""
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
 png = pytest.importorskip("roadperc_stream.chain.kernels.png_compiled")
-
-
-@st.composite
-def filtered(draw, fewest_bytes=1):
-    """(H, 1 + W pixel_bytes) lines whose first bytes name any filter, and the bytes of a pixel."""
-    step = draw(st.integers(fewest_bytes, 4))
-    height, width = draw(st.integers(1, 6)), draw(st.integers(1, 9))
-    lines = draw(arrays(np.uint8, (height, 1 + width * step)))
-    lines[:, 0] = draw(arrays(np.uint8, height, elements=st.integers(0, 4)))
-    return lines, step
-
-
-def by_the_specification(lines, step):
-    """ISO/IEC 15948, table 9.1."""
-    height, length = lines.shape[0], lines.shape[1] - 1
-    rows = [[0] * (step + length)]
-    for y in range(height):
-        row, above = [0] * (step + length), rows[-1]
-        for x in range(step, step + length):
-            predicted = prediction(int(lines[y, 0]), row[x - step], above[x], above[x - step])
-            row[x] = (int(lines[y, 1 + x - step]) + predicted) % 256
-        rows.append(row)
-    return np.array(rows, np.uint8)[1:, step:]
-
-
-def prediction(kind, left, above, corner):
-    return (0, left, above, (left + above) // 2, paeth(left, above, corner))[kind]
-
-
-def paeth(left, above, corner):
-    estimate = left + above - corner
-    return min((left, above, corner), key=lambda neighbour: abs(estimate - neighbour))
-
-
-@given(filtered())
-def test_filters_are_reversed_as_specified(case):
-    lines, step = case
-    expected = by_the_specification(lines, step)
-    assert png.reverse_filters(lines, step)
-    np.testing.assert_array_equal(lines[:, 1:], expected)
-
-
-@given(filtered(fewest_bytes=3))
-def test_grey_is_that_of_the_reversed_pixels(case):
-    lines, step = case
-    red, green, blue = np.moveaxis(by_the_specification(lines, step).reshape(len(lines), -1, step), 2, 0)[:3].astype(
-        int
-    )
-    grey = np.empty(red.shape, np.uint8)
-    assert png.reverse_to_grey(lines, step, grey)
-    np.testing.assert_array_equal(grey, (9797 * red + 19234 * green + 3737 * blue) >> 15)
 
 
 @pytest.mark.parametrize("kind", [5, 255])

@@ -64,15 +64,10 @@ def test_of_a_row_the_innermost_counts(way, inward):
 
 
 @BOTH
-@pytest.mark.parametrize("count", [0, 1, 7])
-def test_too_few_points_have_none(way, count):
+def test_too_few_points_or_points_at_one_place_give_no_quadratic(way):
     x, y, std, rows = drawn()
-    assert follow(way, *(values[:count] for values in (x, y, std, rows))) is None
-
-
-@BOTH
-def test_points_at_one_place_have_none(way):
-    x, y, std, _ = drawn()
+    for count in (0, 1, 7):
+        assert follow(way, *(values[:count] for values in (x, y, std, rows))) is None
     assert follow(way, np.full_like(x, 5.0), np.full_like(y, 1.7), std, np.arange(len(x))) is None
 
 

@@ -47,11 +47,6 @@ def grid(depth_m, tags, drivable, road=WIDE, cfg=CFG, surface=None):
     return build(cfg, scene_of(road.camera, road.ego_T_camera, depth_m=depth_m, tags=tags), surface, drivable)
 
 
-def cell(occupancy, x, y):
-    row = int((y - occupancy.y_min_m) / occupancy.resolution_m)
-    return occupancy.cells[row, int((x - occupancy.x_min_m) / occupancy.resolution_m)]
-
-
 def area(occupancy, x_min, x_max, y_min, y_max):
     res = occupancy.resolution_m
     rows = slice(round((y_min - occupancy.y_min_m) / res), round((y_max - occupancy.y_min_m) / res))
@@ -113,7 +108,7 @@ def test_one_passes_below_what_hangs_high():
 def test_occupied_wins_over_free():
     depth_m, tags, drivable = pictures(block=CAR)
     occupancy = grid(depth_m, tags, np.ones_like(drivable))
-    assert cell(occupancy, 12.05, 0.0) == OCCUPIED
+    assert (area(occupancy, 12.0, 12.2, 0.0, 0.2) == OCCUPIED).all()
 
 
 def test_single_pixels_change_nothing():

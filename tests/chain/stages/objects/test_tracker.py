@@ -78,19 +78,13 @@ def test_of_a_box_the_part_in_the_image_counts(corners, expected):
     assert astuple(tracker._within(CAMERA, Box(*corners))) == expected
 
 
-def test_one_distance_tells_no_speed():
+@pytest.mark.parametrize(("frames", "depth_m"), [(1, 20.0), (5, None)], ids=["one distance", "no depth"])
+def test_without_two_distances_an_object_has_an_id_but_no_motion(frames, depth_m):
     follower = Follower()
-    follower.frame(CAR, depth_m=20.0)
-    assert follower.only.closing_speed_mps is None
-    assert follower.only.track_id == "1"
-
-
-def test_without_depth_objects_have_ids_but_no_motion():
-    follower = Follower()
-    for _ in range(5):
-        follower.frame(CAR)
+    for _ in range(frames):
+        follower.frame(CAR, depth_m=depth_m)
     item = follower.only
-    assert (item.track_id, item.distance_m, item.closing_speed_mps, item.time_to_impact_s) == ("1", None, None, None)
+    assert (item.track_id, item.distance_m, item.closing_speed_mps, item.time_to_impact_s) == ("1", depth_m, None, None)
 
 
 def test_a_jump_to_something_in_front_is_rejected():

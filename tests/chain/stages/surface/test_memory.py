@@ -1,4 +1,4 @@
-"""What stands in where depth does not show the road: the plane of the frames before, then the mounting's."""
+"""The road if the depth does not show it: the held plane of earlier frames, then the mounting's plane."""
 
 from dataclasses import replace
 
@@ -19,7 +19,6 @@ PLANE = g.Plane.of(np.array([0.02, 0.0, 1.0]), -0.03)
 STATE = SurfaceState(PLANE, 5.0)
 FAILED = Reason("surface", "no_plane", (900, 0.2))
 WITH_DEPTH = scene_of(ROAD.camera, ROAD.ego_T_camera, depth_m=ROAD.depth_m(), tags=ROAD.tags())
-NO_DEPTH = replace(WITH_DEPTH, depth=None)
 
 
 def motion(yaw=0.0, pitch=0.0, ahead_m=1.0, up_m=0.0):
@@ -47,12 +46,14 @@ def test_a_frame_that_shows_the_road_is_remembered():
     assert state == SurfaceState(road.ego_plane, 0.0)
 
 
-def test_the_plane_kept_stands_in_and_says_so():
-    state, road, reasons = after(STATE, noisy_scene(), motion())
+@pytest.mark.parametrize(("depth", "cause"), [(noisy_scene().depth, "no_plane"), (None, "no_depth")])
+def test_a_plane_is_held_if_the_depth_is_missing_or_does_not_show_the_road(depth, cause):
+    state, road, reasons = after(STATE, replace(WITH_DEPTH, depth=depth), motion())
     assert (road.source, road.model, road.inlier_ratio, road.measured) == ("held", "plane", None, False)
     assert road.abd == pytest.approx((0.02, 0.0, 0.03), abs=1e-12)
-    assert [(reason.code, reason.cause.code) for reason in reasons] == [("plane_held", "no_plane")]
+    assert [(reason.code, reason.cause.code) for reason in reasons] == [("plane_held", cause)]
     assert state.driven_m == STATE.driven_m + 1.0
+    assert state.ego_plane.normal == pytest.approx(PLANE.normal)
     pitch, roll = g.camera_pitch_roll(g.transform_plane(g.inverse(ROAD.ego_T_camera), PLANE))
     assert (road.pitch, road.roll) == pytest.approx((pitch, roll))
 
@@ -69,12 +70,17 @@ def test_what_a_noisy_step_says_of_pitch_and_height_does_not_tilt_the_plane():
 
 
 @pytest.mark.parametrize(
-    ("state", "last_T_this"),
-    [(SurfaceState(), motion()), (STATE, None), (SurfaceState(PLANE, 29.5), motion())],
-    ids=["nothing kept", "motion not known", "too far"],
+    ("state", "last_T_this", "cfg"),
+    [
+        (SurfaceState(), motion(), CFG),
+        (STATE, None, CFG),
+        (SurfaceState(PLANE, 29.5), motion(), CFG),
+        (STATE, motion(), SurfaceConfig(hold_m=0.0)),
+    ],
+    ids=["nothing held", "unknown motion", "too far", "hold_m is 0"],
 )
-def test_then_the_mountings_stands_in(state, last_T_this):
-    _, road, reasons = after(state, noisy_scene(), last_T_this)
+def test_if_no_plane_is_held_the_mounting_gives_the_road(state, last_T_this, cfg):
+    _, road, reasons = after(state, noisy_scene(), last_T_this, cfg)
     assert (road.source, road.abd) == ("assumed", pytest.approx((0.0, 0.0, 0.0)))
     assert [(reason.code, reason.values) for reason in reasons] == [("plane_assumed", ("the mounting",))]
 
@@ -94,18 +100,6 @@ def test_a_car_that_stands_holds_it_for_ever():
     assert state.ego_plane.normal == pytest.approx(PLANE.normal)
 
 
-def test_none_is_held_where_the_settings_say_so():
-    assert after(STATE, noisy_scene(), motion(), SurfaceConfig(hold_m=0.0))[1].source == "assumed"
-
-
-def test_frames_without_depth_carry_the_plane_on():
-    state, road, reasons = after(STATE, NO_DEPTH, motion())
-    assert (state.driven_m, road.source) == (6.0, "held")
-    assert reasons == (Reason("surface", "plane_held", cause=Reason("surface", "no_depth")),)
-    assert state.ego_plane.normal == pytest.approx(PLANE.normal)
-    assert road.ego_plane.normal == pytest.approx(PLANE.normal)
-
-
-def test_without_depth_and_without_a_plane_the_mountings_stands_in():
-    state, road, reasons = after(STATE, NO_DEPTH, None)
+def test_without_depth_and_without_a_held_plane_the_mounting_gives_the_road():
+    state, road, reasons = after(STATE, replace(WITH_DEPTH, depth=None), None)
     assert (state, road.source, reasons) == (SurfaceState(), "assumed", ())
