@@ -1,13 +1,12 @@
-"""What is free and what is occupied around the car: a bird's-eye grid in the ego frame from depth and tags.
+"""Free and occupied space around the car: a bird's-eye grid in the ego frame from depth and tags.
 
-Occupied are cells with points that stand above the road, or belong to an obstacle. Free are cells with drivable points,
-and cells whose middle, projected into the image, is drivable and as far away as the cell: far ahead neighbouring rows
-of the image are metres apart, and this inverse mapping leaves no gaps between them. Everything else is unknown, so also
-what lies behind an obstacle. Occupied wins over free.
+A cell is occupied if it has points above the road or points of an obstacle class. A cell is free if it has drivable
+points, or if its middle projects to a drivable pixel at the cell's distance. This inverse mapping leaves no gaps far
+ahead, where neighbouring image rows are metres apart. All other cells are unknown, also those behind an obstacle.
+Occupied wins over free.
 
-Of a lidar's few points every one counts, and a cell whose middle is visible as drivable is free without one. Heights
-alone decide there what is an obstacle: a point that an obstacle hides from the camera but not from the lidar has the
-obstacle's tag.
+Every point of a lidar counts. Without a point, a cell is free if its middle is visible as drivable. For lidar points
+only heights decide what is an obstacle: a point that the camera does not see carries the tag of the obstacle before it.
 """
 
 from typing import Final
@@ -31,7 +30,7 @@ FREE: Final = 0
 OCCUPIED: Final = 100
 
 _ROWS_AT_ONCE: Final = 64
-"""Rows whose points stay in the processor's cache from one operation on them to the next."""
+"""Rows per pass: their points stay in the processor's cache between operations."""
 
 
 def build(cfg: OccupancyConfig, scene: Scene, surface: Surface | Absent, drivable: Mask | Absent) -> Occupancy | Absent:
@@ -44,7 +43,7 @@ def build(cfg: OccupancyConfig, scene: Scene, surface: Surface | Absent, drivabl
         drivable: (H, W) drivable pixels.
 
     Returns:
-        The grid, or why there is none.
+        The grid or ``Absent``.
     """
     if scene.depth_m is None:
         return Absent(Reason("occupancy", "no_depth"))
@@ -66,7 +65,7 @@ def build(cfg: OccupancyConfig, scene: Scene, surface: Surface | Absent, drivabl
 def _points_in_cells(
     cfg: OccupancyConfig, scene: Scene, surface: Surface, drivable: Mask, depth_m: Float32
 ) -> tuple[Counts, Counts]:
-    """(rows, columns) numbers of drivable points and of points that are obstacles in each cell."""
+    """(rows, columns) counts of drivable points and of obstacle points in each cell."""
     step = 1
     if scene.dense_depth_m is not None:
         step = max(round(scaled(cfg.pixel_step, scene.camera.height)), 1)
@@ -87,15 +86,15 @@ def _points_in_cells(
 
 
 def _shape(cfg: OccupancyConfig) -> tuple[int, int]:
-    """Rows along y and columns along x; a part of a cell at the end is left out."""
+    """Rows along y and columns along x; an incomplete cell at the end is left out."""
     rows, columns = 2 * cfg.half_width_m / cfg.resolution_m, (cfg.x_max_m - cfg.x_min_m) / cfg.resolution_m
     return int(rows + 1e-6), int(columns + 1e-6)
 
 
 def _obstacles(cfg: OccupancyConfig, scene: Scene, step: int) -> tuple[Image, Image]:
-    """Tags of every ``step``-th pixel in both directions, and (256,) 1 of those of an obstacle.
+    """Tags of every ``step``-th pixel in both directions, and (256,) 1 at the tags of obstacles.
 
-    Without tags, and among a lidar's points, none is.
+    Without tags, and for lidar points, no tag is an obstacle.
     """
     if scene.tags is None or scene.table is None or scene.dense_depth_m is None:
         size = part(scene.camera, step, step).size

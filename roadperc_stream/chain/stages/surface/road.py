@@ -1,4 +1,4 @@
-"""The road of one frame: its surface, the pixels that lie on it, and what is held where the depth does not show it."""
+"""The road of one frame: its surface, its drivable pixels, and the plane held while the depth does not show it."""
 
 from dataclasses import dataclass, replace
 
@@ -25,8 +25,7 @@ from roadperc_stream.model.scene import DepthMap, Scene
 
 _UP_EGO = np.array([0.0, 0.0, 1.0])
 _DRIVABLE_M = 0.15
-"""Largest distance of a drivable pixel to the surface: three times that of an inlier, for the far road's depth errs
-more."""
+"""Largest distance of a drivable pixel to the surface: three times an inlier's, because far depth has larger errors."""
 _ROWS_AT_ONCE = 32
 """Rows whose distances to the surface stay in the processor's cache from one operation on them to the next."""
 _FIELD_SAMPLES_M = np.arange(0.0, 201.0, 10.0), np.arange(-80.0, 81.0, 20.0)
@@ -37,8 +36,7 @@ _FIELD_SAMPLES_M = np.arange(0.0, 201.0, 10.0), np.arange(-80.0, 81.0, 20.0)
 class SurfaceState:
     """The plane of the last frame whose depth showed the road, in the ego frame of the last frame.
 
-    ``driven_m`` is how far the car has come since. None where there was no such frame, or the way from there is not
-    known.
+    ``driven_m`` is the distance driven since. The plane is None without such a frame, or if the motion is unknown.
     """
 
     ego_plane: Plane | None = None
@@ -46,12 +44,11 @@ class SurfaceState:
 
 
 def find_surface(cfg: SurfaceConfig, scene: Scene, rng: np.random.Generator) -> tuple[Surface | Absent, Reason | None]:
-    """The road of a frame: fitted to its depth, else the one that the mounting promises.
+    """Fit the road to the frame's depth; without usable depth, take it from the camera's mounting.
 
     Returns:
-        The surface, its plane in the frame of the camera the depth belongs to, or why there is none; and why the depth
-        does not show the road, where it does not. Then the mounting's plane stands in; without a mounting there is
-        none, but that a lidar that misses the road says no more of it than no lidar.
+        The surface, with its plane in the frame of the depth's camera, or ``Absent``; and the reason if the depth does
+        not show the road. Then the mounting gives the plane. Dense depth without a mounting gives ``Absent``.
     """
     if scene.depth is None:
         return assumed_surface(*_depth_camera(scene)), None
@@ -75,12 +72,12 @@ def fit_surface(
     Args:
         cfg: thresholds.
         depth: its camera's mounting says roughly where up is.
-        drivable: (H, W) pixels of a drivable class in the depth's image; None where there is no segmentation,
-            then the lower image stands in and the surface is marked ``lower_image``.
+        drivable: (H, W) pixels of a drivable class in the depth's image. Without segmentation it is None: the lower
+            image is used, and the surface's source is ``lower_image``.
         rng: source of the hypotheses.
 
     Returns:
-        The surface, or why there is none. Where too few points support a height field the plane stays.
+        The surface or ``Absent``. The plane is kept if too few points support a height field.
     """
     source = depth.source if drivable is not None else "lower_image"
     camera, ego_T_camera, depth_m = depth.camera, depth.ego_T_camera, depth.depth_m
@@ -99,27 +96,27 @@ def fit_surface(
 
 
 def assumed_surface(camera: Camera, ego_T_camera: Float) -> Surface:
-    """The ground by the mounting alone, for want of depth: ego's plane z = 0, marked ``assumed``."""
+    """The ground by the mounting alone: the ego plane z = 0, with the source ``assumed``."""
     return known_surface("assumed", camera, ego_T_camera, Plane.of(_UP_EGO, 0.0))
 
 
 def _depth_camera(scene: Scene) -> tuple[Camera, Float]:
-    """The camera of the depth and its mounting; those of the front camera without depth."""
+    """The camera of the depth and its mounting; without depth, the front camera and its mounting."""
     place = scene if scene.depth is None else scene.depth
     return place.camera, place.ego_T_camera
 
 
 def known_surface(source: SurfaceSource, camera: Camera, ego_T_camera: Float, ego_plane: Plane) -> Surface:
-    """The road by a plane that is known in the ego frame."""
+    """The surface of a plane given in the ego frame."""
     return _surface(source, camera, ego_T_camera, transform_plane(inverse(ego_T_camera), ego_plane), None)
 
 
 def drivable_mask(cfg: SurfaceConfig, scene: Scene, surface: Surface | Absent) -> Mask | Absent:
     """(H, W) pixels of a drivable class near the surface.
 
-    The distance to a plane is measured at right angles, that to a height field vertically: on a slope of 10 % that is
-    half a percent more. Without dense depth, or where it does not show the road, the class alone decides; without
-    segmentation the surface alone.
+    The distance to a plane is perpendicular, the distance to a height field vertical. On a slope of 10 % they differ by
+    half a percent. Without dense depth, or if it does not show the road, only the class counts. Without segmentation,
+    only the surface counts.
 
     Args:
         cfg: drivable classes.
@@ -174,19 +171,19 @@ def remember(
     last_T_this: Float | None,
     pitch: float | None = None,
 ) -> tuple[SurfaceState, Surface | Absent, tuple[Reason, ...]]:
-    """Keep the plane of a frame whose depth shows the road; where it does not, the one kept stands in.
+    """Keep the plane of a frame whose depth shows the road; otherwise use the held plane.
 
     Args:
         cfg: how far a plane is held.
-        state: what the last frame left.
+        state: of the last frame.
         scene: the frame.
-        road: the frame's own, or what the mounting promises.
-        failed: why the frame's depth does not show the road; None: it does, or there is no depth.
-        last_T_this: (4, 4) motion of the ego frame since the last frame, metres; None where it is not known.
-        pitch: by how much the front camera looks further down than its mounting says, radians; None: not known.
+        road: fitted to the frame's depth, or given by the mounting.
+        failed: why the depth does not show the road; None if it does, or if there is no depth.
+        last_T_this: (4, 4) motion of the ego frame since the last frame, metres; None if unknown.
+        pitch: how much further down the front camera looks than its mounting says, radians; None if unknown.
 
     Returns:
-        The new state, the road, and what stands in for the depth, as a reason.
+        The new state, the road, and the reason if the road does not come from the depth.
     """
     if isinstance(road, Surface) and road.measured:
         return SurfaceState(road.ego_plane), road, ()
@@ -206,10 +203,10 @@ def remember(
 
 
 def _moved(state: SurfaceState, last_T_this: Float | None) -> SurfaceState:
-    """The plane in the ego frame of the moved car, which rides on it: of the motion its way and its turn count.
+    """The held plane in the ego frame of the moved car. Only distance and yaw of the motion count.
 
-    Where depth is so noisy that it does not show the road, a step's pitch is wrong by a tenth of a degree and more, and
-    always to the same side: a few metres on it would tilt the plane by more than the mounting's is off.
+    If the depth is too noisy to show the road, the pitch of a step has a bias of a tenth of a degree or more. After a
+    few metres that would tilt the plane by more than the error of the mounting.
     """
     if state.ego_plane is None or last_T_this is None:
         return SurfaceState()
