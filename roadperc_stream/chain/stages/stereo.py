@@ -1,10 +1,10 @@
-"""Depth from a stereo pair, Z = f b / d: rectified where it must be, matched, and turned back to the mounted camera.
+"""Depth from a stereo pair, Z = f b / d: rectify if needed, match, and rotate back to the mounted camera.
 
 Method: semi-global matching (Hirschmueller, Stereo Processing by Semiglobal Matching and Mutual Information, PAMI
 2008), with the costs of Birchfield and Tomasi, as OpenCV's StereoSGBM has it. Its three-direction form is used
 throughout: on the rendered drives it is as accurate as eight directions in a third of the time. Its disparities lean
 towards whole pixels, which moves the distance of far things by 5 % at half resolution: one step of Lucas and Kanade (An
-Iterative Image Registration Technique, 1981) along the rows takes most of that away.
+Iterative Image Registration Technique, 1981) along the rows removes most of that error.
 """
 
 from functools import lru_cache
@@ -31,7 +31,7 @@ from roadperc_stream.geometry import (
 from roadperc_stream.model import Absent, Image, Mask, Reason, StereoDepth
 
 _MULTIPLE: Final = 16
-"""OpenCV tries a multiple of so many disparities."""
+"""OpenCV searches a multiple of this number of disparities."""
 _SUBPIXELS: Final = 16
 """OpenCV gives disparities in sixteenths of a pixel."""
 _STEP_PX: Final = 1.0
@@ -43,11 +43,11 @@ _NOT_TURNED: Final = 1e-6
 _COEFFICIENTS: Final = (4, 5, 8, 12, 14)
 """Numbers of distortion coefficients that OpenCV's pinhole may have."""
 _LARGEST_COEFFICIENT: Final = 1e4
-"""A rational lens may have coefficients of hundreds, none has this."""
+"""Rational lenses have coefficients of up to some hundreds."""
 _BASELINES_M: Final = (1e-3, 1e3)
-"""Shortest and longest distance of a pair's cameras: what lies beyond is a mistake, and its depth no depth."""
+"""Shortest and longest plausible distance between the cameras of a pair."""
 _NEARER: Final = 1.1
-"""What lies nearer than the road: bumps, and the nose of a braking car going down."""
+"""Factor for points nearer than the road: bumps, and the pitch of a braking car."""
 
 
 def match(
@@ -64,13 +64,13 @@ def match(
         cfg: method, not ``off``, and thresholds.
         left: camera of ``left_image``.
         right: camera of ``right_image``, its ``baseline_m`` to the right of the left one along the rectified rows.
-        ego_T_left: mounting of the left camera: how near the nearest road pixel is decides which disparities are tried.
-        left_image: (H, W) grey; None where it could not be decoded.
+        ego_T_left: mounting of the left camera; the nearest road pixel sets the number of disparities.
+        left_image: (H, W) grey; None if it could not be decoded.
         right_image: the same of the right camera.
 
     Returns:
-        (H, W) float32 metres along z, NaN where the pair does not show it: hidden from the right camera, outside its
-        image, ambiguous, or so far away that the disparity is mostly error. Or why there is none.
+        (H, W) float32 metres along z. NaN: hidden from the right camera, outside its image, ambiguous, or so far away
+        that the disparity is mostly error. ``Absent`` if the pair cannot be matched.
     """
     if left_image is None:
         return Absent(Reason("stereo", "no_left_no_right_image" if right_image is None else "no_left_image"))
@@ -91,7 +91,7 @@ def match(
 
 
 def _fault(left: Camera, right: Camera, baseline_m: float, left_image: Image, right_image: Image) -> Reason | None:
-    """Why the two images are no pair that can be matched."""
+    """The reason why the two images cannot be matched; None if they can."""
     if not _BASELINES_M[0] <= baseline_m <= _BASELINES_M[1]:
         return Reason("stereo", "wrong_baseline", (baseline_m, *_BASELINES_M))
     if left.size != right.size:
@@ -106,7 +106,7 @@ def _fault(left: Camera, right: Camera, baseline_m: float, left_image: Image, ri
 
 
 def lens_fault(side: str, camera: Camera) -> Reason | None:
-    """Why the images of a pair's camera cannot be rectified; None where they can or need not be."""
+    """The reason why a camera's images cannot be rectified; None if they can be, or need not be."""
     lens = camera.lens
     if lens is None:
         return Reason("stereo", "lens_without_rotation", (side,)) if any(camera.distortion) else None
@@ -126,14 +126,14 @@ def lens_fault(side: str, camera: Camera) -> Reason | None:
 
 
 def _is_rotation(R: Float) -> bool:
-    """Whether a (3, 3) matrix turns and does not mirror; one that is not finite does neither."""
+    """Whether a (3, 3) matrix is finite, orthonormal and does not mirror."""
     if not np.isfinite(R).all():
         return False
     return bool(np.abs(R @ R.T - np.eye(3)).max() <= _NOT_TURNED and np.linalg.det(R) > 0)
 
 
 def rectification(camera: Camera) -> Float:
-    """(3, 3) rotation from the camera as it is mounted to the rectified one."""
+    """(3, 3) rotation from the mounted camera to the rectified camera."""
     return np.array(camera.lens.R if camera.lens else Lens.R).reshape(3, 3)
 
 
@@ -143,7 +143,7 @@ def disparities_needed(left: Camera, baseline_m: float, ego_T_rectified: Float) 
     On a plane disparity is linear in the pixel, d = -f b (n . ray) / height, so that the largest is in a corner.
 
     Returns:
-        Pixels; None where the road the mounting promises is not below the camera.
+        Pixels; None if the mounting puts the camera below the road.
     """
     road = transform_plane(inverse(ego_T_rectified), Plane.of(np.array([0.0, 0.0, 1.0]), 0.0))
     if road.offset_m <= 0:
@@ -155,14 +155,14 @@ def disparities_needed(left: Camera, baseline_m: float, ego_T_rectified: Float) 
 
 
 def rounded_up(count: float) -> int:
-    """The least number of disparities OpenCV can try that is no less."""
+    """The next multiple of 16: the numbers of disparities that OpenCV accepts."""
     return max(int(np.ceil(count / _MULTIPLE)), 1) * _MULTIPLE
 
 
 def _rectified_disparity(
     cfg: StereoConfig, count: int, left: Camera, right: Camera, left_grey: Image, right_grey: Image
 ) -> Float32:
-    """(H, W) disparities visible to both cameras; images not rectified, or to other intrinsics, are resampled."""
+    """(H, W) disparities visible to both cameras; images that are not rectified to one camera are resampled."""
     left_valid = right_valid = None
     if left.lens is not None or right.lens is not None or not right.same_view(left):
         left_grey, left_valid = resampled(left, left, left_grey)
@@ -207,7 +207,7 @@ def disparity(cfg: StereoConfig, count: int, left: Image, right: Image) -> Float
 
     Args:
         cfg: its method is not ``off``.
-        count: disparities tried, from 0, pixels of the image; a multiple of 16.
+        count: number of disparities searched, from 0, in pixels of the image; a multiple of 16.
         left: (H, W) grey.
         right: (H, W) grey.
 
@@ -224,10 +224,9 @@ def disparity(cfg: StereoConfig, count: int, left: Image, right: Image) -> Float
 def _found(cfg: StereoConfig, count: int, left: Image, right: Image) -> Float32:
     """(H, W) disparities in pixels of these images, refined with ``refine_px``; NaN unknown.
 
-    OpenCV marks the unknown with -1; 0 is what it finds where no disparity fits better than another.
-
-    OpenCV gives no disparity in the first ``count`` columns, where not all of them can be tried. Both images get that
-    many columns more: with 192 of 1280 columns that is a quarter more time, and a seventh more of the image.
+    OpenCV marks unknown pixels with -1, and gives 0 where all disparities fit alike. It gives no disparity in the first
+    ``count`` columns. So both images are padded by that many columns: for 192 of 1280 columns, a quarter more time for
+    a seventh more of the image.
     """
     wide = [cv2.copyMakeBorder(image, 0, 0, count, 0, cv2.BORDER_REPLICATE) for image in (left, right)]
     sixteenths = np.asarray(matcher_of(cfg, count).compute(*wide), np.int16)[:, count:]
@@ -237,7 +236,7 @@ def _found(cfg: StereoConfig, count: int, left: Image, right: Image) -> Float32:
 
 
 def matcher_of(cfg: StereoConfig, count: int) -> cv2.StereoSGBM:
-    """OpenCV's matcher by the settings, for a number of disparities that it can try."""
+    """OpenCV's matcher with the settings, for a number of disparities that is a multiple of 16."""
     return cv2.StereoSGBM.create(
         minDisparity=0,
         numDisparities=count,
@@ -260,10 +259,10 @@ def _halved(image: Image) -> Image:
 
 
 def turned_back(left: Camera, disparity_px: Float32) -> Float32:
-    """The disparities f b / z of the left camera's own pixels (H, W), of those of the rectified camera's.
+    """Rotate (H, W) disparities f b / z of the rectified camera back to the pixels of the left camera.
 
-    Both stand in one place, so nothing hides anything: each pixel's ray samples the rectified pixel it goes through. At
-    the border of two objects it takes the nearest pixel: between them is a point in mid-air.
+    Both cameras have the same centre, so there is no occlusion: each pixel's ray samples the rectified pixel it hits.
+    At the border of two objects it takes the nearest pixel, because interpolation would give a point in mid-air.
     """
     if np.array_equal(rectification(left), np.eye(3)):
         return disparity_px

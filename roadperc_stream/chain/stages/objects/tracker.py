@@ -1,8 +1,8 @@
 """One frame of the objects: filter the detections, associate them with tracks, and search for tracks without one.
 
-The pairs of detection and track are those of largest total similarity (the assignment problem). Similar are boxes that
-overlap; where the distances contradict each other the overlap counts for less. So an object whose distance jumps to
-something in front keeps its id, and of two that pass each other each keeps its own.
+Detections and tracks are paired for the largest total similarity (the assignment problem). The similarity is the
+overlap of the boxes, reduced if the distances contradict each other. So an object keeps its id if its distance jumps to
+something in front, and two objects that pass each other keep their ids.
 """
 
 from collections.abc import Sequence
@@ -25,24 +25,24 @@ from roadperc_stream.model import Absent, Box, Correlation, Detection, Lanes, Ob
 from roadperc_stream.model.scene import Scene
 
 MOST_TRACKS = 256
-"""Objects that are remembered; beyond, those longest without a detection are forgotten."""
+"""Largest number of tracks; beyond it, the tracks longest without a detection are dropped."""
 EXPECTED_OVERLAP = 0.4
 """Intersection over union with the predicted box from which a detection is where its object is expected."""
 DISTANCE_PENALTY = 0.3
-"""Share of the overlap that does not count where the distances contradict each other."""
+"""Share of the overlap that is subtracted if the distances contradict each other."""
 _SEARCH_SIGMAS = 3.0
 _SEARCH_SIDES = 1.0
 """Most that is searched to each side of the predicted centre, in box sides."""
 
 _BORDER_PX = 1.5
-"""A box that comes as near to the image's side goes on beyond it."""
+"""A box this near to the image's side counts as cut by it."""
 
 
 @dataclass(frozen=True)
 class ObjectsState:
-    """What the objects remember from one frame to the next; ``next_number`` names the next new object.
+    """The tracks of the last frame, and the number of the next new one.
 
-    ``path`` is the last frame's, beside which the tracks' edges are, and ``arc`` what odometry said of it.
+    ``path`` is the last frame's path, from which the tracks' edges are measured. ``arc`` is the driven curve.
     """
 
     tracks: tuple[ObjectTrack, ...] = ()
@@ -53,7 +53,7 @@ class ObjectsState:
 
 @dataclass(frozen=True)
 class _Kept:
-    """Kept detections in an order that does not depend on the detector's: items, boxes in the image, positions."""
+    """Kept detections, independent of the detector's order: objects, boxes in the image, positions."""
 
     items: tuple[Object, ...]
     boxes: tuple[Box, ...]
@@ -80,7 +80,7 @@ def step(
 
     Args:
         cfg: thresholds.
-        state: what the last frame left.
+        state: of the last frame.
         scene: the frame, later than the last one; without tags every detection is kept, without a grey image tracks
             without a detection are not searched for.
         ego_lane: the lane the car is in, None where it is not known.
@@ -227,7 +227,7 @@ def _template(cfg: ObjectsConfig, scene: Scene, track: ObjectTrack) -> Template 
 def _searched(cfg: ObjectsConfig, scene: Scene, path: EgoPath, track: ObjectTrack, kept: _Kept) -> _Searched:
     """The track and its object where its template matches, filtered as detections are; no object if it does not match.
 
-    A match that overlaps a kept detection is that object again, and one that the tags contradict is chance.
+    A match is dropped if it overlaps a kept detection, or if the tags contradict it.
     """
     searchable = cfg.template_search and tracking.confirmed(cfg, track)
     if track.template is None or scene.grey is None or not searchable:
@@ -251,7 +251,7 @@ def _searched(cfg: ObjectsConfig, scene: Scene, path: EgoPath, track: ObjectTrac
 
 
 def _around(track: ObjectTrack) -> Box:
-    """Where the object's centre may be: near the predicted one."""
+    """The search area for the object's centre, around the predicted centre."""
     width, height = track.box_px.x_max - track.box_px.x_min, track.box_px.y_max - track.box_px.y_min
     x, y = track.x_px.value, track.y_px.value
     aside = min(_SEARCH_SIGMAS * sqrt(track.x_px.value_var), _SEARCH_SIDES * width) + 1.0
@@ -260,6 +260,6 @@ def _around(track: ObjectTrack) -> Box:
 
 
 def _remembered(tracks: Sequence[ObjectTrack]) -> tuple[ObjectTrack, ...]:
-    """The tracks, the oldest first, as many as may be kept."""
+    """At most ``MOST_TRACKS`` tracks, the oldest first."""
     latest = sorted(tracks, key=lambda track: (-track.detected_ns, track.number))[:MOST_TRACKS]
     return tuple(sorted(latest, key=lambda track: track.number))
