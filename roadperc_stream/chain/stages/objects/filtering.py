@@ -1,11 +1,8 @@
 """Detections filtered by the segmentation, each with the region that fits it best and its distance.
 
-A detector also finds cars that are hidden, by what is seen around them: their boxes lie on cars before them. What the
-detection of those has is not theirs, and of what remains they get what fits, or nothing.
-
-A detector of high recall finds much that is not there, and much that is hidden: a detection is kept when pixels of its
-class fit its box that no other detection fits better, or (the lecture's filter) when enough of its box carries its
-class's tags. Its distance is a low quantile of the distances of those pixels.
+A detector of high recall reports false and hidden objects. The box of a hidden car lies on the car before it, so each
+region belongs to the detection that it fits best. A detection is kept if a region of its class fits its box, or (the
+lecture's filter) if enough of its box has tags of its class. Its distance is a low quantile of the region's distances.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -40,19 +37,19 @@ SAME_DISTANCE = 0.03
 SAME_PLACE = 0.5
 """Least share of the smaller one's bounds that regions of one object have in common."""
 _ROWS = 64
-"""Candidates that are compared with all others at once: a detector may give thousands."""
+"""Candidates compared with all others per pass: a detector may give thousands."""
 _NO_REGION: Final = (0.0, UNKNOWN)
 FITS_ALIKE = 0.1
-"""Difference of fits that says little."""
+"""Fits that differ by less count as equal."""
 AS_EXPECTED = 0.1
 """Share by which the distance of an object that is known may differ from the expected one."""
 LEAST_RATIO = 0.2
-"""Share of its class in a box that shows an object nobody has seen before, however well it fits."""
+"""Least share of its class in the box of a new object, however well its region fits."""
 _MIN_FIT = 0.7
 """Fit of its pixels' bounds to the box above which a detection is kept; what the box holds beside them costs less than
 what they hold beside it."""
 _MIN_FIT_SEEN = 0.2
-"""The same where an object has been seen for ``carry_after_s``; there ``min_class_ratio`` is enough, too."""
+"""The same for an object tracked for ``carry_after_s``; then ``min_class_ratio`` is also enough."""
 
 
 def choose(
@@ -68,8 +65,8 @@ def choose(
     Args:
         labels: of the detections.
         candidates: of each of them.
-        measure: gives a region's distance; it is asked for what may be chosen alone.
-        expected_m: how far the object of a detection is, by its position, where that is known from before.
+        measure: gives a region's distance; called only for regions that may be chosen.
+        expected_m: expected distance of an object that is already tracked, by the position of its detection.
     """
     fits = _fits(candidates, measure := cache(measure), expected_m)
     unordered = [region for of_one in candidates for region in of_one]
@@ -135,8 +132,8 @@ def filter_detections(
         cfg: thresholds.
         scene: the frame; without tags every detection is kept.
         detections: in its image; None where the frame has no detections message.
-        expected_m: where an object was seen before, the distance at which it is expected, if that is known, by the
-            detection's position: less has to fit, and of what fits alike it is what is as far.
+        expected_m: expected distance of an object that is already tracked, None if unknown, by the detection's
+            position. Such a detection needs a lower fit, and of equal fits the region at that distance wins.
 
     Returns:
         The objects in the detector's order. A label that no class belongs to is not filtered: kept, without a ratio.
@@ -154,7 +151,7 @@ def filter_detections(
 
 
 def divides(scene: Scene) -> bool:
-    """Whether a frame says where one object of a class ends and the next begins."""
+    """Whether instance masks, or tags with dense depth, separate the objects of a class."""
     return scene.instances is not None or (scene.tags is not None and scene.dense_depth_m is not None)
 
 
@@ -231,8 +228,8 @@ def _mostly_beyond(scene: Scene, box: tuple[int, int, int, int], of_class: Image
 def _is_kept(cfg: ObjectsConfig, scene: Scene, ratio: float, fit: float, *, expected: bool, beyond: bool) -> bool:
     """By the region's fit, or by the share of the box that is of the class where regions are not asked for or known.
 
-    Nor are they known beyond the depth's range.
-    Where an object is expected either is enough: it may be divided wrongly, or hidden but for a part.
+    Beyond the depth's range there are no regions. For an expected object either test is enough: it may be divided
+    wrongly, or partly hidden.
     """
     of_class = ratio > cfg.min_class_ratio
     if cfg.filter == "class_ratio" or not divides(scene):

@@ -47,9 +47,9 @@ _NEAREST = 0.05
 _STD_SHARE = 0.005
 """Of the distance, beside the least standard deviation of an edge: what a wobbling border and the path are off."""
 _VAGUE_M = 1.0
-"""Standard deviation of an edge beyond which nobody can say whether it is in the path."""
+"""Largest standard deviation of an edge for a decision whether it is in the path."""
 _VAGUE_MPS = 0.8
-"""Standard deviation of an edge's speed beyond which nobody can say whether it stays there."""
+"""Largest standard deviation of an edge's speed for a decision whether it stays there."""
 _CROSSING_MPS = 2.0
 """Speed across the path at which no lane is changed."""
 _SURE_SIGMAS = 2.0

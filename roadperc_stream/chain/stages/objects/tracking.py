@@ -137,7 +137,7 @@ def predict(cfg: ObjectsConfig, track: ObjectTrack, stamp_ns: int, now_T_last: F
 
 
 def _ego_rate(track: ObjectTrack, now_T_last: Float | None, dt_s: float) -> EgoRate | None:
-    """How fast the distance would change if the object stood still; None where nobody knows."""
+    """Rate of the distance if the object stood still; None if unknown."""
     if now_T_last is None or track.distance_m is None or track.nearest_ray is None or dt_s <= 0:
         return None
     change_m = change_of_distance_m(now_T_last, track.nearest_ray, max(track.distance_m.value, 0.0))
