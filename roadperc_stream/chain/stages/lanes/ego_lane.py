@@ -1,6 +1,5 @@
 """One frame of the ego lane: observe both boundaries, track them over time, and drop implausible ones."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -32,19 +31,25 @@ _ELSEWHERE = frozenset(("camera_changed", "too_few_inliers", "impossible_motion"
 """Why odometry is lost where the image, as far as anyone knows, shows another scene than the last one."""
 
 
-def boundary_of(
+def _boundary(
     side: Side,
     tracked: TrackedBoundary | None,
     reason: Reason | None,
-    observation: Observation | None,
+    found: Observation | Absent,
     projection: RoadProjection | None,
 ) -> Boundary:
-    """One side's boundary, or that it is lost and why."""
-    raw_px = raw_offset_m = None
-    if observation is not None and side in observation.near:
-        raw_px = lines.drawn(observation.near[side][0], float(observation.projection.camera.height), observation.far)
-        curve = observation.curves[side]
-        raw_offset_m = None if curve is None else float(curve.state[0])
+    """One side's boundary; ``lost`` with a reason if it is not tracked or cannot be used."""
+    raw_px = raw_offset_m = far = None
+    if isinstance(found, Absent):
+        unseen = found.reason
+    else:
+        far, unseen = found.far, Reason("lanes", "edges_disagree" if side in found.near else "no_line_near")
+        if side in found.near:
+            raw_px = lines.drawn(found.near[side][0], float(found.projection.camera.height), far)
+            curve = found.curves[side]
+            raw_offset_m = None if curve is None else float(curve.state[0])
+    if tracked is None and reason is None:
+        reason = Reason("lanes", "boundary_lost", (side,), unseen)
     if tracked is None or reason is not None:
         return Boundary(side, "lost", raw_px=raw_px, raw_offset_m=raw_offset_m, reason=reason)
     track = tracked.track
@@ -54,7 +59,7 @@ def boundary_of(
         side,
         "measured" if track.measured_ns == track.stamp_ns else "held",
         raw_px,
-        _chord(track.state, projection, observation.far if observation else None),
+        _chord(track.state, projection, far),
         offset,
         heading,
         curvature,
@@ -182,7 +187,7 @@ def step(
         return after, found
     reasons = implausible | unusable(after)
     projection = None if isinstance(surface, Absent) else RoadProjection(scene.camera, scene.ego_T_camera, surface)
-    boundaries = _boundaries(after, found, reasons, projection)
+    boundaries = tuple(_boundary(side, after.side(side), reasons.get(side), found, projection) for side in SIDES)
     lanes = Lanes(boundaries, lane_change=after.lane_change, lane_changes=after.lane_changes)
     if observation is None:
         return after, lanes
@@ -220,27 +225,6 @@ def _followed(
         followed(cfg, side, before.get(side), before.get(other_side(side)), observation, stamp_ns) for side in SIDES
     )
     return replace(state, left=left, right=right)
-
-
-def _boundaries(
-    state: LanesState,
-    found: Observation | Absent,
-    reasons: Mapping[Side, Reason],
-    projection: RoadProjection | None,
-) -> tuple[Boundary, ...]:
-    """Both as the result has them, lost ones with their reason."""
-    observation = None if isinstance(found, Absent) else found
-    boundaries = []
-    for side in SIDES:
-        tracked, reason = state.side(side), reasons.get(side)
-        if reason is None and tracked is None:
-            if isinstance(found, Absent):
-                unseen = found.reason
-            else:
-                unseen = Reason("lanes", "edges_disagree" if side in found.near else "no_line_near")
-            reason = Reason("lanes", "boundary_lost", (side,), unseen)
-        boundaries.append(boundary_of(side, tracked, reason, observation, projection))
-    return tuple(boundaries)
 
 
 def _observed(

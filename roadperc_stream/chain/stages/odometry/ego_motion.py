@@ -29,12 +29,13 @@ from roadperc_stream.chain.stages.odometry.keyframes import (
 )
 from roadperc_stream.chain.stages.odometry.motion import (
     Motion,
+    Scale,
     in_ego_axes,
     motion_from_points,
     moved,
     step_covariance,
 )
-from roadperc_stream.chain.stages.odometry.road_scale import Expected, Scale, scaled_by_road
+from roadperc_stream.chain.stages.odometry.road_scale import Expected, scaled_by_road
 from roadperc_stream.config import OdometryConfig, scaled
 from roadperc_stream.geometry import Float, Float32, inverse, project, transform
 from roadperc_stream.geometry.rotations import rotation_vector
@@ -92,17 +93,12 @@ class FollowedFrame:
 
 @dataclass(frozen=True)
 class Estimate:
-    """The (N, 2) pixels of the keyframe's features in a frame, and the motion and pose estimated from them.
-
-    ``scale`` is None where the length comes from the features' own points, and ``noise_variance`` then 0.
-    """
+    """The (N, 2) pixels of the keyframe's features in a frame, and the motion, pose and pitch estimated from them."""
 
     px: Float32
     motion: Motion
     odom_T_ego: Float
     pitch: CameraPitch
-    scale: Scale | None = None
-    noise_variance: float = 0.0
 
 
 def step(
@@ -185,14 +181,14 @@ def _continued(this: FollowedFrame, estimate: Estimate) -> tuple[OdometryState, 
             key_px, frame.camera.width, influence, last.influence, last_T_this, length_variance + last.length_variance
         ),
         last.stamp_ns,
-        _SCALE_REASONS.get(estimate.scale),
+        _SCALE_REASONS.get(motion.scale),
         _matches(keyframe, frame, estimate),
     )
-    if not motion.scaled and estimate.scale is None:
+    if not motion.scaled and motion.scale is None:
         keyframe = replace(keyframe, landmarks=replace(keyframe.landmarks, points_m=motion.points_m, metric=metric))
     found_px = np.where(np.isfinite(estimate.px), estimate.px, last.found_px)
-    if estimate.scale is not None:
-        length_variance = estimate.noise_variance
+    if motion.scale is not None:
+        length_variance = motion.noise_variance
     if is_due(cfg, keyframe, frame, estimate.px, motion.inliers):
         carried = carry(keyframe.landmarks, motion, estimate.px)
         keyframe = make_keyframe(cfg, frame, estimate.odom_T_ego @ frame.ego_T_camera, carried)
@@ -204,7 +200,7 @@ def _continued(this: FollowedFrame, estimate: Estimate) -> tuple[OdometryState, 
         found_px,
         influence,
         length_variance,
-        estimate.noise_variance / this.seconds**2 if metric and estimate.scale is not None else None,
+        motion.noise_variance / this.seconds**2 if metric and motion.scale is not None else None,
     )
     return OdometryState(estimate.odom_T_ego, keyframe, now, estimate.pitch), out
 
@@ -291,16 +287,14 @@ def _localised_without_depth(this: FollowedFrame, px: Float32) -> Estimate | Non
     motion = motion_from_rays(frame.camera, features_px, px, points_m, length)
     if motion is None:
         return None
-    odom_T_ego = this.pose(motion)
-    pitch = this.turned_pitch(odom_T_ego)
+    pitch = this.turned_pitch(this.pose(motion))
     if motion.this_T_key[:3, 3].any():
         direction = camera_pitch.expansion(motion, frame.ego_T_camera, features_px, frame.camera.width)
         pitch = camera_pitch.updated(pitch, direction)
         if on_road:
             longest_m = cfg.max_speed_mps * seconds
-            found = scaled_by_road(frame, this.keyframe.grey, motion, pitch, _expected(this), longest_m)
-            return Estimate(px, found.motion, this.pose(found.motion), found.pitch, found.scale, found.noise_variance)
-    return Estimate(px, motion, odom_T_ego, pitch)
+            motion, pitch = scaled_by_road(frame, this.keyframe.grey, motion, pitch, _expected(this), longest_m)
+    return Estimate(px, motion, this.pose(motion), pitch)
 
 
 def _expected(this: FollowedFrame) -> Expected | None:

@@ -98,18 +98,18 @@ def _turn(a: Float, b: Float) -> Float:
 
 def _direction(camera: Camera, a: Float, b: Float) -> tuple[Float, Float, Mask, Float] | None:
     """R, unit t with b ~ R a + t, (N,) inliers, and the (N, 6) pulls of all points on unit t and R."""
+    gate = scaled(INLIER_PX, camera.height) / camera.fx
     E, _ = cv2.findEssentialMat(
         a[:, :2],
         b[:, :2],
         np.eye(3),
         method=cv2.USAC_DEFAULT,
         prob=_CONFIDENCE,
-        threshold=scaled(INLIER_PX, camera.height) / camera.fx,
+        threshold=gate,
         maxIters=RANSAC_ITERATIONS,
     )
     if E is None or E.shape != (3, 3):
         return None
-    gate = scaled(INLIER_PX, camera.height) / camera.fx
     _, rotation, translation, _ = cv2.recoverPose(E, a[:, :2], b[:, :2], np.eye(3), mask=None)
     R, t = np.asarray(rotation, float), np.ravel(np.asarray(translation, float))
     agrees = np.abs(_sampson(R, t, a, b)) < gate

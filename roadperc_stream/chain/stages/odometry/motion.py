@@ -12,7 +12,7 @@ linear models", Biometrika 73, 1986).
 """
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
 
 import cv2
 import numpy as np
@@ -24,6 +24,7 @@ from roadperc_stream.geometry import Camera, Float, Float32, adjoint, inverse, r
 from roadperc_stream.geometry.rotations import rotation_from_vector
 from roadperc_stream.model import Mask
 
+Scale = Literal["measured", "carried", "none"]
 PIXEL_STD_PX = 0.5
 """Standard deviation of a tracked point, at 960 rows, by which points are weighed."""
 INLIER_PX: Final = 2.0
@@ -55,8 +56,9 @@ class Motion:
     ``inliers`` are the (N,) features that agree, ``points_m`` the (N, 3) points of the keyframe's features as far as
     they are known after the motion. ``influence`` are the (N, 6) small translations and rotations (m, rad) of this
     camera in its own axes by which each feature's residual pulls the motion, 0 where it has none; None where they are
-    not known. ``scaled`` says that the length comes from known points; ``length_variance`` is what of its uncertainty,
-    in square metres, the influence does not show.
+    not known. ``scaled`` says that the length is in the unit of known points; ``length_variance`` is the part of its
+    variance, in square metres, that the influence does not show. ``scale`` says how the road gave the length, None if
+    the points gave it; ``noise_variance`` is then the part of the variance that later motions do not share.
     """
 
     this_T_key: Float
@@ -65,6 +67,8 @@ class Motion:
     influence: Float | None
     scaled: bool
     length_variance: float = 0.0
+    scale: Scale | None = None
+    noise_variance: float = 0.0
 
 
 def motion_from_points(camera: Camera, points_m: Float, px: Float32, start: Float | None = None) -> Motion | None:

@@ -9,14 +9,14 @@ each other there.
 """
 
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import Final
 
 import cv2
 import numpy as np
 
 from roadperc_stream.chain.stages.odometry.camera_pitch import CameraPitch, updated
 from roadperc_stream.chain.stages.odometry.features import TrackingFrame
-from roadperc_stream.chain.stages.odometry.motion import Motion
+from roadperc_stream.chain.stages.odometry.motion import Motion, Scale
 from roadperc_stream.config import scaled
 from roadperc_stream.geometry import (
     Camera,
@@ -34,7 +34,6 @@ from roadperc_stream.geometry import (
 from roadperc_stream.geometry.ground import tilted_ground
 from roadperc_stream.model import Image, Mask
 
-Scale = Literal["measured", "carried", "none"]
 _PLANE_STD: Final = np.deg2rad(1.0)
 """Standard deviation of the pitch by the road's picture beyond its grain: a road is crowned and patched."""
 _ROAD_SHARE: Final = 0.01
@@ -75,16 +74,6 @@ class Expected:
 
 
 @dataclass(frozen=True)
-class ScaledMotion:
-    """A motion with its length, the pitch after it, the part of the length's variance that later ones do not share."""
-
-    motion: Motion
-    pitch: CameraPitch
-    scale: Scale
-    noise_variance: float
-
-
-@dataclass(frozen=True)
 class RoadView:
     """The road in the keyframe: the (M, 3) rays and (M,) grey levels of its pixels, and how many of these err alike.
 
@@ -120,8 +109,8 @@ def scaled_by_road(
     pitch: CameraPitch,
     expected: Expected | None,
     longest_m: float,
-) -> ScaledMotion:
-    """A motion with the length that the road shows, or else the one that is expected.
+) -> tuple[Motion, CameraPitch]:
+    """A motion with the length that the road shows, or else the one that is expected, and the pitch after it.
 
     Args:
         frame: this frame; its road is that of the mounting, or measured.
@@ -139,14 +128,14 @@ def scaled_by_road(
         tried_m = max(expected.length_m - reach_m, 0.0), min(expected.length_m + reach_m, longest_m)
     found = _on_road(frame, key_grey, (R, t), pitch, tried_m)
     if found is None:
-        return _carried(motion, pitch, expected)
+        return _carried(motion, pitch, expected), pitch
     if _is_assumed(frame):
         sharper = updated(pitch, (pitch.offset + found.pitch, found.pitch_variance + _PLANE_STD**2))
         found = replace(found, length_m=found.length_m + found.metres_per_pitch * (sharper.offset - pitch.offset))
         pitch = sharper
     length_m, noise = _fused(found, expected)
     shared = found.metres_per_pitch**2 * pitch.variance if _is_assumed(frame) else 0.0
-    return ScaledMotion(_with_length(motion, length_m, noise + shared), pitch, "measured", noise)
+    return _with_length(motion, "measured", length_m, noise, shared), pitch
 
 
 def _on_road(
@@ -181,15 +170,14 @@ def _fused(found: RoadMotion, expected: Expected | None) -> tuple[float, float]:
     return found.length_m + gain * off, (1.0 - gain) * noise
 
 
-def _carried(motion: Motion, pitch: CameraPitch, expected: Expected | None) -> ScaledMotion:
+def _carried(motion: Motion, pitch: CameraPitch, expected: Expected | None) -> Motion:
     if expected is None or expected.variance > (_CARRIED_SHARE * expected.length_m) ** 2:
-        return ScaledMotion(replace(motion, scaled=False), pitch, "none", 0.0)
+        return replace(motion, scaled=False, scale="none")
     shared = (_LENGTH_PER_PITCH * expected.length_m) ** 2 * pitch.variance
-    with_length = _with_length(motion, expected.length_m, expected.variance + shared)
-    return ScaledMotion(with_length, pitch, "carried", expected.variance)
+    return _with_length(motion, "carried", expected.length_m, expected.variance, shared)
 
 
-def _with_length(motion: Motion, length_m: float, variance: float) -> Motion:
+def _with_length(motion: Motion, scale: Scale, length_m: float, noise: float, shared: float) -> Motion:
     """A motion as long as that; what it triangulated is as far away as that makes it."""
     factor = length_m / float(np.linalg.norm(motion.this_T_key[:3, 3]))
     R, t = motion.this_T_key[:3, :3], motion.this_T_key[:3, 3]
@@ -200,7 +188,9 @@ def _with_length(motion: Motion, length_m: float, variance: float) -> Motion:
         points_m=factor * motion.points_m,
         influence=influence,
         scaled=True,
-        length_variance=variance,
+        length_variance=noise + shared,
+        scale=scale,
+        noise_variance=noise,
     )
 
 
