@@ -78,20 +78,17 @@ def test_the_change_lasts_while_the_car_is_over_the_line():
     assert ACROSS[last] == pytest.approx(1.75 + half_car, abs=0.25)
 
 
-@pytest.mark.parametrize(("std_m", "changes"), [(0.02, 1), (0.4, 0)])
-def test_only_a_line_that_is_known_is_crossed(std_m, changes):
-    """The same place, 30 cm past the line: one that is hardly known may as well be ahead."""
-    track = tracking.start(np.array([-0.3, 0.0, 0.0]), np.diag([std_m, 0.01, 0.001]) ** 2, 1)
-    state = LanesState(left=TrackedBoundary(track, 20.0))
-    after = handed_over(CFG, state, None, 1)
-    assert after.lane_changes == changes
-    assert (after.right is None) == (changes == 0)
-
-
-def test_a_line_that_is_hardly_known_ahead_is_not_given_after_the_crossing_either():
-    track = tracking.start(np.array([-0.3, 0.0, 0.0]), np.diag([0.02, 0.1, 0.001]) ** 2, 1)
+@pytest.mark.parametrize(
+    ("std_m", "heading_std", "changes", "is_sure"),
+    [(0.02, 0.01, 1, True), (0.02, 0.1, 1, False), (0.4, 0.01, 0, None)],
+    ids=["known", "uncertain ahead", "uncertain"],
+)
+def test_only_a_line_that_is_known_is_crossed(std_m, heading_std, changes, is_sure):
+    """The same place, 30 cm past the line: a line that is hardly known may as well be ahead."""
+    track = tracking.start(np.array([-0.3, 0.0, 0.0]), np.diag([std_m, heading_std, 0.001]) ** 2, 1)
     after = handed_over(CFG, LanesState(left=TrackedBoundary(track, 20.0)), None, 1)
-    assert not after.right.is_sure
+    assert after.lane_changes == changes
+    assert (after.right and after.right.is_sure) == is_sure
 
 
 def test_a_change_that_is_broken_off_is_none():
