@@ -90,11 +90,7 @@ def step(
 def observe(cfg: ReplayConfig, frame: Frame, timer: Timer = nullcontext, threads: int = 1) -> Scene:
     """Decode what the enabled stages need, and match the stereo pair. This part of the chain needs no state.
 
-    Args:
-        cfg: the chain's configuration.
-        frame: its input.
-        timer: measures decoding and stereo.
-        threads: OpenCV may match with two of them: it gives the same bits in half the time.
+    With two or more ``threads`` OpenCV matches in half the time, with the same bits.
     """
     stages, undecodable, problems = _EnabledStages(cfg, timer), list[Reason](), list[Reason]()
     camera = frame.camera

@@ -176,17 +176,9 @@ def line_on_ground(points: Float) -> Float | None:
 
 
 def fit_curve(cfg: LanesConfig, edges: Edges, line: Float, side: Side, metres_per_px: float) -> Curve | None:
-    """The boundary near a line, from edges on the ground.
+    """The boundary near a line, from the edges of its side on the ground; None if too few edges support it.
 
-    Args:
-        cfg: width of the strip.
-        edges: those of its side.
-        line: (3,) where the Hough line has it.
-        side: the boundary's side.
-        metres_per_px: width of a pixel one metre ahead.
-
-    Returns:
-        The curve, or None where too few edges support it.
+    ``line`` is the (3,) state of the Hough line, ``metres_per_px`` the width of a pixel one metre ahead.
     """
     near = np.abs(edges.y - lateral(line, edges.x)) < _SEARCH_M
     if np.count_nonzero(near) < _MIN_POINTS or edges.x[near].min() > NEAR_M:

@@ -166,16 +166,11 @@ def step(
 ) -> tuple[LanesState, Lanes | Absent]:
     """Measure the ego lane in one frame and filter it over time.
 
-    Args:
-        cfg: thresholds.
-        state: what the last frame left.
-        scene: the frame; without tags what is known is held.
-        surface: the road in the front camera's frame.
-        drivable: (H, W) drivable surface.
-        motion: of the ego frame since the last frame, in metres, or that it is lost; None where it is not known.
+    Without tags, boundaries are held. ``surface`` is in the front camera's frame, ``drivable`` is (H, W). ``motion`` is
+    that of the ego frame since the last frame, in metres, or lost; None if it is unknown.
 
     Returns:
-        The new state, and the lanes: absent where nothing could be observed and nothing is held.
+        The new state, and the lanes; absent if nothing is observed and nothing held.
     """
     found = _observed(cfg, scene, surface, drivable)
     observation = None if isinstance(found, Absent) else found

@@ -42,15 +42,9 @@ def followed(
     observation: Observation | None,
     stamp_ns: int,
 ) -> TrackedBoundary | None:
-    """The boundary as the frame has it; None where there is none yet or it has not been measured for too long.
+    """The boundary of one side in this frame; None if it is not found yet or was last measured too long ago.
 
-    Args:
-        cfg: thresholds.
-        side: which one.
-        before: its prediction.
-        other: that of the other side's.
-        observation: what the frame shows; None without tags.
-        stamp_ns: the frame's.
+    ``before`` and ``other`` are the predictions of this side and the other; ``observation`` is None without tags.
     """
     curve = observation.curves.get(side) if observation else None
     # While the other side's boundary is crossed the car has it on both sides.
@@ -137,12 +131,9 @@ def handed_over(cfg: LanesConfig, state: LanesState, observation: Observation | 
 
 
 def change_of(cfg: LanesConfig, before: LaneChange, state: LanesState) -> LaneChange:
-    """The side on which the car is over a line on its way into another lane, or has been and is not clear of it yet.
+    """The side on which part of the car is over a line on its way into another lane, until it is clear of it.
 
-    Args:
-        cfg: how wide the car is.
-        before: that of the last frame.
-        state: the boundaries of this one.
+    ``before`` is the lane change of the last frame.
     """
     known = {side: boundary for side in SIDES if (boundary := state.side(side)) is not None}
     over = {side: b for side, b in known.items() if outward(side) * b.offset_m < cfg.car_width_m / 2}

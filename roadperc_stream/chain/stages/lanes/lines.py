@@ -76,12 +76,7 @@ def _rows_around(mask: Image, margin: int) -> slice | None:
 
 
 def propose(cfg: LanesConfig, edges: Image) -> Float:
-    """(N, 4) x1, y1, x2, y2 of Hough lines along edges.
-
-    Args:
-        cfg: thresholds, for 960 rows.
-        edges: (H, W) uint8, 255 at edges.
-    """
+    """(N, 4) x1, y1, x2, y2 of Hough lines along (H, W) uint8 edges of 255. The thresholds are for 960 rows."""
     scale = scaled(1.0, edges.shape[0])
     found = cv2.HoughLinesP(
         edges,
@@ -108,12 +103,9 @@ def on_road(proposals: Float, drivable: Mask) -> Float:
 
 
 def line_shares(lines: Float, mask: Mask, margin_px: int) -> Float:
-    """(N,) shares of lines that lie on a mask, of one pixel for every column or every row.
+    """(N,) shares of (N, 4) lines x1, y1, x2, y2 that lie on an (H, W) mask, widened by a margin on all sides.
 
-    Args:
-        lines: (N, 4) x1, y1, x2, y2 in the image.
-        mask: (H, W).
-        margin_px: pixels by which the mask reaches farther to all sides, the corners too.
+    A line has one pixel for every column, or for every row if it is steep.
     """
     if not len(lines):
         return np.empty(0)

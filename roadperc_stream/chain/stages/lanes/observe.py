@@ -116,13 +116,8 @@ class Observation:
 def facing_edges(separators: Image, drivable: Mask, side: Side, top: int) -> Float:
     """(N, 2) pixels on the edge between a separator and the road beside it, towards the ego lane.
 
-    Row by row from above, those of a row outermost first.
-
-    Args:
-        separators: (H - top, W) uint8 from row ``top`` down, 1 at separators.
-        drivable: (H, W) drivable surface.
-        side: the boundary's side: a left one faces right.
-        top: the first row evaluated.
+    Row by row from above, those of a row outermost first. ``separators`` (H - top, W) are 1 from row ``top`` down,
+    ``drivable`` is (H, W). The edges of a left boundary face right.
     """
     towards = round(outward(side))
     rows, columns = _ends_of_runs(separators, towards)
@@ -140,15 +135,7 @@ def facing_edges(separators: Image, drivable: Mask, side: Side, top: int) -> Flo
 
 
 def observe(cfg: LanesConfig, projection: RoadProjection, tags: Image, table: TagTable, drivable: Mask) -> Observation:
-    """Find the ego lane's boundaries in one frame.
-
-    Args:
-        cfg: thresholds.
-        projection: camera and road.
-        tags: (H, W) tags of ``table``.
-        table: the tags' table.
-        drivable: (H, W) drivable surface.
-    """
+    """Find the ego lane's boundaries in one frame, from (H, W) tags and its (H, W) drivable surface."""
     far = lines.road_far_end(drivable)
     if far is None:
         return Observation(projection, tags, table, float(projection.camera.cy))

@@ -138,15 +138,10 @@ def start(state: Float, covariance: Float, stamp_ns: int) -> BoundaryTrack:
 
 
 def predict(cfg: LanesConfig, track: BoundaryTrack, stamp_ns: int, moved: Odometry | None) -> BoundaryTrack:
-    """The track at a later stamp, by how the car moved since, or without that by its own rate.
+    """The track at a later stamp: by the car's motion since the last one, else by its own rate.
 
-    The noise is that of continuous random walks, so that it does not matter in how many steps a time passes.
-
-    Args:
-        cfg: noise of the sideways motion.
-        track: at the last stamp.
-        stamp_ns: the later one.
-        moved: the car's motion between the stamps, in metres and with its covariance; None where it is not known.
+    ``moved`` is in metres and has a covariance; None if it is unknown. The noise is that of continuous random walks, so
+    the number of steps does not matter.
     """
     dt = (stamp_ns - track.stamp_ns) / NS_PER_S
     if moved is not None and moved.step is not None:

@@ -75,16 +75,10 @@ class CameraPitch:
 def pitch_by_lines(
     camera: Camera, ego_T_camera: Float, grey: Image, movable: Image | None
 ) -> tuple[float, float] | None:
-    """By how much more than the mounting says the camera looks down, and the variance of that.
+    """How much further down than its mounting the camera looks, radians, and the variance.
 
-    Args:
-        camera: of the image.
-        ego_T_camera: its mounting.
-        grey: (H, W) the image.
-        movable: (H, W) not 0 on what moves, whose lines run anywhere, or None.
-
-    Returns:
-        Radians and their square; None where too few lines agree on a point near the horizon.
+    Lines of the (H, W) image count where ``movable`` (H, W) is 0. None if too few of them agree on a point near the
+    horizon.
     """
     segments = _segments(camera, grey, movable)
     if len(segments) < _LEAST_SEGMENTS:
@@ -209,17 +203,10 @@ def updated(pitch: CameraPitch, measured: tuple[float, float] | None) -> CameraP
 
 
 def expansion(motion: Motion, ego_T_camera: Float, key_px: Float32, width: int) -> tuple[float, float] | None:
-    """The pitch by the direction of motion, and its variance.
+    """The pitch by the direction of motion from the keyframe, radians, and its variance.
 
-    Args:
-        motion: from the keyframe.
-        ego_T_camera: the mounting.
-        key_px: (N, 2) the keyframe's features.
-        width: of its image.
-
-    Returns:
-        The elevation of the motion in ego's axes, radians, which is how far down the camera looks; None where the
-        direction is not sure, or the car turns tightly.
+    It is the elevation of the motion in the ego frame's axes. ``key_px`` are the (N, 2) features of the keyframe, in an
+    image ``width`` pixels wide. None if the direction is uncertain or the car turns tightly.
     """
     this_T_key = ego_T_camera @ motion.this_T_key @ inverse(ego_T_camera)
     driven = this_T_key[:3, 3] * np.sign(this_T_key[0, 3])

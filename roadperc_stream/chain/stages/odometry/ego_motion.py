@@ -110,20 +110,13 @@ def step(
 ) -> tuple[OdometryState, Odometry | Absent]:
     """Follow the camera from the last frames to this one.
 
-    The keyframe outlives frames that are missing: the first one found again continues from it, and no motion is lost.
-    Where its points are not found again, the frame is lost and becomes the keyframe, at the last pose known.
-
-    Args:
-        cfg: thresholds.
-        state: what the last frame left.
-        scene: the frame, later than the last one; without a grey image it is missing, without dense depth the motion
-            comes from the image alone; pixels of vehicles and pedestrians are left out.
-        road: the road in the front camera's frame, which gives the scale where there is no depth; None: it is not
-            known.
-        rng: seeds OpenCV's random numbers.
+    The keyframe outlives missing frames, that is frames without a grey image: the next frame continues from it, and no
+    motion is lost. If its points are not found again, the frame is lost and becomes the keyframe, at the last known
+    pose. Without dense depth the motion comes from the image alone, and its scale from ``road`` (in the front camera's
+    frame). Pixels of vehicles and pedestrians are left out. ``rng`` seeds OpenCV's random numbers.
 
     Returns:
-        The new state, and the pose; absent where there has been no image yet.
+        The new state, and the pose; absent before the first image.
     """
     if scene.grey is None:
         why = Reason("odometry", "image_unusable" if scene.image_unusable else "no_image")
@@ -309,13 +302,7 @@ def _expected(this: FollowedFrame) -> Expected | None:
 
 
 def aligned(keyframe: Keyframe, frame: TrackingFrame, this_T_key: Float) -> Float32:
-    """(N, 2) pixels of the keyframe's features in a frame, NaN where they do not look as predicted.
-
-    Args:
-        keyframe: with points and slopes.
-        frame: the frame.
-        this_T_key: the motion.
-    """
+    """(N, 2) pixels of the keyframe's features in a frame after a motion, NaN where they do not look as predicted."""
     landmarks = keyframe.landmarks
     predicted = predicted_px(keyframe, frame, this_T_key)
     chosen = np.flatnonzero(np.isfinite(predicted[:, 0]) & np.isfinite(landmarks.slope[:, 0]))

@@ -39,17 +39,10 @@ def motion_from_rays(
     points_m: Float,
     fallback_length: float,
 ) -> Motion | None:
-    """The motion between two images.
+    """The motion between the keyframe and this frame, and the points that it triangulates; None if too few agree.
 
-    Args:
-        camera: of both.
-        key_px: (N, 2) pixels in the keyframe.
-        px: (N, 2) pixels in this frame, NaN not found.
-        points_m: (N, 3) in the keyframe's camera, NaN unknown.
-        fallback_length: the motion's length where too few points are known.
-
-    Returns:
-        The motion, its points filled up with those it triangulates; None where too few agree on any.
+    The features are at the (N, 2) pixels ``key_px`` and ``px`` (NaN: not found). ``points_m`` are their (N, 3) points
+    in the keyframe's camera, NaN unknown. With too few known points the motion has the ``fallback_length``.
     """
     usable = np.flatnonzero(np.isfinite(px).all(axis=1))
     if len(usable) < _SMALLEST_SET:

@@ -72,16 +72,10 @@ class Motion:
 
 
 def motion_from_points(camera: Camera, points_m: Float, px: Float32, start: Float | None = None) -> Motion | None:
-    """The motion that projects points to the pixels where they were found.
+    """The metric motion that projects points to the pixels where they were found; None if too few points agree.
 
-    Args:
-        camera: of both frames.
-        points_m: (N, 3) in the keyframe's camera, NaN unknown.
-        px: (N, 2) pixels in this frame, NaN not found.
-        start: a motion nearby; None: RANSAC looks for one.
-
-    Returns:
-        The metric motion, or None where too few points agree on any.
+    ``points_m`` are (N, 3) in the keyframe's camera, NaN unknown; ``px`` are (N, 2) in this frame, NaN not found. The
+    search begins at ``start``, else at a motion that RANSAC finds.
     """
     usable = np.flatnonzero(np.isfinite(points_m).all(axis=1) & np.isfinite(px).all(axis=1))
     if len(usable) < _SMALLEST_SET:
@@ -117,16 +111,10 @@ def _consensus(camera: Camera, X: Float, px: Float) -> Float | None:
 
 
 def refined(camera: Camera, X: Float, px: Float, this_T_key: Float) -> tuple[Float, Mask, Float | None]:
-    """Gauss-Newton over those that agree, who are chosen anew each time.
+    """The motion refined by Gauss-Newton, (N,) inliers, and their (M, 6) influence.
 
-    Args:
-        camera: of both frames.
-        X: (N, 3) points in the keyframe's camera.
-        px: (N, 2) pixels in this frame.
-        this_T_key: the start.
-
-    Returns:
-        this_T_key, (N,) inliers, and the (M, 6) influence of these, None where the points do not determine it.
+    ``X`` are (N, 3) points in the keyframe's camera, ``px`` their (N, 2) pixels in this frame. Every iteration chooses
+    the inliers again. The influence is None if the points do not determine the motion.
     """
     std_px = scaled(PIXEL_STD_PX, camera.height)
     projection = Projection(camera.fx, camera.fy, camera.cx, camera.cy)

@@ -110,15 +110,10 @@ def scaled_by_road(
     expected: Expected | None,
     longest_m: float,
 ) -> tuple[Motion, CameraPitch]:
-    """A motion with the length that the road shows, or else the one that is expected, and the pitch after it.
+    """The motion with the length that the road shows, else the expected length; and the updated pitch.
 
-    Args:
-        frame: this frame; its road is that of the mounting, or measured.
-        key_grey: the keyframe's image.
-        motion: turn and direction.
-        pitch: of the camera, if the road is that of the mounting.
-        expected: the length by the speed so far; None: not known.
-        longest_m: by the fastest motion since the keyframe.
+    ``key_grey`` is the keyframe's image. The pitch counts if the road's plane is assumed from the mounting.
+    ``expected`` is the length at the last known speed, ``longest_m`` the length at the greatest possible speed.
     """
     length = float(np.linalg.norm(motion.this_T_key[:3, 3]))
     R, t = motion.this_T_key[:3, :3], motion.this_T_key[:3, 3] / length
@@ -224,17 +219,17 @@ def road_motion(
     key_T_this_turn: tuple[Float, Float],
     tried_m: tuple[float, float],
 ) -> RoadMotion | None:
-    """The length of a motion by the road's picture.
+    """The length of a motion by the road's image.
 
     Args:
-        view: the road in the keyframe's.
+        view: the road in the keyframe.
         grey: (H, W) this image.
-        movable: (H, W) not 0 where this image shows what moves, or None.
+        movable: (H, W) not 0 on movable objects in this image, or None.
         key_T_this_turn: the (3, 3) rotation R and the (3,) unit direction t with X_this = R X_key + length t.
         tried_m: shortest and longest length.
 
     Returns:
-        The length, or None where the road has too little texture, or fits no length in between clearly.
+        The length; None if the road has too little texture, or clearly fits no length in between.
     """
     picture = _Picture(view, high_pass(grey), movable, *key_T_this_turn)
     shift_px = picture.shift_px_per_m
