@@ -31,7 +31,7 @@ def needs_grey(cfg: ReplayConfig, frame: Frame) -> bool:
 
 
 def left_is_front(frame: Frame) -> bool:
-    """Whether the pair's left camera is the front camera, and not one of its own, whose image may be missing."""
+    """Whether the front camera is also the left camera of the stereo pair."""
     return frame.left is None and frame.left_camera == frame.camera
 
 

@@ -127,7 +127,7 @@ def observe(cfg: ReplayConfig, frame: Frame, timer: Timer = nullcontext, threads
 
 
 def localise(cfg: ReplayConfig, state: ChainState, scene: Scene, timer: Timer = nullcontext) -> LocalisedFrame:
-    """Find the road and the car's motion. Of the state only stamp, surface and odometry are used."""
+    """Find the road and the car's motion. Use only stamp, surface and odometry of the state."""
     stages, no_road = _EnabledStages(cfg, timer), _off("surface")
     last, _ = _in_order(state, scene.stamp_ns)
     rng = np.random.default_rng((cfg.seed, scene.stamp_ns % 2**63))
@@ -156,7 +156,7 @@ def localise(cfg: ReplayConfig, state: ChainState, scene: Scene, timer: Timer = 
 def perceive(
     cfg: ReplayConfig, state: ChainState, localised: LocalisedFrame, timer: Timer = nullcontext
 ) -> tuple[ChainState, FrameResult]:
-    """Find what is on the road. Of the state only stamp, lanes and objects are used."""
+    """Find what is on the road. Use only stamp, lanes and objects of the state."""
     stages, road, drivable = _EnabledStages(cfg, timer), localised.front_road, localised.drivable
     last, out_of_order = _in_order(state, localised.scene.stamp_ns)
     scene = _with_grey_for_tracks(cfg, last, localised.scene, timer)
@@ -256,12 +256,12 @@ def _metric_road(scene: Scene, front_road: Surface | Absent) -> Surface | None:
 
 
 def _shown_pitch(state: OdometryState) -> float | None:
-    """By how much the camera looks further down than its mounting says, radians, if the drive has shown it."""
+    """The pitch of the camera beyond its mounting, radians, downwards; None if no motion has shown it."""
     return state.pitch.offset if state.pitch is not None and state.pitch.measured else None
 
 
 def _metric_motion(motion: Odometry | Absent, since_ns: int | None) -> Odometry | None:
-    """A motion in metres that begins at the last frame, or that it is lost; None of any other."""
+    """The motion if it is lost, or if it is in metres and begins at the last frame; else None."""
     if isinstance(motion, Absent) or motion.status == "first" or motion.up_to_scale:
         return None
     return motion if motion.status == "lost" or motion.since_ns == since_ns else None
@@ -282,7 +282,7 @@ def _with_grey_for_tracks(cfg: ReplayConfig, state: ChainState, scene: Scene, ti
 def _stereo(
     cfg: ReplayConfig, frame: Frame, grey: Image | None, problems: list[Reason], threads: int
 ) -> StereoDepth | Absent:
-    """Depth of the pair whose left camera is the front camera, or one of its own."""
+    """Depth of the stereo pair; its left camera may be the front camera."""
     if frame.right is None:
         return Absent(Reason("stereo", "no_right_image"))
     if frame.right_camera is None:
@@ -294,7 +294,7 @@ def _stereo(
 
 
 def _odd_camera(scene: Scene) -> Iterator[Reason]:
-    """What is wrong with the calibration of the front camera."""
+    """Problems of the front camera's calibration."""
     if scene.camera.lens is not None:
         yield Reason("image", "not_rectified")
     if not scene.camera.square_pixels:
@@ -302,9 +302,9 @@ def _odd_camera(scene: Scene) -> Iterator[Reason]:
 
 
 def _missing_inputs(scene: Scene, road: Surface | Absent, tracked: Objects | Absent) -> Iterator[Reason]:
-    """What a stage that gave something had to do without."""
+    """The missing inputs of stages that still have an output."""
     source = None if isinstance(road, Absent) else road.source
-    if scene.depth is None and source != "held":  # of a plane that is held its own reason says so
+    if scene.depth is None and source != "held":  # a held plane has its own reason
         code = "no_depth_pitch_estimated" if source == "estimated" else "no_depth_plane_assumed"
         yield Reason("surface", code, (scene.plane_source,))
     if scene.depth is not None and scene.tags is None:

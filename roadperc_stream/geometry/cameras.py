@@ -22,7 +22,7 @@ _FARTHEST_CENTRE: Final = 10.0
 
 @dataclass(frozen=True)
 class Lens:
-    """The optics of an image that is not rectified yet: a pinhole of its own, distorted, and turned.
+    """The optics of an unrectified image: a distorted pinhole camera and its rotation.
 
     ``R`` is the (3, 3) rotation, row by row, from this lens's frame to the rectified camera's; ``model`` names the
     meaning of the camera's ``distortion``, as foxglove.CameraCalibration does.
@@ -45,8 +45,7 @@ class Lens:
 class Camera:
     """A rectified pinhole camera; ``baseline_m`` is set on the right camera of a rectified pair (P[0, 3] = -fx b).
 
-    With a ``lens`` its images are not rectified yet, and the lens says how to; with ``distortion`` but no lens nobody
-    knows how.
+    With a ``lens`` its images are unrectified and can be rectified; with ``distortion`` but no lens they cannot.
     """
 
     frame_id: str

@@ -75,7 +75,7 @@ class Surface:
 
     @property
     def measured(self) -> bool:
-        """Whether it is this frame's own, and not what stands in for one."""
+        """Whether this frame's depth or segmentation shows it: it is not held, estimated or assumed."""
         return self.source not in ("held", "estimated", "assumed")
 
     @property

@@ -225,7 +225,7 @@ def line_overlaps(predicted: Sequence[Float], truth: Sequence[Float], shape: tup
     """(predicted, truth) intersections over union of drawn lines, by which CULane pairs them.
 
     A line is (N, 2) x, y in px from end to end, joined by straight pieces. It is drawn 30 px wide in the benchmark's
-    images, which are 1640 px wide, and its width grows with the image, of which ``shape`` is rows and columns.
+    images, which are 1640 px wide, and its width grows with the image. ``shape`` is rows and columns.
     """
     width_px = CULANE_WIDTH_PX * shape[1] / CULANE_COLUMNS
     places = [np.flatnonzero(_drawn(line, shape, width_px)) for line in predicted]  # a line fills few of the pixels

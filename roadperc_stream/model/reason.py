@@ -117,7 +117,7 @@ _CAUSE: Final = "cause"
 _CAUSE_SOURCE: Final[dict[str, str]] = {"no_surface": "surface", "no_drivable_surface": "drivable"}
 """Whose reason a cause is; of other codes it is one of the same source."""
 _DETAIL: Final = "detail"
-"""What a library or a file says: it may differ in numbers that nobody knows the meaning of."""
+"""What a library or a file says: its numbers and words do not distinguish kinds."""
 _SOURCE: Final = re.compile(r"([a-z_]+): (.*)", re.DOTALL)
 _NUMBERS: Final = {"d": r"-?\d+", "g": r"-?(?:[\d.]+(?:e[-+]\d+)?|inf|nan)", ".0f": r"-?\d+|nan", ".0%": r"-?\d+%"}
 

@@ -78,7 +78,7 @@ class Sample:
     skew_ns: int | None = None
     anchor: FrameAnchor = field(default_factory=FrameAnchor)
     segment: int = 0
-    """How often the stamps before it began anew."""
+    """Number of restarts of the stamps before it."""
     lost: Reason | None = None
     """That messages were lost to damage since the frame before."""
 

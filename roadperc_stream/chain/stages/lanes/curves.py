@@ -44,7 +44,7 @@ _LEAST_SPREAD = 0.67
 _CURVATURE_INFORMATION = 0.01**-2
 """Inverse variance of road curvature: where a short stretch does not determine it, the road is close to straight."""
 _CORRELATED_ROWS = 24.0
-"""Errors of edges in neighbouring rows are correlated: so many edges count as one."""
+"""Errors of edges in neighbouring rows are correlated: this many edges count as one."""
 _NOISE_PX = (1.0, 2.0, 4.0, 8.0, 16.0)
 """How far edges are tried to lie off the boundary, standard deviations: the least that explains them is taken."""
 _LOW_PX = 1.0
@@ -57,9 +57,9 @@ _FARTHEST_STD_M = 0.3
 _PEAK_AT_M = 4.0
 _NOISY_PEAK_SHARE = 0.8
 _CONTRAST = 3.0
-"""Contrast from which edges that err stand for a boundary; blobs of wrong tags alone reach 1 to 2."""
+"""Least contrast of a boundary with noisy edges; blobs of wrong tags reach 1 to 2."""
 _SURE_CONTRAST = 4.0
-"""The same where nothing was known of it before."""
+"""Least contrast of a new boundary with noisy edges."""
 _INSIDE_M = (0.6, 0.8, 1.0, 1.2)
 _CHANCE_ROWS = 5.0
 
@@ -98,7 +98,7 @@ class _Noise:
 
     @property
     def is_low(self) -> bool:
-        """Whether edges can be told apart by how far inside they lie."""
+        """Whether the noise is low enough to separate parallel edges."""
         return self.edge_px <= _LOW_PX
 
     @property
@@ -248,7 +248,7 @@ def _contrast(curve: Curve, edges: Edges, std_m: Float, side: Side) -> float:
 
 
 def _rows_near(curve: Curve, edges: Edges, within_m: Float, side: Side, asides_m: tuple[float, ...]) -> tuple[int, ...]:
-    """How many rows have an edge near each of the lines so far inside the curve, as far as that reaches."""
+    """Number of rows with an edge near each line at these distances inside the curve, within its reach."""
     points = Points(edges.x, edges.y, within_m, edges.rows, within_m, within_m)
     offset, heading, curvature = curve.state.tolist()
     return rows_beside(points, (offset, heading, curvature), -outward(side), curve.reach_m, asides_m)

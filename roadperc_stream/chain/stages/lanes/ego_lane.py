@@ -26,9 +26,9 @@ _CERTAIN_STD_M = 0.09
 _PARALLEL_M = 0.3
 """By how much the lane's width may change until there: boundaries that edges of wrong tags turn are not parallel."""
 _TURNED = 0.1
-"""Of two boundaries whose headings differ by more, the one that runs less along the car is the wrong one."""
+"""If two headings differ by more, the boundary that is turned farther from the car's axis is wrong."""
 _ELSEWHERE = frozenset(("camera_changed", "too_few_inliers", "impossible_motion"))
-"""Why odometry is lost where the image, as far as anyone knows, shows another scene than the last one."""
+"""Codes with which odometry is lost because the image may show another scene than the last one."""
 
 
 def _boundary(
@@ -110,7 +110,7 @@ def without_implausible(state: LanesState) -> tuple[LanesState, dict[Side, Reaso
 
 
 def unusable(state: LanesState) -> dict[Side, Reason]:
-    """Boundaries that are followed, but are none to be given in this frame, and why."""
+    """The tracked boundaries that cannot be used in this frame, each with its reason."""
     reasons = {side: _fault(state, side, tracked) for side in SIDES if (tracked := state.side(side))}
     return {side: reason for side, reason in reasons.items() if reason is not None}
 
@@ -192,7 +192,7 @@ def step(
 
 
 def _remembered(cfg: LanesConfig, state: LanesState, motion: Odometry | None, stamp_ns: int) -> LanesState:
-    """What still holds: of another scene, and after seconds in which nobody knows how the car moved, nothing."""
+    """The state, cleared if the scene is another one or the motion was unknown for more than ``lanes.hold_s``."""
     known = [boundary.track.stamp_ns for side in SIDES if (boundary := state.side(side)) is not None]
     gap_s = (stamp_ns - max(known)) / NS_PER_S if known else 0.0
     elsewhere = motion is not None and motion.reason is not None and motion.reason.code in _ELSEWHERE
@@ -209,7 +209,7 @@ def _tracked(motion: Odometry | None) -> Odometry | None:
 def _followed(
     cfg: LanesConfig, state: LanesState, motion: Odometry | None, observation: Observation | None, stamp_ns: int
 ) -> LanesState:
-    """Both boundaries at this frame's time."""
+    """Both boundaries at the stamp of this frame."""
     moved = _tracked(motion) if cfg.use_odometry else None
     before = {
         side: replace(known, track=tracking.predict(cfg, known.track, stamp_ns, moved))

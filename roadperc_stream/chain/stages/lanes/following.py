@@ -17,11 +17,11 @@ from roadperc_stream.config import LanesConfig
 from roadperc_stream.model import SIDES, LaneChange, Side
 
 JUDGED_AT_M = 10.0
-"""How far ahead a boundary must be known, as well as at the car."""
+"""A boundary must be known at the car and at this distance ahead."""
 MIN_WIDTH_M = 2.0
-"""Narrowest lane: of boundaries closer together one is none."""
+"""Narrowest lane: if boundaries are closer together, one of them is wrong."""
 MAX_STD_M = 0.16
-"""Standard deviation, at the car or ``JUDGED_AT_M`` ahead, beyond which a boundary is lost: it might be anywhere."""
+"""Standard deviation, at the car or ``JUDGED_AT_M`` ahead, beyond which a boundary is lost."""
 _SAME_M = 0.6
 """A line so close to the other boundary's prediction is that boundary, both edges of a double line included."""
 _MARKING_M = 0.15
@@ -30,7 +30,7 @@ _MARKING_STD_M = 0.1
 _CROSSED_STD = 2.0
 """Standard deviations by which the car must be past the line: one that is hardly known is crossed by chance."""
 _DOUBLE_M = 0.6
-"""No marking is wider, a double one neither."""
+"""Widest marking, double markings included."""
 _LINE_STEP = np.array([1.0, 0.0, 0.0])
 
 
@@ -84,7 +84,7 @@ def judged(tracked: TrackedBoundary) -> TrackedBoundary:
 
 
 def least_known_m(tracked: TrackedBoundary) -> float:
-    """How far ahead, at the car or ``JUDGED_AT_M``, the boundary is known the less well."""
+    """Where the boundary is less certain: 0, at the car, or ``JUDGED_AT_M``."""
     return max(0.0, JUDGED_AT_M, key=lambda x_m: tracking.std_at(tracked.track, x_m))
 
 

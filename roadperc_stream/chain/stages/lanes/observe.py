@@ -1,4 +1,4 @@
-"""Both boundaries of the ego lane as one frame alone shows them, without memory."""
+"""Both boundaries of the ego lane in a single frame, without state."""
 
 from dataclasses import dataclass, field, replace
 
@@ -84,7 +84,7 @@ class Observation:
     """The curve on the road of the closest line on either side, None where none fits."""
 
     def curve_beyond(self, cfg: LanesConfig, side: Side, least_m: float) -> Curve | None:
-        """The curve of the closest line that lies so far out at the ego origin."""
+        """The curve of the closest line that lies at least this far out at the ego origin."""
         curves = (_curve(cfg, self, side, group) for group in self.near.get(side, ()))
         return next((c for c in curves if c is not None and outward(side) * float(c.state[0]) > least_m), None)
 

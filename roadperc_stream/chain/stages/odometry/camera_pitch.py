@@ -40,7 +40,7 @@ _LEAST_SEGMENTS: Final = 6
 _LEAST_SHARE: Final = 0.5
 """Share of the segments' length that must agree."""
 _REFINEMENTS: Final = 4
-"""The two edges of a marking cross the others beside the point: which segments agree is asked anew each time."""
+"""The two edges of a marking cross the others beside the point: every refinement selects the segments again."""
 _SINGULAR: Final = 1e6
 _LEAST_SPREAD: Final = 0.5
 """Radians between the segments' directions: those of one bundle cross anywhere along it."""
@@ -53,7 +53,7 @@ _TIGHTEST_PER_M: Final = 0.05
 _SLOPE_STD_PER_ROOT_M: Final = np.deg2rad(0.15)
 _TURN_STD_PER_ROOT_S: Final = np.deg2rad(0.06)
 """Standard deviations of the road's change of slope after a metre, and of the tracked turn after a second; their
-squares grow with way and time, whatever the frame rate."""
+squares grow with distance and time, at any frame rate."""
 _UNSEEN_SPEED_MPS: Final = 15.0
 """How fast the car is taken to drive while nothing is tracked."""
 _GATE: Final = 9.0
@@ -168,7 +168,7 @@ def _meeting(segments: Float, lengths: Float) -> tuple[Float, float] | None:
 
 
 def begun(cfg: OdometryConfig) -> CameraPitch:
-    """What is known by the mounting alone."""
+    """The initial pitch, by the mounting alone."""
     return CameraPitch(0.0, float(np.deg2rad(cfg.pitch_std_deg)) ** 2)
 
 
@@ -180,7 +180,7 @@ def predicted(cfg: OdometryConfig, pitch: CameraPitch, last_T_this: Float, secon
 
 
 def after_loss(cfg: OdometryConfig, pitch: CameraPitch, seconds: float) -> CameraPitch:
-    """The pitch after a time in which nobody knows how the car moved."""
+    """The pitch after a time of unknown motion."""
     return _grown(cfg, pitch, _UNSEEN_SPEED_MPS * seconds, seconds)
 
 

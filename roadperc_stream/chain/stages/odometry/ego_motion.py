@@ -140,7 +140,7 @@ def step(
 def _with_lines(pitch: CameraPitch, frame: TrackingFrame) -> CameraPitch:
     """The pitch after the road's lines, where it is less sure than they are and no depth shows the road.
 
-    They shorten the start of a drive; nobody believes them without one, for a yard and a bend have lines too.
+    Lines speed up the start. They are not sufficient alone: a yard or a bend shows lines, too.
     """
     road_is_measured = frame.depth_m is not None or (frame.road is not None and frame.road.source != "assumed")
     if road_is_measured or pitch.variance < LINES_STD**2:
@@ -206,7 +206,7 @@ def _matches(keyframe: Keyframe, frame: TrackingFrame, estimate: Estimate) -> Ma
 
 
 def _estimated(this: FollowedFrame) -> Estimate | Absent:
-    """The first plausible motion, or why there is none."""
+    """The first plausible motion; absent with a reason if no motion is plausible."""
     cfg, frame, keyframe = this.cfg, this.frame, this.keyframe
     if frame.camera != keyframe.camera:
         return Absent(Reason("odometry", "camera_changed"))
@@ -291,7 +291,7 @@ def _localised_without_depth(this: FollowedFrame, px: Float32) -> Estimate | Non
 
 
 def _expected(this: FollowedFrame) -> Expected | None:
-    """The distance from the keyframe by the speed so far; None where the road has shown none."""
+    """The distance from the keyframe at the last speed; None if the road has not shown a speed."""
     last, seconds = this.last, this.seconds
     if last.velocity is None or last.speed_variance is None:
         return None

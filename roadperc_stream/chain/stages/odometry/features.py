@@ -155,7 +155,7 @@ def _movable(scene: Scene, grey: Image) -> Image | None:
 
 
 def window_side(rows: int) -> int:
-    """Side in pixels, odd, of the window that optical flow compares in an image of so many rows."""
+    """Side in pixels, odd, of the window that optical flow compares in an image with this number of rows."""
     return max(round(scaled(WINDOW_PX, rows)), _SMALLEST_WINDOW_PX) | 1
 
 

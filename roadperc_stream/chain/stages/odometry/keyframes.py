@@ -86,7 +86,7 @@ class Keyframe:
 
 @dataclass(frozen=True)
 class LastFrame:
-    """The last frame whose pose is known, or at which the odometry began anew.
+    """The last frame whose pose is known, or at which odometry restarted.
 
     ``velocity`` is (6,) metres and radians per second in the ego frame, None before there are two frames. ``found_px``
     is (N, 2), where the keyframe's features were found last. ``influence`` is (N, 6), how far each of them
@@ -112,7 +112,7 @@ class LastFrame:
 
 @dataclass(frozen=True)
 class OdometryState:
-    """What the odometry remembers from one frame to the next."""
+    """The state of odometry between frames."""
 
     odom_T_ego: Float = field(default_factory=lambda: np.eye(4))
     keyframe: Keyframe | None = None

@@ -1,6 +1,6 @@
 """A motion against a keyframe: estimated by perspective from n points, and how uncertain a step is.
 
-RANSAC (Fischler and Bolles 1981) finds who agrees, Gauss-Newton with Huber's weights refines the motion and says how
+RANSAC (Fischler and Bolles 1981) finds the inliers, Gauss-Newton with Huber's weights refines the motion and says how
 far each point pulls it. A point's error is that of its pixel, and that of its depth as far as a change of depth would
 shift the pixel: so far points with poor depth still determine the rotation.
 
@@ -44,7 +44,7 @@ _CONVERGED = 1e-6
 _CELLS: Final = 8
 """Cells, side by side, within which features err together."""
 _SYSTEMATIC: Final = 0.001
-"""Share of a step by which all features err alike, which no scatter shows: windows follow a stretch only so far."""
+"""Share of a step by which all features err alike, which no scatter shows: windows follow a stretch only in part."""
 _FREE: Final = 6
 """Numbers of a motion."""
 
@@ -183,7 +183,7 @@ def step_covariance(
 def scatter(pulls: Float, key_px: Float32, width: int) -> Float | None:
     """(6, 6) covariance of the sum of (N, 6) pulls of features at (N, 2) pixels of an image; zero rows do not count.
 
-    None where no more features pull than a motion has numbers: they fit whatever is true.
+    None where no more features pull than a motion has numbers: they fit any motion.
     """
     used = np.abs(pulls).sum(axis=1) > 0
     pulls, px = pulls[used], key_px[used]

@@ -1,4 +1,4 @@
-"""A motion without depth: the length that the tracked points leave open, by the road and by the speed so far.
+"""The length of a motion without depth, from the road's image and the last known speed.
 
 Between two images a plane maps by the homography R - t n^T / h (Hartley and Zisserman, Multiple View Geometry, 2004,
 section 13.1). With the turn R and the direction of t from the tracked points and the height h from the mounting, what
@@ -44,7 +44,7 @@ _SIGMAS: Final = 3.0
 _SEARCHED: Final = 0.3
 """Share of the length that is expected, by which it is searched below and above."""
 _CARRIED_SHARE: Final = 0.2
-"""Standard deviation, as a share of the length, up to which the speed so far gives the scale."""
+"""Standard deviation, as a share of the length, up to which the last speed gives the scale."""
 _AHEAD_M: Final = (2.0, 18.0)
 _HALF_WIDTH_M: Final = 2.2
 """Where the road is, from the camera on."""
@@ -53,7 +53,7 @@ _BLUR_PX: Final = 51.0
 _LEAST_PIXELS: Final = 1000
 _MOST_PIXELS: Final = 16384
 _ROAD_PART: Final = 2.0
-"""Of more than so many, with all below the horizon that is not road, every second, third, ... row and column count."""
+"""The image below the horizon is this many times larger than its road; larger images are subsampled."""
 _LEAST_CORRELATION: Final = 0.5
 _GRAIN_PX: Final = 16.0
 """Pixels that err together, as the deviations of lengths and pitches on recordings have it."""
@@ -67,7 +67,7 @@ _SMALL_PITCH: Final = 0.002
 
 @dataclass(frozen=True)
 class Expected:
-    """A length in metres that the speed so far promises, with its variance."""
+    """The expected length in metres at the last known speed, with its variance."""
 
     length_m: float
     variance: float
