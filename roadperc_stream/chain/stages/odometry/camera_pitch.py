@@ -1,4 +1,4 @@
-"""How far down the camera looks against the road where no depth shows it: a running estimate, also by vanishing points.
+"""The camera's pitch against the road without depth: a running estimate, also from vanishing points.
 
 Lane markings, kerbs and walls run along the road and meet at one point of its horizon. Segments are found by the line
 segment detector (Grompone von Gioi et al., "LSD: a Line Segment Detector", IPOL 2012); the point that most of their
@@ -32,7 +32,7 @@ _LEAST_LENGTH_PX: Final = 60.0
 _AGREE_PX: Final = 3.0
 """Length of a segment, and distance by which its end may miss the point's line, at 960 rows."""
 _LEAST_AGREE_PX: Final = 1.0
-"""The latter at least: what the detector is good for."""
+"""Lower limit of that distance: the accuracy of the detector."""
 _LEAST_SLOPE: Final = 0.15
 """Rows per column below which a segment runs across the view, and crosses the others anywhere."""
 _MOST_SEGMENTS: Final = 40
@@ -55,16 +55,16 @@ _TURN_STD_PER_ROOT_S: Final = np.deg2rad(0.06)
 """Standard deviations of the road's change of slope after a metre, and of the tracked turn after a second; their
 squares grow with distance and time, at any frame rate."""
 _UNSEEN_SPEED_MPS: Final = 15.0
-"""How fast the car is taken to drive while nothing is tracked."""
+"""Assumed speed of the car while nothing is tracked."""
 _GATE: Final = 9.0
 """Squared standard deviations beyond which a measurement counts less, as Huber has it."""
 
 
 @dataclass(frozen=True)
 class CameraPitch:
-    """By how much more than the mounting says the camera looks down on the road, radians, and its variance.
+    """The pitch of the camera against the road beyond its mounting, radians, nose down, and its variance.
 
-    ``measured`` says that the motion or the road's picture has shown it.
+    ``measured`` is true once the motion or the road's image has shown it.
     """
 
     offset: float
@@ -173,7 +173,7 @@ def begun(cfg: OdometryConfig) -> CameraPitch:
 
 
 def predicted(cfg: OdometryConfig, pitch: CameraPitch, last_T_this: Float, seconds: float) -> CameraPitch:
-    """The pitch after a step, at first by how the camera turned; the mounting's, once that is as sure."""
+    """The pitch after a step, turned with the camera; the mounting's as soon as that is as certain."""
     length_m = float(np.linalg.norm(last_T_this[:3, 3]))
     turned = float(np.arctan2(-last_T_this[2, 0], last_T_this[0, 0]))
     return _grown(cfg, replace(pitch, offset=pitch.offset + turned), length_m, seconds)
@@ -191,7 +191,7 @@ def _grown(cfg: OdometryConfig, pitch: CameraPitch, length_m: float, seconds: fl
 
 
 def updated(pitch: CameraPitch, measured: tuple[float, float] | None) -> CameraPitch:
-    """The pitch after a measurement and its variance; one far off counts less, none changes nothing."""
+    """The pitch after a measurement with its variance; an outlier counts less. None leaves the pitch unchanged."""
     if measured is None or pitch.variance == 0:
         return pitch
     value, variance = measured

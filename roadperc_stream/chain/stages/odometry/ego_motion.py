@@ -63,7 +63,7 @@ _ACCELERATION: Final = 2.0
 
 @dataclass(frozen=True)
 class FollowedFrame:
-    """A frame, and what its motion is measured against: the keyframe, and pose and pitch at the last frame."""
+    """A frame with its references: the keyframe, and the pose and pitch at the last frame."""
 
     cfg: OdometryConfig
     frame: TrackingFrame
@@ -87,7 +87,7 @@ class FollowedFrame:
         return np.concatenate((last_T_this[:3, 3], rotation_vector(last_T_this[:3, :3]))) / self.seconds
 
     def turned_pitch(self, odom_T_ego: Float) -> CameraPitch:
-        """The pitch as it has turned with the camera since the last frame."""
+        """The pitch, turned with the camera since the last frame."""
         return camera_pitch.predicted(self.cfg, self.pitch, inverse(self.odom_T_last) @ odom_T_ego, self.seconds)
 
 
@@ -138,7 +138,7 @@ def step(
 
 
 def _with_lines(pitch: CameraPitch, frame: TrackingFrame) -> CameraPitch:
-    """The pitch after the road's lines, where it is less sure than they are and no depth shows the road.
+    """The pitch updated by the road's lines, if it is less certain than they are and no depth shows the road.
 
     Lines speed up the start. They are not sufficient alone: a yard or a bend shows lines, too.
     """
@@ -150,14 +150,14 @@ def _with_lines(pitch: CameraPitch, frame: TrackingFrame) -> CameraPitch:
 
 
 def _begun(cfg: OdometryConfig, odom_T_ego: Float, pitch: CameraPitch, frame: TrackingFrame) -> OdometryState:
-    """A frame as keyframe, at the last pose known."""
+    """The state with this frame as keyframe, at the last known pose."""
     keyframe = make_keyframe(cfg, frame, odom_T_ego @ frame.ego_T_camera)
     px = keyframe.landmarks.features.px
     return OdometryState(odom_T_ego, keyframe, LastFrame(frame.stamp_ns, None, px, np.zeros((len(px), 6))), pitch)
 
 
 def _continued(this: FollowedFrame, estimate: Estimate) -> tuple[OdometryState, Odometry]:
-    """The state and pose after a frame whose motion is known."""
+    """The state and pose after a tracked frame."""
     cfg, frame, keyframe, last, motion = this.cfg, this.frame, this.keyframe, this.last, estimate.motion
     metric = keyframe.landmarks.metric and motion.scaled
     last_T_this = inverse(this.odom_T_last) @ estimate.odom_T_ego
@@ -199,7 +199,7 @@ def _continued(this: FollowedFrame, estimate: Estimate) -> tuple[OdometryState, 
 
 
 def _matches(keyframe: Keyframe, frame: TrackingFrame, estimate: Estimate) -> Matches:
-    """What was found again, in pixels of the whole images."""
+    """The matched features, in pixels of the whole images."""
     found = np.isfinite(estimate.px).all(axis=1)
     key_px = frame.whole(keyframe.landmarks.features.px[found])
     return Matches(key_px, frame.whole(estimate.px[found]), estimate.motion.inliers[found])
@@ -249,7 +249,7 @@ def _possible(this: FollowedFrame, estimate: Estimate) -> bool:
 
 
 def _findable(keyframe: Keyframe, frame: TrackingFrame, estimate: Estimate) -> int:
-    """How many features the motion predicts in the image, where all points are known; else how many were found."""
+    """Number of features that the motion predicts in the image if all points are known, else of those found."""
     if keyframe.landmarks.source != "depth":
         return int(np.sum(np.isfinite(estimate.px[:, 0])))
     return int(np.sum(np.isfinite(predicted_px(keyframe, frame, estimate.motion.this_T_key)[:, 0])))
@@ -271,7 +271,7 @@ def _localised(this: FollowedFrame, px: Float32) -> Estimate | None:
 
 
 def _localised_without_depth(this: FollowedFrame, px: Float32) -> Estimate | None:
-    """The same, the length by the road where that is known, else by points triangulated before."""
+    """The same without depth: the length comes from the road, else from points triangulated before."""
     cfg, frame, last, landmarks = this.cfg, this.frame, this.last, this.keyframe.landmarks
     features_px, on_road = landmarks.features.px, landmarks.source == "plane"
     seconds = (frame.stamp_ns - this.keyframe.stamp_ns) / NS_PER_S

@@ -75,7 +75,7 @@ class Expected:
 
 @dataclass(frozen=True)
 class RoadView:
-    """The road in the keyframe: the (M, 3) rays and (M,) grey levels of its pixels, and how many of these err alike.
+    """The road in the keyframe: (M, 3) rays and (M,) grey levels of its pixels, and how many share one error.
 
     ``camera`` has both images, ``plane`` is the road in the keyframe's camera.
     """
@@ -89,10 +89,10 @@ class RoadView:
 
 @dataclass(frozen=True)
 class RoadMotion:
-    """A length in metres that fits the road's picture, its variance for a given pitch, and how it changes with it.
+    """A length in metres that fits the road's image at the assumed pitch, with its variance.
 
-    ``pitch`` is by how much more than believed the camera looks down as the picture has it, radians, with its variance;
-    the length is that of the pitch as believed, ``metres_per_pitch`` its change.
+    ``pitch`` is the correction of the pitch that the image shows, radians, with its variance; ``metres_per_pitch`` is
+    the derivative of the length by the pitch.
     """
 
     length_m: float
@@ -154,7 +154,7 @@ def _is_assumed(frame: TrackingFrame) -> bool:
 
 
 def _fused(found: RoadMotion, expected: Expected | None) -> tuple[float, float]:
-    """Length and variance by the road and by what was expected, which does not count where they contradict."""
+    """Length and variance, fused from the road and the expected length; the road alone if they disagree."""
     noise = found.variance + (_ROAD_SHARE * found.length_m) ** 2
     if expected is None:
         return found.length_m, noise
@@ -173,7 +173,7 @@ def _carried(motion: Motion, pitch: CameraPitch, expected: Expected | None) -> M
 
 
 def _with_length(motion: Motion, scale: Scale, length_m: float, noise: float, shared: float) -> Motion:
-    """A motion as long as that; what it triangulated is as far away as that makes it."""
+    """The motion scaled to a length, with its triangulated points."""
     factor = length_m / float(np.linalg.norm(motion.this_T_key[:3, 3]))
     R, t = motion.this_T_key[:3, :3], motion.this_T_key[:3, 3]
     influence = None if motion.influence is None else motion.influence * ([factor] * 3 + [1.0] * 3)
@@ -197,7 +197,7 @@ def high_pass(grey: Image) -> Float32:
 
 
 def road_view(camera: Camera, ego_T_camera: Float, plane: Plane, key_grey: Image) -> RoadView | None:
-    """The pixels of the keyframe that show the road ahead, if nothing stands there; None where they are too few."""
+    """The pixels of the keyframe that show the road ahead if it is free; None if they are too few."""
     horizon = int(np.clip(np.floor(camera.cy - camera.fy * plane.normal[2] / plane.normal[1]), 0, camera.height - 1))
     apart = int(np.ceil(np.sqrt((camera.height - horizon) * camera.width / _MOST_PIXELS / _ROAD_PART)))
     rows, columns = np.mgrid[horizon : camera.height : apart, 0 : camera.width : apart].reshape(2, -1)
@@ -290,7 +290,7 @@ class _Picture:
 
 
 def _at_peak(picture: _Picture, length_m: float, small_m: float) -> RoadMotion | None:
-    """The motion at the best length for the pitch as believed, and the pitch that would fit still better."""
+    """The motion at the best length for the assumed pitch, and the correction of the pitch that fits better."""
     at = picture.seen(length_m, 0.0)
     moved = [picture.seen(length_m + s * small_m, 0.0) for s in (-1, 1)]
     tilted = [picture.seen(length_m, s * _SMALL_PITCH) for s in (-1, 1)]
