@@ -65,9 +65,9 @@ def _object_row(
 
 
 def true_time_to_impact_s(true: Object) -> float | None:
-    """What the truth says, else its distance over its closing speed.
+    """The true time to impact; else its distance over its closing speed.
 
-    None where it does not come nearer; where the truth says what is in the path it says all there is to say.
+    None if the object does not come nearer. If the truth has ``in_path``, its time to impact counts, also if absent.
     """
     if true.in_path is not None:
         return true.time_to_impact_s

@@ -16,7 +16,7 @@ from roadperc_stream.model.results import Absent, FrameResult, Lanes, Objects
 
 @dataclass(frozen=True)
 class Truth:
-    """What is known to be true of a frame; the chain never sees it."""
+    """The truth of a frame; the chain never sees it."""
 
     odom_T_ego: Float | None = None
     surface: Surface | None = None

@@ -1,4 +1,4 @@
-"""One frame as the stages take it: its pixels, decoded, its depth from whichever source, and its detections."""
+"""The input of the stages: a frame's decoded pixels, its depth from any source, and its detections."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -98,7 +98,7 @@ class Scene:
 
     @property
     def plane_source(self) -> str:
-        """What the assumed road plane rests on, in words."""
+        """The source of the assumed road plane, in words."""
         return "the mounting" if self.mounted else "the assumed height"
 
     def labels(self, classes: tuple[str, ...]) -> Image | None:
@@ -112,5 +112,5 @@ class Scene:
 
     @cached_property
     def _labels(self) -> dict[tuple[str, ...], Image]:
-        """Of the classes that were asked for: several stages ask for the same."""
+        """A cache by classes, because several stages use the same."""
         return {}

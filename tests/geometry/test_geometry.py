@@ -106,6 +106,6 @@ def test_baseline_is_the_distance_of_the_centres():
         np.array([[640.0, 0, 640, 1], [0, 640, 480, 1], [640, 640, 1120, 1]]),
     ],
 )
-def test_what_is_no_projection(P):
+def test_an_invalid_projection_matrix_raises(P):
     with pytest.raises(ValueError, match="projection matrix"):
         g.decompose_projection(P)

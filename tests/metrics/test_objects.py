@@ -77,7 +77,7 @@ def test_objects_whose_place_is_not_known_are_not_counted_as_beside_the_path(in_
     assert object_columns(Objects(kept, path_source="straight")).objects_in_path == counted
 
 
-def test_a_pedestrian_does_not_stand_for_a_car():
+def test_a_pedestrian_does_not_match_a_car():
     place = (0, 0, 10, 10)
     _, rows = judged(
         Object(box("Pedestrian", *place), True),

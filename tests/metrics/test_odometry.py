@@ -33,7 +33,7 @@ def row_of(step, true_step, **odometry):
         (moved(1.0, 0.0, 3.0), moved(3.0, 4.0, 1.0), (np.hypot(2.0, 4.0), 2.0), (5.0, 1.0)),
     ],
 )
-def test_what_is_left_of_a_step_stands_beside_the_true_one(step, true_step, errors, true):
+def test_the_errors_of_a_step_and_the_true_step(step, true_step, errors, true):
     row = row_of(step, true_step)
     assert (row.step_error_m, row.turn_error_deg) == pytest.approx(errors, abs=1e-6)
     assert (row.true_step_m, row.true_turn_deg) == pytest.approx(true, abs=1e-6)

@@ -72,7 +72,7 @@ def test_numbers_do_not_make_a_kind_and_words_do():
 
 
 @pytest.mark.parametrize("text", ["", "lanes", "lanes: gone", "in 3 of 4 frames: what", "Lanes: no image"])
-def test_any_other_text_stays_what_it_is(text):
+def test_any_other_text_is_unchanged(text):
     reason = parse_reason(text)
     assert (reason.code, str(reason)) == ("other", text)
 

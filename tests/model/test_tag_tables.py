@@ -66,7 +66,7 @@ def test_the_tags_of_classes_and_of_a_group(table, classes, tags):
 
 
 @pytest.mark.parametrize("wrong", ["", "latest", "carla", "9" * 5000 + ".1"])
-def test_no_version(wrong):
+def test_an_invalid_version_raises(wrong):
     with pytest.raises(ConfigError, match=r"0\.9\.15"):
         s.table_for_version(wrong)
 

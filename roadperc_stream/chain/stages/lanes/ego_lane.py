@@ -99,7 +99,7 @@ def _chord(state: Float, projection: RoadProjection | None, far: float | None) -
 
 
 def without_implausible(state: LanesState) -> tuple[LanesState, dict[Side, Reason]]:
-    """The state without the boundary that contradicts the better one of the two, and why it is left out."""
+    """The state without the worse one of two boundaries that contradict each other, and the reason."""
     if state.left is None or state.right is None:
         return state, {}
     side: Side = "left" if _worse(state.left, state.right) else "right"
@@ -147,7 +147,7 @@ def _contradiction(side: Side, left: TrackedBoundary, right: TrackedBoundary) ->
 
 
 def _worse(left: TrackedBoundary, right: TrackedBoundary) -> bool:
-    """Whether the left one is the worse: turned away, not measured for longer, or less certain."""
+    """Whether the left boundary is the worse one: turned more, measured longer ago, or less certain."""
     turned = abs(float(left.track.state[1])) - abs(float(right.track.state[1]))
     if abs(turned) > _TURNED:
         return turned > 0
@@ -202,7 +202,7 @@ def _remembered(cfg: LanesConfig, state: LanesState, motion: Odometry | None, st
 
 
 def _tracked(motion: Odometry | None) -> Odometry | None:
-    """A motion that can be used: one with its covariance."""
+    """The motion if it has a step and a covariance, else None."""
     return motion if motion is not None and motion.step is not None and motion.covariance else None
 
 

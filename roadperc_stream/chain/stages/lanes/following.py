@@ -79,7 +79,7 @@ def measured(
 
 
 def judged(tracked: TrackedBoundary) -> TrackedBoundary:
-    """The boundary, and whether it is known well enough to be given."""
+    """The boundary with ``is_sure`` set: whether it is certain enough to be used."""
     return replace(tracked, is_sure=tracking.std_at(tracked.track, least_known_m(tracked)) <= MAX_STD_M)
 
 
@@ -91,7 +91,7 @@ def least_known_m(tracked: TrackedBoundary) -> float:
 def _candidates(
     cfg: LanesConfig, side: Side, before: TrackedBoundary, observation: Observation | None, curve: Curve | None
 ) -> Iterator[Curve]:
-    """What may be the boundary: the edges along the prediction, then the closest line's curve.
+    """Candidates for the boundary: the edges along the prediction, then the curve of the closest line.
 
     The dashes in sight are often too short for a Hough line, and the closest line is then one farther out. A clear line
     closer than the prediction, though, contradicts it: then edges along the prediction are no evidence.
@@ -108,9 +108,9 @@ def _candidates(
 
 
 def handed_over(cfg: LanesConfig, state: LanesState, observation: Observation | None, stamp_ns: int) -> LanesState:
-    """The state with the next lane's boundaries, where the car has crossed one of this lane's.
+    """The state with the boundaries of the next lane, if the car has crossed a boundary of this lane.
 
-    They are the crossed one, from its other side, and the next one out if it is seen.
+    They are the far edge of the crossed marking and the next boundary beyond it, if that is visible.
     """
     for side in SIDES:
         crossed = state.side(side)

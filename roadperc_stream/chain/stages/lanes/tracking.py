@@ -1,4 +1,4 @@
-"""One boundary over time: a Kalman filter on offset, heading and curvature, its class, and what the lanes remember.
+"""One boundary over time: a Kalman filter on offset, heading and curvature, its class, and the state of the lanes.
 
 Where the car's motion since the last frame is known from odometry, the boundary is moved against it; else the car's
 sideways motion is a random acceleration, and heading and curvature are random walks (Bar-Shalom, Li and Kirubarajan
@@ -94,14 +94,14 @@ class BoundaryTrack:
 
 @dataclass(frozen=True)
 class TrackedBoundary:
-    """A boundary that is tracked, and the classes on either side of it in the last frames."""
+    """A tracked boundary, and the classes on either side of it in the last frames."""
 
     track: BoundaryTrack
     reach_m: float
     inside: ClassHistory = field(default_factory=ClassHistory)
     outside: ClassHistory = field(default_factory=ClassHistory)
     is_sure: bool = True
-    """Whether, when it was measured last, it was known well enough to be given."""
+    """Whether its last measurement left it certain enough to be used."""
 
     @property
     def offset_m(self) -> float:
@@ -111,7 +111,7 @@ class TrackedBoundary:
 
 @dataclass(frozen=True)
 class LanesState:
-    """Both boundaries, the lane change the car is in, and how many it has done."""
+    """Both boundaries, the current lane change, and the number of lane changes."""
 
     left: TrackedBoundary | None = None
     right: TrackedBoundary | None = None

@@ -18,7 +18,7 @@ from roadperc_stream.model import Mask
 _SMALLEST_SET = 8
 _CONFIDENCE = 0.999
 _MIN_KNOWN = 5
-"""Known points that are enough to determine the length."""
+"""Least number of known points that determine the length."""
 _MIN_DEPTH_PARALLAX_PX = 2.0
 """Parallax, at 960 rows, from which a point is triangulated."""
 _EVALUATIONS = 20
@@ -69,7 +69,7 @@ def motion_from_rays(
 
 
 def _standing(camera: Camera, a: Float, px: Float32) -> tuple[Float, Float, Mask, Float] | None:
-    """The rotation alone, where it predicts nearly all points; None where the camera has moved."""
+    """The rotation, if it alone predicts nearly all points; None if the camera has moved."""
     R = _turn(a, rays(camera, px.astype(float)))
     shift_px = np.linalg.norm(project(camera, a @ R.T) - px, axis=1)
     if not np.quantile(shift_px, _STANDING_SHARE) < scaled(_MIN_PARALLAX_PX, camera.height):
@@ -147,8 +147,8 @@ def _sampson(R: Float, t: Float, a: Float, b: Float) -> Float:
 def _length(camera: Camera, R: Float, t: Float, X: Float, b: Float) -> tuple[float, float] | None:
     """Length of the motion and its variance, from known points.
 
-    Each point gives one: b x (R X + length t) = 0. The weighted median of them starts a least squares over those that
-    agree with it; None where they are too few.
+    Each point gives a length: b x (R X + length t) = 0. Their weighted median starts a least squares over the points
+    that agree with it. None if these are too few.
     """
     if len(X) < _MIN_KNOWN:
         return None

@@ -48,7 +48,7 @@ _RIDGE = 1e-9
 LandmarkSource = Literal["depth", "plane", "carried"]
 _ROAD_AHEAD_M: Final = (2.0, 20.0)
 _ROAD_HALF_WIDTH_M = 3.0
-"""Where the road is, in front of the car, if no depth says it (ego frame)."""
+"""The part of the road that is used without depth (ego frame)."""
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ def stretch(camera: Camera, px: Float, depth_m: Float, slope: Float, this_T_key:
 
 
 def _by_depth(cfg: OdometryConfig, frame: TrackingFrame) -> Landmarks | None:
-    """Features where depth is known; None without depth, or where too few have one."""
+    """Features with known depth; None without depth, or if they are too few."""
     if frame.depth_m is None:
         return None
     with np.errstate(invalid="ignore"):
@@ -183,7 +183,7 @@ def _by_depth(cfg: OdometryConfig, frame: TrackingFrame) -> Landmarks | None:
 
 
 def _on_road(cfg: OdometryConfig, frame: TrackingFrame) -> Landmarks | None:
-    """Features anywhere; those that show the road in front of the car lie on its plane. None without a plane."""
+    """Features of the whole image; those on the road in front of the car lie on its plane. None without a plane."""
     if frame.road is None:
         return None
     features = _detected(cfg, frame, np.ones(frame.grey.shape, np.uint8))
@@ -252,7 +252,7 @@ def carry(landmarks: Landmarks, motion: Motion, px: Float32) -> Landmarks:
 
 
 def counted_from_here(state: OdometryState) -> OdometryState:
-    """The state with odom where ego is now."""
+    """The state with the origin of odom at the current ego frame."""
     if state.keyframe is None:
         return replace(state, odom_T_ego=np.eye(4))
     here_T_camera = inverse(state.odom_T_ego) @ state.keyframe.odom_T_camera

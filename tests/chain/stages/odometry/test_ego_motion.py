@@ -109,7 +109,7 @@ def test_another_place_is_lost_and_then_tracked():
         ({"min_inliers": 390}, "too_few_inliers"),
     ],
 )
-def test_what_the_car_cannot_do_is_lost(limit, reason):
+def test_an_impossible_motion_is_lost(limit, reason):
     _, results = run(SHOTS[:2], CFG.model_copy(update=limit))
     assert statuses(results) == ["first", "lost"]
     assert results[1].reason == Reason("odometry", reason)
@@ -161,7 +161,7 @@ def test_movable_objects_are_left_out():
     assert statuses(results) == ["first", "tracked", "tracked"]
 
 
-def test_nothing_yet_and_nothing_to_see():
+def test_no_image_is_absent_and_a_blank_image_is_lost():
     assert isinstance(run([None])[1][0], Absent)
     blank = Shot(np.full(CAMERA.size, 90, np.uint8), SHOTS[0].depth_m)
     for depth in (True, False):

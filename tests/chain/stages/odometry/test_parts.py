@@ -237,7 +237,7 @@ def test_pixels_of_the_tracked_image_lie_where_the_frame_has_them(shrink):
     np.testing.assert_allclose(frame.whole(g.project(frame.camera, X)), g.project(camera, X), rtol=1e-6)
 
 
-def test_what_moves_is_avoided_with_the_reach_of_a_window():
+def test_movable_objects_are_avoided_with_a_margin():
     """20 px of 960 rows are 5 of 240, so that a margin of two pixels surrounds each thing."""
     tags = np.full((480, 640), 7, np.uint8)
     tags[200:210, 300:320] = 10  # a vehicle
