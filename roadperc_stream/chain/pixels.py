@@ -10,7 +10,7 @@ from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.geometry import Camera, inverse
 from roadperc_stream.geometry.registration import depth_of_points
-from roadperc_stream.model import CameraImage, Frame, Ids, Image, Reason
+from roadperc_stream.model import CameraImage, Frame, Image, Reason
 from roadperc_stream.model.scene import DepthMap
 
 T = TypeVar("T")
@@ -31,30 +31,18 @@ def needs_grey(cfg: ReplayConfig, frame: Frame) -> bool:
 
 
 def left_is_front(frame: Frame) -> bool:
-    """Whether the pair's left camera is the front camera, and not one of its own, whose image may be missing."""
+    """Whether the front camera is also the left camera of the stereo pair."""
     return frame.left is None and frame.left_camera == frame.camera
 
 
-def tags_of(frame: Frame, problems: list[Reason]) -> Image | None:
-    """(H, W) tags of the front camera."""
-    return _pixels("segmentation", frame.segmentation, lambda image: image.tags, frame.camera, problems)
-
-
-def instances_of(frame: Frame, problems: list[Reason]) -> Ids | None:
-    """(H, W) number of the object in each pixel of the front camera, 0 for none."""
-    return _pixels("instances", frame.instances, lambda image: image.ids, frame.camera, problems)
-
-
-def grey_of(role: str, image: CameraImage | None, camera: Camera | None, problems: list[Reason]) -> Image | None:
-    """(H, W) grey of a camera image; None without image or camera."""
-    if camera is None:
-        return None
-    return _pixels(role, image, lambda image: image.grey, camera, problems)
+def grey_of(role: str, image: CameraImage | None, camera: Camera, problems: list[Reason]) -> Image | None:
+    """(H, W) grey of a camera image; None without an image."""
+    return decoded(role, image, lambda image: image.grey, camera, problems)
 
 
 def sensor_depth(frame: Frame, problems: list[Reason]) -> DepthMap | None:
     """The depth camera's depth."""
-    depth_m = _pixels("depth", frame.depth, lambda image: image.depth_m, frame.depth_camera, problems)
+    depth_m = decoded("depth", frame.depth, lambda image: image.depth_m, frame.depth_camera, problems)
     if depth_m is None or frame.depth is None:
         return None
     return DepthMap(depth_m, frame.depth_camera, frame.ego_T_depth_camera, frame.depth.limit_m, "depth")
@@ -67,7 +55,7 @@ def lidar_depth(frame: Frame, problems: list[Reason]) -> DepthMap | None:
     if frame.ego_T_lidar is None:
         problems.append(Reason("lidar", "no_transform", (frame.points.frame_id,)))
         return None
-    points_m = _decoded("lidar", frame.points, lambda points: points.points_m, problems)
+    points_m = _of_any_size("lidar", frame.points, lambda points: points.points_m, problems)
     if points_m is None:
         return None
     depth_m = depth_of_points(frame.camera, inverse(frame.ego_T_camera) @ frame.ego_T_lidar, points_m)
@@ -81,11 +69,11 @@ def lidar_depth(frame: Frame, problems: list[Reason]) -> DepthMap | None:
     return DepthMap(depth_m, frame.camera, frame.ego_T_camera, np.inf, "lidar")
 
 
-def _pixels(
+def decoded(
     role: str, image: T | None, decode: Callable[[T], NDArray[P]], camera: Camera, problems: list[Reason]
 ) -> NDArray[P] | None:
     """Decoded pixels of the camera's size; what cannot be used becomes a problem and counts as missing."""
-    pixels = _decoded(role, image, decode, problems)
+    pixels = _of_any_size(role, image, decode, problems)
     if pixels is not None and pixels.shape[:2] != camera.size:
         height, width = pixels.shape[:2]
         problems.append(Reason(role, "wrong_size", (width, height, camera.width, camera.height)))
@@ -93,7 +81,7 @@ def _pixels(
     return pixels
 
 
-def _decoded(
+def _of_any_size(
     role: str, message: T | None, decode: Callable[[T], NDArray[P]], problems: list[Reason]
 ) -> NDArray[P] | None:
     """A decoded array, of any size; what cannot be decoded becomes a problem and counts as missing."""

@@ -22,7 +22,7 @@ from roadperc_stream.chain.stages.surface.road import (
     remember,
 )
 from roadperc_stream.config import ReplayConfig
-from roadperc_stream.geometry import Float, inverse, transform_plane
+from roadperc_stream.geometry import inverse, transform_plane
 from roadperc_stream.model import (
     Absent,
     Frame,
@@ -44,11 +44,6 @@ _MATCHING_THREADS: Final = 2
 """More threads of OpenCV hardly make stereo matching faster."""
 Timer = Callable[[str], AbstractContextManager[object]]
 """Called with a stage's name; the context it returns is active while the stage runs."""
-
-
-def untimed(_: str) -> AbstractContextManager[object]:
-    """A timer that does not measure."""
-    return nullcontext()
 
 
 @dataclass(frozen=True)
@@ -79,7 +74,9 @@ class LocalisedFrame:
     problems: tuple[Reason, ...]
 
 
-def step(cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = untimed) -> tuple[ChainState, FrameResult]:
+def step(
+    cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = nullcontext
+) -> tuple[ChainState, FrameResult]:
     """Run all enabled stages on one frame, in the order of their dependencies.
 
     Pure: the same configuration, state and frame give the same result, bit for bit. The timer's readings are not part
@@ -90,32 +87,29 @@ def step(cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = unti
     return perceive(cfg, state, localised, timer)
 
 
-def observe(cfg: ReplayConfig, frame: Frame, timer: Timer = untimed, threads: int = 1) -> Scene:
+def observe(cfg: ReplayConfig, frame: Frame, timer: Timer = nullcontext, threads: int = 1) -> Scene:
     """Decode what the enabled stages need, and match the stereo pair. This part of the chain needs no state.
 
-    Args:
-        cfg: the chain's configuration.
-        frame: its input.
-        timer: measures decoding and stereo.
-        threads: OpenCV may match with two of them: it gives the same bits in half the time.
+    With two or more ``threads`` OpenCV matches in half the time, with the same bits.
     """
     stages, undecodable, problems = _EnabledStages(cfg, timer), list[Reason](), list[Reason]()
+    camera = frame.camera
     tags = sensor = instances = grey = depth = None
     with timer("decode"):
         if pixels.needs_scene(cfg):
-            tags = pixels.tags_of(frame, undecodable)
+            tags = pixels.decoded("segmentation", frame.segmentation, lambda image: image.tags, camera, undecodable)
             sensor = pixels.sensor_depth(frame, undecodable)
         if cfg.objects.enabled:
-            instances = pixels.instances_of(frame, undecodable)
+            instances = pixels.decoded("instances", frame.instances, lambda image: image.ids, camera, undecodable)
         if pixels.needs_grey(cfg, frame):
-            grey = pixels.grey_of("image", frame.image, frame.camera, undecodable)
+            grey = pixels.grey_of("image", frame.image, camera, undecodable)
     matched = stages.run("stereo", lambda: _stereo(cfg, frame, grey, problems, threads), _off("stereo"))
     with timer("decode"):
         if pixels.needs_scene(cfg):
             depth = _best_depth(frame, sensor, matched, problems)
     return Scene(
         frame.stamp_ns,
-        frame.camera,
+        camera,
         frame.ego_T_camera,
         mounted=frame.mounted,
         is_origin=frame.is_origin,
@@ -132,8 +126,8 @@ def observe(cfg: ReplayConfig, frame: Frame, timer: Timer = untimed, threads: in
     )
 
 
-def localise(cfg: ReplayConfig, state: ChainState, scene: Scene, timer: Timer = untimed) -> LocalisedFrame:
-    """Find the road and the car's motion. Of the state only stamp, surface and odometry are used."""
+def localise(cfg: ReplayConfig, state: ChainState, scene: Scene, timer: Timer = nullcontext) -> LocalisedFrame:
+    """Find the road and the car's motion. Use only stamp, surface and odometry of the state."""
     stages, no_road = _EnabledStages(cfg, timer), _off("surface")
     last, _ = _in_order(state, scene.stamp_ns)
     rng = np.random.default_rng((cfg.seed, scene.stamp_ns % 2**63))
@@ -145,7 +139,8 @@ def localise(cfg: ReplayConfig, state: ChainState, scene: Scene, timer: Timer = 
         ),
         (last.odometry, _off("odometry")),
     )
-    last_T_this = _metric_step(motion, last.stamp_ns)
+    metric = _metric_motion(motion, last.stamp_ns)
+    last_T_this = None if metric is None else metric.step
     kept, road, held = stages.run(
         "surface",
         lambda: remember(cfg.surface, last.surface, scene, seen, failed, last_T_this, _shown_pitch(moved)),
@@ -159,13 +154,14 @@ def localise(cfg: ReplayConfig, state: ChainState, scene: Scene, timer: Timer = 
 
 
 def perceive(
-    cfg: ReplayConfig, state: ChainState, localised: LocalisedFrame, timer: Timer = untimed
+    cfg: ReplayConfig, state: ChainState, localised: LocalisedFrame, timer: Timer = nullcontext
 ) -> tuple[ChainState, FrameResult]:
-    """Find what is on the road. Of the state only stamp, lanes and objects are used."""
+    """Find what is on the road. Use only stamp, lanes and objects of the state."""
     stages, road, drivable = _EnabledStages(cfg, timer), localised.front_road, localised.drivable
     last, out_of_order = _in_order(state, localised.scene.stamp_ns)
     scene = _with_grey_for_tracks(cfg, last, localised.scene, timer)
-    motion, last_T_this = _since(localised.motion, last.stamp_ns), _metric_step(localised.motion, last.stamp_ns)
+    motion = _metric_motion(localised.motion, last.stamp_ns)
+    last_T_this = None if motion is None else motion.step
     lanes_state, found_lanes = stages.run(
         "lanes",
         lambda: ego_lane.step(cfg.lanes, last.lanes, scene, road, drivable, motion),
@@ -260,21 +256,15 @@ def _metric_road(scene: Scene, front_road: Surface | Absent) -> Surface | None:
 
 
 def _shown_pitch(state: OdometryState) -> float | None:
-    """By how much the camera looks further down than its mounting says, radians, if the drive has shown it."""
+    """The pitch of the camera beyond its mounting, radians, downwards; None if no motion has shown it."""
     return state.pitch.offset if state.pitch is not None and state.pitch.measured else None
 
 
-def _since(motion: Odometry | Absent, since_ns: int | None) -> Odometry | None:
-    """A motion in metres that begins at the last frame, or that it is lost; None of any other."""
+def _metric_motion(motion: Odometry | Absent, since_ns: int | None) -> Odometry | None:
+    """The motion if it is lost, or if it is in metres and begins at the last frame; else None."""
     if isinstance(motion, Absent) or motion.status == "first" or motion.up_to_scale:
         return None
     return motion if motion.status == "lost" or motion.since_ns == since_ns else None
-
-
-def _metric_step(motion: Odometry | Absent, since_ns: int | None) -> Float | None:
-    """last_T_this of a motion in metres that begins at the last frame; None of any other."""
-    moved = _since(motion, since_ns)
-    return None if moved is None else moved.step
 
 
 def _with_grey_for_tracks(cfg: ReplayConfig, state: ChainState, scene: Scene, timer: Timer) -> Scene:
@@ -292,7 +282,7 @@ def _with_grey_for_tracks(cfg: ReplayConfig, state: ChainState, scene: Scene, ti
 def _stereo(
     cfg: ReplayConfig, frame: Frame, grey: Image | None, problems: list[Reason], threads: int
 ) -> StereoDepth | Absent:
-    """Depth of the pair whose left camera is the front camera, or one of its own."""
+    """Depth of the stereo pair; its left camera may be the front camera."""
     if frame.right is None:
         return Absent(Reason("stereo", "no_right_image"))
     if frame.right_camera is None:
@@ -304,7 +294,7 @@ def _stereo(
 
 
 def _odd_camera(scene: Scene) -> Iterator[Reason]:
-    """What is wrong with the calibration of the front camera."""
+    """Problems of the front camera's calibration."""
     if scene.camera.lens is not None:
         yield Reason("image", "not_rectified")
     if not scene.camera.square_pixels:
@@ -312,9 +302,9 @@ def _odd_camera(scene: Scene) -> Iterator[Reason]:
 
 
 def _missing_inputs(scene: Scene, road: Surface | Absent, tracked: Objects | Absent) -> Iterator[Reason]:
-    """What a stage that gave something had to do without."""
+    """The missing inputs of stages that still have an output."""
     source = None if isinstance(road, Absent) else road.source
-    if scene.depth is None and source != "held":  # of a plane that is held its own reason says so
+    if scene.depth is None and source != "held":  # a held plane has its own reason
         code = "no_depth_pitch_estimated" if source == "estimated" else "no_depth_plane_assumed"
         yield Reason("surface", code, (scene.plane_source,))
     if scene.depth is not None and scene.tags is None:

@@ -13,7 +13,7 @@ import numpy as np
 from roadperc_stream.geometry import Float
 
 _MOST_PAIRS = 512
-"""Possible pairs that are looked at for groups."""
+"""Most possible pairs that are divided into groups."""
 _MOST_WAYS = 512
 """Ways to pair a group that are tried."""
 _TIE = 1e-9
@@ -23,12 +23,12 @@ Pair = tuple[int, int]
 
 
 def largest_total(scores: Float) -> dict[int, int]:
-    """The column of each row: those pairs of scores above 0 that have the largest total, one to one.
+    """The column of each row: the one-to-one pairs with scores above 0 that have the largest total.
 
     Args:
         scores: (M, N) not negative.
 
-    Of equal totals it is the one that ``scipy.optimize.linear_sum_assignment`` finds.
+    If totals are equal, the pairs are those of ``scipy.optimize.linear_sum_assignment``.
     """
     best = scores.max(axis=1, initial=0.0)
     rows, columns = np.nonzero((scores == best[:, None]) & (best[:, None] > 0))
@@ -45,7 +45,7 @@ def _of_all(scores: Float) -> dict[int, int]:
 
 
 def _of_groups(scores: Float) -> dict[int, int] | None:
-    """By trying all; None where those are too many, or none is surely the best."""
+    """The pairs found by trying all; None if they are too many, or the best is not certain."""
     rows, columns = np.nonzero(scores > 0)
     if len(rows) > _MOST_PAIRS:
         return None
@@ -71,7 +71,7 @@ def _groups(pairs: Iterable[Pair]) -> list[list[Pair]]:
 
 
 def _best(scores: Float, group: list[Pair]) -> list[Pair] | None:
-    """The pairs of a group that have the largest total; None where that is not clear."""
+    """The pairs of a group with the largest total; None if it is not unique."""
     choices: dict[int, list[int | None]] = {}
     for row, column in group:
         choices.setdefault(row, [None]).append(column)

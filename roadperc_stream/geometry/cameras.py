@@ -22,7 +22,7 @@ _FARTHEST_CENTRE: Final = 10.0
 
 @dataclass(frozen=True)
 class Lens:
-    """The optics of an image that is not rectified yet: a pinhole of its own, distorted, and turned.
+    """The optics of an unrectified image: a distorted pinhole camera and its rotation.
 
     ``R`` is the (3, 3) rotation, row by row, from this lens's frame to the rectified camera's; ``model`` names the
     meaning of the camera's ``distortion``, as foxglove.CameraCalibration does.
@@ -45,8 +45,7 @@ class Lens:
 class Camera:
     """A rectified pinhole camera; ``baseline_m`` is set on the right camera of a rectified pair (P[0, 3] = -fx b).
 
-    With a ``lens`` its images are not rectified yet, and the lens says how to; with ``distortion`` but no lens nobody
-    knows how.
+    With a ``lens`` its images are unrectified and can be rectified; with ``distortion`` but no lens they cannot.
     """
 
     frame_id: str
@@ -82,13 +81,13 @@ class Camera:
 
 
 def pinhole_fault(width: int, height: int, fx: float, fy: float, cx: float, cy: float) -> str | None:
-    """Why pixels of an image of that size cannot be those of a pinhole camera; None where they can.
+    """Why these numbers cannot be those of a pinhole camera with images of this size; None if they can.
 
-    Numbers beyond these limits are no camera's, and what follows from them is no depth but rounding.
+    Beyond these limits, depths would only be rounding errors.
     """
     shortest, longest = (length * width for length in _FOCAL_LENGTHS)
     for name, found in (("fx", fx), ("fy", fy)):
-        if not shortest <= found <= longest:  # so put, NaN is refused too
+        if not shortest <= found <= longest:  # this form also rejects NaN
             return f"{name} {found:g}: expected {shortest:g} to {longest:g} pixels for an image {width} pixels wide"
     for name, found, side in (("cx", cx, width), ("cy", cy, height)):
         if not abs(found) <= _FARTHEST_CENTRE * side:
@@ -140,7 +139,7 @@ def baseline_of(P_left: Float, P_right: Float) -> float:
     left, right = decompose_projection(P_left)[2], decompose_projection(P_right)[2]
     baseline_m = float(np.linalg.norm(right - left))
     if baseline_m <= _SINGULAR * float(np.linalg.norm(left)):
-        raise ValueError("both projection matrices have one and the same centre: no stereo pair")
+        raise ValueError("both projection matrices have one and the same centre: expected a stereo pair")
     return baseline_m
 
 

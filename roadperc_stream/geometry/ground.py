@@ -32,12 +32,7 @@ _LOOKUP_Y_M: Final = (-80.0, 80.0)
 
 
 def tilted_ground(ego_T_camera: Float, pitch: float) -> Plane:
-    """The road in the ego frame if the camera looks further down than the mounting says, from the same height.
-
-    Args:
-        ego_T_camera: the mounting, over the plane z = 0.
-        pitch: radians; 0 gives that plane.
-    """
+    """The road in the ego frame if the camera looks down by ``pitch`` radians more than its mounting, at its height."""
     normal = np.array([0.0 - np.sin(pitch), 0.0, np.cos(pitch)])
     centre = ego_T_camera[:3, 3]
     return Plane.of(normal, float(centre[2] - normal @ centre))
@@ -55,11 +50,7 @@ def height_at(surface: Surface, x: Float, y: Float) -> Float:
 def ground_points(surface: Surface, camera: Camera, ego_T_camera: Float, pixels: Float) -> Float:
     """(N, 3) ego points where the rays of (N, 2) pixels first meet the road, NaN where they do not.
 
-    Args:
-        surface: the road; ``plane`` is that in the frame of ``camera``.
-        camera: the camera of the pixels.
-        ego_T_camera: its mounting.
-        pixels: x, y.
+    The plane of ``surface`` must be in the frame of ``camera``.
     """
     if surface.height_grid is None:
         return transform(ego_T_camera, intersect_plane(camera, pixels, surface.plane))
@@ -71,11 +62,7 @@ def ground_points(surface: Surface, camera: Camera, ego_T_camera: Float, pixels:
 def ego_points(camera: Camera, ego_T_camera: Float, depth_m: Float32, top: int = 0) -> tuple[Float32, Float32, Float32]:
     """Ego x, y and z in metres of depth pixels, each (h, W); NaN where the depth is unknown.
 
-    Args:
-        camera: of the depth.
-        ego_T_camera: its mounting.
-        depth_m: (h, W) rows of its image.
-        top: the first of these rows.
+    ``depth_m`` are (h, W) rows of the camera's image, from row ``top`` on.
     """
     column, row, start_m = ego_rays(camera, ego_T_camera, top, len(depth_m))
     with np.errstate(invalid="ignore", over="ignore"):

@@ -75,7 +75,7 @@ class Surface:
 
     @property
     def measured(self) -> bool:
-        """Whether it is this frame's own, and not what stands in for one."""
+        """Whether this frame's depth or segmentation shows it: it is not held, estimated or assumed."""
         return self.source not in ("held", "estimated", "assumed")
 
     @property
@@ -98,10 +98,6 @@ def distance_per_depth(camera: Camera, plane: Plane) -> tuple[Float32, Float32]:
     """(W,) part of every column, and (H,) of every row, of n . ray, by which the distance to a plane grows with depth.
 
     The signed distance of pixel (u, v) at depth z is z (n . ray) + offset: no points are needed.
-
-    Args:
-        camera: of the depth.
-        plane: in its frame.
     """
     nx, ny, nz = plane.normal
     column = (np.arange(camera.width) - camera.cx) * (nx / camera.fx)
@@ -118,12 +114,8 @@ def transform_plane(a_T_b: Float, plane_b: Plane) -> Plane:
 def fit_plane(points: NDArray[np.floating[Any]], chosen: NDArray[np.bool_] | None = None) -> Plane:
     """Total least squares plane of (N, 3) points: the direction of least scatter about the centroid.
 
-    The sign is free; see ``facing`` to choose it. Source: the eigenvector of the smallest eigenvalue of the scatter
-    matrix (Pearson 1901).
-
-    Args:
-        points: metres.
-        chosen: (N,) the points that count; None for all.
+    The sign is free; see ``facing`` to choose it. With ``chosen`` (N,) only those points count. Source: the eigenvector
+    of the smallest eigenvalue of the scatter matrix (Pearson 1901).
 
     Raises:
         ValueError: fewer than three points count.
@@ -143,12 +135,7 @@ def fit_plane(points: NDArray[np.floating[Any]], chosen: NDArray[np.bool_] | Non
 
 
 def plane_of_scatter(centroid: Float, scatter: Float) -> Plane:
-    """The plane through a (3,) centroid in the direction of least scatter, as of ``fit_plane``.
-
-    Args:
-        centroid: metres.
-        scatter: (3, 3) about the centroid; what lies above the diagonal is not read.
-    """
+    """The plane through a (3,) centroid, normal to the direction of least (3, 3) scatter; reads the lower triangle."""
     _, vectors = np.linalg.eigh(scatter, UPLO="L")
     normal = vectors[:, 0]
     return Plane.of(normal, -float(normal @ centroid))

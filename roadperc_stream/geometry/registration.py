@@ -51,7 +51,7 @@ def warp_depth(depth_camera: Camera, camera_T_depth: Float, camera: Camera, dept
 def depth_of_points(camera: Camera, camera_T_lidar: Float, points_m: Float32) -> Float32:
     """Sparse depth of a lidar's points in a camera's image: each falls into one pixel, where the nearest one counts.
 
-    The camera is a pinhole here as it is to every stage, whatever lens its image comes from: so a pixel and its
+    The camera is a pinhole here as in every stage, also if its image has a lens: so a pixel and its
     depth give the point again, to within half a pixel.
 
     Args:

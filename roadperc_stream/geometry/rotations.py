@@ -20,7 +20,7 @@ Quaternion = tuple[float, float, float, float]
 _SMALL_ANGLE: Final = 1e-3
 """Radians up to which a series is more accurate than a quotient of two numbers that vanish."""
 _ORTHOGONAL: Final = 1e-12 + 1e-5 * np.eye(3)
-"""Deviation of R R^T from the identity up to which a matrix is taken as it is."""
+"""Deviation of R R^T from the identity up to which a matrix counts as a rotation."""
 
 
 def rigid(rotation: Float, translation: Float) -> Float:
@@ -92,7 +92,7 @@ def rotation_from_vector(vector: Float) -> Float:
 
 
 def quaternion(rotation: Float) -> Quaternion:
-    """x, y, z, w with w >= 0 of a (3, 3) rotation; of a matrix that is none the nearest one's.
+    """x, y, z, w with w >= 0 of a (3, 3) rotation; a matrix that is not a rotation gives that of the nearest one.
 
     Source: Markley, "Unit Quaternion from Rotation Matrix", Journal of Guidance, Control, and Dynamics 31, 2008.
     """

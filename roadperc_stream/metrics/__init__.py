@@ -1,4 +1,4 @@
-"""One row of numbers per frame and one per detection: pure functions of what the chain made and what is true.
+"""The metrics of a frame and of each detection: pure functions of results and truth.
 
 An error is estimate minus truth; a column is None where it could not be measured. docs/metrics.md has the formulas.
 """

@@ -224,12 +224,8 @@ def _best_accuracy(predicted: Sequence[Float], lane: Float, threshold_px: float)
 def line_overlaps(predicted: Sequence[Float], truth: Sequence[Float], shape: tuple[int, int]) -> Float:
     """(predicted, truth) intersections over union of drawn lines, by which CULane pairs them.
 
-    They are 30 px wide in the benchmark's images, 1640 px wide, and grow with the image.
-
-    Args:
-        predicted: a line each: (N, 2) x, y in px from end to end, joined by straight pieces.
-        truth: the same, true.
-        shape: rows and columns of the image.
+    A line is (N, 2) x, y in px from end to end, joined by straight pieces. It is drawn 30 px wide in the benchmark's
+    images, which are 1640 px wide, and its width grows with the image. ``shape`` is rows and columns.
     """
     width_px = CULANE_WIDTH_PX * shape[1] / CULANE_COLUMNS
     places = [np.flatnonzero(_drawn(line, shape, width_px)) for line in predicted]  # a line fills few of the pixels
@@ -249,9 +245,7 @@ def counts_above(overlaps: Float, threshold: float) -> Counts:
     pair above the threshold is a true positive. Precision, recall and F1 of a run are computed from the counts summed
     over its frames.
 
-    Args:
-        overlaps: (predicted, truth) intersections over union, as ``line_overlaps`` gives them.
-        threshold: 0.5 in the benchmark, 0.3 in its looser variant.
+    The overlaps are those of ``line_overlaps``. The threshold is 0.5 in the benchmark, 0.3 in its looser variant.
     """
     tp = sum(float(overlaps[pair]) > threshold for pair in largest_total(overlaps).items())
     return Counts(tp, overlaps.shape[0] - tp, overlaps.shape[1] - tp)

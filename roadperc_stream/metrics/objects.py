@@ -12,7 +12,7 @@ from roadperc_stream.schemas.columns.errors import ObjectErrorColumns, TrueImpac
 from roadperc_stream.schemas.columns.estimates import ObjectColumns
 
 MATCH_OVERLAP = 0.5
-"""Intersection over union from which a detection stands for a true object of its kind."""
+"""Intersection over union from which a detection matches a true object of its kind."""
 
 
 def object_metrics(log_id: str, sample: Sample, result: FrameResult) -> list[ObjectMetrics]:
@@ -65,9 +65,9 @@ def _object_row(
 
 
 def true_time_to_impact_s(true: Object) -> float | None:
-    """What the truth says, else its distance over its closing speed.
+    """The true time to impact; else its distance over its closing speed.
 
-    None where it does not come nearer; where the truth says what is in the path it says all there is to say.
+    None if the object does not come nearer. If the truth has ``in_path``, its time to impact counts, also if absent.
     """
     if true.in_path is not None:
         return true.time_to_impact_s
@@ -108,7 +108,7 @@ def object_errors(objects: Objects | Absent, truth: Objects | None) -> ObjectErr
         for item, true in pairs
         if true is not None and item.kept and item.distance_m is not None and true.distance_m is not None
     ]
-    # The filter is judged by what the detector found: right are kept detections that stand for a true object.
+    # The filter is judged by what the detector found: true positives are kept detections that match a true object.
     judged = [(item.kept, true is not None) for item, true in pairs if item.status == "measured"]
     tp, fp = judged.count((True, True)), judged.count((True, False))
     fn, tn = judged.count((False, True)), judged.count((False, False))
@@ -136,7 +136,7 @@ def true_impact(objects: Objects | Absent, truth: Objects | None) -> TrueImpactC
 
 
 def true_partners(objects: Sequence[Object], truth: Objects | None) -> list[Object | None]:
-    """The true object each detection stands for: pairs of a kind by overlap, the best first, each used once."""
+    """The true object that each detection matches: pairs of a kind by overlap, best first, each used once."""
     partners: list[Object | None] = [None] * len(objects)
     used: set[int] = set()
     true = () if truth is None else truth.objects
@@ -156,7 +156,7 @@ def _candidates(objects: Sequence[Object], true: Sequence[Object]) -> list[tuple
 
 @lru_cache(maxsize=1024)
 def same_kind(label: str, other: str) -> bool:
-    """Whether pixels of one class may stand for both labels; of labels without classes, whether they are the same."""
+    """Whether both labels have a class in common; for labels without classes, whether they are equal."""
     classes, others = classes_of_label(label), classes_of_label(other)
     if classes is None or others is None:
         return label.strip().lower() == other.strip().lower()

@@ -1,4 +1,4 @@
-"""Where the car is and how it moved, and how far that is off."""
+"""The car's pose and step, and their errors."""
 
 import numpy as np
 
@@ -48,7 +48,7 @@ def _position_and_quaternion(odom_T_ego: Float) -> tuple[float, ...]:
 
 
 def odometry_errors(odometry: Odometry | Absent, sample: Sample, previous: EarlierTruth | None) -> OdometryErrorColumns:
-    """What is left of the step when the true one is undone, its length and its angle, and those of the true step."""
+    """Length and angle of the step relative to the true step, and those of the true step."""
     if isinstance(odometry, Absent) or odometry.step is None or previous is None:
         return OdometryErrorColumns()
     before, now = previous.odom_T_ego, sample.truth.odom_T_ego

@@ -22,7 +22,7 @@ D1_SHARE: Final = 0.05
 OCCLUSION_PX: Final = 1.0
 """A pixel drawn into the right image is hidden where something of so much larger disparity is drawn over it."""
 _SAMPLED: Final = 64
-"""Every so many numbers are a sample."""
+"""Step of the sample: one of this many numbers."""
 
 
 def stereo_columns(stereo: StereoDepth | Absent) -> StereoColumns:

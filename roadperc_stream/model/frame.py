@@ -92,7 +92,7 @@ class PointCloud:
 
     frame_id: str
     decode_points: Callable[[], Float32] = field(repr=False)
-    """Gives every point, also those that are not finite."""
+    """Returns all points, including those that are not finite."""
 
     @cached_property
     def points_m(self) -> Float32:
@@ -106,7 +106,7 @@ class PointCloud:
 
     @property
     def left_out(self) -> int:
-        """How many points are not finite."""
+        """Number of points that are not finite."""
         return len(self._all_m) - len(self.points_m)
 
     @cached_property

@@ -117,7 +117,7 @@ _CAUSE: Final = "cause"
 _CAUSE_SOURCE: Final[dict[str, str]] = {"no_surface": "surface", "no_drivable_surface": "drivable"}
 """Whose reason a cause is; of other codes it is one of the same source."""
 _DETAIL: Final = "detail"
-"""What a library or a file says: it may differ in numbers that nobody knows the meaning of."""
+"""What a library or a file says: its numbers and words do not distinguish kinds."""
 _SOURCE: Final = re.compile(r"([a-z_]+): (.*)", re.DOTALL)
 _NUMBERS: Final = {"d": r"-?\d+", "g": r"-?(?:[\d.]+(?:e[-+]\d+)?|inf|nan)", ".0f": r"-?\d+|nan", ".0%": r"-?\d+%"}
 
@@ -145,7 +145,7 @@ class Reason:
     cause: "Reason | None" = None
 
     def __post_init__(self) -> None:
-        wanted = fields_of(self.code)
+        wanted = tuple(fields_of(self.code))
         if len(wanted) - (_CAUSE in wanted) != len(self.values) or (_CAUSE in wanted) == (self.cause is None):
             raise ValueError(f"{self.code}: expected {wanted}, got {self.values} and cause {self.cause}")
 
@@ -155,17 +155,19 @@ class Reason:
     @property
     def text(self) -> str:
         """The sentence without its source."""
-        names = [name for name in fields_of(self.code) if name != _CAUSE]
         cause = {} if self.cause is None else {_CAUSE: self.cause.text}
-        return TEMPLATES[self.code].format(**dict(zip(names, self.values, strict=True)), **cause)
+        return TEMPLATES[self.code].format(**self._named, **cause)
 
     @property
     def kind(self) -> ReasonKind:
         """What reasons that differ in numbers alone have in common."""
-        names = (name for name in fields_of(self.code) if name != _CAUSE)
-        named = zip(names, self.values, strict=True)
-        words = (value for name, value in named if isinstance(value, str) and name != _DETAIL)
+        words = (value for name, value in self._named.items() if isinstance(value, str) and name != _DETAIL)
         return ((self.source, self.code, *words), *(self.cause.kind if self.cause else ()))
+
+    @property
+    def _named(self) -> dict[str, Value]:
+        """The values by the names of the template's fields."""
+        return dict(zip((name for name in fields_of(self.code) if name != _CAUSE), self.values, strict=True))
 
 
 def parse_reason(text: str) -> Reason:
@@ -175,9 +177,9 @@ def parse_reason(text: str) -> Reason:
 
 
 @cache
-def fields_of(code: str) -> tuple[str, ...]:
-    """Names of a template's fields, in order."""
-    return tuple(name for _, name, _, _ in Formatter().parse(TEMPLATES[code]) if name)
+def fields_of(code: str) -> dict[str, tuple[str, str]]:
+    """Format and conversion of each field of a template, by its name, in order."""
+    return {name: (spec or "", how or "") for _, name, spec, how in Formatter().parse(TEMPLATES[code]) if name}
 
 
 def _parsed(source: str, text: str) -> Reason:
@@ -205,15 +207,9 @@ def _pattern(template: str) -> str:
     return "".join(parts)
 
 
-@cache
-def _formats(code: str) -> dict[str, tuple[str, str]]:
-    """Format and conversion of each of a template's fields."""
-    return {name: (spec or "", how or "") for _, name, spec, how in Formatter().parse(TEMPLATES[code]) if name}
-
-
 def _value(code: str, name: str, text: str) -> Value:
     """A field's value, as exactly as its text has it."""
-    spec, conversion = _formats(code)[name]
+    spec, conversion = fields_of(code)[name]
     if spec == "d":
         return int(text)
     if spec == ".0%":

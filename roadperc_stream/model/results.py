@@ -43,7 +43,7 @@ class Absent:
     if not TYPE_CHECKING:  # to mypy an absent output has nothing but its reason
 
         def __getattr__(self, name: str) -> object:
-            """What an output would have, and this one has not."""
+            """Raise for each attribute of a present output."""
             raise AttributeError(f"no {name!r} in this frame: {self.__dict__.get('reason')}", name=name, obj=self)
 
 
@@ -206,7 +206,7 @@ class Object:
 
     @property
     def verdict(self) -> Verdict:
-        """What became of it: ``unverified`` ones are kept because no segmentation could confirm or refute them."""
+        """The filter's verdict: ``unverified`` objects are kept because there is no segmentation to verify them."""
         if not self.kept:
             return "dropped"
         return "unverified" if self.class_ratio is None else "kept"
@@ -230,7 +230,7 @@ class Correlation:
 
     @property
     def peak(self) -> tuple[Box, float]:
-        """Where the template fits best, and how well."""
+        """The box where the template fits best, and its score."""
         row, column = np.unravel_index(int(np.argmax(self.scores)), self.scores.shape)
         left, top = float(self.x_px + column), float(self.y_px + row)
         box_px = Box(left, top, left + self.template_px[0], top + self.template_px[1])
@@ -272,7 +272,7 @@ class Objects:
 
 @dataclass(frozen=True)
 class FrameResult:
-    """What the chain made of one frame.
+    """The result of the chain for one frame.
 
     ``problems`` say which inputs could not be used and what had to be done without them.
     """
@@ -295,7 +295,7 @@ class FrameResult:
             read_only(self.drivable, np.bool_, (None, None), "drivable")
 
     def reasons(self) -> tuple[Reason, ...]:
-        """Why stages gave nothing, and what was wrong with the input."""
+        """The reasons of absent outputs, and the problems of the input."""
         stages = (
             self.stereo,
             self.surface,

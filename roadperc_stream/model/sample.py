@@ -16,7 +16,7 @@ from roadperc_stream.model.results import Absent, FrameResult, Lanes, Objects
 
 @dataclass(frozen=True)
 class Truth:
-    """What is known to be true of a frame; the chain never sees it."""
+    """The truth of a frame; the chain never sees it."""
 
     odom_T_ego: Float | None = None
     surface: Surface | None = None
@@ -78,7 +78,7 @@ class Sample:
     skew_ns: int | None = None
     anchor: FrameAnchor = field(default_factory=FrameAnchor)
     segment: int = 0
-    """How often the stamps before it began anew."""
+    """Number of restarts of the stamps before it."""
     lost: Reason | None = None
     """That messages were lost to damage since the frame before."""
 

@@ -1,4 +1,4 @@
-"""One frame as the stages take it: its pixels, decoded, its depth from whichever source, and its detections."""
+"""The input of the stages: a frame's decoded pixels, its depth from any source, and its detections."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,8 +13,7 @@ from roadperc_stream.model import Absent, CameraImage, Detection, Ids, Image, Re
 from roadperc_stream.model.tag_tables import TagTable
 
 _NOT_RUN: Final = Absent(Reason("stereo", "not_run"))
-_SAME_PLACE, _SAME_SHARE = 1e-6, 1e-5
-"""Metres, and a share of each number, by which two cameras in one place may differ."""
+_SAME_PLACE_M: Final = 1e-6
 
 
 @dataclass(frozen=True)
@@ -46,9 +45,7 @@ class DepthMap:
 
     def _is_of(self, camera: Camera, ego_T_camera: Float) -> bool:
         """Whether the depth belongs to that camera, so that pixel lies on pixel."""
-        apart = np.abs(ego_T_camera - self.ego_T_camera)
-        same_place = (apart <= _SAME_PLACE + _SAME_SHARE * np.abs(self.ego_T_camera)).all()
-        return bool(same_place) and camera.same_view(self.camera)
+        return np.allclose(ego_T_camera, self.ego_T_camera, atol=_SAME_PLACE_M) and camera.same_view(self.camera)
 
 
 @dataclass(frozen=True)
@@ -101,7 +98,7 @@ class Scene:
 
     @property
     def plane_source(self) -> str:
-        """What the assumed road plane rests on, in words."""
+        """The source of the assumed road plane, in words."""
         return "the mounting" if self.mounted else "the assumed height"
 
     def labels(self, classes: tuple[str, ...]) -> Image | None:
@@ -115,5 +112,5 @@ class Scene:
 
     @cached_property
     def _labels(self) -> dict[tuple[str, ...], Image]:
-        """Of the classes that were asked for: several stages ask for the same."""
+        """A cache by classes, because several stages use the same."""
         return {}

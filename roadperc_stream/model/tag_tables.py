@@ -39,7 +39,7 @@ class TagTable:
         return hash(self.name)
 
     def tags_of(self, classes: Iterable[str]) -> tuple[int, ...]:
-        """Tags of the classes named; a group's name stands for its members.
+        """Tags of the classes named; a group's name includes all its members.
 
         Raises:
             ConfigError: no table knows such a class.
@@ -58,7 +58,7 @@ class TagTable:
         return self.names[tag] if tag < len(self.names) else "unlabeled"
 
     def tag_by_colour(self) -> dict[Colour, int]:
-        """Every palette colour of these versions and the tag it stands for."""
+        """Every palette colour of these versions and its tag."""
         return {**dict(self.other_colours), **{colour: tag for tag, colour in enumerate(self.colours)}}
 
 

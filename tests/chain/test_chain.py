@@ -72,42 +72,44 @@ def broken(*_):
     raise DecodeError("cut off")
 
 
-def test_what_cannot_be_decoded_counts_as_missing_and_is_reported():
-    frame = replace(drive(1)[0], segmentation=TagImage("camera", TABLE, broken), depth=DepthImage("camera", broken))
-    _, (result,) = run([frame])
-    assert texts(result.problems) == (
-        "segmentation: cannot be decoded: cut off",
-        "depth: cannot be decoded: cut off",
-        "surface: no depth, the mounting gives the plane",
-        "objects: no segmentation, detections are not filtered",
-        "objects: no depth, no distances",
-    )
-    assert result.surface.source == "assumed"
+@pytest.mark.parametrize(
+    ("changes", "source", "problems"),
+    [
+        (
+            {"segmentation": TagImage("camera", TABLE, broken), "depth": DepthImage("camera", broken)},
+            "assumed",
+            (
+                "segmentation: cannot be decoded: cut off",
+                "depth: cannot be decoded: cut off",
+                "surface: no depth, the mounting gives the plane",
+                "objects: no segmentation, detections are not filtered",
+                "objects: no depth, no distances",
+            ),
+        ),
+        (
+            {"segmentation": TagImage("camera", TABLE, Road(width=100, height=50).tags)},
+            "lower_image",
+            (
+                "segmentation: 100x50 pixels, its calibration says 320x240",
+                "surface: no segmentation, the lower image stands in for the road",
+                "objects: no segmentation, detections are not filtered",
+            ),
+        ),
+    ],
+    ids=["undecodable", "of another size than the calibration"],
+)
+def test_an_unusable_input_counts_as_missing_and_is_reported(changes, source, problems):
+    _, (result,) = run([replace(drive(1)[0], **changes)])
+    assert texts(result.problems) == problems
+    assert result.surface.source == source
 
 
-def test_pixels_of_another_size_than_the_calibration_are_reported():
-    tags = Road(width=100, height=50).tags()
-    frame = replace(drive(1)[0], segmentation=TagImage("camera", TABLE, lambda: tags))
-    _, (result,) = run([frame])
-    assert texts(result.problems) == (
-        "segmentation: 100x50 pixels, its calibration says 320x240",
-        "surface: no segmentation, the lower image stands in for the road",
-        "objects: no segmentation, detections are not filtered",
-    )
-
-
-def test_time_that_goes_back_clears_the_memory():
-    frames = drive(4)
-    _, results = run([*frames, frames[0]])
-    stamps = (frames[-1].stamp_ns, frames[0].stamp_ns)
-    assert Reason("time", "time_went_back", stamps) in results[-1].problems
+@pytest.mark.parametrize(("frames", "code"), [((0, 1, 2, 3, 0), "time_went_back"), ((0, 0), "time_stood_still")])
+def test_a_stamp_that_is_not_after_the_last_one_clears_the_state(frames, code):
+    stamps = tuple(drive(4)[k].stamp_ns for k in frames[-2:])
+    _, results = run([drive(4)[k] for k in frames])
+    assert Reason("time", code, stamps if code == "time_went_back" else stamps[:1]) in results[-1].problems
     assert results[-1].lanes.side("left").status == "measured"
-
-
-def test_time_that_stands_still_differs_from_time_that_goes_back():
-    frame = drive(1)[0]
-    _, results = run([frame, frame])
-    assert f"time: stood still at {frame.stamp_ns} ns, state of all stages cleared" in texts(results[-1].problems)
 
 
 def test_an_image_that_cannot_be_used_is_lost_and_one_that_is_not_there_is_no_odometry():

@@ -79,7 +79,7 @@ def test_replaying_again_is_equal_and_does_not_depend_on_later_frames(drive, req
 
 
 @pytest.mark.parametrize("drive", ["frames", "lidar_frames"])
-def test_a_pickled_state_goes_on_as_if_nothing_had_happened(drive, request):
+def test_a_pickled_state_continues_with_identical_results(drive, request):
     frames = request.getfixturevalue(drive)
     state, _ = run(frames[:3])
     assert same(run(frames[3:], pickle.loads(pickle.dumps(state)))[1], run(frames)[1][3:])

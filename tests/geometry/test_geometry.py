@@ -13,11 +13,8 @@ ANGLES = st.floats(-1.0, 1.0)
 METRES = st.floats(-50.0, 50.0)
 
 
-def test_project_a_3_4_5_triangle():
+def test_a_point_in_front_of_the_camera_has_a_pixel_and_one_behind_it_has_none():
     np.testing.assert_allclose(g.project(CAMERA, np.array([3.0, 4.0, 5.0])), [319.5 + 192, 239.5 + 256])
-
-
-def test_nothing_behind_the_camera_has_a_pixel():
     assert np.isnan(g.project(CAMERA, np.array([1.0, 1.0, -2.0]))).all()
 
 
@@ -48,13 +45,10 @@ def test_fit_plane_through_a_tilted_square():
     assert plane.distance(square) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_fit_plane_counts_only_what_is_chosen():
+def test_fit_plane_uses_the_chosen_points_and_needs_three():
     points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 5, 9]], float)
     plane = g.fit_plane(points, np.array([True, True, True, False]))
     assert abs(plane.n[2]) == pytest.approx(1.0)
-
-
-def test_fit_plane_refuses_two_points():
     with pytest.raises(ValueError, match="three points, got 2"):
         g.fit_plane(np.zeros((2, 3)))
 
@@ -112,6 +106,6 @@ def test_baseline_is_the_distance_of_the_centres():
         np.array([[640.0, 0, 640, 1], [0, 640, 480, 1], [640, 640, 1120, 1]]),
     ],
 )
-def test_what_is_no_projection(P):
+def test_an_invalid_projection_matrix_raises(P):
     with pytest.raises(ValueError, match="projection matrix"):
         g.decompose_projection(P)

@@ -43,12 +43,6 @@ def test_a_grid_that_holds_a_plane_is_that_plane_everywhere(a, b, d, seed):
     np.testing.assert_allclose(found[near], expected[near], atol=5e-3)
 
 
-def test_the_plane_is_met_as_ever():
-    pixels = np.random.default_rng(0).uniform((0, 0), (320, 240), (100, 2))
-    expected = g.transform(HILL.ego_T_camera, g.intersect_plane(HILL.camera, pixels, FLAT.plane))
-    np.testing.assert_array_equal(ground.ground_points(FLAT, HILL.camera, HILL.ego_T_camera, pixels), expected)
-
-
 @pytest.mark.parametrize("hill", [HILL, replace(HILL, grade=-0.08), replace(HILL, bank=0.03)])
 def test_points_on_the_hill_come_back_from_their_pixels(hill):
     x, y = (values.ravel() for values in np.meshgrid(np.arange(3.0, 26.0), np.arange(-3.0, 4.0)))

@@ -40,10 +40,6 @@ def test_columns_of_a_frame():
     assert row.lane_right_boundary_class == "sidewalk"
     assert row.surface_source == "depth"
     assert row.lane_left_error_m is None
-
-
-def test_lost_lanes_have_no_width():
     lanes = Lanes((boundary(1.8), Boundary("right", "lost")))
-    sample, result = sample_and_result()
     row = frame_metrics(CFG, "id", sample, replace(result, lanes=lanes))
     assert (row.lane_width_m, row.lane_right_status, row.lane_right_offset_m) == (None, "lost", None)

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from roadperc_stream.geometry import inverse, project, transform
 from roadperc_stream.metrics.lanes import (
-    Counts,
     TuSimpleScore,
     columns_at,
     counts_above,
@@ -29,13 +28,10 @@ ROAD = Road(width=1280, height=720)
 COUNTS = [f"lane_culane_{name}_{percent}" for percent in (50, 30) for name in ("tp", "fp", "fn")]
 
 
-def test_lane_error_is_taken_ten_metres_ahead():
+def test_lane_error_is_taken_ten_metres_ahead_and_needs_both_boundaries():
     assert lane_error_m(boundary(1.8, 0.01), boundary(1.8)) == pytest.approx(0.1)
     assert lane_error_m(boundary(1.55), boundary(1.8)) == pytest.approx(-0.25)
     assert lane_error_m(boundary(1.8), boundary(1.8)) == 0.0
-
-
-def test_lane_error_needs_both():
     assert lane_error_m(Boundary("left", "lost"), boundary(1.8)) is None
     assert lane_error_m(boundary(1.8), Boundary("left", "measured")) is None
 
@@ -128,11 +124,8 @@ def test_the_true_heading_is_that_of_the_boundaries_that_are_found(lost, expecte
     truth = Lanes((boundary(1.8, np.radians(1.0)), boundary(-1.9, np.radians(3.0), side="right")))
     found = Lanes(tuple(Boundary(b.side, "lost") if b.side in lost else b for b in TRUTH.boundaries))
     assert true_lane_columns(found, truth).lane_true_heading_deg == (expected and pytest.approx(expected))
-
-
-def test_without_one_of_the_true_headings_there_is_none():
-    truth = Lanes((TRUTH.side("left"), replace(TRUTH.side("right"), heading=None)))
-    assert true_lane_columns(TRUTH, truth).lane_true_heading_deg is None
+    unknown = Lanes((truth.side("left"), replace(truth.side("right"), heading=None)))
+    assert true_lane_columns(TRUTH, unknown).lane_true_heading_deg is None
 
 
 ROWS = np.arange(160.0, 720.0, 10.0)
@@ -179,31 +172,26 @@ def test_points_that_neither_lane_has_are_right():
     assert tusimple([upright(300.0)], [truth], ROWS).accuracy == pytest.approx(np.mean(ROWS >= 400))
 
 
-def test_of_two_true_lanes_one_is_missed():
-    assert tusimple([upright(300.0)], [upright(300.0), upright(700.0)], ROWS) == TuSimpleScore(0.5, 0.0, 0.5)
-    assert tusimple([upright(300.0), upright(700.0)], [upright(300.0)], ROWS) == TuSimpleScore(1.0, 0.5, 0.0)
-
-
-def test_the_worst_of_five_true_lanes_is_forgiven():
-    truth = [upright(x) for x in (100.0, 300.0, 500.0, 700.0, 900.0)]
-    assert tusimple(truth, truth, ROWS) == TuSimpleScore(1.0, 0.0, 0.0)
-    assert tusimple(truth[:4], truth, ROWS) == TuSimpleScore(1.0, 0.0, 0.0)
-    assert tusimple(truth[:3], truth, ROWS) == TuSimpleScore(0.75, 0.0, 0.25)
-
-
-def test_many_lanes_too_many_are_no_answer():
-    lanes = [upright(100.0 * k) for k in range(1, 5)]
-    assert tusimple(lanes[:3], lanes[:1], ROWS) == TuSimpleScore(1.0, pytest.approx(2 / 3), 0.0)
-    assert tusimple(lanes, lanes[:1], ROWS) == TuSimpleScore(0.0, 0.0, 1.0)
-
-
-def test_nothing_found_and_nothing_there():
-    assert tusimple([], [upright(1.0)], ROWS) == TuSimpleScore(0.0, 0.0, 1.0)
-    assert tusimple([upright(1.0)], [], ROWS) == TuSimpleScore(0.0, 1.0, 0.0)
-    assert tusimple([], [], ROWS) == TuSimpleScore(0.0, 0.0, 0.0)
-    assert culane([], [], SHAPE) == Counts(0, 0, 0)
-    assert culane([line(9)], [], SHAPE) == Counts(0, 1, 0)
-    assert culane([], [line(9)], SHAPE) == Counts(0, 0, 1)
+@pytest.mark.parametrize(
+    ("found", "true", "score", "counts"),
+    [
+        (0, 0, (0, 0, 0), (0, 0, 0)),
+        (0, 1, (0, 0, 1), (0, 0, 1)),
+        (1, 0, (0, 1, 0), (0, 1, 0)),
+        (1, 2, (1 / 2, 0, 1 / 2), (1, 0, 1)),
+        (2, 1, (1, 1 / 2, 0), (1, 1, 0)),
+        (3, 1, (1, 2 / 3, 0), (1, 2, 0)),
+        pytest.param(4, 1, (0, 0, 1), (1, 3, 0), id="more than two lanes too many are no answer"),
+        (5, 5, (1, 0, 0), (5, 0, 0)),
+        pytest.param(4, 5, (1, 0, 0), (4, 0, 1), id="the worst of five true lanes is forgiven"),
+        pytest.param(3, 5, (3 / 4, 0, 1 / 4), (3, 0, 2), id="and no other"),
+    ],
+)
+def test_lanes_that_are_found_and_missed(found, true, score, counts):
+    places = [100.0, 300.0, 500.0, 700.0, 900.0]
+    lanes, drawn = [upright(x) for x in places], [line(x) for x in places]
+    assert tusimple(lanes[:found], lanes[:true], ROWS) == pytest.approx(score)
+    assert culane(drawn[:found], drawn[:true], SHAPE) == counts
 
 
 def test_the_overlap_of_two_upright_lines():
@@ -241,17 +229,16 @@ def test_a_line_moved_too_far_is_found_wrongly_and_missed(moved_px, threshold, c
     assert culane([line(800 + moved_px)], [line(800)], SHAPE, threshold) == counts
 
 
-def test_a_pair_at_the_threshold_is_not_found():
-    assert counts_above(np.array([[0.5]]), 0.5) == Counts(0, 1, 1)
-
-
-def test_lines_are_paired_for_the_largest_sum():
-    """The best single pair (0.9) would leave 0.0 for the others: 0.8 and 0.7 together are more."""
-    assert counts_above(np.array([[0.9, 0.8], [0.7, 0.0]]), 0.5) == Counts(2, 0, 0)
-
-
-def test_two_found_lines_do_not_share_a_true_one():
-    assert culane([line(800), line(802)], [line(800)], SHAPE) == Counts(1, 1, 0)
+@pytest.mark.parametrize(
+    ("overlaps", "counts"),
+    [
+        pytest.param([[0.5]], (0, 1, 1), id="at the threshold is not above it"),
+        pytest.param([[0.9, 0.8], [0.7, 0.0]], (2, 0, 0), id="the largest sum, not the best single pair"),
+        pytest.param([[1.0], [0.9]], (1, 1, 0), id="two found lines do not share a true one"),
+    ],
+)
+def test_lines_are_paired_by_their_overlaps(overlaps, counts):
+    assert counts_above(np.array(overlaps), 0.5) == counts
 
 
 lanes = st.lists(st.floats(0, 1280), max_size=4)

@@ -49,22 +49,24 @@ def test_the_filter_is_counted_over_what_the_detector_found():
     assert [r.is_true for r in rows] == [True, True, False, False, False]
 
 
-def test_a_filter_that_keeps_what_is_true_is_right():
-    car = Object(box("Car", 0, 0, 10, 10), True, distance_m=5.0)
-    row, _ = judged(car, truth=Objects((car,)))
-    assert (row.filter_precision, row.filter_recall, row.object_distance_error_m) == (1.0, 1.0, 0.0)
+CAR = Object(box("Car", 0, 0, 10, 10), True, distance_m=5.0)
 
 
-def test_without_true_objects_nothing_is_said_of_the_filter():
-    row, rows = judged(Object(box("Car", 0, 0, 10, 10), True), truth=None)
-    assert (row.filter_tp, row.filter_precision, row.filter_recall) == (None, None, None)
-    assert rows[0].is_true is None
-
-
-def test_a_share_of_nothing_is_unknown():
-    row, _ = judged(Object(box("Car", 0, 0, 10, 10), False), truth=Objects(()))
-    assert (row.filter_tp, row.filter_fp, row.filter_fn, row.filter_tn) == (0, 0, 0, 1)
-    assert (row.filter_precision, row.filter_recall) == (None, None)
+@pytest.mark.parametrize(
+    ("kept", "truth", "counts", "shares", "is_true"),
+    [
+        (True, Objects((CAR,)), (1, 0, 0, 0), (1.0, 1.0), True),
+        (True, None, (None,) * 4, (None, None), None),
+        (False, Objects(()), (0, 0, 0, 1), (None, None), False),
+    ],
+    ids=["right", "no truth", "a share of nothing"],
+)
+def test_the_filter_is_judged_by_the_true_objects(kept, truth, counts, shares, is_true):
+    row, rows = judged(replace(CAR, kept=kept), truth=truth)
+    assert (row.filter_tp, row.filter_fp, row.filter_fn, row.filter_tn) == counts
+    assert (row.filter_precision, row.filter_recall) == shares
+    assert row.object_distance_error_m == (0.0 if is_true else None)
+    assert rows[0].is_true is is_true
 
 
 @pytest.mark.parametrize(
@@ -75,7 +77,7 @@ def test_objects_whose_place_is_not_known_are_not_counted_as_beside_the_path(in_
     assert object_columns(Objects(kept, path_source="straight")).objects_in_path == counted
 
 
-def test_a_pedestrian_does_not_stand_for_a_car():
+def test_a_pedestrian_does_not_match_a_car():
     place = (0, 0, 10, 10)
     _, rows = judged(
         Object(box("Pedestrian", *place), True),

@@ -33,7 +33,7 @@ def row_of(step, true_step, **odometry):
         (moved(1.0, 0.0, 3.0), moved(3.0, 4.0, 1.0), (np.hypot(2.0, 4.0), 2.0), (5.0, 1.0)),
     ],
 )
-def test_what_is_left_of_a_step_stands_beside_the_true_one(step, true_step, errors, true):
+def test_the_errors_of_a_step_and_the_true_step(step, true_step, errors, true):
     row = row_of(step, true_step)
     assert (row.step_error_m, row.turn_error_deg) == pytest.approx(errors, abs=1e-6)
     assert (row.true_step_m, row.true_turn_deg) == pytest.approx(true, abs=1e-6)
@@ -48,14 +48,10 @@ def test_the_true_step_has_no_error_and_the_true_pose_is_in_the_row():
     assert (row.odom_x_m, row.odom_qw) == (1.0, 1.0)
 
 
-def test_a_step_without_scale_has_no_length_error():
+def test_without_scale_there_is_no_length_error_and_without_truth_no_error():
     row = row_of(moved(2.0, 0.0), moved(1.0, 0.0), up_to_scale=True)
     assert (row.step_error_m, row.turn_error_deg) == (None, pytest.approx(0.0, abs=1e-6))
-
-
-def test_without_truth_there_is_no_true_pose():
-    sample, result = sample_and_result()
-    row = frame_metrics(CFG, "id", sample, result)
+    row = frame_metrics(CFG, "id", *sample_and_result())
     assert (row.true_x_m, row.true_qw, row.step_error_m, row.true_step_m) == (None, None, None, None)
 
 

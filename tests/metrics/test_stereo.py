@@ -86,7 +86,7 @@ def test_far_and_unknown_truth_does_not_count():
     assert stereo_errors(flat(np.nan), flat(10), STEREO, 0.5) == StereoErrorColumns(stereo_coverage=0.0)
 
 
-def test_what_something_near_hides_is_not_seen_by_both():
+def test_a_hidden_pixel_is_not_visible_in_both_images():
     """Columns 50 to 59 at 20 px land on 30 to 39, where the ground's columns 34 to 43 at 4 px would be."""
     disparity = np.full((3, 80), 4.0, np.float32)
     disparity[:, 50:60] = 20.0

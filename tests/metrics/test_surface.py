@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from roadperc_stream.geometry import Plane
 from roadperc_stream.metrics import frame_metrics
 from roadperc_stream.metrics.surface import intersection_over_union, surface_height_error_m
 from roadperc_stream.model import HeightGrid
@@ -23,11 +24,11 @@ def test_intersection_over_union():
 def test_a_surface_turned_by_a_degree():
     _, result = sample_and_result()
     turned = replace(
-        result.surface, ego_plane=type(result.surface.ego_plane)((np.sin(np.pi / 180), 0.0, np.cos(np.pi / 180)), 0.0)
+        result.surface, camera_height_m=1.5, ego_plane=Plane((np.sin(np.pi / 180), 0.0, np.cos(np.pi / 180)), 0.0)
     )
-    level = replace(result.surface, ego_plane=type(result.surface.ego_plane)((0.0, 0.0, 1.0), 0.0))
-    sample, _ = sample_and_result(surface=replace(turned, camera_height_m=1.5))
-    row = frame_metrics(CFG, "id", sample, replace(result, surface=replace(level, camera_height_m=1.4)))
+    level = replace(result.surface, camera_height_m=1.4, ego_plane=Plane((0.0, 0.0, 1.0), 0.0))
+    sample, _ = sample_and_result(surface=turned)
+    row = frame_metrics(CFG, "id", sample, replace(result, surface=level))
     assert row.surface_angle_error_deg == pytest.approx(1.0)
     assert row.camera_height_error_m == pytest.approx(-0.1)
 
@@ -46,7 +47,7 @@ def test_heights_are_judged_between_five_and_forty_metres():
 
 def test_heights_of_a_plane_and_without_truth():
     level = replace(Hill(grade=0.0).surface(), height_grid=None)
-    raised = replace(level, ego_plane=type(level.ego_plane)((0.0, 0.0, 1.0), -0.1))
+    raised = replace(level, ego_plane=Plane((0.0, 0.0, 1.0), -0.1))
     assert surface_height_error_m(raised, Hill(grade=0.0).surface()) == pytest.approx(0.1)
     assert surface_height_error_m(level, level) is None
     far = replace(level, height_grid=HeightGrid(50.0, 0.0, 1.0, np.zeros((2, 2), np.float32)))

@@ -67,21 +67,14 @@ def test_numbers_do_not_make_a_kind_and_words_do():
         Reason("surface", "no_depth_plane_assumed", (word,)) for word in ("the mounting", "the assumed height")
     )
     assert by_mounting.kind != by_height.kind
-
-
-def test_what_a_decoder_says_does_not_make_a_kind():
-    first, second = (Reason("image", "undecodable", (f"{n} bytes are no PNG",)) for n in (7, 8))
-    assert first.kind == second.kind
+    assert Reason("image", "undecodable", ("7 bytes",)).kind == Reason("image", "undecodable", ("8 bytes",)).kind
+    assert parse_reason("lanes: gone 1").kind != parse_reason("lanes: gone 2").kind
 
 
 @pytest.mark.parametrize("text", ["", "lanes", "lanes: gone", "in 3 of 4 frames: what", "Lanes: no image"])
-def test_any_other_text_stays_what_it_is(text):
+def test_any_other_text_is_unchanged(text):
     reason = parse_reason(text)
     assert (reason.code, str(reason)) == ("other", text)
-
-
-def test_texts_that_no_template_gives_are_kinds_of_their_own():
-    assert parse_reason("lanes: gone 1").kind != parse_reason("lanes: gone 2").kind
 
 
 @pytest.mark.parametrize("number", ["nan", "inf", "-inf", "1e+30", "-0.5", "1e-30"])

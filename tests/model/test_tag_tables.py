@@ -1,5 +1,6 @@
 """Tag tables against CARLA's documentation."""
 
+import numpy as np
 import pytest
 
 from roadperc_stream.errors import ConfigError
@@ -20,11 +21,6 @@ def test_tags_of_versions(version, tags):
     table = s.table_for_version(version)
     for name, tag in tags.items():
         assert table.names[tag] == name
-
-
-def test_group_stands_for_its_members():
-    assert s.CARLA_BEFORE_0_9_14.tags_of(["vehicle"]) == (10,)
-    assert s.CARLA_FROM_0_9_14.tags_of(["vehicle"]) == (14, 15, 16, 17, 18, 19)
 
 
 @pytest.mark.parametrize(
@@ -51,20 +47,26 @@ def test_a_colour_of_a_table_stands_for_one_class(table):
         assert table.name_of(table.tag_by_colour()[colour]) == name
 
 
-def test_colours_are_unique_in_each_table_of_carla():
-    for table in s.CARLA_TABLES:
-        assert len(set(table.colours)) == len(table.names)
-        assert table.tag_by_colour()[(128, 64, 128)] == table.names.index("road")
+@pytest.mark.parametrize("table", s.CARLA_TABLES, ids=lambda table: table.name)
+def test_colours_are_unique_in_each_table_of_carla(table):
+    assert len(set(table.colours)) == len(table.names)
+    assert table.tag_by_colour()[(128, 64, 128)] == table.names.index("road")
 
 
-def test_lookup_masks_a_class():
-    lookup = s.CARLA_FROM_0_9_14.lookup(["road", "road_line"])
-    assert lookup[1] == lookup[24] == 1
-    assert lookup.sum() == 2
+@pytest.mark.parametrize(
+    ("table", "classes", "tags"),
+    [
+        (s.CARLA_BEFORE_0_9_14, ["vehicle"], (10,)),
+        (s.CARLA_FROM_0_9_14, ["vehicle"], (14, 15, 16, 17, 18, 19)),
+        (s.CARLA_FROM_0_9_14, ["road", "road_line"], (1, 24)),
+    ],
+)
+def test_the_tags_of_classes_and_of_a_group(table, classes, tags):
+    assert table.tags_of(classes) == tuple(np.flatnonzero(table.lookup(classes) == 1)) == tags
 
 
 @pytest.mark.parametrize("wrong", ["", "latest", "carla", "9" * 5000 + ".1"])
-def test_no_version(wrong):
+def test_an_invalid_version_raises(wrong):
     with pytest.raises(ConfigError, match=r"0\.9\.15"):
         s.table_for_version(wrong)
 

@@ -33,8 +33,8 @@ _PEAK_SHARE = 0.4
 """Support of the innermost edge, as a share of the best supported one, from which it counts as the boundary."""
 _BLOB_VARIANCE = 5.0
 _BLOB_ANGLE = 0.0125
-"""Variance of a fit, by that which its edges promise, where tags err: what is left of a boundary is not all there. It
-grows with the square of the edges' angle beyond the second number, radians."""
+"""With wrong tags the variance of a fit is this many times larger than that of its edges. Beyond the second number,
+radians, it grows with the square of the edges' angle."""
 _MIN_POINTS = 8
 _MIN_ROWS = 3
 _LEAST_BINS = 3
@@ -44,11 +44,11 @@ _LEAST_SPREAD = 0.67
 _CURVATURE_INFORMATION = 0.01**-2
 """Inverse variance of road curvature: where a short stretch does not determine it, the road is close to straight."""
 _CORRELATED_ROWS = 24.0
-"""Errors of edges in neighbouring rows are correlated: so many edges count as one."""
+"""Errors of edges in neighbouring rows are correlated: this many edges count as one."""
 _NOISE_PX = (1.0, 2.0, 4.0, 8.0, 16.0)
-"""How far edges are tried to lie off the boundary, standard deviations: the least that explains them is taken."""
+"""Standard deviations of the edges' noise that are tried: the smallest one that explains the edges counts."""
 _LOW_PX = 1.0
-"""Noise up to which the innermost edge of a row is the boundary's; of more, that is the one that errs most."""
+"""Up to this noise the innermost edge of a row is the boundary's; above it, that edge has the largest error."""
 _EXPLAINED = 0.7
 _ON_CURVE_STD = 2.5
 _STRIP_STD = 3.0
@@ -57,9 +57,9 @@ _FARTHEST_STD_M = 0.3
 _PEAK_AT_M = 4.0
 _NOISY_PEAK_SHARE = 0.8
 _CONTRAST = 3.0
-"""Contrast from which edges that err stand for a boundary; blobs of wrong tags alone reach 1 to 2."""
+"""Least contrast of a boundary with noisy edges; blobs of wrong tags reach 1 to 2."""
 _SURE_CONTRAST = 4.0
-"""The same where nothing was known of it before."""
+"""Least contrast of a new boundary with noisy edges."""
 _INSIDE_M = (0.6, 0.8, 1.0, 1.2)
 _CHANCE_ROWS = 5.0
 
@@ -86,7 +86,7 @@ class Edges:
 
 @dataclass(frozen=True)
 class _Noise:
-    """How far edges lie off the boundary, in pixels, and the width of a pixel one metre ahead."""
+    """The noise of the edges in pixels, and the width of a pixel one metre ahead."""
 
     edge_px: float
     metres_per_px: float
@@ -98,25 +98,25 @@ class _Noise:
 
     @property
     def is_low(self) -> bool:
-        """Whether edges can be told apart by how far inside they lie."""
+        """Whether the noise is low enough to separate parallel edges."""
         return self.edge_px <= _LOW_PX
 
     @property
     def blob_variance(self) -> float:
-        """How many times the variance of a fit is what its edges promise."""
+        """Factor of a fit's variance over that of its edges."""
         if self.is_low:
             return 1.0
         return _BLOB_VARIANCE * max(self.edge_px * self.metres_per_px / _BLOB_ANGLE, 1.0) ** 2
 
     @property
     def reach_m(self) -> float:
-        """How far ahead edges say anything."""
+        """Distance ahead up to which edges are useful."""
         return _FARTHEST_STD_M / (self.edge_px * self.metres_per_px)
 
     def strip_m(self, cfg: LanesConfig, std_m: Float) -> tuple[Float, Float]:
-        """How far inside and how far outside the last fit edges may lie that may be the boundary's, by their deviation.
+        """The distances inside and outside the last fit within which edges may be the boundary's.
 
-        Of edges that err those farther out count less far: the second line of a double one has them too.
+        The outer strip of noisy edges is narrower: the second line of a double marking lies there.
         """
         inside_m = _STRIP_STD * std_m
         if self.is_low:
@@ -136,11 +136,11 @@ class Curve:
     """How far the edges lie off it, standard deviation in pixels."""
 
     contrast: float = np.inf
-    """How many times as many edges as the road beside it has."""
+    """Ratio of its edges to those of the road beside it."""
 
     @property
     def is_sure(self) -> bool:
-        """Whether it is a boundary, though nothing was known of it before."""
+        """Whether it can start a new boundary."""
         return self.is_clear or self.contrast >= _SURE_CONTRAST
 
     @property
@@ -150,7 +150,7 @@ class Curve:
 
 
 def other_side(side: Side) -> Side:
-    """The opposite one."""
+    """The opposite side."""
     return "right" if side == "left" else "left"
 
 
@@ -176,17 +176,9 @@ def line_on_ground(points: Float) -> Float | None:
 
 
 def fit_curve(cfg: LanesConfig, edges: Edges, line: Float, side: Side, metres_per_px: float) -> Curve | None:
-    """The boundary near a line, from edges on the ground.
+    """The boundary near a line, from the edges of its side on the ground; None if too few edges support it.
 
-    Args:
-        cfg: width of the strip.
-        edges: those of its side.
-        line: (3,) where the Hough line has it.
-        side: the boundary's side.
-        metres_per_px: width of a pixel one metre ahead.
-
-    Returns:
-        The curve, or None where too few edges support it.
+    ``line`` is the (3,) state of the Hough line, ``metres_per_px`` the width of a pixel one metre ahead.
     """
     near = np.abs(edges.y - lateral(line, edges.x)) < _SEARCH_M
     if np.count_nonzero(near) < _MIN_POINTS or edges.x[near].min() > NEAR_M:
@@ -202,9 +194,9 @@ def fit_curve(cfg: LanesConfig, edges: Edges, line: Float, side: Side, metres_pe
 
 
 def _without_clutter(curve: Curve, side: Side, noise: _Noise) -> Curve:
-    """The curve as far out as it lies without the edges of wrong tags, which the strip takes from inside more than out.
+    """The curve moved outwards, to undo the bias of edges from wrong tags: the strip is wider inside than outside.
 
-    Of edges that are spread evenly over the strip, and move with it from fit to fit, the share is that of the contrast.
+    These edges are spread evenly over the strip, move with it from fit to fit, and have the share of the contrast.
     """
     if noise.is_low:
         return curve
@@ -215,7 +207,7 @@ def _without_clutter(curve: Curve, side: Side, noise: _Noise) -> Curve:
 
 
 def _fit_at(cfg: LanesConfig, edges: Edges, near: Mask, line: Float, inward: float, noise: _Noise) -> Curve | None:
-    """The boundary near a line where edges err as much as the noise says."""
+    """The boundary near a line, with edges of this noise."""
     std_m = noise.std_m(edges.x)
     nearest_m = float(edges.x[near].min())
     reach = nearest_m + 2 * _REACH_STEP_M
@@ -233,11 +225,11 @@ def _fit_at(cfg: LanesConfig, edges: Edges, near: Mask, line: Float, inward: flo
 
 
 def _covariance(fit: Quadratic, noise: _Noise) -> Float:
-    """(3, 3) of offset, heading and curvature, by how far the edges lie off and what they say."""
+    """(3, 3) covariance of offset, heading and curvature, from the residuals and the information of the edges."""
     i00, i01, i02, i11, i12, i22 = fit.information
     scale = max(fit.spread, _LEAST_SPREAD) * noise.blob_variance
     known = np.array([[i00, i01, i02], [i01, i11, i12], [i02, i12, i22]]) / scale
-    # However close edges lie to a line, how roads bend is not better known.
+    # Small residuals do not make the prior of the curvature sharper.
     known[2, 2] += _CURVATURE_INFORMATION / max(scale, 1.0)
     return np.asarray(np.linalg.inv(known), np.float64)
 
@@ -250,13 +242,13 @@ def _explained(curve: Curve, edges: Edges, std_m: Float, side: Side) -> float:
 
 
 def _contrast(curve: Curve, edges: Edges, std_m: Float, side: Side) -> float:
-    """How many times as many rows have an edge on the curve as have one farther inside, where the road is."""
+    """Ratio of the rows with an edge on the curve to those with an edge farther inside, on the road."""
     on_it, *inside = _rows_near(curve, edges, std_m, side, (0.0, *_INSIDE_M))
     return on_it / (float(np.mean(inside)) + _CHANCE_ROWS)
 
 
 def _rows_near(curve: Curve, edges: Edges, within_m: Float, side: Side, asides_m: tuple[float, ...]) -> tuple[int, ...]:
-    """How many rows have an edge near each of the lines so far inside the curve, as far as that reaches."""
+    """Number of rows with an edge near each line at these distances inside the curve, within its reach."""
     points = Points(edges.x, edges.y, within_m, edges.rows, within_m, within_m)
     offset, heading, curvature = curve.state.tolist()
     return rows_beside(points, (offset, heading, curvature), -outward(side), curve.reach_m, asides_m)

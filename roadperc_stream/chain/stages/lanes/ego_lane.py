@@ -1,6 +1,5 @@
 """One frame of the ego lane: observe both boundaries, track them over time, and drop implausible ones."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -27,24 +26,30 @@ _CERTAIN_STD_M = 0.09
 _PARALLEL_M = 0.3
 """By how much the lane's width may change until there: boundaries that edges of wrong tags turn are not parallel."""
 _TURNED = 0.1
-"""Of two boundaries whose headings differ by more, the one that runs less along the car is the wrong one."""
+"""If two headings differ by more, the boundary that is turned farther from the car's axis is wrong."""
 _ELSEWHERE = frozenset(("camera_changed", "too_few_inliers", "impossible_motion"))
-"""Why odometry is lost where the image, as far as anyone knows, shows another scene than the last one."""
+"""Codes with which odometry is lost because the image may show another scene than the last one."""
 
 
-def boundary_of(
+def _boundary(
     side: Side,
     tracked: TrackedBoundary | None,
     reason: Reason | None,
-    observation: Observation | None,
+    found: Observation | Absent,
     projection: RoadProjection | None,
 ) -> Boundary:
-    """One side's boundary, or that it is lost and why."""
-    raw_px = raw_offset_m = None
-    if observation is not None and side in observation.near:
-        raw_px = lines.drawn(observation.near[side][0], float(observation.projection.camera.height), observation.far)
-        curve = observation.curves[side]
-        raw_offset_m = None if curve is None else float(curve.state[0])
+    """One side's boundary; ``lost`` with a reason if it is not tracked or cannot be used."""
+    raw_px = raw_offset_m = far = None
+    if isinstance(found, Absent):
+        unseen = found.reason
+    else:
+        far, unseen = found.far, Reason("lanes", "edges_disagree" if side in found.near else "no_line_near")
+        if side in found.near:
+            raw_px = lines.drawn(found.near[side][0], float(found.projection.camera.height), far)
+            curve = found.curves[side]
+            raw_offset_m = None if curve is None else float(curve.state[0])
+    if tracked is None and reason is None:
+        reason = Reason("lanes", "boundary_lost", (side,), unseen)
     if tracked is None or reason is not None:
         return Boundary(side, "lost", raw_px=raw_px, raw_offset_m=raw_offset_m, reason=reason)
     track = tracked.track
@@ -54,7 +59,7 @@ def boundary_of(
         side,
         "measured" if track.measured_ns == track.stamp_ns else "held",
         raw_px,
-        _chord(track.state, projection, observation.far if observation else None),
+        _chord(track.state, projection, far),
         offset,
         heading,
         curvature,
@@ -94,7 +99,7 @@ def _chord(state: Float, projection: RoadProjection | None, far: float | None) -
 
 
 def without_implausible(state: LanesState) -> tuple[LanesState, dict[Side, Reason]]:
-    """The state without the boundary that contradicts the better one of the two, and why it is left out."""
+    """The state without the worse one of two boundaries that contradict each other, and the reason."""
     if state.left is None or state.right is None:
         return state, {}
     side: Side = "left" if _worse(state.left, state.right) else "right"
@@ -105,7 +110,7 @@ def without_implausible(state: LanesState) -> tuple[LanesState, dict[Side, Reaso
 
 
 def unusable(state: LanesState) -> dict[Side, Reason]:
-    """Boundaries that are followed, but are none to be given in this frame, and why."""
+    """The tracked boundaries that cannot be used in this frame, each with its reason."""
     reasons = {side: _fault(state, side, tracked) for side in SIDES if (tracked := state.side(side))}
     return {side: reason for side, reason in reasons.items() if reason is not None}
 
@@ -142,7 +147,7 @@ def _contradiction(side: Side, left: TrackedBoundary, right: TrackedBoundary) ->
 
 
 def _worse(left: TrackedBoundary, right: TrackedBoundary) -> bool:
-    """Whether the left one is the worse: turned away, not measured for longer, or less certain."""
+    """Whether the left boundary is the worse one: turned more, measured longer ago, or less certain."""
     turned = abs(float(left.track.state[1])) - abs(float(right.track.state[1]))
     if abs(turned) > _TURNED:
         return turned > 0
@@ -161,16 +166,11 @@ def step(
 ) -> tuple[LanesState, Lanes | Absent]:
     """Measure the ego lane in one frame and filter it over time.
 
-    Args:
-        cfg: thresholds.
-        state: what the last frame left.
-        scene: the frame; without tags what is known is held.
-        surface: the road in the front camera's frame.
-        drivable: (H, W) drivable surface.
-        motion: of the ego frame since the last frame, in metres, or that it is lost; None where it is not known.
+    Without tags, boundaries are held. ``surface`` is in the front camera's frame, ``drivable`` is (H, W). ``motion`` is
+    that of the ego frame since the last frame, in metres, or lost; None if it is unknown.
 
     Returns:
-        The new state, and the lanes: absent where nothing could be observed and nothing is held.
+        The new state, and the lanes; absent if nothing is observed and nothing held.
     """
     found = _observed(cfg, scene, surface, drivable)
     observation = None if isinstance(found, Absent) else found
@@ -182,7 +182,7 @@ def step(
         return after, found
     reasons = implausible | unusable(after)
     projection = None if isinstance(surface, Absent) else RoadProjection(scene.camera, scene.ego_T_camera, surface)
-    boundaries = _boundaries(after, found, reasons, projection)
+    boundaries = tuple(_boundary(side, after.side(side), reasons.get(side), found, projection) for side in SIDES)
     lanes = Lanes(boundaries, lane_change=after.lane_change, lane_changes=after.lane_changes)
     if observation is None:
         return after, lanes
@@ -192,7 +192,7 @@ def step(
 
 
 def _remembered(cfg: LanesConfig, state: LanesState, motion: Odometry | None, stamp_ns: int) -> LanesState:
-    """What still holds: of another scene, and after seconds in which nobody knows how the car moved, nothing."""
+    """The state, cleared if the scene is another one or the motion was unknown for more than ``lanes.hold_s``."""
     known = [boundary.track.stamp_ns for side in SIDES if (boundary := state.side(side)) is not None]
     gap_s = (stamp_ns - max(known)) / NS_PER_S if known else 0.0
     elsewhere = motion is not None and motion.reason is not None and motion.reason.code in _ELSEWHERE
@@ -202,14 +202,14 @@ def _remembered(cfg: LanesConfig, state: LanesState, motion: Odometry | None, st
 
 
 def _tracked(motion: Odometry | None) -> Odometry | None:
-    """A motion that can be used: one with its covariance."""
+    """The motion if it has a step and a covariance, else None."""
     return motion if motion is not None and motion.step is not None and motion.covariance else None
 
 
 def _followed(
     cfg: LanesConfig, state: LanesState, motion: Odometry | None, observation: Observation | None, stamp_ns: int
 ) -> LanesState:
-    """Both boundaries at this frame's time."""
+    """Both boundaries at the stamp of this frame."""
     moved = _tracked(motion) if cfg.use_odometry else None
     before = {
         side: replace(known, track=tracking.predict(cfg, known.track, stamp_ns, moved))
@@ -220,27 +220,6 @@ def _followed(
         followed(cfg, side, before.get(side), before.get(other_side(side)), observation, stamp_ns) for side in SIDES
     )
     return replace(state, left=left, right=right)
-
-
-def _boundaries(
-    state: LanesState,
-    found: Observation | Absent,
-    reasons: Mapping[Side, Reason],
-    projection: RoadProjection | None,
-) -> tuple[Boundary, ...]:
-    """Both as the result has them, lost ones with their reason."""
-    observation = None if isinstance(found, Absent) else found
-    boundaries = []
-    for side in SIDES:
-        tracked, reason = state.side(side), reasons.get(side)
-        if reason is None and tracked is None:
-            if isinstance(found, Absent):
-                unseen = found.reason
-            else:
-                unseen = Reason("lanes", "edges_disagree" if side in found.near else "no_line_near")
-            reason = Reason("lanes", "boundary_lost", (side,), unseen)
-        boundaries.append(boundary_of(side, tracked, reason, observation, projection))
-    return tuple(boundaries)
 
 
 def _observed(

@@ -17,11 +17,11 @@ from roadperc_stream.config import LanesConfig
 from roadperc_stream.model import SIDES, LaneChange, Side
 
 JUDGED_AT_M = 10.0
-"""How far ahead a boundary must be known, as well as at the car."""
+"""A boundary must be known at the car and at this distance ahead."""
 MIN_WIDTH_M = 2.0
-"""Narrowest lane: of boundaries closer together one is none."""
+"""Narrowest lane: if boundaries are closer together, one of them is wrong."""
 MAX_STD_M = 0.16
-"""Standard deviation, at the car or ``JUDGED_AT_M`` ahead, beyond which a boundary is lost: it might be anywhere."""
+"""Standard deviation, at the car or ``JUDGED_AT_M`` ahead, beyond which a boundary is lost."""
 _SAME_M = 0.6
 """A line so close to the other boundary's prediction is that boundary, both edges of a double line included."""
 _MARKING_M = 0.15
@@ -30,7 +30,7 @@ _MARKING_STD_M = 0.1
 _CROSSED_STD = 2.0
 """Standard deviations by which the car must be past the line: one that is hardly known is crossed by chance."""
 _DOUBLE_M = 0.6
-"""No marking is wider, a double one neither."""
+"""Widest marking, double markings included."""
 _LINE_STEP = np.array([1.0, 0.0, 0.0])
 
 
@@ -42,15 +42,9 @@ def followed(
     observation: Observation | None,
     stamp_ns: int,
 ) -> TrackedBoundary | None:
-    """The boundary as the frame has it; None where there is none yet or it has not been measured for too long.
+    """The boundary of one side in this frame; None if it is not found yet or was last measured too long ago.
 
-    Args:
-        cfg: thresholds.
-        side: which one.
-        before: its prediction.
-        other: that of the other side's.
-        observation: what the frame shows; None without tags.
-        stamp_ns: the frame's.
+    ``before`` and ``other`` are the predictions of this side and the other; ``observation`` is None without tags.
     """
     curve = observation.curves.get(side) if observation else None
     # While the other side's boundary is crossed the car has it on both sides.
@@ -85,19 +79,19 @@ def measured(
 
 
 def judged(tracked: TrackedBoundary) -> TrackedBoundary:
-    """The boundary, and whether it is known well enough to be given."""
+    """The boundary with ``is_sure`` set: whether it is certain enough to be used."""
     return replace(tracked, is_sure=tracking.std_at(tracked.track, least_known_m(tracked)) <= MAX_STD_M)
 
 
 def least_known_m(tracked: TrackedBoundary) -> float:
-    """How far ahead, at the car or ``JUDGED_AT_M``, the boundary is known the less well."""
+    """Where the boundary is less certain: 0, at the car, or ``JUDGED_AT_M``."""
     return max(0.0, JUDGED_AT_M, key=lambda x_m: tracking.std_at(tracked.track, x_m))
 
 
 def _candidates(
     cfg: LanesConfig, side: Side, before: TrackedBoundary, observation: Observation | None, curve: Curve | None
 ) -> Iterator[Curve]:
-    """What may be the boundary: the edges along the prediction, then the closest line's curve.
+    """Candidates for the boundary: the edges along the prediction, then the curve of the closest line.
 
     The dashes in sight are often too short for a Hough line, and the closest line is then one farther out. A clear line
     closer than the prediction, though, contradicts it: then edges along the prediction are no evidence.
@@ -114,9 +108,9 @@ def _candidates(
 
 
 def handed_over(cfg: LanesConfig, state: LanesState, observation: Observation | None, stamp_ns: int) -> LanesState:
-    """The state with the next lane's boundaries, where the car has crossed one of this lane's.
+    """The state with the boundaries of the next lane, if the car has crossed a boundary of this lane.
 
-    They are the crossed one, from its other side, and the next one out if it is seen.
+    They are the far edge of the crossed marking and the next boundary beyond it, if that is visible.
     """
     for side in SIDES:
         crossed = state.side(side)
@@ -137,12 +131,9 @@ def handed_over(cfg: LanesConfig, state: LanesState, observation: Observation | 
 
 
 def change_of(cfg: LanesConfig, before: LaneChange, state: LanesState) -> LaneChange:
-    """The side on which the car is over a line on its way into another lane, or has been and is not clear of it yet.
+    """The side on which part of the car is over a line on its way into another lane, until it is clear of it.
 
-    Args:
-        cfg: how wide the car is.
-        before: that of the last frame.
-        state: the boundaries of this one.
+    ``before`` is the lane change of the last frame.
     """
     known = {side: boundary for side in SIDES if (boundary := state.side(side)) is not None}
     over = {side: b for side, b in known.items() if outward(side) * b.offset_m < cfg.car_width_m / 2}

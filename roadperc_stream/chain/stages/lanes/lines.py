@@ -70,18 +70,13 @@ def edges_of(cfg: LanesConfig, separators: Image) -> Image:
 
 
 def _rows_around(mask: Image, margin: int) -> slice | None:
-    """The rows from the first to the last with anything above 0, and so many beside them; None without any."""
+    """The rows from the first to the last nonzero one, widened by a margin; None if all are zero."""
     marked = np.flatnonzero(_row_sums(mask))
     return slice(max(int(marked[0]) - margin, 0), int(marked[-1]) + 1 + margin) if len(marked) else None
 
 
 def propose(cfg: LanesConfig, edges: Image) -> Float:
-    """(N, 4) x1, y1, x2, y2 of Hough lines along edges.
-
-    Args:
-        cfg: thresholds, for 960 rows.
-        edges: (H, W) uint8, 255 at edges.
-    """
+    """(N, 4) x1, y1, x2, y2 of Hough lines along (H, W) uint8 edges of 255. The thresholds are for 960 rows."""
     scale = scaled(1.0, edges.shape[0])
     found = cv2.HoughLinesP(
         edges,
@@ -108,12 +103,9 @@ def on_road(proposals: Float, drivable: Mask) -> Float:
 
 
 def line_shares(lines: Float, mask: Mask, margin_px: int) -> Float:
-    """(N,) shares of lines that lie on a mask, of one pixel for every column or every row.
+    """(N,) shares of (N, 4) lines x1, y1, x2, y2 that lie on an (H, W) mask, widened by a margin on all sides.
 
-    Args:
-        lines: (N, 4) x1, y1, x2, y2 in the image.
-        mask: (H, W).
-        margin_px: pixels by which the mask reaches farther to all sides, the corners too.
+    A line has one pixel for every column, or for every row if it is steep.
     """
     if not len(lines):
         return np.empty(0)
@@ -165,7 +157,7 @@ def road_far_end(drivable: Mask) -> int | None:
 
 
 def _row_sums(image: Image) -> NDArray[np.int32]:
-    """(H,) what NumPy's own for boolean rows takes twenty times as long for."""
+    """(H,) sums of the rows, twenty times as fast as NumPy's for booleans."""
     return np.asarray(cv2.reduce(image, 1, cv2.REDUCE_SUM, dtype=cv2.CV_32S), np.int32).ravel()
 
 

@@ -1,4 +1,4 @@
-"""Both boundaries of the ego lane as one frame alone shows them, without memory."""
+"""Both boundaries of the ego lane in a single frame, without state."""
 
 from dataclasses import dataclass, field, replace
 
@@ -84,7 +84,7 @@ class Observation:
     """The curve on the road of the closest line on either side, None where none fits."""
 
     def curve_beyond(self, cfg: LanesConfig, side: Side, least_m: float) -> Curve | None:
-        """The curve of the closest line that lies so far out at the ego origin."""
+        """The curve of the closest line that lies at least this far out at the ego origin."""
         curves = (_curve(cfg, self, side, group) for group in self.near.get(side, ()))
         return next((c for c in curves if c is not None and outward(side) * float(c.state[0]) > least_m), None)
 
@@ -116,13 +116,8 @@ class Observation:
 def facing_edges(separators: Image, drivable: Mask, side: Side, top: int) -> Float:
     """(N, 2) pixels on the edge between a separator and the road beside it, towards the ego lane.
 
-    Row by row from above, those of a row outermost first.
-
-    Args:
-        separators: (H - top, W) uint8 from row ``top`` down, 1 at separators.
-        drivable: (H, W) drivable surface.
-        side: the boundary's side: a left one faces right.
-        top: the first row evaluated.
+    Row by row from above, those of a row outermost first. ``separators`` (H - top, W) are 1 from row ``top`` down,
+    ``drivable`` is (H, W). The edges of a left boundary face right.
     """
     towards = round(outward(side))
     rows, columns = _ends_of_runs(separators, towards)
@@ -140,15 +135,7 @@ def facing_edges(separators: Image, drivable: Mask, side: Side, top: int) -> Flo
 
 
 def observe(cfg: LanesConfig, projection: RoadProjection, tags: Image, table: TagTable, drivable: Mask) -> Observation:
-    """Find the ego lane's boundaries in one frame.
-
-    Args:
-        cfg: thresholds.
-        projection: camera and road.
-        tags: (H, W) tags of ``table``.
-        table: the tags' table.
-        drivable: (H, W) drivable surface.
-    """
+    """Find the ego lane's boundaries in one frame, from (H, W) tags and its (H, W) drivable surface."""
     far = lines.road_far_end(drivable)
     if far is None:
         return Observation(projection, tags, table, float(projection.camera.cy))

@@ -1,4 +1,4 @@
-"""One boundary over time: a Kalman filter on offset, heading and curvature, its class, and what the lanes remember.
+"""One boundary over time: a Kalman filter on offset, heading and curvature, its class, and the state of the lanes.
 
 Where the car's motion since the last frame is known from odometry, the boundary is moved against it; else the car's
 sideways motion is a random acceleration, and heading and curvature are random walks (Bar-Shalom, Li and Kirubarajan
@@ -29,7 +29,7 @@ _SIDEWAYS = [1, 5]
 """y and yaw among x, y, z, roll, pitch, yaw of a step's covariance."""
 _ROUGH_OFFSET_ROOT_M = 0.002
 _ROUGH_HEADING_PER_ROOT_M = 0.0008
-"""Metres and radians per root metre driven: how fast the road leaves the plane or field that stands for it."""
+"""Metres and radians per root metre driven: how fast the road leaves its plane or height field."""
 _MOVED_RATE_STD_MPS = 0.3
 _CURVATURE_WALK_ROOT_M = 0.0008
 """Per metre and root metre driven: how fast roads change their curvature."""
@@ -94,14 +94,14 @@ class BoundaryTrack:
 
 @dataclass(frozen=True)
 class TrackedBoundary:
-    """A boundary that is tracked, and the classes on either side of it in the last frames."""
+    """A tracked boundary, and the classes on either side of it in the last frames."""
 
     track: BoundaryTrack
     reach_m: float
     inside: ClassHistory = field(default_factory=ClassHistory)
     outside: ClassHistory = field(default_factory=ClassHistory)
     is_sure: bool = True
-    """Whether, when it was measured last, it was known well enough to be given."""
+    """Whether its last measurement left it certain enough to be used."""
 
     @property
     def offset_m(self) -> float:
@@ -111,7 +111,7 @@ class TrackedBoundary:
 
 @dataclass(frozen=True)
 class LanesState:
-    """Both boundaries, the lane change the car is in, and how many it has done."""
+    """Both boundaries, the current lane change, and the number of lane changes."""
 
     left: TrackedBoundary | None = None
     right: TrackedBoundary | None = None
@@ -138,15 +138,10 @@ def start(state: Float, covariance: Float, stamp_ns: int) -> BoundaryTrack:
 
 
 def predict(cfg: LanesConfig, track: BoundaryTrack, stamp_ns: int, moved: Odometry | None) -> BoundaryTrack:
-    """The track at a later stamp, by how the car moved since, or without that by its own rate.
+    """The track at a later stamp: by the car's motion since the last one, else by its own rate.
 
-    The noise is that of continuous random walks, so that it does not matter in how many steps a time passes.
-
-    Args:
-        cfg: noise of the sideways motion.
-        track: at the last stamp.
-        stamp_ns: the later one.
-        moved: the car's motion between the stamps, in metres and with its covariance; None where it is not known.
+    ``moved`` is in metres and has a covariance; None if it is unknown. The noise is that of continuous random walks, so
+    the number of steps does not matter.
     """
     dt = (stamp_ns - track.stamp_ns) / NS_PER_S
     if moved is not None and moved.step is not None:
@@ -213,9 +208,8 @@ def _road_ahead(walked_m: float, direction: float) -> Float:
 def update(cfg: LanesConfig, track: BoundaryTrack, state: Float, covariance: Float) -> BoundaryTrack | None:
     """The track after a measurement at its stamp; None where the measurement lies outside the gate.
 
-    Of a prediction and a measurement that contradict each other nobody knows which is wrong: both count as known less
-    well, by the root of how far they lie apart for what they claim (Birge, "The Calculation of Errors by the Method of
-    Least Squares", Physical Review 40, 1932).
+    If prediction and measurement disagree, the covariance grows with their squared Mahalanobis distance (Birge, "The
+    Calculation of Errors by the Method of Least Squares", Physical Review 40, 1932).
     """
     innovation = state - _H @ track.mean
     S = _H @ track.covariance @ _H.T + covariance
@@ -224,13 +218,13 @@ def update(cfg: LanesConfig, track: BoundaryTrack, state: Float, covariance: Flo
         return None
     gain = np.linalg.solve(S, _H @ track.covariance).T
     rest = np.eye(4) - gain @ _H
-    # Joseph's form keeps the covariance symmetric and positive over thousands of frames.
+    # The Joseph form keeps the covariance symmetric and positive over thousands of frames.
     P = (rest @ track.covariance @ rest.T + gain @ covariance @ gain.T) * max(distance / _CONTRADICTS, 1.0)
     return BoundaryTrack(track.mean + gain @ innovation, P, track.stamp_ns, track.stamp_ns)
 
 
 def shifted(track: BoundaryTrack, aside_m: float, std_m: float) -> BoundaryTrack:
-    """The line that runs beside the track, so far to the left of it, give or take a standard deviation."""
+    """The track moved to the left by a distance with a standard deviation."""
     mean, covariance = track.mean.copy(), track.covariance.copy()
     mean[_OFFSET] += aside_m
     covariance[_OFFSET, _OFFSET] += std_m**2
@@ -238,7 +232,7 @@ def shifted(track: BoundaryTrack, aside_m: float, std_m: float) -> BoundaryTrack
 
 
 def std_at(track: BoundaryTrack, x_m: float) -> float:
-    """Standard deviation of the lateral position so far ahead, metres."""
+    """Standard deviation of the lateral position ``x_m`` ahead, metres."""
     design = np.array([1.0, x_m, x_m**2 / 2])
     return float(np.sqrt(design @ track.state_covariance @ design))
 

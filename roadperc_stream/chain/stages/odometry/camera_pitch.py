@@ -1,4 +1,4 @@
-"""How far down the camera looks against the road where no depth shows it: a running estimate, also by vanishing points.
+"""The camera's pitch against the road without depth: a running estimate, also from vanishing points.
 
 Lane markings, kerbs and walls run along the road and meet at one point of its horizon. Segments are found by the line
 segment detector (Grompone von Gioi et al., "LSD: a Line Segment Detector", IPOL 2012); the point that most of their
@@ -32,7 +32,7 @@ _LEAST_LENGTH_PX: Final = 60.0
 _AGREE_PX: Final = 3.0
 """Length of a segment, and distance by which its end may miss the point's line, at 960 rows."""
 _LEAST_AGREE_PX: Final = 1.0
-"""The latter at least: what the detector is good for."""
+"""Lower limit of that distance: the accuracy of the detector."""
 _LEAST_SLOPE: Final = 0.15
 """Rows per column below which a segment runs across the view, and crosses the others anywhere."""
 _MOST_SEGMENTS: Final = 40
@@ -40,7 +40,7 @@ _LEAST_SEGMENTS: Final = 6
 _LEAST_SHARE: Final = 0.5
 """Share of the segments' length that must agree."""
 _REFINEMENTS: Final = 4
-"""The two edges of a marking cross the others beside the point: which segments agree is asked anew each time."""
+"""The two edges of a marking cross the others beside the point: every refinement selects the segments again."""
 _SINGULAR: Final = 1e6
 _LEAST_SPREAD: Final = 0.5
 """Radians between the segments' directions: those of one bundle cross anywhere along it."""
@@ -53,18 +53,18 @@ _TIGHTEST_PER_M: Final = 0.05
 _SLOPE_STD_PER_ROOT_M: Final = np.deg2rad(0.15)
 _TURN_STD_PER_ROOT_S: Final = np.deg2rad(0.06)
 """Standard deviations of the road's change of slope after a metre, and of the tracked turn after a second; their
-squares grow with way and time, whatever the frame rate."""
+squares grow with distance and time, at any frame rate."""
 _UNSEEN_SPEED_MPS: Final = 15.0
-"""How fast the car is taken to drive while nothing is tracked."""
+"""Assumed speed of the car while nothing is tracked."""
 _GATE: Final = 9.0
 """Squared standard deviations beyond which a measurement counts less, as Huber has it."""
 
 
 @dataclass(frozen=True)
 class CameraPitch:
-    """By how much more than the mounting says the camera looks down on the road, radians, and its variance.
+    """The pitch of the camera against the road beyond its mounting, radians, nose down, and its variance.
 
-    ``measured`` says that the motion or the road's picture has shown it.
+    ``measured`` is true once the motion or the road's image has shown it.
     """
 
     offset: float
@@ -75,16 +75,10 @@ class CameraPitch:
 def pitch_by_lines(
     camera: Camera, ego_T_camera: Float, grey: Image, movable: Image | None
 ) -> tuple[float, float] | None:
-    """By how much more than the mounting says the camera looks down, and the variance of that.
+    """How much further down than its mounting the camera looks, radians, and the variance.
 
-    Args:
-        camera: of the image.
-        ego_T_camera: its mounting.
-        grey: (H, W) the image.
-        movable: (H, W) not 0 on what moves, whose lines run anywhere, or None.
-
-    Returns:
-        Radians and their square; None where too few lines agree on a point near the horizon.
+    Lines of the (H, W) image count where ``movable`` (H, W) is 0. None if too few of them agree on a point near the
+    horizon.
     """
     segments = _segments(camera, grey, movable)
     if len(segments) < _LEAST_SEGMENTS:
@@ -174,19 +168,19 @@ def _meeting(segments: Float, lengths: Float) -> tuple[Float, float] | None:
 
 
 def begun(cfg: OdometryConfig) -> CameraPitch:
-    """What is known by the mounting alone."""
+    """The initial pitch, by the mounting alone."""
     return CameraPitch(0.0, float(np.deg2rad(cfg.pitch_std_deg)) ** 2)
 
 
 def predicted(cfg: OdometryConfig, pitch: CameraPitch, last_T_this: Float, seconds: float) -> CameraPitch:
-    """The pitch after a step, at first by how the camera turned; the mounting's, once that is as sure."""
+    """The pitch after a step, turned with the camera; the mounting's as soon as that is as certain."""
     length_m = float(np.linalg.norm(last_T_this[:3, 3]))
     turned = float(np.arctan2(-last_T_this[2, 0], last_T_this[0, 0]))
     return _grown(cfg, replace(pitch, offset=pitch.offset + turned), length_m, seconds)
 
 
 def after_loss(cfg: OdometryConfig, pitch: CameraPitch, seconds: float) -> CameraPitch:
-    """The pitch after a time in which nobody knows how the car moved."""
+    """The pitch after a time of unknown motion."""
     return _grown(cfg, pitch, _UNSEEN_SPEED_MPS * seconds, seconds)
 
 
@@ -197,7 +191,7 @@ def _grown(cfg: OdometryConfig, pitch: CameraPitch, length_m: float, seconds: fl
 
 
 def updated(pitch: CameraPitch, measured: tuple[float, float] | None) -> CameraPitch:
-    """The pitch after a measurement and its variance; one far off counts less, none changes nothing."""
+    """The pitch after a measurement with its variance; an outlier counts less. None leaves the pitch unchanged."""
     if measured is None or pitch.variance == 0:
         return pitch
     value, variance = measured
@@ -209,17 +203,10 @@ def updated(pitch: CameraPitch, measured: tuple[float, float] | None) -> CameraP
 
 
 def expansion(motion: Motion, ego_T_camera: Float, key_px: Float32, width: int) -> tuple[float, float] | None:
-    """The pitch by the direction of motion, and its variance.
+    """The pitch by the direction of motion from the keyframe, radians, and its variance.
 
-    Args:
-        motion: from the keyframe.
-        ego_T_camera: the mounting.
-        key_px: (N, 2) the keyframe's features.
-        width: of its image.
-
-    Returns:
-        The elevation of the motion in ego's axes, radians, which is how far down the camera looks; None where the
-        direction is not sure, or the car turns tightly.
+    It is the elevation of the motion in the ego frame's axes. ``key_px`` are the (N, 2) features of the keyframe, in an
+    image ``width`` pixels wide. None if the direction is uncertain or the car turns tightly.
     """
     this_T_key = ego_T_camera @ motion.this_T_key @ inverse(ego_T_camera)
     driven = this_T_key[:3, 3] * np.sign(this_T_key[0, 3])

@@ -29,12 +29,13 @@ from roadperc_stream.chain.stages.odometry.keyframes import (
 )
 from roadperc_stream.chain.stages.odometry.motion import (
     Motion,
+    Scale,
     in_ego_axes,
     motion_from_points,
     moved,
     step_covariance,
 )
-from roadperc_stream.chain.stages.odometry.road_scale import Expected, Scale, scaled_by_road
+from roadperc_stream.chain.stages.odometry.road_scale import Expected, scaled_by_road
 from roadperc_stream.config import OdometryConfig, scaled
 from roadperc_stream.geometry import Float, Float32, inverse, project, transform
 from roadperc_stream.geometry.rotations import rotation_vector
@@ -62,7 +63,7 @@ _ACCELERATION: Final = 2.0
 
 @dataclass(frozen=True)
 class FollowedFrame:
-    """A frame, and what its motion is measured against: the keyframe, and pose and pitch at the last frame."""
+    """A frame with its references: the keyframe, and the pose and pitch at the last frame."""
 
     cfg: OdometryConfig
     frame: TrackingFrame
@@ -86,23 +87,18 @@ class FollowedFrame:
         return np.concatenate((last_T_this[:3, 3], rotation_vector(last_T_this[:3, :3]))) / self.seconds
 
     def turned_pitch(self, odom_T_ego: Float) -> CameraPitch:
-        """The pitch as it has turned with the camera since the last frame."""
+        """The pitch, turned with the camera since the last frame."""
         return camera_pitch.predicted(self.cfg, self.pitch, inverse(self.odom_T_last) @ odom_T_ego, self.seconds)
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """The (N, 2) pixels of the keyframe's features in a frame, and the motion and pose estimated from them.
-
-    ``scale`` is None where the length comes from the features' own points, and ``noise_variance`` then 0.
-    """
+    """The (N, 2) pixels of the keyframe's features in a frame, and the motion, pose and pitch estimated from them."""
 
     px: Float32
     motion: Motion
     odom_T_ego: Float
     pitch: CameraPitch
-    scale: Scale | None = None
-    noise_variance: float = 0.0
 
 
 def step(
@@ -114,20 +110,13 @@ def step(
 ) -> tuple[OdometryState, Odometry | Absent]:
     """Follow the camera from the last frames to this one.
 
-    The keyframe outlives frames that are missing: the first one found again continues from it, and no motion is lost.
-    Where its points are not found again, the frame is lost and becomes the keyframe, at the last pose known.
-
-    Args:
-        cfg: thresholds.
-        state: what the last frame left.
-        scene: the frame, later than the last one; without a grey image it is missing, without dense depth the motion
-            comes from the image alone; pixels of vehicles and pedestrians are left out.
-        road: the road in the front camera's frame, which gives the scale where there is no depth; None: it is not
-            known.
-        rng: seeds OpenCV's random numbers.
+    The keyframe outlives missing frames, that is frames without a grey image: the next frame continues from it, and no
+    motion is lost. If its points are not found again, the frame is lost and becomes the keyframe, at the last known
+    pose. Without dense depth the motion comes from the image alone, and its scale from ``road`` (in the front camera's
+    frame). Pixels of vehicles and pedestrians are left out. ``rng`` seeds OpenCV's random numbers.
 
     Returns:
-        The new state, and the pose; absent where there has been no image yet.
+        The new state, and the pose; absent before the first image.
     """
     if scene.grey is None:
         why = Reason("odometry", "image_unusable" if scene.image_unusable else "no_image")
@@ -149,9 +138,9 @@ def step(
 
 
 def _with_lines(pitch: CameraPitch, frame: TrackingFrame) -> CameraPitch:
-    """The pitch after the road's lines, where it is less sure than they are and no depth shows the road.
+    """The pitch updated by the road's lines, if it is less certain than they are and no depth shows the road.
 
-    They shorten the start of a drive; nobody believes them without one, for a yard and a bend have lines too.
+    Lines speed up the start. They are not sufficient alone: a yard or a bend shows lines, too.
     """
     road_is_measured = frame.depth_m is not None or (frame.road is not None and frame.road.source != "assumed")
     if road_is_measured or pitch.variance < LINES_STD**2:
@@ -161,14 +150,14 @@ def _with_lines(pitch: CameraPitch, frame: TrackingFrame) -> CameraPitch:
 
 
 def _begun(cfg: OdometryConfig, odom_T_ego: Float, pitch: CameraPitch, frame: TrackingFrame) -> OdometryState:
-    """A frame as keyframe, at the last pose known."""
+    """The state with this frame as keyframe, at the last known pose."""
     keyframe = make_keyframe(cfg, frame, odom_T_ego @ frame.ego_T_camera)
     px = keyframe.landmarks.features.px
     return OdometryState(odom_T_ego, keyframe, LastFrame(frame.stamp_ns, None, px, np.zeros((len(px), 6))), pitch)
 
 
 def _continued(this: FollowedFrame, estimate: Estimate) -> tuple[OdometryState, Odometry]:
-    """The state and pose after a frame whose motion is known."""
+    """The state and pose after a tracked frame."""
     cfg, frame, keyframe, last, motion = this.cfg, this.frame, this.keyframe, this.last, estimate.motion
     metric = keyframe.landmarks.metric and motion.scaled
     last_T_this = inverse(this.odom_T_last) @ estimate.odom_T_ego
@@ -185,14 +174,14 @@ def _continued(this: FollowedFrame, estimate: Estimate) -> tuple[OdometryState, 
             key_px, frame.camera.width, influence, last.influence, last_T_this, length_variance + last.length_variance
         ),
         last.stamp_ns,
-        _SCALE_REASONS.get(estimate.scale),
+        _SCALE_REASONS.get(motion.scale),
         _matches(keyframe, frame, estimate),
     )
-    if not motion.scaled and estimate.scale is None:
+    if not motion.scaled and motion.scale is None:
         keyframe = replace(keyframe, landmarks=replace(keyframe.landmarks, points_m=motion.points_m, metric=metric))
     found_px = np.where(np.isfinite(estimate.px), estimate.px, last.found_px)
-    if estimate.scale is not None:
-        length_variance = estimate.noise_variance
+    if motion.scale is not None:
+        length_variance = motion.noise_variance
     if is_due(cfg, keyframe, frame, estimate.px, motion.inliers):
         carried = carry(keyframe.landmarks, motion, estimate.px)
         keyframe = make_keyframe(cfg, frame, estimate.odom_T_ego @ frame.ego_T_camera, carried)
@@ -204,20 +193,20 @@ def _continued(this: FollowedFrame, estimate: Estimate) -> tuple[OdometryState, 
         found_px,
         influence,
         length_variance,
-        estimate.noise_variance / this.seconds**2 if metric and estimate.scale is not None else None,
+        motion.noise_variance / this.seconds**2 if metric and motion.scale is not None else None,
     )
     return OdometryState(estimate.odom_T_ego, keyframe, now, estimate.pitch), out
 
 
 def _matches(keyframe: Keyframe, frame: TrackingFrame, estimate: Estimate) -> Matches:
-    """What was found again, in pixels of the whole images."""
+    """The matched features, in pixels of the whole images."""
     found = np.isfinite(estimate.px).all(axis=1)
     key_px = frame.whole(keyframe.landmarks.features.px[found])
     return Matches(key_px, frame.whole(estimate.px[found]), estimate.motion.inliers[found])
 
 
 def _estimated(this: FollowedFrame) -> Estimate | Absent:
-    """The first plausible motion, or why there is none."""
+    """The first plausible motion; absent with a reason if no motion is plausible."""
     cfg, frame, keyframe = this.cfg, this.frame, this.keyframe
     if frame.camera != keyframe.camera:
         return Absent(Reason("odometry", "camera_changed"))
@@ -260,7 +249,7 @@ def _possible(this: FollowedFrame, estimate: Estimate) -> bool:
 
 
 def _findable(keyframe: Keyframe, frame: TrackingFrame, estimate: Estimate) -> int:
-    """How many features the motion predicts in the image, where all points are known; else how many were found."""
+    """Number of features that the motion predicts in the image if all points are known, else of those found."""
     if keyframe.landmarks.source != "depth":
         return int(np.sum(np.isfinite(estimate.px[:, 0])))
     return int(np.sum(np.isfinite(predicted_px(keyframe, frame, estimate.motion.this_T_key)[:, 0])))
@@ -282,7 +271,7 @@ def _localised(this: FollowedFrame, px: Float32) -> Estimate | None:
 
 
 def _localised_without_depth(this: FollowedFrame, px: Float32) -> Estimate | None:
-    """The same, the length by the road where that is known, else by points triangulated before."""
+    """The same without depth: the length comes from the road, else from points triangulated before."""
     cfg, frame, last, landmarks = this.cfg, this.frame, this.last, this.keyframe.landmarks
     features_px, on_road = landmarks.features.px, landmarks.source == "plane"
     seconds = (frame.stamp_ns - this.keyframe.stamp_ns) / NS_PER_S
@@ -291,20 +280,18 @@ def _localised_without_depth(this: FollowedFrame, px: Float32) -> Estimate | Non
     motion = motion_from_rays(frame.camera, features_px, px, points_m, length)
     if motion is None:
         return None
-    odom_T_ego = this.pose(motion)
-    pitch = this.turned_pitch(odom_T_ego)
+    pitch = this.turned_pitch(this.pose(motion))
     if motion.this_T_key[:3, 3].any():
         direction = camera_pitch.expansion(motion, frame.ego_T_camera, features_px, frame.camera.width)
         pitch = camera_pitch.updated(pitch, direction)
         if on_road:
             longest_m = cfg.max_speed_mps * seconds
-            found = scaled_by_road(frame, this.keyframe.grey, motion, pitch, _expected(this), longest_m)
-            return Estimate(px, found.motion, this.pose(found.motion), found.pitch, found.scale, found.noise_variance)
-    return Estimate(px, motion, odom_T_ego, pitch)
+            motion, pitch = scaled_by_road(frame, this.keyframe.grey, motion, pitch, _expected(this), longest_m)
+    return Estimate(px, motion, this.pose(motion), pitch)
 
 
 def _expected(this: FollowedFrame) -> Expected | None:
-    """The distance from the keyframe by the speed so far; None where the road has shown none."""
+    """The distance from the keyframe at the last speed; None if the road has not shown a speed."""
     last, seconds = this.last, this.seconds
     if last.velocity is None or last.speed_variance is None:
         return None
@@ -315,13 +302,7 @@ def _expected(this: FollowedFrame) -> Expected | None:
 
 
 def aligned(keyframe: Keyframe, frame: TrackingFrame, this_T_key: Float) -> Float32:
-    """(N, 2) pixels of the keyframe's features in a frame, NaN where they do not look as predicted.
-
-    Args:
-        keyframe: with points and slopes.
-        frame: the frame.
-        this_T_key: the motion.
-    """
+    """(N, 2) pixels of the keyframe's features in a frame after a motion, NaN where they do not look as predicted."""
     landmarks = keyframe.landmarks
     predicted = predicted_px(keyframe, frame, this_T_key)
     chosen = np.flatnonzero(np.isfinite(predicted[:, 0]) & np.isfinite(landmarks.slope[:, 0]))

@@ -18,7 +18,7 @@ from roadperc_stream.model import Mask
 _SMALLEST_SET = 8
 _CONFIDENCE = 0.999
 _MIN_KNOWN = 5
-"""Known points that are enough to determine the length."""
+"""Least number of known points that determine the length."""
 _MIN_DEPTH_PARALLAX_PX = 2.0
 """Parallax, at 960 rows, from which a point is triangulated."""
 _EVALUATIONS = 20
@@ -39,17 +39,10 @@ def motion_from_rays(
     points_m: Float,
     fallback_length: float,
 ) -> Motion | None:
-    """The motion between two images.
+    """The motion between the keyframe and this frame, and the points that it triangulates; None if too few agree.
 
-    Args:
-        camera: of both.
-        key_px: (N, 2) pixels in the keyframe.
-        px: (N, 2) pixels in this frame, NaN not found.
-        points_m: (N, 3) in the keyframe's camera, NaN unknown.
-        fallback_length: the motion's length where too few points are known.
-
-    Returns:
-        The motion, its points filled up with those it triangulates; None where too few agree on any.
+    The features are at the (N, 2) pixels ``key_px`` and ``px`` (NaN: not found). ``points_m`` are their (N, 3) points
+    in the keyframe's camera, NaN unknown. With too few known points the motion has the ``fallback_length``.
     """
     usable = np.flatnonzero(np.isfinite(px).all(axis=1))
     if len(usable) < _SMALLEST_SET:
@@ -76,7 +69,7 @@ def motion_from_rays(
 
 
 def _standing(camera: Camera, a: Float, px: Float32) -> tuple[Float, Float, Mask, Float] | None:
-    """The rotation alone, where it predicts nearly all points; None where the camera has moved."""
+    """The rotation, if it alone predicts nearly all points; None if the camera has moved."""
     R = _turn(a, rays(camera, px.astype(float)))
     shift_px = np.linalg.norm(project(camera, a @ R.T) - px, axis=1)
     if not np.quantile(shift_px, _STANDING_SHARE) < scaled(_MIN_PARALLAX_PX, camera.height):
@@ -98,18 +91,18 @@ def _turn(a: Float, b: Float) -> Float:
 
 def _direction(camera: Camera, a: Float, b: Float) -> tuple[Float, Float, Mask, Float] | None:
     """R, unit t with b ~ R a + t, (N,) inliers, and the (N, 6) pulls of all points on unit t and R."""
+    gate = scaled(INLIER_PX, camera.height) / camera.fx
     E, _ = cv2.findEssentialMat(
         a[:, :2],
         b[:, :2],
         np.eye(3),
         method=cv2.USAC_DEFAULT,
         prob=_CONFIDENCE,
-        threshold=scaled(INLIER_PX, camera.height) / camera.fx,
+        threshold=gate,
         maxIters=RANSAC_ITERATIONS,
     )
     if E is None or E.shape != (3, 3):
         return None
-    gate = scaled(INLIER_PX, camera.height) / camera.fx
     _, rotation, translation, _ = cv2.recoverPose(E, a[:, :2], b[:, :2], np.eye(3), mask=None)
     R, t = np.asarray(rotation, float), np.ravel(np.asarray(translation, float))
     agrees = np.abs(_sampson(R, t, a, b)) < gate
@@ -154,8 +147,8 @@ def _sampson(R: Float, t: Float, a: Float, b: Float) -> Float:
 def _length(camera: Camera, R: Float, t: Float, X: Float, b: Float) -> tuple[float, float] | None:
     """Length of the motion and its variance, from known points.
 
-    Each point gives one: b x (R X + length t) = 0. The weighted median of them starts a least squares over those that
-    agree with it; None where they are too few.
+    Each point gives a length: b x (R X + length t) = 0. Their weighted median starts a least squares over the points
+    that agree with it. None if these are too few.
     """
     if len(X) < _MIN_KNOWN:
         return None

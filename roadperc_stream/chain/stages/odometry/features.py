@@ -115,13 +115,9 @@ class Frontend:
 
 
 def tracking_frame(cfg: OdometryConfig, scene: Scene, grey: Image, road: Surface | None) -> TrackingFrame:
-    """The frame at the resolution in which features are tracked.
+    """The frame at the resolution in which features are tracked: halved while it keeps ``odometry.min_rows`` rows.
 
-    Args:
-        cfg: its least number of rows.
-        scene: the frame.
-        grey: (H, W) its image.
-        road: the road in the front camera's frame; None: it is not known.
+    ``grey`` is its (H, W) image, ``road`` the road in the front camera's frame.
     """
     camera, shrink = scene.camera, 1
     while grey.shape[0] % 2 == 0 and grey.shape[1] % 2 == 0 and grey.shape[0] // 2 >= cfg.min_rows:
@@ -159,19 +155,15 @@ def _movable(scene: Scene, grey: Image) -> Image | None:
 
 
 def window_side(rows: int) -> int:
-    """Side in pixels, odd, of the window that optical flow compares in an image of so many rows."""
+    """Side in pixels, odd, of the window that optical flow compares in an image with this number of rows."""
     return max(round(scaled(WINDOW_PX, rows)), _SMALLEST_WINDOW_PX) | 1
 
 
 def spread(px: Float32, strength: Float32, shape: tuple[int, ...]) -> NDArray[np.intp]:
     """Indices of the strongest points of each cell, the same number from all: ``MAX_POINTS`` together.
 
-    Cells grow until there are no more than points; where the image's edges make it a few more, the weakest go.
-
-    Args:
-        px: (N, 2) pixels.
-        strength: (N,) the larger the better.
-        shape: rows and columns of the image.
+    Cells grow until there are no more than points; where the image's edges make it a few more, the weakest go. The
+    points are at (N, 2) pixels of an image of that shape, with (N,) strengths.
     """
     side = max(scaled(_CELL_PX, shape[0]), float(np.sqrt(shape[0] * shape[1] / MAX_POINTS)))
     columns = int(np.ceil(shape[1] / side))

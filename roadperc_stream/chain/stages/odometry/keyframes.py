@@ -48,7 +48,7 @@ _RIDGE = 1e-9
 LandmarkSource = Literal["depth", "plane", "carried"]
 _ROAD_AHEAD_M: Final = (2.0, 20.0)
 _ROAD_HALF_WIDTH_M = 3.0
-"""Where the road is, in front of the car, if no depth says it (ego frame)."""
+"""The part of the road that is used without depth (ego frame)."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Keyframe:
 
 @dataclass(frozen=True)
 class LastFrame:
-    """The last frame whose pose is known, or at which the odometry began anew.
+    """The last frame whose pose is known, or at which odometry restarted.
 
     ``velocity`` is (6,) metres and radians per second in the ego frame, None before there are two frames. ``found_px``
     is (N, 2), where the keyframe's features were found last. ``influence`` is (N, 6), how far each of them
@@ -112,7 +112,7 @@ class LastFrame:
 
 @dataclass(frozen=True)
 class OdometryState:
-    """What the odometry remembers from one frame to the next."""
+    """The state of odometry between frames."""
 
     odom_T_ego: Float = field(default_factory=lambda: np.eye(4))
     keyframe: Keyframe | None = None
@@ -128,10 +128,7 @@ class OdometryState:
 def local_planes_from_depth(depth_m: Float32, px: Float, shrink: int) -> tuple[Float, Float]:
     """Inverse depths and their slopes, by least squares over the pixels around that belong to the same surface.
 
-    Args:
-        depth_m: (H, W) metres, NaN unknown.
-        px: (N, 2) features in an image ``shrink`` times smaller.
-        shrink: how much smaller.
+    ``depth_m`` is (H, W) metres, NaN unknown; ``px`` are (N, 2) features in an image ``shrink`` times smaller.
 
     Returns:
         (N,) inverse depths at the features in 1/m, and (N, 2) their change per pixel of the smaller image to the right
@@ -160,14 +157,9 @@ def slope_of_plane(camera: Camera, plane: Plane) -> Float:
 
 
 def stretch(camera: Camera, px: Float, depth_m: Float, slope: Float, this_T_key: Float) -> Float:
-    """(N, 2, 2) derivative of the pixel in another frame by the pixel around a feature.
+    """(N, 2, 2) derivative of the pixel in this frame by the pixel around a feature of the keyframe.
 
-    Args:
-        camera: of both frames.
-        px: (N, 2) features in the keyframe.
-        depth_m: (N,) their depth.
-        slope: (N, 2) as ``local_planes_from_depth`` gives it.
-        this_T_key: the motion.
+    The features are at (N, 2) pixels with (N,) depths and (N, 2) slopes as ``local_planes_from_depth`` returns them.
     """
     points = rays(camera, px + _HALF_PIXELS[:, None]) / (1.0 / depth_m + _HALF_PIXELS @ slope.T)[..., None]
     right, left, below, above = project(camera, transform(this_T_key, points))
@@ -175,7 +167,7 @@ def stretch(camera: Camera, px: Float, depth_m: Float, slope: Float, this_T_key:
 
 
 def _by_depth(cfg: OdometryConfig, frame: TrackingFrame) -> Landmarks | None:
-    """Features where depth is known; None without depth, or where too few have one."""
+    """Features with known depth; None without depth, or if they are too few."""
     if frame.depth_m is None:
         return None
     with np.errstate(invalid="ignore"):
@@ -191,7 +183,7 @@ def _by_depth(cfg: OdometryConfig, frame: TrackingFrame) -> Landmarks | None:
 
 
 def _on_road(cfg: OdometryConfig, frame: TrackingFrame) -> Landmarks | None:
-    """Features anywhere; those that show the road in front of the car lie on its plane. None without a plane."""
+    """Features of the whole image; those on the road in front of the car lie on its plane. None without a plane."""
     if frame.road is None:
         return None
     features = _detected(cfg, frame, np.ones(frame.grey.shape, np.uint8))
@@ -230,13 +222,9 @@ def _candidates(cfg: OdometryConfig, frame: TrackingFrame, allowed: Image) -> tu
 def make_keyframe(
     cfg: OdometryConfig, frame: TrackingFrame, odom_T_camera: Float, carried: Landmarks | None = None
 ) -> Keyframe:
-    """A frame at a pose as the keyframe of the next ones, with its features' points by the best source there is.
+    """The frame as the keyframe of the next ones: its points come from depth, else from the road's plane.
 
-    Args:
-        cfg: how features are found.
-        frame: the frame.
-        odom_T_camera: its pose.
-        carried: landmarks tracked into the frame; they stay where neither depth nor plane is there.
+    With neither, it keeps the landmarks that were tracked into it (``carried``).
     """
     landmarks = _by_depth(cfg, frame) or _on_road(cfg, frame) or _carried_on(cfg, frame, carried)
     return Keyframe(frame.camera, frame.grey, landmarks, odom_T_camera, frame.stamp_ns)
@@ -245,14 +233,8 @@ def make_keyframe(
 def is_due(cfg: OdometryConfig, keyframe: Keyframe, frame: TrackingFrame, px: Float32, inliers: Mask) -> bool:
     """Whether the frame must become the next keyframe: few points are left, or they have moved far.
 
-    One that has depth is not given up early for a frame that has none.
-
-    Args:
-        cfg: thresholds.
-        keyframe: the current one.
-        frame: the frame.
-        px: (N, 2) where its features are in the frame.
-        inliers: (N,) those that agree on the motion.
+    A keyframe with depth is not given up early for a frame without. Its features are at (N, 2) pixels in the frame;
+    (N,) ``inliers`` agree on the motion.
     """
     share = float(np.sum(inliers)) / max(len(px), 1)
     if keyframe.landmarks.source == "depth" and frame.depth_m is None:
@@ -270,7 +252,7 @@ def carry(landmarks: Landmarks, motion: Motion, px: Float32) -> Landmarks:
 
 
 def counted_from_here(state: OdometryState) -> OdometryState:
-    """The state with odom where ego is now."""
+    """The state with the origin of odom at the current ego frame."""
     if state.keyframe is None:
         return replace(state, odom_T_ego=np.eye(4))
     here_T_camera = inverse(state.odom_T_ego) @ state.keyframe.odom_T_camera

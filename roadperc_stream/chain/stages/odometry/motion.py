@@ -1,6 +1,6 @@
 """A motion against a keyframe: estimated by perspective from n points, and how uncertain a step is.
 
-RANSAC (Fischler and Bolles 1981) finds who agrees, Gauss-Newton with Huber's weights refines the motion and says how
+RANSAC (Fischler and Bolles 1981) finds the inliers, Gauss-Newton with Huber's weights refines the motion and says how
 far each point pulls it. A point's error is that of its pixel, and that of its depth as far as a change of depth would
 shift the pixel: so far points with poor depth still determine the rotation.
 
@@ -12,7 +12,7 @@ linear models", Biometrika 73, 1986).
 """
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
 
 import cv2
 import numpy as np
@@ -24,6 +24,7 @@ from roadperc_stream.geometry import Camera, Float, Float32, adjoint, inverse, r
 from roadperc_stream.geometry.rotations import rotation_from_vector
 from roadperc_stream.model import Mask
 
+Scale = Literal["measured", "carried", "none"]
 PIXEL_STD_PX = 0.5
 """Standard deviation of a tracked point, at 960 rows, by which points are weighed."""
 INLIER_PX: Final = 2.0
@@ -43,7 +44,7 @@ _CONVERGED = 1e-6
 _CELLS: Final = 8
 """Cells, side by side, within which features err together."""
 _SYSTEMATIC: Final = 0.001
-"""Share of a step by which all features err alike, which no scatter shows: windows follow a stretch only so far."""
+"""Share of a step by which all features err alike, which no scatter shows: windows follow a stretch only in part."""
 _FREE: Final = 6
 """Numbers of a motion."""
 
@@ -55,8 +56,9 @@ class Motion:
     ``inliers`` are the (N,) features that agree, ``points_m`` the (N, 3) points of the keyframe's features as far as
     they are known after the motion. ``influence`` are the (N, 6) small translations and rotations (m, rad) of this
     camera in its own axes by which each feature's residual pulls the motion, 0 where it has none; None where they are
-    not known. ``scaled`` says that the length comes from known points; ``length_variance`` is what of its uncertainty,
-    in square metres, the influence does not show.
+    not known. ``scaled`` says that the length is in the unit of known points; ``length_variance`` is the part of its
+    variance, in square metres, that the influence does not show. ``scale`` says how the road gave the length, None if
+    the points gave it; ``noise_variance`` is then the part of the variance that later motions do not share.
     """
 
     this_T_key: Float
@@ -65,19 +67,15 @@ class Motion:
     influence: Float | None
     scaled: bool
     length_variance: float = 0.0
+    scale: Scale | None = None
+    noise_variance: float = 0.0
 
 
 def motion_from_points(camera: Camera, points_m: Float, px: Float32, start: Float | None = None) -> Motion | None:
-    """The motion that projects points to the pixels where they were found.
+    """The metric motion that projects points to the pixels where they were found; None if too few points agree.
 
-    Args:
-        camera: of both frames.
-        points_m: (N, 3) in the keyframe's camera, NaN unknown.
-        px: (N, 2) pixels in this frame, NaN not found.
-        start: a motion nearby; None: RANSAC looks for one.
-
-    Returns:
-        The metric motion, or None where too few points agree on any.
+    ``points_m`` are (N, 3) in the keyframe's camera, NaN unknown; ``px`` are (N, 2) in this frame, NaN not found. The
+    search begins at ``start``, else at a motion that RANSAC finds.
     """
     usable = np.flatnonzero(np.isfinite(points_m).all(axis=1) & np.isfinite(px).all(axis=1))
     if len(usable) < _SMALLEST_SET:
@@ -113,16 +111,10 @@ def _consensus(camera: Camera, X: Float, px: Float) -> Float | None:
 
 
 def refined(camera: Camera, X: Float, px: Float, this_T_key: Float) -> tuple[Float, Mask, Float | None]:
-    """Gauss-Newton over those that agree, who are chosen anew each time.
+    """The motion refined by Gauss-Newton, (N,) inliers, and their (M, 6) influence.
 
-    Args:
-        camera: of both frames.
-        X: (N, 3) points in the keyframe's camera.
-        px: (N, 2) pixels in this frame.
-        this_T_key: the start.
-
-    Returns:
-        this_T_key, (N,) inliers, and the (M, 6) influence of these, None where the points do not determine it.
+    ``X`` are (N, 3) points in the keyframe's camera, ``px`` their (N, 2) pixels in this frame. Every iteration chooses
+    the inliers again. The influence is None if the points do not determine the motion.
     """
     std_px = scaled(PIXEL_STD_PX, camera.height)
     projection = Projection(camera.fx, camera.fy, camera.cx, camera.cy)
@@ -191,7 +183,7 @@ def step_covariance(
 def scatter(pulls: Float, key_px: Float32, width: int) -> Float | None:
     """(6, 6) covariance of the sum of (N, 6) pulls of features at (N, 2) pixels of an image; zero rows do not count.
 
-    None where no more features pull than a motion has numbers: they fit whatever is true.
+    None where no more features pull than a motion has numbers: they fit any motion.
     """
     used = np.abs(pulls).sum(axis=1) > 0
     pulls, px = pulls[used], key_px[used]

@@ -1,4 +1,4 @@
-"""A motion without depth: the length that the tracked points leave open, by the road and by the speed so far.
+"""The length of a motion without depth, from the road's image and the last known speed.
 
 Between two images a plane maps by the homography R - t n^T / h (Hartley and Zisserman, Multiple View Geometry, 2004,
 section 13.1). With the turn R and the direction of t from the tracked points and the height h from the mounting, what
@@ -9,14 +9,14 @@ each other there.
 """
 
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import Final
 
 import cv2
 import numpy as np
 
 from roadperc_stream.chain.stages.odometry.camera_pitch import CameraPitch, updated
 from roadperc_stream.chain.stages.odometry.features import TrackingFrame
-from roadperc_stream.chain.stages.odometry.motion import Motion
+from roadperc_stream.chain.stages.odometry.motion import Motion, Scale
 from roadperc_stream.config import scaled
 from roadperc_stream.geometry import (
     Camera,
@@ -34,7 +34,6 @@ from roadperc_stream.geometry import (
 from roadperc_stream.geometry.ground import tilted_ground
 from roadperc_stream.model import Image, Mask
 
-Scale = Literal["measured", "carried", "none"]
 _PLANE_STD: Final = np.deg2rad(1.0)
 """Standard deviation of the pitch by the road's picture beyond its grain: a road is crowned and patched."""
 _ROAD_SHARE: Final = 0.01
@@ -45,7 +44,7 @@ _SIGMAS: Final = 3.0
 _SEARCHED: Final = 0.3
 """Share of the length that is expected, by which it is searched below and above."""
 _CARRIED_SHARE: Final = 0.2
-"""Standard deviation, as a share of the length, up to which the speed so far gives the scale."""
+"""Standard deviation, as a share of the length, up to which the last speed gives the scale."""
 _AHEAD_M: Final = (2.0, 18.0)
 _HALF_WIDTH_M: Final = 2.2
 """Where the road is, from the camera on."""
@@ -54,7 +53,7 @@ _BLUR_PX: Final = 51.0
 _LEAST_PIXELS: Final = 1000
 _MOST_PIXELS: Final = 16384
 _ROAD_PART: Final = 2.0
-"""Of more than so many, with all below the horizon that is not road, every second, third, ... row and column count."""
+"""The image below the horizon is this many times larger than its road; larger images are subsampled."""
 _LEAST_CORRELATION: Final = 0.5
 _GRAIN_PX: Final = 16.0
 """Pixels that err together, as the deviations of lengths and pitches on recordings have it."""
@@ -68,25 +67,15 @@ _SMALL_PITCH: Final = 0.002
 
 @dataclass(frozen=True)
 class Expected:
-    """A length in metres that the speed so far promises, with its variance."""
+    """The expected length in metres at the last known speed, with its variance."""
 
     length_m: float
     variance: float
 
 
 @dataclass(frozen=True)
-class ScaledMotion:
-    """A motion with its length, the pitch after it, the part of the length's variance that later ones do not share."""
-
-    motion: Motion
-    pitch: CameraPitch
-    scale: Scale
-    noise_variance: float
-
-
-@dataclass(frozen=True)
 class RoadView:
-    """The road in the keyframe: the (M, 3) rays and (M,) grey levels of its pixels, and how many of these err alike.
+    """The road in the keyframe: (M, 3) rays and (M,) grey levels of its pixels, and how many share one error.
 
     ``camera`` has both images, ``plane`` is the road in the keyframe's camera.
     """
@@ -100,10 +89,10 @@ class RoadView:
 
 @dataclass(frozen=True)
 class RoadMotion:
-    """A length in metres that fits the road's picture, its variance for a given pitch, and how it changes with it.
+    """A length in metres that fits the road's image at the assumed pitch, with its variance.
 
-    ``pitch`` is by how much more than believed the camera looks down as the picture has it, radians, with its variance;
-    the length is that of the pitch as believed, ``metres_per_pitch`` its change.
+    ``pitch`` is the correction of the pitch that the image shows, radians, with its variance; ``metres_per_pitch`` is
+    the derivative of the length by the pitch.
     """
 
     length_m: float
@@ -120,16 +109,11 @@ def scaled_by_road(
     pitch: CameraPitch,
     expected: Expected | None,
     longest_m: float,
-) -> ScaledMotion:
-    """A motion with the length that the road shows, or else the one that is expected.
+) -> tuple[Motion, CameraPitch]:
+    """The motion with the length that the road shows, else the expected length; and the updated pitch.
 
-    Args:
-        frame: this frame; its road is that of the mounting, or measured.
-        key_grey: the keyframe's image.
-        motion: turn and direction.
-        pitch: of the camera, if the road is that of the mounting.
-        expected: the length by the speed so far; None: not known.
-        longest_m: by the fastest motion since the keyframe.
+    ``key_grey`` is the keyframe's image. The pitch counts if the road's plane is assumed from the mounting.
+    ``expected`` is the length at the last known speed, ``longest_m`` the length at the greatest possible speed.
     """
     length = float(np.linalg.norm(motion.this_T_key[:3, 3]))
     R, t = motion.this_T_key[:3, :3], motion.this_T_key[:3, 3] / length
@@ -139,14 +123,14 @@ def scaled_by_road(
         tried_m = max(expected.length_m - reach_m, 0.0), min(expected.length_m + reach_m, longest_m)
     found = _on_road(frame, key_grey, (R, t), pitch, tried_m)
     if found is None:
-        return _carried(motion, pitch, expected)
+        return _carried(motion, pitch, expected), pitch
     if _is_assumed(frame):
         sharper = updated(pitch, (pitch.offset + found.pitch, found.pitch_variance + _PLANE_STD**2))
         found = replace(found, length_m=found.length_m + found.metres_per_pitch * (sharper.offset - pitch.offset))
         pitch = sharper
     length_m, noise = _fused(found, expected)
     shared = found.metres_per_pitch**2 * pitch.variance if _is_assumed(frame) else 0.0
-    return ScaledMotion(_with_length(motion, length_m, noise + shared), pitch, "measured", noise)
+    return _with_length(motion, "measured", length_m, noise, shared), pitch
 
 
 def _on_road(
@@ -170,7 +154,7 @@ def _is_assumed(frame: TrackingFrame) -> bool:
 
 
 def _fused(found: RoadMotion, expected: Expected | None) -> tuple[float, float]:
-    """Length and variance by the road and by what was expected, which does not count where they contradict."""
+    """Length and variance, fused from the road and the expected length; the road alone if they disagree."""
     noise = found.variance + (_ROAD_SHARE * found.length_m) ** 2
     if expected is None:
         return found.length_m, noise
@@ -181,16 +165,15 @@ def _fused(found: RoadMotion, expected: Expected | None) -> tuple[float, float]:
     return found.length_m + gain * off, (1.0 - gain) * noise
 
 
-def _carried(motion: Motion, pitch: CameraPitch, expected: Expected | None) -> ScaledMotion:
+def _carried(motion: Motion, pitch: CameraPitch, expected: Expected | None) -> Motion:
     if expected is None or expected.variance > (_CARRIED_SHARE * expected.length_m) ** 2:
-        return ScaledMotion(replace(motion, scaled=False), pitch, "none", 0.0)
+        return replace(motion, scaled=False, scale="none")
     shared = (_LENGTH_PER_PITCH * expected.length_m) ** 2 * pitch.variance
-    with_length = _with_length(motion, expected.length_m, expected.variance + shared)
-    return ScaledMotion(with_length, pitch, "carried", expected.variance)
+    return _with_length(motion, "carried", expected.length_m, expected.variance, shared)
 
 
-def _with_length(motion: Motion, length_m: float, variance: float) -> Motion:
-    """A motion as long as that; what it triangulated is as far away as that makes it."""
+def _with_length(motion: Motion, scale: Scale, length_m: float, noise: float, shared: float) -> Motion:
+    """The motion scaled to a length, with its triangulated points."""
     factor = length_m / float(np.linalg.norm(motion.this_T_key[:3, 3]))
     R, t = motion.this_T_key[:3, :3], motion.this_T_key[:3, 3]
     influence = None if motion.influence is None else motion.influence * ([factor] * 3 + [1.0] * 3)
@@ -200,7 +183,9 @@ def _with_length(motion: Motion, length_m: float, variance: float) -> Motion:
         points_m=factor * motion.points_m,
         influence=influence,
         scaled=True,
-        length_variance=variance,
+        length_variance=noise + shared,
+        scale=scale,
+        noise_variance=noise,
     )
 
 
@@ -212,7 +197,7 @@ def high_pass(grey: Image) -> Float32:
 
 
 def road_view(camera: Camera, ego_T_camera: Float, plane: Plane, key_grey: Image) -> RoadView | None:
-    """The pixels of the keyframe that show the road ahead, if nothing stands there; None where they are too few."""
+    """The pixels of the keyframe that show the road ahead if it is free; None if they are too few."""
     horizon = int(np.clip(np.floor(camera.cy - camera.fy * plane.normal[2] / plane.normal[1]), 0, camera.height - 1))
     apart = int(np.ceil(np.sqrt((camera.height - horizon) * camera.width / _MOST_PIXELS / _ROAD_PART)))
     rows, columns = np.mgrid[horizon : camera.height : apart, 0 : camera.width : apart].reshape(2, -1)
@@ -234,17 +219,17 @@ def road_motion(
     key_T_this_turn: tuple[Float, Float],
     tried_m: tuple[float, float],
 ) -> RoadMotion | None:
-    """The length of a motion by the road's picture.
+    """The length of a motion by the road's image.
 
     Args:
-        view: the road in the keyframe's.
+        view: the road in the keyframe.
         grey: (H, W) this image.
-        movable: (H, W) not 0 where this image shows what moves, or None.
+        movable: (H, W) not 0 on movable objects in this image, or None.
         key_T_this_turn: the (3, 3) rotation R and the (3,) unit direction t with X_this = R X_key + length t.
         tried_m: shortest and longest length.
 
     Returns:
-        The length, or None where the road has too little texture, or fits no length in between clearly.
+        The length; None if the road has too little texture, or clearly fits no length in between.
     """
     picture = _Picture(view, high_pass(grey), movable, *key_T_this_turn)
     shift_px = picture.shift_px_per_m
@@ -305,7 +290,7 @@ class _Picture:
 
 
 def _at_peak(picture: _Picture, length_m: float, small_m: float) -> RoadMotion | None:
-    """The motion at the best length for the pitch as believed, and the pitch that would fit still better."""
+    """The motion at the best length for the assumed pitch, and the correction of the pitch that fits better."""
     at = picture.seen(length_m, 0.0)
     moved = [picture.seen(length_m + s * small_m, 0.0) for s in (-1, 1)]
     tilted = [picture.seen(length_m, s * _SMALL_PITCH) for s in (-1, 1)]

@@ -63,14 +63,14 @@ def test_a_camera_of_few_pixels_gives_no_error():
     assert abs(aside_m) < curves._SEARCH_M
 
 
-def test_edges_of_a_single_row_are_no_curve():
+def test_edges_of_a_single_row_are_not_a_curve():
     """A dotted row, a metre wide, as a tag error makes it: all its points are equally far ahead."""
     aside = np.linspace(1.2, 2.2, 40)
     row = np.stack((np.full_like(aside, 4.0), aside), axis=-1)
     assert fit(row, (1.7, 0.0, 0.0), rows=np.full(len(row), 300.0)) is None
 
 
-def test_too_few_or_too_far_edges_are_no_curve():
+def test_too_few_or_too_far_edges_are_not_a_curve():
     assert fit(points((1.7, 0, 0))[:5], (1.7, 0, 0)) is None
     far = points((1.7, 0, 0), reach_m=39.0)
     assert fit(far[far[:, 0] > 16], (1.7, 0, 0)) is None

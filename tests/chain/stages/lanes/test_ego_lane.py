@@ -124,7 +124,7 @@ def test_a_short_dash_too_short_for_a_hough_line_is_still_measured():
     assert lanes.side("left").offset_m == pytest.approx(1.8, abs=0.05)
 
 
-def test_far_fragment_is_no_boundary():
+def test_a_far_fragment_is_not_a_boundary():
     road = Road(width=1280, height=960)
     tags = road.tags()
     x, y, _ = np.moveaxis(road.ground()[1], -1, 0)

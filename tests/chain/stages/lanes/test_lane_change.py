@@ -78,23 +78,20 @@ def test_the_change_lasts_while_the_car_is_over_the_line():
     assert ACROSS[last] == pytest.approx(1.75 + half_car, abs=0.25)
 
 
-@pytest.mark.parametrize(("std_m", "changes"), [(0.02, 1), (0.4, 0)])
-def test_only_a_line_that_is_known_is_crossed(std_m, changes):
-    """The same place, 30 cm past the line: one that is hardly known may as well be ahead."""
-    track = tracking.start(np.array([-0.3, 0.0, 0.0]), np.diag([std_m, 0.01, 0.001]) ** 2, 1)
-    state = LanesState(left=TrackedBoundary(track, 20.0))
-    after = handed_over(CFG, state, None, 1)
-    assert after.lane_changes == changes
-    assert (after.right is None) == (changes == 0)
-
-
-def test_a_line_that_is_hardly_known_ahead_is_not_given_after_the_crossing_either():
-    track = tracking.start(np.array([-0.3, 0.0, 0.0]), np.diag([0.02, 0.1, 0.001]) ** 2, 1)
+@pytest.mark.parametrize(
+    ("std_m", "heading_std", "changes", "is_sure"),
+    [(0.02, 0.01, 1, True), (0.02, 0.1, 1, False), (0.4, 0.01, 0, None)],
+    ids=["known", "uncertain ahead", "uncertain"],
+)
+def test_only_a_line_that_is_known_is_crossed(std_m, heading_std, changes, is_sure):
+    """The same place, 30 cm past the line: a line that is hardly known may as well be ahead."""
+    track = tracking.start(np.array([-0.3, 0.0, 0.0]), np.diag([std_m, heading_std, 0.001]) ** 2, 1)
     after = handed_over(CFG, LanesState(left=TrackedBoundary(track, 20.0)), None, 1)
-    assert not after.right.is_sure
+    assert after.lane_changes == changes
+    assert (after.right and after.right.is_sure) == is_sure
 
 
-def test_a_change_that_is_broken_off_is_none():
+def test_an_aborted_lane_change_does_not_count():
     there = list(np.linspace(0.0, 1.4, 14))
     seen = drive([0.0, 0.0, *there, *there[::-1], 0.0])
     assert {lanes.lane_change for lanes in seen} == {"none", "left"}
@@ -111,7 +108,7 @@ def test_nothing_is_given_of_the_line_that_the_car_stands_on():
     assert left.reason in seen[-1].reasons
 
 
-def test_a_lane_too_narrow_is_none_and_says_so():
+def test_a_boundary_of_a_lane_too_narrow_is_lost_with_a_reason():
     road = Road(left_m=0.7, right_m=-0.9)
     _, lanes = look(road)
     (lost,) = (boundary for boundary in lanes.boundaries if boundary.status == "lost")
@@ -131,7 +128,7 @@ def test_a_line_across_the_lane_is_no_boundary():
     assert left.reason is not None
 
 
-def test_another_scene_does_not_inherit_the_lanes():
+def test_another_scene_clears_the_lanes():
     near, far = Road(left_m=1.2, right_m=-2.4), Road(left_m=1.6, right_m=-2.0)
     state, _ = look(near)
     lost = Odometry("lost", np.eye(4), reason=Reason("odometry", "too_few_inliers"))
@@ -141,7 +138,7 @@ def test_another_scene_does_not_inherit_the_lanes():
     assert [boundary.offset_m for boundary in later.boundaries] == [b.raw_offset_m for b in later.boundaries]
 
 
-def test_a_frame_without_an_image_inherits_them():
+def test_a_frame_without_an_image_holds_the_lanes():
     road = Road()
     state, _ = look(road)
     lost = Odometry("lost", np.eye(4), reason=Reason("odometry", "no_image"))

@@ -30,16 +30,16 @@ def test_merge_joins_what_is_close_in_slope_and_intercept():
     ]
 
 
-def test_merge_compares_with_each_groups_first_line():
-    """The third line is near the second but not near the first: it starts a group of its own."""
-    proposals = np.array([line(-1.0, 1000), line(-1.09, 1000), line(-1.18, 1000)])
-    assert len(lines.merge(proposals, 960)) == 2
-
-
-def test_intercept_reach_scales_with_the_image():
-    proposals = np.array([line(-1.0, 500, 480, 250), line(-1.0, 530, 480, 250)])
-    assert len(lines.merge(proposals, 960)) == 1
-    assert len(lines.merge(proposals, 480)) == 2
+@pytest.mark.parametrize(
+    ("proposals", "rows", "groups"),
+    [
+        pytest.param([line(-1.0, 1000), line(-1.09, 1000), line(-1.18, 1000)], 960, 2, id="far from the first line"),
+        pytest.param([line(-1.0, 500, 480, 250), line(-1.0, 530, 480, 250)], 960, 1, id="30 of 960 rows apart"),
+        pytest.param([line(-1.0, 500, 480, 250), line(-1.0, 530, 480, 250)], 480, 2, id="30 of 480 rows apart"),
+    ],
+)
+def test_lines_are_merged_that_are_near_a_groups_first_line(proposals, rows, groups):
+    assert len(lines.merge(np.array(proposals), rows)) == groups
 
 
 def test_a_group_remembers_the_rows_that_support_it():
@@ -71,13 +71,11 @@ def test_a_lines_share_is_that_of_its_pixels(margin):
         assert share == widened[tuple(along)].mean()
 
 
-def test_a_line_of_one_pixel_is_none():
+def test_a_vertical_line_is_a_line_and_a_single_pixel_is_not():
     proposals = np.array([[500.0, 700, 500, 700], [500.0, 900, 500, 600]])
-    np.testing.assert_array_equal(lines.on_road(proposals, np.ones((960, 1280), bool)), proposals[[1]])
-
-
-def test_a_vertical_line_is_a_line():
-    (group,) = lines.merge(np.array([[500.0, 900, 500, 600]]), 960)
+    kept = lines.on_road(proposals, np.ones((960, 1280), bool))
+    np.testing.assert_array_equal(kept, proposals[[1]])
+    (group,) = lines.merge(kept, 960)
     assert group.x(960.0) == pytest.approx(500.0, abs=1e-3)
 
 
@@ -140,12 +138,7 @@ def test_facing_edges_look_towards_the_ego_lane():
     right = facing_edges(separators, road, "right", 2)
     np.testing.assert_array_equal(left, [[6.5, row] for row in (2, 3, 4, 5)])
     assert set(right[:, 0]) == {3.5, 14.5}
-
-
-def test_edges_towards_no_road_do_not_count():
-    separators = np.zeros((4, 20), np.uint8)
-    separators[:, 4:7] = 1
-    assert len(facing_edges(separators, np.zeros((4, 20), bool), "left", 0)) == 0
+    assert len(facing_edges(separators, ~road, "left", 2)) == 0
 
 
 @pytest.mark.parametrize(("fringe_px", "found"), [(0, True), (1, True), (4, True), (5, False)])

@@ -71,7 +71,7 @@ def test_how_sure_it_is_does_not_depend_on_the_frame_rate(steps):
     assert (pitch.offset, pitch.variance) == (pytest.approx(0.01), pytest.approx(expected))
 
 
-def test_what_was_known_is_forgotten_after_a_long_loss_and_not_after_a_frame():
+def test_the_pitch_is_reset_after_a_long_loss_and_not_after_a_frame():
     known = cp.CameraPitch(0.02, 1e-5, measured=True)
     after = cp.after_loss(CFG, known, 0.1)
     assert after.offset == known.offset
@@ -158,7 +158,7 @@ def test_a_mounting_that_is_wrong_by_a_degree_and_a_half_is_found_out_and_the_st
     assert abs(pitch.offset - WRONG) < 2 * np.sqrt(pitch.variance) < np.deg2rad(0.5)
 
 
-def test_a_mounting_that_is_believed_is_not_corrected(shots):
+def test_a_fixed_pitch_is_not_corrected(shots):
     states, results = run(shots[:6], CFG.model_copy(update={"pitch_std_deg": 0.0}), depth=False, road=ROAD)
     assert (states[-1].pitch.offset, states[-1].pitch.variance, states[-1].pitch.measured) == (0.0, 0.0, False)
     assert np.median(lengths_m(results)) > 1.05 * 0.4
@@ -261,13 +261,13 @@ def test_lines_that_cross_anywhere_are_refused():
     assert cp.pitch_by_lines(CAMERA, EGO_T_CAMERA, picture(segments), None) is None
 
 
-def test_lines_on_what_moves_do_not_count():
+def test_lines_on_movable_objects_do_not_count():
     image = picture(stripes_to(point_at(2.0)))
     assert cp.pitch_by_lines(CAMERA, EGO_T_CAMERA, image, np.zeros(CAMERA.size, np.uint8)) is not None
     assert cp.pitch_by_lines(CAMERA, EGO_T_CAMERA, image, np.ones(CAMERA.size, np.uint8)) is None
 
 
-def test_the_first_frame_hears_the_lines_but_does_not_believe_them_alone():
+def test_the_first_frame_uses_the_lines_but_they_are_not_sufficient_alone():
     shot = Shot(picture(stripes_to(point_at(2.0))), np.full(CAMERA.size, 10.0, np.float32))
     (state,), _ = run([shot], depth=False)
     assert 0.8 * 2.0 < np.rad2deg(state.pitch.offset) < 2.2

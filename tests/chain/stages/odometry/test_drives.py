@@ -105,25 +105,15 @@ def test_course_odometry_turns_little_and_goes_ahead(data_dir, scaled):
         assert not scaled or np.rad2deg(np.arctan2(np.hypot(left, up), ahead)) < 10
 
 
-def rendered(folder, *options):
-    assert render.main([str(folder), *options]) == 0
-    camera, mounting = calibrated(folder)
-    return camera, rigid(EGO_R_OPTICAL, np.array([mounting["rgb"][axis] for axis in "xyz"]))
-
-
 @pytest.mark.accuracy
 def test_standing_still(tmp_path):
     options = ("--static", "--rgb-noise", "2", "--depth-noise", "0.01", "--seconds", "5")
-    camera, ego_T_camera = rendered(tmp_path, *options)
+    assert render.main([str(tmp_path), *options]) == 0
+    camera, mounting = calibrated(tmp_path)
+    ego_T_camera = rigid(EGO_R_OPTICAL, np.array([mounting["rgb"][axis] for axis in "xyz"]))
     for depth in (True, False):
         for tags in (True, False):
             results = track(pictures(tmp_path), camera, ego_T_camera, depth=depth, tags=tags)
             stray_m = np.linalg.norm(poses(results)[:, :3, 3], axis=1).max()
             print(f"\nstanding, depth {depth}, tags {tags}: strays {1000 * stray_m:.2f} mm")
             assert stray_m < 0.02
-
-
-def test_short_standing_still(tmp_path):
-    camera, ego_T_camera = rendered(tmp_path, "--static", "--rgb-noise", "2", "--seconds", "1", "--size", "640x480")
-    results = track(pictures(tmp_path), camera, ego_T_camera, tags=False)
-    assert np.linalg.norm(poses(results)[:, :3, 3], axis=1).max() < 0.02

@@ -1,7 +1,6 @@
 """The odometry over frames whose motion is known."""
 
 import pickle
-from dataclasses import asdict
 from itertools import pairwise
 
 import numpy as np
@@ -14,6 +13,7 @@ from roadperc_stream.geometry import inverse, project, transform
 from roadperc_stream.model import Absent, Reason
 from tests.chain.stages.odometry.street import CAMERA, CFG, EGO_T_CAMERA, STEP_NS, Shot, drive, photograph, pose, run
 from tests.chain.stages.odometry.trajectories import angle_deg, distances_m, relative_errors
+from tests.chain.test_chain import same
 from tests.scenes import scene_of
 
 POSES = drive(12)
@@ -32,19 +32,6 @@ def poses(results):
 
 def statuses(results):
     return [out.status for out in results]
-
-
-def flat(odometry):
-    values = asdict(odometry)
-    return values | (values.pop("matches") or {})
-
-
-def same(a, b):
-    """Bit for bit, in every field."""
-    a, b = flat(a), flat(b)
-    assert a.keys() == b.keys()
-    for name in a:
-        np.testing.assert_array_equal(a[name], b[name], strict=True, err_msg=name)
 
 
 @pytest.mark.parametrize(
@@ -67,19 +54,13 @@ def test_steps_chain_to_the_poses():
         assert out.since_ns is not None
 
 
-def test_covariance_is_that_of_a_sane_step():
-    _, results = run(SHOTS[:3])
+def test_the_covariance_of_a_step_at_full_size_holds_its_error():
+    _, results = run(SHOTS[:3], CFG.model_copy(update={"min_rows": 480}))
     covariance = np.array(results[1].covariance).reshape(6, 6)
     np.testing.assert_allclose(covariance, covariance.T, atol=1e-15)
     assert np.linalg.eigvalsh(covariance).min() > 0
     error = np.linalg.norm((inverse(POSES[1]) @ results[1].odom_T_ego)[:3, 3])
     assert error < 5 * np.sqrt(np.trace(covariance[:3, :3])) + 0.002
-
-
-def test_full_size_and_halved_agree():
-    _, halved = run(SHOTS[:5])
-    _, full = run(SHOTS[:5], CFG.model_copy(update={"min_rows": 480}))
-    assert np.linalg.norm((inverse(halved[-1].odom_T_ego) @ full[-1].odom_T_ego)[:3, 3]) < 0.01
 
 
 def test_standing_still_does_not_drift_while_a_car_passes():
@@ -128,7 +109,7 @@ def test_another_place_is_lost_and_then_tracked():
         ({"min_inliers": 390}, "too_few_inliers"),
     ],
 )
-def test_what_the_car_cannot_do_is_lost(limit, reason):
+def test_an_impossible_motion_is_lost(limit, reason):
     _, results = run(SHOTS[:2], CFG.model_copy(update=limit))
     assert statuses(results) == ["first", "lost"]
     assert results[1].reason == Reason("odometry", reason)
@@ -180,7 +161,7 @@ def test_movable_objects_are_left_out():
     assert statuses(results) == ["first", "tracked", "tracked"]
 
 
-def test_nothing_yet_and_nothing_to_see():
+def test_no_image_is_absent_and_a_blank_image_is_lost():
     assert isinstance(run([None])[1][0], Absent)
     blank = Shot(np.full(CAMERA.size, 90, np.uint8), SHOTS[0].depth_m)
     for depth in (True, False):
@@ -204,8 +185,8 @@ def test_replay_and_resume_from_a_pickled_state_are_equal(features, matcher, dep
     _, again = run(SHOTS[:6], cfg, depth=depth)
     _, resumed = run(SHOTS[3:6], cfg, pickle.loads(pickle.dumps(states[2])), first=3, depth=depth)
     for a, b, c in zip(results[3:], again[3:], resumed, strict=True):
-        same(a, b)
-        same(a, c)
+        assert same(a, b)
+        assert same(a, c)
 
 
 def test_the_state_is_bounded():

@@ -71,19 +71,17 @@ def test_rays_give_rotation_direction_and_length(this_T_key):
     np.testing.assert_allclose(motion.points_m[30:][filled] / X[30:][filled], 1.0, atol=0.2)
 
 
-def test_rays_alone_have_the_fallback_length():
-    this_T_key, X = moved(np.array([0.05, 0.0, -0.6, 0.0, 0.02, 0.0])), cloud()
-    nothing = np.full_like(X, np.nan)
-    motion = motion_from_rays(CAMERA, pixels_of(np.eye(4), X), pixels_of(this_T_key, X), nothing, 3.0)
+def test_without_known_points_a_motion_has_the_fallback_length_and_a_turn_has_none():
+    X = cloud()
+    ahead, turn = moved(np.array([0.05, 0.0, -0.6, 0.0, 0.02, 0.0])), moved(np.array([0, 0, 0, 0.01, -0.03, 0.005]))
+    motion, turned = (
+        motion_from_rays(CAMERA, pixels_of(np.eye(4), X), pixels_of(T, X), np.full_like(X, np.nan), 3.0)
+        for T in (ahead, turn)
+    )
     assert not motion.scaled
     assert np.linalg.norm(motion.this_T_key[:3, 3]) == pytest.approx(3.0)
-
-
-def test_a_turn_alone_is_no_translation():
-    this_T_key, X = moved(np.array([0.0, 0.0, 0.0, 0.01, -0.03, 0.005])), cloud()
-    motion = motion_from_rays(CAMERA, pixels_of(np.eye(4), X), pixels_of(this_T_key, X), np.full_like(X, np.nan), 1.0)
-    np.testing.assert_allclose(motion.this_T_key, this_T_key, atol=1e-5)
-    assert motion.influence is None
+    np.testing.assert_allclose(turned.this_T_key, turn, atol=1e-5)
+    assert turned.influence is None
 
 
 def test_too_few_features_do_not_claim_to_be_certain():
@@ -239,7 +237,7 @@ def test_pixels_of_the_tracked_image_lie_where_the_frame_has_them(shrink):
     np.testing.assert_allclose(frame.whole(g.project(frame.camera, X)), g.project(camera, X), rtol=1e-6)
 
 
-def test_what_moves_is_avoided_with_the_reach_of_a_window():
+def test_movable_objects_are_avoided_with_a_margin():
     """20 px of 960 rows are 5 of 240, so that a margin of two pixels surrounds each thing."""
     tags = np.full((480, 640), 7, np.uint8)
     tags[200:210, 300:320] = 10  # a vehicle
@@ -248,30 +246,22 @@ def test_what_moves_is_avoided_with_the_reach_of_a_window():
     assert (rows.min(), rows.max(), columns.min(), columns.max()) == (98, 106, 148, 161)
     px = np.float32([[148, 98], [161.4, 106.4], [147, 100], [162, 100], [150, 97], [150, 107], [np.nan, 100]])
     np.testing.assert_array_equal(frame.on_movable(px), [True, True, False, False, False, False, False])
+    without_tags = tracking_frame(CFG, scene_of(CAMERA, EGO_T_CAMERA), np.zeros((480, 640), np.uint8), None)
+    assert not without_tags.on_movable(px).any()
 
 
-def test_nothing_moves_where_nobody_says_what_does():
-    frame = tracking_frame(CFG, scene_of(CAMERA, EGO_T_CAMERA), np.zeros((480, 640), np.uint8), None)
-    np.testing.assert_array_equal(frame.on_movable(np.float32([[3, 4], [np.nan, 5]])), [False, False])
-
-
-def test_landmarks_lie_where_the_depth_says():
+def test_landmarks_lie_where_the_depth_says_and_none_is_aligned_out_of_sight():
     shot = photograph(pose(0))
     frame = tracking_frame(CFG, scene_of(CAMERA, EGO_T_CAMERA, depth_m=shot.depth_m), shot.grey, None)
-    landmarks = make_keyframe(CFG, frame, EGO_T_CAMERA).landmarks
+    keyframe = make_keyframe(CFG, frame, EGO_T_CAMERA)
+    landmarks = keyframe.landmarks
     assert (landmarks.source, landmarks.metric) == ("depth", True)
     heights = g.transform(EGO_T_CAMERA, landmarks.points_m)
     on_plane = [np.abs(heights[:, 2]), np.abs(heights[:, 1] - 7), np.abs(heights[:, 1] + 6), np.abs(heights[:, 0] - 45)]
     assert np.quantile(np.min(on_plane, axis=0), 0.95) < 0.01
-
-
-def test_where_no_feature_is_visible_none_is_aligned():
-    shot = photograph(pose(0))
-    frame = tracking_frame(CFG, scene_of(CAMERA, EGO_T_CAMERA, depth_m=shot.depth_m), shot.grey, None)
-    keyframe = make_keyframe(CFG, frame, EGO_T_CAMERA)
     behind = g.rigid(np.eye(3), np.array([0.0, 0.0, -1e3]))
     px = aligned(keyframe, frame, behind)
-    assert px.shape == keyframe.landmarks.features.px.shape
+    assert px.shape == landmarks.features.px.shape
     assert len(px) > 20
     assert np.isnan(px).all()
 
