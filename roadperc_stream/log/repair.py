@@ -155,11 +155,11 @@ def _at(time_ns: int, first_ns: int | None) -> str:
 def _recovery_of(salvage: Salvage) -> Recovery:
     """What a finished salvage saved and lost."""
     topics = {number: channel.topic for number, channel in salvage.channels.items()}
-    gaps = tuple(LostSpan(gap.first_ns, gap.last_ns, _by_topic(gap.messages, topics)) for gap in salvage.gaps)
+    gaps = tuple(LostSpan(gap.first_ns, gap.last_ns, _by_topic(gap.messages, topics)) for gap in salvage.losses.all)
     if salvage.written is not None:
         lost = Counter(salvage.written) - salvage.counts
     else:
-        lost = sum((Counter(gap.messages) for gap in salvage.gaps), Counter(salvage.undescribed))
+        lost = sum((Counter(gap.messages) for gap in salvage.losses.all), Counter(salvage.losses.undescribed))
     is_exact = salvage.written is not None or not any(damage.of_messages for damage in salvage.damages)
     return Recovery(salvage.counts.total(), _by_topic(lost, topics), is_exact, gaps)
 
