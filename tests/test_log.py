@@ -114,7 +114,7 @@ def test_a_log_that_is_not_whole_names_the_command_that_says_more(tmp_path, kind
     path = broken(tmp_path / "my logs", kind)
     with pytest.raises(LogError) as caught:
         read_whole(path)
-    assert str(caught.value).endswith(f"; roadperc-info '{path}' tells what is whole")
+    assert str(caught.value).endswith(f"; run roadperc-info '{path}' to see what is intact")
     with pytest.raises(LogError) as caught:
         read_whole(broken(tmp_path, "text"))
     assert "roadperc-info" not in str(caught.value)

@@ -1,4 +1,4 @@
-"""Which part of which log is to be replayed, what of a damaged log can be, and what its frames say of lost messages."""
+"""The log and time range to replay, how a damaged log is read, and the frames' reasons for lost messages."""
 
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -14,25 +14,25 @@ from roadperc_stream.model import Reason
 from roadperc_stream.system.time import WHOLE, TimeRange, ns_to_seconds
 
 SOURCE = "log"
-"""Whose reason it is that messages were lost."""
+"""Source of the reasons for lost messages."""
 
 
 class LossTimes:
-    """When messages were lost, found by bisection: a log may have many gaps, and each frame asks."""
+    """Finds by bisection when messages were lost: a log may have many gaps, and every frame is looked up."""
 
     def __init__(self, gaps: Iterable[LostSpan]) -> None:
         """Sort the gaps of the log."""
         spans = sorted((_or(g.first_ns, -inf), _or(g.last_ns, inf)) for g in gaps)
         self._firsts = [first for first, _ in spans]
         self._latest = list(accumulate((last for _, last in spans), max))
-        """Of each gap and those that begin before it, the end that is last: it never falls."""
+        """For each gap, the latest end of all gaps up to it: ascending."""
 
     def reason(self, since_ns: int | None, until_ns: int) -> Reason | None:
-        """That messages were lost since the frame before, or at this one; None if all are there.
+        """Return the reason if messages were lost since the previous frame; None if none were lost.
 
         Args:
-            since_ns: log time of the frame before; None of the first one, which speaks for all that was lost before it.
-            until_ns: log time of the frame; of one that lacks messages, up to which they may have come.
+            since_ns: log time of the previous frame; None for the first one.
+            until_ns: log time of the frame; for an incomplete one, the latest log time of its missing messages.
         """
         begun = bisect_right(self._firsts, until_ns)
         over = 0 if since_ns is None else bisect_right(self._latest, since_ns)
@@ -55,10 +55,10 @@ def _or(time_ns: int | None, otherwise: float) -> float:
 
 @dataclass(frozen=True)
 class ReadableLog:
-    """A log that can be replayed: as it stands, or what was saved of it.
+    """A log that can be replayed: the whole log, or what could be read of a damaged one.
 
-    ``error`` says that it is damaged, None where it is whole; ``damaged`` are the files that are, ``first_ns`` the log
-    time of the first message there was.
+    ``error`` is the damage, None for a whole log. ``damaged`` are the repaired files. ``first_ns`` is the log time of
+    the first message written.
     """
 
     summary: LogSummary
@@ -67,7 +67,7 @@ class ReadableLog:
     first_ns: int | None = None
 
     def part(self, asked: TimeRange) -> TimeRange:
-        """What is asked for, counted from the first message that is left."""
+        """Return the requested range relative to the first message that could be read."""
         first_ns, saved_ns = self.first_ns, self.summary.first_ns
         if self.error is None or first_ns is None or saved_ns is None or saved_ns <= first_ns:
             return asked
@@ -76,51 +76,49 @@ class ReadableLog:
         return TimeRange(start_s, None if asked.end_s is None else asked.end_s - by_s, asked.frames)
 
     def require_outside(self, start_ns: int | None, end_ns: int | None) -> None:
-        """Check that damage concerns no message from ``start_ns`` up to ``end_ns``, None without a limit.
+        """Check that no message from ``start_ns`` up to ``end_ns`` may be damaged; None is no limit.
 
         Raises:
-            LogError: it may.
+            LogError: one may be.
         """
         if self.error and any(d.concerns(start_ns, end_ns) for copy in self.damaged for d in copy.salvage.damages):
             raise self.error
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the user should know of it."""
+        """Warnings about the damaged files."""
         found = ((copy.path, copy.salvage.damages, copy.recovery) for copy in self.damaged)
         return tuple(text for facts in found for text in warnings_of(*facts, self.first_ns))
 
 
 def _repaired(path: Path, limits: LimitsConfig, error: DamagedLogError) -> RepairedLog | None:
-    """The repaired copy of a file, which may be the one that the error is of; None where it is whole."""
+    """Return the repaired copy of a file; None if it is whole. ``error`` names the first damaged file."""
     is_whole = path != error.path and log.audited(path, limits, check_chunks=True).whole
     return None if is_whole else log.repaired_copy(path, limits)
 
 
 def _in_log(copy: RepairedLog, parts: Sequence[LogSummary]) -> RepairedLog:
-    """A repaired part, whose losses end where later parts go on."""
+    """Return a repaired file whose losses end where later files continue."""
     own = next((part for part in parts if part.path == copy.path), None)
     return copy if own is None else replace(copy, recovery=copy.recovery.ending(log.gone_on_ns(own, parts)))
 
 
 def warnings_of(source: Path, damages: Sequence[Damage], recovery: Recovery, first_ns: int | None) -> Iterator[str]:
-    """What the user should know of a log that was damaged: where, what was saved and what was lost."""
-    number = log.number_of(damages)
-    more = f" (the first of {number} damages)" if number > 1 else ""
-    yield f"{source}: damaged at byte {damages[0].byte}: {damages[0].words}{more}"
+    """Yield warnings about a damaged log: where it is damaged, what was saved and what was lost."""
+    yield f"{source}: {log.first_damage(damages)}"
     yield from recovery.lines(first_ns)
 
 
 @dataclass(frozen=True)
 class ReplaySource:
-    """What is to be replayed.
+    """The log to replay, and how to read it.
 
     Args:
-        paths: the log, or its parts; ``-`` is standard input.
-        overrides: topic of each role that is not on the contract's topic.
-        time_range: the part to replay; the copy of the input is cut with it.
-        recover: replay what can be read of a damaged log; frames behind what was lost say so.
-        strict: the first message that cannot be used is an error, instead of costing that message alone.
+        paths: the log, or its files; ``-`` is standard input.
+        overrides: topic by role, for roles on other topics than the contract's.
+        time_range: the range to replay; it also cuts the copy of the input.
+        recover: replay what can be read of a damaged log; frames behind losses have a reason.
+        strict: stop with an error at the first unusable message, instead of skipping it.
     """
 
     paths: Path | Sequence[Path]
@@ -131,18 +129,15 @@ class ReplaySource:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The log's parts, one of a log that is not in parts."""
+        """The files of the log."""
         return (self.paths,) if isinstance(self.paths, Path) else tuple(self.paths)
 
     def read(self, limits: LimitsConfig) -> ReadableLog:
-        """The log, or what can be read of it with ``recover``, or where only some of it is to be replayed.
-
-        Args:
-            limits: of its records and chunks.
+        """Open the log; with ``recover`` or a time range, a damaged log is repaired into a temporary file.
 
         Raises:
-            LogError: it cannot be read, or is damaged where that is an error.
-            TargetError: there is no space for temporary files, where it needs some.
+            LogError: it cannot be read, or is damaged and neither applies.
+            TargetError: there is no space for temporary files.
         """
         sources = log.received(self.files)
         despite_damage = self.recover or self.time_range != WHOLE

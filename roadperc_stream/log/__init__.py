@@ -4,7 +4,7 @@ Bytes in, bytes out; what they mean is the business of ``schemas`` and ``input``
 """
 
 from roadperc_stream.log.audit import audited
-from roadperc_stream.log.damage import Damage, DamagedLogError, number_of
+from roadperc_stream.log.damage import Damage, DamagedLogError, first_damage, number_of
 from roadperc_stream.log.growing import GrowingLog
 from roadperc_stream.log.mcap_file import Piece
 from roadperc_stream.log.parts import counted_topics, gone_on_ns

@@ -1,4 +1,4 @@
-"""Whether a log is whole, checked in one pass before anything is made of it, and while it is read."""
+"""Checks whether a log is whole, in one pass before it is used and again while it is read."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,56 +21,44 @@ from roadperc_stream.system.time import ns_to_seconds
 
 
 def damage_in(found: Salvage) -> LogError:
-    """The error of a log that is not whole."""
+    """Return the error for a log that is not whole."""
     if not found.counts.total():
         return nothing_saved(found.path, found.damages)
     return DamagedLogError(found.path, found.damages, _can_be_saved(found))
 
 
 def audited(path: Path, limits: LimitsConfig = DEFAULT_LIMITS, *, check_chunks: bool = False) -> Salvage:
-    """The finished account of a log.
+    """Return the finished account of a log.
 
-    Chunks are not opened where CRCs cover every message, and message indexes count what they hold.
+    Chunks are opened only if CRCs do not cover all messages, or message indexes do not count them.
 
     Args:
         path: the log.
         limits: of its records and chunks.
-        check_chunks: also where their own CRCs alone cover the messages, which reading them compares else. Needed by
-            whoever reads only some of them, or wants to read on behind damage.
+        check_chunks: also open chunks that only their own CRC covers. Otherwise that CRC is checked when the chunk is
+            read, which is too late for a caller that skips chunks or continues behind damage.
 
     Raises:
-        LogError: the file cannot be read, or is no MCAP log.
+        LogError: the file cannot be read, or is not MCAP.
     """
-    quick = Salvage(path, inside=False, limits=limits)
-    quick.run()
+    quick = Salvage(path, inside=False, limits=limits).run()
     is_checked = quick.sealed or not check_chunks
-    return quick if quick.whole and quick.conclusive and is_checked else salvaged(path, limits)
-
-
-def salvaged(path: Path, limits: LimitsConfig) -> Salvage:
-    """The finished account of a log, with a look inside every chunk.
-
-    Raises:
-        LogError: the file cannot be read, or is no MCAP log.
-    """
-    found = Salvage(path, limits=limits)
-    found.run()
-    return found
+    return quick if quick.whole and quick.conclusive and is_checked else Salvage(path, limits=limits).run()
 
 
 def _can_be_saved(found: Salvage) -> str:
     saved, written = found.counts.total(), found.written
     of_all = "" if written is None else f" of {sum(written.values())}"
-    start_ns, lost_ns = found.first_ns, [gap.first_ns for gap in found.gaps]
+    start_ns, lost_ns = found.first_ns, [gap.first_ns for gap in found.losses.all]
     from_ns = min((ns for ns in lost_ns if ns is not None), default=None)
     before = ""
     if start_ns is not None and from_ns is not None and None not in lost_ns and from_ns > start_ns:
         before = f", all before {ns_to_seconds(from_ns - start_ns):.3f} s"
-    return f"{saved}{of_all} messages can be saved{before}: roadperc-replay and roadperc-view do with --recover"
+    return f"{saved}{of_all} messages can be saved{before}: pass --recover to roadperc-replay or roadperc-view"
 
 
 def in_file_order(path: Path, limits: LimitsConfig) -> Iterator[Message]:
-    """Messages as they stand in a file that was checked before, one of a chunk in memory at a time.
+    """Yield the messages of a checked file in its order, one message of a chunk in memory at a time.
 
     Every chunk's CRC is checked.
 
@@ -98,7 +86,7 @@ def opened(path: Path, limits: LimitsConfig) -> Iterator[GuardedFile]:
     """Open a log.
 
     Raises:
-        LogError: the file cannot be read, is no MCAP log, is cut, damaged or beyond the limits.
+        LogError: the file cannot be read, is not MCAP, is cut, damaged or beyond the limits.
     """
     try:
         with GuardedFile(path, limits) as stream:
@@ -108,6 +96,6 @@ def opened(path: Path, limits: LimitsConfig) -> Iterator[GuardedFile]:
     except LimitError as error:
         raise LogError(f"{path}: {error}") from error
     except UNREADABLE as error:
-        found = salvaged(path, limits)
-        words = f"damaged MCAP: {str(error) or type(error).__name__}"
-        raise (damaged(path, words) if found.whole else damage_in(found)) from error
+        found = Salvage(path, limits=limits).run()
+        fault = f"damaged MCAP: {str(error) or type(error).__name__}"
+        raise (damaged(path, fault) if found.whole else damage_in(found)) from error

@@ -1,7 +1,7 @@
-"""What a chunk holds: its records as far as they can be read, and why not all of them can.
+"""Decompresses chunks and reads their records, up to the first fault.
 
-A chunk that is cut or damaged is decompressed piece by piece: what comes before the fault is read, and never more than
-the chunk declares. Layout: https://mcap.dev/spec.
+A cut or damaged chunk is decompressed piece by piece up to the fault, and never beyond the size that it declares.
+Format: https://mcap.dev/spec.
 """
 
 from collections.abc import Callable, Iterator
@@ -24,14 +24,13 @@ _STREAMS: Final[dict[str, Callable[[ChunkHead], Any]]] = {
     "zstd": lambda head: BufferedReader(ZstdDecompressor().stream_reader(head.stored, read_across_frames=True)),
     "lz4": lambda head: lz4.frame.LZ4FrameFile(BytesIO(head.stored)),
 }
-"""Streams over all that a chunk's data decompress to, by its compression."""
+"""Streams over a chunk's decompressed data, by compression. They read all frames."""
 
 
 def contents_of(head: ChunkHead, most: int) -> tuple[list[Record], str]:
-    """A chunk's records up to the first fault, at most ``most`` of them, and the fault; empty without one.
+    """Return a chunk's records up to the first fault, at most ``most``, and the fault; empty without one.
 
-    Records before bytes that make no sense, or before the end, are given. If only the CRC is wrong, no record is given:
-    any of them may be wrong.
+    If only the CRC is wrong, no record is returned, because any of them may be wrong.
     """
     data, broken = _decompressed(head)
     found, fault = _split(data, most)
@@ -47,10 +46,10 @@ def contents_of(head: ChunkHead, most: int) -> tuple[list[Record], str]:
 
 
 def streamed(head: ChunkHead) -> Iterator[Record]:
-    """The records of a chunk that was checked before, one in memory at a time.
+    """Yield the records of a checked chunk, one in memory at a time.
 
     Raises:
-        ValueError: it ends early, or its CRC is wrong, which shows behind the last record.
+        ValueError: it ends early, or its CRC is wrong; the CRC is checked behind the last record.
     """
     stream, at, crc = _STREAMS[head.compression](head), 0, 0
 
@@ -78,14 +77,14 @@ class Unpacked:
 
     data: memoryview
     is_plain: bool
-    """Whether they are as many bytes as the chunk says, in one frame: many readers see no other than the first."""
+    """Whether the data is one frame of the declared size: many readers only read the first frame."""
 
 
 def unpacked(head: ChunkHead, *, check_crc: bool) -> Unpacked:
-    """A chunk's data, decompressed at once where that can be; ``limits.require_chunk`` comes first.
+    """Decompress a chunk whose size was checked with ``limits.require_chunk``, in one step if possible.
 
     Raises:
-        ValueError: the bytes make no sense, or the CRC is to be checked, and is wrong.
+        ValueError: the data is not valid, or its CRC is to be checked and is wrong.
     """
     at_once = _at_once(head)
     data, fault = _decompressed(head) if at_once is None else (at_once, "")
@@ -97,17 +96,17 @@ def unpacked(head: ChunkHead, *, check_crc: bool) -> Unpacked:
 
 
 def too_many(most: int) -> str:
-    """What is wrong with a chunk of more messages than the limit."""
+    """Return the fault of a chunk with more messages than the limit."""
     return f"more messages in a chunk than limits.chunk_messages, which is {most}"
 
 
 def _at_once(head: ChunkHead) -> memoryview | None:
-    """The data of a chunk in a single frame of the size that the chunk declares; None of any other."""
+    """Return the data of a chunk that is a single frame of the declared size; None for any other."""
     data: bytes | memoryview = head.stored
     try:
         if head.compression == "zstd":
             if zstandard.frame_content_size(head.stored) not in {-1, head.size_bytes}:
-                return None  # the library would allocate that size; -1 is an unknown one
+                return None  # the library would allocate that size; -1 is unknown
             data = ZstdDecompressor().decompress(head.stored, max_output_size=head.size_bytes)
         elif head.compression == "lz4":
             frame = lz4.frame.LZ4FrameDecompressor()
@@ -120,7 +119,7 @@ def _at_once(head: ChunkHead) -> memoryview | None:
 
 
 def _decompressed(head: ChunkHead) -> tuple[memoryview, str]:
-    """A chunk's data, no more than it declares, and why that is not all of them; empty where it is."""
+    """Return a chunk's data, at most the declared size, and why it is incomplete; empty if it is complete."""
     if not head.compression:
         return head.stored, ""
     stream, data, fault = _STREAMS[head.compression](head), bytearray(), ""
@@ -137,7 +136,7 @@ def _decompressed(head: ChunkHead) -> tuple[memoryview, str]:
 
 
 def _too_long(head: ChunkHead) -> str:
-    return f"holds more than the {head.size_bytes} bytes it promises"
+    return f"holds more than the declared {head.size_bytes} bytes"
 
 
 def _wrong_crc(found: int, expected: int) -> str:
@@ -145,14 +144,14 @@ def _wrong_crc(found: int, expected: int) -> str:
 
 
 def _split(data: memoryview, most: int) -> tuple[list[Record], str]:
-    """The records in the decompressed data of a chunk, at most ``most`` of them, and why they end early."""
+    """Return the records in a chunk's data, at most ``most``, and why they end early."""
     found: list[Record] = []
     try:
         for record in records_in(data):
             if len(found) == most:
                 return found, too_many(most)
             if record.opcode not in INSIDE:
-                kind = f"a record of type {record.opcode:#04x} at its byte {record.start}"
+                kind = f"a record with opcode {record.opcode:#04x} at its byte {record.start}"
                 return found, f"{kind}, expected schema, channel or message"
             found.append(record)
     except ValueError as error:

@@ -1,7 +1,7 @@
-"""The records of a file one after the other, with their places, and whether its sections are what was written.
+"""Reads the records of a file in order, with their positions, and checks the CRCs of its sections.
 
-Behind bytes that make no sense reading goes on where the index says, else at the next bytes that a record can start
-with. Layout: https://mcap.dev/spec.
+Behind invalid bytes, reading continues where the index names a record, or else where the next record can start.
+Format: https://mcap.dev/spec.
 """
 
 import bisect
@@ -17,14 +17,14 @@ from roadperc_stream.log.damage import Damage
 from roadperc_stream.log.layout import CRC_BYTES, MAGIC, MESSAGE, NAMES, RECORD, Record, chunk_head
 
 BREAK: Final = 0
-"""Opcode of the record that says where reading broke off in the data section; the specification has none of this."""
+"""Opcode of the record that marks invalid bytes in the data section; the specification does not use it."""
 _BLOCK_BYTES: Final = 1024 * 1024
 _OVERLAP_BYTES: Final = 128
-"""More than what is looked at from where a record may start: its head and the fields of a chunk."""
+"""More than the search reads at a possible start: the head of a record and the fields of a chunk."""
 _FIELDS_BYTES: Final = 64
 _CHUNK_BEGINS: Final = rb"(?=\x06.{5}\x00{3}.{28}(?:\x00{4}|\x03\x00{3}lz4|\x04\x00{3}zstd))"
 _BESIDE_CHUNKS: Final = re.compile(_CHUNK_BEGINS + rb"|(?=[\x09\x0c\x0f].{5}\x00{3})", re.DOTALL)
-"""What a chunk, or a record between chunks, begins with; lengths are below 2^40 bytes."""
+"""First bytes of a chunk, or of a record between chunks; lengths are below 2^40 bytes."""
 _ANYWHERE: Final = re.compile(_CHUNK_BEGINS + rb"|(?=[\x03\x04\x05\x09\x0c\x0f].{5}\x00{3})", re.DOTALL)
 _LEAST_BYTES: Final = {
     int(Opcode.SCHEMA): 14,
@@ -35,55 +35,35 @@ _LEAST_BYTES: Final = {
     int(Opcode.METADATA): 8,
     int(Opcode.DATA_END): 4,
 }
-"""What the fields of a record take that has nothing in those of any length."""
+"""Smallest length of each kind of record: all its variable fields are empty."""
 IsMessage = Callable[[bytes], bool]
-"""Whether the first bytes of a message record are those of a message of this log."""
+"""Says whether the first bytes of a message record belong to a message of this log."""
 _FIRST_PRIVATE: Final = 0x80
-"""Opcodes from here on are an application's own."""
-_OF_INDEX: Final = frozenset(
-    (
-        Opcode.STATISTICS,
-        Opcode.CHUNK_INDEX,
-        Opcode.ATTACHMENT_INDEX,
-        Opcode.METADATA_INDEX,
-        Opcode.SUMMARY_OFFSET,
-        Opcode.FOOTER,
-    )
-)
-_OF_SUMMARY: Final[frozenset[int]] = _OF_INDEX | {Opcode.SCHEMA, Opcode.CHANNEL}
-_OF_DATA: Final[frozenset[int]] = frozenset(Opcode) - _OF_INDEX - {Opcode.HEADER}
+"""First opcode of the range that applications may use."""
+_OF_DATA: Final = frozenset(_LEAST_BYTES) | {Opcode.MESSAGE_INDEX}
+_OF_SUMMARY: Final = frozenset(Opcode) - _OF_DATA - {Opcode.HEADER} | {Opcode.SCHEMA, Opcode.CHANNEL}
 _MOST_LISTED: Final = 1000
-"""Damages that are listed one by one."""
+"""Damages that are listed individually."""
 _MOST_CUT_BYTES: Final = 256 * 1024 * 1024
-"""What is read of a record that does not end: its chunk may be whole, and only its length wrong."""
+"""Bytes read of a chunk that exceeds the file: perhaps only its length is wrong."""
 
 
 class RecordSearch:
-    """Finds where records start in bytes that make no sense.
+    """Finds where records start behind invalid bytes. It moves the position of the stream.
 
-    A block of the file is held, and looked at in place: of what only looks like records there may be millions.
+    It keeps a block of the file and checks it in place, because millions of places may look like a record.
     """
 
     def __init__(self, stream: IO[bytes], size_bytes: int, is_message: IsMessage) -> None:
-        """Search a file.
-
-        Args:
-            stream: of the file; it is left anywhere.
-            size_bytes: of the file.
-            is_message: tells messages from what only looks like one.
-        """
         self._stream, self._size_bytes, self._is_message = stream, size_bytes, is_message
         self._block, self._block_at = b"", 0
 
     def next_record(self, at: int, *, chunked: bool) -> int | None:
-        """The byte from ``at`` on where the next record starts whose fields fit together, and with what follows it.
+        """Return the byte where the next consistent record starts, from byte ``at`` on; None without any.
 
         Args:
-            at: first byte that is looked at.
-            chunked: look for no messages, channels and schemas outside chunks: those inside one look the same.
-
-        Returns:
-            None without one.
+            at: first byte to check.
+            chunked: skip messages, channels and schemas, because those inside a chunk look like those outside.
         """
         pattern = _BESIDE_CHUNKS if chunked else _ANYWHERE
         return next((start for start in self._likely(at, pattern) if self._fits(start)), None)
@@ -102,7 +82,7 @@ class RecordSearch:
             at = end
 
     def _hold(self, at: int) -> None:
-        """Have the block in memory that a record's first fields are in."""
+        """Load the block with the first fields of a record at ``at``."""
         held = self._block_at + len(self._block)
         is_held = self._block_at <= at and (at + _OVERLAP_BYTES < held or held == self._size_bytes)
         if not is_held or at >= held:
@@ -110,7 +90,7 @@ class RecordSearch:
             self._block, self._block_at = self._stream.read(min(_BLOCK_BYTES, self._size_bytes - at)), at
 
     def _bytes(self, at: int, length: int) -> bytes:
-        """Some of the file's bytes, fewer at its end."""
+        """Return bytes of the file, fewer at its end."""
         start = at - self._block_at
         if start >= 0 and start + length <= len(self._block):
             return self._block[start : start + length]
@@ -129,7 +109,7 @@ class RecordSearch:
         return self._leads_on(fields_at + length)
 
     def _leads_on(self, end: int) -> bool:
-        """Whether a record that ends here is followed by another, or by nothing."""
+        """Return whether a record follows at ``end``, or the file ends there."""
         head = self._bytes(end, RECORD.size)
         if len(head) < RECORD.size:
             return not head
@@ -138,7 +118,7 @@ class RecordSearch:
 
 
 def is_chunk(fields: bytes | memoryview, length: int) -> bool:
-    """Whether a record of this length that begins with these fields is a chunk by its form."""
+    """Return whether a record of this length with these first fields has the form of a chunk."""
     try:
         head = chunk_head(fields)
     except ValueError:
@@ -148,12 +128,12 @@ def is_chunk(fields: bytes | memoryview, length: int) -> bool:
 
 @dataclass
 class Framing:
-    """Reads the records of a file once: ``damages``, ``ended`` and ``sealed`` are complete when that is done.
+    """Reads the records of a file once. Its fields are complete at the end of ``records``.
 
     Args:
         size_bytes: of the file.
-        resume_at: where the index says that records start, ascending: there reading goes on after a break.
-        is_message: tells messages from what only looks like one, where there is no index.
+        resume_at: where records start according to the index, ascending. Reading continues there behind damage.
+        is_message: finds messages behind damage if there is no index.
     """
 
     size_bytes: int
@@ -161,21 +141,21 @@ class Framing:
     is_message: IsMessage = bool
     damages: list[Damage] = field(default_factory=list)
     ended: bool = False
-    """Whether the file ends as a log does, with footer and magic."""
+    """Whether the file ends with footer and magic, as a complete log does."""
     sealed: bool = False
-    """Whether there is a CRC over the whole data section."""
+    """Whether the data section has a CRC."""
     summary_sealed: bool = False
-    """Whether there is one over the summary."""
+    """Whether the summary has a CRC."""
     summary_start: int | None = None
-    """The first byte behind the data section; None before it was found."""
+    """The first byte behind the data section; None until it is found."""
     _chunked: bool = False
-    """Whether a chunk was seen: then messages stand in chunks."""
+    """Whether a chunk was seen: then all messages are in chunks."""
     _data_crc: int | None = None
     _data_crc_damage: Damage | None = None
     _summary_crc: int | None = None
 
     def explain_data_crc(self) -> None:
-        """The CRCs of the messages fit: other damage says where the data section is wrong, or it is beside messages."""
+        """Correct the damage by the data section's CRC: all CRCs of messages fit, so it affects none of them."""
         damage = self._data_crc_damage
         if damage in self.damages:
             self.damages.remove(damage)
@@ -183,18 +163,18 @@ class Framing:
 
     @property
     def has_place(self) -> bool:
-        """Whether there are damages that say where the file is wrong: not that only the data section's CRC is."""
+        """Whether the place of a damage is known: the data section's CRC alone does not show one."""
         return self.damages not in ([], [self._data_crc_damage])
 
     def damaged(self, byte: int, words: str, first_ns: int | None = None, last_ns: int | None = None) -> None:
-        """Take note of a damage; behind the data section it concerns no messages."""
+        """Add a damage; behind the data section it affects no messages."""
         self.note(Damage(byte, words, first_ns, last_ns, of_messages=self.summary_start is None))
 
     def records(self, stream: IO[bytes]) -> Iterator[Record]:
-        """The file's records outside chunks, up to its end or to where nothing follows that makes sense.
+        """Yield the file's records outside chunks, up to its end or to the last valid one.
 
-        A chunk that the file's end cuts off, or whose length makes no sense, comes with what there is of it. Where
-        reading breaks off in the data section, a record ``BREAK`` follows.
+        A chunk that exceeds the file is yielded as far as it goes, with a fault. A record ``BREAK`` marks each place
+        with invalid bytes in the data section.
         """
         self._data_crc = crc32(stream.read(len(MAGIC)))
         search = RecordSearch(stream, self.size_bytes, self.is_message)
@@ -211,31 +191,31 @@ class Framing:
             yield record
             at = record.end
             if opcode == Opcode.FOOTER:
-                self._close(at, stream.read(len(MAGIC) + 1))
+                self.ended = stream.read(len(MAGIC) + 1) == MAGIC
+                if not self.ended:
+                    self.damaged(
+                        at, f"expected the closing magic, found {self.size_bytes - at} bytes behind the footer"
+                    )
                 return
 
     def _fault(self, at: int, head: bytes) -> str | None:
-        """Why no record can start here; None where one can."""
+        """Return why no record can start here; None if one can."""
         if len(head) < RECORD.size:
             return f"cut off: the file ends after {self.size_bytes} bytes, before its footer"
         opcode, length = RECORD.unpack(head)
         left = self.size_bytes - at - RECORD.size
         if opcode not in NAMES and opcode < _FIRST_PRIVATE:
-            return f"no record starts here: its type would be {opcode:#04x}"
+            return f"no record starts here: unknown opcode {opcode:#04x}"
         if length > left:
             return f"cut off or damaged: a record of {length} bytes starts here, {left} bytes are left"
-        if opcode < _FIRST_PRIVATE and opcode not in self._belonging(at):
+        in_section = _OF_DATA if self.summary_start is None else _OF_SUMMARY
+        expected = in_section if at > len(MAGIC) else {Opcode.HEADER}
+        if opcode < _FIRST_PRIVATE and opcode not in expected:
             return f"a {Record(at, opcode, b'').name} record does not belong here"
         return None
 
-    def _belonging(self, at: int) -> frozenset[int]:
-        """The types of record that may start here."""
-        if self.summary_start is not None:
-            return _OF_SUMMARY
-        return _OF_DATA if at > len(MAGIC) else frozenset((Opcode.HEADER,))
-
     def _broken(self, stream: IO[bytes], at: int, head: bytes, fault: str) -> Iterator[Record]:
-        """Note a fault; a chunk that does not end in the file is given as far as it goes."""
+        """Add the damage; yield a chunk that exceeds the file as far as it goes."""
         opcode, length = RECORD.unpack(head) if len(head) == RECORD.size else (BREAK, 0)
         left = self.size_bytes - at - RECORD.size
         if opcode == Opcode.CHUNK and length > left and self.summary_start is None:
@@ -247,7 +227,7 @@ class Framing:
             yield Record(at, BREAK, b"", fault)
 
     def _resume(self, stream: IO[bytes], at: int, search: RecordSearch) -> int | None:
-        """Go to the next record that the index names, or else to the next one whose fields fit; None without any."""
+        """Go to the next record that the index names, or else to the next consistent one; None without any."""
         self._data_crc = self._summary_crc = None
         following = bisect.bisect_right(self.resume_at, at)
         if following < len(self.resume_at):
@@ -257,13 +237,8 @@ class Framing:
         found = search.next_record(at + 1, chunked=self._chunked)
         return None if found is None else stream.seek(found)
 
-    def _close(self, at: int, rest: bytes) -> None:
-        self.ended = rest == MAGIC
-        if not self.ended:
-            self.damaged(at, f"the closing magic is missing: {self.size_bytes - at} bytes follow the footer")
-
     def _check(self, record: Record) -> None:
-        """Go on with the CRC of the section a record stands in, and compare it where the section ends."""
+        """Add a record to the CRC of its section, and compare that CRC at the section's end."""
         self._chunked |= record.opcode == Opcode.CHUNK
         if record.opcode == Opcode.DATA_END:
             self.summary_start = record.end
@@ -284,7 +259,7 @@ class Framing:
             self.note(_crc_damage("attachment", record, found, of_messages=False))
 
     def note(self, damage: Damage | None) -> None:
-        """Take note of a damage, where there is one; the last one that is listed stands for all that follow it."""
+        """Add a damage, if there is one; the last one listed also represents all that follow."""
         if damage is None:
             return
         if len(self.damages) < _MOST_LISTED:
@@ -294,12 +269,12 @@ class Framing:
 
 
 def _crc_in(record: Record) -> int:
-    """The CRC that is a record's last bytes; zero says that the writer gave none."""
+    """Return the CRC at the end of a record; zero means that the writer did not compute one."""
     return int.from_bytes(record.body[-CRC_BYTES:], "little")
 
 
 def _crc_damage(what: str, record: Record, found: int | None, *, of_messages: bool = True) -> Damage | None:
-    """That a CRC, where there is one to be compared, is not the one that the record gives."""
+    """Return the damage if a computed CRC differs from the record's; None if equal, or if one of them is missing."""
     expected = _crc_in(record)
     if not expected or found in (None, expected):
         return None

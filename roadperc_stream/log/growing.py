@@ -1,4 +1,4 @@
-"""A log that is read while it is written: finished chunks from the file, the open one from memory."""
+"""Reads a log while it is written: finished chunks from the file, the open chunk from memory."""
 
 import heapq
 from collections.abc import Collection, Iterable, Iterator
@@ -19,17 +19,17 @@ from roadperc_stream.log.records import Channel, Message
 
 @dataclass
 class GrowingLog:
-    """What a ``LogWriter`` has written so far, for one reader in another thread.
+    """The log that a ``LogWriter`` is writing, for one reader in another thread.
 
-    A chunk's place, channels and time span are kept, and the messages of the one chunk that is still open: the memory
-    is that of a few chunks, however long the log. Messages come in the order of log time, as far as it is reached: a
-    chunk that was copied whole may hold later ones, between which results are still to be written.
+    It keeps position, channels and time span of each chunk, and the messages of the open one. Memory is that of a few
+    chunks for a log of any length. Messages come in log-time order, up to the time that the writer has reached. A chunk
+    copied unchanged may have later messages: results are still to be written between them.
     """
 
     path: Path
-    """Where the bytes stand now: the temporary name, then the final one."""
+    """The file: under its temporary name, then under its final one."""
     _channels: dict[int, Channel]
-    """Those registered so far, by their ids."""
+    """The channels registered, by id."""
     _chunks: list[ChunkIndex] = field(default_factory=list)
     _channel_sets: dict[frozenset[int], dict[int, int]] = field(default_factory=dict)
     _open: list[Message] = field(default_factory=list)
@@ -39,47 +39,47 @@ class GrowingLog:
 
     def __post_init__(self) -> None:
         self.channels = tuple(self._channels.values())
-        """Those registered when reading began."""
+        """The channels registered when reading began."""
 
     def add_channel(self, channel_id: int, channel: Channel) -> None:
-        """Take note of another channel."""
+        """Add a channel."""
         with self._lock:
             self._channels[channel_id] = channel
 
     def append(self, message: Message) -> None:
-        """Take note of a message in the open chunk."""
+        """Add a message of the open chunk."""
         with self._lock:
             self._open.append(message)
             self._reached_ns = max(message.log_time_ns, self._reached_ns or 0)
 
     def add_chunk(self, chunk: ChunkIndex) -> None:
-        """Take note of a chunk that is now in the file: the open one, or a copied one."""
+        """Add a chunk that is now in the file: the open one, or a copied one."""
         share_channels(chunk, self._channel_sets)
         with self._lock:
             self._chunks.append(chunk)
             self._open.clear()
 
     def reach(self, log_time_ns: int) -> None:
-        """All messages up to a log time are there, but for results."""
+        """Declare that all messages up to a log time are written, except results."""
         with self._lock:
             self._reached_ns = max(log_time_ns, self._reached_ns or 0)
 
     def finish(self, temporary: Path, final: Path) -> None:
-        """Give the complete file its name; nobody reads from it meanwhile."""
+        """Rename the complete file to its final name; reading waits until this is done."""
         with self._lock:
             temporary.replace(final)
             self.path, self._complete = final, True
             self._reached_ns = max((chunk.message_end_time for chunk in self._chunks), default=None)
 
     def progress(self) -> tuple[int | None, bool]:
-        """Log time reached, None before the first message; and whether the log is complete."""
+        """Return the log time reached, None before the first message, and whether the log is complete."""
         with self._lock:
             return self._reached_ns, self._complete
 
     def read(
         self, *, topics: Collection[str] | None = None, start_ns: int = 0, end_ns: int | None = None
     ) -> Iterator[Message]:
-        """The messages written so far, as ``log.read`` gives those of a finished log.
+        """Yield the messages written until now, as ``log.read`` does for a finished log.
 
         Raises:
             LogError: the file cannot be read.
@@ -90,7 +90,7 @@ class GrowingLog:
             yield message
 
     def follow(self, start_ns: int) -> Iterator[Message | None]:
-        """All messages from a log time on; None where there is no more yet. It ends with the complete log.
+        """Yield all messages from a log time on, until the log is complete; None when no message is ready yet.
 
         Raises:
             LogError: the file cannot be read.
@@ -118,7 +118,7 @@ class GrowingLog:
                 continue
             waiting.add(filter(is_wanted, tail))
             taken += len(tail)
-            if waiting.holds(reached_ns):  # there may be more by then
+            if waiting.holds(reached_ns):  # while they are consumed, more may come
                 yield from waiting.through(reached_ns)
             elif complete:
                 return
@@ -141,22 +141,22 @@ class GrowingLog:
 
 
 class _Waiting:
-    """Messages that were read and not given yet."""
+    """Messages that were read and not yielded yet, in log-time order."""
 
     def __init__(self) -> None:
         self._heap: list[tuple[int, int, Message]] = []
         self._numbers = count()
 
     def add(self, messages: Iterable[Message]) -> None:
-        """Take messages that come behind those before, where log times are equal."""
+        """Add messages; of equal log times, those added first come first."""
         for message in messages:
             heapq.heappush(self._heap, (message.log_time_ns, next(self._numbers), message))
 
     def holds(self, log_time_ns: int) -> bool:
-        """Whether there is one up to a log time."""
+        """Return whether there is a message up to a log time."""
         return bool(self._heap) and self._heap[0][0] <= log_time_ns
 
     def through(self, log_time_ns: int) -> Iterator[Message]:
-        """Give those up to a log time, in its order."""
+        """Remove and yield the messages up to a log time."""
         while self.holds(log_time_ns):
             yield heapq.heappop(self._heap)[2]

@@ -1,4 +1,4 @@
-"""What a log says of itself beside its messages: the index at its end, header, schemas, channels and attachments."""
+"""Reads everything in a log except messages: index, header, schemas, channels, attachments and metadata."""
 
 import heapq
 import os
@@ -20,7 +20,7 @@ from roadperc_stream.log.layout import CRC_BYTES, MAGIC, UNREADABLE
 from roadperc_stream.log.records import Attachment, Channel, Metadata
 
 MOST_HELD_BYTES: Final = 32 * 1024 * 1024
-"""Messages held to put a log in order by its index; where it would take more it is sorted on disk."""
+"""Most memory for messages while a log is put in order by its index; beyond, it is sorted on disk."""
 T = TypeVar("T")
 _FOOTER: Final = struct.Struct("<BQQQI")
 _DATA_END: Final = struct.Struct("<BQI")
@@ -28,11 +28,7 @@ _BLOCK_BYTES: Final = 1024 * 1024
 
 
 def most_at_once(spans: Iterable[tuple[int, int, int]]) -> int:
-    """The largest sum of sizes of spans that overlap.
-
-    Args:
-        spans: (first, last, size) each, first and last included.
-    """
+    """Return the largest total size of spans that overlap: (first, last, size) each, first and last included."""
     ends, size, most = list[tuple[int, int]](), 0, 0
     for first, last, more in sorted(spans):
         while ends and ends[0][0] < first:
@@ -44,30 +40,30 @@ def most_at_once(spans: Iterable[tuple[int, int, int]]) -> int:
 
 
 def held_bytes(chunks: Iterable[ChunkIndex]) -> int:
-    """The most that reading chunks in the order of log time holds in memory."""
+    """Return the most memory that reading chunks in log-time order takes."""
     return most_at_once((chunk.message_start_time, chunk.message_end_time, chunk.uncompressed_size) for chunk in chunks)
 
 
 def may_hold(chunk: ChunkIndex, wanted: Collection[int], start_ns: int | None, end_ns: int | None) -> bool:
-    """Whether a message of these channels and times can be in a chunk; one without message indexes may hold any."""
+    """Return whether a chunk may have messages of these channels and times; without message indexes it may."""
     in_time = chunk.message_end_time >= (start_ns or 0) and (end_ns is None or chunk.message_start_time < end_ns)
     channels = chunk.message_index_offsets.keys()
     return in_time and (not channels or not channels.isdisjoint(wanted))
 
 
 def share_channels(chunk: ChunkIndex, known: dict[frozenset[int], dict[int, int]]) -> None:
-    """Let chunks of the same channels share a dict, of which the keys are used: a log may have very many chunks."""
+    """Let chunks of the same channels share a dict to save memory; only its keys are used."""
     offsets = chunk.message_index_offsets
     chunk.message_index_offsets = known.setdefault(frozenset(offsets), offsets)
 
 
 def is_within(log_time_ns: int, start_ns: int | None, end_ns: int | None) -> bool:
-    """Whether a log time lies in a range; None is no limit."""
+    """Return whether a log time is in a range; None is no limit."""
     return (start_ns is None or log_time_ns >= start_ns) and (end_ns is None or log_time_ns < end_ns)
 
 
 def channel_of(channel: McapChannel, schema: McapSchema | None) -> Channel:
-    """A channel with its schema, free of the library."""
+    """Return a channel with its schema, independent of the mcap library."""
     return Channel(
         channel.topic,
         channel.message_encoding,
@@ -80,7 +76,7 @@ def channel_of(channel: McapChannel, schema: McapSchema | None) -> Channel:
 
 
 def places_of(index: Summary, data_end: int | None) -> tuple[int, ...]:
-    """Where reading can go on behind a break, by the index: chunks, what stands beside them, the data section's end."""
+    """Return where the index says that records start: chunks, attachments, metadata, the data section's end."""
     places = {chunk.chunk_start_offset for chunk in index.chunk_indexes}
     places |= {attachment.offset for attachment in index.attachment_indexes}
     places |= {metadata.offset for metadata in index.metadata_indexes}
@@ -88,11 +84,11 @@ def places_of(index: Summary, data_end: int | None) -> tuple[int, ...]:
 
 
 def index_of(stream: IO[bytes]) -> Summary | None:
-    """The index, where it names every chunk, channel and schema that the messages use; its CRC may be wrong."""
+    """Return the index if it names every chunk, channel and schema that messages use; its CRC may be wrong."""
     stream.seek(0)
     try:
         index = make_reader(stream).get_summary()
-    except (OSError, *UNREADABLE):  # a seek before the start is an OSError; one of the disk comes again in reading
+    except (OSError, *UNREADABLE):  # OSError: a seek before the start; an error of the disk comes again in reading
         return None
     if index is None or index.statistics is None or not index.chunk_indexes:
         return None
@@ -103,19 +99,17 @@ def index_of(stream: IO[bytes]) -> Summary | None:
 
 
 def data_end_of(stream: IO[bytes]) -> int | None:
-    """The byte where the data section's last record starts, by the footer; None where no such record does."""
-    footer_start = stream.seek(0, os.SEEK_END) - len(MAGIC) - _FOOTER.size
-    opcode, _, summary_start, _, _ = _unpack(stream, _FOOTER, footer_start)
+    """Return the byte where the data section's last record starts, from the footer; None if there is no such record."""
+    footer_start, summary_start, _ = _footer(stream)
     data_end = (summary_start or footer_start) - _DATA_END.size
-    is_data_end = opcode == Opcode.FOOTER and _unpack(stream, _DATA_END, data_end)[0] == Opcode.DATA_END
+    is_data_end = footer_start and _unpack(stream, _DATA_END, data_end)[0] == Opcode.DATA_END
     return data_end if is_data_end else None
 
 
 def summary_fits(stream: IO[bytes]) -> bool:
-    """Whether the CRC of the summary fits; true without a CRC."""
-    footer_start = stream.seek(0, os.SEEK_END) - len(MAGIC) - _FOOTER.size
-    opcode, _, summary_start, _, expected = _unpack(stream, _FOOTER, footer_start)
-    if opcode != Opcode.FOOTER or not expected or not summary_start:
+    """Return whether the CRC of the summary is correct; true without a CRC."""
+    footer_start, summary_start, expected = _footer(stream)
+    if not expected or not summary_start:
         return True
     if summary_start >= footer_start:
         return False
@@ -125,8 +119,15 @@ def summary_fits(stream: IO[bytes]) -> bool:
     return crc == expected
 
 
+def _footer(stream: IO[bytes]) -> tuple[int, int, int]:
+    """Return where footer and summary start, and the summary's CRC; zeros if the file does not end with a footer."""
+    start = stream.seek(0, os.SEEK_END) - len(MAGIC) - _FOOTER.size
+    opcode, _, summary_start, _, crc = _unpack(stream, _FOOTER, start)
+    return (start, summary_start, crc) if opcode == Opcode.FOOTER else (0, 0, 0)
+
+
 def _unpack(stream: IO[bytes], record: struct.Struct, start: int) -> tuple[int, ...]:
-    """The fields of a record; zeros where the file has none there."""
+    """Return the fields of a record; zeros outside the file."""
     stream.seek(max(start, 0))
     content = stream.read(record.size) if start >= 0 else b""
     return record.unpack(content.ljust(record.size, b"\0"))
@@ -134,11 +135,11 @@ def _unpack(stream: IO[bytes], record: struct.Struct, start: int) -> tuple[int, 
 
 @dataclass
 class Described:
-    """Takes note of it record by record; the data's own descriptions hold, the index's only where there are none."""
+    """Collects descriptions record by record. Those in the data section replace those in the index."""
 
     profile: str = ""
     library: str = ""
-    """What wrote the log."""
+    """The program that wrote the log."""
     channels: dict[int, Channel] = field(default_factory=dict)
     """By ``Channel.source_id``."""
     attachments: list[Attachment] = field(default_factory=list)
@@ -148,17 +149,17 @@ class Described:
     """Schemas and channels that only the index has described yet."""
 
     def add_index(self, index: Summary) -> None:
-        """Know what the index describes, for messages whose own description is lost."""
+        """Add the descriptions in the index, for messages whose description in the data section is lost."""
         self._schemas |= index.schemas
         for channel in index.channels.values():
             self.channels[channel.id] = channel_of(channel, self._schemas.get(channel.schema_id))
         self._unsettled = {("schema", i) for i in self._schemas} | {("channel", i) for i in self.channels}
 
     def add(self, item: records.McapRecord, *, in_data: bool) -> None:
-        """Take note of a record; of any other kind there is nothing to note.
+        """Add what a record describes; other kinds are ignored.
 
         Raises:
-            ValueError: it describes a channel or a schema otherwise than an earlier one.
+            ValueError: it describes a channel or a schema differently than an earlier record.
         """
         match item:
             case records.Header():
@@ -167,7 +168,7 @@ class Described:
                 self._keep(self._schemas, item.id, item, "schema", in_data=in_data)
             case records.Channel():
                 if item.schema_id and item.schema_id not in self._schemas:
-                    raise ValueError(f"channel {item.id} has schema {item.schema_id}, which nothing describes")
+                    raise ValueError(f"channel {item.id} has schema {item.schema_id}, which the log does not describe")
                 channel = channel_of(item, self._schemas.get(item.schema_id))
                 self._keep(self.channels, item.id, channel, "channel", in_data=in_data)
             case records.Attachment():
@@ -177,7 +178,7 @@ class Described:
                 self.metadata.append(Metadata(item.name, tuple(sorted(item.metadata.items()))))
 
     def _keep(self, known: dict[int, T], number: int, item: T, kind: str, *, in_data: bool) -> None:
-        """Know a schema or a channel; the data's own takes the place of the index's."""
+        """Add a schema or a channel; the data section's replaces the index's."""
         if in_data and (kind, number) in self._unsettled:
             self._unsettled.discard((kind, number))
             known[number] = item

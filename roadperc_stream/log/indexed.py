@@ -1,6 +1,6 @@
-"""A log that is read by its index, chunk by chunk, in the order of log time.
+"""Reads a log by its index, chunk by chunk, in log-time order.
 
-The library's reader copies every byte three times and reads the index again for each pass. Layout:
+The mcap library's reader copies every byte three times and reads the index again for each pass. Format:
 https://mcap.dev/spec.
 """
 
@@ -39,49 +39,46 @@ from roadperc_stream.log.records import Channel, Message
 from roadperc_stream.log.sorting import SortedMessages
 
 _MOST_WHOLE_BYTES: Final = 16 * 1024 * 1024
-"""Of the data of a chunk that is copied as it is: a reader of the copy holds it beside the results of its time."""
+"""Largest chunk that is copied unchanged: a reader of the copy keeps it in memory together with its results."""
 _NEVER_NS: Final = 2**64
 IndexEntry = tuple[int, int, int]
-"""Channel and log time of a message, and its place in the chunk's data."""
+"""A message's channel, log time and offset in the chunk's data."""
 
 
 @dataclass(frozen=True, slots=True)
 class ChunkContents:
-    """What only a look into a chunk shows."""
+    """Facts about a chunk that are known once it is decompressed."""
 
     crc: int
     """Of its data."""
     is_tidy: bool
-    """Whether it and its message indexes are as they say, and its messages stand in the order of log time."""
+    """Whether its fields and message indexes are correct, and its messages are in log-time order."""
     described: frozenset[tuple[int, int]]
-    """Opcode and id of the channels and schemas that are described in it, as the index describes them."""
+    """Opcode and id of the channels and schemas described in it."""
 
 
 @dataclass(frozen=True)
 class IndexedFile:
-    """A log that is read by its index where that takes little memory, and is put in order on disk for the rest.
-
-    What was said of its chunks and bytes was checked before.
-    """
+    """A checked log that is read by its index, or sorted on disk if that would take too much memory."""
 
     path: Path
     check_chunks: bool
-    """Whether their CRCs have not been checked yet."""
+    """Whether the CRCs of chunks are still to be checked."""
     limits: LimitsConfig
     channels: Mapping[int, Channel]
     """By ``Channel.source_id``."""
     chunks: tuple[ChunkIndex, ...]
-    """In the order of the file."""
+    """In file order."""
     in_order: SortedMessages
-    """All of it, where the index would take too much memory."""
+    """All messages, for reading that would take too much memory by the index."""
     _descriptions: Mapping[tuple[int, int], McapRecord]
     """The index's channels and schemas, by opcode and id."""
     _seen: dict[int, ChunkContents] = field(default_factory=dict, compare=False, repr=False)
-    """Of chunks that have been read, by their first byte."""
+    """Contents of the chunks read so far, by their first byte."""
 
     @classmethod
     def of(cls, path: Path, index: Summary, limits: LimitsConfig, *, check_chunks: bool) -> "IndexedFile":
-        """A log with its index."""
+        """Return the log with this index."""
         known = {number: channel_of(c, index.schemas.get(c.schema_id)) for number, c in sorted(index.channels.items())}
         chunks = tuple(sorted(index.chunk_indexes, key=_start))
         shared: dict[frozenset[int], dict[int, int]] = {}
@@ -94,12 +91,12 @@ class IndexedFile:
 
     @property
     def schema_ids(self) -> dict[int, int]:
-        """Of the channels' schemas, by ``Channel.source_id``; 0 of those without."""
+        """Schema id by ``Channel.source_id``; 0 is no schema."""
         found = self._descriptions.values()
         return {item.id: item.schema_id for item in found if isinstance(item, McapChannel)}
 
     def messages(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
-        """As ``reading.read``."""
+        """Yield messages as ``reading.read`` does."""
         wanted = frozenset(i for i, channel in self.channels.items() if topics is None or channel.topic in topics)
         chunks = self._holding(wanted, start_ns, end_ns)
         if held_bytes(chunks) > MOST_HELD_BYTES:
@@ -109,7 +106,7 @@ class IndexedFile:
             yield from self._in_order(stream, chunks, wanted, start_ns, end_ns)
 
     def pieces(self, kept: frozenset[int], start_ns: int | None, end_ns: int | None) -> Iterator[Piece]:
-        """As ``reading.pieces``, of channels by their ids; only tidy chunks are given whole."""
+        """Yield pieces as ``reading.pieces`` does, of channels by id; only tidy chunks are unchanged."""
         chunks = self._holding(kept, start_ns, end_ns)
         if held_bytes(chunks) > MOST_HELD_BYTES:
             messages = self.in_order.messages({self.channels[i].topic for i in kept}, start_ns, end_ns)
@@ -124,7 +121,7 @@ class IndexedFile:
                     yield from self._in_order(stream, group, kept, start_ns, end_ns)
 
     def _as_is(self, stream: IO[bytes], chunk: ChunkIndex, kept: frozenset[int]) -> Iterator[Piece]:
-        """A chunk as it is in the file, or its messages where it is not tidy."""
+        """Yield a chunk unchanged, or its messages if it is not tidy."""
         if _start(chunk) not in self._seen:
             deque(self._bodies(stream, chunk), maxlen=0)
         contents = self._seen[_start(chunk)]
@@ -135,13 +132,13 @@ class IndexedFile:
             yield from self._in_order(stream, [chunk], kept, None, None)
 
     def _known_by(self, kept: frozenset[int]) -> frozenset[tuple[int, int]]:
-        """What may be described where only these channels, with their schemas, are known."""
+        """Return opcode and id of these channels and their schemas."""
         ids = self.schema_ids
         schemas = {(int(Opcode.SCHEMA), ids[i]) for i in kept}
         return frozenset(schemas | {(int(Opcode.CHANNEL), i) for i in kept})
 
     def held_bytes(self) -> int:
-        """The most that reading all of it by the index holds in memory."""
+        """Return the most memory that reading all of it by the index takes."""
         return held_bytes(self.chunks)
 
     def _holding(self, wanted: Collection[int], start_ns: int | None, end_ns: int | None) -> list[ChunkIndex]:
@@ -155,7 +152,7 @@ class IndexedFile:
         start_ns: int | None,
         end_ns: int | None,
     ) -> Iterator[Message]:
-        """The messages of chunks by log time, those of equal time in the order of the file."""
+        """Yield the messages of chunks by log time; those of equal time in file order."""
         coming = sorted(chunks, key=_place, reverse=True)
         waiting: list[tuple[int, int, int, bytes | memoryview]] = []
         while coming or waiting:
@@ -173,7 +170,7 @@ class IndexedFile:
                 yield head.of(self.channels[head.channel_id], body)
 
     def _bodies(self, stream: IO[bytes], chunk: ChunkIndex) -> Iterator[bytes | memoryview]:
-        """The message records of a chunk; other records are skipped."""
+        """Yield the message records of a chunk, and record its contents."""
         head = chunk_of(_record(stream, chunk))
         found = unpacked(head, check_crc=self.check_chunks)
         others, entries = list[tuple[int, bytes | memoryview]](), list[IndexEntry]()
@@ -194,14 +191,14 @@ class IndexedFile:
     def _contents(
         self, head: ChunkHead, found: Unpacked, others: Sequence[tuple[int, bytes | memoryview]], *, is_tidy: bool
     ) -> ChunkContents:
-        """What there is to know of a chunk, from its data, the records besides messages, and whether those are tidy."""
+        """Return the contents of a chunk; ``others`` are its records except messages, ``is_tidy`` is for messages."""
         crc, described = crc32(found.data), [(opcode, int.from_bytes(body[:2], "little")) for opcode, body in others]
         is_known = all(self._describes(key, body) for key, (_, body) in zip(described, others, strict=True))
-        is_as_said = found.is_plain and head.crc in {0, crc}
-        return ChunkContents(crc, is_tidy and is_known and is_as_said, frozenset(described))
+        is_correct = found.is_plain and head.crc in {0, crc}
+        return ChunkContents(crc, is_tidy and is_known and is_correct, frozenset(described))
 
     def _describes(self, key: tuple[int, int], body: bytes | memoryview) -> bool:
-        """Whether a record of a chunk is a channel or a schema of the index."""
+        """Return whether a record of a chunk equals a channel or a schema of the index."""
         known = self._descriptions.get(key)
         try:
             return known is not None and parse(key[0], bytes(body), spare_allowed=True) == known
@@ -210,7 +207,7 @@ class IndexedFile:
 
 
 def _lies_in(chunk: ChunkIndex, kept: frozenset[int], start_ns: int | None, end_ns: int | None) -> bool:
-    """Whether all messages of a chunk are of these channels and times, and it is small enough to be held as it is."""
+    """Return whether all messages of a chunk have these channels and times, and it is small enough to copy."""
     ends_ns = chunk.message_start_time, chunk.message_end_time
     in_time = all(is_within(log_time_ns, start_ns, end_ns) for log_time_ns in ends_ns)
     channels = chunk.message_index_offsets.keys()
@@ -218,10 +215,10 @@ def _lies_in(chunk: ChunkIndex, kept: frozenset[int], start_ns: int | None, end_
 
 
 def apart(chunks: Sequence[ChunkIndex]) -> Iterator[ChunkIndex]:
-    """The chunks before which all others in front end, and behind whose end all others behind begin.
+    """Yield the chunks whose times overlap no other chunk and that are in log-time order among all.
 
     Args:
-        chunks: in the order of the file.
+        chunks: in file order.
     """
     behind = accumulate((chunk.message_start_time for chunk in reversed(chunks[1:])), min, initial=_NEVER_NS)
     latest_ns = 0
@@ -236,16 +233,16 @@ def _start(chunk: ChunkIndex) -> int:
 
 
 def _place(chunk: ChunkIndex) -> tuple[int, int]:
-    """In the order of reading."""
+    """Return the key of the reading order."""
     return chunk.message_start_time, chunk.chunk_start_offset
 
 
 def _in_order_and_indexed(entries: Sequence[IndexEntry], indexes: Sequence[MessageIndex]) -> bool:
-    """Whether messages stand in the order of log time, and one message index of each channel names them all."""
+    """Return whether messages are in log-time order, and exactly one message index per channel lists them."""
     in_order = all(earlier[1] <= later[1] for earlier, later in pairwise(entries))
     channels = [index.channel_id for index in indexes]
-    said = sorted((index.channel_id, *entry) for index in indexes for entry in index.entries)
-    return in_order and len(channels) == len(set(channels)) and sorted(entries) == said
+    listed = sorted((index.channel_id, *entry) for index in indexes for entry in index.entries)
+    return in_order and len(channels) == len(set(channels)) and sorted(entries) == listed
 
 
 def _record(stream: IO[bytes], chunk: ChunkIndex) -> bytes:
@@ -257,13 +254,13 @@ def _indexes(stream: IO[bytes], chunk: ChunkIndex) -> bytes:
 
 
 def _read(stream: IO[bytes], start: int, length: int) -> bytes:
-    """Some bytes of a file.
+    """Read bytes of a file.
 
     Raises:
-        McapError: it has fewer, now.
+        McapError: the file became shorter.
     """
     stream.seek(start)
     data = stream.read(length)
     if len(data) < length:
-        raise McapError(f"{length} bytes expected at byte {start}, {len(data)} are left")
+        raise McapError(f"expected {length} bytes at byte {start}, found {len(data)}")
     return data

@@ -1,6 +1,6 @@
 """Compares a file with its index and statistics, and finds which messages a damaged log lost.
 
-Messages that fell out leave no other trace. Message indexes, spans of chunks, or what comes next tell what was lost.
+Missing messages leave no other trace. Message indexes, chunk spans or the next message show what was lost.
 """
 
 from collections import Counter
@@ -17,41 +17,41 @@ from roadperc_stream.log.damage import Damage
 from roadperc_stream.log.layout import RECORD, ChunkHead, Record, entry_of, message_index
 
 Positions = dict[int, list[tuple[int, int]]]
-"""Log time and offset in its chunk of each message, by channel."""
+"""Log time and chunk offset of each message, by channel."""
 _MOST_INDEX_BYTES: Final = 64 * 1024 * 1024
 
 
 @dataclass
 class Inventory:
-    """What was found in a file; ``conclusive`` where what the messages are is known without a look inside chunks."""
+    """The contents of a file. ``conclusive`` means that message indexes list the messages of all unopened chunks."""
 
     counts: Counter[int] = field(default_factory=Counter)
     """Messages by channel."""
     first_ns: int | None = None
     last_ns: int | None = None
     behind_ns: int = -1
-    """By how much messages stand in the file behind ones of a later log time, at most; -1 where not even equal times
-    follow one another."""
+    """The most that a message's log time lies before an earlier one's; -1 if log times strictly ascend."""
     chunks: dict[int, records.ChunkIndex] = field(default_factory=dict)
-    """What the index should say of them, by their first byte."""
+    """The correct index entries, by the chunk's first byte."""
     entries: list[tuple[int, records.ChunkIndex]] = field(default_factory=list)
-    """The index's entries of chunks, with the byte each starts at."""
+    """The index entries found, each with its first byte."""
     attachments: list[int] = field(default_factory=list)
     metadata: list[int] = field(default_factory=list)
     """First bytes."""
     beside_entries: list[tuple[int, records.AttachmentIndex | records.MetadataIndex]] = field(default_factory=list)
     statistics: tuple[int, records.Statistics] | None = None
     conclusive: bool = True
-    _footer: tuple[int, records.Footer] | None = None
-    _open: records.ChunkIndex | None = None
+    chunk: records.ChunkIndex | None = None
     """The chunk whose message indexes come next."""
+    lost: bool = False
+    """Whether message indexes of a damaged chunk come next; they are skipped."""
+    _footer: tuple[int, records.Footer] | None = None
     _positions: Positions | None = None
-    """Its messages; None if the chunk was not opened."""
-    _lost: bool = False
+    """Messages of ``chunk``; None if it was not opened."""
     _with_index: bool | None = None
 
     def note(self, start: int, item: records.McapRecord) -> None:
-        """Take note of a record outside chunks that is no message."""
+        """Record what a record outside chunks says, other than a message."""
         match item:
             case records.Attachment():
                 self.attachments.append(start)
@@ -77,57 +77,48 @@ class Inventory:
 
     @property
     def next_ns(self) -> int | None:
-        """The earliest log time that the next message may have, if it comes as those before; None at the beginning."""
+        """The earliest log time expected of the next message; None before the first one."""
         return None if self.last_ns is None else self.last_ns - self.behind_ns
 
-    @property
-    def span_ns(self) -> tuple[int | None, int | None]:
-        """First and last log time of the chunk whose message indexes are being read; None outside."""
-        return (None, None) if self._open is None else _span_ns(self._open)
-
     def add_chunk(self, record: Record, head: ChunkHead, positions: Positions | None) -> None:
-        """Take note of a chunk that was read whole, whose message indexes come next.
+        """Record an intact chunk, whose message indexes come next.
 
         Args:
-            record: of the file.
+            record: the chunk.
             head: its fields.
             positions: of its messages; None if the chunk was not opened.
         """
-        self._open, self._positions = entry_of(head, record.start, record.end - record.start), positions
-        self.chunks[record.start] = self._open
+        self.chunk, self._positions = entry_of(head, record.start, record.end - record.start), positions
+        self.chunks[record.start] = self.chunk
 
     def add_message_index(self, record: Record) -> None:
-        """Compare a message index with its chunk; those of a chunk that was not read whole say nothing.
+        """Compare a message index with its chunk; those of damaged chunks are skipped.
 
         Raises:
             ValueError: they differ.
         """
         index = message_index(record.body)
         channel_id, found = index.channel_id, index.entries
-        chunk = self._open
+        chunk = self.chunk
         if chunk is None:
-            if not self._lost:
-                raise ValueError("no chunk stands before it")
+            if not self.lost:
+                raise ValueError("there is no chunk before it")
             return
         chunk.message_index_offsets[channel_id] = record.start
         chunk.message_index_length += record.end - record.start
         if self._positions is not None:
             if sorted(found) != sorted(self._positions.get(channel_id, ())):
-                raise ValueError(f"names other messages of channel {channel_id} than the chunk before it holds")
+                raise ValueError(f"lists other messages of channel {channel_id} than the chunk before it has")
             return
         for time_ns, _ in found:
             self.add_message(channel_id, time_ns)
-        first_ns, last_ns = _span_ns(chunk)
+        first_ns, last_ns = span_of(chunk)
         if not all(first_ns <= time_ns <= last_ns for time_ns, _ in found):
             raise ValueError("has log times outside the span of the chunk before it")
 
-    def lose_chunk(self) -> None:
-        """A chunk was not read whole: its message indexes come next."""
-        self._lost = True
-
     def close_chunk(self) -> Damage | None:
-        """All message indexes of the last chunk were read: says whether one is missing."""
-        chunk, positions, self._open, self._positions, self._lost = self._open, self._positions, None, None, False
+        """End the message indexes of the last chunk; return the damage if one is missing."""
+        chunk, positions, self.chunk, self._positions, self.lost = self.chunk, self._positions, None, None, False
         if chunk is None:
             return None
         missing = set(positions or ()) - set(chunk.message_index_offsets)
@@ -138,11 +129,11 @@ class Inventory:
             self._with_index = indexed
         if (indexed and missing) or (holds_messages and indexed != self._with_index):
             words = "messages of the chunk here are missing in the message indexes behind it"
-            return Damage(chunk.chunk_start_offset, words, *_span_ns(chunk))
+            return Damage(chunk.chunk_start_offset, words, *span_of(chunk))
         return None
 
     def discrepancies(self, summary_start: int | None) -> Iterator[Damage]:
-        """Where the index and the statistics say something else than what was found.
+        """Yield the differences between the contents and the index and statistics.
 
         Args:
             summary_start: the first byte behind the data section.
@@ -150,33 +141,32 @@ class Inventory:
         if self._footer is not None:
             byte, footer = self._footer
             if footer.summary_start != summary_start and (footer.summary_start or byte != summary_start):
-                words = f"the footer says that the summary starts at byte {footer.summary_start}, it does at"
-                yield Damage(byte, f"{words} {summary_start}", of_messages=False)
+                words = f"the summary starts at byte {summary_start}, the footer states {footer.summary_start}"
+                yield Damage(byte, words, of_messages=False)
         yield from self._chunk_discrepancies()
         beside = {*self.attachments, *self.metadata}
         for byte, entry in self.beside_entries:
             if entry.offset not in beside:
-                words = f"the index names byte {entry.offset}, where {entry.name!r} does not start"
+                words = f"the index puts {entry.name!r} at byte {entry.offset}, where it does not start"
                 yield Damage(byte, words, of_messages=False)
         if self.statistics is not None:
             yield from self._statistics_discrepancies(*self.statistics)
 
     def _chunk_discrepancies(self) -> Iterator[Damage]:
-        """An index that names no chunk at all is not used."""
+        """Yield those of the chunk index; one without entries is not used."""
         named = Counter(entry.chunk_start_offset for _, entry in self.entries)
         for byte, entry in self.entries:
             start = entry.chunk_start_offset
             chunk = self.chunks.get(start)
             if chunk is None:
-                yield Damage(byte, f"the index names a chunk at byte {start}, where none starts")
+                yield Damage(byte, f"the index puts a chunk at byte {start}, where no chunk starts")
             elif chunk != entry:
-                words = f"the index says something else of the chunk at byte {start} than stands there"
-                yield Damage(byte, words, *_span_ns(chunk))
+                yield Damage(byte, f"the index entry of the chunk at byte {start} does not match it", *span_of(chunk))
             elif named[start] > 1:
                 yield Damage(byte, f"the index names the chunk at byte {start} more than once")
         for start, chunk in self.chunks.items():
             if self.entries and not named[start]:
-                yield Damage(start, "the index does not name the chunk here", *_span_ns(chunk))
+                yield Damage(start, "the index does not name the chunk here", *span_of(chunk))
 
     def _statistics_discrepancies(self, byte: int, said: records.Statistics) -> Iterator[Damage]:
         found = self.counts.total()
@@ -189,7 +179,7 @@ class Inventory:
             yield Damage(byte, f"{words} {said.channel_message_counts.get(wrong, 0)}")
         times = (said.message_start_time, said.message_end_time)
         if found and times != (self.first_ns, self.last_ns):
-            words = f"log times {self.first_ns} to {self.last_ns} found, the statistics say {times[0]} to {times[1]}"
+            words = f"log times {self.first_ns} to {self.last_ns} found, the statistics state {times[0]} to {times[1]}"
             yield Damage(byte, words)
         for what, number, counted in (
             ("chunks", len(self.chunks), said.chunk_count),
@@ -200,15 +190,16 @@ class Inventory:
                 yield Damage(byte, f"{number} {what} found, the statistics count {counted}")
 
 
-def _span_ns(chunk: records.ChunkIndex) -> tuple[int, int]:
+def span_of(chunk: records.ChunkIndex) -> tuple[int, int]:
+    """Return first and last log time of a chunk."""
     return chunk.message_start_time, chunk.message_end_time
 
 
 @dataclass(frozen=True)
 class Gap:
-    """Log times between which messages were lost, both included; None if unknown.
+    """A span of log times in which messages were lost: first and last, both included, None if unknown.
 
-    ``messages`` are those lost by channel, empty if unknown.
+    ``messages`` counts those lost by channel; empty if unknown.
     """
 
     first_ns: int | None
@@ -217,7 +208,7 @@ class Gap:
 
 
 def expected_messages(stream: IO[bytes], at: int) -> Positions:
-    """What the message indexes say that start at a byte of a file; the stream stays where it is."""
+    """Return the messages that the message indexes from a byte on list; the stream's position stays."""
     expected = Positions()
     here = stream.tell()
     stream.seek(at)
@@ -235,14 +226,14 @@ def expected_messages(stream: IO[bytes], at: int) -> Positions:
 def lost_in_chunk(
     expected: Positions, saved: Positions, span_ns: tuple[int, int] | None, next_ns: int | None, *, all_read: bool
 ) -> Gap | None:
-    """What a damaged chunk lost; None where it lost nothing.
+    """Return what a damaged chunk lost; None if nothing.
 
     Args:
-        expected: its messages, by the message indexes behind it; empty where there are none.
-        saved: those that were read.
-        span_ns: first and last log time, by the index or its own head; None where both make no sense.
-        next_ns: earliest log time of what follows the last message read.
-        all_read: whether it ended where it should, and each of its messages was read.
+        expected: its messages, from the message indexes behind it; empty without any.
+        saved: its messages that were read.
+        span_ns: first and last log time, from the index or its own fields; None if neither is valid.
+        next_ns: earliest log time expected after the last message read.
+        all_read: whether it has its full length and all its messages were read.
     """
     if any(expected.values()):
         lost = {number: set(places) - set(saved.get(number, ())) for number, places in expected.items()}
@@ -261,11 +252,11 @@ def lost_in_chunk(
 
 @dataclass
 class Losses:
-    """The gaps of a log while it is read; where no end is known, the next message shows it."""
+    """The gaps of a log while it is read. A gap without a known end ends at the next message."""
 
     gaps: list[Gap] = field(default_factory=list)
     undescribed: Counter[int] = field(default_factory=Counter)
-    """Messages of channels that nothing describes, by channel."""
+    """Number of messages whose channel the log does not describe, by channel; they are lost."""
     _undescribed_ns: tuple[int, int] | None = None
     """Their first and last log time."""
     is_open: bool = False
@@ -273,27 +264,23 @@ class Losses:
 
     @property
     def all(self) -> tuple[Gap, ...]:
-        """The gaps, and the span of the messages that nothing describes."""
+        """The gaps in file order, then the span of the messages without a described channel."""
         return (*self.gaps, *(() if self._undescribed_ns is None else (Gap(*self._undescribed_ns),)))
 
     def add_undescribed(self, channel_id: int, log_time_ns: int) -> None:
-        """Take note of a message of a channel that nothing describes."""
+        """Count a message whose channel the log does not describe."""
         self.undescribed[channel_id] += 1
         first_ns, last_ns = self._undescribed_ns or (log_time_ns, log_time_ns)
         self._undescribed_ns = min(first_ns, log_time_ns), max(last_ns, log_time_ns)
 
     def add(self, gap: Gap, *, is_open: bool) -> None:
-        """Take note of a gap; an open one ends where the next message is."""
+        """Add a gap; an open one ends at the next message."""
         first_ns = self.gaps.pop().first_ns if self.is_open else gap.first_ns  # open: no message came since
         self.gaps.append(Gap(first_ns, None if is_open else gap.last_ns, gap.messages))
         self.is_open = is_open
 
     def settle(self, last_ns: int) -> bool:
-        """A message was read, which what an open gap lost is no later than.
-
-        Returns:
-            Whether there was one.
-        """
+        """End the open gap at a log time, because a message was read; return whether there was one."""
         was_open, self.is_open = self.is_open, False
         if was_open:
             first_ns = self.gaps[-1].first_ns

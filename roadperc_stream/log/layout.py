@@ -1,6 +1,6 @@
-"""The bytes of an MCAP file: one walk over records that stand one after the other, and the fields of each kind.
+"""The bytes of an MCAP file: iterates over records, and reads the fields of each kind.
 
-The library's readers copy what they read, and say neither where a record starts nor what is wrong with it. Layout:
+The mcap library's readers copy the data, and report neither the position of a record nor its fault. Format:
 https://mcap.dev/spec.
 """
 
@@ -22,13 +22,13 @@ from roadperc_stream.log.records import Channel, Message
 MAGIC: Final = b"\x89MCAP0\r\n"
 CRC_BYTES: Final = 4
 RECORD: Final = struct.Struct("<BQ")
-"""Of every record: its opcode, and the length of what follows."""
+"""Start of every record: opcode, and length of the rest."""
 MESSAGE: Final = struct.Struct("<HIQQ")
 CHUNK: Final = struct.Struct("<QQQII")
 LENGTH: Final = struct.Struct("<Q")
 INDEX: Final = struct.Struct("<HI")
 ENTRY: Final = struct.Struct("<QQ")
-"""Of a message index: log time and place in the chunk's data of a message."""
+"""Entry of a message index: a message's log time and its offset in the chunk's data."""
 COMPRESSIONS: Final = ("", "lz4", "zstd")
 TOO_SHORT: Final = "ends before its contents do"
 UNREADABLE: Final = (
@@ -42,7 +42,7 @@ UNREADABLE: Final = (
     struct.error,
     ZstdError,
 )
-"""What the library and its decompressors throw at bytes that make no sense."""
+"""Errors that the mcap library and its decompressors raise for invalid bytes."""
 NAMES: Final = {int(opcode): opcode.name.lower().replace("_", " ") for opcode in Opcode}
 PARSED: Final[dict[int, Any]] = {
     Opcode.HEADER: records.Header,
@@ -56,21 +56,21 @@ PARSED: Final[dict[int, Any]] = {
     Opcode.METADATA_INDEX: records.MetadataIndex,
     Opcode.FOOTER: records.Footer,
 }
-"""The library's reader of each kind of record that describes messages or the log."""
+"""The mcap library's classes for records that describe messages or the log."""
 
 
 class Record(NamedTuple):
-    """A record of a file or of a chunk's data, and the byte of it that the record starts at."""
+    """A record of a file or of a chunk's data, and the byte where it starts there."""
 
     start: int
     opcode: int
     body: bytes | memoryview
     fault: str = ""
-    """Why it is not whole; empty where it is."""
+    """Why it is incomplete; empty if it is complete."""
 
     @property
     def name(self) -> str:
-        """The kind of record, as the specification calls it."""
+        """The specification's name of this kind of record."""
         return NAMES.get(self.opcode, f"{self.opcode:#04x}")
 
     @property
@@ -79,7 +79,7 @@ class Record(NamedTuple):
         return self.start + RECORD.size + len(self.body)
 
     def crc(self, before: int, *, without_last: int = 0) -> int:
-        """The CRC of what comes before and of this record without its last bytes."""
+        """Return the CRC ``before``, continued with this record without its last bytes."""
         head = RECORD.pack(self.opcode, len(self.body))
         return crc32(memoryview(self.body)[: len(self.body) - without_last], crc32(head, before))
 
@@ -94,13 +94,13 @@ class MessageHead:
     publish_time_ns: int
 
     def of(self, channel: Channel, body: bytes | memoryview) -> Message:
-        """The message of a record that begins with these fields."""
+        """Return the message of a record with these fields."""
         return Message(channel, self.log_time_ns, self.publish_time_ns, self.sequence, bytes(body[MESSAGE.size :]))
 
 
 @dataclass(frozen=True)
 class ChunkHead:
-    """What a chunk says of itself, and its records as they stand in the file."""
+    """The fields of a chunk, and its records as stored in the file."""
 
     first_ns: int
     last_ns: int
@@ -108,17 +108,17 @@ class ChunkHead:
     crc: int
     compression: str
     stored_bytes: int
-    """Length of the records in the file as the chunk says it; ``stored`` is shorter where the file ends before."""
+    """Declared length of the records in the file; ``stored`` is shorter if the file is cut."""
     stored: memoryview
 
     @property
     def record_bytes(self) -> int:
-        """Length of the whole record, by these fields."""
+        """Length of the whole record according to these fields."""
         return RECORD.size + CHUNK.size + len(self.compression) + LENGTH.size + self.stored_bytes
 
 
 def entry_of(head: ChunkHead, start: int, length: int) -> records.ChunkIndex:
-    """What the index says of a chunk that stands at these bytes, without its message indexes."""
+    """Return the index entry of a chunk at byte ``start``, without its message indexes."""
     return records.ChunkIndex(
         chunk_length=length,
         chunk_start_offset=start,
@@ -134,19 +134,19 @@ def entry_of(head: ChunkHead, start: int, length: int) -> records.ChunkIndex:
 
 @dataclass(frozen=True)
 class MessageIndex:
-    """One message index behind a chunk; ``offset`` counts from the first one's first byte."""
+    """One message index behind a chunk; ``offset`` counts from the start of the first one."""
 
     offset: int
     channel_id: int
     entries: list[tuple[int, int]]
-    """Log time and offset in the chunk of each message."""
+    """Log time and chunk offset of each message."""
 
 
 def records_in(data: bytes | memoryview) -> Iterator[Record]:
-    """The records of some bytes, one after the other.
+    """Yield the records of some bytes.
 
     Raises:
-        ValueError: a record goes on behind the end; all before it were given.
+        ValueError: a record exceeds the bytes; those before it were yielded.
     """
     view, at = memoryview(data), 0
     while at < len(view):
@@ -161,15 +161,15 @@ def records_in(data: bytes | memoryview) -> Iterator[Record]:
 
 
 def chunk_of(record: bytes) -> ChunkHead:
-    """As ``chunk_head``, of a whole record."""
+    """Read the fields of a chunk from a whole record, as ``chunk_head`` from its body."""
     return chunk_head(memoryview(record)[RECORD.size :])
 
 
 def chunk_head(body: bytes | memoryview) -> ChunkHead:
-    """Read a chunk record's fields.
+    """Read the fields of a chunk from a record's body.
 
     Raises:
-        ValueError: these are no fields of a chunk.
+        ValueError: they are not valid.
     """
     if len(body) < CHUNK.size:
         raise ValueError(TOO_SHORT)
@@ -185,10 +185,10 @@ def chunk_head(body: bytes | memoryview) -> ChunkHead:
 
 
 def message_head(body: bytes | memoryview) -> MessageHead:
-    """The fields of a message before its content, which begins behind ``MESSAGE.size`` bytes.
+    """Read the fields of a message, the first ``MESSAGE.size`` bytes of the record's body.
 
     Raises:
-        ValueError: it ends before.
+        ValueError: the body is shorter.
     """
     if len(body) < MESSAGE.size:
         raise ValueError(f"message {TOO_SHORT}")
@@ -196,10 +196,10 @@ def message_head(body: bytes | memoryview) -> MessageHead:
 
 
 def message_index(body: bytes | memoryview, offset: int = 0) -> MessageIndex:
-    """The fields of a message index.
+    """Read a message index.
 
     Raises:
-        ValueError: this is none.
+        ValueError: it is not valid.
     """
     if len(body) < INDEX.size:
         raise ValueError(TOO_SHORT)
@@ -210,26 +210,26 @@ def message_index(body: bytes | memoryview, offset: int = 0) -> MessageIndex:
 
 
 def message_indexes(data: bytes) -> list[MessageIndex]:
-    """The message indexes of some bytes.
+    """Read the message indexes of some bytes.
 
     Raises:
-        ValueError: these are no message indexes.
+        ValueError: one is not valid.
     """
     return [message_index(item.body, item.start) for item in records_in(data)]
 
 
 def parse(opcode: int, body: bytes, *, spare_allowed: bool) -> Any:
-    """A record's fields, by the library's reader, within the record's own bytes.
+    """Read a record's fields with the mcap library, within the record's bytes.
 
     Args:
         opcode: one of ``PARSED``.
         body: the record behind its length.
-        spare_allowed: whether more bytes than the fields have are no fault: the library skips them inside a chunk, but
-            reads on at the wrong byte of a file.
+        spare_allowed: accept bytes behind the fields. The library skips them inside a chunk, but elsewhere it reads the
+            next record from the wrong byte.
 
     Raises:
-        EndOfFile: the fields want more bytes than there are.
-        ValueError: they leave some over, and that is a fault; or make no sense.
+        EndOfFile: the body is too short for the fields.
+        ValueError: the fields are not valid, or have spare bytes behind them that are not allowed.
     """
     stream = _Bounded(BytesIO(body))
     item = PARSED[opcode].read(stream)
@@ -239,10 +239,10 @@ def parse(opcode: int, body: bytes, *, spare_allowed: bool) -> Any:
 
 
 class _Bounded(ReadDataStream):
-    """A record's bytes, and an error where its fields want more."""
+    """Reads a record's bytes; too few are an error."""
 
     def read(self, length: int) -> bytes:
-        """The next bytes, all of them."""
+        """Return exactly ``length`` bytes."""
         data = super().read(length)
         if len(data) < length:
             raise EndOfFile

@@ -1,7 +1,6 @@
-"""An MCAP file while it is written: its records, chunks that are made here or come from another file, index and CRCs.
+"""Writes an MCAP file: records, new chunks, chunks copied from other files, index and CRCs.
 
-The library's writer takes no chunk that is there already; its records, of which a file is made, are the library's here
-as well. Layout: https://mcap.dev/spec.
+The mcap library's writer cannot copy chunks; its classes for records are used here. Format: https://mcap.dev/spec.
 """
 
 from collections import Counter
@@ -34,7 +33,7 @@ from roadperc_stream.log.layout import (
 from roadperc_stream.log.records import Message
 
 _CRC_AT: Final = RECORD.size + CHUNK.size - 2 * CRC_BYTES
-"""In the record of a chunk."""
+"""Offset in the record of a chunk."""
 _COMPRESSION: Final = b"zstd"
 _LEVEL: Final = 1
 """Takes a third of the time of zstandard's default, for 4 % more bytes."""
@@ -42,7 +41,7 @@ _LEVEL: Final = 1
 
 @dataclass(frozen=True)
 class ChunkRecords:
-    """A chunk as it stands in a file: its record, and the records of its message indexes behind it."""
+    """A chunk as stored in a file: its record, and the records of its message indexes."""
 
     record: bytes
     indexes: bytes
@@ -54,28 +53,28 @@ class ChunkRecords:
 
     @property
     def message_indexes(self) -> list[MessageIndex]:
-        """Those behind it, one by one."""
+        """The message indexes behind it."""
         return message_indexes(self.indexes)
 
     def with_crc(self, crc: int) -> "ChunkRecords":
-        """With another CRC of its data; all else stays."""
+        """Return the chunk with another CRC of its data."""
         record = bytearray(self.record)
         record[_CRC_AT : _CRC_AT + CRC_BYTES] = crc.to_bytes(CRC_BYTES, "little")
         return ChunkRecords(bytes(record), self.indexes)
 
 
 Piece = Message | ChunkRecords
-"""A message, or a chunk as it stands in a file."""
+"""A message, or a chunk as stored in a file."""
 
 
 @dataclass
 class OpenChunk:
-    """Messages that are not in the file yet."""
+    """Messages that are not written to the file yet."""
 
     size_bytes: int = 0
     _pieces: list[bytes] = field(default_factory=list)
     _entries: dict[int, list[tuple[int, int]]] = field(default_factory=dict)
-    """Log time and place of the messages, by channel."""
+    """Log time and offset of the messages, by channel."""
 
     def add(self, channel_id: int, message: Message) -> None:
         """Append a message."""
@@ -87,7 +86,7 @@ class OpenChunk:
         self.size_bytes += RECORD.size + length
 
     def records(self) -> ChunkRecords:
-        """What is written of it."""
+        """Return the chunk to write."""
         data = b"".join(self._pieces)
         stored = ZstdCompressor(level=_LEVEL).compress(data)
         times = [time_ns for entries in self._entries.values() for time_ns, _ in entries]
@@ -105,16 +104,10 @@ def _record(opcode: int, *fields: bytes) -> bytes:
 
 
 class McapFile:
-    """Writes a file from its start to its end; all CRCs are written."""
+    """Writes a file from start to end, with all CRCs."""
 
     def __init__(self, stream: IO[bytes], profile: str, library: str) -> None:
-        """Write the header.
-
-        Args:
-            stream: at its start; others may look where it is.
-            profile: of the log.
-            library: what writes it.
-        """
+        """Write the header: the log's profile, and the program that writes it."""
         self._stream, self._crc = stream, 0
         self._schemas: list[records.Schema] = []
         self._channels: list[records.Channel] = []
@@ -128,12 +121,12 @@ class McapFile:
         self._add(records.Header(profile, library))
 
     def add_schema(self, schema: records.Schema) -> None:
-        """Describe a schema, outside any chunk: those of other files need not."""
+        """Describe a schema outside chunks: copied chunks may not describe theirs."""
         self._add(schema)
         self._schemas.append(schema)
 
     def add_channel(self, channel: records.Channel) -> None:
-        """Describe a channel, as a schema."""
+        """Describe a channel outside chunks."""
         self._add(channel)
         self._channels.append(channel)
 
@@ -158,7 +151,7 @@ class McapFile:
         self._metadata.append(records.MetadataIndex(offset=start, length=length, name=item.name))
 
     def add_chunk(self, chunk: ChunkRecords) -> records.ChunkIndex:
-        """Write a chunk with its message indexes; gives its entry in the index."""
+        """Write a chunk with its message indexes; return its index entry."""
         head, start = chunk.head, self._stream.tell()
         entry = entry_of(head, start, len(chunk.record))
         entry.message_index_length = len(chunk.indexes)
@@ -188,7 +181,7 @@ class McapFile:
         self._write(MAGIC)
 
     def _summary(self) -> Iterator[tuple[Opcode, bytes]]:
-        """The records of the index, kind by kind."""
+        """Yield the records of the index, by kind."""
         yield Opcode.SCHEMA, _bytes_of(self._schemas)
         yield Opcode.CHANNEL, _bytes_of(self._channels)
         yield Opcode.STATISTICS, _bytes_of([self._statistics()])
@@ -210,7 +203,7 @@ class McapFile:
         )
 
     def _add(self, record: records.McapRecord) -> tuple[int, int]:
-        """Write a record outside any chunk; gives the byte it starts at, and its length."""
+        """Write a record outside chunks; return its first byte and its length."""
         start, data = self._stream.tell(), _bytes_of([record])
         self._write(data)
         return start, len(data)

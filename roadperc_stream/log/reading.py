@@ -13,13 +13,14 @@ from typing import Final
 
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import LogError
-from roadperc_stream.log.audit import audited, damage_in, in_file_order, salvaged
+from roadperc_stream.log.audit import audited, damage_in, in_file_order
 from roadperc_stream.log.index import most_at_once
 from roadperc_stream.log.indexed import IndexedFile
 from roadperc_stream.log.limits import LimitError, require_attachments
 from roadperc_stream.log.mcap_file import Piece
 from roadperc_stream.log.parts import UnitedParts, united
 from roadperc_stream.log.records import Channel, LogSummary, Message
+from roadperc_stream.log.salvage import Salvage
 from roadperc_stream.log.sorting import SortedMessages
 
 _LEAST_HELD_BYTES: Final = 1024 * 1024
@@ -123,7 +124,7 @@ def _summary_of(path: Path, limits: LimitsConfig, *, check_chunks: bool) -> LogS
         raise damage_in(found)
     index = found.index if found.all_in_chunks else None
     if index is None and not found.inside:  # its channels may stand in chunks
-        found = salvaged(path, limits)
+        found = Salvage(path, limits=limits).run()
         if not found.whole:
             raise damage_in(found)
     described = found.described

@@ -1,4 +1,4 @@
-"""What a log is made of, free of the library that reads and writes it, and the digest that names its messages."""
+"""The contents of a log as types independent of the mcap library, and the digest of its messages."""
 
 import hashlib
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -9,15 +9,15 @@ from typing import Any, Final, Protocol
 from blake3 import blake3
 
 RECOVERY_RECORD: Final = "roadperc.recovery"
-"""Metadata record of a repaired log: what was lost."""
+"""Name of a repaired log's metadata record that lists what was lost."""
 _HASHES: Final[dict[str, Callable[[], Any]]] = {"blake3": blake3, "sha256": hashlib.sha256}
 DIGEST_ALGORITHM: Final = "blake3"
-"""Takes a quarter of the time of SHA-256, even where the processor has instructions for the latter."""
+"""BLAKE3 takes a quarter of the time of SHA-256, even with the processor's SHA instructions."""
 
 
 @dataclass(frozen=True)
 class Channel:
-    """A channel with its schema: two with equal fields are one channel in a log written here."""
+    """A channel with its schema. A written log has one channel for all with equal fields."""
 
     topic: str
     message_encoding: str
@@ -26,7 +26,7 @@ class Channel:
     schema_data: bytes = b""
     metadata: tuple[tuple[str, str], ...] = ()
     source_id: int = 0
-    """Channel id in the file it was read from, so that twins stay apart."""
+    """Channel id in the source file; it distinguishes channels that are otherwise equal."""
 
     @property
     def schema(self) -> tuple[str, str, bytes]:
@@ -34,13 +34,13 @@ class Channel:
         return self.schema_name, self.schema_encoding, self.schema_data
 
     def label(self, key: str) -> str:
-        """Value of a metadata key, empty where there is none."""
+        """Return the value of a metadata key; empty if it is not set."""
         return dict(self.metadata).get(key, "")
 
 
 @dataclass(frozen=True)
 class Message:
-    """One message as it stands in a file."""
+    """One message, with its bytes as stored."""
 
     channel: Channel
     log_time_ns: int
@@ -51,7 +51,7 @@ class Message:
 
 @dataclass(frozen=True)
 class Attachment:
-    """A file carried inside a log."""
+    """A file stored inside a log."""
 
     name: str
     media_type: str
@@ -69,58 +69,54 @@ class Metadata:
 
 
 class MessageSource(Protocol):
-    """Where the messages of a log are read from, in the order of their log time."""
+    """Reads the messages of a log."""
 
     def messages(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
-        """The messages, those of equal time in the order of the file."""
+        """Yield messages as ``reading.read`` does."""
         ...
 
 
 @dataclass(frozen=True)
 class LogSummary:
-    """What a log holds; its messages are read from ``source``."""
+    """The contents of a log except messages, which ``source`` reads."""
 
     path: Path
-    """What the log is called in messages."""
+    """The log's name in messages to the user."""
     source: MessageSource
     profile: str
     channels: tuple[Channel, ...]
     counts: Mapping[int, int]
-    """Messages per ``Channel.source_id``."""
+    """Number of messages by ``Channel.source_id``."""
     attachments: tuple[Attachment, ...] = ()
     metadata: tuple[Metadata, ...] = ()
     first_ns: int | None = None
     last_ns: int | None = None
     parts: tuple["LogSummary", ...] = ()
-    """The files of a log of several, in the order of their times; empty of one."""
+    """The files of a log in several files, in the order of their times; empty for a single file."""
     repeats: int = 0
-    """Of a file of several: how many of its messages a file before it holds as well; they count once."""
+    """For one of several files: how many of its messages an earlier file has too. These count once."""
     schema_ids: Mapping[int, int] = field(default_factory=dict)
-    """Id of the schema in the file, per ``Channel.source_id``; empty where nobody need know."""
+    """Schema id in the file, by ``Channel.source_id``; empty if not needed."""
 
 
 class MessageDigest:
-    """Digest over messages: topic, schema, times, sequence and bytes, in the order they come.
-
-    Args:
-        algorithm: its name; results of earlier versions have ``sha256``.
-    """
+    """Digest of messages in order: topic, schema, times, sequence and bytes. Earlier versions used ``sha256``."""
 
     def __init__(self, algorithm: str = DIGEST_ALGORITHM) -> None:
         self._hash = _HASHES[algorithm]()
 
     @staticmethod
     def is_known(algorithm: str) -> bool:
-        """Whether there is such an algorithm here."""
+        """Return whether the algorithm is supported."""
         return algorithm in _HASHES
 
     def update(self, message: Message) -> None:
-        """Take one more message."""
+        """Add a message."""
         head = f"{message.channel.topic}\0{message.channel.schema_name}\0{message.log_time_ns}\0"
         head += f"{message.publish_time_ns}\0{message.sequence}\0{len(message.data)}\0"
         self._hash.update(head.encode())
         self._hash.update(message.data)
 
     def hexdigest(self) -> str:
-        """64 hexadecimal digits."""
+        """Return the digest as 64 hexadecimal digits."""
         return str(self._hash.hexdigest())

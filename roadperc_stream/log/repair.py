@@ -1,4 +1,4 @@
-"""What was saved of a damaged log and what was lost, and the new log that records it."""
+"""Repairs a damaged log: writes what can be read to a new log, with a record of what was lost."""
 
 import json
 from collections import Counter
@@ -30,7 +30,7 @@ _GAPS: Final = list[tuple[int | None, int | None, dict[str, int]]]
 
 @dataclass(frozen=True)
 class LostSpan:
-    """Log times between which messages were lost, both included, None if unknown, and how many by topic."""
+    """First and last log time of lost messages, both included, None if unknown, and their number by topic."""
 
     first_ns: int | None
     last_ns: int | None
@@ -44,14 +44,14 @@ class Recovery:
     saved: int
     """Messages."""
     lost: Mapping[str, int]
-    """Messages by topic, those that the log says it had."""
+    """Number of messages by topic, as far as the log shows it."""
     exact: bool
-    """Whether the log says how many it had: else more may be lost than those."""
+    """Whether the number is exact; otherwise more messages may be lost."""
     gaps: tuple[LostSpan, ...]
 
     @classmethod
     def of_records(cls, metadata: Iterable[Metadata]) -> "Recovery | None":
-        """What a repaired log says of itself, or those of its parts that were; None of any other log."""
+        """Return the recovery that a log's records state, all its files together; None if it was never repaired."""
         found = [cls._of_values(dict(record.values)) for record in metadata if record.name == RECOVERY_RECORD]
         total: Recovery | None = None
         for recovery in found:
@@ -71,7 +71,7 @@ class Recovery:
             return None
 
     def to_record(self) -> Metadata:
-        """As ``of_records`` reads it."""
+        """Return the metadata record that ``of_records`` reads."""
         values = {
             "version": _VERSION,
             "saved": str(self.saved),
@@ -82,30 +82,26 @@ class Recovery:
         return Metadata(RECOVERY_RECORD, tuple(values.items()))
 
     def ending(self, last_ns: int | None) -> "Recovery":
-        """With an end of the gaps that have none, unless they begin behind it."""
+        """Return it with an end for gaps without one, except gaps that begin later."""
         if last_ns is None:
             return self
         return replace(self, gaps=tuple(_ending(gap, last_ns) for gap in self.gaps))
 
     def of_at_most(self, gaps: int) -> "Recovery":
-        """With so many gaps, of which the last stands for all behind it, too."""
+        """Return it with at most this number of gaps; the last one covers the rest."""
         if len(self.gaps) <= gaps:
             return self
         return replace(self, gaps=(*self.gaps[: gaps - 1], _as_one(self.gaps[gaps - 1 :])))
 
     def after(self, earlier: "Recovery | None", saved: int) -> "Recovery":
-        """With what an earlier repair of the same log, or that of its part before, had lost."""
+        """Return it with the losses of an earlier repair of this log, or of its previous file."""
         if earlier is None:
             return self
         lost = dict(Counter(earlier.lost) + Counter(self.lost))
         return Recovery(saved, lost, self.exact and earlier.exact, (*earlier.gaps, *self.gaps))
 
     def lines(self, first_ns: int | None) -> Iterator[str]:
-        """In words: a line on all, a line on each of the first gaps.
-
-        Args:
-            first_ns: log time of the first message, from which seconds count.
-        """
+        """Yield one line for all losses, then one for each of the first gaps; seconds count from ``first_ns``."""
         lost = sum(self.lost.values())
         number = f"{lost}" if self.exact else f"at least {lost}" if lost else "an unknown number"
         listed = "" if len(self.gaps) == 1 and self.gaps[0].messages == self.lost else _listed(self.lost)
@@ -113,7 +109,7 @@ class Recovery:
         for gap in self.gaps[:_GAPS_LISTED]:
             yield f"lost {_between(gap, first_ns)}{_listed(gap.messages)}"
         if len(self.gaps) > _GAPS_LISTED:
-            yield f"and {len(self.gaps) - _GAPS_LISTED} gaps more"
+            yield f"and {len(self.gaps) - _GAPS_LISTED} more gaps"
 
 
 def _ending(gap: LostSpan, last_ns: int) -> LostSpan:
@@ -153,13 +149,13 @@ def _at(time_ns: int, first_ns: int | None) -> str:
 
 
 def _recovery_of(salvage: Salvage) -> Recovery:
-    """What a finished salvage saved and lost."""
+    """Return what a finished salvage saved and lost."""
     topics = {number: channel.topic for number, channel in salvage.channels.items()}
-    gaps = tuple(LostSpan(gap.first_ns, gap.last_ns, _by_topic(gap.messages, topics)) for gap in salvage.gaps)
+    gaps = tuple(LostSpan(gap.first_ns, gap.last_ns, _by_topic(gap.messages, topics)) for gap in salvage.losses.all)
     if salvage.written is not None:
         lost = Counter(salvage.written) - salvage.counts
     else:
-        lost = sum((Counter(gap.messages) for gap in salvage.gaps), Counter(salvage.undescribed))
+        lost = sum((Counter(gap.messages) for gap in salvage.losses.all), Counter(salvage.losses.undescribed))
     is_exact = salvage.written is not None or not any(damage.of_messages for damage in salvage.damages)
     return Recovery(salvage.counts.total(), _by_topic(lost, topics), is_exact, gaps)
 
@@ -172,10 +168,10 @@ def _by_topic(counts: Mapping[int, int], topics: Mapping[int, str]) -> dict[str,
 
 
 def write_repaired(source: Path, target: Path, limits: LimitsConfig = DEFAULT_LIMITS) -> tuple[Salvage, Recovery]:
-    """Write what can be read of a log to a new one, with an index, CRCs, and a record of what was lost.
+    """Write what can be read of a log to a new one, with index, CRCs, and a record of what was lost.
 
     Args:
-        source: the damaged log; of a whole one the copy has no such record.
+        source: the damaged log; the copy of a whole log has no such record.
         target: the log to write.
         limits: of the records and chunks of ``source``.
 
@@ -190,7 +186,7 @@ def write_repaired(source: Path, target: Path, limits: LimitsConfig = DEFAULT_LI
 
 
 def _repaired(source: Path, writer_of: Callable[[str], LogWriter], limits: LimitsConfig) -> tuple[Salvage, Recovery]:
-    """Write what can be read of a log; ``writer_of`` makes the writer of its profile."""
+    """Write what can be read of a log; ``writer_of`` makes a writer for its profile."""
     salvage = Salvage(source, limits=limits)
     found = salvage.messages()
     messages = in_order_within(found, lambda m: m.log_time_ns, lambda m: len(m.data), _MOST_HELD_BYTES)
@@ -218,7 +214,7 @@ def _repaired(source: Path, writer_of: Callable[[str], LogWriter], limits: Limit
 
 @dataclass(frozen=True)
 class RepairedLog:
-    """What can be read of a log, as a whole log under the same name, and how it was found."""
+    """The readable part of a log as a whole log under the same name, and the account of its damage."""
 
     path: Path
     salvage: Salvage
@@ -226,10 +222,10 @@ class RepairedLog:
 
 
 def repaired_copy(source: Path, limits: LimitsConfig = DEFAULT_LIMITS) -> RepairedLog:
-    """What can be read of a log, as a whole log that is stored in a temporary file without a name.
+    """Return the readable part of a log as a whole log in an unnamed temporary file.
 
     Raises:
-        LogError: not one message can be read.
+        LogError: no message can be read.
         TargetError: there is no space for it.
     """
     with storing(str(source)):

@@ -1,7 +1,7 @@
-"""Messages in the order of log time where neither file nor index has them so: with bounded memory.
+"""Sorts messages by log time with bounded memory, for logs whose file and index are not in order.
 
-What arrives nearly in order is held for a while. All else is sorted on disk: the messages' bytes are stored as they
-come. Their keys, with the places of their bytes, are in a temporary database of SQLite, whose memory is bounded too.
+Messages that are nearly in order wait in memory for a while. All others are sorted on disk: their bytes go to a
+temporary file, and their keys and offsets to a temporary SQLite database with bounded memory.
 """
 
 import heapq
@@ -37,7 +37,7 @@ _FIND: Final = (
 def in_order_within(
     items: Iterable[T], time_of: Callable[[T], int], size_of: Callable[[T], int], most: int
 ) -> Iterator[T]:
-    """Items by time, those of equal time as they came, as far as holding some of them can tell.
+    """Yield items by time, those of equal time as they came, as far as a bounded buffer can sort them.
 
     Args:
         items: in any order.

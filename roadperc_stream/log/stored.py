@@ -1,7 +1,6 @@
-"""Bytes on disk without a name, and logs that are read from them, such as piped and repaired ones.
+"""Unnamed temporary files, and logs that are read from them, such as piped and repaired ones.
 
-They are gone with the process, even with one that is killed.
-
+The system removes them when the process ends, even if it is killed.
 """
 
 import errno
@@ -110,7 +109,7 @@ class Spool:
 
 
 class _Reader(io.RawIOBase):
-    """Reads bytes from a position of its own."""
+    """A reader with an independent position."""
 
     def __init__(self, stored: Spool) -> None:
         super().__init__()
@@ -141,7 +140,7 @@ class _Reader(io.RawIOBase):
 
 
 class StoredLog(type(Path())):  # type: ignore[misc]  # the class of paths of this system
-    """The name a log came by, and its bytes, which do not stand there; a path derived from it is like any other."""
+    """The name of a log whose bytes are in a temporary file; a path derived from it is an ordinary path."""
 
     stored: Spool | None = None
 
@@ -159,7 +158,7 @@ class StoredLog(type(Path())):  # type: ignore[misc]  # the class of paths of th
         )
 
     def is_dir(self, **_: Any) -> bool:
-        """It is none."""
+        """Return false for a stored log."""
         return False if self.stored else super().is_dir()
 
 

@@ -1,4 +1,4 @@
-"""Logs out: a file appears under its name only when complete. Messages of other logs are copied as writing goes on."""
+"""Writes logs, and copies messages of other logs into them. A file gets its name only when it is complete."""
 
 import os
 from collections.abc import Collection, Iterable, Iterator, Mapping
@@ -72,7 +72,7 @@ class LogWriter:
             self.end_chunk()
 
     def end_chunk(self) -> None:
-        """What is written from here on stands in another chunk."""
+        """End the open chunk; later messages go to the next one."""
         if not self._chunk.size_bytes:
             return
         finished, self._chunk = self._chunk.records(), OpenChunk()
@@ -180,7 +180,7 @@ class LogWriter:
             self._file.add_metadata(records.Metadata(name=metadata.name, metadata=dict(metadata.values)))
 
     def complete(self) -> None:
-        """Write what is still to be written: then nothing is left but to give the file its name.
+        """Write the open chunk and the index, so that only the renaming remains.
 
         Raises:
             TargetError: it cannot be written.
@@ -218,7 +218,7 @@ class LogWriter:
 
 @dataclass
 class StoredLogWriter(LogWriter):
-    """Writes a log to a file without a name, which its caller keeps: ``path`` is what errors call it."""
+    """Writes a log to an unnamed file that the caller owns; ``path`` is its name in errors."""
 
     file: IO[bytes] = field(kw_only=True)
 
@@ -229,16 +229,16 @@ class StoredLogWriter(LogWriter):
         return storing(str(self.path))
 
     def _name(self) -> None:
-        """It gets none."""
+        """Do nothing: the file stays unnamed."""
 
     def discard(self) -> None:
-        """It is gone with the file."""
+        """Do nothing: the system removes the file when it is closed."""
 
 
 class MessageCopy:
-    """Copies messages to a log that others write to as well: each stands there before what is written of its time.
+    """Copies messages to a log that also gets results: a copied message comes before results of the same log time.
 
-    Copied messages get chunks of their own, so that a copy of this log can take these chunks as they are.
+    Copied messages are in separate chunks, so that a later copy of this log can take these chunks unchanged.
     """
 
     def __init__(

@@ -15,8 +15,8 @@ from mcap.reader import make_reader
 from roadperc_stream import log
 from roadperc_stream.config import DEFAULT_LIMITS
 from roadperc_stream.errors import LogError
-from roadperc_stream.log import Channel, LogWriter, MessageCopy
-from roadperc_stream.log.audit import in_file_order, salvaged
+from roadperc_stream.log import Channel, LogWriter, MessageCopy, Salvage
+from roadperc_stream.log.audit import in_file_order
 from roadperc_stream.log.mcap_file import ChunkRecords, McapFile
 
 A = Channel("/a", "x", source_id=1)
@@ -126,7 +126,7 @@ def test_a_copy_of_unusual_chunks_is_a_usual_log(tmp_path, form):
     source = around(tmp_path / "a.mcap", UNUSUAL[form])
     assert copied(source, tmp_path / "b.mcap") == [True, False, False, True]
     assert plain(log.read(log.summarise(tmp_path / "b.mcap"))) == ALL
-    found = salvaged(tmp_path / "b.mcap", DEFAULT_LIMITS)
+    found = Salvage(tmp_path / "b.mcap").run()
     assert (found.whole, found.absent) == (True, ())
     with (tmp_path / "b.mcap").open("rb") as stream:
         assert [(m.log_time, m.data) for _, _, m in make_reader(stream, validate_crcs=True).iter_messages()] == ALL
@@ -138,7 +138,7 @@ def test_all_frames_of_a_chunk_are_read(tmp_path, form):
     source = around(tmp_path / "a.mcap", UNUSUAL[form])
     assert plain(log.read(log.summarise(source))) == ALL
     assert plain(in_file_order(source, DEFAULT_LIMITS)) == ALL
-    assert salvaged(source, DEFAULT_LIMITS).whole
+    assert Salvage(source).run().whole
 
 
 @pytest.mark.parametrize("compression", COMPRESS)
@@ -154,7 +154,7 @@ def test_a_frame_that_begins_with_a_record_is_not_lost(tmp_path, compression):
 def test_further_frames_are_held_to_what_the_chunk_says(tmp_path, compression):
     bomb = COMPRESS[compression](bytes(50_000_000))
     middle = chunk_of(compression=compression, stored=lambda data: COMPRESS[compression](data) + bomb)
-    found = salvaged(around(tmp_path / "a.mcap", middle), DEFAULT_LIMITS)
+    found = Salvage(around(tmp_path / "a.mcap", middle)).run()
     assert not found.whole
     assert "holds more than the" in found.damages[0].words
 

@@ -185,7 +185,7 @@ def test_messages_that_no_index_names_are_no_results_of_the_copy(tmp_path):
         del chunk._entries[hidden]
         file.add_chunk(chunk.records())
         file.finish()
-    with pytest.raises(LogError, match="message of channel 2, which nothing describes"):
+    with pytest.raises(LogError, match="message of channel 2, which the log does not describe"):
         copied(source, tmp_path / "b.mcap", topics=["/a"], results=[1])
 
 

@@ -64,7 +64,7 @@ def test_a_chunk_that_the_index_puts_elsewhere_is_damage(plain):
     path, content = plain
     second = chunk_starts(path)[1]
     assert "another" not in (words := refused(path, replaced(content, little(second), little(second + 1))))
-    assert f"the index names a chunk at byte {second + 1}, where none starts" in words
+    assert f"the index puts a chunk at byte {second + 1}, where no chunk starts" in words
 
 
 def test_a_chunk_that_the_index_names_twice_or_leaves_out_is_damage(plain):
@@ -79,7 +79,7 @@ def test_a_span_that_the_index_narrows_is_damage_since_a_part_would_lose_message
     last = flips.FIRST_NS + 59 * flips.STEP_NS
     changed = content.rindex(little(last), 0, content.rindex(little(last)))  # the statistics' comes behind
     narrowed = content[:changed] + little(last - flips.STEP_NS) + content[changed + 8 :]
-    assert "statistics say" in refused(path, narrowed) or "something else of the chunk" in refused(path, narrowed)
+    assert "statistics state" in refused(path, narrowed) or "does not match it" in refused(path, narrowed)
 
 
 def test_a_log_time_outside_the_span_of_its_chunk_is_damage(tmp_path):
@@ -87,7 +87,7 @@ def test_a_log_time_outside_the_span_of_its_chunk_is_damage(tmp_path):
     content = path.read_bytes()
     time_ns = flips.FIRST_NS + 20 * flips.STEP_NS
     changed = replaced(content, little(time_ns) * 2, little(time_ns - flips.STEP_NS * 1000) + little(time_ns))
-    assert "its chunk says" in refused(path, changed)
+    assert "its chunk states" in refused(path, changed)
 
 
 def test_statistics_that_count_other_messages_are_damage(tmp_path):
@@ -141,7 +141,7 @@ def test_an_error_names_the_place_what_can_be_saved_and_the_option(tmp_path):
     assert f"damaged at byte {first}: chunk: " in words
     assert " of 60 messages can be saved, all before 0." in words
     assert "--recover" in words
-    assert words.endswith(f"roadperc-info {path} tells what is whole")
+    assert words.endswith(f"run roadperc-info {path} to see what is intact")
 
 
 def test_damage_that_a_chunk_explains_is_told_once(tmp_path):
