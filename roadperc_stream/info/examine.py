@@ -70,7 +70,7 @@ def _file_facts(salvage: Salvage) -> FileFacts:
 
 def _channel_facts(channel: Channel, scan: Scan, first_ns: int | None) -> ChannelFacts:
     tally = scan.tallies.get(channel.source_id, Tally(None))
-    median_s = tally.intervals.quantile_s(0.5)
+    median_s = tally.intervals.median_s()
     return ChannelFacts(
         topic=channel.topic,
         schema=channel.schema_name,

@@ -7,7 +7,7 @@ import hashlib
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.config.settings import as_typed, settings_in
@@ -114,11 +114,8 @@ def _settings(toml: bytes | None) -> tuple[tuple[ResolvedSetting, ...], str]:
         return (), f"attachment {CONFIG_ATTACHMENT} is {error}"
     defaults = settings_in(ReplayConfig().to_toml().encode())
     differing = [key for key, value in found.items() if key not in defaults or defaults[key] != value]
-    return tuple(ResolvedSetting(key, as_typed(found[key]), _default(defaults, key)) for key in differing), ""
-
-
-def _default(defaults: Mapping[str, Any], key: str) -> str | None:
-    return as_typed(defaults[key]) if key in defaults else None
+    known = {key: as_typed(value) for key, value in defaults.items()}
+    return tuple(ResolvedSetting(key, as_typed(found[key]), known.get(key)) for key in differing), ""
 
 
 def _number(text: str) -> int | None:

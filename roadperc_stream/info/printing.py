@@ -110,17 +110,13 @@ def _tag_lines(replay: ReplayFacts) -> Iterator[str]:
 
 def _camera(found: CameraFacts) -> TextRow:
     camera, height_m = found.camera, None if found.ego_T_camera is None else found.ego_T_camera[2][3]
-    remarks = [] if found.image_size in (None, (camera.width, camera.height)) else [_other_size(found)]
+    width, height = found.image_size or camera.size[::-1]
+    remarks = [] if (height, width) == camera.size else [f"images of {width}x{height}"]
     remarks += [] if camera.square_pixels else [f"fy {rounded(camera.fy)}: differs from fx by more than 5 %"]
     remarks += ["not rectified"] if camera.lens is not None or camera.distortion else []
     remarks += ["no transform from ego"] if height_m is None else []
     cells = (f"{camera.width}x{camera.height}", rounded(camera.fx), rounded(camera.baseline_m), rounded(height_m))
     return row(found.role, *cells, ", ".join(remarks))
-
-
-def _other_size(found: CameraFacts) -> str:
-    width, height = found.image_size or (0, 0)
-    return f"images of {width}x{height}"
 
 
 _DAMAGES_SHOWN: Final = 5

@@ -48,9 +48,9 @@ class Intervals:
         if len(self._kept) == _MOST_KEPT:
             self._kept, self._stride = self._kept[::2], self._stride * 2
 
-    def quantile_s(self, share: float) -> float | None:
-        """An interval that this share of all does not exceed; None where there is none."""
-        return float(np.quantile(self._seconds(), share)) if self._kept else None
+    def median_s(self) -> float | None:
+        """The median; None where there is no interval."""
+        return float(np.quantile(self._seconds(), 0.5)) if self._kept else None
 
     def jitter_s(self) -> float | None:
         """Difference from the median that 95 % do not exceed; None where there are not two to differ."""

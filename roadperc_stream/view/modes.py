@@ -36,10 +36,8 @@ def view_log(arguments: argparse.Namespace, playback: PlaybackOptions) -> None:
         return
     elif arguments.video:
         _record_video(arguments)
-    elif arguments.save:
-        _save(arguments)
     else:
-        _open(arguments)
+        _show_in_rerun(arguments)
 
 
 def _readable(arguments: argparse.Namespace) -> Path:
@@ -73,26 +71,21 @@ def _record_video(arguments: argparse.Namespace) -> None:
         )
 
 
-def _save(arguments: argparse.Namespace) -> None:
-    with frame_progress("writing", not arguments.quiet) as progress:
-        exported = import_module(_RERUN).save_recording(
-            arguments.log,
-            arguments.save,
-            parse_topic_options(arguments.topic),
-            force=arguments.force,
-            progress=progress,
-        )
-    if not arguments.quiet:
-        _print_summary(exported.notes, exported.problems)
+def _show_in_rerun(arguments: argparse.Namespace) -> None:
+    """Save a recording, or send the log to a viewer."""
+    target, rerun = arguments.save, import_module(_RERUN)
+    overrides = parse_topic_options(arguments.topic)
+    with frame_progress("writing" if target else "sending", not arguments.quiet) as progress:
+        if target:
+            exported = rerun.save_recording(arguments.log, target, overrides, force=arguments.force, progress=progress)
+        else:
+            exported = rerun.open_viewer(arguments.log, overrides, progress)
+    if arguments.quiet:
+        return
+    _print_summary(exported.notes, exported.problems)
+    if target:
         frames = f" ({exported.frames} frames)" if exported.frames else ""
-        print_line(f"wrote {arguments.save}{frames}; open it with: rerun {quote(str(arguments.save))}")
-
-
-def _open(arguments: argparse.Namespace) -> None:
-    with frame_progress("sending", not arguments.quiet) as progress:
-        exported = import_module(_RERUN).open_viewer(arguments.log, parse_topic_options(arguments.topic), progress)
-    if not arguments.quiet:
-        _print_summary(exported.notes, exported.problems)
+        print_line(f"wrote {target}{frames}; open it with: rerun {quote(str(target))}")
 
 
 def _print_summary(notes: Iterable[str], problems: Mapping[str, int]) -> None:

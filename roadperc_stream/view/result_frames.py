@@ -8,7 +8,7 @@ from typing import Any, Final, TypeVar
 
 from roadperc_stream import log
 from roadperc_stream.errors import ChannelError, DecodeError, LogError
-from roadperc_stream.input.decoding import Decoded, Payload, context_of_channel, decode
+from roadperc_stream.input.decoding import Decoded, context_of_channel, decode
 from roadperc_stream.input.earlier_replay import is_result, is_result_of
 from roadperc_stream.input.roles import assignment_of_log
 from roadperc_stream.input.stream import Problems, RoleAssignment
@@ -188,8 +188,8 @@ def _image_topic(summary: LogSummary) -> str:
 def _seen(
     found: Mapping[str, Decoded], image_topic: str, reasons: Iterable[str], stamp_ns: int, problems: Problems
 ) -> PerceivedFrame | None:
-    image = _payload(found, image_topic)
-    if not isinstance(image, CameraImage):
+    image = _result(found, image_topic, CameraImage, "image")
+    if isinstance(image, Absent):
         return None
     image_bgr = content_of(lambda: image.bgr, image_topic, stamp_ns, problems)
     if image_bgr is None:
@@ -237,14 +237,10 @@ def _decoded(message: Message, image_topic: str, problems: Problems) -> Decoded 
 
 
 def _result(found: Mapping[str, Decoded], topic: str, kind: type[Content], name: str) -> Content | Absent:
-    payload = _payload(found, topic)
+    payload = found[topic].payload if topic in found else None
     return payload if isinstance(payload, kind) else Absent(Reason(name, "not_in_log"))
 
 
 def _drivable(found: Mapping[str, Decoded]) -> Mask | Absent:
     tags = _result(found, DRIVABLE_TOPIC, TagImage, "drivable")
     return tags if isinstance(tags, Absent) else tags.tags > 0
-
-
-def _payload(found: Mapping[str, Decoded], topic: str) -> Payload | None:
-    return found[topic].payload if topic in found else None

@@ -174,7 +174,6 @@ def test_the_times_are_shown_only_where_somebody_serves_them():
     assert sorted(times) == sorted(TIME_COLUMNS)
     without = replace(EVERYTHING, results=EVERYTHING.results - {TIMES_TOPIC})
     assert TIMES_TOPIC not in shown(laid_out(without))
-    assert laid_out(without.with_times()) == laid_out(EVERYTHING)
     no_stereo = replace(EVERYTHING, results=EVERYTHING.results - {"/perception/stereo/depth"})
     assert f"{TIMES_TOPIC}.stereo_ms" not in paths_of(laid_out(no_stereo))
 

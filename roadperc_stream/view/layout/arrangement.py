@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -269,6 +270,7 @@ def write_layout(
     """
     require_free(target, force=force, source=source, suffix=".json")
     has = contents_of(source, overrides) if source else OF_A_LIVE_REPLAY
-    layout = layout_of(has.with_times() if timed else has)
+    if timed:
+        has = replace(has, results=has.results | {TIMES_TOPIC})
     with completing(target, force=force) as temporary:
-        temporary.write_text(layout, "utf-8")
+        temporary.write_text(layout_of(has), "utf-8")

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Final
 
@@ -56,10 +56,6 @@ class LogContents:
     def result(self, topic: str) -> str | None:
         """The topic, where it has results."""
         return topic if topic in self.results else None
-
-    def with_times(self) -> "LogContents":
-        """The same as a live server offers it that knows the times of the stages."""
-        return replace(self, results=self.results | {TIMES_TOPIC})
 
 
 OF_A_LIVE_REPLAY: Final = LogContents(

@@ -127,7 +127,7 @@ def _export(
             recording.send_blueprint(sender.arranged())
         frames = max(frames, sender.frame + 1)
         progress(frames, expected)
-    if not sender.has_sent:
+    if not sender.entities:
         raise nothing_shown(summary.path, sender.problems.first.values())
     recording.send_blueprint(sender.arranged())
     return Exported(frames, (*roles.notes, *sender.problems.first.values()), dict(sender.problems.counts))
@@ -147,17 +147,13 @@ class _Sender:
         self._drawers = drawers(summary.channels, roles, world, TableTimes(sidecar_path(summary.path, "metrics")).of)
         self._contexts: dict[str, rr.AsComponents] = {}
         self._drawn: set[str] = set()
-        self._entities: set[str] = set()
+        self.entities: set[str] = set()
+        """Everything that has been sent, by its path."""
         self.problems = Problems()
-
-    @property
-    def has_sent(self) -> bool:
-        """Whether any message gave something to look at."""
-        return bool(self._entities)
 
     def arranged(self) -> rr.blueprint.Blueprint:
         """The blueprint of what has been sent."""
-        return blueprint(Log(self._roles.topics, frozenset(self._entities)), LOG_TIME)
+        return blueprint(Log(self._roles.topics, frozenset(self.entities)), LOG_TIME)
 
     def send(self, log_time_ns: int, messages: Sequence[Message]) -> None:
         """Log all messages of one log time.
@@ -198,7 +194,7 @@ class _Sender:
                 self.problems.add(topic, message.log_time_ns, error)
 
     def _log(self, entry: Entry) -> None:
-        self._entities.add(entry.entity)
+        self.entities.add(entry.entity)
         if isinstance(entry.archetype, rr.AnnotationContext):
             if entry.entity not in self._contexts:  # it holds for all of the recording
                 self._contexts[entry.entity] = entry.archetype
