@@ -15,14 +15,14 @@ from roadperc_stream.system.time import ns_to_seconds
 
 
 def examine(path: Path, overrides: Mapping[str, str]) -> LogFacts:
-    """Read a log once and say what is in it.
+    """Return the facts of a log, from one pass.
 
     Args:
         path: the log.
         overrides: topic by role, from ``--topic``.
 
     Raises:
-        LogError: the file cannot be opened, or is no log at all; of one that is damaged the facts say how.
+        LogError: the file cannot be opened, or is not a log. A damaged log gives facts.
     """
     scan = Scan.of(path, overrides)
     salvage, tallies = scan.salvage, scan.tallies.values()

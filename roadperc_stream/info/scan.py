@@ -136,7 +136,7 @@ class Scan:
     latched: LatchedState = field(default_factory=LatchedState)
     frames: int = 0
     segments: int = 1
-    """How often the stamps begin anew, and once more."""
+    """One more than the number of restarts of the stamps."""
     dropped: Counter[str] = field(default_factory=Counter)
     """Messages per role that belong to no frame."""
     alone: Counter[str] = field(default_factory=Counter)
@@ -178,7 +178,7 @@ class Scan:
         return scan
 
     def digest(self) -> str | None:
-        """Digest of the input's messages in log-time order; None where some cannot be read, or nobody knows how.
+        """Digest of the input's messages in log-time order; None if a message is unreadable or the algorithm unknown.
 
         Where the file has them in another order they are read once more.
         """

@@ -28,7 +28,7 @@ StampReader = Callable[[bytes], int | None]
 def stamp_reader(channel: Channel) -> StampReader | None:
     """What reads the stamp, in ns, of a channel's messages; None where they carry none that is known.
 
-    The reader gives None for a message whose stamp cannot be read, and for one of zero, which says that nobody set it.
+    The reader returns None for an unreadable stamp and for zero, which means that it was not set.
     """
     reader = {"protobuf": _protobuf_reader, "cdr": _cdr_reader, "json": _json_reader}.get(channel.message_encoding)
     found = None if reader is None else reader(channel)

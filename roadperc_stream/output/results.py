@@ -159,12 +159,12 @@ def decode_metrics(data: bytes) -> FrameMetrics:
     """The row of a roadperc.FrameMetrics.
 
     Raises:
-        DecodeError: the bytes are none, a number is not finite, or a status is none of its stage's.
+        DecodeError: the bytes are invalid, a number is not finite, or a status is unknown.
     """
     try:
         message = pb.FrameMetrics.FromString(data)
     except ProtobufError as error:
-        raise DecodeError(f"{len(data)} bytes are no roadperc.FrameMetrics: {error}") from error
+        raise DecodeError(f"{len(data)} bytes are not a roadperc.FrameMetrics: {error}") from error
     always: dict[str, Any] = {"log_id": message.log_id, "frame": message.frame, "stamp_ns": message.stamp_ns}
     known: dict[str, Any] = {field.name: value for field, value in message.ListFields() if field.name in _COLUMNS}
     require_finite("metrics", *(value for value in known.values() if isinstance(value, float)))

@@ -1,4 +1,4 @@
-"""Each kind of picture of a log: in Rerun, in Foxglove, as a layout, as a video."""
+"""The modes of roadperc-view: Rerun, Foxglove, layout and video."""
 
 import argparse
 from collections.abc import Iterable, Mapping
@@ -18,7 +18,7 @@ from roadperc_stream.view.live.serving import log_with_times, serve_log
 from roadperc_stream.view.video import write_video
 
 _RERUN = "roadperc_stream.view.rerun"
-"""Imported where it is used: it takes half a second, which no other kind should pay."""
+"""Imported on use, because the import takes half a second."""
 
 
 def view_log(arguments: argparse.Namespace, playback: PlaybackOptions) -> None:
@@ -41,7 +41,7 @@ def view_log(arguments: argparse.Namespace, playback: PlaybackOptions) -> None:
 
 
 def _readable(arguments: argparse.Namespace) -> Path:
-    """The log as it can be read more than once: stored where it comes through a pipe or has to be repaired."""
+    """A file that can be read repeatedly: a pipe is stored, a damaged log repaired with --recover."""
     (path,) = log.received([arguments.log])
     if not arguments.recover or log.audited(path, check_chunks=True).whole:
         return path
@@ -92,4 +92,4 @@ def _print_summary(notes: Iterable[str], problems: Mapping[str, int]) -> None:
     for note in notes:
         print_line(f"note: {note}")
     for topic, count in problems.items():
-        print_line(f"warning: {number(count, 'message')} on {topic} could not be read, nor shown")
+        print_line(f"warning: {number(count, 'message')} on {topic} could not be read and are not shown")

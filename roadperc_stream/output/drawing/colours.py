@@ -1,4 +1,4 @@
-"""The colours of what the chain saw: the same in the viewers, in pictures and in videos. Red, green, blue, 0 to 255."""
+"""Colours of the results in viewers, pictures and videos. Red, green, blue, 0 to 255."""
 
 from collections.abc import Mapping
 from typing import Final

@@ -54,7 +54,7 @@ class SurfaceErrorColumns:
             "intersection over union of the drivable mask A and of B, which clean tags, "
             "clean depth and the true plane give",
             RATIO,
-            "no mask, or one of the three is not there; both masks empty",
+            "no mask, or one of the three is missing; both masks empty",
             "drivable IoU",
             3,
             better="high",
@@ -93,11 +93,16 @@ class TrueLaneColumns:
     lane_right_true_offset_m: Annotated[float | None, _TRUE_OFFSET] = None
     true_lane_change: Annotated[
         str | None,
-        Column("`left` or `right` while part of the car is truly over the line, else `none`", null="the log says none"),
+        Column(
+            "`left` or `right` while part of the car is truly over the line, else `none`",
+            null="the log has no such truth",
+        ),
     ] = None
     true_lane_changes: Annotated[
         int | None,
-        Column("how often the car's reference point has truly come into another lane", COUNT, "the log says none"),
+        Column(
+            "how often the car's reference point has truly come into another lane", COUNT, "the log has no such truth"
+        ),
     ] = None
     lane_true_heading_deg: Annotated[
         float | None,
@@ -161,21 +166,21 @@ class ObjectErrorColumns:
         _score(
             "mean of abs(d - d*) over kept detections with both distances",
             "m",
-            "there is none",
+            "no such detection",
             "object distance error (mean)",
             3,
         ),
     ] = None
-    filter_tp: Annotated[int | None, Column("kept detections that stand for a true object", COUNT)] = None
+    filter_tp: Annotated[int | None, Column("kept detections that match a true object", COUNT)] = None
     filter_fp: Annotated[int | None, Column("kept detections that do not", COUNT)] = None
-    filter_fn: Annotated[int | None, Column("dropped detections that stand for a true object", COUNT)] = None
+    filter_fn: Annotated[int | None, Column("dropped detections that match a true object", COUNT)] = None
     filter_tn: Annotated[int | None, Column("dropped detections that do not", COUNT)] = None
     filter_precision: Annotated[
         float | None, _score("tp / (tp + fp)", RATIO, "nothing was kept", "filter precision", 3, better="high")
     ] = None
     filter_recall: Annotated[
         float | None,
-        _score("tp / (tp + fn)", RATIO, "no detection stands for a true object", "filter recall", 3, better="high"),
+        _score("tp / (tp + fn)", RATIO, "no detection matches a true object", "filter recall", 3, better="high"),
     ] = None
 
 

@@ -39,7 +39,7 @@ _CAPTION_MARGIN = (1.25, 1.8)
 
 
 def detections(entity: str, _role: str, payload: Sequence[Detection], world: SceneState) -> Iterator[Entry]:
-    """What the detector said."""
+    """The boxes of the detector."""
     texts = [f"{detection.label} {detection.score:.2f}" for detection in payload]
     yield Entry(entity, _BOXES)
     boxes = _boxes([d.box_px for d in payload], ["detected"] * len(payload), texts, shown=True)
@@ -47,7 +47,7 @@ def detections(entity: str, _role: str, payload: Sequence[Detection], world: Sce
 
 
 def objects(entity: str, role: str, payload: Objects, world: SceneState) -> Iterator[Entry]:
-    """Boxes distinguished by what became of them; the kept ones of known distance in the camera's frame."""
+    """Boxes by verdict in the image; kept objects with a distance also in space."""
     true = role.startswith("truth")
     judged = [(item, "true" if true else item.verdict) for item in payload.objects]
     frame, camera = world.image_frame(world.reference, ""), world.front
