@@ -169,7 +169,7 @@ def test_info_writes_the_repaired_log_and_says_so_of_it(damaged, capsys):
     target = damaged.with_name("repaired.mcap")
     assert info_main([str(damaged)]) == 1
     assert (
-        f"roadperc-info {shlex.quote(str(damaged))} --recover OUT.mcap writes that as a whole log"
+        f"roadperc-info {shlex.quote(str(damaged))} --recover OUT.mcap writes the readable part as a new log"
         in capsys.readouterr().out
     )
     assert info_main([str(damaged), "--recover", str(target)]) == 0

@@ -15,14 +15,14 @@ from roadperc_stream.system.time import ns_to_seconds
 
 
 def examine(path: Path, overrides: Mapping[str, str]) -> LogFacts:
-    """Read a log once and say what is in it.
+    """Return the facts of a log, from one pass.
 
     Args:
         path: the log.
         overrides: topic by role, from ``--topic``.
 
     Raises:
-        LogError: the file cannot be opened, or is no log at all; of one that is damaged the facts say how.
+        LogError: the file cannot be opened, or is not a log. A damaged log gives facts.
     """
     scan = Scan.of(path, overrides)
     salvage, tallies = scan.salvage, scan.tallies.values()
@@ -70,7 +70,7 @@ def _file_facts(salvage: Salvage) -> FileFacts:
 
 def _channel_facts(channel: Channel, scan: Scan, first_ns: int | None) -> ChannelFacts:
     tally = scan.tallies.get(channel.source_id, Tally(None))
-    median_s = tally.intervals.quantile_s(0.5)
+    median_s = tally.intervals.median_s()
     return ChannelFacts(
         topic=channel.topic,
         schema=channel.schema_name,

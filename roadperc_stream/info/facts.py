@@ -7,7 +7,7 @@ import hashlib
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.config.settings import as_typed, settings_in
@@ -46,7 +46,7 @@ class SidecarTable:
     path: str
     rows: int | None
     fault: str = ""
-    """Why it is none of this log's; empty where it is."""
+    """Why it does not belong to this log; empty if it does."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Provenance:
     """Digest of the input's messages as they are in the file now; None where they are not there or not all readable."""
     frames: int | None
     continues: str | None
-    """Name of the log that it goes on from, as ``log_id``; None where it begins by itself."""
+    """``log_id`` of the log that it continues; None if it continues none."""
     dropped: Mapping[str, int]
     """Messages by role that belonged to no frame."""
     config_digest: str | None
@@ -114,11 +114,8 @@ def _settings(toml: bytes | None) -> tuple[tuple[ResolvedSetting, ...], str]:
         return (), f"attachment {CONFIG_ATTACHMENT} is {error}"
     defaults = settings_in(ReplayConfig().to_toml().encode())
     differing = [key for key, value in found.items() if key not in defaults or defaults[key] != value]
-    return tuple(ResolvedSetting(key, as_typed(found[key]), _default(defaults, key)) for key in differing), ""
-
-
-def _default(defaults: Mapping[str, Any], key: str) -> str | None:
-    return as_typed(defaults[key]) if key in defaults else None
+    known = {key: as_typed(value) for key, value in defaults.items()}
+    return tuple(ResolvedSetting(key, as_typed(found[key]), known.get(key)) for key in differing), ""
 
 
 def _number(text: str) -> int | None:
@@ -180,14 +177,14 @@ class ChannelFacts:
     first_ns: int | None
     last_ns: int | None
     rate_hz: float | None
-    """Of the median interval of log times; None where there is none."""
+    """Of the median interval of log times; None without intervals."""
     jitter_s: float | None
     """95 % of the intervals differ from the median by no more than this."""
     longest_gap_s: float | None
     gap_at_s: float | None
     """Where the longest gap starts, seconds from the log's first message; so are all times that end in ``at_s``."""
     log_times_back: int
-    """Messages that stand in the file behind one of the channel with a later log time."""
+    """Messages after one of the same channel with a later log time."""
     stamps_back: int
     """Messages whose own stamp is before that of the message before."""
     stamps_back_at_s: float | None
@@ -206,7 +203,7 @@ class CameraFacts:
     ego_T_camera: tuple[tuple[float, ...], ...] | None
     """The camera's place by the transforms; None where they do not give it."""
     image_size: tuple[int, int] | None
-    """(width, height) of the first of its images that can be decoded; None where there is none."""
+    """(width, height) of the first of its images that can be decoded; None without images."""
 
 
 @dataclass(frozen=True)
@@ -222,7 +219,7 @@ class ReplayFacts:
     """The role whose messages make the frames."""
     frames: int
     segments: int
-    """Parts of the log whose stamps go on, each begun anew: another recording, or a bag that was played in a loop."""
+    """Parts with continuous stamps: more than one after a second recording or a looped bag."""
     alone: Mapping[str, int]
     """Frames for which an assigned role has no message within the tolerance, by role."""
     unused: Mapping[str, int]
@@ -253,7 +250,7 @@ class LogFacts:
     last_ns: int | None
     span_s: float
     log_times_back: int
-    """Messages that stand in the file behind one with a later log time, of any channel."""
+    """Messages after one of any channel with a later log time."""
     channels: tuple[ChannelFacts, ...]
     replay: ReplayFacts
     provenance: Provenance | None

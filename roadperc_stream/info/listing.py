@@ -50,7 +50,7 @@ def print_parts(console: Console, logs: Sequence[LogFacts], overrides: Mapping[s
 
 
 def _spans(logs: Iterable[LogFacts]) -> Iterator[PartSpan]:
-    """Of results that hold their inputs those count: frames that one gives again are of another one's time."""
+    """The span of each log with messages. In a result only the inputs count, as it may repeat earlier frames."""
     for facts in logs:
         channels = [channel for channel in facts.channels if channel.messages]
         channels = [channel for channel in channels if not channel.result] or channels
@@ -68,12 +68,12 @@ def _frames(facts: LogFacts) -> int:
 
 
 def _continuations(logs: Sequence[LogFacts]) -> Iterator[str]:
-    """A line for each result that goes on from another one of the logs."""
+    """A line for each result that continues another one of the logs."""
     names = {log_id_of(facts.provenance.digest): Path(facts.log).name for facts in logs if facts.provenance}
     for facts in logs:
         before = facts.provenance and names.get(facts.provenance.continues or "")
         if before:
-            yield f"{Path(facts.log).name}: goes on from {before}"
+            yield f"{Path(facts.log).name}: continues {before}"
 
 
 def _channels(logs: Sequence[LogFacts]) -> list[Channel]:
@@ -153,7 +153,7 @@ def list_logs(paths: Sequence[Path], topics: Sequence[str], *, as_json: bool) ->
             facts = {"log": str(path), "error": str(found)} if isinstance(found, LogError) else asdict(found)
             finite = json.loads(json.dumps(facts), parse_constant=lambda _: None)  # JSON has no NaN and no infinity
             print(json.dumps(finite, allow_nan=False))
-        elif isinstance(found, LogFacts):  # what cannot be opened is said once, by the error at the end
+        elif isinstance(found, LogFacts):  # the error at the end reports unreadable files
             console = console_for(sys.stdout)
             print_log(console, found)
             print_lines(console, "")

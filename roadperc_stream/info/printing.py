@@ -33,7 +33,7 @@ def rounded(value: float | None) -> str:
 
 
 _ASIDE: Final = {"depth_calibration": "depth", "left_calibration": "left", "right_calibration": "right"}
-"""Calibrations that nobody misses where the camera itself is missing."""
+"""Calibrations that are not reported as missing if their camera is missing."""
 _CHOICES: Final = {
     "contract": "",
     "known": " (a name that other recorders use)",
@@ -51,7 +51,7 @@ def print_roles(console: Console, states: Sequence[RoleState]) -> None:
 
 
 def _worth_a_line(state: RoleState, filled: set[str]) -> bool:
-    """Whether the role is filled, or somebody may miss it."""
+    """Whether the role is filled, or its absence matters."""
     if state.state != "missing" or state.candidates or state.why:
         return True
     missed_with = _ASIDE.get(state.role)
@@ -70,14 +70,14 @@ def _said(state: RoleState) -> str:
 
 def _frame_lines(whole: bool, replay: ReplayFacts) -> Iterator[str]:
     if not whole:
-        yield "a replay refuses the file as it is, and takes what can be read of it with --recover"
+        yield "a replay refuses this damaged file; pass --recover to use the readable part"
     if replay.refusal is not None:
         yield f"a replay stops: {replay.refusal}"
     if replay.reference is not None:
         skew = "" if replay.skew_s is None else f", stamps within a frame differ by up to {1000 * replay.skew_s:.1f} ms"
         yield f"{number(replay.frames, 'frame')}, one per message of role {replay.reference}{skew}"
     if replay.segments > 1:
-        yield f"{replay.segments} segments: the stamps begin anew, as in another recording or a bag played in a loop"
+        yield f"{replay.segments} segments: the stamps restart, as in a second recording or a bag played in a loop"
     yield from _alone_lines(replay)
     if replay.unused:
         unused = ", ".join(f"{role} {count}" for role, count in sorted(replay.unused.items()))
@@ -104,23 +104,19 @@ def _tag_lines(replay: ReplayFacts) -> Iterator[str]:
         yield (
             f"tag table {replay.tag_table}"
             if replay.tag_table
-            else ("no tag table is named: a replay needs one, such as --set tag_table=0.9.15")
+            else ("no tag table is named; pass one to the replay, such as --set tag_table=0.9.15")
         )
 
 
 def _camera(found: CameraFacts) -> TextRow:
     camera, height_m = found.camera, None if found.ego_T_camera is None else found.ego_T_camera[2][3]
-    remarks = [] if found.image_size in (None, (camera.width, camera.height)) else [_other_size(found)]
+    width, height = found.image_size or camera.size[::-1]
+    remarks = [] if (height, width) == camera.size else [f"images of {width}x{height}"]
     remarks += [] if camera.square_pixels else [f"fy {rounded(camera.fy)}: differs from fx by more than 5 %"]
     remarks += ["not rectified"] if camera.lens is not None or camera.distortion else []
     remarks += ["no transform from ego"] if height_m is None else []
     cells = (f"{camera.width}x{camera.height}", rounded(camera.fx), rounded(camera.baseline_m), rounded(height_m))
     return row(found.role, *cells, ", ".join(remarks))
-
-
-def _other_size(found: CameraFacts) -> str:
-    width, height = found.image_size or (0, 0)
-    return f"images of {width}x{height}"
 
 
 _DAMAGES_SHOWN: Final = 5
@@ -203,9 +199,10 @@ def _damage_lines(facts: LogFacts) -> Iterator[str]:
         yield f"and {number_of(file.damages) - _DAMAGES_SHOWN} damages more"
     if file.damages and file.last_good_ns is not None and facts.first_ns is not None:
         after_s = ns_to_seconds(file.last_good_ns - facts.first_ns)
-        yield f"the last message before that is at {after_s:.3f} s ({file.last_good_ns} ns); below is what can be read"
+        where = f"{after_s:.3f} s ({file.last_good_ns} ns)"
+        yield f"the last message before that is at {where}; the rest describes the readable part"
     if file.damages and facts.messages:
-        yield f"roadperc-info {quote(facts.log)} --recover OUT.mcap writes that as a whole log"
+        yield f"roadperc-info {quote(facts.log)} --recover OUT.mcap writes the readable part as a new log"
     if file.recovery is not None:
         yield "repaired after damage:"
         yield from (f"  {line}" for line in file.recovery.lines(facts.first_ns))
@@ -274,8 +271,8 @@ def _provenance_lines(provenance: Provenance, own_frames: int) -> Iterator[str]:
     yield f"replayed by version {version}, configuration {config}, seed {seed}{frames}"
     if provenance.continues:
         again = (provenance.frames or 0) - own_frames
-        given = f", whose last {number(again, 'frame')} it gives again, complete" if own_frames and again > 0 else ""
-        yield f"goes on from the result of log {provenance.continues}{given}"
+        given = f", and repeats its last {number(again, 'frame')}, now complete" if own_frames and again > 0 else ""
+        yield f"continues the result of log {provenance.continues}{given}"
     yield _digest_line(provenance)
     if provenance.dropped:
         dropped = ", ".join(f"{role} {count}" for role, count in provenance.dropped.items())

@@ -15,12 +15,12 @@ from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES, Role
 
 _COSTS: Final = {
     "calibration": "a replay stops, unless another part has it: the camera is not known",
-    "segmentation": "no lanes, no detection is verified, the lower image stands in for the road",
+    "segmentation": "no lanes, no detection is verified, the lower image is taken as the road",
     "detections": "no objects",
     "tf": "the camera is taken as level, at the height of the setting surface.assumed_height_m",
 }
 _SPARED_BY: Final = {"tf": "tf_static"}
-"""Roles that nobody misses where another one is assigned."""
+"""Roles that are not needed if another one is assigned."""
 _UNNAMED_TRUTH: Final = (
     "steps and turns are compared with no truth; a pose or an odometry is an estimate, and the truth only if you say so"
 )
@@ -74,7 +74,7 @@ def roles_of(channels: Sequence[Channel], overrides: Mapping[str, str], probe: C
 
 
 def continued(roles: Roles) -> Roles:
-    """The roles of a result that went on from an earlier part: calibrations and transforms of that one hold on."""
+    """The roles of a continued replay: earlier calibrations and transforms still hold."""
     return replace(roles, states=tuple(map(_continued, roles.states)))
 
 

@@ -48,9 +48,9 @@ class Intervals:
         if len(self._kept) == _MOST_KEPT:
             self._kept, self._stride = self._kept[::2], self._stride * 2
 
-    def quantile_s(self, share: float) -> float | None:
-        """An interval that this share of all does not exceed; None where there is none."""
-        return float(np.quantile(self._seconds(), share)) if self._kept else None
+    def median_s(self) -> float | None:
+        """The median; None where there is no interval."""
+        return float(np.quantile(self._seconds(), 0.5)) if self._kept else None
 
     def jitter_s(self) -> float | None:
         """Difference from the median that 95 % do not exceed; None where there are not two to differ."""
@@ -136,7 +136,7 @@ class Scan:
     latched: LatchedState = field(default_factory=LatchedState)
     frames: int = 0
     segments: int = 1
-    """How often the stamps begin anew, and once more."""
+    """One more than the number of restarts of the stamps."""
     dropped: Counter[str] = field(default_factory=Counter)
     """Messages per role that belong to no frame."""
     alone: Counter[str] = field(default_factory=Counter)
@@ -178,7 +178,7 @@ class Scan:
         return scan
 
     def digest(self) -> str | None:
-        """Digest of the input's messages in log-time order; None where some cannot be read, or nobody knows how.
+        """Digest of the input's messages in log-time order; None if a message is unreadable or the algorithm unknown.
 
         Where the file has them in another order they are read once more.
         """

@@ -7,12 +7,10 @@ The channel's own schema says where it stands: a field ``timestamp`` of Foxglove
 import json
 import struct
 from collections.abc import Callable
-from functools import cache
 from typing import Any, Final
 
-from google.protobuf import message_factory, timestamp_pb2
-from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet
-from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf import message_factory
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import DecodeError
 
 from roadperc_stream.log import Channel
@@ -20,7 +18,7 @@ from roadperc_stream.schemas.protobuf import stamp_ns
 from roadperc_stream.system.time import NS_PER_S
 
 _FIELD, _LIST = "timestamp", "transforms"
-_TIMESTAMP: Final = ".google.protobuf.Timestamp"
+_TIMESTAMP: Final = "google.protobuf.Timestamp"
 _HEADERS: Final = ("std_msgs/Header ", "std_msgs/msg/Header ")
 _LISTS_OF_STAMPED: Final = ("geometry_msgs/TransformStamped[] ", "geometry_msgs/msg/TransformStamped[] ")
 _LIST_LENGTH_BYTES: Final = 4
@@ -30,7 +28,7 @@ StampReader = Callable[[bytes], int | None]
 def stamp_reader(channel: Channel) -> StampReader | None:
     """What reads the stamp, in ns, of a channel's messages; None where they carry none that is known.
 
-    The reader gives None for a message whose stamp cannot be read, and for one of zero, which says that nobody set it.
+    The reader returns None for an unreadable stamp and for zero, which means that it was not set.
     """
     reader = {"protobuf": _protobuf_reader, "cdr": _cdr_reader, "json": _json_reader}.get(channel.message_encoding)
     found = None if reader is None else reader(channel)
@@ -48,56 +46,27 @@ def _forgiving(read: Callable[[bytes], int]) -> StampReader:
 
 
 def _protobuf_reader(channel: Channel) -> Callable[[bytes], int] | None:
-    numbers = _field_numbers(channel.schema_name, channel.schema_data)
-    if numbers is None:
-        return None
-    timestamp, parts = numbers
-    probe = _probe(timestamp, parts)
-    if parts is None:
-        return lambda data: stamp_ns(probe.FromString(data).timestamp)
-    return lambda data: stamp_ns(probe.FromString(data).parts[0].timestamp)
-
-
-def _field_numbers(name: str, schema_data: bytes) -> tuple[int, int | None] | None:
-    """Number of the field ``timestamp``, and of the list whose first part has it, where the message has none itself."""
     try:
-        files = FileDescriptorSet.FromString(schema_data).file
-    except DecodeError:
+        files = FileDescriptorSet.FromString(channel.schema_data).file
+        message = message_factory.GetMessages(files)[channel.schema_name]
+    except (DecodeError, KeyError, TypeError, RecursionError):  # the schema is damaged, or lacks a type
         return None
-    kinds = {f".{file.package}.{kind.name}".replace("..", "."): kind for file in files for kind in file.message_type}
-    message = kinds.get(f".{name}")
-    if message is None:
-        return None
-    own = _timestamp_number(message)
-    if own is not None:
-        return own, None
-    for field in message.field:
-        part = kinds.get(field.type_name)
-        if field.name == _LIST and part and (number := _timestamp_number(part)):
-            return number, field.number
+    if _has_stamp(message.DESCRIPTOR):
+        return lambda data: stamp_ns(getattr(message.FromString(data), _FIELD))
+    listed = message.DESCRIPTOR.fields_by_name.get(_LIST)
+    if listed is not None and listed.is_repeated and listed.message_type and _has_stamp(listed.message_type):
+        return lambda data: stamp_ns(getattr(getattr(message.FromString(data), _LIST)[0], _FIELD))
     return None
 
 
-def _timestamp_number(message: DescriptorProto) -> int | None:
-    numbers = (f.number for f in message.field if f.name == _FIELD and f.type_name == _TIMESTAMP)
-    return next(numbers, None)
-
-
-@cache
-def _probe(timestamp: int, parts: int | None) -> Any:
-    """A message type that knows the stamp alone: all other fields are passed over, whatever is in them."""
-    kind = FieldDescriptorProto.TYPE_MESSAGE
-    file = FileDescriptorProto(name="probe.proto", package="probe", dependency=["google/protobuf/timestamp.proto"])
-    stamped = file.message_type.add(name="Stamped")
-    stamped.field.add(name="timestamp", number=timestamp, type=kind, label=1, type_name=_TIMESTAMP)
-    if parts is not None:
-        listed = file.message_type.add(name="Listed")
-        listed.field.add(name="parts", number=parts, type=kind, label=3, type_name=".probe.Stamped")
-    pool = DescriptorPool()
-    pool.AddSerializedFile(timestamp_pb2.DESCRIPTOR.serialized_pb)
-    pool.Add(file)
-    name = "probe.Stamped" if parts is None else "probe.Listed"
-    return message_factory.GetMessageClass(pool.FindMessageTypeByName(name))
+def _has_stamp(message: Any) -> bool:
+    field = message.fields_by_name.get(_FIELD)
+    return (
+        field is not None
+        and not field.is_repeated
+        and bool(field.message_type)
+        and field.message_type.full_name == _TIMESTAMP
+    )
 
 
 def _cdr_reader(channel: Channel) -> Callable[[bytes], int] | None:

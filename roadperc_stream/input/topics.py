@@ -13,7 +13,7 @@ from roadperc_stream.input.decoding import context_of_channel, decode, schemas_o
 from roadperc_stream.log import Channel, LogSummary
 from roadperc_stream.model import DepthImage, TagImage
 from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14
-from roadperc_stream.schemas.roles import Kind, Role
+from roadperc_stream.schemas.roles import CARLA_BRIDGE, CARLA_TOPICS, Kind, Role
 
 CAMERA_OF: Final = {
     "calibration": "image",
@@ -51,9 +51,11 @@ def distinct(channels: Iterable[Channel]) -> tuple[str, ...]:
 
 
 def known_elsewhere(role: Role, channels: Iterable[Channel]) -> tuple[str, ...]:
-    """Topics of other recorders that are known to be this role's."""
-    patterns = [re.compile(re.escape(known).replace(r"\*", "[^/]+")) for known in role.elsewhere]
-    return distinct(c for c in channels if any(pattern.fullmatch(c.topic) for pattern in patterns) and fits(role, c))
+    """Topics of CARLA's ROS bridge that are known to be this role's."""
+    if role.name not in CARLA_TOPICS:
+        return ()
+    known = re.compile(f"{CARLA_BRIDGE}[^/]+/{CARLA_TOPICS[role.name]}")
+    return distinct(c for c in channels if known.fullmatch(c.topic) and fits(role, c))
 
 
 def fitting(role: Role, channels: Iterable[Channel]) -> tuple[str, ...]:

@@ -19,20 +19,18 @@ from roadperc_stream.formats.points import FIELDS
 from roadperc_stream.geometry import Camera, Float, Float32, Lens
 from roadperc_stream.geometry.rotations import quaternion
 from roadperc_stream.model import (
-    EGO,
     Boundary,
     Detection,
     Lanes,
     Object,
     Objects,
-    Occupancy,
     Odometry,
     Surface,
     Transform,
 )
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas.protobuf import set_stamp
-from roadperc_stream.schemas.ros2 import RosImage, pack_image, pack_occupancy_grid
+from roadperc_stream.schemas.ros2 import RosImage, pack_image
 
 _KEPT_POSES: Final = 1024
 """Some trajectories' poses: each is shown by all frames of its window, and encoded for the first one."""
@@ -64,17 +62,10 @@ def encode_calibration(stamp_ns: int, camera: Camera) -> bytes:
         distortion_model=lens.model if lens else ("plumb_bob" if camera.distortion else ""),
         D=camera.distortion,
         K=(lens.K if lens else camera.K).ravel().tolist(),
-        R=_rectification(camera),
+        R=lens.R if lens else () if camera.distortion else Lens.R,  # a distorted image without a lens: R is unknown
         P=P.ravel().tolist(),
     )
     return _serialised(message, stamp_ns)
-
-
-def _rectification(camera: Camera) -> tuple[float, ...]:
-    """R row by row; nothing where the image is distorted and nobody knows how to rectify it."""
-    if camera.lens:
-        return camera.lens.R
-    return () if camera.distortion else Lens.R
 
 
 def encode_transforms(stamp_ns: int, transforms: Iterable[Transform]) -> bytes:
@@ -169,11 +160,6 @@ def encode_surface(stamp_ns: int, surface: Surface) -> bytes:
     return _serialised(message, stamp_ns)
 
 
-def encode_occupancy(stamp_ns: int, occupancy: Occupancy) -> bytes:
-    """nav_msgs/msg/OccupancyGrid in the ego frame."""
-    return pack_occupancy_grid(stamp_ns, EGO, occupancy)
-
-
 def encode_lanes(stamp_ns: int, frame_id: str, lanes: Lanes) -> bytes:
     """roadperc.Lanes."""
     message = pb.Lanes(
@@ -193,10 +179,9 @@ def encode_objects(stamp_ns: int, frame_id: str, objects: Objects) -> bytes:
     return _serialised(message, stamp_ns)
 
 
-def encode_log(stamp_ns: int, level: str, text: str) -> bytes:
-    """foxglove.Log of this project; level such as ``INFO`` or ``WARNING``."""
-    message = Log(level=Log.Level.Value(level), message=text, name="roadperc")
-    return _serialised(message, stamp_ns)
+def encode_warning(stamp_ns: int, text: str) -> bytes:
+    """foxglove.Log of this project, level ``WARNING``."""
+    return _serialised(Log(level=Log.WARNING, message=text, name="roadperc"), stamp_ns)
 
 
 def _serialised(message: Any, stamp_ns: int) -> bytes:

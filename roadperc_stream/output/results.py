@@ -15,7 +15,6 @@ from roadperc_stream.model import (
     Absent,
     FrameAnchor,
     FrameResult,
-    Mask,
     Odometry,
     Sample,
     Transform,
@@ -28,6 +27,7 @@ from roadperc_stream.output.drawing import annotations, colours
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas.columns import FrameMetrics
 from roadperc_stream.schemas.protobuf import require_finite, set_stamp
+from roadperc_stream.schemas.ros2 import pack_occupancy_grid
 from roadperc_stream.schemas.topics import (
     DRIVABLE_SCENE_TOPIC,
     DRIVABLE_TOPIC,
@@ -84,7 +84,7 @@ def result_messages(
         depth = encoding.encode_depth(stamp_ns, result.stereo.frame_id, result.stereo.depth_m)
         yield STEREO_DEPTH_TOPIC, depth
     if not isinstance(result.occupancy, Absent) and is_ros_time:
-        yield OCCUPANCY_TOPIC, encoding.encode_occupancy(stamp_ns, result.occupancy)
+        yield OCCUPANCY_TOPIC, pack_occupancy_grid(stamp_ns, EGO, result.occupancy)
     if not isinstance(result.odometry, Absent):
         yield from _odometry(stamp_ns, sample.anchor.odom, result.odometry, trajectory)
     if edges := _edges(sample.anchor, result.odometry):
@@ -92,7 +92,7 @@ def result_messages(
     yield METRICS_TOPIC, encode_metrics(sample.frame.camera.frame_id, metrics)
     for reason in metrics.reasons:
         if reason not in previous_reasons:
-            yield LOG_TOPIC, encoding.encode_log(stamp_ns, "WARNING", f"frame {sample.index}: {reason}")
+            yield LOG_TOPIC, encoding.encode_warning(stamp_ns, f"frame {sample.index}: {reason}")
 
 
 def _surface(sample: Sample, result: FrameResult) -> Written:
@@ -100,7 +100,8 @@ def _surface(sample: Sample, result: FrameResult) -> Written:
     if not isinstance(result.surface, Absent):
         yield SURFACE_TOPIC, encoding.encode_surface(stamp_ns, result.surface)
     if not isinstance(result.drivable, Absent):
-        yield DRIVABLE_TOPIC, _drivable(stamp_ns, frame.camera.frame_id, result.drivable)
+        png = encode_mask(result.drivable, DRIVABLE_COLOURS)
+        yield DRIVABLE_TOPIC, encoding.encode_image(stamp_ns, frame.camera.frame_id, "png", png)
         if not isinstance(result.front_surface, Absent):
             scene = annotations.drivable_scene(
                 stamp_ns, result.front_surface, frame.camera, frame.ego_T_camera, result.drivable
@@ -158,12 +159,12 @@ def decode_metrics(data: bytes) -> FrameMetrics:
     """The row of a roadperc.FrameMetrics.
 
     Raises:
-        DecodeError: the bytes are none, a number is not finite, or a status is none of its stage's.
+        DecodeError: the bytes are invalid, a number is not finite, or a status is unknown.
     """
     try:
         message = pb.FrameMetrics.FromString(data)
     except ProtobufError as error:
-        raise DecodeError(f"{len(data)} bytes are no roadperc.FrameMetrics: {error}") from error
+        raise DecodeError(f"{len(data)} bytes are not a roadperc.FrameMetrics: {error}") from error
     always: dict[str, Any] = {"log_id": message.log_id, "frame": message.frame, "stamp_ns": message.stamp_ns}
     known: dict[str, Any] = {field.name: value for field, value in message.ListFields() if field.name in _COLUMNS}
     require_finite("metrics", *(value for value in known.values() if isinstance(value, float)))
@@ -172,8 +173,3 @@ def decode_metrics(data: bytes) -> FrameMetrics:
             raise DecodeError(f"{column} {known[column]!r}: expected one of {', '.join(words)}")
     lists = {"missing": tuple(message.missing), "reasons": tuple(message.reasons)}
     return FrameMetrics(**always | known | lists)
-
-
-def _drivable(stamp_ns: int, frame_id: str, mask: Mask) -> bytes:
-    data = encode_mask(mask, DRIVABLE_COLOURS)
-    return encoding.encode_image(stamp_ns, frame_id, "png", data)

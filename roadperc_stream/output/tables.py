@@ -65,7 +65,7 @@ def config_digest(cfg: ReplayConfig) -> str:
 
 
 def facts_in(metadata: Mapping[bytes, bytes] | None) -> dict[str, str]:
-    """The facts that stand in a footer, by their names without the prefix."""
+    """The facts in a footer, by name without the prefix."""
     named = {key.decode(errors="replace"): value for key, value in (metadata or {}).items()}
     return {
         key.removeprefix(FACT_PREFIX): value.decode("utf-8", "surrogateescape")

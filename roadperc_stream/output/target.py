@@ -1,4 +1,4 @@
-"""What a replay writes, and whether it may be written."""
+"""The files that a replay writes, and the checks before it writes them."""
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
@@ -20,7 +20,7 @@ class ReplayTarget:
         path: of the log; ``path.metrics.parquet`` and ``path.objects.parquet`` come beside it.
         results_only: leave the input's messages out.
         on_request: pictures to write beside the results; drawing them counts as encoding.
-        force: replace what is there, but no recording, and start over where a checkpoint is of another replay.
+        force: replace existing results, but never an input log; start over if a checkpoint is of another replay.
     """
 
     path: Path
@@ -40,12 +40,12 @@ class ReplayTarget:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """All that is written."""
+        """The log and both tables."""
         return self.path, self.metrics, self.objects
 
     @property
     def is_complete(self) -> bool:
-        """Whether all of them are there: the log is the last one that gets its name."""
+        """Whether all files exist. The log gets its name last."""
         return all(path.exists() for path in self.files)
 
     def require_free(self, sources: Iterable[Path]) -> None:
@@ -75,7 +75,7 @@ class ReplayTarget:
         """
         replace(self, force=True).require_free(sources)
         if continued is not None and continued.exists() and self.path.exists() and self.path.samefile(continued):
-            raise TargetError(f"{self.path}: is the part that the replay goes on from; name another output")
+            raise TargetError(f"{self.path} is the result that --continue names; choose another output")
         self._require_no_recording(several=len(sources) > 1)
         if not resume:
             self.require_free(sources)
@@ -92,10 +92,10 @@ class ReplayTarget:
             replaceable = is_result_log(found.metadata, found.channels)
         if not replaceable:
             raise TargetError(
-                f"{self.path}: is no result of this program, so nothing replaces it; was OUT.mcap forgotten?"
+                f"refusing to overwrite {self.path}: it was not written by roadperc-replay. Is OUT.mcap missing?"
             )
 
     def remove_dead_partials(self) -> None:
-        """Remove what earlier replays that were killed left unfinished under hidden names."""
+        """Remove the partial files of killed replays."""
         for path in self.files:
             remove_dead_partials(path)

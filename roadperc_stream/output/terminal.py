@@ -28,7 +28,7 @@ class PipeConsole(Console):
     """A console whose reader may go: rich would end the command with exit code 1, here it goes on unread."""
 
     def on_broken_pipe(self) -> None:
-        """Send what is still buffered, and all that follows, to the null device."""
+        """Send buffered and later output to the null device."""
         discard_output(self.file)
 
 

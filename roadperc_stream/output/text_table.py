@@ -12,7 +12,7 @@ class TextRow:
     """A row: its label, per subject the cells under the table's headers, and which way is better.
 
     A subject without values has no cells, and cells at the end may be left out. ``listed`` are the subjects that get a
-    line where each has one of its own, in that order; None for all that have values.
+    line each, in that order; None for all that have values.
     """
 
     label: str

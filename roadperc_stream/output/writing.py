@@ -81,7 +81,7 @@ class Shown:
 
 @dataclass(frozen=True)
 class Counted:
-    """The reasons of the frames so far, and the number of frames whose pictures could not be drawn."""
+    """The reasons of the written frames, and the number of frames whose pictures could not be drawn."""
 
     reasons: tuple[tuple[ReasonKind, ReasonCount], ...] = ()
     without_image: int = 0
@@ -148,7 +148,7 @@ class ReplaySummary:
 class Outputs:
     """The files that a replay writes: the log, the table of frames and the table of objects.
 
-    ``shown`` is what the messages of the next frame show of the frames so far.
+    ``shown`` is what the messages of the next frame show of earlier frames.
     """
 
     def __init__(self, target: ReplayTarget, cfg: ReplayConfig, log_in: ReplayInput, facts: Mapping[str, str]) -> None:
@@ -236,7 +236,7 @@ class Outputs:
             self._objects.append(item)
 
     def counted(self) -> Counted:
-        """What has been counted so far."""
+        """The current counts."""
         return Counted(tuple(self._reasons.items()), self._pictures.without_image, self._pictures.misfits)
 
     def end(self, facts: Mapping[str, str], states: Iterable[Attachment]) -> None:

@@ -1,6 +1,6 @@
 """ROS 2 messages out of CDR, laid out as the definition in the log says, and into it."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
 from typing import Any, Final
@@ -30,34 +30,17 @@ def read(data: bytes, name: str, definition: bytes, encoding: str = "ros2msg") -
     """
     if not definition:
         raise DecodeError(f"the log does not define {name}: expected ros2msg or ros2idl")
-    layout = _layout(name, definition, encoding)
-    if isinstance(layout, str):
-        raise DecodeError(layout)
+    layout = layout_of(name, definition, encoding)
     with as_defined(f"{len(data)} bytes are no {name}"):
         return layout.deserialize_cdr(memoryview(data), name)
 
 
-def write(message: Any, name: str, definition: bytes) -> bytes:
-    """Little-endian CDR of a message made of the classes in ``types_of_message``.
-
-    Args:
-        message: of the type.
-        name: the message's type.
-        definition: text of the type and of those it is made of, as ros2msg.
-    """
-    return bytes(_store(name, definition).serialize_cdr(message, name))
-
-
-def types_of_message(name: str, definition: bytes) -> Mapping[str, Any]:
-    """The classes of a message and of those it is made of, by type; their fields stand in the definition's order."""
-    return _store(name, definition).types
-
-
-def _store(name: str, definition: bytes) -> Typestore:
-    store = _layout(name, definition, "ros2msg")
-    if isinstance(store, str):
-        raise DecodeError(store)
-    return store
+def layout_of(name: str, definition: bytes, encoding: str = "ros2msg") -> Typestore:
+    """Reads and writes messages of a type, and has the classes of its parts; arguments and errors as for ``read``."""
+    layout = _layout(name, definition, encoding)
+    if isinstance(layout, str):
+        raise DecodeError(layout)
+    return layout
 
 
 @contextmanager

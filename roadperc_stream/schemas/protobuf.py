@@ -24,7 +24,7 @@ _LARGEST: Final = float(np.finfo(np.float32).max)
 
 
 def require_finite(what: str, *values: float | None) -> None:
-    """Refuse numbers that are none; unknown ones are None.
+    """Refuse numbers that are not finite; None is unknown.
 
     Raises:
         DecodeError: one is NaN, infinite, or larger than the 32 bits hold in which it is computed with and shown.

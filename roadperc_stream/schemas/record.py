@@ -1,4 +1,4 @@
-"""What a result carries besides its messages, by which a later replay knows it and what made it."""
+"""Names of the metadata and attachments of a result, which identify it and its origin."""
 
 from typing import Final
 
@@ -36,7 +36,7 @@ STATE_ATTACHMENT: Final = "roadperc.state"
 BEGIN_ATTACHMENT: Final = "roadperc.state.begin"
 """Attachment of a result that went on from an earlier part, or was warmed up: the state it began with."""
 OWN_ATTACHMENTS: Final = (CONFIG_ATTACHMENT, STATE_ATTACHMENT, BEGIN_ATTACHMENT)
-"""Attachments that a replay writes anew: those of an input are not copied."""
+"""Attachments that a replay replaces: those of an input are not copied."""
 CONTINUES_KEY: Final = "continues"
 """In that record, and in the tables' footers: the log_id of the part of the drive that this one goes on from."""
 LOG_ID_KEY: Final = "log_id"

@@ -33,59 +33,26 @@ class Role:
     schema: str
     """Schema that ``roadperc-convert`` writes."""
     truth: bool = False
-    elsewhere: tuple[str, ...] = ()
-    """Topics of other recorders, ``*`` standing for any one name: here those of CARLA's ROS bridge."""
 
 
 ROLES: Final = {
     role.name: role
     for role in (
-        Role("image", "/camera/front/image", "image", IMAGE_SCHEMA, elsewhere=("/carla/*/rgb_front/image",)),
-        Role(
-            "calibration",
-            "/camera/front/calibration",
-            "calibration",
-            CALIBRATION_SCHEMA,
-            elsewhere=("/carla/*/rgb_front/camera_info",),
-        ),
-        Role("depth", "/camera/front/depth", "depth", ROS_IMAGE_SCHEMA, elsewhere=("/carla/*/depth_front/image",)),
-        Role(
-            "depth_calibration",
-            "/camera/front/depth/calibration",
-            "calibration",
-            CALIBRATION_SCHEMA,
-            elsewhere=("/carla/*/depth_front/camera_info",),
-        ),
-        Role(
-            "segmentation",
-            "/camera/front/segmentation",
-            "tags",
-            IMAGE_SCHEMA,
-            elsewhere=("/carla/*/semantic_segmentation_front/image",),
-        ),
-        Role(
-            "instances",
-            "/camera/front/instances",
-            "instances",
-            IMAGE_SCHEMA,
-            elsewhere=("/carla/*/instance_segmentation_front/image",),
-        ),
+        Role("image", "/camera/front/image", "image", IMAGE_SCHEMA),
+        Role("calibration", "/camera/front/calibration", "calibration", CALIBRATION_SCHEMA),
+        Role("depth", "/camera/front/depth", "depth", ROS_IMAGE_SCHEMA),
+        Role("depth_calibration", "/camera/front/depth/calibration", "calibration", CALIBRATION_SCHEMA),
+        Role("segmentation", "/camera/front/segmentation", "tags", IMAGE_SCHEMA),
+        Role("instances", "/camera/front/instances", "instances", IMAGE_SCHEMA),
         Role("detections", "/camera/front/detections", "detections", "roadperc.Detections"),
         Role("left", "/camera/left/image", "image", IMAGE_SCHEMA),
         Role("left_calibration", "/camera/left/calibration", "calibration", CALIBRATION_SCHEMA),
         Role("right", "/camera/right/image", "image", IMAGE_SCHEMA),
         Role("right_calibration", "/camera/right/calibration", "calibration", CALIBRATION_SCHEMA),
-        Role("lidar", "/lidar/points", "points", POINTS_SCHEMA, elsewhere=("/carla/*/lidar",)),
+        Role("lidar", "/lidar/points", "points", POINTS_SCHEMA),
         Role("tf", "/tf", "tf", "foxglove.FrameTransforms"),
         Role("tf_static", "/tf_static", "tf", "foxglove.FrameTransforms"),
-        Role(
-            "truth_pose",
-            "/truth/pose",
-            "pose",
-            "foxglove.PoseInFrame",
-            truth=True,
-            elsewhere=("/carla/*/odometry",),
-        ),
+        Role("truth_pose", "/truth/pose", "pose", "foxglove.PoseInFrame", truth=True),
         Role("truth_surface", "/truth/surface", "surface", "roadperc.Surface", truth=True),
         Role("truth_lanes", "/truth/lanes", "lanes", "roadperc.Lanes", truth=True),
         Role("truth_objects", "/truth/objects", "objects", "roadperc.Objects", truth=True),
@@ -102,7 +69,18 @@ LATCHED_KINDS: Final = ("calibration", "tf")
 SHARED_KINDS: Final = ("tf",)
 """Kinds whose topic may carry several channels."""
 CARLA_BRIDGE: Final = "/carla/"
-"""How the topics of CARLA's ROS bridge begin."""
+"""Prefix of the topics of CARLA's ROS bridge."""
+CARLA_TOPICS: Final = {
+    "image": "rgb_front/image",
+    "calibration": "rgb_front/camera_info",
+    "depth": "depth_front/image",
+    "depth_calibration": "depth_front/camera_info",
+    "segmentation": "semantic_segmentation_front/image",
+    "instances": "instance_segmentation_front/image",
+    "lidar": "lidar",
+    "truth_pose": "odometry",
+}
+"""Topics of CARLA's ROS bridge by role, below ``/carla/VEHICLE/``."""
 
 
 def parse_topic_options(options: Iterable[str]) -> dict[str, str]:

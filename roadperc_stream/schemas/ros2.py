@@ -85,14 +85,15 @@ def pack_occupancy_grid(stamp_ns: int, frame_id: str, grid: Occupancy) -> bytes:
     Raises:
         LogError: its stamp has no place in a ROS 2 message.
     """
-    types = cdr.types_of_message(OCCUPANCY_GRID, OCCUPANCY_GRID_DEFINITION)
+    layout = cdr.layout_of(OCCUPANCY_GRID, OCCUPANCY_GRID_DEFINITION)
+    types = layout.types
     rows, columns = grid.cells.shape
     header = _header(types, stamp_ns, frame_id)
     position = types["geometry_msgs/msg/Point"](grid.x_min_m, grid.y_min_m, 0.0)
     origin = types["geometry_msgs/msg/Pose"](position, types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0))
     info = types["nav_msgs/msg/MapMetaData"](header.stamp, grid.resolution_m, columns, rows, origin)
     message = types[OCCUPANCY_GRID](header, info, np.ascontiguousarray(grid.cells).reshape(-1))
-    return cdr.write(message, OCCUPANCY_GRID, OCCUPANCY_GRID_DEFINITION)
+    return bytes(layout.serialize_cdr(message, OCCUPANCY_GRID))
 
 
 def pack_image(image: RosImage) -> bytes:
@@ -101,10 +102,10 @@ def pack_image(image: RosImage) -> bytes:
     Raises:
         LogError: its stamp has no place in a ROS 2 message.
     """
-    types = cdr.types_of_message(IMAGE, IMAGE_DEFINITION)
+    layout = cdr.layout_of(IMAGE, IMAGE_DEFINITION)
     height, width = image.pixels.shape
-    message = types[IMAGE](
-        _header(types, image.stamp_ns, image.frame_id),
+    message = layout.types[IMAGE](
+        _header(layout.types, image.stamp_ns, image.frame_id),
         height,
         width,
         image.encoding,
@@ -112,7 +113,7 @@ def pack_image(image: RosImage) -> bytes:
         image.pixels.itemsize * width,
         np.ascontiguousarray(image.pixels).reshape(-1).view(np.uint8),
     )
-    return cdr.write(message, IMAGE, IMAGE_DEFINITION)
+    return bytes(layout.serialize_cdr(message, IMAGE))
 
 
 def unpack_header(data: bytes, name: str) -> tuple[int, str]:

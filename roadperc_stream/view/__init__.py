@@ -1,1 +1,1 @@
-"""What people see of a log: Rerun, Foxglove, a video."""
+"""Views of a log: Rerun, Foxglove, video."""

@@ -1,4 +1,4 @@
-"""Each kind of picture of a log: in Rerun, in Foxglove, as a layout, as a video."""
+"""The modes of roadperc-view: Rerun, Foxglove, layout and video."""
 
 import argparse
 from collections.abc import Iterable, Mapping
@@ -18,7 +18,7 @@ from roadperc_stream.view.live.serving import log_with_times, serve_log
 from roadperc_stream.view.video import write_video
 
 _RERUN = "roadperc_stream.view.rerun"
-"""Imported where it is used: it takes half a second, which no other kind should pay."""
+"""Imported on use, because the import takes half a second."""
 
 
 def view_log(arguments: argparse.Namespace, playback: PlaybackOptions) -> None:
@@ -36,14 +36,12 @@ def view_log(arguments: argparse.Namespace, playback: PlaybackOptions) -> None:
         return
     elif arguments.video:
         _record_video(arguments)
-    elif arguments.save:
-        _save(arguments)
     else:
-        _open(arguments)
+        _show_in_rerun(arguments)
 
 
 def _readable(arguments: argparse.Namespace) -> Path:
-    """The log as it can be read more than once: stored where it comes through a pipe or has to be repaired."""
+    """A file that can be read repeatedly: a pipe is stored, a damaged log repaired with --recover."""
     (path,) = log.received([arguments.log])
     if not arguments.recover or log.audited(path, check_chunks=True).whole:
         return path
@@ -73,30 +71,25 @@ def _record_video(arguments: argparse.Namespace) -> None:
         )
 
 
-def _save(arguments: argparse.Namespace) -> None:
-    with frame_progress("writing", not arguments.quiet) as progress:
-        exported = import_module(_RERUN).save_recording(
-            arguments.log,
-            arguments.save,
-            parse_topic_options(arguments.topic),
-            force=arguments.force,
-            progress=progress,
-        )
-    if not arguments.quiet:
-        _print_summary(exported.notes, exported.problems)
+def _show_in_rerun(arguments: argparse.Namespace) -> None:
+    """Save a recording, or send the log to a viewer."""
+    target, rerun = arguments.save, import_module(_RERUN)
+    overrides = parse_topic_options(arguments.topic)
+    with frame_progress("writing" if target else "sending", not arguments.quiet) as progress:
+        if target:
+            exported = rerun.save_recording(arguments.log, target, overrides, force=arguments.force, progress=progress)
+        else:
+            exported = rerun.open_viewer(arguments.log, overrides, progress)
+    if arguments.quiet:
+        return
+    _print_summary(exported.notes, exported.problems)
+    if target:
         frames = f" ({exported.frames} frames)" if exported.frames else ""
-        print_line(f"wrote {arguments.save}{frames}; open it with: rerun {quote(str(arguments.save))}")
-
-
-def _open(arguments: argparse.Namespace) -> None:
-    with frame_progress("sending", not arguments.quiet) as progress:
-        exported = import_module(_RERUN).open_viewer(arguments.log, parse_topic_options(arguments.topic), progress)
-    if not arguments.quiet:
-        _print_summary(exported.notes, exported.problems)
+        print_line(f"wrote {target}{frames}; open it with: rerun {quote(str(target))}")
 
 
 def _print_summary(notes: Iterable[str], problems: Mapping[str, int]) -> None:
     for note in notes:
         print_line(f"note: {note}")
     for topic, count in problems.items():
-        print_line(f"warning: {number(count, 'message')} on {topic} could not be read, nor shown")
+        print_line(f"warning: {number(count, 'message')} on {topic} could not be read and are not shown")

@@ -1,4 +1,4 @@
-"""What a log with results holds, frame by frame: rows, pictures and the times of the stages."""
+"""Reads a log with results frame by frame: rows, pictures and stage times."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
@@ -8,7 +8,7 @@ from typing import Any, Final, TypeVar
 
 from roadperc_stream import log
 from roadperc_stream.errors import ChannelError, DecodeError, LogError
-from roadperc_stream.input.decoding import Decoded, Payload, context_of_channel, decode
+from roadperc_stream.input.decoding import Decoded, context_of_channel, decode
 from roadperc_stream.input.earlier_replay import is_result, is_result_of
 from roadperc_stream.input.roles import assignment_of_log
 from roadperc_stream.input.stream import Problems, RoleAssignment
@@ -33,14 +33,14 @@ TimesOfFrame = Callable[[str, int], TimesMs]
 
 
 class TableTimes:
-    """Those in ``OUT.metrics.parquet``, of which a row group is held; where there is no such file, none."""
+    """Stage times from ``OUT.metrics.parquet``, if it exists. Holds one row group."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._rows: dict[int, dict[str, Any]] = {}
 
     def of(self, log_id: str, frame: int) -> TimesMs:
-        """Those of a frame; empty where the table has no such frame, or is another log's.
+        """The times of a frame; empty if the table lacks the frame or belongs to another log.
 
         Raises:
             TableError: the table cannot be read.
@@ -54,17 +54,17 @@ class TableTimes:
 
 
 class ReplayTimes:
-    """Those of a replay while it runs, some doubles a frame."""
+    """Stage times of a running replay; a few doubles per frame."""
 
     def __init__(self) -> None:
         self._times_ms: dict[tuple[str, int], tuple[float | None, ...]] = {}
 
     def note(self, row: FrameMetrics, times_ms: TimesMs) -> None:
-        """Take a frame's times."""
+        """Record the times of a frame."""
         self._times_ms[row.log_id, row.frame] = tuple(times_ms.get(column) for column in TIME_COLUMNS)
 
     def of(self, log_id: str, frame: int) -> TimesMs:
-        """Those of a frame; empty where it is not done."""
+        """The times of a frame; empty until it is done."""
         return _known(dict(zip(TIME_COLUMNS, self._times_ms.get((log_id, frame), ()), strict=False)))
 
 
@@ -73,10 +73,10 @@ def _known(row: Mapping[str, float | None]) -> TimesMs:
 
 
 def require_shown(summary: LogSummary, roles: RoleAssignment) -> None:
-    """See that some messages of a log have a role or are a result.
+    """Check that some messages of a log have a role or are results.
 
     Raises:
-        LogError: none are; the message names the topics that could serve a role, where there are any.
+        LogError: there are no such messages; the text names topics that could fill a role.
     """
     holding = [channel for channel in summary.channels if summary.counts.get(channel.source_id)]
     if not holding:
@@ -86,7 +86,7 @@ def require_shown(summary: LogSummary, roles: RoleAssignment) -> None:
 
 
 def nothing_shown(path: Path, reasons: Iterable[str]) -> LogError:
-    """The error of a log of which a viewer would stay empty; it names the commands that take a log as it is."""
+    """The error for a log with nothing to show; it names commands that show any log."""
     named = quote(str(path))
     elsewhere = f"rerun {named} or roadperc-view {named} --foxglove may show what there is"
     return LogError("; ".join((f"{path}: nothing here that this project shows", *reasons, elsewhere)))
@@ -94,21 +94,21 @@ def nothing_shown(path: Path, reasons: Iterable[str]) -> LogError:
 
 Content = TypeVar("Content")
 LATENESS_NS: Final = (0, 2 * NS_PER_S)
-"""How far a message's log time may lie from its stamp: first the window that is cheap to read is tried."""
+"""Largest distance of log time and stamp. The first window is cheap to read, so it is tried first."""
 _KINDS: Final[Mapping[str, Kind]] = {LANES_TOPIC: "lanes", OBJECTS_TOPIC: "objects", DRIVABLE_TOPIC: "tags"}
 _MOST_WAITING: Final = 64
-"""Instants that wait for their metrics at a time: of a sensor that is no frame's they never come."""
+"""Most instants that wait for metrics. Messages that belong to no frame never get any."""
 
 
 def read_frame(path: Path, stamp_ns: int, problems: Problems) -> PerceivedFrame | None:
-    """The frame of a stamp, None where the log holds no camera image of it. Reads no more of the log than its part.
+    """The frame of a stamp; None without a camera image. Reads only the log around the stamp.
 
-    The image is that of the camera the results are of. What cannot be read is not there.
+    The image is from the camera of the results. Unreadable messages are absent.
 
     Args:
         path: the log.
         stamp_ns: of the frame.
-        problems: filled in; a message that is met twice, near two frames, counts twice.
+        problems: filled in; a message near two frames counts twice.
 
     Raises:
         LogError: the log cannot be read.
@@ -123,9 +123,9 @@ def read_frame(path: Path, stamp_ns: int, problems: Problems) -> PerceivedFrame 
 
 
 def read_frames(summary: LogSummary, problems: Problems) -> Iterator[tuple[FrameMetrics, PerceivedFrame | None]]:
-    """Every frame's row and what is there of it, None without a camera image; in order, a few in memory at a time.
+    """The row and the results of every frame, in order; no results without a camera image.
 
-    Frames whose row cannot be read are left out, and of the others what cannot be.
+    Frames with an unreadable row are left out. Other unreadable messages are absent. A few frames are in memory.
 
     Args:
         summary: the log.
@@ -147,7 +147,7 @@ def read_frames(summary: LogSummary, problems: Problems) -> Iterator[tuple[Frame
 
 
 def read_rows(summary: LogSummary, problems: Problems) -> Iterator[FrameMetrics]:
-    """Every frame's row that can be read, in order; none of a log without results.
+    """The readable rows of all frames, in order; empty without results.
 
     Args:
         summary: the log.
@@ -161,14 +161,14 @@ def read_rows(summary: LogSummary, problems: Problems) -> Iterator[FrameMetrics]
 
 
 def row_of(message: Message, problems: Problems) -> FrameMetrics | None:
-    """A frame's row; None of a message that is none, or cannot be read, which is counted."""
+    """The row of a metrics message; None for other messages and for unreadable ones, which are counted."""
     if not is_result_of(message.channel, METRICS_TOPIC):
         return None
     return content_of(lambda: decode_metrics(message.data), METRICS_TOPIC, message.log_time_ns, problems)
 
 
 def content_of(content: Callable[[], Content], topic: str, time_ns: int, problems: Problems) -> Content | None:
-    """What a message holds; None, and counted, where it cannot be read."""
+    """The decoded content of a message; None if it cannot be read, which is counted."""
     try:
         return content()
     except DecodeError as error:
@@ -177,10 +177,10 @@ def content_of(content: Callable[[], Content], topic: str, time_ns: int, problem
 
 
 def _image_topic(summary: LogSummary) -> str:
-    """The topic of the results' camera, as the replay or its user chose it; empty where the log no longer has it."""
+    """The image topic that the replay used; empty if the log no longer has it."""
     try:
         topics = assignment_of_log(summary, {}).topics
-    except ChannelError:  # an input, of which nobody has said yet what is what
+    except ChannelError:  # an input whose roles are not clear
         return ""
     return topics.get("image") or topics.get("left", "")
 
@@ -188,8 +188,8 @@ def _image_topic(summary: LogSummary) -> str:
 def _seen(
     found: Mapping[str, Decoded], image_topic: str, reasons: Iterable[str], stamp_ns: int, problems: Problems
 ) -> PerceivedFrame | None:
-    image = _payload(found, image_topic)
-    if not isinstance(image, CameraImage):
+    image = _result(found, image_topic, CameraImage, "image")
+    if isinstance(image, Absent):
         return None
     image_bgr = content_of(lambda: image.bgr, image_topic, stamp_ns, problems)
     if image_bgr is None:
@@ -223,9 +223,9 @@ def _decoded(message: Message, image_topic: str, problems: Problems) -> Decoded 
         kind = _KINDS.get(channel.topic) if is_result_of(channel, channel.topic) else None
     else:
         kind = "image" if channel.topic == image_topic else None
-    if kind is None:  # no picture needs it
+    if kind is None:  # not drawn
         return None
-    # A mask's indices are no tags; the decoder wants a table all the same.
+    # The decoder requires a tag table, though a mask has no tags.
     context = replace(context_of_channel(channel, "auto"), tag_table=CARLA_BEFORE_0_9_14)
     schema, encoding = channel.schema_name, channel.message_encoding
     return content_of(
@@ -237,14 +237,10 @@ def _decoded(message: Message, image_topic: str, problems: Problems) -> Decoded 
 
 
 def _result(found: Mapping[str, Decoded], topic: str, kind: type[Content], name: str) -> Content | Absent:
-    payload = _payload(found, topic)
+    payload = found[topic].payload if topic in found else None
     return payload if isinstance(payload, kind) else Absent(Reason(name, "not_in_log"))
 
 
 def _drivable(found: Mapping[str, Decoded]) -> Mask | Absent:
     tags = _result(found, DRIVABLE_TOPIC, TagImage, "drivable")
     return tags if isinstance(tags, Absent) else tags.tags > 0
-
-
-def _payload(found: Mapping[str, Decoded], topic: str) -> Payload | None:
-    return found[topic].payload if topic in found else None

@@ -1,6 +1,6 @@
 """A video of a log's overlays, for people without a viewer: VP9 in an MP4 file.
 
-VP9 is what OpenCV's wheels can write that browsers play; they hold no encoder of H.264.
+OpenCV's wheels can write VP9, which browsers play. They have no H.264 encoder.
 """
 
 import os
@@ -34,7 +34,7 @@ from roadperc_stream.view.result_frames import content_of, read_frames, read_row
 
 _CODEC: Final = "vp09"
 _MOST_COLUMNS: Final = 1280
-"""A broader video is made smaller: the time that VP9 takes grows with its pixels."""
+"""Wider pictures are scaled down: the time of VP9 grows with the number of pixels."""
 _SLOWEST_HZ, _FASTEST_HZ = 1.0, 120.0
 _LONGEST_STILL_S: Final = 10.0
 _FFMPEG_QUIET: Final = -8
@@ -48,16 +48,16 @@ class Video:
     rate_hz: float
     frames: int
     problems: Problems
-    """Messages that could not be read: they are not in the picture."""
+    """Messages that could not be read and are not drawn."""
 
 
 def write_video(
     source: Path, target: Path, *, force: bool = False, progress: Callable[[int, int], None] = no_progress
 ) -> Video:
-    """Write a log with results as a video: its overlays, or, where it has none, the image with the results drawn in.
+    """Write a video of the overlays in a log; without overlays, draw the results into the camera image.
 
-    The video runs at the log's own pace, by the frames' stamps: its rate is that of their median interval, frames that
-    come faster are left out, and in a gap the last picture stands still, for 10 s at most.
+    The video runs at the log's pace. Its rate is that of the median interval between stamps. Faster frames are left
+    out. In a gap the last picture stays, for 10 s at most.
 
     Args:
         source: a log that ``roadperc-replay`` wrote.
@@ -94,13 +94,13 @@ def _frame_stamps(summary: LogSummary) -> list[int]:
     source, problems = summary.path, Problems()
     stamps = [row.stamp_ns for row in read_rows(summary, problems)]
     if not stamps:
-        why = problems.first.get(METRICS_TOPIC, f"roadperc-replay {quote(str(source))} OUT.mcap makes them")
-        raise LogError(f"{source}: no results to make a video of; {why}")
+        why = problems.first.get(METRICS_TOPIC, f"run roadperc-replay {quote(str(source))} OUT.mcap first")
+        raise LogError(f"{source}: no results for a video; {why}")
     return stamps
 
 
 def frame_rate_hz(stamps_ns: Sequence[int]) -> float:
-    """Rate of the median interval between frames, within what players take; stamps that go back do not count."""
+    """Rate of the median interval between frames, 1 to 120 Hz; stamps that go back do not count."""
     forward = [later - earlier for earlier, later in pairwise(stamps_ns) if later > earlier]
     if not forward:
         return _SLOWEST_HZ
@@ -110,19 +110,19 @@ def frame_rate_hz(stamps_ns: Sequence[int]) -> float:
 def pictures_shown(stamps_ns: Sequence[int], rate_hz: float) -> list[int]:
     """How many of the video's pictures show each frame, so that video time follows the frames' time.
 
-    None of a frame that comes faster than the video's rate; where stamps go back, the video goes on with one.
+    0 for a frame that comes faster than the video's rate, 1 where stamps go back.
     """
     elapsed, ticks = 0.0, [0]
     for earlier, later in pairwise(stamps_ns):
         seconds = ns_to_seconds(later - earlier)
         elapsed += min(seconds, _LONGEST_STILL_S) if seconds > 0 else 1 / rate_hz
-        # Half a picture late rather than by turns early and late, where intervals are those of the rate.
+        # Rounding to the nearest picture keeps regular intervals regular.
         ticks.append(int(elapsed * rate_hz + 0.5))
     return [later - earlier for earlier, later in pairwise([*ticks, ticks[-1] + 1])]
 
 
 def _shots(summary: LogSummary, problems: Problems) -> Iterator[Image | None]:
-    """Every frame's picture in order, None where there is no image."""
+    """The picture of every frame in order; None without an image."""
     written = [channel for channel in summary.channels if is_result_of(channel, OVERLAY_TOPIC)]
     if any(summary.counts.get(channel.source_id) for channel in written):
         yield from _overlays(summary, problems)
@@ -136,7 +136,7 @@ def _shots(summary: LogSummary, problems: Problems) -> Iterator[Image | None]:
 
 
 def _overlays(summary: LogSummary, problems: Problems) -> Iterator[Image | None]:
-    """The overlays of a log: each stands behind the metrics of its frame."""
+    """The overlays of a log. Each follows the metrics of its frame."""
     frames, picture = 0, None
     for message in log.read(summary, topics=(OVERLAY_TOPIC, METRICS_TOPIC)):
         if is_result_of(message.channel, OVERLAY_TOPIC):
@@ -153,11 +153,11 @@ def _decoded(data: bytes) -> Image:
     try:
         return images.decode_bgr(CompressedImage.FromString(data).data)
     except ProtobufError as error:
-        raise DecodeError(f"{len(data)} bytes are no foxglove.CompressedImage: {error}") from error
+        raise DecodeError(f"{len(data)} bytes are not a foxglove.CompressedImage: {error}") from error
 
 
 class _VideoWriter:
-    """Writes a video of the size of its first picture; what it writes to becomes ``target``."""
+    """Writes a video of the size of its first picture to a partial file of ``target``."""
 
     def __init__(self, target: Path, temporary: Path, rate_hz: float) -> None:
         self.pictures = 0
@@ -166,7 +166,7 @@ class _VideoWriter:
         self._last: Image | None = None
 
     def show(self, picture: Image | None, times: int) -> None:
-        """Show a picture, or None the one before, for a number of the video's pictures."""
+        """Show a picture for ``times`` pictures of the video; None repeats the one before."""
         if picture is not None:
             self._last = self._fitted(picture)
         if self._last is None:
@@ -184,10 +184,10 @@ class _VideoWriter:
         if self._writer is not None:
             self._writer.release()
         if kind is None and _pictures_in(self._temporary) != self.pictures:
-            raise TargetError(f"{self._target}: the video could not be written whole; is the disk full?")
+            raise TargetError(f"{self._target}: the video is incomplete. Is the disk full?")
 
     def _fitted(self, picture: Image) -> Image:
-        """Of the video's size, which is even: the coder halves the resolution of colours."""
+        """Scale to the video's size. Its sides are even, as VP9 halves the resolution of colours."""
         if self._last is not None:
             rows, columns = self._last.shape[:2]
         else:
@@ -202,13 +202,15 @@ class _VideoWriter:
         fourcc = cv2.VideoWriter.fourcc(*_CODEC)
         writer = cv2.VideoWriter(str(self._temporary), cv2.CAP_FFMPEG, fourcc, self._rate_hz, (columns, rows))
         if not writer.isOpened():
-            raise TargetError(f"{self._target}: cannot be written, or this OpenCV has no VP9 encoder")
+            raise TargetError(
+                f"{self._target}: cannot write the video; check the folder and that OpenCV has a VP9 encoder"
+            )
         return writer
 
 
 @contextmanager
 def _quiet_opencv() -> Iterator[None]:
-    """Keep OpenCV from telling of every picture that it cannot write, and FFmpeg of the video that came of it."""
+    """Silence the messages of OpenCV and FFmpeg about pictures that cannot be written."""
     before = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", str(_FFMPEG_QUIET))
@@ -219,7 +221,7 @@ def _quiet_opencv() -> Iterator[None]:
 
 
 def _pictures_in(path: Path) -> int:
-    """Pictures that a video's index counts; 0 where it cannot be read."""
+    """The number of pictures in a video; 0 if it cannot be read."""
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
     capture.release()

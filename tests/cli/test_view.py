@@ -138,4 +138,4 @@ def test_a_program_that_is_no_viewer_is_not_sent_the_log(source, monkeypatch, ca
         monkeypatch.setattr(viewer, "_ADDRESS", silent.getsockname())
         monkeypatch.setattr(viewer, "_ANSWERS_WITHIN_S", 0.2)
         assert main([str(source)]) == 1
-    assert "taken by a program that is no Rerun viewer" in capsys.readouterr().err
+    assert "another program uses this port" in capsys.readouterr().err

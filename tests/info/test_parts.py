@@ -76,11 +76,11 @@ def test_a_continuation_says_what_it_goes_on_from(parts, capsys):
     replay(parts[1], results[1], config=CFG, continued=results[0])
     text = words_of(capsys, results[1])
     assert "calibration missing: as the part before had it, in roadperc.state.begin" in text
-    assert "6 frames goes on from the result of log" in text
-    assert "whose last 3 frames it gives again, complete" in text
+    assert "6 frames continues the result of log" in text
+    assert "and repeats its last 3 frames, now complete" in text
     assert "segments" not in text
     together = words_of(capsys, *results).partition("As the parts of one log")[2]
-    assert "out_1.mcap 0.150 0.250 out_1.mcap: goes on from out_0.mcap" in together
+    assert "out_1.mcap 0.150 0.250 out_1.mcap: continues out_0.mcap" in together
     assert "overlaps" not in together
     with pytest.raises(StateError, match=r"expected what follows; --start"):
         replay(parts[0], parts[0].with_name("out.mcap"), config=CFG, continued=results[0])
@@ -96,7 +96,7 @@ def test_recordings_in_one_file_are_segments(tmp_path, capsys):
                 writer.write(Message(logs.channel(item.role), log_time_ns, item.stamp_ns, 0, item.data))
     text = words_of(capsys, path)
     assert "60 frames, one per message of role image" in text
-    assert "2 segments: the stamps begin anew" in text
+    assert "2 segments: the stamps restart" in text
 
 
 @pytest.mark.parametrize(

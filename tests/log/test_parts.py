@@ -221,7 +221,7 @@ def test_who_forgets_the_output_loses_no_recording(tmp_path, number, force, caps
     files = [logs.write(tmp_path / f"part_{k}.mcap", logs.items(2)) for k in range(number)]
     last = files[-1].read_bytes()
     assert replay_main([*map(str, files), *force]) == 1
-    assert f"{files[-1]}: is no result of this program, so nothing replaces it" in capsys.readouterr().err
+    assert f"refusing to overwrite {files[-1]}: it was not written by roadperc-replay" in capsys.readouterr().err
     assert files[-1].read_bytes() == last
 
 
@@ -233,7 +233,7 @@ def test_several_inputs_replace_a_result_and_nothing_else(tmp_path):
         replay(files, out, CFG, time_range=part)
     replay(files, out, CFG, time_range=part, force=True)
     out.write_bytes(b"something of value")
-    with pytest.raises(TargetError, match="is no result"):
+    with pytest.raises(TargetError, match="was not written by roadperc-replay"):
         replay(files, out, CFG, time_range=part, force=True)
     with pytest.raises(TargetError, match="is the input itself"):
         replay(files, files[0], CFG, force=True)

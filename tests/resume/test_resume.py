@@ -113,7 +113,7 @@ def test_what_is_continued_is_not_replaced(source, tmp_path):
     target = tmp_path / "out.mcap"
     replay(source, target, CFG)
     before = target.read_bytes()
-    with pytest.raises(TargetError, match="is the part that the replay goes on from; name another output"):
+    with pytest.raises(TargetError, match="is the result that --continue names; choose another output"):
         replay(source, target, CFG, continued=target, force=True)
     assert target.read_bytes() == before
 

@@ -12,7 +12,6 @@ from mcap_ros2.decoder import DecoderFactory
 from roadperc_stream.errors import DecodeError, LogError
 from roadperc_stream.input.decoding.ros import unpack_image
 from roadperc_stream.model import Occupancy
-from roadperc_stream.output.encoding import encode_occupancy
 from roadperc_stream.schemas import ros2
 
 
@@ -79,4 +78,4 @@ def test_a_stamp_from_2038_on_has_no_place(stamp_ns):
     with pytest.raises(LogError, match=expected):
         ros2.pack_image(replace(image(), stamp_ns=stamp_ns))
     with pytest.raises(LogError, match=expected):
-        encode_occupancy(stamp_ns, Occupancy(1.5, -15.0, 0.2, np.zeros((2, 3), np.int8)))
+        ros2.pack_occupancy_grid(stamp_ns, "ego", Occupancy(1.5, -15.0, 0.2, np.zeros((2, 3), np.int8)))

@@ -234,7 +234,7 @@ def test_a_log_of_rows_that_cannot_be_read_says_why(tmp_path):
     with LogWriter(path) as writer:
         writer.write(Message(channel(METRICS), START, START, 0, BAD))
     with pytest.raises(
-        LogError, match=r"no results to make a video of; /perception/metrics: message at \d+ ns: 2 bytes are no"
+        LogError, match=r"no results for a video; /perception/metrics: message at \d+ ns: 2 bytes are no"
     ):
         write_video(path, tmp_path / "video.mp4")
 

@@ -84,14 +84,14 @@ def test_video_time_follows_the_frames_time(times, shown):
     assert pictures_shown(stamps(*times), 20.0) == shown
 
 
-def test_the_video_shows_the_overlays_and_a_gap_as_a_still(tmp_path):
+def test_the_video_shows_overlays_and_repeats_the_last_in_a_gap(tmp_path):
     """The missing overlay of the second frame is one, too."""
     times = stamps(0, 50, 100, 150, 350, 400)
     colours = [(220, 0, 0), None, (0, 0, 220), (0, 0, 220), (220, 0, 0), (220, 0, 0)]
-    source, told = overlays(tmp_path / "out.mcap", times, colours), []
-    done = write_video(source, tmp_path / "video.mp4", progress=lambda *counts: told.append(counts))
+    source, reported = overlays(tmp_path / "out.mcap", times, colours), []
+    done = write_video(source, tmp_path / "video.mp4", progress=lambda *counts: reported.append(counts))
     assert (done.pictures, done.frames) == (9, 6)
-    assert told == [(k, 6) for k in range(1, 7)]
+    assert reported == [(k, 6) for k in range(1, 7)]
     pictures, rate_hz = read_video(tmp_path / "video.mp4")
     assert rate_hz == pytest.approx(20)
     assert [blue_red(p) for p in pictures] == ["blue"] * 2 + ["red"] * 5 + ["blue"] * 2
@@ -133,7 +133,7 @@ def test_a_log_without_results_says_how_to_get_them(tmp_path):
     (tmp_path / "my logs").mkdir()
     source = logs.write(tmp_path / "my logs" / "in.mcap", logs.items(2))
     with pytest.raises(
-        LogError, match=f"in.mcap: no results to make a video of; roadperc-replay '{source}' OUT.mcap makes them"
+        LogError, match=f"in.mcap: no results for a video; run roadperc-replay '{source}' OUT.mcap first"
     ):
         write_video(source, tmp_path / "video.mp4")
     assert not (tmp_path / "video.mp4").exists()

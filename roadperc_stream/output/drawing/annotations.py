@@ -269,7 +269,7 @@ def _text(
 
 @cache
 def _color(colour: Colour, alpha: float = 1.0) -> Color:
-    """A message of its own, which is copied into others: there are a handful."""
+    """A colour message, cached because there are only a few."""
     r, g, b = (value / 255 for value in colour)
     return Color(r=r, g=g, b=b, a=alpha)
 

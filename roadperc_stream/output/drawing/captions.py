@@ -1,4 +1,4 @@
-"""Which objects are named in a picture, and where: text that lies over other text can be read by nobody."""
+"""Which objects are named in a picture, and where: text over other text is not readable."""
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -49,7 +49,7 @@ def caption_places(
 def nearest_first(
     objects: Sequence[Object], free_place: Callable[[int, Sequence[Box]], Box | None]
 ) -> tuple[Box | None, ...]:
-    """Each object's place, None where there is none; the nearest have the first choice.
+    """The place of each object, or None; the nearest choose first.
 
     Args:
         objects: in any order.
@@ -111,7 +111,7 @@ def label_places(
         text_sizes: columns and rows their labels take there.
 
     Returns:
-        For each object the place of its label, inside the picture; None where there is none.
+        For each object the place of its label, inside the picture; None if no place is free.
     """
     kept = [(k, box) for k, (box, item) in enumerate(zip(boxes, objects, strict=True)) if item.kept]
     rows = top_px, image_size[1]

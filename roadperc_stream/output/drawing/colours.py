@@ -1,9 +1,8 @@
-"""The colours of what the chain saw: the same in the viewers, in pictures and in videos. Red, green, blue, 0 to 255."""
+"""Colours of the results in viewers, pictures and videos. Red, green, blue, 0 to 255."""
 
 from collections.abc import Mapping
 from typing import Final
 
-from roadperc_stream.model import Verdict
 from roadperc_stream.model.tag_tables import Colour
 
 GREEN: Final[Colour] = (26, 230, 77)
@@ -16,7 +15,7 @@ BOUNDARY: Final[Mapping[str, Colour]] = {"measured": GREEN, "held": ORANGE, "los
 """By the boundary's status."""
 RAW_LINE: Final = YELLOW
 PROPOSED_LINE: Final = CYAN
-OBJECT: Final[Mapping[Verdict, Colour]] = {"kept": GREEN, "unverified": YELLOW, "dropped": GREY}
+OBJECT: Final[Mapping[str, Colour]] = {"kept": GREEN, "unverified": YELLOW, "dropped": GREY}
 DRIVABLE: Final[Colour] = (30, 130, 220)
 """Blue, for lanes and boxes are drawn over it in green."""
 

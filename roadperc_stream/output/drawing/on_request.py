@@ -194,7 +194,7 @@ class PictureMaker:
     def messages(
         self, sample: Sample, result: FrameResult, metrics: FrameMetrics, first_ns: int
     ) -> Iterator[tuple[str, bytes]]:
-        """Topic and bytes of a frame's pictures; of what is absent there is none.
+        """Topic and bytes of a frame's pictures; absent results have no picture.
 
         Args:
             sample: the frame's input, in the order of the replay.
@@ -229,7 +229,7 @@ class PictureMaker:
 
 
 def _pixels(image: CameraImage | None) -> Image | None:
-    """(H, W, 3) pixels of a camera image, whatever its size; None where it is missing or cannot be decoded."""
+    """(H, W, 3) pixels of a camera image of any size; None if it is missing or cannot be decoded."""
     try:
         return None if image is None else image.bgr
     except DecodeError:

@@ -1,4 +1,4 @@
-"""A camera image with what the chain saw drawn into it: for reports, videos and an eye's check.
+"""Draws the results into a camera image, for reports and videos.
 
 Viewers draw their own (``drawing`` writes what they need); here the drawing becomes pixels, sized for the image it goes
 into, so that a thumbnail's text is as easy to read as a full frame's.
@@ -43,7 +43,7 @@ _BOX_LINE: Final = 12.0
 
 @dataclass(frozen=True)
 class PerceivedFrame:
-    """A camera image, (H, W, 3), and what the chain saw.
+    """A camera image, (H, W, 3), and its results.
 
     ``fits`` says whether the image is of the size its calibration, and so all the results, speak of.
     """

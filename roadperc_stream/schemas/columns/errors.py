@@ -3,9 +3,14 @@
 from dataclasses import dataclass
 from typing import Annotated
 
-from roadperc_stream.schemas.columns.column import COUNT, RATIO, Column
+from roadperc_stream.schemas.columns.column import COUNT, RATIO, Better, Column
 
 _NO_TRUE_PLANE = "no plane, or no true one"
+
+
+def _score(meaning: str, unit: str, null: str, label: str, decimals: int, better: Better = "low") -> Column:
+    """A number that reports list and compare."""
+    return Column(meaning, unit, null, label=label, decimals=decimals, better=better)
 
 
 @dataclass(frozen=True)
@@ -14,59 +19,57 @@ class SurfaceErrorColumns:
 
     surface_angle_error_deg: Annotated[
         float | None,
-        Column(
+        _score(
             "angle between the two unit normals in the ego frame, atan2(norm(cross(n, n*)), dot(n, n*))",
             "deg",
             _NO_TRUE_PLANE,
-            label="surface angle",
-            decimals=4,
-            better="low",
+            "surface angle",
+            4,
         ),
     ] = None
     camera_height_error_m: Annotated[
         float | None,
-        Column(
+        _score(
             "h - h*, the height of the camera the depth belongs to",
             "m",
             _NO_TRUE_PLANE,
-            label="camera height",
-            decimals=4,
+            "camera height",
+            4,
             better="near 0",
         ),
     ] = None
     surface_height_error_m: Annotated[
         float | None,
-        Column(
+        _score(
             "median of abs(z - z*) at the nodes of the true height grid with 5 m <= x <= 40 m and abs(y) < 4 m",
             "m",
             "no plane, or no true grid there",
-            label="road height 5-40 m",
-            decimals=4,
-            better="low",
+            "road height 5-40 m",
+            4,
         ),
     ] = None
     drivable_iou: Annotated[
         float | None,
-        Column(
+        _score(
             "intersection over union of the drivable mask A and of B, which clean tags, "
             "clean depth and the true plane give",
             RATIO,
-            "no mask, or one of the three is not there; both masks empty",
-            label="drivable IoU",
-            decimals=3,
+            "no mask, or one of the three is missing; both masks empty",
+            "drivable IoU",
+            3,
             better="high",
         ),
     ] = None
 
 
 def _lane_error(side: str) -> Column:
-    return Column(
+    return _score(
         "y(10 m) - y*(10 m) with y(x) = offset + heading x + curvature x² / 2, in the ego frame; positive where the "
         "estimate lies farther left",
         "m",
         "boundary lost, or the true line does not reach 10 m",
-        label=f"lane {side} at 10 m",
-        decimals=3,
+        f"lane {side} at 10 m",
+        3,
         better="near 0",
     )
 
@@ -90,11 +93,16 @@ class TrueLaneColumns:
     lane_right_true_offset_m: Annotated[float | None, _TRUE_OFFSET] = None
     true_lane_change: Annotated[
         str | None,
-        Column("`left` or `right` while part of the car is truly over the line, else `none`", null="the log says none"),
+        Column(
+            "`left` or `right` while part of the car is truly over the line, else `none`",
+            null="the log has no such truth",
+        ),
     ] = None
     true_lane_changes: Annotated[
         int | None,
-        Column("how often the car's reference point has truly come into another lane", COUNT, "the log says none"),
+        Column(
+            "how often the car's reference point has truly come into another lane", COUNT, "the log has no such truth"
+        ),
     ] = None
     lane_true_heading_deg: Annotated[
         float | None,
@@ -116,30 +124,30 @@ class LaneScoreColumns:
 
     lane_tusimple_accuracy: Annotated[
         float | None,
-        Column(
+        _score(
             "mean over the true lanes of the share of rows where the best found lane is right: "
             "abs(x - x*) < 20 px / cos(a), a the angle of the true lane's fitted straight line from the upright; a row "
             "where neither has a point is right too. Rows are the multiples of 10 px from the true lines' top to the "
             "image's bottom",
             RATIO,
-            label="lane points (TuSimple)",
-            decimals=3,
+            "",
+            "lane points (TuSimple)",
+            3,
             better="high",
         ),
     ] = None
     lane_tusimple_fp: Annotated[
         float | None,
-        Column(
+        _score(
             "(found lanes - matched true lanes) / found lanes; a true lane is matched at an accuracy of 0.85 or more",
             RATIO,
-            label="wrong lanes (TuSimple)",
-            decimals=3,
-            better="low",
+            "",
+            "wrong lanes (TuSimple)",
+            3,
         ),
     ] = None
     lane_tusimple_fn: Annotated[
-        float | None,
-        Column("unmatched true lanes / true lanes", RATIO, label="missed lanes (TuSimple)", decimals=3, better="low"),
+        float | None, _score("unmatched true lanes / true lanes", RATIO, "", "missed lanes (TuSimple)", 3)
     ] = None
     lane_culane_tp_50: Annotated[int | None, _culane("true positives", "0.5")] = None
     lane_culane_fp_50: Annotated[int | None, _culane("false positives: other found lines", "0.5")] = None
@@ -155,33 +163,24 @@ class ObjectErrorColumns:
 
     object_distance_error_m: Annotated[
         float | None,
-        Column(
+        _score(
             "mean of abs(d - d*) over kept detections with both distances",
             "m",
-            "there is none",
-            label="object distance error (mean)",
-            decimals=3,
-            better="low",
+            "no such detection",
+            "object distance error (mean)",
+            3,
         ),
     ] = None
-    filter_tp: Annotated[int | None, Column("kept detections that stand for a true object", COUNT)] = None
+    filter_tp: Annotated[int | None, Column("kept detections that match a true object", COUNT)] = None
     filter_fp: Annotated[int | None, Column("kept detections that do not", COUNT)] = None
-    filter_fn: Annotated[int | None, Column("dropped detections that stand for a true object", COUNT)] = None
+    filter_fn: Annotated[int | None, Column("dropped detections that match a true object", COUNT)] = None
     filter_tn: Annotated[int | None, Column("dropped detections that do not", COUNT)] = None
     filter_precision: Annotated[
-        float | None,
-        Column("tp / (tp + fp)", RATIO, "nothing was kept", label="filter precision", decimals=3, better="high"),
+        float | None, _score("tp / (tp + fp)", RATIO, "nothing was kept", "filter precision", 3, better="high")
     ] = None
     filter_recall: Annotated[
         float | None,
-        Column(
-            "tp / (tp + fn)",
-            RATIO,
-            "no detection stands for a true object",
-            label="filter recall",
-            decimals=3,
-            better="high",
-        ),
+        _score("tp / (tp + fn)", RATIO, "no detection matches a true object", "filter recall", 3, better="high"),
     ] = None
 
 
@@ -199,12 +198,12 @@ class TrueImpactColumns:
     ] = None
     time_to_impact_error_s: Annotated[
         float | None,
-        Column(
+        _score(
             "t - t*, the smallest time to impact of what is in the path",
             "s",
             "either is not known",
-            label="time to impact",
-            decimals=3,
+            "time to impact",
+            3,
             better="near 0",
         ),
     ] = None
@@ -214,32 +213,18 @@ class TrueImpactColumns:
 class StereoErrorColumns:
     """Stereo depth against the depth camera's, over what both cameras see."""
 
-    stereo_epe_px: Annotated[
-        float | None,
-        Column("mean of abs(d - d*)", "px", label="stereo disparity", decimals=2, better="low"),
-    ] = None
+    stereo_epe_px: Annotated[float | None, _score("mean of abs(d - d*)", "px", "", "stereo disparity", 2)] = None
     stereo_d1_ratio: Annotated[
         float | None,
-        Column(
-            "share with abs(d - d*) > 3 px and abs(d - d*) > 0.05 d*",
-            RATIO,
-            label="stereo outliers (D1)",
-            decimals=4,
-            better="low",
-        ),
+        _score("share with abs(d - d*) > 3 px and abs(d - d*) > 0.05 d*", RATIO, "", "stereo outliers (D1)", 4),
     ] = None
     stereo_abs_rel: Annotated[
-        float | None,
-        Column("mean of abs(Z - Z*) / Z*", RATIO, label="stereo relative depth", decimals=4, better="low"),
+        float | None, _score("mean of abs(Z - Z*) / Z*", RATIO, "", "stereo relative depth", 4)
     ] = None
     stereo_coverage: Annotated[
         float | None,
-        Column(
-            "share of the counted pixels that have a disparity",
-            RATIO,
-            label="stereo true pixels known",
-            decimals=3,
-            better="high",
+        _score(
+            "share of the counted pixels that have a disparity", RATIO, "", "stereo true pixels known", 3, better="high"
         ),
     ] = None
 
@@ -250,33 +235,23 @@ class OdometryErrorColumns:
 
     step_error_m: Annotated[
         float | None,
-        Column(
+        _score(
             "length of the translation of E = (T*ₖ₋₁⁻¹ T*ₖ)⁻¹ S, S the estimated step since the last frame",
             "m",
             "no step, no true pose at either end, or a step without scale",
-            label="step",
-            decimals=4,
-            better="low",
+            "step",
+            4,
         ),
     ] = None
     turn_error_deg: Annotated[
-        float | None,
-        Column(
-            "angle of the rotation of E",
-            "deg",
-            "no step, or no true pose at either end",
-            label="turn",
-            decimals=4,
-            better="low",
-        ),
+        float | None, _score("angle of the rotation of E", "deg", "no step, or no true pose at either end", "turn", 4)
     ] = None
     true_step_m: Annotated[
         float | None,
         Column("true length of the step that `step_m` is the length of", "m", "no step, or no true pose at either end"),
     ] = None
     true_turn_deg: Annotated[
-        float | None,
-        Column("true angle of the turn that `turn_deg` is the angle of", "deg", "the same"),
+        float | None, Column("true angle of the turn that `turn_deg` is the angle of", "deg", "the same")
     ] = None
 
 

@@ -6,10 +6,10 @@ from typing import Annotated
 from roadperc_stream.schemas.columns.column import COUNT, RATIO, Column
 
 _NO_PLANE = "no plane was found"
-_NO_OBJECTS = "the stage did not run"
+_NOT_RUN = "the stage did not run"
 
 
-def _count(meaning: str, label: str, null: str = _NO_OBJECTS) -> Column:
+def _count(meaning: str, label: str, null: str = _NOT_RUN) -> Column:
     """A number whose absence a neighbouring column shows as well."""
     return Column(meaning, COUNT, null, label=label, decimals=1, compares_coverage=False)
 
@@ -37,11 +37,7 @@ class SurfaceColumns:
     camera_height_m: Annotated[
         float | None,
         Column(
-            "height of the camera the depth belongs to over the road",
-            "m",
-            _NO_PLANE,
-            label="camera height",
-            decimals=3,
+            "height of the camera the depth belongs to over the road", "m", _NO_PLANE, label="camera height", decimals=3
         ),
     ] = None
     camera_pitch_deg: Annotated[
@@ -68,8 +64,7 @@ class SurfaceColumns:
         ),
     ] = None
     surface_model: Annotated[
-        str | None,
-        Column("`plane`, or `spline` where the road has a height field as well", null=_NO_PLANE),
+        str | None, Column("`plane`, or `spline` where the road has a height field as well", null=_NO_PLANE)
     ] = None
 
 
@@ -87,15 +82,13 @@ def _raw_offset(side: str) -> Column:
     return Column(meaning, "m", "boundary held or lost", label=f"{side} raw_offset", decimals=2)
 
 
-def _boundary_class() -> Column:
-    return Column("class of the pixels beyond the boundary, such as `sidewalk`", null="boundary lost, or not known")
-
-
+_BOUNDARY_CLASS = Column(
+    "class of the pixels beyond the boundary, such as `sidewalk`", null="boundary lost, or not known"
+)
 _BOTH_LOST = "both boundaries are lost"
 
 
-def _offset_std() -> Column:
-    return Column("standard deviation of the smoothed offset, by the filter's own covariance", "m", "boundary lost")
+_OFFSET_STD = Column("standard deviation of the smoothed offset, by the filter's own covariance", "m", "boundary lost")
 
 
 @dataclass(frozen=True)
@@ -105,11 +98,11 @@ class LaneColumns:
     lane_left_status: Annotated[str | None, _status("left")] = None
     lane_left_offset_m: Annotated[float | None, _offset("left")] = None
     lane_left_raw_offset_m: Annotated[float | None, _raw_offset("left")] = None
-    lane_left_boundary_class: Annotated[str | None, _boundary_class()] = None
+    lane_left_boundary_class: Annotated[str | None, _BOUNDARY_CLASS] = None
     lane_right_status: Annotated[str | None, _status("right")] = None
     lane_right_offset_m: Annotated[float | None, _offset("right")] = None
     lane_right_raw_offset_m: Annotated[float | None, _raw_offset("right")] = None
-    lane_right_boundary_class: Annotated[str | None, _boundary_class()] = None
+    lane_right_boundary_class: Annotated[str | None, _BOUNDARY_CLASS] = None
     lane_width_m: Annotated[
         float | None, _shown_beside("left offset less right offset", "m", "a boundary is lost", "lane width", 3)
     ] = None
@@ -123,8 +116,8 @@ class LaneColumns:
             3,
         ),
     ] = None
-    lane_left_offset_std_m: Annotated[float | None, _offset_std()] = None
-    lane_right_offset_std_m: Annotated[float | None, _offset_std()] = None
+    lane_left_offset_std_m: Annotated[float | None, _OFFSET_STD] = None
+    lane_right_offset_std_m: Annotated[float | None, _OFFSET_STD] = None
     lane_heading_std_deg: Annotated[
         float | None,
         Column("standard deviation of `lane_heading_deg`, by the filter's own covariance", "deg", _BOTH_LOST),
@@ -133,22 +126,16 @@ class LaneColumns:
         str | None,
         Column(
             "`left` or `right` while part of the car is over the line on its way into another lane, else `none`",
-            null="the stage did not run",
+            null=_NOT_RUN,
         ),
     ] = None
     lane_changes: Annotated[
-        int | None,
-        Column(
-            "lines that the car's reference point has crossed since the first frame", COUNT, "the stage did not run"
-        ),
+        int | None, Column("lines that the car's reference point has crossed since the first frame", COUNT, _NOT_RUN)
     ] = None
-    lane_proposals: Annotated[
-        int | None, _count("lines found in the image", "lane lines proposed", "the stage did not run")
-    ] = None
-    lane_merged: Annotated[
-        int | None,
-        _count("lines left after neighbouring ones are merged", "lane lines merged", "the stage did not run"),
-    ] = None
+    lane_proposals: Annotated[int | None, _count("lines found in the image", "lane lines proposed")] = None
+    lane_merged: Annotated[int | None, _count("lines left after neighbouring ones are merged", "lane lines merged")] = (
+        None
+    )
 
 
 @dataclass(frozen=True)
@@ -156,8 +143,7 @@ class ObjectColumns:
     """How many detections were kept, and the nearest and most urgent of them."""
 
     detections: Annotated[
-        int | None,
-        Column("detections of the detector", COUNT, _NO_OBJECTS, label="detections a frame", decimals=1),
+        int | None, Column("detections of the detector", COUNT, _NOT_RUN, label="detections a frame", decimals=1)
     ] = None
     detections_kept: Annotated[int | None, _count("of these, kept by the filter", "detections kept")] = None
     detections_unjudged: Annotated[
@@ -191,7 +177,7 @@ class ObjectColumns:
         Column(
             "what the car's path was taken from: `lane` (its middle), `boundary` (along the one that is known), "
             "`odometry` (the circle on which the car drives) or `straight` (nothing is known)",
-            null=_NO_OBJECTS,
+            null=_NOT_RUN,
         ),
     ] = None
     objects_in_path: Annotated[

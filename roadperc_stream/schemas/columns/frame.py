@@ -13,7 +13,7 @@ TIMED_STAGES: Final = (
 """The parts of a frame's time, and their sum: reading its messages from the log, decoding its pixels, the chain's
 stages, its row, the copy of the input's messages up to it, the making of its own messages and their writing."""
 TIME_COLUMNS: Final = tuple(f"{stage}_ms" for stage in TIMED_STAGES)
-"""Milliseconds of each; null where it did not run. They stand in Parquet alone, behind the row."""
+"""Milliseconds of each; null where it did not run. Only the Parquet table has them, after the row."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class InputColumns:
     """What of the input was at hand."""
 
     segment: Annotated[
-        int, Column("how often the stamps before the frame began anew: another recording, or one played in a loop")
+        int, Column("how often the stamps restarted before the frame: another recording, or one played in a loop")
     ] = 0
     sync_skew_ms: Annotated[
         float | None,
@@ -68,14 +68,14 @@ class FrameMetrics(
     """The row of a frame, the times excepted."""
 
 
-_NOT_TRACKED = "too few distances so far, or contradicting ones"
+_NOT_TRACKED = "too few distances, or contradicting ones"
 _NO_PLACE = "not tracked, or no distance"
 _NO_TRUTH = "no true object"
 
 
 @dataclass(frozen=True)
 class ObjectMetrics(FrameKey):
-    """A detection as the chain filtered and tracked it, and the true object it stands for."""
+    """A detection as the chain filtered and tracked it, and the true object it matches."""
 
     track_id: Annotated[str | None, Column("the object's track through the log", null="not tracked")]
     label: Annotated[str, Column("class by the detector")]
@@ -119,7 +119,7 @@ class ObjectMetrics(FrameKey):
         str, Column("`measured` (detected), `tracked` (carried by its image patch without a detection) or `lost`")
     ]
     beyond_range: Annotated[bool, Column("the depth saturates there")]
-    is_true: Annotated[bool | None, Column("stands for a true object", null="the log has no true objects")]
+    is_true: Annotated[bool | None, Column("matches a true object", null="the log has no true objects")]
     true_distance_m: Annotated[float | None, Column("distance of that object", "m", _NO_TRUTH)]
     true_closing_speed_mps: Annotated[float | None, Column("its closing speed", "m/s", _NO_TRUTH)]
     true_time_to_impact_s: Annotated[
@@ -131,6 +131,8 @@ class ObjectMetrics(FrameKey):
         ),
     ]
     true_lateral_m: Annotated[
-        float | None, Column("how far its middle is truly to the left of the path's", "m", "the log does not say")
+        float | None, Column("how far its middle is truly to the left of the path's", "m", "the log has no such truth")
     ]
-    true_in_path: Annotated[bool | None, Column("whether any of it is truly in the path", null="the log does not say")]
+    true_in_path: Annotated[
+        bool | None, Column("whether any of it is truly in the path", null="the log has no such truth")
+    ]

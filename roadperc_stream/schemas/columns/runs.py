@@ -1,4 +1,4 @@
-"""The row of a log under one configuration, in the list of all that a batch has done."""
+"""The row of a log under one configuration, in the list of a batch."""
 
 from dataclasses import dataclass
 from typing import Annotated, Final, Literal, get_args
@@ -22,12 +22,12 @@ OF_THE_MACHINE: Final = frozenset({"timeout", "memory", "killed", "unreachable"}
 RUN_TIME_COLUMNS: Final = tuple(map(stage_column, TIME_COLUMNS))
 """A column for each time in the table of frames."""
 
-_UNKNOWN = "the log could not be read so far"
+_UNKNOWN = "the log could not be read"
 
 
 @dataclass(frozen=True)
 class RunRow:
-    """A log under one configuration: what came of it, how long it took, and what it was made with."""
+    """A log under one configuration: its outcome, duration, code and settings."""
 
     log_id: Annotated[
         str | None, Column("digest of the log's messages, the first 16 hexadecimal digits", null=_UNKNOWN)

@@ -1,1 +1,1 @@
-"""The layout that Foxglove and Lichtblick open: panels for what one log has, and no others."""
+"""Layouts for Foxglove and Lichtblick, with panels for the topics of one log."""

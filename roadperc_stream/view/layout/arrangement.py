@@ -1,7 +1,8 @@
-"""What stands where: the camera's image large, the scene beside it, other pictures and numbers below."""
+"""Arranges the panels: the camera image and the scene on top, other pictures and numbers below."""
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -51,7 +52,7 @@ _IN_SPACE: Final[Mapping[str, Config]] = {
     ODOMETRY_TOPIC: {"type": "axis", "axisScale": 1},
     TF_TOPIC: {},
 }
-"""Results in the scene, and how they are drawn."""
+"""Results in the scene and their styles."""
 _ROLES_IN_SPACE: Final[Mapping[str, Config]] = {
     "tf": {},
     "tf_static": {},
@@ -82,7 +83,7 @@ _OUTPUT_OF: Final = {
     "odometry_ms": ODOMETRY_TOPIC,
     "occupancy_ms": OCCUPANCY_TOPIC,
 }
-"""By the columns of times what tells whether the stage ran."""
+"""The output topic of each time column; it shows whether the stage ran."""
 
 
 def layout_of(has: LogContents) -> str:
@@ -103,7 +104,7 @@ def layout_of(has: LogContents) -> str:
 
 
 def _camera(has: LogContents) -> Node | None:
-    """The camera the results are of with what was found drawn over it, the pictures of the stages, other cameras."""
+    """Tabs: the camera image with results, pictures of the stages, other cameras."""
     front = _front(has)
     drawn = [topic for topic in _IN_THE_IMAGE if topic in has.results]
     camera = "Drivable" if front == DRIVABLE_TOPIC else "Front camera"
@@ -116,12 +117,12 @@ def _camera(has: LogContents) -> Node | None:
 
 
 def _front(has: LogContents) -> str | None:
-    """What lanes and objects are drawn over: the results of a log without its images are drawn over the road."""
+    """The picture under lanes and objects: the camera image, or the drivable mask in a log without images."""
     return has.roles.get("image") or has.roles.get("left") or has.result(DRIVABLE_TOPIC)
 
 
 def _other_pictures(has: LogContents) -> Node | None:
-    """Tags and depth, what was made of them, and what is true of them."""
+    """Tabs: tags and depth, the results from them, and their truth."""
     roles = has.roles
     drivable = None if _front(has) == DRIVABLE_TOPIC else has.result(DRIVABLE_TOPIC)
     pairs = (
@@ -144,14 +145,14 @@ def _other_pictures(has: LogContents) -> Node | None:
 
 
 def _depth(has: LogContents, name: str, title: str, topic: str | None) -> Node | None:
-    """A depth image whose numbers are coloured, red far away."""
+    """A coloured depth image, red at the far end."""
     most = _MOST_DEPTH_M if topic in has.depth_in_metres else _MOST_DEPTH_M * _MM_PER_M
     colours: Config = {"colorMode": "colormap", "colorMap": "turbo", "minValue": 0, "maxValue": most}
     return picture(name, f"{title}, 0 to {_MOST_DEPTH_M} m", topic, **colours)
 
 
 def _scene(has: LogContents) -> Node | None:
-    """All that has a place in space, seen from behind the car."""
+    """The 3D scene, seen from behind the car."""
     drawn = {topic: how for topic, how in _IN_SPACE.items() if topic in has.results}
     drawn |= {has.roles[role]: how for role, how in _ROLES_IN_SPACE.items() if role in has.roles}
     if not drawn:
@@ -204,14 +205,14 @@ def _plots(has: LogContents, *names: str) -> list[Node | None]:
 
 
 def _table(has: LogContents) -> tuple[Node | None, Config | None]:
-    """The objects in words, the detections of a log without any; and the program that makes them."""
+    """The table of objects, or of detections without results, and its script."""
     if OBJECTS_TOPIC in has.results:
         return objects_table(OBJECTS_TOPIC)
     return detections_table(has.roles["detections"]) if "detections" in has.roles else (None, None)
 
 
 def _times(has: LogContents) -> Node | None:
-    """Of the stages that ran, where a server knows the times: no log has them."""
+    """The times of the stages that ran, if a server provides them; logs do not contain them."""
     ran = {column for column, topic in _OUTPUT_OF.items() if topic in has.results}
     return stage_times(ran | set(_ALWAYS_TIMED)) if TIMES_TOPIC in has.results else None
 
@@ -223,7 +224,7 @@ def _log(has: LogContents) -> Node | None:
 
 
 def _messages(has: LogContents) -> Node | None:
-    """Results as they are written; without results the truths of an input log."""
+    """Result messages as trees; the truth of an input log if it has no results."""
     results = [
         _raw_messages(name.replace("/", "_"), name.capitalize(), has.result(f"{RESULT_PREFIX}{name}"))
         for name in ("surface", "lanes", "odometry/state", "metrics")
@@ -259,16 +260,17 @@ def write_layout(
     Args:
         target: the file, ``.json``.
         source: the log it is for; None for a replay that is served live and has all this project's own topics.
-        overrides: topic of each role of ``source`` that another topic fills than the one found.
-        timed: the log is served live with the times of its stages, which it does not hold itself.
+        overrides: topic by role, from ``--topic``.
+        timed: the log is served live with stage times.
         force: replace an existing file.
 
     Raises:
-        RoadpercError: the log cannot be read or holds nothing to show, or the file's name is taken, or it
-            cannot be written.
+        RoadpercError: the log cannot be read or has nothing to show, or the file exists or cannot be
+            written.
     """
     require_free(target, force=force, source=source, suffix=".json")
     has = contents_of(source, overrides) if source else OF_A_LIVE_REPLAY
-    layout = layout_of(has.with_times() if timed else has)
+    if timed:
+        has = replace(has, results=has.results | {TIMES_TOPIC})
     with completing(target, force=force) as temporary:
-        temporary.write_text(layout, "utf-8")
+        temporary.write_text(layout_of(has), "utf-8")

@@ -1,9 +1,9 @@
-"""What a log has that a layout can show."""
+"""Finds the contents of a log that a layout can show."""
 
 import math
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Final
 
@@ -38,28 +38,24 @@ _IN_THE_EGO_FRAME: Final = {DRIVABLE_SCENE_TOPIC, LANES_SCENE_TOPIC, OBJECTS_SCE
 
 @dataclass(frozen=True)
 class LogContents:
-    """Topics that have messages, and what else a panel must know of them."""
+    """Topics with messages, and facts that panels need."""
 
     roles: Mapping[str, str]
     """Topic by role."""
     results: frozenset[str] = frozenset()
-    """Topics a replay wrote, those on request and those of the live server included."""
+    """Topics of a replay, including pictures on request and topics of the live server."""
     columns: frozenset[str] = frozenset()
-    """Metrics that some frame has."""
+    """Metrics with a value in at least one frame."""
     depth_in_metres: frozenset[str] = frozenset()
-    """Depth topics whose numbers are metres, not millimetres: viewers colour bare numbers."""
+    """Depth topics in metres instead of millimetres; viewers colour the raw numbers."""
     more_images: tuple[str, ...] = ()
-    """Topics of images that fill no role."""
+    """Image topics without a role."""
     has_ego_frame: bool = False
-    """Whether the log names the ego frame, which the scene can follow."""
+    """Whether the log has the ego frame, which the scene follows."""
 
     def result(self, topic: str) -> str | None:
-        """The topic, where it has results."""
+        """The topic if it has results, else None."""
         return topic if topic in self.results else None
-
-    def with_times(self) -> "LogContents":
-        """The same as a live server offers it that knows the times of the stages."""
-        return replace(self, results=self.results | {TIMES_TOPIC})
 
 
 OF_A_LIVE_REPLAY: Final = LogContents(
@@ -68,18 +64,18 @@ OF_A_LIVE_REPLAY: Final = LogContents(
     columns=_COLUMNS,
     has_ego_frame=True,
 )
-"""All that a replay of a log with this project's own topics can serve, unless something is asked for besides."""
+"""The contents that a live replay serves, without pictures on request."""
 
 
 def contents_of(path: Path, overrides: Mapping[str, str]) -> LogContents:
-    """What a log has.
+    """Return the contents of a log.
 
     Args:
         path: an input log or the result of a replay.
         overrides: topic by role, from ``--topic``.
 
     Raises:
-        RoadpercError: the log cannot be read or holds nothing to show, or its channels do not fit the roles.
+        RoadpercError: the log cannot be read or has nothing to show, or its channels do not fit the roles.
     """
     summary = log.summarise(path)
     roles = assignment_of_log(summary, overrides)
@@ -97,20 +93,20 @@ def contents_of(path: Path, overrides: Mapping[str, str]) -> LogContents:
 
 
 def _columns(summary: LogSummary) -> frozenset[str]:
-    """The metrics that some frame has."""
+    """The metrics with a value in at least one frame."""
     rows = read_rows(summary, Problems())
     return frozenset(name for row in rows for name in _COLUMNS if getattr(row, name) not in (None, ()))
 
 
 def _more_images(channels: Iterable[Channel], known: Iterable[str]) -> tuple[str, ...]:
-    """Image topics that fill no role and are no results."""
+    """Image topics without a role that are not results."""
     schemas, filled = set(schemas_of_kind("image")), set(known)
     images = (c for c in channels if (c.schema_name, c.message_encoding) in schemas and not is_result(c))
     return tuple(sorted({channel.topic for channel in images} - filled))
 
 
 def _depth_in_metres(summary: LogSummary, topics: Mapping[str, str]) -> Iterable[str]:
-    """Topics of depth without an end to its numbers, as 32FC1 is, by the first message that can be read."""
+    """Depth topics in metres (32FC1, no largest value), judged by the first readable message."""
     for role in _DEPTH_ROLES:
         first = _first(summary, "depth", topics[role]) if role in topics else None
         if isinstance(first, DepthImage) and math.isinf(first.limit_m):
@@ -118,14 +114,14 @@ def _depth_in_metres(summary: LogSummary, topics: Mapping[str, str]) -> Iterable
 
 
 def _frames(summary: LogSummary, topics: Mapping[str, str]) -> set[str]:
-    """The coordinate frames that the first transforms of a log join."""
+    """The coordinate frames in the first transform messages of a log."""
     payloads = (_first(summary, "tf", topics[role]) for role in _TF_ROLES if role in topics)
     edges = [edge for payload in payloads if isinstance(payload, tuple) for edge in payload]
     return {name for edge in edges if isinstance(edge, Transform) for name in (edge.parent, edge.child)}
 
 
 def _first(summary: LogSummary, kind: Kind, topic: str) -> Payload | None:
-    """The first message of a topic that can be read."""
+    """The first readable message of a topic."""
     for message in log.read(summary, topics=[topic]):
         channel, time_ns = message.channel, message.log_time_ns
         context = context_of_channel(channel, "auto")

@@ -1,4 +1,4 @@
-"""Plots of numbers over time, and of states in words."""
+"""Plots of metrics and states over time."""
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ _LEGEND_WIDTH_PX: Final = 150
 
 @dataclass(frozen=True)
 class Plot:
-    """Curves of one panel: thick lines in blue, orange and green, where ``_STYLES`` says nothing else."""
+    """The curves of a panel: thick lines in blue, orange and green unless ``_STYLES`` differs."""
 
     title: str
     unit: str
@@ -111,7 +111,7 @@ _STYLES: Final[Mapping[str, Config]] = {
     "impact, s": {"color": _ORANGE},
     "detections": {"lineSize": _THIN},
 }
-"""Of some labels: a filter's result is a thick line, what it was fed with points, and the truth a thin line."""
+"""Styles by label: points for a filter's input, a thick line for its result, a thin one for the truth."""
 STATES: Final = {
     "odometry_status": "odometry",
     "surface_source": "surface",
@@ -127,7 +127,7 @@ BOUNDARY_STATES: Final = {
 
 
 def plot(name: str, columns: Collection[str]) -> Node | None:
-    """A plot of those of its curves that are among ``columns``."""
+    """A plot of the curves that are in ``columns``; None if there are none."""
     described = PLOTS[name]
     coloured = zip(described.labels.items(), (_BLUE, _ORANGE, _GREEN), strict=False)
     paths = [
@@ -139,7 +139,7 @@ def plot(name: str, columns: Collection[str]) -> Node | None:
 
 
 def stage_times(columns: Collection[str]) -> Node | None:
-    """Milliseconds of those stages whose column is among ``columns``."""
+    """A plot of stage times in milliseconds, for the stages in ``columns``."""
     stages = [(column, column.removesuffix("_ms")) for column in TIME_COLUMNS if column in columns]
     paths = [
         _path(TIMES_TOPIC, column, stage, color=STAGE_COLOURS[stage], showLine=True, lineSize=_THIN)
@@ -168,6 +168,6 @@ def _path(topic: str, metric: str, label: str, **style: object) -> Config:
 
 
 def states(name: str, title: str, labels: Mapping[str, str], columns: Collection[str]) -> Node | None:
-    """Bars of words over time, of those metrics that are among ``columns``."""
+    """Bars of states over time, for the metrics in ``columns``."""
     paths = [_path(METRICS_TOPIC, metric, label) for metric, label in labels.items() if metric in columns]
     return panel("StateTransitions", name, title, isSynced=True, paths=paths) if paths else None

@@ -1,6 +1,6 @@
-"""Panels of Foxglove and Lichtblick, and how they stand in a window: as the JSON that both viewers store.
+"""Panels of Foxglove and Lichtblick and their arrangement, as the JSON that both viewers store.
 
-A part with nothing to show is None, and rows, columns and tabs close up around it. The SDK's own ``foxglove.layouts``
+A part with nothing to show is None; rows, columns and tabs leave it out. The SDK's own ``foxglove.layouts``
 writes a form that Lichtblick does not read.
 """
 
@@ -31,7 +31,7 @@ def panel(kind: str, name: str, title: str, **config: Any) -> Node:
 
     Args:
         kind: the type.
-        name: tells it from others of its type.
+        name: unique among the panels of this type.
         title: stored under the name that either viewer looks for.
         config: its other settings.
     """
@@ -42,8 +42,8 @@ def panel(kind: str, name: str, title: str, **config: Any) -> Node:
 def picture(name: str, title: str, topic: str | None, annotations: Iterable[str] = (), **mode: Any) -> Node | None:
     """An image, with what is drawn over it; ``mode`` says how its numbers are coloured.
 
-    It names no calibration: images and their annotations need none, and a viewer that draws an image before its
-    calibration has come reports an error.
+    It names no calibration: images and annotations work without one. A viewer reports an error if it draws an image
+    before the calibration arrives.
     """
     if topic is None:
         return None
@@ -54,12 +54,12 @@ def picture(name: str, title: str, topic: str | None, annotations: Iterable[str]
 
 
 def row(*parts: Node | None, first_percent: float = _EVEN) -> Node | None:
-    """Parts beside each other; all but the first share the rest evenly."""
+    """Parts side by side. The first gets ``first_percent``; the others share the rest evenly."""
     return _split("row", parts, first_percent)
 
 
 def column(*parts: Node | None, first_percent: float = _EVEN) -> Node | None:
-    """Parts one above the other; all but the first share the rest evenly."""
+    """Parts on top of each other. The first gets ``first_percent``; the others share the rest evenly."""
     return _split("column", parts, first_percent)
 
 

@@ -1,4 +1,4 @@
-"""Tables of objects and detections: programs that the viewer runs make rows of words of each message."""
+"""Tables of objects and detections, made by scripts that run in the viewer."""
 
 import json
 from typing import Final
@@ -101,17 +101,17 @@ export default function script(event: { message: { detections: Detection[] } }):
 
 
 def objects_table(topic: str) -> tuple[Node, Config]:
-    """Rows of a topic of ``roadperc.Objects``: class, status and filter in words, numbers with units.
+    """The table of a ``roadperc.Objects`` topic: class, status and filter in words, numbers with units.
 
     Returns:
-        The panel, and the program as the viewers store it.
+        The panel, and the script as the viewers store it.
     """
     statuses = {number: name.lower() for name, number in pb.Object.Status.items() if number}
     return _table("objects_table", "Objects", topic, _OBJECTS_SOURCE.replace("STATUSES", json.dumps(statuses)))
 
 
 def detections_table(topic: str) -> tuple[Node, Config]:
-    """Rows of a topic of ``roadperc.Detections``, as ``objects_table`` gives them."""
+    """The table of a ``roadperc.Detections`` topic, like ``objects_table``."""
     return _table("detections_table", "Detections", topic, _DETECTIONS_SOURCE)
 
 

@@ -1,6 +1,6 @@
-"""Serves logs to Foxglove with play, pause, seek and speed: finished ones, and those a replay is writing.
+"""Serves finished logs and running replays to Foxglove with play, pause, seek and speed.
 
-Commands use ``cli.arguments`` for the options below and ``serving`` for the rest.
+``cli.arguments`` parses the options below.
 """
 
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ FASTEST: Final = 1e3
 
 @dataclass(frozen=True)
 class PlaybackOptions:
-    """How a log is served."""
+    """Options of the live server."""
 
     rate: float = 1.0
     """Log seconds per second."""

@@ -1,4 +1,4 @@
-"""The player: one thread that sends a log's messages at their time; what viewers ask moves the playhead at once.
+"""Plays a log: one thread sends the messages at their time. Viewers move the playhead at once.
 
 Protocol and server are those of the foxglove-sdk: https://docs.foxglove.dev/docs/sdk/websocket-server.
 Log times and clock times are integer nanoseconds; the rate is log seconds per second.
@@ -33,19 +33,19 @@ TICK_S: Final = 0.1
 EDGE_POLL_S: Final = 0.05
 """How often to look for more of a log that is being written."""
 RESUME_LEAD_S: Final = 0.25
-"""How much must be computed, in seconds of playback, before playback goes on from the edge: otherwise it stutters."""
+"""Seconds of playback that must be computed before playback continues; avoids stutter."""
 LOOP_PAUSE_S: Final = 0.5
-"""How long the end is seen before playback starts over; what was sent arrives meanwhile."""
+"""Pause at the end before playback starts over, while sent messages arrive."""
 LONGEST_WAIT_S: Final = 0.5
-"""A signal that comes just before a wait is handled only after it."""
+"""Python handles a signal only after the wait ends."""
 _STATUS_ID: Final = "roadperc"
 
 
 @dataclass(frozen=True)
 class Playhead:
-    """Playback was at ``log_ns`` when the clock said ``clock_ns``, and goes on from there as its status says.
+    """Playback was at ``log_ns`` at clock time ``clock_ns`` and continues as its status says.
 
-    It is buffering at the edge of what is computed.
+    It is buffering while it waits for more of a running replay.
     """
 
     status: PlaybackStatus
@@ -60,18 +60,18 @@ class Playhead:
         return self.log_ns + round((clock_ns - self.clock_ns) * self.rate)
 
     def state(self, request_id: str = "", *, moved: bool = False) -> PlaybackState:
-        """As viewers are told; ``request_id`` is that of the request it answers."""
+        """The state for viewers; ``request_id`` names the request that it answers."""
         return PlaybackState(self.status, self.log_ns, self.rate, moved, request_id)
 
 
 def obey(playhead: Playhead, asked: PlaybackControlRequest, reach: Reach, clock_ns: int) -> tuple[Playhead, bool]:
-    """Carry out what a viewer asks for.
+    """Apply the request of a viewer.
 
-    Playing from the end starts over; a rate that is no positive number changes nothing, one beyond what is played
-    becomes the slowest or the fastest that is.
+    Playing from the end starts over. A rate that is not a positive number is ignored; others are clamped to
+    ``SLOWEST`` and ``FASTEST``.
 
     Returns:
-        Where playback is now, and whether it went elsewhere.
+        The new playhead, and whether the viewer moved it.
     """
     now_ns, seek_ns, rate = playhead.at(clock_ns), asked.seek_time, asked.playback_speed
     play = asked.playback_command == PlaybackCommand.Play
@@ -87,13 +87,13 @@ def advance(
 ) -> tuple[Playhead, float]:
     """Where playback is now, and the seconds until it changes or the next message is due.
 
-    A message is due once playback has come to its log time, so one whose time goes back is due at once. Playback that
-    goes from its end to a pause starts over: viewers are to forget what was shown.
+    A message is due when playback reaches its log time, or at once if log time goes back. A change from the end to a
+    pause starts playback over: viewers then forget the messages that they showed.
 
     Args:
         playhead: where playback was.
-        next_ns: log time of the next message, None where there is none yet or none any more.
-        reach: what can be played; taken before the next message was looked for.
+        next_ns: log time of the next message, None if it does not exist (yet).
+        reach: the playable span, read before the next message.
         clock_ns: the clock's time.
         loop_ns: log time to start over from at the end, None to stay there.
     """
@@ -138,9 +138,9 @@ class Audience:
         self._channels[message.channel].log(message.data, log_time=message.log_time_ns)
 
     def restart(self) -> None:
-        """Begin a new session, in which viewers forget what was shown, with channels of their own.
+        """Begin a new session with new channels; viewers forget the old one.
 
-        Some viewers forget the schemas too and learn them only from channels that are new.
+        Some viewers forget the schemas too. They learn schemas from new channels only.
         """
         for advertised in self._channels.values():
             advertised.close()
@@ -160,10 +160,10 @@ def _advertised(channel: Channel, context: foxglove.Context) -> foxglove.Channel
 
 
 class Player(ServerListener):
-    """Plays a source to an audience from a log time on, once somebody watches.
+    """Plays a source from a log time on, once a viewer subscribes.
 
-    Any thread may call ``stop``; the server's few threads call the ``on_`` methods. They never wait for the disk: the
-    thread in ``run`` reads.
+    Any thread may call ``stop``. The server's threads call the ``on_`` methods, which never wait for the disk: only
+    ``run`` reads.
     """
 
     def __init__(
@@ -185,7 +185,7 @@ class Player(ServerListener):
         """Topics to show to new subscribers."""
         self._sought: PlaybackControlRequest | None = None
         """The newest request that moved the playhead and is not carried out yet."""
-        self._follow_from(start_ns + 1)  # what holds at the start is shown to the first who watch
+        self._follow_from(start_ns + 1)  # the first subscribers see the latched messages
 
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:  # noqa: ARG002 - the signature is the SDK's
         """Show a topic to a new subscriber."""
@@ -194,7 +194,7 @@ class Player(ServerListener):
         self._asked.set()
 
     def on_playback_control_request(self, playback_control_request: PlaybackControlRequest) -> PlaybackState:
-        """Move the playhead as a viewer asks; ``run`` shows the messages there, or those of a newer request."""
+        """Move the playhead. ``run`` then shows the messages there, or those of a newer request."""
         asked = playback_control_request
         with self._lock:
             self._playhead, moved = obey(self._playhead, asked, self._source.reach(), self._clock_ns())
@@ -223,11 +223,11 @@ class Player(ServerListener):
             if self._stopped:
                 return
             self._seek()
-            self._welcome()
+            self._show_new_subscribers()
             wait_s = self._advance()
 
     def _seek(self) -> None:
-        """Show what holds at the newest time sought, and go on from there."""
+        """Show the messages that hold at the newest requested time, and continue there."""
         with self._lock:
             asked, self._sought, log_ns = self._sought, None, self._playhead.log_ns
         if asked is None:
@@ -235,14 +235,14 @@ class Player(ServerListener):
         reach, server = self._source.reach(), self._audience.server
         if asked.seek_time is not None and asked.seek_time > reach.last_ns and not reach.complete:
             beyond_s = ns_to_seconds(asked.seek_time - reach.last_ns)
-            warning = f"computed only up to {beyond_s:.1f} s before the time asked for: playing from there"
+            warning = f"the replay is {beyond_s:.1f} s short of the requested time: playing from its end"
             server.publish_status(warning, StatusLevel.Warning, _STATUS_ID)
         server.broadcast_time(log_ns)
         self._show_held({channel.topic for channel in self._source.channels}, log_ns)
         self._follow_from(log_ns + 1)
 
-    def _welcome(self) -> None:
-        """Show what holds to new subscribers; the first ones start playback."""
+    def _show_new_subscribers(self) -> None:
+        """Show the messages that hold now to new subscribers. The first subscribers start playback."""
         with self._lock:
             if self._sought or not self._fresh:
                 return  # a seek shows all topics
@@ -252,7 +252,7 @@ class Player(ServerListener):
             status = self._playhead.status if self._watched else PlaybackStatus.Playing
             self._watched, self._playhead = True, Playhead(status, now_ns, clock_ns, self._playhead.rate)
         coming = self._peek()
-        self._audience.server.broadcast_time(now_ns)  # who comes while playback stands knows no time yet
+        self._audience.server.broadcast_time(now_ns)  # a viewer that connects during a pause has no time yet
         self._show_held(fresh, min(now_ns, coming.log_time_ns - 1) if coming else now_ns)
         self._audience.server.broadcast_playback_state(self._playhead.state())
 
@@ -269,17 +269,17 @@ class Player(ServerListener):
         return self._next
 
     def _advance(self) -> float:
-        """Do what is due; gives the seconds to the next time there is something to do."""
+        """Do what is due. Returns the seconds to the next action."""
         reach, coming = self._source.reach(), self._peek()
         next_ns = coming.log_time_ns if coming else None
         with self._lock:
             if self._sought:
-                return 0.0  # the next message is not that of the playhead any more
+                return 0.0  # a seek has moved the playhead since
             before, clock_ns = self._playhead, self._clock_ns()
             head, wait_s = advance(before, next_ns, reach, clock_ns, loop_ns=self._loop_ns)
             restarts = before.status == PlaybackStatus.Ended and head.status == PlaybackStatus.Paused
             self._playhead, self._watched = head, self._watched and not restarts
-        if restarts:  # wait for subscribers, as at first: viewers that know no seek would join the end to the start
+        if restarts:  # viewers without seek would join the end to the start
             self._audience.restart()
             self._follow_from(head.log_ns + 1)
         elif coming and before.status == head.status == PlaybackStatus.Playing and wait_s == 0:

@@ -25,7 +25,7 @@ from roadperc_stream.view.live.source import Source, finished_log, has_times, ru
 from roadperc_stream.view.result_frames import ReplayTimes, TableTimes
 
 _BACKLOG_MESSAGES: Final = 256
-"""A viewer that is slower than this many messages loses the oldest."""
+"""Messages that wait for a slow viewer; older ones are dropped."""
 _GOODBYE_S: Final = 2.0
 _HOW_TO_CONNECT: Final = (
     "Foxglove: Open connection > Foxglove WebSocket > this address; playback starts when a panel is open"
@@ -33,7 +33,7 @@ _HOW_TO_CONNECT: Final = (
 
 
 class ServeError(RoadpercError):
-    """A server that cannot start."""
+    """The server cannot start."""
 
 
 def serve_log(path: Path, options: PlaybackOptions, *, quiet: bool = False) -> None:
@@ -47,7 +47,7 @@ def serve_log(path: Path, options: PlaybackOptions, *, quiet: bool = False) -> N
     Raises:
         LogError: the log cannot be read or holds no message, or ``--start`` lies outside.
         TableError: the metrics table beside it cannot be read.
-        ServeError: the port cannot be had.
+        ServeError: the port is not available.
     """
     source = log_with_times(path)
     reach, start_ns = source.reach(), source.reach().first_ns + seconds_to_ns(options.start_s)
@@ -65,7 +65,7 @@ def serve_log(path: Path, options: PlaybackOptions, *, quiet: bool = False) -> N
 
 
 def log_with_times(path: Path) -> Source:
-    """A finished log with the times of its stages, where the table beside it has them.
+    """A finished log, with stage times if the table beside it has them.
 
     Raises:
         LogError: the log cannot be read or holds no message.
@@ -93,7 +93,7 @@ class LiveReplay(ExitStack):
             span_ns: first and last log time it will have.
 
         Raises:
-            ServeError: the port cannot be had.
+            ServeError: the port is not available.
         """
         source = with_times(running_replay(writer.while_written(), span_ns[0]), self.times.of)
         layout = None if self._quiet else "--foxglove-layout layout.json"  # for all topics: the log's are not known yet
@@ -104,7 +104,7 @@ class LiveReplay(ExitStack):
         self._playback = thread.submit(player.run, audience)
 
     def wait(self) -> None:
-        """Go on serving the complete output until Ctrl-C; return at once where nothing is served.
+        """Serve the complete output until Ctrl-C; return at once if nothing is served.
 
         Raises:
             LogError: it can no longer be read.
@@ -133,7 +133,7 @@ def playing(
         layout: arguments with which roadperc-view writes a layout for it; None to print nothing.
 
     Raises:
-        ServeError: the address or the port cannot be had.
+        ServeError: the address or the port is not available.
     """
     start_ns, host, context = source.reach().first_ns + seconds_to_ns(options.start_s), options.host, Context()
     player = Player(source, monotonic_ns, start_ns=start_ns, rate=options.rate, loop=options.loop)
@@ -160,7 +160,7 @@ def playing(
                 print_line(_HOW_TO_CONNECT)
                 print_line(f"layout, for Layouts > Import from file: roadperc-view {layout}")
         yield player, audience
-    finally:  # wait no longer for viewers to say goodbye than a person does: one that sleeps never will
+    finally:  # a viewer that does not respond must not block the end
         stopping = Thread(target=server.stop, name="stop", daemon=True)
         stopping.start()
         stopping.join(_GOODBYE_S)

@@ -1,4 +1,4 @@
-"""What the player reads from: a finished log, or one that a replay is writing; with the times of the stages."""
+"""Sources for the player: a finished log or a running replay, with stage times."""
 
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
@@ -23,7 +23,7 @@ _LOOK_BACK_GROWTH: Final = 4
 
 @dataclass(frozen=True)
 class Reach:
-    """The part of a log that can be played now; a complete one gets no longer."""
+    """The part of a log that can be played now; a complete one does not grow."""
 
     first_ns: int
     last_ns: int
@@ -36,16 +36,16 @@ class Reach:
 
 @dataclass(frozen=True)
 class Source:
-    """A log to play, as far as it has come."""
+    """A log to play, finished or growing."""
 
     channels: tuple[Channel, ...]
     """All channels, those without a message included."""
     reach: Callable[[], Reach]
     """What can be played now."""
     read: Callable[[Collection[str], int, int], Iterator[Message]]
-    """Messages of some topics there are now, from a log time up to but not including another."""
+    """The present messages of some topics in a half-open span of log time."""
     follow: Callable[[int], Iterator[Message | None]]
-    """All messages from a log time on; None where there is no more yet, the end where there never will be."""
+    """All messages from a log time on; None while the next one is not written yet."""
 
 
 def finished_log(summary: LogSummary) -> Source:
@@ -67,7 +67,7 @@ def finished_log(summary: LogSummary) -> Source:
 def running_replay(growing: GrowingLog, first_ns: int) -> Source:
     """The output of a replay, played while it is written.
 
-    Its reach begins and ends just before a log time whose messages may not all be there yet.
+    Its reach ends just before the last log time, whose messages may be incomplete.
 
     Args:
         growing: the output.
@@ -86,10 +86,10 @@ def running_replay(growing: GrowingLog, first_ns: int) -> Source:
 
 
 def held(source: Source, topics: Collection[str], log_ns: int) -> list[Message]:
-    """What holds at a log time: the last message of each channel up to it, with those of its very time.
+    """The last messages of each channel up to a log time; all of them if several share that time.
 
-    Looks back in growing steps and only for the topics not found yet, so that a frame is found in the last second and
-    a calibration sent once at the start without reading all between: the index says where it stands.
+    Looks back in growing steps for the topics not found yet. The index leads to a calibration at the start without
+    reading all messages between.
     """
     missing, end_ns, step_ns = set(topics), log_ns + 1, _LOOK_BACK_NS
     first_ns, found = source.reach().first_ns, list[Message]()
@@ -136,10 +136,10 @@ def has_times(source: Source, times: TimesOfFrame) -> bool:
 
 
 def _timed(messages: Iterator[Message | None], channel: Channel, times: TimesOfFrame) -> Iterator[Message | None]:
-    """The messages, and the times of each frame before the message that follows its metrics.
+    """The messages, with the times of each frame after its metrics.
 
-    A replay writes a frame's metrics before it knows the frame's times, and knows these before it writes the next
-    frame: so they are looked for until they are known or the next metrics come.
+    A replay knows the times of a frame after it writes the metrics and before it writes the next frame. Times are
+    therefore looked up at each message until they are known.
     """
     waiting: Message | None = None
     for message in messages:
@@ -151,7 +151,7 @@ def _timed(messages: Iterator[Message | None], channel: Channel, times: TimesOfF
 
 
 def _times_of(message: Message | None, channel: Channel, times: TimesOfFrame) -> list[Message]:
-    """The times that belong to a frame's metrics, as far as they are known."""
+    """The message with the times of a frame; empty if they are not known."""
     frame = _frame_of(message)
     times_ms = times(frame.log_id, frame.frame) if frame else {}
     if message is None or frame is None or not times_ms:
@@ -165,7 +165,7 @@ def _is_metrics(message: Message | None) -> bool:
 
 
 def _frame_of(message: Message | None) -> pb.FrameMetrics | None:
-    """A frame's metrics; None where the message is something else, or damaged."""
+    """The metrics in a message; None for other messages and damaged ones."""
     try:
         return pb.FrameMetrics.FromString(message.data) if message and _is_metrics(message) else None
     except ProtobufError:

@@ -1,4 +1,4 @@
-"""What the viewer shows where: the image with its overlays large, the scene beside it, plots and log below."""
+"""The viewer's panels: the image with overlays, the scene beside it, plots and log below."""
 
 from collections.abc import Iterable, Mapping, Set
 from dataclasses import dataclass
@@ -73,13 +73,13 @@ _EYE: Final = rrb.EyeControls3D(position=(-10.0, 0.0, 7.0), look_target=(12.0, 0
 
 @dataclass(frozen=True)
 class Log:
-    """What a log has: the topic of each role, and every entity logged."""
+    """The contents of a log: the topic of each role, and every entity."""
 
     topics: Mapping[str, str]
     entities: Set[str]
 
     def has(self, entity: str) -> bool:
-        """Whether anything stands at or below an entity."""
+        """Whether anything is at or below an entity."""
         return any(known == entity or known.startswith(f"{entity}/") for known in self.entities)
 
     def present(self, entities: Iterable[str | None]) -> list[str]:

@@ -1,4 +1,4 @@
-"""Which channels of a log are drawn, and how: messages to entries."""
+"""Draws the messages of a log: one drawer per channel."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
@@ -84,7 +84,7 @@ _PARSERS: Final[Mapping[str, tuple[Callable[[bytes], Any], Callable[[str, Any], 
 def drawers(
     channels: Iterable[Channel], assigned: RoleAssignment, world: SceneState, times: TimesOfFrame
 ) -> dict[Channel, Drawer]:
-    """How the messages of each channel are drawn; channels that are not are left out."""
+    """The drawer of each channel that is drawn."""
     found = {channel: _drawer(channel, assigned, world, times) for channel in channels}
     return {channel: drawer for channel, drawer in found.items() if drawer is not None}
 
@@ -127,12 +127,12 @@ def _parsed(
     try:
         content = parse(message.data)
     except ProtobufError as error:
-        raise DecodeError(f"{len(message.data)} bytes are no {message.channel.schema_name}: {error}") from error
+        raise DecodeError(f"{len(message.data)} bytes are not a {message.channel.schema_name}: {error}") from error
     return draw(message.channel.topic, content)
 
 
 def _numbers(times: TimesOfFrame, world: SceneState, entity: str, message: Any) -> Iterator[Entry]:
-    """A frame's metrics, and the times of its stages, which stand in the table alone."""
+    """A frame's metrics, and the times of its stages, which only the table has."""
     yield from scene.metrics(entity, message, world)
     yield from scene.times(TIMES_TOPIC, times(message.log_id, message.frame))
 

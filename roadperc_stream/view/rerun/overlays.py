@@ -3,8 +3,7 @@
 Their classes have names and colours in annotation contexts.
 """
 
-from collections.abc import Iterator, Sequence
-from enum import IntEnum
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -21,57 +20,36 @@ from roadperc_stream.view.rerun.tree import Entry, SceneState, annotation_contex
 _TRUE: Final[Colour] = (255, 255, 255)
 
 
-class BoxClass(IntEnum):
-    """What became of a detection; ``DETECTED`` and ``TRUE`` are not for the chain to judge."""
-
-    KEPT = 0
-    UNVERIFIED = 1
-    DROPPED = 2
-    DETECTED = 3
-    TRUE = 4
-
-
-class LineClass(IntEnum):
-    """Where a line comes from."""
-
-    MEASURED = 0
-    HELD = 1
-    LOST = 2
-    RAW = 3
-    PROPOSAL = 4
-    TRUE = 5
-
-
-_BOXES: Final = annotation_context(
-    (box.name.lower() for box in BoxClass),
-    (*(colours.OBJECT[verdict] for verdict in ("kept", "unverified", "dropped")), colours.CYAN, _TRUE),
-)
-_LINES: Final = annotation_context(
-    (line.name.lower() for line in LineClass),
-    (
-        *(colours.BOUNDARY[status] for status in ("measured", "held", "lost")),
-        colours.RAW_LINE,
-        colours.PROPOSED_LINE,
-        _TRUE,
-    ),
-)
+_BOX_COLOURS: Final[Mapping[str, Colour]] = {**colours.OBJECT, "detected": colours.CYAN, "true": _TRUE}
+"""By what became of a detection; the last two are not judged by the chain."""
+_LINE_COLOURS: Final[Mapping[str, Colour]] = {
+    **colours.BOUNDARY,
+    "raw": colours.RAW_LINE,
+    "proposal": colours.PROPOSED_LINE,
+    "true": _TRUE,
+}
+"""By where a line comes from."""
+_BOXES: Final = annotation_context(_BOX_COLOURS, _BOX_COLOURS.values())
+_LINES: Final = annotation_context(_LINE_COLOURS, _LINE_COLOURS.values())
+_BOX_IDS: Final = {name: number for number, name in enumerate(_BOX_COLOURS)}
+_LINE_IDS: Final = {name: number for number, name in enumerate(_LINE_COLOURS)}
 _KEPT_PX, _DROPPED_PX = 1.5, 0.75
 _CAPTION_MARGIN = (1.25, 1.8)
 """Columns and rows that the viewer's captions take beside those of the text."""
 
 
 def detections(entity: str, _role: str, payload: Sequence[Detection], world: SceneState) -> Iterator[Entry]:
-    """What the detector said."""
+    """The boxes of the detector."""
     texts = [f"{detection.label} {detection.score:.2f}" for detection in payload]
     yield Entry(entity, _BOXES)
-    boxes = _boxes([d.box_px for d in payload], [BoxClass.DETECTED] * len(payload), texts, shown=True)
+    boxes = _boxes([d.box_px for d in payload], ["detected"] * len(payload), texts, shown=True)
     yield Entry(entity, boxes, world.image_frame(world.reference, ""))
 
 
 def objects(entity: str, role: str, payload: Objects, world: SceneState) -> Iterator[Entry]:
-    """Boxes distinguished by what became of them; the kept ones of known distance in the camera's frame."""
+    """Boxes by verdict in the image; kept objects with a distance also in space."""
     true = role.startswith("truth")
-    judged = [(item, BoxClass.TRUE if true else BoxClass[item.verdict.upper()]) for item in payload.objects]
+    judged = [(item, "true" if true else item.verdict) for item in payload.objects]
     frame, camera = world.image_frame(world.reference, ""), world.front
     yield Entry(entity, _BOXES)
     kept = [(item, box) for item, box in judged if item.kept or true]
@@ -84,7 +62,7 @@ def objects(entity: str, role: str, payload: Objects, world: SceneState) -> Iter
         yield from _in_space(f"{entity}/scene", kept, places, camera)
 
 
-def _caption_places(kept: Sequence[tuple[Object, BoxClass]], camera: Camera) -> tuple[Box | None, ...]:
+def _caption_places(kept: Sequence[tuple[Object, str]], camera: Camera) -> tuple[Box | None, ...]:
     """Space for the captions, which are larger here than elsewhere by the margin around them."""
     items = [item for item, _ in kept]
     sizes = [viewer_text_size(camera, caption(item)) for item in items]
@@ -92,46 +70,46 @@ def _caption_places(kept: Sequence[tuple[Object, BoxClass]], camera: Camera) -> 
     return caption_places((camera.width, camera.height), items, [item.detection.box_px for item in items], wider)
 
 
-def _captions(kept: Sequence[tuple[Object, BoxClass]], places: Sequence[Box | None]) -> rr.Points2D:
+def _captions(kept: Sequence[tuple[Object, str]], places: Sequence[Box | None]) -> rr.Points2D:
     """Captions that fit, below their points; hovering over a box shows its caption as well."""
     shown = [(caption(item), box, place) for (item, box), place in zip(kept, places, strict=True) if place]
     return rr.Points2D(
         np.array([((place.x_min + place.x_max) / 2, place.y_min) for _, _, place in shown]).reshape(-1, 2),
         labels=[text for text, _, _ in shown],
-        class_ids=[box for _, box, _ in shown],
+        class_ids=[_BOX_IDS[box] for _, box, _ in shown],
         show_labels=True,
         radii=rr.Radius.ui_points(0.0),
         draw_order=50.0,
     )
 
 
-def _judged(objects: Sequence[tuple[Object, BoxClass]]) -> rr.Boxes2D:
+def _judged(objects: Sequence[tuple[Object, str]]) -> rr.Boxes2D:
     boxes_px, texts = [item.detection.box_px for item, _ in objects], [caption(item) for item, _ in objects]
     return _boxes(boxes_px, [box for _, box in objects], texts, shown=False)
 
 
-def _boxes(boxes_px: Sequence[Box], classes: Sequence[BoxClass], texts: Sequence[str], *, shown: bool) -> rr.Boxes2D:
+def _boxes(boxes_px: Sequence[Box], classes: Sequence[str], texts: Sequence[str], *, shown: bool) -> rr.Boxes2D:
     """Half-open boxes, counted from the image's corner as they stand; their texts shown, or shown on hovering only."""
     corners = np.array([(b.x_min, b.y_min, b.x_max, b.y_max) for b in boxes_px], float).reshape(-1, 4)
     return rr.Boxes2D(
         array=corners,
         array_format=rr.Box2DFormat.XYXY,
-        class_ids=list(classes),
+        class_ids=[_BOX_IDS[name] for name in classes],
         labels=list(texts),
         show_labels=shown,
-        radii=rr.Radius.ui_points([_DROPPED_PX if c is BoxClass.DROPPED else _KEPT_PX for c in classes]),
+        radii=rr.Radius.ui_points([_DROPPED_PX if c == "dropped" else _KEPT_PX for c in classes]),
         draw_order=40.0,
     )
 
 
 def _in_space(
-    entity: str, kept: Sequence[tuple[Object, BoxClass]], places: Sequence[Box | None], camera: Camera
+    entity: str, kept: Sequence[tuple[Object, str]], places: Sequence[Box | None], camera: Camera
 ) -> Iterator[Entry]:
     """Those of known distance, and the captions of those that have one in the image."""
     near = [(*pair, place) for pair, place in zip(kept, places, strict=True) if pair[0].distance_m]
     slabs = [box_in_space(camera, item.detection.box_px, item.distance_m or 0.0) for item, _, _ in near]
     centres = np.array([centre for centre, _ in slabs]).reshape(-1, 3)
-    classes, texts = [box for _, box, _ in near], [caption(item) for item, _, _ in near]
+    classes, texts = [_BOX_IDS[box] for _, box, _ in near], [caption(item) for item, _, _ in near]
     boxes = rr.Boxes3D(
         centers=centres,
         sizes=np.array([size for _, size in slabs]).reshape(-1, 3),
@@ -186,8 +164,8 @@ def _on_the_image(entity: str, payload: Lanes, role: str, world: SceneState) -> 
         draw_order=30.0,
     )
     raw = np.array([b.raw_px for b in payload.boundaries if b.raw_px is not None]).reshape(-1, 4)
-    yield Entry(f"{entity}/proposals", _segments(payload.proposals_px, LineClass.PROPOSAL, _PROPOSAL_PX, 10.0), frame)
-    yield Entry(f"{entity}/raw", _segments(raw, LineClass.RAW, _RAW_PX, 20.0), frame)
+    yield Entry(f"{entity}/proposals", _segments(payload.proposals_px, "proposal", _PROPOSAL_PX, 10.0), frame)
+    yield Entry(f"{entity}/raw", _segments(raw, "raw", _RAW_PX, 20.0), frame)
     yield Entry(f"{entity}/smoothed", smoothed, frame)
 
 
@@ -203,20 +181,20 @@ def _inside(line_px: Float, camera: Camera | None) -> Float:
     return np.asarray(line[shown], float)
 
 
-def _segments(lines_px: Float, line_class: LineClass, radius: float, draw_order: float) -> rr.LineStrips2D:
+def _segments(lines_px: Float, line_class: str, radius: float, draw_order: float) -> rr.LineStrips2D:
     """(N, 4) x1, y1, x2, y2 as N strips."""
     return rr.LineStrips2D(
         [*(lines_px.reshape(-1, 2, 2) + _HALF_PIXEL)],
         radii=rr.Radius.ui_points(radius),
-        class_ids=[line_class] * len(lines_px),
+        class_ids=[_LINE_IDS[line_class]] * len(lines_px),
         show_labels=False,
         draw_order=draw_order,
     )
 
 
-def _classes(boundaries: Sequence[Boundary], role: str) -> list[LineClass]:
+def _classes(boundaries: Sequence[Boundary], role: str) -> list[int]:
     true = role.startswith("truth")
-    return [LineClass.TRUE if true else LineClass[boundary.status.upper()] for boundary in boundaries]
+    return [_LINE_IDS["true" if true else boundary.status] for boundary in boundaries]
 
 
 def _caption(boundary: Boundary) -> str:

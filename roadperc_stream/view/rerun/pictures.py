@@ -38,7 +38,7 @@ def tags(entity: str, role: str, payload: TagImage, world: SceneState) -> Iterat
 
 
 def instances(entity: str, role: str, payload: InstanceImage, world: SceneState) -> Iterator[Entry]:
-    """The objects' numbers, each in a colour of its own."""
+    """The objects' numbers, each in its own colour."""
     yield Entry(entity, rr.SegmentationImage(payload.ids), world.image_frame(role, payload.frame_id))
 
 

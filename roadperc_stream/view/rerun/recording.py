@@ -35,16 +35,16 @@ _APPLICATION: Final = "roadperc"
 _LARGE_CHUNKS: Final = rr.ChunkBatcherConfig(flush_tick=timedelta(seconds=10), flush_num_bytes=16 * 2**20)
 """A recording's footer, held in memory, names every chunk: small ones cost 0.25 MB a frame."""
 _MOST_WAITING: Final = 25
-"""Instants that may wait to be written or sent: the queue to the thread that does it has no end of its own."""
+"""Instants that may wait to be written or sent: the queue of the sending thread is not bounded."""
 Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
 class Exported:
-    """What went to Rerun, for the person who asked."""
+    """A summary of an export, for the user."""
 
     frames: int
-    """0 where no message makes a frame."""
+    """0 if no message makes a frame."""
     notes: tuple[str, ...]
     problems: Mapping[str, int]
 
@@ -100,7 +100,7 @@ def _opened(path: Path, overrides: Mapping[str, str]) -> tuple[LogSummary, RoleA
 
 def _recording(path: Path, batches: rr.ChunkBatcherConfig | None = None) -> rr.RecordingStream:
     recording = rr.RecordingStream(_APPLICATION, batcher_config=batches)
-    recording.set_log_time_enabled(False)  # when this program ran is of no interest to who looks at the log
+    recording.set_log_time_enabled(False)  # the wall time of the export is not useful
     recording.send_recording_name(path.name)
     return recording
 
@@ -127,46 +127,42 @@ def _export(
             recording.send_blueprint(sender.arranged())
         frames = max(frames, sender.frame + 1)
         progress(frames, expected)
-    if not sender.has_sent:
+    if not sender.entities:
         raise nothing_shown(summary.path, sender.problems.first.values())
     recording.send_blueprint(sender.arranged())
     return Exported(frames, (*roles.notes, *sender.problems.first.values()), dict(sender.problems.counts))
 
 
 class _Sender:
-    """Sends messages to a recording; what a frame does not have any more is cleared."""
+    """Sends messages to a recording and clears results that a frame lacks."""
 
     def __init__(self, recording: rr.RecordingStream, summary: LogSummary, roles: RoleAssignment) -> None:
         self._recording = recording
         self._roles = roles
         self.reference = roles.topics.get(roles.reference or "")
-        """Topic of which every message is a frame, where no metrics number it; None where there is none."""
+        """Topic whose messages make the frames if no metrics number them; None if absent."""
         self.frame = -1
         """Number of the frame that the last messages belong to, from 0; -1 before the first."""
         world = SceneState(roles.reference or "")
         self._drawers = drawers(summary.channels, roles, world, TableTimes(sidecar_path(summary.path, "metrics")).of)
         self._contexts: dict[str, rr.AsComponents] = {}
         self._drawn: set[str] = set()
-        self._entities: set[str] = set()
+        self.entities: set[str] = set()
+        """Everything that has been sent, by its path."""
         self.problems = Problems()
-
-    @property
-    def has_sent(self) -> bool:
-        """Whether any message gave something to look at."""
-        return bool(self._entities)
 
     def arranged(self) -> rr.blueprint.Blueprint:
         """The blueprint of what has been sent."""
-        return blueprint(Log(self._roles.topics, frozenset(self._entities)), LOG_TIME)
+        return blueprint(Log(self._roles.topics, frozenset(self.entities)), LOG_TIME)
 
     def send(self, log_time_ns: int, messages: Sequence[Message]) -> None:
         """Log all messages of one log time.
 
         Raises:
-            LogError: the time is none that Rerun can show.
+            LogError: Rerun cannot show the time.
         """
         if log_time_ns >= END_OF_TIME_NS:
-            raise LogError(f"log time {log_time_ns} ns: expected less than 2^63, the last one Rerun shows")
+            raise LogError(f"log time {log_time_ns} ns: expected less than 2^63, the limit of Rerun")
         metrics = [message for message in messages if is_result_of(message.channel, METRICS_TOPIC)]
         self.frame = self._frame_of(messages, metrics)
         self._recording.set_time(LOG_TIME, timestamp=np.datetime64(log_time_ns, "ns"))
@@ -176,13 +172,13 @@ class _Sender:
             self._log(entry)
         if metrics:  # each frame has them
             of_frame = {e.entity for e in entries if e.frame and e.entity.startswith(tuple(RESULTS))}
-            # The viewer shows the last of everything: what this frame has not would be shown of an earlier one.
+            # The viewer shows the last value: clear results that this frame lacks.
             for entity in sorted(self._drawn - of_frame):
                 self._recording.log(entity, rr.Clear(recursive=False))
             self._drawn = of_frame
 
     def _frame_of(self, messages: Sequence[Message], metrics: Sequence[Message]) -> int:
-        """The number that the metrics say, else the next one where a frame is among the messages."""
+        """The frame number of the metrics; without metrics, count the reference messages."""
         for message in metrics:
             with suppress(ProtobufError):  # a damaged one is reported where it would be drawn
                 return int(FrameMetrics.FromString(message.data).frame)
@@ -198,7 +194,7 @@ class _Sender:
                 self.problems.add(topic, message.log_time_ns, error)
 
     def _log(self, entry: Entry) -> None:
-        self._entities.add(entry.entity)
+        self.entities.add(entry.entity)
         if isinstance(entry.archetype, rr.AnnotationContext):
             if entry.entity not in self._contexts:  # it holds for all of the recording
                 self._contexts[entry.entity] = entry.archetype

@@ -21,7 +21,7 @@ _BELOW_THE_ROAD_M: Final = -0.05
 
 
 def transforms(entity: str, role: str, payload: tuple[Transform, ...], world: SceneState) -> Iterator[Entry]:
-    """What a message changes in the tree, or where odometry sees the car."""
+    """The changed edges of the tree, or the odometry pose of the car."""
     if role == "result":
         yield from (edge_entry(entity, edge) for edge in payload if of_odometry(edge))
     else:
@@ -30,7 +30,7 @@ def transforms(entity: str, role: str, payload: tuple[Transform, ...], world: Sc
 
 
 def pose(entity: str, role: str, payload: Transform, world: SceneState) -> Iterator[Entry]:
-    """Where the car is and looks to: an arrow of 2 m."""
+    """The pose of the car: an arrow of 2 m."""
     matrix = payload.parent_T_child
     arrow = rr.Arrows3D(origins=[matrix[:3, 3]], vectors=[2.0 * matrix[:3, 0]], colors=[_TRAJECTORY], radii=[0.1])
     in_the_tree = role != "result" and world.knows(payload.parent)
@@ -122,7 +122,7 @@ def _words(message: Any) -> dict[str, str]:
 def _reasons(entity: str, reasons: str, world: SceneState) -> Iterator[Entry]:
     """A line where they change: it holds until the next one."""
     if reasons != world.words.get("reasons", ""):
-        line = rr.TextLog(reasons, level="WARN") if reasons else rr.TextLog("nothing is missing any more", level="INFO")
+        line = rr.TextLog(reasons, level="WARN") if reasons else rr.TextLog("nothing is missing now", level="INFO")
         yield Entry(f"{entity}/reasons", line)
     world.words["reasons"] = reasons
 

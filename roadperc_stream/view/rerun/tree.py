@@ -1,4 +1,4 @@
-"""What is logged to Rerun, what holds from one message to the next, and the transform tree as Rerun draws it."""
+"""Entries for Rerun, the state between messages, and the transform tree."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -30,7 +30,7 @@ class Entry:
 
 @dataclass
 class SceneState:
-    """What holds until replaced: cameras and transforms, and what of them and of the words is drawn already."""
+    """Cameras and transforms, which hold until replaced, and the parts that are drawn already."""
 
     reference: str = "image"
     """The role whose messages make the frames: the results are those of its camera."""
@@ -81,11 +81,11 @@ def annotation_context(names: Iterable[str], colours: Iterable[Colour]) -> rr.An
 
 
 TREE: Final = "/tf"
-"""Below it each frame of the log has one entity, whichever topic places it: of two entities neither would hold."""
+"""Each frame of the log has one entity below it. With two entities, Rerun would mix their transforms."""
 
 
 def new_edges(world: SceneState) -> Iterator[Entry]:
-    """The edges that are not drawn yet as they are now."""
+    """The edges that changed since they were drawn."""
     for child, edge in ego_tree(world).items():
         if not _same(edge, world.edges.get(child)):
             world.edges[child] = edge
@@ -99,12 +99,12 @@ def _same(edge: Transform, drawn: Transform | None) -> bool:
 
 
 def known_as(frame_id: str) -> str:
-    """What a frame of the log is called: its own odom is not the one of the results, which starts with them."""
+    """The name of a log's frame in Rerun. The log's odom differs from the odom of the results."""
     return f"{ODOM} of the log" if frame_id == ODOM else frame_id
 
 
 def of_odometry(edge: Transform) -> bool:
-    """Whether an edge of the results says where the car is; the others join ego to the log's tree, as is done here."""
+    """Whether an edge of the results is the pose of the car. The others tie ego to the log's tree."""
     return {edge.parent, edge.child} in ({EGO, ODOM}, {EGO, OWN_ODOM})
 
 

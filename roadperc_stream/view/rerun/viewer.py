@@ -1,4 +1,4 @@
-"""What a recording goes to: the Rerun viewer as a program of its own, or a file through a pipe."""
+"""Targets of a recording: the Rerun viewer in its own process, or a file through a pipe."""
 
 import os
 import shutil
@@ -28,13 +28,13 @@ _COMMAND: Final = (sys.executable, "-m", "rerun", "--bind", _ADDRESS[0], "--port
 _STARTS_WITHIN_S: Final = 30.0
 _ANSWERS_WITHIN_S: Final = 5.0
 _FALLS_WITHIN_S: Final = 2.0
-"""A viewer without a display listens for a moment before it notices."""
+"""A viewer without a display listens for a moment before it exits."""
 
 
 def start_viewer() -> None:
-    """Start a viewer on the loopback address; where one listens there already, it is the one that is used.
+    """Start a viewer on the loopback address, or use the one that listens there.
 
-    The SDK's own ``spawn`` listens on all addresses, and waits for ever for a viewer that has no display.
+    The SDK's own ``spawn`` listens on all addresses and waits forever for a viewer without a display.
 
     Raises:
         RoadpercError: no viewer comes up, or another program has its port.
@@ -42,7 +42,9 @@ def start_viewer() -> None:
     if _listening():
         if not _is_viewer():
             where = f"{_ADDRESS[0]}:{_ADDRESS[1]}"
-            raise RoadpercError(f"{where}: taken by a program that is no Rerun viewer; --save FILE.rrd needs no port")
+            raise RoadpercError(
+                f"{where}: another program uses this port; close it, or write a file with --save FILE.rrd"
+            )
         return
     quiet = subprocess.DEVNULL
     viewer = subprocess.Popen(_COMMAND, stdin=quiet, stdout=quiet, stderr=quiet, start_new_session=True)
@@ -52,14 +54,16 @@ def start_viewer() -> None:
     with suppress(subprocess.TimeoutExpired):
         viewer.wait(_FALLS_WITHIN_S)
     if viewer.poll() is not None or not _listening():
-        raise RoadpercError("the Rerun viewer does not start, is there a display? --save FILE.rrd writes a recording")
+        raise RoadpercError(
+            "the Rerun viewer does not start. Is there a display? Pass --save FILE.rrd to write a recording"
+        )
 
 
 @contextmanager
 def ending_at_once() -> Iterator[None]:
-    """Let a signal end the program where it stands, as is right where no file is open.
+    """Let a signal end the program at once. Safe because no file is open.
 
-    The SDK waits for a viewer that takes nothing, stopped or in a debugger, and no handler of Python's runs meanwhile.
+    The SDK waits for a viewer that does not read, and Python runs no signal handler during that wait.
     """
     signals = ending_signals() if threading.current_thread() is threading.main_thread() else ()
     before = {number: signal.signal(number, signal.SIG_DFL) for number in signals}
@@ -79,7 +83,7 @@ def _listening() -> bool:
 
 
 def _is_viewer() -> bool:
-    """Whether what listens answers as a viewer does: the SDK would wait for ever for a program that does not."""
+    """Whether the listener is a viewer. The SDK would wait forever for another program."""
     connection = HTTPConnection(*_ADDRESS, timeout=_ANSWERS_WITHIN_S)
     try:
         connection.request("OPTIONS", "/proxy")
@@ -95,10 +99,10 @@ _PIECE_BYTES: Final = 2**20
 
 @contextmanager
 def saving(recording: rr.RecordingStream, path: Path) -> Iterator[Callable[[], None]]:
-    """Save a recording through a pipe to a file, which is whole where the block and this end without an error.
+    """Save a recording through a pipe to a file, which is complete if no error is raised.
 
     Yields:
-        A check that all that came out of the pipe so far is in the file; it raises as this does.
+        A check that the file has all bytes from the pipe; it raises the same errors.
 
     Raises:
         OSError: the SDK cannot open the pipe, or the file cannot be written whole, as when the disk is full.
@@ -116,10 +120,10 @@ def saving(recording: rr.RecordingStream, path: Path) -> Iterator[Callable[[], N
 
 
 def _open(recording: rr.RecordingStream, end: FileIO) -> None:
-    """Have a recording written into the pipe; its end is the SDK's alone from here on."""
+    """Save a recording into the pipe. From here on, only the SDK holds this end."""
     try:
         recording.save(f"/dev/fd/{end.fileno()}")
-    except RuntimeError as error:  # what the SDK throws
+    except RuntimeError as error:  # raised by the SDK
         raise OSError(str(error)) from error
     finally:
         end.close()
@@ -131,6 +135,6 @@ def _copy(pipe: FileIO, path: Path) -> None:
 
 
 def _drain(pipe: FileIO) -> None:
-    """Read what a failed copy leaves: the SDK writes until it is disconnected, which needs an empty pipe."""
+    """Empty the pipe after a failed copy, so that the SDK can disconnect."""
     while pipe.read(_PIECE_BYTES):
         pass

@@ -229,7 +229,7 @@ def test_seeking_beyond_what_is_computed_is_told():
     seek = order(play=True, seek_ns=4 * S)
     script = Script(drive(), {0: WATCH, 2.5: [seek], 30: STOP}, complete_at_s=9).run()
     assert script.answers[0].current_time == 1 * S
-    assert any("3.0 s before the time asked for" in event for event in script.events if isinstance(event, str))
+    assert any("3.0 s short of the requested time" in event for event in script.events if isinstance(event, str))
 
 
 def test_an_order_to_a_player_that_ended_is_answered():

@@ -313,7 +313,7 @@ def test_a_running_replay_is_watched_and_sought(source, tmp_path):
         viewer.control(play=False)
         beyond = viewer.control(play=False, seek_ns=FIRST_NS + 7 * STEP_NS)
         assert (beyond.log_ns, beyond.moved) == (computed_ns - 1, True)
-        assert re.match(r"computed only up to 0\.\d s before", viewer.until(lambda: viewer.warnings)[0])
+        assert re.match(r"the replay is 0\.\d s short of", viewer.until(lambda: viewer.warnings)[0])
         viewer.until(lambda: viewer.shown("/perception/lanes"))
         viewer.control(play=False)
         back = viewer.control(play=False, seek_ns=FIRST_NS + STEP_NS)

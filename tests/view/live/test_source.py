@@ -136,19 +136,6 @@ def test_memory_is_that_of_a_chunk(tmp_path):
     writer.__exit__(None, None, None)
 
 
-def test_the_file_is_the_same_with_a_reader(tmp_path):
-    followed, running = opened(tmp_path / "followed.mcap")
-    with LogWriter(tmp_path / "plain.mcap") as alone:
-        for channel in (ONCE, OFTEN, TWIN, SILENT):
-            alone.register(channel)
-        for message in messages(5):
-            followed.write(message)
-            alone.write(message)
-        assert list(running.read({"/once"}, 0, 99 * S))
-    followed.__exit__(None, None, None)
-    assert (tmp_path / "followed.mcap").read_bytes() == (tmp_path / "plain.mcap").read_bytes()
-
-
 def test_a_reader_of_a_discarded_log_is_told(tmp_path):
     writer, running = opened(tmp_path / "log.mcap")
     for message in messages(5):

@@ -159,13 +159,6 @@ def test_a_right_image_without_calibration_is_not_in_the_front_cameras_plane():
     assert planes == {"image": front, "left": front, "depth": front, "right": "right_camera_image_plane"}
 
 
-def test_results_are_those_of_the_camera_that_makes_the_frames():
-    world = SceneState("left")
-    world.latch("calibration", camera("camera"))
-    world.latch("left_calibration", camera("left"))
-    assert world.front == camera("left")
-
-
 @pytest.mark.parametrize(
     "odometry", [edge("odom", "ego", 3.0), edge("ego", "perception_odom", -3.0)], ids=["above", "below"]
 )
