@@ -13,7 +13,7 @@ import threading
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
@@ -24,7 +24,7 @@ from uuid import uuid4
 
 import psutil
 
-from roadperc_stream.batch.task import Outcome, Task, megabytes, this_worker
+from roadperc_stream.batch.task import Outcome, Task, this_worker
 from roadperc_stream.batch.worker import scratch_of, work
 from roadperc_stream.errors import RoadpercError, TargetError
 from roadperc_stream.system.progress import Progress, no_progress, now_and_then
@@ -52,79 +52,68 @@ def attempt(task: Task, stop: threading.Event | None = None, tell: Progress = no
     Returns:
         What ``work`` gave, or ``timeout``, ``memory`` or ``killed``.
     """
+    started = monotonic()
     try:
-        return _attempt(task, stop or threading.Event(), tell)
+        outcome = _attempt(task, stop or threading.Event(), tell)
     except TargetError as error:
-        return Outcome("unreachable", str(error), worker=this_worker())
+        outcome = Outcome("unreachable", str(error))
     except OSError as error:
-        said = f"{error.filename or scratch_of(task)}: {error.strerror or error}"
-        return Outcome("unreachable", said, worker=this_worker())
+        outcome = Outcome("unreachable", f"{error.filename or scratch_of(task)}: {error.strerror or error}")
+    return replace(outcome, seconds=outcome.seconds or monotonic() - started, worker=outcome.worker or this_worker())
 
 
 def _attempt(task: Task, stop: threading.Event, tell: Progress) -> Outcome:
     if task.job.out.is_local and not Path(task.job.out.address).is_dir():
-        return Outcome("unreachable", f"{task.job.out.address}: no such folder on this machine", worker=this_worker())
+        return Outcome("unreachable", f"{task.job.out.address}: no such folder on this machine")
     scratch = scratch_of(task)
     printed = scratch.with_name(f"{scratch.name}.{uuid4().hex}.log")
     printed.parent.mkdir(parents=True, exist_ok=True)
     receiver, sender = _CONTEXT.Pipe(duplex=False)
     process = _CONTEXT.Process(target=_run, args=(task, printed, sender), daemon=True)
-    started = monotonic()
     with _starting, _clean_start():
         process.start()
     sender.close()
     try:
-        outcome = _Watch(task, process, receiver, tell, printed).outcome(stop)
+        outcome = _watched(task, process, receiver, stop, tell)
     finally:
         process.kill()
         process.join()
         receiver.close()
+    if outcome is None:
+        outcome = Outcome("killed", f"its process ended by {_ending(process.exitcode)}{_fatal_error(printed)}")
     _keep_printed(task, printed)
-    return replace(outcome, seconds=outcome.seconds or monotonic() - started, worker=outcome.worker or this_worker())
+    return outcome
 
 
-@dataclass(frozen=True)
-class _Watch:
-    """Who looks after a process at work."""
-
-    task: Task
-    process: ForkServerProcess
-    receiver: Connection
-    tell: Progress
-    printed: Path
-
-    def outcome(self, stop: threading.Event) -> Outcome:
-        """Wait until it has ended, or is to be ended."""
-        job, started = self.task.job, monotonic()
-        while not stop.is_set():
-            wait([self.receiver, self.process.sentinel], _LOOK_EVERY_S)
-            if (outcome := self._said()) is not None:
-                return outcome
-            if job.timeout_s is not None and monotonic() - started > job.timeout_s:
-                return Outcome("timeout", f"took more than the {job.timeout_s:g} s of --timeout")
-            if (held := self._memory_bytes()) > job.memory_bytes:
-                asked = f"the {megabytes(job.memory_bytes)} of --memory"
-                return Outcome("memory", f"held more than {asked}: {megabytes(held)}", peak_memory_mb=held / 1e6)
-        return Outcome("killed", "the batch was stopped")
-
-    def _said(self) -> Outcome | None:
-        """What came through the pipe, which closes when the process ends; progress is passed on."""
-        while self.receiver.poll():
+def _watched(
+    task: Task, process: ForkServerProcess, receiver: Connection, stop: threading.Event, tell: Progress
+) -> Outcome | None:
+    """The outcome that a process sends, or why it must be killed; None if it ended without one."""
+    job, started = task.job, monotonic()
+    while not stop.is_set():
+        wait([receiver, process.sentinel], _LOOK_EVERY_S)
+        while receiver.poll():
             try:
-                said = self.receiver.recv()
-            except (EOFError, OSError):  # it said nothing at its end
-                self.process.join()
-                ending = f"{_ending(self.process.exitcode)}{_fatal_error(self.printed)}"
-                return Outcome("killed", f"its process ended by {ending}")
+                said = receiver.recv()
+            except (EOFError, OSError):
+                process.join()
+                return None
             if isinstance(said, Outcome):
                 return said
-            self.tell(*said)
-        return None
+            tell(*said)
+        if job.timeout_s is not None and monotonic() - started > job.timeout_s:
+            return Outcome("timeout", f"took more than the {job.timeout_s:g} s of --timeout")
+        if (held := _memory_bytes(process)) > job.memory_bytes:
+            asked, found = (f"{size / 1e6:.0f} MB" for size in (job.memory_bytes, held))
+            error = f"held more than the {asked} of --memory: {found}"
+            return Outcome("memory", error, peak_memory_mb=held / 1e6)
+    return Outcome("killed", "the batch was stopped")
 
-    def _memory_bytes(self) -> int:
-        with suppress(psutil.Error):
-            return int(psutil.Process(self.process.pid).memory_info().rss)
-        return 0
+
+def _memory_bytes(process: ForkServerProcess) -> int:
+    with suppress(psutil.Error):
+        return int(psutil.Process(process.pid).memory_info().rss)
+    return 0
 
 
 def _ending(code: int | None) -> str:

@@ -121,18 +121,17 @@ class RayBackend:
         other.close()
         try:
             self._connection.send(self._request)
-            self._open()
+            self._await_session()
         except BaseException:
-            self._end()
+            self.__exit__()
             raise
         return self
 
-    def _open(self) -> None:
-        """Wait until the session is ready for tasks."""
+    def _await_session(self) -> None:
         within_s = _START_WITHIN_S if self._request.address == LOCAL else _JOIN_WITHIN_S
         if not self._connection.poll(within_s):
             raise ClusterError(f"--ray {self._request.address}: no cluster joined within {within_s:g} s")
-        self._take(self._received())
+        self._received()
 
     def submit(self, task: Task) -> None:
         """Begin with a task."""
@@ -151,25 +150,21 @@ class RayBackend:
         ended: list[tuple[Task, Outcome]] = []
         until = time.monotonic() + timeout_s
         while self._connection.poll(0 if ended else max(0, until - time.monotonic())):
-            if (end := self._take(self._received())) is not None:
+            if (end := self._received()) is not None:
                 ended.append((self._tasks.pop(end.key), end.outcome))
         return ended
 
-    def _received(self) -> SessionMessage:
+    def _received(self) -> TaskEnd | None:
+        """The next message if a task has ended; None for a new state of the cluster, which is kept."""
         try:
             message: SessionMessage = self._connection.recv()
         except (EOFError, OSError):
             raise self._lost() from None
-        return message
-
-    def _take(self, message: SessionMessage) -> TaskEnd | None:
-        match message:
-            case ClusterState():
-                self._state = message
-            case str():
-                raise ClusterError(f"--ray {self._request.address}: {message}")
-            case TaskEnd():
-                return message
+        if isinstance(message, str):
+            raise ClusterError(f"--ray {self._request.address}: {message}")
+        if isinstance(message, TaskEnd):
+            return message
+        self._state = message
         return None
 
     def _lost(self) -> ClusterError:
@@ -177,11 +172,7 @@ class RayBackend:
         return ClusterError(f"--ray {address}: the connection to the cluster is lost; the same command goes on later")
 
     def __exit__(self, *raised: object) -> None:
-        """End all that still runs, and leave the cluster."""
-        self._end()
-
-    def _end(self) -> None:
-        """The session leaves the cluster when nobody listens any more; Ray's own watchman ends what it leaves."""
+        """End all tasks and leave the cluster: the session does both when its pipe closes."""
         self._connection.close()
         has_begun = self._state.slots > 0 or self._request.address == LOCAL
         try:

@@ -11,7 +11,7 @@ from typing import Final
 from roadperc_stream import __version__
 from roadperc_stream.batch.backend import Backend
 from roadperc_stream.batch.dataset_lock import DatasetLock
-from roadperc_stream.batch.plan import Again, Planner, Step, find_drives_in
+from roadperc_stream.batch.plan import Planner, Step, find_drives_in
 from roadperc_stream.batch.runs import BatchRow, KnownRuns, RunsTable
 from roadperc_stream.batch.task import BatchJob, DriveFiles, Outcome, Task, code_digest, libraries
 from roadperc_stream.log import DIGEST_ALGORITHM
@@ -221,13 +221,13 @@ Display = Callable[[], AbstractContextManager[Watch]]
 class BatchRun:
     """A batch: its logs, what it does with each, and the doing."""
 
-    def __init__(self, job: BatchJob, arguments: Sequence[str], parts: re.Pattern[str] | None, again: Again) -> None:
+    def __init__(self, job: BatchJob, arguments: Sequence[str], parts: re.Pattern[str] | None) -> None:
         """Find the logs.
 
         Raises:
             StorageError: an argument names no log.
         """
-        self._job, self._again, self._table = job, again, RunsTable(job.out)
+        self._job, self._table = job, RunsTable(job.out)
         self.drives = find_drives_in(arguments, job.out, parts)
 
     def plan(self) -> tuple[Step, ...]:
@@ -238,7 +238,7 @@ class BatchRun:
             TableError: its list of runs cannot be read.
         """
         self._known = KnownRuns(self._table.read().values(), self._job.how.name)
-        planner = Planner(self._known, self._job, self._again)
+        planner = Planner(self._known, self._job)
         return tuple(planner.step(drive) for drive in self.drives)
 
     def run(self, start: StartBackend, display: Display) -> BatchSummary:

@@ -8,11 +8,10 @@ from pathlib import Path, PurePosixPath
 from typing import Literal
 
 from roadperc_stream import __version__
-from roadperc_stream.batch.publishing import LOGS, METRICS, OBJECTS, name_in
 from roadperc_stream.batch.runs import BatchRow, KnownRuns
 from roadperc_stream.batch.storage.addresses import is_address, natural
 from roadperc_stream.batch.storage.location import Location, StoredFile, find_files
-from roadperc_stream.batch.task import BatchJob, DriveFiles, code_digest
+from roadperc_stream.batch.task import LOGS, METRICS, OBJECTS, BatchJob, DriveFiles, code_digest, name_in
 from roadperc_stream.errors import StorageError
 from roadperc_stream.schemas.columns.runs import OF_THE_MACHINE, STATUSES
 from roadperc_stream.system.files import TABLE_SUFFIX
@@ -93,24 +92,11 @@ class Step:
         return self.action == "leave" and self.before is not None and self.before.row.status != "done"
 
 
-@dataclass(frozen=True)
-class Again:
-    """What of that which was done already is done again.
-
-    Args:
-        verify: read every log, rather than trust its size and time.
-        retry_failed: logs that are damaged or empty, too.
-    """
-
-    verify: bool = False
-    retry_failed: bool = False
-
-
 class Planner:
     """Decides for one log after the other, by what a dataset holds."""
 
-    def __init__(self, known: KnownRuns, job: BatchJob, again: Again) -> None:
-        self._known, self._job, self._again = known, job, again
+    def __init__(self, known: KnownRuns, job: BatchJob) -> None:
+        self._known, self._job = known, job
         self._there = _files_of(job.out, (METRICS, OBJECTS), TABLE_SUFFIX) | _files_of(job.out, (LOGS,), ".mcap")
 
     def step(self, drive: DriveFiles) -> Step:
@@ -125,7 +111,7 @@ class Planner:
             return Step(drive, "replay", why, run)
         if row.fingerprints[row.names.index(drive.name)] != drive.fingerprint:
             return Step(drive, "check", "the file has changed", run, (row.log_id or "",))
-        if self._again.verify:
+        if self._job.verify:
             return Step(drive, "check", "--verify", run, (row.log_id or "",))
         return Step(drive, "leave", "is done", run)
 
@@ -140,7 +126,7 @@ class Planner:
             return self._of_unknown(drive, f"failed before: {row.status}", run)
         if row.fingerprints[row.names.index(drive.name)] != drive.fingerprint:
             return self._of_unknown(drive, f"was {row.status}, and the file has changed", run)
-        if self._again.retry_failed:
+        if self._job.retry_failed:
             return Step(drive, "replay", f"was {row.status}: --retry-failed", run)
         if self._job.recover and not row.recover and row.status == "damaged":
             return Step(drive, "replay", "was damaged: --recover", run)

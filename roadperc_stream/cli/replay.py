@@ -14,7 +14,7 @@ from roadperc_stream.cli.arguments import (
 )
 from roadperc_stream.cli.completers import LOGS, completed_by, files
 from roadperc_stream.cli.plumbing import command_parser, parse, positive_seconds, run, whole_number
-from roadperc_stream.system.folders import not_a_log
+from roadperc_stream.system.files import not_a_log
 
 _USAGE: Final = """\
 %(prog)s [options] IN.mcap [IN.mcap ...] OUT.mcap

@@ -1,5 +1,7 @@
 """Lines for a terminal: what came from outside commands it by no character; and how a number of things is said."""
 
+import difflib
+from collections.abc import Iterable
 from typing import Final, TextIO
 
 _LONGEST: Final = 10_000
@@ -24,6 +26,19 @@ def print_line(line: str, stream: TextIO | None = None) -> None:
 def number(count: int, what: str) -> str:
     """So many of something: 1 frame, 2 frames."""
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
+
+
+def nearest(name: str, known: Iterable[str], likeness: float = 0.6) -> str | None:
+    """The known name that is most similar to a name, ignoring case; None if none is similar.
+
+    Args:
+        name: as the user wrote it.
+        known: the names that exist.
+        likeness: least similarity, 0 to 1, as the ratio of ``difflib``.
+    """
+    folded = {candidate.casefold(): candidate for candidate in known}
+    close = difflib.get_close_matches(name.casefold(), folded, n=1, cutoff=likeness)
+    return folded[close[0]] if close else None
 
 
 def _escaped(sign: str) -> str:

@@ -17,7 +17,7 @@ from typing import Any, Final, TypeVar
 from uuid import uuid4
 
 from roadperc_stream.batch.storage.addresses import Parts, is_address, left_of, natural, split_pattern, whole
-from roadperc_stream.batch.storage.disk import PIECE_BYTES, LocalFiles
+from roadperc_stream.batch.storage.stores import PIECE_BYTES, move, system_of, upload
 from roadperc_stream.errors import RoadpercError, StorageError
 from roadperc_stream.system.files import completing
 
@@ -87,7 +87,7 @@ class Location:
     def file(self) -> StoredFile | None:
         """The file of this name; None for a folder, and where there is nothing."""
         with _errors(self.address), suppress(FileNotFoundError, NotADirectoryError):
-            system, path = self._system
+            system, path = system_of(self.address)
             return _stored(self.address, system.info(path))
         return None
 
@@ -102,25 +102,20 @@ class Location:
         """
         depth = 1 if len(pattern) == 1 and pattern[0].endswith(_LOG_SUFFIX) else None
         with _errors(self.address):
-            system, base = self._system
+            system, base = system_of(self.address)
             found = system.walked(base, pattern) if self.is_local else system.find(base, depth, detail=True).items()
             start, files = f"{base.rstrip('/')}/", dict[str, StoredFile]()
             for path, info in found:
                 name = path.removeprefix(start)
-                stored = _stored(f"{self.address.rstrip('/')}/{name}", info)
-                if (
-                    stored
-                    and path != name
-                    and name.lower().endswith(suffix)
-                    and () in left_of(pattern, name.split("/"))
-                ):
+                is_named = path != name and name.lower().endswith(suffix) and () in left_of(pattern, name.split("/"))
+                if is_named and (stored := _stored(f"{self.address.rstrip('/')}/{name}", info)):
                     files[name] = stored
         return dict(sorted(files.items(), key=lambda item: natural(item[0])))
 
     def read(self) -> bytes | None:
         """All of the file, None where there is none."""
         with _errors(self.address), suppress(FileNotFoundError, NotADirectoryError):
-            system, path = self._system
+            system, path = system_of(self.address)
             data: bytes = system.cat_file(path)
             return data
         return None
@@ -131,18 +126,13 @@ class Location:
 
     def put(self, source: Path) -> None:
         """Move a file of this machine here, where it appears whole or not at all."""
-        if self.is_local:
-            self._tried(lambda system, path: system.put_file(str(source), path))
-        else:
-            from roadperc_stream.batch.storage.stores import upload
-
-            self._tried(partial(upload, source))
+        self._tried(partial(move if self.is_local else upload, source))
         source.unlink(missing_ok=True)
 
     def remove(self) -> None:
         """Remove the file of this very name; it need not exist."""
         with _errors(self.address), suppress(FileNotFoundError):
-            system, path = self._system
+            system, path = system_of(self.address)
             system.rm_file(path)
 
     def fetch(self, target: Path) -> None:
@@ -167,21 +157,12 @@ class Location:
         if self._tried(_identity) != before:
             raise StorageError(f"{self.address}: changed while it was read")
 
-    @property
-    def _system(self) -> tuple[Any, str]:
-        """The file system of fsspec's, and the path there."""
-        if self.is_local:
-            return LocalFiles(), self.address
-        from roadperc_stream.batch.storage.stores import store_of
-
-        return store_of(self.address)
-
     def _tried(self, action: Callable[[Any, str], Result]) -> Result:
         """What an action gives with file system and path; where a store fails, after further tries."""
         for wait_s in () if self.is_local else WAITS_S:
             try:
                 with _errors(self.address):
-                    return action(*self._system)
+                    return action(*system_of(self.address))
             except StorageError as error:
                 cause = error.__cause__
                 is_missing = cause is None or isinstance(cause, FileNotFoundError | PermissionError)
@@ -189,7 +170,7 @@ class Location:
                     raise
                 time.sleep(wait_s)
         with _errors(self.address):
-            return action(*self._system)
+            return action(*system_of(self.address))
 
 
 def find_files(pattern: str) -> list[StoredFile]:
