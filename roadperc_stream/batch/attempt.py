@@ -1,7 +1,7 @@
-"""One attempt at a log, in a process of its own that may take so much time and memory and no more.
+"""One attempt at a log, in a separate process with limits on time and memory.
 
-Both back ends call ``attempt``: a log that takes the process with it, hangs or fills the memory ends itself alone. The
-process is forked from one that has imported all that a replay needs, so that it starts in hundredths of a second.
+Both back ends call ``attempt``. A log that crashes, hangs or fills the memory ends only its own process. The process is
+forked from one that has imported the modules of a replay, so it starts within hundredths of a second.
 """
 
 import faulthandler
@@ -42,7 +42,7 @@ _starting: Final = threading.Lock()
 
 
 def attempt(task: Task, stop: threading.Event | None = None, tell: Progress = no_progress) -> Outcome:
-    """Replay a log into the dataset, whatever happens to the process that does it.
+    """Replay a log into the dataset; a crash of the process is an outcome too.
 
     Args:
         task: the log, and what to do with it.
@@ -125,7 +125,7 @@ def _ending(code: int | None) -> str:
 
 
 def _fatal_error(printed: Path) -> str:
-    """The fatal error that a process printed, between the line before it and the line of code; empty without one."""
+    """The fatal error that a process printed, with the line before it and its line of code; empty without one."""
     with suppress(OSError), printed.open("rb") as file:
         file.seek(max(printed.stat().st_size - _END_BYTES, 0))
         before, mark, after = file.read().decode(errors="replace").rpartition("Fatal Python error: ")
@@ -136,7 +136,7 @@ def _fatal_error(printed: Path) -> str:
 
 
 def _keep_printed(task: Task, printed: Path) -> None:
-    """Put what the process printed into the dataset, where it is anything."""
+    """Put the output of the process, if any, into the dataset."""
     with suppress(OSError, RoadpercError):
         if printed.stat().st_size:
             task.job.out.at(f"{OUTPUT}/{task.drive.stem}-{task.key}.txt").put(printed)
@@ -146,10 +146,10 @@ def _keep_printed(task: Task, printed: Path) -> None:
 
 @contextmanager
 def _clean_start() -> Iterator[None]:
-    """Around the start of a process, which needs nothing of the program that starts it but its modules.
+    """Start a process without the main module and without threads of BLAS.
 
-    The main module of a worker of Ray takes a second to import, and libraries that start threads when they are
-    imported must not in the process that is forked.
+    The main module of a Ray worker takes a second to import. Libraries must not start threads in the process that
+    is forked.
     """
     _CONTEXT.set_forkserver_preload(list(_PRELOADED))
     main, threads = sys.modules["__main__"], os.environ.get(_ONE_THREAD)
@@ -166,13 +166,13 @@ def _clean_start() -> Iterator[None]:
 
 
 def _run(task: Task, printed: Path, sender: Connection) -> None:
-    """Begin as the process: say how far it is, and at last the outcome."""
+    """Run in the new process: send the progress and finally the outcome."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all processes; the batch ends this one
     _print_to(printed)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         outcome = work(task, now_and_then(lambda done, expected: sender.send((done, expected)), _SAY_EVERY_S))
-    except Exception as error:  # whatever it is, it is this log's: the batch goes on with the others
+    except Exception as error:  # it concerns only this log: the batch continues with the others
         traceback.print_exc()
         said = f"{type(error).__name__}: {error}; {OUTPUT}/ has the traceback"
         outcome = Outcome("killed", " ".join(said.splitlines()), worker=this_worker())
@@ -180,7 +180,7 @@ def _run(task: Task, printed: Path, sender: Connection) -> None:
 
 
 def _end_with_parent() -> None:
-    """End when the process that watches this one has ended, as with a node of a cluster."""
+    """End this process when its parent has ended, for example with a node of a cluster."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])
@@ -188,7 +188,7 @@ def _end_with_parent() -> None:
 
 
 def _print_to(path: Path) -> None:
-    """Let all that this process and its libraries print go to a file, also of a crash."""
+    """Redirect the output of this process, its libraries and a crash to a file."""
     with path.open("wb") as file:
         for number in (1, 2):
             os.dup2(file.fileno(), number)

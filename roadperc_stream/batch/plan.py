@@ -1,4 +1,4 @@
-"""Which logs a command line means, which of them a batch does, and why."""
+"""Finds the logs of a command line and decides what a batch does with each, and why."""
 
 import os
 import re
@@ -22,7 +22,7 @@ def find_drives_in(arguments: Sequence[str], out: Location, parts: re.Pattern[st
 
     Args:
         arguments: files, folders, globs, addresses, and ``@list.txt`` with one of those in each line.
-        out: the dataset, whose own logs are none of the input.
+        out: the dataset, whose own result logs are not input.
         parts: what in a file's name tells the parts of one drive apart; None: every file is a log.
 
     Raises:
@@ -37,7 +37,7 @@ def find_drives_in(arguments: Sequence[str], out: Location, parts: re.Pattern[st
 
 
 def _is_in(file: StoredFile, out: Location) -> bool:
-    """Whether it is a result log of the dataset, whatever links lead there."""
+    """Whether it is a result log of the dataset, also through links."""
     if out.is_local and not is_address(file.address):
         place = Path(os.path.realpath(file.address))  # resolve() refuses a link to itself
         return place.is_relative_to(Path(out.address).resolve() / LOGS)
@@ -116,7 +116,7 @@ class Planner:
         return Step(drive, "leave", "is done", run)
 
     def _of_unknown(self, drive: DriveFiles, why: str, before: BatchRow | None = None) -> Step:
-        """A log whose content nobody has read; it may be that of a file of the same size."""
+        """A step for a log that was never read; its content may be that of a file of the same size."""
         same = (run.row.log_id for run in self._known.done_of_size(drive.size_bytes) if not self._stale(run))
         return Step(drive, "replay", why, before, tuple(filter(None, same)))
 
@@ -133,7 +133,7 @@ class Planner:
         return Step(drive, "leave", f"is {row.status}", run)
 
     def _stale(self, run: BatchRow) -> str:
-        """Why what the dataset has of a log is to be made anew; empty where it is not."""
+        """Why the dataset's results of a log must be replaced; empty if they are valid."""
         row = run.row
         if row.version != __version__:
             return f"version {row.version} did it, this is {__version__}"
@@ -149,7 +149,7 @@ class Planner:
 
 
 def _files_of(out: Location, folders: Sequence[str], suffix: str) -> set[str]:
-    """Their names; a file with nothing in it is none, as a machine that lost its power leaves them."""
+    """The names of files that are not empty; a power failure leaves empty ones."""
     return {
         f"{folder}/{name}"
         for folder in folders

@@ -75,8 +75,8 @@ def _exactly(value: float) -> str:
 def code_digest() -> str:
     """Eight hexadecimal digits of the modules that results depend on.
 
-    Who changes the chain has its logs replayed anew, without a new version; compiled loops have a plain form with the
-    same results, which is among the modules.
+    A change of the chain replays all logs again, without a new version. A compiled kernel does not count: its plain
+    form has the same results and is among the modules.
     """
     root = Path(roadperc_stream.__file__).parent
     modules = [path for pattern in _RESULTS_DEPEND_ON for path in root.glob(pattern)]

@@ -168,7 +168,7 @@ def _replayed(task: Task, folder: Path, progress: Progress) -> Outcome:
                 raise StorageError(f"{name}: changed while it was replayed")
     if known_id is not None:
         return Outcome("done", log_id=known_id, is_new=False)
-    for remark in summary.remarks:  # what a process prints comes to stand beside the dataset's tables
+    for remark in summary.remarks:  # the output of a process is stored in the dataset
         print_line(_with_addresses(remark, task, folder))
     return _published(task, target, summary)
 

@@ -177,7 +177,7 @@ def completing(target: Path, *, force: bool = True, mark: str = "") -> Iterator[
 
     Args:
         target: the file.
-        force: replace what has come to stand there meanwhile.
+        force: replace a file that appeared there in the meantime.
         mark: of this writer alone, where other machines write to the same folder.
 
     Raises:
