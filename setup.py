@@ -1,4 +1,4 @@
-"""The compiled inner loops; all else about the installation stands in pyproject.toml."""
+"""The compiled inner loops; pyproject.toml has the rest of the installation."""
 
 from pathlib import Path
 

@@ -12,7 +12,7 @@ from roadperc_stream.errors import LogError
 from roadperc_stream.output.terminal import console_for, frame_progress, print_lines, print_table
 from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.schemas.roles import parse_topic_options
-from roadperc_stream.system.folders import not_a_log
+from roadperc_stream.system.files import not_a_log
 from roadperc_stream.system.text import print_line
 
 from .quantities import percent, rounded

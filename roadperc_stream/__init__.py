@@ -29,21 +29,14 @@ if TYPE_CHECKING:
     from roadperc_stream.model import Detection as Detection
     from roadperc_stream.model import FrameResult as FrameResult
 
-_HOMES = {
-    "Chain": "api",
-    "LogFrame": "api",
-    "frames": "api",
-    "read_metrics": "api",
-    "replay": "api",
-    "ReplayConfig": "config",
-    "load_config": "config",
-    "Absent": "model",
-    "Box": "model",
-    "Detection": "model",
-    "FrameResult": "model",
-    "Camera": "geometry",
-    "RoadpercError": "errors",
+_NAMES = {
+    "api": ("Chain", "LogFrame", "frames", "read_metrics", "replay"),
+    "config": ("ReplayConfig", "load_config"),
+    "errors": ("RoadpercError",),
+    "geometry": ("Camera",),
+    "model": ("Absent", "Box", "Detection", "FrameResult"),
 }
+_HOMES = {name: module for module, names in _NAMES.items() for name in names}
 __all__ = [*_HOMES, "__version__"]  # noqa: PLE0604
 
 

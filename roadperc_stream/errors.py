@@ -1,4 +1,4 @@
-"""What can go wrong, said in one line; the command line is the one place that catches it."""
+"""The errors of this project, each with a one-line message; only the command line catches them."""
 
 
 class RoadpercError(Exception):
@@ -26,7 +26,7 @@ class ConfigError(RoadpercError):
 
 
 class StateError(RoadpercError):
-    """What a replay left for the next one to go on from, where that cannot go on from it."""
+    """A saved state or checkpoint from which a replay cannot continue."""
 
 
 class DumpError(RoadpercError):
@@ -38,7 +38,7 @@ class TableError(RoadpercError):
 
 
 class RegressionError(RoadpercError):
-    """A run that is worse than its reference: an answer, with an exit code of its own, and no failure."""
+    """A run that is worse than its reference: a result with its own exit code, not a failure."""
 
 
 class TargetError(RoadpercError):

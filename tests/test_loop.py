@@ -359,21 +359,16 @@ def test_what_cannot_be_replayed_is_one_line_and_no_file(tmp_path, capsys, items
     assert [p.name for p in tmp_path.iterdir()] == ["in.mcap"]
 
 
-def test_the_input_is_never_the_output(source):
-    before = source.read_bytes()
-    with pytest.raises(TargetError, match="is the input itself"):
-        replay(source, source, CFG, force=True)
-    assert source.read_bytes() == before
-
-
-def test_an_empty_part_is_refused(source):
-    with pytest.raises(LogError, match=r"in the part asked for; the log lasts \d\.\d{3} s$"):
-        run(source, time_range=TimeRange(start_s=100))
-
-
-def test_a_topic_that_is_not_there_is_named(source):
-    with pytest.raises(ChannelError, match="/nowhere"):
-        run(source, overrides={"depth": "/nowhere"})
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"time_range": TimeRange(start_s=100)}, LogError, r"in the part asked for; the log lasts \d\.\d{3} s$"),
+        ({"overrides": {"depth": "/nowhere"}}, ChannelError, "/nowhere"),
+    ],
+)
+def test_a_time_range_or_topic_that_the_log_does_not_have_is_an_error(source, options, error, message):
+    with pytest.raises(error, match=message):
+        run(source, **options)
 
 
 @pytest.mark.parametrize(

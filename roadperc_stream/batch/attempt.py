@@ -1,7 +1,7 @@
-"""One attempt at a log, in a process of its own that may take so much time and memory and no more.
+"""One attempt at a log, in a separate process with limits on time and memory.
 
-Both back ends call ``attempt``: a log that takes the process with it, hangs or fills the memory ends itself alone. The
-process is forked from one that has imported all that a replay needs, so that it starts in hundredths of a second.
+Both back ends call ``attempt``. A log that crashes, hangs or fills the memory ends only its own process. The process is
+forked from one that has imported the modules of a replay, so it starts within hundredths of a second.
 """
 
 import faulthandler
@@ -13,7 +13,7 @@ import threading
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
@@ -24,7 +24,7 @@ from uuid import uuid4
 
 import psutil
 
-from roadperc_stream.batch.task import Outcome, Task, megabytes, this_worker
+from roadperc_stream.batch.task import Outcome, Task, this_worker
 from roadperc_stream.batch.worker import scratch_of, work
 from roadperc_stream.errors import RoadpercError, TargetError
 from roadperc_stream.system.progress import Progress, no_progress, now_and_then
@@ -42,7 +42,7 @@ _starting: Final = threading.Lock()
 
 
 def attempt(task: Task, stop: threading.Event | None = None, tell: Progress = no_progress) -> Outcome:
-    """Replay a log into the dataset, whatever happens to the process that does it.
+    """Replay a log into the dataset; a crash of the process is an outcome too.
 
     Args:
         task: the log, and what to do with it.
@@ -52,79 +52,68 @@ def attempt(task: Task, stop: threading.Event | None = None, tell: Progress = no
     Returns:
         What ``work`` gave, or ``timeout``, ``memory`` or ``killed``.
     """
+    started = monotonic()
     try:
-        return _attempt(task, stop or threading.Event(), tell)
+        outcome = _attempt(task, stop or threading.Event(), tell)
     except TargetError as error:
-        return Outcome("unreachable", str(error), worker=this_worker())
+        outcome = Outcome("unreachable", str(error))
     except OSError as error:
-        said = f"{error.filename or scratch_of(task)}: {error.strerror or error}"
-        return Outcome("unreachable", said, worker=this_worker())
+        outcome = Outcome("unreachable", f"{error.filename or scratch_of(task)}: {error.strerror or error}")
+    return replace(outcome, seconds=outcome.seconds or monotonic() - started, worker=outcome.worker or this_worker())
 
 
 def _attempt(task: Task, stop: threading.Event, tell: Progress) -> Outcome:
     if task.job.out.is_local and not Path(task.job.out.address).is_dir():
-        return Outcome("unreachable", f"{task.job.out.address}: no such folder on this machine", worker=this_worker())
+        return Outcome("unreachable", f"{task.job.out.address}: no such folder on this machine")
     scratch = scratch_of(task)
     printed = scratch.with_name(f"{scratch.name}.{uuid4().hex}.log")
     printed.parent.mkdir(parents=True, exist_ok=True)
     receiver, sender = _CONTEXT.Pipe(duplex=False)
     process = _CONTEXT.Process(target=_run, args=(task, printed, sender), daemon=True)
-    started = monotonic()
     with _starting, _clean_start():
         process.start()
     sender.close()
     try:
-        outcome = _Watch(task, process, receiver, tell, printed).outcome(stop)
+        outcome = _watched(task, process, receiver, stop, tell)
     finally:
         process.kill()
         process.join()
         receiver.close()
+    if outcome is None:
+        outcome = Outcome("killed", f"its process ended by {_ending(process.exitcode)}{_fatal_error(printed)}")
     _keep_printed(task, printed)
-    return replace(outcome, seconds=outcome.seconds or monotonic() - started, worker=outcome.worker or this_worker())
+    return outcome
 
 
-@dataclass(frozen=True)
-class _Watch:
-    """Who looks after a process at work."""
-
-    task: Task
-    process: ForkServerProcess
-    receiver: Connection
-    tell: Progress
-    printed: Path
-
-    def outcome(self, stop: threading.Event) -> Outcome:
-        """Wait until it has ended, or is to be ended."""
-        job, started = self.task.job, monotonic()
-        while not stop.is_set():
-            wait([self.receiver, self.process.sentinel], _LOOK_EVERY_S)
-            if (outcome := self._said()) is not None:
-                return outcome
-            if job.timeout_s is not None and monotonic() - started > job.timeout_s:
-                return Outcome("timeout", f"took more than the {job.timeout_s:g} s of --timeout")
-            if (held := self._memory_bytes()) > job.memory_bytes:
-                asked = f"the {megabytes(job.memory_bytes)} of --memory"
-                return Outcome("memory", f"held more than {asked}: {megabytes(held)}", peak_memory_mb=held / 1e6)
-        return Outcome("killed", "the batch was stopped")
-
-    def _said(self) -> Outcome | None:
-        """What came through the pipe, which closes when the process ends; progress is passed on."""
-        while self.receiver.poll():
+def _watched(
+    task: Task, process: ForkServerProcess, receiver: Connection, stop: threading.Event, tell: Progress
+) -> Outcome | None:
+    """The outcome that a process sends, or why it must be killed; None if it ended without one."""
+    job, started = task.job, monotonic()
+    while not stop.is_set():
+        wait([receiver, process.sentinel], _LOOK_EVERY_S)
+        while receiver.poll():
             try:
-                said = self.receiver.recv()
-            except (EOFError, OSError):  # it said nothing at its end
-                self.process.join()
-                ending = f"{_ending(self.process.exitcode)}{_fatal_error(self.printed)}"
-                return Outcome("killed", f"its process ended by {ending}")
+                said = receiver.recv()
+            except (EOFError, OSError):
+                process.join()
+                return None
             if isinstance(said, Outcome):
                 return said
-            self.tell(*said)
-        return None
+            tell(*said)
+        if job.timeout_s is not None and monotonic() - started > job.timeout_s:
+            return Outcome("timeout", f"took more than the {job.timeout_s:g} s of --timeout")
+        if (held := _memory_bytes(process)) > job.memory_bytes:
+            asked, found = (f"{size / 1e6:.0f} MB" for size in (job.memory_bytes, held))
+            error = f"held more than the {asked} of --memory: {found}"
+            return Outcome("memory", error, peak_memory_mb=held / 1e6)
+    return Outcome("killed", "the batch was stopped")
 
-    def _memory_bytes(self) -> int:
-        with suppress(psutil.Error):
-            return int(psutil.Process(self.process.pid).memory_info().rss)
-        return 0
+
+def _memory_bytes(process: ForkServerProcess) -> int:
+    with suppress(psutil.Error):
+        return int(psutil.Process(process.pid).memory_info().rss)
+    return 0
 
 
 def _ending(code: int | None) -> str:
@@ -136,7 +125,7 @@ def _ending(code: int | None) -> str:
 
 
 def _fatal_error(printed: Path) -> str:
-    """The fatal error that a process printed, between the line before it and the line of code; empty without one."""
+    """The fatal error that a process printed, with the line before it and its line of code; empty without one."""
     with suppress(OSError), printed.open("rb") as file:
         file.seek(max(printed.stat().st_size - _END_BYTES, 0))
         before, mark, after = file.read().decode(errors="replace").rpartition("Fatal Python error: ")
@@ -147,7 +136,7 @@ def _fatal_error(printed: Path) -> str:
 
 
 def _keep_printed(task: Task, printed: Path) -> None:
-    """Put what the process printed into the dataset, where it is anything."""
+    """Put the output of the process, if any, into the dataset."""
     with suppress(OSError, RoadpercError):
         if printed.stat().st_size:
             task.job.out.at(f"{OUTPUT}/{task.drive.stem}-{task.key}.txt").put(printed)
@@ -157,10 +146,10 @@ def _keep_printed(task: Task, printed: Path) -> None:
 
 @contextmanager
 def _clean_start() -> Iterator[None]:
-    """Around the start of a process, which needs nothing of the program that starts it but its modules.
+    """Start a process without the main module and without threads of BLAS.
 
-    The main module of a worker of Ray takes a second to import, and libraries that start threads when they are
-    imported must not in the process that is forked.
+    The main module of a Ray worker takes a second to import. Libraries must not start threads in the process that
+    is forked.
     """
     _CONTEXT.set_forkserver_preload(list(_PRELOADED))
     main, threads = sys.modules["__main__"], os.environ.get(_ONE_THREAD)
@@ -177,13 +166,13 @@ def _clean_start() -> Iterator[None]:
 
 
 def _run(task: Task, printed: Path, sender: Connection) -> None:
-    """Begin as the process: say how far it is, and at last the outcome."""
+    """Run in the new process: send the progress and finally the outcome."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all processes; the batch ends this one
     _print_to(printed)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         outcome = work(task, now_and_then(lambda done, expected: sender.send((done, expected)), _SAY_EVERY_S))
-    except Exception as error:  # whatever it is, it is this log's: the batch goes on with the others
+    except Exception as error:  # it concerns only this log: the batch continues with the others
         traceback.print_exc()
         said = f"{type(error).__name__}: {error}; {OUTPUT}/ has the traceback"
         outcome = Outcome("killed", " ".join(said.splitlines()), worker=this_worker())
@@ -191,7 +180,7 @@ def _run(task: Task, printed: Path, sender: Connection) -> None:
 
 
 def _end_with_parent() -> None:
-    """End when the process that watches this one has ended, as with a node of a cluster."""
+    """End this process when its parent has ended, for example with a node of a cluster."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])
@@ -199,7 +188,7 @@ def _end_with_parent() -> None:
 
 
 def _print_to(path: Path) -> None:
-    """Let all that this process and its libraries print go to a file, also of a crash."""
+    """Redirect the output of this process, its libraries and a crash to a file."""
     with path.open("wb") as file:
         for number in (1, 2):
             os.dup2(file.fileno(), number)

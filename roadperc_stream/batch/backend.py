@@ -1,4 +1,4 @@
-"""Back ends work on tasks: the driver knows no more of them than the protocol; one works on this machine."""
+"""The protocol of back ends, which run tasks, and the back end for this machine."""
 
 import time
 from collections.abc import Mapping
@@ -16,11 +16,11 @@ Frames = tuple[int, int]
 
 
 class Backend(AbstractContextManager["Backend"], Protocol):
-    """Works on tasks; leaving its context ends all that still runs."""
+    """Runs tasks; leaving its context ends the running ones."""
 
     @property
     def slots(self) -> int:
-        """How many tasks to give it at a time; a cluster grows and shrinks."""
+        """How many tasks it can run at a time; a cluster grows and shrinks."""
         ...
 
     def submit(self, task: Task) -> None:
@@ -28,17 +28,17 @@ class Backend(AbstractContextManager["Backend"], Protocol):
         ...
 
     def wait(self, timeout_s: float) -> list[tuple[Task, Outcome]]:
-        """The tasks that have ended since, after so many seconds at most."""
+        """The tasks that have ended since the last call; waits at most this long."""
         ...
 
     @property
     def at_work(self) -> Mapping[str, Frames]:
-        """How far the tasks at work are, by their keys, as far as that is known."""
+        """The known progress of the running tasks, by their keys."""
         ...
 
 
 class LocalBackend:
-    """As many tasks at a time as are asked for."""
+    """Runs a fixed number of tasks at a time."""
 
     def __init__(self, jobs: int) -> None:
         self.slots = jobs
@@ -56,11 +56,11 @@ class LocalBackend:
 
     @property
     def at_work(self) -> Mapping[str, Frames]:
-        """How far the tasks at work are, by their keys."""
+        """The progress of the running tasks, by their keys."""
         return self._frames.copy()
 
     def wait(self, timeout_s: float) -> list[tuple[Task, Outcome]]:
-        """The tasks that have ended since."""
+        """The tasks that have ended since the last call."""
         if not self._tasks:
             time.sleep(timeout_s)
         ended = wait(self._tasks, timeout_s, FIRST_COMPLETED).done
@@ -70,10 +70,10 @@ class LocalBackend:
         return found
 
     def __enter__(self) -> Self:
-        """Start: processes do with the first task."""
+        """Do nothing: processes start with the first task."""
         return self
 
     def __exit__(self, *raised: object) -> None:
-        """End all that still runs."""
+        """End the running tasks."""
         self._stop.set()
         self._threads.shutdown(cancel_futures=True)

@@ -1,7 +1,7 @@
 """Tasks on the machines of a Ray cluster.
 
-A process of its own speaks to Ray (``ray_session``): Ray prints of its own accord, takes the signals, waits minutes for
-a cluster that is not there, and ends its process where the cluster's head dies. None of that reaches the batch.
+A separate process speaks to Ray (``ray_session``). Ray prints, handles the signals, waits minutes for a missing
+cluster, and ends its process if the cluster's head dies. None of this affects the batch.
 """
 
 import contextlib
@@ -26,7 +26,7 @@ from roadperc_stream.errors import ClusterError
 from roadperc_stream.system.progress import now_and_then
 
 LOCAL: Final = "local"
-"""The address that stands for a Ray of this batch alone, on this machine."""
+"""The address of a Ray that the batch starts for itself on this machine."""
 _CLIENT: Final = "ray"
 _CLIENT_PORT: Final = 10001
 _ANSWER_WITHIN_S: Final = 5.0
@@ -35,17 +35,17 @@ _START_WITHIN_S: Final = 120.0
 _LEAVE_WITHIN_S: Final = 15.0
 _SESSION: Final = "roadperc_stream.batch.ray_session"
 _ENVIRONMENT: Final = {
-    # Ray would send the working folder, with whatever logs are in it, to the machines and run uv there.
+    # Otherwise Ray sends the working folder, logs included, to the machines and runs uv there.
     "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0",
     "RAY_gcs_server_request_timeout_seconds": "20",
     "RAY_USAGE_STATS_ENABLED": "0",
 }
-"""What Ray is told by variables, unless the user has."""
+"""Environment variables for Ray, unless the user sets them."""
 
 
 @dataclass(frozen=True)
 class ClusterRequest:
-    """What a session is opened with.
+    """What a session needs to start.
 
     Args:
         address: of the cluster, or ``local``.
@@ -62,7 +62,7 @@ class ClusterRequest:
 
 @dataclass(frozen=True)
 class ClusterState:
-    """CPUs of the cluster at the moment, and how far the tasks at work are, by their keys."""
+    """Current CPUs of the cluster, and the progress of the running tasks by their keys."""
 
     slots: int
     at_work: Mapping[str, Frames]
@@ -77,7 +77,7 @@ class TaskEnd:
 
 
 SessionMessage = ClusterState | TaskEnd | str
-"""A text says why a session cannot be opened, in a line."""
+"""A text is the one-line error of a session that cannot start."""
 
 
 class RayBackend:
@@ -106,14 +106,14 @@ class RayBackend:
 
     @property
     def at_work(self) -> Mapping[str, Frames]:
-        """How far the tasks at work are, by their keys, as far as their machines have told."""
+        """The progress of the running tasks, by their keys, as their machines report it."""
         return {key: frames for key, frames in self._state.at_work.items() if key in self._tasks}
 
     def __enter__(self) -> Self:
         """Start Ray or join a cluster.
 
         Raises:
-            ClusterError: there is none at the address, or none that fits.
+            ClusterError: no cluster listens at the address, or its code differs.
         """
         _require_listener(self._request.address)
         self._connection, other = Pipe()
@@ -121,18 +121,17 @@ class RayBackend:
         other.close()
         try:
             self._connection.send(self._request)
-            self._open()
+            self._await_session()
         except BaseException:
-            self._end()
+            self.__exit__()
             raise
         return self
 
-    def _open(self) -> None:
-        """Wait until the session is ready for tasks."""
+    def _await_session(self) -> None:
         within_s = _START_WITHIN_S if self._request.address == LOCAL else _JOIN_WITHIN_S
         if not self._connection.poll(within_s):
             raise ClusterError(f"--ray {self._request.address}: no cluster joined within {within_s:g} s")
-        self._take(self._received())
+        self._received()
 
     def submit(self, task: Task) -> None:
         """Begin with a task."""
@@ -146,30 +145,26 @@ class RayBackend:
         """The tasks that have ended since.
 
         Raises:
-            ClusterError: the cluster, or the way to it, is lost.
+            ClusterError: the connection to the cluster is lost.
         """
         ended: list[tuple[Task, Outcome]] = []
         until = time.monotonic() + timeout_s
         while self._connection.poll(0 if ended else max(0, until - time.monotonic())):
-            if (end := self._take(self._received())) is not None:
+            if (end := self._received()) is not None:
                 ended.append((self._tasks.pop(end.key), end.outcome))
         return ended
 
-    def _received(self) -> SessionMessage:
+    def _received(self) -> TaskEnd | None:
+        """The next message if a task has ended; None for a new state of the cluster, which is kept."""
         try:
             message: SessionMessage = self._connection.recv()
         except (EOFError, OSError):
             raise self._lost() from None
-        return message
-
-    def _take(self, message: SessionMessage) -> TaskEnd | None:
-        match message:
-            case ClusterState():
-                self._state = message
-            case str():
-                raise ClusterError(f"--ray {self._request.address}: {message}")
-            case TaskEnd():
-                return message
+        if isinstance(message, str):
+            raise ClusterError(f"--ray {self._request.address}: {message}")
+        if isinstance(message, TaskEnd):
+            return message
+        self._state = message
         return None
 
     def _lost(self) -> ClusterError:
@@ -177,11 +172,7 @@ class RayBackend:
         return ClusterError(f"--ray {address}: the connection to the cluster is lost; the same command goes on later")
 
     def __exit__(self, *raised: object) -> None:
-        """End all that still runs, and leave the cluster."""
-        self._end()
-
-    def _end(self) -> None:
-        """The session leaves the cluster when nobody listens any more; Ray's own watchman ends what it leaves."""
+        """End all tasks and leave the cluster: the session does both when its pipe closes."""
         self._connection.close()
         has_begun = self._state.slots > 0 or self._request.address == LOCAL
         try:
@@ -193,9 +184,9 @@ class RayBackend:
 
 
 def _start_session(connection: Connection, address: str) -> "subprocess.Popen[bytes]":
-    """A group of processes of its own, which an interrupt from the terminal does not reach."""
+    """Start the session in its own process group, which an interrupt from the terminal does not reach."""
     environment = _ENVIRONMENT | dict(os.environ)
-    if address == LOCAL:  # nobody else may give it work; and no key is left in the user's home
+    if address == LOCAL:  # others must not use it, and no key may stay in the user's home
         environment |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32)}
     return subprocess.Popen(
         [sys.executable, "-P", "-m", _SESSION, str(connection.fileno())],
@@ -209,10 +200,10 @@ def _start_session(connection: Connection, address: str) -> "subprocess.Popen[by
 
 
 def _require_listener(address: str) -> None:
-    """Say at once that nobody is there: Ray itself tries for minutes.
+    """Check at once that something listens at the address: Ray itself tries for minutes.
 
     Raises:
-        ClusterError: nobody listens at the address, or it is none.
+        ClusterError: nothing listens at the address, or it is invalid.
     """
     if address in {LOCAL, "auto"}:
         return
@@ -237,26 +228,26 @@ def code_on_node() -> str:
 
 
 class FrameCount:
-    """How far the tasks at work are, on one machine for all."""
+    """Progress of the running tasks of all machines."""
 
     def __init__(self) -> None:
         self._done: dict[str, Frames] = {}
 
     def tell(self, key: str, frames: Frames) -> None:
-        """Take the frames done of a task, and those expected."""
+        """Store the frames done and expected of a task."""
         self._done[key] = frames
 
     def forget(self, key: str) -> None:
-        """Take that a task has ended."""
+        """Remove a task that has ended."""
         self._done.pop(key, None)
 
     def told(self) -> dict[str, Frames]:
-        """How far all tasks at work are."""
+        """The progress of all running tasks."""
         return self._done
 
 
 def attempt_on_node(task: Task, count: Any) -> Outcome:
-    """Replay a log, and tell the count of frames.
+    """Replay a log and report its progress.
 
     Args:
         task: the log, and what to do with it.

@@ -21,14 +21,14 @@ LOCK: Final = ".lock"
 """The file of a dataset that names the batch at work on it."""
 RENEW_EVERY_S: Final = 30.0
 DEAD_AFTER_S: Final = 120.0
-"""A lock in a store that was not renewed for so long is one of a batch that was killed."""
+"""A lock in a store that was not renewed for this long belongs to a killed batch."""
 _SETTLES_S: Final = 1.0
-"""Of two batches that write their lock at the same moment, this much later both see which one came last."""
+"""Wait after writing a lock; if two batches write at once, both then see which one was last."""
 
 
 @dataclass(frozen=True)
 class LockHolder:
-    """A batch at work: ``token`` is of this batch alone, ``renewed_s`` when it last said so, since 1970."""
+    """A running batch: ``token`` is unique, ``renewed_s`` is the time of its last renewal since 1970."""
 
     host: str
     process: int
@@ -38,15 +38,15 @@ class LockHolder:
 
     @property
     def is_alive(self) -> bool:
-        """Whether it has been renewed lately; a time far ahead is one of another clock, and as good as none."""
+        """Whether it was renewed recently; a time far ahead comes from a wrong clock and does not count."""
         return abs(time.time() - self.renewed_s) < DEAD_AFTER_S
 
 
 class DatasetLock:
     """Held within its context by the one batch that may write a dataset.
 
-    On a disk it is the system's, which takes it from a process that ends, however that ends; the file beside it only
-    names the holder. A store has no locks: there the file itself is the lock, and a thread renews it.
+    On a disk the system holds the lock and releases it when the process ends; a file only names the holder. A store has
+    no locks: there the file itself is the lock, and a thread renews it.
 
     Args:
         out: the dataset.
@@ -97,7 +97,7 @@ class DatasetLock:
 
     @property
     def is_held(self) -> bool:
-        """Whether no other batch has taken it meanwhile, as one does that thinks this one dead."""
+        """Whether this batch still has the lock; another one takes a lock that looks dead."""
         return self._taken_by is None
 
     def require_held(self) -> None:

@@ -1,4 +1,4 @@
-"""A batch from its arguments to its list of runs: gives logs to a back end, retries, writes down the outcomes."""
+"""Runs a batch: gives logs to a back end, retries, and records the outcomes in the list of runs."""
 
 import re
 import time
@@ -11,7 +11,7 @@ from typing import Final
 from roadperc_stream import __version__
 from roadperc_stream.batch.backend import Backend
 from roadperc_stream.batch.dataset_lock import DatasetLock
-from roadperc_stream.batch.plan import Again, Planner, Step, find_drives_in
+from roadperc_stream.batch.plan import Planner, Step, find_drives_in
 from roadperc_stream.batch.runs import BatchRow, KnownRuns, RunsTable
 from roadperc_stream.batch.task import BatchJob, DriveFiles, Outcome, Task, code_digest, libraries
 from roadperc_stream.log import DIGEST_ALGORITHM
@@ -21,9 +21,9 @@ from roadperc_stream.schemas.columns.runs import OF_THE_MACHINE, RunRow
 _WAIT_S: Final = 0.2
 _SAVE_EVERY_S: Final = 1.0
 _AGAIN_S: Final = 1.0
-"""How long a log waits for another attempt, and each time so much longer."""
+"""Wait before the first retry of a log; each further retry waits this much longer."""
 _TRIED_AGAIN: Final = frozenset({"killed", "unreachable"})
-"""What another attempt may not meet again."""
+"""Outcomes that a retry may avoid."""
 _RUN_COLUMNS = frozenset(item.name for item in fields(RunRow))
 
 
@@ -99,7 +99,7 @@ class Driver:
             self.backend.submit(task)
 
     def _take(self) -> None:
-        """Write down what has ended, and look at what is at work."""
+        """Record the tasks that have ended, and the progress of the others."""
         for task, outcome in self.backend.wait(_WAIT_S):
             item = self._at_work.pop(task.key)
             if outcome.status in _TRIED_AGAIN and item.attempts <= self.job.retries:
@@ -128,14 +128,14 @@ class Driver:
             self._save_at_s = time.monotonic() + max(_SAVE_EVERY_S, 20 * (time.monotonic() - now_s))
 
     def _write(self, item: _Try, outcome: Outcome) -> None:
-        """Write down what came of a log."""
+        """Record the outcome of a log."""
         drive, progress = item.step.drive, self._progress
         before = self.known.get(outcome.log_id or drive.name)
         if not outcome.is_new and before is not None:
             run = replace(before, row=_also_named(before.row, drive))
         else:
             run = BatchRow(_row_of(self.job, drive, outcome, before, item.attempts), outcome.stages_s)
-        if outcome.status not in OF_THE_MACHINE:  # else nobody knows what is in the file
+        if outcome.status not in OF_THE_MACHINE:  # otherwise the content of the file is unknown
             for other in self.known.named(drive.name):  # logs that were under this name before
                 if other.key != run.key and other.row.log_id:
                     self._add(replace(other, row=_not_named(other.row, drive.name)))
@@ -152,13 +152,13 @@ class Driver:
 
 
 def _row_of(job: BatchJob, drive: DriveFiles, outcome: Outcome, before: BatchRow | None, attempts: int) -> RunRow:
-    """What came of a log; most columns are those of the outcome.
+    """The row of a log; most columns come from the outcome.
 
     Args:
         job: what the batch does.
         drive: the log.
         outcome: of its last attempt.
-        before: its row so far.
+        before: its row in the dataset.
         attempts: how often it was begun.
     """
     how = job.how
@@ -221,13 +221,13 @@ Display = Callable[[], AbstractContextManager[Watch]]
 class BatchRun:
     """A batch: its logs, what it does with each, and the doing."""
 
-    def __init__(self, job: BatchJob, arguments: Sequence[str], parts: re.Pattern[str] | None, again: Again) -> None:
+    def __init__(self, job: BatchJob, arguments: Sequence[str], parts: re.Pattern[str] | None) -> None:
         """Find the logs.
 
         Raises:
             StorageError: an argument names no log.
         """
-        self._job, self._again, self._table = job, again, RunsTable(job.out)
+        self._job, self._table = job, RunsTable(job.out)
         self.drives = find_drives_in(arguments, job.out, parts)
 
     def plan(self) -> tuple[Step, ...]:
@@ -238,7 +238,7 @@ class BatchRun:
             TableError: its list of runs cannot be read.
         """
         self._known = KnownRuns(self._table.read().values(), self._job.how.name)
-        planner = Planner(self._known, self._job, self._again)
+        planner = Planner(self._known, self._job)
         return tuple(planner.step(drive) for drive in self.drives)
 
     def run(self, start: StartBackend, display: Display) -> BatchSummary:

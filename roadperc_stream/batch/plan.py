@@ -1,4 +1,4 @@
-"""Which logs a command line means, which of them a batch does, and why."""
+"""Finds the logs of a command line and decides what a batch does with each, and why."""
 
 import os
 import re
@@ -8,11 +8,10 @@ from pathlib import Path, PurePosixPath
 from typing import Literal
 
 from roadperc_stream import __version__
-from roadperc_stream.batch.publishing import LOGS, METRICS, OBJECTS, name_in
 from roadperc_stream.batch.runs import BatchRow, KnownRuns
 from roadperc_stream.batch.storage.addresses import is_address, natural
 from roadperc_stream.batch.storage.location import Location, StoredFile, find_files
-from roadperc_stream.batch.task import BatchJob, DriveFiles, code_digest
+from roadperc_stream.batch.task import LOGS, METRICS, OBJECTS, BatchJob, DriveFiles, code_digest, name_in
 from roadperc_stream.errors import StorageError
 from roadperc_stream.schemas.columns.runs import OF_THE_MACHINE, STATUSES
 from roadperc_stream.system.files import TABLE_SUFFIX
@@ -23,7 +22,7 @@ def find_drives_in(arguments: Sequence[str], out: Location, parts: re.Pattern[st
 
     Args:
         arguments: files, folders, globs, addresses, and ``@list.txt`` with one of those in each line.
-        out: the dataset, whose own logs are none of the input.
+        out: the dataset, whose own result logs are not input.
         parts: what in a file's name tells the parts of one drive apart; None: every file is a log.
 
     Raises:
@@ -38,7 +37,7 @@ def find_drives_in(arguments: Sequence[str], out: Location, parts: re.Pattern[st
 
 
 def _is_in(file: StoredFile, out: Location) -> bool:
-    """Whether it is a result log of the dataset, whatever links lead there."""
+    """Whether it is a result log of the dataset, also through links."""
     if out.is_local and not is_address(file.address):
         place = Path(os.path.realpath(file.address))  # resolve() refuses a link to itself
         return place.is_relative_to(Path(out.address).resolve() / LOGS)
@@ -93,24 +92,11 @@ class Step:
         return self.action == "leave" and self.before is not None and self.before.row.status != "done"
 
 
-@dataclass(frozen=True)
-class Again:
-    """What of that which was done already is done again.
-
-    Args:
-        verify: read every log, rather than trust its size and time.
-        retry_failed: logs that are damaged or empty, too.
-    """
-
-    verify: bool = False
-    retry_failed: bool = False
-
-
 class Planner:
     """Decides for one log after the other, by what a dataset holds."""
 
-    def __init__(self, known: KnownRuns, job: BatchJob, again: Again) -> None:
-        self._known, self._job, self._again = known, job, again
+    def __init__(self, known: KnownRuns, job: BatchJob) -> None:
+        self._known, self._job = known, job
         self._there = _files_of(job.out, (METRICS, OBJECTS), TABLE_SUFFIX) | _files_of(job.out, (LOGS,), ".mcap")
 
     def step(self, drive: DriveFiles) -> Step:
@@ -125,12 +111,12 @@ class Planner:
             return Step(drive, "replay", why, run)
         if row.fingerprints[row.names.index(drive.name)] != drive.fingerprint:
             return Step(drive, "check", "the file has changed", run, (row.log_id or "",))
-        if self._again.verify:
+        if self._job.verify:
             return Step(drive, "check", "--verify", run, (row.log_id or "",))
         return Step(drive, "leave", "is done", run)
 
     def _of_unknown(self, drive: DriveFiles, why: str, before: BatchRow | None = None) -> Step:
-        """A log whose content nobody has read; it may be that of a file of the same size."""
+        """A step for a log that was never read; its content may be that of a file of the same size."""
         same = (run.row.log_id for run in self._known.done_of_size(drive.size_bytes) if not self._stale(run))
         return Step(drive, "replay", why, before, tuple(filter(None, same)))
 
@@ -140,14 +126,14 @@ class Planner:
             return self._of_unknown(drive, f"failed before: {row.status}", run)
         if row.fingerprints[row.names.index(drive.name)] != drive.fingerprint:
             return self._of_unknown(drive, f"was {row.status}, and the file has changed", run)
-        if self._again.retry_failed:
+        if self._job.retry_failed:
             return Step(drive, "replay", f"was {row.status}: --retry-failed", run)
         if self._job.recover and not row.recover and row.status == "damaged":
             return Step(drive, "replay", "was damaged: --recover", run)
         return Step(drive, "leave", f"is {row.status}", run)
 
     def _stale(self, run: BatchRow) -> str:
-        """Why what the dataset has of a log is to be made anew; empty where it is not."""
+        """Why the dataset's results of a log must be replaced; empty if they are valid."""
         row = run.row
         if row.version != __version__:
             return f"version {row.version} did it, this is {__version__}"
@@ -163,7 +149,7 @@ class Planner:
 
 
 def _files_of(out: Location, folders: Sequence[str], suffix: str) -> set[str]:
-    """Their names; a file with nothing in it is none, as a machine that lost its power leaves them."""
+    """The names of files that are not empty; a power failure leaves empty ones."""
     return {
         f"{folder}/{name}"
         for folder in folders

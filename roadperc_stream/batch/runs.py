@@ -1,7 +1,7 @@
-"""The list of all that a dataset's batches have done: ``runs.parquet``, and beside it the rows of the batch at work.
+"""The list of a dataset's runs: ``runs.parquet``, and beside it the rows of the running batch.
 
-A batch writes its own rows again and again, and at its end all that is known to ``runs.parquet``: those of one that was
-killed are not lost.
+A batch saves its own rows often, and merges all rows into ``runs.parquet`` at its end. So the rows of a killed batch
+are not lost.
 """
 
 import os
@@ -25,7 +25,7 @@ from roadperc_stream.system.files import TABLE_SUFFIX, target_errors
 
 ALL: Final = f"runs{TABLE_SUFFIX}"
 AT_WORK: Final = "runs"
-_REMEDY: Final = "remove it and all is done anew"
+_REMEDY: Final = "remove it to replay all logs again"
 _UNFINISHED: Final = "runs-"
 
 
@@ -142,7 +142,7 @@ class RunsTable:
             self._is_saved = True
 
     def fold(self) -> None:
-        """Write all that is known to the one list, where any of it is elsewhere.
+        """Merge the rows of all batches into the one list.
 
         Raises:
             StorageError: the dataset cannot be written.

@@ -16,6 +16,7 @@ import roadperc_stream
 from roadperc_stream.batch.storage.location import Location, StoredFile
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.schemas.columns.runs import RunStatus
+from roadperc_stream.system.files import TABLE_SUFFIX
 from roadperc_stream.system.time import WHOLE, TimeRange
 
 _DIGITS: Final = 8
@@ -74,8 +75,8 @@ def _exactly(value: float) -> str:
 def code_digest() -> str:
     """Eight hexadecimal digits of the modules that results depend on.
 
-    Who changes the chain has its logs replayed anew, without a new version; compiled loops have a plain form with the
-    same results, which is among the modules.
+    A change of the chain replays all logs again, without a new version. A compiled kernel does not count: its plain
+    form has the same results and is among the modules.
     """
     root = Path(roadperc_stream.__file__).parent
     modules = [path for pattern in _RESULTS_DEPEND_ON for path in root.glob(pattern)]
@@ -95,10 +96,14 @@ def _digest(data: bytes) -> str:
 
 KeepLogs = Literal["no", "whole", "results"]
 """Which result log stays in the dataset: none, one as a replay writes it, or one without the input's messages."""
-SCRATCH: Final = ".work"
-"""The folder of a local dataset for what is not complete."""
+METRICS, OBJECTS, LOGS, SCRATCH = "metrics", "objects", "logs", ".work"
+"""The folders of a dataset; the last one is for partial files, in a local dataset only."""
 _KEY_DIGITS: Final = 16
-_MB: Final = 1e6
+
+
+def name_in(folder: str, date: str, log_id: str, config: str) -> str:
+    """The name in the dataset of a log's file under a configuration."""
+    return f"{folder}/date={date}/{log_id}-{config}{'.mcap' if folder == LOGS else TABLE_SUFFIX}"
 
 
 @dataclass(frozen=True)
@@ -144,6 +149,8 @@ class BatchJob:
         memory_bytes: memory that an attempt may take.
         retries: how often a log is tried again whose worker died.
         fail_fast: stop at the first log that fails.
+        verify: read every log instead of trusting its size and modification time.
+        retry_failed: replay damaged and empty logs again, although they have not changed.
         scratch: folder for temporary files on the workers' machines; None: within the dataset, or the system's.
         code: digest of the code that the batch was started with, which is to be the workers'; empty: not checked.
     """
@@ -156,6 +163,8 @@ class BatchJob:
     memory_bytes: int = 2_000_000_000
     retries: int = 2
     fail_fast: bool = False
+    verify: bool = False
+    retry_failed: bool = False
     scratch: Path | None = None
     code: str = ""
 
@@ -222,8 +231,3 @@ def this_worker() -> str:
 def as_text(words: str) -> str:
     """Words in which the bytes of a file's name that are no text are escaped: no table takes them."""
     return words.encode("utf-8", "backslashreplace").decode()
-
-
-def megabytes(size: float) -> str:
-    """A size in memory, in words."""
-    return f"{size / _MB:.0f} MB"

@@ -11,27 +11,42 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from time import perf_counter
 from typing import Final
 
 import roadperc_stream
-from roadperc_stream.batch.publishing import publish
 from roadperc_stream.batch.storage.addresses import is_address
 from roadperc_stream.batch.storage.location import Location
-from roadperc_stream.batch.task import SCRATCH, BatchJob, Outcome, Task, as_text, code_digest, this_worker
+from roadperc_stream.batch.task import (
+    LOGS,
+    METRICS,
+    OBJECTS,
+    SCRATCH,
+    BatchJob,
+    Outcome,
+    Task,
+    as_text,
+    code_digest,
+    name_in,
+    this_worker,
+)
 from roadperc_stream.errors import LogError, NoFrameError, RoadpercError, StorageError, TargetError
 from roadperc_stream.input import ReplaySource
 from roadperc_stream.loop import replay
+from roadperc_stream.output.tables import copy_table, totals
 from roadperc_stream.output.target import ReplayTarget
-from roadperc_stream.output.writing import Callbacks
+from roadperc_stream.output.writing import Callbacks, ReplaySummary
 from roadperc_stream.resume.lock import FolderLock
 from roadperc_stream.resume.opening import ReplayOptions, open_log
-from roadperc_stream.schemas.columns.runs import OF_THE_MACHINE
+from roadperc_stream.schemas.columns import TIME_COLUMNS
+from roadperc_stream.schemas.columns.runs import OF_THE_MACHINE, stage_column
 from roadperc_stream.system.files import make_private
 from roadperc_stream.system.memory import keep_freed_memory
 from roadperc_stream.system.progress import Progress
 from roadperc_stream.system.text import print_line
+from roadperc_stream.system.time import NS_PER_S
 
 _CHECKPOINTS: Final = ReplayOptions(checkpoint_every_s=60.0, resume=True)
 """Seconds of log after which a replay that is killed goes on, rather than from the start."""
@@ -103,8 +118,7 @@ def scratch_root(job: BatchJob) -> Path:
     """
     if job.scratch is None and job.out.is_local:
         return Path(job.out.address, SCRATCH)
-    user = os.getuid() if hasattr(os, "getuid") else 0
-    private = (job.scratch or Path(tempfile.gettempdir())) / f"roadperc-batch-{user}"
+    private = (job.scratch or Path(tempfile.gettempdir())) / f"roadperc-batch-{os.getuid()}"
     make_private(private)
     return private / hashlib.sha256(job.out.address.encode()).hexdigest()[:_DIGITS]
 
@@ -154,9 +168,45 @@ def _replayed(task: Task, folder: Path, progress: Progress) -> Outcome:
                 raise StorageError(f"{name}: changed while it was replayed")
     if known_id is not None:
         return Outcome("done", log_id=known_id, is_new=False)
-    for remark in summary.remarks:  # what a process prints comes to stand beside the dataset's tables
+    for remark in summary.remarks:  # the output of a process is stored in the dataset
         print_line(_with_addresses(remark, task, folder))
-    return publish(task, target, summary)
+    return _published(task, target, summary)
+
+
+def _published(task: Task, target: ReplayTarget, summary: ReplaySummary) -> Outcome:
+    """Put tables and, with ``--logs``, the log into the dataset; the metrics table comes last.
+
+    Raises:
+        StorageError: the dataset cannot be written.
+        TargetError: there is no space for what is copied.
+    """
+    job, log_id = task.job, summary.log_id
+    date = datetime.fromtimestamp(summary.first_ns // NS_PER_S, UTC).date().isoformat()
+    names = {folder: name_in(folder, date, log_id, job.how.name) for folder in (METRICS, OBJECTS, LOGS)}
+    keeps_log = job.keep_logs != "no"
+    facts = {"source": task.drive.name, "log": job.out.at(names[LOGS]).address if keeps_log else ""}
+    facts["options"] = job.how.options
+    measured = totals(target.metrics, TIME_COLUMNS)
+    if keeps_log:
+        job.out.at(names[LOGS]).put(target.path)
+    else:
+        job.out.at(names[LOGS]).remove()  # a log of an earlier run does not belong to these tables
+    for folder, table in ((OBJECTS, target.objects), (METRICS, target.metrics)):
+        copy = table.with_suffix(".copy")
+        copy_table(table, copy, facts, {"config": job.how.name})
+        job.out.at(names[folder]).put(copy)
+    return Outcome(
+        "done",
+        log_id=log_id,
+        date=date,
+        duration_s=measured.span_ns / NS_PER_S,
+        frames=measured.rows,
+        frames_before=summary.frames_before,
+        dropped=sum(summary.dropped.values()),
+        unreadable=sum(summary.problems.values()),
+        warnings=tuple(map(as_text, summary.warnings)),
+        stages_s={stage_column(name): value / 1000 for name, value in measured.sums.items()},
+    )
 
 
 def _known_id(task: Task, source: ReplaySource) -> str | None:

@@ -1,4 +1,4 @@
-"""Arguments that several commands have in common."""
+"""Arguments that several commands share."""
 
 import argparse
 from dataclasses import fields
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 def add_input_arguments(parser: argparse.ArgumentParser) -> None:
     """The settings, the topics and the part of the log: options of every command that replays."""
     add = parser.add_argument
-    config = add("--config", metavar="FILE", type=Path, help="TOML file with any part of the settings")
-    setting = add("--set", metavar="KEY=VALUE", action="append", default=[], help="one setting; wins over FILE")
+    config = add("--config", metavar="FILE", type=Path, help="TOML file with any of the settings")
+    setting = add("--set", metavar="KEY=VALUE", action="append", default=[], help="one setting; overrides FILE")
     add_topic_argument(parser)
-    add("--start", metavar="SECONDS", type=seconds, help="from here, counted from the first message")
-    add("--end", metavar="SECONDS", type=seconds, help="up to here, counted from the first message")
-    add("--frames", metavar="N", type=whole_number, help="at most so many frames")
+    add("--start", metavar="SECONDS", type=seconds, help="start this long after the first message")
+    add("--end", metavar="SECONDS", type=seconds, help="end this long after the first message")
+    add("--frames", metavar="N", type=whole_number, help="replay at most N frames")
     completed_by(config, files(".toml"))
     completed_by(setting, settings)
 
@@ -31,18 +31,18 @@ def add_input_arguments(parser: argparse.ArgumentParser) -> None:
 def add_topic_argument(parser: argparse.ArgumentParser) -> None:
     """``--topic``, for every command that reads an input log."""
     action = parser.add_argument(
-        "--topic", metavar="ROLE=/NAME", action="append", default=[], help="the topic of a role"
+        "--topic", metavar="ROLE=/NAME", action="append", default=[], help="use this topic for a role"
     )
     completed_by(action, topics)
 
 
 def add_only_argument(parser: argparse.ArgumentParser) -> None:
-    """``--only``, for every command that replays with all stages unless said."""
+    """``--only``, for every command that replays with all stages by default."""
     action = parser.add_argument(
         "--only",
         metavar="STAGES",
         type=_stages,
-        help=f"some of {','.join(STAGES)}, with what they need; without a depth sensor name stereo among them",
+        help=f"run only these of {','.join(STAGES)} and the stages they need; without a depth sensor include stereo",
     )
     completed_by(action, words(STAGES))
 
@@ -89,10 +89,10 @@ _port = number(0, 65535, "0 to 65535", int)
 def add_serving_arguments(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
     """``--rate``, ``--loop``, ``--host`` and ``--port``, None where not given."""
     group = parser.add_argument_group("serving to Foxglove")
-    group.add_argument("--rate", metavar="FACTOR", type=_rate, help="speed of playback at first (default 1)")
-    group.add_argument("--loop", action="store_true", default=None, help="at the end go back to where it started")
-    group.add_argument("--host", metavar="ADDRESS", help="address to listen on (default 127.0.0.1: this machine only)")
-    group.add_argument("--port", metavar="N", type=_port, help="port to listen on (default 8765; 0 takes a free one)")
+    group.add_argument("--rate", metavar="FACTOR", type=_rate, help="initial playback speed (default 1)")
+    group.add_argument("--loop", action="store_true", default=None, help="restart at the end")
+    group.add_argument("--host", metavar="ADDRESS", help="address to listen on (default 127.0.0.1, this machine only)")
+    group.add_argument("--port", metavar="N", type=_port, help="port to listen on (default 8765; 0: any free port)")
     return group
 
 

@@ -13,8 +13,8 @@ from roadperc_stream.cli.plumbing import command_parser, number, parse, positive
 _EXAMPLE: Final = """\
 example:
   roadperc-batch dataset drives/                        every log below drives/, on all cores
-  roadperc-batch dataset drives/                        again: does only what is new or has changed
-  roadperc-batch dataset drives/ --set lanes.hold_s=2   another configuration, beside the first
+  roadperc-batch dataset drives/                        again: only new and changed logs
+  roadperc-batch dataset drives/ --set lanes.hold_s=2   a second configuration in the same dataset
   roadperc-report dataset
   roadperc-batch dataset 'drives/2026-*/*.mcap' @more.txt --join '_\\d+$' --recover
   roadperc-batch s3://bucket/dataset s3://bucket/drives/ --ray auto --memory 4GB
@@ -38,8 +38,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = command_parser(
         "batch",
         "Replay many logs into one dataset: a row per frame in OUT_DIR/metrics, a row per detection in\n"
-        "OUT_DIR/objects, a row per log in OUT_DIR/runs.parquet. A log that fails is a row as well. The same\n"
-        "command again does only what is new, has changed, or was interrupted.",
+        "OUT_DIR/objects, a row per log, failed ones included, in OUT_DIR/runs.parquet. Run the same command\n"
+        "again to replay only new, changed and interrupted logs.",
         _EXAMPLE,
     )
     add = parser.add_argument
@@ -54,8 +54,8 @@ def _parser() -> argparse.ArgumentParser:
         "--join",
         metavar="PATTERN",
         type=_pattern,
-        help="regular expression of what tells the parts of a drive apart: files of one folder whose names are the "
-        "same without it are one log, as with '_\\d+$' drive_0.mcap and drive_1.mcap",
+        help="join files of one folder into one log if their names are equal without this regular expression; "
+        "'_\\d+$' joins drive_0.mcap and drive_1.mcap",
     )
     add_input_arguments(parser)
     add_only_argument(parser)
@@ -68,48 +68,51 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_dataset_arguments(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("what is done")
+    group = parser.add_argument_group("what to do")
     add = group.add_argument
-    add("--logs", dest="keep_logs", action="store_true", help="keep the result logs as well, in OUT_DIR/logs")
-    add("--results-only", action="store_true", help="with --logs: leave the inputs' messages out of them")
-    add("--recover", action="store_true", help="replay what can be read of damaged logs, and say what was lost")
-    add("--retry-failed", action="store_true", help="try damaged and empty logs again, although they have not changed")
-    add(
-        "--verify", action="store_true", help="read every log to see whether it has changed, not only its size and time"
-    )
-    add("--dry-run", action="store_true", help="list what would be done, and why")
+    add("--logs", dest="keep_logs", action="store_true", help="also keep the result logs, in OUT_DIR/logs")
+    add("--results-only", action="store_true", help="with --logs: leave out the input's messages")
+    add("--recover", action="store_true", help="replay the readable part of damaged logs and report the losses")
+    add("--retry-failed", action="store_true", help="retry damaged and empty logs, even if unchanged")
+    add("--verify", action="store_true", help="read every log to detect changes, instead of comparing size and time")
+    add("--dry-run", action="store_true", help="print what the batch would do with each log, and why")
     add("--fail-fast", action="store_true", help="stop at the first log that fails")
 
 
 def _add_worker_arguments(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("where, and how much it may take")
+    group = parser.add_argument_group("workers and limits")
     add = group.add_argument
-    add("--jobs", metavar="N", type=whole_number, help="logs at a time on this machine (default: one for each core)")
+    add(
+        "--jobs",
+        metavar="N",
+        type=whole_number,
+        help="logs at a time on this machine (default: one per core)",
+    )
     add(
         "--ray",
         metavar="ADDRESS",
-        help="work on a cluster of Ray: its address, auto for the one of this machine, or local to start one here",
+        help="use the Ray cluster at this address; auto: the cluster of this machine, local: start one here",
     )
-    add("--timeout", metavar="SECONDS", type=positive_seconds, help="give up a log that takes longer (default: never)")
+    add("--timeout", metavar="SECONDS", type=positive_seconds, help="stop a log that takes longer (default: no limit)")
     add(
         "--memory",
         metavar="SIZE",
         type=_bytes,
         default="2GB",
-        help="give up a log that needs more, such as 500MB or 4GiB (default 2GB); Ray is told to keep so much free",
+        help="stop a log that needs more memory, such as 500MB or 4GiB (default 2GB); Ray reserves this much per log",
     )
     add(
         "--retries",
         metavar="N",
         type=number(0, math.inf, "a whole number", int),
         default=2,
-        help="how often a log is tried again whose worker died or that could not be reached (default 2)",
+        help="how often to retry a log whose worker died or that was unreachable (default 2)",
     )
     scratch = add(
         "--scratch",
         metavar="DIR",
         type=Path,
-        help="folder of the worker's machine for temporary files (default: OUT_DIR/.work, or of an address $TMPDIR)",
+        help="folder for temporary files on the worker's machine (default: OUT_DIR/.work, for an address $TMPDIR)",
     )
     add("--quiet", action="store_true", help="print errors only")
     completed_by(scratch, files())

@@ -10,7 +10,6 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 
 from roadperc_stream.batch.backend import Backend, LocalBackend
 from roadperc_stream.batch.driver import BatchProgress, BatchRun, BatchSummary, Watch
-from roadperc_stream.batch.plan import Again
 from roadperc_stream.batch.storage.location import Location
 from roadperc_stream.batch.task import BatchConfiguration, BatchJob, KeepLogs, code_digest
 from roadperc_stream.batch.worker import scratch_root
@@ -23,6 +22,9 @@ from roadperc_stream.system.process import optional_output
 from roadperc_stream.system.text import number, print_line, shown
 from roadperc_stream.system.threads import usable_cores
 
+_SAME_NAMES = ("recover", "retries", "fail_fast", "verify", "retry_failed", "scratch")
+"""Arguments that a ``BatchJob`` has under the same name."""
+
 
 def batch_logs(arguments: argparse.Namespace) -> None:
     """Replay many logs into one dataset as the arguments say.
@@ -32,7 +34,7 @@ def batch_logs(arguments: argparse.Namespace) -> None:
     """
     started = perf_counter()
     job = _job(arguments)
-    batch = BatchRun(job, arguments.logs, arguments.join, Again(arguments.verify, arguments.retry_failed))
+    batch = BatchRun(job, arguments.logs, arguments.join)
     if arguments.dry_run:
         _print_plan(batch)
         return
@@ -60,13 +62,10 @@ def _job(arguments: argparse.Namespace) -> BatchJob:
         how,
         Location(arguments.out),
         keep_logs,
-        arguments.recover,
-        arguments.timeout,
-        arguments.memory,
-        arguments.retries,
-        arguments.fail_fast,
-        arguments.scratch,
-        code_digest(),
+        timeout_s=arguments.timeout,
+        memory_bytes=arguments.memory,
+        code=code_digest(),
+        **{name: getattr(arguments, name) for name in _SAME_NAMES},
     )
 
 

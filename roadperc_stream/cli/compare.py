@@ -14,8 +14,8 @@ example:
   roadperc-compare reference/ runs/ --update-reference     folders: runs of the same log pair; reference/ is kept
   roadperc-compare dataset --config default --config lanes.hold_s=2    two configurations of a batch, log by log
 
-exit code 0: no metric is worse than allowed, be the fields identical or not; 1: one is, or a run or frame of A is not
-in B, or, with --exact, a field differs beyond its tolerance; or a stated error. 2: wrong usage.
+exit code 0: no metric is worse than allowed, whether or not fields differ; 1: a metric is worse, a run or frame of A is
+not in B, with --exact a field differs beyond its tolerance, or an error occurred; 2: wrong usage.
 
 Fields are the tables' columns and, where A and B are logs, those of the results, such as lanes.boundaries.offset_m.
 Metrics are the errors against truth and the lanes' jitter (lane_left_error_m), the share of frames in which a column
@@ -72,7 +72,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--update-reference",
         action="store_true",
-        help="afterwards replace A's tables whose results differ by B's, and be content; A may be new",
+        help="then replace A's tables that differ by B's and exit with 0; A need not exist",
     )
     for action in (reference, candidate):
         completed_by(action, files(*RUNS))
@@ -83,7 +83,7 @@ def _add_rules(parser: argparse.ArgumentParser) -> None:
     rules = part("eval.options")
     ignored, tolerated, allowed = (
         "leave out fields and metrics (glob)",
-        "absolute difference of a field (glob) that counts as none",
+        "largest absolute difference of a field (glob) that counts as equal",
         "how much worse a metric (glob) may be: in its unit, or N%% of A's mean; N%% alone is for all but times",
     )
     parser.add_argument("--ignore", metavar="NAME", action="append", default=[], help=ignored)

@@ -41,7 +41,9 @@ def main(argv: list[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     roles = part("tools.carla_dump.role_names").ROLES
     parser = command_parser(
-        "convert", "Makes a log of a CARLA dump folder. Finds the layout by itself and says what it found.", _EXAMPLE
+        "convert",
+        "Convert a CARLA dump folder to a log. The layout is detected and printed.",
+        _EXAMPLE,
     )
     dump = parser.add_argument(
         "dump", type=Path, metavar="DUMP", help="folder with one folder per sensor, or flat files"
@@ -53,15 +55,15 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--carla", metavar="VERSION", help="CARLA version that wrote the tags, such as 0.9.15")
     parser.add_argument("--fov", type=_field_of_view, metavar="DEGREES", help="horizontal field of view")
     parser.add_argument("--rate", type=_rate, metavar="HZ", help="frames per second (20, or rate_hz, or timestamps)")
-    parser.add_argument("--depth", choices=("mm", "float"), default="mm", help="written as millimetres or metres")
+    parser.add_argument("--depth", choices=("mm", "float"), default="mm", help="write depth as millimetres or metres")
     parser.add_argument(
         "--grey-depth",
         choices=("linear", "linear-50", "logarithmic"),
-        help="coding of 8-bit depth; by default the one whose ground is level",
+        help="coding of 8-bit depth (default: the one with a level ground)",
     )
-    parser.add_argument("--allow-lossy-tags", action="store_true", help="take the nearest tag of a JPEG")
+    parser.add_argument("--allow-lossy-tags", action="store_true", help="accept JPEG tags and use the nearest tag")
     parser.add_argument("--force", action="store_true", help="replace an existing log")
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    parser.add_argument("--quiet", action="store_true", help="print errors only")
     for action, completer in ((dump, files()), (out, files(*LOGS)), (role, roles_in_dump(roles))):
         completed_by(action, completer)
     return parser

@@ -10,14 +10,14 @@ from roadperc_stream.cli.plumbing import command_parser, parse, run
 _EXAMPLE = """\
 example:
   roadperc-info logs/sample.mcap
-  roadperc-info bag.mcap --topic image=/front/rgb      as roadperc-replay would take it
-  roadperc-info part_*.mcap                            also how they join as the parts of one log
-  roadperc-info --json logs/*.mcap                     a JSON object and line per log, for scripts; times in ns
-  roadperc-info cut.mcap --recover whole.mcap          what can be read of a damaged log, as a whole one
+  roadperc-info bag.mcap --topic image=/front/rgb      as roadperc-replay would read it
+  roadperc-info part_*.mcap                            also how they join into one log
+  roadperc-info --json logs/*.mcap                     a line of JSON per log, for scripts; times in ns
+  roadperc-info cut.mcap --recover whole.mcap          save the readable part of a damaged log
 
 The keys of --json are the fields in roadperc_stream/info/facts.py; a log that cannot be opened gives "log" and "error".
-Exit code 0: every log is whole; 1: one is cut, damaged or no log at all (the others are printed all the same).
-With --recover 0: some of the log was saved; 1: nothing was.
+Exit code 0: every log is complete; 1: one is cut, damaged or not a log (the others are still printed).
+With --recover 0: part of the log was saved; 1: nothing was saved.
 """
 
 
@@ -40,8 +40,8 @@ def main(argv: list[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser(
         "info",
-        "Print what is in a log and whether the file is whole; which roles its channels fill, and what a\n"
-        "replay has to do without; of a result, which configuration made it, and whether it is unchanged.",
+        "Print the content of a log, whether the file is complete, which roles its channels fill, and which roles\n"
+        "are missing. For a result log, also print its configuration and whether it was changed.",
         _EXAMPLE,
     )
     logs = parser.add_argument(
@@ -49,12 +49,12 @@ def _parser() -> argparse.ArgumentParser:
         metavar="LOG",
         type=Path,
         nargs="+",
-        help="a log, input or result, also a damaged one; - is standard input",
+        help="an input or result log, damaged ones too; - for standard input",
     )
     add_topic_argument(parser)
-    parser.add_argument("--json", action="store_true", help="one JSON object a log, on a line of its own")
+    parser.add_argument("--json", action="store_true", help="print one line of JSON per log")
     recover = parser.add_argument(
-        "--recover", metavar="OUT.mcap", type=Path, help="write what can be read of a damaged LOG as a whole log"
+        "--recover", metavar="OUT.mcap", type=Path, help="write the readable part of a damaged LOG as a new log"
     )
     parser.add_argument("--force", action="store_true", help="replace an existing OUT.mcap")
     completed_by(logs, files(*LOGS))

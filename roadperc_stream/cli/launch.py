@@ -158,14 +158,8 @@ def _end(_number: int, _frame: FrameType | None, code: int = EXIT_ERROR) -> None
 COMMANDS = ("batch", "compare", "convert", "info", "lanes", "render", "replay", "report", "sweep", "trajectory", "view")
 """Each is a module beside this one, and the console script ``roadperc-...`` of that name."""
 
-batch = partial(_launch, "batch")
-compare = partial(_launch, "compare")
-convert = partial(_launch, "convert")
-info = partial(_launch, "info")
-lanes = partial(_launch, "lanes")
-render = partial(_launch, "render")
-replay = partial(_launch, "replay")
-report = partial(_launch, "report")
-sweep = partial(_launch, "sweep")
-trajectory = partial(_launch, "trajectory")
-view = partial(_launch, "view")
+
+def __getattr__(name: str) -> partial[int]:
+    if name in COMMANDS:
+        return partial(_launch, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -23,7 +23,7 @@ _AGAIN_AFTER_S = 0.05
 _MOST_CHARACTERS = 255
 """To either side of the one that a text must not have: a file's name is no longer."""
 _COMPLETING = "_ARGCOMPLETE"
-"""Set by a shell that asks what could stand at the cursor."""
+"""Set by a shell that asks for completions."""
 
 
 class _Parser(argparse.ArgumentParser):

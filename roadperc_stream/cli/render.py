@@ -31,7 +31,7 @@ def main(argv: list[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     facts = part("tools.scene.options")
     defaults = facts.RenderOptions()
-    parser = command_parser("render", "Renders a drive as a CARLA dump with exact ground truth.", _EXAMPLE)
+    parser = command_parser("render", "Render a scene as a CARLA dump with exact ground truth.", _EXAMPLE)
     add = parser.add_argument
     dump = add("dump", type=Path, metavar="DUMP", help="folder to write")
     add("--size", type=image_size, default=(defaults.width, defaults.height), metavar="WxH", help="pixels (1280x960)")
@@ -45,14 +45,14 @@ def _parser() -> argparse.ArgumentParser:
         metavar="SENSOR",
         help=f"leave out {', '.join(facts.SENSORS)}",
     )
-    add("--seed", type=int, default=defaults.seed, metavar="N", help="everything random comes from it (0)")
+    add("--seed", type=int, default=defaults.seed, metavar="N", help="seed of all random numbers (0)")
     add("--force", action="store_true", help="replace an earlier dump in the folder")
     _add_drive(parser.add_argument_group("the drive"), facts.SCENES, defaults)
     _add_noise(parser.add_argument_group("noise and drops"))
     _add_lane_changes(parser.add_argument_group("changes of lane"))
     _add_road(parser.add_argument_group("the road"))
-    _add_camera(parser.add_argument_group("the camera and how the car rocks"), defaults)
-    _add_car_before(parser.add_argument_group("the car before"))
+    _add_camera(parser.add_argument_group("camera and pitching"), defaults)
+    _add_car_before(parser.add_argument_group("the car ahead"))
     _add_truth(parser.add_argument_group("truth"))
     completed_by(dump, files())
     return parser
@@ -94,7 +94,7 @@ def _add_road(group: argparse._ArgumentGroup) -> None:
     group.add_argument("--turn", nargs="?", const="left", choices=("left", "right"), help=turn)
     lane = "a second lane on the right does so after 4 s, over 30 m"
     group.add_argument("--lane", choices=("begins", "ends", "splits", "merges"), help=lane)
-    group.add_argument("--crossing-cars", action="store_true", help="a crossing on which cars cross close before")
+    group.add_argument("--crossing-cars", action="store_true", help="a crossing where cars cross close ahead")
     group.add_argument("--parked-rows", action="store_true", help="rows of parked cars without gaps, on both sides")
     stretch = partial(_numbers, form="FROM,TO", example="20,50")
     for name, text in (("--worn-lines", "worn down to faded remains"), ("--missing-lines", "missing")):
@@ -118,7 +118,7 @@ def _add_camera(group: argparse._ArgumentGroup, defaults: Any) -> None:
 
 
 def _add_car_before(group: argparse._ArgumentGroup) -> None:
-    hard = "it brakes hard after 2 s, the ego car late: they nearly collide"
+    hard = "it brakes hard after 2 s and the ego car late, so that they nearly collide"
     group.add_argument("--lead-brakes", action="store_true", help=hard)
     group.add_argument("--stop-and-go", action="store_true", help="both drive, brake, stand and drive off, in a queue")
 
@@ -129,7 +129,7 @@ def _add_truth(group: argparse._ArgumentGroup) -> None:
     group.add_argument("--whole-boxes", action="store_true", help=f"{whole}, in truth.json and detections.json")
     coding = "instance_segmentation/ in CARLA's coding: red the tag, green and blue the id's low and high byte"
     group.add_argument("--instances", action="store_true", help=coding)
-    group.add_argument("--path-truth", action="store_true", help=f"{text}; implied where the drive is no plain one")
+    group.add_argument("--path-truth", action="store_true", help=f"{text}; implied by the other options of the scene")
 
 
 def _options(arguments: argparse.Namespace) -> Any:

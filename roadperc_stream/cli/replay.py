@@ -14,7 +14,7 @@ from roadperc_stream.cli.arguments import (
 )
 from roadperc_stream.cli.completers import LOGS, completed_by, files
 from roadperc_stream.cli.plumbing import command_parser, parse, positive_seconds, run, whole_number
-from roadperc_stream.system.folders import not_a_log
+from roadperc_stream.system.files import not_a_log
 
 _USAGE: Final = """\
 %(prog)s [options] IN.mcap [IN.mcap ...] OUT.mcap
@@ -25,13 +25,13 @@ example:
   roadperc-replay logs/sample.mcap out.mcap --set lanes.hold_s=0.8 --set surface.inlier_m=0.03
   roadperc-report out.metrics.parquet
   roadperc-replay logs/sample.mcap pictures.mcap --overlay --debug
-  roadperc-replay part_*.mcap out.mcap                 files of a drive in parts are one log
+  roadperc-replay part_*.mcap out.mcap                 several files of one log
   curl https://example.org/in.mcap | roadperc-replay - out.mcap
   roadperc-replay --print-config > mine.toml
   roadperc-replay part_1.mcap out_1.mcap --continue out_0.mcap
   roadperc-replay long.mcap out.mcap --checkpoint-every 60 --resume
 
-A log with topics of its own names them by role, such as --topic image=/front/rgb --topic depth=/front/depth.
+Map other topic names to roles: --topic image=/front/rgb --topic depth=/front/depth.
 """
 _WITH_PRINT_CONFIG: Final = frozenset({"print_config", "config", "set", "only"})
 _WITH_LIST_SETTINGS: Final = frozenset({"list_settings", "json"})
@@ -65,7 +65,7 @@ def main(argv: list[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser(
         "replay",
-        "Replay a log through the perception chain: OUT.mcap holds the input and the results, "
+        "Replay a log through the perception chain. OUT.mcap contains the input and the results, "
         "OUT.metrics.parquet a row per frame, OUT.objects.parquet a row per detection.",
         _EXAMPLE,
         _USAGE,
@@ -77,33 +77,35 @@ def _parser() -> argparse.ArgumentParser:
         type=Path,
         nargs="*",
         default=[],
-        help="a log, or the parts of one, - for standard input; and last the log to write",
+        help="the log to read, or its files, or - for standard input; then the log to write",
     )
     add_input_arguments(parser)
     add_only_argument(parser)
     _add_parts_arguments(parser)
     add("--results-only", action="store_true", help="leave the input's messages out of OUT.mcap")
-    add("--overlay", action="store_true", help="write /perception/overlay: the camera image with everything drawn in")
+    add("--overlay", action="store_true", help="write /perception/overlay, the camera image with all results drawn")
     add(
-        "--debug", action="store_true", help="write /perception/debug/...: proposed lines, matches, template, disparity"
+        "--debug",
+        action="store_true",
+        help="write /perception/debug/...: proposed lines, matches, template, disparity",
     )
     template = add(
         "--template",
         metavar="IMAGE|FRAME:X0,Y0,X1,Y1",
-        help="search every frame for the obstacle that a picture, or a box in a frame of IN.mcap, shows: "
-        "its place, distance and correlation are an object of label template",
+        help="search every frame for the obstacle in a picture, or in a box of a frame of IN.mcap; "
+        "the result is an object with the label template",
     )
-    add("--recover", action="store_true", help="replay what can be read of a damaged log, and say what was lost")
+    add("--recover", action="store_true", help="replay the readable part of a damaged log and report the losses")
     add("--strict", action="store_true", help="stop at the first message that cannot be used")
     add(
         "--threads",
         metavar="N",
         type=whole_number,
-        help="how many threads share the work, five at most (default: the cores); OUT.mcap is the same with any number",
+        help="number of threads, at most five are used (default: one per core); OUT.mcap does not depend on it",
     )
-    add("--force", action="store_true", help="replace an existing OUT.mcap, but no recording")
+    add("--force", action="store_true", help="replace an existing OUT.mcap; an input log is never replaced")
     add("--quiet", action="store_true", help="print errors only")
-    add("--live", action="store_true", help="serve the results to Foxglove while they are computed")
+    add("--live", action="store_true", help="serve the results to Foxglove during the replay")
     add_serving_arguments(parser)
     _add_settings_arguments(parser)
     completed_by(logs, files(*LOGS))
@@ -112,40 +114,40 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_parts_arguments(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("drives in parts, long replays")
+    group = parser.add_argument_group("continued and long replays")
     continued = group.add_argument(
         "--continue",
         dest="continued",
         metavar="OUT_BEFORE.mcap",
         type=Path,
-        help="go on from the result of the part of the drive before, with the same settings",
+        help="continue from the result of the previous log of the drive; the settings must be the same",
     )
     group.add_argument(
         "--warm-up",
         metavar="SECONDS",
         type=positive_seconds,
-        help="with --start: let the chain see so much of the log before, of which nothing is written",
+        help="with --start: run the chain on this much of the log before, without writing it",
     )
     group.add_argument(
         "--checkpoint-every",
         metavar="SECONDS",
         type=positive_seconds,
-        help="keep what is complete after every so many seconds of log, for --resume",
+        help="save a checkpoint for --resume after every SECONDS of the log",
     )
     group.add_argument(
         "--resume",
         action="store_true",
-        help="with --checkpoint-every: go on where the same command was interrupted; from the start if it never ran",
+        help="with --checkpoint-every: continue an interrupted run of the same command, if there is one",
     )
     completed_by(continued, files(".mcap"))
 
 
 def _add_settings_arguments(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("what can be set (without IN.mcap and OUT.mcap)")
+    group = parser.add_argument_group("settings (without IN.mcap and OUT.mcap)")
     group.add_argument(
         "--list-settings", action="store_true", help="print every setting: default, range, unit, meaning"
     )
-    group.add_argument("--json", action="store_true", help="with --list-settings: one JSON array, an object a setting")
+    group.add_argument("--json", action="store_true", help="with --list-settings: print JSON, one object per setting")
     group.add_argument(
         "--print-config", action="store_true", help="print the whole configuration as TOML, for --config to read"
     )

@@ -30,12 +30,12 @@ Bar = Callable[[str, bool], AbstractContextManager[Progress]]
 
 
 def replay_log(arguments: argparse.Namespace, live: "LiveReplay | None", bar: Bar | None) -> None:
-    """Replay a log as the arguments say, and print what came of it.
+    """Replay a log as the arguments say, and print a summary.
 
     Args:
         arguments: of the command line.
-        live: serves the results while they are computed; None where nobody asks for it.
-        bar: shows how far it is; None where nobody would see it, and then what draws it is not imported either.
+        live: serves the results during the replay; None without ``--live``.
+        bar: shows the progress; None without a terminal, so that rich is not imported.
 
     Raises:
         RoadpercError: the log cannot be replayed.

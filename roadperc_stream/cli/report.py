@@ -55,10 +55,10 @@ def _parser() -> argparse.ArgumentParser:
     worst = part("eval.options").WORST_FRAMES
     parser = command_parser(
         "report",
-        "Print what came out of replays: coverage, accuracy where the log carries truth, missing outputs,\n"
-        "latency and the worst frames. Runs of one configuration and version are pooled and then listed; runs of\n"
-        "different ones stand side by side below the settings that differ, and nothing is computed over both. Of what\n"
-        "roadperc-batch made: the same over all logs, by configuration or any column, and the worst logs.",
+        "Report on replays: coverage, accuracy if the log has truth, missing outputs, latency and the worst frames.\n"
+        "Runs of one configuration and version are pooled and then listed. Runs of different configurations are\n"
+        "shown side by side with the settings that differ. For a dataset of roadperc-batch: the same over all logs,\n"
+        "by configuration or any column, and the worst logs.",
         _EXAMPLE,
     )
     runs = parser.add_argument(

@@ -41,10 +41,10 @@ def _parser() -> argparse.ArgumentParser:
         type=part("eval.options").varied,
         action="append",
         required=True,
-        help="a setting and the values it takes; several times for all combinations",
+        help="a setting and its values; repeat it for all combinations",
     )
     out = parser.add_argument(
-        "--out", metavar="DIR", type=Path, default=Path("sweep"), help="the dataset (default: sweep)"
+        "--out", metavar="DIR", type=Path, default=Path("sweep"), help="folder of the dataset (default: sweep)"
     )
     add_input_arguments(parser)
     parser.add_argument(
@@ -52,9 +52,9 @@ def _parser() -> argparse.ArgumentParser:
         metavar="N",
         type=whole_number,
         default=os.cpu_count() or 1,
-        help="logs replayed at the same time (default: one for each processor)",
+        help="logs to replay at a time (default: one per processor)",
     )
-    parser.add_argument("--force", action="store_true", help="replace DIR, where it is a former sweep")
+    parser.add_argument("--force", action="store_true", help="replace DIR if it is an earlier sweep")
     for action, completer in ((logs, files(*LOGS)), (vary, varied_settings), (out, files())):
         completed_by(action, completer)
     return parser

@@ -12,15 +12,15 @@ _EXAMPLE = """\
 example:
   roadperc-replay logs/sample.mcap out.mcap
   roadperc-view out.mcap                    the Rerun viewer, arranged for this log
-  roadperc-view out.mcap --save out.rrd     the same as a file: rerun out.rrd
+  roadperc-view out.mcap --save out.rrd     save it as a file: rerun out.rrd
   roadperc-view out.mcap --foxglove         for Foxglove: Open connection, ws://localhost:8765
   roadperc-view out.mcap --foxglove-layout road.json
                                             the same arrangement for Foxglove, of this log's topics: Import from file
   roadperc-view out.mcap --foxglove --foxglove-layout live.json
                                             serve the log, with a layout that has the times of the stages
-  roadperc-view out.mcap --video out.mp4    a video, for those who have no viewer
+  roadperc-view out.mcap --video out.mp4    a video, without a viewer
 
-An input log opens as well, with what it has. rerun LOG.mcap shows the channels that this project does not know.
+An input log opens too. rerun LOG.mcap shows channels that this project does not know.
 """
 
 
@@ -36,7 +36,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = command_parser("view", "Look at a log: in the Rerun viewer unless an option says where else.", _EXAMPLE)
+    parser = command_parser("view", "Show a log in the Rerun viewer, or where an option says.", _EXAMPLE)
     log = parser.add_argument("log", metavar="OUT.mcap", type=Path, nargs="?", help="a log; - for standard input")
     add = parser.add_mutually_exclusive_group().add_argument
     save = add("--save", metavar="FILE.rrd", type=Path, help="write a Rerun recording and open nothing")
@@ -46,14 +46,14 @@ def _parser() -> argparse.ArgumentParser:
         "--foxglove-layout",
         metavar="FILE.json",
         type=Path,
-        help="write Foxglove's layout for the log; with --foxglove for what is served, times of the stages included",
+        help="write a Foxglove layout for the log; with --foxglove it includes the times of the stages",
     )
     add_topic_argument(parser)
-    parser.add_argument("--recover", action="store_true", help="show what can be read of a damaged log")
+    parser.add_argument("--recover", action="store_true", help="show the readable part of a damaged log")
     parser.add_argument("--force", action="store_true", help="replace an existing file")
     parser.add_argument("--quiet", action="store_true", help="print errors only")
     serving = add_serving_arguments(parser)
-    serving.add_argument("--start", metavar="SECONDS", type=seconds, help="from here, counted from the first message")
+    serving.add_argument("--start", metavar="SECONDS", type=seconds, help="start this long after the first message")
     for action, suffixes in ((log, LOGS), (save, (".rrd",)), (layout, (".json",)), (video, (".mp4",))):
         completed_by(action, files(*suffixes))
     return parser

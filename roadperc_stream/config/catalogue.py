@@ -91,7 +91,7 @@ def _settings(model: type[BaseModel], prefix: str) -> Iterator[Setting]:
 
 
 def _setting(key: str, default: Value, schema: Mapping[str, Any], meaning: str) -> Setting:
-    """A setting of its JSON schema, where several kinds of values stand in ``anyOf``."""
+    """A setting of its JSON schema, which has several kinds of values in ``anyOf``."""
     kinds = [schema, *schema.get("anyOf", ())]
     unit_of_name = next((unit for ending, unit in _UNIT_OF_ENDING.items() if key.endswith(ending)), "")
     return Setting(

@@ -10,7 +10,7 @@ from roadperc_stream.config.catalogue import Setting, catalogue
 from roadperc_stream.config.settings import MOST_BYTES, in_brief, parsed_toml, without_fixed
 from roadperc_stream.config.stages import ReplayConfig
 from roadperc_stream.errors import ConfigError
-from roadperc_stream.system.nearest import nearest
+from roadperc_stream.system.text import nearest
 
 _KINDS: Final[Mapping[str, str]] = {"integer": "a whole number ", "number": "a number "}
 """Types of settings that their ranges do not say."""

@@ -44,39 +44,38 @@ class SyncConfig(Section):
     tolerance_s: Seconds = 0.01
     """Largest difference of stamps within one frame."""
     max_wait_s: Seconds = 1.0
-    """How far behind the reference sensor's latest stamp a message may come and still find its place."""
+    """How late a message may arrive, behind the latest stamp of the reference sensor."""
 
 
 class StereoConfig(Section):
     """Depth from a stereo pair by semi-global matching.
 
-    What is matched is the image itself with ``full`` and one of half its rows and columns with ``fast``; ``block_px``,
-    ``left_right_px``, ``speckle_px``, ``speckle_step_px`` and ``refine_px`` count its pixels and do not scale with the
-    image.
+    ``full`` matches the image itself, ``fast`` an image with half its rows and columns. ``block_px``,
+    ``left_right_px``, ``speckle_px``, ``speckle_step_px`` and ``refine_px`` are pixels of the matched image.
     """
 
     method: Literal["fast", "full", "off"] = "fast"
     """``fast`` matches at half resolution, ``full`` at full resolution; both along three directions."""
     disparities: Annotated[Annotated[int, Field(ge=16, multiple_of=16, le=1024)] | Literal["auto"], unit("px")] = "auto"
-    """Disparities tried, from 0; ``auto``: what the nearest road pixel needs."""
+    """Number of disparities to search, from 0; ``auto``: as many as the nearest road pixel needs."""
     block_px: OddCount = 5
-    """Side of the square that is compared."""
+    """Side of the block that is matched."""
     p1: Annotated[Count, unit("matching cost")] = 200
-    """Penalty for neighbours one disparity apart: about 8 per pixel of the block, for grey levels."""
+    """Penalty for neighbours that differ by one disparity: about 8 per pixel of the block, for grey levels."""
     p2: Annotated[Count, unit("matching cost")] = 800
-    """Penalty for neighbours farther apart, above ``p1``: about 32 per pixel of the block."""
+    """Penalty for neighbours that differ by more; above ``p1``, about 32 per pixel of the block."""
     uniqueness_percent: Annotated[int, Field(ge=0, lt=100)] = 10
-    """Margin by which the best disparity's cost must win against those not beside it; 0 is none."""
+    """Margin by which the best cost must beat the costs of disparities that are not next to it; 0: no margin."""
     left_right_px: Count = 1
-    """Largest difference between a pixel's disparity and its partner's, seen from the right."""
+    """Largest difference between the disparities of the left and the right image for the same point."""
     speckle_px: Annotated[int, Field(ge=0, le=1e4)] = 100
-    """Patches of fewer pixels than this that stand alone are unknown; 0 keeps all."""
+    """Isolated patches with fewer pixels than this become unknown; 0 keeps all."""
     speckle_step_px: Count = 2
-    """Disparities within one patch differ by no more than this from pixel to pixel."""
+    """Largest difference between neighbouring disparities of one patch."""
     refine_px: OddCount | Literal[0] = 7
-    """Side of the square by whose slopes the disparities are refined; 0 leaves them as matched, in sixteenths."""
+    """Side of the window whose gradients refine the disparities; 0 keeps the matched ones, in sixteenths of a pixel."""
     min_disparity_px: Positive = 1.0
-    """Pixels of the image: a smaller disparity is unknown, for its depth would be mostly error."""
+    """Smaller disparities, in pixels of the image, are unknown, because their depth would be mostly error."""
 
     @model_validator(mode="after")
     def _penalties_in_order(self) -> Self:
@@ -94,123 +93,124 @@ class SurfaceConfig(Section):
     """The drivable surface, by RANSAC on road points."""
 
     enabled: bool = True
-    """Whether the surface is estimated; lanes, occupancy and the scale of odometry without depth need it."""
+    """Whether to estimate the surface. Lanes, occupancy and the scale of odometry without depth need it."""
     model: Literal["auto", "plane", "spline"] = "auto"
-    """``spline`` adds a smooth height field to the plane, for roads that climb and fall; ``auto`` does so in frames
-    whose road leaves its plane by more than the field's own error. Both need depth."""
+    """``spline`` adds a smooth height field to the plane, for hilly roads. ``auto`` adds it only in frames whose road
+    differs from the plane by more than the field's own error. Both need depth."""
     classes: Classes = ("road", "road_line", "ground")
-    """Classes one may drive on; a sidewalk stands higher than the road and is none."""
+    """Drivable classes; a sidewalk is higher than the road and is not drivable."""
     inlier_m: Positive = 0.05
-    """Largest distance to the plane of an inlier."""
+    """Largest distance of an inlier from the plane."""
     hypotheses: Annotated[Count, unit("planes")] = 256
-    """Most planes tried."""
+    """Most planes that RANSAC tries."""
     max_depth_m: Positive = 60.0
-    """Farthest point, along the camera's axis, that the plane is fitted to."""
+    """Largest depth of the points that the plane is fitted to."""
     max_tilt_deg: Annotated[float, Field(gt=0.0, lt=90.0)] = 30.0
-    """Largest angle between the plane and the road that the mounting implies; a wall is not a road."""
+    """Largest angle between the plane and the level road that the mounting implies; it excludes walls."""
     assumed_height_m: Positive = 1.5
-    """Height of the camera above the road where neither a mounting nor depth gives it."""
+    """Height of the camera above the road if neither a mounting nor depth gives it."""
     hold_m: Annotated[float, Field(ge=0.0, le=1000.0)] = 30.0
-    """How far the car may drive on the plane of the frames before, by odometry, where a frame's depth does not
-    show the road; farther on the mounting's stands in."""
+    """How far the car may drive, by odometry, with the plane of earlier frames while the depth does not show the road.
+    Beyond that the mounting's plane is used."""
     spline_knot_m: Annotated[float, Field(ge=1.0, le=30.0)] = 5.0
-    """Distance of the height field's knots along the road."""
+    """Distance between the knots of the height field along the road."""
     spline_curvature_per_m: Positive = 0.005
-    """Standard deviation of the road's curvature upwards; smaller is smoother. A crest of 200 m radius has 0.005."""
+    """Standard deviation of the road's vertical curvature; smaller is smoother. A crest of 200 m radius has 0.005."""
     spline_half_width_m: Annotated[float, Field(ge=2.0, le=50.0)] = 10.0
-    """How far to either side of the ego x axis points count for the height field."""
+    """The height field uses points up to this distance to either side of the ego x axis."""
 
 
 class LanesConfig(Section):
     """The ego lane, by edges and Hough lines of the segmentation, smoothed over time."""
 
     enabled: bool = True
-    """Whether lanes are detected."""
+    """Whether to detect lanes."""
     model: Literal["line", "curve"] = "curve"
-    """``line`` is the straight Hough line alone; ``curve`` fits the boundary on the road and follows bends."""
+    """``line`` uses only the straight Hough line; ``curve`` fits the boundary on the road and follows bends."""
     separators: Classes = ("road_line", "sidewalk", "rail_track", "guard_rail")
-    """Classes between which and the road the edges of a lane lie."""
+    """Classes whose borders with the road are the edges of a lane."""
     median_px: Annotated[int, Field(ge=0, le=99)] = 5
-    """Size of the median filter on the separators' mask; 0 is none."""
+    """Size of the median filter on the mask of the separators; 0: no filter."""
     canny_low: Annotated[Positive, unit("grey levels")] = 100.0
-    """Gradient from which a pixel next to an edge belongs to it: the lower threshold of Canny's detector."""
+    """Lower threshold of Canny's detector: the least gradient of a pixel that continues an edge."""
     canny_high: Annotated[Positive, unit("grey levels")] = 150.0
-    """Gradient from which a pixel is an edge: the upper threshold of Canny's detector."""
+    """Upper threshold of Canny's detector: the least gradient of a pixel that starts an edge."""
     canny_aperture: Annotated[Literal[3, 5, 7], unit("px")] = 3
-    """Side of the Sobel filter that measures the gradient."""
+    """Size of the Sobel filter that measures the gradient."""
     hough_rho_px: Pixels = 2.0
-    """Resolution of the distance in the Hough transform; coarser gathers more edge pixels in a line."""
+    """Distance resolution of the Hough transform; a coarser one collects more edge pixels in a line."""
     hough_threshold: Annotated[Positive, unit("px")] = 100.0
-    """Edge pixels that must agree on a line."""
+    """Least number of edge pixels on a line."""
     hough_min_length_px: Pixels = 100.0
-    """Shortest line."""
+    """Length of the shortest line."""
     hough_max_gap_px: Pixels = 50.0
-    """Largest gap within a line."""
+    """Length of the largest gap within a line."""
     fit_strip_m: Positive = 0.3
-    """Half width of the strip around the last fit whose edges the next one takes."""
+    """Half width of the strip around the last fit whose edges the next fit uses."""
     gate: Annotated[Positive, unit("standard deviations, squared")] = 48.8
-    """Squared Mahalanobis distance beyond which a measurement is rejected: three times 99.9 % of chi squared, 3
-    degrees, for wrong tags err by more than noise does. What lies within, but far, widens the standard deviation."""
+    """Squared Mahalanobis distance beyond which a measurement is rejected: three times the 99.9 % quantile of chi
+    squared with 3 degrees of freedom, because wrong tags cause larger errors than noise. A measurement far out but
+    within the gate increases the standard deviation."""
     car_width_m: Positive = 1.8
-    """Width of the car: while a boundary is under it, the car is changing lanes."""
+    """Width of the car; it changes lanes while a boundary is under it."""
     hold_s: Seconds = 0.5
-    """How long an unseen boundary is held before it is lost; also the window of the vote on the classes beside it."""
+    """How long an unseen boundary is held before it is lost; also the time window of the vote on its classes."""
     use_odometry: bool = True
-    """Whether odometry, where it is metric, predicts the boundaries from frame to frame."""
+    """Whether metric odometry predicts the boundaries from frame to frame."""
     process_noise: Annotated[float, Field(ge=1e-3, le=100.0), unit("m/s")] = 0.5
-    """Standard deviation by which the car's sideways speed changes within a second, where no odometry predicts it."""
+    """Standard deviation of the change of the car's sideways speed within a second, without odometry."""
 
 
 class ObjectsConfig(Section):
     """Detections filtered by segmentation, with their distance, and tracked over time."""
 
     enabled: bool = True
-    """Whether detections are filtered and tracked."""
+    """Whether to filter and track detections."""
     filter: Literal["region", "class_ratio"] = "region"
-    """What keeps a detection: pixels of its class, connected in depth or of one instance, that fit its box; or the
-    share of its box that carries its class. Without dense depth and without instance masks it is the share."""
+    """``region`` keeps a detection whose box fits pixels of its class that are connected in depth or of one instance.
+    ``class_ratio`` uses the share of the box with its class, and so does ``region`` without dense depth and masks."""
     min_class_ratio: Ratio = 0.3
-    """With ``filter`` ``class_ratio`` a detection is kept when more than this share of its box carries its class."""
+    """``class_ratio`` keeps a detection if more than this share of its box has its class."""
     distance_quantile: Ratio = 0.05
-    """Quantile of the distances of the object's pixels that is its distance; 0 is the nearest pixel."""
+    """The distance of an object is this quantile of its pixels' distances; 0 is the nearest pixel."""
     distance_pixels: Literal["region", "class", "box"] = "region"
-    """Pixels that count for the distance: those that fit its box, those of its class in it, or all in it."""
+    """Pixels that determine the distance: the region that fits the box, the pixels of the class in it, or all in it."""
     hold_s: Annotated[float, Field(ge=0.0, le=1e4)] = 0.5
-    """How long an object without a detection is carried, and searched for in the image."""
+    """How long an object without a detection is held and searched for in the image."""
     template_search: bool = True
-    """Whether an object without a detection is searched for by its last image patch; this needs the decoded image."""
+    """Whether to search for an object without a detection by its last image patch; this decodes the image."""
     carry_after_s: Annotated[float, Field(ge=0.0, le=1e4)] = 0.1
-    """How long an object must have been seen without a gap to be searched for: stray detections are not carried on."""
+    """How long an object must be detected without a gap before it is held, so that stray detections are not held."""
     template_min_score: Ratio = 0.7
-    """Normalised cross-correlation from which the patch counts as found."""
+    """Least normalised cross-correlation with which a patch is found."""
     template_png: Annotated[
         str, Field(max_length=MOST_PNG_BYTES, pattern=_PNG_IN_BASE64, json_schema_extra={"remark": "a PNG in base 64"})
     ] = ""
-    """An obstacle's picture, which is searched for in every frame; ``--template`` fills it in."""
+    """Picture of an obstacle to search for in every frame; ``--template`` sets it."""
     template_distance: Literal["ray", "depth"] = "ray"
-    """How far that obstacle is: straight from the camera, or its depth along the camera's axis."""
+    """Distance of that obstacle: along the ray from the camera, or its depth along the camera's axis."""
     min_overlap: Ratio = 0.2
-    """Intersection over union with an object's predicted box from which a detection may be the same object."""
+    """Least intersection over union of a detection with the predicted box of the same object."""
     gate: Annotated[Positive, unit("standard deviations, squared")] = 10.83
-    """Squared Mahalanobis distance beyond which a distance is rejected (99.9 % of chi squared, 1 degree)."""
+    """Squared Mahalanobis distance beyond which a distance is rejected: 99.9 % of chi squared, 1 degree of freedom."""
     restart_s: Positive = 0.2
-    """How long distances beyond the gate must follow each other until they are believed."""
+    """How long distances beyond the gate must continue before the track restarts with them."""
     min_distance_std_m: Positive = 0.1
-    """Least standard deviation of a measured distance: the quantile moves with the box."""
+    """Least standard deviation of a measured distance, because the quantile changes with the box."""
     process_noise: Annotated[Positive, unit("m/s")] = 1.5
-    """Standard deviation by which an object's closing speed changes within a second."""
+    """Standard deviation of the change of an object's closing speed within a second."""
     max_speed_std_mps: Positive = 2.0
-    """Largest standard deviation at which a closing speed is given."""
+    """A closing speed with a larger standard deviation is not reported."""
     min_closing_mps: Positive = 0.5
-    """Least closing speed at which a time to impact is given."""
+    """Least closing speed for which a time to impact is reported."""
     min_closing_sigmas: Annotated[float, Field(ge=0.0, le=1e4), unit("standard deviations")] = 2.0
-    """Least closing speed, in its own standard deviations, at which a time to impact is given."""
+    """Least closing speed, in its standard deviations, for which a time to impact is reported."""
     car_width_m: Positive = 1.8
-    """Width of the car: its path is as wide, and ``path_margin_m`` wider on either side."""
+    """Width of the car; its path is wider by ``path_margin_m`` on either side."""
     path_margin_m: Annotated[float, Field(ge=0.0, le=10.0)] = 0.3
-    """What is beside the car by no more than this is in its path."""
+    """An object within this distance beside the car is in its path."""
     cut_in_mps: Positive = 0.3
-    """Least speed, towards the path, of an object over the lane's line that cuts in."""
+    """Least speed towards the path of an object that crosses the lane's line and cuts in."""
 
     @model_validator(mode="after")
     def _picture_within_bounds(self) -> Self:
@@ -229,48 +229,48 @@ class OdometryConfig(Section):
     """Where the car is, from images and depth."""
 
     enabled: bool = True
-    """Whether the motion of the car is estimated."""
+    """Whether to estimate the motion of the car."""
     features: Literal["klt", "orb", "sift"] = "klt"
     """``klt`` follows corners by optical flow, ``orb`` and ``sift`` match descriptors."""
     matcher: Literal["brute_force", "flann"] = "brute_force"
-    """How the nearest descriptors are found."""
+    """Search for the nearest descriptors."""
     min_rows: Annotated[Count, unit("rows")] = 480
-    """The image is halved as long as it keeps this many rows: more take longer and hardly improve the result."""
+    """The image is halved as long as it keeps this many rows; more rows take longer and hardly improve the result."""
     min_inliers: Annotated[Count, unit("points")] = 20
-    """Points that must agree on the motion, or the frame is lost."""
+    """Least number of points that agree on the motion; with fewer the frame is lost."""
     max_speed_mps: Positive = 70.0
-    """A faster motion is a jump the car cannot make, and the frame is lost."""
+    """A faster motion is impossible for the car, and the frame is lost."""
     max_turn_rate_dps: Positive = 120.0
-    """A faster turn is one the car cannot make, and the frame is lost."""
+    """A faster turn is impossible for the car, and the frame is lost."""
     pitch_std_deg: Annotated[float, Field(ge=0.0, le=10.0)] = 2.0
-    """Without depth: standard deviation of the mounting's pitch, which the drive corrects; 0 believes the mounting."""
+    """Without depth: standard deviation of the mounting's pitch, which motion corrects; 0 trusts the mounting."""
 
 
 class OccupancyConfig(Section):
-    """A bird's-eye grid of what is free and what is occupied, in the ego frame."""
+    """A bird's-eye grid of free and occupied cells, in the ego frame."""
 
     enabled: bool = True
-    """Whether the grid is made."""
+    """Whether to compute the grid."""
     resolution_m: Annotated[float, Field(ge=0.05, le=5.0)] = 0.2
     """Side of a cell."""
     x_min_m: Annotated[float, Field(ge=-65.0, lt=65.0)] = 0.0
     """Nearest edge of the grid, ahead of the ego origin."""
     x_max_m: Annotated[float, Field(gt=-65.0, le=65.0)] = 40.0
-    """Farthest edge. Depth as the log stores it ends at 65.535 m, where everything beyond would seem to be."""
+    """Farthest edge of the grid; depth in a log ends at 65.535 m."""
     half_width_m: Annotated[float, Field(gt=0.0, le=65.0)] = 15.0
-    """The grid reaches so far to either side."""
+    """Extent of the grid to either side."""
     min_height_m: Positive = 0.3
-    """Points of any class are obstacles from this height above the road on; a kerb is lower."""
+    """Points of any class above this height over the road are obstacles; a kerb is lower."""
     max_height_m: Positive = 2.5
-    """Points higher above the road than this are no obstacles."""
+    """Points above this height over the road are not obstacles."""
     obstacle_classes: Classes = ("vehicle", "pedestrian")
-    """Classes whose points are obstacles however low they are."""
+    """Classes whose points are obstacles at any height."""
     pixel_step: Annotated[Count, unit("px")] = 2
-    """Every so many rows and columns of the image give a point."""
+    """Step between the rows and columns of the image that give a point."""
     min_points: Annotated[Count, unit("points")] = 3
-    """Points that make a cell occupied or free."""
+    """Least number of points that make a cell occupied or free."""
     depth_tolerance: Ratio = 0.1
-    """A cell between the points is free where its pixel is drivable and as far away as the cell, up to this share."""
+    """A cell without points is free if its pixel is drivable and its depth agrees up to this share."""
 
     @model_validator(mode="after")
     def _extents(self) -> Self:
@@ -282,12 +282,12 @@ class OccupancyConfig(Section):
 
 
 class ReplayConfig(Section):
-    """Everything that decides what a replay computes."""
+    """All settings that the results of a replay depend on."""
 
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
-    """Random numbers follow from it and from the frame's stamp: the same seed gives the same results."""
+    """Seed of the random numbers, together with the frame's stamp; the same seed gives the same results."""
     tag_table: TableName = "auto"
-    """Table of the segmentation's tag numbers: a CARLA version or a table's name; ``auto`` takes what the log says."""
+    """Table of the segmentation's tag numbers: a CARLA version or a table's name; ``auto`` uses the log's table."""
     sync: SyncConfig = SyncConfig()
     stereo: StereoConfig = StereoConfig()
     surface: SurfaceConfig = SurfaceConfig()

@@ -8,7 +8,7 @@ from typing import Any, Self
 
 from roadperc_stream.errors import LogError
 from roadperc_stream.log.layout import MAGIC
-from roadperc_stream.system.folders import not_a_log
+from roadperc_stream.system.files import not_a_log
 
 
 def damaged(path: Path, fault: str) -> LogError:

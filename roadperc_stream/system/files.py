@@ -2,6 +2,7 @@
 
 import os
 import re
+import shlex
 import shutil
 import stat
 from collections.abc import Callable, Iterator
@@ -9,7 +10,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, suppre
 from pathlib import Path
 from typing import Any, Final, Protocol
 
-from roadperc_stream.errors import RoadpercError, TargetError
+from roadperc_stream.errors import TargetError
 
 TABLE_SUFFIX: Final = ".parquet"
 METRICS_SUFFIX: Final = ".metrics.parquet"
@@ -76,13 +77,24 @@ def make_private(folder: Path) -> None:
     fault, mode = "", stat.S_IMODE(facts.st_mode)
     if not stat.S_ISDIR(facts.st_mode):
         fault = "is a link or a file"
-    elif os.name == "posix" and facts.st_uid != os.geteuid():
+    elif facts.st_uid != os.geteuid():
         fault = f"belongs to user {facts.st_uid}"
-    elif os.name == "posix" and mode & 0o077:
+    elif mode & 0o077:
         fault = f"has mode {mode:o}"
     if fault:
         expected = "expected a folder of this user with mode 700"
         raise TargetError(f"{folder}: {fault}, {expected}; remove it, or name another folder with --scratch")
+
+
+def not_a_log(folder: Path) -> str:
+    """Words for a folder that is named as a log: the logs within, or the command that makes one of a dump."""
+    logs = sorted(folder.glob("*.mcap"))
+    if logs:
+        parts = f", or its {len(logs)} files as the parts of one: {folder}/*.mcap" if len(logs) > 1 else ""
+        return f"{folder}: is a folder, expected a log, such as {logs[0]}{parts}"
+    target = f"{folder if folder.name.strip('.') else folder.resolve().name}.mcap"
+    command = shlex.join(("roadperc-convert", str(folder), target))
+    return f"{folder}: is a folder, expected a log; a CARLA dump becomes one with: {command}"
 
 
 def real_path(path: Path) -> Path:
@@ -90,22 +102,17 @@ def real_path(path: Path) -> Path:
     return Path(os.path.realpath(path))
 
 
-def target_errors(target: Path) -> AbstractContextManager[None]:
-    """What the system refuses in writing a file, as a TargetError that names the file."""
-    return system_errors(target, TargetError)
-
-
 @contextmanager
-def system_errors(path: str | Path, kind: type[RoadpercError]) -> Iterator[None]:
-    """What the system refuses, as an error that names the file.
+def target_errors(target: Path) -> Iterator[None]:
+    """Turn an error of the system while a file is written into one that names the file.
 
     Raises:
-        RoadpercError: of this kind: the folder or the file cannot be read, or written.
+        TargetError: the file or its folder cannot be written.
     """
     try:
         yield
     except OSError as error:
-        raise kind(f"{path}: {error.strerror or error}") from error
+        raise TargetError(f"{target}: {error.strerror or error}") from error
 
 
 def sync_file(path: Path) -> None:
@@ -154,9 +161,7 @@ def remove_dead_partials(target: Path) -> None:
 
 
 def _is_alive(process: int) -> bool:
-    """Whether a process has this number; where the system does not tell, one might."""
-    if os.name != "posix":
-        return True
+    """Whether a process has this number."""
     try:
         os.kill(process, 0)
     except (ProcessLookupError, OverflowError):
@@ -172,7 +177,7 @@ def completing(target: Path, *, force: bool = True, mark: str = "") -> Iterator[
 
     Args:
         target: the file.
-        force: replace what has come to stand there meanwhile.
+        force: replace a file that appeared there in the meantime.
         mark: of this writer alone, where other machines write to the same folder.
 
     Raises:

@@ -1,7 +1,6 @@
 """How the C library deals with memory that arrays give back."""
 
 import ctypes
-import os
 from typing import Final
 
 _TRIM_THRESHOLD: Final = -1
@@ -20,8 +19,6 @@ def keep_freed_memory() -> None:
     and asks for them again, thousands a frame, each of which the system must clear first. No more memory is used at
     once. Other C libraries have no such setting, and nothing is done.
     """
-    if os.name != "posix":
-        return
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:
         mallopt(_MMAP_THRESHOLD, _LARGEST_KEPT)

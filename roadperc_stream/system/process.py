@@ -1,4 +1,4 @@
-"""What reaches a process from outside: signals that end it, output that nobody reads. Imports no library."""
+"""Signals that end a process, and output without a reader. Imports no library."""
 
 import os
 import signal
@@ -25,7 +25,7 @@ def ending_signals() -> list[int]:
 
 @contextmanager
 def optional_output(stream: "TextIO | None" = None) -> Iterator[None]:
-    """Around output that is not the work itself: where nobody reads it, or stderr has no space, the work goes on.
+    """Let the work continue if the output in this block has no reader, or stderr has no space.
 
     Args:
         stream: what is printed to, stdout where none is named.
@@ -41,7 +41,7 @@ def optional_output(stream: "TextIO | None" = None) -> Iterator[None]:
 
 
 def discard_output(stream: "IO[str]") -> None:
-    """Discard what is still buffered for a stream that nobody reads, and all that follows."""
+    """Discard the buffered and all later output of a stream without a reader."""
     null = os.open(os.devnull, os.O_WRONLY)
     os.dup2(null, stream.fileno())
     os.close(null)

@@ -9,7 +9,6 @@ import pytest
 
 from roadperc_stream.batch import worker
 from roadperc_stream.batch.driver import BatchRun
-from roadperc_stream.batch.plan import Again
 from roadperc_stream.batch.storage.location import Location, find_files
 from roadperc_stream.batch.task import BatchConfiguration, BatchJob, DriveFiles, Outcome, Task
 from roadperc_stream.config import load_config
@@ -38,32 +37,23 @@ def test_numbers_that_hardly_differ_are_other_configurations():
     assert len({how.name for how in configs}) == len(ends_s)
 
 
-def test_a_log_that_is_replaced_while_it_is_replayed_gives_no_row_of_two(tmp_path, out, monkeypatch):
+@pytest.mark.parametrize("change", ["replaced", "cut off"])
+def test_a_log_that_changes_during_its_replay_is_unreachable_and_has_no_tables(tmp_path, out, monkeypatch, change):
     source = write_log(tmp_path / "in" / "a.mcap")
     other = write_log(tmp_path / "other.mcap", lane_m=0.2)
 
-    def replaced(*given, **options):
-        other.rename(source)
+    def changed(*given, **options):
+        if change == "replaced":
+            other.rename(source)
+        else:
+            source.write_bytes(source.read_bytes()[:-3000])
         return replay(*given, **options)
 
     replay = worker.replay
-    monkeypatch.setattr(worker, "replay", replaced)
+    monkeypatch.setattr(worker, "replay", changed)
     outcome = worker.work(task(source, out), no_progress)
     assert (outcome.status, outcome.error) == ("unreachable", f"{source}: changed while it was replayed")
     assert not list(out.glob("metrics/*/*"))
-
-
-def test_a_log_that_is_cut_off_while_it_is_replayed_is_not_damaged(tmp_path, out, monkeypatch):
-    source = write_log(tmp_path / "in" / "a.mcap")
-
-    def cut_off(*given, **options):
-        source.write_bytes(source.read_bytes()[:-3000])
-        return replay(*given, **options)
-
-    replay = worker.replay
-    monkeypatch.setattr(worker, "replay", cut_off)
-    outcome = worker.work(task(source, out), no_progress)
-    assert (outcome.status, outcome.error) == ("unreachable", f"{source}: changed while it was replayed")
 
 
 def test_a_clock_that_was_set_back_hides_nothing(tmp_path, out):
@@ -105,8 +95,8 @@ def test_a_table_with_nothing_in_it_is_none(tmp_path, out):
 def test_a_check_that_fails_leaves_what_is_done_as_it_is(tmp_path, out):
     source = write_log(tmp_path / "in" / "a.mcap")
     batch(out, source)
-    job = BatchJob(BatchConfiguration(load_config(None)), Location(str(out)))
-    verifying = BatchRun(job, [str(source)], None, Again(verify=True))
+    job = BatchJob(BatchConfiguration(load_config(None)), Location(str(out)), verify=True)
+    verifying = BatchRun(job, [str(source)], None)
     verifying.run(lambda: Scripted(lambda _: Outcome("timeout", "took too long")), lambda: nullcontext(lambda _: None))
     assert sorted(row["status"] for row in runs(out).to_dicts()) == ["done", "timeout"]
     assert set(runs(out)["names"].list.len()) == {1}
@@ -174,32 +164,23 @@ def test_a_list_from_elsewhere(tmp_path, out):
 
 
 @pytest.mark.parametrize(
-    "columns",
+    ("change", "error"),
     [
-        {"finished_ns": pl.lit("today")},
-        {"finished_ns": None},
-        {"names": None},
-        {"fingerprints": pl.lit([], pl.List(pl.String))},
-        {"path": None},
+        (lambda rows: rows.with_columns(finished_ns=pl.lit("today")), "is not a list of runs"),
+        (lambda rows: rows.with_columns(finished_ns=None), "is not a list of runs"),
+        (lambda rows: rows.with_columns(names=None), "is not a list of runs"),
+        (lambda rows: rows.with_columns(fingerprints=pl.lit([], pl.List(pl.String))), "is not a list of runs"),
+        (lambda rows: rows.with_columns(path=None), "is not a list of runs"),
+        (lambda rows: rows.drop("logs"), "has no column logs; another version of this program wrote it\n"),
     ],
 )
-def test_a_list_of_runs_with_other_values_is_an_error_in_a_line(tmp_path, out, columns):
-    source = write_log(tmp_path / "in" / "a.mcap")
+def test_a_list_of_runs_with_other_values_or_columns_is_a_one_line_error(tmp_path, out, change, error):
+    source, path = write_log(tmp_path / "in" / "a.mcap"), out / "runs.parquet"
     batch(out, source)
-    change_rows(out, **columns)
+    change(pl.read_parquet(path)).write_parquet(path)
     refused = batch(out, source)
-    assert refused.returncode == 1
-    assert refused.stderr.startswith(f"error: {out}/runs.parquet: is not a list of runs")
-    assert refused.stderr.count("\n") == 1
-
-
-def test_a_list_of_runs_without_a_column_is_of_another_version(tmp_path, out):
-    source = write_log(tmp_path / "in" / "a.mcap")
-    batch(out, source)
-    pl.read_parquet(out / "runs.parquet").drop("logs").write_parquet(out / "runs.parquet")
-    said = f"error: {out}/runs.parquet: has no column logs; another version of this program wrote it\n"
-    refused = batch(out, source)
-    assert (refused.returncode, refused.stderr) == (1, said)
+    assert (refused.returncode, refused.stderr.count("\n")) == (1, 1)
+    assert refused.stderr.startswith(f"error: {path}: {error}")
 
 
 def test_a_status_of_another_version_is_no_reason_to_leave_a_log(tmp_path, out):

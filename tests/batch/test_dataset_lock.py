@@ -14,7 +14,6 @@ import pytest
 from roadperc_stream.batch import dataset_lock
 from roadperc_stream.batch.dataset_lock import LOCK, DatasetLock, LockHolder
 from roadperc_stream.batch.driver import BatchRun
-from roadperc_stream.batch.plan import Again
 from roadperc_stream.batch.storage.location import Location
 from roadperc_stream.batch.task import BatchConfiguration, BatchJob, Outcome
 from roadperc_stream.config import load_config
@@ -135,6 +134,6 @@ def test_a_batch_whose_lock_was_taken_ends_and_leaves_the_list_to_the_other(tmp_
     job = BatchJob(BatchConfiguration(load_config(None)), store, retries=10**6)
     display = nullcontext(lambda _: None)
     with pytest.raises(StorageError, match=ELSEWHERE):
-        BatchRun(job, [str(source)], None, Again()).run(lambda: Scripted(taken), lambda: display)
+        BatchRun(job, [str(source)], None).run(lambda: Scripted(taken), lambda: display)
     assert read(store) == holder(read(store).renewed_s)
     assert store.at("runs.parquet").read() is None

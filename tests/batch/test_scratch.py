@@ -17,46 +17,35 @@ NAME = f"roadperc-batch-{os.getuid()}"
 STRANGER = 12345
 
 
-def linked(folder, _):
-    (folder.parent / "theirs").mkdir(mode=0o700)
-    folder.symlink_to(folder.parent / "theirs")
-
-
-def linked_nowhere(folder, _):
-    folder.symlink_to(folder.parent / "theirs")
-
-
-def of_another_user(folder, monkeypatch):
-    folder.mkdir(mode=0o700)
-    if os.geteuid() == 0:
-        os.chown(folder, STRANGER, -1)
-    else:
-        monkeypatch.setattr(os, "geteuid", lambda: STRANGER)
-
-
-def open_to_readers(folder, _):
-    folder.mkdir()
-    folder.chmod(0o755)
-
-
-def open_to_a_group(folder, _):
-    folder.mkdir()
-    folder.chmod(0o770)
-
-
-def a_file(folder, _):
-    folder.touch(mode=0o600)
-
-
 FAULTS = {
-    linked: "is a link or a file",
-    linked_nowhere: "is a link or a file",
-    a_file: "is a link or a file",
-    of_another_user: "belongs to user",
-    open_to_readers: "has mode 755",
-    open_to_a_group: "has mode 770",
+    "link": "is a link or a file",
+    "dead link": "is a link or a file",
+    "file": "is a link or a file",
+    "another user's": "belongs to user",
+    "mode 755": "has mode 755",
+    "mode 770": "has mode 770",
 }
-FAULTY = pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.__name__)
+
+
+def make_faulty(folder, fault, monkeypatch):
+    if "link" in fault:
+        folder.symlink_to(folder.parent / "theirs")
+    if fault == "link":
+        (folder.parent / "theirs").mkdir(mode=0o700)
+    if fault == "file":
+        folder.touch(mode=0o600)
+    if fault.startswith("mode"):
+        folder.mkdir()
+        folder.chmod(int(fault[-3:], 8))
+    if fault == "another user's":
+        folder.mkdir(mode=0o700)
+        if os.geteuid() == 0:
+            os.chown(folder, STRANGER, -1)
+        else:
+            monkeypatch.setattr(os, "geteuid", lambda: STRANGER)
+
+
+FAULTY = pytest.mark.parametrize("fault", FAULTS)
 
 
 @pytest.fixture
@@ -74,7 +63,7 @@ def task(tmp_path, scratch):
 @pytest.mark.promise("Temporary files", "A link, or a folder that others own or can enter, is refused and not changed")
 @FAULTY
 def test_a_scratch_folder_that_is_not_ones_own_is_not_used(task, scratch, fault, monkeypatch):
-    fault(scratch / NAME, monkeypatch)
+    make_faulty(scratch / NAME, fault, monkeypatch)
     before = below(scratch)
     for outcome in (attempt(task), work(task, no_progress)):
         assert outcome.status == "unreachable"
@@ -86,9 +75,9 @@ def test_a_scratch_folder_that_is_not_ones_own_is_not_used(task, scratch, fault,
 @pytest.mark.promise("Temporary files", "The error says what to do; on a cluster it is in the log's row")
 @FAULTY
 def test_the_command_says_so_at_once(tmp_path, scratch, fault, monkeypatch):
-    if fault is of_another_user and os.geteuid() != 0:
+    if fault == "another user's" and os.geteuid() != 0:
         pytest.skip("needs another user's folder")
-    fault(scratch / NAME, monkeypatch)
+    make_faulty(scratch / NAME, fault, monkeypatch)
     refused = batch(tmp_path / "out", write_log(tmp_path / "in" / "a.mcap"), "--scratch", scratch)
     assert (refused.returncode, refused.stderr.count("\n")) == (1, 1)
     assert refused.stderr.startswith(f"error: {scratch / NAME}: {FAULTS[fault]}")
@@ -112,7 +101,7 @@ def test_the_scratch_folder_of_a_store_is_in_the_folder_for_temporary_files(tmp_
     with TemporaryDirectory() as short:  # a path of pytest's is too long for the sockets in it
         monkeypatch.setenv("TMPDIR", short)
         folder = Path(short) / NAME
-        linked(folder, monkeypatch)
+        make_faulty(folder, "link", monkeypatch)
         refused = batch(f"{bucket}/out", source)
         assert refused.stderr.startswith(f"error: {folder}: is a link or a file, expected a folder of this user")
         assert (refused.stderr.count("\n"), list((Path(short) / "theirs").iterdir())) == (1, [])

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -38,21 +39,21 @@ ENOUGH = {
 """Arguments that are no wrong usage, where it is not two names."""
 
 
-@pytest.mark.parametrize("library", ["argparse", "rich"])
-@pytest.mark.parametrize("command", SCRIPTS)
-def test_ctrl_c_during_an_import_is_one_line(tmp_path, command, library):
-    """argparse is imported before the arguments are read, rich with what does the work, or here cv2."""
-    if (command, library) == ("roadperc-replay", "rich"):
-        library = "cv2"  # it draws its bar with rich, on a terminal alone
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+@pytest.mark.parametrize(
+    ("command", "library", "number"),
+    [
+        # argparse is imported before the arguments are read; rich, or in a replay cv2, before the work
+        *((command, "argparse", signal.SIGINT) for command in SCRIPTS),
+        *((command, "rich", signal.SIGINT) for command in SCRIPTS if command != "roadperc-replay"),
+        *product(["roadperc-replay"], ["argparse", "numpy", "cv2", "pyarrow"], SIGNALS),
+    ],
+)
+def test_a_signal_during_an_import_is_one_line(tmp_path, command, library, number):
     arguments = ENOUGH.get(command, ["in.mcap", "out.mcap"])
-    ended = run(command, *arguments, env=signalling(tmp_path, library, signal.SIGINT), cwd=tmp_path)
-    assert (ended.returncode, ended.stdout, ended.stderr) == (1, "", "error: interrupted\n")
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-@pytest.mark.parametrize("library", ["argparse", "numpy", "cv2", "pyarrow"])
-def test_every_signal_during_any_import_is_one_line(tmp_path, library, number):
-    ended = run("roadperc-replay", "in.mcap", "out.mcap", env=signalling(tmp_path, library, number), cwd=tmp_path)
+    ended = run(command, *arguments, env=signalling(tmp_path, library, number), cwd=tmp_path)
     assert (ended.returncode, ended.stdout, ended.stderr) == (1, "", "error: interrupted\n")
 
 
@@ -147,6 +148,8 @@ WRITING = [
 ]
 
 
+FULL_CODES = {"--help": 0, "--version": 0, "--wrong": 2, "none.mcap": 1}
+"""Exit codes of the words without a full device."""
 NOBODY = [("closed", "buffered"), *(("unread", buffering) for buffering in BUFFERINGS)]
 
 
@@ -183,38 +186,31 @@ def test_wrong_usage_has_its_exit_code_where_nobody_reads(state, buffering):
 
 
 @pytest.mark.promise("Start and end", "Output to a full device is one error line")
-@needs_full
-@pytest.mark.parametrize("buffering", BUFFERINGS)
-@pytest.mark.parametrize("argument", ["--version", "--help", SAMPLE])
-def test_text_that_finds_no_space_is_one_line(buffering, argument):
-    with FULL.open("w") as full:
-        options = {"stdout": full, "stderr": subprocess.PIPE, "capture_output": False}
-        ended = run("roadperc-info", argument, env=environment(buffering), **options)
-    assert (ended.returncode, ended.stderr) == (1, "error: No space left on device\n")
-
-
 @pytest.mark.promise("Start and end", "With stderr on a full device the exit code is the documented one")
-@needs_full
-@pytest.mark.parametrize(("argument", "code"), [("--help", 0), ("--wrong", 2), ("none.mcap", 1)])
-@pytest.mark.parametrize(
-    ("command", "buffering"), [*((command, "buffered") for command in SCRIPTS), ("roadperc-info", "unbuffered")]
-)
-def test_an_error_that_finds_no_space_has_its_exit_code(command, argument, code, buffering, tmp_path):
-    arguments = ENOUGH.get(command, ["in.mcap", "out.mcap"]) if code == 1 else [argument]
-    if command == "roadperc-render" and code == 1:
-        arguments = ["/proc/drive"]
-    with FULL.open("w") as full:
-        options = {"stdout": subprocess.DEVNULL, "stderr": full, "capture_output": False, "cwd": tmp_path}
-        assert run(command, *arguments, env=environment(buffering), **options).returncode == code
-
-
 @pytest.mark.promise("Start and end", "With stdout and stderr on a full device the exit code is the documented one")
 @needs_full
-@pytest.mark.parametrize(("argument", "code"), [("--help", 1), ("--version", 1), ("--wrong", 2), ("none.mcap", 1)])
-def test_no_space_on_both_streams_has_its_exit_code(argument, code, tmp_path):
-    with FULL.open("w") as full:
-        options = {"stdout": full, "stderr": full, "capture_output": False, "cwd": tmp_path}
-        assert run("roadperc-info", argument, **options).returncode == code
+@pytest.mark.parametrize(
+    ("command", "arguments", "full", "buffering", "code"),
+    [
+        *product(["roadperc-info"], [["--version"], ["--help"], [SAMPLE]], ["stdout"], BUFFERINGS, [1]),
+        *product(SCRIPTS, [["--help"]], ["stderr"], ["buffered"], [0]),
+        *product(SCRIPTS, [["--wrong"]], ["stderr"], ["buffered"], [2]),
+        *((command, ENOUGH.get(command, ["in.mcap", "out.mcap"]), "stderr", "buffered", 1) for command in SCRIPTS),
+        *(("roadperc-info", [word], "stderr", "unbuffered", code) for word, code in FULL_CODES.items()),
+        *(("roadperc-info", [word], "both", "buffered", code or 1) for word, code in FULL_CODES.items()),
+    ],
+)
+def test_a_full_device_leaves_the_exit_code(command, arguments, full, buffering, code, tmp_path):
+    """Stdout on it is an error itself, and the message says so where stderr is not on it."""
+    if (command, code) == ("roadperc-render", 1):
+        arguments = ["/proc/drive"]
+    with FULL.open("w") as device:
+        streams = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "capture_output": False}
+        streams |= dict.fromkeys(("stdout", "stderr") if full == "both" else (full,), device)
+        ended = run(command, *arguments, env=environment(buffering), cwd=tmp_path, **streams)
+    assert ended.returncode == code
+    if full == "stdout":
+        assert ended.stderr == "error: No space left on device\n"
 
 
 @pytest.mark.promise("Start and end", "File names after `--` may begin with `-`")

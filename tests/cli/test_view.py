@@ -7,6 +7,7 @@ import pytest
 from roadperc_stream.cli.view import main
 from roadperc_stream.config import load_config
 from roadperc_stream.view import modes
+from roadperc_stream.view.live import PlaybackOptions
 from roadperc_stream.view.rerun import viewer
 from tests import logs
 from tests.replaying import replay
@@ -71,6 +72,8 @@ def test_topics_of_other_names_fill_roles_in_a_recording_and_in_a_layout(tmp_pat
         (["in.mcap", "--save", "a.rrd", "--foxglove"], "not allowed with"),
         (["in.mcap", "--rate", "2"], "--rate: only with --foxglove"),
         (["in.mcap", "--save", "a.rrd", "--start", "1"], "--start: only with --foxglove"),
+        *((["in.mcap", "--foxglove", f"--rate={rate}"], "--rate: ") for rate in ("0", "-1", "nan", "x")),
+        (["in.mcap", "--foxglove", "--port=-1"], "--port: "),
         (["in.mcap", "--force"], "--force: only with"),
         (["in.mcap", "--foxglove", "--topic", "image=/a"], "--topic: only with"),
         (["--foxglove-layout", "a.json", "--topic", "image=/a"], "expected a log"),
@@ -95,21 +98,26 @@ def test_the_layout_needs_no_log(tmp_path, capsys):
     assert capsys.readouterr().out == ""
 
 
-@pytest.mark.parametrize("timed", [True, False])
-def test_the_layout_of_a_served_log_has_the_times_that_are_served(tmp_path, monkeypatch, timed):
+@pytest.mark.parametrize(
+    ("timed", "given", "expected"),
+    [
+        (True, [], PlaybackOptions(1.0, False, "127.0.0.1", 8765, 0.0)),
+        (
+            False,
+            ["--rate", "0.5", "--loop", "--host", "::1", "--port", "0", "--start", "1.5", "--quiet"],
+            PlaybackOptions(0.5, True, "::1", 0, 1.5),
+        ),
+    ],
+)
+def test_a_log_is_served_as_the_options_say_and_its_layout_has_its_times(tmp_path, monkeypatch, timed, given, expected):
     source = logs.write(tmp_path / "in.mcap", logs.items(frames=2))
     replay(source, tmp_path / "out.mcap", load_config(None, ()))
     if not timed:
         (tmp_path / "out.metrics.parquet").unlink()
     served, target = [], tmp_path / "layout.json"
-    monkeypatch.setattr(
-        modes, "serve_log", lambda path, options, *, quiet: served.append((path, options.start_s, quiet))
-    )
-    assert (
-        main([str(tmp_path / "out.mcap"), "--foxglove", "--foxglove-layout", str(target), "--start", "1.5", "--quiet"])
-        == 0
-    )
-    assert served == [(tmp_path / "out.mcap", 1.5, True)]
+    monkeypatch.setattr(modes, "serve_log", lambda path, options, *, quiet: served.append((path, options, quiet)))
+    assert main([str(tmp_path / "out.mcap"), "--foxglove", "--foxglove-layout", str(target), *given]) == 0
+    assert served == [(tmp_path / "out.mcap", expected, "--quiet" in given)]
     assert ("/perception/times.total_ms" in target.read_text("utf-8")) is timed
 
 

@@ -8,7 +8,13 @@ import sys
 import pytest
 
 from roadperc_stream.errors import TargetError
-from roadperc_stream.system.files import completing, remove_dead_partials, require_free, require_suffix
+from roadperc_stream.system.files import (
+    completing,
+    not_a_log,
+    remove_dead_partials,
+    require_free,
+    require_suffix,
+)
 
 
 @pytest.mark.parametrize("force", [False, True])
@@ -148,3 +154,18 @@ def test_what_dead_processes_left_of_a_target_is_removed(tmp_path):
     remove_dead_partials(target)
     assert {path.name for path in tmp_path.iterdir()} == {*kept, ".out.mcap.0.partial"}
     remove_dead_partials(tmp_path / "no folder" / "out.mcap")
+
+
+def test_the_error_for_a_folder_names_the_first_log_in_it(tmp_path):
+    for name in ("b.mcap", "a.mcap", "0.txt"):
+        (tmp_path / name).touch()
+    both = f", or its 2 files as the parts of one: {tmp_path}/*.mcap"
+    assert not_a_log(tmp_path) == f"{tmp_path}: is a folder, expected a log, such as {tmp_path / 'a.mcap'}{both}"
+    (tmp_path / "b.mcap").unlink()
+    assert not_a_log(tmp_path) == f"{tmp_path}: is a folder, expected a log, such as {tmp_path / 'a.mcap'}"
+
+
+def test_the_error_for_a_dump_gives_the_command_that_converts_it(tmp_path):
+    dump = tmp_path / "a drive"
+    dump.mkdir()
+    assert not_a_log(dump).endswith(f"a CARLA dump becomes one with: roadperc-convert '{dump}' '{dump}.mcap'")

@@ -9,7 +9,7 @@ from pydantic import AliasChoices, Field, FiniteFloat, PositiveInt, TypeAdapter
 
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float, baseline_of, decompose_projection
-from roadperc_stream.system.nearest import nearest
+from roadperc_stream.system.text import nearest
 
 from .json_files import Document, Numbers3, Numbers4, checked, read_json
 from .truth_file import CarlaPose

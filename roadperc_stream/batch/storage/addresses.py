@@ -1,7 +1,7 @@
-"""Texts that name files: paths, addresses with a scheme such as ``s3://bucket/drives``, and patterns.
+"""Paths, addresses with a scheme such as ``s3://bucket/drives``, and patterns.
 
-Patterns follow the rules of shells and of Python's glob: ``*``, ``?``, ``[..]`` and ``**``. A pattern matches a hidden
-file or folder only with a part that begins with a dot itself. A folder that matches stands for all files below it.
+Patterns follow the rules of shells and of Python's glob: ``*``, ``?``, ``[..]`` and ``**``. Only a pattern part that
+begins with a dot matches a hidden file or folder. A folder that matches selects all files below it.
 """
 
 import os
@@ -12,36 +12,38 @@ from typing import Final
 from roadperc_stream.errors import StorageError
 
 Parts = tuple[str, ...]
-_HERE: Final = "file://"
+_FILE_SCHEME: Final = "file://"
 _MAGIC: Final = re.compile(r"[*?\[]")
 _NUMBER: Final = re.compile(r"([0-9]+)")
 
 
 def is_address(text: str) -> bool:
     """Whether a text names a file or a folder of a store; ``file://`` is this machine."""
-    return "://" in text and not _is_here(text)
+    return "://" in text and not _is_file_url(text)
 
 
 def local_path(text: str) -> str:
-    """The path of a text that is no address; ``file://`` and ``file://localhost`` before it are left out.
+    """The path in a text that is not an address, without ``file://`` or ``file://localhost``.
 
     Raises:
         StorageError: it names a file of another machine.
     """
-    path = text[len(_HERE) :].removeprefix("localhost") if _is_here(text) else text
-    if _is_here(text) and not path.startswith("/"):
+    if not _is_file_url(text):
+        return text
+    path = text[len(_FILE_SCHEME) :].removeprefix("localhost")
+    if not path.startswith("/"):
         raise StorageError(f"{text}: expected a file of this machine, such as file:///drives/a.mcap")
     return path
 
 
-def _is_here(text: str) -> bool:
-    return text[: len(_HERE)].lower() == _HERE
+def _is_file_url(text: str) -> bool:
+    return text[: len(_FILE_SCHEME)].lower() == _FILE_SCHEME
 
 
 def whole(text: str) -> str:
-    """An address without slashes at its end, or the absolute path of a path or of ``file://``.
+    """The address without trailing slashes, or the absolute path of a path or of ``file://``.
 
-    Letters stand for themselves, as in the stores' own programs: ``%20`` is no blank, ``?`` no query.
+    Characters are taken literally, as in the stores' own programs: ``%20`` is not a blank, ``?`` starts no query.
 
     Raises:
         StorageError: it names nothing, or a file of another machine.
@@ -51,35 +53,35 @@ def whole(text: str) -> str:
         raise StorageError(f"{text!r}: expected the path or the address of a file or a folder")
     if is_address(text):
         return f"{scheme.lower()}://{path.rstrip('/')}"
-    return os.path.abspath(local_path(text))  # noqa: PTH100 - pathlib's keeps what ".." stands for
+    return os.path.abspath(local_path(text))  # noqa: PTH100 - pathlib does not resolve ".."
 
 
 def split_pattern(address: str) -> tuple[str, Parts]:
-    """The folder before the first part that is a pattern, and the parts from there on; empty without a pattern."""
+    """The folder before the first part with a pattern, and the parts from there on; no parts without a pattern."""
     parts = address.split("/")
     first = next((k for k, part in enumerate(parts) if _MAGIC.search(part)), len(parts))
     return "/".join(parts[:first]) or "/", tuple(parts[first:])
 
 
 def left_of(pattern: Parts, names: Parts) -> set[Parts]:
-    """What may be left of a pattern behind a path's names.
+    """The remainders of a pattern after it has matched the names of a path.
 
-    It holds ``()`` where the pattern matches the path or a folder above; it is empty where nothing below can match.
+    It contains ``()`` if the pattern matches the path or a folder above. It is empty if nothing below can match.
     """
     left = {pattern}
     for name in names:
-        left = {rest for parts in left for rest in _behind(parts, name)}
+        left = {rest for parts in left for rest in _after(parts, name)}
     return left
 
 
-def _behind(pattern: Parts, name: str) -> set[Parts]:
+def _after(pattern: Parts, name: str) -> set[Parts]:
     is_hidden = name.startswith(".")
     if not pattern:
         return set() if is_hidden else {()}
     if pattern[0] == "**":
-        return _behind(pattern[1:], name) | (set() if is_hidden else {pattern})
-    is_named = fnmatchcase(name, pattern[0]) and (pattern[0].startswith(".") or not is_hidden)
-    return {pattern[1:]} if is_named else set()
+        return _after(pattern[1:], name) | (set() if is_hidden else {pattern})
+    is_match = fnmatchcase(name, pattern[0]) and (pattern[0].startswith(".") or not is_hidden)
+    return {pattern[1:]} if is_match else set()
 
 
 def natural(address: str) -> tuple[list[str | int], str]:

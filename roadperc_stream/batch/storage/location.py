@@ -1,6 +1,6 @@
-"""Files and folders of this machine or of a store: what a text stands for, reading, writing, copying.
+"""Files and folders of this machine or of a store: find, read, write, copy.
 
-A store's requests are tried again, and errors are one line with the address.
+A failed request to a store is retried. An error is one line with the address.
 """
 
 import os
@@ -17,32 +17,32 @@ from typing import Any, Final, TypeVar
 from uuid import uuid4
 
 from roadperc_stream.batch.storage.addresses import Parts, is_address, left_of, natural, split_pattern, whole
-from roadperc_stream.batch.storage.disk import PIECE_BYTES, LocalFiles
+from roadperc_stream.batch.storage.stores import PIECE_BYTES, move, system_of, upload
 from roadperc_stream.errors import RoadpercError, StorageError
 from roadperc_stream.system.files import completing
 
 Result = TypeVar("Result")
 WAITS_S: Final = (0.5, 1.0, 2.0, 4.0, 8.0)
-"""Before each further try; the store's client has tried three times in each of them."""
+"""Waits before the retries; the store's client makes three attempts in each."""
 _LOG_SUFFIX: Final = ".mcap"
 _CREDENTIALS: Final = ("AWS_ACCESS_KEY_ID", "AWS_PROFILE", "AWS_ROLE_ARN", "AWS_CONTAINER_CREDENTIALS_RELATIVE_URI")
 _PLAIN_CAUSES: Final[Mapping[str, str]] = {
     "NO_SUCH_BUCKET": "no such bucket",
     "ACCESS_DENIED": "access denied",
     "INVALID_ACCESS_KEY_ID": "access denied: the store does not know this access key",
-    "SIGNATURE_DOES_NOT_MATCH": "access denied: the secret key is not that of the access key",
+    "SIGNATURE_DOES_NOT_MATCH": "access denied: the secret key does not belong to the access key",
     "curlCode: 6": "the store's name does not resolve",
-    "curlCode: 7": "the store takes no connection",
+    "curlCode: 7": "the store refuses the connection",
     "curlCode: 28": "the store does not answer",
     "Could not create a OAuth2 access token": "no credentials (GOOGLE_APPLICATION_CREDENTIALS)",
 }
 """Marks in the clients' messages, and what they mean."""
 _FINAL: Final = ("NO_SUCH_", "ACCESS_DENIED", "INVALID_", "SIGNATURE_DOES_NOT_MATCH", "EXPIRED", "HTTP status 3")
-"""Marks of errors that another try would meet again."""
-_UNTOLD: Final = re.compile(r" \(Request ID: [^)]*\)|^When .*?(?=AWS Error )")
+"""Marks of errors that a retry cannot fix."""
+_NOISE: Final = re.compile(r" \(Request ID: [^)]*\)|^When .*?(?=AWS Error )")
 _LONGEST_CAUSE: Final = 300
 _TIMES: Final = ("mtime", "LastModified", "last_modified", "updated", "modified", "created")
-"""What the clients call the time of a file's last change."""
+"""The clients' names for the modification time of a file."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class StoredFile:
     Attributes:
         address: its absolute path, or its address with a scheme.
         size_bytes: its length.
-        fingerprint: size and time of change; differs from an earlier one whenever the content may.
+        fingerprint: size and modification time; changes whenever the content may have changed.
     """
 
     address: str
@@ -62,12 +62,12 @@ class StoredFile:
 
 @dataclass(frozen=True)
 class Location:
-    """A file or a folder that need not exist; it can be handed to other processes and machines.
+    """A file or a folder, which need not exist; other processes and machines can use it.
 
-    All methods raise a StorageError where this machine or the store refuses.
+    All methods raise a StorageError if this machine or the store refuses.
 
     Attributes:
-        address: the absolute path or the address; a relative path is taken from the current folder.
+        address: the absolute path or the address; a relative path starts at the current folder.
     """
 
     address: str
@@ -85,103 +85,84 @@ class Location:
         return Location(f"{self.address.rstrip('/')}/{name}")
 
     def file(self) -> StoredFile | None:
-        """The file of this name; None for a folder, and where there is nothing."""
+        """The file of this name; None for a folder, and if nothing has this name."""
         with _errors(self.address), suppress(FileNotFoundError, NotADirectoryError):
-            system, path = self._system
+            system, path = system_of(self.address)
             return _stored(self.address, system.info(path))
         return None
 
     def files(self, suffix: str, pattern: Parts = ()) -> dict[str, StoredFile]:
-        """The files below this folder by their names from there on, drive2 before drive10; none without the folder.
+        """The files below this folder, which need not exist, by their relative names: drive2 before drive10.
 
         A store is listed once.
 
         Args:
-            suffix: how their names end, in either case of letters.
-            pattern: what the names match, or those of a folder above; hidden files only match a part with a dot.
+            suffix: the suffix of the names; case does not matter.
+            pattern: matches the names or a folder above; only a part with a dot matches hidden files.
         """
         depth = 1 if len(pattern) == 1 and pattern[0].endswith(_LOG_SUFFIX) else None
         with _errors(self.address):
-            system, base = self._system
+            system, base = system_of(self.address)
             found = system.walked(base, pattern) if self.is_local else system.find(base, depth, detail=True).items()
             start, files = f"{base.rstrip('/')}/", dict[str, StoredFile]()
             for path, info in found:
                 name = path.removeprefix(start)
-                stored = _stored(f"{self.address.rstrip('/')}/{name}", info)
-                if (
-                    stored
-                    and path != name
-                    and name.lower().endswith(suffix)
-                    and () in left_of(pattern, name.split("/"))
-                ):
+                is_named = path != name and name.lower().endswith(suffix) and () in left_of(pattern, name.split("/"))
+                if is_named and (stored := _stored(f"{self.address.rstrip('/')}/{name}", info)):
                     files[name] = stored
         return dict(sorted(files.items(), key=lambda item: natural(item[0])))
 
     def read(self) -> bytes | None:
-        """All of the file, None where there is none."""
+        """The content of the file, None if it does not exist."""
         with _errors(self.address), suppress(FileNotFoundError, NotADirectoryError):
-            system, path = self._system
+            system, path = system_of(self.address)
             data: bytes = system.cat_file(path)
             return data
         return None
 
     def write(self, data: bytes) -> None:
-        """Write a small file, which appears, or replaces another one, whole or not at all."""
-        self._tried(lambda system, path: system.pipe_file(path, data))
+        """Write or replace a small file, whole or not at all."""
+        self._retried(lambda system, path: system.pipe_file(path, data))
 
     def put(self, source: Path) -> None:
-        """Move a file of this machine here, where it appears whole or not at all."""
-        if self.is_local:
-            self._tried(lambda system, path: system.put_file(str(source), path))
-        else:
-            from roadperc_stream.batch.storage.stores import upload
-
-            self._tried(partial(upload, source))
+        """Move a file of this machine here, whole or not at all."""
+        self._retried(partial(move if self.is_local else upload, source))
         source.unlink(missing_ok=True)
 
     def remove(self) -> None:
-        """Remove the file of this very name; it need not exist."""
+        """Remove the file if it exists."""
         with _errors(self.address), suppress(FileNotFoundError):
-            system, path = self._system
+            system, path = system_of(self.address)
             system.rm_file(path)
 
     def fetch(self, target: Path) -> None:
-        """Copy the file to this machine, whole or not at all; a connection that breaks costs the piece it was at.
+        """Copy the file to this machine, whole or not at all; a broken connection repeats only the current piece.
 
         Raises:
-            StorageError: it cannot be read, or changed meanwhile.
+            StorageError: it cannot be read, or it changed during the copy.
             TargetError: the target cannot be written.
         """
         with completing(target, mark=uuid4().hex) as hidden, hidden.open("wb") as stream:
-            size_bytes, _ = before = self._tried(_identity)
+            size_bytes, _ = before = self._retried(_identity)
             try:
                 for start in range(0, size_bytes, PIECE_BYTES):
                     piece = partial(_piece, start=start, end=min(start + PIECE_BYTES, size_bytes))
-                    stream.write(self._tried(piece))
+                    stream.write(self._retried(piece))
             except StorageError:
                 self._require(before)
                 raise
             self._require(before)
 
     def _require(self, before: tuple[int, str]) -> None:
-        if self._tried(_identity) != before:
+        if self._retried(_identity) != before:
             raise StorageError(f"{self.address}: changed while it was read")
 
-    @property
-    def _system(self) -> tuple[Any, str]:
-        """The file system of fsspec's, and the path there."""
-        if self.is_local:
-            return LocalFiles(), self.address
-        from roadperc_stream.batch.storage.stores import store_of
-
-        return store_of(self.address)
-
-    def _tried(self, action: Callable[[Any, str], Result]) -> Result:
-        """What an action gives with file system and path; where a store fails, after further tries."""
+    def _retried(self, action: Callable[[Any, str], Result]) -> Result:
+        """The result of an action, which takes file system and path; retried if a store fails."""
         for wait_s in () if self.is_local else WAITS_S:
             try:
                 with _errors(self.address):
-                    return action(*self._system)
+                    return action(*system_of(self.address))
             except StorageError as error:
                 cause = error.__cause__
                 is_missing = cause is None or isinstance(cause, FileNotFoundError | PermissionError)
@@ -189,15 +170,15 @@ class Location:
                     raise
                 time.sleep(wait_s)
         with _errors(self.address):
-            return action(*self._system)
+            return action(*system_of(self.address))
 
 
 def find_files(pattern: str) -> list[StoredFile]:
-    """The files that a text stands for, drive2 before drive10.
+    """The files that a text names, drive2 before drive10.
 
     Args:
-        pattern: a file, whatever its suffix; a folder: all logs below it; or a glob with ``*``, ``?``, ``[..]`` and
-            ``**``. Hidden files and folders are left out where no part names them with its dot.
+        pattern: a file of any suffix; a folder, for all logs below it; or a glob with ``*``, ``?``, ``[..]`` and
+            ``**``. Hidden files and folders match only a part that begins with a dot.
 
     Raises:
         StorageError: nothing was found, or the place cannot be read.
@@ -208,13 +189,13 @@ def find_files(pattern: str) -> list[StoredFile]:
     base, parts = split_pattern(address)
     found = list(Location(base).files(_LOG_SUFFIX, parts).values())
     if not found:
-        why = f"no {_LOG_SUFFIX} file has such a name" if parts else f"no such file, and no {_LOG_SUFFIX} file below it"
+        why = f"no {_LOG_SUFFIX} file matches" if parts else f"no such file, and no {_LOG_SUFFIX} file below it"
         raise StorageError(f"{address}: {why}")
     return found
 
 
 def _identity(system: Any, path: str) -> tuple[int, str]:
-    """The size of a file, and what differs when the file does."""
+    """The size of a file, and a text that changes with the file."""
     system.invalidate_cache()
     return system.info(path)["size"], system.ukey(path)
 
@@ -228,10 +209,10 @@ def _piece(system: Any, path: str, start: int, end: int) -> bytes:
 
 @contextmanager
 def _errors(address: str) -> Iterator[None]:
-    """What the system, a store or its client says, as one line that names the address.
+    """Turn errors of the system, a store or its client into one line with the address.
 
     Raises:
-        StorageError: for whatever was raised: the clients of the many schemes have no error in common.
+        StorageError: for any exception, because the clients of the many schemes share no base class.
     """
     try:
         yield
@@ -246,15 +227,15 @@ def _cause(address: str, error: Exception) -> str:
         return "no such file"
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
-    said = shorten(_UNTOLD.sub("", str(error)), _LONGEST_CAUSE, placeholder="…") or type(error).__name__
+    text = shorten(_NOISE.sub("", str(error)), _LONGEST_CAUSE, placeholder="…") or type(error).__name__
     plain = next((words for mark, words in _PLAIN_CAUSES.items() if mark in str(error)), "")
     if plain == "access denied" and address.startswith("s3://") and not any(map(os.environ.get, _CREDENTIALS)):
         plain += ", and no credentials in the environment (AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY)"
-    return f"{plain} ({said})" if plain else said
+    return f"{plain} ({text})" if plain else text
 
 
 def _stored(address: str, info: Mapping[str, Any]) -> StoredFile | None:
-    """A file by what fsspec knows of it; None for what is none. Without a time of change it differs each time."""
+    """A file from fsspec's facts; None if it is not a file. Without a modification time every look differs."""
     modified = next((info[name] for name in _TIMES if info.get(name) is not None), uuid4().hex)
     modified = modified.timestamp() if isinstance(modified, datetime) else modified
     is_file = info["type"] == "file"

@@ -1,40 +1,100 @@
-"""The file systems of stores: pyarrow's for S3 and Google, fsspec's own packages for other schemes.
+"""File systems of fsspec: this machine's disk, pyarrow's for S3 and Google, fsspec's own packages for other schemes.
 
-This module is imported when a store is first needed, for most batches know only this machine's files.
+A file that is written appears whole or not at all.
 """
 
+import errno
 import os
+import shutil
+import stat
+from collections.abc import Iterator
 from contextlib import suppress
 from datetime import timedelta
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import urlsplit
+from uuid import uuid4
 
 from fsspec.core import url_to_fs
 from fsspec.implementations.arrow import ArrowFile, ArrowFSWrapper
+from fsspec.implementations.local import LocalFileSystem
 from pyarrow.fs import FileSelector, GcsFileSystem, S3FileSystem, resolve_s3_region
 
-from roadperc_stream.batch.storage.disk import pieces_of
+from roadperc_stream.batch.storage.addresses import Parts, is_address, left_of
 from roadperc_stream.errors import StorageError
+from roadperc_stream.system.files import completing, require_plain
 
+PIECE_BYTES: Final = 16 << 20
+"""Files are fetched and sent in pieces of this size."""
 TIMEOUTS_S: Final = {"connect_timeout": 5.0, "request_timeout": 10.0}
-"""Of S3's client, which tries three times: its own one second and three are too few for a store that is busy."""
+"""For S3's client. It tries three times: its default of one second is too short for a busy store."""
 _GOOGLE_RETRY: Final = timedelta(seconds=10)
-"""How long Google's client tries one request, instead of its quarter of an hour."""
+"""How long Google's client tries one request; its default is a quarter of an hour."""
+
+
+class LocalFiles(LocalFileSystem):  # type: ignore[misc] # fsspec has no types
+    """Files of this machine, by their absolute paths; links are followed."""
+
+    def info(self, path: str, **_: Any) -> dict[str, Any]:
+        """Size and modification time in ns."""
+        facts = Path(path).stat()
+        kind = "file" if stat.S_ISREG(facts.st_mode) else "other"
+        return {"size": facts.st_size, "mtime": facts.st_mtime_ns, "type": kind}
+
+    def walked(self, folder: str, pattern: Parts) -> Iterator[tuple[str, dict[str, Any]]]:
+        """Path and ``info`` of all files below a folder, which need not exist.
+
+        The walk follows a link to a folder unless the link leads back to a folder that contains it. A dead link is
+        an empty file without a readable content, so that its log is reported as missing.
+
+        Args:
+            folder: its absolute path.
+            pattern: the walk skips folders that cannot contain a match.
+
+        Raises:
+            StorageError: a folder cannot be read.
+        """
+
+        def fail(error: OSError) -> None:
+            raise StorageError(f"{error.filename}: {error.strerror}") from error
+
+        base = Path(folder)
+        for here, folders, names in os.walk(base, onerror=fail, followlinks=True) if base.is_dir() else ():
+            below = Path(here).relative_to(base).parts
+            folders[:] = [
+                name for name in folders if left_of(pattern, (*below, name)) and not _leads_back(Path(here, name), base)
+            ]
+            for path in (os.path.join(here, name) for name in names):  # noqa: PTH118 - a Path for each is slow
+                try:
+                    yield path, self.info(path)
+                except OSError:
+                    if Path(path).is_symlink():
+                        yield path, {"size": 0, "mtime": "0", "type": "file"}
+
+    def pipe_file(self, path: str, value: bytes, **_: Any) -> None:
+        """Write a file."""
+        with completing(Path(path), mark=uuid4().hex) as hidden:
+            hidden.write_bytes(value)
+
+
+def _leads_back(folder: Path, base: Path) -> bool:
+    """Whether it is a link to a folder of the walk that contains it; the walk does not reach those above ``base``."""
+    walked = folder.parents[: len(folder.relative_to(base).parts)]
+    return folder.is_symlink() and any(folder.samefile(above) for above in walked)
 
 
 class PyarrowFiles(ArrowFSWrapper):  # type: ignore[misc] # fsspec has no types
-    """A file system of pyarrow's with fewer requests than fsspec's wrapper, and files that are whole."""
+    """A file system of pyarrow with fewer requests than fsspec's wrapper, and files that are whole."""
 
     def _open(self, path: str, mode: str = "rb", **_: Any) -> ArrowFile:
-        """Open a file; fsspec's own method takes an unknown access key for a missing file."""
+        """Open a file; fsspec's own method mistakes an unknown access key for a missing file."""
         is_read = mode == "rb"
         stream = self.fs.open_input_file(path) if is_read else self.fs.open_output_stream(path, compression=None)
         return ArrowFile(self, stream, path, mode)
 
     def find(self, path: str, maxdepth: int | None = None, **_: Any) -> dict[str, dict[str, Any]]:
-        """All files of a folder by one listing; the wrapper itself asks for each folder."""
+        """All files of a folder by one listing; the wrapper itself lists each folder."""
         try:
             infos = self.fs.get_file_info(FileSelector(path, recursive=maxdepth is None))
         except FileNotFoundError:
@@ -42,22 +102,35 @@ class PyarrowFiles(ArrowFSWrapper):  # type: ignore[misc] # fsspec has no types
         return {info.path: self._make_entry(info) for info in infos if info.is_file}
 
     def ukey(self, path: str) -> str:
-        """A text that differs when the file does: by S3's ETag, not only by size and time."""
+        """A text that differs when the file does: S3's ETag, not only size and time."""
         with self.fs.open_input_file(path) as stream:
             return str(stream.metadata() or self.info(path))
 
 
-def upload(source: Path, system: Any, path: str) -> None:
-    """Send a file in pieces to a store, where it appears whole or not at all.
+def move(source: Path, _system: Any, path: str) -> None:
+    """Rename a file of this machine; if the new name is on another disk, copy the file to a hidden name first."""
+    target = Path(path)
+    require_plain(target)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        source.replace(target)
+    except OSError as error:
+        if error.errno != errno.EXDEV:
+            raise
+        with completing(target, mark=uuid4().hex) as hidden:
+            shutil.copyfile(source, hidden)
 
-    A stream that is closed makes a file of what it was given, even where an error closes it: then what is not whole
-    goes. Where it is the store that failed, closing fails too, and what was there before stays: S3's client
-    remembers a failure as long as it writes in the background. It is waited for after each piece, or all of a file
-    that is faster read than sent would be in memory.
+
+def upload(source: Path, system: Any, path: str) -> None:
+    """Send a file in pieces to a store.
+
+    Closing a stream makes a file of what was written, even after an error here: that file is removed. If the store
+    failed, closing fails too, and the file that was there stays. S3's client writes in the background; waiting after
+    each piece keeps the memory to one piece.
     """
     stream = system.open(path, "wb")
     try:
-        for piece in pieces_of(str(source)):
+        for piece in pieces_of(source):
             stream.write(piece)
             stream.flush()
         stream.close()
@@ -70,13 +143,22 @@ def upload(source: Path, system: Any, path: str) -> None:
         raise
 
 
-def store_of(address: str) -> tuple[Any, str]:
+def pieces_of(path: Path) -> Iterator[bytes]:
+    """The bytes of a file, in pieces."""
+    with path.open("rb") as stream:
+        while piece := stream.read(PIECE_BYTES):
+            yield piece
+
+
+def system_of(address: str) -> tuple[Any, str]:
     """The file system of an address, and its path there.
 
     Raises:
-        StorageError: nothing that is installed knows the scheme.
+        StorageError: no installed package knows the scheme.
         OSError: the bucket's region cannot be found.
     """
+    if not is_address(address):
+        return LocalFiles(), address
     scheme, _, path = address.partition("://")
     if scheme in {"s3", "gs", "gcs"}:
         settings = tuple(sorted(item for item in os.environ.items() if item[0].startswith("AWS_")))
@@ -94,9 +176,9 @@ def store_of(address: str) -> tuple[Any, str]:
 
 @lru_cache(maxsize=16)
 def _pyarrow_files(scheme: str, bucket: str, settings: tuple[tuple[str, str], ...]) -> PyarrowFiles:
-    """The file system of a bucket: one for all its files, for a client keeps connections open.
+    """The file system of a bucket, one for all its files, because a client keeps connections open.
 
-    pyarrow's S3FileSystem reads keys from the environment or ``~/.aws``, but neither endpoint nor region as the
+    pyarrow's S3FileSystem reads keys from the environment or ``~/.aws``, but not endpoint and region as the
     stores' own programs do.
     """
     if scheme != "s3":

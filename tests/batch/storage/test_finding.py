@@ -48,8 +48,8 @@ def test_what_a_text_stands_for(drives, pattern, names):
     [
         ("/no", "no such file, and no .mcap file below it"),
         ("/drive2.mcap/x", "no such file, and no .mcap file below it"),
-        ("/no/*.mcap", "no .mcap file has such a name"),
-        ("/*.bag", "no .mcap file has such a name"),
+        ("/no/*.mcap", "no .mcap file matches"),
+        ("/*.bag", "no .mcap file matches"),
     ],
 )
 def test_nothing_found_is_an_error_with_the_address(drives, pattern, why):

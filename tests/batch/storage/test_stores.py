@@ -59,7 +59,7 @@ def test_no_keys_at_all(bucket, monkeypatch):
 
 @pytest.mark.parametrize(
     ("endpoint", "why"),
-    [("http://127.0.0.1:9", "the store takes no connection"), ("http://no-such.invalid", "name does not resolve")],
+    [("http://127.0.0.1:9", "the store refuses the connection"), ("http://no-such.invalid", "name does not resolve")],
 )
 def test_a_store_that_cannot_be_reached_is_told_within_seconds(bucket, tmp_path, monkeypatch, endpoint, why):
     monkeypatch.setenv("AWS_ENDPOINT_URL", endpoint)
