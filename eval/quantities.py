@@ -3,28 +3,28 @@
 from collections import Counter
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
 import polars as pl
 from rich.console import Console
 
 from roadperc_stream.schemas.columns import COUNT, TIME_COLUMNS, UNITLESS, InputColumns, columns_of, errors, estimates
+from roadperc_stream.schemas.columns.column import Better
 
 
 @dataclass(frozen=True)
 class Quantity:
     """A numeric column and how it is shown.
 
-    ``decimals`` are digits behind the point; ``worse`` is the side on which bad values lie; ``signed`` says that the
-    sign means something, so that a median other than zero is a bias.
+    ``decimals`` is the number of digits after the point. ``better`` is the side of the good values: where it is not
+    ``high``, large absolute values are bad; where it is ``near 0``, a median other than zero is a bias.
     """
 
     column: str
     name: str
     unit: str
     decimals: int
-    worse: Literal["high", "low"] = "high"
-    signed: bool = False
+    better: Better = ""
 
     @property
     def label(self) -> str:
@@ -34,23 +34,13 @@ class Quantity:
     @property
     def judged(self) -> pl.Expr:
         """What frames are judged by: the absolute value of an error, the value itself of what is better high."""
-        return pl.col(self.column) if self.worse == "low" else pl.col(self.column).abs()
+        return pl.col(self.column) if self.better == "high" else pl.col(self.column).abs()
 
 
 def _quantities(*groups: type) -> tuple[Quantity, ...]:
     """The columns of the groups that reports list."""
     columns = [(name, column) for group in groups for name, column in columns_of(group).items() if column.label]
-    return tuple(
-        Quantity(
-            name,
-            column.label,
-            column.unit,
-            column.decimals,
-            "low" if column.better == "high" else "high",
-            column.better == "near 0",
-        )
-        for name, column in columns
-    )
+    return tuple(Quantity(name, column.label, column.unit, column.decimals, column.better) for name, column in columns)
 
 
 SIDES: Final = ("left", "right")
@@ -156,7 +146,7 @@ def short_names(names: Sequence[str], columns: int) -> dict[str, str]:
     cut = {name: _cut(name, columns) for name in names}
     shared = Counter(cut.values())
     return {
-        name: short if shared[short] == 1 else _numbered(name, number, columns)
+        name: short if shared[short] == 1 else f"{number} {_cut(name, columns - len(f'{number} '))}"
         for number, (name, short) in enumerate(cut.items(), 1)
     }
 
@@ -177,11 +167,6 @@ def _cut(name: str, columns: int) -> str:
         return name
     front = (columns - len(_CUT)) // 2
     return f"{name[:front]}{_CUT}{name[len(name) - (columns - len(_CUT) - front) :]}"
-
-
-def _numbered(name: str, number: int, columns: int) -> str:
-    prefix = f"{number} "
-    return f"{prefix}{_cut(name, columns - len(prefix))}"
 
 
 def percent(share: float) -> str:

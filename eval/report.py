@@ -11,6 +11,7 @@ from rich.console import Console
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.terminal import console_for, print_lines, print_parts
 from roadperc_stream.output.text_table import TextRow, TextTable, row
+from roadperc_stream.system.text import number
 
 from .configurations import UNKNOWN, grouped, settings_table, short_digest
 from .drives import find_drives
@@ -86,8 +87,6 @@ def _print_several(console: Console, found: Sequence[Run], worst: int) -> None:
 
 def identity(summary: Summary) -> str:
     """Which log, made by which configuration and version."""
-    if summary.runs > 1:
-        return contents([summary])
     config, version = short_digest(summary.configs[0]), summary.versions[0] or UNKNOWN
     return f"{summary.name}: log {listed(summary.log_ids)}, configuration {config}, version {version}"
 
@@ -99,14 +98,13 @@ def contents(summaries: Sequence[Summary]) -> str:
         "configuration": [name for summary in summaries for name in summary.configs],
         "version": [name for summary in summaries for name in summary.versions],
     }
-    numbers = {kind: len(set(names)) for kind, names in kinds.items()}
-    counts = ", ".join(f"{number} {kind}{'s' * (number > 1)}" for kind, number in numbers.items())
+    counts = ", ".join(number(len(set(names)), kind) for kind, names in kinds.items())
     return f"{sum(summary.runs for summary in summaries)} runs: {counts}"
 
 
 def extent(summary: Summary) -> str:
     """How many frames over how long."""
-    frames = f"{summary.frames} frame{'s' * (summary.frames > 1)}{in_segments(summary)}"
+    frames = f"{number(summary.frames, 'frame')}{in_segments(summary)}"
     if summary.rate_hz is None:
         return frames
     return (

@@ -194,11 +194,9 @@ def _before_next_part(run: Run, runs: Iterable[Run]) -> Run:
     """The run without the frames that the part behind it gives again; no later one gives earlier ones."""
     same = (run.log_id, run.config_digest)
     parts = [other for other in runs if run.log_id and (other.continues, other.config_digest) == same]
-    return cut_before(run, min(parts, key=lambda other: other.first_frame)) if parts else run
-
-
-def cut_before(run: Run, behind: Run) -> Run:
-    """The run without the frames that a later one gives again."""
+    if not parts:
+        return run
+    behind = min(parts, key=lambda other: other.first_frame)
     frames = min(max(behind.first_frame - run.first_frame, 0), run.frames)
     return replace(run, frames=frames, end_frame=behind.first_frame, next_part=behind.name)
 

@@ -157,8 +157,9 @@ def worst_frames(quantity: Quantity, number: int) -> pl.Expr:
     A frame that could not be better is none of the worst, even where no other is worse.
     """
     value = pl.col(quantity.column)
-    badness = quantity.judged if quantity.worse == "high" else -quantity.judged
-    flawed = badness > (-1 if quantity.worse == "low" and quantity.unit == RATIO else 0)
+    high = quantity.better == "high"
+    badness = -quantity.judged if high else quantity.judged
+    flawed = badness > (-1 if high and quantity.unit == RATIO else 0)
     row = pl.struct("frame", SEGMENT, "since_start_s", "stamp_ns", value=value).filter(flawed)
     order = [badness.filter(flawed), pl.col(SEGMENT).filter(flawed), pl.col("stamp_ns").filter(flawed)]
     return row.sort_by(order, descending=[True, False, False]).head(number).implode().alias(f"worst {quantity.column}")

@@ -48,14 +48,13 @@ _SECONDS: Final = "s: seconds from the log's first frame"
 _SEGMENTS: Final = "a segment begins at the instant at which the one before ended"
 
 
-def sections(summaries: Summaries, *, consistency: bool = True) -> Iterator[TextTable]:
-    """All tables in their order, those without rows included; ``consistency`` is left out where nobody computed it."""
+def sections(summaries: Summaries) -> Iterator[TextTable]:
+    """All tables in their order, including those without rows."""
     yield coverage(summaries)
     yield lane_boundaries(summaries)
     yield missing_outputs(summaries)
     yield accuracy(summaries)
-    if consistency:
-        yield consistency_table(summaries)
+    yield consistency_table(summaries)
     yield detection_counts(summaries)
     yield latency(summaries)
 
@@ -161,9 +160,7 @@ def no_values(summaries: Summaries) -> str:
 
 def better(quantity: Quantity) -> str:
     """Which way is better."""
-    if quantity.worse == "low":
-        return "higher is better"
-    return "0 is best" if quantity.signed else "lower is better"
+    return {"high": "higher is better", "near 0": "0 is best"}.get(quantity.better, "lower is better")
 
 
 def _table(
@@ -217,7 +214,7 @@ def listed(summaries: Summaries, quantity: Quantity) -> tuple[int, ...]:
 
 
 def _tail(found: Statistics, quantity: Quantity) -> float:
-    return -found.p5 if quantity.worse == "low" else found.abs_p95
+    return -found.p5 if quantity.better == "high" else found.abs_p95
 
 
 def _typical(summary: Summary, quantity: Quantity, found: Statistics) -> tuple[str, ...]:
@@ -228,8 +225,8 @@ def _typical(summary: Summary, quantity: Quantity, found: Statistics) -> tuple[s
 def _accuracy(summary: Summary, quantity: Quantity, found: Statistics) -> tuple[str, ...]:
     """Coverage, bias (median with its sign), then median, p95 and worst of the absolute error; p5 where low is bad."""
     share = percent(summary.coverage(quantity.column))
-    bias = rounded(found.median, quantity) if quantity.signed else ""
-    if quantity.worse == "low":
+    bias = rounded(found.median, quantity) if quantity.better == "near 0" else ""
+    if quantity.better == "high":
         tail, most = f"p5 {rounded(found.p5, quantity)}", found.least
     else:
         tail, most = rounded(found.abs_p95, quantity), found.abs_most

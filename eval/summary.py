@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
+from itertools import chain
 from typing import Final
 
 import numpy as np
@@ -111,28 +112,10 @@ def summarise_group(group: Group, worst: int) -> tuple[list[Summary], Summary]:
     Raises:
         TableError: the data of a table cannot be read.
     """
-    if len(group.runs) == 1:
-        together = summarise_run(group.runs[0], worst)
+    runs = group.runs
+    if len(runs) == 1:
+        together = summarise_run(runs[0], worst)
         return [together], replace(together, name=group.name)
-    summaries, together = summarise_all(group.runs, worst)
-    return summaries, replace(together, name=group.name)
-
-
-def summarise_run(run: Run, worst: int) -> Summary:
-    """Summary of one table of at least one row, with the ``worst`` worst frames by each quantity.
-
-    Raises:
-        TableError: the table's data cannot be read.
-    """
-    return _read(run, worst, run.frames)[0]
-
-
-def summarise_all(runs: Sequence[Run], worst: int) -> tuple[list[Summary], Summary]:
-    """Summaries of tables of at least one row each, and the summary over all of them.
-
-    Raises:
-        TableError: the data of a table cannot be read.
-    """
     frames = sum(run.frames for run in runs)
     points = frames if frames <= EXACT_FRAMES else POINTS
     columns = ColumnPools(points)
@@ -144,7 +127,16 @@ def summarise_all(runs: Sequence[Run], worst: int) -> tuple[list[Summary], Summa
                 summaries.append(summary)
                 for column, part in distributions.items():
                     columns.add(column, summary.statistics[column], part)
-    return summaries, _together(summaries, columns.statistics(q.column for q in NUMBERS), worst)
+    return summaries, _together(group.name, summaries, columns.statistics(q.column for q in NUMBERS), worst)
+
+
+def summarise_run(run: Run, worst: int) -> Summary:
+    """Summary of one table of at least one row, with the ``worst`` worst frames by each quantity.
+
+    Raises:
+        TableError: the table's data cannot be read.
+    """
+    return _read(run, worst, run.frames)[0]
 
 
 def _read(run: Run, worst: int, points: int) -> tuple[Summary, dict[str, Distribution]]:
@@ -177,15 +169,15 @@ def _read(run: Run, worst: int, points: int) -> tuple[Summary, dict[str, Distrib
     return summary, {name: thinned(distribution, points) for name, distribution in distributions.items()}
 
 
-def _together(summaries: Sequence[Summary], pooled: Mapping[str, Statistics], worst: int) -> Summary:
+def _together(name: str, summaries: Sequence[Summary], pooled: Mapping[str, Statistics], worst: int) -> Summary:
     return Summary(
         **vars(tallied_together(summaries)),
-        name=f"all {len(summaries)} logs",
+        name=name,
         frames=sum(summary.frames for summary in summaries),
         runs=len(summaries),
-        log_ids=_distinct(name for summary in summaries for name in summary.log_ids),
-        configs=_distinct(name for summary in summaries for name in summary.configs),
-        versions=_distinct(name for summary in summaries for name in summary.versions),
+        log_ids=_distinct(summary.log_ids for summary in summaries),
+        configs=_distinct(summary.configs for summary in summaries),
+        versions=_distinct(summary.versions for summary in summaries),
         segments=sum(summary.segments for summary in summaries),
         span_s=sum(summary.span_s for summary in summaries),
         longest_gap_s=max(summary.longest_gap_s for summary in summaries),
@@ -200,20 +192,15 @@ def _together(summaries: Sequence[Summary], pooled: Mapping[str, Statistics], wo
 
 @cache  # a thousand tables are asked the same
 def _facts(worst: int) -> list[pl.Expr]:
-    return [
-        *extent(),
-        *tallies(),
-        *traces(),
-        *(worst_frames(quantity, worst) for quantity in RANKED),
-    ]
+    return [*extent(), *tallies(), *traces(), *(worst_frames(quantity, worst) for quantity in RANKED)]
 
 
 def _merged(summaries: Iterable[Summary], quantity: Quantity, worst: int) -> tuple[WorstFrame, ...]:
     """The worst frames of all from the worst of each; equals stay in the order of the runs."""
     frames = [frame for summary in summaries for frame in summary.worst.get(quantity.column, ())]
-    low = quantity.worse == "low"
-    return tuple(sorted(frames, key=lambda frame: frame.value if low else -abs(frame.value))[:worst])
+    high = quantity.better == "high"
+    return tuple(sorted(frames, key=lambda frame: frame.value if high else -abs(frame.value))[:worst])
 
 
-def _distinct(names: Iterable[str]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(names))
+def _distinct(parts: Iterable[Iterable[str]]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(chain.from_iterable(parts)))

@@ -13,7 +13,7 @@ from roadperc_stream.output.tables import arrow_schema
 from roadperc_stream.schemas.columns.runs import RUN_TIME_COLUMNS, RunRow
 from roadperc_stream.system.files import METRICS_SUFFIX, TABLE_SUFFIX
 
-from ..runs import first_line
+from ..runs import first_line, reading
 
 RUNS: Final = f"runs{TABLE_SUFFIX}"
 FILE: Final = "table file"
@@ -102,11 +102,8 @@ def date_of(file: pl.Expr) -> pl.Expr:
 
 
 def _schema(name: str) -> pl.Schema:
-    try:
-        lazy = pl.scan_parquet(name, glob=is_address(name), hive_partitioning=False)
-        return lazy.collect_schema()
-    except (pl.exceptions.PolarsError, OSError) as error:
-        raise TableError(f"{name}: is not a table that can be read: {first_line(error)}") from error
+    with reading(name):
+        return pl.scan_parquet(name, glob=is_address(name), hive_partitioning=False).collect_schema()
 
 
 def read_runs(dataset: Dataset) -> pl.DataFrame:

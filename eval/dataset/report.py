@@ -212,7 +212,7 @@ def _print_groups(console: Console, summaries: Sequence[Summary], found: Grouped
         print_lines(console, inputs(called[0]))
     if any(summary.rank_error for summary in called):
         print_lines(console, precision(max(called, key=lambda summary: summary.rank_error)))
-    print_parts(console, *sections(called, consistency=False))
+    print_parts(console, *sections(called))
     if len(called) > LISTED:
         print_lines(console, f"by group: at most {LISTED} of {len(called)} each time, those with the worst p95")
 

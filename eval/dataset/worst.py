@@ -70,11 +70,11 @@ def _ranked_by(logs: pl.DataFrame) -> list[Quantity]:
 def _mean_badness(quantity: Quantity) -> pl.Expr:
     """How bad a log is, the larger the worse: the mean over the frames with a value; null without any."""
     mean = pl.col(summed(quantity.column)) / pl.col(valued(quantity.column))
-    return pl.when(pl.col(valued(quantity.column)) > 0).then(-mean if quantity.worse == "low" else mean)
+    return pl.when(pl.col(valued(quantity.column)) > 0).then(-mean if quantity.better == "high" else mean)
 
 
 def _worst(logs: pl.DataFrame, quantity: Quantity, number: int) -> pl.DataFrame:
-    best = (-1.0 if quantity.unit == RATIO else -math.inf) if quantity.worse == "low" else 0.0
+    best = (-1.0 if quantity.unit == RATIO else -math.inf) if quantity.better == "high" else 0.0
     values = pl.col(valued(quantity.column))
     means = (pl.col(summed(quantity.column)) / values).alias("mean"), (values / pl.col(FRAMES)).alias("share")
     ranked = logs.select(*LOG, *means, _mean_badness(quantity).alias("bad")).filter(pl.col("bad") > best)

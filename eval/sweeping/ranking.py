@@ -41,7 +41,7 @@ class SweepMetric:
 
     def badness(self, score: float) -> float:
         """Rises with how bad a score is."""
-        return score if self.quantity.worse == "high" else -score
+        return -score if self.quantity.better == "high" else score
 
     def alike(self, scores: Iterable[float]) -> bool:
         """Whether scores agree in the digits that are shown, or within the noise: they are equally good then."""
@@ -79,7 +79,7 @@ def _jitter(side: str) -> SweepMetric:
 
 def _share(column: str, name: str) -> SweepMetric:
     """Share of frames that have a value."""
-    quantity = Quantity(column, name, RATIO, 3, worse="low")
+    quantity = Quantity(column, name, RATIO, 3, better="high")
     return SweepMetric(quantity, _finite(column).is_not_null().cast(pl.Float64), pl.col("value").mean())
 
 
