@@ -1,4 +1,4 @@
-"""Drives that were replayed in parts, with ``--continue``: each is one run, whose frames stand in several tables."""
+"""Joins continued replays (``--continue``): the tables of one log that was replayed in several files are one run."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,21 +11,21 @@ from .runs import Run, find_runs
 
 _PARTS_NAMED: Final = 12
 _Link = tuple[Run, Run]
-"""A part, and the one it goes on from."""
+"""A run, and the run that it continues."""
 
 
 @dataclass(frozen=True)
 class Drives:
-    """Runs, those of a drive's parts as one, and what there is to say of the parts, a line each."""
+    """Runs, with continued replays joined, and notes on the joined runs, one line each."""
 
     runs: tuple[Run, ...]
     notes: tuple[str, ...]
 
 
 def find_drives(arguments: Sequence[str]) -> Drives:
-    """The runs the arguments mean; the parts of a drive are one run, at the place of the first of them.
+    """The runs that the arguments name, with continued replays joined at the place of the first one.
 
-    Parts of several versions, and those that several others go on from, stay by themselves.
+    Replays of different versions, and several replays that continue the same one, are not joined.
 
     Raises:
         TableError: an argument names no table, a file is not a metrics table, or its data cannot be read.
@@ -38,13 +38,13 @@ def find_drives(arguments: Sequence[str]) -> Drives:
         *(_one_drive(chain) for chain in chains if len(chain) > 1),
         *(_without_part(run) for run in runs if found.get(run.name) == [] and run.first_frame),
         *(_undecided(name, before) for name, before in found.items() if len(before) > 1),
-        *(f"{run.name}: {why}: evaluated by itself" for run, to in links if (why := _apart(run, to, links))),
+        *(f"{run.name}: {why}; evaluated separately" for run, to in links if (why := _apart(run, to, links))),
     ]
     return Drives(tuple(map(_joined, chains)), tuple(notes))
 
 
 def _parts_before(run: Run, runs: Iterable[Run]) -> list[Run]:
-    """The results that a part may go on from: several only where neither version nor folder tells them apart."""
+    """The runs that a run may continue; several only if neither version nor folder distinguishes them."""
     same = (run.continues, run.config_digest)
     others = [other for other in runs if other is not run and (other.log_id, other.config_digest) == same]
     same_version = [other for other in others if other.version == run.version] or others
@@ -52,18 +52,18 @@ def _parts_before(run: Run, runs: Iterable[Run]) -> list[Run]:
 
 
 def _apart(run: Run, before: Run, links: Sequence[_Link]) -> str:
-    """Why a part is not joined to the one it goes on from; empty where it is."""
+    """Reason why a run is not joined to the run it continues; empty if it is joined."""
     behind = [after.name for after, to in links if to is before]
     if len(behind) > 1:
-        return f"{listed(behind)} go on from {before.name} alike"
+        return f"{listed(behind)} all continue {before.name}"
     if run.version != before.version:
-        return f"goes on from {before.name}, which another version made"
+        return f"continues {before.name}, which is of another version"
     same = pq.read_schema(run.path).equals(pq.read_schema(before.path))
-    return "" if same else f"goes on from {before.name}, whose table has other columns"
+    return "" if same else f"continues {before.name}, whose table has other columns"
 
 
 def _chains(runs: Sequence[Run], links: Sequence[_Link]) -> list[list[Run]]:
-    """The parts of each drive in order, in the order in which the first of any is named; a circle is no drive."""
+    """The runs to join, in order; sorted by the first argument of each chain. Circular links are not joined."""
     after = {before.name: run for run, before in links}
     later = {run.name for run, _ in links}
     chains = [list(_chain(run, after)) for run in runs if run.name not in later]
@@ -89,24 +89,24 @@ def _joined(chain: Sequence[Run]) -> Run:
         frames=sum(part.frames for part in chain),
         rows=sum(part.rows for part in chain),
         end_frame=None,
-        next_part="",
-        parts=tuple(chain),
+        next_run="",
+        joined=tuple(chain),
     )
 
 
 def _one_drive(chain: Sequence[Run]) -> str:
     names = [
-        part.name if part.frames else f"{part.name} (all its {part.rows} frames are given again by {part.next_part})"
+        part.name if part.frames else f"{part.name} ({part.next_run} has all its {part.rows} frames again)"
         for part in chain
     ]
-    return f"{_joined(chain).name}: one drive in {len(chain)} parts: {listed(names, _PARTS_NAMED)}"
+    return f"{_joined(chain).name}: {len(chain)} continued replays as one run: {listed(names, _PARTS_NAMED)}"
 
 
 def _without_part(run: Run) -> str:
-    missing = f"{run.name}: goes on from a part that is not among these tables (log {run.continues})"
-    return f"{missing}: evaluated by itself, from frame {run.first_frame} on"
+    missing = f"{run.name}: continues a replay that is not among these tables (log {run.continues})"
+    return f"{missing}; evaluated separately, from frame {run.first_frame} on"
 
 
 def _undecided(name: str, before: Sequence[Run]) -> str:
     alike = listed([run.name for run in before])
-    return f"{name}: goes on from a part of which there are {len(before)} results ({alike}): evaluated by itself"
+    return f"{name}: may continue any of {len(before)} results ({alike}); evaluated separately"

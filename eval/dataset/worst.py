@@ -1,4 +1,4 @@
-"""The worst logs of a dataset, and the frames to look at in them: read again, each from the files it stands in."""
+"""The worst logs of a dataset, and their worst frames, which are read again from the log's files."""
 
 import math
 from collections.abc import Mapping
@@ -24,10 +24,9 @@ _AT_ONCE: Final = 2
 
 
 def worst_logs(logs: pl.DataFrame, number: int) -> tuple[dict[Quantity, list[Row]], dict[str, list[Row]]]:
-    """The worst logs, so many of each, with as many frames to look at.
+    """The worst logs by each quantity, with their worst frames.
 
-    Errors against truth rank them, else signs of trouble that need none. A log in which no frame could be better is
-    none of the worst.
+    Errors against truth rank them, or suspect quantities without truth. Logs with only perfect frames are left out.
 
     Args:
         logs: as ``logs_of`` gives them.

@@ -51,7 +51,7 @@ def drive(tmp_path):
 def test_log_without_truth_says_so_and_shows_signs_of_trouble(tmp_path, capsys):
     rows = [row(0, step_m=1.0), row(1, lane_left_status="lost")]
     _, text, _ = report(capsys, write(tmp_path / "drive.metrics.parquet", rows))
-    assert "No frame has a truth" in text
+    assert "No frame has truth" in text
     assert "Consistency" not in text
     assert "error" not in text
     assert line_of(text, "lane boundaries lost")[3:] == ["1", "1", "0.050", "1577836800050000000"]
@@ -143,7 +143,7 @@ def test_of_many_logs_the_worst_are_shown(tmp_path, capsys):
     _, text, _ = report(capsys, tmp_path)
     block = text[text.index("Accuracy by run") : text.index("Latency by run")]
     assert re.findall(r"log(\d\d)", block) == [f"{index:02}" for index in range(13, 1, -1)]
-    assert "at most 12 of 14 each time, those with the worst p95" in text
+    assert "at most 12 of 14 per row, those with the worst p95" in text
 
 
 def test_of_a_great_many_logs_those_seen_least_are_listed(tmp_path, capsys):
@@ -222,5 +222,5 @@ def test_nothing_but_empty_tables_is_an_error(tmp_path, capsys):
     code, text, error = report(capsys, write(tmp_path / "empty.metrics.parquet", []))
     assert (code, text) == (1, "")
     assert re.fullmatch(
-        r"error: .*empty.metrics.parquet: no frames in this table, so there is nothing to report\n", error
+        r"error: .*empty.metrics.parquet: no frames in this table; expected a table with frames\n", error
     )
