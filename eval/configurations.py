@@ -1,4 +1,4 @@
-"""Which configuration made a run: what may be summed up together, and the settings that differ."""
+"""The configurations of runs: groups of equal configuration, and the settings that differ."""
 
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,21 +24,21 @@ _DIGITS: Final = 8
 
 @dataclass(frozen=True)
 class Group:
-    """Runs of one configuration and one version: statistics may be over all of them."""
+    """Runs of one configuration and version, which may be pooled."""
 
     name: str
     runs: tuple[Run, ...]
 
     @property
     def example(self) -> Run:
-        """The run to ask for the settings of all."""
+        """A run with the settings of all runs."""
         return next((run for run in self.runs if run.config), self.runs[0])
 
 
 def grouped(runs: Sequence[Run]) -> list[Group]:
-    """The runs by configuration and version, in the order in which these come; one that names none stands alone.
+    """The runs by configuration and version, in the order of appearance.
 
-    A group of one run is called as the run, one of several after its configuration.
+    A run without a configuration is a group. A group of one run has the run's name, a larger one its configuration's.
     """
     groups: dict[Hashable, list[Run]] = {}
     for run in runs:
@@ -53,10 +53,10 @@ def short_digest(digest: str) -> str:
 
 
 def settings_of(run: Run) -> Settings | None:
-    """The settings that made a run; None where nothing says them.
+    """The settings of a run; None if unknown.
 
-    They stand in the table, in the log next to it, or in a sweep's file next to it: in whichever has the digest that
-    the table names, for a log may have been replayed again.
+    They come from the table, or from a sweep's file or the log beside it. Their digest must be the table's, because the
+    log may have been replayed again.
     """
     for toml in _stored(run):
         if sha256(toml).hexdigest() == run.config_digest:
@@ -68,14 +68,14 @@ def settings_of(run: Run) -> Settings | None:
 
 
 def differing(configurations: Sequence[Settings]) -> dict[str, tuple[str, ...]]:
-    """The settings that are not the same in all configurations, each with its value in each of them."""
+    """The settings that differ between configurations, each with its values."""
     keys = dict.fromkeys(chain.from_iterable(configurations))
     rows = {key: tuple(_value(settings, key) for settings in configurations) for key in keys}
     return {key: values for key, values in rows.items() if len(set(values)) > 1}
 
 
 def change(reference: Run, candidate: Run) -> tuple[str, ...]:
-    """What to say of two runs' configurations: a heading and a line for each setting; empty where they have one."""
+    """The changed settings of two runs: a heading and a line for each setting; empty if there are none."""
     if reference.config_digest and reference.config_digest == candidate.config_digest:
         return ()
     ours, theirs = settings_of(reference), settings_of(candidate)
@@ -86,7 +86,7 @@ def change(reference: Run, candidate: Run) -> tuple[str, ...]:
 
 
 def settings_table(runs: Mapping[str, Run]) -> TextTable:
-    """The settings that differ between runs, by the name each run has in the table; empty where one made them all."""
+    """The settings that differ between runs, by their names in the table; empty for a single configuration."""
     if len({_made_by(run) for run in runs.values()}) < 2:
         return TextTable("Settings that differ", ("",), ())
     found = {name: settings_of(run) for name, run in runs.items()}
@@ -116,7 +116,7 @@ def _value(settings: Settings, key: str) -> str:
 
 
 def _stored(run: Run) -> Iterator[bytes]:
-    """The configurations that stand in and next to a table, the nearest first."""
+    """The configurations in and beside a table, the nearest first."""
     if run.config:
         yield run.config.encode("utf-8", "surrogateescape")
     written = run.path.with_name(CONFIG_ATTACHMENT)

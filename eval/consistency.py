@@ -1,10 +1,10 @@
-"""Whether the chain's standard deviations can be believed: errors against truth in units of their own deviation.
+"""Consistency of the chain's standard deviations: errors against truth in units of their deviation.
 
 The mean of the squares is the normalised estimation error squared (NEES; Bar-Shalom, Li and Kirubarajan, "Estimation
-with Applications to Tracking and Navigation", 2001, section 5.4): 1 for a deviation that is right, more where it
-claims too much. The chi-squared bounds of the book want independent errors, which neighbouring frames do not have, nor
-the rows of one object: the interval is that of a ratio of sums over blocks (Cochran, "Sampling Techniques", 1977, 6.3)
-that may be taken as independent: stretches of frames as long as the errors' own correlation asks for, or objects.
+with Applications to Tracking and Navigation", 2001, section 5.4). It is 1 for a correct deviation and larger for an
+overconfident one. Errors of neighbouring frames, and of one object, are correlated, so the book's chi-squared bounds do
+not apply. The interval is that of a ratio of sums over blocks (Cochran, "Sampling Techniques", 1977, 6.3). A block is
+an object, or as many frames as the errors' autocorrelation requires.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -26,14 +26,14 @@ from .runs import Run, collect
 from .scan import rows_of
 
 _FARTHEST: Final = 1e6
-"""Normalised errors count as this at most: whoever is farther off is no better known, and sums stay finite."""
+"""Largest absolute normalised error; larger ones are clipped, so that sums stay finite."""
 _FEWEST_BLOCKS: Final = 8
-"""Below, an interval says more of the few blocks than of the errors."""
+"""Fewest blocks for an interval."""
 
 
 @dataclass(frozen=True)
 class Judged:
-    """A quantity with its truth and its standard deviation: three columns of a table, in one unit."""
+    """A quantity, its truth and its standard deviation: three columns of a table in the same unit."""
 
     name: str
     estimate: str
@@ -52,24 +52,24 @@ FRAME_QUANTITIES: Final = (
     Judged("step", "step_m", "true_step_m", "step_std_m"),
     Judged("turn", "turn_deg", "true_turn_deg", "turn_std_deg"),
 )
-"""Of the table with a row per frame."""
+"""Quantities of the table with one row per frame."""
 OBJECT_QUANTITIES: Final = (
     Judged("distance", "distance_m", "true_distance_m", "distance_std_m"),
     Judged("closing speed", "closing_speed_mps", "true_closing_speed_mps", "closing_speed_std_mps"),
     Judged("time to impact", "time_to_impact_s", "true_time_to_impact_s", "time_to_impact_std_s"),
 )
-"""Of the table with a row per detection; those that were kept count."""
+"""Quantities of the table with one row per detection; only kept detections are used."""
 JUDGED: Final = (*FRAME_QUANTITIES, *OBJECT_QUANTITIES)
 
 
 @dataclass(frozen=True)
 class Consistency:
-    """Sums over normalised errors, from which those over several tables follow by adding.
+    """Sums over normalised errors, which can be added over tables.
 
-    ``errors`` counts the values whose truth is known, ``values`` those of them with a standard deviation above zero;
-    ``within_1`` to ``within_3`` how many of these are off by at most so many of it. With S the sum of the squared
-    normalised errors of a block and N its number of values, the others are sums over the ``blocks``: of S, of S², S N
-    and N².
+    ``errors`` counts the values with known truth, ``values`` those that also have a standard deviation above zero.
+    ``within_1`` to ``within_3`` count the values that are off by at most 1 to 3 deviations. With S the sum of squared
+    normalised errors of a block and N its number of values, the other fields are sums of S, S², S N and N² over the
+    ``blocks``.
     """
 
     errors: int = 0
@@ -84,7 +84,7 @@ class Consistency:
     n_n: float = 0.0
 
     def __add__(self, other: "Consistency") -> "Consistency":
-        """Both together."""
+        """The sums over both."""
         return Consistency(*(getattr(self, field.name) + getattr(other, field.name) for field in fields(self)))
 
     def within(self, sigmas: int) -> float:
@@ -99,9 +99,9 @@ class Consistency:
 
     @property
     def nees_interval(self) -> tuple[float, float] | None:
-        """Interval of the mean at ``LEVEL``, by blocks; None where there are too few.
+        """Interval of the mean at ``LEVEL``, from blocks; None if there are too few.
 
-        The mean is positive and its distribution skewed: the interval is symmetric in the logarithm.
+        The mean is positive and its distribution skewed, so the interval is symmetric in the logarithm.
         """
         if self.blocks < _FEWEST_BLOCKS or self.squares == 0:
             return None
@@ -113,9 +113,12 @@ class Consistency:
 
 
 def consistency(normalised: Float, errors: int, blocks: NDArray[np.int64]) -> Consistency:
-    """The sums over (N,) normalised errors, those that are finite, of as many ``errors`` at least.
+    """The sums over the finite ones of (N,) normalised errors.
 
-    ``blocks`` (N,) says of which block each is, from 0.
+    Args:
+        normalised: (N,) errors in units of their deviation, NaN if unknown.
+        errors: number of errors with known truth.
+        blocks: (N,) block of each error, from 0.
     """
     known = np.isfinite(normalised)
     sizes, blocks = np.abs(normalised[known]), blocks[known]
@@ -135,14 +138,14 @@ def consistency(normalised: Float, errors: int, blocks: NDArray[np.int64]) -> Co
 
 
 def consistency_of_frames(normalised: Float, errors: int) -> Consistency:
-    """The same of errors in the order of the frames: a block is as long as the squares' correlation asks for."""
+    """The same for errors in frame order, in blocks as long as the autocorrelation of the squares requires."""
     known = normalised[np.isfinite(normalised)]
     length = block_length(known**2) if len(known) else 1
     return consistency(known, errors, np.arange(len(known)) // length)
 
 
 def consistency_of_run(run: Run) -> dict[str, Consistency]:
-    """Of each quantity whose truth is known anywhere in a run, by name; without a standard deviation it is empty.
+    """Consistency of each quantity with known truth in a run, by name; empty without a standard deviation.
 
     Raises:
         TableError: the data of a table cannot be read.
@@ -159,7 +162,7 @@ def consistency_of_run(run: Run) -> dict[str, Consistency]:
 
 
 def added(parts: Iterable[Mapping[str, Consistency]]) -> dict[str, Consistency]:
-    """Those of several runs together."""
+    """The sums over several runs."""
     total: dict[str, Consistency] = {}
     for part in parts:
         for name, sums in part.items():
@@ -168,7 +171,7 @@ def added(parts: Iterable[Mapping[str, Consistency]]) -> dict[str, Consistency]:
 
 
 def errors_of(table: pl.DataFrame, judged: Judged) -> tuple[Float, int]:
-    """(N,) estimate minus truth in units of its deviation, NaN where either is unknown; how many errors are known."""
+    """(N,) estimate minus truth in units of its deviation, NaN if unknown; and the number of known errors."""
     estimate, truth, std = (_values(table, name) for name in (judged.estimate, judged.truth, judged.std))
     with np.errstate(over="ignore", invalid="ignore"):  # tables may hold any number
         error = estimate - truth
@@ -178,9 +181,7 @@ def errors_of(table: pl.DataFrame, judged: Judged) -> tuple[Float, int]:
 
 
 def _kept_objects(path: Path, end_frame: int | None) -> pl.DataFrame:
-    """The rows of kept detections in a table of them, with what they are judged by, those columns that it has.
-
-    Frames from ``end_frame`` on do not count.
+    """The kept detections of a table before ``end_frame``, with the columns of ``OBJECT_QUANTITIES`` that it has.
 
     Raises:
         TableError: the data cannot be read.
@@ -194,7 +195,7 @@ def _kept_objects(path: Path, end_frame: int | None) -> pl.DataFrame:
 
 
 def object_numbers(table: pl.DataFrame) -> NDArray[np.int64]:
-    """(N,) numbers of the objects that the rows of a table are of, from 0; a row without a track is one of its own."""
+    """(N,) object number of each row, from 0; each row without a track is a separate object."""
     if "track_id" not in table.columns:
         return np.arange(table.height)
     ranks = table["track_id"].rank("dense").to_numpy().astype(float)
@@ -209,7 +210,7 @@ def _columns(judged: Sequence[Judged]) -> pl.Expr:
 
 
 def _values(table: pl.DataFrame, name: str) -> Float:
-    """(N,) values of a column, NaN where null, or where the table lacks it."""
+    """(N,) values of a column, NaN if null or if the table lacks the column."""
     if name not in table.columns:
         return np.full(table.height, np.nan)
     return table[name].to_numpy().astype(float)

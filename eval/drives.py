@@ -1,101 +1,69 @@
-"""Drives that were replayed in parts, with ``--continue``: each is one run, whose frames stand in several tables."""
+"""Joins continued replays (``--continue``): the tables of one log that was replayed in several files are one run."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Final
 
 import pyarrow.parquet as pq
 
 from .quantities import listed
-from .runs import Run, collect, cut_before, find_runs
-from .scan import rows_of
+from .runs import Run, find_runs
 
 _PARTS_NAMED: Final = 12
 _Link = tuple[Run, Run]
-"""A part, and the one it goes on from."""
+"""A run, and the run that it continues."""
 
 
 @dataclass(frozen=True)
 class Drives:
-    """Runs, those of a drive's parts as one, and what there is to say of the parts, a line each."""
+    """Runs, with continued replays joined, and notes on the joined runs, one line each."""
 
     runs: tuple[Run, ...]
     notes: tuple[str, ...]
 
 
 def find_drives(arguments: Sequence[str]) -> Drives:
-    """The runs the arguments mean; the parts of a drive are one run, at the place of the first of them.
+    """The runs that the arguments name, with continued replays joined at the place of the first one.
 
-    Where a part in the middle is not among them, the parts around it are one drive all the same if they share frames,
-    which count once. Parts of several versions, and those that several others go on from, stay by themselves.
+    Replays of different versions, and several replays that continue the same one, are not joined.
 
     Raises:
         TableError: an argument names no table, a file is not a metrics table, or its data cannot be read.
     """
     runs = find_runs(arguments)
     found = {run.name: _parts_before(run, runs) for run in runs if run.continues}
-    direct = {name: before[0].name for name, before in found.items() if len(before) == 1}
-    orphans = [run for run in runs if found.get(run.name) == []]
-    gaps = _across_gaps(orphans, [run for run in runs if run.name not in direct.values()])
-    parts = {run.name: run for run in runs} | {earlier.name: cut_before(earlier, run) for run, earlier in gaps}
-    links = [(parts[name], parts[to]) for name, to in (direct | {run.name: to.name for run, to in gaps}).items()]
-    chains = _chains(list(parts.values()), [link for link in links if not _apart(*link, links)])
+    links = [(run, found[run.name][0]) for run in runs if len(found.get(run.name, ())) == 1]
+    chains = _chains(runs, [link for link in links if not _apart(*link, links)])
     notes = [
         *(_one_drive(chain) for chain in chains if len(chain) > 1),
-        *(_without_part(run, dict(gaps).get(run)) for run in orphans if run.first_frame),
+        *(_without_part(run) for run in runs if found.get(run.name) == [] and run.first_frame),
         *(_undecided(name, before) for name, before in found.items() if len(before) > 1),
-        *(f"{run.name}: {why}: evaluated by itself" for run, to in links if (why := _apart(run, to, links))),
+        *(f"{run.name}: {why}; evaluated separately" for run, to in links if (why := _apart(run, to, links))),
     ]
     return Drives(tuple(map(_joined, chains)), tuple(notes))
 
 
 def _parts_before(run: Run, runs: Iterable[Run]) -> list[Run]:
-    """The results that a part may go on from: several only where neither version nor folder tells them apart."""
+    """The runs that a run may continue; several only if neither version nor folder distinguishes them."""
     same = (run.continues, run.config_digest)
-    return _nearest(run, [other for other in runs if other is not run and (other.log_id, other.config_digest) == same])
-
-
-def _nearest(run: Run, others: list[Run]) -> list[Run]:
-    """Those of the run's version, where there are any, and of these those of its folder."""
+    others = [other for other in runs if other is not run and (other.log_id, other.config_digest) == same]
     same_version = [other for other in others if other.version == run.version] or others
     return [other for other in same_version if other.path.parent == run.path.parent] or same_version
 
 
-def _across_gaps(orphans: Sequence[Run], ends: Sequence[Run]) -> list[_Link]:
-    """Each part whose predecessor is missing with the one that ends within it: the last frame of that is one of its."""
-    keys = cache(_keys)
-    pairs = []
-    for run in orphans:
-        earlier = [
-            other
-            for other in ends
-            if other is not run and other.config_digest == run.config_digest and other.first_frame <= run.first_frame
-        ]
-        # each ends with a frame that is one of the run's, but not its last
-        nearest = _nearest(run, [o for o in earlier if keys(o) and keys(o)[-1] in keys(run)[:-1]])
-        pairs += [(run, nearest[0])] if len(nearest) == 1 else []
-    return pairs
-
-
-def _keys(run: Run) -> tuple[tuple[int, int], ...]:
-    """Number and stamp of each frame."""
-    return tuple(collect(rows_of(run).select("frame", "stamp_ns"), run.source_name).iter_rows())
-
-
 def _apart(run: Run, before: Run, links: Sequence[_Link]) -> str:
-    """Why a part is not joined to the one it goes on from; empty where it is."""
+    """Reason why a run is not joined to the run it continues; empty if it is joined."""
     behind = [after.name for after, to in links if to is before]
     if len(behind) > 1:
-        return f"{listed(behind)} go on from {before.name} alike"
+        return f"{listed(behind)} all continue {before.name}"
     if run.version != before.version:
-        return f"goes on from {before.name}, which another version made"
+        return f"continues {before.name}, which is of another version"
     same = pq.read_schema(run.path).equals(pq.read_schema(before.path))
-    return "" if same else f"goes on from {before.name}, whose table has other columns"
+    return "" if same else f"continues {before.name}, whose table has other columns"
 
 
 def _chains(runs: Sequence[Run], links: Sequence[_Link]) -> list[list[Run]]:
-    """The parts of each drive in order, in the order in which the first of any is named; a circle is no drive."""
+    """The runs to join, in order; sorted by the first argument of each chain. Circular links are not joined."""
     after = {before.name: run for run, before in links}
     later = {run.name for run, _ in links}
     chains = [list(_chain(run, after)) for run in runs if run.name not in later]
@@ -121,26 +89,24 @@ def _joined(chain: Sequence[Run]) -> Run:
         frames=sum(part.frames for part in chain),
         rows=sum(part.rows for part in chain),
         end_frame=None,
-        next_part="",
-        parts=tuple(chain),
+        next_run="",
+        joined=tuple(chain),
     )
 
 
 def _one_drive(chain: Sequence[Run]) -> str:
     names = [
-        part.name if part.frames else f"{part.name} (all its {part.rows} frames are given again by {part.next_part})"
+        part.name if part.frames else f"{part.name} ({part.next_run} has all its {part.rows} frames again)"
         for part in chain
     ]
-    return f"{_joined(chain).name}: one drive in {len(chain)} parts: {listed(names, _PARTS_NAMED)}"
+    return f"{_joined(chain).name}: {len(chain)} continued replays as one run: {listed(names, _PARTS_NAMED)}"
 
 
-def _without_part(run: Run, earlier: Run | None) -> str:
-    missing = f"{run.name}: goes on from a part that is not among these tables (log {run.continues})"
-    if earlier is None:
-        return f"{missing}: evaluated by itself, from frame {run.first_frame} on"
-    return f"{missing}; frames that {earlier.name} has too, from {run.first_frame} on, count once"
+def _without_part(run: Run) -> str:
+    missing = f"{run.name}: continues a replay that is not among these tables (log {run.continues})"
+    return f"{missing}; evaluated separately, from frame {run.first_frame} on"
 
 
 def _undecided(name: str, before: Sequence[Run]) -> str:
     alike = listed([run.name for run in before])
-    return f"{name}: goes on from a part of which there are {len(before)} results ({alike}): evaluated by itself"
+    return f"{name}: may continue any of {len(before)} results ({alike}); evaluated separately"

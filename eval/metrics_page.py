@@ -15,7 +15,7 @@ _GROUPS: Final = {group.__name__: group for group in (*FrameMetrics.__bases__, O
 
 
 def with_tables(page: str) -> str:
-    """The page with each of its tables of columns made anew.
+    """The page with its tables of columns regenerated.
 
     Raises:
         KeyError: the page names a group of columns that does not exist.

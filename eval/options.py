@@ -1,4 +1,4 @@
-"""What command lines offer: choices by name, rules on fields and metrics by glob, settings to vary."""
+"""Command-line values of the evaluation: choices, rules for fields and metrics, settings to vary."""
 
 import argparse
 import math
@@ -10,19 +10,17 @@ from typing import Final, Literal
 from roadperc_stream.errors import RoadpercError
 
 Alignment = Literal["se3", "sim3", "origin", "none"]
-"""How an estimated path is aligned to the true one."""
+"""Alignment of the estimated path to the true one."""
 DeltaUnit = Literal["frames", "metres"]
 LanePairing = Literal["stamp", "order"]
-"""How a true lane frame finds its own."""
+"""How a lane frame of the ground truth finds the frame of the run."""
 WORST_FRAMES: Final = 3
-
-
 EVERYTHING = "*"
 
 
 @dataclass(frozen=True)
 class Amount:
-    """A number for the fields or metrics that ``pattern`` matches; ``relative`` says it is a share."""
+    """A tolerance or an allowance for the names that ``pattern`` matches; with ``relative`` it is a ratio."""
 
     pattern: str
     value: float
@@ -31,10 +29,10 @@ class Amount:
 
 @dataclass(frozen=True)
 class Rules:
-    """Globs over names; of several amounts that match, the last one given holds.
+    """Rules for fields and metrics, by glob; when several amounts match a name, the last one applies.
 
-    ``tolerances`` are absolute differences between fields that count as none; ``allowances`` how much worse a metric
-    may become, in its own unit or as a share of the reference's mean.
+    A field differs when its absolute difference exceeds its tolerance. A metric may become worse by its allowance,
+    in its own unit or as a ratio of the reference's mean.
     """
 
     ignored: tuple[str, ...] = ()
@@ -42,40 +40,40 @@ class Rules:
     allowances: tuple[Amount, ...] = ()
 
     def ignores(self, name: str) -> bool:
-        """Whether a field or metric is left out."""
+        """Whether a field or metric is left out of the comparison."""
         return any(fnmatchcase(name, pattern) for pattern in self.ignored)
 
     def tolerance(self, field: str) -> float:
-        """Absolute difference that counts as none, 0 by default."""
+        """Largest absolute difference at which values still agree; 0 by default."""
         found = _last(self.tolerances, field)
         return found.value if found else 0.0
 
     def allowance(self, metric: str, reference_mean: float) -> float:
-        """How much worse a metric may become, in its unit; 0 by default."""
+        """Amount by which a metric may become worse, in its unit; 0 by default."""
         found = _last(self.allowances, metric)
         if found is None:
             return 0.0
         return found.value * abs(reference_mean) if found.relative else found.value
 
     def names(self, metric: str) -> bool:
-        """Whether an allowance is given to this metric, not just to everything."""
+        """Whether an allowance names this metric, not all metrics."""
         return any(item.pattern != EVERYTHING and fnmatchcase(metric, item.pattern) for item in self.allowances)
 
     def require_use(self, names: Iterable[str]) -> None:
-        """Check that every pattern matches some name: a misspelt one would silently do nothing.
+        """Check that every pattern matches a name, so that a misspelt one is an error.
 
         Raises:
-            RoadpercError: one matches none; the message says which.
+            RoadpercError: a pattern matches no name.
         """
         known = list(names)
         patterns = [*self.ignored, *(amount.pattern for amount in (*self.tolerances, *self.allowances))]
         idle = [pattern for pattern in patterns if not any(fnmatchcase(name, pattern) for name in known)]
         if idle:
-            raise RoadpercError(f"{idle[0]}: matches no field and no metric of these runs")
+            raise RoadpercError(f"{idle[0]}: matches no field and no metric of these runs; check the spelling")
 
 
 def tolerance(text: str) -> Amount:
-    """``FIELD=VALUE`` as an argument."""
+    """Parse ``FIELD=VALUE``."""
     pattern, separator, number = text.rpartition("=")
     if not separator or not pattern:
         raise argparse.ArgumentTypeError(f"{text}: expected FIELD=VALUE, such as lane_left_offset_m=0.001")
@@ -83,12 +81,12 @@ def tolerance(text: str) -> Amount:
 
 
 def allowance(text: str) -> Amount:
-    """``METRIC=VALUE``, ``METRIC=N%`` or ``N%`` as an argument."""
+    """Parse ``METRIC=VALUE``, ``METRIC=N%`` or ``N%``."""
     pattern, _, number = text.rpartition("=")
     if number.endswith("%"):
         return Amount(pattern or EVERYTHING, _positive(text, number[:-1]) / 100, relative=True)
     if not pattern:
-        raise argparse.ArgumentTypeError(f"{text}: expected METRIC=VALUE, METRIC=N% or N%: metrics differ in unit")
+        raise argparse.ArgumentTypeError(f"{text}: expected METRIC=VALUE, METRIC=N% or N%")
     return Amount(pattern, _positive(text, number))
 
 
@@ -98,7 +96,7 @@ def _positive(text: str, number: str) -> float:
     except ValueError as error:
         raise argparse.ArgumentTypeError(f"{text}: {number!r} is not a number") from error
     if not math.isfinite(value) or value < 0:
-        raise argparse.ArgumentTypeError(f"{text}: expected 0 or more")
+        raise argparse.ArgumentTypeError(f"{text}: expected a number of 0 or more")
     return value
 
 
@@ -108,29 +106,29 @@ def _last(amounts: Sequence[Amount], name: str) -> Amount | None:
 
 @dataclass(frozen=True)
 class Varied:
-    """A setting and the values it takes, as they were typed."""
+    """A setting and its values, as typed."""
 
     key: str
     texts: tuple[str, ...]
 
 
 def varied(text: str) -> Varied:
-    """An argument such as ``lanes.fit_strip_m=0.2,0.3,0.5``.
+    """Parse an argument such as ``lanes.fit_strip_m=0.2,0.3,0.5``.
 
     Raises:
-        ArgumentTypeError: not of this form, or a value twice.
+        ArgumentTypeError: it has another form, or gives a value twice.
     """
     key, _, values = text.partition("=")
     texts = tuple(value.strip() for value in values.split(","))
     if not key.strip() or not all(texts):
         raise argparse.ArgumentTypeError(f"{text}: expected KEY=VALUE,VALUE,... such as lanes.fit_strip_m=0.2,0.3,0.5")
     if len({number_or_text(value) for value in texts}) < len(texts):
-        raise argparse.ArgumentTypeError(f"{text}: a value stands there twice")
+        raise argparse.ArgumentTypeError(f"{text}: contains a value twice")
     return Varied(key.strip(), texts)
 
 
 def number_or_text(text: str) -> float | str:
-    """A value as two that were typed compare: 2 is 2.0."""
+    """The typed value, as a number if possible: 2 equals 2.0."""
     try:
         return float(text)
     except ValueError:

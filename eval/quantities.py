@@ -1,56 +1,45 @@
-"""What a report shows of a metrics table, stored or derived, and how it writes numbers and names."""
+"""The numeric columns in reports, stored or derived, and the format of numbers and names."""
 
 from collections import Counter
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
 import polars as pl
 from rich.console import Console
 
 from roadperc_stream.schemas.columns import COUNT, TIME_COLUMNS, UNITLESS, InputColumns, columns_of, errors, estimates
+from roadperc_stream.schemas.columns.column import Better
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A numeric column and how it is shown.
+    """A numeric column of a report: its name, unit, number of decimals, and the side of the good values.
 
-    ``decimals`` are digits behind the point; ``worse`` is the side on which bad values lie; ``signed`` says that the
-    sign means something, so that a median other than zero is a bias.
+    Large absolute values are bad unless ``better`` is ``high``. If it is ``near 0``, the median is a bias.
     """
 
     column: str
     name: str
     unit: str
     decimals: int
-    worse: Literal["high", "low"] = "high"
-    signed: bool = False
+    better: Better = ""
 
     @property
     def label(self) -> str:
-        """Name with unit, where there is one."""
+        """Name with unit, if it has one."""
         return self.name if self.unit in UNITLESS else f"{self.name}, {self.unit}"
 
     @property
     def judged(self) -> pl.Expr:
-        """What frames are judged by: the absolute value of an error, the value itself of what is better high."""
-        return pl.col(self.column) if self.worse == "low" else pl.col(self.column).abs()
+        """The value by which frames are judged: the value itself if high is better, else its absolute value."""
+        return pl.col(self.column) if self.better == "high" else pl.col(self.column).abs()
 
 
 def _quantities(*groups: type) -> tuple[Quantity, ...]:
-    """The columns of the groups that reports list."""
+    """The columns of these groups that have a label for reports."""
     columns = [(name, column) for group in groups for name, column in columns_of(group).items() if column.label]
-    return tuple(
-        Quantity(
-            name,
-            column.label,
-            column.unit,
-            column.decimals,
-            "low" if column.better == "high" else "high",
-            column.better == "near 0",
-        )
-        for name, column in columns
-    )
+    return tuple(Quantity(name, column.label, column.unit, column.decimals, column.better) for name, column in columns)
 
 
 SIDES: Final = ("left", "right")
@@ -64,7 +53,7 @@ _ESTIMATES: Final = _quantities(
 _OFFSET_COLUMNS: Final = tuple(f"lane_{side}_{kind}offset_m" for side in SIDES for kind in ("", "raw_"))
 OFFSETS: Final = tuple(q for q in _ESTIMATES if q.column in _OFFSET_COLUMNS)
 SEEN: Final = tuple(q for q in _ESTIMATES if q.column not in _OFFSET_COLUMNS)
-"""What the chain says, with no truth needed; the lane offsets have a table of their own."""
+"""Outputs of the chain that need no truth; the lane offsets have a separate table."""
 
 TRUTH: Final = _quantities(
     errors.SurfaceErrorColumns,
@@ -75,11 +64,11 @@ TRUTH: Final = _quantities(
     errors.StereoErrorColumns,
     errors.OdometryErrorColumns,
 )
-"""What the chain says against what is true."""
+"""Errors against truth."""
 
 TOTAL: Final = Quantity("total_ms", "total", "ms", 2)
 REST: Final = Quantity("rest_ms", "rest", "ms", 2)
-"""The frame's time less its stages': derived, not a column of the table."""
+"""Time of a frame outside its stages; derived."""
 STAGE_TIMES: Final = (
     *(Quantity(name, name.removesuffix("_ms"), "ms", 2) for name in TIME_COLUMNS if name != TOTAL.column),
     REST,
@@ -92,7 +81,7 @@ JITTERS: Final = tuple(
     for side in SIDES
     for kind in ("", "raw_")
 )
-"""Second differences of the offsets, from frame to frame: derived, not columns of the table."""
+"""Second differences of the offsets from frame to frame; derived."""
 
 CATEGORIES: Final = (
     "surface_source",
@@ -101,14 +90,14 @@ CATEGORIES: Final = (
     "odometry_status",
 )
 LOST: Final = Quantity("lanes_lost", "lane boundaries lost", COUNT, 0)
-"""How many of the two boundaries a frame goes without, where any: derived, not a column of the table."""
+"""Number of lost boundaries of a frame, null if 0; derived."""
 DERIVED: Final = (REST, LOST, *JITTERS)
 STORED: Final = tuple(q for q in (*SEEN, *TRUTH, *STAGE_TIMES, SKEW, *OFFSETS) if q != REST)
 NUMBERS: Final = (*STORED, *DERIVED)
 SUSPECT: Final = (LOST, SEEN[0], TOTAL)
-"""Signs of trouble that need no truth."""
+"""Quantities without truth that indicate problems."""
 RANKED: Final = (*TRUTH, *SUSPECT)
-"""By these frames and logs may be the worst."""
+"""Quantities for rankings of frames and logs."""
 COVERED: Final = {
     "surface": "camera_height_m",
     "drivable": "drivable_ratio",
@@ -118,56 +107,53 @@ COVERED: Final = {
     "stereo": "stereo_valid_ratio",
     "odometry": "step_m",
 }
-"""The column that says of each output whether a frame has it."""
+"""For each output, the column that has a value in frames with that output."""
 COUNTED: Final = {
     "detections kept": ("filter_tp", "filter_fp", "filter_fn"),
     "lanes at IoU 0.5": ("lane_culane_tp_50", "lane_culane_fp_50", "lane_culane_fn_50"),
     "lanes at IoU 0.3": ("lane_culane_tp_30", "lane_culane_fp_30", "lane_culane_fn_30"),
 }
 COUNTS: Final = tuple(column for columns in COUNTED.values() for column in columns)
-"""Columns whose sums over a run are the counts of its scores."""
+"""Columns whose sums are the counts of the scores."""
 TRACED: Final = {side: (f"lane_{side}_offset_m", f"lane_{side}_true_offset_m") for side in SIDES}
-"""What is smoothed and might lag, and the truth it follows."""
+"""Smoothed columns that may lag, and their truth."""
 _NUMBERS_COLUMNS: Final = 65
-"""Characters that the widest row of numbers needs next to a run's name."""
+"""Width of the widest row of numbers beside a run's name."""
 _CUT: Final = "…"
 
 
 def ranked(present: Container[str]) -> list[Quantity]:
-    """What frames and logs are the worst by: the errors among columns that are present, else signs of trouble."""
+    """The quantities to rank by: errors among the present columns, else the suspect quantities."""
     return [q for q in TRUTH if q.column in present] or [q for q in SUSPECT if q.column in present]
 
 
 def rounded(value: float, quantity: Quantity) -> str:
-    """A value with the quantity's digits and never a negative zero."""
+    """A value with the quantity's decimals, without negative zero."""
     return f"{value:z.{quantity.decimals}f}"
 
 
 def name_columns(console: Console) -> int:
-    """Characters a run's name may have."""
+    """Width for a run's name."""
     return console.width - _NUMBERS_COLUMNS
 
 
 def short_names(names: Sequence[str], columns: int) -> dict[str, str]:
-    """What each name is called where only so many characters fit: itself, or its two ends.
-
-    Where two would be called the same, a number in front tells them apart.
-    """
+    """A name of at most ``columns`` characters for each name: itself, or both of its ends; numbered if not unique."""
     cut = {name: _cut(name, columns) for name in names}
     shared = Counter(cut.values())
     return {
-        name: short if shared[short] == 1 else _numbered(name, number, columns)
+        name: short if shared[short] == 1 else f"{number} {_cut(name, columns - len(f'{number} '))}"
         for number, (name, short) in enumerate(cut.items(), 1)
     }
 
 
 def legend(names: Mapping[str, str]) -> Iterator[str]:
-    """A line on each name that had to be cut."""
+    """A line for each shortened name."""
     yield from (f"{short}: {name}" for name, short in names.items() if short != name)
 
 
 def listed(names: Sequence[str], most: int = 6) -> str:
-    """Names in a line: the first of many, and how many more there are."""
+    """The first names in one line, and the number of further ones."""
     rest = len(names) - most
     return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
 
@@ -179,11 +165,6 @@ def _cut(name: str, columns: int) -> str:
     return f"{name[:front]}{_CUT}{name[len(name) - (columns - len(_CUT) - front) :]}"
 
 
-def _numbered(name: str, number: int, columns: int) -> str:
-    prefix = f"{number} "
-    return f"{prefix}{_cut(name, columns - len(prefix))}"
-
-
 def percent(share: float) -> str:
-    """A share from 0 to 1 in percent."""
+    """A ratio from 0 to 1 in percent."""
     return f"{100 * share:.1f}"

@@ -1,4 +1,4 @@
-"""What came out of one replay or many, on the terminal and as a page."""
+"""Report over finished runs, on the terminal and as an HTML page."""
 
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -11,6 +11,7 @@ from rich.console import Console
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.terminal import console_for, print_lines, print_parts
 from roadperc_stream.output.text_table import TextRow, TextTable, row
+from roadperc_stream.system.text import number
 
 from .configurations import UNKNOWN, grouped, settings_table, short_digest
 from .drives import find_drives
@@ -21,9 +22,9 @@ from .summary import Summary, summarise_group, summarise_run
 
 WritePage = Callable[[Path, list[Run]], None]
 RUNS_LISTED: Final = 40
-"""Runs that get a row of their own in the tables of what they are; of more, those with the least coverage."""
+"""Rows of the tables with one row per run; of more runs, those with the least coverage."""
 _NARROW: Final = {"odometry": "odom."}
-"""Where columns are many."""
+"""Short headers for wide tables."""
 
 
 def print_report(arguments: Sequence[str], worst: int, html: Path | None, write_page: WritePage | None) -> None:
@@ -31,19 +32,19 @@ def print_report(arguments: Sequence[str], worst: int, html: Path | None, write_
 
     Args:
         arguments: tables, logs, folders or globs.
-        worst: how many frames are listed for each error.
-        html: a page to write as well.
-        write_page: what writes it; None where there is none, for it imports much.
+        worst: number of frames listed for each error.
+        html: path of a page to write as well, if any.
+        write_page: writes the page; None without a page, since its import is slow.
 
     Raises:
-        TableError: no such run, or none has a frame.
+        TableError: an argument names no run, or no run has a frame.
     """
     found = find_drives(arguments)
     filled = [item for item in found.runs if item.frames]
     if not filled:
-        raise TableError(f"{found.runs[0].why_empty}, so there is nothing to report")
+        raise TableError(f"{found.runs[0].why_empty}; expected a table with frames")
     if html is not None and write_page is not None:
-        write_page(html, filled)  # before anything is printed: whoever reads the text may close the pipe early
+        write_page(html, filled)  # first, because the reader of the text may close the pipe
     console = console_for(sys.stdout)
     print_lines(console, *found.notes, *(item.why_empty for item in found.runs if not item.frames), unbroken=True)
     if len(filled) == 1:
@@ -57,7 +58,7 @@ def print_report(arguments: Sequence[str], worst: int, html: Path | None, write_
 
 
 def _print_several(console: Console, found: Sequence[Run], worst: int) -> None:
-    """The report over several runs, and each next to the others; no statistic is over two groups."""
+    """Print statistics by configuration, then by run; runs of two configurations are never pooled."""
     names = short_names([run.name for run in found], name_columns(console))
     grouped_runs = grouped([replace(run, name=names[run.name]) for run in found])
     settings = settings_table({group.name: group.example for group in grouped_runs})
@@ -77,7 +78,7 @@ def _print_several(console: Console, found: Sequence[Run], worst: int) -> None:
         print_parts(console, *tables_by_run(runs))
     if len(runs) > len(rows):
         print_lines(console, f"listed: the {len(rows)} of {len(runs)} runs with the least coverage")
-    each_time = f"at most {LISTED} of {{}} each time, those with the worst p95"
+    each_time = f"at most {LISTED} of {{}} per row, those with the worst p95"
     if len(groups) > LISTED:
         print_lines(console, f"by configuration: {each_time.format(len(groups))}")
     if len(runs) > max(len(groups), LISTED):
@@ -85,28 +86,25 @@ def _print_several(console: Console, found: Sequence[Run], worst: int) -> None:
 
 
 def identity(summary: Summary) -> str:
-    """Which log, made by which configuration and version."""
-    if summary.runs > 1:
-        return contents([summary])
+    """Log, configuration and version of a run."""
     config, version = short_digest(summary.configs[0]), summary.versions[0] or UNKNOWN
     return f"{summary.name}: log {listed(summary.log_ids)}, configuration {config}, version {version}"
 
 
 def contents(summaries: Sequence[Summary]) -> str:
-    """How many runs, of how many logs, configurations and versions."""
+    """Numbers of runs, logs, configurations and versions."""
     kinds = {
         "log": [name for summary in summaries for name in summary.log_ids],
         "configuration": [name for summary in summaries for name in summary.configs],
         "version": [name for summary in summaries for name in summary.versions],
     }
-    numbers = {kind: len(set(names)) for kind, names in kinds.items()}
-    counts = ", ".join(f"{number} {kind}{'s' * (number > 1)}" for kind, number in numbers.items())
+    counts = ", ".join(number(len(set(names)), kind) for kind, names in kinds.items())
     return f"{sum(summary.runs for summary in summaries)} runs: {counts}"
 
 
 def extent(summary: Summary) -> str:
-    """How many frames over how long."""
-    frames = f"{summary.frames} frame{'s' * (summary.frames > 1)}{in_segments(summary)}"
+    """Number of frames, time span, rate and longest gap."""
+    frames = f"{number(summary.frames, 'frame')}{in_segments(summary)}"
     if summary.rate_hz is None:
         return frames
     return (
@@ -116,15 +114,15 @@ def extent(summary: Summary) -> str:
 
 
 def in_segments(summary: Summary) -> str:
-    """How often stamps began anew, where they did."""
+    """The number of segments, if a table has several."""
     return f" in {summary.segments} segments" if summary.segments > summary.runs else ""
 
 
 def inputs(summary: Summary) -> str:
-    """Whose messages were missing, usable or not, and how far apart the sensors' stamps lie."""
+    """Roles without a message, and the skew between the sensors' stamps."""
     if summary.incomplete:
         roles = ", ".join(f"{role} {percent(n / summary.frames)} %" for role, n in summary.missing.most_common())
-        text = f"something missing in {percent(summary.incomplete / summary.frames)} % of the frames: {roles}"
+        text = f"{percent(summary.incomplete / summary.frames)} % of the frames lack a message: {roles}"
     else:
         text = "no message missing in any frame"
     skew = summary.statistics.get(SKEW.column)
@@ -132,7 +130,7 @@ def inputs(summary: Summary) -> str:
 
 
 def precision(summary: Summary) -> str:
-    """How exact the quantiles are where not all values were at hand."""
+    """The rank error of thinned quantiles."""
     error = 100 * summary.rank_error
     return (
         f"quantiles over all {summary.frames} frames are within {error:.2f} % in rank, "
@@ -141,7 +139,7 @@ def precision(summary: Summary) -> str:
 
 
 def least_covered(summaries: Sequence[Summary]) -> list[Summary]:
-    """The runs that get a row, in their order."""
+    """The runs that get a row, in order."""
     if len(summaries) <= RUNS_LISTED:
         return list(summaries)
     least = sorted(range(len(summaries)), key=lambda place: sum(_shares(summaries[place], COVERED.values())))
@@ -149,7 +147,7 @@ def least_covered(summaries: Sequence[Summary]) -> list[Summary]:
 
 
 def runs_table(summaries: Sequence[Summary], notes: tuple[str, ...]) -> TextTable:
-    """A row per run: what it is and how long; the version where there are several."""
+    """A row per run: log, configuration, extent, and the version if they differ."""
     versions = len({summary.versions for summary in summaries}) > 1
     headers = ("log id", "config", *(["version"] if versions else []), "frames", "s", "frames/s")
     return TextTable("Run", headers, tuple(_run(s, versions) for s in summaries), notes, label_columns=15)
@@ -162,7 +160,7 @@ def _run(summary: Summary, with_version: bool) -> TextRow:
 
 
 def coverage_by_run(summaries: Sequence[Summary]) -> TextTable:
-    """A row per run: share of frames with all inputs' messages, and with a value of each stage that has any."""
+    """A row per run: shares of frames with all inputs, and with each output that any run has."""
     shown = {what: column for what, column in COVERED.items() if any(column in s.statistics for s in summaries)}
     rows = (row(summary.name, *map(percent, _shares(summary, shown.values()))) for summary in summaries)
     return TextTable(
@@ -171,7 +169,7 @@ def coverage_by_run(summaries: Sequence[Summary]) -> TextTable:
 
 
 def tables_by_run(summaries: Sequence[Summary]) -> Iterator[TextTable]:
-    """Missing outputs that are not the same in all runs, accuracy and latency, each with a line per run."""
+    """Missing outputs that differ between runs, accuracy and latency, each with a line per run."""
     missing = missing_outputs(summaries)
     vary = tuple(item for item in missing.rows if len({cells[-1:] for cells in item.cells}) > 1)
     for table in (replace(missing, rows=vary), accuracy(summaries), latency(summaries)):
@@ -179,5 +177,5 @@ def tables_by_run(summaries: Sequence[Summary]) -> Iterator[TextTable]:
 
 
 def _shares(summary: Summary, columns: Iterable[str]) -> list[float]:
-    """The share of frames with all inputs' messages, and that with a value in each column."""
+    """Shares of frames with all inputs, and with a value in each column."""
     return [1 - summary.incomplete / summary.frames, *(summary.coverage(column) for column in columns)]

@@ -1,4 +1,4 @@
-"""Which metrics tables a command line means: files, folders, globs, logs with results; and what their columns hold."""
+"""Metrics tables that the arguments name (files, folders, globs, logs with results), and checks of their columns."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -26,27 +26,27 @@ from roadperc_stream.system.files import METRICS_SUFFIX, OBJECTS_SUFFIX, TABLE_S
 from roadperc_stream.system.text import number
 
 _COMPLETE: Final = ("log_id", "stamp_ns", "total_ms")
-"""Columns with a value in every row."""
+"""Columns that have a value in every row."""
 _WHOLE: Final = ("frame", "stamp_ns")
-"""Columns that rows are found by."""
+"""Columns of whole numbers, by which frames are found."""
 _LARGEST: Final[Mapping[pl.DataType, float]] = {pl.Int64(): 2.0**63 - 1024, pl.Float64(): 1e100}
-"""By the type a replay writes; squares of the largest number, and sums of these, are numbers still."""
+"""Largest number accepted in a column, by its type in replays; sums of squares of such numbers stay finite."""
 _TEXTS: Final = (pl.String, pl.Categorical, pl.Enum)
 REQUIRED_COLUMNS: Final = ("log_id", "frame", "stamp_ns", "missing", "reasons", "total_ms")
-"""What makes a metrics table. Others may be absent, as in tables of older versions: they count as null."""
+"""Columns of every metrics table. Tables of older versions may lack the others, which then count as null."""
 _FACTS: Final = (
     *("config_digest", "version", "config", "source", "log"),
     *(LOG_ID_KEY, DIGEST_ALGORITHM_KEY, CONTINUES_KEY),
 )
-"""Facts of a table's footer that are attributes of its run, under the same names."""
+"""Entries of a table's footer that become attributes of its run, under the same names."""
 _MOST_DIGITS: Final = 16
-"""Of a frame's number."""
+"""Digits of a frame number."""
 
 
 def collect(frame: pl.LazyFrame, source: str) -> pl.DataFrame:
     """The rows of a query on one table.
 
-    In memory: of a table of 10 000 rows that takes 25 ms, where the streaming engine takes 300.
+    The in-memory engine reads 10,000 rows in 25 ms, the streaming engine in 300 ms.
 
     Raises:
         TableError: the data of ``source`` cannot be read.
@@ -57,7 +57,7 @@ def collect(frame: pl.LazyFrame, source: str) -> pl.DataFrame:
 
 @contextmanager
 def reading(source: str) -> Iterator[None]:
-    """Turn what goes wrong while polars reads a table into a ``TableError`` that names it."""
+    """Turn polars' errors while it reads a table into a ``TableError`` that names the table."""
     try:
         yield
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
@@ -65,14 +65,14 @@ def reading(source: str) -> Iterator[None]:
 
 
 def _require_columns_as_written(path: Path) -> None:
-    """Check the columns that a replay writes: their types, their largest numbers, and that rows have their values.
+    """Check the types, the largest numbers and the required values of the columns that a replay writes.
 
-    The numbers are those of the rows. The footer has the least and the largest too, but of a damaged footer pyarrow
-    cannot always give them: parquet's own exception then ends the process.
+    The numbers come from the rows. The footer has minima and maxima too, but reading them from a damaged footer can end
+    the process with an exception of the Parquet library.
 
     Raises:
-        TableError: a column is of another type, lacks values, or holds a number that nobody can compute with; or the
-            data cannot be read.
+        TableError: a column has another type, lacks values, or holds a number too large to compute with; or the data
+            cannot be read.
     """
     rows = pl.scan_parquet(path, glob=False)
     with reading(str(path)):
@@ -92,7 +92,7 @@ def _require_columns_as_written(path: Path) -> None:
     ).row(0, named=True)
     for name in _COMPLETE:
         if values[f"{name} without"]:
-            raise TableError(f"{path}: is not a metrics table: its column {name} has rows without a value")
+            raise TableError(f"{path}: is not a metrics table: column {name} has rows without a value")
     for name in finite:
         for value in (values[f"{name} least"], values[f"{name} most"]):
             if value is not None and abs(value) > largest[name]:
@@ -101,12 +101,12 @@ def _require_columns_as_written(path: Path) -> None:
 
 @cache
 def _written() -> pl.Schema:
-    """The columns that a replay writes."""
+    """Names and types of the columns that a replay writes."""
     return pl.DataFrame(arrow_schema(FrameMetrics, TIME_COLUMNS).empty_table()).schema
 
 
 def _fits(name: str, expected: pl.DataType, kind: pl.DataType) -> bool:
-    """Whether values of a kind can stand for those expected; a column without any value may have none."""
+    """Whether a column of type ``kind`` can be read as ``expected``; a column without values has type null."""
     if kind == pl.Null:
         return name not in REQUIRED_COLUMNS
     if isinstance(expected, pl.List):
@@ -120,20 +120,20 @@ def _fits(name: str, expected: pl.DataType, kind: pl.DataType) -> bool:
 
 @dataclass(frozen=True)
 class Run:
-    """One metrics table, or the tables of a drive's parts: the frames of one log under one configuration.
+    """One metrics table, or several tables of continued replays: the frames of one log under one configuration.
 
-    ``name`` tells it from the others of the same report; ``frames`` is its number of frames that count, ``rows`` that
-    of its rows. ``config_digest``, ``version`` and ``config``, the whole configuration as TOML, say what made it,
-    ``source`` and ``log`` where the input and the result were; each is empty where the file does not say it.
+    ``name`` is unique within a report. ``frames`` counts the frames in use, ``rows`` all rows of the table.
+    ``config_digest``, ``version`` and ``config`` (the configuration as TOML) identify the replay, ``source`` and
+    ``log`` its input and its result. Each is empty if the file does not record it.
 
-    ``log_id`` and ``continues`` name the part of a drive that it is of and the one it goes on from, by digests that
-    ``digest_algorithm`` made; its frames begin with ``first_frame``. Those from ``end_frame`` on do not count: the next
-    part, which is among the runs under the name ``next_part``, gives them again, complete.
+    ``log_id`` and ``continues`` are digests, made by ``digest_algorithm``, of this log and of the log it continues.
+    The table starts at ``first_frame``. Frames from ``end_frame`` on are not used, because the run ``next_run``
+    continues this one and has them again, complete.
 
-    ``within`` are log and configuration of its rows where its file holds those of others, too.
+    ``within`` is the log and the configuration of the run's rows if its file holds rows of other runs too.
 
-    Of a drive in several parts ``parts`` are their runs in order, at least two; what else is here, but for the counts
-    and the name, is the first part's.
+    If continued replays were joined, ``joined`` holds their runs in order, at least two. The other fields, except the
+    counts and the name, are those of the first one.
     """
 
     name: str
@@ -150,36 +150,36 @@ class Run:
     continues: str = ""
     first_frame: int = 0
     end_frame: int | None = None
-    next_part: str = ""
+    next_run: str = ""
     rows: int = 0
     within: tuple[str, str] | None = None
-    parts: tuple["Run", ...] = ()
+    joined: tuple["Run", ...] = ()
 
     @property
     def tables(self) -> tuple["Run", ...]:
-        """The run of each metrics table."""
-        return self.parts or (self,)
+        """One run for each metrics table."""
+        return self.joined or (self,)
 
     def beside(self, suffix: str) -> Path:
-        """The file that a replay writes next to its table, such as its log: ``.mcap``."""
+        """The file beside the table with another suffix, such as ``.mcap`` for its log."""
         return self.path.with_name(self.path.name.removesuffix(METRICS_SUFFIX) + suffix)
 
     @property
     def source_name(self) -> str:
-        """The tables as errors name them."""
+        """The tables' name in error messages."""
         more = len(self.tables) - 1
-        return f"{self.path} and {more} more part{'s' * (more > 1)}" if more else str(self.path)
+        return f"{self.path} and {number(more, 'more table')}" if more else str(self.path)
 
     @property
     def why_empty(self) -> str:
-        """Why a run without frames has none."""
-        if self.rows and self.next_part:
-            return f"{self.path}: all its {self.rows} frames are given again by {self.next_part}"
+        """Reason why a run has no frames."""
+        if self.rows and self.next_run:
+            return f"{self.path}: {self.next_run} has all its {self.rows} frames again"
         return f"{self.path}: no frames in this table"
 
 
 def find_runs(arguments: Sequence[str]) -> tuple[Run, ...]:
-    """The runs the arguments mean, each table once, in the order given; folders and globs in alphabetical order.
+    """The runs that the arguments name, each table once, in the order given; folders and globs alphabetically.
 
     Raises:
         TableError: an argument names no table, or a file is not a metrics table.
@@ -187,53 +187,51 @@ def find_runs(arguments: Sequence[str]) -> tuple[Run, ...]:
     found = [path for argument in arguments for path in _tables(argument)]
     paths = list({real_path(path): path for path in found}.values())
     runs = [open_run(path, name) for path, name in zip(paths, distinct_names(paths), strict=True)]
-    return tuple(_before_next_part(run, runs) for run in runs)
+    return tuple(_without_repeated_frames(run, runs) for run in runs)
 
 
-def _before_next_part(run: Run, runs: Iterable[Run]) -> Run:
-    """The run without the frames that the part behind it gives again; no later one gives earlier ones."""
+def _without_repeated_frames(run: Run, runs: Iterable[Run]) -> Run:
+    """The run without the frames that the run which continues it has again."""
     same = (run.log_id, run.config_digest)
-    parts = [other for other in runs if run.log_id and (other.continues, other.config_digest) == same]
-    return cut_before(run, min(parts, key=lambda other: other.first_frame)) if parts else run
-
-
-def cut_before(run: Run, behind: Run) -> Run:
-    """The run without the frames that a later one gives again."""
-    frames = min(max(behind.first_frame - run.first_frame, 0), run.frames)
-    return replace(run, frames=frames, end_frame=behind.first_frame, next_part=behind.name)
+    later = [other for other in runs if run.log_id and (other.continues, other.config_digest) == same]
+    if not later:
+        return run
+    following = min(later, key=lambda other: other.first_frame)
+    frames = min(max(following.first_frame - run.first_frame, 0), run.frames)
+    return replace(run, frames=frames, end_frame=following.first_frame, next_run=following.name)
 
 
 def open_run(path: Path, name: str) -> Run:
-    """Read a table's footer, and check what its columns hold.
+    """Read a table's footer and check its columns.
 
     Raises:
-        TableError: the file cannot be read, is not Parquet, or lacks columns of a metrics table.
+        TableError: the file cannot be read, is not Parquet, or is not a metrics table.
     """
     try:
         footer = pq.read_metadata(path)
         columns = footer.schema.to_arrow_schema().names
     except UnicodeDecodeError as error:
-        raise TableError(f"{path}: has a column whose name is no text ({error.reason})") from error
+        raise TableError(f"{path}: has a column name that is not UTF-8 ({error.reason})") from error
     except pa.ArrowException as error:
-        raise TableError(f"{path}: is not a Parquet file, or was cut short ({first_line(error)})") from error
+        raise TableError(f"{path}: is not a Parquet file, or is truncated ({first_line(error)})") from error
     except OSError as error:
         raise TableError(f"{path}: {error.strerror or first_line(error)}") from error
     _require_columns(path, columns)
     _require_columns_as_written(path)
     facts = facts_in(footer.metadata)
     rows = footer.num_rows
-    said: dict[str, Any] = {key: facts[key] for key in _FACTS if key in facts}
+    known: dict[str, Any] = {key: facts[key] for key in _FACTS if key in facts}
     first_frame = _whole_number(facts.get(FIRST_FRAME_KEY, ""))
-    return Run(name, path, rows, frozenset(columns), **said, first_frame=first_frame, rows=rows)
+    return Run(name, path, rows, frozenset(columns), **known, first_frame=first_frame, rows=rows)
 
 
 def _whole_number(text: str) -> int:
-    """The number; 0 of what is none."""
+    """The number; 0 if the text is not one."""
     return int(text) if text.isascii() and text.isdigit() and len(text) < _MOST_DIGITS else 0
 
 
 def distinct_names(paths: Sequence[Path]) -> list[str]:
-    """Names without folder and suffix; where two would be the same, with as many folders as tell them apart."""
+    """File names without suffix; where two are equal, with as many folders as needed to make them unique."""
     full = [real_path(path).with_name(path.name.removesuffix(METRICS_SUFFIX)).parts for path in paths]
     depths = [1] * len(full)
     while True:
@@ -254,7 +252,7 @@ def _tables(argument: str) -> list[Path]:
     if path.suffix == ".mcap":
         table = sidecar_path(path, "metrics")
         if not table.exists():
-            missing = f"no {table.name} next to it; roadperc-replay writes one next to its OUT.mcap"
+            missing = f"no {table.name} beside it; roadperc-replay writes one beside its OUT.mcap"
             raise TableError(f"{path}: {missing if path.exists() else 'no such file'}")
         return [table]
     if path.exists():
@@ -268,13 +266,13 @@ def _in_folder(folder: Path) -> list[Path]:
     paths = sorted(folder.rglob(f"*{METRICS_SUFFIX}"))
     if not paths:
         if any(folder.glob("date=*/")):
-            raise TableError(f"{folder}: tables of a dataset of roadperc-batch; name its folder, {folder.parent}")
+            raise TableError(f"{folder}: is part of a batch's dataset; pass the dataset's folder, {folder.parent}")
         raise TableError(f"{folder}: no *{METRICS_SUFFIX} in this folder or below; roadperc-replay writes them")
     return paths
 
 
 def _in_glob(pattern: str) -> list[Path]:
-    """The metrics tables among a glob's matches; logs and tables of detections match ``runs/*`` too and are left."""
+    """The metrics tables among a glob's matches; logs and tables of detections are skipped."""
     path = Path(pattern)
     matches = sorted(Path(path.anchor).glob(str(path.relative_to(path.anchor))))
     files = [path for path in matches if path.suffix == TABLE_SUFFIX and not path.name.endswith(OBJECTS_SUFFIX)]
@@ -291,12 +289,12 @@ def _require_columns(path: Path, columns: Iterable[str]) -> None:
         return
     hint = ""
     if path.name.endswith(OBJECTS_SUFFIX):
-        hint = f"; a row per frame is in {path.name.removesuffix(OBJECTS_SUFFIX)}{METRICS_SUFFIX}"
+        hint = f"; its frames are in {path.name.removesuffix(OBJECTS_SUFFIX)}{METRICS_SUFFIX}"
     raise TableError(f"{path}: is not a metrics table: it has no column {', '.join(missing)}{hint}")
 
 
 def first_line(error: BaseException) -> str:
-    """What an error of a library says, without its particulars."""
+    """The first line of a library's error message."""
     if "expanded paths were empty" in str(error):
-        return "no file has such a name"
+        return "no file matches"
     return (str(error).splitlines() or [type(error).__name__])[0].rstrip(". ")

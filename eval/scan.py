@@ -1,8 +1,7 @@
-"""Metrics tables as lazy polars frames, and the expressions that boil their columns down.
+"""Metrics tables as lazy polars frames, and the expressions that summarise their columns.
 
-In the segments of a table (stamps begin anew there: another recording, a bag played in a loop) nothing goes on: no
-difference, gap, step or motion is measured from one to the next, and time runs through the segments one after the
-other, without the time between them.
+A table starts a new segment where its stamps step back: at another recording, or in a bag played in a loop. No
+difference, gap or motion is measured across segments. Time continues from one segment to the next without a gap.
 """
 
 from collections.abc import Container, Iterable
@@ -24,25 +23,22 @@ NUMBER_COLUMNS: Final = tuple(
         (*(quantity.column for quantity in STORED), *COUNTS, *(truth for _, truth in TRACED.values()), _LANE_CHANGES)
     )
 )
-"""The numeric columns a report needs."""
+"""The numeric columns of a report."""
 
 
 def scan(run: Run) -> pl.LazyFrame:
-    """The columns a report needs of a run, as ``scanned`` gives them."""
+    """The columns of a report from one run, as in ``scanned``."""
     return scanned(rows_of(run), run.columns)
 
 
 def scanned(rows: pl.LazyFrame, columns: Container[str]) -> pl.LazyFrame:
-    """The columns a report needs, a row per frame; those that are not among ``columns`` are null.
-
-    Derived columns come behind: ``since_start_s`` and those of ``derived_columns``.
-    """
+    """The columns of a report, a row per frame; null if not among ``columns``; then the derived columns."""
     stored = rows.select(stored_columns(columns)).with_columns(finite(NUMBER_COLUMNS))
     return stored.with_columns(since_start_s(), *derived_columns())
 
 
 def rows_of(run: Run) -> pl.LazyFrame:
-    """All columns of a run's tables, a row per frame; of frames that a later part gives again that part's alone."""
+    """All columns of a run's tables, one row per frame; frames repeated by a continued replay appear once."""
     return pl.concat([_rows_of_table(table) for table in run.tables])
 
 
@@ -55,7 +51,7 @@ def _rows_of_table(table: Run) -> pl.LazyFrame:
 
 
 def stored_columns(columns: Container[str]) -> list[pl.Expr]:
-    """The columns a report needs; those that are not among ``columns`` are null."""
+    """The columns of a report; null if not among ``columns``."""
     return [
         pl.col("log_id").cast(pl.String),
         pl.col("frame", "stamp_ns").cast(pl.Int64),
@@ -67,43 +63,43 @@ def stored_columns(columns: Container[str]) -> list[pl.Expr]:
 
 
 def typed(columns: Container[str], name: str, kind: pl.DataType) -> pl.Expr:
-    """A column of a type; null where it is not among ``columns``."""
+    """A column cast to a type; null if it is not among ``columns``."""
     return pl.col(name).cast(kind) if name in columns else pl.lit(None, kind).alias(name)
 
 
 def finite(names: Iterable[str]) -> list[pl.Expr]:
-    """Numeric columns in which a value that is not finite counts as missing."""
+    """Numeric columns with null in place of values that are not finite."""
     return [pl.when(pl.col(name).is_finite()).then(pl.col(name)).alias(name) for name in names]
 
 
 def segment(columns: Container[str]) -> pl.Expr:
-    """The segment of each row; tables of older versions do not have the column: they are one segment, 0."""
+    """The segment of each row; 0 in tables of older versions, which lack the column."""
     if SEGMENT not in columns:
         return pl.lit(0, pl.Int64).alias(SEGMENT)
     return pl.col(SEGMENT).cast(pl.Int64).fill_null(0)
 
 
 def before(values: pl.Expr, rows: int) -> pl.Expr:
-    """The values so many rows before, or behind where ``rows`` is negative, within the segment; else null.
+    """The values ``rows`` rows earlier (negative: later) in the same segment; else null.
 
-    The rows of a segment follow one another, so that no window is needed: these take many times as long.
+    The rows of a segment are contiguous, so a shift replaces a window expression, which is many times slower.
     """
     return pl.when(pl.col(SEGMENT).shift(rows) == pl.col(SEGMENT)).then(values.shift(rows))
 
 
 def difference(values: pl.Expr) -> pl.Expr:
-    """What is added from the row before, of the same segment."""
+    """The difference from the previous row of the same segment."""
     return values - before(values, 1)
 
 
 def since_start_s() -> pl.Expr:
-    """Seconds from the table's first frame; a segment begins at the instant at which the one before ended."""
+    """Seconds from the table's first frame; a segment starts at the time at which the previous one ended."""
     earlier_ns = _spans_ns().fill_null(0).cum_sum() - _span_ns()
     return ((_STAMP_NS - _STAMP_NS.min().over(SEGMENT) + earlier_ns) / NS_PER_S).alias("since_start_s")
 
 
 def _spans_ns() -> pl.Expr:
-    """The span of each segment in its first row, null in the others."""
+    """The span of each segment in its first row; null in the other rows."""
     return pl.when(pl.col(SEGMENT).is_first_distinct()).then(_span_ns())
 
 
@@ -112,10 +108,7 @@ def _span_ns() -> pl.Expr:
 
 
 def derived_columns() -> list[pl.Expr]:
-    """The frame's time outside the stages, how many lane boundaries are lost, second differences of lane offsets.
-
-    The lost are null where none is, or lanes were not looked for.
-    """
+    """Time outside the stages, number of lost lane boundaries (null if 0), second differences of lane offsets."""
     stages = [quantity.column for quantity in STAGE_TIMES if quantity not in {TOTAL, REST}]
     lost = pl.sum_horizontal((pl.col(f"lane_{side}_status") == "lost").cast(pl.Float64) for side in SIDES)
     return [
@@ -126,10 +119,10 @@ def derived_columns() -> list[pl.Expr]:
 
 
 def _second_differences(side: str) -> list[pl.Expr]:
-    """Second differences of a side's smoothed and raw offset, metres, over the frames where both are known.
+    """Second differences of a side's smoothed and raw offset, in metres, over the same frames of one segment.
 
-    Frames without a measurement have no raw offset: the two compare only on the same frames, of the same segment. Where
-    a line is crossed the offset jumps to that of another boundary: what spans it is left out.
+    Frames without a measurement have no raw offset, so both must be known. At a lane change the offset jumps to another
+    boundary; differences across it are left out.
     """
     names = [f"lane_{side}_offset_m", f"lane_{side}_raw_offset_m"]
     differences = [difference(difference(pl.col(name))) for name in names]
@@ -142,7 +135,7 @@ def _second_differences(side: str) -> list[pl.Expr]:
 
 
 def extent() -> list[pl.Expr]:
-    """Which logs, how long and how evenly; the longest gap is null where no segment has two frames."""
+    """Logs, number and span of segments, and the longest gap, which is null if no segment has two frames."""
     return [
         pl.col("log_id").unique(maintain_order=True).implode().alias("log_ids"),
         pl.col(SEGMENT).n_unique().alias("segments"),
@@ -152,13 +145,14 @@ def extent() -> list[pl.Expr]:
 
 
 def worst_frames(quantity: Quantity, number: int) -> pl.Expr:
-    """The worst frames by a quantity, the worst first and of equals the earliest: a list of structs.
+    """The worst frames by a quantity as a list of structs, the worst first, then the earliest.
 
-    A frame that could not be better is none of the worst, even where no other is worse.
+    Frames with the best possible value are left out.
     """
     value = pl.col(quantity.column)
-    badness = quantity.judged if quantity.worse == "high" else -quantity.judged
-    flawed = badness > (-1 if quantity.worse == "low" and quantity.unit == RATIO else 0)
+    high = quantity.better == "high"
+    badness = -quantity.judged if high else quantity.judged
+    flawed = badness > (-1 if high and quantity.unit == RATIO else 0)
     row = pl.struct("frame", SEGMENT, "since_start_s", "stamp_ns", value=value).filter(flawed)
     order = [badness.filter(flawed), pl.col(SEGMENT).filter(flawed), pl.col("stamp_ns").filter(flawed)]
     return row.sort_by(order, descending=[True, False, False]).head(number).implode().alias(f"worst {quantity.column}")

@@ -1,4 +1,4 @@
-"""What is counted over the frames of a table, and what no single frame says: precision, recall, F1, and lag."""
+"""Counts over the frames of a table, and scores of many frames: precision, recall, F1 and lag."""
 
 import math
 from collections import Counter
@@ -16,19 +16,19 @@ from .scan import before
 
 _FARTHEST: Final = 6
 _SHIFTS: Final = tuple(sorted(range(-_FARTHEST, _FARTHEST + 1), key=abs))
-"""Frames by which an estimate may lie behind its truth, the likeliest first: that decides between equals."""
+"""Lags that are tried, in frames; the smallest first, which is chosen between equals."""
 _FOLLOWS: Final = 0.5
-"""A correlation below says that estimate and truth do not move together, as on a road that does not bend."""
+"""Smallest correlation of an estimate that follows its truth; on a straight road it is lower."""
 _DISTINCT: Final = 1.25
-"""How much more of the variance other shifts leave unexplained than the one that is reported."""
+"""Ratio by which other lags must leave more of the variance unexplained than the reported lag."""
 _ROUNDING: Final = 1e-9
 _FEWEST: Final = 3
-"""Frames below which two columns always correlate."""
+"""Fewest frames for a correlation; two columns of fewer frames always correlate."""
 
 
 @dataclass(frozen=True)
 class Score:
-    """How many were found rightly, found wrongly and missed."""
+    """Numbers of true positives, false positives and false negatives."""
 
     name: str
     tp: int
@@ -37,27 +37,27 @@ class Score:
 
     @property
     def precision(self) -> float | None:
-        """Share of what was found that is correct; None where nothing was found."""
+        """Share of the positives that are true; None without positives."""
         return _share(self.tp, self.tp + self.fp)
 
     @property
     def recall(self) -> float | None:
-        """Share of what is there that was found; None where nothing is there."""
+        """Share of the truth that was found; None without truth."""
         return _share(self.tp, self.tp + self.fn)
 
     @property
     def f1(self) -> float | None:
-        """Harmonic mean of precision and recall, by which CULane ranks; None where nothing is there nor was found."""
+        """Harmonic mean of precision and recall, CULane's ranking; None without truth and positives."""
         return _share(2 * self.tp, 2 * self.tp + self.fp + self.fn)
 
     def cells(self, decimals: int) -> tuple[str, ...]:
-        """Precision, recall and F1, empty where there is none, and the counts."""
+        """Precision, recall and F1, empty if None, and the counts."""
         ratios = ("" if ratio is None else f"{ratio:.{decimals}f}" for ratio in (self.precision, self.recall, self.f1))
         return (*ratios, *map(str, (self.tp, self.fp, self.fn)))
 
 
 def scores(totals: Mapping[str, int]) -> list[Score]:
-    """The scores whose three counts are known, from the sums of ``COUNTS`` over the frames."""
+    """Scores from the sums of ``COUNTS`` over the frames; a score needs all three of its counts."""
     return [
         Score(name, *(totals[column] for column in columns))
         for name, columns in COUNTED.items()
@@ -66,41 +66,40 @@ def scores(totals: Mapping[str, int]) -> list[Score]:
 
 
 def correlations(estimate: str, truth: str) -> pl.Expr:
-    """Pearson's coefficient of two columns per shift within a segment: a list, each of the frames where both are known.
+    """Pearson's coefficients of two columns, a list with one for each of ``_SHIFTS``, over frames with both values.
 
-    Null or not finite where they are known together in fewer than half of the frames, or one does not vary there.
+    A coefficient is null if fewer than half of the frames have both values, and NaN if one column is constant.
     """
     return pl.concat_list(_correlation(before(pl.col(estimate), -shift), pl.col(truth)) for shift in _SHIFTS)
 
 
 def traces() -> list[pl.Expr]:
-    """How each side's smoothed offset follows its truth."""
+    """Correlations of each side's smoothed offset with its truth."""
     return [correlations(*columns).alias(f"correlations {side}") for side, columns in TRACED.items()]
 
 
 def _correlation(a: pl.Expr, b: pl.Expr) -> pl.Expr:
     enough = (a.is_not_null() & b.is_not_null()).sum() >= pl.max_horizontal(pl.len() / 2, _FEWEST)
-    return pl.when(enough).then(pl.corr(a, b))  # of the frames where both are known
+    return pl.when(enough).then(pl.corr(a, b))  # over the frames where both are known
 
 
 def lag_frames(coefficients: Sequence[float | None]) -> int | None:
-    """Frames by which an estimate lies behind its truth: the shift with the largest of ``correlations``.
+    """Frames by which an estimate lags its truth: the shift with the largest of ``correlations``.
 
-    None where the largest is at the end of the shifts, for beyond it may lie a larger one, and where no shift stands
-    out: the two do not move together, or so evenly that shifts of two frames and more
-    leave hardly more of the one unexplained by the other (on a straight line any shift does).
+    None if the largest is at the end of the shifts, since a larger one may lie beyond. Also None if no shift is
+    distinct: shifts two or more frames away explain almost as much, as on a straight line.
     """
     pairs = zip(coefficients, _SHIFTS, strict=False)
     known = {shift: value for value, shift in pairs if value is not None and math.isfinite(value)}
     shift = max(known, key=lambda k: known[k], default=0)
     unexplained = {k: 1 - value * abs(value) for k, value in known.items()}
     others = min((share for k, share in unexplained.items() if abs(k - shift) > 1), default=math.inf)
-    stands_out = known.get(shift, 0.0) >= _FOLLOWS and others > _DISTINCT * unexplained[shift] + _ROUNDING
-    return shift if stands_out and abs(shift) < _FARTHEST else None
+    distinct = known.get(shift, 0.0) >= _FOLLOWS and others > _DISTINCT * unexplained[shift] + _ROUNDING
+    return shift if distinct and abs(shift) < _FARTHEST else None
 
 
 def averaged(parts: Iterable[tuple[int, Sequence[float | None]]]) -> tuple[float | None, ...]:
-    """Correlations over several tables, from each one's frames and correlations; empty where none has a lag."""
+    """Correlations over several tables, weighted by their frames; empty if no table has a lag."""
     lagging = [(frames, coefficients) for frames, coefficients in parts if lag_frames(coefficients) is not None]
     total = sum(frames for frames, _ in lagging)
     by_shift = zip(
@@ -117,9 +116,9 @@ def _share(part: int, whole: int) -> float | None:
 class Tallies:
     """Counts over frames.
 
-    ``incomplete`` counts frames where any role is without a message; ``categories`` the values of each text column;
-    ``missing`` the frames per role without a message; ``reasons`` say why something is absent; ``totals`` are the sums
-    of the counting columns that have values.
+    ``incomplete`` counts the frames in which any role lacks a message, ``missing`` those of each role. ``categories``
+    counts the values of each text column, ``reasons`` the reasons of absent outputs. ``totals`` are the sums of the
+    count columns that have values.
     """
 
     incomplete: int
@@ -129,9 +128,9 @@ class Tallies:
     totals: Mapping[str, int]
 
 
-@cache  # a thousand tables are asked the same
+@cache  # the same for all tables
 def tallies() -> list[pl.Expr]:
-    """What ``tallied`` takes: counts of frames and texts, and sums, null where no frame has a value."""
+    """The expressions for ``tallied``: counts of frames and texts, and sums, null without values."""
     return [
         (pl.col("missing").list.len() > 0).sum().alias("incomplete"),
         *(_texts(name) for name in CATEGORIES),
@@ -141,7 +140,7 @@ def tallies() -> list[pl.Expr]:
 
 
 def tallied(found: Mapping[str, Any]) -> Tallies:
-    """The counts in a row of ``tallies``."""
+    """The counts from a row of ``tallies``."""
     return Tallies(
         incomplete=found["incomplete"],
         categories={name: _counter(found[name]) for name in CATEGORIES},
@@ -164,7 +163,7 @@ def tallied_together(parts: Iterable[Tallies]) -> Tallies:
 
 
 def _texts(name: str, *, of_lists: bool = False) -> pl.Expr:
-    """How often each text occurs: a list of structs of ``text`` and ``count``, by text."""
+    """Number of occurrences of each text: a list of structs of ``text`` and ``count``."""
     column = pl.col(name)
     texts = (column.explode() if of_lists else column).drop_nulls()
     counted = texts.value_counts(sort=True)

@@ -1,4 +1,4 @@
-"""The tables of a report, about one summary or several side by side: what a perception engineer asks."""
+"""The tables of a report over one summary, or over several side by side."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -28,40 +28,37 @@ _CONSISTENCY_HEADERS: Final = (
 )
 _LARGE: Final = 100
 _LEGEND: Final = (
-    "with std %: errors whose standard deviation is given; of these within 1 and 2 of it, and beyond 3",
-    "NEES: mean of the squared errors in units of it: 1 is right, more claims too much; interval by blocks",
+    "with std %: errors with a standard deviation; then the shares within 1 and 2 of it, and beyond 3",
+    "NEES: mean squared error in units of it; 1 is right, more is overconfident; interval by blocks",
 )
-
-
 REASONS_SHOWN: Final = 10
 LISTED: Final = 12
-"""Subjects that fit a row of several; of more, those with the worst p95 are listed."""
+"""Runs or configurations per row; of more, those with the worst p95 are listed."""
 Summaries = Sequence[Summary]
-"""What a table is about: one run or several pooled ones, or several of these side by side."""
+"""The subjects of a table: runs or pooled runs, side by side."""
 _STATUSES: Final = ("measured", "held", "lost")
 _JITTER: Final = "jitter: standard deviation of the offset's second difference, smoothed and raw"
-_LAG: Final = "lag: frames the smoothed offset lies behind the true one, \N{EN DASH} where not known"
+_LAG: Final = "lag: frames by which the smoothed offset lags the true one; \N{EN DASH} if unknown"
 _ERRORS: Final = "median, p95 and worst are of the absolute error, bias is the median error"
-_COVERAGE: Final = "frames %: those with a value; p5: where high is good; worst is then the least"
-_NO_TRUTH: Final = "No frame has a truth for what was replayed."
+_COVERAGE: Final = "frames %: those with a value; p5 instead of p95, and the lowest as worst, where high is better"
+_NO_TRUTH: Final = "No frame has truth for the replayed stages."
 _SECONDS: Final = "s: seconds from the log's first frame"
-_SEGMENTS: Final = "a segment begins at the instant at which the one before ended"
+_SEGMENTS: Final = "a segment starts at the time at which the previous one ended"
 
 
-def sections(summaries: Summaries, *, consistency: bool = True) -> Iterator[TextTable]:
-    """All tables in their order, those without rows included; ``consistency`` is left out where nobody computed it."""
+def sections(summaries: Summaries) -> Iterator[TextTable]:
+    """All tables in their order, including those without rows."""
     yield coverage(summaries)
     yield lane_boundaries(summaries)
     yield missing_outputs(summaries)
     yield accuracy(summaries)
-    if consistency:
-        yield consistency_table(summaries)
+    yield consistency_table(summaries)
     yield detection_counts(summaries)
     yield latency(summaries)
 
 
 def coverage(summaries: Summaries) -> TextTable:
-    """Coverage and typical values of what needs no truth, and which columns have no values."""
+    """Coverage and typical values of the outputs, without truth; a note names the columns without values."""
     rows = [
         *_states(summaries, "surface_source", "surface"),
         *_states(summaries, "surface_model", "surface model"),
@@ -74,7 +71,7 @@ def coverage(summaries: Summaries) -> TextTable:
 
 
 def lane_boundaries(summaries: Summaries) -> TextTable:
-    """Per side: how often measured, held or lost, where it lies, and its jitter, smoothed and raw."""
+    """Per side: shares of measured, held and lost, the offset, and its jitter, smoothed and raw."""
     present = any(summary.categories[f"lane_{side}_status"] for summary in summaries for side in SIDES)
     rows = [TextRow(side, tuple(_boundary(summary, side) for summary in summaries)) for side in SIDES if present]
     lag = any(summary.correlations for summary in summaries)
@@ -84,7 +81,7 @@ def lane_boundaries(summaries: Summaries) -> TextTable:
 
 
 def missing_outputs(summaries: Summaries) -> TextTable:
-    """Why something is absent, as the chain put it, and in how many frames; of the rarest only how many there are."""
+    """Reasons of absent outputs and their numbers of frames; the rarest reasons are only counted."""
     found = ranked_reasons(merged(summary.reasons for summary in summaries))
     rows = [_reason(summaries, kind, str(reason)) for kind, reason in islice(found.items(), REASONS_SHOWN)]
     rest = len(found) - REASONS_SHOWN
@@ -93,7 +90,7 @@ def missing_outputs(summaries: Summaries) -> TextTable:
 
 
 def accuracy(summaries: Summaries) -> TextTable:
-    """Accuracy next to coverage, an error being estimate minus truth, and for what there is no truth."""
+    """Errors (estimate minus truth) beside coverage; a note names the quantities without truth."""
     headers = ("frames %", "bias", "median", "p95", "worst")
     rows = list(_quantities(summaries, TRUTH, _accuracy, better))
     absent = [q.label for q in TRUTH if not any(q.column in summary.statistics for summary in summaries)]
@@ -106,7 +103,7 @@ def accuracy(summaries: Summaries) -> TextTable:
 
 
 def consistency_table(summaries: Summaries) -> TextTable:
-    """Errors in units of the standard deviations that the chain gives, where truth is known."""
+    """Errors in units of the chain's standard deviations, where truth is known."""
     found = {judged.name: [summary.consistency.get(judged.name) for summary in summaries] for judged in JUDGED}
     rows = [
         TextRow(name, tuple(_consistency(item) if item and item.values else () for item in items))
@@ -119,7 +116,7 @@ def consistency_table(summaries: Summaries) -> TextTable:
 
 
 def detection_counts(summaries: Summaries) -> TextTable:
-    """Precision, recall and F1 from the counts of all frames, and the counts."""
+    """Precision, recall and F1 over all frames, and their counts."""
     found = [{score.name: score for score in summary.scores} for summary in summaries]
     names = dict.fromkeys(name for scores in found for name in scores)
     rows = [TextRow(name, tuple(scores[name].cells(3) if name in scores else () for scores in found)) for name in names]
@@ -127,16 +124,16 @@ def detection_counts(summaries: Summaries) -> TextTable:
 
 
 def latency(summaries: Summaries) -> TextTable:
-    """Time per stage, and how that compares with the log's own time."""
+    """Time per stage, and the speed relative to the log's time."""
     rows = list(_quantities(summaries, STAGE_TIMES, _times))
     headers = ("median ms", "p95 ms", "p99 ms", "share %")
     return _table("Latency", headers, rows, summaries, tuple(_remarks(summaries, _speed)))
 
 
 def worst_frames(summaries: Summaries) -> TextTable:
-    """The worst frames by every error there is, else by signs of trouble that need no truth.
+    """The worst frames of each summary by every error, or by suspect quantities if there is no truth.
 
-    Of several summaries each has its own worst ones; with several runs a line names the frame's.
+    With several runs each line names its run.
     """
     several = sum(summary.runs for summary in summaries) > 1
     rows = (line for quantity in ranked_by(summaries) for line in _worst(summaries, quantity, several))
@@ -147,12 +144,12 @@ def worst_frames(summaries: Summaries) -> TextTable:
 
 
 def ranked_by(summaries: Summaries) -> list[Quantity]:
-    """What frames of these are the worst by."""
+    """The quantities that have worst frames."""
     return ranked({column for summary in summaries for column, frames in summary.worst.items() if frames})
 
 
 def no_values(summaries: Summaries) -> str:
-    """The columns that are null in every frame, those apart that need truth or say times."""
+    """The columns that are null in every frame, except truth and times."""
     apart = {quantity.column for quantity in (*STAGE_TIMES, *TRUTH)}
     names = [*(q.column for q in STORED if q.column not in apart), *CATEGORIES]
     present = {name for name in names for s in summaries if name in s.statistics or s.categories.get(name)}
@@ -160,10 +157,8 @@ def no_values(summaries: Summaries) -> str:
 
 
 def better(quantity: Quantity) -> str:
-    """Which way is better."""
-    if quantity.worse == "low":
-        return "higher is better"
-    return "0 is best" if quantity.signed else "lower is better"
+    """A text for the side of the good values."""
+    return {"high": "higher is better", "near 0": "0 is best"}.get(quantity.better, "lower is better")
 
 
 def _table(
@@ -181,12 +176,12 @@ def _table(
 
 
 def _first(item: TextRow) -> tuple[int, ...]:
-    """Places of the first subjects with values."""
+    """Indices of the first subjects with values."""
     return tuple(place for place, cells in enumerate(item.cells) if cells)[:LISTED]
 
 
 def _states(summaries: Summaries, column: str, label: str) -> Iterator[TextRow]:
-    """A row for each value of a text column: in which share of the frames it is."""
+    """A row for each value of a text column, with its share of the frames."""
     total = sum((summary.categories[column] for summary in summaries), Counter[str]())
     for value, _ in total.most_common():
         yield TextRow(f"{label}: {value}", tuple((percent(summary.share(column, value)),) for summary in summaries))
@@ -198,7 +193,7 @@ def _quantities(
     cells: Callable[[Summary, Quantity, Statistics], tuple[str, ...]],
     direction: Callable[[Quantity], str] = lambda _quantity: "",
 ) -> Iterator[TextRow]:
-    """A row for each quantity that any summary has values of."""
+    """A row for each quantity with values in any summary."""
     for quantity in quantities:
         found = [(summary, summary.statistics.get(quantity.column)) for summary in summaries]
         if any(statistics for _, statistics in found):
@@ -208,7 +203,7 @@ def _quantities(
 
 
 def listed(summaries: Summaries, quantity: Quantity) -> tuple[int, ...]:
-    """Places of the summaries with values, in their order; of too many, the worst."""
+    """Indices of the summaries with values, in order; if there are too many, the worst ones."""
     having = [place for place, summary in enumerate(summaries) if quantity.column in summary.statistics]
     if len(having) <= LISTED:
         return tuple(having)
@@ -217,7 +212,7 @@ def listed(summaries: Summaries, quantity: Quantity) -> tuple[int, ...]:
 
 
 def _tail(found: Statistics, quantity: Quantity) -> float:
-    return -found.p5 if quantity.worse == "low" else found.abs_p95
+    return -found.p5 if quantity.better == "high" else found.abs_p95
 
 
 def _typical(summary: Summary, quantity: Quantity, found: Statistics) -> tuple[str, ...]:
@@ -226,10 +221,10 @@ def _typical(summary: Summary, quantity: Quantity, found: Statistics) -> tuple[s
 
 
 def _accuracy(summary: Summary, quantity: Quantity, found: Statistics) -> tuple[str, ...]:
-    """Coverage, bias (median with its sign), then median, p95 and worst of the absolute error; p5 where low is bad."""
+    """Coverage, bias (signed median), and median, p95 (or p5) and worst of the absolute error."""
     share = percent(summary.coverage(quantity.column))
-    bias = rounded(found.median, quantity) if quantity.signed else ""
-    if quantity.worse == "low":
+    bias = rounded(found.median, quantity) if quantity.better == "near 0" else ""
+    if quantity.better == "high":
         tail, most = f"p5 {rounded(found.p5, quantity)}", found.least
     else:
         tail, most = rounded(found.abs_p95, quantity), found.abs_most
@@ -237,21 +232,21 @@ def _accuracy(summary: Summary, quantity: Quantity, found: Statistics) -> tuple[
 
 
 def _times(summary: Summary, quantity: Quantity, found: Statistics) -> tuple[str, ...]:
-    """Median, p95 and p99 in milliseconds, and the share of the total time in percent."""
+    """Median, p95 and p99 in ms, and the percentage of the total time."""
     total = summary.statistics[TOTAL.column]
     share = percent(found.total / total.total) if total.total > 0 else ""
     return (*(rounded(value, quantity) for value in (found.median, found.p95, found.p99)), share)
 
 
 def _consistency(found: Consistency) -> tuple[str, ...]:
-    """How many errors, the share with a deviation, shares within 1 and 2 and beyond 3 of it, NEES and its interval."""
+    """Number of errors, shares with a deviation, within 1 and 2 and beyond 3 of it, NEES and its interval."""
     shares = (found.values / found.errors, found.within(1), found.within(2), 1 - found.within(3))
     nees, *ends = (f"{v:.2f}" if v < _LARGE else f"{v:.0f}" for v in (found.nees, *(found.nees_interval or ())))
     return (str(found.errors), *map(percent, shares), nees, "-".join(ends))
 
 
 def _boundary(summary: Summary, side: str) -> tuple[str, ...]:
-    """Percent measured, held, lost; offset in m, jitter in cm smoothed and raw, lag in frames; empty where unknown."""
+    """Percentages by status, offset in m, jitter in cm smoothed and raw, lag in frames; empty if unknown."""
     offset = summary.statistics.get(f"lane_{side}_offset_m")
     jitters = [summary.statistics.get(f"lane_{side}_{kind}second_difference_m") for kind in ("", "raw_")]
     lag = summary.lag_frames(side) if summary.correlations else None
@@ -264,7 +259,7 @@ def _boundary(summary: Summary, side: str) -> tuple[str, ...]:
 
 
 def _beyond_lanes(summary: Summary) -> str:
-    """What lies beyond the boundaries, in shares of the frames where that is known."""
+    """Classes beyond the boundaries, as shares of the frames in which they are known."""
     sides = [(side, summary.categories[f"lane_{side}_boundary_class"]) for side in SIDES]
     return "; ".join(
         f"beyond the {side}: "
@@ -275,7 +270,7 @@ def _beyond_lanes(summary: Summary) -> str:
 
 
 def _reason(summaries: Summaries, kind: ReasonKind, text: str) -> TextRow:
-    """In how many frames of each summary a reason was given, and the share in percent."""
+    """Number and percentage of the frames with a reason, for each summary."""
     frames = [summary.reasons[kind].frames if kind in summary.reasons else 0 for summary in summaries]
     shares = [summary.reason_share(kind) for summary in summaries]
     least = sorted(shares)[-LISTED:][0]
@@ -285,17 +280,17 @@ def _reason(summaries: Summaries, kind: ReasonKind, text: str) -> TextRow:
 
 
 def _speed(summary: Summary) -> str:
-    """Frames a second of one core's time, and how that compares with the log's own time."""
+    """Frames per second of one core's time, and the ratio to real time."""
     total = summary.statistics.get(TOTAL.column)
     if total is None or total.total <= 0:
         return ""
     rate_hz = 1000 * total.values / total.total
     against = f", {rate_hz / summary.rate_hz:.1f} times real time" if summary.rate_hz else ""
-    return f"{rate_hz:.1f} frames/s a core{against}"
+    return f"{rate_hz:.1f} frames/s per core{against}"
 
 
 def _remarks(summaries: Summaries, remark: Callable[[Summary], str]) -> Iterator[str]:
-    """What there is to say of each of the first summaries, with its name where there are several."""
+    """A remark on each of the first summaries, with its name if there are several."""
     for summary in summaries[:LISTED]:
         text = remark(summary)
         if text:
@@ -319,7 +314,7 @@ def _worst_cells(frame: WorstFrame, quantity: Quantity) -> list[str]:
 
 
 def _collapsed(absent: Sequence[str], present: Iterable[str]) -> list[str]:
-    """Names that share their first word as ``word*``, unless a column that has values begins with it, too."""
+    """Names, those with the same first word as ``word*`` if no column with values starts with it."""
     used = {name.split("_")[0] for name in present}
     words = [name.split("_")[0] for name in absent]
     sizes = Counter(words)

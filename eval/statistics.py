@@ -1,10 +1,9 @@
-"""The numbers a report gives of a numeric column, those of several tables from those of each.
+"""Statistics of numeric columns, over one table or merged from several tables.
 
-Quantiles of columns that do not fit into memory are over sorted values, thinned where there are too many, and merged.
-The method is Manku, Rajagopalan and Lindsay, "Approximate medians and other quantiles in one pass and with limited
-memory" (SIGMOD 1998): buffers of equally heavy values in levels, each thinning moving a rank by half a step at most.
-The bound is certain rather than likely, the same table gives the same figures every time, and few values are exact.
-Files are sorted for their own quantiles anyway: after that it costs a tenth of a KLL sketch.
+Quantiles over many tables come from sorted values that are thinned and merged. Source: Manku, Rajagopalan and Lindsay,
+"Approximate medians and other quantiles in one pass and with limited memory" (SIGMOD 1998). Each thinning moves a rank
+by at most half a step. The result is deterministic, its error bound always holds, and small inputs are exact. As the
+values of each table are sorted anyway, this takes a tenth of the time of a KLL sketch.
 """
 
 import math
@@ -19,14 +18,14 @@ from numpy.typing import NDArray
 from roadperc_stream.geometry import Float
 
 FAN_IN: Final = 32
-"""Distributions of a level that are merged into one of the next."""
+"""Number of distributions of one level that are merged into one of the next level."""
 
 
 @dataclass(frozen=True)
 class Distribution:
-    """Values in ascending order, (N,), and how many frames each stands for, (N,).
+    """Values in ascending order, (N,), and the number of frames that each represents, (N,).
 
-    ``error_frames`` bounds how far thinning has moved the rank of any value, in frames.
+    ``error_frames`` is the largest rank error from thinning, in frames.
     """
 
     values: NDArray[np.float64]
@@ -35,19 +34,19 @@ class Distribution:
 
     @cached_property
     def heights(self) -> NDArray[np.float64]:
-        """How many frames each value and those below it stand for, (N,)."""
+        """Cumulative number of frames up to each value, (N,)."""
         return np.cumsum(self.weights)
 
     @property
     def exact(self) -> bool:
-        """Whether nothing was thinned."""
+        """Whether no values were thinned out."""
         return self.error_frames == 0
 
     @property
     def rank_error(self) -> float:
-        """How far a quantile's rank may lie from the one asked for, as a share of all frames; 0 if exact.
+        """Largest rank error of a quantile, as a ratio of all frames; 0 if exact.
 
-        Besides the thinning, a quantile between two values may belong to either.
+        It includes half a weight, because a quantile between two values may belong to either.
         """
         if self.exact:
             return 0.0
@@ -55,12 +54,12 @@ class Distribution:
 
 
 def exactly(values: NDArray[np.float64]) -> Distribution:
-    """The distribution of values in ascending order, (N,), each one frame."""
+    """The distribution of values in ascending order, (N,), one frame each."""
     return Distribution(values, np.broadcast_to(1.0, len(values)))
 
 
 def merged(parts: Sequence[Distribution]) -> Distribution:
-    """All values of several distributions."""
+    """The distribution over all values of several distributions."""
     values = np.concatenate([part.values for part in parts])
     weights = np.concatenate([part.weights for part in parts])
     order = np.argsort(values, kind="stable")
@@ -68,10 +67,10 @@ def merged(parts: Sequence[Distribution]) -> Distribution:
 
 
 def thinned(whole: Distribution, points: int) -> Distribution:
-    """At most ``points`` values of equal weight, those in the middle of equal parts; ranks move by half a part."""
+    """At most ``points`` values of equal weight: the middle one of each of ``points`` equal slices."""
     if len(whole.values) <= points:
         return whole
-    single = whole.exact and whole.weights.strides == (0,)  # as `exactly` gives them: each height is its rank
+    single = whole.exact and whole.weights.strides == (0,)  # from `exactly`: each height is the rank
     step = (len(whole.values) if single else whole.heights[-1]) / points
     middles = (np.arange(points) + 0.5) * step
     places = np.ceil(middles).astype(np.int64) - 1 if single else np.searchsorted(whole.heights, middles)
@@ -79,7 +78,7 @@ def thinned(whole: Distribution, points: int) -> Distribution:
 
 
 def absolute(signed: Distribution) -> Distribution:
-    """The distribution of the absolute values, whose ranks err from both sides."""
+    """The distribution of the absolute values; its rank error doubles."""
     if signed.values[0] >= 0:
         return signed
     sizes = np.abs(signed.values)
@@ -88,22 +87,22 @@ def absolute(signed: Distribution) -> Distribution:
 
 
 def quantiles(of: Distribution, shares: Sequence[float]) -> list[float]:
-    """Quantiles, interpolated linearly; where each value is one frame, those of ``numpy.quantile``."""
-    # A value stands in the middle of its frames, and the quantile q between frame 0 and the last, n - 1.
+    """Quantiles with linear interpolation; equal to ``numpy.quantile`` if each value is one frame."""
+    # A value lies in the middle of its frames. Quantile q lies at the share q between frame 0 and frame n - 1.
     places = np.asarray(shares) * (of.heights[-1] - 1) + 0.5
     found: list[float] = np.interp(places, of.heights - of.weights / 2, of.values).tolist()
     return found
 
 
 class Sketch:
-    """A distribution that grows: of at most ``points`` values a part, FAN_IN parts a level."""
+    """A growing distribution: levels of up to FAN_IN parts, each with at most ``points`` values."""
 
     def __init__(self, points: int) -> None:
         self._points = points
         self._levels: list[list[Distribution]] = [[]]
 
     def add(self, part: Distribution) -> None:
-        """Take in a part; a full level becomes one part of the next."""
+        """Add a part; a full level becomes one part of the next level."""
         for level in self._levels:
             level.append(thinned(part, self._points))
             if len(level) < FAN_IN:
@@ -113,22 +112,22 @@ class Sketch:
         self._levels.append([thinned(part, self._points)])
 
     def limit(self, points: int) -> None:
-        """Allow no more than so many values a part, those taken in before included."""
+        """Reduce the number of values per part, also in the parts added before."""
         if points < self._points:
             self._points = points
             self._levels = [[thinned(part, points) for part in level] for level in self._levels]
 
     def distribution(self) -> Distribution:
-        """All that was added."""
+        """The distribution over everything added."""
         return merged([part for level in self._levels for part in level])
 
 
 @dataclass(frozen=True)
 class Moments:
-    """What is known of a numeric column without the order of its values, in its own unit: those of parts add up.
+    """Statistics of a numeric column that can be added over tables, in the column's unit.
 
-    ``values`` counts the frames that have one, ``total`` is their sum, ``std`` the population's, ``abs_most`` the
-    largest absolute value.
+    ``values`` is the number of values, ``total`` their sum, ``std`` the population's standard deviation, ``abs_most``
+    the largest absolute value.
     """
 
     values: int
@@ -140,10 +139,10 @@ class Moments:
 
 @dataclass(frozen=True)
 class Statistics(Moments):
-    """A numeric column over the frames that have a value; quantiles interpolate linearly.
+    """Statistics of a numeric column over the frames with a value; quantiles are interpolated linearly.
 
-    ``abs_...`` are over absolute values. ``rank_error`` says how far the rank of a quantile may be off, as a share of
-    the values: 0 where all values were at hand, and twice as much for those of absolute values.
+    ``abs_...`` are of absolute values. ``rank_error`` is the largest rank error of a quantile as a ratio of the values;
+    it doubles for absolute values.
     """
 
     p5: float
@@ -156,18 +155,18 @@ class Statistics(Moments):
 
 
 def moments(values: Float) -> Moments:
-    """Those of values in ascending order, (N,), at least one."""
+    """Moments of values in ascending order, (N,), at least one."""
     most = float(max(-values[0], values[-1]))
     total = float(values.sum())
     apart = values - total / len(values)
-    std = math.sqrt(float(np.square(apart, out=apart).mean()))  # not by BLAS, whose threads wait for each other
+    std = math.sqrt(float(np.square(apart, out=apart).mean()))  # BLAS threads would wait for each other
     return Moments(len(values), total, std, float(values[0]), most)
 
 
 def statistics(parts: Sequence[Moments], column: Distribution) -> Statistics:
-    """Those of several tables: exact but for the quantiles, which are as exact as the distribution over all tables.
+    """Statistics over several tables, from the moments of each and the distribution over all, for the quantiles.
 
-    The deviation is that within the tables and that between their means (Chan, Golub and LeVeque 1979).
+    Variances within the tables and between their means are added (Chan, Golub and LeVeque 1979).
     """
     count = sum(part.values for part in parts)
     total = math.fsum(part.total for part in parts)
@@ -191,25 +190,25 @@ def statistics(parts: Sequence[Moments], column: Distribution) -> Statistics:
 
 
 class ColumnPools:
-    """Columns of several tables: the moments of each table's, and a sketch of at most ``points`` values a part."""
+    """Statistics of columns over several tables: moments of each table, and a sketch of each column."""
 
     def __init__(self, points: int) -> None:
         self.points = points
         self._columns: dict[str, tuple[list[Moments], Sketch]] = {}
 
     def add(self, column: str, known: Moments, part: Distribution) -> None:
-        """Take in a table's values of a column."""
+        """Add a table's values of a column."""
         found, sketch = self._columns.setdefault(column, ([], Sketch(self.points)))
         found.append(known)
         sketch.add(part)
 
     def limit(self, points: int) -> None:
-        """Keep fewer points of each distribution."""
+        """Reduce the number of points per distribution."""
         self.points = min(points, self.points)
         for _, sketch in self._columns.values():
             sketch.limit(self.points)
 
     def statistics(self, columns: Iterable[str]) -> dict[str, Statistics]:
-        """Those over all tables, of the columns that have values."""
+        """Statistics over all tables of the columns that have values."""
         present = {name: self._columns[name] for name in columns if name in self._columns}
         return {name: statistics(found, sketch.distribution()) for name, (found, sketch) in present.items()}

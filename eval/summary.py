@@ -1,13 +1,14 @@
-"""Metrics tables to small summaries, one table at a time; over all tables, what those of each come to together.
+"""Summaries of metrics tables, one by one and over all of them.
 
-A table is read once. All it gives to the whole is exact and small, but for the distributions of its columns: those stay
-whole while all tables together have no more than EXACT_FRAMES rows, and are thinned where they have more.
+Each table is read once. The distributions of its columns are kept whole while all tables together have at most
+EXACT_FRAMES rows; beyond that they are thinned. Everything else in a summary is exact and small.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
+from itertools import chain
 from typing import Final
 
 import numpy as np
@@ -24,18 +25,18 @@ from .scores import Score, Tallies, averaged, lag_frames, scores, tallied, talli
 from .statistics import ColumnPools, Distribution, Statistics, exactly, moments, statistics, thinned
 
 EXACT_FRAMES: Final = 2**18
-"""Rows up to which quantiles over all tables are exact: 8 bytes each and column, 160 MB in all."""
+"""Rows up to which quantiles over all tables are exact: 8 bytes per row and column, 160 MB in total."""
 POINTS: Final = 2048
-"""Values that stand for a column of a table, or of FAN_IN, of more rows: ranks move by 1/4096 each time."""
+"""Values kept per column when there are more rows; each thinning moves ranks by 1/4096 at most."""
 _AT_ONCE: Final = 2
-"""Tables read at the same time; polars brings threads of its own."""
+"""Tables read at the same time; polars uses several threads for each."""
 _AHEAD: Final = 64
-"""Tables read before the first is merged: what bounds the memory."""
+"""Tables read before the first is merged; limits the memory."""
 
 
 @dataclass(frozen=True)
 class WorstFrame:
-    """One of the worst frames by some quantity: where it is, and the value there in the quantity's unit."""
+    """One of the worst frames by a quantity; ``value`` is in the quantity's unit."""
 
     run: str
     frame: int
@@ -47,14 +48,13 @@ class WorstFrame:
 
 @dataclass(frozen=True)
 class Summary(Tallies):
-    """A metrics table in numbers, or several together.
+    """Summary of one metrics table or of several.
 
-    ``log_ids`` are digests of the logs' messages, ``configs`` and ``versions`` what made the tables. ``segments``
-    are stretches of one recording, one a table but where its stamps begin anew; ``span_s`` are the seconds from first
-    to last frame of each, ``longest_gap_s`` the longest time between two frames of one.
-    ``statistics`` holds the numeric columns that have values; ``worst`` the worst frames, the worst first.
-    ``correlations`` are per side those of the smoothed offset with its truth, by shift; ``consistency`` holds the
-    quantities whose truth is known, with their errors in units of their standard deviations.
+    ``log_ids`` are digests of the logs' messages; ``configs`` and ``versions`` identify the replays. ``segments``
+    is the number of segments, ``span_s`` the sum of their time spans, ``longest_gap_s`` the longest time between two
+    frames of one. ``statistics`` has the numeric columns with values, ``worst`` the worst frames per column.
+    ``correlations`` are those of each side's smoothed offset with its truth, by shift. ``consistency`` has the
+    quantities with known truth.
     """
 
     name: str
@@ -73,66 +73,48 @@ class Summary(Tallies):
 
     @property
     def rate_hz(self) -> float | None:
-        """Frames a second of the logs' own time; None where there is no span, as with a single frame."""
+        """Frames per second of log time; None without a time span, as with a single frame."""
         return (self.frames - self.segments) / self.span_s if self.span_s > 0 else None
 
     def coverage(self, column: str) -> float:
-        """Share of the frames that have a value in a numeric column."""
+        """Share of frames with a value in a numeric column."""
         found = self.statistics.get(column)
         return found.values / self.frames if found else 0.0
 
     def share(self, column: str, *values: str) -> float:
-        """Share of the frames that have one of these values in a text column."""
+        """Share of frames with one of these values in a text column."""
         return sum(self.categories[column][value] for value in values) / self.frames
 
     def reason_share(self, kind: ReasonKind) -> float:
-        """Share of the frames that gave a reason."""
+        """Share of frames with a reason."""
         found = self.reasons.get(kind)
         return found.frames / self.frames if found else 0.0
 
     @property
     def rank_error(self) -> float:
-        """How far the ranks of the quantiles may be off at most, as a share; 0 where they are exact."""
+        """Largest rank error of the quantiles, as a ratio; 0 if they are exact."""
         return max((found.rank_error for found in self.statistics.values()), default=0.0)
 
     @property
     def scores(self) -> list[Score]:
-        """Precision, recall and F1 of what was counted."""
+        """Precision, recall and F1 of the counted outputs."""
         return scores(self.totals)
 
     def lag_frames(self, side: str) -> int | None:
-        """Frames by which a side's smoothed offset lies behind the truth; None where that is not known."""
+        """Frames by which a side's smoothed offset lags the truth; None if unknown."""
         return lag_frames(self.correlations[side])
 
 
 def summarise_group(group: Group, worst: int) -> tuple[list[Summary], Summary]:
-    """Summaries of the runs of a group, of at least one row each, and the one over all under the group's name.
+    """Summaries of a group's runs, each with at least one row, and the summary over all of them.
 
     Raises:
         TableError: the data of a table cannot be read.
     """
-    if len(group.runs) == 1:
-        together = summarise_run(group.runs[0], worst)
+    runs = group.runs
+    if len(runs) == 1:
+        together = summarise_run(runs[0], worst)
         return [together], replace(together, name=group.name)
-    summaries, together = summarise_all(group.runs, worst)
-    return summaries, replace(together, name=group.name)
-
-
-def summarise_run(run: Run, worst: int) -> Summary:
-    """Summary of one table of at least one row, with the ``worst`` worst frames by each quantity.
-
-    Raises:
-        TableError: the table's data cannot be read.
-    """
-    return _read(run, worst, run.frames)[0]
-
-
-def summarise_all(runs: Sequence[Run], worst: int) -> tuple[list[Summary], Summary]:
-    """Summaries of tables of at least one row each, and the summary over all of them.
-
-    Raises:
-        TableError: the data of a table cannot be read.
-    """
     frames = sum(run.frames for run in runs)
     points = frames if frames <= EXACT_FRAMES else POINTS
     columns = ColumnPools(points)
@@ -144,11 +126,20 @@ def summarise_all(runs: Sequence[Run], worst: int) -> tuple[list[Summary], Summa
                 summaries.append(summary)
                 for column, part in distributions.items():
                     columns.add(column, summary.statistics[column], part)
-    return summaries, _together(summaries, columns.statistics(q.column for q in NUMBERS), worst)
+    return summaries, _together(group.name, summaries, columns.statistics(q.column for q in NUMBERS), worst)
+
+
+def summarise_run(run: Run, worst: int) -> Summary:
+    """Summary of one table with at least one row, and the ``worst`` worst frames by each quantity.
+
+    Raises:
+        TableError: the table's data cannot be read.
+    """
+    return _read(run, worst, run.frames)[0]
 
 
 def _read(run: Run, worst: int, points: int) -> tuple[Summary, dict[str, Distribution]]:
-    """A table's summary, and the distributions of its columns in at most ``points`` values each."""
+    """Summary of a table, and the distributions of its columns with at most ``points`` values each."""
     frames = collect(scan(run), run.source_name)
     found = frames.select(_facts(worst)).row(0, named=True)
     columns = {q.column: frames[q.column].drop_nulls() for q in NUMBERS}
@@ -177,15 +168,15 @@ def _read(run: Run, worst: int, points: int) -> tuple[Summary, dict[str, Distrib
     return summary, {name: thinned(distribution, points) for name, distribution in distributions.items()}
 
 
-def _together(summaries: Sequence[Summary], pooled: Mapping[str, Statistics], worst: int) -> Summary:
+def _together(name: str, summaries: Sequence[Summary], pooled: Mapping[str, Statistics], worst: int) -> Summary:
     return Summary(
         **vars(tallied_together(summaries)),
-        name=f"all {len(summaries)} logs",
+        name=name,
         frames=sum(summary.frames for summary in summaries),
         runs=len(summaries),
-        log_ids=_distinct(name for summary in summaries for name in summary.log_ids),
-        configs=_distinct(name for summary in summaries for name in summary.configs),
-        versions=_distinct(name for summary in summaries for name in summary.versions),
+        log_ids=_distinct(summary.log_ids for summary in summaries),
+        configs=_distinct(summary.configs for summary in summaries),
+        versions=_distinct(summary.versions for summary in summaries),
         segments=sum(summary.segments for summary in summaries),
         span_s=sum(summary.span_s for summary in summaries),
         longest_gap_s=max(summary.longest_gap_s for summary in summaries),
@@ -198,22 +189,17 @@ def _together(summaries: Sequence[Summary], pooled: Mapping[str, Statistics], wo
     )
 
 
-@cache  # a thousand tables are asked the same
+@cache  # the same for all tables
 def _facts(worst: int) -> list[pl.Expr]:
-    return [
-        *extent(),
-        *tallies(),
-        *traces(),
-        *(worst_frames(quantity, worst) for quantity in RANKED),
-    ]
+    return [*extent(), *tallies(), *traces(), *(worst_frames(quantity, worst) for quantity in RANKED)]
 
 
 def _merged(summaries: Iterable[Summary], quantity: Quantity, worst: int) -> tuple[WorstFrame, ...]:
-    """The worst frames of all from the worst of each; equals stay in the order of the runs."""
+    """The worst frames of all runs; equal values stay in the order of the runs."""
     frames = [frame for summary in summaries for frame in summary.worst.get(quantity.column, ())]
-    low = quantity.worse == "low"
-    return tuple(sorted(frames, key=lambda frame: frame.value if low else -abs(frame.value))[:worst])
+    high = quantity.better == "high"
+    return tuple(sorted(frames, key=lambda frame: frame.value if high else -abs(frame.value))[:worst])
 
 
-def _distinct(names: Iterable[str]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(names))
+def _distinct(parts: Iterable[Iterable[str]]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(chain.from_iterable(parts)))

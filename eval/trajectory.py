@@ -1,4 +1,4 @@
-"""How far runs' paths are from the true ones, and both as files for other tools."""
+"""Errors of runs' trajectories against truth, and exports for other tools."""
 
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -28,13 +28,13 @@ _EACH: Final = ", each segment of the log by itself"
 
 
 def _in_segments(run: RunPoses) -> str:
-    """How many segments of the log have poses, where there are several."""
+    """The number of segments with poses, if there are several."""
     segments = len(run.of_segments)
     return f" in {segments} segments of the log" if segments > 1 else ""
 
 
 def _without_scale(evaluation: Evaluation) -> str:
-    """What steps without scale mean for the figures; empty where there are none."""
+    """A note on steps without scale; empty if all steps have a scale."""
     run = evaluation.run
     counted = f"{run.without_scale} of {run.steps} steps have no scale"
     if run.up_to_scale:
@@ -55,7 +55,7 @@ def _error_table(evaluation: Evaluation) -> TextTable:
 
 
 def _stretch_table(evaluation: Evaluation) -> TextTable:
-    """KITTI's errors by length; a length of which no stretch fits has none."""
+    """KITTI's errors by length, empty for lengths that do not fit."""
     segments = (*evaluation.stretches, evaluation.together)
     rows = tuple(
         row("all" if item.length_m is None else f"{item.length_m:.0f} m", str(item.count), *_segment_cells(item))
@@ -68,7 +68,7 @@ def _stretch_table(evaluation: Evaluation) -> TextTable:
 
 
 def _run_table(evaluations: Sequence[Evaluation], names: Mapping[str, str]) -> TextTable:
-    """How much of each of several runs the figures are over, and how they came about; a run by what it is called."""
+    """A row per run: evaluated frames, scale and lengths."""
     headers = ("frames", "both %", "lost", "driven m", "scale", "KITTI over")
     rows = tuple(row(names[item.run.name], *_overview(item)) for item in evaluations)
     return TextTable("Run", headers, rows, tuple(legend(names)), last_is_text=True, label_columns=20)
@@ -122,8 +122,8 @@ def print_trajectories(
 ) -> None:
     """Print the errors of runs' paths, and export them.
 
-    A run that has none is named, and is an error where nothing else came of the command. ``alignment`` and ``delta``
-    are those of ``evaluate``; ``tum`` and ``kitti`` are folders for files, if any.
+    Runs without a trajectory are named; it is an error if no run has one. ``alignment`` and ``delta`` are those of
+    ``evaluate``; ``tum`` and ``kitti`` are folders for the exports, if any.
 
     Raises:
         TableError: there is no such run, or none with a path.
@@ -169,7 +169,7 @@ def _one(evaluation: Evaluation) -> list[str | TextTable]:
 
 
 def _notes(evaluation: Evaluation) -> Iterator[str]:
-    """What there is to say of a run's figures, without its alignment."""
+    """Notes on a run's figures."""
     found = _in_segments(evaluation.run)
     segments = f"{evaluation.run.frames} frames{found}{_EACH}" if found else ""
     yield from filter(None, (segments, *evaluation.left_out, _without_scale(evaluation)))

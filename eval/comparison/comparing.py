@@ -43,7 +43,7 @@ class Metric:
 
 
 def _of_quantity(quantity: Quantity, *, timed: bool = False) -> Metric:
-    return Metric(quantity.column, quantity.judged, quantity.worse == "low", timed=timed)
+    return Metric(quantity.column, quantity.judged, quantity.better == "high", timed=timed)
 
 
 def _share(name: str, holds: pl.Expr) -> Metric:

@@ -26,7 +26,7 @@ from ..options import Rules
 from .agreement import Agreement, Difference, Value, distance
 
 _MESSAGE: Final = "message"
-"""Stands for the whole message where only one log has it."""
+"""Field name of a message that only one log has."""
 Fields = Mapping[str, Value]
 """Values by their place in a message, such as ``boundaries[0].offset_m``."""
 Group = dict[tuple[str, int], Message]
@@ -36,7 +36,7 @@ Group = dict[tuple[str, int], Message]
 def message_agreements(reference: Path, candidate: Path, run: str, rules: Rules) -> dict[str, Agreement]:
     """How each field of the results agrees; a field is its topic below /perception and its name without indices.
 
-    Two frames' messages are in memory, no more.
+    Only the messages of two frames are in memory.
 
     Raises:
         LogError: a log cannot be read, or a result in it cannot be decoded.
@@ -49,7 +49,7 @@ def message_agreements(reference: Path, candidate: Path, run: str, rules: Rules)
 
 
 def _frames(path: Path) -> Iterator[tuple[int, Group]]:
-    """Log time and results of each frame, but for its metrics: their fields are the table's columns."""
+    """Log time and results of each frame, without the metrics, which are in the table."""
     summary = log.summarise(path)
     topics = {channel.topic for channel in summary.channels if is_result(channel)} - {METRICS_TOPIC}
     results = (message for message in log.read(summary, topics=topics) if is_result(message.channel))
@@ -64,7 +64,7 @@ def _frames(path: Path) -> Iterator[tuple[int, Group]]:
 
 
 def _aligned(ours: Iterator[tuple[int, Group]], theirs: Iterator[tuple[int, Group]]) -> Iterator[tuple[Group, Group]]:
-    """Frames of equal log time in both; a frame that only one log has is the tables' to report."""
+    """Frames of equal log time in both logs; the tables report the others."""
     left, right = next(ours, None), next(theirs, None)
     while left is not None and right is not None:
         if left[0] == right[0]:
@@ -77,7 +77,7 @@ def _aligned(ours: Iterator[tuple[int, Group]], theirs: Iterator[tuple[int, Grou
 def _frame_agreements(
     ours: Group, theirs: Group, paths: tuple[Path, Path], run: str, rules: Rules
 ) -> dict[str, Agreement]:
-    """One frame's part: a field with several values counts once, with the largest distance and the first difference."""
+    """Agreements of one frame; a field with several values counts once, with its largest distance."""
     found: dict[str, Agreement] = {}
     for topic, nth in dict.fromkeys((*ours, *theirs)):
         pair = ours.get((topic, nth)), theirs.get((topic, nth))
@@ -95,7 +95,7 @@ def _frame_agreements(
 def _values_apart(
     pair: tuple[Message | None, Message | None], paths: tuple[Path, Path]
 ) -> Iterator[tuple[str, tuple[Value, Value]]]:
-    """Both values of each field of two messages that are not the same bytes; of a single one that it is there."""
+    """Both values of each field of two messages with different bytes, or the presence of a single message."""
     ours, theirs = pair
     if ours is None or theirs is None:
         yield _MESSAGE, ("present" if ours else None, "present" if theirs else None)

@@ -1,4 +1,4 @@
-"""The frames of a dataset by group: a summary of each, the worst groups where there are too many for all."""
+"""Summaries of a dataset's frames by group; if there are too many groups, of the worst ones."""
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
@@ -30,7 +30,7 @@ _POOLED: Final = (*LOG, "missing", "reasons", *CATEGORIES, *COUNTS, *_COLUMNS)
 
 
 class Pool:
-    """The frames of a group so far: counts, sums, and distributions of at most so many points."""
+    """The pooled frames of a group: counts, sums, and distributions."""
 
     def __init__(self, points: int) -> None:
         self._frames = 0
@@ -39,7 +39,7 @@ class Pool:
         self.columns = ColumnPools(points)
 
     def add(self, frames: pl.DataFrame, threads: Executor) -> None:
-        """Take in some frames of at least one row."""
+        """Add frames, at least one."""
         self._frames += frames.height
         self._logs.update(frames.select(LOG).unique().iter_rows())
         self._tallies.append(tallied(frames.select(tallies()).row(0, named=True)))
@@ -49,7 +49,7 @@ class Pool:
                 self.columns.add(name, *found)
 
     def summary(self, name: str) -> Summary:
-        """All of it, under a name; what needs neighbouring frames or other tables is left out."""
+        """The summary of the group, without figures that need neighbouring frames or other tables."""
         logs = sorted(self._logs)
         return Summary(
             **vars(tallied_together(self._tallies)),
@@ -64,7 +64,7 @@ class Pool:
 
 
 def _part(column: pl.Series, points: int) -> tuple[Moments, Distribution] | None:
-    """What is kept of a batch's values; None where there are none."""
+    """Moments and distribution of a batch's values; None without values."""
     values = np.sort(column.drop_nulls().to_numpy())
     return (moments(values), thinned(exactly(values), points)) if len(values) else None
 

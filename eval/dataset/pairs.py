@@ -80,7 +80,7 @@ def _runs(found: pl.DataFrame, config: str, names: Mapping[str, str]) -> Iterato
     for (log_id,), rows in of_config.group_by("log_id", maintain_order=True):
         parts = tuple(_run(row, names[str(log_id)]) for row in rows.iter_rows(named=True))
         frames = sum(part.frames for part in parts)
-        yield replace(parts[0], frames=frames, parts=parts if len(parts) > 1 else ())
+        yield replace(parts[0], frames=frames, joined=parts if len(parts) > 1 else ())
 
 
 def _run(row: Mapping[str, Any], name: str) -> Run:

@@ -13,11 +13,11 @@ from roadperc_stream.output.tables import arrow_schema
 from roadperc_stream.schemas.columns.runs import RUN_TIME_COLUMNS, RunRow
 from roadperc_stream.system.files import METRICS_SUFFIX, TABLE_SUFFIX
 
-from ..runs import first_line
+from ..runs import first_line, reading
 
 RUNS: Final = f"runs{TABLE_SUFFIX}"
 FILE: Final = "table file"
-"""Column of the file that a row stands in."""
+"""Column with the file of a row."""
 DATE: Final = "date"
 _PARTITION: Final = f"{DATE}="
 _HIDDEN: Final = "."
@@ -63,7 +63,7 @@ def dataset_at(argument: str) -> Dataset | None:
 
 
 def metrics_files(dataset: Dataset) -> list[str]:
-    """The files of the metrics tables, a pattern where the place is an address; none where there are none."""
+    """The files of the metrics tables, or a pattern if the dataset is at an address."""
     return dataset.tables("metrics", f"{_PARTITION}*", f"*{TABLE_SUFFIX}")
 
 
@@ -102,11 +102,8 @@ def date_of(file: pl.Expr) -> pl.Expr:
 
 
 def _schema(name: str) -> pl.Schema:
-    try:
-        lazy = pl.scan_parquet(name, glob=is_address(name), hive_partitioning=False)
-        return lazy.collect_schema()
-    except (pl.exceptions.PolarsError, OSError) as error:
-        raise TableError(f"{name}: is not a table that can be read: {first_line(error)}") from error
+    with reading(name):
+        return pl.scan_parquet(name, glob=is_address(name), hive_partitioning=False).collect_schema()
 
 
 def read_runs(dataset: Dataset) -> pl.DataFrame:
@@ -116,7 +113,7 @@ def read_runs(dataset: Dataset) -> pl.DataFrame:
     Columns that the files lack are null. Empty where there is no list yet.
 
     Raises:
-        TableError: a list cannot be read, or is none.
+        TableError: a file cannot be read, or is not a list of runs.
     """
     parts = [part for name in (RUNS, "runs/*.parquet") if (part := _run_rows(dataset, name)) is not None]
     if not parts:
@@ -127,12 +124,12 @@ def read_runs(dataset: Dataset) -> pl.DataFrame:
 
 
 def without_file(runs: pl.DataFrame) -> pl.DataFrame:
-    """The rows of logs that no file holds any more: another log is under their names since."""
+    """The rows of logs whose files have been replaced by other logs."""
     return runs.filter(pl.col("log_id").is_not_null(), pl.col("names").list.len() == 0)
 
 
 def _run_rows(dataset: Dataset, name: str) -> pl.DataFrame | None:
-    """The rows of a list, or of all that match; None where there is none."""
+    """The rows of the matching lists; None without any."""
     files = dataset.tables(name)
     try:
         found = [_typed(file) for file in files]

@@ -1,6 +1,6 @@
-"""Goes over all tables of a dataset once, in batches of rows, and keeps what is known of each log.
+"""Reads all tables of a dataset once, in batches of rows, and collects totals of each log.
 
-Polars' streaming engine reads the columns in use and no others; a batch is the largest thing in memory.
+Polars' streaming engine reads only the columns in use. A batch is the largest object in memory.
 """
 
 import math
@@ -149,7 +149,7 @@ def ledger(batch: pl.DataFrame) -> pl.DataFrame:
 def logs_of(ledgers: Sequence[pl.DataFrame]) -> pl.DataFrame:
     """A row for each log and configuration, from what all batches hold.
 
-    Its columns are ``LOG``, ``DATE``, the ``FILES`` it stands in, its ``FRAMES``, ``SEGMENTS`` and ``SPAN_NS``, the
+    Its columns are ``LOG``, ``DATE``, the ``FILES`` with its rows, its ``FRAMES``, ``SEGMENTS`` and ``SPAN_NS``, the
     longest ``GAP_NS``, and of the quantities that logs are ranked by and covered columns how many frames have one
     (``valued``) and their sum (``summed``).
 

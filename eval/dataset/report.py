@@ -36,9 +36,9 @@ _WORST_COLUMNS: Final = 59
 
 
 def _fared(runs: pl.DataFrame) -> Iterator[str]:
-    """How many runs fared how, those that were done first; a line on each log without a table, the first of many.
+    """Numbers of runs by status, then a line for each of the first failed logs.
 
-    Which configurations it failed under is said where it is not all of them.
+    A line names the configurations unless the log failed under all of them.
     """
     if not runs.height:
         yield "runs: no runs.parquet says how they fared"
@@ -82,7 +82,7 @@ def groups_table(summaries: Sequence[Summary], found: GroupedFrames, notes: tupl
 
 
 def log_time(span_s: float) -> str:
-    """How long logs are together, in the unit that suits."""
+    """A total time in hours or seconds."""
     return f"{span_s / _HOUR_S:.2f} h" if span_s >= _HOUR_S else f"{span_s:.2f} s"
 
 
@@ -144,7 +144,7 @@ def where_the_logs_are(log_ids: Iterable[str], names: Mapping[str, str], runs: p
 
 
 def not_listed(runs: pl.DataFrame, logs: pl.DataFrame) -> Iterator[str]:
-    """What the list of runs and the tables do not agree on."""
+    """Lines on disagreements between the list of runs and the tables."""
     known = runs.filter(pl.col("log_id").is_not_null())
     gone = without_file(runs)
     if gone.height:
@@ -212,7 +212,7 @@ def _print_groups(console: Console, summaries: Sequence[Summary], found: Grouped
         print_lines(console, inputs(called[0]))
     if any(summary.rank_error for summary in called):
         print_lines(console, precision(max(called, key=lambda summary: summary.rank_error)))
-    print_parts(console, *sections(called, consistency=False))
+    print_parts(console, *sections(called))
     if len(called) > LISTED:
         print_lines(console, f"by group: at most {LISTED} of {len(called)} each time, those with the worst p95")
 

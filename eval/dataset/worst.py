@@ -1,4 +1,4 @@
-"""The worst logs of a dataset, and the frames to look at in them: read again, each from the files it stands in."""
+"""The worst logs of a dataset, and their worst frames, which are read again from the log's files."""
 
 import math
 from collections.abc import Mapping
@@ -24,10 +24,9 @@ _AT_ONCE: Final = 2
 
 
 def worst_logs(logs: pl.DataFrame, number: int) -> tuple[dict[Quantity, list[Row]], dict[str, list[Row]]]:
-    """The worst logs, so many of each, with as many frames to look at.
+    """The worst logs by each quantity, with their worst frames.
 
-    Errors against truth rank them, else signs of trouble that need none. A log in which no frame could be better is
-    none of the worst.
+    Errors against truth rank them, or suspect quantities without truth. Logs with only perfect frames are left out.
 
     Args:
         logs: as ``logs_of`` gives them.
@@ -70,11 +69,11 @@ def _ranked_by(logs: pl.DataFrame) -> list[Quantity]:
 def _mean_badness(quantity: Quantity) -> pl.Expr:
     """How bad a log is, the larger the worse: the mean over the frames with a value; null without any."""
     mean = pl.col(summed(quantity.column)) / pl.col(valued(quantity.column))
-    return pl.when(pl.col(valued(quantity.column)) > 0).then(-mean if quantity.worse == "low" else mean)
+    return pl.when(pl.col(valued(quantity.column)) > 0).then(-mean if quantity.better == "high" else mean)
 
 
 def _worst(logs: pl.DataFrame, quantity: Quantity, number: int) -> pl.DataFrame:
-    best = (-1.0 if quantity.unit == RATIO else -math.inf) if quantity.worse == "low" else 0.0
+    best = (-1.0 if quantity.unit == RATIO else -math.inf) if quantity.better == "high" else 0.0
     values = pl.col(valued(quantity.column))
     means = (pl.col(summed(quantity.column)) / values).alias("mean"), (values / pl.col(FRAMES)).alias("share")
     ranked = logs.select(*LOG, *means, _mean_badness(quantity).alias("bad")).filter(pl.col("bad") > best)

@@ -1,4 +1,4 @@
-"""Charts without a time axis: how the errors are distributed, and where the cars went, from above."""
+"""Charts without a time axis: histograms of the errors, and the trajectories from above."""
 
 from collections.abc import Iterator, Sequence
 from typing import Final
@@ -16,9 +16,9 @@ from .figures import BUCKETS, TRUTH_COLOUR, Figure, Series, Trace, axis, colour_
 
 MOST_BINS, LEAST_BINS = 40, 8
 ERROR_COLUMNS: Final = tuple(quantity.column for quantity in TRUTH)
-"""What these charts need of a table, where it has them."""
+"""Columns of the histograms."""
 POSE_COLUMNS: Final = (*ESTIMATED_COLUMNS, *TRUE_COLUMNS)
-"""What this chart needs of a table, where it has them."""
+"""Columns of the trajectory."""
 
 
 def histograms(runs: Sequence[Series]) -> Iterator[Figure]:
@@ -72,11 +72,10 @@ def trajectory(runs: Sequence[Series]) -> Figure | None:
 
 
 def paths(run: Series) -> dict[str, Float]:
-    """(N, 3) metres of odometry's path (``odom``) and the true one (``true``), those there are, NaN where unknown.
+    """(N, 3) metres of odometry's path (``odom``) and the true path (``true``), if present, NaN if unknown.
 
-    Whichever frame the poses are given in, the pose of the first frame that has all of them becomes the origin, x
-    ahead: odometry's path and the truth are compared from the same start. Each segment of the log has its own start,
-    for its odometry begins anew.
+    The pose of the first frame with all poses becomes the origin, with x ahead, so that both paths have the same start.
+    Each segment has a separate start, because its odometry restarts.
     """
     poses = {  # (N, 7) x, y, z and quaternion
         which: np.stack([run.values[name] for name in columns], axis=-1)

@@ -1,4 +1,4 @@
-"""The worst frames of each metric: which they are, and a picture of each with what the chain saw drawn into it."""
+"""The worst frames of each metric, with a picture of each that shows the chain's results."""
 
 import base64
 import math
@@ -31,15 +31,12 @@ JPEG_QUALITY: Final = 75
 Key = tuple[str, int]
 """A run's name and a frame's number."""
 Ranking = tuple[str, str, list[tuple[str, WorstFrame, str]]]
-"""A metric, whose worst frames they are where there are several configurations, and anchor, frame and value of each."""
+"""A metric, the name of the configuration if there are several, and anchor, frame and value of each frame."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """One of the worst frames: ``image`` is a data URI, empty where there is none.
-
-    ``places`` say why it is here: metric, value and rank.
-    """
+    """One of the worst frames: ``image`` is a data URI or empty, ``places`` are its metrics, values and ranks."""
 
     anchor: str
     frame: WorstFrame
@@ -49,7 +46,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Gallery:
-    """The rankings, each frame's picture once, in the order of runs and frames, and why pictures are missing."""
+    """The rankings, one picture per frame in the order of runs and frames, and notes on missing pictures."""
 
     rankings: list[Ranking]
     pictures: list[Picture]
@@ -99,7 +96,7 @@ def data_uri(image_bgr: Image) -> str:
 
 
 def _images(frames: Sequence[WorstFrame], runs: Sequence[Run]) -> tuple[dict[Key, str], list[str]]:
-    """Pictures of the frames whose log is there, and a line on each log that has to go without."""
+    """Pictures of the frames whose logs exist, and a line for each log without pictures."""
     images: dict[Key, str] = {}
     notes: list[str] = []
     for run in runs:
@@ -113,9 +110,9 @@ def _images(frames: Sequence[WorstFrame], runs: Sequence[Run]) -> tuple[dict[Key
 
 
 def log_of(table: Run) -> Path | None:
-    """The log with results that a table names, or the one next to it where that is gone; None where it names none.
+    """The log with results that a table names, or the log beside the table if that file is gone; None without a name.
 
-    A run's files are often moved together, from the machine that replayed to the one that reports.
+    A run's files are often moved together to another machine.
     """
     named = Path(table.log) if table.log else None
     moved = (named is None or not named.is_file()) and table.beside(".mcap").is_file()
@@ -123,7 +120,7 @@ def log_of(table: Run) -> Path | None:
 
 
 def _of_log(frames: Sequence[WorstFrame], table: Run) -> tuple[dict[Key, str], str]:
-    """Pictures of frames of a table, and what there is to say of those that have none."""
+    """Pictures of a table's frames, and a note on frames without a picture."""
     log = log_of(table)
     if log is None or not log.is_file():
         name = log.name if log else "its log"
@@ -149,7 +146,7 @@ def _of_log(frames: Sequence[WorstFrame], table: Run) -> tuple[dict[Key, str], s
 def _seen(
     log: LogSummary, frames: Sequence[WorstFrame], problems: Problems
 ) -> Iterator[tuple[WorstFrame, PerceivedFrame]]:
-    """The frames of which the log has a camera image, each with what the log has of it."""
+    """The frames with a camera image in the log, each with its results."""
     if any(frame.segment for frame in frames):  # stamps come again there, so the log is read from the beginning
         wanted = {frame.frame: frame for frame in frames}
         for row, seen in read_frames(log, problems):

@@ -21,17 +21,17 @@ from ..runs import reading
 from .settings import Combination
 
 COVERAGE_SLACK: Final = 0.01
-"""A setting that measures in fewer frames than the most, by more than this share of all, cannot be the best."""
+"""Largest loss of coverage, against the highest, at which a setting can still be the best."""
 TIME_NOISE: Final = 0.15
-"""Times differ so much from one sweep to the next where the machine has other work."""
+"""Ratio by which times differ between sweeps on a busy machine."""
 _TABLE: Final = "table"
 
 
 @dataclass(frozen=True)
 class SweepMetric:
-    """What settings are judged by: ``value`` is a frame's, ``score`` makes one number of those a setting has.
+    """A metric of settings: ``value`` of a frame, and the ``score`` over all values of a setting.
 
-    ``noise`` is the share of a score by which it differs from one time to the next.
+    ``noise`` is the ratio by which a score varies from run to run.
     """
 
     quantity: Quantity
@@ -41,10 +41,10 @@ class SweepMetric:
 
     def badness(self, score: float) -> float:
         """Rises with how bad a score is."""
-        return score if self.quantity.worse == "high" else -score
+        return -score if self.quantity.better == "high" else score
 
     def alike(self, scores: Iterable[float]) -> bool:
-        """Whether scores agree in the digits that are shown, or within the noise: they are equally good then."""
+        """Whether scores are equal in the printed digits or within the noise."""
         ordered = sorted(scores)
         low, high = ordered[0], ordered[-1]
         decimals = self.quantity.decimals
@@ -79,7 +79,7 @@ def _jitter(side: str) -> SweepMetric:
 
 def _share(column: str, name: str) -> SweepMetric:
     """Share of frames that have a value."""
-    quantity = Quantity(column, name, RATIO, 3, worse="low")
+    quantity = Quantity(column, name, RATIO, 3, better="high")
     return SweepMetric(quantity, _finite(column).is_not_null().cast(pl.Float64), pl.col("value").mean())
 
 
@@ -117,9 +117,9 @@ def scores(tables: Sequence[Path], made: Sequence[Combination], metric: SweepMet
 def best(
     metric: SweepMetric, found: Sequence[SettingScore], made: Sequence[Combination], reference: Combination
 ) -> tuple[int, int | None] | None:
-    """The place of the best of the settings that see most; of equals the nearest to the reference, else the first.
+    """Index of the best setting among those of highest coverage; of equals, the nearest to the reference.
 
-    Also that of the best of those that see less, where it would have won. None where no setting has a value.
+    Also the index of a better setting of lower coverage, or None. None if no setting has a value.
     """
 
     def least_bad(values: Mapping[int, float]) -> int:
@@ -154,9 +154,9 @@ def effect(found: Sequence[SettingScore], made: Sequence[Combination], key: str)
 
 
 def without_influence(folder: Path, tables: Sequence[Path], made: Sequence[Combination]) -> Iterator[str]:
-    """The settings whose values leave every column of every table the same, times excepted, whatever the others are.
+    """The settings that change no column of any table, except times, for all values of the other settings.
 
-    ``tables`` are those of all combinations, each in its combination's folder or, where logs share a name, deeper.
+    ``tables`` are those of all combinations, in or below the folder of their combination.
     """
     results: dict[str, list[bytes]] = {}
     for path in tables:

@@ -34,12 +34,12 @@ class Segments:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The figures of one run, and over how much of it they are.
+    """Trajectory errors of one run.
 
-    Each segment of the log is aligned and measured by itself; ``left_out`` says of which there are no figures, and why.
-    ``driven_m`` is the length of the true paths; ``scales`` what the estimate of each segment was multiplied by.
-    ``relative_m`` and ``relative_deg`` are None where no pair lies ``delta`` apart. ``stretches`` are by length,
-    ``together`` over all.
+    Each segment of the log is aligned separately; ``left_out`` names those without figures.
+    ``driven_m`` is the length of the true paths, ``scales`` the factor applied to the estimate of each segment.
+    ``relative_m`` and ``relative_deg`` are None if no pair of poses is ``delta`` apart. ``stretches`` has KITTI errors
+    by length, ``together`` over all lengths.
     """
 
     run: RunPoses

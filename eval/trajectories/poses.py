@@ -65,7 +65,7 @@ class RunPoses:
 
     @property
     def up_to_scale(self) -> bool:
-        """Whether most steps have no scale, so that the path's lengths are in a unit of its own."""
+        """Whether most steps have no scale, so that the path's unit of length is unknown."""
         return 2 * self.without_scale > self.steps
 
     @property
@@ -92,7 +92,7 @@ def read_poses(run: Run) -> RunPoses:
     kinds |= dict.fromkeys(("step_m", "turn_deg", *ESTIMATED_COLUMNS, *TRUE_COLUMNS), pl.Float64())
     columns = [segment(run.columns), *(typed(run.columns, name, kind) for name, kind in kinds.items())]
     table = collect(rows_of(run).select(columns), run.source_name)
-    if run.next_part and not run.frames:
+    if run.next_run and not run.frames:
         raise TableError(run.why_empty)
     lost = (table["odometry_status"] == "lost").fill_null(value=False).to_numpy()
     estimated, true = (table.select(names).to_numpy() for names in (ESTIMATED_COLUMNS, TRUE_COLUMNS))

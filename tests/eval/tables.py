@@ -3,6 +3,8 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import pytest
+
 from roadperc_stream.eval.runs import Run, find_runs
 from roadperc_stream.output.tables import TableWriter
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
@@ -39,6 +41,14 @@ def run_of(path: Path) -> Run:
     """The run of one table."""
     (run,) = find_runs([str(path)])
     return run
+
+
+def usage_error(main: Callable[[list[str]], int], capsys, *arguments) -> str:
+    """The stderr of a command that ends with exit code 2."""
+    with pytest.raises(SystemExit) as end:
+        main([str(argument) for argument in arguments])
+    assert end.value.code == 2
+    return capsys.readouterr().err
 
 
 def outcome(main: Callable[[list[str]], int], capsys, *arguments) -> tuple[int, str, str]:

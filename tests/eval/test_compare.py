@@ -253,7 +253,7 @@ def test_folders_without_anything_in_common(tmp_path, capsys):
 
 def test_a_misspelt_name_is_an_error(reference, capsys):
     code, _, error = compare(capsys, reference, reference, "--ignore", "lame_*")
-    assert (code, error) == (1, "error: lame_*: matches no field and no metric of these runs\n")
+    assert (code, error) == (1, "error: lame_*: matches no field and no metric of these runs; check the spelling\n")
 
 
 def test_a_new_reference_is_made_and_then_kept_up_to_date(tmp_path, capsys):

@@ -23,38 +23,28 @@ def run(name="a", toml="", version="1", made_by=None):
     return Run(name, Path(f"/nowhere/{name}.metrics.parquet"), 1, frozenset(), made_by, version, toml)
 
 
-def table_without_settings(path, toml=SLOW):
-    write(path, [row(0)], config=digest(toml))
-    (found,) = find_runs([str(path)])
-    assert found.config == ""
-    return found
+def log_of(folder, toml):
+    with LogWriter(folder / "a.mcap") as writer:
+        writer.attach(Attachment("roadperc.toml", "application/toml", toml.encode()))
 
 
-def test_settings_of_an_older_table_are_those_of_the_log_next_to_it(tmp_path):
-    found = table_without_settings(tmp_path / "a.metrics.parquet")
-    assert settings_of(found) is None
-    with LogWriter(tmp_path / "a.mcap") as writer:
-        writer.attach(Attachment("roadperc.toml", "application/toml", SLOW.encode()))
-    assert settings_of(found)["lanes.hold_s"] == 2.0
-
-
-def test_settings_of_an_older_sweep_stand_in_its_folder(tmp_path):
-    found = table_without_settings(tmp_path / "a.metrics.parquet")
-    (tmp_path / "roadperc.toml").write_text(SLOW)
-    assert settings_of(found)["lanes.hold_s"] == 2.0
-
-
-def test_a_log_that_was_replayed_again_does_not_say_a_tables_settings(tmp_path):
-    found = table_without_settings(tmp_path / "a.metrics.parquet")
-    with LogWriter(tmp_path / "a.mcap") as writer:
-        writer.attach(Attachment("roadperc.toml", "application/toml", ReplayConfig().to_toml().encode()))
-    assert settings_of(found) is None
-
-
-def test_a_damaged_log_next_to_a_table_does_not_end_the_report(tmp_path):
-    found = table_without_settings(tmp_path / "a.metrics.parquet")
-    (tmp_path / "a.mcap").write_bytes(b"not an mcap")
-    assert settings_of(found) is None
+@pytest.mark.parametrize(
+    ("put_beside", "hold_s"),
+    [
+        (lambda _folder: None, None),
+        (lambda folder: log_of(folder, SLOW), 2.0),
+        (lambda folder: (folder / "roadperc.toml").write_text(SLOW), 2.0),
+        (lambda folder: log_of(folder, ReplayConfig().to_toml()), None),
+        (lambda folder: (folder / "a.mcap").write_bytes(b"not an mcap"), None),
+    ],
+    ids=["nothing", "its log", "its sweep's file", "a log of another configuration", "a damaged log"],
+)
+def test_settings_of_an_older_table_come_from_the_file_beside_it(tmp_path, put_beside, hold_s):
+    write(tmp_path / "a.metrics.parquet", [row(0)], config=digest(SLOW))
+    (found,) = find_runs([str(tmp_path / "a.metrics.parquet")])
+    put_beside(tmp_path)
+    settings = settings_of(found)
+    assert (settings and settings["lanes.hold_s"]) == hold_s
 
 
 def test_what_is_not_toml_says_nothing():
@@ -93,13 +83,15 @@ def test_one_configuration_has_no_table_and_two_versions_of_it_a_note():
     assert settings_table({"a": one, "b": other}).notes == ("none: the versions differ",)
 
 
+UNKNOWN_CONFIGURATION = "unknown, for neither a table nor a log next to it says its configuration"
+
+
 @pytest.mark.parametrize(
     ("candidate", "expected"),
     [
         (run("b", "seed = 1"), ()),
         (run("b", "seed = 2"), ("", "seed 1 → 2")),
-        (run("b", made_by="0" * 64), ("unknown, for neither a table nor a log next to it says its configuration",)),
-        (run("b", made_by=""), ("unknown, for neither a table nor a log next to it says its configuration",)),
+        *((run("b", made_by=digest), (UNKNOWN_CONFIGURATION,)) for digest in ("0" * 64, "")),
     ],
 )
 def test_the_change_from_one_run_to_another(candidate, expected):

@@ -58,7 +58,7 @@ def test_parts_are_one_run_with_the_figures_of_the_whole(tmp_path, whole):
     found = find_drives(parts(tmp_path))
     (run,), (expected,) = found.runs, find_drives([whole]).runs
     assert (run.name, run.frames, numbers_of(run)) == ("out_0+2", FRAMES, list(range(FRAMES)))
-    assert found.notes == ("out_0+2: one drive in 3 parts: out_0, out_1, out_2",)
+    assert found.notes == ("out_0+2: 3 continued replays as one run: out_0, out_1, out_2",)
     ours, theirs = summarise_run(run, 3), summarise_run(expected, 3)
     assert ours.log_ids == LOGS[:3]
     worst = {column: tuple(replace(f, run="whole") for f in ranking) for column, ranking in ours.worst.items()}
@@ -78,7 +78,7 @@ def test_the_commands_print_what_they_print_of_the_whole(tmp_path, whole, capsys
     assert command(parts(tmp_path)) == 0
     printed = capsys.readouterr().out
     note, text = printed.split("\n", 1)
-    assert note == "out_0+2: one drive in 3 parts: out_0, out_1, out_2"
+    assert note == "out_0+2: 3 continued replays as one run: out_0, out_1, out_2"
     text = re.sub(r"log a{16}, b{16}, c{16},", f"log {'e' * 16},", " ".join(text.split())).replace("out_0+2", "whole")
     assert text == " ".join(expected.split())
 
@@ -94,37 +94,18 @@ def test_a_part_all_of_whose_frames_are_given_again_is_named_so(tmp_path, capsys
     for command in (report_main, trajectory_main):
         assert command(tables) == 0
         assert capsys.readouterr().out.startswith(
-            "out_0+2: one drive in 3 parts: out_0 (all its 4 frames are given again by out_1), out_1, out_2\n"
+            "out_0+2: 3 continued replays as one run: out_0 (out_1 has all its 4 frames again), out_1, out_2\n"
         )
 
 
-def test_a_part_in_the_middle_that_is_missing_is_stated_and_nothing_counts_twice(tmp_path):
-    """out_2 gives again what out_0 gave from frame 5 on, though out_1 lay between them."""
-    first, _, last = parts(tmp_path, ((0, 8), (2, 10), (5, 20)))
-    found = find_drives([first, last])
-    (run,) = found.runs
-    assert (run.frames, numbers_of(run)) == (FRAMES, list(range(FRAMES)))
-    assert found.notes == (
-        "out_0+1: one drive in 2 parts: out_0, out_2",
-        f"out_2: goes on from a part that is not among these tables (log {LOGS[1]}); "
-        "frames that out_0 has too, from 5 on, count once",
-    )
-
-
-def test_parts_that_share_no_frame_stay_apart_and_that_is_stated(tmp_path):
+def test_a_part_whose_predecessor_is_missing_stays_apart_and_that_is_stated(tmp_path):
     first, _, last = parts(tmp_path)
     found = find_drives([first, last])
     assert [(run.name, run.frames) for run in found.runs] == [("out_0", 8), ("out_2", 10)]
     assert found.notes == (
-        f"out_2: goes on from a part that is not among these tables (log {LOGS[1]}): "
-        "evaluated by itself, from frame 10 on",
+        f"out_2: continues a replay that is not among these tables (log {LOGS[1]}); "
+        "evaluated separately, from frame 10 on",
     )
-
-
-def test_the_whole_is_no_earlier_part_of_its_own_end(tmp_path, whole):
-    """Both end with the same frame: a part that ends within a later one ends before it does."""
-    found = find_drives([whole, parts(tmp_path)[2]])
-    assert [run.frames for run in found.runs] == [FRAMES, 10]
 
 
 def test_parts_of_other_columns_stay_apart_and_that_is_stated(tmp_path):
@@ -133,7 +114,7 @@ def test_parts_of_other_columns_stay_apart_and_that_is_stated(tmp_path):
         tables[1], metadata=pl.read_parquet_metadata(tables[1])
     )
     found = find_drives(tables)
-    assert found.notes == ("out_1: goes on from out_0, whose table has other columns: evaluated by itself",)
+    assert found.notes == ("out_1: continues out_0, whose table has other columns; evaluated separately",)
     assert report_main(tables) == 0
 
 
@@ -146,19 +127,12 @@ def test_results_of_two_folders_are_two_drives(tmp_path):
 
 def test_two_that_go_on_from_one_part_stay_by_themselves(tmp_path):
     tables = parts(tmp_path, PARTS[:2])
-    again = str(
-        write(
-            tmp_path / "again.metrics.parquet",
-            frames(LOGS[1])[5:13],
-            log_id=LOGS[1],
-            continues=LOGS[0],
-            first_frame="5",
-        )
-    )
-    found = find_drives([*tables, again])
+    facts = {"log_id": LOGS[1], "continues": LOGS[0], "first_frame": "5"}
+    again = write(tmp_path / "again.metrics.parquet", frames(LOGS[1])[5:13], **facts)
+    found = find_drives([*tables, str(again)])
     assert [(run.name, run.frames) for run in found.runs] == [("out_0", 5), ("out_1", 8), ("again", 8)]
     assert found.notes == tuple(
-        f"{name}: out_1, again go on from out_0 alike: evaluated by itself" for name in ("out_1", "again")
+        f"{name}: out_1, again all continue out_0; evaluated separately" for name in ("out_1", "again")
     )
 
 
@@ -166,7 +140,7 @@ def test_parts_of_two_versions_stay_by_themselves(tmp_path):
     tables = parts(tmp_path / "old", PARTS[:1]) + parts(tmp_path / "new", PARTS[:2], version="2.0.0")[1:]
     found = find_drives(tables)
     assert [(run.name, run.frames) for run in found.runs] == [("out_0", 5), ("out_1", 8)]
-    assert found.notes == ("out_1: goes on from out_0, which another version made: evaluated by itself",)
+    assert found.notes == ("out_1: continues out_0, which is of another version; evaluated separately",)
 
 
 def test_parts_in_a_circle_are_no_drive(tmp_path):
@@ -180,10 +154,9 @@ def test_parts_in_a_circle_are_no_drive(tmp_path):
 def test_only_parts_whose_frames_are_given_again_elsewhere_have_nothing_to_report(tmp_path, capsys):
     first = parts(tmp_path / "old", ((0, 4),))
     later = parts(tmp_path / "new", ((0, 4), (0, 4)), version="2.0.0")[1]
-    assert report_main([*first, later]) == 0
-    assert "out_0.metrics.parquet: all its 4 frames are given again by out_1\n" in capsys.readouterr().out
-    assert trajectory_main([*first, later]) == 0
-    assert "out_0.metrics.parquet: all its 4 frames are given again by out_1\n" in capsys.readouterr().out
+    for command in (report_main, trajectory_main):
+        assert command([*first, later]) == 0
+        assert "out_0.metrics.parquet: out_1 has all its 4 frames again\n" in capsys.readouterr().out
 
 
 def test_a_reference_of_parts_is_made_and_updated(tmp_path, capsys):

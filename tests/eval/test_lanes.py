@@ -250,20 +250,19 @@ def test_an_empty_truth_and_one_that_would_be_replaced_are_refused(drive, tmp_pa
     assert lanes(capsys, drive, "--truth", tmp_path / "none.json")[0] == 1
 
 
-def test_logs_without_lanes_or_camera_are_refused(tmp_path, capsys):
-    target = tmp_path / "out.json"
-    code, _, error = lanes(capsys, run_log(tmp_path / "in.mcap", []), "--tusimple", target)
-    assert (code, "no /perception/lanes" in error) == (1, True)
-    bare = write_log(tmp_path / "bare.mcap", [seen(START_NS, upright(LEFT_PX))])
-    code, _, error = lanes(capsys, bare, "--tusimple", target)
-    assert (code, "no calibration of 'camera'" in error) == (1, True)
-
-
-def test_no_log_is_replaced_by_lanes(tmp_path, capsys):
-    log = run_log(tmp_path / "a.mcap", [seen(STAMPS_NS[0], upright(LEFT_PX))])
+@pytest.mark.parametrize(
+    ("make", "items", "target", "said"),
+    [
+        (run_log, [], "out.json", "no /perception/lanes"),
+        (write_log, [seen(START_NS, upright(LEFT_PX))], "out.json", "no calibration of 'camera'"),
+        (run_log, [seen(START_NS, upright(LEFT_PX))], "a.mcap", "a.mcap: expected a name that ends in .json or .jsonl"),
+    ],
+)
+def test_logs_without_lanes_or_camera_and_logs_as_target_are_refused(tmp_path, capsys, make, items, target, said):
+    log = make(tmp_path / "a.mcap", items)
     before = log.read_bytes()
-    code, _, error = lanes(capsys, log, "--tusimple", log)
-    assert (code, "a.mcap: expected a name that ends in .json or .jsonl" in error) == (1, True)
+    code, _, error = lanes(capsys, log, "--tusimple", tmp_path / target)
+    assert (code, said in error) == (1, True)
     assert log.read_bytes() == before
 
 

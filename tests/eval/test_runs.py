@@ -45,13 +45,13 @@ def test_missing_path(tmp_path, argument):
 
 def test_log_without_table(tmp_path):
     (tmp_path / "in.mcap").touch()
-    with pytest.raises(TableError, match=r"in\.mcap: no in\.metrics\.parquet next to it"):
+    with pytest.raises(TableError, match=r"in\.mcap: no in\.metrics\.parquet beside it"):
         find_runs([str(tmp_path / "in.mcap")])
 
 
 def test_the_tables_of_a_dataset_are_no_runs(tmp_path):
     (tmp_path / "metrics" / "date=2026-01-01").mkdir(parents=True)
-    with pytest.raises(TableError, match=f"tables of a dataset of roadperc-batch; name its folder, {tmp_path}"):
+    with pytest.raises(TableError, match=f"is part of a batch.s dataset; pass the dataset.s folder, {tmp_path}"):
         find_runs([str(tmp_path / "metrics")])
 
 
@@ -76,7 +76,7 @@ def test_parquet_that_is_no_metrics_table(tmp_path):
 def test_file_that_is_no_parquet_or_cut_short(tmp_path, content):
     path = write(tmp_path / "cut.metrics.parquet", [row(index) for index in range(50)])
     path.write_bytes(path.read_bytes()[:-100] if content is None else content)
-    with pytest.raises(TableError, match=r"cut\.metrics\.parquet: is not a Parquet file, or was cut short"):
+    with pytest.raises(TableError, match=r"cut\.metrics\.parquet: is not a Parquet file, or is truncated"):
         find_runs([str(path)])
 
 

@@ -8,14 +8,19 @@ import pytest
 
 from roadperc_stream.errors import TableError
 from roadperc_stream.eval import summary as module
+from roadperc_stream.eval.configurations import Group
 from roadperc_stream.eval.quantities import NUMBERS
 from roadperc_stream.eval.runs import find_runs
-from roadperc_stream.eval.summary import summarise_all, summarise_run
+from roadperc_stream.eval.summary import summarise_group, summarise_run
 from tests.eval.tables import START_NS, STEP_NS, row, run_of, write
 
 
 def summary_of(tmp_path, rows, times=(), worst=3):
     return summarise_run(run_of(write(tmp_path / "drive.metrics.parquet", rows, times)), worst)
+
+
+def over_all(runs):
+    return summarise_group(Group("all", runs), 1)[1]
 
 
 def test_extent(tmp_path):
@@ -24,12 +29,6 @@ def test_extent(tmp_path):
     assert (found.frames, found.span_s, found.longest_gap_s) == (4, pytest.approx(0.3), pytest.approx(0.2))
     assert found.rate_hz == pytest.approx(10.0)
     assert found.log_ids == ("a" * 16,)
-
-
-def test_column_without_values_has_no_statistics(tmp_path):
-    found = summary_of(tmp_path, [row(0), row(1)])
-    assert "stereo_epe_px" not in found.statistics
-    assert found.coverage("stereo_epe_px") == 0.0
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
@@ -108,15 +107,14 @@ def test_over_all_lists_each_run_as_it_is_alone(tmp_path):
     write(tmp_path / "long.metrics.parquet", long)
     write(tmp_path / "short.metrics.parquet", short)
     runs = find_runs([str(tmp_path)])
-    assert summarise_all(runs, 2)[0] == [summarise_run(run, 2) for run in runs]
+    assert summarise_group(Group("all", runs), 2)[0] == [summarise_run(run, 2) for run in runs]
 
 
 def test_second_differences_do_not_cross_from_log_to_log(tmp_path):
     for name, offset in (("a", 0.0), ("b", 5.0)):
         rows = [row(k, lane_left_offset_m=offset, lane_left_raw_offset_m=offset) for k in range(3)]
         write(tmp_path / f"{name}.metrics.parquet", rows)
-    runs = find_runs([str(tmp_path)])
-    _, together = summarise_all(runs, 1)
+    together = over_all(find_runs([str(tmp_path)]))
     assert together.statistics["lane_left_second_difference_m"].values == 2
     assert together.statistics["lane_left_second_difference_m"].abs_most == 0.0
 
@@ -136,7 +134,7 @@ def fifty_tables(tmp_path):
 
 def test_over_few_frames_all_figures_are_those_of_the_tables_joined(tmp_path):
     runs, joined = fifty_tables(tmp_path)
-    _, together = summarise_all(runs, 1)
+    together = over_all(runs)
     found = together.statistics["lane_left_error_m"]
     assert together.rank_error == 0
     assert found.values == len(joined)
@@ -151,10 +149,10 @@ def test_over_few_frames_all_figures_are_those_of_the_tables_joined(tmp_path):
 def test_over_many_frames_quantiles_keep_the_rank_error_they_state(tmp_path, monkeypatch):
     """Sixteen values a table instead of all, which is what ten million frames come to; the rest stays exact."""
     runs, joined = fifty_tables(tmp_path)
-    _, exact = summarise_all(runs, 1)
+    exact = over_all(runs)
     monkeypatch.setattr(module, "EXACT_FRAMES", 100)
     monkeypatch.setattr(module, "POINTS", 16)
-    _, together = summarise_all(runs, 1)
+    together = over_all(runs)
     found = together.statistics["lane_left_error_m"]
     assert 0 < found.rank_error < 0.2
     for share, value in ((0.05, found.p5), (0.5, found.median), (0.95, found.p95), (0.99, found.p99)):

@@ -46,9 +46,7 @@ def test_it_is_reported_as_in_a_folder(dataset, store):
     assert there.stdout.replace("s3://drives/all", str(dataset)) == here.stdout
     nothing = of_dataset("roadperc-report", "s3://drives/none", store)
     assert nothing.returncode == 1
-    assert nothing.stderr.startswith(
-        "error: s3://drives/none/metrics/date=*/*.parquet: is not a table that can be read"
-    )
+    assert nothing.stderr.startswith("error: s3://drives/none/metrics/date=*/*.parquet: its data cannot be read")
     assert len(nothing.stderr.splitlines()) == 1
 
 

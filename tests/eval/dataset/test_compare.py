@@ -6,7 +6,7 @@ import pytest
 
 from roadperc_stream.cli.compare import main
 from tests.eval.dataset.datasets import A, B, add_table, compact, done, frames, small_dataset, write_runs
-from tests.eval.tables import outcome
+from tests.eval.tables import outcome, usage_error
 
 compare = partial(outcome, main)
 
@@ -72,10 +72,7 @@ def test_no_tables(tmp_path, capsys):
     ],
 )
 def test_wrong_usage(dataset, capsys, arguments, said):
-    with pytest.raises(SystemExit) as ended:
-        main([str(dataset) if word == "DATASET" else word for word in arguments])
-    assert ended.value.code == 2
-    assert said in capsys.readouterr().err
+    assert said in usage_error(main, capsys, *(dataset if word == "DATASET" else word for word in arguments))
 
 
 def test_a_table_that_is_cut_off_is_named(dataset, capsys):

@@ -75,34 +75,27 @@ def test_tables_that_cannot_be_read_are_named(tmp_path):
         scores(files, GATES, ERROR)
 
 
-def ranked(metric, *found, reference=0):
-    return best(metric, [SettingScore(*score) for score in found], GATES, GATES[reference])
-
-
-def test_of_equals_the_reference_is_best_else_the_first():
-    assert ranked(ERROR, (0.1, 1.0), (0.1, 1.0), (0.1004, 1.0), reference=2) == (2, None)
-    assert ranked(ERROR, (0.1, 1.0), (0.1, 1.0), (0.2, 1.0), reference=2) == (0, None)
-
-
 def test_of_equals_the_one_that_changes_least_is_best():
     some = made("lanes.gate=1,2", "lanes.hold_s=1,2")
     found = [SettingScore(0.2, 1.0), SettingScore(0.1, 1.0), SettingScore(0.2, 1.0), SettingScore(0.1, 1.0)]
     assert best(ERROR, found, some, some[2]) == (3, None)
 
 
-def test_a_setting_that_less_covered_is_named_but_not_best():
-    assert ranked(ERROR, (0.3, 1.0), (0.1, 0.5), (0.2, 0.995)) == (2, 1)
-    assert ranked(ERROR, (0.3, 0.5), (0.1, 0.5), (0.2, None or 0.0)) == (1, None)
-    assert ranked(ERROR, (0.1, 0.9), (0.3, 1.0), (None, 0.0)) == (1, 0)
-
-
-def test_times_within_their_noise_are_equal():
-    assert ranked(TIME, (30.0, 1.0), (28.0, 1.0), (29.0, 1.0)) == (0, None)
-    assert ranked(TIME, (30.0, 1.0), (20.0, 1.0), (29.0, 1.0)) == (1, None)
-
-
-def test_without_any_value_there_is_no_best():
-    assert ranked(ERROR, (None, 0.0), (None, 0.0), (None, 0.0)) is None
+@pytest.mark.parametrize(
+    ("metric", "found", "expected"),
+    [
+        (ERROR, [(0.2, 1.0), (0.1, 1.0), (0.1004, 1.0)], (2, None)),  # equal scores: the reference, the last one
+        (ERROR, [(0.1, 1.0), (0.1, 1.0), (0.2, 1.0)], (0, None)),  # else the first
+        (ERROR, [(0.3, 1.0), (0.1, 0.5), (0.2, 0.995)], (2, 1)),  # a better score at lower coverage comes second
+        (ERROR, [(0.3, 0.5), (0.1, 0.5), (0.2, 0.0)], (1, None)),
+        (ERROR, [(0.1, 0.9), (0.3, 1.0), (None, 0.0)], (1, 0)),
+        (TIME, [(29.0, 1.0), (28.0, 1.0), (30.0, 1.0)], (2, None)),  # times within their noise are equal
+        (TIME, [(30.0, 1.0), (20.0, 1.0), (29.0, 1.0)], (1, None)),
+        (ERROR, [(None, 0.0)] * 3, None),
+    ],
+)
+def test_the_best_setting(metric, found, expected):
+    assert best(metric, [SettingScore(*score) for score in found], GATES, GATES[2]) == expected
 
 
 @given(

@@ -5,8 +5,9 @@ import re
 import polars as pl
 import pytest
 
+from roadperc_stream.eval.configurations import Group
 from roadperc_stream.eval.runs import find_runs
-from roadperc_stream.eval.summary import summarise_all
+from roadperc_stream.eval.summary import summarise_group
 from roadperc_stream.tools.bench.report import group_by, main, write_dataset
 
 
@@ -14,7 +15,7 @@ def test_both_ways_read_the_same_values(tmp_path):
     write_dataset(tmp_path, 2, 1500)
     bare = group_by(str(tmp_path)).sort("config")
     paths = sorted(tmp_path.glob("metrics/*/*.parquet"), key=lambda path: path.stem[-8:])
-    summaries, together = summarise_all(find_runs([str(path) for path in paths]), 1)
+    summaries, together = summarise_group(Group("all", find_runs([str(path) for path in paths])), 1)
     assert together.frames == 3000
     for summary, means, medians in zip(summaries, bare["step_error_m"], bare["step_error_m_0.5"], strict=True):
         statistic = summary.statistics["step_error_m"]
