@@ -94,7 +94,7 @@ def _write(plan: Plan, out: Path, unreadable: list[str], *, force: bool, quiet: 
         if lost:
             raise DumpError(f"{lost[0]}: no file can be read; {(unreadable or ['none has a frame'])[0]}")
         log.describe(_description(plan))
-        require_free(out, force=force, suffix=".mcap")  # another program may have written it meanwhile
+        require_free(out, force=force, suffix=".mcap")  # another program may have written it since
     return counts.total()
 
 

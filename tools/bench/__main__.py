@@ -1,7 +1,7 @@
 """How fast a replay is: beside the course's method, beside what it cannot avoid, and part by part.
 
 Run it with ``make bench`` or ``python -m roadperc_stream.tools.bench FOLDER``. Its input is rendered into the folder
-once. Every run is a process of its own; all of them take turns, round after round.
+once. Every run is a separate process; all of them take turns, round after round.
 """
 
 import argparse
@@ -86,7 +86,7 @@ def _jobs(folder: Path, logs: dict[str, BenchLog], course_frames: int) -> dict[s
 
 
 def _measured_by(module: str, log: Path, argument: str | int) -> dict[str, float]:
-    """What ``measure`` of a module of this folder gives, in a process of its own, by way of a file."""
+    """Run ``measure`` of a module of this folder in a separate process and return its result."""
     out = log.with_name("measured.json")
     call = f"from {__package__}.{module} import measure; found = measure({str(log)!r}, {argument!r})"
     code = f"import json; {call}; open({str(out)!r}, 'w').write(json.dumps(found))"

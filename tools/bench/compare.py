@@ -152,7 +152,7 @@ def _jobs(folder: Path, logs: list[BenchLog], base: Path, threads: int) -> dict[
 
 
 def compared(series: Series, log: str, share: float, confidence: float) -> list[Compared]:
-    """Every quantity of a log that one of the versions has, the whole first."""
+    """Every quantity that either version has for a log, totals first."""
     names = dict.fromkeys(_WHOLE)
     for version in (BASE, NEW):
         start = f"{version} {log}/{_PART}"

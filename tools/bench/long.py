@@ -55,7 +55,7 @@ def write_long(source: Path, target: Path, frames: int) -> None:
 
 
 def folded(index: int, count: int) -> int:
-    """0, 1, ..., count - 1, count - 2, ..., 1, 0, 1, ...: the frame that stands in a place."""
+    """0, 1, ..., count - 1, count - 2, ..., 1, 0, 1, ...: the frame at a place."""
     at = index % (2 * (count - 1))
     return at if at < count else 2 * (count - 1) - at
 

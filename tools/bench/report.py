@@ -33,7 +33,7 @@ _GROUP_BY: Final = "import sys; from roadperc_stream.tools.bench.report import g
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Write tables where there are none yet, read them both ways, print what that took."""
+    """Write the missing tables, read all of them both ways, print time and memory."""
     parser = argparse.ArgumentParser(prog="python -m roadperc_stream.tools.bench.report", description=__doc__)
     parser.add_argument("folder", metavar="FOLDER", type=Path, help="gets a dataset, and keeps it")
     parser.add_argument("--files", type=whole_number, default=5000, metavar="N", help="tables (5000)")

@@ -19,7 +19,7 @@ FieldOfView = Annotated[float, Field(gt=0.0, lt=180.0)]
 Pixels = Annotated[PositiveInt, Field(le=1_000_000)]
 _HALF_PIXEL = 0.5
 _ROUNDING_PX = 1e-9
-"""What a decomposition leaves of a skew that is none."""
+"""Rounding error that a decomposition leaves in a skew of zero."""
 _FOCAL_DIGITS = 9
 """A field of view of 90 degrees gives w / 2 and not a hair more."""
 

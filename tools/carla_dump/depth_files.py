@@ -1,6 +1,6 @@
 """Depth in metres from every encoding people store CARLA's depth in. Decided by content, once for a sensor.
 
-The codings of 8-bit grey are told apart by the ground they imply. Below the horizon a level camera sees a road at h fy
+The ground tells which coding an 8-bit grey image has. Below the horizon a level camera sees a road at h fy
 / (row - horizon) metres. Each coding says which grey that is, and only the right one explains the rows that are there
 with a camera of a plausible height: under another one the ground would be curved, or the camera metres below or above
 any car's.
@@ -183,7 +183,7 @@ def grey_encoding(files: Sequence[Path], camera: Camera, asked: GreyDepth | None
         asked: what the user says.
 
     Raises:
-        DumpError: nobody says, and the ground does not tell.
+        DumpError: the user gives no coding and the ground does not show it.
     """
     if asked is not None:
         return ENCODINGS[asked], f"8-bit depth is {ENCODINGS[asked]}: --grey-depth {asked}"
@@ -208,8 +208,8 @@ def _ground_levels(samples: Sequence[Pixels], camera: Camera) -> tuple[Float, Fl
     medians = [np.median(grey[first:, left : camera.width - left], axis=1) for grey in greys]
     levels: Float = np.concatenate([np.empty(0), *medians])
     rows = np.tile(np.arange(first, max(camera.height, first), dtype=float), len(medians))
-    told = levels < np.iinfo(np.uint8).max
-    return (rows[told], levels[told]) if told.any() and np.ptp(levels[told]) > 0 else (rows[:0], levels[:0])
+    known = levels < np.iinfo(np.uint8).max
+    return (rows[known], levels[known]) if known.any() and np.ptp(levels[known]) > 0 else (rows[:0], levels[:0])
 
 
 def _off(name: GreyDepth, rows: Float, levels: Float, camera: Camera) -> float:

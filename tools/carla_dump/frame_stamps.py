@@ -135,7 +135,7 @@ def stamps_of_file(path: Path, frames: Sequence[int]) -> dict[int, int]:
     """Stamp in nanoseconds of each frame number from lines ``frame seconds`` or, one value a line, in frame order.
 
     Values are seconds (counted from ``EPOCH_NS``, or Unix time) or ISO dates with time, as KITTI raw has them. Where
-    the first line names columns, they are found by their names, whatever others there are (``_column_table``).
+    the first line names columns, they are found by name (``_column_table``); other columns are ignored.
 
     Raises:
         DumpError: names the line that cannot be read or does not increase, or the frame without a stamp.

@@ -66,7 +66,7 @@ def checked(path: Path, expected: TypeAdapter[T], data: Any) -> T:
 
 
 def frame_number(name: str) -> int | None:
-    """Frame number in a name: its last group of digits (``frame_00001`` is 1); None where there is none.
+    """Frame number in a name: its last group of digits (``frame_00001`` is 1); None without digits.
 
     Unix time with a fraction (``1305031102.933``, as TUM names its images) is one number, in nanoseconds.
     """

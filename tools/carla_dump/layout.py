@@ -69,7 +69,7 @@ def find_layout(dump: Path, overrides: Mapping[str, Path]) -> DumpLayout:
 
     Args:
         dump: the folder.
-        overrides: folder, file or document that fills a role, whatever it is called.
+        overrides: folder, file or document for a role, under any name.
 
     Raises:
         DumpError: no such folder, nothing that fits a role, two candidates for one role, two files of one frame.

@@ -1,7 +1,7 @@
-"""Arrays of numbers from a frame's file, whatever holds them: PNG, JPEG, ``.npy`` or CSV text. Decided by content.
+"""Arrays of numbers from a frame's file: PNG, JPEG, ``.npy`` or CSV text. The content decides the format.
 
 The header of a ``.npy`` file may claim anything. numpy's own reader believes the header: it allocates what the shape
-asks for and opens zip archives and pickles by their first bytes. Here the header is held against the file before an
+asks for and opens zip archives and pickles by their first bytes. Here the header is compared with the file before an
 array is made.
 """
 

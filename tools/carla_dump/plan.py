@@ -89,8 +89,8 @@ def make_plan(dump: Path, options: ConvertOptions) -> Plan:
     """Look through a dump and decide everything.
 
     Raises:
-        DumpError: whatever stands against the conversion; nothing has been written then.
-        ConfigError: a CARLA version that is none.
+        DumpError: the dump cannot be converted; nothing is written.
+        ConfigError: the CARLA version is unknown.
     """
     layout = find_layout(dump, options.roles)
     notes = list(layout.notes)

@@ -29,7 +29,7 @@ _KINDS: Final = {
 }
 """By suffix a file's first bytes, its name in messages, and what it is in words."""
 _PLY_END: Final = re.compile(rb"(?<=\n)end_header\r?\n")
-"""A line of its own, whose end is that of all lines: Windows writes two bytes. The points follow at once."""
+"""The last header line. Windows ends it with two bytes. The points follow at once."""
 _PLY_TYPES: Final[Mapping[str, str]] = {
     name: kind
     for kind, names in {

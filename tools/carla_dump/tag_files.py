@@ -50,7 +50,7 @@ def tag_encoding(files: Sequence[Path], *, allow_lossy: bool) -> tuple[TagEncodi
 def _refuse_jpeg(pixels: Pixels, *, allow_lossy: bool) -> None:
     if pixels.container == "jpeg" and not allow_lossy:
         raise DumpError(
-            f"{pixels.path}: tags as JPEG: its compression changes values, so tags cannot be had back exactly; "
+            f"{pixels.path}: tags as JPEG: its compression changes values, so the exact tags are lost; "
             "store PNG, or take the nearest with --allow-lossy-tags"
         )
 
@@ -92,8 +92,8 @@ def choose_table(
         source: the sensor's folder, for the message.
 
     Raises:
-        DumpError: the numbers do not tell and nobody says.
-        ConfigError: the version is none.
+        DumpError: the version is neither given nor clear from the numbers.
+        ConfigError: the version is unknown.
     """
     if version is not None:
         return table_for_version(version), version if version in TABLES else f"CARLA {version}"

@@ -11,8 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from roadperc_stream.geometry import Float, rigid
-from roadperc_stream.geometry.rotations import rotation_from_rpy
+from roadperc_stream.geometry import Float
 
 from .ego import Ego, LaneChangeState, lane_changes, shake_of
 from .faces import Faces, Thing, building, car, lamp_post, together, tree
@@ -74,13 +73,6 @@ class Fixtures:
     def _rng(self, slot: int, side: int, kind: int) -> np.random.Generator:
         return np.random.default_rng((self.seed, 101, kind, side + 1, slot + 1_000_000))
 
-    def _upright(self, name: str, faces: Faces, s_m: float, d_m: float, turn: float) -> Thing:
-        """Placed with its axis vertical, whatever the slope."""
-        x, y, heading = self.world.place(s_m, d_m)
-        height = self.world.terrain.height(np.array([x]))[0]
-        pose = rigid(rotation_from_rpy(0.0, 0.0, heading + turn), np.array([x, y, height]))
-        return _standing(name, "", faces, pose)
-
     @lru_cache(maxsize=256)  # noqa: B019 - a layout lives as long as its run
     def _house(self, slot: int, side: int) -> Thing | None:
         rng = self._rng(slot, side, 0)
@@ -92,13 +84,14 @@ class Fixtures:
         setback = self.world.section.walk_m + rng.uniform(0.2, 2.0)
         turn = np.pi if side > 0 else 0.0
         s = (slot + 0.5) * HOUSE_SLOT_M
-        return self._upright(f"house{side}:{slot}", faces, s, self.world.road.aside(side, s, setback), turn)
+        pose = self.world.upright_pose(s, self.world.road.aside(side, s, setback), turn)
+        return _standing(f"house{side}:{slot}", "", faces, pose)
 
     @lru_cache(maxsize=256)  # noqa: B019
     def _post(self, slot: int, side: int) -> Thing:
         s = (slot + (0.3 if side > 0 else 0.75)) * POST_SLOT_M
         d = self.world.road.aside(side, s, self.world.section.curb_m + 0.5)
-        return self._upright(f"post{side}:{slot}", lamp_post(-side), s, d, 0.0)
+        return _standing(f"post{side}:{slot}", "", lamp_post(-side), self.world.upright_pose(s, d, 0.0))
 
     @lru_cache(maxsize=256)  # noqa: B019
     def _tree(self, slot: int, side: int) -> Thing | None:
@@ -107,7 +100,7 @@ class Fixtures:
         if rng.random() < 0.45:
             return None
         d = self.world.road.aside(side, s, d)
-        return self._upright(f"tree{side}:{slot}", tree(), s, d, float(rng.uniform(0, 6)))
+        return _standing(f"tree{side}:{slot}", "", tree(), self.world.upright_pose(s, d, float(rng.uniform(0, 6))))
 
     @lru_cache(maxsize=256)  # noqa: B019
     def _parked(self, slot: int, side: int) -> Thing | None:

@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float, Float32
-from roadperc_stream.system.files import completing, completing_folder
+from roadperc_stream.system.files import completing_folder
 
 from .ground import FAR_M
-from .options import SENSORS
+from .options import SENSORS, RenderOptions
 from .rig import BASELINE_M, LIDAR_Z_M, CameraPair
 
 JPEG_QUALITY: Final = 90
@@ -52,17 +52,13 @@ def new_dump(folder: Path, *, force: bool) -> Iterator[Path]:
 
 
 def write_file(path: Path, data: bytes) -> None:
-    """A file of a dump, and its folder.
-
-    Raises:
-        TargetError: the file cannot be written.
-    """
-    with completing(path) as temporary:
-        temporary.write_bytes(data)
+    """Write a file of a dump; make its folder."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(data)
 
 
 def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:
-    """Encodes by the path's suffix, ``.png`` or ``.jpg``; raises as ``write_file``."""
+    """Write a picture as PNG or JPEG, by the path's suffix."""
     settings = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if path.suffix == ".jpg" else []
     _, encoded = cv2.imencode(path.suffix, picture, settings)
     write_file(path, encoded.tobytes())
@@ -103,24 +99,24 @@ def instance_picture(tags: NDArray[np.uint8], ids: NDArray[np.int32]) -> NDArray
     return np.dstack((ids >> 8 & 255, ids & 255, tags)).astype(np.uint8)
 
 
-def calibration(rig: CameraPair, rate_hz: float, *, lidar: bool) -> dict[str, Any]:
+def calibration(rig: CameraPair, options: RenderOptions) -> dict[str, Any]:
     """The calibration file: K as CARLA has it, its centre counted from the corner of the first pixel."""
     camera, K = rig.camera, rig.camera.K
     K[:2, 2] += 0.5
-    _, _, _, roll, pitch, yaw = rig.mount
+    _, _, _, roll, pitch, yaw = options.mount
     mountings = {}
     for sensor in SENSORS:
         x, y, z = (float(c) for c in (rig.ego_T_right if sensor == "right" else rig.ego_T_left)[:3, 3])
         place = {"x": round(x, 7), "y": round(0.0 - y, 7), "z": round(z, 7)}
         mountings[sensor] = {**place, "roll": roll, "pitch": pitch, "yaw": yaw}
-    if lidar:
+    if options.lidar:
         mountings[LIDAR] = {"x": 0.0, "y": 0.0, "z": LIDAR_Z_M, "roll": 0.0, "pitch": 0.0, "yaw": 0.0}
     return {
         "width": camera.width,
         "height": camera.height,
         "K": K.tolist(),
         "carla_tags": CARLA_VERSION,
-        "rate_hz": rate_hz,
+        "rate_hz": options.rate_hz,
         "baseline_m": BASELINE_M,
         "mounting": mountings,
     }

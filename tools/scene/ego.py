@@ -19,7 +19,7 @@ CHANGE_S: Final = 3.0
 STAY_S: Final = 2.0
 """How long the car stays in the other lane before it goes back."""
 BROKEN_OFF: Final = 0.42
-"""How much of the way to the other lane's middle a change that is broken off goes: onto the line, not over it."""
+"""Share of the distance to the other lane's middle that an aborted change covers: onto the line, not over it."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Manoeuvre:
         """How far aside the car is at s, and how far it moves aside per metre."""
         u = min(max((s_m - self.from_m) / self.length_m, 0.0), 1.0)
         if self.broken_off:
-            # There in the first half of the way and back in the second.
+            # Out in the first half, back in the second.
             share, slope = _eased(2 * u if u < 0.5 else 2 - 2 * u)
             share, slope = BROKEN_OFF * share, BROKEN_OFF * slope * (2 if u < 0.5 else -2)
         else:
@@ -129,7 +129,7 @@ class Ego:
         return self._aside(time_s)[0]
 
     def _driven_s(self, time_s: float) -> float:
-        """Seconds on the way, at the cruising speed: a car that stands neither weaves nor nods."""
+        """Seconds of driving at the cruising speed: a standing car neither weaves nor nods."""
         return time_s if self.motion is None else self.s(time_s) / self.speed_mps
 
     def _aside(self, time_s: float) -> tuple[float, float]:

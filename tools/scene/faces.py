@@ -77,7 +77,7 @@ def face(
     cut: bool = False,
     two_sided: bool = False,
 ) -> Faces:
-    """One face, in metres of its own frame."""
+    """One face, in metres of the body's frame."""
     return Faces(
         np.array([origin], float),
         np.array([across], float),

@@ -18,7 +18,7 @@ from roadperc_stream.geometry import Float, Float32
 
 TEXEL_M: Final = 0.01
 COLUMNS: Final = 2048
-"""Texels across the road before the grain repeats: so far apart that stereo cannot take one for the other."""
+"""Texels across the road before the grain repeats: too far apart for stereo to confuse two of them."""
 ROWS: Final = 1024
 """Texels along the road before the grain repeats."""
 GUARD: Final = 1

@@ -20,7 +20,7 @@ from .object_truth import objects_truth
 from .options import SENSORS, RenderOptions
 from .rig import CameraPair, make_rig, scan
 from .truth import lanes_truth, surface_truth
-from .view import RenderedView, photograph, render
+from .view import View
 from .world import make_world
 
 PURPOSES: Final = {name: number for number, name in enumerate(("detections", "tags", "depth", "rgb", "right", "drop"))}
@@ -58,7 +58,7 @@ def render_dump(folder: Path, options: RenderOptions, *, force: bool, on_frame: 
     with dump.new_dump(folder, force=force) as hidden:
         world = make_world(options, 0.0 if options.static else options.speed_mps * options.seconds)
         drive = Drive.of(world, options)
-        job = _Job(hidden, options, drive, make_rig(options.width, options.height, options.fov_deg, options.mount))
+        job = _Job(hidden, options, drive, make_rig(options))
         for frame in range(options.frames):
             job.add_frame(frame)
             on_frame()
@@ -85,7 +85,7 @@ class _Job:
         options, rig, name = self.options, self.rig, f"{frame:06d}"
         moment = self.drive.at(frame / options.rate_hz)
         world_T_camera = moment.world_T_ego @ rig.ego_T_left
-        left = render(moment.scenery, rig.camera, world_T_camera)
+        left = View(moment.scenery, rig.camera, world_T_camera)
         objects = objects_truth(self.drive, moment, rig, left, whole=options.whole_boxes)
         entries = [truth.to_json(with_path=options.knows_path) for truth in objects]
         self._write_pictures(frame, name, moment, left)
@@ -104,9 +104,8 @@ class _Job:
 
     def write_records(self) -> None:
         """Write the JSON files and the stamps."""
-        calibration = dump.calibration(self.rig, self.options.rate_hz, lidar=self.options.lidar)
         documents = {
-            "calibration": calibration,
+            "calibration": dump.calibration(self.rig, self.options),
             "detections": self.detections,
             "poses": self.poses,
             "truth": self.truth,
@@ -122,14 +121,14 @@ class _Job:
         jpeg = self.options.jpeg and sensor in ("rgb", "right")
         return self.folder / sensor / f"{name}{'.jpg' if jpeg else '.png'}"
 
-    def _instances(self, moment: SceneMoment, view: RenderedView) -> NDArray[np.int32]:
+    def _instances(self, moment: SceneMoment, view: View) -> NDArray[np.int32]:
         """(H, W) number of the thing in each pixel through all of the drive, 0 for none."""
         of_owner = np.zeros(len(moment.things) + 1, np.int32)
         for owner in np.unique(view.owner[view.owner > 0]):
             of_owner[owner] = self.ids.setdefault(moment.things[owner - 1].name, len(self.ids) + 1)
         return of_owner[view.owner]
 
-    def _write_pictures(self, frame: int, name: str, moment: SceneMoment, left: RenderedView) -> None:
+    def _write_pictures(self, frame: int, name: str, moment: SceneMoment, left: View) -> None:
         options = self.options
         kept = (self._rng(frame, "drop").random(len(SENSORS) + 1) >= options.drop) | (frame == 0)
         for sensor, keep in zip(SENSORS, kept[:-1], strict=True):
@@ -142,7 +141,7 @@ class _Job:
         if options.depth_noise or options.drop or "depth" in options.without:
             dump.write_picture(self._path("truth/depth", name), dump.depth_picture(left.depth_m))
 
-    def _picture(self, frame: int, sensor: str, moment: SceneMoment, left: RenderedView) -> NDArray[np.uint8]:
+    def _picture(self, frame: int, sensor: str, moment: SceneMoment, left: View) -> NDArray[np.uint8]:
         """What a sensor's file shows, with the noise of the options."""
         options, rig = self.options, self.rig
         if sensor == "depth":
@@ -155,5 +154,5 @@ class _Job:
             return dump.tags_picture(noise.noisy_tags(tags, share, self._rng(frame, "tags")) if share else tags)
         rgb = left.rgb
         if sensor == "right":
-            rgb = photograph(moment.scenery, rig.camera, moment.world_T_ego @ rig.ego_T_right)
+            rgb = View(moment.scenery, rig.camera, moment.world_T_ego @ rig.ego_T_right).rgb
         return noise.noisy_rgb(rgb, options.rgb_noise, self._rng(frame, sensor)) if options.rgb_noise else rgb

@@ -199,7 +199,7 @@ class LaneMap:
     """The lane that the ego car begins in."""
 
     def at(self, s_m: float, d_m: float) -> Lane | None:
-        """The lane that a place is in; None where there is none along the road."""
+        """The lane at a place; None where the road has no lane."""
         there = [lane for lane in self.lanes if lane.from_m <= s_m < lane.to_m]
         return min(there, key=lambda lane: lane.beside_m(s_m, d_m)) if there else None
 

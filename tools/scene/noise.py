@@ -150,7 +150,7 @@ def whole_box(thing: Thing, camera: Camera, world_T_camera: Float) -> Box | None
 
 
 def _false(camera: Camera, rng: np.random.Generator) -> Detected:
-    """A box of a likely shape on whatever is there: a facade, a tree, the road."""
+    """A false detection: a box of a likely shape at a random place."""
     label = "Car" if rng.random() < 0.6 else "Pedestrian"
     height = camera.height * float(np.exp(rng.uniform(np.log(0.03), np.log(0.2))))
     width = height * float(rng.uniform(1.0, 2.2) if label == "Car" else rng.uniform(0.3, 0.55))

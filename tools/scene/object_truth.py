@@ -1,6 +1,6 @@
 """What is true of the objects in view: where they are, how fast they come nearer, and what is in the path.
 
-The ego car's path is a strip along the way that cars drive in the lane which the car's reference point is in, as wide
+The ego car's path is a strip along the driving line of the lane that holds the car's reference point. It is as wide
 as the car and a margin on either side; where there is no lane it runs on as that of the first lane did.
 """
 
@@ -17,7 +17,7 @@ from .faces import Thing
 from .raster import NEAR_M
 from .rig import CameraPair
 from .sheet import CAR_WIDTH_M
-from .view import RenderedView
+from .view import View
 
 PATH_MARGIN_M: Final = 0.3
 
@@ -90,9 +90,7 @@ class ObjectTruth:
         return seen
 
 
-def objects_truth(
-    drive: Drive, moment: SceneMoment, rig: CameraPair, view: RenderedView, *, whole: bool
-) -> list[ObjectTruth]:
+def objects_truth(drive: Drive, moment: SceneMoment, rig: CameraPair, view: View, *, whole: bool) -> list[ObjectTruth]:
     """Every object with enough visible pixels, from the clean front view.
 
     Its box is that of what is visible or, with ``whole``, that of all of it as far as it is in the image.
@@ -135,22 +133,18 @@ def _clipped(corners: Float, limits: Float) -> Float:
 
     Source: I. Sutherland and G. Hodgman, Reentrant polygon clipping, CACM 17 (1974).
     """
-    polygon = corners
     for limit in limits:
-        inside = polygon @ limit[:3] + limit[3]
-        following, next_inside = np.roll(polygon, -1, axis=0), np.roll(inside, -1)
-        kept: list[Float] = []
-        for here, there, a, b in zip(polygon, following, inside, next_inside, strict=True):
-            if a >= 0:
-                kept.append(here)
-            if (a >= 0) != (b >= 0):
-                kept.append(here + (there - here) * (a / (a - b)))
-        polygon = np.array(kept).reshape(-1, 3)
-    return polygon
+        inside = corners @ limit[:3] + limit[3]
+        following, next_inside = np.roll(corners, -1, axis=0), np.roll(inside, -1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            crossings = corners + (following - corners) * (inside / (inside - next_inside))[:, None]
+        kept = np.stack((inside >= 0, (inside >= 0) != (next_inside >= 0)), axis=1)
+        corners = np.stack((corners, crossings), axis=1)[kept]
+    return corners
 
 
 def _object(
-    drive: Drive, moment: SceneMoment, rig: CameraPair, view: RenderedView, number: int, box: tuple[slice, slice]
+    drive: Drive, moment: SceneMoment, rig: CameraPair, view: View, number: int, box: tuple[slice, slice]
 ) -> ObjectTruth | None:
     rows, columns = np.nonzero(view.owner[box] == number)
     if len(rows) < MIN_PIXELS:

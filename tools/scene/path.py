@@ -94,7 +94,7 @@ class LocalPath:
         their starts. Headings stay within 90 degrees of each other, so the normals do not cross beside the road.
         """
         s, d = _beside(self.elements[0], x_m, y_m)
-        # Most points lie near: the further elements only look at those that came so far.
+        # Most points are near: each further element checks only the points that passed the one before.
         reached, x, y = np.arange(x_m.size), x_m.ravel(), y_m.ravel()
         for element in self.elements[1:]:
             cos, sin = float(np.cos(element.heading)), float(np.sin(element.heading))

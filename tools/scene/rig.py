@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 from roadperc_stream.geometry import EGO_R_OPTICAL, Camera, Float, Float32, rays, rigid
 
 from .drive import SceneMoment
-from .options import Mount
-from .view import depth_seen
+from .options import RenderOptions
+from .view import View
 
 BASELINE_M: Final = 0.5
 
@@ -29,28 +29,19 @@ class CameraPair:
     camera: Camera
     ego_T_left: Float
     ego_T_right: Float
-    mount: Mount
 
 
-def make_rig(width: int, height: int, fov_deg: float, mount: Mount) -> CameraPair:
-    """Cameras of a size in pixels; their centre is CARLA's w / 2 counted from the corner of the first pixel.
-
-    Args:
-        width: of the images.
-        height: of the images.
-        fov_deg: horizontal field of view.
-        mount: the front camera's place as CARLA has it: x forward, y right, z up, then roll, pitch (up) and yaw (to
-            the right) in degrees.
-    """
-    half = width / 2
-    focal = half if fov_deg == 90.0 else half / float(np.tan(np.radians(fov_deg) / 2))
-    camera = Camera("front", width, height, focal, focal, half - 0.5, height / 2 - 0.5)
-    x, y, z, roll, pitch, yaw = mount
+def make_rig(options: RenderOptions) -> CameraPair:
+    """The cameras; their principal point is CARLA's (w / 2, h / 2), counted from the corner of the first pixel."""
+    half = options.width / 2
+    focal = half if options.fov_deg == 90.0 else half / float(np.tan(np.radians(options.fov_deg) / 2))
+    camera = Camera("front", options.width, options.height, focal, focal, half - 0.5, options.height / 2 - 0.5)
+    x, y, z, roll, pitch, yaw = options.mount
     axes = Rotation.from_euler("ZYX", (-yaw, -pitch, roll), degrees=True).as_matrix()
     body = rigid(axes, np.array([x, -y, z]))
     optical = rigid(EGO_R_OPTICAL, np.zeros(3))
     beside = rigid(np.eye(3), np.array([0.0, -BASELINE_M, 0.0]))
-    return CameraPair(camera, body @ optical, body @ beside @ optical, mount)
+    return CameraPair(camera, body @ optical, body @ beside @ optical)
 
 
 LIDAR_Z_M: Final = 2.4
@@ -59,7 +50,7 @@ CHANNELS: Final = 64
 ELEVATION_DEG: Final = (10.0, -30.0)
 """Of the upper and the lower ring: CARLA's defaults."""
 FIELD_DEG: Final = 90.0
-"""The lidar looks ahead: all that the front camera sees lies in it."""
+"""The lidar looks ahead and covers the front camera's view."""
 STEP_DEG: Final = 0.2
 """From ray to ray of a ring."""
 RANGE_M: Final = 100.0
@@ -72,7 +63,7 @@ def scan(moment: SceneMoment) -> Float32:
     """(N, 4) x forward, y right, z up in metres and intensity, as CARLA has it: left-handed, from the lidar."""
     camera, pixels = _rays()
     world_T_camera = moment.world_T_ego @ rigid(EGO_R_OPTICAL, np.array([0.0, 0.0, LIDAR_Z_M]))
-    depth_m = depth_seen(moment.scenery, camera, world_T_camera)[pixels[:, 1], pixels[:, 0]]
+    depth_m = View(moment.scenery, camera, world_T_camera).depth_m[pixels[:, 1], pixels[:, 0]]
     right, down, forward = (rays(camera, pixels.astype(float)) * depth_m[:, None]).T
     distance_m = np.sqrt(right**2 + down**2 + forward**2)
     points = np.stack((forward, right, -down, np.exp(-ATTENUATION_PER_M * distance_m)), axis=-1)

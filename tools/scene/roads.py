@@ -1,4 +1,4 @@
-"""The roads of the scenes: a cross-section, the lanes of the own direction, what changes along the way, and crossings.
+"""The roads of the scenes: cross-section, lanes of the ego direction, changes along the road, and crossings.
 
 A crossing is a road at right angles to the ego car's, on level ground, without markings where they meet.
 """
@@ -41,7 +41,7 @@ CORNER_M: Final = 6.0
 
 @dataclass(frozen=True)
 class Crossing:
-    """Where the roads' middle lines meet, x along the ego car's road and y = 0, and the way through.
+    """A crossing at (x, 0), x along the ego car's road, and the ego car's path through it.
 
     ``turn`` is 1 for a turn to the left, -1 to the right, 0 for straight on; ``radius_m`` the road's middle line's.
     """
@@ -59,7 +59,7 @@ class Crossing:
 
     @property
     def beyond_m(self) -> float:
-        """What s is less than the distance behind the middle, on the way out."""
+        """Offset from the distance behind the middle to s, after the crossing."""
         return self.x_m + (np.pi / 2 - 2) * self.radius_m if self.turn else self.x_m
 
     @property
@@ -85,7 +85,7 @@ class Crossing:
 
     def arm_distances(self, x_m: Real, y_m: Real) -> tuple[Real, Real]:
         """How far a place in the world is from the middle of the first and of the other road, with signs."""
-        # The second road runs the way the car leaves; straight on, it runs to the left.
+        # The second road runs in the direction in which the car leaves; for straight on, to the left.
         sign = -1.0 if self.turn < 0 else 1.0
         return y_m, sign * (self.x_m - x_m)
 

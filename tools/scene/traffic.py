@@ -170,11 +170,8 @@ class Traffic:
 
     def _on_foot(self, s_m: float, d_m: float, turn: float) -> Float:
         """Pose of somebody upright on the road or, beyond the curb, on the sidewalk."""
-        x, y, heading = self.world.place(s_m, d_m)
         beyond = abs(float(self.world.road.section_d(np.array([s_m]), np.array([d_m]))[0])) > self.world.section.curb_m
-        step = CURB_HEIGHT_M if beyond else 0.0
-        height = float(self.world.terrain.height(np.array([x]))[0]) + step
-        return rigid(rotation_from_rpy(0.0, 0.0, heading + turn), np.array([x, y, height]))
+        return self.world.upright_pose(s_m, d_m, turn, CURB_HEIGHT_M if beyond else 0.0)
 
 
 def _to_and_fro(time_s: float) -> tuple[float, float]:

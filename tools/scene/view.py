@@ -1,6 +1,7 @@
-"""One camera's picture of the world: colours, depth, tags and who is where."""
+"""One camera's view of the scene: colours, depth, tags and the numbers of objects."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -12,7 +13,7 @@ from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14
 from .faces import Faces
 from .grain import make_grain
 from .ground import FAR_M, Ground, Paint, paint_on, trace_ground
-from .lanes import RoadSection, bins
+from .lanes import bins
 from .raster import Drawn, draw_faces
 from .shade import Shadow, cast_shadows, daylight, shade_faces, shade_ground, shade_sky
 from .sheet import load_sheet
@@ -23,7 +24,7 @@ ROAD, ROAD_LINE, SKY = (CARLA_FROM_0_9_14.names.index(name) for name in ("road",
 
 @dataclass(frozen=True)
 class Scenery:
-    """What one moment shows, in the world: it is the same for every camera."""
+    """What there is to see at one time, in the world frame."""
 
     world: World
     s_m: float
@@ -34,96 +35,77 @@ class Scenery:
     seed: int
 
 
-@dataclass(frozen=True)
-class RenderedView:
-    """What a camera sees; all arrays (H, W), colours (H, W, 3) blue, green, red."""
+@dataclass(frozen=True, eq=False)
+class View:
+    """The scenery from a camera's pose; each property is computed when it is first read."""
 
-    rgb: NDArray[np.uint8]
-    depth_m: Float32
-    tags: NDArray[np.uint8]
-    owner: NDArray[np.int32]
-    """Number of the object in each pixel, 0 for none."""
-
-
-@dataclass(frozen=True)
-class _Sight:
-    """What is where in a picture, before it has colours."""
-
+    scenery: Scenery
     camera: Camera
     world_T_camera: Float
-    ground: Ground
-    drawn: Drawn
-    paint: Paint | None
-    """Lines that are not in the road's cross-section."""
 
+    @cached_property
+    def _ground(self) -> Ground:
+        return trace_ground(self.camera, self.world_T_camera, self.scenery.world, self.scenery.s_m)
 
-def render(scenery: Scenery, camera: Camera, world_T_camera: Float) -> RenderedView:
-    """The scenery from a camera's pose in the world."""
-    sight = _look(scenery, camera, world_T_camera)
-    ground, drawn = sight.ground, sight.drawn
-    # Index -1, no face, takes the last entry.
-    owner = np.append(drawn.faces.owner, 0)[drawn.face].astype(np.int32)
-    return RenderedView(_colours(scenery, sight), _depth(ground, drawn), _tags(sight, scenery.world.section), owner)
+    @cached_property
+    def _drawn(self) -> Drawn:
+        nearness = np.full(self.camera.size, 1 / FAR_M, np.float32)
+        nearness[self._ground.top_row :] = np.float32(1) / self._ground.depth_m
+        return draw_faces(self.camera, self.world_T_camera, self.scenery.faces, nearness, load_sheet().outline)
 
+    @cached_property
+    def _paint(self) -> Paint | None:
+        """Lines that are not in the road's cross-section."""
+        markings = self.scenery.world.road.markings
+        return paint_on(markings, self._ground, self.camera.fx) if markings else None
 
-def photograph(scenery: Scenery, camera: Camera, world_T_camera: Float) -> NDArray[np.uint8]:
-    """(H, W, 3) the colours alone."""
-    return _colours(scenery, _look(scenery, camera, world_T_camera))
+    @cached_property
+    def owner(self) -> NDArray[np.int32]:
+        """(H, W) number of the object in each pixel, 0 for none."""
+        # Index -1, no face, takes the last entry.
+        return np.append(self._drawn.faces.owner, 0)[self._drawn.face].astype(np.int32)
 
+    @cached_property
+    def depth_m(self) -> Float32:
+        """(H, W) metres along the optical axis; ``FAR_M`` in the sky."""
+        depth: Float32 = np.full(self.camera.size, FAR_M, np.float32)
+        depth[self._ground.top_row :] = self._ground.depth_m
+        faced = self._drawn.face >= 0
+        depth[faced] = 1 / self._drawn.inverse_depth[faced]
+        return depth
 
-def depth_seen(scenery: Scenery, camera: Camera, world_T_camera: Float) -> Float32:
-    """(H, W) the depth alone, metres along the optical axis; ``FAR_M`` where the sky is."""
-    sight = _look(scenery, camera, world_T_camera)
-    return _depth(sight.ground, sight.drawn)
+    @cached_property
+    def tags(self) -> NDArray[np.uint8]:
+        """(H, W) CARLA's tags."""
+        ground, drawn, section = self._ground, self._drawn, self.scenery.world.section
+        tags = np.full(self.camera.size, SKY, np.uint8)
+        index = bins(ground.d_m)
+        below = section.tag_table[index]
+        if section.broken:
+            below[section.right_line_table[index] & ground.line_gap] = ROAD
+        if self._paint is not None:
+            below[self._paint.line] = ROAD_LINE
+        tags[ground.top_row :] = np.where(ground.depth_m < FAR_M, below, SKY)
+        faced = drawn.face >= 0
+        tags[faced] = drawn.faces.tag[drawn.face[faced]]
+        return tags
 
-
-def _look(scenery: Scenery, camera: Camera, world_T_camera: Float) -> _Sight:
-    ground = trace_ground(camera, world_T_camera, scenery.world, scenery.s_m)
-    nearness = np.full(camera.size, 1 / FAR_M, np.float32)
-    nearness[ground.top_row :] = np.float32(1) / ground.depth_m
-    drawn = draw_faces(camera, world_T_camera, scenery.faces, nearness, load_sheet().outline)
-    markings = scenery.world.road.markings
-    return _Sight(camera, world_T_camera, ground, drawn, paint_on(markings, ground, camera.fx) if markings else None)
-
-
-def _depth(ground: Ground, drawn: Drawn) -> Float32:
-    """Depth along the optical axis; the ground's is kept as it was computed, not inverted twice."""
-    depth: Float32 = np.full(drawn.face.shape, FAR_M, np.float32)
-    depth[ground.top_row :] = ground.depth_m
-    faced = drawn.face >= 0
-    depth[faced] = 1 / drawn.inverse_depth[faced]
-    return depth
-
-
-def _tags(sight: _Sight, section: RoadSection) -> NDArray[np.uint8]:
-    ground, drawn = sight.ground, sight.drawn
-    tags = np.full(drawn.face.shape, SKY, np.uint8)
-    index = bins(ground.d_m)
-    below = section.tag_table[index]
-    if section.broken:
-        below[section.right_line_table[index] & ground.line_gap] = ROAD
-    if sight.paint is not None:
-        below[sight.paint.line] = ROAD_LINE
-    tags[ground.top_row :] = np.where(ground.depth_m < FAR_M, below, SKY)
-    faced = drawn.face >= 0
-    tags[faced] = drawn.faces.tag[drawn.face[faced]]
-    return tags
-
-
-def _colours(scenery: Scenery, sight: _Sight) -> NDArray[np.uint8]:
-    camera, world_T_camera, ground, drawn = sight.camera, sight.world_T_camera, sight.ground, sight.drawn
-    grain = make_grain(camera.fx, scenery.camera_height_m, scenery.seed)
-    R = world_T_camera[:3, :3]
-    picture = np.empty((*camera.size, 3), np.uint8)
-    on_ground = ground.depth_m < FAR_M
-    sky_rows = int(np.flatnonzero(~on_ground.all(axis=1)).max(initial=-1)) + 1 + ground.top_row
-    picture[:sky_rows] = shade_sky(camera, R, sky_rows, scenery.seed)
-    brightness = np.ones(on_ground.shape, np.float32)
-    cast_shadows(brightness, ground, scenery.shadows, camera, world_T_camera)
-    below = shade_ground(ground, scenery.world.section, grain, brightness, sight.paint)
-    cv2.copyTo(below, on_ground.view(np.uint8), picture[ground.top_row :])
-    pixels = np.flatnonzero(drawn.face >= 0)
-    if len(pixels):
-        light = daylight(drawn.faces.across @ R.T, drawn.faces.up @ R.T, drawn.faces.two_sided)
-        picture.reshape(-1, 3)[pixels] = shade_faces(drawn, load_sheet(), pixels, light)
-    return np.asarray(cv2.GaussianBlur(picture, (3, 3), 0.55), np.uint8)
+    @cached_property
+    def rgb(self) -> NDArray[np.uint8]:
+        """(H, W, 3) blue, green, red."""
+        scenery, camera, ground, drawn = self.scenery, self.camera, self._ground, self._drawn
+        grain = make_grain(camera.fx, scenery.camera_height_m, scenery.seed)
+        R = self.world_T_camera[:3, :3]
+        picture = np.empty((*camera.size, 3), np.uint8)
+        on_ground = ground.depth_m < FAR_M
+        sky_rows = int(np.flatnonzero(~on_ground.all(axis=1)).max(initial=-1)) + 1 + ground.top_row
+        picture[:sky_rows] = shade_sky(camera, R, sky_rows, scenery.seed)
+        brightness = np.ones(on_ground.shape, np.float32)
+        cast_shadows(brightness, ground, scenery.shadows, camera, self.world_T_camera)
+        below = shade_ground(ground, scenery.world.section, grain, brightness, self._paint)
+        cv2.copyTo(below, on_ground.view(np.uint8), picture[ground.top_row :])
+        pixels = np.flatnonzero(drawn.face >= 0)
+        if len(pixels):
+            light = daylight(drawn.faces.across @ R.T, drawn.faces.up @ R.T, drawn.faces.two_sided)
+            picture.reshape(-1, 3)[pixels] = shade_faces(drawn, load_sheet(), pixels, light)
+        return np.asarray(cv2.GaussianBlur(picture, (3, 3), 0.55), np.uint8)

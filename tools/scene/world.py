@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 
 from roadperc_stream.geometry import Float, rigid
+from roadperc_stream.geometry.rotations import rotation_from_rpy
 
 from .lanes import RoadSection
 from .options import RenderOptions, SceneName
@@ -119,7 +120,6 @@ WHEELBASE_M: Final = 2.8
 class World:
     """All that stands still and has no edges: the road and the ground."""
 
-    name: SceneName
     path: Path
     terrain: Terrain
     road: Road
@@ -136,8 +136,14 @@ class World:
 
     def place(self, s_m: float, d_m: float) -> tuple[float, float, float]:
         """x, y and the road's heading at (s, d)."""
-        x, y, heading = (float(v[0]) for v in self.path.pose(np.array([s_m])))
-        return x - d_m * np.sin(heading), y + d_m * np.cos(heading), heading
+        x, y = self.path.point(np.array([s_m]), d_m)
+        return float(x[0]), float(y[0]), float(self.path.pose(np.array([s_m]))[2][0])
+
+    def upright_pose(self, s_m: float, d_m: float, turn: float, step_m: float = 0.0) -> Float:
+        """world_T_body of a body with a vertical axis at (s, d), ``step_m`` above the road."""
+        x, y, heading = self.place(s_m, d_m)
+        height = float(self.terrain.height(np.array([x]))[0]) + step_m
+        return rigid(rotation_from_rpy(0.0, 0.0, heading + turn), np.array([x, y, height]))
 
     def ground_pose(self, s_m: float, d_m: float, turn: float = 0.0) -> Float:
         """world_T_body of a body on its wheels at (s, d), turned by ``turn`` radians against the road.
@@ -161,10 +167,10 @@ def make_world(options: RenderOptions, length_m: float) -> World:
     terrain = rolling_ground(length_m + MARGIN_M, wave_m, _MAX_GRADE) if wave_m else LEVEL_GROUND
     road = road_of(options)
     if road.crossing is not None:
-        return World(name, road.crossing.path, LEVEL_GROUND, road)
+        return World(road.crossing.path, LEVEL_GROUND, road)
     if options.bumps:
         terrain = with_bumps(terrain, length_m + MARGIN_M)
-    return World(name, _path(name, length_m), terrain, road)
+    return World(_path(name, length_m), terrain, road)
 
 
 def _path(name: SceneName, length_m: float) -> Path:
