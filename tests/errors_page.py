@@ -4,6 +4,7 @@
 """
 
 import os
+import re
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -75,7 +76,7 @@ ENTRIES = (
         "The name before `=` is not a role.", "Use one of the listed roles.",
     ),
     Entry(
-        "Frames without segmentation", "roadperc-replay no_segmentation.mcap result2.mcap",
+        "Frames without segmentation", "roadperc-report no_segmentation.out.mcap",
         "Stages without their inputs have no output. The other stages run.",
         "Record segmentation if you need lanes and filtered detections.",
     ),
@@ -156,6 +157,7 @@ def make_inputs(folder: Path) -> None:
         cv2.imwrite(str(folder / name / "rgb" / "1.png"), np.zeros((12, 16, 3), np.uint8))
         (folder / name / "calibration.json").write_text(calibration)
     run("roadperc-replay", "in.mcap", "result.mcap", cwd=folder)
+    run("roadperc-replay", "no_segmentation.mcap", "no_segmentation.out.mcap", cwd=folder)
 
 
 def _write(path: Path, roles: tuple[str, ...], skipped: tuple[str, ...] = (), **labels: object) -> None:
@@ -168,10 +170,11 @@ def _write(path: Path, roles: tuple[str, ...], skipped: tuple[str, ...] = (), **
 
 
 def printed(entry: Entry, folder: Path) -> str:
-    """What a command prints about its error: the last line on stderr, or the notes of a replay that succeeds."""
-    done = run(*entry.command.split(), cwd=folder, env=os.environ | {"COLUMNS": "1000"})
-    lines = done.stderr.strip().splitlines()[-1:] if done.returncode else done.stdout.splitlines()
-    return "\n".join(line for line in lines if line.startswith(("note:", "warning:")) or done.returncode)
+    """What a command prints about its error: the last line on stderr, or notes and reasons of one that succeeds."""
+    done = run(*entry.command.split(), cwd=folder)
+    if done.returncode:
+        return done.stderr.strip().splitlines()[-1]
+    return "\n".join(line.rstrip() for line in done.stdout.splitlines() if re.search("^(note|warning):|no segm", line))
 
 
 def page() -> str:
