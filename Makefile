@@ -101,6 +101,7 @@ pages: $(VENV)/.installed  # the tables of docs/ that are made from the code
 	$(BIN)/python -m roadperc_stream.eval.metrics_page docs/metrics.md docs/scaling.md
 	$(BIN)/python -m roadperc_stream.cli.settings > docs/settings.md
 	$(BIN)/python -m tests.promises
+	$(BIN)/python -m tests.errors_page
 
 sample: $(VENV)/.installed
 	$(BIN)/roadperc-render $(SAMPLE_DUMP) $(SAMPLE_OPTIONS) --force

@@ -65,23 +65,9 @@ def replay_again(folder, run, setting):
     return Run(pl.read_parquet(sidecar_path(folder / "again.mcap", "metrics")), run.true_offsets)
 
 
-def report(name, run):
-    print(f"\n{name}: {run.metrics.height} frames")
-    for side in ("left", "right"):
-        error, coverage = run.errors(f"lane_{side}_error_m")
-        print(
-            f"  {side:5} 10 m ahead: median {np.median(error):.3f} p95 {np.quantile(error, 0.95):.3f} m, coverage "
-            f"{coverage:.0%}; jitter raw {run.jitter(f'lane_{side}_raw_offset_m'):.4f} smoothed "
-            f"{run.jitter(f'lane_{side}_offset_m'):.4f} m, lag {run.lag(side)} frames"
-        )
-    angle, coverage = run.errors("surface_angle_error_deg")
-    print(f"  surface: median {np.median(angle):.4f} deg, coverage {coverage:.0%}")
-
-
 @pytest.mark.parametrize("options", [SHORT, *(long("--seed", str(seed)) for seed in (0, 1, 2))])
 def test_ego_lane_and_surface_on_the_noisy_bend(tmp_path, options):
     run = drive(tmp_path, *BEND, *NOISE, *options)
-    report(f"bend, weave 0.5, noise, {' '.join(options)}", run)
     for side in ("left", "right"):
         error, coverage = run.errors(f"lane_{side}_error_m")
         assert coverage >= 0.95
@@ -101,8 +87,6 @@ def test_ego_lane_and_surface_on_the_noisy_bend(tmp_path, options):
 def test_odometry_makes_the_lanes_better(tmp_path, options, factor):
     run = drive(tmp_path, *BEND, *NOISE, *options)
     without = replay_again(tmp_path, run, "lanes.use_odometry=false")
-    report("predicted by odometry", run)
-    report("without", without)
     for side in ("left", "right"):
         error, _ = run.errors(f"lane_{side}_error_m")
         worse, _ = without.errors(f"lane_{side}_error_m")
@@ -116,7 +100,6 @@ def test_odometry_makes_the_lanes_better(tmp_path, options, factor):
 ])  # fmt: skip
 def test_surface_without_noise(tmp_path, options):
     run = drive(tmp_path, *options)
-    report(f"clean, {' '.join(options)}", run)
     angle, coverage = run.errors("surface_angle_error_deg")
     assert (np.median(angle) < 0.02, coverage) == (True, 1.0)
     assert "640x480" not in options or run.errors("camera_height_error_m")[0].max() < 0.005

@@ -19,7 +19,10 @@ ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *(ROOT / f"docs/{name}.md" for name in ("viewing", "recordings", "chain", "evaluation"))]
 """Pages whose commands run, in the order in which a reader meets them."""
 EXAMPLES = sorted((ROOT / "docs" / "examples").glob("*.py"))
-TEXTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+TEXTS = [
+    *(ROOT / f"{name}.md" for name in ("README", "CHANGELOG", "CONTRIBUTING")),
+    *sorted((ROOT / "docs").glob("*.md")),
+]
 FENCE = re.compile(r"^```(sh|python)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 SERVES = re.compile(r"--(foxglove|live)$")
 OPENS_VIEWER = re.compile(r"^roadperc-view \S+$")
@@ -175,6 +178,39 @@ def test_every_link_leads_somewhere():
     for page in TEXTS:
         for target in re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text(encoding="utf-8")):
             assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+LONGEST_SENTENCE = 30
+"""Words. Text in backticks is one word."""
+UNCLEAR = re.compile(
+    r"\b(?:that is none|is none|are none|nobody|anew|stands? (?:in|at|beside|for itself)|but for|told|is said|says so|"
+    r"whatever|meanwhile|the way|by itself|lest|that one|all that|so far|such a one|of its own|of one's own|"
+    r"held against|is had|came of|heed|welcome|whereabouts|Sight)\b"
+)
+"""Phrases that a reader of English as a second language has to read twice."""
+
+
+def prose(markdown):
+    """The text of a page without code blocks, headings and comments; each cell of a table is a paragraph."""
+    for line in re.sub(r"```.*?```", "\n", markdown, flags=re.DOTALL).splitlines():
+        bare = line.strip()
+        if bare.startswith("|"):
+            yield from ("", *(cell.strip() + "\n" for cell in bare.strip("|").split("|")))
+        else:
+            yield "" if bare.startswith(("<!--", "#")) or line.startswith("    ") else line
+
+
+def sentences(markdown):
+    text = re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", "\n".join(prose(markdown)))
+    parts = re.split(r"(?<=[.!?])\s+|\n\s*\n|\n[-*] |\n\d+\. ", re.sub(r"`[^`]*`", "CODE", text))
+    return [part.split() for part in parts]
+
+
+@pytest.mark.parametrize("page", TEXTS, ids=lambda page: page.name)
+def test_every_sentence_is_short_and_clear(page):
+    text = page.read_text(encoding="utf-8")
+    assert [" ".join(words) for words in sentences(text) if len(words) > LONGEST_SENTENCE] == []
+    assert UNCLEAR.findall(text) == []
 
 
 def test_the_readme_is_short():

@@ -1,5 +1,8 @@
-"""docs/reliability.md says what the tests' markers say, and nothing else."""
+"""The generated pages docs/reliability.md and docs/errors.md are up to date."""
 
+import pytest
+
+from tests import errors_page
 from tests.promises import PAGE, TABLE, marked, written
 
 
@@ -9,3 +12,8 @@ def test_the_page_has_every_promise_with_its_tests():
     assert {title for _, title, _ in TABLE.findall(page)} == {section for section, _, _ in marked()}
     assert "| promise |" not in TABLE.sub("", page)
     assert len({promise for _, promise, _ in marked()}) > 80
+
+
+@pytest.mark.commands
+def test_the_page_of_errors_has_the_messages_as_printed():
+    assert errors_page.PAGE.read_text("utf-8") == errors_page.page(), "make pages writes it"

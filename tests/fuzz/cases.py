@@ -3,6 +3,7 @@
 import base64
 import json
 import random
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -23,15 +24,10 @@ METRICS = "out.metrics.parquet"
 
 @dataclass(frozen=True)
 class Case:
-    """A name by which it can be repeated, and its recipe; one that is drawn has none yet."""
+    """A name by which it can be repeated, and its recipe; without one all follows from the name, as SEED:NUMBER."""
 
     name: str
     recipe: dict[str, Any] | None = None
-
-
-def drawn(seed: int, index: int) -> Case:
-    """The case of a number: it follows from the seed and the number alone."""
-    return Case(f"{seed}:{index}")
 
 
 def recorded() -> dict[str, Case]:
@@ -46,9 +42,8 @@ def named(name: str) -> Case:
     Raises:
         ValueError: it is none of these.
     """
-    seed, colon, index = name.partition(":")
-    if colon and seed.isdigit() and index.isdigit():
-        return drawn(int(seed), int(index))
+    if re.fullmatch(r"\d+:\d+", name):
+        return Case(name)
     if name in recorded():
         return recorded()[name]
     if Path(name).is_file():
@@ -81,13 +76,13 @@ def _log(folder: Path, choices: Choices) -> list[str]:
         for part in changes:
             mutate_records(records, part)
         data = put_together(records, choices.of("fix", WEIGHTED_FIXES))
-    for part in choices.parts("bytes", 2 if level in ("bytes", "all") else 0):
-        data = damage(data, part)
+    data = _damaged(data, choices, 2 if level in ("bytes", "all") else 0)
     name = OUT if base == "result" else LOG
     (folder / name).write_bytes(data)
     if base == "result":
         _write_tables(folder)
-    return _words(name, choices)
+    words = [part.replace("LOG", name) for part in choices.of("of_log", LOG_COMMANDS).split()]
+    return words + (_replay_options(choices) if words[0] == "replay" else [])
 
 
 def _write_tables(folder: Path) -> None:
@@ -98,13 +93,6 @@ def _write_tables(folder: Path) -> None:
 @cache
 def _table_bytes(kind: str) -> bytes:
     return tables.written(tables.table(kind))
-
-
-def _words(name: str, choices: Choices) -> list[str]:
-    """A command that reads a log, and options."""
-    command = choices.of("of_log", LOG_COMMANDS)
-    words = [part.replace("LOG", name) for part in command.split()]
-    return words + (_replay_options(choices) if words[0] == "replay" else [])
 
 
 LOG_COMMANDS = ("replay LOG result.mcap",) * 8 + (
@@ -141,11 +129,15 @@ def _table(folder: Path, choices: Choices) -> list[str]:
     changed = tables.table(kind)
     for part in choices.parts("values", 3):
         changed = tables.mutate_table(changed, part)
-    data = tables.written(changed)
-    for part in choices.parts("bytes", choices.of("damaged", (0, 0, 1, 3))):
-        data = damage(data, part)
+    data = _damaged(tables.written(changed), choices, choices.of("damaged", (0, 0, 1, 3)))
     (folder / f"out.{kind}.parquet").write_bytes(data)
     return str(choices.of("of_table", TABLE_COMMANDS)).split()
+
+
+def _damaged(data: bytes, choices: Choices, most: int) -> bytes:
+    for part in choices.parts("bytes", most):
+        data = damage(data, part)
+    return data
 
 
 TABLE_COMMANDS = (
@@ -186,9 +178,7 @@ def _lanes(folder: Path, choices: Choices) -> list[str]:
     for part in choices.parts("lines", 2):
         at = part.index("line", len(lines))
         lines[at] = mutate_json(lines[at], part)
-    data = b"\n".join(lines)
-    for part in choices.parts("bytes", choices.of("damaged", (0, 0, 0, 2))):
-        data = damage(data, part)
+    data = _damaged(b"\n".join(lines), choices, choices.of("damaged", (0, 0, 0, 2)))
     (folder / "true.json").write_bytes(data)
     return str(choices.of("of_lanes", LANES_COMMANDS)).split()
 

@@ -18,14 +18,14 @@ from roadperc_stream import log
 from roadperc_stream.formats import images
 from roadperc_stream.geometry import transform
 from roadperc_stream.log import Attachment, Channel, Message, Metadata
-from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14 as TABLE
 from roadperc_stream.output import encoding
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.protobuf import MESSAGE_TYPES, set_stamp
 from roadperc_stream.schemas.roles import ROLES
 from tests import commands, foxglove_json, logs, rosbag
-from tests.analytic import STEP_NS, Road, box
+from tests.analytic import STEP_NS, Road
 from tests.info.odd import WRITERS as ODD_WRITERS
+from tests.input.test_elsewhere import TOPICS, in_ros
 from tests.logs import START_NS, Item
 
 FRAMES = 2
@@ -141,20 +141,18 @@ def pair() -> Content:
 
 def raw() -> Content:
     """Pictures that are not compressed."""
-    content, made = drive(), {}
+    content = drive()
     pixels = {
         "image": ("bgr8", np.repeat(ROAD.tags()[..., None] * 10, 3, axis=2)),
         "depth": ("32FC1", np.nan_to_num(ROAD.depth_m()).astype("<f4")),
         "segmentation": ("mono8", ROAD.tags()),
     }
-    for role, (name, array) in pixels.items():
-        row_bytes = array[0].nbytes
-        made[ROLES[role].topic] = RawImage(
-            frame_id="camera", width=ROAD.width, height=ROAD.height, encoding=name, step=row_bytes, data=array.tobytes()
-        )
+    by_topic = {ROLES[role].topic: found for role, found in pixels.items()}
     for k, message in enumerate(content.messages):
-        if message.channel.topic in made:
-            picture = made[message.channel.topic]
+        if message.channel.topic in by_topic:
+            name, array = by_topic[message.channel.topic]
+            size = {"width": ROAD.width, "height": ROAD.height, "step": array[0].nbytes}
+            picture = RawImage(frame_id="camera", encoding=name, data=array.tobytes(), **size)
             set_stamp(picture, message.log_time_ns)
             # Foxglove's definition of compressed images stands for theirs: it is not read.
             channel = replace(message.channel, schema_name="foxglove.RawImage", message_encoding="protobuf")
@@ -176,38 +174,20 @@ def as_json() -> Content:
 
 def bag() -> Content:
     """A ROS 2 bag of CARLA's bridge."""
-    K = ROAD.camera.K.ravel().tolist()
-    colours = np.array(TABLE.colours, np.uint8)[ROAD.tags()][..., ::-1]
-    points = np.zeros((1, 64, 4), np.float32)
+    content, points = Content(profile="ros2"), np.zeros((1, 64, 4), np.float32)
     points[0, :, 0] = np.linspace(3, 30, 64)
-    content = Content(profile="ros2")
-    mounting = rosbag.pose(ROAD.ego_T_camera)
-    edge = {"translation": mounting["position"], "rotation": mounting["orientation"]}
-    placed = {"header": rosbag.header(START_NS, "ego_vehicle"), "child_frame_id": "camera", "transform": edge}
-    _put(content, "/tf_static", "tf2_msgs/msg/TFMessage", 0, {"transforms": [placed]})
-    _put(content, f"{BRIDGE}rgb_front/camera_info", "sensor_msgs/msg/CameraInfo", 0,
-         rosbag.camera_info(START_NS, "camera", ROAD.width, ROAD.height, K))  # fmt: skip
-    depth_mm = images.depth_to_mm(ROAD.depth_m())
-    pictures = {"rgb_front": ("bgr8", colours), "depth_front": ("16UC1", depth_mm)}
-    pictures["semantic_segmentation_front"] = ("bgr8", colours)
-    found = [rosbag.detection(box("car", 4, 8, 20, 20).box_px, "Car", 0.9)]
-    for k in range(FRAMES):
-        stamp_ns = START_NS + k * STEP_NS
-        for name, (coding, pixels) in pictures.items():
-            picture = rosbag.image(stamp_ns, "camera", coding, pixels)
-            _put(content, f"{BRIDGE}{name}/image", "sensor_msgs/msg/Image", k, picture)
-        _put(content, f"{BRIDGE}lidar", "sensor_msgs/msg/PointCloud2", k, rosbag.cloud(stamp_ns, "ego_vehicle", points))
-        pose = rosbag.odometry(stamp_ns, "ego_vehicle", rosbag.pose(np.eye(4)))
-        _put(content, f"{BRIDGE}odometry", "nav_msgs/msg/Odometry", k, pose)
-        detections = {"header": rosbag.header(stamp_ns, "camera"), "detections": found}
-        _put(content, f"{BRIDGE}detections", rosbag.DETECTIONS, k, detections)
+
+    def put(message: Message, topic: str, name: str, written: dict) -> None:
+        channel = Channel(topic, "cdr", name, "ros2msg", rosbag.definition_of(name).encode())
+        content.messages.append(replace(message, channel=channel, data=rosbag.serialised(name, written)))
+
+    for message in _of_items([*logs.items(FRAMES, ROAD), *(_pose(k) for k in range(FRAMES))]).messages:
+        topic = message.channel.topic
+        put(message, "/tf_static" if topic == "/tf" else BRIDGE + TOPICS[topic], *in_ros(message, "bgr8"))
+        if topic == "/truth/pose":
+            cloud = rosbag.cloud(message.log_time_ns, "ego_vehicle", points)
+            put(message, f"{BRIDGE}lidar", "sensor_msgs/msg/PointCloud2", cloud)
     return content
-
-
-def _put(content: Content, topic: str, name: str, k: int, message: dict) -> None:
-    channel = Channel(topic, "cdr", name, "ros2msg", rosbag.definition_of(name).encode())
-    time_ns = START_NS + k * STEP_NS
-    content.messages.append(Message(channel, time_ns, time_ns, k, rosbag.serialised(name, message)))
 
 
 @cache

@@ -43,17 +43,18 @@ def _say(folder: Path, **more: object) -> None:
     dump_writer.document(path, json.loads(path.read_text()) | more)
 
 
+ORIGIN = dict.fromkeys("xyz", 0.0), dict.fromkeys(("roll", "pitch", "yaw"), 0.0)
+
+
 def _mounted(folder: Path) -> None:
-    place = {"x": 1.5, "y": 0.0, "z": 1.4, "roll": 0.0, "pitch": 0.0, "yaw": 0.0}
+    place = ORIGIN[0] | ORIGIN[1]
     _say(folder, mounting={"rgb": place, "lidar": place}, K=[[8.0, 0, 7.5], [0, 8.0, 5.5], [0, 0, 1]], rate_hz=20)
 
 
 def _described(folder: Path) -> None:
     boxes = [{"label": "Car", "box_px": [1, 2, 8, 9], "score": 0.5}]
     dump_writer.document(folder / "detections.json", {str(number): boxes for number in FRAMES})
-    poses = {
-        str(n): {"location": {"x": n, "y": 0, "z": 0}, "rotation": {"roll": 0, "pitch": 0, "yaw": 0}} for n in FRAMES
-    }
+    poses = {str(n): {"location": ORIGIN[0] | {"x": n}, "rotation": ORIGIN[1]} for n in FRAMES}
     dump_writer.document(folder / "poses.json", poses)
     (folder / "timestamps.txt").write_text("".join(f"{number} {number * 0.05}\n" for number in FRAMES))
 
@@ -71,26 +72,10 @@ def _scanned(folder: Path) -> None:
     _each(folder / "lidar", ".ply", text.encode())
 
 
-def _velodyne(folder: Path) -> None:
-    _each(folder / "velodyne", ".bin", POINTS.tobytes())
-
-
 def _each(folder: Path, suffix: str, data: bytes) -> None:
     folder.mkdir()
     for number in FRAMES:
         (folder / f"{number:06d}{suffix}").write_bytes(data)
-
-
-def _arrays(folder: Path) -> None:
-    _instead(folder / "depth", ".npy", lambda path: np.save(path, dump_writer.depth_m().astype(np.float32)))
-
-
-def _csv(folder: Path) -> None:
-    _instead(folder / "depth", ".csv", lambda path: np.savetxt(path, dump_writer.depth_m(), delimiter=",", fmt="%.3f"))
-
-
-def _jpeg(folder: Path) -> None:
-    _instead(folder / "rgb", ".jpg", lambda path: dump_writer.jpeg(path, dump_writer.camera_pixels()))
 
 
 def _instead(folder: Path, suffix: str, write: Callable[[Path], object]) -> None:
@@ -100,10 +85,19 @@ def _instead(folder: Path, suffix: str, write: Callable[[Path], object]) -> None
         path.unlink()
 
 
-EXTRAS: dict[str, tuple[Callable[[Path], None], ...]] = {
-    "plain": (), "pair": (_right, _described), "mounted": (_mounted, _scanned, _described), "listed": (_listed, _jpeg),
-    "arrays": (_arrays, _velodyne), "csv": (_csv, _described, _mounted),
+def _depth(folder: Path, suffix: str, write: Callable[[Path, np.ndarray], object]) -> None:
+    _instead(folder / "depth", suffix, lambda path: write(path, dump_writer.depth_m().astype(np.float32)))
+
+
+EXTRAS: dict[str, tuple[Callable[[Path], object], ...]] = {
+    "plain": (), "pair": (_right, _described), "mounted": (_mounted, _scanned, _described),
+    "listed": (_listed, lambda dump: _instead(dump / "rgb", ".jpg", lambda p: dump_writer.jpeg(p, _PIXELS))),
+    "arrays": (
+        lambda dump: _depth(dump, ".npy", np.save), lambda dump: _each(dump / "velodyne", ".bin", POINTS.tobytes())
+    ),
+    "csv": (_described, _mounted, lambda dump: _depth(dump, ".csv", lambda p, m: np.savetxt(p, m, delimiter=","))),
 }  # fmt: skip
+_PIXELS = dump_writer.camera_pixels()
 
 
 def _chosen(folder: Path, choices: Choices) -> Path:

@@ -113,9 +113,3 @@ _PATH = re.compile(r"\S*[/.](mcap|parquet|json|toml|png|txt|csv|ply|bin|npy|jpg)
 def kind_of_message(text: str) -> str:
     """A message without the names, numbers and quotes of its case."""
     return _NUMBER.sub("N", _QUOTED.sub("Q", _PATH.sub("P", text)))[:160]
-
-
-def same_kind(fault: str) -> str:
-    """A fault without what differs from case to case: those of one cause are counted together."""
-    kind, _, rest = fault.partition(": ")
-    return f"{kind}: {kind_of_message(rest)}" if rest else kind

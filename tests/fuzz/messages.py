@@ -1,13 +1,12 @@
 """What a log holds, changed before it is written: messages, their order and times, channels, attachments."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from typing import Any
+from itertools import pairwise
 
 import numpy as np
-from google.protobuf.message import DecodeError
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -17,13 +16,12 @@ from roadperc_stream.output import encoding
 from roadperc_stream.schemas.definitions import types_of
 from roadperc_stream.schemas.record import TAG_TABLE_KEY
 from tests.analytic import box
-from tests.fuzz.choices import Choices, damage, wild_float, wild_integer, wild_like, wild_text
+from tests.fuzz.choices import Choices, damage, wild_float, wild_integer, wild_text
 from tests.fuzz.contents import TYPES, Content
 from tests.fuzz.pictures import mutate_picture
 from tests.fuzz.trees import mutate_json, mutate_message, mutate_toml
 
 LAST_NS = 2**64 - 1
-PICTURES = ("foxglove.CompressedImage", "sensor_msgs/msg/CompressedImage")
 
 
 def mutate_content(content: Content, choices: Choices) -> None:
@@ -56,19 +54,23 @@ def _mutated(message: Message, choices: Choices) -> bytes:
         return damage(message.data, choices)
     if channel.message_encoding == "json":
         return mutate_json(message.data, choices)
-    if channel.message_encoding == "cdr":
-        return _mutated_cdr(message, choices)
-    if channel.schema_name in TYPES:
-        return _mutated_protobuf(message, choices)
-    return damage(message.data, choices)
-
-
-def _mutated_protobuf(message: Message, choices: Choices) -> bytes:
-    try:
-        parsed = TYPES[message.channel.schema_name].FromString(message.data)
-    except DecodeError:  # an earlier step has damaged it
+    if channel.message_encoding != "cdr" and channel.schema_name not in TYPES:
         return damage(message.data, choices)
-    if message.channel.schema_name in PICTURES and choices.chance("picture", 0.6):
+    try:
+        return _with_a_field_changed(message, choices)
+    except Exception:  # Decoders raise what they like where bytes or a value do not fit.
+        return damage(message.data, choices.part("otherwise"))
+
+
+def _with_a_field_changed(message: Message, choices: Choices) -> bytes:
+    channel = message.channel
+    if channel.message_encoding == "cdr":
+        store = _layout(channel.schema_name, channel.schema_data)
+        parsed = store.deserialize_cdr(message.data, channel.schema_name)
+        mutate_message(parsed, choices)
+        return bytes(store.serialize_cdr(parsed, channel.schema_name))
+    parsed = TYPES[channel.schema_name].FromString(message.data)
+    if channel.schema_name == "foxglove.CompressedImage" and choices.chance("picture", 0.6):
         parsed.data = mutate_picture(parsed.data, choices.part("pixels"))  # type: ignore[attr-defined]
     else:
         mutate_message(parsed, choices)
@@ -80,44 +82,6 @@ def _layout(name: str, definition: bytes) -> Typestore:
     store = get_typestore(Stores.EMPTY)
     store.register(types_of(name, definition, "ros2msg"))
     return store
-
-
-def _mutated_cdr(message: Message, choices: Choices) -> bytes:
-    """A ROS message with one field changed; what its layout cannot hold is damaged byte by byte."""
-    channel = message.channel
-    try:
-        store = _layout(channel.schema_name, channel.schema_data)
-        parsed = store.deserialize_cdr(message.data, channel.schema_name)
-        fields = dict(_fields(parsed))
-        _set_ros(*fields[choices.of("field", list(fields))], choices)
-        return bytes(store.serialize_cdr(parsed, channel.schema_name))
-    except Exception:  # The generated code raises what it likes where a value or the bytes do not fit.
-        return damage(message.data, choices.part("otherwise"))
-
-
-def _fields(owner: Any, prefix: str = "") -> Iterator[tuple[str, tuple[Any, str]]]:
-    """Every field of a ROS message and of those in it, by its path; of many alike the first."""
-    for name, value in vars(owner).items():
-        if name.startswith("_"):
-            continue
-        yield f"{prefix}{name}", (owner, name)
-        part = value[0] if isinstance(value, list) and value else value
-        if hasattr(part, "__msgtype__"):
-            yield from _fields(part, f"{prefix}{name}.")
-
-
-def _set_ros(owner: Any, name: str, choices: Choices) -> None:
-    value = getattr(owner, name)
-    if isinstance(value, np.ndarray):
-        changed: Any = np.frombuffer(
-            damage(value.tobytes(), choices)[: value.nbytes].ljust(value.nbytes, b"\0"), value.dtype
-        )
-        changed = changed[: choices.of("items", (len(value), len(value), 0, len(value) // 2))]
-    elif isinstance(value, list):
-        changed = value * choices.of("copies", (0, 2, 50))
-    else:
-        changed = wild_like(value, choices)
-    object.__setattr__(owner, name, changed)
 
 
 def _log_time(content: Content, choices: Choices) -> None:
@@ -208,8 +172,8 @@ def _transforms(content: Content, choices: Choices) -> None:
     kind, length = choices.of("kind", ("chain", "loop", "twice", "self", "far")), choices.of("length", (2, 30, 500))
     names = [f"frame{k}" for k in range(length)]
     edges = {
-        "chain": zip(["ego", *names], [*names, "camera"], strict=True),
-        "loop": zip(names, [*names[1:], names[0]], strict=True),
+        "chain": pairwise(["ego", *names, "camera"]),
+        "loop": pairwise([*names, names[0]]),
         "twice": [("map", "camera"), ("ego", "camera")] * length,
         "self": [("camera", "camera"), ("ego", "ego")],
         "far": [("ego", "camera")],
@@ -217,10 +181,10 @@ def _transforms(content: Content, choices: Choices) -> None:
     matrix = np.eye(4)
     matrix[0, 3] = choices.of("x_m", (0.0, 1e9, 1e300, math.nan))
     first = content.messages[0]
-    channel = next((c for c in content.channels() if c.schema_name == "foxglove.FrameTransforms"), None)
-    if channel is not None:
-        data = encoding.encode_transforms(first.log_time_ns, [Transform(*edge, matrix) for edge in edges])
-        content.messages.insert(0, replace(first, channel=channel, data=data))
+    for channel in content.channels():
+        if channel.schema_name == "foxglove.FrameTransforms":
+            data = encoding.encode_transforms(first.log_time_ns, [Transform(*edge, matrix) for edge in edges])
+            content.messages.insert(0, replace(first, channel=channel, data=data))
 
 
 def _detections(content: Content, choices: Choices) -> None:

@@ -3,13 +3,11 @@
 import base64
 import struct
 import zlib
-from collections.abc import Callable
 
 from tests.fuzz.choices import Choices, damage
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
-SIZES = (0, 1, 2, 31, 33, 1000, 9999, 12_000, 30_000, 65_535, 2**31 - 1, 2**32 - 1)
-JPEG_SIZES = (0, 1, 31, 33, 5000, 12_000, 30_000, 65_535)
+SIZES = (0, 1, 2, 31, 33, 1000, 5000, 9999, 12_000, 30_000, 65_535, 2**31 - 1, 2**32 - 1)
 NEW_CHUNKS = {
     "tRNS": b"\0", "tIME": b"\0" * 7, "tEXt": b"Comment\0" + b"x" * 100, "iCCP": b"name\0\0" + b"\1" * 20,
     "gAMA": b"\0\0\0\0", "pHYs": b"\0" * 9, "PLTE": b"\1\2\3", "acTL": b"\0\0\0\5\0\0\0\0", "eXIf": b"MM\0*\0\0\0\x08",
@@ -32,29 +30,38 @@ OTHER_FORMATS = {"avif": AVIF, "postscript": POSTSCRIPT, "bmp": b"BM" + bytes(99
 
 def mutate_picture(data: bytes, choices: Choices) -> bytes:
     """An encoded image with one fault."""
-    if choices.chance("bytes", 0.2):
+    is_png, is_jpeg = data.startswith(PNG_MAGIC), data.startswith(b"\xff\xd8")
+    if choices.chance("bytes", 0.2) or not (is_png or is_jpeg):
         return damage(data, choices.part("damage"))
-    if data.startswith(PNG_MAGIC):
-        if choices.chance("foreign", 0.05):
-            return OTHER_FORMATS[choices.of("format", tuple(OTHER_FORMATS))]
-        return _mutate_png(data, choices)
-    if data.startswith(b"\xff\xd8"):
-        return _mutate_jpeg(data, choices)
-    return damage(data, choices.part("damage"))
+    if choices.chance("foreign", 0.03):
+        return OTHER_FORMATS[choices.of("format", tuple(OTHER_FORMATS))]
+    return _mutate_png(data, choices) if is_png else _mutate_jpeg(data, choices)
+
+
+PART_FAULTS = ("size", "size", "remove", "repeat", "move", "content")
+"""Of a PNG's chunks and of a JPEG's segments."""
+
+
+def _mutate_part(parts: list[list], fault: str, choices: Choices) -> None:
+    """A chunk or segment that is missing, repeated, elsewhere or damaged."""
+    at = choices.index("chunk", len(parts))
+    if fault == "remove":
+        del parts[at]
+    elif fault == "repeat":
+        parts[at:at] = [list(parts[at])] * choices.of("copies", (1, 100))
+    elif fault == "move":
+        parts.insert(choices.index("to", len(parts)), parts.pop(at))
+    else:
+        parts[at][1] = damage(parts[at][1], choices.part("damage"))
 
 
 def _mutate_png(data: bytes, choices: Choices) -> bytes:
     chunks = png_chunks(data)
-    at = choices.index("chunk", len(chunks))
-    fault = choices.of(
-        "fault", ("zeros", "size", "size", "depth", "remove", "repeat", "move", "palette", "new", "content", "inflate")
-    )
-    if fault in _IN_A_LIST:
-        _IN_A_LIST[fault](chunks, at, choices)
-    elif fault == "zeros":
-        chunks[:] = _zeros(chunks[0][1], choices.of("side", (100, 3000, 30_000)))
-    elif fault == "size":
-        chunks[0][1] = _with_a_size(chunks[0][1], 0, ">I", choices.of("size", SIZES), choices)
+    fault = choices.of("fault", (*PART_FAULTS, "zeros", "depth", "palette", "new", "inflate"))
+    if fault == "zeros":
+        return png(*[choices.of("side", (100, 3000, 30_000))] * 2, mode=choices.of("mode", (0, 3)), bits=1)
+    if fault == "size":
+        chunks[0][1] = _with_a_size(chunks[0][1], 0, ">I", choices)
     elif fault == "depth":
         chunks[0][1] = _with_byte(chunks[0][1], choices.of("where", (8, 9, 10, 11, 12)), choices)
     elif fault == "palette":
@@ -63,43 +70,11 @@ def _mutate_png(data: bytes, choices: Choices) -> bytes:
     elif fault == "new":
         name = choices.of("name", tuple(NEW_CHUNKS))
         chunks.insert(choices.number("to", 1, len(chunks)), [name.encode(), NEW_CHUNKS[name]])
-    else:
+    elif fault == "inflate":
         _repack(chunks, choices)
+    else:
+        _mutate_part(chunks, fault, choices)
     return png_of(chunks, fixed=choices.chance("fixed", 0.8))
-
-
-def _repeat(parts: list[list], at: int, choices: Choices) -> None:
-    parts[at:at] = [list(parts[at])] * choices.of("copies", (1, 100))
-
-
-def _damage(parts: list[list], at: int, choices: Choices) -> None:
-    parts[at][1] = damage(parts[at][1], choices.part("damage"))
-
-
-_IN_A_LIST: dict[str, Callable[[list[list], int, Choices], object]] = {
-    "remove": lambda parts, at, _: parts.pop(at),
-    "move": lambda parts, at, choices: parts.insert(choices.index("to", len(parts)), parts.pop(at)),
-    "repeat": _repeat,
-    "content": _damage,
-}
-"""Of a PNG's chunks and of a JPEG's segments."""
-
-
-def _zeros(header: bytes, side: int) -> list[list[bytes]]:
-    """A square picture that is all there, its pixels zeros: a megabyte of them takes a kilobyte."""
-    piece = 2**20
-    count, rest = divmod(side * (side * 4 + 1), piece)  # as many as the widest kind of pixel takes
-    pieces = _deflated(piece) * count + _deflated(rest)
-    checksum = struct.pack(">HH", side * (side * 4 + 1) % 65521, 1)  # Adler-32 of zeros
-    packed = b"\x78\x9c" + pieces + b"\x03\0" + checksum
-    size = struct.pack(">II", side, side)
-    return [[b"IHDR", size + header[8:]], [b"PLTE", bytes(768)], [b"IDAT", packed], [b"IEND", b""]]
-
-
-def _deflated(count: int) -> bytes:
-    """So many zeros, compressed so that any number of such pieces may stand one behind the other."""
-    writer = zlib.compressobj(9, zlib.DEFLATED, -15)
-    return writer.compress(bytes(count)) + writer.flush(zlib.Z_FULL_FLUSH)
 
 
 def _repack(chunks: list[list[bytes]], choices: Choices) -> None:
@@ -115,11 +90,13 @@ def _repack(chunks: list[list[bytes]], choices: Choices) -> None:
     chunks.insert(max(len(chunks) - 1, 0), [b"IDAT", changed])
 
 
-def _with_a_size(header: bytes, at: int, layout: str, size: int, choices: Choices) -> bytes:
+def _with_a_size(header: bytes, at: int, layout: str, choices: Choices) -> bytes:
     """The header with one or both of two neighbouring numbers replaced."""
-    packed, first, count = struct.pack(layout, size), *choices.of("which", ((0, 1), (1, 1), (0, 2)))
-    at += first * len(packed)
-    return header[:at] + packed * count + header[at + count * len(packed) :]
+    wide = struct.calcsize(layout)
+    packed = struct.pack(layout, choices.of("size", SIZES) % 256**wide)
+    first, count = choices.of("which", ((0, 1), (1, 1), (0, 2)))
+    at += first * wide
+    return header[:at] + packed * count + header[at + count * wide :]
 
 
 def _with_byte(data: bytes, where: int, choices: Choices) -> bytes:
@@ -146,33 +123,39 @@ def png_of(chunks: list[list[bytes]], *, fixed: bool = True) -> bytes:
     return b"".join(made)
 
 
+def png(width: int, height: int, *, mode: int = 2, bits: int = 8, extra: tuple = (), rows: int | None = None) -> bytes:
+    """A PNG whose header says this size, with zeros for so many of its rows (all of them unless said).
+
+    ``extra`` are [name, content] of chunks behind the header.
+    """
+    channels = {0: 1, 2: 3, 3: 1, 6: 4}[mode]
+    row = bytes(1 + (width * channels * bits + 7) // 8)
+    packer = zlib.compressobj(9)
+    pixels = b"".join(packer.compress(row) for _ in range(height if rows is None else rows)) + packer.flush()
+    header = struct.pack(">IIBBBBB", width, height, bits, mode, 0, 0, 0)
+    palette = [[b"PLTE", bytes(range(3 * min(16, 2**bits)))]] if mode == 3 else []
+    return png_of([[b"IHDR", header], *extra, *palette, [b"IDAT", pixels], [b"IEND", b""]])
+
+
 def _mutate_jpeg(data: bytes, choices: Choices) -> bytes:
     segments, scan = jpeg_segments(data)
-    if not segments:
-        return damage(data, choices.part("damage"))
-    at = choices.index("segment", len(segments))
-    fault = choices.of(
-        "fault", ("size", "size", "remove", "repeat", "move", "length", "marker", "content", "cut", "components")
-    )
-    frames = [k for k, (marker, _) in enumerate(segments) if marker in (0xC0, 0xC2)]
-    if fault in ("size", "components") and frames:
-        segments[frames[0]][1] = _frame_header(segments[frames[0]][1], fault, choices)
-    elif fault in _IN_A_LIST:
-        _IN_A_LIST[fault](segments, at, choices)
-    elif fault == "length":
-        segments[at].append(choices.of("length", (0, 1, 2, 17, 65535)))
-    elif fault == "marker":
-        segments[at][0] = choices.of("marker", (0x00, 0x01, 0xC1, 0xC3, 0xC9, 0xD8, 0xD9, 0xDA, 0xE1, 0xFE, 0xFF))
+    fault = choices.of("fault", (*PART_FAULTS, "length", "marker", "cut", "components"))
+    frames = [segment for segment in segments if segment[0] in (0xC0, 0xC2)]
+    # A frame's header: precision, rows, columns, number of components, then three bytes for each.
+    if fault == "size" and frames:
+        frames[0][1] = _with_a_size(frames[0][1], 1, ">H", choices)
+    elif fault == "components" and frames:
+        frames[0][1] = _with_byte(frames[0][1], choices.of("where", (0, 5, 6, 7, 8)), choices)
+    elif fault == "length" and segments:
+        segments[choices.index("chunk", len(segments))].append(choices.of("length", (0, 1, 2, 17, 65535)))
+    elif fault == "marker" and segments:
+        marker = choices.of("marker", (0x00, 0x01, 0xC1, 0xC3, 0xC9, 0xD8, 0xD9, 0xDA, 0xE1, 0xFE, 0xFF))
+        segments[choices.index("chunk", len(segments))][0] = marker
+    elif fault in PART_FAULTS and segments:
+        _mutate_part(segments, fault, choices)
     else:
         scan = damage(scan, choices.part("damage"))
     return jpeg_of(segments, scan)
-
-
-def _frame_header(content: bytes, fault: str, choices: Choices) -> bytes:
-    """Of a frame segment: precision, rows, columns, number of components, then three bytes for each."""
-    if fault == "components":
-        return _with_byte(content, choices.of("where", (0, 5, 6, 7, 8)), choices)
-    return _with_a_size(content, 1, ">H", choices.of("size", JPEG_SIZES), choices)
 
 
 def jpeg_segments(data: bytes) -> tuple[list[list], bytes]:

@@ -62,14 +62,13 @@ def mutate_table(found: pa.Table, choices: Choices) -> pa.Table:
     return changed
 
 
-def _column(found: pa.Table, choices: Choices) -> tuple[int, str]:
-    name = choices.of("column", found.column_names)
-    return found.column_names.index(name), name
+def _column(found: pa.Table, choices: Choices) -> int:
+    return found.column_names.index(choices.of("column", found.column_names))
 
 
 def _value(found: pa.Table, choices: Choices) -> pa.Table:
     """One cell, or the whole column."""
-    at, _ = _column(found, choices)
+    at = _column(found, choices)
     kind = found.field(at).type
     values = found.column(at).to_pylist()
     if pa.types.is_floating(kind):
@@ -82,24 +81,20 @@ def _value(found: pa.Table, choices: Choices) -> pa.Table:
         value = choices.of("text", TEXTS) if pa.types.is_string(kind) else None
     row = choices.index("row", max(len(values), 1))
     everywhere = choices.chance("everywhere", 0.4)
+    value = None if choices.chance("missing", 0.1) else value
     changed = [value if everywhere or k == row else before for k, before in enumerate(values)]
     return found.set_column(at, found.field(at), pa.array(changed, kind))
 
 
-def _missing(found: pa.Table, choices: Choices) -> pa.Table:
-    at, _ = _column(found, choices)
-    return found.set_column(at, found.field(at), pa.nulls(found.num_rows, found.field(at).type))
-
-
 def _retype(found: pa.Table, choices: Choices) -> pa.Table:
-    at, name = _column(found, choices)
+    at = _column(found, choices)
     kind, value = TYPES[choices.of("type", tuple(TYPES))]
     value = None if choices.chance("empty", 0.2) else value
-    return found.set_column(at, name, pa.array([value] * found.num_rows, kind))
+    return found.set_column(at, found.column_names[at], pa.array([value] * found.num_rows, kind))
 
 
 def _rename(found: pa.Table, choices: Choices) -> pa.Table:
-    at, _ = _column(found, choices)
+    at = _column(found, choices)
     name = choices.of("to", found.column_names) if choices.chance("twice", 0.2) else wild_text(choices)
     names = found.column_names
     names[at] = name
@@ -107,14 +102,9 @@ def _rename(found: pa.Table, choices: Choices) -> pa.Table:
 
 
 def _rows(found: pa.Table, choices: Choices) -> pa.Table:
+    rows = list(range(found.num_rows))
     how = choices.of("how", ("none", "one", "many", "reverse", "again"))
-    if how == "many" and found.num_rows <= contents.RESULT_FRAMES:
-        return pa.concat_tables([found] * 300)
-    if how == "reverse":
-        return found.take(list(range(found.num_rows))[::-1])
-    if how in ("many", "again"):
-        return pa.concat_tables([found] * 2)
-    return found.slice(0, 0 if how == "none" else 1)
+    return found.take({"none": [], "one": rows[:1], "many": rows[:9] * 300, "reverse": rows[::-1]}.get(how, rows * 2))
 
 
 def _facts(found: pa.Table, choices: Choices) -> pa.Table:
@@ -132,7 +122,7 @@ def _facts(found: pa.Table, choices: Choices) -> pa.Table:
 
 
 FAULTS: dict[str, Callable[[pa.Table, Choices], pa.Table]] = {
-    "value": _value, "missing": _missing, "retype": _retype, "rename": _rename, "rows": _rows, "facts": _facts,
-    "remove": lambda found, choices: found.remove_column(_column(found, choices)[0]),
+    "value": _value, "retype": _retype, "rename": _rename, "rows": _rows, "facts": _facts,
+    "remove": lambda found, choices: found.remove_column(_column(found, choices)),
 }  # fmt: skip
 WEIGHTED = ("value",) * 5 + ("retype",) * 3 + tuple(FAULTS)

@@ -7,7 +7,7 @@ import pytest
 
 from roadperc_stream import log
 from tests.fuzz import contents
-from tests.fuzz.cases import FAMILIES, WEIGHTED, Case, drawn, prepared
+from tests.fuzz.cases import FAMILIES, WEIGHTED, Case, prepared
 from tests.fuzz.judge import Ran, faults
 from tests.fuzz.pictures import jpeg_of, jpeg_segments, png_chunks, png_of
 from tests.fuzz.records import FIXES, put_together, taken_apart
@@ -32,8 +32,8 @@ def digest(path):
 def test_a_case_is_its_name_and_its_recipe_is_the_case(tmp_path):
     families = set()
     for k in range(CASES):
-        found = made(drawn(7, k), tmp_path / f"a{k}")
-        assert made(drawn(7, k), tmp_path / f"b{k}") == found
+        found = made(Case(f"7:{k}"), tmp_path / f"a{k}")
+        assert made(Case(f"7:{k}"), tmp_path / f"b{k}") == found
         recipe = json.loads(found[1])
         assert made(Case("another name", recipe), tmp_path / f"c{k}") == found, recipe
         families.add(recipe["family"])

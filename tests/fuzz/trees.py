@@ -1,12 +1,12 @@
-"""JSON, TOML and protobuf messages changed value by value; configuration files also as text that is no TOML."""
+"""JSON, TOML, protobuf and ROS messages changed value by value; configuration files also as text that is no TOML."""
 
 import json
 from collections.abc import Iterator
 from contextlib import suppress
 from typing import Any
 
+import numpy as np
 import tomli_w
-from google.protobuf.descriptor import FieldDescriptor
 
 from roadperc_stream.config.settings import parsed_toml
 from roadperc_stream.errors import ConfigError
@@ -71,54 +71,62 @@ def mutate_json(data: bytes, choices: Choices) -> bytes:
 
 
 def mutate_message(message: Any, choices: Choices) -> None:
-    """Change one field of a protobuf message in place, at any depth; a recipe names it as ``rotation.w``."""
-    fields = dict(_fields(message, "", 0))
-    path = choices.of("field", list(fields))
-    if path not in fields:
-        return
-    owner, field = fields[path]
-    if field.is_repeated:
-        _mutate_repeated(getattr(owner, field.name), field, choices)
-    elif field.message_type:
-        owner.ClearField(field.name)
+    """Change one field of a protobuf or ROS message in place, at any depth; a recipe names it as ``rotation.w``.
+
+    Raises:
+        Exception: whatever the library raises where the new value does not fit.
+    """
+    fields = dict(_fields(message))
+    owner, name = fields[choices.of("field", list(fields))]
+    value = getattr(owner, name)
+    if isinstance(value, np.ndarray):
+        changed = damage(value.tobytes(), choices)[: value.nbytes].ljust(value.nbytes, b"\0")
+        items = choices.of("items", (len(value), len(value), 0, len(value) // 2))
+        vars(owner)[name] = np.frombuffer(changed, value.dtype)[:items]
+    elif hasattr(value, "extend"):
+        _mutate_items(value, choices)
+    elif _is_message(value):
+        owner.ClearField(name)
     else:
-        _set(lambda value: setattr(owner, field.name, value), getattr(owner, field.name), choices)
+        _assign(owner, name, wild_like(value, choices))
 
 
-def _fields(message: Any, prefix: str, depth: int) -> Iterator[tuple[str, tuple[Any, FieldDescriptor]]]:
+def _is_message(value: Any) -> bool:
+    return hasattr(value, "DESCRIPTOR") or hasattr(value, "__msgtype__")
+
+
+def _fields(message: Any, prefix: str = "") -> Iterator[tuple[str, tuple[Any, str]]]:
     """Every field of a message and of those in it, by its path; of many alike the first."""
-    for field in message.DESCRIPTOR.fields:
-        path = f"{prefix}{field.name}"
-        yield path, (message, field)
-        if not field.message_type or depth > 6:
-            continue
-        if field.is_repeated:
-            inner = list(getattr(message, field.name))[:1] if not field.message_type.GetOptions().map_entry else []
-        else:
-            inner = [getattr(message, field.name)] if message.HasField(field.name) else []
-        for part in inner:
-            yield from _fields(part, f"{path}.", depth + 1)
+    is_ros = hasattr(message, "__msgtype__")
+    for name in vars(message) if is_ros else [field.name for field in message.DESCRIPTOR.fields]:
+        yield f"{prefix}{name}", (message, name)
+        value = getattr(message, name)
+        inner = value[0] if hasattr(value, "extend") and len(value) else value
+        if _is_message(inner):
+            yield from _fields(inner, f"{prefix}{name}.")
 
 
-def _mutate_repeated(values: Any, field: FieldDescriptor, choices: Choices) -> None:
-    fault = choices.of("fault", ("remove", "clear", "copies", "value", "value"))
-    if not len(values) or fault == "clear":
-        del values[:]
+def _mutate_items(values: Any, choices: Choices) -> None:
+    fault, items = choices.of("fault", ("remove", "copies", "value")), list(values)
+    at = choices.index("item", max(len(items), 1))
+    if fault == "value" and items and not _is_message(items[at]):
+        items[at] = wild_like(items[at], choices)
     elif fault == "remove":
-        del values[choices.index("item", len(values))]
-    elif fault == "copies":
-        values.extend([values[0]] * choices.of("copies", COPIES))
-    elif not field.message_type:
-        item = choices.index("item", len(values))
-        _set(lambda value: values.__setitem__(item, value), values[item], choices)
+        items = items[:at] + items[at + 1 :]
+    else:
+        items *= choices.of("copies", (0, *COPIES))
+    del values[:]
+    values.extend(items)
 
 
-def _set(assign: Any, before: Any, choices: Choices) -> None:
-    """Assign a value of the field's type; a number that does not fit its width is cut to it."""
-    value = wild_like(before, choices)
-    for fitting in (value,) if not isinstance(value, int) else (value, *(value % 2**bits for bits in (64, 32, 31))):
+def _assign(owner: Any, name: str, value: Any) -> None:
+    """Assign a value; a number that does not fit the width of a protobuf field is cut to it."""
+    if hasattr(owner, "__msgtype__"):
+        vars(owner)[name] = value  # its class is frozen
+        return
+    for fitting in (value, *(value % 2**bits for bits in (64, 32, 31) if type(value) is int)):
         with suppress(ValueError, OverflowError):
-            assign(fitting)
+            setattr(owner, name, fitting)
             return
 
 

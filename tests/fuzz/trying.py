@@ -15,12 +15,10 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 import warnings
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field
-from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -30,11 +28,10 @@ import cv2
 
 import roadperc_stream.eval
 from roadperc_stream.cli import launch
-from tests import commands
 from tests.conftest import DEFAULT_DATA
 from tests.fuzz import contents
 from tests.fuzz.cases import Case, prepared
-from tests.fuzz.judge import FUZZER, Ran, crash_line, crash_of, faults, kind_of_message
+from tests.fuzz.judge import FUZZER, Ran, crash_line, crash_of, faults
 
 CPU_S = 10
 """Of the processor, for a command."""
@@ -44,15 +41,8 @@ MOST_GROWTH_BYTES = 2**30 + 2**28
 """A gigabyte, and what libraries set aside for their threads when they first run."""
 EVERY_AGAIN = 8
 """One replay in so many is repeated: it must give the same bytes."""
+EVERY_VALIDATED = 50
 VALIDATOR_S = 60
-
-
-@dataclass(frozen=True)
-class Order:
-    """A case to try; its commands are processes of their own where ``whole`` is set."""
-
-    case: Case
-    whole: bool = False
 
 
 @dataclass
@@ -62,12 +52,11 @@ class Verdict:
     command: str
     code: int | None = None
     message: str = ""
-    """What stderr said, without the names and numbers of the case."""
+    """The last line on stderr."""
     faults: list[str] = field(default_factory=list)
     recipe: dict[str, Any] = field(default_factory=dict)
     line: str = "?"
     """The command line, for a person."""
-    seconds: float = 0.0
 
 
 def import_commands() -> None:
@@ -79,22 +68,22 @@ def import_commands() -> None:
         make()
 
 
-def run(orders: Iterable[Order], jobs: int) -> Iterator[tuple[Order, Verdict]]:
+def run(cases: Iterable[Case], jobs: int) -> Iterator[tuple[Case, Verdict]]:
     """Try cases in so many processes; the verdicts come as they are found."""
-    waiting = deque(enumerate(orders))
-    running: dict[int, tuple[Order, Path]] = {}
+    waiting = deque(enumerate(cases))
+    running: dict[int, tuple[Case, Path]] = {}
     with TemporaryDirectory(prefix="fuzz-") as scratch:
         try:
             while waiting or running:
                 while waiting and len(running) < jobs:
-                    number, order = waiting.popleft()
+                    number, case = waiting.popleft()
                     folder = Path(scratch, str(number))
                     folder.mkdir()
-                    running[_forked(order, folder)] = order, folder
+                    running[_forked(case, folder)] = case, folder
                 pid, status = os.wait()
                 _end_group(pid)  # what the commands started and left
-                order, folder = running.pop(pid)
-                yield order, _verdict(folder, os.waitstatus_to_exitcode(status))
+                case, folder = running.pop(pid)
+                yield case, _verdict(folder, os.waitstatus_to_exitcode(status))
                 shutil.rmtree(folder)
         finally:
             for pid in running:
@@ -118,7 +107,7 @@ def _verdict(folder: Path, code: int) -> Verdict:
     return Verdict(words[0], faults=[fault], recipe=recipe, line=" ".join(words))
 
 
-def _forked(order: Order, folder: Path) -> int:
+def _forked(case: Case, folder: Path) -> int:
     pid = os.fork()
     if pid:
         with contextlib.suppress(PermissionError):  # it has done so itself
@@ -126,32 +115,31 @@ def _forked(order: Order, folder: Path) -> int:
         return pid
     os.setpgid(0, 0)
     try:
-        verdict = tried(order, folder)
+        verdict = tried(case, folder)
     except BaseException as error:  # a fault of the fuzzer itself: it is reported as one, and the next case follows
         verdict = Verdict("fuzzer", faults=[f"its own fault: {crash_line(crash_of(error), FUZZER)}"])
     (folder / "verdict").write_text(json.dumps(asdict(verdict)))
     os._exit(0)
 
 
-def tried(order: Order, folder: Path) -> Verdict:
+def tried(case: Case, folder: Path) -> Verdict:
     """Make a case in a folder of its own and run its commands there. Changes the limits of this process."""
     work = folder / "work"
     work.mkdir()
     os.chdir(work)
     signal.alarm(WALL_S)
-    words, recipe = prepared(order.case, work)
+    words, recipe = prepared(case, work)
     (folder / "made").write_text(json.dumps([words, recipe]))
     _limit_memory()
     refused: list[str] = []
     cv2.redirectError(lambda status, _f, message, *_: refused.append(message) if status == cv2.Error.StsNoMem else None)
-    began, again = time.monotonic(), sum(order.case.name.encode()) % EVERY_AGAIN == 0
-    first, found = _judged(words, _as_process if order.whole else _in_process, again)
+    number = sum(case.name.encode())
+    first, found = _judged(words, again=number % EVERY_AGAIN == 0)
     found += [f"memory: OpenCV: {refused[0]}"] if refused else []
-    if order.whole:
+    if number % EVERY_VALIDATED == 0:
         found += [fault for name in _logs(first) for fault in damages(work / name)]
     line = " ".join(["roadperc-" + words[0], *words[1:]])
-    message = kind_of_message(_last_line(first.err))
-    return Verdict(words[0], first.code, message, found, recipe, line, time.monotonic() - began)
+    return Verdict(words[0], first.code, _last_line(first.err), found, recipe, line)
 
 
 def _limit_memory() -> None:
@@ -171,17 +159,16 @@ def _limit_time() -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (most_s, resource.RLIM_INFINITY))
 
 
-def _judged(words: list[str], run_command: Callable[[list[str]], Ran], again: bool) -> tuple[Ran, list[str]]:
+def _judged(words: list[str], *, again: bool) -> tuple[Ran, list[str]]:
     """Run the command, roadperc-info on every log it wrote, and perhaps the same replay once more."""
-    first = run_command(words)
+    first = _ran(words)
     found = faults(first)
     for name in _logs(first):
-        told = run_command(["info", name])
-        reason = kind_of_message(_last_line(told.err))
-        found += faults(told) or ([f"{name} is not whole: {reason}"] if told.code else [])
+        told = _ran(["info", name])
+        found += faults(told) or ([f"{name} is not whole: {_last_line(told.err)}"] if told.code else [])
         if again and words[0] == "replay":
             before = Path(name).read_bytes()
-            repeated = run_command([*words, "--force"])
+            repeated = _ran([*words, "--force"])
             if repeated.code or Path(name).read_bytes() != before:
                 found.append("the same replay again gives other bytes")
     return first, found
@@ -195,7 +182,7 @@ def _logs(ran: Ran) -> list[str]:
     return [name for name in ran.appeared if name.endswith(".mcap") and "/" not in name] if ran.code == 0 else []
 
 
-def _in_process(words: list[str]) -> Ran:
+def _ran(words: list[str]) -> Ran:
     """Run a command by what its console script calls; what its C libraries print is caught as well."""
     _limit_time()
     there, crash, code = _files(), "", None
@@ -221,18 +208,6 @@ def _in_process(words: list[str]) -> Ran:
     return Ran(tuple(words), code, printed[0].read_bytes(), printed[1].read_bytes(), crash, _appeared(there))
 
 
-def _as_process(words: list[str]) -> Ran:
-    """Run a command as a user does, without this environment; it inherits the limits."""
-    _limit_time()
-    there = _files()
-    variables = {name: os.environ[name] for name in ("HOME", "PATH") if name in os.environ}
-    done = subprocess.run(
-        commands.words(f"roadperc-{words[0]}", *words[1:]), capture_output=True, check=False,
-        env=variables | {"PYTHONPATH": os.pathsep.join(sys.path), "MALLOC_ARENA_MAX": "2"},
-    )  # fmt: skip
-    return Ran(tuple(words), done.returncode, done.stdout, done.stderr, "", _appeared(there))
-
-
 def _files() -> set[str]:
     return {str(path) for path in Path().rglob("*") if path.is_symlink() or not path.is_dir()}
 
@@ -241,19 +216,11 @@ def _appeared(there: set[str]) -> tuple[str, ...]:
     return tuple(sorted(_files() - there))
 
 
-@cache
-def _validator() -> Path | None:
-    """The validator; None where it, its libraries or Node are missing."""
+def damages(log: Path) -> list[str]:
+    """What the validator finds wrong with a log but in the input's messages, which are copied; nothing without it."""
     data = Path(os.environ.get("ROADPERC_DATA", DEFAULT_DATA))
     path = data.parent / "tools" / "mcap-validate" / "validate.mjs"
-    there = shutil.which("node") and path.is_file() and (path.parent / "node_modules").is_dir()
-    return path if there else None
-
-
-def damages(log: Path) -> list[str]:
-    """What the validator finds wrong with a log; what stands in the input's messages, which are copied, is not."""
-    path = _validator()
-    if path is None:
+    if not (shutil.which("node") and (path.parent / "node_modules").is_dir()):
         return []
     done = subprocess.run(
         ["node", path, "--json", log], capture_output=True, check=False, timeout=VALIDATOR_S,
@@ -262,6 +229,6 @@ def damages(log: Path) -> list[str]:
     try:
         found = json.loads(done.stdout)
     except ValueError:
-        return [f"validator: {kind_of_message(done.stderr.decode('utf-8', 'replace'))}"]
+        return [f"validator: {_last_line(done.stderr)}"]
     copied = tuple(c["topic"] for c in found.get("channels", ()) if not c["topic"].startswith("/perception/"))
-    return [f"validator: {kind_of_message(text)}" for text in found["problems"] if not text.startswith(copied)]
+    return [f"validator: {text}" for text in found["problems"] if not text.startswith(copied)]

@@ -5,7 +5,6 @@ names that would command a terminal.
 import dataclasses
 import resource
 import struct
-import zlib
 
 import lz4.frame
 import polars as pl
@@ -14,7 +13,6 @@ from mcap.opcode import Opcode
 from roadperc_stream.log import Metadata
 from tests import logs
 from tests.analytic import box
-from tests.fuzz.pictures import png_of
 from tests.fuzz.records import MAGIC, Record, filled
 
 _LZ4_BLOCK = 4 * 1024 * 1024
@@ -37,20 +35,6 @@ def lz4_zeros(size):
     )
     head, block = frame[:7], frame[7:-4]
     return head + block * (size // _LZ4_BLOCK) + bytes(4)
-
-
-def png(width, height, *, mode=2, bits=8, extra=(), rows=None):
-    """A PNG whose header says this size, with zeros for so many of its rows (all of them unless said).
-
-    ``extra`` are [name, content] of chunks behind the header.
-    """
-    channels = {0: 1, 2: 3, 3: 1, 6: 4}[mode]
-    row = bytes(1 + (width * channels * bits + 7) // 8)
-    packer = zlib.compressobj(9)
-    pixels = b"".join(packer.compress(row) for _ in range(height if rows is None else rows)) + packer.flush()
-    header = struct.pack(">IIBBBBB", width, height, bits, mode, 0, 0, 0)
-    palette = [[b"PLTE", bytes(range(48))]] if mode == 3 else []
-    return png_of([[b"IHDR", header], *extra, *palette, [b"IDAT", pixels], [b"IEND", b""]])
 
 
 def jpeg_of_size(jpeg, width, height):

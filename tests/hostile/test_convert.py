@@ -38,47 +38,36 @@ def stamps(folder):
     return [m.log_time_ns for m in log.read(log.summarise(target), topics=["/camera/front/image"])]
 
 
+STAMPED = ("1305031102.933", "1305031102.983", "1305031103.033")
+REPORTED = {
+    "misspelled key": ({"calibration": {"rate_Hz": 10}}, 1, "no key rate_Hz; did you mean rate_hz?"),
+    "misspelled width": ({"calibration": {"widht": 64}}, 1, "no key widht; did you mean width?"),
+    "misspelled key of a camera": (
+        {"calibration": {"cameras": {"depth": {"hieght": 4}}}}, 1, "no key cameras.depth.hieght; did you mean height?"
+    ),
+    "first size": ({"sizes": ((32, 48), (64, 48), (64, 48))}, 0, "1.png: image is 32x48, its camera 64x48"),
+    "last size": ({"sizes": ((64, 48), (64, 48), (32, 48))}, 0, "3.png: image is 32x48, its camera 64x48"),
+    "every size": ({"sizes": ((32, 48),) * 3}, 1, "image is 32x48, its camera 64x48"),
+    "counts and times": (
+        {"names": ("1", "2", "1305031102.933")}, 1, "names of two kinds, such as 1 and 1305031102933000000"
+    ),
+    "rate beside stamps": (
+        {"names": STAMPED, "calibration": {"rate_hz": 5}}, 0,
+        "rate_hz 5 of the calibration is not used: the names of the files are stamps",
+    ),
+}  # fmt: skip
+"""What is wrong with a dump, and the exit code and the message of the converter."""
+
+
 @pytest.mark.promise("Dumps", "A misspelled key of `calibration.json` is named with the nearest known key")
-@pytest.mark.parametrize(
-    ("calibration", "named"),
-    [
-        ({"rate_Hz": 10}, "no key rate_Hz; did you mean rate_hz?"),
-        ({"widht": 64}, "no key widht; did you mean width?"),
-        ({"cameras": {"depth": {"hieght": 4}}}, "no key cameras.depth.hieght; did you mean height?"),
-    ],
-)
-def test_a_misspelled_key_is_named_with_the_nearest(tmp_path, calibration, named):
-    done = convert(dump(tmp_path / "dump", calibration=calibration))
-    assert (done.returncode, named in done.stderr) == (1, True), done.stderr
-
-
 @pytest.mark.promise("Dumps", "An image of another size is skipped")
-@pytest.mark.parametrize("odd", [0, 2])
-def test_an_image_of_another_size_costs_that_image(tmp_path, odd):
-    sizes = [(64, 48)] * 3
-    sizes[odd] = (32, 48)
-    done = convert(dump(tmp_path / "dump", sizes=sizes))
-    assert done.returncode == 0, done.stderr
-    assert f"{odd + 1}.png: image is 32x48, its camera 64x48" in done.stderr
-    assert len(stamps(tmp_path / "dump")) == 2
-
-
-def test_images_that_are_all_of_another_size_are_an_error(tmp_path):
-    done = convert(dump(tmp_path / "dump", sizes=((32, 48),) * 3))
-    assert (done.returncode, "image is 32x48, its camera 64x48" in done.stderr) == (1, True)
-
-
 @pytest.mark.promise("Dumps", "File names that mix counts and times are reported")
-def test_names_of_two_kinds_are_said_to_be_so(tmp_path):
-    done = convert(dump(tmp_path / "dump", names=("1", "2", "1305031102.933")))
-    assert done.returncode == 1
-    assert "names of two kinds, such as 1 and 1305031102933000000" in done.stderr
-
-
-def test_a_rate_that_is_not_used_is_said_to_be_so(tmp_path):
-    names = ("1305031102.933", "1305031102.983", "1305031103.033")
-    done = convert(dump(tmp_path / "dump", names=names, calibration={"rate_hz": 5}))
-    assert "rate_hz 5 of the calibration is not used: the names of the files are stamps" in done.stdout
+@pytest.mark.parametrize(("options", "code", "message"), REPORTED.values(), ids=REPORTED)
+def test_a_mistake_in_a_dump_is_reported(tmp_path, options, code, message):
+    done = convert(dump(tmp_path / "dump", **options))
+    assert (done.returncode, message in done.stdout + done.stderr) == (code, True), done.stderr
+    if "sizes" in options and code == 0:
+        assert len(stamps(tmp_path / "dump")) == 2
 
 
 @pytest.mark.promise("Dumps", "Stamps are found by column name in a table with more columns")
@@ -134,8 +123,7 @@ def test_stamps_that_are_not_used_are_said_to_be_so(tmp_path):
 
 
 @pytest.mark.promise("Dumps", "An interrupted `roadperc-render` leaves its target as it was")
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
-@pytest.mark.parametrize("former", [False, True])
+@pytest.mark.parametrize(("name", "former"), [("SIGINT", False), ("SIGTERM", True)])
 def test_an_interrupted_render_leaves_nothing_under_its_name(tmp_path, name, former):
     folder = tmp_path / "dump"
     if former:

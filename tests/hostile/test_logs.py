@@ -59,23 +59,26 @@ def test_what_is_declared_is_not_allocated(tmp_path, case):
     assert list(tmp_path.glob("*out*")) == []
 
 
+MESSAGE = inputs.message(1, 1, bytes(3_000_000))
+IN_A_CHUNK = b"".join((*KNOWN, MESSAGE))
+
+
 @pytest.mark.promise("Logs", "A chunk above `limits.chunk_mb` is refused; the error names the setting")
-def test_a_chunk_beyond_the_limit_names_the_setting(tmp_path):
-    path = tmp_path / "in.mcap"
-    data = b"".join(KNOWN) + inputs.message(1, 1, bytes(2_000_000))
-    path.write_bytes(compressed(zstandard.compress(data), "zstd", size=len(data)))
-    assert [len(m.data) for m in log.read(log.summarise(path))] == [2_000_000]
-    with pytest.raises(LogError, match=r"a chunk of 2 MiB: expected limits\.chunk_mb 1 at most"):
-        list(log.read(log.summarise(path, LimitsConfig(chunk_mb=1))))
-
-
 @pytest.mark.promise("Logs", "A record above `limits.record_mb` is refused; the error names the setting")
-def test_a_record_beyond_the_limit_names_the_setting(tmp_path):
+@pytest.mark.parametrize(
+    ("kind", "data"),
+    [
+        ("chunk", compressed(zstandard.compress(IN_A_CHUNK), "zstd", size=len(IN_A_CHUNK))),
+        ("record", inputs.file(*KNOWN, MESSAGE)),
+    ],
+    ids=["chunk", "record"],
+)
+def test_a_size_beyond_its_limit_names_the_setting(tmp_path, kind, data):
     path = tmp_path / "in.mcap"
-    path.write_bytes(inputs.file(*KNOWN, inputs.message(1, 1, bytes(3_000_000))))
+    path.write_bytes(data)
     assert [len(m.data) for m in log.read(log.summarise(path))] == [3_000_000]
-    with pytest.raises(LogError, match=r"a record of 3 MiB: expected limits\.record_mb 1 at most"):
-        list(log.read(log.summarise(path, LimitsConfig(record_mb=1))))
+    with pytest.raises(LogError, match=rf"a {kind} of 3 MiB: expected limits\.{kind}_mb 1 at most"):
+        list(log.read(log.summarise(path, LimitsConfig(**{f"{kind}_mb": 1}))))
 
 
 @pytest.mark.promise("Logs", "Chunks that do not state their size are read")

@@ -20,6 +20,7 @@ from roadperc_stream.output import encoding
 from tests import logs
 from tests.analytic import box
 from tests.commands import run
+from tests.fuzz.pictures import png
 from tests.hostile import inputs
 from tests.replaying import replay
 
@@ -27,7 +28,7 @@ pytestmark = pytest.mark.commands
 STAMP = logs.START_NS
 JPEG = cv2.imencode(".jpg", np.zeros((16, 16, 3), np.uint8))[1].tobytes()
 NOISE = cv2.imencode(".jpg", np.random.default_rng(0).integers(0, 255, (240, 320, 3)).astype(np.uint8))[1].tobytes()
-HUGE_PNG = inputs.png(30_000, 30_000, rows=4)
+HUGE_PNG = png(30_000, 30_000, rows=4)
 
 
 def replayed(tmp_path, items, *options):
@@ -50,7 +51,7 @@ def test_an_image_is_held_against_its_header_before_it_is_decoded(data):
 @pytest.mark.promise("Messages", "An oversized image is skipped; the frame's other inputs are used")
 @pytest.mark.parametrize("role", ["image", "segmentation"])
 def test_a_huge_image_costs_its_frames_that_image(tmp_path, role):
-    data = inputs.png(30_000, 30_000, mode=3, rows=4) if role == "segmentation" else HUGE_PNG
+    data = png(30_000, 30_000, mode=3, rows=4) if role == "segmentation" else HUGE_PNG
     done = replayed(tmp_path, inputs.replaced(role, encoding.encode_image(STAMP, "camera", "png", data), frames=1))
     assert done.returncode == 0, done.stderr
     assert "in the only frame" in done.stdout
@@ -81,45 +82,39 @@ def test_texts_that_are_compressed_in_an_image_cost_that_image():
     started = time.process_time()
     for decoder in (images.decode_bgr, images.decode_indices, images.image_size):
         try:
-            decoder(inputs.png(32, 24, mode=0, extra=extra))
+            decoder(png(32, 24, mode=0, extra=extra))
         except DecodeError:
             continue
     assert time.process_time() - started < 5
 
 
-BOXES = [box("Car", 1, 1, 9, 9)] * 5
+def of_detections(boxes):
+    return "detections", "roadperc.Detections", encoding.encode_detections(STAMP, "camera", boxes)
+
+
 EDGES = [Transform("ego", f"f{k}", np.eye(4)) for k in range(5)]
-POINTS = np.zeros((5, 4), np.float32)
+CLOUD = encoding.encode_points(STAMP, "lidar", np.zeros((5, 4), np.float32))
+BEYOND = {
+    "detections": (of_detections([box("Car", 1, 1, 9, 9)] * 5), {"detections": 4}, "5 detections"),
+    "transforms": (
+        ("tf", "foxglove.FrameTransforms", encoding.encode_transforms(STAMP, EDGES)), {"transforms": 4}, "5 transforms"
+    ),
+    "points": (("points", "foxglove.PointCloud", CLOUD), {"points": 4}, "5 points"),
+    "name": (of_detections([box("x" * 1001, 1, 1, 9, 9)]), {"name_length": 1000}, "a name of 1001 characters"),
+    "size": (of_detections([box("x" * 600_000, 1, 1, 9, 9)] * 2), {"message_mb": 1}, "bytes"),
+}  # fmt: skip
+WIDE = {"name_length": 1_000_000}
 
 
 @pytest.mark.promise("Messages", "A message with more detections, transforms or points than `limits` allows is skipped")
-@pytest.mark.parametrize(
-    ("limit", "kind", "schema", "data"),
-    [
-        ("detections", "detections", "roadperc.Detections", encoding.encode_detections(STAMP, "camera", BOXES)),
-        ("transforms", "tf", "foxglove.FrameTransforms", encoding.encode_transforms(STAMP, EDGES)),
-        ("points", "points", "foxglove.PointCloud", encoding.encode_points(STAMP, "lidar", POINTS)),
-    ],
-)
-def test_items_beyond_the_limit_cost_their_message(limit, kind, schema, data):
-    assert read(kind, schema, data, LimitsConfig(**{limit: 5}))
-    with pytest.raises(DecodeError, match=rf"5 {limit}: expected limits\.{limit} 4 at most"):
-        read(kind, schema, data, LimitsConfig(**{limit: 4}))
-
-
 @pytest.mark.promise("Messages", "A message with a name above `limits.name_length` is skipped")
-def test_a_long_name_costs_its_message():
-    data = encoding.encode_detections(STAMP, "camera", [box("x" * 1001, 1, 1, 9, 9)])
-    with pytest.raises(DecodeError, match=r"a name of 1001 characters: expected limits\.name_length 1000 at most"):
-        read("detections", "roadperc.Detections", data, LimitsConfig())
-    assert read("detections", "roadperc.Detections", data, LimitsConfig(name_length=1001))
-
-
 @pytest.mark.promise("Messages", "A message above `limits.message_mb` is not read item by item")
-def test_a_long_message_is_not_read_item_by_item():
-    data = encoding.encode_detections(STAMP, "camera", [box("x" * 1_100_000, 1, 1, 9, 9)])
-    with pytest.raises(DecodeError, match=r"bytes: expected limits\.message_mb 1 at most"):
-        read("detections", "roadperc.Detections", data, LimitsConfig(message_mb=1, name_length=1_000_000))
+@pytest.mark.parametrize(("message", "limit", "found"), BEYOND.values(), ids=BEYOND)
+def test_a_message_beyond_a_limit_is_skipped(message, limit, found):
+    ((setting, most),) = limit.items()
+    assert read(*message, LimitsConfig(**WIDE))
+    with pytest.raises(DecodeError, match=rf"{found}: expected limits\.{setting} {most} at most"):
+        read(*message, LimitsConfig(**(WIDE | limit)))
 
 
 @pytest.mark.promise("Messages", "Transforms beyond `limits.transforms` are skipped and reported")
@@ -157,9 +152,9 @@ def test_many_detections_take_a_time_that_grows_with_their_number(tmp_path):
 @pytest.mark.parametrize(
     "data",
     [
-        inputs.png(320, 240)[:-40],
-        inputs.png(320, 240, rows=10),
-        inputs.png(320, 240, extra=[[b"iCCP", b"x\0\0broken"]]),
+        png(320, 240)[:-40],
+        png(320, 240, rows=10),
+        png(320, 240, extra=[[b"iCCP", b"x\0\0broken"]]),
         NOISE[:2000] + bytes(500) + NOISE[2500:],
         NOISE[:5000],
     ],
@@ -173,4 +168,4 @@ def test_what_libpng_and_libjpeg_say_reaches_no_terminal(tmp_path, data):
 @pytest.mark.promise("The terminal", "A damaged image is reported once")
 def test_what_a_decoder_says_of_a_damaged_image_is_said_once():
     with pytest.raises(DecodeError, match=r"bytes are no image: .*truncated"):
-        images.decode_bgr(inputs.png(320, 240)[:-40])
+        images.decode_bgr(png(320, 240)[:-40])

@@ -28,23 +28,11 @@ def require_plain(done, *, names=SHOWN, codes=(0,)):
 
 @pytest.fixture(scope="module")
 def replayed(tmp_path_factory):
-    """A hostile log, its replay, and what the replay printed."""
+    """A hostile log and its replay, which prints its names."""
     folder = tmp_path_factory.mktemp("hostile")
     source, target = write_log(folder / "in.mcap"), folder / "out.mcap"
-    done = run("roadperc-replay", source, target, "--set", "tag_table=0.9.13", *topic_options())
-    return source, target, done
-
-
-@pytest.fixture(scope="module")
-def tainted(replayed):
-    """The replay's folder with its table's texts replaced, and a log that is called so."""
-    _, target, _ = replayed
-    folder = target.parent / "tainted"
-    folder.mkdir()
-    for path in target.parent.glob("out.*"):
-        shutil.copy(path, folder / path.name)
-    taint(folder / "out.metrics.parquet")
-    return folder
+    require_plain(run("roadperc-replay", source, target, "--set", "tag_table=0.9.13", *topic_options()))
+    return source, target
 
 
 @pytest.mark.promise("The terminal", "Text from files is printed with control characters escaped (`system.text.shown`)")
@@ -61,77 +49,55 @@ def test_a_line_of_a_hundred_million_characters_is_cut():
     assert len(shown("x" * 100_000_000)) < 10_100
 
 
-@pytest.mark.promise("The terminal", "`roadperc-replay` prints escaped text")
-def test_replay(replayed):
-    require_plain(replayed[2])
+@pytest.fixture(scope="module")
+def folder(replayed, tmp_path_factory):
+    """A folder with everything that the commands below read: logs, a table and a dump with hostile names and texts."""
+    folder = tmp_path_factory.mktemp("commands")
+    source, target = replayed
+    shutil.copy(source, folder / "in.mcap")
+    for name in ("out", EVIL[:7], "tainted"):
+        for path in target.parent.glob("out.*"):
+            shutil.copy(path, folder / path.name.replace("out.", f"{name}."))
+    taint(folder / "tainted.metrics.parquet")
+    (folder / "logs").mkdir()
+    shutil.copy(source, folder / "logs" / f"{EVIL[:7]}.mcap")
+    (folder / "dump" / f"rgb{EVIL}").mkdir(parents=True)
+    (folder / "dump" / f"rgb{EVIL}" / "1.png").write_bytes(b"no image")
+    return folder
 
 
-@pytest.mark.promise("The terminal", "Errors are escaped")
-def test_a_stated_error():
-    require_plain(run("roadperc-replay", f"no-{EVIL}.mcap", "out.mcap"), names=r"\x1b[31m", codes=(1,))
+SWEEP = ("--vary", "lanes.hold_s=0.5,0.6", "--set", "tag_table=0.9.13", "--out", "sweep")
+FAILING_BATCH = ("dataset", "logs", "--timeout", "0.001")
+PRINTED = {
+    "info": (("in.mcap",), SHOWN, 0),
+    "info of a result": (("out.mcap",), SHOWN, 0),
+    "info as JSON": (("in.mcap", "--json"), r"\u001b[31m", 0),
+    "view": (("in.mcap", "--save", f"{EVIL[:7]}.rrd"), r"\x1b", 0),
+    "view as video": (("out.mcap", "--video", f"{EVIL[:7]}.mp4"), r"\x1b", 0),
+    "report": (("tainted.metrics.parquet", "--html", "a.html"), SHOWN, 0),
+    "report of two": (("tainted.metrics.parquet", "out.metrics.parquet"), SHOWN, 0),
+    "compare": (("out.mcap", "tainted.mcap"), SHOWN, None),
+    "sweep": (("in.mcap", *SWEEP, *topic_options()), SHOWN, 0),
+    "batch": ((*FAILING_BATCH, *topic_options()), r"\x1b", 1),
+    "trajectory": ((f"{EVIL[:7]}.mcap",), r"\x1b", None),
+    "lanes": ((f"{EVIL[:7]}.mcap", "--tusimple", "lanes.json"), r"\x1b", None),
+    "convert": (("dump", "converted.mcap"), r"\x1b[31m", 1),
+    "replay": ((f"no-{EVIL}.mcap", "no.mcap"), r"\x1b[31m", 1),
+    "replay with wrong usage": (("a.mcap", "b.mcap", f"--{EVIL}"), SHOWN, 2),
+}
+"""Arguments of each command, the text it prints, and its exit code; None if that may be 0 or 1."""
 
 
-@pytest.mark.promise("The terminal", "Usage errors are escaped")
-def test_wrong_usage():
-    require_plain(run("roadperc-replay", "a.mcap", "b.mcap", f"--{EVIL}"), names=SHOWN, codes=(2,))
-
-
-@pytest.mark.promise("The terminal", "`roadperc-info` prints escaped text")
-def test_info(replayed):
-    source, target, _ = replayed
-    require_plain(run("roadperc-info", source))
-    require_plain(run("roadperc-info", target))
-    done = run("roadperc-info", source, "--json")
-    require_plain(done, names=r"\u001b[31m")
-    assert any(EVIL in channel["topic"] for channel in json.loads(done.stdout)["channels"])
-
-
-@pytest.mark.promise("The terminal", "`roadperc-view` prints escaped text")
-def test_view(replayed, tmp_path):
-    require_plain(run("roadperc-view", replayed[0], "--save", tmp_path / f"{EVIL[:7]}.rrd"), names=r"\x1b")
-    require_plain(run("roadperc-view", replayed[1], "--video", tmp_path / f"{EVIL[:7]}.mp4"), names=r"\x1b")
-
-
-@pytest.mark.promise("The terminal", "`roadperc-report` prints escaped text")
-def test_report(tainted, replayed, tmp_path):
-    require_plain(run("roadperc-report", tainted / "out.metrics.parquet", "--html", tmp_path / "a.html"))
-    assert "\x1b" not in (tmp_path / "a.html").read_text()
-    require_plain(run("roadperc-report", tainted, replayed[1].with_suffix(".metrics.parquet")))
-
-
-@pytest.mark.promise("The terminal", "`roadperc-compare` prints escaped text")
-def test_compare(tainted, replayed):
-    require_plain(run("roadperc-compare", replayed[1], tainted / "out.mcap"), codes=(0, 1))
-
-
-@pytest.mark.promise("The terminal", "`roadperc-sweep` prints escaped text")
-def test_sweep(replayed, tmp_path):
-    options = ["--vary", "lanes.hold_s=0.5,0.6", "--set", "tag_table=0.9.13", "--out", tmp_path / "sweep"]
-    require_plain(run("roadperc-sweep", replayed[0], *options, *topic_options()))
-
-
-def test_batch(replayed, tmp_path):
-    shutil.copy(replayed[0], tmp_path / f"{EVIL[:7]}.mcap")
-    failed = run("roadperc-batch", tmp_path / "dataset", tmp_path, "--timeout", "0.001", *topic_options())
-    require_plain(failed, names=r"\x1b", codes=(1,))
-
-
-@pytest.mark.promise("The terminal", "`roadperc-trajectory` and `roadperc-lanes` print escaped text")
-def test_trajectory_and_lanes(replayed):
-    hostile = replayed[1].with_name(f"{EVIL[:7]}.mcap")
-    for path in replayed[1].parent.glob("out.*"):
-        shutil.copy(path, path.with_name(path.name.replace("out.", f"{EVIL[:7]}.")))
-    require_plain(run("roadperc-trajectory", hostile), names=r"\x1b", codes=(0, 1))
-    require_plain(
-        run("roadperc-lanes", hostile, "--tusimple", hostile.with_suffix(".json")), names=r"\x1b", codes=(0, 1)
-    )
-
-
-@pytest.mark.promise("The terminal", "`roadperc-convert` prints escaped text")
-def test_convert(tmp_path):
-    (tmp_path / f"rgb{EVIL}").mkdir()
-    (tmp_path / f"rgb{EVIL}" / "1.png").write_bytes(b"no image")
-    require_plain(run("roadperc-convert", tmp_path, tmp_path / "out.mcap"), names=r"\x1b[31m", codes=(1,))
+@pytest.mark.promise("The terminal", "Every command prints escaped text, in results, errors and usage errors")
+@pytest.mark.parametrize("case", PRINTED)
+def test_every_command_prints_escaped_text(folder, case):
+    arguments, names, code = PRINTED[case]
+    done = run(f"roadperc-{case.split()[0]}", *arguments, cwd=folder)
+    require_plain(done, names=names, codes=(0, 1) if code is None else (code,))
+    if case == "info as JSON":
+        assert any(EVIL in channel["topic"] for channel in json.loads(done.stdout)["channels"])
+    if case == "report":
+        assert "\x1b" not in (folder / "a.html").read_text()
 
 
 @pytest.mark.promise("The terminal", "Text that a client sends to the live server is escaped when the SDK logs it")
