@@ -1,4 +1,4 @@
-# Works as the first command typed on a machine with Python 3.11 or later, make, gcc and git.
+# Every target works on a fresh machine with Python 3.11 or later, make, gcc and git.
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -30,61 +30,61 @@ demo: $(VENV)/.installed
 	@echo "a row per object   $(DEMO)/sample.objects.parquet"
 
 TESTS ?=
-test: $(VENV)/.installed  # all, or those that pytest takes with TESTS, such as TESTS=tests/cli
+test: $(VENV)/.installed  # all tests, or those of TESTS=tests/cli
 	$(BIN)/python -m pytest $(PARALLEL) $(TESTS)
 
-test-hostile: $(VENV)/.installed  # the tests that run commands, on a machine unlike a developer's
+test-hostile: $(VENV)/.installed  # the tests that run commands, in an unusual environment
 	.ci/in-hostile-environment $(BIN)/python -m pytest $(PARALLEL) -m 'commands and not accuracy' \
 		--deselect tests/test_docs.py::test_every_command_runs_in_order
 
 N ?= 200
 SEED ?= 1
 JOBS ?= $(shell nproc)
-mutants: $(VENV)/.installed  # small faults in the code: are they noticed? A quarter of an hour, the first time a half
+mutants: $(VENV)/.installed  # adds small faults to the code and lists those that no test notices: 15 minutes, the first run 30
 	$(BIN)/python -m tests.mutants --count $(N) --seed $(SEED) --jobs $(JOBS)
 
 fuzz: N = 2000
-fuzz: $(VENV)/.installed  # inputs that are wrong in some place, to every command: make fuzz N=20000 SEED=2
+fuzz: $(VENV)/.installed  # gives every command wrong input: make fuzz N=20000 SEED=2
 	$(BIN)/python -m tests.fuzz --count $(N) --seed $(SEED) --jobs $(JOBS)
 
 SEEDS ?= 4
 PAGE ?=
-accuracy: $(VENV)/.installed  # every figure, required beside measured: make accuracy SEEDS=2, PAGE=docs/accuracy.md writes it
+accuracy: $(VENV)/.installed  # required and measured accuracy: make accuracy SEEDS=2; PAGE=docs/accuracy.md updates the page
 	$(BIN)/python -m tests.accuracy --seeds $(SEEDS) --jobs $(JOBS) $(if $(PAGE),--page $(PAGE))
 
-accuracy-long: $(VENV)/.installed  # the tests of accuracy at full size
+accuracy-long: $(VENV)/.installed  # the accuracy tests at full size
 	$(BIN)/python -m pytest -m accuracy -s
 
 KILLS ?= 100
-kills: $(VENV)/.installed  # a replay with checkpoints is killed so often at random moments: are its files the same?
+kills: $(VENV)/.installed  # kills a replay with checkpoints at KILLS random times and compares its files
 	KILLS=$(KILLS) $(BIN)/python -m pytest -m accuracy -s tests/resume/test_kills.py
 
-cluster: $(VENV)/.installed  # a batch on a Ray cluster of two machines, from outside too, and workers killed at random
+cluster: $(VENV)/.installed  # batches on a Ray cluster of two machines, with workers killed at random
 	$(BIN)/python -m pytest -m 'accuracy or not accuracy' tests/batch/test_cluster.py tests/batch/test_chaos.py
 
 PARTS ?= 500
-parts: $(VENV)/.installed  # drives cut at so many random places: are the results of the parts those of the whole?
+parts: $(VENV)/.installed  # cuts logs at PARTS random places and compares the continued replays with the whole
 	PARTS=$(PARTS) $(BIN)/python -m pytest -m accuracy -s tests/resume/test_parts.py
 
 BENCH := logs/runs/bench
 BENCH_OPTIONS ?=
-bench bench-long bench-compare: export PYTHONDONTWRITEBYTECODE :=  # a start that compiles every module is none of a user's
-bench: $(VENV)/.installed  # how fast a replay is, beside the course's method: make bench BENCH_OPTIONS='--json bench.json'
+bench bench-long bench-compare: export PYTHONDONTWRITEBYTECODE :=  # users start with compiled modules
+bench: $(VENV)/.installed  # speed of a replay and of the course's method: make bench BENCH_OPTIONS='--json bench.json'
 	$(BIN)/python -m roadperc_stream.tools.bench $(BENCH) $(BENCH_OPTIONS)
 
-bench-long: $(VENV)/.installed  # memory and encoding over 3000 frames: a quarter of an hour, and 5 GB
+bench-long: $(VENV)/.installed  # memory and encoding over 3000 frames: 15 minutes and 5 GB
 	$(BIN)/python -m roadperc_stream.tools.bench $(BENCH) --long-frames 3000 $(BENCH_OPTIONS)
 
-bench-compare: $(VENV)/.installed  # what is slower than at a commit: make bench-compare BASE=main
+bench-compare: $(VENV)/.installed  # compares the speed with a commit: make bench-compare BASE=main
 	@test -n "$(BASE)" || { echo "make bench-compare BASE=<commit>"; exit 2; }
 	$(BIN)/python -m roadperc_stream.tools.bench.compare $(BENCH) $(BASE) $(BENCH_OPTIONS)
 
-bench-report: $(VENV)/.installed  # writes 5 GB; the bare group-by wants 8 GB of memory
+bench-report: $(VENV)/.installed  # speed of reports: writes 5 GB, needs 8 GB of memory
 	$(BIN)/python -m roadperc_stream.tools.bench.report logs/runs/bench-report
 
 ENGINE ?= docker
 IMAGE ?= roadperc
-image:  # wants a container engine; runs roadperc-batch as head, worker or alone
+image:  # needs a container engine; the image runs roadperc-batch alone, as head or as worker
 	$(ENGINE) build --file docker/Dockerfile --tag $(IMAGE) .
 	$(ENGINE) run --rm $(IMAGE) --version
 
@@ -97,7 +97,7 @@ proto: $(VENV)/.installed
 	$(BIN)/python -m grpc_tools.protoc --proto_path=. --plugin=protoc-gen-mypy=$(BIN)/protoc-gen-mypy \
 		--python_out=. --mypy_out=. roadperc_stream/schemas/roadperc.proto
 
-pages: $(VENV)/.installed  # the tables of docs/ that are made from the code
+pages: $(VENV)/.installed  # the generated pages and tables of docs/
 	$(BIN)/python -m roadperc_stream.eval.metrics_page docs/metrics.md docs/scaling.md
 	$(BIN)/python -m roadperc_stream.cli.settings > docs/settings.md
 	$(BIN)/python -m tests.promises
@@ -107,10 +107,10 @@ sample: $(VENV)/.installed
 	$(BIN)/roadperc-render $(SAMPLE_DUMP) $(SAMPLE_OPTIONS) --force
 	$(BIN)/roadperc-convert $(SAMPLE_DUMP) logs/sample.mcap --force
 
-docs: $(VENV)/.installed  # build/site, with the API reference; a dead link is an error
+docs: $(VENV)/.installed  # build/site with the API reference; a broken link is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 
-pictures: $(VENV)/.installed $(EVENT_LOGS)  # those of docs/ but foxglove.png and rerun.jpg; chromium shows the report
+pictures: $(VENV)/.installed $(EVENT_LOGS)  # all pictures of docs/ except foxglove.png and rerun.jpg; needs chromium
 	$(BIN)/roadperc-render $(PICTURES)/drive --scene town --seconds 2.2 --force
 	$(BIN)/roadperc-convert $(PICTURES)/drive $(PICTURES)/town.mcap --force --quiet
 	$(BIN)/roadperc-replay $(PICTURES)/town.mcap $(PICTURES)/result.mcap --overlay --force

@@ -161,7 +161,7 @@ def assert_incomplete_frames_say_so(found, tidy):
     assert len(found) >= STRUCK
 
 
-@pytest.mark.promise("Logs", "Without `--recover` damage is an error; behind the replayed part it is a warning")
+@pytest.mark.promise("Logs", "Without `--recover`, damage is an error in the replayed part and a warning after it")
 @pytest.mark.parametrize(("writer", "damage"), CASES)
 def test_without_the_option_it_is_refused_and_before_it_replayed(tmp_path, tidy, writer, damage):
     whole, path = damaged(tmp_path / "a.mcap", writer, damage)

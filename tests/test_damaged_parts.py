@@ -61,7 +61,7 @@ def recording(request, tmp_path, monkeypatch):
     return path
 
 
-@pytest.mark.promise("Logs", "Each frame that a cut leaves incomplete has a reason")
+@pytest.mark.promise("Logs", "A frame that is incomplete because the file is cut has a reason")
 def test_every_frame_that_a_cut_leaves_incomplete_says_so(recording):
     path, incomplete = recording.with_name("cut.mcap"), 0
     for share in (0.51, 0.54, 0.57, 0.6, 0.63, 0.66, 0.69, 0.72):
@@ -108,7 +108,7 @@ def parts(tmp_path, monkeypatch):
     return files
 
 
-@pytest.mark.promise("Logs", "A damaged file marks no frame of the files after it, except the first")
+@pytest.mark.promise("Logs", "After a damaged file, only the first frame of the next file is marked")
 def test_a_gap_ends_where_the_next_part_begins(parts):
     target, summary = recovered(parts[0], "out", *parts[1:])
     frames = said(target)

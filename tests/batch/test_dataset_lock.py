@@ -88,7 +88,7 @@ def test_in_a_store_the_second_is_refused_until_the_first_ends(store):
         assert read(store).token != me.token
 
 
-@pytest.mark.promise("Datasets", "A lock in a store expires after 2 minutes")
+@pytest.mark.promise("Datasets", "A lock in an object store expires after 2 minutes")
 @pytest.mark.parametrize(("age_s", "is_free"), [(100, False), (-100, False), (121, True), (-121, True)])
 def test_a_lock_in_a_store_is_dead_after_two_minutes(store, age_s, is_free):
     """Of a clock that goes wrong by more than that, too."""
@@ -110,7 +110,7 @@ def test_of_two_at_the_same_moment_the_last_one_holds_it(store, monkeypatch):
     assert read(store).host == "elsewhere"
 
 
-@pytest.mark.promise("Datasets", "A lock in a store is renewed every 30 s")
+@pytest.mark.promise("Datasets", "A lock in an object store is renewed every 30 s")
 def test_a_lock_in_a_store_is_renewed_in_time(store, monkeypatch):
     assert 3 * dataset_lock.RENEW_EVERY_S < dataset_lock.DEAD_AFTER_S
     monkeypatch.setattr(dataset_lock, "RENEW_EVERY_S", 0.05)

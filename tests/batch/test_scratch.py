@@ -60,7 +60,9 @@ def task(tmp_path, scratch):
     return task_of(write_log(tmp_path / "in" / "a.mcap"), tmp_path / "out", scratch)
 
 
-@pytest.mark.promise("Temporary files", "A link, or a folder that others own or can enter, is refused and not changed")
+@pytest.mark.promise(
+    "Temporary files", "A symbolic link, or a folder that others own or can enter, is refused and left unchanged"
+)
 @FAULTY
 def test_a_scratch_folder_that_is_not_ones_own_is_not_used(task, scratch, fault, monkeypatch):
     make_faulty(scratch / NAME, fault, monkeypatch)
@@ -72,7 +74,7 @@ def test_a_scratch_folder_that_is_not_ones_own_is_not_used(task, scratch, fault,
     assert below(scratch) == before
 
 
-@pytest.mark.promise("Temporary files", "The error says what to do; on a cluster it is in the log's row")
+@pytest.mark.promise("Temporary files", "The error says what to do; on a cluster the log's row contains it")
 @FAULTY
 def test_the_command_says_so_at_once(tmp_path, scratch, fault, monkeypatch):
     if fault == "another user's" and os.geteuid() != 0:
@@ -95,7 +97,7 @@ def test_a_scratch_folder_is_made_for_its_user_alone(task, scratch, mask):
     assert list(scratch.iterdir()) == [scratch / NAME] == list(scratch_of(task).parents)[1:2]
 
 
-@pytest.mark.promise("Temporary files", "For an object store it is below `TMPDIR`")
+@pytest.mark.promise("Temporary files", "For an object store the folder is below `TMPDIR`")
 def test_the_scratch_folder_of_a_store_is_in_the_folder_for_temporary_files(tmp_path, bucket, monkeypatch):
     source = write_log(tmp_path / "in" / "a.mcap")
     with TemporaryDirectory() as short:  # a path of pytest's is too long for the sockets in it

@@ -102,7 +102,7 @@ def test_what_libraries_write_has_a_limit_and_a_crash_is_shown_beyond_it(tmp_pat
     assert len(ended.stderr) < 20_000
 
 
-@pytest.mark.promise("Crashes", "A command that does not crash prints none of that")
+@pytest.mark.promise("Crashes", "A command that does not crash prints no crash report")
 def test_a_command_that_does_not_crash_shows_nothing_of_it(tmp_path):
     ended = dying(tmp_path, "raise SystemExit(3)")
     assert (ended.returncode, ended.stderr) == (3, "")
@@ -185,7 +185,7 @@ def test_wrong_usage_has_its_exit_code_where_nobody_reads(state, buffering):
     assert status(words("roadperc-report", "--worst", "many"), state, buffering) == 2
 
 
-@pytest.mark.promise("Start and end", "Output to a full device is one error line")
+@pytest.mark.promise("Start and end", "Output to a full device gives one error line")
 @pytest.mark.promise("Start and end", "With stderr on a full device the exit code is the documented one")
 @pytest.mark.promise("Start and end", "With stdout and stderr on a full device the exit code is the documented one")
 @needs_full
@@ -242,7 +242,7 @@ def limited(megabytes):
     return lambda: resource.setrlimit(resource.RLIMIT_AS, (megabytes << 20, megabytes << 20))
 
 
-@pytest.mark.promise("Start and end", "Too little memory under `ulimit -v` or `-d` is one line and exit code 1")
+@pytest.mark.promise("Start and end", "Too little memory under `ulimit -v` or `-d` gives one line and exit code 1")
 @pytest.mark.skipif(sys.platform != "linux", reason="the system does not limit address space")
 @pytest.mark.parametrize("megabytes", [40, 95, 150, 400, 550])
 @pytest.mark.parametrize("command", ["roadperc-info", "roadperc-replay", "roadperc-report", "roadperc-sweep"])
@@ -271,7 +271,7 @@ def test_a_note_is_printed_under_a_memory_limit(tmp_path):
     assert ended.stderr.startswith("note: old.toml: 1 setting of an older version")
 
 
-@pytest.mark.promise("Start and end", "Under such a limit a signal ends the command as usual")
+@pytest.mark.promise("Start and end", "Under `ulimit -v` or `-d` a signal ends the command as usual")
 @pytest.mark.skipif(sys.platform != "linux", reason="the system does not limit address space")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_under_a_memory_limit_is_one_line(tmp_path, number):

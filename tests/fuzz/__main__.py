@@ -1,4 +1,4 @@
-"""Gives every command inputs that are wrong in some place, and counts what comes of it."""
+"""Runs fuzz cases and prints the faults that they find."""
 
 import argparse
 import ctypes
@@ -15,20 +15,20 @@ from tests.fuzz.trying import Verdict, import_commands, run
 
 SHOWN_CASES = 5
 M_ARENA_MAX = -8
-"""Of glibc's malloc.h. Each arena takes 64 MB of address space, which is what is limited."""
-DESCRIPTION = """Makes logs, tables, configurations, true lanes and folders of frames that are wrong in one to three
-places, and runs a command on each: it must end with a result or one clear line, within 10 seconds and a gigabyte, leave
-no file half written, print no control characters, and give the same bytes again. Exit code 1 where one does not. The
-cases of the corpus come first."""
-EPILOG = """Case SEED:NUMBER follows from its name alone. What fails is printed with the line that repeats it and its
-recipe, which --case takes from a file as well. A second reader reads one written log in 50 where there is one."""
+"""From glibc's malloc.h. Each arena takes 64 MB of address space, which is limited."""
+DESCRIPTION = """Makes logs, tables, configurations, lane files and dumps with one to three faults each, and runs a
+command on each. The command must end with a result or one clear line, within 10 seconds and a gigabyte. It must leave
+no partial file, print no control characters, and give the same bytes again. Exit code 1 if a command breaks a rule.
+The cases of the corpus run first."""
+EPILOG = """A case SEED:NUMBER follows from its name. A failed case is printed with its recipe and the command that
+repeats it; --case also takes a file with a recipe. If Node is installed, a second reader checks one log in 50."""
 
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = argparse.ArgumentParser("python -m tests.fuzz", description=DESCRIPTION, epilog=EPILOG)
-    made.add_argument("--count", type=int, default=2000, metavar="N", help="how many cases (default: 2000)")
-    made.add_argument("--seed", type=int, default=1, metavar="N", help="what is drawn follows from it (default: 1)")
+    made.add_argument("--count", type=int, default=2000, metavar="N", help="number of cases (default: 2000)")
+    made.add_argument("--seed", type=int, default=1, metavar="N", help="seed of the random cases (default: 1)")
     made.add_argument("--jobs", type=int, default=os.cpu_count(), metavar="N", help="processes (default: the cores)")
     made.add_argument(
         "--case", action="append", metavar="CASE", help="SEED:NUMBER, a name in the corpus, or a recipe's file"
@@ -37,9 +37,9 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: list[str]) -> int:
-    """Runs the command; 0 where every case kept the promise."""
+    """Run the cases; returns 0 if no fault was found."""
     asked = parser().parse_args(arguments)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # so that no process is left behind
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # so that the finally clause ends all processes
     ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)
     import_commands()
     started = time.monotonic()
@@ -63,7 +63,7 @@ def main(arguments: list[str]) -> int:
 
 
 def report(case: Case, verdict: Verdict, *, quiet: bool) -> None:
-    """Print a case that has a fault, and how to repeat it; others only where they are asked for."""
+    """Print a case with a fault and how to repeat it; if not quiet, also cases without faults."""
     if verdict.faults or not quiet:
         print(f"{case.name}: {verdict.line}: {verdict.code} {verdict.message}", flush=True)
     for fault in verdict.faults:
@@ -72,7 +72,7 @@ def report(case: Case, verdict: Verdict, *, quiet: bool) -> None:
 
 
 def cases(asked: argparse.Namespace) -> list[Case]:
-    """The cases that the arguments ask for."""
+    """The cases named by the arguments, or the corpus and random cases."""
     if asked.case:
         return [named(name) for name in asked.case]
     return [*recorded().values(), *(Case(f"{asked.seed}:{k}") for k in range(asked.count))]

@@ -1,4 +1,4 @@
-"""A case: input files made as its recipe says, and the commands that get them."""
+"""Cases: input files made from a recipe, and the command that reads them."""
 
 import base64
 import json
@@ -24,7 +24,7 @@ METRICS = "out.metrics.parquet"
 
 @dataclass(frozen=True)
 class Case:
-    """A name by which it can be repeated, and its recipe; without one all follows from the name, as SEED:NUMBER."""
+    """A name and a recipe; without a recipe the choices follow from the name SEED:NUMBER."""
 
     name: str
     recipe: dict[str, Any] | None = None
@@ -37,10 +37,10 @@ def recorded() -> dict[str, Case]:
 
 
 def named(name: str) -> Case:
-    """A case by SEED:NUMBER, by its name in the corpus, or by the file of a recipe.
+    """The case named SEED:NUMBER, or in the corpus, or in a recipe file.
 
     Raises:
-        ValueError: it is none of these.
+        ValueError: no such case.
     """
     if re.fullmatch(r"\d+:\d+", name):
         return Case(name)
@@ -63,7 +63,7 @@ def prepared(case: Case, folder: Path) -> tuple[list[str], dict[str, Any]]:
 
 
 def _log(folder: Path, choices: Choices) -> list[str]:
-    """A log: what it holds is changed, then its records, then its bytes; most often one of them alone."""
+    """A log with changes in its content, its records or its bytes, rarely in all of them."""
     base = choices.of("base", tuple(contents.BASES))
     level = choices.of("level", ("content", "content", "content", "records", "records", "bytes", "all"))
     content = contents.BASES[base]().copied()
@@ -120,7 +120,7 @@ REPLAY_OPTIONS = ("",) * 6 + (
 
 
 def _table(folder: Path, choices: Choices) -> list[str]:
-    """A run's tables beside its log, and a reference."""
+    """The tables of a replay, one of them changed, beside its log and the unchanged tables."""
     (folder / "a").mkdir()
     _write_tables(folder)
     _write_tables(folder / "a")
@@ -152,7 +152,7 @@ TABLE_COMMANDS = (
 
 
 def _config(folder: Path, choices: Choices) -> list[str]:
-    """A configuration given to a replay."""
+    """A configuration file and settings for a replay."""
     text = ReplayConfig().to_toml().encode()
     for part in choices.parts("text", 2):
         text = mutate_toml(text, part)
@@ -171,7 +171,7 @@ CONFIG_COMMANDS = (
 
 
 def _lanes(folder: Path, choices: Choices) -> list[str]:
-    """True lanes in TuSimple's format, held against a run."""
+    """True lanes in TuSimple's format, to score a result."""
     (folder / OUT).write_bytes(contents.results()[OUT])
     _write_tables(folder)
     lines = [json.dumps(line).encode() for line in TRUE_LANES]
@@ -210,7 +210,7 @@ CONVERT_OPTIONS = ("",) * 4 + (
 
 
 def _files(folder: Path, choices: Choices) -> list[str]:
-    """Files as the recipe of a corpus has them: none are drawn."""
+    """The files in a recipe of the corpus; random cases have none."""
     for name, data in choices.of("files", ({},)).items():
         (folder / name).write_bytes(base64.b64decode(data))
     return []

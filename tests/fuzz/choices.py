@@ -1,6 +1,4 @@
-"""What a case is made of: every choice is given by a recipe or drawn from a seed, and noted either way; and bytes
-changed without knowing what they mean.
-"""
+"""Choices that are given by a recipe or drawn at random, and recorded; random damage to bytes."""
 
 import random
 import struct
@@ -16,7 +14,7 @@ FLOATS = (
     1e308, -1e308, 1.7976931348623157e308, -1e-300, 4294967296.0, 1e5, 32.0, 24.0, 1e-3,
 )  # fmt: skip
 INJECTED = "INJECTED"
-"""No line of what a command prints may begin with it: it stands behind a newline in a name."""
+"""Names contain it after a newline; no printed line may start with it."""
 TEXTS = (
     "", " ", "\n", "\r", "\t", "\x00", "/a/b", "/", "../x", "ego", "camera", "map", "png", "jpeg", "rgb8", "bgra8",
     "16UC1", "32FC1", "mono16", "bayer_rggb8", "zstd", "lz4", "protobuf", "cdr", "json", "nan", "None", "auto",
@@ -31,8 +29,8 @@ class Choices:
     """Named choices, in a tree that can be written as JSON.
 
     Args:
-        given: choices of a recipe; those it lacks are drawn.
-        numbers: what is drawn from.
+        given: choices of a recipe; missing choices are drawn.
+        numbers: the random numbers.
     """
 
     def __init__(self, given: dict[str, Any] | None, numbers: random.Random) -> None:
@@ -42,7 +40,7 @@ class Choices:
         self.made: dict[str, Any] = {}
 
     def of(self, name: str, options: Sequence[Any]) -> Any:
-        """One of the options, all of them as likely."""
+        """One of the options, with equal probability."""
         return self._noted(name, lambda: self._numbers.choice(options))
 
     def number(self, name: str, low: int, high: int) -> int:
@@ -50,53 +48,53 @@ class Choices:
         return int(self._noted(name, lambda: self._numbers.randint(low, high)))
 
     def share(self, name: str) -> float:
-        """A number from 0 up to 1, such as the place of a byte in a file."""
+        """A number from 0 to 1, such as the position of a byte in a file."""
         return float(self._noted(name, lambda: round(self._numbers.random(), 6)))
 
     def index(self, name: str, count: int) -> int:
-        """The place of one of `count` things; given ones hold for any count."""
+        """An index below `count`; a given index is taken modulo `count`."""
         return int(self._noted(name, lambda: self._numbers.randrange(count))) % count
 
     def chance(self, name: str, probability: float) -> bool:
-        """Whether something is done."""
+        """True with this probability."""
         return bool(self._noted(name, lambda: self._numbers.random() < probability))
 
     def part(self, name: str) -> "Choices":
-        """Choices of their own below a name."""
+        """Nested choices below a name."""
         inner = Choices(self._given.get(name), self._numbers)
         self.made[name] = inner.made
         return inner
 
     def parts(self, name: str, most: int) -> "list[Choices]":
-        """A list of choices of their own: the recipe's, which is empty where it names none, else up to `most`."""
+        """A list of nested choices: those of the recipe (empty if it has none), else at most `most`."""
         given = self._given.get(name, []) if self._is_given else [None] * self._numbers.randint(0, most)
         inner = [Choices(item, self._numbers) for item in given]
         self.made[name] = [item.made for item in inner]
         return inner
 
     def _noted(self, name: str, draw: Any) -> Any:
-        assert name not in self.made, f"{name} is chosen twice: a recipe could not repeat that"
+        assert name not in self.made, f"{name} is chosen twice, so a recipe could not repeat it"
         self.made[name] = self._given[name] if name in self._given else draw()
         return self.made[name]
 
 
 def wild_integer(choices: Choices, name: str = "value") -> int:
-    """A number at a border, or any."""
+    """An integer, often at the limit of a type."""
     return int(choices.of(name, INTEGERS))
 
 
 def wild_float(choices: Choices, name: str = "value") -> float:
-    """A number that few expect."""
+    """An unusual float."""
     return float(choices.of(name, FLOATS))
 
 
 def wild_text(choices: Choices, name: str = "value") -> str:
-    """A text that few expect."""
+    """An unusual text."""
     return str(choices.of(name, TEXTS))
 
 
 def wild_like(before: Any, choices: Choices) -> Any:
-    """A value of the same type that few expect."""
+    """An unusual value of the same type."""
     if isinstance(before, bytes):
         return damage(before, choices.part("damage"))
     if isinstance(before, bool):
@@ -110,7 +108,7 @@ MOST_COPIED = 4096
 
 
 def damage(data: bytes, choices: Choices) -> bytes:
-    """The bytes with one fault; none can get longer by more than a few thousand."""
+    """The bytes with one fault; they grow by a few thousand bytes at most."""
     fault = FAULTS[choices.of("fault", tuple(FAULTS))]
     at = int(choices.share("at") * len(data))
     end, new = fault(data, at, choices)
@@ -140,4 +138,4 @@ FAULTS: dict[str, Callable[[bytes, int, Choices], tuple[int, bytes]]] = {
     "overwrite": _overwritten,
     "swap": _swapped,
 }
-"""Each gives where what is replaced ends, and what comes in its place."""
+"""Each returns the end of the replaced bytes, and the new bytes."""

@@ -1,4 +1,4 @@
-"""What logs hold before they are damaged: tiny drives in every role and every schema that is read."""
+"""The content of logs before it is damaged: small logs with every role and every schema that is read."""
 
 import io
 import subprocess
@@ -30,7 +30,7 @@ from tests.logs import START_NS, Item
 
 FRAMES = 2
 RESULT_FRAMES = 4
-"""Of the drive with results: a trajectory wants three."""
+"""Of the log with results: a trajectory needs at least three."""
 ROAD = Road(width=32, height=24)
 TYPES: dict[str, type[ProtobufMessage]] = MESSAGE_TYPES | {"foxglove.RawImage": RawImage}
 CHUNK_BYTES = 6000
@@ -40,7 +40,7 @@ BRIDGE = "/carla/ego_vehicle/"
 
 @dataclass
 class Content:
-    """What a log holds: lists that may be changed."""
+    """The content of a log, as lists that may be changed."""
 
     messages: list[Message] = field(default_factory=list)
     attachments: list[Attachment] = field(default_factory=list)
@@ -48,16 +48,16 @@ class Content:
     profile: str = ""
 
     def copied(self) -> "Content":
-        """The same in lists of its own."""
+        """A copy with new lists."""
         return Content(list(self.messages), list(self.attachments), list(self.metadata), self.profile)
 
     def channels(self) -> list[Channel]:
-        """Every channel that has messages, in the order of their first ones."""
+        """The channels with messages, in the order of their first message."""
         return list(dict.fromkeys(message.channel for message in self.messages))
 
 
 def encoded(content: Content, writer_name: str) -> bytes:
-    """The bytes of a log as one of several kinds of writer leaves it."""
+    """The bytes of a log as one of several writers would write it."""
     stream = io.BytesIO()
     writer = Writer(stream, **({"chunk_size": CHUNK_BYTES} | WRITERS[writer_name]))
     writer.start(profile=content.profile)
@@ -106,7 +106,7 @@ def _pose(k: int) -> Item:
 
 
 def truth() -> Content:
-    """A drive that carries its truth: what a replay of it found."""
+    """A log with truth: the results of its own replay."""
     content = drive()
     for message in replayed().messages:
         role = {f"/perception/{name}": f"truth_{name}" for name in ("surface", "lanes", "objects")}.get(
@@ -122,7 +122,7 @@ def truth() -> Content:
 
 
 def pair() -> Content:
-    """Two cameras side by side and a lidar, without other depth."""
+    """A stereo pair and a lidar, without other depth."""
     roles = ("calibration", "tf", "segmentation")
     items = [item for item in logs.items(FRAMES, ROAD) if item.role in (*roles, "image")]
     right = replace(ROAD.camera, frame_id="right", baseline_m=0.5)
@@ -140,7 +140,7 @@ def pair() -> Content:
 
 
 def raw() -> Content:
-    """Pictures that are not compressed."""
+    """Uncompressed images."""
     content = drive()
     pixels = {
         "image": ("bgr8", np.repeat(ROAD.tags()[..., None] * 10, 3, axis=2)),
@@ -154,14 +154,14 @@ def raw() -> Content:
             size = {"width": ROAD.width, "height": ROAD.height, "step": array[0].nbytes}
             picture = RawImage(frame_id="camera", encoding=name, data=array.tobytes(), **size)
             set_stamp(picture, message.log_time_ns)
-            # Foxglove's definition of compressed images stands for theirs: it is not read.
+            # The schema data remain those of compressed images; they are not read.
             channel = replace(message.channel, schema_name="foxglove.RawImage", message_encoding="protobuf")
             content.messages[k] = replace(message, channel=channel, data=picture.SerializeToString())
     return content
 
 
 def as_json() -> Content:
-    """What of the drive Foxglove's JSON has a form for; own messages and depth stay as they are."""
+    """Foxglove's messages as JSON; the project's own messages and depth stay protobuf."""
     content = raw()
     for k, message in enumerate(content.messages):
         name = message.channel.schema_name
@@ -196,7 +196,7 @@ def results() -> dict[str, bytes]:
     with TemporaryDirectory() as folder:
         source, target = Path(folder, "in.mcap"), Path(folder, "out.mcap")
         source.write_bytes(encoded(drive(RESULT_FRAMES), "zstd"))
-        # A process of its own: libraries' threads that were started here would be missing in forked processes.
+        # In a separate process: threads that libraries start here would be missing in forked processes.
         subprocess.run(commands.words("roadperc-replay", source, target, "--quiet", "--overlay"), check=True)
         files = [target, sidecar_path(target, "metrics"), sidecar_path(target, "objects")]
         return {path.name: path.read_bytes() for path in files}

@@ -1,4 +1,4 @@
-"""Folders of frames for roadperc-convert, with one thing wrong."""
+"""Folders of frames for roadperc-convert, each with a fault."""
 
 import json
 from collections.abc import Callable
@@ -21,7 +21,7 @@ SUFFIXES = (".png", ".jpg", ".PNG", ".npy", ".csv", ".bin", ".ply", ".txt", "")
 
 
 def write_dump(folder: Path, choices: Choices) -> None:
-    """A small dump in `folder`, of one of several kinds, with what is said beside the frames."""
+    """Write a small dump of one of several kinds, with its documents."""
     dump_writer.plain_dump(folder, FRAMES)
     for extra in EXTRAS[choices.of("kind", tuple(EXTRAS))]:
         extra(folder)
@@ -79,7 +79,7 @@ def _each(folder: Path, suffix: str, data: bytes) -> None:
 
 
 def _instead(folder: Path, suffix: str, write: Callable[[Path], object]) -> None:
-    """Other files in place of those of a folder."""
+    """Replace the files of a folder by files with another suffix."""
     for path in list(folder.iterdir()):
         write(path.with_suffix(suffix))
         path.unlink()
@@ -116,7 +116,7 @@ WORDS = ("nan", "inf", "-1", "1e308", "1e400", "9" * 400, "", '"', "x", "\x1b[31
 
 
 def _mutated_text(data: bytes, choices: Choices) -> bytes:
-    """A word or number of a text, a line too many or none, or damaged bytes."""
+    """A text with a changed word, a repeated line, a long line, no content, or damaged bytes."""
     how = choices.of("how", ("word", "word", "bytes", "line", "empty", "long"))
     if how == "bytes":
         return damage(data, choices)
@@ -145,7 +145,7 @@ def _rename(folder: Path, choices: Choices) -> None:
 
 
 def _copy(folder: Path, choices: Choices) -> None:
-    """A file where another kind is expected."""
+    """Copy a file over one of another kind."""
     source, target = _chosen(folder, choices), _chosen(folder, choices.part("over"))
     if source.is_file():
         target.write_bytes(source.read_bytes())
@@ -159,7 +159,7 @@ def _link(folder: Path, choices: Choices) -> None:
 
 
 def _folder(folder: Path, choices: Choices) -> None:
-    """A folder where a file is expected."""
+    """Replace a file by a folder."""
     path = _chosen(folder, choices)
     path.unlink(missing_ok=True)
     path.mkdir()

@@ -1,4 +1,4 @@
-"""What a command may do with whatever it is given: a result, or one clear line."""
+"""Checks that a command ended with a result or one clear line."""
 
 import re
 import traceback
@@ -13,32 +13,32 @@ SOURCES = [ROOT / name for name in ("roadperc_stream", "tools", "eval")]
 FUZZER = [ROOT / "tests"]
 CODES = (0, 1, 2, 3)
 LONGEST_LINE = 12_000
-"""Characters: a name of ten thousand may be said whole."""
+"""Characters; a name of 10,000 characters is printed in full."""
 _ASIDE = re.compile(r"(note|warning): ")
 _USAGE = re.compile(r"roadperc-[a-z]+: error: ")
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029]")
 _REFUSED = re.compile(rb"Unable to allocate|Insufficient memory|[Cc]annot allocate memory|MemoryError|bad_alloc")
-"""What libraries say where the limit of memory was met, and somebody took it for a fault of the input."""
+"""Messages of libraries that ran out of memory, reported as if the input were wrong."""
 _CODE = re.compile(r'File "([^"]*)", line \d+, in (\w+)')
 
 
 @dataclass(frozen=True)
 class Ran:
-    """What a command did."""
+    """The outcome of a command."""
 
     words: tuple[str, ...]
     code: int | None
-    """None where an exception left it."""
+    """None if an exception left the command."""
     out: bytes
     err: bytes
     crash: str = ""
     """The traceback."""
     appeared: tuple[str, ...] = ()
-    """Files that were not there before."""
+    """New files."""
 
 
 def faults(ran: Ran) -> list[str]:
-    """What the command must not have done; nothing where it kept its promise."""
+    """The rules that the command broke."""
     if ran.code is None:
         return [f"traceback: {crash_line(ran.crash)}"]
     found = [] if ran.code in CODES else [f"exit code {ran.code}"]
@@ -48,7 +48,7 @@ def faults(ran: Ran) -> list[str]:
 
 
 def _errors(ran: Ran) -> list[str]:
-    """Beside notes and warnings one line where it failed, none where it did not; of wrong usage also the usage."""
+    """Besides notes and warnings: one line after a failure, none after success; wrong usage also prints the usage."""
     lines = [line for line in ran.err.decode("utf-8", "replace").split("\n") if line.strip()]
     said = [line for line in lines if not _ASIDE.match(line)]
     if ran.code == 2:
@@ -63,7 +63,7 @@ def _errors(ran: Ran) -> list[str]:
 
 
 def _first(lines: list[str]) -> str:
-    return repr(lines[0][:120]) if lines else "nothing"
+    return repr(lines[0][:120]) if lines else "no line"
 
 
 def _printed(stream: str, data: bytes) -> list[str]:
@@ -81,7 +81,7 @@ def _left(ran: Ran) -> list[str]:
     partial = [name for name in ran.appeared if ".partial" in name]
     if partial:
         return [f"left behind: {_kind_of_file(partial[0])}"]
-    if ran.code and ran.appeared and ran.words[0] != "batch":  # in its list of runs a failure is a row
+    if ran.code and ran.appeared and ran.words[0] != "batch":  # a failure is a row of runs.parquet
         return [f"exit code {ran.code}, but it wrote: {_kind_of_file(ran.appeared[0])}"]
     return []
 
@@ -91,7 +91,7 @@ def _kind_of_file(name: str) -> str:
 
 
 def crash_line(trace: str, sources: Sequence[Path] = SOURCES) -> str:
-    """The exception, and the last function below the folders that it came through."""
+    """The exception, and the last function of the sources in its traceback."""
     lines = [line for line in trace.splitlines() if line.strip()]
     places = [
         (Path(file), name) for file, name in _CODE.findall(trace) if any(Path(file).is_relative_to(f) for f in sources)
@@ -111,5 +111,5 @@ _PATH = re.compile(r"\S*[/.](mcap|parquet|json|toml|png|txt|csv|ply|bin|npy|jpg)
 
 
 def kind_of_message(text: str) -> str:
-    """A message without the names, numbers and quotes of its case."""
+    """A message without the names, numbers and quotes of its case, to count equal faults together."""
     return _NUMBER.sub("N", _QUOTED.sub("Q", _PATH.sub("P", text)))[:160]

@@ -1,4 +1,4 @@
-"""What a log holds, changed before it is written: messages, their order and times, channels, attachments."""
+"""Changes to the content of a log: messages, their order and times, channels, attachments."""
 
 import math
 from collections.abc import Callable
@@ -25,13 +25,13 @@ LAST_NS = 2**64 - 1
 
 
 def mutate_content(content: Content, choices: Choices) -> None:
-    """Change one thing in place."""
+    """Change the content in place, by one fault."""
     if content.messages:
         FAULTS[choices.of("do", WEIGHTED)](content, choices)
 
 
 def _chosen(content: Content, choices: Choices) -> int:
-    """The place of a message: any channel is as likely, however many messages it has."""
+    """The index of a message; every channel has the same probability."""
     channels = content.channels()
     topic = choices.of("topic", [channel.topic for channel in channels])
     places = [k for k, message in enumerate(content.messages) if message.channel.topic == topic]
@@ -39,7 +39,7 @@ def _chosen(content: Content, choices: Choices) -> int:
 
 
 def _payload(content: Content, choices: Choices) -> None:
-    """A field of a message, or of all messages of its channel."""
+    """Change a message, or all messages of its channel."""
     at = _chosen(content, choices)
     changed = _mutated(content.messages[at], choices)
     everywhere = choices.chance("everywhere", 0.3)
@@ -58,7 +58,7 @@ def _mutated(message: Message, choices: Choices) -> bytes:
         return damage(message.data, choices)
     try:
         return _with_a_field_changed(message, choices)
-    except Exception:  # Decoders raise what they like where bytes or a value do not fit.
+    except Exception:  # decoders raise any exception if bytes or a value do not fit
         return damage(message.data, choices.part("otherwise"))
 
 
@@ -85,7 +85,7 @@ def _layout(name: str, definition: bytes) -> Typestore:
 
 
 def _log_time(content: Content, choices: Choices) -> None:
-    """The log time of one message, or of all from there on."""
+    """Change the log time of one message, or of all later ones too."""
     at, value = _chosen(content, choices), wild_integer(choices) % (LAST_NS + 1)
     last = len(content.messages) if choices.chance("rest", 0.3) else at + 1
     for k in range(at, last):
@@ -93,7 +93,7 @@ def _log_time(content: Content, choices: Choices) -> None:
 
 
 def _shift(content: Content, choices: Choices) -> None:
-    """The log times of a channel: moved by a fixed time."""
+    """Shift the log times of a channel."""
     topic = content.messages[_chosen(content, choices)].channel.topic
     shift_ns = choices.of("shift_ns", (-(10**12), -(10**9), -60_000_000, 1, 10**9, 10**12, 2**62))
     for k, message in enumerate(content.messages):
@@ -102,7 +102,7 @@ def _shift(content: Content, choices: Choices) -> None:
 
 
 def _order(content: Content, choices: Choices) -> None:
-    """The messages in another order; their log times stay in place."""
+    """Change the order of the messages, but not of their log times."""
     times = [message.log_time_ns for message in content.messages]
     by = choices.index("by", len(times))
     turned = content.messages[::-1] if choices.chance("reverse", 0.5) else content.messages[by:] + content.messages[:by]
@@ -120,7 +120,7 @@ def _repeat(content: Content, choices: Choices) -> None:
 
 
 def _channel(content: Content, choices: Choices) -> None:
-    """One of the words that describe a channel."""
+    """Change one field of a channel."""
     old = content.messages[_chosen(content, choices)].channel
     word = choices.of(
         "word", ("topic", "topic", "message_encoding", "schema_name", "schema_encoding", "schema_data", "metadata")
@@ -138,7 +138,7 @@ def _channel(content: Content, choices: Choices) -> None:
 
 
 def _attach(content: Content, choices: Choices) -> None:
-    """An attachment that the project itself writes, with other bytes; or one it does not know."""
+    """Damage an attachment of the project, or add an unknown one."""
     name = choices.of(
         "name", ("roadperc.toml", "roadperc.state", "roadperc.state.begin", "notes.txt", wild_text(choices))
     )
@@ -156,7 +156,7 @@ CONFIGURATION = b"seed = 1\n[lanes]\nhold_s = 0.5\n[surface]\nmodel = 'plane'\n"
 
 
 def _metadata(content: Content, choices: Choices) -> None:
-    """The record that a result carries of its replay, or one of another program."""
+    """Change the metadata record of a replay."""
     known = dict(next((record.values for record in content.metadata if record.name == "roadperc"), ()))
     keys = (*known, "digest", "version", "seed", "topic.image", "frames", "input_messages", "")
     key = choices.of("key", keys)
@@ -168,7 +168,7 @@ def _metadata(content: Content, choices: Choices) -> None:
 
 
 def _transforms(content: Content, choices: Choices) -> None:
-    """Transforms that hang together as a tree does not."""
+    """Add transforms that do not form a tree."""
     kind, length = choices.of("kind", ("chain", "loop", "twice", "self", "far")), choices.of("length", (2, 30, 500))
     names = [f"frame{k}" for k in range(length)]
     edges = {
@@ -188,7 +188,7 @@ def _transforms(content: Content, choices: Choices) -> None:
 
 
 def _detections(content: Content, choices: Choices) -> None:
-    """Many boxes, or odd ones, in every frame."""
+    """Replace the detections by many boxes or by invalid ones."""
     numbers = [wild_float(choices, name) for name in ("x_min", "y_min", "x_max", "y_max", "score")]
     count, label = choices.of("count", (1, 10, 200)), wild_text(choices, "label")
     found = [box(label, *numbers)] * count if choices.chance("odd", 0.5) else [box("Car", 2, 3, 20, 20)] * count
@@ -199,7 +199,7 @@ def _detections(content: Content, choices: Choices) -> None:
 
 
 def _foreign(content: Content, choices: Choices) -> None:
-    """A channel that nobody knows, with messages in between."""
+    """Add an unknown channel with messages."""
     channel = Channel(
         wild_text(choices, "topic"), wild_text(choices, "encoding"), wild_text(choices, "schema"), "ros2msg", b"x"
     )
@@ -215,4 +215,4 @@ FAULTS: dict[str, Callable[[Content, Choices], object]] = {
     "detections": _detections, "foreign": _foreign,
 }  # fmt: skip
 WEIGHTED = ("payload",) * 14 + ("channel",) * 3 + tuple(FAULTS)
-"""Mostly messages themselves: all else has fewer ways to be odd."""
+"""Messages have the most kinds of faults, so most changes are there."""

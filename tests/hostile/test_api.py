@@ -17,7 +17,7 @@ def log(tmp_path_factory):
     return logs.write(tmp_path_factory.mktemp("api") / "in.mcap", logs.items(1))
 
 
-@pytest.mark.promise("Python", "An unknown role is named")
+@pytest.mark.promise("Python", "An error names an unknown role")
 def test_a_role_that_does_not_exist_is_named(log, tmp_path):
     with pytest.raises(ChannelError, match="no role 'imge'; roles: image"):
         next(rp.frames(log, topics={"imge": "/camera/front/image"}))
@@ -45,7 +45,7 @@ def test_what_is_absent_is_printed_in_any_layout():
     assert f"{absent}" == str(absent)
 
 
-@pytest.mark.promise("Python", "A mounting that is not a rotation and a shift is refused")
+@pytest.mark.promise("Python", "A mounting that is not a rotation and a translation is refused")
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -59,7 +59,7 @@ REPORTED = {
 """What is wrong with a dump, and the exit code and the message of the converter."""
 
 
-@pytest.mark.promise("Dumps", "A misspelled key of `calibration.json` is named with the nearest known key")
+@pytest.mark.promise("Dumps", "The error for a misspelled key of `calibration.json` suggests the nearest known key")
 @pytest.mark.promise("Dumps", "An image of another size is skipped")
 @pytest.mark.promise("Dumps", "File names that mix counts and times are reported")
 @pytest.mark.parametrize(("options", "code", "message"), REPORTED.values(), ids=REPORTED)

@@ -25,7 +25,7 @@ TEXTS = {
 }
 
 
-@pytest.mark.promise("Settings and tables", "A configuration with huge numbers or deep nesting is one line")
+@pytest.mark.promise("Settings and tables", "A configuration with huge numbers or deep nesting gives a one-line error")
 @pytest.mark.promise(
     "Settings and tables", "A configuration attached to a log or a table is read or refused the same way"
 )
@@ -58,7 +58,9 @@ def table(tmp_path_factory):
     return pl.read_parquet(folder / "out.metrics.parquet")
 
 
-@pytest.mark.promise("Settings and tables", "A column with a wrong type or with numbers too large to square is named")
+@pytest.mark.promise(
+    "Settings and tables", "An error names a column with a wrong type or with numbers too large to square"
+)
 @pytest.mark.parametrize(
     ("column", "values", "words"),
     [
@@ -86,7 +88,7 @@ def test_a_column_without_a_value_counts_as_missing(tmp_path, table):
     assert run("roadperc-report", path).returncode == 0
 
 
-@pytest.mark.promise("Settings and tables", "A panic of polars is one line")
+@pytest.mark.promise("Settings and tables", "A panic in polars gives a one-line error")
 def test_a_panic_of_polars_is_a_stated_error():
     def panic(_):
         raise pl.exceptions.PanicException("index out of bounds")
@@ -95,7 +97,7 @@ def test_a_panic_of_polars_is_a_stated_error():
         collect(pl.LazyFrame({"a": [1]}).map_batches(panic), "a.parquet")
 
 
-@pytest.mark.promise("Settings and tables", "A damaged table is one line")
+@pytest.mark.promise("Settings and tables", "A damaged table gives a one-line error")
 @pytest.mark.parametrize("place", [0.2, 0.5, 0.8, 0.97])
 def test_a_damaged_table_is_one_line(tmp_path, table, place):
     path = tmp_path / "a.metrics.parquet"

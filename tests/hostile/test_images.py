@@ -116,14 +116,14 @@ def test_formats_that_are_listed_are_read(name):
         images.decode_bgr(packed(name, PICTURE.resize((320, 240))), small)
 
 
-@pytest.mark.promise("Messages", "Formats that can state two sizes, such as TIFF and JPEG 2000, cannot be added")
+@pytest.mark.promise("Messages", "Formats that can declare two sizes, such as TIFF and JPEG 2000, cannot be added")
 def test_a_format_whose_size_cannot_be_known_is_not_listed():
     assert load_config(None, ("limits.image_formats=png,avif",)).limits.image_formats == ("png", "avif")
     with pytest.raises(ConfigError, match="image_formats"):
         load_config(None, ("limits.image_formats=png,tiff",))
 
 
-@pytest.mark.promise("Messages", "The size of an AVIF is that of its coded frames")
+@pytest.mark.promise("Messages", "The size of an AVIF image is read from its coded frames")
 def test_an_avif_is_held_against_its_coded_frame():
     for decoder in DECODERS:
         with pytest.raises(DecodeError, match="AVIF of 96x72 with frames of 16000x16000"):
@@ -170,7 +170,7 @@ def test_an_avif_of_another_layout_is_refused(changed):
         images.decode_bgr(changed, LISTED)
 
 
-@pytest.mark.promise("Messages", "`limits.image_megapixels` holds also where a decoder only reports a damage")
+@pytest.mark.promise("Messages", "`limits.image_megapixels` also applies when a decoder explains a damaged image")
 def test_the_reason_for_a_damaged_image_is_asked_within_the_limit():
     """OpenCV refuses a second header, Pillow takes its size."""
     twice = [[b"IHDR", png(12_000, 12_000, rows=0)[16:29]]]

@@ -123,7 +123,7 @@ def test_what_can_be_salvaged_is_bounded_too(tmp_path):
     assert "limits.chunk_mb" in salvage.damages[0].words
 
 
-@pytest.mark.promise("Logs", "Any 64-bit time is read or refused with one line")
+@pytest.mark.promise("Logs", "Any 64-bit time is read, or refused with one line")
 def test_the_last_instant_of_64_bits_is_one_line(tmp_path):
     path = tmp_path / "in.mcap"
     path.write_bytes(inputs.file(*KNOWN, inputs.message(1, 2**64 - 1, b"{}"), inputs.message(1, 5, b"{}")))

@@ -58,7 +58,7 @@ ARRAY = {"dtype": "<f8", "shape": [1], "elements": b"\0" * 8}
 MANY = struct.pack(">I", 10_000_000)
 
 
-@pytest.mark.promise("States", "A damaged or foreign state is one error")
+@pytest.mark.promise("States", "A damaged or foreign state gives one error")
 @pytest.mark.parametrize(
     ("data", "expected"),
     [
@@ -96,7 +96,7 @@ def test_what_unpacks_to_more_than_a_state_may_have_is_refused(monkeypatch):
         encode(Thing(1.0, name="x" * 2000))
 
 
-@pytest.mark.promise("States", "Any flipped bit in a state is one error")
+@pytest.mark.promise("States", "Any flipped bit in a state gives one error")
 def test_any_flipped_bit_is_one_error():
     data = encode(Thing(1.5, np.eye(4), (np.zeros(3),), np.zeros(4, np.uint8), "name"))
     for bit in range(8 * len(data)):

@@ -103,7 +103,7 @@ def warmed(tmp_path_factory):
     return folder / "out.mcap"
 
 
-@pytest.mark.promise("States", "A state of an older format is one error that says what to do")
+@pytest.mark.promise("States", "A state of an older format gives one error that says what to do")
 @pytest.mark.parametrize("name", [STATE_ATTACHMENT, BEGIN_ATTACHMENT])
 def test_a_state_of_an_older_version_is_one_error(warmed, tmp_path, capsys, name):
     """Where a replay goes on from it, and where it began the result that is replayed."""
@@ -117,7 +117,7 @@ def test_a_state_of_an_older_version_is_one_error(warmed, tmp_path, capsys, name
     assert list(tmp_path.iterdir()) == [older]
 
 
-@pytest.mark.promise("States", "A checkpoint of an older format is one error that says what to do")
+@pytest.mark.promise("States", "A checkpoint of an older format gives one error that says what to do")
 def test_a_checkpoint_of_an_older_version_is_one_error(tmp_path, capsys):
     source, target = with_transforms(tmp_path / "in.mcap", []), tmp_path / "out.mcap"
     interrupt(source, target, 10)

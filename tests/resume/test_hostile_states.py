@@ -149,7 +149,7 @@ CASES = {
 }
 
 
-@pytest.mark.promise("States", "A state with a wrong type or shape, or above `limits`, is one line")
+@pytest.mark.promise("States", "A state with a wrong type or shape, or above `limits`, gives a one-line error")
 @pytest.mark.parametrize("case", CASES)
 def test_a_state_of_a_wrong_type_shape_or_size_is_one_line(parts, tmp_path, case):
     change, expected = CASES[case]
@@ -162,7 +162,7 @@ def test_a_state_of_a_wrong_type_shape_or_size_is_one_line(parts, tmp_path, case
     assert len(str(caught.value).splitlines()) == 1
 
 
-@pytest.mark.promise("States", "A plain replay refuses a damaged state too")
+@pytest.mark.promise("States", "A replay without `--continue` also refuses a damaged state")
 def test_a_plain_replay_refuses_it_too(parts, tmp_path):
     source = changed(
         parts[1], tmp_path / "in.mcap", BEGIN_ATTACHMENT, lambda state: keyframe(state).update(grey=grey(1, 1))

@@ -31,7 +31,7 @@ def stopped(source, tmp_path):
     return target
 
 
-@pytest.mark.promise("States", "Any flipped bit in a checkpoint is one error")
+@pytest.mark.promise("States", "Any flipped bit in a checkpoint gives one error")
 @pytest.mark.parametrize("name", ["state", "frames"])
 def test_a_flipped_bit_anywhere_is_one_error(source, stopped, name):
     """14 of 14, of which 7 gave another output before records had a CRC."""
