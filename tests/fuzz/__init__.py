@@ -5,7 +5,7 @@ command. The recipe records every choice, so it repeats its case. Without a reci
 name, a seed and a number (``choices.py``).
 
 - ``contents.py`` makes logs in every schema that is read. ``messages.py`` changes messages, order, times, channels and
-  attachments; ``trees.py`` fields of protobuf, ROS, JSON and TOML; ``pictures.py`` PNG and JPEG; ``records.py`` the MCAP
+  attachments; ``trees.py`` fields of protobuf, ROS, JSON and TOML; ``pictures.py`` PNG and JPEG; ``records.py`` MCAP
   records, whose checksums and offsets are repaired afterwards or left wrong; ``choices.py`` bytes.
 - ``tables.py`` and ``dumps.py`` make the other inputs. ``cases.py`` combines them.
 - ``judge.py`` checks the output of a command: exit code 0 to 3, one line on stderr on failure, no traceback, no text
