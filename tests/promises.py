@@ -1,6 +1,6 @@
-"""The tables of docs/reliability.md: every promise beside the tests that keep it, which carry it as a marker.
+"""Writes the tables of docs/reliability.md: every promise and its tests, from the tests' markers.
 
-``python -m tests.promises`` writes them into the page; ``make pages`` calls it.
+``python -m tests.promises`` updates the page; ``make pages`` calls it.
 """
 
 import ast
@@ -26,10 +26,10 @@ def marked() -> Iterator[tuple[str, str, str]]:
 
 
 def written(page: str) -> str:
-    """The page with its tables made anew.
+    """The page with updated tables.
 
     Raises:
-        ValueError: a promise has a section without a table.
+        ValueError: the page has no table for a section.
     """
     sections: dict[str, dict[str, list[str]]] = defaultdict(lambda: defaultdict(list))
     for section, promise, test in marked():

@@ -1,6 +1,6 @@
-"""What the chain gets right on rendered drives, where the truth is known; accuracy beside coverage.
+"""Accuracy and coverage of the chain on rendered drives with truth.
 
-The long forms, at full size and over several seeds, run with ``make accuracy-long``; a short form of each runs always.
+``make accuracy-long`` runs the long forms at full size and with several seeds; `make test` runs short forms.
 """
 
 from dataclasses import dataclass
@@ -32,16 +32,16 @@ class Run:
     true_offsets: dict[str, np.ndarray]
 
     def errors(self, column):
-        """Absolute values and coverage."""
+        """Absolute errors of a column, and their coverage."""
         values = self.metrics[column]
         return values.drop_nulls().abs().to_numpy(), 1 - values.null_count() / len(values)
 
     def jitter(self, column):
-        """Standard deviation of the second difference, where three frames in a row have a value."""
+        """Standard deviation of the second difference over frames with values."""
         return float(np.nanstd(np.diff(self.metrics[column].to_numpy().astype(float), 2)))
 
     def lag(self, side):
-        """Frames by which the smoothed offset lies behind the truth."""
+        """Lag of the smoothed offset behind the truth, in frames."""
         table = self.metrics.with_columns(pl.Series("truth", self.true_offsets[side]))
         return lag_frames(table.select(correlations(f"lane_{side}_offset_m", "truth")).item().to_list())
 
@@ -76,7 +76,7 @@ def test_ego_lane_and_surface_on_the_noisy_bend(tmp_path, options):
         smoothed = run.jitter(f"lane_{side}_offset_m")
         assert smoothed < 0.015
         assert smoothed <= run.jitter(f"lane_{side}_raw_offset_m") / 3
-        assert options == SHORT or abs(run.lag(side)) <= 1, "the short drive cannot tell"
+        assert options == SHORT or abs(run.lag(side)) <= 1, "the short drive is too short for the lag"
     angle, coverage = run.errors("surface_angle_error_deg")
     assert coverage >= 0.95
     assert np.median(angle) < 0.1
@@ -84,7 +84,7 @@ def test_ego_lane_and_surface_on_the_noisy_bend(tmp_path, options):
 
 
 @pytest.mark.parametrize(("options", "factor"), [(SHORT, 1.0), pytest.param((), 1.5, marks=pytest.mark.accuracy)])
-def test_odometry_makes_the_lanes_better(tmp_path, options, factor):
+def test_odometry_improves_the_lanes(tmp_path, options, factor):
     run = drive(tmp_path, *BEND, *NOISE, *options)
     without = replay_again(tmp_path, run, "lanes.use_odometry=false")
     for side in ("left", "right"):
@@ -105,7 +105,7 @@ def test_surface_without_noise(tmp_path, options):
     assert "640x480" not in options or run.errors("camera_height_error_m")[0].max() < 0.005
 
 
-def test_dropped_sensors_leave_their_frames_with_what_is_left(tmp_path):
+def test_frames_with_dropped_sensors_use_the_other_inputs(tmp_path):
     run = drive(tmp_path, "--scene", "straight", "--drop", "0.3", "--size", "320x240", "--seconds", "1")
     table = run.metrics
     missing = table["missing"].to_list()
@@ -117,5 +117,5 @@ def test_dropped_sensors_leave_their_frames_with_what_is_left(tmp_path):
             expected = "lower_image" if "segmentation" in roles else "depth"
         elif not without_pair and "segmentation" in roles:
             expected = "lower_image"
-        assert row["surface_source"] == expected, "stereo stands in for the depth, the plane before for both"
+        assert row["surface_source"] == expected, "stereo replaces depth, the held plane replaces both"
         assert (row["lane_left_status"] == "measured") <= ("segmentation" not in roles)

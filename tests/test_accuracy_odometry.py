@@ -1,7 +1,7 @@
-"""How far odometry errs in whole replays of a rendered town, by what the log has to measure depth with.
+"""Errors of odometry in replays of a rendered town, by depth source.
 
-The poses are those of the results' topic, the truth is the input's; stereo's depth is matched in the same replay. The
-long forms, at full size over 20 s, run with ``make accuracy-long``; a short form runs always.
+The poses come from the result's topic, the truth from the input. ``make accuracy-long`` runs the long forms at full
+size over 20 s; `make test` runs a short form.
 """
 
 from dataclasses import dataclass
@@ -22,16 +22,16 @@ from roadperc_stream.schemas.roles import ROLES
 from tests.chain.stages.odometry.trajectories import aligned_errors_m, distances_m, relative_errors
 
 STAGES = "stereo,surface,odometry"
-"""Odometry and what it is fed by; the other stages come after it."""
+"""Odometry and the stages that it needs."""
 WITHOUT_DEPTH = ("depth", "truth_depth")
 MONO = (*WITHOUT_DEPTH, "right", "right_calibration")
 
 
 @dataclass(frozen=True)
 class Case:
-    """What the log goes without, how it is replayed, and the limits of what comes out.
+    """The roles missing from the log, a setting of the replay, and the limits of the errors.
 
-    ``road`` is where the road's plane comes from, behind the first frame. ``shift`` is a share of the distance,
+    ``road`` is the source of the road plane after the first frame. ``shift`` is a share of the distance,
     ``turn`` in degrees per 100 m, ``shape`` a share of the length after a similarity alignment.
     """
 
@@ -56,11 +56,11 @@ LENGTHS = {
     "short": (("--seconds", "1.5", "--size", "640x480"), (5, 10)),
     "long": (("--seconds", "20"), (25, 50, 100)),
 }
-"""Options of the drive, and the metres over which errors are taken."""
+"""Options of the drive, and the lengths in metres of the error segments."""
 
 
 def town(folder, *options):
-    """The log of a drive through the town."""
+    """Render the town and convert it to a log."""
     assert render.main([str(folder / "dump"), "--scene", "town", *options]) == 0
     assert convert.main([str(folder / "dump"), str(folder / "in.mcap"), "--quiet"]) == 0
     return folder / "in.mcap"
@@ -73,7 +73,7 @@ def drives(tmp_path_factory):
 
 
 def without(source, target, roles):
-    """The log as a recorder without those sensors would have written it."""
+    """Write the log without the topics of some roles."""
     topics = {ROLES[role].topic for role in roles}
     with LogWriter(target) as writer:
         for message in log.read(log.summarise(source)):
@@ -83,7 +83,7 @@ def without(source, target, roles):
 
 
 def poses(path, topic):
-    """(N, 4, 4) against the first, and the (N,) stamps."""
+    """(N, 4, 4) poses relative to the first, and the (N,) stamps."""
     decoded = [
         decode("pose", m.channel.schema_name, m.channel.message_encoding, m.data, m.log_time_ns, Context())
         for m in log.read(log.summarise(path), topics=[topic])

@@ -1,4 +1,4 @@
-"""Who may import whom, and that the generated message module is the one its definition gives."""
+"""Rules for imports between packages, and for the generated message module."""
 
 import ast
 import re
@@ -44,12 +44,12 @@ MAY_IMPORT = {
     "batch": REPLAY,
     "cli": REPLAY | {"batch", "info", "view"},
 }
-"""What each folder, and each module at the root, imports at most; nothing of the package imports tools or eval."""
+"""Allowed imports of each folder and root module; the package never imports tools or eval."""
 STAGES_MAY_IMPORT = {"errors", "model", "geometry", "config", "chain.kernels", "system.time", "numpy", "scipy", "cv2"}
 MOST_ROOT_MODULES = 4
 LONGEST_CHAIN = 15
 LONGEST_IMPORT_CHAIN = 24
-"""Modules, from the loop on."""
+"""Modules, starting at the loop."""
 
 
 def sources(*folders):
@@ -58,7 +58,7 @@ def sources(*folders):
 
 @cache
 def imports(path):
-    """What a module imports, in full; of the package's own modules their names without it, such as ``system.files``."""
+    """Full names of the imports of a module; the package's own modules without its name, as ``system.files``."""
     found = set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
@@ -69,7 +69,7 @@ def imports(path):
 
 
 def own_or_member(module, name):
-    """The module that a name is imported from, or the one it is; a constant of the package itself is of no module."""
+    """The module of an imported name, or the name itself if it is a module."""
     path = PACKAGE.joinpath(*module.split(".")[1:], name)
     is_module = module.startswith("roadperc_stream") and (path.is_dir() or path.with_suffix(".py").is_file())
     return f"{module}.{name}" if is_module else module
@@ -80,12 +80,12 @@ def module_of(path):
 
 
 def part_of(module):
-    """The room of a module: a folder or a module at the root; the kernels have a room of their own."""
+    """The part of a module: its folder or itself at the root; the kernels are a separate part."""
     return "chain.kernels" if module.startswith("chain.kernels") else module.partition(".")[0]
 
 
 def crossings():
-    """(module, part of the package) of all imports from one part into another."""
+    """(module, imported part) of all imports between parts."""
     parts = {*MAY_IMPORT, "tools", "eval"}
     for path in sources("roadperc_stream"):
         module = module_of(path)
@@ -98,12 +98,12 @@ def test_every_part_has_a_rule():
     assert parts - {"__init__"} | {"chain.kernels"} == set(MAY_IMPORT)
 
 
-def test_parts_import_what_stands_below_them():
+def test_parts_import_only_allowed_parts():
     wrong = {(m, part) for m, part in crossings() if m != "__init__" and part not in MAY_IMPORT[part_of(m)]}
     assert wrong == set()
 
 
-def test_the_parts_have_one_order_and_no_long_chain():
+def test_imports_between_parts_have_no_cycle_and_no_long_chain():
     edges = {part: set() for part in MAY_IMPORT}
     for module, part in crossings():
         edges.setdefault(part_of(module), set()).add(part)
@@ -113,7 +113,7 @@ def test_the_parts_have_one_order_and_no_long_chain():
     assert max(length.values()) <= LONGEST_CHAIN
 
 
-def test_no_module_is_far_below_the_loop():
+def test_the_import_chain_of_the_loop_is_short():
     modules = [path for path in sources("roadperc_stream") if path != PACKAGE / "__init__.py"]
     edges = {module_of(path).removesuffix(".__init__"): imported_at_head(path) for path in modules}
     length = {}
@@ -123,7 +123,7 @@ def test_no_module_is_far_below_the_loop():
 
 
 def imported_at_head(path):
-    """The package's modules that one imports when it is imported itself; of packages those that it is not in."""
+    """Modules of the package that a module imports at its head, without the packages that contain it."""
     found = set()
     for node in ast.parse(path.read_text()).body:
         if isinstance(node, ast.ImportFrom) and node.module.split(".")[0] == PACKAGE.name:
@@ -132,18 +132,18 @@ def imported_at_head(path):
     return {name.removeprefix("roadperc_stream.") for name in found} - around
 
 
-def test_the_root_holds_the_loop_and_the_public_face():
+def test_the_root_has_few_modules():
     assert len(list(PACKAGE.glob("*.py"))) <= MOST_ROOT_MODULES
 
 
-def test_no_two_classes_have_one_name():
+def test_public_classes_have_unique_names():
     trees = [ast.parse(path.read_text()) for path in sources("roadperc_stream", "tools", "eval")]
     names = Counter(node.name for tree in trees for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
     assert {n for n, count in names.items() if count > 1 and not n.startswith("_")} == set()
 
 
 @pytest.mark.parametrize("path", sources("roadperc_stream/chain/stages"), ids=lambda p: p.stem)
-def test_a_stage_knows_only_its_own_kind(path):
+def test_a_stage_does_not_import_other_stages(path):
     stage = module_of(path).split(".")[2]
     for name in imports(path):
         parts = name.split(".")
@@ -159,20 +159,20 @@ def test_only_the_log_package_imports_mcap():
     assert users == {"log"}
 
 
-def test_only_the_process_that_speaks_to_ray_imports_it():
-    """Ray prints, takes the signals and may end its process: none of that is to reach a batch."""
+def test_only_the_session_process_imports_ray():
+    """Ray prints, handles signals and may end its process, so it runs in a separate process."""
     users = {p.name for p in sources("roadperc_stream") if any(n.split(".")[0] == "ray" for n in imports(p))}
     assert users == {"ray_session.py"}
 
 
-def test_only_the_tables_the_evaluation_and_the_stores_know_pyarrow():
-    """It reads and writes Parquet, and has the clients of stores; the benchmark of reports writes tables by columns."""
+def test_only_tables_and_stores_import_pyarrow():
+    """It reads and writes Parquet and has clients of object stores; the report benchmark writes tables with it."""
     users = {p.name for p in sources("roadperc_stream", "tools") if any(n.startswith("pyarrow") for n in imports(p))}
     assert users == {"tables.py", "stores.py", "report.py"}
 
 
 def test_functions_have_at_most_eight_parameters():
-    """But for the one that takes all options of a replay, by keyword."""
+    """Except rp.replay, which takes all options of a replay by keyword."""
     many = set()
     for path in sources("roadperc_stream", "tools", "eval"):
         for node in ast.walk(ast.parse(path.read_text())):
@@ -184,7 +184,7 @@ def test_functions_have_at_most_eight_parameters():
 
 
 def test_the_loop_is_short():
-    """Its functions, and those that write and resume, take at most six arguments, five of them by position."""
+    """Functions of the loop, of writing and of resuming take at most six arguments, five of them positional."""
     assert len((PACKAGE / "loop.py").read_text().splitlines()) <= 150
     for path in (PACKAGE / "loop.py", PACKAGE / "output" / "writing.py", *sources("roadperc_stream/resume")):
         for node in ast.walk(ast.parse(path.read_text())):
@@ -194,12 +194,12 @@ def test_the_loop_is_short():
                 assert len(node.args) <= 5, f"{path.name}, line {node.lineno}"
 
 
-def test_persistence_knows_no_stage():
+def test_resume_imports_no_stage():
     for path in sources("roadperc_stream/resume"):
         assert not [name for name in imports(path) if name.startswith(("chain.stages", "chain.kernels"))], path.name
 
 
-def test_chain_and_stages_never_see_the_truth():
+def test_the_chain_does_not_use_the_truth():
     for path in sources("roadperc_stream/chain"):
         names = {node.id for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Name)}
         assert not names & {"Truth", "Sample"}, path
@@ -211,7 +211,7 @@ def test_tools_and_eval_do_not_import_each_other():
             assert other not in {part_of(name) for name in imports(path)}, path
 
 
-def test_the_generated_messages_are_those_of_the_definition(tmp_path):
+def test_the_generated_messages_match_their_definition(tmp_path):
     proto = "roadperc_stream/schemas/roadperc.proto"
     command = [sys.executable, "-m", "grpc_tools.protoc", f"--proto_path={ROOT}", f"--python_out={tmp_path}", proto]
     subprocess.run(command, cwd=ROOT, check=True, timeout=60)
@@ -220,14 +220,14 @@ def test_the_generated_messages_are_those_of_the_definition(tmp_path):
 
 @pytest.mark.promise("Installation", "The generated code loads with the lowest declared protobuf")
 def test_the_generated_messages_load_with_the_lowest_declared_protobuf():
-    """Generated code refuses a protobuf older than its generator."""
+    """Generated code does not load with a protobuf older than its generator."""
     (lowest,) = re.findall(r'"protobuf>=([\d.]+)', (ROOT / "pyproject.toml").read_text())
     (generator,) = re.findall(r"Protobuf Python Version: ([\d.]+)", GENERATED.read_text())
     assert Version(generator) <= Version(lowest)
 
 
 def test_every_package_of_the_code_is_installed():
-    """An editable installation also finds packages that the list lacks. Only the benchmark stays out of a wheel."""
+    """An editable installation also finds packages missing from the list. The wheel excludes only the benchmark."""
     installed = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
     folders = {path.parent.relative_to(ROOT) for path in sources("roadperc_stream", "eval", "tools")}
     folders.remove(Path("tools/bench"))

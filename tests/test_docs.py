@@ -1,6 +1,6 @@
-"""README and docs hold: every command and example runs, in order, in one folder, and what they show is printed.
+"""README and docs are true: all commands and examples run, in order, in one folder, and print the shown output.
 
-Commands in fences of ``bash``, not ``sh``, are for drives that a reader's folder does not have: those are not run.
+Commands in fences of ``bash``, not ``sh``, need recordings that the folder does not have; they do not run.
 """
 
 import os
@@ -72,7 +72,7 @@ def run(command, folder):
 
 
 def serve(command, folder):
-    """Run a command that serves until it is stopped: it must say where, and end when it is told to."""
+    """Run a server command: it must print its address and end on SIGINT."""
     served = subprocess.Popen(
         ["bash", "-c", f"exec {command} --port 0"], cwd=folder, env=environment(), text=True,
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
@@ -120,7 +120,7 @@ def test_the_python_page_shows_every_example():
     assert markers == {f'--8<-- "examples/{path.name}"' for path in EXAMPLES}
 
 
-def test_the_report_in_the_docs_is_the_one_that_is_printed(folder):
+def test_the_report_in_the_docs_equals_the_printed_one(folder):
     printed = run("roadperc-report logs/runs/demo/sample.mcap", folder).partition("Worst frames")[0]
     page = (ROOT / "docs" / "evaluation.md").read_text(encoding="utf-8")
     shown = re.search(r"<!-- report -->\n```text\n(.*?)```", page, re.DOTALL).group(1)
@@ -143,7 +143,7 @@ def test_the_readme_shows_lines_of_the_report(folder):
 
 
 def words(text):
-    """Everything but numbers and the lengths of rules."""
+    """The words of a text without numbers and rules."""
     return re.sub(r"-?\d+(\.\d+)?|─+", "", text).split()
 
 
@@ -151,7 +151,7 @@ def numbers(text):
     return [float(n) for n in re.findall(r"(?<![\w.])-?\d+(?:\.\d+)?(?![\w.])", text)]
 
 
-def test_every_command_option_and_file_the_pages_name_exists():
+def test_every_command_and_option_of_the_pages_exists():
     scripts = set(re.findall(r"^(roadperc-[a-z]+) = ", (ROOT / "pyproject.toml").read_text(), re.MULTILINE))
     named = {
         command for page in TEXTS for command in re.findall(r"\broadperc-[a-z]+", page.read_text(encoding="utf-8"))
@@ -166,7 +166,7 @@ def test_every_command_option_and_file_the_pages_name_exists():
     assert {option for option in options - OTHERS if option not in helps} == set()
 
 
-def test_every_make_target_the_pages_name_exists():
+def test_every_make_target_of_the_pages_exists():
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
     named = {
         t for page in TEXTS for t in re.findall(r"(?:^    |`)make ([a-z-]+)", page.read_text("utf-8"), re.MULTILINE)
@@ -174,7 +174,7 @@ def test_every_make_target_the_pages_name_exists():
     assert named <= targets
 
 
-def test_every_link_leads_somewhere():
+def test_every_link_has_a_target():
     for page in TEXTS:
         for target in re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text(encoding="utf-8")):
             assert (page.parent / target).exists(), f"{page.name}: {target}"

@@ -1,4 +1,4 @@
-"""Real recordings from dump to table, against the figures known of them."""
+"""Real recordings from dump to table, compared with known values."""
 
 import json
 
@@ -59,7 +59,7 @@ def test_course_frame_0_has_the_public_number_of_lines(replayed):
     assert (metrics["lane_proposals"][0], metrics["lane_merged"][0]) == (9, 5)
 
 
-def test_the_courses_obstacle_by_its_public_settings(replayed, data_dir, tmp_path):
+def test_the_obstacle_of_the_course_with_its_public_settings(replayed, data_dir, tmp_path):
     course.write_dump(data_dir / "course_stereo", tmp_path / "swapped")
     settings = [part for setting in course.SETTINGS for part in ("--set", setting)]
     _, objects = replayed(tmp_path / "swapped", "--template", course.TEMPLATE, *settings)
@@ -79,7 +79,7 @@ def test_carla_frame_height_and_kept_boxes(replayed, data_dir):
     assert 10 <= objects["kept"].sum() <= 14
 
 
-def test_sidewalks_are_not_drivable_unless_told(replayed):
+def test_sidewalks_are_drivable_only_by_setting(replayed):
     default, _ = replayed("carla_frame")
     wide, _ = replayed("carla_frame", "--set", 'surface.classes=["road", "road_line", "sidewalk"]')
     assert wide["drivable_ratio"][0] > default["drivable_ratio"][0] + 0.02
@@ -99,8 +99,8 @@ def test_carla_rgbd_height_and_pitch(replayed):
     ]
 
 
-def test_carlas_principal_point_as_it_stands_is_a_tenth_of_a_degree_off(data_dir, tmp_path, replayed):
-    """The half pixel matters: with pixel_origin "centre" the same frames look 0.11 degrees down."""
+def test_the_pixel_origin_shifts_the_pitch_by_a_tenth_of_a_degree(data_dir, tmp_path, replayed):
+    """With pixel_origin "centre" the same frames look down by 0.11 degrees."""
     right, _ = replayed("carla_rgbd", "--frames", "20")
     dump = tmp_path / "dump"
     dump.mkdir()
@@ -115,8 +115,8 @@ def test_carlas_principal_point_as_it_stands_is_a_tenth_of_a_degree_off(data_dir
     assert shift == pytest.approx(0.11, abs=0.01)
 
 
-def test_kittis_steps_have_their_length_by_one_camera_whose_height_alone_is_known(data_dir, tmp_path):
-    """The camera looks down by about a degree, which nobody says."""
+def test_the_steps_of_kitti_from_one_camera_of_known_height(data_dir, tmp_path):
+    """The camera looks down by about a degree, which is not in the calibration."""
     folder, dump = data_dir / "kitti_odometry", tmp_path / "dump"
     kitti.write_dump(folder, dump)
     assert convert.main([str(dump), str(tmp_path / "in.mcap"), "--quiet"]) == 0
@@ -138,7 +138,7 @@ def test_kittis_steps_have_their_length_by_one_camera_whose_height_alone_is_know
     assert metrics["camera_pitch_deg"].median() == pytest.approx(1.07, abs=0.15)
 
 
-def test_a_foreign_log_without_images_is_refused(data_dir, tmp_path, capsys):
+def test_a_log_without_images_is_refused(data_dir, tmp_path, capsys):
     source = data_dir / "mcap" / "example_logs.mcap"
     assert replay_main([str(source), str(tmp_path / "out.mcap")]) == 1
     assert "nothing to replay" in capsys.readouterr().err

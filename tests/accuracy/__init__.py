@@ -1,4 +1,4 @@
-"""The figures of docs/accuracy.md: drives, how they are replayed, and what is measured on them.
+"""The figures of docs/accuracy.md: rendered drives, their replays, and the measured values.
 
-``make accuracy`` prints what is required beside what is measured; the tests in this folder are of its own arithmetic.
+``make accuracy`` prints required and measured values. The tests in this folder check the computation.
 """

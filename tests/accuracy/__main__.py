@@ -1,4 +1,4 @@
-"""Measures the figures of docs/accuracy.md and prints them, required beside measured, or writes them into the page."""
+"""Measures the figures of docs/accuracy.md and prints them with the required values, or writes them into the page."""
 
 import argparse
 import os
@@ -24,12 +24,12 @@ FIRST_SEED = 100
 def parser():
     """The command line."""
     made = argparse.ArgumentParser("python -m tests.accuracy", description=__doc__)
-    made.add_argument("--seeds", type=int, default=SEEDS, help=f"of a usual drive; town has more (default: {SEEDS})")
-    made.add_argument("--first-seed", type=int, default=FIRST_SEED, help="seeds to tune on are others (default: 100)")
+    made.add_argument("--seeds", type=int, default=SEEDS, help=f"seeds per drive; town has more (default: {SEEDS})")
+    made.add_argument("--first-seed", type=int, default=FIRST_SEED, help="first seed; tune below 100 (default: 100)")
     made.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes (default: the cores)")
     made.add_argument("--folder", type=Path, default=ROOT / "logs" / "runs" / "accuracy", help="of rendered logs")
-    made.add_argument("--page", type=Path, help="a page to write the tables into")
-    made.add_argument("--only", action="append", metavar="SECTION", help="sections whose names begin so")
+    made.add_argument("--page", type=Path, help="page whose tables are replaced")
+    made.add_argument("--only", action="append", metavar="SECTION", help="only sections that begin with this")
     return made
 
 
@@ -58,19 +58,19 @@ def main():
 
 
 def about(results):
-    """What was measured on, in a sentence."""
+    """A sentence with the seeds and the number of frames."""
     seeds = sorted({replay.seed for replays in results.replays.values() for replay in replays})
     frames = sum(replay.frames.height for replays in results.replays.values() for replay in replays)
     return f"Seeds {seeds[0]} to {seeds[-1]}, {frames} frames replayed."
 
 
 def cells(figure, measured):
-    """The texts of a line."""
+    """The cells of a line."""
     return figure.name, figure.required, measured.text, measured.coverage, VERDICTS[measured.met]
 
 
 def summary(lines):
-    """How many of the figures that something is required of are met."""
+    """A sentence with the number of required figures that are met."""
     required = [(figure, measured) for figure, measured in lines if figure.required]
     met = sum(measured.met is True for _, measured in required)
     missing = sum(measured.met is None for _, measured in required)
@@ -78,7 +78,7 @@ def summary(lines):
 
 
 def print_table(lines):
-    """One table with a section after the other."""
+    """Print one table with all sections."""
     table = Table(title="Accuracy", show_lines=False)
     for header in HEADERS:
         table.add_column(header, overflow="fold")
@@ -94,10 +94,10 @@ def print_table(lines):
 
 
 def with_figures(page, lines, about):
-    """A page with the tables of a run in the place of those of an earlier one.
+    """The page with its tables replaced.
 
     Raises:
-        ValueError: the page has no place for them.
+        ValueError: the page has no markers for the tables.
     """
     text = f"{about} {summary(lines).capitalize()}.\n\n" + "\n".join(markdown(lines))
     changed, count = BLOCK.subn(lambda block: f"{block[1]}{text}{block[2]}", page)
@@ -107,7 +107,7 @@ def with_figures(page, lines, about):
 
 
 def markdown(lines):
-    """Lines of Markdown: a table a section."""
+    """Lines of Markdown: a table per section."""
     for section, group in groupby(lines, key=lambda line: line[0].section):
         yield f"### {section}\n"
         yield f"| {' | '.join(HEADERS)} |\n|---|---|---|---|---|"

@@ -1,7 +1,7 @@
-"""Rendered drives as logs: rendered once without noise, then made noisy as often as asked for, and kept in a folder.
+"""Logs of rendered drives: each is rendered once without noise; noise is added afterwards. A folder keeps the logs.
 
-Everything random of a dump follows from (seed, frame, purpose), so a clean dump with noise put in afterwards is the one
-that is rendered with that noise (depths to the step they are stored in), in a tenth of the time.
+The random numbers of a dump depend on (seed, frame, purpose). So a clean dump with added noise equals a dump that is
+rendered with noise (depth to its resolution), in a tenth of the time.
 """
 
 import hashlib
@@ -23,7 +23,7 @@ ROOT = Path(__file__).parents[2]
 
 @dataclass(frozen=True)
 class Drive:
-    """What is rendered, over a share of all seeds; ``options`` have neither noise nor seed."""
+    """A drive, and its number of seeds relative to the usual one; ``options`` have no noise and no seed."""
 
     name: str
     options: RenderOptions
@@ -32,7 +32,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class Noise:
-    """What is done to a drive: shares as of ``roadperc-render``, and the quality of tags that are saved as JPEG."""
+    """Noise: shares as in ``roadperc-render``, and the quality if tags are saved as JPEG."""
 
     tags: float = 0.0
     depth: float = 0.0
@@ -40,7 +40,7 @@ class Noise:
 
     @property
     def name(self):
-        """For files' names."""
+        """The name in file names."""
         jpeg = f"-jpeg{self.jpeg_quality}" if self.jpeg_quality else ""
         return f"t{100 * self.tags:02.0f}-d{100 * self.depth:02.0f}{jpeg}"
 
@@ -52,7 +52,7 @@ def drive(name, seeds=1.0, **options):
 
 
 def digest_of(options):
-    """Of all that decides a rendered log's bytes, so that no log is older than what it is rendered by."""
+    """A digest of the options and the renderer's sources, so that a change renders the logs again."""
     digest = hashlib.sha256(repr(options).encode())
     for path in sorted((ROOT / "tools").rglob("*.py")):
         digest.update(path.read_bytes())
@@ -60,7 +60,7 @@ def digest_of(options):
 
 
 def make_logs(cache, of, seed, noises):
-    """The log of a drive under each of several kinds of noise, by noise; what is there is not made again."""
+    """The paths of a drive's logs by kind of noise; existing logs are kept."""
     folder = cache / f"{of.name}-{digest_of(of.options)}"
     targets = {kind: folder / f"{seed}-{kind.name}.mcap" for kind in noises}
     wanted = {kind: target for kind, target in targets.items() if not target.exists()}
@@ -79,7 +79,7 @@ def make_logs(cache, of, seed, noises):
 
 
 def with_noise(clean, noisy, seed, kind):
-    """A copy of a clean dump as it would be rendered with noise; tags as JPEG are colours, as CARLA shows them."""
+    """Write a copy of a clean dump with noise; tags as JPEG have CARLA's colours."""
     shutil.rmtree(noisy, ignore_errors=True)
     shutil.copytree(clean, noisy)
     for picture in sorted((clean / "segmentation").iterdir()) if kind.tags or kind.jpeg_quality else ():
@@ -95,14 +95,14 @@ def with_noise(clean, noisy, seed, kind):
 
 
 def keep_truth(noisy, picture):
-    """The clean picture of a sensor as the truth of a dump."""
+    """Copy a clean image to the truth of a dump."""
     truth = noisy / "truth" / picture.parent.name
     truth.mkdir(parents=True, exist_ok=True)
     shutil.copy(picture, truth / picture.name)
 
 
 def write_tags(path, tags, jpeg_quality):
-    """Raw tags as PNG, or colours as JPEG of a quality."""
+    """Write tags as raw PNG, or as colours in a JPEG."""
     if jpeg_quality is None:
         dump.write_picture(path, dump.tags_picture(tags))
         return
@@ -112,11 +112,11 @@ def write_tags(path, tags, jpeg_quality):
 
 
 def depth_of(picture):
-    """(H, W) metres of a clean depth picture."""
+    """(H, W) depth in metres of a clean depth image."""
     blue, green, red = (cv2.imread(str(picture)).astype(np.float64)[..., c] for c in range(3))
     return ((red + 256 * green + 65536 * blue) * (1000 / dump.DEPTH_CODES)).astype(np.float32)
 
 
 def random_of(seed, picture, purpose):
-    """What decides the noise of a picture, as the renderer has it."""
+    """The random numbers for the noise of an image, as in the renderer."""
     return np.random.default_rng((seed, int(picture.stem), PURPOSES[purpose]))

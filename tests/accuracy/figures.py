@@ -1,4 +1,4 @@
-"""The list of figures: what each is measured on, and what is required of it."""
+"""The list of figures, each with its scenarios and its required value."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -29,12 +29,12 @@ from tests.accuracy.values import Bound, Measured, at_least, at_most, judged, no
 
 Measure = Callable[[Results], Measured]
 REPORTED = None
-"""A figure that nothing is required of."""
+"""A figure without a required value."""
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A line of the table: ``required`` in words, and what measures it, which judges as well."""
+    """A line of the table: the text of the required value, and a function that measures and judges."""
 
     section: str
     name: str
@@ -43,7 +43,7 @@ class Figure:
     measure: Measure
 
     def measured(self, results):
-        """What is measured; where a replay or a column is absent, why it is not."""
+        """The measured value, or the reason if a replay or a column is missing."""
         try:
             return self.measure(results)
         except LookupError as absent:
@@ -51,7 +51,7 @@ class Figure:
 
 
 def bounded(section, name, bound: Bound | None, scenarios, value):
-    """A figure whose value, a function of the replays, has to keep a bound."""
+    """A figure whose value is a function of the replays and has a bound."""
 
     def measure(results):
         return judged(bound, value(results.of(scenarios)))
@@ -60,12 +60,12 @@ def bounded(section, name, bound: Bound | None, scenarios, value):
 
 
 def of_changes():
-    """Changes of lane: left, back, right and broken off, dashed lines."""
+    """Lane changes: left, back, right and broken off, over dashed lines."""
     line = partial(bounded, "Changes of lane", scenarios=CHANGED)
     return (
-        line("new lane measured and right within 0.3 s of the crossing", at_least(100, "%"), value=of_lanes.handed),
-        line("`lane_changes` as often as it was", at_least(100, "%"), value=of_lanes.counted),
-        line("both measured, but not left > 0 > right or 2 to 6 m wide", at_most(0, "%"), value=of_lanes.implausible),
+        line("new lane measured and correct within 0.3 s of the crossing", at_least(100, "%"), value=of_lanes.handed),
+        line("`lane_changes` counts every change", at_least(100, "%"), value=of_lanes.counted),
+        line("both measured, but wrong sides or not 2 to 6 m wide", at_most(0, "%"), value=of_lanes.implausible),
         *off_by_more("", line),
         line("offset at the car, median", at_most(2, "cm"), value=of_lanes.offset_error),
         line("offset at the car, 95 %", at_most(6, "cm"), value=partial(of_lanes.offset_error, share=0.95)),
@@ -73,7 +73,7 @@ def of_changes():
 
 
 def off_by_more(prefix, line):
-    """What is required of measured boundaries at any noise."""
+    """Requirements on measured boundaries at any noise."""
     return (
         line(f"{prefix}measured, off by more than 0.3 m at the car", at_most(1, "%"), value=of_lanes.gross),
         line(
@@ -89,7 +89,7 @@ PRECISE = {5: (2, 6), 10: (4, 15)}
 
 
 def of_tag_noise():
-    """The same drives at five levels of noise."""
+    """The same drives at five noise levels."""
     for percent, scenarios in BY_TAG_NOISE.items():
         line, prefix = partial(bounded, "Lanes and noise", scenarios=scenarios), f"tag noise {percent} %: "
         yield from off_by_more(prefix, line)
@@ -102,19 +102,19 @@ def of_tag_noise():
 
 
 def of_hard_inputs():
-    """JPEG tags, depth that fails, few frames a second."""
+    """Tags as JPEG, noisy depth, few frames per second."""
     kinds = {f"tags as JPEG {quality}: ": scenarios for quality, scenarios in BY_JPEG.items()}
     for prefix, scenarios in (kinds | {"depth noise 30 %: ": WITHOUT_DEPTH, "2 Hz: ": AT_TWO_HZ}).items():
         line = partial(bounded, "Lanes and noise", scenarios=scenarios)
         yield from off_by_more(prefix, line)
         yield line(f"{prefix}boundaries measured", REPORTED, value=of_lanes.covered)
-        yield line(f"{prefix}neither measured nor held, without a reason", at_most(0, "%"), value=of_lanes.silent)
-    name = "course frame 1, a still of another place: left boundary off its own line"
+        yield line(f"{prefix}absent without a reason", at_most(0, "%"), value=of_lanes.silent)
+    name = "course frame 1: left boundary off its measured line"
     yield bounded("Lanes and noise", name, at_most(10, "cm"), COURSE_FRAMES, of_lanes.off_own_line)
 
 
 def of_surface():
-    """The model that is chosen by evidence, against the two it chooses from."""
+    """The automatically chosen surface model compared with both models."""
     for road in ROADS:
         for name, column in (
             ("road height 5 to 40 m ahead", "surface_height_error_m"),
@@ -123,7 +123,7 @@ def of_surface():
             measure = partial(of_motion.by_model, road, column)
             scenarios = tuple(scenario for model in MODELS for scenario in BY_MODEL[road, model])
             title = f"{road}: {name}, median, plane / spline / auto"
-            yield Figure("Surface", title, "auto ≤ 1.1 of the better", scenarios, measure)
+            yield Figure("Surface", title, "auto ≤ 1.1 times the better one", scenarios, measure)
 
 
 def of_odometry():
@@ -141,7 +141,7 @@ OFF_BY_A_METRE = {"1+2 %": (1, 3, 4, 5), "2+5 %": (1, 5, 12, 15)}
 
 
 def of_distances():
-    """Kept detections whose distance is off by more than a metre, by their true distance."""
+    """Kept detections with a distance error above 1 m, by true distance."""
     cases = [(f"noise {level}: ", TOWNS[level], limits) for level, limits in OFF_BY_A_METRE.items()]
     for level, limits in OFF_BY_A_METRE.items():
         doubled = tuple(2 * limit for limit in limits)
@@ -165,17 +165,17 @@ IMPACTS = {"town": TOWNS, "braking lead car": BRAKING}
 
 
 def of_obstacle():
-    """The course's obstacle by the course's settings."""
+    """The course's obstacle with the course's settings."""
     line = partial(bounded, "Obstacle by its picture, course", scenarios=COURSE_OBSTACLE)
     yield line("place", at_most(0, "px"), value=of_objects.obstacle_place_off)
     yield line("distance", at_most(1, "mm"), value=of_objects.obstacle_off)
 
 
 def of_impact():
-    """Time to impact, with and without one."""
+    """Time to impact, in frames with and without a true one."""
     noisy = {f"{name}, noise {level}": by[level] for level in TOWNS for name, by in IMPACTS.items()}
     for name, scenarios in {"sample": STANDARD, "turn": TURNING, **noisy}.items():
-        title = f"{name}: below 1.5 s where the true one is above 2 s or absent"
+        title = f"{name}: below 1.5 s although the true time is above 2 s or absent"
         yield bounded("Impact", title, at_most(0, "frames"), scenarios, of_objects.false_alarms)
     line = partial(bounded, "Impact", scenarios=BRAKING["1+2 %"])
     yield line("braking lead car, 0.5 to 3 s: frames with a value", at_least(95, "%"), value=of_objects.impact_known)
@@ -211,7 +211,7 @@ STANDARD_TODAY = (
     ("turn", "turn_error_deg", 1, "°", 0.0077, 0.0151),
     ("stereo disparity", "stereo_epe_px", 1, "px", 0.404, 0.471),
 )
-"""What version 0.1.0 measures on ``logs/sample.mcap``, median and 95 %: never worse."""
+"""Values of version 0.1.0 on ``logs/sample.mcap``, median and 95 %: they must not get worse."""
 
 
 def of_standard():

@@ -1,4 +1,4 @@
-"""KITTI's odometry set as a dump that ``roadperc-convert`` reads, with its true poses."""
+"""Converts KITTI's odometry data to a dump for ``roadperc-convert``, with true poses."""
 
 import shutil
 
@@ -11,11 +11,11 @@ from roadperc_stream.tools.scene import dump
 HEIGHT_M = 1.65
 RATE_HZ = 10.0
 EGO_T_CAMERA = np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, HEIGHT_M], [0, 0, 0, 1]], float)
-"""A camera that looks ahead, level: its x is to the right, its y down."""
+"""A level camera that looks ahead: x to the right, y down."""
 
 
 def write_dump(source, target):
-    """The left grey images, their calibration and the poses of the car, from a folder in KITTI's layout."""
+    """Write the left grey images, their calibration and the car's poses from a folder in KITTI's layout."""
     shutil.rmtree(target, ignore_errors=True)
     shutil.copytree(source / "image_0", target / "rgb")
     pictures = sorted((target / "rgb").iterdir())
@@ -38,6 +38,6 @@ def write_dump(source, target):
 
 
 def ego_pose(line):
-    """The (4, 4) pose of the car's axes below the camera, against those of the first frame, from a line of a file."""
+    """The (4, 4) pose of the car relative to the first frame, from a line of KITTI's pose file."""
     first_T_camera = np.vstack([np.array(line.split(), float).reshape(3, 4), [0, 0, 0, 1]])
     return EGO_T_CAMERA @ first_T_camera @ inverse(EGO_T_CAMERA)

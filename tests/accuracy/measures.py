@@ -1,4 +1,4 @@
-"""The arithmetic of the figures: pure functions of the tables of replays."""
+"""Pure functions that compute the figures from the tables of replays."""
 
 from dataclasses import dataclass
 
@@ -7,14 +7,14 @@ import polars as pl
 
 SIDES = ("left", "right")
 CROSSING_S = 0.3
-"""From so long before a crossing until so long after it which lane is the car's own is not to be asked."""
+"""Within this time of a crossing the car's own lane is ambiguous, so frames do not count."""
 RESAMPLES = 2000
 LEVEL = 0.95
 
 
 @dataclass(frozen=True)
 class Boundaries:
-    """Boundaries with a truth, both sides of all frames: ``measured`` (N,), errors of the measured ones, metres."""
+    """Boundaries with truth, both sides of all frames: ``measured`` (N,) bool, and errors of measured ones, metres."""
 
     measured: np.ndarray
     at_car_m: np.ndarray
@@ -22,12 +22,12 @@ class Boundaries:
 
     @property
     def coverage(self):
-        """Share that is measured."""
+        """The measured share."""
         return float(self.measured.mean()) if len(self.measured) else None
 
 
 def crossings_ns(frames):
-    """Stamps of the frames in which the car has come into another lane."""
+    """Stamps of the frames in which the car enters another lane."""
     if frames["true_lane_changes"].null_count() == frames.height:
         return np.array([], np.int64)
     steps = np.diff(frames["true_lane_changes"].to_numpy())
@@ -35,7 +35,7 @@ def crossings_ns(frames):
 
 
 def away_from(stamps_ns, instants_ns, margin_s=CROSSING_S):
-    """(N,) whether each stamp is farther than a margin from every instant."""
+    """(N,) bool: the stamp is farther than the margin from every instant."""
     away = np.ones(len(stamps_ns), bool)
     for instant in instants_ns:
         away &= np.abs(stamps_ns - instant) > round(margin_s * 1e9)
@@ -43,7 +43,7 @@ def away_from(stamps_ns, instants_ns, margin_s=CROSSING_S):
 
 
 def boundaries(replays):
-    """The boundaries of several replays, those of frames near a crossing left out."""
+    """The boundaries of several replays, without frames near a crossing."""
     parts = [_boundaries(replay.frames, side) for replay in replays for side in SIDES]
     return Boundaries(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
@@ -58,17 +58,17 @@ def _boundaries(frames, side):
 
 
 def share_above(errors, limit):
-    """Share of errors whose size is above a limit; None of none."""
+    """Share of absolute errors above a limit; None without errors."""
     return float(np.mean(np.abs(errors) > limit)) if len(errors) else None
 
 
 def quantile(errors, share):
-    """Quantile of the errors' sizes; None of none."""
+    """Quantile of the absolute errors; None without errors."""
     return float(np.quantile(np.abs(errors), share)) if len(errors) else None
 
 
 def handed_over(frames, within_s=CROSSING_S, tolerance_m=0.3):
-    """For each crossing, whether both boundaries of the new lane are measured, and right, in time after it."""
+    """For each crossing, True if both boundaries of the new lane are soon measured and correct."""
     stamps_ns = frames["stamp_ns"].to_numpy()
     right = np.ones(frames.height, bool)
     for side in SIDES:
@@ -82,7 +82,7 @@ def handed_over(frames, within_s=CROSSING_S, tolerance_m=0.3):
 
 
 def implausible(frames, narrowest_m=2.0, widest_m=6.0):
-    """(N,) of the frames with both boundaries measured: whether these cannot be those of the car's lane."""
+    """(N,) bool for frames with two measured boundaries: they cannot be those of the car's lane."""
     both = frames.filter(pl.all_horizontal(pl.col(f"lane_{side}_status") == "measured" for side in SIDES))
     left, right = (both[f"lane_{side}_offset_m"].to_numpy() for side in SIDES)
     width_m = left - right
@@ -90,7 +90,7 @@ def implausible(frames, narrowest_m=2.0, widest_m=6.0):
 
 
 def absent_without_reason(frames):
-    """(N,) of the boundaries that are neither measured nor held: whether their frame gives no reason of the lanes'."""
+    """(N,) bool for absent boundaries: their frame has no reason of the lane stage."""
     statuses = [frames[f"lane_{side}_status"].is_in(["measured", "held"]) for side in SIDES]
     there = sum(found.fill_null(value=False).to_numpy().astype(int) for found in statuses)
     silent = [not any(text.startswith("lanes") for text in reasons) for reasons in frames["reasons"].to_list()]
@@ -98,15 +98,15 @@ def absent_without_reason(frames):
 
 
 def share_by_object(wrong, objects, seed=20):
-    """A share of rows with its interval, by resampling objects: one car seen for 40 frames is one car.
+    """A share of rows with its interval, by resampling objects, as the rows of one object are not independent.
 
     Args:
         wrong: (N,) bool.
-        objects: (N,) numbers of the objects that the rows are of.
+        objects: (N,) the object number of each row.
         seed: of the resampling.
 
     Returns:
-        The share, and the ends of its interval at LEVEL; None of no rows.
+        The share and its interval at LEVEL; None without rows.
     """
     if not len(wrong):
         return None
@@ -119,7 +119,7 @@ def share_by_object(wrong, objects, seed=20):
 
 
 def kept_true(replays, nearest_m, farthest_m):
-    """Rows of kept detections of true objects at such a distance, with a number of their object over all replays."""
+    """Rows of kept true detections at a distance, with an object number that is unique over all replays."""
     parts, total = [], 0
     for replay in replays:
         rows = replay.objects.filter(
@@ -135,13 +135,13 @@ def kept_true(replays, nearest_m, farthest_m):
 
 
 def false_alarms(frames, alarm_s=1.5, calm_s=2.0):
-    """(N,) of the frames without a true impact before ``calm_s``: whether one is said to come before ``alarm_s``."""
+    """(N,) bool for frames without a true impact before ``calm_s``: the estimate is below ``alarm_s``."""
     calm = frames.filter(pl.col("true_time_to_impact_s").is_null() | (pl.col("true_time_to_impact_s") > calm_s))
     return (calm["time_to_impact_s"] < alarm_s).fill_null(value=False).to_numpy()
 
 
 def impacts(replays, soonest_s=0.5, latest_s=3.0):
-    """(N, 2) time to impact, estimated (NaN where none) and true, of the frames whose true one is in such a span."""
+    """(N, 2) estimated (NaN if absent) and true time to impact, of frames whose true one is in the range."""
     rows = pl.concat([replay.frames.select("time_to_impact_s", "true_time_to_impact_s") for replay in replays])
     near = rows.filter(pl.col("true_time_to_impact_s").is_between(soonest_s, latest_s))
     return near.to_numpy().astype(float)

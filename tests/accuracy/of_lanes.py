@@ -1,4 +1,4 @@
-"""Values of the lanes' figures."""
+"""Values of the lane figures."""
 
 import numpy as np
 import polars as pl
@@ -16,13 +16,13 @@ def _share(flags, detail=""):
 
 
 def handed(replays):
-    """Share of crossings after which the lane is handed over in time."""
+    """Share of crossings after which the new lane is measured in time."""
     flags = _over_frames(replays, measures.handed_over)
     return _share(flags, f"{flags.sum()} of {len(flags)} crossings")
 
 
 def counted(replays):
-    """Share of drives that end with the right count of lane changes.
+    """Share of drives with the correct number of lane changes at the end.
 
     Raises:
         LookupError: the chain does not count them.
@@ -40,13 +40,13 @@ def implausible(replays):
 
 
 def off_own_line(replays):
-    """By how much the last frame's left boundary is off the line that its own image shows, centimetres."""
+    """Distance in cm of the last frame's left boundary from the line measured in its image."""
     last = replays[0].frames.row(-1, named=True)
     return Value(100 * abs(last["lane_left_offset_m"] - last["lane_left_raw_offset_m"]))
 
 
 def silent(replays):
-    """Share of the boundaries that are absent without a reason; none where none is absent."""
+    """Share of absent boundaries without a reason; 0 if no boundary is absent."""
     flags = _over_frames(replays, measures.absent_without_reason)
     return _share(flags, f"{len(flags)} absent") if len(flags) else Value(0.0, None, "none absent")
 
@@ -58,7 +58,7 @@ def covered(replays):
 
 
 def gross(replays, place="at_car_m"):
-    """Share of the measured ones that are off by more than 0.3 m, at the car or ``ahead_m``: 10 m ahead."""
+    """Share of measured boundaries off by more than 0.3 m, at the car or 10 m ahead (``ahead_m``)."""
     found = measures.boundaries(replays)
     share = measures.share_above(getattr(found, place), 0.3)
     return Value(None if share is None else 100 * share, found.coverage)

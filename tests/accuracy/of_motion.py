@@ -1,4 +1,4 @@
-"""Values of the figures of surface and odometry, and of errors as the tables have them."""
+"""Values of the surface and odometry figures, and quantiles of error columns."""
 
 import polars as pl
 
@@ -10,20 +10,20 @@ SLACK = 1.1
 
 
 def errors(replays, column):
-    """The errors of a column that are known, and the share of frames where they are."""
+    """The known errors of a column, and the share of frames that have one."""
     values = pl.concat([replay.frames[column] for replay in replays])
     return values.drop_nulls().to_numpy().astype(float), values.count() / len(values)
 
 
 def error_quantile(replays, column, factor, share):
-    """A quantile of the sizes of a column's errors, in another unit."""
+    """A quantile of the absolute errors of a column, multiplied by a factor."""
     found, coverage = errors(replays, column)
     size = measures.quantile(found, share)
     return Value(None if size is None else factor * size, coverage)
 
 
 def by_model(road, column, results):
-    """Median errors with each model, and whether the one that is chosen is hardly worse than the better one."""
+    """Median errors with each model; met if the chosen model is at most SLACK times worse than the better one."""
     texts, found = [], {}
     for model in MODELS:
         try:
@@ -53,7 +53,7 @@ def step_error(replays):
 
 
 def length_error(replays):
-    """How much the sum of the steps with scale is off from that of their true ones, percent."""
+    """Relative error in percent of the sum of the steps with scale."""
     steps, total = _steps(replays)
     if not steps.height:
         return Value(None, 0.0)
@@ -61,6 +61,6 @@ def length_error(replays):
 
 
 def with_scale(replays):
-    """Share of the steps whose length is known, percent."""
+    """Share of steps with a known length, in percent."""
     steps, total = _steps(replays)
     return Value(100 * steps.height / total)

@@ -1,4 +1,4 @@
-"""Values of the figures of objects."""
+"""Values of the object figures."""
 
 import numpy as np
 import polars as pl
@@ -7,11 +7,11 @@ from tests.accuracy import measures
 from tests.accuracy.values import Value
 
 COURSE_PLACE_PX, COURSE_DISTANCE_M = (547, 479), 28.926553672316352
-"""Where the public solutions of the course's assignment find the obstacle, and how far."""
+"""Position and distance of the obstacle in the public solutions of the course."""
 
 
 def off_by_a_metre(replays, nearest_m, farthest_m):
-    """Share of kept true detections, at such a distance, that are off by more than a metre, with its interval."""
+    """Share of kept true detections in a range with a distance error above 1 m, with its interval."""
     rows = measures.kept_true(replays, nearest_m, farthest_m)
     known = rows.drop_nulls("distance_m")
     wrong = ((known["distance_m"] - known["true_distance_m"]).abs() > 1.0).to_numpy()
@@ -24,14 +24,14 @@ def off_by_a_metre(replays, nearest_m, farthest_m):
 
 
 def obstacle_off(replays):
-    """By how much the course's obstacle is off its public distance, millimetres; where it is, too."""
+    """Distance error in mm of the course's obstacle; the detail gives its position."""
     found = _obstacle(replays)
     place = f"at ({found['x_min_px']:.0f}, {found['y_min_px']:.0f}), {found['distance_m']:.4f} m"
     return Value(1000 * abs(found["distance_m"] - COURSE_DISTANCE_M), None, place)
 
 
 def obstacle_place_off(replays):
-    """By how much the place of its picture is off the public one, pixels."""
+    """Error in pixels of the obstacle's position in the image."""
     found = _obstacle(replays)
     return Value(max(abs(found["x_min_px"] - COURSE_PLACE_PX[0]), abs(found["y_min_px"] - COURSE_PLACE_PX[1])))
 
@@ -48,25 +48,25 @@ def _counts(replays):
 
 
 def precision(replays):
-    """Kept detections that stand for a true object / kept ones."""
+    """True kept detections / kept detections."""
     tp, fp, _, coverage = _counts(replays)
     return Value(tp / (tp + fp) if tp + fp else None, coverage)
 
 
 def recall(replays):
-    """Kept detections that stand for a true object / all that do."""
+    """True kept detections / true detections."""
     tp, _, fn, coverage = _counts(replays)
     return Value(tp / (tp + fn) if tp + fn else None, coverage)
 
 
 def false_alarms(replays):
-    """Frames with an alarm where there is nothing to hit."""
+    """Number of frames with a false alarm."""
     flags = np.concatenate([measures.false_alarms(replay.frames) for replay in replays])
     return Value(float(flags.sum()), None, f"of {len(flags)}")
 
 
 def impact_known(replays):
-    """Share of the frames before a true impact that have a time to it, percent."""
+    """Share in percent of the frames before a true impact that have a time to impact."""
     times_s = measures.impacts(replays)
     return Value(
         100 * float(np.isfinite(times_s[:, 0]).mean()) if len(times_s) else None, None, f"{len(times_s)} frames"
@@ -74,7 +74,7 @@ def impact_known(replays):
 
 
 def impact_error(replays, share=0.5):
-    """A quantile of its errors, seconds."""
+    """A quantile of the absolute errors of the time to impact, in seconds."""
     times_s = measures.impacts(replays)
     errors_s = (times_s[:, 0] - times_s[:, 1])[np.isfinite(times_s[:, 0])]
     return Value(measures.quantile(errors_s, share), len(errors_s) / len(times_s) if len(times_s) else None)

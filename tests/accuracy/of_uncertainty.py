@@ -1,4 +1,4 @@
-"""Values of the figures of uncertainty: the report's own table of consistency, over several replays."""
+"""Values of the uncertainty figures: the report's consistency table over several replays."""
 
 from functools import cache
 
@@ -15,13 +15,13 @@ QUANTITIES = {
     "closing speed": 4,
     "time to impact": 4,
 }
-"""The most of each, in percent, that may lie beyond three standard deviations."""
+"""The maximum share in percent beyond three standard deviations."""
 PARTS = {"lane offset": ("lane left offset", "lane right offset")}
 
 
 @cache
 def of_replay(path):
-    """The quantities of one replay."""
+    """The consistency of one replay."""
     return consistency_of_run(open_run(path, path.name))
 
 

@@ -1,4 +1,4 @@
-"""Renders and replays what the figures need, some drives at a time, and gives the tables."""
+"""Renders and replays the scenarios of the figures in parallel, and returns the tables."""
 
 import contextlib
 import io
@@ -34,7 +34,7 @@ class Replayed:
 
 @dataclass(frozen=True)
 class Results:
-    """The replays of each scenario by its name, and what prevented others."""
+    """The replays of each scenario by name, and the errors of the others."""
 
     replays: Mapping[str, Sequence[Replayed]]
     failures: Mapping[str, str]
@@ -43,7 +43,7 @@ class Results:
         """The replays of several scenarios.
 
         Raises:
-            LookupError: there is none of one of them; it says why.
+            LookupError: a scenario has no replay; the message gives the reason.
         """
         for scenario in scenarios:
             if scenario.name not in self.replays:
@@ -52,20 +52,20 @@ class Results:
 
 
 def seeds_of(source, first, count):
-    """The seeds of a drive of which ``count`` are the usual number; a recording has one."""
+    """The seeds of a drive, if ``count`` is the usual number; a recording has one."""
     return range(first, first + max(round(count * source.seeds), 1)) if isinstance(source, Drive) else (first,)
 
 
 def run(scenarios, folder, *, first, count, jobs, said):
-    """Replay scenarios in processes; ``said`` is called with each drive that is done.
+    """Replay scenarios in processes; ``said`` is called after each drive.
 
     Args:
-        scenarios: what is replayed.
-        folder: of rendered logs, which later runs use again, and of the tables.
+        scenarios: the scenarios.
+        folder: for tables and for rendered logs, which later runs reuse.
         first: the first seed.
         count: the usual number of seeds.
-        jobs: processes.
-        said: takes a line of text.
+        jobs: number of processes.
+        said: called with a line of text.
     """
     by_source = defaultdict(list)
     for scenario in scenarios:
@@ -89,7 +89,7 @@ def run(scenarios, folder, *, first, count, jobs, said):
 
 
 def target_of(scenario, seed, folder):
-    """Where the replay of a scenario is written."""
+    """The path of a scenario's replay."""
     return folder / "replays" / f"{scenario.name.replace(' ', '').replace('%', '')}-{seed}.mcap"
 
 
@@ -101,7 +101,7 @@ def load(scenario, seed, folder):
 
 
 def replay_source(source, seed, scenarios: Sequence[Scenario], folder):
-    """Replay all scenarios of one drive, and say why those that could not be replayed were not, by name."""
+    """Replay all scenarios of one drive; returns the errors by scenario name."""
     try:
         if isinstance(source, Drive):
             logs = make_logs(folder, source, seed, {scenario.noise for scenario in scenarios})
@@ -117,7 +117,7 @@ def recording(source, folder):
     """A recording as a log.
 
     Raises:
-        LookupError: it is not there.
+        LookupError: it does not exist.
         RuntimeError: it cannot be converted.
     """
     if not source.exists():
@@ -135,7 +135,7 @@ def recording(source, folder):
 
 
 def replay(scenario, log, seed, folder):
-    """Replay a log, and keep the tables alone; what went wrong in a line, or nothing."""
+    """Replay a log and keep only the tables; returns an error line, or an empty text."""
     target = target_of(scenario, seed, folder)
     target.parent.mkdir(parents=True, exist_ok=True)
     stages = ["--only", scenario.only] if scenario.only else []
@@ -151,5 +151,5 @@ def replay(scenario, log, seed, folder):
 
 
 def remove_replays(folder):
-    """Begin anew, so that no table of an earlier run is read."""
+    """Remove the tables of earlier runs."""
     shutil.rmtree(folder / "replays", ignore_errors=True)

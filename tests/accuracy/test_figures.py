@@ -1,4 +1,4 @@
-"""The list of figures, their bounds, and how they are shown."""
+"""The list of figures, their bounds, and their display."""
 
 import polars as pl
 import pytest
@@ -26,7 +26,7 @@ def test_every_figure_says_why_it_is_not_measured():
         assert "not measured" in found.text or "absent" in found.text
 
 
-def test_names_are_distinct_and_so_are_those_of_scenarios():
+def test_figures_scenarios_and_drives_have_unique_names():
     names = [(figure.section, figure.name) for figure in FIGURES]
     assert len(set(names)) == len(names)
     scenarios = {scenario for figure in FIGURES for scenario in figure.scenarios}
@@ -57,17 +57,17 @@ def test_a_value_is_judged_by_its_bound(bound, number, expected):
     assert found.coverage == "50.0 %"
 
 
-def test_what_cannot_be_measured_is_not_met():
+def test_a_value_that_cannot_be_measured_is_not_met():
     assert judged(at_most(1, "%"), Value(None)).met is None
 
 
-def test_a_drive_has_its_share_of_the_seeds_and_a_recording_one():
+def test_the_number_of_seeds_depends_on_the_drive():
     assert list(seeds_of(drive("a", 2.5, scene="town"), 100, 2)) == [100, 101, 102, 103, 104]
     assert list(seeds_of(drive("a", 0.1, scene="town"), 100, 2)) == [100]
     assert list(seeds_of("logs/sample.mcap", 100, 8)) == [100]
 
 
-def test_steps_without_scale_cost_coverage():
+def test_steps_without_scale_reduce_the_coverage():
     replays = frames(step_m=[None, 1.1, None, 0.9], true_step_m=[None, 1.0, 1.0, 1.0])
     assert of_motion.step_error(replays).number == pytest.approx(10.0)
     assert of_motion.length_error(replays).number == pytest.approx(0.0, abs=1e-9)
@@ -75,7 +75,7 @@ def test_steps_without_scale_cost_coverage():
 
 
 @pytest.mark.parametrize(("auto", "met"), [(0.022, True), (0.023, False), (None, None)])
-def test_the_chosen_model_is_hardly_worse_than_the_better_one(auto, met):
+def test_the_chosen_model_is_compared_with_the_better_one(auto, met):
     found = {"plane": 0.1, "spline": 0.02, "auto": auto}
     replays = {
         BY_MODEL["hill", model][0].name: frames(surface_height_error_m=[error, -error])
@@ -87,20 +87,20 @@ def test_the_chosen_model_is_hardly_worse_than_the_better_one(auto, met):
     assert measured.text.startswith("10.00 / 2.00 / ")
 
 
-def test_precision_and_recall_are_of_the_sums():
+def test_precision_and_recall_use_sums_over_frames():
     replays = frames(filter_tp=[8, 1], filter_fp=[1, 0], filter_fn=[0, 1])
     assert of_objects.precision(replays).number == 0.9
     assert of_objects.recall(replays).number == 0.9
 
 
-def test_errors_of_the_impact_are_of_the_frames_that_have_one():
+def test_impact_errors_count_frames_with_an_estimate():
     replays = frames(time_to_impact_s=[1.1, None, 2.6, 9.0], true_time_to_impact_s=[1.0, 1.0, 2.0, 9.0])
     assert of_objects.impact_known(replays).number == pytest.approx(200 / 3)
     assert of_objects.impact_error(replays).number == pytest.approx(0.35)
     assert of_objects.impact_error(replays, 0.95).coverage == pytest.approx(2 / 3)
 
 
-def test_uncertainty_is_that_of_the_report(tmp_path):
+def test_uncertainty_equals_that_of_the_report(tmp_path):
     path = write(tmp_path / "drive.metrics.parquet", [row(k, step_m=1.0 + k, true_step_m=1.0) for k in range(4)])
     pl.read_parquet(path).with_columns(step_std_m=pl.Series([1.0] * 4)).write_parquet(path)
     scenario = BY_MODEL["hill", "plane"][0]
@@ -111,7 +111,7 @@ def test_uncertainty_is_that_of_the_report(tmp_path):
     assert of_uncertainty.shares("turn", (scenario,), 2, results) == nothing("no truth")
 
 
-def test_the_page_has_the_lines_in_place_of_earlier_ones():
+def test_the_tables_of_the_page_are_replaced():
     figures = [Figure("One", "a", "≤ 1 %", (), None), Figure("Two", "b", "", (), None)]
     lines = [(figures[0], Measured("2.0 %", "50.0 %", False)), (figures[1], Measured("3.0 %", "", None))]
     assert cells(*lines[0]) == ("a", "≤ 1 %", "2.0 %", "50.0 %", "no")

@@ -1,4 +1,4 @@
-"""The arithmetic of the figures, with answers worked out by hand."""
+"""The computation of the figures on tables with known answers."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -72,19 +72,19 @@ def test_a_lane_that_is_held_is_not_handed_over():
     assert measures.handed_over(lanes(["held"] * 12, [0.0] * 12, [0] * 5 + [1] * 7)) == [False]
 
 
-def test_lanes_that_are_too_narrow_too_wide_or_beside_the_car_are_implausible():
+def test_lanes_of_wrong_width_or_beside_the_car_are_implausible():
     frames = lanes(["measured"] * 4 + ["lost"], [0.0, -1.6, 4.0, -3.0, -3.0], [0] * 5)
     assert measures.implausible(frames).tolist() == [False, True, True, True]
 
 
-def test_an_absent_boundary_wants_a_reason_of_the_lanes():
+def test_an_absent_boundary_needs_a_reason_of_the_lane_stage():
     frames = lanes(["lost", "held", None, "measured"], [0.0] * 4, [0] * 4)
     reasons = [["lanes left: too few edges"], [], ["stereo: no right image"], []]
     assert measures.absent_without_reason(frames.with_columns(reasons=pl.Series(reasons))).tolist() == [False, True]
 
 
-def test_one_car_seen_for_forty_frames_is_one_car():
-    """Two cars, one of them always wrong: as rows the share is known well, as cars hardly."""
+def test_rows_of_one_object_are_not_independent():
+    """Two cars, one always wrong: by rows the interval is narrow, by cars it is wide."""
     wrong = np.repeat([True, False], 40)
     share, low, high = measures.share_by_object(wrong, np.repeat([0, 1], 40))
     assert (share, low, high) == (0.5, 0.0, 1.0)
@@ -94,7 +94,7 @@ def test_one_car_seen_for_forty_frames_is_one_car():
     assert high == pytest.approx(0.61, abs=0.015)
 
 
-def test_tracks_of_two_replays_are_two_objects():
+def test_equal_track_numbers_of_two_replays_are_two_objects():
     table = pl.DataFrame(
         {"kept": [True, True, False], "track_id": ["1", "1", "1"], "distance_m": [9.0, None, 9.0],
          "true_distance_m": [9.0, 25.0, 9.0]}
@@ -103,7 +103,7 @@ def test_tracks_of_two_replays_are_two_objects():
     assert rows["object"].to_list() == [0, 1]
 
 
-def test_an_alarm_where_nothing_is_to_be_hit_is_false():
+def test_an_alarm_without_a_true_impact_is_false():
     frames = pl.DataFrame(
         {"time_to_impact_s": [1.0, 1.0, 1.0, None, 1.6], "true_time_to_impact_s": [None, 1.9, 2.1, None, 9.0]}
     )
@@ -111,7 +111,7 @@ def test_an_alarm_where_nothing_is_to_be_hit_is_false():
     assert measures.impacts([replayed(frames)]).tolist() == [[1.0, 1.9], [1.0, 2.1]]
 
 
-def test_noise_put_in_afterwards_is_that_of_the_renderer(tmp_path):
+def test_added_noise_equals_rendered_noise(tmp_path):
     options = drive("town", scene="town", width=160, height=120, seconds=0.2).options
     render_dump(tmp_path / "clean", replace(options, seed=3), force=False, on_frame=lambda: None)
     noisy = replace(options, seed=3, tag_noise=0.05, depth_noise=0.02)

@@ -1,4 +1,4 @@
-"""From a drive to the tables of its replays: what is rendered once stays, and what fails says why."""
+"""Replays of scenarios: logs are rendered once, and failures have a reason."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""A measured value, and the bound that is required of it."""
+"""Measured values and required bounds."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ DECIMALS = {"%": 1, "cm": 2, "mm": 2, "s": 2, "px": 3, "frames": 0, "": 4, "°":
 
 @dataclass(frozen=True)
 class Value:
-    """A number in the unit it is shown in, None where nothing can be measured; coverage is a share."""
+    """A number in its displayed unit, None if it cannot be measured; coverage is a share."""
 
     number: float | None
     coverage: float | None = None
@@ -16,7 +16,7 @@ class Value:
 
 @dataclass(frozen=True)
 class Measured:
-    """A line's cells; ``met`` is None where nothing is required, or nothing could be measured."""
+    """The cells of a line; ``met`` is None without a bound or a measured value."""
 
     text: str
     coverage: str
@@ -25,7 +25,7 @@ class Measured:
 
 @dataclass(frozen=True)
 class Bound:
-    """What a number has to be at most or at least."""
+    """An upper or a lower bound."""
 
     limit: float | None
     unit: str
@@ -33,11 +33,11 @@ class Bound:
 
     @property
     def text(self):
-        """In words; empty where only the unit is known."""
+        """The bound as text; empty without a limit."""
         return "" if self.limit is None else f"{'≥' if self.low else '≤'} {self.limit:g} {self.unit}".strip()
 
     def keeps(self, number):
-        """Whether a number keeps it; None where nothing is required."""
+        """True if a number keeps the bound; None without a limit."""
         if self.limit is None:
             return None
         return number >= self.limit if self.low else number <= self.limit
@@ -59,7 +59,7 @@ def nothing(why):
 
 
 def judged(bound, value):
-    """A value against its bound; without a bound it is a percentage."""
+    """Compare a value with its bound; without a bound it is a percentage."""
     if value.number is None:
         return nothing(value.detail or "no such frame")
     unit = bound.unit if bound else "%"
@@ -69,5 +69,5 @@ def judged(bound, value):
 
 
 def percent(share):
-    """A share in percent; empty where it means nothing."""
+    """A share in percent; empty for None."""
     return "" if share is None else f"{100 * share:.1f} %"

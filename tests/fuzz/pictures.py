@@ -1,4 +1,4 @@
-"""PNG and JPEG files changed part by part: sizes, depths, palettes and markers, with checksums that fit or do not."""
+"""Faults in PNG and JPEG files: sizes, depths, palettes and markers, with right or wrong checksums."""
 
 import base64
 import struct
@@ -23,7 +23,7 @@ AVIF = zlib.decompress(
         "lEcwaV&4DTx-2e@TeN7c`RJdF4UzjQ7w_MoF!h<J#7DPDcXSSET+F=HFsPk9>gQ2EkNSDk&!c|E@UuCYHZ##*BbnZG007mm+wu"
     )
 )
-"""Of 96x72 pixels by its container, with a black frame of 16000x16000."""
+"""The container declares 96x72 pixels; the coded frame is black and has 16000x16000."""
 POSTSCRIPT = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EndComments\n{} loop\n%%EOF\n"
 OTHER_FORMATS = {"avif": AVIF, "postscript": POSTSCRIPT, "bmp": b"BM" + bytes(99), "tiff": b"II*\0\x08" + bytes(99)}
 
@@ -39,11 +39,11 @@ def mutate_picture(data: bytes, choices: Choices) -> bytes:
 
 
 PART_FAULTS = ("size", "size", "remove", "repeat", "move", "content")
-"""Of a PNG's chunks and of a JPEG's segments."""
+"""For the chunks of a PNG and the segments of a JPEG."""
 
 
 def _mutate_part(parts: list[list], fault: str, choices: Choices) -> None:
-    """A chunk or segment that is missing, repeated, elsewhere or damaged."""
+    """Remove, repeat, move or damage a chunk or segment."""
     at = choices.index("chunk", len(parts))
     if fault == "remove":
         del parts[at]
@@ -78,7 +78,7 @@ def _mutate_png(data: bytes, choices: Choices) -> bytes:
 
 
 def _repack(chunks: list[list[bytes]], choices: Choices) -> None:
-    """The pixels themselves damaged below their compression, or more of them than the header says."""
+    """Damage the pixels below their compression, or add more than the header declares."""
     packed = b"".join(content for name, content in chunks if name == b"IDAT")
     try:
         pixels = zlib.decompress(packed)
@@ -91,7 +91,7 @@ def _repack(chunks: list[list[bytes]], choices: Choices) -> None:
 
 
 def _with_a_size(header: bytes, at: int, layout: str, choices: Choices) -> bytes:
-    """The header with one or both of two neighbouring numbers replaced."""
+    """The header with one or both of two adjacent numbers replaced."""
     wide = struct.calcsize(layout)
     packed = struct.pack(layout, choices.of("size", SIZES) % 256**wide)
     first, count = choices.of("which", ((0, 1), (1, 1), (0, 2)))
@@ -105,7 +105,7 @@ def _with_byte(data: bytes, where: int, choices: Choices) -> bytes:
 
 
 def png_chunks(data: bytes) -> list[list[bytes]]:
-    """[name, content] of each chunk as far as they can be read; never empty."""
+    """[name, content] of each readable chunk; never empty."""
     chunks, at = [], len(PNG_MAGIC)
     while at + 8 <= len(data):
         (length,) = struct.unpack_from(">I", data, at)
@@ -115,7 +115,7 @@ def png_chunks(data: bytes) -> list[list[bytes]]:
 
 
 def png_of(chunks: list[list[bytes]], *, fixed: bool = True) -> bytes:
-    """A PNG of chunks, their checksums right or all the same."""
+    """A PNG of these chunks, with right checksums or with wrong ones."""
     made = [PNG_MAGIC]
     for name, content in chunks:
         crc = zlib.crc32(name + content) if fixed else 0x12345678
@@ -124,9 +124,9 @@ def png_of(chunks: list[list[bytes]], *, fixed: bool = True) -> bytes:
 
 
 def png(width: int, height: int, *, mode: int = 2, bits: int = 8, extra: tuple = (), rows: int | None = None) -> bytes:
-    """A PNG whose header says this size, with zeros for so many of its rows (all of them unless said).
+    """A PNG whose header declares this size; its first `rows` rows (default: all) are zeros.
 
-    ``extra`` are [name, content] of chunks behind the header.
+    ``extra`` are [name, content] of chunks after the header.
     """
     channels = {0: 1, 2: 3, 3: 1, 6: 4}[mode]
     row = bytes(1 + (width * channels * bits + 7) // 8)
@@ -159,7 +159,7 @@ def _mutate_jpeg(data: bytes, choices: Choices) -> bytes:
 
 
 def jpeg_segments(data: bytes) -> tuple[list[list], bytes]:
-    """[marker, content] of each segment up to the scan, and what follows from there."""
+    """[marker, content] of each segment up to the scan, and the bytes after it."""
     segments, at = [], 2
     while at + 4 <= len(data) and data[at] == 0xFF:
         marker, (length,) = data[at + 1], struct.unpack_from(">H", data, at + 2)
@@ -171,7 +171,7 @@ def jpeg_segments(data: bytes) -> tuple[list[list], bytes]:
 
 
 def jpeg_of(segments: list[list], scan: bytes) -> bytes:
-    """A JPEG of segments; one with a third item states that as its length."""
+    """A JPEG of segments; a third item of a segment is declared as its length."""
     made = [b"\xff\xd8"]
     for marker, content, *stated in segments:
         made.append(struct.pack(">BBH", 0xFF, marker, *stated or [(len(content) + 2) & 0xFFFF]) + content)

@@ -1,6 +1,6 @@
-"""A log's records, taken apart, changed and put together again, with offsets and checksums that fit or do not.
+"""Parses the records of an MCAP log, changes them, and writes them with right or wrong offsets and checksums.
 
-Layout: https://mcap.dev/spec. The library's own writer cannot write what is wrong.
+Layout: https://mcap.dev/spec. The mcap library cannot write invalid records.
 """
 
 import contextlib
@@ -46,23 +46,23 @@ LAYOUTS: dict[int, tuple[tuple[str, str], ...]] = {
     Opcode.SUMMARY_OFFSET: (("group", "B"), ("start", "Q"), ("length", "Q")),
     Opcode.DATA_END: (("crc", "I"),),
 }  # fmt: skip
-"""Fields of each kind of record. s, d and D are preceded by their length, in 32, 32 and 64 bits; r is the rest."""
+"""Fields of each record. s, d and D follow a length of 32, 32 and 64 bits; r is the rest of the record."""
 _LENGTHS = {"s": "<I", "d": "<I", "D": "<Q"}
 
 
 @dataclass
 class Record:
-    """A record by its fields; of a chunk also the records in it."""
+    """A record by its fields; a chunk also has its records."""
 
     opcode: int
     fields: dict[str, Any]
     inner: "list[Record] | None" = None
     length: int | None = None
-    """What it states as its length, where that is a lie."""
+    """The declared length, if it is wrong."""
     lies: dict[str, int] = field(default_factory=dict)
-    """What it states as the length of a field."""
+    """Wrong declared lengths of fields."""
     held: set[str] = field(default_factory=set)
-    """Fields that were changed on purpose: they are not put right."""
+    """Fields that were changed on purpose and are not repaired."""
 
     def packed(self) -> bytes:
         """Opcode, length and content."""
@@ -80,12 +80,12 @@ class Record:
 
 
 def filled(opcode: int, fields: dict[str, Any]) -> dict[str, Any]:
-    """All fields of a kind of record: those given, and zeros."""
+    """All fields of a record; those not given are zeros."""
     return {name: b"" if kind in "sdDr" else 0 for name, kind in LAYOUTS.get(opcode, (("data", "r"),))} | fields
 
 
 def taken_apart(data: bytes) -> list[Record]:
-    """The records of a whole log."""
+    """The records of an intact log."""
     return _records(data[len(MAGIC) : -len(MAGIC)])
 
 
@@ -131,8 +131,8 @@ def put_together(records: list[Record], fix: str) -> bytes:
     """The bytes of a log.
 
     Args:
-        records: may be changed.
-        fix: whether checksums are made to fit, or checksums, sizes and places.
+        records: are changed in place.
+        fix: what to repair: nothing, checksums, or everything (checksums, sizes and offsets).
     """
     for record in records:
         if record.opcode == Opcode.CHUNK and record.inner is not None and "records" not in record.held:
@@ -143,7 +143,7 @@ def put_together(records: list[Record], fix: str) -> bytes:
     crc = zlib.crc32(MAGIC)
     for record in records:
         if fix != "nothing" and record.opcode in (Opcode.DATA_END, Opcode.FOOTER) and "crc" not in record.held:
-            # A footer's covers its own record up to the checksum; where there was none there is none.
+            # The footer's checksum covers its own record. A checksum of 0 means that there is none.
             covered = record.packed()[:-4] if record.opcode == Opcode.FOOTER else b""
             record.fields["crc"] = zlib.crc32(covered, crc) if record.fields["crc"] else 0
         if fix != "nothing" and record.opcode == Opcode.ATTACHMENT and "crc" not in record.held:
@@ -170,7 +170,7 @@ _INDEXED = {
 
 
 def _place(records: list[Record]) -> None:
-    """Let the indexes point where things are, as far as there are as many of them."""
+    """Repair the offsets in the indexes; extra indexes stay as they are."""
     for chunk, indexes in _chunks(records):
         _index_chunk(chunk, indexes)
     places, at = [], len(MAGIC)
@@ -194,7 +194,7 @@ def _state(record: Record, **values: int) -> None:
 
 
 def _chunks(records: list[Record]) -> list[tuple[Record, list[Record]]]:
-    """Every chunk with the message indexes behind it."""
+    """Every chunk with its message indexes."""
     found: list[tuple[Record, list[Record]]] = []
     for record in records:
         if record.opcode == Opcode.CHUNK:
@@ -220,7 +220,7 @@ def _index_chunk(chunk: Record, indexes: list[Record]) -> None:
 
 
 def mutate_records(records: list[Record], choices: Choices) -> None:
-    """Change one record in place, in a chunk or outside."""
+    """Change one record in place, inside or outside a chunk."""
     if not records:
         return
     chunks = [record.inner for record in records if record.inner]
@@ -248,7 +248,7 @@ def _field(scope: list[Record], at: int, choices: Choices) -> None:
 
 
 def _near(scope: list[Record], at: int, choices: Choices) -> None:
-    """A number that is off by little."""
+    """Change a number by a small amount."""
     record = scope[at]
     names = [name for name, kind in LAYOUTS.get(record.opcode, ()) if kind in "BHIQ"]
     if names:
@@ -275,12 +275,12 @@ def _opcode(scope: list[Record], at: int, choices: Choices) -> None:
     body = scope[at].packed()[_HEAD.size :]
     opcode = choices.of("opcode", (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 12, 15, 16, 0x7F, 0x80, 0xFF))
     scope[at] = Record(opcode, filled(opcode, {}))
-    with contextlib.suppress(struct.error):  # a body too short for it: the record is then one of zeros
+    with contextlib.suppress(struct.error):  # the body is too short: the record is all zeros
         scope[at] = Record(opcode, _fields(opcode, body))
 
 
 def _bomb(scope: list[Record], at: int, choices: Choices) -> None:
-    """A chunk of few bytes that unpack to many zeros; its header says so, or states a size that is small."""
+    """A chunk of few bytes that decompress to many zeros; its header declares that size or a small one."""
     record = scope[at]
     if record.opcode == Opcode.CHUNK:
         size = choices.of("unpacked", (10**7, 3 * 10**9, 10**11))
@@ -291,7 +291,7 @@ def _bomb(scope: list[Record], at: int, choices: Choices) -> None:
 
 
 def zeros_as_zstd(size: int, *, stated: bool = True) -> bytes:
-    """A zstd frame of so many zeros, a block of 128 kB in four bytes (RFC 8878); its header may leave the size out."""
+    """A zstd frame of `size` zeros, in blocks of 128 kB (RFC 8878); with `stated` its header declares the size."""
     block = 128 * 1024
     count = -(-size // block)
     blocks = bytearray(struct.pack("<I", (block << 3) | 0b010)[:3] + b"\0") * (count - 1)

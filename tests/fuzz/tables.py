@@ -1,4 +1,4 @@
-"""A run's tables, changed: columns, values, facts in the footer, and bytes."""
+"""Faults in the tables of a replay: columns, values, metadata and bytes."""
 
 import io
 import math
@@ -22,7 +22,7 @@ TYPES: dict[str, tuple[pa.DataType, Any]] = {
     "bytes": (pa.binary(), b"\xff"), "days": (pa.date32(), 1), "decimal": (pa.decimal128(38, 10), 1),
     "span": (pa.duration("ns"), 1), "words": (pa.dictionary(pa.int32(), pa.string()), "x"),
 }  # fmt: skip
-"""Types of a column, and a value of each."""
+"""Column types, and a value of each."""
 FACTS = (
     "roadperc.config", "roadperc.config_digest", "roadperc.version", "roadperc.log", "roadperc.source", "ARROW:schema",
 )  # fmt: skip
@@ -31,11 +31,11 @@ POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 
 @cache
 def table(name: str) -> pa.Table:
-    """A table of the replayed drive without what differs from run to run: times and paths."""
+    """A table of the replayed log with fixed times and paths, so that it is reproducible."""
     found = pq.read_table(io.BytesIO(contents.results()[f"out.{name}.parquet"]))
     if name == "metrics":
         fixed = {column: [10.0] * found.num_rows for column in TIME_COLUMNS}
-        # In pictures this small odometry finds nothing, and a trajectory wants poses.
+        # Odometry finds no features in such small images, but a trajectory needs poses.
         poses = {f"odom_{part}": found[f"true_{part}"].to_pylist() for part in POSE}
         for column, values in {**fixed, **poses, "odometry_status": ["tracked"] * found.num_rows}.items():
             at = found.column_names.index(column)
@@ -53,7 +53,7 @@ def written(changed: pa.Table) -> bytes:
 
 
 def mutate_table(found: pa.Table, choices: Choices) -> pa.Table:
-    """The table with one fault; as it was where the fault does not fit it."""
+    """The table with one fault; unchanged if the fault does not apply to it."""
     try:
         changed = FAULTS[choices.of("do", WEIGHTED)](found, choices)
         written(changed)
@@ -67,7 +67,7 @@ def _column(found: pa.Table, choices: Choices) -> int:
 
 
 def _value(found: pa.Table, choices: Choices) -> pa.Table:
-    """One cell, or the whole column."""
+    """Change one cell or the whole column."""
     at = _column(found, choices)
     kind = found.field(at).type
     values = found.column(at).to_pylist()

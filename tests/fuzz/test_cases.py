@@ -1,4 +1,4 @@
-"""What the fuzzer makes: the same from the same name, the same from its recipe, and logs of every kind."""
+"""The fuzzer's cases are reproducible from name and recipe, and its parsers keep every byte."""
 
 import hashlib
 import json
@@ -29,7 +29,7 @@ def digest(path):
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "folder"
 
 
-def test_a_case_is_its_name_and_its_recipe_is_the_case(tmp_path):
+def test_a_case_follows_from_its_name_and_from_its_recipe(tmp_path):
     families = set()
     for k in range(CASES):
         found = made(Case(f"7:{k}"), tmp_path / f"a{k}")
@@ -43,8 +43,8 @@ def test_a_case_is_its_name_and_its_recipe_is_the_case(tmp_path):
 
 @pytest.mark.parametrize("writer", contents.WRITERS)
 @pytest.mark.parametrize("base", contents.BASES)
-def test_a_log_taken_apart_goes_together_again(tmp_path, base, writer):
-    """So what a case changes is all that is wrong with it, whatever is put right afterwards."""
+def test_parsing_and_writing_a_log_keeps_every_byte(tmp_path, base, writer):
+    """So the changes of a case are its only faults, whatever is repaired afterwards."""
     content = contents.BASES[base]()
     data = contents.encoded(content, writer)
     for fix in FIXES:
@@ -53,7 +53,7 @@ def test_a_log_taken_apart_goes_together_again(tmp_path, base, writer):
     assert len(list(log.read(log.summarise(tmp_path / "a.mcap")))) == len(content.messages)
 
 
-def test_pictures_go_together_again():
+def test_parsing_and_writing_an_image_keeps_every_byte():
     content = contents.BASES["drive"]()
     pictures = {m.channel.topic: contents.TYPES[m.channel.schema_name].FromString(m.data) for m in content.messages
                 if m.channel.schema_name == "foxglove.CompressedImage"}  # fmt: skip
@@ -89,7 +89,7 @@ def ran(code=0, out=b"", err=b"", crash="", appeared=()):
         (ran(1, err=b"error: x: Unable to allocate 3 GiB\n"), "memory: Unable to allocate"),
     ],
 )
-def test_what_a_command_may_not_do(kept, words):
+def test_the_judge_finds_each_broken_rule(kept, words):
     found = faults(kept)
     assert bool(found) == bool(words)
     assert words in " ".join(found)

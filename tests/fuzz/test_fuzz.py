@@ -1,6 +1,6 @@
-"""The corpus, and cases drawn anew: whatever is wrong with an input, a command ends with a result or one clear line.
+"""Every case of the corpus and random cases end with a result or one clear line.
 
-CI draws 500; for as many as one likes: make fuzz N=20000.
+CI runs 500 random cases. For more: make fuzz N=20000.
 """
 
 import re
@@ -18,14 +18,14 @@ def fuzz(*words):
     return subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
 
 
-def test_the_corpus_and_what_is_drawn_are_answered():
+def test_the_corpus_and_random_cases_find_no_fault():
     done = fuzz("--count", DRAWN)
     assert done.returncode == 0, done.stdout + done.stderr
     assert f"\n{len(recorded()) + DRAWN} cases in " in f"\n{done.stdout}"
     assert int(re.search(r"(\d+) with a result", done.stdout)[1]) > DRAWN / 4
 
 
-def test_a_case_is_repeated_by_its_name_and_a_case_that_cannot_be_made_is_the_fuzzers_fault(tmp_path):
+def test_a_case_is_repeated_by_name_and_an_invalid_recipe_is_a_fault_of_the_fuzzer(tmp_path):
     broken = tmp_path / "broken.json"
     broken.write_text('{"family": "log", "base": "no such drive"}')
     done = fuzz("--case", broken, "--case", "quaternion-of-1e308-in-trajectory", "--jobs", 1)
@@ -63,7 +63,7 @@ print(found)
 """
 
 
-def test_cases_are_bounded_and_the_others_go_on():
+def test_time_and_memory_of_a_case_are_limited_and_the_others_continue():
     done = subprocess.run([sys.executable, "-c", FORKED], cwd=ROOT, capture_output=True, text=True, check=False)
     found = eval(done.stdout)
     assert found.pop("large")[0].startswith("traceback: MemoryError")

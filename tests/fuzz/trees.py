@@ -1,4 +1,4 @@
-"""JSON, TOML, protobuf and ROS messages changed value by value; configuration files also as text that is no TOML."""
+"""Changes to single values of JSON, TOML, protobuf and ROS messages, and text that is not valid TOML."""
 
 import json
 from collections.abc import Iterator
@@ -55,7 +55,7 @@ def wild_value(choices: Choices) -> Any:
 
 
 def mutate_json(data: bytes, choices: Choices) -> bytes:
-    """A JSON document with one value changed, one thing nested deeply, or damaged bytes."""
+    """A JSON document with one changed value, deep nesting, or damaged bytes."""
     how = choices.of("how", ("value", "value", "value", "bytes", "deep"))
     if how == "bytes":
         return damage(data, choices)
@@ -74,7 +74,7 @@ def mutate_message(message: Any, choices: Choices) -> None:
     """Change one field of a protobuf or ROS message in place, at any depth; a recipe names it as ``rotation.w``.
 
     Raises:
-        Exception: whatever the library raises where the new value does not fit.
+        Exception: of any type, if the library does not accept the new value.
     """
     fields = dict(_fields(message))
     owner, name = fields[choices.of("field", list(fields))]
@@ -96,7 +96,7 @@ def _is_message(value: Any) -> bool:
 
 
 def _fields(message: Any, prefix: str = "") -> Iterator[tuple[str, tuple[Any, str]]]:
-    """Every field of a message and of those in it, by its path; of many alike the first."""
+    """Every field of a message and its submessages, by path; of repeated submessages the first."""
     is_ros = hasattr(message, "__msgtype__")
     for name in vars(message) if is_ros else [field.name for field in message.DESCRIPTOR.fields]:
         yield f"{prefix}{name}", (message, name)
@@ -120,9 +120,9 @@ def _mutate_items(values: Any, choices: Choices) -> None:
 
 
 def _assign(owner: Any, name: str, value: Any) -> None:
-    """Assign a value; a number that does not fit the width of a protobuf field is cut to it."""
+    """Assign a value; an integer that is too wide for a protobuf field is truncated."""
     if hasattr(owner, "__msgtype__"):
-        vars(owner)[name] = value  # its class is frozen
+        vars(owner)[name] = value  # the class is frozen
         return
     for fitting in (value, *(value % 2**bits for bits in (64, 32, 31) if type(value) is int)):
         with suppress(ValueError, OverflowError):
@@ -147,12 +147,12 @@ def mutate_toml(text: bytes, choices: Choices) -> bytes:
         tree: dict[str, Any] = parsed_toml(text)
         mutate(tree, choices)
         return tomli_w.dumps(tree).encode()
-    except (ConfigError, ValueError, TypeError, RecursionError):  # no TOML to begin with, or no value that it has
+    except (ConfigError, ValueError, TypeError, RecursionError):  # the text is not TOML, or the value has no TOML form
         return damage(text, choices.part("otherwise"))
 
 
 def wild_setting(choices: Choices) -> str:
-    """A KEY=VALUE as --set takes it."""
+    """A KEY=VALUE for --set."""
     key = choices.of(
         "key", ("lanes.hold_s", "surface.model", "seed", "sync.max_wait_s", "stereo.method", "tag_table", "", "x.y")
     )
@@ -161,4 +161,4 @@ def wild_setting(choices: Choices) -> str:
         "",
     )  # fmt: skip
     value = choices.of("value", values) if choices.chance("number", 0.8) else wild_text(choices, "text")
-    return f"{key}={value}".replace("\0", "\x01")  # no argument of a process holds a NUL
+    return f"{key}={value}".replace("\0", "\x01")  # arguments of a process cannot contain NUL

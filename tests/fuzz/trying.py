@@ -1,7 +1,7 @@
-"""A case tried in a forked process, so that no case pays for what all import; the system bounds its time and memory.
+"""Runs each case in a forked process, which has the imports already; the system limits its time and memory.
 
-The logs that are written have a second reader, MCAP's own TypeScript one where Node has it: it is looked for as
-``mcap-validate/validate.mjs`` in the folder ``tools`` beside the recordings.
+If Node is installed, MCAP's TypeScript reader checks some of the written logs: ``mcap-validate/validate.mjs`` in the
+folder ``tools`` beside the recordings.
 """
 
 import contextlib
@@ -34,20 +34,20 @@ from tests.fuzz.cases import Case, prepared
 from tests.fuzz.judge import FUZZER, Ran, crash_line, crash_of, faults
 
 CPU_S = 10
-"""Of the processor, for a command."""
+"""CPU time of a command."""
 WALL_S = 120
-"""For a case that does nothing, or on a machine that does all else."""
+"""Wall-clock time of a case, if it waits or the machine is busy."""
 MOST_GROWTH_BYTES = 2**30 + 2**28
-"""A gigabyte, and what libraries set aside for their threads when they first run."""
+"""A gigabyte, and the memory that libraries reserve for their threads."""
 EVERY_AGAIN = 8
-"""One replay in so many is repeated: it must give the same bytes."""
+"""One replay in EVERY_AGAIN is repeated and must give the same bytes."""
 EVERY_VALIDATED = 50
 VALIDATOR_S = 60
 
 
 @dataclass
 class Verdict:
-    """What came of a case."""
+    """The outcome of a case."""
 
     command: str
     code: int | None = None
@@ -60,7 +60,7 @@ class Verdict:
 
 
 def import_commands() -> None:
-    """Import what the commands import, and make the sound inputs, before any process is forked."""
+    """Import all modules and make the valid inputs before any process is forked."""
     for package in (roadperc_stream, roadperc_stream.eval):
         for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
             importlib.import_module(module.name)
@@ -69,7 +69,7 @@ def import_commands() -> None:
 
 
 def run(cases: Iterable[Case], jobs: int) -> Iterator[tuple[Case, Verdict]]:
-    """Try cases in so many processes; the verdicts come as they are found."""
+    """Run cases in `jobs` processes and yield each verdict when it is ready."""
     waiting = deque(enumerate(cases))
     running: dict[int, tuple[Case, Path]] = {}
     with TemporaryDirectory(prefix="fuzz-") as scratch:
@@ -81,7 +81,7 @@ def run(cases: Iterable[Case], jobs: int) -> Iterator[tuple[Case, Verdict]]:
                     folder.mkdir()
                     running[_forked(case, folder)] = case, folder
                 pid, status = os.wait()
-                _end_group(pid)  # what the commands started and left
+                _end_group(pid)  # also processes that the command left behind
                 case, folder = running.pop(pid)
                 yield case, _verdict(folder, os.waitstatus_to_exitcode(status))
                 shutil.rmtree(folder)
@@ -96,7 +96,7 @@ def _end_group(pid: int) -> None:
 
 
 def _verdict(folder: Path, code: int) -> Verdict:
-    """What the process left in its folder, or what is known of one that was killed."""
+    """The verdict that the process wrote, or one about a process that was killed."""
     with contextlib.suppress(OSError, ValueError):
         return Verdict(**json.loads((folder / "verdict").read_text()))
     late = -code in (signal.SIGXCPU, signal.SIGALRM)
@@ -110,20 +110,20 @@ def _verdict(folder: Path, code: int) -> Verdict:
 def _forked(case: Case, folder: Path) -> int:
     pid = os.fork()
     if pid:
-        with contextlib.suppress(PermissionError):  # it has done so itself
+        with contextlib.suppress(PermissionError):  # the child has done it already
             os.setpgid(pid, pid)
         return pid
     os.setpgid(0, 0)
     try:
         verdict = tried(case, folder)
-    except BaseException as error:  # a fault of the fuzzer itself: it is reported as one, and the next case follows
+    except BaseException as error:  # a fault of the fuzzer: report it and continue with the next case
         verdict = Verdict("fuzzer", faults=[f"its own fault: {crash_line(crash_of(error), FUZZER)}"])
     (folder / "verdict").write_text(json.dumps(asdict(verdict)))
     os._exit(0)
 
 
 def tried(case: Case, folder: Path) -> Verdict:
-    """Make a case in a folder of its own and run its commands there. Changes the limits of this process."""
+    """Make a case in a new folder and run its command there. Changes the limits of this process."""
     work = folder / "work"
     work.mkdir()
     os.chdir(work)
@@ -143,7 +143,7 @@ def tried(case: Case, folder: Path) -> Verdict:
 
 
 def _limit_memory() -> None:
-    """Of what can be written: polars and Rerun reserve more address space than they ever use."""
+    """Limit writable memory, not address space: polars and Rerun reserve more than they use."""
     (kilobytes,) = re.findall(r"^VmData:\s+(\d+) kB$", Path("/proc/self/status").read_text("ascii"), re.MULTILINE)
     resource.setrlimit(resource.RLIMIT_DATA, (1024 * int(kilobytes) + MOST_GROWTH_BYTES, resource.RLIM_INFINITY))
 
@@ -153,19 +153,19 @@ def _lift_limit() -> None:
 
 
 def _limit_time() -> None:
-    """Allow a command its seconds beyond those that this process has used; other processes begin at none."""
+    """Give a command its CPU time on top of the time that this process has used."""
     used = resource.getrusage(resource.RUSAGE_SELF)
     most_s = int(used.ru_utime + used.ru_stime) + 1 + CPU_S
     resource.setrlimit(resource.RLIMIT_CPU, (most_s, resource.RLIM_INFINITY))
 
 
 def _judged(words: list[str], *, again: bool) -> tuple[Ran, list[str]]:
-    """Run the command, roadperc-info on every log it wrote, and perhaps the same replay once more."""
+    """Run the command, roadperc-info on every log that it wrote, and with `again` the same replay once more."""
     first = _ran(words)
     found = faults(first)
     for name in _logs(first):
-        told = _ran(["info", name])
-        found += faults(told) or ([f"{name} is not whole: {_last_line(told.err)}"] if told.code else [])
+        info = _ran(["info", name])
+        found += faults(info) or ([f"{name} is damaged: {_last_line(info.err)}"] if info.code else [])
         if again and words[0] == "replay":
             before = Path(name).read_bytes()
             repeated = _ran([*words, "--force"])
@@ -183,7 +183,7 @@ def _logs(ran: Ran) -> list[str]:
 
 
 def _ran(words: list[str]) -> Ran:
-    """Run a command by what its console script calls; what its C libraries print is caught as well."""
+    """Run the function of a command's console script; also captures the output of C libraries."""
     _limit_time()
     there, crash, code = _files(), "", None
     printed = [Path("..", name) for name in ("stdout", "stderr")]
@@ -198,9 +198,9 @@ def _ran(words: list[str]) -> Ran:
         for unseen in (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning):
             warnings.simplefilter("ignore", unseen)
         try:
-            with patch.object(launch, "_is_limited", return_value=False):  # a fork would have none of polars' threads
+            with patch.object(launch, "_is_limited", return_value=False):  # polars' threads do not survive a fork
                 code = getattr(launch, words[0])()
-        except BaseException as error:  # also what Rust throws, which is no Exception
+        except BaseException as error:  # Rust panics are not an Exception
             crash = crash_of(error)
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError):
@@ -217,14 +217,14 @@ def _appeared(there: set[str]) -> tuple[str, ...]:
 
 
 def damages(log: Path) -> list[str]:
-    """What the validator finds wrong with a log but in the input's messages, which are copied; nothing without it."""
+    """The problems that the validator finds in a log, except in copied input messages; none without a validator."""
     data = Path(os.environ.get("ROADPERC_DATA", DEFAULT_DATA))
     path = data.parent / "tools" / "mcap-validate" / "validate.mjs"
     if not (shutil.which("node") and (path.parent / "node_modules").is_dir()):
         return []
     done = subprocess.run(
         ["node", path, "--json", log], capture_output=True, check=False, timeout=VALIDATOR_S,
-        preexec_fn=_lift_limit,  # Node alone takes more
+        preexec_fn=_lift_limit,  # Node needs more memory
     )  # fmt: skip
     try:
         found = json.loads(done.stdout)

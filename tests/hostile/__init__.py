@@ -1,1 +1,1 @@
-"""Inputs that mean harm: what is promised of them in docs/reliability.md."""
+"""Tests with hostile inputs: the promises of docs/reliability.md."""

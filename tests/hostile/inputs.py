@@ -1,6 +1,4 @@
-"""Inputs that mean harm: a few kilobytes that ask for gigabytes, MCAP files record by record with any lengths, and
-names that would command a terminal.
-"""
+"""Hostile inputs: kilobytes that declare gigabytes, records with wrong lengths, names with control characters."""
 
 import dataclasses
 import resource
@@ -19,17 +17,17 @@ _LZ4_BLOCK = 4 * 1024 * 1024
 
 
 def bounded():
-    """Bound the address space of a process: three gigabytes."""
+    """Limit the address space of this process to 3 GB."""
     resource.setrlimit(resource.RLIMIT_AS, (3 * 2**30, 3 * 2**30))
 
 
 def replaced(role, data, frames=2):
-    """A drive in which every message of a role is this one."""
+    """The messages of a log in which all messages of a role have these data."""
     return [dataclasses.replace(item, data=data) if item.role == role else item for item in logs.items(frames)]
 
 
 def lz4_zeros(size):
-    """An lz4 frame of so many zeros, a multiple of 4 MiB, without the size in its header."""
+    """An lz4 frame of `size` zeros, a multiple of 4 MiB; its header does not declare the size."""
     frame = lz4.frame.compress(
         bytes(_LZ4_BLOCK), block_size=lz4.frame.BLOCKSIZE_MAX4MB, block_linked=False, store_size=False
     )
@@ -38,7 +36,7 @@ def lz4_zeros(size):
 
 
 def jpeg_of_size(jpeg, width, height):
-    """The same JPEG with another size in its header."""
+    """The JPEG with another size in its header."""
     at = jpeg.index(b"\xff\xc0") + 5
     return jpeg[:at] + struct.pack(">HH", height, width) + jpeg[at + 4 :]
 
@@ -67,18 +65,18 @@ def message(of, time_ns, data, length=None):
 
 
 def attachment(length):
-    """An attachment that says that its data have this length."""
+    """An attachment that declares this length of its data."""
     return record(Opcode.ATTACHMENT, {"name": b"a", "media_type": b"b"}, lies={"data": length}).packed()
 
 
 def chunk(data, compression="", *, size, length=None):
-    """A chunk whose header says that it is ``size`` bytes without compression, and ``length`` with it."""
+    """A chunk that declares ``size`` uncompressed bytes and ``length`` compressed ones."""
     fields = {"start": 1, "end": 1, "size": size, "compression": compression.encode(), "records": data}
     return record(Opcode.CHUNK, fields, lies={} if length is None else {"records": length}).packed()
 
 
 def file(*records, index=()):
-    """A file of these records; ``index`` are those of its summary."""
+    """A file of these records; ``index`` are the records of its summary."""
     data = MAGIC + HEADER + b"".join(records) + record(Opcode.DATA_END, {}).packed()
     summary = b"".join(index)
     footer = record(Opcode.FOOTER, {"summary_start": len(data) if summary else 0})
@@ -86,7 +84,7 @@ def file(*records, index=()):
 
 
 def indexed(chunk_record, *records, size, messages=1):
-    """A file of one chunk with an index that says the same as the chunk, and these schemas and channels."""
+    """A file of one chunk with an index that declares ``size``, and these schemas and channels."""
     place = {"start": 1, "end": 1, "offset": len(MAGIC + HEADER), "length": len(chunk_record)}
     entry = record(
         Opcode.CHUNK_INDEX, {**place, "compression": b"zstd", "compressed_size": len(chunk_record), "size": size}
@@ -97,14 +95,14 @@ def indexed(chunk_record, *records, size, messages=1):
 
 
 EVIL = "x\x1b[31m\r\n\x07\x9b2J\u202ez[bold]"
-"""Colours, a new line, the bell, C1's way to clear the screen, text from right to left, and rich's own markup."""
+"""A colour, a new line, the bell, C1's code to clear the screen, right-to-left text, and rich's markup."""
 SHOWN = r"x\x1b[31m\r\n\x07\x9b2J\u202ez[bold]"
-"""The same as it is to be printed."""
+"""EVIL as it must be printed."""
 COMMANDS = frozenset("\x1b\r\x07\x9b\u202e")
 
 
 def write_log(path, name=EVIL):
-    """A log whose topics, schemas, frames, labels, attachments and metadata are called so."""
+    """Write a log whose topics, schemas, frames, labels and metadata contain `name`."""
     items = [dataclasses.replace(item, topic=f"/{item.role}/{name}") for item in logs.items(roles=logs.ALL[:-1])]
     stamp = items[-1].stamp_ns
     boxes = logs.encoding.encode_detections(stamp, name, [box(name, 20, 60, 60, 90)])
@@ -124,7 +122,7 @@ def topic_options(name=EVIL):
 
 
 def taint(path, name=EVIL):
-    """Put the name into every text of a metrics table but the log's, and into its footer."""
+    """Put `name` into every text of a metrics table except `log_id`, and into its metadata."""
     table = pl.read_parquet(path)
     texts = [c for c, t in table.schema.items() if t == pl.String and c != "log_id"]
     lists = [c for c, t in table.schema.items() if t == pl.List(pl.String)]

@@ -1,4 +1,4 @@
-"""Arguments of the package that make no sense are refused where they are given."""
+"""Invalid arguments of the Python API raise an error at the call."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def log(tmp_path_factory):
 
 
 @pytest.mark.promise("Python", "An error names an unknown role")
-def test_a_role_that_does_not_exist_is_named(log, tmp_path):
+def test_an_unknown_role_is_named(log, tmp_path):
     with pytest.raises(ChannelError, match="no role 'imge'; roles: image"):
         next(rp.frames(log, topics={"imge": "/camera/front/image"}))
     with pytest.raises(ChannelError, match="no role 'imge'"):
@@ -30,16 +30,16 @@ def test_a_role_that_does_not_exist_is_named(log, tmp_path):
     [*(({"max_frames": count}, "frames: expected a whole number") for count in (1.5, "2", True, np.float64(2.0))),
      ({"start_s": "1"}, "start: expected seconds, found '1'")],
 )  # fmt: skip
-def test_a_number_of_another_type_is_named(log, option, words):
+def test_an_option_of_a_wrong_type_is_named(log, option, words):
     with pytest.raises(ConfigError, match=words):
         next(rp.frames(log, **option))
 
 
-def test_numpys_whole_numbers_are_some(log):
+def test_numpy_integers_are_accepted(log):
     assert len(list(rp.frames(log, max_frames=np.int64(1)))) == 1
 
 
-def test_what_is_absent_is_printed_in_any_layout():
+def test_an_absent_output_accepts_a_format_specification():
     absent = Absent(Reason("depth", "no_image"))
     assert f"{absent:>40}" == str(absent).rjust(40)
     assert f"{absent}" == str(absent)
@@ -56,7 +56,7 @@ def test_what_is_absent_is_printed_in_any_layout():
     ],
     ids=["scaled", "mirrored", "projective", "flat"],
 )
-def test_a_mounting_is_a_rotation_and_a_shift(change, words):
+def test_a_mounting_that_is_no_rigid_transform_is_refused(change, words):
     pose = np.array([[0, 0, 1, 2], [-1, 0, 0, 0], [0, -1, 0, 1.5], [0, 0, 0, 1]], float)
     rp.Chain(CAMERA, ego_T_camera=pose)
     change(pose)

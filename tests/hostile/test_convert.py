@@ -1,4 +1,4 @@
-"""Dumps with mistakes in them: what is wrong is named, and costs no more than it must."""
+"""Mistakes in dumps are named; the other files are converted."""
 
 import json
 import os
@@ -56,7 +56,7 @@ REPORTED = {
         "rate_hz 5 of the calibration is not used: the names of the files are stamps",
     ),
 }  # fmt: skip
-"""What is wrong with a dump, and the exit code and the message of the converter."""
+"""The faulty dump, and the converter's exit code and message."""
 
 
 @pytest.mark.promise("Dumps", "The error for a misspelled key of `calibration.json` suggests the nearest known key")
@@ -82,14 +82,14 @@ def test_a_mistake_in_a_dump_is_reported(tmp_path, options, code, message):
     ],
     ids=["seconds", "files", "EuRoC", "capitals", "in order"],
 )
-def test_a_table_of_stamps_may_have_more_columns(tmp_path, table, expected):
+def test_stamps_are_found_by_the_name_of_their_column(tmp_path, table, expected):
     path = tmp_path / "timestamps.csv"
     path.write_text(table)
     found = list(stamps_of_file(path, [1, 2, 3]).values())
     assert found == [int(ns) for ns in expected or (TIME_NS, TIME_NS + 5, TIME_NS + 9)]
 
 
-def test_a_table_without_a_column_of_stamps_is_an_error(tmp_path):
+def test_a_table_without_stamps_is_an_error(tmp_path):
     path = tmp_path / "timestamps.csv"
     path.write_text("frame,gain\n1,2\n")
     with pytest.raises(DumpError, match="columns 'frame,gain': expected one of timestamp"):
@@ -100,7 +100,7 @@ def test_a_table_without_a_column_of_stamps_is_an_error(tmp_path):
 
 
 @pytest.mark.promise("Dumps", "EuRoC's `data.csv` is read")
-def test_euroc_keeps_its_table_beside_the_data(tmp_path):
+def test_the_stamps_of_euroc_are_read(tmp_path):
     folder = dump(tmp_path / "dump")
     (folder / "rgb").rename(folder / "data")
     (folder / "rgb").mkdir()
@@ -113,7 +113,7 @@ def test_euroc_keeps_its_table_beside_the_data(tmp_path):
 
 
 @pytest.mark.promise("Dumps", "Unused files with stamps are reported")
-def test_stamps_that_are_not_used_are_said_to_be_so(tmp_path):
+def test_unused_files_with_stamps_are_reported(tmp_path):
     folder = dump(tmp_path / "dump")
     (folder / "metadata.json").write_text('{"1": {"timestamp": 5}}')
     (folder / "rgb" / "metadata.json").write_text('{"1": {"timestamp": 5}}')
@@ -124,7 +124,7 @@ def test_stamps_that_are_not_used_are_said_to_be_so(tmp_path):
 
 @pytest.mark.promise("Dumps", "An interrupted `roadperc-render` leaves its target as it was")
 @pytest.mark.parametrize(("name", "former"), [("SIGINT", False), ("SIGTERM", True)])
-def test_an_interrupted_render_leaves_nothing_under_its_name(tmp_path, name, former):
+def test_an_interrupted_render_keeps_its_target(tmp_path, name, former):
     folder = tmp_path / "dump"
     if former:
         folder.mkdir()
@@ -143,7 +143,7 @@ def test_an_interrupted_render_leaves_nothing_under_its_name(tmp_path, name, for
         assert (folder / "truth.json").read_text() == "former"
 
 
-def test_a_render_replaces_its_former_and_keeps_what_is_not_its_own(tmp_path):
+def test_a_render_replaces_an_earlier_one_and_keeps_other_files(tmp_path):
     folder = tmp_path / "dump"
     options = ("--size", "64x48", "--seconds", "0.05", "--force")
     assert run("roadperc-render", folder, *options).returncode == 0

@@ -1,4 +1,4 @@
-"""Configurations and tables that nobody can compute with: one line, which names the place."""
+"""Unusable configurations and tables give a one-line error that names the place."""
 
 from contextlib import suppress
 
@@ -21,7 +21,7 @@ TEXTS = {
     "50000 nested keys": f"{'a.' * 50_000}a = 1",
     "50000 nested lists": f"seed = {'[' * 50_000}",
     "too long": f"# {'x' * 1_000_000}",
-    "no text": "seed = '\ud800'",
+    "not UTF-8": "seed = '\ud800'",
 }
 
 
@@ -30,7 +30,7 @@ TEXTS = {
     "Settings and tables", "A configuration attached to a log or a table is read or refused the same way"
 )
 @pytest.mark.parametrize("text", TEXTS.values(), ids=TEXTS)
-def test_a_configuration_is_read_or_refused_in_a_line(tmp_path, text):
+def test_a_configuration_is_read_or_refused_with_one_line(tmp_path, text):
     path, data = tmp_path / "a.toml", text.encode("utf-8", "surrogatepass")
     path.write_bytes(data)
     with pytest.raises(ConfigError) as caught:
@@ -41,7 +41,7 @@ def test_a_configuration_is_read_or_refused_in_a_line(tmp_path, text):
         assert all(len(as_typed(value)) < 1000 for value in settings_in(data).values())
 
 
-def test_a_setting_of_a_command_is_refused_in_a_line():
+def test_a_setting_of_a_command_is_refused_with_one_line():
     require_a_line(run("roadperc-replay", "a.mcap", "b.mcap", "--set", f"seed={'9' * 5000}"))
 
 
@@ -74,7 +74,7 @@ def table(tmp_path_factory):
         ("detections", pl.lit(2**64 - 1, pl.UInt64), "column detections holds 1.84467e+19"),
     ],
 )
-def test_a_column_that_nobody_can_compute_with_is_named(tmp_path, table, column, values, words):
+def test_an_unusable_column_is_named(tmp_path, table, column, values, words):
     path = tmp_path / "a.metrics.parquet"
     table.with_columns(values.alias(column)).write_parquet(path)
     with pytest.raises(TableError, match=words.replace("+", r"\+")):
@@ -82,14 +82,14 @@ def test_a_column_that_nobody_can_compute_with_is_named(tmp_path, table, column,
     require_a_line(run("roadperc-report", path))
 
 
-def test_a_column_without_a_value_counts_as_missing(tmp_path, table):
+def test_a_column_of_nulls_counts_as_missing(tmp_path, table):
     path = tmp_path / "a.metrics.parquet"
     table.with_columns(pl.lit(None).alias("odom_x_m")).write_parquet(path)
     assert run("roadperc-report", path).returncode == 0
 
 
 @pytest.mark.promise("Settings and tables", "A panic in polars gives a one-line error")
-def test_a_panic_of_polars_is_a_stated_error():
+def test_a_panic_in_polars_is_a_table_error():
     def panic(_):
         raise pl.exceptions.PanicException("index out of bounds")
 
@@ -99,7 +99,7 @@ def test_a_panic_of_polars_is_a_stated_error():
 
 @pytest.mark.promise("Settings and tables", "A damaged table gives a one-line error")
 @pytest.mark.parametrize("place", [0.2, 0.5, 0.8, 0.97])
-def test_a_damaged_table_is_one_line(tmp_path, table, place):
+def test_a_damaged_table_gives_one_line(tmp_path, table, place):
     path = tmp_path / "a.metrics.parquet"
     table.write_parquet(path)
     data = bytearray(path.read_bytes())

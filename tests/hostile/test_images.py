@@ -1,4 +1,4 @@
-"""Images of formats that are not allowed, and of sizes that their containers hide: no decoder is given them."""
+"""Images of other formats, or with a hidden size, are refused before a decoder sees them."""
 
 import ast
 import io
@@ -33,7 +33,7 @@ def packed(name, picture=PICTURE, **options):
 
 @pytest.fixture
 def ghostscript(tmp_path):
-    """A ``gs`` that notes that it was started, and an environment that finds it first."""
+    """A ``gs`` that records its start in a file, and an environment whose PATH begins with it."""
     folder, started = tmp_path / "bin", tmp_path / "started"
     folder.mkdir()
     (folder / "gs").write_text(f'#!/bin/sh\necho "$@" >> "{started}"\n')
@@ -64,8 +64,8 @@ def test_no_command_starts_a_program_for_an_image(tmp_path, ghostscript, command
     assert "PostScript" in done.stdout + done.stderr or "info" in command, done.stdout + done.stderr
 
 
-def test_the_trap_is_one(ghostscript, monkeypatch):
-    """Pillow, asked without a list of formats, does start it."""
+def test_the_ghostscript_trap_works(ghostscript, monkeypatch):
+    """Pillow without a list of formats starts Ghostscript."""
     started, variables = ghostscript
     monkeypatch.setenv("PATH", variables["PATH"])
     monkeypatch.setattr("PIL.EpsImagePlugin.gs_binary", None)
@@ -76,7 +76,7 @@ def test_the_trap_is_one(ghostscript, monkeypatch):
 
 @pytest.mark.promise("Messages", "Pillow gets an explicit format wherever it opens a file")
 @pytest.mark.parametrize("folder", ["roadperc_stream", "tools", "eval"])
-def test_pillow_is_told_the_formats_wherever_it_opens(folder):
+def test_every_call_of_pillow_names_the_formats(folder):
     calls = [
         (str(path), node.lineno, {keyword.arg for keyword in node.keywords})
         for path in (ROOT / folder).rglob("*.py")
@@ -106,7 +106,7 @@ def test_other_formats_are_refused_by_name(monkeypatch, name, data):
 
 @pytest.mark.promise("Messages", "`limits.image_formats` can add AVIF, BMP and GIF")
 @pytest.mark.parametrize("name", ["PNG", "JPEG", "WEBP", "AVIF", "BMP", "GIF"])
-def test_formats_that_are_listed_are_read(name):
+def test_listed_formats_are_read(name):
     data = packed(name)
     assert images.decode_bgr(data, LISTED).shape == (24, 32, 3)
     assert images.image_size(data, LISTED) == (32, 24)
@@ -117,14 +117,14 @@ def test_formats_that_are_listed_are_read(name):
 
 
 @pytest.mark.promise("Messages", "Formats that can declare two sizes, such as TIFF and JPEG 2000, cannot be added")
-def test_a_format_whose_size_cannot_be_known_is_not_listed():
+def test_a_format_with_two_declared_sizes_cannot_be_listed():
     assert load_config(None, ("limits.image_formats=png,avif",)).limits.image_formats == ("png", "avif")
     with pytest.raises(ConfigError, match="image_formats"):
         load_config(None, ("limits.image_formats=png,tiff",))
 
 
 @pytest.mark.promise("Messages", "The size of an AVIF image is read from its coded frames")
-def test_an_avif_is_held_against_its_coded_frame():
+def test_the_size_of_an_avif_is_that_of_its_coded_frame():
     for decoder in DECODERS:
         with pytest.raises(DecodeError, match="AVIF of 96x72 with frames of 16000x16000"):
             decoder(AVIF, LISTED)
@@ -143,7 +143,7 @@ def without_reduced_header(data):
 
 
 def in_pieces(data):
-    """The second item, alpha's, has a first piece without bytes."""
+    """The AVIF with an empty first extent in its second item, the alpha channel."""
     at = data.index(b"iloc") + 12 + 14 + 4
     return data[:at] + b"\0\2" + data[at + 2 : at + 6] + bytes(4) + data[at + 10 :]
 
@@ -165,14 +165,14 @@ LAYOUTS = {
 
 @pytest.mark.promise("Messages", "An AVIF that is not a still picture is refused")
 @pytest.mark.parametrize("changed", LAYOUTS.values(), ids=LAYOUTS)
-def test_an_avif_of_another_layout_is_refused(changed):
+def test_an_avif_that_is_not_a_still_picture_is_refused(changed):
     with pytest.raises(DecodeError, match=r"AVIF"):
         images.decode_bgr(changed, LISTED)
 
 
 @pytest.mark.promise("Messages", "`limits.image_megapixels` also applies when a decoder explains a damaged image")
-def test_the_reason_for_a_damaged_image_is_asked_within_the_limit():
-    """OpenCV refuses a second header, Pillow takes its size."""
+def test_the_limit_holds_when_a_damaged_image_is_explained():
+    """OpenCV refuses a second header; Pillow uses its size."""
     twice = [[b"IHDR", png(12_000, 12_000, rows=0)[16:29]]]
     with pytest.raises(DecodeError, match=r"125 bytes are no image: expected limits\.image_megapixels 40"):
         images.decode_bgr(png(96, 72, extra=twice))

@@ -1,4 +1,4 @@
-"""Logs that declare more than they have, or more than there is: a result or one line, in bounded memory and time."""
+"""Logs with wrong declared sizes give a result or one line, in limited memory and time."""
 
 import time
 
@@ -31,13 +31,13 @@ def by_index(stated):
 
 
 CASES = {
-    "zstd that says its size": lambda: compressed(zeros_as_zstd(HUGE), "zstd"),
+    "zstd that declares its size": lambda: compressed(zeros_as_zstd(HUGE), "zstd"),
     "zstd that does not": lambda: compressed(zeros_as_zstd(HUGE, stated=False), "zstd"),
-    "zstd in a chunk that lies": lambda: compressed(zeros_as_zstd(HUGE), "zstd", size=100),
+    "zstd in a chunk with a wrong size": lambda: compressed(zeros_as_zstd(HUGE), "zstd", size=100),
     "zstd by an index": lambda: by_index(HUGE),
-    "zstd by an index that lies": lambda: by_index(100),
+    "zstd by an index with a wrong size": lambda: by_index(100),
     "lz4": lambda: compressed(inputs.lz4_zeros(HUGE), "lz4"),
-    "lz4 in a chunk that lies": lambda: compressed(inputs.lz4_zeros(HUGE), "lz4", size=100),
+    "lz4 in a chunk with a wrong size": lambda: compressed(inputs.lz4_zeros(HUGE), "lz4", size=100),
     "chunk that claims 100 GB": lambda: compressed(b"x" * 100, "zstd", size=CLAIMED),
     "chunk that stores 100 GB": lambda: inputs.file(*KNOWN, inputs.chunk(b"x", size=CLAIMED, length=CLAIMED)),
     "message of 100 GB": lambda: inputs.file(*KNOWN, inputs.message(1, 1, b"x" * 100, CLAIMED)),
@@ -47,7 +47,7 @@ CASES = {
 
 @pytest.mark.promise("Logs", "A declared size is checked against the file and the limits before memory is allocated")
 @pytest.mark.parametrize("case", CASES)
-def test_what_is_declared_is_not_allocated(tmp_path, case):
+def test_declared_sizes_are_not_allocated(tmp_path, case):
     path = tmp_path / "in.mcap"
     path.write_bytes(CASES[case]())
     for command in (("roadperc-replay", path, tmp_path / "out.mcap"), ("roadperc-info", path)):
@@ -73,7 +73,7 @@ IN_A_CHUNK = b"".join((*KNOWN, MESSAGE))
     ],
     ids=["chunk", "record"],
 )
-def test_a_size_beyond_its_limit_names_the_setting(tmp_path, kind, data):
+def test_an_error_about_a_limit_names_the_setting(tmp_path, kind, data):
     path = tmp_path / "in.mcap"
     path.write_bytes(data)
     assert [len(m.data) for m in log.read(log.summarise(path))] == [3_000_000]
@@ -83,8 +83,8 @@ def test_a_size_beyond_its_limit_names_the_setting(tmp_path, kind, data):
 
 @pytest.mark.promise("Logs", "Chunks that do not state their size are read")
 @pytest.mark.parametrize("stated", [True, False])
-def test_chunks_as_writers_make_them_are_read(tmp_path, stated):
-    """lz4 with and without its size, whose contents are measured before they are decompressed."""
+def test_chunks_without_a_declared_size_are_read(tmp_path, stated):
+    """lz4 with and without its size; the size is measured before decompression."""
     data = b"".join(KNOWN) + b"".join(inputs.message(1, 1, bytes(50_000)) for _ in range(100))
     packed = lz4.frame.compress(data, store_size=stated)
     path = tmp_path / "in.mcap"
@@ -97,7 +97,7 @@ def test_chunks_as_writers_make_them_are_read(tmp_path, stated):
 
 @pytest.mark.promise("Logs", "A chunk with more messages than `limits.chunk_messages` is refused")
 @pytest.mark.parametrize("indexed", [True, False])
-def test_a_chunk_of_more_messages_than_may_be_is_named(tmp_path, indexed):
+def test_a_chunk_with_too_many_messages_is_refused(tmp_path, indexed):
     path = tmp_path / "in.mcap"
     with path.open("wb") as stream:
         writer = Writer(stream, chunk_size=2**30, index_types=IndexType.ALL if indexed else IndexType.NONE)
@@ -112,7 +112,7 @@ def test_a_chunk_of_more_messages_than_may_be_is_named(tmp_path, indexed):
 
 
 @pytest.mark.promise("Logs", "The limits also hold when a damaged log is recovered")
-def test_what_can_be_salvaged_is_bounded_too(tmp_path):
+def test_the_limits_hold_during_recovery(tmp_path):
     path = tmp_path / "in.mcap"
     bomb = inputs.chunk(zeros_as_zstd(HUGE), "zstd", size=HUGE)
     path.write_bytes(inputs.file(*KNOWN, inputs.message(1, 1, b"{}"), bomb, inputs.message(1, 2, b"{}")))
@@ -124,7 +124,7 @@ def test_what_can_be_salvaged_is_bounded_too(tmp_path):
 
 
 @pytest.mark.promise("Logs", "Any 64-bit time is read, or refused with one line")
-def test_the_last_instant_of_64_bits_is_one_line(tmp_path):
+def test_the_largest_64_bit_time_gives_one_line(tmp_path):
     path = tmp_path / "in.mcap"
     path.write_bytes(inputs.file(*KNOWN, inputs.message(1, 2**64 - 1, b"{}"), inputs.message(1, 5, b"{}")))
     assert "2 messages on 1 channel" in run("roadperc-info", path).stdout

@@ -1,4 +1,4 @@
-"""Messages that ask for more than is real: each costs itself, and says which limit it is beyond."""
+"""Messages beyond a limit are skipped, with a reason that names the limit."""
 
 import time
 import zlib
@@ -42,7 +42,7 @@ def read(kind, schema, data, limits):
 
 @pytest.mark.promise("Messages", "An image above `limits.image_megapixels` is refused before it is decoded")
 @pytest.mark.parametrize("data", [HUGE_PNG, inputs.jpeg_of_size(JPEG, 30_000, 30_000)], ids=["png", "jpeg"])
-def test_an_image_is_held_against_its_header_before_it_is_decoded(data):
+def test_the_size_in_a_header_is_checked_before_decoding(data):
     for decoder in (images.decode_bgr, images.decode_grey, images.decode_unchanged):
         with pytest.raises(DecodeError, match=r"30000x30000, 900 megapixels: expected limits\.image_megapixels 40"):
             decoder(data)
@@ -50,7 +50,7 @@ def test_an_image_is_held_against_its_header_before_it_is_decoded(data):
 
 @pytest.mark.promise("Messages", "An oversized image is skipped; the frame's other inputs are used")
 @pytest.mark.parametrize("role", ["image", "segmentation"])
-def test_a_huge_image_costs_its_frames_that_image(tmp_path, role):
+def test_an_oversized_image_is_skipped(tmp_path, role):
     data = png(30_000, 30_000, mode=3, rows=4) if role == "segmentation" else HUGE_PNG
     done = replayed(tmp_path, inputs.replaced(role, encoding.encode_image(STAMP, "camera", "png", data), frames=1))
     assert done.returncode == 0, done.stderr
@@ -59,8 +59,8 @@ def test_a_huge_image_costs_its_frames_that_image(tmp_path, role):
 
 
 @pytest.mark.promise("Messages", "A calibration above `limits.image_megapixels` is refused")
-def test_a_calibration_is_held_against_the_limit(tmp_path):
-    """The sparse depth of a lidar's points is as large as the calibration says."""
+def test_an_oversized_calibration_is_refused(tmp_path):
+    """The depth image of a lidar has the size of the calibration."""
     camera = Camera("camera", 40_000, 40_000, 2e4, 2e4, 2e4, 2e4)
     points = np.ones((100, 4), np.float32)
     items = inputs.replaced("calibration", encoding.encode_calibration(STAMP, camera))
@@ -76,7 +76,7 @@ def test_a_calibration_is_held_against_the_limit(tmp_path):
 
 
 @pytest.mark.promise("Messages", "Compressed texts and profiles in an image are not expanded beyond the limits")
-def test_texts_that_are_compressed_in_an_image_cost_that_image():
+def test_compressed_texts_in_an_image_are_not_expanded():
     zeros = zlib.compress(bytes(100_000_000), 9)
     extra = ([b"iCCP", b"x\0\0" + zeros], [b"zTXt", b"c\0\0" + zeros])
     started = time.process_time()
@@ -118,8 +118,8 @@ def test_a_message_beyond_a_limit_is_skipped(message, limit, found):
 
 
 @pytest.mark.promise("Messages", "Transforms beyond `limits.transforms` are skipped and reported")
-def test_a_long_chain_of_transforms_is_cut_where_the_tree_is_full():
-    """One edge a message: the tree grows until the limit, and what is beyond is reported once."""
+def test_transforms_beyond_the_limit_are_skipped():
+    """With one edge per message the tree grows up to the limit; further edges are reported once."""
     edges = [Transform(f"f{k}", f"f{k + 1}", np.eye(4)) for k in range(20_000)]
     items = (Stamped("tf", k, k, (edge,)) for k, edge in enumerate(edges))
     problems, started = Problems(), time.process_time()
@@ -129,14 +129,14 @@ def test_a_long_chain_of_transforms_is_cut_where_the_tree_is_full():
     assert time.process_time() - started < 10
 
 
-def test_edges_that_are_known_are_still_replaced_in_a_full_tree():
+def test_a_full_tree_still_updates_known_edges():
     tree = TransformTree().updated([Transform("a", "b", np.eye(4))])
     again = (Transform("a", "b", np.eye(4)), Transform("a", "c", np.eye(4)))
     assert [edge.child for edge in tree.fitting(again, 1)] == ["b"]
 
 
 @pytest.mark.promise("Messages", "Time per frame grows linearly with the number of detections")
-def test_many_detections_take_a_time_that_grows_with_their_number(tmp_path):
+def test_2000_detections_take_limited_time(tmp_path):
     places = np.random.default_rng(1).uniform(0, 200, (2000, 2))
     boxes = [box(("Car", "Pedestrian")[k % 2], x, y, x + 20, y + 20) for k, (x, y) in enumerate(places)]
     source = logs.write(
@@ -160,12 +160,12 @@ def test_many_detections_take_a_time_that_grows_with_their_number(tmp_path):
     ],
     ids=["cut png", "rows missing", "broken profile", "damaged jpeg", "cut jpeg"],
 )
-def test_what_libpng_and_libjpeg_say_reaches_no_terminal(tmp_path, data):
+def test_messages_of_libpng_and_libjpeg_are_not_printed(tmp_path, data):
     done = replayed(tmp_path, inputs.replaced("image", encoding.encode_image(STAMP, "camera", "png", data), frames=1))
     assert (done.returncode, done.stderr) == (0, "")
 
 
 @pytest.mark.promise("The terminal", "A damaged image is reported once")
-def test_what_a_decoder_says_of_a_damaged_image_is_said_once():
+def test_a_damaged_image_is_reported_once():
     with pytest.raises(DecodeError, match=r"bytes are no image: .*truncated"):
         images.decode_bgr(png(320, 240)[:-40])

@@ -1,4 +1,4 @@
-"""Puts small faults into the code and counts how many of them the tests notice; cosmic-ray makes the faults."""
+"""Mutation testing: adds small faults to the code with cosmic-ray and counts how many the tests notice."""
 
 import argparse
 import ast
@@ -29,8 +29,8 @@ HOOK = Path(__file__).parent / "hook"
 WANTED_SHARE = 0.85
 BUDGET_S = 45.0  # of tests for one fault
 PATIENCE_S = 60.0
-PATIENCE_FACTOR = 8.0  # the machine may do other work as well
-LEFT_OUT = {Path("tests/test_docs.py"), Path("tests/fuzz/test_fuzz.py")}  # they reach far and take too long
+PATIENCE_FACTOR = 8.0  # the machine may be busy
+LEFT_OUT = {Path("tests/test_docs.py"), Path("tests/fuzz/test_fuzz.py")}  # they run much code and take too long
 COMPARISONS = "Lt_LtE Lt_GtE LtE_Lt LtE_Gt Gt_GtE Gt_LtE GtE_Gt GtE_Lt Eq_NotEq NotEq_Eq Is_IsNot IsNot_Is"
 ARITHMETIC = "Add_Sub Sub_Add Mul_Div Div_Mul FloorDiv_Mul Mod_Mul Pow_Mul BitAnd_BitOr BitOr_BitAnd LShift_RShift"
 OTHERS = "AddNot NumberReplacer ReplaceTrueWithFalse ReplaceFalseWithTrue ReplaceAndWithOr ReplaceOrWithAnd"
@@ -41,7 +41,7 @@ OPERATORS = (
     *(f"core/{name}" for name in ("ReplaceUnaryOperator_USub_UAdd", "ReplaceUnaryOperator_Delete_Not")),
     *(f"core/{name}" for name in ("ReplaceBreakWithContinue", "ReplaceContinueWithBreak")),
 )
-"""Of cosmic-ray's operators those whose faults are small: others mostly end in a TypeError, which any test notices."""
+"""The operators of cosmic-ray with small faults; the others mostly cause a TypeError, which any test notices."""
 MEASURING = """[run]
 source = {sources}
 data_file = {folder}/coverage
@@ -50,27 +50,27 @@ patch = subprocess
 concurrency = thread,multiprocessing
 disable_warnings = no-data-collected, module-not-measured, module-not-imported, already-imported, no-ctracer
 """
-DESCRIPTION = """Draws small faults from all code, runs for each the test files nearest to it with the fault in place,
-and prints the share that a test notices and every fault that none does. The working tree stays as it is: a fault is
-put in when its module is imported. Exit code 0 if at least 85 of 100 are noticed, else 1."""
-EPILOG = """The first run measures which test files execute which lines (about 12 minutes on two cores) and keeps that
-in .mutants/; later runs measure only test files that changed or execute something that did. A test that also fails
-without the fault does not count. A fault that makes a test hang counts as noticed."""
+DESCRIPTION = """Draws small faults from all code and runs the nearest test files with each fault. Prints every fault
+that no test notices, and the noticed share. The working tree does not change: an import hook adds the fault. Exit code
+0 if at least 85 of 100 faults are noticed, else 1."""
+EPILOG = """The first run measures which test files execute which lines (about 12 minutes on two cores) and keeps the
+result in .mutants/. Later runs measure only changed test files and those that execute changed code. A test that also
+fails without the fault does not count. A fault that makes a test hang counts as noticed."""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """One small fault: what an operator of cosmic-ray does at one of its places in a file."""
+    """A small fault: one operator of cosmic-ray at one of its places in a file."""
 
     path: str
     operator: str
     occurrence: int
     first_line: int
-    """Of the statement around it."""
+    """The first line of its statement."""
     line: int
 
     def source(self) -> str:
-        """The file's text with the fault."""
+        """The source of the file with the fault."""
         return mutate_code(Path(self.path).read_text("utf-8"), get_operator(self.operator)(), self.occurrence)
 
     def __str__(self) -> str:
@@ -81,14 +81,14 @@ class Fault:
 
 @dataclass(frozen=True)
 class Reach:
-    """A test file, how long it takes, and the lines of each source file that it executes."""
+    """A test file, its duration, and the lines of each source file that it executes."""
 
     test_file: str
     seconds: float
     lines: dict[str, list[int]]
 
     def is_near(self, path: str) -> bool:
-        """Whether it is named after a module or its package, or holds a package above it to a recording."""
+        """True if the test file is named after a module or its package, or compares the package with a recording."""
         name = Path(self.test_file).stem.removeprefix("test_")
         if name == "recorded":
             return Path(self.test_file).parent.name in Path(path).parts
@@ -96,11 +96,11 @@ class Reach:
 
 
 def main(arguments: list[str]) -> int:
-    """Runs the command; 0 if enough of the faults are noticed."""
+    """Run the command; returns 0 if enough faults are noticed."""
     parser = argparse.ArgumentParser("python -m tests.mutants", description=DESCRIPTION, epilog=EPILOG)
     parser.add_argument("only", nargs="*", help="files or folders to draw from (default: all code)")
     parser.add_argument("--count", type=int, default=200, metavar="N", help="number of faults (default: 200)")
-    parser.add_argument("--seed", type=int, default=1, metavar="N", help="the faults follow from it (default: 1)")
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="seed of the random faults (default: 1)")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), metavar="N", help="processes (default: the cores)")
     asked = parser.parse_args(arguments)
     drawn = draw(asked.only, asked.count, asked.seed)
@@ -126,7 +126,7 @@ def main(arguments: list[str]) -> int:
 
 
 def draw(only: list[str], count: int, seed: int) -> list[Fault]:
-    """At most `count` faults, each at another place, from all code or from what is at or below the paths `only`."""
+    """At most `count` faults at different places, from all code or from the files and folders `only`."""
     files = sorted(path for folder in SOURCES for path in Path(folder).rglob("*.py") if "_pb2" not in path.name)
     files = [file for file in files if not only or any(file.is_relative_to(path) for path in only)]
     chosen, drawn = random.Random(seed), {}
@@ -142,7 +142,7 @@ def draw(only: list[str], count: int, seed: int) -> list[Fault]:
 
 @cache
 def places_in(path: str) -> dict[tuple, list[Fault]]:
-    """The faults that each place of a file can have."""
+    """The possible faults at each place of a file."""
     source, found = Path(path).read_text("utf-8"), defaultdict(list)
     tree = ast.parse(source)
     left_out = [_span(node) for node in _left_out(tree)]
@@ -163,7 +163,7 @@ def _span(node: ast.AST) -> tuple[tuple[int, int], tuple[int, int]]:
 
 
 def _left_out(tree: ast.Module) -> Iterator[ast.AST]:
-    """Where nothing can be wrong that a user would meet: types, decorators, error texts, checks on ourselves."""
+    """Code without effect on results: types, decorators, error messages, assertions."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Raise | ast.Assert):
             yield node
@@ -178,7 +178,7 @@ def _left_out(tree: ast.Module) -> Iterator[ast.AST]:
 
 
 def measured(test_file: str) -> Reach:
-    """What a test file executes: as kept if nothing of it changed since, else measured and kept."""
+    """The lines that a test file executes: kept from an earlier run if the code is unchanged, else measured."""
     kept = KEPT / f"{test_file.replace('/', '.')}.json"
     if kept.is_file():
         known = Reach(**json.loads(kept.read_text("utf-8")))
@@ -202,7 +202,7 @@ def measured(test_file: str) -> Reach:
 
 
 def nearest(fault: Fault, reaches: list[Reach]) -> list[Reach]:
-    """The test files that execute a fault, the nearest and quickest first, as many as fit the budget, at least one."""
+    """The test files that execute a fault, nearest and quickest first, within the time budget; at least one."""
     there = [(reach, set(reach.lines.get(fault.path, ()))) for reach in reaches]
     found = [reach for reach, lines in there if lines.intersection(range(fault.first_line, fault.line + 1))]
     found = found or [reach for reach, lines in there if lines]
@@ -215,15 +215,15 @@ def nearest(fault: Fault, reaches: list[Reach]) -> list[Reach]:
 
 
 def notices(fault: Fault, reaches: list[Reach]) -> bool:
-    """Whether one of the test files fails, or hangs, because of a fault."""
+    """True if one of the test files fails or hangs because of a fault."""
     patience_s = PATIENCE_S + PATIENCE_FACTOR * sum(reach.seconds for reach in reaches)
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         faulty = Path(folder, "faulty.py")
         faulty.write_text(fault.source(), "utf-8")
-        told = {"ROADPERC_FAULT": json.dumps([os.path.realpath(fault.path), str(faulty)]), "PYTHONPATH": str(HOOK)}
+        variables = {"ROADPERC_FAULT": json.dumps([os.path.realpath(fault.path), str(faulty)]), "PYTHONPATH": str(HOOK)}
         arguments = [reach.test_file for reach in reaches]
         while reaches:
-            code, printed = run_tests(["-x", *arguments], folder, patience_s, **told)
+            code, printed = run_tests(["-x", *arguments], folder, patience_s, **variables)
             failed = re.search(r"^(?:FAILED|ERROR) (.*?)(?: - .*)?$", printed, re.MULTILINE)
             if code in (0, 5):
                 return False
@@ -235,7 +235,7 @@ def notices(fault: Fault, reaches: list[Reach]) -> bool:
 
 @cache
 def passes(test: str) -> bool:
-    """Whether a test passes without any fault."""
+    """True if a test passes without a fault."""
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         return run_tests([test], folder, 900.0)[0] == 0
 
@@ -243,10 +243,13 @@ def passes(test: str) -> bool:
 def run_tests(
     arguments: list[str], folder: str, patience_s: float, program: tuple[str, ...] = (), **variables: str
 ) -> tuple[int, str]:
-    """The exit code of pytest and what it prints; it leaves nothing behind outside `folder`."""
+    """Run pytest; returns its exit code and output. It writes only to `folder`."""
     words = [sys.executable, "-m", *program, "pytest", *arguments, "-rfE", "--tb=no", "-p", "no:cacheprovider"]
     paths = [variables.get("PYTHONPATH"), os.environ.get("PYTHONPATH")]
-    variables |= {"CI": "true", "PYTHONPATH": os.pathsep.join(filter(None, paths))}  # hypothesis repeats its examples
+    variables |= {
+        "CI": "true",
+        "PYTHONPATH": os.pathsep.join(filter(None, paths)),
+    }  # hypothesis is repeatable
     with subprocess.Popen(
         [*words, f"--basetemp={folder}/pytest"], env=os.environ | variables, start_new_session=True,
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace",

@@ -1,4 +1,4 @@
-"""The whole command on a small project of its own."""
+"""The mutation testing command on a small project."""
 
 import os
 import subprocess
@@ -70,7 +70,7 @@ def mutants(project: Path, *arguments: str):
     )  # fmt: skip
 
 
-def test_faults_without_a_test_are_named(project):
+def test_unnoticed_faults_are_printed(project):
     before = {path: path.read_bytes() for path in project.rglob("*.py")}
     done = mutants(project, "--count", "5")
     *survivors, last = done.stdout.splitlines()
@@ -83,7 +83,7 @@ def test_faults_without_a_test_are_named(project):
     assert not list(project.rglob(".pytest_cache"))
 
 
-def test_the_command_succeeds_if_all_are_noticed(project):
+def test_the_command_succeeds_if_every_fault_is_noticed(project):
     (project / "roadperc_stream" / "other.py").write_text(CALC)
     (project / "roadperc_stream" / "calc.py").write_text(
         "from roadperc_stream.other import clipped\n\n\ndef halved(value):\n    return (value + 1) // 2\n"
@@ -93,11 +93,11 @@ def test_the_command_succeeds_if_all_are_noticed(project):
     assert done.stdout.startswith("noticed 3 of 3 (100.0%) in ")
 
 
-def test_the_same_seed_draws_the_same_faults_each_at_another_place(project):
+def test_a_seed_draws_the_same_faults_at_different_places(project):
     drawn = [draw([], 5, seed) for seed in (7, 7, 8)]
     assert drawn[0] == drawn[1] != drawn[2]
     assert len(set(drawn[0])) == 5
-    every = draw([], 100, 7)  # of error texts and types none
+    every = draw([], 100, 7)  # none in error messages and types
     assert not [fault for fault in every if "raise" in str(fault) or "BitOr" in fault.operator]
 
 

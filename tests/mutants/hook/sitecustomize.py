@@ -1,6 +1,6 @@
-"""Gives the module of $ROADPERC_FAULT its faulty source when it is imported.
+"""Import hook: loads the module named by $ROADPERC_FAULT from its faulty source.
 
-Python imports a `sitecustomize` on its path when it starts, so commands that tests start are faulty as well.
+Python imports `sitecustomize` from its path at start, so commands that tests start have the fault too.
 """
 
 import importlib.machinery
@@ -11,7 +11,7 @@ from pathlib import Path
 
 
 class FaultyLoader(importlib.machinery.SourceFileLoader):
-    """Compiles the faulty source and leaves no cached bytecode behind."""
+    """Compiles the faulty source without writing cached bytecode."""
 
     def get_code(self, fullname):
         path = self.get_filename(fullname)
@@ -19,7 +19,7 @@ class FaultyLoader(importlib.machinery.SourceFileLoader):
 
 
 class FaultyFinder:
-    """Lets the finders behind it find each module and takes over the loading of the faulty one."""
+    """Finds modules with the other finders and loads the faulty one."""
 
     @classmethod
     def find_spec(cls, fullname, path, target=None):
