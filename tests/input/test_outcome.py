@@ -131,7 +131,7 @@ def test_what_is_continued_with_a_part_that_overlaps_names_a_start_that_works(dr
     command = [str(tmp_path / "whole.mcap"), str(after), "--continue", str(before), *options]
     assert main(command) == 1
     said = capsys.readouterr().err
-    assert "expected what follows; --start 0.250000001 leaves out what it holds" in said
+    assert "expected later messages; pass --start 0.250000001 to skip the overlap" in said
     assert main([*command, "--start", "0.250000001"]) == 0
     replay(tmp_path / "whole.mcap", tmp_path / "out.mcap", CFG)
     assert results([before, after]) == results([tmp_path / "out.mcap"])

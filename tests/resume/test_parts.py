@@ -265,7 +265,7 @@ def test_any_changed_byte_of_an_unpacked_state_gives_a_state_or_one_error(parts,
 
 
 def test_a_part_that_is_not_later_is_refused(parts, tmp_path):
-    with pytest.raises(StateError, match=r"begins 0\.\d{3} s before the end of what .* holds"):
+    with pytest.raises(StateError, match=r"begins 0\.\d{3} s before the end of .*: expected later messages"):
         replay(parts[0], tmp_path / "out.mcap", CFG, continued=parts[0])
 
 

@@ -59,7 +59,7 @@ def test_a_second_replay_of_one_output_is_refused_while_the_first_lives(source, 
     first.send_signal(signal.SIGSTOP)
     try:
         for options in (RESUMED, {**RESUMED, "force": True}, {}):
-            with pytest.raises(StateError, match=r"another replay of the same output is at work; wait until"):
+            with pytest.raises(StateError, match=r"another replay writes the same output; wait until"):
                 replay(source, target, CFG, **options)
     finally:
         first.kill()
@@ -132,7 +132,7 @@ def test_a_resumed_replay_says_from_where(source, stopped, capsys):
     assert said[-2].startswith(f"{16 - before} frames in ")
     assert main(words(source, stopped, "--resume")) == 0
     said = capsys.readouterr().out.splitlines()
-    assert said[-2].endswith("out.mcap: is complete, nothing is left to do")
+    assert said[-2].endswith("out.mcap: already complete; nothing to do")
     assert said[-1].startswith("16 frames, log ")
 
 
