@@ -106,7 +106,7 @@ def test_an_output_with_another_table_is_not_complete(source, tmp_path, table):
     with pytest.raises(TargetError, match="exists already; --force"):
         replay(source, target, CFG, **RESUMED)
     replay(source, target, CFG, **RESUMED, force=True)
-    assert "nothing is left to do" in replay(source, target, CFG, **RESUMED).notes[0]
+    assert "nothing to do" in replay(source, target, CFG, **RESUMED).notes[0]
 
 
 def test_what_is_continued_is_not_replaced(source, tmp_path):
