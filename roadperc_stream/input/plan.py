@@ -1,8 +1,8 @@
 """Plans a replay: finds the requested part of a log, and reads it once to check it.
 
 This first pass measures the lateness of the messages and gives the state for a continued replay. It pairs messages like
-the replay, but waits the full ``max_wait`` for each and drops contents. Later messages cannot change frames that are then
-complete; a continued replay takes the messages that still wait.
+the replay, but waits the full ``max_wait`` for each and drops contents. Later messages cannot change frames that are
+then complete; a continued replay takes the messages that still wait.
 """
 
 from collections import Counter
