@@ -1,8 +1,8 @@
 """Synchronises the messages of several sensors to frames, with bounded memory.
 
-Messages are sorted by stamp, then synchronised. Each message of the reference role makes one frame. The reference role
-is ``image``, else the first of ``REFERENCE_ROLES`` that the log has. A frame takes the message with the nearest stamp of
-each other role, within the tolerance. Calibrations and transforms hold until they are replaced.
+Messages are sorted by stamp, then synchronised. Each message of the reference role makes one frame. The reference
+role is ``image``, else the first of ``REFERENCE_ROLES`` in the log. From each other role a frame takes the message with
+the nearest stamp, within the tolerance. Calibrations and transforms hold until they are replaced.
 """
 
 from collections import deque

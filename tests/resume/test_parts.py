@@ -170,21 +170,15 @@ def names(path):
     return [attachment.name for attachment in log.summarise(path).attachments]
 
 
-def test_a_continued_part_replays_to_itself(parts):
-    assert names(parts[0]) == ["roadperc.toml", "roadperc.state"]
-    assert names(parts[1]) == ["roadperc.toml", "roadperc.state.begin", "roadperc.state"]
-    again = parts[1].with_name("again.mcap")
-    replay(parts[1], again, CFG)
-    assert again.read_bytes() == parts[1].read_bytes()
+@pytest.mark.parametrize(("number", "begin"), [(0, []), (1, ["roadperc.state.begin"])], ids=["first", "continued"])
+def test_a_part_replays_to_itself(parts, tmp_path, number, begin):
+    part, again = parts[number], tmp_path / "again.mcap"
+    assert names(part) == ["roadperc.toml", *begin, "roadperc.state"]
+    replay(part, again, CFG)
+    assert again.read_bytes() == part.read_bytes()
+    assert (read_metrics(again)["frame"][0] == 0) == (number == 0)
     for table in TABLES:
-        assert rows([again], table).equals(rows([parts[1]], table))
-
-
-def test_the_state_of_an_input_begins_no_plain_replay(parts):
-    again = parts[0].with_name("zero.mcap")
-    replay(parts[0], again, CFG)
-    assert again.read_bytes() == parts[0].read_bytes()
-    assert read_metrics(again)["frame"][0] == 0
+        assert rows([again], table).equals(rows([part], table))
 
 
 def test_a_result_says_which_part_it_continues(parts):
