@@ -64,7 +64,7 @@ class CheckpointFolder:
             StateError: another replay holds it, or it is not a folder.
         """
         if self.path.is_symlink() or (self.path.exists() and not self.path.is_dir()):
-            raise self.damaged("is no folder")
+            raise self.damaged("not a folder")
         if self.path.exists():
             self._hold()
         return self
@@ -213,17 +213,15 @@ class Checkpoints:
         run, known = start.run, start.run if found is None else found.run
         differing = ", ".join(name for name in {**run, **known} if run.get(name) != known.get(name))
         if differing and not force:
-            raise StateError(f"{folder.path}: of another replay ({differing} differ); --force (force=True) starts over")
+            raise StateError(f"{folder.path}: of another replay ({differing} differ); pass --force to start over")
         self.is_resumed = found is not None and not differing
         self.begun = found if found is not None and not differing else start
         """The replay after the samples that are already complete."""
         self._last_ns: int | None = None
         left_over = folder.holds_one and not self.is_resumed and every_s is None
-        self.notes = (f"{folder.path}: left by an interrupted replay, removed",) if left_over else ()
+        self.notes = (f"{folder.path}: left by an interrupted replay; removed",) if left_over else ()
         if found is None and every_s is not None and not force and folder.holds_one:
-            raise StateError(
-                f"{folder.path}: a replay was interrupted; --resume goes on from there, --force starts over"
-            )
+            raise StateError(f"{folder.path}: left by an interrupted replay; pass --resume or --force (start over)")
 
     @property
     def are_durable(self) -> bool:

@@ -64,7 +64,7 @@ def decode(data: bytes, kind: type[T], bounds: StateBounds = DEFAULT_BOUNDS) -> 
     """
     packed = data[_HEADER_BYTES:]
     if data[: len(_MAGIC)] != _MAGIC or len(data) <= len(_MAGIC):
-        raise StateError("is no state of a replay")
+        raise StateError("not the state of a replay")
     if data[len(_MAGIC)] != FORMAT_VERSION:
         raise StateError(f"its format has version {data[len(_MAGIC)]}, expected {FORMAT_VERSION}")
     if data[len(_MAGIC) + 1 : _HEADER_BYTES] != _CRC.pack(zlib.crc32(packed)):

@@ -224,7 +224,7 @@ def test_results_alone_can_be_continued_too(drive, parts, tmp_path):
     ("data", "expected"),
     [
         (None, r"has no attachment roadperc\.state"),
-        (b"", "is no state of a replay"),
+        (b"", "not the state of a replay"),
     ],
 )
 def test_what_is_no_state_is_refused(drive, parts, tmp_path, data, expected):

@@ -76,7 +76,7 @@ def test_a_link_in_place_of_the_folder_is_one_error(source, tmp_path, options):
     (tmp_path / "victim").mkdir()
     (tmp_path / "victim" / "frames").write_bytes(b"theirs")
     checkpoint_folder(tmp_path / "out.mcap").symlink_to(tmp_path / "victim")
-    with pytest.raises(StateError, match="checkpoint: is no folder; remove it to start over"):
+    with pytest.raises(StateError, match="checkpoint: not a folder; remove it to start over"):
         replay(source, tmp_path / "out.mcap", CFG, **options)
     assert (tmp_path / "victim" / "frames").read_bytes() == b"theirs"
 
@@ -94,7 +94,7 @@ def test_a_link_in_place_of_the_frames_is_not_written_through(source, stopped, t
 
 def test_a_plain_replay_removes_what_an_interrupted_one_left_and_says_so(source, stopped):
     summary = replay(source, stopped, CFG)
-    assert any("checkpoint: left by an interrupted replay, removed" in note for note in summary.notes)
+    assert any("checkpoint: left by an interrupted replay; removed" in note for note in summary.notes)
     assert names(stopped.parent) == OUTPUTS
 
 
