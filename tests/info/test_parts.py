@@ -82,7 +82,7 @@ def test_a_continuation_says_what_it_goes_on_from(parts, capsys):
     together = words_of(capsys, *results).partition("As the parts of one log")[2]
     assert "out_1.mcap 0.150 0.250 out_1.mcap: continues out_0.mcap" in together
     assert "overlaps" not in together
-    with pytest.raises(StateError, match=r"expected what follows; --start"):
+    with pytest.raises(StateError, match=r"expected later messages; pass --start"):
         replay(parts[0], parts[0].with_name("out.mcap"), config=CFG, continued=results[0])
 
 
