@@ -187,7 +187,7 @@ def test_arrays_of_another_shape_or_type_are_refused(inputs, message):
 
 
 def test_tags_without_a_table_and_a_pose_that_is_none_are_refused():
-    with pytest.raises(rp.RoadpercError, match="tags: of which table"):
+    with pytest.raises(rp.RoadpercError, match="tags: no tag table; pass one"):
         rp.Chain(CAMERA).step(0, tags=np.zeros((240, 320), np.uint8))
     with pytest.raises(ValueError, match=r"ego_T_camera: expected \(4, 4\) finite numbers, found \(3, 3\)"):
         rp.Chain(CAMERA, ego_T_camera=np.eye(3))

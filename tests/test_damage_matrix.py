@@ -11,7 +11,6 @@ from mcap.writer import CompressionType, Writer
 
 from roadperc_stream import log
 from roadperc_stream.api import replay
-from roadperc_stream.cli.view import main as view_main
 from roadperc_stream.config import load_config
 from roadperc_stream.errors import LogError
 from roadperc_stream.input.earlier_replay import is_result
@@ -178,9 +177,3 @@ def test_without_the_option_it_is_refused_and_before_it_replayed(tmp_path, tidy,
     assert messages(target) == messages(tidy[1])
     assert rows(target).drop("log_id", "^.*_ms$").equals(rows(tidy[1]).drop("log_id", "^.*_ms$"))
     assert "damaged at byte" in summary.warnings[0]
-
-
-def test_view_recovers_a_log_of_the_default_writer(tmp_path, capsys):
-    _, path = damaged(tmp_path / "a.mcap", "default", "data")
-    assert view_main([str(path), "--save", str(tmp_path / "out.rrd"), "--recover"]) == 0
-    assert "warning: lost from 0.1" in capsys.readouterr().out

@@ -4,12 +4,13 @@ import hashlib
 
 import pytest
 from blake3 import blake3
-from mcap.writer import CompressionType, IndexType, Writer
+from mcap.writer import CompressionType, IndexType
 
 from roadperc_stream import log
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import Attachment, Channel, LogWriter, Message, Metadata
 from tests.arranged import by_us
+from tests.log import flips
 
 TEXT = Channel("/text", "json", "Text", "jsonschema", b"{}", (("a", "b"),))
 BARE = Channel("/bare", "x")
@@ -120,24 +121,10 @@ def test_a_log_that_is_not_whole_names_the_command_that_says_more(tmp_path, kind
     assert "roadperc-info" not in str(caught.value)
 
 
-def raw(path, messages=40, **options):
-    """A log written with other settings than this project's."""
-    with path.open("wb") as stream:
-        writer = Writer(stream, chunk_size=500, **options)
-        writer.start()
-        schema = writer.register_schema("S", "jsonschema", b"{}")
-        channel = writer.register_channel("/a", "json", schema)
-        for k in range(messages):
-            writer.add_message(channel, k, bytes([k]) * 50, k)
-        writer.add_attachment(1, 1, "a.txt", "text/plain", b"x")
-        writer.add_metadata("m", {"k": "v"})
-        writer.finish()
-    return path
-
-
 @pytest.mark.parametrize("options", [{"use_chunking": False}, {"index_types": IndexType.NONE}, {}])
 def test_any_byte_changed_in_the_data_is_found(tmp_path, options):
-    path = raw(tmp_path / "a.mcap", enable_data_crcs=True, compression=CompressionType.NONE, **options)
+    options |= {"enable_data_crcs": True, "compression": CompressionType.NONE}
+    path = flips.write(tmp_path / "a.mcap", chunk_size=500, **options)
     whole = path.read_bytes()
     for at in range(200, len(whole) // 2, 97):
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])

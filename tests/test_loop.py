@@ -362,7 +362,7 @@ def test_what_cannot_be_replayed_is_one_line_and_no_file(tmp_path, capsys, items
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [
-        ({"time_range": TimeRange(start_s=100)}, LogError, r"in the part asked for; the log lasts \d\.\d{3} s$"),
+        ({"time_range": TimeRange(start_s=100)}, LogError, r"in the requested part; the log lasts \d\.\d{3} s$"),
         ({"overrides": {"depth": "/nowhere"}}, ChannelError, "/nowhere"),
     ],
 )

@@ -1,4 +1,4 @@
-"""The size of an AVIF's coded frames: its container may say another one, and decoders follow the frames.
+"""Checks the size of an AVIF's coded frames, because decoders ignore the size in its container.
 
 Sources: ISO/IEC 14496-12 (boxes, ``iloc``); AV1 Bitstream & Decoding Process Specification, 5.3 to 5.5.
 """
@@ -11,11 +11,11 @@ from typing import Final
 from roadperc_stream.errors import DecodeError
 
 _ITEMS: Final = re.compile(rb"iloc\0\0\0\0\x44\0\0[\1\2]")
-"""Where colours and alpha are, by version 0 with 32 bits; then item, file, number of extents, offset and length."""
+"""The head of an ``iloc`` box, version 0 with 32 bits. Entries: item, file, number of extents, offset, length."""
 
 
 def require_frames_of(data: bytes, size: tuple[int, int]) -> None:
-    """Refuse what is no still picture as libavif writes it, with every frame of the container's size.
+    """Require a still picture in libavif's layout, whose frames all have the container's size.
 
     Raises:
         DecodeError: another size or layout.
@@ -30,7 +30,7 @@ def require_frames_of(data: bytes, size: tuple[int, int]) -> None:
 
 
 def _frame_sizes(data: bytes) -> Iterator[tuple[int, int]]:
-    """Columns and rows by every sequence header (kind 1) among the OBUs of every item."""
+    """Columns and rows in each sequence header (OBU type 1) of each item."""
     (meta_at,) = struct.unpack_from(">I", data)
     meta_bytes, meta_name = struct.unpack_from(">I4s", data, meta_at)
     mdat_bytes, mdat_name = struct.unpack_from(">I4s", data, meta_at + meta_bytes)
@@ -56,7 +56,10 @@ def _frame_sizes(data: bytes) -> Iterator[tuple[int, int]]:
 
 
 def _size_of(bits: str) -> tuple[int, int]:
-    """Of a still picture's header: bit 4 says that no frame has a size of its own; two lengths in bits, two sizes."""
+    """Columns and rows in a still picture's sequence header.
+
+    Bit 4 excludes frames with other sizes. Two lengths in bits and two sizes follow.
+    """
     columns, rows = int(bits[10:14], 2) + 1, int(bits[14:18], 2) + 1
     if bits[4] == "0":
         raise ValueError("frames may have sizes of their own")

@@ -1,7 +1,7 @@
-"""Pixels in and out of their encodings.
+"""Encodes and decodes images.
 
-OpenCV is imported with the first image that is decoded, Pillow with the first that neither it nor ``png`` reads.
-Neither is given bytes of a format that ``limits.image_formats`` does not list: some of Pillow's start a program.
+OpenCV is imported at the first decoded image, Pillow at the first one that neither OpenCV nor ``png`` reads.
+Both get only the formats in ``limits.image_formats``, because some of Pillow's readers start a program.
 """
 
 import io
@@ -41,7 +41,7 @@ _FORMATS: Final[Mapping[str, bytes]] = {
     "PNM": rb"P[1-7]\s",
     "PostScript": rb"%!PS|\xc5\xd0\xd3\xc6",
 }
-"""What a file of each begins with. Those that can be read have Pillow's names."""
+"""The first bytes of each format. Readable formats have Pillow's names."""
 _JPEG_FRAME: Final = struct.Struct(">BBHBHH")
 """A frame header: marker, length, bits, rows, columns."""
 _JPEG_FRAMES: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
@@ -53,13 +53,13 @@ _PNG_READERS: Final[Mapping[str, Callable[[bytes], NDArray[Any] | None]]] = {
     "IMREAD_GRAYSCALE": png.grey,
     "IMREAD_UNCHANGED": png.grey16,
 }
-"""By the mode of OpenCV that they take the place of, for the PNGs that they read."""
+"""The PNG reader that replaces each OpenCV mode, for the PNGs it supports."""
 UNKNOWN_MM: Final = 0
 DEPTH_LIMIT_MM: Final = 65535
 _ROWS_AT_ONCE: Final = 32
-"""Rows of a depth whose numbers stay in the processor's cache."""
+"""Rows of a depth image that fit into the processor's cache."""
 _LAST_UPRIGHT: Final = 4
-"""EXIF orientations beyond exchange rows and columns."""
+"""Larger EXIF orientations swap rows and columns."""
 _PILLOWS_WARNINGS: Final = threading.RLock()
 
 
@@ -67,16 +67,16 @@ def decode_bgr(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> Image:
     """(H, W, 3) uint8 of an encoded image.
 
     Raises:
-        DecodeError: OpenCV reads no image from the bytes, or its header claims one beyond the limits.
+        DecodeError: OpenCV cannot read the image, or its header exceeds the limits.
     """
     return _decoded(data, "IMREAD_COLOR", limits)
 
 
 def decode_grey(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> Image:
-    """(H, W) uint8 of an encoded image: a JPEG's colours are not even decoded.
+    """(H, W) uint8 of an encoded image; a JPEG's colours are not decoded.
 
     Raises:
-        DecodeError: OpenCV reads no image from the bytes, or its header claims one beyond the limits.
+        DecodeError: OpenCV cannot read the image, or its header exceeds the limits.
     """
     return _decoded(data, "IMREAD_GRAYSCALE", limits)
 
@@ -89,16 +89,16 @@ def _decoded(data: bytes, mode: str, limits: LimitsConfig) -> Image:
 
 
 def decode_unchanged(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> NDArray[Any] | None:
-    """Pixels as they are encoded; None of what OpenCV does not read.
+    """Pixels in their encoded type; None if OpenCV cannot read them.
 
     Raises:
-        DecodeError: the header claims an image beyond the limits.
+        DecodeError: the header exceeds the limits.
     """
     return _pixels(data, "IMREAD_UNCHANGED", limits)
 
 
 def require_pixels(what: str, width: int, height: int, limits: LimitsConfig) -> None:
-    """Refuse a size beyond the limits, before memory is given to it.
+    """Check a size against the limits, before memory is allocated.
 
     Raises:
         DecodeError: the message names the limit.
@@ -109,7 +109,7 @@ def require_pixels(what: str, width: int, height: int, limits: LimitsConfig) -> 
 
 
 def format_of(data: bytes) -> str:
-    """Name of an image's format by its first bytes; empty where they are of none that is known."""
+    """Name of an image's format by its first bytes; empty if unknown."""
     return next((name for name, magic in _FORMATS.items() if re.match(magic, data, re.DOTALL)), "")
 
 
@@ -117,7 +117,7 @@ def _allowed_format(data: bytes, limits: LimitsConfig) -> str:
     """Name of an image's format.
 
     Raises:
-        DecodeError: no image, or of a format that the limits do not list.
+        DecodeError: not an image, or the limits do not list its format.
     """
     name, allowed = format_of(data), limits.image_formats
     if not name:
@@ -129,10 +129,10 @@ def _allowed_format(data: bytes, limits: LimitsConfig) -> str:
 
 
 def image_size(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> tuple[int, int]:
-    """Columns and rows of an encoded image by its header, as OpenCV would turn it.
+    """Columns and rows of an encoded image by its header, in OpenCV's orientation.
 
     Raises:
-        DecodeError: no image, or one beyond the limits.
+        DecodeError: not an image, or its size exceeds the limits.
     """
     from PIL import ExifTags
 
@@ -143,18 +143,18 @@ def image_size(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> tuple[int,
 
 @contextmanager
 def _opened(data: bytes, name: str, limits: LimitsConfig) -> Iterator["PillowImage"]:
-    """An image file with its header read and held against the limits.
+    """An image file whose header was checked against the limits.
 
     Raises:
-        DecodeError: no image of the format, or one beyond the limits.
+        DecodeError: not an image of the format, or its size exceeds the limits.
     """
     from PIL import Image as Pillow
     from PIL import UnidentifiedImageError
 
     try:
-        # the filters are the process's: two threads that change them at once would leave them changed
+        # warning filters belong to the process: concurrent changes could leave them changed
         with _PILLOWS_WARNINGS, warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of what it reads all the same; the limits say what is too large
+            warnings.simplefilter("ignore")  # the limits replace its size warnings
             with Pillow.open(io.BytesIO(data), formats=(name,)) as image:
                 require_pixels("image", image.width, image.height, limits)
                 if name == "AVIF":
@@ -167,10 +167,10 @@ def _opened(data: bytes, name: str, limits: LimitsConfig) -> Iterator["PillowIma
 
 
 def _require_within(data: bytes, limits: LimitsConfig) -> None:
-    """Refuse a format or a size beyond the limits. PNG and JPEG are read here: Pillow takes a quarter millisecond.
+    """Check format and size against the limits. PNG and JPEG are parsed here, because Pillow takes 0.25 ms.
 
     Raises:
-        DecodeError: no image, or one beyond the limits.
+        DecodeError: not an image, or its format or size exceeds the limits.
     """
     name = _allowed_format(data, limits)
     if name == "PNG" and len(data) >= png.SIZE.size + png.SIZE_AT:
@@ -184,10 +184,10 @@ def _require_within(data: bytes, limits: LimitsConfig) -> None:
 
 
 def _jpeg_size(data: bytes) -> tuple[int, int]:
-    """Of the first frame header (SOF, ITU T.81 B.2.2).
+    """Columns and rows in the first frame header (SOF, ITU T.81 B.2.2).
 
     Raises:
-        DecodeError: there is none.
+        DecodeError: no frame header.
     """
     at = 2
     while (at := data.find(b"\xff", at)) >= 0 and at + _JPEG_FRAME.size <= len(data):
@@ -199,7 +199,7 @@ def _jpeg_size(data: bytes) -> tuple[int, int]:
 
 
 def _why(data: bytes, limits: LimitsConfig) -> str:
-    """What a decoder says that can say it; empty where it finds no fault."""
+    """Pillow's reason why an image cannot be decoded; empty if it finds none."""
     try:
         with _opened(data, _allowed_format(data, limits), limits) as image:
             image.load()
@@ -209,7 +209,7 @@ def _why(data: bytes, limits: LimitsConfig) -> str:
 
 
 def _pixels(data: bytes, mode: str, limits: LimitsConfig) -> NDArray[Any] | None:
-    """Pixels as OpenCV's ``mode`` has them; None of what it does not read."""
+    """Pixels in OpenCV's ``mode``; None if OpenCV cannot read them."""
     import cv2
 
     _require_within(data, limits)
@@ -226,15 +226,14 @@ def decode_indices(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> Image:
     """(H, W) uint8 indices of a palette PNG, or the grey values of a grey one.
 
     Raises:
-        DecodeError: no image, one without indices, or a header that claims one beyond the limits.
-
+        DecodeError: not an image, no indices, or the header exceeds the limits.
     """
     if data.startswith(PNG_MAGIC):
         _require_within(data, limits)
         tags = png.indices(data)
         if tags is not None:
             return tags
-    # No other format: a JPEG's or GIF's greys are no tags.
+    # Only PNG: the grey values of a JPEG or GIF are not tags.
     with _opened(data, "PNG", limits) as image:
         if image.mode not in ("P", "L"):
             raise DecodeError(f"image of mode {image.mode}: expected palette indices (P) or grey tags (L)")
@@ -242,7 +241,7 @@ def decode_indices(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> Image:
 
 
 def instance_ids(bgr: Image) -> Ids:
-    """(H, W) numbers of CARLA's coding: green is the low byte, blue the high one; red, the tag, is left to others.
+    """(H, W) instance ids in CARLA's coding: green is the low byte, blue the high byte. Red, the tag, is not used.
 
     Source: CARLA's documentation, "Instance segmentation camera".
     """
@@ -254,7 +253,7 @@ def instance_ids(bgr: Image) -> Ids:
 
 
 def encode_indices(indices: Image, colours: tuple[Colour, ...]) -> bytes:
-    """Palette PNG of (H, W) uint8 indices: label images show their colours in every viewer."""
+    """Palette PNG of (H, W) uint8 indices, so that every viewer shows the colours of the labels."""
     from PIL import Image as Pillow
 
     image = Pillow.fromarray(indices, "L").convert("L")
@@ -273,7 +272,7 @@ def encode_jpeg(pixels_bgr: Image, quality: int) -> bytes:
 
 
 def depth_from_mm(depth_mm: NDArray[np.uint16]) -> Float32:
-    """(H, W) metres of 16-bit millimetres: NaN for 0; 65535 stands for 65.535 m or more."""
+    """(H, W) metres of 16-bit millimetres: NaN for 0; 65535 means 65.535 m or more."""
     depth_m = depth_mm.astype(np.float32)
     depth_m *= np.float32(0.001)
     depth_m[depth_mm == UNKNOWN_MM] = np.nan
@@ -281,12 +280,12 @@ def depth_from_mm(depth_mm: NDArray[np.uint16]) -> Float32:
 
 
 def depth_to_mm(depth_m: Float32) -> NDArray[np.uint16]:
-    """(H, W) 16-bit millimetres: unknown (NaN, not positive) becomes 0, what lies beyond the range 65535."""
+    """(H, W) 16-bit millimetres: 0 for unknown depth (NaN, not positive), 65535 for depth beyond the range."""
     depth_mm = np.empty(depth_m.shape, np.uint16)
     for top in range(0, len(depth_m), _ROWS_AT_ONCE):
         rows = slice(top, top + _ROWS_AT_ONCE)
         known = depth_m[rows] > 0
-        with np.errstate(over="ignore", invalid="ignore"):  # too far for a number is beyond the range; NaN is not known
+        with np.errstate(over="ignore", invalid="ignore"):  # overflow is beyond the range; NaN is unknown
             millimetres = depth_m[rows] * np.float32(1000.0)
             np.clip(millimetres, UNKNOWN_MM, DEPTH_LIMIT_MM, out=millimetres)
             whole = np.rint(millimetres, out=millimetres).astype(np.uint16)

@@ -1,10 +1,10 @@
-"""PNGs as cameras and simulators write them, in less time than OpenCV takes and with the same pixels.
+"""Reads common PNGs faster than OpenCV with the same pixels, and writes masks as PNGs.
 
-libdeflate inflates them, a compiled kernel reverses their filters. Whatever is unusual or not whole is None here:
-OpenCV or Pillow decodes it or says why it cannot, and so they do with every PNG where the kernel is not installed.
+libdeflate inflates a file, and a compiled kernel reverses its filters. They return None for an unusual or damaged
+file, and for every file if the kernel is not compiled. OpenCV or Pillow then decodes the file or reports its fault.
 
-Masks are written here as files of one bit a pixel: Pillow packs the bits of a palette image pixel by pixel, which takes
-six times as long as all the rest. Source: Portable Network Graphics (PNG) Specification, third edition, 4.5 to 11.2.
+Masks are written with one bit a pixel. Pillow packs these bits pixel by pixel and takes six times as long.
+Source: Portable Network Graphics (PNG) Specification, third edition, 4.5 to 11.2.
 """
 
 import struct
@@ -25,51 +25,51 @@ if COMPILED:
 
 MAGIC: Final = b"\x89PNG\r\n\x1a\n"
 SIZE: Final = struct.Struct(">II")
-"""Columns and rows, the start of a header."""
+"""Columns and rows, at the start of a header."""
 SIZE_AT: Final = 16
 _CHUNK: Final = struct.Struct(">I4s")
 _CRC: Final = struct.Struct(">I")
 _HEADER: Final = struct.Struct(">IIBBBBB")
-"""Columns, rows, bits, kind of colours, and the one way there is to compress, to filter, to interlace."""
+"""Columns, rows, bits, colour type, and the methods of compression, filtering and interlacing."""
 _PIXEL_SIZE: Final = b"pHYs"
-"""The one chunk with no say in the pixels that recorders write (ffmpeg does)."""
+"""The one ancillary chunk that recorders such as ffmpeg write; it does not affect the pixels."""
 _PIXEL_SIZE_BYTES: Final = 9
 _PALETTE_BYTES: Final = range(3, 3 * 256 + 1, 3)
 _LONGEST_SIDE: Final = 1 << 14
-"""OpenCV refuses some sizes beyond; what it does with those it decides itself."""
+"""OpenCV refuses some larger sizes, so it decodes all of them."""
 _HISTORY: Final = 1 << 15
-"""Bytes that deflate looks back at most."""
+"""The largest distance of a deflate match, in bytes."""
 GREY, COLOURS, PALETTE, COLOURS_ALPHA = 0, 2, 3, 6
 _CHANNELS: Final = {GREY: 1, COLOURS: 3, PALETTE: 1, COLOURS_ALPHA: 4}
 
 
 @dataclass(frozen=True)
 class _Lines:
-    """A PNG's inflated lines, and how it codes its pixels: 8 or 16 bits a number."""
+    """A PNG's inflated lines and its pixel format, with 8 or 16 bits a number."""
 
     width: int
     bits: int
     colour_type: int
     filtered: NDArray[np.uint8]
-    """(H, 1 + L): each line's filter and its L bytes."""
+    """(H, 1 + L): each line's filter type and its L bytes."""
 
     @property
     def pixel_bytes(self) -> int:
-        """What filters look back by."""
+        """Bytes a pixel: the distance that filters look back."""
         return self.bits * _CHANNELS[self.colour_type] // 8
 
     def rows(self) -> NDArray[np.uint8] | None:
-        """(H, L) bytes, reversed in place; None where a filter is unknown."""
+        """(H, L) bytes, unfiltered in place; None for an unknown filter."""
         return self.filtered[:, 1:] if reverse_filters(self.filtered, self.pixel_bytes) else None
 
     def one_byte_pixels(self) -> Image | None:
-        """(H, W), a byte each, in memory of their own; None where a filter is unknown."""
+        """A copy of the (H, W) uint8 pixels; None for an unknown filter."""
         rows = self.rows()
         return None if rows is None else np.ascontiguousarray(rows)
 
 
 def grey(data: bytes) -> Image | None:
-    """(H, W) uint8 of a PNG of grey or colours, as OpenCV's ``IMREAD_GRAYSCALE`` has it."""
+    """(H, W) uint8 of a grey or colour PNG, as OpenCV's ``IMREAD_GRAYSCALE`` gives it."""
     lines = _lines_of(data, {(GREY, 8), (COLOURS, 8), (COLOURS_ALPHA, 8)})
     if lines is None:
         return None
@@ -80,7 +80,7 @@ def grey(data: bytes) -> Image | None:
 
 
 def bgr(data: bytes) -> Image | None:
-    """(H, W, 3) uint8 of a PNG of colours, as OpenCV's ``IMREAD_COLOR`` has it."""
+    """(H, W, 3) uint8 of a colour PNG, as OpenCV's ``IMREAD_COLOR`` gives it."""
     lines = _lines_of(data, {(COLOURS, 8), (COLOURS_ALPHA, 8)})
     if lines is None or (rows := lines.rows()) is None:
         return None
@@ -91,7 +91,7 @@ def bgr(data: bytes) -> Image | None:
 
 
 def grey16(data: bytes) -> NDArray[np.uint16] | None:
-    """(H, W) uint16 of a PNG of grey with 16 bits, as OpenCV's ``IMREAD_UNCHANGED`` has it."""
+    """(H, W) uint16 of a 16-bit grey PNG, as OpenCV's ``IMREAD_UNCHANGED`` gives it."""
     lines = _lines_of(data, {(GREY, 16)})
     if lines is None or (rows := lines.rows()) is None:
         return None
@@ -99,13 +99,13 @@ def grey16(data: bytes) -> NDArray[np.uint16] | None:
 
 
 def indices(data: bytes) -> Image | None:
-    """(H, W) uint8 indices of a palette PNG, or the values of a grey one, with 8 bits."""
+    """(H, W) uint8 indices of an 8-bit palette PNG, or the values of an 8-bit grey one."""
     lines = _lines_of(data, {(GREY, 8), (PALETTE, 8)})
     return None if lines is None else lines.one_byte_pixels()
 
 
 def _lines_of(data: bytes, kinds: set[tuple[int, int]]) -> _Lines | None:
-    """Those of a whole PNG of one of the kinds: colour type and bits; None of any other."""
+    """The lines of a whole PNG whose (colour type, bits) is among ``kinds``; None for any other."""
     chunks = _chunks(data) if COMPILED else None
     if chunks is None:
         return None
@@ -123,7 +123,7 @@ def _lines_of(data: bytes, kinds: set[tuple[int, int]]) -> _Lines | None:
 
 
 def _in_order(chunks: list[tuple[bytes, memoryview]], colour_type: int) -> bool:
-    """Whether there is what has to be, once, and nothing else; the pixels may come in parts."""
+    """Whether the PNG has exactly the required chunks in order; there may be several ``IDAT``."""
     names = [name for name, _ in chunks]
     palette = [b"PLTE"] * (colour_type == PALETTE)
     in_size = all(len(content) in _PALETTE_BYTES for name, content in chunks if name == b"PLTE")
@@ -131,7 +131,7 @@ def _in_order(chunks: list[tuple[bytes, memoryview]], colour_type: int) -> bool:
 
 
 def _chunks(data: bytes) -> list[tuple[bytes, memoryview]] | None:
-    """Name and content of each, but a pixel's size; None where one is broken."""
+    """Name and content of each chunk except ``pHYs``; None if one is damaged."""
     if not data.startswith(MAGIC):
         return None
     chunks: list[tuple[bytes, memoryview]] = []
@@ -148,9 +148,9 @@ def _chunks(data: bytes) -> list[tuple[bytes, memoryview]] | None:
 
 
 def _inflated(compressed: bytes | memoryview, size: int) -> bytearray | None:
-    """As many bytes as the header promises, no more; None where the stream gives others."""
+    """The ``size`` bytes that the header implies; None if the stream gives more or fewer."""
     if not compressed or min(size, _HISTORY) > 1 << (8 + (compressed[0] >> 4)):
-        return None  # libdeflate does not mind a stream that looks back beyond its own window, zlib does
+        return None  # libdeflate accepts matches beyond the declared window, zlib refuses them
     try:
         inflated = deflate.zlib_decompress(compressed, size)
     except deflate.DeflateError:
@@ -159,11 +159,11 @@ def _inflated(compressed: bytes | memoryview, size: int) -> bytearray | None:
 
 
 def encode_mask(mask: Mask, colours: tuple[Colour, Colour]) -> bytes:
-    """Palette PNG of an (H, W) mask: index 0 where it is False, 1 where it is True."""
+    """Palette PNG of an (H, W) mask: index 0 for False, 1 for True."""
     rows, columns = mask.shape
     header = _HEADER.pack(columns, rows, 1, PALETTE, 0, 0, 0)
-    scanlines = np.pad(np.packbits(mask, axis=1), ((0, 0), (1, 0)))  # each begins with 0: it is not filtered
-    runs = zlib.compressobj(strategy=zlib.Z_RLE)  # runs are all that a mask has, and all this looks for
+    scanlines = np.pad(np.packbits(mask, axis=1), ((0, 0), (1, 0)))  # filter type 0: none
+    runs = zlib.compressobj(strategy=zlib.Z_RLE)  # masks consist of runs
     data = runs.compress(scanlines.tobytes()) + runs.flush()
     chunks = {b"IHDR": header, b"PLTE": bytes(np.array(colours, np.uint8)), b"IDAT": data, b"IEND": b""}
     return MAGIC + b"".join(_chunk_of(kind, content) for kind, content in chunks.items())

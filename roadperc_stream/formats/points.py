@@ -1,4 +1,4 @@
-"""A lidar's points out of foxglove.PointCloud, whose points are records of packed numbers."""
+"""Decodes the packed points of a foxglove.PointCloud."""
 
 from collections.abc import Mapping
 from typing import Any, Final
@@ -10,21 +10,21 @@ from roadperc_stream.errors import DecodeError
 from roadperc_stream.geometry import Float, Float32, transform
 
 FIELDS: Final = ("x", "y", "z", "intensity")
-"""Columns of what is written; a cloud without intensities has the first three."""
+"""Columns of written points; a cloud without intensities has the first three."""
 _AXES: Final = FIELDS[:3]
 _TYPES: Final[Mapping[int, str]] = {1: "u1", 2: "i1", 3: "<u2", 4: "<i2", 5: "<u4", 6: "<i4", 7: "<f4", 8: "<f8"}
 """numpy's names of foxglove.PackedElementField.NumericType, all little-endian."""
 
 
 def unpack_points(message: Any, frame_T_points: Float) -> Float32:
-    """(N, 3) float32 metres of a foxglove.PointCloud, in its frame; what is not finite stays so.
+    """(N, 3) float32 metres of a foxglove.PointCloud, in its frame; points that are not finite stay.
 
     Args:
-        message: the cloud; its fields x, y and z count, whatever numbers they are.
-        frame_T_points: its pose.
+        message: the cloud; its fields x, y and z may have any type of number.
+        frame_T_points: the pose of the points.
 
     Raises:
-        DecodeError: a field is missing, of no known type or beyond the stride, or the data end within a point.
+        DecodeError: a field is missing, has an unknown type or exceeds the stride, or the data end within a point.
     """
     stride, data = int(message.point_stride), message.data
     if not stride or len(data) % stride:
@@ -40,7 +40,7 @@ def unpack_points(message: Any, frame_T_points: Float) -> Float32:
 
 
 def _column(message: Any, axis: str, stride: int, data: bytes) -> NDArray[Any]:
-    """(N,) one coordinate of every point, as the message has it."""
+    """(N,) one coordinate of every point, in the message's type of number."""
     field = next((field for field in message.fields if field.name == axis), None)
     if field is None:
         there = ", ".join(field.name for field in message.fields) or "none"
@@ -51,5 +51,4 @@ def _column(message: Any, axis: str, stride: int, data: bytes) -> NDArray[Any]:
     if field.offset + kind.itemsize > stride:
         end = field.offset + kind.itemsize
         raise DecodeError(f"field {axis}: ends at byte {end} of a point, expected at most its stride, {stride}")
-    # Read where it lies, a stride from point to point.
     return np.ndarray((len(data) // stride,), kind, data, field.offset if data else 0, (stride,))

@@ -1,7 +1,7 @@
-"""Raw pixels of sensor_msgs/msg/Image and foxglove.RawImage, whose encodings have the same names, and CARLA's colours.
+"""Decodes the raw pixels of sensor_msgs/msg/Image and foxglove.RawImage, and CARLA's class colours.
 
-Source of the names: ``sensor_msgs/image_encodings.hpp``. A row takes ``step`` bytes, of which the last may be padding.
-The colours of CARLA's CityScapesPalette name the same classes in every version.
+Both messages use the names in ``sensor_msgs/image_encodings.hpp``. A row has ``step`` bytes and may end with padding.
+A colour of CARLA's CityScapesPalette means the same class in every version.
 """
 
 from collections.abc import Mapping
@@ -19,9 +19,9 @@ from roadperc_stream.model import Image
 from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14, TagTable
 
 PALETTE_TABLE: Final = CARLA_FROM_0_9_14
-"""Table of colours whose log names none: it has every class that earlier versions colour (their vehicle as car)."""
+"""Table for colours in a log without a tag table. It has all earlier classes (a vehicle is a car)."""
 UNKNOWN: Final = 255
-"""In ``tags_by_code``: a colour of no class."""
+"""In ``tags_by_code``: a colour without a class."""
 _LAYOUTS: Final[Mapping[str, tuple[str, int]]] = {
     "bgr8": ("u1", 3),
     "rgb8": ("u1", 3),
@@ -35,7 +35,7 @@ _LAYOUTS: Final[Mapping[str, tuple[str, int]]] = {
     "16UC1": ("u2", 1),
     "32FC1": ("f4", 1),
 }
-"""numpy's name of a number, and numbers a pixel."""
+"""numpy type of a number, and numbers a pixel."""
 _TO_BGR: Final[Mapping[str, str]] = {
     "rgb8": "COLOR_RGB2BGR",
     "bgra8": "COLOR_BGRA2BGR",
@@ -49,7 +49,7 @@ _COLOURS: Final = ("bgr8", "8UC3")
 _GREYS: Final = ("mono8", "8UC1")
 _DEPTHS: Final = ("16UC1", "mono16", "32FC1")
 Content = bytes | memoryview
-"""A file or raw pixels: by themselves, or as they stand in a message."""
+"""The bytes of a file or of raw pixels; a memoryview shares the message's memory."""
 
 
 @cache
@@ -65,7 +65,7 @@ def tags_of_colours(bgr: Image, table: TagTable) -> Image:
     """(H, W) uint8 tags of an (H, W, 3) image of class colours.
 
     Raises:
-        DecodeError: a colour is no class's; the message names the most frequent such one.
+        DecodeError: a colour has no class; the message names the most frequent such colour.
     """
     import cv2
 
@@ -86,7 +86,7 @@ def _unknown_in_words(codes: NDArray[Any], table: TagTable) -> str:
 
 @dataclass(frozen=True)
 class Raster:
-    """An image message's pixels, as they stand in it."""
+    """The pixels of an image message, in their encoding."""
 
     encoding: str
     width: int
@@ -97,15 +97,15 @@ class Raster:
 
     @classmethod
     def of_ros(cls, message: Any) -> "Raster":
-        """Pixels of a sensor_msgs/msg/Image, big-endian ones too."""
+        """Pixels of a sensor_msgs/msg/Image, little-endian or big-endian."""
         size = int(message.width), int(message.height), int(message.step)
         return cls(str(message.encoding), *size, np.asarray(message.data, np.uint8), bool(message.is_bigendian))
 
     def pixels(self) -> NDArray[Any]:
-        """(H, W) or (H, W, channels) numbers; a view of ``data`` where rows are not padded.
+        """(H, W) or (H, W, channels) numbers; a view of ``data`` if rows are not padded.
 
         Raises:
-            DecodeError: an unknown encoding, or not the bytes that the size asks for.
+            DecodeError: an unknown encoding, or too few bytes for the size.
         """
         if self.encoding not in _LAYOUTS:
             raise DecodeError(f"image encoding {self.encoding!r}: expected one of {', '.join(_LAYOUTS)}")
@@ -129,10 +129,10 @@ class Raster:
         return columns, rows
 
     def bgr(self) -> Image:
-        """(H, W, 3) uint8, of a grey image too.
+        """(H, W, 3) uint8, also of a grey image.
 
         Raises:
-            DecodeError: no camera's image.
+            DecodeError: the encoding is not one of a camera image.
         """
         if self.encoding == "mono16":
             return np.repeat(self._grey16()[..., np.newaxis], 3, axis=2)
@@ -149,7 +149,7 @@ class Raster:
         """(H, W) uint8.
 
         Raises:
-            DecodeError: no camera's image.
+            DecodeError: the encoding is not one of a camera image.
         """
         if self.encoding == "mono16":
             return self._grey16()
@@ -160,10 +160,10 @@ class Raster:
         return cv2.cvtColor(self.bgr(), cv2.COLOR_BGR2GRAY).astype(np.uint8, copy=False)
 
     def depth(self) -> tuple[Float32, float]:
-        """(H, W) float32 metres, NaN unknown, and the depth at which the encoding ends.
+        """(H, W) float32 metres, NaN unknown, and the largest depth of the encoding.
 
         Raises:
-            DecodeError: no depth.
+            DecodeError: the encoding is not one of depth.
         """
         if self.encoding not in _DEPTHS:
             raise DecodeError(f"depth of encoding {self.encoding!r}: expected one of {', '.join(_DEPTHS)}")
@@ -176,14 +176,14 @@ class Raster:
 
     @property
     def indexed(self) -> bool:
-        """Whether a pixel is one small number: in a segmentation a tag, not its colour."""
+        """Whether a pixel is one byte: in a segmentation a tag, not a colour."""
         return self.encoding in _GREYS
 
     def tags(self, table: TagTable) -> Image:
-        """(H, W) uint8 tags: the numbers themselves, or those of CARLA's class colours.
+        """(H, W) uint8 tags: the pixels themselves, or the classes of CARLA's colours.
 
         Raises:
-            DecodeError: no tags, or a colour of no class.
+            DecodeError: not tags, or a colour without a class.
         """
         return self.pixels() if self.indexed else tags_of_colours(self.bgr(), table)
 

@@ -1,4 +1,4 @@
-"""Arrays, poses and detections of a caller's own, checked, and as a frame takes them."""
+"""Checks the arrays, poses and detections of an API caller and converts them for a frame."""
 
 import operator
 from collections.abc import Callable, Iterable
@@ -16,14 +16,14 @@ from roadperc_stream.model import Box, CameraImage, DepthImage, Detection, Image
 from roadperc_stream.model.tag_tables import TagTable
 
 _ROTATION_TOLERANCE: Final = 1e-3
-"""Of a rotation times its transpose: what is left of one that was written with four digits."""
+"""Tolerance for R @ R.T, so that rotations written with four digits pass."""
 
 
 def checked_stamp_ns(stamp_ns: Any) -> int:
     """A stamp of any integer type, such as numpy's.
 
     Raises:
-        TypeError: it is no whole number.
+        TypeError: not an integer.
     """
     try:
         return operator.index(stamp_ns)
@@ -32,10 +32,10 @@ def checked_stamp_ns(stamp_ns: Any) -> int:
 
 
 def checked_camera(name: str, camera: Any) -> Camera:
-    """A camera as it is.
+    """The camera, checked.
 
     Raises:
-        TypeError: it is no Camera.
+        TypeError: not a Camera.
         ValueError: its size, focal lengths or principal point are impossible.
     """
     if not isinstance(camera, Camera):
@@ -52,7 +52,7 @@ def mounting(ego_T_camera: ArrayLike) -> Float:
     """A copy of a (4, 4) pose.
 
     Raises:
-        ValueError: it is of another shape, not finite, or no rotation and shift.
+        ValueError: another shape, not finite, or not a rotation and a translation.
     """
     pose = np.array(ego_T_camera, np.float64)
     if pose.shape != (4, 4) or not np.isfinite(pose).all():
@@ -69,7 +69,7 @@ def camera_image(name: str, pixels: ArrayLike, camera: Camera) -> CameraImage:
     """An image of (H, W, 3) blue, green, red, or (H, W) grey, 0 to 255.
 
     Raises:
-        ValueError: the pixels are of another size or type.
+        ValueError: the pixels have another size or type.
     """
     image = _bytes(name, _of_size(name, pixels, [camera.size, (*camera.size, 3)]))
     return CameraImage(
@@ -82,19 +82,19 @@ def tag_image(pixels: ArrayLike, camera: Camera, table: TagTable | None) -> TagI
 
     Raises:
         ConfigError: there is no table.
-        ValueError: they are of another size or type.
+        ValueError: the tags have another size or type.
     """
     if table is None:
-        raise ConfigError("tags: of which table? Expected Chain(camera, tag_table='0.9.15') or another version")
+        raise ConfigError("tags: no tag table; pass one, such as Chain(camera, tag_table='0.9.15')")
     tags = _bytes("tags", _of_size("tags", pixels, [camera.size]))
     return TagImage(camera.frame_id, table, lambda: tags)
 
 
 def depth_image(pixels: ArrayLike, camera: Camera) -> DepthImage:
-    """A copy of (H, W) metres, NaN where they are no depth: 0 or less.
+    """A copy of (H, W) metres; 0 or less becomes NaN.
 
     Raises:
-        ValueError: they are of another size, or whole numbers, as millimetres are.
+        ValueError: another size, or integers such as millimetres.
     """
     found = _of_size("depth_m", pixels, [camera.size])
     if not np.issubdtype(found.dtype, np.floating):
@@ -137,7 +137,7 @@ def _of_size(name: str, pixels: ArrayLike, shapes: list[tuple[int, ...]]) -> NDA
 
 
 def _bytes(name: str, found: NDArray[Any]) -> Image:
-    """A copy of the caller's pixels, which may change afterwards: whole numbers of any type that a byte holds."""
+    """A uint8 copy of the caller's pixels, which may have any integer type with values of 0 to 255."""
     if not np.issubdtype(found.dtype, np.integer):
         raise ValueError(f"{name}: expected uint8, found {found.dtype}")
     if found.dtype != np.uint8 and not (found.min() >= 0 and found.max() <= 255):
@@ -146,7 +146,7 @@ def _bytes(name: str, found: NDArray[Any]) -> Image:
 
 
 def _converted(image: Image, conversion: int, dimensions: int) -> Callable[[], Image]:
-    """The image as it is, or converted where it has that many dimensions."""
+    """Gives the image, converted if it has that many dimensions."""
     if image.ndim != dimensions:
         return lambda: image
     return lambda: np.asarray(cv2.cvtColor(image, conversion), np.uint8)

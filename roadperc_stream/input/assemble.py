@@ -1,4 +1,4 @@
-"""Synchronised messages to samples: which camera, which mounting, what is missing."""
+"""Builds samples from synchronised messages: camera, mounting, and missing roles."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -33,9 +33,9 @@ from roadperc_stream.model import (
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
 
 EGO_FRAMES: Final = (EGO, "base_footprint", "base_link", "ego_vehicle", "hero")
-"""What recorders call the vehicle's own frame, the one on the road before the one above it (REP 105 and 120, CARLA)."""
+"""Names of the vehicle's frame in logs (REP 105, REP 120, CARLA); the frame on the road comes first."""
 _SAME_PLACE: Final = 1e-6
-"""Metres and radians by which two cameras in one place may differ."""
+"""Tolerance in metres and radians for two cameras in the same place."""
 T = TypeVar("T")
 
 
@@ -45,11 +45,11 @@ def sample_of(
     """The sample of one instant's messages.
 
     Args:
-        cfg: for the height of a camera without a mounting.
+        cfg: gives the assumed height of a camera without a mounting.
         synced: the messages of one instant.
-        index: number of the frame in the replay, from 0; ``UNWRITTEN`` if it only warms up the chain.
+        index: number of the frame in the replay, from 0; ``UNWRITTEN`` for a warm-up frame.
         topics: topic of each role that the log has.
-        parent_of: parents of all frames that the log places, at this instant or any other.
+        parent_of: parent of each frame that the log places, at any time.
 
     Raises:
         ChannelError: a camera without calibration; the message names it.
@@ -101,7 +101,7 @@ def _payload(parts: Mapping[str, Stamped], role: str, kind: type[T]) -> T | None
 
 
 def _camera(synced: SyncedMessages, topics: Mapping[str, str]) -> Camera:
-    """Camera of image, segmentation and detections."""
+    """The camera of image, segmentation and detections."""
     role = synced.reference.role
     wanted = {"left": "left_calibration", "depth": "depth_calibration"}.get(role, "calibration")
     camera = synced.latched.cameras.get(wanted) or synced.latched.cameras.get("calibration")
@@ -115,7 +115,7 @@ def _camera(synced: SyncedMessages, topics: Mapping[str, str]) -> Camera:
 
 
 def _depth_camera(latched: LatchedState, camera: Camera, depth: DepthImage | None) -> Camera:
-    """The depth's own calibration where there is one; else the front camera's numbers under the depth's frame."""
+    """The depth calibration if the log has one; else the front camera's, with the depth's frame id."""
     own = latched.cameras.get("depth_calibration")
     if own is not None:
         return own
@@ -125,10 +125,10 @@ def _depth_camera(latched: LatchedState, camera: Camera, depth: DepthImage | Non
 
 
 def _left_camera(synced: SyncedMessages, camera: Camera, topics: Mapping[str, str]) -> Camera:
-    """The left camera of a stereo pair: one of its own where the log says so, else the front camera.
+    """The left camera of a stereo pair: a separate one if the log has it, else the front camera.
 
-    A log may have a left calibration and no left image at all: the pair's baseline is then still not the distance from
-    the front camera, whose image must not be matched instead.
+    A log may have a left calibration without left images. The baseline then does not hold for the front camera, so its
+    image must not be matched.
     """
     if synced.reference.role == "left":
         return camera
@@ -141,7 +141,7 @@ def _left_camera(synced: SyncedMessages, camera: Camera, topics: Mapping[str, st
 
 
 def _is_front(tree: TransformTree, camera: Camera, other: Camera) -> bool:
-    """Whether another calibration speaks of the front camera itself: one view, from one place."""
+    """Whether another calibration describes the front camera: same view, same place."""
     if not camera.same_view(other):
         return False
     if other.frame_id in ("", camera.frame_id):
@@ -151,18 +151,18 @@ def _is_front(tree: TransformTree, camera: Camera, other: Camera) -> bool:
 
 
 def ego_T_camera_of(tree: TransformTree, camera: Camera) -> Float | None:
-    """The camera's mounting; None where no transform gives it, or its frame is the vehicle's and no optical one."""
+    """The camera's mounting; None without a transform, or if its frame is the vehicle's, not an optical one."""
     frame = ego_frame_of(tree, camera)
     return None if frame is None else tree.lookup(frame, camera.frame_id)
 
 
 def ego_frame_of(tree: TransformTree, camera: Camera) -> str | None:
-    """The frame of the transform tree that is ego for a camera; None where the camera has no mounting."""
+    """The name of the ego frame in a camera's transform tree; None if the camera has no mounting."""
     return None if camera.frame_id in EGO_FRAMES else _ego_frame(tree, camera.frame_id)
 
 
 def _anchor(tree: TransformTree, camera: Camera, ego_T_camera: Float, parent_of: Mapping[str, str]) -> FrameAnchor:
-    """At the frame of the log that is ego; where it has none, at the camera, as it is assumed to be mounted."""
+    """The anchor at the log's ego frame; without one, at the camera with its assumed mounting."""
     own = camera.frame_id if camera.frame_id in EGO_FRAMES else ego_frame_of(tree, camera)
     frame_id, ego_T_frame = (camera.frame_id, ego_T_camera) if own is None else (own, np.eye(4))
     placed = frame_id in parent_of
@@ -171,16 +171,16 @@ def _anchor(tree: TransformTree, camera: Camera, ego_T_camera: Float, parent_of:
 
 
 def _ego_T(tree: TransformTree, frame_id: str, sensor: str = "") -> Float | None:
-    """ego_T_frame; None where the tree does not connect the frame with ego."""
+    """ego_T_frame; None if the tree does not connect the frame with ego."""
     frame = _ego_frame(tree, frame_id, sensor)
     return None if frame is None else tree.lookup(frame, frame_id)
 
 
 def _ego_frame(tree: TransformTree, frame_id: str, sensor: str = "") -> str | None:
-    """Ego under the first of its names that the tree connects with a frame; None where it connects none.
+    """The first ego name that the tree connects with a frame; None without one.
 
-    CARLA's bridge calls a vehicle's frame by its role name, and its sensors' frames ``role_name/sensor``: where the
-    frame itself is no sensor's, ``sensor`` is the frame of one.
+    CARLA's bridge names a vehicle's frame by its role name and a sensor's frame ``role_name/sensor``. Pass a sensor's
+    frame as ``sensor`` if ``frame_id`` is not one.
     """
     owner, separator, _ = (sensor or frame_id).partition("/")
     names = (*EGO_FRAMES, owner) if separator else EGO_FRAMES
@@ -188,16 +188,16 @@ def _ego_frame(tree: TransformTree, frame_id: str, sensor: str = "") -> str | No
 
 
 def _mounting(tree: TransformTree, ego_T_camera: Float, camera: Camera, other: Camera) -> Float:
-    """ego_T_other by the transform tree; without one the other camera stands where the front camera does."""
+    """ego_T_other by the transform tree; without a transform, the front camera's mounting."""
     camera_T_other = tree.lookup(camera.frame_id, other.frame_id)
     return ego_T_camera if camera_T_other is None else ego_T_camera @ camera_T_other
 
 
 def _lidar_mounting(tree: TransformTree, ego_T_camera: Float, camera: Camera, frame_id: str) -> Float | None:
-    """ego_T_lidar by the transform tree, from the camera where that is known; None where the tree does not give it.
+    """ego_T_lidar by the transform tree, preferably through the camera; None without a transform.
 
-    No place is assumed for a lidar: unlike a second camera it never stands where the front camera does. Points in the
-    camera's or in ego's own frame need no transform.
+    A lidar is never at the front camera's place, so none is assumed. Points in the camera's or ego's frame need no
+    transform.
     """
     camera_T_lidar = tree.lookup(camera.frame_id, frame_id)
     return _ego_T(tree, frame_id) if camera_T_lidar is None else ego_T_camera @ camera_T_lidar
@@ -215,6 +215,6 @@ def _truth(parts: Mapping[str, Stamped], tree: TransformTree, camera: Camera) ->
 
 
 def _true_pose(pose: Transform | None, tree: TransformTree, camera: Camera) -> Float | None:
-    """odom_T_ego, whichever frame of the vehicle the pose is of; None where no transform connects that with ego."""
+    """odom_T_ego of a pose of any vehicle frame; None if no transform connects that frame with ego."""
     ego_T_child = None if pose is None else _ego_T(tree, pose.child, camera.frame_id)
     return None if pose is None or ego_T_child is None else pose.parent_T_child @ inverse(ego_T_child)

@@ -1,4 +1,4 @@
-"""What an earlier replay left in the log it wrote: its results, and the topics and the tag table its user chose."""
+"""Reads the records of an earlier replay in a log: its results, and the chosen topics and tag table."""
 
 from collections.abc import Iterable
 from typing import Final
@@ -18,7 +18,7 @@ from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.schemas.topics import ON_REQUEST, result_schemas
 
 _SCHEMAS: Final = result_schemas(tuple(ON_REQUEST.values()))
-"""Of every result, by topic."""
+"""The schema of each result, by topic."""
 
 
 def is_result(channel: Channel) -> bool:
@@ -27,17 +27,17 @@ def is_result(channel: Channel) -> bool:
 
 
 def is_result_log(metadata: Iterable[Metadata], channels: Iterable[Channel]) -> bool:
-    """Whether a replay wrote a log, by what is in it."""
+    """Whether a replay wrote the log, by its contents."""
     return any(record.name == METADATA_RECORD for record in metadata) or any(map(is_result, channels))
 
 
 def is_result_of(channel: Channel, topic: str) -> bool:
-    """Whether a replay wrote this channel: other programs may use the topic as well, for messages of their own."""
+    """Whether a replay wrote this channel. Other programs may use the same topic."""
     return channel.topic == topic and is_result(channel) and channel.schema_name == _SCHEMAS.get(topic)
 
 
 def recorded_topics(metadata: Iterable[Metadata], channels: Iterable[Channel]) -> dict[str, str]:
-    """Topics by role that the user of an earlier replay named, as its result records them; those that are there."""
+    """Topics by role that the user of an earlier replay named, if the log has them."""
     record = replay_record(metadata)
     named = {key.removeprefix(TOPIC_KEY): topic for key, topic in record.items() if key.startswith(TOPIC_KEY)}
     there = {channel.topic for channel in channels if not is_result(channel)}
@@ -45,17 +45,17 @@ def recorded_topics(metadata: Iterable[Metadata], channels: Iterable[Channel]) -
 
 
 def recorded_tag_table(metadata: Iterable[Metadata]) -> str:
-    """The tag table that the user of an earlier replay named, as its result records it; empty where none is known."""
+    """The tag table that the user of an earlier replay named; empty if unknown."""
     name = replay_record(metadata).get(TAG_TABLE_KEY, "")
     return name if name in TABLES else ""
 
 
 def digest_algorithm(metadata: Iterable[Metadata]) -> str:
-    """What the digest of a result was made by; of other logs, what one is made by now."""
+    """The algorithm of a result's digest; for other logs, the current one."""
     record = replay_record(metadata)
     return record.get(DIGEST_ALGORITHM_KEY, FIRST_DIGEST_ALGORITHM) if DIGEST_KEY in record else DIGEST_ALGORITHM
 
 
 def replay_record(metadata: Iterable[Metadata]) -> dict[str, str]:
-    """What a result says of how it came about; empty of other logs."""
+    """The replay record of a result; empty for other logs."""
     return next((dict(record.values) for record in metadata if record.name == METADATA_RECORD), {})

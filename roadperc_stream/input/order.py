@@ -1,10 +1,9 @@
-"""Messages in the order of their stamps, whatever the order in which they arrived.
+"""Sorts the messages of a log by stamp.
 
-A log stands in the order of arrival: one sensor's messages take longer than another's, and single ones are late. The
-chain wants the order in which they were measured. How late messages are is measured in a first pass over the log, so
-that where nothing is late only the next frame is waited for; the order that comes out is the same however long is
-waited, as long as that is not less than they are late. A stamp far before the latest one is a straggler, or the
-beginning of another recording: the clock was set back, or a bag was played in a loop. Then a new segment begins.
+A log has the order of arrival, but the chain needs the order of measurement: some sensors take longer than others, and
+single messages are late. A first pass measures the lateness, so that a log without late messages waits only for the
+next frame. Any wait of at least the lateness gives the same order. A stamp far before the latest one is a straggler or
+starts a new segment: the clock was set back, or a bag was played in a loop.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -16,22 +15,22 @@ from roadperc_stream.input.stream import Stamped
 from roadperc_stream.system.time import NS_PER_S
 
 _ROW: Final = 3
-"""Reference messages in a row that begin a new segment: fewer are stragglers."""
+"""Consecutive reference messages that begin a new segment; fewer are stragglers."""
 _MOST_HELD: Final = 10_000
-"""Messages that wait at most, where the reference sensor is silent and log times say nothing."""
+"""The most messages that wait while the reference sensor is silent and log times do not advance."""
 _LONGEST_HOLD_NS: Final = 10 * NS_PER_S
-"""Log time that other messages wait for the reference sensor to show to which segment they belong."""
+"""Log time that other messages wait for the reference sensor to decide their segment."""
 T = TypeVar("T")
 U = TypeVar("U")
 Drop = Callable[[Stamped], None]
-"""Takes a message that is left out."""
+"""Receives a message that is left out."""
 
 
 @dataclass(frozen=True)
 class OrderConfig:
-    """How the messages of a log are put in order.
+    """Settings for sorting the messages of a log.
 
-    ``lateness_ns`` is by how much messages trail the reference sensor's latest stamp, at most ``max_wait_ns``.
+    ``lateness_ns`` is the largest lag behind the reference sensor's latest stamp, at most ``max_wait_ns``.
     """
 
     reference: str
@@ -41,10 +40,10 @@ class OrderConfig:
 
 @dataclass(frozen=True)
 class OrderState(Generic[T]):
-    """What is kept of the messages so far; those that wait are of any type that represents a message.
+    """The state of the sorting between messages; ``T`` is any type that represents a message.
 
-    ``held`` are those from the first message on that lies far back. ``waiting`` are those of the segment
-    ``given_segment`` that wait for earlier ones, in the order in which they would be given out.
+    ``held`` starts with the first message whose stamp is far back. ``waiting`` has the messages of ``given_segment``
+    that wait for earlier ones, in output order.
     """
 
     segment: int = 0
@@ -55,25 +54,25 @@ class OrderState(Generic[T]):
     given_ns: int | None = None
 
     def mapped(self, function: Callable[[T], U]) -> "OrderState[U]":
-        """The same state with other things in place of the messages."""
+        """The same state with ``function`` applied to each message."""
         held, waiting = tuple(map(function, self.held)), tuple(map(function, self.waiting))
         return OrderState(self.segment, self.latest_ns, held, waiting, self.given_segment, self.given_ns)
 
 
 class StampOrder:
-    """Gives messages segment by segment, each in the order of its stamps; of equal stamps what is latched comes first.
+    """Sorts messages by segment and stamp; latched messages come first among equal stamps.
 
-    A reference message that comes too late for its place is left out; any other comes at once. Where the reference
-    sensor is silent for long, the others' messages come without waiting for it.
+    A reference message that is too late is left out; any other late message comes at once. While the reference sensor
+    is silent for long, the other messages do not wait for it.
     """
 
     def __init__(self, cfg: OrderConfig, drop: Drop, state: OrderState[Stamped] | None = None) -> None:
-        """Begin, or go on.
+        """Start, or continue from a state.
 
         Args:
-            cfg: how far a message may be late.
+            cfg: how late a message may be.
             drop: called with each message that is left out.
-            state: what an earlier order had come to; None at the beginning.
+            state: the state of an earlier sorting; None at the beginning.
         """
         state = state or OrderState()
         self._cfg, self._drop = cfg, drop
@@ -84,22 +83,22 @@ class StampOrder:
         for item in state.waiting:
             self._add(item)
         self.lateness_ns = 0
-        """By how much messages trailed the reference sensor's latest stamp, at most the wait; stragglers among the
-        reference messages do not count."""
+        """The largest lag behind the reference sensor's latest stamp, at most the wait; reference stragglers do not
+        count."""
 
     def through(self, items: Iterable[Stamped]) -> Iterator[Stamped]:
-        """What comes before all that can still follow some more messages, which are in the order of the log."""
+        """Take more messages in log order; give those that no later message can precede."""
         for item in items:
             yield from self._ordered(self._segments.numbered(item))
 
     def rest(self) -> Iterator[Stamped]:
-        """All that still waits: nothing follows."""
+        """All messages that still wait, at the end of the log."""
         yield from self._ordered(self._segments.rest())
         yield from self._all()
 
     @property
     def state(self) -> OrderState[Stamped]:
-        """What is kept, all that ``through`` gives having been consumed."""
+        """The current state; consume all of ``through`` first."""
         found = self._segments
         waiting = tuple(entry[-1] for entry in sorted(self._heap, key=lambda entry: entry[:3]))
         given = self._given_segment, self._given_ns
@@ -121,12 +120,12 @@ class StampOrder:
                 yield self._next()
 
     def _is_too_late(self, item: Stamped) -> bool:
-        """Whether the frame of a later stamp was given out already."""
+        """Whether the frame of a later stamp was already given out."""
         late = self._given_ns is not None and item.stamp_ns < self._given_ns
         return late and item.role == self._cfg.reference
 
     def _is_due(self, item: Stamped, now_ns: int, latest_ns: int | None) -> bool:
-        """Whether no earlier message can follow, at a log time and the latest stamp of a reference message."""
+        """Whether no earlier message can follow, at log time ``now_ns`` and reference stamp ``latest_ns``."""
         if latest_ns is not None and item.stamp_ns < latest_ns - self._cfg.lateness_ns:
             return True
         is_silent = now_ns - item.log_time_ns > 2 * self._cfg.max_wait_ns
@@ -148,10 +147,10 @@ class StampOrder:
 
 
 class _Segments:
-    """Numbers messages by their segment.
+    """Assigns messages to segments.
 
-    Where three reference messages in a row, ascending among themselves, lie further back than any message is waited
-    for, a new segment begins with the first of them. Fewer are left out.
+    Three consecutive, ascending reference messages with stamps further back than the wait begin a new segment. Fewer
+    are left out.
     """
 
     def __init__(self, cfg: OrderConfig, drop: Drop, state: OrderState[Stamped]) -> None:
@@ -159,11 +158,11 @@ class _Segments:
         self.segment = state.segment
         self.latest_ns = state.latest_ns
         """Latest stamp of the segment's reference messages."""
-        self.held = list(state.held)  # from the first message on that lies far back
+        self.held = list(state.held)  # from the first message with a stamp far back
         self.row = [item for item in state.held if item.role == cfg.reference]
 
     def numbered(self, item: Stamped) -> Iterator[Stamped]:
-        """The messages that one more decides about, with their segments, in the order in which they came."""
+        """Take one more message; give those whose segment it decides, in order of arrival."""
         is_reference, is_back = item.role == self._cfg.reference, self._is_back(item)
         if not is_back and (is_reference or not self.held):
             yield from self.rest()
@@ -179,7 +178,7 @@ class _Segments:
             yield from self.rest() if len(self.held) > _MOST_HELD else self._too_long_held(item.log_time_ns)
 
     def rest(self) -> Iterator[Stamped]:
-        """What is held, where it is of the same segment; its reference messages are too late."""
+        """The held messages, without the reference messages, which are too late; no new segment begins."""
         self._drop_row()
         held, self.held = self.held, []
         yield from map(self._passed, held)
@@ -188,7 +187,7 @@ class _Segments:
         return self.latest_ns is not None and item.stamp_ns < self.latest_ns - self._cfg.max_wait_ns
 
     def _too_long_held(self, now_ns: int) -> Iterator[Stamped]:
-        """The other sensors' messages about which the reference sensor was silent for too long: nothing new begins."""
+        """The other sensors' messages that waited too long for the reference sensor; no new segment begins."""
         while (place := self._first_of_others()) is not None and self._is_given_up(self.held[place], now_ns):
             yield self._passed(self.held.pop(place))
 

@@ -1,4 +1,4 @@
-"""What the user should know of one pass over a log: how its files join, its segments, the messages in no frame."""
+"""Notes on one pass over a log: gaps between its files, segments, and messages that belong to no frame."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -15,14 +15,14 @@ from roadperc_stream.system.time import ns_to_seconds
 
 _MOST_NAMED: Final = 5
 _GAP_INTERVALS: Final = 1.5
-"""Intervals of the reference sensor from which on a pause between two parts is a gap: a frame is missing there."""
+"""A longer pause between two files is a gap, in intervals of the reference sensor: a frame is missing."""
 _OF_EACH_RESULT: Final = {CONFIG_ATTACHMENT, METADATA_RECORD}
-"""What every result has of its own, and no other result takes over."""
+"""Records that every result writes for itself."""
 
 
 @dataclass
 class InputOutcome:
-    """What became of the messages so far.
+    """Counts frames, segments and dropped messages during a pass.
 
     Args:
         begun_segment: the segment at the beginning.
@@ -30,22 +30,22 @@ class InputOutcome:
 
     begun_segment: int = 0
     frames: int = 0
-    """Frames that are written."""
+    """Written frames."""
     given_again: int = 0
-    """Of these the ones that the part before gave as well."""
+    """Written frames that the previous part also has."""
     segment_frames: Counter[int] = field(default_factory=Counter)
-    """The same by segment."""
+    """Written frames of each segment."""
     segment_stamps_ns: dict[int, int] = field(default_factory=dict)
-    """The stamp that each segment begins with."""
+    """The first stamp of each segment."""
     paired: set[str] = field(default_factory=set)
-    """Roles of which some frame has a message."""
+    """Roles with a message in at least one frame."""
     dropped: Counter[str] = field(default_factory=Counter)
     """Messages of each role that belong to no frame."""
     dropped_stamps_ns: dict[str, int] = field(default_factory=dict)
-    """The stamp of the first of them."""
+    """The stamp of the first such message."""
 
     def add(self, synced: SyncedMessages, *, is_written: bool = True) -> None:
-        """Take note of a frame."""
+        """Count a frame."""
         reference = synced.reference
         self.paired.update(synced.parts)
         if is_written:
@@ -60,15 +60,15 @@ class InputOutcome:
         self.dropped_stamps_ns.setdefault(item.role, item.stamp_ns)
 
     def notes(self, topics: Mapping[str, str], cfg: SyncConfig, nearest_ns: Mapping[str, int]) -> Iterator[str]:
-        """What the user should know of it.
+        """Notes for the user.
 
         Args:
-            topics: of the roles.
-            cfg: how far the stamps of a frame's messages may differ.
-            nearest_ns: how near the messages of each role that belong to no frame came to one.
+            topics: the topic of each role.
+            cfg: gives the tolerance of stamps within a frame.
+            nearest_ns: smallest distance of each role's dropped messages to a frame.
         """
         if self.given_again:
-            yield f"{self.given_again} of {self.frames} frames are in the part before as well, and given again"
+            yield f"{self.given_again} of {self.frames} frames are also in the previous part"
         if max(self.segment_frames, default=0) > self.begun_segment:
             yield self._segments_in_words()
         if self.dropped:
@@ -84,10 +84,10 @@ class InputOutcome:
         ]
         more = len(self.segment_frames) - len(found)
         named = "; ".join(found + [f"and {more} more"] * (more > 0))
-        return f"{len(self.segment_frames)} segments, the stages' memory begins anew in each: {named}"
+        return f"{len(self.segment_frames)} segments, the state is reset in each: {named}"
 
     def _dropped_in_words(self, topics: Mapping[str, str]) -> Iterator[str]:
-        """Numbers, topics and first stamps; topics that agree in the others together."""
+        """Numbers, topics and first stamps; topics with the same number and stamp are grouped."""
         groups: dict[tuple[int, int], list[str]] = {}
         for role, messages in self.dropped.items():
             groups.setdefault((messages, self.dropped_stamps_ns[role]), []).append(topics[role])
@@ -98,14 +98,14 @@ class InputOutcome:
 
 def _never_near(topic: str, tolerance_s: float, nearest_ns: int) -> str:
     off = f"{ns_to_seconds(nearest_ns):.9f}".rstrip("0").rstrip(".")
-    return f"{topic}: in no frame, the nearest message is {off} s from one: sync.tolerance_s is {tolerance_s:g}"
+    return f"{topic}: in no frame; the nearest message is {off} s from one, sync.tolerance_s is {tolerance_s:g}"
 
 
 @dataclass(frozen=True)
 class PartSpan:
-    """When a part's messages begin and end, and how many of them make frames.
+    """First and last log time of a part's messages, and the number that make frames.
 
-    ``repeats`` are those that an earlier part holds as well; None where that is not known.
+    ``repeats`` is the number of messages that an earlier part also has; None if unknown.
     """
 
     name: str
@@ -116,11 +116,11 @@ class PartSpan:
 
 
 def part_notes(summary: LogSummary, topic: str) -> tuple[str, ...]:
-    """What the user should know of how the parts of a log fit together; nothing of a log in one file.
+    """Notes on gaps, overlaps and differences between the files of a log; empty for a single file.
 
     Args:
         summary: of the log.
-        topic: of the reference sensor.
+        topic: the reference sensor's topic.
     """
     spans = [
         PartSpan(str(part.path), part.first_ns, part.last_ns, counted_topics(part)[topic], part.repeats)
@@ -134,10 +134,10 @@ def part_notes(summary: LogSummary, topic: str) -> tuple[str, ...]:
 
 
 def joins(parts: Sequence[PartSpan]) -> list[str]:
-    """How each part follows those before it, in words; empty where it does so without a gap or an overlap.
+    """A text for each part that has a gap or overlap to earlier parts, else an empty one.
 
     Args:
-        parts: by their first log times.
+        parts: sorted by first log time.
     """
     least_gap_ns = _GAP_INTERVALS * _interval_ns(parts)
     latest: PartSpan | None = None
@@ -149,14 +149,14 @@ def joins(parts: Sequence[PartSpan]) -> list[str]:
 
 
 def continuation_notes(part: PartSpan, frames_before_ns: Sequence[int], ended_ns: int) -> tuple[str, ...]:
-    """What is to be said of how a part follows the one whose result it goes on from.
+    """A note if there is a gap between a part and the result that it continues.
 
     Args:
-        part: this one.
-        frames_before_ns: log times of the last messages of the reference sensor in the part before, as far as known.
-        ended_ns: log time from which on the drive goes on.
+        part: this part.
+        frames_before_ns: known log times of the reference sensor's last messages in the previous part.
+        ended_ns: log time where the previous part ended.
     """
-    before = PartSpan("what it goes on from", min(frames_before_ns, default=ended_ns), ended_ns, len(frames_before_ns))
+    before = PartSpan("the continued result", min(frames_before_ns, default=ended_ns), ended_ns, len(frames_before_ns))
     gap_ns, interval_ns = part.first_ns - ended_ns, _interval_ns([before, part])
     missing = interval_ns and gap_ns > _GAP_INTERVALS * interval_ns
     return (_join(before, part, 0.0),) if missing else ()
@@ -175,12 +175,12 @@ def _join(before: PartSpan, part: PartSpan, least_gap_ns: float) -> str:
 
 
 def _shared(part: PartSpan) -> str:
-    """What becomes of the messages of a part that overlaps others."""
+    """The treatment of a part's messages that overlap others."""
     if part.repeats is None:
         return ""
     if not part.repeats:
-        return "; no message is in both, they are merged"
-    return f"; {part.repeats} of its messages are in parts before it as well, these count once"
+        return "; they share no message and are merged"
+    return f"; {part.repeats} of its messages are also in earlier parts and count once"
 
 
 def _interval_ns(parts: Iterable[PartSpan]) -> float:
@@ -191,6 +191,6 @@ def _interval_ns(parts: Iterable[PartSpan]) -> float:
 
 
 def _differing(kind: str, records: Iterable[Attachment | Metadata]) -> tuple[str, ...]:
-    """What has one name and several contents."""
+    """Notes on records with the same name and different contents."""
     counts: Counter[str] = Counter(record.name for record in records if record.name not in _OF_EACH_RESULT)
-    return tuple(f"{kind} {name}: {n} versions in the parts, all are kept" for name, n in counts.items() if n > 1)
+    return tuple(f"{kind} {name}: {n} versions in the parts; all are kept" for name, n in counts.items() if n > 1)

@@ -1,8 +1,8 @@
-"""What of a log is replayed: the part that is asked for, and a first pass that checks it.
+"""Plans a replay: finds the requested part of a log, and reads it once to check it.
 
-The first pass says what the part is, how late its messages are, and what remains of it for a continued replay. It pairs
-the frames as the replay itself does, but waits for every message as long as one may be late, and drops contents. No
-later message can alter what is then complete; a continued replay takes what waits at the end.
+This first pass measures the lateness of the messages and gives the state for a continued replay. It pairs messages like
+the replay, but waits the full ``max_wait`` for each and drops contents. Later messages cannot change frames that are
+then complete; a continued replay takes the messages that still wait.
 """
 
 from collections import Counter
@@ -30,16 +30,16 @@ from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
 from roadperc_stream.system.time import TimeRange, ns_to_seconds, seconds_to_ns
 
 _MOST_DIGITS: Final = 19
-"""Of a log time that is recorded."""
+"""Of a recorded log time."""
 
 
 @dataclass(frozen=True)
 class FirstPass:
-    """What the first pass found.
+    """The findings of the first pass.
 
-    ``counts`` are the messages of each topic, ``parent_of`` the last parent of every frame that a transform places, now
-    or in an earlier part; of ``complete_frames`` no later message alters anything, and ``end`` is what the frames after
-    them need.
+    ``counts`` has the messages of each topic. ``parent_of`` has the last parent of each frame that a transform places,
+    in this or an earlier part. No later message can change the first ``complete_frames``; ``end`` is the state after
+    them.
     """
 
     digest: str
@@ -52,7 +52,7 @@ class FirstPass:
 
 @dataclass
 class _Tally:
-    """What is counted as messages pass by."""
+    """Counts over the messages of a pass."""
 
     arrived: TransformTree
     parent_of: dict[str, str]
@@ -83,11 +83,11 @@ def first_pass(
     """Read all messages once.
 
     Args:
-        reader: reads them.
-        order: which role makes the frames, and how late messages may be.
-        start: what is known before the first of them.
-        begun: the messages of ``start`` that wait.
-        strict_in: names the log, where the first message that cannot be read is an error.
+        reader: reads the messages.
+        order: the role that makes the frames, and how late messages may be.
+        start: the state before the first message.
+        begun: the pending messages of ``start``.
+        strict_in: the log to name in an error at the first unreadable message; None to count such messages.
 
     Raises:
         LogError: the log is damaged.
@@ -98,7 +98,7 @@ def first_pass(
     pairing = StampPairing(cfg.sync, patient, roles.topics, begun, lambda _: None)
 
     def items(messages: Iterable[Message]) -> Iterator[Stamped]:
-        """What is paired of the messages: without the contents, which pairing does not need."""
+        """The messages to pair, without the contents, which pairing does not need."""
         decoded = decoded_messages(tally.counted(messages), roles, cfg.tag_table, Problems(strict_in), cfg.limits)
         known = replace(start, arrived=tally.arrived)
         for item in known.to_come(tally.with_parents(decoded), roles.topics, Problems(), cfg.limits):
@@ -120,32 +120,32 @@ def first_pass(
         numbers=numbers,
     )
     for _ in pairing.through(items(reader.late())):
-        pass  # only how late they are
+        pass  # only to measure their lateness
     return FirstPass(tally.digest.hexdigest(), tally.counts, pairing.lateness_ns, tally.parent_of, complete_frames, end)
 
 
 @dataclass(frozen=True)
 class InputPlan:
-    """What a first pass over the log finds: the part to replay, its digest, and what is latched at its start.
+    """The plan of a replay: its part of the log, the findings of the first pass, and the state at its start.
 
-    ``latched_messages`` are the calibrations and transforms from before the window that hold in it. They are part of
-    the input: without them the output could not be replayed.
+    ``latched_messages`` has the calibrations and transforms from before the window that hold in it. They are part of
+    the input, because a replay of the output needs them.
     """
 
     roles: RoleAssignment
     order: OrderConfig
-    """Which role's messages make the frames, and how late messages are."""
+    """The role that makes the frames, and how late messages are."""
     window: Window
     start: InputState
-    """What is known before the first message: what is latched, or what an earlier log left."""
+    """The state before the first message: latched messages, or the end state of an earlier log."""
     begun: PairingState[Stamped]
-    """The messages of ``start`` that wait."""
+    """The pending messages of ``start``."""
     is_continuation: bool
     latched_messages: tuple[Message, ...]
     problems: Problems
     first_pass: FirstPass
     most_frames: int | None = None
-    """How many frames are asked for at most: of those that arrive in the part, the first ones by their stamps."""
+    """Limit on the number of frames: the first ones by stamp among those that arrive in the part."""
 
 
 def plan_input(
@@ -155,15 +155,15 @@ def plan_input(
 
     Args:
         summary: of the log.
-        cfg: how messages are decoded, paired and waited for.
-        asked: what of the log to replay, in seconds from the first message of ``summary``.
-        begin: what an earlier part of the drive left; None where the log begins by itself.
+        cfg: settings for decoding, pairing and waiting.
+        asked: the part of the log to replay, in seconds from the first message of ``summary``.
+        begin: the end state of an earlier part; None without one.
 
     Raises:
         ChannelError: the channels do not fit the roles.
         LogError: the log is damaged.
-        NoFrameError: the part asked for holds no frame.
-        StateError: the log cannot go on from ``begin``.
+        NoFrameError: the requested part has no frame.
+        StateError: the log cannot continue from ``begin``.
     """
     part = asked.time_range
     roles, reference = _roles(summary, asked.overrides, begin)
@@ -180,7 +180,7 @@ def plan_input(
     if begin is None and not found.counts[topic]:
         length_s = ns_to_seconds((summary.last_ns or 0) - (summary.first_ns or 0))
         lasts = f"the log lasts {length_s:.3f} s"
-        raise NoFrameError(f"{summary.path}: no message on {topic} in the part asked for; {lasts}")
+        raise NoFrameError(f"{summary.path}: no message on {topic} in the requested part; {lasts}")
     most = None if part.frames is None else part.frames + start.frames_waiting
     order = replace(order, lateness_ns=found.lateness_ns)
     read = messages.window, start, begun, begin is not None, latched_messages
@@ -194,7 +194,9 @@ def _roles(summary: LogSummary, overrides: Mapping[str, str], begin: InputState 
         raise ChannelError("; ".join((f"{summary.path}: {NOTHING_TO_REPLAY}", *roles.unassigned)))
     if begin is not None and roles.reference != begin.reference:
         known, found = begin.reference, roles.reference
-        raise StateError(f"{summary.path}: role {found} would make the frames, those before were made by role {known}")
+        raise StateError(
+            f"{summary.path}: role {found} would make the frames: expected role {known}, as in the earlier part"
+        )
     return roles, roles.reference
 
 
@@ -225,7 +227,7 @@ def _window(summary: LogSummary, cfg: ReplayConfig, part: TimeRange, roles: Role
 
 
 def _cut_ns(summary: LogSummary, end_ns: int | None) -> int | None:
-    """Where the drive goes on elsewhere: at the end asked for, or where an earlier replay's end was, as it recorded."""
+    """The log time where another part continues the log: at the requested or the recorded end."""
     recorded = replay_record(summary.metadata).get(END_KEY, "")
     known = [int(recorded)] if recorded.isascii() and recorded.isdigit() and len(recorded) <= _MOST_DIGITS else []
     asked = [] if end_ns is None or end_ns > (summary.last_ns or 0) else [end_ns]
@@ -237,7 +239,7 @@ def _latched_at_start(
 ) -> tuple[LatchedState, tuple[Message, ...]]:
     """Calibrations and transforms that hold at the start: the last ones before it, else the first ones within.
 
-    Also the messages before it that say so, in their order.
+    Also the messages before the start that contain them, in order.
     """
     waiting = {role for role in roles.topics if ROLES[role].kind in LATCHED_KINDS}
     topics = {roles.topics[role] for role in waiting}

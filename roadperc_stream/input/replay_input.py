@@ -1,4 +1,4 @@
-"""A log as the input of a replay: what every loop over frames opens."""
+"""A log as the input of a replay, opened by every loop over frames."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -36,13 +36,13 @@ def open_input(source: ReplaySource, cfg: ReplayConfig) -> "ReplayInput":
     """Check a log, assign its channels to roles, and find the part to replay.
 
     Args:
-        source: the log, and what of it is asked for.
-        cfg: how messages are decoded, paired and placed.
+        source: the log, and its requested part.
+        cfg: settings for decoding, pairing and placing messages.
 
     Raises:
         ChannelError: a role does not exist, or the channels do not fit the roles.
-        LogError: the log cannot be read, is damaged in the part asked for, or that part holds no frame.
-        TargetError: there is no space for temporary files, where the log needs some.
+        LogError: the log cannot be read, is damaged in the requested part, or that part has no frame.
+        TargetError: the log needs temporary files, and there is no space for them.
     """
     return input_of(source.read(cfg.limits), source, cfg)
 
@@ -54,17 +54,17 @@ def input_of(
     begin: InputState | None = None,
     lost: Sequence[LostSpan] = (),
 ) -> "ReplayInput":
-    """As ``open_input``, of a log that has been read.
+    """As ``open_input``, for a log that was already read.
 
     Args:
-        found: what ``source`` gave.
-        source: as there.
-        cfg: as there.
-        begin: what an earlier part of the drive left; None where the log begins by itself.
+        found: the log that ``source`` read.
+        source: as in ``open_input``.
+        cfg: as in ``open_input``.
+        begin: the end state of an earlier part; None without one.
         lost: gaps of that part; one without an end ends where this log begins.
 
     Raises:
-        StateError: the log cannot go on from ``begin``; else as there.
+        StateError: the log cannot continue from ``begin``; else as ``open_input``.
     """
     for role, topic in source.overrides.items():
         require_role(role, f"topic {topic}")
@@ -76,9 +76,9 @@ def input_of(
 
 
 class ReplayInput:
-    """The frames of a log, the messages they are made of, and what became of these.
+    """The frames of a log, their messages, and counts of dropped and unreadable messages.
 
-    ``frames``, ``dropped``, ``unreadable`` and ``notes`` are of the samples so far; ``samples`` begins anew.
+    ``frames``, ``dropped``, ``unreadable`` and ``notes`` describe the samples read until now; ``samples`` resets them.
     """
 
     def __init__(self, summary: LogSummary, cfg: ReplayConfig, plan: InputPlan, lost: Sequence[LostSpan] = ()) -> None:
@@ -96,7 +96,7 @@ class ReplayInput:
         self._pairing = StampPairing(self._cfg.sync, plan.order, plan.roles.topics, plan.begun, self._drop)
 
     def _ended(self, lost: Sequence[LostSpan]) -> tuple[LostSpan, ...]:
-        """The gaps of the part before; one without an end ends before the first message that part did not have."""
+        """The gaps of the previous part; one without an end ends before the first new message."""
         inside = (message.log_time_ns for message in self._messages.inside()) if lost else ()
         next_ns = next((time_ns for time_ns in inside if time_ns >= self.plan.start.from_ns), None)
         return tuple(
@@ -106,12 +106,12 @@ class ReplayInput:
 
     @property
     def frames(self) -> int:
-        """Samples so far that are written."""
+        """Number of written samples until now."""
         return self._outcome.frames
 
     @property
     def log_id(self) -> str:
-        """What names the log in every table."""
+        """The name of the log in every table."""
         return log_id_of(self.plan.first_pass.digest)
 
     @property
@@ -121,14 +121,14 @@ class ReplayInput:
 
     @property
     def expected_frames(self) -> int:
-        """Messages of the reference role; one that cannot be read makes no frame."""
+        """Number of messages of the reference role; an unreadable one makes no frame."""
         plan = self.plan
         there = plan.first_pass.counts[self.topics[plan.order.reference]] + plan.start.frames_waiting
         return there if plan.most_frames is None else min(there, plan.most_frames)
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """First and last log time of the part to replay; what held before and what arrives late lie outside."""
+        """First and last log time of the part to replay, without latched and late messages outside it."""
         window, first_ns, last_ns = self.plan.window, self.summary.first_ns or 0, self.summary.last_ns or 0
         start_ns = first_ns if window.start_ns is None else max(window.start_ns, first_ns)
         end_ns = last_ns if window.end_ns is None else min(window.end_ns, last_ns)
@@ -166,14 +166,14 @@ class ReplayInput:
         """The log time up to which messages of a frame may have been lost."""
         if all(role in synced.parts for role in self.topics if ROLES[role].kind not in LATCHED_KINDS):
             return log_time_ns
-        interval_ns = 0 if since_ns is None else log_time_ns - since_ns  # the next frame is as far as the one before
+        interval_ns = 0 if since_ns is None else log_time_ns - since_ns  # assume the same interval to the next frame
         return log_time_ns + self.plan.order.lateness_ns + interval_ns
 
     def _drop(self, item: Stamped) -> None:
         self._outcome.drop(item)
         if item.role == self.plan.order.reference:
             topic, stamp = self.topics[item.role], f"stamp {item.stamp_ns} ns at log time {item.log_time_ns} ns"
-            self._problems.report(topic, f"{topic}: message with {stamp}: too late for its place, left out")
+            self._problems.report(topic, f"{topic}: message with {stamp}: too late, left out")
 
     def _sample(self, synced: SyncedMessages, index: int) -> Sample:
         try:
@@ -183,22 +183,22 @@ class ReplayInput:
             raise ChannelError("; ".join((f"{self.summary.path}: {error}", *known))) from error
         if "truth_pose" in synced.parts and sample.truth.odom_T_ego is None:
             topic = self.topics["truth_pose"]
-            text = f"{topic}: no transform connects the frame of its poses with ego: they are no truth"
+            text = f"{topic}: no transform connects the frame of its poses with ego: not used as truth"
             self._problems.report(topic, text)
         return sample
 
     @property
     def _if_in_parts(self) -> tuple[str, ...]:
-        """What to do where another part of the drive holds the calibrations."""
+        """A hint for a log whose calibrations may be in another file."""
         if self.plan.is_continuation or any(ROLES[role].kind == "calibration" for role in self.topics):
             return ()
-        return ("give a part of a drive together with those before it, or --continue the result of the one before",)
+        return ("pass the earlier files of the log too, or pass --continue with the result of the previous one",)
 
     def require_usable(self, result: FrameResult) -> None:
         """Check that all messages of a frame are usable, in a strict replay.
 
         Raises:
-            LogError: one is not.
+            LogError: one is unusable.
         """
         for reason in result.reasons() if self._problems.strict_in is not None else ():
             if reason.code in UNUSABLE:
@@ -206,22 +206,22 @@ class ReplayInput:
 
     @property
     def channels(self) -> tuple[Channel, ...]:
-        """All channels of the log but the results of an earlier replay."""
+        """All channels of the log except the results of an earlier replay."""
         return tuple(channel for channel in self.summary.channels if not is_result(channel))
 
     def messages(self) -> Iterator[Message]:
-        """All messages of the part to replay as they stand in the log, in log-time order; no results."""
+        """All messages of the part to replay, unchanged and in log-time order; no results."""
         return self._messages.all()
 
     def pieces(self) -> Iterator[Piece]:
-        """As ``messages``, but whole chunks of the log where they are as they stand."""
+        """As ``messages``, but as whole chunks of the log where possible."""
         return self._messages.pieces()
 
     def end_state(self, *, with_messages: bool) -> InputState:
-        """What the frames still to come need of the messages so far.
+        """The state that later frames need.
 
         Args:
-            with_messages: whether it carries its messages itself; else it names those of the copy by log time and
+            with_messages: whether it contains its messages; else it refers to those in the output by log time and
                 number.
         """
         end = self.plan.first_pass.end
@@ -232,7 +232,7 @@ class ReplayInput:
 
     @property
     def lost_to_come(self) -> tuple[LostSpan, ...]:
-        """The gaps that the frames behind the last complete one may lie in, but for those of what follows."""
+        """The gaps that may affect the frames after the last complete one, except gaps of later parts."""
         numbers = self.plan.first_pass.end.numbers
         since_ns = numbers.log_time_ns if numbers.next else None
         cut_ns = self.plan.window.cut_ns
@@ -251,19 +251,19 @@ class ReplayInput:
 
     @property
     def dropped(self) -> dict[str, int]:
-        """Messages per role that belong to no frame."""
+        """Number of messages of each role that belong to no frame."""
         return dict(self._outcome.dropped)
 
     @property
     def unreadable(self) -> dict[str, int]:
-        """Messages per topic that could not be decoded."""
+        """Number of messages of each topic that could not be decoded."""
         return dict(self._problems.counts)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the user should know: how parts join, roles guessed or missing, the first problem of each topic.
+        """Notes for the user: gaps between parts, guessed or missing roles, the first problem of each topic.
 
-        Of the samples so far: segments, messages that belong to no frame, roles that come to none.
+        For the samples read until now also segments, messages that belong to no frame, and roles in no frame.
         """
         plan, topics = self.plan, self.topics
         parts = part_notes(self.summary, topics[plan.order.reference])
@@ -273,7 +273,7 @@ class ReplayInput:
 
     @property
     def _before(self) -> tuple[str, ...]:
-        """How the log follows the part of the drive that it goes on from."""
+        """A note if there is a gap between this log and the result that it continues."""
         plan = self.plan
         if not plan.is_continuation or plan.start.numbers.written_from_ns is not None:
             return ()
@@ -283,11 +283,11 @@ class ReplayInput:
 
     @property
     def chosen_topics(self) -> dict[str, str]:
-        """The topics that the user chose, by the keys under which a result records them."""
+        """The topics that the user chose, by their keys in the replay record."""
         return {f"{TOPIC_KEY}{role}": topic for role, topic in sorted(self.plan.roles.chosen.items())}
 
     def record(self) -> dict[str, str]:
-        """What a result has to record of its input, so that it can be replayed from itself."""
+        """The input facts that a result records, so that it can be replayed again."""
         roles = self.plan.roles
         tag_table = tag_table_to_record(self.summary.channels, roles, self._cfg.tag_table)
         return {

@@ -1,4 +1,4 @@
-"""Which channel of a log is assigned to which role: a named or known topic, else the only one that fits."""
+"""Assigns the channels of a log to roles: a named or known topic, else the only one that fits."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -27,24 +27,24 @@ from roadperc_stream.schemas.record import TAG_TABLE_KEY
 from roadperc_stream.schemas.roles import REFERENCE_ROLES, ROLES, SHARED_KINDS, Role
 
 _GUESSED_ROLES: Final = ("image", "calibration", "depth", "segmentation", "detections", "tf")
-"""Roles that a topic of another name is assigned to, where only one fits."""
+"""Roles that take a topic of another name if it is the only one that fits."""
 _NEEDED_ROLES: Final = ("image", "calibration")
-"""Roles without which no frame can be made: where several topics fit, somebody must choose."""
+"""Roles that every frame needs: if several topics fit, the user must choose."""
 NOTHING_TO_REPLAY: Final = f"no channel for any of the roles {', '.join(REFERENCE_ROLES)}: nothing to replay"
 _UNNAMED_ROLES: Final = ("depth", "segmentation")
-"""Roles whose images any name may have: what is in them says so, where no name does."""
+"""Roles whose images are recognised by their contents if no name matches."""
 _MOST_CANDIDATES_NAMED: Final = 3
-"""Candidates of a role, in notes."""
+"""Candidates of a role that a note lists."""
 RoleFilling = Literal["filled", "missing", "wrong schema", "several channels"]
 
 
 def guess(role: Role, inputs: Collection[Channel], topics: Mapping[str, str]) -> str | None:
-    """The topic of another name that is assigned to a role; None where there is none, or it is ambiguous.
+    """The topic of another name for a role; None without one, or if it is ambiguous.
 
-    Points and a pair's images are not guessed, for those of a radar, or of another camera, are of the same schema.
+    Points and stereo images are not guessed: a radar or another camera has the same schema.
 
     Raises:
-        ChannelError: there are several, and the role is needed.
+        ChannelError: several topics fit, and the role is needed.
     """
     if CAMERA_OF.get(role.name) in topics:
         return _calibration(role, inputs, topics)
@@ -52,12 +52,12 @@ def guess(role: Role, inputs: Collection[Channel], topics: Mapping[str, str]) ->
 
 
 def _calibration(role: Role, inputs: Collection[Channel], topics: Mapping[str, str]) -> str | None:
-    """The only calibration beside a camera's images, else the one whose name says so; never one beside another's.
+    """The only calibration in the namespace of a camera's images, else the one whose name matches.
 
-    Where the only one beside both an image and its depth is the image's, the depth goes with it.
+    A calibration in another camera's namespace does not count. A depth camera may share the image's calibration.
 
     Raises:
-        ChannelError: there are several, and the role is needed.
+        ChannelError: several topics fit, and the role is needed.
     """
     others = {name: CAMERA_OF[name] for name in CAMERA_OF if name != role.name and CAMERA_OF[name] in topics}
     if role.name == "calibration":
@@ -70,10 +70,10 @@ def _calibration(role: Role, inputs: Collection[Channel], topics: Mapping[str, s
 
 
 def choice(role: Role, could: tuple[str, ...], topics: Mapping[str, str]) -> str | None:
-    """The one of a role's topics, in its camera's namespace where there are several; None where that is ambiguous.
+    """The only topic for a role, or the only one nearest to its camera's namespace; None if ambiguous.
 
     Raises:
-        ChannelError: there are several, and the role is needed.
+        ChannelError: several topics fit, and the role is needed.
     """
     camera_topic = topics.get(CAMERA_OF.get(role.name, "image"), "")
     near = nearest(could, camera_topic) if len(could) > 1 else could
@@ -85,9 +85,9 @@ def choice(role: Role, could: tuple[str, ...], topics: Mapping[str, str]) -> str
 
 
 def could_serve(role: Role, unused: Collection[Channel], assigned: Mapping[str, str]) -> tuple[str, ...]:
-    """A role's candidates by name; of a camera that is there every calibration left over, those beside it first.
+    """A role's candidates by name. For a present camera also all unassigned calibrations, the nearest first.
 
-    The depth's own calibration is not needed, so that another camera's is none of its candidates.
+    The depth calibration is optional, so another camera's calibration is not a candidate for it.
     """
     camera_topic = assigned.get(CAMERA_OF.get(role.name, ""))
     named = fitting(role, unused)
@@ -105,7 +105,7 @@ def unassigned(channels: Iterable[Channel], topics: Mapping[str, str]) -> list[C
 
 
 def assignment_of_log(summary: LogSummary, overrides: Mapping[str, str]) -> RoleAssignment:
-    """The roles of a log's channels that have messages; a result keeps to the topics it was made with.
+    """The roles of a log's channels that have messages; a result keeps its recorded topics.
 
     Raises:
         ChannelError: as ``assign_roles``; the message names the log.
@@ -121,7 +121,7 @@ def assignment_of_log(summary: LogSummary, overrides: Mapping[str, str]) -> Role
 
 
 def _choices(channels: Sequence[Channel], named: Mapping[str, str]) -> dict[str, str]:
-    """The named topics without which other ones, or none, would have been chosen."""
+    """The named topics that differ from the automatic assignment."""
     try:
         unasked: Mapping[str, str] = assign_roles(channels, {}).topics
     except ChannelError:
@@ -130,11 +130,11 @@ def _choices(channels: Sequence[Channel], named: Mapping[str, str]) -> dict[str,
 
 
 def tag_table_to_record(channels: Iterable[Channel], roles: RoleAssignment, configured: str) -> str:
-    """The table to be recorded: what the user named, now or earlier, where a channel of tags names none; else empty.
+    """The table that the user named, now or earlier, if a channel of tags names none; else empty.
 
     Args:
         channels: of the log.
-        roles: the topic of each.
+        roles: the topic of each role.
         configured: table of this replay, or ``auto``.
     """
     tags = (c for c in channels if any(role.kind == "tags" for role in roles.roles_of(c.topic)) and not is_result(c))
@@ -146,10 +146,10 @@ def tag_table_to_record(channels: Iterable[Channel], roles: RoleAssignment, conf
 def assign_roles(
     channels: Iterable[Channel], overrides: Mapping[str, str], probe: ContentProbe | None = None
 ) -> RoleAssignment:
-    """Assign topics to roles: those the user names, those that are known, else the only topic that fits.
+    """Assign topics to roles: topics that the user names, known topics, else the only topic that fits.
 
-    Where several fit, those in the namespace of the role's camera come first; a role that is not needed stays
-    unassigned where they still are several.
+    If several fit, those in the namespace of the role's camera come first. If several are left, an optional role stays
+    unassigned.
 
     Args:
         channels: of the log; results of earlier replays do not count.
@@ -157,7 +157,7 @@ def assign_roles(
         probe: as ``candidates`` takes it.
 
     Raises:
-        ChannelError: a topic asked for is not there or has the wrong schema, or several fit a role that is needed.
+        ChannelError: a named topic is missing or has the wrong schema, or several fit a role that is needed.
     """
     inputs = [channel for channel in channels if not is_result(channel)]
     topics: dict[str, str] = {}
@@ -188,7 +188,7 @@ def assign_roles(
 
 
 def channel_state(role: Role, named: Sequence[Channel]) -> tuple[RoleFilling, str]:
-    """Whether the channels on a topic can serve a role, and what is wrong with them."""
+    """Whether the channels on a topic fit a role, and their fault."""
     if not named:
         return "missing", ""
     for channel in named:
@@ -204,12 +204,12 @@ def channel_state(role: Role, named: Sequence[Channel]) -> tuple[RoleFilling, st
 def candidates(
     channels: Iterable[Channel], assigned: Mapping[str, str], probe: ContentProbe | None = None
 ) -> Mapping[str, tuple[str, ...]]:
-    """Topics that could serve the unassigned roles, by role; roles without any, and truths, are left out.
+    """Candidate topics of each unassigned role; roles without candidates, and truths, are left out.
 
     Args:
         channels: of the log; results of earlier replays do not count.
-        assigned: topic of each role that has one; these topics are nobody's candidates.
-        probe: says which channels hold depth or tags, where no name does; None if nothing may be read.
+        assigned: topic of each assigned role; these topics are not candidates.
+        probe: tells whether a channel has depth or tags if its name does not; None to read no messages.
     """
     unused = unassigned((channel for channel in channels if not is_result(channel)), assigned)
     left = [role for role in ROLES.values() if role.name not in assigned and not role.truth]
@@ -223,7 +223,7 @@ def candidates(
 
 
 def _unassigned_in_words(found: Mapping[str, tuple[str, ...]], channels: Iterable[Channel]) -> tuple[str, ...]:
-    """A line for each role that some topic could serve; a few of the topics where there are many."""
+    """A line for each role with candidates; it lists at most ``_MOST_CANDIDATES_NAMED``."""
     schemas = {channel.topic: channel.schema_name for channel in channels}
     lines = []
     for name, topics in found.items():

@@ -1,4 +1,4 @@
-"""The state of the input between a log and its continuation: messages of incomplete frames, frame numbers."""
+"""The input state between a log and its continuation: messages of incomplete frames, and frame numbers."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -18,10 +18,9 @@ from roadperc_stream.schemas.roles import ROLES
 
 @dataclass(frozen=True)
 class FrameNumbers:
-    """The number of the next frame that is written, and the log time of the last one.
+    """The number of the next written frame, and the log time of the last one.
 
-    Until a frame comes whose message arrived at ``written_from_ns`` or later the chain only warms up, and nothing is
-    written.
+    Frames whose message arrived before ``written_from_ns`` only warm up the chain and are not written.
     """
 
     next: int = 0
@@ -33,7 +32,7 @@ class FrameNumbers:
         return self.written_from_ns is None or reference.log_time_ns >= self.written_from_ns
 
     def after(self, reference: Stamped) -> "FrameNumbers":
-        """The numbers after its frame."""
+        """The numbers after the frame of a reference message."""
         if not self.is_written(reference):
             return self
         return FrameNumbers(self.next + 1, max(self.log_time_ns, reference.log_time_ns))
@@ -41,7 +40,7 @@ class FrameNumbers:
 
 @dataclass(frozen=True)
 class PendingMessage:
-    """A message that waits: calibrations and transforms with their content, any other in ``message`` or in its log."""
+    """A pending message. Calibrations and transforms have their content, others are in ``message`` or in the log."""
 
     role: str
     log_time_ns: int
@@ -54,53 +53,52 @@ class PendingMessage:
 
     @property
     def is_in_log(self) -> bool:
-        """Whether only the log has its content, at its log time and number."""
+        """Whether only the log has the content, at this log time and number."""
         return self.message is None and self.camera is None and self.edges is None
 
 
 @dataclass(frozen=True)
 class InputState:
-    """All that the frames still to come need of the messages that have arrived.
+    """The state that later frames need of the messages that have arrived.
 
-    As if every message were waited for as long as a message may be late: so what it holds depends neither on where the
-    log was cut nor on how late its messages happened to be.
+    It assumes the full wait for every message, so it depends neither on the cut nor on the lateness of the messages.
     """
 
     from_ns: int
-    """Log time from which on messages are still to come."""
+    """Log time of the first messages that have not been read."""
     reference: str
     topics: Mapping[str, str]
-    """Of each role of the log."""
+    """Topic of each role of the log."""
     tag_table: str
     parent_of: Mapping[str, str]
     """The last parent of every frame that a transform has placed."""
     arrived: TransformTree
-    """Of all transforms that have arrived: a later one that closes a loop is left out."""
+    """Tree of all transforms that have arrived; a later one that closes a loop is left out."""
     pairing: PairingState[PendingMessage]
     numbers: FrameNumbers = field(default_factory=FrameNumbers)
 
     @property
     def frames_waiting(self) -> int:
-        """Reference messages whose frames are still to come."""
+        """Number of reference messages whose frames are incomplete."""
         return sum(item.role == self.reference for item in self.pairing.items)
 
     @property
     def next_ns(self) -> int:
-        """The first log time of which no message has had its effect yet: behind the last message, or at a cut."""
+        """The first log time without a processed message: after the last message, or at a cut."""
         return self.from_ns + any(item.message and item.log_time_ns == self.from_ns for item in self.pairing.items)
 
     def to_come(
         self, messages: Iterable[Stamped], topics: Mapping[str, str], problems: Problems, limits: LimitsConfig
     ) -> Iterator[Stamped]:
-        """The messages that are still to be taken, without transforms that close a loop."""
+        """The messages that have not been read, without transforms that close a loop."""
         new = (item for item in messages if item.log_time_ns >= self.from_ns)
         return without_loops(new, self.arrived, topics, problems, limits)
 
     def require_usable(self, limits: LimitsConfig) -> None:
-        """Check a state that was read as a log's own messages are checked: roles, cameras and transforms.
+        """Check the roles, cameras and transforms of a decoded state, like those of a log's messages.
 
         Raises:
-            StateError: one is beyond the limits, unknown, or the transforms are no tree.
+            StateError: a role is unknown, a camera or tree exceeds the limits, or the transforms are not a tree.
         """
         latched = (self.pairing.latched, *(held for _, held in self.pairing.waiting))
         cameras = [camera for held in latched for camera in held.cameras.values()]
@@ -118,13 +116,13 @@ class InputState:
                 raise StateError(f"damaged: transforms: expected a tree of at most {limits.transforms}")
 
     def carrying(self, messages: Iterable[Message]) -> "InputState":
-        """The same state with the messages in it that it names by log time and number.
+        """The same state including the messages that it refers to by log time and number.
 
         Args:
-            messages: of the log that has them, at least from ``first_pending_ns`` on.
+            messages: of their log, at least from ``first_pending_ns`` on.
 
         Raises:
-            StateError: one is not there.
+            StateError: a message is missing.
         """
         needed = {(item.log_time_ns, item.number) for item in self.pairing.items if item.is_in_log}
         found = {
@@ -147,7 +145,7 @@ class InputState:
 
 
 def pending(item: Stamped) -> PendingMessage:
-    """What is kept of a message that waits."""
+    """The pending form of a message."""
     kept = PendingMessage(item.role, item.log_time_ns, item.stamp_ns, item.segment)
     if isinstance(item.payload, Camera):
         return replace(kept, camera=item.payload)
@@ -157,15 +155,15 @@ def pending(item: Stamped) -> PendingMessage:
 
 
 def restored(state: InputState, roles: RoleAssignment, tag_table: str) -> PairingState[Stamped]:
-    """The messages that wait, decoded as when they arrived.
+    """The pending messages of a state, decoded again.
 
     Args:
-        state: carrying all messages that it needs.
+        state: includes all messages that it needs.
         roles: the topic of each role.
         tag_table: configured table, or ``auto``.
 
     Raises:
-        StateError: a message is not what the state says.
+        StateError: a message contradicts the state.
     """
 
     def decoded(item: PendingMessage) -> Stamped:

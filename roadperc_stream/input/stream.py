@@ -1,4 +1,4 @@
-"""The messages of a log as payloads of the roles they are assigned to, and what is wrong with single ones."""
+"""Decodes the messages of a log for their roles, and counts those that cannot be read."""
 
 from collections import Counter
 from collections.abc import Container, Iterable, Iterator, Mapping
@@ -15,10 +15,10 @@ from roadperc_stream.schemas.roles import LATCHED_KINDS, REFERENCE_ROLES, ROLES,
 
 @dataclass
 class Problems:
-    """Messages that could not be read: how many of each topic, and the first of each in words.
+    """Unreadable messages: the number of each topic, and a text about the first one.
 
     Args:
-        strict_in: the log whose first such message is an error; None where it costs that message alone.
+        strict_in: the log whose first unreadable message is an error; None to skip unreadable messages.
     """
 
     strict_in: Path | None = None
@@ -26,7 +26,7 @@ class Problems:
     first: dict[str, str] = field(default_factory=dict)
 
     def add(self, topic: str, time_ns: int, error: DecodeError) -> None:
-        """Count one more, by its log time or by the stamp of its frame.
+        """Count one more message; ``time_ns`` is its log time or the stamp of its frame.
 
         Raises:
             LogError: the replay is strict.
@@ -36,7 +36,7 @@ class Problems:
         self.first.setdefault(topic, f"{topic}: message at {time_ns} ns: {error}")
 
     def report(self, topic: str, text: str) -> None:
-        """Keep the first such text about messages of a topic that are read, but not used as they are.
+        """Keep the first text about messages of a topic that are readable, but not fully used.
 
         Raises:
             LogError: the replay is strict.
@@ -45,10 +45,10 @@ class Problems:
         self.first.setdefault(f"{topic}, in part", text)
 
     def require_lenient(self, text: str) -> None:
-        """Raise an error of a message, if the replay is strict.
+        """Raise an error if the replay is strict.
 
         Raises:
-            LogError: it is.
+            LogError: the replay is strict.
         """
         if self.strict_in is not None:
             raise LogError(f"{self.strict_in}: {text}; --strict stops there")
@@ -58,8 +58,8 @@ class Problems:
 class Stamped:
     """One decoded message of a role.
 
-    ``segment`` counts how often the stamps before it began again. ``number`` is its place among the messages of
-    assigned roles with equal log time. ``carried`` is the message itself if an earlier log handed it on.
+    ``segment`` is the number of its segment. ``number`` is its place among the messages of assigned roles with equal
+    log time. ``carried`` is the message itself if it comes from the state of an earlier log.
     """
 
     role: str
@@ -72,12 +72,12 @@ class Stamped:
 
     @property
     def is_latched(self) -> bool:
-        """Whether it holds until it is replaced."""
+        """Whether it holds until a later message replaces it."""
         return ROLES[self.role].kind in LATCHED_KINDS
 
     @property
     def edges(self) -> tuple[Transform, ...]:
-        """The transforms of a transforms message; none of any other."""
+        """The transforms of a transforms message; empty for any other."""
         parts = self.payload if isinstance(self.payload, tuple) else ()
         return tuple(part for part in parts if isinstance(part, Transform))
 
@@ -88,19 +88,19 @@ class RoleAssignment:
 
     topics: Mapping[str, str]
     notes: tuple[str, ...] = ()
-    """What was guessed and what is left unassigned, to be reported to the user."""
+    """Notes for the user on guessed and unassigned roles."""
     unassigned: tuple[str, ...] = ()
-    """Of these the roles that some topic of the log could serve, with the topics."""
+    """The notes on unassigned roles that have candidate topics."""
     guessed: frozenset[str] = frozenset()
-    """Roles whose topic is only the one that fits."""
+    """Roles whose topic was chosen because it is the only one that fits."""
     chosen: Mapping[str, str] = field(default_factory=dict)
-    """Topics that were chosen because the user named them, in this replay or in the one that made the log."""
+    """Topics that the user named, in this replay or in the one that wrote the log."""
     tag_table: str = ""
-    """Table of tags whose channel names none, as the user of the replay named it that made the log; empty: nobody."""
+    """Recorded table for channels that name none, from the replay that wrote the log; empty without one."""
 
     @property
     def reference(self) -> str | None:
-        """The role whose messages make the frames; None where no topic has any."""
+        """The role whose messages make the frames; None without a topic for one."""
         return next((role for role in REFERENCE_ROLES if role in self.topics), None)
 
     def roles_of(self, topic: str) -> list[Role]:
@@ -115,14 +115,14 @@ def decoded_messages(
     problems: Problems,
     limits: LimitsConfig = DEFAULT_LIMITS,
 ) -> Iterator[Stamped]:
-    """Decode the messages of assigned roles; one that cannot be decoded is counted and left out.
+    """Decode the messages of assigned roles; unreadable ones are counted and left out.
 
     Args:
         messages: in log-time order.
         roles: the topic of each role.
-        tag_table: configured table, or ``auto``: the channel's, else the one that an earlier replay recorded.
-        problems: takes the messages that cannot be decoded.
-        limits: of what a message asks for.
+        tag_table: configured table, or ``auto`` for the channel's table, else the recorded one.
+        problems: counts the messages that cannot be decoded.
+        limits: limits on the contents of a message.
     """
     contexts: dict[Channel, Context] = {}
     roles_by_topic = {topic: roles.roles_of(topic) for topic in set(roles.topics.values())}
@@ -151,7 +151,7 @@ def numbered(messages: Iterable[Message], topics: Container[str]) -> Iterator[tu
 
     Args:
         messages: in log-time order.
-        topics: those that are assigned to roles.
+        topics: the topics that are assigned to roles.
     """
     log_time_ns, number = None, 0
     for message in messages:

@@ -1,8 +1,8 @@
-"""Messages of several sensors to frames: bounded, and it counts what it drops.
+"""Synchronises the messages of several sensors to frames, with bounded memory.
 
-Messages are put in the order of their stamps first, then synchronised. Every message of the reference role (``image``,
-else the first of ``REFERENCE_ROLES`` that the log has) makes one frame. Of each other role it takes the message whose
-own stamp is nearest, within the tolerance. Calibrations and transforms hold until they are replaced.
+Messages are sorted by stamp, then synchronised. Each message of the reference role makes one frame. The reference
+role is ``image``, else the first of ``REFERENCE_ROLES`` in the log. From each other role a frame takes the message with
+the nearest stamp, within the tolerance. Calibrations and transforms hold until they are replaced.
 """
 
 from collections import deque
@@ -20,14 +20,14 @@ from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
 from roadperc_stream.system.time import seconds_to_ns
 
 _MOST_EDGES_NAMED: Final = 3
-"""Transforms that a message about them names."""
+"""Transforms that a problem text lists."""
 T = TypeVar("T")
 U = TypeVar("U")
 
 
 @dataclass(frozen=True)
 class LatchedState:
-    """The camera of each calibration role, and the transform tree, as they are at one instant."""
+    """The camera of each calibration role and the transform tree at one instant."""
 
     cameras: Mapping[str, Camera] = field(default_factory=dict)
     tree: TransformTree = field(default_factory=TransformTree)
@@ -46,14 +46,14 @@ def without_loops(
     problems: Problems,
     limits: LimitsConfig = DEFAULT_LIMITS,
 ) -> Iterator[Stamped]:
-    """The items without transforms that close a loop or are too many; those are reported.
+    """Leave out and report transforms that close a loop or exceed the limit.
 
     Args:
-        items: in the order in which they come to hold.
-        tree: the transforms before the first of them.
-        topics: of the roles.
-        problems: takes the loops, and what is too many.
-        limits: of the tree.
+        items: in the order in which they take effect.
+        tree: the transforms before the first item.
+        topics: the topic of each role.
+        problems: receives loops and transforms beyond the limit.
+        limits: limits on the tree.
     """
     for item in items:
         edges = item.edges
@@ -84,7 +84,7 @@ def _loop_in_words(edges: Iterable[Transform], children: Collection[str]) -> str
 
 @dataclass(frozen=True)
 class SyncedMessages:
-    """The messages of one instant by role, the reference among them, and what was latched then."""
+    """The messages of one instant by role, including the reference, and the latched state."""
 
     reference: Stamped
     parts: Mapping[str, Stamped]
@@ -94,10 +94,10 @@ class SyncedMessages:
 
 @dataclass(frozen=True)
 class PairingState(Generic[T]):
-    """What is kept of the messages so far; those that wait are of any type that represents a message.
+    """The state of the pairing between messages; ``T`` is any type that represents a message.
 
-    ``streams`` are the messages of each role that no frame has taken yet, ``waiting`` the reference messages of the
-    frames to come, each with what was latched when it came.
+    ``streams`` has the messages of each role that no frame has taken yet. ``waiting`` has the reference messages of
+    incomplete frames, each with the latched state at its arrival.
     """
 
     order: OrderState[T] = field(default_factory=OrderState)
@@ -107,14 +107,14 @@ class PairingState(Generic[T]):
     waiting: tuple[tuple[T, LatchedState], ...] = ()
 
     def mapped(self, function: Callable[[T], U]) -> "PairingState[U]":
-        """The same state with other things in place of the messages."""
+        """The same state with ``function`` applied to each message."""
         streams = {role: tuple(map(function, items)) for role, items in self.streams.items()}
         waiting = tuple((function(item), latched) for item, latched in self.waiting)
         return PairingState(self.order.mapped(function), self.latched, self.segment, streams, waiting)
 
     @property
     def items(self) -> Iterator[T]:
-        """All that represents a message."""
+        """All messages in the state."""
         yield from self.order.held
         yield from self.order.waiting
         for stream in self.streams.values():
@@ -123,18 +123,18 @@ class PairingState(Generic[T]):
 
 
 class StampPairing:
-    """Makes the frames of one pass over a log: messages are put in the order of their stamps, then synchronised."""
+    """Makes the frames of one pass over a log: sorts the messages by stamp, then synchronises them."""
 
     def __init__(
         self, cfg: SyncConfig, order: OrderConfig, roles: Iterable[str], state: PairingState[Stamped], drop: Drop
     ) -> None:
-        """Begin, or go on.
+        """Start, or continue from a state.
 
         Args:
-            cfg: how far the stamps of a frame's messages may differ.
-            order: which role makes the frames, and how long messages are waited for, or kept for one.
+            cfg: gives the tolerance of stamps within a frame.
+            order: the role that makes the frames, and how long messages wait.
             roles: all roles that the log has.
-            state: what an earlier pass had come to; at the beginning what is latched.
+            state: the state of an earlier pass; at the beginning only the latched state.
             drop: called with each message that belongs to no frame.
         """
         self._order = StampOrder(order, drop, state.order)
@@ -146,9 +146,9 @@ class StampPairing:
         self._waiting = deque[tuple[Stamped, LatchedState]](state.waiting)
         self._last_ns: int | None = None  # stamp of the latest frame of this segment
         self.frames = 0
-        """Frames made so far."""
+        """Number of frames until now."""
         self.nearest_ns = dict[str, int]()
-        """How near the messages of each role that were dropped came to a frame, at best: differences of stamps."""
+        """Smallest distance of each role's dropped messages to a frame, as difference of stamps."""
 
     def frames_of(self, items: Iterable[Stamped]) -> Iterator[SyncedMessages]:
         """The frames of all messages of a log."""
@@ -157,22 +157,22 @@ class StampPairing:
         yield from self._rest()
 
     def through(self, items: Iterable[Stamped]) -> Iterator[SyncedMessages]:
-        """The frames that some more messages, in the order of the log, show to be complete."""
+        """Take more messages in log order; give the frames that are then complete."""
         return self._synced(self._order.through(items))
 
     @property
     def state(self) -> PairingState[Stamped]:
-        """What is remembered, all frames that ``through`` gives having been consumed."""
+        """The current state; consume all of ``through`` first."""
         streams = {role: tuple(items) for role, items in self._streams.items() if items}
         return PairingState(self._order.state, self._latched, self._segment, streams, tuple(self._waiting))
 
     @property
     def lateness_ns(self) -> int:
-        """By how much messages trailed the reference sensor's latest stamp, at most the wait."""
+        """The largest lag behind the reference sensor's latest stamp, at most the wait."""
         return self._order.lateness_ns
 
     def _synced(self, items: Iterable[Stamped]) -> Iterator[SyncedMessages]:
-        """The frames that some more messages, in the order of their segments and stamps, show to be complete."""
+        """Take more messages, sorted by segment and stamp; give the frames that are then complete."""
         for item in items:
             if item.segment != self._segment:
                 yield from self._rest()
@@ -182,7 +182,7 @@ class StampPairing:
             self._add(item)
 
     def _rest(self) -> Iterator[SyncedMessages]:
-        """The frames of all that is there; nothing remains for a later segment."""
+        """The frames of all pending messages, at the end of a segment."""
         while self._waiting:
             yield self._frame(*self._waiting.popleft())
         self._drop_before(None)
@@ -201,7 +201,7 @@ class StampPairing:
         self._forget(item.log_time_ns)
 
     def _forget(self, now_ns: int) -> None:
-        """Drop what is old, so that a log whose images stop does not fill the memory."""
+        """Drop old messages, so that memory stays bounded when the images stop."""
         for stream in self._streams.values():
             while stream and stream[0].log_time_ns < now_ns - self._forget_after_ns:
                 self._left_out(stream.popleft())
@@ -220,13 +220,13 @@ class StampPairing:
         return SyncedMessages(reference, parts, latched, max(skews, default=None))
 
     def _drop_before(self, limit_ns: int | None, next_ns: int | None = None) -> None:
-        """Drop what no frame can use any more, all where there is no limit; the next frame's stamp is ``next_ns``."""
+        """Drop messages before a limit, or all without one; ``next_ns`` is the next frame's stamp."""
         for stream in self._streams.values():
             while stream and (limit_ns is None or stream[0].stamp_ns < limit_ns):
                 self._left_out(stream.popleft(), next_ns)
 
     def _left_out(self, item: Stamped, next_ns: int | None = None) -> None:
-        """Drop a message, and note how near it came to the frame before or the next one."""
+        """Drop a message, and record its distance to the previous or next frame."""
         for frame_ns in (self._last_ns, next_ns):
             if frame_ns is not None:
                 off_ns = abs(item.stamp_ns - frame_ns)

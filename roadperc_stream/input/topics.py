@@ -1,4 +1,4 @@
-"""What names, schemas and first messages say of the roles that topics could serve."""
+"""Finds the roles that topics could serve, by their names, schemas and first messages."""
 
 import re
 from collections.abc import Callable, Iterable
@@ -21,7 +21,7 @@ CAMERA_OF: Final = {
     "left_calibration": "left",
     "right_calibration": "right",
 }
-"""Whose images a calibration speaks of."""
+"""The image role that each calibration describes."""
 _WORDS: Final = {
     "depth": ("depth",),
     "segmentation": ("seg", "semantic", "label"),
@@ -33,15 +33,15 @@ _WORDS: Final = {
 }
 _SIDES: Final = {"left", "right"}
 _TRANSPORTS: Final = ("compressed", "compressedDepth")
-"""What ROS 2's image_transport appends to the topic of a camera's images."""
+"""Suffixes that ROS 2's image_transport appends to an image topic."""
 ContentProbe = Callable[[Kind, Channel], bool]
-"""Whether what is in a channel is of a kind."""
+"""Whether the contents of a channel are of a kind."""
 _MOST_CLASSES: Final = CARLA_FROM_0_9_14
-"""The table with most classes: a number beyond is no tag of any version."""
+"""The table with the most classes: larger numbers are not tags in any version."""
 
 
 def fits(role: Role, channel: Channel) -> bool:
-    """Whether a channel's schema is one of the role's kind."""
+    """Whether a role's kind accepts a channel's schema."""
     return (channel.schema_name, channel.message_encoding) in schemas_of_kind(role.kind)
 
 
@@ -51,7 +51,7 @@ def distinct(channels: Iterable[Channel]) -> tuple[str, ...]:
 
 
 def known_elsewhere(role: Role, channels: Iterable[Channel]) -> tuple[str, ...]:
-    """Topics of CARLA's ROS bridge that are known to be this role's."""
+    """Topics of CARLA's ROS bridge that belong to this role."""
     if role.name not in CARLA_TOPICS:
         return ()
     known = re.compile(f"{CARLA_BRIDGE}[^/]+/{CARLA_TOPICS[role.name]}")
@@ -59,20 +59,20 @@ def known_elsewhere(role: Role, channels: Iterable[Channel]) -> tuple[str, ...]:
 
 
 def fitting(role: Role, channels: Iterable[Channel]) -> tuple[str, ...]:
-    """Topics of the right schema whose names do not speak of another role."""
+    """Topics of the right schema whose names do not suggest another role."""
     return distinct(c for c in channels if fits(role, c) and _spoken(c.topic) == _own_words(role))
 
 
 def without_a_word(role: Role, channels: Iterable[Channel]) -> tuple[Channel, ...]:
-    """Channels of the right schema whose names speak of no role but a side: what they hold their names do not say."""
+    """Channels of the right schema whose names suggest no role, except for a side."""
     return tuple(c for c in channels if fits(role, c) and _spoken(c.topic) <= _SIDES)
 
 
 def beside_camera(role: Role, camera_topic: str, channels: Iterable[Channel]) -> tuple[str, ...]:
-    """Calibrations in the namespace of a camera's images which its own could be.
+    """Calibrations in the namespace of a camera's images that may be its own.
 
-    Those whose last name speaks of the camera, else those whose last name speaks of nothing; the namespace is that of
-    the camera whatever it is called. Topics without a namespace say nothing.
+    A calibration whose last name suggests the camera comes before one whose last name suggests nothing. Topics without
+    a namespace give no result.
     """
     parts = _parts(camera_topic)
     parts = parts[:-1] if parts[-1] in _TRANSPORTS else parts
@@ -83,13 +83,13 @@ def beside_camera(role: Role, camera_topic: str, channels: Iterable[Channel]) ->
 
 
 def nearest(topics: tuple[str, ...], topic: str) -> tuple[str, ...]:
-    """Those that share most of another topic's namespace; all where none shares any."""
+    """The topics that share most of another topic's namespace; all if none shares any."""
     shared = {other: shared_parts(other, topic) for other in topics}
     return tuple(other for other in topics if shared[other] == max(shared.values()))
 
 
 def shared_parts(one: str, other: str) -> int:
-    """How many parts of their namespaces two topics have in common, from the first on."""
+    """Number of leading parts that the namespaces of two topics share."""
     pairs = zip(_parts(one)[:-1], _parts(other)[:-1], strict=False)
     return len(list(takewhile(lambda pair: pair[0] == pair[1], pairs)))
 
@@ -99,7 +99,7 @@ def _parts(topic: str) -> list[str]:
 
 
 def _spoken(name: str) -> set[str]:
-    """The roles, or sides, that a name speaks of; an ``instance_segmentation`` is none of classes."""
+    """The roles or sides that a name suggests; ``instance_segmentation`` does not suggest class segmentation."""
     words = {word for word, signs in _WORDS.items() if any(sign in name.lower() for sign in signs)}
     return words - {"segmentation"} if "instances" in words else words
 
@@ -109,9 +109,9 @@ def _own_words(role: Role) -> set[str]:
 
 
 def probe_first_message(summary: LogSummary, kind: Kind, channel: Channel) -> bool:
-    """Whether the first message of a channel is depth, or tags: by its encoding, and by pixels that are all some class.
+    """Whether the first message of a channel is depth (by its encoding) or tags (all pixels have a known class).
 
-    A log, or a message, that cannot be read says nothing.
+    False if the log or the message cannot be read.
 
     Args:
         summary: the log.
@@ -126,7 +126,7 @@ def probe_first_message(summary: LogSummary, kind: Kind, channel: Channel) -> bo
         schema, encoding = found.schema_name, found.message_encoding
         payload = decode(kind, schema, encoding, message.data, message.log_time_ns, context).payload
         if isinstance(payload, TagImage):
-            return 0 < int(np.max(payload.tags)) < len(_MOST_CLASSES.names)  # a black image is no tags
+            return 0 < int(np.max(payload.tags)) < len(_MOST_CLASSES.names)  # a black image has no tags
         return isinstance(payload, DepthImage) and payload.depth_m.size > 0
     except (LogError, DecodeError):
         return False

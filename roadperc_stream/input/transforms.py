@@ -1,4 +1,4 @@
-"""The tree of transforms: which frame is placed below which, and the transform between any two of them."""
+"""The tree of transforms: the parent of each frame, and the transform between any two frames."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -13,14 +13,14 @@ from roadperc_stream.model import Transform
 
 @dataclass(frozen=True)
 class TransformTree:
-    """Frames, each placed by the one edge to its parent."""
+    """A tree of frames; one edge connects each frame to its parent."""
 
     edges: Mapping[str, Transform] = field(default_factory=dict)
     """By child."""
 
     @cached_property
     def _paths(self) -> dict[str, dict[str, Float]]:
-        """Paths to the root of the frames looked up so far. No field: a field would be part of an encoded state."""
+        """Cached paths to the root. This is not a field, because fields are part of an encoded state."""
         return {}
 
     def updated(self, edges: Iterable[Transform]) -> "TransformTree":
@@ -28,11 +28,11 @@ class TransformTree:
         return TransformTree({**self.edges, **{edge.child: edge for edge in edges}})
 
     def knows(self, frame: str) -> bool:
-        """Whether a frame is placed, or others below it."""
+        """Whether a frame has a parent or children."""
         return frame in self.edges or any(edge.parent == frame for edge in self.edges.values())
 
     def lookup(self, target: str, source: str) -> Float | None:
-        """target_T_source along the tree; None where the frames are not connected.
+        """target_T_source along the tree; None if the frames are not connected.
 
         Raises:
             ChannelError: the tree has a loop.
@@ -58,7 +58,7 @@ class TransformTree:
         return path
 
     def rooted_at(self, frame: str) -> "TransformTree":
-        """The same tree with a frame as its root: the edges above it are inverted, so that nothing is lost."""
+        """The same tree with a frame as its root; the edges above it are inverted."""
         edges, at = dict(self.edges), frame
         above = edges.pop(frame, None)
         while above is not None:
@@ -79,11 +79,11 @@ class TransformTree:
     def looping(self, edges: Iterable[Transform]) -> tuple[str, ...]:
         """Children of the edges that would be part of a loop in the tree, in their order.
 
-        An edge that contradicts another one of the same message goes with it, for neither is more likely; one that
-        contradicts the tree so far goes alone.
+        Edges of the same message that contradict each other are all included. An edge that contradicts the tree is
+        included alone.
 
         Args:
-            edges: of one message.
+            edges: the edges of one message.
         """
         edges = tuple(edges)
         parents, found = {edge.child: edge.parent for edge in edges}, set[str]()
@@ -94,11 +94,11 @@ class TransformTree:
 
 
 def _in_loops(parents: Mapping[str, str], placed: Mapping[str, Transform]) -> set[str]:
-    """The frames that are their own ancestors, of those on the paths to the root from the children of ``parents``.
+    """The frames that are their own ancestors, among the ancestors of the frames in ``parents``.
 
     Args:
-        parents: of some frames, where they win over those in the tree.
-        placed: the tree's edges; of a large tree only those above are looked at.
+        parents: parent of some frames; they replace those in the tree.
+        placed: the tree's edges; only the ancestors are visited.
     """
     found, done = set[str](), set[str]()
     for start in parents:

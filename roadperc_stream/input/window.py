@@ -1,4 +1,4 @@
-"""The messages of the part of a log that is replayed."""
+"""Reads the messages of the replayed part of a log."""
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
@@ -16,11 +16,10 @@ from roadperc_stream.system.time import seconds_to_ns
 class Window:
     """The part of a log, by log time: from ``start_ns`` up to ``end_ns``, None without a limit.
 
-    ``end_stamp_ns`` is the stamp of the first frame beyond: a sensor's message that arrives later than ``end_ns`` but
-    belongs to an earlier instant is part of the window still. ``cut_ns`` is the log time at which the drive goes on
-    elsewhere: ``end_ns``, where the log does not end before, or where an earlier replay cut the log; what stands behind
-    it arrived late, and comes again there. ``late_until_ns`` is the log time up to which messages of the window arrive
-    behind ``end_ns``, None where none does: their stamps are looked at once, not wherever the window is read.
+    ``end_stamp_ns`` is the stamp of the first frame after the window. A sensor's message with an earlier stamp belongs
+    to the window even if it arrives after ``end_ns``. ``late_until_ns`` is the end of these late messages in log time,
+    None without any. ``cut_ns`` is the log time where another part continues the log: ``end_ns``, or the cut of an
+    earlier replay. Later messages of this log arrived late, and the other part has them too.
     """
 
     start_ns: int | None = None
@@ -32,9 +31,9 @@ class Window:
 
 @dataclass(frozen=True)
 class WindowMessages:
-    """Reads the messages to replay, in log-time order: what was latched before, the window, what arrives late for it.
+    """Reads the messages to replay, in log-time order: latched ones, the window, and late ones.
 
-    ``latched`` are the messages from before the window that hold in it.
+    ``latched`` has the messages from before the window that hold in it.
     """
 
     summary: LogSummary
@@ -44,7 +43,7 @@ class WindowMessages:
     latched: tuple[Message, ...]
 
     def all(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        """All of them.
+        """All messages of the window.
 
         Args:
             topics: only these; None for all.
@@ -53,7 +52,7 @@ class WindowMessages:
         yield from self.late(topics)
 
     def inside(self, topics: Collection[str] | None = None, from_ns: int = 0) -> Iterator[Message]:
-        """Those from before the window and in it, up to where the drive goes on elsewhere.
+        """Latched messages, and messages in the window up to the cut.
 
         Args:
             topics: only these; None for all.
@@ -65,7 +64,7 @@ class WindowMessages:
         yield from self._read(max(self.window.start_ns or 0, from_ns), min(ends, default=None), topics)
 
     def pieces(self) -> Iterator[Piece]:
-        """All of them, whole chunks of the log where they are as they stand."""
+        """All messages of the window, as whole chunks of the log where possible."""
         start_ns, end_ns = self.window.start_ns, self.window.end_ns
         if self.window.cut_ns is not None and start_ns is not None:
             start_ns = min(start_ns, self.window.cut_ns)
@@ -74,14 +73,14 @@ class WindowMessages:
         yield from self._behind_the_end(None)
 
     def late(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        """Those that arrive after that and belong to an instant before it."""
+        """Messages that arrive after the cut or the window, and belong to it by their stamps."""
         end_ns, cut_ns = self.window.end_ns, self.window.cut_ns
         if cut_ns is not None and (end_ns is None or cut_ns < end_ns):
             yield from self._read(cut_ns, end_ns, topics)
         yield from self._behind_the_end(topics)
 
     def with_late(self) -> "WindowMessages":
-        """The same, once it is known which messages behind the window belong to an instant in it."""
+        """The same with ``late_until_ns`` set: reads the stamps of the messages after the window."""
         end_ns = self.window.end_ns
         if end_ns is None or self.window.end_stamp_ns is None:
             return self
@@ -93,13 +92,13 @@ class WindowMessages:
         return replace(self, window=replace(self.window, late_until_ns=None if last_ns is None else last_ns + 1))
 
     def _behind_the_end(self, topics: Collection[str] | None) -> Iterator[Message]:
-        """Those behind the window that belong to an instant in it."""
+        """Messages after the window that belong to it by their stamps."""
         until_ns = self.window.late_until_ns
         late = () if until_ns is None else self._read(self.window.end_ns, until_ns, topics)
         yield from (message for message in late if self._belongs_inside(message))
 
     def _read(self, start_ns: int | None, end_ns: int | None, topics: Collection[str] | None) -> Iterator[Message]:
-        inputs = {channel.topic for channel in self._inputs}  # what holds results alone is not even read
+        inputs = {channel.topic for channel in self._inputs}  # channels of results are not read
         topics = inputs if topics is None else topics
         messages = log.read(self.summary, topics=topics, start_ns=start_ns, end_ns=end_ns)
         return (message for message in messages if not is_result(message.channel))
@@ -109,7 +108,7 @@ class WindowMessages:
         return tuple(channel for channel in self.summary.channels if not is_result(channel))
 
     def _belongs_inside(self, message: Message) -> bool:
-        """Whether a message of a sensor is of an instant before the first frame beyond."""
+        """Whether a sensor's message has a stamp before the first frame after the window."""
         end_stamp_ns = self.window.end_stamp_ns
         items = decoded_messages([message], self.roles, self.cfg.tag_table, Problems(), self.cfg.limits)
         sensed = (item.stamp_ns for item in items if ROLES[item.role].kind not in LATCHED_KINDS)

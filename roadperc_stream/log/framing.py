@@ -259,7 +259,7 @@ class Framing:
             self.note(_crc_damage("attachment", record, found, of_messages=False))
 
     def note(self, damage: Damage | None) -> None:
-        """Add a damage, if there is one; the last one listed also represents all that follow."""
+        """Add a damage, if any; the last listed damage also represents all later ones."""
         if damage is None:
             return
         if len(self.damages) < _MOST_LISTED:

@@ -74,7 +74,7 @@ class IndexedFile:
     _descriptions: Mapping[tuple[int, int], McapRecord]
     """The index's channels and schemas, by opcode and id."""
     _seen: dict[int, ChunkContents] = field(default_factory=dict, compare=False, repr=False)
-    """Contents of the chunks read so far, by their first byte."""
+    """Contents of the chunks already read, by their first byte."""
 
     @classmethod
     def of(cls, path: Path, index: Summary, limits: LimitsConfig, *, check_chunks: bool) -> "IndexedFile":

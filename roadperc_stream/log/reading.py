@@ -123,7 +123,7 @@ def _summary_of(path: Path, limits: LimitsConfig, *, check_chunks: bool) -> LogS
     if not found.whole:
         raise damage_in(found)
     index = found.index if found.all_in_chunks else None
-    if index is None and not found.inside:  # its channels may stand in chunks
+    if index is None and not found.inside:  # its channels may be in chunks
         found = Salvage(path, limits=limits).run()
         if not found.whole:
             raise damage_in(found)

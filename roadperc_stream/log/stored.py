@@ -199,7 +199,7 @@ def _received(path: Path) -> Path:
 
 
 def _standard_input() -> IO[bytes]:
-    """A stream of its own over standard input.
+    """A separate stream over standard input.
 
     Raises:
         LogError: it is closed, or somebody would have to type the log.

@@ -34,7 +34,7 @@ class LogWriter:
     path: Path
     profile: str = ""
     messages: int = 0
-    """Messages written so far."""
+    """Number of written messages."""
     _channel_ids: dict[Channel, int] = field(default_factory=dict)
     _schemas: dict[int, tuple[str, str, bytes]] = field(default_factory=dict)
     """Name, encoding and data, by their ids."""
@@ -83,7 +83,7 @@ class LogWriter:
 
         Args:
             chunk: as it stands there.
-            reached_ns: the log time up to which all messages are there now, but for results; None without an end.
+            reached_ns: log time up to which all messages except results are written; None without an end.
         """
         self.end_chunk()
         self._add_chunk(chunk)
@@ -262,7 +262,7 @@ class MessageCopy:
         self._next = next(copied, None)
 
     def through(self, log_time_ns: int | None) -> None:
-        """Copy everything up to and including a log time, and the rest of its chunk; None copies all that is left."""
+        """Copy everything up to and including a log time, and the rest of its chunk; None copies the rest."""
         if not self._is_due(log_time_ns):
             return
         self._writer.end_chunk()
@@ -275,7 +275,7 @@ class MessageCopy:
         self._writer.end_chunk()
 
     def rest(self) -> None:
-        """Copy all that is left."""
+        """Copy the rest."""
         self.through(None)
 
     def _is_due(self, log_time_ns: int | None) -> bool:

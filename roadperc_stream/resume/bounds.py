@@ -1,4 +1,4 @@
-"""How much the bytes of a state may hold: counted in them before anything of it is made."""
+"""Limits on the contents of an encoded state, checked before the state is decoded."""
 
 from dataclasses import dataclass
 from typing import Final, NamedTuple
@@ -7,23 +7,23 @@ from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import StateError
 
 ARRAY_DATA_KEY: Final = b"elements"
-"""Names the bytes of an array."""
+"""The key of an array's bytes."""
 _LEAST_ITEMS: Final = 1_000_000
 _ITEMS_PER_TRANSFORM: Final = 500
-"""An edge of a tree has 16, and each frame that waits has a tree of its own, though rarely one that full."""
+"""An edge has 16 items. Each pending frame may hold its own transform tree."""
 _ITEMS_PER_DETECTION: Final = 64
 
 
 @dataclass(frozen=True)
 class StateBounds:
-    """The most that a state may hold: keys and values together, and bytes of one array."""
+    """The most keys and values of a state together, and the most bytes of one array."""
 
     items: int
     array_bytes: int
 
     @classmethod
     def of(cls, limits: LimitsConfig) -> "StateBounds":
-        """Those of a state whose messages were within some limits: its largest array is an image, in grey."""
+        """The bounds for messages within the limits. The largest array is a grey image."""
         per_message = _ITEMS_PER_TRANSFORM * limits.transforms + _ITEMS_PER_DETECTION * limits.detections
         return cls(_LEAST_ITEMS + per_message, limits.image_pixels + limits.message_bytes)
 
@@ -32,10 +32,9 @@ DEFAULT_BOUNDS: Final = StateBounds.of(DEFAULT_LIMITS)
 
 
 class _Kind(NamedTuple):
-    """How an item goes on behind its first byte.
+    """The layout of an item after its first byte: its length, then ``more_bytes``, then ``more_items``.
 
-    First the bytes of its length, then some more bytes and items; per unit of its length ``items_each`` items, or a
-    byte where that is 0.
+    Each unit of the length stands for ``items_each`` items, or for one byte if that is 0.
     """
 
     length_bytes: int = 0
@@ -45,7 +44,7 @@ class _Kind(NamedTuple):
 
 
 def require_bounded(plain: bytes, bounds: StateBounds) -> None:
-    """Check how many items and how large arrays MessagePack declares; whether it is whole is for its decoder to say.
+    """Check the declared numbers of items and array bytes. The decoder reports truncated MessagePack.
 
     Raises:
         StateError: more than the bounds allow.
@@ -65,11 +64,11 @@ def require_bounded(plain: bytes, bounds: StateBounds) -> None:
             if length > bounds.array_bytes and plain[before:start].endswith(ARRAY_DATA_KEY):
                 raise StateError(f"array of {length} bytes: expected {bounds.array_bytes} at most")
         if done + pending > most:
-            raise StateError(f"more than {most} items, at most that many are read")
+            raise StateError(f"more than {most} items: expected {most} at most")
 
 
 def _kinds() -> tuple[_Kind, ...]:
-    """By first byte, from the specification of MessagePack."""
+    """The kind of each first byte, from the MessagePack specification."""
     kinds = [_Kind()] * 256  # small integers, nil and truth values are one byte
     for n in range(16):
         kinds[0x80 + n] = _Kind(more_items=2 * n)

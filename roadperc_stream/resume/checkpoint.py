@@ -1,8 +1,8 @@
-"""Checkpoints: the complete frames of a replay on disk, so that an interrupted replay can go on.
+"""Checkpoints: the complete frames of a replay on disk, so that an interrupted replay can continue.
 
-They are in a hidden folder next to the output, which one replay at a time holds. ``frames`` has the output of every
-frame, one record behind the other. ``state`` has the replay's state after the last of them and the length of ``frames``
-then. Records behind that length were written after the checkpoint and are computed again.
+They are in a hidden folder next to the output. One replay at a time holds a lock on it. ``frames`` has one record for
+the output of each frame. ``state`` has the replay's state after the last record, and the length of ``frames`` then.
+Later records were written after the checkpoint; a resumed replay computes them again.
 """
 
 import os
@@ -30,10 +30,10 @@ _FRAMES, _STATE = "frames", "state"
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """How far a replay has come.
+    """The progress of a replay.
 
-    ``run`` is all that decides its results, by name and value. ``samples`` are complete, ``length`` is that of the file
-    of their outputs.
+    ``run`` has everything that decides the results, by name and value. ``samples`` is the number of complete samples,
+    ``length`` the length of the file with their outputs.
     """
 
     run: Mapping[str, str]
@@ -64,7 +64,7 @@ class CheckpointFolder:
             StateError: another replay holds it, or it is not a folder.
         """
         if self.path.is_symlink() or (self.path.exists() and not self.path.is_dir()):
-            raise self.damaged("is no folder")
+            raise self.damaged("not a folder")
         if self.path.exists():
             self._hold()
         return self
@@ -82,7 +82,7 @@ class CheckpointFolder:
         with target_errors(self.path):
             is_ours = self._lock.take()
         if not is_ours:
-            raise StateError(f"{self.path}: another replay of the same output is at work; wait until it has ended")
+            raise StateError(f"{self.path}: another replay writes the same output; wait until it ends")
 
     def read(self) -> Checkpoint | None:
         """The latest checkpoint; None without one.
@@ -130,18 +130,18 @@ class CheckpointFolder:
             flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW
             self._frames = os.fdopen(os.open(self.path / _FRAMES, flags, 0o666), "ab")
             self._frames.truncate(0 if checkpoint is None else checkpoint.length)
-            self._frames.seek(0, os.SEEK_END)  # else its length counts from the end it had
+            self._frames.seek(0, os.SEEK_END)  # tell() would return the length before truncation
             sync_folder(self.path.parent)
 
     def append(self, output: FrameOutput) -> None:
-        """Add a frame: it counts from the next checkpoint on."""
+        """Add a frame; the next checkpoint includes it."""
         assert self._frames is not None
         data = encode(output)
         with target_errors(self.path):
             self._frames.write(_LENGTH.pack(len(data)) + data)
 
     def write(self, checkpoint: Checkpoint) -> None:
-        """Make a checkpoint of all frames so far durable: first the frames, then the state with their number."""
+        """Write a durable checkpoint of all frames: first the frames, then the state with their number."""
         assert self._frames is not None
         checkpoint = replace(checkpoint, length=self._frames.tell())
         new = self.path / f"{_STATE}.new"
@@ -168,7 +168,7 @@ class CheckpointFolder:
                 self._frames.close()
 
     def remove(self) -> None:
-        """Remove all checkpoints and the folder, which is held until then."""
+        """Remove all checkpoints and the folder."""
         self.close()
         with target_errors(self.path):
             if self.path.exists():
@@ -200,38 +200,36 @@ class Checkpoints:
 
         Args:
             folder: reads and writes the checkpoints.
-            every_s: seconds of log between two; None: no checkpoints.
+            every_s: seconds of log between two checkpoints; None for no checkpoints.
             start: the replay before its first sample.
             found: the checkpoint to resume; None to begin.
-            force: start over if the checkpoint is of another replay, or if there is one that is not to be resumed.
+            force: start over if the checkpoint belongs to another replay, or if there is one but ``found`` is None.
 
         Raises:
-            StateError: it is of another replay.
+            StateError: the checkpoint belongs to another replay.
         """
         self._folder = folder
         self._every_ns = None if every_s is None else seconds_to_ns(every_s)
         run, known = start.run, start.run if found is None else found.run
         differing = ", ".join(name for name in {**run, **known} if run.get(name) != known.get(name))
         if differing and not force:
-            raise StateError(f"{folder.path}: of another replay ({differing} differ); --force (force=True) starts over")
+            raise StateError(f"{folder.path}: of another replay ({differing} differ); pass --force to start over")
         self.is_resumed = found is not None and not differing
         self.begun = found if found is not None and not differing else start
-        """The replay after the samples that are complete already."""
+        """The replay after the samples that are already complete."""
         self._last_ns: int | None = None
         left_over = folder.holds_one and not self.is_resumed and every_s is None
-        self.notes = (f"{folder.path}: left by an interrupted replay, removed",) if left_over else ()
+        self.notes = (f"{folder.path}: left by an interrupted replay; removed",) if left_over else ()
         if found is None and every_s is not None and not force and folder.holds_one:
-            raise StateError(
-                f"{folder.path}: a replay was interrupted; --resume goes on from there, --force starts over"
-            )
+            raise StateError(f"{folder.path}: left by an interrupted replay; pass --resume or --force (start over)")
 
     @property
     def are_durable(self) -> bool:
-        """Whether complete frames outlive a loss of power."""
+        """Whether complete frames survive a loss of power."""
         return self._every_ns is not None
 
     def begin(self) -> None:
-        """Prepare to write checkpoints, if some are to be written, and to read the frames that are complete."""
+        """Prepare to read the complete frames, and to write checkpoints if enabled."""
         if self.is_resumed:
             self._outputs = self._folder.outputs(self.begun)
         if self._every_ns is not None:
@@ -244,7 +242,7 @@ class Checkpoints:
             index: number of the frame.
 
         Raises:
-            StateError: it cannot be read, or is of another frame.
+            StateError: it cannot be read, or belongs to another frame.
         """
         output = next(self._outputs, None)
         if output is None or output.row.frame != index:
@@ -257,13 +255,13 @@ class Checkpoints:
             self._folder.append(output)
 
     def reached(self, log_time_ns: int, samples: int, state: ReplayState, counted: Callable[[], Counted]) -> None:
-        """Write a checkpoint if it is due and the sample was not complete already.
+        """Write a checkpoint if it is due and the sample is new.
 
         Args:
-            log_time_ns: of the last frame.
-            samples: complete by now.
-            state: after these samples.
-            counted: gives what was counted in these samples.
+            log_time_ns: log time of the last frame.
+            samples: number of complete samples.
+            state: the state after these samples.
+            counted: returns the counts of these samples.
         """
         if self._every_ns is None:
             return

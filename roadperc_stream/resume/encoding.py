@@ -1,8 +1,7 @@
-"""States as bytes: MessagePack, compressed with Zstandard, behind a magic number, the format's version and a CRC-32.
+"""Encodes states: a magic number, the format version, a CRC-32, and MessagePack compressed with Zstandard.
 
-Every dataclass is a map by its fields' names, every array one of ``dtype``, ``shape`` and ``elements``, its numbers
-little endian in the order of C: floats keep all their bits. Nothing is decoded whose type is not the one expected, that
-holds more than its bounds allow, or of which a single bit has changed; and no type is code.
+A dataclass becomes a map by field name, an array a map of ``dtype``, ``shape`` and ``elements`` (little-endian,
+C order), so floats keep all their bits. Decoding checks the CRC, the bounds and every type, and never runs code.
 """
 
 import math
@@ -21,9 +20,9 @@ from roadperc_stream.errors import StateError
 from roadperc_stream.resume.bounds import DEFAULT_BOUNDS, StateBounds, require_bounded
 
 FORMAT_VERSION: Final = 6
-"""To be raised with every change of what a state holds: an older state would be taken for something else."""
+"""Raise it with every change to the contents of a state; otherwise an older state would be misread."""
 MOST_BYTES: Final = 512 * 1024**2
-"""Of a state, unpacked."""
+"""Limit on the size of an uncompressed state."""
 _MAGIC: Final = b"RPSTATE"
 _CRC: Final = struct.Struct("<I")
 _HEADER_BYTES: Final = len(_MAGIC) + 1 + _CRC.size
@@ -40,32 +39,32 @@ class _EncodedArray:
 
 
 def encode(state: Any) -> bytes:
-    """The bytes of a dataclass and all that it holds; equal things give equal bytes.
+    """The bytes of a dataclass and its contents. Equal values give equal bytes.
 
     Raises:
         StateError: it is too large.
     """
     plain = msgspec.msgpack.encode(state, enc_hook=_encoded)
     if len(plain) > MOST_BYTES:
-        raise StateError(f"{len(plain)} bytes, at most {MOST_BYTES} are written")
+        raise StateError(f"{len(plain)} bytes: expected {MOST_BYTES} at most")
     packed = zstandard.ZstdCompressor(level=_LEVEL).compress(plain)
     return _MAGIC + bytes([FORMAT_VERSION]) + _CRC.pack(zlib.crc32(packed)) + packed
 
 
 def decode(data: bytes, kind: type[T], bounds: StateBounds = DEFAULT_BOUNDS) -> T:
-    """A dataclass of its bytes.
+    """The dataclass that the bytes encode.
 
     Args:
-        data: from ``encode``, or from anybody.
+        data: from ``encode``, or from an untrusted file.
         kind: the dataclass.
-        bounds: the most that it may hold.
+        bounds: limits on its contents.
 
     Raises:
-        StateError: the bytes are of another version of the format, of anything else, changed or beyond the bounds.
+        StateError: the bytes have another format or version, were changed, or exceed the bounds.
     """
     packed = data[_HEADER_BYTES:]
     if data[: len(_MAGIC)] != _MAGIC or len(data) <= len(_MAGIC):
-        raise StateError("is no state of a replay")
+        raise StateError("not the state of a replay")
     if data[len(_MAGIC)] != FORMAT_VERSION:
         raise StateError(f"its format has version {data[len(_MAGIC)]}, expected {FORMAT_VERSION}")
     if data[len(_MAGIC) + 1 : _HEADER_BYTES] != _CRC.pack(zlib.crc32(packed)):
@@ -86,7 +85,7 @@ def _unpacked(packed: bytes) -> bytes:
     except zstandard.ZstdError as error:
         raise StateError(f"damaged: {error}") from error
     if len(plain) > MOST_BYTES:
-        raise StateError(f"more than {MOST_BYTES} bytes, at most that many are read")
+        raise StateError(f"more than {MOST_BYTES} bytes: expected {MOST_BYTES} at most")
     return plain
 
 

@@ -15,7 +15,7 @@ class FolderLock:
 
     @property
     def is_held(self) -> bool:
-        """Whether it has been taken here."""
+        """Whether this object holds the lock."""
         return self._number is not None
 
     def take(self) -> bool:
@@ -45,7 +45,7 @@ class FolderLock:
         return self.is_held
 
     def release(self) -> None:
-        """Give it back, if it was taken."""
+        """Release the lock if it is held."""
         if self._number is not None:
             with suppress(OSError):
                 os.close(self._number)

@@ -1,4 +1,4 @@
-"""Opens a log for a replay: its frames, the state before the first one, and whether its output is complete already."""
+"""Opens a log for a replay: its frames, the state before the first one, and whether its output is already complete."""
 
 import hashlib
 import json
@@ -47,7 +47,7 @@ from roadperc_stream.system.threads import one_thread
 from roadperc_stream.system.time import TimeRange, ns_to_seconds, seconds_to_ns
 
 _MEDIA_TYPE: Final = "application/zstd"
-"""Of an attached state."""
+"""Media type of an attached state."""
 _MOST_FRAMES: Final = 2**32
 """A log numbers its messages with 32 bits."""
 
@@ -60,7 +60,7 @@ class OpenedLog:
     begin: SavedState | None = None
     notes: Notes = ()
     warnings: tuple[str, ...] = ()
-    """What the user should know of a damaged log."""
+    """Warnings about a damaged log."""
 
     def saved_for(self, cfg: ReplayConfig) -> SavedState | None:
         """The saved state that a replay with these settings begins with."""
@@ -95,7 +95,7 @@ class OpenedLog:
         return {CONTINUES_KEY: self.begin.log_id} if self.begin is not None and self.begin.log_id else {}
 
     def table_facts(self) -> dict[str, str]:
-        """What the tables record of the log, and the number of a continued replay's first frame."""
+        """The log facts for the tables, and the number of a continued replay's first frame."""
         log_id = {LOG_ID_KEY: self.input.log_id, DIGEST_ALGORITHM_KEY: DIGEST_ALGORITHM}
         if self.begin is None or not self.begin.log_id:
             return log_id
@@ -107,11 +107,11 @@ class ReplayOptions:
     """How a replay runs.
 
     Args:
-        continued: the result that the replay continues.
+        continued: the result to continue.
         warm_up_s: seconds of log before the start whose frames build the state and are not written.
-        checkpoint_every_s: seconds of log between two checkpoints; None: no checkpoints.
-        resume: go on from the latest checkpoint, if there is one.
-        threads: how many work on the replay; the output does not depend on them, except for timing columns.
+        checkpoint_every_s: seconds of log between two checkpoints; None for no checkpoints.
+        resume: continue from the latest checkpoint, if there is one.
+        threads: number of threads; the output does not depend on it, except for timing columns.
     """
 
     continued: Path | None = None
@@ -132,9 +132,9 @@ def open_replay(source: ReplaySource, cfg: ReplayConfig, options: ReplayOptions)
     """
     continued, warm_up_s = options.continued, options.warm_up_s
     if warm_up_s and continued is not None:
-        raise ConfigError("warm_up_s: what is continued needs no warm-up")
+        raise ConfigError("warm_up_s: --warm-up cannot be combined with --continue")
     if warm_up_s and source.time_range.start_s is None:
-        raise ConfigError("warm_up_s: only with a start")
+        raise ConfigError("warm_up_s: expected a start; pass --start too")
     if continued is not None:
         return _open_continued(source, cfg, continued)
     return _open_warmed(source, cfg, warm_up_s) if warm_up_s else open_log(source, cfg)
@@ -145,15 +145,15 @@ def open_log(source: ReplaySource, cfg: ReplayConfig) -> OpenedLog:
 
     Raises:
         ChannelError: the channels do not fit the roles.
-        LogError: the log cannot be read, is damaged, or the part asked for holds no frame.
-        StateError: the state it carries cannot be read.
+        LogError: the log cannot be read, is damaged, or the requested part has no frame.
+        StateError: its saved state cannot be read.
     """
     found = source.read(cfg.limits)
     return _opened(found, source, cfg, *state_at_begin(found.summary, cfg, source.time_range))
 
 
 def _open_continued(source: ReplaySource, cfg: ReplayConfig, before: Path) -> OpenedLog:
-    """Open a log, to continue an earlier result.
+    """Open a log that continues an earlier result.
 
     Raises:
         StateError: the log does not follow the result; else as ``open_log``.
@@ -164,21 +164,21 @@ def _open_continued(source: ReplaySource, cfg: ReplayConfig, before: Path) -> Op
     if summary.first_ns is not None and starts_ns < ended_ns:
         lead_s, start_s = ns_to_seconds(ended_ns - starts_ns), ns_to_seconds(begin.input.next_ns - summary.first_ns)
         raise StateError(
-            f"{summary.path}: begins {lead_s:.3f} s before the end of what {before} holds: expected what follows; "
-            f"--start {start_s:.9f} leaves out what it holds, and parts that are given together may overlap"
+            f"{summary.path}: begins {lead_s:.3f} s before the end of {before}: expected later messages; "
+            f"pass --start {start_s:.9f} to skip the overlap, or pass all files of the log together"
         )
     return opened
 
 
 def _open_warmed(source: ReplaySource, cfg: ReplayConfig, warm_up_s: float) -> OpenedLog:
-    """Open a part of a log, with the state after the seconds before it.
+    """Open a part of a log, with the state after a warm-up on the seconds before it.
 
     Raises:
-        LogError: these seconds are damaged, and the state would be another one; else as ``open_log``.
+        LogError: these seconds are damaged, which would change the state; else as ``open_log``.
     """
     found = source.read(cfg.limits)
     start_s, first_ns = found.part(source.time_range).start_s or 0.0, found.summary.first_ns or 0
-    short = (f"warm-up: {start_s:g} s, the log has no more before the start",) if start_s < warm_up_s else ()
+    short = (f"warm-up: {start_s:g} s; the log has no more before the start",) if start_s < warm_up_s else ()
     lead = replace(source, time_range=TimeRange(start_s - warm_up_s, start_s))
     start_ns = first_ns + seconds_to_ns(start_s)
     if not source.recover:
@@ -199,7 +199,7 @@ def _opened(
 
 
 def _warmed(summary: LogSummary, lead: ReplaySource, cfg: ReplayConfig, start_ns: int) -> SavedState | None:
-    """The state after the frames before a start, which are not written; None without such frames."""
+    """The state after the frames before a start; None without such frames. The frames are not written."""
     try:
         log_in = input_of(ReadableLog(summary), lead, cfg)
     except NoFrameError:
@@ -253,7 +253,7 @@ def finished(target: ReplayTarget, cfg: ReplayConfig, opened: OpenedLog) -> Repl
         opened.input.log_id,
         frames,
         sum(summary.counts.values()),
-        notes=(f"{target.path}: is complete, nothing is left to do",),
+        notes=(f"{target.path}: already complete; nothing to do",),
         warnings=opened.warnings,
         frames_before=frames,
         is_new=False,
@@ -262,7 +262,7 @@ def finished(target: ReplayTarget, cfg: ReplayConfig, opened: OpenedLog) -> Repl
 
 
 def _are_its_tables(target: ReplayTarget, record: Mapping[str, str], opened: OpenedLog) -> bool:
-    """Whether both tables can be read and have the same input and frames as the log."""
+    """Whether both tables are readable and match the input and frames of the log."""
     try:
         frames, objects = read_footer(target.metrics), read_footer(target.objects)
     except TableError:

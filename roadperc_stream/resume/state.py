@@ -1,4 +1,4 @@
-"""The state of a replay: what it keeps between frames, and how a result carries it to a continued replay."""
+"""The state that a replay keeps between frames, and its saved form in a result."""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -22,12 +22,12 @@ from roadperc_stream.system.time import TimeRange
 
 Notes = tuple[str, ...]
 _MOST_NAMED = 3
-"""Settings that a message about them names."""
+"""Settings that a message lists."""
 
 
 @dataclass(frozen=True)
 class ReplayState:
-    """What a replay keeps between frames."""
+    """The state that a replay keeps between frames."""
 
     chain: ChainState = field(default_factory=ChainState)
     earlier: EarlierTruth | None = None
@@ -36,10 +36,10 @@ class ReplayState:
 
 @dataclass(frozen=True)
 class SavedState:
-    """What a result carries for a continued replay: the state after the last complete frame.
+    """The state after the last complete frame, saved in a result for a continued replay.
 
-    ``log_id`` names the log of the result. ``settings`` are those of its whole configuration, the value of each key as
-    JSON. ``lost`` are the gaps of a damaged log that may affect the frames still to come.
+    ``log_id`` names the log of the result. ``settings`` has the JSON value of each configuration key. ``lost`` has the
+    gaps of a damaged log that may affect later frames.
     """
 
     log_id: str
@@ -49,7 +49,7 @@ class SavedState:
     lost: tuple[LostSpan, ...] = ()
 
     def differences(self, cfg: ReplayConfig) -> Notes:
-        """The settings that are not those of a configuration, in words."""
+        """Descriptions of the settings that differ from a configuration."""
         now = settings_of(cfg)
         keys = dict.fromkeys((*self.settings, *now))
         values = ((key, self.settings.get(key, "unknown"), now.get(key, "unknown")) for key in keys)
@@ -58,8 +58,7 @@ class SavedState:
     def with_settings(self, cfg: ReplayConfig) -> "SavedState":
         """The state for a replay with these settings.
 
-        With other settings the messages and the frame numbers continue, but the chain begins without a state: the saved
-        one was made with the settings of then.
+        With other settings the messages and the frame numbers continue, but the chain begins without a state.
         """
         return replace(self, settings=settings_of(cfg), replay=ReplayState()) if self.differences(cfg) else self
 
@@ -78,17 +77,17 @@ def _flat(prefix: str, tree: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
 
 
 def state_at_end(path: Path, cfg: ReplayConfig) -> SavedState:
-    """The state that a result ends with, with all messages that it needs.
+    """The state at the end of a result, including the messages it needs.
 
     Raises:
         LogError: the log cannot be read.
-        StateError: it carries no state, or one that a replay with this configuration cannot continue.
+        StateError: it has no state, or its state was saved with other settings.
     """
     summary = log.summarise(path, cfg.limits)
     state = _attached(summary, STATE_ATTACHMENT, cfg)
     if state is None:
         raise StateError(
-            f"{path}: has no attachment {STATE_ATTACHMENT}: not the result of a replay, or of an older one"
+            f"{path}: has no attachment {STATE_ATTACHMENT}: expected the result of a replay of this version"
         )
     if differing := state.differences(cfg):
         raise StateError(f"{path}: cannot be continued with other settings: {_some(differing)}")
@@ -99,9 +98,9 @@ def state_at_end(path: Path, cfg: ReplayConfig) -> SavedState:
 
 
 def state_at_begin(summary: LogSummary, cfg: ReplayConfig, part: TimeRange) -> tuple[SavedState | None, Notes]:
-    """The state that a result began with, to replay it again, and notes for the user.
+    """The state before the first frame of a result, and notes for the user.
 
-    A part that does not start with the log begins without a state.
+    A part with a start time begins without a state.
 
     Raises:
         StateError: the state cannot be read.
@@ -109,7 +108,9 @@ def state_at_begin(summary: LogSummary, cfg: ReplayConfig, part: TimeRange) -> t
     state = None if part.start_s is not None else _attached(summary, BEGIN_ATTACHMENT, cfg)
     if state is None or not (differing := state.differences(cfg)):
         return state, ()
-    return state, (f"{BEGIN_ATTACHMENT}: of other settings ({_some(differing)}): the chain begins without a state",)
+    return state, (
+        f"{BEGIN_ATTACHMENT}: saved with other settings ({_some(differing)}): the chain begins without a state",
+    )
 
 
 def _attached(summary: LogSummary, name: str, cfg: ReplayConfig) -> SavedState | None:
@@ -125,7 +126,7 @@ def _attached(summary: LogSummary, name: str, cfg: ReplayConfig) -> SavedState |
 
 
 def _inputs(summary: LogSummary, state: SavedState) -> Iterator[Message]:
-    """The messages of the log from the first on that the state names."""
+    """The messages of the log, starting with the first one that the state refers to."""
     start_ns = state.input.first_pending_ns
     if start_ns is None:
         return iter(())

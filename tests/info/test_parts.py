@@ -66,7 +66,7 @@ def test_the_roles_of_parts_are_those_of_the_whole(parts, capsys):
     together = words_of(capsys, *parts).partition("As the parts of one log")[2]
     assert "calibration /camera/front/calibration" in together
     assert "missing" not in together
-    with pytest.raises(ChannelError, match=r"give a part of a drive together with those before it, or --continue"):
+    with pytest.raises(ChannelError, match=r"pass the earlier files of the log too, or pass --continue"):
         replay(parts[1], parts[1].with_name("out.mcap"), config=CFG)
 
 
@@ -82,7 +82,7 @@ def test_a_continuation_says_what_it_goes_on_from(parts, capsys):
     together = words_of(capsys, *results).partition("As the parts of one log")[2]
     assert "out_1.mcap 0.150 0.250 out_1.mcap: continues out_0.mcap" in together
     assert "overlaps" not in together
-    with pytest.raises(StateError, match=r"expected what follows; --start"):
+    with pytest.raises(StateError, match=r"expected later messages; pass --start"):
         replay(parts[0], parts[0].with_name("out.mcap"), config=CFG, continued=results[0])
 
 

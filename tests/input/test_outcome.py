@@ -1,4 +1,4 @@
-"""What a replay says of its input: segments, frames given again, gaps between parts, messages of no frame."""
+"""Notes of a replay on its input: segments, repeated frames, gaps between parts, messages of no frame."""
 
 from dataclasses import replace
 
@@ -51,7 +51,7 @@ def test_segments_that_begin_are_named_with_their_stamps_and_frames():
     for segment, stamp_ms in [(0, 5), (0, 55), (1, 7), (2, 3), (2, 53)]:
         outcome.add(synced(segment, stamp_ms))
     assert notes_of(outcome) == [
-        "3 segments, the stages' memory begins anew in each: 0 from stamp 5000000 ns, 2 frames; "
+        "3 segments, the state is reset in each: 0 from stamp 5000000 ns, 2 frames; "
         "1 from stamp 7000000 ns, 1 frames; 2 from stamp 3000000 ns, 2 frames"
     ]
 
@@ -88,7 +88,7 @@ def test_a_sensor_that_is_in_no_frame_is_said_with_the_setting_that_decides():
     for role in ("depth", "lidar"):
         outcome.drop(item(role, 3))
     _, note = notes_of(outcome, {"depth": 12 * MS, "lidar": 11 * MS})
-    assert note == "/depth: in no frame, the nearest message is 0.012 s from one: sync.tolerance_s is 0.01"
+    assert note == "/depth: in no frame; the nearest message is 0.012 s from one, sync.tolerance_s is 0.01"
 
 
 @pytest.mark.parametrize(
@@ -109,14 +109,14 @@ def test_a_gap_behind_what_is_continued_is_noted_and_a_join_is_not(drive, tmp_pa
     for begins, noted in ((4, False), (5, True)):
         part = write(tmp_path / f"from_{begins}.mcap", between(drive, begins, 12))
         notes = replay(part, tmp_path / f"out_{begins}.mcap", CFG, continued=tmp_path / "out_0.mcap").notes
-        assert (f"{part}: begins 0.100 s after what it goes on from ends" in notes) == noted
-        assert f"4 of {16 - begins} frames are in the part before as well, and given again" in notes
+        assert (f"{part}: begins 0.100 s after the continued result ends" in notes) == noted
+        assert f"4 of {16 - begins} frames are also in the previous part" in notes
 
 
 def test_a_gap_is_judged_by_the_images_of_both_parts_and_by_none_where_nothing_is_known():
     part = PartSpan("b", 20 * S, 30 * S, 11)
     assert continuation_notes(part, [17 * S, 18 * S], 19 * S) == ()
-    assert continuation_notes(part, [16 * S, 17 * S], 18 * S) == ("b: begins 2.000 s after what it goes on from ends",)
+    assert continuation_notes(part, [16 * S, 17 * S], 18 * S) == ("b: begins 2.000 s after the continued result ends",)
     assert continuation_notes(replace(part, frames=1), [], 18 * S) == ()
 
 
@@ -131,7 +131,7 @@ def test_what_is_continued_with_a_part_that_overlaps_names_a_start_that_works(dr
     command = [str(tmp_path / "whole.mcap"), str(after), "--continue", str(before), *options]
     assert main(command) == 1
     said = capsys.readouterr().err
-    assert "expected what follows; --start 0.250000001 leaves out what it holds" in said
+    assert "expected later messages; pass --start 0.250000001 to skip the overlap" in said
     assert main([*command, "--start", "0.250000001"]) == 0
     replay(tmp_path / "whole.mcap", tmp_path / "out.mcap", CFG)
     assert results([before, after]) == results([tmp_path / "out.mcap"])
@@ -142,4 +142,4 @@ def test_of_a_part_without_calibration_the_next_step_is_named(drive, tmp_path, c
     part = write(tmp_path / "1.mcap", between(drive, 4, 8))
     assert main([str(part), str(tmp_path / "out.mcap")]) == 1
     said = capsys.readouterr().err
-    assert "or --topic calibration=/TOPIC; give a part of a drive together with those before it, or --continue" in said
+    assert "or --topic calibration=/TOPIC; pass the earlier files of the log too, or pass --continue" in said

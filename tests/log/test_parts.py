@@ -158,7 +158,7 @@ def test_parts_that_repeat_messages_give_what_the_drive_without_does(tmp_path, a
         assert (log_in.log_id, log_in.expected_frames) == (whole.log_id, whole.expected_frames)
     shared = len(early) + len(late) - MESSAGES
     notes = open_input(ReplaySource(files[:2]), CFG).notes
-    assert any(f"{shared} of its messages are in parts before it as well, these count once" in note for note in notes)
+    assert any(f"{shared} of its messages are also in earlier parts and count once" in note for note in notes)
 
 
 def test_sensors_with_files_of_their_own_are_not_compared(tmp_path):

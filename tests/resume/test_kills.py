@@ -147,7 +147,7 @@ def test_the_files_do_not_depend_on_how_often(source, undisturbed, tmp_path, eve
 def test_a_checkpoint_that_nobody_asks_for_is_not_thrown_away(source, undisturbed, tmp_path):
     target = tmp_path / "out.mcap"
     interrupt(source, target, 15)
-    with pytest.raises(StateError, match="--resume goes on from there, --force starts over"):
+    with pytest.raises(StateError, match=r"left by an interrupted replay; pass --resume or --force \(start over\)"):
         replay(source, target, CFG, checkpoint_every_s=0.2)
     replay(source, target, CFG, checkpoint_every_s=0.2, force=True)
     assert same(target, undisturbed)

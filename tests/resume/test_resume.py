@@ -59,7 +59,7 @@ def test_a_second_replay_of_one_output_is_refused_while_the_first_lives(source, 
     first.send_signal(signal.SIGSTOP)
     try:
         for options in (RESUMED, {**RESUMED, "force": True}, {}):
-            with pytest.raises(StateError, match=r"another replay of the same output is at work; wait until"):
+            with pytest.raises(StateError, match=r"another replay writes the same output; wait until"):
                 replay(source, target, CFG, **options)
     finally:
         first.kill()
@@ -76,7 +76,7 @@ def test_a_link_in_place_of_the_folder_is_one_error(source, tmp_path, options):
     (tmp_path / "victim").mkdir()
     (tmp_path / "victim" / "frames").write_bytes(b"theirs")
     checkpoint_folder(tmp_path / "out.mcap").symlink_to(tmp_path / "victim")
-    with pytest.raises(StateError, match="checkpoint: is no folder; remove it to start over"):
+    with pytest.raises(StateError, match="checkpoint: not a folder; remove it to start over"):
         replay(source, tmp_path / "out.mcap", CFG, **options)
     assert (tmp_path / "victim" / "frames").read_bytes() == b"theirs"
 
@@ -94,7 +94,7 @@ def test_a_link_in_place_of_the_frames_is_not_written_through(source, stopped, t
 
 def test_a_plain_replay_removes_what_an_interrupted_one_left_and_says_so(source, stopped):
     summary = replay(source, stopped, CFG)
-    assert any("checkpoint: left by an interrupted replay, removed" in note for note in summary.notes)
+    assert any("checkpoint: left by an interrupted replay; removed" in note for note in summary.notes)
     assert names(stopped.parent) == OUTPUTS
 
 
@@ -106,7 +106,7 @@ def test_an_output_with_another_table_is_not_complete(source, tmp_path, table):
     with pytest.raises(TargetError, match="exists already; --force"):
         replay(source, target, CFG, **RESUMED)
     replay(source, target, CFG, **RESUMED, force=True)
-    assert "nothing is left to do" in replay(source, target, CFG, **RESUMED).notes[0]
+    assert "nothing to do" in replay(source, target, CFG, **RESUMED).notes[0]
 
 
 def test_what_is_continued_is_not_replaced(source, tmp_path):
@@ -132,7 +132,7 @@ def test_a_resumed_replay_says_from_where(source, stopped, capsys):
     assert said[-2].startswith(f"{16 - before} frames in ")
     assert main(words(source, stopped, "--resume")) == 0
     said = capsys.readouterr().out.splitlines()
-    assert said[-2].endswith("out.mcap: is complete, nothing is left to do")
+    assert said[-2].endswith("out.mcap: already complete; nothing to do")
     assert said[-1].startswith("16 frames, log ")
 
 

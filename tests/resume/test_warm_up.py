@@ -93,7 +93,7 @@ def test_messages_that_come_late_for_the_start(source, tmp_path):
 
 def test_more_than_there_is(source, tmp_path):
     summary = replay(source, tmp_path / "a.mcap", CFG, time_range=TimeRange(start_s=0.1), warm_up_s=5.0)
-    assert summary.notes[0] == "warm-up: 0.1 s, the log has no more before the start"
+    assert summary.notes[0] == "warm-up: 0.1 s; the log has no more before the start"
     assert read_metrics(tmp_path / "a.mcap")["odometry_status"][0] == "tracked"
     summary = replay(source, tmp_path / "b.mcap", CFG, time_range=TimeRange(start_s=0.0), warm_up_s=5.0)
     assert summary.notes[0].startswith("warm-up: 0 s")
@@ -128,7 +128,7 @@ def test_wrong_usage(capsys, options, expected):
 
 
 def test_wrong_use_of_the_function(source, tmp_path):
-    with pytest.raises(ConfigError, match="only with a start"):
+    with pytest.raises(ConfigError, match="expected a start"):
         replay(source, tmp_path / "out.mcap", CFG, warm_up_s=1.0)
-    with pytest.raises(ConfigError, match="needs no warm-up"):
+    with pytest.raises(ConfigError, match="cannot be combined"):
         replay(source, tmp_path / "out.mcap", CFG, time_range=START, warm_up_s=1.0, continued=source)

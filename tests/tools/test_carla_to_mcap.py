@@ -202,7 +202,7 @@ def test_stamps_in_names_that_do_not_meet_are_reported_by_converter_and_replay(t
     said = capsys.readouterr().out
     (note,) = [line for line in said.splitlines() if "sync.tolerance_s" in line]
     assert note == (
-        "note: /camera/front/depth: in no frame, the nearest message is 0.012 s from one: sync.tolerance_s is 0.01"
+        "note: /camera/front/depth: in no frame; the nearest message is 0.012 s from one, sync.tolerance_s is 0.01"
     )
     assert replay.main([str(out), result, "--force", "--set", "sync.tolerance_s=0.012"]) == 0
     assert "no frame" not in capsys.readouterr().out

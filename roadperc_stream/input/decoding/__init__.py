@@ -1,4 +1,4 @@
-"""Input messages to datatypes, by what the role needs and how the message is written."""
+"""Decodes input messages, by the kind of their role and by their schema and encoding."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -73,13 +73,13 @@ def schemas_of_kind(kind: Kind) -> tuple[tuple[str, str], ...]:
 def context_of_channel(
     channel: Channel, configured: str, otherwise: str = "", limits: LimitsConfig = DEFAULT_LIMITS
 ) -> Context:
-    """Decoding context of a channel whose messages are laid out as its own schema says.
+    """The decoding context of a channel, with the channel's own message definition.
 
     Args:
         channel: may name its tag table.
-        configured: the tag table that wins over the channel's own, or ``auto``.
-        otherwise: that of a channel that names none.
-        limits: of what a message asks for.
+        configured: the tag table that replaces the channel's own, or ``auto``.
+        otherwise: the tag table of a channel that names none.
+        limits: limits on the contents of a message.
     """
     name = dict(channel.metadata).get(TAG_TABLE_KEY, otherwise) if configured == "auto" else configured
     context = Context(TABLES.get(name), limits=limits, carla_bridge=channel.topic.startswith(CARLA_BRIDGE))
@@ -89,11 +89,10 @@ def context_of_channel(
 
 
 def decode(kind: Kind, schema: str, encoding: str, data: bytes, log_time_ns: int, context: Context) -> Decoded:
-    """Decode one message; a message without a stamp of its own gets its log time.
+    """Decode one message; a message without a stamp gets its log time.
 
     Raises:
-        DecodeError: the bytes are not what the schema promises, or the schema is none of that kind.
-
+        DecodeError: the bytes do not fit the schema, or the kind does not accept the schema.
     """
     decoder = DECODERS.get((kind, schema, encoding))
     if decoder is None:

@@ -1,4 +1,4 @@
-"""Foxglove's well-known messages: as protobuf, and as JSON, which is read into the protobuf message first."""
+"""Decodes Foxglove messages, from protobuf or from JSON by way of the protobuf message."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, Final
@@ -25,12 +25,12 @@ Picture = Callable[[Any, Content, Context], Decoded]
 
 
 def _file(kind: Kind) -> Picture:
-    """A decoder of messages whose data are a file."""
+    """A decoder of messages that contain an image file."""
     return lambda message, data, context: _stamped(message, pictures.of_file(kind, message.frame_id, data, context))
 
 
 def _raw(kind: Kind) -> Picture:
-    """A decoder of messages whose data are pixels."""
+    """A decoder of messages that contain raw pixels."""
 
     def decoded(message: Any, data: Content, context: Context) -> Decoded:
         raster = Raster(message.encoding, message.width, message.height, message.step, data)
@@ -49,7 +49,7 @@ def _point_cloud(message: Any, context: Context) -> Decoded:
 
 
 def _points_m(message: Any) -> Float32:
-    """Points in the frame the message names: its pose, where it states one, places them there."""
+    """Points in the frame of the message, transformed by its pose if it has one."""
     stated = message.HasField("pose")
     return points.unpack_points(
         message, pose_matrix(message.pose.position, message.pose.orientation) if stated else np.eye(4)
@@ -79,7 +79,7 @@ PICTURES: Final[Mapping[tuple[Kind, Any], Picture]] = {
     **{(kind, CompressedImage): _file(kind) for kind in pictures.FILE_KINDS},
     **{(kind, RawImage): _raw(kind) for kind in pictures.RASTER_KINDS},
 }
-"""By kind and type of message, of which field ``data`` is given apart."""
+"""Decoder by kind and message type; the field ``data`` is passed separately."""
 DECODERS: Final[Mapping[tuple[Kind, Any], Callable[[Any, Context], Decoded]]] = {
     ("points", PointCloudProto): _point_cloud,
     ("calibration", CameraCalibration): lambda message, _: _stamped(message, camera_from_calibration(message)),
@@ -87,4 +87,4 @@ DECODERS: Final[Mapping[tuple[Kind, Any], Callable[[Any, Context], Decoded]]] = 
     ("tf", FrameTransform): lambda message, _: _stamped(message, (_edge(message),)),
     ("pose", PoseInFrame): _pose,
 }
-"""By kind and type of message."""
+"""Decoder by kind and message type."""

@@ -1,4 +1,4 @@
-"""The messages of roadperc.proto: detections, and what is true or was found of road, lanes and objects."""
+"""Decodes the messages of roadperc.proto: detections, surface, lanes and objects."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, Final
@@ -33,9 +33,9 @@ _LANE_CHANGE_OF: Final[Mapping[str, LaneChange]] = {"none": "none", "left": "lef
 _SIDE_OF: Final[Mapping[int, Side]] = {1: "left", 2: "right"}
 _BOUNDARY_STATUS_OF: Final[Mapping[int, BoundaryStatus]] = {1: "measured", 2: "held", 3: "lost"}
 _OBJECT_STATUS_OF: Final[Mapping[int, ObjectStatus]] = {1: "measured", 2: "tracked", 3: "lost"}
-"""A truth need not say its status: it is what is there."""
+"""A truth without a status counts as measured."""
 _FEWEST: Final = 2
-"""Heights along each side of a grid: between fewer there is nothing."""
+"""Least heights along each side of a grid; interpolation needs two."""
 _FINEST_M, _FARTHEST_M = 1e-3, 1e7
 
 
@@ -88,7 +88,7 @@ def _height_grid(grid: Any) -> HeightGrid:
 
 
 def _lanes(message: Any, _: Context) -> Decoded:
-    """roadperc.Lanes: true ones, or those a replay has found; boundaries of no known side are left out."""
+    """roadperc.Lanes of a truth or of a replay; boundaries of an unknown side are left out."""
     found = Lanes(
         tuple(_boundary(b) for b in message.boundaries if b.side in _SIDE_OF),
         lane_change=_LANE_CHANGE_OF.get(message.lane_change),
@@ -145,7 +145,7 @@ _OPTIONAL_NUMBERS: Final = (
 
 
 def _objects(message: Any, context: Context) -> Decoded:
-    """roadperc.Objects: true ones, or those a replay has found."""
+    """roadperc.Objects of a truth or of a replay."""
     require_count("detections", len(message.objects), context.limits)
     return Decoded(stamp_ns(message.timestamp), Objects(tuple(_object(o) for o in message.objects)))
 
@@ -171,4 +171,4 @@ DECODERS: Final[Mapping[tuple[Kind, Any], Callable[[Any, Context], Decoded]]] = 
     ("lanes", LanesProto): _lanes,
     ("objects", ObjectsProto): _objects,
 }
-"""By kind and type of message."""
+"""Decoder by kind and message type."""

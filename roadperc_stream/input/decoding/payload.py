@@ -1,4 +1,4 @@
-"""What a decoder gives, what it may need besides the bytes, and the limits and cameras that several decoders share."""
+"""The input and output types of decoders, and shared checks and conversions."""
 
 import math
 from collections.abc import Iterator
@@ -43,13 +43,13 @@ Payload = (
     | Objects
 )
 READ_AS_A_WHOLE: Final[frozenset[Kind]] = frozenset(("image", "tags", "instances", "depth", "points"))
-"""Kinds whose messages are read as a whole; those of others item by item."""
+"""Kinds with one large block of data. The others have many items, so their messages have a size limit."""
 _INTRINSICS: Final = (0, 4, 2, 5)
-"""Where fx, fy, cx and cy stand in K, row by row."""
+"""Indices of fx, fy, cx and cy in K, row by row."""
 
 
 def names_in(payload: Payload | Transform | Detection) -> Iterator[str]:
-    """What a message calls frames and things."""
+    """All names in a message: frames, labels, ids."""
     match payload:
         case CameraImage() | TagImage() | InstanceImage() | DepthImage() | PointCloud() | Camera() | Surface():
             yield payload.frame_id
@@ -70,7 +70,7 @@ def names_in(payload: Payload | Transform | Detection) -> Iterator[str]:
 
 @dataclass(frozen=True)
 class Decoded:
-    """A message's own stamp (0 where it has none) and its content."""
+    """The stamp of a message, 0 without one, and its content."""
 
     stamp_ns: int
     payload: Payload
@@ -78,22 +78,22 @@ class Decoded:
 
 @dataclass(frozen=True)
 class Context:
-    """What a decoder may need besides the bytes."""
+    """Settings of a decoder."""
 
     tag_table: TagTable | None = None
     definition: bytes = b""
-    """How the log defines the message, where its encoding does not say by itself (cdr); empty: as ROS 2 defines it."""
+    """The log's definition of a CDR message; empty for the definition of ROS 2."""
     definition_encoding: str = "ros2msg"
     limits: LimitsConfig = DEFAULT_LIMITS
     carla_bridge: bool = False
-    """Whether CARLA's ROS bridge wrote it: its principal point, half the image's size, counts from a pixel's corner."""
+    """Whether CARLA's ROS bridge wrote it. Its principal point counts from a pixel's corner."""
 
 
 def pose_matrix(position: Any, orientation: Any) -> Float:
     """(4, 4) of a message's position and quaternion.
 
     Raises:
-        DecodeError: a number is not finite, or the quaternion is no rotation.
+        DecodeError: a number is not finite, or the quaternion is not a rotation.
     """
     try:
         rotation = rotation_from_quaternion(orientation.x, orientation.y, orientation.z, orientation.w)
@@ -104,7 +104,7 @@ def pose_matrix(position: Any, orientation: Any) -> Float:
 
 
 def require_count(items: Literal["points", "detections", "transforms"], found: int, limits: LimitsConfig) -> None:
-    """Refuse more items than a message may have.
+    """Check the number of items in a message.
 
     Raises:
         DecodeError: the message names the limit.
@@ -115,7 +115,7 @@ def require_count(items: Literal["points", "detections", "transforms"], found: i
 
 
 def require_within(payload: Payload, limits: LimitsConfig) -> None:
-    """Refuse a camera that is too large, and a name that is too long.
+    """Check the size of a camera and the length of names.
 
     Raises:
         DecodeError: the message names the limit.
@@ -128,13 +128,12 @@ def require_within(payload: Payload, limits: LimitsConfig) -> None:
 
 
 def camera_from_calibration(message: Any) -> Camera:
-    """A camera of a foxglove.CameraCalibration; P, where it is given, holds the rectified intrinsics.
+    """A camera of a foxglove.CameraCalibration, with the rectified intrinsics of P if given, else of K.
 
-    K, D and R speak of the image as it is: where they say that it is not rectified yet, the camera has a lens.
+    If K, D and R describe an image that is not rectified yet, the camera has a lens.
 
     Raises:
-        DecodeError: neither K nor P describes a pinhole that could be a camera, or there is no size.
-
+        DecodeError: neither K nor P describes a possible pinhole camera, or there is no size.
     """
     K, P = list(message.K), list(message.P)
     intrinsics = _intrinsics(K, P)
@@ -152,9 +151,9 @@ def camera_from_calibration(message: Any) -> Camera:
 
 
 def _lens(message: Any, rectified: tuple[float, float, float, float]) -> Lens | None:
-    """How the image was taken; None where it is rectified as it stands, or R is not given (all zero, in ROS).
+    """The lens of the unrectified image; None if the image is rectified, or without R (all zero in ROS).
 
-    What it says is not judged here: only who rectifies the image has to do without a lens that cannot be.
+    The numbers are not checked here. Rectification checks them and reports an impossible lens.
     """
     R = tuple(_number(r) for r in message.R)
     if len(R) != 9 or not any(R):
@@ -167,7 +166,7 @@ def _lens(message: Any, rectified: tuple[float, float, float, float]) -> Lens | 
 
 
 def _number(value: float) -> float:
-    """The number, and always the same NaN: calibrations that say the same are then equal."""
+    """The number, with one single NaN object, so that equal calibrations compare equal."""
     return math.nan if math.isnan(value) else float(value)
 
 

@@ -1,4 +1,4 @@
-"""Images, tags and depth of a message's pixels: raw ones, and files such as PNG and JPEG."""
+"""Decodes images, tags, instance masks and depth from raw pixels or image files."""
 
 import struct
 from typing import Final
@@ -16,10 +16,10 @@ from roadperc_stream.model.tag_tables import TagTable
 from roadperc_stream.schemas.roles import Kind
 
 _COLOUR_TYPE: Final = 25
-"""Where a PNG says how its pixels are coloured."""
+"""Position of a PNG's colour type."""
 _TRUE_COLOURS: Final = (b"\x02", b"\x06")
 _DEPTH_HEADER: Final = struct.Struct("<iff")
-"""Of compressedDepth: a number nobody uses, and both parameters of the quantisation of 32FC1."""
+"""Header of compressedDepth: an unused number, and both quantisation parameters of 32FC1."""
 
 
 Picture = CameraImage | TagImage | InstanceImage | DepthImage
@@ -31,9 +31,9 @@ def of_raster(kind: Kind, frame_id: str, raster: Raster, context: Context) -> Pi
     """An image, tags (numbers or CARLA's colours), instance masks in CARLA's coding, or depth of raw pixels.
 
     Raises:
-        DecodeError: it is beyond the limits, or tags are numbers of an unknown table.
+        DecodeError: it exceeds the limits, or the table of numeric tags is unknown.
     """
-    if raster.width * raster.height <= len(raster.data):  # of a size that the data do not have, decoding says so
+    if raster.width * raster.height <= len(raster.data):  # decoding reports too few data
         images.require_pixels(kind, raster.width, raster.height, context.limits)
     match kind:
         case "image":
@@ -52,7 +52,7 @@ def of_file(kind: Kind, frame_id: str, content: Content, context: Context) -> Pi
     Tags are palette indices, grey values, or CARLA's colours.
 
     Raises:
-        DecodeError: tags are numbers of an unknown table, or instance masks are in a file whose numbers are not exact.
+        DecodeError: the table of numeric tags is unknown, or instance masks are not in a PNG.
     """
     limits = context.limits
 
@@ -64,7 +64,7 @@ def of_file(kind: Kind, frame_id: str, content: Content, context: Context) -> Pi
         return CameraImage(frame_id, bgr, lambda: grey(bytes(content), limits), lambda: size(bytes(content), limits))
     if kind == "instances":
         if not _is_png(content):
-            raise DecodeError("instance masks that are no PNG: expected CARLA's coding, which no lossy file keeps")
+            raise DecodeError("instance masks that are no PNG: expected a lossless file with CARLA's coding")
         return InstanceImage(frame_id, lambda: images.instance_ids(bgr()))
     in_colours = _is_png(content) and content[_COLOUR_TYPE : _COLOUR_TYPE + 1] in _TRUE_COLOURS
     table = _table_of(context.tag_table, indexed=not in_colours)
@@ -78,11 +78,11 @@ def _is_png(content: Content) -> bool:
 
 
 def _table_of(table: TagTable | None, *, indexed: bool) -> TagTable:
-    """The table a log or the user names; colours need none, for each names its class in every version."""
+    """The table that the log or the user names. Colours need none: a colour means the same class in every version."""
     if table is not None:
         return table
     if indexed:
-        raise DecodeError("the log does not say its tag table; set tag_table, such as --set tag_table=0.9.15")
+        raise DecodeError("the log names no tag table; set one, such as --set tag_table=0.9.15")
     return PALETTE_TABLE
 
 
@@ -90,16 +90,16 @@ def encoded_depth(frame_id: str, layout: str, content: bytes, context: Context) 
     """Depth of a PNG with 16 bits a pixel.
 
     Args:
-        frame_id: of the camera.
+        frame_id: the camera's frame.
         layout: the message's ``format``: ``16UC1; compressedDepth``, ``32FC1; compressedDepth png`` or ``16UC1; png``.
         content: the message's data.
-        context: has the limits of its size.
+        context: gives the size limits.
     """
     return DepthImage(frame_id, lambda: _decoded_depth(layout, content, context.limits))
 
 
 def _decoded_depth(layout: str, content: bytes, limits: LimitsConfig) -> tuple[Float32, float]:
-    """Metres, and where the encoding ends.
+    """Metres, and the largest depth of the encoding.
 
     Source of the quantisation of 32FC1: image_transport_plugins' compressed_depth_image_transport.
     """

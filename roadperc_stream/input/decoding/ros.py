@@ -1,4 +1,4 @@
-"""ROS 2 messages, read by the definition their log carries."""
+"""Decodes ROS 2 messages, by the definition in their log."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from roadperc_stream.schemas.protobuf import require_finite
 from roadperc_stream.schemas.roles import Kind
 
 _FOXGLOVE_TYPES: Final = {1: 2, 2: 1, 3: 4, 4: 3, 5: 6, 6: 5, 7: 7, 8: 8}
-"""Numbers of sensor_msgs/msg/PointField's types, which put the signed ones first, as foxglove's."""
+"""foxglove type of each sensor_msgs/msg/PointField type."""
 
 _TO_PIXEL_CENTRE: Final = 0.5
 
@@ -72,7 +72,7 @@ def _calibration(message: Any, context: Context) -> Decoded:
     """A CameraInfo of the image as it is published.
 
     Raises:
-        DecodeError: of a part of the image or a smaller one, or of no pinhole camera.
+        DecodeError: the calibration is of a cut or binned image, or not of a pinhole camera.
     """
     _require_whole_image(message)
     K, P = message.k.copy(), message.p.copy()
@@ -93,7 +93,7 @@ def _calibration(message: Any, context: Context) -> Decoded:
 
 
 def _require_whole_image(message: Any) -> None:
-    """K speaks of the full sensor; which pixels of it a binned or cut image shows differs from driver to driver."""
+    """Check for a full image. K describes the full sensor, and drivers differ in how they bin or cut images."""
     roi = message.roi
     if message.binning_x > 1 or message.binning_y > 1:
         raise DecodeError(f"binning {message.binning_x}x{message.binning_y}: expected the calibration of whole pixels")
@@ -105,7 +105,7 @@ def _require_whole_image(message: Any) -> None:
 
 @dataclass(frozen=True)
 class _PackedPoints:
-    """A PointCloud2's points as ``points.unpack_points`` wants them."""
+    """A PointCloud2's points in the form that ``points.unpack_points`` needs."""
 
     point_stride: int
     fields: tuple[PackedElementField, ...]
@@ -139,7 +139,7 @@ def _detections(message: Any, context: Context) -> Decoded:
 
 
 def _detection(message: Any) -> Detection:
-    """Its likeliest hypothesis; the fields have moved from version to version, and the log says where they are."""
+    """The hypothesis with the highest score. The fields' places differ between versions of vision_msgs."""
     hypotheses = [getattr(result, "hypothesis", result) for result in message.results]
     best = max(hypotheses, key=lambda hypothesis: hypothesis.score, default=None)
     label = "" if best is None else str(getattr(best, "class_id", None) or getattr(best, "id", ""))
@@ -151,7 +151,7 @@ def _detection(message: Any) -> Detection:
 
 
 def _box(message: Any) -> Box:
-    """The upright box around a turned one."""
+    """The axis-aligned box around a rotated one."""
     centre = getattr(message.center, "position", message.center)
     c, s = abs(cos(message.center.theta)), abs(sin(message.center.theta))
     half_x, half_y = (
@@ -172,7 +172,7 @@ def _transforms(message: Any, context: Context) -> Decoded:
 
 
 def _odometry(message: Any, _: Context) -> Decoded:
-    """The pose of the frame that the message names in the odometry's; that of the vehicle where it names none."""
+    """The pose of the message's child frame; without one, of the ego frame."""
     return _pose_of(message, message.pose.pose, str(message.child_frame_id) or EGO)
 
 
@@ -182,11 +182,10 @@ def _pose_of(message: Any, pose: Any, child: str) -> Decoded:
 
 
 def unpack_image(data: bytes) -> ros2.RosImage:
-    """An image, as this project writes them, of any encoding that ``Raster`` knows.
+    """An image written by this package, of any encoding that ``Raster`` supports.
 
     Raises:
-        DecodeError: the bytes are no such image; the message says what was found.
-
+        DecodeError: the bytes are not such an image.
     """
     message = cdr.read(data, ros2.IMAGE, ros2.IMAGE_DEFINITION)
     pixels = Raster.of_ros(message).pixels()
@@ -206,4 +205,4 @@ DECODERS: Final[Mapping[tuple[Kind, str], Decoder]] = {
     ("pose", "nav_msgs/msg/Odometry"): _odometry,
     ("pose", "geometry_msgs/msg/PoseStamped"): lambda message, _: _pose_of(message, message.pose, EGO),
 }
-"""By kind and type of message."""
+"""Decoder by kind and message type."""

@@ -1,7 +1,7 @@
-"""Foxglove's messages as bytes: protobuf whose one large field stays where it is, and JSON.
+"""Parses Foxglove messages: protobuf without copying the one large field, and JSON.
 
-Parsing copies every field, and asking for one copies it again; of an image's megabyte the first pass needs the stamp.
-In JSON times are seconds and nanoseconds, and bytes are base64.
+The protobuf parser copies every field, and reading a field copies it again. The first pass needs only an image's stamp.
+In JSON, times are seconds and nanoseconds, and bytes are base64.
 Source of the layout: protobuf.dev/programming-guides/encoding.
 """
 
@@ -18,21 +18,21 @@ from roadperc_stream.schemas.definitions import brief
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
 _LENGTHS: Final = {_FIXED64: 8, _FIXED32: 4}
 _MOST_FIELDS: Final = 32
-"""A message of more is none that this is for; walking it would take longer than parsing it."""
+"""For messages with more fields, the search takes longer than parsing."""
 _LONGEST_VARINT: Final = 5
-"""Bytes; of tags and lengths, more would be no message."""
+"""Most bytes of a tag or length."""
 
 
 def parsed(message_type: Any, data: bytes, field: str) -> tuple[Any, Content]:
-    """A message without one of its fields, and what that holds.
+    """A message without one of its fields, and the content of that field.
 
     Args:
         message_type: the generated class.
         data: the whole message.
-        field: a field of bytes; it is copied where the message is not laid out as encoders write it.
+        field: a bytes field; it is copied only if the message has an unusual layout.
 
     Raises:
-        google.protobuf.message.DecodeError: the bytes are no such message.
+        google.protobuf.message.DecodeError: the bytes are not a message of this type.
     """
     place = _place(data, message_type.DESCRIPTOR.fields_by_name[field].number)
     if place is None:
@@ -43,7 +43,7 @@ def parsed(message_type: Any, data: bytes, field: str) -> tuple[Any, Content]:
 
 
 def _place(data: bytes, number: int) -> tuple[int, int, int] | None:
-    """Where the only field of a number begins, its content begins, and both end; None where a parser has to say."""
+    """Start of the only field with a number, start of its content, and end of both; None to use the parser."""
     found, at = None, 0
     for _ in range(_MOST_FIELDS):
         if at == len(data):
@@ -66,7 +66,7 @@ def _place(data: bytes, number: int) -> tuple[int, int, int] | None:
 
 
 def _varint(data: bytes, at: int) -> tuple[int, int]:
-    """The number at a place, and where it ends; -1 where there is none."""
+    """The varint at a position and its end; the value is -1 if there is none."""
     value = 0
     for shift, byte in enumerate(data[at : at + _LONGEST_VARINT]):
         value |= (byte & 0x7F) << 7 * shift
@@ -76,14 +76,14 @@ def _varint(data: bytes, at: int) -> tuple[int, int]:
 
 
 def from_json(message_type: Any, data: bytes) -> Any:
-    """The protobuf message that says what the JSON says; fields the type does not know are left out.
+    """The protobuf message of a JSON text; unknown fields are ignored.
 
     Raises:
-        DecodeError: no JSON, or a field of another type.
+        DecodeError: not JSON, or a field of another type.
     """
     try:
         return ParseDict(_with_times(_object(data)), message_type(), ignore_unknown_fields=True)
-    # Beside what it states, protobuf raises what its C code meets: SystemError of text that is no Unicode.
+    # protobuf's C code also raises undocumented errors, such as SystemError for invalid Unicode.
     except (ParseError, ValueError, TypeError, AttributeError, ArithmeticError, RecursionError, SystemError) as error:
         name = message_type.DESCRIPTOR.full_name
         raise DecodeError(f"{len(data)} bytes are no {name} as JSON: {brief(error)}") from error
@@ -97,7 +97,7 @@ def _object(data: bytes) -> dict[str, Any]:
 
 
 def _with_times(value: Any) -> Any:
-    """The same with every ``{"sec", "nsec"}`` as the text that protobuf reads."""
+    """The value with every ``{"sec", "nsec"}`` as a timestamp text for protobuf."""
     if isinstance(value, list):
         return [_with_times(item) for item in value] if value and isinstance(value[0], dict | list) else value
     if not isinstance(value, dict):

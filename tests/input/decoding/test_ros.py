@@ -104,7 +104,7 @@ def test_instance_masks_are_numbers_in_green_and_blue():
 
 
 def test_tags_of_no_known_table_or_colour_are_an_error():
-    with pytest.raises(DecodeError, match="does not say its tag table"):
+    with pytest.raises(DecodeError, match="names no tag table"):
         read("tags", ros2.IMAGE, image("mono8", GREY))
     found = read("tags", ros2.IMAGE, image("rgb8", np.full((2, 2, 3), (1, 2, 3), np.uint8))).payload
     with pytest.raises(DecodeError, match=r"colour \(1, 2, 3\) \(4 pixels\) is no class's"):
