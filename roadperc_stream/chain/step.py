@@ -15,12 +15,7 @@ from roadperc_stream.chain.stages.objects import tracker
 from roadperc_stream.chain.stages.objects.tracker import ObjectsState
 from roadperc_stream.chain.stages.odometry import ego_motion
 from roadperc_stream.chain.stages.odometry.keyframes import OdometryState, counted_from_here
-from roadperc_stream.chain.stages.surface.road import (
-    SurfaceState,
-    drivable_mask,
-    find_surface,
-    remember,
-)
+from roadperc_stream.chain.stages.surface.road import SurfaceState, drivable_mask, find_surface, remember
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.geometry import inverse, transform_plane
 from roadperc_stream.model import (

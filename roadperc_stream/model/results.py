@@ -296,22 +296,12 @@ class FrameResult:
 
     def reasons(self) -> tuple[Reason, ...]:
         """The reasons of absent outputs, and the problems of the input."""
-        stages = (
-            self.stereo,
-            self.surface,
-            self.drivable,
-            self.odometry,
-            self.lanes,
-            self.objects,
-            self.occupancy,
-        )
-        absent = tuple(out.reason for out in stages if isinstance(out, Absent))
-        unbounded = () if isinstance(self.lanes, Absent) else self.lanes.reasons
-        odometry = () if isinstance(self.odometry, Absent) else _reasons_of(self.odometry)
-        return absent + odometry + unbounded + self.problems
-
-
-def _reasons_of(odometry: Odometry) -> tuple[Reason, ...]:
-    if odometry.reason is None:
-        return ()
-    return (Reason("odometry", "lost", cause=odometry.reason) if odometry.status == "lost" else odometry.reason,)
+        motion, lanes = self.odometry, self.lanes
+        stages = (self.stereo, self.surface, self.drivable, motion, lanes, self.objects, self.occupancy)
+        found = [out.reason for out in stages if isinstance(out, Absent)]
+        if isinstance(motion, Odometry) and motion.reason is not None:
+            lost = motion.status == "lost"
+            found.append(Reason("odometry", "lost", cause=motion.reason) if lost else motion.reason)
+        if isinstance(lanes, Lanes):
+            found += lanes.reasons
+        return (*found, *self.problems)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from roadperc_stream.chain.kernels import mark
 from roadperc_stream.config import OdometryConfig, scaled
 from roadperc_stream.geometry import Camera, Float, Float32
+from roadperc_stream.geometry.ground import part
 from roadperc_stream.model import Image, Mask, Surface, read_only
 from roadperc_stream.model.scene import Scene
 
@@ -96,9 +97,7 @@ class Features:
 
     def joined(self, others: "Features") -> "Features":
         """These, then the others."""
-        return Features(
-            np.concatenate((self.px, others.px)), np.concatenate((self.descriptors, others.descriptors), axis=0)
-        )
+        return Features(*map(np.concatenate, ((self.px, others.px), (self.descriptors, others.descriptors))))
 
 
 @dataclass(frozen=True)
@@ -122,23 +121,11 @@ def tracking_frame(cfg: OdometryConfig, scene: Scene, grey: Image, road: Surface
     camera, shrink = scene.camera, 1
     while grey.shape[0] % 2 == 0 and grey.shape[1] % 2 == 0 and grey.shape[0] // 2 >= cfg.min_rows:
         grey = np.asarray(cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), np.uint8)
-        camera = _halved(camera)
+        # Pixel centres are at integers: u becomes (u - 0.5) / 2.
+        camera = replace(part(camera, 2, 2), cx=(camera.cx - 0.5) / 2, cy=(camera.cy - 0.5) / 2)
         shrink *= 2
     movable = _movable(scene, grey)
     return TrackingFrame(camera, scene.ego_T_camera, grey, shrink, scene.dense_depth_m, movable, road, scene.stamp_ns)
-
-
-def _halved(camera: Camera) -> Camera:
-    """Pixel centres are at integers: u becomes (u - 0.5) / 2."""
-    return replace(
-        camera,
-        width=camera.width // 2,
-        height=camera.height // 2,
-        fx=camera.fx / 2,
-        fy=camera.fy / 2,
-        cx=(camera.cx - 0.5) / 2,
-        cy=(camera.cy - 0.5) / 2,
-    )
 
 
 def _movable(scene: Scene, grey: Image) -> Image | None:

@@ -122,7 +122,8 @@ def refined(camera: Camera, X: Float, px: Float, this_T_key: Float) -> tuple[Flo
     for _ in range(_ITERATIONS):
         residual, J, agrees = linearise(projection, weighting, X, px, this_T_key)
         N = J.T @ J
-        if np.sum(agrees) < _SMALLEST_SET or _is_singular(N):
+        least, *_, most = np.linalg.eigvalsh(N)
+        if np.sum(agrees) < _SMALLEST_SET or not least * _SINGULAR > most:
             return this_T_key, agrees.astype(bool), None
         small = np.asarray(np.linalg.solve(N, residual @ J), np.float64)
         this_T_key = moved(small) @ this_T_key
@@ -131,12 +132,6 @@ def refined(camera: Camera, X: Float, px: Float, this_T_key: Float) -> tuple[Flo
     known = agrees.astype(bool)
     each = (J * residual[:, None]).reshape(-1, 2, 6).sum(axis=1)[known]
     return this_T_key, known, np.linalg.solve(N, each.T).T
-
-
-def _is_singular(N: Float) -> bool:
-    """Whether normal equations do not determine the motion."""
-    values = np.linalg.eigvalsh(N)
-    return not values[0] * _SINGULAR > values[-1]
 
 
 def moved(small: Float) -> Float:
