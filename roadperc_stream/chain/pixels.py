@@ -18,12 +18,12 @@ P = TypeVar("P", bound=np.generic)
 
 
 def needs_scene(cfg: ReplayConfig) -> bool:
-    """Whether a stage in use looks at depth and tags: all do but stereo, which makes depth."""
+    """Whether an enabled stage uses depth or tags: any stage except stereo."""
     return any(stage.enabled for stage in (cfg.surface, cfg.odometry, cfg.lanes, cfg.objects, cfg.occupancy))
 
 
 def needs_grey(cfg: ReplayConfig, frame: Frame) -> bool:
-    """Whether a stage in use needs the front camera's pixels, without regard to the state."""
+    """Whether an enabled stage needs the front camera's pixels, independent of the state."""
     searches = cfg.objects.enabled and cfg.objects.template_search and bool(frame.detections)
     shown = cfg.objects.enabled and bool(cfg.objects.template_png)
     matches = cfg.stereo.enabled and frame.right is not None
@@ -72,7 +72,7 @@ def lidar_depth(frame: Frame, problems: list[Reason]) -> DepthMap | None:
 def decoded(
     role: str, image: T | None, decode: Callable[[T], NDArray[P]], camera: Camera, problems: list[Reason]
 ) -> NDArray[P] | None:
-    """Decoded pixels of the camera's size; what cannot be used becomes a problem and counts as missing."""
+    """Decoded pixels of the camera's size; an unusable image becomes a problem and counts as missing."""
     pixels = _of_any_size(role, image, decode, problems)
     if pixels is not None and pixels.shape[:2] != camera.size:
         height, width = pixels.shape[:2]
@@ -84,7 +84,7 @@ def decoded(
 def _of_any_size(
     role: str, message: T | None, decode: Callable[[T], NDArray[P]], problems: list[Reason]
 ) -> NDArray[P] | None:
-    """A decoded array, of any size; what cannot be decoded becomes a problem and counts as missing."""
+    """A decoded array of any size; an undecodable message becomes a problem and counts as missing."""
     if message is None:
         return None
     try:

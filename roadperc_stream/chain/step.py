@@ -15,12 +15,7 @@ from roadperc_stream.chain.stages.objects import tracker
 from roadperc_stream.chain.stages.objects.tracker import ObjectsState
 from roadperc_stream.chain.stages.odometry import ego_motion
 from roadperc_stream.chain.stages.odometry.keyframes import OdometryState, counted_from_here
-from roadperc_stream.chain.stages.surface.road import (
-    SurfaceState,
-    drivable_mask,
-    find_surface,
-    remember,
-)
+from roadperc_stream.chain.stages.surface.road import SurfaceState, drivable_mask, find_surface, remember
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.geometry import inverse, transform_plane
 from roadperc_stream.model import (
@@ -200,7 +195,7 @@ class _EnabledStages:
     timer: Timer
 
     def run(self, stage: str, compute: Callable[[], T], otherwise: U) -> T | U:
-        """What the stage computes; ``otherwise`` if it is switched off."""
+        """The result of ``compute``, or ``otherwise`` if the stage is switched off."""
         if not getattr(self.cfg, stage).enabled:
             return otherwise
         with self.timer(stage):
@@ -212,7 +207,7 @@ def _off(stage: str) -> Absent:
 
 
 def _in_order(state: ChainState, stamp_ns: int) -> tuple[ChainState, list[Reason]]:
-    """The state, cleared if the stamp is not after the last one, and that as a problem."""
+    """The state, cleared if the stamp is not after the last one, and the problem."""
     last_ns = state.stamp_ns
     if last_ns is None or stamp_ns > last_ns:
         return state, []
@@ -241,7 +236,7 @@ def _best_depth(
 
 
 def _in_front_camera(scene: Scene, road: Surface | Absent) -> Surface | Absent:
-    """The road with its plane in the frame of the front camera, where the depth belongs to another one."""
+    """The road with its plane in the frame of the front camera."""
     depth = scene.depth
     if isinstance(road, Absent) or depth is None or depth.camera.frame_id == scene.camera.frame_id:
         return road
@@ -249,7 +244,7 @@ def _in_front_camera(scene: Scene, road: Surface | Absent) -> Surface | Absent:
 
 
 def _metric_road(scene: Scene, front_road: Surface | Absent) -> Surface | None:
-    """The road if its height is known, measured or from the mounting: it gives odometry its scale."""
+    """The road, which gives odometry its scale; None if neither depth nor the mounting gives its height."""
     if isinstance(front_road, Absent) or (front_road.source == "assumed" and not scene.mounted):
         return None
     return front_road

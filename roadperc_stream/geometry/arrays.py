@@ -1,4 +1,4 @@
-"""Arrays in frozen dataclasses: their kinds, and the check that makes them read-only."""
+"""Array types of the frozen dataclasses, and the check that makes arrays read-only."""
 
 from typing import Any, TypeVar
 
@@ -17,7 +17,7 @@ def read_only(array: NDArray[Any], dtype: type[Kind], shape: tuple[int | None, .
     """Check an array's dtype and shape (None: any length), forbid writing to it, and return it.
 
     Raises:
-        ValueError: with what was expected and what came.
+        ValueError: the dtype or shape differs.
     """
     fits = array.ndim == len(shape) and all(want in (None, got) for want, got in zip(shape, array.shape, strict=False))
     if array.dtype != np.dtype(dtype) or not fits:

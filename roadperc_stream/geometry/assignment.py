@@ -1,7 +1,7 @@
 """The assignment problem: pairs, one to one, of the largest total.
 
-Mostly it falls apart into groups of two or three that may be confused, and trying all is enough. Else it is scipy's,
-whose import takes half a second: as long as many frames.
+Usually the pairs split into groups of two or three, and trying all combinations is enough. Otherwise scipy solves it;
+its import takes half a second, as long as many frames.
 """
 
 from collections.abc import Iterable
@@ -13,11 +13,11 @@ import numpy as np
 from roadperc_stream.geometry import Float
 
 _MOST_PAIRS = 512
-"""Most possible pairs that are divided into groups."""
+"""Largest number of candidate pairs that are split into groups."""
 _MOST_WAYS = 512
-"""Ways to pair a group that are tried."""
+"""Largest number of combinations tried per group."""
 _TIE = 1e-9
-"""Difference of totals below which rounding may decide; then scipy's order does."""
+"""Difference of totals below which rounding may decide; scipy decides then."""
 
 Pair = tuple[int, int]
 
@@ -45,7 +45,7 @@ def _of_all(scores: Float) -> dict[int, int]:
 
 
 def _of_groups(scores: Float) -> dict[int, int] | None:
-    """The pairs found by trying all; None if they are too many, or the best is not certain."""
+    """The pairs found by trying all combinations; None if they are too many or the best is not unique."""
     rows, columns = np.nonzero(scores > 0)
     if len(rows) > _MOST_PAIRS:
         return None
@@ -59,7 +59,7 @@ def _of_groups(scores: Float) -> dict[int, int] | None:
 
 
 def _groups(pairs: Iterable[Pair]) -> list[list[Pair]]:
-    """The pairs, those that share rows or columns together."""
+    """The pairs in groups; pairs that share a row or column are in one group."""
     of_row: dict[int, list[Pair]] = {}
     of_column: dict[int, list[Pair]] = {}
     for row, column in pairs:

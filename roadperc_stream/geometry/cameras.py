@@ -13,11 +13,11 @@ from roadperc_stream.geometry.arrays import Float
 
 _SQUARE: Final = 0.05
 _SINGULAR: Final = 1e-9
-"""Share of a matrix's or a position's size below which a number is rounding."""
+"""Relative size below which a number counts as rounding error."""
 _FOCAL_LENGTHS: Final = (1e-3, 1e3)
-"""Shortest and longest focal length of a camera, in image widths: far wider and far narrower than any lens."""
+"""Shortest and longest plausible focal length, in image widths."""
 _FARTHEST_CENTRE: Final = 10.0
-"""Image widths or heights by which the principal point may lie from the first pixel: the image may be cut out."""
+"""Largest distance of the principal point from the first pixel, in image widths or heights; images may be cropped."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Camera:
 
     @property
     def square_pixels(self) -> bool:
-        """Whether fx and fy differ by no more than 5 %: those of real cameras and of CARLA's differ by far less."""
+        """Whether fx and fy differ by at most 5 %; those of real cameras and CARLA differ by far less."""
         return abs(self.fx - self.fy) <= _SQUARE * max(self.fx, self.fy)
 
     def same_view(self, other: "Camera") -> bool:
@@ -81,7 +81,7 @@ class Camera:
 
 
 def pinhole_fault(width: int, height: int, fx: float, fy: float, cx: float, cy: float) -> str | None:
-    """Why these numbers cannot be those of a pinhole camera with images of this size; None if they can.
+    """Why these numbers are invalid for a pinhole camera with images of this size; None if they are valid.
 
     Beyond these limits, depths would only be rounding errors.
     """
@@ -98,8 +98,8 @@ def pinhole_fault(width: int, height: int, fx: float, fy: float, cx: float, cy: 
 def decompose_projection(P: Float) -> tuple[Float, Float, Float]:
     """K, R and the camera's centre of a projection matrix P ~ K [R | -R centre].
 
-    P is known up to a factor of either sign. What is left free by the RQ decomposition of P's left half is fixed thus:
-    the diagonal of K is positive, K[2, 2] = 1 and det R = +1, so that R is a rotation and never a mirror.
+    P is known up to a factor of either sign. These choices make the RQ decomposition of P's left half unique: the
+    diagonal of K is positive, K[2, 2] = 1 and det R = +1, so R is a rotation.
     Source: Hartley and Zisserman, Multiple View Geometry, 2004, section 6.2.4.
 
     Args:
@@ -110,7 +110,7 @@ def decompose_projection(P: Float) -> tuple[Float, Float, Float]:
         -R^T K^-1 p4 in the world's frame.
 
     Raises:
-        ValueError: P is of another shape, not finite, or singular: it has no camera at a finite place.
+        ValueError: P has another shape, or is not finite, or its left half is singular.
     """
     if P.shape != (3, 4) or not np.isfinite(P).all():
         raise ValueError(f"expected a finite (3, 4) projection matrix, got {P.tolist()}")
@@ -134,7 +134,7 @@ def baseline_of(P_left: Float, P_right: Float) -> float:
     """Distance in metres of the centres of two (3, 4) projection matrices that share a world.
 
     Raises:
-        ValueError: a matrix is no projection, or both have one centre.
+        ValueError: a matrix is not a projection matrix, or both have the same centre.
     """
     left, right = decompose_projection(P_left)[2], decompose_projection(P_right)[2]
     baseline_m = float(np.linalg.norm(right - left))

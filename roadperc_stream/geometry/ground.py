@@ -1,7 +1,7 @@
-"""The road below the car, plane or height field: how high it lies, and where rays meet it. Pure functions.
+"""Heights of the road below the car and intersections with rays, for a plane or a height field. Pure functions.
 
-A ``Surface`` with a height grid is a field z(x, y) in the ego frame: bilinear between the grid's nodes, going on
-straight beyond them. Without one it is its plane.
+A ``Surface`` with a height grid is a field z(x, y) in the ego frame: bilinear between the grid's nodes, extrapolated
+linearly beyond them. Without a grid the surface is its plane.
 """
 
 from dataclasses import replace
@@ -18,15 +18,14 @@ from roadperc_stream.geometry.planes import HeightGrid, Plane, Surface, intersec
 from roadperc_stream.geometry.rotations import transform
 
 REACH_M: Final = 200.0
-"""Depth to which a ray is followed to the height field; what is straight beyond the grid ends somewhere."""
+"""Largest depth at which a ray may meet the height field; it limits the extrapolation beyond the grid."""
 _TRIED_M: Final = np.geomspace(0.5, REACH_M, 25)
-"""Depths at which a ray is first tested for being below the road."""
+"""Depths at which a ray is first tested against the road."""
 _PARTS: Final = np.linspace(0.0, 1.0, 5)
 _REFINEMENTS: Final = 2
-"""Parts into which the stretch where it dipped is cut, twice: the last is 2 % long, straight enough to interpolate."""
+"""Subdivisions of the interval in which a ray crosses the road; after the second, linear interpolation suffices."""
 _GRIDS_AT_ONCE: Final = 4
-"""Height fields whose sampling is kept for the next call: the estimate and the truth of a frame, and of the one before.
-"""
+"""Cached height fields: the estimate and the truth of a frame and of the previous one."""
 _LOOKUP_X_M: Final = (-20.0, REACH_M)
 _LOOKUP_Y_M: Final = (-80.0, 80.0)
 
@@ -48,7 +47,7 @@ def height_at(surface: Surface, x: Float, y: Float) -> Float:
 
 
 def ground_points(surface: Surface, camera: Camera, ego_T_camera: Float, pixels: Float) -> Float:
-    """(N, 3) ego points where the rays of (N, 2) pixels first meet the road, NaN where they do not.
+    """(N, 3) ego points where the rays of (N, 2) pixels first meet the road, NaN for rays that miss it.
 
     The plane of ``surface`` must be in the frame of ``camera``.
     """
@@ -71,7 +70,7 @@ def ego_points(camera: Camera, ego_T_camera: Float, depth_m: Float32, top: int =
 
 
 def ego_rays(camera: Camera, ego_T_camera: Float, top: int, rows: int) -> Rays:
-    """The rays in the ego frame of some rows of an image, ``top`` the first of them."""
+    """The rays of ``rows`` image rows from row ``top`` on, in the ego frame."""
     rotation = ego_T_camera[:3, :3]
     column = (np.arange(camera.width) - camera.cx) / camera.fx
     row = (np.arange(top, top + rows) - camera.cy) / camera.fy
@@ -117,14 +116,14 @@ def part(camera: Camera, rows: int, columns: int) -> Camera:
 
 
 def _grid_height(grid: HeightGrid, x: Float, y: Float) -> Float:
-    """Bilinear inside the grid; outside, the slopes of the nearest cell's edge go on, its twist does not.
+    """Height at x and y: bilinear inside the grid; outside, the slopes of the nearest cell's edge without its twist.
 
-    x and y are of one shape, or of shapes that numpy brings to one.
+    The shapes of x and y must be equal or broadcast.
     """
     cells = _cells(grid)
     _, rows, columns = cells.shape
     u, v = (np.asarray(x) - grid.x_min_m) / grid.step_m, (np.asarray(y) - grid.y_min_m) / grid.step_m
-    i = np.fmin(np.fmax(u, 0), columns - 1).astype(np.intp)  # fmax and fmin make a number of NaN
+    i = np.fmin(np.fmax(u, 0), columns - 1).astype(np.intp)  # fmax and fmin replace NaN by a number
     j = np.fmin(np.fmax(v, 0), rows - 1).astype(np.intp)
     corner, along, across, twist = (number.take(j * columns + i) for number in cells)
     u, v = u - i, v - j
@@ -135,14 +134,14 @@ def _grid_height(grid: HeightGrid, x: Float, y: Float) -> Float:
 
 @lru_cache(maxsize=_GRIDS_AT_ONCE)
 def _lookup(grid: HeightGrid) -> Float32:
-    """(R, C) heights at places a step of the grid apart, far beyond it: a row each ``_LOOKUP_Y_M``, ascending."""
+    """(R, C) heights sampled at the grid's step over ``_LOOKUP_X_M`` and ``_LOOKUP_Y_M``, far beyond the grid."""
     x, y = (np.arange(*reach_m, grid.step_m) for reach_m in (_LOOKUP_X_M, _LOOKUP_Y_M))
     return _grid_height(grid, x, y[:, None]).astype(np.float32)
 
 
 @lru_cache(maxsize=_GRIDS_AT_ONCE)
 def _cells(grid: HeightGrid) -> Float:
-    """(4, rows, columns) of each cell between four nodes: height, rise along x, along y, and along both, per step."""
+    """(4, rows, columns) per cell between four nodes: height, and its rise per step along x, along y and along both."""
     z = grid.z_m.astype(np.float64)
     z = np.pad(z, [(0, int(length == 1)) for length in z.shape], mode="edge")
     along, across = np.diff(z, axis=1), np.diff(z, axis=0)
@@ -150,9 +149,9 @@ def _cells(grid: HeightGrid) -> Float:
 
 
 def _first_meeting(grid: HeightGrid, centre: Float, directions: Float) -> Float:
-    """(N,) depths at which rays from a (3,) centre first dip below the height field, NaN where they never do.
+    """(N,) depths at which rays from a (3,) centre first cross the height field, NaN for rays that do not.
 
-    A crest hides what lies behind it, so the first crossing counts; Newton's method might find another one.
+    A crest hides the road behind it, so the first crossing counts. Newton's method might find a later one.
     """
     depth: Float = np.broadcast_to(_TRIED_M, (len(directions), len(_TRIED_M)))
     near, far, above_m, below_m = _first_dip(grid, centre, directions, depth)
@@ -164,9 +163,9 @@ def _first_meeting(grid: HeightGrid, centre: Float, directions: Float) -> Float:
 
 
 def _first_dip(grid: HeightGrid, centre: Float, directions: Float, depth: Float) -> tuple[Float, Float, Float, Float]:
-    """Between which two of (N, M) depths each ray first dips below the field, and its heights above it there.
+    """The two of (N, M) depths between which each ray first crosses the field, and its heights above the field there.
 
-    All (N,); NaN depths where it never does, or is below from the start.
+    All are (N,). The depths are NaN for rays that never cross it or start below it.
     """
     x, y, z = (start + direction[:, None] * depth for start, direction in zip(centre, directions.T, strict=True))
     gap = z - _grid_height(grid, x, y)

@@ -42,7 +42,7 @@ class Plane:
 class HeightGrid:
     """Road height z in metres at x = x_min_m + column * step_m, y = y_min_m + row * step_m (ego frame).
 
-    Hashed by identity, so that what follows from a grid alone can be kept beside it.
+    Grids are hashed by identity, so functions of a grid can be cached.
     """
 
     x_min_m: float
@@ -86,7 +86,7 @@ class Surface:
 
 
 def intersect_plane(camera: Camera, pixels: Float, plane: Plane) -> Float:
-    """(..., 3) points where the pixels' rays meet the plane (camera frame); NaN where they never do in front."""
+    """(..., 3) points where the pixels' rays meet the plane (camera frame); NaN without a point in front."""
     directions = rays(camera, pixels)
     slope = directions @ plane.n
     with np.errstate(divide="ignore"):
@@ -95,9 +95,9 @@ def intersect_plane(camera: Camera, pixels: Float, plane: Plane) -> Float:
 
 
 def distance_per_depth(camera: Camera, plane: Plane) -> tuple[Float32, Float32]:
-    """(W,) part of every column, and (H,) of every row, of n . ray, by which the distance to a plane grows with depth.
+    """(W,) column and (H,) row terms of n . ray, the growth of the distance to a plane with depth.
 
-    The signed distance of pixel (u, v) at depth z is z (n . ray) + offset: no points are needed.
+    The signed distance of pixel (u, v) at depth z is z (n . ray) + offset, without computing points.
     """
     nx, ny, nz = plane.normal
     column = (np.arange(camera.width) - camera.cx) * (nx / camera.fx)
@@ -126,7 +126,7 @@ def fit_plane(points: NDArray[np.floating[Any]], chosen: NDArray[np.bool_] | Non
         raise ValueError(f"a plane needs three points, got {count:.0f}")
     centroid = (weights @ points).astype(float) / count
     centred = (points - centroid.astype(points.dtype)).T
-    # Six dot products, for the lower triangle alone is read: a matrix product of two such thin ones takes far longer.
+    # Six dot products for the lower triangle are far faster than a product of such thin matrices.
     scatter, weighted = np.zeros((3, 3)), np.empty_like(weights)
     for i, coordinate in enumerate(centred):
         np.multiply(weights, coordinate, out=weighted)

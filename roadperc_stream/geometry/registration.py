@@ -1,4 +1,4 @@
-"""Bringing sensors together: the images of two cameras that are not one, and a lidar's points into an image."""
+"""Registration of sensors: depth and labels between two cameras, and lidar points in an image."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ def sample_labels(
 
 
 def warp_depth(depth_camera: Camera, camera_T_depth: Float, camera: Camera, depth_m: Float32) -> Float32:
-    """Depth in another camera's image: every point goes to its nearest pixel, of several points the nearest wins.
+    """Depth in another camera's image: each point goes to its nearest pixel, and the nearest point of a pixel wins.
 
     Args and units as in ``sample_labels``.
 
@@ -49,13 +49,13 @@ def warp_depth(depth_camera: Camera, camera_T_depth: Float, camera: Camera, dept
 
 
 def depth_of_points(camera: Camera, camera_T_lidar: Float, points_m: Float32) -> Float32:
-    """Sparse depth of a lidar's points in a camera's image: each falls into one pixel, where the nearest one counts.
+    """Sparse depth of lidar points in a camera's image; the nearest point of a pixel counts.
 
-    The camera is a pinhole here as in every stage, also if its image has a lens: so a pixel and its
-    depth give the point again, to within half a pixel.
+    The projection is that of a pinhole camera, even if the camera has a lens. A pixel and its depth thus give the point
+    again, to within half a pixel.
 
     Args:
-        camera: whose pixels.
+        camera: the camera of the image.
         camera_T_lidar: the lidar's pose in the camera's frame.
         points_m: (N, 3) in the lidar's frame; those behind the camera and outside its image are left out.
 

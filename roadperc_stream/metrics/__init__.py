@@ -1,6 +1,6 @@
 """The metrics of a frame and of each detection: pure functions of results and truth.
 
-An error is estimate minus truth; a column is None where it could not be measured. docs/metrics.md has the formulas.
+An error is estimate minus truth. A column is None if it could not be measured. docs/metrics.md has the formulas.
 """
 
 from roadperc_stream.config import ReplayConfig
@@ -19,7 +19,7 @@ __all__ = ["frame_metrics", "object_metrics"]
 def frame_metrics(
     cfg: ReplayConfig, log_id: str, sample: Sample, result: FrameResult, previous: EarlierTruth | None = None
 ) -> FrameMetrics:
-    """The row of one frame, with errors wherever the log carries truth; ``previous`` is of the frame before."""
+    """The row of one frame, with errors if the log has truth; ``previous`` is the truth of the previous frame."""
     frame, truth = sample.frame, sample.truth
     return row_of(
         FrameMetrics,

@@ -1,4 +1,4 @@
-"""The ego lane's two boundaries, and how far they are off: on the road, and as the public benchmarks score lanes."""
+"""Metrics of the ego lane's two boundaries: errors on the road, and the scores of public lane benchmarks."""
 
 from collections.abc import Sequence
 from typing import Final, NamedTuple
@@ -14,32 +14,32 @@ from roadperc_stream.schemas.columns.estimates import LaneColumns
 
 LANE_ERROR_AT_M: Final = 10.0
 ROW_STEP_PX: Final = 10
-"""TuSimple's rows are the multiples of this."""
+"""TuSimple scores rows at multiples of this."""
 CULANE_THRESHOLDS: Final = (0.5, 0.3)
 """Intersection over union from which a line is found."""
 TUSIMPLE_PX: Final = 20.0
-"""Columns by which a point may be off, of a lane that stands upright in a 1280 px wide image."""
+"""Largest column error of a right point on an upright lane, in a 1280 px wide image."""
 TUSIMPLE_MATCHED: Final = 0.85
 """Accuracy from which a true lane is found."""
 _TUSIMPLE_SURPLUS: Final = 2
-"""More predicted lanes than true ones by more than this are no answer at all."""
+"""A frame with more surplus predicted lanes than this scores (0, 0, 1)."""
 _TUSIMPLE_LANES: Final = 4
-"""Of more true lanes than this the worst one is forgiven."""
+"""If there are more true lanes than this, the worst one is forgiven."""
 _NOWHERE_PX: Final = -100.0
-"""Column of a point that is not there, as in TuSimple's script: near to none that is, and right where both are not."""
+"""Column of an absent point, as in TuSimple's script: right only if both points are absent."""
 CULANE_WIDTH_PX: Final = 30
-"""Width a lane is drawn with in a 1640 px wide image."""
+"""Width of a drawn lane in a 1640 px wide image."""
 TUSIMPLE_COLUMNS: Final = 1280
 CULANE_COLUMNS: Final = 1640
-"""Widths of the benchmarks' images: their thresholds in px scale with the image, so that resolution does not matter."""
+"""Widths of the benchmarks' images; thresholds in px scale with the image width."""
 _SUBPIXEL_BITS: Final = 4
 _DRAWABLE_PX: Final = 2.0**14
-"""To points farther than this outside the image, as of a line that passes beside the camera, OpenCV draws a line that
-is a few columns off; far more of them take seconds, or do not fit into its 32 bits."""
+"""Farthest drawn point outside the image. Beyond it OpenCV's lines are a few columns off; much farther points take
+seconds or overflow its 32 bits. Lines that pass beside the camera have such points."""
 
 
 class TuSimpleScore(NamedTuple):
-    """One frame's share of right points, of predicted lanes that are wrong, and of true lanes that are missed."""
+    """Shares of one frame: right points, wrong predicted lanes, missed true lanes."""
 
     accuracy: float
     fp: float
@@ -47,7 +47,7 @@ class TuSimpleScore(NamedTuple):
 
 
 class Counts(NamedTuple):
-    """Lines found rightly, found wrongly and missed."""
+    """True positive, false positive and missed lines."""
 
     tp: int
     fp: int
@@ -55,7 +55,7 @@ class Counts(NamedTuple):
 
 
 def lane_columns(lanes: Lanes | Absent) -> LaneColumns:
-    """Each boundary as the chain tracks it, and what both say of the lane."""
+    """The columns of each tracked boundary and of the lane between them."""
     if isinstance(lanes, Absent):
         return LaneColumns()
     left, right = lanes.side("left"), lanes.side("right")
@@ -87,13 +87,13 @@ def _offset_std_m(boundary: Boundary) -> float | None:
 
 
 def _heading_std_deg(*boundaries: Boundary) -> float | None:
-    """Of the mean of headings that err independently."""
+    """Standard deviation of the mean heading, for independent errors."""
     variances = [boundary.covariance[4] for boundary in boundaries if boundary.covariance]
     return float(np.degrees(np.sqrt(sum(variances)) / len(variances))) if variances else None
 
 
 def lane_errors(lanes: Lanes | Absent, truth: Lanes | None) -> LaneErrorColumns:
-    """How far each boundary is off on the road; nothing without truth."""
+    """The error of each boundary on the road; empty columns without truth."""
     if isinstance(lanes, Absent) or truth is None:
         return LaneErrorColumns()
     return LaneErrorColumns(
@@ -103,7 +103,7 @@ def lane_errors(lanes: Lanes | Absent, truth: Lanes | None) -> LaneErrorColumns:
 
 
 def lane_error_m(boundary: Boundary, truth: Boundary) -> float | None:
-    """Lateral error ``LANE_ERROR_AT_M`` ahead (ego x), metres; positive where the estimate lies farther left."""
+    """Lateral error ``LANE_ERROR_AT_M`` ahead (ego x), metres; positive if the estimate lies farther left."""
     x = LANE_ERROR_AT_M
     line = truth.line_ego_m
     if boundary.offset_m is None or boundary.heading is None or boundary.curvature_per_m is None:
@@ -115,7 +115,7 @@ def lane_error_m(boundary: Boundary, truth: Boundary) -> float | None:
 
 
 def true_lane_columns(lanes: Lanes | Absent, truth: Lanes | None) -> TrueLaneColumns:
-    """Where the true boundaries are at the ego origin, for the smoothed ones' jitter and lag, and their heading."""
+    """Offsets of the true boundaries at the ego origin, for jitter and lag, and their heading."""
     if truth is None:
         return TrueLaneColumns()
     offsets = truth.side("left").offset_m, truth.side("right").offset_m
@@ -123,7 +123,7 @@ def true_lane_columns(lanes: Lanes | Absent, truth: Lanes | None) -> TrueLaneCol
 
 
 def _true_heading_deg(lanes: Lanes | Absent, truth: Lanes) -> float | None:
-    """The mean true heading of the boundaries whose mean heading the row has; in a bend the two sides differ."""
+    """Mean true heading of the boundaries in the row's mean heading; in a bend the two sides differ."""
     if isinstance(lanes, Absent):
         return None
     headings = [truth.side(side).heading for side in SIDES if lanes.side(side).heading is not None]
@@ -134,7 +134,7 @@ def _true_heading_deg(lanes: Lanes | Absent, truth: Lanes) -> float | None:
 def lane_benchmarks(
     lanes: Lanes | Absent, truth: Lanes | None, camera: Camera, ego_T_camera: Float
 ) -> LaneScoreColumns:
-    """TuSimple's and CULane's scores of the two boundaries in the image; none where no true one is in view."""
+    """TuSimple's and CULane's scores of the two boundaries; empty columns if no true boundary is in view."""
     if isinstance(lanes, Absent) or truth is None:
         return LaneScoreColumns()
     visible = (in_view(_projected(truth.side(side), camera, ego_T_camera), camera) for side in SIDES)
@@ -154,7 +154,7 @@ def lane_benchmarks(
 
 
 def columns_at(line_px: Float, rows: Float, camera: Camera) -> Float:
-    """(R,) column of an (N, 2) line, near end first, at each of (R,) rows; NaN where it is not in the image."""
+    """(R,) column of an (N, 2) line, near end first, at each of (R,) rows; NaN outside the image."""
     rising = line_px[::-1]
     columns: Float = np.interp(rows, rising[:, 1], rising[:, 0], left=np.nan, right=np.nan)
     columns[(columns < 0) | (columns > camera.width - 1)] = np.nan
@@ -162,13 +162,13 @@ def columns_at(line_px: Float, rows: Float, camera: Camera) -> Float:
 
 
 def _projected(boundary: Boundary, camera: Camera, ego_T_camera: Float) -> Float:
-    """(N, 2) pixels of a boundary's line on the road, those before the camera."""
+    """(N, 2) pixels of the points of a boundary's line in front of the camera."""
     line_px = project(camera, transform(inverse(ego_T_camera), boundary.line_ego_m))
     return line_px[np.isfinite(line_px).all(axis=1)]
 
 
 def in_view(line_px: Float, camera: Camera) -> Float:
-    """The part of an (N, 2) line, near end first, up to where a crest hides it; empty where none is in the image."""
+    """The visible part of an (N, 2) line, near end first, in front of any crest; empty if outside the image."""
     highest = np.minimum.accumulate(line_px[:, 1])
     seen = line_px[np.append(True, line_px[1:, 1] < highest[:-1])] if len(line_px) else line_px
     inside = ((seen >= 0) & (seen <= (camera.width - 1, camera.height - 1))).all(axis=1)
@@ -180,16 +180,16 @@ def tusimple(
 ) -> TuSimpleScore:
     """Accuracy, false positives and false negatives of a frame, by the TuSimple lane detection challenge (2017).
 
-    A point is right where its column is less than 20 px / cos(angle of the true lane) off, or where neither
-    lane has one; a true lane's accuracy is that of the predicted lane with most right points, and it is found at
-    ``TUSIMPLE_MATCHED``. As in the benchmark's script, the worst of more than four true lanes is forgiven, and a frame
-    with more than two lanes too many scores (0, 0, 1).
+    A point is right if its column error is less than 20 px / cos(angle of the true lane), or if both lanes have no
+    point there. The best predicted lane gives the accuracy of a true lane, which is found from ``TUSIMPLE_MATCHED`` on.
+    As in the benchmark's script, the worst of more than four true lanes is forgiven. A frame with more than two surplus
+    lanes scores (0, 0, 1).
 
     Args:
-        predicted: a lane each: (N,) column in px at each row, NaN where the lane has no point.
-        truth: the same, true.
-        rows: (N,) rows in px, the same for all lanes.
-        columns: width of the image, with which the 20 px of the benchmark's images grow.
+        predicted: one (N,) array per lane: its column in px at each row, NaN without a point.
+        truth: the same for the true lanes.
+        rows: (N,) rows in px, common to all lanes.
+        columns: width of the image; the 20 px of the benchmark scale with it.
     """
     threshold_px = TUSIMPLE_PX * columns / TUSIMPLE_COLUMNS
     if len(predicted) > len(truth) + _TUSIMPLE_SURPLUS:
@@ -207,7 +207,7 @@ def tusimple(
 
 
 def lane_angle(lane: Float, rows: Float) -> float:
-    """Angle of the straight line fitted to a lane, from the upright, radians; 0 with fewer than two points."""
+    """Angle between the line fitted to a lane and the vertical, radians; 0 with fewer than two points."""
     known = np.isfinite(lane)
     if np.count_nonzero(known) < 2:
         return 0.0
@@ -222,13 +222,13 @@ def _best_accuracy(predicted: Sequence[Float], lane: Float, threshold_px: float)
 
 
 def line_overlaps(predicted: Sequence[Float], truth: Sequence[Float], shape: tuple[int, int]) -> Float:
-    """(predicted, truth) intersections over union of drawn lines, by which CULane pairs them.
+    """(predicted, truth) intersections over union of drawn lines, as CULane pairs them.
 
-    A line is (N, 2) x, y in px from end to end, joined by straight pieces. It is drawn 30 px wide in the benchmark's
-    images, which are 1640 px wide, and its width grows with the image. ``shape`` is rows and columns.
+    A line is an (N, 2) polyline of x, y in px. It is drawn 30 px wide in a 1640 px wide image; the width scales with
+    the image. ``shape`` is rows and columns.
     """
     width_px = CULANE_WIDTH_PX * shape[1] / CULANE_COLUMNS
-    places = [np.flatnonzero(_drawn(line, shape, width_px)) for line in predicted]  # a line fills few of the pixels
+    places = [np.flatnonzero(_drawn(line, shape, width_px)) for line in predicted]  # few pixels belong to a line
     overlaps = np.zeros((len(predicted), len(truth)))
     for k, true in enumerate(_drawn(line, shape, width_px).reshape(-1) for line in truth):
         true_area = int(np.count_nonzero(true))
@@ -239,13 +239,11 @@ def line_overlaps(predicted: Sequence[Float], truth: Sequence[Float], shape: tup
 
 
 def counts_above(overlaps: Float, threshold: float) -> Counts:
-    """Lines found rightly, wrongly and missed, as CULane counts them (Pan et al., Spatial As Deep, AAAI 2018).
+    """True positive, false positive and missed lines, as CULane counts them (Pan et al., Spatial As Deep, AAAI 2018).
 
-    Predicted and true lines are paired one to one so that their intersections over union have the largest sum, and a
-    pair above the threshold is a true positive. Precision, recall and F1 of a run are computed from the counts summed
-    over its frames.
-
-    The overlaps are those of ``line_overlaps``. The threshold is 0.5 in the benchmark, 0.3 in its looser variant.
+    One-to-one pairs of predicted and true lines maximise the sum of their ``line_overlaps``. A pair above the threshold
+    is a true positive. The threshold is 0.5 in the benchmark, 0.3 in its looser variant. Precision, recall and F1 of a
+    replay come from the counts summed over its frames.
     """
     tp = sum(float(overlaps[pair]) > threshold for pair in largest_total(overlaps).items())
     return Counts(tp, overlaps.shape[0] - tp, overlaps.shape[1] - tp)
@@ -260,12 +258,12 @@ def _drawn(line: Float, shape: tuple[int, int], width_px: float) -> Mask:
 
 
 def _drawable(line: Float, most_px: float) -> Sequence[Float]:
-    """Polylines within ``most_px`` of the origin: an (N, 2) line, or of one that goes farther its clipped segments."""
+    """The polylines of an (N, 2) line within ``most_px`` of the origin: itself, or its clipped segments."""
     if (np.abs(line) <= most_px).all():
         return [line]
     starts, steps = line[:-1], np.diff(line, axis=0)
     borders = np.array([-most_px, most_px]).reshape(2, 1, 1)
-    with np.errstate(divide="ignore", invalid="ignore"):  # along a border's direction: never, or NaN on the border
+    with np.errstate(divide="ignore", invalid="ignore"):  # segments parallel to a border give infinity or NaN
         crossings = np.sort((borders - starts) / steps, axis=0)
     first = np.maximum(crossings[0].max(axis=1), 0)
     last = np.minimum(crossings[1].min(axis=1), 1)

@@ -1,4 +1,4 @@
-"""Detections kept and dropped, row by row and in sum, against the true objects."""
+"""Metrics of detections: a row for each one, and the sums of a frame, against the true objects."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -16,7 +16,7 @@ MATCH_OVERLAP = 0.5
 
 
 def object_metrics(log_id: str, sample: Sample, result: FrameResult) -> list[ObjectMetrics]:
-    """The rows of a frame's detections, kept and dropped."""
+    """The rows of all detections of a frame."""
     if isinstance(result.objects, Absent):
         return []
     objects, truth = result.objects.objects, sample.truth.objects
@@ -67,7 +67,7 @@ def _object_row(
 def true_time_to_impact_s(true: Object) -> float | None:
     """The true time to impact; else its distance over its closing speed.
 
-    None if the object does not come nearer. If the truth has ``in_path``, its time to impact counts, also if absent.
+    None if the object does not come nearer. If the truth has ``in_path``, its own time counts, even if it is None.
     """
     if true.in_path is not None:
         return true.time_to_impact_s
@@ -77,7 +77,7 @@ def true_time_to_impact_s(true: Object) -> float | None:
 
 
 def object_columns(objects: Objects | Absent) -> ObjectColumns:
-    """How many detections were kept, and the nearest and most urgent of them."""
+    """The counts of detections, and the nearest and most urgent kept object."""
     if isinstance(objects, Absent):
         return ObjectColumns()
     kept = [item for item in objects.objects if item.kept]
@@ -99,7 +99,7 @@ def object_columns(objects: Objects | Absent) -> ObjectColumns:
 
 
 def object_errors(objects: Objects | Absent, truth: Objects | None) -> ObjectErrorColumns:
-    """Mean distance error of what was kept, and how the filter judged; nothing without true objects."""
+    """Mean distance error of kept objects, and the scores of the filter; empty columns without true objects."""
     if isinstance(objects, Absent) or truth is None:
         return ObjectErrorColumns()
     pairs = list(zip(objects.objects, true_partners(objects.objects, truth), strict=True))
@@ -108,7 +108,7 @@ def object_errors(objects: Objects | Absent, truth: Objects | None) -> ObjectErr
         for item, true in pairs
         if true is not None and item.kept and item.distance_m is not None and true.distance_m is not None
     ]
-    # The filter is judged by what the detector found: true positives are kept detections that match a true object.
+    # Only detections of this frame score the filter; a kept detection that matches a true object is a true positive.
     judged = [(item.kept, true is not None) for item, true in pairs if item.status == "measured"]
     tp, fp = judged.count((True, True)), judged.count((True, False))
     fn, tn = judged.count((False, True)), judged.count((False, False))
@@ -124,9 +124,9 @@ def object_errors(objects: Objects | Absent, truth: Objects | None) -> ObjectErr
 
 
 def true_impact(objects: Objects | Absent, truth: Objects | None) -> TrueImpactColumns:
-    """The smallest true time to impact of what is in the path, and the estimate's error.
+    """The smallest true time to impact of the objects in the path, and the estimate's error.
 
-    None where the truth does not say what is in the path.
+    None if the truth does not say which objects are in the path.
     """
     ahead = () if truth is None else (item for item in truth.objects if item.in_path)
     true_s = min((impact for item in ahead if (impact := true_time_to_impact_s(item)) is not None), default=None)
@@ -136,7 +136,7 @@ def true_impact(objects: Objects | Absent, truth: Objects | None) -> TrueImpactC
 
 
 def true_partners(objects: Sequence[Object], truth: Objects | None) -> list[Object | None]:
-    """The true object that each detection matches: pairs of a kind by overlap, best first, each used once."""
+    """The true object that each detection matches: pairs of one kind, largest overlap first, each object used once."""
     partners: list[Object | None] = [None] * len(objects)
     used: set[int] = set()
     true = () if truth is None else truth.objects
@@ -148,7 +148,7 @@ def true_partners(objects: Sequence[Object], truth: Objects | None) -> list[Obje
 
 
 def _candidates(objects: Sequence[Object], true: Sequence[Object]) -> list[tuple[float, int, int]]:
-    """Negative overlap and the two indices of each pair that may be the same object."""
+    """Negative overlap and both indices of each candidate pair."""
     pairs = ((i, k, a.detection, b.detection) for i, a in enumerate(objects) for k, b in enumerate(true))
     overlaps = ((a.box_px.overlap(b.box_px), i, k) for i, k, a, b in pairs if same_kind(a.label, b.label))
     return [(-overlap, i, k) for overlap, i, k in overlaps if overlap >= MATCH_OVERLAP]
@@ -156,7 +156,7 @@ def _candidates(objects: Sequence[Object], true: Sequence[Object]) -> list[tuple
 
 @lru_cache(maxsize=1024)
 def same_kind(label: str, other: str) -> bool:
-    """Whether both labels have a class in common; for labels without classes, whether they are equal."""
+    """Whether both labels share a class; labels without classes must be equal."""
     classes, others = classes_of_label(label), classes_of_label(other)
     if classes is None or others is None:
         return label.strip().lower() == other.strip().lower()

@@ -1,4 +1,4 @@
-"""The car's pose and step, and their errors."""
+"""Metrics of the car's pose and step."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from roadperc_stream.schemas.columns.estimates import OdometryColumns
 
 
 def odometry_columns(odometry: Odometry | Absent) -> OdometryColumns:
-    """Status, pose and step; a step that is only up to scale has no length."""
+    """The columns of status, pose and step; a step up to scale has no length."""
     if isinstance(odometry, Absent):
         return OdometryColumns()
     x, y, z, qx, qy, qz, qw = _position_and_quaternion(odometry.odom_T_ego)
@@ -36,7 +36,7 @@ def odometry_columns(odometry: Odometry | Absent) -> OdometryColumns:
 
 
 def true_pose_columns(truth: Truth) -> TruePoseColumns:
-    """The true odom_T_ego, so that whole trajectories are evaluated from the table alone."""
+    """The true odom_T_ego, for the evaluation of trajectories from the table."""
     if truth.odom_T_ego is None:
         return TruePoseColumns()
     return TruePoseColumns(*_position_and_quaternion(truth.odom_T_ego))
@@ -48,7 +48,7 @@ def _position_and_quaternion(odom_T_ego: Float) -> tuple[float, ...]:
 
 
 def odometry_errors(odometry: Odometry | Absent, sample: Sample, previous: EarlierTruth | None) -> OdometryErrorColumns:
-    """Length and angle of the step relative to the true step, and those of the true step."""
+    """Length and angle of the step's error, and of the true step."""
     if isinstance(odometry, Absent) or odometry.step is None or previous is None:
         return OdometryErrorColumns()
     before, now = previous.odom_T_ego, sample.truth.odom_T_ego
@@ -65,9 +65,9 @@ def odometry_errors(odometry: Odometry | Absent, sample: Sample, previous: Earli
 
 
 def _std_along(direction: Float, covariance: tuple[float, ...], first: int) -> float | None:
-    """Standard deviation along a (3,) direction, of three of the six numbers from the ``first`` on.
+    """Standard deviation along a (3,) direction, of three of the six components from ``first`` on.
 
-    None where the covariance is not known, or the direction has no length.
+    None if the covariance is unknown or the direction has no length.
     """
     length = float(np.linalg.norm(direction))
     if not covariance or length == 0:

@@ -1,7 +1,4 @@
-"""How much of each stereo depth is known, and how far it is off over what both cameras see.
-
-KITTI's end-point error and D1, and the relative error.
-"""
+"""Metrics of stereo depth where both cameras see: coverage, KITTI's end-point error and D1, and relative error."""
 
 from typing import Final
 
@@ -20,13 +17,13 @@ STEREO_MAX_DEPTH_M: Final = 60.0
 D1_PX: Final = 3.0
 D1_SHARE: Final = 0.05
 OCCLUSION_PX: Final = 1.0
-"""A pixel drawn into the right image is hidden where something of so much larger disparity is drawn over it."""
+"""Disparity difference from which a nearer pixel hides another one in the right image."""
 _SAMPLED: Final = 64
-"""Step of the sample: one of this many numbers."""
+"""The sample takes one of this many numbers."""
 
 
 def stereo_columns(stereo: StereoDepth | Absent) -> StereoColumns:
-    """How much of the image has a stereo depth, and how near the nearest is."""
+    """The share of the image with stereo depth, and the nearest depth."""
     if isinstance(stereo, Absent):
         return StereoColumns()
     known = stereo.depth_m[np.isfinite(stereo.depth_m)]
@@ -35,7 +32,7 @@ def stereo_columns(stereo: StereoDepth | Absent) -> StereoColumns:
 
 
 def stereo_errors_of(stereo: StereoDepth | Absent, sample: Sample) -> StereoErrorColumns:
-    """Against the front depth, where it is the left camera that has both."""
+    """Errors against the front depth; empty columns unless the front camera is the left one."""
     frame = sample.frame
     depth = sample.truth.depth or frame.depth
     if isinstance(stereo, Absent) or depth is None or frame.right_camera is None or frame.left is not None:
@@ -54,8 +51,8 @@ def stereo_errors(estimated_m: Float32, true_m: Float32, camera: Camera, baselin
     """End-point error and D1 of a stereo depth, by the definitions of the KITTI 2015 benchmark (non-occluded pixels).
 
     The end-point error is the mean absolute error of the disparity f b / Z; D1 is the share of disparities more than
-    3 px and more than 5 % off; the absolute relative error is the mean of |Z - Z*| / Z*. All are over known pixels:
-    the coverage belongs beside them. Pixels truly farther than ``STEREO_MAX_DEPTH_M`` do not count.
+    3 px and more than 5 % off; the absolute relative error is the mean of |Z - Z*| / Z*. All are over known pixels, so
+    read them with the coverage. Pixels with a true depth beyond ``STEREO_MAX_DEPTH_M`` do not count.
 
     Args:
         estimated_m: (H, W) metres along z of the left camera, NaN unknown.
@@ -64,7 +61,7 @@ def stereo_errors(estimated_m: Float32, true_m: Float32, camera: Camera, baselin
         baseline_m: distance of the right camera along the rows.
 
     Returns:
-        None for what no pixel tells.
+        The errors; None without counted pixels.
     """
     scale_px_m = float(np.float32(camera.fx * baseline_m))
     with np.errstate(divide="ignore"):
@@ -79,9 +76,9 @@ def stereo_errors(estimated_m: Float32, true_m: Float32, camera: Camera, baselin
 
 
 def low_quantile(values: Float32, share: float) -> float:
-    """Quantile of (N,) numbers, N > 0, linear between two of them, as numpy has it: of a small share in less time.
+    """Quantile of (N,) numbers, N > 0, with linear interpolation as in numpy, but faster for a small share.
 
-    Numbers beyond what a sample says can be left out before the rest is sorted.
+    A sample gives a bound; only numbers below it are sorted.
     """
     at = share * (len(values) - 1)
     rank, between = int(at), at - int(at)

@@ -1,4 +1,4 @@
-"""The road's plane, its heights and the drivable pixels, seen and against the truth."""
+"""Metrics of the road's plane, its heights and the drivable pixels."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from roadperc_stream.schemas.columns.errors import SurfaceErrorColumns
 from roadperc_stream.schemas.columns.estimates import SurfaceColumns
 
 HEIGHT_ERROR_FROM_M, HEIGHT_ERROR_TO_M, HEIGHT_ERROR_ASIDE_M = 5.0, 40.0, 4.0
-"""Ego x from and to which heights are judged, and how far to either side."""
+"""Range of ego x, and distance to either side, in which heights are compared."""
 
 
 def surface_columns(result: FrameResult) -> SurfaceColumns:
@@ -34,7 +34,7 @@ def surface_columns(result: FrameResult) -> SurfaceColumns:
 
 
 def surface_errors(cfg: ReplayConfig, result: FrameResult, sample: Sample) -> SurfaceErrorColumns:
-    """How far plane, heights and drivable pixels are off, where the log carries their truth."""
+    """Errors of plane, heights and drivable pixels, if the log has their truth."""
     surface, truth = result.surface, sample.truth
     seen, true_mask = result.drivable, _true_drivable(cfg, sample)
     drivable_iou = None if isinstance(seen, Absent) or true_mask is None else intersection_over_union(seen, true_mask)
@@ -51,7 +51,7 @@ def surface_errors(cfg: ReplayConfig, result: FrameResult, sample: Sample) -> Su
 def surface_height_error_m(surface: Surface, truth: Surface) -> float | None:
     """Median absolute height error of the road ahead (``HEIGHT_ERROR_FROM_M`` to ``HEIGHT_ERROR_TO_M``), metres.
 
-    Taken at the nodes of the truth's height grid; None where the truth has no grid, or none there.
+    Taken at the nodes of the truth's height grid; None without a grid or without nodes in that range.
     """
     grid = truth.height_grid
     if grid is None:
@@ -66,10 +66,9 @@ def surface_height_error_m(surface: Surface, truth: Surface) -> float | None:
 
 
 def _true_drivable(cfg: ReplayConfig, sample: Sample) -> Mask | None:
-    """Drivable pixels by the clean tags, depth and plane; None where the log does not carry them.
+    """Drivable pixels from clean tags, depth and plane; None if the log does not have them.
 
-    The tags are never those the chain saw. Where only these are noisy there is no clean depth beside the log's own,
-    which is then true as it stands.
+    The tags are never the chain's input. A log without ``/truth/depth`` has clean depth itself.
     """
     frame, truth = sample.frame, sample.truth
     depth = truth.depth or frame.depth
@@ -89,7 +88,7 @@ def _true_drivable(cfg: ReplayConfig, sample: Sample) -> Mask | None:
 
 
 def intersection_over_union(mask: Mask, truth: Mask) -> float | None:
-    """|A and B| / |A or B| of two (H, W) masks; None where both are empty or their shapes differ."""
+    """|A and B| / |A or B| of two (H, W) masks; None if both are empty or their shapes differ."""
     if mask.shape != truth.shape:
         return None
     union = int(np.count_nonzero(mask | truth))

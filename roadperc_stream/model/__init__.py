@@ -13,13 +13,7 @@ from roadperc_stream.model.frame import (
     TagImage,
     Transform,
 )
-from roadperc_stream.model.reason import (
-    MISSING_ROLES,
-    TEMPLATES,
-    Reason,
-    ReasonKind,
-    parse_reason,
-)
+from roadperc_stream.model.reason import MISSING_ROLES, TEMPLATES, Reason, ReasonKind, parse_reason
 from roadperc_stream.model.results import (
     SIDES,
     Absent,
@@ -42,13 +36,4 @@ from roadperc_stream.model.results import (
     StereoDepth,
     Verdict,
 )
-from roadperc_stream.model.sample import (
-    EGO,
-    ODOM,
-    OWN_ODOM,
-    UNWRITTEN,
-    EarlierTruth,
-    FrameAnchor,
-    Sample,
-    Truth,
-)
+from roadperc_stream.model.sample import EGO, ODOM, OWN_ODOM, UNWRITTEN, EarlierTruth, FrameAnchor, Sample, Truth

@@ -1,4 +1,4 @@
-"""What each stage makes of a frame. Unknown is None in scalars and NaN in arrays, never 0 or -1."""
+"""The outputs of the stages for one frame. Unknown is None in scalars and NaN in arrays, never 0 or -1."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -27,7 +27,7 @@ Line = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class Absent:
-    """A stage's output that could not be made, and why: false, and as text its reason."""
+    """A missing output of a stage, with its reason; it is false, and its text is the reason."""
 
     reason: Reason
 
@@ -81,9 +81,8 @@ class Odometry:
 
     With ``up_to_scale`` lengths are in units of the first step, not metres. ``covariance`` is 6x6 row by row of
     x, y, z, roll, pitch, yaw of ``step`` in the ego frame's axes. ``since_ns`` is when ``step`` begins: the last frame
-    that was not missing. ``reason`` says why a frame is ``lost``, its pose is then the last one known, or what gives
-    its scale instead of the road. ``matches`` are the features that the motion was estimated from, None where there
-    was none.
+    that was not missing. ``reason`` is why a frame is ``lost``, or what gives its scale instead of the road. A lost
+    frame has the last known pose. ``matches`` are the features of the estimated motion, None without a motion.
     """
 
     status: OdometryStatus
@@ -183,9 +182,9 @@ class Lanes:
 class Object:
     """A detection filtered by the segmentation, with its distance.
 
-    ``lateral_m`` is how far its middle is to the left of the middle of the car's path; ``in_path`` whether any of it
-    is in the path, and ``cut_in`` whether it is not yet, but is over the lane's line on its way in. A time to impact
-    has only what is in the path.
+    ``lateral_m`` is the distance of its middle to the left of the middle of the car's path. ``in_path``: part of it is
+    in the path. ``cut_in``: it is not in the path yet, but crosses the lane's line towards it. Only objects in the path
+    have a time to impact.
     """
 
     detection: Detection
@@ -274,7 +273,7 @@ class Objects:
 class FrameResult:
     """The result of the chain for one frame.
 
-    ``problems`` say which inputs could not be used and what had to be done without them.
+    ``problems`` are the unusable inputs and their consequences.
     """
 
     stamp_ns: int
@@ -296,22 +295,12 @@ class FrameResult:
 
     def reasons(self) -> tuple[Reason, ...]:
         """The reasons of absent outputs, and the problems of the input."""
-        stages = (
-            self.stereo,
-            self.surface,
-            self.drivable,
-            self.odometry,
-            self.lanes,
-            self.objects,
-            self.occupancy,
-        )
-        absent = tuple(out.reason for out in stages if isinstance(out, Absent))
-        unbounded = () if isinstance(self.lanes, Absent) else self.lanes.reasons
-        odometry = () if isinstance(self.odometry, Absent) else _reasons_of(self.odometry)
-        return absent + odometry + unbounded + self.problems
-
-
-def _reasons_of(odometry: Odometry) -> tuple[Reason, ...]:
-    if odometry.reason is None:
-        return ()
-    return (Reason("odometry", "lost", cause=odometry.reason) if odometry.status == "lost" else odometry.reason,)
+        motion, lanes = self.odometry, self.lanes
+        stages = (self.stereo, self.surface, self.drivable, motion, lanes, self.objects, self.occupancy)
+        found = [out.reason for out in stages if isinstance(out, Absent)]
+        if isinstance(motion, Odometry) and motion.reason is not None:
+            lost = motion.status == "lost"
+            found.append(Reason("odometry", "lost", cause=motion.reason) if lost else motion.reason)
+        if isinstance(lanes, Lanes):
+            found += lanes.reasons
+        return (*found, *self.problems)

@@ -33,7 +33,7 @@ class Truth:
 EGO, ODOM = "ego", "odom"
 """The results' frames: the car's, and that of its trajectory."""
 OWN_ODOM: Final = "perception_odom"
-"""Odom where the log has a frame of that name, or says itself where the car is."""
+"""Name of odom if the log has a frame ``odom`` or places the car itself."""
 
 
 @dataclass(frozen=True)
@@ -51,12 +51,12 @@ class FrameAnchor:
 LAST_ROS_STAMP_NS: Final = 2**31 * 10**9 - 1
 """The last stamp that ROS 2 messages can hold: the int32 seconds of builtin_interfaces/Time end on 2038-01-19."""
 UNWRITTEN: Final = -1
-"""Index of a sample that only warms up the chain: nothing of it is written."""
+"""Index of a sample that only warms up the chain; its results are not written."""
 
 
 @dataclass(frozen=True)
 class EarlierTruth:
-    """What the metrics of a frame need of the frame before: when it was, and where the car truly was."""
+    """The stamp and true pose of the previous frame, for the metrics of the next one."""
 
     stamp_ns: int
     odom_T_ego: Float | None
@@ -80,7 +80,7 @@ class Sample:
     segment: int = 0
     """Number of restarts of the stamps before it."""
     lost: Reason | None = None
-    """That messages were lost to damage since the frame before."""
+    """Reason if damage lost messages since the previous frame, else None."""
 
     @property
     def is_written(self) -> bool:
@@ -89,7 +89,7 @@ class Sample:
 
     @property
     def as_earlier(self) -> EarlierTruth:
-        """What the next frame's metrics need of it."""
+        """The stamp and true pose, for the metrics of the next frame."""
         return EarlierTruth(self.frame.stamp_ns, self.truth.odom_T_ego)
 
 

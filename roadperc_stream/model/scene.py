@@ -32,7 +32,7 @@ class DepthMap:
         return self.source != "lidar"
 
     def registered_to(self, camera: Camera, ego_T_camera: Float) -> Float32:
-        """(h, w) the depth as another camera observes it."""
+        """(h, w) depth in another camera's image."""
         if self._is_of(camera, ego_T_camera):
             return self.depth_m
         return warp_depth(self.camera, inverse(ego_T_camera) @ self.ego_T_camera, camera, self.depth_m)
@@ -44,13 +44,13 @@ class DepthMap:
         return sample_labels(self.camera, inverse(ego_T_camera) @ self.ego_T_camera, camera, self.depth_m, labels)
 
     def _is_of(self, camera: Camera, ego_T_camera: Float) -> bool:
-        """Whether the depth belongs to that camera, so that pixel lies on pixel."""
+        """Whether the depth is in that camera's image, pixel by pixel."""
         return np.allclose(ego_T_camera, self.ego_T_camera, atol=_SAME_PLACE_M) and camera.same_view(self.camera)
 
 
 @dataclass(frozen=True)
 class Scene:
-    """One frame as every stage takes it: its pixels, decoded as far as a stage needs them.
+    """One frame as input of the stages, with the decoded pixels that they need.
 
     ``camera`` is the front camera, to which ``tags`` (H, W, of ``table``), ``grey`` (H, W), ``instances`` (H, W, 0 for
     no object) and ``detections`` belong; ``depth`` may be another one's. What the frame does not have, or what cannot
@@ -83,12 +83,12 @@ class Scene:
 
     @cached_property
     def depth_m(self) -> Float32 | None:
-        """(H, W) metres as the front camera observes them."""
+        """(H, W) depth in metres in the front camera's image."""
         return None if self.depth is None else self.depth.registered_to(self.camera, self.ego_T_camera)
 
     @property
     def dense_depth_m(self) -> Float32 | None:
-        """``depth_m`` for what needs it at most pixels; None of the points of a lidar."""
+        """``depth_m`` if most pixels have a depth; None for lidar points."""
         return self.depth_m if self.depth is not None and self.depth.dense else None
 
     @property

@@ -1,7 +1,7 @@
 """With each setting that chooses a method, what the chain finds in the sample stays as it was recorded.
 
 The other tests hold the results to the truth, within what the truth allows; this one notices a change that is none to
-them. After a change that is meant, ``pytest tests/chain/test_recorded.py --force-regen`` records anew.
+them. After a change that is meant, ``pytest tests/chain/test_recorded.py --force-regen`` records them again.
 """
 
 import numpy as np

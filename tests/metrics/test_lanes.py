@@ -59,27 +59,17 @@ def test_a_boundary_that_is_not_where_it_is_true_is_missed(found, points, counts
     assert [getattr(columns, name) for name in COUNTS] == counts
 
 
-def test_thresholds_grow_with_the_image():
-    """Half the size, half the shift: the same score."""
-    small = replace(ROAD, width=640, height=360)
-    for shift_px, right in ((20, True), (40, False)):
-        for road, px in ((ROAD, shift_px), (small, shift_px / 2)):
-            steep = Lanes((boundary(0.1),))
-            found = Lanes((seen(steep.side("left"), 0.9 * px, road),))
-            score = lane_benchmarks(found, steep, road.camera, road.ego_T_camera)
-            assert (score.lane_tusimple_fn == 0) is right, (shift_px, road.width)
-
-
 NOTHING = Absent(Reason("lanes", "not_run"))
 
 
 @pytest.mark.parametrize("scale", [1, 2])
-def test_drawn_lines_grow_with_the_image(scale):
-    """23 px wide in 1280, moved by 10: 13 of 33 columns are shared, 0.39."""
-    road = replace(ROAD, width=1280 // scale, height=720 // scale)
-    true = boundary(0.1)
-    score = lane_benchmarks(Lanes((seen(true, 10.0 / scale, road),)), Lanes((true,)), road.camera, road.ego_T_camera)
-    assert (score.lane_culane_tp_50, score.lane_culane_tp_30) == (0, 1)
+@pytest.mark.parametrize(("shift_px", "expected"), [(10.0, (0.0, 0, 1)), (18.0, (0.0, 0, 0)), (36.0, (1.0, 0, 0))])
+def test_thresholds_and_drawn_lines_grow_with_the_image(scale, shift_px, expected):
+    """In 1280 columns a point may be off by 20 px. Lines are 23 px wide: moved by 10, they share 13 of 33 columns."""
+    road, true = replace(ROAD, width=1280 // scale, height=720 // scale), boundary(0.1)
+    found = Lanes((seen(true, shift_px / scale, road),))
+    score = lane_benchmarks(found, Lanes((true,)), road.camera, road.ego_T_camera)
+    assert (score.lane_tusimple_fn, score.lane_culane_tp_50, score.lane_culane_tp_30) == expected
 
 
 @pytest.mark.parametrize(
@@ -144,7 +134,7 @@ def culane(predicted, truth, shape, threshold=0.5):
     return counts_above(line_overlaps(predicted, truth, shape), threshold)
 
 
-@pytest.mark.parametrize(("moved_px", "expected"), [(19, (1.0, 0.0, 0.0)), (20, (0, 1, 1)), (25, (0, 1, 1))])
+@pytest.mark.parametrize(("moved_px", "expected"), [(19, (1.0, 0.0, 0.0)), (20, (0, 1, 1))])
 def test_an_upright_lane_is_right_below_twenty_pixels(moved_px, expected):
     assert tusimple([upright(300 + moved_px)], [upright(300.0)], ROWS) == expected
 
@@ -153,6 +143,7 @@ def test_a_slanting_lane_may_be_farther_off_by_the_cosine():
     """At a slope of 3 : 4 the cosine is 0.8, and 20 px become 25."""
     lane = 0.75 * ROWS
     assert lane_angle(lane, ROWS) == pytest.approx(np.arctan(0.75))
+    assert tusimple([lane, lane + 24.9], [lane, lane + 24.9], ROWS) == (1.0, 0.0, 0.0)
     assert tusimple([lane + 24.9], [lane], ROWS).accuracy == 1.0
     assert tusimple([lane + 25.1], [lane], ROWS).accuracy == 0.0
 
@@ -251,9 +242,3 @@ def test_scores_are_shares_and_counts_add_up(found, true):
     assert score.fp <= 1.0
     tp, fp, fn = culane([line(x, 79) for x in found], [line(x, 79) for x in true], (80, 1280))
     assert (tp + fp, tp + fn) == (len(found), len(true))
-
-
-@given(st.lists(st.floats(-2, 2), min_size=1, max_size=4, unique=True))
-def test_identity_is_right(slopes):
-    truth = [600 + slope * ROWS for slope in slopes]
-    assert tusimple(truth, truth, ROWS) == TuSimpleScore(1.0, pytest.approx(0.0, abs=0), 0.0)

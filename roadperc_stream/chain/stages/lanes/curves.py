@@ -19,13 +19,13 @@ from roadperc_stream.model import Mask, Side
 
 _REACH_STEP_M = 6.0
 NEAR_M = 15.0
-"""A line whose nearest support lies farther ahead (ego x) is no boundary of the ego lane."""
+"""Largest distance ahead (ego x) of a boundary's nearest support."""
 FIT_MAX_M = 40.0
-"""Farthest point of the boundary that the curve is fitted to: beyond, a pixel spans a metre of road and more."""
+"""Farthest point of a fit: beyond it, a pixel spans a metre of road or more."""
 _FIT_HUBER = 2.0
 """Standard deviations beyond which an edge counts less and less (Huber's constant)."""
 _SHORTEST_M = 0.25
-"""Length on the road from which a line has a direction: the nearest 100 rows of 960 show less than half a metre."""
+"""Minimum length of a line on the road: the nearest 100 rows of 960 show less than half a metre."""
 _SEARCH_M = 0.6
 """Half width of the strip around a Hough line in which edges are searched."""
 _BIN_M = 0.04
@@ -33,22 +33,22 @@ _PEAK_SHARE = 0.4
 """Support of the innermost edge, as a share of the best supported one, from which it counts as the boundary."""
 _BLOB_VARIANCE = 5.0
 _BLOB_ANGLE = 0.0125
-"""With wrong tags the variance of a fit is this many times larger than that of its edges. Beyond the second number,
-radians, it grows with the square of the edges' angle."""
+"""Factor of a fit's variance over that of its edges with wrong tags. Beyond the second number, radians, it grows with
+the square of the edges' angle."""
 _MIN_POINTS = 8
 _MIN_ROWS = 3
 _LEAST_BINS = 3
 _GROUND_STD_M = 0.01
 _LEAST_SPREAD = 0.67
-"""Least mean square of edges' distances from their fit, by their noise: the few of a stretch fit it too well."""
+"""Minimum mean square of the edges' normalised residuals: few edges fit too well."""
 _CURVATURE_INFORMATION = 0.01**-2
-"""Inverse variance of road curvature: where a short stretch does not determine it, the road is close to straight."""
+"""Prior inverse variance of road curvature: a short stretch does not determine it, and roads are nearly straight."""
 _CORRELATED_ROWS = 24.0
 """Errors of edges in neighbouring rows are correlated: this many edges count as one."""
 _NOISE_PX = (1.0, 2.0, 4.0, 8.0, 16.0)
-"""Standard deviations of the edges' noise that are tried: the smallest one that explains the edges counts."""
+"""Tried standard deviations of the edges' noise; the smallest one that explains the edges counts."""
 _LOW_PX = 1.0
-"""Up to this noise the innermost edge of a row is the boundary's; above it, that edge has the largest error."""
+"""Noise up to which the innermost edge of a row is the boundary's; above it, that edge has the largest error."""
 _EXPLAINED = 0.7
 _ON_CURVE_STD = 2.5
 _STRIP_STD = 3.0
@@ -77,7 +77,7 @@ class Edges:
 
     @classmethod
     def of(cls, points: Float, rows: Float) -> "Edges":
-        """Of (N, 2) points and the image row of each; what is no number is left out."""
+        """Edges from (N, 2) points and the image row of each; NaN points are left out."""
         ahead = np.flatnonzero((points[:, 0] > 0) & (points[:, 0] <= FIT_MAX_M) & np.isfinite(points[:, 1]))
         ahead = ahead[np.argsort(rows[ahead], kind="stable")]
         x, y = np.ascontiguousarray(points[ahead].T)
@@ -133,7 +133,7 @@ class Curve:
     covariance: Float
     reach_m: float
     noise_px: float = 0.0
-    """How far the edges lie off it, standard deviation in pixels."""
+    """Standard deviation of the edges from the curve, pixels."""
 
     contrast: float = np.inf
     """Ratio of its edges to those of the road beside it."""
@@ -166,7 +166,7 @@ def lateral(state: Float, x: Float) -> Float:
 
 
 def line_on_ground(points: Float) -> Float | None:
-    """(offset, heading, 0) of an image line from (N, 3) ego points along it; None where it is not on the road."""
+    """(offset, heading, 0) of an image line from (N, 3) ego points along it; None if it is not on the road."""
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) < 2 or np.ptp(points[:, 0]) < _SHORTEST_M:
         return None
@@ -264,7 +264,7 @@ def _best_aside(x: Float, y: Float, line: Float, inward: float, noise: _Noise) -
     counts = [0, *np.diff(below).tolist(), 0]
     support = [sum(counts[at - 1 : at + 2]) for at in range(1, len(counts) - 1)]
     least = (_PEAK_SHARE if noise.is_low else _NOISY_PEAK_SHARE) * max(support)
-    # The first and the last are neighbours too: neither is a peak beside a higher one at the other end.
+    # The first and last bins count as neighbours, too.
     after = (*support[1:], support[0])
     strong = [at for at, here in enumerate(support) if here >= max(support[at - 1], after[at]) and here >= least]
     return float(edges[strong[-1]] + bin_m / 2)

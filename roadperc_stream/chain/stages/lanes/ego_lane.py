@@ -22,9 +22,9 @@ _SHORTEST_DRAWN_M = 10.0
 _LEVEL_PX = 1e-6
 _STEP_M = 1.0
 _CERTAIN_STD_M = 0.09
-"""Standard deviation ``JUDGED_AT_M`` ahead up to which a boundary needs no other one beside it to be believed."""
+"""Standard deviation ``JUDGED_AT_M`` ahead up to which a boundary needs no confirmation by the other one."""
 _PARALLEL_M = 0.3
-"""By how much the lane's width may change until there: boundaries that edges of wrong tags turn are not parallel."""
+"""Largest change of the lane's width up to there; wrong tags turn boundaries so that they are not parallel."""
 _TURNED = 0.1
 """If two headings differ by more, the boundary that is turned farther from the car's axis is wrong."""
 _ELSEWHERE = frozenset(("camera_changed", "too_few_inliers", "impossible_motion"))

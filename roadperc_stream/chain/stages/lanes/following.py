@@ -23,12 +23,12 @@ MIN_WIDTH_M = 2.0
 MAX_STD_M = 0.16
 """Standard deviation, at the car or ``JUDGED_AT_M`` ahead, beyond which a boundary is lost."""
 _SAME_M = 0.6
-"""A line so close to the other boundary's prediction is that boundary, both edges of a double line included."""
+"""A line this close to the other boundary's prediction is that boundary; covers both edges of a double line."""
 _MARKING_M = 0.15
-"""Width of a marking whose other edge is not seen."""
+"""Assumed width of a marking if its other edge is not visible."""
 _MARKING_STD_M = 0.1
 _CROSSED_STD = 2.0
-"""Standard deviations by which the car must be past the line: one that is hardly known is crossed by chance."""
+"""Standard deviations by which the car must be past the line, so that noise does not count as a crossing."""
 _DOUBLE_M = 0.6
 """Widest marking, double markings included."""
 _LINE_STEP = np.array([1.0, 0.0, 0.0])
@@ -47,7 +47,7 @@ def followed(
     ``before`` and ``other`` are the predictions of this side and the other; ``observation`` is None without tags.
     """
     curve = observation.curves.get(side) if observation else None
-    # While the other side's boundary is crossed the car has it on both sides.
+    # While the car crosses the other side's boundary, both sides may find it.
     if observation and curve and other and abs(float(curve.state[0]) - other.offset_m) < _SAME_M:
         curve = observation.curve_beyond(cfg, side, outward(side) * other.offset_m + MIN_WIDTH_M)
     if before is not None:
@@ -93,8 +93,8 @@ def _candidates(
 ) -> Iterator[Curve]:
     """Candidates for the boundary: the edges along the prediction, then the curve of the closest line.
 
-    The dashes in sight are often too short for a Hough line, and the closest line is then one farther out. A clear line
-    closer than the prediction, though, contradicts it: then edges along the prediction are no evidence.
+    Visible dashes are often too short for a Hough line, and the closest line is then one farther out. But a clear line
+    closer than the prediction contradicts it, so edges along the prediction do not count then.
     """
     closer = curve is not None and outward(side) * (before.offset_m - float(curve.state[0])) > _SAME_M
     if curve is not None and closer and curve.is_clear:

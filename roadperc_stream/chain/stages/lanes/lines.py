@@ -17,7 +17,7 @@ from roadperc_stream.model import Image, Line, Mask
 _ON_ROAD = 0.5
 _ROAD_MARGIN_PX = 2.0
 _ROAD_COLUMNS = 0.01
-"""Share of the columns that are road in a row from which the row shows the road."""
+"""Minimum share of road columns in a row that shows the road."""
 _MIN_VERTICAL = 1e-6
 _HOUGH_THETA_DEG = 1.0
 """Resolution of the angle in the Hough transform: 2 px over the length of the shortest line, 100 px."""
@@ -27,7 +27,7 @@ _MERGE_SLOPE = 0.1
 _MERGE_INTERCEPT_PX = 40.0
 """Lines whose slopes differ by less, and at 960 rows their rows at the image's left edge, may be one and the same."""
 _AROUND_PX = 5
-"""Rows beside a mask that its edges depend on: half of the largest Sobel filter, and Canny's neighbours."""
+"""Rows around a mask that affect its edges: half of the largest Sobel filter, and Canny's neighbours."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class LineGroup:
 def without_salt(cfg: LanesConfig, separators: Image) -> Image:
     """(H, W) 255 at separators (H, W) of ones behind a median filter, which removes salt noise and slivers.
 
-    Of ones and zeros the median is what more than half of the pixels are, and counting is faster than sorting.
+    The median of ones and zeros is the value of more than half of the pixels; counting is faster than sorting.
     """
     size = max(round(scaled(cfg.median_px, separators.shape[0])), 1) | 1
     depth = cv2.CV_8U if size**2 <= np.iinfo(np.uint8).max else cv2.CV_32F
@@ -60,7 +60,7 @@ def without_salt(cfg: LanesConfig, separators: Image) -> Image:
 
 
 def edges_of(cfg: LanesConfig, separators: Image) -> Image:
-    """(H, W) uint8, 255 at the edges of (H, W) separators, which are 1 in 0; looked for where there are any."""
+    """(H, W) uint8, 255 at the edges of (H, W) separators, which are 1; searched only in rows with separators."""
     mask = without_salt(cfg, separators)
     edges = np.zeros_like(mask)
     part = _rows_around(mask, _AROUND_PX)
@@ -92,8 +92,8 @@ def propose(cfg: LanesConfig, edges: Image) -> Float:
 def on_road(proposals: Float, drivable: Mask) -> Float:
     """The (M, 4) proposals that are steep enough and lie on the (H, W) drivable surface for over half of their length.
 
-    A vertical line is steep, one within a single row is not. The surface is widened by a pixel or two, for the edge of
-    a curb lies just outside it.
+    A vertical line is steep, a line within one row is not. The surface is widened by a pixel or two because the edge of
+    a kerb lies just outside it.
     """
     dx, dy = np.abs(proposals[:, 2:] - proposals[:, :2]).T
     steep = proposals[(dy > 0) & (dy >= _MIN_SLOPE * dx)]
@@ -150,7 +150,7 @@ def drawn(group: LineGroup, bottom: float, far: float) -> Line:
 def road_far_end(drivable: Mask) -> int | None:
     """Topmost row in which at least a hundredth of the columns is road; None without any road.
 
-    One row less exact than the first pixel, but a speck of noise in the sky does not move it.
+    This is less exact than the first road pixel, but noise in the sky does not affect it.
     """
     rows = np.flatnonzero(_row_sums(drivable.view(np.uint8)) >= max(_ROAD_COLUMNS * drivable.shape[1], 1))
     return int(rows[0]) if len(rows) else None

@@ -16,7 +16,7 @@ from roadperc_stream.model import LaneChange, Odometry, Side, read_only
 from roadperc_stream.system.time import NS_PER_S
 
 MOST_OBSERVED = 256
-"""Observations that are kept: half a second at 500 frames per second."""
+"""Limit of kept observations: half a second at 500 frames per second."""
 _OFFSET, _RATE, _HEADING, _CURVATURE = range(4)
 _MEASURED = [_OFFSET, _HEADING, _CURVATURE]
 _H = np.eye(4)[_MEASURED]
@@ -29,12 +29,12 @@ _SIDEWAYS = [1, 5]
 """y and yaw among x, y, z, roll, pitch, yaw of a step's covariance."""
 _ROUGH_OFFSET_ROOT_M = 0.002
 _ROUGH_HEADING_PER_ROOT_M = 0.0008
-"""Metres and radians per root metre driven: how fast the road leaves its plane or height field."""
+"""Metres and radians per root metre driven: deviation of the road from its plane or height field."""
 _MOVED_RATE_STD_MPS = 0.3
 _CURVATURE_WALK_ROOT_M = 0.0008
 """Per metre and root metre driven: how fast roads change their curvature."""
 _Y_AXIS_STEPS = 3
-"""Of the fixed point that finds where a boundary meets a turned y axis: each gains a factor of heading times turn."""
+"""Fixed-point steps for the boundary's intersection with a turned y axis; each reduces the error by heading * turn."""
 _CONTRADICTS = 7.81
 """Squared Mahalanobis distance from which a measurement and its prediction contradict each other (95 % of chi squared,
 3 degrees)."""
@@ -49,8 +49,8 @@ class ClassHistory:
     def add(self, cfg: LanesConfig, stamp_ns: int, name: str) -> "ClassHistory":
         """With one frame's class, and without those older than ``lanes.hold_s``.
 
-        An empty name (out of sight) adds nothing: earlier observations stand until they are too old. While frames have
-        no segmentation, nothing is added and the result stays as it is.
+        An empty name (out of sight) adds nothing; earlier observations count until they are too old. Frames without
+        segmentation do not change the history.
         """
         kept = tuple(item for item in self.observations if (stamp_ns - item[0]) / NS_PER_S <= cfg.hold_s)
         return ClassHistory((*kept, (stamp_ns, name))[-MOST_OBSERVED:] if name else kept)
@@ -165,7 +165,7 @@ def _moved(track: BoundaryTrack, stamp_ns: int, dt: float, last_T_this: Float, s
     F[_CURVATURE, _CURVATURE] = 1.0
     mean = track.mean.copy()
     mean[_MEASURED] = _seen_from(track.state, dx, dy, turn)
-    # Should the next motion not be known, the rate is that of this step.
+    # If the next motion is unknown, the prediction uses the rate of this step.
     mean[_RATE] = (mean[_OFFSET] - track.mean[_OFFSET]) / dt
     Q = np.zeros((4, 4))
     Q[_RATE, _RATE] = _MOVED_RATE_STD_MPS**2
@@ -175,10 +175,9 @@ def _moved(track: BoundaryTrack, stamp_ns: int, dt: float, last_T_this: Float, s
 
 
 def _seen_from(state: Float, dx: float, dy: float, turn: float) -> Float:
-    """(3,) offset, heading and curvature in a frame at dx and dy that is turned: where its y axis meets the boundary.
+    """(3,) offset, heading and curvature in a frame at dx, dy turned by ``turn``: where its y axis meets the boundary.
 
-    To first order the error is that of offset times heading times turn: 2 mm a frame in a change of lane, each time to
-    the same side.
+    A first-order formula would err by offset * heading * turn: 2 mm per frame in a lane change, always to one side.
     """
     offset, heading, curvature = state
     x = dx

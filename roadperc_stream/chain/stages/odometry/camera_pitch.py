@@ -1,13 +1,13 @@
 """The camera's pitch against the road without depth: a running estimate, also from vanishing points.
 
-Lane markings, kerbs and walls run along the road and meet at one point of its horizon. Segments are found by the line
-segment detector (Grompone von Gioi et al., "LSD: a Line Segment Detector", IPOL 2012); the point that most of their
-length agrees on is chosen among the crossings of pairs and refined by least squares. In a bend, on a wet road full of
-reflections and in a yard there is no such point, or another one, and it is refused.
+Lane markings, kerbs and walls run along the road and meet at one point of its horizon. The line segment detector finds
+them (Grompone von Gioi et al., "LSD: a Line Segment Detector", IPOL 2012). Among the crossings of pairs, the point that
+most of the segments' length agrees on is chosen and refined by least squares. In a bend, on a wet road or in a yard the
+lines have no common point or a wrong one. Such a point is rejected.
 
-A car moves along the road, so the direction of its motion (the focus of expansion of the tracked points), the vanishing
-point of the road's lines and the plane by which the road's picture moves all show the pitch. Each is a measurement of
-one scalar Kalman filter; between two frames the pitch turns as the camera does, and the road's own slope may change.
+A car moves along the road. The direction of its motion (the focus of expansion), the vanishing point of the lines and
+the motion of the road's image all measure the pitch. One scalar Kalman filter fuses them. Between two frames the pitch
+turns with the camera, and the slope of the road may change.
 """
 
 from dataclasses import dataclass, replace
@@ -23,41 +23,41 @@ from roadperc_stream.geometry import Camera, Float, Float32, inverse, rays
 from roadperc_stream.model import Image, Mask
 
 LINES_STD: Final = np.deg2rad(0.6)
-"""Standard deviation of the pitch by lines beyond their own: they follow the road, which bends and climbs."""
+"""Additional standard deviation of the pitch by lines: they follow the road, which bends and climbs."""
 _STEEPEST: Final = np.deg2rad(8.0)
-"""Radians from the horizon that the mounting promises within which the point is searched."""
+"""Search range of the point, radians from the mounting's horizon."""
 _WIDEST: Final = 0.5
-"""Tangent of the angle to either side of the camera's axis within which it is searched."""
+"""Search range of the point to either side of ego's x axis, as a tangent."""
 _LEAST_LENGTH_PX: Final = 60.0
 _AGREE_PX: Final = 3.0
-"""Length of a segment, and distance by which its end may miss the point's line, at 960 rows."""
+"""Minimum length of a segment, and maximum distance of its end from the line to the point, at 960 rows."""
 _LEAST_AGREE_PX: Final = 1.0
 """Lower limit of that distance: the accuracy of the detector."""
 _LEAST_SLOPE: Final = 0.15
-"""Rows per column below which a segment runs across the view, and crosses the others anywhere."""
+"""Rows per column below which a segment runs across the view; its crossings with the others mean nothing."""
 _MOST_SEGMENTS: Final = 40
 _LEAST_SEGMENTS: Final = 6
 _LEAST_SHARE: Final = 0.5
-"""Share of the segments' length that must agree."""
+"""Minimum share of the segments' length that agrees."""
 _REFINEMENTS: Final = 4
-"""The two edges of a marking cross the others beside the point: every refinement selects the segments again."""
+"""Number of refinements; each selects the segments again, because crossings of a marking's edges miss the point."""
 _SINGULAR: Final = 1e6
 _LEAST_SPREAD: Final = 0.5
-"""Radians between the segments' directions: those of one bundle cross anywhere along it."""
+"""Minimum range of the segments' directions, radians; nearly parallel segments determine no point."""
 _BODY_STD: Final = np.deg2rad(0.3)
-"""Standard deviation of the direction of motion against the road: the body heaves on its springs."""
+"""Standard deviation of the direction of motion against the road: the body moves on its springs."""
 _MOST_DIRECTION_STD: Final = np.deg2rad(1.0)
-"""Uncertainty of the direction of motion beyond which it is refused."""
+"""Largest accepted standard deviation of the direction of motion."""
 _TIGHTEST_PER_M: Final = 0.05
-"""Turn per metre, radians, beyond which the direction of motion is refused: the car leans, and slips sideways."""
+"""Largest accepted turn per metre, radians: beyond it the car leans and slips sideways."""
 _SLOPE_STD_PER_ROOT_M: Final = np.deg2rad(0.15)
 _TURN_STD_PER_ROOT_S: Final = np.deg2rad(0.06)
-"""Standard deviations of the road's change of slope after a metre, and of the tracked turn after a second; their
-squares grow with distance and time, at any frame rate."""
+"""Standard deviations of the road's slope change after one metre, and of the tracked turn after one second. Their
+squares grow with distance and time, independent of the frame rate."""
 _UNSEEN_SPEED_MPS: Final = 15.0
 """Assumed speed of the car while nothing is tracked."""
 _GATE: Final = 9.0
-"""Squared standard deviations beyond which a measurement counts less, as Huber has it."""
+"""Squared standard deviations beyond which a measurement counts less (Huber)."""
 
 
 @dataclass(frozen=True)
@@ -75,9 +75,9 @@ class CameraPitch:
 def pitch_by_lines(
     camera: Camera, ego_T_camera: Float, grey: Image, movable: Image | None
 ) -> tuple[float, float] | None:
-    """How much further down than its mounting the camera looks, radians, and the variance.
+    """The pitch of the camera beyond its mounting (radians, nose down) by vanishing point, and its variance.
 
-    Lines of the (H, W) image count where ``movable`` (H, W) is 0. None if too few of them agree on a point near the
+    Only lines of the (H, W) image where ``movable`` (H, W) is 0 count. None if too few agree on a point near the
     horizon.
     """
     segments = _segments(camera, grey, movable)
@@ -131,7 +131,7 @@ def _homogeneous(segments: Float) -> Float:
 
 
 def _crossings(segments: Float) -> Float:
-    """(M, 2) pixels where pairs of them cross."""
+    """(M, 2) pixels where pairs of segments cross."""
     lines = _homogeneous(segments)
     i, j = np.array(list(combinations(range(len(lines)), 2))).T
     crossing = np.cross(lines[i], lines[j])
@@ -140,7 +140,7 @@ def _crossings(segments: Float) -> Float:
 
 
 def _elevations(camera: Camera, ego_T_camera: Float, points: Float) -> tuple[Float, Mask]:
-    """(M,) elevations of pixels' rays above ego's x-y plane, radians, and which of them lie about ahead."""
+    """(M,) elevations of pixels' rays above ego's x-y plane, radians, and (M,) whether each points ahead."""
     directions = rays(camera, points) @ ego_T_camera[:3, :3].T
     ahead = (directions[:, 0] > 0) & (np.abs(directions[:, 1]) < _WIDEST * directions[:, 0])
     return np.arctan2(directions[:, 2], np.hypot(directions[:, 0], directions[:, 1])), np.asarray(ahead)
@@ -155,7 +155,7 @@ def _agreeing(camera: Camera, segments: Float, point: Float) -> Mask:
 
 
 def _meeting(segments: Float, lengths: Float) -> tuple[Float, float] | None:
-    """The (2,) point nearest to all lines, each weighed by its length, and the variance of its row, pixels squared."""
+    """The (2,) point nearest to all lines, weighted by length, and the variance of its row, pixels squared."""
     lines = _homogeneous(segments)
     spread = np.ptp(np.arctan2(*(lines[:, k] * np.sign(lines[:, 1]) for k in (0, 1))))
     N = (lines[:, :2] * lengths[:, None]).T @ lines[:, :2]
@@ -173,7 +173,7 @@ def begun(cfg: OdometryConfig) -> CameraPitch:
 
 
 def predicted(cfg: OdometryConfig, pitch: CameraPitch, last_T_this: Float, seconds: float) -> CameraPitch:
-    """The pitch after a step, turned with the camera; the mounting's as soon as that is as certain."""
+    """The pitch after a step, turned with the camera; reset once it is no more certain than the mounting."""
     length_m = float(np.linalg.norm(last_T_this[:3, 3]))
     turned = float(np.arctan2(-last_T_this[2, 0], last_T_this[0, 0]))
     return _grown(cfg, replace(pitch, offset=pitch.offset + turned), length_m, seconds)

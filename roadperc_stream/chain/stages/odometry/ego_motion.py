@@ -1,8 +1,8 @@
 """One frame of visual odometry: match the keyframe's features, estimate the motion, keep or change the keyframe.
 
-The motion against the keyframe comes from depth where the keyframe has it, else from the image alone. With depth only a
-shift is searched: the stretch follows from the motion and the local planes. Features that matching lost are found again
-where the motion predicts them, as in SVO (Forster, Pizzoli and Scaramuzza 2014).
+The motion since the keyframe comes from its depth, else from the image alone. With depth, the alignment searches only a
+shift: the stretch follows from the motion and the local planes. It finds features that matching lost where the motion
+predicts them, as in SVO (Forster, Pizzoli and Scaramuzza 2014).
 """
 
 from collections.abc import Iterator
@@ -48,17 +48,17 @@ _SCALE_REASONS: Final[dict[Scale | None, Reason]] = {
     "none": Reason("odometry", "scale_unknown"),
 }
 _ASTRAY_PX = 20.0
-"""Distance, at 960 rows, from the pixel that steady motion predicts beyond which something else was found."""
+"""Largest distance, at 960 rows, from the pixel that steady motion predicts; farther matches are wrong."""
 MIN_INLIER_RATIO: Final = 0.25
-"""Share of the points in sight that must agree on a steady motion, twice that on an unforeseen one."""
+"""Minimum share of the visible points that agree on a steady motion; twice that for an unexpected one."""
 _ITERATIONS = 4
 _FARTHEST_PX = 1.5
-"""Shift beyond which the alignment has found something else."""
+"""Largest shift of an alignment; larger ones are wrong."""
 _LEAST_CORRELATION = 0.7
 _FIRST_LENGTH = 1.0
-"""Length of the first step where its scale is not known."""
+"""Length of the first step if its scale is unknown."""
 _ACCELERATION: Final = 2.0
-"""Metres per second squared: standard deviation of how the speed changes from frame to frame."""
+"""Standard deviation of the acceleration, metres per second squared."""
 
 
 @dataclass(frozen=True)
@@ -112,8 +112,8 @@ def step(
 
     The keyframe outlives missing frames, that is frames without a grey image: the next frame continues from it, and no
     motion is lost. If its points are not found again, the frame is lost and becomes the keyframe, at the last known
-    pose. Without dense depth the motion comes from the image alone, and its scale from ``road`` (in the front camera's
-    frame). Pixels of vehicles and pedestrians are left out. ``rng`` seeds OpenCV's random numbers.
+    pose. Without dense depth the motion comes from the image and its scale from ``road`` (in the front camera's frame).
+    Pixels of vehicles and pedestrians are left out. ``rng`` seeds OpenCV's random numbers.
 
     Returns:
         The new state, and the pose; absent before the first image.
@@ -227,10 +227,10 @@ def _estimated(this: FollowedFrame) -> Estimate | Absent:
 
 
 def guesses(this: FollowedFrame) -> Iterator[tuple[Float32, Float32, float]]:
-    """(N, 2) pixels where features are searched, (N, 2) near which they must be found, and the share that must agree.
+    """(N, 2) pixels where the search starts, (N, 2) pixels near which matches must lie, and the share that must agree.
 
-    First where they are if the car moved on as it did, and only near there: a road's texture repeats itself, and its
-    next repetition is a consistent motion too. Then, if need be, around where they were found last; NaN: anywhere.
+    The first guess continues the last motion and accepts only matches near it: the texture of a road repeats, and a
+    match one repetition off gives a consistent motion, too. The second guess is the last pixels; NaN accepts any match.
     """
     frame, keyframe, last = this.frame, this.keyframe, this.last
     if last.velocity is not None:
@@ -242,7 +242,7 @@ def guesses(this: FollowedFrame) -> Iterator[tuple[Float32, Float32, float]]:
 
 
 def _possible(this: FollowedFrame, estimate: Estimate) -> bool:
-    """Whether a car can make the motion; without scale its speed is not known."""
+    """Whether a car can make the motion; without scale only the turn rate is checked."""
     speed, turn_rate = np.linalg.norm(this.velocity(estimate.odom_T_ego).reshape(2, 3), axis=1)
     fast = this.keyframe.landmarks.metric and estimate.motion.scaled and speed > this.cfg.max_speed_mps
     return not fast and bool(turn_rate <= np.deg2rad(this.cfg.max_turn_rate_dps))
@@ -271,7 +271,7 @@ def _localised(this: FollowedFrame, px: Float32) -> Estimate | None:
 
 
 def _localised_without_depth(this: FollowedFrame, px: Float32) -> Estimate | None:
-    """The same without depth: the length comes from the road, else from points triangulated before."""
+    """The estimate without depth: the length comes from the road, else from triangulated points."""
     cfg, frame, last, landmarks = this.cfg, this.frame, this.last, this.keyframe.landmarks
     features_px, on_road = landmarks.features.px, landmarks.source == "plane"
     seconds = (frame.stamp_ns - this.keyframe.stamp_ns) / NS_PER_S
@@ -302,7 +302,7 @@ def _expected(this: FollowedFrame) -> Expected | None:
 
 
 def aligned(keyframe: Keyframe, frame: TrackingFrame, this_T_key: Float) -> Float32:
-    """(N, 2) pixels of the keyframe's features in a frame after a motion, NaN where they do not look as predicted."""
+    """(N, 2) pixels of the keyframe's features aligned in a frame, NaN where they do not look as predicted."""
     landmarks = keyframe.landmarks
     predicted = predicted_px(keyframe, frame, this_T_key)
     chosen = np.flatnonzero(np.isfinite(predicted[:, 0]) & np.isfinite(landmarks.slope[:, 0]))

@@ -1,9 +1,9 @@
-"""A motion where no depth is known: turn and direction from the essential matrix, the length from known points.
+"""A motion without depth: rotation and direction from the essential matrix, the length from known points.
 
 Five-point RANSAC in OpenCV's USAC form (Nister 2004; Raguram et al. 2013), then least squares over Sampson's distance
-with Huber's loss. The length comes from known points: on the road's plane below the camera, or
-triangulated by earlier motions. Where the image shifts no more than by a turn, the camera stands: an essential matrix
-would then be fitted to noise.
+with Huber's loss. The length comes from known points: on the road's plane below the camera, or triangulated by earlier
+motions. If a rotation explains the shift of the image, the camera stands still. An essential matrix would then fit
+noise.
 """
 
 import cv2
@@ -18,18 +18,18 @@ from roadperc_stream.model import Mask
 _SMALLEST_SET = 8
 _CONFIDENCE = 0.999
 _MIN_KNOWN = 5
-"""Least number of known points that determine the length."""
+"""Minimum number of known points for a length."""
 _MIN_DEPTH_PARALLAX_PX = 2.0
 """Parallax, at 960 rows, from which a point is triangulated."""
 _EVALUATIONS = 20
 _MIN_PARALLAX_PX = 1.5
-"""Shift of the points at 960 rows, the turn's own left out, below which the camera is assumed to stand still: three
-standard deviations."""
+"""Shift of the points at 960 rows, beyond that of the rotation, below which the camera stands still: three standard
+deviations."""
 _STANDING_SHARE = 0.75
-"""Share of the points that must lie where a rotation alone predicts them if the camera stands."""
+"""Minimum share of the points that a rotation alone predicts if the camera stands still."""
 _REWEIGHTINGS = 5
 _SMALL_ANGLE = 1e-4
-"""Radians; closer points weigh no more."""
+"""Radians; smaller residuals do not increase the weight."""
 
 
 def motion_from_rays(
@@ -39,7 +39,7 @@ def motion_from_rays(
     points_m: Float,
     fallback_length: float,
 ) -> Motion | None:
-    """The motion between the keyframe and this frame, and the points that it triangulates; None if too few agree.
+    """The motion since the keyframe, and the points that it triangulates; None if too few points agree.
 
     The features are at the (N, 2) pixels ``key_px`` and ``px`` (NaN: not found). ``points_m`` are their (N, 3) points
     in the keyframe's camera, NaN unknown. With too few known points the motion has the ``fallback_length``.
@@ -90,7 +90,7 @@ def _turn(a: Float, b: Float) -> Float:
 
 
 def _direction(camera: Camera, a: Float, b: Float) -> tuple[Float, Float, Mask, Float] | None:
-    """R, unit t with b ~ R a + t, (N,) inliers, and the (N, 6) pulls of all points on unit t and R."""
+    """R and unit t with b ~ R a + t, (N,) inliers, and the (N, 6) pulls of all points on t and R."""
     gate = scaled(INLIER_PX, camera.height) / camera.fx
     E, _ = cv2.findEssentialMat(
         a[:, :2],
@@ -130,7 +130,7 @@ def _refined(camera: Camera, R: Float, t: Float, a: Float, b: Float) -> tuple[Fl
     fit = least_squares(
         lambda small: _sampson(*at(small), a, b) / std, np.zeros(5), loss="huber", max_nfev=_EVALUATIONS
     )
-    # The Jacobian has the square roots of Huber's weights in it, the residuals have not.
+    # The Jacobian contains the square roots of Huber's weights; the residuals do not.
     weighted = fit.fun * np.sqrt(np.minimum(1.0, 1.0 / np.maximum(np.abs(fit.fun), 1.0)))
     pulls = -(fit.jac * weighted[:, None]) @ np.linalg.pinv(fit.jac.T @ fit.jac)
     R, t = at(fit.x)

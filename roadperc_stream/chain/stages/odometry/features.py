@@ -1,9 +1,9 @@
 """The frame in which features are tracked, its features, and their matches in a later one.
 
-Corners are those of Shi and Tomasi (1994), followed by the pyramidal Lucas-Kanade tracker (Bouguet 2000) and kept where
-tracking them back returns to the start (Kalal, Mikolajczyk and Matas 2010). Descriptors are ORB (Rublee et al. 2011)
-or SIFT (Lowe 2004), kept by Lowe's ratio test. ORB's corners are whole pixels of a pyramid, so its matches are brought
-to sub-pixel by optical flow that starts at the match.
+The pyramidal Lucas-Kanade tracker (Bouguet 2000) follows Shi-Tomasi corners (1994). It keeps those that the backward
+track returns to their start (Kalal, Mikolajczyk and Matas 2010). Descriptors are ORB (Rublee et al. 2011) or SIFT (Lowe
+2004), with Lowe's ratio test. ORB's corners are whole pixels of a pyramid, so optical flow refines its matches to
+sub-pixel accuracy.
 """
 
 from collections.abc import Callable
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from roadperc_stream.chain.kernels import mark
 from roadperc_stream.config import OdometryConfig, scaled
 from roadperc_stream.geometry import Camera, Float, Float32
+from roadperc_stream.geometry.ground import part
 from roadperc_stream.model import Image, Mask, Surface, read_only
 from roadperc_stream.model.scene import Scene
 
@@ -28,21 +29,22 @@ _FLOW_STOP: Final = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.01)
 _CORNER_BLOCK_PX = 5
 _SMALLEST_WINDOW_PX = 5
 MAX_POINTS: Final = 400
-"""Points per keyframe: twice as many take twice as long and hardly improve the motion."""
+"""Points per keyframe. Twice as many take twice as long and hardly improve the motion."""
 _CELL_PX: Final = 80.0
-"""Side, at 960 rows, of the cells that share the points equally: points all over the image determine the rotation."""
+"""Side, at 960 rows, of the cells that share the points equally. Points all over the image determine the rotation."""
 WINDOW_PX: Final = 20.0
-"""Side, at 960 rows, of the window that flow compares; corners are as far apart, and as far from movable things."""
+"""Side, at 960 rows, of the window that flow compares. Corners keep this distance from each other and from movable
+objects."""
 FORWARD_BACKWARD_PX: Final = 1.0
-"""Largest distance, at 960 rows, by which a point followed into the frame and back may miss where it came from."""
+"""Largest distance, at 960 rows, between a point and its forward and backward track."""
 _MATCH_RATIO: Final = 0.8
 """Largest ratio of a match's descriptor distance to that of the second nearest (Lowe 2004)."""
 _CORNER_FLOOR = 1e-5
-"""Eigenvalue below which a window has no texture that could be tracked."""
+"""Eigenvalue below which a window has too little texture to track."""
 _CANDIDATES_PER_POINT = 4
 _ORB_FAST_THRESHOLD = 7
 _ORB_SMALLEST_SIDE_PX = 2
-"""Of less OpenCV's pyramid leaves nothing, and its detector fails."""
+"""For smaller images OpenCV's pyramid is empty and its detector fails."""
 _SIFT_CONTRAST = 0.01
 
 
@@ -50,8 +52,8 @@ _SIFT_CONTRAST = 0.01
 class TrackingFrame:
     """The frame in which features are tracked.
 
-    ``camera``, ``grey`` and ``movable`` (uint8, not 0 on movable objects and around them) are ``shrink`` times smaller
-    than the frame, ``depth_m`` is not. ``road`` is in the camera's frame.
+    ``camera``, ``grey`` and ``movable`` (uint8, nonzero on and around movable objects) are ``shrink`` times smaller
+    than the frame; ``depth_m`` has its full size. ``road`` is in the camera's frame.
     """
 
     camera: Camera
@@ -64,11 +66,11 @@ class TrackingFrame:
     stamp_ns: int
 
     def whole(self, px: Float32) -> Float32:
-        """(N, 2) pixels of the tracked image in the frame's: pixel centres are at integers in both."""
+        """(N, 2) pixels of the frame from those of the tracked image; pixel centres are at integers in both."""
         return np.asarray((px + 0.5) * self.shrink - 0.5, np.float32)
 
     def on_movable(self, px: Float32) -> Mask:
-        """(N,) which of (N, 2) pixels lie on movable objects; NaN lies on none."""
+        """(N,) which of (N, 2) pixels lie on movable objects; False for NaN."""
         on = np.zeros(len(px), bool)
         if self.movable is not None:
             known = np.isfinite(px).all(axis=1)
@@ -79,7 +81,7 @@ class TrackingFrame:
 
 @dataclass(frozen=True)
 class Features:
-    """(N, 2) float32 pixels of the image they were found in, and (N, D) descriptors; corners have D = 0."""
+    """(N, 2) float32 pixels in their image, and (N, D) descriptors; D = 0 for corners."""
 
     px: Float32
     descriptors: NDArray[Any]
@@ -91,23 +93,21 @@ class Features:
             raise ValueError(f"descriptors: expected {len(self.px)}, got {len(self.descriptors)}")
 
     def take(self, chosen: NDArray[Any]) -> "Features":
-        """Those of a mask or of indices."""
+        """The features at a mask or indices."""
         return Features(self.px[chosen], self.descriptors[chosen])
 
     def joined(self, others: "Features") -> "Features":
-        """These, then the others."""
-        return Features(
-            np.concatenate((self.px, others.px)), np.concatenate((self.descriptors, others.descriptors), axis=0)
-        )
+        """These features, then the others."""
+        return Features(*map(np.concatenate, ((self.px, others.px), (self.descriptors, others.descriptors))))
 
 
 @dataclass(frozen=True)
 class Frontend:
     """One way to detect features and to match them.
 
-    ``detect(grey, allowed)`` gives the features of an image where ``allowed`` (uint8) is not 0, and their (N,)
-    strengths. ``match(cfg, before, features, guess_px, grey)`` gives the (N, 2) pixels in ``grey`` of the features of
-    the image ``before``, NaN where they are not found; descriptors need no guess.
+    ``detect(grey, allowed)`` returns the features of an image where ``allowed`` (uint8) is nonzero, and their (N,)
+    strengths. ``match(cfg, before, features, guess_px, grey)`` finds the features of the image ``before`` in ``grey``.
+    It returns their (N, 2) pixels, NaN if not found. Descriptors ignore the guess.
     """
 
     detect: Callable[[Image, Image], tuple[Features, Float32]]
@@ -115,34 +115,22 @@ class Frontend:
 
 
 def tracking_frame(cfg: OdometryConfig, scene: Scene, grey: Image, road: Surface | None) -> TrackingFrame:
-    """The frame at the resolution in which features are tracked: halved while it keeps ``odometry.min_rows`` rows.
+    """The frame at the tracking resolution: halved while ``odometry.min_rows`` rows remain.
 
     ``grey`` is its (H, W) image, ``road`` the road in the front camera's frame.
     """
     camera, shrink = scene.camera, 1
     while grey.shape[0] % 2 == 0 and grey.shape[1] % 2 == 0 and grey.shape[0] // 2 >= cfg.min_rows:
         grey = np.asarray(cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), np.uint8)
-        camera = _halved(camera)
+        # Pixel centres are at integers: u becomes (u - 0.5) / 2.
+        camera = replace(part(camera, 2, 2), cx=(camera.cx - 0.5) / 2, cy=(camera.cy - 0.5) / 2)
         shrink *= 2
     movable = _movable(scene, grey)
     return TrackingFrame(camera, scene.ego_T_camera, grey, shrink, scene.dense_depth_m, movable, road, scene.stamp_ns)
 
 
-def _halved(camera: Camera) -> Camera:
-    """Pixel centres are at integers: u becomes (u - 0.5) / 2."""
-    return replace(
-        camera,
-        width=camera.width // 2,
-        height=camera.height // 2,
-        fx=camera.fx / 2,
-        fy=camera.fy / 2,
-        cx=(camera.cx - 0.5) / 2,
-        cy=(camera.cy - 0.5) / 2,
-    )
-
-
 def _movable(scene: Scene, grey: Image) -> Image | None:
-    """Movable objects in the tracked image, and as far around them as a window reaches; None without tags."""
+    """(H, W) nonzero on movable objects of the tracked image, widened by half a window; None without tags."""
     if scene.tags is None or scene.table is None:
         return None
     rows, columns = grey.shape
@@ -155,15 +143,15 @@ def _movable(scene: Scene, grey: Image) -> Image | None:
 
 
 def window_side(rows: int) -> int:
-    """Side in pixels, odd, of the window that optical flow compares in an image with this number of rows."""
+    """Odd side in pixels of the optical flow window in an image with this number of rows."""
     return max(round(scaled(WINDOW_PX, rows)), _SMALLEST_WINDOW_PX) | 1
 
 
 def spread(px: Float32, strength: Float32, shape: tuple[int, ...]) -> NDArray[np.intp]:
-    """Indices of the strongest points of each cell, the same number from all: ``MAX_POINTS`` together.
+    """Indices of the strongest points of each cell, equally many from each: at most ``MAX_POINTS``.
 
-    Cells grow until there are no more than points; where the image's edges make it a few more, the weakest go. The
-    points are at (N, 2) pixels of an image of that shape, with (N,) strengths.
+    Cells grow until they are no more than the points. If border cells make the points too many, the weakest are
+    dropped. The points are at (N, 2) pixels of an image of that shape, with (N,) strengths.
     """
     side = max(scaled(_CELL_PX, shape[0]), float(np.sqrt(shape[0] * shape[1] / MAX_POINTS)))
     columns = int(np.ceil(shape[1] / side))
@@ -178,7 +166,7 @@ def spread(px: Float32, strength: Float32, shape: tuple[int, ...]) -> NDArray[np
 
 
 def _detect_corners(grey: Image, allowed: Image) -> tuple[Features, Float32]:
-    """Pixels whose window's smaller eigenvalue is the largest within a window."""
+    """Pixels whose smaller eigenvalue is the largest within a window."""
     strength = cv2.cornerMinEigenVal(grey, _CORNER_BLOCK_PX)
     side = window_side(grey.shape[0])
     highest = cv2.dilate(strength, np.ones((side, side), np.uint8))
@@ -225,7 +213,7 @@ def _match_sift(cfg: OdometryConfig, _: Image, features: Features, __: Float32, 
 
 
 def _flow(before: Image, px: Float32, guess_px: Float32, grey: Image, levels: int) -> Float32:
-    """(N, 2) pixels by optical flow that starts at the guess (NaN: nowhere), forward and back."""
+    """(N, 2) pixels by forward and backward optical flow from the guess (NaN: not tracked)."""
     found = np.full_like(px, np.nan)
     tried = np.isfinite(guess_px).all(axis=1)
     if not tried.any():
@@ -260,13 +248,13 @@ def _flow(before: Image, px: Float32, guess_px: Float32, grey: Image, levels: in
 
 
 def _nearest(cfg: OdometryConfig, features: Features, others: Features, norm: int) -> Float32:
-    """(N, 2) pixels of the features' matches among others: clearly the nearest, and each used once."""
+    """(N, 2) pixels of the features' matches among others, by the ratio test; each match is used once."""
     found = np.full_like(features.px, np.nan)
     if len(features.px) == 0 or len(others.px) < 2:
         return found
     pairs = MATCHERS[cfg.matcher](norm).knnMatch(features.descriptors, others.descriptors, k=2)
     clear = [p[0] for p in pairs if len(p) == 2 and p[0].distance < _MATCH_RATIO * p[1].distance]
-    # Later entries win: of several that match one feature, the nearest.
+    # Later entries win, so the nearest match of a feature remains.
     best = {match.trainIdx: match for match in sorted(clear, key=lambda match: -match.distance)}
     for match in best.values():
         found[match.queryIdx] = others.px[match.trainIdx]
@@ -274,7 +262,7 @@ def _nearest(cfg: OdometryConfig, features: Features, others: Features, norm: in
 
 
 def _flann(norm: int) -> cv2.DescriptorMatcher:
-    """Randomised k-d trees, or locality-sensitive hashing for binary descriptors."""
+    """A FLANN matcher: k-d trees, or locality-sensitive hashing for binary descriptors."""
     trees = {"algorithm": 1, "trees": 4}
     hashing = {"algorithm": 6, "table_number": 6, "key_size": 12, "multi_probe_level": 1}
     index: dict[str, Any] = hashing if norm == cv2.NORM_HAMMING else trees

@@ -1,11 +1,10 @@
-"""What odometry keeps between frames: its state, the keyframe, and the keyframe's landmarks.
+"""The state of odometry between frames: the keyframe with its landmarks, and the last frame.
 
-On a plane 1 / depth is linear in the image. Fitting it to the pixels around a feature averages the depth's noise, and
-its slope determines how the surroundings are stretched when the camera moves. On a road at a grazing angle, windows
-compared without that stretch are matched with a bias: steps came out 1 to 2 % short.
+On a plane, 1 / depth is linear in the image. A fit to the pixels around a feature averages the noise of the depth, and
+its slope determines how the patch is stretched when the camera moves. On a road at a grazing angle, windows without
+that stretch match with a bias: steps are 1 to 2 % short.
 
-Every motion is measured against the last keyframe, not the last frame, so that a car standing still keeps its keyframe
-and does not drift.
+Every motion is measured against the last keyframe, so a car that stands still keeps its keyframe and does not drift.
 """
 
 from dataclasses import dataclass, field, replace
@@ -33,18 +32,18 @@ from roadperc_stream.model import Image, Mask, read_only
 
 _REACH_PX = 3
 _MAX_DEPTH_M: Final = 60.0
-"""Points farther away are not used: depth as logs store it ends at 65.535 m."""
+"""Farthest used point: depth in logs ends at 65.535 m."""
 KEYFRAME_SHARE: Final = 0.5
-"""Share of the keyframe's points below which, found again as inliers, a frame becomes the next keyframe."""
+"""Share of the keyframe's points that are inliers, below which a frame becomes the next keyframe."""
 KEYFRAME_FLOW_PX: Final = 60.0
-"""Median shift of the points, at 960 rows, above which a frame becomes the next keyframe: windows differ too much."""
+"""Median shift of the points at 960 rows above which a frame becomes the next keyframe: the windows differ too much."""
 _SAME_SURFACE = 0.15
-"""Relative difference of depth up to which a neighbouring pixel belongs to the feature's own surface."""
+"""Largest relative depth difference of pixels on the feature's surface."""
 _MIN_PIXELS = 6
 _HALF_PIXELS = np.array(((0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5)))
-"""To the right, left, down and up, between which a picture is stretched."""
+"""Offsets to the right, left, down and up that measure the stretch."""
 _RIDGE = 1e-9
-"""Keeps the normal equations of pixels in one line solvable: their slope across is then none."""
+"""Keeps the normal equations of collinear pixels solvable: their slope across is then 0."""
 LandmarkSource = Literal["depth", "plane", "carried"]
 _ROAD_AHEAD_M: Final = (2.0, 20.0)
 _ROAD_HALF_WIDTH_M = 3.0
@@ -88,11 +87,11 @@ class Keyframe:
 class LastFrame:
     """The last frame whose pose is known, or at which odometry restarted.
 
-    ``velocity`` is (6,) metres and radians per second in the ego frame, None before there are two frames. ``found_px``
-    is (N, 2), where the keyframe's features were found last. ``influence`` is (N, 6), how far each of them
-    pulls the pose against the keyframe, in ego's axes, None where that is not known; ``length_variance`` is that of the
-    distance from the keyframe, in square metres, beyond what they show. ``speed_variance`` is in square metres per
-    second squared, None where the road has shown no speed.
+    ``velocity`` is (6,) metres and radians per second in the ego frame, None before the second frame. ``found_px`` are
+    the (N, 2) last pixels of the keyframe's features. ``influence`` (N, 6) is the pull of each feature on the pose
+    against the keyframe, in ego's axes, None if unknown. ``length_variance`` is the additional variance of the distance
+    from the keyframe, in square metres. ``speed_variance`` is in square metres per second squared, None if the road has
+    shown no speed.
     """
 
     stamp_ns: int
@@ -126,7 +125,7 @@ class OdometryState:
 
 
 def local_planes_from_depth(depth_m: Float32, px: Float, shrink: int) -> tuple[Float, Float]:
-    """Inverse depths and their slopes, by least squares over the pixels around that belong to the same surface.
+    """Inverse depths and their slopes, by least squares over surrounding pixels of the same surface.
 
     ``depth_m`` is (H, W) metres, NaN unknown; ``px`` are (N, 2) features in an image ``shrink`` times smaller.
 

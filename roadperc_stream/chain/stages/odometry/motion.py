@@ -1,14 +1,14 @@
-"""A motion against a keyframe: estimated by perspective from n points, and how uncertain a step is.
+"""The motion since a keyframe by perspective-n-point (PnP), and the covariance of a step.
 
-RANSAC (Fischler and Bolles 1981) finds the inliers, Gauss-Newton with Huber's weights refines the motion and says how
-far each point pulls it. A point's error is that of its pixel, and that of its depth as far as a change of depth would
-shift the pixel: so far points with poor depth still determine the rotation.
+RANSAC (Fischler and Bolles 1981) finds the inliers. Gauss-Newton with Huber's weights refines the motion and gives the
+influence of each point on it. A point's error combines that of its pixel and the pixel shift that its depth error
+causes. Thus distant points with poor depth still determine the rotation.
 
-Both poses are measured against the same features. What is wrong with a feature's point pulls them alike and leaves the
-step between them as it is, so it is the differences of the pulls that count, not their sum. Features that lie together
-err together (on one object, one shadow, one patch of stretched road): the pulls' scatter is taken over features and
-over cells of the image (the cluster-robust estimate of Liang and Zeger, "Longitudinal data analysis using generalized
-linear models", Biometrika 73, 1986).
+Both poses are measured against the same features. An error of a feature's point pulls both poses alike and cancels in
+the step, so the covariance uses the differences of the pulls. Neighbouring features err together, for example on one
+object or one shadow. The scatter of the pulls is therefore summed over features and over image cells: the
+cluster-robust estimate of Liang and Zeger, "Longitudinal data analysis using generalized linear models", Biometrika 73,
+1986.
 """
 
 from dataclasses import dataclass
@@ -26,13 +26,13 @@ from roadperc_stream.model import Mask
 
 Scale = Literal["measured", "carried", "none"]
 PIXEL_STD_PX = 0.5
-"""Standard deviation of a tracked point, at 960 rows, by which points are weighed."""
+"""Standard deviation of a tracked point at 960 rows; it sets the weights of the points."""
 INLIER_PX: Final = 2.0
-"""Largest distance, at 960 rows, of an inlier from where the motion predicts it: four standard deviations."""
+"""Largest distance of an inlier from its predicted pixel at 960 rows: four standard deviations."""
 RANSAC_ITERATIONS: Final = 200
-"""Most motions tried: with half of the points wrong, one of sets of five is right with 99.8 %."""
+"""Limit of tried motions: with half of the points wrong, a correct set of five is among them with 99.8 %."""
 _DEPTH_STD_PER_M: Final = 0.0005
-"""The depth's standard deviation over the distance squared, as stereo has it: it weighs the points."""
+"""Standard deviation of the depth over the squared distance, as for stereo; it sets the weights of the points."""
 _HUBER = 1.5
 _ITERATIONS = 8
 _CONFIDENCE = 0.999
@@ -42,23 +42,24 @@ _SINGULAR = 1e12
 _CONVERGED = 1e-6
 """Metres and radians below which another iteration changes nothing."""
 _CELLS: Final = 8
-"""Cells, side by side, within which features err together."""
+"""Cells across the image; features within one cell err together."""
 _SYSTEMATIC: Final = 0.001
-"""Share of a step by which all features err alike, which no scatter shows: windows follow a stretch only in part."""
+"""Error shared by all features, as a share of the step; the scatter does not show it. Windows follow a stretch only in
+part."""
 _FREE: Final = 6
-"""Numbers of a motion."""
+"""Degrees of freedom of a motion."""
 
 
 @dataclass(frozen=True)
 class Motion:
     """``this_T_key`` maps the keyframe's camera coordinates to this frame's camera.
 
-    ``inliers`` are the (N,) features that agree, ``points_m`` the (N, 3) points of the keyframe's features as far as
-    they are known after the motion. ``influence`` are the (N, 6) small translations and rotations (m, rad) of this
-    camera in its own axes by which each feature's residual pulls the motion, 0 where it has none; None where they are
-    not known. ``scaled`` says that the length is in the unit of known points; ``length_variance`` is the part of its
-    variance, in square metres, that the influence does not show. ``scale`` says how the road gave the length, None if
-    the points gave it; ``noise_variance`` is then the part of the variance that later motions do not share.
+    ``inliers`` are the (N,) features that agree. ``points_m`` are the (N, 3) points of the keyframe's features, NaN
+    where unknown after the motion. ``influence`` (N, 6) is the small translation and rotation (m, rad) of this camera,
+    in its own axes, that each feature's residual causes; 0 for unused features, None if unknown. ``scaled``: the length
+    is in the unit of known points. ``length_variance`` is the part of its variance, in square metres, that the
+    influence does not show. ``scale`` is how the road gave the length, None if the points gave it. ``noise_variance``
+    is then the part of the variance that later motions do not share.
     """
 
     this_T_key: Float
@@ -72,10 +73,10 @@ class Motion:
 
 
 def motion_from_points(camera: Camera, points_m: Float, px: Float32, start: Float | None = None) -> Motion | None:
-    """The metric motion that projects points to the pixels where they were found; None if too few points agree.
+    """The metric motion that projects points to their found pixels; None if too few points agree.
 
     ``points_m`` are (N, 3) in the keyframe's camera, NaN unknown; ``px`` are (N, 2) in this frame, NaN not found. The
-    search begins at ``start``, else at a motion that RANSAC finds.
+    search begins at ``start`` if given, else at the motion by RANSAC.
     """
     usable = np.flatnonzero(np.isfinite(points_m).all(axis=1) & np.isfinite(px).all(axis=1))
     if len(usable) < _SMALLEST_SET:
@@ -122,7 +123,8 @@ def refined(camera: Camera, X: Float, px: Float, this_T_key: Float) -> tuple[Flo
     for _ in range(_ITERATIONS):
         residual, J, agrees = linearise(projection, weighting, X, px, this_T_key)
         N = J.T @ J
-        if np.sum(agrees) < _SMALLEST_SET or _is_singular(N):
+        least, *_, most = np.linalg.eigvalsh(N)
+        if np.sum(agrees) < _SMALLEST_SET or not least * _SINGULAR > most:
             return this_T_key, agrees.astype(bool), None
         small = np.asarray(np.linalg.solve(N, residual @ J), np.float64)
         this_T_key = moved(small) @ this_T_key
@@ -133,19 +135,13 @@ def refined(camera: Camera, X: Float, px: Float, this_T_key: Float) -> tuple[Flo
     return this_T_key, known, np.linalg.solve(N, each.T).T
 
 
-def _is_singular(N: Float) -> bool:
-    """Whether normal equations do not determine the motion."""
-    values = np.linalg.eigvalsh(N)
-    return not values[0] * _SINGULAR > values[-1]
-
-
 def moved(small: Float) -> Float:
     """(4, 4) transform of a small (6,) translation and rotation vector."""
     return rigid(rotation_from_vector(small[3:]), small[:3])
 
 
 def in_ego_axes(ego_T_camera: Float, influence: Float | None) -> Float | None:
-    """(N, 6) small motions of the camera as those of the ego frame fixed to it."""
+    """(N, 6) small motions of the ego frame from those of the camera fixed to it."""
     return None if influence is None else influence @ adjoint(ego_T_camera).T
 
 
@@ -156,15 +152,15 @@ def step_covariance(
 
     Args:
         key_px: (N, 2) the keyframe's features.
-        width: of its image.
-        this: (N, 6) how far each feature pulls this pose, in ego's axes; None where that is not known.
-        last: (N, 6) the same of the last pose, in its own axes.
+        width: width of its image.
+        this: (N, 6) pull of each feature on this pose, in the ego frame's axes; None if unknown.
+        last: (N, 6) the same for the last pose, in its own axes.
         last_T_this: the step.
-        length_variance: square metres, of the step's length, beyond what the features show.
+        length_variance: additional variance of the step's length, square metres.
 
     Returns:
-        36 numbers, of a small translation and rotation (m, rad) in this ego frame's axes; none where a pull is not
-        known, or too few features pull to tell.
+        36 numbers for a small translation and rotation (m, rad) in this ego frame's axes; empty if a pull is unknown
+        or too few features pull.
     """
     if this is None or last is None:
         return ()
@@ -181,9 +177,9 @@ def step_covariance(
 
 
 def scatter(pulls: Float, key_px: Float32, width: int) -> Float | None:
-    """(6, 6) covariance of the sum of (N, 6) pulls of features at (N, 2) pixels of an image; zero rows do not count.
+    """(6, 6) covariance of the sum of (N, 6) pulls of features at (N, 2) pixels of an image; zero rows are left out.
 
-    None where no more features pull than a motion has numbers: they fit any motion.
+    None if the features are no more than the degrees of freedom, because they fit any motion.
     """
     used = np.abs(pulls).sum(axis=1) > 0
     pulls, px = pulls[used], key_px[used]

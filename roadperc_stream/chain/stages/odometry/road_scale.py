@@ -1,11 +1,11 @@
 """The length of a motion without depth, from the road's image and the last known speed.
 
 Between two images a plane maps by the homography R - t n^T / h (Hartley and Zisserman, Multiple View Geometry, 2004,
-section 13.1). With the turn R and the direction of t from the tracked points and the height h from the mounting, what
-is left is the length of t and the pitch of n. Asphalt has too little texture for corners, but all of it together aligns
-well: the length of the best normalised correlation is searched, as Song and Chandraker ("Robust Scale Estimation in
-Real-Time Monocular SFM", CVPR 2014) do for their height, and one Gauss-Newton step says how length and pitch depend on
-each other there.
+section 13.1). The tracked points give the rotation R and the direction of t, the mounting gives the height h. The
+length of t and the pitch of n remain unknown. Asphalt has too little texture for corners, but the whole road aligns
+well. The search maximises the normalised correlation over the length, as Song and Chandraker do over the height
+("Robust Scale Estimation in Real-Time Monocular SFM", CVPR 2014). One Gauss-Newton step at the maximum gives the
+dependence of length and pitch.
 """
 
 from dataclasses import dataclass, replace
@@ -35,34 +35,34 @@ from roadperc_stream.geometry.ground import tilted_ground
 from roadperc_stream.model import Image, Mask
 
 _PLANE_STD: Final = np.deg2rad(1.0)
-"""Standard deviation of the pitch by the road's picture beyond its grain: a road is crowned and patched."""
+"""Additional standard deviation of the pitch by the road's image: a road is crowned and patched."""
 _ROAD_SHARE: Final = 0.01
-"""Standard deviation of a length by the road, as a share, for the same reason."""
+"""Additional standard deviation of a length by the road, as a share, for the same reason."""
 _LENGTH_PER_PITCH: Final = 5.0
-"""Share of a length per radian of pitch, where the road does not say."""
+"""Default share of a length per radian of pitch."""
 _SIGMAS: Final = 3.0
 _SEARCHED: Final = 0.3
-"""Share of the length that is expected, by which it is searched below and above."""
+"""Search range below and above the expected length, as its share."""
 _CARRIED_SHARE: Final = 0.2
-"""Standard deviation, as a share of the length, up to which the last speed gives the scale."""
+"""Largest standard deviation, as a share of the length, at which the last speed gives the scale."""
 _AHEAD_M: Final = (2.0, 18.0)
 _HALF_WIDTH_M: Final = 2.2
-"""Where the road is, from the camera on."""
+"""Extent of the road ahead of the camera and to either side."""
 _BLUR_PX: Final = 51.0
-"""Side, at 960 rows, of the mean that is taken away: shadows and vignetting do not move along."""
+"""Side, at 960 rows, of the subtracted local mean: shadows and vignetting do not move with the road."""
 _LEAST_PIXELS: Final = 1000
 _MOST_PIXELS: Final = 16384
 _ROAD_PART: Final = 2.0
-"""The image below the horizon is this many times larger than its road; larger images are subsampled."""
+"""Ratio of the image below the horizon to its road; larger images are subsampled."""
 _LEAST_CORRELATION: Final = 0.5
 _GRAIN_PX: Final = 16.0
-"""Pixels that err together, as the deviations of lengths and pitches on recordings have it."""
+"""Pixels that err together, from the deviations of lengths and pitches on real logs."""
 _TRIED_PX: Final = 0.7
-"""Shift of the road's picture from one length that is tried to the next."""
+"""Shift of the road's image between two tried lengths."""
 _MOST_TRIED: Final = 200
 _SMALL_PX: Final = 0.25
 _SMALL_PITCH: Final = 0.002
-"""Radians by which the pitch is changed to see what that does."""
+"""Pitch step of the numerical derivative, radians."""
 
 
 @dataclass(frozen=True)
@@ -197,7 +197,7 @@ def high_pass(grey: Image) -> Float32:
 
 
 def road_view(camera: Camera, ego_T_camera: Float, plane: Plane, key_grey: Image) -> RoadView | None:
-    """The pixels of the keyframe that show the road ahead if it is free; None if they are too few."""
+    """The pixels of the keyframe on the road ahead, without regard to obstacles; None if they are too few."""
     horizon = int(np.clip(np.floor(camera.cy - camera.fy * plane.normal[2] / plane.normal[1]), 0, camera.height - 1))
     apart = int(np.ceil(np.sqrt((camera.height - horizon) * camera.width / _MOST_PIXELS / _ROAD_PART)))
     rows, columns = np.mgrid[horizon : camera.height : apart, 0 : camera.width : apart].reshape(2, -1)
@@ -229,7 +229,7 @@ def road_motion(
         tried_m: shortest and longest length.
 
     Returns:
-        The length; None if the road has too little texture, or clearly fits no length in between.
+        The length; None if the road has too little texture or no length fits clearly.
     """
     picture = _Picture(view, high_pass(grey), movable, *key_T_this_turn)
     shift_px = picture.shift_px_per_m
@@ -249,7 +249,7 @@ def road_motion(
 
 @dataclass(frozen=True)
 class _Picture:
-    """The keyframe's road, and how it is found in this image at a length and a pitch."""
+    """The keyframe's road mapped to this image at a length and a pitch."""
 
     view: RoadView
     levels: Float32
@@ -264,14 +264,14 @@ class _Picture:
         return float(np.sqrt(np.mean(np.sum(apart**2, axis=1)))) / 0.05
 
     def correlation(self, length_m: float) -> float:
-        """-1 to 1, over the pixels in sight; -1 where they are too few."""
+        """Correlation over the visible pixels, -1 to 1; -1 if they are too few."""
         seen, visible = self.seen(length_m, 0.0)
         if int(np.sum(visible)) < _LEAST_PIXELS:
             return -1.0
         return float(normalised(self.view.levels[visible]) @ normalised(seen[visible]))
 
     def seen(self, length_m: float, pitch: float) -> tuple[Float32, Mask]:
-        """(M,) this image's levels where the road's pixels are, and which of them are in sight and not hidden."""
+        """(M,) levels of this image at the road's pixels, and (M,) which of them are visible."""
         columns, rows = (np.ascontiguousarray(px, np.float32) for px in self._px(length_m, pitch).T)
         height, width = self.levels.shape
         visible: Mask = (columns >= 0) & (columns <= width - 1) & (rows >= 0) & (rows <= height - 1)
@@ -290,7 +290,7 @@ class _Picture:
 
 
 def _at_peak(picture: _Picture, length_m: float, small_m: float) -> RoadMotion | None:
-    """The motion at the best length for the assumed pitch, and the correction of the pitch that fits better."""
+    """The motion at the best length for the assumed pitch, with the correction of the pitch."""
     at = picture.seen(length_m, 0.0)
     moved = [picture.seen(length_m + s * small_m, 0.0) for s in (-1, 1)]
     tilted = [picture.seen(length_m, s * _SMALL_PITCH) for s in (-1, 1)]

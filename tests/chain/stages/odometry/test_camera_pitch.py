@@ -37,14 +37,10 @@ def lengths_m(results):
     return np.array([np.linalg.norm(out.step[:3, 3]) for out in results[1:]])
 
 
-def test_two_measurements_are_fused_by_their_variances():
-    pitch = cp.updated(cp.CameraPitch(0.0, 4e-4), (0.01, 1e-4))
-    assert pitch.offset == pytest.approx(0.008)
-    assert pitch.variance == pytest.approx(0.8e-4)
-    assert pitch.measured
-
-
-def test_a_measurement_far_off_counts_less_and_none_changes_nothing():
+def test_measurements_are_fused_by_variance_and_an_outlier_counts_less():
+    assert cp.updated(cp.CameraPitch(0.0, 4e-4), (0.01, 1e-4)) == cp.CameraPitch(
+        pytest.approx(0.008), pytest.approx(0.8e-4), measured=True
+    )
     pitch = cp.CameraPitch(0.0, 1e-4)
     near, far = (cp.updated(pitch, (value, 1e-4)) for value in (0.03, 0.3))
     assert near.offset == pytest.approx(0.015)

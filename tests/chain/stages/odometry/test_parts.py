@@ -47,14 +47,14 @@ def pixels_of(this_T_key, X):
 
 @settings(max_examples=25)
 @given(this_T_key=motions)
-def test_points_give_the_motion_despite_outliers(this_T_key):
+def test_points_give_the_motion_despite_outliers_and_incomplete_pixels(this_T_key):
     X = cloud()
     px = pixels_of(this_T_key, X)
     px[::5] += 15
+    px[1::5, 1] = np.nan
     motion = motion_from_points(CAMERA, X, px)
     np.testing.assert_allclose(motion.this_T_key, this_T_key, atol=1e-4)
-    assert motion.inliers.sum() == 160
-    assert not motion.inliers[::5].any()
+    np.testing.assert_array_equal(motion.inliers, np.arange(len(X)) % 5 > 1)
 
 
 @settings(max_examples=25)
@@ -184,9 +184,8 @@ def test_points_are_spread_over_the_image():
     rng = np.random.default_rng(0)
     px = np.concatenate((rng.uniform(0, 100, (5000, 2)), rng.uniform(0, (640, 480), (300, 2)))).astype(np.float32)
     chosen = spread(px, rng.random(len(px)).astype(np.float32), CAMERA.size)
-    assert len(chosen) <= MAX_POINTS
     assert (px[chosen] < 100).all(axis=1).mean() < 0.2
-    assert len(set(chosen.tolist())) == len(chosen)
+    assert len(set(chosen.tolist())) == len(chosen) <= MAX_POINTS
 
 
 @pytest.mark.parametrize("size", [(376, 1242), (960, 3840), (480, 640)])
@@ -273,15 +272,3 @@ def test_images_too_small_for_a_feature_have_none(features, shape):
     found, strength = FRONTENDS[features].detect(grey, np.ones_like(grey))
     assert (found.px.shape, strength.shape) == ((0, 2), (0,))
     assert FRONTENDS[features].match(cfg, grey, found, found.px, grey).shape == (0, 2)
-
-
-def test_a_point_of_which_one_coordinate_is_unknown_is_not_used():
-    """A pixel that has a column alone would pull the motion to NaN."""
-    X = cloud()
-    key_T_this = g.rigid(np.eye(3), np.array([0.0, 0.0, 0.5]))
-    px = g.project(CAMERA, g.transform(g.inverse(key_T_this), X)).astype(np.float32)
-    px[::7, 1] = np.nan
-    found = motion_from_points(CAMERA, X, px)
-    assert found is not None
-    assert not found.inliers[::7].any()
-    assert found.inliers[px[:, 1] == px[:, 1]].mean() > 0.95
