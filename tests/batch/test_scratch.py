@@ -85,7 +85,7 @@ def test_the_command_says_so_at_once(tmp_path, scratch, fault, monkeypatch):
     assert refused.stderr.startswith(f"error: {scratch / NAME}: {FAULTS[fault]}")
 
 
-@pytest.mark.promise("Temporary files", "The folder has mode 700, whatever the umask is")
+@pytest.mark.promise("Temporary files", "The folder has mode 700 with any umask")
 @pytest.mark.parametrize("mask", [0, 0o022, 0o077])
 def test_a_scratch_folder_is_made_for_its_user_alone(task, scratch, mask):
     before = os.umask(mask)
