@@ -269,7 +269,7 @@ def test_a_dropped_sensor_is_named_in_its_frame(tmp_path):
         "depth: no message at this frame",
         "stereo: no right image",
         "occupancy: no depth",
-        "surface: the plane of the frames before, moved by odometry, stands in: no depth",
+        "surface: the plane of earlier frames, moved by odometry, is used: no depth",
         "objects: no depth, no distances",
     ]
 
@@ -288,7 +288,7 @@ def test_a_role_the_log_does_not_fill_is_null_with_a_reason(tmp_path, role):
         reasons = [
             "stereo: no right image",
             "lanes: no segmentation",
-            "surface: no segmentation, the lower image stands in for the road",
+            "surface: no segmentation, the lower image is used as the road",
             "objects: no segmentation, detections are not filtered",
         ]
         assert table["reasons"].to_list() == [reasons] * 6

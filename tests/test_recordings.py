@@ -95,7 +95,7 @@ def test_carla_rgbd_height_and_pitch(replayed):
         "lanes: no segmentation",
         "objects: no detections",
         "stereo: no right image",
-        "surface: no segmentation, the lower image stands in for the road",
+        "surface: no segmentation, the lower image is used as the road",
     ]
 
 

@@ -209,7 +209,7 @@ def test_the_times_of_one_thread_add_up(tmp_path, monkeypatch):
         return worked
 
     monkeypatch.setattr(loop, "perf_counter", lambda: now_s[0])
-    monkeypatch.setattr(pixels, "tags_of", taking(3, pixels.tags_of))
+    monkeypatch.setattr(pixels, "sensor_depth", taking(3, pixels.sensor_depth))
     monkeypatch.setattr(loop, "frame_metrics", taking(5, loop.frame_metrics))
     monkeypatch.setattr(writing.MessageCopy, "through", taking(7, writing.MessageCopy.through))
     monkeypatch.setattr(writing.Outputs, "_messages", taking(11, writing.Outputs._messages))

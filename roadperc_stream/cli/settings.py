@@ -87,7 +87,7 @@ def as_page() -> str:
         lines += ["| setting | default | range | unit | meaning |", "|---|---|---|---|---|"]
         lines += [_row(setting) for setting in settings]
         lines += [""]
-    lines += [f"Classes: {', '.join(f'`{name}`' for name in _class_names())}."]
+    lines += ["Classes:\n", *(f"- `{name}`" for name in _class_names())]
     return "\n".join(lines) + "\n"
 
 

@@ -148,8 +148,8 @@ class LanesConfig(Section):
     fit_strip_m: Positive = 0.3
     """Half width of the strip around the last fit whose edges the next fit uses."""
     gate: Annotated[Positive, unit("standard deviations, squared")] = 48.8
-    """Squared Mahalanobis distance beyond which a measurement is rejected: three times the 99.9 % quantile of chi
-    squared with 3 degrees of freedom, because wrong tags cause larger errors than noise. A measurement far out but
+    """Squared Mahalanobis distance beyond which a measurement is rejected. It is three times the 99.9 % quantile of
+    chi squared with 3 degrees of freedom, because wrong tags cause larger errors than noise. A measurement far out but
     within the gate increases the standard deviation."""
     car_width_m: Positive = 1.8
     """Width of the car; it changes lanes while a boundary is under it."""

@@ -36,7 +36,7 @@ TEMPLATES: Final[dict[str, str]] = {
     "no_image": "no image",
     "image_unusable": "its image cannot be used",
     "no_segmentation": "no segmentation",
-    "no_segmentation_lower_image": "no segmentation, the lower image stands in for the road",
+    "no_segmentation_lower_image": "no segmentation, the lower image is used as the road",
     "no_segmentation_not_filtered": "no segmentation, detections are not filtered",
     "no_segmentation_sparse_depth": "no segmentation, and the points of a lidar are too sparse to classify pixels",
     "no_depth": "no depth",
@@ -51,7 +51,7 @@ TEMPLATES: Final[dict[str, str]] = {
     "no_right_calibration": "no calibration of the right camera",
     "no_surface": "no surface: {cause}",
     "no_drivable_surface": "no drivable surface: {cause}",
-    "plane_held": "the plane of the frames before, moved by odometry, stands in: {cause}",
+    "plane_held": "the plane of earlier frames, moved by odometry, is used: {cause}",
     "heights_unknown": "the depth does not show the road, from which heights are measured",
     "depth_misses_road": "no segmentation, and the depth does not show the road",
     "plane_assumed": "{plane_source} gives the plane: {cause}",
@@ -64,8 +64,8 @@ TEMPLATES: Final[dict[str, str]] = {
     "camera_changed": "the camera is not the one of the frames before",
     "too_few_inliers": "too few points agree on a motion",
     "impossible_motion": "the points agree on a motion that the car cannot make",
-    "scale_carried": "the road's picture shows no length, the speed so far gives the scale",
-    "scale_unknown": "neither the road's picture nor the speed so far gives the scale",
+    "scale_carried": "the road's image shows no length, the last known speed gives the scale",
+    "scale_unknown": "neither the road's image nor the last known speed gives the scale",
     "no_baseline": "P[0][3] of the right camera is 0: expected -fx * baseline, which is {shortest_m:g} to "
     "{longest_m:g} m",
     "wrong_baseline": "P[0][3] of the right camera gives a baseline of {baseline_m:g} m: expected -fx * baseline, "
@@ -96,6 +96,13 @@ TEMPLATES: Final[dict[str, str]] = {
     "other": "{text}",
 }
 """All codes, each with its sentence behind ``source: ``. ``{cause}`` is another reason's sentence."""
+_EARLIER: Final[dict[str, str]] = {
+    "no_segmentation_lower_image": "no segmentation, the lower image stands in for the road",
+    "plane_held": "the plane of the frames before, moved by odometry, stands in: {cause}",
+    "scale_carried": "the road's picture shows no length, the speed so far gives the scale",
+    "scale_unknown": "neither the road's picture nor the speed so far gives the scale",
+}
+"""Sentences of older versions: their logs and tables stay readable."""
 MISSING_ROLES: Final[dict[str, tuple[str, ...]]] = {
     "no_image": ("image",),
     "no_segmentation": ("segmentation",),
@@ -194,7 +201,8 @@ def _parsed(source: str, text: str) -> Reason:
 @cache
 def _patterns() -> tuple[tuple[str, re.Pattern[str]], ...]:
     """The regular expression of each template; that of ``other`` fits every text."""
-    return tuple((code, re.compile(_pattern(template), re.DOTALL)) for code, template in TEMPLATES.items())
+    templates = (*_EARLIER.items(), *TEMPLATES.items())
+    return tuple((code, re.compile(_pattern(template), re.DOTALL)) for code, template in templates)
 
 
 def _pattern(template: str) -> str:

@@ -91,7 +91,7 @@ def broken(*_):
             "lower_image",
             (
                 "segmentation: 100x50 pixels, its calibration says 320x240",
-                "surface: no segmentation, the lower image stands in for the road",
+                "surface: no segmentation, the lower image is used as the road",
                 "objects: no segmentation, detections are not filtered",
             ),
         ),

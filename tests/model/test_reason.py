@@ -97,3 +97,16 @@ def test_numbers_of_any_size_are_read_back(number):
 def test_values_that_do_not_fit_the_template_are_refused(code, values, cause):
     with pytest.raises(ValueError, match=f"{code}: expected"):
         Reason("lanes", code, values, cause)
+
+
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [
+        ("no segmentation, the lower image stands in for the road", "no_segmentation_lower_image"),
+        ("the plane of the frames before, moved by odometry, stands in: no depth", "plane_held"),
+        ("the road's picture shows no length, the speed so far gives the scale", "scale_carried"),
+        ("neither the road's picture nor the speed so far gives the scale", "scale_unknown"),
+    ],
+)
+def test_a_sentence_of_an_older_version_is_read(text, code):
+    assert parse_reason(f"surface: {text}").code == code

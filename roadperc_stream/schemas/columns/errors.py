@@ -126,9 +126,9 @@ class LaneScoreColumns:
         float | None,
         _score(
             "mean over the true lanes of the share of rows where the best found lane is right: "
-            "abs(x - x*) < 20 px / cos(a), a the angle of the true lane's fitted straight line from the upright; a row "
-            "where neither has a point is right too. Rows are the multiples of 10 px from the true lines' top to the "
-            "image's bottom",
+            "abs(x - x*) < 20 px / cos(a). Here a is the angle between the true lane's fitted line and the vertical. A "
+            "row without a point in either lane is right. Rows are the multiples of 10 px from the true lines' top to "
+            "the image's bottom",
             RATIO,
             "",
             "lane points (TuSimple)",

@@ -57,9 +57,8 @@ class SurfaceColumns:
     surface_source: Annotated[
         str | None,
         Column(
-            "what the plane comes from: `depth`, `stereo`, `lidar`, `lower_image` (depth without tags), `held` "
-            "(the frames before, where depth is missing or does not show the road), `estimated` (the mounting, its "
-            "pitch by the drive) or `assumed` (the mounting)",
+            "source of the plane: `depth`, `stereo`, `lidar`, `lower_image` (depth without tags), `held` (earlier "
+            "frames, moved by odometry), `estimated` (the mounting, with estimated pitch) or `assumed` (the mounting)",
             null=_NO_PLANE,
         ),
     ] = None
