@@ -24,7 +24,7 @@ from tests.resume.parts import cut, inputs, replayed, with_attachments, write
 
 CFG = load_config(None, ("sync.max_wait_s=0.2",))
 ROAD = replace(logs.SMALL, width=96, height=72)
-MOST_GROWTH_MB, SLOWEST_S = 480, 6.0
+MOST_GROWTH_MB, SLOWEST_S = 430, 6.0
 
 
 MEASURED = """
