@@ -220,7 +220,7 @@ def test_what_another_replay_wrote_meanwhile_stays(source, name):
         if done == expected:
             source.with_name(name).write_bytes(b"theirs")
 
-    with pytest.raises(TargetError, match=f"{name}: exists already"):
+    with pytest.raises(TargetError, match=f"{name}: exists; pass --force"):
         run(source, progress=other)
     assert {path.name for path in source.parent.iterdir()} == {"in.mcap", name}
     assert source.with_name(name).read_bytes() == b"theirs"

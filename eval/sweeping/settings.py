@@ -107,7 +107,7 @@ def dataset(target: Path, force: bool) -> Iterator[Path]:
             if not (target / MARK).is_file():
                 raise TableError(f"{target}: is a folder with other things in it; name a new one")
             if not force:
-                raise TableError(f"{target}: exists already; --force replaces it")
+                raise TableError(f"{target}: exists; pass --force to overwrite it")
     with completing_folder(target) as hidden:
         yield hidden
 

@@ -135,7 +135,7 @@ class ReplaySummary:
     def remarks(self) -> tuple[str, ...]:
         """What the user should know, one line each."""
         unreadable = (
-            f"warning: {number(count, 'message')} on {topic} could not be read; frames go without"
+            f"warning: {number(count, 'message')} on {topic} could not be read, skipped"
             for topic, count in self.problems.items()
         )
         return (

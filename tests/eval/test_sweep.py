@@ -220,7 +220,7 @@ def test_a_former_sweep_is_replaced_only_when_asked(source, tmp_path, capsys):
     out = tmp_path / "out"
     out.mkdir()
     sweep(source, out, "--vary", "lanes.gate=1,2,3")
-    assert "exists already; --force replaces it" in failed(capsys, source, "--out", out, *LANES)
+    assert "exists; pass --force to overwrite it" in failed(capsys, source, "--out", out, *LANES)
     assert sweep(source, out, *LANES, "--force").height == 2 * 4
     assert sorted(path.name for path in tmp_path.iterdir()) == ["in.mcap", "out"]
 

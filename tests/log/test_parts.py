@@ -229,13 +229,13 @@ def test_several_inputs_replace_a_result_and_nothing_else(tmp_path):
     files = parts(SAMPLE, tmp_path, [MESSAGES // 2])
     out, part = tmp_path / "out.mcap", TimeRange(frames=1)
     replay(files, out, CFG, time_range=part)
-    with pytest.raises(TargetError, match="exists already"):
+    with pytest.raises(TargetError, match="exists; pass --force"):
         replay(files, out, CFG, time_range=part)
     replay(files, out, CFG, time_range=part, force=True)
     out.write_bytes(b"something of value")
     with pytest.raises(TargetError, match="was not written by roadperc-replay"):
         replay(files, out, CFG, time_range=part, force=True)
-    with pytest.raises(TargetError, match="is the input itself"):
+    with pytest.raises(TargetError, match="is the input; name another output"):
         replay(files, files[0], CFG, force=True)
     assert out.read_bytes() == b"something of value"
 

@@ -103,7 +103,7 @@ def test_an_output_with_another_table_is_not_complete(source, tmp_path, table):
     target = tmp_path / "out.mcap"
     replay(source, target, CFG)
     (tmp_path / table).write_bytes(b"junk")
-    with pytest.raises(TargetError, match="exists already; --force"):
+    with pytest.raises(TargetError, match="exists; pass --force"):
         replay(source, target, CFG, **RESUMED)
     replay(source, target, CFG, **RESUMED, force=True)
     assert "nothing to do" in replay(source, target, CFG, **RESUMED).notes[0]

@@ -28,8 +28,8 @@ def test_what_must_never_be_written(tmp_path, force):
         (tmp_path / "out.avi", ".mp4", "expected a name that ends in .mp4"),
         (tmp_path / "mp4", ".mp4", "expected a name that ends in .mp4"),
         (source, ".mp4", "expected a name that ends in .mp4"),
-        (source, ".mcap", "is the input itself"),
-        (tmp_path / "." / "in.mcap", ".mcap", "is the input itself"),
+        (source, ".mcap", "is the input; name another output"),
+        (tmp_path / "." / "in.mcap", ".mcap", "is the input; name another output"),
     ):
         with pytest.raises(TargetError, match=f"{re.escape(str(target))}: {why}"):
             require_free(target, force=force, source=source, suffix=suffix)
@@ -40,7 +40,7 @@ def test_an_existing_file_is_replaced_when_told_so_only(tmp_path):
     require_free(target, force=False, source=tmp_path / "in.mcap", suffix=".mp4")
     target.write_bytes(b"old")
     require_free(target, force=True, suffix=".mp4")
-    with pytest.raises(TargetError, match=r"exists already; --force \(force=True\) replaces it"):
+    with pytest.raises(TargetError, match=r"exists; pass --force \(force=True\) to overwrite it"):
         require_free(target, force=False, suffix=".mp4")
 
 

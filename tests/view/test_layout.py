@@ -317,7 +317,7 @@ def test_a_layout_is_written_and_replaced_only_when_told(tmp_path):
     write_layout(path, force=False)
     assert path.read_text("utf-8") == layout_of(OF_A_LIVE_REPLAY)
     path.write_text("mine")
-    with pytest.raises(TargetError, match="exists already"):
+    with pytest.raises(TargetError, match="exists; pass --force"):
         write_layout(path, force=False)
     assert path.read_text() == "mine"
     write_layout(path, force=True)
