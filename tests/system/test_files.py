@@ -124,7 +124,7 @@ def write_while_another_does(target, force):
 
 def test_what_another_program_wrote_meanwhile_stays(tmp_path):
     target = tmp_path / "out.mp4"
-    with pytest.raises(TargetError, match="exists now"):
+    with pytest.raises(TargetError, match="written by another program; pass --force"):
         write_while_another_does(target, force=False)
     assert target.read_bytes() == b"theirs"
     write_while_another_does(target, force=True)
