@@ -1,7 +1,7 @@
-"""The assignment problem: pairs, one to one, of the largest total.
+"""The assignment problem: one-to-one pairs with the largest total score.
 
 Usually the pairs split into groups of two or three, and trying all combinations is enough. Otherwise scipy solves it;
-its import takes half a second, as long as many frames.
+its import takes half a second.
 """
 
 from collections.abc import Iterable
@@ -23,12 +23,9 @@ Pair = tuple[int, int]
 
 
 def largest_total(scores: Float) -> dict[int, int]:
-    """The column of each row: the one-to-one pairs with scores above 0 that have the largest total.
+    """The column of each row: the one-to-one pairs with the largest total of (M, N) scores, which are not negative.
 
-    Args:
-        scores: (M, N) not negative.
-
-    If totals are equal, the pairs are those of ``scipy.optimize.linear_sum_assignment``.
+    Pairs with score 0 are left out. Equal totals are decided as by ``scipy.optimize.linear_sum_assignment``.
     """
     best = scores.max(axis=1, initial=0.0)
     rows, columns = np.nonzero((scores == best[:, None]) & (best[:, None] > 0))

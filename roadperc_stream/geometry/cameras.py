@@ -117,7 +117,7 @@ def decompose_projection(P: Float) -> tuple[Float, Float, Float]:
     M = P[:, :3].astype(float)
     determinant = float(np.linalg.det(M))
     if abs(determinant) <= _SINGULAR * float(np.prod(np.linalg.norm(M, axis=1))):
-        raise ValueError(f"no projection matrix of a camera: its left half is singular: {P.tolist()}")
+        raise ValueError(f"expected a camera's projection matrix, got one with a singular left half: {P.tolist()}")
     upper, rotation = _rq(M * np.sign(determinant))
     signs = np.sign(np.diag(upper))
     K = upper * signs
@@ -131,7 +131,7 @@ def _rq(M: Float) -> tuple[Float, Float]:
 
 
 def baseline_of(P_left: Float, P_right: Float) -> float:
-    """Distance in metres of the centres of two (3, 4) projection matrices that share a world.
+    """Distance in metres between the centres of two (3, 4) projection matrices of one world frame.
 
     Raises:
         ValueError: a matrix is not a projection matrix, or both have the same centre.
@@ -139,7 +139,7 @@ def baseline_of(P_left: Float, P_right: Float) -> float:
     left, right = decompose_projection(P_left)[2], decompose_projection(P_right)[2]
     baseline_m = float(np.linalg.norm(right - left))
     if baseline_m <= _SINGULAR * float(np.linalg.norm(left)):
-        raise ValueError("both projection matrices have one and the same centre: expected a stereo pair")
+        raise ValueError("both projection matrices have one and the same centre: expected two cameras of a stereo pair")
     return baseline_m
 
 

@@ -22,7 +22,7 @@ class Plane:
 
     @classmethod
     def of(cls, normal: Float, offset_m: float) -> "Plane":
-        """A plane from any normal that is not zero; it is scaled to unit length, offset included."""
+        """A plane from a normal of any length above zero, scaled to unit length together with the offset."""
         length = float(np.linalg.norm(normal))
         x, y, z = (float(c) / length for c in normal)
         return cls((x, y, z), float(offset_m) / length)
@@ -58,8 +58,8 @@ class HeightGrid:
 class Surface:
     """The road's plane in the frame ``frame_id`` of the camera its depth belongs to, and the same in the ego frame.
 
-    ``pitch`` (nose down positive) and ``roll`` (right side down positive) are the camera's against the plane, radians;
-    ``inlier_ratio`` is the share of the road's points that lie on the plane, None where none was fitted to points.
+    ``pitch`` (nose down positive) and ``roll`` (right side down positive) are the camera's against the plane, radians.
+    ``inlier_ratio`` is the share of the road's points on the plane, None for a plane that was not fitted to points.
     """
 
     source: SurfaceSource
@@ -75,7 +75,7 @@ class Surface:
 
     @property
     def measured(self) -> bool:
-        """Whether this frame's depth or segmentation shows it: it is not held, estimated or assumed."""
+        """Whether this frame's depth shows the road: the plane is not held, estimated or assumed."""
         return self.source not in ("held", "estimated", "assumed")
 
     @property

@@ -3,8 +3,8 @@
 Names follow ``a_T_b``: a (4, 4) matrix that maps coordinates in frame b to frame a. Ego and odom are x forward, y left,
 z up.
 
-The formulas of rotations are those of scipy's ``Rotation``, and so are the results, without its import, which takes
-half a second, and without its checks, which take longer than the formulas. Quaternions are x, y, z, w (ROS).
+Formulas and results of rotations are those of scipy's ``Rotation``. Its import takes half a second, and its checks take
+longer than the formulas. Quaternions are x, y, z, w (ROS).
 """
 
 import math
@@ -18,7 +18,7 @@ EGO_R_OPTICAL: Final[Float] = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0,
 """Rotation of a camera that looks along ego's x axis, level."""
 Quaternion = tuple[float, float, float, float]
 _SMALL_ANGLE: Final = 1e-3
-"""Radians up to which a series is more accurate than a quotient of two numbers that vanish."""
+"""Radians up to which a series is more accurate than a quotient of two small numbers."""
 _ORTHOGONAL: Final = 1e-12 + 1e-5 * np.eye(3)
 """Deviation of R R^T from the identity up to which a matrix counts as a rotation."""
 
@@ -60,7 +60,7 @@ def level_mounting(height_m: float) -> Float:
 
 
 def rotation_from_rpy(roll: float, pitch: float, yaw: float) -> Float:
-    """(3, 3) rotation Rz(yaw) Ry(pitch) Rx(roll), radians, as ROS REP 103 has it (pitch: nose down positive)."""
+    """(3, 3) rotation Rz(yaw) Ry(pitch) Rx(roll), radians, as in ROS REP 103 (pitch: nose down positive)."""
     about_z = (0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
     about_y = (0.0, math.sin(pitch / 2), 0.0, math.cos(pitch / 2))
     about_x = (math.sin(roll / 2), 0.0, 0.0, math.cos(roll / 2))
@@ -68,7 +68,7 @@ def rotation_from_rpy(roll: float, pitch: float, yaw: float) -> Float:
 
 
 def rotation_from_quaternion(x: float, y: float, z: float, w: float) -> Float:
-    """(3, 3) rotation of a quaternion of any length but zero.
+    """(3, 3) rotation of a quaternion of any length above zero.
 
     Raises:
         ValueError: all four numbers are zero, or one is not finite.
@@ -76,11 +76,9 @@ def rotation_from_quaternion(x: float, y: float, z: float, w: float) -> Float:
     largest = max(abs(number) for number in (x, y, z, w))
     if not 0 < largest < math.inf or not all(map(math.isfinite, (x, y, z, w))):
         raise ValueError(f"quaternion ({x:g}, {y:g}, {z:g}, {w:g}): expected finite numbers that are not all zero")
-    # A power of two changes no digit, and keeps the squares within what a float can hold.
-    shift = -math.frexp(largest)[1]
-    return _matrix(
-        _normalised((math.ldexp(x, shift), math.ldexp(y, shift), math.ldexp(z, shift), math.ldexp(w, shift)))
-    )
+    # Scaling by a power of two is exact and keeps the squares within a float's range.
+    x, y, z, w = (math.ldexp(number, -math.frexp(largest)[1]) for number in (x, y, z, w))
+    return _matrix(_normalised((x, y, z, w)))
 
 
 def rotation_from_vector(vector: Float) -> Float:
@@ -92,7 +90,7 @@ def rotation_from_vector(vector: Float) -> Float:
 
 
 def quaternion(rotation: Float) -> Quaternion:
-    """x, y, z, w with w >= 0 of a (3, 3) rotation; a matrix that is not a rotation gives that of the nearest one.
+    """x, y, z, w with w >= 0 of a (3, 3) rotation, or of the nearest rotation to another matrix.
 
     Source: Markley, "Unit Quaternion from Rotation Matrix", Journal of Guidance, Control, and Dynamics 31, 2008.
     """
@@ -114,7 +112,7 @@ def quaternion(rotation: Float) -> Quaternion:
 
 
 def rotation_vector(rotation: Float) -> Float:
-    """(3,) axis of a (3, 3) rotation, as long as its angle, radians."""
+    """(3,) axis of a (3, 3) rotation, scaled to the angle in radians."""
     x, y, z, w = quaternion(rotation)
     angle = 2 * math.atan2(math.sqrt(x * x + y * y + z * z), w)
     small = angle <= _SMALL_ANGLE
@@ -135,7 +133,7 @@ def _normalised(quaternion: Quaternion) -> Quaternion:
 
 
 def _canonical(quaternion: Quaternion) -> Quaternion:
-    """Of the two quaternions of a rotation the one whose w, or else first number that is not 0, is positive."""
+    """The equal rotation's quaternion with positive w; if w is 0, its first number that is not 0 is positive."""
     x, y, z, w = quaternion
     if next((number for number in (w, x, y, z) if number != 0), 0.0) < 0:
         return -x, -y, -z, -w

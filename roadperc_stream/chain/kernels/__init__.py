@@ -1,12 +1,11 @@
-"""Inner loops that no call of numpy or OpenCV expresses well, compiled by Cython where there is a C compiler.
+"""Inner loops that numpy and OpenCV calls do not express well, compiled by Cython if there is a C compiler.
 
-``NAME_compiled.pyx`` becomes an extension module that every Python from 3.11 on loads (stable ABI). ``NAME_plain.py``
-has the same functions in numpy and OpenCV, with the same bits. This module is the only selector: its functions are the
-compiled ones, or all plain ones where an extension is missing. The readers of PNG have no plain form: ``formats.png``
-asks ``COMPILED``, and OpenCV decodes every PNG.
+``NAME_compiled.pyx`` becomes an extension module for every Python from 3.11 on (stable ABI). ``NAME_plain.py`` has the
+same functions in numpy and OpenCV, with the same bits. This module selects the compiled functions, or all plain ones if
+an extension is missing. The PNG readers have no plain form: ``formats.png`` checks ``COMPILED`` and else uses OpenCV.
 
-So a kernel does elementwise or integer work, or sums in a stated order, and is compiled without fast-math and without
-contraction. It releases the interpreter's lock. Tests compare both ways.
+A kernel does elementwise or integer work, or sums in a stated order. It is compiled without fast-math and without
+contraction, and releases the interpreter's lock. Tests compare both forms.
 """
 
 from typing import TYPE_CHECKING
@@ -15,7 +14,7 @@ try:
     from roadperc_stream.chain.kernels.png_compiled import reverse_filters, reverse_to_grey
 
     if not TYPE_CHECKING:  # the plain functions have the annotations
-        from roadperc_stream.chain.kernels.class_pixels_compiled import count_of_class, mark, mark_together
+        from roadperc_stream.chain.kernels.class_pixels_compiled import mark, mark_together
         from roadperc_stream.chain.kernels.lanes_compiled import follow, rows_beside
         from roadperc_stream.chain.kernels.objects_compiled import divided, object_points, region_distances
         from roadperc_stream.chain.kernels.occupancy_compiled import count_points, mark_visible
@@ -35,7 +34,7 @@ try:
         )
     COMPILED = True
 except ImportError:
-    from roadperc_stream.chain.kernels.class_pixels_plain import count_of_class, mark, mark_together
+    from roadperc_stream.chain.kernels.class_pixels_plain import mark, mark_together
     from roadperc_stream.chain.kernels.lanes_plain import follow, rows_beside
     from roadperc_stream.chain.kernels.objects_plain import divided, object_points, region_distances
     from roadperc_stream.chain.kernels.occupancy_plain import count_points, mark_visible

@@ -1,5 +1,5 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
-"""The pixels of a class in a box, without a copy of them."""
+"""The pixels of a class; ``class_pixels_plain`` documents the functions. Sizes that do not fit are a ValueError."""
 
 import numpy as np
 
@@ -9,11 +9,11 @@ from libc.string cimport memset
 cdef enum:
     TAGS = 256
     AT_ONCE = 4  # tags compared in one pass
-    BLOCK = 4096  # pixels that stay in the core's fastest memory meanwhile
+    BLOCK = 4096  # pixels that fit into the processor's first cache
 
 
 cdef inline Py_ssize_t _mirrored(Py_ssize_t place, Py_ssize_t size) noexcept nogil:
-    """A place one beside the border is the one as far inside; there is no other in a line of one."""
+    """Mirror an index one beyond the border back into the image."""
     if size == 1:
         return 0
     if place < 0:
@@ -22,7 +22,7 @@ cdef inline Py_ssize_t _mirrored(Py_ssize_t place, Py_ssize_t size) noexcept nog
 
 
 cdef void _mark_four(const uint8_t* tags, Py_ssize_t count, const uint8_t* wanted, uint8_t* marked) noexcept nogil:
-    """Mark what is one of four tags, beside what is marked."""
+    """Mark also the pixels that have one of four tags."""
     cdef uint8_t a = wanted[0], b = wanted[1], c = wanted[2], d = wanted[3]
     cdef Py_ssize_t i
     for i in range(count):
@@ -30,42 +30,37 @@ cdef void _mark_four(const uint8_t* tags, Py_ssize_t count, const uint8_t* wante
 
 
 def mark(tags, const uint8_t[::1] of_class):
-    """As ``class_pixels_plain``: by comparison, many pixels at a time, for a class has few tags.
-
-    Raises:
-        ValueError: as there.
-    """
+    """Compare many pixels at a time: a class has few tags."""
     cdef uint8_t wanted[TAGS + AT_ONCE]
     cdef int count = 0, tag
     cdef Py_ssize_t start = 0, size
     if of_class.shape[0] != TAGS:
-        raise ValueError(f"a class of {of_class.shape[0]} tags: expected 256")
+        raise ValueError(f"of_class: expected 256 numbers, got {of_class.shape[0]}")
     for tag in range(TAGS):
         if of_class[tag]:
             wanted[count] = tag
             count += 1
-    for tag in range(AT_ONCE):  # the last four may be less: one of them again
+    for tag in range(AT_ONCE):  # fill the last group of four by repeating a tag
         wanted[count + tag] = wanted[count - 1] if count else 0
     found = np.empty(tags.shape, np.uint8)
-    cdef const uint8_t[::1] given = np.ascontiguousarray(tags).reshape(-1)
+    cdef const uint8_t[::1] pixels = np.ascontiguousarray(tags).reshape(-1)
     cdef uint8_t[::1] marked = found.reshape(-1)
     with nogil:
-        while start < given.shape[0]:
-            size = min(given.shape[0] - start, BLOCK)
+        while start < pixels.shape[0]:
+            size = min(pixels.shape[0] - start, BLOCK)
             memset(&marked[start], 0, size)
             for tag in range((count + AT_ONCE - 1) // AT_ONCE):
-                _mark_four(&given[start], size, wanted + AT_ONCE * tag, &marked[start])
+                _mark_four(&pixels[start], size, wanted + AT_ONCE * tag, &marked[start])
             start += size
     return found
 
 
 def mark_together(const uint8_t[:, :] tags, const uint8_t[::1] of_class, int least, uint8_t[:, :] marked):
-    """As ``class_pixels_plain``; a ValueError where the sizes do not fit."""
     cdef Py_ssize_t height = tags.shape[0], width = tags.shape[1], y, x, above, below, left, right
     cdef int together
     if marked.shape[0] != height or marked.shape[1] != width or not height * width or of_class.shape[0] != 256:
-        raise ValueError(f"{height}x{width} tags of {of_class.shape[0]} into {marked.shape[0]}x{marked.shape[1]}: "
-                         "expected one size")
+        raise ValueError(f"{height}x{width} tags, {marked.shape[0]}x{marked.shape[1]} marks and {of_class.shape[0]} "
+                         "numbers of the class: expected one size, not empty, and 256")
     with nogil:
         for y in range(height):
             above, below = _mirrored(y - 1, height), _mirrored(y + 1, height)
@@ -77,15 +72,3 @@ def mark_together(const uint8_t[:, :] tags, const uint8_t[::1] of_class, int lea
                     together += of_class[tags[y, left]] + 1 + of_class[tags[y, right]]
                     together += of_class[tags[below, left]] + of_class[tags[below, x]] + of_class[tags[below, right]]
                     marked[y, x] = together >= least
-
-
-def count_of_class(const uint8_t[:, :] tags, const uint8_t[::1] of_class):
-    """As ``class_pixels_plain``; a ValueError where the sizes do not fit."""
-    cdef Py_ssize_t y, x, count = 0
-    if of_class.shape[0] != 256:
-        raise ValueError(f"a class of {of_class.shape[0]} tags: expected 256")
-    with nogil:
-        for y in range(tags.shape[0]):
-            for x in range(tags.shape[1]):
-                count += of_class[tags[y, x]] != 0
-    return count

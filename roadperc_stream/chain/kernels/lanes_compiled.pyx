@@ -1,5 +1,5 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
-"""Quadratics through the points beside a line, as ``lanes_plain`` has them: the same sums, in its order."""
+"""Robust quadratics; ``lanes_plain`` documents the functions. Arrays of different lengths are a ValueError."""
 
 from libc.math cimport fabs
 from libc.stdint cimport int64_t
@@ -22,7 +22,7 @@ cdef struct Fit:
     Sums sums
 
 
-cdef struct Given:
+cdef struct Points:
     Py_ssize_t count
     const double* x
     const double* y
@@ -44,16 +44,13 @@ cdef struct Chosen:
     double* weight
 
 
-cdef inline double _aside(const Fit* fit, double x, double y) noexcept nogil:
-    return y - (fit.s0 + fit.s1 * x + 0.5 * fit.s2 * (x * x))
+cdef inline double _beside(const Points* points, const Fit* fit, Py_ssize_t i) noexcept nogil:
+    """How far a point lies to the left of a quadratic, metres."""
+    return points.y[i] - (fit.s0 + fit.s1 * points.x[i] + 0.5 * fit.s2 * (points.x[i] * points.x[i]))
 
 
-cdef inline double _beside(const Given* points, const Fit* fit, Py_ssize_t i) noexcept nogil:
-    return _aside(fit, points.x[i], points.y[i])
-
-
-cdef void _choose(const Given* points, const Fit* fit, const Rules* rules, double reach, Chosen* chosen) noexcept nogil:
-    """Which points lie beside a quadratic."""
+cdef void _choose(const Points* points, const Fit* fit, const Rules* rules, double reach, Chosen* chosen) noexcept nogil:
+    """Choose the points near a quadratic."""
     cdef Py_ssize_t i, found = 0
     cdef double aside, best = 0.0
     for i in range(points.count):
@@ -73,8 +70,8 @@ cdef void _choose(const Given* points, const Fit* fit, const Rules* rules, doubl
     chosen.count = found
 
 
-cdef Py_ssize_t _share_rows(const Given* points, Chosen* chosen) noexcept nogil:
-    """How many rows the chosen points lie in, and of each how many are in its row."""
+cdef Py_ssize_t _share_rows(const Points* points, Chosen* chosen) noexcept nogil:
+    """Return the number of rows of the chosen points, and count the points in the row of each."""
     cdef Py_ssize_t first = 0, last, rows = 0, k
     while first < chosen.count:
         last = first + 1
@@ -110,8 +107,8 @@ cdef bint _solve(Fit* fit, double prior) noexcept nogil:
     return True
 
 
-cdef bint _fit_chosen(const Given* points, Chosen* chosen, const Rules* rules, Fit* fit) noexcept nogil:
-    """Whether the chosen points have a quadratic: iteratively reweighted from the one that is there."""
+cdef bint _fit_chosen(const Points* points, Chosen* chosen, const Rules* rules, Fit* fit) noexcept nogil:
+    """Fit the chosen points by iterative reweighting, starting from ``fit``; False if they do not determine it."""
     cdef Py_ssize_t k, i
     cdef double std, off, w, x, q, wx, wq
     cdef Sums sums
@@ -142,8 +139,8 @@ cdef bint _fit_chosen(const Given* points, Chosen* chosen, const Rules* rules, F
     return True
 
 
-cdef void _judge(const Given* points, const Chosen* chosen, Fit* fit) noexcept nogil:
-    """How far the chosen points reach, and how far they lie off."""
+cdef void _judge(const Points* points, const Chosen* chosen, Fit* fit) noexcept nogil:
+    """Compute the largest x of the chosen points and their mean squared residual."""
     cdef Py_ssize_t k
     cdef double off
     cdef double squares = 0.0, weights = 0.0
@@ -156,7 +153,7 @@ cdef void _judge(const Given* points, const Chosen* chosen, Fit* fit) noexcept n
     fit.spread = squares / weights
 
 
-cdef bint _followed(const Given* points, Chosen* chosen, const Rules* rules, Fit* fit) noexcept nogil:
+cdef bint _followed(const Points* points, Chosen* chosen, const Rules* rules, Fit* fit) noexcept nogil:
     cdef double reach = rules.reach
     while True:
         _choose(points, fit, rules, reach, chosen)
@@ -170,12 +167,12 @@ cdef bint _followed(const Given* points, Chosen* chosen, const Rules* rules, Fit
         reach = min(reach + rules.step, rules.farthest)
 
 
-cdef class _Held:
-    """Points, and what keeps them where they are."""
+cdef class _Arrays:
+    """The pointers to the arrays of ``Points``, and references that keep the arrays alive."""
 
     cdef const double[::1] x, y, std, inside, outside
     cdef const int64_t[::1] rows
-    cdef Given given
+    cdef Points points
 
     def __init__(self, points):
         self.x, self.y, self.std, self.rows = points.x, points.y, points.std, points.rows
@@ -184,16 +181,16 @@ cdef class _Held:
         for length in (self.y.shape[0], self.std.shape[0], self.rows.shape[0], self.inside.shape[0],
                        self.outside.shape[0]):
             if length != count:
-                raise ValueError(f"expected {count} numbers of every kind, got {length}")
-        self.given.count = count
+                raise ValueError(f"expected {count} numbers in every array, got {length}")
+        self.points.count = count
         if count:
-            self.given = Given(
+            self.points = Points(
                 count, &self.x[0], &self.y[0], &self.std[0], &self.rows[0], &self.inside[0], &self.outside[0]
             )
 
 
 cdef Py_ssize_t _rows_beside(
-    const Given* points, const Fit* fit, double inward, double reach, double line
+    const Points* points, const Fit* fit, double inward, double reach, double line,
 ) noexcept nogil:
     cdef Py_ssize_t i, last = -1, found = 0
     cdef double aside
@@ -208,31 +205,20 @@ cdef Py_ssize_t _rows_beside(
 
 
 def rows_beside(points, state, double inward, double reach, asides):
-    """See ``lanes_plain.rows_beside``.
-
-    Raises:
-        ValueError: there are not as many numbers of every kind.
-    """
-    cdef _Held held = _Held(points)
+    cdef _Arrays arrays = _Arrays(points)
     cdef Fit fit
     fit.s0, fit.s1, fit.s2 = state
-    return tuple([_rows_beside(&held.given, &fit, inward, reach, line) for line in asides])
+    return tuple([_rows_beside(&arrays.points, &fit, inward, reach, line) for line in asides])
 
 
-def follow(points, first, how, weighing):
-    """See ``lanes_plain.follow``.
-
-    Raises:
-        ValueError: there are not as many numbers of every kind.
-    """
-    cdef _Held held = _Held(points)
-    cdef Given given = held.given
-    cdef Py_ssize_t count = given.count
+def follow(points, first, following, weighing):
+    cdef _Arrays arrays = _Arrays(points)
+    cdef Py_ssize_t count = arrays.points.count
     if not count:
         return None
     cdef Rules rules = Rules(
-        how.inward, how.reach, how.step, how.farthest, how.innermost, how.least_points, how.least_rows,
-        weighing.huber, weighing.alike, weighing.prior,
+        following.inward, following.reach, following.step, following.farthest, following.innermost,
+        following.least_points, following.least_rows, weighing.huber, weighing.alike, weighing.prior,
     )
     cdef Fit fit
     fit.s0, fit.s1, fit.s2 = first
@@ -244,13 +230,11 @@ def follow(points, first, how, weighing):
         if not numbers or not at:
             raise MemoryError
         with nogil:
-            found = _followed(&given, &chosen, &rules, &fit)
+            found = _followed(&arrays.points, &chosen, &rules, &fit)
     finally:
         free(numbers)
         free(at)
     if not found:
         return None
     s = fit.sums
-    return Quadratic(
-        (fit.s0, fit.s1, fit.s2), (s.one, s.x, s.q, s.xx, s.xq, s.qq), fit.spread, fit.reached
-    )
+    return Quadratic((fit.s0, fit.s1, fit.s2), (s.one, s.x, s.q, s.xx, s.xq, s.qq), fit.spread, fit.reached)

@@ -1,8 +1,8 @@
-"""What ``lanes_compiled`` does, in numpy.
+"""The functions of ``lanes_compiled`` in numpy: fits of y = s0 + s1 x + s2 x^2 / 2 to points beside a lane line.
 
-y = s0 + s1 x + s2 x^2 / 2 is fitted by iteratively reweighted least squares with Huber's weights (Holland and Welsch,
-Robust regression using iteratively reweighted least-squares, 1977). The normal equations are solved by L D L^T, and
-sums go from the first point to the last, so that the compiled counterpart has the same bits.
+The method is iteratively reweighted least squares with Huber's weights (Holland and Welsch, Robust regression using
+iteratively reweighted least-squares, 1977). L D L^T solves the normal equations. Sums go from the first point to the
+last, so both forms give the same bits.
 """
 
 from dataclasses import dataclass, fields
@@ -16,14 +16,14 @@ State = tuple[float, float, float]
 Information = tuple[float, float, float, float, float, float]
 _REWEIGHTINGS = 5
 _ROUNDING = 1e-9
-"""Share of a sum of squares below which what is left of it is no spread but rounding."""
+"""Share of a sum of squares below which a remainder is only a rounding error."""
 
 
 @dataclass(frozen=True)
 class Points:
-    """(N,) points: metres along ``x`` and aside ``y``, the standard deviation of y, and image rows, not decreasing.
+    """(N,) points: metres ahead ``x`` and to the left ``y``, the standard deviation of y, and ascending image rows.
 
-    A quadratic's are those that lie less than ``inside`` to one side of it, and less than ``outside`` to the other.
+    A point belongs to a quadratic if it lies less than ``inside`` inwards of it, or less than ``outside`` outwards.
     """
 
     x: Numbers
@@ -36,10 +36,11 @@ class Points:
 
 @dataclass(frozen=True)
 class Following:
-    """How points are followed: up to x = ``reach``, then a ``step`` farther with each fit, up to ``farthest``.
+    """The range of the fits: the first one up to x = ``reach``, each next one a ``step`` farther, up to ``farthest``.
 
-    The inside is at larger y where ``inward`` is 1, at smaller where it is -1. Of the points of a row the ``innermost``
-    alone counts, the first of equal ones, or all share its weight. A fit needs ``least_points`` in ``least_rows``.
+    Inwards is towards larger y if ``inward`` is 1, towards smaller y if it is -1. With ``innermost`` only the innermost
+    point of each image row counts (the first of equal ones); otherwise the points of a row share one weight. A fit
+    needs ``least_points`` in ``least_rows``.
     """
 
     inward: float
@@ -53,9 +54,9 @@ class Following:
 
 @dataclass(frozen=True)
 class Weighing:
-    """What points say: beyond ``huber`` standard deviations less and less, and of ``alike`` ones the errors are one.
+    """The weights: Huber's beyond ``huber`` standard deviations, divided by the number ``alike`` of equal errors.
 
-    ``prior`` is the information on the quadratic's s2 besides.
+    ``prior`` is additional information on the quadratic's s2.
     """
 
     huber: float
@@ -65,9 +66,9 @@ class Weighing:
 
 @dataclass(frozen=True)
 class Quadratic:
-    """s0, s1 and s2; what its points say of them (00, 01, 02, 11, 12, 22), and how far those reach.
+    """s0, s1 and s2, the information of the points on them (00, 01, 02, 11, 12, 22), and their largest x.
 
-    ``spread`` is their mean weighted squared residual in standard deviations.
+    ``spread`` is the mean weighted squared residual in standard deviations.
     """
 
     state: State
@@ -76,40 +77,40 @@ class Quadratic:
     reached: float
 
 
-def follow(points: Points, first: State, how: Following, weighing: Weighing) -> Quadratic | None:
-    """The quadratic through the points near a first one, and near what fits them farther on.
+def follow(points: Points, first: State, following: Following, weighing: Weighing) -> Quadratic | None:
+    """The quadratic through the points near ``first``, extended step by step to points farther ahead.
 
-    None where too few points lie beside a quadratic, or they do not determine the next.
+    None if too few points lie near a quadratic or do not determine the next one.
     """
-    state, reach = first, how.reach
+    state, reach = first, following.reach
     while True:
-        chosen = _chosen(points, state, how, reach)
+        chosen = _chosen(points, state, following, reach)
         in_row = np.bincount(chosen.rows)
-        if len(chosen.rows) < how.least_points or np.count_nonzero(in_row) < how.least_rows:
+        if len(chosen.rows) < following.least_points or np.count_nonzero(in_row) < following.least_rows:
             return None
         fit = _fitted(chosen, in_row[chosen.rows].astype(np.float64), state, weighing)
-        if fit is None or reach >= how.farthest:
+        if fit is None or reach >= following.farthest:
             return fit
-        state, reach = fit.state, min(reach + how.step, how.farthest)
+        state, reach = fit.state, min(reach + following.step, following.farthest)
 
 
 def rows_beside(
     points: Points, state: State, inward: float, reach: float, asides: tuple[float, ...]
 ) -> tuple[int, ...]:
-    """How many rows have a point up to x = ``reach`` beside the lines that run so far inside of a quadratic."""
+    """Number of rows with a point up to x = ``reach`` near each line ``asides`` metres inwards of a quadratic."""
     aside = inward * (points.y - _at(state, points.x))
     ahead = points.x <= reach
     beside = (ahead & (aside - line < points.inside) & (aside - line > -points.outside) for line in asides)
     return tuple(int(np.count_nonzero(np.bincount(points.rows[chosen]))) for chosen in beside)
 
 
-def _chosen(points: Points, state: State, how: Following, reach: float) -> Points:
-    """Those beside a quadratic."""
-    aside = how.inward * (points.y - _at(state, points.x))
+def _chosen(points: Points, state: State, following: Following, reach: float) -> Points:
+    """The points near a quadratic."""
+    aside = following.inward * (points.y - _at(state, points.x))
     at = np.flatnonzero((points.x <= reach) & (aside < points.inside) & (aside > -points.outside))
-    if how.innermost:
+    if following.innermost:
         at = at[_innermost_of_rows(points.rows[at], aside[at])]
-    return Points(*(getattr(points, part.name)[at] for part in fields(points)))
+    return Points(*(getattr(points, column.name)[at] for column in fields(points)))
 
 
 def _at(state: State, x: Numbers) -> Numbers:
@@ -126,7 +127,7 @@ def _innermost_of_rows(rows: Rows, aside: Numbers) -> NDArray[np.intp]:
 
 
 def _fitted(points: Points, in_row: Numbers, state: State, weighing: Weighing) -> Quadratic | None:
-    """The robust fit to (N,) points of rows of so many, iteratively reweighted from a first one."""
+    """The robust fit to (N,) points with (N,) ``in_row`` points in their rows, reweighted from a first state."""
     x, y, std = points.x, points.y, points.std
     q = 0.5 * x**2
     for _ in range(_REWEIGHTINGS):
@@ -146,13 +147,13 @@ def _fitted(points: Points, in_row: Numbers, state: State, weighing: Weighing) -
 
 
 def _sums(*terms: Numbers) -> list[float]:
-    """The sum of each from the first to the last: NumPy's own adds in another order."""
-    sums: list[float] = (np.cumsum(terms, axis=1)[:, -1] + 0.0).tolist()  # no sum that begins with 0 ends with -0
+    """The sum of each array from first to last; np.sum adds in another order."""
+    sums: list[float] = (np.cumsum(terms, axis=1)[:, -1] + 0.0).tolist()  # a sum that begins with 0 is never -0
     return sums
 
 
 def _solved(sums: list[float], prior: float) -> State | None:
-    """The state of the normal equations; None where the points do not determine it."""
+    """The solution of the normal equations; None if the points do not determine it."""
     one, x, q, xx, xq, qq, y, xy, qy = sums
     if not one > 0:
         return None

@@ -1,5 +1,5 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
-"""Regions divided where the depth jumps, their distances, and an object's points: ``objects_plain`` says what."""
+"""Regions divided at depth jumps, their distances, and the points of an object; see ``objects_plain``."""
 
 from libc.math cimport INFINITY, fabsf, sqrt
 from libc.stdint cimport int32_t, int64_t, uint8_t
@@ -38,7 +38,7 @@ cdef void _join_neighbours(
 cdef void _join_regions(
     const float* log_depth, const int32_t* labels, int32_t* parent, int32_t height, int32_t width, float jump
 ) noexcept nogil:
-    """As ``_join_neighbours``, of labels counted from 1: most neighbours have the same one already."""
+    """Join labels counted from 1 as ``_join_neighbours`` joins pixels; most neighbours already have one label."""
     cdef int32_t y, x, at, label
     for y in range(height):
         for x in range(width):
@@ -51,10 +51,8 @@ cdef void _join_regions(
                     _join(parent, label - 1, labels[at - width] - 1)
 
 
-cdef int32_t _number(
-    const uint8_t* of_class, int32_t* parent, int32_t* labels, int32_t size
-) noexcept nogil:
-    """The label of each pixel; how many there are, in the order of their first pixels."""
+cdef int32_t _number(const uint8_t* of_class, int32_t* parent, int32_t* labels, int32_t size) noexcept nogil:
+    """Write the label of each pixel, in the order of first pixels; return the number of labels."""
     cdef int32_t at, count = 0
     for at in range(size):
         labels[at] = 0
@@ -71,14 +69,13 @@ cdef inline void _add(
     int64_t[:, ::1] bounds, int64_t[::1] pixels, Py_ssize_t k,
     int64_t x0, int64_t y0, int64_t x1, int64_t y1, int64_t number,
 ) noexcept nogil:
-    """What lies in those bounds is of region k too."""
+    """Extend region k by bounds and a number of pixels."""
     bounds[0, k], bounds[1, k] = min(bounds[0, k], x0), min(bounds[1, k], y0)
     bounds[2, k], bounds[3, k] = max(bounds[2, k], x1), max(bounds[3, k], y1)
     pixels[k] += number
 
 
 def divided(const float[:, ::1] log_depth, const uint8_t[:, ::1] of_class, const float[::1] jumps):
-    """As ``objects_plain``."""
     cdef int32_t height = of_class.shape[0], width = of_class.shape[1], size = height * width, x, y, at, count, k
     cdef Py_ssize_t regions, way, root, number, most = jumps.shape[0]
     if log_depth.shape[0] != height or log_depth.shape[1] != width or not size or not most:
@@ -105,7 +102,7 @@ def divided(const float[:, ::1] log_depth, const uint8_t[:, ::1] of_class, const
                 at += 1
         for k in range(count):
             names[0, k + 1] = k + 1
-            parent[k] = k  # from here on regions are joined, no longer pixels
+            parent[k] = k  # from here on regions are joined, not pixels
         regions = count
         for way in range(1, most):
             _join_regions(depths, &labels[0], &parent[0], height, width, jumps[way])
@@ -113,7 +110,7 @@ def divided(const float[:, ::1] log_depth, const uint8_t[:, ::1] of_class, const
                 members[k] = 0
             for k in range(count):
                 members[_root(&parent[0], k)] += 1
-            for k in range(count):  # the root of a set is the first of its members, and so comes before the others
+            for k in range(count):  # a set's root is its first member, so it comes before the others
                 root = _root(&parent[0], k)
                 if members[root] == before[root]:
                     continue
@@ -133,7 +130,7 @@ cdef void _sum_rows(
     const int32_t[:, :] labels, const uint8_t[::1] chosen, const float[:, :] distances_m,
     double* row_m, double[:, ::1] sums, float[:, ::1] counts,
 ) noexcept nogil:
-    """Of the finite ones beside each pixel and its own: in row y + 1 those of row y."""
+    """Sum the finite distances of each pixel and its two neighbours of the row; row y goes to row y + 1."""
     cdef Py_ssize_t width = labels.shape[1], y, x
     cdef bint finite
     for y in range(labels.shape[0]):
@@ -149,7 +146,6 @@ cdef void _sum_rows(
 
 
 def region_distances(const int32_t[:, :] labels, of_region, const float[:, :] distances_m, const float[:, :] noise):
-    """As ``objects_plain``; a ValueError where the sizes do not fit."""
     cdef const uint8_t[::1] chosen = of_region.view(np.uint8)
     cdef Py_ssize_t height = labels.shape[0], width = labels.shape[1], y, x, known = 0, finite = 0
     if not (distances_m.shape[0] == noise.shape[0] == height and distances_m.shape[1] == noise.shape[1] == width):
@@ -178,10 +174,7 @@ def region_distances(const int32_t[:, :] labels, of_region, const float[:, :] di
     return all_near[:known], all_noise[:finite]
 
 
-def object_points(
-    const float[:, :] depth_m, camera, box, of_class, double distance_m, behind_m,
-):
-    """As ``objects_plain``; a ValueError where the sizes do not fit."""
+def object_points(const float[:, :] depth_m, camera, box, of_class, double distance_m, behind_m):
     cdef double fx = camera[0], fy = camera[1], cx = camera[2], cy = camera[3]
     cdef Py_ssize_t x0 = box[0], y0 = box[1], x1 = box[2], y1 = box[3], step = box[4], row, column, count = 0, most
     cdef Py_ssize_t height = depth_m.shape[0], width = depth_m.shape[1]
@@ -195,8 +188,7 @@ def object_points(
         not (0 <= x0 and x1 <= width and 0 <= y0 and y1 <= height and step > 0)
         or not (any_class or (tags.shape[0], tags.shape[1], wanted.shape[0]) == (height, width, 256))
     ):
-        raise ValueError(f"{height}x{width} depths, every {step}. of {x0, y0, x1, y1}, do not fit "
-                         "their tags or 256 of them")
+        raise ValueError(f"{height}x{width} depths: the box {x0, y0, x1, y1} with step {step} or the tags do not fit")
     most = max((x1 - x0 + step - 1) // step, 0) * max((y1 - y0 + step - 1) // step, 0)
     all_points, all_ranges = np.empty((most, 3)), np.empty(most)
     cdef double[:, ::1] points = all_points

@@ -1,4 +1,4 @@
-"""What ``objects_compiled`` does, in numpy and OpenCV; the compiled form alone checks the sizes."""
+"""The functions of ``objects_compiled`` in numpy and OpenCV; only the compiled ones check sizes (ValueError)."""
 
 import cv2
 import numpy as np
@@ -14,18 +14,15 @@ Numbers = tuple[float, float, float, float]
 
 
 def divided(log_depth: Float32, of_class: Image, jumps: Float32) -> Divided:
-    """The regions of the smallest jump, and those that each larger one joins anew.
+    """Regions of pixels joined to neighbours whose depths differ by less than a jump, for each of several jumps.
 
-    Args:
-        log_depth: (H, W), at least one pixel.
-        of_class: (H, W) 1 at pixels that may be of a region, else 0.
-        jumps: (n,) from the smallest on: pixels beside or below each other whose depths differ by less are joined.
+    ``log_depth`` is (H, W), at least one pixel. ``of_class`` (H, W) is 1 at pixels that may belong to a region, else 0.
+    ``jumps`` are (n,), ascending.
 
     Returns:
-        (H, W) labels of the smallest jump's regions in the order of their first pixels, 0 of none; (n, labels) what
-        each is called by each jump, 0 where no region that is new by that jump has it; of the K regions, those of a
-        smaller jump before the others: the jump's index (K,), first column and row and those behind the last (4, K),
-        and how many pixels each has (K,).
+        (H, W) labels of the smallest jump's regions in the order of their first pixels, 0 outside. (n, labels) the
+        number of the region that each label belongs to at each jump, 0 if that jump changes nothing. For the K regions,
+        by ascending jump: (K,) index of the jump, (4, K) first column and row and those behind the last, (K,) pixels.
     """
     beside, below = (of_class[:, 1:] & of_class[:, :-1]) > 0, (of_class[1:] & of_class[:-1]) > 0
     across, down = np.abs(log_depth[:, 1:] - log_depth[:, :-1]), np.abs(log_depth[1:] - log_depth[:-1])
@@ -41,19 +38,19 @@ def divided(log_depth: Float32, of_class: Image, jumps: Float32) -> Divided:
         new = np.flatnonzero(members != before[first])
         number = np.full(len(members), -1)
         number[new] = np.arange(len(new))
-        parts = np.flatnonzero(number[group] >= 0)
-        groups = number[group[parts]]
-        called = np.zeros(count + 1, np.int64)
-        called[parts + 1] = regions + 1 + groups
-        joined = _together(groups, len(new), first_bounds[:, parts], first_pixels[parts])
-        for kept, of_way in zip((names, ways, bounds, pixels), (called, np.full(len(new), way), *joined), strict=True):
+        members_of_new = np.flatnonzero(number[group] >= 0)
+        groups = number[group[members_of_new]]
+        name = np.zeros(count + 1, np.int64)
+        name[members_of_new + 1] = regions + 1 + groups
+        joined = _together(groups, len(new), first_bounds[:, members_of_new], first_pixels[members_of_new])
+        for kept, of_way in zip((names, ways, bounds, pixels), (name, np.full(len(new), way), *joined), strict=True):
             kept.append(of_way)
         before, regions = members[group], regions + len(new)
     return finest, np.stack(names), np.concatenate(ways), np.concatenate(bounds, axis=1), np.concatenate(pixels)
 
 
 def _connected(of_class: Image, beside: NDArray[np.bool_], below: NDArray[np.bool_]) -> Labels:
-    """(H, W) labels of pixels that are connected, on a grid that has a cell for each pair of neighbours too."""
+    """(H, W) labels of connected pixels, found on a grid with an additional cell for each pair of neighbours."""
     height, width = of_class.shape
     grid = np.zeros((2 * height - 1, 2 * width - 1), np.uint8)
     grid[::2, ::2] = of_class
@@ -64,22 +61,16 @@ def _connected(of_class: Image, beside: NDArray[np.bool_], below: NDArray[np.boo
 
 
 def numbered(labels: Labels, count: int) -> Divided:
-    """The regions of (H, W) labels from 1 to ``count``, as those of one jump."""
-    rows, columns = _places(labels > 0)
+    """The regions of (H, W) labels from 1 to ``count``, as ``divided`` returns them for one jump."""
+    rows, columns = np.divmod(np.flatnonzero(labels > 0), labels.shape[1])  # np.nonzero takes five times as long
     single = np.array((columns, rows, columns + 1, rows + 1))
     groups = labels[rows, columns].astype(np.int64) - 1
     bounds, pixels = _together(groups, count, single, np.ones(len(rows), np.int64))
     return labels, np.arange(count + 1)[None], np.zeros(count, np.int64), bounds, pixels
 
 
-def _places(mask: NDArray[np.bool_]) -> tuple[Indices, Indices]:
-    """Rows and columns of true pixels: what NumPy's own for two axes costs five times as much for."""
-    rows, columns = np.divmod(np.flatnonzero(mask), mask.shape[1])
-    return rows, columns
-
-
 def _together(groups: Indices, count: int, bounds: Indices, pixels: Indices) -> tuple[Indices, Indices]:
-    """(4, count) bounds and (count,) pixels of groups of regions, of which each is in one."""
+    """(4, count) bounds and (count,) pixels of groups of regions; each region is in one group."""
     joined = np.concatenate((np.full((2, count), np.iinfo(np.int64).max), np.zeros((2, count), np.int64)))
     for into, values in zip(joined[:2], bounds[:2], strict=True):
         np.minimum.at(into, groups, values)
@@ -91,19 +82,13 @@ def _together(groups: Indices, count: int, bounds: Indices, pixels: Indices) -> 
 def region_distances(
     labels: NDArray[np.int32], of_region: NDArray[np.bool_], distances_m: Float32, noise: Float32
 ) -> tuple[Float32, Float32]:
-    """The distances of a region's pixels, each the mean of the region's known ones in the 3x3 around it.
+    """The distances of a region's pixels, each the mean of the region's known distances in the 3x3 square around it.
 
-    Those are summed in float64, each row and then the rows. Pixels without a distance are left out; an infinite one
-    stays as it is.
-
-    Args:
-        labels: (h, w) of the pixels.
-        of_region: (n,) of each label whether its pixels are the region's.
-        distances_m: (h, w) NaN unknown and infinite beyond the depth's range.
-        noise: (h, w) of the distances.
+    ``labels`` are (h, w), ``of_region`` (n,) marks the region's labels. ``distances_m`` is (h, w), NaN unknown and
+    infinite beyond the depth's range; ``noise`` (h, w) belongs to them. Sums are in float64, first along rows.
 
     Returns:
-        (N,) distances, and (M,) the noise of those that are finite; row by row.
+        (N,) known distances, and the (M,) noise of the finite ones; row by row. Infinite distances stay infinite.
     """
     mask = of_region[labels]
     finite = mask & (distances_m < np.inf)
@@ -114,7 +99,7 @@ def region_distances(
 
 
 def _sums(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(h, w) of the 3x3 around each."""
+    """(h, w) sums over the 3x3 square around each value."""
     padded = np.pad(values, 1)
     rows = padded[:, :-2] + padded[:, 1:-1] + padded[:, 2:]
     return rows[:-2] + rows[1:-1] + rows[2:]
@@ -128,29 +113,28 @@ def object_points(
     distance_m: float,
     behind_m: tuple[float, float],
 ) -> tuple[Float, Float]:
-    """The points of a box's pixels that lie so far behind a distance.
+    """The points of a box's pixels near or behind an object's distance.
 
     Args:
-        depth_m: (H, W) NaN unknown.
+        depth_m: (H, W) metres, NaN unknown.
         camera: fx, fy, cx and cy in pixels.
-        box: first column and row and those behind the last, in the image, and the step from one pixel that is looked
-            at to the next of a row or column.
-        of_class: (H, W) tags, and (256,) above 0 at those that the points may have; None for all.
-        distance_m: of the object.
-        behind_m: by how much more their own are at least and at most, both exclusive.
+        box: first column and row, those behind the last, and the step between the used columns and rows.
+        of_class: (H, W) tags, and (256,) above 0 at the accepted ones; None accepts all.
+        distance_m: the object's distance.
+        behind_m: range of the points' distances beyond the object's, both ends excluded.
 
     Returns:
         (N, 3) points in the camera's frame, and (N,) their distances, row by row.
     """
     x0, y0, x1, y1, step = box
     fx, fy, cx, cy = camera
-    part = slice(y0, max(y1, y0), step), slice(x0, max(x1, x0), step)
+    cutout = slice(y0, max(y1, y0), step), slice(x0, max(x1, x0), step)
     x, y = (np.arange(x0, x1, step) - cx) / fx, (np.arange(y0, y1, step) - cy) / fy
-    depths = depth_m[part].astype(np.float64)
+    depths = depth_m[cutout].astype(np.float64)
     behind = depths * np.sqrt(x**2 + (y**2 + 1.0)[:, None]) - distance_m
     chosen = (behind > behind_m[0]) & (behind < behind_m[1])
     if of_class:
-        chosen &= of_class[1][of_class[0][part]] > 0
+        chosen &= of_class[1][of_class[0][cutout]] > 0
     rows, columns = np.nonzero(chosen)
     z = depths[chosen]
     points = np.stack((x[columns] * z, y[rows] * z, z), axis=-1)

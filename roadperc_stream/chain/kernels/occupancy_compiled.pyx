@@ -1,7 +1,7 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
-"""Points counted in the cells of a grid, and the cells that are visible: ``occupancy_plain`` says which.
+"""Points counted in the cells of a grid, and the visible cells; ``occupancy_plain`` documents the functions.
 
-A row at a time: first what vectors can do, the points, their heights and cells; then the counting.
+Blocks of a row first compute points, heights and cells in loops that become vector code, then count them.
 """
 
 from libc.float cimport FLT_MAX
@@ -21,7 +21,7 @@ cdef struct Rules:
 cdef struct Road:
     float a, b, d
 
-cdef struct Points:  # of neighbouring pixels: numbers of one size in one place, for loops over them to become vectors
+cdef struct Points:  # arrays of neighbouring pixels, so that loops over them become vector code
     float depth[MOST]
     float x_part[MOST]
     float y_part[MOST]
@@ -36,7 +36,7 @@ cdef struct Points:  # of neighbouring pixels: numbers of one size in one place,
 
 
 cdef void _point(Points* points, float x, float y, float z, const Road* road, int count) noexcept nogil:
-    """The points at their depths, and how high above a plane they are."""
+    """Compute the points at their depths, and their heights above a plane."""
     cdef int k
     cdef float at_z
     for k in range(count):
@@ -47,7 +47,7 @@ cdef void _point(Points* points, float x, float y, float z, const Road* road, in
 
 
 cdef void _sort(const Rules* rules, Points* points, int count) noexcept nogil:
-    """Each point's cell, 0 where it lies in none, and what it counts as, nothing there."""
+    """Compute the cell and the kind of each point; both are 0 outside the grid."""
     cdef int k
     cdef int32_t kind, inside
     cdef float i, j, height
@@ -60,28 +60,26 @@ cdef void _sort(const Rules* rules, Points* points, int count) noexcept nogil:
         inside = (i >= 0) & (i < rules.columns) & (j >= 0) & (j < rules.rows)
         i = i if inside else <float>0.0
         j = j if inside else <float>0.0
-        points.place[k] = <int32_t>j * rules.columns + <int32_t>i  # what is cut off is what floor takes
+        points.place[k] = <int32_t>j * rules.columns + <int32_t>i  # truncation is floor for these numbers
         points.kind[k] = kind if inside else 0
 
 
 cdef void _count(const Points* points, int64_t* free, int64_t* occupied, int count) noexcept nogil:
-    """Neighbours mostly lie in one cell, to which they are added together."""
+    """Add the points to the counts; neighbours of one cell are added together."""
     cdef int k
-    cdef int32_t place = 0, on_road = 0, in_the_way = 0
+    cdef int32_t place = 0, on_road = 0, obstacles = 0
     for k in range(count):
         if points.place[k] != place:
             free[place] += on_road
-            occupied[place] += in_the_way
-            place, on_road, in_the_way = points.place[k], 0, 0
+            occupied[place] += obstacles
+            place, on_road, obstacles = points.place[k], 0, 0
         on_road += points.kind[k] & DRIVABLE
-        in_the_way += points.kind[k] >> 1
+        obstacles += points.kind[k] >> 1
     free[place] += on_road
-    occupied[place] += in_the_way
+    occupied[place] += obstacles
 
 
-def count_points(
-    cells, pixels, rays, const float[::1] abd, int64_t[:, ::1] free, int64_t[:, ::1] occupied,
-):
+def count_points(cells, pixels, rays, const float[::1] abd, int64_t[:, ::1] free, int64_t[:, ::1] occupied):
     cdef const float[:, :] depth_m = pixels[0], height_m = pixels[1]
     cdef const uint8_t[:, :] drivable = pixels[2], tags = pixels[3]
     cdef const uint8_t[::1] obstacle_tags = pixels[4]
@@ -96,9 +94,9 @@ def count_points(
     sizes = {image.shape for image in pixels[:4] if image is not None}
     parts_of = tuple([np.shape(each) for each in (*rays, abd, obstacle_tags)])
     if len(sizes) != 1 or parts_of != ((3, width), (3, height), (3,), (3,), (256,)):
-        raise ValueError(f"rays, marks, tags or heights of other sizes than {height}x{width} depths")
+        raise ValueError(f"{height}x{width} depths: expected rays, marks, tags and heights of the same size")
     if free.shape[0] != occupied.shape[0] or free.shape[1] != occupied.shape[1]:
-        raise ValueError(f"counts of {np.shape(free)} and {np.shape(occupied)}")
+        raise ValueError(f"counts of {np.shape(free)} and {np.shape(occupied)}: expected one shape")
     rules.x_min, rules.y_min, rules.resolution = cells.x_min, cells.y_min, cells.resolution
     rules.lowest, rules.highest = cells.min_height, cells.max_height
     rules.rows, rules.columns = free.shape[0], free.shape[1]
@@ -132,7 +130,7 @@ cdef double NEAREST_SEEN_M = 1e-6
 
 
 cdef inline bint _is_mostly(const uint8_t[:, :] drivable, Py_ssize_t v, Py_ssize_t u) noexcept nogil:
-    """Whether most of a pixel and its eight neighbours are drivable; beyond the image lies what is at its edge."""
+    """Whether most of a pixel and its eight neighbours are drivable; the image's edge is repeated beyond it."""
     cdef Py_ssize_t last_row = drivable.shape[0] - 1, last_column = drivable.shape[1] - 1, row, k
     cdef Py_ssize_t left = u - 1 if u > 0 else 0, right = u + 1 if u < last_column else last_column
     cdef int found = 0
@@ -155,8 +153,8 @@ def mark_visible(
     cdef bint seen
     shapes = np.shape(camera_T_ego), np.shape(z_m), (height, width) if depth_m is None else np.shape(depth_m)
     if shapes != ((4, 4), (y_m.shape[0], x_m.shape[0]), (height, width)):
-        raise ValueError(f"{height}x{width} pixels and {y_m.shape[0]}x{x_m.shape[0]} cells: transform, heights and "
-                         f"depths of {shapes}")
+        raise ValueError(f"{height}x{width} pixels and {y_m.shape[0]}x{x_m.shape[0]} cells do not fit a transform, "
+                         f"heights and depths of {shapes}")
     cdef double tolerance = within[0], slack_m = within[1]
     cdef uint8_t[:, ::1] visible = np.empty((z_m.shape[0], z_m.shape[1]), np.uint8)
     fx, fy, cx, cy = projection

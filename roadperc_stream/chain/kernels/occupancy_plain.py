@@ -1,4 +1,4 @@
-"""What ``occupancy_compiled`` does, in numpy; the compiled form alone checks the sizes."""
+"""The functions of ``occupancy_compiled`` in numpy; only the compiled ones check sizes (ValueError)."""
 
 from dataclasses import dataclass
 from typing import Final, NamedTuple
@@ -13,16 +13,13 @@ Marks = NDArray[np.uint8]
 Counts = NDArray[np.int64]
 Float = NDArray[np.float64]
 _MOST: Final = 5
-"""Of a pixel and its eight neighbours."""
-_BESIDE: Final = np.arange(-1, 2)[:, None]
+"""Number of pixels that are most of a pixel and its eight neighbours."""
+_NEIGHBOURS: Final = np.arange(-1, 2)[:, None]
 _NEAREST_M: Final = 1e-6
 
 
 class Rays(NamedTuple):
-    """The rays of an image's pixels, whose coordinates are parts of the column and the row.
-
-    ``column`` is (3, W), ``row`` (3, H); ``start_m`` (3,) is where they begin.
-    """
+    """The rays of an image's pixels: the sum of ``column`` (3, W) and ``row`` (3, H), from ``start_m`` (3,)."""
 
     column: Float32
     row: Float32
@@ -31,10 +28,7 @@ class Rays(NamedTuple):
 
 @dataclass(frozen=True)
 class Cells:
-    """A grid whose first cell begins at x and y, of so long cells; and which heights of points stand in the way.
-
-    All metres. Points are numbers of single precision, and so are what they are compared with.
-    """
+    """A grid from x and y on, the length of its cells, and the heights of obstacles; metres, compared in float32."""
 
     x_min: float
     y_min: float
@@ -44,11 +38,10 @@ class Cells:
 
 
 class KnownPixels(NamedTuple):
-    """What is known of an image's pixels.
+    """An image's pixels, each (H, W): depth (NaN unknown), height above the road, 0 or 1 for drivable, and tags.
 
-    ``depth_m`` is (H, W), NaN where no point is; ``height_m`` (H, W) over a road that is no plane, NaN where it is not
-    known, None: over the plane; ``drivable`` (H, W) 0 or 1; ``tags`` (H, W) of their classes; ``obstacle_tags`` (256,)
-    1 of tags of an obstacle, else 0.
+    Without ``height_m`` heights are computed above the road's plane. ``obstacle_tags`` is (256,) 1 at tags of
+    obstacles, else 0.
     """
 
     depth_m: Float32
@@ -59,7 +52,7 @@ class KnownPixels(NamedTuple):
 
 
 class Middles(NamedTuple):
-    """Of a grid's cells, ego frame: ``x_m`` (C,) of columns, ``y_m`` (R,) of rows, the road's ``z_m`` (R, C)."""
+    """The middles of a grid's cells, ego frame: ``x_m`` (C,), ``y_m`` (R,), and the road's height ``z_m`` (R, C)."""
 
     x_m: Float
     y_m: Float
@@ -67,32 +60,24 @@ class Middles(NamedTuple):
 
 
 def count_points(cells: Cells, pixels: KnownPixels, rays: Rays, abd: Float32, free: Counts, occupied: Counts) -> None:
-    """Add to each cell its drivable points of known height, and its points that stand in the way.
+    """Add the pixels' points to (rows along y, columns along x) counts of each cell, in place.
 
-    In the way are points that are high enough, or of an obstacle, and not so high that one passes below. A point may
-    be both.
-
-    Args:
-        cells: the grid.
-        pixels: of which points are made.
-        rays: of the pixels.
-        abd: (3,) the road as a x + b y + z = d.
-        free: (rows along y, columns along x), changed.
-        occupied: likewise.
+    ``free`` counts drivable points of known height. ``occupied`` counts points from ``min_height`` up or of an obstacle
+    class, but at most ``max_height`` high. A point may count in both. ``abd`` (3,) is the road as a x + b y + z = d.
     """
     depth_m, height_m, drivable, tags, obstacle_tags = pixels
     with np.errstate(invalid="ignore", over="ignore"):
         x, y, z = ((rays.row[k, :, None] + rays.column[k]) * depth_m + rays.start_m[k] for k in range(3))
         height = z - (abd[2] - abd[0] * x - abd[1] * y) if height_m is None else height_m
         high = height >= np.float32(cells.min_height)
-        in_the_way = (high | obstacle_tags[tags].view(bool)) & (height <= np.float32(cells.max_height))
+        obstacle = (high | obstacle_tags[tags].view(bool)) & (height <= np.float32(cells.max_height))
     on_road = drivable.view(bool) & np.isfinite(height)
     free += _counts(cells, x[on_road], y[on_road], free.shape)
-    occupied += _counts(cells, x[in_the_way], y[in_the_way], free.shape)
+    occupied += _counts(cells, x[obstacle], y[obstacle], free.shape)
 
 
 def _counts(cells: Cells, x: Float32, y: Float32, shape: tuple[int, ...]) -> Counts:
-    """How many of (N,) points lie in each cell."""
+    """The number of (N,) points in each cell."""
     rows, columns = shape
     with np.errstate(invalid="ignore", over="ignore"):
         i = np.floor((x - np.float32(cells.x_min)) / np.float32(cells.resolution))
@@ -111,29 +96,22 @@ def mark_visible(
     depth_m: NDArray[np.float32] | None,
     within: tuple[float, float],
 ) -> NDArray[np.uint8]:
-    """(R, C) 1 at cells whose middle is visible as drivable, at its own distance where the depth is dense, else 0.
+    """(R, C) 1 at cells whose middle projects to a drivable pixel, else 0.
 
-    A pixel counts as drivable where most of it and its eight neighbours are: a single one among others shows nothing,
-    a single hole among drivable ones hides nothing. Beyond the image lies what is at its edge.
-
-    Args:
-        projection: of the camera.
-        camera_T_ego: (4, 4).
-        middles: of the cells.
-        drivable: (H, W) 0 or 1.
-        depth_m: (H, W) of the same pixels, NaN hides the road; None: no depth can.
-        within: share of the distance by which the depth may differ from it, and metres.
+    A pixel counts as drivable if most of its 3x3 square are in ``drivable`` (H, W), 0 or 1; single pixels do not
+    matter. The image's edge is repeated beyond it. With ``depth_m`` (H, W) the depth must agree with the cell's
+    distance, to a share of it and metres (``within``); NaN never agrees. ``camera_T_ego`` is (4, 4).
     """
     x_m, y_m, z_m = middles
     tolerance, slack_m = within
     fx, fy, cx, cy = projection
     height, width = drivable.shape
     right, down, ahead = (T[0] * x_m + T[1] * y_m[:, None] + T[2] * z_m + T[3] for T in camera_T_ego[:3])
-    with np.errstate(all="ignore"):  # what lies behind the camera does not count
+    with np.errstate(all="ignore"):  # points behind the camera do not count
         columns, rows = np.rint(fx * right / ahead + cx), np.rint(fy * down / ahead + cy)
         inside = (ahead > _NEAREST_M) & (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
     v, u, ahead = rows[inside].astype(np.intp), columns[inside].astype(np.intp), ahead[inside]
-    near_v, near_u = (np.clip(at + _BESIDE, 0, size - 1) for at, size in ((v, height), (u, width)))
+    near_v, near_u = (np.clip(at + _NEIGHBOURS, 0, size - 1) for at, size in ((v, height), (u, width)))
     seen = drivable[near_v[:, None], near_u].sum(axis=(0, 1)) >= _MOST
     if depth_m is not None:
         with np.errstate(invalid="ignore"):

@@ -1,5 +1,5 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
-"""Patches aligned with another image, and points projected into it: ``odometry_plain`` says what is what."""
+"""Patches aligned with an image, and points projected into it; ``odometry_plain`` documents the functions."""
 
 from libc.math cimport fabs, sqrt
 from libc.stdint cimport uint8_t
@@ -38,7 +38,7 @@ cdef struct Places:
 
 
 cdef void _placed(double* px, int* whole, double last, int count) noexcept nogil:
-    """Pixels, kept to the image, NaN to its edge, as whole ones and the rest, which stays."""
+    """Clip coordinates to the image (NaN to 0), and split them into whole pixels and the rest."""
     cdef double at
     cdef int k
     for k in range(count):
@@ -49,9 +49,9 @@ cdef void _placed(double* px, int* whole, double last, int count) noexcept nogil
 
 
 cdef void _sampled(const Levels* image, Places* places, int count, bint is_inside, double* found) noexcept nogil:
-    """Grey levels at pixels, linear between them: in turns of one kind of work each, which become vectors.
+    """Interpolate grey levels linearly, in separate loops that become vector code.
 
-    Of pixels that all lie inside, and none on the image's edge, nobody asks where they are.
+    With ``is_inside`` all pixels lie inside the image, none on its edge, and are not clipped.
     """
     cdef int upper[MOST]
     cdef int lower[MOST]
@@ -92,7 +92,7 @@ cdef void _sampled(const Levels* image, Places* places, int count, bint is_insid
 
 
 cdef bint _is_inside(const Levels* image, double x, double y, double reach_x, double reach_y) noexcept nogil:
-    """Whether all within reach of a pixel lies at least a pixel from the image's edge; of NaN nothing does."""
+    """Whether all pixels within reach lie at least a pixel from the image's edge; False for NaN."""
     return (
         x - reach_x >= 1 and y - reach_y >= 1 and x + reach_x <= image.width - 3 and y + reach_y <= image.height - 3
     )
@@ -109,7 +109,7 @@ cdef void _centre(double* levels) noexcept nogil:
 
 
 cdef void _centre_patch(Patch* patch) noexcept nogil:
-    """Template and gradients without their means: three sums that do not wait for each other."""
+    """Subtract the means of template and gradients; the three sums run in parallel."""
     cdef double levels = 0, x = 0, y = 0
     cdef int k
     for k in range(PIXELS):
@@ -126,7 +126,7 @@ cdef void _centre_patch(Patch* patch) noexcept nogil:
 
 
 cdef void _multiply_patch(Patch* patch) noexcept nogil:
-    """The products of template and gradients."""
+    """Sum the products of template and gradients."""
     cdef double xx = 0, xy = 0, yy = 0, power = 0
     cdef int k
     for k in range(PIXELS):
@@ -141,7 +141,7 @@ cdef void _multiply_patch(Patch* patch) noexcept nogil:
 
 
 cdef void _cut(const Levels* image, double x, double y, Patch* patch) noexcept nogil:
-    """The patch around a pixel, and what its shift changes."""
+    """Cut the patch around a pixel, with its gradients."""
     cdef Places places
     cdef double around[MOST]
     cdef int row, column, k, at
@@ -175,22 +175,20 @@ cdef void _stretch(const double* stretch, Stretched* stretched) noexcept nogil:
 
 
 cdef void _found(const Levels* image, const double* px, const Stretched* stretched, double* found) noexcept nogil:
-    """The grey levels of a stretched patch around a pixel."""
+    """Sample the grey levels of a stretched patch around a pixel."""
     cdef Places places
     cdef int k
     for k in range(PIXELS):
         places.x[k] = px[0] + stretched.across[k]
     for k in range(PIXELS):
         places.y[k] = px[1] + stretched.along[k]
-    _sampled(
-        image, &places, PIXELS, _is_inside(image, px[0], px[1], stretched.reach_x, stretched.reach_y), found
-    )
+    _sampled(image, &places, PIXELS, _is_inside(image, px[0], px[1], stretched.reach_x, stretched.reach_y), found)
 
 
 cdef void _shift(
     const Levels* image, const Patch* patch, const Stretched* stretched, const double* stretch, double* px
 ) noexcept nogil:
-    """One step of the search."""
+    """Move the pixel by one Gauss-Newton step."""
     cdef double found[PIXELS]
     cdef double error, x = 0, y = 0, determinant = patch.xx * patch.yy - patch.xy * patch.xy, shift_x, shift_y
     cdef int k
@@ -220,12 +218,8 @@ cdef double _correlation(
 
 
 def align_patches(
-    const uint8_t[:, ::1] before,
-    const double[:, ::1] before_px,
-    const double[:, :, ::1] stretch,
-    const uint8_t[:, ::1] after,
-    double[:, ::1] px,
-    int iterations,
+    const uint8_t[:, ::1] before, const double[:, ::1] before_px, const double[:, :, ::1] stretch,
+    const uint8_t[:, ::1] after, double[:, ::1] px, int iterations,
 ):
     cdef Py_ssize_t count = px.shape[0], i
     cdef Levels first, second
@@ -234,7 +228,7 @@ def align_patches(
     cdef int step
     shapes = tuple(map(np.shape, (before_px, stretch, px)))
     if shapes != ((count, 2), (count, 2, 2), (count, 2)) or not before.size * after.size:
-        raise ValueError(f"patches of {shapes}: expected one number of them, and images with pixels")
+        raise ValueError(f"patches of {shapes}: expected equally many of each, and images that are not empty")
     cdef double[::1] correlation = np.empty(count)
     first = Levels(&before[0, 0], before.shape[0], before.shape[1])
     second = Levels(&after[0, 0], after.shape[0], after.shape[1])
@@ -258,7 +252,7 @@ cdef struct Weights:
 cdef uint8_t _rows(
     const Weights* rules, const double* point, const double* px, const double* T, double* residual, double* J
 ) noexcept nogil:
-    """The two rows of a point, and whether it agrees."""
+    """Write the two rows of a point; return whether it agrees."""
     cdef double X = point[0], Y = point[1], Z = point[2]
     cdef double x = T[0] * X + T[1] * Y + T[2] * Z + T[3]
     cdef double y = T[4] * X + T[5] * Y + T[6] * Z + T[7]
@@ -299,17 +293,13 @@ cdef uint8_t _rows(
 
 
 def linearise(
-    projection,
-    weighting,
-    const double[:, ::1] points_m,
-    const double[:, ::1] px,
-    const double[:, ::1] this_T_key,
+    projection, weighting, const double[:, ::1] points_m, const double[:, ::1] px, const double[:, ::1] this_T_key
 ):
     cdef Py_ssize_t count = points_m.shape[0], i
     cdef Weights rules
     shapes = tuple(map(np.shape, (points_m, px, this_T_key)))
     if shapes != ((count, 3), (count, 2), (4, 4)):
-        raise ValueError(f"points, pixels and motion of {shapes}: expected one number of points")
+        raise ValueError(f"points, pixels and motion of {shapes}: expected equally many points and pixels")
     cdef double[::1] residual = np.empty(2 * count)
     cdef double[:, ::1] derivative = np.empty((2 * count, 6))
     cdef uint8_t[::1] agrees = np.empty(count, np.uint8)

@@ -1,12 +1,12 @@
-"""What ``odometry_compiled`` does, in numpy.
+"""The functions of ``odometry_compiled`` in numpy; only the compiled ones check sizes (ValueError).
 
-Patches: inverse compositional alignment (Baker and Matthews, "Lucas-Kanade 20 Years On", IJCV 56, 2004) of a shift
-alone: what is solved for depends on the patch of the first image only. Means are taken away, so a change of brightness
-does not matter. Every sum is added up in the order of the patch's pixels, row by row.
+Patches: inverse compositional alignment (Baker and Matthews, "Lucas-Kanade 20 Years On", IJCV 56, 2004) of a shift:
+the normal equations depend only on the patch of the first image. Means are subtracted, so brightness does not matter.
+Every sum goes through the patch's pixels row by row.
 
-Reprojection: a point's error is that of its pixel, and that of its depth as far as a change of depth would shift the
-pixel. Rows are weighed as Huber has it (Robust estimation of a location parameter, Annals of Mathematical Statistics
-35, 1964), by the square root of his weights: so the normal equations are those of the rows.
+Reprojection: a point's variance combines its pixel's and the pixel shift that its depth's error causes. Each row is
+multiplied by the square root of Huber's weight (Robust estimation of a location parameter, Annals of Mathematical
+Statistics 35, 1964), so that the products of the rows are the weighted normal equations.
 """
 
 from typing import Final, NamedTuple
@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 Float = NDArray[np.float64]
 Image = NDArray[np.uint8]
 REACH_PX: Final = 5
-"""How far a patch reaches to either side of its centre."""
+"""Half side of a patch."""
 FLAT: Final = 1e-3
-"""Keeps patches without texture solvable; their correlation then sorts them out."""
+"""Keeps patches without texture solvable; their low correlation then rejects them."""
 _SIDE: Final = 2 * REACH_PX + 1
 _NEAREST_M: Final = 0.1
 
@@ -34,7 +34,10 @@ class Projection(NamedTuple):
 
 
 class Weighting(NamedTuple):
-    """Standard deviations of a pixel and, per metre, of 1 / depth; residuals in these: fully weighed, and refused."""
+    """Standard deviations of a pixel and of 1 / depth (per metre); residuals up to ``full`` have full weight.
+
+    Residuals from ``gate`` on are rejected. Both are in standard deviations.
+    """
 
     std_px: float
     depth_std_per_m: float
@@ -43,15 +46,11 @@ class Weighting(NamedTuple):
 
 
 def align_patches(before: Image, before_px: Float, stretch: Float, after: Image, px: Float, iterations: int) -> Float:
-    """(N,) correlations of stretched patches with an image, -1 to 1, shifted to where they fit best.
+    """Shift stretched patches of one image to their best position in another; (N,) correlations there, -1 to 1.
 
-    Args:
-        before: (H, W) image of the patches.
-        before_px: (N, 2) their centres.
-        stretch: (N, 2, 2) derivative of the pixel in ``after`` by the pixel in ``before``.
-        after: (H, W) image in which they are searched.
-        px: (N, 2) where the search begins; overwritten with where it ends.
-        iterations: steps of the search.
+    The patches are centred at (N, 2) ``before_px`` of the (H, W) image ``before``. ``stretch`` (N, 2, 2) is the
+    derivative of the pixel in ``after`` (H, W) by the pixel in ``before``. The search begins at (N, 2) ``px``, which it
+    overwrites with its results.
     """
     down, right = np.mgrid[-REACH_PX - 1 : REACH_PX + 2, -REACH_PX - 1 : REACH_PX + 2].astype(float)
     around = _sampled(before, before_px[:, 0, None, None] + right, before_px[:, 1, None, None] + down)
@@ -75,7 +74,7 @@ def align_patches(before: Image, before_px: Float, stretch: Float, after: Image,
 
 
 def _sampled(image: Image, x: Float, y: Float) -> Float:
-    """Grey levels at pixels, linear between them; outside the image, and of NaN, those of its edge."""
+    """Grey levels at pixels, interpolated linearly; outside the image and for NaN those of its edge."""
     height, width = image.shape
     x, y = (np.where(at > 0, at, 0.0) for at in (x, y))
     x, y = np.where(x < width - 1, x, width - 1), np.where(y < height - 1, y, height - 1)
@@ -90,12 +89,12 @@ def _sampled(image: Image, x: Float, y: Float) -> Float:
 
 
 def _summed(patches: Float) -> Float:
-    """(N,) sums of (N, P), one number after the other."""
-    return np.asarray(np.add.accumulate(patches, axis=1)[:, -1] + 0.0)  # no sum that begins with 0 ends with -0
+    """(N,) sums of (N, P), from first to last."""
+    return np.asarray(np.add.accumulate(patches, axis=1)[:, -1] + 0.0)  # a sum that begins with 0 is never -0
 
 
 def _centred(patches: Float) -> Float:
-    """(N, P) without their means."""
+    """(N, P) patches minus their means."""
     flat = patches.reshape(-1, _SIDE**2)
     return np.asarray(flat - (_summed(flat) / _SIDE**2)[:, None])
 
@@ -103,23 +102,17 @@ def _centred(patches: Float) -> Float:
 def linearise(
     projection: Projection, weighting: Weighting, points_m: Float, px: Float, this_T_key: Float
 ) -> tuple[Float, Float, NDArray[np.uint8]]:
-    """Weighted residuals and derivatives, in standard deviations.
+    """Weighted residuals and derivatives of a (4, 4) motion, in standard deviations.
 
-    Args:
-        projection: of both frames.
-        weighting: how residuals are weighed.
-        points_m: (N, 3) points in the keyframe's camera.
-        px: (N, 2) where they were found in this frame.
-        this_T_key: (4, 4) the motion.
+    ``points_m`` are (N, 3) in the keyframe's camera, found at (N, 2) ``px`` in this frame.
 
     Returns:
-        (2 N,) residuals, u and v of each point, 0 of one that does not agree; (2 N, 6) derivatives by a small
-        translation and rotation of this camera's coordinates; (N,) 1 of points in front of the camera and within the
-        gate, else 0.
+        (2 N,) residuals, u and v of each point; (2 N, 6) derivatives by a small translation and rotation of this
+        camera's coordinates; (N,) 1 for points in front of the camera and within the gate. All are 0 for other points.
     """
     fx, fy, cx, cy = projection
     X, Y, Z = points_m.T
-    with np.errstate(all="ignore"):  # what lies behind the camera is written over
+    with np.errstate(all="ignore"):  # points behind the camera are set to 0 below
         x, y, z = (r[0] * X + r[1] * Y + r[2] * Z + r[3] for r in this_T_key[:3])
         ray_x, ray_y, ray_z = (r[0] * (X / Z) + r[1] * (Y / Z) + r[2] for r in this_T_key[:3])
         a, b, c, d = fx / z, -fx * x / (z * z), fy / z, -fy * y / (z * z)
@@ -128,13 +121,13 @@ def linearise(
         depth_std_m = weighting.depth_std_per_m * (Z * Z)
         variance = weighting.std_px**2 + (along_u * along_u + along_v * along_v) * (depth_std_m * depth_std_m)
         off = np.sqrt((off_u * off_u + off_v * off_v) / variance)
-        refused = ~((z > _NEAREST_M) & (off < weighting.gate))
+        rejected = ~((z > _NEAREST_M) & (off < weighting.gate))
         weight = np.sqrt(np.where(off > weighting.full, weighting.full / off, 1.0) / variance)
         zero = np.zeros_like(z)
         rows_u = (a, zero, b, b * y, a * z - b * x, -a * y)
         rows_v = (zero, c, d, d * y - c * z, -d * x, c * x)
         residual = np.stack((weight * off_u, weight * off_v), axis=-1)
         derivative = weight[:, None, None] * np.stack((rows_u, rows_v)).transpose(2, 0, 1)
-    residual[refused] = 0.0
-    derivative[refused] = 0.0
-    return residual.reshape(-1), derivative.reshape(-1, 6), (~refused).view(np.uint8)
+    residual[rejected] = 0.0
+    derivative[rejected] = 0.0
+    return residual.reshape(-1), derivative.reshape(-1, 6), (~rejected).view(np.uint8)

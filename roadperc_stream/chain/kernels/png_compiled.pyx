@@ -1,8 +1,8 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
-"""The rows of a PNG from what they are filtered to, in place, and grey of them while they are in the cache.
+"""Reverse the filters of a PNG's rows in place, and convert rows to grey while they are in the processor's cache.
 
-Source of the filters: PNG specification (ISO/IEC 15948), clause 9. Every row is a byte that names its filter and the
-filtered bytes; a byte is predicted from those a pixel to the left, a row above, and a pixel to the left above.
+Source of the filters: PNG specification (ISO/IEC 15948), clause 9. Every row is a byte that names its filter, then the
+filtered bytes. A filter predicts a byte from the bytes one pixel to the left, one row above, and both.
 """
 
 from libc.stdint cimport uint8_t, uint32_t
@@ -14,7 +14,7 @@ cdef enum:
     AVERAGE
     PAETH
 
-cdef enum:  # of 32768: the weights OpenCV asks of libpng's png_set_rgb_to_gray, 0.299 and 0.587
+cdef enum:  # in 1/32768: the weights that OpenCV passes to libpng's png_set_rgb_to_gray, 0.299 and 0.587
     RED = 9797
     GREEN = 19234
     BLUE = 3737
@@ -27,7 +27,7 @@ cdef inline int _magnitude(int number) noexcept nogil:
 
 
 cdef inline uint8_t _nearest(int left, int above, int corner) noexcept nogil:
-    """Whichever is nearest to left + above - corner; without branches, for in a picture no branch can be foretold."""
+    """The value nearest to left + above - corner; without branches, which the processor could not predict."""
     cdef int to_left = above - corner, to_above = left - corner
     cdef int to_corner = to_left + to_above
     to_left = _magnitude(to_left)
@@ -91,7 +91,7 @@ cdef inline void _paeth(uint8_t* row, const uint8_t* above, Py_ssize_t width, co
 
 
 cdef inline bint _reverse(uint8_t* line, const uint8_t* above, Py_ssize_t width, const int step) noexcept nogil:
-    """Whether the filter that the line's first byte names is known."""
+    """Reverse the filter that the line's first byte names; False if it is unknown."""
     cdef int kind = line[0]
     cdef uint8_t* row = line + 1
     if kind == SUB:
@@ -106,7 +106,7 @@ cdef inline bint _reverse(uint8_t* line, const uint8_t* above, Py_ssize_t width,
 
 
 cdef bint _reverse_of(uint8_t* line, const uint8_t* above, Py_ssize_t width, int step) noexcept nogil:
-    """``_reverse`` compiled for each number of bytes that a pixel takes."""
+    """``_reverse``, compiled for each number of bytes per pixel."""
     if step == 1:
         return _reverse(line, above, width, 1)
     if step == 2:
@@ -127,7 +127,7 @@ cdef inline void _grey_row(const uint8_t* row, uint8_t* grey, Py_ssize_t width, 
 
 
 cdef inline void _sub_to_grey(const uint8_t* row, uint8_t* grey, Py_ssize_t width, const int step) noexcept nogil:
-    """Of a row that no other looks up to: its pixels are not written."""
+    """Convert a row that the next row does not need; its own pixels are not written."""
     cdef uint8_t red = 0, green = 0, blue = 0
     cdef Py_ssize_t x
     for x in range(width):
@@ -140,7 +140,7 @@ cdef inline void _sub_to_grey(const uint8_t* row, uint8_t* grey, Py_ssize_t widt
 cdef inline bint _line_to_grey(
     uint8_t* line, const uint8_t* above, bint needed_below, uint8_t* grey, Py_ssize_t width, const int step
 ) noexcept nogil:
-    """Whether the line's filter is known."""
+    """Convert a line to grey; False if its filter is unknown."""
     if line[0] == SUB and not needed_below:
         _sub_to_grey(line + 1, grey, width, step)
         return True
@@ -151,10 +151,10 @@ cdef inline bint _line_to_grey(
 
 
 def reverse_filters(uint8_t[:, ::1] lines, int pixel_bytes):
-    """Reverse the filters of all lines in place; False where one is unknown.
+    """Reverse the filters of all lines in place; False if one is unknown.
 
     Raises:
-        ValueError: a pixel of no bytes or of more than four, or a line that does not hold whole pixels.
+        ValueError: a pixel has not 1 to 4 bytes, or a line does not hold whole pixels.
     """
     cdef Py_ssize_t height = lines.shape[0], y
     cdef Py_ssize_t width = _width(lines.shape[1] - 1, pixel_bytes)
@@ -171,16 +171,16 @@ def reverse_filters(uint8_t[:, ::1] lines, int pixel_bytes):
 
 
 def reverse_to_grey(uint8_t[:, ::1] lines, int pixel_bytes, uint8_t[:, ::1] grey):
-    """Grey of lines whose pixels start with red, green and blue, and that it uses up; False where a filter is unknown.
+    """Convert lines whose pixels start with red, green and blue, and overwrite them; False if a filter is unknown.
 
     Raises:
-        ValueError: pixels of fewer than three bytes or more than four, lines that do not hold whole ones, or grey of
-            another size.
+        ValueError: a pixel has not 3 or 4 bytes, a line does not hold whole pixels, or ``grey`` has another size.
     """
     cdef Py_ssize_t height = lines.shape[0], y
     cdef Py_ssize_t width = _width(lines.shape[1] - 1, pixel_bytes)
     if pixel_bytes < 3 or grey.shape[0] != height or grey.shape[1] != width:
-        raise ValueError(f"{height}x{width} pixels of {pixel_bytes} bytes to grey {grey.shape[0]}x{grey.shape[1]}")
+        raise ValueError(f"{height}x{width} pixels of {pixel_bytes} bytes to grey {grey.shape[0]}x{grey.shape[1]}: "
+                         "expected one size and 3 or 4 bytes")
     cdef const uint8_t[::1] zeros = bytes(lines.shape[1])
     cdef const uint8_t* above = &zeros[0]
     cdef bint known = True, needed_below
@@ -199,5 +199,5 @@ def reverse_to_grey(uint8_t[:, ::1] lines, int pixel_bytes, uint8_t[:, ::1] grey
 
 cdef Py_ssize_t _width(Py_ssize_t length, int pixel_bytes) except -1:
     if not 1 <= pixel_bytes <= 4 or length < 1 or length % pixel_bytes:
-        raise ValueError(f"lines of {length} bytes in pixels of {pixel_bytes}: expected whole pixels of 1 to 4")
+        raise ValueError(f"lines of {length} bytes, pixels of {pixel_bytes}: expected whole pixels of 1 to 4 bytes")
     return length // pixel_bytes

@@ -1,8 +1,8 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
-"""Disparities refined and doubled, and how far they are off: ``stereo_plain`` says what they are.
+"""Disparities refined and doubled, and their errors; ``stereo_plain`` documents the functions.
 
-Of disparities in sixteenths and 8-bit greys all sums are whole numbers of 1/512 or 1/1024: taken as such they are exact,
-as the sums in float64 are that OpenCV takes, so that their order does not matter.
+With disparities in sixteenths and 8-bit greys all sums are multiples of 1/512 or 1/1024. As integers they are exact,
+as are OpenCV's sums in float64, so their order does not matter.
 """
 
 from libc.float cimport FLT_MAX
@@ -13,14 +13,14 @@ import numpy as np
 
 cdef enum:
     PARTS = 16  # of a pixel
-    OUTSIDE = 2  # columns of nothing on either side of a row
+    OUTSIDE = 2  # empty columns on either side of a row
 
 cdef int[5] PARTS_OF = [1, 32, 16, 512, 1024]
-"""What 1 is of the sums: of known pixels, slopes, differences, their products, and the slopes' squares."""
+"""Units per 1 of the sums of known pixels, slopes, differences, their products, and the slopes' squares."""
 
 
 cdef Py_ssize_t _reflected(Py_ssize_t place, Py_ssize_t count) noexcept nogil:
-    """The place inside that stands for one outside, as OpenCV's BORDER_REFLECT_101 has it."""
+    """Reflect an index outside the image into it, as OpenCV's BORDER_REFLECT_101 does."""
     if count == 1:
         return 0
     while not 0 <= place < count:
@@ -29,20 +29,20 @@ cdef Py_ssize_t _reflected(Py_ssize_t place, Py_ssize_t count) noexcept nogil:
 
 
 cdef void _slope(const int16_t* grey, int16_t* slope, Py_ssize_t width) noexcept nogil:
-    """Differences of a row's pixels on either side, twice the slope."""
+    """Compute twice the slope: the difference of the pixels on either side."""
     cdef Py_ssize_t u
     for u in range(1, width - 1):
         slope[u] = grey[u + 1] - grey[u - 1]
-    slope[0] = slope[width - 1] = 0  # reflected, both sides are one pixel
+    slope[0] = slope[width - 1] = 0  # reflection makes both sides the same pixel
 
 
 cdef void _compare(
     const int16_t* sixteenths, const uint8_t* left, const int16_t* grey, const int16_t* slope, int16_t* known,
     int16_t* slope_32, int16_t* difference_16, int width,
 ) noexcept nogil:
-    """Of a row: what is known, the slope of the right image there in 1/32, and by how many 1/16 the left one differs.
+    """Compute for a row: known pixels, the right image's slope there in 1/32, the left one's difference in 1/16.
 
-    ``grey`` and ``slope``, in halves, are the right image's, with columns of nothing on either side.
+    ``grey`` and ``slope`` (in halves) are the right image's, with empty columns on either side.
     """
     cdef int u, at, beyond, column_16, is_known
     for u in range(width):
@@ -72,7 +72,7 @@ cdef void _exchange_products(
 
 
 cdef void _mean(const int32_t* sums, float* means, Py_ssize_t width, Py_ssize_t size, int parts) noexcept nogil:
-    """Means over squares, of sums over their columns in so many parts of one."""
+    """Compute the means over squares from the sums over their columns, which are in units of 1 / ``parts``."""
     cdef double part = 1.0 / <double>parts, share = 1.0 / <double>(size * size)
     cdef int64_t total = 0
     cdef Py_ssize_t u
@@ -105,7 +105,7 @@ cdef void _refine(
     const int16_t[:, ::1] matched, const uint8_t[:, ::1] left, const uint8_t[:, ::1] right, Py_ssize_t size,
     int16_t[:, ::1] grey, int16_t[:, :, ::1] maps, int32_t[:, ::1] sums, float[:, ::1] means, float[:, ::1] moved_px,
 ) noexcept nogil:
-    """Row by row; ``grey`` is a row of the right image and its slope, of ``maps`` the last row is nothing."""
+    """Refine row by row; ``grey`` is a row of the right image and its slope, the last row of ``maps`` is empty."""
     cdef Py_ssize_t height = matched.shape[0], width = matched.shape[1], reach = size // 2, v, u, k, new, old
     cdef float least_share = <float>(1.0 / <double>(size * size))
     for v in range(height):
@@ -118,7 +118,7 @@ cdef void _refine(
         )
     for v in range(-2 * reach, height):
         new = _reflected(v + reach, height)
-        old = _reflected(v - reach - 1, height) if v > 0 else height  # the first row's square is only filled
+        old = _reflected(v - reach - 1, height) if v > 0 else height  # up to the first row the square only fills
         for k in range(3):
             _exchange(&sums[k, reach], &maps[k, new, 0], &maps[k, old, 0], <int>width)
         _exchange_products(
@@ -147,7 +147,7 @@ def refined_disparities(const int16_t[:, :] sixteenths, const uint8_t[:, :] left
         raise ValueError(f"{height}x{width} disparities of {left.shape[0]}x{left.shape[1]} and "
                          f"{right.shape[0]}x{right.shape[1]} pixels: expected one size")
     if size < 1 or size % 2 == 0:
-        raise ValueError(f"squares of {size} pixels: expected an odd number")
+        raise ValueError(f"size {size}: expected an odd number of pixels")
     result = np.empty((height, width), np.float32)
     if not result.size:
         return result
@@ -155,7 +155,7 @@ def refined_disparities(const int16_t[:, :] sixteenths, const uint8_t[:, :] left
     cdef const int16_t[:, ::1] matched = np.ascontiguousarray(sixteenths)
     cdef const uint8_t[:, ::1] left_grey = np.ascontiguousarray(left), right_grey = np.ascontiguousarray(right)
     cdef int16_t[:, ::1] grey = np.zeros((2, width + 2 * OUTSIDE), np.int16)  # a row, and its slope
-    cdef int16_t[:, :, ::1] maps = np.zeros((3, height + 1, width), np.int16)  # the last row is nothing
+    cdef int16_t[:, :, ::1] maps = np.zeros((3, height + 1, width), np.int16)  # the last row stays empty
     cdef int32_t[:, ::1] sums = np.zeros((5, width + 2 * reach), np.int32)
     cdef float[:, ::1] means = np.empty((5, width), np.float32)
     with nogil:
@@ -168,7 +168,7 @@ cdef inline float _between(float here, float following, double share) noexcept n
 
 
 cdef void _double_row(const float* half, float* smooth, Py_ssize_t width) noexcept nogil:
-    """(2 width) values of the doubled image between those of a row."""
+    """Interpolate the 2 ``width`` values of the doubled image along a row."""
     cdef Py_ssize_t u
     for u in range(width - 1):
         smooth[2 * u + 1] = _between(2 * half[u], 2 * half[u + 1], 0.25)
@@ -187,7 +187,7 @@ cdef void _combine(
     const float* above, const float* below, const float* nearest, float* doubled, Py_ssize_t width,
     double beside, float step_px,
 ) noexcept nogil:
-    """What lies between two rows, ``beside`` of the lower one, but the nearest where that is another thing."""
+    """Interpolate between two rows with the weight ``beside`` of the lower one; at object borders take the nearest."""
     cdef float smooth
     cdef Py_ssize_t u
     for u in range(width):
@@ -196,7 +196,7 @@ cdef void _combine(
 
 
 cdef void _double(const float[:, ::1] half, float[:, ::1] rows, float[:, ::1] doubled, float step_px) noexcept nogil:
-    """``rows`` are three of the doubled image: what lies between the pixels of one row and of the next, the nearest."""
+    """Double an image; ``rows`` holds the interpolated rows above and below, and the repeated nearest row."""
     cdef Py_ssize_t height = half.shape[0], width = half.shape[1], wide = 2 * width, v
     cdef float* above = &rows[0, 0]
     cdef float* below = &rows[1, 0]
@@ -229,34 +229,27 @@ def doubled(const float[:, :] half, float step_px):
 
 
 cdef struct Limits:
-    float scale_px_m
-    float max_depth_m
-    float bad_px
-    float bad_share
-
+    float scale_px_m, max_depth_m, bad_px, bad_share
 
 cdef struct Counts:
-    int64_t counted
-    int64_t known
-    int64_t bad
-
+    int64_t counted, known, bad
 
 cdef enum:
-    UNKNOWN = -1  # no absolute error is
+    UNKNOWN = -1  # an absolute error is never negative
 
 
 cdef void _compare_disparities(
     const float* estimated_m, const float* true_m, const uint8_t* seen, const Limits limits, float* error_px,
     float* relative, Counts* counts, int width,
 ) noexcept nogil:
-    """Numbers instead of conditions: so the compiler makes vectors of it."""
+    """Compute a row's errors; numbers instead of conditions let the compiler use vector code."""
     cdef int u, is_counted, is_known, is_bad, counted = 0, bad = 0
     cdef float estimated_px, true_px, off_px, most_px
     for u in range(width):
         estimated_px = limits.scale_px_m / estimated_m[u]
         true_px = limits.scale_px_m / true_m[u]
         off_px = fabsf(estimated_px - true_px)
-        most_px = max(limits.bad_share * true_px, limits.bad_px)  # NaN of NaN
+        most_px = max(limits.bad_share * true_px, limits.bad_px)  # NaN stays NaN
         is_counted = seen[u] & <int>(true_m[u] < limits.max_depth_m)
         is_known = is_counted & <int>(fabsf(estimated_px) <= FLT_MAX)
         is_bad = is_known & <int>(off_px > most_px)
@@ -271,7 +264,7 @@ cdef void _compare_disparities(
 cdef void _append(
     const float* error_px, const float* relative, Counts* counts, float* known_px, float* known_relative, int width
 ) noexcept nogil:
-    """Behind those of earlier rows; each is written, and stays where it is known."""
+    """Append a row's known errors; unknown ones are written, too, and overwritten by the next error."""
     cdef int u
     cdef int64_t known = counts.known
     for u in range(width):
@@ -303,10 +296,10 @@ def disparity_errors(estimated_m, true_m, seen, all_limits):
 
 
 cdef struct Row:
-    int32_t* column  # the column of the right image that a pixel is drawn from, the one behind the last if it is not
+    int32_t* column  # left one of the right image's two columns of each pixel; the width if the pixel is not seen
     int32_t* nearest_column  # of the right image
-    float* at_px  # largest disparity of the pixels drawn from a column; one more column is for all that are not
-    float* behind_px  # of those that reach into the next one
+    float* at_px  # largest disparity in each column; an additional column takes pixels that are not seen
+    float* behind_px  # the same for pixels that reach into the next column
     float* nearest_px
 
 
@@ -320,16 +313,16 @@ cdef void _place(const float* disparity_px, const Row row, int width) noexcept n
         row.column[u] = left if partner_px >= 0 else width
         beyond_px = partner_px - <float>left
         is_right = 1 if beyond_px > <float>0.5 else 0
-        is_right = left & 1 if beyond_px == <float>0.5 else is_right  # half-way to the even one, as numpy has it
+        is_right = left & 1 if beyond_px == <float>0.5 else is_right  # round half to even, as numpy does
         row.nearest_column[u] = left + is_right
         row.nearest_px[u] = disparity_px[u] if beyond_px > 0 else 0
 
 
 cdef void _draw(const float* disparity_px, const Row row, int width) noexcept nogil:
-    """The largest disparity in each column of the right image, 0 in those that nothing is drawn into.
+    """Compute the largest disparity in each column of the right image, 0 in empty columns.
 
-    A pixel's two columns are kept apart: the next pixel's first column is mostly this one's second, and would have to
-    wait for it.
+    A pixel's two columns have separate arrays: the next pixel's first column is mostly this pixel's second one, and
+    would have to wait for it.
     """
     cdef int u, column
     for u in range(width + 1):
@@ -351,7 +344,6 @@ cdef void _see(const float* disparity_px, const Row row, uint8_t* seen, int widt
 
 
 def seen_by_both(const float[:, :] disparity_px, float occlusion_px):
-    """As ``stereo_plain``."""
     cdef const float[:, ::1] rows = np.ascontiguousarray(disparity_px)
     cdef Py_ssize_t height = rows.shape[0], width = rows.shape[1], v
     result = np.zeros((height, width), np.bool_)

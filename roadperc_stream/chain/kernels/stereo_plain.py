@@ -1,4 +1,4 @@
-"""What ``stereo_compiled`` does, in numpy and OpenCV; the compiled form alone checks the sizes."""
+"""The functions of ``stereo_compiled`` in numpy and OpenCV; only the compiled ones check sizes (ValueError)."""
 
 from typing import Final, NamedTuple
 
@@ -9,27 +9,19 @@ from numpy.typing import NDArray
 Float32 = NDArray[np.float32]
 _PARTS: Final = 16
 _MOST_PX: Final = 0.5
-"""A larger change than half a pixel matched contradicts the matching, which stands then."""
+"""Largest change by the refinement; a larger one contradicts the matching and is dropped."""
 _SLOPE_NOISE: Final = 1.0
-"""Variance of the slope, (grey levels per pixel)^2, that 8-bit pixels and their noise have without any texture."""
+"""Variance of the slope, (grey levels per pixel)^2, of 8-bit pixels and their noise without texture."""
 
 
 def refined_disparities(
     sixteenths: NDArray[np.int16], left: NDArray[np.uint8], right: NDArray[np.uint8], size: int
 ) -> Float32:
-    """Disparities moved by the step that best explains what is left of the difference, in each pixel's square.
+    """(H, W) disparities in pixels, NaN unknown, moved by the step that best explains the remaining difference.
 
-    Least squares of ``left = moved right - step * slope + offset`` over the square's known pixels; the offset takes up
-    cameras that are not equally bright.
-
-    Args:
-        sixteenths: (H, W) disparities in sixteenths of a pixel; what is not above 0 is unknown.
-        left: (H, W) grey.
-        right: (H, W) grey.
-        size: side of the squares, odd.
-
-    Returns:
-        (H, W) pixels, NaN unknown.
+    ``sixteenths`` (H, W) are disparities in sixteenths of a pixel, unknown if not above 0; ``left`` and ``right`` are
+    (H, W) grey. Least squares of ``left = moved right - step * slope + offset`` over the known pixels of each pixel's
+    square of odd side ``size``. The offset allows for cameras of different brightness.
     """
     height, width = sixteenths.shape
     if not sixteenths.size:
@@ -58,17 +50,11 @@ def refined_disparities(
 
 
 def doubled(half: Float32, step_px: float) -> Float32:
-    """Disparities in pixels of an image, of such in pixels half as fine.
+    """(2H, 2W) disparities of an image from (H, W) disparities at half its resolution; NaN unknown.
 
-    Between pixels they are linear, rounded once along a row and once along a column, but at the border of two things
-    the nearest pixel's: between them is a point in mid-air. So they are where one of the neighbours is unknown.
-
-    Args:
-        half: (H, W), NaN unknown.
-        step_px: disparities that differ by as much, in pixels of the image, belong to two things.
-
-    Returns:
-        (2H, 2W), NaN unknown.
+    They are interpolated linearly, with one rounding along a row and one along a column. Where they then differ from
+    the nearest pixel by ``step_px`` of the image or more, or are unknown, the nearest pixel counts: interpolation
+    between two objects would give a point in mid-air.
     """
     with np.errstate(invalid="ignore", over="ignore"):
         twice = half * np.float32(2)
@@ -79,10 +65,9 @@ def doubled(half: Float32, step_px: float) -> Float32:
 
 
 def _with_between(values: Float32) -> Float32:
-    """(H, 2W) values a quarter of the way from each of (H, W) to the next and the one before; at the ends its own.
+    """(H, 2W) values a quarter of the way from each of (H, W) to its neighbours; at the ends the value itself.
 
-    In float64: disparities are near enough to each other for that to round as a processor does that multiplies and adds
-    at once, as OpenCV has it do.
+    In float64: for disparities this rounds as the fused multiply-add that OpenCV uses.
     """
     here, following = values[:, :-1], values[:, 1:]
     between = np.repeat(values, 2, axis=1)
@@ -93,9 +78,9 @@ def _with_between(values: Float32) -> Float32:
 
 
 class DisparityLimits(NamedTuple):
-    """A disparity is ``scale_px_m`` over its depth, and bad if it is off by more than ``bad_px`` and ``bad_share``.
+    """A disparity is ``scale_px_m`` / depth. It is bad if its error exceeds ``bad_px`` and ``bad_share`` of the truth.
 
-    Pixels truly farther than ``max_depth_m`` do not count; the share is that of the true disparity.
+    Pixels from a true depth of ``max_depth_m`` on do not count.
     """
 
     scale_px_m: float
@@ -107,19 +92,11 @@ class DisparityLimits(NamedTuple):
 def disparity_errors(
     estimated_m: Float32, true_m: Float32, seen: NDArray[np.bool_], limits: DisparityLimits
 ) -> tuple[Float32, Float32, int, int]:
-    """How far an estimated depth is off over the pixels that count, those seen whose true depth is below the largest.
-
-    All in float32.
-
-    Args:
-        estimated_m: (H, W); where its disparity is not finite nothing is known.
-        true_m: (H, W).
-        seen: (H, W) pixels.
-        limits: of depths and of errors.
+    """Errors of an (H, W) estimated depth over the ``seen`` (H, W) pixels within the largest true depth, in float32.
 
     Returns:
-        (N,) absolute errors of the disparity and (N,) relative ones of the depth where it is known, row by row, and the
-        numbers of pixels that count and whose disparity is bad.
+        (N,) absolute errors of the disparity and (N,) relative errors of the depth at known pixels, row by row; the
+        number of pixels that count, and of bad disparities. Pixels without a finite estimated disparity are unknown.
     """
     scale_px_m, max_depth_m, bad_px, bad_share = limits
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -133,13 +110,10 @@ def disparity_errors(
 
 
 def seen_by_both(disparity_px: NDArray[np.float32], occlusion_px: float) -> NDArray[np.bool_]:
-    """(H, W) pixels that nothing hides whose disparity is more than ``occlusion_px`` larger.
+    """(H, W) pixels that no pixel with a disparity larger by more than ``occlusion_px`` hides from the right camera.
 
-    Each pixel is drawn into the right image, into the two columns it falls between.
-
-    Args:
-        disparity_px: (H, W) true disparities; what is not above 0, as NaN, is not seen.
-        occlusion_px: pixels.
+    Each pixel is drawn into the two columns of the right image that it falls between. A true disparity (H, W) that is
+    not above 0, or NaN, is not seen.
     """
     height, width = disparity_px.shape
     partner = np.arange(width, dtype=np.float32) - disparity_px
@@ -147,7 +121,7 @@ def seen_by_both(disparity_px: NDArray[np.float32], occlusion_px: float) -> NDAr
     starts = np.repeat(width * np.arange(height), np.count_nonzero(inside, axis=1))
     partner, seen_px = partner[inside], disparity_px[inside]
     nearest_px = np.zeros(height * width, np.float32)
-    for column in (np.floor(partner), np.ceil(partner)):  # flat places: maximum.at is twice as fast with one index
+    for column in (np.floor(partner), np.ceil(partner)):  # maximum.at is twice as fast with one flat index
         np.maximum.at(nearest_px, starts + column.astype(np.intp), seen_px)
     nearest_there = nearest_px[starts + np.rint(partner).astype(np.intp)]
     inside[inside] = nearest_there <= seen_px + np.float32(occlusion_px)

@@ -1,7 +1,7 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
-"""Pixels near a plane, medians of cells, and normal equations: ``surface_plain`` says what they are.
+"""Pixels near a plane, medians of cells, and normal equations; ``surface_plain`` documents the functions.
 
-Medians by Hoare's quickselect (1961) among keys, unsigned numbers in the order of value and place.
+Medians use Hoare's quickselect (1961) on keys, unsigned numbers in the order of value and index.
 """
 
 from libc.math cimport fabsf
@@ -14,7 +14,7 @@ import numpy as np
 cdef enum:
     MOMENTS = 6
     WORDS = 8  # of eight marks
-    BLOCK = 64  # marks in so many words, of which only the number is kept
+    BLOCK = 64  # marks that are counted together
 
 cdef uint64_t EACH_BYTE = 0x0101010101010101
 
@@ -34,7 +34,7 @@ cdef int _choose_row(
     const float* depth, const float* column, float row, float offset, float within, const uint8_t* among, float* z,
     Py_ssize_t width,
 ) noexcept nogil:
-    """The depths that count, and 0 for all others; how many do."""
+    """Write the depths that count, 0 for all others; return their number."""
     cdef Py_ssize_t u
     cdef int count = 0, near
     cdef float distance
@@ -47,7 +47,7 @@ cdef int _choose_row(
 
 
 cdef void _sum_row(const float* z, const float* ray_x, double* sums, Py_ssize_t width) noexcept nogil:
-    """From the first depth that is not 0 to the last one: what is beside them adds nothing."""
+    """Sum from the first depth that is not 0 to the last one."""
     cdef Py_ssize_t u, first = 0
     cdef double depth, x, one_z = 0.0, one_x = 0.0, zz = 0.0, xz = 0.0, xx = 0.0
     while first < width and z[first] == 0:
@@ -70,8 +70,7 @@ cdef void _sum_row(const float* z, const float* ray_x, double* sums, Py_ssize_t 
 
 
 def mark_near(
-    const float[:, ::1] depth_m, distances, float within_m,
-    const uint8_t[:, ::1] among, uint8_t[:, ::1] near,
+    const float[:, ::1] depth_m, distances, float within_m, const uint8_t[:, ::1] among, uint8_t[:, ::1] near
 ):
     cdef const float[::1] column = distances[0], row = distances[1]
     cdef float offset_m = distances[2]
@@ -84,8 +83,7 @@ def mark_near(
 
 
 def moments_near(
-    const float[:, ::1] depth_m, distances, float within_m,
-    const uint8_t[:, ::1] among, const float[::1] ray_x,
+    const float[:, ::1] depth_m, distances, float within_m, const uint8_t[:, ::1] among, const float[::1] ray_x
 ):
     cdef const float[::1] column = distances[0], row = distances[1]
     cdef float offset_m = distances[2]
@@ -109,7 +107,7 @@ def moments_near(
 
 
 cdef int64_t _sum_of_block(const uint8_t* marks) noexcept nogil:
-    """How many of a block are 1: eight at once, for eight bytes in a word can be added up to 255 each."""
+    """The number of marks in a block; the words are added, as their bytes cannot overflow."""
     cdef uint64_t words[WORDS]
     cdef uint64_t total = 0
     cdef int k
@@ -146,7 +144,7 @@ def marked(const uint8_t[:, ::1] marks, const int64_t[::1] ranks):
                     high = middle
             left = ranks[n] - before[low] + 1
             at = low * BLOCK - 1
-            while left > 0 and at + 1 < size:  # ends within the image whatever the marks are
+            while left > 0 and at + 1 < size:  # stays within the image even if marks are not 0 or 1
                 at += 1
                 left -= first[at]
             places[n] = at
@@ -158,13 +156,12 @@ cdef _require_fitting(
     Py_ssize_t mark_columns,
 ):
     if (rows, columns) != (height, width) or (mark_rows, mark_columns) != (height, width):
-        raise ValueError(
-            f"{rows}x{columns} distances and {(mark_rows, mark_columns)} marks of {height}x{width} depths"
-        )
+        raise ValueError(f"{height}x{width} depths: expected distances and marks of the same size, got "
+                         f"{rows}x{columns} and {mark_rows}x{mark_columns}")
 
 
 cdef inline uint64_t _key(float value, Py_ssize_t place) noexcept nogil:
-    """The bits of a float grow with it but for its sign; 0 is added for the sake of -0."""
+    """A key in the order of value and index: flipped bits order negative floats; adding 0 makes -0 equal 0."""
     cdef uint32_t bits
     value = value + <float>0.0
     memcpy(&bits, &value, sizeof(bits))
@@ -173,7 +170,7 @@ cdef inline uint64_t _key(float value, Py_ssize_t place) noexcept nogil:
 
 
 cdef uint64_t _select(uint64_t* keys, Py_ssize_t count, Py_ssize_t rank) noexcept nogil:
-    """The key of a rank; no two are equal."""
+    """The key of a rank; all keys differ."""
     cdef Py_ssize_t low = 0, high = count - 1, i, j
     cdef uint64_t pivot, other
     while low < high:
@@ -202,11 +199,8 @@ cdef uint64_t _select(uint64_t* keys, Py_ssize_t count, Py_ssize_t rank) noexcep
 
 def median_places(const int32_t[::1] cell, const float[::1] values, Py_ssize_t cells):
     cdef Py_ssize_t count = cell.shape[0], n, c, first, size, found = 0
-    if count != values.shape[0]:
-        raise ValueError(f"{values.shape[0]} values in {count} places of {cells} cells")
-    for n in range(count):
-        if not 0 <= cell[n] < cells:
-            raise ValueError(f"{values.shape[0]} values in {count} places of {cells} cells")
+    if count != values.shape[0] or (count and not 0 <= np.min(cell) <= np.max(cell) < cells):
+        raise ValueError(f"{values.shape[0]} values: expected the index of one of {cells} cells for each, got {count}")
     cdef int64_t[::1] end = np.zeros(cells + 1, np.int64)
     cdef int64_t[::1] places = np.empty(min(count, cells), np.int64), counts = np.empty(min(count, cells), np.int64)
     cdef uint64_t* keys = <uint64_t*>malloc((count + 1) * sizeof(uint64_t))
@@ -220,7 +214,7 @@ def median_places(const int32_t[::1] cell, const float[::1] values, Py_ssize_t c
         for n in range(count):
             c = cell[n]
             keys[end[c]] = _key(values[n], n)
-            end[c] += 1  # from the cell's first place to the next cell's, by and by
+            end[c] += 1
         first = 0
         for c in range(cells):
             size = end[c] - first
@@ -237,19 +231,14 @@ def normal_equations(
     const Py_ssize_t[:] first, const double[:, ::1] values, const double[:] weights, const double[:] targets,
     Py_ssize_t count,
 ):
-    """As ``surface_plain``.
-
-    Raises:
-        ValueError: arrays of different lengths, or unknowns that do not exist.
-    """
     cdef Py_ssize_t equations = values.shape[0], unknowns = values.shape[1], n, i, j, at
     cdef double weight, pull
     if not first.shape[0] == weights.shape[0] == targets.shape[0] == equations:
-        raise ValueError(f"{equations} equations, {first.shape[0]} places, {weights.shape[0]} weights, "
-                         f"{targets.shape[0]} targets")
+        raise ValueError(f"{equations} equations: expected as many numbers of each kind, got {first.shape[0]} first "
+                         f"unknowns, {weights.shape[0]} weights, {targets.shape[0]} targets")
     for n in range(equations):
         if not 0 <= first[n] <= count - unknowns:
-            raise ValueError(f"unknowns {first[n]} to {first[n] + unknowns - 1} of {count}")
+            raise ValueError(f"unknowns {first[n]} to {first[n] + unknowns - 1}: expected 0 to {count - 1}")
     cdef double[:, ::1] lower = np.zeros((unknowns, count))
     cdef double[::1] right = np.zeros(count)
     with nogil:

@@ -1,4 +1,4 @@
-"""What ``surface_compiled`` does, in numpy; the compiled form alone checks the sizes."""
+"""The functions of ``surface_compiled`` in numpy; only the compiled ones check sizes (ValueError)."""
 
 from typing import NamedTuple
 
@@ -12,9 +12,9 @@ Places = NDArray[np.int64]
 
 
 class PlaneDistances(NamedTuple):
-    """How far a pixel at depth z is from a plane: z (column + row) + offset, of its column and its row.
+    """The terms of a pixel's distance to a plane at depth z: z (column + row) + offset.
 
-    ``column`` is (W,), ``row`` (H,), both metres per metre of depth; ``offset_m`` is the distance at depth 0.
+    ``column`` (W,) and ``row`` (H,) are in metres per metre of depth; ``offset_m`` is the distance at depth 0.
     """
 
     column: Float32
@@ -23,14 +23,9 @@ class PlaneDistances(NamedTuple):
 
 
 def mark_near(depth_m: Float32, distances: PlaneDistances, within_m: float, among: Marks, near: Marks) -> None:
-    """Write which marked pixels are within a distance of a plane.
+    """Write to ``near`` (H, W) 1 at pixels of ``among`` (H, W) 0 or 1 within a distance of a plane, else 0.
 
-    Args:
-        depth_m: (H, W); of NaN the pixel is nowhere near.
-        distances: from the plane.
-        within_m: the largest distance, either side.
-        among: (H, W) 0 or 1, the pixels that count.
-        near: (H, W), written: 0 or 1.
+    ``depth_m`` is (H, W); NaN is never near. The distance counts to either side.
     """
     np.bitwise_and(among, _near(depth_m, distances, within_m), out=near)
 
@@ -38,33 +33,22 @@ def mark_near(depth_m: Float32, distances: PlaneDistances, within_m: float, amon
 def moments_near(
     depth_m: Float32, distances: PlaneDistances, within_m: float, among: Marks, ray_x: Float32
 ) -> NDArray[np.float64]:
-    """(H, 6) sums of each row over its marked pixels within a distance of a plane: 1, z, x, z z, x z and x x.
+    """(H, 6) sums of 1, z, x, z z, x z and x x over the pixels of each row that ``mark_near`` would mark.
 
-    z is the depth and x the ray's times z, in float32. The sums are of float64, from left to right.
-
-    Args:
-        depth_m: (H, W); of NaN the pixel does not count.
-        distances: from the plane.
-        within_m: the largest distance, either side.
-        among: (H, W) 0 or 1, the pixels that count.
-        ray_x: (W,) x of the rays with z = 1.
+    z is the depth and x is z times ``ray_x`` (W,), the x of the rays with z = 1, both float32. The sums are in float64,
+    from left to right.
     """
     near = among.view(bool) & _near(depth_m, distances, within_m)
     rows, columns = np.nonzero(near)
     z = depth_m[near]
     x, z = (ray_x[columns] * z).astype(float), z.astype(float)
-    # NumPy's own sum adds in another order.
+    # np.sum adds in another order.
     sums = [np.bincount(rows, terms, len(depth_m)) for terms in (np.ones(len(z)), z, x, z * z, x * z, x * x)]
     return np.stack(sums, axis=-1)
 
 
 def marked(marks: NDArray[np.uint8], ranks: NDArray[np.int64]) -> NDArray[np.int64]:
-    """(N,) places of chosen ones of an image's marks, counted row by row.
-
-    Args:
-        marks: (H, W) 0 or 1.
-        ranks: (N,) which: 0 is the first mark.
-    """
+    """(N,) flat indices of the marks (H, W), 0 or 1, with (N,) ranks; rank 0 is the first mark row by row."""
     return np.flatnonzero(marks)[ranks]
 
 
@@ -78,17 +62,10 @@ def _near(depth_m: Float32, distances: PlaneDistances, within_m: float) -> NDArr
 
 
 def median_places(cell: NDArray[np.int32], values: NDArray[np.float32], cells: int) -> tuple[Places, Places]:
-    """Where each cell's median value stands, the lower one of an even number, and how many values the cell has.
+    """The index of each cell's median value and the number of its values: (M,) and (M,), in the order of cells.
 
-    Of equal values the first counts as the smaller one. Cells without values are left out.
-
-    Args:
-        cell: (N,) of each value.
-        values: (N,) none of them NaN.
-        cells: how many there are.
-
-    Returns:
-        (M,) places among the values, in the order of the cells, and (M,) numbers of values.
+    ``cell`` (N,) is the cell of each of the (N,) values, from 0 to ``cells`` - 1; no value is NaN. The median of an
+    even number of values is the lower one; the first of equal values is the smaller one. Empty cells are left out.
     """
     order = np.lexsort((values, cell))
     counts = np.bincount(cell, minlength=cells)
@@ -101,19 +78,13 @@ def median_places(cell: NDArray[np.int32], values: NDArray[np.float32], cells: i
 def normal_equations(
     first: NDArray[np.intp], values: Float, weights: Float, targets: Float, count: int
 ) -> tuple[Float, Float]:
-    """A^T W A and A^T W b of N weighted equations A x = b, each of D unknowns that are neighbours.
+    """A^T W A and A^T W b of N weighted equations A x = b for ``count`` = P unknowns.
 
-    The sums go from the first equation to the last.
-
-    Args:
-        first: (N,) index of the first of the unknowns in each.
-        values: (N, D) by how much each counts.
-        weights: (N,).
-        targets: (N,).
-        count: of the unknowns, P.
+    Equation n has the coefficients ``values`` (N, D) of the D unknowns from ``first`` (N,) on, the weight W ``weights``
+    (N,) and the right side b ``targets`` (N,). Sums go from the first equation to the last.
 
     Returns:
-        (D, P) diagonals of the matrix in and below its middle, each element at its column, and the (P,) right side.
+        (D, P) main diagonal and the diagonals below it, each element at its column, and the (P,) right side.
     """
     unknowns = values.shape[1]
     row, column = np.tril_indices(unknowns)

@@ -1,10 +1,10 @@
 """Depth from a stereo pair, Z = f b / d: rectify if needed, match, and rotate back to the mounted camera.
 
 Method: semi-global matching (Hirschmueller, Stereo Processing by Semiglobal Matching and Mutual Information, PAMI
-2008), with the costs of Birchfield and Tomasi, as OpenCV's StereoSGBM has it. Its three-direction form is used
-throughout: on the rendered drives it is as accurate as eight directions in a third of the time. Its disparities lean
-towards whole pixels, which moves the distance of far things by 5 % at half resolution: one step of Lucas and Kanade (An
-Iterative Image Registration Technique, 1981) along the rows removes most of that error.
+2008), with the costs of Birchfield and Tomasi, in OpenCV's StereoSGBM. Its three-direction form is as accurate on the
+rendered scenes as eight directions, in a third of the time. Its disparities are biased towards whole pixels: at half
+resolution this changes large distances by 5 %. One step of Lucas and Kanade (An Iterative Image Registration Technique,
+1981) along the rows removes most of that error.
 """
 
 from functools import lru_cache
@@ -35,7 +35,7 @@ _MULTIPLE: Final = 16
 _SUBPIXELS: Final = 16
 """OpenCV gives disparities in sixteenths of a pixel."""
 _STEP_PX: Final = 1.0
-"""Disparities of neighbours farther apart than this, in pixels of the image, belong to two objects."""
+"""Difference of neighbouring disparities, in pixels of the image, from which they belong to two objects."""
 _MODELS: Final = ("", "plumb_bob", "rational_polynomial")
 """Distortion models whose coefficients are those of OpenCV's pinhole."""
 _NOT_TURNED: Final = 1e-6
@@ -58,15 +58,10 @@ def match(
     left_image: Image | None,
     right_image: Image | None,
 ) -> StereoDepth | Absent:
-    """Depth of a stereo pair in the left camera's image: with its rectified intrinsics, but turned as it is mounted.
+    """Depth of a stereo pair in the left camera's image, with its rectified intrinsics and its mounted rotation.
 
-    Args:
-        cfg: method, not ``off``, and thresholds.
-        left: camera of ``left_image``.
-        right: camera of ``right_image``, its ``baseline_m`` to the right of the left one along the rectified rows.
-        ego_T_left: mounting of the left camera; the nearest road pixel sets the number of disparities.
-        left_image: (H, W) grey; None if it could not be decoded.
-        right_image: the same of the right camera.
+    ``cfg.method`` is not ``off``. The images are (H, W) grey, None if they could not be decoded. ``ego_T_left`` is the
+    mounting of the left camera; the nearest road pixel sets the number of disparities.
 
     Returns:
         (H, W) float32 metres along z. NaN: hidden from the right camera, outside its image, ambiguous, or so far away
@@ -117,7 +112,7 @@ def lens_fault(side: str, camera: Camera) -> Reason | None:
         return Reason("stereo", "lens_rotation_invalid", (side, str(list(lens.R))))
     if lens.model not in _MODELS:
         return Reason("stereo", "lens_model_unknown", (side, lens.model, ", ".join(filter(None, _MODELS))))
-    coefficients = camera.distortion  # none at all are no distortion
+    coefficients = camera.distortion  # an empty list means no distortion
     if coefficients and len(coefficients) not in _COEFFICIENTS:
         known = ", ".join(str(count) for count in _COEFFICIENTS)
         return Reason("stereo", "lens_coefficient_count", (side, len(coefficients), known))
@@ -138,12 +133,10 @@ def rectification(camera: Camera) -> Float:
 
 
 def disparities_needed(left: Camera, baseline_m: float, ego_T_rectified: Float) -> int | None:
-    """Disparities from 0 that reach the nearest road pixel: a multiple of 16, no more than the image is wide.
+    """Number of disparities up to that of the nearest road pixel: a multiple of 16, limited by the image's width.
 
-    On a plane disparity is linear in the pixel, d = -f b (n . ray) / height, so that the largest is in a corner.
-
-    Returns:
-        Pixels; None if the mounting puts the camera below the road.
+    On a plane the disparity is linear in the pixel, d = -f b (n . ray) / height, so the largest one is in a corner.
+    None if the mounting puts the camera below the road.
     """
     road = transform_plane(inverse(ego_T_rectified), Plane.of(np.array([0.0, 0.0, 1.0]), 0.0))
     if road.offset_m <= 0:
@@ -155,14 +148,14 @@ def disparities_needed(left: Camera, baseline_m: float, ego_T_rectified: Float) 
 
 
 def rounded_up(count: float) -> int:
-    """The next multiple of 16: the numbers of disparities that OpenCV accepts."""
+    """The next multiple of 16, as OpenCV requires for the number of disparities."""
     return max(int(np.ceil(count / _MULTIPLE)), 1) * _MULTIPLE
 
 
 def _rectified_disparity(
     cfg: StereoConfig, count: int, left: Camera, right: Camera, left_grey: Image, right_grey: Image
 ) -> Float32:
-    """(H, W) disparities visible to both cameras; images that are not rectified to one camera are resampled."""
+    """(H, W) disparities of pixels visible to both cameras; unrectified images are resampled first."""
     left_valid = right_valid = None
     if left.lens is not None or right.lens is not None or not right.same_view(left):
         left_grey, left_valid = resampled(left, left, left_grey)
@@ -182,7 +175,7 @@ def resampled(camera: Camera, target: Camera, image: Image) -> tuple[Image, Mask
 
 @lru_cache(maxsize=4)
 def _maps(camera: Camera, target: Camera) -> tuple[Float32, Float32, Mask]:
-    """Where in the camera's image each of the target's pixels lies: (H, W) columns and rows, and whether inside."""
+    """(H, W) columns and rows in the camera's image of the target's pixels, and whether they lie inside it."""
     lens = camera.lens or Lens(camera.fx, camera.fy, camera.cx, camera.cy)
     size = (target.width, target.height)
     distortion, R = np.array(camera.distortion), rectification(camera)
@@ -203,16 +196,10 @@ def _hidden_from_right(disparity_px: Float32, right_valid: Mask | None) -> Mask:
 
 
 def disparity(cfg: StereoConfig, count: int, left: Image, right: Image) -> Float32:
-    """Disparities of a rectified pair, left column minus right column.
+    """(H, W) float32 disparities of a rectified (H, W) grey pair: left column minus right column, NaN unknown.
 
-    Args:
-        cfg: its method is not ``off``.
-        count: number of disparities searched, from 0, in pixels of the image; a multiple of 16.
-        left: (H, W) grey.
-        right: (H, W) grey.
-
-    Returns:
-        (H, W) float32 pixels, NaN unknown; with ``full`` and without refinement they are multiples of 1/16.
+    ``count`` is the number of searched disparities, from 0, a multiple of 16. ``cfg.method`` is not ``off``; with
+    ``full`` and without refinement, disparities are multiples of 1/16 pixel.
     """
     if cfg.method == "full":
         return _found(cfg, count, left, right)
@@ -224,9 +211,9 @@ def disparity(cfg: StereoConfig, count: int, left: Image, right: Image) -> Float
 def _found(cfg: StereoConfig, count: int, left: Image, right: Image) -> Float32:
     """(H, W) disparities in pixels of these images, refined with ``refine_px``; NaN unknown.
 
-    OpenCV marks unknown pixels with -1, and gives 0 where all disparities fit alike. It gives no disparity in the first
-    ``count`` columns. So both images are padded by that many columns: for 192 of 1280 columns, a quarter more time for
-    a seventh more of the image.
+    OpenCV marks unknown pixels with -1, and returns 0 where all disparities fit equally. It finds no disparity in the
+    first ``count`` columns, so both images are padded by as many columns. For 192 of 1280 columns this takes a quarter
+    more time.
     """
     wide = [cv2.copyMakeBorder(image, 0, 0, count, 0, cv2.BORDER_REPLICATE) for image in (left, right)]
     sixteenths = np.asarray(matcher_of(cfg, count).compute(*wide), np.int16)[:, count:]
@@ -268,17 +255,17 @@ def turned_back(left: Camera, disparity_px: Float32) -> Float32:
         return disparity_px
     columns, rows, z = _turned_rays(left)
     nearest, smooth = (
-        np.asarray(cv2.remap(disparity_px, columns, rows, how, borderValue=np.nan), np.float32)
-        for how in (cv2.INTER_NEAREST, cv2.INTER_LINEAR)
+        np.asarray(cv2.remap(disparity_px, columns, rows, interpolation, borderValue=np.nan), np.float32)
+        for interpolation in (cv2.INTER_NEAREST, cv2.INTER_LINEAR)
     )
     with np.errstate(invalid="ignore"):
-        of_one = np.abs(smooth - nearest) < np.float32(_STEP_PX)
-    return np.where(of_one, smooth, nearest) * z
+        same_object = np.abs(smooth - nearest) < np.float32(_STEP_PX)
+    return np.where(same_object, smooth, nearest) * z
 
 
 @lru_cache(maxsize=4)
 def _turned_rays(left: Camera) -> tuple[Float32, Float32, Float32]:
-    """Where each pixel of the left camera lies in the rectified one: (H, W) columns, rows, and z of its ray there."""
+    """(H, W) columns and rows in the rectified camera of the left camera's pixels, and z of their rays there."""
     rows, columns = np.indices(left.size, dtype=float)
     turned = rays(left, np.stack((columns, rows), axis=-1)) @ rectification(left).T
     pixels = project(left, turned).astype(np.float32)

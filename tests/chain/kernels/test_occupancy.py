@@ -1,4 +1,4 @@
-"""Points counted in cells, and the cells in sight: known answers, and both ways to the same bits."""
+"""Points counted in cells, and the visible cells: known answers, and the same bits by both forms."""
 
 import cv2
 import numpy as np
@@ -13,8 +13,6 @@ from roadperc_stream.geometry import inverse, level_mounting
 
 compiled = pytest.importorskip("roadperc_stream.chain.kernels.occupancy_compiled")
 BOTH = pytest.mark.parametrize("kernel", [plain, compiled], ids=["plain", "compiled"])
-
-
 CELLS = Cells(0.0, -2.0, 0.5, 0.25, 2.0)
 SHAPE = 8, 6
 LEVEL = np.zeros(3, np.float32)
@@ -49,7 +47,7 @@ def test_points_lie_in_their_cells(kernel):
 
 @BOTH
 @pytest.mark.parametrize("is_plane", [True, False])
-def test_what_stands_in_the_way_is_high_or_an_obstacle_and_not_above(kernel, is_plane):
+def test_occupied_points_are_high_or_of_an_obstacle_and_not_above_the_limit(kernel, is_plane):
     height = row(0.25, 0.2, 0.2, 2.0, 2.1, 2.1, np.nan, np.nan)
     tags, drivable = row(0, 1, 7, 0, 0, 255, 7, 0, kind=np.uint8), row(1, 1, 0, 0, 0, 1, 1, 1, kind=np.uint8)
     points = one_row(np.zeros(8), np.zeros(8), height if is_plane else 9.0)
@@ -84,7 +82,7 @@ def test_compiled_counts_are_the_same(seed, height, width, is_plane):
     np.testing.assert_array_equal(found, expected)
 
 
-def test_counts_refuse_what_does_not_fit():
+def test_counts_refuse_other_sizes():
     depth, rays = one_row((0.0, 1.0, 2.0), (0.0, 1.0, 2.0))
     marks = np.zeros((1, 3), np.uint8)
     for depths, *others in (
@@ -93,7 +91,7 @@ def test_counts_refuse_what_does_not_fit():
         (depth, depth[:, 1:], marks, marks),
         (depth[:, 1:], None, marks[:, 1:], marks[:, 1:]),
     ):
-        with pytest.raises(ValueError, match="other sizes"):
+        with pytest.raises(ValueError, match="of the same size"):
             counted(compiled, depths, rays, LEVEL, *others)
     counts = np.zeros((2, 2), np.int64), np.zeros((2, 3), np.int64)
     with pytest.raises(ValueError, match="counts of"):
@@ -104,7 +102,7 @@ PROJECTION = Projection(10.0, 10.0, 7.5, 2.0)
 SIZE = 12, 16
 CAMERA_T_EGO = inverse(level_mounting(1.0))
 X, Y = np.array([-1.0, 2.0, 4.0]), np.array([0.0, 1.0])
-"""Seen at row 7 and 4.5, rounded to 4, and columns 7.5, rounded to 8, and 2.5 or 5: the first lies behind."""
+"""Rows 7 and 4.5 (rounded to 4), columns 7.5 (rounded to 8), 2.5 and 5; the first x lies behind the camera."""
 FLAT = np.zeros((2, 3))
 
 
@@ -121,7 +119,7 @@ def test_cells_are_visible_where_their_pixels_are_drivable(kernel):
 
 
 @BOTH
-def test_the_road_is_hidden_by_what_is_nearer_and_where_nothing_is_known(kernel):
+def test_nearer_and_unknown_depth_hides_the_road(kernel):
     depth = np.full(SIZE, 2.0, np.float32)
     depth[4] = np.nan
     np.testing.assert_array_equal(seen(kernel, np.ones(SIZE, np.uint8), depth), [[0, 1, 0], [0, 1, 0]])
@@ -146,16 +144,15 @@ def test_most_of_nine_pixels_are_their_median(kernel, seed):
     drivable = np.random.default_rng(seed).integers(0, 2, SIZE).astype(np.uint8)
     x, y = 10.0 / np.arange(1.0, 10.0), (7.5 - np.arange(16.0)) / 10
     visible, expected = np.empty((16, 9), np.uint8), cv2.medianBlur(drivable, 3)
-    for column in range(9):  # row 3 + column of the image: each cell in its own column of it
+    for column in range(9):  # row 3 + column of the image
         at = x[column : column + 1]
         middles = Middles(at, y * at, np.zeros((16, 1)))
-        visible[:, column : column + 1] = kernel.mark_visible(
-            PROJECTION, CAMERA_T_EGO, middles, drivable, None, (0.0, 0.0)
-        )
+        found = kernel.mark_visible(PROJECTION, CAMERA_T_EGO, middles, drivable, None, (0.0, 0.0))
+        visible[:, column : column + 1] = found
     np.testing.assert_array_equal(visible, expected[3:12].T)
 
 
-def test_visible_cells_refuse_what_does_not_fit():
+def test_visible_cells_refuse_other_sizes():
     drivable, depth = np.ones(SIZE, np.uint8), np.ones(SIZE, np.float32)
     for wrong in ({"depth": depth[1:]}, {"z": np.zeros((3, 2))}):
         with pytest.raises(ValueError, match="cells"):

@@ -1,4 +1,4 @@
-"""Quadratics along points: known answers, and both ways to the same bits."""
+"""Quadratics along points: known answers, and the same bits by both forms."""
 
 import numpy as np
 import pytest
@@ -22,9 +22,9 @@ def drawn(state=STATE, noise_m=0.0, seed=0, count=200):
 
 def follow(way, x, y, std, rows, inward=1.0, innermost=True):
     strip = np.full(len(x), 0.3)
-    how = plain.Following(inward, 12.0, 6.0, 40.0, innermost, 8, 3)
+    following = plain.Following(inward, 12.0, 6.0, 40.0, innermost, 8, 3)
     points = plain.Points(x, y, std, rows, strip, strip / 2)
-    return way.follow(points, (1.7, 0.0, 0.0), how, plain.Weighing(2.0, 24.0, 1e4))
+    return way.follow(points, (1.7, 0.0, 0.0), following, plain.Weighing(2.0, 24.0, 1e4))
 
 
 @BOTH
@@ -38,8 +38,7 @@ def test_points_of_a_quadratic_give_it_back(way):
 
 
 @BOTH
-def test_it_is_the_weighted_least_squares_solution(way):
-    """Of points so good that none counts for less, all in rows of their own."""
+def test_accurate_points_in_separate_rows_give_the_weighted_least_squares_solution(way):
     x, y, std, _ = drawn(noise_m=0.001)
     found = follow(way, x, y, std, np.arange(len(x)))
     design = np.stack((np.ones_like(x), x, x**2 / 2), axis=-1)
@@ -54,7 +53,7 @@ def test_it_is_the_weighted_least_squares_solution(way):
 
 @BOTH
 @pytest.mark.parametrize("inward", [1.0, -1.0])
-def test_of_a_row_the_innermost_counts(way, inward):
+def test_the_innermost_point_of_a_row_counts(way, inward):
     x, y, std, _ = drawn()
     rows = np.repeat(np.arange(len(x)), 2)
     x, std = np.repeat(x, 2), np.repeat(std, 2)
@@ -64,16 +63,11 @@ def test_of_a_row_the_innermost_counts(way, inward):
 
 
 @BOTH
-def test_too_few_points_or_points_at_one_place_give_no_quadratic(way):
+def test_too_few_points_points_at_one_place_and_nan_give_no_quadratic(way):
     x, y, std, rows = drawn()
     for count in (0, 1, 7):
         assert follow(way, *(values[:count] for values in (x, y, std, rows))) is None
     assert follow(way, np.full_like(x, 5.0), np.full_like(y, 1.7), std, np.arange(len(x))) is None
-
-
-@BOTH
-def test_what_is_no_number_is_no_point(way):
-    x, y, std, rows = drawn()
     some = np.arange(len(y)) % 5 == 0
     found = follow(way, x, np.where(some, np.nan, y), std, rows)
     assert found == follow(way, *(values[~some] for values in (x, y, std, rows)))
@@ -81,11 +75,14 @@ def test_what_is_no_number_is_no_point(way):
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 300), st.floats(0.0, 0.5), st.booleans(), st.sampled_from((-1.0, 1.0)))
-def test_both_ways_give_the_same_bits(seed, count, noise_m, innermost, inward):
+def test_both_forms_give_the_same_bits(seed, count, noise_m, innermost, inward):
     x, y, std, rows = drawn(noise_m=noise_m, seed=seed, count=count)
     y = np.where(np.random.default_rng(seed).random(count) < 0.1, np.round(y, 1), y)
-    ours, theirs = (follow(way, x, y, std, rows, inward=inward, innermost=innermost) for way in (plain, compiled))
-    assert ours == theirs
+    first, second = (follow(way, x, y, std, rows, inward=inward, innermost=innermost) for way in (plain, compiled))
+    assert first == second
+    points = plain.Points(x, y, std, rows, 2.5 * std, std)
+    first, second = (way.rows_beside(points, STATE, inward, 30.0, (0.0, 0.1, -0.2)) for way in (plain, compiled))
+    assert first == second
 
 
 @BOTH
@@ -102,19 +99,10 @@ def test_rows_are_counted_once_and_only_beside_the_line(way, inward):
     assert way.rows_beside(none, STATE, inward, 5.0, (0.0, 1.0)) == (0, 0)
 
 
-@given(st.integers(0, 2**32 - 1), st.integers(0, 300), st.floats(0.0, 0.5), st.sampled_from((-1.0, 1.0)))
-def test_both_ways_count_the_same_rows(seed, count, noise_m, inward):
-    x, y, std, rows = drawn(noise_m=noise_m, seed=seed, count=count)
-    points = plain.Points(x, y, std, rows, 2.5 * std, std)
-    ours, theirs = (way.rows_beside(points, STATE, inward, 30.0, (0.0, 0.1, -0.2)) for way in (plain, compiled))
-    assert ours == theirs
-
-
-def test_arrays_that_do_not_belong_together_are_refused():
+def test_arrays_of_other_lengths_and_types_are_refused():
     x, y, std, rows = drawn()
     with pytest.raises(ValueError, match="expected 200 numbers"):
         follow(compiled, x, y[1:], std, rows)
-    with pytest.raises((ValueError, TypeError)):
-        follow(compiled, x.astype(np.float32), y, std, rows)
-    with pytest.raises((ValueError, TypeError)):
-        follow(compiled, x, y, std, rows.astype(np.float64))
+    for wrong in ((x.astype(np.float32), y, std, rows), (x, y, std, rows.astype(np.float64))):
+        with pytest.raises((ValueError, TypeError)):
+            follow(compiled, *wrong)

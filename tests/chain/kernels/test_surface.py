@@ -1,4 +1,4 @@
-"""Pixels near a plane, medians of cells, normal equations: known answers, and both ways to the same bits."""
+"""Pixels near a plane, medians of cells, normal equations: known answers, and the same bits by both forms."""
 
 import numpy as np
 import pytest
@@ -9,9 +9,6 @@ from roadperc_stream.chain.kernels import surface_plain as plain
 
 compiled = pytest.importorskip("roadperc_stream.chain.kernels.surface_compiled")
 BOTH = pytest.mark.parametrize("kernel", [plain, compiled], ids=["plain", "compiled"])
-
-
-SIZES = st.integers(0, 2**32 - 1), st.integers(0, 12), st.integers(0, 40)
 
 
 def image(seed, height, width):
@@ -25,7 +22,7 @@ def image(seed, height, width):
 
 
 @BOTH
-def test_near_are_marked_pixels_of_known_depth_within_the_distance(kernel):
+def test_pixels_of_known_depth_within_the_distance_are_near(kernel):
     depth = np.array([[1.0, 2.0, np.nan, 2.0], [1.0, 1.5, 2.0, 4.0]], np.float32)
     among, near = np.array([[1, 1, 1, 0], [1, 1, 1, 1]], np.uint8), np.full((2, 4), 9, np.uint8)
     plane = (np.zeros(4, np.float32), np.ones(2, np.float32), -1.5), 0.5
@@ -41,18 +38,13 @@ def test_moments_are_those_of_the_points(kernel):
     np.testing.assert_array_equal(found, [[2, 3, -1.5, 5, -3.5, 4.25]])
 
 
-@given(*SIZES)
-def test_compiled_marks_are_the_same(seed, height, width):
-    depth, column, row, among, _ = image(seed, height, width)
+@given(st.integers(0, 2**32 - 1), st.integers(0, 12), st.integers(0, 40))
+def test_compiled_marks_and_moments_have_the_same_bits(seed, height, width):
+    depth, column, row, marks, ray = image(seed, height, width)
     near = np.full((2, height, width), 9, np.uint8)
     for kernel, written in zip((plain, compiled), near, strict=True):
-        kernel.mark_near(depth, (column, row, 0.25), 0.7, among, written)
+        kernel.mark_near(depth, (column, row, 0.25), 0.7, marks, written)
     np.testing.assert_array_equal(*near)
-
-
-@given(*SIZES)
-def test_compiled_moments_have_the_same_bits(seed, height, width):
-    depth, column, row, marks, ray = image(seed, height, width)
     expected, found = (k.moments_near(depth, (column, row, 0.25), 0.7, marks, ray) for k in (plain, compiled))
     assert expected.tobytes() == found.tobytes()
 
@@ -65,29 +57,35 @@ def test_marks_are_counted_row_by_row(seed, height, width, share):
         np.testing.assert_array_equal(kernel.marked(marks, ranks), np.flatnonzero(marks)[ranks])
 
 
-@pytest.mark.parametrize("rank", [-1, 3])
-def test_a_mark_that_is_not_there_is_refused(rank):
-    with pytest.raises(IndexError, match="of 3"):
-        compiled.marked(np.array([[0, 1, 1], [0, 0, 1]], np.uint8), np.array([0, rank]))
-
-
-def test_marks_that_are_no_marks_are_looked_for_in_the_image_alone():
+def test_ranks_beyond_the_marks_are_refused_and_wrong_marks_do_not_leave_the_image():
+    for rank in (-1, 3):
+        with pytest.raises(IndexError, match="of 3"):
+            compiled.marked(np.array([[0, 1, 1], [0, 0, 1]], np.uint8), np.array([0, rank]))
     marks = np.full((2, 3), 255, np.uint8)
     assert set(compiled.marked(marks, np.arange(6 * 255)).tolist()) == set(range(6))
 
 
-def test_planes_refuse_what_does_not_fit():
+def test_arrays_of_other_sizes_are_refused():
     depth, column, row, marks, ray = image(0, 4, 5)
     for wrong in ((column[1:], row, marks, marks), (column, row, marks[:3], marks), (column, row, marks, marks[:3])):
-        with pytest.raises(ValueError, match="of 4x5 depths"):
+        with pytest.raises(ValueError, match="4x5 depths: expected"):
             compiled.mark_near(depth, (*wrong[:2], 0.0), 1.0, *wrong[2:])
     for wrong in ((row[1:], marks, ray), (row, marks[:3], ray), (row, marks, ray[1:])):
-        with pytest.raises(ValueError, match="of 4x5 depths"):
+        with pytest.raises(ValueError, match="4x5 depths: expected"):
             compiled.moments_near(depth, (column, wrong[0], 0.0), 1.0, *wrong[1:])
+    for cells in ([0, 1], [0, 1, 2], [-1, 0, 1]):
+        with pytest.raises(ValueError, match="3 values: expected"):
+            compiled.median_places(np.int32(cells), np.float32([1, 2, 3]), 2)
+    first, values, weights = np.zeros(5, np.intp), np.ones((5, 3)), np.ones(5)
+    with pytest.raises(ValueError, match="5 equations"):
+        compiled.normal_equations(first, values, weights[:4], weights, 9)
+    for off in (-1, 7):
+        with pytest.raises(ValueError, match="expected 0 to 8"):
+            compiled.normal_equations(first + off, values, weights, weights, 9)
 
 
 @BOTH
-def test_the_median_is_the_middle_value_or_the_lower_of_two_and_the_first_of_equal_ones(kernel):
+def test_the_median_is_the_middle_value_the_lower_of_two_or_the_first_of_equal_ones(kernel):
     places, counts = kernel.median_places(np.int32([3, 0, 3, 3, 0]), np.float32([5.0, 2.0, -1.0, 0.5, 1.0]), 5)
     assert (places.tolist(), counts.tolist()) == ([4, 3], [2, 3])
     assert kernel.median_places(np.zeros(4, np.int32), np.float32([0.0, -0.0, 0.0, -0.0]), 1)[0].tolist() == [1]
@@ -103,12 +101,6 @@ def test_compiled_places_are_the_same(seed, number, count, levels):
     for one, other in zip(expected, found, strict=True):
         np.testing.assert_array_equal(one, other)
     assert expected[1].sum() == number
-
-
-def test_medians_refuse_what_does_not_fit():
-    for wrong in ([0, 1], [0, 1, 2], [-1, 0, 1]):
-        with pytest.raises(ValueError, match="3 values in"):
-            compiled.median_places(np.int32(wrong), np.float32([1, 2, 3]), 2)
 
 
 @given(st.integers(1, 8), st.integers(0, 2**32 - 1), st.integers(0, 30))
@@ -127,12 +119,3 @@ def test_normal_equations_are_those_of_the_full_matrix(unknowns, seed, number):
         compiled.normal_equations(first, values, weights, targets, count), (lower, right), strict=True
     ):
         np.testing.assert_array_equal(found, expected)
-
-
-def test_equations_that_do_not_fit_are_refused():
-    first, values, weights = np.zeros(5, np.intp), np.ones((5, 3)), np.ones(5)
-    with pytest.raises(ValueError, match="5 equations"):
-        compiled.normal_equations(first, values, weights[:4], weights, 9)
-    for off in (-1, 7):
-        with pytest.raises(ValueError, match="of 9"):
-            compiled.normal_equations(first + off, values, weights, weights, 9)

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.chain.kernels import count_of_class, mark
+from roadperc_stream.chain.kernels import mark
 from roadperc_stream.chain.stages.objects.mosaic import areas, corners, cut_out, kinds, shared_areas
 from roadperc_stream.chain.stages.objects.regions import (
     UNKNOWN,
@@ -186,9 +186,10 @@ def _filtered(
     fit, measured = candidate if cfg.distance_pixels == "region" else (candidate[0], UNKNOWN)
     if scene.tags is not None and lookup is not None:
         tags = scene.tags[y0:y1, x0:x1]
-        ratio = count_of_class(tags, lookup) / tags.size
+        marks = mark(tags, lookup)
+        ratio = int(np.count_nonzero(marks)) / tags.size
         if fit <= _MIN_FIT or measured == UNKNOWN:
-            of_class = mark(tags, lookup)
+            of_class = marks
     beyond = fit <= _MIN_FIT and divides(scene) and _mostly_beyond(scene, box, of_class)
     kept = ratio is None or _is_kept(cfg, scene, ratio, fit, expected=expected, beyond=beyond)
     if beyond and cfg.distance_pixels == "region":

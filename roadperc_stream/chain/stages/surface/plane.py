@@ -4,11 +4,10 @@ Method: RANSAC (Fischler and Bolles 1981) over a seeded subsample, hypotheses fr
 then total least squares over all inliers. The road plane is nearly parallel to the optical axis, so the fit minimises
 the distance to the plane, never an error along one axis.
 
-The road near the car is cut into patches, and the median height of each one's cells over the plane is compared with
-two errors: its own, by which chance alone would lift it, and that of a height field fitted to the same cells. The
-field follows the road everywhere, but its coefficients cost accuracy in proportion to the cells' scatter; the plane
-has next to none of that error and all of the bias (Mallows 1973). So the field pays where patches lie off the plane by
-more than both: on roads that climb, and where noise has tilted the plane itself.
+A height field follows every road, but the errors of its coefficients grow with the scatter of the points; a plane has
+a bias instead (Mallows 1973). So a field is better if the road near the car leaves the plane by more than those errors:
+on roads that climb, and if noise has tilted the plane. The road is cut into patches. The median height of a patch's
+cells above the plane is compared with its standard error and with the error of a field.
 """
 
 import math
@@ -34,41 +33,41 @@ from roadperc_stream.geometry import (
 from roadperc_stream.model import Absent, Mask, Reason
 
 _LOWER_IMAGE = 0.6
-"""Rows below this share of the image show the road in front of the car, where there is no segmentation."""
+"""Share of the image below which rows count as road if there is no segmentation."""
 _ONE_PLACE_M = 1e-6
-"""Root mean square distance of points from their centroid that is as good as none: then an upright plane fits, too."""
+"""Root mean square distance from the centroid up to which points count as one point, which fits no plane."""
 _CAMERA_CENTRE = np.zeros(3)
 _COLLINEAR = 1e-3
-"""Sine of the angle between two sides of a triangle below which its three points count as a line."""
+"""Sine of the angle between two sides of a triangle below which its points count as collinear."""
 _BATCH: Final = 32
-"""Planes tried at once: enough for one matrix product, few enough to stop soon after a good one."""
+"""Planes evaluated in one matrix product; the search ends after a batch with a good plane."""
 _SUBSAMPLE: Final = 2048
-"""Points that planes are tried on: the share of inliers is known to 1 %, and the refit takes all points."""
+"""Points on which planes are evaluated: this gives the share of inliers to 1 %. The refit uses all points."""
 _ENOUGH_INLIERS: Final = 0.95
-"""Share of inliers at which no further planes are tried: more cannot win by much."""
+"""Share of inliers that ends the search."""
 _MIN_INLIERS: Final = 0.2
-"""Share of inliers below which there is no plane: noise and clutter alone reach less."""
+"""Minimum share of inliers of a plane; noise and clutter reach less."""
 _PATCH_M: Final = 5.0
-"""Length of a patch; there is one on either side of the ego x axis."""
+"""Length of a patch; patches lie to the left and to the right of the ego x axis."""
 _REACH_M: Final = 40.0
-"""Patches farther ahead hold few points, of a road that is seen at a grazing angle."""
+"""Distance up to which patches are compared; farther ones have few points, at a grazing angle."""
 _HALF_WIDTH_M: Final = 4.0
 _MIN_CELLS: Final = 5
 _STDS: Final = 2.0
 _MEDIAN_STD: Final = 1.25
-"""Standard error of a median of many normal errors over that of their mean."""
+"""Ratio of the standard errors of median and mean, for many normal errors."""
 NORMAL_MAD: Final = 1.4826
-"""Standard deviation of normal errors over their median absolute one."""
+"""Ratio of standard deviation and median absolute deviation of normal errors."""
 _FIELD_STD: Final = 0.25
-"""Error of a height field over the standard deviation of the cells' heights, measured on rendered roads."""
+"""Ratio of a height field's error and the standard deviation of the cells' heights, measured on rendered roads."""
 _FINEST_M: Final = 0.0005
-"""Height for which no field is worth its time."""
+"""Height up to which a patch never leaves the plane."""
 _SHARE: Final = 0.2
-"""Share of the patches that must lie off the plane."""
+"""Minimum share of patches that leave the plane."""
 
 
 def usable_pixels(cfg: SurfaceConfig, camera: Camera, depth_m: Float32, drivable: Mask | None) -> Mask:
-    """Pixels that may belong to the road and whose depth is known (a comparison with NaN is False)."""
+    """(H, W) pixels that may belong to the road and have known depth (a comparison with NaN is False)."""
     top = int(camera.height * _LOWER_IMAGE) if drivable is None else first_row(drivable)
     usable = np.zeros(camera.size, bool)
     among = np.ones(camera.size, bool) if drivable is None else drivable
@@ -78,7 +77,7 @@ def usable_pixels(cfg: SurfaceConfig, camera: Camera, depth_m: Float32, drivable
 
 
 def points_of(camera: Camera, depth_m: Float32, pixels: NDArray[np.intp]) -> Float:
-    """(N, 3) points in the camera frame of pixels, counted row by row; in single precision as the depth."""
+    """(N, 3) points in the camera frame of (N,) flat pixel indices, computed in float32."""
     x, y = ray_parts(camera)
     rows, columns = np.divmod(pixels, camera.width)
     z = depth_m[rows, columns]
@@ -86,15 +85,7 @@ def points_of(camera: Camera, depth_m: Float32, pixels: NDArray[np.intp]) -> Flo
 
 
 def pixels_near(camera: Camera, depth_m: Float32, plane: Plane, within_m: float, among: Mask) -> Mask:
-    """Which pixels of a mask lie within a distance of a plane; none of unknown depth.
-
-    Args:
-        camera: of the depth.
-        depth_m: (H, W).
-        plane: in the camera's frame.
-        within_m: the distance, either side.
-        among: (H, W).
-    """
+    """(H, W) pixels of a mask within a distance of a plane in the camera's frame; False where the depth is unknown."""
     top, near = first_row(among), np.zeros(camera.size, bool)
     marks = among[top:].view(np.uint8), near[top:].view(np.uint8)
     mark_near(depth_m[top:], _distances(camera, plane, top), within_m, *marks)
@@ -102,9 +93,9 @@ def pixels_near(camera: Camera, depth_m: Float32, plane: Plane, within_m: float,
 
 
 def plane_near(camera: Camera, depth_m: Float32, plane: Plane, within_m: float, among: Mask) -> Plane | None:
-    """The plane through the points of the same pixels; None where these are fewer than three.
+    """The plane through the points of the pixels that ``pixels_near`` finds; None if they are fewer than three.
 
-    Total least squares as ``fit_plane``, but of sums row by row: the points, which are many, are never stored.
+    Total least squares as in ``fit_plane``, from sums over rows, without storing the points.
     """
     top, (x, y) = first_row(among), ray_parts(camera)
     distances = _distances(camera, plane, top)
@@ -123,37 +114,32 @@ def plane_near(camera: Camera, depth_m: Float32, plane: Plane, within_m: float, 
 
 
 def _distances(camera: Camera, plane: Plane, top: int) -> PlaneDistances:
-    """Of the pixels from row ``top`` down."""
+    """The terms of the distances of pixels from row ``top`` on."""
     column, row = distance_per_depth(camera, plane)
     return PlaneDistances(column, row[top:], plane.offset_m)
 
 
 @lru_cache(maxsize=4)
 def ray_parts(camera: Camera) -> tuple[Float32, Float32]:
-    """(W,) x of every column's rays with z = 1, and (H,) y of every row's."""
+    """(W,) x of each column's rays with z = 1, and (H,) y of each row's rays."""
     x = ((np.arange(camera.width) - camera.cx) / camera.fx).astype(np.float32)
     y = ((np.arange(camera.height) - camera.cy) / camera.fy).astype(np.float32)
     return x, y
 
 
 def first_row(mask: Mask) -> int:
-    """The first row in which a mask is set; the last one where none is."""
-    first = int(mask.argmax())  # which looks no further than the first one
+    """The first row in which a mask is set; the last row if it is nowhere set."""
+    first = int(mask.argmax())  # stops at the first True
     return first // mask.shape[1] if mask.flat[first] else len(mask) - 1
 
 
 def road_plane(
     cfg: SurfaceConfig, camera: Camera, depth_m: Float32, usable: Mask, up: Float, rng: np.random.Generator
 ) -> tuple[Plane, float] | Absent:
-    """The plane most of the road's points lie on, facing the camera, and the share of them that do.
+    """The plane, facing the camera, with the most points of the road, and the share of points on it.
 
-    Args:
-        cfg: thresholds.
-        camera: of the depth.
-        depth_m: (H, W) metres.
-        usable: (H, W) pixels of the road with known depth.
-        up: (3,) roughly away from the road in the camera's frame, unit length.
-        rng: source of the hypotheses.
+    ``depth_m`` is (H, W) metres, ``usable`` (H, W) the pixels of the road with known depth. ``up`` is a (3,) unit
+    vector roughly away from the road, in the camera's frame. ``rng`` draws the hypotheses.
     """
     count = int(np.count_nonzero(usable))
     if count < 3:
@@ -163,7 +149,7 @@ def road_plane(
     plane = _ransac(cfg, sample, up, rng)
     if plane is None:
         return Absent(Reason("surface", "no_plane", (count, _MIN_INLIERS)))
-    # Refitting to the sample is cheap, and leaves one pass over all points to do.
+    # After a cheap refit to the sample, one pass over all points is enough.
     close = np.abs(plane.distance(sample)) <= cfg.inlier_m
     refitted = None
     if np.count_nonzero(close) >= 3:
@@ -171,9 +157,9 @@ def road_plane(
     if refitted is None:
         return Absent(Reason("surface", "plane_without_points"))
     plane = facing(refitted, _CAMERA_CENTRE)
-    # The refit may turn a hypothesis that was level: of points that all lie within ``inlier_m`` it includes every one.
+    # The refit may tilt a level hypothesis, for example if all points lie within ``inlier_m`` of each other.
     tilt_deg = float(np.degrees(np.arccos(min(abs(float(plane.n @ up)), 1.0))))
-    if tilt_deg <= cfg.max_tilt_deg and plane.n @ up < 0:  # level, but above the camera: what wrong tags take for road
+    if tilt_deg <= cfg.max_tilt_deg and plane.n @ up < 0:  # a level plane above the camera, because of wrong tags
         tilt_deg = 180.0 - tilt_deg
     if not tilt_deg <= cfg.max_tilt_deg:
         return Absent(Reason("surface", "plane_tilted", (tilt_deg, cfg.max_tilt_deg)))
@@ -182,7 +168,7 @@ def road_plane(
 
 
 def _ransac(cfg: SurfaceConfig, points: Float, up: Float, rng: np.random.Generator) -> Plane | None:
-    """The hypothesis that most points support; None where none is supported enough."""
+    """The hypothesis with the most inliers; None if all have too few."""
     best, best_share = None, _MIN_INLIERS
     for tried in range(0, cfg.hypotheses, _BATCH):
         if best_share >= _ENOUGH_INLIERS:
@@ -200,7 +186,7 @@ def _ransac(cfg: SurfaceConfig, points: Float, up: Float, rng: np.random.Generat
 def _hypotheses(
     points: Float, up: Float, max_tilt_deg: float, count: int, rng: np.random.Generator
 ) -> tuple[Float, Float]:
-    """Normals (M, 3), pointing up, and offsets (M,) of planes through three points that are no line and no wall."""
+    """(M, 3) normals, pointing up, and (M,) offsets of planes through three points, not collinear or tilted."""
     a, b, c = np.moveaxis(points[rng.integers(0, len(points), (count, 3))], 1, 0)
     normals = np.cross(b - a, c - a)
     lengths = np.linalg.norm(normals, axis=1)
@@ -215,27 +201,26 @@ def _hypotheses(
 
 
 def leaves_plane(cells: Float) -> bool:
-    """Whether a road lies off its plane by more than a height field would be wrong.
+    """Whether a road leaves its plane by more than the error of a height field.
 
-    Args:
-        cells: (N, 3) x ahead, y to the left and height above the plane of the road's cells, metres.
+    ``cells`` are (N, 3) x ahead, y to the left and height above the plane, metres.
     """
     off = [_lies_off(heights) for heights in _patches(cells) if len(heights) >= _MIN_CELLS]
     return bool(off) and sum(off) >= _SHARE * len(off)
 
 
 def median(values: Float) -> float:
-    """Median of (N,) numbers, N > 0: numpy's own takes many times as long for a few hundred."""
+    """Median of (N,) numbers, N > 0; np.median takes many times as long for a few hundred."""
     ordered, middle = np.sort(values), len(values) // 2
     return float(ordered[middle] if len(values) % 2 else (ordered[middle - 1] + ordered[middle]) / 2)
 
 
 def _lies_off(heights: Float) -> bool:
-    """Whether (N,) heights of a patch are off by more than chance and a field's own error."""
+    """Whether the median of a patch's (N,) heights exceeds its standard error and a field's error."""
     middle = median(heights)
     std = NORMAL_MAD * median(np.abs(heights - middle))
-    by_chance = _STDS * _MEDIAN_STD * std / math.sqrt(len(heights))
-    return abs(middle) > max(by_chance, _FIELD_STD * std, _FINEST_M)
+    noise = _STDS * _MEDIAN_STD * std / math.sqrt(len(heights))
+    return abs(middle) > max(noise, _FIELD_STD * std, _FINEST_M)
 
 
 def _patches(cells: Float) -> list[Float]:

@@ -27,9 +27,9 @@ _UP_EGO = np.array([0.0, 0.0, 1.0])
 _DRIVABLE_M = 0.15
 """Largest distance of a drivable pixel to the surface: three times an inlier's, because far depth has larger errors."""
 _ROWS_AT_ONCE = 32
-"""Rows whose distances to the surface stay in the processor's cache from one operation on them to the next."""
+"""Rows per pass: their distances stay in the processor's cache between operations."""
 _FIELD_SAMPLES_M = np.arange(0.0, 201.0, 10.0), np.arange(-80.0, 81.0, 20.0)
-"""Ego x and y at which a height field's highest row in the image is searched: as far as heights are sampled."""
+"""Ego x and y at which a height field's highest row in the image is searched."""
 
 
 @dataclass(frozen=True)
@@ -67,17 +67,11 @@ def find_surface(cfg: SurfaceConfig, scene: Scene, rng: np.random.Generator) -> 
 def fit_surface(
     cfg: SurfaceConfig, depth: DepthMap, drivable: Mask | None, rng: np.random.Generator
 ) -> Surface | Absent:
-    """The road from a depth image: its plane, and its height field by the model ``spline``, or ``auto`` where it pays.
+    """The road from a depth image: its plane, and a height field with model ``spline``, or ``auto`` if it is better.
 
-    Args:
-        cfg: thresholds.
-        depth: its camera's mounting says roughly where up is.
-        drivable: (H, W) pixels of a drivable class in the depth's image. Without segmentation it is None: the lower
-            image is used, and the surface's source is ``lower_image``.
-        rng: source of the hypotheses.
-
-    Returns:
-        The surface or ``Absent``. The plane is kept if too few points support a height field.
+    ``drivable`` (H, W) are the pixels of a drivable class in the depth's image. Without segmentation it is None: the
+    lower image is used, and the surface's source is ``lower_image``. The camera's mounting gives a rough upward
+    direction. If too few points support a height field, the surface is the plane.
     """
     source = depth.source if drivable is not None else "lower_image"
     camera, ego_T_camera, depth_m = depth.camera, depth.ego_T_camera, depth.depth_m
@@ -107,7 +101,7 @@ def _depth_camera(scene: Scene) -> tuple[Camera, Float]:
 
 
 def known_surface(source: SurfaceSource, camera: Camera, ego_T_camera: Float, ego_plane: Plane) -> Surface:
-    """The surface of a plane given in the ego frame."""
+    """The surface with a known plane, given in the ego frame."""
     return _surface(source, camera, ego_T_camera, transform_plane(inverse(ego_T_camera), ego_plane), None)
 
 
@@ -116,12 +110,7 @@ def drivable_mask(cfg: SurfaceConfig, scene: Scene, surface: Surface | Absent) -
 
     The distance to a plane is perpendicular, the distance to a height field vertical. On a slope of 10 % they differ by
     half a percent. Without dense depth, or if it does not show the road, only the class counts. Without segmentation,
-    only the surface counts.
-
-    Args:
-        cfg: drivable classes.
-        scene: the frame.
-        surface: the road, its plane in the frame of the front camera.
+    only the surface counts. The plane of ``surface`` is in the frame of the front camera.
     """
     drivable, depth_m, camera = scene.labels(cfg.classes), scene.dense_depth_m, scene.camera
     if depth_m is None and drivable is not None:
@@ -140,14 +129,14 @@ def drivable_mask(cfg: SurfaceConfig, scene: Scene, surface: Surface | Absent) -
     for first in range(top, camera.height, _ROWS_AT_ONCE):
         rows = slice(first, min(first + _ROWS_AT_ONCE, camera.height))
         off_m = height_above(surface, *ego_points(camera, scene.ego_T_camera, depth_m[rows], first))
-        # A comparison with NaN is False in OpenCV as in numpy: unknown depth is never drivable.
+        # Unknown depth is never drivable: a comparison with NaN is False, in OpenCV, too.
         near = np.asarray(cv2.inRange(off_m, -_DRIVABLE_M, _DRIVABLE_M), np.uint8)
         mask[rows] = near & among[rows].view(np.uint8)
     return mask
 
 
 def _horizon_row(surface: Surface, camera: Camera, ego_T_camera: Float) -> int:
-    """A row above which no pixel lies on the surface, with a metre to spare; the image's last row at most."""
+    """A row above which no pixel lies within a metre of the surface; at most the image's last row."""
     x, y = np.meshgrid(*_FIELD_SAMPLES_M)
     points = np.stack((x, y, height_at(surface, x, y) + 1.0), axis=-1)
     rows = project(camera, transform(inverse(ego_T_camera), points))[..., 1]
@@ -174,13 +163,13 @@ def remember(
     """Keep the plane of a frame whose depth shows the road; otherwise use the held plane.
 
     Args:
-        cfg: how far a plane is held.
-        state: of the last frame.
+        cfg: with ``hold_m``, the distance for which a plane is held.
+        state: the state after the last frame.
         scene: the frame.
-        road: fitted to the frame's depth, or given by the mounting.
-        failed: why the depth does not show the road; None if it does, or if there is no depth.
+        road: fitted to the frame's depth, or taken from the mounting.
+        failed: the reason if the depth does not show the road; None if it does, or if there is no depth.
         last_T_this: (4, 4) motion of the ego frame since the last frame, metres; None if unknown.
-        pitch: how much further down the front camera looks than its mounting says, radians; None if unknown.
+        pitch: of the front camera beyond its mounting, radians, nose down; None if unknown.
 
     Returns:
         The new state, the road, and the reason if the road does not come from the depth.

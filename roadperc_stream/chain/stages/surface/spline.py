@@ -1,13 +1,13 @@
 """The road as a smooth height field z(x, y) in the ego frame, for roads that climb and fall.
 
-Method: a penalised B-spline (P-spline, Eilers and Marx 1996), cubic on evenly spaced knots along x (de Boor 1978) and
-linear across y, is added to the road's plane. The penalty on the second differences of its coefficients is the prior
-that a road's curvature has a standard deviation, so that the data's own scatter decides how smooth the field is, and
-where there are no data it goes on straight. The fit is robust by iteratively reweighted least squares (Holland and
-Welsch 1977): Huber's weights find the road, Tukey's then leave out what stands on it. It grows outwards from the car,
-by what a road can bend, and uses one point of each square metre, the one of median height, so that the many pixels near
-the car count no more than the few far ahead. Only four B-splines are not 0 at a point, so that the equations of a long
-road are solved as a band, in a time that grows with its length.
+Method: a penalised B-spline (P-spline, Eilers and Marx 1996) is added to the road's plane. It is cubic on evenly spaced
+knots along x (de Boor 1978) and linear across y. The penalty on the second differences of its coefficients is a prior
+with a standard deviation of the road's curvature. So the scatter of the data decides how smooth the field is, and
+without data it continues straight. Iteratively reweighted least squares make the fit robust (Holland and Welsch 1977):
+Huber's weights find the road, Tukey's weights then remove objects on it. The fit grows outwards from the car, as far as
+the curvature of a road allows. It uses one point of each square metre, the one of median height, because the image has
+many pixels near the car and few far ahead. Four B-splines are not 0 at a point, so the normal equations are a band, and
+the time to solve them grows linearly with the length of the road.
 """
 
 from dataclasses import dataclass
@@ -25,47 +25,47 @@ from roadperc_stream.geometry.ground import REACH_M, ego_points, part
 from roadperc_stream.model import HeightGrid, Mask, Surface
 
 DEGREE: Final = 3
-"""Of the B-splines along x."""
+"""Degree of the B-splines along x."""
 _STEP_M = 1.0
-"""Side of the fit's cells, and of the grid's."""
+"""Side of the fit's cells and of the grid's cells."""
 _COLUMNS = 160
-"""Image columns that are used: evenly spread, as neighbours are alike. Rows are few where the road is far."""
+"""Number of used image columns, evenly spread; all rows are used, because far road has few."""
 _ENOUGH_POINTS = 20_000
-"""Points of the road that are never thinned: a lidar's are hardly more."""
+"""Number of points up to which all are used; a lidar has hardly more."""
 _SUPPORT = 2 * (DEGREE + 1)
-"""Coefficients that count at a place: those of four B-splines, in the middle and across."""
+"""Number of coefficients that are not 0 at a point: four B-splines, each with a height and a slope across."""
 _MIN_CELLS = 12
 _MIN_LENGTH_KNOTS = 2
-"""Stretch of road in knots below which a height field says no more than a plane."""
+"""Minimum length of a field in knots."""
 _BANK_STD = 0.03
-"""Standard deviation of the slope across the road against the plane's, which holds where a strip is too narrow."""
+"""Standard deviation of the field's slope across the road, relative to the plane."""
 _POINTS_THAT_COUNT = 4
-"""Points of a cell beyond which more do not make it more certain: their errors are not independent."""
+"""Number of points from which a cell has full weight: the errors of its points are not independent."""
 _FINEST_STD_M = 0.005
 _HUBER, _TUKEY = 1.345, 4.685
-"""Standard deviations; each constant keeps 95 % of the efficiency on normal errors."""
+"""Constants in standard deviations, for 95 % efficiency on normal errors."""
 _HUBER_ROUNDS, _TUKEY_ROUNDS = 4, 3
 _REACH_STEP_M = 10.0
 _GATE_M, _GATE_STDS = 0.3, 3.0
-"""A cell is left out that is this far from the field found so far, and from where such a curvature would take it."""
+"""Largest distance of a cell from the field so far, plus this many standard deviations of the curvature."""
 
 
 @dataclass(frozen=True)
 class _Design:
-    """The equations of N places: (N, 8) indices of the coefficients that count there, and by how much each counts.
+    """The equations of N points: (N, 8) indices of the coefficients that are not 0, and their (N, 8) factors.
 
-    Coefficients of one B-spline are neighbours: its height in the middle, then its rise in a half width across.
+    A B-spline has two neighbouring coefficients: its height on the x axis, and its rise over half the width.
     """
 
     indices: NDArray[np.intp]
     values: Float
 
     def take(self, chosen: Mask) -> "_Design":
-        """The places of a mask."""
+        """The equations at a mask."""
         return _Design(self.indices[chosen], self.values[chosen])
 
     def heights(self, coefficients: Float) -> Float:
-        """(N,) metres."""
+        """(N,) heights in metres for (P,) coefficients."""
         result: Float = np.sum(self.values * coefficients[self.indices], axis=1)
         return result
 
@@ -73,20 +73,13 @@ class _Design:
 def road_cells(
     cfg: SurfaceConfig, surface: Surface, camera: Camera, ego_T_camera: Float, depth_m: Float32, usable: Mask
 ) -> tuple[Float, Float]:
-    """One point for each square metre of the road, ``spline_half_width_m`` to either side and ``max_depth_m`` ahead.
+    """One point of each square metre of the road, up to ``spline_half_width_m`` aside and ``max_depth_m`` ahead.
 
-    It is the point of median height. A mean of places and a median of heights do not belong together on a slope.
-
-    Args:
-        cfg: the extent.
-        surface: the road's plane.
-        camera: the camera of the depth.
-        ego_T_camera: its mounting.
-        depth_m: (H, W) metres, NaN unknown.
-        usable: (H, W) pixels of the road with known depth.
+    It is the point of median height, not a mean: on a slope a mean position does not fit a median height. ``depth_m``
+    is (H, W) metres, NaN unknown; ``usable`` (H, W) are the pixels of the road with known depth.
 
     Returns:
-        (N, 3) x, y and height above the plane, metres, and (N,) certainty, 0 to 1, which grows with a cell's points.
+        (N, 3) x, y and height above the plane, metres, and (N,) weights, 0 to 1, which grow with a cell's points.
     """
     columns = max(min(camera.width // _COLUMNS, int(np.count_nonzero(usable)) // _ENOUGH_POINTS), 1)
     top = first_row(usable)
@@ -99,28 +92,21 @@ def road_cells(
     cells = (x / step_m).astype(np.int32) * np.int32(_cells_across(cfg)) + ((y + half_m) / step_m).astype(np.int32)
     a, b, d = np.array(surface.abd, np.float32)
     points = np.stack((x, y, z - (d - a * x - b * y)))
-    # One row of cells more: y at the left edge may be rounded up to it.
+    # One additional row of cells, because rounding may move y at the left edge into it.
     along = int(np.ceil(_length_m(cfg) / _STEP_M)) + 1
     chosen, counts = median_places(cells, points[2], along * _cells_across(cfg))
-    certainty = np.minimum(counts, _POINTS_THAT_COUNT) / _POINTS_THAT_COUNT
-    return np.ascontiguousarray(points[:, chosen].T, np.float64), certainty
+    weights = np.minimum(counts, _POINTS_THAT_COUNT) / _POINTS_THAT_COUNT
+    return np.ascontiguousarray(points[:, chosen].T, np.float64), weights
 
 
-def fit_height_grid(cfg: SurfaceConfig, surface: Surface, points: Float, certainty: Float) -> HeightGrid | None:
-    """The height field through the road's cells.
+def fit_height_grid(cfg: SurfaceConfig, surface: Surface, points: Float, weights: Float) -> HeightGrid | None:
+    """The height field on a grid of 1 m through (N, 3) points with (N,) weights, as ``road_cells`` returns them.
 
-    Args:
-        cfg: knots, smoothness and extent.
-        surface: the road's plane.
-        points: (N, 3) of the cells, as ``road_cells`` gives them.
-        certainty: (N,) of each.
-
-    Returns:
-        The field on a grid of 1 m, or None where too few cells ahead of the car support one.
+    None if the points are too few or their stretch of road is too short.
     """
     if len(points) < _MIN_CELLS or np.ptp(points[:, 0]) < _MIN_LENGTH_KNOTS * cfg.spline_knot_m:
         return None
-    return _grid(cfg, surface, _grow(cfg, points, certainty))
+    return _grid(cfg, surface, _grow(cfg, points, weights))
 
 
 def _cells_across(cfg: SurfaceConfig) -> int:
@@ -128,17 +114,17 @@ def _cells_across(cfg: SurfaceConfig) -> int:
 
 
 def _length_m(cfg: SurfaceConfig) -> float:
-    """Length of the field: whole knots, to the farthest point that counts at least."""
+    """Length of the field in metres: whole knots, up to the farthest used point or beyond it."""
     return float(np.ceil(min(cfg.max_depth_m, REACH_M) / cfg.spline_knot_m)) * cfg.spline_knot_m
 
 
 def _splines(cfg: SurfaceConfig) -> int:
-    """B-splines along x."""
+    """Number of B-splines along x."""
     return round(_length_m(cfg) / cfg.spline_knot_m) + DEGREE
 
 
 def _design(cfg: SurfaceConfig, x: Float, y: Float) -> _Design:
-    """The values of the B-splines at places, and the same times y in half widths."""
+    """The equations of points: values of the B-splines, and the same times y in half widths."""
     first, along = basis(cfg.spline_knot_m, _splines(cfg), np.clip(x, 0.0, _length_m(cfg)))
     across = along * (y / cfg.spline_half_width_m)[:, None]
     return _Design(2 * first[:, None] + np.arange(_SUPPORT), np.stack((along, across), axis=-1).reshape(-1, _SUPPORT))
@@ -146,7 +132,7 @@ def _design(cfg: SurfaceConfig, x: Float, y: Float) -> _Design:
 
 @lru_cache(maxsize=2)
 def _prior(cfg: SurfaceConfig) -> Float:
-    """(15, 2 M) information on the coefficients, as a band: curvature along x at middle and edges, slope across."""
+    """(15, 2 M) information on the coefficients as a band: curvature along x of both kinds, and slope across."""
     count = _splines(cfg)
     bend = np.diff(np.eye(count), 2, axis=0) / (cfg.spline_curvature_per_m * cfg.spline_knot_m**2)
     bank = np.eye(count) / (_BANK_STD * cfg.spline_half_width_m)
@@ -161,16 +147,11 @@ def _prior(cfg: SurfaceConfig) -> Float:
     return band
 
 
-def _grow(cfg: SurfaceConfig, points: Float, certainty: Float) -> Float:
-    """Coefficients of the field, fitted farther and farther ahead.
+def _grow(cfg: SurfaceConfig, points: Float, weights: Float) -> Float:
+    """(P,) coefficients of the field, fitted step by step farther ahead.
 
-    What lies where a road of plausible curvature cannot go on to is left out: far ahead, where a crest hides the road,
-    there is nothing else to contradict it.
-
-    Args:
-        cfg: smoothness and extent.
-        points: (N, 3) x, y and height above the plane of the cells, metres.
-        certainty: (N,) 0 to 1.
+    Each step leaves out points that a road of plausible curvature cannot reach: behind a crest, for example, no points
+    of the road outweigh them.
     """
     x, heights = points[:, 0], points[:, 2]
     design, prior = _design(cfg, x, points[:, 1]), _prior(cfg)
@@ -180,20 +161,15 @@ def _grow(cfg: SurfaceConfig, points: Float, certainty: Float) -> Float:
         bend = _GATE_STDS * cfg.spline_curvature_per_m / 2 * np.maximum(x - known_m, 0.0) ** 2
         inliers = (x <= reach) & (np.abs(heights - design.heights(coefficients)) <= _GATE_M + bend)
         if inliers.any():
-            coefficients = _robust_fit(design.take(inliers), heights[inliers], certainty[inliers], prior, coefficients)
+            coefficients = _robust_fit(design.take(inliers), heights[inliers], weights[inliers], prior, coefficients)
             known_m = float(x[inliers].max())
     return coefficients
 
 
-def _robust_fit(design: _Design, heights: Float, certainty: Float, prior: Float, coefficients: Float) -> Float:
-    """(P,) coefficients by penalised least squares with weights that follow the residuals.
+def _robust_fit(design: _Design, heights: Float, weights: Float, prior: Float, coefficients: Float) -> Float:
+    """(P,) coefficients by penalised, iteratively reweighted least squares, from (P,) initial ones.
 
-    Args:
-        design: of N places.
-        heights: (N,) metres.
-        certainty: (N,) 0 to 1.
-        prior: (15, P) information, a band.
-        coefficients: (P,) to start from.
+    ``heights`` are (N,) metres, ``prior`` (15, P) information as a band.
     """
     count = prior.shape[1]
     first = design.indices[:, 0]
@@ -201,18 +177,17 @@ def _robust_fit(design: _Design, heights: Float, certainty: Float, prior: Float,
         residual = np.abs(heights - design.heights(coefficients))
         std = max(NORMAL_MAD * median(residual), _FINEST_STD_M)
         off = residual / std
-        if i < _HUBER_ROUNDS:  # beyond the constant residuals pull no harder
+        if i < _HUBER_ROUNDS:
             robust = np.minimum(1.0, _HUBER / np.maximum(off, _HUBER))
-        else:  # beyond it they do not pull at all
+        else:
             robust = np.clip(1.0 - (off / _TUKEY) ** 2, 0.0, None) ** 2
-        weights = robust * certainty / std**2
-        lower, right = normal_equations(first, design.values, weights, heights, count)
+        lower, right = normal_equations(first, design.values, robust * weights / std**2, heights, count)
         coefficients = solved(band_of(lower) + prior, right, coefficients)
     return coefficients
 
 
 def _grid(cfg: SurfaceConfig, surface: Surface, coefficients: Float) -> HeightGrid:
-    """Plane and field together at the grid's nodes."""
+    """The sum of plane and field at the grid's nodes."""
     x, y, design = _nodes(cfg)
     a, b, d = surface.abd
     z = d - a * x - b * y[:, None] + design.heights(coefficients).reshape(len(y), len(x))
@@ -229,9 +204,9 @@ def _nodes(cfg: SurfaceConfig) -> tuple[Float, Float, _Design]:
 
 
 def band_of(lower: Float) -> Float:
-    """(2 D - 1, P) band of a symmetric (P, P) matrix from the (D, P) diagonals in and below its middle.
+    """(2 D - 1, P) band of a symmetric (P, P) matrix from its (D, P) main diagonal and diagonals below.
 
-    Row r holds the elements of the diagonal r - D + 1 below the middle, each at its column.
+    Row r holds the diagonal r - D + 1 below the main one, each element at its column.
     """
     diagonals, columns = lower.shape
     band = np.zeros((2 * diagonals - 1, columns))
@@ -242,9 +217,9 @@ def band_of(lower: Float) -> Float:
 
 
 def solved(band: Float, right: Float, otherwise: Float) -> Float:
-    """(P,) solution of equations given as a (2 D - 1, P) band, by LU decomposition; ``otherwise`` where there is none.
+    """(P,) solution of equations given as a (2 D - 1, P) band, by LU decomposition; ``otherwise`` if it is singular.
 
-    LAPACK itself: what scipy's ``solve_banded`` does before it calls the same function takes longer than all the rest.
+    This calls LAPACK directly, because the checks of scipy's ``solve_banded`` take longer than everything else here.
     """
     from scipy.linalg.lapack import dgbsv
 
@@ -256,15 +231,11 @@ def solved(band: Float, right: Float, otherwise: Float) -> Float:
 
 
 def basis(knot_m: float, splines: int, x: Float) -> tuple[NDArray[np.intp], Float]:
-    """The four B-splines that are not 0 at a place: the (N,) index of the first, and their (N, 4) values.
+    """The four B-splines that are not 0 at (N,) x: the (N,) index of the first, and their (N, 4) values.
 
-    By the recurrence of de Boor and Cox from degree 0 on (de Boor 1978), as scipy's ``BSpline.design_matrix`` has it,
-    whose import takes half a second.
-
-    Args:
-        knot_m: distance of the knots.
-        splines: how many there are.
-        x: (N,) from 0 to the last knot but three.
+    ``splines`` is the number of B-splines on knots ``knot_m`` apart; x lies between 0 and the fourth last knot. The
+    method is the recurrence of de Boor and Cox (de Boor 1978), as in scipy's ``BSpline.design_matrix``. Importing
+    scipy takes half a second.
     """
     knots = knot_m * np.arange(-DEGREE, splines + 1)
     left = np.clip(np.searchsorted(knots, x, side="right") - 1, DEGREE, splines - 1)
