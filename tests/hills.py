@@ -1,4 +1,4 @@
-"""A road over a known hill: what a pinhole camera sees of z(x, y), found by following its rays."""
+"""The images of a road over a known hill z(x, y), found by following the rays of a pinhole camera."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -14,7 +14,7 @@ DEPTHS_M = np.geomspace(0.5, 150.0, 90)
 
 @dataclass(frozen=True)
 class Hill(Road):
-    """Level at x = 0, then a wave of ``wave_m`` with at most ``grade``, up for positive grades; ``bank`` tilts it."""
+    """A road that is level at x = 0, then a wave of length ``wave_m`` and steepest ``grade``; ``bank`` tilts it."""
 
     grade: float = 0.08
     wave_m: float = 240.0
@@ -37,7 +37,7 @@ class Hill(Road):
         return points, g.transform(self.ego_T_camera, points)
 
     def _meets(self, directions):
-        """The first sampled depth below the road, then halved again and again."""
+        """The depth at which rays meet the road: the first sampled depth below it, refined by bisection."""
         below = self._gap(directions[:, None, :], DEPTHS_M) <= 0
         first = np.where(below.any(axis=1), below.argmax(axis=1), 1)
         low, high = DEPTHS_M[first - 1], DEPTHS_M[first]
@@ -56,7 +56,7 @@ class Hill(Road):
         return HeightGrid(0.0, -8.0, 1.0, self.z(x, y).astype(np.float32))
 
     def surface(self):
-        """The true one, its plane that of the road at the car."""
+        """The true surface; its plane is the road's at the car."""
         ego_plane = g.Plane.of(np.array([0.0, -self.bank, 1.0]), 0.0)
         plane = g.transform_plane(g.inverse(self.ego_T_camera), ego_plane)
         pitch, roll = g.camera_pitch_roll(plane)

@@ -1,4 +1,4 @@
-"""The chain's four properties with every stage at work, on the sample's frames; its states, and depth that fails."""
+"""The whole chain on the sample's frames: repeated and resumed runs, missing inputs, states, and failing depth."""
 
 import pickle
 from dataclasses import fields, is_dataclass, replace
@@ -32,7 +32,7 @@ def frames():
 
 
 def with_lidar(frame):
-    """The frame with a lidar beside its cameras, whose points lie at few of the depth camera's pixels."""
+    """The frame with an additional lidar, whose points are a few of the depth camera's."""
     depth_m = frame.depth.depth_m[::6, ::2]
     v, u = 6 * np.indices(depth_m.shape)[0], 2 * np.indices(depth_m.shape)[1]
     near = depth_m < 60
@@ -44,7 +44,7 @@ def with_lidar(frame):
 
 @pytest.fixture(scope="module")
 def lidar_frames(frames):
-    """The same drive with a lidar, but neither depth nor a pair."""
+    """The same frames with a lidar, but without depth and right image."""
     return [replace(frame, depth=None, right=None) for frame in frames]
 
 
@@ -63,7 +63,12 @@ def whole(frames):
     return run(frames)[1]
 
 
-def test_every_stage_gives_something(whole):
+@pytest.fixture(scope="module")
+def lidar_results(lidar_frames):
+    return run(lidar_frames)[1]
+
+
+def test_every_stage_has_a_result(whole):
     last = whole[-1]
     assert not [reason for result in whole for reason in result.reasons()]
     assert last.odometry.status == "tracked"
@@ -72,24 +77,19 @@ def test_every_stage_gives_something(whole):
     assert {-1, 0, 100} == set(last.occupancy.cells.ravel().tolist())
 
 
-@pytest.mark.parametrize("drive", ["frames", "lidar_frames"])
-def test_replaying_again_is_equal_and_does_not_depend_on_later_frames(drive, request):
-    frames = request.getfixturevalue(drive)
-    assert same(run(frames[:3])[1], run(frames)[1][:3])
+@pytest.mark.parametrize(("log", "results"), [("frames", "whole"), ("lidar_frames", "lidar_results")])
+def test_a_second_run_and_a_run_from_a_pickled_state_have_equal_results(log, results, request):
+    frames, expected = request.getfixturevalue(log), request.getfixturevalue(results)
+    state, first = run(frames[:3])
+    assert same(first, expected[:3])
+    assert same(run(frames[3:], pickle.loads(pickle.dumps(state)))[1], expected[3:])
 
 
-@pytest.mark.parametrize("drive", ["frames", "lidar_frames"])
-def test_a_pickled_state_continues_with_identical_results(drive, request):
-    frames = request.getfixturevalue(drive)
-    state, _ = run(frames[:3])
-    assert same(run(frames[3:], pickle.loads(pickle.dumps(state)))[1], run(frames)[1][3:])
-
-
-@pytest.mark.parametrize("drive", ["frames", "lidar_frames"])
-def test_the_second_half_may_be_far_behind_the_first(drive, request):
-    """Each remembers for itself; the drive ends with a frame whose time steps back."""
-    frames = request.getfixturevalue(drive)
-    frames = [*frames[:4], replace(frames[1], stamp_ns=frames[3].stamp_ns)]
+@pytest.mark.parametrize("log", ["frames", "lidar_frames"])
+def test_localise_may_run_frames_ahead_of_perceive(log, request):
+    """Each keeps its own state; the last frame's stamp is not after the one before."""
+    frames = request.getfixturevalue(log)
+    frames = [*frames[:3], replace(frames[1], stamp_ns=frames[2].stamp_ns)]
     localised, results, first, second = [], [], ChainState(), ChainState()
     with one_thread():
         scenes = [observe(CFG, frame) for frame in frames]
@@ -117,12 +117,12 @@ ABSENT_WITHOUT = {
 
 @pytest.mark.parametrize("missing", ["image", "right", "right_camera", "depth", "segmentation", "detections", "points"])
 def test_any_input_may_be_missing(frames, whole, missing):
-    _, results = run([replace(frame, **{missing: None}) for frame in frames[:3]])
+    _, results = run([replace(frame, **{missing: None}) for frame in frames[:2]])
     if missing == "points":
-        assert same(results, whole[:3]), "a lidar tells nothing where there is depth"
+        assert same(results, whole[:2]), "a lidar is not used if there is depth"
         return
     reasons = {reason for result in results for reason in result.reasons()}
-    assert reasons or missing == "depth", "stereo stands in for the depth, and the source says so"
+    assert reasons or missing == "depth", "stereo replaces the depth, which the source reports"
     last = results[-1]
     for stage, code in ABSENT_WITHOUT.get(missing, {}).items():
         assert getattr(last, stage) == Absent(Reason(stage, code))
@@ -131,7 +131,7 @@ def test_any_input_may_be_missing(frames, whole, missing):
 
 
 def assert_alike(last, with_sensor, offset_m):
-    """The road, the lane and what is near are where the depth sensor shows them, and odometry is metric."""
+    """Assert that road, lane and near objects agree with those of the depth sensor, and that odometry is metric."""
     assert last.surface.camera_height_m == pytest.approx(with_sensor.surface.camera_height_m, abs=0.05)
     for side in ("left", "right"):
         assert last.lanes.side(side).offset_m == pytest.approx(with_sensor.lanes.side(side).offset_m, abs=offset_m)
@@ -150,29 +150,27 @@ def test_two_cameras_and_tags_are_enough_for_everything(frames, whole):
 
 @pytest.mark.parametrize("missing", ["image", "segmentation", "detections", "points"])
 def test_any_input_beside_a_lidar_may_be_missing(lidar_frames, missing):
-    _, results = run([replace(frame, **{missing: None}) for frame in lidar_frames[:3]])
-    expected = {"segmentation": ["lower_image"] * 3, "points": ["assumed", "estimated", "estimated"]}
-    assert [result.surface.source for result in results] == expected.get(missing, ["lidar"] * 3)
+    _, results = run([replace(frame, **{missing: None}) for frame in lidar_frames[:2]])
+    expected = {"segmentation": ["lower_image"] * 2, "points": ["assumed", "estimated"]}
+    assert [result.surface.source for result in results] == expected.get(missing, ["lidar"] * 2)
 
 
-def test_a_lidar_that_misses_the_road_leaves_the_mounting_and_the_drive(lidar_frames):
-    """What stands in is named as what it is: the mounting's plane, then with the pitch that the drive has shown."""
+def test_a_lidar_that_misses_the_road_gives_an_assumed_then_an_estimated_plane(lidar_frames):
     _, results = run([replace(frame, points=high_points(frame.points)) for frame in lidar_frames[:3]])
     assert [result.surface.source for result in results] == ["assumed", "estimated", "estimated"]
-    said = [[reason.code for reason in result.reasons() if reason.code.startswith("plane")] for result in results]
-    assert said == [["plane_assumed"], ["plane_estimated"], ["plane_estimated"]]
+    codes = [[reason.code for reason in result.reasons() if reason.code.startswith("plane")] for result in results]
+    assert codes == [["plane_assumed"], ["plane_estimated"], ["plane_estimated"]]
 
 
 def high_points(points):
-    """Those of a lidar's points that are no lower than a car's roof."""
+    """A lidar's points above a car's roof."""
     return PointCloud(points.frame_id, lambda: points.points_m[points.points_m[:, 2] > -0.5])
 
 
-def test_one_camera_a_lidar_and_tags_are_enough_for_everything(lidar_frames, whole):
-    """A lidar's points give plane, height field, the lane on the ground, distances, and odometry its scale."""
-    _, results = run(lidar_frames)
-    last, with_sensor = results[-1], whole[-1]
-    assert {str(reason) for result in results for reason in result.reasons()} == {"stereo: no right image"}
+def test_one_camera_a_lidar_and_tags_are_enough_for_everything(lidar_results, whole):
+    """A lidar's points give plane, height field, the lane on the ground, distances, and the scale of odometry."""
+    last, with_sensor = lidar_results[-1], whole[-1]
+    assert {str(reason) for result in lidar_results for reason in result.reasons()} == {"stereo: no right image"}
     assert last.surface.source == "lidar"
     assert last.surface.height_grid is not None
     assert_alike(last, with_sensor, offset_m=0.05)
@@ -182,7 +180,7 @@ def test_one_camera_a_lidar_and_tags_are_enough_for_everything(lidar_frames, who
 
 
 def faults(value, where):
-    """Names of everything below a value that could be changed, or that its bytes would not give back as it was."""
+    """Names of all parts of a value that are mutable, or that its bytes would not restore exactly."""
     if isinstance(value, tuple):
         return [name for k, item in enumerate(value) for name in faults(item, f"{where}[{k}]")]
     if isinstance(value, np.ndarray):
@@ -193,8 +191,7 @@ def faults(value, where):
 
 
 @pytest.mark.parametrize("settings", [(), ("odometry.features=sift",)])
-def test_a_state_holds_plain_values_that_cannot_be_changed(settings):
-    """After frames in which every stage had something to keep."""
+def test_a_state_contains_immutable_plain_values(settings):
     cfg, state = load_config(None, settings), ChainState()
     for sample in open_input(ReplaySource(SAMPLE, time_range=TimeRange(frames=3)), cfg).samples():
         state, _ = step(cfg, state, sample.frame)
@@ -208,9 +205,9 @@ FAILS_FROM = 2
 
 
 def failing(*settings):
-    """Results and lane errors of a drive whose depth has errors of 30 % from its third frame on."""
+    """Results and lane errors of a log whose depth has errors of 30 % from its third frame on."""
     cfg, state, found = load_config(None, ("objects.enabled=false", "stereo.method=off", *settings)), ChainState(), []
-    for sample in open_input(ReplaySource(SAMPLE, time_range=TimeRange(frames=FRAMES + 1)), cfg).samples():
+    for sample in open_input(ReplaySource(SAMPLE, time_range=TimeRange(frames=FRAMES - 1)), cfg).samples():
         frame = sample.frame
         if sample.index >= FAILS_FROM:
             depth_m = frame.depth.depth_m
@@ -226,11 +223,10 @@ def failing(*settings):
     ("settings", "source", "code"),
     [((), "held", "plane_held"), (("odometry.enabled=false",), "assumed", "plane_assumed")],
 )
-def test_lanes_go_on_where_depth_fails(settings, source, code):
+def test_lanes_are_still_measured_if_depth_fails(settings, source, code):
     found = failing(*settings)
-    assert [result.surface.source for result, _ in found] == ["depth"] * FAILS_FROM + [source] * (
-        FRAMES + 1 - FAILS_FROM
-    )
+    sources = ["depth"] * FAILS_FROM + [source] * (len(found) - FAILS_FROM)
+    assert [result.surface.source for result, _ in found] == sources
     for result, errors in found[FAILS_FROM:]:
         assert {result.lanes.side(side).status for side in ("left", "right")} == {"measured"}
         assert max(abs(errors.lane_left_error_m), abs(errors.lane_right_error_m)) < 0.3

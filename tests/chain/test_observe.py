@@ -1,4 +1,4 @@
-"""What is decoded: what the stages in use ask for, before anything is remembered, and nothing else."""
+"""The enabled stages decode the images that they need, in ``observe``, and no others."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ from tests.logs import SMALL
 
 GREY = np.random.default_rng(0).integers(0, 255, (SMALL.height, SMALL.width), np.uint8)
 SCENE = {"tags", "depth"}
-ASKED = {
+DECODED = {
     "stereo": {"image", "right"},
     "surface": SCENE,
     "odometry": SCENE | {"image"},
@@ -23,7 +23,7 @@ ASKED = {
     "objects": SCENE | {"instances", "image"},
     "occupancy": SCENE,
 }
-"""By the stage that is asked for alone, with those that it needs."""
+"""Decoded images with one stage enabled, and the stages that it needs."""
 
 
 def only(*stages):
@@ -33,7 +33,7 @@ def only(*stages):
 
 
 def watched(read, **without):
-    """A frame with everything in it, whose images note in ``read`` when they are decoded."""
+    """A frame with all inputs; its images append their names to ``read`` when they are decoded."""
     frame = SMALL.frame(0, detections=(box("Car", 20, 60, 60, 90),))
     ids, tags, depth_m = np.zeros(GREY.shape, np.uint16), SMALL.tags(), SMALL.depth_m()
     points_m = np.array([[0.0, 1.0, 10.0]], np.float32)
@@ -59,15 +59,15 @@ def watched(read, **without):
 
 
 @pytest.mark.parametrize("stage", STAGES)
-def test_a_stage_alone_decodes_what_it_needs_by_the_frame_itself(stage):
-    read, cfg, nothing = [], only(stage), ChainState()
+def test_observe_decodes_all_images_that_a_stage_needs(stage):
+    read, cfg, start = [], only(stage), ChainState()
     scene = observe(cfg, watched(read))
-    assert sorted(read) == sorted(ASKED[stage]), "each once"
-    perceive(cfg, nothing, localise(cfg, nothing, scene))
-    assert sorted(read) == sorted(ASKED[stage]), "nothing is left for what remembers"
+    assert sorted(read) == sorted(DECODED[stage]), "each once"
+    perceive(cfg, start, localise(cfg, start, scene))
+    assert sorted(read) == sorted(DECODED[stage]), "later steps decode none"
 
 
-@pytest.mark.parametrize("stages", [STAGES, ("stereo", "objects"), ("stereo", "lanes"), ("odometry", "objects"), ()])
+@pytest.mark.parametrize("stages", [STAGES, ("stereo", "objects"), ("odometry", "objects"), ()])
 @pytest.mark.parametrize("without", [(), ("depth",), ("depth", "right"), ("right_camera",), ("image",)])
 def test_a_whole_step_decodes_the_same(stages, without):
     first, alone, cfg = [], [], only(*stages)
@@ -85,17 +85,17 @@ def searching():
     return cfg, step(cfg, ChainState(), frame)[0]
 
 
-def test_the_image_is_decoded_for_a_track_that_no_detection_asks_for():
+def test_the_image_is_decoded_for_a_track_without_a_detection():
     (cfg, state), read, idle = searching(), [], []
     assert state.objects.tracks
     later = {"stamp_ns": state.stamp_ns + STEP_NS, "detections": ()}
     step(cfg, state, watched(read, **later))
-    assert sorted(read) == sorted(ASKED["objects"])
+    assert sorted(read) == sorted(DECODED["objects"])
     step(cfg, ChainState(), watched(idle, **later))
-    assert sorted(idle) == sorted(ASKED["objects"] - {"image"}), "nothing is searched"
+    assert sorted(idle) == sorted(DECODED["objects"] - {"image"}), "no track is searched"
 
 
-def test_an_image_that_a_track_asks_for_stands_among_the_undecodable_in_their_order():
+def test_an_undecodable_image_that_a_track_needs_is_reported_after_the_other_images():
     def fails():
         raise DecodeError("no image")
 
@@ -108,13 +108,13 @@ def test_an_image_that_a_track_asks_for_stands_among_the_undecodable_in_their_or
     assert undecodable == ["segmentation", "image"]
 
 
-def test_without_depth_the_points_of_a_lidar_are_asked_for():
+def test_without_depth_the_points_of_a_lidar_are_decoded():
     read, cfg = [], only("surface")
     observe(cfg, watched(read, depth=None))
     assert sorted(read) == ["points", "tags"]
 
 
-def test_stereo_alone_says_nothing_of_road_and_objects():
+def test_stereo_alone_reports_no_problems_of_other_stages():
     frame = watched([], depth=None, segmentation=None)
     _, result = step(only("stereo"), ChainState(), frame)
     others = (result.surface, result.lanes, result.objects, result.odometry, result.occupancy)

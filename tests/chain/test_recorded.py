@@ -1,7 +1,7 @@
-"""With each setting that chooses a method, what the chain finds in the sample stays as it was recorded.
+"""The results on the sample are those recorded, for each setting that chooses a method.
 
-The other tests hold the results to the truth, within what the truth allows; this one notices a change that is none to
-them. After a change that is meant, ``pytest tests/chain/test_recorded.py --force-regen`` records them again.
+Other tests compare results with the truth, within its tolerance; this test detects smaller changes. After an intended
+change, record the results with ``pytest tests/chain/test_recorded.py --force-regen``.
 """
 
 import numpy as np

@@ -110,7 +110,7 @@ ELSEWHERE = {
     "sync.tolerance_s": "input/test_sync.py",
     "sync.max_wait_s": "input/test_sync.py",
     "surface.assumed_height_m": "below",
-    "surface.hold_m": "tests/chain/stages/surface/test_memory.py",
+    "surface.hold_m": "tests/chain/stages/surface/test_held_plane.py",
     "lanes.hold_s": "chain/stages/lanes/test_tracking.py",
     "objects.template_png": "chain/stages/objects/test_template.py",
     "objects.template_distance": "chain/stages/objects/test_template.py",

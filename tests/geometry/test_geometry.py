@@ -13,7 +13,7 @@ ANGLES = st.floats(-1.0, 1.0)
 METRES = st.floats(-50.0, 50.0)
 
 
-def test_a_point_in_front_of_the_camera_has_a_pixel_and_one_behind_it_has_none():
+def test_points_in_front_of_the_camera_have_a_pixel_and_points_behind_it_have_nan():
     np.testing.assert_allclose(g.project(CAMERA, np.array([3.0, 4.0, 5.0])), [319.5 + 192, 239.5 + 256])
     assert np.isnan(g.project(CAMERA, np.array([1.0, 1.0, -2.0]))).all()
 
@@ -38,14 +38,11 @@ def test_camera_pitch_and_roll_are_those_of_the_mounting(roll, pitch):
     assert road.offset_m == pytest.approx(1.5)
 
 
-def test_fit_plane_through_a_tilted_square():
+def test_fit_plane_uses_the_chosen_points_and_needs_three():
     square = np.array([[0, 0, 0], [1, 0, 0.1], [0, 1, 0], [1, 1, 0.1]], float)
     plane = g.facing(g.fit_plane(square), np.array([0, 0, 5.0]))
     np.testing.assert_allclose(plane.n, np.array([-0.1, 0, 1]) / np.hypot(1, 0.1), atol=1e-12)
     assert plane.distance(square) == pytest.approx(0.0, abs=1e-12)
-
-
-def test_fit_plane_uses_the_chosen_points_and_needs_three():
     points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 5, 9]], float)
     plane = g.fit_plane(points, np.array([True, True, True, False]))
     assert abs(plane.n[2]) == pytest.approx(1.0)
@@ -78,7 +75,7 @@ FACTORS = st.floats(0.01, 100.0).flatmap(lambda size: st.sampled_from((size, -si
 
 
 @given(FOCALS, FOCALS, CENTRES, CENTRES, st.floats(-20.0, 20.0), st.tuples(*(st.floats(-3.1, 3.1),) * 3), FACTORS)
-def test_a_projection_gives_back_what_it_was_made_of(fx, fy, cx, cy, skew, rpy, factor):
+def test_a_projection_matrix_is_decomposed_into_its_factors(fx, fy, cx, cy, skew, rpy, factor):
     K = np.array([[fx, skew, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     R = rotation_from_rpy(*rpy)
     centre = np.array([3.0, -4.0, 5.0])

@@ -13,7 +13,7 @@ SMALL = st.floats(-1e-3, 1e-3)
 VECTORS = st.one_of(st.tuples(ANGLES, ANGLES, ANGLES), st.tuples(SMALL, SMALL, SMALL))
 QUATERNIONS = st.tuples(ANGLES, ANGLES, ANGLES, ANGLES).filter(lambda numbers: np.linalg.norm(numbers) > 1e-3)
 EXACT = 1e-14
-"""A few units in the last place: another libm may round a sine otherwise."""
+"""A few units in the last place: another libm may round a sine differently."""
 
 
 @given(ANGLES, ANGLES, ANGLES)
@@ -49,17 +49,16 @@ def test_half_a_turn_has_a_quaternion(turn):
     assert found[3] >= 0
 
 
-def test_a_matrix_that_is_no_rotation_has_the_nearest_ones_quaternion():
+def test_a_matrix_near_a_rotation_has_the_nearest_rotations_quaternion():
     R = rotations.rotation_from_rpy(0.1, -0.2, 0.3)
     for off in (1e-9, 1e-4):
         skewed = R @ (np.eye(3) + off * np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]))
-        np.testing.assert_allclose(
-            rotations.quaternion(skewed), Rotation.from_matrix(skewed).as_quat(canonical=True), atol=EXACT
-        )
+        expected = Rotation.from_matrix(skewed).as_quat(canonical=True)
+        np.testing.assert_allclose(rotations.quaternion(skewed), expected, atol=EXACT)
 
 
 @pytest.mark.parametrize("numbers", [(0, 0, 0, 0), (np.nan, 0, 0, 1), (0, 1, np.inf, 0), (np.nan, 0, 0, 0)])
-def test_a_quaternion_of_no_rotation_is_refused(numbers):
+def test_zero_and_infinite_quaternions_are_refused(numbers):
     with pytest.raises(ValueError, match="expected finite numbers that are not all zero"):
         rotations.rotation_from_quaternion(*map(float, numbers))
 

@@ -1,4 +1,4 @@
-"""The bird's-eye grid: a road with a box on it, what lies behind, and what cannot be looked at."""
+"""The bird's-eye grid: a road with a board on it, hidden and unknown cells, and missing inputs."""
 
 from dataclasses import replace
 
@@ -54,7 +54,7 @@ def area(occupancy, x_min, x_max, y_min, y_max):
     return occupancy.cells[rows, columns]
 
 
-def test_an_empty_road_is_free_without_holes_and_nothing_else_is():
+def test_an_empty_road_is_free_without_holes_and_the_rest_is_unknown():
     occupancy = grid(*pictures())
     assert occupancy.cells.shape == (150, 200)
     assert (occupancy.x_min_m, occupancy.y_min_m, occupancy.resolution_m) == (0.0, -15.0, 0.2)
@@ -65,7 +65,7 @@ def test_an_empty_road_is_free_without_holes_and_nothing_else_is():
 
 
 @pytest.mark.parametrize("tag", [VEHICLE, OTHER, ROAD])
-def test_a_board_is_occupied_and_hides_what_lies_behind(tag):
+def test_a_board_is_occupied_and_the_road_behind_it_unknown(tag):
     depth_m, tags, drivable = pictures(block=CAR, tag=tag)
     drivable &= depth_m > 12.1 if tag == ROAD else True
     drivable |= (tags == ROAD) & (depth_m < 11.9)
@@ -90,19 +90,16 @@ def test_a_board_on_a_hill():
     assert (area(hidden, 12.4, 30, -0.8, 0.8) == UNKNOWN).all()
 
 
-def test_low_things_are_in_the_way_by_their_class_alone():
+def test_low_points_are_obstacles_only_by_their_class_and_high_ones_never():
     low = (12.0, -1.0, 1.0, 0.2)
     assert (grid(*pictures(block=low, tag=VEHICLE)).cells == OCCUPIED).any()
     assert (grid(*pictures(block=low, tag=OTHER)).cells != OCCUPIED).all()
-    for block, stands in ((low, False), (CAR, True)):
+    for block, occupied in ((low, False), (CAR, True)):
         depth_m, _, drivable = pictures(block=block)
-        assert (grid(depth_m, None, drivable).cells == OCCUPIED).any() == stands
-
-
-def test_one_passes_below_what_hangs_high():
-    occupancy = grid(*pictures(block=(12.0, -3.0, 3.0, 4.0), tag=OTHER, bottom_m=2.6))
-    assert (occupancy.cells != OCCUPIED).all()
-    assert (area(occupancy, 8, 40, -3, 3) == FREE).all()
+        assert (grid(depth_m, None, drivable).cells == OCCUPIED).any() == occupied
+    above = grid(*pictures(block=(12.0, -3.0, 3.0, 4.0), tag=OTHER, bottom_m=2.6))
+    assert (above.cells != OCCUPIED).all()
+    assert (area(above, 8, 40, -3, 3) == FREE).all()
 
 
 def test_occupied_wins_over_free():
@@ -122,16 +119,16 @@ def test_single_pixels_change_nothing():
     assert (occupancy.cells != OCCUPIED).all()
 
 
-def test_what_a_crest_hides_is_unknown():
+def test_cells_hidden_by_a_crest_are_unknown():
     crest = Hill(left_m=6.0, right_m=-6.0, grade=0.2, wave_m=60.0, width=320, height=240)
     occupancy = grid(*pictures(crest), crest, surface=crest.surface())
     assert (area(occupancy, 36, 40, -2, 2) == UNKNOWN).all()
     assert (area(occupancy, 8, 24, -2, 2) == FREE).all()
 
 
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(st.floats(5.0, 30.0), st.floats(-4.0, 4.0))
-def test_a_board_is_where_it_stands(x, y):
+def test_a_board_is_occupied_at_its_place(x, y):
     occupancy = grid(*pictures(block=(x, y - 0.5, y + 0.5, 1.5)))
     rows, columns = np.nonzero(occupancy.cells == OCCUPIED)
     assert len(rows)
@@ -139,7 +136,7 @@ def test_a_board_is_where_it_stands(x, y):
     assert np.abs(-15 + 0.2 * (rows + 0.5) - y).max() < 0.7
 
 
-def test_the_depth_tolerance_decides_where_road_and_depth_disagree():
+def test_the_depth_tolerance_decides_if_road_and_depth_disagree():
     depth_m, tags, drivable = pictures()
     cfg = OccupancyConfig(min_points=10_000)
     strict = cfg.model_copy(update={"depth_tolerance": 0.01})
@@ -157,7 +154,7 @@ def test_settings_that_do_not_fit_are_refused(setting):
         load_config(None, (f"occupancy.{setting}",))
 
 
-def test_missing_inputs_are_stated():
+def test_a_missing_input_has_a_reason_and_unknown_depth_gives_unknown_cells():
     depth_m, tags, drivable = pictures()
     no_plane, no_depth = Reason("surface", "plane_without_points"), Reason("drivable", "no_depth_no_segmentation")
     assert grid(None, tags, drivable) == Absent(Reason("occupancy", "no_depth"))
@@ -165,9 +162,4 @@ def test_missing_inputs_are_stated():
     assert grid(depth_m, tags, drivable, surface=Absent(no_plane)) == Absent(without_surface)
     without_drivable = Reason("occupancy", "no_drivable_surface", cause=no_depth)
     assert grid(depth_m, tags, Absent(no_depth)) == Absent(without_drivable)
-
-
-def test_unknown_depth_is_unknown_ground():
-    depth_m, tags, drivable = pictures()
-    blind = grid(np.full_like(depth_m, np.nan), tags, drivable)
-    assert (blind.cells == UNKNOWN).all()
+    assert (grid(np.full_like(depth_m, np.nan), tags, drivable).cells == UNKNOWN).all()

@@ -1,4 +1,4 @@
-"""Depth of pairs whose disparities are known: shifted textures, the course's pair, rendered drives."""
+"""Depth of pairs with known disparities: shifted textures, the course's pair, rendered scenes."""
 
 import json
 import re
@@ -35,13 +35,13 @@ RENDERED = g.Camera("left", 1280, 960, 640.0, 640.0, 639.5, 479.5)
 
 
 def texture(seed=0, width=WIDTH + 64):
-    """Smooth enough to be shifted by parts of a pixel."""
+    """A texture smooth enough for shifts by fractions of a pixel."""
     noise = np.random.default_rng(seed).uniform(0, 255, (HEIGHT, width)).astype(np.float32)
     return cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 1.5), None, 0, 255, cv2.NORM_MINMAX)
 
 
 def view(picture, disparity_px):
-    """The left picture's columns from 32 on, as a camera sees them in which they lie that much farther left."""
+    """The picture's columns from 32 on, shifted left by a disparity."""
     columns = np.tile(np.arange(WIDTH, dtype=np.float32) + 32 + disparity_px, (HEIGHT, 1))
     rows = np.tile(np.arange(HEIGHT, dtype=np.float32)[:, None], (1, WIDTH))
     return cv2.remap(picture, columns, rows, cv2.INTER_LINEAR).astype(np.uint8)
@@ -54,7 +54,7 @@ def matched(cfg, left, right, left_camera=LEFT, right_camera=RIGHT):
     return found.depth_m
 
 
-@pytest.mark.parametrize("shift_px", [8.0, 10.25, 19.7, 28.5])
+@pytest.mark.parametrize("shift_px", [8.0, 19.7, 28.5])
 @pytest.mark.parametrize(("cfg", "exact_px"), [(FULL, 0.1), (FAST, 0.2)], ids=["full", "fast"])
 def test_a_shifted_texture_has_one_depth(cfg, exact_px, shift_px):
     depth = matched(cfg, view(texture(), 0.0), view(texture(), shift_px))
@@ -63,7 +63,7 @@ def test_a_shifted_texture_has_one_depth(cfg, exact_px, shift_px):
     assert np.isfinite(inner).mean() > 0.99
 
 
-def test_cameras_need_not_be_equally_bright():
+def test_cameras_may_differ_in_brightness():
     left, right = view(texture(), 0.0), view(texture(), 10.25)
     dimmer = np.clip(right.astype(int) - 6, 0, 255).astype(np.uint8)
     inner = matched(FULL, left, dimmer)[10:-10, 40:-10]
@@ -71,8 +71,8 @@ def test_cameras_need_not_be_equally_bright():
 
 
 @BOTH
-def test_what_the_right_camera_does_not_see_is_unknown(cfg):
-    """A near square hides as many columns beside it as its disparity is larger than the ground's."""
+def test_pixels_hidden_from_the_right_camera_are_unknown(cfg):
+    """A near square hides as many columns as its disparity exceeds the ground's."""
     ground, near = texture(1), texture(2)
     left, right = view(ground, 0.0), view(ground, 8.0)
     square = view(near, 0.0)[40:80, 100:140]
@@ -82,10 +82,6 @@ def test_what_the_right_camera_does_not_see_is_unknown(cfg):
     assert np.nanmedian(disparity[45:75, 50:78]) == pytest.approx(8, abs=0.3)
     assert np.isnan(disparity[45:75, 86:98]).mean() > 0.8
     assert np.isnan(disparity[:, :8]).mean() > 0.9
-
-
-@BOTH
-def test_nothing_to_tell_one_place_from_another(cfg):
     grey = np.full((HEIGHT, WIDTH), 90, np.uint8)
     assert np.isnan(matched(cfg, grey, grey)).all()
 
@@ -107,21 +103,21 @@ def test_uniqueness_and_speckles_have_an_effect():
     assert known["patches"] > known["strict patches"]
 
 
-def test_a_disparity_too_small_is_unknown():
+def test_disparities_below_the_minimum_are_unknown():
     pair = view(texture(), 0.0), view(texture(), 3.0)
     assert np.isfinite(matched(FULL, *pair)).mean() > 0.9
     assert np.isfinite(matched(StereoConfig(method="full", min_disparity_px=4.0), *pair)).mean() < 0.01
 
 
 @BOTH
-def test_odd_sizes(cfg):
+def test_images_of_odd_size(cfg):
     left, right = (image[:-1, :-1] for image in (view(texture(), 0.0), view(texture(), 10.0)))
     camera = replace(LEFT, width=WIDTH - 1, height=HEIGHT - 1)
     depth = matched(cfg, left, right, camera, replace(camera, baseline_m=0.5))
     assert np.nanmedian(depth) == pytest.approx(10.0, rel=0.03)
 
 
-def test_threads_do_not_change_a_bit():
+def test_threads_do_not_change_the_depth():
     before, pair = cv2.getNumThreads(), (view(texture(), 0.0), view(texture(), 10.25))
     found = []
     for threads in (1, 2):
@@ -143,16 +139,15 @@ def test_disparities_reach_the_nearest_road():
 
 
 def with_lens(distortion=(), **changes):
-    """The left camera, not rectified, its lens changed."""
+    """The left camera with an unrectified image and a changed lens."""
     lens = g.Lens(LEFT.fx, LEFT.fy, LEFT.cx, LEFT.cy)
     return replace(LEFT, lens=replace(lens, **changes), distortion=distortion)
 
 
 @pytest.mark.parametrize("count", [0, 4, 5, 8, 12, 14])
-def test_every_lens_of_opencv_is_undone(count):
-    assert not isinstance(
-        stereo.match(FAST, with_lens((1e-3,) * count), RIGHT, MOUNTING, *[view(texture(), 0.0)] * 2), Absent
-    )
+def test_every_lens_of_opencv_is_rectified(count):
+    assert stereo.lens_fault("left", with_lens((1e-3,) * count)) is None
+    matched(FAST, *[view(texture(), 0.0)] * 2, with_lens((1e-3,) * count))
 
 
 @pytest.mark.parametrize(
@@ -162,13 +157,13 @@ def test_every_lens_of_opencv_is_undone(count):
         ({"right_image": None}, "no right image"),
         ({"left_image": None, "right_image": None}, "no left image, no right image"),
         ({"right": replace(RIGHT, baseline_m=None)}, r"P\[0\]\[3\] of the right camera is 0"),
-        ({"right": replace(RIGHT, baseline_m=-0.5)}, "gives a baseline of -0.5 m"),
-        (
-            {"right": replace(RIGHT, baseline_m=1e30)},
-            r"baseline of 1e\+30 m: expected -fx \* baseline, which is 0.001 to 1000 m",
+        *(
+            (
+                {"right": replace(RIGHT, baseline_m=bad)},
+                rf"a baseline of {re.escape(f'{bad:g}')} m: expected -fx \* baseline, which is 0.001 to 1000 m",
+            )
+            for bad in (-0.5, 1e30, np.inf, 1e-30)
         ),
-        ({"right": replace(RIGHT, baseline_m=np.inf)}, "gives a baseline of inf m"),
-        ({"right": replace(RIGHT, baseline_m=1e-30)}, "gives a baseline of 1e-30 m"),
         ({"right": replace(RIGHT, width=100)}, "left camera has 240x120 pixels, the right one 100x120"),
         ({"right_image": np.zeros((60, 60), np.uint8)}, "right image: 60x60 pixels, its calibration says 240x120"),
         ({"left": replace(LEFT, distortion=(0.1, 0.0, 0.0, 0.0))}, "the left camera has distortion but no R"),
@@ -177,11 +172,11 @@ def test_every_lens_of_opencv_is_undone(count):
         ({"ego_T_left": g.level_mounting(-1.0)}, "set stereo.disparities"),
         *(
             ({"left": with_lens(R=(bad,) * 9)}, f"the left camera has an R that is not a rotation: .*{bad:.3}")
-            for bad in (np.nan, np.inf, -np.inf, 1e-300)
+            for bad in (np.nan, np.inf, 1e-300)
         ),
         *(
             ({"right": replace(with_lens(distortion=(0.1,) * n), baseline_m=0.5)}, f"right camera has {n} distortion")
-            for n in (1, 3, 6, 7, 20)
+            for n in (1, 3, 20)
         ),
         ({"left": with_lens(distortion=(0.1,) * 6)}, "6 distortion coefficients, expected one of 4, 5, 8, 12, 14"),
         *(
@@ -191,19 +186,19 @@ def test_every_lens_of_opencv_is_undone(count):
         *(
             ({"left": with_lens(**{name: bad})}, f"an invalid K: {name} {bad:g}: expected")
             for name, values in {
-                "fx": (np.nan, np.inf, 300000.0, 1e-30),
-                "fy": (0.0, -100.0, np.nan),
-                "cx": (np.nan, np.inf, 2401.0),
+                "fx": (np.nan, 300000.0, 1e-30),
+                "fy": (0.0, -100.0, np.inf),
+                "cx": (np.nan, 2401.0),
                 "cy": (-np.inf, -1e5),
             }.items()
             for bad in values
         ),
     ],
 )
-def test_why_there_is_no_depth(changes, reason):
+def test_missing_depth_has_a_reason(changes, reason):
     image = view(texture(), 0.0)
-    given = {"cfg": FAST, "left": LEFT, "right": RIGHT, "ego_T_left": MOUNTING}
-    found = stereo.match(**{**given, "left_image": image, "right_image": image, **changes})
+    asked = {"cfg": FAST, "left": LEFT, "right": RIGHT, "ego_T_left": MOUNTING}
+    found = stereo.match(**{**asked, "left_image": image, "right_image": image, **changes})
     assert isinstance(found, Absent)
     assert re.search(reason, found.reason.text), found.reason
 
@@ -213,7 +208,7 @@ def pixel_rays(camera):
 
 
 def lens_view(camera, picture):
-    """The rectified picture as the camera's lens takes it: each of its pixels looks up its ray."""
+    """The rectified picture seen through the camera's lens."""
     lens = camera.lens
     rows, columns = np.indices(camera.size, dtype=float)
     pixels = np.stack((columns, rows), axis=-1).reshape(-1, 1, 2)
@@ -227,11 +222,11 @@ def turned(roll, pitch, yaw):
     return tuple(rotation_from_rpy(roll, pitch, yaw).ravel())
 
 
-def test_a_pair_that_is_not_rectified_is_rectified_first():
+def test_an_unrectified_pair_is_rectified_first():
     left = replace(LEFT, distortion=(-0.1, 0.02, 0.001, 0.0), lens=g.Lens(210, 205, 118, 61, turned(0.01, 0.02, -0.02)))
     right = replace(RIGHT, distortion=(-0.08, 0.0, 0.0, 0.001), lens=g.Lens(195, 198, 121, 58, turned(-0.02, 0, 0.01)))
     pair = lens_view(left, view(texture(), 0.0)), lens_view(right, view(texture(), 20.0))
-    # All lies 5 m ahead of the rectified camera, to which the left one is turned.
+    # All points are 5 m ahead of the rectified camera, to which the left one is rotated.
     true_m = 5.0 / (pixel_rays(LEFT) @ np.array(left.lens.R).reshape(3, 3)[2])
     plain, depth = (matched(FULL, *pair, *cameras) - true_m for cameras in ((LEFT, RIGHT), (left, right)))
     inner = np.s_[20:-20, 50:-20]
@@ -243,8 +238,8 @@ def test_a_pair_that_is_not_rectified_is_rectified_first():
 
 
 @pytest.mark.parametrize(("cfg", "p95"), [(FULL, 0.02), (FAST, 0.04)], ids=["full", "fast"])
-def test_the_depth_is_the_left_cameras_own_however_it_is_turned(cfg, p95):
-    """Road and car nearer than 25 m; in the rectified camera, 2 degrees off, they are 9 % off (median)."""
+def test_the_depth_belongs_to_the_mounted_left_camera(cfg, p95):
+    """For road and car nearer than 25 m; in the rectified camera, turned by 2 degrees, the median error is 9 %."""
     pinhole = replace(RENDERED, width=640, height=480, fx=320.0, fy=320.0, cx=319.5, cy=239.5)
     (left, ego_T_left), (right, ego_T_right) = pair.crooked(pinhole, 0.5, g.level_mounting(1.2), 2.0)
     images = pair.photograph(left, ego_T_left), pair.photograph(right, ego_T_right)
@@ -254,12 +249,12 @@ def test_the_depth_is_the_left_cameras_own_however_it_is_turned(cfg, p95):
     assert (np.nanmedian(error) < 0.005, np.nanquantile(error, 0.95) < p95) == (True, True)
 
 
-def test_the_disparities_tried_are_those_of_the_rectified_camera(monkeypatch):
-    """A camera mounted 20 degrees nose up, and the level one that it is rectified to, which needs more of them."""
-    tried, image = [], view(texture(), 0.0)
+def test_the_number_of_disparities_is_that_of_the_rectified_camera(monkeypatch):
+    """A camera mounted 20 degrees nose up, rectified to a level one, which needs more disparities."""
+    counts, image = [], view(texture(), 0.0)
 
     def count_only(_cfg, count, grey, _right):
-        tried.append(count)
+        counts.append(count)
         return np.ones(grey.shape, np.float32)
 
     monkeypatch.setattr(stereo, "disparity", count_only)
@@ -267,10 +262,10 @@ def test_the_disparities_tried_are_those_of_the_rectified_camera(monkeypatch):
     left = replace(LEFT, lens=g.Lens(200, 200, 119.5, 59.5, tuple(up.ravel())))
     for camera, ego_T_left in ((LEFT, MOUNTING), (left, MOUNTING @ g.rigid(up, np.zeros(3)))):
         stereo.match(FULL, camera, RIGHT, ego_T_left, image, image)
-    assert tried[0] == tried[1] == disparities_needed(LEFT, RIGHT.baseline_m, MOUNTING)
+    assert counts[0] == counts[1] == disparities_needed(LEFT, RIGHT.baseline_m, MOUNTING)
 
 
-def test_what_lies_outside_an_image_before_rectification_is_unknown():
+def test_pixels_outside_an_image_before_rectification_are_unknown():
     right = replace(RIGHT, lens=g.Lens(200, 200, 119.5 - 60, 59.5))
     left = replace(LEFT, lens=g.Lens(200, 200, 119.5, 59.5 - 30))
     picture = view(texture(), 0.0), view(texture(), 20.0)
@@ -281,7 +276,7 @@ def test_what_lies_outside_an_image_before_rectification_is_unknown():
     assert np.isfinite(depth[40:-10, 90:-10]).mean() > 0.95
 
 
-def test_a_right_camera_of_another_pinhole_is_brought_to_the_left_one():
+def test_a_right_camera_with_other_intrinsics_is_resampled_to_the_left_one():
     right = replace(RIGHT, fx=190.0, fy=205.0, cx=130.0, cy=55.0)
     lens = replace(LEFT, lens=g.Lens(right.fx, right.fy, right.cx, right.cy))
     depth = matched(FULL, view(texture(), 0.0), lens_view(lens, view(texture(), 20.0)), LEFT, right)
@@ -306,7 +301,7 @@ def test_the_courses_matrices(course):
     assert g.baseline_of(P_left, P_right) == pytest.approx(expected["baseline_m"], abs=1e-12)
 
 
-def test_the_courses_nearest_depth_by_its_public_settings(course):
+def test_the_courses_nearest_depth_with_its_public_settings(course):
     calibration, expected, *pair = course
     public = expected["sgbm"]
     cfg = load_config(None, SETTINGS).stereo
@@ -325,7 +320,7 @@ def test_the_courses_nearest_depth_by_its_public_settings(course):
 
 
 @BOTH
-def test_the_courses_nearest_depth_by_the_defaults(course, cfg):
+def test_the_courses_nearest_depth_with_the_defaults(course, cfg):
     calibration, expected, *pair = course
     left, right = (cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in pair)
     camera = g.Camera("left", 1280, 960, 640.0, 480.0, 639.5, 479.5)
@@ -337,7 +332,7 @@ def test_the_courses_nearest_depth_by_the_defaults(course, cfg):
 
 
 def rendered(folder, *options):
-    """Camera, baseline, mounting height and (left, right, true depth) of a rendered drive's frames."""
+    """Camera, baseline, mounting and (left, right, true depth) of a rendered scene's frames."""
     assert render.main([str(folder), *options]) == 0
     calibration = json.loads((folder / "calibration.json").read_text())
     K = np.array(calibration["K"])
@@ -353,7 +348,7 @@ def rendered(folder, *options):
 
 
 def figures(cfg, camera, baseline_m, mounting, frames):
-    """Means over the frames: end-point error, D1, coverage; and processor seconds."""
+    """Means over the frames of end-point error, D1 and coverage; prints the CPU time."""
     errors, seconds = [], 0.0
     for left, right, true_m in frames:
         started = process_time()
@@ -369,9 +364,9 @@ def figures(cfg, camera, baseline_m, mounting, frames):
 
 
 def test_rendered_stereo_against_its_depth(tmp_path):
-    drive = rendered(tmp_path, "--size", "640x480", "--seconds", "1", "--rate", "2")
+    scene = rendered(tmp_path, "--size", "640x480", "--seconds", "0.5", "--rate", "2")
     for cfg, limit_px in ((FULL, 0.6), (FAST, 0.9)):
-        epe_px, d1_ratio, coverage = figures(cfg, *drive)
+        epe_px, d1_ratio, coverage = figures(cfg, *scene)
         assert (epe_px < limit_px, d1_ratio < 0.03, coverage >= 0.85) == (True, True, True)
 
 

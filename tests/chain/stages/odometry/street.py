@@ -1,4 +1,4 @@
-"""A street of four textured planes that can be photographed from anywhere, with exact depth."""
+"""Images and exact depth of a street of four textured planes, from any pose."""
 
 from dataclasses import dataclass
 
@@ -64,7 +64,7 @@ def pose(x, y=0.0, yaw=0.0, pitch=0.0):
 
 
 def drive(count, step_m=0.4, turn=0.01):
-    """Poses of a bend, the first being the identity."""
+    """Poses in a bend; the first is the identity."""
     poses = [np.eye(4)]
     for _ in range(count - 1):
         poses.append(poses[-1] @ pose(step_m, yaw=turn))
@@ -72,7 +72,7 @@ def drive(count, step_m=0.4, turn=0.01):
 
 
 def run(shots, cfg=CFG, state=None, first=0, depth=True, movable=None, road=None):
-    """The states and results of shots; None is a missing frame. ``movable`` are pixels of vehicles."""
+    """The states and results of shots; None is a missing frame. ``movable`` (H, W) marks pixels of vehicles."""
     tags = None if movable is None else np.where(movable, VEHICLE, 0).astype(np.uint8)
     state, states, results = state or OdometryState(), [], []
     for k, shot in enumerate(shots, first):

@@ -1,4 +1,4 @@
-"""The odometry over frames whose motion is known."""
+"""Odometry over frames with known motion."""
 
 import pickle
 from itertools import pairwise
@@ -39,22 +39,20 @@ def statuses(results):
     [("klt", "brute_force"), ("orb", "brute_force"), ("sift", "brute_force"), ("sift", "flann")],
 )
 def test_known_motion_with_depth(features, matcher):
-    _, results = run(SHOTS, CFG.model_copy(update={"features": features, "matcher": matcher}))
-    assert statuses(results) == ["first"] + ["tracked"] * 11
-    shift, turn = relative_errors(poses(results), np.array(POSES), (2.0, 4.0), every=1)
+    shots = SHOTS if features == "klt" else SHOTS[:8]
+    states, results = run(shots, CFG.model_copy(update={"features": features, "matcher": matcher}))
+    assert statuses(results) == ["first"] + ["tracked"] * (len(shots) - 1)
+    shift, turn = relative_errors(poses(results), np.array(POSES[: len(shots)]), (2.0,), every=1)
     assert shift < 0.01
     assert turn < 2.0
-    assert not any(out.up_to_scale for out in results)
-
-
-def test_steps_chain_to_the_poses():
-    _, results = run(SHOTS[:4])
     for before, out in pairwise(results):
         np.testing.assert_allclose(before.odom_T_ego @ out.step, out.odom_T_ego, atol=1e-9)
-        assert out.since_ns is not None
+        assert (out.since_ns is None, out.up_to_scale) == (False, False)
+    sizes = [len(pickle.dumps(state)) for state in states]
+    assert max(sizes) < 1.5 * min(sizes)
 
 
-def test_the_covariance_of_a_step_at_full_size_holds_its_error():
+def test_the_covariance_of_a_step_at_full_size_covers_its_error():
     _, results = run(SHOTS[:3], CFG.model_copy(update={"min_rows": 480}))
     covariance = np.array(results[1].covariance).reshape(6, 6)
     np.testing.assert_allclose(covariance, covariance.T, atol=1e-15)
@@ -65,21 +63,21 @@ def test_the_covariance_of_a_step_at_full_size_holds_its_error():
 
 def test_standing_still_does_not_drift_while_a_car_passes():
     shots = []
-    for k in range(20):
+    for k in range(10):
         shot = noisy(SHOTS[0], k)
         grey, depth_m = shot.grey.copy(), shot.depth_m.copy()
-        columns = slice(25 * k, 25 * k + 160)
+        columns = slice(50 * k, 50 * k + 160)
         grey[220:330, columns] = SHOTS[5].grey[120:230, 100:260]
         depth_m[220:330, columns] = 6.0
         shots.append(Shot(grey, depth_m))
     for depth in (True, False):
         _, results = run(shots, depth=depth)
-        assert statuses(results[1:]) == ["tracked"] * 19
+        assert statuses(results[1:]) == ["tracked"] * 9
         assert np.linalg.norm(poses(results)[:, :3, 3], axis=1).max() < 0.005
         assert max(angle_deg(p[:3, :3]) for p in poses(results)) < 0.02
 
 
-def test_a_missing_frame_is_lost_and_its_motion_is_not():
+def test_a_missing_frame_is_lost_but_its_motion_is_not():
     states, results = run([*SHOTS[:3], None, *SHOTS[4:8]])
     assert statuses(results) == ["first", "tracked", "tracked", "lost", "tracked", "tracked", "tracked", "tracked"]
     np.testing.assert_array_equal(results[3].odom_T_ego, results[2].odom_T_ego)
@@ -115,7 +113,7 @@ def test_an_impossible_motion_is_lost(limit, reason):
     assert results[1].reason == Reason("odometry", reason)
 
 
-def test_without_depth_the_shape_is_kept_in_steps():
+def test_without_depth_the_shape_of_the_path_is_right():
     _, results = run(SHOTS, depth=False)
     assert statuses(results) == ["first"] + ["tracked"] * 11
     assert all(out.up_to_scale for out in results[1:])
@@ -133,7 +131,7 @@ def test_the_road_gives_the_scale():
     assert distances_m(poses(results))[-1] == pytest.approx(distances_m(np.array(POSES))[-1], rel=0.02)
 
 
-def test_depth_that_drops_out_leaves_the_scale():
+def test_the_scale_is_kept_while_depth_is_missing():
     blind = [Shot(s.grey, np.full_like(s.depth_m, np.nan)) if 3 <= k < 9 else s for k, s in enumerate(SHOTS)]
     _, results = run(blind)
     assert statuses(results) == ["first"] + ["tracked"] * 11
@@ -153,7 +151,7 @@ def test_depth_with_holes_and_noise_that_grows():
     assert relative_errors(poses(results), np.array(POSES), (4.0,), every=1)[0] < 0.02
 
 
-def test_movable_objects_are_left_out():
+def test_features_on_movable_objects_are_not_used():
     movable = np.zeros(CAMERA.size, bool)
     movable[:, 320:] = True
     states, results = run(SHOTS[:3], movable=movable)
@@ -166,38 +164,26 @@ def test_no_image_is_absent_and_a_blank_image_is_lost():
     blank = Shot(np.full(CAMERA.size, 90, np.uint8), SHOTS[0].depth_m)
     for depth in (True, False):
         for features in ("klt", "orb", "sift"):
-            _, results = run([blank, blank, *SHOTS[:2]], CFG.model_copy(update={"features": features}), depth=depth)
-            assert statuses(results) == ["first", "lost", "lost", "tracked"]
+            _, results = run([blank, *SHOTS[:2]], CFG.model_copy(update={"features": features}), depth=depth)
+            assert statuses(results) == ["first", "lost", "tracked"]
 
 
 @pytest.mark.parametrize(
     ("features", "matcher", "depth"),
-    [
-        ("klt", "brute_force", True),
-        ("klt", "brute_force", False),
-        ("orb", "brute_force", False),
-        ("sift", "flann", True),
-    ],
+    [("klt", "brute_force", True), ("klt", "brute_force", False), ("orb", "flann", False), ("sift", "flann", True)],
 )
-def test_replay_and_resume_from_a_pickled_state_are_equal(features, matcher, depth):
+def test_a_second_run_and_a_resumed_run_give_equal_results(features, matcher, depth):
     cfg = CFG.model_copy(update={"features": features, "matcher": matcher})
-    states, results = run(SHOTS[:6], cfg, depth=depth)
-    _, again = run(SHOTS[:6], cfg, depth=depth)
-    _, resumed = run(SHOTS[3:6], cfg, pickle.loads(pickle.dumps(states[2])), first=3, depth=depth)
-    for a, b, c in zip(results[3:], again[3:], resumed, strict=True):
-        assert same(a, b)
-        assert same(a, c)
-
-
-def test_the_state_is_bounded():
-    states, _ = run(SHOTS)
-    sizes = [len(pickle.dumps(state)) for state in states]
-    assert max(sizes) < 1.5 * min(sizes)
+    states, results = run(SHOTS[:4], cfg, depth=depth)
+    _, again = run(SHOTS[:3], cfg, depth=depth)
+    _, resumed = run(SHOTS[2:4], cfg, pickle.loads(pickle.dumps(states[1])), first=2, depth=depth)
+    assert same(tuple(results[:3]), tuple(again))
+    assert same(tuple(results[2:]), tuple(resumed))
 
 
 @pytest.mark.parametrize("missed", [0, 1])
-def test_features_are_sought_first_where_a_steady_motion_takes_them(missed):
-    """The drive's motion is steady, so that its next pose, and the one after that, are known."""
+def test_the_search_for_features_begins_where_a_steady_motion_predicts_them(missed):
+    """The motion is steady, so the next two poses are known."""
     states, _ = run(SHOTS[:4])
     state, frame = states[-1], 4 + missed
     stamp_ns = 1_000_000_000 + frame * STEP_NS
