@@ -13,20 +13,20 @@ from roadperc_stream.errors import ConfigError
 from roadperc_stream.system.text import nearest
 
 _KINDS: Final[Mapping[str, str]] = {"integer": "a whole number ", "number": "a number "}
-"""Types of settings that their ranges do not say."""
+"""Text for types that the range does not show."""
 
 
 def load_config(path: str | Path | None = None, settings: str | Sequence[str] = ()) -> ReplayConfig:
-    """Configuration of a TOML file and ``KEY=VALUE`` settings, the settings winning.
+    """Configuration from a TOML file and ``KEY=VALUE`` settings, which override the file.
 
-    A file of an older version may have settings that are constants now: one warning says so.
+    A file of an older version may have settings that are constants now; one warning lists them.
 
     Args:
         path: TOML file with any part of the keys; None for the defaults.
-        settings: one or several such as ``lanes.hold_s=0.8``; the value is TOML, a bare word is a string.
+        settings: one or several such as ``lanes.hold_s=0.8``; the value is TOML; a word without quotes is a string.
 
     Raises:
-        ConfigError: the file cannot be read, or a key or value does not fit; the message names it.
+        ConfigError: the file cannot be read, or a key or value is invalid; the message names it.
     """
     tree = without_fixed(_read_toml(Path(path)), Path(path)) if path else {}
     for setting in [settings] if isinstance(settings, str) else settings:
@@ -38,14 +38,14 @@ def load_config(path: str | Path | None = None, settings: str | Sequence[str] = 
 
 
 def validated(tree: Mapping[str, Any], source: str) -> ReplayConfig:
-    """Configuration of nested mappings, any part of the keys.
+    """Configuration from nested mappings with any part of the keys.
 
     Args:
         tree: such as ``{"lanes": {"hold_s": 0.8}}``.
-        source: what the message of an error begins with, such as ``a.toml: ``.
+        source: prefix of error messages, such as ``a.toml: ``.
 
     Raises:
-        ConfigError: a key or value does not fit; the message names it.
+        ConfigError: a key or value is invalid; the message names it.
     """
     try:
         return ReplayConfig.model_validate(tree)
@@ -57,7 +57,7 @@ def validated(tree: Mapping[str, Any], source: str) -> ReplayConfig:
 
 def _complaint(error: ValidationError) -> str:
     first = error.errors()[0]
-    keys = [str(part) for part in first["loc"][:2]]  # what follows are kinds of values, or places in a list
+    keys = [str(part) for part in first["loc"][:2]]  # the rest are types of values, or positions in a list
     key = ".".join(keys)
     if first["type"] == "extra_forbidden":
         return _unknown(keys)
@@ -82,14 +82,14 @@ def _unknown(keys: list[str]) -> str:
 
 
 def _known(sections: list[str], name: str, names: tuple[str, ...]) -> str:
-    """The nearest setting: in the same section, else one of that name in another; else all of the section."""
+    """A hint: the nearest setting in this section, else in another one, else all settings of this section."""
     close = nearest(name, names)
     near = _elsewhere(name) if close is None else [".".join((*sections, close))]
     return f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(names)}"
 
 
 def _elsewhere(name: str) -> list[str]:
-    """The settings of any section that are called most nearly so; none where nothing is near."""
+    """The settings of all sections with the nearest name; empty if no name is near."""
     sections = {section: type(field.default) for section, field in ReplayConfig.model_fields.items()}
     models = {section: model for section, model in sections.items() if issubclass(model, BaseModel)}
     names = {key for model in models.values() for key in model.model_fields}
