@@ -112,7 +112,7 @@ def test_an_alarm_without_a_true_impact_is_false():
 
 
 def test_added_noise_equals_rendered_noise(tmp_path):
-    options = drive("town", scene="town", width=160, height=120, seconds=0.2).options
+    options = drive("straight", scene="straight", width=160, height=120, seconds=0.2).options
     render_dump(tmp_path / "clean", replace(options, seed=3), force=False, on_frame=lambda: None)
     noisy = replace(options, seed=3, tag_noise=0.05, depth_noise=0.02)
     render_dump(tmp_path / "rendered", noisy, force=False, on_frame=lambda: None)
