@@ -192,7 +192,7 @@ def test_another_value_gives_another_result(stages, settings, change):
     assert not same(results(stages, (*settings, change)), results(stages, settings))
 
 
-def test_the_tag_table_that_is_set_wins_over_the_logs(tmp_path):
+def test_a_configured_tag_table_overrides_the_logs(tmp_path):
     """Read as another version's, whose 7 is a traffic light and no road, the log's tags show no road."""
     source = logs.write(tmp_path / "in.mcap", logs.items(1))
     found = {}

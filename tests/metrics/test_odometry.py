@@ -55,7 +55,7 @@ def test_without_scale_there_is_no_length_error_and_without_truth_no_error():
     assert (row.true_x_m, row.true_qw, row.step_error_m, row.true_step_m) == (None, None, None, None)
 
 
-def test_the_deviations_of_step_and_turn_are_those_along_them():
+def test_deviations_of_step_and_turn_are_along_the_motion():
     """The covariance is in the axes that the step leads to: after a quarter turn its y was the old x, reversed."""
     stds = np.array([0.01, 0.02, 0.03, 0.001, 0.002, 0.003])
     covariance = tuple(np.diag(stds**2).ravel())

@@ -27,7 +27,7 @@ def test_exact_points_give_the_curve_back():
 
 
 @pytest.mark.parametrize(("side", "sign"), [("left", 1.0), ("right", -1.0)])
-def test_of_a_double_line_the_inner_edge_is_chosen(side, sign):
+def test_the_inner_edge_of_a_double_line_is_chosen(side, sign):
     """The second line's edge faces the ego lane too, 25 cm farther out, and is as well supported."""
     inner, outer = points((sign * 1.6, 0.0, 0.004)), points((sign * 1.85, 0.0, 0.004))
     rows = np.tile(np.arange(len(inner), dtype=float), 2)
@@ -82,7 +82,7 @@ def test_line_on_ground_of_a_straight_line():
     assert curves.line_on_ground(cloud[:1]) is None
 
 
-def test_where_the_edges_tell_no_curvature_it_is_that_of_a_plausible_road():
+def test_without_information_the_curvature_has_its_prior():
     """Within 4 m to 9 m the eye sees none; a road bends by 0.01 per metre at one deviation."""
     near, far = points((1.7, 0.0, 0.0), reach_m=7.0), points((1.7, 0.0, 0.0), reach_m=60.0)
     unknown, known = (np.sqrt(fit(cloud, (1.7, 0.0, 0.0)).covariance[2, 2]) for cloud in (near, far))

@@ -86,7 +86,7 @@ def test_the_change_lasts_while_the_car_is_over_the_line():
     [(0.02, 0.01, 1, True), (0.02, 0.1, 1, False), (0.4, 0.01, 0, None)],
     ids=["known", "uncertain ahead", "uncertain"],
 )
-def test_only_a_line_that_is_known_is_crossed(std_m, heading_std, changes, is_sure):
+def test_only_a_certain_line_is_crossed(std_m, heading_std, changes, is_sure):
     """The same place, 30 cm past the line: a line that is hardly known may as well be ahead."""
     track = tracking.start(np.array([-0.3, 0.0, 0.0]), np.diag([std_m, heading_std, 0.001]) ** 2, 1)
     after = handed_over(CFG, LanesState(left=TrackedBoundary(track, 20.0)), None, 1)
@@ -103,7 +103,7 @@ def test_an_aborted_lane_change_does_not_count():
     assert seen[-1].side("left").offset_m == pytest.approx(1.75 - MARKING_M / 2, abs=0.05)
 
 
-def test_nothing_is_given_of_the_line_that_the_car_stands_on():
+def test_the_boundary_under_the_car_is_lost():
     seen = drive((0.0, 0.0, *np.linspace(0.0, 1.72, 15)))
     left = seen[-1].side("left")
     assert (left.status, left.offset_m) == ("lost", None)
@@ -119,7 +119,7 @@ def test_a_boundary_of_a_lane_too_narrow_is_lost_with_a_reason():
     assert lost.reason.values[1:] == (pytest.approx(1.6, abs=0.05), 2.0, 7.0)
 
 
-def test_a_line_across_the_lane_is_no_boundary():
+def test_a_line_across_the_lane_is_not_a_boundary():
     road = Road(width=1280, height=960)
     tags = road.tags()
     x, y, _ = np.moveaxis(road.ground()[1], -1, 0)

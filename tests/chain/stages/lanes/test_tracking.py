@@ -17,7 +17,7 @@ CFG = LanesConfig()
 R = np.diag([0.03, 0.005, 0.001]) ** 2
 
 
-def test_a_new_track_is_its_measurement_and_knows_nothing_of_its_rate():
+def test_a_new_track_equals_its_measurement_with_unknown_rate():
     track = tracking.start(np.array([1.7, 0.01, 0.002]), R, 7)
     np.testing.assert_array_equal(track.state, [1.7, 0.01, 0.002])
     np.testing.assert_array_equal(track.state_covariance, R)
@@ -66,7 +66,7 @@ def test_a_step_aside_and_a_turn_are_subtracted():
     assert after.mean[1] == pytest.approx((1.6 / np.cos(0.03) - 1.7) / 0.05)
 
 
-def test_a_line_beside_a_car_that_turns_stays_where_it_is():
+def test_a_line_beside_a_turning_car_stays_in_place():
     """As in a change of lane; an error of the second order in each step would add up."""
     exact = {"y_std_m": 0.0, "yaw_std": 0.0}
     track = exactly_known((1.7, 0.0, 0.0))
@@ -83,7 +83,7 @@ def exactly_known(state, rate=0.0):
     return tracking.BoundaryTrack(mean, np.zeros((4, 4)), 0, 0)
 
 
-def test_without_odometry_the_offset_goes_on_at_its_rate_which_walks_at_random():
+def test_without_odometry_the_rate_is_a_random_walk():
     """2 m/s more or less within a second: after 0.5 s q^2 (t^3 / 3, t^2 / 2, t) of offset, both, and speed."""
     cfg = CFG.model_copy(update={"process_noise": 2.0})
     predicted = tracking.predict(cfg, exactly_known((1.7, 0.01, 0.002), rate=-0.4), 10 * STEP_NS, None)
@@ -111,7 +111,7 @@ def test_the_prediction_does_not_depend_on_the_number_of_steps(with_odometry):
 
 
 @pytest.mark.parametrize("dx", [4.0, -4.0])
-def test_with_odometry_the_noise_is_its_own_and_that_of_the_road_driven(dx):
+def test_with_odometry_noise_comes_from_the_step_and_the_road(dx):
     """Per root metre curvature walks by 0.0008 / m, heading by 0.0008, offset by 0.002 m; and the step's y and yaw."""
     covariance = tracking.predict(CFG, exactly_known((1.7, 0.0, 0.0)), STEP_NS, moved(dx, y_std_m=0.02)).covariance
     of_road = 0.0008**2 * np.array([4.0**5 / 20, 4.0**3 / 3, 4.0])
@@ -120,7 +120,7 @@ def test_with_odometry_the_noise_is_its_own_and_that_of_the_road_driven(dx):
     np.testing.assert_allclose(covariance[2, 3], 0.0008**2 * dx * 4.0 / 2)
 
 
-def test_with_odometry_what_was_uncertain_is_seen_from_further_on():
+def test_with_odometry_uncertainty_is_propagated_along_the_road():
     """2 m ahead an uncertain heading has become offset: 2 * 0.01; an uncertain curvature both: 2 * 0.02, 2 * 0.01."""
     known = exactly_known((1.7, 0.0, 0.0))
     for column, seen in ((2, [0.02, 0.01, 0.0]), (3, [0.02, 0.02, 0.01])):
@@ -134,7 +134,7 @@ def test_with_odometry_what_was_uncertain_is_seen_from_further_on():
         np.testing.assert_allclose(added, np.outer(seen, seen), atol=1e-12)
 
 
-def test_an_update_weighs_both_by_their_variances():
+def test_an_update_weighs_prediction_and_measurement_by_variance():
     """Two equally good offsets meet in the middle with half the variance; what neither measures stays."""
     track = tracking.start(np.array([1.7, 0.0, 0.0]), R, 0)
     after = tracking.update(CFG, track, np.array([1.74, 0.002, 0.0]), R)
@@ -160,7 +160,7 @@ def after(*names, step_ns=STEP_NS, cfg=CFG):
     return majorities
 
 
-def test_a_change_that_lasts_wins_after_half_the_window_in_seconds():
+def test_a_lasting_change_of_class_wins_after_half_the_window():
     for step_ns, frames in ((STEP_NS, 6), (STEP_NS // 2, 11)):
         majorities = after(*["road"] * 40, *["sidewalk"] * 20, step_ns=step_ns)
         assert majorities[40:].index("sidewalk") + 1 == frames
@@ -191,7 +191,7 @@ def test_the_lanes_classes_do_not_flicker():
     assert sum(a != b for a, b in pairwise(outside)) == 1
 
 
-def test_a_held_boundary_keeps_what_was_voted():
+def test_a_held_boundary_keeps_its_classes():
     road = Road()
     state, _ = look(road)
     blank = road.tags() * 0 + ROAD
