@@ -110,7 +110,7 @@ def test_surface_without_noise(tmp_path, options):
 
 
 def test_frames_with_dropped_sensors_use_the_other_inputs(tmp_path):
-    run = rendered(tmp_path, "--scene", "straight", "--drop", "0.3", "--size", "320x240", "--seconds", "1")
+    run = rendered(tmp_path, "--scene", "straight", "--drop", "0.3", "--size", "320x240", "--seconds", "0.6")
     table = run.metrics
     missing = table["missing"].to_list()
     assert 0 < sum("depth" in roles for roles in missing) < len(missing)

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from pydantic import BaseModel, ValidationError
 
-from roadperc_stream.config.catalogue import Setting, catalogue
+from roadperc_stream.config.catalogue import catalogue
 from roadperc_stream.config.settings import MOST_BYTES, in_brief, parsed_toml, without_fixed
 from roadperc_stream.config.stages import ReplayConfig
 from roadperc_stream.errors import ConfigError
@@ -56,6 +56,7 @@ def validated(tree: Mapping[str, Any], source: str) -> ReplayConfig:
 
 
 def _complaint(error: ValidationError) -> str:
+    """The first error, such as ``lanes.hold_s: expected a number 0 to 3600 (s), found -1``."""
     first = error.errors()[0]
     keys = [str(part) for part in first["loc"][:2]]  # the rest are types of values, or positions in a list
     key = ".".join(keys)
@@ -64,28 +65,23 @@ def _complaint(error: ValidationError) -> str:
     if first["type"] == "value_error":
         return f"{key}: {first['ctx']['error']}"
     setting = next((setting for setting in catalogue() if setting.key == key), None)
-    expected = f"expected {_expected(setting)}" if setting else first["msg"]
+    expected = first["msg"]
+    if setting:
+        unit = f" ({setting.unit})" if setting.unit else ""
+        expected = f"expected {_KINDS.get(setting.type, '')}{setting.range}{unit}"
     return f"{key}: {expected}, found {in_brief(first['input'])}"
 
 
-def _expected(setting: Setting) -> str:
-    """The values of a setting in words, such as ``a number 0 to 3600 (s)``."""
-    return f"{_KINDS.get(setting.type, '')}{setting.range}{f' ({setting.unit})' if setting.unit else ''}"
-
-
 def _unknown(keys: list[str]) -> str:
+    """An unknown key, with the nearest setting in this section, else in another one, else all of this section."""
     *sections, name = keys
     model: type[BaseModel] = ReplayConfig
     for section in sections:
         model = type(model.model_fields[section].default)
-    return f"no setting {'.'.join(keys)}; {_known(sections, name, tuple(model.model_fields))}"
-
-
-def _known(sections: list[str], name: str, names: tuple[str, ...]) -> str:
-    """A hint: the nearest setting in this section, else in another one, else all settings of this section."""
-    close = nearest(name, names)
+    close = nearest(name, tuple(model.model_fields))
     near = _elsewhere(name) if close is None else [".".join((*sections, close))]
-    return f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(names)}"
+    hint = f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(model.model_fields)}"
+    return f"no setting {'.'.join(keys)}; {hint}"
 
 
 def _elsewhere(name: str) -> list[str]:

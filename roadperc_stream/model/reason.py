@@ -230,8 +230,8 @@ def _pattern(template: str) -> str:
     for literal, name, spec, conversion in Formatter().parse(template):
         parts.append(re.escape(literal))
         if name:
-            word = r"'[^']*'|\"[^\"]*\"" if conversion == "r" else r".*" if name in {_CAUSE, _DETAIL, "text"} else ".+?"
-            parts.append(f"(?P<{name}>{_NUMBERS.get(spec or '', word)})")
+            text = r"'[^']*'|\"[^\"]*\"" if conversion == "r" else r".*" if name in {_CAUSE, _DETAIL, "text"} else ".+?"
+            parts.append(f"(?P<{name}>{_NUMBERS.get(spec or '', text)})")
     return "".join(parts)
 
 

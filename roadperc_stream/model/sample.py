@@ -1,6 +1,5 @@
 """A frame and its truth, kept apart so that truth cannot leak into perception."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -97,12 +96,8 @@ def frame_reasons(sample: Sample, result: FrameResult) -> tuple[Reason, ...]:
     """Why data of a frame is missing: lost messages, missing messages, reports of the stages, results not written."""
     lost = () if sample.lost is None else (sample.lost,)
     missing = (Reason(role, "no_message") for role in sample.missing)
-    return (*lost, *missing, *result.reasons(), *_not_written(result))
-
-
-def _not_written(result: FrameResult) -> Iterator[Reason]:
-    """The results with ROS 2 schemas, if the frame's stamp is beyond ROS 2 time."""
-    if result.stamp_ns > LAST_ROS_STAMP_NS:
-        for stage, output in (("stereo", result.stereo), ("occupancy", result.occupancy)):
-            if not isinstance(output, Absent):
-                yield Reason(stage, "not_written", (LAST_ROS_STAMP_NS,))
+    with_ros_schemas = {"stereo": result.stereo, "occupancy": result.occupancy}
+    present = [stage for stage, output in with_ros_schemas.items() if not isinstance(output, Absent)]
+    unwritten = present if result.stamp_ns > LAST_ROS_STAMP_NS else []
+    not_written = (Reason(stage, "not_written", (LAST_ROS_STAMP_NS,)) for stage in unwritten)
+    return (*lost, *missing, *result.reasons(), *not_written)

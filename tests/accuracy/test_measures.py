@@ -16,7 +16,7 @@ STEP_NS = 100_000_000
 
 
 def lanes(statuses, errors_m, changes):
-    """A table of frames at 10 Hz: the left boundary as given, the right one measured without error."""
+    """A table of frames at 10 Hz with these values of the left boundary and a right boundary without error."""
     n = len(statuses)
     offsets = {"left": [1.75 + e for e in errors_m], "right": [-1.75] * n}
     return pl.DataFrame(

@@ -59,7 +59,7 @@ drivable_m = 0.15
 [lanes]
 fit_huber = 3.0
 """
-"""A file of a version in which two of the constants were settings, one with another value."""
+"""A file of an older version with two settings that are constants now, one of them with another value."""
 
 
 def test_a_file_of_an_older_version_is_read_with_one_note(tmp_path):

@@ -1,4 +1,4 @@
-"""Detections against true objects: who stands for whom, and how the filter judged."""
+"""Detections against true objects: their pairs, and the decisions of the filter."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Stereo's errors against the depth at its camera, with answers worked out by hand."""
+"""Errors of stereo against the depth of its camera, computed by hand."""
 
 from dataclasses import astuple, replace
 

@@ -27,7 +27,7 @@ from roadperc_stream.model.scene import Scene
 MOST_TRACKS = 256
 """Largest number of tracks; beyond it, the tracks longest without a detection are dropped."""
 EXPECTED_OVERLAP = 0.4
-"""Intersection over union with the predicted box from which a detection is where its object is expected."""
+"""Least intersection over union of a detection and the predicted box of its object."""
 DISTANCE_PENALTY = 0.3
 """Share of the overlap that is subtracted if the distances contradict each other."""
 _SEARCH_SIGMAS = 3.0
@@ -156,7 +156,7 @@ def similarities(
 
 
 def _contradictions(cfg: ObjectsConfig, tracks: Sequence[ObjectTrack], items: Sequence[Object]) -> Float:
-    """(tracks, items) 0 where the distances agree or one is unknown, 1 from the gate on."""
+    """(tracks, items) 0 if the distances agree or one is unknown, 1 at the gate and beyond."""
     motions = [track.distance_m for track in tracks]
     expected = np.array([np.nan if m is None else m.value for m in motions])[:, None]
     variances = np.array([np.nan if m is None else m.value_var for m in motions])[:, None]

@@ -100,7 +100,7 @@ def test_a_frame_without_tags_holds_boundaries_or_has_a_reason():
 
 
 def test_a_jump_outside_the_gate_is_rejected():
-    """The line vanishes for a frame and the next one out is closest: the boundary stays where it was."""
+    """If the line disappears for one frame and a farther line is the closest, the boundary is held."""
     road, farther = Road(left_m=1.8), Road(left_m=4.0)
     state, _ = look(road)
     for index in range(1, 5):
@@ -153,7 +153,7 @@ def test_public_lane_of_course_frame_1(data_dir):
 
 @pytest.mark.parametrize("number", [0, 1, 2])
 def test_neither_pole_nor_bonnet_bounds_the_lane(data_dir, number):
-    """Where the lane is drawn, the ground beside it is road inside and sidewalk outside on the right."""
+    """Beside the drawn boundaries, the ground is road inside, and sidewalk outside on the right."""
     raw = cv2.imread(str(data_dir / "carla_raw_tags" / "CameraSeg" / f"{number}.png"), cv2.IMREAD_UNCHANGED)
     tags = np.ascontiguousarray(raw[..., 2])
     _, lanes = look(Road(width=800, height=600, height_m=1.5), tags)

@@ -1,4 +1,4 @@
-"""Changes of lane, and what cannot be a lane, on roads computed by hand."""
+"""Lane changes and implausible lanes on roads computed by hand."""
 
 from functools import cache
 
@@ -87,7 +87,7 @@ def test_the_change_lasts_while_the_car_is_over_the_line():
     ids=["known", "uncertain ahead", "uncertain"],
 )
 def test_only_a_certain_line_is_crossed(std_m, heading_std, changes, is_sure):
-    """The same place, 30 cm past the line: a line that is hardly known may as well be ahead."""
+    """30 cm past the line: an uncertain line may still be ahead of the car."""
     track = tracking.start(np.array([-0.3, 0.0, 0.0]), np.diag([std_m, heading_std, 0.001]) ** 2, 1)
     after = handed_over(CFG, LanesState(left=TrackedBoundary(track, 20.0)), None, 1)
     assert after.lane_changes == changes

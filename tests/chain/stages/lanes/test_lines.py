@@ -99,7 +99,7 @@ def test_public_figures_of_course_frame_0(data_dir):
 
 @pytest.mark.parametrize(("gap_px", "found"), [(60, True), (80, False)])
 def test_dashes_are_one_line_where_their_gaps_are_short(gap_px, found):
-    """Dashes of 60 px along a diagonal: none is a line by itself, but over gaps of up to 50 columns they are one."""
+    """Dashes of 60 px along a diagonal are too short for a line; over gaps of up to 50 columns they form one."""
     edges = np.zeros((960, 1280), np.uint8)
     along = np.arange(600)
     drawn = along[along % (60 + gap_px) < 60] / np.sqrt(2)
@@ -121,7 +121,7 @@ def test_counting_gives_the_median_filter(rows, median_px):
 @pytest.mark.parametrize("aperture", [3, 5, 7])
 @pytest.mark.parametrize("top", [0, 3, 40, 95])
 def test_edges_are_those_of_the_whole_image(aperture, top):
-    """They are looked for where there are separators alone."""
+    """Edges are searched only in rows with separators."""
     mask = np.zeros((96, 128), np.uint8)
     mask[top : top + 30] = np.random.default_rng(top).random((96 - top, 128))[:30] < 0.6
     cfg = CFG.model_copy(update={"median_px": 0, "canny_aperture": aperture, "canny_low": 500.0, "canny_high": 1500.0})

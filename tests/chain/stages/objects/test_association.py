@@ -1,4 +1,4 @@
-"""Which detection is which object, whatever the order in which they come."""
+"""Association of detections with objects, in any order of the detections."""
 
 from collections import Counter
 from dataclasses import replace
@@ -34,7 +34,7 @@ def depth_image():
     return 5 + rows / 10 + columns / 20
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(drives, st.randoms(use_true_random=False))
 def test_the_order_of_detections_affects_only_the_order_of_objects(frames, random):
     usual, shuffled, depth = Follower(), Follower(), depth_image()
@@ -66,7 +66,7 @@ def track_at(distance_m, number=1):
 
 
 def plain_similarity(cfg, track, item, box_px):
-    """What ``similarities`` gives for all pairs at once, one pair after the other in Python's own numbers."""
+    """The similarity of one pair in Python floats, as a reference for ``similarities``."""
     kinds = [classes_of_label(thing.detection.label) or (thing.detection.label,) for thing in (track, item)]
     if kinds[0] != kinds[1]:
         return 0.0

@@ -1,4 +1,4 @@
-"""Detections filtered by tags: ratios counted by hand, distances by the 3-4-5 triangle, each with its own region."""
+"""Detections filtered by tags, with ratios and distances computed by hand, and the choice of regions."""
 
 from dataclasses import replace
 from types import MappingProxyType
@@ -142,7 +142,7 @@ def test_the_score_has_no_effect():
 
 
 def test_beyond_the_depths_range_the_share_of_the_class_decides():
-    """Nothing tells one car from the next there: all of them are one region, larger than any box."""
+    """Beyond the range cars cannot be separated: they form one region, larger than any box."""
     tags, depth = np.zeros(CAMERA.size, np.uint8), np.full(CAMERA.size, 65.535, np.float32)
     tags[30:34, 10:60] = VEHICLE
     one, sparse = judged((20, 30, 28, 34), (40, 24, 48, 50), tags=tags, depth_m=depth)

@@ -1,4 +1,4 @@
-"""The car's path, what is in it, what cuts in, and the time to impact: circles and backs of cars by construction."""
+"""The car's path, objects in it, cut-in and time to impact, on constructed circles and backs of cars."""
 
 from dataclasses import dataclass, field
 
@@ -19,7 +19,7 @@ RIGHT_BEND = DrivenArc(-0.1, 10.0)
 
 
 def lanes(left_m, right_m, heading=0.0, curvature=0.0, changes=2):
-    """Boundaries at these offsets; None is lost."""
+    """Boundaries at these offsets; a boundary with None is lost."""
     offsets = {"left": left_m, "right": right_m}
     return Lanes(
         tuple(
@@ -96,7 +96,7 @@ TAGS = {"Car": VEHICLE, "Pedestrian": PEDESTRIAN}
 
 @dataclass
 class Road:
-    """Cars, by their backs (ahead, to the left, metres), each 1.8 m wide and 1.5 m high."""
+    """A road with backs of cars at (ahead, left) metres, each 1.8 m wide and 1.5 m high."""
 
     cfg: ObjectsConfig = CFG
     lane: object = LANE
@@ -134,7 +134,7 @@ class Road:
 
 
 def nearing(left_m, *, lane=LANE, cfg=CFG):
-    """Objects of the last of 20 frames: a car comes nearer by 8 m/s from 25 m on."""
+    """The objects of the last of 20 frames, in which a car approaches from 25 m at 8 m/s."""
     road = Road(cfg, lane)
     for k in range(20):
         out = road.frame((25.0 - 8.0 * STEP_S * k, left_m))
@@ -206,7 +206,7 @@ def test_no_cut_in_along_the_line_and_unknown_without_a_lane():
 
 
 def test_places_change_with_the_lane():
-    """A car in the lane to the left is beside the path until the ego car has come over the line."""
+    """A car in the left lane is beside the path until the ego car has crossed the line."""
     road = Road()
     for _ in range(10):
         (item,) = road.frame((20.0, 2.6)).objects

@@ -1,4 +1,4 @@
-"""The filter of a value and its rate, against the same filter in matrices; the jitter of distances off a line."""
+"""The filter of a value and its rate against the matrix form; the jitter of distances about a line."""
 
 from dataclasses import astuple
 from math import sqrt
@@ -91,7 +91,7 @@ def test_an_outlier_has_a_larger_deviation():
 
 @pytest.mark.parametrize(("true_m", "expected"), [(0.02, 0.25), (1.0, 1.0), (2.0, 4.0), (50.0, 10.0)])
 def test_the_variance_of_the_rate_follows_the_innovations(true_m, expected):
-    """Those of a filter that expects 1 m, with distances as regular as a line."""
+    """The filter expects innovations of 1 m; the distances lie on a line."""
     rng = np.random.default_rng(0)
     jitter = Jitter.of_first(1, 10.0, STD_M)
     scales = []

@@ -1,4 +1,4 @@
-"""Pixels of one class divided where the depth jumps: cars before and behind each other, drawn by hand; lidar points."""
+"""Regions of one class, divided at jumps of the depth, on cars drawn by hand; lidar points."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def regions_of(*boxes, tags=None, depth=None, instances=None):
 
 
 def distances_m(region):
-    """Of its own pixels."""
+    """The distances of the region's pixels."""
     return region.distances_m[region.of_region[region.labels]]
 
 
@@ -128,7 +128,7 @@ def mosaic_of(of_class, log_depth):
 
 
 def connected(of_class, log_depth, jump):
-    """The sets of pixels, by a flood fill over a grid of pixels and of what is between them."""
+    """The connected sets of pixels, by a flood fill over a grid of pixels and the links between them."""
     height, width = of_class.shape
     grid = np.zeros((2 * height - 1, 2 * width - 1), bool)
     grid[::2, ::2] = of_class
@@ -171,7 +171,7 @@ CORNER = (8.0, range(15, 28, 6), range(0, 12, 2))
 
 
 def box_of(*groups):
-    """(30, 60) distances, NaN but for points of (distance, rows, columns), each 1 % deeper at its far end."""
+    """(30, 60) distances: groups (distance, rows, columns), each 1 % deeper at its far end, else NaN."""
     distances = np.full((30, 60), np.nan, np.float32)
     for distance_m, rows, columns in groups:
         u, v = np.meshgrid(columns, rows)

@@ -1,4 +1,4 @@
-"""A template is found where it was cut out, and nowhere else; an obstacle is searched for by its picture."""
+"""A template is found only where it was cut out; an obstacle is searched for by its picture."""
 
 import numpy as np
 import pytest

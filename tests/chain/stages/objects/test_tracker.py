@@ -1,4 +1,4 @@
-"""Objects over time: motions known by construction, ids that stay, templates moved by known pixels."""
+"""Objects over time, with known motions, persistent ids, and templates moved by known pixels."""
 
 from dataclasses import astuple, replace
 
@@ -51,9 +51,9 @@ def test_an_object_that_does_not_certainly_come_nearer_has_no_time_to_impact(spe
 
 
 def test_standard_deviations_agree_with_the_errors_of_many_logs():
-    """Measured with the deviation the filter assumes, errors are as large as it says (its speed may also wander)."""
+    """With the assumed noise, errors agree with their standard deviations, which also allow for changes of speed."""
     errors, impacts = [], []
-    for seed in range(40):
+    for seed in range(20):
         follower, rng, distance = Follower(), np.random.default_rng(seed), 40.0
         for _ in range(30):
             distance -= 8.0 * STEP_NS / 1e9
@@ -192,7 +192,7 @@ def test_the_id_of_an_unseen_object_is_kept_for_half_a_second(missing, name):
 
 
 def seen_for(frames, follower, image, *, right=0, down=0, depth_m=None, car=CAR):
-    """Detected in ``frames`` frames, moving by whole pixels; the number of frames so far."""
+    """Run ``frames`` frames in which the car is detected and moves by whole pixels; returns ``frames``."""
     for k in range(frames):
         follower.frame(shifted(car, right * k, down * k), grey=moved(image, right * k, down * k), depth_m=depth_m)
     return frames
