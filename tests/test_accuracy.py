@@ -1,35 +1,33 @@
-"""Accuracy and coverage of the chain on rendered drives with truth.
+"""Accuracy and coverage of the chain on rendered logs with truth.
 
 ``make accuracy-long`` runs the long forms at full size and with several seeds; `make test` runs short forms.
 """
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import polars as pl
 import pytest
 
-from roadperc_stream import log
 from roadperc_stream.cli import convert, render
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.eval.scores import correlations, lag_frames
 from roadperc_stream.output.tables import sidecar_path
-from roadperc_stream.schemas.roadperc_pb2 import Lanes
 
 BEND = ("--scene", "bend", "--weave", "0.5")
 NOISE = ("--tag-noise", "0.02", "--depth-noise", "0.01")
-SHORT = ("--size", "640x480", "--seconds", "1.5")
+SHORT = ("--size", "640x480", "--seconds", "1.5", "--without", "right")
 
 
 def long(*options):
-    """Options of a drive at full size."""
+    """Options of a scene at full size."""
     return pytest.param(options, marks=pytest.mark.accuracy)
 
 
 @dataclass(frozen=True)
 class Run:
     metrics: pl.DataFrame
-    true_offsets: dict[str, np.ndarray]
 
     def errors(self, column):
         """Absolute errors of a column, and their coverage."""
@@ -42,32 +40,38 @@ class Run:
 
     def lag(self, side):
         """Lag of the smoothed offset behind the truth, in frames."""
-        table = self.metrics.with_columns(pl.Series("truth", self.true_offsets[side]))
-        return lag_frames(table.select(correlations(f"lane_{side}_offset_m", "truth")).item().to_list())
+        columns = correlations(f"lane_{side}_offset_m", f"lane_{side}_true_offset_m")
+        return lag_frames(self.metrics.select(columns).item().to_list())
 
 
-def drive(folder, *options):
+def replayed(folder, *arguments):
+    """The metrics of the folder's log, replayed with these arguments."""
+    assert replay_main([str(folder / "in.mcap"), str(folder / "out.mcap"), "--quiet", "--force", *arguments]) == 0
+    return Run(pl.read_parquet(sidecar_path(folder / "out.mcap", "metrics")))
+
+
+def rendered(folder, *options):
+    """The metrics of a rendered scene; its log stays in the folder."""
     assert render.main([str(folder / "dump"), *options]) == 0
     assert convert.main([str(folder / "dump"), str(folder / "in.mcap"), "--quiet"]) == 0
-    assert replay_main([str(folder / "in.mcap"), str(folder / "out.mcap"), "--quiet"]) == 0
-    offsets = {"left": [], "right": []}
-    for message in log.read(log.summarise(folder / "in.mcap"), topics=["/truth/lanes"]):
-        for boundary in Lanes.FromString(message.data).boundaries:
-            offsets["left" if boundary.side == 1 else "right"].append(boundary.offset_m)
-    metrics = pl.read_parquet(sidecar_path(folder / "out.mcap", "metrics"))
-    return Run(metrics, {side: np.array(values) for side, values in offsets.items()})
+    return replayed(folder)
 
 
-def replay_again(folder, run, setting):
-    """The same log with another setting."""
-    arguments = [str(folder / "in.mcap"), str(folder / "again.mcap"), "--quiet", "--set", setting]
-    assert replay_main(arguments) == 0
-    return Run(pl.read_parquet(sidecar_path(folder / "again.mcap", "metrics")), run.true_offsets)
+@pytest.fixture(scope="module")
+def noisy_bend(tmp_path_factory):
+    """The folder and metrics of the noisy bend with given options, rendered once."""
+
+    @cache
+    def bend(options):
+        folder = tmp_path_factory.mktemp("bend")
+        return folder, rendered(folder, *BEND, *NOISE, *options)
+
+    return bend
 
 
 @pytest.mark.parametrize("options", [SHORT, *(long("--seed", str(seed)) for seed in (0, 1, 2))])
-def test_ego_lane_and_surface_on_the_noisy_bend(tmp_path, options):
-    run = drive(tmp_path, *BEND, *NOISE, *options)
+def test_ego_lane_and_surface_on_the_noisy_bend(noisy_bend, options):
+    _, run = noisy_bend(options)
     for side in ("left", "right"):
         error, coverage = run.errors(f"lane_{side}_error_m")
         assert coverage >= 0.95
@@ -76,7 +80,7 @@ def test_ego_lane_and_surface_on_the_noisy_bend(tmp_path, options):
         smoothed = run.jitter(f"lane_{side}_offset_m")
         assert smoothed < 0.015
         assert smoothed <= run.jitter(f"lane_{side}_raw_offset_m") / 3
-        assert options == SHORT or abs(run.lag(side)) <= 1, "the short drive is too short for the lag"
+        assert options == SHORT or abs(run.lag(side)) <= 1, "the short log is too short for the lag"
     angle, coverage = run.errors("surface_angle_error_deg")
     assert coverage >= 0.95
     assert np.median(angle) < 0.1
@@ -84,9 +88,9 @@ def test_ego_lane_and_surface_on_the_noisy_bend(tmp_path, options):
 
 
 @pytest.mark.parametrize(("options", "factor"), [(SHORT, 1.0), pytest.param((), 1.5, marks=pytest.mark.accuracy)])
-def test_odometry_improves_the_lanes(tmp_path, options, factor):
-    run = drive(tmp_path, *BEND, *NOISE, *options)
-    without = replay_again(tmp_path, run, "lanes.use_odometry=false")
+def test_odometry_improves_the_lanes(noisy_bend, options, factor):
+    folder, run = noisy_bend(options)
+    without = replayed(folder, "--set", "lanes.use_odometry=false", "--only", "surface,lanes")
     for side in ("left", "right"):
         error, _ = run.errors(f"lane_{side}_error_m")
         worse, _ = without.errors(f"lane_{side}_error_m")
@@ -95,18 +99,18 @@ def test_odometry_improves_the_lanes(tmp_path, options, factor):
 
 
 @pytest.mark.parametrize("options", [
-    ("--scene", "straight", "--size", "640x480", "--seconds", "0.5"),
+    ("--scene", "straight", "--size", "640x480", "--seconds", "0.3", "--without", "right"),
     *(long("--scene", scene, "--seconds", "2") for scene in ("straight", "bend")),
 ])  # fmt: skip
 def test_surface_without_noise(tmp_path, options):
-    run = drive(tmp_path, *options)
+    run = rendered(tmp_path, *options)
     angle, coverage = run.errors("surface_angle_error_deg")
     assert (np.median(angle) < 0.02, coverage) == (True, 1.0)
     assert "640x480" not in options or run.errors("camera_height_error_m")[0].max() < 0.005
 
 
 def test_frames_with_dropped_sensors_use_the_other_inputs(tmp_path):
-    run = drive(tmp_path, "--scene", "straight", "--drop", "0.3", "--size", "320x240", "--seconds", "1")
+    run = rendered(tmp_path, "--scene", "straight", "--drop", "0.3", "--size", "320x240", "--seconds", "0.6")
     table = run.metrics
     missing = table["missing"].to_list()
     assert 0 < sum("depth" in roles for roles in missing) < len(missing)

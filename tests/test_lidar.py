@@ -130,7 +130,7 @@ def test_collinear_points_and_points_beyond_the_range_give_the_assumed_plane():
     result = run(lidar_frame(points=cloud(road_points), mounted=True))
     assert result.surface.source == "assumed"
     assert texts(result.problems) == (
-        "surface: the mounting gives the plane: no plane through 3 road points holds 20% of them",
+        "surface: the mounting gives the plane: no plane through 3 road points fits 20% of them",
     )
     result = run(lidar_frame(), load_config(None, ("surface.max_depth_m=1",)))
     assert result.surface.source == "assumed"
@@ -205,10 +205,10 @@ def broken(*_):
     [
         ({"points": PointCloud("lidar", broken)}, "lidar: cannot be decoded: cut off"),
         ({"ego_T_lidar": None}, "lidar: no transform connects its frame 'lidar' with ego"),
-        ({"points": PointCloud("lidar", lambda: np.zeros((0, 3), np.float32))}, "lidar: none of its 0 points lies in"),
+        ({"points": PointCloud("lidar", lambda: np.zeros((0, 3), np.float32))}, "lidar: none of its 0 points is in"),
         (
             {"points": PointCloud("lidar", lambda: np.float32([[np.nan, 0, 0], [0, np.inf, 0], [-9, 0, 0]]))},
-            "lidar: none of its 3 points lies in the camera's view; 2 of them are not finite",
+            "lidar: none of its 3 points is in the camera's view; 2 of them are not finite",
         ),
     ],
 )

@@ -13,7 +13,7 @@ from pydantic import BaseModel
 
 from roadperc_stream.config.stages import ReplayConfig
 
-_UNIT_OF_ENDING: Final[Mapping[str, str]] = {
+_UNIT_OF_SUFFIX: Final[Mapping[str, str]] = {
     "_per_m": "1/m",
     "_mps": "m/s",
     "_dps": "deg/s",
@@ -23,7 +23,7 @@ _UNIT_OF_ENDING: Final[Mapping[str, str]] = {
     "_m": "m",
     "_s": "s",
 }
-"""Longer endings first."""
+"""Longer suffixes first."""
 _LIMITS: Final = ("minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum", "multipleOf")
 Value = bool | int | float | str | tuple[str, ...]
 
@@ -33,23 +33,23 @@ class Setting:
     """One key of the configuration."""
 
     key: str
-    """As ``--set`` takes it, such as ``lanes.hold_s``."""
+    """The key for ``--set``, such as ``lanes.hold_s``."""
     default: Value
     type: str
     """``boolean``, ``integer``, ``number``, ``string`` or ``array`` (of strings)."""
     choices: tuple[str, ...]
-    """Values by name: all there are, or those beside the numbers of a range."""
+    """Named values: all values, or those allowed in addition to a range of numbers."""
     limits: Mapping[str, float]
-    """JSON Schema's words: minimum, maximum, exclusiveMinimum, exclusiveMaximum, multipleOf."""
+    """Keywords of JSON Schema: minimum, maximum, exclusiveMinimum, exclusiveMaximum, multipleOf."""
     remark: str
-    """What else holds of the values, such as ``odd``."""
+    """Another condition on the values, such as ``odd``."""
     unit: str
-    """Empty for what is no quantity."""
+    """Empty if the setting is not a quantity."""
     meaning: str
 
     @property
     def section(self) -> str:
-        """The stage it belongs to; empty for what concerns all of them."""
+        """The stage of the setting; empty for settings of all stages."""
         return self.key.rpartition(".")[0]
 
     @property
@@ -59,7 +59,7 @@ class Setting:
 
     @property
     def range(self) -> str:
-        """The values that are taken, in words."""
+        """The allowed values, in words."""
         return "; or ".join(
             part for part in (_range_in_words(self.limits, self.remark), ", ".join(self.choices)) if part
         )
@@ -67,14 +67,14 @@ class Setting:
 
 @cache
 def catalogue() -> tuple[Setting, ...]:
-    """All settings, in the order of the models: those of no section first."""
+    """All settings in the order of the models; settings without a section come first."""
     found = tuple(_settings(ReplayConfig, ""))
     return (*(setting for setting in found if not setting.section), *(setting for setting in found if setting.section))
 
 
 @cache
 def sections() -> Mapping[str, str]:
-    """What each section is about, in a sentence."""
+    """One sentence about each section."""
     models = {name: field.default for name, field in ReplayConfig.model_fields.items()}
     texts = {name: type(model).__doc__ or "" for name, model in models.items() if isinstance(model, BaseModel)}
     return {name: text.partition("\n")[0] for name, text in texts.items()}
@@ -91,9 +91,9 @@ def _settings(model: type[BaseModel], prefix: str) -> Iterator[Setting]:
 
 
 def _setting(key: str, default: Value, schema: Mapping[str, Any], meaning: str) -> Setting:
-    """A setting of its JSON schema, which has several kinds of values in ``anyOf``."""
+    """A setting from its JSON schema; ``anyOf`` lists several kinds of values."""
     kinds = [schema, *schema.get("anyOf", ())]
-    unit_of_name = next((unit for ending, unit in _UNIT_OF_ENDING.items() if key.endswith(ending)), "")
+    unit_of_name = next((unit for suffix, unit in _UNIT_OF_SUFFIX.items() if key.endswith(suffix)), "")
     return Setting(
         key=key,
         default=default,
@@ -123,14 +123,14 @@ def _range_in_words(limits: Mapping[str, float], remark: str) -> str:
 
 
 def _number(value: float) -> str:
-    """A limit as one reads it: whole numbers whole, others in few digits."""
+    """A limit as text: integers without decimals, other numbers with few digits."""
     return str(int(value)) if value == int(value) else f"{value:g}"
 
 
 def _meanings(model: type[BaseModel]) -> dict[str, str]:
-    """What the text below each field says, on one line and without marks.
+    """The docstring of each field, on one line and without marks.
 
-    Read from the source where somebody asks: pydantic would read it for every replay (``use_attribute_docstrings``),
+    It is read from the source on demand. With ``use_attribute_docstrings`` pydantic would read it in every replay,
     which takes 90 ms.
     """
     (definition,) = ast.parse(textwrap.dedent(inspect.getsource(model))).body

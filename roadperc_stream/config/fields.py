@@ -1,4 +1,4 @@
-"""The kinds of values a setting may have, and what one log or message may ask for."""
+"""Types of settings, and the limits on the content of logs and messages."""
 
 from typing import Annotated, Any, Final, Literal, get_args
 
@@ -8,7 +8,7 @@ from roadperc_stream.errors import ConfigError
 from roadperc_stream.model.tag_tables import CLASS_NAMES, TABLES, table_for_version
 
 ImageFormat = Literal["png", "jpeg", "webp", "avif", "bmp", "gif"]
-"""Whose size can be known before they are decoded: a TIFF may state several, JPEG 2000 two."""
+"""Formats with one size in the header, known before decoding; a TIFF may have several sizes, JPEG 2000 two."""
 
 _MEGA: Final = 1_000_000
 _MIB: Final = 1024 * 1024
@@ -35,12 +35,12 @@ def _odd(count: int) -> int:
 
 
 def split(names: Any) -> Any:
-    """One name, or several by commas, as a command line gives them."""
+    """Split names at commas, as on the command line."""
     return tuple(name.strip() for name in names.split(",")) if isinstance(names, str) else names
 
 
 def unit(name: str) -> Any:
-    """Metadata of a number whose name does not end in its unit; ``config.catalogue`` shows it."""
+    """Metadata with the unit of a setting whose name does not end in it; ``config.catalogue`` shows it."""
     return Field(json_schema_extra={"unit": name})
 
 

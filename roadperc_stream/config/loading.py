@@ -6,27 +6,27 @@ from typing import Any, Final
 
 from pydantic import BaseModel, ValidationError
 
-from roadperc_stream.config.catalogue import Setting, catalogue
+from roadperc_stream.config.catalogue import catalogue
 from roadperc_stream.config.settings import MOST_BYTES, in_brief, parsed_toml, without_fixed
 from roadperc_stream.config.stages import ReplayConfig
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.system.text import nearest
 
 _KINDS: Final[Mapping[str, str]] = {"integer": "a whole number ", "number": "a number "}
-"""Types of settings that their ranges do not say."""
+"""Text for types that the range does not show."""
 
 
 def load_config(path: str | Path | None = None, settings: str | Sequence[str] = ()) -> ReplayConfig:
-    """Configuration of a TOML file and ``KEY=VALUE`` settings, the settings winning.
+    """Configuration from a TOML file and ``KEY=VALUE`` settings, which override the file.
 
-    A file of an older version may have settings that are constants now: one warning says so.
+    A file of an older version may have settings that are constants now; one warning lists them.
 
     Args:
         path: TOML file with any part of the keys; None for the defaults.
-        settings: one or several such as ``lanes.hold_s=0.8``; the value is TOML, a bare word is a string.
+        settings: one or several such as ``lanes.hold_s=0.8``; the value is TOML; a word without quotes is a string.
 
     Raises:
-        ConfigError: the file cannot be read, or a key or value does not fit; the message names it.
+        ConfigError: the file cannot be read, or a key or value is invalid; the message names it.
     """
     tree = without_fixed(_read_toml(Path(path)), Path(path)) if path else {}
     for setting in [settings] if isinstance(settings, str) else settings:
@@ -38,14 +38,14 @@ def load_config(path: str | Path | None = None, settings: str | Sequence[str] = 
 
 
 def validated(tree: Mapping[str, Any], source: str) -> ReplayConfig:
-    """Configuration of nested mappings, any part of the keys.
+    """Configuration from nested mappings with any part of the keys.
 
     Args:
         tree: such as ``{"lanes": {"hold_s": 0.8}}``.
-        source: what the message of an error begins with, such as ``a.toml: ``.
+        source: prefix of error messages, such as ``a.toml: ``.
 
     Raises:
-        ConfigError: a key or value does not fit; the message names it.
+        ConfigError: a key or value is invalid; the message names it.
     """
     try:
         return ReplayConfig.model_validate(tree)
@@ -56,40 +56,36 @@ def validated(tree: Mapping[str, Any], source: str) -> ReplayConfig:
 
 
 def _complaint(error: ValidationError) -> str:
+    """The first error, such as ``lanes.hold_s: expected a number 0 to 3600 (s), found -1``."""
     first = error.errors()[0]
-    keys = [str(part) for part in first["loc"][:2]]  # what follows are kinds of values, or places in a list
+    keys = [str(part) for part in first["loc"][:2]]  # the rest are types of values, or positions in a list
     key = ".".join(keys)
     if first["type"] == "extra_forbidden":
         return _unknown(keys)
     if first["type"] == "value_error":
         return f"{key}: {first['ctx']['error']}"
     setting = next((setting for setting in catalogue() if setting.key == key), None)
-    expected = f"expected {_expected(setting)}" if setting else first["msg"]
+    expected = first["msg"]
+    if setting:
+        unit = f" ({setting.unit})" if setting.unit else ""
+        expected = f"expected {_KINDS.get(setting.type, '')}{setting.range}{unit}"
     return f"{key}: {expected}, found {in_brief(first['input'])}"
 
 
-def _expected(setting: Setting) -> str:
-    """The values of a setting in words, such as ``a number 0 to 3600 (s)``."""
-    return f"{_KINDS.get(setting.type, '')}{setting.range}{f' ({setting.unit})' if setting.unit else ''}"
-
-
 def _unknown(keys: list[str]) -> str:
+    """An unknown key, with the nearest setting in this section, else in another one, else all of this section."""
     *sections, name = keys
     model: type[BaseModel] = ReplayConfig
     for section in sections:
         model = type(model.model_fields[section].default)
-    return f"no setting {'.'.join(keys)}; {_known(sections, name, tuple(model.model_fields))}"
-
-
-def _known(sections: list[str], name: str, names: tuple[str, ...]) -> str:
-    """The nearest setting: in the same section, else one of that name in another; else all of the section."""
-    close = nearest(name, names)
+    close = nearest(name, tuple(model.model_fields))
     near = _elsewhere(name) if close is None else [".".join((*sections, close))]
-    return f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(names)}"
+    hint = f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(model.model_fields)}"
+    return f"no setting {'.'.join(keys)}; {hint}"
 
 
 def _elsewhere(name: str) -> list[str]:
-    """The settings of any section that are called most nearly so; none where nothing is near."""
+    """The settings of all sections with the nearest name; empty if no name is near."""
     sections = {section: type(field.default) for section, field in ReplayConfig.model_fields.items()}
     models = {section: model for section, model in sections.items() if issubclass(model, BaseModel)}
     names = {key for model in models.values() for key in model.model_fields}

@@ -1,4 +1,4 @@
-"""A configuration as it stands in a file: settings by their dotted keys."""
+"""The settings of a configuration file by their dotted keys."""
 
 import tomllib
 from collections.abc import Mapping
@@ -10,9 +10,9 @@ from roadperc_stream.errors import ConfigError
 from roadperc_stream.system.text import number
 
 MOST_BYTES: Final = 1_000_000
-"""Of a configuration; all settings with their comments take 30 kB."""
+"""Largest size of a configuration; all settings with their comments take 30 kB."""
 _MOST_DOTS: Final = 100
-"""In a line: the keys of settings have one."""
+"""Largest number of dots in a line; keys of settings have one."""
 _MOST_SHOWN: Final = 200
 FIXED: Final[Mapping[str, float]] = {
     "surface.drivable_m": 0.15,
@@ -56,13 +56,13 @@ FIXED: Final[Mapping[str, float]] = {
     "objects.lateral_std_m": 0.1,
     "objects.lateral_noise": 1.0,
 }
-"""Settings of older versions that are constants now, and their values: logs and tables still have them attached."""
+"""Settings of older versions that are constants now, with their values; logs and tables still contain them."""
 
 
 def settings_in(toml: bytes) -> dict[str, Any]:
-    """The settings of a TOML text by keys such as ``lanes.hold_s``, also those that this version does not know.
+    """The settings of a TOML text by keys such as ``lanes.hold_s``, including unknown ones.
 
-    A setting of an older version that has the value which is fixed now is left out.
+    Settings of older versions are left out if they have the value that is fixed now.
 
     Raises:
         ConfigError: the text is not TOML.
@@ -75,7 +75,7 @@ def settings_in(toml: bytes) -> dict[str, Any]:
 
 
 def without_fixed(tree: dict[str, Any], source: Path) -> dict[str, Any]:
-    """The settings of a file without those that are fixed now, with one warning where there are any.
+    """The settings of a file without those that are fixed now; warn once if there are any.
 
     Args:
         tree: nested as in the file, such as ``{"lanes": {"hold_s": 0.8}}``; changed in place.
@@ -103,7 +103,7 @@ def parsed_toml(toml: bytes) -> dict[str, Any]:
     if len(toml) > MOST_BYTES:
         raise ConfigError(f"not TOML of settings: more than {MOST_BYTES} bytes")
     if any(line.count(b".") > _MOST_DOTS for line in toml.splitlines()):
-        raise ConfigError("not TOML of settings: nested too deeply")  # the parser's time goes with the square of that
+        raise ConfigError("not TOML of settings: nested too deeply")  # the parser takes quadratic time
     try:
         return tomllib.loads(toml.decode())
     except RecursionError as error:
@@ -113,16 +113,16 @@ def parsed_toml(toml: bytes) -> dict[str, Any]:
 
 
 def in_brief(value: Any, most: int = _MOST_SHOWN) -> str:
-    """A value of any kind and size, in few characters."""
+    """A value of any type and size as text of at most ``most`` characters."""
     try:
         text = repr(value)
-    except (ValueError, RecursionError):  # more digits than Python writes, more levels than it climbs
+    except (ValueError, RecursionError):  # too many digits or levels for repr
         return f"a {type(value).__name__} too long to show"
     return text if len(text) <= most else f"{text[:most]}..."
 
 
 def as_typed(value: Any) -> str:
-    """A value as a command line would give it."""
+    """A value as on the command line."""
     if isinstance(value, bool):
         return str(value).lower()
     return value if isinstance(value, str) else in_brief(value)

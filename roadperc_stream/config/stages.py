@@ -24,17 +24,17 @@ from roadperc_stream.config.fields import (
 )
 
 MOST_PNG_BYTES = 1_000_000
-"""Of a picture in base 64 that a configuration holds."""
+"""Largest length of a picture in base 64 in a configuration."""
 _MOST_PNG_PIXELS = 4_000_000
 _PNG_HEADER = 32
-"""Characters in base 64 of a PNG's first 24 bytes, which end in width and height."""
+"""Number of base 64 characters for a PNG's first 24 bytes, which end in width and height."""
 _PNG_IN_BASE64 = "^(iVBORw0KGgo[A-Za-z0-9+/]*={0,2})?$"
-"""What the eight bytes that begin a PNG are in base 64, and its characters."""
+"""Pattern of a PNG in base 64, by its first eight bytes."""
 _CONFIG_ROWS: Final = 960.0
 
 
 def scaled(length_px: float, rows: int) -> float:
-    """A length of the configuration, given at 960 image rows, in an image of so many rows."""
+    """A length of the configuration, given at 960 image rows, scaled to ``rows`` image rows."""
     return length_px * rows / _CONFIG_ROWS
 
 

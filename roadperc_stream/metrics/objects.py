@@ -1,4 +1,4 @@
-"""Metrics of detections: a row for each one, and the sums of a frame, against the true objects."""
+"""Metrics of detections against the true objects: one row per detection, and the sums of a frame."""
 
 from collections.abc import Sequence
 from functools import lru_cache

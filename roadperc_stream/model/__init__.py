@@ -1,4 +1,4 @@
-"""What one frame is made of, and what each stage makes of it: frozen dataclasses, arrays read-only."""
+"""The inputs and results of a frame: frozen dataclasses with read-only arrays."""
 
 from roadperc_stream.geometry.arrays import Ids, Image, Mask, read_only
 from roadperc_stream.geometry.planes import HeightGrid, Surface, SurfaceSource

@@ -20,14 +20,14 @@ class CameraImage:
     decode_bgr: Callable[[], Image] = field(repr=False)
     decode_grey: Callable[[], Image] = field(repr=False)
     read_size: Callable[[], tuple[int, int]] | None = field(default=None, repr=False)
-    """Columns and rows, where they can be known without decoding."""
+    """Reads columns and rows without decoding; None if the format does not allow it."""
 
     @property
     def size(self) -> tuple[int, int]:
         """Columns and rows.
 
         Raises:
-            DecodeError: the bytes are no image.
+            DecodeError: the bytes are not an image.
         """
         return self.read_size() if self.read_size else (self.grey.shape[1], self.grey.shape[0])
 
@@ -36,7 +36,7 @@ class CameraImage:
         """(H, W) uint8.
 
         Raises:
-            DecodeError: the bytes are no image.
+            DecodeError: the bytes are not an image.
         """
         return read_only(self.decode_grey(), np.uint8, (None, None), "image")
 
@@ -45,7 +45,7 @@ class CameraImage:
         """(H, W, 3) uint8.
 
         Raises:
-            DecodeError: the bytes are no image.
+            DecodeError: the bytes are not an image.
         """
         return read_only(self.decode_bgr(), np.uint8, (None, None, 3), "image")
 
@@ -67,7 +67,7 @@ class DepthImage:
         """(H, W) float32 metres, NaN unknown, ``limit_m`` at or beyond the end of the encoding's range.
 
         Raises:
-            DecodeError: the message does not hold what it promises.
+            DecodeError: the message cannot be decoded.
         """
         return self._decoded[0]
 
@@ -82,7 +82,7 @@ class DepthImage:
 
     @property
     def limit_m(self) -> float:
-        """Depth at which the encoding saturates: such a pixel lies there or beyond."""
+        """Depth at which the encoding saturates, metres; such a pixel is at least this far."""
         return self._decoded[1]
 
 
@@ -96,10 +96,10 @@ class PointCloud:
 
     @cached_property
     def points_m(self) -> Float32:
-        """(N, 3) float32 metres in the frame ``frame_id``, all finite: points that are not are left out.
+        """(N, 3) float32 metres in the frame ``frame_id``, without points that are not finite.
 
         Raises:
-            DecodeError: the message does not hold what it promises.
+            DecodeError: the message cannot be decoded.
         """
         finite = np.isfinite(self._all_m).all(axis=1)
         return read_only(self._all_m if finite.all() else self._all_m[finite], np.float32, (None, 3), "points")
@@ -127,7 +127,7 @@ class TagImage:
         """(H, W) uint8 tags of ``table``.
 
         Raises:
-            DecodeError: the bytes are no tag image.
+            DecodeError: the bytes are not a tag image.
         """
         return read_only(self.decode_tags(), np.uint8, (None, None), "tags")
 
@@ -141,10 +141,10 @@ class InstanceImage:
 
     @cached_property
     def ids(self) -> Ids:
-        """(H, W) uint16 number of the object in each pixel, 0 for none.
+        """(H, W) uint16 number of the object in each pixel, 0 without an object.
 
         Raises:
-            DecodeError: the bytes are no instance masks.
+            DecodeError: the bytes are not instance masks.
         """
         return read_only(self.decode_ids(), np.uint16, (None, None), "instances")
 
@@ -163,7 +163,7 @@ class Transform:
 
 @dataclass(frozen=True)
 class Box:
-    """Half-open box in pixels: columns x_min to x_max and rows y_min to y_max, the maxima excluded."""
+    """Half-open box in pixels: columns x_min to x_max and rows y_min to y_max, without the maxima."""
 
     x_min: float
     y_min: float
@@ -187,7 +187,7 @@ class Box:
         )
 
     def overlap(self, other: "Box") -> float:
-        """Intersection over union, 0 where the boxes do not meet."""
+        """Intersection over union, 0 if the boxes do not meet."""
         width = min(self.x_max, other.x_max) - max(self.x_min, other.x_min)
         height = min(self.y_max, other.y_max) - max(self.y_min, other.y_min)
         if width <= 0 or height <= 0:
@@ -202,9 +202,10 @@ class Box:
 
 @dataclass(frozen=True)
 class Detection:
-    """One box of a detector, which gives ``label`` and ``score``: usually 0 to 1, any finite number is taken.
+    """One box of a detector, with its label and score.
 
-    ``id`` names the object from frame to frame, as the detector's own tracker does; empty where it has none.
+    The score is usually 0 to 1; any finite number is allowed. ``id`` is the object's id from the detector's own
+    tracker, empty without one.
     """
 
     label: str
@@ -218,10 +219,10 @@ class Frame:
     """The whole input of the chain at one instant.
 
     ``camera`` is the camera of image, segmentation and detections; the depth may come from another one. The left camera
-    of a stereo pair is the front camera where ``left_camera`` is ``camera`` and ``left`` is None. Without a mounting
-    (``mounted`` False) the transforms are those of a level camera at the assumed height. ``ego_T_lidar`` is None where
-    no transform connects it with ego. ``is_origin`` says that odom begins at this frame: all frames before it only
-    warmed up the chain.
+    of a stereo pair is the front camera if ``left_camera`` is ``camera`` and ``left`` is None. Without a mounting
+    (``mounted`` False) the transforms are those of a level camera at the assumed height. ``ego_T_lidar`` is None if
+    no transform connects it with ego. ``is_origin`` says that odom begins at this frame: earlier frames only warmed up
+    the chain.
     """
 
     stamp_ns: int

@@ -1,7 +1,7 @@
-"""Why something is missing, is unusable, or was done by other means: a source, a code and values.
+"""Why an output is missing, unusable or replaced: a source, a code and values.
 
-The sentence is made from these, by the one table ``TEMPLATES``; ``parse_reason`` is its inverse, for logs and tables,
-which hold nothing but the sentence. Two reasons that differ in their numbers alone are of one kind.
+``TEMPLATES`` gives the sentence of each code. Logs and tables hold only the sentence; ``parse_reason`` reads it back.
+Reasons that differ only in their numbers have the same kind.
 """
 
 import re
@@ -15,14 +15,14 @@ TEMPLATES: Final[dict[str, str]] = {
     "switched_off": "switched off",
     "not_run": "not run",
     "not_in_log": "not in the log",
-    "not_written": "not written, the frame's stamp is beyond {last_ns:d} ns (2038-01-19), the last one ROS 2 "
-    "messages hold",
+    "not_written": "not written, the frame's stamp exceeds {last_ns:d} ns (2038-01-19), the largest stamp of "
+    "ROS 2 messages",
     "no_message": "no message at this frame",
     "undecodable": "cannot be decoded: {detail}",
     "wrong_size": "{width:d}x{height:d} pixels, its calibration says {expected_width:d}x{expected_height:d}",
     "no_transform": "no transform connects its frame {frame_id!r} with ego",
-    "no_points_in_view": "none of its {points:d} points lies in the camera's view",
-    "no_finite_points_in_view": "none of its {points:d} points lies in the camera's view; {infinite:d} of them are "
+    "no_points_in_view": "none of its {points:d} points is in the camera's view",
+    "no_finite_points_in_view": "none of its {points:d} points is in the camera's view; {infinite:d} of them are "
     "not finite",
     "time_stood_still": "stood still at {stamp_ns:d} ns, state of all stages cleared",
     "time_went_back": "went back from {last_ns:d} to {stamp_ns:d} ns, state of all stages cleared",
@@ -30,20 +30,20 @@ TEMPLATES: Final[dict[str, str]] = {
     "lost_to_damage_before": "messages up to {last_ns:d} ns were lost to damage",
     "lost_to_damage_after": "messages from {first_ns:d} ns on were lost to damage",
     "lost_to_damage_somewhere": "messages were lost to damage at an unknown time",
-    "not_rectified": "its camera is not rectified, and only stereo undoes the distortion",
-    "pixels_not_square": "fx {fx:g} and fy {fy:g} of its calibration differ by more than 5 %: the pixels of nearly "
-    "every camera are square, and heights and pitch are wrong where one of the two is",
+    "not_rectified": "its camera is not rectified; only stereo corrects distortion",
+    "pixels_not_square": "fx {fx:g} and fy {fy:g} of its calibration differ by more than 5 %: cameras usually have "
+    "square pixels; if one of the two is wrong, heights and pitch are wrong",
     "no_image": "no image",
     "image_unusable": "its image cannot be used",
     "no_segmentation": "no segmentation",
     "no_segmentation_lower_image": "no segmentation, the lower image is used as the road",
     "no_segmentation_not_filtered": "no segmentation, detections are not filtered",
-    "no_segmentation_sparse_depth": "no segmentation, and the points of a lidar are too sparse to classify pixels",
+    "no_segmentation_sparse_depth": "no segmentation, and lidar points are too sparse to classify pixels",
     "no_depth": "no depth",
     "no_depth_no_segmentation": "neither depth nor segmentation",
     "no_depth_no_distances": "no depth, no distances",
     "no_depth_plane_assumed": "no depth, {plane_source} gives the plane",
-    "no_depth_pitch_estimated": "no depth, {plane_source} gives the plane and the drive its pitch",
+    "no_depth_pitch_estimated": "no depth, {plane_source} gives the plane, the motion gives its pitch",
     "no_detections": "no detections",
     "no_left_image": "no left image",
     "no_right_image": "no right image",
@@ -52,16 +52,16 @@ TEMPLATES: Final[dict[str, str]] = {
     "no_surface": "no surface: {cause}",
     "no_drivable_surface": "no drivable surface: {cause}",
     "plane_held": "the plane of earlier frames, moved by odometry, is used: {cause}",
-    "heights_unknown": "the depth does not show the road, from which heights are measured",
+    "heights_unknown": "the depth does not show the road, so heights above it are unknown",
     "depth_misses_road": "no segmentation, and the depth does not show the road",
     "plane_assumed": "{plane_source} gives the plane: {cause}",
-    "plane_estimated": "{plane_source} gives the plane and the drive its pitch: {cause}",
+    "plane_estimated": "{plane_source} gives the plane, the motion gives its pitch: {cause}",
     "too_few_road_points": "{points:d} road pixels with known depth within max_depth_m, a plane needs three",
-    "no_plane": "no plane through {points:d} road points holds {share:.0%} of them",
-    "plane_without_points": "no plane holds three of the road's points",
+    "no_plane": "no plane through {points:d} road points fits {share:.0%} of them",
+    "plane_without_points": "no plane fits three road points",
     "plane_tilted": "the points' plane is tilted by {tilt_deg:.0f} degrees, expected at most {limit_deg:g}",
     "lost": "lost, {cause}",
-    "camera_changed": "the camera is not the one of the frames before",
+    "camera_changed": "the camera differs from that of earlier frames",
     "too_few_inliers": "too few points agree on a motion",
     "impossible_motion": "the points agree on a motion that the car cannot make",
     "scale_carried": "the road's image shows no length, the last known speed gives the scale",
@@ -77,11 +77,12 @@ TEMPLATES: Final[dict[str, str]] = {
     "{expected_width:d}x{expected_height:d}",
     "boundary_lost": "{side} boundary not seen, {cause}",
     "no_line_near": "no line near the car on that side",
-    "edges_disagree": "too few edges agree on where it is",
+    "edges_disagree": "too few edges agree on its position",
     "car_on_boundary": "{side} boundary lost, the car is on it",
     "boundary_uncertain": "{side} boundary lost, its standard deviation {ahead_m:g} m ahead is {std_m:g} m, "
     "expected at most {limit_m:g} m",
-    "lane_width": "{side} boundary lost, it makes a lane of {width_m:g} m, expected {narrowest_m:g} to {widest_m:g} m",
+    "lane_width": "{side} boundary lost, the lane would be {width_m:g} m wide, expected {narrowest_m:g} to "
+    "{widest_m:g} m",
     "boundary_unconfirmed": "{side} boundary lost, its standard deviation {ahead_m:g} m ahead is {std_m:g} m, and "
     "the other boundary does not run beside it",
     "boundaries_cross": "{side} boundary lost, it crosses the other one {ahead_m:g} m ahead",
@@ -95,14 +96,31 @@ TEMPLATES: Final[dict[str, str]] = {
     "most {limit:g} in size",
     "other": "{text}",
 }
-"""All codes, each with its sentence behind ``source: ``. ``{cause}`` is another reason's sentence."""
+"""The sentence of each code, without ``source: ``. ``{cause}`` is the sentence of another reason."""
 _EARLIER: Final[dict[str, str]] = {
+    "not_written": "not written, the frame's stamp is beyond {last_ns:d} ns (2038-01-19), the last one ROS 2 "
+    "messages hold",
+    "no_points_in_view": "none of its {points:d} points lies in the camera's view",
+    "no_finite_points_in_view": "none of its {points:d} points lies in the camera's view; {infinite:d} of them are "
+    "not finite",
+    "not_rectified": "its camera is not rectified, and only stereo undoes the distortion",
+    "pixels_not_square": "fx {fx:g} and fy {fy:g} of its calibration differ by more than 5 %: the pixels of nearly "
+    "every camera are square, and heights and pitch are wrong where one of the two is",
     "no_segmentation_lower_image": "no segmentation, the lower image stands in for the road",
+    "no_segmentation_sparse_depth": "no segmentation, and the points of a lidar are too sparse to classify pixels",
+    "no_depth_pitch_estimated": "no depth, {plane_source} gives the plane and the drive its pitch",
     "plane_held": "the plane of the frames before, moved by odometry, stands in: {cause}",
+    "plane_estimated": "{plane_source} gives the plane and the drive its pitch: {cause}",
+    "heights_unknown": "the depth does not show the road, from which heights are measured",
+    "no_plane": "no plane through {points:d} road points holds {share:.0%} of them",
+    "plane_without_points": "no plane holds three of the road's points",
+    "camera_changed": "the camera is not the one of the frames before",
     "scale_carried": "the road's picture shows no length, the speed so far gives the scale",
     "scale_unknown": "neither the road's picture nor the speed so far gives the scale",
+    "edges_disagree": "too few edges agree on where it is",
+    "lane_width": "{side} boundary lost, it makes a lane of {width_m:g} m, expected {narrowest_m:g} to {widest_m:g} m",
 }
-"""Sentences of older versions: their logs and tables stay readable."""
+"""Sentences of older versions, so that their logs and tables stay readable."""
 MISSING_ROLES: Final[dict[str, tuple[str, ...]]] = {
     "no_image": ("image",),
     "no_segmentation": ("segmentation",),
@@ -122,28 +140,28 @@ MISSING_ROLES: Final[dict[str, tuple[str, ...]]] = {
 """The inputs that a code says are missing."""
 _CAUSE: Final = "cause"
 _CAUSE_SOURCE: Final[dict[str, str]] = {"no_surface": "surface", "no_drivable_surface": "drivable"}
-"""Whose reason a cause is; of other codes it is one of the same source."""
+"""The source of the cause, by code; other codes have a cause of their own source."""
 _DETAIL: Final = "detail"
-"""What a library or a file says: its numbers and words do not distinguish kinds."""
+"""The field with the text of a library or a file, which does not distinguish kinds."""
 _SOURCE: Final = re.compile(r"([a-z_]+): (.*)", re.DOTALL)
 _NUMBERS: Final = {"d": r"-?\d+", "g": r"-?(?:[\d.]+(?:e[-+]\d+)?|inf|nan)", ".0f": r"-?\d+|nan", ".0%": r"-?\d+%"}
 
 ReasonKind = tuple[tuple[str, ...], ...]
-"""Source, code and words of a reason, then those of its cause, and so on."""
+"""Source, code and text values of a reason, followed by those of its cause."""
 
 
 @dataclass(frozen=True)
 class Reason:
-    """Why a stage, or the input of a role, gave nothing, or gave it by other means.
+    """Why the output of a stage, or the input of a role, is missing or replaced.
 
     Args:
         source: the stage or role.
         code: a key of ``TEMPLATES``.
-        values: what the template's fields hold, in order, without ``cause``.
-        cause: the reason that this one follows from, where the template has one.
+        values: the values of the template's fields, in order, without ``cause``.
+        cause: the reason that causes this one, if the template has ``{cause}``.
 
     Raises:
-        ValueError: the template has another number of fields, or wants a cause or none.
+        ValueError: the values or the cause do not match the template's fields.
     """
 
     source: str
@@ -152,9 +170,9 @@ class Reason:
     cause: "Reason | None" = None
 
     def __post_init__(self) -> None:
-        wanted = tuple(fields_of(self.code))
-        if len(wanted) - (_CAUSE in wanted) != len(self.values) or (_CAUSE in wanted) == (self.cause is None):
-            raise ValueError(f"{self.code}: expected {wanted}, got {self.values} and cause {self.cause}")
+        expected = tuple(fields_of(self.code))
+        if len(expected) - (_CAUSE in expected) != len(self.values) or (_CAUSE in expected) == (self.cause is None):
+            raise ValueError(f"{self.code}: expected {expected}, got {self.values} and cause {self.cause}")
 
     def __str__(self) -> str:
         return f"{self.source}: {self.text}" if self.source else self.text
@@ -167,7 +185,7 @@ class Reason:
 
     @property
     def kind(self) -> ReasonKind:
-        """What reasons that differ in numbers alone have in common."""
+        """Identifies reasons that differ only in numbers."""
         words = (value for name, value in self._named.items() if isinstance(value, str) and name != _DETAIL)
         return ((self.source, self.code, *words), *(self.cause.kind if self.cause else ()))
 
@@ -178,7 +196,7 @@ class Reason:
 
 
 def parse_reason(text: str) -> Reason:
-    """The reason of a sentence that a log or a table holds; ``other`` where no template gives it."""
+    """Parse a sentence of a log or a table; its code is ``other`` if no template matches."""
     found = _SOURCE.fullmatch(text)
     return _parsed(found[1], found[2]) if found else Reason("", "other", (text,))
 
@@ -186,7 +204,9 @@ def parse_reason(text: str) -> Reason:
 @cache
 def fields_of(code: str) -> dict[str, tuple[str, str]]:
     """Format and conversion of each field of a template, by its name, in order."""
-    return {name: (spec or "", how or "") for _, name, spec, how in Formatter().parse(TEMPLATES[code]) if name}
+    return {
+        name: (spec or "", conversion or "") for _, name, spec, conversion in Formatter().parse(TEMPLATES[code]) if name
+    }
 
 
 def _parsed(source: str, text: str) -> Reason:
@@ -195,12 +215,12 @@ def _parsed(source: str, text: str) -> Reason:
             texts = found.groupdict()
             cause = _parsed(_CAUSE_SOURCE.get(code, source), texts.pop(_CAUSE)) if _CAUSE in texts else None
             return Reason(source, code, tuple(_value(code, name, value) for name, value in texts.items()), cause)
-    raise AssertionError("the template of 'other' fits everything")
+    raise AssertionError("the template of 'other' matches every text")
 
 
 @cache
 def _patterns() -> tuple[tuple[str, re.Pattern[str]], ...]:
-    """The regular expression of each template; that of ``other`` fits every text."""
+    """The regular expression of each template; that of ``other`` matches every text."""
     templates = (*_EARLIER.items(), *TEMPLATES.items())
     return tuple((code, re.compile(_pattern(template), re.DOTALL)) for code, template in templates)
 
@@ -210,13 +230,13 @@ def _pattern(template: str) -> str:
     for literal, name, spec, conversion in Formatter().parse(template):
         parts.append(re.escape(literal))
         if name:
-            word = r"'[^']*'|\"[^\"]*\"" if conversion == "r" else r".*" if name in {_CAUSE, _DETAIL, "text"} else ".+?"
-            parts.append(f"(?P<{name}>{_NUMBERS.get(spec or '', word)})")
+            text = r"'[^']*'|\"[^\"]*\"" if conversion == "r" else r".*" if name in {_CAUSE, _DETAIL, "text"} else ".+?"
+            parts.append(f"(?P<{name}>{_NUMBERS.get(spec or '', text)})")
     return "".join(parts)
 
 
 def _value(code: str, name: str, text: str) -> Value:
-    """A field's value, as exactly as its text has it."""
+    """The value of a field from its text."""
     spec, conversion = fields_of(code)[name]
     if spec == "d":
         return int(text)
@@ -228,4 +248,4 @@ def _value(code: str, name: str, text: str) -> Value:
 
 
 UNUSABLE: Final = frozenset(("undecodable", "wrong_size", "pair_of_wrong_size", "pair_of_two_sizes"))
-"""The codes of messages that are there and cannot be used."""
+"""The codes of messages that exist but cannot be used."""

@@ -40,7 +40,7 @@ class Absent:
     def __format__(self, layout: str) -> str:
         return format(str(self), layout)
 
-    if not TYPE_CHECKING:  # to mypy an absent output has nothing but its reason
+    if not TYPE_CHECKING:  # for mypy, an absent output has only its reason
 
         def __getattr__(self, name: str) -> object:
             """Raise for each attribute of a present output."""
@@ -77,12 +77,12 @@ class Matches:
 
 @dataclass(frozen=True)
 class Odometry:
-    """Where the ego frame is. ``step`` maps this frame's ego coordinates to the last one's (last_T_this).
+    """The pose of the ego frame. ``step`` maps this frame's ego coordinates to the last one's (last_T_this).
 
     With ``up_to_scale`` lengths are in units of the first step, not metres. ``covariance`` is 6x6 row by row of
-    x, y, z, roll, pitch, yaw of ``step`` in the ego frame's axes. ``since_ns`` is when ``step`` begins: the last frame
-    that was not missing. ``reason`` is why a frame is ``lost``, or what gives its scale instead of the road. A lost
-    frame has the last known pose. ``matches`` are the features of the estimated motion, None without a motion.
+    x, y, z, roll, pitch, yaw of ``step`` in the ego frame's axes. ``since_ns`` is the stamp at which ``step``
+    begins. ``reason`` says why a frame is ``lost``, or what gives its scale instead of the road. A lost frame has the
+    last known pose. ``matches`` are the features of the estimated motion, None without a motion.
     """
 
     status: OdometryStatus
@@ -105,7 +105,7 @@ class Odometry:
 class Occupancy:
     """A bird's-eye grid in the ego frame: -1 unknown, 0 free, 100 occupied.
 
-    ``cells[row, column]`` covers x from x_min_m + column * resolution_m and y from y_min_m + row * resolution_m on.
+    ``cells[row, column]`` begins at x = x_min_m + column * resolution_m and y = y_min_m + row * resolution_m.
     """
 
     x_min_m: float
@@ -121,8 +121,8 @@ class Occupancy:
 class Boundary:
     """One side of the ego lane. The state (offset, heading in radians, curvature) is in the ego frame at x = 0.
 
-    ``covariance`` is the state's, 3x3 row by row. ``inside`` and ``outside`` are the classes to either side, such as
-    ``road`` and ``sidewalk``, empty where unknown. ``line_ego_m`` and ``line_px`` are points of the smoothed boundary.
+    ``covariance`` is the state's, 3x3 row by row. ``inside`` and ``outside`` are the classes on either side, such as
+    ``road`` and ``sidewalk``, empty if unknown. ``line_ego_m`` and ``line_px`` are points of the smoothed boundary.
     ``reason`` says why a boundary is ``lost``.
     """
 
@@ -150,9 +150,9 @@ class Boundary:
 class Lanes:
     """The ego lane's two boundaries, and the lines they were chosen from as (N, 4) x1, y1, x2, y2 in pixels.
 
-    ``edges`` are the (H, W) edge pixels along which the lines were proposed, None where none were computed.
-    ``lane_change`` is the side on which part of the car is over the line on its way into another lane;
-    ``lane_changes`` counts how often its reference point has come into another one; None where unknown.
+    ``edges`` are the (H, W) edge pixels along which the lines were proposed, None if they were not computed.
+    While the car moves into another lane, ``lane_change`` is the side on which part of it is over the line.
+    ``lane_changes`` counts how often its reference point has entered another lane. Both are None if unknown.
     """
 
     boundaries: tuple[Boundary, ...]
@@ -174,7 +174,7 @@ class Lanes:
         return tuple(boundary.reason for boundary in self.boundaries if boundary.reason is not None)
 
     def side(self, side: Side) -> Boundary:
-        """The boundary of one side; ``lost`` where the lanes hold none."""
+        """The boundary of one side; ``lost`` if the lanes do not have it."""
         return next((b for b in self.boundaries if b.side == side), Boundary(side, "lost"))
 
 
@@ -182,7 +182,7 @@ class Lanes:
 class Object:
     """A detection filtered by the segmentation, with its distance.
 
-    ``lateral_m`` is the distance of its middle to the left of the middle of the car's path. ``in_path``: part of it is
+    ``lateral_m`` is the position of its middle, to the left of the middle of the car's path. ``in_path``: part of it is
     in the path. ``cut_in``: it is not in the path yet, but crosses the lane's line towards it. Only objects in the path
     have a time to impact.
     """
@@ -215,8 +215,8 @@ class Object:
 class Correlation:
     """How well a template fits an image, by the position of its first pixel.
 
-    ``scores[row, column]``, -1 to 1, is that of the template whose first pixel lies on (x_px + column, y_px + row);
-    -inf where the image has no texture. ``template_px`` are its columns and rows.
+    ``scores[row, column]``, -1 to 1, is the score with the template's first pixel at (x_px + column, y_px + row); it is
+    -inf where the image has no texture. ``template_px`` are the columns and rows of the template.
     """
 
     x_px: int
@@ -236,17 +236,17 @@ class Correlation:
         return box_px, min(float(self.scores[row, column]), 1.0)
 
     def match(self, min_score: float) -> tuple[Box, float] | None:
-        """The peak, if it reaches a score; None where the image has no texture at all."""
+        """The peak if it reaches a score, else None; None if the image has no texture."""
         box_px, score = self.peak
         return None if score < min_score or not np.isfinite(score) else (box_px, score)
 
 
 @dataclass(frozen=True)
 class Objects:
-    """All detections of a frame, kept and dropped, in the detector's order, then those tracked by their template alone.
+    """All detections of a frame, kept and dropped, in the detector's order, then objects tracked only by template.
 
-    ``searches`` are the correlations of that template matching. ``path_source`` says what the path was taken from:
-    the ``lane``, one ``boundary`` alone, the circle by ``odometry``, or nothing, ``straight`` ahead.
+    ``searches`` are the correlations of the template matching. ``path_source`` is the source of the path: the
+    ``lane``, a single ``boundary``, the circle driven by ``odometry``, or ``straight`` ahead without any of them.
     """
 
     objects: tuple[Object, ...]
@@ -255,16 +255,16 @@ class Objects:
 
     @property
     def nearest(self) -> Object | None:
-        """The nearest of the kept objects; None where no distance is known."""
+        """The nearest kept object; None if no distance is known."""
         return self._first_kept([item.distance_m for item in self.objects])
 
     @property
     def most_urgent(self) -> Object | None:
-        """The kept object with the least time to impact, which is in the path; None where none is known."""
+        """The kept object with the shortest time to impact; None if no such time is known."""
         return self._first_kept([item.time_to_impact_s for item in self.objects])
 
     def _first_kept(self, values: Sequence[float | None]) -> Object | None:
-        """The kept object of the least of these values, of equals the first."""
+        """The kept object with the smallest value; the first one if several are equal."""
         known = {k: value for k, value in enumerate(values) if value is not None and self.objects[k].kept}
         return self.objects[min(known, key=known.__getitem__)] if known else None
 

@@ -1,6 +1,5 @@
-"""A frame with its truth beside it, so that truth cannot leak into perception."""
+"""A frame and its truth, kept apart so that truth cannot leak into perception."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -31,25 +30,25 @@ class Truth:
 
 
 EGO, ODOM = "ego", "odom"
-"""The results' frames: the car's, and that of its trajectory."""
+"""The coordinate frames of the results: the car, and the origin of its trajectory."""
 OWN_ODOM: Final = "perception_odom"
 """Name of odom if the log has a frame ``odom`` or places the car itself."""
 
 
 @dataclass(frozen=True)
 class FrameAnchor:
-    """Where ego and odom join the log's own tree of transforms, in which no frame may get a second parent."""
+    """The frame of the log's transform tree that ego and odom are attached to; no frame gets a second parent."""
 
     frame_id: str = ""
-    """The log's frame that ego is joined to; empty where it is called so in the log, too."""
+    """The log's frame that ego is attached to; empty if the log itself has a frame ``ego``."""
     ego_T_frame: Float = field(default_factory=lambda: np.eye(4))
     placed: bool = False
-    """Whether the log itself places that frame: then ego is placed below it, and odom below ego."""
+    """Whether that frame has a parent in the log: then ego is its child, and odom is a child of ego."""
     odom: str = ODOM
 
 
 LAST_ROS_STAMP_NS: Final = 2**31 * 10**9 - 1
-"""The last stamp that ROS 2 messages can hold: the int32 seconds of builtin_interfaces/Time end on 2038-01-19."""
+"""The largest stamp of ROS 2 messages: the int32 seconds of builtin_interfaces/Time end on 2038-01-19."""
 UNWRITTEN: Final = -1
 """Index of a sample that only warms up the chain; its results are not written."""
 
@@ -68,7 +67,7 @@ class EarlierTruth:
 
 @dataclass(frozen=True)
 class Sample:
-    """One instant of a log, as ``sync`` put it together."""
+    """The synchronised inputs of one instant of a log."""
 
     index: int
     log_time_ns: int
@@ -97,12 +96,8 @@ def frame_reasons(sample: Sample, result: FrameResult) -> tuple[Reason, ...]:
     """Why data of a frame is missing: lost messages, missing messages, reports of the stages, results not written."""
     lost = () if sample.lost is None else (sample.lost,)
     missing = (Reason(role, "no_message") for role in sample.missing)
-    return (*lost, *missing, *result.reasons(), *_not_written(result))
-
-
-def _not_written(result: FrameResult) -> Iterator[Reason]:
-    """The results with ROS 2 schemas, if the frame's stamp is beyond ROS 2 time."""
-    if result.stamp_ns > LAST_ROS_STAMP_NS:
-        for stage, output in (("stereo", result.stereo), ("occupancy", result.occupancy)):
-            if not isinstance(output, Absent):
-                yield Reason(stage, "not_written", (LAST_ROS_STAMP_NS,))
+    with_ros_schemas = {"stereo": result.stereo, "occupancy": result.occupancy}
+    present = [stage for stage, output in with_ros_schemas.items() if not isinstance(output, Absent)]
+    unwritten = present if result.stamp_ns > LAST_ROS_STAMP_NS else []
+    not_written = (Reason(stage, "not_written", (LAST_ROS_STAMP_NS,)) for stage in unwritten)
+    return (*lost, *missing, *result.reasons(), *not_written)

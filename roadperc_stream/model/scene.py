@@ -18,7 +18,7 @@ _SAME_PLACE_M: Final = 1e-6
 
 @dataclass(frozen=True)
 class DepthMap:
-    """(H, W) metres along z, NaN unknown, and the camera that has them; ``limit_m`` is where the encoding saturates."""
+    """(H, W) depth, metres along z, NaN unknown, with its camera; the encoding saturates at ``limit_m``."""
 
     depth_m: Float32
     camera: Camera
@@ -28,7 +28,7 @@ class DepthMap:
 
     @property
     def dense(self) -> bool:
-        """Whether most pixels have a depth: the points of a lidar are few."""
+        """Whether most pixels have a depth; a lidar has few points."""
         return self.source != "lidar"
 
     def registered_to(self, camera: Camera, ego_T_camera: Float) -> Float32:
@@ -53,11 +53,11 @@ class Scene:
     """One frame as input of the stages, with the decoded pixels that they need.
 
     ``camera`` is the front camera, to which ``tags`` (H, W, of ``table``), ``grey`` (H, W), ``instances`` (H, W, 0 for
-    no object) and ``detections`` belong; ``depth`` may be another one's. What the frame does not have, or what cannot
-    be used, is None; no detections message is None too, an empty one (). ``image`` is what ``grey`` is decoded from.
+    no object) and ``detections`` belong; ``depth`` may be from another camera. Missing and unusable
+    inputs are None; an empty detections message is (). ``grey`` is decoded from ``image``.
     Without a mounting (``mounted`` False) ``ego_T_camera`` is that of a level camera at the assumed height.
-    ``is_origin`` as in ``Frame``. ``undecodable`` are the front camera's images that cannot be used, ``problems`` what
-    else is wrong.
+    ``is_origin`` as in ``Frame``. ``undecodable`` are the front camera's images that cannot be used, ``problems``
+    all other problems.
     """
 
     stamp_ns: int

@@ -1,10 +1,10 @@
-"""Tag tables, CARLA's by version and those of two datasets, and the class names every stage speaks of.
+"""Tag tables of CARLA versions and two datasets, and the class names that all stages use.
 
 Sources: CARLA's documentation of the semantic segmentation camera and ``CityScapesPalette.h`` of the versions
-0.8.2 to 0.9.15; ``labels.py`` of cityscapesScripts (``id``, not ``trainId``, which has the classes that are judged
-alone); the configuration of Mapillary Vistas 1.2. CARLA's order changed with 0.9.14, where it took over the order of
-Cityscapes' ``trainId``; numbers do not tell one table from another, so the table travels with the log (channel
-metadata ``tag_table``). Where a dataset splits what is one class here, each part has that class.
+0.8.2 to 0.9.15; ``labels.py`` of cityscapesScripts (``id``, not ``trainId``, which has only the evaluated classes);
+the configuration of Mapillary Vistas 1.2. CARLA 0.9.14 changed its order to that of Cityscapes' ``trainId``. Numbers
+do not identify the table, so the log names it (channel metadata ``tag_table``). If a dataset splits a class, all its
+tags get the common class.
 """
 
 import re
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from roadperc_stream.errors import ConfigError
 
 _LABELS = 1024
-"""Labels whose classes are remembered: a detector has fewer, but a log may hold anything."""
+"""Size of the cache of labels: a detector has fewer, but a log may hold any number."""
 Colour = tuple[int, int, int]
 """Red, green, blue, 0 to 255."""
 
@@ -32,23 +32,23 @@ class TagTable:
     names: tuple[str, ...] = field(repr=False)
     colours: tuple[Colour, ...] = field(repr=False)
     other_colours: tuple[tuple[Colour, int], ...] = field(default=(), repr=False)
-    """Colours that some versions in the range use for a tag, beside the one in ``colours``."""
+    """Other colours that some versions in the range use for a tag."""
 
     def __hash__(self) -> int:
-        """The names of tables differ: hashing every class and colour takes longer than what is looked up by them."""
+        """Hash the name only: it is unique, and hashing all classes and colours is slow."""
         return hash(self.name)
 
     def tags_of(self, classes: Iterable[str]) -> tuple[int, ...]:
-        """Tags of the classes named; a group's name includes all its members.
+        """Tags of the named classes; the name of a group includes all its members.
 
         Raises:
-            ConfigError: no table knows such a class.
+            ConfigError: no table has such a class.
         """
         wanted = {member for name in classes for member in _members(name)}
         return tuple(tag for tag, name in enumerate(self.names) if name in wanted)
 
     def lookup(self, classes: Iterable[str]) -> NDArray[np.uint8]:
-        """(256,) uint8 with 1 at the tags of the classes named: index it with tags to get a mask."""
+        """(256,) uint8 with 1 at the tags of the named classes; index it with tags to get a mask."""
         table = np.zeros(256, np.uint8)
         table[list(self.tags_of(classes))] = 1
         return table
@@ -102,7 +102,7 @@ _OF_SOME_VERSIONS: Final[dict[Colour, str]] = {
     (55, 90, 80): "other",
     (145, 170, 100): "terrain",
 }
-"""Later versions paint fences and other things so, early ones terrain."""
+"""Colours of fences and other things in later versions, and of terrain in early ones."""
 
 
 def _table(name: str, names: str, variants: dict[Colour, str]) -> TagTable:
@@ -151,7 +151,7 @@ GROUPS: Final[dict[str, tuple[str, ...]]] = {
     "vehicle": ("vehicle", "car", "truck", "bus", "train", "motorcycle", "bicycle"),
     "pedestrian": ("pedestrian", "rider"),
 }
-"""One name for what the tables split differently: before 0.9.14 every vehicle carries one tag."""
+"""Groups of classes that some tables split: before 0.9.14 all vehicles have one tag."""
 
 CLASS_NAMES: Final = frozenset(name for table in TABLES.values() for name in table.names) | frozenset(GROUPS)
 
@@ -169,13 +169,13 @@ LABEL_CLASSES: Final[dict[str, tuple[str, ...]]] = {
 
 @lru_cache(maxsize=_LABELS)
 def classes_of_label(label: str) -> tuple[str, ...] | None:
-    """Classes whose tags a detection of this label should cover; None where the label is not known."""
+    """Classes whose tags a detection of this label should cover; None if the label is unknown."""
     return LABEL_CLASSES.get(label.strip().lower().replace(" ", "_").replace("-", "_"))
 
 
 @cache
 def label_lookup(table: TagTable, label: str) -> NDArray[np.uint8] | None:
-    """(256,) uint8 mask table of a detector label; None where the label is not known."""
+    """(256,) uint8 mask table of a detector label; None if the label is unknown."""
     classes = classes_of_label(label)
     return None if classes is None else table.lookup(classes)
 
@@ -184,7 +184,7 @@ def table_for_version(version: str) -> TagTable:
     """Tag table of a CARLA version such as ``0.9.15``, or a table by its own name such as ``cityscapes``.
 
     Raises:
-        ConfigError: neither a version nor a table's name.
+        ConfigError: ``version`` is neither a version nor the name of a table.
     """
     if version in TABLES:
         return TABLES[version]

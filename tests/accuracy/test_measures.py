@@ -16,7 +16,7 @@ STEP_NS = 100_000_000
 
 
 def lanes(statuses, errors_m, changes):
-    """A table of frames at 10 Hz: the left boundary as given, the right one measured without error."""
+    """A table of frames at 10 Hz with these values of the left boundary and a right boundary without error."""
     n = len(statuses)
     offsets = {"left": [1.75 + e for e in errors_m], "right": [-1.75] * n}
     return pl.DataFrame(
@@ -46,11 +46,8 @@ def test_frames_within_three_tenths_of_a_second_of_a_crossing_are_left_out():
     away = measures.away_from(frames["stamp_ns"].to_numpy(), [5 * STEP_NS])
     assert np.flatnonzero(~away).tolist() == [2, 3, 4, 5, 6, 7, 8]
     assert len(measures.boundaries([replayed(frames)]).at_car_m) == 2 * 3
-
-
-def test_without_changes_no_frame_is_left_out():
-    frames = lanes(["measured"] * 4, [0.0] * 4, [None] * 4)
-    assert measures.boundaries([replayed(frames)]).coverage == 1.0
+    unchanged = lanes(["measured"] * 4, [0.0] * 4, [None] * 4)
+    assert measures.boundaries([replayed(unchanged)]).coverage == 1.0
 
 
 def test_only_measured_boundaries_have_errors_and_the_others_cost_coverage():
@@ -62,14 +59,13 @@ def test_only_measured_boundaries_have_errors_and_the_others_cost_coverage():
     assert measures.quantile(found.at_car_m, 1.0) == pytest.approx(0.5)
 
 
-@pytest.mark.parametrize(("right_from", "expected"), [(5, True), (8, True), (9, False)])
-def test_a_lane_is_handed_over_in_time(right_from, expected):
+@pytest.mark.parametrize(
+    ("status", "right_from", "expected"),
+    [("measured", 5, True), ("measured", 8, True), ("measured", 9, False), ("held", 5, False)],
+)
+def test_a_lane_is_handed_over_in_time(status, right_from, expected):
     errors_m = [0.0] * 5 + [3.5] * (right_from - 5) + [0.0] * (12 - right_from)
-    assert measures.handed_over(lanes(["measured"] * 12, errors_m, [0] * 5 + [1] * 7)) == [expected]
-
-
-def test_a_lane_that_is_held_is_not_handed_over():
-    assert measures.handed_over(lanes(["held"] * 12, [0.0] * 12, [0] * 5 + [1] * 7)) == [False]
+    assert measures.handed_over(lanes([status] * 12, errors_m, [0] * 5 + [1] * 7)) == [expected]
 
 
 def test_lanes_of_wrong_width_or_beside_the_car_are_implausible():
@@ -112,7 +108,7 @@ def test_an_alarm_without_a_true_impact_is_false():
 
 
 def test_added_noise_equals_rendered_noise(tmp_path):
-    options = drive("town", scene="town", width=160, height=120, seconds=0.2).options
+    options = drive("straight", scene="straight", width=160, height=120, seconds=0.2).options
     render_dump(tmp_path / "clean", replace(options, seed=3), force=False, on_frame=lambda: None)
     noisy = replace(options, seed=3, tag_noise=0.05, depth_noise=0.02)
     render_dump(tmp_path / "rendered", noisy, force=False, on_frame=lambda: None)

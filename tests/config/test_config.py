@@ -26,19 +26,14 @@ def test_toml_comes_back_as_it_was(tmp_path):
 @pytest.mark.parametrize(
     ("setting", "message"),
     [
-        ("lanes.hold=1", "lanes.hold"),
         ("lanes.hold_s=-1", "lanes.hold_s"),
         ("lanes.model=spiral", "lanes.model"),
         ('surface.classes=["rode"]', "rode"),
         ("stereo.block_px=4", "must be odd"),
         ("stereo.disparities=100", "multiple of 16"),
         ("stereo.p1=800", "p2 must exceed p1"),
-        ("seed", "KEY=VALUE"),
         ("seed.x=1", "seed"),
         ("tag_table=newest", "tag_table"),
-        ("lanes.hough_rho_px=inf", "lanes.hough_rho_px"),
-        ("sync.max_wait_s=1e300", "sync.max_wait_s"),
-        ("lanes.fit_strip_m=nan", "lanes.fit_strip_m"),
         ("lanes.holds_s=1", r"^no setting lanes\.holds_s; did you mean lanes\.hold_s\?"),
         ("lane.hold_s=1", r"did you mean lanes\?"),
         ("surface.zzz=1", "known: enabled, model"),
@@ -51,16 +46,9 @@ def test_toml_comes_back_as_it_was(tmp_path):
         ("stereo.inlier=1", r"no setting stereo\.inlier; did you mean surface\.inlier_m\?"),
     ],
 )
-def test_what_does_not_fit_is_named(setting, message):
+def test_an_invalid_setting_is_named(setting, message):
     with pytest.raises(ConfigError, match=message):
         load_config(None, ("seed=1", setting))
-
-
-def test_an_unknown_key_of_a_file_is_named_with_the_nearest(tmp_path):
-    path = tmp_path / "mine.toml"
-    path.write_text("[lanes]\nhold = 1\n")
-    with pytest.raises(ConfigError, match=r"mine\.toml: no setting lanes\.hold; did you mean lanes\.hold_s\?"):
-        load_config(path)
 
 
 OLD = """
@@ -71,7 +59,7 @@ drivable_m = 0.15
 [lanes]
 fit_huber = 3.0
 """
-"""A file of a version in which two of the constants were settings, one with another value."""
+"""A file of an older version with two settings that are constants now, one of them with another value."""
 
 
 def test_a_file_of_an_older_version_is_read_with_one_note(tmp_path):
@@ -85,28 +73,35 @@ def test_a_file_of_an_older_version_is_read_with_one_note(tmp_path):
     )
 
 
-def test_of_an_attached_configuration_only_what_differs_from_the_constants_counts():
+def test_settings_equal_to_the_constants_are_left_out():
     assert settings_in(OLD.encode()) == {"seed": 3, "surface.inlier_m": 0.07, "lanes.fit_huber": 3.0}
 
 
-def test_no_constant_is_a_setting():
+def test_constants_are_not_settings():
     assert not FIXED.keys() & {setting.key for setting in catalogue()}
 
 
-def test_broken_files(tmp_path):
-    with pytest.raises(ConfigError, match=r"absent\.toml"):
-        load_config(tmp_path / "absent.toml")
-    (tmp_path / "b.toml").write_text("a = = 1")
-    with pytest.raises(ConfigError, match="not TOML"):
-        load_config(tmp_path / "b.toml")
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (None, r"mine\.toml: No such file"),
+        ("a = = 1", r"mine\.toml: not TOML"),
+        ("[lanes]\nhold = 1\n", r"mine\.toml: no setting lanes\.hold; did you mean lanes\.hold_s\?"),
+    ],
+)
+def test_an_error_names_the_file(tmp_path, text, message):
+    if text:
+        (tmp_path / "mine.toml").write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        load_config(tmp_path / "mine.toml")
 
 
-def test_a_bare_class_and_classes_by_commas():
-    assert load_config(None, ("surface.classes=road",)).surface.classes == ("road",)
-    assert load_config(None, ("surface.classes=road, sidewalk",)).surface.classes == ("road", "sidewalk")
+@pytest.mark.parametrize(("text", "classes"), [("road", ("road",)), ("road, sidewalk", ("road", "sidewalk"))])
+def test_classes_by_commas(text, classes):
+    assert load_config(None, (f"surface.classes={text}",)).surface.classes == classes
 
 
-def test_every_number_refuses_what_is_not_finite():
+def test_numbers_must_be_finite():
     for section in ("sync", "stereo", "surface", "odometry", "lanes", "objects", "occupancy"):
         for name, field in type(getattr(ReplayConfig(), section)).model_fields.items():
             if isinstance(field.default, float):

@@ -1,4 +1,4 @@
-"""Every setting has an effect: on the sample's frames another value of it gives another result."""
+"""Every setting has an effect: another value gives another result on the frames of the sample."""
 
 from dataclasses import replace
 from functools import cache
@@ -129,7 +129,7 @@ ELSEWHERE = {
     "limits.transforms": "hostile/test_messages.py",
     "limits.name_length": "hostile/test_messages.py",
 }
-"""Settings whose effect the sample does not show, and where it is tested."""
+"""Settings without an effect on the sample, and the test of each."""
 
 GROUPS = (
     (SURFACE, ("surface",), ()),
@@ -192,8 +192,8 @@ def test_another_value_gives_another_result(stages, settings, change):
     assert not same(results(stages, (*settings, change)), results(stages, settings))
 
 
-def test_the_tag_table_that_is_set_wins_over_the_logs(tmp_path):
-    """Read as another version's, whose 7 is a traffic light and no road, the log's tags show no road."""
+def test_a_configured_tag_table_overrides_the_logs(tmp_path):
+    """In the configured table, the tag 7 of the log is a traffic light instead of road."""
     source = logs.write(tmp_path / "in.mcap", logs.items(1))
     found = {}
     for name in ("auto", "0.9.15"):

@@ -1,4 +1,4 @@
-"""A frame of the analytic road through the chain, with whatever truth a test puts beside it."""
+"""A frame of the analytic road and its result, with the truth of a test."""
 
 import numpy as np
 

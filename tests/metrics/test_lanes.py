@@ -37,7 +37,7 @@ def test_lane_error_is_taken_ten_metres_ahead_and_needs_both_boundaries():
 
 
 def seen(true, right_px=0.0, road=ROAD):
-    """A boundary that is seen where the true one is, so many columns to the right."""
+    """A boundary at the pixels of the true one, moved to the right by ``right_px`` columns."""
     line_px = project(road.camera, transform(inverse(road.ego_T_camera), true.line_ego_m[1:]))
     return replace(true, line_px=line_px + np.array([right_px, 0.0]))
 
@@ -53,7 +53,7 @@ TRUTH = Lanes((boundary(1.8), boundary(-1.9, side="right")))
     ],
     ids=["one moved by a tenth of the image", "both lost"],
 )
-def test_a_boundary_that_is_not_where_it_is_true_is_missed(found, points, counts):
+def test_a_boundary_at_a_wrong_place_is_missed(found, points, counts):
     columns = lane_benchmarks(Lanes(found), TRUTH, ROAD.camera, ROAD.ego_T_camera)
     assert [getattr(columns, f"lane_tusimple_{name}") for name in ("accuracy", "fp", "fn")] == points
     assert [getattr(columns, name) for name in COUNTS] == counts
@@ -102,7 +102,7 @@ def test_columns_at_rows():
     np.testing.assert_allclose(found, [320.0, 150.0, np.nan, np.nan])
 
 
-def test_true_offsets_are_those_of_the_truth():
+def test_true_offsets_come_from_the_truth():
     assert true_lane_columns(NOTHING, TRUTH) == TrueLaneColumns(1.8, -1.9)
     assert true_lane_columns(NOTHING, None) == TrueLaneColumns()
 
@@ -139,7 +139,7 @@ def test_an_upright_lane_is_right_below_twenty_pixels(moved_px, expected):
     assert tusimple([upright(300 + moved_px)], [upright(300.0)], ROWS) == expected
 
 
-def test_a_slanting_lane_may_be_farther_off_by_the_cosine():
+def test_the_threshold_of_a_slanting_lane_grows_by_the_cosine():
     """At a slope of 3 : 4 the cosine is 0.8, and 20 px become 25."""
     lane = 0.75 * ROWS
     assert lane_angle(lane, ROWS) == pytest.approx(np.arctan(0.75))
@@ -157,7 +157,7 @@ def test_a_lane_is_found_at_85_percent_of_its_points():
         assert tusimple([lane], [truth], rows) == TuSimpleScore(right / 20, missed, missed)
 
 
-def test_points_that_neither_lane_has_are_right():
+def test_points_absent_in_both_lanes_are_right():
     truth = np.where(ROWS < 400, np.nan, 300.0)
     assert tusimple([truth], [truth], ROWS).accuracy == 1.0
     assert tusimple([upright(300.0)], [truth], ROWS).accuracy == pytest.approx(np.mean(ROWS >= 400))
@@ -178,7 +178,7 @@ def test_points_that_neither_lane_has_are_right():
         pytest.param(3, 5, (3 / 4, 0, 1 / 4), (3, 0, 2), id="and no other"),
     ],
 )
-def test_lanes_that_are_found_and_missed(found, true, score, counts):
+def test_found_and_missed_lanes(found, true, score, counts):
     places = [100.0, 300.0, 500.0, 700.0, 900.0]
     lanes, drawn = [upright(x) for x in places], [line(x) for x in places]
     assert tusimple(lanes[:found], lanes[:true], ROWS) == pytest.approx(score)
@@ -192,32 +192,23 @@ def test_the_overlap_of_two_upright_lines():
     np.testing.assert_allclose(overlaps, expected, atol=0.03)
 
 
-@pytest.mark.parametrize("far_px", [2.0**15, 2.0**21, 1e9, 1e12])
+@pytest.mark.parametrize("far_px", [2.0**15, 1e12])
 @pytest.mark.parametrize("is_first", [True, False])
 @pytest.mark.parametrize("direction", [(1, 0), (0, 1), (0.6, -0.8), (-0.28, 0.96)])
-def test_a_line_that_leaves_the_image_goes_on_in_its_direction(far_px, direction, is_first):
-    """As one of a point close to the plane of the camera: it is what it would be with an end just outside."""
+def test_a_line_leaves_the_image_in_its_direction(far_px, direction, is_first):
+    """For a point close to the plane of the camera, the line equals one that ends just outside the image."""
     inner = np.array([(700.0, 300.0)])
     near, far = (np.vstack([inner, inner + reach * np.array(direction)]) for reach in (2000, far_px))
     order = slice(None, None, -1 if is_first else 1)
     assert line_overlaps([far[order]], [near[order]], SHAPE).item() == pytest.approx(1, abs=0.01)  # a column
 
 
-def test_a_line_far_outside_is_nowhere():
-    """Also one on the very border of what is drawn, and between two far ends the part in the image is."""
+def test_a_line_far_outside_is_not_drawn():
+    """Also at the limit of drawn points; between two far ends, the part in the image is drawn."""
     beside = [np.array([(x, -1e9), (x, 1e9)]) for x in (1e7, -(2.0**14) - 1640, 2.0**14 + 1640)]
     np.testing.assert_array_equal(line_overlaps(beside, [line(800)], SHAPE), 0)
     across = np.array([(800, -1e9), (800, 1e9)])
     assert line_overlaps([across], [line(800)], SHAPE).item() == 1
-
-
-@pytest.mark.parametrize(
-    ("moved_px", "threshold", "counts"),
-    [(25, 0.5, (0, 1, 1)), (25, 0.3, (0, 1, 1)), (13, 0.5, (0, 1, 1)), (13, 0.3, (1, 0, 0))],
-)
-def test_a_line_moved_too_far_is_found_wrongly_and_missed(moved_px, threshold, counts):
-    """Moved by 13 of 30 columns, 17 of 43 are shared: 0.4."""
-    assert culane([line(800 + moved_px)], [line(800)], SHAPE, threshold) == counts
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Detections against true objects: who stands for whom, and how the filter judged."""
+"""Detections against true objects: their pairs, and the decisions of the filter."""
 
 from dataclasses import replace
 
@@ -37,7 +37,7 @@ def judged(*objects, truth):
     return m.frame_metrics(CFG, "id", sample, result), m.object_metrics("id", sample, result)
 
 
-def test_the_filter_is_counted_over_what_the_detector_found():
+def test_the_filter_is_counted_over_the_detections():
     """Two cars and a walker are true; one car is dropped, the walker is missed, and a false box is kept."""
     places = [box("Car", x, 0, x + 10, 10) for x in (0, 20, 40, 60, 80)]
     truth = Objects((Object(places[0], True), Object(places[1], True), Object(box("Pedestrian", 99, 0, 103, 9), True)))
@@ -72,7 +72,7 @@ def test_the_filter_is_judged_by_the_true_objects(kept, truth, counts, shares, i
 @pytest.mark.parametrize(
     ("in_path", "counted"), [((), 0), ((True, False, None), 1), ((False, None), 0), ((None, None), None)]
 )
-def test_objects_whose_place_is_not_known_are_not_counted_as_beside_the_path(in_path, counted):
+def test_objects_at_unknown_places_are_not_counted(in_path, counted):
     kept = tuple(Object(box("Car", 0, 0, 10, 10), kept=True, in_path=known) for known in in_path)
     assert object_columns(Objects(kept, path_source="straight")).objects_in_path == counted
 

@@ -1,4 +1,4 @@
-"""Poses in the table, and what is left of a step when the true one is undone."""
+"""Poses in the table, and errors of steps against the truth."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ def moved(x_m, y_m, yaw_deg=0.0):
 
 
 def row_of(step, true_step, **odometry):
-    """The row of the second of two frames, the truth at (10, 20), turned by 90 degrees, before."""
+    """The row of the second frame; the true pose of the first one is (10, 20), turned by 90 degrees."""
     before, result = sample_and_result()
     start = moved(10.0, 20.0, 90.0)
     before = replace(before, truth=Truth(odom_T_ego=start))
@@ -55,8 +55,8 @@ def test_without_scale_there_is_no_length_error_and_without_truth_no_error():
     assert (row.true_x_m, row.true_qw, row.step_error_m, row.true_step_m) == (None, None, None, None)
 
 
-def test_the_deviations_of_step_and_turn_are_those_along_them():
-    """The covariance is in the axes that the step leads to: after a quarter turn its y was the old x, reversed."""
+def test_deviations_of_step_and_turn_are_along_the_motion():
+    """The covariance is in the axes of the later frame: after a quarter turn its y is the reversed old x."""
     stds = np.array([0.01, 0.02, 0.03, 0.001, 0.002, 0.003])
     covariance = tuple(np.diag(stds**2).ravel())
     ahead = row_of(moved(2.0, 0.0, 0.1), moved(2.0, 0.0), covariance=covariance)

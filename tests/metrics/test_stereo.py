@@ -1,4 +1,4 @@
-"""Stereo's errors against the depth at its camera, with answers worked out by hand."""
+"""Errors of stereo against the depth of its camera, computed by hand."""
 
 from dataclasses import astuple, replace
 
@@ -30,7 +30,7 @@ def wall(distance_m):
     return np.full((480, 640), distance_m, np.float32)
 
 
-def test_the_logs_own_depth_is_stereos_truth():
+def test_the_depth_of_the_log_is_the_truth_of_stereo():
     """f b = 160: 16 px at 10 m, so columns 16 to 639 are seen by both; the upper half is unknown."""
     estimated = wall(12.5)
     estimated[:240] = np.nan
@@ -41,7 +41,7 @@ def test_the_logs_own_depth_is_stereos_truth():
     assert found.stereo_coverage == 0.5
 
 
-def test_nothing_is_said_without_depth_at_the_left_camera():
+def test_without_depth_at_the_left_camera_there_are_no_errors():
     assert columns(wall(10.0), wall(10.0), depth=None) == StereoErrorColumns()
     assert columns(wall(10.0), wall(10.0), right_camera=None) == StereoErrorColumns()
     assert columns(wall(10.0), np.zeros((2, 2), np.float32)) == StereoErrorColumns()
@@ -61,14 +61,6 @@ def test_a_tenth_of_the_pixels_four_pixels_off():
     estimated[:, 20:27] = 50.0 / 14
     errors = stereo_errors(estimated, flat(10), STEREO, 0.5)
     assert astuple(errors) == pytest.approx((0.4, 0.1, 0.1 * 2 / 7, 1.0))
-
-
-def test_stereo_errors_are_counted_over_known_pixels_beside_their_share():
-    estimated = flat(10)
-    estimated[:, 10:40] = 50.0 / 14
-    estimated[:5] = np.nan
-    epe_px, d1_ratio, _, coverage = astuple(stereo_errors(estimated, flat(10), STEREO, 0.5))
-    assert (epe_px, d1_ratio, coverage) == (pytest.approx(4 * 30 / 70), pytest.approx(30 / 70), 0.5)
 
 
 @pytest.mark.parametrize(("true_px", "off_px", "bad"), [(10, 2.9, 0.0), (10, 3.1, 1.0), (70, 3.4, 0.0), (70, 3.6, 1.0)])
@@ -98,6 +90,6 @@ def test_a_hidden_pixel_is_not_visible_in_both_images():
 
 
 @given(st.lists(st.floats(0.5, 80.0, width=32), min_size=1, max_size=400), st.sampled_from([0.001, 0.02, 0.4]))
-def test_the_low_quantile_is_numpys(values, share):
+def test_the_low_quantile_equals_numpys(values, share):
     array = np.array(values, np.float32)
     assert low_quantile(array, share) == float(np.quantile(array, share))

@@ -42,7 +42,7 @@ def test_tags_of_datasets(name, tags):
 
 
 @pytest.mark.parametrize("table", s.TABLES.values(), ids=lambda table: table.name)
-def test_a_colour_of_a_table_stands_for_one_class(table):
+def test_each_colour_of_a_table_has_one_class(table):
     for colour, name in zip(table.colours, table.names, strict=True):
         assert table.name_of(table.tag_by_colour()[colour]) == name
 
@@ -69,9 +69,6 @@ def test_the_tags_of_classes_and_of_a_group(table, classes, tags):
 def test_an_invalid_version_raises(wrong):
     with pytest.raises(ConfigError, match=r"0\.9\.15"):
         s.table_for_version(wrong)
-
-
-def test_unknown_class_is_named():
     with pytest.raises(ConfigError, match="'motorway'"):
         s.CARLA_FROM_0_9_14.tags_of(["motorway"])
 

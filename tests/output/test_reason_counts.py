@@ -87,7 +87,7 @@ def test_a_missing_input_that_the_log_has_is_reported():
 
 
 def test_what_follows_from_another_reason_is_reported_once():
-    why = "no plane holds three of the road's points"
+    why = "no plane fits three road points"
     later = (
         f"drivable: no surface: {why}",
         f"lanes: no surface: {why}",

@@ -23,7 +23,7 @@ NEAR_M = 15.0
 FIT_MAX_M = 40.0
 """Farthest point of a fit: beyond it, a pixel spans a metre of road or more."""
 _FIT_HUBER = 2.0
-"""Standard deviations beyond which an edge counts less and less (Huber's constant)."""
+"""Standard deviations beyond which the weight of an edge decreases (Huber's constant)."""
 _SHORTEST_M = 0.25
 """Minimum length of a line on the road: the nearest 100 rows of 960 show less than half a metre."""
 _SEARCH_M = 0.6
@@ -68,7 +68,7 @@ _CHANCE_ROWS = 5.0
 class Edges:
     """Edges on the ground that face the ego lane from one side: (N,) x and y in metres in the ego frame, image rows.
 
-    Those ahead, as far as boundaries are fitted, from the first row to the last.
+    Only edges up to ``FIT_MAX_M`` ahead, sorted by row.
     """
 
     x: Float
@@ -215,10 +215,10 @@ def _fit_at(cfg: LanesConfig, edges: Edges, near: Mask, line: Float, inward: flo
     aside = inward * _best_aside(edges.x[begin], edges.y[begin], line, inward, noise)
     offset, heading, curvature = line.tolist()
     farthest = min(FIT_MAX_M, max(noise.reach_m, nearest_m + _REACH_STEP_M))
-    how = Following(inward, min(reach, farthest), _REACH_STEP_M, farthest, noise.is_low, _MIN_POINTS, _MIN_ROWS)
+    limits = Following(inward, min(reach, farthest), _REACH_STEP_M, farthest, noise.is_low, _MIN_POINTS, _MIN_ROWS)
     points = Points(edges.x, edges.y, std_m, edges.rows, *noise.strip_m(cfg, std_m))
     weighing = Weighing(_FIT_HUBER, _CORRELATED_ROWS, _CURVATURE_INFORMATION)
-    fit = follow(points, (offset + aside, heading, curvature), how, weighing)
+    fit = follow(points, (offset + aside, heading, curvature), limits, weighing)
     if fit is None:
         return None
     return Curve(np.array(fit.state), _covariance(fit, noise), fit.reached, noise.edge_px)
@@ -255,7 +255,7 @@ def _rows_near(curve: Curve, edges: Edges, within_m: Float, side: Side, asides_m
 
 
 def _best_aside(x: Float, y: Float, line: Float, inward: float, noise: _Noise) -> float:
-    """How far inside the line, in metres, the innermost well supported parallel edge lies."""
+    """Distance of the innermost well supported parallel edge inside the line, metres."""
     bin_m = min(max(_BIN_M, float(noise.std_m(np.array(_PEAK_AT_M)))), 2 * _SEARCH_M / _LEAST_BINS)
     edges = np.arange(-_SEARCH_M, _SEARCH_M + bin_m, bin_m)
     ordered = np.sort(inward * (y - lateral(line, x)))

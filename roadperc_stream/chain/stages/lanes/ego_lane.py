@@ -170,7 +170,7 @@ def step(
     that of the ego frame since the last frame, in metres, or lost; None if it is unknown.
 
     Returns:
-        The new state, and the lanes; absent if nothing is observed and nothing held.
+        The new state and the lanes; lanes are absent if no boundary is observed or held.
     """
     found = _observed(cfg, scene, surface, drivable)
     observation = None if isinstance(found, Absent) else found
@@ -192,7 +192,7 @@ def step(
 
 
 def _remembered(cfg: LanesConfig, state: LanesState, motion: Odometry | None, stamp_ns: int) -> LanesState:
-    """The state, cleared if the scene is another one or the motion was unknown for more than ``lanes.hold_s``."""
+    """The state, cleared if the scene changed or the motion was unknown for more than ``lanes.hold_s``."""
     known = [boundary.track.stamp_ns for side in SIDES if (boundary := state.side(side)) is not None]
     gap_s = (stamp_ns - max(known)) / NS_PER_S if known else 0.0
     elsewhere = motion is not None and motion.reason is not None and motion.reason.code in _ELSEWHERE

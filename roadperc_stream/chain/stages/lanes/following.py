@@ -1,7 +1,7 @@
-"""Boundaries from frame to frame: predicted, measured again, held, begun, and handed over in a change of lane.
+"""Boundaries from frame to frame: predict, measure, hold, start, and hand over in a lane change.
 
-The car is in another lane as soon as its reference point, the origin of the ego frame, is past the middle of the line
-between the two.
+The car is in another lane when its reference point, the origin of the ego frame, has passed the middle of the line
+between both lanes.
 """
 
 from collections.abc import Iterator
@@ -131,10 +131,7 @@ def handed_over(cfg: LanesConfig, state: LanesState, observation: Observation | 
 
 
 def change_of(cfg: LanesConfig, before: LaneChange, state: LanesState) -> LaneChange:
-    """The side on which part of the car is over a line on its way into another lane, until it is clear of it.
-
-    ``before`` is the lane change of the last frame.
-    """
+    """The side on which part of the car is over a line while it changes lanes; ``before`` is the last frame's."""
     known = {side: boundary for side in SIDES if (boundary := state.side(side)) is not None}
     over = {side: b for side, b in known.items() if outward(side) * b.offset_m < cfg.car_width_m / 2}
     if before != "none":
@@ -145,7 +142,7 @@ def change_of(cfg: LanesConfig, before: LaneChange, state: LanesState) -> LaneCh
 def _far_edge(
     cfg: LanesConfig, side: Side, crossed: TrackedBoundary, observation: Observation | None
 ) -> tuple[float, Curve | None]:
-    """How much farther out the other edge of a boundary's marking lies, metres, and its curve where it is seen."""
+    """Width of a boundary's marking to its outer edge, metres, and the curve of that edge if it is visible."""
     if observation is not None:
         line = crossed.track.state + outward(side) * _MARKING_M * _LINE_STEP
         curve = observation.curve_along(cfg, other_side(side), line)

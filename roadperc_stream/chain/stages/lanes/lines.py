@@ -1,7 +1,7 @@
 """Straight lane lines in the image: the course's method.
 
-Separator mask -> edges (Canny 1986) -> probabilistic Hough lines (Matas et al. 2000) -> the near-horizontal ones and
-those off the road dropped -> merged by slope and intercept -> drawn from the image's bottom to the road's far end.
+Mask of the separators -> edges (Canny 1986) -> probabilistic Hough lines (Matas et al. 2000) -> drop nearly horizontal
+lines and lines off the road -> merge by slope and intercept -> draw from the image's bottom to the road's far end.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ _MIN_SLOPE = 0.3
 """Rows per column below which a line is too flat in the image for a boundary of the ego lane."""
 _MERGE_SLOPE = 0.1
 _MERGE_INTERCEPT_PX = 40.0
-"""Lines whose slopes differ by less, and at 960 rows their rows at the image's left edge, may be one and the same."""
+"""Largest differences of slope, and of the row at the image's left edge at 960 rows, of lines that are merged."""
 _AROUND_PX = 5
 """Rows around a mask that affect its edges: half of the largest Sobel filter, and Canny's neighbours."""
 
@@ -45,7 +45,7 @@ class LineGroup:
 
 
 def without_salt(cfg: LanesConfig, separators: Image) -> Image:
-    """(H, W) 255 at separators (H, W) of ones behind a median filter, which removes salt noise and slivers.
+    """(H, W) 255 at separators after a median filter, which removes salt noise and slivers; ``separators`` are 1.
 
     The median of ones and zeros is the value of more than half of the pixels; counting is faster than sorting.
     """

@@ -25,7 +25,7 @@ from roadperc_stream.model import SIDES, Image, Mask, Side, Surface
 from roadperc_stream.model.tag_tables import TagTable
 
 _FRINGE_PX = 4
-"""Foreign pixels between a separator and the road that compression leaves there."""
+"""Largest number of foreign pixels between a separator and the road, which compression may cause."""
 _INSIDE_M = (0.2, 0.4, 0.6)
 _OUTSIDE_M = (0.2, 0.4, 0.6, 0.8, 1.0)
 """Distances beside a boundary at which the class there is sampled; a double marking is 0.35 m wide."""
@@ -65,7 +65,7 @@ class RoadProjection:
 
 @dataclass(frozen=True)
 class Observation:
-    """Everything one frame shows of the lane; ``far`` is the row of the road's far end.
+    """The lane as observed in one frame; ``far`` is the row of the road's far end.
 
     ``edge_pixels`` (H, W) are those along which lines were proposed, ``edges`` those that face the ego lane.
     """
@@ -81,7 +81,7 @@ class Observation:
     near: dict[Side, tuple[LineGroup, ...]] = field(default_factory=dict)
     """The lines on either side with support near the car, the closest one first."""
     curves: dict[Side, Curve | None] = field(default_factory=dict)
-    """The curve on the road of the closest line on either side, None where none fits."""
+    """The curve on the road of the closest line on either side, None if no curve fits."""
 
     def curve_beyond(self, cfg: LanesConfig, side: Side, least_m: float) -> Curve | None:
         """The curve of the closest line that lies at least this far out at the ego origin."""
@@ -89,13 +89,13 @@ class Observation:
         return next((c for c in curves if c is not None and outward(side) * float(c.state[0]) > least_m), None)
 
     def curve_along(self, cfg: LanesConfig, side: Side, line: Float) -> Curve | None:
-        """The boundary as the edges near a (3,) state have it; None where too few do."""
+        """The curve of the edges near a (3,) state; None if there are too few."""
         if side not in self.edges:
             return None
         return fit_curve(cfg, self.edges[side], line, side, 1.0 / self.projection.camera.fx)
 
     def classes_beside(self, side: Side, curve: Curve) -> tuple[str, str]:
-        """The class inside and the class outside a boundary, empty where that is out of sight."""
+        """The classes inside and outside a boundary, empty if not visible."""
         at_m = outward(side) * np.array([-d for d in _INSIDE_M] + list(_OUTSIDE_M))
         x = np.broadcast_to(_CLASS_AHEAD_M, (len(at_m), len(_CLASS_AHEAD_M)))
         y = lateral(curve.state, x) + at_m[:, None]

@@ -36,7 +36,7 @@ _CURVATURE_WALK_ROOT_M = 0.0008
 _Y_AXIS_STEPS = 3
 """Fixed-point steps for the boundary's intersection with a turned y axis; each reduces the error by heading * turn."""
 _CONTRADICTS = 7.81
-"""Squared Mahalanobis distance from which a measurement and its prediction contradict each other (95 % of chi squared,
+"""Squared Mahalanobis distance above which measurement and prediction contradict each other (95 % of chi squared,
 3 degrees)."""
 
 
@@ -47,7 +47,7 @@ class ClassHistory:
     observations: tuple[tuple[int, str], ...] = ()
 
     def add(self, cfg: LanesConfig, stamp_ns: int, name: str) -> "ClassHistory":
-        """With one frame's class, and without those older than ``lanes.hold_s``.
+        """The history with one more class, without classes older than ``lanes.hold_s``.
 
         An empty name (out of sight) adds nothing; earlier observations count until they are too old. Frames without
         segmentation do not change the history.
@@ -57,7 +57,7 @@ class ClassHistory:
 
     @property
     def majority(self) -> str:
-        """The most frequent class, of equally frequent ones the latest; empty where nothing was observed."""
+        """The most frequent class, the latest among equally frequent ones; empty without observations."""
         counts = Counter(name for _, name in self.observations)
         latest = {name: stamp_ns for stamp_ns, name in self.observations}
         return max(counts, key=lambda name: (counts[name], latest[name]), default="")
@@ -83,7 +83,7 @@ class BoundaryTrack:
 
     @property
     def rate_mps(self) -> float:
-        """How fast the offset grows."""
+        """Rate of the offset, m/s."""
         return float(self.mean[_RATE])
 
     @property
@@ -119,11 +119,11 @@ class LanesState:
     lane_changes: int = 0
 
     def side(self, side: Side) -> TrackedBoundary | None:
-        """The boundary of that side; None where none is tracked."""
+        """The boundary of one side; None if it is not tracked."""
         return self.left if side == "left" else self.right
 
     def with_side(self, side: Side, boundary: TrackedBoundary | None) -> "LanesState":
-        """The same with another boundary on that side."""
+        """A copy of the state with another boundary on one side."""
         return replace(self, left=boundary) if side == "left" else replace(self, right=boundary)
 
 
@@ -188,7 +188,7 @@ def _seen_from(state: Float, dx: float, dy: float, turn: float) -> Float:
 
 
 def _road_ahead(walked_m: float, direction: float) -> Float:
-    """(3, 3) covariance of offset, heading and curvature after a way along which all three walked at random."""
+    """(3, 3) covariance of offset, heading and curvature after a random walk of all three along the road."""
     w, d = walked_m, direction
     walk = np.array(
         [
@@ -205,7 +205,7 @@ def _road_ahead(walked_m: float, direction: float) -> Float:
 
 
 def update(cfg: LanesConfig, track: BoundaryTrack, state: Float, covariance: Float) -> BoundaryTrack | None:
-    """The track after a measurement at its stamp; None where the measurement lies outside the gate.
+    """The track after a measurement at its stamp; None if the measurement is outside the gate.
 
     If prediction and measurement disagree, the covariance grows with their squared Mahalanobis distance (Birge, "The
     Calculation of Errors by the Method of Least Squares", Physical Review 40, 1932).
@@ -237,5 +237,5 @@ def std_at(track: BoundaryTrack, x_m: float) -> float:
 
 
 def expired(cfg: LanesConfig, track: BoundaryTrack) -> bool:
-    """Whether the track was last measured longer ago than it may be held."""
+    """Whether the last measurement is older than ``lanes.hold_s``."""
     return (track.stamp_ns - track.measured_ns) / NS_PER_S > cfg.hold_s

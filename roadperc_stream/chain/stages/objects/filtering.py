@@ -1,8 +1,9 @@
 """Detections filtered by the segmentation, each with the region that fits it best and its distance.
 
-A detector of high recall reports false and hidden objects. The box of a hidden car lies on the car before it, so each
-region belongs to the detection that it fits best. A detection is kept if a region of its class fits its box, or (the
-lecture's filter) if enough of its box has tags of its class. Its distance is a low quantile of the region's distances.
+A detector with high recall reports false and hidden objects. The box of a hidden car lies on the car in front of it,
+so each region belongs to the detection that it fits best. A detection is kept if a region of its class fits its box,
+or (the lecture's filter) if enough of its box has tags of its class. Its distance is a low quantile of the region's
+distances.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -33,23 +34,22 @@ from roadperc_stream.model.scene import Scene
 from roadperc_stream.model.tag_tables import label_lookup
 
 SAME_DISTANCE = 0.03
-"""Share by which the distances of regions of one object differ at most: their nearest point is the same."""
+"""Largest difference of the distances of two regions of one object, as a share: they have the same nearest point."""
 SAME_PLACE = 0.5
-"""Least share of the smaller one's bounds that regions of one object have in common."""
+"""Minimum overlap of two regions of one object, as a share of the smaller one's bounds."""
 _ROWS = 64
-"""Candidates compared with all others per pass: a detector may give thousands."""
+"""Number of candidates compared with all others at once; a detector may report thousands."""
 _NO_REGION: Final = (0.0, UNKNOWN)
 FITS_ALIKE = 0.1
-"""Fits that differ by less count as equal."""
+"""Difference below which fits count as equal."""
 AS_EXPECTED = 0.1
-"""Share by which the distance of an object that is known may differ from the expected one."""
+"""Largest difference between the distance of a tracked object and the expected one, as a share."""
 LEAST_RATIO = 0.2
-"""Least share of its class in the box of a new object, however well its region fits."""
+"""Minimum share of its class in the box of a new object, even if its region fits well."""
 _MIN_FIT = 0.7
-"""Fit of its pixels' bounds to the box above which a detection is kept; what the box holds beside them costs less than
-what they hold beside it."""
+"""Minimum fit of a region to its box for a detection to be kept."""
 _MIN_FIT_SEEN = 0.2
-"""The same for an object tracked for ``carry_after_s``; then ``min_class_ratio`` is also enough."""
+"""The same for an object tracked for ``carry_after_s``; then ``min_class_ratio`` alone is also enough."""
 
 
 def choose(
@@ -58,14 +58,14 @@ def choose(
     measure: Callable[[Region], Measured],
     expected_m: Mapping[int, float | None],
 ) -> list[tuple[float, Measured]]:
-    """Fit and distance of one candidate of each detection, those that fit best before the others.
+    """Fit and distance of the region chosen for each detection; the best fits choose first.
 
-    A fit of 0 and no distance where others have all candidates.
+    The fit is 0 and the distance unknown if other detections have all candidates.
 
     Args:
-        labels: of the detections.
-        candidates: of each of them.
-        measure: gives a region's distance; called only for regions that may be chosen.
+        labels: labels of the detections.
+        candidates: candidate regions of each detection.
+        measure: returns a region's distance; called only for regions that may be chosen.
         expected_m: expected distance of an object that is already tracked, by the position of its detection.
     """
     fits = _fits(candidates, measure := cache(measure), expected_m)
@@ -89,7 +89,7 @@ def _fits(
     measure: Callable[[Region], Measured],
     expected_m: Mapping[int, float | None],
 ) -> list[float]:
-    """How well each candidate fits; of those of a known object that fit alike, the one as far as it fits best."""
+    """The fit of each candidate; among equal fits, the one at a tracked object's expected distance wins."""
     fits = [[region.fit for region in of_one] for of_one in candidates]
     for owner, distance_m in expected_m.items():
         best = max(fits[owner], default=0.0)
@@ -103,7 +103,7 @@ def _fits(
 
 
 def _same_places(labels: Sequence[str], flat: Sequence[Region]) -> Iterator[NDArray[np.bool_]]:
-    """For each of M candidates, (M,) which may be of the object that it is of, by their place in the image."""
+    """For each of M candidates, (M,) mask of those that may be the same object, by their place in the image."""
     kind = kinds(labels)[0][np.array([region.owner for region in flat], np.int64)]
     boxes = corners(region.box_px for region in flat)
     sizes = areas(boxes)
@@ -114,7 +114,7 @@ def _same_places(labels: Sequence[str], flat: Sequence[Region]) -> Iterator[NDAr
 
 
 def _apart(one_m: float | None, other_m: float | None) -> float:
-    """Share by which two distances differ; infinite where one is not known, or behind the camera."""
+    """Difference of two distances as a share; infinite if one is unknown or not positive."""
     if one_m is None or other_m is None or one_m <= 0 or other_m <= 0:
         return inf
     return abs(log(one_m / other_m))
@@ -131,12 +131,12 @@ def filter_detections(
     Args:
         cfg: thresholds.
         scene: the frame; without tags every detection is kept.
-        detections: in its image; None where the frame has no detections message.
+        detections: in its image; None if the frame has no detections message.
         expected_m: expected distance of an object that is already tracked, None if unknown, by the detection's
             position. Such a detection needs a lower fit, and of equal fits the region at that distance wins.
 
     Returns:
-        The objects in the detector's order. A label that no class belongs to is not filtered: kept, without a ratio.
+        The objects in the detector's order. Detections with an unknown label are kept, without a ratio.
     """
     if detections is None:
         return Absent(Reason("objects", "no_detections"))
@@ -181,7 +181,7 @@ def _filtered(
 ) -> Object:
     x0, y0, x1, y1 = box = detection.box_px.rounded(scene.camera.width, scene.camera.height)
     if x0 >= x1 or y0 >= y1:
-        return Object(detection, kept=lookup is None)  # nothing of it is in the image
+        return Object(detection, kept=lookup is None)  # outside the image
     ratio = of_class = None
     fit, measured = candidate if cfg.distance_pixels == "region" else (candidate[0], UNKNOWN)
     if scene.tags is not None and lookup is not None:
@@ -208,7 +208,7 @@ def _filtered(
 
 
 def _counted(cfg: ObjectsConfig, scene: Scene, distances_m: Float32, of_class: Image | None) -> Float32:
-    """Distances of a box's pixels that count where no region does: those of the class, of a lidar the object's own."""
+    """Distances of a box's pixels that count without a region: those of the class; with lidar, the object's points."""
     if of_class is None or cfg.distance_pixels == "box":
         return distances_m.ravel()
     if cfg.distance_pixels == "class" or scene.dense_depth_m is not None:
@@ -217,7 +217,7 @@ def _counted(cfg: ObjectsConfig, scene: Scene, distances_m: Float32, of_class: I
 
 
 def _mostly_beyond(scene: Scene, box: tuple[int, int, int, int], of_class: Image | None) -> bool:
-    """Whether most of its class in a box is beyond the depth's range, where nothing tells one object from the next."""
+    """Whether most pixels of the class in a box are beyond the depth's range, so that objects cannot be separated."""
     depth_m = scene.dense_depth_m
     if depth_m is None or of_class is None or scene.instances is not None:
         return False
@@ -227,10 +227,10 @@ def _mostly_beyond(scene: Scene, box: tuple[int, int, int, int], of_class: Image
 
 
 def _is_kept(cfg: ObjectsConfig, scene: Scene, ratio: float, fit: float, *, expected: bool, beyond: bool) -> bool:
-    """By the region's fit, or by the share of the box that is of the class where regions are not asked for or known.
+    """Whether a detection is kept, by its region's fit, or without regions by the share of its class in the box.
 
-    Beyond the depth's range there are no regions. For an expected object either test is enough: it may be divided
-    wrongly, or partly hidden.
+    There are no regions beyond the depth's range. For an expected object, either test is enough: its region may be
+    wrong, or it may be partly hidden.
     """
     of_class = ratio > cfg.min_class_ratio
     if cfg.filter == "class_ratio" or not divides(scene):

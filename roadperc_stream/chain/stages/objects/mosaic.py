@@ -1,6 +1,6 @@
-"""The boxes of a frame's detections: their overlaps, and what is in and around them as one mosaic.
+"""The boxes of a frame's detections: their overlaps, and their surroundings as one mosaic.
 
-So each step over pixels is one call for all boxes: the calls take longer than the pixels.
+With a mosaic, each step over pixels is one call for all boxes. This is faster, because calls cost more than pixels.
 """
 
 from collections.abc import Iterable, Sequence
@@ -18,21 +18,21 @@ from roadperc_stream.model.scene import Scene
 from roadperc_stream.model.tag_tables import classes_of_label
 
 MARGIN = 0.25
-"""Of a box's sides, that is looked at around it: an object that goes on there is larger than the box."""
+"""Margin around a box, as a share of its sides: an object that continues there is larger than the box."""
 LEAST_MARGIN_PX = 3.0
 LONGEST_SIDE = 64
-"""Rows and columns that are looked at: of more every second is, or every third."""
+"""Largest number of sampled rows and columns; larger boxes are sampled at every second pixel, or every third."""
 LEAST_TOGETHER = 3
-"""Pixels of the class in the 3x3 around each that counts."""
+"""Minimum number of pixels of the class in the 3x3 neighbourhood of a pixel that counts."""
 _SMOOTHED_PX = 5
-_ALIKE = 0.04
-"""Standard deviation of the bilateral filter's weights, as a share of the depth."""
-_NEAR_PX = 2.0
-"""The same in pixels."""
+_SIGMA_DEPTH = 0.04
+"""Standard deviation of the bilateral filter's weights by depth, as a share of the depth."""
+_SIGMA_PX = 2.0
+"""Standard deviation of its weights by position, pixels."""
 _UNKNOWN_M = 1e6
 BEYOND = 0.1
-"""Share by which what is beyond the depth's range is taken for farther than its limit: it is another object than one
-just before the limit."""
+"""Pixels beyond the depth's range get the limit plus this share, so that they are separate from objects just before
+the limit."""
 Indices = NDArray[np.int64]
 Pixels = tuple[slice, slice]
 """Rows and columns of an image."""
@@ -43,11 +43,11 @@ T = TypeVar("T", bound=np.generic)
 class Mosaic:
     """The cutouts of N boxes, one below the other with an empty row after each: (H, W) pixels.
 
-    ``first_px`` (N, 2) are column and row in the image of the first pixel of each, ``steps`` (N, 2) how many of its
-    columns and rows there are from one to the next, ``tops`` (N + 1,) their first rows. ``of_class`` is 1 at pixels of
-    the classes that the box may hold. ``log_depth`` is the logarithm of the smoothed depth in metres, ``distances_m``
-    the same as distances from the camera, NaN unknown and infinite beyond the depth's range; ``noise``
-    is what was smoothed away of the logarithm: all None without dense depth. ``ids`` are instance masks, None without.
+    ``first_px`` (N, 2) are column and row of each cutout's first pixel in the image, ``steps`` (N, 2) its sampling step
+    in columns and rows, ``tops`` (N + 1,) its first row in the mosaic. ``of_class`` is 1 at pixels of the box's
+    classes. ``log_depth`` is the logarithm of the smoothed depth in metres. ``distances_m`` is the smoothed distance
+    from the camera, NaN unknown and infinite beyond the depth's range. ``noise`` is the absolute difference of the
+    logarithm before and after smoothing. These three are None without dense depth. ``ids`` are instance masks or None.
     """
 
     first_px: Indices
@@ -90,9 +90,9 @@ def overlaps(ours: Float, theirs: Float) -> Float:
 
 
 def kinds(*lists: Sequence[str]) -> tuple[NDArray[np.int64], ...]:
-    """For each list of labels their kinds as numbers, the same in all lists.
+    """For each list of labels, the number of each label's kind; numbers are common to all lists.
 
-    Labels of one kind may stand for one object: detectors waver between car, van and truck.
+    Labels of one kind may be the same object: detectors confuse car, van and truck.
     """
     of_label = [[classes_of_label(label) or (label,) for label in labels] for labels in lists]
     numbers = {kind: number for number, kind in enumerate(dict.fromkeys(k for kinds in of_label for k in kinds))}
@@ -100,12 +100,12 @@ def kinds(*lists: Sequence[str]) -> tuple[NDArray[np.int64], ...]:
 
 
 def cut_out(scene: Scene, lookups: Sequence[Image | None], boxes: Sequence[Box]) -> Mosaic:
-    """The surroundings of boxes.
+    """The mosaic of the surroundings of boxes.
 
     Args:
-        scene: the frame; without tags all pixels are of any class.
-        lookups: (256,) 1 at the tags of each box's classes; None where they are not known.
-        boxes: in the frame's image; nothing is cut out of one outside it.
+        scene: the frame; without tags, pixels count as any class.
+        lookups: for each box, (256,) 1 at the tags of its classes; None if they are unknown.
+        boxes: boxes in the frame's image; a box outside the image has an empty cutout.
     """
     cutouts = [_around(scene.camera, box) for box in boxes]
     shapes = [tuple(len(range(part.start, part.stop, part.step)) for part in cutout) for cutout in cutouts]
@@ -133,7 +133,7 @@ def cut_out(scene: Scene, lookups: Sequence[Image | None], boxes: Sequence[Box])
 
 
 def _around(camera: Camera, box: Box) -> Pixels:
-    """Rows and columns in and around the part of a box in the image; none for a box outside it."""
+    """Rows and columns of a box and its margin in the image; empty if the box is outside the image."""
     x0, y0, x1, y1 = box.rounded(camera.width, camera.height)
     if x0 >= x1 or y0 >= y1:
         return slice(0, 0, 1), slice(0, 0, 1)
@@ -149,9 +149,9 @@ def _sampled(first: int, end: int) -> slice:
 
 
 def _mark(scene: Scene, lookup: Image | None, cutout: Pixels, marked: Image) -> None:
-    """1 at pixels of the class, but for single ones and pairs, which join what is apart: a line of three is left.
+    """Set ``marked`` to 1 at pixels of the class, except for isolated pixels and pairs, which would join objects.
 
-    What is of any class only instance masks can divide: cars stand on roads.
+    Pixels without a class count only with instance masks; depth alone does not separate a car from the road.
     """
     if lookup is None or scene.tags is None:
         marked[...] = scene.instances is not None
@@ -166,17 +166,17 @@ def _placed(picture: NDArray[T], cutouts: Sequence[Pixels], places: Sequence[Pix
 
 
 def _smoothed(depth_m: Float32, unknown: NDArray[np.bool_]) -> tuple[Float32, Float32]:
-    """The logarithm of the depth, in which noise and jumps are shares of it, smoothed; and what was smoothed away.
+    """The smoothed logarithm of the depth, and the absolute difference to the logarithm before.
 
-    What is not known is far away.
+    In the logarithm, noise and jumps are shares of the depth. Unknown pixels count as far away.
     """
     log_depth = np.log(np.where(unknown | (depth_m == np.inf), np.float32(_UNKNOWN_M), depth_m))
-    smoothed = np.asarray(cv2.bilateralFilter(log_depth, _SMOOTHED_PX, _ALIKE, _NEAR_PX), np.float32)
+    smoothed = np.asarray(cv2.bilateralFilter(log_depth, _SMOOTHED_PX, _SIGMA_DEPTH, _SIGMA_PX), np.float32)
     return smoothed, np.abs(log_depth - smoothed)
 
 
 def _ray_lengths(camera: Camera, first_px: Indices, steps: Indices, tops: Indices, size: tuple[int, int]) -> Float32:
-    """(H, W) metres along the ray of each pixel for each metre of its depth."""
+    """(H, W) length of each pixel's ray per metre of depth."""
     owner = np.repeat(np.arange(len(steps)), np.diff(tops))
     rows = first_px[owner, 1] + steps[owner, 1] * (np.arange(size[0]) - tops[owner])
     x = (first_px[:, :1] + steps[:, :1] * np.arange(size[1]) - camera.cx) / camera.fx
@@ -186,7 +186,7 @@ def _ray_lengths(camera: Camera, first_px: Indices, steps: Indices, tops: Indice
 
 
 def boxes_of(mosaic: Mosaic, owners: Indices, bounds: Indices) -> Float:
-    """(4, K) corners in the image of corners (4, K) in the mosaic, each of a region of a cutout."""
+    """(4, K) corners in the image of regions with corners (4, K) in the mosaic; ``owners`` are their cutouts."""
     x0, y0, x1, y1 = bounds
     x_step, y_step = mosaic.steps[owners].T
     left, top = mosaic.first_px[owners].T

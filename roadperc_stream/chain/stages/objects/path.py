@@ -1,8 +1,8 @@
-"""The path that the car is going to take, by its lane or else its circle, where objects are beside it, and the impact.
+"""The path of the car, the places of objects beside it, and the time to impact.
 
-A collision is foreseen with what is in the path alone: forward collision warning knows an obstacle vehicle on the
-subject vehicle's trajectory, not one beside it (ISO 15623; GB/T 33577-2017, which has its terms). The time to collision
-is the distance over the relative speed; a vehicle cuts in that is beside the path and moves towards it.
+The path is the middle of the lane, else the circle that the car drives. Only objects in the path can be hit, as in
+forward collision warning (ISO 15623; terms of GB/T 33577-2017). The time to collision is the distance over the relative
+speed. A vehicle cuts in if it is beside the path and moves towards it.
 """
 
 from dataclasses import dataclass, replace
@@ -21,46 +21,45 @@ from roadperc_stream.model.scene import Scene
 from roadperc_stream.model.tag_tables import classes_of_label, label_lookup
 
 _TURNING_FROM_M = 1e-3
-"""A shorter step says nothing of the direction in which the car drives."""
+"""Shortest step that shows the direction in which the car drives."""
 _STRAIGHT_M = 0.1
-"""Less way than this says nothing of a curvature."""
+"""Shortest driven distance that shows a curvature."""
 PATH_MEMORY_M = 5.0
-"""Way over which the path's curvature by odometry is averaged, the latest metres counting most."""
+"""Distance over which the path's curvature by odometry is averaged; the latest metres have the largest weight."""
 _LANE_WIDTH_MIN_M = 2.0
-"""A narrower lane is none that the car drives in."""
+"""Width of the narrowest lane in which the car can drive."""
 _LANE_WIDTH_MAX_M = 5.0
-"""In a wider lane the path runs along its boundaries, but where the car is, not in the middle."""
+"""In a wider lane, the path is parallel to the boundaries through the car, not in the middle."""
 _OBJECT_LENGTH_M = 5.0
-"""Pixels so far behind an object's nearest point count for its place beside the path: a car's length."""
+"""Pixels up to this far behind an object's nearest point determine its place: a car's length."""
 _LATERAL_STD_M = 0.1
-"""Least standard deviation of where an object's edges are beside the path."""
+"""Least standard deviation of the place of an object's edges."""
 _MOST_PIXELS = 1000
-"""A place needs no more."""
+"""Number of pixels that is enough for a place."""
 _FEWEST_PIXELS = 5
 _NEARER_SHARE = 0.05
-"""Pixels nearer than the object by more than this share of its distance are of something before it."""
+"""Pixels nearer than the object by more than this share of its distance belong to something in front of it."""
 _NEARER_M = 0.3
 _OUTERMOST = 0.02
-"""Share of the pixels beyond either edge: strays at the border of the class."""
+"""Share of the pixels beyond either edge, to exclude strays at the border of the class."""
 _NEAREST = 0.05
-"""Share of the pixels that are the nearest ones."""
+"""Share of the pixels that count as nearest."""
 _STD_SHARE = 0.005
-"""Of the distance, beside the least standard deviation of an edge: what a wobbling border and the path are off."""
+"""Part of an edge's standard deviation that grows with the distance: errors of the border and of the path."""
 _VAGUE_M = 1.0
-"""Largest standard deviation of an edge for a decision whether it is in the path."""
+"""Largest standard deviation of an edge with which it can be judged to be in the path."""
 _VAGUE_MPS = 0.8
-"""Largest standard deviation of an edge's speed for a decision whether it stays there."""
+"""Largest standard deviation of an edge's speed with which it can be judged to stay there."""
 _CROSSING_MPS = 2.0
-"""Speed across the path at which no lane is changed."""
+"""Speed across the path above which a vehicle crosses it instead of changing lanes."""
 _SURE_SIGMAS = 2.0
 
 
 @dataclass(frozen=True)
 class EgoPath:
-    """The middle of the path, a circle in the ego frame: where it is at x = 0, its heading there and its curvature.
+    """The middle of the path, a circle in the ego frame: its offset and heading at x = 0, and its curvature.
 
-    ``lane_half_m`` is half the lane's width, None where no lane is known; ``lane_changes`` tells one lane from the
-    next.
+    ``lane_half_m`` is half the lane's width, None without a lane; ``lane_changes`` identifies the lane.
     """
 
     source: PathSource
@@ -71,19 +70,19 @@ class EgoPath:
     lane_changes: int | None = None
 
     def goes_on(self, before: "EgoPath") -> bool:
-        """Whether it is the path of the frame before, so that places beside it can be compared."""
+        """Whether it continues the path of the previous frame, so that places beside both can be compared."""
         return (self.source, self.lane_changes) == (before.source, before.lane_changes)
 
 
 @dataclass(frozen=True)
 class DrivenArc:
-    """How far the car has turned (radians, to the left) over which way, the latest metres counting most."""
+    """Turn (radians, to the left) over a driven distance (metres); the latest metres have the largest weight."""
 
     turned: float = 0.0
     driven_m: float = 0.0
 
     def after(self, last_T_this: Float | None) -> "DrivenArc":
-        """After a step, by metres, not by time: a car that stands still keeps what its wheels point at."""
+        """The arc after a step; weights fade by metres, not by time, so that a standing car keeps its curvature."""
         if last_T_this is None:
             return self
         way_m = hypot(last_T_this[0, 3], last_T_this[1, 3])
@@ -95,16 +94,16 @@ class DrivenArc:
 
     @property
     def curvature_per_m(self) -> float | None:
-        """Yaw rate over speed; None where the car has hardly moved."""
+        """Yaw rate over speed, 1/m; None if the car has hardly moved."""
         return self.turned / self.driven_m if self.driven_m >= _STRAIGHT_M else None
 
 
 def path_of(lanes: Lanes | None, arc: DrivenArc) -> EgoPath:
-    """The lane's middle; along a boundary where the lane is not known; the circle the car drives on; straight ahead.
+    """The path by the first source that is known: lane, one boundary, driven circle, straight ahead.
 
     Args:
-        lanes: the frame's, None where they were not looked for or could not be found.
-        arc: what odometry says of the last metres.
+        lanes: the lanes of the frame; None if absent.
+        arc: the arc of the last metres by odometry.
     """
     known = [] if lanes is None else [line for side in SIDES if (line := _known(lanes.side(side))) is not None]
     width_m = known[0][0] - known[1][0] if len(known) == len(SIDES) else None
@@ -128,15 +127,15 @@ def _known(boundary: Boundary) -> tuple[float, float, float] | None:
 
 
 def extent(scene: Scene, path: EgoPath, item: Object) -> Extent | None:
-    """Where the object's nearest pixels lie, as far as a car is long behind its nearest point.
+    """The edges of an object beside the path, from its pixels up to a car's length behind its nearest point.
 
     Args:
         scene: the frame.
-        path: the car's, in the ego frame.
-        item: with its distance, this frame's own.
+        path: the car's path, in the ego frame.
+        item: the object with its distance in this frame.
 
     Returns:
-        None where too few pixels have a depth.
+        None if too few pixels have a depth.
     """
     if item.distance_m is None or scene.depth_m is None:
         return None
@@ -150,9 +149,9 @@ def extent(scene: Scene, path: EgoPath, item: Object) -> Extent | None:
 
 
 def left_of(path: EgoPath, points: Float, ego_T_camera: Float) -> Float:
-    """(N,) how far (N, 3) points in the camera's frame are to the left of the path, square to it.
+    """(N,) distance of (N, 3) points in the camera's frame to the left of the path, at right angles to it, metres.
 
-    That is exact on the circle, and without a singularity where it is a straight line.
+    The formula is exact on the circle and has no singularity for a straight line.
     """
     bend, cosine, sine = path.curvature_per_m, cos(path.heading), sin(path.heading)
     along, across = (
@@ -166,10 +165,7 @@ def left_of(path: EgoPath, points: Float, ego_T_camera: Float) -> Float:
 
 
 def _points(scene: Scene, depth_m: Float32, detection: Detection, distance_m: float) -> tuple[Float, Float]:
-    """(N, 3) points of the object in the camera's frame, and their distances.
-
-    They are of pixels spread over its box: of every one of a small box.
-    """
+    """(N, 3) points of the object in the camera's frame, and their distances, from pixels spread over its box."""
     camera = scene.camera
     x0, y0, x1, y1 = detection.box_px.rounded(camera.width, camera.height)
     step = max(ceil(sqrt(max(x1 - x0, 0) * max(y1 - y0, 0) / _MOST_PIXELS)), 1)
@@ -181,12 +177,12 @@ def _points(scene: Scene, depth_m: Float32, detection: Detection, distance_m: fl
 
 
 def judged(cfg: ObjectsConfig, path: EgoPath, item: Object, track: ObjectTrack) -> Object:
-    """An object with its track's id, its place beside the path, its closing speed and its time to impact."""
+    """The object with its track's id, place beside the path, closing speed and time to impact."""
     return _timed(cfg, _placed(cfg, path, replace(item, track_id=str(track.number)), track), track)
 
 
 def _placed(cfg: ObjectsConfig, path: EgoPath, item: Object, track: ObjectTrack) -> Object:
-    """With how far its middle is beside the path, whether any of it is in the path, and whether it cuts in."""
+    """The object with ``lateral_m``, ``in_path`` and ``cut_in``, if its edges are known well enough."""
     right, left = track.right_m, track.left_m
     if right is None or left is None or sqrt(max(right.value_var, left.value_var)) > _VAGUE_M:
         return item
@@ -194,18 +190,18 @@ def _placed(cfg: ObjectsConfig, path: EgoPath, item: Object, track: ObjectTrack)
     in_path = right.value < half_m and left.value > -half_m
     nearer = right if right.value + left.value > 0 else left.mirrored()
     cut_in = None
-    if path.lane_half_m is not None:  # over the lane's line, and surely on its way in
+    if path.lane_half_m is not None:  # over the lane's line, and certainly moving in
         surely_mps = max(cfg.cut_in_mps, _SURE_SIGMAS * sqrt(nearer.rate_var))
         cut_in = not in_path and nearer.value < path.lane_half_m and -nearer.rate > surely_mps
     return replace(item, lateral_m=(right.value + left.value) / 2, in_path=in_path, cut_in=cut_in)
 
 
 def _timed(cfg: ObjectsConfig, item: Object, track: ObjectTrack) -> Object:
-    """With closing speed and time to impact by the track's distances.
+    """The object with closing speed and time to impact from the track's distances.
 
-    The speed is that of the distance to the camera, positive when coming nearer. A speed that is not known well is
-    not given. A time to impact is given only for what is in the path and surely comes nearer, and not while the
-    distances contradict the filtered one: either may be another object's.
+    The closing speed is positive if the distance to the camera decreases; it is None if its standard deviation is too
+    large. Only an object in the path that certainly comes nearer has a time to impact. It has none while the measured
+    distances contradict the filter, because they may belong to another object.
     """
     distance = track.distance_m
     if distance is None or sqrt(distance.rate_var) > cfg.max_speed_std_mps:
@@ -224,10 +220,10 @@ def _timed(cfg: ObjectsConfig, item: Object, track: ObjectTrack) -> Object:
 
 
 def _may_be_hit(cfg: ObjectsConfig, label: str, track: ObjectTrack, after_s: float) -> bool:
-    """Whether an object in the path may still be there when the car comes; of a vehicle its motion must be known.
+    """Whether an object in the path may still be there when the car arrives; a vehicle needs a known motion.
 
-    An oncoming car in a bend is for a moment where the lane seems to go on, but crosses that at metres a second;
-    who changes lanes is slower. A pedestrian who crosses is not past before he is: he may stop.
+    An oncoming car in a bend is briefly in the path, but crosses it at several metres per second; lane changes are
+    slower. A pedestrian may stop at any time.
     """
     if classes_of_label(label) == ("pedestrian",):
         return True
@@ -240,13 +236,13 @@ def _may_be_hit(cfg: ObjectsConfig, label: str, track: ObjectTrack, after_s: flo
 
 
 def _least(edge: RateFilter, after_s: float) -> float:
-    """Where an edge will be, less its standard deviation."""
+    """Predicted place of an edge, minus its standard deviation, metres."""
     variance = edge.value_var + 2 * after_s * edge.cross_var + after_s**2 * edge.rate_var
     return edge.value + edge.rate * after_s - sqrt(variance)
 
 
 def _time_to_impact_std_s(distance: RateFilter) -> float:
-    """First-order propagation through distance / closing speed, their covariance included."""
+    """Standard deviation of distance / closing speed to first order, including their covariance, seconds."""
     by_distance = -1 / distance.rate
     by_rate = distance.value / distance.rate**2
     variance = (

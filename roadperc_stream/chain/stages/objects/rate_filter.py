@@ -1,15 +1,15 @@
-"""How a distance changes: the Kalman filter of a value and its rate, its jitter, and what the car's own motion does.
+"""The Kalman filter of a distance and its rate, the jitter of the distances, and the effect of the car's own motion.
 
 The rate is a random walk (continuous white noise acceleration: Bar-Shalom, Li and Kirubarajan 2001,
-section 6.2.2), so that one step of 0.2 s equals two of 0.1 s. Two numbers need no matrices: plain floats are faster.
+section 6.2.2), so that one step of 0.2 s equals two of 0.1 s. Plain floats are faster than 2x2 matrices.
 
-The deviation of a distance says how far off it may be; most of that lasts (the quantile's bias, the object's shape) and
-does not disturb its rate. What does is estimated from the distances themselves, by how far each lies from the line
-through its neighbours: the residuals of local linear fits (T. Gasser, L. Sroka and C. Jennen-Steinmetz, Residual
-variance and residual pattern in nonlinear regression, Biometrika 73, 1986).
+Most of a distance's error is constant over time (the quantile's bias, the object's shape) and does not disturb its
+rate. The jitter is the part that changes from frame to frame. It is estimated from the deviation of each distance from
+the line through its neighbours: the residuals of local linear fits (T. Gasser, L. Sroka and C. Jennen-Steinmetz,
+Residual variance and residual pattern in nonlinear regression, Biometrika 73, 1986).
 
-It is known from odometry, so that the filter of a distance need not learn that the car brakes, turns, or passes
-beside: a known input (Bar-Shalom, Li and Kirubarajan 2001, section 5.2.1).
+The car's own motion is known from odometry and is a known input of the filter (Bar-Shalom, Li and Kirubarajan 2001,
+section 5.2.1). The filter does not have to estimate that the car brakes, turns or passes an object.
 """
 
 from dataclasses import dataclass
@@ -21,13 +21,13 @@ from roadperc_stream.geometry import Float, transform
 from roadperc_stream.system.time import NS_PER_S
 
 _MEMORY_S = 1.0
-_BELIEVED = 2.0
-"""How many residuals the deviation of the first distance weighs."""
+_FIRST_WEIGHT = 2.0
+"""Weight of the first distance's deviation, in residuals."""
 _LEAST_STD_M = 0.01
 _HUBER = 2.0
-"""Standard deviations from which on an innovation counts for less and less."""
+"""Standard deviations beyond which the weight of an innovation decreases (Huber's constant)."""
 _STEADIEST, _WILDEST = 0.25, 10.0
-"""Mean squared innovations, in their variances, beyond which the variance of a rate is not scaled."""
+"""Limits of the factor of a rate's variance."""
 Ray = tuple[float, float, float]
 """A direction in the camera's frame."""
 
@@ -43,7 +43,7 @@ class RateFilter:
     rate_var: float
 
     def predict(self, rate_walk: float, dt_s: float) -> "RateFilter":
-        """The same ``dt_s`` seconds later.
+        """The filter ``dt_s`` seconds later.
 
         Args:
             rate_walk: standard deviation by which the rate changes within a second; grows with the root of time.
@@ -59,19 +59,19 @@ class RateFilter:
         )
 
     def shifted(self, value: float, rate: float) -> "RateFilter":
-        """With a known change of value and rate: an input, which adds no uncertainty."""
+        """The filter after a known change of value and rate, which adds no uncertainty."""
         return RateFilter(self.value + value, self.rate + rate, self.value_var, self.cross_var, self.rate_var)
 
     def mirrored(self) -> "RateFilter":
-        """Of the value's negative."""
+        """The filter of the negated value."""
         return RateFilter(-self.value, -self.rate, self.value_var, self.cross_var, self.rate_var)
 
     def at(self, value: float, std: float, rate_change: float) -> "RateFilter":
-        """At a value that says nothing of the rate, which has changed by about so much besides."""
+        """The filter with a new value that does not affect the rate; the rate may have changed by ``rate_change``."""
         return RateFilter(value, self.rate, std**2, 0.0, self.rate_var + rate_change**2)
 
     def update(self, measured: float, std: float) -> "RateFilter":
-        """After a measurement of the value with its standard deviation."""
+        """The filter after a measurement of the value with its standard deviation."""
         total = self.value_var + std**2
         innovation = measured - self.value
         rest = std**2 / total
@@ -90,9 +90,9 @@ class RateFilter:
 
 @dataclass(frozen=True)
 class Jitter:
-    """Variance in square metres, how many residuals it stands for, and the last distances with their stamps.
+    """Variance in square metres, its weight in residuals, and the last two distances with their stamps.
 
-    ``innovation`` is the mean of the filter's squared innovations, in units of the variance that it expects of them.
+    ``innovation`` is the mean of the filter's squared innovations, in units of their expected variance.
     """
 
     variance: float
@@ -105,11 +105,11 @@ class Jitter:
 
     @classmethod
     def of_first(cls, stamp_ns: int, distance_m: float, std_m: float) -> "Jitter":
-        """Of one distance."""
-        return cls(std_m**2, _BELIEVED, stamp_ns, distance_m)
+        """The jitter after one distance."""
+        return cls(std_m**2, _FIRST_WEIGHT, stamp_ns, distance_m)
 
     def after(self, stamp_ns: int, filtered: RateFilter, distance_m: float, std_m: float) -> "Jitter":
-        """After one more distance, later than those before, off by ``std_m`` at most; ``filtered`` predicted it."""
+        """The jitter after a later distance with its standard deviation; ``filtered`` is its prediction."""
         if self.earlier_ns is None:
             return Jitter(self.variance, self.weight, stamp_ns, distance_m, self.last_ns, self.last_m, self.innovation)
         share = (self.last_ns - self.earlier_ns) / (stamp_ns - self.earlier_ns)
@@ -123,18 +123,18 @@ class Jitter:
 
     @property
     def rate_var_scale(self) -> float:
-        """By which the filter's variance of the rate is multiplied to be that of this object.
+        """Factor of the filter's variance of the rate for this object.
 
-        The filter allows for motions that may come, such as a car that brakes; most objects move more steadily, and
-        some do worse. Its innovations tell them apart: covariance matching (R. Mehra, Approaches to adaptive
-        filtering, IEEE Transactions on Automatic Control 17, 1972).
+        The filter allows for sudden changes, such as a car that brakes; most objects move more steadily, some less.
+        The factor follows from the innovations: covariance matching (R. Mehra, Approaches to adaptive filtering, IEEE
+        Transactions on Automatic Control 17, 1972).
         """
         return min(max(self.innovation, _STEADIEST), _WILDEST)
 
     def std_m(self, filtered: RateFilter, distance_m: float, std_m: float) -> float:
-        """With which the filter takes a distance: more for one that is far off, at most what its deviation says.
+        """Standard deviation of a distance for the filter: larger for an outlier, at most ``std_m``.
 
-        Source: P. Huber, Robust estimation of a location parameter, 1964: its influence is bounded.
+        Source: P. Huber, Robust estimation of a location parameter, 1964: the influence of an outlier is bounded.
         """
         variance = max(self.variance, _LEAST_STD_M**2)
         off = (distance_m - filtered.value) ** 2 / _HUBER**2 - filtered.value_var
@@ -143,7 +143,7 @@ class Jitter:
 
 @dataclass(frozen=True)
 class EgoRate:
-    """How fast the car's own motion changes a distance, m/s: in the mean over the last ``dt_s``, and at their end."""
+    """Rate of a distance by the car's own motion, m/s: the mean over the last ``dt_s`` seconds, and at their end."""
 
     mean_mps: float
     end_mps: float
@@ -151,7 +151,7 @@ class EgoRate:
 
     @classmethod
     def after(cls, change_m: float, dt_s: float, before: "EgoRate | None") -> "EgoRate":
-        """By the distance's change over a step; its change of pace goes on to the step's end."""
+        """The rate from the distance's change over a step, extrapolated linearly to the step's end."""
         mean_mps = change_m / dt_s
         if before is None:
             return cls(mean_mps, mean_mps, dt_s)
@@ -159,16 +159,16 @@ class EgoRate:
 
 
 def start(measured: float, std: float, rate_std: float) -> RateFilter:
-    """From one measurement and what rates there may be."""
+    """A filter from one measurement and the standard deviation of the unknown rate."""
     return RateFilter(measured, 0.0, std**2, 0.0, rate_std**2)
 
 
 def change_of_distance_m(now_T_last: Float, ray: Ray, distance_m: float) -> float:
-    """By how much the distance of what stands still in that direction has changed."""
+    """Change of the distance of a stationary point in the direction ``ray``, metres."""
     direction = np.array(ray)
     return _length(transform(now_T_last, direction * (distance_m / _length(direction)))) - distance_m
 
 
 def _length(vector: Float) -> float:
-    """What NumPy's own norm is, and takes five times as long for."""
+    """Length of a vector, five times as fast as ``np.linalg.norm``."""
     return sqrt(float(vector.dot(vector)))

@@ -1,17 +1,17 @@
-"""Which pixels in and around a detection's box may be its object, and how far away that is.
+"""Regions: the pixels in and around a detection's box that may be its object, and their distance.
 
-A segmentation gives all cars one class, so that a car and a nearer one before it are one area of it. Where the depth
-jumps they are two: neighbours are of one region where their depths differ by less than a share of them. No single share
-is right (the side of a car is steep, a car parked behind another is close), so regions of several shares are found, and
-the detection's box decides which of them is its object. What a larger share allows joins regions of the smallest one,
-so that the pixels are divided once. Where instance masks say which pixels are one object, those are the regions.
+In a segmentation, a car and a nearer car in front of it form one area of the same class. The depth separates them:
+neighbouring pixels belong to one region if their depths differ by less than a share of the depth. No single share is
+right: the side of a car is steep, and a car parked behind another is close. So regions are found for several shares,
+and the one that fits the detection's box is its object. A larger share only joins regions of the smallest one, so that
+the pixels are divided once. If the frame has instance masks, the instances are the regions.
 
-The depth is smoothed before (bilateral filter: C. Tomasi and R. Manduchi, Bilateral filtering for gray and color
+The depth is smoothed first (bilateral filter: C. Tomasi and R. Manduchi, Bilateral filtering for gray and color
 images, ICCV 1998).
 
-The distance is a low quantile of the distances of the region's pixels, or of a lidar's few points in the box: the bare
-minimum jumps with every stray pixel. Of groups of points that a gap in distance parts it is the one whose bounds fill
-most of the box.
+The distance is a low quantile of the distances of the region's pixels, or of a lidar's few points in the box; the
+minimum would jump with every stray pixel. If gaps in distance separate groups of points, the object is the group whose
+bounds fill most of the box.
 """
 
 from collections.abc import Sequence
@@ -30,31 +30,31 @@ from roadperc_stream.geometry import Camera, Float, Float32
 from roadperc_stream.model import Box, Ids, Image
 
 JUMPS = np.array((0.02, 0.04, 0.08), np.float32)
-"""Differences of depth between neighbours, as a share of it, from which they are of different regions."""
+"""Differences of depth between neighbours, as a share of the depth, from which they belong to different regions."""
 Labels = NDArray[np.int32]
 LEAST_FIT = 0.2
-"""Fit to the detection's box below which a region is not its object."""
+"""Minimum fit of a region to the detection's box."""
 MISSING_WEIGHT = 0.1
-"""Of the part of the box that a region does not fill."""
+"""Weight of the part of the box that a region does not fill."""
 MOST_REGIONS = 4
-"""That are looked at for one box."""
+"""Largest number of regions for one box."""
 LEAST_PIXELS = 3
 NOISE_LEFT = 1 / 3
-"""Standard deviation of a distance in noises of its pixels: what the mean of 3x3 independent ones leaves."""
+"""Standard deviation of a distance, as a share of its pixels' noise: a mean of 3x3 independent pixels."""
 SMOOTHING_STD = 0.002
-"""The same without noise, as a share of the distance: smoothing takes edges away."""
+"""Standard deviation without noise, as a share of the distance: smoothing moves edges."""
 GAP = 0.08
-"""Share of the distance from one point to the next beyond which they are of different objects."""
+"""Gap between the distances of two points, as a share of the distance, beyond which they are different objects."""
 LEAST_POINTS = 3
 
 
 @dataclass(frozen=True)
 class Division:
-    """K regions of a mosaic of (H, W) pixels, by n ways to divide it, those of an earlier way before the others.
+    """K regions of an (H, W) mosaic that is divided in n ways; regions are sorted by way.
 
-    ``labels`` (H, W) are those of the first way, 0 of no region and k + 1 of region k; ``names`` (n, labels) are what
-    each label is called in each way. ``ways`` (K,) are the regions' own, ``bounds`` (4, K) their first column and row
-    in the mosaic and those behind their last, ``pixels`` (K,) how many each has.
+    ``labels`` (H, W) are the labels of the first way: 0 outside regions, k + 1 in region k. ``names`` (n, labels) maps
+    each label to the label of its region in each way. ``ways`` (K,) is the way of each region, ``bounds`` (4, K) its
+    half-open box in the mosaic (first column, first row, end column, end row), ``pixels`` (K,) its number of pixels.
     """
 
     labels: Labels
@@ -64,7 +64,7 @@ class Division:
     pixels: Indices
 
     def of_region(self, k: int) -> tuple[NDArray[np.bool_], tuple[slice, slice]]:
-        """(labels,) which labels are a region's, and where its bounds are in the mosaic: no other pixels have them."""
+        """(labels,) mask of the labels of a region, and its rows and columns in the mosaic."""
         x0, y0, x1, y1 = self.bounds[:, k].tolist()
         inside: NDArray[np.bool_] = self.names[self.ways[k]] == k + 1
         return inside, (slice(y0, y1), slice(x0, x1))
@@ -72,11 +72,11 @@ class Division:
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """Pixels that may be the object of detection ``owner``. No two are equal.
+    """Pixels that may be the object of detection ``owner``. Regions are compared by identity.
 
-    They are those among the (h, w) ``labels`` whose label is the region's, ``of_region`` (n,) of each label.
-    ``distances_m`` and their ``noise``, as a share of them, are None without depth. ``box_px`` bounds the pixels in the
-    image, as far as they are around the detection's box; ``fit``, 0 to 1, says how well it fits that.
+    ``of_region`` (n,) is the mask of the region's labels in the (h, w) ``labels``. ``distances_m`` and their ``noise``,
+    a share of the distance, are None without depth. ``box_px`` is the bounding box of the pixels in the image, limited
+    to the surroundings of the detection's box. ``fit``, 0 to 1, is how well it fits the detection's box.
     """
 
     owner: int
@@ -89,7 +89,7 @@ class Region:
 
 
 def divide(mosaic: Mosaic) -> Division:
-    """The regions of a mosaic; none where it has neither instance masks nor depth, or no pixels."""
+    """The regions of a mosaic; empty without pixels, or with neither instance masks nor depth."""
     if mosaic.ids is not None:
         return _by_instance(mosaic.ids, mosaic.of_class, mosaic.tops)
     if mosaic.log_depth is not None:
@@ -107,12 +107,12 @@ def _by_instance(ids: Ids, of_class: Image, tops: Indices) -> Division:
 
 
 def find_regions(camera: Camera, mosaic: Mosaic, boxes: Sequence[Box]) -> list[tuple[Region, ...]]:
-    """The regions that fit each box best, the best first; of equal ones that of the smaller jump.
+    """The regions that fit each box best, best first; with equal fits, the smaller jump first.
 
     Args:
-        camera: whose image the boxes are in; the part of a box outside it counts for nothing.
-        mosaic: what is around the boxes.
-        boxes: of the detections.
+        camera: the camera of the boxes; parts of boxes outside its image are ignored.
+        mosaic: the surroundings of the boxes.
+        boxes: the boxes of the detections.
     """
     found: list[list[Region]] = [[] for _ in boxes]
     if mosaic.of_class.size:
@@ -130,10 +130,11 @@ def find_regions(camera: Camera, mosaic: Mosaic, boxes: Sequence[Box]) -> list[t
 
 
 def _fits(boxes: Float, around: Float) -> Float:
-    """(K,) how well the bounds of regions (4, K) fit as many boxes: Tversky's index.
+    """(K,) Tversky index, 0 to 1, of the bounds of regions (4, K) and their boxes (4, K).
 
-    Source: A. Tversky, Features of similarity, Psychological Review 84 (1977): what they share, of that and what each
-    has alone. What of the box has no region may be hidden, and counts less than what the region has outside the box.
+    Source: A. Tversky, Features of similarity, Psychological Review 84 (1977): the shared area over the sum of the
+    shared area and both weighted differences. The part of the box without the region may be hidden, so it weighs less
+    than the part of the region outside the box.
     """
     shared = areas(np.concatenate((np.maximum(boxes[:2], around[:2]), np.minimum(boxes[2:], around[2:]))))
     alone = MISSING_WEIGHT * (areas(boxes) - shared) + areas(around) - shared
@@ -150,7 +151,7 @@ def _region(mosaic: Mosaic, division: Division, k: int, owner: int, box: Float, 
 
 @dataclass(frozen=True)
 class Measured:
-    """A distance and its standard deviation in metres, None where not known, and whether it is beyond the range."""
+    """A distance and its standard deviation in metres, None if unknown, and whether it is beyond the range."""
 
     distance_m: float | None = None
     std_m: float | None = None
@@ -158,11 +159,11 @@ class Measured:
 
 
 UNKNOWN = Measured()
-"""Nothing could be measured."""
+"""The result without a measurement."""
 
 
 def of_region(cfg: ObjectsConfig, region: Region) -> Measured:
-    """The distance of a region's pixels, each the mean of the region's pixels around it."""
+    """The distance of a region, from the means of its pixels over 3x3 neighbours of the region."""
     distances, noise = region.distances_m, region.noise
     if distances is None or noise is None:
         return UNKNOWN
@@ -170,7 +171,7 @@ def of_region(cfg: ObjectsConfig, region: Region) -> Measured:
     measured = nearest(cfg, near)
     if measured.distance_m is None or measured.std_m is None:
         return measured
-    # The mean, without what NumPy's own makes of axes and types: that takes four times as long.
+    # Four times as fast as np.mean.
     share = NOISE_LEFT * float(np.add.reduce(noise_of_finite) / len(noise_of_finite)) + SMOOTHING_STD
     return Measured(measured.distance_m, hypot(measured.std_m, share * measured.distance_m))
 
@@ -193,8 +194,7 @@ def within_range(depths_m: Float32, limit_m: float) -> Float32:
 def nearest(cfg: ObjectsConfig, distances_m: Float32) -> Measured:
     """The quantile of distances, NaN unknown and infinite beyond the depth's range.
 
-    The deviation is that of the pixels around the quantile: what the choice of the quantile could have been; and no
-    less than the quantile moves with the box.
+    The standard deviation is the spread of the pixels around the quantile, at least ``objects.min_distance_std_m``.
     """
     known = distances_m[~np.isnan(distances_m)]
     if not len(known):
@@ -208,7 +208,7 @@ def nearest(cfg: ObjectsConfig, distances_m: Float32) -> Measured:
 
 
 def ranked(values: NDArray[np.floating[Any]], *quantiles: float) -> list[float]:
-    """Quantiles of values, each the nearest one below: what NumPy's own costs ten times as much for."""
+    """Quantiles of values, each the nearest value below; ten times as fast as ``np.quantile``."""
     last = len(values) - 1
     ranks = [min(int(quantile * last), last) for quantile in quantiles]
     parted = np.partition(values, ranks)
@@ -216,13 +216,13 @@ def ranked(values: NDArray[np.floating[Any]], *quantiles: float) -> list[float]:
 
 
 def own_distances(distances_m: Float32) -> Float32:
-    """(N,) distances of the points that are the object's.
+    """(N,) distances of the object's points.
 
     Args:
-        distances_m: (h, w) of the pixels of a box, NaN where there is no point or one of another class.
+        distances_m: (h, w) distances of the pixels of a box, NaN without a point or at points of another class.
 
     Returns:
-        All of them where no group has three points.
+        The distances of the group that fills most of the box; those of all points if no group has three points.
     """
     rows, columns = np.nonzero(~np.isnan(distances_m))
     order = np.argsort(distances_m[rows, columns], kind="stable")

@@ -1,10 +1,9 @@
-"""Template matching: the search for an object as it last looked, and for an obstacle that a picture shows.
+"""Template matching: search for a tracked object by its last image patch, and for an obstacle by a given picture.
 
-Source: Lewis, Fast Normalized Cross-Correlation, 1995; OpenCV's matchTemplate with TM_CCOEFF_NORMED, which is 1 where
-the image is the template but for brightness and contrast.
-
-Source: the assignment "Environment Perception For Self-Driving Cars" of the University of Toronto's course: the
-template's best normalised cross-correlation is the obstacle, the least depth there its distance.
+Sources: Lewis, Fast Normalized Cross-Correlation, 1995; OpenCV's matchTemplate with TM_CCOEFF_NORMED, which is 1 where
+image and template differ only in brightness and contrast; the assignment "Environment Perception For Self-Driving Cars"
+of the University of Toronto's course, in which the obstacle is at the best normalised cross-correlation and its
+distance is the least depth there.
 """
 
 import base64
@@ -23,19 +22,19 @@ from roadperc_stream.model import Box, Correlation, Detection, Image, Mask, Obje
 from roadperc_stream.model.scene import Scene
 
 _FLAT = 0.5
-"""Standard deviation in grey levels up to which pixels have no texture: what is left of rounding."""
+"""Standard deviation in grey levels up to which pixels have no texture, only rounding errors."""
 LARGEST_PX = 96
-"""Longest side that is kept: the middle of a larger object is enough to find it."""
+"""Longest side of a template: the middle of a larger object is enough to find it."""
 _SMALLEST_PX = 8
-"""Fewer pixels are found everywhere."""
+"""Shortest side of a template: a smaller one matches everywhere."""
 LABEL = "template"
 
 
 @dataclass(frozen=True)
 class Template:
-    """(h, w) grey pixels of an object of ``sides_px``, whose middle is ``off_px`` away from the object's.
+    """(h, w) grey pixels of an object with sides ``sides_px``; ``off_px`` is the template's middle minus the object's.
 
-    ``distance_m`` is how far the object was then, None where that was not known.
+    ``distance_m`` is the object's distance at that time, None if unknown.
     """
 
     grey: Image
@@ -47,12 +46,12 @@ class Template:
         read_only(self.grey, np.uint8, (None, None), "template")
 
     def search(self, image_grey: Image, around: Box, scale: float) -> Correlation | None:
-        """How well it fits an image where the object is ``scale`` times as large; None where it is flat or too large.
+        """The correlation with an image in which the object is ``scale`` times as large; None if flat or too large.
 
         Args:
             image_grey: (H, W) uint8.
-            around: where the object's middle may be.
-            scale: 1 is the size at which it was cut out.
+            around: search area for the object's middle.
+            scale: factor of the template's size.
         """
         pixels = _resized(self.grey, scale)
         rows, columns = pixels.shape
@@ -66,7 +65,7 @@ class Template:
         return correlate(image_grey, pixels, region)
 
     def whole(self, box_px: Box, scale: float) -> Box:
-        """The whole object's box where the template, ``scale`` times as large, lies in a box."""
+        """The whole object's box if the template, ``scale`` times as large, lies at ``box_px``."""
         x, y = (off * scale for off in self.off_px)
         centre_x, centre_y = (box_px.x_min + box_px.x_max) / 2 - x, (box_px.y_min + box_px.y_max) / 2 - y
         width, height = (side * scale for side in self.sides_px)
@@ -74,15 +73,15 @@ class Template:
 
 
 def correlate(image: Image, template: Image, around: Box) -> Correlation | None:
-    """How well the template fits everywhere in a box.
+    """The correlation of a template with an image at all positions in a box.
 
     Args:
         image: (H, W) grey.
-        template: (h, w) grey, what is searched for.
-        around: where it may lie, wholly, clipped to the image.
+        template: (h, w) grey.
+        around: box that must contain the whole template; it is clipped to the image.
 
     Returns:
-        None where the template is empty or flat, or does not fit into the box.
+        None if the template is empty or flat, or larger than the box.
     """
     x0, y0, x1, y1 = around.rounded(image.shape[1], image.shape[0])
     rows, columns = template.shape
@@ -90,7 +89,7 @@ def correlate(image: Image, template: Image, around: Box) -> Correlation | None:
         return None
     window = image[y0:y1, x0:x1]
     scores = np.asarray(cv2.matchTemplate(window, template, cv2.TM_CCOEFF_NORMED), np.float32)
-    # Where the image is flat a correlation is 0 / 0, for which OpenCV may say 1.
+    # Where the image is flat, the correlation is 0 / 0, and OpenCV may return 1.
     scores[_flat(window, rows, columns)] = -np.inf
     row, column = np.unravel_index(int(scores.argmax()), scores.shape)
     if np.isfinite(scores[row, column]):
@@ -99,7 +98,7 @@ def correlate(image: Image, template: Image, around: Box) -> Correlation | None:
 
 
 def _score(pixels: Image, template: Image) -> float:
-    """The score at one place, by whole numbers: OpenCV's is off by up to 1e-5, by how much depends on the processor."""
+    """The score at one position, in integers: OpenCV's has an error up to 1e-5 that depends on the processor."""
     one, other = (np.ravel(values).astype(np.int64) for values in (pixels, template))
     sums, count = (int(one.sum()), int(other.sum())), one.size
     common = count * int(one @ other) - sums[0] * sums[1]
@@ -108,7 +107,7 @@ def _score(pixels: Image, template: Image) -> float:
 
 
 def _flat(image: Image, rows: int, columns: int) -> Mask:
-    """At which positions (top left corners) a template of that size covers pixels without texture."""
+    """Positions (top left corners) at which a template of that size covers pixels without texture."""
     sums, squares = cv2.integral2(image, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
     total, total_of_squares = (_sums(np.asarray(table, float), rows, columns) for table in (sums, squares))
     count = rows * columns
@@ -119,7 +118,7 @@ def _flat(image: Image, rows: int, columns: int) -> Mask:
 
 
 def _sums(table: Float, rows: int, columns: int) -> Float:
-    """Of (rows, columns) pixels from each on, by an integral image."""
+    """Sums over (rows, columns) pixels from each position, from an integral image."""
     sums: Float = table[rows:, columns:] - table[:-rows, columns:]
     sums -= table[rows:, :-columns]
     sums += table[:-rows, :-columns]
@@ -127,7 +126,7 @@ def _sums(table: Float, rows: int, columns: int) -> Float:
 
 
 def cut(image_grey: Image, box_px: Box, distance_m: float | None) -> Template | None:
-    """The middle of a box in the image, at most ``LARGEST_PX`` in either direction; None where it is too small."""
+    """The template from the middle of a box, at most ``LARGEST_PX`` in each direction; None if it is too small."""
     height, width = image_grey.shape
     x0, y0, x1, y1 = box_px.rounded(width, height)
     x0, x1 = _middle(x0, x1)
@@ -148,16 +147,14 @@ def _resized(grey: Image, scale: float) -> Image:
     rows, columns = (max(round(side * scale), 1) for side in grey.shape)
     if (rows, columns) == grey.shape:
         return grey
-    how = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
-    return np.asarray(cv2.resize(grey, (columns, rows), interpolation=how), np.uint8)
+    interpolation = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(grey, (columns, rows), interpolation=interpolation), np.uint8)
 
 
 def find_obstacle(cfg: ObjectsConfig, scene: Scene) -> tuple[Object | None, Correlation | None]:
-    """The obstacle where it is found, its score being the correlation; and the correlation everywhere.
+    """The obstacle of ``objects.template_png`` with the correlation as its score, and the correlation everywhere.
 
-    Args:
-        cfg: the template as a PNG, and how well it must fit.
-        scene: the frame; nothing is found without its grey image.
+    Both are None without a template or a grey image; the obstacle is None below ``objects.template_min_score``.
     """
     template = picture(cfg.template_png) if cfg.template_png else None
     if template is None or scene.grey is None:
@@ -182,7 +179,7 @@ def find_obstacle(cfg: ObjectsConfig, scene: Scene) -> tuple[Object | None, Corr
 
 @lru_cache(maxsize=4)
 def picture(png: str) -> Image | None:
-    """(h, w) grey pixels of a PNG in base 64; None where it is none."""
+    """(h, w) grey pixels of a PNG in base 64; None if it cannot be decoded."""
     try:
         data = np.frombuffer(base64.b64decode(png, validate=True), np.uint8)
     except binascii.Error:

@@ -27,15 +27,14 @@ from roadperc_stream.model.scene import Scene
 MOST_TRACKS = 256
 """Largest number of tracks; beyond it, the tracks longest without a detection are dropped."""
 EXPECTED_OVERLAP = 0.4
-"""Intersection over union with the predicted box from which a detection is where its object is expected."""
+"""Least intersection over union of a detection and the predicted box of its object."""
 DISTANCE_PENALTY = 0.3
 """Share of the overlap that is subtracted if the distances contradict each other."""
 _SEARCH_SIGMAS = 3.0
 _SEARCH_SIDES = 1.0
-"""Most that is searched to each side of the predicted centre, in box sides."""
-
+"""Largest search distance to each side of the predicted centre, in box sides."""
 _BORDER_PX = 1.5
-"""A box this near to the image's side counts as cut by it."""
+"""A box this near to the image's border counts as cut by it."""
 
 
 @dataclass(frozen=True)
@@ -80,18 +79,18 @@ def step(
 
     Args:
         cfg: thresholds.
-        state: of the last frame.
-        scene: the frame, later than the last one; without tags every detection is kept, without a grey image tracks
-            without a detection are not searched for.
-        ego_lane: the lane the car is in, None where it is not known.
-        last_T_this: (4, 4) metric motion since the last frame, ego frame; None where it is not known.
+        state: the state after the last frame.
+        scene: a later frame. Without tags every detection is kept; without a grey image, tracks without a detection
+            are not searched for.
+        ego_lane: the lane of the car, None if unknown.
+        last_T_this: (4, 4) metric motion since the last frame, ego frame; None if unknown.
 
     Returns:
-        The new state, and the objects: the detector's own in its order, the kept ones with track id, place beside the
-        path, closing speed and time to impact; then, with status ``tracked``, those that were found by their template
-        alone, the oldest first. Distances are this frame's own; place, speed and time to impact come from the filters.
-        Last is the obstacle that ``objects.template_png`` shows. Absent where there are neither detections nor objects
-        found without them.
+        The new state, and the objects. First come all detections in the detector's order; kept ones have a track id,
+        a place beside the path, closing speed and time to impact. Then come objects found only by their template, with
+        status ``tracked``, the oldest first. The obstacle of ``objects.template_png`` is last. Distances are measured
+        in this frame; place, speed and time to impact come from the filters. The objects are absent without a
+        detections message, unless a template was found.
     """
     arc = state.arc.after(last_T_this)
     path = path_of(ego_lane, arc)
@@ -122,10 +121,9 @@ def step(
 
 
 def _expected(cfg: ObjectsConfig, scene: Scene, known: Sequence[ObjectTrack]) -> dict[int, float | None]:
-    """Detections that lie where an object of their kind is predicted, by position, and how far that object is.
+    """The positions of detections at a predicted object of their kind, with the predicted distance, None if unknown.
 
-    Only objects seen for some time count. Of several it is the one whose box is overlapped most; None where its
-    distance is not known.
+    Only confirmed tracks count. Among several objects, the one with the largest overlap counts.
     """
     tracks = [track for track in known if tracking.confirmed(cfg, track)]
     detections = scene.detections
@@ -146,11 +144,11 @@ def similarities(
 ) -> Float:
     """(tracks, items) 0 to 1: how well each detection fits each predicted track; 0 where it cannot be the same object.
 
-    It is the overlap, which counts for less as the distances contradict each other, to the whole at the filter's gate.
-    All pairs at once: a detector may give thousands of boxes, and each is compared with every track.
+    The similarity is the overlap, reduced by up to ``DISTANCE_PENALTY`` as the distances contradict each other. All
+    pairs are computed at once, because a detector may report thousands of boxes.
     """
     ours, theirs = kinds([track.detection.label for track in tracks], [item.detection.label for item in items])
-    with np.errstate(all="ignore"):  # boxes may be beyond all numbers: what is no number is no similarity
+    with np.errstate(all="ignore"):  # coordinates may overflow; NaN becomes 0
         overlap = overlaps(corners(track.box_px for track in tracks), corners(boxes))
         scores = overlap * (1.0 - DISTANCE_PENALTY * _contradictions(cfg, tracks, items))
         fits = (ours[:, None] == theirs) & (scores >= cfg.min_overlap)
@@ -158,12 +156,12 @@ def similarities(
 
 
 def _contradictions(cfg: ObjectsConfig, tracks: Sequence[ObjectTrack], items: Sequence[Object]) -> Float:
-    """(tracks, items) 0 where the distances agree or one is unknown, 1 from the gate on."""
+    """(tracks, items) 0 if the distances agree or one is unknown, 1 at the gate and beyond."""
     motions = [track.distance_m for track in tracks]
     expected = np.array([np.nan if m is None else m.value for m in motions])[:, None]
     variances = np.array([np.nan if m is None else m.value_var for m in motions])[:, None]
     measured = np.array([np.nan if item.distance_m is None else item.distance_m for item in items])
-    # As RateFilter.surprise has it; float_power rounds as Python's ** does, squaring by a product does not always.
+    # As in RateFilter.surprise; float_power rounds like Python's **, a product does not always.
     noise = np.float_power(np.array([distance_std_m(cfg, item) for item in items]), 2.0)
     surprise = np.float_power(measured - expected, 2.0) / (variances + noise)
     unknown: NDArray[np.bool_] = np.isnan(expected) | np.isnan(measured)
@@ -171,7 +169,7 @@ def _contradictions(cfg: ObjectsConfig, tracks: Sequence[ObjectTrack], items: Se
 
 
 def _kept(camera: Camera, objects: Sequence[Object]) -> _Kept:
-    """The kept objects, those of the highest score first, so that the order of the detections decides nothing."""
+    """The kept objects by decreasing score, so that the order of the detections has no effect."""
     found = [(item, _within(camera, item.detection.box_px), k) for k, item in enumerate(objects) if item.kept]
     found.sort(key=lambda entry: _order(entry[0].detection))
     return _Kept(tuple(item for item, _, _ in found), tuple(b for _, b, _ in found), tuple(k for _, _, k in found))
@@ -206,7 +204,7 @@ def _detected(
     tracks: dict[int, ObjectTrack] = {}
     for k, (item, box, position) in enumerate(zip(kept.items, kept.boxes, kept.positions, strict=True)):
         if k in track_of:
-            # The box goes on beyond one side of the image.
+            # The object continues beyond one side of the image.
             cut = (box.x_min < _BORDER_PX) != (box.x_max > scene.camera.width - _BORDER_PX)
             track = tracking.detected(cfg, known[track_of[k]], item, box, cut=cut)
         else:
@@ -217,7 +215,7 @@ def _detected(
 
 
 def _template(cfg: ObjectsConfig, scene: Scene, track: ObjectTrack) -> Template | None:
-    """The track's template from this frame; without an image the last one is still good for a while."""
+    """The track's template from this frame; without an image, the last one is kept."""
     if scene.grey is None or not cfg.template_search:
         return track.template
     distance_m = track.distance_m.value if track.distance_m else None

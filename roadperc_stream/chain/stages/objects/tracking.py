@@ -1,8 +1,8 @@
-"""One object over time: where its box is in the image, how far it is and how fast it comes nearer.
+"""One object over time: its box in the image, its distance and its closing speed.
 
-Three filters of a value and its rate: column and row of the box's centre, and the distance. The distance may jump to
-something that passes in front of the object: a jump is rejected. What lies beyond the gate starts a rival of the
-distance's filter, which replaces it when its distances have been consistent for a while.
+Three filters of a value and its rate estimate column and row of the box's centre, and the distance. The distance may
+jump to something that passes in front of the object, so jumps are rejected. A distance beyond the gate starts a rival
+filter, which replaces the filter of the distance when its own distances have been consistent for a while.
 """
 
 from dataclasses import dataclass, replace
@@ -18,20 +18,20 @@ from roadperc_stream.system.time import NS_PER_S
 
 _FIRST_SPEED_STD_MPS = 20.0
 _FIRST_DRIFT_STD_MPS = 3.0
-"""Of an unknown motion across the path."""
+"""Standard deviation of an unknown speed across the path."""
 _LATERAL_NOISE = 1.0
-"""m/s by which the speed of an object's edges across the path changes within a second."""
+"""Standard deviation of the change of an edge's speed across the path within a second, m/s."""
 _SIDE_STD = 0.03
-"""Of a detected box's centre, in box sides."""
+"""Standard deviation of the centre of a detected box, in box sides."""
 _LEAST_STD_PX = 0.5
 _FIRST_DRIFT_STD = 2.0
-"""Of an unknown motion in the image, in box sides per second."""
+"""Standard deviation of an unknown motion in the image, in box sides per second."""
 _DRIFT_WALK = 2.0
-"""By which that motion changes within a second."""
+"""Standard deviation of the change of that motion within a second."""
 _UNKNOWN_STD_SHARE = 0.05
-"""Of a distance whose deviation is not known: an object that partly lies beyond the depth's range."""
+"""Standard deviation, as a share, of a distance without one: an object partly beyond the depth's range."""
 _ZOOM = (0.5, 2.0)
-"""Most that a box shrinks or grows in one prediction."""
+"""Limits of the factor of a box's size in one prediction."""
 
 
 @dataclass(frozen=True)
@@ -49,15 +49,15 @@ class Extent:
 
 @dataclass(frozen=True)
 class ObjectTrack:
-    """An object that is tracked.
+    """A tracked object.
 
     ``box_px`` is its box at ``stamp_ns``, observed or predicted; ``x_px`` and ``y_px`` are the filters of its centre.
-    It was last detected at ``detected_ns``, last observed (detected or found by its template) at ``observed_ns``, and
-    that in every frame since ``run_ns``; ``missed`` says whether a frame has gone by without it since. ``rival_m`` is
-    the filter of the distances beyond the gate since ``rival_ns``. ``right_m`` and ``left_m`` are the filters of its
-    edges, metres to the left of the path's middle. ``ego_rate`` is the part of the distance's rate that is the car's
-    own motion, None where that is not known, ``nearest_ray`` the direction of its nearest pixels, and ``jitter`` how
-    much its distances jitter.
+    It was last detected at ``detected_ns`` and last observed (detected or found by its template) at ``observed_ns``.
+    It was observed in every frame from ``run_ns`` to ``observed_ns``; ``missed`` says whether a later frame did not
+    show it. ``rival_m`` is the filter of the distances beyond the gate since ``rival_ns``. ``right_m`` and ``left_m``
+    are the filters of its edges, metres to the left of the path's middle. ``ego_rate`` is the part of the distance's
+    rate that the car's own motion causes, None if unknown. ``nearest_ray`` is the direction of its nearest pixels,
+    ``jitter`` the jitter of its distances.
     """
 
     number: int
@@ -100,13 +100,13 @@ def start(cfg: ObjectsConfig, number: int, item: Object, box_px: Box, stamp_ns: 
 
 
 def predict(cfg: ObjectsConfig, track: ObjectTrack, stamp_ns: int, now_T_last: Float | None = None) -> ObjectTrack:
-    """The track at a later stamp: the box moves on as its centre did and grows as the object comes nearer.
+    """The track at a later stamp: the box moves at the rate of its centre and grows as the distance shrinks.
 
     Args:
-        cfg: how much the motions wander.
-        track: at an earlier stamp.
-        stamp_ns: where to.
-        now_T_last: (4, 4) the camera's motion between the two, None where it is not known.
+        cfg: process noise of the distance.
+        track: the track at an earlier stamp.
+        stamp_ns: the later stamp.
+        now_T_last: (4, 4) motion of the camera between both stamps, None if unknown.
     """
     dt_s = (stamp_ns - track.stamp_ns) / NS_PER_S
     width, height = _sides(track.box_px)
@@ -137,7 +137,7 @@ def predict(cfg: ObjectsConfig, track: ObjectTrack, stamp_ns: int, now_T_last: F
 
 
 def _ego_rate(track: ObjectTrack, now_T_last: Float | None, dt_s: float) -> EgoRate | None:
-    """Rate of the distance if the object stood still; None if unknown."""
+    """Rate of the distance that a stationary object would have; None if unknown."""
     if now_T_last is None or track.distance_m is None or track.nearest_ray is None or dt_s <= 0:
         return None
     change_m = change_of_distance_m(now_T_last, track.nearest_ray, max(track.distance_m.value, 0.0))
@@ -145,7 +145,7 @@ def _ego_rate(track: ObjectTrack, now_T_last: Float | None, dt_s: float) -> EgoR
 
 
 def zoom(before_m: float | None, after_m: RateFilter | None) -> float:
-    """How many times larger an object appears than at another distance; 1 where a distance is not known."""
+    """Factor of an object's size in the image between two distances; 1 if a distance is unknown."""
     if before_m is None or after_m is None:
         return 1.0
     least, most = _ZOOM
@@ -153,13 +153,13 @@ def zoom(before_m: float | None, after_m: RateFilter | None) -> float:
 
 
 def detected(cfg: ObjectsConfig, track: ObjectTrack, item: Object, box_px: Box, *, cut: bool = False) -> ObjectTrack:
-    """The predicted track after the detection that belongs to it; ``cut`` where the image's side cuts the object."""
+    """The predicted track after its detection; ``cut`` if the image's border cuts the object."""
     track = replace(track, detection=item.detection, detected_ns=track.stamp_ns)
     return observed(cfg, track, item, box_px, cut=cut)
 
 
 def observed(cfg: ObjectsConfig, track: ObjectTrack, item: Object, box_px: Box, *, cut: bool = False) -> ObjectTrack:
-    """The predicted track after its object was seen; found by its template alone it does not count as a detection."""
+    """The predicted track after its object was observed, by a detection or by its template."""
     (x, y), (width, height) = _centre(box_px), _sides(box_px)
     track = _with_distance(cfg, track, item, cut=cut)
     return replace(
@@ -173,7 +173,7 @@ def observed(cfg: ObjectsConfig, track: ObjectTrack, item: Object, box_px: Box, 
 
 
 def placed(track: ObjectTrack, extent: Extent | None, template: Template | None) -> ObjectTrack:
-    """The track with its template, after its edges were seen beside the path."""
+    """The track with a template, and with its edges updated by ``extent``, if that is known."""
     if extent is None:
         return track if template is track.template else replace(track, template=template)
     if track.right_m is None or track.left_m is None:
@@ -186,12 +186,12 @@ def placed(track: ObjectTrack, extent: Extent | None, template: Template | None)
 
 
 def expired(cfg: ObjectsConfig, track: ObjectTrack) -> bool:
-    """Whether the object was last detected longer ago than it is tracked."""
+    """Whether the last detection is older than ``objects.hold_s``."""
     return (track.stamp_ns - track.detected_ns) / NS_PER_S > cfg.hold_s
 
 
 def confirmed(cfg: ObjectsConfig, track: ObjectTrack) -> bool:
-    """Whether the object was observed without a gap for long enough to be no stray detection."""
+    """Whether the object was observed without a gap for ``objects.carry_after_s``."""
     return (track.observed_ns - track.run_ns) / NS_PER_S >= cfg.carry_after_s
 
 
@@ -203,20 +203,20 @@ def distance_std_m(cfg: ObjectsConfig, item: Object) -> float:
 
 
 def _with_distance(cfg: ObjectsConfig, track: ObjectTrack, item: Object, *, cut: bool) -> ObjectTrack:
-    """The track after its object's distance, if that is known."""
+    """The track after the distance of its object, if that is known."""
     if item.distance_m is None:
         return track
     std_m = distance_std_m(cfg, item)
     if not cut or track.distance_m is None:
         return _measured(cfg, track, item.distance_m, std_m)
-    # What is nearest of it in the image is another point of it in each frame: that says nothing of its speed.
+    # In each frame, another point of a cut object is the nearest one, so distances do not show its speed.
     dt_s = (track.stamp_ns - track.observed_ns) / NS_PER_S
     change_mps = _turning_mps2(track.distance_m, track.nearest_ray) * dt_s
     return replace(track, distance_m=track.distance_m.at(item.distance_m, std_m, change_mps), rival_m=None)
 
 
 def _measured(cfg: ObjectsConfig, track: ObjectTrack, distance_m: float, std_m: float) -> ObjectTrack:
-    """After a distance: it belongs to the filter or to its rival, whichever it fits, or to a new rival."""
+    """The track after a distance, which updates the filter, the rival or a new rival, whichever fits."""
     filtered, rival = track.distance_m, track.rival_m
     new = Jitter.of_first(track.stamp_ns, distance_m, std_m)
     if filtered is None:
@@ -236,7 +236,7 @@ def _measured(cfg: ObjectsConfig, track: ObjectTrack, distance_m: float, std_m: 
 
 
 def _turning_mps2(distance_m: RateFilter, nearest_ray: Ray | None) -> float:
-    """How fast the rate of a distance changes as what passes on a straight line is seen in another direction.
+    """Change of a distance's rate per second for a straight motion past the camera, m/s2.
 
     It is the centrifugal term of polar coordinates: the square of the speed across the ray, over the distance.
     """

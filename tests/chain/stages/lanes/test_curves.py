@@ -27,8 +27,8 @@ def test_exact_points_give_the_curve_back():
 
 
 @pytest.mark.parametrize(("side", "sign"), [("left", 1.0), ("right", -1.0)])
-def test_of_a_double_line_the_inner_edge_is_chosen(side, sign):
-    """The second line's edge faces the ego lane too, 25 cm farther out, and is as well supported."""
+def test_the_inner_edge_of_a_double_line_is_chosen(side, sign):
+    """The edge of the second line, 25 cm farther out, also faces the ego lane and has the same support."""
     inner, outer = points((sign * 1.6, 0.0, 0.004)), points((sign * 1.85, 0.0, 0.004))
     rows = np.tile(np.arange(len(inner), dtype=float), 2)
     curve = fit(np.concatenate((outer, inner)), (sign * 1.85, 0.0, 0.0), side, rows)
@@ -57,14 +57,14 @@ def test_covariance_holds_the_error():
 
 
 def test_a_camera_of_few_pixels_gives_no_error():
-    """A pixel is wider than the places searched for the line, at the highest noise."""
+    """At the highest noise, a pixel is wider than the search strip."""
     x, y = points((1.7, 0.0, 0.0)).T
     aside_m = curves._best_aside(x, y, np.array([1.7, 0.0, 0.0]), -1.0, curves._Noise(16.0, 1 / 20))
     assert abs(aside_m) < curves._SEARCH_M
 
 
 def test_edges_of_a_single_row_are_not_a_curve():
-    """A dotted row, a metre wide, as a tag error makes it: all its points are equally far ahead."""
+    """A tag error may be a dotted row, a metre wide, with all points at the same distance ahead."""
     aside = np.linspace(1.2, 2.2, 40)
     row = np.stack((np.full_like(aside, 4.0), aside), axis=-1)
     assert fit(row, (1.7, 0.0, 0.0), rows=np.full(len(row), 300.0)) is None
@@ -82,8 +82,8 @@ def test_line_on_ground_of_a_straight_line():
     assert curves.line_on_ground(cloud[:1]) is None
 
 
-def test_where_the_edges_tell_no_curvature_it_is_that_of_a_plausible_road():
-    """Within 4 m to 9 m the eye sees none; a road bends by 0.01 per metre at one deviation."""
+def test_without_information_the_curvature_has_its_prior():
+    """Edges from 4 m to 9 m do not show a curvature; the prior has a standard deviation of 0.01 / m."""
     near, far = points((1.7, 0.0, 0.0), reach_m=7.0), points((1.7, 0.0, 0.0), reach_m=60.0)
     unknown, known = (np.sqrt(fit(cloud, (1.7, 0.0, 0.0)).covariance[2, 2]) for cloud in (near, far))
     assert 0.008 < unknown < 0.01

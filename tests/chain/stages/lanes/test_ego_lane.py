@@ -33,10 +33,10 @@ def y_at(boundary, x):
     return boundary.offset_m + boundary.heading * x + 0.5 * boundary.curvature_per_m * x**2
 
 
-@settings(max_examples=20)
+@settings(max_examples=10)
 @given(st.floats(1.2, 2.5), st.floats(-2.5, -1.2), st.floats(-0.04, 0.04), st.floats(-0.004, 0.004))
 @example(1.7094382602544518, -2.0, 0.0, 0.0)  # the closest line found is but 0.46 m long on the road
-def test_any_lane_is_found_where_it_is(left_m, right_m, heading, curvature):
+def test_a_lane_is_found_at_its_true_position(left_m, right_m, heading, curvature):
     road = Road(left_m, right_m, heading, curvature, width=1280, height=960)
     _, lanes = look(road)
     for boundary, offset_m in zip(lanes.boundaries, (left_m, right_m), strict=True):
@@ -88,7 +88,7 @@ def test_a_boundary_without_measurements_is_held_then_lost_then_found_again(hold
     assert lanes.side("left").status == "measured"
 
 
-def test_a_frame_without_tags_holds_and_without_memory_says_why():
+def test_a_frame_without_tags_holds_boundaries_or_has_a_reason():
     road = Road()
     surface = assumed_surface(road.camera, road.ego_T_camera)
     inputs = (surface, Absent(Reason("drivable", "no_depth_no_segmentation")), None)
@@ -99,8 +99,8 @@ def test_a_frame_without_tags_holds_and_without_memory_says_why():
     assert absent == Absent(Reason("lanes", "no_segmentation"))
 
 
-def test_a_jump_outside_the_gate_is_rejected_and_the_dashes_prediction_is_used():
-    """The line vanishes for a frame and the next one out is closest: the boundary stays where it was."""
+def test_a_jump_outside_the_gate_is_rejected():
+    """If the line disappears for one frame and a farther line is the closest, the boundary is held."""
     road, farther = Road(left_m=1.8), Road(left_m=4.0)
     state, _ = look(road)
     for index in range(1, 5):
@@ -112,7 +112,7 @@ def test_a_jump_outside_the_gate_is_rejected_and_the_dashes_prediction_is_used()
     assert left.raw_offset_m == pytest.approx(4.0, abs=0.1)
 
 
-def test_a_short_dash_too_short_for_a_hough_line_is_still_measured():
+def test_a_dash_too_short_for_a_hough_line_is_measured():
     road = Road(width=1280, height=960)
     tags = road.tags()
     x = road.ground()[1][..., 0]
@@ -134,16 +134,6 @@ def test_a_far_fragment_is_not_a_boundary():
     assert lanes.side("left").status == "lost"
 
 
-def test_double_line_is_bounded_by_its_inner_edge():
-    road = Road(left_m=1.6, width=1280, height=960)
-    tags = road.tags()
-    y = road.ground()[1][..., 1]
-    tags[(y > 1.6 + 0.25) & (y < 1.6 + 0.4) & (tags == ROAD)] = LINE
-    _, lanes = look(road, tags)
-    assert y_at(lanes.side("left"), 10.0) == pytest.approx(1.6, abs=0.03)
-    assert lanes.side("left").outside == "road"
-
-
 def course_frame(data_dir, number):
     tags = np.loadtxt(data_dir / "course_frames" / "segmentation" / f"{number}.dat", delimiter=",").astype(np.uint8)
     return Road(width=1280, height=960, height_m=1.5), tags
@@ -163,7 +153,7 @@ def test_public_lane_of_course_frame_1(data_dir):
 
 @pytest.mark.parametrize("number", [0, 1, 2])
 def test_neither_pole_nor_bonnet_bounds_the_lane(data_dir, number):
-    """Where the lane is drawn, the ground beside it is road inside and sidewalk outside on the right."""
+    """Beside the drawn boundaries, the ground is road inside, and sidewalk outside on the right."""
     raw = cv2.imread(str(data_dir / "carla_raw_tags" / "CameraSeg" / f"{number}.png"), cv2.IMREAD_UNCHANGED)
     tags = np.ascontiguousarray(raw[..., 2])
     _, lanes = look(Road(width=800, height=600, height_m=1.5), tags)

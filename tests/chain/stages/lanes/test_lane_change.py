@@ -1,4 +1,6 @@
-"""Changes of lane, and what cannot be a lane, on roads computed by hand."""
+"""Lane changes and implausible lanes on roads computed by hand."""
+
+from functools import cache
 
 import numpy as np
 import pytest
@@ -18,7 +20,7 @@ LINES_M = (5.25, 1.75, -1.75)
 
 
 def markings(car_m, dashed=False, double=False, size=(640, 480)):
-    """Tags of the two lanes as the car sees them so far to the left of its first lane's middle."""
+    """Tags of the two lanes if the car is ``car_m`` to the left of its first lane's middle."""
     road = Road(width=size[0], height=size[1])
     x, y, _ = np.moveaxis(road.ground()[1], -1, 0)
     tags = np.where(x < 150, ROAD, OTHER).astype(np.uint8)
@@ -34,13 +36,14 @@ def markings(car_m, dashed=False, double=False, size=(640, 480)):
 
 
 def moved(sideways_m, index):
-    """Half a metre ahead and so far to the left, as odometry has it."""
+    """Odometry of half a metre ahead and ``sideways_m`` to the left."""
     T = np.eye(4)
     T[:2, 3] = 0.5, sideways_m
     covariance = np.diag([0.01, 0.005, 0.01, 1e-3, 1e-3, 1e-3]) ** 2
     return Odometry("tracked", np.eye(4), T, covariance=tuple(covariance.ravel())) if index else None
 
 
+@cache
 def drive(places_m, **kind):
     state, seen, before_m = LanesState(), [], places_m[0]
     for index, car_m in enumerate(places_m):
@@ -50,7 +53,7 @@ def drive(places_m, **kind):
     return seen
 
 
-ACROSS = [0.0] * 3 + list(np.linspace(0.0, LANE_M, 30)) + [LANE_M] * 3
+ACROSS = (*[0.0] * 3, *np.linspace(0.0, LANE_M, 30).tolist(), *[LANE_M] * 3)
 
 
 @pytest.mark.parametrize("kind", [{}, {"dashed": True}, {"double": True}], ids=["solid", "dashed", "double"])
@@ -83,8 +86,8 @@ def test_the_change_lasts_while_the_car_is_over_the_line():
     [(0.02, 0.01, 1, True), (0.02, 0.1, 1, False), (0.4, 0.01, 0, None)],
     ids=["known", "uncertain ahead", "uncertain"],
 )
-def test_only_a_line_that_is_known_is_crossed(std_m, heading_std, changes, is_sure):
-    """The same place, 30 cm past the line: a line that is hardly known may as well be ahead."""
+def test_only_a_certain_line_is_crossed(std_m, heading_std, changes, is_sure):
+    """30 cm past the line: an uncertain line may still be ahead of the car."""
     track = tracking.start(np.array([-0.3, 0.0, 0.0]), np.diag([std_m, heading_std, 0.001]) ** 2, 1)
     after = handed_over(CFG, LanesState(left=TrackedBoundary(track, 20.0)), None, 1)
     assert after.lane_changes == changes
@@ -93,15 +96,15 @@ def test_only_a_line_that_is_known_is_crossed(std_m, heading_std, changes, is_su
 
 def test_an_aborted_lane_change_does_not_count():
     there = list(np.linspace(0.0, 1.4, 14))
-    seen = drive([0.0, 0.0, *there, *there[::-1], 0.0])
+    seen = drive((0.0, 0.0, *there, *there[::-1], 0.0))
     assert {lanes.lane_change for lanes in seen} == {"none", "left"}
     assert seen[-1].lane_change == "none"
     assert {lanes.lane_changes for lanes in seen} == {0}
     assert seen[-1].side("left").offset_m == pytest.approx(1.75 - MARKING_M / 2, abs=0.05)
 
 
-def test_nothing_is_given_of_the_line_that_the_car_stands_on():
-    seen = drive([0.0, 0.0, *np.linspace(0.0, 1.72, 15)])
+def test_the_boundary_under_the_car_is_lost():
+    seen = drive((0.0, 0.0, *np.linspace(0.0, 1.72, 15)))
     left = seen[-1].side("left")
     assert (left.status, left.offset_m) == ("lost", None)
     assert left.reason == Reason("lanes", "car_on_boundary", ("left",))
@@ -116,7 +119,7 @@ def test_a_boundary_of_a_lane_too_narrow_is_lost_with_a_reason():
     assert lost.reason.values[1:] == (pytest.approx(1.6, abs=0.05), 2.0, 7.0)
 
 
-def test_a_line_across_the_lane_is_no_boundary():
+def test_a_line_across_the_lane_is_not_a_boundary():
     road = Road(width=1280, height=960)
     tags = road.tags()
     x, y, _ = np.moveaxis(road.ground()[1], -1, 0)

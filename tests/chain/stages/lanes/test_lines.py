@@ -19,7 +19,7 @@ def line(slope, intercept, y1=960.0, y2=500.0):
     return [(y1 - intercept) / slope, y1, (y2 - intercept) / slope, y2]
 
 
-def test_merge_joins_what_is_close_in_slope_and_intercept():
+def test_merge_joins_lines_with_similar_slope_and_intercept():
     proposals = np.array([line(-1.0, 1000), line(-1.05, 1020), line(-1.2, 1000), line(-1.0, 1060), line(0.5, 100)])
     groups = lines.merge(proposals, 960)
     assert [(round(g.slope, 3), round(g.intercept, 3)) for g in groups] == [
@@ -38,7 +38,7 @@ def test_merge_joins_what_is_close_in_slope_and_intercept():
         pytest.param([line(-1.0, 500, 480, 250), line(-1.0, 530, 480, 250)], 480, 2, id="30 of 480 rows apart"),
     ],
 )
-def test_lines_are_merged_that_are_near_a_groups_first_line(proposals, rows, groups):
+def test_lines_near_the_first_line_of_a_group_are_merged(proposals, rows, groups):
     assert len(lines.merge(np.array(proposals), rows)) == groups
 
 
@@ -59,7 +59,7 @@ def test_near_horizontal_lines_and_lines_off_the_road_are_dropped():
 
 
 @pytest.mark.parametrize("margin", [0, 1, 3])
-def test_a_lines_share_is_that_of_its_pixels(margin):
+def test_line_shares_equal_those_of_their_pixels(margin):
     rng = np.random.default_rng(0)
     mask = rng.random((60, 80)) < 0.5 / (1 + 2 * margin) ** 2
     some_lines = np.concatenate((rng.integers(0, 60, (50, 4)), [[7, 7, 7, 7]])).astype(float)
@@ -99,7 +99,7 @@ def test_public_figures_of_course_frame_0(data_dir):
 
 @pytest.mark.parametrize(("gap_px", "found"), [(60, True), (80, False)])
 def test_dashes_are_one_line_where_their_gaps_are_short(gap_px, found):
-    """Dashes of 60 px along a diagonal: none is a line by itself, but over gaps of up to 50 columns they are one."""
+    """Dashes of 60 px along a diagonal are too short for a line; over gaps of up to 50 columns they form one."""
     edges = np.zeros((960, 1280), np.uint8)
     along = np.arange(600)
     drawn = along[along % (60 + gap_px) < 60] / np.sqrt(2)
@@ -121,7 +121,7 @@ def test_counting_gives_the_median_filter(rows, median_px):
 @pytest.mark.parametrize("aperture", [3, 5, 7])
 @pytest.mark.parametrize("top", [0, 3, 40, 95])
 def test_edges_are_those_of_the_whole_image(aperture, top):
-    """They are looked for where there are separators alone."""
+    """Edges are searched only in rows with separators."""
     mask = np.zeros((96, 128), np.uint8)
     mask[top : top + 30] = np.random.default_rng(top).random((96 - top, 128))[:30] < 0.6
     cfg = CFG.model_copy(update={"median_px": 0, "canny_aperture": aperture, "canny_low": 500.0, "canny_high": 1500.0})

@@ -17,7 +17,7 @@ CFG = LanesConfig()
 R = np.diag([0.03, 0.005, 0.001]) ** 2
 
 
-def test_a_new_track_is_its_measurement_and_knows_nothing_of_its_rate():
+def test_a_new_track_equals_its_measurement_with_unknown_rate():
     track = tracking.start(np.array([1.7, 0.01, 0.002]), R, 7)
     np.testing.assert_array_equal(track.state, [1.7, 0.01, 0.002])
     np.testing.assert_array_equal(track.state_covariance, R)
@@ -39,7 +39,7 @@ def test_jitter_shrinks_and_a_drift_is_tracked_without_lag():
 
 
 def moved(dx, dy=0.0, turn=0.0, y_std_m=0.005, yaw_std=0.0015):
-    """The ego frame a step later, in the last one, as odometry has it."""
+    """Odometry of one step, with standard deviations of y and yaw."""
     covariance = np.diag([9.0, y_std_m, 9.0, 9.0, 9.0, yaw_std]) ** 2
     return Odometry("tracked", np.eye(4), last_T_this(dx, dy, turn), covariance=tuple(covariance.ravel()))
 
@@ -52,7 +52,7 @@ def last_T_this(dx, dy, turn):
 
 
 def test_a_step_ahead_in_a_bend_moves_the_boundary_against_the_car():
-    """Driving 2 m straight on where the boundary bends left: it comes in by heading and curvature."""
+    """After 2 m straight ahead, heading and curvature of a boundary change its offset and heading."""
     track = tracking.start(np.array([1.7, 0.02, 0.01]), R, 0)
     after = tracking.predict(CFG, track, STEP_NS, moved(2.0))
     np.testing.assert_allclose(after.state, [1.7 + 0.04 + 0.02, 0.04, 0.01], atol=1e-12)
@@ -66,8 +66,8 @@ def test_a_step_aside_and_a_turn_are_subtracted():
     assert after.mean[1] == pytest.approx((1.6 / np.cos(0.03) - 1.7) / 0.05)
 
 
-def test_a_line_beside_a_car_that_turns_stays_where_it_is():
-    """As in a change of lane; an error of the second order in each step would add up."""
+def test_a_line_beside_a_turning_car_stays_in_place():
+    """In a lane change, second-order errors of the steps would add up."""
     exact = {"y_std_m": 0.0, "yaw_std": 0.0}
     track = exactly_known((1.7, 0.0, 0.0))
     for k in range(1, 11):
@@ -78,13 +78,13 @@ def test_a_line_beside_a_car_that_turns_stays_where_it_is():
 
 
 def exactly_known(state, rate=0.0):
-    """A track without any uncertainty: what a prediction adds is the motion's own."""
+    """A track without uncertainty, so that a prediction's covariance is that of the motion."""
     mean = np.insert(np.array(state, np.float64), 1, rate)
     return tracking.BoundaryTrack(mean, np.zeros((4, 4)), 0, 0)
 
 
-def test_without_odometry_the_offset_goes_on_at_its_rate_which_walks_at_random():
-    """2 m/s more or less within a second: after 0.5 s q^2 (t^3 / 3, t^2 / 2, t) of offset, both, and speed."""
+def test_without_odometry_the_rate_is_a_random_walk():
+    """With q = 2 m/s and t = 0.5 s, offset and rate have the covariance q^2 (t^3 / 3, t^2 / 2; t^2 / 2, t)."""
     cfg = CFG.model_copy(update={"process_noise": 2.0})
     predicted = tracking.predict(cfg, exactly_known((1.7, 0.01, 0.002), rate=-0.4), 10 * STEP_NS, None)
     np.testing.assert_allclose(predicted.mean, [1.5, -0.4, 0.01, 0.002])
@@ -111,8 +111,8 @@ def test_the_prediction_does_not_depend_on_the_number_of_steps(with_odometry):
 
 
 @pytest.mark.parametrize("dx", [4.0, -4.0])
-def test_with_odometry_the_noise_is_its_own_and_that_of_the_road_driven(dx):
-    """Per root metre curvature walks by 0.0008 / m, heading by 0.0008, offset by 0.002 m; and the step's y and yaw."""
+def test_with_odometry_noise_comes_from_the_step_and_the_road(dx):
+    """Per root metre: curvature 0.0008 / m, heading 0.0008, offset 0.002 m; plus y and yaw of the step."""
     covariance = tracking.predict(CFG, exactly_known((1.7, 0.0, 0.0)), STEP_NS, moved(dx, y_std_m=0.02)).covariance
     of_road = 0.0008**2 * np.array([4.0**5 / 20, 4.0**3 / 3, 4.0])
     of_road += [0.0008**2 * 4.0**3 / 3 + 0.002**2 * 4.0, 0.0008**2 * 4.0, 0.0]
@@ -120,8 +120,8 @@ def test_with_odometry_the_noise_is_its_own_and_that_of_the_road_driven(dx):
     np.testing.assert_allclose(covariance[2, 3], 0.0008**2 * dx * 4.0 / 2)
 
 
-def test_with_odometry_what_was_uncertain_is_seen_from_further_on():
-    """2 m ahead an uncertain heading has become offset: 2 * 0.01; an uncertain curvature both: 2 * 0.02, 2 * 0.01."""
+def test_with_odometry_uncertainty_is_propagated_along_the_road():
+    """After 2 m, heading errors change the offset; curvature errors change offset and heading."""
     known = exactly_known((1.7, 0.0, 0.0))
     for column, seen in ((2, [0.02, 0.01, 0.0]), (3, [0.02, 0.02, 0.01])):
         uncertain = np.zeros((4, 4))
@@ -134,8 +134,8 @@ def test_with_odometry_what_was_uncertain_is_seen_from_further_on():
         np.testing.assert_allclose(added, np.outer(seen, seen), atol=1e-12)
 
 
-def test_an_update_weighs_both_by_their_variances():
-    """Two equally good offsets meet in the middle with half the variance; what neither measures stays."""
+def test_an_update_weighs_prediction_and_measurement_by_variance():
+    """Two equally good offsets give their mean with half the variance; the unmeasured rate stays."""
     track = tracking.start(np.array([1.7, 0.0, 0.0]), R, 0)
     after = tracking.update(CFG, track, np.array([1.74, 0.002, 0.0]), R)
     np.testing.assert_allclose(after.state, [1.72, 0.001, 0.0], atol=1e-12)
@@ -160,14 +160,14 @@ def after(*names, step_ns=STEP_NS, cfg=CFG):
     return majorities
 
 
-def test_a_change_that_lasts_wins_after_half_the_window_in_seconds():
+def test_a_lasting_change_of_class_wins_after_half_the_window():
     for step_ns, frames in ((STEP_NS, 6), (STEP_NS // 2, 11)):
         majorities = after(*["road"] * 40, *["sidewalk"] * 20, step_ns=step_ns)
         assert majorities[40:].index("sidewalk") + 1 == frames
 
 
 def test_the_majority_of_the_classes_in_the_window():
-    """The latest of equally frequent ones; empty names add nothing; without a window the last frame alone counts."""
+    """The latest of equally frequent classes wins; empty names are ignored; without a window only one frame counts."""
     assert after("road", "vehicle") == ["road", "vehicle"]
     assert after("vehicle", "road", "road", "vehicle")[-1] == "vehicle"
     assert after("road", *[""] * 12) == ["road"] * 11 + [""] * 2
@@ -176,7 +176,7 @@ def test_the_majority_of_the_classes_in_the_window():
 
 
 def test_the_lanes_classes_do_not_flicker():
-    """For one frame in three something covers the ground beyond the left line: it stays road, until it lasts."""
+    """A vehicle beyond the left line in every third frame does not change the class; a lasting one does."""
     road = Road()
     tags = road.tags()
     covered, y = tags.copy(), road.ground()[1][..., 1]
@@ -191,7 +191,7 @@ def test_the_lanes_classes_do_not_flicker():
     assert sum(a != b for a, b in pairwise(outside)) == 1
 
 
-def test_a_held_boundary_keeps_what_was_voted():
+def test_a_held_boundary_keeps_its_classes():
     road = Road()
     state, _ = look(road)
     blank = road.tags() * 0 + ROAD

@@ -1,4 +1,4 @@
-"""Detections and distances made up by hand: objects are boxes on flat depth."""
+"""Artificial detections and distances: objects are boxes with constant depth."""
 
 from dataclasses import dataclass, field
 
@@ -12,7 +12,7 @@ from tests.analytic import STEP_NS, VEHICLE
 from tests.scenes import scene_of
 
 CAMERA = Camera("camera", 320, 240, 1e6, 1e6, 159.5, 119.5)
-"""So long a lens that the distance of every pixel is its depth."""
+"""A lens so long that the distance of every pixel equals its depth."""
 CFG = ObjectsConfig()
 FAR_M = 90.0
 LIMIT_M = 100.0
@@ -20,7 +20,7 @@ LIMIT_M = 100.0
 
 @dataclass
 class Follower:
-    """Takes frames one after the other and keeps what came out last."""
+    """Runs the stage frame by frame and keeps the last objects."""
 
     cfg: ObjectsConfig = CFG
     state: ObjectsState = field(default_factory=ObjectsState)
@@ -28,7 +28,7 @@ class Follower:
     objects: tuple = ()
 
     def frame(self, *detections, depth_m=None, grey=None, dt_ns=STEP_NS, tags=None):
-        """One frame; ``depth_m`` is an image or one depth for all of it."""
+        """Run one frame; ``depth_m`` is an image or a constant."""
         if isinstance(depth_m, float):
             depth_m = np.full(CAMERA.size, depth_m, np.float32)
         self.stamp_ns += dt_ns

@@ -1,4 +1,4 @@
-"""Closing speed and objects tracked by template on rendered drives, where the truth is known."""
+"""Closing speed and objects tracked by template on rendered logs with truth."""
 
 import numpy as np
 import polars as pl
@@ -15,19 +15,19 @@ NEAR_M = 30.0
 
 
 def kept_objects(folder, *options):
-    """The rows of the objects that were kept on a rendered drive."""
+    """The rows of the kept objects of a rendered scene."""
     dump, log, out = (folder / name for name in ("dump", "log.mcap", "out.mcap"))
-    assert render.main([str(dump), "--size", "640x480", *options]) == 0
+    assert render.main([str(dump), "--size", "640x480", "--without", "right", *options]) == 0
     assert convert.main([str(dump), str(log)]) == 0
     rp.replay(log, out, config=load_config(None, [switched_off(stage) for stage in STAGES if stage != "objects"]))
     return pl.read_parquet(sidecar_path(out, "objects")).filter("kept")
 
 
 def well_visible(rows):
-    """Detections of near objects, whole in the image, whose distance of this frame is not a neighbour's.
+    """Detections of near objects inside the image whose measured distance is correct.
 
-    Where the image's border cuts an object its nearest visible point is not its nearest point; in a row of parked
-    cars a box holds the pixels of the next one, too, and its quantile is that one's distance.
+    The nearest visible point of an object cut by the image's border is not its nearest point. In a row of parked cars,
+    a box also contains pixels of the next car, and its quantile may be the distance of that car.
     """
     off_m = (pl.col("distance_m") - pl.col("true_distance_m")).abs()
     return rows.filter(

@@ -1,4 +1,4 @@
-"""Detections filtered by tags: ratios counted by hand, distances by the 3-4-5 triangle, each with its own region."""
+"""Detections filtered by tags, with ratios and distances computed by hand, and the choice of regions."""
 
 from dataclasses import replace
 from types import MappingProxyType
@@ -50,15 +50,11 @@ def test_depth_that_is_unknown_or_beyond_the_range_is_no_distance(depth_m, beyon
     assert (item.distance_m, item.beyond_range, item.kept) == (None, beyond, True)
 
 
-@pytest.mark.parametrize(("x_max", "kept"), [(76, True), (77, False)])
-def test_share_must_exceed_the_minimum(x_max, kept):
-    assert filtered(box("Car", 10, 20, x_max, 40), LECTURE).kept == kept
-
-
-def test_exactly_the_minimum_is_not_enough():
+@pytest.mark.parametrize(("rows", "kept"), [(3, False), (4, True)])
+def test_the_class_ratio_must_exceed_the_minimum(rows, kept):
     tags = np.zeros(CAMERA.size, np.uint8)
-    tags[0:3, 0:1] = VEHICLE
-    assert not filtered(box("Car", 0, 0, 1, 10), LECTURE, tags=tags).kept
+    tags[:rows, 0] = VEHICLE
+    assert filtered(box("Car", 0, 0, 1, 10), LECTURE, tags=tags).kept == kept
 
 
 def test_box_outside_the_image_is_dropped_without_a_ratio():
@@ -77,20 +73,14 @@ def test_distance_is_along_the_ray():
     assert item.distance_m == pytest.approx(5.0)
 
 
-def test_only_pixels_of_the_class_count_by_default():
+@pytest.mark.parametrize(("place", "x_max", "pixels"), [((25, 45), 50, "box"), ((25, 15), 30, "class")])
+def test_a_stray_pixel_counts_only_with_quantile_0(place, x_max, pixels):
+    """Outside the class only if all pixels of the box count."""
     _, depth = pictures()
-    depth[25, 45] = 1.0
-    assert filtered(box("Car", 10, 20, 50, 40), depth=depth).distance_m > 9
-    box_pixels = ObjectsConfig(distance_pixels="box", distance_quantile=0.0)
-    assert filtered(box("Car", 10, 20, 50, 40), box_pixels, depth=depth).distance_m < 1.2
-
-
-def test_low_quantile_forgives_a_stray_pixel():
-    _, depth = pictures()
-    depth[25, 15] = 1.0
-    assert filtered(box("Car", 10, 20, 30, 40), depth=depth).distance_m > 9
-    minimum = ObjectsConfig(distance_quantile=0.0, distance_pixels="class")
-    assert filtered(box("Car", 10, 20, 30, 40), minimum, depth=depth).distance_m < 1.3
+    depth[place] = 1.0
+    car, minimum = box("Car", 10, 20, x_max, 40), ObjectsConfig(distance_pixels=pixels, distance_quantile=0.0)
+    assert filtered(car, depth=depth).distance_m > 9
+    assert filtered(car, minimum, depth=depth).distance_m < 1.3
 
 
 def test_unknown_label_is_kept_without_a_ratio():
@@ -106,7 +96,7 @@ def test_without_tags_everything_is_kept():
     assert (item.kept, item.class_ratio) == (True, None)
 
 
-def test_no_detections_is_a_stated_absence():
+def test_without_detections_objects_are_absent_with_a_reason():
     assert filter_detections(CFG, scene_of(CAMERA), None, {}) == Absent(Reason("objects", "no_detections"))
 
 
@@ -124,7 +114,7 @@ def judged(*boxes, expected=MappingProxyType({}), cfg=CFG, **inputs):
     return filter_detections(cfg, scene, tuple(box("Car", *b) for b in boxes), expected).objects
 
 
-def test_the_distance_is_that_of_the_object_and_not_of_a_nearer_one():
+def test_the_distance_is_not_that_of_a_nearer_object():
     near, far = judged((10, 20, 40, 50), (30, 15, 70, 40))
     assert (near.kept, far.kept) == (True, True)
     assert near.distance_m == pytest.approx(10.4, abs=0.5)
@@ -132,7 +122,7 @@ def test_the_distance_is_that_of_the_object_and_not_of_a_nearer_one():
     assert judged((30, 15, 70, 40), cfg=LECTURE)[0].distance_m < 11
 
 
-def test_a_hidden_cars_box_on_a_car_is_dropped_where_the_lecture_keeps_it():
+def test_a_hidden_cars_box_is_dropped_unlike_in_the_lecture():
     hidden = (15, 22, 30, 36)
     assert [item.kept for item in judged((10, 20, 40, 50), hidden)] == [True, False]
     assert [item.kept for item in judged((10, 20, 40, 50), hidden, cfg=LECTURE)] == [True, True]
@@ -143,7 +133,7 @@ def test_the_second_box_of_one_object_is_dropped():
     assert [item.kept for item in judged((12, 20, 40, 50), (10, 20, 40, 50))] == [False, True]
 
 
-def test_the_score_decides_nothing():
+def test_the_score_has_no_effect():
     tags, depth = two_cars()
     scene = scene_of(CAMERA, tags=tags, depth_m=depth)
     boxes = ((10, 20, 40, 50), (15, 22, 30, 36), (30, 15, 70, 40))
@@ -152,7 +142,7 @@ def test_the_score_decides_nothing():
 
 
 def test_beyond_the_depths_range_the_share_of_the_class_decides():
-    """Nothing tells one car from the next there: all of them are one region, larger than any box."""
+    """Beyond the range cars cannot be separated: they form one region, larger than any box."""
     tags, depth = np.zeros(CAMERA.size, np.uint8), np.full(CAMERA.size, 65.535, np.float32)
     tags[30:34, 10:60] = VEHICLE
     one, sparse = judged((20, 30, 28, 34), (40, 24, 48, 50), tags=tags, depth_m=depth)
@@ -161,7 +151,7 @@ def test_beyond_the_depths_range_the_share_of_the_class_decides():
     assert not judged((20, 30, 28, 34), tags=tags, depth_m=np.minimum(depth, 60.0))[0].kept
 
 
-def test_a_car_just_before_the_depths_limit_is_not_one_with_those_beyond():
+def test_a_car_before_the_depths_limit_is_separate_from_those_beyond():
     tags, depth = np.zeros(CAMERA.size, np.uint8), np.full(CAMERA.size, 65.535, np.float32)
     tags[30:36, 10:60], depth[30:36, 20:30] = VEHICLE, 64.5
     (item,) = judged((20, 30, 30, 36), tags=tags, depth_m=depth)
@@ -169,21 +159,21 @@ def test_a_car_just_before_the_depths_limit_is_not_one_with_those_beyond():
     assert 64.5 * np.hypot(1, 0.4) < item.distance_m < 64.5 * np.hypot(1, 0.6)
 
 
-def test_few_pixels_of_its_class_show_no_object_that_was_not_seen_before():
+def test_a_new_object_needs_enough_pixels_of_its_class():
     tags, depth = pictures()
     assert judged((10, 20, 30, 40), tags=tags, depth_m=depth)[0].kept
     tags[22:, 12:] = 0
     assert not judged((10, 20, 30, 40), tags=tags, depth_m=depth)[0].kept
 
 
-def test_where_an_object_is_expected_less_has_to_fit():
+def test_an_expected_object_needs_a_lower_fit():
     too_small = (15, 22, 30, 36)
     assert not judged(too_small)[0].kept
     assert judged(too_small, expected={0: None})[0].kept
 
 
-def test_instances_decide_where_they_are_given():
-    """Both cars as one: the depth would divide them."""
+def test_instances_override_the_depth():
+    """One instance contains both cars, which the depth would divide."""
     ids = np.full(CAMERA.size, 5, np.uint16)
     (item,) = judged((10, 15, 70, 50), instances=ids)
     assert item.kept
@@ -191,7 +181,7 @@ def test_instances_decide_where_they_are_given():
 
 
 @pytest.mark.parametrize("nothing", [np.nan, np.inf, 0.0])
-def test_what_gives_no_depth_behind_an_object_leaves_its_deviation_finite(nothing):
+def test_missing_depth_behind_an_object_keeps_its_deviation_finite(nothing):
     """A sensor without a return gives infinity (REP 118), NaN or 0."""
     ids = np.zeros(CAMERA.size, np.uint16)
     ids[20:50, 10:40] = 1
@@ -233,18 +223,18 @@ def chosen(labels, *candidates):
     return [(fit, measured.distance_m) for fit, measured in choose(labels, candidates, measure, {})]
 
 
-def test_each_gets_what_fits_best():
+def test_each_detection_gets_its_best_region():
     ours, theirs = [candidate(0, 0.9, 10.0), candidate(0, 0.5, 20.0)], [candidate(1, 0.8, 20.0)]
     assert chosen(["Car", "Car"], ours, theirs) == [(0.9, 10.0), (0.8, 20.0)]
 
 
-def test_what_another_has_is_not_given_again():
+def test_a_chosen_region_is_not_chosen_again():
     hidden = [candidate(1, 0.8, 10.1), candidate(1, 0.4, 25.0)]
     assert chosen(["Car", "Car"], [candidate(0, 0.9, 10.0)], hidden) == [(0.9, 10.0), (0.4, 25.0)]
     assert chosen(["Car", "Car"], [candidate(0, 0.9, 10.0)], hidden[:1]) == [(0.9, 10.0), NOTHING]
 
 
-def test_what_is_elsewhere_or_at_another_distance_or_another_kind_is_another():
+def test_regions_differ_by_place_distance_or_kind():
     first = [candidate(0, 0.9, 10.0)]
     assert chosen(["Car", "Car"], first, [candidate(1, 0.8, 10.0, Box(40, 10, 60, 30))])[1] != NOTHING
     assert chosen(["Car", "Car"], first, [candidate(1, 0.8, 11.0)])[1] != NOTHING
@@ -252,17 +242,14 @@ def test_what_is_elsewhere_or_at_another_distance_or_another_kind_is_another():
     assert chosen(["Car", "Truck"], first, [candidate(1, 0.8, 10.0)])[1] == NOTHING
 
 
-def test_without_distances_nothing_is_the_same():
+def test_regions_without_distances_are_all_different():
     assert chosen(["Car", "Car"], [candidate(0, 0.9, None)], [candidate(1, 0.8, None)]) == [(0.9, None), (0.8, None)]
-
-
-def test_nothing_to_choose_from():
     assert chosen([]) == []
     assert chosen(["Car"], []) == [NOTHING]
 
 
-def test_what_is_not_looked_at_is_not_measured():
-    """Distances are what costs the most."""
+def test_only_possible_choices_are_measured():
+    """Measuring a distance is the slowest step."""
     measured = []
     regions = [[candidate(0, 0.9, 10.0), candidate(0, 0.5, 20.0)]]
     choose(["Car"], regions, lambda region: measured.append(region) or measure(region), {})
@@ -270,7 +257,7 @@ def test_what_is_not_looked_at_is_not_measured():
 
 
 @pytest.mark.parametrize(("expected_m", "chosen_m"), [(None, 16.5), (12.5, 12.6), (16.0, 16.5), (30.0, 16.5)])
-def test_of_regions_that_fit_alike_the_one_where_the_object_is_expected_is_chosen(expected_m, chosen_m):
+def test_the_expected_distance_decides_between_equal_fits(expected_m, chosen_m):
     regions = [candidate(0, 0.65, 16.5), candidate(0, 0.63, 12.6), candidate(0, 0.4, 30.0)]
     ((_, measured),) = choose(["Car"], [regions], measure, {0: expected_m})
     assert measured.distance_m == chosen_m

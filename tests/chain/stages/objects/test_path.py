@@ -1,4 +1,4 @@
-"""The car's path, what is in it, what cuts in, and the time to impact: circles and backs of cars by construction."""
+"""The car's path, objects in it, cut-in and time to impact, on constructed circles and backs of cars."""
 
 from dataclasses import dataclass, field
 
@@ -19,7 +19,7 @@ RIGHT_BEND = DrivenArc(-0.1, 10.0)
 
 
 def lanes(left_m, right_m, heading=0.0, curvature=0.0, changes=2):
-    """Boundaries at these offsets; None is lost."""
+    """Boundaries at these offsets; a boundary with None is lost."""
     offsets = {"left": left_m, "right": right_m}
     return Lanes(
         tuple(
@@ -40,7 +40,7 @@ def step_of(metres, turn):
 
 @pytest.mark.parametrize("radius_m", [12.0, -150.0, 1e9])
 @pytest.mark.parametrize(("offset_m", "heading"), [(0.0, 0.0), (-0.7, 0.1)])
-def test_places_beside_a_circle_are_square_to_it(radius_m, offset_m, heading):
+def test_places_beside_a_circle_are_at_right_angles_to_it(radius_m, offset_m, heading):
     path = EgoPath("odometry", offset_m, heading, 1 / radius_m)
     along, aside = np.array([0.0, 5.0, 15.0]), np.array([0.4, -1.2, 3.0])
     turned = heading + along / radius_m
@@ -57,19 +57,19 @@ def test_the_path_is_the_middle_of_the_lane():
 
 
 @pytest.mark.parametrize("sides", [(2.0, None), (None, -1.0), (5.0, -1.5)])
-def test_along_a_boundary_where_the_lane_is_not_known_or_too_wide(sides):
+def test_the_path_follows_a_boundary_if_the_lane_is_unknown_or_too_wide(sides):
     assert path_of(lanes(*sides, heading=0.02), RIGHT_BEND) == EgoPath("boundary", 0.0, 0.02, 0.0, None, 2)
 
 
 @pytest.mark.parametrize("ego_lane", [None, lanes(None, None), lanes(-1.8, -1.35)])
-def test_the_circle_that_the_car_drives_on_where_no_lane_can_be_one(ego_lane):
+def test_the_path_is_the_driven_circle_without_a_lane(ego_lane):
     path = path_of(ego_lane, RIGHT_BEND)
     assert (path.source, path.curvature_per_m) == ("odometry", -0.01)
     assert path_of(ego_lane, DrivenArc()).source == "straight"
 
 
 @pytest.mark.parametrize("steps", [40, 4])
-def test_the_curvature_driven_does_not_depend_on_the_frame_rate(steps):
+def test_the_driven_curvature_does_not_depend_on_the_frame_rate(steps):
     arc = DrivenArc()
     for _ in range(steps):
         arc = arc.after(step_of(20 / steps, 0.4 / steps))
@@ -80,7 +80,7 @@ def test_the_curvature_driven_does_not_depend_on_the_frame_rate(steps):
     assert straight.curvature_per_m == pytest.approx(0.02 * np.exp(-5 / PATH_MEMORY_M), rel=0.35)
 
 
-def test_a_car_that_stands_still_keeps_its_curvature():
+def test_a_standing_car_keeps_its_curvature():
     arc = DrivenArc().after(step_of(1.0, 0.05))
     assert arc.after(step_of(0.0, 0.001)) == arc.after(None) == arc
     assert DrivenArc().after(step_of(0.05, 0.0)).curvature_per_m is None
@@ -96,7 +96,7 @@ TAGS = {"Car": VEHICLE, "Pedestrian": PEDESTRIAN}
 
 @dataclass
 class Road:
-    """Cars, by their backs (ahead, to the left, metres), each 1.8 m wide and 1.5 m high."""
+    """A road with backs of cars at (ahead, left) metres, each 1.8 m wide and 1.5 m high."""
 
     cfg: ObjectsConfig = CFG
     lane: object = LANE
@@ -134,14 +134,14 @@ class Road:
 
 
 def nearing(left_m, *, lane=LANE, cfg=CFG):
-    """Objects of the last of 20 frames: a car comes nearer by 8 m/s from 25 m on."""
+    """The objects of the last of 20 frames, in which a car approaches from 25 m at 8 m/s."""
     road = Road(cfg, lane)
     for k in range(20):
         out = road.frame((25.0 - 8.0 * STEP_S * k, left_m))
     return out
 
 
-def test_before_the_car_and_beside_it():
+def test_an_object_in_the_path_and_one_beside_it():
     ahead, beside = nearing(0.3), nearing(3.2)
     (item,) = ahead.objects
     distance_m = 25.0 - 8.0 * STEP_S * 19
@@ -167,10 +167,8 @@ def test_the_path_is_as_wide_as_the_car_and_a_margin(changed, in_path):
 @pytest.mark.parametrize(
     ("label", "across_mps", "threatens"), [("Car", 1.0, True), ("Car", 5.0, False), ("Pedestrian", 5.0, True)]
 )
-def test_a_vehicle_that_crosses_the_path_faster_than_lanes_are_changed_is_beside_it_before_the_car_comes(
-    label, across_mps, threatens
-):
-    """As an oncoming car in a bend does, where the lane seems to go straight on; who walks may stop."""
+def test_a_vehicle_that_crosses_the_path_fast_has_no_time_to_impact(label, across_mps, threatens):
+    """An oncoming car in a bend does so; a pedestrian may stop."""
     road = Road(label=label)
     for k in range(20):
         (item,) = road.frame((38.0 - 16.0 * STEP_S * k, -0.5 + across_mps * STEP_S * (k - 19))).objects
@@ -178,7 +176,7 @@ def test_a_vehicle_that_crosses_the_path_faster_than_lanes_are_changed_is_beside
     assert (item.time_to_impact_s is not None) == threatens
 
 
-def test_a_car_that_moves_in_over_the_line_cuts_in_until_it_is_in_the_path():
+def test_a_car_cuts_in_until_it_is_in_the_path():
     road, seen = Road(), []
     for k in range(45):
         (item,) = road.frame((20.0 - 2.0 * STEP_S * k, -3.6 + 1.2 * STEP_S * k)).objects
@@ -192,14 +190,14 @@ def test_a_car_that_moves_in_over_the_line_cuts_in_until_it_is_in_the_path():
 
 
 @pytest.mark.parametrize(("cut_in_mps", "cuts_in"), [(0.3, True), (2.0, False)])
-def test_how_fast_a_car_must_move_in(cut_in_mps, cuts_in):
+def test_cut_in_needs_a_least_speed(cut_in_mps, cuts_in):
     road = Road(ObjectsConfig(cut_in_mps=cut_in_mps))
     for k in range(20):
         (item,) = road.frame((12.0, -3.4 + 1.2 * STEP_S * k)).objects
     assert (item.in_path, item.cut_in) == (False, cuts_in)
 
 
-def test_along_the_line_is_no_cut_in_and_without_a_lane_nobody_knows():
+def test_no_cut_in_along_the_line_and_unknown_without_a_lane():
     (item,) = nearing(-2.4).objects
     assert (item.in_path, item.cut_in) == (False, False)
     out = nearing(-2.4, lane=None)
@@ -207,8 +205,8 @@ def test_along_the_line_is_no_cut_in_and_without_a_lane_nobody_knows():
     assert (out.objects[0].in_path, out.objects[0].cut_in) == (False, None)
 
 
-def test_the_next_lane_has_other_places():
-    """A car in the lane to the left is beside the path until the ego car has come over the line."""
+def test_places_change_with_the_lane():
+    """A car in the left lane is beside the path until the ego car has crossed the line."""
     road = Road()
     for _ in range(10):
         (item,) = road.frame((20.0, 2.6)).objects
@@ -218,8 +216,8 @@ def test_the_next_lane_has_other_places():
     assert (item.in_path, item.lateral_m) == (True, pytest.approx(0.95, abs=0.1))
 
 
-def test_a_car_that_brakes_knows_its_closing_speed_at_once():
-    """The ego car brakes with 8 m/s2 behind one that stands: without odometry the filter must learn it."""
+def test_odometry_gives_the_closing_speed_while_braking():
+    """The ego car brakes at 8 m/s2 behind a standing car; without odometry the filter reacts late."""
     errors = {}
     for known in (True, False):
         road, ahead_m, speed = Road(), 15.0, 10.0
@@ -232,12 +230,11 @@ def test_a_car_that_brakes_knows_its_closing_speed_at_once():
     assert errors[True] < errors[False]
 
 
-@pytest.mark.parametrize("depth_noise", [0.01, 0.02])
-def test_a_lead_car_that_brakes_at_the_limit(depth_noise):
-    """With 6 m/s2: the errors are as large as they are said to be, and no larger than 0.5 s."""
+def test_impact_with_a_lead_car_that_brakes_hard():
+    """At 6 m/s2, the errors agree with their standard deviations and are below 0.5 s."""
     errors, deviations = [], []
     for seed in range(4):
-        road = Road(depth_noise=depth_noise, rng=np.random.default_rng(seed))
+        road = Road(depth_noise=0.01 if seed % 2 else 0.02, rng=np.random.default_rng(seed))
         ahead_m, closing = 12.0, 0.0
         for k in range(40):
             (item,) = road.frame((ahead_m, 0.0), ego_step_m=0.5).objects
@@ -253,8 +250,8 @@ def test_a_lead_car_that_brakes_at_the_limit(depth_noise):
     assert np.mean(np.abs(deviations) < 2) > 0.9
 
 
-def test_a_car_cut_by_the_images_side_keeps_its_speed():
-    """What is nearest of it in the image is ever another point: its distance stays, yet it is passed at 10 m/s."""
+def test_a_car_cut_by_the_images_border_keeps_its_speed():
+    """Its nearest visible point changes in every frame: the distance stays, although the car passes at 10 m/s."""
     road = Road()
     for k in range(40):
         (item,) = road.frame((max(20.0 - 0.5 * k, 4.5), 4.2), ego_step_m=0.5).objects

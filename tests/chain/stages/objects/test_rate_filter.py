@@ -1,4 +1,4 @@
-"""The filter of a value and its rate, against the same filter in matrices; the jitter of distances off a line."""
+"""The filter of a value and its rate against the matrix form; the jitter of distances about a line."""
 
 from dataclasses import astuple
 from math import sqrt
@@ -51,7 +51,7 @@ def test_covariance_stays_positive_over_thousands_of_frames():
         assert state.value_var * state.rate_var > state.cross_var**2
 
 
-def test_a_value_that_says_nothing_of_the_rate_leaves_it_and_adds_what_it_may_have_changed():
+def test_a_value_without_rate_keeps_the_rate_and_adds_variance():
     filtered = rate_filter.start(10.0, 0.1, 2.0).predict(1.5, 0.1).at(9.0, 0.2, 3.0)
     assert (filtered.value, filtered.rate, filtered.cross_var) == (9.0, 0.0, 0.0)
     assert (filtered.value_var, filtered.rate_var) == pytest.approx((0.04, 4.0 + 1.5**2 * 0.1 + 9.0))
@@ -66,7 +66,7 @@ def after(distances_m, stamps_ns):
 
 @pytest.mark.parametrize("true_m", [0.02, 0.1])
 @pytest.mark.parametrize("steps_ns", [(50_000_000,), (20_000_000, 90_000_000)])
-def test_the_deviation_about_a_line_is_found_however_the_frames_lie(true_m, steps_ns):
+def test_the_jitter_about_a_line_is_estimated_at_any_frame_rate(true_m, steps_ns):
     found = []
     for seed in range(20):
         rng = np.random.default_rng(seed)
@@ -76,12 +76,12 @@ def test_the_deviation_about_a_line_is_found_however_the_frames_lie(true_m, step
     assert sqrt(np.mean(found)) == pytest.approx(true_m, rel=0.2)
 
 
-def test_no_more_than_a_distance_may_be_off():
+def test_the_jitter_is_at_most_the_deviation_of_a_distance():
     stamps = [k * 50_000_000 for k in range(1, 60)]
     assert sqrt(after([10.0 + (k % 2) for k in range(59)], stamps).variance) <= STD_M + 1e-9
 
 
-def test_a_distance_far_off_counts_for_less():
+def test_an_outlier_has_a_larger_deviation():
     jitter = Jitter(1e-4, 10.0, 1, 10.0)
     filtered = rate_filter.start(10.0, 0.01, 0.1)
     near, off = (jitter.std_m(filtered, distance_m, STD_M) for distance_m in (10.01, 10.2))
@@ -91,7 +91,7 @@ def test_a_distance_far_off_counts_for_less():
 
 @pytest.mark.parametrize(("true_m", "expected"), [(0.02, 0.25), (1.0, 1.0), (2.0, 4.0), (50.0, 10.0)])
 def test_the_variance_of_the_rate_follows_the_innovations(true_m, expected):
-    """Those of a filter that expects 1 m, with distances as regular as a line."""
+    """The filter expects innovations of 1 m; the distances lie on a line."""
     rng = np.random.default_rng(0)
     jitter = Jitter.of_first(1, 10.0, STD_M)
     scales = []

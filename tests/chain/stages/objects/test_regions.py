@@ -1,4 +1,4 @@
-"""Pixels of one class divided where the depth jumps: cars before and behind each other, drawn by hand; lidar points."""
+"""Regions of one class, divided at jumps of the depth, on cars drawn by hand; lidar points."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def regions_of(*boxes, tags=None, depth=None, instances=None):
 
 
 def distances_m(region):
-    """Of its own pixels."""
+    """The distances of the region's pixels."""
     return region.distances_m[region.of_region[region.labels]]
 
 
@@ -72,14 +72,14 @@ def test_a_line_one_pixel_high_above_a_nearer_car_is_found():
     assert [r for r in found if r.box_px.y_max == 40 and distances_m(r).min() > 16.9]
 
 
-def test_what_is_hidden_of_a_box_costs_less_than_what_goes_beyond_it():
+def test_a_hidden_part_of_the_box_costs_less_than_a_part_outside():
     wider, narrower = Box(40, 40, 120, 80), Box(70, 40, 90, 80)
     of_wider, of_narrower = (regions[0].fit for regions in regions_of(wider, narrower))
     assert of_wider == pytest.approx(1 / (1 + MISSING_WEIGHT))
     assert of_narrower < 0.7 < of_wider
 
 
-def test_instances_divide_what_depth_does_not():
+def test_instances_divide_at_equal_depth():
     tags = np.zeros(CAMERA.size, np.uint8)
     tags[40:80, 60:140] = VEHICLE
     ids = np.zeros(CAMERA.size, np.uint16)
@@ -115,7 +115,7 @@ def test_boxes_without_pixels_have_no_regions(box):
     assert regions_of() == []
 
 
-def test_unknown_depth_divides_nothing_and_measures_nothing():
+def test_unknown_depth_does_not_divide_or_measure():
     tags, depth = rows_of_cars()
     (region,) = regions_of(NEAR, tags=tags, depth=np.full_like(depth, np.nan))[0][:1]
     assert np.isnan(distances_m(region)).all()
@@ -128,7 +128,7 @@ def mosaic_of(of_class, log_depth):
 
 
 def connected(of_class, log_depth, jump):
-    """The sets of pixels, by a flood fill over a grid of pixels and of what is between them."""
+    """The connected sets of pixels, by a flood fill over a grid of pixels and the links between them."""
     height, width = of_class.shape
     grid = np.zeros((2 * height - 1, 2 * width - 1), bool)
     grid[::2, ::2] = of_class
@@ -171,7 +171,7 @@ CORNER = (8.0, range(15, 28, 6), range(0, 12, 2))
 
 
 def box_of(*groups):
-    """(30, 60) distances, NaN but for points of (distance, rows, columns), each 1 % deeper at its far end."""
+    """(30, 60) distances: groups (distance, rows, columns), each 1 % deeper at its far end, else NaN."""
     distances = np.full((30, 60), np.nan, np.float32)
     for distance_m, rows, columns in groups:
         u, v = np.meshgrid(columns, rows)
@@ -179,17 +179,17 @@ def box_of(*groups):
     return distances
 
 
-def test_a_nearer_car_in_a_corner_of_the_box_is_another_one():
+def test_a_nearer_car_in_a_corner_of_the_box_is_another_object():
     assert own_distances(box_of(WHOLE, CORNER)).min() == pytest.approx(12.6)
 
 
-def test_a_single_object_has_all_points_and_what_is_in_steps_is_one():
+def test_points_without_gaps_are_one_object():
     assert len(own_distances(box_of(WHOLE))) == np.isfinite(box_of(WHOLE)).sum()
     long = [(10.0 * 1.05**k, range(3, 28, 6), range(6 * k, 6 * k + 6, 2)) for k in range(10)]
     assert own_distances(box_of(*long)).min() == pytest.approx(10.0)
 
 
-def test_two_points_are_no_object_unless_there_are_no_others():
+def test_two_points_are_an_object_only_without_others():
     few = (5.0, (2, 29), (0, 59))
     assert own_distances(box_of((5.0, (2,), (0, 59)), CORNER)).min() == pytest.approx(8.0)
     assert len(own_distances(box_of((5.0, (2,), (0, 59))))) == 2

@@ -1,4 +1,4 @@
-"""A template is found where it was cut out, and nowhere else; an obstacle is searched for by its picture."""
+"""A template is found only where it was cut out; an obstacle is searched for by its picture."""
 
 import numpy as np
 import pytest
@@ -71,7 +71,7 @@ def test_a_picture_is_the_same_pixels_in_base_64():
     assert picture("iVBORw0KGgo=") is None
 
 
-def test_it_is_found_where_it_is_however_far_it_has_moved():
+def test_an_obstacle_is_found_after_any_displacement():
     image = texture()
     scene = scene_of(CAMERA, grey=np.roll(image, (7, -31), (0, 1)))
     item, correlation = find_obstacle(cfg_of(image[60:95, 40:90]), scene)
@@ -81,7 +81,7 @@ def test_it_is_found_where_it_is_however_far_it_has_moved():
     assert correlation.peak[0] == item.detection.box_px
 
 
-def test_what_does_not_fit_well_enough_is_not_found():
+def test_a_low_correlation_is_not_an_obstacle():
     cfg = cfg_of(texture(seed=1)[60:95, 40:90])
     item, correlation = find_obstacle(cfg, scene_of(CAMERA, grey=texture()))
     assert item is None
@@ -90,7 +90,7 @@ def test_what_does_not_fit_well_enough_is_not_found():
     assert find_obstacle(ObjectsConfig(), scene_of(CAMERA, grey=texture())) == (None, None)
 
 
-def test_its_distance_is_along_the_ray_or_along_the_axis():
+def test_the_obstacles_distance_is_along_the_ray_or_the_axis():
     camera = g.Camera("camera", 320, 240, 200.0, 200.0, 159.5, 119.5)
     depth_m = np.full(camera.size, 20.0, np.float32)
     depth_m[62, 41] = 12.0
@@ -109,7 +109,7 @@ def test_its_distance_is_along_the_ray_or_along_the_axis():
 
 
 @pytest.mark.parametrize("template_distance", ["ray", "depth"])
-def test_beyond_the_depths_range_it_has_no_distance(template_distance):
+def test_an_obstacle_beyond_the_depths_range_has_no_distance(template_distance):
     image = texture()
     limit_m = 65.535
     depth_m = np.full(image.shape, limit_m, np.float32)
@@ -118,7 +118,7 @@ def test_beyond_the_depths_range_it_has_no_distance(template_distance):
     assert (item.distance_m, item.beyond_range) == (None, True)
 
 
-def test_it_stands_among_the_objects_without_any_detections():
+def test_an_obstacle_is_an_object_without_detections():
     image = texture()
     scene = scene_of(CAMERA, grey=image)
     _, out = step(cfg_of(image[60:95, 40:90]), ObjectsState(), scene)

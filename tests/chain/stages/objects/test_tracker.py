@@ -1,4 +1,4 @@
-"""Objects over time: motions known by construction, ids that stay, templates moved by known pixels."""
+"""Objects over time, with known motions, persistent ids, and templates moved by known pixels."""
 
 from dataclasses import astuple, replace
 
@@ -44,16 +44,16 @@ def test_approaching_at_5_metres_per_second(noise_m, steps_ns):
 
 
 @pytest.mark.parametrize("speed", [-5.0, 0.0, 0.3])
-def test_what_does_not_surely_come_nearer_has_no_time_to_impact(speed):
+def test_an_object_that_does_not_certainly_come_nearer_has_no_time_to_impact(speed):
     item, _ = drive(speed)
     assert item.closing_speed_mps == pytest.approx(speed, abs=0.3)
     assert (item.time_to_impact_s, item.time_to_impact_std_s) == (None, None)
 
 
-def test_deviations_are_those_of_many_noisy_drives():
-    """Measured with the deviation the filter assumes, errors are as large as it says (its speed may also wander)."""
+def test_standard_deviations_agree_with_the_errors_of_many_logs():
+    """With the assumed noise, errors agree with their standard deviations, which also allow for changes of speed."""
     errors, impacts = [], []
-    for seed in range(40):
+    for seed in range(20):
         follower, rng, distance = Follower(), np.random.default_rng(seed), 40.0
         for _ in range(30):
             distance -= 8.0 * STEP_NS / 1e9
@@ -74,7 +74,7 @@ def test_deviations_are_those_of_many_noisy_drives():
         ((-9.0, -8.0, -2.0, -1.0), (0.0, 0.0, 0.0, 0.0)),
     ],
 )
-def test_of_a_box_the_part_in_the_image_counts(corners, expected):
+def test_boxes_are_clipped_to_the_image(corners, expected):
     assert astuple(tracker._within(CAMERA, Box(*corners))) == expected
 
 
@@ -103,21 +103,21 @@ def test_a_jump_to_something_in_front_is_rejected():
 
 
 @pytest.mark.parametrize(("restart_s", "frames"), [(0.05, 1), (0.2, 4), (0.4, 8)])
-def test_a_jump_is_believed_when_it_has_lasted_for_restart_s(restart_s, frames):
-    """Frames of 50 ms after the jump's first one until the filtered distance jumps, too."""
+def test_a_jump_is_accepted_after_restart_s(restart_s, frames):
+    """``frames`` of 50 ms pass after the jump before the filtered distance jumps too."""
     follower = Follower(CFG.model_copy(update={"restart_s": restart_s}))
     for _ in range(20):
         follower.frame(CAR, depth_m=20.0)
-    believed = []
+    accepted = []
     for _ in range(frames + 2):
         follower.frame(CAR, depth_m=10.0)
-        believed.append(follower.state.tracks[0].distance_m.value == pytest.approx(10.0, abs=0.1))
-    assert believed == [False] * frames + [True] * 2
+        accepted.append(follower.state.tracks[0].distance_m.value == pytest.approx(10.0, abs=0.1))
+    assert accepted == [False] * frames + [True] * 2
 
 
 @pytest.mark.parametrize(("gate", "accepted"), [(CFG.gate, False), (1e4, True)])
 def test_a_jump_beyond_the_gate_is_rejected(gate, accepted):
-    """It is 14 standard deviations of the distance as it is measured and predicted."""
+    """The jump is 14 standard deviations of measurement and prediction."""
     follower = Follower(CFG.model_copy(update={"gate": gate}))
     for _ in range(20):
         follower.frame(CAR, depth_m=20.0)
@@ -133,14 +133,14 @@ def test_a_jump_beyond_the_gate_is_rejected(gate, accepted):
 
 @pytest.mark.parametrize(("min_overlap", "name"), [(0.33, "1"), (0.34, "2")])
 def test_a_box_that_overlaps_less_is_a_new_object(min_overlap, name):
-    """Moved by half its width a box shares a third of what both cover."""
+    """Moved by half its width, a box has an overlap of a third."""
     follower = Follower(CFG.model_copy(update={"min_overlap": min_overlap}))
     follower.frame(CAR)
     assert follower.frame(shifted(CAR, 20))[0].track_id == name
 
 
-def test_distances_that_jump_to_and_fro_start_nothing_new():
-    """Two cars share a box and take turns: the one that was tracked is tracked on."""
+def test_alternating_distances_do_not_restart_the_track():
+    """Two cars alternate in one box: the track of the first one continues."""
     follower = Follower()
     for _ in range(10):
         follower.frame(CAR, depth_m=20.0)
@@ -149,7 +149,7 @@ def test_distances_that_jump_to_and_fro_start_nothing_new():
         assert follower.only.closing_speed_mps == pytest.approx(0.0, abs=0.1)
 
 
-def test_crossing_boxes_keep_their_names():
+def test_crossing_boxes_keep_their_ids():
     """One drives to the right in front, the other to the left behind it; in the middle the boxes coincide."""
     follower, names = Follower(), []
     for k in range(41):
@@ -168,7 +168,7 @@ def test_crossing_boxes_keep_their_names():
     [(("Car", "Pedestrian", "Car", "Van"), ["1", "2", "1", "1"]), (("Unicorn", "Dragon", "Unicorn"), ["1", "2", "1"])],
     ids=["kinds", "labels no table knows"],
 )
-def test_only_labels_of_one_kind_share_a_name(labels, names):
+def test_only_labels_of_one_kind_share_an_id(labels, names):
     follower = Follower()
     assert [follower.frame(replace(CAR, label=label))[0].track_id for label in labels] == names
 
@@ -183,7 +183,7 @@ def test_dropped_detections_stay_as_they_are_and_are_not_tracked():
 
 
 @pytest.mark.parametrize(("missing", "name"), [(9, "1"), (10, "2")])
-def test_unseen_the_name_is_kept_for_half_a_second(missing, name):
+def test_the_id_of_an_unseen_object_is_kept_for_half_a_second(missing, name):
     follower = Follower()
     follower.frame(CAR)
     for _ in range(missing):
@@ -192,7 +192,7 @@ def test_unseen_the_name_is_kept_for_half_a_second(missing, name):
 
 
 def seen_for(frames, follower, image, *, right=0, down=0, depth_m=None, car=CAR):
-    """Detected in ``frames`` frames, moving by whole pixels; the number of frames so far."""
+    """Run ``frames`` frames in which the car is detected and moves by whole pixels; returns ``frames``."""
     for k in range(frames):
         follower.frame(shifted(car, right * k, down * k), grey=moved(image, right * k, down * k), depth_m=depth_m)
     return frames
@@ -214,7 +214,7 @@ def test_a_missed_detection_is_tracked_by_its_template(right, down):
     assert follower.state.tracks == ()
 
 
-def test_a_large_object_is_found_by_its_middle_and_little_is_remembered():
+def test_a_large_object_is_found_by_a_template_of_its_middle():
     follower, image, large = Follower(), texture(), box("Car", 40, 20, 240, 200)
     first = seen_for(4, follower, image, right=2, car=large)
     assert follower.state.tracks[0].template.grey.shape == (96, 96)
@@ -250,7 +250,7 @@ def test_a_stray_detection_is_not_tracked_by_default():
         assert len(follower.frame(grey=image)) == expected
 
 
-def test_what_the_image_does_not_show_any_more_is_not_tracked_but_keeps_its_id():
+def test_an_object_that_disappears_keeps_its_id():
     follower = Follower()
     seen_for(4, follower, texture())
     for grey in (texture(7), None, np.full(CAMERA.size, 90, np.uint8)):
@@ -267,8 +267,8 @@ def test_a_match_the_tags_contradict_is_rejected():
     assert len(follower.frame(grey=image, tags=tags_of(CAR))) == 1
 
 
-def test_what_a_detection_shows_already_is_not_said_twice():
-    """Two names on one car, one of them by a box that covers half of it: only the detected one is given."""
+def test_a_match_on_a_detected_object_is_dropped():
+    """Two ids on one car, one from a box on half of it: only the detected object is reported."""
     follower, image, half = Follower(), texture(), box("Car", 100, 80, 120, 110)
     for _ in range(4):
         follower.frame(CAR, half, grey=image, depth_m=20.0)
@@ -286,7 +286,7 @@ def test_objects_tracked_by_template_come_last_whatever_their_age():
     ]
 
 
-def test_a_missing_message_is_bridged_and_otherwise_said():
+def test_a_missing_message_is_bridged_else_it_is_a_reason():
     follower, image = Follower(), texture()
     seen_for(4, follower, image)
     absent = Absent(Reason("objects", "no_detections"))
@@ -296,14 +296,7 @@ def test_a_missing_message_is_bridged_and_otherwise_said():
     assert step(CFG, ObjectsState(), scene_of(CAMERA, grey=image, stamp_ns=STEP_NS))[1] == absent
 
 
-def test_the_search_can_be_switched_off():
-    follower, image = Follower(CFG.model_copy(update={"template_search": False})), texture()
-    seen_for(4, follower, image)
-    assert follower.state.tracks[0].template is None
-    assert follower.frame(grey=image) == ()
-
-
-def test_memory_is_bounded(monkeypatch):
+def test_the_number_of_tracks_is_bounded(monkeypatch):
     monkeypatch.setattr(tracker, "MOST_TRACKS", 5)
     follower = Follower(ObjectsConfig(hold_s=1e4))
     for k in range(30):
@@ -312,7 +305,7 @@ def test_memory_is_bounded(monkeypatch):
 
 
 def test_an_object_that_partly_lies_beyond_the_depths_range_is_tracked():
-    """Its distance has no deviation of its own."""
+    """Its distance has no standard deviation."""
     follower, depth = Follower(), np.full(CAMERA.size, LIMIT_M, np.float32)
     depth[80:82, 100:130] = FAR_M
     for _ in range(3):
