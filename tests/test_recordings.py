@@ -1,6 +1,7 @@
-"""Real recordings from dump to table, compared with known values."""
+"""Convert and replay real data sets, and compare the tables with known values."""
 
 import json
+from functools import cache
 
 import numpy as np
 import polars as pl
@@ -18,9 +19,10 @@ PUBLIC_HOUGH = ("median_px=0", "hough_rho_px=10", "hough_threshold=200", "hough_
 
 @pytest.fixture(scope="module")
 def replayed(data_dir, tmp_path_factory):
-    """Metrics and objects of a recording, converted once."""
+    """Return metrics and objects of a data set; each is converted and replayed once."""
     folder = tmp_path_factory.mktemp("recordings")
 
+    @cache
     def run(name, *arguments):
         source, target = folder / f"{name}.mcap", folder / f"{name}.out.mcap"
         if not source.exists():
@@ -100,7 +102,7 @@ def test_carla_rgbd_height_and_pitch(replayed):
 
 
 def test_the_pixel_origin_shifts_the_pitch_by_a_tenth_of_a_degree(data_dir, tmp_path, replayed):
-    """With pixel_origin "centre" the same frames look down by 0.11 degrees."""
+    """With pixel_origin "centre" the pitch of the same frames is larger by 0.11 degrees."""
     right, _ = replayed("carla_rgbd", "--frames", "20")
     dump = tmp_path / "dump"
     dump.mkdir()
@@ -116,7 +118,7 @@ def test_the_pixel_origin_shifts_the_pitch_by_a_tenth_of_a_degree(data_dir, tmp_
 
 
 def test_the_steps_of_kitti_from_one_camera_of_known_height(data_dir, tmp_path):
-    """The camera looks down by about a degree, which is not in the calibration."""
+    """The camera is pitched down by about one degree, which is not in the calibration."""
     folder, dump = data_dir / "kitti_odometry", tmp_path / "dump"
     kitti.write_dump(folder, dump)
     assert convert.main([str(dump), str(tmp_path / "in.mcap"), "--quiet"]) == 0

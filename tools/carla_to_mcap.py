@@ -1,4 +1,4 @@
-"""A CARLA dump folder to a log."""
+"""Convert a CARLA dump folder to a log."""
 
 import argparse
 import sys
@@ -31,10 +31,10 @@ _PIPED_WIDTH: Final = 140
 
 
 def convert(arguments: argparse.Namespace) -> None:
-    """Convert a dump as the arguments say; ``role`` holds pairs of a role and a path.
+    """Convert a dump; ``arguments.role`` holds pairs of a role and a path.
 
     Raises:
-        RoadpercError: the dump cannot be converted, or the log not be written.
+        RoadpercError: the dump cannot be converted, or the log cannot be written.
     """
     out = arguments.out
     require_free(out, force=arguments.force, suffix=".mcap")
@@ -64,10 +64,10 @@ def _options(arguments: argparse.Namespace) -> ConvertOptions:
 
 
 def _role_path(dump: Path, role: str, name: str) -> Path:
-    """Path of ``--role``: inside the dump, else as it stands."""
+    """Return the path of ``--role``: inside the dump, else relative to the working directory."""
     found = next((path for path in (dump / name, Path(name)) if path.exists()), None)
     if found is None:
-        raise DumpError(f"--role {role}={name}: no such file or folder, neither in {dump} nor here")
+        raise DumpError(f"--role {role}={name}: no such file or folder in {dump} or in the working directory")
     return found
 
 
@@ -78,11 +78,7 @@ def _warn(texts: Iterable[str]) -> None:
 
 
 def _write(plan: Plan, out: Path, unreadable: list[str], *, force: bool, quiet: bool) -> int:
-    """Write the log; ``unreadable`` takes the faults of files that turn out to be no frames.
-
-    Returns:
-        The number of messages.
-    """
+    """Write the log and return the number of messages; append errors of unreadable files to ``unreadable``."""
     counts: Counter[str] = Counter()
     with LogWriter(out) as log:
         for channel in channels(plan).values():
@@ -92,14 +88,14 @@ def _write(plan: Plan, out: Path, unreadable: list[str], *, force: bool, quiet: 
             counts[role] += 1
         lost = [role for role in plan.surveys if not counts[role]]
         if lost:
-            raise DumpError(f"{lost[0]}: no file can be read; {(unreadable or ['none has a frame'])[0]}")
+            raise DumpError(f"{lost[0]}: no file can be read; {(unreadable or ['no file belongs to a frame'])[0]}")
         log.describe(_description(plan))
-        require_free(out, force=force, suffix=".mcap")  # another program may have written it since
+        require_free(out, force=force, suffix=".mcap")  # another program may have written it in the meantime
     return counts.total()
 
 
 def _shown(stream: Iterable[tuple[str, Message]], plan: Plan, *, quiet: bool) -> Iterator[tuple[str, Message]]:
-    """The same messages, with a progress bar on a terminal."""
+    """Yield the messages, with a progress bar on a terminal."""
     terminal = PipeConsole(stderr=True)
     with Progress(console=terminal, disable=quiet or not terminal.is_terminal, transient=True) as bar:
         task = bar.add_task("writing", total=len(plan.stamps_ns))
@@ -109,7 +105,7 @@ def _shown(stream: Iterable[tuple[str, Message]], plan: Plan, *, quiet: bool) ->
 
 
 def _description(plan: Plan) -> Metadata:
-    """How the log was made: nothing of the machine or the user."""
+    """Return how the log was made, without data of the machine or the user."""
     encodings = {f"encoding.{role}": survey.encoding for role, survey in plan.surveys.items()}
     table = {"tag_table": plan.tag_table.name, "tag_table_known_by": plan.tag_table_source} if plan.tag_table else {}
     values = {"version": __version__, "frames": str(len(plan.frames)), "time": plan.timing, **encodings, **table}
@@ -118,7 +114,7 @@ def _description(plan: Plan) -> Metadata:
 
 
 def _console(*, quiet: bool) -> Console:
-    """Console on stdout that prints text as it is; wide where it is not a terminal."""
+    """Return a console on stdout that prints plain text; wide if it is not a terminal."""
     plain = PipeConsole(markup=False, highlight=False, emoji=False, quiet=quiet)
     if not plain.is_terminal:
         plain.width = _PIPED_WIDTH
@@ -126,21 +122,19 @@ def _console(*, quiet: bool) -> Console:
 
 
 def _print_plan(out: Console, plan: Plan) -> None:
-    """Roles, counts, sizes, encodings, time, tag table, cameras, mountings and notes."""
+    """Print roles, counts, sizes, encodings, time, tag table, cameras, mountings and notes."""
     facts = _facts(plan)
     width = max(len(name) for name, _ in facts)
-    said = (f" {name:<{width}}  {text}" for name, text in facts)
+    lines = (f" {name:<{width}}  {text}" for name, text in facts)
     notes = (f" note: {note}" for note in plan.notes)
     title = f"{plan.layout.dump}: {len(plan.frames)} frames"
-    print_lines(out, title, _sensor_table(plan), *said, *notes, unbroken=True)
+    print_lines(out, title, _sensor_table(plan), *lines, *notes, unbroken=True)
 
 
 def _sensor_table(plan: Plan) -> Table:
     table = Table(box=None, pad_edge=True, header_style="bold")
-    for name, side in (("role", "left"), ("from", "left"), ("frames", "right"), ("missing", "right")):
-        table.add_column(name, justify="right" if side == "right" else "left", no_wrap=True)
-    table.add_column("size", no_wrap=True)
-    table.add_column("encoding")
+    for name in ("role", "from", "frames", "missing", "size", "encoding"):
+        table.add_column(name, justify="right" if name in ("frames", "missing") else "left", no_wrap=name != "encoding")
     for role, survey in plan.surveys.items():
         camera, count = plan.rig.camera_of(role), sum(number in plan.stamps_ns for number in survey.sensor.files)
         size = "" if role == LIDAR else f"{camera.width}x{camera.height}"
@@ -159,13 +153,10 @@ def _facts(plan: Plan) -> list[tuple[str, str]]:
     facts += [(role.replace("_", " "), _camera(camera)) for role, camera in plan.rig.cameras.items()]
     facts += [("pixel origin", plan.pixel_origin)] if plan.pixel_origin else []
     facts.append(("mounting", _mounting(plan)))
-    truth = {
-        "poses": plan.poses,
-        "surface": plan.truth.surfaces,
-        "lanes": plan.truth.lanes,
-        "objects": plan.truth.objects,
-    }
-    counts = [f"{name} {len(entries)}" for name, entries in truth.items() if entries]
+    entries = (plan.poses, plan.truth.surfaces, plan.truth.lanes, plan.truth.objects)
+    counts = [
+        f"{name} {len(e)}" for name, e in zip(("poses", "surface", "lanes", "objects"), entries, strict=True) if e
+    ]
     return facts + ([("truth", ", ".join(counts))] if counts else [])
 
 
@@ -180,4 +171,4 @@ def _mounting(plan: Plan) -> str:
         f"{edge.parent} -> {edge.child} at {', '.join(f'{value:g}' for value in edge.parent_T_child[:3, 3].round(4))} m"
         for edge in plan.rig.transforms
     ]
-    return "; ".join(edges) or "not known"
+    return "; ".join(edges) or "unknown"

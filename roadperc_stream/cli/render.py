@@ -1,4 +1,4 @@
-"""``roadperc-render``: a drive rendered in CARLA's own file formats, with exact ground truth."""
+"""``roadperc-render``: render a scenario as a CARLA dump with exact ground truth."""
 
 import argparse
 from collections.abc import Sequence
@@ -11,13 +11,13 @@ from roadperc_stream.cli.plumbing import command_parser, image_size, parse, part
 
 _EXAMPLE: Final = """\
 example:
-  roadperc-render drive --scene bend --seconds 5 --tag-noise 0.02 --depth-noise 0.01
-  roadperc-convert drive drive.mcap
+  roadperc-render bend --scene bend --seconds 5 --tag-noise 0.02 --depth-noise 0.01
+  roadperc-convert bend bend.mcap
 
 DUMP then holds rgb/, depth/, segmentation/ and right/ (the second camera of a stereo pair, 0.5 m to the right),
-calibration.json, detections.json, poses.json, timestamps.txt, truth.json, and truth/ with the clean tags and depth
-where noise or drops degrade the others, or they are left out. With --lidar it also holds lidar/: 64 rings over 90
-degrees ahead, PLY files with CARLA's left-handed x forward, y right, z up. The same options give the same bytes.
+calibration.json, detections.json, poses.json, timestamps.txt and truth.json. With noise, drops or --without it also
+holds the clean tags and depth in truth/. With --lidar it holds lidar/: 64 rings over 90 degrees ahead, as PLY files
+with CARLA's left-handed x forward, y right, z up. The same options give the same bytes.
 """
 
 
@@ -36,7 +36,7 @@ def _parser() -> argparse.ArgumentParser:
     dump = add("dump", type=Path, metavar="DUMP", help="folder to write")
     add("--size", type=image_size, default=(defaults.width, defaults.height), metavar="WxH", help="pixels (1280x960)")
     add("--jpeg", action="store_true", help="rgb and right as JPEG")
-    add("--lidar", action="store_true", help="a lidar on the roof, 2.4 m high: its points are exact")
+    add("--lidar", action="store_true", help="add a lidar on the roof, 2.4 m high, with exact points")
     add(
         "--without",
         action="append",
@@ -47,26 +47,26 @@ def _parser() -> argparse.ArgumentParser:
     )
     add("--seed", type=int, default=defaults.seed, metavar="N", help="seed of all random numbers (0)")
     add("--force", action="store_true", help="replace an earlier dump in the folder")
-    _add_drive(parser.add_argument_group("the drive"), facts.SCENES, defaults)
+    _add_scene(parser.add_argument_group("scene"), facts.SCENES, defaults)
     _add_noise(parser.add_argument_group("noise and drops"))
-    _add_lane_changes(parser.add_argument_group("changes of lane"))
-    _add_road(parser.add_argument_group("the road"))
+    _add_lane_changes(parser.add_argument_group("lane changes"))
+    _add_road(parser.add_argument_group("road"))
     _add_camera(parser.add_argument_group("camera and pitching"), defaults)
-    _add_car_before(parser.add_argument_group("the car ahead"))
+    _add_car_ahead(parser.add_argument_group("car ahead"))
     _add_truth(parser.add_argument_group("truth"))
     completed_by(dump, files())
     return parser
 
 
-def _add_drive(group: argparse._ArgumentGroup, scenes: Sequence[str], defaults: Any) -> None:
-    meaning = "bend: radius 150 m; hill: grades to 8 %%; town (default): all of it"
+def _add_scene(group: argparse._ArgumentGroup, scenes: Sequence[str], defaults: Any) -> None:
+    meaning = "bend: radius 150 m; hill: grades up to 8 %%; town (default): bends and hills"
     group.add_argument("--scene", choices=scenes, default=defaults.scene, help=meaning)
     group.add_argument("--static", action="store_true", help="the ego car stands still; the others move")
     for name, key, metavar, text in (
-        ("--seconds", "seconds", "S", "length of the drive"),
+        ("--seconds", "seconds", "S", "length of the scenario"),
         ("--rate", "rate_hz", "HZ", "frames per second"),
         ("--speed", "speed_mps", "MPS", "metres per second along the road"),
-        ("--weave", "weave_m", "METRES", "how far the ego car weaves to either side of its lane's middle"),
+        ("--weave", "weave_m", "METRES", "lateral amplitude of the ego car about its lane's centre"),
     ):
         default = getattr(defaults, key)
         group.add_argument(name, type=float, default=default, dest=key, metavar=metavar, help=f"{text} ({default:g})")
@@ -74,28 +74,28 @@ def _add_drive(group: argparse._ArgumentGroup, scenes: Sequence[str], defaults: 
 
 def _add_noise(group: argparse._ArgumentGroup) -> None:
     for name, metavar, text in (
-        ("--tag-noise", "P", "blobs of wrong classes over a share P of the image, and wobbling borders"),
+        ("--tag-noise", "P", "blobs of wrong classes over a share P of the image, and displaced borders"),
         ("--depth-noise", "R", "relative standard deviation of the depth"),
-        ("--rgb-noise", "STD", "standard deviation of the colours, grey levels"),
-        ("--drop", "P", "probability that a sensor's file is missing; the first frame is whole"),
+        ("--rgb-noise", "STD", "standard deviation of the colours in grey levels"),
+        ("--drop", "P", "probability of a missing file of a sensor; the first frame is complete"),
     ):
         group.add_argument(name, type=float, default=0.0, metavar=metavar, help=text)
 
 
 def _add_lane_changes(group: argparse._ArgumentGroup) -> None:
-    side = "after 2 s, over 3 s; the road has another lane of the car's own direction on that side"
+    side = "change to a second lane on this side after 2 s, over 3 s"
     group.add_argument("--change-lane", choices=("left", "right"), help=side)
-    group.add_argument("--change-back", action="store_true", help="and back again after 2 s, over 3 s")
-    group.add_argument("--change-broken-off", action="store_true", help="back before the line is crossed, in all 3 s")
+    group.add_argument("--change-back", action="store_true", help="change back after 2 s, over 3 s")
+    group.add_argument("--change-broken-off", action="store_true", help="abort: return before the line, in 3 s")
 
 
 def _add_road(group: argparse._ArgumentGroup) -> None:
     turn = "a 90 degree bend of 12 m radius at a crossing without markings, on level ground (left)"
     group.add_argument("--turn", nargs="?", const="left", choices=("left", "right"), help=turn)
-    lane = "a second lane on the right does so after 4 s, over 30 m"
+    lane = "event of a second lane on the right after 4 s, over 30 m"
     group.add_argument("--lane", choices=("begins", "ends", "splits", "merges"), help=lane)
-    group.add_argument("--crossing-cars", action="store_true", help="a crossing where cars cross close ahead")
-    group.add_argument("--parked-rows", action="store_true", help="rows of parked cars without gaps, on both sides")
+    group.add_argument("--crossing-cars", action="store_true", help="add a crossing where cars cross close ahead")
+    group.add_argument("--parked-rows", action="store_true", help="add rows of parked cars on both sides")
     stretch = partial(_numbers, form="FROM,TO", example="20,50")
     for name, text in (("--worn-lines", "worn down to faded remains"), ("--missing-lines", "missing")):
         group.add_argument(name, type=stretch, metavar="FROM,TO", help=f"metres of road where markings are {text}")
@@ -112,28 +112,32 @@ def _add_camera(group: argparse._ArgumentGroup, defaults: Any) -> None:
         help="the front camera as CARLA places it: metres forward, right, up; degrees of roll, pitch up, yaw right "
         f"({','.join(f'{v:g}' for v in mount)})",
     )
-    text = "standard deviation of a pitching of the car, degrees (0)"
+    text = "standard deviation of the car's pitching, degrees (0)"
     add("--pitch-std", type=float, default=0.0, dest="pitch_std_deg", metavar="DEG", help=text)
-    add("--bumps", action="store_true", help="a speed bump every 30 m, 10 cm high")
+    add("--bumps", action="store_true", help="add a speed bump every 30 m, 10 cm high")
 
 
-def _add_car_before(group: argparse._ArgumentGroup) -> None:
-    hard = "it brakes hard after 2 s and the ego car late, so that they nearly collide"
+def _add_car_ahead(group: argparse._ArgumentGroup) -> None:
+    hard = "it brakes hard after 2 s; the ego car brakes late and nearly hits it"
     group.add_argument("--lead-brakes", action="store_true", help=hard)
-    group.add_argument("--stop-and-go", action="store_true", help="both drive, brake, stand and drive off, in a queue")
+    group.add_argument(
+        "--stop-and-go", action="store_true", help="both cars drive, brake and stand repeatedly, in a queue"
+    )
 
 
 def _add_truth(group: argparse._ArgumentGroup) -> None:
-    text = "truth.json also says what is in the path, its time to impact, and lane changes"
-    whole = "boxes of whole objects, hidden parts included, as CARLA's own 2D boxes are"
+    text = "add objects in the path, times to impact and lane changes to truth.json"
+    whole = "boxes of whole objects with hidden parts, like CARLA's 2D boxes"
     group.add_argument("--whole-boxes", action="store_true", help=f"{whole}, in truth.json and detections.json")
-    coding = "instance_segmentation/ in CARLA's coding: red the tag, green and blue the id's low and high byte"
+    coding = (
+        "write instance_segmentation/ in CARLA's coding: red is the tag, green and blue are the id (low, high byte)"
+    )
     group.add_argument("--instances", action="store_true", help=coding)
-    group.add_argument("--path-truth", action="store_true", help=f"{text}; implied by the other options of the scene")
+    group.add_argument("--path-truth", action="store_true", help=f"{text}; other options imply it")
 
 
 def _options(arguments: argparse.Namespace) -> Any:
-    """The arguments as ``tools.scene.options.RenderOptions``."""
+    """Return the arguments as ``tools.scene.options.RenderOptions``."""
     width, height = arguments.size
     own = {key: value for key, value in vars(arguments).items() if key not in ("dump", "size", "force", "without")}
     return part("tools.scene.options").RenderOptions(
@@ -142,7 +146,7 @@ def _options(arguments: argparse.Namespace) -> Any:
 
 
 def _numbers(text: str, form: str, example: str) -> tuple[float, ...]:
-    """As many numbers as the form has words."""
+    """Return the numbers of an option; ``form`` gives their count."""
     try:
         values = tuple(float(part) for part in text.split(","))
     except ValueError:

@@ -40,14 +40,16 @@ def stamps(folder):
 
 STAMPED = ("1305031102.933", "1305031102.983", "1305031103.033")
 REPORTED = {
-    "misspelled key": ({"calibration": {"rate_Hz": 10}}, 1, "no key rate_Hz; did you mean rate_hz?"),
-    "misspelled width": ({"calibration": {"widht": 64}}, 1, "no key widht; did you mean width?"),
+    "misspelled key": ({"calibration": {"rate_Hz": 10}}, 1, "unknown key rate_Hz; did you mean rate_hz?"),
+    "misspelled width": ({"calibration": {"widht": 64}}, 1, "unknown key widht; did you mean width?"),
     "misspelled key of a camera": (
-        {"calibration": {"cameras": {"depth": {"hieght": 4}}}}, 1, "no key cameras.depth.hieght; did you mean height?"
+        {"calibration": {"cameras": {"depth": {"hieght": 4}}}},
+        1,
+        "unknown key cameras.depth.hieght; did you mean height?",
     ),
-    "first size": ({"sizes": ((32, 48), (64, 48), (64, 48))}, 0, "1.png: image is 32x48, its camera 64x48"),
-    "last size": ({"sizes": ((64, 48), (64, 48), (32, 48))}, 0, "3.png: image is 32x48, its camera 64x48"),
-    "every size": ({"sizes": ((32, 48),) * 3}, 1, "image is 32x48, its camera 64x48"),
+    "first size": ({"sizes": ((32, 48), (64, 48), (64, 48))}, 0, "1.png: image is 32x48, expected 64x48 as its camera"),
+    "last size": ({"sizes": ((64, 48), (64, 48), (32, 48))}, 0, "3.png: image is 32x48, expected 64x48 as its camera"),
+    "every size": ({"sizes": ((32, 48),) * 3}, 1, "image is 32x48, expected 64x48 as its camera"),
     "counts and times": (
         {"names": ("1", "2", "1305031102.933")}, 1, "names of two kinds, such as 1 and 1305031102933000000"
     ),
@@ -119,7 +121,7 @@ def test_unused_files_with_stamps_are_reported(tmp_path):
     (folder / "rgb" / "metadata.json").write_text('{"1": {"timestamp": 5}}')
     done = convert(folder)
     assert "metadata.json is not used" in done.stdout
-    assert "rgb/metadata.json is not used: stamps are in timestamps.txt or timestamps.csv" in done.stdout
+    assert "rgb/metadata.json is not used: put stamps into timestamps.txt or timestamps.csv" in done.stdout
 
 
 @pytest.mark.promise("Dumps", "An interrupted `roadperc-render` leaves its target as it was")

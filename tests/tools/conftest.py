@@ -1,4 +1,4 @@
-"""Dumps rendered for tests."""
+"""Rendered dumps for tests."""
 
 from functools import cache
 
@@ -10,7 +10,7 @@ from tests.tools.rendered import Dump
 
 @pytest.fixture(scope="module")
 def rendered(tmp_path_factory):
-    """Renders with the options given, once."""
+    """Render a dump once for each set of options."""
 
     @cache
     def render(*options):

@@ -1,4 +1,4 @@
-"""A rendered dump, read independently of the renderer."""
+"""Read a rendered dump independently of the renderer."""
 
 import json
 from functools import lru_cache
@@ -13,7 +13,7 @@ TAG = {name: tag for tag, name in enumerate(CARLA_FROM_0_9_14.names)}
 
 
 def carla_rotation(roll, pitch, yaw):
-    """(3, 3) of angles in degrees, as carla/geom/Transform.h's GetMatrix has it."""
+    """Return (3, 3) of angles in degrees, as GetMatrix in carla/geom/Transform.h."""
     (cr, cp, cy), (sr, sp, sy) = (wave(np.radians([roll, pitch, yaw])) for wave in (np.cos, np.sin))
     return np.array(
         [
@@ -39,15 +39,15 @@ class Dump:
     def json(self, name):
         return json.loads((self.folder / f"{name}.json").read_text())
 
-    def tags(self, name, room="segmentation"):
-        return picture(self.folder / room / f"{name}.png")[..., 2]
+    def tags(self, name, folder="segmentation"):
+        return picture(self.folder / folder / f"{name}.png")[..., 2]
 
-    def depth(self, name, room="depth"):
-        b, g, r = np.moveaxis(picture(self.folder / room / f"{name}.png").astype(float), 2, 0)
+    def depth(self, name, folder="depth"):
+        b, g, r = np.moveaxis(picture(self.folder / folder / f"{name}.png").astype(float), 2, 0)
         return (r + 256 * g + 65536 * b) / (2**24 - 1) * 1000
 
-    def rgb(self, name, room="rgb"):
-        return picture(self.folder / room / f"{name}.png").astype(float)
+    def rgb(self, name, folder="rgb"):
+        return picture(self.folder / folder / f"{name}.png").astype(float)
 
     @property
     def pinhole(self):
@@ -59,21 +59,21 @@ class Dump:
         return np.meshgrid(np.arange(self.calibration["width"]), np.arange(self.calibration["height"]))
 
     def ego_points(self, name):
-        """(H, W, 3) x forward, y left, z up of every pixel, from the depth."""
+        """Return (H, W, 3) x forward, y left, z up of every pixel, from the depth."""
         f, cx, cy = self.pinhole
         u, v = self.pixels()
         z = self.depth(name)
         return np.stack((z + CAMERA_X, -(u - cx) / f * z, CAMERA_Z - (v - cy) / f * z), axis=-1)
 
     def world_points(self, name):
-        """The same in the right-handed world, by CARLA's own left-handed matrix."""
+        """Return the points in the right-handed world, by CARLA's left-handed matrix."""
         pose = self.json("poses")[name]
         left_handed = self.ego_points(name) * (1, -1, 1)
         world = left_handed @ carla_rotation(**pose["rotation"]).T + [pose["location"][a] for a in "xyz"]
         return world * (1, -1, 1)
 
     def tag_at(self, name, point, aside_m):
-        """The tag seen beside a point of the ego frame, further to its left; None where it is hidden or out of view."""
+        """Return the tag ``aside_m`` to the left of a point in the ego frame; None if hidden or out of view."""
         f, cx, cy = self.pinhole
         x, y, z = point[0] - CAMERA_X, point[1] + aside_m, point[2] - CAMERA_Z
         u, v = round(cx - f * y / x), round(cy - f * z / x)

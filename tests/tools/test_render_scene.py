@@ -1,4 +1,4 @@
-"""The rendered dump against geometry worked out here, independently of the renderer."""
+"""Compare rendered dumps with independent geometry."""
 
 from pathlib import Path
 
@@ -8,13 +8,13 @@ import pytest
 
 from roadperc_stream.cli.render import main
 from roadperc_stream.tools.scene.options import SCENES, SENSORS, RenderOptions
-from roadperc_stream.tools.scene.world import make_world
+from roadperc_stream.tools.scene.scenes import make_scene
 from tests.tools.rendered import CAMERA_X, CAMERA_Z, TAG
 
 
 @pytest.fixture
-def drive(rendered):
-    """Three frames, a second apart, of a scene."""
+def three_frames(rendered):
+    """Three frames of a scene, one second apart."""
     return lambda scene, size="320x240": rendered("--scene", scene, "--seconds", "3", "--weave", "0.5", "--size", size)
 
 
@@ -32,9 +32,9 @@ def test_flat_road_depth_is_true_to_a_millimetre(rendered):
 
 
 @pytest.mark.parametrize("scene", SCENES)
-def test_road_pixels_lie_on_the_terrain_through_the_written_pose(drive, scene):
-    dump = drive(scene)
-    terrain = make_world(RenderOptions(scene=scene), 30.0).terrain
+def test_road_pixels_lie_on_the_terrain_through_the_written_pose(three_frames, scene):
+    dump = three_frames(scene)
+    terrain = make_scene(RenderOptions(scene=scene), 30.0).terrain
     for name in dump.names:
         tags, points = dump.tags(name), dump.world_points(name)
         near = dump.depth(name) < 60
@@ -47,24 +47,9 @@ def test_road_pixels_lie_on_the_terrain_through_the_written_pose(drive, scene):
         assert np.mean(np.abs(above - 0.15) < 1e-3) > 0.5
 
 
-def test_markings_of_the_bend_lie_on_circles_about_its_centre(drive):
-    dump = drive("bend")
-    for name in dump.names:
-        points, tags = dump.world_points(name), dump.tags(name)
-        line = (tags == TAG["road_line"]) & (dump.depth(name) < 40)
-        d = 150 - np.hypot(points[line][:, 0], points[line][:, 1] - 150)
-        on_yellow = (np.abs(d) > 0.074) & (np.abs(d) < 0.226)
-        on_white = (np.abs(d) > 3.599) & (np.abs(d) < 3.751)
-        assert (on_yellow | on_white).all()
-        assert on_yellow.any()
-        assert on_white.any()
-        curb = (tags == TAG["sidewalk"]) & (dump.depth(name) < 30)
-        assert np.abs(150 - np.hypot(points[curb][:, 0], points[curb][:, 1] - 150)).min() == pytest.approx(6, abs=2e-3)
-
-
 @pytest.mark.parametrize("scene", SCENES)
-def test_lane_truth_lies_on_the_borders_of_the_tags(drive, scene):
-    dump = drive(scene, "640x480")
+def test_lane_truth_lies_on_the_borders_of_the_tags(three_frames, scene):
+    dump = three_frames(scene, "640x480")
     checked = 0
     for name in dump.names:
         for side, away in (("left", 1), ("right", -1)):
@@ -81,8 +66,8 @@ def test_lane_truth_lies_on_the_borders_of_the_tags(drive, scene):
 
 
 @pytest.mark.parametrize("scene", SCENES)
-def test_offset_heading_and_curvature_describe_the_line(drive, scene):
-    dump = drive(scene)
+def test_offset_heading_and_curvature_describe_the_line(three_frames, scene):
+    dump = three_frames(scene)
     for name in dump.names:
         for side in ("left", "right"):
             boundary = dump.truth["lanes"][name][side]
@@ -97,8 +82,8 @@ def test_offset_heading_and_curvature_describe_the_line(drive, scene):
 
 
 @pytest.mark.parametrize("scene", SCENES)
-def test_surface_truth_is_the_plane_of_the_road_pixels(drive, scene):
-    dump = drive(scene)
+def test_surface_truth_is_the_plane_of_the_road_pixels(three_frames, scene):
+    dump = three_frames(scene)
     for name in dump.names:
         surface = dump.truth["surface"][name]
         points = dump.ego_points(name)
@@ -116,8 +101,8 @@ def test_surface_truth_is_the_plane_of_the_road_pixels(drive, scene):
         assert surface["pitch"] == pytest.approx(-np.arcsin(optical[2]), abs=1e-6)
 
 
-def test_height_grid_holds_the_road_pixels(drive):
-    dump = drive("hill")
+def test_height_grid_holds_the_road_pixels(three_frames):
+    dump = three_frames("hill")
     for name in dump.names:
         grid = dump.truth["surface"][name]["height_grid"]
         z = np.array(grid["z_m"]).reshape(grid["rows"], grid["columns"])
@@ -130,8 +115,8 @@ def test_height_grid_holds_the_road_pixels(drive):
 
 
 @pytest.mark.parametrize("scene", SCENES)
-def test_right_picture_is_the_left_one_shifted_by_depth(drive, scene):
-    dump = drive(scene, "640x480")
+def test_right_picture_is_the_left_one_shifted_by_depth(three_frames, scene):
+    dump = three_frames(scene, "640x480")
     f, _, _ = dump.pinhole
     u, v = dump.pixels()
     for name in dump.names[:2]:
@@ -144,8 +129,8 @@ def test_right_picture_is_the_left_one_shifted_by_depth(drive, scene):
         assert np.percentile(unshifted, 90) > 20
 
 
-def test_objects_are_boxed_tightly_and_measured_to_their_nearest_pixel(drive):
-    dump = drive("town")
+def test_objects_are_boxed_tightly_and_measured_to_their_nearest_pixel(three_frames):
+    dump = three_frames("town")
     f, cx, cy = dump.pinhole
     u, v = dump.pixels()
     seen = 0
@@ -174,7 +159,7 @@ def test_objects_are_boxed_tightly_and_measured_to_their_nearest_pixel(drive):
 
 
 def test_closing_speed_is_the_change_of_the_distance(rendered):
-    dump = rendered("--scene", "bend", "--seconds", "1", "--rate", "20", "--size", "640x480")
+    dump = rendered("--scene", "bend", "--seconds", "1", "--rate", "20", "--size", "320x240", "--without", "right")
     objects = [{o["id"]: o for o in frame} for frame in dump.truth["objects"].values()]
     compared = 0
     for before, now, after in zip(objects, objects[1:], objects[2:], strict=False):
@@ -182,7 +167,7 @@ def test_closing_speed_is_the_change_of_the_distance(rendered):
             if not name.startswith("leader") and not name.startswith("oncoming"):
                 continue
             x0, _, x1, _ = now[name]["box_px"]
-            if x0 <= 1 or x1 >= 639 or now[name]["distance_m"] > 25:
+            if x0 <= 1 or x1 >= 319 or now[name]["distance_m"] > 25:
                 continue
             change = (before[name]["distance_m"] - after[name]["distance_m"]) / 0.1
             assert now[name]["closing_speed_mps"] == pytest.approx(change, abs=1.0)
@@ -199,10 +184,10 @@ def overlap(a, b):
 
 
 def test_detector_finds_nearly_all_and_more(rendered):
-    dump = rendered("--scene", "town", "--seconds", "4", "--rate", "10", "--size", "640x480")
+    dump = rendered("--scene", "town", "--seconds", "4", "--rate", "5", "--size", "320x240", "--without", "right")
     found = expected = right = total = 0
     for name, detections in dump.json("detections").items():
-        truth = [o for o in dump.truth["objects"][name] if o["box_px"][2] - o["box_px"][0] > 12]
+        truth = [o for o in dump.truth["objects"][name] if o["box_px"][2] - o["box_px"][0] > 6]
         for entry in truth:
             expected += 1
             found += any(
@@ -221,14 +206,14 @@ def contents(folder):
     return {p.relative_to(folder): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
-TINY = ("--seconds", "0.3", "--rate", "10", "--size", "160x120")
+TINY = ("--seconds", "0.2", "--rate", "10", "--size", "160x120")
 SPOILED = (*TINY, "--tag-noise", "0.02", "--depth-noise", "0.01", "--rgb-noise", "2")
 
 
-def test_the_same_options_give_the_same_bytes_and_another_seed_others(tmp_path):
-    for name, seed in (("a", "3"), ("b", "3"), ("c", "4")):
+def test_equal_options_give_equal_bytes_and_another_seed_others(rendered, tmp_path):
+    for name, seed in (("b", "0"), ("c", "4")):
         assert main([str(tmp_path / name), *SPOILED, "--seed", seed]) == 0
-    a, b, c = (contents(tmp_path / name) for name in "abc")
+    a, b, c = (contents(folder) for folder in (rendered(*SPOILED).folder, tmp_path / "b", tmp_path / "c"))
     assert a == b
     assert a.keys() == c.keys()
     assert a[Path("rgb/000000.png")] != c[Path("rgb/000000.png")]
@@ -248,13 +233,12 @@ def test_spoiled_pictures_have_their_clean_ones_beside_them(rendered):
 
 
 def test_drop_leaves_out_files_but_none_of_the_first_frame_nor_of_the_truth(rendered):
-    dump = rendered("--seconds", "6", "--rate", "10", "--size", "64x48", "--drop", "0.3")
+    dump = rendered("--seconds", "3", "--rate", "10", "--size", "64x48", "--drop", "0.3")
     for sensor in ("rgb", "depth", "segmentation", "right"):
         present = {path.stem for path in (dump.folder / sensor).iterdir()}
         assert "000000" in present
-        assert 0.5 < len(present) / 60 < 0.9
-    assert len(list((dump.folder / "truth" / "segmentation").iterdir())) == 60
-    assert len(list((dump.folder / "truth" / "depth").iterdir())) == 60
+        assert 0.5 < len(present) / 30 < 0.9
+    assert [len(list((dump.folder / "truth" / name).iterdir())) for name in ("segmentation", "depth")] == [30, 30]
     rgb, depth = ({p.stem for p in (dump.folder / s).iterdir()} for s in ("rgb", "depth"))
     assert rgb != depth
 
@@ -272,17 +256,7 @@ def test_files_of_a_dump(rendered):
     assert {TAG[name] for name in ("road", "road_line", "sidewalk", "building", "pole", "sky", "car")} <= seen
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        [],
-        ["x", "--scene", "moon"],
-        ["x", "--size", "big"],
-        ["x", "--mount", "1,2,3"],
-        ["x", "--missing-lines", "a,b"],
-        ["x", "--turn", "back"],
-    ],
-)
+@pytest.mark.parametrize("arguments", [[], ["x", "--size", "big"], ["x", "--mount", "1,2,3"]])
 def test_wrong_usage_is_exit_2(arguments):
     with pytest.raises(SystemExit) as stop:
         main(arguments)
@@ -307,7 +281,7 @@ def test_a_file_in_the_folders_place_is_refused(tmp_path, capsys):
 
 
 def carla_points(path):
-    """(N, 4) of a file as carla.LidarMeasurement.save_to_disk writes it."""
+    """Read (N, 4) points from a file of carla.LidarMeasurement.save_to_disk."""
     header, _, body = path.read_text().partition("end_header\n")
     points = np.array(body.split(), float).reshape(-1, 4)
     assert header.splitlines() == [
@@ -319,7 +293,7 @@ def carla_points(path):
     return points
 
 
-@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("scene", ["straight", "town"])
 def test_the_lidars_points_lie_on_what_the_depth_shows(rendered, scene):
     dump = rendered("--scene", scene, "--seconds", "0.05", "--lidar", "--size", "320x240")
     place = dump.calibration["mounting"]["lidar"]
@@ -339,7 +313,7 @@ def test_the_lidars_points_lie_on_what_the_depth_shows(rendered, scene):
     difference = ahead[seen] - depth[v[seen], u[seen]]
     assert seen.sum() > 10_000
     assert np.mean(np.abs(difference) < 0.02 * ahead[seen] + 0.02) > 0.8
-    assert np.mean(difference < -0.1 * ahead[seen]) < 0.05, "what the camera does not see lies behind what it sees"
+    assert np.mean(difference < -0.1 * ahead[seen]) < 0.05, "hidden points are behind visible ones"
 
 
 def test_sensors_left_out_leave_the_truth_and_change_no_other_file(rendered):
@@ -392,7 +366,7 @@ def test_values_out_of_range_and_options_that_exclude_each_other_are_refused(tmp
 
 
 def test_a_camera_that_sees_no_sky(tmp_path):
-    """It looks so far down that its whole view is below the horizon."""
+    """Its whole view is below the horizon."""
     mount = ("--mount", "1.5,0,1.4,0,-40,0", "--fov", "60")
     options = ("--scene", "straight", "--size", "64x48", "--seconds", "0.5", "--rate", "2", *mount)
     assert main([str(tmp_path / "dump"), *options]) == 0

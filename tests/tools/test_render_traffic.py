@@ -1,4 +1,4 @@
-"""The objects of drives that are no plain ones: in the path or not, whole or visible, with their numbers."""
+"""Objects in scenarios with traffic options: path, whole boxes, instance ids."""
 
 import shutil
 
@@ -13,7 +13,7 @@ from roadperc_stream.input import ReplaySource, open_input
 from tests.tools.rendered import TAG
 
 
-def test_the_car_before_is_in_the_path_until_the_lane_is_changed(rendered):
+def test_the_car_ahead_is_in_the_path_until_the_lane_change(rendered):
     dump = rendered("--scene", "straight", "--change-lane", "left", "--seconds", "6", "--size", "320x240")
     places = [
         next((o["in_path"], round(o["lateral_m"], 1)) for o in dump.truth["objects"][name] if o["id"] == "leader:0")
@@ -22,7 +22,7 @@ def test_the_car_before_is_in_the_path_until_the_lane_is_changed(rendered):
     assert places == [(True, 0.0)] * 4 + [(False, -3.6)] * 2
 
 
-def test_cars_cross_before_the_ego_car_and_are_in_its_path(rendered):
+def test_crossing_cars_are_in_the_path(rendered):
     dump = rendered("--scene", "straight", "--crossing-cars", "--seconds", "4", "--rate", "5", "--weave", "0")
     across = [o for frame in dump.truth["objects"].values() for o in frame if o["id"].startswith("across")]
     sides = {np.sign(o["lateral_m"]) for o in across if abs(o["lateral_m"]) > 3}
@@ -101,7 +101,7 @@ def test_instance_masks_go_through_the_log_to_the_frame(rendered, tmp_path):
         np.testing.assert_array_equal(ids, picture[..., 1] + 256 * picture[..., 0].astype(int))
 
 
-def test_instance_masks_that_are_no_colours_are_refused(rendered, tmp_path, capsys):
+def test_grey_instance_masks_are_refused(rendered, tmp_path, capsys):
     dump = rendered("--instances", "--seconds", "2")
     shutil.copytree(dump.folder, tmp_path / "dump")
     grey = np.zeros((120, 160), np.uint8)

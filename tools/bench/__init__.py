@@ -1,1 +1,1 @@
-"""Speed, measured as ratios within one run."""
+"""Benchmarks; speed is measured as ratios within one run."""

@@ -1,7 +1,7 @@
-"""How fast a replay is: beside the course's method, beside what it cannot avoid, and part by part.
+"""Measure the speed of replays against the course method and the floor, and the time of each part.
 
-Run it with ``make bench`` or ``python -m roadperc_stream.tools.bench FOLDER``. Its input is rendered into the folder
-once. Every run is a separate process; all of them take turns, round after round.
+Run ``make bench`` or ``python -m roadperc_stream.tools.bench FOLDER``. The input is rendered into the folder once.
+Each run is a separate process. In each round all jobs run once.
 """
 
 import argparse
@@ -31,19 +31,22 @@ from .figures import (
 )
 from .inputs import BenchLog, add_input_arguments, logs_of
 from .long import long_figures
-from .replays import cost_of, replay_cost, replay_words, start_cost
+from .replays import cost_of, replay_command, replay_cost, start_cost
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Measure and print."""
+    """Run the benchmark and return the exit code."""
     parser = argparse.ArgumentParser(prog="python -m roadperc_stream.tools.bench", description=__doc__)
     add_input_arguments(parser)
     parser.add_argument(
-        "--course-frames", type=whole_number, default=10, metavar="N", help="of the course's method (10)"
+        "--course-frames", type=whole_number, default=10, metavar="N", help="frames for the course method (10)"
     )
-    parser.add_argument("--rounds", type=whole_number, default=3, metavar="N", help="runs of each (3)")
+    parser.add_argument("--rounds", type=whole_number, default=3, metavar="N", help="runs of each job (3)")
     parser.add_argument(
-        "--long-frames", type=whole_number, metavar="N", help="measure what may not grow with a log of N frames instead"
+        "--long-frames",
+        type=whole_number,
+        metavar="N",
+        help="measure memory and encoding over a log of N frames instead",
     )
     arguments = parser.parse_args(argv)
     return run(lambda: _long(arguments) if arguments.long_frames else _bench(arguments))
@@ -68,10 +71,10 @@ def _long(arguments: argparse.Namespace) -> None:
 
 
 def _jobs(folder: Path, logs: dict[str, BenchLog], course_frames: int) -> dict[str, Measure]:
-    """In an order that puts beside each other what is compared; the floor needs a replay's results."""
+    """Return the jobs by name; compared jobs follow each other, and a floor reads the result of the replay before."""
     jobs: dict[str, Measure] = {
         BARE: partial(start_cost, BARE, [sys.executable, "-P", "-c", BARE]),
-        HELP: partial(start_cost, HELP, replay_words("--help")),
+        HELP: partial(start_cost, HELP, replay_command("--help")),
     }
     for name in LOGS:
         log, out = logs[name], folder / f"{name}-result.mcap"

@@ -1,12 +1,12 @@
-"""What became slower since a commit, and what faster: replays of the two in turn, with intervals.
+"""Compare the speed with an earlier commit: alternating replays of both versions, ratios with confidence intervals.
 
-Run it with ``make bench-compare BASE=<commit>`` or ``python -m roadperc_stream.tools.bench.compare FOLDER BASE``. The
-exit code is 1 where something is surely slower by more than a share.
+Run ``make bench-compare BASE=<commit>`` or ``python -m roadperc_stream.tools.bench.compare FOLDER BASE``. The exit code
+is 1 if a quantity is slower by more than a share with the given confidence.
 
-The ratios of the rounds, as logarithms, scatter around the ratio that is sought; disturbances of the machine make a
-few of them large. Hodges and Lehmann's estimate is the median of the means of all pairs of them (Walsh averages), and
-the interval lies between two of those means, by the distribution of Wilcoxon's signed ranks: exact for every symmetric
-scatter. Source: Hollander, Wolfe and Chicken, Nonparametric Statistical Methods, 3.
+The logarithms of the rounds' ratios scatter around the true ratio, with a few large outliers. The estimate of Hodges
+and Lehmann is the median of all pairwise means (Walsh averages). The interval lies between two of these means, by the
+distribution of Wilcoxon's signed ranks. It is exact for symmetric scatter.
+Source: Hollander, Wolfe and Chicken, Nonparametric Statistical Methods, 3.
 """
 
 import argparse
@@ -34,32 +34,29 @@ Verdict = Literal["slower", "faster", "no difference shown"]
 
 @dataclass(frozen=True)
 class Ratio:
-    """New over base: the estimate, and the interval that holds it with the confidence asked for."""
+    """New over base: the estimate and its confidence interval."""
 
     middle: float
     low: float
     high: float
 
     def verdict(self, share: float) -> "Verdict":
-        """Slower where that is sure to be more than a share, faster where it is sure at all."""
+        """Return "slower" if the interval is above 1 + share, "faster" if it is below 1."""
         if self.low > 1 + share:
             return "slower"
         return "faster" if self.high < 1 else "no difference shown"
 
 
 def ratio_of(base: Sequence[float], new: Sequence[float], confidence: float) -> Ratio:
-    """The ratio of two versions' times.
+    """Return the ratio of two versions' times, positive values of the same rounds.
 
-    Args:
-        base: positive, one a round.
-        new: of the same rounds.
-        confidence: such as 0.99; where too few rounds can give it, the interval is unbounded.
+    The interval is unbounded if the rounds are too few for the confidence, such as 0.99.
     """
     logs = np.log(np.asarray(new, float) / np.asarray(base, float))
     first, second = np.triu_indices(len(logs))
     averages = np.sort((logs[first] + logs[second]) / 2)
     below = np.cumsum(signed_rank_probabilities(len(logs)))
-    # The interval leaves out ``beyond - 1`` of the sorted averages at either end.
+    # The interval excludes ``beyond - 1`` sorted averages at each end.
     beyond = int(np.searchsorted(below, (1 - confidence) / 2, side="right"))
     if not beyond:
         return Ratio(float(np.exp(np.median(averages))), 0.0, np.inf)
@@ -68,7 +65,7 @@ def ratio_of(base: Sequence[float], new: Sequence[float], confidence: float) -> 
 
 
 def signed_rank_probabilities(count: int) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """Probability of each sum of ranks, 0 to n (n + 1) / 2, where each of 1 to n counts or not with equal chance."""
+    """Return the probability of each sum of ranks 0 to n (n + 1) / 2, with each of the ranks 1 to n in it or not."""
     ways = np.ones(1)
     for rank in range(1, count + 1):
         ways = np.pad(ways, (0, rank)) + np.pad(ways, (rank, 0))
@@ -82,17 +79,17 @@ _WHOLE: Final = {
     "first frame/cpu": "start, with the first frame",
     "peak_mb": "peak memory, MB",
 }
-"""Quantities beside the parts, and what they are called."""
+"""Titles of the quantities other than parts."""
 _PART: Final = "part/"
 _SMALL: Final = 0.01
-"""Of a frame's time: a part of less has no verdict."""
+"""Share of a frame's time; smaller parts have no verdict."""
 
 
 @dataclass(frozen=True)
 class Compared:
-    """A quantity of both versions, ms of a frame where its name says nothing else.
+    """A quantity of both versions, in ms per frame unless its name says otherwise.
 
-    ``ratio`` and ``verdict`` are None where one of them lacks it; what is too small to matter has no verdict.
+    ``ratio`` and ``verdict`` are None if a version lacks the quantity. Small parts have no verdict.
     """
 
     log: str
@@ -104,17 +101,19 @@ class Compared:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Measure both and print; 0 nothing is slower, 1 something is, or cannot be measured."""
+    """Run the comparison; return 0, or 1 if a quantity is slower or an error occurs."""
     parser = argparse.ArgumentParser(prog="python -m roadperc_stream.tools.bench.compare", description=__doc__)
     add_input_arguments(parser)
     parser.add_argument("base", metavar="BASE", help="a commit of this project")
     parser.add_argument(
         "--logs", type=_logs, default=("png", "stereo"), metavar="NAMES", help="some of png,jpeg,stereo,truth"
     )
-    parser.add_argument("--rounds", type=whole_number, default=10, metavar="N", help="runs of each; 8 or more (10)")
-    parser.add_argument("--threads", type=whole_number, default=1, metavar="N", help="of both (1)")
-    parser.add_argument("--share", type=float, default=0.03, help="by which something must be slower (0.03)")
-    parser.add_argument("--confidence", type=float, default=0.99, help="of the intervals (0.99)")
+    parser.add_argument(
+        "--rounds", type=whole_number, default=10, metavar="N", help="runs of each job, at least 8 (10)"
+    )
+    parser.add_argument("--threads", type=whole_number, default=1, metavar="N", help="threads of both versions (1)")
+    parser.add_argument("--share", type=float, default=0.03, help="smallest slowdown that counts (0.03)")
+    parser.add_argument("--confidence", type=float, default=0.99, help="confidence of the intervals (0.99)")
     arguments = parser.parse_args(argv)
     return run(lambda: _compare(arguments))
 
@@ -141,7 +140,7 @@ def _compare(arguments: argparse.Namespace) -> None:
 
 
 def _jobs(folder: Path, logs: list[BenchLog], base: Path, threads: int) -> dict[str, Measure]:
-    """Both versions of a log one after the other."""
+    """Return the jobs by name; the two versions of a log follow each other."""
     return {
         (job := f"{version} {log.name}"): partial(
             replay_cost, job, log, folder / f"compared-{version}.mcap", threads, package
@@ -152,7 +151,7 @@ def _jobs(folder: Path, logs: list[BenchLog], base: Path, threads: int) -> dict[
 
 
 def compared(series: Series, log: str, share: float, confidence: float) -> list[Compared]:
-    """Every quantity that either version has for a log, totals first."""
+    """Return all quantities of a log that a version has, totals first."""
     names = dict.fromkeys(_WHOLE)
     for version in (BASE, NEW):
         start = f"{version} {log}/{_PART}"
@@ -171,14 +170,14 @@ def _compared(series: Series, log: str, name: str, share: float, confidence: flo
 
 
 def require_no_slower(rows: list[Compared], base: str, share: float) -> None:
-    """Check that nothing is slower.
+    """Check the verdicts.
 
     Raises:
-        RegressionError: something surely is, by more than the share.
+        RegressionError: a quantity is slower by more than the share.
     """
     slower = [f"{row.log}: {row.name}" for row in rows if row.verdict == "slower"]
     if slower:
-        raise RegressionError(f"surely slower than {base} by more than {share:.0%}: {', '.join(slower)}")
+        raise RegressionError(f"slower than {base} by more than {share:.0%}: {', '.join(slower)}")
 
 
 def _table(log: str, rows: list[Compared]) -> str:

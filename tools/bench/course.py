@@ -1,10 +1,9 @@
-"""The method of the course *Visual Perception for Self-Driving Cars*, plainly: what the chain's time is compared with.
+"""The method of the course *Visual Perception for Self-Driving Cars* (University of Toronto, Coursera), for comparison.
 
-The course (University of Toronto, Coursera) asks for the drivable surface by RANSAC on the depth's road points, lane
-lines by Canny and Hough on the segmentation, the distance of detections that the segmentation confirms, in its second
-part for the camera's motion by matched features and perspective from n points, in its first for depth from a pair.
-This is written as its public solutions are, with whole arrays where an ordinary engineer uses them, and with the lane
-stage's and the surface's thresholds of this project, so that both find the same. It shares no code with the chain.
+Its steps: drivable surface by RANSAC on road points, lane lines by Canny and Hough on the segmentation, distances of
+detections that the segmentation confirms, motion by matched features and perspective from n points, stereo depth.
+The code follows the public solutions, with array operations where they are usual. The thresholds of lanes and surface
+are those of this project, so that the results agree. It shares no code with the chain.
 """
 
 import io
@@ -35,7 +34,7 @@ TAG_OF_LABEL: Final = {"Car": 14, "Pedestrian": 12, "Truck": 15, "Bicycle": 19}
 RANSAC_ITERATIONS, INLIER_M, DRIVABLE_M = 30, 0.05, 0.15
 FARTHEST_ROAD_M, FARTHEST_M = 60.0, 65.5
 FULL_ROWS = 960
-"""Of an image to which lengths in pixels apply; they shrink with it."""
+"""Image height for the lengths in pixels; other heights scale them."""
 MIN_SLOPE, MERGE_SLOPE, MERGE_INTERCEPT_PX = 0.3, 0.1, 40.0
 MIN_CLASS_RATIO = 0.3
 MATCH_RATIO = 0.7
@@ -43,7 +42,7 @@ MATCH_RATIO = 0.7
 
 @dataclass(frozen=True)
 class CourseFrame:
-    """Decoded images of a frame: colour, metres, tags, boxes; of a pair's right camera too."""
+    """Decoded inputs of a frame: colour, metres, tags, boxes, and the right image of a stereo pair."""
 
     image: Array
     depth_m: Array
@@ -53,7 +52,7 @@ class CourseFrame:
 
 
 def read_messages(path: Path) -> Iterator[dict[str, bytes]]:
-    """The messages of each frame by topic; the first one has the calibration as well."""
+    """Yield the messages of each frame by topic; the first frame includes the calibration."""
     with path.open("rb") as stream:
         of_frame: dict[str, bytes] = {}
         stamp = None
@@ -68,12 +67,12 @@ def read_messages(path: Path) -> Iterator[dict[str, bytes]]:
 
 
 def intrinsics(messages: dict[str, bytes]) -> Array:
-    """(3, 3) K of the front camera."""
+    """Return (3, 3) K of the front camera."""
     return np.array(CameraCalibration.FromString(messages[f"{FRONT}/calibration"]).K).reshape(3, 3)
 
 
 def decode(messages: dict[str, bytes]) -> CourseFrame:
-    """Pixels of a frame's messages."""
+    """Decode a frame's messages."""
     image = _colour(messages[f"{FRONT}/image"])
     height, width = image.shape[:2]
     # The pixels of a raw ROS image are its last bytes.
@@ -97,13 +96,13 @@ def _colour(message: bytes) -> Array:
 
 @dataclass
 class Times:
-    """Milliseconds of a processor that each part took."""
+    """CPU time of each part in milliseconds."""
 
     ms: dict[str, float] = field(default_factory=dict)
 
     @contextmanager
     def __call__(self, part: str) -> Iterator[None]:
-        """Add what happens inside to a part."""
+        """Add the CPU time of a block to a part."""
         started = process_time()
         yield
         self.ms[part] = self.ms.get(part, 0.0) + (process_time() - started) * 1000
@@ -111,7 +110,7 @@ class Times:
 
 @dataclass(frozen=True)
 class CourseResult:
-    """What the method finds in a frame.
+    """The results of the method in a frame.
 
     ``plane`` is (a, b, c, d) with a x + b y + c z + d = 0 in metres, ``drivable`` (H, W), ``lines`` (N, 2) slope and
     intercept of y = slope x + intercept in pixels, ``motion`` (4, 4) this_T_before.
@@ -125,13 +124,13 @@ class CourseResult:
 
 
 def unproject(depth_m: Array, K: Array) -> Array:
-    """(3, H, W) x, y, z of every pixel, metres."""
+    """Return (3, H, W) x, y, z of every pixel, metres."""
     u, v = np.meshgrid(np.arange(depth_m.shape[1]), np.arange(depth_m.shape[0]))
     return np.stack(((u - K[0, 2]) * depth_m / K[0, 0], (v - K[1, 2]) * depth_m / K[1, 1], depth_m))
 
 
 def plane_of(xyz: Array) -> Array:
-    """(a, b, c, d) of the plane through (3, N) points by least squares, as the course gives it."""
+    """Return (a, b, c, d) of the least-squares plane through (3, N) points, as in the course."""
     centre = xyz.mean(axis=1)
     centred = xyz - centre[:, np.newaxis]
     normal = np.linalg.svd(centred @ centred.T)[0][:, -1]
@@ -139,12 +138,12 @@ def plane_of(xyz: Array) -> Array:
 
 
 def distances(plane: Array, xyz: Array) -> Array:
-    """Distances of (3, N) points to a plane, metres."""
+    """Return the distances of (3, N) points to a plane, metres."""
     return np.asarray(np.abs(plane[:3] @ xyz + plane[3]))
 
 
 def ransac_plane(xyz: Array, rng: np.random.Generator) -> Array:
-    """The plane that most of (3, N) points lie on, fitted to those that do."""
+    """Return the plane with most inliers among (3, N) points, fitted to the inliers."""
     best: Array = np.zeros(xyz.shape[1], bool)
     for _ in range(RANSAC_ITERATIONS):
         chosen = rng.integers(xyz.shape[1], size=3)
@@ -155,7 +154,7 @@ def ransac_plane(xyz: Array, rng: np.random.Generator) -> Array:
 
 
 def lane_lines(tags: Array) -> Array:
-    """(N, 2) slope and intercept of the lane lines, merged."""
+    """Return (N, 2) slope and intercept of the merged lane lines."""
     scale = tags.shape[0] / FULL_ROWS
     mask = np.where((tags == ROAD_LINE) | (tags == SIDEWALK), 255, 0).astype(np.uint8)
     edges = cv2.Canny(cv2.medianBlur(mask, round(5 * scale) | 1), 100, 150)
@@ -172,7 +171,7 @@ def lane_lines(tags: Array) -> Array:
 
 
 def merged(slopes: Array, intercepts: Array, reach_px: float) -> Array:
-    """Means of the lines that have nearly the slope and intercept of the first one of their group."""
+    """Return the means of groups of lines; a group has nearly the slope and intercept of its first line."""
     groups: list[list[tuple[float, float]]] = []
     for slope, intercept in zip(slopes, intercepts, strict=True):
         for group in groups:
@@ -185,7 +184,7 @@ def merged(slopes: Array, intercepts: Array, reach_px: float) -> Array:
 
 
 def object_distances(frame: CourseFrame, xyz: Array) -> list[float]:
-    """Distance of the nearest of (3, H, W) points in each box of which the segmentation confirms the class."""
+    """Return the distance of the nearest of (3, H, W) points in each box whose class the segmentation confirms."""
     found = []
     for label, (x0, y0, x1, y1) in frame.detections:
         tags = frame.tags[max(y0, 0) : y1, max(x0, 0) : x1]
@@ -195,7 +194,7 @@ def object_distances(frame: CourseFrame, xyz: Array) -> list[float]:
 
 
 class VisualOdometry:
-    """The camera's motion from image to image: SIFT, FLANN with the ratio test, perspective from n points."""
+    """Motion of the camera between images: SIFT, FLANN with ratio test, perspective from n points."""
 
     def __init__(self, K: Array) -> None:
         self._K = K
@@ -204,7 +203,7 @@ class VisualOdometry:
         self._before: tuple[Array, Any, Array] | None = None
 
     def step(self, image: Array, depth_m: Array) -> Array | None:
-        """(4, 4) this_T_before; None at the first image, or where too little is found again."""
+        """Return (4, 4) this_T_before; None at the first image, or with too few matches."""
         keypoints, descriptors = self._sift.detectAndCompute(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), None)
         px = np.array([point.pt for point in keypoints]).reshape(-1, 2)
         before, self._before = self._before, (px, descriptors, depth_m)
@@ -232,7 +231,7 @@ class VisualOdometry:
 
 
 def stereo_depth(left: Array, right: Array, focal_px: float, baseline_m: float) -> Array:
-    """(H, W) metres by semi-global matching of the colour images at full size."""
+    """Return (H, W) metres by semi-global matching of the colour images at full size."""
     block = 5
     matcher = cv2.StereoSGBM.create(
         minDisparity=0,
@@ -248,7 +247,7 @@ def stereo_depth(left: Array, right: Array, focal_px: float, baseline_m: float) 
 
 
 class Course:
-    """The method with what it remembers."""
+    """The method and its state."""
 
     def __init__(self, messages: dict[str, bytes], times: Times) -> None:
         self._K, self._times = intrinsics(messages), times
@@ -260,7 +259,7 @@ class Course:
             self._baseline_m = -P[3] / P[0]
 
     def step(self, messages: dict[str, bytes]) -> CourseResult:
-        """Everything of one frame, from its messages on."""
+        """Process the messages of one frame."""
         timed = self._times
         with timed("decode"):
             frame = decode(messages)
@@ -282,7 +281,7 @@ class Course:
 
 
 def measure(log: str | Path, frames: int) -> dict[str, float]:
-    """Milliseconds a frame of a log behind the first one: ``cpu``, ``wall``, and the processor's of each part."""
+    """Return ms per frame of a log after its first frame: ``cpu``, ``wall``, and CPU time of each part."""
     stream = read_messages(Path(log))
     first = next(stream)
     times = Times()

@@ -1,4 +1,4 @@
-"""Measurements in turn, the figures they give beside those wanted, and both as tables and as JSON."""
+"""Run measurements in rounds, compute figures with their limits, and write both as tables and JSON."""
 
 import json
 import os
@@ -19,15 +19,12 @@ from roadperc_stream.system.text import print_line
 
 from .inputs import WARM_UP
 
-_REPEATS: Final = 8
-_SIDE: Final = 512
-
 
 def control() -> float:
-    """Milliseconds of a processor that the work takes: packing, filtering and plain Python, a quarter of a second."""
-    pixels = np.random.default_rng(0).integers(0, 32, (_SIDE, _SIDE), np.uint8)
+    """Return the CPU time in ms of a fixed workload: compression, filtering and Python code, about 250 ms."""
+    pixels = np.random.default_rng(0).integers(0, 32, (512, 512), np.uint8)
     started = process_time()
-    for _ in range(_REPEATS):
+    for _ in range(8):
         zlib.compress(cv2.GaussianBlur(pixels, (9, 9), 2.0).tobytes(), 6)
         sum(index * index for index in range(100_000))
     return (process_time() - started) * 1000
@@ -35,22 +32,16 @@ def control() -> float:
 
 CONTROL = "control"
 Series = dict[str, list[float]]
-"""A value a round of each quantity, such as ``replay png, 1 thread/cpu``."""
-
-
+"""One value per round for each quantity, such as ``replay png, one thread/cpu``."""
 Measure = Callable[[], dict[str, float]]
-"""Gives quantities by name, milliseconds a frame where the name says nothing else."""
+"""Returns quantities by name, in ms per frame unless the name says otherwise."""
 
 
 def measured(jobs: Mapping[str, Measure], rounds: int) -> Series:
-    """Run all jobs in turn, again and again, with the control before each of them.
-
-    Args:
-        jobs: what is measured, by name, in this order.
-        rounds: how often.
+    """Run all jobs in order, once per round, with the control before each job.
 
     Returns:
-        The values of each quantity, one a round; those of the control one a job.
+        The values of each quantity, one per round; the control has one value per job and round.
     """
     series: Series = {}
     for index in range(rounds):
@@ -62,27 +53,22 @@ def measured(jobs: Mapping[str, Measure], rounds: int) -> Series:
     return series
 
 
-def middle(series: Series, quantity: str) -> float | None:
-    """The median over the rounds; None of what was not measured."""
-    return median(series[quantity]) if quantity in series else None
-
-
 def parts_of(series: Series, job: str) -> dict[str, float]:
-    """Medians of a job's parts by name."""
+    """Return the medians of a job's parts by name."""
     start = f"{job}/part/"
     return {name.removeprefix(start): median(values) for name, values in series.items() if name.startswith(start)}
 
 
 ONE, ALL = "one thread", "all threads"
 COMPARED: Final = ("png", "jpeg", "stereo")
-"""Logs that the course's method is run on, and whose floor is measured."""
+"""Logs for the course method and the floor."""
 LOGS: Final = (*COMPARED, "truth")
 BARE, HELP = "import numpy, cv2", "--help"
 
 
 @dataclass(frozen=True)
 class SpeedFigure:
-    """A figure beside what is wanted of it: no more than ``most``, no less than ``least``."""
+    """A figure with its limits ``least`` and ``most``."""
 
     name: str
     value: float
@@ -91,63 +77,59 @@ class SpeedFigure:
 
     @property
     def met(self) -> bool | None:
-        """Whether it is as wanted; None where nothing is."""
+        """Return True if the figure is within its limits; None without limits."""
         if self.least is None and self.most is None:
             return None
         return (self.least is None or self.value >= self.least) and (self.most is None or self.value <= self.most)
 
     @property
     def wanted(self) -> str:
-        """What is wanted, as a text."""
+        """Return the limits as text."""
         bounds = (("≥", self.least), ("≤", self.most))
-        return ", ".join(f"{word} {bound:g}" for word, bound in bounds if bound is not None)
+        return ", ".join(f"{sign} {bound:g}" for sign, bound in bounds if bound is not None)
 
 
 def replay_name(log: str, threads: str) -> str:
-    """The job of replaying a log; those of the course's method and of the floor are ``course LOG``, ``floor LOG``."""
+    """Return the name of a replay job; the other jobs are ``course LOG`` and ``floor LOG``."""
     return f"replay {log}, {threads}"
 
 
 def figures(series: Series) -> list[SpeedFigure]:
-    """Every figure that the series show, medians of the rounds; of a ratio those of the same round."""
+    """Return all figures of the series: medians over the rounds, of ratios within a round."""
     png, speeds = replay_name("png", ONE), {"png": 7.0, "jpeg": 9.0, "stereo": 5.0}
     clocks = [("cpu", ONE, log, least) for log, least in speeds.items()]
     clocks += [("wall", ALL, log, least) for log, least in {"png": 10.0, "jpeg": 12.0}.items()]
-    asked: list[tuple[str, str, str | None, float | None, float | None]] = [
-        (
-            f"{log}: times the course's method, {clock}, {threads}",
-            f"course {log}/{clock}",
-            f"{replay_name(log, threads)}/{clock}",
-            least,
-            None,
-        )
-        for clock, threads, log, least in clocks
+    rows: list[tuple[str, str, str | None, float | None, float | None]] = []
+    for clock, threads, log, least in clocks:
+        name, over = f"{log}: course method over replay, {clock}, {threads}", f"{replay_name(log, threads)}/{clock}"
+        rows.append((name, f"course {log}/{clock}", over, least, None))
+    rows += [
+        (f"replay over floor, {log}", f"{replay_name(log, ONE)}/cpu", f"floor {log}/cpu", None, 1.5) for log in COMPARED
     ]
-    asked += [(f"gate, {log}", f"{replay_name(log, ONE)}/cpu", f"floor {log}/cpu", None, 1.5) for log in COMPARED]
-    asked += [
+    rows += [
         ("objects: p95 over median", f"{png}/objects p95 over median", None, None, 4.0),
-        ("parts over their total", f"{png}/parts over total", None, 0.97, 1.03),
-        ("frames' totals over the replay's cpu", f"{png}/part/total", f"{png}/cpu", None, None),
+        ("sum of parts over total", f"{png}/parts over total", None, 0.97, 1.03),
+        ("total of frames over cpu of replay", f"{png}/part/total", f"{png}/cpu", None, None),
         ("peak memory with stereo, MB", f"{replay_name('stereo', ONE)}/peak_mb", None, None, 500.0),
     ]
     for start, quantity, most in (("--help", HELP, 1.7), ("first frame", f"{png}/first frame", 6.0)):
-        asked += [
-            (f"{start} over {BARE}, {clock}", f"{quantity}/{clock}", f"{BARE}/{clock}", None, most)
-            for clock in ("cpu", "wall")
-        ]
-    found = ((name, _median_of(series, above, below), least, most) for name, above, below, least, most in asked)
+        for clock in ("cpu", "wall"):
+            rows.append((f"{start} over {BARE}, {clock}", f"{quantity}/{clock}", f"{BARE}/{clock}", None, most))
+    found = ((name, median_of(series, above, below), least, most) for name, above, below, least, most in rows)
     return [SpeedFigure(name, value, least, most) for name, value, least, most in found if value is not None]
 
 
-def _median_of(series: Series, quantity: str, over: str | None) -> float | None:
-    """Median of a quantity, or of its ratio to another; None where one was not measured."""
-    if over is None or quantity not in series or over not in series:
-        return middle(series, quantity) if over is None else None
+def median_of(series: Series, quantity: str, over: str | None = None) -> float | None:
+    """Return the median of a quantity, or of its ratio to another; None if one was not measured."""
+    if quantity not in series or (over is not None and over not in series):
+        return None
+    if over is None:
+        return median(series[quantity])
     return median(a / b for a, b in zip(series[quantity], series[over], strict=True))
 
 
 def noise(series: Series) -> float:
-    """How far the slowest run of the control lies above its fastest one, as a share of their median."""
+    """Return the range of the control's times as a share of their median."""
     values = series[CONTROL]
     return (max(values) - min(values)) / median(values)
 
@@ -156,32 +138,32 @@ _MET: Final = {None: "", True: "met", False: "missed"}
 
 
 def tables(series: Series, found: Sequence[SpeedFigure]) -> list[str]:
-    """Times of each run, of each part, and what is wanted, with the machine's noise."""
+    """Return the times of runs and parts, the figures, and the noise of the machine."""
     control = series[CONTROL]
     return [
         _runs(series),
         _parts(series, "a replay with one thread", {name: replay_name(name, ONE) for name in LOGS}),
-        _parts(series, "the course's method", {name: f"course {name}" for name in COMPARED}),
+        _parts(series, "the course method", {name: f"course {name}" for name in COMPARED}),
         _parts(series, "the floor", {name: f"floor {name}" for name in COMPARED}),
         figures_table(found),
-        f"The same work between all runs took {median(control):.0f} ms of a processor, {min(control):.0f} to "
-        f"{max(control):.0f}: noise of {noise(series):.0%}.",
+        f"Control workload: {median(control):.0f} ms of CPU time, {min(control):.0f} to {max(control):.0f}: noise of "
+        f"{noise(series):.0%}.",
     ]
 
 
 def markdown(headers: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table in Markdown: docs/performance.md takes it as it is."""
+    """Return a table in Markdown, as in docs/performance.md."""
     lines = (headers, ("---", *("---:" for _ in headers[1:])), *rows)
     return "\n".join(f"| {' | '.join(cells)} |" for cells in lines) + "\n"
 
 
 def cell(value: float | None, decimals: int = 1) -> str:
-    """A number in a table; empty for None."""
+    """Return a number for a table, empty for None."""
     return "" if value is None else f"{value:.{decimals}f}"
 
 
 def figures_table(found: Sequence[SpeedFigure]) -> str:
-    """A row a figure."""
+    """Return a table with one row per figure."""
     rows = ((item.name, f"{item.value:.2f}", _MET[item.met], item.wanted) for item in found)
     return markdown(("figure", "measured", "", "wanted"), rows)
 
@@ -190,15 +172,17 @@ def _runs(series: Series) -> str:
     names = dict.fromkeys(key.split("/")[0] for key in series if key != CONTROL)
     quantities = {"cpu": 1, "wall": 1, "peak_mb": 0, "first frame/wall": 0}
     rows = (
-        (name, *(cell(middle(series, f"{name}/{key}"), decimals) for key, decimals in quantities.items()))
+        (name, *(cell(median_of(series, f"{name}/{key}"), decimals) for key, decimals in quantities.items()))
         for name in names
     )
-    note = f"Medians of the rounds; of a log a frame, without the start: what its first {WARM_UP} frames alone take."
+    note = (
+        f"Medians of the rounds, for logs per frame without the start (the time of the first {WARM_UP} frames alone)."
+    )
     return markdown(("run", "cpu ms", "wall ms", "peak MB", "first frame ms"), rows) + f"\n{note}\n"
 
 
 def _parts(series: Series, title: str, jobs: dict[str, str]) -> str:
-    """A column a log, a row a part, the parts' sum last where nothing gives a total."""
+    """Return a table with a column per log and a row per part; the last row is the total or the sum."""
     columns = {log: parts for log, job in jobs.items() if (parts := parts_of(series, job))}
     names = dict.fromkeys(name for parts in columns.values() for name in parts)
     if "total" not in names:
@@ -209,7 +193,7 @@ def _parts(series: Series, title: str, jobs: dict[str, str]) -> str:
 
 
 def write_json(path: Path, series: Series, found: Sequence[SpeedFigure], about: dict[str, Any]) -> None:
-    """All of it for programs: the figures, and the values of each quantity, one a round."""
+    """Write the figures, and the values of each quantity, as JSON."""
     versions = {"python": platform.python_version(), "numpy": np.__version__, "opencv": cv2.__version__}
     content = {
         "version": __version__,

@@ -1,8 +1,8 @@
-"""What no replay of a log can do without, by calls of the libraries alone: the floor its time is compared with.
+"""The floor: the time of the library calls that no replay of a log can avoid.
 
-Inflating what is compressed, decoding pixels, corners with optical flow, Hough's lines, disparities, and serialising
-the results. The calls of OpenCV are those of the chain itself, timed while it runs over the log's frames; the others
-are made once a frame on the messages and results of the same replay. What prepares a call is not counted.
+They are decompression, decoding of pixels, corners with optical flow, Hough lines, disparities, and serialisation of
+the results. The OpenCV calls are timed inside the chain. The other calls run once per frame on the messages and results
+of the same replay. Preparation of a call does not count.
 """
 
 import io
@@ -32,7 +32,7 @@ _CHUNK_BYTES: Final = 1 << 20
 _IMAGES: Final = (f"{FRONT}/image", f"{RIGHT}/image")
 _TAGS: Final = f"{FRONT}/segmentation"
 _CALLS: Final = {"cornerMinEigenVal": "track", "calcOpticalFlowPyrLK": "track", "HoughLinesP": "hough"}
-"""Functions of OpenCV, and the part of the floor that each belongs to."""
+"""OpenCV functions by the part of the floor."""
 
 
 def inflate_chunks(log: Path, times: Times) -> None:
@@ -45,27 +45,23 @@ def inflate_chunks(log: Path, times: Times) -> None:
 
 
 def decode_images(log: Path, times: Times) -> None:
-    """Decode a log's images, the camera's in grey, by the faster of two ways: a library, or this project."""
-    ours, theirs = Times(), Times()
+    """Decode a log's images (camera images as grey) with a library and with this project; count the faster one."""
+    project, library = Times(), Times()
     with log.open("rb") as stream:
         for _, channel, message in make_reader(stream).iter_messages(topics=(*_IMAGES, _TAGS)):
             content = bytes(CompressedImage.FromString(message.data).data)
-            with ours("decode"):
+            with project("decode"):
                 (images.decode_indices if channel.topic == _TAGS else images.decode_grey)(content)
-            with theirs("decode"):
+            with library("decode"):
                 if channel.topic == _TAGS:
                     np.array(PillowImage.open(io.BytesIO(content), formats=("PNG",)))
                 else:
                     cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_GRAYSCALE)
-    times.ms["decode"] = min(ours.ms["decode"], theirs.ms["decode"])
+    times.ms["decode"] = min(project.ms["decode"], library.ms["decode"])
 
 
 def perceive(log: Path, times: Times) -> int:
-    """Run the chain over a log and time its calls of OpenCV that follow corners, find lines and match pairs.
-
-    Returns:
-        The number of frames.
-    """
+    """Run the chain over a log, time its OpenCV calls (corners, lines, disparities); return the number of frames."""
     create = cv2.StereoSGBM.create
 
     def matcher(**settings: Any) -> SimpleNamespace:
@@ -77,8 +73,8 @@ def perceive(log: Path, times: Times) -> int:
 
 
 def serialise(result: Path, times: Times) -> None:
-    """Serialise the results again that a replay wrote, pack the drivable surface and compress all of them."""
-    waiting = bytearray()
+    """Serialise the results of a replay again, encode the drivable surface, and compress everything."""
+    chunk = bytearray()
     with result.open("rb") as stream:
         for schema, channel, message in make_reader(stream).iter_messages():
             if not channel.topic.startswith(RESULT_PREFIX):
@@ -92,11 +88,11 @@ def serialise(result: Path, times: Times) -> None:
                 mask = np.asarray(cv2.imdecode(png, cv2.IMREAD_GRAYSCALE))
                 with times("serialise"):
                     cv2.imencode(".png", mask, [cv2.IMWRITE_PNG_BILEVEL, 1])
-            waiting += message.data
-            if len(waiting) > _CHUNK_BYTES:
-                _compress(waiting, times)
-                waiting.clear()
-    _compress(waiting, times)
+            chunk += message.data
+            if len(chunk) > _CHUNK_BYTES:
+                _compress(chunk, times)
+                chunk.clear()
+    _compress(chunk, times)
 
 
 def _compress(chunk: bytearray, times: Times) -> None:
@@ -105,7 +101,7 @@ def _compress(chunk: bytearray, times: Times) -> None:
 
 
 def measure(log: str | Path, result: str | Path) -> dict[str, float]:
-    """Milliseconds of a processor a frame of a log and its replay: ``cpu`` together, and of each part."""
+    """Return the CPU time in ms per frame of a log and its result: ``cpu`` in total, and of each part."""
     times = Times()
     with one_thread():
         inflate_chunks(Path(log), times)

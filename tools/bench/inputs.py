@@ -1,4 +1,4 @@
-"""The bench's own logs: one drive, rendered once, as PNG and as JPEG, with a stereo pair, and with truth."""
+"""The logs of the benchmark: one scenario, rendered as PNG, as JPEG, with a stereo pair, and with ground truth."""
 
 import argparse
 import hashlib
@@ -21,18 +21,18 @@ from ..scene.options import RenderOptions
 TRUTH: Final = "/truth/"
 PAIR: Final = "/camera/right/"
 LEFT_OUT: Final = {"png": (TRUTH, PAIR), "truth": (PAIR,), "jpeg": (TRUTH, PAIR), "stereo": (TRUTH,)}
-"""The logs, and how the topics begin that each of them lacks."""
+"""The logs, and the prefixes of topics that each log lacks."""
 JPEG: Final = ("jpeg", "stereo")
-"""Logs whose camera images are JPEG; those of the others are PNG."""
+"""Logs with JPEG images; the others have PNG images."""
 WARM_UP: Final = 3
-"""Frames that are part of a replay's start: what is loaded late is loaded by then, tracks and motion have begun."""
+"""Frames of a replay's start: afterwards all libraries are loaded, and tracks and motion have begun."""
 _MADE_BY: Final = "made_by.txt"
 _RATE_HZ: Final = 20.0
 
 
 @dataclass(frozen=True)
 class BenchLog:
-    """A log to replay, its first frames as one, and the very first: what they take is the start."""
+    """A log to replay, and logs of its first frames and its first frame; their time is the start."""
 
     name: str
     path: Path
@@ -41,16 +41,16 @@ class BenchLog:
     frames: int
 
 
-def drive(frames: int, size: tuple[int, int]) -> RenderOptions:
-    """The drive of the bench: a bend of 150 m radius with cars, the ego car weaving in its lane."""
+def bench_options(frames: int, size: tuple[int, int]) -> RenderOptions:
+    """Return the benchmark's scenario: a bend of 150 m radius with cars; the ego car weaves in its lane."""
     return RenderOptions(*size, seconds=frames / _RATE_HZ, rate_hz=_RATE_HZ, scene="bend", weave_m=0.5)
 
 
 def prepared(folder: Path, options: RenderOptions) -> dict[str, BenchLog]:
-    """The logs by name, rendered again where anything that makes them has changed.
+    """Return the logs by name; render them again if the options or the renderer have changed.
 
     Raises:
-        RoadpercError: they cannot be made.
+        RoadpercError: a log cannot be made.
     """
     made_by = _digest(options)
     kept = folder / _MADE_BY
@@ -68,7 +68,7 @@ def _paths(folder: Path, name: str) -> tuple[Path, Path, Path]:
 
 
 def _digest(options: RenderOptions) -> str:
-    """Of the options, and of the code of the renderer, the converter and this module."""
+    """Return a digest of the options, and of the code of renderer, converter and this module."""
     digest = hashlib.sha256(repr(options).encode())
     tools = Path(__file__).parents[1]
     sources = [path for path in tools.rglob("*.py") if path.relative_to(tools).parts[0] != "bench"]
@@ -83,17 +83,17 @@ def _make(folder: Path, options: RenderOptions) -> None:
         print_line(f"rendering {options.frames} frames with {kind.upper()} images")
         render_and_report(dump, replace(options, jpeg=kind == "jpeg"), force=True)
         if convert([str(dump), str(whole), "--force", "--quiet"]):
-            raise DumpError(f"{dump}: cannot be converted")
+            raise DumpError(f"{dump}: the conversion failed")
         summary = summarise(whole)
         for name in names:
             for path, frames in zip(_paths(folder, name), (options.frames, WARM_UP, 1), strict=True):
-                write_part(summary, path, LEFT_OUT[name], frames)
+                write_first_frames(summary, path, LEFT_OUT[name], frames)
         whole.unlink()
         shutil.rmtree(dump)
 
 
-def write_part(summary: LogSummary, target: Path, left_out: Collection[str], frames: int) -> None:
-    """Write a log's first frames, without the topics that begin with one of the texts left out."""
+def write_first_frames(summary: LogSummary, target: Path, left_out: Collection[str], frames: int) -> None:
+    """Write the first frames of a log, without topics that start with one of the prefixes ``left_out``."""
     with LogWriter(target) as writer:
         for message in of_frames(summary, frames):
             if not message.channel.topic.startswith(tuple(left_out)):
@@ -103,7 +103,7 @@ def write_part(summary: LogSummary, target: Path, left_out: Collection[str], fra
 
 
 def of_frames(summary: LogSummary, count: int) -> Iterator[Message]:
-    """The messages of a log's first frames, by the images of its front camera."""
+    """Yield the messages of a log's first frames; a front camera image starts a frame."""
     images, last_ns = 0, 0
     for message in summary.source.messages(None, None, None):
         if images == count and message.log_time_ns > last_ns:
@@ -114,15 +114,17 @@ def of_frames(summary: LogSummary, count: int) -> Iterator[Message]:
 
 
 def add_input_arguments(parser: argparse.ArgumentParser) -> None:
-    """Where the logs are, and how large."""
-    parser.add_argument("folder", metavar="FOLDER", type=Path, help="gets the rendered logs, and keeps them")
-    parser.add_argument("--frames", type=whole_number, default=60, metavar="N", help="of each log (60)")
-    parser.add_argument("--width", type=whole_number, default=1280, metavar="PX", help="of the images, 4:3 (1280)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write all of it to a file, too")
+    """Add the arguments for folder and size of the logs."""
+    parser.add_argument("folder", metavar="FOLDER", type=Path, help="folder that keeps the rendered logs")
+    parser.add_argument("--frames", type=whole_number, default=60, metavar="N", help="frames of each log (60)")
+    parser.add_argument(
+        "--width", type=whole_number, default=1280, metavar="PX", help="width of the images, 4:3 (1280)"
+    )
+    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the results to a file")
 
 
 def logs_of(arguments: argparse.Namespace) -> dict[str, BenchLog]:
-    """The logs that the arguments ask for, rendered if need be."""
+    """Return the logs of the arguments; render them if needed."""
     arguments.folder.mkdir(parents=True, exist_ok=True)
     frames, size = max(arguments.frames, WARM_UP + 1), (arguments.width, arguments.width * 3 // 4)
-    return prepared(arguments.folder, drive(frames, size))
+    return prepared(arguments.folder, bench_options(frames, size))

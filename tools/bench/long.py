@@ -1,7 +1,6 @@
-"""What may not grow with the log: memory over 100 and 3000 frames, and encoding over frames 0 to 100 and 900 to 1000.
+"""Check long logs: memory over 100 and 3000 frames, and encoding time in frames 0 to 100 and 900 to 1000.
 
-Run it with ``make bench-long``. The log is that of the bench with a stereo pair, its frames forwards and backwards in
-turn.
+Run ``make bench-long``. The log repeats the frames of the benchmark's stereo log forwards and backwards.
 """
 
 import struct
@@ -18,21 +17,18 @@ from roadperc_stream.system.time import NS_PER_S
 
 from .figures import SpeedFigure
 from .inputs import BenchLog
-from .replays import Cost, cost_of, replay_words
+from .replays import Cost, cost_of, replay_command
 
 _CDR_STAMP: Final = struct.Struct("<iI")
 _CDR_HEADER_BYTES: Final = 4
-"""Of the encapsulation; what the converter writes is little-endian, and begins with a std_msgs/Header."""
+"""Size of the encapsulation; the converter writes little-endian messages that start with a std_msgs/Header."""
 
 
 def write_long(source: Path, target: Path, frames: int) -> None:
-    """Write a log in which the car drives to and fro, so that there is motion between all frames.
+    """Write a log in which the car drives forwards and backwards, so that it moves between all frames.
 
-    Args:
-        source: a log of two frames or more whose messages of one frame have one log time; a topic's only message holds
-            throughout.
-        target: the log to write.
-        frames: how many it gets.
+    ``source`` has at least two frames; all messages of a frame have the same log time. A topic with a single message is
+    static.
     """
     summary = summarise(source)
     messages = list(summary.source.messages(None, None, None))
@@ -55,13 +51,13 @@ def write_long(source: Path, target: Path, frames: int) -> None:
 
 
 def folded(index: int, count: int) -> int:
-    """0, 1, ..., count - 1, count - 2, ..., 1, 0, 1, ...: the frame at a place."""
+    """Return the source frame of an index: 0, 1, ..., count - 1, count - 2, ..., 1, 0, 1, ..."""
     at = index % (2 * (count - 1))
     return at if at < count else 2 * (count - 1) - at
 
 
 def restamped(message: Message, stamp_ns: int, sequence: int) -> Message:
-    """A message with another stamp, in its header as well."""
+    """Return a message with another stamp, also in its header."""
     if message.channel.message_encoding == "cdr":
         buffer = bytearray(message.data)
         _CDR_STAMP.pack_into(buffer, _CDR_HEADER_BYTES, *divmod(stamp_ns, NS_PER_S))
@@ -76,37 +72,31 @@ def restamped(message: Message, stamp_ns: int, sequence: int) -> Message:
 _SHORT: Final = 100
 _WINDOW: Final = 100
 _LATE: Final = 900
-"""Frames of the short log, frames over which encoding is averaged, and where they begin late in the log."""
+"""Frames of the short log, frames per average of the encoding time, and first frame of the late average."""
 
 
 def long_figures(folder: Path, source: BenchLog, frames: int) -> list[SpeedFigure]:
-    """Replay a long log and a short one, made of a short one's frames; the last result is kept in the folder."""
+    """Replay a short and a long log of a source's frames; the folder keeps the last result."""
     log, result = folder / "long.mcap", folder / "long-result.mcap"
     costs: list[Cost] = []
     for length in (min(_SHORT, frames), frames):
-        words = replay_words(log, result, "--threads", "1", "--force", "--quiet")
+        command = replay_command(log, result, "--threads", "1", "--force", "--quiet")
         try:
             write_long(source.path, log, length)
-            costs.append(cost := cost_of(f"replay of {length} frames", words))
+            costs.append(cost := cost_of(f"replay of {length} frames", command))
         finally:
             log.unlink(missing_ok=True)
-        print_line(f"{length} frames: {cost.peak_mb:.0f} MB, {cost.cpu_s:.0f} s of processors, {cost.wall_s:.0f} s")
+        print_line(f"{length} frames: {cost.peak_mb:.0f} MB, {cost.cpu_s:.0f} s of CPU time, {cost.wall_s:.0f} s")
     return growth(costs[0], costs[1], read_metrics(result)["encode_ms"].to_list())
 
 
 def growth(short: Cost, long: Cost, encode_ms: list[float]) -> list[SpeedFigure]:
-    """What is wanted of a long log, and what was measured.
-
-    Args:
-        short: of the short log.
-        long: of the long one.
-        encode_ms: of each frame of the long one; compared where there are enough.
-    """
+    """Return the figures of a long log; ``encode_ms`` of its frames is compared if there are enough."""
     found = [
-        SpeedFigure("memory over the long log, of that over the short one", long.peak_mb / short.peak_mb, most=1.05),
+        SpeedFigure("memory, long log over short log", long.peak_mb / short.peak_mb, most=1.05),
         SpeedFigure("peak memory with stereo, MB", long.peak_mb, most=500.0),
     ]
     if len(encode_ms) < _LATE + _WINDOW:
         return found
     early, late = (sum(encode_ms[at : at + _WINDOW]) for at in (0, _LATE))
-    return [*found, SpeedFigure("encoding late in the log, of that early in it", late / early, most=1.1)]
+    return [*found, SpeedFigure("encoding time, late over early", late / early, most=1.1)]

@@ -1,4 +1,4 @@
-"""What a program takes, from outside, and so a replay: the command of this version or of another one."""
+"""Measure programs from outside, in particular replays with this version or another one."""
 
 import json
 import os
@@ -21,7 +21,7 @@ from roadperc_stream.errors import ProgramError
 from .inputs import WARM_UP, BenchLog
 
 _NO_PART: Final = frozenset({"sync_skew_ms", "wall_ms"})
-"""Columns in milliseconds that are no share of a frame's total."""
+"""Columns in milliseconds that are not part of a frame's total."""
 _STARTER: Final = """
 import json, os, sys, time
 null = os.open(os.devnull, os.O_RDWR)
@@ -32,13 +32,13 @@ _, status, used = os.wait4(child, 0)
 wall_s = time.perf_counter() - started
 print(json.dumps((os.waitstatus_to_exitcode(status), wall_s, used.ru_utime + used.ru_stime, used.ru_maxrss)))
 """
-"""A process's largest memory begins with that of the one that started it, which here is next to nothing."""
+"""A small program that starts the measured one, because peak memory includes that of the starting process."""
 _KIB: Final = 1 if sys.platform == "darwin" else 1024
 
 
 @dataclass(frozen=True)
 class Cost:
-    """Seconds on the clock, seconds of all cores together, most memory at once."""
+    """Wall time, CPU time of all cores, and peak memory."""
 
     wall_s: float
     cpu_s: float
@@ -46,61 +46,53 @@ class Cost:
 
 
 def cost_of(name: str, command: Sequence[str]) -> Cost:
-    """Run a program to its end, its stdout dropped; who interrupts this ends it, too.
-
-    Args:
-        name: what an error calls it.
-        command: the program and its arguments.
+    """Run a program without its stdout and measure it; an interrupt also ends the program.
 
     Raises:
-        ProgramError: it fails.
+        ProgramError: the program fails; the message contains ``name``.
     """
-    words = [sys.executable, "-I", "-S", "-c", _STARTER, *command]
-    with subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, process_group=0) as starter:
+    starter_command = [sys.executable, "-I", "-S", "-c", _STARTER, *command]
+    with subprocess.Popen(
+        starter_command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, process_group=0
+    ) as starter:
         try:
-            said, _ = starter.communicate()
+            printed, _ = starter.communicate()
         except BaseException:
             os.killpg(starter.pid, signal.SIGTERM)
             raise
     if starter.returncode:
         raise ProgramError(f"{name} could not be started")
-    code, wall_s, cpu_s, peak = json.loads(said)
+    code, wall_s, cpu_s, peak = json.loads(printed)
     if code:
         raise ProgramError(f"{name} ended with exit code {code}")
     return Cost(wall_s, cpu_s, peak * _KIB / 1e6)
 
 
-def replay_words(*arguments: str | Path, package: Path | None = None) -> list[str]:
-    """The command of a replay, of this package or of the one in a folder; ``-P`` ignores the folder it starts in."""
+def replay_command(*arguments: str | Path, package: Path | None = None) -> list[str]:
+    """Return the command of a replay with this package or that in a folder; ``-P`` ignores the working directory."""
     found = "" if package is None else f"sys.path.insert(0, {str(package)!r}); "
     code = f"import sys; {found}from roadperc_stream.cli.launch import replay; sys.exit(replay())"
     return [sys.executable, "-P", "-c", code, *map(str, arguments)]
 
 
 def replay_cost(name: str, log: BenchLog, out: Path, threads: int, package: Path | None = None) -> dict[str, float]:
-    """Replay a log: ``cpu`` and ``wall`` a frame without the start, peak memory, the first frame, parts.
+    """Replay a log; return ``cpu`` and ``wall`` per frame without the start, peak memory, first frame and parts.
 
-    The start is what the log's first ``WARM_UP`` frames alone take, in a run of their own.
-
-    Args:
-        name: what an error calls the replay.
-        log: what is replayed.
-        out: the log that is written, and kept.
-        threads: how many it gets.
-        package: the folder of another version.
+    The start is the time of a separate replay of the first ``WARM_UP`` frames. ``package`` is the folder of another
+    version.
 
     Raises:
-        ProgramError: a replay fails.
+        ProgramError: a replay fails; the message contains ``name``.
     """
     options, short = ("--threads", str(threads), "--force", "--quiet"), out.with_suffix(".short.mcap")
     paths = ((log.first_frame, short), (log.warm_up, short), (log.path, out))
-    first, warm_up, whole = (cost_of(name, replay_words(*pair, *options, package=package)) for pair in paths)
+    first, warm_up, whole = (cost_of(name, replay_command(*pair, *options, package=package)) for pair in paths)
     start = {"first frame/cpu": first.cpu_s * 1000, "first frame/wall": first.wall_s * 1000}
     return a_frame(warm_up, whole, log.frames) | start | parts(out)
 
 
 def a_frame(warm_up: Cost, whole: Cost, frames: int) -> dict[str, float]:
-    """Quantities of a frame of a replay by what it takes, and what its first frames alone take."""
+    """Return time per frame and peak memory, from the cost of a replay and of its start."""
     return {
         "cpu": (whole.cpu_s - warm_up.cpu_s) / (frames - WARM_UP) * 1000,
         "wall": (whole.wall_s - warm_up.wall_s) / (frames - WARM_UP) * 1000,
@@ -109,7 +101,7 @@ def a_frame(warm_up: Cost, whole: Cost, frames: int) -> dict[str, float]:
 
 
 def parts(out: Path) -> dict[str, float]:
-    """Means of the time columns behind the first frames, their sum over the total, and the spread of objects' times."""
+    """Return means of the time columns after the start, their sum over the total, and the spread of objects."""
     rows = read_metrics(out)[WARM_UP:]
     columns = [name for name in rows.columns if name.endswith("_ms") and name not in _NO_PART]
     found = {name.removesuffix("_ms"): rows[name].drop_nulls().to_numpy() for name in columns}
@@ -122,7 +114,7 @@ def parts(out: Path) -> dict[str, float]:
 
 
 def start_cost(name: str, command: Sequence[str]) -> dict[str, float]:
-    """Milliseconds that a short program takes, medians of three runs."""
+    """Return the time of a short program in ms, medians of three runs."""
     costs = [cost_of(name, command) for _ in range(3)]
     return {"cpu": median(cost.cpu_s for cost in costs) * 1000, "wall": median(cost.wall_s for cost in costs) * 1000}
 
@@ -132,28 +124,25 @@ _REPOSITORY: Final = Path(__file__).resolve().parents[2]
 
 @contextmanager
 def installed(commit: str) -> Iterator[Path]:
-    """A folder in which a commit's package is installed, with its compiled loops; removed in the end.
-
-    Its libraries are those of this environment: what differs is this project alone.
-
-    Args:
-        commit: anything that git takes for one.
+    """Yield a temporary folder with a commit's package and its compiled kernels; libraries are those in use.
 
     Raises:
-        ProgramError: there is no such commit, or it cannot be installed.
+        ProgramError: the commit does not exist or cannot be installed.
     """
-    named = _output("git", "-C", str(_REPOSITORY), "rev-parse", "--verify", "--quiet", f"{commit}^{{commit}}").strip()
+    revision = _output(
+        "git", "-C", str(_REPOSITORY), "rev-parse", "--verify", "--quiet", f"{commit}^{{commit}}"
+    ).strip()
     with tempfile.TemporaryDirectory(prefix="roadperc-bench-") as folder:
         pip = (sys.executable, "-m", "pip", "--disable-pip-version-check", "install", "--quiet", "--no-deps")
-        _output(*pip, "--target", folder, f"git+file://{_REPOSITORY}@{named}")
+        _output(*pip, "--target", folder, f"git+file://{_REPOSITORY}@{revision}")
         yield Path(folder)
 
 
 def _output(*command: str) -> str:
-    """What a program prints.
+    """Return the stdout of a program.
 
     Raises:
-        ProgramError: it fails, with its last line.
+        ProgramError: the program fails; the message has its last line.
     """
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:

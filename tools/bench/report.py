@@ -1,6 +1,6 @@
-"""How long a report over many tables takes, and in how much memory, against polars' bare group-by over the same files.
+"""Compare time and memory of a report over many tables with a plain group-by of polars.
 
-The tables are those of a batch's dataset. Run it with ``make bench-report`` or
+The tables are those of a batch's dataset. Run ``make bench-report`` or
 ``python -m roadperc_stream.tools.bench.report FOLDER``.
 """
 
@@ -24,7 +24,7 @@ from roadperc_stream.schemas.columns.runs import RUN_TIME_COLUMNS, RunRow
 from .replays import cost_of
 
 _COLUMNS: Final = (*(name for name, column in columns_of(FrameMetrics).items() if column.label), *TIME_COLUMNS)
-"""The numbers that a report shows."""
+"""The columns in a report."""
 _FACTS: Final = {f"{FACT_PREFIX}{key}": "bench" for key in ("config_digest", "version", "log")}
 _CONFIGS: Final = ("00000000", "11111111")
 _STATES: Final = np.array(["measured", "held", "lost"])
@@ -33,17 +33,17 @@ _GROUP_BY: Final = "import sys; from roadperc_stream.tools.bench.report import g
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Write the missing tables, read all of them both ways, print time and memory."""
+    """Write missing tables, read all tables both ways, and print time and memory."""
     parser = argparse.ArgumentParser(prog="python -m roadperc_stream.tools.bench.report", description=__doc__)
-    parser.add_argument("folder", metavar="FOLDER", type=Path, help="gets a dataset, and keeps it")
+    parser.add_argument("folder", metavar="FOLDER", type=Path, help="folder that keeps the dataset")
     parser.add_argument("--files", type=whole_number, default=5000, metavar="N", help="tables (5000)")
-    parser.add_argument("--rows", type=whole_number, default=2000, metavar="N", help="frames of each (2000)")
+    parser.add_argument("--rows", type=whole_number, default=2000, metavar="N", help="frames of each table (2000)")
     arguments = parser.parse_args(argv)
     return run(lambda: _bench(arguments))
 
 
 def group_by(folder: str) -> pl.DataFrame:
-    """Mean and quantiles of the report's columns for each configuration of a dataset, plainly."""
+    """Return mean and quantiles of the report's columns for each configuration of a dataset."""
     shares = (0.05, 0.5, 0.95, 0.99)
     quantiles = [pl.col(_COLUMNS).quantile(share, "linear").name.suffix(f"_{share}") for share in shares]
     tables = pl.scan_parquet(f"{folder}/metrics/*/*.parquet")
@@ -51,15 +51,15 @@ def group_by(folder: str) -> pl.DataFrame:
 
 
 def write_dataset(folder: Path, files: int, rows: int) -> None:
-    """The like of a batch: logs of thirty days, each under two configurations; tables that are there are kept."""
+    """Write the dataset of a batch: logs of thirty days with two configurations each; existing tables stay."""
     folder.mkdir(parents=True, exist_ok=True)
     runs = [
         run_row(
             log_id=f"{index // 2:016x}",
             config=_CONFIGS[index % 2],
             status="done",
-            path=f"/drives/log{index // 2:05}.mcap",
-            names=(f"/drives/log{index // 2:05}.mcap",),
+            path=f"/logs/log{index // 2:05}.mcap",
+            names=(f"/logs/log{index // 2:05}.mcap",),
             date=f"2026-01-{index // 2 % 30 + 1:02}",
             duration_s=rows / 20,
             frames=rows,
@@ -82,7 +82,7 @@ def write_dataset(folder: Path, files: int, rows: int) -> None:
 
 
 def run_row(**known: object) -> RunRow:
-    """A row of a list of runs of which only some is known; the rest is empty, 0, false or null."""
+    """Return a row of ``runs.parquet`` with some known values; the others are empty, 0, false or null."""
     empty = {str: "", int: 0, float: 0.0, bool: False, tuple[str, ...]: ()}
     hints = get_type_hints(RunRow)
     values: dict[str, Any] = {name: known.get(name, empty.get(hint)) for name, hint in hints.items()}
@@ -104,7 +104,7 @@ def _write(path: Path, index: int, rows: int, config: str) -> None:
 
 
 def _values(field: pa.Field, rng: np.random.Generator, rows: int) -> pa.Array:
-    """Values that do not compress, as those of cameras do not."""
+    """Return random values, which do not compress, like real ones."""
     null = rng.random(rows) < 0.1 if field.nullable and field.name not in TIME_COLUMNS else None
     if pa.types.is_list(field.type):
         return pa.array([("depth",) if lacks else () for lacks in rng.random(rows) < 0.02], type=field.type)
@@ -118,14 +118,14 @@ def _values(field: pa.Field, rng: np.random.Generator, rows: int) -> pa.Array:
 def _bench(arguments: argparse.Namespace) -> None:
     folder = arguments.folder / f"{arguments.files}x{arguments.rows}"
     write_dataset(folder, arguments.files, arguments.rows)
-    programs = {"roadperc-report": _REPORT, "bare group-by": _GROUP_BY}
+    programs = {"roadperc-report": _REPORT, "plain group-by": _GROUP_BY}
     costs = {name: cost_of(name, [sys.executable, "-c", code, str(folder)]) for name, code in programs.items()}
-    bare = costs["bare group-by"]
+    plain = costs["plain group-by"]
     rows = [
-        row(name, f"{c.wall_s:.1f}", f"{c.cpu_s:.1f}", f"{c.peak_mb:.0f}", f"{c.wall_s / bare.wall_s:.2f}")
+        row(name, f"{c.wall_s:.1f}", f"{c.cpu_s:.1f}", f"{c.peak_mb:.0f}", f"{c.wall_s / plain.wall_s:.2f}")
         for name, c in costs.items()
     ]
-    headers = ("seconds", "core seconds", "peak MB", "times the bare")
+    headers = ("seconds", "core seconds", "peak MB", "ratio")
     print_table(console_for(sys.stdout), TextTable(f"{folder.name} rows", headers, tuple(rows)))
 
 

@@ -1,1 +1,1 @@
-"""Reading a dump folder: which files are there, what they hold, and the messages they become."""
+"""Read a dump folder: find its files, read their contents, and make messages of them."""

@@ -1,4 +1,4 @@
-"""``calibration.json``: what it may hold, and pinholes from K, field of view or projection matrices."""
+"""Read ``calibration.json``; compute pinholes from K, a field of view or projection matrices."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,13 +19,13 @@ FieldOfView = Annotated[float, Field(gt=0.0, lt=180.0)]
 Pixels = Annotated[PositiveInt, Field(le=1_000_000)]
 _HALF_PIXEL = 0.5
 _ROUNDING_PX = 1e-9
-"""Rounding error that a decomposition leaves in a skew of zero."""
+"""Largest rounding error of a decomposition in a skew of zero."""
 _FOCAL_DIGITS = 9
-"""A field of view of 90 degrees gives w / 2 and not a hair more."""
+"""Decimals of a focal length, so that 90 degrees give exactly w / 2."""
 
 
 class Intrinsics(Document):
-    """A camera's size and either K or its horizontal field of view."""
+    """The size of a camera, and its K or horizontal field of view."""
 
     width: Pixels | None = None
     height: Pixels | None = None
@@ -34,13 +34,13 @@ class Intrinsics(Document):
 
 
 class CalibrationFile(Intrinsics):
-    """Everything ``calibration.json`` may say; other keys are notes."""
+    """All known keys of ``calibration.json``; other keys are notes."""
 
     P_left: tuple[Numbers4, Numbers4, Numbers4] | None = None
     P_right: tuple[Numbers4, Numbers4, Numbers4] | None = None
     baseline_m: Positive | None = None
     pixel_origin: Literal["corner", "centre", "center"] = "corner"
-    """Where K's principal point counts from: the first pixel's corner (CARLA: c = w / 2) or its centre."""
+    """Origin of K's principal point: the first pixel's corner (CARLA: c = w / 2) or its centre."""
     cameras: dict[str, Intrinsics] = Field(default_factory=dict)
     """Cameras that differ from the front one, by role: ``{"depth": {"width": 800, "height": 600, "fov_deg": 90}}``."""
     mounting: dict[str, CarlaPose] = Field(default_factory=dict)
@@ -53,7 +53,7 @@ class CalibrationFile(Intrinsics):
 _CAMERA_KEYS = (*Intrinsics.model_fields, "fov")
 _KEYS = (*CalibrationFile.model_fields, "fov")
 _MISSPELLED = 0.78
-"""Likeness from which a key is no note: ``widht`` has 0.8, ``fov_y`` 0.75."""
+"""Similarity to a known key that makes a key an error: ``widht`` has 0.8, ``fov_y`` 0.75 (a note)."""
 
 
 Pinhole = tuple[float, float, float, float]
@@ -64,7 +64,7 @@ def load_calibration(path: Path) -> CalibrationFile:
     """Read ``calibration.json``.
 
     Raises:
-        DumpError: names file, key and fault.
+        DumpError: the file is wrong; the message names file, key and error.
     """
     document = read_json(path)
     _refuse_misspelled(path, document)
@@ -73,15 +73,15 @@ def load_calibration(path: Path) -> CalibrationFile:
         if camera.K is not None:
             _require_pinhole(f"{path}: {f'cameras.{name}.' if name else ''}K", np.array(camera.K))
     if (calibration.P_left is None) != (calibration.P_right is None):
-        raise DumpError(f"{path}: P_left and P_right: expected both or none")
+        raise DumpError(f"{path}: P_left and P_right: expected both or neither")
     return calibration
 
 
 def _refuse_misspelled(path: Path, document: Any) -> None:
-    """Name a key that is nearly one that counts; others are notes.
+    """Check for keys that are nearly known keys; other unknown keys are notes.
 
     Raises:
-        DumpError: there is one.
+        DumpError: a key is misspelled.
     """
     if not isinstance(document, dict):
         return
@@ -91,7 +91,7 @@ def _refuse_misspelled(path: Path, document: Any) -> None:
         for key in (key for key, _ in _items(keys) if key not in known):
             meant = nearest(key, known, _MISSPELLED)
             if meant is not None:
-                raise DumpError(f"{path}: no key {place}{key}; did you mean {meant}?")
+                raise DumpError(f"{path}: unknown key {place}{key}; did you mean {meant}?")
 
 
 def _items(found: Any) -> list[tuple[str, Any]]:
@@ -105,33 +105,33 @@ def _require_pinhole(where: str, K: Float) -> None:
 
 
 def pinhole_of_K(K: Float, pixel_origin: str) -> Pinhole:
-    """Pinhole of K; a principal point counted from the pixel's corner lies half a pixel less from its centre."""
+    """Return the pinhole of K, moved by half a pixel if the principal point counts from the pixel's corner."""
     shift = _HALF_PIXEL if pixel_origin == "corner" else 0.0
     return float(K[0, 0]), float(K[1, 1]), float(K[0, 2]) - shift, float(K[1, 2]) - shift
 
 
 def pinhole_of_fov(fov_deg: float, width: int, height: int) -> Pinhole:
-    """Square pixels: f = w / (2 tan(fov / 2)), the principal point in the middle of the image."""
+    """Return a pinhole with square pixels: f = w / (2 tan(fov / 2)), principal point at the image's centre."""
     f = round(float(width / (2.0 * np.tan(np.deg2rad(fov_deg) / 2.0))), _FOCAL_DIGITS)
     return f, f, (width - 1) / 2.0, (height - 1) / 2.0
 
 
 @dataclass(frozen=True)
 class ProjectionPair:
-    """What two projection matrices say of a rectified pair."""
+    """A rectified stereo pair, from two projection matrices."""
 
     K_left: Float
     K_right: Float
     baseline_m: float
     along_rows: bool
-    """Whether the right camera lies along the left one's first axis."""
+    """True if the right camera lies along the first axis of the left one."""
 
 
 def decompose_pair(path: Path, P_left: Float, P_right: Float) -> ProjectionPair:
-    """K of both (3, 4) matrices and the distance of their centres -M^-1 p4, with P = [M | p4] and M = K R.
+    """Return K of both (3, 4) matrices, and the distance of their centres -M^-1 p4 with P = [M | p4] and M = K R.
 
     Raises:
-        DumpError: a matrix is no projection, or both have one centre.
+        DumpError: a matrix is not a projection, or both have the same centre.
     """
     K_left, R_left, centre_left = _decompose(f"{path}: P_left", P_left)
     K_right, _, centre_right = _decompose(f"{path}: P_right", P_right)

@@ -28,7 +28,7 @@ LEFT: Final = "camera_left"
 RIGHT: Final = "camera_right"
 LIDAR: Final = "lidar"
 CAMERA_ROLES: Final = ("image", "segmentation", "depth", "left", "right")
-"""Sensors with a camera; the first one present is the front camera."""
+"""Sensors with a camera; the first one in a dump is the front camera."""
 _SAME_M: Final = 1e-6
 _BASELINE_SLACK: Final = 0.01
 Size = tuple[int, int]
@@ -37,7 +37,7 @@ Size = tuple[int, int]
 
 @dataclass(frozen=True)
 class Rig:
-    """Cameras by calibration role, the frame of each sensor, and the transforms that are known."""
+    """Cameras by calibration role, the frame of each sensor, and the known transforms."""
 
     cameras: Mapping[str, Camera]
     frame_ids: Mapping[str, str]
@@ -45,14 +45,14 @@ class Rig:
     notes: tuple[str, ...] = ()
 
     def camera_of(self, role: str) -> Camera:
-        """Camera whose pixels a sensor's files hold."""
+        """Return the camera of a sensor's files."""
         own = self.cameras.get(f"{role.removeprefix('truth_')}_calibration")
         return own or self.cameras["calibration"]
 
 
 @dataclass(frozen=True)
 class _Known:
-    """What the calibration says, by role."""
+    """The calibration by role."""
 
     file: CalibrationFile
     path: Path
@@ -72,17 +72,17 @@ def build_rig(
     *,
     front_name: str = "image",
 ) -> Rig:
-    """Cameras of the sensors present.
+    """Return the cameras of a dump's sensors.
 
     Args:
-        calibration: what is known, options of the command line included.
-        path: where it stands, for messages.
-        roles: sensors present.
-        sizes: columns and rows of the sensors' images, where their headers tell.
-        front_name: what ``calibration`` calls the front camera, ``left`` where it is the left one of a pair.
+        calibration: calibration of the dump, with the options of the command line.
+        path: file of the calibration, for messages.
+        roles: sensors in the dump.
+        sizes: columns and rows of the sensors' images, if their headers give them.
+        front_name: name of the front camera in ``calibration``: ``left`` if it is the left camera of a pair.
 
     Raises:
-        DumpError: a camera without intrinsics or size, or a mounting that contradicts the baseline.
+        DumpError: a camera has no intrinsics or size, or a mounting contradicts the baseline.
     """
     known = _known(calibration, path, sizes, front_name)
     front_role = next(role for role in CAMERA_ROLES if role in roles)
@@ -137,8 +137,8 @@ def _camera(known: _Known, frame_id: str, role: str) -> Camera:
         return Camera(frame_id, width, height, *pinhole_of_fov(source.fov_deg, width, height))
     if K is None:
         raise DumpError(
-            f"{frame_id} has no calibration: {known.path} gives neither K nor fov_deg; "
-            "add one there, or say --fov DEGREES (horizontal field of view)"
+            f"{frame_id} has no calibration: expected K or fov_deg in {known.path}; "
+            "add one of them, or pass --fov DEGREES (horizontal field of view)"
         )
     return Camera(frame_id, width, height, *pinhole_of_K(K, known.file.pixel_origin))
 
@@ -148,7 +148,7 @@ def _size(known: _Known, frame_id: str, role: str, source: Intrinsics) -> Size:
         return source.width, source.height
     seen = known.sizes.get(role) or next(iter(known.sizes.values()), None)
     if seen is None:
-        raise DumpError(f"{frame_id}: its image size is not known: give width and height in {known.path}")
+        raise DumpError(f"{frame_id}: its image size is unknown; add width and height to {known.path}")
     return seen
 
 
@@ -161,7 +161,7 @@ def _edge(parent: str, child: str, parent_T_child: Float | None) -> tuple[Transf
 
 
 def _right_edge(known: _Known, base: str, base_T: Float | None, baseline_m: float | None) -> tuple[Transform, ...]:
-    """From ego where a mounting is known, else from the other camera of the pair."""
+    """Return the transform from ego if a mounting is known, else from the other camera of the pair."""
     if "right" in known.mountings:
         return _edge(EGO, RIGHT, known.mountings["right"])
     if baseline_m is None:
@@ -171,7 +171,7 @@ def _right_edge(known: _Known, base: str, base_T: Float | None, baseline_m: floa
 
 
 def _baseline(known: _Known, base_T: Float | None) -> float | None:
-    """Distance of the pair in metres, from the calibration or the mountings, which must agree."""
+    """Return the baseline in metres from the calibration or the mountings, which must agree."""
     stated = known.file.baseline_m or (known.pair.baseline_m if known.pair else None)
     right_T = known.mountings.get("right")
     if base_T is None or right_T is None:
@@ -180,31 +180,33 @@ def _baseline(known: _Known, base_T: Float | None) -> float | None:
     mounted = float(np.linalg.norm(offset))
     if mounted == 0 or offset[0] < (1 - _BASELINE_SLACK) * mounted:
         raise DumpError(
-            f"{known.path}: mounting: the right camera does not lie to the right of its partner, in its rows"
+            f"{known.path}: mounting: the right camera is not to the right of the other camera, along its rows"
         )
     if stated is not None and abs(stated - mounted) > _BASELINE_SLACK * stated:
-        raise DumpError(f"{known.path}: baseline {stated:g} m, but the mountings are {mounted:g} m apart")
+        raise DumpError(
+            f"{known.path}: baseline {stated:g} m, but the mountings are {mounted:g} m apart; correct one of them"
+        )
     return stated or mounted
 
 
 def _notes(
     known: _Known, front_T: Float | None, cameras: Mapping[str, Camera], roles: Collection[str]
 ) -> Iterator[str]:
-    """What of the calibration is left out, contradicts itself or is missing."""
+    """Yield notes about unused, contradictory or missing entries of the calibration."""
     for name in dict.fromkeys((*known.file.mounting, *known.file.cameras)):
         if role_of(name) is None:
-            yield f"{known.path.name}: {name!r} is no sensor known: left out"
+            yield f"{known.path.name}: {name!r} is not a known sensor: left out"
     if "segmentation" in known.mountings and not _same(known.mountings["segmentation"], front_T):
         yield "the segmentation camera is not mounted where the front camera is: tags and image do not align"
     skewed = {(camera.fx, camera.fy): camera for camera in cameras.values() if not camera.square_pixels}
     for camera in skewed.values():
         yield (
-            f"{camera.frame_id}: fx {camera.fx:g} and fy {camera.fy:g} of {known.path.name} differ by more than 5 %: "
-            "the pixels of nearly every camera are square, and heights and pitch are wrong where one of the two is"
+            f"{camera.frame_id}: fx {camera.fx:g} and fy {camera.fy:g} of {known.path.name} differ by more than 5 %. "
+            "Nearly all cameras have square pixels. If one value is wrong, heights and pitch are wrong"
         )
     yield from _stereo_notes(known, cameras)
     if LIDAR in roles and known.ego_T_lidar is None:
-        yield f'the place of the lidar is not known, its points will not be used: say "mounting" in {known.path.name}'
+        yield f'the mounting of the lidar is unknown, so its points are not used; add "mounting" to {known.path.name}'
 
 
 def _stereo_notes(known: _Known, cameras: Mapping[str, Camera]) -> list[str]:
@@ -212,11 +214,11 @@ def _stereo_notes(known: _Known, cameras: Mapping[str, Camera]) -> list[str]:
     if right is None:
         return []
     if right.baseline_m is None:
-        return [f'stereo baseline unknown: say "baseline_m" or "mounting" in {known.path.name}']
+        return [f'stereo baseline unknown; add "baseline_m" or "mounting" to {known.path.name}']
     if known.pair is None or known.pair.along_rows:
         return []
     return [
-        "the projection matrices' centres differ along another axis than the image's rows: the pair is taken as "
-        f"rectified along rows, with their distance {known.pair.baseline_m:g} m as baseline "
+        "the centres of the projection matrices differ along another axis than the image's rows. The pair counts as "
+        f"rectified along rows with their distance {known.pair.baseline_m:g} m as baseline "
         f"(right P = -fx * {right.baseline_m:g})"
     ]

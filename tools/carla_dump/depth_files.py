@@ -1,9 +1,8 @@
-"""Depth in metres from every encoding people store CARLA's depth in. Decided by content, once for a sensor.
+"""Depth in metres from the usual encodings of CARLA's depth. The content decides, once for each sensor.
 
-The ground tells which coding an 8-bit grey image has. Below the horizon a level camera sees a road at h fy
-/ (row - horizon) metres. Each coding says which grey that is, and only the right one explains the rows that are there
-with a camera of a plausible height: under another one the ground would be curved, or the camera metres below or above
-any car's.
+The ground shows which coding an 8-bit grey image has. Below the horizon a level camera sees a road at
+h fy / (row - horizon) metres. Each coding predicts a grey level for each row. Only the right coding fits the rows with
+a plausible camera height. With a wrong coding the ground is curved, or the camera is metres too low or too high.
 
 Sources: CARLA's documentation of the depth camera (24 bits, metres = (R + 256 G + 65536 B) / (2^24 - 1) * 1000) and its
 colour converters ``LogarithmicDepth`` (grey = 1 + ln(metres / 1000) / 5.70378) and ``Depth`` (grey = metres / 1000);
@@ -42,16 +41,16 @@ GREY: Final[Mapping[DepthEncoding, str]] = {
     "linear grey to 1000 m": "known to 2 m",
     "linear grey to 50 m": "known to 0.1 m, to 50 m",
 }
-"""How well the codings of 8 bits tell the depth."""
+"""Precision of the 8-bit codings."""
 _NUMBERS: Final = frozenset({"metres", "metres / 1000"})
 _LARGEST_CODE: Final = 2**24 - 1
 
 
 def depth_encoding(files: Sequence[Path]) -> DepthEncoding:
-    """Encoding of a sensor's files, from the first that tells; 8-bit grey counts as logarithmic (see ``grey_depth``).
+    """Return the encoding of a sensor's files; 8-bit grey counts as logarithmic (see ``grey_encoding``).
 
     Raises:
-        DumpError: no file can be read, or the content is no depth.
+        DumpError: no file can be read, or the content is not depth.
     """
     samples = surveyed(files)
     found = [encoding for pixels in samples if (encoding := _encoding(pixels))]
@@ -61,10 +60,10 @@ def depth_encoding(files: Sequence[Path]) -> DepthEncoding:
 
 
 def _encoding(pixels: Pixels) -> DepthEncoding | None:
-    """None where a file alone does not tell: all black or white, such as a frame of sky, or nothing known."""
+    """Return the encoding of a file; None if it is ambiguous: all black or white (such as sky)."""
     values = pixels.values
     if values.dtype.kind == "f" and pixels.channels == 1:
-        # A road scene reaches beyond 1 m, and metres / 1000 never beyond 1, which is CARLA's far plane.
+        # Values of a road in metres exceed 1. Values in metres / 1000 do not: CARLA's far plane is at 1.
         known = values[values > 0]
         return ("metres" if known.max() > 1.0 else "metres / 1000") if known.size else None
     if values.dtype == np.uint16 and pixels.channels == 1:
@@ -73,7 +72,7 @@ def _encoding(pixels: Pixels) -> DepthEncoding | None:
         return "carla 24 bit"
     if values.dtype == np.uint8 and pixels.container in ("png", "jpeg"):
         return _colour_encoding(pixels)
-    raise DumpError(f"{pixels.path}: {pixels.shape} is no depth encoding known")
+    raise DumpError(f"{pixels.path}: {pixels.shape} is not a known depth encoding")
 
 
 def _colour_encoding(pixels: Pixels) -> DepthEncoding | None:
@@ -83,20 +82,22 @@ def _colour_encoding(pixels: Pixels) -> DepthEncoding | None:
         grey = pixels.values[..., 0]
         return "logarithmic grey" if ((grey > 0) & (grey < 255)).any() else None
     if pixels.container == "jpeg" or pixels.channels not in (3, 4):
-        raise DumpError(f"{pixels.path}: {pixels.shape} with colours: only a PNG keeps 24-bit depth")
+        raise DumpError(
+            f"{pixels.path}: {pixels.shape} with colours is not depth; CARLA's 24-bit depth needs a PNG of 8 bits"
+        )
     return "carla 24 bit"
 
 
 def depth_metres(pixels: Pixels, encoding: DepthEncoding) -> Float32:
-    """(H, W) float32 metres; NaN unknown.
+    """Return (H, W) float32 metres; NaN is unknown.
 
     Raises:
-        DumpError: this file is not encoded as the sensor's others.
+        DumpError: the encoding differs from the other files of the sensor.
     """
     own = _encoding(pixels)
     same = own == encoding or (own in GREY and encoding in GREY)
     if not same and own is not None and not (own in _NUMBERS and encoding == "metres"):
-        raise DumpError(f"{pixels.path}: depth as {own}, the files before as {encoding}")
+        raise DumpError(f"{pixels.path}: depth is encoded as {own}, the files before as {encoding}")
     match encoding:
         case "carla 24 bit":
             return carla_metres(pixels.values)
@@ -107,7 +108,7 @@ def depth_metres(pixels: Pixels, encoding: DepthEncoding) -> Float32:
             depth_m = grey_of(pixels).astype(np.float32) * np.float32(FAR_PLANE_M / 255)
         case "linear grey to 50 m":
             depth_m = grey_of(pixels).astype(np.float32) * np.float32(CLIPPED_M / 255)
-            depth_m[grey_of(pixels) == np.iinfo(np.uint8).max] = np.nan  # white says that depth was cut off
+            depth_m[grey_of(pixels) == np.iinfo(np.uint8).max] = np.nan  # white is clipped depth
         case "millimetres":
             depth_m = pixels.values.astype(np.float32) * np.float32(0.001)
         case "metres":
@@ -118,17 +119,14 @@ def depth_metres(pixels: Pixels, encoding: DepthEncoding) -> Float32:
 
 
 def carla_metres(pixels: NDArray[np.uint8]) -> Float32:
-    """(H, W) float32 metres of (H, W, 3 or 4) blue, green, red (alpha).
-
-    In memory the bytes are the number itself, the big end first.
-    """
+    """Return (H, W) float32 metres of (H, W, 3 or 4) blue, green, red (alpha): a big-endian number in memory."""
     bgra = cv2.cvtColor(pixels, cv2.COLOR_BGR2BGRA) if pixels.shape[2] == 3 else np.ascontiguousarray(pixels)
     codes = bgra.view(">u4")[..., 0] >> 8
     return _known(codes.astype(np.float32) * np.float32(FAR_PLANE_M / _LARGEST_CODE))
 
 
 def grey_of(pixels: Pixels) -> NDArray[np.uint8]:
-    """(H, W) grey levels of an image whose channels are equal."""
+    """Return (H, W) grey levels of an image with equal channels."""
     if pixels.palette:
         levels = np.zeros(256, np.uint8)
         levels[: len(pixels.palette)] = [colour[0] for colour in pixels.palette]
@@ -138,7 +136,7 @@ def grey_of(pixels: Pixels) -> NDArray[np.uint8]:
 
 
 def _known(depth_m: Float32) -> Float32:
-    """Zero and below is no depth."""
+    """Replace depth of 0 or below by NaN, in place."""
     depth_m[~(depth_m > 0)] = np.nan
     return depth_m
 
@@ -156,52 +154,49 @@ _GREY_OF: Final[Mapping[GreyDepth, Callable[[Float], Float]]] = {
     "logarithmic": lambda metres: 1.0 + np.log(metres / FAR_PLANE_M) / LOG_SCALE,
 }
 _HEIGHTS_M: Final = np.geomspace(1.0, 4.0, 33)
-"""Of cameras on cars and lorries."""
+"""Heights of cameras on cars and lorries."""
 _HORIZON_SHARE: Final = 0.1
-"""Part of the image's height by which the horizon may lie off the principal point: a pitch of 5 degrees or more."""
+"""Largest distance of the horizon from the principal point, share of the image's height: 5 degrees or more."""
 _HORIZONS: Final = 61
 _BELOW: Final = 0.03
-"""Part of the image's height below the principal point from which rows are compared."""
+"""First compared row: distance below the principal point, share of the image's height."""
 _MIDDLE: Final = 1 / 3
-"""Part of the columns that is looked at: in the middle there is road."""
+"""Share of the columns that is compared: the centre shows road."""
 _MIN_ROWS: Final = 8
 _MOST_OFF: Final = 3.0
-"""Grey levels in the mean over rows by which a coding's ground may be off."""
+"""Largest mean error of a coding over the rows, grey levels."""
 _MOST_COUNTED: Final = 20.0
-"""Grey levels that a row counts at most: a car may stand on the road."""
+"""Largest counted error of a row, grey levels: a car may stand on the road."""
 _TIMES_BETTER: Final = 2.0
 _FINEST: Final = 0.3
-"""Grey levels below which one coding is no better than another: they are whole."""
+"""Smaller errors do not distinguish codings, because grey levels are integers."""
 
 
 def grey_encoding(files: Sequence[Path], camera: Camera, asked: GreyDepth | None) -> tuple[DepthEncoding, str]:
-    """The coding of a sensor's 8-bit grey files, and why it was taken.
-
-    Args:
-        files: of the sensor.
-        camera: its camera.
-        asked: what the user says.
+    """Return the coding of a sensor's 8-bit grey files, and the reason for it; ``asked`` is the user's choice.
 
     Raises:
-        DumpError: the user gives no coding and the ground does not show it.
+        DumpError: the user chose no coding, and the ground does not show it.
     """
     if asked is not None:
         return ENCODINGS[asked], f"8-bit depth is {ENCODINGS[asked]}: --grey-depth {asked}"
     rows, levels = _ground_levels(surveyed(files), camera)
     off = {name: _off(name, rows, levels, camera) for name in ENCODINGS} if len(rows) >= _MIN_ROWS else {}
     ranked = sorted(off, key=lambda name: off[name])
-    found = ", ".join(f"as {name} by {off[name]:.1f}" for name in ranked)
+    found = ", ".join(f"{name} {off[name]:.1f}" for name in ranked)
     if not ranked or off[ranked[0]] > _MOST_OFF or off[ranked[1]] < _TIMES_BETTER * max(off[ranked[0]], _FINEST):
-        why = f"greys of a level ground would be off {found}" if found else "it shows no ground"
+        reason = f"errors of a level ground in grey levels: {found}" if found else "it shows no ground"
         raise DumpError(
-            f"{files[0]}: 8-bit grey depth, and nothing tells its coding ({why}): say --grey-depth linear (to 1000 m, "
+            f"{files[0]}: the coding of 8-bit grey depth is unknown ({reason}); pass --grey-depth linear (to 1000 m, "
             "CARLA's ColorConverter.Depth), linear-50 (to 50 m, TransFuser) or logarithmic"
         )
-    return ENCODINGS[ranked[0]], f"8-bit depth is {ENCODINGS[ranked[0]]}: greys of a level ground are off {found}"
+    return ENCODINGS[
+        ranked[0]
+    ], f"8-bit depth is {ENCODINGS[ranked[0]]}; errors of a level ground in grey levels: {found}"
 
 
 def _ground_levels(samples: Sequence[Pixels], camera: Camera) -> tuple[Float, Float]:
-    """Rows below the horizon and their median grey levels, of all files one after the other; white says nothing."""
+    """Return rows below the horizon and their median grey levels, of all files in order, without white rows."""
     first = int(np.ceil(camera.cy + _BELOW * camera.height))
     left = int(camera.width * (1 - _MIDDLE) / 2)
     greys = [grey for pixels in samples if (grey := grey_of(pixels)).shape == camera.size]
@@ -213,7 +208,7 @@ def _ground_levels(samples: Sequence[Pixels], camera: Camera) -> tuple[Float, Fl
 
 
 def _off(name: GreyDepth, rows: Float, levels: Float, camera: Camera) -> float:
-    """Mean difference in grey levels from the level ground that fits best."""
+    """Return the mean difference in grey levels from the best-fitting level ground."""
     spread = _HORIZON_SHARE * camera.height
     horizons = np.linspace(camera.cy - spread, camera.cy + spread, _HORIZONS)
     below = np.maximum(rows - horizons[:, None], _HEIGHTS_M[0] * camera.fy / FAR_PLANE_M)

@@ -1,4 +1,4 @@
-"""Detections of a dump: the project's own JSON, COCO results and KITTI label files."""
+"""Read the detections of a dump: the project's JSON, COCO results or KITTI label files."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -25,7 +25,7 @@ COCO_LABELS: Final = {
     10: "traffic light",
     13: "stop sign",
 }
-"""COCO's standard category ids of what a road holds."""
+"""COCO's standard category ids of classes on a road."""
 _COCO_LISTS: Final = ("annotations", "results", "detections", "predictions")
 _KITTI_COLUMNS: Final = 15
 _KITTI_IGNORED: Final = "DontCare"
@@ -59,10 +59,10 @@ class _Image(Document):
 
 
 def load_detections(path: Path) -> tuple[Detections, str, tuple[str, ...]]:
-    """Detections by frame number of a JSON file, the format found, and notes.
+    """Return the detections of a JSON file by frame number, the format, and notes.
 
     Raises:
-        DumpError: names the file, the key and the fault.
+        DumpError: the file is wrong; the message names file, key and error.
     """
     data = read_json(path)
     if isinstance(data, list) or (isinstance(data, dict) and any(isinstance(data.get(k), list) for k in _COCO_LISTS)):
@@ -76,10 +76,10 @@ def _detection(path: Path, number: int, entry: _Entry) -> Detection:
 
 
 def checked_box(where: str, x_min: float, y_min: float, x_max: float, y_max: float) -> Box:
-    """A half-open box, not clipped.
+    """Return a half-open box without clipping.
 
     Raises:
-        DumpError: a maximum below its minimum.
+        DumpError: a maximum is below its minimum.
     """
     if x_max < x_min or y_max < y_min:
         raise DumpError(f"{where}: box {x_min}, {y_min}, {x_max}, {y_max}: expected x_min, y_min, x_max, y_max")
@@ -87,7 +87,7 @@ def checked_box(where: str, x_min: float, y_min: float, x_max: float, y_max: flo
 
 
 def _coco(path: Path, data: Any) -> tuple[Detections, str, tuple[str, ...]]:
-    """COCO results (a list), or an object with a list of annotations and, where it has them, images and categories."""
+    """Read COCO results (a list), or an object with a list of annotations, and optional images and categories."""
     tree: Mapping[str, Any] = data if isinstance(data, dict) else {"annotations": data}
     listed = next(tree[key] for key in _COCO_LISTS if isinstance(tree.get(key), list))
     entries = checked(path, TypeAdapter(list[_CocoEntry]), listed)
@@ -109,7 +109,7 @@ def _coco(path: Path, data: Any) -> tuple[Detections, str, tuple[str, ...]]:
 
 
 def _coco_detection(path: Path, number: int, entry: _CocoEntry, names: Mapping[int, str]) -> Detection:
-    """COCO's box is x, y, width, height; its right and lower edges are the half-open maxima."""
+    """Convert a COCO entry; its box is x, y, width, height, with half-open right and lower edges."""
     label = entry.label or entry.category
     if label is None:
         if entry.category_id is None:
@@ -121,10 +121,10 @@ def _coco_detection(path: Path, number: int, entry: _CocoEntry, names: Mapping[i
 
 
 def load_kitti_labels(files: Mapping[int, Path]) -> Detections:
-    """Detections of KITTI label files by frame number.
+    """Return the detections of KITTI label files by frame number.
 
     Raises:
-        DumpError: names file and line.
+        DumpError: a line is wrong; the message names file and line.
     """
     return {number: tuple(_kitti_objects(path)) for number, path in files.items()}
 
@@ -136,9 +136,9 @@ def _kitti_objects(path: Path) -> Iterator[Detection]:
 
 
 def _kitti_line(where: str, fields: list[str]) -> Detection:
-    """KITTI: type, truncated, occluded, alpha, box, dimensions, location, rotation, score.
+    """Read a KITTI line: type, truncated, occluded, alpha, box, dimensions, location, rotation, score.
 
-    The box's maxima are the last pixels inside, so half-open ones lie one further.
+    The box's maxima are the last pixels inside. Half-open maxima are one pixel further.
     """
     if len(fields) not in (_KITTI_COLUMNS, _KITTI_COLUMNS + 1):
         raise DumpError(f"{where}: expected {_KITTI_COLUMNS} or {_KITTI_COLUMNS + 1} KITTI columns, got {len(fields)}")
@@ -147,5 +147,5 @@ def _kitti_line(where: str, fields: list[str]) -> Detection:
     except ValueError as error:
         raise DumpError(f"{where}: {error}") from error
     if not all(map(math.isfinite, (x_min, y_min, x_max, y_max, score))):
-        raise DumpError(f"{where}: expected numbers that are finite, got {' '.join(fields)}")
+        raise DumpError(f"{where}: expected finite numbers, got {' '.join(fields)}")
     return Detection(fields[0], checked_box(where, x_min, y_min, x_max + 1.0, y_max + 1.0), score)

@@ -1,6 +1,6 @@
-"""Stamps of frames: from a file, or from frame numbers and a rate, always counted from one fixed epoch.
+"""Stamps of frames: from a file, or from frame numbers and a rate, relative to one fixed epoch.
 
-A file has a stamp in each line, or is a table whose first line names its columns, such as EuRoC's ``data.csv``.
+A file has one stamp per line, or is a table whose first line names the columns, such as EuRoC's ``data.csv``.
 """
 
 import csv
@@ -19,34 +19,30 @@ from roadperc_stream.system.time import NS_PER_S
 from .json_files import frame_number, read_lines
 
 _UNITS: Final = {"ns": 9, "nsec": 9, "nanoseconds": 9, "us": 6, "ms": 3, "s": 0, "sec": 0, "seconds": 0}
-"""Digits behind the decimal point of seconds."""
+"""Powers of ten of the units: 10^n per second."""
 _STAMPS: Final = ("timestamp", "stamp", "time", "sim_time", "elapsed", "t", "secs", "seconds")
 _FRAMES: Final = ("frame", "frame_number", "frame_id", "index", "idx", "number", "id")
 _FILES: Final = ("filename", "file", "file_name", "image", "name", "path")
 _SEPARATORS: Final = (",", ";", "\t")
 EPOCH_NS: Final = 1_577_836_800 * NS_PER_S
-"""2020-01-01T00:00:00Z: where the time of every dump starts, so that a conversion is reproducible."""
+"""2020-01-01T00:00:00Z: time 0 of every dump, so that a conversion is reproducible."""
 DEFAULT_RATE_HZ: Final = 20.0
 _UNIX_TIME_FROM_S: Final = 1_000_000_000
-"""Seconds from here on (2001) are Unix time; a simulation does not run for 31 years."""
+"""Larger values in seconds (from 2001 on) are Unix time; a simulation does not run for 31 years."""
 _LIMIT_S: Final = 2**31
-"""Stamps of ROS messages end here, in 2038."""
+"""Limit of stamps in ROS messages, in 2038."""
 _DATE: Final = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(\.\d+)?Z?")
 
 
 def _column_table(path: Path, lines: Sequence[str]) -> list[tuple[int | None, int, int]]:
-    """Frame number where there is one, stamp in nanoseconds and line of each row; empty where no line names columns.
+    """Return frame number (or None), stamp in nanoseconds and line number of each row; empty without column names.
 
-    The stamps are in the column ``timestamp``, ``stamp_ns``, ``#timestamp [ns]`` or one of a like name, in the unit
-    it names, or the one in which they are Unix time; else seconds. Frames are those of a column of their numbers, else
-    those of the numbers in the names of files.
-
-    Args:
-        path: of the table, for messages.
-        lines: its lines.
+    Stamps are in a column such as ``timestamp``, ``stamp_ns`` or ``#timestamp [ns]``. The unit is that of the name,
+    else the unit in which the values are Unix time, else seconds. Frame numbers are in their own column, else in the
+    names of files.
 
     Raises:
-        DumpError: no column is known for stamps, or a row has none.
+        DumpError: no column holds stamps, or a row has no stamp.
     """
     header = next(((place, line) for place, line in enumerate(lines) if line.strip()), None)
     separator = next((sign for sign in _SEPARATORS if header and sign in header[1]), None)
@@ -55,7 +51,7 @@ def _column_table(path: Path, lines: Sequence[str]) -> list[tuple[int | None, in
     names = [_plain(name) for name in header[1].split(separator)]
     stamps = next((k for k, (name, _) in enumerate(names) if name in _STAMPS), None)
     if stamps is None:
-        raise DumpError(f"{path}: columns {header[1].strip()!r}: expected one of {', '.join(_STAMPS)} among them")
+        raise DumpError(f"{path}: columns {header[1].strip()!r}: expected one of {', '.join(_STAMPS)}")
     frames = next((k for k, (name, _) in enumerate(names) if name in _FRAMES), None)
     files = next((k for k, (name, _) in enumerate(names) if name in _FILES), None)
     found: list[tuple[int | None, int, int]] = []
@@ -72,7 +68,7 @@ def _column_table(path: Path, lines: Sequence[str]) -> list[tuple[int | None, in
 
 
 def _plain(name: str) -> tuple[str, str]:
-    """A column's name in small letters without its unit, and the unit; ``#timestamp [ns]`` is timestamp and ns."""
+    """Return a column's name in lower case without unit, and the unit: timestamp and ns of ``#timestamp [ns]``."""
     words = re.sub(r"[^a-z_]+", " ", name.casefold()).split()
     joined = "_".join(words)
     start, _, unit = joined.rpartition("_")
@@ -80,7 +76,7 @@ def _plain(name: str) -> tuple[str, str]:
 
 
 def _in_seconds(text: str, unit: str) -> str:
-    """A time as seconds; without a unit that in which it lies between 2001 and 2038, if there is one."""
+    """Return a time in seconds; without a unit, the unit is the one that puts it between 2001 and 2038."""
     try:
         value = Decimal(text)
     except InvalidOperation:
@@ -95,66 +91,64 @@ def _in_seconds(text: str, unit: str) -> str:
 
 
 def stamps_of_rate(frames: Sequence[int], rate_hz: float) -> dict[int, int]:
-    """Stamp in nanoseconds of each frame number: its distance from the first number over the rate.
+    """Return the stamp in nanoseconds of each frame number: its distance from the first number over the rate.
 
     Raises:
-        DumpError: the last stamp does not fit a message.
+        DumpError: the last stamp does not fit into a message.
     """
     step_ns = NS_PER_S / Fraction(rate_hz)
     stamps = {number: EPOCH_NS + round((number - frames[0]) * step_ns) for number in frames}
     if frames and stamps[frames[-1]] >= _LIMIT_S * NS_PER_S:
-        raise DumpError(f"frame {frames[-1]}: at {rate_hz:g} Hz it lies beyond the year 2038; see --rate")
+        raise DumpError(f"frame {frames[-1]}: at {rate_hz:g} Hz its stamp is after 2038; pass a higher --rate")
     return stamps
 
 
 def stamps_of_names(frames: Sequence[int]) -> dict[int, int] | None:
-    """Stamp in nanoseconds of each frame number where all of them are Unix time in one unit, from 2001 to 2038.
-
-    None where they are not: then they count frames.
+    """Return the stamps in nanoseconds if all frame numbers are Unix time in one unit, from 2001 to 2038; else None.
 
     Raises:
-        DumpError: some are times and some are not, or not in the same unit.
+        DumpError: only some numbers are times, or the units differ.
     """
     found = {_unit_ns(number): number for number in reversed(frames)}
     if len(found) > 1:
         examples = " and ".join(str(number) for number in sorted(found.values()))
         raise DumpError(
-            f"names of two kinds, such as {examples}: counts or times, or times in two units; keep one kind"
+            f"names of two kinds, such as {examples}: expected only frame numbers, or only times in one unit"
         )
     unit_ns = next(iter(found), None)
     return None if unit_ns is None else {number: number * unit_ns for number in frames}
 
 
 def _unit_ns(number: int) -> int | None:
-    """The unit in which a number is Unix time from 2001 to 2038, in nanoseconds; None where it is in none."""
+    """Return the unit in nanoseconds in which a number is Unix time from 2001 to 2038, or None."""
     units = (unit for unit in (1, 1000, 1_000_000) if _UNIX_TIME_FROM_S <= number * unit // NS_PER_S < _LIMIT_S)
     return next(units, None)
 
 
 def stamps_of_file(path: Path, frames: Sequence[int]) -> dict[int, int]:
-    """Stamp in nanoseconds of each frame number from lines ``frame seconds`` or, one value a line, in frame order.
+    """Return the stamp in nanoseconds of each frame from lines ``frame seconds``, or one value per line in frame order.
 
-    Values are seconds (counted from ``EPOCH_NS``, or Unix time) or ISO dates with time, as KITTI raw has them. Where
-    the first line names columns, they are found by name (``_column_table``); other columns are ignored.
+    Values are seconds (from ``EPOCH_NS``, or Unix time) or ISO dates with time, as in KITTI raw. If the first line
+    names columns, ``_column_table`` reads the file.
 
     Raises:
-        DumpError: names the line that cannot be read or does not increase, or the frame without a stamp.
+        DumpError: a line cannot be read or does not increase, or a frame has no stamp; the message names it.
     """
     texts = read_lines(path)
     lines = _column_table(path, texts) or _lines(path, texts)
     if any(number is not None for number, _, _ in lines):
         stamps = {number: (stamp, line) for number, stamp, line in lines if number is not None}
         if len(stamps) != len(lines):
-            raise DumpError(f"{path}: lines with and without a frame number, or two lines of one frame")
+            raise DumpError(f"{path}: two lines of one frame, or lines with and without a frame number")
     else:
         if len(lines) != len(frames):
-            raise DumpError(f"{path}: {len(lines)} stamps for {len(frames)} frames; give 'frame seconds' on each line")
+            raise DumpError(f"{path}: {len(lines)} stamps for {len(frames)} frames; write 'frame seconds' on each line")
         stamps = {number: (stamp, line) for number, (_, stamp, line) in zip(frames, lines, strict=True)}
     return _increasing(path, frames, stamps)
 
 
 def _lines(path: Path, texts: Sequence[str]) -> list[tuple[int | None, int, int]]:
-    """Frame number, stamp in nanoseconds and line number of each line."""
+    """Return frame number (or None), stamp in nanoseconds and line number of each line."""
     numbered = [(text.strip(), line) for line, text in enumerate(texts, 1)]
     kept = [(text, line) for text, line in numbered if text and not text.startswith("#")]
     if kept and not any(character.isdigit() for character in kept[0][0]):
@@ -173,7 +167,7 @@ def _line(path: Path, text: str, line: int) -> tuple[int | None, int, int]:
 
 
 def stamp_of_seconds(text: str) -> int | None:
-    """Stamp in nanoseconds of seconds as a text; None of what is no time."""
+    """Return the stamp in nanoseconds of seconds as text, or None if it is not a time."""
     try:
         seconds = Decimal(text)
     except InvalidOperation:

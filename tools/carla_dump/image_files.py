@@ -1,4 +1,4 @@
-"""Image files as they stand: format by content, size and wholeness, without decoding pixels."""
+"""Format, size and completeness of image files, without decoding pixels."""
 
 import struct
 import zlib
@@ -16,27 +16,27 @@ _TAIL_BYTES: Final = 1024
 
 
 class UnreadableFrameError(DumpError):
-    """One file that is no frame: it is reported and counted as missing, the others go on."""
+    """A single unreadable file: it is reported and counted as missing, and the conversion continues."""
 
 
 def image_format(path: Path, data: bytes) -> ImageFormat:
-    """Format by content.
+    """Return the format of an image by its content.
 
     Raises:
-        UnreadableFrameError: empty, or neither PNG nor JPEG; the message says what it is.
+        UnreadableFrameError: the file is empty, or neither PNG nor JPEG; the message names the format.
     """
     name = format_of(data)
     if name in ("PNG", "JPEG"):
         return "png" if name == "PNG" else "jpeg"
-    found = f"{name} image" if name else f"no image (starts with {data[:8].hex(' ')})" if data else "empty file"
+    found = f"{name} image" if name else f"not an image (starts with {data[:8].hex(' ')})" if data else "empty file"
     raise UnreadableFrameError(f"{path}: {found}, expected PNG or JPEG")
 
 
 def read_header(path: Path) -> tuple[tuple[int, int], str]:
-    """Columns and rows of an image file, and its encoding in words; only its first and last bytes are read.
+    """Return columns and rows of an image file, and its encoding in words; reads only the first and last bytes.
 
     Raises:
-        UnreadableFrameError: empty, cut off, or neither PNG nor JPEG.
+        UnreadableFrameError: the file is empty, cut off, or neither PNG nor JPEG.
     """
     try:
         with path.open("rb") as stream:
@@ -60,10 +60,10 @@ def _require_end(path: Path, form: ImageFormat, tail: bytes) -> None:
 
 
 def require_whole(path: Path, data: bytes) -> ImageFormat:
-    """Format of an image that is complete: a PNG's checksums are right, a JPEG has its end.
+    """Check that an image is complete (checksums of a PNG, end of a JPEG), and return its format.
 
     Raises:
-        UnreadableFrameError: empty, cut off, damaged, or neither PNG nor JPEG.
+        UnreadableFrameError: the image is empty, cut off, damaged, or neither PNG nor JPEG.
     """
     form = image_format(path, data)
     if form == "png":
@@ -74,7 +74,7 @@ def require_whole(path: Path, data: bytes) -> ImageFormat:
 
 
 def _check_png_chunks(path: Path, data: bytes) -> None:
-    """Walk the chunks (length, type, data, CRC) to IEND."""
+    """Check the chunks (length, type, data, CRC) up to IEND."""
     view, at = memoryview(data), len(PNG_MAGIC)
     while at + 12 <= len(data):
         (length,) = struct.unpack_from(">I", data, at)
@@ -90,10 +90,10 @@ def _check_png_chunks(path: Path, data: bytes) -> None:
 
 
 def read_bytes(path: Path) -> bytes:
-    """Content of a frame's file.
+    """Return the content of a frame's file.
 
     Raises:
-        UnreadableFrameError: the system does not give it.
+        UnreadableFrameError: the file cannot be read.
     """
     try:
         return path.read_bytes()

@@ -1,4 +1,4 @@
-"""Documents of a dump: read and checked, every fault a DumpError that names file and key."""
+"""Read and check the documents of a dump; each error is a DumpError with file and key."""
 
 import json
 import re
@@ -20,16 +20,16 @@ _UNIX_SECONDS = re.compile(r"(?<![0-9.])([12][0-9]{9})\.([0-9]{1,9})(?![0-9])")
 
 
 class Document(BaseModel):
-    """A JSON object of a dump: keys it does not know are notes, NaN and infinity are faults."""
+    """A JSON object of a dump: unknown keys are notes, NaN and infinity are errors."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
 
 def read_json(path: Path) -> Any:
-    """Content of a JSON file.
+    """Return the content of a JSON file.
 
     Raises:
-        DumpError: the file cannot be read or is no JSON.
+        DumpError: the file cannot be read, or is not JSON.
     """
     try:
         return json.loads(path.read_bytes())
@@ -40,10 +40,10 @@ def read_json(path: Path) -> Any:
 
 
 def read_lines(path: Path) -> list[str]:
-    """The lines of a text file.
+    """Return the lines of a text file.
 
     Raises:
-        DumpError: it cannot be read.
+        DumpError: the file cannot be read.
     """
     try:
         return path.read_text(encoding="utf-8-sig").splitlines()
@@ -52,10 +52,10 @@ def read_lines(path: Path) -> list[str]:
 
 
 def checked(path: Path, expected: TypeAdapter[T], data: Any) -> T:
-    """Data as the type expected.
+    """Return data as the expected type.
 
     Raises:
-        DumpError: names file, key, fault and value.
+        DumpError: the data has another type; the message names file, key, error and value.
     """
     try:
         return expected.validate_python(data)
@@ -66,9 +66,9 @@ def checked(path: Path, expected: TypeAdapter[T], data: Any) -> T:
 
 
 def frame_number(name: str) -> int | None:
-    """Frame number in a name: its last group of digits (``frame_00001`` is 1); None without digits.
+    """Return the frame number in a name, its last group of digits (``frame_00001`` is 1), or None.
 
-    Unix time with a fraction (``1305031102.933``, as TUM names its images) is one number, in nanoseconds.
+    Unix time with a fraction (``1305031102.933``, as in TUM's image names) is one number, in nanoseconds.
     """
     if stamp := _UNIX_SECONDS.search(name):
         return int(stamp[1]) * NS_PER_S + int(stamp[2].ljust(9, "0"))
@@ -77,10 +77,10 @@ def frame_number(name: str) -> int | None:
 
 
 def by_frame(path: Path, entries: Mapping[str, T]) -> dict[int, T]:
-    """Entries of a document keyed by frame name, keyed by number instead.
+    """Return the entries of a document by frame number instead of frame name.
 
     Raises:
-        DumpError: a key without a number, or two keys of one number.
+        DumpError: a key has no number, or two keys have the same number.
     """
     numbered: dict[int, T] = {}
     names: dict[int, str] = {}

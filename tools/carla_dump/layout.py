@@ -1,4 +1,4 @@
-"""Finding what a dump folder holds: a folder or flat files per sensor, one file per frame, and the documents."""
+"""Find the contents of a dump: a folder or flat files per sensor with one file per frame, and the documents."""
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -17,7 +17,7 @@ _IMAGE_SUFFIXES: Final = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".webp", ".
 _NUMBER_SUFFIXES: Final = frozenset({".npy", ".npz", ".dat", ".csv", ".raw", ".bin"})
 _POINT_SUFFIXES: Final = frozenset({".ply"})
 _FRAME_SUFFIXES: Final = _IMAGE_SUFFIXES | _NUMBER_SUFFIXES | _POINT_SUFFIXES
-"""Files that may be a frame; what they really are is decided by content."""
+"""Suffixes of files that can be a frame; the content decides the format."""
 _DOCUMENTS: Final = {
     "calibration": ("calibration.json",),
     "detections": ("detections.json", "coco_results.json", "coco.json"),
@@ -27,10 +27,10 @@ _DOCUMENTS: Final = {
 }
 _DOCUMENT_SUFFIXES: Final = frozenset({".json", ".txt", ".yaml", ".yml"})
 _DOCUMENT_NAMES: Final = frozenset(name for names in _DOCUMENTS.values() for name in names)
-_KNOWN_DOCUMENTS: Final = "documents are called " + ", ".join(names[0] for names in _DOCUMENTS.values())
+_KNOWN_DOCUMENTS: Final = "known documents are " + ", ".join(names[0] for names in _DOCUMENTS.values())
 _TRUTH_FOLDER: Final = "truth"
 _KITTI_IMAGES: Final = re.compile(r"image_0?[0-3]")
-"""KITTI's folders: image_2 of objects, image_0 of odometry, image_02/data of raw drives."""
+"""KITTI's folders: image_2 of objects, image_0 of odometry, image_02/data of raw data."""
 
 
 @dataclass(frozen=True)
@@ -39,24 +39,24 @@ class Sensor:
 
     role: str
     source: str
-    """Folder or file pattern, as the user knows it."""
+    """Name of the folder or files for messages."""
     files: Mapping[int, Path]
 
     @property
     def first(self) -> Path:
-        """File of the smallest frame number."""
+        """Return the file with the smallest frame number."""
         return self.files[min(self.files)]
 
     @property
     def is_of_kitti(self) -> bool:
-        """Whether the images lie in one of KITTI's folders."""
+        """Return True if the images are in one of KITTI's folders."""
         folders = self.first.parent, self.first.parent.parent
         return any(_KITTI_IMAGES.fullmatch(folder.name) for folder in folders)
 
 
 @dataclass(frozen=True)
 class DumpLayout:
-    """Everything found in a dump."""
+    """The sensors and documents of a dump."""
 
     dump: Path
     sensors: Mapping[str, Sensor]
@@ -65,14 +65,10 @@ class DumpLayout:
 
 
 def find_layout(dump: Path, overrides: Mapping[str, Path]) -> DumpLayout:
-    """Look through a dump folder.
-
-    Args:
-        dump: the folder.
-        overrides: folder, file or document for a role, under any name.
+    """Return the sensors and documents of a dump; ``overrides`` are the paths of ``--role``.
 
     Raises:
-        DumpError: no such folder, nothing that fits a role, two candidates for one role, two files of one frame.
+        DumpError: no such folder, no sensor, two candidates for one role, or two files of one frame.
     """
     entries = _entries(dump)
     notes: list[str] = []
@@ -81,7 +77,7 @@ def find_layout(dump: Path, overrides: Mapping[str, Path]) -> DumpLayout:
     candidates = [sensor for sensor in _candidates(free, notes) if sensor.role not in overrides]
     documents = {kind: path for kind in _DOCUMENTS if (path := _document(dump, kind, overrides))}
     candidates += [
-        _numbered(role, str(path), _frame_files(path, role), notes, alone=_stands_alone(path))
+        _numbered(role, str(path), _frame_files(path, role), notes, single=_is_single(path))
         for role, path in overrides.items()
         if path not in documents.values()
     ]
@@ -91,7 +87,7 @@ def find_layout(dump: Path, overrides: Mapping[str, Path]) -> DumpLayout:
     if "detections" in sensors and "detections" in documents:
         raise DumpError(
             f"{dump}: both {documents['detections'].name} and {sensors['detections'].source}/ hold detections; "
-            "choose with --role detections=PATH"
+            "choose one with --role detections=PATH"
         )
     return DumpLayout(dump, sensors, documents, tuple(notes))
 
@@ -130,15 +126,18 @@ def _folder_sensor(folder: Path, source: str, notes: list[str]) -> Sensor | None
     if role in ("segmentation", "detections") and not files:
         role, files = "detections", _label_files(folder)
     unused = [path.name for path in _entries(folder) if path.suffix == ".json"] if role != "detections" else []
-    notes += [f"{source}/{name} is not used: stamps are in timestamps.txt or timestamps.csv" for name in unused]
+    notes += [f"{source}/{name} is not used: put stamps into timestamps.txt or timestamps.csv" for name in unused]
     if role is None or not files:
-        notes.append(f"{source}/ is left out: " + ("no frames in it" if role else "its name fits no role (--role)"))
+        notes.append(
+            f"{source}/ is left out: "
+            + ("it has no frames" if role else "its name fits no role; choose one with --role")
+        )
         return None
     return _numbered(role, source, files, notes)
 
 
 def _frame_files(path: Path, role: str | None = None) -> list[Path]:
-    """Files of a folder that may be frames; KITTI puts them one folder deeper, in ``data``."""
+    """Return the files of a folder that can be frames; in KITTI they are in the subfolder ``data``."""
     if path.is_file():
         return [path]
     if role == "detections":
@@ -155,17 +154,17 @@ def _label_files(folder: Path) -> list[Path]:
     return [p for p in _entries(folder) if p.suffix == ".txt" and p.name not in _DOCUMENT_NAMES]
 
 
-def _stands_alone(path: Path) -> bool:
-    """Whether a path is one file without a frame number: it makes the one frame there is, 0."""
+def _is_single(path: Path) -> bool:
+    """Return True if a path is a file without a frame number; it becomes frame 0."""
     return path.is_file() and frame_number(path.stem) is None
 
 
-def _numbered(role: str, source: str, files: list[Path], notes: list[str], *, alone: bool = False) -> Sensor:
-    """A sensor with its files by the number in their names; a file standing alone needs none."""
+def _numbered(role: str, source: str, files: list[Path], notes: list[str], *, single: bool = False) -> Sensor:
+    """Return a sensor with its files by the number in their names; a ``single`` file is frame 0."""
     numbered: dict[int, Path] = {}
     unnumbered = []
     for path in files:
-        number = 0 if alone else frame_number(path.stem)
+        number = 0 if single else frame_number(path.stem)
         if number is None:
             unnumbered.append(path.name)
         elif number in numbered:
@@ -173,28 +172,28 @@ def _numbered(role: str, source: str, files: list[Path], notes: list[str], *, al
         else:
             numbered[number] = path
     if not files:
-        raise DumpError(f"{source}: no frames in it")
+        raise DumpError(f"{source}: no frames found; expected one numbered file per frame")
     if not numbered:
-        raise DumpError(f"{source}: no frame number in the name of {unnumbered[0]}")
+        raise DumpError(f"{source}: no frame number in the name of {unnumbered[0]}; expected names such as 000001.png")
     if unnumbered:
         notes.append(f"{source}: left out, no frame number in the name: {', '.join(unnumbered[:3])}")
     return Sensor(role, source, numbered)
 
 
 def _flat_sensors(files: Iterable[Path], notes: list[str]) -> Iterator[Sensor]:
-    """Sensors of files that lie in the dump itself, recognised by their names: ``left.png``, ``depth_0001.png``."""
+    """Yield the sensors of files directly in the dump, by their names: ``left.png``, ``depth_0001.png``."""
     groups: dict[str, list[Path]] = {}
     for path in files:
-        # Without its frame number; a bare number is a camera image.
+        # The name without its frame number; a plain number is a camera image.
         words = re.sub(r"[0-9]+(?=[^0-9]*$)", "", path.stem).strip("_-. ")
         if role := role_of(words) if words else "image":
             groups.setdefault(role, []).append(path)
         else:
-            notes.append(f"{path.name} is left out: its name fits no role (--role)")
+            notes.append(f"{path.name} is left out: its name fits no role; choose one with --role")
     for role, group in groups.items():
-        alone = len(group) == 1 and _stands_alone(group[0])
+        single = len(group) == 1 and _is_single(group[0])
         source = group[0].name if len(group) == 1 else f"{group[0].name} to {group[-1].name}"
-        yield _numbered(role, source, group, notes, alone=alone)
+        yield _numbered(role, source, group, notes, single=single)
 
 
 def _document(dump: Path, kind: str, overrides: Mapping[str, Path]) -> Path | None:
@@ -202,7 +201,7 @@ def _document(dump: Path, kind: str, overrides: Mapping[str, Path]) -> Path | No
         return overrides[kind] if overrides[kind].suffix == ".json" else None
     found = [dump / name for name in _DOCUMENTS[kind] if (dump / name).is_file()]
     if len(found) > 1:
-        raise DumpError(f"{dump}: {found[0].name} and {found[1].name} both hold {kind}: keep one")
+        raise DumpError(f"{dump}: {found[0].name} and {found[1].name} both hold {kind}; keep one of them")
     return found[0] if found else None
 
 
@@ -212,7 +211,9 @@ def _one_per_role(candidates: Iterable[Sensor]) -> dict[str, Sensor]:
         if sensor.role in sensors:
             first = sensors[sensor.role].source
             choice = f"--role {sensor.role}={quote(first)}"
-            raise DumpError(f"{first} and {sensor.source} both look like {sensor.role}: choose with {choice}")
+            raise DumpError(
+                f"{first} and {sensor.source} both match the role {sensor.role}; choose one, such as {choice}"
+            )
         sensors[sensor.role] = sensor
     return sensors
 
@@ -220,6 +221,6 @@ def _one_per_role(candidates: Iterable[Sensor]) -> dict[str, Sensor]:
 def _nothing_found(dump: Path, entries: list[Path]) -> str:
     there = ", ".join(entry.name + "/" * entry.is_dir() for entry in entries[:8]) or "nothing"
     return (
-        f"{dump}: no sensor found. Looked for folders such as rgb, depth, segmentation, left, right (CameraRGB, "
-        f"image_2, sem, ...) with one numbered file per frame, or files such as left.png; there is: {there}"
+        f"{dump}: no sensor found. Expected folders such as rgb, depth, segmentation, left, right (CameraRGB, image_2, "
+        f"sem, ...) with one numbered file per frame, or files such as left.png; found: {there}"
     )

@@ -1,4 +1,4 @@
-"""The messages of a planned conversion, in the order of the log: a few frames in memory at a time."""
+"""The messages of a planned conversion in the order of the log; few frames are in memory at a time."""
 
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
@@ -29,17 +29,17 @@ from .tag_files import tags_of
 
 T = TypeVar("T")
 Encode = Callable[[int, int], bytes | None]
-"""A frame's message from its number and stamp in nanoseconds; None where the frame has none."""
+"""Makes the message of a frame from its number and stamp in nanoseconds; None if the frame has none."""
 EncodeFile = Callable[[Plan, str, Path, int], bytes]
-"""The message of a role's file with a stamp in nanoseconds."""
+"""Makes the message of a role's file with a stamp in nanoseconds."""
 
 ODOM = "odom"
 _WORKERS = 2
-"""Threads; one frame more than these is in memory."""
+"""Number of threads; one more frame than threads is in memory."""
 
 
 def channels(plan: Plan) -> dict[str, Channel]:
-    """Channels of the roles the plan fills, in the order of the contract's table."""
+    """Return the channels of the plan's roles, in the order of ``ROLES``."""
     filled = {role for role, _ in _static(plan)} | set(_encoders(plan))
     return {role: _channel(plan, role) for role in ROLES if role in filled}
 
@@ -58,14 +58,12 @@ def _channel(plan: Plan, role: str) -> Channel:
 
 
 def messages(plan: Plan, unreadable: list[str]) -> Iterator[tuple[str, Message]]:
-    """Role and message, calibrations and mountings first, then frame by frame.
+    """Yield role and message: calibrations and mountings first, then frame by frame.
 
-    Args:
-        plan: what to write.
-        unreadable: takes the faults of files that turn out to be no frames only when they are decoded.
+    Appends the errors of files that cannot be decoded to ``unreadable``.
 
     Raises:
-        DumpError: a file that contradicts the plan: other size, other encoding, unknown tags.
+        DumpError: a file contradicts the plan: another size, another encoding, or unknown tags.
     """
     by_role = channels(plan)
     first_ns = next(iter(plan.stamps_ns.values()))
@@ -79,11 +77,11 @@ def messages(plan: Plan, unreadable: list[str]) -> Iterator[tuple[str, Message]]
 
 
 _Frame = tuple[list[tuple[str, bytes]], list[str]]
-"""One frame's encoded messages with their roles, in the order of the contract's table, and the faults of its files."""
+"""Encoded messages of a frame with their roles, in the order of ``ROLES``, and the errors of its files."""
 
 
 def _frames_ahead(plan: Plan) -> Iterator[_Frame]:
-    """Frames in order, a few of them decoded and encoded ahead in threads: the libraries release the GIL."""
+    """Yield frames in order; threads prepare a few in advance, since the libraries release the GIL."""
     encoders = _encoders(plan)
     pending: deque[Future[_Frame]] = deque()
     with ThreadPoolExecutor(_WORKERS) as pool:
@@ -109,7 +107,7 @@ def _frame(encoders: Mapping[str, Encode], number: int, stamp_ns: int) -> _Frame
 
 
 def _static(plan: Plan) -> list[tuple[str, bytes]]:
-    """Calibrations and transforms: once, at the first frame."""
+    """Return calibrations and transforms; they are written once, at the first frame."""
     first_ns = next(iter(plan.stamps_ns.values()))
     cameras = plan.rig.cameras
     found = [(role, encoding.encode_calibration(first_ns, cameras[role])) for role in ROLES if role in cameras]
@@ -119,7 +117,7 @@ def _static(plan: Plan) -> list[tuple[str, bytes]]:
 
 
 def _encoders(plan: Plan) -> dict[str, Encode]:
-    """What makes a frame's messages, in the order of the contract's table."""
+    """Return the encoders of a frame's messages by role, in the order of ``ROLES``."""
     found: dict[str, Encode] = {role: partial(_of_file, plan, role, _OF_FILES[role]) for role in plan.surveys}
     if plan.detections:
         found["detections"] = _each(plan.detections, lambda ns, d: encoding.encode_detections(ns, FRONT, d))
@@ -144,16 +142,18 @@ def _of_file(plan: Plan, role: str, encode: EncodeFile, number: int, stamp_ns: i
 
 
 def _image(plan: Plan, role: str, path: Path, stamp_ns: int) -> bytes:
-    """Camera images pass through byte for byte."""
+    """Encode a camera image; its bytes stay unchanged."""
     data = read_bytes(path)
     return encoding.encode_image(stamp_ns, plan.rig.frame_ids.get(role, FRONT), require_whole(path, data), data)
 
 
 def _instances(plan: Plan, role: str, path: Path, stamp_ns: int) -> bytes:
-    """Masks pass through byte for byte: they are PNG, as colours with eight bits each."""
+    """Encode an instance mask, a PNG with 8-bit colours; its bytes stay unchanged."""
     pixels = _pixels(plan, role, path)
     if pixels.container != "png" or pixels.channels not in (3, 4) or pixels.values.dtype != np.uint8:
-        raise DumpError(f"{path}: expected masks as a PNG of red, green and blue, as CARLA saves them")
+        raise DumpError(
+            f"{path}: expected masks as a PNG of red, green and blue as CARLA saves them, found {pixels.shape}"
+        )
     return encoding.encode_image(stamp_ns, FRONT, "png", read_bytes(path))
 
 

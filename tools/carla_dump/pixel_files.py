@@ -1,8 +1,7 @@
-"""Arrays of numbers from a frame's file: PNG, JPEG, ``.npy`` or CSV text. The content decides the format.
+"""Read a frame's file as an array: PNG, JPEG, ``.npy`` or CSV text. The content decides the format.
 
-The header of a ``.npy`` file may claim anything. numpy's own reader believes the header: it allocates what the shape
-asks for and opens zip archives and pickles by their first bytes. Here the header is compared with the file before an
-array is made.
+numpy's reader trusts the header of a ``.npy`` file: it allocates the stated shape, and opens zip archives and pickles.
+``read_npy`` compares the header with the size of the file before it allocates an array.
 """
 
 import io
@@ -27,7 +26,7 @@ NPY_MAGIC: Final = npy_format.MAGIC_PREFIX
 _NUMBERS: Final = "fiu"
 _SHOWN_BYTES: Final = 60
 _HEADER_READERS: Final = {(1, 0): npy_format.read_array_header_1_0, (2, 0): npy_format.read_array_header_2_0}
-"""Version 3 differs in the names of fields alone, which plain numbers do not have."""
+"""Version 3 only adds names of fields, and plain numbers have no fields."""
 _FAULTS: Final = (
     ValueError,
     TypeError,
@@ -40,14 +39,14 @@ _FAULTS: Final = (
     MemoryError,
     RecursionError,
 )
-"""What a header's text can raise: numpy has Python's own parser read it."""
+"""Errors of a header's text, which numpy gives to Python's parser."""
 
 
 def read_npy(path: Path, data: bytes) -> NDArray[Any]:
-    """Array of integers or floats of any shape; nothing larger than the file is allocated.
+    """Return an array of integers or floats of any shape; allocates at most the size of the file.
 
     Raises:
-        UnreadableFrameError: names the file, what was expected and what is there.
+        UnreadableFrameError: the file is damaged; the message names file, expected and found content.
     """
     stream = io.BytesIO(data)
     try:
@@ -56,7 +55,7 @@ def read_npy(path: Path, data: bytes) -> NDArray[Any]:
             raise UnreadableFrameError(f"{path}: .npy version {version}, expected (1, 0) or (2, 0)")
         shape, fortran, dtype = _HEADER_READERS[version](stream)
     except _FAULTS as error:
-        found = data[:_SHOWN_BYTES]  # not the error's text: it differs between versions of Python and numpy
+        found = data[:_SHOWN_BYTES]  # the error's text differs between versions of Python and numpy
         raise UnreadableFrameError(f"{path}: damaged .npy: expected an array's header, found {found!r}") from error
     if dtype.kind not in _NUMBERS or any(type(side) is not int or side < 0 for side in shape):
         raise UnreadableFrameError(f"{path}: .npy of {dtype} {shape}, expected an array of plain numbers")
@@ -67,7 +66,7 @@ def read_npy(path: Path, data: bytes) -> NDArray[Any]:
         )
     try:
         return np.ndarray(shape, dtype, data, start, order="F" if fortran else "C").copy(order="K")
-    except (ValueError, OverflowError, MemoryError) as error:  # (10**30, 0): empty, yet beyond any array
+    except (ValueError, OverflowError, MemoryError) as error:  # (10**30, 0) is empty, but larger than any array
         raise UnreadableFrameError(f"{path}: .npy of shape {shape}: {error}") from error
 
 
@@ -83,34 +82,34 @@ class Pixels:
     container: Literal["png", "jpeg", "npy", "csv"]
     values: NDArray[Any]
     palette: tuple[Colour, ...] = ()
-    """Colours of an indexed image; its values are the indices."""
+    """Colours of an indexed image; ``values`` holds the indices."""
 
     @property
     def channels(self) -> int:
-        """1 for an (H, W) array."""
+        """Return the number of channels, 1 for an (H, W) array."""
         return 1 if self.values.ndim == 2 else int(self.values.shape[2])
 
     @property
     def size(self) -> tuple[int, int]:
-        """Columns and rows."""
+        """Return columns and rows."""
         return int(self.values.shape[1]), int(self.values.shape[0])
 
     @property
     def shape(self) -> str:
-        """For messages."""
+        """Return format, type and shape for messages."""
         return f"{self.container} {self.values.dtype} {'x'.join(map(str, self.values.shape))}"
 
     def equal_channels(self) -> bool:
-        """Whether red, green and blue are the same everywhere."""
+        """Return True if red, green and blue are the same everywhere."""
         blue, green, red = (self.values[..., c] for c in range(3))
         return bool(np.array_equal(blue, green) and np.array_equal(green, red))
 
 
 def load_pixels(path: Path) -> Pixels:
-    """Numbers of a file.
+    """Return the numbers of a file.
 
     Raises:
-        UnreadableFrameError: empty, cut off, damaged, or of no known format.
+        UnreadableFrameError: the file is empty, cut off, damaged, or of an unknown format.
     """
     data = read_bytes(path)
     if data.startswith(NPY_MAGIC):
@@ -137,7 +136,7 @@ def _csv(path: Path, data: bytes) -> Pixels:
     try:
         return Pixels(path, "csv", np.loadtxt(lines, delimiter=delimiter, ndmin=2))
     except ValueError as error:
-        raise UnreadableFrameError(f"{path}: no table of numbers: {error}") from error
+        raise UnreadableFrameError(f"{path}: not a table of numbers: {error}") from error
 
 
 def _image(path: Path, data: bytes) -> Pixels:
@@ -154,7 +153,7 @@ def _image(path: Path, data: bytes) -> Pixels:
 
 
 def _indexed(path: Path, data: bytes) -> Pixels:
-    """OpenCV expands a palette; Pillow gives indices and colours."""
+    """Read an indexed image with Pillow, because OpenCV expands the palette."""
     try:
         with PillowImage.open(io.BytesIO(data), formats=("PNG",)) as image:
             colours = np.array(image.getpalette("RGB") or [], np.uint8).reshape(-1, 3)
@@ -164,10 +163,10 @@ def _indexed(path: Path, data: bytes) -> Pixels:
 
 
 def file_size(path: Path) -> tuple[int, int] | None:
-    """Columns and rows of an image file by its header; None where only reading everything tells.
+    """Return columns and rows of an image file from its header; None for arrays and tables.
 
     Raises:
-        UnreadableFrameError: an empty, cut off or foreign file.
+        UnreadableFrameError: the file is empty, cut off, or of an unknown format.
     """
     try:
         with path.open("rb") as stream:
@@ -180,10 +179,10 @@ def file_size(path: Path) -> tuple[int, int] | None:
 
 
 def surveyed(files: Iterable[Path]) -> list[Pixels]:
-    """A few readable files, first, middle and last, that stand for all of a sensor's.
+    """Return a sample of a sensor's readable files: first, middle and last.
 
     Raises:
-        UnreadableFrameError: not one can be read.
+        UnreadableFrameError: no file can be read.
     """
     paths = list(files)
     chosen = sorted({0, len(paths) // 2, len(paths) - 1})

@@ -1,4 +1,4 @@
-"""The plan of a conversion: everything found, read and decided before the first message is written."""
+"""The plan of a conversion: find, read and decide everything before the first message is written."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -30,7 +30,7 @@ _DEPTH_ROLES: Final[tuple[str, ...]] = ("depth", "truth_depth")
 
 @dataclass(frozen=True)
 class ConvertOptions:
-    """What the command line says."""
+    """The options of the command line."""
 
     roles: Mapping[str, Path] = field(default_factory=dict)
     carla: str | None = None
@@ -43,7 +43,7 @@ class ConvertOptions:
 
 @dataclass(frozen=True)
 class Plan:
-    """A conversion, ready to be written."""
+    """Everything that is needed to write the log."""
 
     layout: DumpLayout
     options: ConvertOptions
@@ -51,9 +51,9 @@ class Plan:
     stamps_ns: Mapping[int, int]
     """Stamp by frame number, in the order of frames."""
     frames: tuple[int, ...]
-    """Frame numbers; where names are stamps those of the sensor each of whose images makes a frame."""
+    """Frame numbers; if names are stamps, the numbers of the reference sensor's images."""
     missing: Mapping[str, int]
-    """By role the frames without a file; where names are stamps without one that is near enough."""
+    """Number of frames without a file by role; if names are stamps, without a file within the tolerance."""
     timing: str
     rig: Rig
     depth_encodings: Mapping[str, DepthEncoding]
@@ -66,13 +66,13 @@ class Plan:
     truth: TruthTables
     notes: tuple[str, ...]
     pixel_origin: str
-    """Where the principal point counts from and how that is known; empty where no matrix gives one."""
+    """Origin of the principal point, and its source; empty without a matrix."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What is lost in the conversion."""
+        """Return warnings about losses in the conversion."""
         lossy_depth = [
-            f"depth is {found}: {GREY[found]}, converted all the same"
+            f"depth is {found}, {GREY[found]}; it is converted with this precision"
             for found in dict.fromkeys(self.depth_encodings.values())
             if found in GREY
         ]
@@ -81,12 +81,12 @@ class Plan:
 
     @property
     def unreadable(self) -> tuple[str, ...]:
-        """Files that are left out because they are no frames."""
+        """Return the errors of unreadable files, which are left out."""
         return tuple(fault for survey in self.surveys.values() for fault in survey.unreadable)
 
 
 def make_plan(dump: Path, options: ConvertOptions) -> Plan:
-    """Look through a dump and decide everything.
+    """Read a dump and plan its conversion.
 
     Raises:
         DumpError: the dump cannot be converted; nothing is written.
@@ -143,7 +143,7 @@ def make_plan(dump: Path, options: ConvertOptions) -> Plan:
 
 
 def _calibration(layout: DumpLayout, options: ConvertOptions) -> tuple[CalibrationFile, Path]:
-    """What ``calibration.json`` says; a field of view from the command line takes the place of K."""
+    """Return the calibration and its path; a field of view from the command line replaces K."""
     path = layout.documents.get("calibration")
     calibration = load_calibration(path) if path else CalibrationFile()
     if options.fov_deg is not None:
@@ -152,7 +152,7 @@ def _calibration(layout: DumpLayout, options: ConvertOptions) -> tuple[Calibrati
 
 
 def _with_pixel_origin(layout: DumpLayout, calibration: CalibrationFile) -> CalibrationFile:
-    """The origin is a matter of the format: KITTI counts from the first pixel's centre, CARLA from its corner."""
+    """Return the calibration with its format's pixel origin: the first pixel's centre in KITTI, its corner in CARLA."""
     if "pixel_origin" in calibration.model_fields_set or not _is_kitti(layout):
         return calibration
     return calibration.model_copy(update={"pixel_origin": "centre"})
@@ -167,15 +167,14 @@ def _origin_in_words(layout: DumpLayout, said: CalibrationFile, used: Calibratio
     if all(matrix is None for matrix in matrices):
         return ""
     stated = "pixel_origin" in said.model_fields_set
-    how = "calibration.json says" if stated else f"{'KITTI' if _is_kitti(layout) else 'CARLA'} has it"
-    return f"the first pixel's {used.pixel_origin}, as {how}"
+    source = "calibration.json says" if stated else f"{'KITTI' if _is_kitti(layout) else 'CARLA'} has it"
+    return f"the first pixel's {used.pixel_origin}, as {source}"  # part of the log: its bytes must not change
 
 
 def _surveys(layout: DumpLayout, options: ConvertOptions, notes: list[str]) -> dict[str, SensorSurvey]:
-    """Surveys of everything but detections, in the order of the channel table.
+    """Return the surveys of all sensors except detections, in the order of ``ROLES``.
 
-    A lidar's folder is an extra that is guessed by its name: where it gives nothing the cameras go on without it,
-    unless the user asked for it.
+    An unreadable lidar folder is left out with a note, unless the user chose it with ``--role``.
     """
     sensors, note = front_sensors({role: s for role, s in layout.sensors.items() if role != "detections"})
     notes += [note] if note else []
@@ -187,23 +186,23 @@ def _surveys(layout: DumpLayout, options: ConvertOptions, notes: list[str]) -> d
 
 
 def _depth_encoding(files: Sequence[Path], camera: Camera, options: ConvertOptions, notes: list[str]) -> DepthEncoding:
-    """The encoding of a sensor's depth; what was decided of 8-bit grey is noted."""
+    """Return the encoding of a sensor's depth; adds a note for 8-bit grey."""
     found = depth_encoding(files)
     if found in GREY:
-        found, why = grey_encoding(files, camera, options.grey_depth)
-        notes.append(why)
+        found, note = grey_encoding(files, camera, options.grey_depth)
+        notes.append(note)
     return found
 
 
 def _frames(layout: DumpLayout) -> list[int]:
-    """Frame numbers of all cameras, sorted."""
+    """Return the frame numbers of all cameras, sorted."""
     return sorted({number for role, s in layout.sensors.items() if role in CAMERA_ROLES for number in s.files})
 
 
 def _stamps(
     layout: DumpLayout, options: ConvertOptions, calibrated_hz: float | None, notes: list[str]
 ) -> tuple[dict[int, int], str, bool]:
-    """The stamp of each frame number, where they come from, and whether the files' names are stamps."""
+    """Return the stamp of each frame number, their source, and True if the files' names are stamps."""
     frames = _frames(layout)
     path = layout.documents.get("timestamps") or _stamps_beside(layout)
     if path is not None:
@@ -211,7 +210,7 @@ def _stamps(
         return stamps, f"stamps of {path.name}{_mean_rate(list(stamps.values()))}", False
     if (stamps_in_names := stamps_of_names(frames)) is not None:
         if options.rate_hz:
-            raise DumpError(f"--rate {options.rate_hz:g}: the names of the files are stamps, which say the rate")
+            raise DumpError(f"--rate {options.rate_hz:g}: the names of the files are stamps; remove --rate")
         if calibrated_hz is not None:
             notes.append(f"rate_hz {calibrated_hz:g} of the calibration is not used: the names of the files are stamps")
         images_ns = [stamps_in_names[number] for number in sorted(layout.sensors[reference_of(layout.sensors)].files)]
@@ -220,18 +219,18 @@ def _stamps(
     rate = rate_hz or DEFAULT_RATE_HZ
     stride = gcd(*(later - frames[0] for later in frames))
     if stride > 1:
-        notes.append(f"frame numbers go in steps of {stride}: {stride / rate:g} s from frame to frame at {rate:g} Hz")
-    how = "" if rate_hz else " (assumed: --rate)"
-    return stamps_of_rate(frames, rate), f"{rate:g} Hz by frame number{how}", False
+        notes.append(f"frame numbers have steps of {stride}: frames are {stride / rate:g} s apart at {rate:g} Hz")
+    source = "" if rate_hz else " (assumed: --rate)"
+    return stamps_of_rate(frames, rate), f"{rate:g} Hz by frame number{source}", False
 
 
 def _frames_and_missing(
     surveys: Mapping[str, SensorSurvey], stamps_ns: Mapping[int, int], notes: list[str], *, is_by_name: bool
 ) -> tuple[tuple[int, ...], dict[str, int]]:
-    """The numbers of the frames, and how many of them lack a file of each sensor."""
+    """Return the frame numbers, and the number of frames without a file by role."""
     if not is_by_name:
-        held = {role: sum(number in stamps_ns for number in found.sensor.files) for role, found in surveys.items()}
-        return tuple(stamps_ns), {role: len(stamps_ns) - count for role, count in held.items()}
+        counts = {role: sum(number in stamps_ns for number in found.sensor.files) for role, found in surveys.items()}
+        return tuple(stamps_ns), {role: len(stamps_ns) - count for role, count in counts.items()}
     frames = tuple(sorted(surveys[reference_of(surveys)].sensor.files))
     apart = apart_ns(surveys, stamps_ns)
     notes += meeting_notes(surveys, apart, len(frames))
@@ -245,7 +244,7 @@ def _mean_rate(stamps: Sequence[int]) -> str:
 
 
 def _stamps_beside(layout: DumpLayout) -> Path | None:
-    """KITTI raw and EuRoC keep the stamps of a camera beside its ``data`` folder."""
+    """Return the stamps beside a camera's ``data`` folder, as in KITTI raw and EuRoC."""
     image = layout.sensors.get("image")
     if image is None or image.first.parent.name != "data":
         return None
@@ -266,7 +265,7 @@ def _tags(
 
 
 def _detections(layout: DumpLayout, notes: list[str]) -> tuple[Mapping[int, tuple[Detection, ...]], str]:
-    """Detections by frame number, and where they come from."""
+    """Return the detections by frame number, and their source."""
     if "detections" in layout.sensors:
         sensor = layout.sensors["detections"]
         return load_kitti_labels(sensor.files), f"{sensor.source}, KITTI labels"
@@ -279,7 +278,7 @@ def _detections(layout: DumpLayout, notes: list[str]) -> tuple[Mapping[int, tupl
 
 
 def _of_frames(what: str, entries: Mapping[int, T], frames: Mapping[int, int], notes: list[str]) -> dict[int, T]:
-    """The entries that have a frame; what belongs to no image is counted and left out."""
+    """Return the entries of frames with an image; adds a note about the others."""
     kept = {number: entries[number] for number in frames if number in entries}
     if len(kept) < len(entries):
         notes.append(f"{what}: {len(entries) - len(kept)} of {len(entries)} frames have no image: left out")

@@ -1,6 +1,6 @@
-"""A lidar's points from the files people keep them in, turned into ROS' right-handed x forward, y left, z up.
+"""Read a lidar's points and convert them to ROS's right-handed x forward, y left, z up.
 
-What a file's axes mean follows from who writes such files:
+The format of a file gives its axes:
 
 - ``.ply``: ``carla.LidarMeasurement.save_to_disk``, text or binary_little_endian; CARLA's left-handed x forward,
   y right, z up, properties x, y, z and perhaps I.
@@ -27,9 +27,9 @@ _KINDS: Final = {
     ".npy": (NPY_MAGIC, ".npy", "npy, left-handed"),
     ".bin": (b"", "", "KITTI velodyne, right-handed"),
 }
-"""By suffix a file's first bytes, its name in messages, and what it is in words."""
+"""First bytes of a file, its name in messages, and its description, by suffix."""
 _PLY_END: Final = re.compile(rb"(?<=\n)end_header\r?\n")
-"""The last header line. Windows ends it with two bytes. The points follow at once."""
+"""The last header line, ended by one byte, or two on Windows. The points follow directly."""
 _PLY_TYPES: Final[Mapping[str, str]] = {
     name: kind
     for kind, names in {
@@ -44,17 +44,17 @@ _PLY_TYPES: Final[Mapping[str, str]] = {
     }.items()
     for name in names
 }
-"""numpy's type of each of the names a PLY header may use."""
+"""numpy's type by the name in a PLY header."""
 _INTENSITY: Final = ("I", "intensity", "Intensity")
 _KITTI_COLUMNS: Final = 4
 _LONGEST_HEADER: Final = 4096
 
 
 def points_kind(path: Path) -> str:
-    """What a file of points is, in words, by its name and first bytes.
+    """Return the description of a file of points, from its name and first bytes.
 
     Raises:
-        UnreadableFrameError: names the file, what was expected and what is there.
+        UnreadableFrameError: the format is unknown; the message names file, expected and found content.
     """
     if path.suffix.lower() not in _KINDS:
         raise UnreadableFrameError(f"{path}: expected points as .ply, .npy or .bin")
@@ -72,12 +72,12 @@ def points_kind(path: Path) -> str:
 
 
 def load_points(path: Path) -> Float32:
-    """(N, 3) x forward, y left, z up in metres, or (N, 4) with intensities; right-handed, from the lidar.
+    """Return (N, 3) x forward, y left, z up in metres from the lidar, or (N, 4) with intensities; right-handed.
 
-    A coordinate beyond what float32 holds becomes infinite: whoever reads the log leaves such points out.
+    Coordinates beyond the range of float32 become infinite; readers of the log skip such points.
 
     Raises:
-        UnreadableFrameError: names the file, what was expected and what is there.
+        UnreadableFrameError: the file is damaged; the message names file, expected and found content.
     """
     points_kind(path)
     suffix, data = path.suffix.lower(), read_bytes(path)
@@ -119,7 +119,7 @@ def _ply(path: Path, data: bytes) -> NDArray[Any]:
 
 
 def _vertices(path: Path, lines: list[list[str]]) -> tuple[int, dict[str, str]]:
-    """How many points a PLY header promises, and numpy's type of each property by name."""
+    """Return the number of points in a PLY header, and numpy's type of each property by name."""
     elements = [k for k, line in enumerate(lines) if line[:1] == ["element"]]
     if not elements or len(lines[elements[0]]) != 3 or lines[elements[0]][1] != "vertex":
         raise UnreadableFrameError(f"{path}: expected the points (element vertex) first in the PLY file")
@@ -139,7 +139,7 @@ def _text_body(path: Path, body: bytes, count: int, properties: Mapping[str, str
     try:
         table = np.array(words, np.float64).reshape(count, len(properties))
     except ValueError as error:
-        raise UnreadableFrameError(f"{path}: a point is no number: {error}") from error
+        raise UnreadableFrameError(f"{path}: a coordinate is not a number: {error}") from error
     return dict(zip(properties, table.T, strict=True))
 
 

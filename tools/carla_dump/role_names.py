@@ -1,4 +1,4 @@
-"""What people call the folders of a dump, and the role each name stands for."""
+"""The usual names of folders in a dump, and their roles."""
 
 import re
 from typing import Final
@@ -15,7 +15,7 @@ ROLES: Final = (
     "truth_depth",
     "truth_segmentation",
 )
-"""Roles that files can fill; ``--role`` takes these names."""
+"""Roles of files; ``--role`` accepts these names."""
 
 _IMAGE_WORDS: Final = frozenset(
     {"rgb", "image", "images", "img", "imgs", "color", "colour", "colors", "frame", "frames"}
@@ -35,14 +35,13 @@ _WORDS_OF: Final = {
     "lidar": _LIDAR,
 }
 _KITTI: Final = {("image", 2): "image", ("image", 3): "right", ("label", 2): "detections"}
-"""KITTI numbers its cameras: 2 is the left colour camera, 3 the right one."""
+"""KITTI's camera numbers: 2 is the left colour camera, 3 the right one."""
 
 
 def role_of(name: str) -> str | None:
-    """Role that a folder's or file's name stands for; None where it says none, or something else as well.
+    """Return the role of a folder's or file's name; None if a word is unknown, or the name fits several roles.
 
-    Upper and lower case, underscores and CamelCase do not matter. Every word must be known: ``depth_rear`` and
-    ``semantic_lidar`` are other sensors.
+    Case, underscores and CamelCase do not matter. ``depth_rear`` and ``semantic_lidar`` are other sensors.
     """
     words, numbers = _words(name)
     if len(words) == 1 and len(numbers) == 1:

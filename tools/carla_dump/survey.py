@@ -1,6 +1,6 @@
-"""A sensor's files by their headers: what can be read, in which size, and what is counted as missing.
+"""Check the headers of a sensor's files: readable files, sizes, and files that count as missing.
 
-Where the names of files are stamps, also which images have a file of each other sensor near enough for a replay.
+If file names are stamps, also find the images without a file of another sensor within a replay's tolerance.
 """
 
 from bisect import bisect_left
@@ -23,33 +23,35 @@ from .point_files import load_points, points_kind
 
 @dataclass(frozen=True)
 class SensorSurvey:
-    """A sensor's files that can be read, as far as their headers tell, and the faults of those that cannot."""
+    """A sensor's files with readable headers, and the errors of the other files."""
 
     sensor: Sensor
     unreadable: tuple[str, ...]
     sizes: Mapping[int, tuple[int, int]]
-    """Columns and rows by frame; empty where only reading everything tells."""
+    """Columns and rows by frame, if the headers give them."""
     encoding: str = ""
 
     @property
     def size(self) -> tuple[int, int] | None:
-        """Columns and rows of most frames, of equally many the first's."""
+        """Return the most frequent columns and rows; with equal counts, those of the first frame."""
         return next((size for size, _ in Counter(self.sizes.values()).most_common(1)), None)
 
     @property
     def paths(self) -> list[Path]:
-        """Files in the order of frames."""
+        """Return the files in the order of frames."""
         return list(self.sensor.files.values())
 
 
 def front_sensors(sensors: Mapping[str, Sensor]) -> tuple[dict[str, Sensor], str]:
-    """The sensors, the left camera standing as the front one where there is no other, and what to tell of it.
+    """Return the sensors, with the left camera as front camera if there is no other, and a note.
 
     Raises:
-        DumpError: no camera among them.
+        DumpError: no sensor is a camera.
     """
     if not any(role in sensors for role in CAMERA_ROLES):
-        raise DumpError(f"no camera found, only {', '.join(s.source for s in sensors.values())}")
+        raise DumpError(
+            f"no camera found, only {', '.join(s.source for s in sensors.values())}; add one or pass --role"
+        )
     kept = dict(sensors)
     left = kept.pop("left", None)
     if left is None:
@@ -61,19 +63,18 @@ def front_sensors(sensors: Mapping[str, Sensor]) -> tuple[dict[str, Sensor], str
     return dict(sensors), ""
 
 
-def _same_files(ours: Mapping[int, Path], theirs: Mapping[int, Path]) -> bool:
-    """Whether both hold the same frames, by sizes and by the first frame's bytes."""
-    if ours.keys() != theirs.keys():
+def _same_files(a: Mapping[int, Path], b: Mapping[int, Path]) -> bool:
+    """Return True if all files have the same sizes, and the first files have the same bytes."""
+    if a.keys() != b.keys() or any(a[number].stat().st_size != b[number].stat().st_size for number in a):
         return False
-    same_sizes = all(ours[number].stat().st_size == theirs[number].stat().st_size for number in ours)
-    return same_sizes and ours[min(ours)].read_bytes() == theirs[min(theirs)].read_bytes()
+    return a[min(a)].read_bytes() == b[min(b)].read_bytes()
 
 
 def survey(sensor: Sensor) -> SensorSurvey:
-    """Look at every file's header: what is empty, cut off or foreign is counted as missing.
+    """Check the header of every file; empty, cut off or unknown files count as missing.
 
     Raises:
-        DumpError: not one file of the sensor can be read.
+        DumpError: no file of the sensor can be read.
     """
     files: dict[int, Path] = {}
     sizes: dict[int, tuple[int, int]] = {}
@@ -94,13 +95,9 @@ def survey(sensor: Sensor) -> SensorSurvey:
 
 
 def points_fault(sensor: Sensor, frames: Collection[int]) -> str:
-    """Why no frame gets points of a lidar; empty where at least one does.
+    """Return why no frame gets points from a lidar, or "" if one does; ``frames`` are the frames with an image.
 
-    The files are read until one holds points: their first bytes alone do not tell.
-
-    Args:
-        sensor: the lidar's files.
-        frames: numbers of the frames that have an image.
+    Reads files until one holds points, since the first bytes are not enough.
     """
     faults = []
     for number, path in sorted(sensor.files.items()):
@@ -117,7 +114,7 @@ def points_fault(sensor: Sensor, frames: Collection[int]) -> str:
 
 
 def _header(role: str, path: Path) -> tuple[tuple[int, int] | None, str]:
-    """Columns and rows, where the header tells, and a description."""
+    """Return columns and rows, if the header gives them, and a description."""
     if role == LIDAR:
         return None, points_kind(path)
     if role in ("image", "left", "right"):
@@ -132,10 +129,10 @@ def _counted(kinds: Counter[str]) -> str:
 
 
 def of_size(found: SensorSurvey, expected: tuple[int, int]) -> SensorSurvey:
-    """The survey without the images of another size than their camera's, which are counted as missing.
+    """Return the survey without images of another size than their camera's; those count as missing.
 
     Raises:
-        UnreadableFrameError: all of them are.
+        UnreadableFrameError: no image has the camera's size.
     """
     files = dict(found.sensor.files)
     faults: list[UnreadableFrameError] = []
@@ -152,29 +149,29 @@ def of_size(found: SensorSurvey, expected: tuple[int, int]) -> SensorSurvey:
 
 
 def require_size(path: Path, found: tuple[int, int], expected: tuple[int, int]) -> None:
-    """Check an image's columns and rows against its camera's.
+    """Check that an image has the columns and rows of its camera.
 
     Raises:
-        UnreadableFrameError: names the file and both sizes.
+        UnreadableFrameError: the sizes differ; the message names the file and both sizes.
     """
     if found != expected:
-        raise UnreadableFrameError(f"{path}: image is {found[0]}x{found[1]}, its camera {expected[0]}x{expected[1]}")
+        raise UnreadableFrameError(
+            f"{path}: image is {found[0]}x{found[1]}, expected {expected[0]}x{expected[1]} as its camera"
+        )
 
 
 TOLERANCE_S = SyncConfig().tolerance_s
 
 
 def reference_of(sensors: Mapping[str, object]) -> str:
-    """The sensor each of whose images makes a frame, of sensors by role with a camera among them."""
+    """Return the role whose images make the frames; one of the sensors must be a camera."""
     return next(role for role in REFERENCE_ROLES if role in sensors)
 
 
 def apart_ns(surveys: Mapping[str, SensorSurvey], stamps_ns: Mapping[int, int]) -> dict[str, list[int]]:
-    """By role the distances of the nearest stamps that are beyond a replay's tolerance, one for each such frame.
+    """Return by role the distances from frames to the nearest stamp, for frames beyond a replay's tolerance.
 
-    Args:
-        surveys: of the sensors.
-        stamps_ns: stamp by the number that is a file's name.
+    ``stamps_ns`` holds the stamp by the number in a file's name.
     """
     stamps = {
         role: [stamps_ns[n] for n in sorted(found.sensor.files) if n in stamps_ns] for role, found in surveys.items()
@@ -189,7 +186,7 @@ def apart_ns(surveys: Mapping[str, SensorSurvey], stamps_ns: Mapping[int, int]) 
 
 
 def _distance_ns(frame_ns: int, stamps_ns: Sequence[int]) -> int:
-    """How far the nearest of one or more stamps, ascending, is from that of a frame."""
+    """Return the distance of a frame's stamp from the nearest of one or more ascending stamps."""
     place = bisect_left(stamps_ns, frame_ns)
     return min(abs(ns - frame_ns) for ns in stamps_ns[max(place - 1, 0) : place + 1])
 
@@ -197,15 +194,15 @@ def _distance_ns(frame_ns: int, stamps_ns: Sequence[int]) -> int:
 def meeting_notes(
     surveys: Mapping[str, SensorSurvey], apart: Mapping[str, Sequence[int]], frames: int
 ) -> Iterator[str]:
-    """A line for each sensor whose files lie too far from some images."""
+    """Yield a note for each sensor without files near some images."""
     for role, distances in apart.items():
         if distances:
             nearest, farthest = (_seconds(ns) for ns in (min(distances), max(distances)))
             by = nearest if nearest == farthest else f"{nearest} to {farthest}"
             yield (
                 f"{surveys[role].sensor.source}: {len(distances)} of {frames} images have no file within "
-                f"sync.tolerance_s ({TOLERANCE_S:g} s), the nearest are {by} s apart: "
-                "a replay pairs more with --set sync.tolerance_s=SECONDS"
+                f"sync.tolerance_s ({TOLERANCE_S:g} s), the nearest are {by} s apart; "
+                "pass --set sync.tolerance_s=SECONDS to the replay to pair them"
             )
 
 

@@ -1,4 +1,4 @@
-"""CARLA's semantic tags from raw images, palette images and CSV text. Decided by content, once for a sensor."""
+"""CARLA's semantic tags from raw images, palette images and CSV text. The content decides, once for each sensor."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,19 +23,19 @@ from .pixel_files import Pixels, surveyed
 
 TagEncoding = Literal["raw in red", "raw grey", "raw numbers", "palette colours"]
 
-LOSSY_TAGS: Final = "tags are taken as the nearest that exists where they are not exact (--allow-lossy-tags)"
+LOSSY_TAGS: Final = "tags that are not exact are replaced by the nearest tag (--allow-lossy-tags)"
 _LARGEST_TAG: Final = max(len(table.names) for table in TABLES.values()) - 1
-"""Of all tables: palette colours go above."""
+"""Largest tag of all tables; palette colours have larger values."""
 _JPEG_SLACK: Final = 40
-"""What JPEG makes of the tags and of the empty channels of CARLA's raw images stays below."""
+"""Largest value of the empty channels of CARLA's raw images after JPEG compression."""
 _SHOWN: Final = 12
 
 
 def tag_encoding(files: Sequence[Path], *, allow_lossy: bool) -> tuple[TagEncoding, tuple[int, ...]]:
-    """Encoding of a sensor's files, from the first that tells, and the raw tags seen (none in palette images).
+    """Return the encoding of a sensor's files, and the raw tags in a sample (none in palette images).
 
     Raises:
-        DumpError: no file can be read, the content is no tags, or it is JPEG and lossy tags are not allowed.
+        DumpError: no file can be read, the content is not tags, or it is JPEG and lossy tags are not allowed.
     """
     samples = surveyed(files)
     for pixels in samples:
@@ -50,17 +50,17 @@ def tag_encoding(files: Sequence[Path], *, allow_lossy: bool) -> tuple[TagEncodi
 def _refuse_jpeg(pixels: Pixels, *, allow_lossy: bool) -> None:
     if pixels.container == "jpeg" and not allow_lossy:
         raise DumpError(
-            f"{pixels.path}: tags as JPEG: its compression changes values, so the exact tags are lost; "
-            "store PNG, or take the nearest with --allow-lossy-tags"
+            f"{pixels.path}: tags as JPEG: compression changes values, so the exact tags are lost; "
+            "store PNG, or pass --allow-lossy-tags to use the nearest tags"
         )
 
 
 def _encoding(pixels: Pixels) -> TagEncoding | None:
-    """None where nothing but black is to be seen."""
+    """Return the encoding of a file; None if it is all black."""
     if pixels.channels == 1:
         return "palette colours" if _palette_of_classes(pixels) else "raw numbers"
     if pixels.channels not in (3, 4) or pixels.values.dtype != np.uint8:
-        raise DumpError(f"{pixels.path}: {pixels.shape} is no tag image")
+        raise DumpError(f"{pixels.path}: {pixels.shape} is not a tag image")
     blue, green, red = (pixels.values[..., c] for c in range(3))
     slack = _JPEG_SLACK if pixels.container == "jpeg" else 0
     if not (blue.any() or green.any() or red.any()):
@@ -73,7 +73,7 @@ def _encoding(pixels: Pixels) -> TagEncoding | None:
 
 
 def _palette_of_classes(pixels: Pixels) -> bool:
-    """Whether every index in use has a class's colour: the colours then speak, not the order in the file."""
+    """Return True if each used index has the colour of a class; then the colours give the tags, not the indices."""
     colours = CARLA_FROM_0_9_14.tag_by_colour()
     return bool(pixels.palette) and all(
         i < len(pixels.palette) and pixels.palette[i] in colours for i in np.unique(pixels.values)
@@ -83,16 +83,16 @@ def _palette_of_classes(pixels: Pixels) -> bool:
 def choose_table(
     version: str | None, encoding: TagEncoding, seen: tuple[int, ...], source: str
 ) -> tuple[TagTable, str]:
-    """The tag table and how it is known.
+    """Return the tag table and its source.
 
     Args:
-        version: what the user or calibration.json says.
-        encoding: how the tags are stored.
-        seen: raw tags seen in a few files.
+        version: CARLA version from the user or calibration.json.
+        encoding: encoding of the tags.
+        seen: raw tags in a sample of the files.
         source: the sensor's folder, for the message.
 
     Raises:
-        DumpError: the version is neither given nor clear from the numbers.
+        DumpError: no version is given, and the tags do not show it.
         ConfigError: the version is unknown.
     """
     if version is not None:
@@ -105,21 +105,21 @@ def choose_table(
         f"{table.name}: {', '.join(f'{t} {table.name_of(t)}' for t in seen[:_SHOWN])}" for table in CARLA_TABLES
     )
     raise DumpError(
-        f"{source}: which CARLA version wrote these tags? The numbers alone do not tell. They would mean {meanings}. "
-        'Say --carla 0.9.15 (or what it was), or "carla_tags" in calibration.json'
+        f"{source}: the CARLA version of the tags is unknown, and their numbers fit several tables: {meanings}. "
+        'Pass --carla VERSION, such as --carla 0.9.15, or add "carla_tags" to calibration.json'
     )
 
 
 def tags_of(pixels: Pixels, encoding: TagEncoding, table: TagTable, *, allow_lossy: bool) -> Image:
-    """(H, W) uint8 tags of the table.
+    """Return (H, W) uint8 tags of the table.
 
     Raises:
-        DumpError: a tag or colour that the table does not know, or a file stored otherwise than the sensor's others.
+        DumpError: the table lacks a tag or colour, or the encoding differs from the sensor's other files.
     """
     _refuse_jpeg(pixels, allow_lossy=allow_lossy)
     own = _encoding(pixels)
     if own not in (encoding, None) and not (allow_lossy and pixels.container == "jpeg"):
-        raise DumpError(f"{pixels.path}: tags as {own}, the files before as {encoding}")
+        raise DumpError(f"{pixels.path}: tags are encoded as {own}, the files before as {encoding}")
     if encoding == "palette colours":
         return _tags_of_colours(pixels, table, allow_lossy=allow_lossy)
     return _known_tags(pixels, _raw(pixels), table, allow_lossy=allow_lossy)
@@ -157,7 +157,7 @@ def _tags_of_colours(pixels: Pixels, table: TagTable, *, allow_lossy: bool) -> I
 
 
 def _colour_codes(pixels: Pixels) -> NDArray[Any]:
-    """(H, W) colours as red * 65536 + green * 256 + blue."""
+    """Return (H, W) colours as red * 65536 + green * 256 + blue."""
     if pixels.palette:
         table = np.array([(r << 16) | (g << 8) | b for r, g, b in pixels.palette], np.uint32)
         return np.asarray(table[pixels.values])
@@ -166,7 +166,7 @@ def _colour_codes(pixels: Pixels) -> NDArray[Any]:
 
 
 def _nearest(codes: NDArray[np.uint32], table: TagTable) -> Image:
-    """Tag of the palette colour nearest to each code by squared distance in RGB."""
+    """Return the tag of the nearest palette colour by squared distance in RGB."""
     known = table.tag_by_colour()
     distinct, inverse = np.unique(codes, return_inverse=True)
     rgb = np.stack((distinct >> 16, distinct >> 8 & 255, distinct & 255), axis=-1).astype(np.int32)
@@ -185,6 +185,6 @@ def _unknown_colour(pixels: Pixels, codes: NDArray[np.uint32], table: TagTable) 
     colour = (code >> 16, code >> 8 & 255, code & 255)
     more = f" and {len(distinct) - 1} more colours" if len(distinct) > 1 else ""
     return (
-        f"{pixels.path}: colour {colour} ({counts.max()} pixels){more} is in no palette of {table.name}; "
-        "instance ids or a smoothed image? --allow-lossy-tags takes the nearest colour"
+        f"{pixels.path}: colour {colour} ({counts.max()} pixels){more} is not in the palette of {table.name}. "
+        "Is it an image of instance ids, or smoothed? Pass --allow-lossy-tags to use the nearest colour"
     )

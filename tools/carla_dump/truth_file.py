@@ -1,4 +1,4 @@
-"""What a renderer or CARLA knows: poses, and lanes, surface and objects of ``truth.json``, frame by frame.
+"""Ground truth of a dump by frame: poses, and lanes, surface and objects of ``truth.json``.
 
 CARLA (Unreal) is left-handed: x forward, y right, z up; rotations are yaw about z (to the right), then pitch (nose up),
 then roll (right side down), in degrees, with the matrix of ``carla::geom::Transform::GetMatrix``. Mirroring y turns it
@@ -28,7 +28,7 @@ COLUMNS = ("frame", "x", "y", "z", "roll", "pitch", "yaw")
 
 
 class CarlaPose(Document):
-    """Position in metres and angles in degrees, in CARLA's left-handed convention."""
+    """Position in metres and angles in degrees in CARLA's left-handed convention."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -41,7 +41,7 @@ class CarlaPose(Document):
 
 
 class _Transform(Document):
-    """As ``carla.Transform`` prints itself: {"location": {x, y, z}, "rotation": {pitch, yaw, roll}}."""
+    """A pose in the format of ``carla.Transform``: {"location": {x, y, z}, "rotation": {pitch, yaw, roll}}."""
 
     x: FiniteFloat = Field(validation_alias=AliasPath("location", "x"))
     y: FiniteFloat = Field(validation_alias=AliasPath("location", "y"))
@@ -52,21 +52,21 @@ class _Transform(Document):
 
 
 def right_handed(pose: CarlaPose | _Transform) -> Float:
-    """(4, 4) right-handed parent_T_body of a CARLA pose, metres."""
+    """Return (4, 4) right-handed parent_T_body of a CARLA pose, metres."""
     roll, pitch, yaw = np.deg2rad((pose.roll, -pose.pitch, -pose.yaw))
     return rigid(rotation_from_rpy(roll, pitch, yaw), np.array([pose.x, -pose.y, pose.z]))
 
 
 def camera_mounting(pose: CarlaPose) -> Float:
-    """ego_T_camera, camera frame optical, of a camera mounted at a CARLA pose in the ego frame."""
+    """Return ego_T_camera (optical frame) of a camera mounted at a CARLA pose in the ego frame."""
     return right_handed(pose) @ rigid(EGO_R_OPTICAL, np.zeros(3))
 
 
 def load_poses(path: Path) -> dict[int, Float]:
-    """odom_T_ego by frame number; CARLA's world, mirrored, serves as odom.
+    """Return odom_T_ego by frame number; odom is CARLA's world, mirrored.
 
     Raises:
-        DumpError: the file is neither the JSON nor the table expected, or holds values that are no pose.
+        DumpError: the file is neither the expected JSON nor the expected table, or a value is not a pose.
     """
     if path.suffix == ".json":
         poses: Mapping[str, CarlaPose | _Transform] = checked(path, TypeAdapter(dict[str, _Transform]), read_json(path))
@@ -76,7 +76,7 @@ def load_poses(path: Path) -> dict[int, Float]:
 
 
 def _read_table(path: Path) -> dict[str, dict[str, str]]:
-    """Rows by frame of a table with a header line, separated by commas or blanks."""
+    """Return the rows by frame of a table with a header line, separated by commas or spaces."""
     lines = [line for line in read_lines(path) if line.strip()]
     split = list(csv.reader(lines)) if lines and "," in lines[0] else [line.split() for line in lines]
     rows = [[cell.strip() for cell in row] for row in split]
@@ -89,7 +89,7 @@ def _read_table(path: Path) -> dict[str, dict[str, str]]:
             raise DumpError(f"{path}: row {line}: expected {len(header)} values, got {len(row)}")
         entry = dict(zip(header, row, strict=True))
         if table.setdefault(entry["frame"], {}):
-            raise DumpError(f"{path}: row {line}: frame {entry['frame']} stands twice")
+            raise DumpError(f"{path}: row {line}: frame {entry['frame']} appears twice")
         table[entry["frame"]] = {name: entry[name] for name in COLUMNS[1:]}
     return table
 
@@ -149,7 +149,7 @@ class _Truth(Document):
 
 @dataclass(frozen=True)
 class TruthTables:
-    """Truth by frame number."""
+    """Ground truth by frame number."""
 
     lanes: Mapping[int, Lanes]
     surfaces: Mapping[int, Surface]
@@ -160,10 +160,10 @@ NO_TRUTH = TruthTables({}, {}, {})
 
 
 def load_truth(path: Path, surface_frame_id: str) -> TruthTables:
-    """Read ``truth.json``; the surface is in the frame of the camera the depth belongs to.
+    """Read ``truth.json``; the surface is in ``surface_frame_id``, the frame of the depth camera.
 
     Raises:
-        DumpError: names file, key and fault.
+        DumpError: the file is wrong; the message names file, key and error.
     """
     truth = checked(path, TypeAdapter(_Truth), read_json(path))
     return TruthTables(

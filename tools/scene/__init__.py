@@ -1,1 +1,1 @@
-"""The rendered world: road, buildings, traffic, camera, truth."""
+"""The renderer: road, buildings, traffic, cameras and ground truth."""

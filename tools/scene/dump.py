@@ -1,4 +1,4 @@
-"""The files of a dump in CARLA's own formats and conventions."""
+"""Write the files of a dump in CARLA's formats and conventions."""
 
 import json
 from collections.abc import Iterator
@@ -25,47 +25,47 @@ DEPTH_CODES: Final = 2**24 - 1
 LIDAR: Final = "lidar"
 INSTANCES: Final = "instance_segmentation"
 MARK: Final = "truth.json"
-"""The file by which an earlier dump of this renderer is known."""
+"""A folder with this file is an earlier dump of this renderer."""
 _FILES: Final = ("calibration.json", "detections.json", "poses.json", "timestamps.txt", MARK)
 _OWN: Final = frozenset((*SENSORS, LIDAR, INSTANCES, "truth", *_FILES))
 
 
 @contextmanager
 def new_dump(folder: Path, *, force: bool) -> Iterator[Path]:
-    """A hidden folder to render into, which takes the folder's place when the dump is complete.
+    """Yield a hidden folder to render into; it replaces ``folder`` when the dump is complete.
 
-    With ``force`` an earlier dump's files are removed with it, and nothing else.
+    With ``force`` it replaces the files of an earlier dump. Other files in the folder stay.
 
     Raises:
-        DumpError: it is a file, or holds something and ``force`` is not given.
-        TargetError: it cannot be made.
+        DumpError: the path is a file, or the folder is not empty and ``force`` is False.
+        TargetError: the folder cannot be created.
     """
     if folder.exists() and not folder.is_dir():
-        raise DumpError(f"{folder}: is a file, expected the name of a folder")
+        raise DumpError(f"{folder}: expected a folder, found a file; choose another name")
     if folder.is_dir() and any(folder.iterdir()):
         if not force:
-            raise DumpError(f"{folder}: exists and is not empty; --force replaces an earlier dump in it")
+            raise DumpError(f"{folder}: exists and is not empty; pass --force to replace an earlier dump in it")
         if not (folder / MARK).is_file():
-            raise DumpError(f"{folder}: holds no {MARK}, so it is no earlier dump of this renderer; left as it is")
+            raise DumpError(f"{folder}: refusing to replace it: not a dump of roadperc-render ({MARK} is missing)")
     with completing_folder(folder, keep=lambda entry: entry.name not in _OWN) as hidden:
         yield hidden
 
 
 def write_file(path: Path, data: bytes) -> None:
-    """Write a file of a dump; make its folder."""
+    """Write a file of a dump and create its folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(data)
 
 
 def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:
-    """Write a picture as PNG or JPEG, by the path's suffix."""
+    """Write a picture as PNG or JPEG; the suffix of the path decides."""
     settings = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if path.suffix == ".jpg" else []
     _, encoded = cv2.imencode(path.suffix, picture, settings)
     write_file(path, encoded.tobytes())
 
 
 def write_points(path: Path, points: Float32) -> None:
-    """(N, 4) x, y, z and intensity as ``carla.LidarMeasurement.save_to_disk`` writes them: PLY text, four decimals."""
+    """Write (N, 4) x, y, z, intensity as ``carla.LidarMeasurement.save_to_disk`` does: PLY text with four decimals."""
     properties = "".join(f"property float32 {name}\n" for name in "xyzI")
     header = f"ply\nformat ascii 1.0\nelement vertex {len(points)}\n{properties}end_header\n"
     lines = "%.4f %.4f %.4f %.4f\n" * len(points) % tuple(points.ravel().tolist())
@@ -73,34 +73,28 @@ def write_points(path: Path, points: Float32) -> None:
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Compact JSON; floats as they are, so round them before."""
+    """Write compact JSON; round the floats before."""
     write_file(path, (json.dumps(content, separators=(",", ":")) + "\n").encode())
 
 
 def depth_picture(depth_m: Float32) -> NDArray[np.uint8]:
-    """(H, W, 3) blue, green, red of CARLA's 24-bit depth: metres = (R + 256 G + 65536 B) / (2^24 - 1) * 1000."""
+    """Return (H, W, 3) BGR of CARLA's 24-bit depth: metres = (R + 256 G + 65536 B) / (2^24 - 1) * 1000."""
     codes = np.rint(depth_m.astype(np.float64) * (DEPTH_CODES / FAR_M)).astype("<u4")
     bytes_low_first = codes.view(np.uint8).reshape(*depth_m.shape, 4)
     return np.asarray(cv2.cvtColor(bytes_low_first, cv2.COLOR_RGBA2BGR), np.uint8)
 
 
-def tags_picture(tags: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """(H, W, 3) blue, green, red with the raw tags in the red channel."""
-    picture = np.zeros((*tags.shape, 3), np.uint8)
-    picture[..., 2] = tags
-    return picture
+def tags_picture(tags: NDArray[np.uint8], ids: NDArray[np.int32] | int = 0) -> NDArray[np.uint8]:
+    """Return (H, W, 3) BGR in CARLA's coding: red is the tag.
 
-
-def instance_picture(tags: NDArray[np.uint8], ids: NDArray[np.int32]) -> NDArray[np.uint8]:
-    """(H, W, 3) blue, green, red as CARLA's instance segmentation has it: the tag in red, the id in green and blue.
-
-    Green holds the id's low byte, blue its high one; where no object is, it is 0.
+    Green and blue are the low and high byte of the instance id (H, W), 0 for no object.
     """
-    return np.dstack((ids >> 8 & 255, ids & 255, tags)).astype(np.uint8)
+    low, high = (np.broadcast_to(np.asarray(byte), tags.shape) for byte in (ids & 255, ids >> 8 & 255))
+    return np.dstack((high, low, tags)).astype(np.uint8)
 
 
 def calibration(rig: CameraPair, options: RenderOptions) -> dict[str, Any]:
-    """The calibration file: K as CARLA has it, its centre counted from the corner of the first pixel."""
+    """Return the calibration file; as in CARLA, K counts the principal point from the corner of the first pixel."""
     camera, K = rig.camera, rig.camera.K
     K[:2, 2] += 0.5
     _, _, _, roll, pitch, yaw = options.mount
@@ -123,9 +117,9 @@ def calibration(rig: CameraPair, options: RenderOptions) -> dict[str, Any]:
 
 
 def carla_transform(world_T_ego: Float) -> dict[str, dict[str, float]]:
-    """A pose as CARLA writes it: y to the right, degrees, pitch nose up, yaw to the right, roll right side down.
+    """Return a pose as CARLA writes it: y right, degrees, pitch nose up, yaw right, roll right side down.
 
-    Source: Unreal's FRotator; mirroring y turns the signs of pitch and yaw as ROS has them and keeps roll's.
+    Source: Unreal's FRotator. Mirroring y changes the signs of ROS's pitch and yaw, not of roll.
     """
     x, y, z = (float(c) for c in world_T_ego[:3, 3])
     yaw, pitch, roll = (float(a) for a in Rotation.from_matrix(world_T_ego[:3, :3]).as_euler("ZYX", degrees=True))

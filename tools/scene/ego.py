@@ -1,4 +1,4 @@
-"""The ego car's motion along its lane: its way, changes of lane, and the rocking of its body."""
+"""The ego car's motion: position along its lane, lane changes, and pitching of the body."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -10,77 +10,77 @@ from roadperc_stream.geometry.rotations import rotation_from_rpy
 from roadperc_stream.model.results import LaneChange
 
 from .lanes import Lane, LaneMap
+from .motions import SpeedProfile
 from .options import RenderOptions
-from .scenario import SpeedProfile
-from .world import World
+from .scenes import Scene
 
 CHANGE_AFTER_S: Final = 2.0
 CHANGE_S: Final = 3.0
 STAY_S: Final = 2.0
-"""How long the car stays in the other lane before it goes back."""
-BROKEN_OFF: Final = 0.42
-"""Share of the distance to the other lane's middle that an aborted change covers: onto the line, not over it."""
+"""Time in the other lane before the car goes back."""
+ABORTED: Final = 0.42
+"""Share of the distance to the other lane's centre in an aborted change: the car touches the line only."""
 
 
 @dataclass(frozen=True)
-class Manoeuvre:
-    """A move of ``aside_m`` (to the left) over ``length_m`` of road; one that is broken off ends where it began."""
+class LateralMove:
+    """A lateral move by ``aside_m`` (positive left) over ``length_m`` of road; an aborted move returns to its start."""
 
     from_m: float
     length_m: float
     aside_m: float
-    broken_off: bool = False
+    aborted: bool = False
 
     def at(self, s_m: float) -> tuple[float, float]:
-        """How far aside the car is at s, and how far it moves aside per metre."""
+        """Return the lateral offset at s in metres, and its derivative by s."""
         u = min(max((s_m - self.from_m) / self.length_m, 0.0), 1.0)
-        if self.broken_off:
+        if self.aborted:
             # Out in the first half, back in the second.
             share, slope = _eased(2 * u if u < 0.5 else 2 - 2 * u)
-            share, slope = BROKEN_OFF * share, BROKEN_OFF * slope * (2 if u < 0.5 else -2)
+            share, slope = ABORTED * share, ABORTED * slope * (2 if u < 0.5 else -2)
         else:
             share, slope = _eased(u)
         return self.aside_m * share, self.aside_m * slope / self.length_m
 
 
 def _eased(u: float) -> tuple[float, float]:
-    """From 0 to 1 without a jerk at either end, and its derivative."""
+    """Return a smooth step from 0 to 1 (zero slope and curvature at both ends), and its derivative."""
     return u**3 * (10 - 15 * u + 6 * u * u), 30 * u * u * (1 - u) ** 2
 
 
-def lane_changes(options: RenderOptions, lanes: LaneMap) -> tuple[Manoeuvre, ...]:
-    """The changes that the options ask for, along the road: after two seconds, over three."""
+def lane_changes(options: RenderOptions, lanes: LaneMap) -> tuple[LateralMove, ...]:
+    """Return the lane changes of the options: the first starts after 2 s and takes 3 s."""
     if options.change_lane is None:
         return ()
     speed = options.speed_mps
     start = CHANGE_AFTER_S * speed
     target = next(lane for lane in lanes.lanes if lane is not lanes.start)
     aside = target.way_m(start) - lanes.start.way_m(start)
-    first = Manoeuvre(start, CHANGE_S * speed, aside, options.change_broken_off)
-    back = Manoeuvre(start + (CHANGE_S + STAY_S) * speed, CHANGE_S * speed, -aside)
+    first = LateralMove(start, CHANGE_S * speed, aside, options.change_broken_off)
+    back = LateralMove(start + (CHANGE_S + STAY_S) * speed, CHANGE_S * speed, -aside)
     return (first, back) if options.change_back else (first,)
 
 
 WAVES: Final = 6
 FREQUENCY_HZ: Final = (0.4, 2.5)
-"""From the body's slow heave to what a stiff suspension lets through."""
+"""From the slow heave of the body to the fastest pitching of a stiff suspension."""
 
 
 @dataclass(frozen=True, eq=False)
 class Shake:
-    """A sum of waves whose standard deviation over time is the one asked for."""
+    """Pitching of the body: a sum of sine waves with a given standard deviation over time."""
 
     frequency_hz: Float
     phase: Float
     amplitude_rad: float
 
     def at(self, time_s: float) -> float:
-        """Pitch beside the car's own, radians, nose down positive."""
+        """Return the additional pitch in radians, positive with the nose down."""
         return self.amplitude_rad * float(np.sin(2 * np.pi * self.frequency_hz * time_s + self.phase).sum())
 
 
 def shake_of(std_deg: float, seed: int) -> Shake | None:
-    """Waves drawn from the seed; none where nothing rocks."""
+    """Return waves drawn from the seed, or None for a standard deviation of 0."""
     if std_deg == 0:
         return None
     rng = np.random.default_rng((seed, 303))
@@ -90,14 +90,14 @@ def shake_of(std_deg: float, seed: int) -> Shake | None:
 
 WEAVE_S: Final = 6.0
 MAX_WEAVE_SLOPE: Final = 0.15
-"""How far the car turns out of its lane's direction at most: a slow car weaves more slowly."""
+"""Largest slope of the car's path relative to its lane; a slow car weaves with a longer period."""
 NOD_S: Final = 1.1
 NOD_RAD: Final = float(np.radians(0.3))
 
 
 @dataclass(frozen=True)
 class LaneChangeState:
-    """Whether the car is changing its lane, and how often its reference point has come into another one."""
+    """Direction of a lane change in progress, and how often the reference point has entered another lane."""
 
     direction: LaneChange
     count: int
@@ -105,37 +105,34 @@ class LaneChangeState:
 
 @dataclass(frozen=True)
 class Ego:
-    """The ego car's motion: along the road's centre line, weaving about its lane's middle.
+    """The ego car: it follows the road and weaves about its lane's centre, at constant speed without a ``motion``."""
 
-    Without a ``motion`` its speed is constant.
-    """
-
-    world: World
+    scene: Scene
     speed_mps: float
     weave_m: float
     static: bool
-    changes: tuple[Manoeuvre, ...] = ()
+    changes: tuple[LateralMove, ...] = ()
     motion: SpeedProfile | None = None
     shake: Shake | None = None
 
     def s(self, time_s: float) -> float:
-        """Metres along the road."""
+        """Return s in metres along the road."""
         if self.static:
             return 0.0
         return self.speed_mps * time_s if self.motion is None else self.motion.at(time_s)[0]
 
     def d(self, time_s: float) -> float:
-        """Metres to the left of the road's middle."""
+        """Return d in metres to the left of the road's centre line."""
         return self._aside(time_s)[0]
 
     def _driven_s(self, time_s: float) -> float:
-        """Seconds of driving at the cruising speed: a standing car neither weaves nor nods."""
+        """Return the time that s takes at cruising speed, so that a standing car neither weaves nor pitches."""
         return time_s if self.motion is None else self.s(time_s) / self.speed_mps
 
     def _aside(self, time_s: float) -> tuple[float, float]:
-        """D, and how fast it grows where the car goes at its cruising speed, m/s."""
+        """Return d in metres, and its rate of change at cruising speed in m/s."""
         s = self.s(time_s)
-        middle = self.world.road.lanes.start.way_m(s)
+        middle = self.scene.road.lanes.start.way_m(s)
         if self.static:
             return middle, 0.0
         period_s = max(WEAVE_S, 2 * np.pi * self.weave_m / (MAX_WEAVE_SLOPE * self.speed_mps))
@@ -147,9 +144,9 @@ class Ego:
         return float(d), float(sideways)
 
     def lane_change(self, time_s: float, half_width_m: float) -> LaneChangeState:
-        """The change that the car, so wide to either side, is in: part of it is over the line, or has been."""
+        """Return the lane change in progress: from the car's first contact with the line until it has crossed it."""
         s, d = self.s(time_s), self.d(time_s)
-        lanes, count = self.world.road.lanes, 0
+        lanes, count = self.scene.road.lanes, 0
         lane: Lane | None = lanes.start
         for change in self.changes:
             if change.from_m <= s < change.from_m + change.length_m and lane is not None:
@@ -158,18 +155,18 @@ class Ego:
                 over = any(lane.beside_m(s, d + side * half_width_m) > 0 for side in (-1, 1))
                 arrived = now is not lane and all(now.beside_m(s, d + k * half_width_m) == 0 for k in (-1, 1) if now)
                 return LaneChangeState(towards if over and not arrived else "none", count + (now is not lane))
-            if s >= change.from_m and not change.broken_off:
+            if s >= change.from_m and not change.aborted:
                 count, lane = count + 1, next((other for other in lanes.lanes if other is not lane), None)
         return LaneChangeState("none", count)
 
     def pose(self, time_s: float) -> Float:
-        """world_T_ego: on its wheels, headed where it goes, nodding a little."""
+        """Return world_T_ego: on the ground, heading along its motion, with a small pitching."""
         s, (d, sideways) = self.s(time_s), self._aside(time_s)
         if self.static:
-            return self.world.ground_pose(0.0, d)
-        onwards = self.speed_mps * (1 - self.world.path.curvature(s) * d)
+            return self.scene.ground_pose(0.0, d)
+        onwards = self.speed_mps * (1 - self.scene.path.curvature(s) * d)
         turn = float(np.arctan2(sideways, onwards))
         nod = NOD_RAD * np.sin(2 * np.pi * self._driven_s(time_s) / NOD_S)
         if self.shake is not None:
             nod += self.shake.at(self._driven_s(time_s))
-        return self.world.ground_pose(s, d, turn) @ rigid(rotation_from_rpy(0.0, nod, 0.0), np.zeros(3))
+        return self.scene.ground_pose(s, d, turn) @ rigid(rotation_from_rpy(0.0, nod, 0.0), np.zeros(3))

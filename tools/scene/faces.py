@@ -1,6 +1,6 @@
-"""Planar faces in bulk: parallelograms with a texture, and the things made of them.
+"""Textured parallelograms in arrays, and the bodies built from them: cars, people, houses, trees, lamp posts.
 
-A thing's own frame is x forward, y left, z up, with the origin on the ground below its middle.
+The frame of a body is x forward, y left, z up. Its origin is on the ground below the body's centre.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,21 +21,21 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Faces:
-    """N parallelograms; ``across`` x ``up`` points outward, and only faces seen from outside are drawn."""
+    """N parallelograms; ``across`` x ``up`` points outward, and only outer sides are drawn."""
 
     origin: Float
-    """(N, 3) the corner at the lower left, seen from outside."""
+    """(N, 3) lower left corner as seen from outside."""
     across: Float
     up: Float
     patch: Float
     """(N, 4), see ``Patch``."""
     tint: Float
-    """(N, 3) blue, green, red factors of what is painted."""
+    """(N, 3) blue, green, red factors for painted texels."""
     tag: NDArray[np.uint8]
     owner: NDArray[np.int32]
-    """Number of the object a face belongs to, 0 for none."""
+    """Number of the object that a face belongs to, 0 for none."""
     cut: NDArray[np.bool_]
-    """Whether the texture's outline cuts the face."""
+    """True if the texture's outline cuts the face."""
     two_sided: NDArray[np.bool_]
 
     def __len__(self) -> int:
@@ -43,26 +43,26 @@ class Faces:
 
     @property
     def corners(self) -> Float:
-        """(N, 4, 3) corners in order around each face."""
+        """Return (N, 4, 3) corners in order around each face."""
         a, b = self.across, self.up
         return self.origin[:, None] + np.stack((np.zeros_like(a), a, a + b, b), axis=1)
 
     def moved(self, a_T_b: Float) -> "Faces":
-        """The same faces in another frame."""
+        """Return the faces in another frame."""
         rotation = a_T_b[:3, :3].T
         return replace(self, origin=transform(a_T_b, self.origin), across=self.across @ rotation, up=self.up @ rotation)
 
     def owned_by(self, owner: int) -> "Faces":
-        """The same faces as parts of one object."""
+        """Return the faces as faces of one object."""
         return replace(self, owner=np.full(len(self), owner, np.int32))
 
     def pick(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> "Faces":
-        """A selection, in the order given."""
+        """Return the chosen faces in that order."""
         return Faces(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
 
 def together(groups: Sequence[Faces]) -> Faces:
-    """All faces of several groups, in order; at least one group is needed."""
+    """Concatenate one or more groups of faces."""
     return Faces(*(np.concatenate([getattr(g, field.name) for g in groups]) for field in fields(Faces)))
 
 
@@ -77,7 +77,7 @@ def face(
     cut: bool = False,
     two_sided: bool = False,
 ) -> Faces:
-    """One face, in metres of the body's frame."""
+    """Return one face, in metres in the body's frame."""
     return Faces(
         np.array([origin], float),
         np.array([across], float),
@@ -92,7 +92,7 @@ def face(
 
 
 def box(centre: Vector, size: Vector, patch: Patch, tint: Vector, tag_name: str, lean: float = 0.0) -> Faces:
-    """A box without its underside; ``lean`` shears it along x, in metres from bottom to top."""
+    """Return a box without underside; ``lean`` shears it along x, in metres from bottom to top."""
     (x, y, z), (length, width, height) = centre, size
     x0, x1, y0, y1 = x - length / 2, x + length / 2, y - width / 2, y + width / 2
     low, up = z - height / 2, (lean, 0.0, height)
@@ -109,10 +109,10 @@ def box(centre: Vector, size: Vector, patch: Patch, tint: Vector, tag_name: str,
 def ribbon(
     start: tuple[float, float], end: tuple[float, float], width: float, patch: Patch, tint: Vector, tag_name: str
 ) -> Faces:
-    """A face that spans the width of a body between two points (x, z) of its side view.
+    """Return a face over the width of a body between two points (x, z) of its side view.
 
-    Taken counterclockwise as seen from the right side, start to end faces outward. What slopes down is turned, so that
-    its texture stands upright.
+    It faces outward if start and end go counterclockwise as seen from the right. Faces that slope down are rotated so
+    that the texture is upright.
     """
     (x0, z0), (x1, z1) = start, end
     if z1 >= z0:
@@ -121,12 +121,12 @@ def ribbon(
 
 
 @dataclass(frozen=True)
-class Thing:
-    """Something in the scene: its faces and its pose (world_T_body) at any time."""
+class Body:
+    """A body in the scene: its faces, and its pose (world_T_body) at any time in seconds."""
 
     name: str
     label: str
-    """``Car`` or ``Pedestrian``; empty for what is no object."""
+    """``Car`` or ``Pedestrian``; empty for bodies that are not objects."""
     faces: Faces
     pose: Callable[[float], Float]
 
@@ -143,12 +143,12 @@ STEEL: Final[Vector] = (0.5, 0.5, 0.48)
 BARK: Final[Vector] = (0.22, 0.28, 0.34)
 FACADES: Final = tuple(name for name, _ in DRAWINGS if name.startswith("facade"))
 FOUNDATION_M: Final = 2.5
-"""How deep walls go below the ground, so that none floats where the road climbs."""
+"""Depth of walls below the ground, so that no house floats on a slope."""
 
 
 @cache
 def car(colour: int) -> Faces:
-    """A car 4.3 m long: two cut side views and what spans between them."""
+    """Return a car 4.3 m long: two cut side views and the faces between them."""
     sheet, tint = load_sheet(), CAR_COLOURS[colour % len(CAR_COLOURS)]
     length, height = CAR_M
     rear, half = -length / 2, CAR_WIDTH_M / 2
@@ -162,7 +162,7 @@ def car(colour: int) -> Faces:
 
 
 def _skin(rear: float, tint: Vector) -> list[Faces]:
-    """What spans between a car's two sides, its floor excepted."""
+    """Return the faces between the two sides of a car, without the floor."""
     corners = [(x + rear, z) for x, z in CAR_PROFILE]
     sheet, width, plain = load_sheet(), CAR_WIDTH_M, plain_patch(1.8, 1.0)
     textures = {1: "car_nose", 4: "glass", 6: "glass", 8: "car_tail"}
@@ -172,7 +172,7 @@ def _skin(rear: float, tint: Vector) -> list[Faces]:
 
 
 def _tyres(rear: float, half: float) -> list[Faces]:
-    """What one sees of the tyres from before and behind."""
+    """Return the tyres as seen from the front and from behind."""
     dark, patch = (0.13, 0.13, 0.13), plain_patch(0.2, 0.4)
     ends = (rear + WHEELS[0][0] - 0.2, rear + WHEELS[1][0] + 0.2)
     tyres = []
@@ -183,7 +183,7 @@ def _tyres(rear: float, half: float) -> list[Faces]:
 
 
 def pedestrian(clothes: int, stride_m: float) -> Faces:
-    """A person 1.75 m tall in mid-step: ``stride_m`` is how far the left foot is ahead of the hips."""
+    """Return a person 1.75 m tall; ``stride_m`` is the distance of the left foot in front of the hips."""
     jacket, trousers = CLOTHES[clothes % len(CLOTHES)], CLOTHES[(clothes * 5 + 3) % len(CLOTHES)]
     patch = plain_patch(0.4, 0.6)
     parts = [((0.0, 0.0, 1.13), (0.26, 0.44, 0.6), jacket, 0.0), ((0.02, 0.0, 1.6), (0.2, 0.18, 0.26), SKIN, 0.0)]
@@ -196,7 +196,7 @@ def pedestrian(clothes: int, stride_m: float) -> Faces:
 
 @cache
 def lamp_post(towards: int) -> Faces:
-    """A lamp post whose arm reaches to the left (+1) or the right (-1)."""
+    """Return a lamp post whose arm points left (+1) or right (-1)."""
     post = box((0.0, 0.0, 3.0), (0.16, 0.16, 6.0), plain_patch(0.2, 4.0), STEEL, "pole")
     arm = box((0.0, towards * 0.7, 5.95), (0.1, 1.5, 0.1), plain_patch(1.5, 0.2), STEEL, "pole")
     lamp = box((0.0, towards * 1.5, 5.95), (0.25, 0.6, 0.14), plain_patch(0.6, 0.3), (0.7, 0.7, 0.7), "pole")
@@ -205,7 +205,7 @@ def lamp_post(towards: int) -> Faces:
 
 @cache
 def tree() -> Faces:
-    """A trunk and a crown of crossing cut cards."""
+    """Return a tree: a trunk, and a crown of three crossing cut faces."""
     size, patch = CROWN_M, load_sheet().patch("crown")
     trunk = box((0.0, 0.0, 1.2), (0.24, 0.24, 2.4), plain_patch(0.3, 2.4), BARK, "vegetation")
     cards = []
@@ -217,7 +217,7 @@ def tree() -> Faces:
 
 
 def building(style: int, length_m: float, depth_m: float, height_m: float, tint: Vector) -> Faces:
-    """A house whose front faces +y with its middle at the origin; it stands behind, towards -y."""
+    """Return a house with the centre of its front at the origin, facing +y; the house extends towards -y."""
     sheet, name = load_sheet(), FACADES[style % len(FACADES)]
     height = height_m + FOUNDATION_M
     up, half = (0.0, 0.0, height), length_m / 2
@@ -234,7 +234,7 @@ def building(style: int, length_m: float, depth_m: float, height_m: float, tint:
 
 
 def plain_patch(width_m: float, height_m: float) -> Patch:
-    """As much of the plain texture as a face of this size shows."""
+    """Return the section of the plain texture that a face of this size shows."""
     return load_sheet().patch("plain", (width_m / PLAIN_M, height_m / PLAIN_M))
 
 

@@ -1,8 +1,8 @@
-"""Grain at every scale, and a stack of it that is prefiltered for every distance.
+"""Noise textures with grain at every scale, prefiltered for every distance.
 
-Stereo needs texture wherever it looks: grain that is finer than a pixel must fade (else it crawls and the two views
-disagree), coarser grain must stay. The stack holds the road's grain blurred by the footprint of a pixel at a row of
-depths: z / f across the road and z^2 / (f h) along it.
+Stereo matching needs texture everywhere. Grain finer than a pixel must fade, or it flickers and differs between the
+two views. Coarser grain must stay. Each level of the stack holds the road's grain blurred by the footprint of a pixel
+at one depth: z / f across the road and z^2 / (f h) along it.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from roadperc_stream.geometry import Float, Float32
 
 TEXEL_M: Final = 0.01
 COLUMNS: Final = 2048
-"""Texels across the road before the grain repeats: too far apart for stereo to confuse two of them."""
+"""Texels across the road before the grain repeats; too far apart for false stereo matches."""
 ROWS: Final = 1024
 """Texels along the road before the grain repeats."""
 GUARD: Final = 1
@@ -26,23 +26,20 @@ NEAREST_M: Final = 2.5
 DEPTH_RATIO: Final = 1.5
 LEVELS: Final = 12
 GRAIN_STD: Final = 40.0
-"""Grey levels of the sharp grain's deviation; contrast is a matter of who uses it."""
+"""Standard deviation of the sharp grain in grey levels; callers scale the contrast."""
 FALL: Final = 0.75
-"""How the road's grain falls with frequency: somewhat more of the fine than of the coarse, as asphalt has it."""
+"""Exponent by which the road's grain falls with frequency: like asphalt, a little more fine than coarse grain."""
 
 
 @dataclass(frozen=True)
 class Grain:
-    """(2 * LEVELS * (ROWS + 2 GUARD), COLUMNS + 2 GUARD) grey about 128: asphalt, then paving.
-
-    Rows run along the road.
-    """
+    """(2 * LEVELS * (ROWS + 2 GUARD), COLUMNS + 2 GUARD) grey about 128: asphalt, then paving; rows along the road."""
 
     texels: NDArray[np.uint8]
     focal_px: float
 
     def sample(self, s_m: Float32, d_m: Float32, level: Float32, paved: NDArray[np.bool_]) -> NDArray[np.uint8]:
-        """Grey about 128 at road coordinates of any 2-D shape; ``s_m`` is within a few hundred metres of 0."""
+        """Return grey about 128 at road coordinates of any 2-D shape; ``s_m`` is within a few hundred metres of 0."""
         column = _wrapped(d_m, COLUMNS)
         row = _wrapped(s_m, ROWS)
         block = np.rint(level)
@@ -53,7 +50,7 @@ class Grain:
 
 
 def depth_level(depth_m: Float32) -> Float32:
-    """The level of the stack, with fractions, that suits a depth."""
+    """Return the level of the stack for each depth, with fractions."""
     level = np.log(depth_m)
     level -= np.float32(np.log(NEAREST_M))
     level *= np.float32(1 / np.log(DEPTH_RATIO))
@@ -62,13 +59,13 @@ def depth_level(depth_m: Float32) -> Float32:
 
 
 def level_depth_m(level: int) -> float:
-    """The depth a level is made for."""
+    """Return the depth of a level in metres."""
     return NEAREST_M * DEPTH_RATIO**level
 
 
 @lru_cache(maxsize=2)
 def make_grain(focal_px: float, height_m: float, seed: int) -> Grain:
-    """Grain for cameras of a focal length at a height over the road."""
+    """Return the grain for cameras with a focal length at a height above the road."""
     rng = np.random.default_rng((seed, 11))
     banks = (pink_spectrum((ROWS, COLUMNS), rng, FALL), _paving(pink_spectrum((ROWS, COLUMNS), rng, FALL)))
     stds = [float(fft.irfft2(bank, (ROWS, COLUMNS)).std()) for bank in banks]
@@ -81,21 +78,21 @@ def make_grain(focal_px: float, height_m: float, seed: int) -> Grain:
 
 
 def pink_noise(shape: tuple[int, int], rng: np.random.Generator) -> Float32:
-    """Periodic noise of unit deviation with the same strength in every octave."""
+    """Return periodic noise with standard deviation 1 and the same energy in every octave."""
     noise = fft.irfft2(pink_spectrum(shape, rng), shape)
     return np.asarray(noise / noise.std(), np.float32)
 
 
 def pink_spectrum(shape: tuple[int, int], rng: np.random.Generator, fall: float = 1.0) -> NDArray[np.complex64]:
-    """Spectrum that falls with frequency to a power: with 1, in two dimensions, every octave has the same energy."""
+    """Return a spectrum that falls with frequency^fall; with 1, every octave of 2-D noise has the same energy."""
     white = fft.rfft2(rng.standard_normal(shape, np.float32))
     frequency = np.hypot(fft.fftfreq(shape[0])[:, None], fft.rfftfreq(shape[1])[None, :])
-    # Waves longer than a metre would shade whole lanes; they stay, but no stronger than those of a metre.
+    # Longer waves than a metre get the strength of one metre, or they would shade whole lanes.
     return np.asarray(white / np.maximum(frequency, 0.01) ** fall, np.complex64)
 
 
 def _paving(spectrum: NDArray[np.complex64]) -> NDArray[np.complex64]:
-    """The same with dark joints around slabs of about one metre by half a metre."""
+    """Return the spectrum with dark joints around slabs of about 1 m by 0.5 m."""
     noise = fft.irfft2(spectrum, (ROWS, COLUMNS))
     joints = np.zeros((ROWS, COLUMNS), np.float32)
     joints[:: ROWS // 10] = joints[1 :: ROWS // 10] = 1
@@ -106,26 +103,26 @@ def _paving(spectrum: NDArray[np.complex64]) -> NDArray[np.complex64]:
 def _level(
     spectrum: NDArray[np.complex64], sharp_std: float, level: int, focal_px: float, height_m: float
 ) -> NDArray[np.uint8]:
-    """Blurred by the footprint of a pixel at the level's depth, scaled to the deviation the unblurred grain has."""
+    """Return grain blurred by a pixel's footprint at the level's depth, scaled back to the sharp grain's deviation."""
     depth = level_depth_m(level)
     across, along = depth / focal_px, depth**2 / (focal_px * height_m)
     blur = np.outer(_gauss(fft.fftfreq(ROWS), along), _gauss(fft.rfftfreq(COLUMNS), across))
     noise = fft.irfft2(spectrum * blur.astype(np.float32), (ROWS, COLUMNS))
-    # Grain that fades to nothing leaves stereo blind; the real frames keep about half of it far away.
+    # Without grain stereo finds nothing; real frames keep about half of it at long range.
     strength = max(float(noise.std()) / sharp_std, 0.45) / float(noise.std())
     grey = np.clip(128 + (noise - noise.mean()) * strength * GRAIN_STD, 0, 255).astype(np.uint8)
     return np.pad(grey, GUARD, mode="wrap")
 
 
 def _gauss(frequency: Float, footprint_m: float) -> Float:
-    """Transfer of a Gaussian whose deviation is half the footprint, at frequencies per texel."""
+    """Return the transfer function of a Gaussian with half the footprint as deviation; frequencies per texel."""
     sigma = footprint_m / TEXEL_M / 2
     result: Float = np.exp(-2 * (np.pi * sigma * frequency) ** 2)
     return result
 
 
 def _wrapped(metres: Float32, period: int) -> Float32:
-    """Texel coordinate within one period, guard included."""
+    """Return the texel coordinate within one period, including the guard."""
     turns = metres * np.float32(1 / (TEXEL_M * period))
     turns -= np.floor(turns)
     turns *= np.float32(period)

@@ -1,7 +1,7 @@
-"""Where each pixel's ray meets the ground: road, raised sidewalks and the curbs between them, exactly, and its paint.
+"""Exact intersections of pixel rays with the ground (road, raised sidewalks, curbs), and the paint on it.
 
-The ground is two layers of the terrain, the road and, a curb's height above it, everything beyond the curbs. A ray that
-passes the upper layer over the road and would meet the lower one beyond the curb has met the curb's upright face.
+The ground has two layers: the road, and the area beyond the curbs one curb height above it. A ray meets the upright
+face of a curb if it passes the upper layer over the road and the lower layer beyond the curb.
 """
 
 from dataclasses import dataclass
@@ -18,38 +18,38 @@ from .lanes import CURB_HEIGHT_M, DASH_M, DASH_PERIOD_M, LINE_M, Colour, Marking
 from .options import Stretch
 from .path import LocalPath, Real
 from .roads import LocalCrossing
-from .world import World
+from .scenes import Scene
 
 FAR_M: Final = 1000.0
-"""CARLA's far plane: what lies beyond is sky."""
+"""CARLA's far plane; everything beyond it is sky."""
 FALSI_STEPS: Final = 8
 
 
 @dataclass(frozen=True)
 class Ground:
-    """The image's rows from ``top_row`` on; all arrays (rows, W). Where ``depth_m`` is FAR_M there is no ground."""
+    """The ground in the image rows from ``top_row`` on: arrays (rows, W); ``depth_m`` is FAR_M without ground."""
 
     top_row: int
     depth_m: Float32
     s_m: Float32
-    """Along the road, counted from ``road.s_origin_m``."""
+    """Position along the road relative to ``road.s_origin_m``."""
     d_m: Float32
-    """Across the road, as the cross-section has it."""
+    """Position across the road in the coordinates of the cross-section."""
     across_m: Float32
-    """Across the road, where it is; the same array where the road is no wider than the cross-section says."""
+    """True position across the road; the same array as ``d_m`` if the road is not widened."""
     x_m: Float32
-    """World x and y, counted from ``road.origin_m``."""
+    """World x relative to ``road.origin_m``; ``y_m`` likewise."""
     y_m: Float32
     curb: NDArray[np.bool_]
-    """Where a curb's upright face is seen."""
+    """True on the upright face of a curb."""
     line_gap: NDArray[np.bool_]
-    """Where the ego lane's right line, if it were there, is interrupted."""
+    """True in the gaps of a broken right line of the ego lane."""
     road: LocalPath | LocalCrossing
 
 
 @dataclass(frozen=True)
 class _Rays:
-    """World directions of pixels per metre of depth, arrays of any one shape."""
+    """World directions of pixels per metre of depth; the arrays have one common shape."""
 
     centre_m: Float
     dx: Float
@@ -57,22 +57,22 @@ class _Rays:
     dz: Float
 
 
-def trace_ground(camera: Camera, world_T_camera: Float, world: World, s_m: float) -> Ground:
-    """The ground as the camera sees it; ``s_m`` is where along the road the camera is."""
-    road = world.ground_path.around(s_m)
-    top_row, rays = _rays(camera, world_T_camera, world.terrain.steepest)
-    depth = np.minimum(world.terrain.first_hits(rays.centre_m, rays.dx, rays.dz, 0.0), FAR_M)
+def trace_ground(camera: Camera, world_T_camera: Float, scene: Scene, s_m: float) -> Ground:
+    """Return the ground as the camera sees it; ``s_m`` is the camera's position along the road."""
+    road = scene.ground_path.around(s_m)
+    top_row, rays = _rays(camera, world_T_camera, scene.terrain.steepest)
+    depth = np.minimum(scene.terrain.first_hits(rays.centre_m, rays.dx, rays.dz, 0.0), FAR_M)
     start = rays.centre_m[:2] - road.origin_m
     x, y = _at(start, rays, depth)
-    s, across, d = _places(road, world, x, y)
-    gap = line_gap(s, road.s_origin_m) if world.section.broken else np.zeros(s.shape, np.bool_)
+    s, across, d = _places(road, scene, x, y)
+    gap = line_gap(s, road.s_origin_m) if scene.section.broken else np.zeros(s.shape, np.bool_)
     ground = Ground(top_row, depth.astype(np.float32), s, d, across, x, y, np.zeros(depth.shape, np.bool_), gap, road)
-    _raise_beyond_curbs(ground, depth, rays, start, world)
+    _raise_beyond_curbs(ground, depth, rays, start, scene)
     return ground
 
 
 def _rays(camera: Camera, world_T_camera: Float, steepest: float) -> tuple[int, _Rays]:
-    """Directions of all pixels from the first row on that can see ground."""
+    """Return the first row that can see ground, and the directions of all pixels from there on."""
     R = world_T_camera[:3, :3]
     u = (np.arange(camera.width) - camera.cx) / camera.fx
     v = (np.arange(camera.height) - camera.cy) / camera.fy
@@ -94,25 +94,25 @@ def _at(start: Float, rays: _Rays, depth_m: Float) -> tuple[Float32, Float32]:
     return x.astype(np.float32), y.astype(np.float32)
 
 
-def _raise_beyond_curbs(ground: Ground, depth_m: Float, rays: _Rays, start: Float, world: World) -> None:
-    """Replaces what lies beyond the curbs by the raised layer and the curbs' faces, in place."""
-    curb_m = world.section.curb_m
-    # A ray sinks by a curb's height within about an eighth of its depth: only so near a curb can the layers matter.
+def _raise_beyond_curbs(ground: Ground, depth_m: Float, rays: _Rays, start: Float, scene: Scene) -> None:
+    """Replace the ground beyond the curbs by the raised layer and the faces of the curbs, in place."""
+    curb_m = scene.section.curb_m
+    # A ray descends by a curb's height within about an eighth of its depth. Other pixels cannot change layers.
     chosen = np.flatnonzero(np.abs(ground.d_m) > curb_m - 0.3 - 0.12 * ground.depth_m)
     picked = _Rays(rays.centre_m, *(a.ravel()[chosen] for a in (rays.dx, rays.dy, rays.dz)))
-    upper = np.minimum(world.terrain.first_hits(rays.centre_m, picked.dx, picked.dz, CURB_HEIGHT_M), FAR_M)
+    upper = np.minimum(scene.terrain.first_hits(rays.centre_m, picked.dx, picked.dz, CURB_HEIGHT_M), FAR_M)
     x, y = _at(start, picked, upper)
-    s, across, d = _places(ground.road, world, x, y)
+    s, across, d = _places(ground.road, scene, x, y)
     raised = (np.abs(d) >= curb_m) & (upper < FAR_M)
-    # A rounding off the border, or the table of tags would call the curb's very edge road.
+    # Stay off the border by more than a rounding error, or the tag table takes the edge of the curb for road.
     d = np.copysign(np.maximum(np.abs(d), np.float32(curb_m + 1e-4)), d)
     _put(ground, chosen[raised], *(a[raised] for a in (upper.astype(np.float32), s, across, d, x, y)))
     lower = depth_m.ravel()[chosen]
     faced = ~raised & (np.abs(ground.d_m.ravel()[chosen]) >= curb_m) & (lower < FAR_M)
     picked = _Rays(rays.centre_m, *(a[faced] for a in (picked.dx, picked.dy, picked.dz)))
-    depth = _curb_depth(ground.road, start, picked, upper[faced], lower[faced], world)
+    depth = _curb_depth(ground.road, start, picked, upper[faced], lower[faced], scene)
     x, y = _at(start, picked, depth)
-    s, across, d = _places(ground.road, world, x, y)
+    s, across, d = _places(ground.road, scene, x, y)
     _put(ground, chosen[faced], depth.astype(np.float32), s, across, np.copysign(np.float32(curb_m + 0.01), d), x, y)
     ground.curb.ravel()[chosen[faced]] = True
 
@@ -123,20 +123,20 @@ def _put(ground: Ground, where: NDArray[np.intp], *values: Float32) -> None:
         target.ravel()[where] = value
 
 
-def _places(road: LocalPath | LocalCrossing, world: World, x_m: Real, y_m: Real) -> tuple[Real, Real, Real]:
-    """S, and d both as it is and as the cross-section has it, of local points."""
+def _places(road: LocalPath | LocalCrossing, scene: Scene, x_m: Real, y_m: Real) -> tuple[Real, Real, Real]:
+    """Return s, the true d and the cross-section's d of local points."""
     s, across = road.coordinates(x_m, y_m)
-    return s, across, world.road.section_d(s + road.s_origin_m, across)
+    return s, across, scene.road.section_d(s + road.s_origin_m, across)
 
 
 def _curb_depth(
-    road: LocalPath | LocalCrossing, start: Float, rays: _Rays, near_m: Float, far_m: Float, world: World
+    road: LocalPath | LocalCrossing, start: Float, rays: _Rays, near_m: Float, far_m: Float, scene: Scene
 ) -> Float:
-    """Depth between two bounds at which rays cross the curbs, by regula falsi (Illinois)."""
+    """Return the depth between two bounds where rays cross the curbs, by regula falsi (Illinois)."""
 
     def beyond(depth_m: Float) -> Float:
-        _, _, d = _places(road, world, start[0] + depth_m * rays.dx, start[1] + depth_m * rays.dy)
-        excess: Float = np.abs(d) - world.section.curb_m
+        _, _, d = _places(road, scene, start[0] + depth_m * rays.dx, start[1] + depth_m * rays.dy)
+        excess: Float = np.abs(d) - scene.section.curb_m
         return excess
 
     low, high = near_m, far_m
@@ -153,21 +153,21 @@ def _curb_depth(
 
 
 PAINT_CONTRAST: Final = 0.3
-"""Relative strength of the paint's grain, as the sections have it."""
+"""Relative strength of the paint's grain, as in the cross-sections."""
 
 REMAINING: Final = 0.35
-"""Share of worn paint that is still there."""
+"""Share of worn paint that remains."""
 FADED: Final = 0.6
-"""How much of its colour that has left."""
+"""Opacity of the remaining paint."""
 WEAR_TEXEL_M: Final = 0.04
 
 
 @dataclass(frozen=True)
 class Paint:
-    """What of the ground's rows is painted.
+    """The paint on the rows of a ``Ground``.
 
-    ``line`` are the pixels of the class, exactly; ``layers`` are colours with the share (rows, W) of each pixel that
-    they cover, softly at the borders.
+    ``line`` (rows, W) marks the pixels of the class. ``layers`` holds colours with the share (rows, W) that they cover
+    of each pixel; the borders are soft.
     """
 
     line: NDArray[np.bool_]
@@ -175,7 +175,7 @@ class Paint:
 
 
 def paint_on(markings: Markings, ground: Ground, focal_px: float) -> Paint:
-    """The paint that a camera sees."""
+    """Return the paint that a camera sees."""
     s = ground.s_m + np.float64(ground.road.s_origin_m)
     on_road = (ground.depth_m < FAR_M) & ~ground.curb & ~_within(s, markings.missing)
     fresh: Float32 = np.ones(s.shape, np.float32)
@@ -201,7 +201,7 @@ def _within(s_m: NDArray[np.float64], stretches: tuple[Stretch, ...]) -> NDArray
 
 
 def _remains(s_m: NDArray[np.float64], across_m: Float32) -> NDArray[np.bool_]:
-    """Where worn paint is still there."""
+    """Return True where worn paint remains."""
     pattern = _wear_pattern()
     rows = np.floor(s_m / WEAR_TEXEL_M).astype(np.intp) % pattern.shape[0]
     columns = np.floor(across_m / WEAR_TEXEL_M).astype(np.intp) % pattern.shape[1]
@@ -211,7 +211,7 @@ def _remains(s_m: NDArray[np.float64], across_m: Float32) -> NDArray[np.bool_]:
 
 @cache
 def _wear_pattern() -> NDArray[np.bool_]:
-    """Patches of every size; it repeats every 20 m along the road and every 5 m across it."""
+    """Return patches of every size; the pattern repeats every 20 m along the road and every 5 m across."""
     noise = pink_noise((512, 128), np.random.default_rng(17))
     return noise > np.quantile(noise, 1 - REMAINING)
 
@@ -219,7 +219,7 @@ def _wear_pattern() -> NDArray[np.bool_]:
 def _painted(
     marking: Marking, ground: Ground, s_m: NDArray[np.float64], focal_px: float
 ) -> tuple[NDArray[np.bool_], Float32]:
-    """(rows, W) whether a pixel is on the line, and the share of it that is."""
+    """Return two arrays (rows, W): True if a pixel is on the line, and the share of the pixel on it."""
     there = (s_m >= marking.from_m) & (s_m < marking.to_m)
     if marking.dashes == "all":
         there &= s_m % DASH_PERIOD_M < DASH_M

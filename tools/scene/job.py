@@ -1,4 +1,4 @@
-"""One rendering job: a drive in CARLA's own file formats, with exact ground truth, frame by frame."""
+"""Render a scenario into a dump: files in CARLA's formats with exact ground truth, frame by frame."""
 
 import time
 from collections.abc import Callable
@@ -15,22 +15,22 @@ from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.system.text import print_line
 
 from . import dump, noise
-from .drive import Drive, SceneMoment
 from .object_truth import objects_truth
 from .options import SENSORS, RenderOptions
 from .rig import CameraPair, make_rig, scan
+from .scenario import Scenario
+from .scenes import make_scene
 from .truth import lanes_truth, surface_truth
-from .view import View
-from .world import make_world
+from .view import Moment, View
 
 PURPOSES: Final = {name: number for number, name in enumerate(("detections", "tags", "depth", "rgb", "right", "drop"))}
 
 
 def render_and_report(folder: Path, options: RenderOptions, *, force: bool) -> None:
-    """Render a drive into a folder with a progress bar, and print how long it took.
+    """Render a scenario into a folder with a progress bar, and print the time.
 
     Raises:
-        DumpError: an option is wrong, or the folder is not free.
+        DumpError: an option is wrong, or the folder is in use.
     """
     started = time.perf_counter()
     with frame_progress("rendering", enabled=True) as progress:
@@ -42,23 +42,19 @@ def render_and_report(folder: Path, options: RenderOptions, *, force: bool) -> N
 
 
 def render_dump(folder: Path, options: RenderOptions, *, force: bool, on_frame: Callable[[], None]) -> None:
-    """Renders a drive into a folder.
+    """Render a scenario into a folder; call ``on_frame`` after each frame.
 
-    Args:
-        folder: there when the dump is complete; an interrupted one leaves nothing.
-        options: what to render.
-        force: whether an earlier dump in the folder may be replaced.
-        on_frame: called after each frame.
+    The folder appears when the dump is complete. With ``force`` it replaces an earlier dump.
 
     Raises:
-        DumpError: an option is wrong, or the folder is not free.
+        DumpError: an option is wrong, or the folder is in use.
     """
     options.check()
     cv2.setNumThreads(1)
     with dump.new_dump(folder, force=force) as hidden:
-        world = make_world(options, 0.0 if options.static else options.speed_mps * options.seconds)
-        drive = Drive.of(world, options)
-        job = _Job(hidden, options, drive, make_rig(options))
+        scene = make_scene(options, 0.0 if options.static else options.speed_mps * options.seconds)
+        scenario = Scenario.of(scene, options)
+        job = _Job(hidden, options, scenario, make_rig(options))
         for frame in range(options.frames):
             job.add_frame(frame)
             on_frame()
@@ -67,31 +63,31 @@ def render_dump(folder: Path, options: RenderOptions, *, force: bool, on_frame: 
 
 @dataclass
 class _Job:
-    """A dump in the making; what its JSON files say is kept by frame name."""
+    """An unfinished dump, and the contents of its JSON files by frame name."""
 
     folder: Path
     options: RenderOptions
-    drive: Drive
+    scenario: Scenario
     rig: CameraPair
     detections: dict[str, Any] = field(default_factory=dict)
     poses: dict[str, Any] = field(default_factory=dict)
     stamps: list[str] = field(default_factory=list)
     truth: dict[str, dict[str, Any]] = field(default_factory=lambda: {"lanes": {}, "surface": {}, "objects": {}})
     ids: dict[str, int] = field(default_factory=dict)
-    """Number of each thing that has come into view, by its name."""
+    """Number of each visible object by its name; numbers stay the same in all frames."""
 
     def add_frame(self, frame: int) -> None:
-        """Write the files of a frame but those that are dropped, and record its truth."""
+        """Write the files of a frame, except dropped ones, and record its truth."""
         options, rig, name = self.options, self.rig, f"{frame:06d}"
-        moment = self.drive.at(frame / options.rate_hz)
+        moment = self.scenario.at(frame / options.rate_hz)
         world_T_camera = moment.world_T_ego @ rig.ego_T_left
-        left = View(moment.scenery, rig.camera, world_T_camera)
-        objects = objects_truth(self.drive, moment, rig, left, whole=options.whole_boxes)
+        left = View(moment, rig.camera, world_T_camera)
+        objects = objects_truth(self.scenario, moment, rig, left, whole=options.whole_boxes)
         entries = [truth.to_json(with_path=options.knows_path) for truth in objects]
         self._write_pictures(frame, name, moment, left)
         if options.instances:
             ids = self._instances(moment, left)
-            dump.write_picture(self._path(dump.INSTANCES, name), dump.instance_picture(left.tags, ids))
+            dump.write_picture(self._path(dump.INSTANCES, name), dump.tags_picture(left.tags, ids))
             for truth, entry in zip(objects, entries, strict=True):
                 entry["instance_id"] = self.ids[truth.name]
         rng = self._rng(frame, "detections")
@@ -103,7 +99,7 @@ class _Job:
         self.truth["objects"][name] = entries
 
     def write_records(self) -> None:
-        """Write the JSON files and the stamps."""
+        """Write the JSON files and ``timestamps.txt``."""
         documents = {
             "calibration": dump.calibration(self.rig, self.options),
             "detections": self.detections,
@@ -121,14 +117,14 @@ class _Job:
         jpeg = self.options.jpeg and sensor in ("rgb", "right")
         return self.folder / sensor / f"{name}{'.jpg' if jpeg else '.png'}"
 
-    def _instances(self, moment: SceneMoment, view: View) -> NDArray[np.int32]:
-        """(H, W) number of the thing in each pixel through all of the drive, 0 for none."""
-        of_owner = np.zeros(len(moment.things) + 1, np.int32)
+    def _instances(self, moment: Moment, view: View) -> NDArray[np.int32]:
+        """Return (H, W) the object number of each pixel, the same in all frames; 0 for none."""
+        of_owner = np.zeros(len(moment.bodies) + 1, np.int32)
         for owner in np.unique(view.owner[view.owner > 0]):
-            of_owner[owner] = self.ids.setdefault(moment.things[owner - 1].name, len(self.ids) + 1)
+            of_owner[owner] = self.ids.setdefault(moment.bodies[owner - 1].name, len(self.ids) + 1)
         return of_owner[view.owner]
 
-    def _write_pictures(self, frame: int, name: str, moment: SceneMoment, left: View) -> None:
+    def _write_pictures(self, frame: int, name: str, moment: Moment, left: View) -> None:
         options = self.options
         kept = (self._rng(frame, "drop").random(len(SENSORS) + 1) >= options.drop) | (frame == 0)
         for sensor, keep in zip(SENSORS, kept[:-1], strict=True):
@@ -141,8 +137,8 @@ class _Job:
         if options.depth_noise or options.drop or "depth" in options.without:
             dump.write_picture(self._path("truth/depth", name), dump.depth_picture(left.depth_m))
 
-    def _picture(self, frame: int, sensor: str, moment: SceneMoment, left: View) -> NDArray[np.uint8]:
-        """What a sensor's file shows, with the noise of the options."""
+    def _picture(self, frame: int, sensor: str, moment: Moment, left: View) -> NDArray[np.uint8]:
+        """Return the picture of a sensor, with the noise of the options."""
         options, rig = self.options, self.rig
         if sensor == "depth":
             share, depth_m = options.depth_noise, left.depth_m
@@ -154,5 +150,5 @@ class _Job:
             return dump.tags_picture(noise.noisy_tags(tags, share, self._rng(frame, "tags")) if share else tags)
         rgb = left.rgb
         if sensor == "right":
-            rgb = View(moment.scenery, rig.camera, moment.world_T_ego @ rig.ego_T_right).rgb
+            rgb = View(moment, rig.camera, moment.world_T_ego @ rig.ego_T_right).rgb
         return noise.noisy_rgb(rgb, options.rgb_noise, self._rng(frame, sensor)) if options.rgb_noise else rgb

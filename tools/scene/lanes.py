@@ -1,7 +1,7 @@
-"""The road across and along: its cross-section with exact borders, lanes and their edges, and painted lines.
+"""Cross-section of the road with exact borders, lanes with their edges, and painted lines.
 
-The plain scenes have their lines in the cross-section. Other lines are painted over a cross-section without lines:
-their place changes along the road, and they are dashed, worn or missing for stretches.
+In the plain scenes the lines are part of the cross-section. Other scenarios paint lines over a cross-section without
+lines. Their position changes along the road, and they can be dashed, worn or missing.
 """
 
 from dataclasses import dataclass, field
@@ -28,7 +28,7 @@ YELLOW: Final[Colour] = (62.0, 184.0, 218.0)
 WHITE: Final[Colour] = (218.0, 220.0, 221.0)
 
 BIN_M: Final = 0.005
-"""Borders lie on multiples of this, so that a table of d has no rounding at a border."""
+"""Borders are multiples of this length, so that a table over d has no rounding at a border."""
 REACH_M: Final = 32.0
 CURB_HEIGHT_M: Final = 0.15
 GAP_BIN_M: Final = 0.02
@@ -37,12 +37,12 @@ DASH_PERIOD_M: Final = 7.5
 STRETCH_M: Final = 160.0
 DASHED_FROM_M: Final = 25.0
 DASHED_TO_M: Final = 85.0
-"""Of every ``STRETCH_M`` of a road with a broken line, the part where it is broken."""
+"""The line is dashed from ``DASHED_FROM_M`` to here in every ``STRETCH_M`` of the road."""
 
 
 @dataclass(frozen=True)
 class Zone:
-    """The strip low_m <= d < high_m of one class; ``contrast`` is its grain's relative amplitude."""
+    """The strip low_m <= d < high_m of one class; ``contrast`` is the relative amplitude of its grain."""
 
     low_m: float
     high_m: float
@@ -53,7 +53,7 @@ class Zone:
 
 @dataclass(frozen=True)
 class RoadSection:
-    """Zones painted one over the other, curbs at d = +-curb_m, and the ego lane's borders."""
+    """Zones (later ones cover earlier ones), curbs at d = +-curb_m, and the borders of the ego lane."""
 
     zones: tuple[Zone, ...]
     curb_m: float
@@ -61,22 +61,21 @@ class RoadSection:
     """Outer edge of the sidewalks."""
     left_edge_m: float
     right_edge_m: float
-    outside_left: str
-    """Class beyond the marking on the left, and on the right."""
     outside_right: str
+    """Class beyond the right marking; beyond the left one it is ``road``."""
     broken: bool
-    """Whether the ego lane's right line is dashed for stretches."""
+    """True if the right line of the ego lane is dashed in parts."""
     lane_m: float
-    """Width of half the carriageway, the lanes without the parking strips."""
+    """Half the width of the carriageway without parking strips."""
 
     @property
     def lane_centre_m(self) -> float:
-        """D of the middle of the ego lane."""
+        """Return d of the centre of the ego lane."""
         return (self.left_edge_m + self.right_edge_m) / 2
 
     @cached_property
     def tag_table(self) -> NDArray[np.uint8]:
-        """Tag by d: bin i covers -REACH_M + i BIN_M onwards."""
+        """Return the tag by d; bin i starts at -REACH_M + i BIN_M."""
         table = np.zeros(round(2 * REACH_M / BIN_M), np.uint8)
         for zone in self.zones:
             table[_bin(zone.low_m) : _bin(zone.high_m)] = CARLA_FROM_0_9_14.names.index(zone.tag_name)
@@ -84,7 +83,7 @@ class RoadSection:
 
     @cached_property
     def right_line_table(self) -> NDArray[np.bool_]:
-        """Where d is on the ego lane's right line, by the same bins."""
+        """Return True for the bins of d on the right line of the ego lane."""
         table = np.zeros(round(2 * REACH_M / BIN_M), np.bool_)
         if self.broken:
             table[_bin(self.right_edge_m - LINE_M) : _bin(self.right_edge_m)] = True
@@ -92,7 +91,7 @@ class RoadSection:
 
 
 def line_gap(s_m: Float32, s_origin_m: float) -> NDArray[np.bool_]:
-    """Where a line that is dashed for stretches is interrupted; s counts from ``s_origin_m``."""
+    """Return True in the gaps of a line that is dashed in parts; s is relative to ``s_origin_m``."""
     period = round(STRETCH_M / GAP_BIN_M)
     index = ((s_m + np.float32(s_origin_m % STRETCH_M + STRETCH_M)) * np.float32(1 / GAP_BIN_M)).astype(np.int32)
     return _gap_table()[index % period]
@@ -100,7 +99,7 @@ def line_gap(s_m: Float32, s_origin_m: float) -> NDArray[np.bool_]:
 
 @cache
 def _gap_table() -> NDArray[np.bool_]:
-    """Where a broken line is interrupted, over one stretch."""
+    """Return True in the gaps of a broken line, over one ``STRETCH_M``."""
     s = np.arange(round(STRETCH_M / GAP_BIN_M)) * GAP_BIN_M
     broken = (s >= DASHED_FROM_M) & (s < DASHED_TO_M)
     return broken & ((s - DASHED_FROM_M) % DASH_PERIOD_M >= DASH_M)
@@ -110,16 +109,16 @@ LINE_M: Final = 0.15
 
 
 def bins(d_m: Float32) -> NDArray[np.int32]:
-    """Bin of the tables that each d falls into, clipped to the tables."""
+    """Return the table bin of each d, clipped to the table."""
     index = (d_m + np.float32(REACH_M)) * np.float32(1 / BIN_M)
     np.clip(index, 0, round(2 * REACH_M / BIN_M) - 1, out=index)
     return index.astype(np.int32)
 
 
 def street(*, parking: bool, broken: bool, lines: bool = True) -> RoadSection:
-    """Two lanes of 3.6 m about a double yellow line; with parking also white edge lines and a strip beyond them.
+    """Return two lanes of 3.6 m with a double yellow line; with ``parking`` also white edge lines and parking strips.
 
-    Without ``lines`` the asphalt is bare: what is painted on it is then a matter of ``markings``.
+    Without ``lines`` the asphalt is bare, and ``Markings`` holds the lines.
     """
     lane, curb = 3.6, 6.0 if parking else 3.6
     zones = [
@@ -135,7 +134,7 @@ def street(*, parking: bool, broken: bool, lines: bool = True) -> RoadSection:
         zones.append(Zone(-lane - LINE_M, -lane, "road_line", WHITE, 0.3))
         zones.append(Zone(lane, lane + LINE_M, "road_line", WHITE, 0.3))
     outside = "road" if parking else "sidewalk"
-    return RoadSection(tuple(zones), curb, curb + 3.5, -0.225, -lane, "road", outside, broken and parking, lane)
+    return RoadSection(tuple(zones), curb, curb + 3.5, -0.225, -lane, outside, broken and parking, lane)
 
 
 def _bin(d_m: float) -> int:
@@ -144,24 +143,24 @@ def _bin(d_m: float) -> int:
 
 @dataclass(frozen=True)
 class Along:
-    """A quantity over s: straight between knots, constant beyond the outer ones."""
+    """A quantity over s: linear between knots, constant beyond the outer knots."""
 
     s_m: tuple[float, ...]
     value: tuple[float, ...]
 
     def at(self, s_m: Real | float) -> Float:
-        """The quantity at s of any shape."""
+        """Return the quantity at s of any shape."""
         return np.asarray(np.interp(s_m, self.s_m, self.value))
 
 
 def constant(value: float) -> Along:
-    """The same everywhere."""
+    """Return a quantity that is the same everywhere."""
     return Along((0.0,), (value,))
 
 
 @dataclass(frozen=True)
 class Edge:
-    """The border of a lane: d over s between two places, and the class that lies beyond its marking."""
+    """The border of a lane: d over s between two positions, and the class beyond its marking."""
 
     d_m: Along
     outside: str
@@ -171,7 +170,7 @@ class Edge:
 
 @dataclass(frozen=True)
 class Lane:
-    """A lane from one place along the road to another; ``driven_m`` is where cars keep to, by default its middle."""
+    """A lane between two positions along the road; cars drive at d = ``driven_m``, by default its centre."""
 
     left: Edge
     right: Edge
@@ -180,26 +179,26 @@ class Lane:
     driven_m: float | None = None
 
     def way_m(self, s_m: float) -> float:
-        """D of where cars drive in the lane."""
+        """Return d of the line that cars follow in the lane."""
         if self.driven_m is not None:
             return self.driven_m
         return float(self.left.d_m.at(s_m) + self.right.d_m.at(s_m)) / 2
 
     def beside_m(self, s_m: float, d_m: float) -> float:
-        """How far outside the lane a place is, 0 within."""
+        """Return the distance of a point outside the lane, 0 inside."""
         return max(d_m - float(self.left.d_m.at(s_m)), float(self.right.d_m.at(s_m)) - d_m, 0.0)
 
 
 @dataclass(frozen=True)
 class LaneMap:
-    """All lanes of the own direction; between two of them the middle of their line is the border."""
+    """All lanes in the ego car's direction; two lanes meet at the centre of the line between them."""
 
     lanes: tuple[Lane, ...]
     start: Lane = field(repr=False)
-    """The lane that the ego car begins in."""
+    """The ego car's first lane."""
 
     def at(self, s_m: float, d_m: float) -> Lane | None:
-        """The lane at a place; None where the road has no lane."""
+        """Return the lane at a point; None where the road has no lane."""
         there = [lane for lane in self.lanes if lane.from_m <= s_m < lane.to_m]
         return min(there, key=lambda lane: lane.beside_m(s_m, d_m)) if there else None
 
@@ -209,9 +208,9 @@ Dashes = Literal["none", "all", "stretches"]
 
 @dataclass(frozen=True)
 class Marking:
-    """A line as wide as all are, about a middle that changes with s, between two places.
+    """A line of width ``LINE_M`` between two positions along the road; its centre can change with s.
 
-    ``dashes`` says where it is dashed: nowhere, all along, or for a part of each stretch as in the plain scenes.
+    ``dashes``: solid, dashed everywhere, or dashed in a part of each ``STRETCH_M`` as in the plain scenes.
     """
 
     middle_m: Along
@@ -223,7 +222,7 @@ class Marking:
 
 @dataclass(frozen=True)
 class Markings:
-    """All lines of a road, and the stretches where they are missing or worn down to remains."""
+    """All lines of a road, and the stretches where they are missing or worn."""
 
     lines: tuple[Marking, ...]
     missing: tuple[Stretch, ...] = ()

@@ -1,4 +1,4 @@
-"""Sensors and networks as one gets them: noise in clean pictures, and a detector that errs."""
+"""Realistic sensors and networks: noise in clean pictures, and a detector with errors."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any, Final
@@ -9,30 +9,27 @@ from numpy.typing import NDArray
 
 from roadperc_stream.geometry import Camera, Float, Float32, inverse, project, transform
 
-from .drive import SceneMoment
-from .faces import Thing
+from .faces import Body
 from .ground import FAR_M
 from .object_truth import ObjectTruth
+from .view import Moment
 
 Tags = NDArray[np.uint8]
 
 REFERENCE_WIDTH: Final = 1280
 WOBBLE_CELL_PX: Final = 22
-"""Distance, at the reference width, over which the wobble of borders changes."""
+"""Correlation length of the displacement of borders, at the reference width."""
 WOBBLE_PX: Final = 75.0
-"""Deviation of borders per share of noise, at the reference width: 1.5 px at 0.02."""
+"""Standard deviation of borders per share of noise, at the reference width: 1.5 px at 0.02."""
 BLOB_RADIUS_PX: Final = (6.0, 34.0)
 SALT: Final = 0.03
-"""Single wrong pixels, as a share of the noise."""
+"""Single wrong pixels as a share of the noise."""
 
 
 def noisy_tags(tags: Tags, share: float, rng: np.random.Generator) -> Tags:
-    """(H, W) tags as a network errs: borders wobble, blobs are taken for another class, a few pixels are just wrong.
+    """Return (H, W) tags with the errors of a network: displaced borders, blobs of other classes, single wrong pixels.
 
-    Args:
-        tags: the clean ones.
-        share: of the image that blobs cover; the borders wobble in proportion.
-        rng: decides everything.
+    The blobs cover ``share`` of the image. The displacement of the borders is proportional to it.
     """
     scale = tags.shape[1] / REFERENCE_WIDTH
     classes = np.flatnonzero(np.bincount(tags.ravel()))
@@ -55,7 +52,7 @@ def noisy_tags(tags: Tags, share: float, rng: np.random.Generator) -> Tags:
 
 
 def _wobbled(tags: Tags, deviation_px: float, cell_px: float, rng: np.random.Generator) -> Tags:
-    """Every pixel taken from a place nearby; the displacement is smooth over a cell."""
+    """Return tags with each pixel taken from a nearby position; the displacement is smooth over a cell."""
     height, width = tags.shape
     cells = (max(int(width / cell_px), 1) + 3, max(int(height / cell_px), 1) + 3)
     shifts = []
@@ -69,47 +66,45 @@ def _wobbled(tags: Tags, deviation_px: float, cell_px: float, rng: np.random.Gen
 
 
 def noisy_depth(depth_m: Float32, relative_std: float, rng: np.random.Generator) -> Float32:
-    """Depth with an independent relative error in every pixel; the sky stays where it is."""
+    """Return depth with an independent relative error in each pixel; the sky stays unchanged."""
     factor = rng.standard_normal(depth_m.shape, np.float32) * np.float32(relative_std) + np.float32(1)
     noisy = np.clip(depth_m * factor, 0, FAR_M)
     return np.where(depth_m >= FAR_M, np.float32(FAR_M), noisy).astype(np.float32)
 
 
 def noisy_rgb(rgb: NDArray[np.uint8], std: float, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Colours with independent noise in grey levels."""
+    """Return colours with independent noise; ``std`` is in grey levels."""
     noise = rng.standard_normal(rgb.shape, np.float32) * np.float32(std)
     return np.clip(np.rint(rgb + noise), 0, 255).astype(np.uint8)
 
 
 MISSED: Final = 0.05
 JITTER: Final = 0.03
-"""Deviation of each box side, as a share of the box's size."""
+"""Standard deviation of each box side as a share of the box's size."""
 BEYOND_IMAGE: Final = 0.5
-"""Share of the boxes at the image's border that reach beyond it."""
+"""Share of the boxes at the image's border that are not clipped to the image."""
 OCCLUDED_FOUND: Final = 0.35
 OCCLUDED_MIN_PX: Final = 0.012
-"""Smallest occluded thing that is found, as a share of the image's width."""
+"""Smallest occluded body that is detected, as a share of the image's width."""
 OCCLUDED_MAX_M: Final = 70.0
 FALSE_PER_FRAME: Final = 2.2
 
 Box = tuple[float, float, float, float]
-
-
 Detected = tuple[str, Box, float]
 """Label, half-open box in pixels, and score."""
 
 
 def detect(
-    moment: SceneMoment, camera: Camera, world_T_camera: Float, seen: Sequence[ObjectTruth], rng: np.random.Generator
+    moment: Moment, camera: Camera, world_T_camera: Float, seen: Sequence[ObjectTruth], rng: np.random.Generator
 ) -> list[dict[str, Any]]:
-    """Detections in one frame as ``detections.json`` holds them, the best first."""
+    """Return the detections of a frame as in ``detections.json``, the best first."""
     found: list[Detected] = [
         (truth.label, _jittered(truth.box_px, camera, rng), float(rng.uniform(0.55, 0.99)))
         for truth in seen
         if rng.random() >= MISSED
     ]
     visible = {truth.name for truth in seen}
-    hidden = [thing for thing in moment.things if thing.name not in visible]
+    hidden = [body for body in moment.bodies if body.name not in visible]
     found += _occluded(hidden, camera, world_T_camera, rng)
     found += [_false(camera, rng) for _ in range(rng.poisson(FALSE_PER_FRAME))]
     return [
@@ -119,7 +114,7 @@ def detect(
 
 
 def _jittered(box: Box, camera: Camera, rng: np.random.Generator) -> Box:
-    """The box with every side moved a little; at the image's border it may reach out of the image."""
+    """Return the box with a random error on each side; at the image's border it can extend beyond the image."""
     width, height = box[2] - box[0], box[3] - box[1]
     x0, y0, x1, y1 = np.asarray(box) + rng.normal(0, JITTER, 4) * (width, height, width, height)
     whole = (float(x0), float(y0), float(max(x1, x0 + 1)), float(max(y1, y0 + 1)))
@@ -130,18 +125,18 @@ def _jittered(box: Box, camera: Camera, rng: np.random.Generator) -> Box:
 
 
 def _occluded(
-    hidden: Sequence[Thing], camera: Camera, world_T_camera: Float, rng: np.random.Generator
+    hidden: Sequence[Body], camera: Camera, world_T_camera: Float, rng: np.random.Generator
 ) -> Iterator[Detected]:
-    """Some of the things that stand behind others, with the box of the whole thing."""
-    for thing in hidden:
-        box = whole_box(thing, camera, world_T_camera)
+    """Yield some of the hidden bodies, with the box of the whole body."""
+    for body in hidden:
+        box = whole_box(body, camera, world_T_camera)
         if box is not None and box[2] - box[0] >= OCCLUDED_MIN_PX * camera.width and rng.random() < OCCLUDED_FOUND:
-            yield thing.label, _jittered(box, camera, rng), float(rng.uniform(0.35, 0.75))
+            yield body.label, _jittered(box, camera, rng), float(rng.uniform(0.35, 0.75))
 
 
-def whole_box(thing: Thing, camera: Camera, world_T_camera: Float) -> Box | None:
-    """The box of all of a thing, hidden parts included; None outside the image, behind or far off."""
-    points = transform(inverse(world_T_camera), thing.faces.corners.reshape(-1, 3))
+def whole_box(body: Body, camera: Camera, world_T_camera: Float) -> Box | None:
+    """Return the box of a whole body with its hidden parts; None outside the image, behind the camera or far away."""
+    points = transform(inverse(world_T_camera), body.faces.corners.reshape(-1, 3))
     if points[:, 2].min() < 0.5 or points[:, 2].min() > OCCLUDED_MAX_M:
         return None
     (x0, y0), (x1, y1) = project(camera, points).min(axis=0), project(camera, points).max(axis=0)
@@ -150,7 +145,7 @@ def whole_box(thing: Thing, camera: Camera, world_T_camera: Float) -> Box | None
 
 
 def _false(camera: Camera, rng: np.random.Generator) -> Detected:
-    """A false detection: a box of a likely shape at a random place."""
+    """Return a false detection: a box of a likely shape at a random position."""
     label = "Car" if rng.random() < 0.6 else "Pedestrian"
     height = camera.height * float(np.exp(rng.uniform(np.log(0.03), np.log(0.2))))
     width = height * float(rng.uniform(1.0, 2.2) if label == "Car" else rng.uniform(0.3, 0.55))

@@ -1,4 +1,4 @@
-"""What is rendered, as a command line says it."""
+"""The options of a rendered scenario."""
 
 from dataclasses import dataclass
 from math import inf
@@ -15,12 +15,11 @@ SCENES: Final[tuple[str, ...]] = get_args(SceneName)
 SENSORS: Final = ("rgb", "depth", "segmentation", "right")
 """Cameras; each has a folder of its name."""
 
-
 MOUNT_NAMES: Final = tuple(f"--mount {axis}" for axis in ("x", "y", "z", "roll", "pitch", "yaw"))
 MOST_ASIDE_DEG: Final = 80.0
-"""So far to the side a camera may look over hills: they are followed along the world's x alone."""
+"""Largest angle of view rays from straight ahead over hills: rays must advance along the world's x axis."""
 WINDING_ASIDE_DEG: Final = 56.0
-"""The same where the road winds by 30 degrees to either side."""
+"""The same limit on a road that turns by up to 30 degrees."""
 PATH_OPTIONS: Final = (
     "path_truth",
     "change_lane",
@@ -32,12 +31,12 @@ PATH_OPTIONS: Final = (
     "worn_lines",
     "missing_lines",
 )
-"""Options with any of which the truth says what is in the path, and when the lane is changed."""
+"""With any of these options the truth includes objects in the path and lane changes."""
 
 
 @dataclass(frozen=True)
 class RenderOptions:
-    """Everything that decides what is rendered."""
+    """All options of a scenario; the same options give the same bytes."""
 
     width: int = 1280
     height: int = 960
@@ -54,10 +53,10 @@ class RenderOptions:
     jpeg: bool = False
     lidar: bool = False
     without: tuple[str, ...] = ()
-    """Sensors whose files are left out, of ``SENSORS``."""
+    """Sensors without files, from ``SENSORS``."""
     seed: int = 0
     path_truth: bool = False
-    """Whether the truth says what is in the path and when a lane is changed; what follows implies it."""
+    """Include the path and lane changes in the truth; every one of ``PATH_OPTIONS`` implies it."""
     change_lane: LaneSide | None = None
     change_back: bool = False
     change_broken_off: bool = False
@@ -74,25 +73,25 @@ class RenderOptions:
     missing_lines: Stretch | None = None
     fov_deg: float = 90.0
     mount: Mount = (1.5, 0.0, 1.4, 0.0, 0.0, 0.0)
-    """The front camera's place as CARLA has it: metres forward, right, up; degrees of roll, pitch up, yaw right."""
+    """Front camera in CARLA's convention: metres forward, right, up; degrees of roll, pitch up, yaw right."""
     pitch_std_deg: float = 0.0
     bumps: bool = False
 
     @property
     def knows_path(self) -> bool:
-        """Whether the truth says what is in the path and when a lane is changed."""
+        """Return True if the truth includes objects in the path and lane changes."""
         return any(getattr(self, name) for name in PATH_OPTIONS)
 
     @property
     def frames(self) -> int:
-        """Number of frames, at least one."""
+        """Return the number of frames, at least one."""
         return max(round(self.seconds * self.rate_hz), 1)
 
     def check(self) -> None:
-        """Refuses what cannot be rendered.
+        """Check the options.
 
         Raises:
-            DumpError: an option is out of its range; the message names it.
+            DumpError: an option is out of range, or two options exclude each other; the message names them.
         """
         limits: tuple[tuple[str, float, float, float], ...] = (
             ("--size width", self.width, 64, 8192),
@@ -115,41 +114,39 @@ class RenderOptions:
                 raise DumpError(f"{name} {value:g}: expected a number from {low:g} to {high:g}")
         for name, stretch in (("--worn-lines", self.worn_lines), ("--missing-lines", self.missing_lines)):
             if stretch is not None and not 0 <= stretch[0] < stretch[1] < inf:
-                raise DumpError(f"{name} {stretch[0]:g},{stretch[1]:g}: expected FROM,TO, the nearer place first")
+                raise DumpError(f"{name} {stretch[0]:g},{stretch[1]:g}: expected FROM,TO with 0 <= FROM < TO")
         if not set(SENSORS) - set(self.without):
-            raise DumpError("--without: no camera is left")
+            raise DumpError("--without: no camera is left; keep at least one")
         self._check_together()
 
     def _check_together(self) -> None:
-        """Refuses options that do not go with others."""
+        """Check combinations of options."""
         follows = self.lead_brakes or self.stop_and_go
         crosses = self.turn is not None or self.crossing_cars
         changes, back = self.change_lane is not None, self.change_back or self.change_broken_off
         refused = {
-            "--change-back and --change-broken-off: expected --change-lane as well": back and not changes,
-            "--change-back: not with --change-broken-off": self.change_back and self.change_broken_off,
-            "--lead-brakes: not with --stop-and-go": self.lead_brakes and self.stop_and_go,
-            "--static: not with a lane change, a crossing or a car to follow": (
+            "--change-back and --change-broken-off need --change-lane": back and not changes,
+            "--change-back cannot be combined with --change-broken-off": self.change_back and self.change_broken_off,
+            "--lead-brakes cannot be combined with --stop-and-go": self.lead_brakes and self.stop_and_go,
+            "--static cannot be combined with a lane change, a crossing or a car to follow": (
                 self.static and (follows or crosses or changes)
             ),
-            "--turn: not with --lead-brakes or --stop-and-go": self.turn is not None and follows,
-            "--turn and --crossing-cars: not with --change-lane": crosses and changes,
-            "--lane: not with --change-lane, --turn or --crossing-cars": (
+            "--turn cannot be combined with --lead-brakes or --stop-and-go": self.turn is not None and follows,
+            "--turn and --crossing-cars cannot be combined with --change-lane": crosses and changes,
+            "--lane cannot be combined with --change-lane, --turn or --crossing-cars": (
                 self.lane is not None and (crosses or changes)
             ),
-            "--turn and --crossing-cars: not with --bumps": crosses and self.bumps,
-            "--bumps: not in the scene bend, whose road turns back": self.bumps and self.scene == "bend",
+            "--turn and --crossing-cars cannot be combined with --bumps": crosses and self.bumps,
+            "--bumps cannot be combined with --scene bend": self.bumps and self.scene == "bend",
         }
-        for why, wrong in refused.items():
+        for message, wrong in refused.items():
             if wrong:
-                raise DumpError(why)
-        self._check_sight(level=crosses or (self.scene in ("straight", "bend") and not self.bumps))
-
-    def _check_sight(self, *, level: bool) -> None:
+                raise DumpError(message)
+        level = crosses or (self.scene in ("straight", "bend") and not self.bumps)
         beside = self.fov_deg / 2 + abs(self.mount[5])
         most = WINDING_ASIDE_DEG if self.scene == "town" else MOST_ASIDE_DEG
         if not level and beside > most:
             raise DumpError(
-                f"--fov and --mount: the camera looks {beside:g} degrees aside, at most {most:g} where the ground is "
-                "not level: choose --scene straight or bend"
+                f"--fov and --mount: the view reaches {beside:g} degrees to the side, expected at most {most:g} if "
+                "the ground is not level; use a smaller angle, or --scene straight or bend"
             )

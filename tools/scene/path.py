@@ -1,7 +1,7 @@
 """The road in plan view: a chain of lines and arcs, and the coordinates (s, d) along and across it.
 
-s runs along the centre line in metres, d across it, positive to the left. World frames here are right-handed:
-x forward, y left, z up.
+s is the length along the centre line in metres, d the offset from it, positive to the left. World frames are
+right-handed: x forward, y left, z up.
 """
 
 from collections.abc import Iterable
@@ -20,7 +20,7 @@ Real = NDArray[np.floating[Any]]
 
 @dataclass(frozen=True)
 class Element:
-    """A piece of constant curvature that starts at (x_m, y_m) with a heading (radians from x, to the left)."""
+    """A curve of constant curvature from (x_m, y_m) with a heading (radians from x, positive left)."""
 
     s_m: float
     x_m: float
@@ -29,7 +29,7 @@ class Element:
     curvature_per_m: float
 
     def at(self, s_m: float) -> "Element":
-        """The same curve, described from another point of it."""
+        """Return the same curve, described from another point of it."""
         turn = self.curvature_per_m * (s_m - self.s_m)
         x, y = _along(self.heading, self.curvature_per_m, s_m - self.s_m)
         return Element(s_m, self.x_m + float(x), self.y_m + float(y), self.heading + turn, self.curvature_per_m)
@@ -37,7 +37,7 @@ class Element:
 
 @dataclass(frozen=True)
 class Path:
-    """Elements in the order of s; the first and the last one run on without end."""
+    """Elements in the order of s; the first and the last one have no end."""
 
     elements: tuple[Element, ...]
 
@@ -46,7 +46,7 @@ class Path:
         return np.array([(e.s_m, e.x_m, e.y_m, e.heading, e.curvature_per_m) for e in self.elements])
 
     def pose(self, s_m: Float) -> tuple[Float, Float, Float]:
-        """x, y and heading of the centre line at (N,) s."""
+        """Return x, y and heading of the centre line at (N,) s."""
         columns = self._columns
         index = np.maximum(np.searchsorted(columns[:, 0], s_m, side="right") - 1, 0)
         start, x0, y0, heading, curvature = columns[index].T
@@ -55,23 +55,23 @@ class Path:
         return x0 + x, y0 + y, heading + curvature * ahead
 
     def point(self, s_m: Float, d_m: Float | float) -> tuple[Float, Float]:
-        """World x and y of road coordinates."""
+        """Return world x and y of road coordinates."""
         x, y, heading = self.pose(s_m)
         return x - d_m * np.sin(heading), y + d_m * np.cos(heading)
 
     def curvature(self, s_m: float) -> float:
-        """Curvature of the centre line, 1/m, positive to the left."""
+        """Return the curvature of the centre line, 1/m, positive to the left."""
         index = int(np.searchsorted(self._columns[:, 0], s_m, side="right")) - 1
         return float(self._columns[max(index, 0), 4])
 
     def around(self, s_m: float, behind_m: float = 60.0, ahead_m: float = 400.0) -> "LocalPath":
-        """The part near s, with s and the origin counted from there, so that single precision is exact enough."""
+        """Return the road near s, with s and the origin relative to that point, so that single precision suffices."""
         x, y, _ = self.pose(np.array([s_m]))
         origin = (float(x[0]), float(y[0]))
         ends = [e.s_m for e in self.elements[1:]] + [np.inf]
         near = [e for e, end in zip(self.elements, ends, strict=True) if e.s_m < s_m + ahead_m and end > s_m - behind_m]
         first, *others = near
-        # A ring is described from where the car is: angles are then counted from there, half a turn either way.
+        # Describe a ring from the position of the car, so that angles reach half a turn in both directions.
         moved = [first.at(s_m) if len(self.elements) == 1 else first, *others]
         shifted = (
             Element(e.s_m - s_m, e.x_m - origin[0], e.y_m - origin[1], e.heading, e.curvature_per_m) for e in moved
@@ -81,20 +81,20 @@ class Path:
 
 @dataclass(frozen=True)
 class LocalPath:
-    """A stretch of road whose coordinates are counted from ``origin_m`` (world x, y) and from ``s_origin_m``."""
+    """A stretch of road with coordinates relative to ``origin_m`` (world x, y) and ``s_origin_m``."""
 
     elements: tuple[Element, ...]
     origin_m: tuple[float, float]
     s_origin_m: float
 
     def coordinates(self, x_m: Real, y_m: Real) -> tuple[Real, Real]:
-        """S and d (both local) of local points of any shape, exactly: the foot on the line or arc they lie beside.
+        """Return the exact local s and d of local points of any shape, by projection on the nearest line or arc.
 
-        A point belongs to the last element that it has reached, one after the other: it has passed the normals at
-        their starts. Headings stay within 90 degrees of each other, so the normals do not cross beside the road.
+        A point belongs to the last element whose start normal it has passed, checked in order. Headings stay within 90
+        degrees of each other, so the normals do not cross near the road.
         """
         s, d = _beside(self.elements[0], x_m, y_m)
-        # Most points are near: each further element checks only the points that passed the one before.
+        # Most points are near. Each element checks only the points that passed the element before.
         reached, x, y = np.arange(x_m.size), x_m.ravel(), y_m.ravel()
         for element in self.elements[1:]:
             cos, sin = float(np.cos(element.heading)), float(np.sin(element.heading))
@@ -105,7 +105,7 @@ class LocalPath:
 
 
 def chain(start: Element, pieces: Iterable[tuple[float, float]]) -> Path:
-    """A path of (length in metres, curvature) pieces, each tangent to the one before."""
+    """Return a path of (length in metres, curvature) pieces, each tangent to the previous one."""
     elements: list[Element] = []
     end = start
     for length, curvature in pieces:
@@ -116,7 +116,7 @@ def chain(start: Element, pieces: Iterable[tuple[float, float]]) -> Path:
 
 
 def _along(heading: Float | float, curvature: Float | float, ahead: Float | float) -> tuple[Float, Float]:
-    """Displacement after ``ahead`` metres: a chord of length 2/k sin(k s / 2), turned by half the angle."""
+    """Return the displacement after ``ahead`` metres: a chord of length 2/k sin(k s / 2), turned by half the angle."""
     half = np.asarray(curvature) * ahead / 2
     chord = ahead * np.sinc(half / np.pi)
     x: Float = chord * np.cos(heading + half)

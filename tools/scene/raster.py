@@ -1,4 +1,4 @@
-"""Drawing faces into a buffer of inverse depths: exact per pixel, nearest wins.
+"""Draw faces into a buffer of inverse depths: exact per pixel; the nearest face wins.
 
 For a face origin + a across + b up in the camera frame, H = [across up origin]^-1 K^-1 maps a pixel (u, v, 1) to q with
 a = q0 / q2, b = q1 / q2 and depth 1 / q2: inside test, texture coordinate and depth are linear in the pixel.
@@ -19,26 +19,22 @@ NEAR_M: Final = 0.1
 
 @dataclass(frozen=True)
 class Drawn:
-    """(H, W) which face each pixel sees, -1 for none, and the matrices that give its coordinates."""
+    """The face of each pixel (H, W), -1 for none, and the matrices from pixels to face coordinates."""
 
     face: NDArray[np.int32]
     inverse_depth: Float32
     faces: Faces
     H: Float
-    """(N, 3, 3) pixel to (a, b, 1) over depth."""
+    """(N, 3, 3) maps a pixel to (a, b, 1) over depth."""
 
 
 def draw_faces(
     camera: Camera, world_T_camera: Float, faces: Faces, inverse_depth: Float32, outline: NDArray[np.bool_]
 ) -> Drawn:
-    """Draws all faces over what is there.
+    """Draw all faces, given in the world frame.
 
-    Args:
-        camera: whose pixels.
-        world_T_camera: its pose.
-        faces: in the world.
-        inverse_depth: (H, W) of what has been drawn already; changed in place.
-        outline: what cut faces show, by texel (see ``Sheet``).
+    ``inverse_depth`` (H, W) holds the picture before, and changes in place. ``outline`` marks the visible texels of cut
+    faces (see ``Sheet``).
     """
     seen = _facing(faces.moved(inverse(world_T_camera)))
     H = np.linalg.inv(np.stack((seen.across, seen.up, seen.origin), axis=-1)) @ np.linalg.inv(camera.K)
@@ -59,7 +55,7 @@ def _draw(
     number: int,
     texture: tuple[Float, NDArray[np.bool_]] | None,
 ) -> None:
-    """One face into its box of the buffers; a texture's patch and outline cut it."""
+    """Draw one face into its box of the buffers; a texture's patch and outline cut it."""
     height, width = inverse_depth.shape
     u, v = np.arange(corner[0], corner[0] + width), np.arange(corner[1], corner[1] + height)[:, None]
     q2 = (H[2, 0] * u) + (H[2, 1] * v + H[2, 2])
@@ -82,7 +78,7 @@ def _draw(
 
 
 def _facing(faces: Faces) -> Faces:
-    """Those whose outer side is turned to the camera, with at least one corner before it; in the camera frame."""
+    """Return the faces that show their outer side and have a corner in front of the camera; in the camera frame."""
     normal = np.cross(faces.across, faces.up)
     towards = np.einsum("ij,ij->i", normal, faces.origin)
     size = np.linalg.norm(normal, axis=1)
@@ -91,14 +87,9 @@ def _facing(faces: Faces) -> Faces:
 
 
 def pixel_boxes(camera: Camera, corners: Float) -> NDArray[np.int64]:
-    """Half-open pixel boxes (x0, y0, x1, y1) of polygons, as far as they lie before the near plane and in the image.
+    """Return (N, 4) half-open pixel boxes x0, y0, x1, y1 of polygons, clipped to the near plane and the image.
 
-    Args:
-        camera: whose pixels.
-        corners: (N, M, 3) in the camera frame, in order around each polygon.
-
-    Returns:
-        (N, 4), empty boxes where nothing can be seen.
+    ``corners`` are (N, M, 3) in the camera frame, in order around each polygon. Invisible polygons have empty boxes.
     """
     following = np.roll(corners, -1, axis=1)
     z, z_next = corners[..., 2], following[..., 2]

@@ -1,6 +1,6 @@
-"""The roads of the scenes: cross-section, lanes of the ego direction, changes along the road, and crossings.
+"""The roads of the scenes: cross-section, lanes in the ego car's direction, added lanes, and crossings.
 
-A crossing is a road at right angles to the ego car's, on level ground, without markings where they meet.
+A crossing is a second road at a right angle, on level ground. There are no markings where the roads meet.
 """
 
 from dataclasses import dataclass, replace
@@ -27,23 +27,23 @@ from .options import LaneEvent, RenderOptions
 from .path import Element, Path, Real, chain
 
 TURN_RADIUS_M: Final = 12.0
-"""Of the ego car's way round the corner."""
+"""Radius of the ego car's path in a turn."""
 TURN_MPS: Final = 5.0
 TURN_BRAKING_MPS2: Final = 2.0
 AFTER_S: Final = 2.0
-"""When the ego car begins to slow down for its turn."""
+"""Time at which the ego car starts to brake for its turn."""
 STRAIGHT_AFTER_S: Final = 4.0
-"""When an ego car that goes straight on is in the middle of the crossing."""
+"""Time at which an ego car that does not turn is at the centre of the crossing."""
 WIDE_CORNER_M: Final = 10.0
 CORNER_M: Final = 6.0
-"""Radius of the curbs at the corners: the wide one where no parking strip leaves room to turn."""
+"""Radius of the curbs at the corners; ``WIDE_CORNER_M`` on roads without parking strips, so that a car can turn."""
 
 
 @dataclass(frozen=True)
 class Crossing:
-    """A crossing at (x, 0), x along the ego car's road, and the ego car's path through it.
+    """A crossing at (x, 0), with x along the ego car's road, and the ego car's path through it.
 
-    ``turn`` is 1 for a turn to the left, -1 to the right, 0 for straight on; ``radius_m`` the road's middle line's.
+    ``turn`` is 1 for left, -1 for right, 0 for straight on. ``radius_m`` is the radius of the road's centre line.
     """
 
     x_m: float
@@ -54,17 +54,17 @@ class Crossing:
 
     @property
     def begins_m(self) -> float:
-        """S where the turn begins."""
+        """Return s at the start of the turn."""
         return self.x_m - self.radius_m
 
     @property
     def beyond_m(self) -> float:
-        """Offset from the distance behind the middle to s, after the crossing."""
+        """Return the offset from the distance behind the centre to s, after the crossing."""
         return self.x_m + (np.pi / 2 - 2) * self.radius_m if self.turn else self.x_m
 
     @property
     def unmarked_m(self) -> tuple[float, float]:
-        """From and to along the road: without markings."""
+        """Return the stretch of s without markings, from and to."""
         reach = self.curb_m + self.corner_m
         turn_ends = self.begins_m + self.radius_m * np.pi / 2 if self.turn else self.x_m
         start = min(self.x_m - reach, self.begins_m) if self.turn else self.x_m - reach
@@ -72,34 +72,34 @@ class Crossing:
 
     @property
     def path(self) -> Path:
-        """The ego car's way."""
+        """Return the ego car's path."""
         start = Element(0.0, 0.0, 0.0, 0.0, 0.0)
         if not self.turn:
             return Path((start,))
         return chain(start, ((self.begins_m, 0.0), (self.radius_m * np.pi / 2, self.turn / self.radius_m), (1.0, 0.0)))
 
     def around(self, s_m: float) -> "LocalCrossing":
-        """The roads, counted from the place at s of the ego car's way."""
+        """Return the roads in coordinates relative to s on the ego car's path."""
         x, y, _ = self.path.pose(np.array([s_m]))
         return LocalCrossing(self, (float(x[0]), float(y[0])), s_m)
 
     def arm_distances(self, x_m: Real, y_m: Real) -> tuple[Real, Real]:
-        """How far a place in the world is from the middle of the first and of the other road, with signs."""
-        # The second road runs in the direction in which the car leaves; for straight on, to the left.
+        """Return the signed distances of a world point from the centre lines of the first and the second road."""
+        # The second road points to where the car turns, or to the left if it does not turn.
         sign = -1.0 if self.turn < 0 else 1.0
         return y_m, sign * (self.x_m - x_m)
 
 
 @dataclass(frozen=True)
 class LocalCrossing:
-    """Coordinates along and across the nearer road; as ``LocalPath`` has them."""
+    """Coordinates along and across the nearer road, like those of ``LocalPath``."""
 
     crossing: Crossing
     origin_m: tuple[float, float]
     s_origin_m: float
 
     def coordinates(self, x_m: Real, y_m: Real) -> tuple[Real, Real]:
-        """S and d (s local) of local points of any shape. Where the curbs are round, d is counted from their arcs."""
+        """Return local s, and d, of local points of any shape. At the corners d follows the arcs of the curbs."""
         crossing = self.crossing
         x, y = x_m + self.origin_m[0], y_m + self.origin_m[1]
         first, second = crossing.arm_distances(x, y)
@@ -112,7 +112,7 @@ class LocalCrossing:
 
 
 def _rounded(crossing: Crossing, first_m: Real, second_m: Real) -> Real:
-    """Distance from the nearer road's middle, in the corners as from a curb of a radius."""
+    """Return the distance from the centre of the nearer road; in the corners it follows the round curb."""
     reach = crossing.curb_m + crossing.corner_m
     in_corner = (np.maximum(first_m, second_m) < reach) & (np.minimum(first_m, second_m) > crossing.curb_m)
     arc = reach - np.hypot(reach - first_m, reach - second_m)
@@ -120,7 +120,7 @@ def _rounded(crossing: Crossing, first_m: Real, second_m: Real) -> Real:
 
 
 def crossing_of(options: RenderOptions, section: RoadSection) -> Crossing | None:
-    """The crossing that the options ask for."""
+    """Return the crossing of the options, or None."""
     if options.turn is None and not options.crossing_cars:
         return None
     curb, speed = section.curb_m, options.speed_mps
@@ -134,27 +134,27 @@ def crossing_of(options: RenderOptions, section: RoadSection) -> Crossing | None
 
 
 LANE_M: Final = 3.6
-"""Width of an added lane between its lines."""
+"""Width of an additional lane between its lines."""
 LANE_AFTER_S: Final = 4.0
-"""When the ego car is where a lane begins, ends, is split or merges."""
+"""Time at which the ego car reaches the start, end, split or merge of a lane."""
 TAPER_M: Final = 30.0
 _YELLOW_M: Final = 0.15
-"""How far the middles of the double yellow line are from the road's."""
+"""Distance of each yellow line's centre from the road's centre."""
 
 
 @dataclass(frozen=True)
 class Road:
-    """A road; ``wider_m`` is by how much its right half is wider than the cross-section says."""
+    """A road; its right half is ``wider_m`` wider than in the cross-section."""
 
     section: RoadSection
     lanes: LaneMap
     wider_m: Along
     markings: Markings | None = None
-    """Lines that are not in the cross-section."""
+    """Lines outside the cross-section."""
     crossing: Crossing | None = None
 
     def section_d(self, s_m: Real, d_m: Real) -> Real:
-        """The place in the cross-section of (s, d): the right half's outer part is moved outwards."""
+        """Return d in the cross-section for (s, d): the outer part of the right half moves outwards."""
         if not any(self.wider_m.value):
             return d_m
         inner = -self.section.lane_m
@@ -162,20 +162,20 @@ class Road:
         return np.where(d_m >= inner + LINE_M, d_m, moved).astype(d_m.dtype)
 
     def aside(self, side: int, s_m: float, d_m: float) -> float:
-        """D of what stands ``d_m`` from the middle of a plain road, to the left (1) or the right (-1)."""
+        """Return d of a body that is ``d_m`` from the centre of a plain road, left (1) or right (-1)."""
         return side * d_m - (float(self.wider_m.at(s_m)) if side < 0 else 0.0)
 
 
 def plain_road(section: RoadSection) -> Road:
-    """A road that is the same all along, with its lines in the cross-section."""
-    left = Edge(constant(section.left_edge_m), section.outside_left)
+    """Return a uniform road with its lines in the cross-section."""
+    left = Edge(constant(section.left_edge_m), "road")
     right = Edge(constant(section.right_edge_m), section.outside_right)
     lane = Lane(left, right)
     return Road(section, LaneMap((lane,), lane), constant(0.0))
 
 
 def road_of(options: RenderOptions) -> Road:
-    """The road that the options ask for."""
+    """Return the road of the options."""
     parking, broken = options.scene != "hill" or options.parked_rows, options.scene in ("bend", "town")
     bare = street(parking=parking, broken=False, lines=False)
     missing, worn = (() if s is None else (s,) for s in (options.missing_lines, options.worn_lines))
@@ -198,7 +198,7 @@ def road_of(options: RenderOptions) -> Road:
 
 
 def _two_lanes(section: RoadSection, change_to: str) -> Road:
-    """Two lanes of the own direction with a dashed line between them."""
+    """Return a road with two lanes in the ego car's direction and a dashed line between them."""
     inner, outer = -section.lane_m, -section.lane_m - LINE_M - LANE_M
     left = Lane(Edge(constant(section.left_edge_m), "road"), Edge(constant(inner), "road"))
     right = Lane(Edge(constant(inner - LINE_M), "road"), Edge(constant(outer), section.outside_right))
@@ -208,22 +208,21 @@ def _two_lanes(section: RoadSection, change_to: str) -> Road:
 
 
 def _lanes_to_and_from(section: RoadSection, crossing: Crossing) -> LaneMap:
-    """The lane up to a crossing, and the one beyond it."""
+    """Return the lane before a crossing and the lane after it."""
     end, start = crossing.unmarked_m
     lanes = []
     for from_m, to_m in ((-np.inf, end), (start, np.inf)):
-        left = Edge(constant(section.left_edge_m), section.outside_left, from_m, to_m)
+        left = Edge(constant(section.left_edge_m), "road", from_m, to_m)
         right = Edge(constant(section.right_edge_m), section.outside_right, from_m, to_m)
         lanes.append(Lane(left, right, from_m, to_m))
     return LaneMap(tuple(lanes), lanes[0])
 
 
 def _changing(section: RoadSection, what: LaneEvent, from_m: float) -> Road:
-    """A second lane on the right that begins or ends beside the ego car's, or is split from it or merges with it.
+    """Return a road with a second lane on the right that begins, ends, splits from the ego lane or merges with it.
 
-    Where it begins or ends the dashed line between the two accompanies the taper, and the ego car's lane stays as it
-    is. Where a lane is split it first grows as wide as two, and the line begins behind the taper; a merger is the same
-    the other way round.
+    For a beginning or ending lane, the dashed line runs along the taper and the ego lane keeps its width. A lane that
+    splits first grows to the width of two, and the line begins after the taper. A merge is the reverse.
     """
     to_m = from_m + TAPER_M
     more = LINE_M + LANE_M
@@ -247,7 +246,7 @@ def _changing(section: RoadSection, what: LaneEvent, from_m: float) -> Road:
 
 
 def _outer_lines(section: RoadSection, right_m: Along, right: Dashes = "none") -> list[Marking]:
-    """The double yellow line and, where cars park, the white ones at the edges; ``right_m`` is the right edge."""
+    """Return the double yellow line, and white edge lines where cars park; ``right_m`` is d of the right edge."""
     lines = [Marking(constant(d), YELLOW) for d in (_YELLOW_M, -_YELLOW_M)]
     if section.outside_right == "road":
         lines.append(Marking(constant(section.lane_m + LINE_M / 2), WHITE))

@@ -1,4 +1,4 @@
-"""Colour: sky, ground and faces in daylight, with haze."""
+"""Colours of sky, ground and faces in daylight with haze."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ Picture = NDArray[np.uint8]
 HAZE: Final = np.array((222.0, 210.0, 200.0), np.float32)
 HAZE_M: Final = 900.0
 SUN: Final = np.array((0.35, 0.5, 0.79))
-"""World direction towards the sun, unit length."""
+"""Unit vector towards the sun, world frame."""
 AMBIENT: Final = 0.55
 CURB_SHADE: Final = 0.55
 PROFILE_TEXEL_M: Final = 0.01
@@ -33,29 +33,29 @@ SHADOW_DEPTH: Final = 0.62
 SHADOW_MARGIN_PX: Final = 3
 GRAIN_PERIOD_M: Final = TEXEL_M * ROWS
 GRAIN_SHARE: Final = 0.16
-"""Relative deviation of grain at contrast 1."""
+"""Relative standard deviation of grain at contrast 1."""
 
 
 @dataclass(frozen=True)
 class Shadow:
-    """A soft dark patch on the ground below a body, as large as its outline."""
+    """A soft dark area on the ground below a body, of the size of its outline."""
 
     world_T_body: Float
     half_length_m: float
     half_width_m: float
 
     def corners(self) -> Float:
-        """(4, 3) world points around all of it, its soft rim included."""
+        """Return (4, 3) world points around the shadow and its soft rim."""
         x, y = self.half_length_m + SHADOW_RIM_M, self.half_width_m + SHADOW_RIM_M
         return transform(self.world_T_body, np.array([(x, y, 0.0), (-x, y, 0.0), (-x, -y, 0.0), (x, -y, 0.0)]))
 
 
 @lru_cache(maxsize=4)
 def ground_profile(section: RoadSection, focal_px: float) -> Float32:
-    """The cross-section's colours in haze and the strength of their grain over d, a row for each level of depth.
+    """Return the cross-section's colours in haze and the strength of their grain over d, one row per depth level.
 
-    Each row is blurred by a pixel's width at its depth. The second half of the rows has no right line, for the gaps of
-    a broken one.
+    Each row is blurred by the width of a pixel at its depth. The second half of the rows has no right line, for the
+    gaps of a broken line.
     """
     lineless = tuple(zone for zone in section.zones if zone.high_m != section.right_edge_m)
     rows = [
@@ -67,7 +67,7 @@ def ground_profile(section: RoadSection, focal_px: float) -> Float32:
 
 
 def _painted(zones: Sequence[Zone]) -> Float32:
-    """(1, N, 4) colour and contrast by d."""
+    """Return (1, N, 4) colour and contrast by d."""
     d = -REACH_M + PROFILE_TEXEL_M * (np.arange(round(2 * REACH_M / PROFILE_TEXEL_M)) + 0.5)
     row = np.zeros((1, len(d), 4), np.float32)
     for zone in zones:
@@ -87,7 +87,7 @@ def _seen_from(row: Float32, depth_m: float, focal_px: float) -> Float32:
 def shade_ground(
     ground: Ground, section: RoadSection, grain: Grain, brightness: Float32, paint: Paint | None
 ) -> Picture:
-    """(rows, W, 3) colours of the ground's rows in a brightness of (rows, W); arbitrary where there is no ground."""
+    """Return (rows, W, 3) colours of the ground at a brightness (rows, W); undefined where there is no ground."""
     level = depth_level(ground.depth_m)
     column = (ground.d_m + np.float32(REACH_M)) * np.float32(1 / PROFILE_TEXEL_M) - np.float32(0.5)
     row = level
@@ -112,7 +112,7 @@ def shade_ground(
 
 
 def _with_paint(base: NDArray[Any], paint: Paint, depth_m: Float32) -> Float32:
-    """(rows, W, 4) haze-veiled colours and grain strength, with the paint over them."""
+    """Return (rows, W, 4) colours in haze and grain strength, covered by the paint."""
     clear = np.exp(-depth_m / np.float32(HAZE_M))[..., None]
     for colour, cover in paint.layers:
         veiled = HAZE + (np.array(colour, np.float32) - HAZE) * clear
@@ -124,11 +124,11 @@ def _with_paint(base: NDArray[Any], paint: Paint, depth_m: Float32) -> Float32:
 def cast_shadows(
     brightness: Float32, ground: Ground, shadows: Sequence[Shadow], camera: Camera, world_T_camera: Float
 ) -> None:
-    """Multiplies the ground's brightness (rows, W) within shadows, softly towards their rims, in place."""
+    """Darken the ground's brightness (rows, W) in shadows with soft rims, in place."""
     if not shadows:
         return
     corners = transform(inverse(world_T_camera), np.stack([shadow.corners() for shadow in shadows]))
-    # A few pixels more: on a slope that changes, the shadow does not lie in the plane of the wheels.
+    # Add a margin: where the slope changes, the shadow is not in the plane of the wheels.
     margin = SHADOW_MARGIN_PX
     for (x0, y0, x1, y1), shadow in zip(pixel_boxes(camera, corners), shadows, strict=True):
         if x1 > x0 and y1 > ground.top_row:
@@ -148,7 +148,7 @@ def _cast_shadow(brightness: Float32, ground: Ground, shadow: Shadow, box: tuple
 
 
 def shade_faces(drawn: Drawn, sheet: Sheet, pixels: NDArray[np.intp], light: Float) -> Picture:
-    """(N, 3) colours of the pixels (flat indices) that see a face; ``light`` is the brightness of each face."""
+    """Return (N, 3) colours of pixels (flat indices) that see a face; ``light`` is the brightness of each face."""
     index = drawn.face.ravel()[pixels].astype(np.intp)
     rows, columns = np.divmod(pixels.astype(np.int32), np.int32(drawn.face.shape[1]))
     u, v = columns.astype(np.float32), rows.astype(np.float32)
@@ -167,10 +167,10 @@ def shade_faces(drawn: Drawn, sheet: Sheet, pixels: NDArray[np.intp], light: Flo
 
 
 def _face_constants(drawn: Drawn, light: Float) -> Float32:
-    """(12, N) what shading needs of each face.
+    """Return (12, N) constants of each face for shading.
 
-    0 to 5 are the rows that give texel column and row over depth from a pixel, 6 the inverse depth's change per pixel
-    column, 7 the light through haze, 8 to 10 what full paint adds to it, 11 the share of haze.
+    0 to 5: rows that map a pixel to texel column and row over depth. 6: change of inverse depth per pixel column.
+    7: light through haze. 8 to 10: additional light of full paint. 11: share of haze.
     """
     H, patch, faces = drawn.H, drawn.faces.patch, drawn.faces
     across = H[:, 0] * patch[:, 1:2] + H[:, 2] * patch[:, 0:1]
@@ -183,7 +183,7 @@ def _face_constants(drawn: Drawn, light: Float) -> Float32:
 
 
 def daylight(across: Float, up: Float, two_sided: NDArray[np.bool_]) -> Float:
-    """(N,) brightness of faces given in the world."""
+    """Return (N,) brightness of faces given in the world frame."""
     normal = np.cross(across, up)
     slant = normal @ SUN / np.linalg.norm(normal, axis=1)
     return np.where(two_sided, 0.85, AMBIENT + (1.12 - AMBIENT) * np.maximum(slant, 0))
@@ -191,7 +191,7 @@ def daylight(across: Float, up: Float, two_sided: NDArray[np.bool_]) -> Float:
 
 @lru_cache(maxsize=1)
 def _clouds(seed: int) -> Picture:
-    """(512, 512, 3) a periodic patch of sky as seen straight up."""
+    """Return (512, 512, 3) a periodic patch of the sky, seen straight up."""
     noise = pink_noise((512, 512), np.random.default_rng((seed, 31)))
     smooth = cv2.GaussianBlur(noise, (0, 0), 2.5, borderType=cv2.BORDER_REFLECT)
     cover = np.clip(smooth * 0.45 + 0.1, 0, 1)[..., None]
@@ -200,9 +200,9 @@ def _clouds(seed: int) -> Picture:
 
 
 def shade_sky(camera: Camera, world_R_camera: Float, rows: int, seed: int) -> Picture:
-    """(rows, W, 3) the sky above: clouds on a plane far up, fading into haze at the horizon.
+    """Return (rows, W, 3) the sky: clouds on a high plane that fade into haze at the horizon.
 
-    Smooth as it is, it is drawn at half the resolution.
+    The sky is smooth, so it is drawn at half the resolution.
     """
     if rows == 0:
         return np.empty((0, camera.width, 3), np.uint8)

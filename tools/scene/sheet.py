@@ -1,6 +1,6 @@
-"""The textures of things, drawn on one sheet, each prefiltered for several distances.
+"""The textures of bodies on one sheet, each prefiltered for several distances.
 
-Every drawing is blue, green, red, and a fourth channel that says how much of a face's tint a texel takes.
+The channels of a drawing are blue, green, red, and the share of a face's tint that a texel takes.
 """
 
 from collections.abc import Callable
@@ -45,7 +45,7 @@ WHEEL_RADIUS_M: Final = 0.33
 
 @dataclass(frozen=True)
 class Drawing:
-    """(H, W, 4) texels and the (H, W) outline that cuts a face."""
+    """(H, W, 4) texels, and the (H, W) outline that cuts a face."""
 
     texels: Texels
     outline: NDArray[np.bool_]
@@ -58,9 +58,9 @@ def _grained(
     paint: int | Texels,
     outline: NDArray[np.bool_] | None = None,
 ) -> Drawing:
-    """The picture with grain of a relative strength at every scale, whole unless an outline (H, W) cuts it.
+    """Return a drawing of a picture with grain of a relative strength; an outline (H, W) cuts it.
 
-    ``paint`` says how much of the tint it takes, everywhere or (H, W) by texel.
+    ``paint`` is the share of the tint: one value, or (H, W) by texel.
     """
     size = colour.shape[:2]
     noise = pink_noise((size[0], size[1]), rng)[..., None] * np.float32(share)
@@ -77,7 +77,7 @@ def _plain(rng: np.random.Generator) -> Drawing:
 def _facade(
     wall: Colour, window: tuple[float, float], floor_m: float, bay_m: float, rng: np.random.Generator
 ) -> Drawing:
-    """A wall with rows of windows of a size in metres, one in each bay of each floor."""
+    """Return a wall with one window per bay and floor; window width and height are in metres."""
     scale = FACADE_TEXELS_PER_M
     width, height = (round(m * scale) for m in FACADE_M)
     picture = np.empty((height, width, 3), np.float32)
@@ -115,14 +115,14 @@ def _scaled(colour: Colour, factor: float) -> Colour:
 
 
 def _car_points(points: tuple[tuple[float, float], ...]) -> NDArray[np.int32]:
-    """Pixels of side view points, 4 bits of them behind the point."""
+    """Return fixed-point pixels of side view points, with 4 fractional bits."""
     x, z = np.array(points).T
     pixels = np.column_stack((x, CAR_M[1] - z)) * CAR_TEXELS_PER_M * 16
     return np.asarray(pixels.round(), np.int32)
 
 
 def _car_side(rng: np.random.Generator) -> Drawing:
-    """A car from its right side, the front to the right; the outline is body and wheels."""
+    """Return the right side of a car, front to the right; the outline is body and wheels."""
     width, height = (round(m * CAR_TEXELS_PER_M) for m in CAR_M)
     picture = np.full((height, width, 3), 205, np.float32)
     paint = np.full((height, width), 255, np.uint8)
@@ -144,7 +144,7 @@ def _car_side(rng: np.random.Generator) -> Drawing:
 
 
 def _car_end(lamps: Colour, grille: Colour, rng: np.random.Generator) -> Drawing:
-    """A car's nose or tail below the windows, 0.6 m high."""
+    """Return the front or rear of a car below the windows, 0.6 m high."""
     width, height = round(CAR_WIDTH_M * CAR_TEXELS_PER_M), 60
     picture = np.full((height, width, 3), 195, np.float32)
     paint = np.full((height, width), 255, np.uint8)
@@ -168,7 +168,7 @@ def _glass(rng: np.random.Generator) -> Drawing:
 
 
 def _crown(rng: np.random.Generator) -> Drawing:
-    """Leaves: darker and lighter clumps within a ragged round outline."""
+    """Return leaves: dark and light clumps in an irregular round outline."""
     side = round(CROWN_M * 50)
     y, x = np.mgrid[-1 : 1 : side * 1j, -1 : 1 : side * 1j]
     clumps = cv2.GaussianBlur(rng.standard_normal((side, side)).astype(np.float32), (0, 0), 9)
@@ -199,24 +199,24 @@ GUARD: Final = 2
 
 @dataclass(frozen=True)
 class Sheet:
-    """Drawings side by side; below each its copies, blurred by about 2^k texels along and 2^(k/2) upright."""
+    """Drawings side by side; below each its copies, blurred by about 2^k texels across and 2^(k/2) down."""
 
     texels: NDArray[np.uint8]
-    """(LEVELS * stride, width, 4) blue, green, red, and how much of the tint a texel takes."""
+    """(LEVELS * stride, width, 4) blue, green, red, and the share of the tint."""
     outline: NDArray[np.bool_]
-    """(stride, width) what belongs to a cut face."""
+    """(stride, width) visible texels of cut faces."""
     stride: int
     corners: dict[str, tuple[int, int, int, int]]
     """u, v, width and height of each drawing at level 0."""
 
     def patch(self, name: str, size: tuple[float, float] = (1.0, 1.0)) -> Patch:
-        """The drawing on a face of which ``size`` gives the shares of width and height used, from the top left."""
+        """Return the patch of a drawing; ``size`` gives the used shares of its width and height from the top left."""
         u, v, width, height = self.corners[name]
         w, h = (width - 1) * min(size[0], 1.0), (height - 1) * min(size[1], 1.0)
         return u, w, v + h, -h
 
     def sample(self, u: Float32, v: Float32, level: NDArray[np.int32]) -> NDArray[np.uint8]:
-        """(1, N, 4) texels of (N,) coordinates at a level."""
+        """Return (1, N, 4) texels at (N,) coordinates and levels."""
         rows = v + (level * self.stride).astype(np.float32)
         columns = 4096
         count = -(-len(u) // columns) * columns
@@ -227,7 +227,7 @@ class Sheet:
 
 @cache
 def load_sheet() -> Sheet:
-    """The sheet of all drawings; they do not depend on the seed."""
+    """Return the sheet of all drawings, the same for every seed."""
     drawn: dict[str, Drawing] = {name: draw(np.random.default_rng((i, 7))) for i, (name, draw) in enumerate(DRAWINGS)}
     stride = max(d.texels.shape[0] for d in drawn.values()) + 2 * GUARD
     width = sum(d.texels.shape[1] + 2 * GUARD for d in drawn.values())

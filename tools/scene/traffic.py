@@ -1,4 +1,4 @@
-"""What moves beside the ego car: cars before and towards it, people on the sidewalks and across the road."""
+"""Moving bodies: cars ahead, oncoming and crossing cars, people on the sidewalks and on the road."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -11,10 +11,10 @@ from roadperc_stream.geometry import Float, rigid
 from roadperc_stream.geometry.rotations import rotation_from_rpy
 
 from .ego import Ego
-from .faces import Thing, car, pedestrian
+from .faces import Body, car, pedestrian
 from .lanes import CURB_HEIGHT_M
-from .scenario import SpeedProfile
-from .world import World
+from .motions import SpeedProfile
+from .scenes import Scene
 
 HEADWAY_S: Final = 2.8
 HEADWAY_MIN_M: Final = 14.0
@@ -22,7 +22,7 @@ ONCOMING_SPEED_MPS: Final = 9.0
 ONCOMING_SPACING_M: Final = 42.0
 ACROSS_MPS: Final = 8.0
 CROSSES_BEFORE_S: Final = ((1.6, 1), (2.6, -1), (4.5, 1))
-"""How long before the ego car is at the crossing others cross its road, and whereto."""
+"""Times before the ego car's arrival at which cars cross its road, and their direction: 1 left, -1 right."""
 CLEAR_S: Final = 2.0
 LATEST_S: Final = 120.0
 CAR_RANGE_M: Final = 140.0
@@ -37,34 +37,34 @@ STRIDE_M: Final = 0.22
 
 @dataclass(frozen=True)
 class Traffic:
-    """All that moves in a drive."""
+    """All moving bodies of a scenario."""
 
     ego: Ego
     seed: int
     leader: SpeedProfile | None = None
-    """The motion of the car before the ego car, where it is a special one."""
+    """Motion of the car ahead, None for default driving."""
     crossing_cars: bool = False
 
     @property
-    def world(self) -> World:
-        """Where they move."""
-        return self.ego.world
+    def scene(self) -> Scene:
+        """Return the scene of the traffic."""
+        return self.ego.scene
 
-    def at(self, time_s: float) -> list[Thing]:
-        """Those that may be seen at a time, in a fixed order."""
+    def at(self, time_s: float) -> list[Body]:
+        """Return the bodies that can be visible at a time, in a fixed order."""
         motion = self.leader
-        leaders = self._leaders() if motion is None else (self._before(0, lambda time_s: motion.at(time_s)[0]),)
-        # People run across before a car whose speed is constant; before another they would be run over.
+        leaders = self._leaders() if motion is None else (self._leader(0, lambda time_s: motion.at(time_s)[0]),)
+        # People run across the road only if the ego car has constant speed; otherwise it could hit them.
         crossing = self._crossing(time_s) if self.ego.motion is None else ()
         across = self._across() if self.crossing_cars else ()
         movers = (*leaders, *self._oncoming(time_s), *across, *self._walkers(time_s), *crossing)
-        return [replace(thing, faces=thing.faces.moved(thing.pose(time_s))) for thing in movers]
+        return [replace(body, faces=body.faces.moved(body.pose(time_s))) for body in movers]
 
     def _rng(self, kind: int, slot: int) -> np.random.Generator:
         return np.random.default_rng((self.seed, 202, kind, slot + 1_000_000))
 
-    def _leaders(self) -> Iterator[Thing]:
-        """Two cars in the ego's lane; before a car that stands they drive off."""
+    def _leaders(self) -> Iterator[Body]:
+        """Yield two cars in the ego lane; they drive away from a static ego car."""
         headway = max(HEADWAY_MIN_M, HEADWAY_S * self.ego.speed_mps)
         for i, (gap, swing, period) in enumerate(((headway, 0.18, 11.0), (headway + 34.0, 0.1, 17.0))):
 
@@ -74,35 +74,35 @@ class Traffic:
                     ahead = gap + self.ego.speed_mps * time_s
                 return self.ego.s(time_s) + float(ahead)
 
-            yield self._before(i, s_at)
+            yield self._leader(i, s_at)
 
-    def _before(self, number: int, s_at: Callable[[float], float]) -> Thing:
-        """A car in the ego's lane whose way along the road is given by the time."""
+    def _leader(self, number: int, s_at: Callable[[float], float]) -> Body:
+        """Return a car in the ego lane; ``s_at`` gives its s by time."""
 
         def pose(time_s: float) -> Float:
             s = s_at(time_s)
-            return self.world.ground_pose(s, self.world.road.lanes.start.way_m(s))
+            return self.scene.ground_pose(s, self.scene.road.lanes.start.way_m(s))
 
-        return Thing(f"leader:{number}", "Car", car(int(self._rng(0, number).integers(100))), pose)
+        return Body(f"leader:{number}", "Car", car(int(self._rng(0, number).integers(100))), pose)
 
-    def _oncoming(self, time_s: float) -> Iterator[Thing]:
-        """An endless row of cars in the other lane, numbered by where they were at time 0."""
+    def _oncoming(self, time_s: float) -> Iterator[Body]:
+        """Yield oncoming cars, numbered by their position at time 0."""
         start = self.ego.s(time_s) + ONCOMING_SPEED_MPS * time_s
         for k in range(int((start - 8) // ONCOMING_SPACING_M), int((start + CAR_RANGE_M) // ONCOMING_SPACING_M)):
             rng = self._rng(1, k)
             first = (k + 0.5 + rng.uniform(-0.3, 0.3)) * ONCOMING_SPACING_M
-            d = -self.world.section.lane_centre_m + rng.uniform(-0.15, 0.15)
+            d = -self.scene.section.lane_centre_m + rng.uniform(-0.15, 0.15)
             if self._meets_crossing_car(first):
                 continue
 
             def pose(time_s: float, first: float = first, d: float = d) -> Float:
-                return self.world.ground_pose(first - ONCOMING_SPEED_MPS * time_s, d, np.pi)
+                return self.scene.ground_pose(first - ONCOMING_SPEED_MPS * time_s, d, np.pi)
 
-            yield Thing(f"oncoming:{k}", "Car", car(int(rng.integers(100))), pose)
+            yield Body(f"oncoming:{k}", "Car", car(int(rng.integers(100))), pose)
 
     def _meets_crossing_car(self, first_m: float) -> bool:
-        """Whether an oncoming car that was at s at time 0 would run into one that crosses."""
-        crossing = self.world.road.crossing
+        """Return True if an oncoming car that starts at ``first_m`` would hit a crossing car."""
+        crossing = self.scene.road.crossing
         if crossing is None or not self.crossing_cars:
             return False
         passes_s = (first_m - crossing.x_m) / ONCOMING_SPEED_MPS
@@ -110,8 +110,8 @@ class Traffic:
 
     @cached_property
     def _crossing_times(self) -> tuple[tuple[float, int], ...]:
-        """When cars cross the ego car's road, and where to: to the left 1, to the right -1."""
-        crossing = self.world.road.crossing
+        """Return the times at which cars cross the ego car's road, and their direction: 1 left, -1 right."""
+        crossing = self.scene.road.crossing
         if crossing is None:
             return ()
         times = np.arange(0.0, LATEST_S, 0.05)
@@ -120,41 +120,41 @@ class Traffic:
         arrives = float(times[int(reached.argmax())]) if reached.any() else LATEST_S
         return tuple((arrives - before, towards) for before, towards in CROSSES_BEFORE_S)
 
-    def _across(self) -> Iterator[Thing]:
-        """Cars on the other road, close before the ego car."""
-        crossing = self.world.road.crossing
+    def _across(self) -> Iterator[Body]:
+        """Yield cars on the other road that cross shortly before the ego car arrives."""
+        crossing = self.scene.road.crossing
         for k, (crosses_s, towards) in enumerate(self._crossing_times if crossing else ()):
-            x = crossing.x_m - towards * self.world.section.lane_centre_m if crossing else 0.0
+            x = crossing.x_m - towards * self.scene.section.lane_centre_m if crossing else 0.0
 
             def pose(time_s: float, x: float = x, crosses_s: float = crosses_s, towards: int = towards) -> Float:
                 y = towards * ACROSS_MPS * (time_s - crosses_s)
                 return rigid(rotation_from_rpy(0.0, 0.0, towards * np.pi / 2), np.array([x, y, 0.0]))
 
-            yield Thing(f"across:{k}", "Car", car(int(self._rng(4, k).integers(100))), pose)
+            yield Body(f"across:{k}", "Car", car(int(self._rng(4, k).integers(100))), pose)
 
-    def _walkers(self, time_s: float) -> Iterator[Thing]:
-        """People who walk to and fro on the sidewalks."""
+    def _walkers(self, time_s: float) -> Iterator[Body]:
+        """Yield people who walk back and forth on the sidewalks."""
         s = self.ego.s(time_s)
         for k in range(int((s - 10) // WALKER_SLOT_M), int((s + WALKER_RANGE_M) // WALKER_SLOT_M)):
             rng = self._rng(2, k)
             side = 1 if rng.random() < 0.5 else -1
             middle, late = (k + rng.random()) * WALKER_SLOT_M, rng.uniform(0, WALK_TURN_S)
-            d = self.world.road.aside(side, middle, self.world.section.curb_m + rng.uniform(0.9, 2.3))
+            d = self.scene.road.aside(side, middle, self.scene.section.curb_m + rng.uniform(0.9, 2.3))
 
             def pose(time_s: float, middle: float = middle, late: float = late, d: float = d) -> Float:
-                along, turn = _to_and_fro(time_s + late)
+                along, turn = _back_and_forth(time_s + late)
                 return self._on_foot(middle + along, d, turn)
 
             if rng.random() < 0.7:
                 yield self._person(f"walker:{k}", int(rng.integers(100)), time_s + late, WALK_MPS, pose)
 
-    def _crossing(self, time_s: float) -> Iterator[Thing]:
-        """People who run across the road from the right, between the ego car and the one before it."""
+    def _crossing(self, time_s: float) -> Iterator[Body]:
+        """Yield people who run across the road from the right, between the ego car and the car ahead."""
         s, speed = self.ego.s(time_s), max(self.ego.speed_mps, 1.0)
-        left = self.world.section.curb_m + 1.0
+        left = self.scene.section.curb_m + 1.0
         for k in range(int((s - 5) // CROSSING_SLOT_M), int((s + WALKER_RANGE_M) // CROSSING_SLOT_M) + 1):
             place = (k + 0.4) * CROSSING_SLOT_M
-            right = -self.world.road.aside(-1, place, left)
+            right = -self.scene.road.aside(-1, place, left)
             start = place / speed - 0.5 - right / RUN_MPS if not self.ego.static else 1.5 + 3 * k
 
             def pose(time_s: float, place: float = place, start: float = start, right: float = right) -> Float:
@@ -164,18 +164,18 @@ class Traffic:
             moving = 0 < time_s - start < (left + right) / RUN_MPS
             yield self._person(f"crossing:{k}", 3 * k + 1, time_s if moving else 0.0, RUN_MPS, pose)
 
-    def _person(self, name: str, clothes: int, walked_s: float, speed: float, pose: Callable[[float], Float]) -> Thing:
+    def _person(self, name: str, clothes: int, walked_s: float, speed: float, pose: Callable[[float], Float]) -> Body:
         stride = STRIDE_M * float(np.sin(np.pi * speed * walked_s / 0.75))
-        return Thing(name, "Pedestrian", pedestrian(clothes, stride), pose)
+        return Body(name, "Pedestrian", pedestrian(clothes, stride), pose)
 
     def _on_foot(self, s_m: float, d_m: float, turn: float) -> Float:
-        """Pose of somebody upright on the road or, beyond the curb, on the sidewalk."""
-        beyond = abs(float(self.world.road.section_d(np.array([s_m]), np.array([d_m]))[0])) > self.world.section.curb_m
-        return self.world.upright_pose(s_m, d_m, turn, CURB_HEIGHT_M if beyond else 0.0)
+        """Return the pose of a person on the road or, beyond the curb, on the sidewalk."""
+        beyond = abs(float(self.scene.road.section_d(np.array([s_m]), np.array([d_m]))[0])) > self.scene.section.curb_m
+        return self.scene.upright_pose(s_m, d_m, turn, CURB_HEIGHT_M if beyond else 0.0)
 
 
-def _to_and_fro(time_s: float) -> tuple[float, float]:
-    """Metres along and heading against the road of somebody who turns back again and again."""
+def _back_and_forth(time_s: float) -> tuple[float, float]:
+    """Return offset along the road in metres, and heading, of a person who walks back and forth."""
     phase = time_s % (2 * WALK_TURN_S)
     if phase < WALK_TURN_S:
         return WALK_MPS * (phase - WALK_TURN_S / 2), 0.0

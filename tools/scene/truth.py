@@ -1,4 +1,4 @@
-"""What is true of a frame's road: the ego lane's boundaries and the surface."""
+"""Ground truth of the road in a frame: the boundaries of the ego lane, and the surface."""
 
 from typing import Any, Final
 
@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from roadperc_stream.geometry import Float, camera_pitch_roll, facing, fit_plane, inverse, transform, transform_plane
 
-from .drive import SceneMoment
 from .lanes import Edge
 from .rig import CameraPair
-from .world import Terrain, World
+from .scenes import Scene, Terrain
+from .view import Moment
 
 LINE_LENGTH_M: Final = 60
 GRID_X_M: Final = (0, 60)
@@ -20,22 +20,22 @@ PLANE_ASIDE_M: Final = 4.0
 PLANE_STEP_M: Final = 0.5
 DERIVATIVE_STEP_M: Final = 0.5
 FOUND_M: Final = 1e-4
-"""So near a point of an edge is found where it is there."""
+"""Largest error of a point on an edge; with a larger error the edge does not exist there."""
 
 
-def lanes_truth(moment: SceneMoment, *, with_change: bool) -> dict[str, Any]:
-    """Both boundaries of the lane that the car's reference point is in: the edges that face it, in the ego frame.
+def lanes_truth(moment: Moment, *, with_change: bool) -> dict[str, Any]:
+    """Return the inner edges of the lane with the car's reference point, in the ego frame; None if absent.
 
-    None for an edge that is not there. ``with_change`` adds whether the lane is being changed.
+    ``with_change`` adds lane changes.
     """
-    lane = moment.scenery.world.road.lanes.at(moment.scenery.s_m, moment.d_m)
+    lane = moment.scene.road.lanes.at(moment.s_m, moment.d_m)
     sides: dict[str, Any] = {side: lane and _boundary(moment, getattr(lane, side)) for side in ("left", "right")}
     if with_change:
         sides |= {"lane_change": moment.lane_change.direction, "lane_changes": moment.lane_change.count}
     return sides
 
 
-def _boundary(moment: SceneMoment, edge: Edge) -> dict[str, Any] | None:
+def _boundary(moment: Moment, edge: Edge) -> dict[str, Any] | None:
     step = DERIVATIVE_STEP_M
     around, there = line_at(moment, edge, np.array([-step, 0.0, step]))
     if not there[1]:
@@ -43,7 +43,7 @@ def _boundary(moment: SceneMoment, edge: Edge) -> dict[str, Any] | None:
     y = around[:, 1]
     slope, bend = (y[2] - y[0]) / (2 * step), (y[0] - 2 * y[1] + y[2]) / step**2
     line, there = line_at(moment, edge, np.arange(LINE_LENGTH_M + 1.0))
-    # As far as the edge runs on from the car.
+    # Keep the part that is connected to the car.
     line = line[: int(np.append(there, False).argmin())]
     return {
         "offset_m": round(float(y[1]), 6),
@@ -55,38 +55,38 @@ def _boundary(moment: SceneMoment, edge: Edge) -> dict[str, Any] | None:
     }
 
 
-def line_at(moment: SceneMoment, edge: Edge, x_ego_m: Float) -> tuple[Float, NDArray[np.bool_]]:
-    """(N, 3) points in the ego frame of an edge where ego x has the (N,) values given, and where it is there at all.
+def line_at(moment: Moment, edge: Edge, x_ego_m: Float) -> tuple[Float, NDArray[np.bool_]]:
+    """Return (N, 3) points of an edge in the ego frame at (N,) ego x, and (N,) True where the edge exists.
 
-    Found by Newton's method along s; the line runs at most 45 degrees askew within the first 60 m.
+    Newton's method along s; within the first 60 m the angle to the ego x axis is at most 45 degrees.
     """
-    world, ego_T_world = moment.scenery.world, inverse(moment.world_T_ego)
-    s = moment.scenery.s_m + x_ego_m
-    points = _on_road(world, s, edge, ego_T_world)
+    scene, ego_T_world = moment.scene, inverse(moment.world_T_ego)
+    s = moment.s_m + x_ego_m
+    points = _on_road(scene, s, edge, ego_T_world)
     low, high = edge.from_m, edge.to_m
     for _ in range(20):
-        ahead = _on_road(world, s + 0.01, edge, ego_T_world)
-        # What is not there is not looked for: beyond a crossing the road may turn away for good.
+        ahead = _on_road(scene, s + 0.01, edge, ego_T_world)
+        # Stay within the edge: after a crossing the road may never reach this x.
         with np.errstate(divide="ignore", invalid="ignore"):
             s = np.clip(s + (x_ego_m - points[:, 0]) / ((ahead[:, 0] - points[:, 0]) / 0.01), low, high)
-        points = _on_road(world, s, edge, ego_T_world)
+        points = _on_road(scene, s, edge, ego_T_world)
     return points, np.abs(points[:, 0] - x_ego_m) < FOUND_M
 
 
-def _on_road(world: World, s_m: Float, edge: Edge, ego_T_world: Float) -> Float:
-    x, y = world.path.point(s_m, edge.d_m.at(s_m))
-    return transform(ego_T_world, np.stack((x, y, world.terrain.height(x)), axis=-1))
+def _on_road(scene: Scene, s_m: Float, edge: Edge, ego_T_world: Float) -> Float:
+    x, y = scene.path.point(s_m, edge.d_m.at(s_m))
+    return transform(ego_T_world, np.stack((x, y, scene.terrain.height(x)), axis=-1))
 
 
-def surface_truth(moment: SceneMoment, rig: CameraPair) -> dict[str, Any]:
-    """The plane through the road ahead of the front camera, and the road's heights in the ego frame."""
+def surface_truth(moment: Moment, rig: CameraPair) -> dict[str, Any]:
+    """Return the plane through the road ahead of the front camera, and the road's heights in the ego frame."""
     camera_x = float(rig.ego_T_left[0, 3])
     near, far = PLANE_AHEAD_M
     x, y = np.meshgrid(
         np.arange(camera_x + near, camera_x + far + 1e-9, PLANE_STEP_M),
         np.arange(-PLANE_ASIDE_M, PLANE_ASIDE_M + 1e-9, PLANE_STEP_M),
     )
-    terrain = moment.scenery.world.terrain
+    terrain = moment.scene.terrain
     points = np.stack((x, y, height_in_ego(terrain, moment.world_T_ego, x, y)), axis=-1).reshape(-1, 3)
     ego_plane = facing(fit_plane(points), rig.ego_T_left[:3, 3])
     plane = transform_plane(inverse(rig.ego_T_left), ego_plane)
@@ -105,7 +105,7 @@ def surface_truth(moment: SceneMoment, rig: CameraPair) -> dict[str, Any]:
 
 
 def _height_grid(terrain: Terrain, world_T_ego: Float) -> dict[str, Any]:
-    """Rows run along y, columns along x, a metre apart; ``z_m`` holds row after row."""
+    """Return heights on a grid of 1 m: rows along y, columns along x; ``z_m`` holds row after row."""
     x, y = np.arange(GRID_X_M[0], GRID_X_M[1] + 1.0), np.arange(GRID_Y_M[0], GRID_Y_M[1] + 1.0)
     z = height_in_ego(terrain, world_T_ego, *np.meshgrid(x, y))
     return {
@@ -119,12 +119,12 @@ def _height_grid(terrain: Terrain, world_T_ego: Float) -> dict[str, Any]:
 
 
 def height_in_ego(terrain: Terrain, world_T_ego: Float, x_m: Float, y_m: Float) -> Float:
-    """Height of the road's surface in the ego frame, at ego x and y of any shape.
+    """Return the height of the road in the ego frame at ego x and y of any shape.
 
-    Found step by step: each takes away all but the slope's share of the error.
+    Fixed-point iteration: each step multiplies the error by the slope.
     """
     z = np.zeros_like(x_m)
     for _ in range(12):
-        world = transform(world_T_ego, np.stack((x_m, y_m, z), axis=-1))
-        z = z + (terrain.height(world[..., 0]) - world[..., 2]) / world_T_ego[2, 2]
+        points = transform(world_T_ego, np.stack((x_m, y_m, z), axis=-1))
+        z = z + (terrain.height(points[..., 0]) - points[..., 2]) / world_T_ego[2, 2]
     return z

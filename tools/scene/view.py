@@ -1,4 +1,4 @@
-"""One camera's view of the scene: colours, depth, tags and the numbers of objects."""
+"""A camera's view of the scene: colours, depth, tags and object numbers."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,64 +10,72 @@ from numpy.typing import NDArray
 from roadperc_stream.geometry import Camera, Float, Float32
 from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14
 
-from .faces import Faces
+from .ego import LaneChangeState
+from .faces import Body, Faces
 from .grain import make_grain
 from .ground import FAR_M, Ground, Paint, paint_on, trace_ground
 from .lanes import bins
 from .raster import Drawn, draw_faces
+from .scenes import Scene
 from .shade import Shadow, cast_shadows, daylight, shade_faces, shade_ground, shade_sky
 from .sheet import load_sheet
-from .world import World
 
 ROAD, ROAD_LINE, SKY = (CARLA_FROM_0_9_14.names.index(name) for name in ("road", "road_line", "sky"))
 
 
 @dataclass(frozen=True)
-class Scenery:
-    """What there is to see at one time, in the world frame."""
+class Moment:
+    """The scene at one time; ``bodies[i]`` has the number i + 1 in the views."""
 
-    world: World
+    time_s: float
+    scene: Scene
     s_m: float
-    """Where along the road the cameras are."""
+    """Position of the ego car along the road."""
+    d_m: float
+    """Position of the ego car across the road, left of its centre line."""
+    world_T_ego: Float
+    bodies: tuple[Body, ...]
     faces: Faces
+    """Faces of all bodies, fixtures included, in the world frame."""
     shadows: tuple[Shadow, ...]
+    lane_change: LaneChangeState
     camera_height_m: float
     seed: int
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """The scenery from a camera's pose; each property is computed when it is first read."""
+    """The scene from a camera's pose; each property is computed on first access."""
 
-    scenery: Scenery
+    moment: Moment
     camera: Camera
     world_T_camera: Float
 
     @cached_property
     def _ground(self) -> Ground:
-        return trace_ground(self.camera, self.world_T_camera, self.scenery.world, self.scenery.s_m)
+        return trace_ground(self.camera, self.world_T_camera, self.moment.scene, self.moment.s_m)
 
     @cached_property
     def _drawn(self) -> Drawn:
         nearness = np.full(self.camera.size, 1 / FAR_M, np.float32)
         nearness[self._ground.top_row :] = np.float32(1) / self._ground.depth_m
-        return draw_faces(self.camera, self.world_T_camera, self.scenery.faces, nearness, load_sheet().outline)
+        return draw_faces(self.camera, self.world_T_camera, self.moment.faces, nearness, load_sheet().outline)
 
     @cached_property
     def _paint(self) -> Paint | None:
-        """Lines that are not in the road's cross-section."""
-        markings = self.scenery.world.road.markings
+        """Return the lines outside the road's cross-section."""
+        markings = self.moment.scene.road.markings
         return paint_on(markings, self._ground, self.camera.fx) if markings else None
 
     @cached_property
     def owner(self) -> NDArray[np.int32]:
-        """(H, W) number of the object in each pixel, 0 for none."""
-        # Index -1, no face, takes the last entry.
+        """Return (H, W) the object number of each pixel, 0 for none."""
+        # Index -1 (no face) selects the appended 0.
         return np.append(self._drawn.faces.owner, 0)[self._drawn.face].astype(np.int32)
 
     @cached_property
     def depth_m(self) -> Float32:
-        """(H, W) metres along the optical axis; ``FAR_M`` in the sky."""
+        """Return (H, W) depth in metres along the optical axis; ``FAR_M`` in the sky."""
         depth: Float32 = np.full(self.camera.size, FAR_M, np.float32)
         depth[self._ground.top_row :] = self._ground.depth_m
         faced = self._drawn.face >= 0
@@ -76,8 +84,8 @@ class View:
 
     @cached_property
     def tags(self) -> NDArray[np.uint8]:
-        """(H, W) CARLA's tags."""
-        ground, drawn, section = self._ground, self._drawn, self.scenery.world.section
+        """Return (H, W) CARLA's tags."""
+        ground, drawn, section = self._ground, self._drawn, self.moment.scene.section
         tags = np.full(self.camera.size, SKY, np.uint8)
         index = bins(ground.d_m)
         below = section.tag_table[index]
@@ -92,17 +100,17 @@ class View:
 
     @cached_property
     def rgb(self) -> NDArray[np.uint8]:
-        """(H, W, 3) blue, green, red."""
-        scenery, camera, ground, drawn = self.scenery, self.camera, self._ground, self._drawn
-        grain = make_grain(camera.fx, scenery.camera_height_m, scenery.seed)
+        """Return (H, W, 3) blue, green, red."""
+        moment, camera, ground, drawn = self.moment, self.camera, self._ground, self._drawn
+        grain = make_grain(camera.fx, moment.camera_height_m, moment.seed)
         R = self.world_T_camera[:3, :3]
         picture = np.empty((*camera.size, 3), np.uint8)
         on_ground = ground.depth_m < FAR_M
         sky_rows = int(np.flatnonzero(~on_ground.all(axis=1)).max(initial=-1)) + 1 + ground.top_row
-        picture[:sky_rows] = shade_sky(camera, R, sky_rows, scenery.seed)
+        picture[:sky_rows] = shade_sky(camera, R, sky_rows, moment.seed)
         brightness = np.ones(on_ground.shape, np.float32)
-        cast_shadows(brightness, ground, scenery.shadows, camera, self.world_T_camera)
-        below = shade_ground(ground, scenery.world.section, grain, brightness, self._paint)
+        cast_shadows(brightness, ground, moment.shadows, camera, self.world_T_camera)
+        below = shade_ground(ground, moment.scene.section, grain, brightness, self._paint)
         cv2.copyTo(below, on_ground.view(np.uint8), picture[ground.top_row :])
         pixels = np.flatnonzero(drawn.face >= 0)
         if len(pixels):

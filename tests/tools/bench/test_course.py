@@ -1,4 +1,4 @@
-"""The course's method finds what the chain finds, on the bench's own drive, and what it should on known scenes."""
+"""The course method agrees with the chain on the benchmark's logs, and with known results."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,6 @@ from roadperc_stream.tools.bench.course import (
     CourseResult,
     Times,
     merged,
-    plane_of,
     ransac_plane,
     read_messages,
 )
@@ -20,20 +19,20 @@ from roadperc_stream.tools.bench.course import (
 
 @pytest.mark.parametrize("name", ["png", "jpeg"])
 def test_plane_lines_and_drivable_road_are_those_of_the_chain(bench_logs, name, monkeypatch):
-    """Within a tenth of the limits, and both find both lines in every frame."""
+    """Within a tenth of the limits, and with both lines in every frame."""
     for limit, value in (("TILT_DEG", 0.01), ("HEIGHT_M", 0.001), ("COLUMNS", 0.5 / 320)):
         monkeypatch.setattr(agreement, f"LARGEST_{limit}", value)
     monkeypatch.setattr(agreement, "LEAST_COVERED", 0.99)
     found = []
     apart_px = agreement.lines_apart_px
-    monkeypatch.setattr(agreement, "lines_apart_px", lambda *given: found.append(apart_px(*given)) or found[-1])
+    monkeypatch.setattr(agreement, "lines_apart_px", lambda *results: found.append(apart_px(*results)) or found[-1])
     require_agreement(bench_logs[name].path, 4)
     assert [len(lines) for lines in found] == [2] * 4
 
 
 def test_another_plane_is_refused(bench_logs, monkeypatch):
     monkeypatch.setattr(course, "ransac_plane", lambda *_: np.array([0.0, 1.0, 0.0, -1.5]))
-    with pytest.raises(LogError, match=r"frame 0: their heights differ by 0\.1 m, expected 0\.01 at most"):
+    with pytest.raises(LogError, match=r"frame 0: the plane heights differ by 0\.1 m, expected at most 0\.01"):
         require_agreement(bench_logs["png"].path, 1)
 
 
@@ -52,11 +51,6 @@ def test_the_camera_moves_as_the_car_does(bench_logs):
     for messages in stream:
         motion = method.step(messages).motion
         assert motion[:3, 3] == pytest.approx([0, 0, -0.5], abs=0.03)
-
-
-def test_a_plane_through_points():
-    points = np.array([[0.0, 1, 0, 1], [2, 2, 2, 2], [0, 0, 1, 1]])
-    assert np.abs(plane_of(points)) == pytest.approx([0, 1, 0, 2])
 
 
 def test_the_plane_of_most_points():
@@ -92,7 +86,7 @@ def test_differences_of_known_results():
     assert lines_apart_px(found, (boundary,)) == [5.0]
 
 
-def test_it_measures_every_part_of_every_frame_behind_the_first(bench_logs):
+def test_it_measures_every_part_after_the_first_frame(bench_logs):
     found = course.measure(bench_logs["stereo"].path, 2)
     parts = {name: value for name, value in found.items() if name.startswith("part/")}
     assert set(parts) == {f"part/{name}" for name in ("decode", "surface", "lanes", "objects", "odometry", "stereo")}

@@ -1,11 +1,11 @@
-"""What is computed of the measured series, and how it is printed and written."""
+"""Figures of known series, as text and as JSON."""
 
 import json
 
 import pytest
 
 from roadperc_stream.tools.bench import __main__ as bench
-from roadperc_stream.tools.bench.figures import SpeedFigure, figures, measured, middle, noise, parts_of
+from roadperc_stream.tools.bench.figures import SpeedFigure, figures, measured, median_of, noise, parts_of
 from roadperc_stream.tools.bench.inputs import WARM_UP
 from roadperc_stream.tools.bench.long import growth
 from roadperc_stream.tools.bench.replays import Cost, a_frame
@@ -34,17 +34,17 @@ def by_name(found):
 
 def test_figures_are_medians_of_the_rounds_ratios():
     found = by_name(figures(SERIES))
-    assert found["png: times the course's method, cpu, one thread"].value == pytest.approx(8.0)
-    assert found["png: times the course's method, cpu, one thread"].met is True
-    assert found["png: times the course's method, wall, all threads"].value == pytest.approx(10.5)
-    assert found["gate, png"].value == pytest.approx(1.5)
-    assert found["gate, png"].met is True
+    assert found["png: course method over replay, cpu, one thread"].value == pytest.approx(8.0)
+    assert found["png: course method over replay, cpu, one thread"].met is True
+    assert found["png: course method over replay, wall, all threads"].value == pytest.approx(10.5)
+    assert found["replay over floor, png"].value == pytest.approx(1.5)
+    assert found["replay over floor, png"].met is True
     assert found["objects: p95 over median"].value == 3.5
     assert found["--help over import numpy, cv2, wall"].value == pytest.approx(200 / 150)
     assert found["first frame over import numpy, cv2, wall"].value == pytest.approx(6.0)
 
 
-def test_what_was_not_measured_has_no_figure():
+def test_missing_measurements_have_no_figure():
     assert not any("jpeg" in name or "stereo" in name for name in by_name(figures(SERIES)))
 
 
@@ -56,7 +56,7 @@ def test_bounds():
     assert SpeedFigure("", 1.0, 0.97, 1.03).wanted == "≥ 0.97, ≤ 1.03"
 
 
-def test_a_frame_takes_what_the_start_leaves():
+def test_the_time_per_frame_excludes_the_start():
     found = a_frame(Cost(1.5, 2.0, 100.0), Cost(3.5, 5.0, 200.0), WARM_UP + 10)
     assert found["cpu"] == pytest.approx(300.0)
     assert found["wall"] == pytest.approx(200.0)
@@ -75,8 +75,8 @@ def test_jobs_take_turns_with_the_control_before_each():
     assert series["a/cpu"] == [1.0, 3.0]
     assert len(series["control"]) == 4
     assert min(series["control"]) > 0
-    assert middle(series, "b/cpu") == 3.0
-    assert middle(series, "c/cpu") is None
+    assert median_of(series, "b/cpu") == 3.0
+    assert median_of(series, "c/cpu") is None
 
 
 def test_parts_and_noise():
@@ -84,7 +84,7 @@ def test_parts_and_noise():
     assert noise(SERIES) == pytest.approx(0.15)
 
 
-def test_a_long_log_may_not_need_more():
+def test_figures_of_a_long_log():
     short, long = Cost(1.0, 1.0, 300.0), Cost(9.0, 9.0, 318.0)
     memory, peak, encoding = growth(short, long, [5.0] * 500 + [6.0] * 500)
     assert (memory.value, memory.met) == (pytest.approx(1.06), False)
@@ -93,17 +93,17 @@ def test_a_long_log_may_not_need_more():
     assert len(growth(short, long, [5.0] * 999)) == 2
 
 
-def test_it_prints_all_and_writes_it_for_programs(bench_logs, tmp_path, monkeypatch, capsys):
+def test_it_prints_and_writes_all_figures(bench_logs, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(bench, "logs_of", lambda _: bench_logs)
     monkeypatch.setattr(bench, "measured", lambda *_: SERIES)
     assert bench.main([str(tmp_path), "--frames", "4", "--json", str(tmp_path / "bench.json")]) == 0
     text = capsys.readouterr().out
     assert text.startswith("| run | cpu ms |")
-    assert "| gate, png | 1.50 | met | ≤ 1.5 |" in text
+    assert "| replay over floor, png | 1.50 | met | ≤ 1.5 |" in text
     assert "| the floor, ms a frame | png |\n| --- | ---: |\n| decode | 31.0 |\n| total | 31.0 |\n" in text
     assert "noise of 15%." in text
     written = json.loads((tmp_path / "bench.json").read_text())
     assert written["series"] == SERIES
     assert written["frames"] == 4
-    gate = next(figure for figure in written["figures"] if figure["name"] == "gate, png")
-    assert gate == {"name": "gate, png", "value": 1.5, "least": None, "most": 1.5, "met": True}
+    gate = next(figure for figure in written["figures"] if figure["name"] == "replay over floor, png")
+    assert gate == {"name": "replay over floor, png", "value": 1.5, "least": None, "most": 1.5, "met": True}

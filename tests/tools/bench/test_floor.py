@@ -1,4 +1,4 @@
-"""The floor has the chain's own calls and nothing else."""
+"""The floor contains the library calls of the chain only."""
 
 import cv2
 import pytest

@@ -1,9 +1,11 @@
-"""The logs that the bench renders: what is in them, and when they are rendered again."""
+"""The benchmark's logs: their content, and when they are rendered again."""
+
+import pytest
 
 import roadperc_stream as rp
 from roadperc_stream.log import summarise
 from roadperc_stream.tools.bench import inputs
-from roadperc_stream.tools.bench.inputs import WARM_UP, drive, prepared
+from roadperc_stream.tools.bench.inputs import WARM_UP, bench_options, prepared
 from roadperc_stream.tools.bench.long import folded, write_long
 
 STEP_NS = 50_000_000
@@ -37,29 +39,27 @@ def test_the_first_frames_alone_are_logs(bench_logs):
             assert summarise(path).metadata == summarise(log.path).metadata
 
 
-def test_they_are_rendered_once_and_again_where_the_drive_changes(bench_logs, tmp_path, monkeypatch):
+def test_they_are_rendered_again_only_if_the_options_change(bench_logs, tmp_path, monkeypatch):
     made = []
     monkeypatch.setattr(inputs, "_make", lambda folder, options: made.append((folder, options.frames)))
-    prepared(tmp_path, drive(4, (320, 240)))
-    prepared(tmp_path, drive(4, (320, 240)))
-    prepared(tmp_path, drive(5, (320, 240)))
+    prepared(tmp_path, bench_options(4, (320, 240)))
+    prepared(tmp_path, bench_options(4, (320, 240)))
+    prepared(tmp_path, bench_options(5, (320, 240)))
     assert made == [(tmp_path, 4), (tmp_path, 5)]
 
 
-def test_what_is_half_made_is_made_anew(tmp_path, monkeypatch):
+def test_incomplete_logs_are_made_again(tmp_path, monkeypatch):
     def fails(folder, _options):
         (folder / "png.mcap").write_bytes(b"half")
-        raise OSError
+        raise OSError("full")
 
     monkeypatch.setattr(inputs, "_make", fails)
     for _ in range(2):
-        try:
-            prepared(tmp_path, drive(4, (320, 240)))
-        except OSError:
-            assert (tmp_path / "png.mcap").exists()
+        with pytest.raises(OSError, match="full"):
+            prepared(tmp_path, bench_options(4, (320, 240)))
     made = []
     monkeypatch.setattr(inputs, "_make", lambda folder, _options: made.append(list(folder.iterdir())))
-    prepared(tmp_path, drive(4, (320, 240)))
+    prepared(tmp_path, bench_options(4, (320, 240)))
     assert made == [[]]
 
 

@@ -1,4 +1,4 @@
-"""Programs and replays measured from outside."""
+"""Measure programs and replays from outside."""
 
 import signal
 import sys
@@ -37,7 +37,7 @@ def test_another_version_is_found_in_its_folder(bench_logs, tmp_path):
         replay_cost("replay png", bench_logs["png"], tmp_path / "out.mcap", 1, tmp_path)
 
 
-def test_the_floor_comes_behind_a_replay_whose_results_it_needs(bench_logs, tmp_path):
+def test_the_floor_follows_the_replay_whose_result_it_reads(bench_logs, tmp_path):
     names = list(bench._jobs(tmp_path, bench_logs, 2))
     for log in ("png", "jpeg", "stereo"):
         assert names.index(f"course {log}") < names.index(f"replay {log}, one thread") < names.index(f"floor {log}")
@@ -50,7 +50,7 @@ def test_the_course_runs_as_a_program_of_its_own(bench_logs, tmp_path):
 
 
 def test_memory_and_time_are_those_of_the_program_and_its_text_is_dropped(capfd):
-    here = b"x" * 300_000_000  # this process's own memory does not count
+    here = b"x" * 300_000_000  # the memory of this process does not count
     small = cost_of("small", [sys.executable, "-S", "-c", "pass"])
     large = cost_of("large", [sys.executable, "-c", "print(len(b'x' * 200_000_000)); sum(range(3_000_000))"])
     assert large.peak_mb > small.peak_mb + 190
@@ -77,7 +77,7 @@ time.sleep(600)
 """
 
 
-def test_who_interrupts_it_ends_the_program(tmp_path):
+def test_an_interrupt_ends_the_program(tmp_path):
     def interrupt_once_it_runs(*_):
         if (tmp_path / "started").exists():
             raise KeyboardInterrupt

@@ -1,4 +1,4 @@
-"""The benchmark's tables are those of replays, and it measures both ways of reading them."""
+"""The benchmark's tables are like those of replays, and it measures both ways of reading them."""
 
 import re
 
@@ -36,12 +36,4 @@ def test_it_prints_time_memory_and_ratio(tmp_path, capsys):
     assert main([str(tmp_path), "--files", "2", "--rows", "20"]) == 0
     text = capsys.readouterr().out
     assert re.search(r"roadperc-report +\d+\.\d +\d+\.\d +\d+ +\d+\.\d\d", text)
-    assert re.search(r"bare group-by .* 1\.00", text)
-
-
-def test_a_report_that_fails_is_an_error(tmp_path, capsys):
-    write_dataset(tmp_path / "1x10", 1, 10)
-    (path,) = tmp_path.glob("*/metrics/*/*.parquet")
-    path.write_bytes(b"no parquet")
-    assert main([str(tmp_path), "--files", "1", "--rows", "10"]) == 1
-    assert "roadperc-report ended with exit code 1" in capsys.readouterr().err
+    assert re.search(r"plain group-by .* 1\.00", text)

@@ -26,7 +26,7 @@ def test_field_of_view_agrees_with_K():
 
 
 @given(st.floats(-3, 3), st.floats(-1.5, 1.5), st.floats(-3, 3), st.floats(0.05, 2.0), st.floats(-50, 50))
-def test_a_pair_of_projections_gives_back_its_parts(yaw, pitch, roll, baseline_m, x):
+def test_decomposing_a_pair_of_projections(yaw, pitch, roll, baseline_m, x):
     camera = np.array([[500.0, 0.0, 320.0], [0.0, 480.0, 240.0], [0.0, 0.0, 1.0]])
     R = Rotation.from_euler("ZYX", (yaw, pitch, roll)).as_matrix()
     left = np.array([x, 2.0, -1.0])
@@ -89,6 +89,6 @@ def test_malformed_values_name_file_and_key(tmp_path, content, fault):
 @pytest.mark.parametrize(
     ("left", "right", "fault"), [(P, P, "one and the same centre"), (np.zeros((3, 4)), P, "P_left: no proj")]
 )
-def test_matrices_that_are_no_pair(left, right, fault):
+def test_matrices_without_a_baseline_are_refused(left, right, fault):
     with pytest.raises(DumpError, match=fault):
         decompose_pair("calibration.json", np.array(left, float), np.array(right, float))

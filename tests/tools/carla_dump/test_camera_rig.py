@@ -23,7 +23,7 @@ def edges(found):
     return {(edge.parent, edge.child): edge.parent_T_child for edge in found.transforms}
 
 
-def test_without_a_mounting_nothing_is_claimed():
+def test_without_a_mounting_there_are_no_transforms():
     found = rig()
     assert found.transforms == ()
     assert set(found.cameras) == {"calibration"}
@@ -40,7 +40,7 @@ def test_a_depth_camera_mounted_elsewhere_has_its_own_frame():
     assert set(found.cameras) == {"calibration"}
 
 
-def test_a_depth_camera_mounted_alike_shares_the_front_frame():
+def test_a_depth_camera_with_the_same_mounting_shares_the_front_frame():
     found = rig(mounting={"rgb": RGB, "depth": RGB})
     assert set(edges(found)) == {("ego", "camera_front")}
     assert found.frame_ids["depth"] == "camera_front"
@@ -97,13 +97,13 @@ def test_a_left_camera_beside_the_front_one_is_the_pairs_base():
     assert {child for _, child in edges(found)} == {"camera_front", "camera_left", "camera_right"}
 
 
-def test_a_pair_without_a_baseline_is_said():
+def test_a_pair_without_a_baseline_is_noted():
     found = rig(roles=PAIR)
     assert found.cameras["right_calibration"].baseline_m is None
     assert "baseline unknown" in found.notes[0]
 
 
-def test_unknown_names_and_a_shifted_segmentation_are_said():
+def test_unknown_names_and_a_shifted_segmentation_are_noted():
     notes = " ".join(rig(mounting={"rgb": RGB, "seg": {**RGB, "z": 1.0}, "radar": RGB}).notes)
     assert "'radar'" in notes
     assert "tags and image do not align" in notes
@@ -114,8 +114,8 @@ def test_unknown_names_and_a_shifted_segmentation_are_said():
     [
         ({"fov_deg": None}, "camera_front has no calibration.*--fov"),
         ({"mounting": {"rgb": RGB, "right": {**RGB, "y": 0.5}}, "baseline_m": 0.7}, "baseline 0.7 m, but .* 0.5 m"),
-        ({"mounting": {"rgb": RGB, "right": {**RGB, "y": -0.5}}}, "does not lie to the right"),
-        ({"mounting": {"rgb": RGB, "right": RGB}}, "does not lie to the right"),
+        ({"mounting": {"rgb": RGB, "right": {**RGB, "y": -0.5}}}, "is not to the right"),
+        ({"mounting": {"rgb": RGB, "right": RGB}}, "is not to the right"),
     ],
 )
 def test_contradictions_are_errors(content, fault):
@@ -124,7 +124,7 @@ def test_contradictions_are_errors(content, fault):
 
 
 def test_an_unknown_size_is_an_error():
-    with pytest.raises(DumpError, match="camera_front: its image size is not known"):
+    with pytest.raises(DumpError, match="camera_front: its image size is unknown"):
         build_rig(CalibrationFile.model_validate({"fov_deg": 90}), PATH, ("depth",), {})
 
 
@@ -133,6 +133,6 @@ def test_pixels_that_are_not_square_are_noted_once(fy, notes):
     found = rig(
         roles=("image", "depth", "right"), K=((640, 0, 640), (0, fy, 480), (0, 0, 1)), fov_deg=None, baseline_m=0.5
     )
-    said = [note for note in found.notes if "differ by more than 5 %" in note]
-    assert len(said) == notes
-    assert all("fx 640 and fy 480 of calibration.json" in note for note in said)
+    notes_found = [note for note in found.notes if "differ by more than 5 %" in note]
+    assert len(notes_found) == notes
+    assert all("fx 640 and fy 480 of calibration.json" in note for note in notes_found)

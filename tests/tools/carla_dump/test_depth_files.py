@@ -76,7 +76,7 @@ def test_24_bits_as_carla_documents_them(code):
     assert np.isnan(found) if code == 0 else abs(found - expected) <= 1e-6 * expected
 
 
-def test_the_first_file_that_tells_decides(tmp_path):
+def test_the_first_unambiguous_file_decides(tmp_path):
     sky = png(tmp_path / "0.png", np.full((HEIGHT, WIDTH, 3), 255, np.uint8))
     black = png(tmp_path / "1.png", np.zeros((2, 2, 3), np.uint8))
     codes = png(tmp_path / "2.png", carla_codes(depth_m()))
@@ -87,8 +87,8 @@ def test_the_first_file_that_tells_decides(tmp_path):
         np.testing.assert_allclose(depth_metres(load_pixels(sky), encoding), 1000.0)
 
 
-def test_where_no_file_tells_the_kind_of_number_does(tmp_path):
-    """Black PNGs of an all-black drive and zeros in .npy: any encoding says "nothing known" of them."""
+def test_ambiguous_files_get_the_encoding_of_their_type(tmp_path):
+    """Black PNGs and zeros in .npy have no known depth in any encoding."""
     empty = [npy(tmp_path / f"{k}.npy", np.zeros((2, 2))) for k in range(2)]
     black = [png(tmp_path / f"{k}.png", np.zeros((2, 2, 3), np.uint8)) for k in range(2)]
     assert depth_encoding(empty) == "metres"
@@ -118,7 +118,7 @@ def test_unknown_numbers_are_not_a_number(tmp_path):
     np.testing.assert_array_equal(depth_metres(load_pixels(path), "metres"), [[np.nan, np.nan, np.nan, 5.0]])
 
 
-def test_a_near_frame_in_metres_is_no_other_encoding(tmp_path):
+def test_a_near_frame_in_metres_keeps_the_encoding(tmp_path):
     near = npy(tmp_path / "0.npy", np.full((2, 2), 0.8))
     far = npy(tmp_path / "1.npy", np.full((2, 2), 8.0))
     assert depth_encoding([near, far]) == "metres"
@@ -142,20 +142,22 @@ def palette_png(path):
     ],
     ids=["jpeg of 24 bits", "palette", "three floats", "16-bit colour"],
 )
-def test_what_is_no_depth_is_refused(tmp_path, make):
+def test_other_content_than_depth_is_refused(tmp_path, make):
     path = make(tmp_path / "000003.png")
     with pytest.raises(DumpError, match=r"000003\.png"):
         depth_encoding([path])
 
 
-def test_a_file_encoded_otherwise_is_named(tmp_path):
+def test_a_file_with_another_encoding_is_named(tmp_path):
     path = png(tmp_path / "5.png", log_grey(depth_m()))
-    with pytest.raises(DumpError, match=r"5\.png: depth as logarithmic grey, the files before as carla 24 bit"):
+    with pytest.raises(
+        DumpError, match=r"5\.png: depth is encoded as logarithmic grey, the files before as carla 24 bit"
+    ):
         depth_metres(load_pixels(path), "carla 24 bit")
 
 
 def grey(path, coding, road, rounded=np.rint):
-    """A file of what a camera sees of a road, and how deep it truly is."""
+    """Write a camera's view of a road, and return its true depth."""
     depth_m = np.nan_to_num(road.depth_m(), nan=1000.0).clip(0.1, 1000.0)
     levels = 255.0 * CODINGS[coding](depth_m)
     return png(path, rounded(levels).clip(0, 255).astype(np.uint8)), depth_m
@@ -172,11 +174,11 @@ def grey(path, coding, road, rounded=np.rint):
     ],
     ids=["level", "cut off", "high and down", "up"],
 )
-def test_the_ground_tells_the_coding(tmp_path, coding, road, rounded):
+def test_the_ground_shows_the_coding(tmp_path, coding, road, rounded):
     path, depth_m = grey(tmp_path / "0.png", coding, road, rounded)
     found, why = grey_encoding([path], road.camera, None)
     assert found == ENCODINGS[coding]
-    assert f"8-bit depth is {found}: greys of a level ground are off as {coding} by " in why
+    assert f"8-bit depth is {found}; errors of a level ground in grey levels: {coding} " in why
     metres = depth_metres(load_pixels(path), found)
     near = (depth_m > 5.0) & (depth_m < 45.0) & np.isfinite(metres)
     assert near.any()
@@ -184,7 +186,7 @@ def test_the_ground_tells_the_coding(tmp_path, coding, road, rounded):
 
 
 @pytest.mark.parametrize("asked", CODINGS)
-def test_what_is_asked_for_is_taken(tmp_path, asked):
+def test_the_chosen_coding_is_used(tmp_path, asked):
     road = Road(width=320, height=240)
     path, _ = grey(tmp_path / "0.png", "logarithmic", road)
     found, why = grey_encoding([path], road.camera, asked)
@@ -200,12 +202,10 @@ def test_what_is_asked_for_is_taken(tmp_path, asked):
     ],
     ids=["a wall", "noise", "upside down"],
 )
-def test_what_shows_no_ground_is_an_error_that_names_the_option(tmp_path, values):
+def test_images_without_ground_are_an_error_that_names_the_option(tmp_path, values):
     path = png(tmp_path / "0.png", values)
     assert depth_encoding([path]) == "logarithmic grey"
-    with pytest.raises(
-        DumpError, match=r"8-bit grey depth, and nothing tells its coding \(.*\): say --grey-depth linear"
-    ):
+    with pytest.raises(DumpError, match=r"the coding of 8-bit grey depth is unknown \(.*\); pass --grey-depth linear"):
         grey_encoding([path], Camera("camera", 320, 240, 160.0, 160.0, 159.5, 119.5), None)
 
 

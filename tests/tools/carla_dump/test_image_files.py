@@ -31,7 +31,7 @@ SAMPLES = {
 @pytest.mark.parametrize(
     ("make", "form", "words"), [(png, "png", "png RGB 8 bit"), (jpeg, "jpeg", "jpeg colour")], ids=["png", "jpeg"]
 )
-def test_format_is_told_by_content(tmp_path, make, form, words):
+def test_the_content_gives_the_format(tmp_path, make, form, words):
     path = make(tmp_path / "0.bmp", camera_pixels())
     assert read_header(path) == ((16, 12), words)
     assert require_whole(path, path.read_bytes()) == form
@@ -42,7 +42,7 @@ OTHERS = {
     "BMP image": b"BM" + bytes(60),
     "WEBP image": b"RIFF\x00\x00\x00\x00WEBPVP8 ",
     "TIFF image": b"II*\x00" + bytes(60),
-    "no image": b"hello, I am a text\xff",
+    "not an image": b"hello, I am a text\xff",
 }
 
 
@@ -67,7 +67,7 @@ def test_a_cut_file_is_unreadable(tmp_path, make, kept):
 
 
 @pytest.mark.parametrize(
-    ("text", "fault"), [("1, 2\n3\n", "no table of numbers"), ("1,,2\n", "no table"), ("\n \n", "empty")]
+    ("text", "fault"), [("1, 2\n3\n", "not a table of numbers"), ("1,,2\n", "not a table"), ("\n \n", "empty")]
 )
 def test_broken_tables_are_unreadable(tmp_path, text, fault):
     path = tmp_path / "0.dat"
@@ -76,12 +76,12 @@ def test_broken_tables_are_unreadable(tmp_path, text, fault):
         load_pixels(path)
 
 
-def test_an_npy_that_is_no_image_is_unreadable(tmp_path):
+def test_an_npy_without_an_image_is_unreadable(tmp_path):
     with pytest.raises(UnreadableFrameError, match="expected an image of numbers"):
         load_pixels(npy(tmp_path / "0.npy", np.zeros(4)))
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data(), kind=st.sampled_from(["png", "jpeg", "npy", "csv", "palette"]))
 def test_damaged_files_are_read_or_stated(tmp_path, data, kind):
     content = bytearray(SAMPLES[kind])

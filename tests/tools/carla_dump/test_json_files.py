@@ -28,7 +28,7 @@ VALUES = st.recursive(
     [load_calibration, load_detections, load_poses, lambda path: load_truth(path, "camera_front")],
     ids=["calibration", "detections", "poses", "truth"],
 )
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(content=VALUES)
 def test_any_document_is_read_or_stated(tmp_path, load, content):
     path = document(tmp_path / "document.json", content)

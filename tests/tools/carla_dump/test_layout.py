@@ -36,7 +36,7 @@ def frames(layout, role):
     ],
     ids=["numbers in names", "KITTI", "flat", "flat, numbers", "bare number", "label text"],
 )
-def test_sensors_are_told_by_the_names_of_folders_and_files(tmp_path, names, found):
+def test_names_of_folders_and_files_give_the_sensors(tmp_path, names, found):
     for name in names:
         png(tmp_path / name, camera_pixels())
     layout = find_layout(tmp_path, {})
@@ -69,7 +69,7 @@ def test_a_role_option_wins_over_the_names(tmp_path):
     assert not any("far" in note for note in layout.notes)
 
 
-def test_a_role_option_takes_a_folder_from_the_role_its_name_says(tmp_path):
+def test_a_role_option_takes_a_folder_from_the_role_of_its_name(tmp_path):
     plain_dump(tmp_path)
     layout = find_layout(tmp_path, {"truth_depth": tmp_path / "depth"})
     assert "depth" not in layout.sensors
@@ -92,7 +92,7 @@ def test_a_single_file_of_a_role_option_is_its_own_frame(tmp_path):
     assert frames(find_layout(tmp_path, {"lidar": scan.rename(scan.with_name("scan.ply"))}), "lidar") == [0]
 
 
-def test_links_in_a_circle_are_no_files(tmp_path):
+def test_circular_links_are_ignored(tmp_path):
     (plain_dump(tmp_path) / "poses.json").symlink_to("poses.json")
     (tmp_path / "lidar").symlink_to("lidar")
     assert set(find_layout(tmp_path, {}).sensors) == {"image", "depth", "segmentation"}
@@ -145,7 +145,7 @@ def detections_twice(folder: Path) -> None:
         (one_number_twice, ["000001.png", "1.png", "frame 1"]),
         (no_number, ["rgb", "no frame number", "first.png"]),
         (only_junk, ["no sensor found", "holiday/", "notes.txt"]),
-        (lambda _: None, ["no sensor found", "there is: nothing"]),
+        (lambda _: None, ["no sensor found", "found: nothing"]),
         (two_pose_files, ["poses.json", "transforms.json"]),
         (detections_twice, ["detections.json", "label_2", "--role detections"]),
     ],
@@ -157,6 +157,6 @@ def test_faults_name_what_is_there(tmp_path, make, words):
     assert all(word in str(fault.value) for word in words), fault.value
 
 
-def test_a_missing_folder_is_said(tmp_path):
+def test_a_missing_folder_is_named(tmp_path):
     with pytest.raises(DumpError, match="nowhere: No such file"):
         find_layout(tmp_path / "nowhere", {})

@@ -1,4 +1,4 @@
-"""A lidar's points in every file people keep them in, each with the axes of those who write it."""
+"""Read a lidar's points from all formats, each with its own axes."""
 
 import io
 
@@ -82,7 +82,7 @@ def on_windows(ply):
 
 
 @pytest.mark.parametrize("content", [CARLA.replace("\n", "\r\n").encode(), on_windows(binary("float", "<f4"))])
-def test_a_header_written_on_windows_is_one(tmp_path, content):
+def test_a_header_with_windows_line_ends(tmp_path, content):
     np.testing.assert_allclose(load_points(written(tmp_path, "1.ply", content)), RIGHT_HANDED, atol=1e-6)
 
 
@@ -116,7 +116,7 @@ def test_points_without_intensities_have_three_columns(tmp_path):
     np.testing.assert_allclose(load_points(written(tmp_path, "1.ply", without)), RIGHT_HANDED[:, :3])
 
 
-def test_a_scan_of_nothing_is_one(tmp_path):
+def test_an_empty_scan_has_no_points(tmp_path):
     assert load_points(written(tmp_path, "1.ply", binary("float", "<f4", LEFT_HANDED[:0]))).shape == (0, 4)
     empty = CARLA.partition("end_header\n")[0].replace("vertex 2", "vertex 0") + "end_header\n"
     assert load_points(written(tmp_path, "2.ply", empty)).shape == (0, 4)
@@ -140,7 +140,7 @@ def test_a_scan_of_nothing_is_one(tmp_path):
         ("1.ply", CARLA.replace("float32 I", "list uchar int I"), "property list uchar int I: expected"),
         ("1.ply", CARLA.replace("float32 z", "float32 depth"), "properties x, y, depth, I, expected x, y and z"),
         ("1.ply", CARLA.replace("vertex 2", "vertex 3"), "2 points, its header says 3"),
-        ("1.ply", CARLA.replace("2.4000", "high"), "a point is no number"),
+        ("1.ply", CARLA.replace("2.4000", "high"), "a coordinate is not a number"),
         ("1.ply", binary("float", "<f4")[:-1], "1 points, its header says 2"),
         ("1.npy", b"\x93NUMPY", r"damaged .npy: expected an array's header, found b'\\x93NUMPY'$"),
         ("1.npy", npy(np.zeros((4, 2))), r"\(4, 2\), expected numbers of shape \(N, 3\)"),
@@ -162,7 +162,7 @@ def test_a_scan_of_nothing_is_one(tmp_path):
         ("1.csv", "1,2,3", "expected points as .ply, .npy or .bin"),
     ],
 )
-def test_what_is_wrong_names_the_file(tmp_path, name, content, fault):
+def test_errors_name_the_file(tmp_path, name, content, fault):
     path = written(tmp_path, name, content)
     with pytest.raises(UnreadableFrameError, match=fault) as caught:
         load_points(path)

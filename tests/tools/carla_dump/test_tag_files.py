@@ -95,7 +95,7 @@ def test_colours_and_high_numbers_tell_the_table():
     assert choose_table(None, "raw in red", (1, 24), "seg")[0] is NEW
 
 
-def test_numbers_that_do_not_tell_are_asked_for():
+def test_ambiguous_numbers_are_an_error_that_names_the_option():
     with pytest.raises(DumpError) as fault:
         choose_table(None, "raw in red", (1, 7), "seg")
     message = str(fault.value)
@@ -166,15 +166,15 @@ def test_lossy_raw_tags_take_what_is_there(tmp_path):
     ],
     ids=["half tags", "nan", "three floats", "a photograph"],
 )
-def test_what_is_no_tags_is_refused(tmp_path, make):
+def test_other_content_than_tags_is_refused(tmp_path, make):
     path = make(tmp_path / "3.png")
     with pytest.raises(DumpError, match=r"3\.png"):
         tags_of(load_pixels(path), tag_encoding([path], allow_lossy=False)[0], NEW, allow_lossy=False)
 
 
-def test_a_file_stored_otherwise_is_named(tmp_path):
+def test_a_file_with_another_encoding_is_named(tmp_path):
     path = png(tmp_path / "4.png", colours(TAGS))
-    with pytest.raises(DumpError, match=r"4\.png: tags as palette colours, the files before as raw in red"):
+    with pytest.raises(DumpError, match=r"4\.png: tags are encoded as palette colours, the files before as raw in red"):
         tags_of(load_pixels(path), "raw in red", NEW, allow_lossy=False)
 
 

@@ -63,7 +63,7 @@ def test_poses_of_tables(tmp_path, text):
         ("poses.csv", "", "expected a header"),
         ("poses.csv", "frame,x,y,z,roll,pitch,yaw\n1,2,3\n", "row 2: expected 7 values, got 3"),
         ("poses.csv", "frame,x,y,z,roll,pitch,yaw\n1,2,3,4,5,6,nan\n", "1.yaw"),
-        ("poses.csv", "frame,x,y,z,roll,pitch,yaw\n1,2,3,4,5,6,7\n1,2,3,4,5,6,7\n", "stands twice"),
+        ("poses.csv", "frame,x,y,z,roll,pitch,yaw\n1,2,3,4,5,6,7\n1,2,3,4,5,6,7\n", "appears twice"),
         ("poses.csv", "frame,x,y,z,roll,pitch,yaw\n1,2,3,4,5,6,7\n01,2,3,4,5,6,7\n", "both frame 1"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Coordinates along the road, and where rays meet the ground."""
+"""Coordinates along the road, and intersections of rays with the ground."""
 
 import numpy as np
 import pytest
@@ -6,13 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadperc_stream.tools.scene.options import SCENES, RenderOptions
-from roadperc_stream.tools.scene.world import LEVEL_GROUND, make_world, rolling_ground
+from roadperc_stream.tools.scene.scenes import LEVEL_GROUND, make_scene, rolling_ground
 
 
 @pytest.mark.parametrize("scene", SCENES)
 @given(s=st.floats(0, 300), d=st.floats(-12, 12), ahead=st.floats(-40, 200))
 def test_coordinates_undo_point(scene, s, d, ahead):
-    path = make_world(RenderOptions(scene=scene), 300.0).path
+    path = make_scene(RenderOptions(scene=scene), 300.0).path
     road = path.around(s)
     x, y = path.point(np.array([s + ahead]), d)
     local = np.array([x - road.origin_m[0], y - road.origin_m[1]])
@@ -25,7 +25,7 @@ def test_coordinates_undo_point(scene, s, d, ahead):
 
 @pytest.mark.parametrize("scene", SCENES)
 def test_headings_are_the_tangent_and_bend_by_the_curvature(scene):
-    path = make_world(RenderOptions(scene=scene), 300.0).path
+    path = make_scene(RenderOptions(scene=scene), 300.0).path
     s = np.arange(0.0, 300.0, 0.5)
     x, y, heading = path.pose(s)
     dx, dy = np.diff(x), np.diff(y)
@@ -34,21 +34,20 @@ def test_headings_are_the_tangent_and_bend_by_the_curvature(scene):
 
 
 def test_town_bends_both_ways_and_stays_within_thirty_degrees():
-    path = make_world(RenderOptions(scene="town"), 500.0).path
+    path = make_scene(RenderOptions(scene="town"), 500.0).path
     _, _, heading = path.pose(np.arange(0.0, 1500.0))
     assert np.degrees(heading).max() == pytest.approx(30, abs=0.5)
     assert np.degrees(heading).min() == pytest.approx(-30, abs=0.5)
 
 
 def marched(terrain, centre, dx, dz, lift):
-    """The first depth at which a ray is below the ground, by small steps."""
+    """Return the first depth at which a ray is below the ground, by small steps."""
     t = np.arange(0.5, 600.0, 0.01)
     below = centre[2] + t * dz <= terrain.height(centre[0] + t * dx) + lift
     return t[below.argmax()] if below.any() else np.inf
 
 
-@pytest.mark.parametrize("start_m", [0.0, 55.3, 121.7, 190.0])
-@pytest.mark.parametrize("lift", [0.0, 0.15])
+@pytest.mark.parametrize(("start_m", "lift"), [(0.0, 0.0), (55.3, 0.15), (121.7, 0.0), (190.0, 0.15)])
 def test_first_hits_agree_with_marching_along_the_ray(start_m, lift):
     terrain = rolling_ground(1500.0, 240.0, 0.08)
     centre = np.array([start_m, 0.0, terrain.height(np.array([start_m]))[0] + 1.4])

@@ -1,4 +1,4 @@
-"""The four scenes: path, cross-section and terrain of each, and where rays first meet the ground.
+"""The four scenes: path, cross-section and terrain, and the intersection of rays with the ground.
 
 The height of the ground is a polyline over world x.
 """
@@ -20,7 +20,7 @@ from .path import Element, Path, chain
 from .roads import Crossing, Road, road_of
 
 VIEW_M: Final = 1100.0
-"""How far rays are followed: somewhat beyond CARLA's far plane."""
+"""Length of rays: a little beyond CARLA's far plane."""
 
 BUMP_M: Final = 3.7
 BUMP_HEIGHT_M: Final = 0.1
@@ -31,51 +31,47 @@ BUMP_EVERY_M: Final = 30.0
 
 @dataclass(frozen=True, eq=False)
 class Terrain:
-    """Ground that rises and falls along world x alone: planar strips between knots, level beyond the last ones."""
+    """Ground whose height depends on world x only: planar strips between knots, level beyond the outer knots."""
 
     x_m: Float
     z_m: Float
     rough: bool = False
-    """Whether there is anything as short as a car."""
+    """True if the ground changes within the length of a car."""
 
     @property
     def flat(self) -> bool:
-        """Whether one plane is all there is."""
+        """Return True if the ground is one level plane."""
         return len(self.x_m) < 2
 
     @cached_property
     def steepest(self) -> float:
-        """The largest dz/dx; a ray that climbs more never meets the ground."""
+        """Return the largest dz/dx; a steeper ray never meets the ground."""
         return 0.0 if self.flat else float((np.diff(self.z_m) / np.diff(self.x_m)).max())
 
     def height(self, x_m: Float) -> Float:
-        """Ground height at world x, any shape."""
+        """Return the ground height at world x of any shape."""
         return np.interp(x_m, self.x_m, self.z_m)
 
     def below(self, x_m: float, reach_m: float) -> tuple[float, float]:
-        """Height and mean dz/dx of a body at x on wheels ``reach_m`` behind and before it.
+        """Return height and mean dz/dx of a body at x with wheels ``reach_m`` behind and in front of it.
 
-        On smooth ground the height is that of the ground.
+        On smooth ground the height is the ground's height at x.
         """
         ends = self.height(np.array([x_m - reach_m, x_m + reach_m]))
         height = ends.mean() if self.rough else self.height(np.array([x_m]))[0]
         return float(height), float(ends[1] - ends[0]) / (2 * reach_m)
 
     def first_hits(self, centre_m: Float, dx: Float, dz: Float, lift_m: float) -> Float:
-        """How many times their direction rays travel until they meet the ground lifted by ``lift_m``; inf for never.
+        """Return the ray lengths, in units of their directions, to the ground lifted by ``lift_m``; inf for no hit.
 
-        Args:
-            centre_m: (3,) world point above the ground where all rays start.
-            dx: (...) world x component of the directions; positive where the ground is not flat.
-            dz: (...) world z component.
-            lift_m: height of the layer over the ground.
+        All rays start at ``centre_m`` (3,), a world point above the ground. ``dx`` and ``dz`` are the world components
+        of the directions; ``dx`` is positive unless the ground is flat.
         """
         if self.flat:
             with np.errstate(divide="ignore"):
                 return np.where(dz < 0, (self.z_m[0] + lift_m - centre_m[2]) / dz, np.inf)
-        # Seen from the centre, a ray meets the ground at the first knot that stands as high in view as the ray.
-        # The view angle of a straight strip is monotone: its knots decide. The running maximum hides what lies behind
-        # a crest.
+        # A ray meets the ground before the first knot whose slope, seen from the centre, is above the ray's slope.
+        # Within a strip the slope is monotone, so the knots decide. The running maximum hides knots behind a crest.
         first = int(np.searchsorted(self.x_m, centre_m[0] + 0.1))
         last = int(np.searchsorted(self.x_m, centre_m[0] + VIEW_M))
         x, z = self.x_m[first - 1 : last], self.z_m[first - 1 : last] + lift_m
@@ -92,19 +88,19 @@ LEVEL_GROUND: Final = Terrain(np.zeros(1), np.zeros(1))
 
 
 def rolling_ground(length_m: float, wave_m: float, max_grade: float, knot_m: float = 2.0) -> Terrain:
-    """Waves from x = -200 on whose steepest grade is ``max_grade``; level ground at x = 0."""
+    """Return waves from x = -200 on with a largest grade of ``max_grade``; the ground is level at x = 0."""
     x = np.arange(-200.0, length_m + wave_m, knot_m)
     z = max_grade * wave_m / (2 * np.pi) * (1 - np.cos(2 * np.pi * x / wave_m))
     return Terrain(x, z)
 
 
 def with_bumps(terrain: Terrain, length_m: float) -> Terrain:
-    """The same ground with speed bumps across it, round ones as Watts' hump is: 3.7 m long and 10 cm high."""
+    """Return the ground with round speed bumps like the Watts hump: 3.7 m long and 10 cm high."""
     middles = np.arange(BUMP_FIRST_M, length_m, BUMP_EVERY_M)
     u = np.linspace(-1, 1, round(BUMP_M / BUMP_KNOT_M) + 1)
     bumps_x = (middles[:, None] + BUMP_M / 2 * u).ravel()
     bumps_z = np.tile(BUMP_HEIGHT_M * (1 - u * u), len(middles))
-    # Level ground has one knot; it needs an end on either side.
+    # Level ground has one knot; add a knot on each side.
     ends = (-200.0, length_m + 200.0)
     x = np.union1d(np.append(terrain.x_m, ends), bumps_x)
     return Terrain(x, terrain.height(x) + np.interp(x, bumps_x, bumps_z), rough=True)
@@ -112,13 +108,13 @@ def with_bumps(terrain: Terrain, length_m: float) -> Terrain:
 
 RADIUS_M: Final = 150.0
 MARGIN_M: Final = 1200.0
-"""How far the world reaches beyond the drive's end: farther than the depth camera sees."""
+"""Length of the scene beyond the end of the scenario: more than the depth camera's range."""
 WHEELBASE_M: Final = 2.8
 
 
 @dataclass(frozen=True, eq=False)
-class World:
-    """All that stands still and has no edges: the road and the ground."""
+class Scene:
+    """The road and the terrain of a scenario."""
 
     path: Path
     terrain: Terrain
@@ -126,29 +122,29 @@ class World:
 
     @property
     def ground_path(self) -> Path | Crossing:
-        """The roads that there are to see; the path is the ego car's way on them."""
+        """Return the roads to render; ``path`` is the ego car's path on them."""
         return self.road.crossing or self.path
 
     @property
     def section(self) -> RoadSection:
-        """The road's cross-section."""
+        """Return the cross-section of the road."""
         return self.road.section
 
     def place(self, s_m: float, d_m: float) -> tuple[float, float, float]:
-        """x, y and the road's heading at (s, d)."""
+        """Return world x and y, and the road's heading, at (s, d)."""
         x, y = self.path.point(np.array([s_m]), d_m)
         return float(x[0]), float(y[0]), float(self.path.pose(np.array([s_m]))[2][0])
 
     def upright_pose(self, s_m: float, d_m: float, turn: float, step_m: float = 0.0) -> Float:
-        """world_T_body of a body with a vertical axis at (s, d), ``step_m`` above the road."""
+        """Return world_T_body of a body with a vertical axis at (s, d), ``step_m`` above the road."""
         x, y, heading = self.place(s_m, d_m)
         height = float(self.terrain.height(np.array([x]))[0]) + step_m
         return rigid(rotation_from_rpy(0.0, 0.0, heading + turn), np.array([x, y, height]))
 
     def ground_pose(self, s_m: float, d_m: float, turn: float = 0.0) -> Float:
-        """world_T_body of a body on its wheels at (s, d), turned by ``turn`` radians against the road.
+        """Return world_T_body of a car at (s, d), turned by ``turn`` radians relative to the road.
 
-        Its x and y axes lie in the plane of the wheels, which are a wheelbase apart; its origin touches the ground.
+        The x and y axes are in the plane of the wheels (one wheelbase apart); the origin is on the ground.
         """
         x, y, heading = self.place(s_m, d_m)
         height, slope = self.terrain.below(x, WHEELBASE_M / 2)
@@ -160,21 +156,21 @@ class World:
         return rigid(rotation, np.array([x, y, height]))
 
 
-def make_world(options: RenderOptions, length_m: float) -> World:
-    """The world for a drive of ``length_m`` along the road, which starts at s = 0."""
+def make_scene(options: RenderOptions, length_m: float) -> Scene:
+    """Return the scene for ``length_m`` of driving along the road from s = 0."""
     name = options.scene
     wave_m = _WAVES_M.get(name)
     terrain = rolling_ground(length_m + MARGIN_M, wave_m, _MAX_GRADE) if wave_m else LEVEL_GROUND
     road = road_of(options)
     if road.crossing is not None:
-        return World(road.crossing.path, LEVEL_GROUND, road)
+        return Scene(road.crossing.path, LEVEL_GROUND, road)
     if options.bumps:
         terrain = with_bumps(terrain, length_m + MARGIN_M)
-    return World(_path(name, length_m), terrain, road)
+    return Scene(_path(name, length_m), terrain, road)
 
 
 def _path(name: SceneName, length_m: float) -> Path:
-    """Straight on, a ring, or bends of 30 degrees to either side: the road of a town always runs towards positive x."""
+    """Return a straight line, a ring or, in town, bends of up to 30 degrees; a town's road never turns back."""
     start = Element(0.0, 0.0, 0.0, 0.0, 1 / RADIUS_M if name == "bend" else 0.0)
     if name != "town":
         return Path((start,))

@@ -1,21 +1,21 @@
-"""How the ego car and the one before it move: changes of lane, braking, queues, pitching."""
+"""Motions of the ego car and the car ahead: lane changes, braking, queues, pitching."""
 
 import itertools
 
 import numpy as np
 import pytest
 
-from roadperc_stream.tools.scene.drive import Drive
 from roadperc_stream.tools.scene.ego import Ego, shake_of
+from roadperc_stream.tools.scene.motions import SpeedProfile, hard_braking, queue
 from roadperc_stream.tools.scene.options import RenderOptions
-from roadperc_stream.tools.scene.scenario import SpeedProfile, hard_braking, queue
+from roadperc_stream.tools.scene.scenario import Scenario
+from roadperc_stream.tools.scene.scenes import make_scene
 from roadperc_stream.tools.scene.sheet import CAR_M
-from roadperc_stream.tools.scene.world import make_world
 
 
 def ego_of(**settings):
     options = RenderOptions(**{"scene": "straight", "weave_m": 0.0, "seconds": 20.0} | settings)
-    return Drive.of(make_world(options, 300.0), options).ego
+    return Scenario.of(make_scene(options, 300.0), options).ego
 
 
 @pytest.mark.parametrize(("side", "aside_m"), [("left", 3.6375), ("right", -3.6375)])
@@ -36,7 +36,7 @@ def states(ego, times):
     return [s.direction for s in found], [s.count for s in found]
 
 
-def test_the_change_is_told_while_the_car_is_over_the_line():
+def test_a_lane_change_is_stated_while_the_car_is_over_the_line():
     ego = ego_of(change_lane="left", change_back=True)
     times = np.arange(0.0, 12.0, 0.01)
     directions, counts = states(ego, times)
@@ -50,7 +50,7 @@ def test_the_change_is_told_while_the_car_is_over_the_line():
     assert all(ego.d(t) + 0.89 <= -3.75 or ego.d(t) - 0.89 >= -3.6 for t in set(times[times < 7]) - set(over))
 
 
-def test_a_change_that_is_broken_off_comes_onto_the_line_and_back():
+def test_an_aborted_change_touches_the_line_and_returns():
     ego = ego_of(change_lane="right", change_broken_off=True)
     times = np.arange(0.0, 8.0, 0.01)
     directions, counts = states(ego, times)
@@ -60,10 +60,9 @@ def test_a_change_that_is_broken_off_comes_onto_the_line_and_back():
     assert directions[-1] == "none"
 
 
-def test_the_car_before_brakes_hard_and_the_ego_car_nearly_hits_it():
-    pair = hard_braking(10.0)
+def test_the_car_ahead_brakes_hard_and_the_ego_car_nearly_hits_it():
     times = np.arange(0.0, 14.0, 0.01)
-    ego, leader = (np.array([profile.at(float(t)) for t in times]) for profile in (pair.ego, pair.leader))
+    ego, leader = (np.array([profile.at(float(t)) for t in times]) for profile in hard_braking(10.0))
     room = leader[:, 0] - ego[:, 0] - CAR_M[0]
     assert room.min() == pytest.approx(0.8, abs=0.01)
     closing = ego[:, 1] - leader[:, 1]
@@ -75,16 +74,16 @@ def test_the_car_before_brakes_hard_and_the_ego_car_nearly_hits_it():
 
 
 @pytest.mark.parametrize("speed_mps", [3.0, 10.0, 20.0])
-def test_nobody_is_hit_at_any_speed(speed_mps):
+def test_no_collision_at_any_speed(speed_mps):
     for pair in (hard_braking(speed_mps), queue(speed_mps, 40.0)):
         times = np.arange(0.0, 40.0, 0.05)
-        ego, leader = (np.array([profile.at(float(t)) for t in times]) for profile in (pair.ego, pair.leader))
+        ego, leader = (np.array([profile.at(float(t)) for t in times]) for profile in pair)
         assert (leader[:, 0] - ego[:, 0]).min() > CAR_M[0] + 0.5
         assert (np.diff(ego[:, 0]) >= -1e-9).all()
 
 
 def test_a_queue_stands_and_goes_again_and_again():
-    ego = queue(5.0, 40.0).ego
+    ego, _ = queue(5.0, 40.0)
     speeds = np.array([ego.at(float(t))[1] for t in np.arange(0.0, 40.0, 0.05)])
     stands = speeds < 1e-9
     assert 0.1 < stands.mean() < 0.6
@@ -92,7 +91,7 @@ def test_a_queue_stands_and_goes_again_and_again():
     assert speeds.max() == pytest.approx(5.0)
 
 
-def test_a_profile_is_its_own_integral():
+def test_positions_are_the_integral_of_the_speed():
     profile = SpeedProfile(2.0, 8.0, ((1.0, 0.0), (2.0, -3.0), (1.5, 2.0)))
     times = np.linspace(0.0, 8.0, 8001)
     s, v = np.array([profile.at(float(t)) for t in times]).T
@@ -100,14 +99,14 @@ def test_a_profile_is_its_own_integral():
     assert profile.at(-1.0) == (-6.0, 8.0)
 
 
-def test_a_car_that_stands_neither_weaves_nor_nods():
+def test_a_standing_car_neither_weaves_nor_pitches():
     ego = ego_of(lead_brakes=True, weave_m=0.5, pitch_std_deg=1.0)
     stands = [t for t in np.arange(0.0, 10.0, 0.05) if ego.s(t) == ego.s(t + 0.05)]
     assert len(stands) > 10
     np.testing.assert_array_equal(ego.pose(float(stands[0])), ego.pose(float(stands[-1])))
 
 
-def test_pitching_has_the_deviation_asked_for():
+def test_pitching_has_the_given_deviation():
     shake = shake_of(1.5, 4)
     pitch = np.degrees([shake.at(float(t)) for t in np.arange(0.0, 300.0, 0.02)])
     assert pitch.std() == pytest.approx(1.5, rel=0.05)
@@ -115,8 +114,8 @@ def test_pitching_has_the_deviation_asked_for():
     assert shake_of(0.0, 4) is None
 
 
-WORLD = make_world(RenderOptions(scene="straight"), 300.0)
-MIDDLE_M = WORLD.section.lane_centre_m
+SCENE = make_scene(RenderOptions(scene="straight"), 300.0)
+MIDDLE_M = SCENE.section.lane_centre_m
 
 
 def heading(ego, time_s):
@@ -128,18 +127,18 @@ def heading(ego, time_s):
     ("speed_mps", "weave_m", "slope"),
     [(10.0, 0.5, 2 * np.pi * 0.5 / 6.0 / 10.0), (1.0, 0.5, 0.15), (2.0, 3.0, 0.15), (10.0, 0.0, 0.0)],
 )
-def test_it_weaves_in_six_seconds_but_turns_out_of_the_lane_by_no_more_than_a_car_would(speed_mps, weave_m, slope):
-    ego = Ego(WORLD, speed_mps, weave_m, static=False)
+def test_it_weaves_with_a_limited_slope(speed_mps, weave_m, slope):
+    ego = Ego(SCENE, speed_mps, weave_m, static=False)
     assert np.tan(heading(ego, 0.0)) == pytest.approx(slope)
-    times_s = np.linspace(0.0, 60.0, 601)
+    times_s = np.linspace(0.0, 60.0, 301)
     assert max(abs(np.tan(heading(ego, t))) for t in times_s) == pytest.approx(slope, abs=1e-6)
     sideways_m = [ego.pose(t)[1, 3] - MIDDLE_M for t in times_s]
     assert max(np.abs(sideways_m)) <= weave_m + 1e-9
     assert [ego.pose(t)[0, 3] for t in (0.0, 3.0)] == pytest.approx([0.0, 3.0 * speed_mps], abs=1e-6)
 
 
-def test_a_static_one_stands_in_the_middle_of_its_lane():
-    ego = Ego(WORLD, 8.0, 0.7, static=True)
+def test_a_static_car_stands_in_the_centre_of_its_lane():
+    ego = Ego(SCENE, 8.0, 0.7, static=True)
     for time_s in (0.0, 5.0):
         np.testing.assert_allclose(ego.pose(time_s)[:3, 3], [0.0, MIDDLE_M, 0.0], atol=1e-9)
         assert heading(ego, time_s) == 0.0
