@@ -19,7 +19,7 @@ Settings = Mapping[str, Any]
 UNKNOWN: Final = "unknown"
 NO_SUCH_SETTING: Final = "-"
 _DIGITS: Final = 8
-"""Of a configuration's digest that are shown."""
+"""Digits shown of a configuration's digest."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def change(reference: Run, candidate: Run) -> tuple[str, ...]:
         return ()
     ours, theirs = settings_of(reference), settings_of(candidate)
     if ours is None or theirs is None:
-        return (f"{UNKNOWN}, for neither a table nor a log next to it says its configuration",)
+        return (f"{UNKNOWN}, because a run has no configuration in its table or in a log beside it",)
     rows = differing([ours, theirs])
     return ("" if rows else "none", *(f"{key} {' → '.join(values)}" for key, values in rows.items()))
 
@@ -104,7 +104,7 @@ def rows_that_differ(found: Mapping[str, Settings | None]) -> tuple[TextRow, ...
 def _notes(found: Mapping[str, Settings | None], rows: Sequence[TextRow]) -> Iterator[str]:
     unknown = [name for name, settings in found.items() if settings is None]
     if unknown:
-        yield f"{UNKNOWN}, for neither the table nor a log next to it says the configuration: {', '.join(unknown)}"
+        yield f"{UNKNOWN}: no configuration in the table or in a log beside it: {', '.join(unknown)}"
     if not rows and len(unknown) < len(found) - 1:
         yield "none: the versions differ"
     if any(cells[0] == NO_SUCH_SETTING for row in rows for cells in row.cells):

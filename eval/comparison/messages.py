@@ -1,4 +1,4 @@
-"""Two logs with results, message by message: frames pair by log time, messages by topic and order."""
+"""Comparison of two logs with results, message by message: frames pair by log time, messages by topic and order."""
 
 import hashlib
 from collections import defaultdict
@@ -23,7 +23,7 @@ from roadperc_stream.schemas.protobuf import MESSAGE_TYPES
 from roadperc_stream.schemas.topics import IMAGE_SCHEMA, METRICS_TOPIC, RESULT_PREFIX
 
 from ..options import Rules
-from .agreement import Agreement, Difference, Value, distance
+from .agreement import Agreement, Difference, Value, added, distance
 
 _MESSAGE: Final = "message"
 """Field name of a message that only one log has."""
@@ -34,18 +34,15 @@ Group = dict[tuple[str, int], Message]
 
 
 def message_agreements(reference: Path, candidate: Path, run: str, rules: Rules) -> dict[str, Agreement]:
-    """How each field of the results agrees; a field is its topic below /perception and its name without indices.
+    """Agreement of each field of the results, by its topic below /perception and its name without indices.
 
     Only the messages of two frames are in memory.
 
     Raises:
         LogError: a log cannot be read, or a result in it cannot be decoded.
     """
-    found: dict[str, Agreement] = defaultdict(Agreement)
-    for ours, theirs in _aligned(_frames(reference), _frames(candidate)):
-        for name, agreement in _frame_agreements(ours, theirs, (reference, candidate), run, rules).items():
-            found[name] = found[name].and_then(agreement)
-    return dict(found)
+    frames = _aligned(_frames(reference), _frames(candidate))
+    return added(_frame_agreements(ours, theirs, (reference, candidate), run, rules) for ours, theirs in frames)
 
 
 def _frames(path: Path) -> Iterator[tuple[int, Group]]:
@@ -86,7 +83,7 @@ def _frame_agreements(
             if not rules.ignores(name):
                 at = next(message for message in pair if message)
                 first = Difference(run, at.sequence, at.log_time_ns, f"{topic}.{place}", *values)
-                both = found.get(name, Agreement()).and_then(_agreement(first, rules.tolerance(name)))
+                both = found.get(name, Agreement()) + _agreement(first, rules.tolerance(name))
                 differing = min(both.differing, 1)
                 found[name] = replace(both, within=min(both.within, 1 - differing), differing=differing)
     return found
@@ -95,7 +92,7 @@ def _frame_agreements(
 def _values_apart(
     pair: tuple[Message | None, Message | None], paths: tuple[Path, Path]
 ) -> Iterator[tuple[str, tuple[Value, Value]]]:
-    """Both values of each field of two messages with different bytes, or the presence of a single message."""
+    """Both values of each field of two messages with different bytes; or that only one message is present."""
     ours, theirs = pair
     if ours is None or theirs is None:
         yield _MESSAGE, ("present" if ours else None, "present" if theirs else None)
@@ -138,7 +135,7 @@ def _decoded(message: Message) -> Fields:
 
 
 def _flat(message: ProtobufMessage, prefix: str) -> Iterator[tuple[str, Value]]:
-    """The known fields of a message, depth first; enumerations by their names, lists with their length."""
+    """The fields of a message, depth first; enumeration values by name, lists with their length."""
     for field in message.DESCRIPTOR.fields:
         if field.has_presence and not message.HasField(field.name):
             continue

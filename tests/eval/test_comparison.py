@@ -9,7 +9,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from roadperc_stream.eval.comparison.agreement import ABSENT, Agreement, Difference, distance, together
+from roadperc_stream.eval.comparison.agreement import INCOMPARABLE, Agreement, Difference, added, distance
 from roadperc_stream.eval.comparison.bootstrap import MANY_LOGS, _block_means, block_length, mean_interval
 from roadperc_stream.eval.comparison.messages import without_indices
 from roadperc_stream.eval.options import Amount, Rules, allowance, tolerance
@@ -23,12 +23,12 @@ NAN = math.nan
         (1.0, 1.0, 0.0),
         (1, 1.5, 0.5),
         (NAN, NAN, 0.0),
-        (NAN, 1.0, ABSENT),
+        (NAN, 1.0, INCOMPARABLE),
         (None, None, 0.0),
-        (None, 0.0, ABSENT),
-        ("held", "lost", ABSENT),
+        (None, 0.0, INCOMPARABLE),
+        ("held", "lost", INCOMPARABLE),
         (math.inf, math.inf, 0.0),
-        (math.inf, 1.0, ABSENT),
+        (math.inf, 1.0, INCOMPARABLE),
     ],
 )
 def test_distance(reference, candidate, apart):
@@ -43,7 +43,7 @@ def test_runs_together_keep_the_first_difference():
         {"x": Agreement(1, 2, 0.5, first)},
         {"x": Agreement(0, 1, 0.75, second), "y": Agreement()},
     ]
-    assert together(parts) == {"x": Agreement(1, 3, 0.75, first), "y": Agreement()}
+    assert added(parts) == {"x": Agreement(1, 3, 0.75, first), "y": Agreement()}
 
 
 @pytest.mark.parametrize(

@@ -74,7 +74,7 @@ def test_the_table_has_a_row_a_setting_and_says_what_is_unknown():
     table = settings_table(runs)
     assert [(item.label, item.cells) for item in table.rows] == [("seed", (("1",), ("2",), ("unknown",)))]
     assert table.subjects == ("a", "b", "c")
-    assert table.notes == ("unknown, for neither the table nor a log next to it says the configuration: c",)
+    assert table.notes == ("unknown: no configuration in the table or in a log beside it: c",)
 
 
 def test_one_configuration_has_no_table_and_two_versions_of_it_a_note():
@@ -83,7 +83,7 @@ def test_one_configuration_has_no_table_and_two_versions_of_it_a_note():
     assert settings_table({"a": one, "b": other}).notes == ("none: the versions differ",)
 
 
-UNKNOWN_CONFIGURATION = "unknown, for neither a table nor a log next to it says its configuration"
+UNKNOWN_CONFIGURATION = "unknown, because a run has no configuration in its table or in a log beside it"
 
 
 @pytest.mark.parametrize(

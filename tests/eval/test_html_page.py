@@ -141,7 +141,7 @@ def test_more_runs_than_colours_are_left_out_and_said(tmp_path):
     for k in range(RUNS_DRAWN + 2):
         write(tmp_path / f"run{k}.metrics.parquet", [row(0, **FULL)])
     page, _ = report(tmp_path, tmp_path)
-    assert f"2 more runs were named; the page shows the first {RUNS_DRAWN}." in page.text
+    assert f"The page shows the first {RUNS_DRAWN} runs; 2 more are left out." in page.text
 
 
 def test_an_hour_at_20_hz_stays_below_ten_megabytes(tmp_path):
@@ -181,7 +181,7 @@ def test_a_picture_goes_without_what_cannot_be_read_and_the_page_says_so(tmp_pat
     log = write_log(tmp_path / "out.mcap", objects=b"\xff\xfe")
     page, _ = report(tmp_path, with_log(tmp_path / "out.metrics.parquet", log, [STAMP], stereo_epe_px=0.5))
     assert len(page.images) == 1
-    assert f"could not be read is not drawn: /perception/objects: message at {STAMP} ns: 2 bytes are no" in page.text
+    assert f"not drawn, because unreadable: /perception/objects: message at {STAMP} ns: 2 bytes are no" in page.text
 
 
 def test_a_log_that_was_replayed_again_lends_no_pictures(tmp_path):

@@ -203,7 +203,7 @@ def test_names_of_other_kinds_are_paired_in_order(drive, tmp_path, capsys):
     assert cells(text, "lane points") == ["100.0", "1.0000", "0.0000", "0.0000"]
     code, _, error = lanes(capsys, drive, "--truth", truth_file(tmp_path, *lines[:2]), "--pair", "order")
     assert code == 1
-    assert error == f"error: {tmp_path}/truth.json: 2 lines; expected 3, one for each frame of the run, in order\n"
+    assert error == f"error: {tmp_path}/truth.json: 2 lines; expected 3, one for each frame of the run\n"
 
 
 def test_lanes_are_scaled_to_the_size_asked_for(drive, tmp_path, capsys):
@@ -217,15 +217,15 @@ BAD = {
     "nonsense": "Invalid JSON",
     "[1]": "Input should be an object",
     '{"raw_file": "a/1", "h_samples": [1]}': "lanes: Field required",
-    truth_line(1, lanes=[[1.0, 2.0]]): "lanes[0] has 2 columns; expected 56, one for each h_sample",
+    truth_line(1, lanes=[[1.0, 2.0]]): "lanes[0] has 2 columns; expected 56, one per h_sample",
     truth_line(1, lanes=[], h_samples=[]): "h_samples: List should have at least 1 item",
     truth_line(1, lanes=[["x"]]): "lanes.0.0",
     truth_line(1, lanes=[[float("nan")]]): "lanes.0.0",
     truth_line(1, lanes=[[10**400] * len(ROWS)]): "lanes.0.0: Input should be less than or equal to 1000000000",
     truth_line(1, lanes=[], h_samples=[1e300]): "h_samples.0: Input should be less than or equal to 1000000000",
     truth_line(1, raw_file=3): "raw_file: Input should be a valid string",
-    truth_line(1, raw_file="clips/20_a.jpg"): "unknown raw_file 'clips/20_a.jpg'; expected a frame's stamp in ns",
-    truth_line(STAMPS_NS[0]): "again, after",
+    truth_line(1, raw_file="clips/20_a.jpg"): "raw_file 'clips/20_a.jpg' has no stamp; expected a stamp in ns",
+    truth_line(STAMPS_NS[0]): "has the same stamp as",
 }
 
 
@@ -245,7 +245,7 @@ def test_an_empty_truth_and_one_that_would_be_replaced_are_refused(drive, tmp_pa
     path = truth_file(tmp_path, truth_line(STAMPS_NS[0], LEFT_PX))
     before = path.read_bytes()
     code, _, error = lanes(capsys, drive, "--truth", path, "--tusimple", path)
-    assert (code, "is the truth itself" in error) == (1, True)
+    assert (code, "is the file with the true lanes" in error) == (1, True)
     assert path.read_bytes() == before
     assert lanes(capsys, drive, "--truth", tmp_path / "none.json")[0] == 1
 
@@ -254,7 +254,7 @@ def test_an_empty_truth_and_one_that_would_be_replaced_are_refused(drive, tmp_pa
     ("make", "items", "target", "said"),
     [
         (run_log, [], "out.json", "no /perception/lanes"),
-        (write_log, [seen(START_NS, upright(LEFT_PX))], "out.json", "no calibration of 'camera'"),
+        (write_log, [seen(START_NS, upright(LEFT_PX))], "out.json", "no calibration of camera 'camera'"),
         (run_log, [seen(START_NS, upright(LEFT_PX))], "a.mcap", "a.mcap: expected a name that ends in .json or .jsonl"),
     ],
 )

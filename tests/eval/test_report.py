@@ -122,7 +122,9 @@ def test_runs_that_name_no_configuration_stand_alone(tmp_path, capsys):
         pl.read_parquet(path).write_parquet(path)
     _, text, _ = report(capsys, tmp_path)
     assert [line.split()[1] for line in text[text.index("\nAccuracy") :].splitlines()[4:6]] == ["100.0", "100.0"]
-    assert "Settings that differ: unknown, for neither the table nor a log next to it says" in text.replace("\n", " ")
+    assert "Settings that differ: unknown: no configuration in the table or in a log beside it" in text.replace(
+        "\n", " "
+    )
 
 
 def test_many_configurations_have_a_row_each(tmp_path, capsys, monkeypatch):

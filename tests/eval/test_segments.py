@@ -141,13 +141,13 @@ def test_a_segment_too_short_to_judge_is_left_out_and_named(tmp_path, one_pass, 
     found = evaluated(path)
     assert found.absolute_m.count == 60
     assert len(found.scales) == 1
-    expected = "no figures of segment 1: expected 3 or more frames with an estimated and a true pose, found 2"
+    expected = "no errors of segment 1: expected 3 or more frames with an estimated and a true pose, found 2"
     assert found.left_out == (expected,)
     assert main([str(path)]) == 0
     text = capsys.readouterr().out
     assert expected in text
     assert "loop: 62 frames in 2 segments of the log" in text
-    assert "aligned by SE(3), each segment of the log by itself" in text
+    assert "aligned by SE(3), each segment of the log separately" in text
 
 
 def test_exported_files_are_of_one_segment_each(tmp_path, one_pass):

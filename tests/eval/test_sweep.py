@@ -234,7 +234,7 @@ def test_a_failed_sweep_leaves_the_former_one(source, tmp_path, capsys):
 
 def test_other_things_are_never_replaced(source, tmp_path, capsys):
     err = failed(capsys, source, "--out", tmp_path, *LANES, "--force")
-    assert "a folder with other things in it" in err
+    assert "the folder holds other files" in err
     err = failed(capsys, source, "--out", source, *LANES, "--force")
     assert "is a file" in err
     assert source.is_file()

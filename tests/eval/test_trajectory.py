@@ -47,7 +47,7 @@ def test_exports_of_runs_with_and_without_truth(tmp_path, shifted, capsys):
     blind = write_run(tmp_path / "blind.metrics.parquet", TRUE)
     code, text, _ = trajectory(capsys, blind, "--export-tum", tmp_path / "other")
     assert code == 0
-    assert "no figures without truth" in text
+    assert "no errors without truth" in text
     assert [p.name for p in (tmp_path / "other").iterdir()] == ["blind.est.tum"]
 
 
@@ -64,7 +64,7 @@ def test_runs_of_one_name_are_told_apart_by_their_folders(tmp_path, capsys):
 def test_without_truth_and_without_export_it_is_an_error_of_one_line(tmp_path, capsys):
     code, text, err = trajectory(capsys, write_run(tmp_path / "blind.metrics.parquet", TRUE))
     assert (code, text) == (1, "")
-    assert err.startswith(f"error: {tmp_path}/blind.metrics.parquet: no figures without truth: none of its 60 frames")
+    assert err.startswith(f"error: {tmp_path}/blind.metrics.parquet: no errors without truth: none of 60 frames")
     assert err.count("\n") == 1
 
 

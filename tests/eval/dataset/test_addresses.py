@@ -56,5 +56,5 @@ def test_it_compares_as_in_a_folder(dataset, store):
     assert "worse" in here.stdout
     assert (there.returncode, there.stdout, there.stderr) == (here.returncode, here.stdout, here.stderr)
     nothing = of_dataset("roadperc-compare", "s3://drives/none", store)
-    wanted = "error: s3://drives/none: no tables in metrics/date=.../, so there is nothing to compare\n"
+    wanted = "error: s3://drives/none: no tables in metrics/date=.../; pass the OUT_DIR of roadperc-batch\n"
     assert (nothing.returncode, nothing.stderr) == (1, wanted)

@@ -36,9 +36,9 @@ def test_compacted_tables_compare_alike(dataset, capsys):
 @pytest.mark.parametrize(
     ("configs", "said"),
     [
-        (("x", A), "--config x: names no configuration"),
-        ((A, A[:3]), "are the same"),
-        ((A,), "expected --config twice, found it 1 times"),
+        (("x", A), "--config x: matches no configuration"),
+        ((A, A[:3]), "expected two configurations"),
+        ((A,), "pass --config twice (found 1 time)"),
     ],
 )
 def test_what_is_no_pair_of_configurations(dataset, capsys, configs, said):
@@ -52,7 +52,7 @@ def test_of_three_two_must_be_named(dataset, capsys):
     add_table(dataset, frames(1, [0.1] * 4), "cccc0000")
     code, _, error = compare(capsys, dataset)
     assert code == 1
-    assert "expected --config twice, found it 0 times" in error
+    assert "pass --config twice (found 0 times)" in error
     assert "cccc0000 (unknown)" in error
 
 

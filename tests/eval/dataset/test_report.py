@@ -148,8 +148,8 @@ def test_what_the_list_of_runs_does_not_know_is_taken_and_said(dataset, capsys):
     (dataset / "metrics" / "date=2026-01-02" / f"{log_id(2)}-{B}.parquet").unlink()
     _, text, _ = report(capsys, dataset)
     assert "3 logs, 2 configurations, 15 frames" in text
-    assert f"not in runs.parquet, taken all the same, for another batch may be at work: 1 ({log_id(9)}-{A})" in text
-    assert "done, as runs.parquet says, but without a table: 1 (/drives/drive2.mcap)" in text
+    assert f"included, but not in runs.parquet (a batch may be running): 1 ({log_id(9)}-{A})" in text
+    assert "done in runs.parquet, but without a table: 1 (/drives/drive2.mcap)" in text
 
 
 def test_the_newest_row_counts_and_a_path_that_has_become_a_log_is_no_failure(dataset):
@@ -170,7 +170,7 @@ def test_without_a_list_of_runs_the_tables_are_reported(dataset, capsys):
     (dataset / "runs.parquet").unlink()
     code, text, _ = report(capsys, dataset)
     assert code == 0
-    assert "runs: no runs.parquet says how they fared" in text
+    assert "runs: status unknown, no runs.parquet" in text
     assert f"  {log_id(1)}: path unknown (log {log_id(1)})" in text
     ours, theirs = ([line for line in said.splitlines() if line.startswith((A, B))] for said in (text, before))
     assert ours == theirs != []
@@ -181,13 +181,13 @@ def test_without_tables_the_failures_are_printed(tmp_path, capsys):
     code, text, error = report(capsys, tmp_path)
     assert code == 1
     assert "empty: /drives/drive1.mcap: no frame" in text
-    assert "no log gave a table" in error
+    assert "no log of the batch has frames" in error
 
 
 @pytest.mark.parametrize(
     ("by", "said"),
     [
-        ("lane_left_stats", "no column of the metrics tables or of the list of runs; there are lane_"),
+        ("lane_left_stats", "no column of the metrics tables or of runs.parquet; similar columns: lane_"),
         ("stamp_ns", "has more than 3 different values"),
     ],
 )
@@ -227,7 +227,7 @@ def without_column(folder, column):
     pl.read_parquet(path, hive_partitioning=False).drop(column).write_parquet(path)
 
 
-ROWS_WITHOUT = f"{log_id(1)}-{B}.parquet: is not a metrics table of a dataset: it has rows without "
+ROWS_WITHOUT = f"{log_id(1)}-{B}.parquet: is not a metrics table of a batch: it has rows without "
 
 
 @pytest.mark.parametrize(
@@ -238,7 +238,7 @@ ROWS_WITHOUT = f"{log_id(1)}-{B}.parquet: is not a metrics table of a dataset: i
         (damaged, f"{log_id(2)}-{B}.parquet"),
         (of_single_replays, "it has no column config"),
         (with_another_list, "runs.parquet: is not a list of runs: it has no column path"),
-        (with_logs_that_are_gone, "error: no log is left to report"),
+        (with_logs_that_are_gone, "error: no log to report"),
     ],
 )
 def test_what_is_wrong_is_one_line(dataset, capsys, spoilt, said):
@@ -271,7 +271,7 @@ def test_logs_whose_file_is_another_log_now_are_left_out(dataset, capsys):
     gone.write_parquet(dataset / "runs.parquet")
     text = report(capsys, dataset)[1]
     assert text.startswith(f"{dataset}: 1 log, 2 configurations, 12 frames")
-    said = f"left out, for another log has taken the place of their files: 2 ({log_id(1)}-{A}, {log_id(1)}-{B})"
+    said = f"left out, because other logs have replaced their files: 2 ({log_id(1)}-{A}, {log_id(1)}-{B})"
     assert said in text.splitlines()
 
 

@@ -60,7 +60,7 @@ def test_a_delta_longer_than_the_way_has_no_pairs():
     [
         (
             run_of(helix(9), None),
-            "drive.metrics.parquet: no figures without truth: none of its 9 frames has a true pose",
+            "drive.metrics.parquet: no errors without truth: none of 9 frames has a true pose",
         ),
         (run_of(helix(2), helix(2), frames=9), "expected 3 or more frames with an estimated and a true pose, found 2"),
         (run_of(straight(9, 0), helix(9), without_scale=8), r"drive.metrics.parquet: no Sim\(3\) alignment"),

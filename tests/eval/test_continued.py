@@ -9,7 +9,7 @@ import pytest
 from roadperc_stream.cli.compare import main as compare_main
 from roadperc_stream.cli.report import main as report_main
 from roadperc_stream.cli.trajectory import main as trajectory_main
-from roadperc_stream.eval.drives import find_drives
+from roadperc_stream.eval.continued import find_joined
 from roadperc_stream.eval.runs import collect
 from roadperc_stream.eval.scan import rows_of
 from roadperc_stream.eval.summary import summarise_run
@@ -55,8 +55,8 @@ def numbers_of(run):
 
 
 def test_parts_are_one_run_with_the_figures_of_the_whole(tmp_path, whole):
-    found = find_drives(parts(tmp_path))
-    (run,), (expected,) = found.runs, find_drives([whole]).runs
+    found = find_joined(parts(tmp_path))
+    (run,), (expected,) = found.runs, find_joined([whole]).runs
     assert (run.name, run.frames, numbers_of(run)) == ("out_0+2", FRAMES, list(range(FRAMES)))
     assert found.notes == ("out_0+2: 3 continued replays as one run: out_0, out_1, out_2",)
     ours, theirs = summarise_run(run, 3), summarise_run(expected, 3)
@@ -67,7 +67,7 @@ def test_parts_are_one_run_with_the_figures_of_the_whole(tmp_path, whole):
 
 def test_the_order_of_the_arguments_does_not_matter(tmp_path):
     tables = parts(tmp_path)
-    (run,) = find_drives([tables[2], tables[0], tables[1]]).runs
+    (run,) = find_joined([tables[2], tables[0], tables[1]]).runs
     assert [part.name for part in run.tables] == ["out_0", "out_1", "out_2"]
 
 
@@ -94,13 +94,13 @@ def test_a_part_all_of_whose_frames_are_given_again_is_named_so(tmp_path, capsys
     for command in (report_main, trajectory_main):
         assert command(tables) == 0
         assert capsys.readouterr().out.startswith(
-            "out_0+2: 3 continued replays as one run: out_0 (out_1 has all its 4 frames again), out_1, out_2\n"
+            "out_0+2: 3 continued replays as one run: out_0 (out_1 repeats all its 4 frames), out_1, out_2\n"
         )
 
 
 def test_a_part_whose_predecessor_is_missing_stays_apart_and_that_is_stated(tmp_path):
     first, _, last = parts(tmp_path)
-    found = find_drives([first, last])
+    found = find_joined([first, last])
     assert [(run.name, run.frames) for run in found.runs] == [("out_0", 8), ("out_2", 10)]
     assert found.notes == (
         f"out_2: continues a replay that is not among these tables (log {LOGS[1]}); "
@@ -113,14 +113,14 @@ def test_parts_of_other_columns_stay_apart_and_that_is_stated(tmp_path):
     pl.read_parquet(tables[1]).drop("lane_left_error_m").write_parquet(
         tables[1], metadata=pl.read_parquet_metadata(tables[1])
     )
-    found = find_drives(tables)
+    found = find_joined(tables)
     assert found.notes == ("out_1: continues out_0, whose table has other columns; evaluated separately",)
     assert report_main(tables) == 0
 
 
 def test_results_of_two_folders_are_two_drives(tmp_path):
     tables = [*parts(tmp_path / "a"), *parts(tmp_path / "b")]
-    found = find_drives(tables)
+    found = find_joined(tables)
     assert [(run.name, run.frames) for run in found.runs] == [("a/out_0+2", FRAMES), ("b/out_0+2", FRAMES)]
     assert [{part.path.parent.name for part in run.tables} for run in found.runs] == [{"a"}, {"b"}]
 
@@ -129,7 +129,7 @@ def test_two_that_go_on_from_one_part_stay_by_themselves(tmp_path):
     tables = parts(tmp_path, PARTS[:2])
     facts = {"log_id": LOGS[1], "continues": LOGS[0], "first_frame": "5"}
     again = write(tmp_path / "again.metrics.parquet", frames(LOGS[1])[5:13], **facts)
-    found = find_drives([*tables, str(again)])
+    found = find_joined([*tables, str(again)])
     assert [(run.name, run.frames) for run in found.runs] == [("out_0", 5), ("out_1", 8), ("again", 8)]
     assert found.notes == tuple(
         f"{name}: out_1, again all continue out_0; evaluated separately" for name in ("out_1", "again")
@@ -138,7 +138,7 @@ def test_two_that_go_on_from_one_part_stay_by_themselves(tmp_path):
 
 def test_parts_of_two_versions_stay_by_themselves(tmp_path):
     tables = parts(tmp_path / "old", PARTS[:1]) + parts(tmp_path / "new", PARTS[:2], version="2.0.0")[1:]
-    found = find_drives(tables)
+    found = find_joined(tables)
     assert [(run.name, run.frames) for run in found.runs] == [("out_0", 5), ("out_1", 8)]
     assert found.notes == ("out_1: continues out_0, which is of another version; evaluated separately",)
 
@@ -148,7 +148,7 @@ def test_parts_in_a_circle_are_no_drive(tmp_path):
     one = write(tmp_path / "one.metrics.parquet", frames(LOGS[0]), log_id=LOGS[0], continues=LOGS[1])
     two = write(tmp_path / "two.metrics.parquet", frames(LOGS[1]), log_id=LOGS[1], continues=LOGS[0])
     alone = write(tmp_path / "alone.metrics.parquet", frames(LOGS[2]), log_id=LOGS[2], continues=LOGS[2])
-    assert [run.name for run in find_drives([str(one), str(two), str(alone)]).runs] == ["one", "two", "alone"]
+    assert [run.name for run in find_joined([str(one), str(two), str(alone)]).runs] == ["one", "two", "alone"]
 
 
 def test_only_parts_whose_frames_are_given_again_elsewhere_have_nothing_to_report(tmp_path, capsys):
@@ -156,7 +156,7 @@ def test_only_parts_whose_frames_are_given_again_elsewhere_have_nothing_to_repor
     later = parts(tmp_path / "new", ((0, 4), (0, 4)), version="2.0.0")[1]
     for command in (report_main, trajectory_main):
         assert command([*first, later]) == 0
-        assert "out_0.metrics.parquet: out_1 has all its 4 frames again\n" in capsys.readouterr().out
+        assert "out_0.metrics.parquet: out_1 repeats all its 4 frames\n" in capsys.readouterr().out
 
 
 def test_a_reference_of_parts_is_made_and_updated(tmp_path, capsys):
@@ -168,8 +168,8 @@ def test_a_reference_of_parts_is_made_and_updated(tmp_path, capsys):
     assert "20 frames compared" in capsys.readouterr().out
     parts(candidate, ((0, 8), (5, 13), (10, 19)))
     assert compare_main([str(reference), str(candidate), "--update-reference"]) == 0
-    assert find_drives([str(reference)]).runs[0].frames == 19
+    assert find_joined([str(reference)]).runs[0].frames == 19
     for name in ("out_2", "out_1"):
         (candidate / f"{name}.metrics.parquet").unlink()
     assert compare_main([str(reference), str(candidate), "--update-reference", "--other-log"]) == 1
-    assert "a drive of 1 tables cannot replace one of 3" in capsys.readouterr().err
+    assert "1 table cannot replace 3" in capsys.readouterr().err
