@@ -33,13 +33,10 @@ def find_joined(arguments: Sequence[str]) -> JoinedRuns:
     runs = find_runs(arguments)
     found = {run.name: _continued_by(run, runs) for run in runs if run.continues}
     links = [(run, found[run.name][0]) for run in runs if len(found.get(run.name, ())) == 1]
-    chains = _chains(runs, [link for link in links if not _apart(*link, links)])
-    notes = [
-        *(_joined_note(chain) for chain in chains if len(chain) > 1),
-        *(_missing_note(run) for run in runs if found.get(run.name) == [] and run.first_frame),
-        *(_ambiguous_note(name, before) for name, before in found.items() if len(before) > 1),
-        *(f"{run.name}: {why}; evaluated separately" for run, to in links if (why := _apart(run, to, links))),
-    ]
+    chains = _chains(runs, [(run, to) for run, to in links if not _why_apart(run, [to], links)])
+    notes = [_note(chain) for chain in chains if len(chain) > 1]
+    apart = ((run, _why_apart(run, found[run.name], links)) for run in runs if run.name in found)
+    notes += [f"{run.name}: {why}; evaluated separately" for run, why in apart if why]
     return JoinedRuns(tuple(map(_joined, chains)), tuple(notes))
 
 
@@ -51,8 +48,14 @@ def _continued_by(run: Run, runs: Iterable[Run]) -> list[Run]:
     return [other for other in same_version if other.path.parent == run.path.parent] or same_version
 
 
-def _apart(run: Run, before: Run, links: Sequence[_Link]) -> str:
-    """Reason why a run is not joined to the run it continues; empty if it is joined."""
+def _why_apart(run: Run, candidates: Sequence[Run], links: Sequence[_Link]) -> str:
+    """Reason why a run is not joined to the run it continues; empty if it is joined or starts at frame 0."""
+    if not candidates:
+        missing = f"continues a replay that is not among these tables (log {run.continues}) at frame {run.first_frame}"
+        return missing if run.first_frame else ""
+    if len(candidates) > 1:
+        return f"may continue any of {len(candidates)} results ({listed([other.name for other in candidates])})"
+    (before,) = candidates
     following = [after.name for after, to in links if to is before]
     if len(following) > 1:
         return f"{listed(following)} all continue {before.name}"
@@ -94,16 +97,6 @@ def _joined(chain: Sequence[Run]) -> Run:
     )
 
 
-def _joined_note(chain: Sequence[Run]) -> str:
+def _note(chain: Sequence[Run]) -> str:
     names = [run.name if run.frames else f"{run.name} ({run.repeated_by})" for run in chain]
     return f"{_joined(chain).name}: {len(chain)} continued replays as one run: {listed(names, _LISTED)}"
-
-
-def _missing_note(run: Run) -> str:
-    missing = f"{run.name}: continues a replay that is not among these tables (log {run.continues})"
-    return f"{missing}; evaluated separately, from frame {run.first_frame} on"
-
-
-def _ambiguous_note(name: str, before: Sequence[Run]) -> str:
-    alike = listed([run.name for run in before])
-    return f"{name}: may continue any of {len(before)} results ({alike}); evaluated separately"

@@ -118,12 +118,17 @@ def _frame(text: bytes, place: str) -> LaneFrame:
 
 
 @contextmanager
-def lane_writer(target: Path) -> Iterator[Callable[[LaneFrame], object]]:
-    """A function that appends frames to a ``.json`` or ``.jsonl`` file, written as a partial file until complete.
+def lane_writer(target: Path | None) -> Iterator[Callable[[LaneFrame], object]]:
+    """A function that appends frames to a ``.json`` or ``.jsonl`` file, or does nothing without a target.
+
+    The file is a partial file until it is complete.
 
     Raises:
         TargetError: the file cannot be written, or has another suffix.
     """
+    if target is None:
+        yield lambda _frame: None
+        return
     require_suffix(target, ".json", ".jsonl")
     with completing(target) as temporary, temporary.open("w", encoding="utf-8") as stream:
         yield lambda frame: stream.write(to_line(frame))

@@ -2,7 +2,6 @@
 
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import nullcontext
 from pathlib import Path, PurePosixPath
 from typing import Final, NamedTuple
 
@@ -128,21 +127,20 @@ def print_lanes(
     truth = by_key(read_frames(true_lanes), pairing) if true_lanes else {}
     source = open_lanes(path)
     size = size or (source.camera.width, source.camera.height)
-    with lane_writer(target) if target else nullcontext() as write:
+    with lane_writer(target) as write:
         parts = _write_and_score(source, truth, pairing, size, write) if truth else [_export(source, size, write)]
     print_parts(console_for(sys.stdout), *parts)
 
 
-def _export(source: RunLanes, size: tuple[int, int], write: Callable[[LaneFrame], object] | None) -> str:
+def _export(source: RunLanes, size: tuple[int, int], write: Callable[[LaneFrame], object]) -> str:
     """Write every frame; a line with the number of frames and of frames with lanes."""
-    rows = default_rows(size[1])
-    frames = detected = 0
-    for frames, frame in enumerate(source.frames(), 1):  # noqa: B007
-        found = lane_frame(frame, source.camera, size, f"{source.summary.path.stem}/{frame.stamp_ns}", rows)
-        detected += bool(found.lanes)
-        if write:
-            write(found)
-    return f"{source.summary.path.stem}: {frames} frames, lanes in {detected}"
+    name, rows = source.summary.path.stem, default_rows(size[1])
+    has_lanes = []
+    for frame in source.frames():
+        found = lane_frame(frame, source.camera, size, f"{name}/{frame.stamp_ns}", rows)
+        has_lanes.append(bool(found.lanes))
+        write(found)
+    return f"{name}: {len(has_lanes)} frames, lanes in {sum(has_lanes)}"
 
 
 def _write_and_score(
@@ -150,15 +148,14 @@ def _write_and_score(
     true_frames: Mapping[int, LaneFrame],
     pairing: LanePairing,
     size: tuple[int, int],
-    write: Callable[[LaneFrame], object] | None,
+    write: Callable[[LaneFrame], object],
 ) -> list[str | TextTable]:
     """Write and score the frames that have truth; the lines and tables to print."""
     scores: list[FrameScore] = []
     missing = {truth.raw_file: truth for truth in true_frames.values()}
     for frame, truth in paired(source.frames(), true_frames, pairing):
         found = lane_frame(frame, source.camera, size, truth.raw_file, truth.rows)
-        if write:
-            write(found)
+        write(found)
         scores.append(score_frame(found, truth, size))
         missing.pop(truth.raw_file, None)
     # a frame that the run lacks has no lanes

@@ -12,12 +12,12 @@ from roadperc_stream.errors import LogError
 from roadperc_stream.output.terminal import console_for, frame_progress, print_lines, print_table
 from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.schemas.roles import parse_topic_options
-from roadperc_stream.system.files import not_a_log
+from roadperc_stream.system.files import METRICS_SUFFIX, not_a_log
 from roadperc_stream.system.text import print_line
 
 from .quantities import percent, rounded
 from .sweeping.ranking import METRICS, SettingScore, SweepMetric, best, effect, scores, without_influence
-from .sweeping.settings import Combination, combinations, dataset, describe, reference_of, shown, table_names, tables
+from .sweeping.settings import Combination, combinations, dataset, describe, reference_of, shown, table_names
 from .sweeping.sweep_log import Job, sweep_logs
 
 LEGEND: Final = (
@@ -118,7 +118,7 @@ def sweep(arguments: argparse.Namespace) -> None:
 
 
 def _print(folder: Path, made: Sequence[Combination], reference: Combination) -> None:
-    console, files = console_for(sys.stdout), tables(folder)
+    console, files = console_for(sys.stdout), sorted(folder.rglob(f"*{METRICS_SUFFIX}"))
     found = [(metric, scores(files, made, metric)) for metric in METRICS]
     heading = f"{len(files)} tables in {folder}: {len(made)} settings, reference {reference}"
     values = {key: dict.fromkeys(shown(item.settings[key]) for item in made) for key in reference.settings}

@@ -133,8 +133,15 @@ def verdicts(pairs: Sequence[RunPair], overlaps: Sequence[Overlap], rules: Rules
     kept = Paired()
     for found in overlaps:
         kept.add(np.ones(found.common + found.only_reference), np.repeat([1.0, 0.0], found[:2]))
-    judged = ((FRAMES, kept), *((metric, paired[metric.name]) for metric in METRICS))
-    return tuple(judge(metric, values, rules) for metric, values in judged if _judgeable(metric, values, rules))
+    every = ((FRAMES, kept), *((metric, paired[metric.name]) for metric in METRICS))
+    return tuple(
+        _judge(metric, values, rules)
+        for metric, values in every
+        if values.frames
+        and not rules.ignores(metric.name)
+        # a share that is 0 in both runs belongs to an output that neither has
+        and not (metric.share and values.reference_sum == values.candidate_sum == 0)
+    )
 
 
 def _measured(run: Run, by_segment: bool) -> pl.DataFrame:
@@ -142,15 +149,7 @@ def _measured(run: Run, by_segment: bool) -> pl.DataFrame:
     return collect(numbered(scan(run), run, by_segment).select(*KEY, *values), run.source_name)
 
 
-def _judgeable(metric: Metric, values: Paired, rules: Rules) -> bool:
-    """Whether there are values; a share of 0 in both runs means that neither run has the output."""
-    if rules.ignores(metric.name) or not values.frames:
-        return False
-    return not metric.share or values.reference_sum > 0 or values.candidate_sum > 0
-
-
-def judge(metric: Metric, values: Paired, rules: Rules) -> Verdict:
-    """The verdict on a metric with values."""
+def _judge(metric: Metric, values: Paired, rules: Rules) -> Verdict:
     reference, candidate = values.reference_sum / values.frames, values.candidate_sum / values.frames
     interval = _interval(metric, values)
     allowed = max(rules.allowance(metric.name, reference), ROUNDING * max(abs(reference), abs(candidate)))

@@ -1,7 +1,7 @@
 """Pairs the runs of a candidate with those of a reference, and their frames."""
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -89,8 +89,8 @@ def pair_runs(reference: Sequence[Run], candidate: Sequence[Run], other_log: boo
     if len(reference) == len(candidate) == 1:
         partners = {reference[0].name: candidate[0]}
     else:
-        ours, theirs = _single_by_log(reference), _single_by_log(candidate)
-        by_log = {ours[log_id].name: theirs[log_id] for log_id in ours if log_id in theirs}
+        first, second = _single_by_log(reference), _single_by_log(candidate)
+        by_log = {first[log_id].name: second[log_id] for log_id in first if log_id in second}
         taken = {run.name for run in by_log.values()}
         partners = {run.name: run for run in candidate if run.name not in taken} | by_log
     pairs = tuple(RunPair(run, partners[run.name]) for run in reference if run.name in partners)
@@ -98,8 +98,13 @@ def pair_runs(reference: Sequence[Run], candidate: Sequence[Run], other_log: boo
         raise TableError(
             f"{candidate[0].path}: no run of the candidate has the log or the name of a run of the reference"
         )
-    if not other_log:
-        _require_same_log(pairs)
+    for pair in pairs:
+        ours, theirs = pair.reference, pair.candidate
+        if ours.log_id != theirs.log_id and pair.by_one_digest and not other_log:
+            raise TableError(
+                f"{theirs.path}: is of log {theirs.log_id}, expected {ours.log_id} as in {ours.path}; "
+                "pass --other-log to compare two logs by their stamps"
+            )
     paired = {pair.candidate.name for pair in pairs}
     missing = tuple(run for run in reference if run.name not in partners)
     return Pairing(pairs, missing, tuple(run for run in candidate if run.name not in paired))
@@ -136,13 +141,3 @@ def _single_by_log(runs: Sequence[Run]) -> dict[str, Run]:
     """Runs by log id, without the logs that have several runs."""
     counts = Counter(run.log_id for run in runs)
     return {run.log_id: run for run in runs if counts[run.log_id] == 1}
-
-
-def _require_same_log(pairs: Iterable[RunPair]) -> None:
-    for pair in pairs:
-        ours, theirs = pair.reference, pair.candidate
-        if ours.log_id != theirs.log_id and pair.by_one_digest:
-            raise TableError(
-                f"{theirs.path}: is of log {theirs.log_id}, expected {ours.log_id} as in {ours.path}; "
-                "pass --other-log to compare two logs by their stamps"
-            )

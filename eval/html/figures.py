@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from roadperc_stream.geometry import Float
 
 from ..runs import Run, collect
-from ..scan import SEGMENT, rows_of, segment, since_start_s
+from ..scan import SEGMENT, finite, rows_of, segment, since_start_s
 
 COLOURS: Final = ("#2563eb", "#d97706", "#059669", "#c026d3", "#dc2626", "#0891b2", "#65a30d", "#57534e")
 """Distinct on white, on paper, and for most forms of colour blindness."""
@@ -122,9 +122,9 @@ def load_series(run: Run, columns: Iterable[str]) -> Series:
     """
     present = [name for name in dict.fromkeys(columns) if name in run.columns]
     rows = rows_of(run).select("stamp_ns", segment(run.columns), pl.col(present).cast(pl.Float64))
-    table = collect(rows.with_columns(since_start_s()), run.source_name)
+    table = collect(rows.with_columns(since_start_s(), *finite(present)), run.source_name)
     begins = np.flatnonzero(np.diff(table[SEGMENT])) + 1
-    values = {name: np.insert(_finite(table[name]), begins, np.nan) for name in present}
+    values = {name: np.insert(table[name].to_numpy().astype(float), begins, np.nan) for name in present}
     filled = {name: array for name, array in values.items() if np.isfinite(array).any()}
     # the additional rows repeat the segment and the time of the row before
     whole = (table[name].to_numpy() for name in (SEGMENT, _TIME))
@@ -152,8 +152,3 @@ def _extremes(values: Float) -> Indices:
     if unknown.all():
         return gap
     return np.concatenate([[np.nanargmin(values), np.nanargmax(values)], gap])
-
-
-def _finite(column: pl.Series) -> Float:
-    values = column.to_numpy().astype(float)
-    return np.where(np.isfinite(values), values, np.nan)

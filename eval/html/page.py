@@ -63,17 +63,13 @@ def write_page(target: Path, runs: Sequence[Run]) -> None:
         TargetError: the page cannot be written, or has another suffix.
     """
     require_suffix(target, ".html", ".htm")
-    text = page(runs)
+    text = _page(runs)
     with completing(target) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
-def page(runs: Sequence[Run]) -> str:
-    """The page as HTML, over the first ``RUNS_DRAWN`` runs; a note gives the number of the others.
-
-    Raises:
-        TableError: a table cannot be read.
-    """
+def _page(runs: Sequence[Run]) -> str:
+    """The page as HTML, over the first ``RUNS_DRAWN`` runs; a note gives the number of the others."""
     drawn = runs[:RUNS_DRAWN]
     groups = grouped(drawn)
     frames = max(WORST // len(groups), 1)
@@ -106,12 +102,14 @@ def _render(charts: Mapping[str, Sequence[Figure]], **content: Any) -> str:
         for section, figures in charts.items()
         if figures
     }
+    specs = {name: figure.spec for figures in named.values() for name, figure in figures}
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, finalize=_text, trim_blocks=True, lstrip_blocks=True
     )
     return environment.from_string(_part("page.html")).render(
         charts=named,
-        specs=_json({name: figure.spec for figures in named.values() for name, figure in figures}),
+        # "<" is escaped, so that no name can end the script element
+        specs=Markup(json.dumps(specs, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")),
         style=Markup(_part("page.css")),
         script=Markup(_part("page.js")),
         plotly=Markup(get_plotlyjs()),
@@ -123,11 +121,6 @@ def _text(value: Any) -> Any:
     """A value for the page; texts with unprintable characters are escaped."""
     plain = not isinstance(value, str) or isinstance(value, Markup) or value.isprintable()
     return value if plain else shown(value)
-
-
-def _json(content: object) -> Markup:
-    """JSON for a script element; escaped, so that no name can end the element."""
-    return Markup(json.dumps(content, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"))
 
 
 def _part(name: str) -> str:

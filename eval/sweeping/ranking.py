@@ -18,6 +18,7 @@ from roadperc_stream.schemas.columns import RATIO, TIME_COLUMNS
 
 from ..quantities import SIDES, TOTAL, TRUTH, Quantity
 from ..runs import reading
+from ..scan import finite
 from .settings import Combination
 
 COVERAGE_SLACK: Final = 0.01
@@ -59,28 +60,24 @@ class SettingScore:
     coverage: float
 
 
-def _finite(column: str) -> pl.Expr:
-    value = pl.col(column).cast(pl.Float64)
-    return pl.when(value.is_finite()).then(value)
-
-
 def _typical(quantity: Quantity) -> SweepMetric:
     """The median of the absolute value; for a share the mean, because most frames may have a share of 0 or 1."""
     value = pl.col("value")
     score = value.mean() if quantity.unit == RATIO else value.abs().median()
-    return SweepMetric(quantity, _finite(quantity.column), score)
+    return SweepMetric(quantity, finite([quantity.column])[0], score)
 
 
 def _jitter(side: str) -> SweepMetric:
     """Standard deviation of the smoothed offset's second difference, held frames included."""
     quantity = Quantity(f"lane_{side}_offset_m", f"lane {side} jitter", "m", 4)
-    return SweepMetric(quantity, _finite(quantity.column).diff().diff().over(_TABLE), pl.col("value").std(ddof=0))
+    second_difference = finite([quantity.column])[0].diff().diff().over(_TABLE)
+    return SweepMetric(quantity, second_difference, pl.col("value").std(ddof=0))
 
 
 def _share(column: str, name: str) -> SweepMetric:
     """The share of frames with a value."""
     quantity = Quantity(column, name, RATIO, 3, better="high")
-    return SweepMetric(quantity, _finite(column).is_not_null().cast(pl.Float64), pl.col("value").mean())
+    return SweepMetric(quantity, finite([column])[0].is_not_null().cast(pl.Float64), pl.col("value").mean())
 
 
 METRICS: Final = (
@@ -163,11 +160,7 @@ def without_influence(folder: Path, tables: Sequence[Path], made: Sequence[Combi
         digest = hashlib.sha256(rows.hash_rows().to_numpy().tobytes()).digest()
         results.setdefault(path.relative_to(folder).parts[0], []).append(digest)
     for key in made[0].settings:
-        others = {_others(item, key) for item in made}
-        found = {(_others(item, key), *results[item.folder]) for item in made}
-        if len(others) < len(made) and len(found) == len(others):
+        others = [tuple(value for name, value in item.settings.items() if name != key) for item in made]
+        found = {(other, *results[item.folder]) for other, item in zip(others, made, strict=True)}
+        if len(set(others)) < len(made) and len(found) == len(set(others)):
             yield key
-
-
-def _others(item: Combination, key: str) -> tuple[object, ...]:
-    return tuple(value for name, value in item.settings.items() if name != key)

@@ -127,8 +127,3 @@ def table_names(logs: Sequence[Path]) -> list[str]:
     """A table name for each log; logs of equal names get as many folders as needed to make them unique."""
     names = distinct_names([log.with_suffix(METRICS_SUFFIX) for log in logs])
     return [f"{name.lstrip('/')}{METRICS_SUFFIX}" for name in names]
-
-
-def tables(folder: Path) -> list[Path]:
-    """All tables of a dataset, in the order of the combinations."""
-    return sorted(folder.rglob(f"*{METRICS_SUFFIX}"))

@@ -86,7 +86,11 @@ def _one_pass(job: Job, group: Sequence[Combination], progress: Progress) -> tup
     opened = open_log(ReplaySource(job.source, job.overrides, job.time_range), group[0].cfg)
     log_in = opened.input
     progress(0, log_in.expected_frames)
-    candidates = [Candidate(item.cfg, _table(job, item), opened.state_for(item.cfg)) for item in group]
+    candidates = []
+    for item in group:
+        path, facts = job.folder / item.folder / job.table, table_facts(job.source, job.source, item.cfg)
+        table = TableWriter(path, FrameMetrics, facts, TIME_COLUMNS, item.settings)
+        candidates.append(Candidate(item.cfg, table, opened.state_for(item.cfg)))
     with one_thread(), ExitStack() as tables:
         for candidate in candidates:
             tables.enter_context(candidate.table)
@@ -97,12 +101,6 @@ def _one_pass(job: Job, group: Sequence[Combination], progress: Progress) -> tup
                 candidate.replay(log_in.log_id, sample)
             progress(1, 0)
     return log_in.notes
-
-
-def _table(job: Job, item: Combination) -> TableWriter:
-    path = job.folder / item.folder / job.table
-    facts = table_facts(job.source, job.source, item.cfg)
-    return TableWriter(path, FrameMetrics, facts, TIME_COLUMNS, item.settings)
 
 
 # A forked process inherits the locks of polars' and OpenCV's threads, but not the threads that release them.

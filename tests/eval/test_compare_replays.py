@@ -36,7 +36,7 @@ def runs(tmp_path_factory):
     return {
         "base": replayed(SAMPLE, folder / "base.mcap"),
         "again": replayed(SAMPLE, folder / "again.mcap"),
-        "coarse": replayed(SAMPLE, folder / "coarse.mcap", "surface.inlier_m=0.5"),
+        "coarse": replayed(SAMPLE, folder / "coarse.mcap", "surface.inlier_m=1"),
         "held": replayed(copy, folder / "held.mcap"),
         "lost": replayed(copy, folder / "lost.mcap", "lanes.hold_s=0"),
     }
