@@ -1,5 +1,6 @@
 """The configurations of runs: groups of equal configuration, and the settings that differ."""
 
+from collections import Counter
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
@@ -43,8 +44,14 @@ def grouped(runs: Sequence[Run]) -> list[Group]:
     groups: dict[Hashable, list[Run]] = {}
     for run in runs:
         groups.setdefault(_made_by(run), []).append(run)
-    shared = [short_digest(some[0].config_digest) for some in groups.values()]
-    return [Group(_name(some, shared), tuple(some)) for some in groups.values()]
+    digests = Counter(short_digest(some[0].config_digest) for some in groups.values())
+
+    def name(some: Sequence[Run]) -> str:
+        digest = short_digest(some[0].config_digest)
+        version = "" if digests[digest] == 1 else f" {some[0].version or UNKNOWN}"
+        return some[0].name if len(some) == 1 else f"{digest}{version}"
+
+    return [Group(name(some), tuple(some)) for some in groups.values()]
 
 
 def short_digest(digest: str) -> str:
@@ -69,8 +76,12 @@ def settings_of(run: Run) -> Settings | None:
 
 def differing(configurations: Sequence[Settings]) -> dict[str, tuple[str, ...]]:
     """The settings that differ between configurations, each with its values."""
+
+    def value(settings: Settings, key: str) -> str:
+        return as_typed(settings[key]) if key in settings else NO_SUCH_SETTING
+
     keys = dict.fromkeys(chain.from_iterable(configurations))
-    rows = {key: tuple(_value(settings, key) for settings in configurations) for key in keys}
+    rows = {key: tuple(value(settings, key) for settings in configurations) for key in keys}
     return {key: values for key, values in rows.items() if len(set(values)) > 1}
 
 
@@ -111,10 +122,6 @@ def _notes(found: Mapping[str, Settings | None], rows: Sequence[TextRow]) -> Ite
         yield f"{NO_SUCH_SETTING}: the version that made the run has no such setting"
 
 
-def _value(settings: Settings, key: str) -> str:
-    return as_typed(settings[key]) if key in settings else NO_SUCH_SETTING
-
-
 def _stored(run: Run) -> Iterator[bytes]:
     """The configurations in and beside a table, the nearest first."""
     if run.config:
@@ -132,11 +139,3 @@ def _stored(run: Run) -> Iterator[bytes]:
 
 def _made_by(run: Run) -> Hashable:
     return (run.config_digest, run.version) if run.config_digest else run.path
-
-
-def _name(runs: Sequence[Run], configurations: Sequence[str]) -> str:
-    if len(runs) == 1:
-        return runs[0].name
-    configuration = short_digest(runs[0].config_digest)
-    unique = configurations.count(configuration) == 1
-    return configuration if unique else f"{configuration} {runs[0].version or UNKNOWN}"

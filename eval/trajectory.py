@@ -68,33 +68,28 @@ def _stretch_table(evaluation: Evaluation) -> TextTable:
 
 
 def _run_table(evaluations: Sequence[Evaluation], names: Mapping[str, str]) -> TextTable:
-    """A row per run: evaluated frames, scale and lengths."""
+    """A row for each run: evaluated frames, smallest and largest scale, and lengths with stretches."""
+    rows = []
+    for item in evaluations:
+        counts = str(item.run.frames), percent(item.run.coverage), str(item.run.lost), f"{item.driven_m:.1f}"
+        least, most = (f"{scale:.4g}" for scale in (min(item.scales), max(item.scales)))
+        used = [f"{segments.length_m:.0f}" for segments in item.stretches if segments.length_m and segments.count]
+        lengths = f"{', '.join(used)} m" if used else "no length"
+        rows.append(row(names[item.run.name], *counts, least if least == most else f"{least} to {most}", lengths))
     headers = ("frames", "both %", "lost", "driven m", "scale", "KITTI over")
-    rows = tuple(row(names[item.run.name], *_overview(item)) for item in evaluations)
-    return TextTable("Run", headers, rows, tuple(legend(names)), last_is_text=True, label_columns=20)
-
-
-def _overview(evaluation: Evaluation) -> list[str]:
-    """Counts, the smallest and largest scale, and the lengths with stretches."""
-    run = evaluation.run
-    counts = [str(run.frames), percent(run.coverage), str(run.lost), f"{evaluation.driven_m:.1f}"]
-    least, most = (f"{scale:.4g}" for scale in (min(evaluation.scales), max(evaluation.scales)))
-    used = [f"{segments.length_m:.0f}" for segments in evaluation.stretches if segments.length_m and segments.count]
-    return [*counts, least if least == most else f"{least} to {most}", f"{', '.join(used)} m" if used else "no length"]
+    return TextTable("Run", headers, tuple(rows), tuple(legend(names)), last_is_text=True, label_columns=20)
 
 
 def _side_by_side(evaluations: Sequence[Evaluation], names: Mapping[str, str]) -> TextTable:
     """A row of errors for each run."""
+    rows = []
+    for item in evaluations:
+        found = (item.absolute_m, item.relative_m, item.relative_deg)
+        rmse = [_number(statistics.rmse if statistics else None) for statistics in found]
+        kitti = (*_segment_cells(item.together), str(item.together.count))
+        rows.append(row(names[item.run.name], item.alignment, *rmse, *kitti))
     headers = ("align", "ATE m", "RPE m", "RPE deg", "KITTI %", "deg/100 m", "segments")
-    rows = tuple(row(names[item.run.name], *_figures(item)) for item in evaluations)
-    return TextTable("RMSE", headers, rows, (_rpe(evaluations[0].delta),), label_columns=20)
-
-
-def _figures(evaluation: Evaluation) -> list[str]:
-    found = (evaluation.absolute_m, evaluation.relative_m, evaluation.relative_deg)
-    rmse = [_number(statistics.rmse if statistics else None) for statistics in found]
-    together = evaluation.together
-    return [evaluation.alignment, *rmse, *_segment_cells(together), str(together.count)]
+    return TextTable("RMSE", headers, tuple(rows), (_rpe(evaluations[0].delta),), label_columns=20)
 
 
 def _rpe(delta: Delta) -> str:

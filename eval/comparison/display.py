@@ -124,15 +124,12 @@ def _metrics(found: Comparison) -> TextTable:
 
 def _times(found: Comparison) -> TextTable:
     """Mean times, and the ratio of the candidate's to the reference's."""
-    timed = [verdict for verdict in found.verdicts if verdict.metric.timed and verdict.reference > 0]
-    headers = ("reference ms", "candidate ms", "times", *_BOUNDS)
-    return TextTable("Latency", headers, tuple(row(verdict.metric.name, *_timed(verdict)) for verdict in timed))
-
-
-def _timed(verdict: Verdict) -> list[str]:
-    changes = verdict.difference, verdict.interval.low, verdict.interval.high
-    ratios = (f"{1 + change / verdict.reference:.2f}" for change in changes)
-    return [f"{verdict.reference:.2f}", f"{verdict.candidate:.2f}", *ratios]
+    rows = []
+    for verdict in (verdict for verdict in found.verdicts if verdict.metric.timed and verdict.reference > 0):
+        changes = verdict.difference, verdict.interval.low, verdict.interval.high
+        ratios = (f"{1 + change / verdict.reference:.2f}" for change in changes)
+        rows.append(row(verdict.metric.name, f"{verdict.reference:.2f}", f"{verdict.candidate:.2f}", *ratios))
+    return TextTable("Latency", ("reference ms", "candidate ms", "times", *_BOUNDS), tuple(rows))
 
 
 def _verdict(found: Comparison) -> Iterator[str]:

@@ -1,6 +1,7 @@
 """Comparison of two logs with results, message by message: frames pair by log time, messages by topic and order."""
 
 import hashlib
+import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -27,6 +28,7 @@ from .agreement import Agreement, Difference, Value, added, distance
 
 _MESSAGE: Final = "message"
 """Field name of a message that only one log has."""
+_INDEX: Final = re.compile(r"\[\d+\]")
 Fields = Mapping[str, Value]
 """Values by their place in a message, such as ``boundaries[0].offset_m``."""
 Group = dict[tuple[str, int], Message]
@@ -79,11 +81,16 @@ def _frame_agreements(
     for topic, nth in dict.fromkeys((*ours, *theirs)):
         pair = ours.get((topic, nth)), theirs.get((topic, nth))
         for place, values in _values_apart(pair, paths):
-            name = f"{topic}.{without_indices(place)}"
+            name = f"{topic}.{_INDEX.sub('', place)}"
             if not rules.ignores(name):
                 at = next(message for message in pair if message)
                 first = Difference(run, at.sequence, at.log_time_ns, f"{topic}.{place}", *values)
-                both = found.get(name, Agreement()) + _agreement(first, rules.tolerance(name))
+                apart = distance(*values)
+                if apart <= rules.tolerance(name):
+                    one = Agreement(within=int(apart > 0), largest=apart)
+                else:
+                    one = Agreement(differing=1, largest=apart if np.isfinite(apart) else 0.0, first=first)
+                both = found.get(name, Agreement()) + one
                 differing = min(both.differing, 1)
                 found[name] = replace(both, within=min(both.within, 1 - differing), differing=differing)
     return found
@@ -100,13 +107,6 @@ def _values_apart(
         fields = [_fields(message, path) for message, path in zip((ours, theirs), paths, strict=True)]
         for place in dict.fromkeys((*fields[0], *fields[1])):
             yield place, (fields[0].get(place), fields[1].get(place))
-
-
-def _agreement(found: Difference, tolerance: float) -> Agreement:
-    apart = distance(found.reference, found.candidate)
-    if apart <= tolerance:
-        return Agreement(within=int(apart > 0), largest=apart)
-    return Agreement(differing=1, largest=apart if np.isfinite(apart) else 0.0, first=found)
 
 
 def _fields(message: Message, path: Path) -> Fields:
@@ -156,11 +156,6 @@ def _item(field: Any, value: Any, place: str) -> Iterator[tuple[str, Value]]:
         yield place, known.name if known else value
     else:
         yield place, _digest(value) if isinstance(value, bytes) else value
-
-
-def without_indices(place: str) -> str:
-    """``boundaries[0].offset_m`` as ``boundaries.offset_m``."""
-    return "".join(part.partition("]")[2] if index else part for index, part in enumerate(place.split("[")))
 
 
 def _digest(data: bytes) -> str:

@@ -124,17 +124,15 @@ def numbered(frame: pl.LazyFrame, run: Run, by_segment: bool) -> pl.LazyFrame:
 def _logged(run: Run, argument: Path) -> Run:
     if not run.frames:
         raise TableError(f"{run.why_empty}; expected a table with frames")
-    log_ids = "+".join(_log_id(table) for table in run.tables if table.rows)
+    log_ids = []
+    for path in (table.path for table in run.tables if table.rows):
+        column = pl.scan_parquet(path, glob=False).select(pl.col("log_id").cast(pl.String).unique())
+        found = sorted(collect(column, str(path))["log_id"])
+        if len(found) > 1:
+            raise TableError(f"{path}: holds {len(found)} logs ({', '.join(found[:3])}), expected the frames of one")
+        log_ids += found
     below = run.path.relative_to(argument).as_posix().removesuffix(METRICS_SUFFIX) if argument.is_dir() else run.name
-    return replace(run, log_id=log_ids, name=below)
-
-
-def _log_id(run: Run) -> str:
-    log_ids = pl.scan_parquet(run.path, glob=False).select(pl.col("log_id").cast(pl.String).unique())
-    names = sorted(collect(log_ids, str(run.path))["log_id"])
-    if len(names) > 1:
-        raise TableError(f"{run.path}: holds {len(names)} logs ({', '.join(names[:3])}), expected the frames of one")
-    return str(names[0])
+    return replace(run, log_id="+".join(log_ids), name=below)
 
 
 def _single_by_log(runs: Sequence[Run]) -> dict[str, Run]:

@@ -81,7 +81,9 @@ def scan_tables(files: Sequence[str]) -> pl.LazyFrame:
     """
     known: dict[str, pl.DataType] = {}
     for name in dict.fromkeys((files[0], files[-1])):
-        for column, kind in _schema(name).items():
+        with reading(name):
+            schema = pl.scan_parquet(name, glob=is_address(name), hive_partitioning=False).collect_schema()
+        for column, kind in schema.items():
             known[column] = kind if known.get(column, pl.Null()) == pl.Null() else known[column]
     known.pop(DATE, None)
     return pl.scan_parquet(
@@ -100,11 +102,6 @@ def scan_tables(files: Sequence[str]) -> pl.LazyFrame:
 def date_of(file: pl.Expr) -> pl.Expr:
     """The date of a table, from the name of its folder."""
     return file.str.extract(rf"(?:^|[/\\]){_PARTITION}([^/\\]*)[/\\][^/\\]*$")
-
-
-def _schema(name: str) -> pl.Schema:
-    with reading(name):
-        return pl.scan_parquet(name, glob=is_address(name), hive_partitioning=False).collect_schema()
 
 
 def read_runs(dataset: Dataset) -> pl.DataFrame:

@@ -46,7 +46,7 @@ def umeyama(source_m: Float, target_m: Float, *, with_scale: bool) -> Similarity
     equations 34 to 43.
 
     Raises:
-        ValueError: the scale is undetermined, because a path stands still.
+        TableError: the scale is undetermined, because a path stands still.
     """
     source_mean, target_mean = source_m.mean(axis=0), target_m.mean(axis=0)
     source, target = source_m - source_mean, target_m - target_mean
@@ -57,7 +57,7 @@ def umeyama(source_m: Float, target_m: Float, *, with_scale: bool) -> Similarity
     if with_scale:  # equation 42
         common_m2 = float(signs @ singular)
         if common_m2 <= _STANDING * float(np.sum(source**2) + np.sum(target**2)):
-            raise ValueError("one of the paths stands still")
+            raise TableError("no Sim(3) alignment, because the scale is unknown: one of the paths stands still")
         scale = common_m2 / float(np.sum(source**2))
     return Similarity(R, target_mean - scale * R @ source_mean, scale)
 
@@ -76,10 +76,7 @@ def align(estimated: Float, true: Float, alignment: Alignment) -> Similarity:
     if alignment == "origin":
         true_T_estimated = true[0] @ inverse(estimated[0])
         return Similarity(true_T_estimated[:3, :3], true_T_estimated[:3, 3])
-    try:
-        return umeyama(estimated[:, :3, 3], true[:, :3, 3], with_scale=alignment == "sim3")
-    except ValueError as error:
-        raise TableError(f"no Sim(3) alignment, because the scale is unknown: {error}") from error
+    return umeyama(estimated[:, :3, 3], true[:, :3, 3], with_scale=alignment == "sim3")
 
 
 @dataclass(frozen=True)

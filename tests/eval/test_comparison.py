@@ -11,7 +11,6 @@ from scipy.signal import lfilter
 
 from roadperc_stream.eval.comparison.agreement import INCOMPARABLE, Agreement, Difference, added, distance
 from roadperc_stream.eval.comparison.bootstrap import MANY_LOGS, _block_means, block_length, mean_interval
-from roadperc_stream.eval.comparison.messages import without_indices
 from roadperc_stream.eval.options import Amount, Rules, allowance, tolerance
 
 NAN = math.nan
@@ -44,14 +43,6 @@ def test_runs_together_keep_the_first_difference():
         {"x": Agreement(0, 1, 0.75, second), "y": Agreement()},
     ]
     assert added(parts) == {"x": Agreement(1, 3, 0.75, first), "y": Agreement()}
-
-
-@pytest.mark.parametrize(
-    ("place", "name"),
-    [("boundaries[0].offset_m", "boundaries.offset_m"), ("a[1].b[12].c", "a.b.c"), ("pitch", "pitch"), ("x[3]", "x")],
-)
-def test_field_names_have_no_indices(place, name):
-    assert without_indices(place) == name
 
 
 def test_the_last_matching_amount_applies():

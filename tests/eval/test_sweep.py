@@ -143,9 +143,9 @@ def test_two_processes_give_the_same_tables_as_one(source, tmp_path, capsys):
 
 
 def test_best_settings_are_printed_beside_the_reference(tmp_path, capsys):
-    sweep(SAMPLE, tmp_path / "out", *LANES, "--vary", "surface.inlier_m=0.01,0.05", "--vary", "seed=0", "--frames", "3")
+    sweep(SAMPLE, tmp_path / "out", *LANES, "--vary", "surface.inlier_m=0.05,0.01", "--vary", "seed=0", "--frames", "3")
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].endswith("4 settings, reference lanes.process_noise=0.1 surface.inlier_m=0.01 seed=0")
+    assert lines[0].endswith("4 settings, reference lanes.process_noise=0.1 surface.inlier_m=0.05 seed=0")
     assert [line for line in lines if line.endswith("changed nothing")] == ["lanes.process_noise changed nothing"]
     angle = next(line.split() for line in lines if line.startswith("surface angle"))
     assert angle[-1] == "reference"
