@@ -63,7 +63,7 @@ def _stretch_table(evaluation: Evaluation) -> TextTable:
     )
     headers = ("segments", "translation %", "rotation deg/100 m")
     long = f"a segment begins at every {evaluation.every}th frame, as in KITTI's benchmark"
-    short = "less than 100 m driven: lengths shorter than KITTI's; a segment begins at every frame"
+    short = "less than 100 m driven: shorter lengths, a segment begins at every frame"
     return TextTable("KITTI", headers, rows, (long if evaluation.every > 1 else short,))
 
 

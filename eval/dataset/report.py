@@ -103,7 +103,7 @@ def worst_logs_table(worst: Mapping[Quantity, Sequence[Row]], names: Mapping[Log
             rows.append(row(f"  {names[key_of(item)]}", *values, percent(item["share"]), frames))
     notes = (
         "each log under its worst configuration; mean of the absolute error",
-        "frames to look at: the worst first, in brackets seconds from the log's first frame",
+        "frames to look at: the worst first, in brackets s from the log's first frame",
     )
     headers = ("mean", "worst", "frames %", "frames to look at")
     return TextTable("Worst logs", headers, tuple(rows), notes if rows else (), last_is_text=True, label_columns=15)

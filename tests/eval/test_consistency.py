@@ -44,6 +44,8 @@ def test_shares_and_nees_by_hand():
     found = of(0.5, -1.0, 1.5, -2.5, 4.0)
     assert [found.within(k) for k in (1, 2, 3)] == [0.4, 0.6, 0.8]
     assert found.nees == pytest.approx((0.25 + 1 + 2.25 + 6.25 + 16) / 5)
+    assert of(*np.ones(7)).nees_interval is None
+    assert of(*np.ones(8)).nees_interval == pytest.approx((1, 1))
 
 
 def test_errors_with_the_right_deviation_have_a_nees_of_1():
@@ -86,11 +88,6 @@ def test_the_interval_of_correlated_frames_contains_the_truth():
         alone_missed += not low < 1 < high
     assert missed < 30
     assert alone_missed > 60
-
-
-def test_few_blocks_have_no_interval():
-    assert of(*np.ones(7)).nees_interval is None
-    assert of(*np.ones(8)).nees_interval == pytest.approx((1, 1))
 
 
 @given(st.lists(st.lists(st.floats(-9, 9), min_size=1, max_size=9), min_size=1, max_size=4))

@@ -167,23 +167,16 @@ def test_a_frame_is_read_as_it_was_written(tmp_path, late_ns):
     assert (dropped.kept, dropped.class_ratio, dropped.time_to_impact_s) == (False, None, None)
 
 
-def test_results_of_another_frame_are_not_taken(tmp_path):
-    found = read_frame(write_log(tmp_path / "out.mcap"), STAMP + 50_000_000, Problems())
+def test_a_frame_needs_its_own_results_and_image(tmp_path):
+    log, right = write_log(tmp_path / "out.mcap"), tmp_path / "right.mcap"
+    found = read_frame(log, STAMP + 50_000_000, Problems())
     assert all(isinstance(result, Absent) for result in (found.lanes, found.objects, found.drivable))
-
-
-def test_results_do_not_belong_to_the_right_camera(tmp_path):
-    path = tmp_path / "right.mcap"
-    grey = cv2.imencode(".png", np.full((48, 64, 3), 90, np.uint8))[1].tobytes()
-    with LogWriter(path) as writer:
-        content = encoding.encode_image(STAMP, "right", "png", grey)
-        writer.write(Message(image_channel("/camera/right/image"), STAMP, STAMP, 0, content))
-    assert read_frame(path, STAMP, Problems()) is None
-
-
-def test_a_log_without_the_image_has_no_frame(tmp_path):
+    assert read_frame(log, STAMP + 1, Problems()) is None
     assert read_frame(write_log(tmp_path / "none.mcap", image=False), STAMP, Problems()) is None
-    assert read_frame(write_log(tmp_path / "out.mcap"), STAMP + 1, Problems()) is None
+    with LogWriter(right) as writer:  # results belong to the left camera
+        content = encoding.encode_image(STAMP, "right", "png", cv2.imencode(".png", np.zeros((4, 4)))[1].tobytes())
+        writer.write(Message(image_channel("/camera/right/image"), STAMP, STAMP, 0, content))
+    assert read_frame(right, STAMP, Problems()) is None
 
 
 def test_pictures_of_a_looped_log_come_from_the_right_segment(tmp_path):

@@ -37,32 +37,24 @@ def test_names_have_enough_folders_to_be_unique(tmp_path):
     assert [run.name for run in find_runs([str(tmp_path)])] == ["base/x/drive", "slow/x/drive", "other"]
 
 
-@pytest.mark.parametrize("argument", ["nowhere", "nowhere/x.metrics.parquet", "nowhere.mcap"])
-def test_missing_path(tmp_path, argument):
-    with pytest.raises(TableError, match=rf"{argument}: no such file"):
-        find_runs([str(tmp_path / argument)])
-
-
-def test_log_without_table(tmp_path):
+@pytest.mark.parametrize(
+    ("argument", "message"),
+    [
+        ("nowhere", "nowhere: no such file"),
+        ("nowhere/x.metrics.parquet", r"x\.metrics\.parquet: no such file"),
+        ("nowhere.mcap", r"nowhere\.mcap: no such file"),
+        ("in.mcap", r"in\.mcap: no in\.metrics\.parquet beside it"),
+        ("metrics", "is part of a batch.s dataset; pass the dataset.s folder, .+"),
+        (".", r"no \*\.metrics\.parquet in this folder"),
+        ("in*", r"matches no metrics table \(1 file of other kinds\)"),
+        ("x*", r"x\*: matches no metrics table \(no file"),
+    ],
+)
+def test_arguments_without_tables_are_errors(tmp_path, argument, message):
     (tmp_path / "in.mcap").touch()
-    with pytest.raises(TableError, match=r"in\.mcap: no in\.metrics\.parquet beside it"):
-        find_runs([str(tmp_path / "in.mcap")])
-
-
-def test_a_folder_of_a_dataset_is_an_error_that_names_the_dataset(tmp_path):
     (tmp_path / "metrics" / "date=2026-01-01").mkdir(parents=True)
-    with pytest.raises(TableError, match=f"is part of a batch.s dataset; pass the dataset.s folder, {tmp_path}"):
-        find_runs([str(tmp_path / "metrics")])
-
-
-def test_folder_and_glob_without_tables(tmp_path):
-    (tmp_path / "in.mcap").touch()
-    with pytest.raises(TableError, match=r"no \*\.metrics\.parquet in this folder"):
-        find_runs([str(tmp_path)])
-    with pytest.raises(TableError, match=r"matches no metrics table \(1 file of other kinds\)"):
-        find_runs([str(tmp_path / "*")])
-    with pytest.raises(TableError, match=r"x\*: matches no metrics table \(no file"):
-        find_runs([str(tmp_path / "x*")])
+    with pytest.raises(TableError, match=message):
+        find_runs([str(tmp_path / argument)])
 
 
 def test_a_parquet_file_of_detections_is_an_error(tmp_path):

@@ -140,7 +140,4 @@ def test_kittis_errors_of_a_path_that_bends():
     _, deg = segment_errors(estimated, true, 100.0, 10)
     assert len(deg) == 15
     np.testing.assert_allclose(deg, 10.1)
-
-
-def test_no_stretch_fits_into_a_short_path():
-    assert [len(part) for part in segment_errors(straight(11, 1.0), straight(11, 1.0), 10.0, 1)] == [0, 0]
+    assert [len(part) for part in segment_errors(true[:101], true[:101], 100.0, 1)] == [0, 0]
