@@ -1,4 +1,4 @@
-"""A run against a reference, field by field and metric by metric; the reference may be kept and updated."""
+"""Compares a run with a reference, field by field and metric by metric, and updates the reference."""
 
 import argparse
 import shutil
@@ -10,9 +10,9 @@ from roadperc_stream.errors import RegressionError, TableError
 from roadperc_stream.output.terminal import console_for
 from roadperc_stream.system.files import METRICS_SUFFIX, TABLE_SUFFIX, completing
 from roadperc_stream.system.process import optional_output
-from roadperc_stream.system.text import print_line
+from roadperc_stream.system.text import number, print_line
 
-from .comparison.agreement import same_but_for_times
+from .comparison.agreement import same_except_times
 from .comparison.comparing import Comparison, compare_runs
 from .comparison.display import print_comparison
 from .comparison.pairing import Pairing, RunPair, logged_runs, pair_runs
@@ -23,104 +23,100 @@ from .quantities import listed
 from .runs import Run
 
 Copy = tuple[Path, Path]
-"""A table of the candidate, and where it goes in the reference."""
+"""A table of the candidate, and its place in the reference."""
 
 
 def _require_updatable(reference: str) -> None:
     """Check that an argument names tables that can be replaced.
 
     Raises:
-        TableError: it is a log, which a new table would no longer fit, or a glob.
+        TableError: it is a log, which would not fit a new table, or a glob.
     """
     path = Path(reference)
     if path.suffix == ".mcap":
-        raise TableError(f"{reference}: is a log; to update a reference, keep its table or a folder of tables")
+        raise TableError(f"{reference}: is a log; with --update-reference pass a table or a folder of tables")
     if any(sign in reference for sign in "*?[") and not path.exists():
         raise TableError(f"{reference}: expected a folder or a table to update, found a glob")
 
 
-def _is_new(reference: str) -> bool:
-    """Whether there is no reference yet: nothing of that name, or a folder without tables."""
-    path = Path(reference)
+def _is_new(path: Path) -> bool:
+    """Whether nothing has this name, or only a folder without tables."""
     return not path.exists() or (path.is_dir() and not any(path.rglob(f"*{METRICS_SUFFIX}")))
 
 
-def _first_copies(reference: str, candidate: Sequence[Run]) -> list[Copy]:
-    """Copies that make a reference of a candidate.
+def _first_copies(reference: Path, candidate: Sequence[Run]) -> list[Copy]:
+    """Copies that create a reference.
 
     Raises:
-        TableError: several tables are to become one file.
+        TableError: the candidate has several tables, and the reference is the name of one.
     """
-    path = Path(reference)
-    if path.suffix != TABLE_SUFFIX:
-        return [copy for run in candidate for copy in _into_folder(path, run)]
+    if reference.suffix != TABLE_SUFFIX:
+        return [copy for run in candidate for copy in _into_folder(reference, run)]
     tables = sum(len(run.tables) for run in candidate)
     if tables > 1:
-        raise TableError(f"{reference}: is to hold {tables} tables, expected the name of a folder")
-    return [(candidate[0].path, path)]
+        raise TableError(f"{reference}: cannot hold {tables} tables; pass the name of a folder")
+    return [(candidate[0].path, reference)]
 
 
-def _update_copies(reference: str, pairing: Pairing) -> list[Copy]:
-    """Copies that bring a reference up to date: tables whose results differ, and those it has none of.
+def _update_copies(reference: Path, pairing: Pairing) -> list[Copy]:
+    """Copies of the tables whose results differ, and of those that the reference lacks.
 
     Raises:
-        TableError: a drive of one is in more parts than the other's.
+        TableError: a pair has different numbers of continued replays.
     """
-    differing = (pair for pair in pairing.pairs if not same_but_for_times(pair))
-    changed = [copy for pair in differing for copy in _replacements(pair)]
-    path = Path(reference)
-    added = pairing.added if path.is_dir() else ()
-    return [*changed, *(copy for run in added for copy in _into_folder(path, run))]
+    changed = [copy for pair in pairing.pairs if not same_except_times(pair) for copy in _replacements(pair)]
+    added = pairing.added if reference.is_dir() else ()
+    return [*changed, *(copy for run in added for copy in _into_folder(reference, run))]
 
 
 def _replacements(pair: RunPair) -> Iterator[Copy]:
     ours, theirs = pair.reference.tables, pair.candidate.tables
     if len(ours) != len(theirs):
         raise TableError(
-            f"{pair.candidate.source_name}: a drive of {len(theirs)} tables cannot replace one of {len(ours)}; "
-            "expected the same parts, or a new reference"
+            f"{pair.candidate.source_name}: {number(len(theirs), 'table')} cannot replace {len(ours)}; "
+            "expected as many continued replays, or a new reference"
         )
     return ((new.path, old.path) for old, new in zip(ours, theirs, strict=True))
 
 
 def _into_folder(folder: Path, run: Run) -> Iterator[Copy]:
-    """The tables under their names below the candidate's folder; those of a drive's parts next to the first."""
+    """The tables at their place below the candidate's folder; those of continued replays beside the first."""
     first, *others = run.tables
     target = folder / f"{run.name}{METRICS_SUFFIX}"
     yield first.path, target
-    yield from ((part.path, target.with_name(f"{part.name.replace('/', '-')}{METRICS_SUFFIX}")) for part in others)
+    yield from ((later.path, target.with_name(f"{later.name.replace('/', '-')}{METRICS_SUFFIX}")) for later in others)
 
 
 def compare(arguments: argparse.Namespace) -> None:
-    """Print where two runs part, and whether the second is worse.
+    """Print the differences of two runs, and whether the candidate is worse.
 
     Raises:
-        RegressionError: it is, or a field differs where none may.
+        RegressionError: the candidate is worse, or with ``--exact`` a field differs.
         RoadpercError: the runs cannot be read, or do not belong together.
     """
     if arguments.candidate is None:
         with in_a_folder(Dataset(arguments.reference)) as dataset:
-            reference, candidate = runs_of_configs(dataset, arguments.config)
-            found = _compared(pair_runs(reference, candidate, arguments.other_log), None, arguments)
+            pairing = pair_runs(*runs_of_configs(dataset, arguments.config), arguments.other_log)
+            found = _compared(pairing, None, arguments)
         _require_no_regression(found, arguments.exact)
         return
-    candidate = logged_runs(arguments.candidate)
+    candidate, reference = logged_runs(arguments.candidate), Path(arguments.reference)
     if arguments.update_reference:
         _require_updatable(arguments.reference)
-        if _is_new(arguments.reference):
-            _update(_first_copies(arguments.reference, candidate))
+        if _is_new(reference):
+            _update(_first_copies(reference, candidate))
             return
     pairing = pair_runs(logged_runs(arguments.reference), candidate, arguments.other_log)
-    paths = Path(arguments.reference), Path(arguments.candidate)
+    paths = reference, Path(arguments.candidate)
     found = _compared(pairing, paths if {path.suffix for path in paths} == {".mcap"} else None, arguments)
     if arguments.update_reference:
-        _update(_update_copies(arguments.reference, pairing))
+        _update(_update_copies(reference, pairing))
     else:
         _require_no_regression(found, arguments.exact)
 
 
 def _compared(pairing: Pairing, logs: tuple[Path, Path] | None, arguments: argparse.Namespace) -> Comparison:
-    """The comparison, printed; of two logs that were named also that of their results."""
+    """Compare and print; with two ``logs`` also their messages."""
     rules = Rules(tuple(arguments.ignore), tuple(arguments.tolerance), tuple(arguments.allow))
     found = compare_runs(pairing, logs, rules)
     with optional_output():
@@ -129,14 +125,14 @@ def _compared(pairing: Pairing, logs: tuple[Path, Path] | None, arguments: argpa
 
 
 def _update(copies: Sequence[Copy]) -> None:
-    """Copy each table, which appears under its name only when complete, and say so."""
+    """Copy each table through a partial file, then print a line for each."""
     for source, target in copies:
         with completing(target) as temporary:
             shutil.copyfile(source, temporary)
     for source, target in copies:
         print_line(f"reference: {target} is now {source}")
     if not copies:
-        print("reference: nothing to replace, its results are the same")
+        print("reference: unchanged, all results are equal")
 
 
 def _require_no_regression(found: Comparison, exact: bool) -> None:

@@ -1,5 +1,6 @@
 """The configurations of runs: groups of equal configuration, and the settings that differ."""
 
+from collections import Counter
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
@@ -19,7 +20,7 @@ Settings = Mapping[str, Any]
 UNKNOWN: Final = "unknown"
 NO_SUCH_SETTING: Final = "-"
 _DIGITS: Final = 8
-"""Of a configuration's digest that are shown."""
+"""Digits shown of a configuration's digest."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,14 @@ def grouped(runs: Sequence[Run]) -> list[Group]:
     groups: dict[Hashable, list[Run]] = {}
     for run in runs:
         groups.setdefault(_made_by(run), []).append(run)
-    shared = [short_digest(some[0].config_digest) for some in groups.values()]
-    return [Group(_name(some, shared), tuple(some)) for some in groups.values()]
+    digests = Counter(short_digest(some[0].config_digest) for some in groups.values())
+
+    def name(some: Sequence[Run]) -> str:
+        digest = short_digest(some[0].config_digest)
+        version = "" if digests[digest] == 1 else f" {some[0].version or UNKNOWN}"
+        return some[0].name if len(some) == 1 else f"{digest}{version}"
+
+    return [Group(name(some), tuple(some)) for some in groups.values()]
 
 
 def short_digest(digest: str) -> str:
@@ -69,8 +76,12 @@ def settings_of(run: Run) -> Settings | None:
 
 def differing(configurations: Sequence[Settings]) -> dict[str, tuple[str, ...]]:
     """The settings that differ between configurations, each with its values."""
+
+    def value(settings: Settings, key: str) -> str:
+        return as_typed(settings[key]) if key in settings else NO_SUCH_SETTING
+
     keys = dict.fromkeys(chain.from_iterable(configurations))
-    rows = {key: tuple(_value(settings, key) for settings in configurations) for key in keys}
+    rows = {key: tuple(value(settings, key) for settings in configurations) for key in keys}
     return {key: values for key, values in rows.items() if len(set(values)) > 1}
 
 
@@ -80,7 +91,7 @@ def change(reference: Run, candidate: Run) -> tuple[str, ...]:
         return ()
     ours, theirs = settings_of(reference), settings_of(candidate)
     if ours is None or theirs is None:
-        return (f"{UNKNOWN}, for neither a table nor a log next to it says its configuration",)
+        return (f"{UNKNOWN}, because a run has no configuration in its table or in a log beside it",)
     rows = differing([ours, theirs])
     return ("" if rows else "none", *(f"{key} {' → '.join(values)}" for key, values in rows.items()))
 
@@ -104,15 +115,11 @@ def rows_that_differ(found: Mapping[str, Settings | None]) -> tuple[TextRow, ...
 def _notes(found: Mapping[str, Settings | None], rows: Sequence[TextRow]) -> Iterator[str]:
     unknown = [name for name, settings in found.items() if settings is None]
     if unknown:
-        yield f"{UNKNOWN}, for neither the table nor a log next to it says the configuration: {', '.join(unknown)}"
+        yield f"{UNKNOWN}: no configuration in the table or in a log beside it: {', '.join(unknown)}"
     if not rows and len(unknown) < len(found) - 1:
         yield "none: the versions differ"
     if any(cells[0] == NO_SUCH_SETTING for row in rows for cells in row.cells):
         yield f"{NO_SUCH_SETTING}: the version that made the run has no such setting"
-
-
-def _value(settings: Settings, key: str) -> str:
-    return as_typed(settings[key]) if key in settings else NO_SUCH_SETTING
 
 
 def _stored(run: Run) -> Iterator[bytes]:
@@ -132,11 +139,3 @@ def _stored(run: Run) -> Iterator[bytes]:
 
 def _made_by(run: Run) -> Hashable:
     return (run.config_digest, run.version) if run.config_digest else run.path
-
-
-def _name(runs: Sequence[Run], configurations: Sequence[str]) -> str:
-    if len(runs) == 1:
-        return runs[0].name
-    configuration = short_digest(runs[0].config_digest)
-    unique = configurations.count(configuration) == 1
-    return configuration if unique else f"{configuration} {runs[0].version or UNKNOWN}"

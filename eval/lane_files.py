@@ -1,6 +1,6 @@
-"""A run's lanes frame by frame, from its log, and lanes as TuSimple's JSON lines.
+"""Reads a run's lanes from its log, and reads and writes TuSimple's JSON lines.
 
-A line of JSON is an object a frame, each lane a column in px at each of the frame's rows.
+Each line is a JSON object for one frame. A lane is a list of columns in px, one for each of the frame's rows.
 """
 
 from collections import Counter, deque
@@ -29,25 +29,25 @@ from roadperc_stream.system.files import completing, require_suffix
 from .runs import collect, open_run
 from .scan import SEGMENT, rows_of, segment
 
-NOWHERE: Final = -2
-"""The column of a point that is not there; any negative one is read as such."""
+ABSENT_PX: Final = -2
+"""The written column of an absent point; any negative column is read as absent."""
 FARTHEST_PX: Final = 1e9
-"""A column or row farther out is no pixel of any image, and its square might not be a number."""
+"""Largest absolute column or row that is accepted, so that squares stay finite."""
 _DECIMALS: Final = 2
 _SCHEMAS: Final = {"lanes": RESULTS[LANES_TOPIC], "calibration": CALIBRATION_SCHEMA}
 _TOP: Final = 160 / 720
-"""Where TuSimple's rows begin, as a part of the image's height."""
+"""TuSimple's first row as a ratio of the image's height."""
 
 
 class LaneFileError(RoadpercError):
-    """A file of lanes that is not what TuSimple's format says, or does not belong to the run."""
+    """A file of lanes is not in TuSimple's format, or does not belong to the run."""
 
 
 @dataclass(frozen=True)
 class LaneFrame:
-    """A frame's lanes: ``rows`` (N,) px, ``lanes`` a (N,) column in px each, NaN where there is no point.
+    """A frame's lanes: ``rows`` (N,) px; each lane has (N,) columns in px, NaN if absent.
 
-    ``place`` says where the frame was read, as FILE:LINE, for errors.
+    ``place`` is the frame's FILE:LINE for error messages.
     """
 
     raw_file: str
@@ -73,9 +73,9 @@ class _Line(BaseModel):
 
 def to_line(frame: LaneFrame) -> str:
     """One frame as a line of JSON, columns rounded to hundredths of a pixel."""
-    lanes = [_numbers(np.nan_to_num(lane, nan=NOWHERE)) for lane in frame.lanes]
+    lanes = [_numbers(np.nan_to_num(lane, nan=ABSENT_PX)) for lane in frame.lanes]
     run_time = round(frame.run_time_ms, _DECIMALS)
-    # without the checks for reading: a small image has none of TuSimple's rows
+    # without validation: a small image has no row of TuSimple's, which is an error only in files to read
     line = _Line.model_construct(
         raw_file=frame.raw_file, lanes=lanes, h_samples=_numbers(frame.rows), run_time=run_time
     )
@@ -83,15 +83,15 @@ def to_line(frame: LaneFrame) -> str:
 
 
 def _numbers(values: Float) -> list[int | float]:
-    """Whole numbers without a point, as rows and absent points have none in the benchmark's files."""
+    """Values with whole numbers as integers, as in the benchmark's files."""
     return [int(value) if value.is_integer() else round(value, _DECIMALS) for value in values.tolist()]
 
 
 def read_frames(path: Path) -> list[LaneFrame]:
-    """The frames of a file, one a line; empty lines are passed over.
+    """The frames of a file, one for each line; empty lines are skipped.
 
     Raises:
-        LaneFileError: a line is not a JSON object of the format, or no line is there.
+        LaneFileError: a line is not a JSON object of the format, or the file is empty.
         OSError: the file cannot be read.
     """
     with path.open("rb") as stream:
@@ -107,23 +107,28 @@ def _frame(text: bytes, place: str) -> LaneFrame:
     except ValidationError as error:
         found = error.errors(include_url=False)[0]
         why = ": ".join(filter(None, (".".join(map(str, found["loc"])), found["msg"])))
-        raise LaneFileError(f"{place}: is not a line of TuSimple's format: {why}") from error
+        raise LaneFileError(f"{place}: is not in TuSimple's format: {why}") from error
     rows = len(line.h_samples)
     for k, lane in enumerate(line.lanes):
         if len(lane) != rows:
-            raise LaneFileError(f"{place}: lanes[{k}] has {len(lane)} columns; expected {rows}, one for each h_sample")
+            raise LaneFileError(f"{place}: lanes[{k}] has {len(lane)} columns; expected {rows}, one per h_sample")
     columns = (np.array(lane, float) for lane in line.lanes)
     lanes = tuple(np.where(lane < 0, np.nan, lane) for lane in columns)
     return LaneFrame(line.raw_file, np.array(line.h_samples, float), lanes, line.run_time, place)
 
 
 @contextmanager
-def lane_writer(target: Path) -> Iterator[Callable[[LaneFrame], object]]:
-    """A function that appends frames to a file, ``.json`` or ``.jsonl``, which has its name only when complete.
+def lane_writer(target: Path | None) -> Iterator[Callable[[LaneFrame], object]]:
+    """A function that appends frames to a ``.json`` or ``.jsonl`` file, or does nothing without a target.
+
+    The file is a partial file until it is complete.
 
     Raises:
-        TargetError: it cannot be written, or not under this name.
+        TargetError: the file cannot be written, or has another suffix.
     """
+    if target is None:
+        yield lambda _frame: None
+        return
     require_suffix(target, ".json", ".jsonl")
     with completing(target) as temporary, temporary.open("w", encoding="utf-8") as stream:
         yield lambda frame: stream.write(to_line(frame))
@@ -131,7 +136,7 @@ def lane_writer(target: Path) -> Iterator[Callable[[LaneFrame], object]]:
 
 @dataclass(frozen=True)
 class RunFrame:
-    """The lines a run saw in a frame: each (N, 2) x, y in px of the camera's image, near end first."""
+    """The lines of a frame: each (N, 2) x, y in px of the camera's image, near end first."""
 
     stamp_ns: int
     lines_px: tuple[Float, ...]
@@ -140,15 +145,17 @@ class RunFrame:
 
 @dataclass(frozen=True)
 class RunLanes:
-    """A log whose lanes can be read, and their camera."""
+    """A log with lanes, and their camera.
+
+    ``times_ms`` are stamp and total time of each frame, in order; empty without a metrics table beside the log.
+    """
 
     summary: LogSummary
     camera: Camera
     times_ms: Sequence[tuple[int, float]]
-    """Stamp and whole time of each frame, in order; empty where no metrics table lies next to the log."""
 
     def frames(self) -> Iterator[RunFrame]:
-        """Every frame in order; one that the table knows and the log has no lanes of has no lines.
+        """Every frame in order; a frame that is only in the table has no lines.
 
         Raises:
             LogError: the log cannot be read.
@@ -160,8 +167,8 @@ class RunLanes:
             content = _decoded("lanes", message)
             boundaries = content.payload.boundaries if isinstance(content.payload, Lanes) else ()
             stamp_ns, lines_px = content.stamp_ns, tuple(b.line_px for b in boundaries if len(b.line_px))
-            for before_ns, took_ms in _before(waiting, stamp_ns, left):
-                yield RunFrame(before_ns, (), took_ms)
+            for earlier_ns, took_ms in _frames_before(waiting, stamp_ns, left):
+                yield RunFrame(earlier_ns, (), took_ms)
             _, took_ms = waiting.popleft() if left[stamp_ns] > 0 else (stamp_ns, 0.0)
             left[stamp_ns] -= 1
             yield RunFrame(stamp_ns, lines_px, took_ms)
@@ -169,50 +176,50 @@ class RunLanes:
 
 
 def open_lanes(path: Path) -> RunLanes:
-    """Find a run's lanes, their camera, and the metrics table next to the log.
+    """Open a run's lanes, their camera, and the metrics table beside the log.
 
     Raises:
         LogError: the log cannot be read, or has no lanes or no calibration of their camera.
-        TableError: the table next to it cannot be read.
+        TableError: the table cannot be read.
     """
     summary = log.summarise(path)
     channels = summary.channels
     if not any(c.topic == LANES_TOPIC and c.schema_name == _SCHEMAS["lanes"] for c in channels):
         raise LogError(
-            f"{path}: no {LANES_TOPIC} of {_SCHEMAS['lanes']}; expected an OUT.mcap of roadperc-replay with lanes"
+            f"{path}: no {LANES_TOPIC} of schema {_SCHEMAS['lanes']}; pass an OUT.mcap of roadperc-replay with lanes"
         )
     frame_id = next((pb.Lanes.FromString(m.data).frame_id for m in log.read(summary, topics=[LANES_TOPIC])), None)
     topics = [c.topic for c in channels if c.schema_name == _SCHEMAS["calibration"]]
     return RunLanes(summary, _camera(summary, topics, frame_id), _times_ms(path))
 
 
-def _before(waiting: deque[tuple[int, float]], stamp_ns: int, left: Counter[int]) -> Iterator[tuple[int, float]]:
-    """Take out the frames before the next of a stamp, which may lie in a later segment, or those of earlier stamps."""
+def _frames_before(waiting: deque[tuple[int, float]], stamp_ns: int, left: Counter[int]) -> Iterator[tuple[int, float]]:
+    """Take the frames before the next frame of a stamp, perhaps in a later segment; without one, the earlier stamps."""
     while waiting and (waiting[0][0] != stamp_ns if left[stamp_ns] > 0 else waiting[0][0] < stamp_ns):
         left[waiting[0][0]] -= 1
         yield waiting.popleft()
 
 
 def default_rows(height: int) -> Float:
-    """TuSimple's rows: the multiples of 10 px from 160 to 710 of 720, and the same part of another height."""
+    """TuSimple's rows: multiples of 10 px from 160 to 710 for a height of 720, and the same ratio of other heights."""
     return np.arange(np.ceil(height * _TOP / ROW_STEP_PX) * ROW_STEP_PX, height, ROW_STEP_PX)
 
 
 def lane_frame(frame: RunFrame, camera: Camera, size: tuple[int, int], raw_file: str, rows: Float) -> LaneFrame:
-    """A run's lines as columns at rows; a line that crosses none of them is left out.
+    """A run's lines as columns at rows; lines that cross no row are left out.
 
     Args:
         frame: lines in px of the camera's image.
-        camera: their camera.
-        size: columns and rows of the image in whose px the result is; the camera's image scaled to it.
+        camera: the camera of the lines.
+        size: columns and rows of the result's image; the camera's image is scaled to it.
         raw_file: name of the frame.
         rows: (N,) px of the scaled image.
     """
-    shown = replace(camera, width=size[0], height=size[1])
+    scaled = replace(camera, width=size[0], height=size[1])
     factors = np.divide(size, (camera.width, camera.height))
-    lines = (in_view((line + 0.5) * factors - 0.5, shown) for line in frame.lines_px)
-    # rounded as a file holds them: what is scored is what is written
-    lanes = (np.round(columns_at(line, rows, shown), _DECIMALS) for line in lines if len(line))
+    lines = (in_view((line + 0.5) * factors - 0.5, scaled) for line in frame.lines_px)
+    # rounded as in a file, so that scores do not depend on writing
+    lanes = (np.round(columns_at(line, rows, scaled), _DECIMALS) for line in lines if len(line))
     return LaneFrame(raw_file, rows, tuple(lane for lane in lanes if np.isfinite(lane).any()), frame.run_time_ms)
 
 
@@ -227,9 +234,7 @@ def _camera(summary: LogSummary, topics: list[str], frame_id: str | None) -> Cam
         camera = _decoded("calibration", message).payload
         if isinstance(camera, Camera) and camera.frame_id == frame_id:
             return camera
-    raise LogError(
-        f"{summary.path}: no calibration of {frame_id!r}, the camera of {LANES_TOPIC}; expected one on any topic"
-    )
+    raise LogError(f"{summary.path}: no calibration of camera {frame_id!r} of {LANES_TOPIC}; expected one on any topic")
 
 
 def _times_ms(path: Path) -> list[tuple[int, float]]:

@@ -1,8 +1,7 @@
-"""A run's lanes as TuSimple's JSON lines, and their score against true ones."""
+"""Exports a run's lanes as TuSimple's JSON lines, and scores them against true lanes."""
 
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import nullcontext
 from pathlib import Path, PurePosixPath
 from typing import Final, NamedTuple
 
@@ -31,22 +30,22 @@ from .quantities import listed, percent
 from .scores import Score
 
 NAMED: Final = 10
-"""Missing frames that are named; of more only the number."""
+"""Missing frames that are listed by name."""
 
 
 class FrameScore(NamedTuple):
-    """TuSimple's figures of one frame, CULane's counts at each of ``THRESHOLDS``, and whether the run saw any lane."""
+    """TuSimple's scores of one frame, CULane's counts at each of ``THRESHOLDS``, and whether the run found a lane."""
 
     tusimple: TuSimpleScore
     counts: tuple[Counts, ...]
-    answered: bool
+    has_lanes: bool
 
 
 def by_key(truth: Sequence[LaneFrame], pairing: LanePairing) -> dict[int, LaneFrame]:
-    """True frames by their stamp in ns, which is the last part of ``raw_file``, or by their place in the file.
+    """True frames by stamp in ns, the last part of ``raw_file``, or by their order in the file.
 
     Raises:
-        LaneFileError: a ``raw_file`` names no stamp, or one that another line has named.
+        LaneFileError: a ``raw_file`` has no stamp, or the stamp of another line.
     """
     if pairing == "order":
         return dict(enumerate(truth))
@@ -55,11 +54,13 @@ def by_key(truth: Sequence[LaneFrame], pairing: LanePairing) -> dict[int, LaneFr
         stamp = PurePosixPath(frame.raw_file).stem
         if not (stamp.isascii() and stamp.isdecimal() and len(stamp) <= len(str(2**63))):
             raise LaneFileError(
-                f"{frame.place}: unknown raw_file {frame.raw_file!r}; expected a frame's stamp in ns behind the last "
-                "/, such as drive/1600000000000000000, or --pair order"
+                f"{frame.place}: raw_file {frame.raw_file!r} has no stamp; expected a stamp in ns after the last /, "
+                "such as drive/1600000000000000000, or pass --pair order"
             )
         if int(stamp) in found:
-            raise LaneFileError(f"{frame.place}: raw_file {frame.raw_file!r} again, after {found[int(stamp)].place}")
+            raise LaneFileError(
+                f"{frame.place}: raw_file {frame.raw_file!r} has the same stamp as {found[int(stamp)].place}"
+            )
         found[int(stamp)] = frame
     return found
 
@@ -67,10 +68,10 @@ def by_key(truth: Sequence[LaneFrame], pairing: LanePairing) -> dict[int, LaneFr
 def paired(
     frames: Iterable[RunFrame], truth: Mapping[int, LaneFrame], pairing: LanePairing
 ) -> Iterator[tuple[RunFrame, LaneFrame]]:
-    """A run's frames that have a truth, each with it, in the run's order.
+    """A run's frames that have truth, each with its truth, in the run's order.
 
     Raises:
-        LaneFileError: paired by order, there are not as many true frames as frames in the run.
+        LaneFileError: with ``order``, the numbers of true frames and of frames in the run differ.
     """
     count = 0
     for count, frame in enumerate(frames, 1):
@@ -79,15 +80,15 @@ def paired(
             yield frame, truth[key]
     if pairing == "order" and count != len(truth):
         source = next(iter(truth.values())).place.rpartition(":")[0]
-        raise LaneFileError(f"{source}: {len(truth)} lines; expected {count}, one for each frame of the run, in order")
+        raise LaneFileError(f"{source}: {len(truth)} lines; expected {count}, one for each frame of the run")
 
 
 def score_frame(found: LaneFrame, truth: LaneFrame, size: tuple[int, int]) -> FrameScore:
-    """Score one frame; thresholds in px scale with the image's width, which has the benchmark's 1280 and 1640 px.
+    """Score one frame; thresholds in px scale with the image's width relative to 1280 and 1640 px in the benchmarks.
 
     Args:
         found: lanes at the rows of ``truth``.
-        truth: the true ones; for CULane those with two points or more.
+        truth: true lanes; CULane uses those with two points or more.
         size: columns and rows of the image.
     """
     columns, rows = size
@@ -100,7 +101,7 @@ def score_frame(found: LaneFrame, truth: LaneFrame, size: tuple[int, int]) -> Fr
 
 
 def _polylines(frame: LaneFrame) -> list[Float]:
-    """(N, 2) x, y of each lane that is a line."""
+    """(N, 2) x, y of each lane with two points or more."""
     lanes = (np.column_stack((lane, frame.rows))[np.isfinite(lane)] for lane in frame.lanes)
     return [lane for lane in lanes if len(lane) > 1]
 
@@ -113,34 +114,33 @@ def print_lanes(
     Args:
         path: the log with results.
         target: the file to write, if any.
-        true_lanes: the file to score them against, if any.
-        pairing: how true frames find theirs.
-        size: columns and rows of the image in whose pixels the files are; None for the camera's.
+        true_lanes: the file with true lanes, if any.
+        pairing: pairs true frames with the run's frames by stamp or by order.
+        size: columns and rows of the image of both files' pixels; None for the camera's.
 
     Raises:
-        LaneFileError: a file is not TuSimple's, or would be replaced by what it is compared with.
+        LaneFileError: a file is not in TuSimple's format, or ``target`` is ``true_lanes``.
         RoadpercError: the log cannot be read.
     """
     if target and true_lanes and real_path(target) == real_path(true_lanes):
-        raise LaneFileError(f"{target}: is the truth itself; expected another file to write")
+        raise LaneFileError(f"{target}: is the file with the true lanes; pass another file to write")
     truth = by_key(read_frames(true_lanes), pairing) if true_lanes else {}
     source = open_lanes(path)
     size = size or (source.camera.width, source.camera.height)
-    with lane_writer(target) if target else nullcontext() as write:
+    with lane_writer(target) as write:
         parts = _write_and_score(source, truth, pairing, size, write) if truth else [_export(source, size, write)]
     print_parts(console_for(sys.stdout), *parts)
 
 
-def _export(source: RunLanes, size: tuple[int, int], write: Callable[[LaneFrame], object] | None) -> str:
-    """Write every frame; how many there are, and in how many there are lanes."""
-    rows = default_rows(size[1])
-    frames = detected = 0
-    for frames, frame in enumerate(source.frames(), 1):  # noqa: B007
-        found = lane_frame(frame, source.camera, size, f"{source.summary.path.stem}/{frame.stamp_ns}", rows)
-        detected += bool(found.lanes)
-        if write:
-            write(found)
-    return f"{source.summary.path.stem}: {frames} frames, lanes in {detected}"
+def _export(source: RunLanes, size: tuple[int, int], write: Callable[[LaneFrame], object]) -> str:
+    """Write every frame; a line with the number of frames and of frames with lanes."""
+    name, rows = source.summary.path.stem, default_rows(size[1])
+    has_lanes = []
+    for frame in source.frames():
+        found = lane_frame(frame, source.camera, size, f"{name}/{frame.stamp_ns}", rows)
+        has_lanes.append(bool(found.lanes))
+        write(found)
+    return f"{name}: {len(has_lanes)} frames, lanes in {sum(has_lanes)}"
 
 
 def _write_and_score(
@@ -148,36 +148,35 @@ def _write_and_score(
     true_frames: Mapping[int, LaneFrame],
     pairing: LanePairing,
     size: tuple[int, int],
-    write: Callable[[LaneFrame], object] | None,
+    write: Callable[[LaneFrame], object],
 ) -> list[str | TextTable]:
-    """Write and score the frames that have a truth; what there is to say of them."""
+    """Write and score the frames that have truth; the lines and tables to print."""
     scores: list[FrameScore] = []
     missing = {truth.raw_file: truth for truth in true_frames.values()}
     for frame, truth in paired(source.frames(), true_frames, pairing):
         found = lane_frame(frame, source.camera, size, truth.raw_file, truth.rows)
-        if write:
-            write(found)
+        write(found)
         scores.append(score_frame(found, truth, size))
         missing.pop(truth.raw_file, None)
-    # a frame that the run lacks is one without lanes
+    # a frame that the run lacks has no lanes
     scores += [score_frame(LaneFrame(name, truth.rows, ()), truth, size) for name, truth in missing.items()]
     return _figures(source.summary.path.stem, scores, list(missing))
 
 
 def _figures(name: str, scores: Sequence[FrameScore], missing: Sequence[str]) -> list[str | TextTable]:
-    """TuSimple's figures as means over frames and CULane's counts as sums, as either benchmark does; of at least one.
+    """TuSimple's scores as means over frames and CULane's counts as sums, as in the benchmarks; at least one score.
 
-    ``scores`` are of all true frames, also of the ``missing`` ones, which the run lacks. The ``run_time`` above which
-    TuSimple's script refuses a frame (200 ms) is not applied to a replay.
+    ``scores`` are of all true frames, including the ``missing`` ones, which the run lacks. TuSimple's limit of
+    ``run_time`` (200 ms) does not apply to a replay.
     """
-    answered = sum(score.answered for score in scores)
-    share = percent(answered / len(scores))
+    with_lanes = sum(score.has_lanes for score in scores)
+    share = percent(with_lanes / len(scores))
     points = (f"{value:.4f}" for value in np.mean([score.tusimple for score in scores], axis=0).tolist())
     counts = np.array([score.counts for score in scores]).sum(axis=0).tolist()
     culane = (Score(f"lanes at IoU {limit:g}", *each) for limit, each in zip(THRESHOLDS, counts, strict=True))
     headers = ("frames %", "precision", "recall", "F1", "TP", "FP", "FN")
     return [
-        f"{name}: {len(scores)} true frames, lanes in {answered} of them ({share} %)",
+        f"{name}: {len(scores)} true frames, lanes in {with_lanes} of them ({share} %)",
         *([f"missing in the run, scored as empty: {len(missing)}: {listed(missing, NAMED)}"] if missing else []),
         TextTable("TuSimple", ("frames %", "accuracy", "FP", "FN"), (row("lane points", share, *points),)),
         TextTable("CULane", headers, tuple(row(score.name, share, *score.cells(4)) for score in culane)),

@@ -14,7 +14,7 @@ from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.system.text import number
 
 from .configurations import UNKNOWN, grouped, settings_table, short_digest
-from .drives import find_drives
+from .continued import find_joined
 from .quantities import COVERED, SKEW, legend, listed, name_columns, percent, short_names
 from .runs import Run
 from .sections import LISTED, accuracy, latency, missing_outputs, sections, worst_frames
@@ -39,7 +39,7 @@ def print_report(arguments: Sequence[str], worst: int, html: Path | None, write_
     Raises:
         TableError: an argument names no run, or no run has a frame.
     """
-    found = find_drives(arguments)
+    found = find_joined(arguments)
     filled = [item for item in found.runs if item.frames]
     if not filled:
         raise TableError(f"{found.runs[0].why_empty}; expected a table with frames")

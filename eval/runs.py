@@ -128,7 +128,7 @@ class Run:
 
     ``log_id`` and ``continues`` are digests, made by ``digest_algorithm``, of this log and of the log it continues.
     The table starts at ``first_frame``. Frames from ``end_frame`` on are not used, because the run ``next_run``
-    continues this one and has them again, complete.
+    continues this one and repeats them, complete.
 
     ``within`` is the log and the configuration of the run's rows if its file holds rows of other runs too.
 
@@ -171,11 +171,14 @@ class Run:
         return f"{self.path} and {number(more, 'more table')}" if more else str(self.path)
 
     @property
+    def repeated_by(self) -> str:
+        """Note that another run repeats all frames of this one."""
+        return f"{self.next_run} repeats all its {self.rows} frames"
+
+    @property
     def why_empty(self) -> str:
         """Reason why a run has no frames."""
-        if self.rows and self.next_run:
-            return f"{self.path}: {self.next_run} has all its {self.rows} frames again"
-        return f"{self.path}: no frames in this table"
+        return f"{self.path}: {self.repeated_by if self.rows and self.next_run else 'no frames in this table'}"
 
 
 def find_runs(arguments: Sequence[str]) -> tuple[Run, ...]:
@@ -191,7 +194,7 @@ def find_runs(arguments: Sequence[str]) -> tuple[Run, ...]:
 
 
 def _without_repeated_frames(run: Run, runs: Iterable[Run]) -> Run:
-    """The run without the frames that the run which continues it has again."""
+    """The run without the frames that the run which continues it repeats."""
     same = (run.log_id, run.config_digest)
     later = [other for other in runs if run.log_id and (other.continues, other.config_digest) == same]
     if not later:

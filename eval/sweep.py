@@ -1,4 +1,4 @@
-"""Logs under every combination of some settings, and which setting is best for which metric."""
+"""Replays logs under every combination of some settings, and prints the best setting for each metric."""
 
 import argparse
 import sys
@@ -12,25 +12,25 @@ from roadperc_stream.errors import LogError
 from roadperc_stream.output.terminal import console_for, frame_progress, print_lines, print_table
 from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.schemas.roles import parse_topic_options
-from roadperc_stream.system.files import not_a_log
+from roadperc_stream.system.files import METRICS_SUFFIX, not_a_log
 from roadperc_stream.system.text import print_line
 
 from .quantities import percent, rounded
 from .sweeping.ranking import METRICS, SettingScore, SweepMetric, best, effect, scores, without_influence
-from .sweeping.settings import Combination, combinations, dataset, describe, reference_of, shown, table_names, tables
+from .sweeping.settings import Combination, combinations, dataset, describe, reference_of, shown, table_names
 from .sweeping.sweep_log import Job, sweep_logs
 
 LEGEND: Final = (
-    "median of absolute values, of shares the mean; frames %: those with a value",
-    "best: of the settings with the highest coverage; lower coverage: better, but in fewer frames",
-    "time: compares settings, for they share what is decoded; a replay's is longer",
+    "scores: median of absolute values, for shares the mean; frames %: those with a value",
+    "best: among the settings with the highest coverage; lower coverage: better, but in fewer frames",
+    "time: only for comparing settings, which share the decoding; a replay takes longer",
 )
 Scored = tuple[SweepMetric, Sequence[SettingScore]]
 """A metric, and the score of every combination."""
 
 
 def best_settings(found: Sequence[Scored], made: Sequence[Combination], reference: Combination) -> TextTable:
-    """A row per metric on which settings differ: score and coverage of the best and the reference, what it changes."""
+    """A row per metric on which settings differ: scores and coverage of the best and the reference, and the changes."""
     headers = ("best", "frames %", "reference", "frames %", "setting")
     rows = (line for scored in found if _differ(*scored) for line in _best_rows(scored, made, reference))
     return TextTable("Best setting", headers, tuple(rows), last_is_text=True, label_columns=22)
@@ -47,7 +47,7 @@ def _best_rows(scored: Scored, made: Sequence[Combination], reference: Combinati
 
 
 def without_effect(found: Sequence[Scored]) -> str:
-    """The metrics that are the same under all settings, as a line; those without any value are left out."""
+    """A line with the metrics that are equal under all settings; metrics without values are left out."""
     known = [(metric, scores) for metric, scores in found if any(score.value is not None for score in scores)]
     same = [metric.quantity.name for metric, scores in known if not _differ(metric, scores)]
     return f"no difference: {', '.join(same)}" if same else ""
@@ -56,7 +56,7 @@ def without_effect(found: Sequence[Scored]) -> str:
 def effects(found: Sequence[Scored], made: Sequence[Combination], key: str) -> TextTable:
     """A row per metric on which the setting has an effect: the mean score of the combinations with each value.
 
-    Where coverage differs between the values, a second row has the mean shares of frames, in percent.
+    If coverage differs between the values, a second row has the mean shares of frames, in percent.
     """
     values = dict.fromkeys(item.settings[key] for item in made)
     rows = (line for scored in found for line in _effect_rows(scored, made, key))
@@ -75,7 +75,7 @@ def _effect_rows(scored: Scored, made: Sequence[Combination], key: str) -> Itera
 
 
 def _differ(metric: SweepMetric, scores: Sequence[SettingScore]) -> bool:
-    """Whether scores differ by more than their noise, or coverage in the digits that are shown."""
+    """Whether scores differ by more than their noise, or coverage differs in the printed digits."""
     known = [score.value for score in scores if score.value is not None]
     return len({percent(score.coverage) for score in scores}) > 1 or (bool(known) and not metric.alike(known))
 
@@ -85,23 +85,23 @@ def _cell(metric: SweepMetric, score: SettingScore) -> str:
 
 
 def _changes(item: Combination, reference: Combination) -> str:
-    """What is set otherwise than in the reference."""
+    """The settings that differ from the reference; without their sections if that is unambiguous."""
     keys = list(reference.settings)
-    short = [key.rpartition(".")[2] for key in keys]  # without their sections, where they are unambiguous without
+    short = [key.rpartition(".")[2] for key in keys]
     names = short if len(set(short)) == len(keys) else keys
     pairs = zip(names, item.settings.values(), reference.settings.values(), strict=True)
     return " ".join(f"{name}={shown(value)}" for name, value, before in pairs if value != before) or "reference"
 
 
 def sweep(arguments: argparse.Namespace) -> None:
-    """Replay logs under every combination of settings and print which is best.
+    """Replay logs under every combination of settings and print the best ones.
 
     Raises:
-        RoadpercError: a log cannot be replayed, a setting does not fit, or the dataset cannot be written.
+        RoadpercError: a log cannot be replayed, a setting is invalid, or the dataset cannot be written.
     """
     made = combinations(arguments.config, arguments.set, arguments.vary)
     reference = reference_of(made, load_config(arguments.config, tuple(arguments.set)))
-    for path in arguments.logs:  # fail at once rather than after the logs before it have been replayed
+    for path in arguments.logs:  # fail before any log is replayed
         if not path.is_file():
             raise LogError(not_a_log(path) if path.is_dir() else f"{path}: no such file")
     overrides, time_range = parse_topic_options(arguments.topic), time_range_of(arguments)
@@ -118,7 +118,7 @@ def sweep(arguments: argparse.Namespace) -> None:
 
 
 def _print(folder: Path, made: Sequence[Combination], reference: Combination) -> None:
-    console, files = console_for(sys.stdout), tables(folder)
+    console, files = console_for(sys.stdout), sorted(folder.rglob(f"*{METRICS_SUFFIX}"))
     found = [(metric, scores(files, made, metric)) for metric in METRICS]
     heading = f"{len(files)} tables in {folder}: {len(made)} settings, reference {reference}"
     values = {key: dict.fromkeys(shown(item.settings[key]) for item in made) for key in reference.settings}

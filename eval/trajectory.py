@@ -1,4 +1,4 @@
-"""Errors of runs' trajectories against truth, and exports for other tools."""
+"""Prints errors of runs' trajectories against truth, and exports them for other tools."""
 
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,7 +10,7 @@ from roadperc_stream.output.terminal import console_for, print_lines, print_part
 from roadperc_stream.output.text_table import TextTable, row
 from roadperc_stream.system.text import number
 
-from .drives import find_drives
+from .continued import find_joined
 from .options import Alignment
 from .quantities import legend, listed, name_columns, percent, short_names
 from .trajectories.errors import Delta, ErrorStatistics
@@ -24,7 +24,7 @@ _ALIGNED: Final[Mapping[Alignment, str]] = {
     "none": "not aligned",
 }
 
-_EACH: Final = ", each segment of the log by itself"
+_EACH: Final = ", each segment of the log separately"
 
 
 def _in_segments(run: RunPoses) -> str:
@@ -38,9 +38,9 @@ def _without_scale(evaluation: Evaluation) -> str:
     run = evaluation.run
     counted = f"{run.without_scale} of {run.steps} steps have no scale"
     if run.up_to_scale:
-        rest = "" if evaluation.alignment == "sim3" else ", and these are not: --align sim3"
-        return f"up to scale ({counted}): only figures aligned by Sim(3) mean anything{rest}"
-    return f"{counted} of their own: those before and after them give it" if run.without_scale else ""
+        hint = "" if evaluation.alignment == "sim3" else "; pass --align sim3"
+        return f"up to scale ({counted}): only errors aligned by Sim(3) are meaningful{hint}"
+    return f"{counted}; it comes from the steps before and after" if run.without_scale else ""
 
 
 def _error_table(evaluation: Evaluation) -> TextTable:
@@ -55,50 +55,45 @@ def _error_table(evaluation: Evaluation) -> TextTable:
 
 
 def _stretch_table(evaluation: Evaluation) -> TextTable:
-    """KITTI's errors by length, empty for lengths that do not fit."""
+    """KITTI's errors by length, empty for lengths without stretches."""
     segments = (*evaluation.stretches, evaluation.together)
     rows = tuple(
         row("all" if item.length_m is None else f"{item.length_m:.0f} m", str(item.count), *_segment_cells(item))
         for item in segments
     )
     headers = ("segments", "translation %", "rotation deg/100 m")
-    own = f"a segment begins at every {evaluation.every}th frame, as in KITTI's benchmark"
-    short = "no 100 m driven: shorter lengths than KITTI's; a segment begins at every frame"
-    return TextTable("KITTI", headers, rows, (own if evaluation.every > 1 else short,))
+    long = f"a segment begins at every {evaluation.every}th frame, as in KITTI's benchmark"
+    short = "less than 100 m driven: shorter lengths, a segment begins at every frame"
+    return TextTable("KITTI", headers, rows, (long if evaluation.every > 1 else short,))
 
 
 def _run_table(evaluations: Sequence[Evaluation], names: Mapping[str, str]) -> TextTable:
-    """A row per run: evaluated frames, scale and lengths."""
+    """A row for each run: evaluated frames, smallest and largest scale, and lengths with stretches."""
+    rows = []
+    for item in evaluations:
+        counts = str(item.run.frames), percent(item.run.coverage), str(item.run.lost), f"{item.driven_m:.1f}"
+        least, most = (f"{scale:.4g}" for scale in (min(item.scales), max(item.scales)))
+        used = [f"{segments.length_m:.0f}" for segments in item.stretches if segments.length_m and segments.count]
+        lengths = f"{', '.join(used)} m" if used else "no length"
+        rows.append(row(names[item.run.name], *counts, least if least == most else f"{least} to {most}", lengths))
     headers = ("frames", "both %", "lost", "driven m", "scale", "KITTI over")
-    rows = tuple(row(names[item.run.name], *_overview(item)) for item in evaluations)
-    return TextTable("Run", headers, rows, tuple(legend(names)), last_is_text=True, label_columns=20)
-
-
-def _overview(evaluation: Evaluation) -> list[str]:
-    """Counts, the least and largest scale, and the lengths of which a stretch fits."""
-    run = evaluation.run
-    counts = [str(run.frames), percent(run.coverage), str(run.lost), f"{evaluation.driven_m:.1f}"]
-    least, most = (f"{scale:.4g}" for scale in (min(evaluation.scales), max(evaluation.scales)))
-    used = [f"{segments.length_m:.0f}" for segments in evaluation.stretches if segments.length_m and segments.count]
-    return [*counts, least if least == most else f"{least} to {most}", f"{', '.join(used)} m" if used else "no length"]
+    return TextTable("Run", headers, tuple(rows), tuple(legend(names)), last_is_text=True, label_columns=20)
 
 
 def _side_by_side(evaluations: Sequence[Evaluation], names: Mapping[str, str]) -> TextTable:
-    """A row of figures for each of several runs."""
+    """A row of errors for each run."""
+    rows = []
+    for item in evaluations:
+        found = (item.absolute_m, item.relative_m, item.relative_deg)
+        rmse = [_number(statistics.rmse if statistics else None) for statistics in found]
+        kitti = (*_segment_cells(item.together), str(item.together.count))
+        rows.append(row(names[item.run.name], item.alignment, *rmse, *kitti))
     headers = ("align", "ATE m", "RPE m", "RPE deg", "KITTI %", "deg/100 m", "segments")
-    rows = tuple(row(names[item.run.name], *_figures(item)) for item in evaluations)
-    return TextTable("RMSE", headers, rows, (_rpe(evaluations[0].delta),), label_columns=20)
-
-
-def _figures(evaluation: Evaluation) -> list[str]:
-    found = (evaluation.absolute_m, evaluation.relative_m, evaluation.relative_deg)
-    rmse = [_number(statistics.rmse if statistics else None) for statistics in found]
-    together = evaluation.together
-    return [evaluation.alignment, *rmse, *_segment_cells(together), str(together.count)]
+    return TextTable("RMSE", headers, tuple(rows), (_rpe(evaluations[0].delta),), label_columns=20)
 
 
 def _rpe(delta: Delta) -> str:
-    """How far apart the poses of a pair are."""
+    """The distance between the poses of a pair."""
     return f"RPE over {f'{delta.size:g} m' if delta.unit == 'metres' else number(int(delta.size), 'frame')}"
 
 
@@ -120,15 +115,15 @@ def _number(value: float | None) -> str:
 def print_trajectories(
     arguments: Sequence[str], alignment: Alignment | None, delta: Delta, tum: Path | None, kitti: Path | None
 ) -> None:
-    """Print the errors of runs' paths, and export them.
+    """Print the errors of runs' trajectories, and export the poses.
 
-    Runs without a trajectory are named; it is an error if no run has one. ``alignment`` and ``delta`` are those of
-    ``evaluate``; ``tum`` and ``kitti`` are folders for the exports, if any.
+    A line names each run without a trajectory; it is an error if no run has one. ``alignment`` and ``delta`` are those
+    of ``evaluate``; ``tum`` and ``kitti`` are folders for the exports, if any.
 
     Raises:
-        TableError: there is no such run, or none with a path.
+        TableError: an argument names no run, or no run has a trajectory.
     """
-    found = find_drives(arguments)
+    found = find_joined(arguments)
     evaluated: list[Evaluation] = []
     refused: list[TableError] = []
     exported = False
@@ -169,7 +164,7 @@ def _one(evaluation: Evaluation) -> list[str | TextTable]:
 
 
 def _notes(evaluation: Evaluation) -> Iterator[str]:
-    """Notes on a run's figures."""
+    """Notes on a run's errors."""
     found = _in_segments(evaluation.run)
     segments = f"{evaluation.run.frames} frames{found}{_EACH}" if found else ""
     yield from filter(None, (segments, *evaluation.left_out, _without_scale(evaluation)))

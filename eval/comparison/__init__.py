@@ -1,1 +1,1 @@
-"""Two runs of the same input against each other: field by field, then metric by metric."""
+"""Comparison of two runs of the same input: field by field, then metric by metric."""

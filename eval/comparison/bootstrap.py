@@ -1,9 +1,9 @@
-"""Confidence interval of a mean paired difference, by resampling blocks: neighbouring frames are not independent.
+"""Confidence interval of a mean paired difference, from resampled blocks: neighbouring frames are not independent.
 
-Within a log the circular block bootstrap (Politis and Romano 1992) draws blocks of neighbouring frames, as long as the
-data's own correlation asks for (Politis and White 2004, with the correction of Patton, Politis and White 2009). Of
-``MANY_LOGS`` logs or more, whole logs are the blocks. Quantiles of the resampled means are drawn apart by what
-Student's t has over the normal distribution (Hesterberg 2015): few blocks alone give intervals that are too narrow.
+Within a log the circular block bootstrap (Politis and Romano 1992) draws blocks of neighbouring frames. Their length
+follows from the data's correlation (Politis and White 2004, corrected by Patton, Politis and White 2009). From
+``MANY_LOGS`` logs on, whole logs are the blocks. Few blocks give intervals that are too narrow, so the interval is
+widened by the ratio of Student's t to the normal quantile (Hesterberg 2015).
 """
 
 from collections.abc import Sequence
@@ -17,26 +17,26 @@ from roadperc_stream.geometry import Float
 
 LEVEL: Final = 0.99
 MANY_LOGS: Final = 8
-"""From so many logs on, the logs are the blocks: with fewer, Student's t of so few would hide all but the gross."""
+"""Number of logs from which on whole logs are the blocks; Student's t of fewer logs would hide most differences."""
 _RESAMPLES: Final = 4000
 _MOST_BLOCKS: Final = 500
-"""Blocks a log is cut into at most: longer ones than the correlation asks for do no harm, and cost less."""
+"""Most blocks of a log; longer blocks than the correlation requires are harmless and faster."""
 _SEED: Final = 20
 
 
 @dataclass(frozen=True)
 class Interval:
-    """Bounds of a mean difference, in its unit; infinite where too little was compared to say."""
+    """Bounds of a mean difference, in its unit; infinite if there are too few blocks."""
 
     low: float
     high: float
 
 
 def mean_interval(differences: Sequence[Float]) -> Interval:
-    """Interval of the mean over all values at ``LEVEL``, the same every time.
+    """Interval of the mean over all values at ``LEVEL``; deterministic.
 
     Args:
-        differences: of each log the paired differences in the order of its frames, (N,) float64, N at least 1.
+        differences: paired differences of each log in frame order, (N,) float64, N at least 1.
     """
     values = np.concatenate(differences)
     mean = float(values.mean())
@@ -51,13 +51,14 @@ def mean_interval(differences: Sequence[Float]) -> Interval:
 
 
 def block_length(values: Float) -> int:
-    """Frames a block of the circular bootstrap should have, from the values' correlation.
+    """Number of frames in a block of the circular bootstrap, from the values' correlation.
 
-    At least twice the cube root of N: in few values correlation comes out too short. (Of 200 null drives of 40 frames
-    whose neighbours correlate by 0.8, 29 were marked without this bound, 12 with it; of 200 frames 9 and 6.)
+    It is at least twice the cube root of N, because few values underestimate the correlation. (200 simulated logs
+    without a difference, correlation 0.8: of those with 40 frames 29 were marked without this bound and 12 with it,
+    of those with 200 frames 9 and 6.)
 
     Args:
-        values: (N,) float64 in the order of time.
+        values: (N,) float64 in frame order.
     """
     count = values.size
     size = float(np.ptp(values))
@@ -84,7 +85,7 @@ def _autocovariance(values: Float, most_lag: int) -> Float:
 
 
 def _last_correlated(covariance: Float, count: int, window: int) -> int:
-    """The lag from which on ``window`` correlations in a row could be chance; else the last that could not."""
+    """The lag after which ``window`` correlations in a row are insignificant; else the last significant lag."""
     significant = np.abs(covariance[1:] / covariance[0]) > 2 * np.sqrt(np.log10(count) / count)
     for lag in range(significant.size - window + 1):
         if not significant[lag : lag + window].any():
@@ -93,7 +94,7 @@ def _last_correlated(covariance: Float, count: int, window: int) -> int:
 
 
 def _resampled_frames(differences: Sequence[Float]) -> tuple[Float, int, int]:
-    """Deviations of resampled means, how many blocks, and of how many logs the blocks were drawn."""
+    """Deviations of the resampled means, number of blocks, number of logs."""
     total, blocks = np.zeros(_RESAMPLES), 0
     for index, values in enumerate(differences):
         length = max(block_length(values), values.size // _MOST_BLOCKS, 1)
@@ -105,7 +106,7 @@ def _resampled_frames(differences: Sequence[Float]) -> tuple[Float, int, int]:
 
 
 def _block_means(values: Float, length: int) -> Float:
-    """Mean of the block that starts at each frame, (N,); the log's end is followed by its start."""
+    """Mean of the block that starts at each frame, (N,); blocks wrap around the end of the log."""
     sums = np.cumsum(np.concatenate([[0.0], values, values[: length - 1]]))
     return np.asarray((sums[length:] - sums[:-length]) / length, np.float64)
 
@@ -118,6 +119,6 @@ def _resampled_logs(differences: Sequence[Float]) -> tuple[Float, int, int]:
 
 
 def _widening(blocks: int, freedom: int) -> float:
-    """How much wider an interval of so few blocks must be than the bootstrap's own."""
+    """Factor by which the bootstrap's interval is widened for a number of blocks and degrees of freedom."""
     tail = (1 + LEVEL) / 2
     return float(stats.t.ppf(tail, freedom) / stats.norm.ppf(tail) * np.sqrt(blocks / freedom))

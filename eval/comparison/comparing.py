@@ -1,4 +1,4 @@
-"""The whole comparison of a candidate with a reference: the verdict on every metric, and where fields differ."""
+"""Comparison of a candidate with a reference: a verdict on every metric, and the agreement of every field."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,23 +16,22 @@ from ..options import Rules
 from ..quantities import JITTERS, OFFSETS, SEEN, SIDES, STAGE_TIMES, TRUTH, Quantity
 from ..runs import Run, collect
 from ..scan import scan
-from .agreement import NOT_COMPARED, Agreement, Overlap, compare_tables, together
+from .agreement import NOT_COMPARED, Agreement, Overlap, added, compare_tables
 from .bootstrap import Interval, mean_interval
 from .messages import message_agreements
-from .pairing import KEY, Pairing, RunPair, numbered
+from .pairing import CANDIDATE, KEY, Pairing, RunPair, numbered
 
 Mark = Literal["worse", "unchanged", "better"]
-_CANDIDATE: Final = " of the candidate"
 ROUNDING: Final = 1e-9
-"""Share of a metric's size below which a difference is another processor's rounding."""
+"""Ratio to a metric's size below which a difference is rounding, as on another processor."""
 
 
 @dataclass(frozen=True)
 class Metric:
     """A number per frame, float64, null where unknown.
 
-    ``name`` is what ``--allow`` and ``--ignore`` match; ``share`` says that the values are 1 and 0; ``timed`` that it
-    is a time, which depends on the machine and is judged on request only.
+    ``--allow`` and ``--ignore`` match ``name``. With ``share`` the values are 1 and 0. With ``timed`` it is a time,
+    which depends on the machine and is judged on request only.
     """
 
     name: str
@@ -66,21 +65,21 @@ METRICS: Final = (
     *(_share(f"{name}.coverage", pl.col(name).is_not_null()) for name in _COVERING),
     *(_of_quantity(quantity, timed=True) for quantity in STAGE_TIMES),
 )
-"""What two runs are judged by.
+"""The metrics on which two runs are judged.
 
-Errors against truth and the jitter of the lane boundaries are judged over the frames in which both runs have them;
-states and coverage over all frames both runs have, as 1 or 0. What the chain says without truth to compare it with
-(camera height, lane width, inliers) has no better side and is left to the comparison of fields.
+Errors against truth and the jitter of lane boundaries are judged over the frames in which both runs have a value.
+States and coverage are judged over all common frames, as 1 or 0. Outputs without truth (camera height, lane width,
+inliers) have no better side, so only the comparison of fields shows them.
 """
 FRAMES: Final = _share("frames.coverage", pl.lit(value=True))
-"""The reference's frames that the candidate has."""
+"""Share of the reference's frames that the candidate has."""
 
 
 @dataclass
 class Paired:
-    """A metric's values of the frames that both runs have, log by log.
+    """A metric's values in the common frames, log by log.
 
-    ``differences`` are candidate minus reference, (N,) float64 of each log, of which only logs with values are kept.
+    ``differences`` are candidate minus reference, (N,) float64 for each log with values.
     """
 
     frames: int = 0
@@ -89,7 +88,7 @@ class Paired:
     differences: list[Float] = field(default_factory=list)
 
     def add(self, reference: Float, candidate: Float) -> None:
-        """Take the values of one more log, (N,) each."""
+        """Add the values of a log, (N,) each."""
         if reference.size:
             self.frames += reference.size
             self.reference_sum += float(reference.sum())
@@ -99,7 +98,7 @@ class Paired:
 
 @dataclass(frozen=True)
 class Verdict:
-    """A metric of both runs: means over the ``frames`` both have, their difference with its interval, and the mark.
+    """The means of a metric over the common ``frames``, the interval of their difference, and the mark.
 
     ``judged`` is false for times that no allowance names.
     """
@@ -119,7 +118,7 @@ class Verdict:
 
 
 def verdicts(pairs: Sequence[RunPair], overlaps: Sequence[Overlap], rules: Rules) -> tuple[Verdict, ...]:
-    """A verdict on each metric that any pair has values of, in the metrics' order.
+    """A verdict on each metric with values in any pair, in the order of ``METRICS``.
 
     Raises:
         TableError: a table's data cannot be read.
@@ -127,16 +126,22 @@ def verdicts(pairs: Sequence[RunPair], overlaps: Sequence[Overlap], rules: Rules
     paired = {metric.name: Paired() for metric in METRICS}
     for pair in pairs:
         ours, theirs = (_measured(run, pair.by_segment) for run in (pair.reference, pair.candidate))
-        joined = ours.join(theirs, on=KEY, suffix=_CANDIDATE).sort(KEY)
+        joined = ours.join(theirs, on=KEY, suffix=CANDIDATE).sort(KEY)
         for name, values in paired.items():
-            known = joined.select(name, name + _CANDIDATE).drop_nulls()
-            values.add(known[name].to_numpy(), known[name + _CANDIDATE].to_numpy())
+            known = joined.select(name, name + CANDIDATE).drop_nulls()
+            values.add(known[name].to_numpy(), known[name + CANDIDATE].to_numpy())
     kept = Paired()
     for found in overlaps:
-        had = np.ones(found.common + found.only_reference)
-        kept.add(had, np.where(np.arange(had.size) < found.common, 1.0, 0.0))
-    judged = ((FRAMES, kept), *((metric, paired[metric.name]) for metric in METRICS))
-    return tuple(judge(metric, values, rules) for metric, values in judged if _judgeable(metric, values, rules))
+        kept.add(np.ones(found.common + found.only_reference), np.repeat([1.0, 0.0], found[:2]))
+    every = ((FRAMES, kept), *((metric, paired[metric.name]) for metric in METRICS))
+    return tuple(
+        _judge(metric, values, rules)
+        for metric, values in every
+        if values.frames
+        and not rules.ignores(metric.name)
+        # a share that is 0 in both runs belongs to an output that neither has
+        and not (metric.share and values.reference_sum == values.candidate_sum == 0)
+    )
 
 
 def _measured(run: Run, by_segment: bool) -> pl.DataFrame:
@@ -144,15 +149,7 @@ def _measured(run: Run, by_segment: bool) -> pl.DataFrame:
     return collect(numbered(scan(run), run, by_segment).select(*KEY, *values), run.source_name)
 
 
-def _judgeable(metric: Metric, values: Paired, rules: Rules) -> bool:
-    """Whether there is anything to judge: a share that is 0 in both runs belongs to what neither has."""
-    if rules.ignores(metric.name) or not values.frames:
-        return False
-    return not metric.share or values.reference_sum > 0 or values.candidate_sum > 0
-
-
-def judge(metric: Metric, values: Paired, rules: Rules) -> Verdict:
-    """The verdict on a metric with values."""
+def _judge(metric: Metric, values: Paired, rules: Rules) -> Verdict:
     reference, candidate = values.reference_sum / values.frames, values.candidate_sum / values.frames
     interval = _interval(metric, values)
     allowed = max(rules.allowance(metric.name, reference), ROUNDING * max(abs(reference), abs(candidate)))
@@ -163,9 +160,9 @@ def judge(metric: Metric, values: Paired, rules: Rules) -> Verdict:
 
 
 def _interval(metric: Metric, values: Paired) -> Interval:
-    """The interval of the mean difference; of a share it ends at 0 where no frame was gained, or none lost.
+    """The interval of the mean difference; for a share it ends at 0 if no frame was gained, or none was lost.
 
-    A frame that lost its value is a fact: a single burst of them is worse, though it says little of other drives.
+    Lost frames are counted, not estimated: a single burst of them is worse, although other logs may have none.
     """
     interval = mean_interval(values.differences)
     if not metric.share:
@@ -188,10 +185,10 @@ def _mark(metric: Metric, values: Paired, interval: Interval, allowed: float) ->
 
 @dataclass(frozen=True)
 class Comparison:
-    """What two sets of runs share and where they part.
+    """The comparison of two sets of runs.
 
-    ``columns`` and ``messages`` say how fields of the tables and of the logs' results agree, the latter only where logs
-    were named; ``overlaps`` and ``changes``, the lines on what differs between the two configurations, are those of
+    ``columns`` and ``messages`` are the agreements of the tables' columns and of the messages; ``messages`` is empty if
+    the arguments are not logs. ``overlaps`` and ``changes`` (lines on the settings that differ) belong to
     ``pairing.pairs``.
     """
 
@@ -204,12 +201,12 @@ class Comparison:
 
     @property
     def frames(self) -> int:
-        """Frames that were compared."""
+        """Number of compared frames."""
         return sum(found.common for found in self.overlaps)
 
     @property
     def fields(self) -> dict[str, Agreement]:
-        """All fields compared, the tables' first."""
+        """All compared fields, columns first."""
         return {**self.columns, **self.messages}
 
     def named(self, mark: Mark) -> list[Verdict]:
@@ -218,7 +215,7 @@ class Comparison:
 
     @property
     def regressions(self) -> list[str]:
-        """Names of what became worse than allowed: metrics, and runs that the candidate lacks."""
+        """Metrics that became worse than allowed, and runs that the candidate lacks."""
         return [
             *(verdict.metric.name for verdict in self.named("worse")),
             *(f"no run of {run.name}" for run in self.pairing.missing),
@@ -226,25 +223,23 @@ class Comparison:
 
     @property
     def differences(self) -> list[str]:
-        """Names of the fields that differ beyond their tolerance, and of what only one side has."""
+        """Fields that differ beyond their tolerance, and runs or frames that only one side has."""
         apart = any(found.only_reference or found.only_candidate for found in self.overlaps)
         alone = [*self.pairing.missing, *self.pairing.added]
         return [
             *(name for name, agreement in self.fields.items() if agreement.state == "differs"),
-            *(["frames of one run alone"] if apart else []),
-            *(f"the run {run.name} of one side alone" for run in alone),
+            *(["frames that only one run has"] if apart else []),
+            *(f"the run {run.name}, which only one side has" for run in alone),
         ]
 
 
 def compare_runs(pairing: Pairing, logs: tuple[Path, Path] | None, rules: Rules) -> Comparison:
-    """Compare all pairs, one pair of files after another.
-
-    If two ``logs`` were named, their results are compared as well as their tables.
+    """Compare all pairs: their tables, and the messages of two ``logs``.
 
     Raises:
-        RoadpercError: a file cannot be read, a pair shares no stamp, or a rule names nothing there is.
+        RoadpercError: a file cannot be read, a pair shares no stamp, or a rule matches no name.
     """
-    if logs is None:  # the fields of messages are known where they differ, no sooner
+    if logs is None:  # fields of messages have names only where they differ, so rules cannot be checked with logs
         columns = set[str]().union(*(pair.columns for pair in pairing.pairs)).difference(NOT_COMPARED)
         rules.require_use({*columns, *(metric.name for metric in METRICS), FRAMES.name})
     overlaps, agreements = zip(*(compare_tables(pair, rules) for pair in pairing.pairs), strict=True)
@@ -252,7 +247,7 @@ def compare_runs(pairing: Pairing, logs: tuple[Path, Path] | None, rules: Rules)
         pairing,
         overlaps,
         tuple(change(pair.reference, pair.candidate) for pair in pairing.pairs),
-        together(agreements),
+        added(agreements),
         message_agreements(*logs, pairing.pairs[0].name, rules) if logs else {},
         verdicts(pairing.pairs, overlaps, rules),
     )

@@ -1,4 +1,4 @@
-"""A comparison in tables and lines."""
+"""Prints a comparison as tables and lines."""
 
 import math
 from collections import Counter
@@ -18,14 +18,14 @@ from .bootstrap import LEVEL, MANY_LOGS
 from .comparing import Comparison, Mark, Verdict
 
 TEXT_SHOWN = 48
-"""Characters of a text value that are shown."""
+"""Characters shown of a text value."""
 FIELDS_SHOWN = 10
-"""Fields that differ, unless all are asked for."""
+"""Differing fields shown without ``--exact``."""
 _BOUNDS = f"{LEVEL:.0%} from", "to"
 
 
 def print_comparison(console: Console, found: Comparison, *, all_fields: bool) -> None:
-    """Which runs, their metrics and times, the verdict, and where their fields part: the first ones, or all."""
+    """Print the runs, their metrics and times, the verdict, and the fields that differ: the first ones, or all."""
     print_lines(console, *_heading(found), unbroken=True)
     for table in (_metrics(found), _times(found)):
         print_table(console, table)
@@ -38,9 +38,8 @@ def _heading(found: Comparison) -> Iterator[str]:
         yield _identity("reference", pairs[0].reference)
         yield _identity("candidate", pairs[0].candidate)
     for pair in (pair for pair in pairs if not pair.by_one_digest):
-        ours, theirs = pair.reference.digest_algorithm, pair.candidate.digest_algorithm
-        said = "which cannot say whether they are the same"
-        yield f"{pair.name}: one log is named by {ours}, the other by {theirs}, {said}"
+        algorithms = f"digest algorithms {pair.reference.digest_algorithm} and {pair.candidate.digest_algorithm}"
+        yield f"{pair.name}: the log ids have {algorithms}; whether both runs are of one log is unknown"
     yield from _settings(found)
     yield f"{found.frames} frames compared" + (f" in {len(pairs)} pairs of runs" if len(pairs) > 1 else "")
     for pair, part in zip(pairs, found.overlaps, strict=True):
@@ -52,7 +51,7 @@ def _heading(found: Comparison) -> Iterator[str]:
 
 
 def _settings(found: Comparison) -> Iterator[str]:
-    """The settings that differ, with both values; of several pairs together for those that differ in the same ones."""
+    """The settings that differ, with both values; pairs with the same differences are listed together."""
     names: dict[tuple[str, ...], list[str]] = {}
     for pair, changed in zip(found.pairing.pairs, found.changes, strict=True):
         if changed:
@@ -69,21 +68,21 @@ def _identity(side: str, run: Run) -> str:
 
 
 def _fields(found: Comparison, *, all_fields: bool) -> Iterator[str]:
-    """Fields that are not identical with their first difference, under the frame where that is, the earliest first."""
+    """The first difference of each field that differs, below its frame, in the order of time."""
     first = [(difference, agreement) for agreement in found.fields.values() if (difference := agreement.first)]
     differing = sorted(first, key=lambda item: item[0].at)
     shown = differing if all_fields else differing[:FIELDS_SHOWN]
     are_several = len(found.pairing.pairs) > 1
     if are_several and shown:
-        yield from ("", "where fields differ first, and in how many frames of all pairs")
+        yield from ("", "first difference of each field, and its number of frames in all pairs")
     for (run, stamp_ns, frame), group in groupby(shown, key=lambda item: item[0].at):
         several = f"{run}: " if are_several else ""
         yield from ("", f"{several}frame {frame}, stamp {stamp_ns}")
         for difference, agreement in group:
-            values = " → ".join(_apart(difference.reference, difference.candidate))
+            values = " → ".join(_both(difference.reference, difference.candidate))
             yield f"  {difference.place}: {values}, {_largest(agreement)}"
     if len(shown) < len(differing):
-        yield from ("", f"{len(differing) - len(shown)} more fields differ: --exact lists all")
+        yield from ("", f"{len(differing) - len(shown)} more fields differ; pass --exact to list all")
     within = [f"{n} ({_largest(a)})" for n, a in found.fields.items() if a.state == "within tolerance"]
     if within:
         yield from ("", f"within tolerance: {', '.join(within)}")
@@ -95,8 +94,8 @@ def _largest(agreement: Agreement) -> str:
     return f"{counted}, by up to {agreement.largest:.3g}" if agreement.largest else counted
 
 
-def _apart(reference: Value, candidate: Value) -> tuple[str, str]:
-    """Both values as text, with as many digits as tell them apart."""
+def _both(reference: Value, candidate: Value) -> tuple[str, str]:
+    """Both values as text, with enough digits to show the difference."""
     short = _text(reference, 6), _text(candidate, 6)
     return short if short[0] != short[1] else (_text(reference, 17), _text(candidate, 17))
 
@@ -111,40 +110,35 @@ def _text(value: Value, digits: int) -> str:
 
 
 def _metrics(found: Comparison) -> TextTable:
-    """The metrics that changed, by their mark: means of both runs, and the interval of the difference."""
+    """The metrics that changed, by mark: means of both runs, and the interval of the difference."""
     rows: list[TextRow] = []
     for mark in get_args(Mark):
         changed = [verdict for verdict in found.named(mark) if verdict.difference]
         rows += [row(mark)] if changed else []
-        rows += [row(f"  {verdict.metric.name}", *_compared(verdict)) for verdict in changed]
+        for verdict in changed:
+            bounds = f"{verdict.interval.low:+.3g}", f"{verdict.interval.high:+.3g}"
+            means = f"{verdict.reference:.4g}", f"{verdict.candidate:.4g}"
+            rows.append(row(f"  {verdict.metric.name}", str(verdict.frames), *means, *bounds))
     return TextTable("Metric", ("frames", "reference", "candidate", *_BOUNDS), tuple(rows))
 
 
-def _compared(verdict: Verdict) -> list[str]:
-    means = f"{verdict.reference:.4g}", f"{verdict.candidate:.4g}"
-    return [str(verdict.frames), *means, f"{verdict.interval.low:+.3g}", f"{verdict.interval.high:+.3g}"]
-
-
 def _times(found: Comparison) -> TextTable:
-    """Means of the times, and the candidate's as a multiple of the reference's."""
-    timed = [verdict for verdict in found.verdicts if verdict.metric.timed and verdict.reference > 0]
-    headers = ("reference ms", "candidate ms", "times", *_BOUNDS)
-    return TextTable("Latency", headers, tuple(row(verdict.metric.name, *_timed(verdict)) for verdict in timed))
-
-
-def _timed(verdict: Verdict) -> list[str]:
-    changes = verdict.difference, verdict.interval.low, verdict.interval.high
-    ratios = (f"{1 + change / verdict.reference:.2f}" for change in changes)
-    return [f"{verdict.reference:.2f}", f"{verdict.candidate:.2f}", *ratios]
+    """Mean times, and the ratio of the candidate's to the reference's."""
+    rows = []
+    for verdict in (verdict for verdict in found.verdicts if verdict.metric.timed and verdict.reference > 0):
+        changes = verdict.difference, verdict.interval.low, verdict.interval.high
+        ratios = (f"{1 + change / verdict.reference:.2f}" for change in changes)
+        rows.append(row(verdict.metric.name, f"{verdict.reference:.2f}", f"{verdict.candidate:.2f}", *ratios))
+    return TextTable("Latency", ("reference ms", "candidate ms", "times", *_BOUNDS), tuple(rows))
 
 
 def _verdict(found: Comparison) -> Iterator[str]:
     yield f"fields of the tables: {_states(found.columns)}"
     if found.messages:
-        yield f"fields of the messages that are not the same bytes: {_states(found.messages)}"
+        yield f"fields of messages with different bytes: {_states(found.messages)}"
     judged = [verdict for verdict in found.verdicts if verdict.judged]
     same = [verdict for verdict in judged if not verdict.difference]
-    yield f"metrics: {len(judged)} judged, {len(same)} of them the same in every mean"
+    yield f"metrics: {len(judged)} judged, {len(same)} with equal means"
     changed = len(judged) - len(same)
     if changed:
         many = len(found.pairing.pairs) >= MANY_LOGS

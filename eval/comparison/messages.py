@@ -1,6 +1,7 @@
-"""Two logs with results, message by message: frames pair by log time, messages by topic and order."""
+"""Comparison of two logs with results, message by message: frames pair by log time, messages by topic and order."""
 
 import hashlib
+import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -23,10 +24,11 @@ from roadperc_stream.schemas.protobuf import MESSAGE_TYPES
 from roadperc_stream.schemas.topics import IMAGE_SCHEMA, METRICS_TOPIC, RESULT_PREFIX
 
 from ..options import Rules
-from .agreement import Agreement, Difference, Value, distance
+from .agreement import Agreement, Difference, Value, added, distance
 
 _MESSAGE: Final = "message"
 """Field name of a message that only one log has."""
+_INDEX: Final = re.compile(r"\[\d+\]")
 Fields = Mapping[str, Value]
 """Values by their place in a message, such as ``boundaries[0].offset_m``."""
 Group = dict[tuple[str, int], Message]
@@ -34,18 +36,15 @@ Group = dict[tuple[str, int], Message]
 
 
 def message_agreements(reference: Path, candidate: Path, run: str, rules: Rules) -> dict[str, Agreement]:
-    """How each field of the results agrees; a field is its topic below /perception and its name without indices.
+    """Agreement of each field of the results, by its topic below /perception and its name without indices.
 
     Only the messages of two frames are in memory.
 
     Raises:
         LogError: a log cannot be read, or a result in it cannot be decoded.
     """
-    found: dict[str, Agreement] = defaultdict(Agreement)
-    for ours, theirs in _aligned(_frames(reference), _frames(candidate)):
-        for name, agreement in _frame_agreements(ours, theirs, (reference, candidate), run, rules).items():
-            found[name] = found[name].and_then(agreement)
-    return dict(found)
+    frames = _aligned(_frames(reference), _frames(candidate))
+    return added(_frame_agreements(ours, theirs, (reference, candidate), run, rules) for ours, theirs in frames)
 
 
 def _frames(path: Path) -> Iterator[tuple[int, Group]]:
@@ -82,11 +81,16 @@ def _frame_agreements(
     for topic, nth in dict.fromkeys((*ours, *theirs)):
         pair = ours.get((topic, nth)), theirs.get((topic, nth))
         for place, values in _values_apart(pair, paths):
-            name = f"{topic}.{without_indices(place)}"
+            name = f"{topic}.{_INDEX.sub('', place)}"
             if not rules.ignores(name):
                 at = next(message for message in pair if message)
                 first = Difference(run, at.sequence, at.log_time_ns, f"{topic}.{place}", *values)
-                both = found.get(name, Agreement()).and_then(_agreement(first, rules.tolerance(name)))
+                apart = distance(*values)
+                if apart <= rules.tolerance(name):
+                    one = Agreement(within=int(apart > 0), largest=apart)
+                else:
+                    one = Agreement(differing=1, largest=apart if np.isfinite(apart) else 0.0, first=first)
+                both = found.get(name, Agreement()) + one
                 differing = min(both.differing, 1)
                 found[name] = replace(both, within=min(both.within, 1 - differing), differing=differing)
     return found
@@ -95,7 +99,7 @@ def _frame_agreements(
 def _values_apart(
     pair: tuple[Message | None, Message | None], paths: tuple[Path, Path]
 ) -> Iterator[tuple[str, tuple[Value, Value]]]:
-    """Both values of each field of two messages with different bytes, or the presence of a single message."""
+    """Both values of each field of two messages with different bytes; or that only one message is present."""
     ours, theirs = pair
     if ours is None or theirs is None:
         yield _MESSAGE, ("present" if ours else None, "present" if theirs else None)
@@ -103,13 +107,6 @@ def _values_apart(
         fields = [_fields(message, path) for message, path in zip((ours, theirs), paths, strict=True)]
         for place in dict.fromkeys((*fields[0], *fields[1])):
             yield place, (fields[0].get(place), fields[1].get(place))
-
-
-def _agreement(found: Difference, tolerance: float) -> Agreement:
-    apart = distance(found.reference, found.candidate)
-    if apart <= tolerance:
-        return Agreement(within=int(apart > 0), largest=apart)
-    return Agreement(differing=1, largest=apart if np.isfinite(apart) else 0.0, first=found)
 
 
 def _fields(message: Message, path: Path) -> Fields:
@@ -138,7 +135,7 @@ def _decoded(message: Message) -> Fields:
 
 
 def _flat(message: ProtobufMessage, prefix: str) -> Iterator[tuple[str, Value]]:
-    """The known fields of a message, depth first; enumerations by their names, lists with their length."""
+    """The fields of a message, depth first; enumeration values by name, lists with their length."""
     for field in message.DESCRIPTOR.fields:
         if field.has_presence and not message.HasField(field.name):
             continue
@@ -159,11 +156,6 @@ def _item(field: Any, value: Any, place: str) -> Iterator[tuple[str, Value]]:
         yield place, known.name if known else value
     else:
         yield place, _digest(value) if isinstance(value, bytes) else value
-
-
-def without_indices(place: str) -> str:
-    """``boundaries[0].offset_m`` as ``boundaries.offset_m``."""
-    return "".join(part.partition("]")[2] if index else part for index, part in enumerate(place.split("[")))
 
 
 def _digest(data: bytes) -> str:

@@ -22,7 +22,7 @@ from .reading import FILES, GAP_NS, SEGMENTS, SPAN_NS, batches, ledger, logs_of,
 from .worst import chosen
 
 MOST_GROUPS: Final = 40
-"""Groups whose frames are summed up at the same time; of more, those that are asked for."""
+"""Most groups with statistics; of more groups of whole logs, the worst ones have statistics."""
 _FEWEST_POINTS: Final = 256
 _AT_ONCE: Final = 2
 _COLUMNS: Final = tuple(quantity.column for quantity in NUMBERS)
@@ -70,10 +70,10 @@ def _part(column: pl.Series, points: int) -> tuple[Moments, Distribution] | None
 
 
 def _add_batch(pools: dict[Key, Pool], batch: pl.DataFrame, by: Grouping, threads: Executor) -> bool:
-    """Take in a batch, with the columns of the keys; False where groups of whole logs are too many.
+    """Add a batch with the columns of the keys; False if there are too many groups of whole logs.
 
     Raises:
-        TableError: a column of the tables has so many values that they are no groups.
+        TableError: a column of the tables has too many values.
     """
     keys = [key_name(name) for name in by.columns]
     groups: dict[Key, pl.DataFrame] = {batch.select(keys).row(0) if keys else (): batch}
@@ -84,7 +84,7 @@ def _add_batch(pools: dict[Key, Pool], batch: pl.DataFrame, by: Grouping, thread
             return False
         raise TableError(
             f"--by {','.join(by.columns)}: has more than {MOST_GROUPS} different values in the frames; "
-            "expected a column with few, such as lane_left_status"
+            "expected a column with fewer values, such as lane_left_status"
         )
     for key, frames in groups.items():
         pools.setdefault(key, Pool(EXACT_FRAMES)).add(frames, threads)
@@ -93,10 +93,10 @@ def _add_batch(pools: dict[Key, Pool], batch: pl.DataFrame, by: Grouping, thread
 
 @dataclass(frozen=True)
 class GroupedFrames:
-    """What a dataset's tables hold.
+    """The logs and groups of a dataset.
 
-    ``logs`` are those of ``logs_of``, where the keys are of whole logs with their columns. Of all ``groups`` those in
-    ``pools`` were summed up.
+    ``logs`` come from ``logs_of``, with the columns of the keys if the groups consist of whole logs. ``groups`` is the
+    number of all groups; ``pools`` has those with statistics.
     """
 
     logs: pl.DataFrame
@@ -109,12 +109,12 @@ def group_frames(files: Sequence[str], runs: pl.DataFrame, asked: Sequence[str])
     """Read the tables of a dataset.
 
     Args:
-        files: one at least; at an address a pattern.
+        files: at least one; for an address a pattern.
         runs: the list of runs.
-        asked: columns to group by; what made the tables, where they differ in that, if empty.
+        asked: columns to group by; if empty, configuration and version if they differ.
 
     Raises:
-        TableError: a table cannot be read, has frames twice, or there is no such column, or one with too many values.
+        TableError: a table cannot be read, a frame appears twice, or a column does not exist or has too many values.
     """
     known = runs.filter(pl.col("log_id").is_not_null())
     versions = known.filter(pl.col("status") == DONE)["version"].unique().to_list()
@@ -133,9 +133,9 @@ def group_frames(files: Sequence[str], runs: pl.DataFrame, asked: Sequence[str])
 def _grouped(files: Sequence[str], known: pl.DataFrame, by: Grouping) -> GroupedFrames:
     run_keys = known.select(*LOG, *(as_key(name, RUN_COLUMNS[name]) for name in by.of_runs))
     rows = rows_of_tables(files, by)
-    gone = without_file(known).select(LOG)
-    if gone.height:
-        rows = rows.join(gone.lazy(), on=LOG, how="anti", maintain_order="left")
+    replaced = without_file(known).select(LOG)
+    if replaced.height:
+        rows = rows.join(replaced.lazy(), on=LOG, how="anti", maintain_order="left")
     logs, pools = _read(rows, files, by, run_keys)
     if by.of_whole_logs:
         own = (pl.col(name).alias(key_name(name)) for name in by.columns if name not in by.of_runs)
@@ -152,9 +152,9 @@ def _grouped(files: Sequence[str], known: pl.DataFrame, by: Grouping) -> Grouped
 def _read(
     rows: pl.LazyFrame, files: Sequence[str], by: Grouping, run_keys: pl.DataFrame
 ) -> tuple[pl.DataFrame, dict[Key, Pool] | None]:
-    """The logs of metrics tables, and the groups by their keys; None where there are more than ``MOST_GROUPS``.
+    """The logs of metrics tables, and the groups by key; None if there are more than ``MOST_GROUPS``.
 
-    ``run_keys`` are ``LOG`` and the keys from the list of runs, a row for each log and configuration.
+    ``run_keys`` has the columns ``LOG`` and the keys from the list of runs, a row for each log and configuration.
     """
     ledgers: list[pl.DataFrame] = []
     pools: dict[Key, Pool] | None = {}
@@ -172,12 +172,12 @@ def _read(
                 for pool in pools.values():
                     pool.columns.limit(max(_FEWEST_POINTS, min(POINTS, POINTS * 8 // len(pools))))
     if not ledgers:
-        raise TableError("no log is left to report: the files of all are of other logs now, of which none gave a table")
+        raise TableError("no log to report: other logs have replaced all files, and these have no tables")
     return logs_of(ledgers), pools
 
 
 def summaries_of(found: GroupedFrames, log_names: Mapping[str, str], configs: Sequence[str]) -> list[Summary]:
-    """A summary of each group that was summed up, in the order of their keys (``in_order``)."""
+    """A summary of each group with statistics, in the order of the keys (``in_order``)."""
     columns, extents = found.by.columns, _extents(found)
     return [
         replace(found.pools[key].summary(group_name(key, columns, log_names)), **extents.get(key, {}))
@@ -186,7 +186,7 @@ def summaries_of(found: GroupedFrames, log_names: Mapping[str, str], configs: Se
 
 
 def _extents(found: GroupedFrames) -> dict[Key, dict[str, Any]]:
-    """How long each group's logs are; nothing where groups are not of whole logs."""
+    """Number, span and longest gap of each group's segments; empty if the groups are not of whole logs."""
     if not found.by.of_whole_logs:
         return {}
     keys = [pl.col(key_name(name)) for name in found.by.columns] or [pl.lit(0)]

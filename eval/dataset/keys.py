@@ -1,4 +1,4 @@
-"""What a report over a dataset is grouped by, and what its groups, logs and configurations are called."""
+"""The columns that group a dataset's frames, and the names of groups, logs and configurations."""
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -11,6 +11,7 @@ import polars as pl
 from roadperc_stream.batch.storage.addresses import natural
 from roadperc_stream.config.settings import as_typed, settings_in
 from roadperc_stream.errors import ConfigError, TableError
+from roadperc_stream.system.text import number
 
 from ..configurations import Settings
 from ..options import number_or_text
@@ -18,21 +19,21 @@ from ..quantities import listed
 from .place import DATE, RUN_COLUMNS
 
 LOG: Final = ("log_id", "config")
-"""What tells one run of a dataset from all others."""
+"""Columns that identify a run of a dataset."""
 _OF_THE_FILE: Final = (*LOG, DATE)
 UNKNOWN_GROUP: Final = "none"
 Key = tuple[str | None, ...]
 """The values of a group's columns."""
 _DIGITS: Final = 8
-"""Of a log's digest that tell logs of one name apart."""
+"""Digits of a log's digest that distinguish logs of equal names."""
 DEFAULT: str = "default"
 
 
 @dataclass(frozen=True)
 class Grouping:
-    """The columns that rows are grouped by, and where they come from.
+    """The columns that group the rows, and their origin.
 
-    ``of_runs`` are taken from the list of runs, ``of_rows`` may change from frame to frame; the others are a file's.
+    ``of_runs`` come from the list of runs, ``of_rows`` may change from frame to frame; the others belong to a file.
     """
 
     columns: tuple[str, ...]
@@ -40,8 +41,8 @@ class Grouping:
     of_rows: tuple[str, ...]
 
     @property
-    def asked(self) -> tuple[str, ...]:
-        """The columns as ``--by`` calls them."""
+    def as_options(self) -> tuple[str, ...]:
+        """The names of the columns in ``--by``."""
         return tuple("log" if name == "log_id" else name for name in self.columns)
 
     @property
@@ -51,12 +52,10 @@ class Grouping:
 
 
 def grouping(by: Sequence[str], table_columns: Collection[str]) -> Grouping:
-    """What ``--by`` asks for.
-
-    The name ``log`` stands for the column of the log's digest.
+    """The grouping by the columns of ``--by``; ``log`` means the column ``log_id``.
 
     Raises:
-        TableError: there is no such column.
+        TableError: a column does not exist.
     """
     names = tuple(dict.fromkeys("log_id" if name == "log" else name for name in by))
     of_rows = tuple(name for name in names if name not in _OF_THE_FILE and name in table_columns)
@@ -66,27 +65,27 @@ def grouping(by: Sequence[str], table_columns: Collection[str]) -> Grouping:
             near = sorted(
                 {other for other in (*table_columns, *RUN_COLUMNS) if name.split("_", maxsplit=1)[0] in other}
             )
-            hint = f"; there are {listed(near)}" if near else ""
-            raise TableError(f"--by {name}: no column of the metrics tables or of the list of runs{hint}")
+            hint = f"; similar columns: {listed(near)}" if near else ""
+            raise TableError(f"--by {name}: no column of the metrics tables or of runs.parquet{hint}")
     return Grouping(names, of_runs, of_rows)
 
 
 def as_key(name: str, kind: pl.DataType) -> pl.Expr:
-    """A column as text that groups and their names are made of."""
+    """A column as text, for the keys and names of groups."""
     column = pl.col(name)
     text = column.cast(pl.List(pl.String)).list.join("; ") if isinstance(kind, pl.List) else column.cast(pl.String)
     return pl.when(text.str.len_bytes() > 0).then(text).alias(key_name(name))
 
 
 def key_name(name: str) -> str:
-    """What the column of a group's key is called: other than that of the table, which is a number maybe."""
+    """Name of a key's column; the table's own column may have another type."""
     return f"by {name}"
 
 
 def log_names(log_ids: Iterable[str], runs: pl.DataFrame) -> dict[str, str]:
-    """What each log is called: its file's name, with digits of its digest where that is another's too.
+    """The name of each log: its file name, with digits of its digest if another log has the same file name.
 
-    Logs that the list of runs does not know are called by their digest.
+    Logs that are missing in the list of runs have their digest as name.
     """
     known = runs.filter(pl.col("log_id").is_not_null())
     paths = dict(known.select("log_id", "path").iter_rows())
@@ -96,16 +95,16 @@ def log_names(log_ids: Iterable[str], runs: pl.DataFrame) -> dict[str, str]:
 
 
 def group_name(key: Key, columns: Sequence[str], logs: Mapping[str, str]) -> str:
-    """A group by the values of its key; a log by its name."""
+    """The values of a group's key, with names of logs."""
     values = zip(columns, key, strict=True)
-    words = (logs.get(value or "", value) if column == "log_id" else value for column, value in values)
-    return ", ".join(UNKNOWN_GROUP if word is None else " ".join(word.split()) for word in words) or "all"
+    texts = (logs.get(value or "", value) if column == "log_id" else value for column, value in values)
+    return ", ".join(UNKNOWN_GROUP if text is None else " ".join(text.split()) for text in texts) or "all"
 
 
 def in_order(keys: Iterable[Key], columns: Sequence[str], configs: Sequence[str], logs: Mapping[str, str]) -> list[Key]:
-    """Keys of groups: numbers by size, texts by the alphabet, the older configuration first, what is unknown last.
+    """Keys of groups, sorted: numbers by size, texts alphabetically, configurations by age, unknown values last.
 
-    Keys are values of ``columns``; ``configs`` are in the order of ``in_order_of_runs``, ``logs`` the logs' names.
+    Keys are values of ``columns``; ``configs`` are in the order of ``in_order_of_runs``, ``logs`` are names of logs.
     """
     return sorted(keys, key=lambda key: [_place(*item, configs, logs) for item in zip(columns, key, strict=True)])
 
@@ -117,12 +116,12 @@ def _place(column: str, value: str | None, configs: Sequence[str], logs: Mapping
         return (False, 0.0, natural(logs.get(value, value)))
     if column == "config":
         return (False, float(configs.index(value)) if value in configs else float("inf"), value)
-    number = number_or_text(value)
-    return (False, number if isinstance(number, float) else float("inf"), value)
+    typed = number_or_text(value)
+    return (False, typed if isinstance(typed, float) else float("inf"), value)
 
 
 def settings_by_config(runs: pl.DataFrame, configs: Sequence[str]) -> dict[str, Settings | None]:
-    """Of each configuration the settings that are not the default, and the options; None where nothing says them."""
+    """Options and non-default settings of each configuration; None if unknown."""
     found: dict[str, Settings | None] = dict.fromkeys(configs)
     for config, settings, options in runs.select("config", "settings", "options").iter_rows():  # the last row counts
         if config in found:
@@ -134,56 +133,57 @@ def settings_by_config(runs: pl.DataFrame, configs: Sequence[str]) -> dict[str, 
 
 
 def in_order_of_runs(present: Sequence[str], runs: pl.DataFrame) -> list[str]:
-    """Configurations in the order in which they were first finished, those that no run names last."""
+    """Configurations in the order of their first finished run; those without a run come last."""
     known = runs.sort("finished_ns", maintain_order=True)["config"].unique(maintain_order=True).to_list()
     return [*(name for name in known if name in present), *(name for name in present if name not in known)]
 
 
-def two_configs(asked: Sequence[str], configs: Mapping[str, Settings | None]) -> tuple[str, str]:
-    """The reference and the candidate.
+def two_configs(names: Sequence[str], configs: Mapping[str, Settings | None]) -> tuple[str, str]:
+    """The configurations of the reference and of the candidate.
 
     Args:
-        asked: two names, their first digits, or settings such as ``lanes.hold_s=2``; of a dataset of two it may be
-            empty: then the older is the reference.
-        configs: those of the dataset, the oldest first, with their settings.
+        names: two names, their first digits, or settings such as ``lanes.hold_s=2``. It may be empty for a dataset of
+            two configurations; the older one is then the reference.
+        configs: the configurations of the dataset, the oldest first, with their settings.
 
     Raises:
-        TableError: these are not two, or one is not found.
+        TableError: ``names`` are not two different configurations of the dataset.
     """
-    if not asked and len(configs) == 2:
+    if not names and len(configs) == 2:
         first, second = configs
         return first, second
-    if len(asked) != 2:
-        raise TableError(f"expected --config twice, found it {len(asked)} times; {_listed(configs)}")
-    reference, candidate = (_found(name, configs) for name in asked)
+    if len(names) != 2:
+        raise TableError(f"pass --config twice (found {number(len(names), 'time')}); {_listed(configs)}")
+    reference, candidate = (_config(name, configs) for name in names)
     if reference == candidate:
-        raise TableError(f"--config {asked[0]}, --config {asked[1]}: are the same; {_listed(configs)}")
+        raise TableError(f"--config {names[0]}, --config {names[1]}: expected two configurations; {_listed(configs)}")
     return reference, candidate
 
 
-def _found(name: str, configs: Mapping[str, Settings | None]) -> str:
+def _config(name: str, configs: Mapping[str, Settings | None]) -> str:
     matching = [config for config in configs if config.startswith(name)] or [
         config
         for config, settings in configs.items()
         if settings is not None and any(_is_same(name, text) for text in _texts(settings))
     ]
     if len(matching) != 1:
-        number = "no configuration" if not matching else f"{len(matching)} configurations"
-        raise TableError(f"--config {name}: names {number}; {_listed(configs)}")
+        matches = "no configuration" if not matching else f"{len(matching)} configurations"
+        raise TableError(f"--config {name}: matches {matches}; {_listed(configs)}")
     return matching[0]
 
 
-def _is_same(asked: str, text: str) -> bool:
-    """Whether two settings are one: 2 is 2.0."""
-    (key, _, value), (other_key, _, other_value) = asked.partition("="), text.partition("=")
+def _is_same(setting: str, other: str) -> bool:
+    """Whether two texts are the same setting; 2 equals 2.0."""
+    (key, _, value), (other_key, _, other_value) = setting.partition("="), other.partition("=")
     return key == other_key and number_or_text(value) == number_or_text(other_value)
 
 
-def _texts(settings: Settings) -> list[str]:
+def _texts(settings: Settings | None) -> list[str]:
+    if settings is None:
+        return ["unknown"]
     return [f"{key}={as_typed(value)}" for key, value in settings.items()] or [DEFAULT]
 
 
 def _listed(configs: Mapping[str, Settings | None]) -> str:
-    said = {name: ["unknown"] if settings is None else _texts(settings) for name, settings in configs.items()}
-    known = (f"{name} ({', '.join(texts)})" for name, texts in said.items())
+    known = (f"{name} ({', '.join(_texts(settings))})" for name, settings in configs.items())
     return f"the dataset has {'; '.join(known)}"

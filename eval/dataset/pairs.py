@@ -1,4 +1,4 @@
-"""Two configurations of a dataset as two sets of runs, for a comparison of each log with itself."""
+"""The runs of two configurations of a dataset, to compare each log with itself."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -16,19 +16,20 @@ from roadperc_stream.system.files import TABLE_SUFFIX
 
 from ..runs import Run, open_run
 from .keys import LOG, in_order_of_runs, log_names, settings_by_config, two_configs
-from .place import FILE, RUNS, Dataset, metrics_files, read_runs, without_file
+from .place import FILE, NO_TABLES, RUNS, Dataset, metrics_files, read_runs, without_file
 from .reading import metrics_tables, reading_files, require_named
 
 _AT_ONCE: Final = 16
-"""Files are small: most of the time is waiting for the store."""
+"""Files fetched at the same time; files are small, so most of the time is latency."""
+_ROWS: Final = "rows"
 
 
 @contextmanager
 def in_a_folder(dataset: Dataset) -> Iterator[Dataset]:
-    """The dataset itself, or for the time being a copy of its lists of runs and its metrics tables.
+    """A dataset in a local folder; for an address a temporary copy of its lists of runs and its metrics tables.
 
     Raises:
-        TableError: it has no tables.
+        TableError: the dataset has no tables.
         StorageError: the store cannot be read.
     """
     if dataset.folder is not None:
@@ -37,7 +38,7 @@ def in_a_folder(dataset: Dataset) -> Iterator[Dataset]:
     store = Location(dataset.address)
     names = [f"{folder}/{name}" for folder in ("metrics", "runs") for name in store.at(folder).files(TABLE_SUFFIX)]
     if not names:
-        raise TableError(f"{dataset.address}: no tables in metrics/date=.../, so there is nothing to compare")
+        raise TableError(f"{dataset.address}: {NO_TABLES}")
     with TemporaryDirectory(prefix="roadperc-compare-") as folder, ThreadPoolExecutor(_AT_ONCE) as threads:
         list(threads.map(lambda name: store.at(name).fetch(Path(folder, name)), names))
         if (runs := store.at(RUNS).read()) is not None:
@@ -45,28 +46,25 @@ def in_a_folder(dataset: Dataset) -> Iterator[Dataset]:
         yield Dataset(folder)
 
 
-_ROWS = "rows"
-
-
-def runs_of_configs(dataset: Dataset, asked: Sequence[str]) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
-    """The runs of the reference and those of the candidate, one for each log, of a dataset in a local folder.
+def runs_of_configs(dataset: Dataset, names: Sequence[str]) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
+    """The runs of the reference and of the candidate, one for each log, from a dataset in a local folder.
 
     Raises:
-        TableError: there are no two such configurations, or a table cannot be read.
+        TableError: ``names`` do not identify two configurations, or a table cannot be read.
     """
     files = metrics_files(dataset)
     if not files:
-        raise TableError(f"{dataset.address}: no tables in metrics/date=.../, so there is nothing to compare")
-    runs, found = read_runs(dataset), _where(files)
+        raise TableError(f"{dataset.address}: {NO_TABLES}")
+    runs, found = read_runs(dataset), _row_counts(files)
     found = found.join(without_file(runs), on=LOG, how="anti", maintain_order="left")
     present = in_order_of_runs(found["config"].unique(maintain_order=True).to_list(), runs)
-    reference, candidate = two_configs(asked, settings_by_config(runs, present))
-    names = log_names(found["log_id"].unique(maintain_order=True), runs)
-    return tuple(_runs(found, reference, names)), tuple(_runs(found, candidate, names))
+    reference, candidate = two_configs(names, settings_by_config(runs, present))
+    logs = log_names(found["log_id"].unique(maintain_order=True), runs)
+    return tuple(_runs(found, reference, logs)), tuple(_runs(found, candidate, logs))
 
 
-def _where(files: Sequence[str]) -> pl.DataFrame:
-    """The file of each log and configuration, of several a row each, and how many rows it has in it."""
+def _row_counts(files: Sequence[str]) -> pl.DataFrame:
+    """The number of rows of each log and configuration in each file."""
     tables, _ = metrics_tables(files)
     counted = tables.select(*LOG, FILE).group_by(*LOG, FILE).agg(pl.len().alias(_ROWS)).sort(*LOG, FILE)
     with reading_files(files):
@@ -78,9 +76,9 @@ def _where(files: Sequence[str]) -> pl.DataFrame:
 def _runs(found: pl.DataFrame, config: str, names: Mapping[str, str]) -> Iterator[Run]:
     of_config = found.filter(pl.col("config") == config)
     for (log_id,), rows in of_config.group_by("log_id", maintain_order=True):
-        parts = tuple(_run(row, names[str(log_id)]) for row in rows.iter_rows(named=True))
-        frames = sum(part.frames for part in parts)
-        yield replace(parts[0], frames=frames, joined=parts if len(parts) > 1 else ())
+        by_file = tuple(_run(row, names[str(log_id)]) for row in rows.iter_rows(named=True))
+        frames = sum(run.frames for run in by_file)
+        yield replace(by_file[0], frames=frames, joined=by_file if len(by_file) > 1 else ())
 
 
 def _run(row: Mapping[str, Any], name: str) -> Run:

@@ -1,4 +1,4 @@
-"""Where a batch's dataset is, its tables as lazy frames, and its list of runs; an address is read as a folder is."""
+"""Opens a batch's dataset in a folder or at an address: its tables as lazy frames, and its list of runs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,13 +22,14 @@ DATE: Final = "date"
 _PARTITION: Final = f"{DATE}="
 _HIDDEN: Final = "."
 DONE: Final = "done"
+NO_TABLES: Final = "no tables in metrics/date=.../; pass the OUT_DIR of roadperc-batch"
 RUN_COLUMNS: Final = pl.DataFrame(arrow_schema(RunRow, RUN_TIME_COLUMNS).empty_table()).schema
 """Columns of the list, and polars' type of each."""
 
 
 @dataclass(frozen=True)
 class Dataset:
-    """The folder of a batch, ``address``: a local path, or what an object store calls it, such as ``s3://bucket/a``."""
+    """The dataset of a batch; ``address`` is a local path or an object store's address, such as ``s3://bucket/a``."""
 
     address: str
 
@@ -38,7 +39,7 @@ class Dataset:
         return None if is_address(self.address) else Path(self.address)
 
     def tables(self, *below: str) -> list[str]:
-        """The Parquet files whose path below the dataset matches: files, or a pattern where the place is an address."""
+        """The Parquet files that match a path below the dataset; for an address only the pattern."""
         folder = self.folder
         if folder is None:
             return ["/".join((self.address, *below))]
@@ -50,7 +51,7 @@ def dataset_at(argument: str) -> Dataset | None:
     """The dataset that an argument names; None for folders and files of replays.
 
     Raises:
-        StorageError: it names a file of another machine.
+        StorageError: the argument is the URL of a file on another machine.
     """
     if is_address(argument):
         return Dataset(argument.rstrip("/"))
@@ -70,24 +71,26 @@ def metrics_files(dataset: Dataset) -> list[str]:
 def scan_tables(files: Sequence[str]) -> pl.LazyFrame:
     """All rows of metrics tables with their ``FILE``; columns that a table lacks are null in its rows.
 
-    The columns are those of all versions that are among the files' first and last, which differ where versions do.
+    The columns are those of the first and the last file; they differ if the files come from different versions.
 
     Args:
-        files: one at least; at an address a pattern.
+        files: at least one; for an address a pattern.
 
     Raises:
         TableError: a file cannot be read.
     """
     known: dict[str, pl.DataType] = {}
     for name in dict.fromkeys((files[0], files[-1])):
-        for column, kind in _schema(name).items():
+        with reading(name):
+            schema = pl.scan_parquet(name, glob=is_address(name), hive_partitioning=False).collect_schema()
+        for column, kind in schema.items():
             known[column] = kind if known.get(column, pl.Null()) == pl.Null() else known[column]
     known.pop(DATE, None)
     return pl.scan_parquet(
         list(files),
         glob=is_address(files[0]),
         schema=known,
-        hive_partitioning=False,  # it would take every folder above as a column, too
+        hive_partitioning=False,  # otherwise folders above the dataset become columns, too
         hidden_file_prefix=_HIDDEN if is_address(files[0]) else None,
         include_file_paths=FILE,
         missing_columns="insert",
@@ -97,20 +100,15 @@ def scan_tables(files: Sequence[str]) -> pl.LazyFrame:
 
 
 def date_of(file: pl.Expr) -> pl.Expr:
-    """The date of a table, which its folder names."""
+    """The date of a table, from the name of its folder."""
     return file.str.extract(rf"(?:^|[/\\]){_PARTITION}([^/\\]*)[/\\][^/\\]*$")
 
 
-def _schema(name: str) -> pl.Schema:
-    with reading(name):
-        return pl.scan_parquet(name, glob=is_address(name), hive_partitioning=False).collect_schema()
-
-
 def read_runs(dataset: Dataset) -> pl.DataFrame:
-    """The rows, the newest of each log and configuration, in the order in which they were finished.
+    """The newest row of each log and configuration, in the order in which they were finished.
 
-    A log that could not be read at first has a row without ``log_id``: this one goes where a later row names its path.
-    Columns that the files lack are null. Empty where there is no list yet.
+    A log that could not be read has a row without ``log_id``; a later row for its path replaces it. Columns that the
+    files lack are null. The result is empty if there is no list.
 
     Raises:
         TableError: a file cannot be read, or is not a list of runs.
@@ -136,10 +134,9 @@ def _run_rows(dataset: Dataset, name: str) -> pl.DataFrame | None:
     except FileNotFoundError:
         return None
     except (pl.exceptions.PolarsError, OSError) as error:
-        if is_address(dataset.address) and "*" in name:  # a pattern that matches nothing is an error of some stores
+        if is_address(dataset.address) and "*" in name:  # some stores raise an error if nothing matches a pattern
             return None
-        where = f"{dataset.address}/{name}"
-        raise TableError(f"{where}: is not a list of runs that can be read: {first_line(error)}") from error
+        raise TableError(f"{dataset.address}/{name}: cannot be read as a list of runs: {first_line(error)}") from error
     return pl.concat(found) if found else None
 
 
@@ -155,7 +152,7 @@ def _typed(file: str) -> pl.DataFrame:
 
 
 def _without_superseded(rows: pl.DataFrame) -> pl.DataFrame:
-    """The rows but those without ``log_id`` whose path a row with one names that was finished later."""
+    """The rows without those that lack ``log_id`` and whose path appears in a later row with ``log_id``."""
     known = rows.filter(pl.col("log_id").is_not_null()).explode("names")
     later = known.group_by(pl.col("names").alias("path"), "config").agg(pl.max("finished_ns").alias("known_ns"))
     joined = rows.join(later, on=["path", "config"], how="left", maintain_order="left")

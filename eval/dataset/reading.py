@@ -23,7 +23,7 @@ _ROWS: Final = 131_072
 """Rows of a batch: 130 MB."""
 _NAMED: Final = (*LOG, "frame", "stamp_ns")
 _SECOND: Final = 2
-"""Rows before a batch that its first rows' second differences need."""
+"""Rows of the previous batch for the second differences of the first rows."""
 _OWN_SEGMENT: Final = "segment of the log"
 _STRETCH: Final = "stretch"
 
@@ -34,12 +34,12 @@ def valued(column: str) -> str:
 
 
 def summed(column: str) -> str:
-    """The column of ``logs_of`` with the sum of absolute values, of what is better high of the values."""
+    """The column of ``logs_of`` with the sum of absolute values, or of the values if high is better."""
     return f"summed {column}"
 
 
 def metrics_tables(files: Sequence[str]) -> tuple[pl.LazyFrame, pl.Schema]:
-    """All rows of a dataset's metrics tables, as ``scan_tables`` gives them, and their columns.
+    """All rows of a dataset's metrics tables from ``scan_tables``, and their columns.
 
     Raises:
         TableError: a table cannot be read, or lacks columns.
@@ -48,16 +48,16 @@ def metrics_tables(files: Sequence[str]) -> tuple[pl.LazyFrame, pl.Schema]:
     schema = tables.collect_schema()
     lacking = [name for name in (*LOG, *REQUIRED_COLUMNS[1:]) if name not in schema]
     if lacking:
-        raise TableError(f"{files[0]}: is not a metrics table of a dataset: it has no column {', '.join(lacking)}")
+        raise TableError(f"{files[0]}: is not a metrics table of a batch: it has no column {', '.join(lacking)}")
     return tables, schema
 
 
 def rows_of_tables(files: Sequence[str], by: Grouping) -> pl.LazyFrame:
-    """The columns a report needs of metrics tables, with ``FILE`` and the keys that are theirs.
+    """The columns of metrics tables that a report needs, with ``FILE`` and the keys that come from the tables.
 
     Args:
-        files: one at least; at an address a pattern.
-        by: how frames are grouped.
+        files: at least one; for an address a pattern.
+        by: the grouping of the frames.
 
     Raises:
         TableError: a table cannot be read, or lacks columns.
@@ -73,7 +73,7 @@ def rows_of_tables(files: Sequence[str], by: Grouping) -> pl.LazyFrame:
 
 @contextmanager
 def reading_files(files: Sequence[str]) -> Iterator[None]:
-    """Turn what goes wrong while polars reads tables into a ``TableError``: polars does not always name the file."""
+    """Turn polars' errors while it reads tables into a ``TableError`` that names the file."""
     try:
         yield
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
@@ -84,10 +84,10 @@ def reading_files(files: Sequence[str]) -> Iterator[None]:
 
 
 def batches(rows: pl.LazyFrame, files: Sequence[str]) -> Iterator[pl.DataFrame]:
-    """The rows with derived columns, in their order.
+    """Batches of rows with derived columns, in order.
 
     Raises:
-        TableError: a table cannot be read, or is another program's.
+        TableError: a table cannot be read, or is not a metrics table of a batch.
     """
     before: pl.DataFrame | None = None
     with reading_files(files):
@@ -96,26 +96,27 @@ def batches(rows: pl.LazyFrame, files: Sequence[str]) -> Iterator[pl.DataFrame]:
                 continue
             require_named(found)
             whole = found.rechunk() if before is None else pl.concat([before, found], rechunk=True)
-            sums = whole.select(pl.sum(*NUMBER_COLUMNS)).row(0, named=True)  # a tenth of the cost of changing all
+            # Sums cost a tenth of replacing infinite values in all columns.
+            sums = whole.select(pl.sum(*NUMBER_COLUMNS)).row(0, named=True)
             whole = whole.with_columns(finite(name for name, total in sums.items() if not math.isfinite(total)))
             before = whole.tail(_SECOND)
             yield _derived(whole).slice(whole.height - found.height)
 
 
 def require_named(rows: pl.DataFrame) -> None:
-    """Check that rows tell what they are of.
+    """Check that all rows have a log, a configuration, a frame number and a stamp.
 
     Raises:
-        TableError: one has no log, configuration, frame number or stamp, as those of another program's table.
+        TableError: a value is missing, as in tables of other programs.
     """
     named = [name for name in _NAMED if name in rows.columns]
     if any(rows.select(pl.col(named).null_count()).row(0)):
         file = rows.filter(pl.any_horizontal(pl.col(named).is_null()))[FILE][0]
-        raise TableError(f"{file}: is not a metrics table of a dataset: it has rows without {', '.join(named)}")
+        raise TableError(f"{file}: is not a metrics table of a batch: it has rows without {', '.join(named)}")
 
 
 def _derived(rows: pl.DataFrame) -> pl.DataFrame:
-    """Rows with the columns that need their neighbours, within a log and segment; ``SEGMENT`` tells these apart."""
+    """Rows with columns derived from neighbouring rows of the same log and segment; ``SEGMENT`` separates these."""
     marked = rows.with_columns(
         pl.col(SEGMENT).alias(_OWN_SEGMENT),
         _stretches(*LOG, SEGMENT).alias(SEGMENT),
@@ -125,15 +126,15 @@ def _derived(rows: pl.DataFrame) -> pl.DataFrame:
 
 
 def _stretches(*columns: str) -> pl.Expr:
-    """A number for each stretch of rows that have the same values."""
+    """A number for each stretch of rows with equal values."""
     changed = pl.any_horizontal(pl.col(name).ne_missing(pl.col(name).shift()) for name in columns)
     return changed.cum_sum().cast(pl.Int64)
 
 
 def ledger(batch: pl.DataFrame) -> pl.DataFrame:
-    """What a batch holds of each segment of each log, a row for each file; where logs alternate several."""
+    """Counts and sums of each segment of each log in a batch: a row for each stretch of rows of one file."""
     counted = dict.fromkeys([*(quantity.column for quantity in RANKED), *COVERED.values()])
-    return batch.group_by(_STRETCH, maintain_order=True).agg(  # one whole number: five times as fast as by five texts
+    return batch.group_by(_STRETCH, maintain_order=True).agg(  # five times as fast as grouping by five texts
         pl.first(*LOG, FILE, _OWN_SEGMENT),
         pl.len().cast(pl.Int64).alias(FRAMES),
         pl.min("frame").alias("first"),
@@ -147,14 +148,14 @@ def ledger(batch: pl.DataFrame) -> pl.DataFrame:
 
 
 def logs_of(ledgers: Sequence[pl.DataFrame]) -> pl.DataFrame:
-    """A row for each log and configuration, from what all batches hold.
+    """A row for each log and configuration, from the ledgers of all batches.
 
-    Its columns are ``LOG``, ``DATE``, the ``FILES`` with its rows, its ``FRAMES``, ``SEGMENTS`` and ``SPAN_NS``, the
-    longest ``GAP_NS``, and of the quantities that logs are ranked by and covered columns how many frames have one
-    (``valued``) and their sum (``summed``).
+    The columns are ``LOG``, ``DATE``, the ``FILES`` with its rows, its ``FRAMES``, ``SEGMENTS`` and ``SPAN_NS``, the
+    longest ``GAP_NS``, and for the columns in rankings the number of frames with a value (``valued``) and the sum of
+    the values (``summed``).
 
     Raises:
-        TableError: a frame counts twice, as where a file is there beside the one that it was put into with others.
+        TableError: a frame appears twice, as in a file and in a compacted copy of it.
     """
     rows = pl.concat(ledgers)
     totals = [name for name in rows.columns if name.startswith(("valued ", "summed "))]
@@ -178,5 +179,5 @@ def logs_of(ledgers: Sequence[pl.DataFrame]) -> pl.DataFrame:
     if twice.height:
         log_id, config, files = twice.select(*LOG, FILES).row(0)
         where = " and ".join(files[:2])
-        raise TableError(f"log {log_id}, configuration {config}: has frames that stand twice, in {where}")
+        raise TableError(f"log {log_id}, configuration {config}: has the same frames twice, in {where}; remove one")
     return logs

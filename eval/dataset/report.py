@@ -1,4 +1,4 @@
-"""What a batch's dataset holds, on the terminal."""
+"""Prints the report over a batch's dataset."""
 
 import sys
 from collections import Counter
@@ -22,7 +22,7 @@ from ..sections import LISTED, sections
 from ..summary import Summary
 from .groups import GroupedFrames, group_frames, summaries_of
 from .keys import DEFAULT, LOG, in_order_of_runs, log_names, settings_by_config
-from .place import DONE, Dataset, metrics_files, read_runs, without_file
+from .place import DONE, NO_TABLES, Dataset, metrics_files, read_runs, without_file
 from .reading import FRAMES, SPAN_NS
 from .worst import LogKey, Row, key_of, worst_logs
 
@@ -30,18 +30,18 @@ FAILED_LISTED: Final = 20
 _LABEL_COLUMNS: Final = 24
 _HOUR_S: Final = 3600
 _GROUP_COLUMNS: Final = 59
-"""Characters that the widest row of numbers about a group needs next to its name."""
+"""Width of the widest row of numbers beside a group's name."""
 _WORST_COLUMNS: Final = 59
-"""Characters that the widest table of worst logs needs next to a log's name."""
+"""Width of the widest table of worst logs beside a log's name."""
 
 
-def _fared(runs: pl.DataFrame) -> Iterator[str]:
+def _statuses(runs: pl.DataFrame) -> Iterator[str]:
     """Numbers of runs by status, then a line for each of the first failed logs.
 
     A line names the configurations unless the log failed under all of them.
     """
     if not runs.height:
-        yield "runs: no runs.parquet says how they fared"
+        yield "runs: status unknown, no runs.parquet"
         return
     ranked = sorted(Counter(runs["status"]).items(), key=lambda item: (item[0] != DONE, -item[1], item[0]))
     yield f"runs: {', '.join(f'{count} {status}' for status, count in ranked)}"
@@ -56,9 +56,9 @@ def _fared(runs: pl.DataFrame) -> Iterator[str]:
 
 
 def settings_that_differ(known: Mapping[str, Settings | None]) -> TextTable:
-    """The settings, and the options, that are not the same in all configurations.
+    """The settings and options that differ between configurations.
 
-    ``known`` are by configuration those that are not the default; None where nothing says them.
+    ``known`` has the non-default settings of each configuration; None if unknown.
     """
     keys = dict.fromkeys(key for settings in known.values() for key in settings or ())
     whole = {
@@ -69,16 +69,16 @@ def settings_that_differ(known: Mapping[str, Settings | None]) -> TextTable:
 
 
 def groups_table(summaries: Sequence[Summary], found: GroupedFrames, notes: tuple[str, ...]) -> TextTable:
-    """A row for each group: its logs, frames, time where it has whole logs, and frames with all inputs' messages."""
+    """A row for each group: numbers of logs and frames, the time of whole logs, and frames with all inputs."""
     whole = found.by.of_whole_logs
     headers = ("logs", "frames", *(["log time"] if whole else []), "inputs %")
     rows = tuple(_group(summary, whole) for summary in summaries)
     if found.groups > len(summaries):
         notes += (f"listed: {len(summaries)} of {found.groups} groups, those with the worst mean errors",)
     if any(len(summary.configs) > 1 for summary in summaries):
-        apart = ",".join((*found.by.asked, "config"))
-        notes += (f"groups are over several configurations: --by {apart} keeps these apart",)
-    return TextTable(f"By {', '.join(found.by.asked)}", headers, rows, notes, label_columns=15)
+        separate = ",".join((*found.by.as_options, "config"))
+        notes += (f"groups include several configurations; pass --by {separate} to separate them",)
+    return TextTable(f"By {', '.join(found.by.as_options)}", headers, rows, notes, label_columns=15)
 
 
 def log_time(span_s: float) -> str:
@@ -102,15 +102,15 @@ def worst_logs_table(worst: Mapping[Quantity, Sequence[Row]], names: Mapping[Log
             frames = ", ".join(f"{at['frame']}({at['since_start_s']:.2f}s)" for at in item["at"])
             rows.append(row(f"  {names[key_of(item)]}", *values, percent(item["share"]), frames))
     notes = (
-        "each log under the configuration where it is worst; the mean is of the absolute error",
-        "frames to look at, the worst first: numbers, in brackets seconds from the log's first frame",
+        "each log under its worst configuration; mean of the absolute error",
+        "frames to look at: the worst first, in brackets s from the log's first frame",
     )
     headers = ("mean", "worst", "frames %", "frames to look at")
     return TextTable("Worst logs", headers, tuple(rows), notes if rows else (), last_is_text=True, label_columns=15)
 
 
 def _folded(label: str) -> TextRow:
-    """A label that leaves room for the others' words."""
+    """A quantity's label; the part in brackets of a long label goes on the next line."""
     name, bracket, more = label.rpartition(" (")
     long = bracket and len(label) > _LABEL_COLUMNS
     return TextRow(name, below=f"{bracket.strip()}{more}") if long else row(label)
@@ -119,15 +119,15 @@ def _folded(label: str) -> TextRow:
 def least_covered_table(worst: Mapping[str, Sequence[Row]], names: Mapping[LogKey, str]) -> TextTable:
     """The logs in which the fewest frames have an output, and the longest stretch without it in each."""
     rows: list[TextRow] = []
-    for what, logs in worst.items():
-        rows.append(row(what))
+    for output, logs in worst.items():
+        rows.append(row(output))
         for item in logs:
             first, last = item["at"]["first"], item["at"]["last"]
             stretch = f"{first['frame']}-{last['frame']} ({first['since_start_s']:.2f}-{last['since_start_s']:.2f} s)"
             rows.append(row(f"  {names[key_of(item)]}", percent(item["share"]), stretch))
     notes = (
         "without: the longest stretch of frames, in brackets seconds from the log's first frame",
-        "outputs that a configuration gives in no frame are left out",
+        "outputs that a configuration never has are left out",
     )
     headers = ("frames %", "without")
     return TextTable(
@@ -135,8 +135,8 @@ def least_covered_table(worst: Mapping[str, Sequence[Row]], names: Mapping[LogKe
     )
 
 
-def where_the_logs_are(log_ids: Iterable[str], names: Mapping[str, str], runs: pl.DataFrame) -> Iterator[str]:
-    """A line on each log by its name: its path, from the list of runs."""
+def log_paths(log_ids: Iterable[str], names: Mapping[str, str], runs: pl.DataFrame) -> Iterator[str]:
+    """A line for each log with its name and its path from the list of runs."""
     paths = dict(runs.filter(pl.col("log_id").is_not_null()).select("log_id", "path").iter_rows())
     ordered = sorted(set(log_ids), key=lambda log_id: names[log_id])
     yield from ["Logs named above"] if ordered else []
@@ -146,20 +146,19 @@ def where_the_logs_are(log_ids: Iterable[str], names: Mapping[str, str], runs: p
 def not_listed(runs: pl.DataFrame, logs: pl.DataFrame) -> Iterator[str]:
     """Lines on disagreements between the list of runs and the tables."""
     known = runs.filter(pl.col("log_id").is_not_null())
-    gone = without_file(runs)
-    if gone.height:
-        yield f"left out, for another log has taken the place of their files: {_count(gone)}"
+    replaced = without_file(runs)
+    if replaced.height:
+        yield f"left out, because other logs have replaced their files: {_count(replaced)}"
     extra = logs.join(known, on=LOG, how="anti")
     if extra.height:
-        yield f"not in runs.parquet, taken all the same, for another batch may be at work: {_count(extra)}"
-    done = known.join(gone, on=LOG, how="anti").filter(pl.col("status") == DONE, pl.col("frames") > 0)
+        yield f"included, but not in runs.parquet (a batch may be running): {_count(extra)}"
+    done = known.join(replaced, on=LOG, how="anti").filter(pl.col("status") == DONE, pl.col("frames") > 0)
     lacking = done.join(logs, on=LOG, how="anti")
     if lacking.height:
-        names = listed(lacking["path"].to_list(), 3)
-        yield f"done, as runs.parquet says, but without a table: {lacking.height} ({names})"
+        yield f"done in runs.parquet, but without a table: {lacking.height} ({listed(lacking['path'].to_list(), 3)})"
     failed = logs.join(known.filter(pl.col("status") != DONE), on=LOG, how="semi")
     if failed.height:
-        yield f"{failed.height} tables are of an earlier run than the one that failed: they count"
+        yield f"{number(failed.height, 'table')} from before a failed run: included"
 
 
 def _count(rows: pl.DataFrame) -> str:
@@ -171,25 +170,25 @@ def print_dataset(dataset: Dataset, by: Sequence[str], worst: int) -> None:
     """Print statistics over a dataset's tables by group, and its worst logs.
 
     Args:
-        dataset: where it is.
-        by: columns to group by; what made the tables, where they differ in that, if empty.
-        worst: how many logs are listed for each error, and frames of each.
+        dataset: the dataset.
+        by: columns to group by; if empty, configuration and version if they differ.
+        worst: number of logs listed for each error, and of frames of each log.
 
     Raises:
-        TableError: there is nothing to report, a table cannot be read, or there is no such column.
+        TableError: there are no tables, a table cannot be read, or a column does not exist.
     """
     runs, files = read_runs(dataset), metrics_files(dataset)
     console = console_for(sys.stdout)
     if not files:
         if not runs.height:
-            raise TableError(f"{dataset.address}: no tables in metrics/date=.../, and no runs.parquet")
-        print_lines(console, *_fared(runs), unbroken=True)
-        raise TableError(f"{dataset.address}: no log gave a table, so there is nothing to report")
+            raise TableError(f"{dataset.address}: {NO_TABLES}")
+        print_lines(console, *_statuses(runs), unbroken=True)
+        raise TableError(f"{dataset.address}: no tables in metrics/date=.../; no log of the batch has frames")
     found = group_frames(files, runs, by)
     configs = in_order_of_runs(found.logs["config"].unique(maintain_order=True).to_list(), runs)
     names = log_names(found.logs["log_id"].unique(maintain_order=True), runs)
     summaries = summaries_of(found, names, configs)
-    print_lines(console, _contents(dataset, found.logs), *_fared(runs), unbroken=True)
+    print_lines(console, _contents(dataset, found.logs), *_statuses(runs), unbroken=True)
     print_lines(console, *not_listed(runs, found.logs), unbroken=True)
     print_table(console, settings_that_differ(settings_by_config(runs, configs)))
     _print_groups(console, summaries, found)
@@ -204,21 +203,21 @@ def _contents(dataset: Dataset, logs: pl.DataFrame) -> str:
 
 
 def _print_groups(console: Console, summaries: Sequence[Summary], found: GroupedFrames) -> None:
-    shown = _short([summary.name for summary in summaries], found.by.columns, console.width - _GROUP_COLUMNS)
-    called = [replace(summary, name=shown[summary.name]) for summary in summaries]
+    names = _short([summary.name for summary in summaries], found.by.columns, console.width - _GROUP_COLUMNS)
+    renamed = [replace(summary, name=names[summary.name]) for summary in summaries]
     if found.by.columns:
-        print_table(console, groups_table(called, found, tuple(legend(shown))))
+        print_table(console, groups_table(renamed, found, tuple(legend(names))))
     else:
-        print_lines(console, inputs(called[0]))
-    if any(summary.rank_error for summary in called):
-        print_lines(console, precision(max(called, key=lambda summary: summary.rank_error)))
-    print_parts(console, *sections(called))
-    if len(called) > LISTED:
-        print_lines(console, f"by group: at most {LISTED} of {len(called)} each time, those with the worst p95")
+        print_lines(console, inputs(renamed[0]))
+    if any(summary.rank_error for summary in renamed):
+        print_lines(console, precision(max(renamed, key=lambda summary: summary.rank_error)))
+    print_parts(console, *sections(renamed))
+    if len(renamed) > LISTED:
+        print_lines(console, f"by group: at most {LISTED} of {len(renamed)} per row, those with the worst p95")
 
 
 def _short(names: Sequence[str], columns: Sequence[str], width: int) -> dict[str, str]:
-    """What groups are called in tables: by themselves or their ends, those by several columns by their number."""
+    """Short names of groups; long names of groups by several columns are replaced by numbers."""
     if len(columns) > 1 and any(len(name) > width for name in names):
         return {name: f"group {number}" for number, name in enumerate(names, 1)}
     return short_names(names, width)
@@ -228,10 +227,10 @@ def _print_worst(
     console: Console, logs: pl.DataFrame, runs: pl.DataFrame, names: Mapping[str, str], number: int
 ) -> None:
     by_quantity, by_coverage = worst_logs(logs, number)
-    named = [key_of(item) for ranking in (by_quantity, by_coverage) for rows in ranking.values() for item in rows]
+    keys = [key_of(item) for ranking in (by_quantity, by_coverage) for rows in ranking.values() for item in rows]
     several = logs["config"].n_unique() > 1
-    whole = {key: f"{names[key[0]]} {key[1]}" if several else names[key[0]] for key in dict.fromkeys(named)}
-    shown = short_names(list(whole.values()), console.width - _WORST_COLUMNS)
-    called = {key: shown[name] for key, name in whole.items()}
-    print_parts(console, worst_logs_table(by_quantity, called), least_covered_table(by_coverage, called))
-    print_lines(console, "", *where_the_logs_are((log_id for log_id, _ in named), names, runs), unbroken=True)
+    full = {key: f"{names[key[0]]} {key[1]}" if several else names[key[0]] for key in dict.fromkeys(keys)}
+    short = short_names(list(full.values()), console.width - _WORST_COLUMNS)
+    shown = {key: short[name] for key, name in full.items()}
+    print_parts(console, worst_logs_table(by_quantity, shown), least_covered_table(by_coverage, shown))
+    print_lines(console, "", *log_paths((log_id for log_id, _ in keys), names, runs), unbroken=True)

@@ -1,4 +1,4 @@
-"""The worst logs of a dataset, and their worst frames, which are read again from the log's files."""
+"""The worst logs of a dataset, and their worst frames, which are read in a second pass."""
 
 import math
 from collections.abc import Mapping
@@ -26,16 +26,16 @@ _AT_ONCE: Final = 2
 def worst_logs(logs: pl.DataFrame, number: int) -> tuple[dict[Quantity, list[Row]], dict[str, list[Row]]]:
     """The worst logs by each quantity, with their worst frames.
 
-    Errors against truth rank them, or suspect quantities without truth. Logs with only perfect frames are left out.
+    Errors against truth rank the logs, or suspect quantities without truth. Logs with only perfect frames are left out.
 
     Args:
-        logs: as ``logs_of`` gives them.
-        number: of logs, and of frames in each.
+        logs: the result of ``logs_of``.
+        number: number of logs, and of frames in each log.
 
     Returns:
-        By quantity: rows with ``LOG``, the ``mean`` of the absolute values, of what is better high of the values, the
-        ``share`` of frames with one, and ``at``, the worst frames. By output: rows with ``LOG``, the ``share`` of
-        frames that have it, and ``at``, the ``first`` and ``last`` frame of the longest stretch without it.
+        By quantity: rows with ``LOG``, the ``mean`` of the absolute values (of the values if high is better), the
+        ``share`` of frames with a value, and ``at``, the worst frames. By output: rows with ``LOG``, the ``share`` of
+        frames with the output, and ``at``, the ``first`` and ``last`` frame of the longest stretch without it.
 
     Raises:
         TableError: a table cannot be read.
@@ -58,7 +58,7 @@ def worst_logs(logs: pl.DataFrame, number: int) -> tuple[dict[Quantity, list[Row
 
 
 def key_of(row: Row) -> LogKey:
-    """The log and configuration that a row is of."""
+    """The log and configuration of a row."""
     return row["log_id"], row["config"]
 
 
@@ -67,7 +67,7 @@ def _ranked_by(logs: pl.DataFrame) -> list[Quantity]:
 
 
 def _mean_badness(quantity: Quantity) -> pl.Expr:
-    """How bad a log is, the larger the worse: the mean over the frames with a value; null without any."""
+    """A number that is larger for a worse log: the mean over the frames with a value; null without values."""
     mean = pl.col(summed(quantity.column)) / pl.col(valued(quantity.column))
     return pl.when(pl.col(valued(quantity.column)) > 0).then(-mean if quantity.better == "high" else mean)
 
@@ -81,19 +81,19 @@ def _worst(logs: pl.DataFrame, quantity: Quantity, number: int) -> pl.DataFrame:
 
 
 def _uncovered(logs: pl.DataFrame, column: str, number: int) -> pl.DataFrame:
-    """The logs with the least share of frames with a value, where that is not all, and the configuration gives any."""
-    given = logs.filter(pl.col(valued(column)).sum().over("config") > 0)  # else it was switched off
-    ranked = given.with_columns((pl.col(valued(column)) / pl.col(FRAMES)).alias("share"))
+    """The logs with the smallest share of frames with a value, without complete logs and disabled outputs."""
+    enabled = logs.filter(pl.col(valued(column)).sum().over("config") > 0)
+    ranked = enabled.with_columns((pl.col(valued(column)) / pl.col(FRAMES)).alias("share"))
     return _each_once(ranked.filter(pl.col("share") < 1).sort("share", *LOG), number)
 
 
 def _each_once(ranked: pl.DataFrame, number: int) -> pl.DataFrame:
-    """The first logs, each under the configuration where it comes first."""
+    """The first logs, each under its first configuration."""
     return ranked.unique("log_id", keep="first", maintain_order=True).head(number)
 
 
 def _longest_without(column: str) -> pl.Expr:
-    """First and last frame of the longest stretch of frames without a value, the first of equals: a struct."""
+    """A struct of the first and last frame of the longest stretch without a value; of equals the first."""
     without = pl.col(column).is_null()
     stretch = without.rle_id().filter(without)
     longest = stretch == stretch.mode().min()
@@ -102,15 +102,15 @@ def _longest_without(column: str) -> pl.Expr:
 
 
 def _read(logs: pl.DataFrame, wanted: Mapping[LogKey, list[pl.Expr]]) -> dict[LogKey, dict[str, Any]]:
-    """What is wanted of each log."""
+    """Read the requested expressions of each log."""
     selected = pl.DataFrame(list(wanted), schema=dict.fromkeys(LOG, pl.String), orient="row")
     files = {key_of(row): row[FILES] for row in logs.join(selected, on=LOG, how="semi").iter_rows(named=True)}
     with ThreadPoolExecutor(_AT_ONCE) as threads:
-        rows = threads.map(partial(_ask, files=files), wanted.items())
+        rows = threads.map(partial(_read_log, files=files), wanted.items())
         return dict(zip(wanted, rows, strict=True))
 
 
-def _ask(item: tuple[LogKey, list[pl.Expr]], files: Mapping[LogKey, list[str]]) -> dict[str, Any]:
+def _read_log(item: tuple[LogKey, list[pl.Expr]], files: Mapping[LogKey, list[str]]) -> dict[str, Any]:
     (log_id, config), expressions = item
     tables = scan_tables(files[log_id, config])
     own = tables.filter(pl.col("log_id") == log_id, pl.col("config") == config)
@@ -119,9 +119,9 @@ def _ask(item: tuple[LogKey, list[pl.Expr]], files: Mapping[LogKey, list[str]]) 
 
 
 def chosen(logs: pl.DataFrame, keys: list[str], number: int) -> pl.DataFrame:
-    """The worst groups of logs: by each quantity in turn the next worst mean, until there are so many.
+    """The worst groups of logs: in turn the next worst mean by each quantity, up to ``number`` groups.
 
-    ``logs`` are as ``logs_of`` gives them, with the columns ``keys``.
+    ``logs`` are the result of ``logs_of`` with the columns ``keys``.
     """
     totals = [name for quantity in RANKED for name in (valued(quantity.column), summed(quantity.column))]
     groups = logs.group_by(keys, maintain_order=True).agg(pl.sum(*totals))
@@ -135,6 +135,6 @@ def chosen(logs: pl.DataFrame, keys: list[str], number: int) -> pl.DataFrame:
 
 
 def _ranked(groups: pl.DataFrame, quantity: Quantity) -> list[int]:
-    """The rows of the groups that have a mean, the worst first."""
+    """Indices of the groups with a mean, the worst first."""
     bad = groups.select(_mean_badness(quantity).alias("bad")).with_row_index("index")
     return bad.sort("bad", descending=True, nulls_last=True).filter(pl.col("bad").is_not_null())["index"].to_list()

@@ -33,15 +33,15 @@ def histograms(runs: Sequence[Series]) -> Iterator[Figure]:
 
 
 def bin_edges(values: Sequence[Float]) -> Float:
-    """Edges over all finite values, in bins of some width even where all are equal.
+    """Edges of 2 sqrt(N) bins over N finite values, within limits; more bins would only show single values.
 
-    Of N values there are 2 sqrt(N) bins: more would show single values, not how they are distributed.
+    Bins have a width even if all values are equal.
     """
     joined = np.concatenate(values)
     known = joined[np.isfinite(joined)]
     bins = int(np.clip(2 * np.sqrt(len(known)), LEAST_BINS, MOST_BINS))
     span = float(known.max() - known.min()) if known.size else 0.0
-    if known.size and 0 <= span < bins * np.spacing(np.abs(known).max()):  # no room for so many between neighbours
+    if known.size and 0 <= span < bins * np.spacing(np.abs(known).max()):  # too few floats between the ends
         return np.linspace(known.min() - abs(known.min()) / 2, known.max() + abs(known.max()) / 2, bins + 1)
     edges: Float = np.histogram_bin_edges(known, bins)
     return edges

@@ -1,4 +1,4 @@
-"""Charts over time: lane offsets, distances, inliers, and what each stage took."""
+"""Charts over time: lane offsets, distances, inliers, and the time of each stage."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ _TIME: Final = "s from the log's first frame"
 
 @dataclass(frozen=True)
 class Kind:
-    """A column in a chart, the name it has there and how its line looks."""
+    """A column in a chart: its name there and the style of its line."""
 
     column: str
     name: str
@@ -28,7 +28,7 @@ class Kind:
 
 @dataclass(frozen=True)
 class TimeChart:
-    """Columns that share an axis."""
+    """Columns with a common axis."""
 
     title: str
     unit: str
@@ -85,11 +85,11 @@ _STAGE_COLOURS: Final = {
     REST.name: "#9ca3af",
 }
 COLUMNS: Final = (*(kind.column for chart in CHARTS for kind in chart.kinds), *STAGE_COLUMNS)
-"""What these charts need of a table, where it has them."""
+"""Columns of these charts."""
 
 
 def over_time(runs: Sequence[Series]) -> Iterator[Figure]:
-    """The charts that have anything to show; runs lie over each other."""
+    """The charts with values; all runs share each chart."""
     for chart in CHARTS:
         traces = [trace for place, run in enumerate(runs) for trace in _traces(chart, run, place, len(runs) > 1)]
         if traces:
@@ -98,7 +98,7 @@ def over_time(runs: Sequence[Series]) -> Iterator[Figure]:
 
 
 def _traces(chart: TimeChart, run: Series, place: int, several: bool) -> Iterator[Trace]:
-    """A line per kind; of several runs the colour stands for the run, the dash for the kind, and each has one key."""
+    """A line for each kind; with several runs the colour shows the run, the dash the kind; one legend entry per run."""
     present = [kind for kind in chart.kinds if kind.column in run.values]
     keyed = next((kind for kind in present if kind.dash == "solid"), present[0] if present else None)
     for kind in present:
@@ -125,7 +125,7 @@ def _note(chart: TimeChart, runs: int) -> str:
 
 
 def stage_times(runs: Sequence[Series], summaries: Sequence[Summary]) -> Iterator[Figure]:
-    """What each stage took: of one run stacked over time, of several the means stacked and the totals over time."""
+    """Times of the stages: of one run stacked over time; of several runs stacked means, and totals over time."""
     if len(runs) == 1:
         yield from _stacked(runs[0])
         return
@@ -136,13 +136,13 @@ def stage_times(runs: Sequence[Series], summaries: Sequence[Summary]) -> Iterato
         if TOTAL.column in run.values
     ]
     if totals:
-        yield Figure("Time of a frame", "All of its parts together.", totals, layout(_TIME, "ms"))
+        yield Figure("Time of a frame", "The sum over all stages.", totals, layout(_TIME, "ms"))
 
 
 def _stacked(run: Series) -> Iterator[Figure]:
     if TOTAL.column not in run.values:
         return
-    # One choice of frames for all stages, by the total: the sum of the areas is then the total of each frame shown.
+    # All stages are thinned to the same frames, by the total, so that the areas add up to each frame's total.
     kept = thinned(run.values[TOTAL.column])
     traces = []
     for name, took_ms in _stages(run).items():
@@ -155,7 +155,7 @@ def _stacked(run: Series) -> Iterator[Figure]:
 
 
 def _stages(run: Series) -> dict[str, Float]:
-    """Milliseconds of each stage that ran, 0 where it did not, and the rest of the frame's time."""
+    """Milliseconds of each stage, 0 if it did not run, and the rest of the frame's time."""
     names = {stage.column: stage.name for stage in STAGE_TIMES if stage not in {REST, TOTAL}}
     stages = {names[column]: np.nan_to_num(run.values[column]) for column in names if column in run.values}
     rest = run.values[TOTAL.column] - sum(stages.values(), np.zeros(len(run.since_start_s)))
@@ -163,7 +163,7 @@ def _stages(run: Series) -> dict[str, Float]:
 
 
 def _means(summaries: Sequence[Summary]) -> Figure:
-    """A bar per run of each stage's mean over all frames."""
+    """A bar for each run with each stage's mean over all frames."""
     traces: list[Trace] = []
     names = [escaped(summary.name) for summary in summaries]
     for stage in (stage for stage in STAGE_TIMES if stage != TOTAL):

@@ -1,4 +1,4 @@
-"""Puts the page together: everything in one file, the charting library included."""
+"""Renders the page into one file, including the charting library."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -27,13 +27,13 @@ from .over_time import COLUMNS, over_time, stage_times
 from .pictures import WORST, gallery, log_of
 
 RUNS_DRAWN: Final = 8
-"""Runs side by side: as many as there are colours to tell them apart."""
+"""Most runs on a page; there are as many colours."""
 _NOT_NAMED: Final = "not named"
 _COLUMNS: Final = (*COLUMNS, *POSE_COLUMNS, *ERROR_COLUMNS)
 
 
 def identity(summaries: Sequence[Summary], runs: Sequence[Run]) -> TextTable:
-    """What each run is: log, configuration, version, names and extent."""
+    """Log, configuration, version, files and extent of each run."""
     facts = [_facts(summary, run) for summary, run in zip(summaries, runs, strict=True)]
     rows = tuple(TextRow(label, tuple((fact[label],) for fact in facts)) for label in facts[0])
     return TextTable("What was replayed", ("",), rows, subjects=tuple(summary.name for summary in summaries))
@@ -56,24 +56,20 @@ def _facts(summary: Summary, run: Run) -> dict[str, str]:
 
 
 def write_page(target: Path, runs: Sequence[Run]) -> None:
-    """Write the page over runs with frames, ``.html`` or ``.htm``; it appears under its name only when complete.
+    """Write the page over runs with frames to a ``.html`` or ``.htm`` file, as a partial file until complete.
 
     Raises:
         TableError: a table cannot be read.
-        TargetError: the page cannot be written, or not under this name.
+        TargetError: the page cannot be written, or has another suffix.
     """
     require_suffix(target, ".html", ".htm")
-    text = page(runs)
+    text = _page(runs)
     with completing(target) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
-def page(runs: Sequence[Run]) -> str:
-    """The page as HTML; of more than ``RUNS_DRAWN`` runs the first are shown, and the page says so.
-
-    Raises:
-        TableError: a table cannot be read.
-    """
+def _page(runs: Sequence[Run]) -> str:
+    """The page as HTML, over the first ``RUNS_DRAWN`` runs; a note gives the number of the others."""
     drawn = runs[:RUNS_DRAWN]
     groups = grouped(drawn)
     frames = max(WORST // len(groups), 1)
@@ -99,19 +95,21 @@ def page(runs: Sequence[Run]) -> str:
 
 
 def _render(charts: Mapping[str, Sequence[Figure]], **content: Any) -> str:
-    """The page; each figure has an identifier, sections without any are left out."""
+    """Render the template; each figure gets an identifier, and sections without figures are left out."""
     numbers = count(1)
     named = {
         section: [(f"chart-{next(numbers)}", figure) for figure in figures]
         for section, figures in charts.items()
         if figures
     }
+    specs = {name: figure.spec for figures in named.values() for name, figure in figures}
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, finalize=_text, trim_blocks=True, lstrip_blocks=True
     )
     return environment.from_string(_part("page.html")).render(
         charts=named,
-        specs=_json({name: figure.spec for figures in named.values() for name, figure in figures}),
+        # "<" is escaped, so that no name can end the script element
+        specs=Markup(json.dumps(specs, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")),
         style=Markup(_part("page.css")),
         script=Markup(_part("page.js")),
         plotly=Markup(get_plotlyjs()),
@@ -120,14 +118,9 @@ def _render(charts: Mapping[str, Sequence[Figure]], **content: Any) -> str:
 
 
 def _text(value: Any) -> Any:
-    """A value as the page shows it; a picture's bytes, which are printable, come whole."""
+    """A value for the page; texts with unprintable characters are escaped."""
     plain = not isinstance(value, str) or isinstance(value, Markup) or value.isprintable()
     return value if plain else shown(value)
-
-
-def _json(content: object) -> Markup:
-    """JSON that may stand in a script element: no name in it can end the element."""
-    return Markup(json.dumps(content, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"))
 
 
 def _part(name: str) -> str:

@@ -25,7 +25,7 @@ from ..sections import ranked_by
 from ..summary import Summary, WorstFrame
 
 WORST: Final = 10
-"""Frames shown of each metric, of all configurations together."""
+"""Frames shown for each metric, over all configurations."""
 WIDTH_PX: Final = 400
 JPEG_QUALITY: Final = 75
 Key = tuple[str, int]
@@ -54,11 +54,11 @@ class Gallery:
 
 
 def gallery(groups: Sequence[Summary], runs: Sequence[Run]) -> Gallery:
-    """The worst frames, by each truth metric, or, without any truth, by signs of trouble.
+    """The worst frames by each truth metric, or without truth by the suspect quantities.
 
     Args:
-        groups: summary over the runs of each configuration, with its worst frames: each has its own.
-        runs: those of all groups, in the order in which their frames are shown.
+        groups: summary over the runs of each configuration, with its worst frames.
+        runs: the runs of all groups, in the order in which their frames are shown.
     """
     ranked = [
         (quantity, group.name if len(groups) > 1 else "", group.worst.get(quantity.column, ()))
@@ -90,7 +90,7 @@ def shown(value: float, quantity: Quantity) -> str:
 
 
 def data_uri(image_bgr: Image) -> str:
-    """A picture as a page carries it in itself: a JPEG."""
+    """A JPEG as a data URI."""
     _, encoded = cv2.imencode(".jpg", image_bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     return "data:image/jpeg;base64," + base64.b64encode(encoded.tobytes()).decode()
 
@@ -124,7 +124,7 @@ def _of_log(frames: Sequence[WorstFrame], table: Run) -> tuple[dict[Key, str], s
     log = log_of(table)
     if log is None or not log.is_file():
         name = log.name if log else "its log"
-        return {}, f"{name} is not where the table says, so there are no pictures of its frames."
+        return {}, f"{name} is not where the table says; no pictures of its frames."
     images: dict[Key, str] = {}
     problems = Problems()
     try:
@@ -132,14 +132,14 @@ def _of_log(frames: Sequence[WorstFrame], table: Run) -> tuple[dict[Key, str], s
         stored = [sha256(item.data).hexdigest() for item in summary.attachments if item.name == CONFIG_ATTACHMENT]
         if table.config_digest and any(digest != table.config_digest for digest in stored):
             again = f"{log.name} was replayed again with another configuration"
-            return {}, f"{again}, so it has no pictures of this run."
+            return {}, f"{again}; no pictures of this run."
         for frame, seen in _seen(summary, frames, problems):
             images[frame.run, frame.frame] = data_uri(draw_results(seen, WIDTH_PX))
     except RoadpercError as error:
         return images, f"no more pictures: {str(error).replace(str(log), log.name)}"
     lacking = len(frames) - len(images)
     notes = [f"{log.name} holds no camera image of {lacking} of these frames."] if lacking else []
-    notes += [f"What could not be read is not drawn: {'; '.join(problems.first.values())}."] if problems.first else []
+    notes += [f"not drawn, because unreadable: {'; '.join(problems.first.values())}."] if problems.first else []
     return images, " ".join(notes)
 
 
@@ -147,7 +147,7 @@ def _seen(
     log: LogSummary, frames: Sequence[WorstFrame], problems: Problems
 ) -> Iterator[tuple[WorstFrame, PerceivedFrame]]:
     """The frames with a camera image in the log, each with its results."""
-    if any(frame.segment for frame in frames):  # stamps come again there, so the log is read from the beginning
+    if any(frame.segment for frame in frames):  # stamps repeat in later segments, so the log is read from the start
         wanted = {frame.frame: frame for frame in frames}
         for row, seen in read_frames(log, problems):
             if seen and row.frame in wanted:

@@ -1,1 +1,1 @@
-"""Every combination of some settings over the same logs: the replays, their dataset, and which setting is best."""
+"""Sweeps of settings over logs: the combinations, their replays, and the ranking of their results."""

@@ -1,7 +1,7 @@
-"""Which setting is best for which metric: each setting's score over all its frames, and what each value does.
+"""Ranks the combinations of a sweep by each metric, and averages the scores of each value of a setting.
 
-A score is the median of a metric, without its sign, over the frames of all logs that have one, or the mean where the
-metric is a share. Next to it stands the share of frames that have one: a setting with lower coverage may err less.
+A score is the median of a metric's absolute value over the frames of all logs, or the mean of a share. Each score has
+a coverage, the share of frames with a value, because a setting with lower coverage may have smaller errors.
 """
 
 import hashlib
@@ -18,10 +18,11 @@ from roadperc_stream.schemas.columns import RATIO, TIME_COLUMNS
 
 from ..quantities import SIDES, TOTAL, TRUTH, Quantity
 from ..runs import reading
+from ..scan import finite
 from .settings import Combination
 
 COVERAGE_SLACK: Final = 0.01
-"""Largest loss of coverage, against the highest, at which a setting can still be the best."""
+"""A setting can be the best if its coverage is below the highest by at most this."""
 TIME_NOISE: Final = 0.15
 """Ratio by which times differ between sweeps on a busy machine."""
 _TABLE: Final = "table"
@@ -29,7 +30,7 @@ _TABLE: Final = "table"
 
 @dataclass(frozen=True)
 class SweepMetric:
-    """A metric of settings: ``value`` of a frame, and the ``score`` over all values of a setting.
+    """A metric of a combination: the ``value`` of a frame, and the ``score`` over all values.
 
     ``noise`` is the ratio by which a score varies from run to run.
     """
@@ -40,7 +41,7 @@ class SweepMetric:
     noise: float = 0.0
 
     def badness(self, score: float) -> float:
-        """Rises with how bad a score is."""
+        """A number that is larger for a worse score."""
         return -score if self.quantity.better == "high" else score
 
     def alike(self, scores: Iterable[float]) -> bool:
@@ -53,34 +54,30 @@ class SweepMetric:
 
 @dataclass(frozen=True)
 class SettingScore:
-    """A setting's number, None where no frame has a value, and the share of frames that have one."""
+    """Score of a combination, None without values, and the share of frames with a value."""
 
     value: float | None
     coverage: float
 
 
-def _finite(column: str) -> pl.Expr:
-    value = pl.col(column).cast(pl.Float64)
-    return pl.when(value.is_finite()).then(value)
-
-
 def _typical(quantity: Quantity) -> SweepMetric:
-    """The median of the absolute value; of a share the mean, for most frames may well have all or nothing of it."""
+    """The median of the absolute value; for a share the mean, because most frames may have a share of 0 or 1."""
     value = pl.col("value")
     score = value.mean() if quantity.unit == RATIO else value.abs().median()
-    return SweepMetric(quantity, _finite(quantity.column), score)
+    return SweepMetric(quantity, finite([quantity.column])[0], score)
 
 
 def _jitter(side: str) -> SweepMetric:
     """Standard deviation of the smoothed offset's second difference, held frames included."""
     quantity = Quantity(f"lane_{side}_offset_m", f"lane {side} jitter", "m", 4)
-    return SweepMetric(quantity, _finite(quantity.column).diff().diff().over(_TABLE), pl.col("value").std(ddof=0))
+    second_difference = finite([quantity.column])[0].diff().diff().over(_TABLE)
+    return SweepMetric(quantity, second_difference, pl.col("value").std(ddof=0))
 
 
 def _share(column: str, name: str) -> SweepMetric:
-    """Share of frames that have a value."""
+    """The share of frames with a value."""
     quantity = Quantity(column, name, RATIO, 3, better="high")
-    return SweepMetric(quantity, _finite(column).is_not_null().cast(pl.Float64), pl.col("value").mean())
+    return SweepMetric(quantity, finite([column])[0].is_not_null().cast(pl.Float64), pl.col("value").mean())
 
 
 METRICS: Final = (
@@ -93,7 +90,7 @@ METRICS: Final = (
     _share("step_m", "odometry tracked"),
     replace(_typical(replace(TOTAL, name="time a frame", decimals=0)), noise=TIME_NOISE),
 )
-"""The errors against truth, where there is one, and what needs none."""
+"""The errors against truth, and the metrics that need no truth."""
 
 
 def scores(tables: Sequence[Path], made: Sequence[Combination], metric: SweepMetric) -> list[SettingScore]:
@@ -117,15 +114,19 @@ def scores(tables: Sequence[Path], made: Sequence[Combination], metric: SweepMet
 def best(
     metric: SweepMetric, found: Sequence[SettingScore], made: Sequence[Combination], reference: Combination
 ) -> tuple[int, int | None] | None:
-    """Index of the best setting among those of highest coverage; of equals, the nearest to the reference.
+    """Index of the best combination with the highest coverage, and of a better one with lower coverage.
 
-    Also the index of a better setting of lower coverage, or None. None if no setting has a value.
+    Of equal combinations the one with the fewest changes from the reference is best. The second index is None if there
+    is no better combination. The result is None if no combination has a value.
     """
+
+    def changes(item: Combination) -> int:
+        return sum(item.settings[key] != value for key, value in reference.settings.items())
 
     def least_bad(values: Mapping[int, float]) -> int:
         least = min(values.values(), key=metric.badness)
         equals = [at for at, value in values.items() if metric.alike([value, least])]
-        return min(equals, key=lambda at: (changed(made[at], reference), at))
+        return min(equals, key=lambda at: (changes(made[at]), at))
 
     values = {at: score.value for at, score in enumerate(found) if score.value is not None}
     if not values:
@@ -136,13 +137,8 @@ def best(
     return winner, None if metric.alike([values[first], values[winner]]) else first
 
 
-def changed(item: Combination, reference: Combination) -> int:
-    """How many settings differ from the reference's."""
-    return sum(item.settings[key] != value for key, value in reference.settings.items())
-
-
 def effect(found: Sequence[SettingScore], made: Sequence[Combination], key: str) -> dict[Scalar, SettingScore]:
-    """What each value of a setting does: the mean score and coverage of the combinations that have it."""
+    """Mean score and coverage of the combinations with each value of a setting."""
     having: dict[Scalar, list[SettingScore]] = {}
     for score, item in zip(found, made, strict=True):
         having.setdefault(item.settings[key], []).append(score)
@@ -154,9 +150,9 @@ def effect(found: Sequence[SettingScore], made: Sequence[Combination], key: str)
 
 
 def without_influence(folder: Path, tables: Sequence[Path], made: Sequence[Combination]) -> Iterator[str]:
-    """The settings that change no column of any table, except times, for all values of the other settings.
+    """The settings that change no column except times, for all values of the other settings.
 
-    ``tables`` are those of all combinations, in or below the folder of their combination.
+    ``tables`` are the tables of all combinations, each below the folder of its combination.
     """
     results: dict[str, list[bytes]] = {}
     for path in tables:
@@ -164,11 +160,7 @@ def without_influence(folder: Path, tables: Sequence[Path], made: Sequence[Combi
         digest = hashlib.sha256(rows.hash_rows().to_numpy().tobytes()).digest()
         results.setdefault(path.relative_to(folder).parts[0], []).append(digest)
     for key in made[0].settings:
-        others = {_others(item, key) for item in made}
-        found = {(_others(item, key), *results[item.folder]) for item in made}
-        if len(others) < len(made) and len(found) == len(others):
+        others = [tuple(value for name, value in item.settings.items() if name != key) for item in made]
+        found = {(other, *results[item.folder]) for other, item in zip(others, made, strict=True)}
+        if len(set(others)) < len(made) and len(found) == len(set(others)):
             yield key
-
-
-def _others(item: Combination, key: str) -> tuple[object, ...]:
-    return tuple(value for name, value in item.settings.items() if name != key)

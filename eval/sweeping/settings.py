@@ -1,4 +1,4 @@
-"""The configuration of each combination of the values a sweep varies, and the folder that gets their tables."""
+"""The combinations of a sweep's settings, and the folder with their tables."""
 
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -21,14 +21,14 @@ from ..options import Varied
 from ..runs import distinct_names
 
 AT_ONCE: Final = 32
-"""Combinations that go through a log together: each has up to 1000 rows, some 4 MB, waiting to be written."""
+"""Combinations replayed together; each buffers up to 1000 rows, about 4 MB."""
 MARK: Final = "sweep.toml"
-"""The file that makes a folder a sweep's: what was varied, over which logs."""
+"""The file that marks the folder of a sweep and holds its settings and logs."""
 
 
 @dataclass(frozen=True)
 class Combination:
-    """One value of every varied setting, and the configuration with them; ``number`` counts from 0."""
+    """One value of every varied setting, and the configuration with these values; ``number`` counts from 0."""
 
     number: int
     settings: Mapping[str, Scalar]
@@ -36,7 +36,7 @@ class Combination:
 
     @property
     def folder(self) -> str:
-        """Name of its folder in the dataset: names in alphabetical order are in the order of the combinations."""
+        """Name of its folder; names sort in the order of the combinations."""
         return f"{self.number:04}"
 
     def __str__(self) -> str:
@@ -44,10 +44,10 @@ class Combination:
 
 
 def combinations(config: Path | None, settings: Sequence[str], vary: Sequence[Varied]) -> tuple[Combination, ...]:
-    """Every combination of the varied values over the configuration of a file and settings, the last varied fastest.
+    """All combinations of the varied values, on top of a configuration file and settings; the last key varies fastest.
 
     Raises:
-        ConfigError: a key or value does not fit; the message names it.
+        ConfigError: a key or value is invalid; the message names it.
     """
     choices = product(*([f"{item.key}={text}" for text in item.texts] for item in vary))
     cfgs = [load_config(config, (*settings, *choice)) for choice in choices]
@@ -59,61 +59,57 @@ def combinations(config: Path | None, settings: Sequence[str], vary: Sequence[Va
 
 
 def reference_of(made: Sequence[Combination], cfg: ReplayConfig) -> Combination:
-    """The combination that others are compared with: that of a configuration, else the first."""
+    """The combination with this configuration, else the first one; others are compared with it."""
     return next((item for item in made if item.cfg == cfg), made[0])
 
 
 def passes(made: Sequence[Combination]) -> list[tuple[Combination, ...]]:
-    """Combinations that may take the same samples, so that a log is read and decoded once for all of them."""
+    """Groups of combinations that use the same samples, so that a log is read and decoded once per group."""
     groups: dict[Hashable, list[Combination]] = {}
     for item in made:
-        groups.setdefault(_decoding(item.cfg), []).append(item)
+        # The settings that samples depend on, see ``ReplayInput.samples`` and ``assemble.sample_of``.
+        decoding = (item.cfg.sync, item.cfg.limits, item.cfg.tag_table, item.cfg.surface.assumed_height_m)
+        groups.setdefault(decoding, []).append(item)
     return [tuple(group[at : at + AT_ONCE]) for group in groups.values() for at in range(0, len(group), AT_ONCE)]
 
 
 def shown(value: Scalar) -> str:
-    """A value as one types it."""
+    """A value as a user types it."""
     return str(value).lower() if isinstance(value, bool) else f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def setting_of(cfg: ReplayConfig, key: str) -> Scalar:
-    """The value of a setting such as ``lanes.hold_s``; a list of words is joined by commas."""
+    """The value of a setting such as ``lanes.hold_s``; a list is joined by commas."""
     value = reduce(getattr, key.split("."), cfg)
     return ",".join(value) if isinstance(value, tuple) else value  # type: ignore[return-value]
 
 
-def _decoding(cfg: ReplayConfig) -> Hashable:
-    """All that samples depend on besides the log: see ``ReplayInput.samples`` and ``assemble.sample_of``."""
-    return (cfg.sync, cfg.limits, cfg.tag_table, cfg.surface.assumed_height_m)
-
-
 def _of_one_type(values: Sequence[Scalar]) -> Sequence[Scalar]:
-    """Values as one Parquet column can hold them: numbers and words together, as in ``auto,64``, become words."""
+    """Values of one Parquet column: numbers beside texts, as in ``auto,64``, become texts."""
     types = {type(value) for value in values}
     return values if len(types) == 1 else [shown(value) for value in values]
 
 
 @contextmanager
 def dataset(target: Path, force: bool) -> Iterator[Path]:
-    """A folder to fill, which takes its name when all went well and is removed when not.
+    """A partial folder that is renamed to ``target`` on success and removed on failure.
 
     Raises:
-        TableError: the name is taken: by a former sweep without ``force``, or by anything else.
+        TableError: the target is a file, an earlier sweep without ``force``, or a folder with other files.
     """
-    if target.exists():
-        if not target.is_dir():
-            raise TableError(f"{target}: is a file, expected the name of a folder")
-        if any(target.iterdir()):
-            if not (target / MARK).is_file():
-                raise TableError(f"{target}: is a folder with other things in it; name a new one")
-            if not force:
-                raise TableError(f"{target}: exists; pass --force to overwrite it")
+    if target.exists() and not target.is_dir():
+        raise TableError(f"{target}: is a file, expected the name of a folder")
+    if target.is_dir() and any(target.iterdir()):
+        if not (target / MARK).is_file():
+            raise TableError(f"{target}: the folder holds other files; pass another one")
+        if not force:
+            raise TableError(f"{target}: exists; pass --force to overwrite it")
     with completing_folder(target) as hidden:
         yield hidden
 
 
 def describe(folder: Path, made: Sequence[Combination], logs: Sequence[Path]) -> None:
-    """Write what was varied over which logs, and the whole configuration of each combination.
+    """Write the varied settings, the logs, and the whole configuration of each combination.
 
     Raises:
         TargetError: a file cannot be written.
@@ -128,13 +124,6 @@ def describe(folder: Path, made: Sequence[Combination], logs: Sequence[Path]) ->
 
 
 def table_names(logs: Sequence[Path]) -> list[str]:
-    """A file name for each log's tables: after the log, where two share one with the folders that tell them apart."""
-    return [
-        f"{name.lstrip('/')}{METRICS_SUFFIX}"
-        for name in distinct_names([log.with_suffix(METRICS_SUFFIX) for log in logs])
-    ]
-
-
-def tables(folder: Path) -> list[Path]:
-    """All tables of a dataset, in the order of the combinations."""
-    return sorted(folder.rglob(f"*{METRICS_SUFFIX}"))
+    """A table name for each log; logs of equal names get as many folders as needed to make them unique."""
+    names = distinct_names([log.with_suffix(METRICS_SUFFIX) for log in logs])
+    return [f"{name.lstrip('/')}{METRICS_SUFFIX}" for name in names]

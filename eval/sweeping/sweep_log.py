@@ -1,6 +1,6 @@
-"""One log through the chain under many configurations at once: read and decoded once, a metrics table for each.
+"""Replays a log under many configurations at once: it is read and decoded once, and each gets a metrics table.
 
-Logs are shared out over processes: each log is one stream, so that nothing finer can be.
+Processes share the logs. One log stays in one process, because each frame depends on the previous one.
 """
 
 import multiprocessing
@@ -33,12 +33,12 @@ from roadperc_stream.system.time import TimeRange
 from .settings import Combination, passes
 
 Progress = Callable[[int, int], None]
-"""Called with frames done since the last call, and frames found that are yet to be done."""
+"""Called with numbers of frames: those done and those expected."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """A log, and what becomes of it: ``table`` is the file name of its tables in each combination's folder."""
+    """A log to replay; ``table`` is the file name of its tables in each combination's folder."""
 
     source: Path
     table: str
@@ -56,8 +56,8 @@ class Candidate:
     table: TableWriter
     state: ReplayState
 
-    def take(self, log_id: str, sample: Sample) -> None:
-        """Run the chain on a sample and add its row, the one a replay under this configuration gives."""
+    def replay(self, log_id: str, sample: Sample) -> None:
+        """Run the chain on a sample and add its row, the same as in a replay with this configuration."""
         timer = StageTimer()
         with timer("total"):
             chain, result = step(self.cfg, self.state.chain, sample.frame, timer)
@@ -69,62 +69,58 @@ class Candidate:
 
 
 def sweep_log(job: Job, progress: Progress) -> tuple[str, ...]:
-    """Replay a log under every combination.
+    """Replay a log under every combination; ``progress`` gets the changes of both numbers.
 
     Returns:
-        What is worth knowing of the log: roles that were guessed or have no channel, messages that could not be read.
+        Notes on the log: roles that were guessed or have no channel, messages that could not be read.
 
     Raises:
         RoadpercError: the log cannot be read or replayed, or a table cannot be written.
     """
-    notes = [note for some in passes(job.combinations) for note in _one_pass(job, some, progress)]
+    notes = [note for group in passes(job.combinations) for note in _one_pass(job, group, progress)]
     return tuple(dict.fromkeys(notes))
 
 
-def _one_pass(job: Job, some: Sequence[Combination], progress: Progress) -> tuple[str, ...]:
-    """Take the combinations, which all decode alike, through the log together."""
-    opened = open_log(ReplaySource(job.source, job.overrides, job.time_range), some[0].cfg)
+def _one_pass(job: Job, group: Sequence[Combination], progress: Progress) -> tuple[str, ...]:
+    """Replay the log under a group of combinations that use the same samples."""
+    opened = open_log(ReplaySource(job.source, job.overrides, job.time_range), group[0].cfg)
     log_in = opened.input
     progress(0, log_in.expected_frames)
-    candidates = [Candidate(item.cfg, _table(job, item), opened.state_for(item.cfg)) for item in some]
+    candidates = []
+    for item in group:
+        path, facts = job.folder / item.folder / job.table, table_facts(job.source, job.source, item.cfg)
+        table = TableWriter(path, FrameMetrics, facts, TIME_COLUMNS, item.settings)
+        candidates.append(Candidate(item.cfg, table, opened.state_for(item.cfg)))
     with one_thread(), ExitStack() as tables:
         for candidate in candidates:
             tables.enter_context(candidate.table)
         for sample in log_in.samples():
-            # Another one first in every frame: the first decodes for all, and times are to compare.
+            # The first candidate decodes for all, so each takes its turn; otherwise times would not compare.
             first = sample.index % len(candidates)
             for candidate in (*candidates[first:], *candidates[:first]):
-                candidate.take(log_in.log_id, sample)
+                candidate.replay(log_in.log_id, sample)
             progress(1, 0)
     return log_in.notes
 
 
-def _table(job: Job, item: Combination) -> TableWriter:
-    path = job.folder / item.folder / job.table
-    facts = table_facts(job.source, job.source, item.cfg)
-    return TableWriter(path, FrameMetrics, facts, TIME_COLUMNS, item.settings)
-
-
-# A forked process inherits the locks of polars' and OpenCV's threads, but not the threads that would open them.
+# A forked process inherits the locks of polars' and OpenCV's threads, but not the threads that release them.
 _CONTEXT: Final = multiprocessing.get_context("spawn")
 _PROGRESS_EVERY_S: Final = 0.2
-Bar = Callable[[int, int], None]
-"""Called with frames done and frames expected, of all logs together."""
 
 
 @dataclass(frozen=True)
 class Shared:
-    """What the processes share: frames done and expected, and whether to stop."""
+    """Shared by all processes: frames done and expected, and whether to stop."""
 
     done: "Synchronized[int]"
     expected: "Synchronized[int]"
     stop: Event
 
     def count(self, done: int, expected: int) -> None:
-        """Count the progress of a log.
+        """Add the progress of a log.
 
         Raises:
-            KeyboardInterrupt: the sweep has ended elsewhere.
+            KeyboardInterrupt: the sweep was stopped.
         """
         if self.stop.is_set():
             raise KeyboardInterrupt
@@ -133,14 +129,14 @@ class Shared:
                 counter.value += more
 
 
-def sweep_logs(jobs: Sequence[Job], processes: int, bar: Bar) -> list[tuple[str, ...]]:
-    """Do every job, in as many processes.
+def sweep_logs(jobs: Sequence[Job], processes: int, progress: Progress) -> list[tuple[str, ...]]:
+    """Run all jobs in at most ``processes`` processes; ``progress`` gets the numbers over all logs.
 
     Returns:
         The notes of each job, in their order.
 
     Raises:
-        RoadpercError: a log could not be replayed; the others are given up.
+        RoadpercError: a log could not be replayed; the other jobs are cancelled.
     """
     workers = min(processes, len(jobs))
     if workers == 1:
@@ -148,7 +144,7 @@ def sweep_logs(jobs: Sequence[Job], processes: int, bar: Bar) -> list[tuple[str,
 
         def count(*more: int) -> None:
             counted[:] = (before + new for before, new in zip(counted, more, strict=True))
-            bar(*counted)
+            progress(*counted)
 
         return [sweep_log(job, count) for job in jobs]
     with _signals_held():
@@ -156,16 +152,16 @@ def sweep_logs(jobs: Sequence[Job], processes: int, bar: Bar) -> list[tuple[str,
     with ProcessPoolExecutor(workers, mp_context=_CONTEXT, initializer=_join, initargs=(shared,)) as pool:
         try:
             with _signals_held():
-                futures = [pool.submit(_do, job) for job in jobs]
+                futures = [pool.submit(_work, job) for job in jobs]
             pending = set(futures)
             while pending:
                 done, pending = wait(pending, _PROGRESS_EVERY_S, FIRST_EXCEPTION)
-                bar(shared.done.value, shared.expected.value)
+                progress(shared.done.value, shared.expected.value)
                 for future in done:
                     future.result()
             return [future.result() for future in futures]
         except BrokenProcessPool as error:
-            raise RoadpercError("a process of the sweep was killed; with --jobs 1 it takes less memory") from error
+            raise RoadpercError("a process of the sweep was killed; pass --jobs 1 to use less memory") from error
         finally:
             shared.stop.set()
             pool.shutdown(cancel_futures=True)
@@ -173,7 +169,7 @@ def sweep_logs(jobs: Sequence[Job], processes: int, bar: Bar) -> list[tuple[str,
 
 @contextmanager
 def _signals_held() -> Iterator[None]:
-    """Block signals while processes start: they inherit the mask, because this process tells them to stop."""
+    """Block signals while processes start; they inherit the mask, and ``Shared.stop`` stops them instead."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, ending_signals())
     try:
         yield
@@ -185,10 +181,10 @@ _shared: Shared
 
 
 def _join(shared: Shared) -> None:
-    """Begin as one of the processes."""
-    global _shared  # noqa: PLW0603 - handed over once, when the process starts
+    """Initialise a process of the pool."""
+    global _shared  # noqa: PLW0603 - set once, when the process starts
     _shared = shared
 
 
-def _do(job: Job) -> tuple[str, ...]:
+def _work(job: Job) -> tuple[str, ...]:
     return sweep_log(job, _shared.count)

@@ -1,1 +1,1 @@
-"""An estimated path against the true one: alignment, errors, figures and files."""
+"""Estimated and true trajectories: alignment, errors, and files for other tools."""

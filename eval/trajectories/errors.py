@@ -1,6 +1,6 @@
-"""Laying an estimated path over the true one, and its errors: absolute, relative, and as KITTI counts them.
+"""Alignment of an estimated trajectory to the true one, and its absolute, relative and KITTI errors.
 
-Poses are (N, 4, 4) transforms from the ego frame to a world, lengths in metres, angles in degrees.
+Poses are (N, 4, 4) transforms from the ego frame to a fixed frame, lengths in metres, angles in degrees.
 """
 
 from dataclasses import dataclass
@@ -16,10 +16,10 @@ from roadperc_stream.geometry import Float, inverse
 from ..options import Alignment, DeltaUnit
 
 _STANDING: Final = 1e-12
-"""Share of the paths' squared size below which a common extent is rounding."""
+"""Ratio to the paths' squared size below which a common extent is rounding."""
 Indices = NDArray[np.intp]
 _PATH_TOLERANCE: Final = 0.1
-"""Share of a path length by which that of a pair may differ."""
+"""Ratio by which the path length of a pair may differ from ``Delta``."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Similarity:
     scale: float = 1.0
 
     def poses(self, poses: Float) -> Float:
-        """(N, 4, 4) poses: their places mapped, their axes turned, never scaled."""
+        """Transform (N, 4, 4) poses; their axes are rotated and not scaled."""
         mapped = poses.copy()
         mapped[:, :3, 3] = self.scale * poses[:, :3, 3] @ self.rotation.T + self.translation_m
         mapped[:, :3, :3] = self.rotation @ poses[:, :3, :3]
@@ -39,14 +39,14 @@ class Similarity:
 
 
 def umeyama(source_m: Float, target_m: Float, *, with_scale: bool) -> Similarity:
-    """The similarity that takes (N, 3) points to (N, 3) others with the least sum of squared distances.
+    """The similarity from (N, 3) points to (N, 3) other points with the smallest sum of squared distances.
 
-    Points on one line leave the turn about it free, and points in one place every turn: the distances are the least all
-    the same. Source: Umeyama, Least-squares estimation of transformation parameters between two point patterns, 1991,
+    The rotation is not unique for points on a line or in one place, but the distances are minimal.
+    Source: Umeyama, Least-squares estimation of transformation parameters between two point patterns, 1991,
     equations 34 to 43.
 
     Raises:
-        ValueError: a scale is asked for, and points without any extent in common cannot tell it.
+        TableError: the scale is undetermined, because a path stands still.
     """
     source_mean, target_mean = source_m.mean(axis=0), target_m.mean(axis=0)
     source, target = source_m - source_mean, target_m - target_mean
@@ -57,34 +57,31 @@ def umeyama(source_m: Float, target_m: Float, *, with_scale: bool) -> Similarity
     if with_scale:  # equation 42
         common_m2 = float(signs @ singular)
         if common_m2 <= _STANDING * float(np.sum(source**2) + np.sum(target**2)):
-            raise ValueError("one of the paths stands still")
+            raise TableError("no Sim(3) alignment, because the scale is unknown: one of the paths stands still")
         scale = common_m2 / float(np.sum(source**2))
     return Similarity(R, target_mean - scale * R @ source_mean, scale)
 
 
-def align(estimated: Float, true: Float, how: Alignment) -> Similarity:
-    """What lays (N, 4, 4) estimated poses over the true ones.
+def align(estimated: Float, true: Float, alignment: Alignment) -> Similarity:
+    """The similarity that aligns (N, 4, 4) estimated poses to the true ones.
 
-    ``se3`` turns and shifts, ``sim3`` scales too, both by all places at once; ``origin`` takes the first pose to the
-    first true one; ``none`` leaves all as it is.
+    ``se3`` rotates and translates, ``sim3`` also scales; both use all positions. ``origin`` maps the first pose to the
+    first true pose. ``none`` is the identity.
 
     Raises:
-        TableError: ``sim3``, and one of the paths stands still.
+        TableError: with ``sim3``, a path stands still.
     """
-    if how == "none":
+    if alignment == "none":
         return Similarity(np.eye(3), np.zeros(3))
-    if how == "origin":
+    if alignment == "origin":
         true_T_estimated = true[0] @ inverse(estimated[0])
         return Similarity(true_T_estimated[:3, :3], true_T_estimated[:3, 3])
-    try:
-        return umeyama(estimated[:, :3, 3], true[:, :3, 3], with_scale=how == "sim3")
-    except ValueError as error:
-        raise TableError(f"no Sim(3) alignment: {error}, so there is no scale between them") from error
+    return umeyama(estimated[:, :3, 3], true[:, :3, 3], with_scale=alignment == "sim3")
 
 
 @dataclass(frozen=True)
 class Delta:
-    """How far apart the poses of a pair are: a number of poses, or metres along the estimated path."""
+    """Distance between the poses of a pair: a number of poses, or metres along the estimated path."""
 
     size: float
     unit: DeltaUnit
@@ -92,7 +89,7 @@ class Delta:
 
 @dataclass(frozen=True)
 class ErrorStatistics:
-    """Statistics of errors that are never negative, in the errors' unit; ``std`` is the population's."""
+    """Statistics of absolute errors, in their unit; ``std`` is the population's."""
 
     count: int
     rmse: float
@@ -105,7 +102,7 @@ class ErrorStatistics:
 
     @classmethod
     def of(cls, errors: Float) -> "ErrorStatistics":
-        """Of (N,) errors, at least one."""
+        """The statistics of (N,) errors, at least one."""
         sse = float(np.sum(errors**2))
         return cls(
             count=len(errors),
@@ -120,7 +117,7 @@ class ErrorStatistics:
 
 
 def absolute_errors_m(estimated: Float, true: Float) -> Float:
-    """(N,) distances between places: the absolute trajectory error.
+    """(N,) distances between positions, m: the absolute trajectory error.
 
     Source: Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, 2012, section V.B.
     """
@@ -129,10 +126,10 @@ def absolute_errors_m(estimated: Float, true: Float) -> Float:
 
 
 def pairs(estimated: Float, delta: Delta) -> tuple[Indices, Indices]:
-    """(M,) first and second poses of all pairs that lie ``delta`` apart; they overlap.
+    """(M,) indices of the first and second poses of all pairs that are ``delta`` apart; pairs overlap.
 
-    Over metres each pose is paired with the later one whose path from there comes nearest to the length, the earliest
-    of equals; where that is off by more than a tenth, the pose begins no pair.
+    In metres, each pose is paired with the later pose whose path length is nearest to ``delta``, the earliest of
+    equals. A pose has no pair if that length differs by more than a tenth.
     """
     if delta.unit == "frames":
         first = np.arange(max(len(estimated) - int(delta.size), 0))
@@ -149,19 +146,19 @@ def pairs(estimated: Float, delta: Delta) -> tuple[Indices, Indices]:
 
 
 def relative_errors(estimated: Float, true: Float, first: Indices, second: Indices) -> tuple[Float, Float]:
-    """(M,) metres and (M,) degrees by which the motion of each pair differs from the true one.
+    """(M,) metres and (M,) degrees by which the motion of each pair differs from the true motion.
 
-    Source: Sturm et al. 2012, section V.A: the transform that is left when the true motion is undone.
+    Source: Sturm et al. 2012, section V.A.
     """
-    left = motions(motions(true[first], true[second]), motions(estimated[first], estimated[second]))
-    return np.linalg.norm(left[:, :3, 3], axis=1), angles_deg(left[:, :3, :3])
+    error = motions(motions(true[first], true[second]), motions(estimated[first], estimated[second]))
+    return np.linalg.norm(error[:, :3, 3], axis=1), angles_deg(error[:, :3, :3])
 
 
 def segment_errors(estimated: Float, true: Float, length_m: float, every: int) -> tuple[Float, Float]:
-    """(M,) percent and (M,) degrees per 100 m, over stretches of the true path that begin at each ``every``-th pose.
+    """(M,) percent and (M,) degrees per 100 m, over stretches of the true path from every ``every``-th pose.
 
-    A stretch ends at the first pose that lies farther along the true path than ``length_m``, and its errors are divided
-    by ``length_m``, as the benchmark's own program does.
+    A stretch ends at the first pose farther along the true path than ``length_m``. Errors are divided by ``length_m``,
+    as in the benchmark's program.
     Source: Geiger, Lenz and Urtasun, Are we ready for autonomous driving? The KITTI vision benchmark suite, 2012.
     """
     driven_m = path_m(true)

@@ -1,4 +1,4 @@
-"""A run's poses to its figures."""
+"""Evaluates the poses of a run against truth."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -17,14 +17,14 @@ from .poses import RunPoses
 KITTI_LENGTHS_M: Final = (100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0)
 KITTI_EVERY: Final = 10
 SHORT_LENGTHS_M: Final = (5.0, 10.0, 25.0, 50.0)
-"""Where no stretch of 100 m fits into the log; a stretch begins at every frame then, for there are few."""
+"""Lengths for logs shorter than 100 m; a stretch then begins at every frame."""
 _FEWEST: Final = 3
-"""Fewer places than this lie on each other after any alignment."""
+"""Fewest poses to align."""
 
 
 @dataclass(frozen=True)
 class Segments:
-    """KITTI's errors over all stretches of one length, or of all lengths together; None where none fits."""
+    """KITTI's errors over all stretches of one length, or of all lengths; None without stretches."""
 
     length_m: float | None
     count: int
@@ -57,16 +57,16 @@ class Evaluation:
 
 
 def evaluate(run: RunPoses, alignment: Alignment | None, delta: Delta) -> Evaluation:
-    """Align a run's poses to the true ones, and measure; all errors are of the aligned poses.
+    """Errors of a run's poses after alignment to the true ones.
 
-    ``alignment`` None is ``se3``, and ``sim3`` where the run is up to scale; ``delta`` is that of the relative error.
+    The default ``alignment`` is ``se3``, or ``sim3`` if the run is up to scale. ``delta`` is for the relative error.
 
     Raises:
         TableError: there is no truth, too few frames have both poses, or they cannot be aligned.
     """
     if run.true is None:
         raise TableError(
-            f"{run.source}: no figures without truth: none of its {run.frames} frames has a true pose "
+            f"{run.source}: no errors without truth: none of {run.frames} frames has a true pose "
             "(true_x_m to true_qw); poses can still be exported"
         )
     chosen = alignment or ("sim3" if run.up_to_scale else "se3")
@@ -92,13 +92,13 @@ def evaluate(run: RunPoses, alignment: Alignment | None, delta: Delta) -> Evalua
     )
 
 
-def _aligned(run: RunPoses, how: Alignment) -> tuple[list[tuple[Float, Float]], tuple[float, ...], tuple[str, ...]]:
-    """Of each segment of the log that can be aligned (N, 4, 4) poses, aligned and true, and the scale between them.
-
-    Also why the others cannot be aligned.
+def _aligned(
+    run: RunPoses, alignment: Alignment
+) -> tuple[list[tuple[Float, Float]], tuple[float, ...], tuple[str, ...]]:
+    """(N, 4, 4) aligned and true poses of each segment, their scales, and notes on segments that cannot be aligned.
 
     Raises:
-        TableError: none can be.
+        TableError: no segment can be aligned.
     """
     paths, scales, refused = [], [], {}
     for number, part in run.of_segments.items():
@@ -106,7 +106,7 @@ def _aligned(run: RunPoses, how: Alignment) -> tuple[list[tuple[Float, Float]], 
             if part.true is None or len(part.true) < _FEWEST:
                 found = f"found {len(part.stamps_ns)}"
                 raise TableError(f"expected {_FEWEST} or more frames with an estimated and a true pose, {found}")  # noqa: TRY301
-            true_S_estimated = align(part.estimated, part.true, how)
+            true_S_estimated = align(part.estimated, part.true, alignment)
         except TableError as error:
             refused[number] = str(error)
         else:
@@ -115,11 +115,11 @@ def _aligned(run: RunPoses, how: Alignment) -> tuple[list[tuple[Float, Float]], 
     if not paths:
         why = next(iter(refused.values()), f"no frame of {run.frames} has an estimated and a true pose")
         raise TableError(f"{run.source}: {why}")
-    return paths, tuple(scales), tuple(f"no figures of segment {number}: {why}" for number, why in refused.items())
+    return paths, tuple(scales), tuple(f"no errors of segment {number}: {why}" for number, why in refused.items())
 
 
 def _segments(length_m: float | None, errors: Iterable[tuple[Float, Float]]) -> Segments:
-    """Means over all stretches, as the benchmark takes them: a length counts by its number of stretches."""
+    """Means over all stretches; as in the benchmark, each stretch has the same weight."""
     percent, deg = (np.concatenate(part) for part in zip(*errors, strict=True))
     if not len(percent):
         return Segments(length_m, 0, None, None)

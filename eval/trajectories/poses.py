@@ -1,4 +1,4 @@
-"""The poses of a run, estimated and true: from its metrics table, and as files that other trajectory tools read."""
+"""Reads the estimated and true poses of a run, and exports them as files for other tools."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -23,20 +23,20 @@ _POSE: Final = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 ESTIMATED_COLUMNS: Final = tuple(f"odom_{name}" for name in _POSE)
 TRUE_COLUMNS: Final = tuple(f"true_{name}" for name in _POSE)
 FARTHEST_M: Final = 1e9
-_LENGTHS: Final = (1e-3, 1e3)
-"""Of a quaternion: of any other not even the direction is sure."""
+_NORMS: Final = (1e-3, 1e3)
+"""Smallest and largest norm of a usable quaternion."""
 
 
 @dataclass(frozen=True)
 class RunPoses:
-    """The poses of one run, and how many of its frames have them.
+    """The poses of one run, and the numbers of frames that have them.
 
-    ``estimated`` and ``true`` are (N, 4, 4), from the ego frame to the run's odom frame and to the truth's own, in
-    metres, of the same N frames, stamped ``stamps_ns`` (N,): those with both. Of a log without truth ``true`` is None,
-    and N counts the estimated poses. ``segments`` (N,) says which belong together: from one to the next neither the
-    odom frame nor the truth's need go on.
+    ``estimated`` and ``true`` are (N, 4, 4) in metres, from the ego frame to the odom frame and to the frame of the
+    truth. Their N frames have both poses and the stamps ``stamps_ns`` (N,). Without truth ``true`` is None, and N is
+    the number of estimated poses. ``segments`` (N,) are the log's segments: each may have another odom frame and
+    another frame of the truth.
 
-    A ``lost`` frame has no estimate: its row repeats the last pose known. Of the ``steps`` between estimates, those
+    A ``lost`` frame has no estimate; its row repeats the last known pose. Of the ``steps`` between estimates, those
     ``without_scale`` have a direction but no length in metres.
     """
 
@@ -55,7 +55,7 @@ class RunPoses:
 
     @cached_property
     def of_segments(self) -> dict[int, "RunPoses"]:
-        """The poses of each segment, in the order of their frames; the counts stay the run's."""
+        """The poses of each segment in frame order; the counts are those of the run."""
         parts = {}
         for segment_ in dict.fromkeys(self.segments.tolist()):
             these = self.segments == segment_
@@ -70,12 +70,12 @@ class RunPoses:
 
     @property
     def coverage(self) -> float:
-        """Share of the run's frames whose pose is here, 0 to 1."""
+        """Ratio of the N frames to all frames of the run."""
         return len(self.stamps_ns) / self.frames
 
 
-def pose_matrices(rows: Float) -> Float:
-    """(N, 4, 4) transforms of (N, 7) rows x, y, z in metres and a quaternion x, y, z, w of any length but zero."""
+def _pose_matrices(rows: Float) -> Float:
+    """(N, 4, 4) transforms from (N, 7) rows: x, y, z in metres and a quaternion x, y, z, w of any norm except 0."""
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
     poses[:, :3, 3] = rows[:, :3]
     poses[:, :3, :3] = Rotation.from_quat(rows[:, 3:]).as_matrix()
@@ -83,7 +83,7 @@ def pose_matrices(rows: Float) -> Float:
 
 
 def read_poses(run: Run) -> RunPoses:
-    """Read a run's poses; one with a value that is missing, not finite or no place on Earth is missing.
+    """Read a run's poses; a pose with a value that is null, not finite or out of range is missing.
 
     Raises:
         TableError: the table cannot be read, or no frame has an estimated pose.
@@ -99,7 +99,7 @@ def read_poses(run: Run) -> RunPoses:
     has_estimate, has_truth = known_poses(estimated) & ~lost, known_poses(true)
     if not has_estimate.any():
         raise TableError(
-            f"{run.source_name}: no frame has an estimated pose (odom_x_m to odom_qw); was odometry replayed?"
+            f"{run.source_name}: no frame has an estimated pose (odom_x_m to odom_qw); replay the log with odometry"
         )
     used = has_estimate & has_truth if has_truth.any() else has_estimate
     turned = table["turn_deg"].is_not_null()
@@ -113,28 +113,26 @@ def read_poses(run: Run) -> RunPoses:
         steps=int(turned.sum()),
         without_scale=int((turned & table["step_m"].is_null()).sum()),
         stamps_ns=table["stamp_ns"].to_numpy()[used],
-        estimated=pose_matrices(estimated[used]),
-        true=pose_matrices(true[used]) if has_truth.any() else None,
+        estimated=_pose_matrices(estimated[used]),
+        true=_pose_matrices(true[used]) if has_truth.any() else None,
         segments=table[SEGMENT].to_numpy()[used],
     )
 
 
 def known_poses(rows: Float) -> NDArray[np.bool_]:
-    """(N,) which of (N, 7) rows are a pose."""
-    with np.errstate(over="ignore"):  # what is too long for a number is too long
-        length = np.linalg.norm(rows[:, 3:], axis=1)
-    shortest, longest = _LENGTHS
-    known: NDArray[np.bool_] = (
-        (np.abs(rows[:, :3]) <= FARTHEST_M).all(axis=1) & (shortest <= length) & (length <= longest)
-    )
+    """(N,) whether each of (N, 7) rows is a pose."""
+    with np.errstate(over="ignore"):  # an infinite norm is too long
+        norms = np.linalg.norm(rows[:, 3:], axis=1)
+    least, most = _NORMS
+    known: NDArray[np.bool_] = (np.abs(rows[:, :3]) <= FARTHEST_M).all(axis=1) & (least <= norms) & (norms <= most)
     return known
 
 
 def export(folder: Path, run: RunPoses, suffix: Literal["tum", "kitti"]) -> None:
-    """Write NAME.est.SUFFIX and, where there is truth, NAME.true.SUFFIX: ``tum_lines`` or ``kitti_lines``.
+    """Write NAME.est.SUFFIX and with truth NAME.true.SUFFIX, with ``tum_lines`` or ``kitti_lines``.
 
-    Of a run in several segments each has its files: NAME.segment-0.est.tum and so on. A run that only its folder
-    distinguishes from others gets that folder, too.
+    If a run has several segments, each has its files: NAME.segment-0.est.tum and so on. NAME contains folders if other
+    runs have the same file name.
 
     Raises:
         TargetError: a file cannot be written.
@@ -151,7 +149,7 @@ def export(folder: Path, run: RunPoses, suffix: Literal["tum", "kitti"]) -> None
 def tum_lines(stamps_ns: NDArray[np.int64], poses: Float) -> list[str]:
     """A line for each of (N, 4, 4) poses: seconds with nine decimals, x y z in metres, quaternion x y z w.
 
-    Numbers have as many digits as give the same float again.
+    Numbers have enough digits to restore the float.
     Source: the file format of the TUM RGB-D benchmark (Sturm et al. 2012).
     """
     quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
@@ -163,7 +161,7 @@ def tum_lines(stamps_ns: NDArray[np.int64], poses: Float) -> list[str]:
 def kitti_lines(poses: Float) -> list[str]:
     """A line for each of (N, 4, 4) poses: the upper three rows of first_T_this, row by row, metres.
 
-    Source: the file format of KITTI's odometry benchmark (Geiger et al. 2012), whose paths begin at the identity.
+    Source: the file format of KITTI's odometry benchmark (Geiger et al. 2012), whose first pose is the identity.
     """
     first_T_this = inverse(poses[0]) @ poses
     return [_numbers(row) for row in first_T_this[:, :3].reshape(-1, 12).tolist()]

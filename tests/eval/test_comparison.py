@@ -1,4 +1,4 @@
-"""Agreement of two values, what rules mean, and intervals: known answers, and how often chance is marked."""
+"""Agreement of two values, rules, and intervals: known answers and rates of false alarms."""
 
 import argparse
 import math
@@ -9,9 +9,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from roadperc_stream.eval.comparison.agreement import ABSENT, Agreement, Difference, distance, together
-from roadperc_stream.eval.comparison.bootstrap import MANY_LOGS, _block_means, block_length, mean_interval
-from roadperc_stream.eval.comparison.messages import without_indices
+from roadperc_stream.eval.comparison.agreement import INCOMPARABLE, Agreement, Difference, added, distance
+from roadperc_stream.eval.comparison.bootstrap import MANY_LOGS, Interval, _block_means, block_length, mean_interval
 from roadperc_stream.eval.options import Amount, Rules, allowance, tolerance
 
 NAN = math.nan
@@ -23,12 +22,12 @@ NAN = math.nan
         (1.0, 1.0, 0.0),
         (1, 1.5, 0.5),
         (NAN, NAN, 0.0),
-        (NAN, 1.0, ABSENT),
+        (NAN, 1.0, INCOMPARABLE),
         (None, None, 0.0),
-        (None, 0.0, ABSENT),
-        ("held", "lost", ABSENT),
+        (None, 0.0, INCOMPARABLE),
+        ("held", "lost", INCOMPARABLE),
         (math.inf, math.inf, 0.0),
-        (math.inf, 1.0, ABSENT),
+        (math.inf, 1.0, INCOMPARABLE),
     ],
 )
 def test_distance(reference, candidate, apart):
@@ -43,23 +42,15 @@ def test_runs_together_keep_the_first_difference():
         {"x": Agreement(1, 2, 0.5, first)},
         {"x": Agreement(0, 1, 0.75, second), "y": Agreement()},
     ]
-    assert together(parts) == {"x": Agreement(1, 3, 0.75, first), "y": Agreement()}
+    assert added(parts) == {"x": Agreement(1, 3, 0.75, first), "y": Agreement()}
 
 
-@pytest.mark.parametrize(
-    ("place", "name"),
-    [("boundaries[0].offset_m", "boundaries.offset_m"), ("a[1].b[12].c", "a.b.c"), ("pitch", "pitch"), ("x[3]", "x")],
-)
-def test_field_names_have_no_indices(place, name):
-    assert without_indices(place) == name
-
-
-def test_the_last_amount_that_matches_holds():
+def test_the_last_matching_amount_applies():
     rules = Rules(tolerances=(Amount("lane_*", 0.1), Amount("lane_left_*", 0.2)))
     assert [rules.tolerance(n) for n in ("lane_left_offset_m", "lane_width_m", "step_m")] == [0.2, 0.1, 0.0]
 
 
-def test_allowance_in_the_metrics_unit_or_as_a_share():
+def test_allowance_in_the_metrics_unit_or_as_a_ratio():
     rules = Rules(allowances=(allowance("5%"), allowance("step_error_m=0.01"), allowance("turn_*=50%")))
     assert rules.allowance("drivable_iou", 0.8) == pytest.approx(0.04)
     assert rules.allowance("step_error_m", 0.8) == 0.01
@@ -68,20 +59,18 @@ def test_allowance_in_the_metrics_unit_or_as_a_share():
     assert not rules.names("drivable_iou")
 
 
-@pytest.mark.parametrize("text", ["5", "=5", "x=", "x=-1", "x=nan", "x=inf", "x=-5%", "%", "x=many"])
-def test_allowance_refused(text):
-    with pytest.raises(argparse.ArgumentTypeError):
-        allowance(text)
-
-
-@pytest.mark.parametrize("text", ["5", "=5", "x=", "x=-1", "x=5%"])
-def test_tolerance_refused(text):
-    with pytest.raises(argparse.ArgumentTypeError):
-        tolerance(text)
+@pytest.mark.parametrize(
+    ("parse", "texts"),
+    [(allowance, "5 =5 x= x=-1 x=nan x=inf x=-5% % x=many"), (tolerance, "5 =5 x= x=-1 x=5%")],
+)
+def test_invalid_allowances_and_tolerances(parse, texts):
+    for text in texts.split():
+        with pytest.raises(argparse.ArgumentTypeError):
+            parse(text)
 
 
 def drive(rng, frames, correlation):
-    """Noise around zero whose neighbours correlate, in its steady state."""
+    """Noise around zero with correlated neighbours."""
     return lfilter([1.0], [1.0, -correlation], rng.normal(size=frames + 200))[200:]
 
 
@@ -89,13 +78,12 @@ def excludes_zero(interval):
     return interval.low > 0 or interval.high < 0
 
 
-def test_one_value_says_nothing():
-    interval = mean_interval([np.array([0.25])])
-    assert (interval.low, interval.high) == (-np.inf, np.inf)
+def test_the_interval_of_one_value_is_infinite():
+    assert mean_interval([np.array([0.25])]) == Interval(-np.inf, np.inf)
 
 
-def test_interval_of_independent_values_is_that_of_students_t():
-    """At 900 values in 30 blocks: 2.756 standard errors to either side, 6 % for the resampling."""
+def test_interval_of_independent_values_equals_students_t():
+    """900 values in 30 blocks: 2.756 standard errors to each side."""
     values = np.random.default_rng(5).normal(loc=2.0, size=900)
     interval = mean_interval([values])
     expected = 2.756 * np.sqrt(30 / 29) * values.std() / 30
@@ -106,28 +94,28 @@ def test_interval_of_independent_values_is_that_of_students_t():
 
 
 @pytest.mark.parametrize(("frames", "correlation"), [(40, 0.0), (40, 0.8), (200, 0.0), (200, 0.8)])
-def test_chance_is_seldom_marked(frames, correlation):
-    """200 drives in which nothing changed: at 99 % two would be marked; short correlated ones may be 10 %."""
+def test_chance_is_rarely_marked(frames, correlation):
+    """200 logs without a change: 2 are expected at 99 %; of short, correlated logs up to 10 %."""
     rng = np.random.default_rng(1)
     marked = sum(excludes_zero(mean_interval([drive(rng, frames, correlation)])) for _ in range(200))
     assert marked <= 20
 
 
 def test_block_length_of_a_known_process():
-    """Of a first-order process with correlation c the circular bootstrap wants (6 n)^(1/3) (c / (1 - c^2))^(2/3)."""
+    """(6 n)^(1/3) (c / (1 - c^2))^(2/3) for a first-order process with correlation c."""
     rng, frames, correlation = np.random.default_rng(0), 20000, 0.9
     lengths = [block_length(drive(rng, frames, correlation)) for _ in range(11)]
     expected = (6 * frames) ** (1 / 3) * (correlation / (1 - correlation**2)) ** (2 / 3)
     assert np.median(lengths) == pytest.approx(expected, rel=0.15)
 
 
-def test_blocks_start_at_each_frame_and_go_round_the_end():
+def test_blocks_start_at_each_frame_and_wrap_around_the_end():
     np.testing.assert_allclose(_block_means(np.array([1.0, 2.0, 3.0, 6.0]), 2), [1.5, 2.5, 4.5, 3.5])
     np.testing.assert_allclose(_block_means(np.array([1.0, 2.0, 3.0, 6.0]), 1), [1.0, 2.0, 3.0, 6.0])
 
 
 def test_many_logs_are_the_blocks():
-    """Logs that differ among themselves: with logs as blocks their scatter counts, with frames it does not."""
+    """With logs as blocks the scatter between logs widens the interval; with frames it does not."""
     rng = np.random.default_rng(6)
     logs = [np.full(50, shift) + 0.01 * rng.normal(size=50) for shift in rng.normal(size=MANY_LOGS)]
     assert not excludes_zero(mean_interval([log - np.mean(logs) + 0.05 for log in logs]))
@@ -141,7 +129,7 @@ def test_a_log_of_one_frame_among_others():
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=60), st.floats(0.001, 1000.0))
-def test_scale_scales_the_interval_and_the_mean_is_inside(values, factor):
+def test_the_interval_scales_and_contains_the_mean(values, factor):
     array = np.array(values)
     one, scaled = mean_interval([array]), mean_interval([array * factor])
     slack = 1e-6 * factor * (1 + np.abs(array).max())

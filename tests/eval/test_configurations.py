@@ -1,4 +1,4 @@
-"""Which settings made a run, wherever they stand, and which of them differ."""
+"""The settings of a run, from its table or the files beside it, and the settings that differ."""
 
 import hashlib
 from pathlib import Path
@@ -47,11 +47,11 @@ def test_settings_of_an_older_table_come_from_the_file_beside_it(tmp_path, put_b
     assert (settings and settings["lanes.hold_s"]) == hold_s
 
 
-def test_what_is_not_toml_says_nothing():
+def test_invalid_toml_gives_no_settings():
     assert settings_of(run(toml="lanes = ")) is None
 
 
-def test_values_that_differ_and_settings_that_one_version_lacks():
+def test_differing_values_and_settings_that_one_version_lacks():
     ours = {"seed": 0, "lanes.hold_s": 0.5, "lanes.enabled": True}
     theirs = {"seed": 0, "lanes.enabled": False, "lanes.new": "x"}
     assert differing([ours, theirs]) == {
@@ -61,7 +61,7 @@ def test_values_that_differ_and_settings_that_one_version_lacks():
     }
 
 
-def test_groups_are_of_one_configuration_and_version():
+def test_a_group_has_one_configuration_and_version():
     runs = [run("a", "seed = 1"), run("b", "seed = 2"), run("c", "seed = 1"), run("d", "seed = 1", version="2")]
     groups = grouped(runs)
     first = digest("seed = 1")[:8]
@@ -69,21 +69,21 @@ def test_groups_are_of_one_configuration_and_version():
     assert [[item.name for item in group.runs] for group in groups] == [["a", "c"], ["b"], ["d"]]
 
 
-def test_the_table_has_a_row_a_setting_and_says_what_is_unknown():
+def test_the_table_has_a_row_for_each_setting_and_names_unknown_configurations():
     runs = {"a": run("a", "seed = 1"), "b": run("b", "seed = 2"), "c": run("c", made_by="0" * 64)}
     table = settings_table(runs)
     assert [(item.label, item.cells) for item in table.rows] == [("seed", (("1",), ("2",), ("unknown",)))]
     assert table.subjects == ("a", "b", "c")
-    assert table.notes == ("unknown, for neither the table nor a log next to it says the configuration: c",)
+    assert table.notes == ("unknown: no configuration in the table or in a log beside it: c",)
 
 
-def test_one_configuration_has_no_table_and_two_versions_of_it_a_note():
+def test_one_configuration_gives_no_table_and_two_versions_give_a_note():
     one, other = run("a", "seed = 1"), run("b", "seed = 1", version="2")
     assert settings_table({"a": one, "b": one}).rows == settings_table({"a": one, "b": one}).notes == ()
     assert settings_table({"a": one, "b": other}).notes == ("none: the versions differ",)
 
 
-UNKNOWN_CONFIGURATION = "unknown, for neither a table nor a log next to it says its configuration"
+UNKNOWN_CONFIGURATION = "unknown, because a run has no configuration in its table or in a log beside it"
 
 
 @pytest.mark.parametrize(
@@ -94,5 +94,5 @@ UNKNOWN_CONFIGURATION = "unknown, for neither a table nor a log next to it says 
         *((run("b", made_by=digest), (UNKNOWN_CONFIGURATION,)) for digest in ("0" * 64, "")),
     ],
 )
-def test_the_change_from_one_run_to_another(candidate, expected):
+def test_changed_settings_of_two_runs(candidate, expected):
     assert change(run("a", "seed = 1"), candidate) == expected

@@ -1,4 +1,4 @@
-"""Errors in units of their standard deviations: shares, NEES and its interval, with answers worked out by hand."""
+"""Errors in units of their standard deviations: hand-computed shares, NEES and interval."""
 
 import numpy as np
 import polars as pl
@@ -44,9 +44,11 @@ def test_shares_and_nees_by_hand():
     found = of(0.5, -1.0, 1.5, -2.5, 4.0)
     assert [found.within(k) for k in (1, 2, 3)] == [0.4, 0.6, 0.8]
     assert found.nees == pytest.approx((0.25 + 1 + 2.25 + 6.25 + 16) / 5)
+    assert of(*np.ones(7)).nees_interval is None
+    assert of(*np.ones(8)).nees_interval == pytest.approx((1, 1))
 
 
-def test_errors_of_their_own_deviation_have_a_nees_of_one():
+def test_errors_with_the_right_deviation_have_a_nees_of_1():
     found = consistency_of_frames(np.random.default_rng(1).normal(size=20_000), 20_000)
     assert [found.within(k) for k in (1, 2, 3)] == pytest.approx([0.683, 0.954, 0.997], abs=0.01)
     low, high = found.nees_interval
@@ -54,7 +56,7 @@ def test_errors_of_their_own_deviation_have_a_nees_of_one():
     assert high / low < 1.15
 
 
-def test_the_interval_of_blocks_of_one_is_that_of_the_mean():
+def test_the_interval_of_blocks_of_one_equals_that_of_the_mean():
     squares = np.array([1.0, 4.0, 0.25, 2.25, 1.0, 0.01, 0.49, 3.0, 1.5, 0.8])
     found = of(*np.sqrt(squares))
     error = squares.std(ddof=1) / np.sqrt(10)
@@ -64,7 +66,7 @@ def test_the_interval_of_blocks_of_one_is_that_of_the_mean():
 
 
 def test_rows_of_one_object_do_not_narrow_the_interval():
-    """One car seen for 40 frames is one car."""
+    """40 frames of one car are one block."""
     values = np.random.default_rng(2).normal(size=12)
     once = consistency(values, 12, np.arange(12))
     often = consistency(np.repeat(values, 40), 480, np.repeat(np.arange(12), 40))
@@ -72,8 +74,8 @@ def test_rows_of_one_object_do_not_narrow_the_interval():
     assert often.nees == pytest.approx(once.nees)
 
 
-def test_the_interval_holds_the_truth_of_correlated_frames():
-    """Of 200 drives whose neighbouring errors correlate by 0.9 few intervals of 99 % miss; as if independent, many."""
+def test_the_interval_of_correlated_frames_contains_the_truth():
+    """200 logs with correlation 0.9: few 99 % intervals miss the truth; without blocks many do."""
     random = np.random.default_rng(3)
     missed = alone_missed = 0
     for _ in range(200):
@@ -88,14 +90,9 @@ def test_the_interval_holds_the_truth_of_correlated_frames():
     assert alone_missed > 60
 
 
-def test_few_blocks_have_no_interval():
-    assert of(*np.ones(7)).nees_interval is None
-    assert of(*np.ones(8)).nees_interval == pytest.approx((1, 1))
-
-
 @given(st.lists(st.lists(st.floats(-9, 9), min_size=1, max_size=9), min_size=1, max_size=4))
 def test_tables_add_up(parts):
-    """The sums of several tables are those of one that holds all."""
+    """The sums over several tables equal those of one table with all rows."""
     numbers = np.concatenate([100 * k + np.arange(len(part)) for k, part in enumerate(parts)])
     whole = consistency(np.concatenate(parts), len(numbers), numbers)
     total = added({"step": of(*part)} for part in parts)["step"]
@@ -106,7 +103,7 @@ def test_tables_add_up(parts):
         assert total.nees_interval == pytest.approx(whole.nees_interval, rel=1e-6)
 
 
-def test_rows_without_a_track_are_objects_of_their_own():
+def test_rows_without_a_track_are_separate_objects():
     numbers = object_numbers(pl.DataFrame({"track_id": ["2", None, "2", "7", None]}))
     assert numbers[0] == numbers[2]
     assert len(set(numbers)) == 4
@@ -131,7 +128,7 @@ def test_a_run_is_read_from_both_tables(tmp_path):
     assert found["distance"].nees == pytest.approx(2.5)
 
 
-def test_the_report_and_its_page_have_the_table(tmp_path, capsys):
+def test_the_report_and_the_page_have_the_table(tmp_path, capsys):
     errors = np.random.default_rng(4).normal(size=200)
     path = frames(tmp_path / "drive.metrics.parquet", 0.1 * errors, np.full(200, 0.1))
     assert main([str(path), "--html", str(tmp_path / "page.html")]) == 0
@@ -150,7 +147,7 @@ def test_damaged_detections_are_an_error_that_names_them(tmp_path, capsys):
     assert target.name in capsys.readouterr().err
 
 
-def test_any_number_in_a_table_is_borne(tmp_path, recwarn):
+def test_extreme_numbers_in_a_table_are_clipped(tmp_path, recwarn):
     path = frames(tmp_path / "drive.metrics.parquet", [1e99, 0.1, -0.1], [1e-300, 0.1, np.nan])
     objects(path, kept=[1, 0], distance_m=[1e308, 1.0], true_distance_m=[-1e308, 1.0], distance_std_m=[1.0, 1.0])
     found = only_run(path)

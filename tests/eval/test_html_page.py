@@ -1,4 +1,4 @@
-"""The page: one file that needs no network, whatever the tables hold."""
+"""The HTML page: one file that needs no network, for any table."""
 
 import json
 import re
@@ -88,7 +88,7 @@ def test_nothing_on_the_page_is_fetched(tmp_path):
     assert "Content-Security-Policy\" content=\"default-src 'none';" in text
 
 
-def test_names_are_text_wherever_they_stand(tmp_path):
+def test_names_are_escaped_everywhere(tmp_path):
     hostile = "<script>alert(1)<b>&x"
     paths = [tmp_path / f"{name}.metrics.parquet" for name in (hostile, "plain")]
     for path in paths:
@@ -101,15 +101,14 @@ def test_names_are_text_wherever_they_stand(tmp_path):
     assert "&lt;script&gt;alert(1)&lt;b&gt;&amp;x" in names
 
 
-@pytest.mark.parametrize("frames", [1, 2, 5])
-@pytest.mark.parametrize("columns", [{}, {"lane_left_offset_m": 1.0}, FULL])
-def test_any_table_makes_a_page(tmp_path, frames, columns):
+@pytest.mark.parametrize(("frames", "columns"), [(1, {}), (2, {"lane_left_offset_m": 1.0}), (1, FULL), (5, FULL)])
+def test_any_table_gives_a_page(tmp_path, frames, columns):
     page, _ = report(tmp_path, write(tmp_path / "a.metrics.parquet", [row(k, **columns) for k in range(frames)]))
     assert "What was replayed" in page.text
     assert ("No frame has truth for the replayed stages" in page.text) == ("stereo_epe_px" not in columns)
 
 
-def test_a_table_of_an_older_version_makes_a_page(tmp_path):
+def test_a_table_of_an_older_version_gives_a_page(tmp_path):
     required = pl.DataFrame(
         {"log_id": ["a"], "frame": [0], "stamp_ns": [1], "missing": [["depth"]], "reasons": [["no depth"]]},
         schema_overrides={"missing": pl.List(pl.String)},
@@ -120,7 +119,7 @@ def test_a_table_of_an_older_version_makes_a_page(tmp_path):
     assert "depth 100.0 %" in page.text
 
 
-def test_the_settings_that_differ_head_the_page_and_each_configuration_has_its_own_worst_frames(tmp_path):
+def test_the_page_starts_with_differing_settings_and_ranks_worst_frames_per_configuration(tmp_path):
     paths = [tmp_path / name / "a.metrics.parquet" for name in ("base", "slow")]
     for error, settings, path in zip((0.1, 0.2), ((), ("lanes.hold_s=2",)), paths, strict=True):
         path.parent.mkdir()
@@ -137,11 +136,11 @@ def test_the_settings_that_differ_head_the_page_and_each_configuration_has_its_o
     assert re.findall(r"slow/a (\d)0\.20 px", worst) == list("01234")
 
 
-def test_more_runs_than_colours_are_left_out_and_said(tmp_path):
+def test_a_note_counts_the_runs_beyond_the_colours(tmp_path):
     for k in range(RUNS_DRAWN + 2):
         write(tmp_path / f"run{k}.metrics.parquet", [row(0, **FULL)])
     page, _ = report(tmp_path, tmp_path)
-    assert f"2 more runs were named; the page shows the first {RUNS_DRAWN}." in page.text
+    assert f"The page shows the first {RUNS_DRAWN} runs; 2 more are left out." in page.text
 
 
 def test_an_hour_at_20_hz_stays_below_ten_megabytes(tmp_path):
@@ -163,7 +162,7 @@ def test_an_hour_at_20_hz_stays_below_ten_megabytes(tmp_path):
 
 
 @pytest.mark.parametrize("moved", ["", "/gone/out.mcap"])
-def test_worst_frames_have_a_picture_each_once(tmp_path, moved):
+def test_each_worst_frame_has_one_picture(tmp_path, moved):
     log = write_log(tmp_path / "out.mcap")
     table = with_log(
         tmp_path / "out.metrics.parquet", moved or log, [STAMP, STAMP + STEP_NS], stereo_epe_px=0.5, turn_error_deg=1.0
@@ -177,15 +176,15 @@ def test_worst_frames_have_a_picture_each_once(tmp_path, moved):
     assert "in.mcap" in captions
 
 
-def test_a_picture_goes_without_what_cannot_be_read_and_the_page_says_so(tmp_path):
+def test_a_picture_lacks_unreadable_results_and_a_note_says_so(tmp_path):
     log = write_log(tmp_path / "out.mcap", objects=b"\xff\xfe")
     page, _ = report(tmp_path, with_log(tmp_path / "out.metrics.parquet", log, [STAMP], stereo_epe_px=0.5))
     assert len(page.images) == 1
-    assert f"could not be read is not drawn: /perception/objects: message at {STAMP} ns: 2 bytes are no" in page.text
+    assert f"not drawn, because unreadable: /perception/objects: message at {STAMP} ns: 2 bytes are no" in page.text
 
 
-def test_a_log_that_was_replayed_again_lends_no_pictures(tmp_path):
-    """Under the first run's numbers they would show what the second one saw."""
+def test_a_log_that_was_replayed_again_gives_no_pictures(tmp_path):
+    """They would show the second replay beside the numbers of the first."""
     out, table = tmp_path / "out.mcap", tmp_path / "out.metrics.parquet"
     replayed = [str(SAMPLE), str(out), "--frames", "2", "--quiet", "--force"]
     assert replay_main(replayed) == 0
@@ -197,7 +196,7 @@ def test_a_log_that_was_replayed_again_lends_no_pictures(tmp_path):
     assert "out.mcap was replayed again with another configuration" in page.text
 
 
-def test_a_pose_without_an_orientation_is_none(tmp_path):
+def test_poses_without_orientation_are_not_drawn(tmp_path):
     still = {f"odom_{axis}_m": 0.0 for axis in "xyz"} | {f"odom_q{axis}": 0.0 for axis in "xyzw"}
     page, _ = report(tmp_path, write(tmp_path / "a.metrics.parquet", [row(k, **still) for k in range(3)]))
     assert "Trajectory" not in page.text
@@ -211,7 +210,7 @@ def test_a_pose_without_an_orientation_is_none(tmp_path):
         ("gone", "a.mcap is not where the table says"),
     ],
 )
-def test_a_log_without_pictures_is_said(tmp_path, content, said):
+def test_a_note_says_why_a_log_has_no_pictures(tmp_path, content, said):
     log = tmp_path / "a.mcap"
     if content == "no image":
         write_log(log, image=False)
@@ -224,7 +223,7 @@ def test_a_log_without_pictures_is_said(tmp_path, content, said):
     assert str(tmp_path) not in page.text
 
 
-def test_only_a_page_is_written_over(tmp_path, capsys):
+def test_only_a_page_is_replaced(tmp_path, capsys):
     table = write(tmp_path / "a.metrics.parquet", [row(0)])
     before = table.read_bytes()
     assert main([str(table), "--html", str(table)]) == 1

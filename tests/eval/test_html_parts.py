@@ -1,4 +1,4 @@
-"""Series, charts, trajectory and frames of the page, each with a known answer."""
+"""Known answers for the page's series, charts, trajectory and pictures."""
 
 import base64
 import json
@@ -53,14 +53,14 @@ def test_thinning_keeps_peaks_gaps_ends_and_order(length, buckets, seed):
         assert np.nanmin(values[kept]) == np.nanmin(values)
 
 
-def test_numbers_fit_json_and_gaps_stay_gaps():
+def test_numbers_are_valid_json_and_gaps_stay_gaps():
     assert numbers(np.array([1.23456789, np.nan, 1e-9])) == [1.23457, None, 1e-09]
     alone = line("x", np.arange(3.0), np.array([np.nan, 1.0, np.nan]), "#000000")
     assert alone["mode"] == "lines+markers"
     assert line("x", np.arange(3.0), np.array([np.nan, 1.0, 2.0]), "#000000")["mode"] == "lines"
 
 
-def test_histogram_counts_in_percent_and_stands_equal_values():
+def test_histogram_in_percent_also_of_equal_values():
     (chart,) = histograms([series(stereo_epe_px=[0.5] * 10 + [np.nan])])
     assert max(chart.traces[0]["y"]) == 100
     edges = bin_edges([np.array([0.0, np.nan]), np.array([4.0])])
@@ -79,22 +79,22 @@ def poses(which, xy, yaw_deg=0.0):
     }
 
 
-def test_the_true_path_starts_where_odometry_starts_whatever_frame_it_is_given_in():
-    """The car drives 2 m north in the world, which its odometry calls 2 m ahead."""
+def test_the_true_path_starts_at_the_start_of_odometry():
+    """The car drives 2 m north in the frame of the truth, 2 m ahead in the odom frame."""
     run = series(**poses("odom", [(0, 0), (1, 0), (2, 0)]), **poses("true", [(100, 50), (100, 51), (100, 52)], 90))
     found = paths(run)
     np.testing.assert_allclose(found["odom"], [(0, 0, 0), (1, 0, 0), (2, 0, 0)], atol=1e-9)
     np.testing.assert_allclose(found["true"], found["odom"], atol=1e-9)
 
 
-def test_a_truth_that_comes_later_joins_the_path_there():
+def test_truth_that_starts_later_joins_the_path_there():
     later = {name: np.where(np.arange(3) < 1, np.nan, c) for name, c in poses("true", [(9, 9), (7, 7), (8, 7)]).items()}
     found = paths(series(**poses("odom", [(0, 0), (1, 0), (2, 0)]), **later))
     np.testing.assert_allclose(found["odom"][1:, 0], [0, 1], atol=1e-9)
     np.testing.assert_allclose(found["true"][1:], [(0, 0, 0), (1, 0, 0)], atol=1e-9)
 
 
-def test_plotly_knows_every_property_of_the_charts():
+def test_plotly_accepts_every_property_of_the_charts():
     run = series(
         **poses("odom", [(0, 0), (1, 0)]),
         **poses("true", [(0, 0), (1, 0)]),
@@ -132,7 +132,7 @@ OBJECTS = Objects(
 
 
 def write_log(path, late_ns=0, image=True, objects=None):
-    """Two frames 50 ms apart; only the first has results; log times lie ``late_ns`` behind the stamps."""
+    """Two frames 50 ms apart; only the first has results; log times are ``late_ns`` after the stamps."""
     objects = encoding.encode_objects(STAMP, "camera", OBJECTS) if objects is None else objects
     grey = cv2.imencode(".png", np.full((48, 64, 3), 90, np.uint8))[1].tobytes()
     mask = np.zeros((48, 64), np.uint8)
@@ -154,7 +154,7 @@ def write_log(path, late_ns=0, image=True, objects=None):
 
 
 @pytest.mark.parametrize("late_ns", [0, 120_000_000])
-def test_a_frame_comes_back_as_it_was_written(tmp_path, late_ns):
+def test_a_frame_is_read_as_it_was_written(tmp_path, late_ns):
     found = read_frame(write_log(tmp_path / "out.mcap", late_ns), STAMP, Problems())
     assert found.image_bgr.shape == (48, 64, 3)
     assert (found.drivable.sum(), found.drivable[39].any()) == (8 * 64, False)
@@ -167,27 +167,20 @@ def test_a_frame_comes_back_as_it_was_written(tmp_path, late_ns):
     assert (dropped.kept, dropped.class_ratio, dropped.time_to_impact_s) == (False, None, None)
 
 
-def test_results_of_another_frame_are_not_taken(tmp_path):
-    found = read_frame(write_log(tmp_path / "out.mcap"), STAMP + 50_000_000, Problems())
+def test_a_frame_needs_its_own_results_and_image(tmp_path):
+    log, right = write_log(tmp_path / "out.mcap"), tmp_path / "right.mcap"
+    found = read_frame(log, STAMP + 50_000_000, Problems())
     assert all(isinstance(result, Absent) for result in (found.lanes, found.objects, found.drivable))
-
-
-def test_a_pairs_right_camera_is_not_the_one_the_results_belong_to(tmp_path):
-    path = tmp_path / "right.mcap"
-    grey = cv2.imencode(".png", np.full((48, 64, 3), 90, np.uint8))[1].tobytes()
-    with LogWriter(path) as writer:
-        content = encoding.encode_image(STAMP, "right", "png", grey)
-        writer.write(Message(image_channel("/camera/right/image"), STAMP, STAMP, 0, content))
-    assert read_frame(path, STAMP, Problems()) is None
-
-
-def test_a_log_without_the_image_has_no_frame(tmp_path):
+    assert read_frame(log, STAMP + 1, Problems()) is None
     assert read_frame(write_log(tmp_path / "none.mcap", image=False), STAMP, Problems()) is None
-    assert read_frame(write_log(tmp_path / "out.mcap"), STAMP + 1, Problems()) is None
+    with LogWriter(right) as writer:  # results belong to the left camera
+        content = encoding.encode_image(STAMP, "right", "png", cv2.imencode(".png", np.zeros((4, 4)))[1].tobytes())
+        writer.write(Message(image_channel("/camera/right/image"), STAMP, STAMP, 0, content))
+    assert read_frame(right, STAMP, Problems()) is None
 
 
-def test_pictures_of_a_looped_log_are_of_the_frame_itself(tmp_path):
-    """Both passes have the same stamp: the picture of the second is not that of the first."""
+def test_pictures_of_a_looped_log_come_from_the_right_segment(tmp_path):
+    """Frames of two segments have the same stamp but different pictures."""
     log, table = tmp_path / "loop.mcap", tmp_path / "loop.metrics.parquet"
     rows = [FrameMetrics("a" * 16, k, STAMP, segment=k, lane_left_error_m=0.1 + k) for k in range(2)]
     with LogWriter(log) as writer:

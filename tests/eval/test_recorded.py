@@ -1,6 +1,6 @@
-"""What the commands say of tables with known numbers, and the page of one, stay as they were recorded.
+"""The commands' output for tables with known numbers, and the page, equal their recordings.
 
-After a change that is meant, ``pytest tests/eval/test_recorded.py --force-regen`` records anew.
+After an intended change, ``pytest tests/eval/test_recorded.py --force-regen`` replaces the recordings.
 """
 
 import re
@@ -21,7 +21,7 @@ FRAMES = 120
 
 
 def drive(path, seed):
-    """A table in which every kind of column has values, some of them missing."""
+    """A table with values in every kind of column, some of them missing."""
     random = np.random.default_rng(seed)
     rows, times = [], []
     for k in range(FRAMES):
@@ -68,14 +68,14 @@ def runs(tmp_path):
 
 
 @pytest.mark.parametrize("number", [1, 2])
-def test_the_report_is_the_recorded_one(number, runs, tmp_path, monkeypatch, capsys, file_regression):
+def test_the_report_equals_its_recording(number, runs, tmp_path, monkeypatch, capsys, file_regression):
     monkeypatch.chdir(tmp_path)
     assert main([path.rpartition("/")[2] for path in runs[:number]]) == 0
     file_regression.check(re.sub(r" +$", "", capsys.readouterr().out, flags=re.MULTILINE))
 
 
 @pytest.mark.parametrize("number", [1, 2])
-def test_the_page_is_the_recorded_one(number, runs, tmp_path, ndarrays_regression):
+def test_the_page_equals_its_recording(number, runs, tmp_path, ndarrays_regression):
     assert main([*runs[:number], "--html", str(tmp_path / "page.html")]) == 0
     page = Page((tmp_path / "page.html").read_text())
     words = np.array([line.strip() for line in page.text.splitlines() if line.strip()])
@@ -94,7 +94,7 @@ def tables(runs, tmp_path, monkeypatch):
     write_run(tmp_path / "paths" / "blind.metrics.parquet", helix(60))
 
 
-SAID = {
+CASES = {
     "dataset": (main, ["dataset", "--worst", "2"]),
     "dataset by status": (main, ["dataset", "--by", "lane_left_status,config"]),
     "two configurations of a dataset": (compare_main, ["dataset"]),
@@ -105,8 +105,8 @@ SAID = {
 }
 
 
-@pytest.mark.parametrize("case", SAID)
-def test_what_is_said_is_the_recorded_text(case, tables, capsys, file_regression):
-    command, arguments = SAID[case]
+@pytest.mark.parametrize("case", CASES)
+def test_the_output_equals_its_recording(case, tables, capsys, file_regression):
+    command, arguments = CASES[case]
     command(arguments)
     file_regression.check("".join(capsys.readouterr()))

@@ -1,4 +1,4 @@
-"""Which tables a command line means, what is said of files that are none, and what runs are called."""
+"""The tables that arguments name, errors of other files, and names of runs."""
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -31,41 +31,33 @@ def test_relative_glob(tmp_path, monkeypatch):
     assert [run.name for run in find_runs(["**/*.parquet"])] == ["a/drive", "b/drive"]
 
 
-def test_names_take_as_many_folders_as_tell_them_apart(tmp_path):
+def test_names_have_enough_folders_to_be_unique(tmp_path):
     for name in ("base/x/drive", "slow/x/drive", "slow/x/other"):
         write(tmp_path / f"{name}.metrics.parquet", [row(0)])
     assert [run.name for run in find_runs([str(tmp_path)])] == ["base/x/drive", "slow/x/drive", "other"]
 
 
-@pytest.mark.parametrize("argument", ["nowhere", "nowhere/x.metrics.parquet", "nowhere.mcap"])
-def test_missing_path(tmp_path, argument):
-    with pytest.raises(TableError, match=rf"{argument}: no such file"):
+@pytest.mark.parametrize(
+    ("argument", "message"),
+    [
+        ("nowhere", "nowhere: no such file"),
+        ("nowhere/x.metrics.parquet", r"x\.metrics\.parquet: no such file"),
+        ("nowhere.mcap", r"nowhere\.mcap: no such file"),
+        ("in.mcap", r"in\.mcap: no in\.metrics\.parquet beside it"),
+        ("metrics", "is part of a batch.s dataset; pass the dataset.s folder, .+"),
+        (".", r"no \*\.metrics\.parquet in this folder"),
+        ("in*", r"matches no metrics table \(1 file of other kinds\)"),
+        ("x*", r"x\*: matches no metrics table \(no file"),
+    ],
+)
+def test_arguments_without_tables_are_errors(tmp_path, argument, message):
+    (tmp_path / "in.mcap").touch()
+    (tmp_path / "metrics" / "date=2026-01-01").mkdir(parents=True)
+    with pytest.raises(TableError, match=message):
         find_runs([str(tmp_path / argument)])
 
 
-def test_log_without_table(tmp_path):
-    (tmp_path / "in.mcap").touch()
-    with pytest.raises(TableError, match=r"in\.mcap: no in\.metrics\.parquet beside it"):
-        find_runs([str(tmp_path / "in.mcap")])
-
-
-def test_the_tables_of_a_dataset_are_no_runs(tmp_path):
-    (tmp_path / "metrics" / "date=2026-01-01").mkdir(parents=True)
-    with pytest.raises(TableError, match=f"is part of a batch.s dataset; pass the dataset.s folder, {tmp_path}"):
-        find_runs([str(tmp_path / "metrics")])
-
-
-def test_folder_and_glob_without_tables(tmp_path):
-    (tmp_path / "in.mcap").touch()
-    with pytest.raises(TableError, match=r"no \*\.metrics\.parquet in this folder"):
-        find_runs([str(tmp_path)])
-    with pytest.raises(TableError, match=r"matches no metrics table \(1 file of other kinds\)"):
-        find_runs([str(tmp_path / "*")])
-    with pytest.raises(TableError, match=r"x\*: matches no metrics table \(no file"):
-        find_runs([str(tmp_path / "x*")])
-
-
-def test_parquet_that_is_no_metrics_table(tmp_path):
+def test_a_parquet_file_of_detections_is_an_error(tmp_path):
     path = tmp_path / "out.objects.parquet"
     pq.write_table(pa.table({"log_id": ["a"], "frame": [0], "stamp_ns": [1], "label": ["Car"]}), path)
     with pytest.raises(TableError, match=r"no column missing, reasons, total_ms; .* in out\.metrics\.parquet"):
@@ -73,7 +65,7 @@ def test_parquet_that_is_no_metrics_table(tmp_path):
 
 
 @pytest.mark.parametrize("content", [b"", b"not a table", None])
-def test_file_that_is_no_parquet_or_cut_short(tmp_path, content):
+def test_other_and_truncated_files_are_errors(tmp_path, content):
     path = write(tmp_path / "cut.metrics.parquet", [row(index) for index in range(50)])
     path.write_bytes(path.read_bytes()[:-100] if content is None else content)
     with pytest.raises(TableError, match=r"cut\.metrics\.parquet: is not a Parquet file, or is truncated"):
@@ -83,19 +75,14 @@ def test_file_that_is_no_parquet_or_cut_short(tmp_path, content):
 NAMES = st.lists(st.text("abcdefg/_0123456789", min_size=1, max_size=60), unique=True, min_size=1, max_size=12)
 
 
-def test_what_fits_stays_and_needs_no_legend():
-    names = short_names(["base/drive", "slow/drive"], 15)
-    assert names == {"base/drive": "base/drive", "slow/drive": "slow/drive"}
-    assert list(legend(names)) == []
-
-
 def test_names_that_differ_in_the_middle_are_numbered():
     names = short_names(["runs_of_today/a/town_drive", "runs_of_today/b/town_drive", "c"], 15)
     assert list(names.values()) == ["1 runs_o…_drive", "2 runs_o…_drive", "c"]
+    assert len(list(legend(names))) == 2
 
 
 @given(NAMES, st.integers(15, 60))
-def test_every_name_fits_and_is_its_own(names, columns):
+def test_every_short_name_fits_and_is_unique(names, columns):
     short = short_names(names, columns)
     assert list(short) == names
     assert max(map(len, short.values())) <= columns

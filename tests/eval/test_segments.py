@@ -1,4 +1,4 @@
-"""A log in several segments: the figures of each are those of a log by itself, and none is of two."""
+"""Logs with several segments: each is evaluated like a separate log, and no value spans two segments."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from roadperc_stream.cli.report import main as report_main
 from roadperc_stream.cli.trajectory import main
 from roadperc_stream.eval.comparison.agreement import compare_tables
 from roadperc_stream.eval.comparison.pairing import logged_runs, pair_runs
-from roadperc_stream.eval.html.charts import paths, trajectory
+from roadperc_stream.eval.html.charts import POSE_COLUMNS, paths, trajectory
 from roadperc_stream.eval.html.figures import load_series
 from roadperc_stream.eval.options import Rules
 from roadperc_stream.eval.summary import summarise_run
@@ -25,7 +25,7 @@ RUN = Delta(1, "frames")
 
 
 def offsets(frame):
-    """A boundary that sways: its offset, the raw one and the true one, which it follows two frames late."""
+    """The smoothed, raw and true offsets of a boundary; the smoothed one lags two frames."""
     true = [1.5 + 0.2 * np.sin((frame - lag) / 3) + 0.1 * np.sin((frame - lag) / 1.3) for lag in (0, 2)]
     names = ("lane_left_true_offset_m", "lane_left_offset_m", "lane_left_raw_offset_m")
     return dict(zip(names, (*map(float, true), float(true[1]) + 0.01 * (-1) ** frame), strict=True))
@@ -36,7 +36,7 @@ def drive(frames=FRAMES):
 
 
 def again(rows, segment=1):
-    """The same frames a second time, as a bag played in a loop gives them."""
+    """The same frames in another segment, as from a bag played in a loop."""
     return [replace(item, frame=item.frame + len(rows) * segment, segment=segment) for item in rows]
 
 
@@ -50,7 +50,7 @@ def looped(tmp_path):
     return write(tmp_path / "loop.metrics.parquet", [*drive(), *again(drive())])
 
 
-def test_a_looped_log_has_twice_the_values_of_one_pass_and_the_same_figures(once, looped):
+def test_a_looped_log_has_twice_the_values_and_the_same_statistics(once, looped):
     found = summarise_run(run_of(looped), 3)
     assert (once.segments, found.segments) == (1, 2)
     assert found.span_s == 2 * once.span_s == pytest.approx(2 * 0.05 * (FRAMES - 1))
@@ -62,7 +62,7 @@ def test_a_looped_log_has_twice_the_values_of_one_pass_and_the_same_figures(once
     assert found.lag_frames("left") == once.lag_frames("left") == 2
 
 
-def test_worst_frames_are_placed_in_time_through_the_segments(tmp_path):
+def test_the_time_of_worst_frames_continues_across_segments(tmp_path):
     rows = [*drive(3), *again(drive(3))]
     rows[4] = replace(rows[4], lane_left_error_m=0.7)
     rows[1] = replace(rows[1], lane_left_error_m=0.7)
@@ -80,13 +80,9 @@ def test_a_table_without_the_column_is_one_segment(tmp_path):
     assert load_series(run_of(path), ["lane_left_offset_m"]).segments.tolist() == [0] * FRAMES
 
 
-def test_the_report_says_how_many_segments_there_are(looped, capsys):
+def test_the_report_counts_segments_and_curves_are_interrupted_between_them(looped, capsys):
     assert report_main([str(looped)]) == 0
-    text = capsys.readouterr().out
-    assert "48 frames in 2 segments over 2.30 s, 20.0 frames/s, longest gap 0.05 s" in text
-
-
-def test_curves_are_interrupted_between_segments(looped):
+    assert "48 frames in 2 segments over 2.30 s, 20.0 frames/s, longest gap 0.05 s" in capsys.readouterr().out
     found = load_series(run_of(looped), ["lane_left_offset_m"])
     values = found.values["lane_left_offset_m"]
     assert len(values) == len(found.since_start_s) == len(found.segments) == 2 * FRAMES + 1
@@ -96,7 +92,7 @@ def test_curves_are_interrupted_between_segments(looped):
 
 
 def looped_run(path, passes, **others):
-    """A table of odometry that begins anew with every pass: (estimated, true) poses of each."""
+    """A table of odometry in segments, from the (estimated, true) poses of each."""
     estimated, true = (np.concatenate(side) for side in zip(*passes, strict=True))
     lengths = [len(one) for one, _ in passes]
     stamps = [START_NS + k * STEP_NS for length in lengths for k in range(length)]
@@ -113,7 +109,7 @@ def evaluated(path, alignment=None):
     return evaluate(read_poses(run_of(path)), alignment, RUN)
 
 
-def test_each_pass_of_a_looped_log_is_measured_as_the_single_one(tmp_path, one_pass):
+def test_each_segment_of_a_looped_log_is_evaluated_like_a_separate_log(tmp_path, one_pass):
     single = evaluated(write_run(tmp_path / "single.metrics.parquet", *one_pass))
     found = evaluated(looped_run(tmp_path / "loop.metrics.parquet", [one_pass] * 3))
     assert found.driven_m == pytest.approx(3 * single.driven_m)
@@ -123,11 +119,11 @@ def test_each_pass_of_a_looped_log_is_measured_as_the_single_one(tmp_path, one_p
     assert [s.count for s in found.stretches] == [3 * s.count for s in single.stretches]
     assert found.together.translation_percent == pytest.approx(single.together.translation_percent)
     assert found.together.length_m is None
-    assert found.every == single.every == 1, "three passes of 42 m are no 100 m"
+    assert found.every == single.every == 1, "three segments of 42 m are not one of 100 m"
 
 
-def test_segments_are_aligned_by_themselves(tmp_path):
-    """Two recordings in two odometry frames, one at twice the scale of the other: both fit the truth exactly."""
+def test_segments_are_aligned_separately(tmp_path):
+    """Two segments in two odom frames and at two scales: both fit the truth exactly."""
     passes = [(rigid(1) @ scaled(helix(40), 0.5), helix(40)), (rigid(2) @ helix(30), rigid(3) @ helix(30))]
     found = evaluated(looped_run(tmp_path / "a.metrics.parquet", passes), "sim3")
     assert found.scales == (pytest.approx(2.0), pytest.approx(1.0))
@@ -135,22 +131,22 @@ def test_segments_are_aligned_by_themselves(tmp_path):
     assert found.relative_m.most < 1e-9
 
 
-def test_a_segment_too_short_to_judge_is_left_out_and_named(tmp_path, one_pass, capsys):
+def test_a_segment_that_is_too_short_is_left_out_with_a_note(tmp_path, one_pass, capsys):
     short = tuple(side[:2] for side in one_pass)
     path = looped_run(tmp_path / "loop.metrics.parquet", [one_pass, short])
     found = evaluated(path)
     assert found.absolute_m.count == 60
     assert len(found.scales) == 1
-    expected = "no figures of segment 1: expected 3 or more frames with an estimated and a true pose, found 2"
+    expected = "no errors of segment 1: expected 3 or more frames with an estimated and a true pose, found 2"
     assert found.left_out == (expected,)
     assert main([str(path)]) == 0
     text = capsys.readouterr().out
     assert expected in text
     assert "loop: 62 frames in 2 segments of the log" in text
-    assert "aligned by SE(3), each segment of the log by itself" in text
+    assert "aligned by SE(3), each segment of the log separately" in text
 
 
-def test_exported_files_are_of_one_segment_each(tmp_path, one_pass):
+def test_each_segment_has_exported_files(tmp_path, one_pass):
     path = looped_run(tmp_path / "loop.metrics.parquet", [one_pass, one_pass])
     single = write_run(
         tmp_path / "one.metrics.parquet", *one_pass, stamp_ns=[START_NS + k * STEP_NS for k in range(60)]
@@ -168,12 +164,9 @@ def test_exported_files_are_of_one_segment_each(tmp_path, one_pass):
         assert first == second == alone
 
 
-def test_the_picture_from_above_begins_each_segment_at_the_origin(tmp_path):
+def test_the_trajectory_chart_starts_each_segment_at_the_origin(tmp_path):
     path = looped_run(tmp_path / "loop.metrics.parquet", [(straight(5, 1.0), straight(5, 1.0))] * 2)
-    series = load_series(
-        run_of(path),
-        [f"{which}_{name}" for which in ("odom", "true") for name in ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")],
-    )
+    series = load_series(run_of(path), POSE_COLUMNS)
     for points_m in paths(series).values():
         assert points_m[:, 0].tolist() == pytest.approx([0, 1, 2, 3, 4, np.nan, 0, 1, 2, 3, 4], nan_ok=True)
     figure = trajectory([series])
@@ -191,7 +184,7 @@ def pair(tmp_path, reference, candidate):
 
 
 def test_frames_of_equal_stamps_pair_within_their_segment(tmp_path):
-    """The candidate lacks a frame of the first pass: the one of the second pass is not compared with it."""
+    """The candidate lacks a frame of the first segment; the frame of the second segment does not replace it."""
     rows = [replace(item, lane_left_offset_m=float(item.frame)) for item in [*drive(5), *again(drive(5))]]
     found = pair(tmp_path, rows, [*rows[:2], *rows[3:]])
     assert found.by_segment
@@ -200,8 +193,8 @@ def test_frames_of_equal_stamps_pair_within_their_segment(tmp_path):
     assert {agreement.state for agreement in columns.values()} == {"identical"}
 
 
-def test_where_segments_are_not_as_many_stamps_alone_decide(tmp_path):
-    """As of a version that began no segment: frames whose stamps agree are compared all the same."""
+def test_runs_with_different_numbers_of_segments_pair_by_stamp(tmp_path):
+    """As with a table of a version without segments."""
     rows = [*drive(4), *again(drive(4))]
     found = pair(tmp_path, [replace(item, segment=0) for item in rows], rows)
     assert not found.by_segment

@@ -1,4 +1,4 @@
-"""Precision, recall, F1 and lag, worked out by hand; thinned and merged distributions against sorting everything."""
+"""Hand-computed precision, recall, F1 and lag; thinned and merged distributions against sorted values."""
 
 import math
 
@@ -24,14 +24,11 @@ def wave(frames, shift=0):
     return [math.sin((k - shift) / 4) + 0.3 * math.sin((k - shift) / 1.7) for k in range(frames)]
 
 
-def test_scores_where_nothing_was_found_or_there():
+def test_scores_of_counts_of_0_and_of_missing_counts():
     (kept,) = scores(dict.fromkeys(SUMS, 0))
     assert (kept.precision, kept.recall, kept.f1) == (None, None, None)
     (kept,) = scores({**dict.fromkeys(SUMS, 0), "filter_fn": 3})
     assert (kept.precision, kept.recall, kept.f1) == (None, 0, 0)
-
-
-def test_scores_need_all_their_counts():
     assert scores({"filter_tp": 6, "filter_fp": 2}) == []
 
 
@@ -40,7 +37,7 @@ def test_lag_is_the_shift(shift):
     assert lag(wave(120, shift), wave(120)) == shift
 
 
-def test_lag_does_not_mind_an_offset_a_scale_or_frames_without_a_value():
+def test_lag_does_not_depend_on_offset_scale_or_missing_values():
     late = [None if k % 7 == 0 else 2 + 0.5 * value for k, value in enumerate(wave(120, 2))]
     assert lag(late, wave(120)) == 2
 
@@ -57,16 +54,15 @@ ALTERNATING = [0.01 * (-1) ** k for k in range(40)]
         ([1.0], [1.0]),
     ],
 )
-def test_no_lag_at_the_largest_shifts_nor_where_none_stands_out(offsets, truths):
+def test_no_lag_at_the_largest_shifts_or_without_a_distinct_shift(offsets, truths):
     assert lag(offsets, truths) is None
 
 
 def late(truths, frames):
-    """The truth, held at its first value and then so many frames late."""
+    """The truth, delayed by a number of frames."""
     return [truths[0]] * frames + truths[: len(truths) - frames]
 
 
-@pytest.mark.parametrize("shift", [0, 3, 5])
 @pytest.mark.parametrize(
     "truths",
     [
@@ -76,15 +72,15 @@ def late(truths, frames):
     ],
     ids=["lane change", "parabola", "half a sine"],
 )
-def test_lag_of_what_goes_one_way_is_the_shift_too(truths, shift):
-    assert lag(late(truths, shift), truths) == shift
+def test_lag_of_slow_curves_is_the_shift(truths):
+    assert [lag(late(truths, shift), truths) for shift in (0, 3, 5)] == [0, 3, 5]
 
 
 def test_lag_of_a_log_shorter_than_the_shifts():
     assert lag([0.0, 1.0, 0.0], [0.0, 1.0, 0.0]) == 0
 
 
-def test_correlations_weigh_by_frames_and_leave_out_what_tells_nothing():
+def test_correlations_are_weighted_by_frames_without_logs_that_have_no_lag():
     sure, late, silent = [1.0, 0.0, 0.0], [0.0, 0.8, None], [math.nan, None, 0.1]
     assert averaged([(30, sure), (10, late), (1000, silent)]) == pytest.approx((0.75, 0.2, 0.0))
     assert averaged([(5, silent)]) == ()
@@ -107,24 +103,24 @@ def sketch_of(parts, points):
 
 
 def rank_distance(values, found, rank):
-    """How many values lie between a quantile and the rank it should have, from 0 to n; ties hold all their ranks."""
+    """Number of values between a quantile and its expected rank, from 0 to n; ties have all their ranks."""
     below, to = np.searchsorted(values, found, "left"), np.searchsorted(values, found, "right")
     return max(below - rank, rank - to, 0)
 
 
 @given(st.lists(FINITE, min_size=1, max_size=50))
-def test_quantiles_of_all_values_are_those_of_numpy(values):
+def test_quantiles_of_all_values_equal_numpy(values):
     found = quantiles(sorted_part(values), SHARES)
     assert found == pytest.approx(np.quantile(values, SHARES), rel=1e-9, abs=1e-9)
 
 
-def test_thinned_keeps_the_middle_of_equal_parts():
+def test_thinned_keeps_the_middle_of_equal_slices():
     part = thinned(sorted_part(range(12)), 3)
     assert part.values.tolist() == [1, 5, 9]
     assert (part.weights.tolist(), part.error_frames) == ([4, 4, 4], 2)
 
 
-def test_absolute_values_err_from_both_sides():
+def test_the_rank_error_of_absolute_values_doubles():
     sizes = absolute(thinned(sorted_part(range(-8, 4)), 3))
     assert sizes.values.tolist() == [1, 3, 7]
     assert sizes.error_frames == 4

@@ -1,4 +1,4 @@
-"""Known answers: tables made by hand, their numbers worked out by hand."""
+"""Summaries of hand-made tables with hand-computed numbers."""
 
 import math
 
@@ -32,7 +32,7 @@ def test_extent(tmp_path):
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_number_that_is_not_finite_is_no_value(tmp_path, value):
+def test_a_number_that_is_not_finite_counts_as_missing(tmp_path, value):
     found = summary_of(tmp_path, [row(0, time_to_impact_s=value), row(1, time_to_impact_s=2.0)])
     assert found.statistics["time_to_impact_s"].abs_most == 2.0
     assert found.coverage("time_to_impact_s") == 0.5
@@ -57,8 +57,8 @@ def test_jitter_compares_smoothed_and_raw_on_the_same_frames(tmp_path):
     assert found["lane_left_second_difference_m"].std == 0.0
 
 
-def test_a_change_of_lane_is_no_jitter(tmp_path):
-    """Before and after it the offset is that of two different lines: the two spans over the crossing do not count."""
+def test_a_lane_change_is_not_jitter(tmp_path):
+    """The offset jumps to another boundary, so the two differences across the lane change do not count."""
     offsets, changes = [0.3, 0.2, 0.1, 3.5, 3.4, 3.3], [0, 0, 0, 1, 1, 1]
     rows = [
         row(k, lane_left_raw_offset_m=y, lane_left_offset_m=y, lane_changes=n)
@@ -101,7 +101,7 @@ def test_damaged_data_behind_a_whole_footer(tmp_path):
         find_runs([str(path)])
 
 
-def test_over_all_lists_each_run_as_it_is_alone(tmp_path):
+def test_a_group_lists_the_same_summaries_as_single_runs(tmp_path):
     long = [row(k, "a" * 16, lane_left_error_m=k / 100, missing=("depth",)) for k in range(9)]
     short = [row(0, "b" * 16, lane_left_error_m=-0.5, surface_source="depth")]
     write(tmp_path / "long.metrics.parquet", long)
@@ -132,7 +132,7 @@ def fifty_tables(tmp_path):
     return find_runs([str(tmp_path)]), pl.read_parquet(tmp_path / "*.parquet")["lane_left_error_m"].drop_nulls()
 
 
-def test_over_few_frames_all_figures_are_those_of_the_tables_joined(tmp_path):
+def test_over_few_frames_all_statistics_are_exact(tmp_path):
     runs, joined = fifty_tables(tmp_path)
     together = over_all(runs)
     found = together.statistics["lane_left_error_m"]
@@ -146,8 +146,8 @@ def test_over_few_frames_all_figures_are_those_of_the_tables_joined(tmp_path):
     assert [found.abs_median, found.abs_p95, found.abs_most] == pytest.approx(expected, rel=1e-12)
 
 
-def test_over_many_frames_quantiles_keep_the_rank_error_they_state(tmp_path, monkeypatch):
-    """Sixteen values a table instead of all, which is what ten million frames come to; the rest stays exact."""
+def test_over_many_frames_quantiles_are_within_their_rank_error(tmp_path, monkeypatch):
+    """Sixteen values per table, as for ten million frames; the other statistics stay exact."""
     runs, joined = fifty_tables(tmp_path)
     exact = over_all(runs)
     monkeypatch.setattr(module, "EXACT_FRAMES", 100)
@@ -165,7 +165,7 @@ def test_over_many_frames_quantiles_keep_the_rank_error_they_state(tmp_path, mon
     assert together.worst == exact.worst
 
 
-def test_a_frame_that_could_not_be_better_is_none_of_the_worst(tmp_path):
+def test_perfect_frames_are_not_among_the_worst(tmp_path):
     rows = [row(k, drivable_iou=iou, lane_left_error_m=m) for k, (iou, m) in enumerate([(1.0, 0.0), (0.9, -0.1)])]
     found = summary_of(tmp_path, rows)
     assert [frame.value for frame in found.worst["drivable_iou"]] == [0.9]

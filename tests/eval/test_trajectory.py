@@ -1,4 +1,4 @@
-"""The command: what it prints, what it writes, and how it ends."""
+"""roadperc-trajectory: its output, its files, and its exit code."""
 
 import subprocess
 import sys
@@ -25,7 +25,7 @@ SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
 
 @pytest.fixture
 def shifted(tmp_path):
-    """3 m to the left and 4 m up all the way; one frame has no truth, one is lost."""
+    """Poses 3 m to the left and 4 m up; one frame has no truth, one is lost."""
     estimated = TRUE.copy()
     estimated[:, :3, 3] += [0.0, 3.0, 4.0]
     status = ["first", "lost"] + ["tracked"] * 58
@@ -47,11 +47,11 @@ def test_exports_of_runs_with_and_without_truth(tmp_path, shifted, capsys):
     blind = write_run(tmp_path / "blind.metrics.parquet", TRUE)
     code, text, _ = trajectory(capsys, blind, "--export-tum", tmp_path / "other")
     assert code == 0
-    assert "no figures without truth" in text
+    assert "no errors without truth" in text
     assert [p.name for p in (tmp_path / "other").iterdir()] == ["blind.est.tum"]
 
 
-def test_runs_of_one_name_are_told_apart_by_their_folders(tmp_path, capsys):
+def test_runs_of_equal_names_are_exported_into_their_folders(tmp_path, capsys):
     for folder in ("a", "b"):
         (tmp_path / folder).mkdir()
         write_run(tmp_path / folder / "drive.metrics.parquet", rigid(1) @ noisy(TRUE, 1), TRUE)
@@ -61,10 +61,10 @@ def test_runs_of_one_name_are_told_apart_by_their_folders(tmp_path, capsys):
     assert found == [f"{folder}/drive.{kind}.kitti" for folder in "ab" for kind in ("est", "true")]
 
 
-def test_without_truth_and_without_export_it_is_an_error_of_one_line(tmp_path, capsys):
+def test_without_truth_and_export_the_error_is_one_line(tmp_path, capsys):
     code, text, err = trajectory(capsys, write_run(tmp_path / "blind.metrics.parquet", TRUE))
     assert (code, text) == (1, "")
-    assert err.startswith(f"error: {tmp_path}/blind.metrics.parquet: no figures without truth: none of its 60 frames")
+    assert err.startswith(f"error: {tmp_path}/blind.metrics.parquet: no errors without truth: none of 60 frames")
     assert err.count("\n") == 1
 
 
@@ -74,7 +74,7 @@ def test_a_folder_that_cannot_be_written_is_an_error(shifted, tmp_path, capsys):
     assert err == f"error: {shifted}/drive.est.tum: File exists\n"
 
 
-def test_the_sample_is_as_right_as_the_readme_says(tmp_path):
+def test_the_errors_on_the_sample_equal_those_in_the_docs(tmp_path):
     log = tmp_path / "sample.mcap"
     assert replay_main([str(SAMPLE), str(log), "--only", "odometry", "--results-only", "--quiet"]) == 0
     found = evaluate(read_poses(*find_runs([str(log)])), None, Delta(1, "frames"))
@@ -87,8 +87,7 @@ def test_the_sample_is_as_right_as_the_readme_says(tmp_path):
     assert found.together.rotation_deg_per_100m == pytest.approx(0.33, abs=0.03)
 
 
-def test_it_needs_no_more_of_the_package_than_tables():
-    """No decoding, no stages: the command answers at once."""
+def test_the_command_does_not_import_slow_libraries():
     code = "import sys, roadperc_stream.eval.trajectory; print(*(n for n in ('cv2', 'mcap') if n in sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout.strip() == ""

@@ -1,7 +1,6 @@
-"""The figures are those of evo, which runs as a program of its own: it is under the GPL and is not imported.
+"""The errors equal those of evo, which runs as a separate program, because it is under the GPL.
 
-``ROADPERC_EVO`` names the folder with ``evo_ape`` and ``evo_rpe``, as ``pip install evo`` puts them into the ``bin``
-of a venv; without it these tests skip.
+``ROADPERC_EVO`` is the folder with ``evo_ape`` and ``evo_rpe`` from ``pip install evo``; without it the tests skip.
 """
 
 import json
@@ -41,7 +40,7 @@ def a_noisy_helix(path):
 
 
 def a_car_that_stops(path):
-    """Speeds of all kinds, a stop, hills, frames without a pose, and lengths in a unit of their own."""
+    """Different speeds, a stop, hills, frames without a pose, and an unknown scale."""
     rng = np.random.default_rng(5)
     steps_m = np.where(np.arange(300) // 40 % 3 == 1, 0.0, rng.uniform(0.05, 1.5, 300))
     yaw = np.cumsum(rng.normal(0, 0.03, 300))
@@ -63,7 +62,7 @@ def drive(request, tmp_path_factory):
 
 
 def evo(program, kind, folder, *options):
-    """The statistics evo finds between the exports of one kind."""
+    """evo's statistics of the exports of one kind."""
     saved = folder / "evo.zip"
     saved.unlink(missing_ok=True)
     files = [str(folder / f"drive.{of}.{kind}") for of in ("true", "est")]
@@ -79,24 +78,24 @@ def agree(ours, theirs):
     assert theirs == pytest.approx(same | {"min": ours.least, "max": ours.most}, abs=AGREEMENT, rel=0)
 
 
-@pytest.mark.parametrize("how", ALIGNED)
-def test_ate(drive, how):
+@pytest.mark.parametrize("alignment", ALIGNED)
+def test_ate(drive, alignment):
     folder, run = drive
-    found = evaluate(run, how, DELTAS["f"])
-    agree(found.absolute_m, evo("evo_ape", "tum", folder, *ALIGNED[how]))
+    found = evaluate(run, alignment, DELTAS["f"])
+    agree(found.absolute_m, evo("evo_ape", "tum", folder, *ALIGNED[alignment]))
 
 
-@pytest.mark.parametrize(("unit", "how"), [("f", "se3"), ("m", "none"), ("m", "sim3")])
-def test_rpe(drive, unit, how):
+@pytest.mark.parametrize(("unit", "alignment"), [("f", "se3"), ("m", "none"), ("m", "sim3")])
+def test_rpe(drive, unit, alignment):
     folder, run = drive
-    found = evaluate(run, how, DELTAS[unit])
+    found = evaluate(run, alignment, DELTAS[unit])
     assert found.relative_m.count > 20
-    pairing = ["--delta", str(DELTAS[unit].size), "--delta_unit", unit, "--all_pairs", *ALIGNED[how]]
+    pairing = ["--delta", str(DELTAS[unit].size), "--delta_unit", unit, "--all_pairs", *ALIGNED[alignment]]
     agree(found.relative_m, evo("evo_rpe", "tum", folder, *pairing, "-r", "trans_part"))
     agree(found.relative_deg, evo("evo_rpe", "tum", folder, *pairing, "-r", "angle_deg"))
 
 
-def test_kitti_files_say_the_same(drive):
+def test_kitti_files_give_the_same_errors(drive):
     folder, run = drive
     found = evaluate(run, "origin", DELTAS["f"])
     agree(found.absolute_m, evo("evo_ape", "kitti", folder))

@@ -30,4 +30,4 @@ def test_help_has_an_example(command, capsys):
         command.main(["--help"])
     assert end.value.code == 0
     text = capsys.readouterr().out
-    assert [words for words in EXAMPLES[command] if words not in text] == []
+    assert [example for example in EXAMPLES[command] if example not in text] == []

@@ -191,15 +191,15 @@ class TrueImpactColumns:
     true_time_to_impact_s: Annotated[
         float | None,
         Column(
-            "smallest true time to impact of what is in the path: range over range rate",
+            "smallest true time to impact of the objects in the path: range / range rate",
             "s",
-            "nothing in the path comes nearer, or the log does not say what is in it",
+            "no object in the path comes nearer, or the log does not say which objects are in it",
         ),
     ] = None
     time_to_impact_error_s: Annotated[
         float | None,
         _score(
-            "t - t*, the smallest time to impact of what is in the path",
+            "t - t*, the smallest time to impact of the objects in the path",
             "s",
             "either is not known",
             "time to impact",

@@ -174,7 +174,7 @@ class ObjectColumns:
     path_source: Annotated[
         str | None,
         Column(
-            "what the car's path was taken from: `lane` (its middle), `boundary` (along the one that is known), "
+            "source of the car's path: `lane` (its middle), `boundary` (along the one that is known), "
             "`odometry` (the circle on which the car drives) or `straight` (nothing is known)",
             null=_NOT_RUN,
         ),

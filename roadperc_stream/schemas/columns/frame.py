@@ -125,7 +125,7 @@ class ObjectMetrics(FrameKey):
     true_time_to_impact_s: Annotated[
         float | None,
         Column(
-            "what the truth says, else its distance / its closing speed",
+            "the truth's value, else its distance / its closing speed",
             "s",
             "no true object, it does not come nearer, or is truly beside the path",
         ),

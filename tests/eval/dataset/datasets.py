@@ -1,4 +1,4 @@
-"""Hand-made datasets of a batch, with known answers."""
+"""Hand-made datasets of a batch."""
 
 import polars as pl
 
@@ -18,12 +18,12 @@ def log_id(number):
 
 
 def frames(number, errors, **columns):
-    """The rows of a log by its lane errors, metres, None where there is none."""
+    """The rows of a log with these lane errors, metres or None."""
     return [row(k, log_id(number), lane_left_error_m=error, **columns) for k, error in enumerate(errors)]
 
 
 def done(number, config=A, frames=0, **more):
-    """The row of a log in the list of runs."""
+    """A log's row in the list of runs."""
     path = f"/drives/drive{number}.mcap"
     known = {"log_id": log_id(number), "config": config, "status": "done", "path": path, "names": (path,)}
     return run_row(**({**known, "frames": frames, "version": VERSION, "finished_ns": number, "attempts": 1} | more))
@@ -46,7 +46,7 @@ def write_runs(path, rows):
 
 
 def small_dataset(folder):
-    """Two logs under two configurations, the first log worse under the second; one damaged, one that took too long."""
+    """Two logs under two configurations, the first worse under the second; a damaged log and a log with a timeout."""
     settings = {A: "", B: "[lanes]\nhold_s = 2.0\n"}
     runs = []
     for config, worse_m, finished_ns in ((A, 0.0, 0), (B, 0.5, 100)):
@@ -68,7 +68,7 @@ def small_dataset(folder):
 
 
 def compact(folder, date=DATE, name="part-0.parquet"):
-    """Put the tables of a day into one, in the reverse order of their names."""
+    """Merge the tables of a day into one, in reverse order of their names."""
     day = folder / "metrics" / f"date={date}"
     parts = sorted(day.iterdir(), reverse=True)
     pl.concat([pl.read_parquet(path, hive_partitioning=False) for path in parts]).write_parquet(

@@ -1,4 +1,4 @@
-"""Two configurations of a dataset against each other, log by log."""
+"""Comparison of two configurations of a dataset, log by log."""
 
 from functools import partial
 
@@ -16,18 +16,13 @@ def dataset(tmp_path):
     return small_dataset(tmp_path / "dataset")
 
 
-def test_the_other_way_round_it_is_better(dataset, capsys):
-    code, text, _ = compare(capsys, dataset, "--config", B[:2], "--config", "default")
-    assert code == 0
-    assert "better: lane_left_error_m 0.27" in text
+@pytest.mark.parametrize(("first", "second"), [(B[:2], "default"), ("lanes.hold_s=2.0", A), ("lanes.hold_s=2", A)])
+def test_digits_and_settings_identify_a_configuration(dataset, capsys, first, second):
+    code, text, _ = compare(capsys, dataset, "--config", first, "--config", second)
+    assert (code, "better: lane_left_error_m 0.27" in text) == (0, True)
 
 
-@pytest.mark.parametrize("setting", ["lanes.hold_s=2.0", "lanes.hold_s=2"])
-def test_a_setting_names_a_configuration(dataset, capsys, setting):
-    assert compare(capsys, dataset, "--config", setting, "--config", A)[0] == 0
-
-
-def test_compacted_tables_compare_alike(dataset, capsys):
+def test_compacted_tables_give_the_same_comparison(dataset, capsys):
     before = compare(capsys, dataset)
     compact(dataset, "2026-01-01")
     assert compare(capsys, dataset) == before
@@ -36,23 +31,23 @@ def test_compacted_tables_compare_alike(dataset, capsys):
 @pytest.mark.parametrize(
     ("configs", "said"),
     [
-        (("x", A), "--config x: names no configuration"),
-        ((A, A[:3]), "are the same"),
-        ((A,), "expected --config twice, found it 1 times"),
+        (("x", A), "--config x: matches no configuration"),
+        ((A, A[:3]), "expected two configurations"),
+        ((A,), "pass --config twice (found 1 time)"),
     ],
 )
-def test_what_is_no_pair_of_configurations(dataset, capsys, configs, said):
+def test_options_that_are_not_two_configurations_are_errors(dataset, capsys, configs, said):
     code, _, error = compare(capsys, dataset, *(word for name in configs for word in ("--config", name)))
     assert code == 1
     assert said in error
     assert f"the dataset has {A} (default); {B} (lanes.hold_s=2.0)" in error
 
 
-def test_of_three_two_must_be_named(dataset, capsys):
+def test_three_configurations_need_options(dataset, capsys):
     add_table(dataset, frames(1, [0.1] * 4), "cccc0000")
     code, _, error = compare(capsys, dataset)
     assert code == 1
-    assert "expected --config twice, found it 0 times" in error
+    assert "pass --config twice (found 0 times)" in error
     assert "cccc0000 (unknown)" in error
 
 
@@ -75,7 +70,7 @@ def test_wrong_usage(dataset, capsys, arguments, said):
     assert said in usage_error(main, capsys, *(dataset if word == "DATASET" else word for word in arguments))
 
 
-def test_a_table_that_is_cut_off_is_named(dataset, capsys):
+def test_the_error_of_a_truncated_table_names_it(dataset, capsys):
     tables = sorted(dataset.glob("metrics/*/*.parquet"))
     tables[1].write_bytes(tables[1].read_bytes()[:-100])
     code, _, said = compare(capsys, dataset)

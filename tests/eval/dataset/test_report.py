@@ -1,4 +1,4 @@
-"""The report over a batch's dataset: known answers, one pass over batches, and what is wrong said in a line."""
+"""The report over a batch's dataset: known answers, reading in batches, and one-line errors."""
 
 from dataclasses import replace
 from functools import partial
@@ -41,7 +41,7 @@ def summaries(folder, *by):
         ("config_digest", [A * 8, B * 8]),
     ],
 )
-def test_what_groups_are_called(dataset, by, names):
+def test_names_of_groups(dataset, by, names):
     found = dataset_at(str(dataset))
     grouping = group_frames(metrics_files(found), read_runs(found), [by])
     logs = {log_id(number): f"drive{number}" for number in (1, 2)}
@@ -64,8 +64,8 @@ def test_the_longest_stretch_without_an_output(tmp_path, capsys):
     ]
 
 
-def test_one_pass_in_batches_gives_what_table_after_table_gives(tmp_path, monkeypatch):
-    """Batches end within logs; the differences from frame to frame across their ends are there all the same."""
+def test_reading_in_batches_gives_the_same_as_single_tables(tmp_path, monkeypatch):
+    """Batches end within logs; differences between frames across their ends are included."""
     write_dataset(tmp_path / "dataset", 6, 500)
     monkeypatch.setattr(reading, "_ROWS", 330)
     found = summaries(tmp_path / "dataset", "config")
@@ -85,7 +85,7 @@ def test_one_pass_in_batches_gives_what_table_after_table_gives(tmp_path, monkey
         assert vars(of_config.statistics[name]) == pytest.approx(vars(expected), rel=1e-9, abs=1e-12), name
 
 
-def test_many_rows_are_thinned_within_the_bound(tmp_path, monkeypatch):
+def test_thinned_quantiles_are_within_their_rank_error(tmp_path, monkeypatch):
     write_dataset(tmp_path, 6, 500)
     (exact, _) = summaries(tmp_path, "config")
     monkeypatch.setattr(groups, "EXACT_FRAMES", 500)
@@ -103,7 +103,7 @@ def test_many_rows_are_thinned_within_the_bound(tmp_path, monkeypatch):
     assert abs(rank - 0.5) <= thinned.rank_error
 
 
-def test_of_too_many_logs_the_worst_are_listed(dataset, monkeypatch, capsys):
+def test_of_too_many_groups_the_worst_are_listed(dataset, monkeypatch, capsys):
     monkeypatch.setattr(groups, "MOST_GROUPS", 1)
     _, text, _ = report(capsys, dataset, "--by", "log")
     assert "listed: 1 of 2 groups, those with the worst mean errors" in text
@@ -119,7 +119,7 @@ def test_compacted_tables_give_the_same_report(dataset, monkeypatch, capsys):
     assert report(capsys, dataset) == (0, before, "")
 
 
-def test_columns_of_other_versions_are_null_where_they_lack(dataset):
+def test_columns_that_an_older_version_lacks_are_null(dataset):
     (path, *_) = sorted(dataset.glob(f"metrics/*/*-{A}.parquet"))
     table = pl.read_parquet(path, hive_partitioning=False)
     table.drop("lane_left_error_m", "segment").with_columns(new=pl.lit(1)).write_parquet(path)
@@ -143,16 +143,16 @@ def test_values_that_are_not_finite_count_as_missing(dataset):
     assert (first.statistics["lane_left_error_m"].values, first.statistics["lane_left_error_m"].abs_most) == (7, 0.5)
 
 
-def test_what_the_list_of_runs_does_not_know_is_taken_and_said(dataset, capsys):
+def test_tables_missing_in_the_list_of_runs_are_included_with_a_note(dataset, capsys):
     add_table(dataset, frames(9, [0.0]))
     (dataset / "metrics" / "date=2026-01-02" / f"{log_id(2)}-{B}.parquet").unlink()
     _, text, _ = report(capsys, dataset)
     assert "3 logs, 2 configurations, 15 frames" in text
-    assert f"not in runs.parquet, taken all the same, for another batch may be at work: 1 ({log_id(9)}-{A})" in text
-    assert "done, as runs.parquet says, but without a table: 1 (/drives/drive2.mcap)" in text
+    assert f"included, but not in runs.parquet (a batch may be running): 1 ({log_id(9)}-{A})" in text
+    assert "done in runs.parquet, but without a table: 1 (/drives/drive2.mcap)" in text
 
 
-def test_the_newest_row_counts_and_a_path_that_has_become_a_log_is_no_failure(dataset):
+def test_the_newest_row_of_a_log_replaces_older_ones_also_by_path(dataset):
     (dataset / "runs").mkdir()
     known = {"path": "/drives/bad.mcap", "names": ("/drives/bad.mcap", "/other/bad.mcap")}
     write_runs(
@@ -170,7 +170,7 @@ def test_without_a_list_of_runs_the_tables_are_reported(dataset, capsys):
     (dataset / "runs.parquet").unlink()
     code, text, _ = report(capsys, dataset)
     assert code == 0
-    assert "runs: no runs.parquet says how they fared" in text
+    assert "runs: status unknown, no runs.parquet" in text
     assert f"  {log_id(1)}: path unknown (log {log_id(1)})" in text
     ours, theirs = ([line for line in said.splitlines() if line.startswith((A, B))] for said in (text, before))
     assert ours == theirs != []
@@ -181,17 +181,17 @@ def test_without_tables_the_failures_are_printed(tmp_path, capsys):
     code, text, error = report(capsys, tmp_path)
     assert code == 1
     assert "empty: /drives/drive1.mcap: no frame" in text
-    assert "no log gave a table" in error
+    assert "no log of the batch has frames" in error
 
 
 @pytest.mark.parametrize(
     ("by", "said"),
     [
-        ("lane_left_stats", "no column of the metrics tables or of the list of runs; there are lane_"),
+        ("lane_left_stats", "no column of the metrics tables or of runs.parquet; similar columns: lane_"),
         ("stamp_ns", "has more than 3 different values"),
     ],
 )
-def test_a_grouping_that_cannot_be(dataset, monkeypatch, capsys, by, said):
+def test_invalid_groupings_are_errors(dataset, monkeypatch, capsys, by, said):
     monkeypatch.setattr(groups, "MOST_GROUPS", 3)
     code, _, error = report(capsys, dataset, "--by", by)
     assert (code, f"--by {by}: {said}" in error) == (1, True)
@@ -227,7 +227,7 @@ def without_column(folder, column):
     pl.read_parquet(path, hive_partitioning=False).drop(column).write_parquet(path)
 
 
-ROWS_WITHOUT = f"{log_id(1)}-{B}.parquet: is not a metrics table of a dataset: it has rows without "
+ROWS_WITHOUT = f"{log_id(1)}-{B}.parquet: is not a metrics table of a batch: it has rows without "
 
 
 @pytest.mark.parametrize(
@@ -238,10 +238,10 @@ ROWS_WITHOUT = f"{log_id(1)}-{B}.parquet: is not a metrics table of a dataset: i
         (damaged, f"{log_id(2)}-{B}.parquet"),
         (of_single_replays, "it has no column config"),
         (with_another_list, "runs.parquet: is not a list of runs: it has no column path"),
-        (with_logs_that_are_gone, "error: no log is left to report"),
+        (with_logs_that_are_gone, "error: no log to report"),
     ],
 )
-def test_what_is_wrong_is_one_line(dataset, capsys, spoilt, said):
+def test_every_error_is_one_line(dataset, capsys, spoilt, said):
     spoilt(dataset)
     code, _, error = report(capsys, dataset)
     assert (code, error.count("\n")) == (1, 1)
@@ -261,7 +261,7 @@ def test_wrong_usage(dataset, capsys, arguments, said):
     assert said in usage_error(main, capsys, *(dataset if word == "DATASET" else word for word in arguments))
 
 
-def test_logs_whose_file_is_another_log_now_are_left_out(dataset, capsys):
+def test_logs_whose_files_were_replaced_are_left_out(dataset, capsys):
     rows = pl.read_parquet(dataset / "runs.parquet")
     of_first = pl.col("log_id") == log_id(1)
     none = pl.lit([], pl.List(pl.String))
@@ -271,25 +271,25 @@ def test_logs_whose_file_is_another_log_now_are_left_out(dataset, capsys):
     gone.write_parquet(dataset / "runs.parquet")
     text = report(capsys, dataset)[1]
     assert text.startswith(f"{dataset}: 1 log, 2 configurations, 12 frames")
-    said = f"left out, for another log has taken the place of their files: 2 ({log_id(1)}-{A}, {log_id(1)}-{B})"
+    said = f"left out, because other logs have replaced their files: 2 ({log_id(1)}-{A}, {log_id(1)}-{B})"
     assert said in text.splitlines()
 
 
 @pytest.mark.parametrize("name", ["site=berlin", "config=zz", "frame=7", "date=1999-01-01"])
-def test_folders_above_that_look_like_columns_are_none(tmp_path, capsys, name):
+def test_folders_above_the_dataset_are_not_columns(tmp_path, capsys, name):
     dataset = small_dataset(tmp_path / name / "dataset")
     code, text, said = report(capsys, dataset, "--by", "date,config")
     assert (code, said) == (0, "")
     assert "2026-01-02, bbbb0000" in text
 
 
-def test_groups_by_several_columns_go_by_a_number_that_a_line_explains(dataset, capsys):
+def test_long_groups_by_several_columns_are_numbered(dataset, capsys):
     text = report(capsys, dataset, "--by", "config,log,date,lane_left_status")[1]
     assert f"group 1: {A}, drive1, 2026-01-01, measured" in text.splitlines()
     assert "group 1 " in text
 
 
-def test_an_output_that_was_switched_off_is_not_the_least_covered(tmp_path, capsys):
+def test_disabled_outputs_are_not_among_the_least_covered(tmp_path, capsys):
     folder = tmp_path / "dataset"
     for config, covered in ((A, 0.5), (B, None)):
         for number in (1, 2):

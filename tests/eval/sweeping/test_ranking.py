@@ -1,4 +1,4 @@
-"""Which setting is best: hand-made datasets with known answers."""
+"""Ranking of settings on hand-made datasets with known answers."""
 
 import pytest
 from hypothesis import given
@@ -43,24 +43,24 @@ def errors(*values):
     return [{"lane_left_error_m": value} for value in values]
 
 
-def test_scores_are_medians_of_the_error_without_its_sign_beside_coverage(tmp_path):
+def test_scores_are_medians_of_the_absolute_error_with_coverage(tmp_path):
     files = dataset(tmp_path, [errors(0.1, -0.3, 0.2), errors(-0.4, None, 0.0), errors(None, None, None)])
     found = scores(files, GATES, ERROR)
     assert found == [SettingScore(0.2, 1.0), SettingScore(0.2, pytest.approx(2 / 3)), SettingScore(None, 0.0)]
 
 
-def test_of_a_share_the_mean_counts(tmp_path):
+def test_the_score_of_a_share_is_its_mean(tmp_path):
     rows = [[{"drivable_iou": share} for share in shares] for shares in ((1.0, 1.0, 0.4), (1.0, 1.0, 1.0), (0.9,))]
     assert [score.value for score in scores(dataset(tmp_path, rows), GATES, OVERLAP)] == pytest.approx([0.8, 1.0, 0.9])
 
 
-def test_values_that_are_not_finite_are_none(tmp_path):
+def test_values_that_are_not_finite_count_as_missing(tmp_path):
     files = dataset(tmp_path, [errors(0.1, float("nan")), errors(float("inf"), 0.2), errors(0.3, 0.3)])
     assert scores(files, GATES, ERROR) == [SettingScore(0.1, 0.5), SettingScore(0.2, 0.5), SettingScore(0.3, 1.0)]
 
 
-def test_jitter_does_not_cross_from_log_to_log(tmp_path):
-    """A parabola has one second difference throughout, so they do not spread; a kink of 1 among two spreads by half."""
+def test_jitter_does_not_cross_logs(tmp_path):
+    """The second differences of a parabola are equal, with deviation 0; those of a kink are 0 and 1."""
     rows = [
         [{"lane_left_offset_m": offset} for offset in offsets] for offsets in ((0, 1, 4, 9), (0, 0, 0, 1), (5, 5, 5, 5))
     ]
@@ -68,14 +68,14 @@ def test_jitter_does_not_cross_from_log_to_log(tmp_path):
     assert scores(files, GATES, JITTER) == [SettingScore(0.0, 0.5), SettingScore(0.5, 0.5), SettingScore(0.0, 0.5)]
 
 
-def test_tables_that_cannot_be_read_are_named(tmp_path):
+def test_tables_that_cannot_be_read_are_errors(tmp_path):
     files = dataset(tmp_path, [errors(0.1)] * 3)
     files[0].write_bytes(b"no table")
     with pytest.raises(TableError, match="cannot be read"):
         scores(files, GATES, ERROR)
 
 
-def test_of_equals_the_one_that_changes_least_is_best():
+def test_of_equal_settings_the_one_with_the_fewest_changes_is_best():
     some = made("lanes.gate=1,2", "lanes.hold_s=1,2")
     found = [SettingScore(0.2, 1.0), SettingScore(0.1, 1.0), SettingScore(0.2, 1.0), SettingScore(0.1, 1.0)]
     assert best(ERROR, found, some, some[2]) == (3, None)
@@ -102,7 +102,7 @@ def test_the_best_setting(metric, found, expected):
     st.lists(st.tuples(st.none() | st.floats(-1e3, 1e3), st.floats(0, 1)), min_size=3, max_size=3),
     st.integers(0, 2),
 )
-def test_nothing_that_sees_as_much_beats_the_best(pairs, reference):
+def test_no_setting_with_the_same_coverage_is_better_than_the_best(pairs, reference):
     found = [SettingScore(value, coverage if value is not None else 0.0) for value, coverage in pairs]
     for metric in (ERROR, OVERLAP):
         chosen = best(metric, found, GATES, GATES[reference])
@@ -132,7 +132,7 @@ def cells(table):
     return [list(column) for column in zip(*((item.label, *item.cells[0]) for item in table.rows), strict=True)]
 
 
-def test_the_table_shows_the_best_the_reference_and_what_has_lower_coverage():
+def test_the_table_shows_the_best_setting_the_reference_and_lower_coverage():
     found = [
         (ERROR, [SettingScore(0.3, 1.0), SettingScore(0.1, 0.5), SettingScore(0.2, 1.0)]),
         (OVERLAP, [SettingScore(0.9, 1.0)] * 3),
@@ -150,7 +150,7 @@ def test_the_table_shows_the_best_the_reference_and_what_has_lower_coverage():
     assert cells(effects(found, GATES, "lanes.gate"))[2] == ["0.100", "50.0"]
 
 
-def test_the_reference_is_what_is_configured_else_the_first():
+def test_the_reference_is_the_configured_setting_or_the_first():
     assert reference_of(made("lanes.hold_s=2,0.5"), load_config()).number == 1
     assert reference_of(GATES, load_config()).number == 0
 

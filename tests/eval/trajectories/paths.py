@@ -1,4 +1,4 @@
-"""Paths made by formula, and metrics tables that hold them."""
+"""Synthetic trajectories, and metrics tables with them."""
 
 import numpy as np
 import polars as pl
@@ -8,7 +8,7 @@ from tests.eval.tables import START_NS, STEP_NS
 
 
 def poses_at(places, rotvecs=None):
-    """(N, 4, 4) poses at (N, 3) places, level and looking along x where no rotation vectors are given."""
+    """(N, 4, 4) poses at (N, 3) positions; level and along x without rotation vectors."""
     poses = np.tile(np.eye(4), (len(places), 1, 1))
     poses[:, :3, 3] = places
     if rotvecs is not None:
@@ -17,7 +17,7 @@ def poses_at(places, rotvecs=None):
 
 
 def helix(frames, radius_m=20.0, step_m=0.7, climb=0.05):
-    """A bend that climbs, driven nose first."""
+    """A climbing bend, driven forward."""
     yaw = np.arange(frames) * step_m / radius_m
     places = np.stack((radius_m * np.sin(yaw), radius_m * (1 - np.cos(yaw)), climb * radius_m * yaw), axis=1)
     return poses_at(places, np.stack((np.zeros(frames), np.zeros(frames), yaw), axis=1))
@@ -28,7 +28,7 @@ def straight(frames, step_m):
 
 
 def noisy(poses, seed, place_m=0.05, turn_rad=0.002):
-    """The same path as drifting odometry has it: every step is off a little."""
+    """The same path with an error in every step, as from drifting odometry."""
     rng = np.random.default_rng(seed)
     wrong = poses_at(rng.normal(0, place_m, (len(poses), 3)), rng.normal(0, turn_rad, (len(poses), 3)))
     found = [np.eye(4)]
@@ -57,7 +57,7 @@ def columns(prefix, poses):
 
 
 def write_run(path, estimated, true=None, **others):
-    """A metrics table with the estimated poses, the true ones where there are any, and other columns."""
+    """A metrics table with estimated poses, true poses if any, and other columns."""
     frames = len(estimated)
     steps_m = np.linalg.norm(np.diff(estimated[:, :3, 3], axis=0), axis=1).tolist()
     table = {

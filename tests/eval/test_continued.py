@@ -1,4 +1,4 @@
-"""Drives replayed in parts with --continue: one run, with the figures of the whole."""
+"""Continued replays (--continue) are one run, with the same figures as a single replay."""
 
 import re
 from dataclasses import replace
@@ -9,7 +9,7 @@ import pytest
 from roadperc_stream.cli.compare import main as compare_main
 from roadperc_stream.cli.report import main as report_main
 from roadperc_stream.cli.trajectory import main as trajectory_main
-from roadperc_stream.eval.drives import find_drives
+from roadperc_stream.eval.continued import find_joined
 from roadperc_stream.eval.runs import collect
 from roadperc_stream.eval.scan import rows_of
 from roadperc_stream.eval.summary import summarise_run
@@ -18,8 +18,8 @@ from tests.eval.trajectories.paths import columns, helix, noisy
 
 FRAMES = 20
 LOGS = ("a" * 16, "b" * 16, "c" * 16, "d" * 16)
-PARTS = ((0, 8), (5, 13), (10, 20))
-"""First and end of the frames that each part gives: the last three of a part are given again by the next."""
+SPANS = ((0, 8), (5, 13), (10, 20))
+"""First and end frame of each replay; the next replay repeats the last three frames."""
 
 
 def frames(log="e" * 16):
@@ -29,8 +29,8 @@ def frames(log="e" * 16):
     return [row(k, log, lane_left_error_m=0.01 * k, odometry_status="tracked", **at[k]) for k in range(FRAMES)]
 
 
-def parts(folder, spans=PARTS, version="1.2.3"):
-    """Tables out_0, out_1, ... of a drive; a frame that is given again was incomplete before."""
+def continued(folder, spans=SPANS, version="1.2.3"):
+    """Tables out_0, out_1, ... of continued replays; a repeated frame was incomplete before."""
     made = []
     for number, (first, end) in enumerate(spans):
         following = spans[number + 1][0] if number + 1 < len(spans) else end
@@ -54,9 +54,9 @@ def numbers_of(run):
     return collect(rows_of(run).select("frame"), "")["frame"].to_list()
 
 
-def test_parts_are_one_run_with_the_figures_of_the_whole(tmp_path, whole):
-    found = find_drives(parts(tmp_path))
-    (run,), (expected,) = found.runs, find_drives([whole]).runs
+def test_continued_replays_are_one_run_with_the_figures_of_a_single_replay(tmp_path, whole):
+    found = find_joined(continued(tmp_path))
+    (run,), (expected,) = found.runs, find_joined([whole]).runs
     assert (run.name, run.frames, numbers_of(run)) == ("out_0+2", FRAMES, list(range(FRAMES)))
     assert found.notes == ("out_0+2: 3 continued replays as one run: out_0, out_1, out_2",)
     ours, theirs = summarise_run(run, 3), summarise_run(expected, 3)
@@ -66,16 +66,16 @@ def test_parts_are_one_run_with_the_figures_of_the_whole(tmp_path, whole):
 
 
 def test_the_order_of_the_arguments_does_not_matter(tmp_path):
-    tables = parts(tmp_path)
-    (run,) = find_drives([tables[2], tables[0], tables[1]]).runs
+    tables = continued(tmp_path)
+    (run,) = find_joined([tables[2], tables[0], tables[1]]).runs
     assert [part.name for part in run.tables] == ["out_0", "out_1", "out_2"]
 
 
 @pytest.mark.parametrize("command", [report_main, trajectory_main], ids=["report", "trajectory"])
-def test_the_commands_print_what_they_print_of_the_whole(tmp_path, whole, capsys, command):
+def test_the_commands_print_the_same_as_for_a_single_replay(tmp_path, whole, capsys, command):
     assert command([whole]) == 0
     expected = capsys.readouterr().out
-    assert command(parts(tmp_path)) == 0
+    assert command(continued(tmp_path)) == 0
     printed = capsys.readouterr().out
     note, text = printed.split("\n", 1)
     assert note == "out_0+2: 3 continued replays as one run: out_0, out_1, out_2"
@@ -83,93 +83,91 @@ def test_the_commands_print_what_they_print_of_the_whole(tmp_path, whole, capsys
     assert text == " ".join(expected.split())
 
 
-def test_a_trajectory_of_parts_is_one_file(tmp_path):
-    assert trajectory_main([*parts(tmp_path), "--export-tum", str(tmp_path / "files")]) == 0
+def test_the_trajectory_of_continued_replays_is_one_file(tmp_path):
+    assert trajectory_main([*continued(tmp_path), "--export-tum", str(tmp_path / "files")]) == 0
     files = {item.name: len(item.read_text().splitlines()) for item in (tmp_path / "files").iterdir()}
     assert files == {"out_0+2.est.tum": FRAMES, "out_0+2.true.tum": FRAMES}
 
 
-def test_a_part_all_of_whose_frames_are_given_again_is_named_so(tmp_path, capsys):
-    tables = parts(tmp_path, ((0, 4), (0, 8), (6, 20)))
+def test_a_replay_whose_frames_are_all_repeated_has_a_note(tmp_path, capsys):
+    tables = continued(tmp_path, ((0, 4), (0, 8), (6, 20)))
     for command in (report_main, trajectory_main):
         assert command(tables) == 0
         assert capsys.readouterr().out.startswith(
-            "out_0+2: 3 continued replays as one run: out_0 (out_1 has all its 4 frames again), out_1, out_2\n"
+            "out_0+2: 3 continued replays as one run: out_0 (out_1 repeats all its 4 frames), out_1, out_2\n"
         )
 
 
-def test_a_part_whose_predecessor_is_missing_stays_apart_and_that_is_stated(tmp_path):
-    first, _, last = parts(tmp_path)
-    found = find_drives([first, last])
+def test_a_replay_without_its_predecessor_is_evaluated_separately(tmp_path):
+    first, _, last = continued(tmp_path)
+    found = find_joined([first, last])
     assert [(run.name, run.frames) for run in found.runs] == [("out_0", 8), ("out_2", 10)]
-    assert found.notes == (
-        f"out_2: continues a replay that is not among these tables (log {LOGS[1]}); "
-        "evaluated separately, from frame 10 on",
-    )
+    missing = f"out_2: continues a replay that is not among these tables (log {LOGS[1]}) at frame 10"
+    assert found.notes == (f"{missing}; evaluated separately",)
 
 
-def test_parts_of_other_columns_stay_apart_and_that_is_stated(tmp_path):
-    tables = parts(tmp_path, PARTS[:2])
+def test_replays_with_other_columns_are_evaluated_separately(tmp_path):
+    tables = continued(tmp_path, SPANS[:2])
     pl.read_parquet(tables[1]).drop("lane_left_error_m").write_parquet(
         tables[1], metadata=pl.read_parquet_metadata(tables[1])
     )
-    found = find_drives(tables)
+    found = find_joined(tables)
     assert found.notes == ("out_1: continues out_0, whose table has other columns; evaluated separately",)
     assert report_main(tables) == 0
 
 
-def test_results_of_two_folders_are_two_drives(tmp_path):
-    tables = [*parts(tmp_path / "a"), *parts(tmp_path / "b")]
-    found = find_drives(tables)
+def test_replays_in_two_folders_are_two_runs(tmp_path):
+    tables = [*continued(tmp_path / "a"), *continued(tmp_path / "b")]
+    found = find_joined(tables)
     assert [(run.name, run.frames) for run in found.runs] == [("a/out_0+2", FRAMES), ("b/out_0+2", FRAMES)]
     assert [{part.path.parent.name for part in run.tables} for run in found.runs] == [{"a"}, {"b"}]
 
 
-def test_two_that_go_on_from_one_part_stay_by_themselves(tmp_path):
-    tables = parts(tmp_path, PARTS[:2])
+def test_two_replays_that_continue_the_same_one_are_evaluated_separately(tmp_path):
+    tables = continued(tmp_path, SPANS[:2])
     facts = {"log_id": LOGS[1], "continues": LOGS[0], "first_frame": "5"}
     again = write(tmp_path / "again.metrics.parquet", frames(LOGS[1])[5:13], **facts)
-    found = find_drives([*tables, str(again)])
+    found = find_joined([*tables, str(again)])
     assert [(run.name, run.frames) for run in found.runs] == [("out_0", 5), ("out_1", 8), ("again", 8)]
     assert found.notes == tuple(
         f"{name}: out_1, again all continue out_0; evaluated separately" for name in ("out_1", "again")
     )
 
 
-def test_parts_of_two_versions_stay_by_themselves(tmp_path):
-    tables = parts(tmp_path / "old", PARTS[:1]) + parts(tmp_path / "new", PARTS[:2], version="2.0.0")[1:]
-    found = find_drives(tables)
+def test_replays_of_two_versions_are_evaluated_separately(tmp_path):
+    tables = continued(tmp_path / "old", SPANS[:1]) + continued(tmp_path / "new", SPANS[:2], version="2.0.0")[1:]
+    found = find_joined(tables)
     assert [(run.name, run.frames) for run in found.runs] == [("out_0", 5), ("out_1", 8)]
     assert found.notes == ("out_1: continues out_0, which is of another version; evaluated separately",)
 
 
-def test_parts_in_a_circle_are_no_drive(tmp_path):
-    """No replay writes such footers; whoever does gets an answer all the same."""
+def test_circular_links_are_not_joined(tmp_path):
+    """No replay writes such footers."""
     one = write(tmp_path / "one.metrics.parquet", frames(LOGS[0]), log_id=LOGS[0], continues=LOGS[1])
     two = write(tmp_path / "two.metrics.parquet", frames(LOGS[1]), log_id=LOGS[1], continues=LOGS[0])
     alone = write(tmp_path / "alone.metrics.parquet", frames(LOGS[2]), log_id=LOGS[2], continues=LOGS[2])
-    assert [run.name for run in find_drives([str(one), str(two), str(alone)]).runs] == ["one", "two", "alone"]
+    assert [run.name for run in find_joined([str(one), str(two), str(alone)]).runs] == ["one", "two", "alone"]
 
 
-def test_only_parts_whose_frames_are_given_again_elsewhere_have_nothing_to_report(tmp_path, capsys):
-    first = parts(tmp_path / "old", ((0, 4),))
-    later = parts(tmp_path / "new", ((0, 4), (0, 4)), version="2.0.0")[1]
+def test_a_replay_repeated_by_another_version_is_not_reported(tmp_path, capsys):
+    first = continued(tmp_path / "old", ((0, 4),))
+    later = continued(tmp_path / "new", ((0, 4), (0, 4)), version="2.0.0")[1]
     for command in (report_main, trajectory_main):
         assert command([*first, later]) == 0
-        assert "out_0.metrics.parquet: out_1 has all its 4 frames again\n" in capsys.readouterr().out
+        assert "out_0.metrics.parquet: out_1 repeats all its 4 frames\n" in capsys.readouterr().out
 
 
-def test_a_reference_of_parts_is_made_and_updated(tmp_path, capsys):
+def test_a_reference_of_continued_replays_is_created_and_updated(tmp_path, capsys):
     candidate, reference = tmp_path / "candidate", tmp_path / "reference"
-    parts(candidate)
+    continued(candidate)
     assert compare_main([str(reference), str(candidate), "--update-reference"]) == 0
     assert sorted(p.name for p in reference.iterdir()) == [f"out_{k}.metrics.parquet" for k in range(3)]
     assert compare_main([str(reference), str(candidate), "--exact"]) == 0
     assert "20 frames compared" in capsys.readouterr().out
-    parts(candidate, ((0, 8), (5, 13), (10, 19)))
+    continued(candidate, ((0, 8), (5, 13), (10, 19)))
     assert compare_main([str(reference), str(candidate), "--update-reference"]) == 0
-    assert find_drives([str(reference)]).runs[0].frames == 19
+    assert find_joined([str(reference)]).runs[0].frames == 19
     for name in ("out_2", "out_1"):
         (candidate / f"{name}.metrics.parquet").unlink()
     assert compare_main([str(reference), str(candidate), "--update-reference", "--other-log"]) == 1
-    assert "a drive of 1 tables cannot replace one of 3" in capsys.readouterr().err
+    assert "1 table cannot replace 3" in capsys.readouterr().err

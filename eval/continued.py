@@ -9,20 +9,20 @@ import pyarrow.parquet as pq
 from .quantities import listed
 from .runs import Run, find_runs
 
-_PARTS_NAMED: Final = 12
+_LISTED: Final = 12
 _Link = tuple[Run, Run]
 """A run, and the run that it continues."""
 
 
 @dataclass(frozen=True)
-class Drives:
+class JoinedRuns:
     """Runs, with continued replays joined, and notes on the joined runs, one line each."""
 
     runs: tuple[Run, ...]
     notes: tuple[str, ...]
 
 
-def find_drives(arguments: Sequence[str]) -> Drives:
+def find_joined(arguments: Sequence[str]) -> JoinedRuns:
     """The runs that the arguments name, with continued replays joined at the place of the first one.
 
     Replays of different versions, and several replays that continue the same one, are not joined.
@@ -31,19 +31,16 @@ def find_drives(arguments: Sequence[str]) -> Drives:
         TableError: an argument names no table, a file is not a metrics table, or its data cannot be read.
     """
     runs = find_runs(arguments)
-    found = {run.name: _parts_before(run, runs) for run in runs if run.continues}
+    found = {run.name: _continued_by(run, runs) for run in runs if run.continues}
     links = [(run, found[run.name][0]) for run in runs if len(found.get(run.name, ())) == 1]
-    chains = _chains(runs, [link for link in links if not _apart(*link, links)])
-    notes = [
-        *(_one_drive(chain) for chain in chains if len(chain) > 1),
-        *(_without_part(run) for run in runs if found.get(run.name) == [] and run.first_frame),
-        *(_undecided(name, before) for name, before in found.items() if len(before) > 1),
-        *(f"{run.name}: {why}; evaluated separately" for run, to in links if (why := _apart(run, to, links))),
-    ]
-    return Drives(tuple(map(_joined, chains)), tuple(notes))
+    chains = _chains(runs, [(run, to) for run, to in links if not _why_apart(run, [to], links)])
+    notes = [_note(chain) for chain in chains if len(chain) > 1]
+    apart = ((run, _why_apart(run, found[run.name], links)) for run in runs if run.name in found)
+    notes += [f"{run.name}: {why}; evaluated separately" for run, why in apart if why]
+    return JoinedRuns(tuple(map(_joined, chains)), tuple(notes))
 
 
-def _parts_before(run: Run, runs: Iterable[Run]) -> list[Run]:
+def _continued_by(run: Run, runs: Iterable[Run]) -> list[Run]:
     """The runs that a run may continue; several only if neither version nor folder distinguishes them."""
     same = (run.continues, run.config_digest)
     others = [other for other in runs if other is not run and (other.log_id, other.config_digest) == same]
@@ -51,11 +48,17 @@ def _parts_before(run: Run, runs: Iterable[Run]) -> list[Run]:
     return [other for other in same_version if other.path.parent == run.path.parent] or same_version
 
 
-def _apart(run: Run, before: Run, links: Sequence[_Link]) -> str:
-    """Reason why a run is not joined to the run it continues; empty if it is joined."""
-    behind = [after.name for after, to in links if to is before]
-    if len(behind) > 1:
-        return f"{listed(behind)} all continue {before.name}"
+def _why_apart(run: Run, candidates: Sequence[Run], links: Sequence[_Link]) -> str:
+    """Reason why a run is not joined to the run it continues; empty if it is joined or starts at frame 0."""
+    if not candidates:
+        missing = f"continues a replay that is not among these tables (log {run.continues}) at frame {run.first_frame}"
+        return missing if run.first_frame else ""
+    if len(candidates) > 1:
+        return f"may continue any of {len(candidates)} results ({listed([other.name for other in candidates])})"
+    (before,) = candidates
+    following = [after.name for after, to in links if to is before]
+    if len(following) > 1:
+        return f"{listed(following)} all continue {before.name}"
     if run.version != before.version:
         return f"continues {before.name}, which is of another version"
     same = pq.read_schema(run.path).equals(pq.read_schema(before.path))
@@ -86,27 +89,14 @@ def _joined(chain: Sequence[Run]) -> Run:
     return replace(
         first,
         name=f"{first.name}+{len(chain) - 1}",
-        frames=sum(part.frames for part in chain),
-        rows=sum(part.rows for part in chain),
+        frames=sum(run.frames for run in chain),
+        rows=sum(run.rows for run in chain),
         end_frame=None,
         next_run="",
         joined=tuple(chain),
     )
 
 
-def _one_drive(chain: Sequence[Run]) -> str:
-    names = [
-        part.name if part.frames else f"{part.name} ({part.next_run} has all its {part.rows} frames again)"
-        for part in chain
-    ]
-    return f"{_joined(chain).name}: {len(chain)} continued replays as one run: {listed(names, _PARTS_NAMED)}"
-
-
-def _without_part(run: Run) -> str:
-    missing = f"{run.name}: continues a replay that is not among these tables (log {run.continues})"
-    return f"{missing}; evaluated separately, from frame {run.first_frame} on"
-
-
-def _undecided(name: str, before: Sequence[Run]) -> str:
-    alike = listed([run.name for run in before])
-    return f"{name}: may continue any of {len(before)} results ({alike}); evaluated separately"
+def _note(chain: Sequence[Run]) -> str:
+    names = [run.name if run.frames else f"{run.name} ({run.repeated_by})" for run in chain]
+    return f"{_joined(chain).name}: {len(chain)} continued replays as one run: {listed(names, _LISTED)}"
