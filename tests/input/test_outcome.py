@@ -8,7 +8,7 @@ from roadperc_stream import log
 from roadperc_stream.cli.replay import main
 from roadperc_stream.config import SyncConfig, load_config
 from roadperc_stream.input.order import OrderConfig
-from roadperc_stream.input.outcome import InputOutcome, PartSpan, continuation_notes
+from roadperc_stream.input.outcome import FileSpan, InputOutcome, continuation_notes
 from roadperc_stream.input.sync import PairingState, StampPairing, SyncedMessages
 from tests import logs
 from tests.analytic import STEP_NS
@@ -110,11 +110,11 @@ def test_a_gap_behind_what_is_continued_is_noted_and_a_join_is_not(drive, tmp_pa
         part = write(tmp_path / f"from_{begins}.mcap", between(drive, begins, 12))
         notes = replay(part, tmp_path / f"out_{begins}.mcap", CFG, continued=tmp_path / "out_0.mcap").notes
         assert (f"{part}: begins 0.100 s after the continued result ends" in notes) == noted
-        assert f"4 of {16 - begins} frames are also in the previous part" in notes
+        assert f"4 of {16 - begins} frames are also in the continued result" in notes
 
 
 def test_a_gap_is_judged_by_the_images_of_both_parts_and_by_none_where_nothing_is_known():
-    part = PartSpan("b", 20 * S, 30 * S, 11)
+    part = FileSpan("b", 20 * S, 30 * S, 11)
     assert continuation_notes(part, [17 * S, 18 * S], 19 * S) == ()
     assert continuation_notes(part, [16 * S, 17 * S], 18 * S) == ("b: begins 2.000 s after the continued result ends",)
     assert continuation_notes(replace(part, frames=1), [], 18 * S) == ()

@@ -54,7 +54,8 @@ def run(items, **options):
 
 def stamps(frames):
     return [
-        (m.reference.stamp_ns // MS, m.parts["depth"].stamp_ns // MS if "depth" in m.parts else None) for m in frames
+        (m.reference.stamp_ns // MS, m.messages["depth"].stamp_ns // MS if "depth" in m.messages else None)
+        for m in frames
     ]
 
 
@@ -127,11 +128,13 @@ def test_nothing_is_lost_nothing_is_used_twice(arrivals):
     items = [item("image", t) for t in range(0, 2000, 50)]
     items += [item("depth", 50 * k, 50 * k + delay) for k, delay in arrivals]
     frames, synchroniser = run(items)
-    used = [m.parts["depth"] for m in frames if "depth" in m.parts]
+    used = [m.messages["depth"] for m in frames if "depth" in m.messages]
     assert len(frames) == 40
     assert len({id(part) for part in used}) == len(used)
     assert len(used) + synchroniser.dropped["depth"] == len(arrivals)
-    assert all(abs(m.parts["depth"].stamp_ns - m.reference.stamp_ns) <= 10 * MS for m in frames if "depth" in m.parts)
+    assert all(
+        abs(m.messages["depth"].stamp_ns - m.reference.stamp_ns) <= 10 * MS for m in frames if "depth" in m.messages
+    )
 
 
 def test_a_gap_longer_than_the_wait_does_not_rob_a_waiting_frame():

@@ -17,9 +17,9 @@ from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import LogError, TargetError
 from roadperc_stream.input import ReplaySource, open_input
-from roadperc_stream.input.outcome import PartSpan, joins
+from roadperc_stream.input.outcome import FileSpan, joins
 from roadperc_stream.log import Attachment, Channel, Message, Metadata
-from roadperc_stream.log.parts import MergedParts, SortedParts
+from roadperc_stream.log.files import MergedFiles, SortedFiles
 from roadperc_stream.output.tables import read_footer
 from roadperc_stream.system.time import TimeRange
 from tests import logs
@@ -47,7 +47,7 @@ def test_parts_of_the_sample_are_the_sample(tmp_path, seed, arrangement):
     files = parts(SAMPLE, tmp_path, cuts, **arrangement)
     random.Random(seed).shuffle(files)
     log_in, whole = open_input(ReplaySource(files), CFG), open_input(ReplaySource(SAMPLE), CFG)
-    assert isinstance(log_in.summary.source.parts, SortedParts if arrangement else MergedParts)
+    assert isinstance(log_in.summary.source.files, SortedFiles if arrangement else MergedFiles)
     assert plain(log_in.messages()) == plain(whole.messages())
     assert (log_in.log_id, log_in.span_ns, log_in.topics) == (whole.log_id, whole.span_ns, whole.topics)
 
@@ -96,7 +96,7 @@ def test_equal_channels_of_several_files_are_one_and_twins_within_a_file_stay_ap
 def test_only_the_files_that_are_read_are_open(tmp_path, monkeypatch):
     files = [written(tmp_path / f"{k}.mcap", [(A, 10 * k + j) for j in range(9)]) for k in range(30)]
     summary, now, most = log.summarise(files), [0], [0]
-    for part, _ in summary.source.parts.parts:
+    for part, _ in summary.source.files.files:
 
         def counted(*args, messages=part.source.messages, **options):
             now[0] += 1
@@ -113,7 +113,7 @@ def test_only_the_files_that_are_read_are_open(tmp_path, monkeypatch):
 def test_more_files_at_a_time_than_can_be_open_are_sorted_on_disk(tmp_path):
     files = [written(tmp_path / f"{k}.mcap", [(A, k), (B, 100 + k)]) for k in range(40)]
     summary = log.summarise(files)
-    assert isinstance(summary.source.parts, SortedParts)
+    assert isinstance(summary.source.files, SortedFiles)
     assert [m.log_time_ns for m in log.read(summary)] == [*range(40), *range(100, 140)]
 
 
@@ -127,10 +127,10 @@ def test_what_several_files_hold_comes_once(tmp_path, together):
     pieces = [SHARED[:4], SHARED[2:], SHARED] + [SHARED[1:3]] * (together - 2)
     files = [written(tmp_path / f"{k}.mcap", [(channels[t], ns) for t, ns in piece]) for k, piece in enumerate(pieces)]
     summary = log.summarise(files)
-    assert isinstance(summary.source.parts, MergedParts if together == 2 else SortedParts)
+    assert isinstance(summary.source.files, MergedFiles if together == 2 else SortedFiles)
     assert [(m.channel.topic, m.log_time_ns) for m in log.read(summary)] == SHARED
     assert {c.topic: summary.counts[c.source_id] for c in summary.channels} == {"/a": 4, "/b": 2}
-    assert sum(part.repeats for part in summary.parts) == sum(map(len, pieces)) - len(SHARED)
+    assert sum(part.repeats for part in summary.files) == sum(map(len, pieces)) - len(SHARED)
     assert [m.log_time_ns for m in log.read(summary, topics=["/a"], start_ns=2, end_ns=4)] == [2, 2]
 
 
@@ -141,7 +141,7 @@ def test_messages_that_differ_in_anything_are_all_there(tmp_path, changed):
         by_us(tmp_path / f"{name}.mcap", [one])
     summary = log.summarise([tmp_path / "1.mcap", tmp_path / "2.mcap"])
     assert len(list(log.read(summary))) == 2
-    assert [part.repeats for part in summary.parts] == [0, 0]
+    assert [part.repeats for part in summary.files] == [0, 0]
 
 
 @pytest.mark.parametrize("arrangement", [{}, ARRANGEMENTS["no index"]], ids=["indexed", "no index"])
@@ -158,14 +158,14 @@ def test_parts_that_repeat_messages_give_what_the_drive_without_does(tmp_path, a
         assert (log_in.log_id, log_in.expected_frames) == (whole.log_id, whole.expected_frames)
     shared = len(early) + len(late) - MESSAGES
     notes = open_input(ReplaySource(files[:2]), CFG).notes
-    assert any(f"{shared} of its messages are also in earlier parts and count once" in note for note in notes)
+    assert any(f"{shared} of its messages are also in earlier files and count once" in note for note in notes)
 
 
 def test_sensors_with_files_of_their_own_are_not_compared(tmp_path):
     files = [written(tmp_path / "a.mcap", [(A, k) for k in range(9)]), written(tmp_path / "b.mcap", [(B, 3), (B, 20)])]
     summary = log.summarise(files)
     assert summary.source.shared.all_spans == []
-    assert [part.repeats for part in summary.parts] == [0, 0]
+    assert [part.repeats for part in summary.files] == [0, 0]
 
 
 def test_attachments_and_metadata_are_united(tmp_path):
@@ -180,10 +180,10 @@ def test_attachments_and_metadata_are_united(tmp_path):
 
 def test_gaps_and_overlaps_are_reported():
     spans = [
-        PartSpan(name, a * S, b * S, 11) for name, a, b in [("a", 0, 10), ("b", 11, 20), ("c", 15, 18), ("d", 23, 33)]
+        FileSpan(name, a * S, b * S, 11) for name, a, b in [("a", 0, 10), ("b", 11, 20), ("c", 15, 18), ("d", 23, 33)]
     ]
     assert joins(spans) == ["", "", "c: overlaps b by 3.000 s", "d: begins 3.000 s after b ends"]
-    assert joins([PartSpan("a", 0, 1, 1), PartSpan("b", 1, 2, 0)]) == ["", ""]
+    assert joins([FileSpan("a", 0, 1, 1), FileSpan("b", 1, 2, 0)]) == ["", ""]
 
 
 def test_what_a_replay_of_parts_says(tmp_path, capsys):

@@ -211,7 +211,7 @@ def test_other_settings_keep_the_frames_and_begin_the_memory_anew(parts, tmp_pat
 def test_a_state_that_is_too_large_is_left_out_and_the_results_are_not(drive, tmp_path, monkeypatch):
     monkeypatch.setattr(encoding, "MOST_BYTES", 1000)
     summary = replay(write(tmp_path / "in.mcap", drive), tmp_path / "out.mcap", CFG)
-    assert any("this part cannot be continued" in note for note in summary.notes)
+    assert any("this result cannot be continued" in note for note in summary.notes)
     assert names(tmp_path / "out.mcap") == ["roadperc.toml"]
 
 
@@ -267,7 +267,7 @@ def test_a_part_of_another_sensor_is_refused(parts, drive, tmp_path):
     cut_ns = drive[0].log_time_ns + 500_000_000
     depth = [m for m in drive if m.log_time_ns < cut_ns and m.channel.topic != "/camera/front/image"]
     (before,) = replayed(tmp_path, [depth], CFG)
-    with pytest.raises(StateError, match="would make the frames: expected role depth, as in the earlier part"):
+    with pytest.raises(StateError, match="would make the frames: expected role depth, as in the continued result"):
         replay(parts[1], tmp_path / "out.mcap", CFG, continued=before)
 
 

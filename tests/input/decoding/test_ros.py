@@ -344,8 +344,8 @@ def test_cut_bytes_are_a_stated_error(length):
         (b"", "ros2msg", "the log does not define sensor_msgs/msg/CameraInfo"),
         (b"!!", "ros2msg", "cannot be read"),
         (b"\xff\xfe", "ros2msg", "cannot be read"),
-        (b"std_msgs/Header header\n", "ros2msg", "lacks 'std_msgs/msg/Header'"),
-        (b"uint8 x\n", "protobuf", "is defined in protobuf: expected ros2msg or ros2idl"),
+        (b"std_msgs/Header header\n", "ros2msg", "type 'std_msgs/msg/Header' is not defined"),
+        (b"uint8 x\n", "protobuf", "definition in encoding protobuf: expected ros2msg or ros2idl"),
     ],
     ids=["none", "text", "bytes", "part", "encoding"],
 )
