@@ -124,7 +124,7 @@ def run(source, name, **options):
 
 @pytest.mark.promise("Logs", "Replay and repair with `--recover` recover the same messages and report each gap")
 @pytest.mark.parametrize(("writer", "damage"), CASES)
-def test_a_replay_recovers_what_the_repair_does(tmp_path, tidy, writer, damage):
+def test_replay_and_repair_recover_the_same(tmp_path, tidy, writer, damage):
     whole, path = damaged(tmp_path / "a.mcap", writer, damage)
     repaired = tmp_path / "repaired.mcap"
     salvage, recovery = log.write_repaired(path, repaired)
@@ -162,7 +162,7 @@ def assert_incomplete_frames_say_so(found, tidy):
 
 @pytest.mark.promise("Logs", "Without `--recover`, damage is an error in the replayed part and a warning after it")
 @pytest.mark.parametrize(("writer", "damage"), CASES)
-def test_without_the_option_it_is_refused_and_before_it_replayed(tmp_path, tidy, writer, damage):
+def test_without_recover_only_the_part_before_the_damage_is_replayed(tmp_path, tidy, writer, damage):
     whole, path = damaged(tmp_path / "a.mcap", writer, damage)
     if (writer, damage) in UNSEEN:
         assert len(messages(run(path, "out")[0])) == len(messages(whole))

@@ -138,7 +138,7 @@ def rows(target, kind="metrics"):
     ("colours", "depth", "static"),
     [("bgra8", "16UC1", False), ("bgr8", "32FC1", True)],
 )
-def test_a_bag_of_carlas_bridge_gives_the_metrics_of_our_own_log(tmp_path, recorded, colours, depth, static):
+def test_a_bag_of_the_carla_bridge_gives_the_same_metrics(tmp_path, recorded, colours, depth, static):
     messages = [in_metres(m) for m in recorded] if depth == "32FC1" else recorded
     expected, _ = run(write(tmp_path / "ours.mcap", messages))
     found, summary = run(bag(tmp_path / "bag.mcap", messages, colours, static=static))
@@ -188,21 +188,21 @@ def with_imu(path, messages, *, placed):
     return path
 
 
-def test_the_truth_may_be_the_way_of_any_frame_of_the_vehicle(tmp_path, recorded):
+def test_the_true_pose_may_be_of_any_frame_of_the_vehicle(tmp_path, recorded):
     expected, _ = run(bag(tmp_path / "bag.mcap", recorded, "bgr8"))
     found, summary = run(with_imu(tmp_path / "imu.mcap", recorded, placed=True))
     assert not any("truth" in note for note in summary.notes)
     assert_frame_equal(rows(found), rows(expected), abs_tol=1e-9, rel_tol=0)
 
 
-def test_the_way_of_a_frame_nobody_places_is_no_truth(tmp_path, recorded):
+def test_the_pose_of_an_unconnected_frame_is_not_used(tmp_path, recorded):
     found, summary = run(with_imu(tmp_path / "imu.mcap", recorded, placed=False))
     topic = "/carla/ego_vehicle/odometry"
     assert f"{topic}: no transform connects the frame of its poses with ego: not used as truth" in summary.notes
     assert rows(found)["true_x_m"].null_count() == rows(found)["step_error_m"].null_count() == FRAMES
 
 
-def test_every_message_of_a_bag_is_kept_and_its_output_gives_the_same_bytes(tmp_path, recorded):
+def test_every_message_of_a_bag_is_kept(tmp_path, recorded):
     source = bag(tmp_path / "bag.mcap", recorded)
     first, _ = run(source)
     assert kept(first) == kept(source)
@@ -225,7 +225,7 @@ def test_two_vehicles_are_an_error_until_one_is_chosen(tmp_path, recorded, capsy
     assert rows(target).equals(rows(one), null_equal=True)
 
 
-def test_a_bag_without_calibration_says_what_could_be_one(tmp_path, recorded, capsys):
+def test_a_bag_without_calibration_lists_candidates(tmp_path, recorded, capsys):
     renamed = {"/camera/front/calibration": "rgb_left/camera_info"}
     source = tmp_path / "bag.mcap"
     with source.open("wb") as stream:
@@ -254,7 +254,7 @@ BROKEN = {
 }
 
 
-def test_what_cannot_be_decoded_is_missing_with_its_reason_and_kept(tmp_path, recorded):
+def test_undecodable_messages_are_missing_with_a_reason_and_kept(tmp_path, recorded):
     source = tmp_path / "bag.mcap"
     with source.open("wb") as stream:
         made = rosbag.Bag(stream)
@@ -274,7 +274,7 @@ def test_what_cannot_be_decoded_is_missing_with_its_reason_and_kept(tmp_path, re
     assert kept(target) == kept(source)
 
 
-def test_messages_that_are_cut_are_counted_and_kept(tmp_path, recorded):
+def test_cut_messages_are_counted_and_kept(tmp_path, recorded):
     whole, source = bag(tmp_path / "whole.mcap", recorded), tmp_path / "cut.mcap"
     with log.LogWriter(source) as writer:
         for k, message in enumerate(log.read(log.summarise(whole))):
@@ -288,7 +288,7 @@ def test_messages_that_are_cut_are_counted_and_kept(tmp_path, recorded):
     assert kept(target) == kept(source)
 
 
-def test_a_foreign_recording_replays_with_its_topics(data_dir, tmp_path):
+def test_a_foreign_log_is_replayed_with_its_topics(data_dir, tmp_path):
     """Its calibration is of 640x480 pixels and its images have 520x360: no stage may use them, and each says so."""
     source = data_dir / "mcap" / "custom-camera-model.mcap"
     target = tmp_path / "out.mcap"

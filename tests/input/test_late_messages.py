@@ -59,7 +59,7 @@ def test_any_delays_up_to_the_wait_give_the_same_results(seed, messages, tidy, t
     assert results(output) == results(tidy)
 
 
-def test_an_image_beyond_the_wait_is_left_out_and_reported(messages, tidy, tmp_path, capsys):
+def test_an_image_later_than_the_wait_is_dropped_and_reported(messages, tidy, tmp_path, capsys):
     stamps = rows(tidy)["stamp_ns"].to_list()
     late = delayed(messages, lambda m: 250 * MS * is_image(m, stamps[5]))
     output = replayed(tmp_path, late, "--set", "sync.max_wait_s=0.1")
@@ -73,7 +73,7 @@ def test_an_image_beyond_the_wait_is_left_out_and_reported(messages, tidy, tmp_p
     assert sum(is_image(m, stamps[5]) for m in log.read(log.summarise(output))) == 1  # it is copied all the same
 
 
-def test_a_log_played_twice_has_two_segments_each_from_the_beginning(messages, tidy, tmp_path):
+def test_a_log_played_twice_has_two_segments(messages, tidy, tmp_path):
     again = delayed(messages, lambda _: 60 * S)
     output = replayed(tmp_path, [*messages, *again], "--set", "sync.max_wait_s=0.2")
     found = rows(output)

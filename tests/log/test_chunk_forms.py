@@ -122,7 +122,7 @@ UNUSUAL = {
 
 
 @pytest.mark.parametrize("form", UNUSUAL)
-def test_a_copy_of_unusual_chunks_is_a_usual_log(tmp_path, form):
+def test_a_copy_of_unusual_chunks_is_a_normal_log(tmp_path, form):
     source = around(tmp_path / "a.mcap", UNUSUAL[form])
     assert copied(source, tmp_path / "b.mcap") == [True, False, False, True]
     assert plain(log.read(log.summarise(tmp_path / "b.mcap"))) == ALL
@@ -142,7 +142,7 @@ def test_all_frames_of_a_chunk_are_read(tmp_path, form):
 
 
 @pytest.mark.parametrize("compression", COMPRESS)
-def test_a_frame_that_begins_with_a_record_is_not_lost(tmp_path, compression):
+def test_a_compressed_frame_that_begins_with_a_record_is_read(tmp_path, compression):
     end = len(message_of(*MIDDLE[0]))
     middle = chunk_of(
         compression=compression, stored=lambda data: b"".join(map(COMPRESS[compression], (data[:end], data[end:])))
@@ -151,7 +151,7 @@ def test_a_frame_that_begins_with_a_record_is_not_lost(tmp_path, compression):
 
 
 @pytest.mark.parametrize("compression", COMPRESS)
-def test_further_frames_are_held_to_what_the_chunk_says(tmp_path, compression):
+def test_further_frames_stay_within_the_declared_size(tmp_path, compression):
     bomb = COMPRESS[compression](bytes(50_000_000))
     middle = chunk_of(compression=compression, stored=lambda data: COMPRESS[compression](data) + bomb)
     found = Salvage(around(tmp_path / "a.mcap", middle)).run()
@@ -159,7 +159,7 @@ def test_further_frames_are_held_to_what_the_chunk_says(tmp_path, compression):
     assert "holds more than the" in found.damages[0].words
 
 
-def test_a_chunk_that_holds_nothing_does_not_move_the_first_log_time(tmp_path):
+def test_an_empty_chunk_does_not_change_the_first_log_time(tmp_path):
     empty = chunk_of([], span=(0, 0), entries=lambda _: [[]])
     source = written(tmp_path / "a.mcap", empty, chunk_of(MIDDLE))
     data = bytearray(source.read_bytes())
@@ -173,7 +173,7 @@ def test_a_chunk_that_holds_nothing_does_not_move_the_first_log_time(tmp_path):
     assert log.summarise(tmp_path / "b.mcap").first_ns == 20
 
 
-def test_messages_outside_chunks_are_read_though_the_index_names_chunks_only(tmp_path):
+def test_messages_outside_chunks_are_read_despite_a_chunk_index(tmp_path):
     outside = [(40, b"e" * 50), (50, b"f" * 50)]
     source = written(tmp_path / "a.mcap", chunk_of(DRIVE[0]), chunk_of(MIDDLE), outside=outside)
     assert plain(log.read(log.summarise(source))) == ALL
@@ -182,7 +182,7 @@ def test_messages_outside_chunks_are_read_though_the_index_names_chunks_only(tmp
 
 
 @pytest.mark.parametrize("left", [0.45, 0.6, 0.8])
-def test_a_file_that_is_cut_while_it_is_copied_is_an_error(tmp_path, left):
+def test_a_file_that_is_cut_during_copying_is_an_error(tmp_path, left):
     large = [chunk_of([(time, b"." * 100_000) for time, _ in items]) for items in DRIVE]
     source = written(tmp_path / "a.mcap", *large)
     summary = log.summarise(source)

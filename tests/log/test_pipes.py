@@ -83,7 +83,7 @@ def test_info_and_view_read_standard_input(tmp_path):
         (b"nothing of the kind, but long enough", "-: not an MCAP log"),
     ],
 )
-def test_a_pipe_that_brings_no_whole_log_is_one_line(tmp_path, data, fault):
+def test_a_pipe_without_a_whole_log_gives_one_line(tmp_path, data, fault):
     ended = through("roadperc-replay", data, tmp_path / "out.mcap")
     assert ended.returncode == 1
     assert ended.stderr.decode().startswith(f"error: {fault}")
@@ -91,7 +91,7 @@ def test_a_pipe_that_brings_no_whole_log_is_one_line(tmp_path, data, fault):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_terminal_is_no_log(tmp_path):
+def test_a_terminal_is_refused(tmp_path):
     controller, terminal = os.openpty()
     ended = run("roadperc-replay", "-", tmp_path / "out.mcap", stdin=terminal)
     os.close(controller)
@@ -100,7 +100,7 @@ def test_a_terminal_is_no_log(tmp_path):
     assert ended.stderr.startswith("error: -: standard input is a terminal")
 
 
-def test_standard_input_that_is_closed_is_no_log(monkeypatch):
+def test_closed_standard_input_is_refused(monkeypatch):
     monkeypatch.setattr(sys, "stdin", None)
     with pytest.raises(LogError, match="-: standard input is closed"):
         log.received([Path("-")])
@@ -108,7 +108,7 @@ def test_standard_input_that_is_closed_is_no_log(monkeypatch):
         log.received([Path("-"), Path("-")])
 
 
-def test_a_disk_that_fills_up_while_a_pipe_is_stored_is_said(tmp_path):
+def test_a_full_disk_while_storing_a_pipe_gives_one_line(tmp_path):
     def limited():
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, 1_000_000))

@@ -22,8 +22,8 @@ from roadperc_stream.schemas.record import BEGIN_ATTACHMENT, STATE_ATTACHMENT
 from tests import logs
 from tests.analytic import STEP_NS
 from tests.resume.parts import with_attachments
+from tests.resume.test_continued import ANYHOW, ROAD
 from tests.resume.test_kills import interrupt
-from tests.resume.test_parts import ANYHOW, ROAD
 
 FRAMES = 12
 NAMES = ("map", "odom", "base_link", "mast", "camera", "ego", "lidar")
@@ -76,7 +76,7 @@ def assert_complete(folder, source, beginning):
 @pytest.mark.parametrize("beginning", BEGINNINGS)
 @settings(max_examples=5, **ANYHOW)
 @given(made=transforms())
-def test_a_finished_replay_is_complete_whatever_its_transforms(beginning, made):
+def test_a_finished_replay_is_complete_with_any_transforms(beginning, made):
     with TemporaryDirectory() as folder:
         assert_complete(Path(folder), with_transforms(Path(folder) / "in.mcap", made), beginning)
 
@@ -84,7 +84,7 @@ def test_a_finished_replay_is_complete_whatever_its_transforms(beginning, made):
 @pytest.mark.promise("States", "Lookups in the transform tree do not change the state's bytes")
 @settings(max_examples=20, **ANYHOW)
 @given(made=transforms(), asked=st.lists(st.sampled_from(NAMES), min_size=2, max_size=8))
-def test_a_tree_is_the_same_bytes_whatever_was_looked_up(made, asked):
+def test_lookups_do_not_change_the_bytes_of_a_tree(made, asked):
     tree = TransformTree()
     for _, edges in made:
         tree = tree.updated(edges)

@@ -151,7 +151,7 @@ CASES = {
 
 @pytest.mark.promise("States", "A state with a wrong type or shape, or above `limits`, gives a one-line error")
 @pytest.mark.parametrize("case", CASES)
-def test_a_state_of_a_wrong_type_shape_or_size_is_one_line(parts, tmp_path, case):
+def test_a_state_of_a_wrong_type_shape_or_size_gives_one_line(parts, tmp_path, case):
     change, expected = CASES[case]
     before = changed(parts[0], tmp_path / "before.mcap", STATE_ATTACHMENT, change)
     started_s = time.process_time()
@@ -163,7 +163,7 @@ def test_a_state_of_a_wrong_type_shape_or_size_is_one_line(parts, tmp_path, case
 
 
 @pytest.mark.promise("States", "A replay without `--continue` also refuses a damaged state")
-def test_a_plain_replay_refuses_it_too(parts, tmp_path):
+def test_a_plain_replay_refuses_an_invalid_state(parts, tmp_path):
     source = changed(
         parts[1], tmp_path / "in.mcap", BEGIN_ATTACHMENT, lambda state: keyframe(state).update(grey=grey(1, 1))
     )
@@ -174,7 +174,7 @@ def test_a_plain_replay_refuses_it_too(parts, tmp_path):
 
 @pytest.mark.promise("States", "A state whose frame numbers would overflow is refused before the first frame")
 @pytest.mark.parametrize("part", [0, 1])
-def test_frames_that_have_no_number_left_are_refused_before_the_first(parts, tmp_path, part):
+def test_overflowing_frame_numbers_are_refused(parts, tmp_path, part):
     """By ``--continue`` and by a plain replay of what began with it."""
     name = (STATE_ATTACHMENT, BEGIN_ATTACHMENT)[part]
     hostile = changed(parts[part], tmp_path / "in.mcap", name, lambda s: s["input"]["numbers"].update(next=2**32 - 3))
@@ -184,7 +184,7 @@ def test_frames_that_have_no_number_left_are_refused_before_the_first(parts, tmp
 
 
 @pytest.mark.promise("States", "Nothing is allocated beyond the limits")
-def test_what_is_declared_is_not_made(parts, tmp_path):
+def test_declared_sizes_are_not_allocated(parts, tmp_path):
     """256 MB of an array, which several times as much was used for."""
     path = changed(
         parts[0], tmp_path / "before.mcap", STATE_ATTACHMENT, lambda s: keyframe(s).update(grey=grey(20_000, 20_000))
@@ -196,7 +196,7 @@ def test_what_is_declared_is_not_made(parts, tmp_path):
     assert int(peak_kb) - int(before_kb) < MOST_GROWTH_MB * 1024, (before_kb, peak_kb)
 
 
-def test_a_result_with_limits_of_its_own_is_continued_with_the_same(tmp_path, parts):
+def test_a_result_is_continued_with_its_own_limits(tmp_path, parts):
     """What one replay leaves within its limits the next one reads within them."""
     cfg = load_config(None, ("sync.max_wait_s=0.2", "limits.image_megapixels=0.01", "limits.transforms=1"))
     source = inputs(parts[0])

@@ -54,7 +54,7 @@ TWICE = [(f"demo/T{k}", f"demo/T{k + 1} one\ndemo/T{k + 1} two") for k in range(
     ],
     ids=lambda value: value[:16].replace("\n", " "),
 )
-def test_definitions_without_bound_or_sense_are_refused(definition, words):
+def test_invalid_or_huge_definitions_are_refused(definition, words):
     assert words in refusal(definition)
 
 
@@ -75,11 +75,11 @@ def test_types_nested_too_deeply_are_refused():
     ],
     ids=["itself", "brackets", "shift", "sequences", "modules", "text"],
 )
-def test_idl_that_its_parser_would_never_end_with_is_refused(definition, words):
+def test_idl_with_exponential_parsing_time_is_refused(definition, words):
     assert words in refusal(definition, "ros2idl")
 
 
-def test_idl_as_ros_2_writes_it_is_read():
+def test_idl_of_ros_2_is_read():
     text = idl(
         '@verbatim (language="comment", text="a (b * c) << 2")\n@default (value=-1) long a; double b[3];  // (*\n'
     )
@@ -95,7 +95,7 @@ def test_long_arrays_of_numbers_are_one_element():
 
 
 @pytest.mark.parametrize("data", [b"", HEADER, HEADER + bytes(3), b"\x00\x07" + bytes(40)])
-def test_bytes_of_another_layout_are_a_stated_error(data):
+def test_bytes_of_another_layout_are_an_error(data):
     with pytest.raises(DecodeError, match=f"{len(data)} bytes are no {NAME}: "):
         cdr.read(data, NAME, b"float64 a\nstring b\n")
 
@@ -108,7 +108,7 @@ def test_bytes_of_another_layout_are_a_stated_error(data):
     ],
     ids=["none", "others"],
 )
-def test_a_type_with_the_fields_of_another_is_a_stated_error(fields, size):
+def test_a_type_with_the_fields_of_another_is_an_error(fields, size):
     _, rule, others = ros2.IMAGE_DEFINITION.partition(b"=")
     definition = b"std_msgs/Header header\n" + fields + rule + others
     header = bytes(8) + b"\x01\x00\x00\x00" + b"\x00"

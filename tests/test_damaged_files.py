@@ -62,7 +62,7 @@ def recording(request, tmp_path, monkeypatch):
 
 
 @pytest.mark.promise("Logs", "A frame that is incomplete because the file is cut has a reason")
-def test_every_frame_that_a_cut_leaves_incomplete_says_so(recording):
+def test_a_frame_cut_by_damage_has_a_reason(recording):
     path, incomplete = recording.with_name("cut.mcap"), 0
     for share in (0.51, 0.54, 0.57, 0.6, 0.63, 0.66, 0.69, 0.72):
         path.write_bytes(beginning(recording, share))
@@ -82,7 +82,7 @@ def test_every_frame_that_a_cut_leaves_incomplete_says_so(recording):
     assert incomplete >= 2
 
 
-def test_what_an_error_promises_is_there(recording):
+def test_the_messages_that_an_error_promises_are_saved(recording):
     path = recording.with_name("cut.mcap")
     path.write_bytes(beginning(recording, 0.6))
     with pytest.raises(log.DamagedLogError, match="all before 0") as caught:
@@ -109,7 +109,7 @@ def parts(tmp_path, monkeypatch):
 
 
 @pytest.mark.promise("Logs", "After a damaged file, only the first frame of the next file is marked")
-def test_a_gap_ends_where_the_next_part_begins(parts):
+def test_a_gap_ends_where_the_next_file_begins(parts):
     target, summary = recovered(parts[0], "out", *parts[1:])
     frames = said(target)
     third_ns = logs.START_NS + 6 * STEP_NS
@@ -122,7 +122,7 @@ def test_a_gap_ends_where_the_next_part_begins(parts):
     assert gap.last_ns == third_ns
 
 
-def test_a_repaired_part_among_others_is_the_same(parts):
+def test_a_repaired_file_among_others_gives_the_same_results(parts):
     expected, _ = recovered(parts[0], "out", *parts[1:])
     repaired = parts[1].with_name("repaired.mcap")
     log.write_repaired(parts[1], repaired)
@@ -131,7 +131,7 @@ def test_a_repaired_part_among_others_is_the_same(parts):
     assert target.read_bytes() == expected.read_bytes()
 
 
-def test_a_gap_goes_on_where_no_part_holds_what_was_lost(tmp_path):
+def test_a_gap_stays_open_without_a_later_file_of_its_topics(tmp_path):
     other = Channel("/other", "x")
     with LogWriter(tmp_path / "other.mcap") as writer:
         for k in range(3):
@@ -142,7 +142,7 @@ def test_a_gap_goes_on_where_no_part_holds_what_was_lost(tmp_path):
     assert log.gone_on_ns(files[1], files) is None
 
 
-def test_info_repairs_what_comes_through_a_pipe(tmp_path):
+def test_info_repairs_a_pipe(tmp_path):
     path = logs.write(tmp_path / "in.mcap", logs.items(3, TINY))
     content = path.read_bytes()[:-200]
     (tmp_path / "cut.mcap").write_bytes(content)

@@ -104,7 +104,7 @@ def edges_after_all_roles(messages):
 
 @settings(max_examples=12)
 @given(st.data())
-def test_wherever_a_drive_is_cut_its_frames_are_those_of_the_whole(data):
+def test_a_log_cut_anywhere_gives_the_frames_of_the_whole(data):
     delays = data.draw(st.lists(st.integers(0, WAIT_NS), min_size=len(DRIVE), max_size=len(DRIVE)))
     lost = data.draw(st.frozensets(st.integers(8, len(DRIVE) - 1), max_size=30))
     messages = arriving(delays, lost)
@@ -115,7 +115,7 @@ def test_wherever_a_drive_is_cut_its_frames_are_those_of_the_whole(data):
 
 
 @pytest.mark.parametrize("number", range(1, 8))
-def test_a_cut_between_an_image_and_its_depth_leaves_both_to_the_next_part(tmp_path, number):
+def test_a_cut_between_an_image_and_its_depth(tmp_path, number):
     """The first part gives the frame without what came after; the second gives it again, whole."""
     messages = arriving([0] * len(DRIVE))
     image = [k for k, m in enumerate(messages) if m.channel.topic == "/camera/front/image"][number]
@@ -128,7 +128,7 @@ def test_a_cut_between_an_image_and_its_depth_leaves_both_to_the_next_part(tmp_p
     assert first | again == whole
 
 
-def test_parts_without_a_frame_of_their_own_go_on(tmp_path):
+def test_logs_without_a_new_frame_are_continued(tmp_path):
     messages = arriving([0] * len(DRIVE))
     at = edges_after_all_roles(messages)[0]
     parts = cut(messages, [at + k * STEP_NS // 3 for k in range(3 * FRAMES)])
@@ -137,7 +137,7 @@ def test_parts_without_a_frame_of_their_own_go_on(tmp_path):
     assert in_parts(tmp_path, parts) == whole
 
 
-def test_a_cut_where_another_recording_begins(tmp_path):
+def test_a_cut_at_a_new_segment(tmp_path):
     """Two drives one after the other, the second with the stamps of the first: its first images wait for a third."""
     later = [replace(m, log_time_ns=m.log_time_ns + (FRAMES + 4) * STEP_NS) for m in DRIVE]
     messages = [*DRIVE, *later]
@@ -147,7 +147,7 @@ def test_a_cut_where_another_recording_begins(tmp_path):
         assert in_parts(tmp_path, cut(messages, [later[0].log_time_ns + step * STEP_NS // 2])) == whole
 
 
-def test_a_state_holds_no_more_than_what_the_frames_to_come_need():
+def test_a_state_keeps_only_messages_of_later_frames():
     """However long the part was: what was complete is not in it, and what an earlier part carried is forgotten."""
     with TemporaryDirectory() as folder:
         messages = arriving([0] * len(DRIVE))

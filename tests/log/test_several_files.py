@@ -42,7 +42,7 @@ def written(path, messages, **extra):
 
 @pytest.mark.parametrize("arrangement", [{}, ARRANGEMENTS["no chunks"]], ids=["indexed", "no index"])
 @pytest.mark.parametrize("seed", [1, 2])
-def test_parts_of_the_sample_are_the_sample(tmp_path, seed, arrangement):
+def test_files_of_the_sample_equal_the_sample(tmp_path, seed, arrangement):
     cuts = sorted(random.Random(seed).sample(range(1, MESSAGES), 4))
     files = parts(SAMPLE, tmp_path, cuts, **arrangement)
     random.Random(seed).shuffle(files)
@@ -52,7 +52,7 @@ def test_parts_of_the_sample_are_the_sample(tmp_path, seed, arrangement):
     assert (log_in.log_id, log_in.span_ns, log_in.topics) == (whole.log_id, whole.span_ns, whole.topics)
 
 
-def test_the_results_of_parts_are_those_of_the_whole(tmp_path):
+def test_files_give_the_results_of_the_whole_log(tmp_path):
     third = [m.log_time_ns for m in log.read(WHOLE, topics=["/camera/front/image"])][2]
     cut = next(k for k, m in enumerate(log.read(WHOLE)) if m.log_time_ns == third) + 1
     files, part = parts(SAMPLE, tmp_path, [cut]), TimeRange(start_s=0.05, frames=3)
@@ -68,7 +68,7 @@ def test_the_results_of_parts_are_those_of_the_whole(tmp_path):
 
 @settings(max_examples=50)
 @given(st.lists(st.lists(st.tuples(st.sampled_from([A, B]), st.integers(0, 30)), max_size=12), min_size=2, max_size=5))
-def test_any_files_come_in_the_order_of_their_times(tmp_path_factory, files):
+def test_files_are_read_in_log_time_order(tmp_path_factory, files):
     folder = tmp_path_factory.mktemp("parts")
     summary = log.summarise([written(folder / f"{k}.mcap", messages) for k, messages in enumerate(files)])
     counted = [Counter((time, channel.topic) for channel, time in messages) for messages in files]
@@ -83,7 +83,7 @@ def test_any_files_come_in_the_order_of_their_times(tmp_path_factory, files):
     assert sorted(late) == [(time, topic) for time, topic in wanted if 10 <= time < 20 and topic == "/a"]
 
 
-def test_equal_channels_of_several_files_are_one_and_twins_within_a_file_stay_apart(tmp_path):
+def test_equal_channels_are_joined_across_files_only(tmp_path):
     twins = Channel("/a", "x", source_id=1), Channel("/a", "x", source_id=2)
     one = written(tmp_path / "1.mcap", [(twins[0], 1), (twins[1], 2)])
     two = written(tmp_path / "2.mcap", [(twins[0], 3), (Channel("/a", "y"), 4), (twins[1], 5)])
@@ -93,7 +93,7 @@ def test_equal_channels_of_several_files_are_one_and_twins_within_a_file_stay_ap
     assert {m.channel for m in log.read(summary)} == set(summary.channels)
 
 
-def test_only_the_files_that_are_read_are_open(tmp_path, monkeypatch):
+def test_files_are_open_only_while_they_are_read(tmp_path, monkeypatch):
     files = [written(tmp_path / f"{k}.mcap", [(A, 10 * k + j) for j in range(9)]) for k in range(30)]
     summary, now, most = log.summarise(files), [0], [0]
     for part, _ in summary.source.files.files:
@@ -110,7 +110,7 @@ def test_only_the_files_that_are_read_are_open(tmp_path, monkeypatch):
     assert most[0] <= 2
 
 
-def test_more_files_at_a_time_than_can_be_open_are_sorted_on_disk(tmp_path):
+def test_many_overlapping_files_are_sorted_on_disk(tmp_path):
     files = [written(tmp_path / f"{k}.mcap", [(A, k), (B, 100 + k)]) for k in range(40)]
     summary = log.summarise(files)
     assert isinstance(summary.source.files, SortedFiles)
@@ -121,7 +121,7 @@ SHARED = [("/a", 1), ("/a", 2), ("/b", 2), ("/a", 2), ("/b", 3), ("/a", 4)]
 
 
 @pytest.mark.parametrize("together", [2, 40], ids=["merged", "sorted on disk"])
-def test_what_several_files_hold_comes_once(tmp_path, together):
+def test_repeated_messages_come_once(tmp_path, together):
     """As often as in the file that has it most often, and in the place that it has there."""
     channels = {"/a": A, "/b": B}
     pieces = [SHARED[:4], SHARED[2:], SHARED] + [SHARED[1:3]] * (together - 2)
@@ -135,7 +135,7 @@ def test_what_several_files_hold_comes_once(tmp_path, together):
 
 
 @pytest.mark.parametrize("changed", [{"publish_time_ns": 4}, {"sequence": 1}, {"data": b"y"}, {"channel": B}])
-def test_messages_that_differ_in_anything_are_all_there(tmp_path, changed):
+def test_messages_that_differ_are_all_kept(tmp_path, changed):
     message = Message(A, 5, 5, 0, b"x")
     for name, one in (("1", message), ("2", replace(message, **changed))):
         by_us(tmp_path / f"{name}.mcap", [one])
@@ -145,7 +145,7 @@ def test_messages_that_differ_in_anything_are_all_there(tmp_path, changed):
 
 
 @pytest.mark.parametrize("arrangement", [{}, ARRANGEMENTS["no index"]], ids=["indexed", "no index"])
-def test_parts_that_repeat_messages_give_what_the_drive_without_does(tmp_path, arrangement):
+def test_files_with_repeated_messages_equal_the_whole_log(tmp_path, arrangement):
     messages = list(log.read(WHOLE))
     early, late = messages[: MESSAGES * 6 // 10], messages[MESSAGES * 4 // 10 :]
     files = [
@@ -161,7 +161,7 @@ def test_parts_that_repeat_messages_give_what_the_drive_without_does(tmp_path, a
     assert any(f"{shared} of its messages are also in earlier files and count once" in note for note in notes)
 
 
-def test_sensors_with_files_of_their_own_are_not_compared(tmp_path):
+def test_files_without_common_topics_are_not_compared(tmp_path):
     files = [written(tmp_path / "a.mcap", [(A, k) for k in range(9)]), written(tmp_path / "b.mcap", [(B, 3), (B, 20)])]
     summary = log.summarise(files)
     assert summary.source.shared.all_spans == []
@@ -186,7 +186,7 @@ def test_gaps_and_overlaps_are_reported():
     assert joins([FileSpan("a", 0, 1, 1), FileSpan("b", 1, 2, 0)]) == ["", ""]
 
 
-def test_what_a_replay_of_parts_says(tmp_path, capsys):
+def test_a_replay_reports_gaps_between_files(tmp_path, capsys):
     items = logs.items(8)
     edge = logs.START_NS + 3 * logs.STEP_NS
     early = logs.write(tmp_path / "1.mcap", [item for item in items if item.stamp_ns < edge])
@@ -199,7 +199,7 @@ def test_what_a_replay_of_parts_says(tmp_path, capsys):
     ]
 
 
-def test_calibration_and_transforms_of_the_first_part_hold_in_the_others(tmp_path):
+def test_calibration_and_transforms_of_the_first_file_hold_in_the_others(tmp_path):
     once = parts(SAMPLE, tmp_path, [MESSAGES // 2])
     assert not list(log.read(log.summarise(once[1]), topics=["/tf", "/camera/front/calibration"]))
     frames = open_input(ReplaySource(once, time_range=TimeRange(start_s=1.5, frames=1)), CFG).samples()
@@ -217,7 +217,7 @@ def test_a_file_given_twice_is_an_error(tmp_path):
 
 @pytest.mark.parametrize("number", [2, 3])
 @pytest.mark.parametrize("force", [[], ["--force"]])
-def test_who_forgets_the_output_loses_no_recording(tmp_path, number, force, capsys):
+def test_a_forgotten_output_overwrites_no_input(tmp_path, number, force, capsys):
     files = [logs.write(tmp_path / f"part_{k}.mcap", logs.items(2)) for k in range(number)]
     last = files[-1].read_bytes()
     assert replay_main([*map(str, files), *force]) == 1
@@ -225,7 +225,7 @@ def test_who_forgets_the_output_loses_no_recording(tmp_path, number, force, caps
     assert files[-1].read_bytes() == last
 
 
-def test_several_inputs_replace_a_result_and_nothing_else(tmp_path):
+def test_several_inputs_replace_only_a_result(tmp_path):
     files = parts(SAMPLE, tmp_path, [MESSAGES // 2])
     out, part = tmp_path / "out.mcap", TimeRange(frames=1)
     replay(files, out, CFG, time_range=part)
@@ -240,7 +240,7 @@ def test_several_inputs_replace_a_result_and_nothing_else(tmp_path):
     assert out.read_bytes() == b"something of value"
 
 
-def test_a_damaged_part_is_named(tmp_path):
+def test_a_damaged_file_is_named(tmp_path):
     files = parts(SAMPLE, tmp_path, [100, 200])
     files[1].write_bytes(files[1].read_bytes()[:-100])
     with pytest.raises(LogError, match=r"part_1\.mcap: damaged at byte"):

@@ -83,21 +83,21 @@ ANYHOW = {"deadline": None, "suppress_health_check": list(HealthCheck)}
 
 @settings(max_examples=3, **ANYHOW)
 @given(data=st.data())
-def test_wherever_a_small_drive_is_cut(drive, data):
+def test_a_small_log_cut_anywhere(drive, data):
     assert_parts_equal_the_whole(data, drive, CFG, 200_000_000)
 
 
 @pytest.mark.accuracy
 @settings(max_examples=int(os.environ.get("PARTS", "500")), **ANYHOW)
 @given(data=st.data())
-def test_wherever_a_small_drive_is_cut_at_length(drive, data):
+def test_a_small_log_cut_anywhere_at_length(drive, data):
     assert_parts_equal_the_whole(data, drive, CFG, 200_000_000)
 
 
 @pytest.mark.accuracy
 @settings(max_examples=max(int(os.environ.get("PARTS", "500")) // 20, 1), **ANYHOW)
 @given(data=st.data())
-def test_wherever_the_sample_is_cut(data):
+def test_the_sample_cut_anywhere(data):
     assert_parts_equal_the_whole(data, inputs(SAMPLE), load_config(), 1_000_000_000)
 
 
@@ -113,7 +113,7 @@ def test_the_sample_in_three_parts(tmp_path):
     assert read_metrics(parts)["frame"].to_list() == read_metrics(whole[0])["frame"].to_list()
 
 
-def test_the_state_after_any_frame_goes_on_from_its_bytes():
+def test_a_decoded_state_gives_the_same_frames():
     """Every frame of the sample's first second is computed from the bytes of the state before it."""
     cfg = load_config()
     state = again = ReplayState()
@@ -128,7 +128,7 @@ def test_the_state_after_any_frame_goes_on_from_its_bytes():
         assert encode(again) == encode(state)
 
 
-def test_what_a_state_holds_is_that_of_its_version():
+def test_the_fields_of_a_state_match_its_version():
     """Where this fails, raise FORMAT_VERSION with the change: older states would be taken for something else."""
     held = _held(msgspec.inspect.type_info(SavedState), {})
     names = sorted(f"{kind.__name__}.{name}" for kind, names in held.items() for name in names)
@@ -138,7 +138,7 @@ def test_what_a_state_holds_is_that_of_its_version():
 
 @pytest.mark.promise("States", "A state contains no caches")
 @pytest.mark.parametrize("kind", [SavedState, Checkpoint, FrameOutput])
-def test_no_field_of_what_is_encoded_is_a_cache(kind):
+def test_encoded_types_have_no_caches(kind):
     """A private field, or one that comparisons leave out, may differ in equal states."""
     held = _held(msgspec.inspect.type_info(kind), {})
     caches = [(part, f.name) for part in held for f in fields(part) if f.name.startswith("_") or not f.compare]
@@ -171,7 +171,7 @@ def names(path):
 
 
 @pytest.mark.parametrize(("number", "begin"), [(0, []), (1, ["roadperc.state.begin"])], ids=["first", "continued"])
-def test_a_part_replays_to_itself(parts, tmp_path, number, begin):
+def test_a_continued_result_replays_to_itself(parts, tmp_path, number, begin):
     part, again = parts[number], tmp_path / "again.mcap"
     assert names(part) == ["roadperc.toml", *begin, "roadperc.state"]
     replay(part, again, CFG)
@@ -181,7 +181,7 @@ def test_a_part_replays_to_itself(parts, tmp_path, number, begin):
         assert rows([again], table).equals(rows([part], table))
 
 
-def test_a_result_says_which_part_it_continues(parts):
+def test_a_result_names_the_log_that_it_continues(parts):
     first = read_metrics(parts[0])["log_id"][0]
     (record,) = log.summarise(parts[1]).metadata
     assert dict(record.values)["continues"] == first
@@ -190,7 +190,7 @@ def test_a_result_says_which_part_it_continues(parts):
     assert runs[0].end_frame == runs[1].first_frame == read_metrics(parts[1])["frame"].min() > 0
 
 
-def test_readers_of_several_parts_take_the_last_of_frames_given_twice(parts, tmp_path):
+def test_readers_take_the_last_version_of_a_frame(parts, tmp_path):
     runs = find_runs([str(path) for path in parts])
     given = [collect(rows_of(run).select("frame"), "")["frame"].to_list() for run in runs]
     assert [*given[0], *given[1]] == list(range(16)) == read_metrics(parts)["frame"].to_list()
@@ -199,7 +199,7 @@ def test_readers_of_several_parts_take_the_last_of_frames_given_twice(parts, tmp
     assert find_runs([str(parts[0])])[0].frames == len(read_metrics(parts[0]))
 
 
-def test_other_settings_keep_the_frames_and_begin_the_memory_anew(parts, tmp_path):
+def test_other_settings_keep_the_frames_and_reset_the_state(parts, tmp_path):
     other = load_config(None, (*WAIT, "lanes.hold_s=0.3"))
     summary = replay(parts[1], tmp_path / "other.mcap", other)
     assert any("lanes.hold_s was 0.5, is 0.3" in note for note in summary.notes)
@@ -208,14 +208,14 @@ def test_other_settings_keep_the_frames_and_begin_the_memory_anew(parts, tmp_pat
     assert (tmp_path / "again.mcap").read_bytes() == (tmp_path / "other.mcap").read_bytes()
 
 
-def test_a_state_that_is_too_large_is_left_out_and_the_results_are_not(drive, tmp_path, monkeypatch):
+def test_an_oversized_state_is_left_out(drive, tmp_path, monkeypatch):
     monkeypatch.setattr(encoding, "MOST_BYTES", 1000)
     summary = replay(write(tmp_path / "in.mcap", drive), tmp_path / "out.mcap", CFG)
     assert any("this result cannot be continued" in note for note in summary.notes)
     assert names(tmp_path / "out.mcap") == ["roadperc.toml"]
 
 
-def test_results_alone_can_be_continued_too(drive, parts, tmp_path):
+def test_results_alone_can_be_continued(drive, parts, tmp_path):
     made = replayed(tmp_path, cut(drive, [drive[0].log_time_ns + 500_000_000]), CFG, results_only=True)
     assert results(made) == results(parts)
 
@@ -227,14 +227,14 @@ def test_results_alone_can_be_continued_too(drive, parts, tmp_path):
         (b"", "not the state of a replay"),
     ],
 )
-def test_what_is_no_state_is_refused(drive, parts, tmp_path, data, expected):
+def test_an_invalid_state_is_refused(drive, parts, tmp_path, data, expected):
     before = with_attachments(parts[0], tmp_path / "before.mcap", **{STATE_ATTACHMENT: data})
     with pytest.raises(StateError, match=expected):
         replay(parts[1], tmp_path / "out.mcap", CFG, continued=before)
     assert [path.name for path in tmp_path.iterdir()] == ["before.mcap"]
 
 
-def test_a_state_whose_messages_are_gone_is_refused(parts, tmp_path):
+def test_a_state_with_missing_messages_is_refused(parts, tmp_path):
     before = tmp_path / "before.mcap"
     with log.LogWriter(before) as writer:
         for item in log.summarise(parts[0]).attachments:
@@ -246,7 +246,7 @@ def test_a_state_whose_messages_are_gone_is_refused(parts, tmp_path):
 
 
 @pytest.mark.parametrize("attachment", [STATE_ATTACHMENT, BEGIN_ATTACHMENT])
-def test_any_changed_byte_of_an_unpacked_state_gives_a_state_or_one_error(parts, attachment):
+def test_a_changed_state_gives_a_state_or_one_error(parts, attachment):
     path = parts[attachment == BEGIN_ATTACHMENT]
     (data,) = (item.data for item in log.summarise(path).attachments if item.name == attachment)
     rng = np.random.default_rng(1)
@@ -258,12 +258,12 @@ def test_any_changed_byte_of_an_unpacked_state_gives_a_state_or_one_error(parts,
             assert isinstance(decode(bytes(changed), SavedState), SavedState)
 
 
-def test_a_part_that_is_not_later_is_refused(parts, tmp_path):
+def test_an_earlier_log_cannot_continue_a_result(parts, tmp_path):
     with pytest.raises(StateError, match=r"begins 0\.\d{3} s before the end of .*: expected later messages"):
         replay(parts[0], tmp_path / "out.mcap", CFG, continued=parts[0])
 
 
-def test_a_part_of_another_sensor_is_refused(parts, drive, tmp_path):
+def test_a_log_of_another_sensor_cannot_continue_a_result(parts, drive, tmp_path):
     cut_ns = drive[0].log_time_ns + 500_000_000
     depth = [m for m in drive if m.log_time_ns < cut_ns and m.channel.topic != "/camera/front/image"]
     (before,) = replayed(tmp_path, [depth], CFG)
@@ -271,7 +271,7 @@ def test_a_part_of_another_sensor_is_refused(parts, drive, tmp_path):
         replay(parts[1], tmp_path / "out.mcap", CFG, continued=before)
 
 
-def test_a_part_without_a_frame_goes_on_and_a_drive_without_one_does_not(drive, tmp_path):
+def test_only_a_continued_replay_may_have_no_frame(drive, tmp_path):
     """The camera fails, the depth sensor goes on."""
     (depth, *_) = [m for m in drive if m.channel.topic == "/camera/front/depth"]
     stamps = [drive[-1].log_time_ns + k * 100_000_000 for k in range(1, 20)]
@@ -283,7 +283,7 @@ def test_a_part_without_a_frame_goes_on_and_a_drive_without_one_does_not(drive, 
         replay(tmp_path / "in_0.mcap", tmp_path / "out.mcap", CFG, time_range=TimeRange(start_s=1.0))
 
 
-def test_parts_of_one_file(parts, drive, tmp_path):
+def test_a_file_cut_by_start_and_end(parts, drive, tmp_path):
     """By --start and --end: what arrives late for the first part is its frames' in the second."""
     source = write(tmp_path / "in.mcap", drive)
     first, second = tmp_path / "a.mcap", tmp_path / "b.mcap"
