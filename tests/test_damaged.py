@@ -1,4 +1,4 @@
-"""Whole replays of damaged logs: what is whole is replayed, what was lost is said, and nothing is lost in silence."""
+"""Replays of damaged logs: whole frames are replayed, and losses are reported."""
 
 import shlex
 from random import Random
@@ -210,7 +210,7 @@ def test_view_recovers_a_log(damaged, capsys):
 
 
 def with_bad(tmp_path, topic, data):
-    """A log whose fourth frame has a message more that cannot be used."""
+    """A log whose fourth frame has an unusable message."""
     source = logs.write(tmp_path / "plain.mcap", logs.items(6))
     stamp = logs.START_NS + 3 * STEP_NS
     path = tmp_path / "bad.mcap"
@@ -257,7 +257,7 @@ def test_the_reason_for_a_gap_names_its_times(gap, text):
 
 
 def test_losses_continue_in_a_continued_replay(tmp_path):
-    """The frames that the next part gives again have the reason still, and so has the first one behind the gap."""
+    """Repeated frames keep the reason, and the first frame after the gap has it too."""
     cfg = load_config(None, ["sync.max_wait_s=0.2", *(f"{stage}.enabled=false" for stage in OFF)])
     messages = inputs(logs.write(tmp_path / "all.mcap", logs.items(24)))
     cut_ns = logs.START_NS + 12 * STEP_NS
@@ -273,13 +273,13 @@ def test_losses_continue_in_a_continued_replay(tmp_path):
     replay(tmp_path / "b.mcap", tmp_path / "again.mcap", cfg)
     assert (tmp_path / "again.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
     assert state_at_end(tmp_path / "a.mcap", cfg).lost
-    assert not state_at_end(tmp_path / "b.mcap", cfg).lost, "it is over"
+    assert not state_at_end(tmp_path / "b.mcap", cfg).lost, "the gap has ended"
 
 
 def test_damage_in_the_warm_up_is_an_error(damaged):
-    """The memory would be another one; and with --recover it is the one of what is left."""
+    """The state would differ; with --recover it is built from the remaining frames."""
     target, part = damaged.with_name("out.mcap"), TimeRange(start_s=0.35)
     with pytest.raises(LogError, match="--recover"):
         replay(damaged, target, CFG, time_range=part, warm_up_s=0.2)
     assert replay(damaged, target, CFG, time_range=part, warm_up_s=0.2, recover=True).frames > 0
-    assert replay(damaged, target, CFG, time_range=part, force=True).frames > 0, "without a warm-up it lies outside"
+    assert replay(damaged, target, CFG, time_range=part, force=True).frames > 0, "the damage is outside"

@@ -1,4 +1,4 @@
-"""Logs in and out: order, channels, CRCs, and files that are not what they should be."""
+"""Reading and writing logs: order, channels, CRCs, and invalid files."""
 
 import hashlib
 

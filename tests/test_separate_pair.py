@@ -1,4 +1,4 @@
-"""Whole replays of a log whose stereo pair hangs apart from the front camera and gives the only depth."""
+"""Replays of a log with a separate stereo pair that gives the only depth."""
 
 from dataclasses import replace
 
@@ -38,7 +38,7 @@ def rectified():
 
 
 def front_view():
-    """What the front camera sees: (H, W) tags, ego points and the car's pixels."""
+    """(H, W) tags, ego points and the car's pixels in the front camera."""
     _, points, car = pair.scene(pair.directions(FRONT.camera), FRONT.ego_T_camera)
     tags = FRONT.tags()
     tags[car] = VEHICLE
@@ -138,7 +138,7 @@ def test_a_missing_left_image_is_not_replaced_by_the_front_image(tmp_path):
 
 
 def test_a_pair_without_left_images_gives_no_depth(tmp_path):
-    """The front image is not the pair's: matched with the right one it would give depth of a false scale."""
+    """Matching the front image with the right one would give depth with a wrong scale."""
     table, _ = replayed(tmp_path, items(rectified(), without=[(k, "left") for k in range(FRAMES)]))
     assert table["camera_height_m"].to_list() == pytest.approx([FRONT.height_m] * FRAMES, abs=1e-9)
     assert set(table["surface_source"]) == {"assumed"}

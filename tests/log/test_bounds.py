@@ -1,4 +1,4 @@
-"""What hostile or broken input costs: time in proportion to its length, memory and disk up to a limit, and one line."""
+"""Hostile or broken input takes linear time, limited memory and disk, and gives one line."""
 
 import os
 import shutil
@@ -33,7 +33,7 @@ def written(path, attachments=(), metadata=()):
 def test_a_pipe_without_mcap_is_refused_by_its_first_bytes(tmp_path):
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    writer = os.open(pipe, os.O_RDWR)  # open to the end: who waits for more waits for ever
+    writer = os.open(pipe, os.O_RDWR)  # never closed: waiting for more would not end
     os.write(writer, b"y\n" * 4)
     with pytest.raises(LogError, match="pipe: not an MCAP log"):
         log.received([pipe])
@@ -69,7 +69,7 @@ def test_a_repaired_copy_never_has_a_name(tmp_path, monkeypatch):
 
 
 def test_a_read_error_of_a_sorted_log_names_the_folder():
-    """The garbage collector ends a reading and its database in any order."""
+    """The garbage collector may close the database before its reader."""
     source = SortedMessages("a.mcap", lambda: [Message(A, k, k, 0, b"x") for k in (2, 1)])
     assert [m.log_time_ns for m in source.messages(None, None, None)] == [1, 2]
     reading = source.messages(None, None, None)
@@ -154,7 +154,7 @@ def test_a_repair_lists_at_most_the_allowed_gaps(tmp_path):
 
 
 def plain_reason(gaps, since_ns, until_ns):
-    """The same by looking at every gap."""
+    """The same result from a search through all gaps."""
     found = [
         (float("-inf") if g.first_ns is None else g.first_ns, float("inf") if g.last_ns is None else g.last_ns)
         for g in gaps

@@ -1,4 +1,4 @@
-"""Whole chunks of the input stand in the output as they are; what cannot is written anew."""
+"""Whole chunks of the input are copied unchanged; all other messages are rewritten."""
 
 import zlib
 from dataclasses import replace
@@ -27,7 +27,7 @@ TWO = 400
 
 
 def copied(source, target, topics=("/a", "/b"), start_ns=None, end_ns=None, results=()):
-    """A log, or files that are one, copied by its pieces, a result at each of these times between; gives the pieces."""
+    """Copy a log or its files by pieces, with a result at each of these times; return the pieces."""
     summary = log.summarise(source)
     channels = [channel for channel in summary.channels if channel.topic in topics]
     found = []
@@ -132,7 +132,7 @@ def test_partly_copied_chunks_are_rewritten(tmp_path, items, options, expected):
 
 
 def test_a_chunk_that_describes_an_omitted_channel_is_rewritten(tmp_path):
-    """Its channel's id may be another one's in the copy."""
+    """Another channel may have its id in the copy."""
     source = by_library(tmp_path / "a.mcap", [("/b", time) for time in range(6)], chunk_size=TWO)
     pieces = copied(source, tmp_path / "b.mcap", topics=["/b"])
     assert whole(pieces)[0] is False
@@ -147,7 +147,7 @@ def test_a_large_chunk_is_rewritten(tmp_path, monkeypatch):
 
 
 def pieces_of_changed(path, place_of):
-    """Which pieces are whole chunks, of a log of six in which a byte was changed after its CRCs were checked."""
+    """Change a byte of a log with six chunks after its CRCs were checked; return which pieces are whole chunks."""
     source = by_library(path, IN_ORDER, chunk_size=TWO)
     file = log.summarise(source).source
     assert isinstance(file, IndexedFile)
@@ -158,7 +158,7 @@ def pieces_of_changed(path, place_of):
 
 
 def test_a_chunk_with_a_wrong_crc_is_rewritten(tmp_path):
-    """The data section's CRC says that these are the bytes that were written: then the writer was wrong."""
+    """The data section's CRC is correct, so the writer wrote a wrong CRC."""
     found = pieces_of_changed(tmp_path / "a.mcap", lambda chunks: chunks[0].chunk_start_offset + 33)
     assert found[:2] == [False, False]
     assert found[-1] is True
@@ -166,7 +166,7 @@ def test_a_chunk_with_a_wrong_crc_is_rewritten(tmp_path):
 
 @pytest.mark.parametrize("byte", [9, 17, 25], ids=["channel", "log time", "place"])
 def test_a_chunk_with_wrong_message_indexes_is_rewritten(tmp_path, byte):
-    """Who trusts them would not find its messages; and one that they do not name may be of any channel."""
+    """A reader that trusts them would miss messages."""
     found = pieces_of_changed(
         tmp_path / "a.mcap", lambda chunks: chunks[-1].chunk_start_offset + chunks[-1].chunk_length + byte
     )
@@ -174,7 +174,7 @@ def test_a_chunk_with_wrong_message_indexes_is_rewritten(tmp_path, byte):
 
 
 def test_messages_without_index_entry_do_not_become_results(tmp_path):
-    """The id of their channel, which nothing describes, is free for a channel of results."""
+    """The id of their undescribed channel is free for a channel of results."""
     source, hidden = tmp_path / "a.mcap", 2
     with source.open("wb") as stream:
         file, chunk = McapFile(stream, "", ""), OpenChunk()
@@ -252,7 +252,7 @@ def test_messages_of_files_without_an_index_are_copied(tmp_path):
 
 
 def test_a_growing_copy_is_read_in_log_time_order(tmp_path):
-    """A chunk that is copied whole reaches further than the results that are there."""
+    """A copied chunk may have later messages than the results written until then."""
     source = by_library(tmp_path / "a.mcap", [("/a", 10 * k) for k in range(6)], chunk_size=2**20)
     summary = log.summarise(source)
     with LogWriter(tmp_path / "b.mcap") as writer:

@@ -1,4 +1,4 @@
-"""No flipped bit loses a message in silence, whatever the log does without."""
+"""A flipped bit never loses a message silently, in any shape of log."""
 
 from random import Random
 
@@ -12,7 +12,7 @@ TRUTH = dict.fromkeys(flips.TOPICS, 6)
 FLIPS = 40
 """Of each shape: 400 in all."""
 UNCOUNTED = {"no index, no statistics", "unchunked, no statistics"}
-"""Shapes in which nothing says how many messages a channel has."""
+"""Shapes that do not count the messages of a channel."""
 
 
 @pytest.mark.parametrize("shape", flips.SHAPES)
@@ -72,7 +72,7 @@ def test_a_wrong_or_repeated_index_entry_is_damage(plain):
 def test_a_narrower_span_in_the_index_is_damage(plain):
     path, content = plain
     last = flips.FIRST_NS + 59 * flips.STEP_NS
-    changed = content.rindex(little(last), 0, content.rindex(little(last)))  # the statistics' comes behind
+    changed = content.rindex(little(last), 0, content.rindex(little(last)))  # the last one is in the statistics
     narrowed = content[:changed] + little(last - flips.STEP_NS) + content[changed + 8 :]
     assert "statistics state" in refused(path, narrowed) or "does not match it" in refused(path, narrowed)
 

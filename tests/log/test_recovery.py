@@ -1,4 +1,4 @@
-"""A damaged log gives every message that is whole, in order, and says which were lost."""
+"""A damaged log gives every whole message in order, and reports the lost ones."""
 
 import io
 from random import Random
@@ -39,9 +39,9 @@ def repaired(path):
 
 
 def ends(path):
-    """Log time of every message of a whole log, and the byte of the file behind which it is whole.
+    """Return the log time of every message of a whole log, and the byte after which it is complete.
 
-    A message of a compressed chunk counts as whole where the chunk is, those of others where they end themselves.
+    A message in a compressed chunk is complete at the end of the chunk, any other one at its own end.
     """
     found = []
     with path.open("rb") as stream:
@@ -151,7 +151,7 @@ def test_zeros_in_the_middle_lose_only_their_messages(tmp_path):
     times = [(m.log_time_ns - flips.FIRST_NS) // flips.STEP_NS for m in messages]
     assert times[0] == 0
     assert times[-1] == 59
-    assert 18 <= len(times) <= 42  # the two thirds, but for a chunk at each end
+    assert 18 <= len(times) <= 42  # two thirds, minus a chunk at each end
 
 
 NO_STATISTICS = {"use_statistics": False}
@@ -229,7 +229,7 @@ def test_an_invalid_record_of_losses_is_ignored(values):
 
 
 def test_channels_are_taken_from_an_index_with_a_wrong_crc(tmp_path):
-    """The chunk that describes them is damaged, and the statistics are: the index's channels are all there is."""
+    """The chunk that describes them and the statistics are damaged, so only the index has the channels."""
     stream = io.BytesIO()
     writer = Writer(stream, chunk_size=100)
     writer.start()

@@ -1,4 +1,4 @@
-"""Several files as one log: the results of the whole, whatever the cuts, and what the user is told of how they join."""
+"""Several files as one log: the results of the whole log for any cuts, and notes on gaps."""
 
 import random
 from collections import Counter
@@ -72,7 +72,7 @@ def test_files_are_read_in_log_time_order(tmp_path_factory, files):
     folder = tmp_path_factory.mktemp("parts")
     summary = log.summarise([written(folder / f"{k}.mcap", messages) for k, messages in enumerate(files)])
     counted = [Counter((time, channel.topic) for channel, time in messages) for messages in files]
-    wanted = sorted(reduce(or_, counted).elements())  # of what several files hold, the most that one of them has
+    wanted = sorted(reduce(or_, counted).elements())  # of repeated messages, the largest number in one file
     read = [(m.log_time_ns, m.channel.topic) for m in log.read(summary)]
     assert [time for time, _ in read] == [time for time, _ in wanted]
     assert sorted(read) == wanted
@@ -122,7 +122,7 @@ SHARED = [("/a", 1), ("/a", 2), ("/b", 2), ("/a", 2), ("/b", 3), ("/a", 4)]
 
 @pytest.mark.parametrize("together", [2, 40], ids=["merged", "sorted on disk"])
 def test_repeated_messages_come_once(tmp_path, together):
-    """As often as in the file that has it most often, and in the place that it has there."""
+    """As often as in the file with the most of them, in the order of that file."""
     channels = {"/a": A, "/b": B}
     pieces = [SHARED[:4], SHARED[2:], SHARED] + [SHARED[1:3]] * (together - 2)
     files = [written(tmp_path / f"{k}.mcap", [(channels[t], ns) for t, ns in piece]) for k, piece in enumerate(pieces)]

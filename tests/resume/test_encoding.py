@@ -1,4 +1,4 @@
-"""States as bytes: exact, and of hostile bytes one error."""
+"""Encoded states keep all bits; hostile bytes give one error."""
 
 import struct
 import zlib
@@ -46,7 +46,7 @@ def test_equal_values_give_equal_bytes():
 
 
 def checked(data):
-    """Bytes behind a header that is right."""
+    """Bytes with a correct header."""
     return encoding._MAGIC + bytes([FORMAT_VERSION]) + struct.pack("<I", zlib.crc32(data)) + data
 
 
@@ -107,7 +107,7 @@ def test_any_flipped_bit_is_one_error():
 
 
 def test_every_kind_of_item_is_counted():
-    """As many as may be are read, one more is refused."""
+    """The allowed number of items is read, one more is refused."""
     things = [None, True, 5, -5, 300, -300, 2**17, -(2**17), 2**40, -(2**40), 0.5, "a", "a" * 40, "a" * 300, b"a"]
     things += [b"a" * 300, "a" * 70_000, b"a" * 70_000, [], [1, 2], {}, {"a": 1}, [0] * 20, [0] * 70_000]
     things += [{str(k): k for k in range(20)}, msgspec.msgpack.Ext(1, b"abcd"), msgspec.msgpack.Ext(1, b"abc")]

@@ -1,4 +1,4 @@
-"""Checkpoints that are damaged, held by another replay, or no folder; and what a replay says of them."""
+"""Checkpoints that are damaged, locked by another replay, or not a folder; and notes on them."""
 
 import signal
 import subprocess
@@ -25,7 +25,7 @@ def source(tmp_path_factory):
 
 @pytest.fixture
 def stopped(source, tmp_path):
-    """An output whose replay was interrupted behind a checkpoint."""
+    """An output whose replay was interrupted after a checkpoint."""
     target = tmp_path / "out.mcap"
     interrupt(source, target, 14)
     return target
@@ -34,7 +34,6 @@ def stopped(source, tmp_path):
 @pytest.mark.promise("States", "Any flipped bit in a checkpoint gives one error")
 @pytest.mark.parametrize("name", ["state", "frames"])
 def test_a_flipped_bit_in_a_checkpoint_gives_one_error(source, stopped, name):
-    """14 of 14, of which 7 gave another output before records had a CRC."""
     path, rng = checkpoint_folder(stopped) / name, Random(1)
     data, written = path.read_bytes(), CheckpointFolder(stopped).read().length
     for bit in (rng.randrange(8 * (written if name == "frames" else len(data))) for _ in range(14)):
@@ -66,7 +65,7 @@ def test_a_second_replay_of_the_same_output_is_refused(source, tmp_path):
         first.wait()
     replay(source, target, CFG, **RESUMED)
     replay(source, tmp_path / "direct.mcap", CFG)
-    assert same(target, tmp_path / "direct.mcap"), "the lock of a dead process is gone with it"
+    assert same(target, tmp_path / "direct.mcap"), "the lock ends with its process"
     assert not checkpoint_folder(target).exists()
 
 
@@ -137,7 +136,7 @@ def test_a_resumed_replay_reports_its_start(source, stopped, capsys):
 
 
 def test_resume_with_force_replaces_an_older_output(source, tmp_path):
-    """Of the command that was interrupted ``--force`` is a part: it does not start over where its checkpoint is."""
+    """``--force`` does not discard the checkpoint of the same command."""
     target = tmp_path / "out.mcap"
     replay(source, target, load_config())
     interrupt(source, target, 14, force=True)

@@ -1,4 +1,4 @@
-"""A replay that starts in the middle of a log, its memory built on the seconds before."""
+"""A replay that starts in the middle of a log after a warm-up on the seconds before."""
 
 from dataclasses import replace
 
@@ -52,7 +52,7 @@ def test_odometry_starts_at_the_identity_and_is_tracked(warmed):
 
 
 def test_the_state_is_that_of_earlier_frames(source, warmed, tmp_path):
-    """As in a replay from where the warm-up begins, but for the place from which the pose counts."""
+    """Equal to a replay from the start of the warm-up, except for the origin of the pose."""
     replay(source, tmp_path / "longer.mcap", CFG, time_range=TimeRange(start_s=0.1))
     rows, longer = read_metrics(warmed), read_metrics(tmp_path / "longer.mcap").tail(8)
     same = [n for n in rows.columns if n not in {"log_id", "frame", *FROM_START} and (n[-3:] != "_ms" or n[0] == "y")]
@@ -79,7 +79,7 @@ def test_a_warmed_up_result_can_be_continued(source, warmed, tmp_path):
 
 
 def test_late_messages_around_the_start(source, tmp_path):
-    """Frames whose image came before the start are none of the part, whenever their depth comes."""
+    """A frame whose image came before the start is not written, even if its depth comes later."""
     late = [
         replace(m, log_time_ns=m.log_time_ns + 120_000_000 * (m.channel.topic == "/camera/front/depth"))
         for m in inputs(source)
