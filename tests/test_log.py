@@ -107,18 +107,15 @@ def test_a_path_without_a_log_gives_one_line(tmp_path, kind, words):
         read_whole(path)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
+    assert ("roadperc-info" in str(caught.value)) == (kind in {"half", "flipped"})
 
 
-@pytest.mark.parametrize("kind", ["half", "flipped"])
-def test_the_error_for_a_damaged_log_names_roadperc_info(tmp_path, kind):
+def test_the_error_for_a_damaged_log_names_roadperc_info(tmp_path):
     (tmp_path / "my logs").mkdir()
-    path = broken(tmp_path / "my logs", kind)
+    path = broken(tmp_path / "my logs", "half")
     with pytest.raises(LogError) as caught:
         read_whole(path)
     assert str(caught.value).endswith(f"; run roadperc-info '{path}' to see what is intact")
-    with pytest.raises(LogError) as caught:
-        read_whole(broken(tmp_path, "text"))
-    assert "roadperc-info" not in str(caught.value)
 
 
 @pytest.mark.parametrize("options", [{"use_chunking": False}, {"index_types": IndexType.NONE}, {}])

@@ -108,11 +108,6 @@ def test_a_header_that_claims_a_huge_image_is_refused(decoder, side):
         decoder(bytes(data))
 
 
-def test_indices_survive_a_round_trip():
-    tags = np.arange(64, dtype=np.uint8).reshape(8, 8) % 23
-    np.testing.assert_array_equal(images.decode_indices(images.encode_indices(tags, TABLE.colours)), tags)
-
-
 def test_set_stamp_keeps_nanoseconds():
     message = pb.Detections()
     set_stamp(message, STAMP + 123_456_789)

@@ -153,12 +153,6 @@ def test_depth_does_not_take_a_calibration_of_a_pair():
     assert calibrations(channels, image="/a/rgb", right="/b/rgb", depth="/b/range") == {"calibration": "/a/info"}
 
 
-def test_a_depth_camera_has_its_own_calibration():
-    channels = ros(color__image=IMAGE, color__info=INFO, depth__image=IMAGE, depth__info=INFO)
-    topics = assign_roles(channels, {}).topics
-    assert (topics["calibration"], topics["depth_calibration"]) == ("/color/info", "/depth/info")
-
-
 def test_unassigned_roles_are_listed():
     channels = ros(cam__image=IMAGE, cam__info=INFO, a__depth=IMAGE, b__depth=IMAGE, velodyne=CLOUD, odom=CLOUD)
     roles = assign_roles(channels, {})

@@ -96,7 +96,7 @@ def floats(*shape):
 
 
 def large_tree(state):
-    edges(state["input"]["arrived"], 120_000)
+    edges(state["input"]["arrived"], 200_000)
 
 
 def long_tree(state):
@@ -124,7 +124,7 @@ def many_parents(state):
 
 CASES = {
     "array of 256 MB": (lambda s: keyframe(s).update(grey=grey(16_000, 16_000)), "array of 256000000 bytes: exp"),
-    "120000 transforms": (large_tree, "items: expected"),
+    "200000 transforms": (large_tree, "items: expected"),
     "a million parents": (many_parents, "items: expected"),
     "text for a number": (lambda s: s["input"]["numbers"].update(next="1"), "Expected `int`, got `str`"),
     "number for an array": (lambda s: keyframe(s).update(grey=1), "Expected `object`, got `int`"),
