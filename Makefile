@@ -64,7 +64,7 @@ cluster: $(VENV)/.installed  # batches on a Ray cluster of two machines, with wo
 
 PARTS ?= 500
 parts: $(VENV)/.installed  # cuts logs at PARTS random places and compares the continued replays with the whole
-	PARTS=$(PARTS) $(BIN)/python -m pytest -m accuracy -s tests/resume/test_parts.py
+	PARTS=$(PARTS) $(BIN)/python -m pytest -m accuracy -s tests/resume/test_continued.py
 
 BENCH := logs/runs/bench
 BENCH_OPTIONS ?=

@@ -1,4 +1,4 @@
-"""The messages of a log in files of other arrangements: without index, in one chunk, shuffled, in parts."""
+"""Writes the messages of a log in other arrangements: without index, in one chunk, shuffled, in several files."""
 
 import random
 from itertools import pairwise
@@ -16,11 +16,11 @@ ARRANGEMENTS = {
     "one chunk": {"chunk_size": 2**40},
     "one lz4 chunk": {"chunk_size": 2**40, "compression": CompressionType.LZ4},
 }
-"""How a writer may arrange messages that come in order."""
+"""Options of a writer for ordered messages."""
 
 
 def arranged(source, target, messages=None, *, metadata=(), **options):
-    """The log's channels, attachments and metadata, and these messages, or all of it, as another writer has them."""
+    """A log rewritten by the mcap library, with all or some of its messages."""
     summary = log.summarise(source)
     with target.open("wb") as stream:
         writer = Writer(stream, **options)
@@ -51,7 +51,7 @@ def shuffled(source, target, seed=1, **options):
 
 
 def by_topic(source, target):
-    """All messages of a topic, then those of the next: every chunk lasts as long as the log."""
+    """All messages of a topic, then those of the next, so that each chunk spans the whole log."""
     messages = sorted(log.read(log.summarise(source)), key=lambda m: m.channel.topic)
     return arranged(source, target, messages, chunk_size=200_000)
 
@@ -64,7 +64,7 @@ def parts(source, folder, cuts, **options):
 
 
 def by_library(path, items, schemas=(("S", "y", b"s"),), **options):
-    """A log of the library's writer, of (topic, log time) each; the last schema is that of ``/a``."""
+    """A log by the mcap library, from (topic, log time) pairs; the last schema is that of ``/a``."""
     with path.open("wb") as stream:
         writer = Writer(stream, **options)
         writer.start()
@@ -77,7 +77,7 @@ def by_library(path, items, schemas=(("S", "y", b"s"),), **options):
 
 
 def by_us(path, messages, *, attachments=(), metadata=(), profile=""):
-    """A log of this project's writer."""
+    """A log by this project's writer."""
     with LogWriter(path, profile=profile) as writer:
         for message in messages:
             writer.write(message)
@@ -89,5 +89,5 @@ def by_us(path, messages, *, attachments=(), metadata=(), profile=""):
 
 
 def plain(messages):
-    """Messages without what describes their channels."""
+    """Topic, times, sequence and data of messages."""
     return [(m.channel.topic, m.log_time_ns, m.publish_time_ns, m.sequence, m.data) for m in messages]

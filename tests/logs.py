@@ -22,7 +22,7 @@ ALL = ("calibration", "tf", "image", "depth", "segmentation", "detections")
 
 @dataclass(frozen=True)
 class Item:
-    """A message of a role before its topic and times are settled."""
+    """A message of a role."""
 
     role: str
     stamp_ns: int
@@ -40,7 +40,7 @@ def channel(role, topic="", **labels):
 
 
 def items(frames=6, road=SMALL, roles=ALL):
-    """Messages of a drive that weaves a little, in the order a recorder would write them."""
+    """Messages of a drive with a varying lateral offset, in recording order."""
     made = []
     if "calibration" in roles:
         made.append(Item("calibration", START_NS, encoding.encode_calibration(START_NS, road.camera)))

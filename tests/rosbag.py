@@ -1,4 +1,4 @@
-"""ROS 2 messages and bags as another project's writer makes them; roadperc_stream reads with another library."""
+"""Writes ROS 2 messages and bags with another library than the one that roadperc_stream reads with."""
 
 import io
 
@@ -47,7 +47,7 @@ def definition_of(name):
 
 
 class Bag:
-    """Writes messages, given as nested dictionaries, to a file or a stream."""
+    """Writes messages (nested dictionaries) to a stream."""
 
     def __init__(self, stream):
         self._writer = Writer(stream)
@@ -80,7 +80,7 @@ def header(stamp_ns, frame_id):
 
 
 def image(stamp_ns, frame_id, encoding, pixels, padding=0):
-    """sensor_msgs/msg/Image of an array, each row padded by so many bytes."""
+    """sensor_msgs/msg/Image of an array, with ``padding`` bytes after each row."""
     height, width = pixels.shape[:2]
     rows = pixels.reshape(height, -1)
     row_bytes = [row.tobytes() + b"\xee" * padding for row in rows]
@@ -117,7 +117,7 @@ def field(name, offset, datatype=7):
 
 
 def cloud(stamp_ns, frame_id, rows, padding=0, **other):
-    """sensor_msgs/msg/PointCloud2 of (H, W, 4) float32, of which the last column is padding inside a point."""
+    """sensor_msgs/msg/PointCloud2 of (H, W, 4) float32; the last column is padding."""
     height, width = rows.shape[:2]
     return {
         "header": header(stamp_ns, frame_id),

@@ -1,4 +1,4 @@
-"""Whatever CRCs a log has, a replay recovers what the repair of the log recovers, and loses nothing in silence."""
+"""A replay recovers the same messages as a repair and loses none silently, with any CRCs."""
 
 from dataclasses import replace as changed
 from functools import cache
@@ -23,7 +23,7 @@ from tests.log.flips import flipped
 OFF = ("odometry", "lanes", "objects", "occupancy")
 CFG = load_config(None, [f"{stage}.enabled=false" for stage in OFF])
 FRAMES, STRUCK = 6, 3
-"""Frames of a log, and the one among whose messages the damage is."""
+"""Number of frames, and the damaged one."""
 BEFORE_S = 0.07
 UNCHUNKED = {"use_chunking": False}
 CHUNKED = {
@@ -37,22 +37,22 @@ CHUNKED = {
 WRITERS = CHUNKED | {"no chunks": UNCHUNKED, "no chunks, data CRC": UNCHUNKED | {"enable_data_crcs": True}}
 DAMAGES = ("data", "chunk head", "message index", "summary", "cut")
 OF_ALL = ("data", "summary", "cut")
-"""Those that a log without chunks may have."""
+"""Damages of a log without chunks."""
 CASES = [(writer, damage) for writer in WRITERS for damage in (DAMAGES if writer in CHUNKED else OF_ALL)]
 UNSEEN = {("no CRCs", "data"), ("no chunks", "data")}
-"""A byte within a message, where no CRC covers it."""
+"""A byte in a message without a CRC."""
 WITHOUT_PLACE = {
     ("no chunks, data CRC", "data"),
     *(("data CRC alone", damage) for damage in ("data", "chunk head", "message index")),
 }
-"""What a CRC shows, but not where it is."""
+"""Damages that a CRC shows without their place."""
 LOSING = {("data", writer) for writer in ("default", "lz4", "not compressed", "data CRC too")}
-"""Damage that costs messages, as long as the log does not end there."""
+"""Damages that lose messages."""
 
 
 @cache
 def drive():
-    """Messages of a drive, each frame's with one of no role before the last."""
+    """Messages of a drive; before the last message of each frame comes one without a role."""
     random, found = Random(0), []
     for item in logs.items(FRAMES, Road(width=64, height=48)):
         if item.role == "detections":
@@ -62,7 +62,7 @@ def drive():
 
 
 def written(path, **options):
-    """The drive as the plain library writes it, about one frame a chunk."""
+    """The drive written by the mcap library, about one frame per chunk."""
     with path.open("wb") as stream:
         writer = Writer(stream, chunk_size=8_000, **options)
         writer.start()
@@ -79,7 +79,7 @@ def written(path, **options):
 
 
 def damaged(path, writer, damage):
-    """A log, and the same one damaged among the messages of a frame in its middle."""
+    """A log, and the same log with damage in a middle frame."""
     whole = written(path.with_name("whole.mcap"), **WRITERS[writer])
     content, stamp = whole.read_bytes(), logs.START_NS + STRUCK * STEP_NS
     with whole.open("rb") as stream:
@@ -124,7 +124,7 @@ def run(source, name, **options):
 
 @pytest.mark.promise("Logs", "Replay and repair with `--recover` recover the same messages and report each gap")
 @pytest.mark.parametrize(("writer", "damage"), CASES)
-def test_a_replay_recovers_what_the_repair_does(tmp_path, tidy, writer, damage):
+def test_replay_and_repair_recover_the_same(tmp_path, tidy, writer, damage):
     whole, path = damaged(tmp_path / "a.mcap", writer, damage)
     repaired = tmp_path / "repaired.mcap"
     salvage, recovery = log.write_repaired(path, repaired)
@@ -162,7 +162,7 @@ def assert_incomplete_frames_say_so(found, tidy):
 
 @pytest.mark.promise("Logs", "Without `--recover`, damage is an error in the replayed part and a warning after it")
 @pytest.mark.parametrize(("writer", "damage"), CASES)
-def test_without_the_option_it_is_refused_and_before_it_replayed(tmp_path, tidy, writer, damage):
+def test_without_recover_only_the_part_before_the_damage_is_replayed(tmp_path, tidy, writer, damage):
     whole, path = damaged(tmp_path / "a.mcap", writer, damage)
     if (writer, damage) in UNSEEN:
         assert len(messages(run(path, "out")[0])) == len(messages(whole))

@@ -1,4 +1,4 @@
-"""Whole replays of damaged logs: what is whole is replayed, what was lost is said, and nothing is lost in silence."""
+"""Replays of damaged logs: whole frames are replayed, and losses are reported."""
 
 import shlex
 from random import Random
@@ -64,7 +64,7 @@ def run(source, name, cfg=CFG, **options):
     return target, replay(source, target, cfg, **options)
 
 
-def test_all_frames_outside_the_damage_are_those_of_the_whole_log(whole, damaged):
+def test_frames_outside_the_damage_equal_the_whole_log(whole, damaged):
     before, (target, summary) = rows(run(whole, "whole")[0]), run(damaged, "out", recover=True)
     after = rows(target)
     missing = [stamp for stamp in before["stamp_ns"] if stamp not in after["stamp_ns"]]
@@ -83,7 +83,7 @@ def test_all_frames_outside_the_damage_are_those_of_the_whole_log(whole, damaged
     assert any("lost from 0." in warning for warning in summary.warnings)
 
 
-def test_a_repaired_log_gives_the_same_results_and_so_does_the_output(damaged):
+def test_a_repaired_log_and_the_output_give_the_same_results(damaged):
     target, _ = run(damaged, "out", recover=True)
     repaired = damaged.with_name("repaired.mcap")
     log.write_repaired(damaged, repaired)
@@ -95,14 +95,14 @@ def test_a_repaired_log_gives_the_same_results_and_so_does_the_output(damaged):
 
 
 @pytest.mark.parametrize("part", [TimeRange(end_s=0.15), TimeRange(frames=3), TimeRange(start_s=0.4)])
-def test_damage_outside_the_part_asked_for_is_a_warning(whole, damaged, part):
+def test_damage_outside_the_requested_part_is_a_warning(whole, damaged, part):
     expected, _ = run(whole, "whole", time_range=part)
     target, summary = run(damaged, "out", time_range=part)
     assert "damaged at byte" in summary.warnings[0]
     assert rows(target).drop("reasons").equals(rows(expected).drop("reasons"))
 
 
-def test_damage_in_the_part_asked_for_is_an_error(damaged):
+def test_damage_in_the_requested_part_is_an_error(damaged):
     for part in (TimeRange(end_s=0.3), TimeRange(start_s=0.1), TimeRange(frames=9)):
         with pytest.raises(LogError, match=r"damaged\.mcap: damaged at byte .*--recover"):
             run(damaged, "out", time_range=part)
@@ -123,7 +123,7 @@ def test_seconds_count_from_the_first_message_that_was_written(tmp_path):
     assert rows(target).drop("reasons").equals(rows(expected).drop("reasons"))
 
 
-def test_a_calibration_that_was_lost_is_named_in_the_log_that_lost_it(whole):
+def test_a_lost_calibration_is_reported(whole):
     path = whole.with_name("headless.mcap")
     in_first_chunk = log.summarise(whole).source.chunks[0].chunk_start_offset + 100
     path.write_bytes(flipped(whole.read_bytes(), 8 * in_first_chunk))
@@ -131,7 +131,7 @@ def test_a_calibration_that_was_lost_is_named_in_the_log_that_lost_it(whole):
         run(path, "out", recover=True)
 
 
-def test_a_cut_log_gives_every_frame_that_is_whole(whole):
+def test_a_cut_log_gives_every_whole_frame(whole):
     content, path = whole.read_bytes(), whole.with_name("cut.mcap")
     for share in (0.3, 0.6, 0.9):
         path.write_bytes(content[: int(len(content) * share)])
@@ -141,7 +141,7 @@ def test_a_cut_log_gives_every_frame_that_is_whole(whole):
         assert summary.frames == images == rows(target).height > 0
 
 
-def test_a_whole_log_is_replayed_as_ever(whole):
+def test_recover_does_not_change_the_replay_of_a_whole_log(whole):
     plain, _ = run(whole, "plain")
     target, summary = run(whole, "out", recover=True, strict=True)
     assert plain.read_bytes() == target.read_bytes()
@@ -165,7 +165,7 @@ def test_replay_prints_what_was_lost(damaged, capsys):
     assert "warning: lost from 0." in out
 
 
-def test_info_writes_the_repaired_log_and_says_so_of_it(damaged, capsys):
+def test_info_writes_and_reports_a_repaired_log(damaged, capsys):
     target = damaged.with_name("repaired.mcap")
     assert info_main([str(damaged)]) == 1
     assert (
@@ -185,7 +185,7 @@ def test_info_writes_the_repaired_log_and_says_so_of_it(damaged, capsys):
     assert info_main([str(damaged), "--recover", str(target), "--force"]) == 0
 
 
-def test_info_recovers_nothing_of_a_log_without_a_whole_message(tmp_path, whole, capsys):
+def test_info_cannot_recover_a_log_without_a_whole_message(tmp_path, whole, capsys):
     path = tmp_path / "stump.mcap"
     path.write_bytes(whole.read_bytes()[:60])
     assert info_main([str(path), "--recover", str(tmp_path / "out.mcap")]) == 1
@@ -194,13 +194,13 @@ def test_info_recovers_nothing_of_a_log_without_a_whole_message(tmp_path, whole,
 
 
 @pytest.mark.parametrize("more", [["--json"], ["--topic", "image=/a"], ["other.mcap"]])
-def test_info_recovers_one_log_and_takes_nothing_else(damaged, more, capsys):
+def test_info_recovers_one_log_without_other_options(damaged, more, capsys):
     with pytest.raises(SystemExit) as exited:
         info_main([str(damaged), *more, "--recover", "out.mcap"])
     assert exited.value.code == 2
 
 
-def test_view_shows_what_can_be_read(damaged, capsys):
+def test_view_recovers_a_log(damaged, capsys):
     target = damaged.with_name("view.rrd")
     assert view_main([str(damaged), "--save", str(target)]) == 1
     assert "--recover" in capsys.readouterr().err
@@ -210,7 +210,7 @@ def test_view_shows_what_can_be_read(damaged, capsys):
 
 
 def with_bad(tmp_path, topic, data):
-    """A log whose fourth frame has a message more that cannot be used."""
+    """A log whose fourth frame has an unusable message."""
     source = logs.write(tmp_path / "plain.mcap", logs.items(6))
     stamp = logs.START_NS + 3 * STEP_NS
     path = tmp_path / "bad.mcap"
@@ -221,7 +221,7 @@ def with_bad(tmp_path, topic, data):
     return path, stamp
 
 
-def test_one_bad_message_costs_that_message_and_strict_stops_there(tmp_path):
+def test_one_bad_message_is_skipped_unless_strict(tmp_path):
     path, stamp = with_bad(tmp_path, "/camera/front/detections", b"\xff\xff\xff")
     target, summary = run(path, "out")
     assert (summary.frames, summary.problems) == (6, {"/camera/front/detections": 1})
@@ -231,7 +231,7 @@ def test_one_bad_message_costs_that_message_and_strict_stops_there(tmp_path):
     assert target.exists()
 
 
-def test_strict_stops_at_an_image_that_cannot_be_decoded(tmp_path):
+def test_strict_stops_at_an_undecodable_image(tmp_path):
     from roadperc_stream.output import encoding  # noqa: PLC0415 - for this one
 
     stamp = logs.START_NS + 3 * STEP_NS
@@ -252,12 +252,12 @@ def test_strict_stops_at_an_image_that_cannot_be_decoded(tmp_path):
         (LostSpan(None, None, {}), "log: messages were lost to damage at an unknown time"),
     ],
 )
-def test_the_first_frame_behind_a_gap_says_so(gap, text):
+def test_the_reason_for_a_gap_names_its_times(gap, text):
     assert str(LossTimes([gap]).reason(None, 30)) == text
 
 
-def test_what_was_lost_goes_on_to_the_next_part(tmp_path):
-    """The frames that the next part gives again have the reason still, and so has the first one behind the gap."""
+def test_losses_continue_in_a_continued_replay(tmp_path):
+    """Repeated frames keep the reason, and the first frame after the gap has it too."""
     cfg = load_config(None, ["sync.max_wait_s=0.2", *(f"{stage}.enabled=false" for stage in OFF)])
     messages = inputs(logs.write(tmp_path / "all.mcap", logs.items(24)))
     cut_ns = logs.START_NS + 12 * STEP_NS
@@ -273,13 +273,13 @@ def test_what_was_lost_goes_on_to_the_next_part(tmp_path):
     replay(tmp_path / "b.mcap", tmp_path / "again.mcap", cfg)
     assert (tmp_path / "again.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
     assert state_at_end(tmp_path / "a.mcap", cfg).lost
-    assert not state_at_end(tmp_path / "b.mcap", cfg).lost, "it is over"
+    assert not state_at_end(tmp_path / "b.mcap", cfg).lost, "the gap has ended"
 
 
-def test_damage_in_the_seconds_of_the_warm_up_is_an_error(damaged):
-    """The memory would be another one; and with --recover it is the one of what is left."""
+def test_damage_in_the_warm_up_is_an_error(damaged):
+    """The state would differ; with --recover it is built from the remaining frames."""
     target, part = damaged.with_name("out.mcap"), TimeRange(start_s=0.35)
     with pytest.raises(LogError, match="--recover"):
         replay(damaged, target, CFG, time_range=part, warm_up_s=0.2)
     assert replay(damaged, target, CFG, time_range=part, warm_up_s=0.2, recover=True).frames > 0
-    assert replay(damaged, target, CFG, time_range=part, force=True).frames > 0, "without a warm-up it lies outside"
+    assert replay(damaged, target, CFG, time_range=part, force=True).frames > 0, "the damage is outside"

@@ -1,4 +1,4 @@
-"""Logs in and out: order, channels, CRCs, and files that are not what they should be."""
+"""Reading and writing logs: order, channels, CRCs, and invalid files."""
 
 import hashlib
 
@@ -24,7 +24,7 @@ def write(path, messages, **extra):
     return by_us(path, messages, profile="p", **extra)
 
 
-def test_everything_comes_back(tmp_path):
+def test_a_written_log_is_read_completely(tmp_path):
     attachments = (Attachment("a.txt", "text/plain", b"x", 1, 2),)
     metadata = (Metadata("m", (("k", "v"),)),)
     path = write(tmp_path / "a.mcap", [message(), message(BARE, 9)], attachments=attachments, metadata=metadata)
@@ -46,7 +46,7 @@ def test_a_failure_leaves_no_file(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_digest_feels_every_part():
+def test_the_digest_depends_on_every_field():
     def digest(item):
         d = log.MessageDigest()
         d.update(item)
@@ -63,7 +63,7 @@ def test_digest_feels_every_part():
         ("sha256", hashlib.sha256(b"/a\0x.Y\x005\x004\x003\x005\0hello").hexdigest()),
     ],
 )
-def test_a_digest_is_of_the_words_that_its_algorithm_always_had(algorithm, expected):
+def test_digests_do_not_change_between_versions(algorithm, expected):
     digest = log.MessageDigest(algorithm)
     digest.update(Message(Channel("/a", "raw", "x.Y"), 5, 4, 3, b"hello"))
     assert digest.hexdigest() == expected
@@ -101,28 +101,25 @@ def read_whole(path):
         ("folder", "is a folder, expected a log"),
     ],
 )
-def test_what_is_no_log_is_said_in_one_line(tmp_path, kind, words):
+def test_a_path_without_a_log_gives_one_line(tmp_path, kind, words):
     path = broken(tmp_path, kind)
     with pytest.raises(LogError, match=words) as caught:
         read_whole(path)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
+    assert ("roadperc-info" in str(caught.value)) == (kind in {"half", "flipped"})
 
 
-@pytest.mark.parametrize("kind", ["half", "flipped"])
-def test_a_log_that_is_not_whole_names_the_command_that_says_more(tmp_path, kind):
+def test_the_error_for_a_damaged_log_names_roadperc_info(tmp_path):
     (tmp_path / "my logs").mkdir()
-    path = broken(tmp_path / "my logs", kind)
+    path = broken(tmp_path / "my logs", "half")
     with pytest.raises(LogError) as caught:
         read_whole(path)
     assert str(caught.value).endswith(f"; run roadperc-info '{path}' to see what is intact")
-    with pytest.raises(LogError) as caught:
-        read_whole(broken(tmp_path, "text"))
-    assert "roadperc-info" not in str(caught.value)
 
 
 @pytest.mark.parametrize("options", [{"use_chunking": False}, {"index_types": IndexType.NONE}, {}])
-def test_any_byte_changed_in_the_data_is_found(tmp_path, options):
+def test_any_changed_byte_is_found(tmp_path, options):
     options |= {"enable_data_crcs": True, "compression": CompressionType.NONE}
     path = flips.write(tmp_path / "a.mcap", chunk_size=500, **options)
     whole = path.read_bytes()

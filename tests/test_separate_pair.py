@@ -1,4 +1,4 @@
-"""Whole replays of a log whose stereo pair hangs apart from the front camera and gives the only depth."""
+"""Replays of a log with a separate stereo pair that gives the only depth."""
 
 from dataclasses import replace
 
@@ -38,7 +38,7 @@ def rectified():
 
 
 def front_view():
-    """What the front camera sees: (H, W) tags, ego points and the car's pixels."""
+    """(H, W) tags, ego points and the car's pixels in the front camera."""
     _, points, car = pair.scene(pair.directions(FRONT.camera), FRONT.ego_T_camera)
     tags = FRONT.tags()
     tags[car] = VEHICLE
@@ -93,7 +93,7 @@ def run(request, tmp_path_factory):
     return *request.param[0], *replayed(tmp_path_factory.mktemp("pair"), items(request.param))
 
 
-def test_the_road_is_the_left_cameras(run):
+def test_the_surface_is_in_the_left_camera(run):
     _, ego_T_left, table, last = run
     assert table["reasons"].to_list() == [[]] * FRAMES
     assert set(table["surface_source"]) == {"stereo"}
@@ -104,7 +104,7 @@ def test_the_road_is_the_left_cameras(run):
     assert np.degrees(g.angle_between(normal, ego_T_left[2, :3])) < 0.05
 
 
-def test_the_depth_is_the_left_cameras(run):
+def test_the_depth_is_in_the_left_camera(run):
     left, ego_T_left, _, last = run
     message = unpack_image(last["/perception/stereo/depth"])
     assert (message.frame_id, message.encoding) == ("left", "16UC1")
@@ -115,7 +115,7 @@ def test_the_depth_is_the_left_cameras(run):
     assert np.nanmedian(error) < 0.005
 
 
-def test_the_drivable_pixels_lane_and_distances_are_the_front_cameras(run):
+def test_mask_lanes_and_distances_are_in_the_front_camera(run):
     *_, table, last = run
     mask = images.decode_indices(CompressedImage.FromString(last["/perception/drivable"]).data) > 0
     tags, points, _ = front_view()
@@ -129,7 +129,7 @@ def test_the_drivable_pixels_lane_and_distances_are_the_front_cameras(run):
     assert table["nearest_object_m"].to_list() == pytest.approx([pair.CAR_X_M] * FRAMES, rel=0.025)
 
 
-def test_the_front_image_does_not_stand_in_for_a_left_one_that_is_missing(tmp_path):
+def test_a_missing_left_image_is_not_replaced_by_the_front_image(tmp_path):
     table, _ = replayed(tmp_path, items(rectified(), without=[(1, "left")]))
     assert table["missing"].to_list() == [[], ["left"], []]
     assert table["stereo_valid_ratio"].is_null().to_list() == [False, True, False]
@@ -137,8 +137,8 @@ def test_the_front_image_does_not_stand_in_for_a_left_one_that_is_missing(tmp_pa
     assert table["surface_source"].to_list() == ["stereo", "held", "stereo"]
 
 
-def test_a_pair_whose_left_images_are_not_in_the_log_is_none(tmp_path):
-    """The front image is not the pair's: matched with the right one it would give depth of a false scale."""
+def test_a_pair_without_left_images_gives_no_depth(tmp_path):
+    """Matching the front image with the right one would give depth with a wrong scale."""
     table, _ = replayed(tmp_path, items(rectified(), without=[(k, "left") for k in range(FRAMES)]))
     assert table["camera_height_m"].to_list() == pytest.approx([FRONT.height_m] * FRAMES, abs=1e-9)
     assert set(table["surface_source"]) == {"assumed"}
@@ -165,7 +165,7 @@ HERE, ASIDE = (Transform("camera", "left", g.rigid(np.eye(3), np.array([x, 0.0, 
 
 
 @pytest.mark.parametrize(("frame_id", "edges"), [("camera", []), ("", []), ("left", [HERE])])
-def test_a_left_calibration_of_the_front_camera_is_no_other_camera(tmp_path, frame_id, edges):
+def test_a_left_calibration_may_describe_the_front_camera(tmp_path, frame_id, edges):
     table, _ = replayed(tmp_path, paired(frame_id, edges))
     assert table["stereo_valid_ratio"].to_list()[0] > 0.3
     assert table["camera_height_m"].to_list() == pytest.approx([LEFT_HEIGHT_M], abs=0.01)
@@ -175,12 +175,12 @@ def test_a_left_calibration_of_the_front_camera_is_no_other_camera(tmp_path, fra
     ("frame_id", "edges", "changes"),
     [("left", [ASIDE], {}), ("left", [], {}), ("camera", [], {"fx": 300.0}), ("left", [HERE], {"width": 600})],
 )
-def test_a_left_calibration_of_another_camera_asks_for_its_image(tmp_path, frame_id, edges, changes):
+def test_a_left_calibration_of_another_camera_needs_its_image(tmp_path, frame_id, edges, changes):
     table, _ = replayed(tmp_path, paired(frame_id, edges, **changes))
     assert "stereo: no left image" in table["reasons"].to_list()[0]
 
 
-def test_what_ros_2_cannot_carry_from_2038_on_is_left_out_and_said(tmp_path, monkeypatch):
+def test_messages_beyond_2038_are_left_out_with_a_reason(tmp_path, monkeypatch):
     at_2020, before = replayed(tmp_path, items(rectified()))
     monkeypatch.setattr(logs, "START_NS", 2**31 * 10**9)
     (tmp_path / "late").mkdir()

@@ -14,7 +14,7 @@ from roadperc_stream.info.examine import examine
 from roadperc_stream.info.facts import LogFacts
 from roadperc_stream.info.printing import listed, print_log, print_roles
 from roadperc_stream.info.role_states import roles_of
-from roadperc_stream.input.outcome import PartSpan, joins
+from roadperc_stream.input.outcome import FileSpan, joins
 from roadperc_stream.input.source import warnings_of
 from roadperc_stream.log import Channel
 from roadperc_stream.output.terminal import console_for, print_lines, print_table
@@ -49,7 +49,7 @@ def print_parts(console: Console, logs: Sequence[LogFacts], overrides: Mapping[s
         print_roles(console, roles_of(_channels(logs), overrides, None).states)
 
 
-def _spans(logs: Iterable[LogFacts]) -> Iterator[PartSpan]:
+def _spans(logs: Iterable[LogFacts]) -> Iterator[FileSpan]:
     """The span of each log with messages. In a result only the inputs count, as it may repeat earlier frames."""
     for facts in logs:
         channels = [channel for channel in facts.channels if channel.messages]
@@ -57,7 +57,7 @@ def _spans(logs: Iterable[LogFacts]) -> Iterator[PartSpan]:
         firsts = [channel.first_ns for channel in channels if channel.first_ns is not None]
         lasts = [channel.last_ns for channel in channels if channel.last_ns is not None]
         if firsts and lasts:
-            yield PartSpan(Path(facts.log).name, min(firsts), max(lasts), _frames(facts))
+            yield FileSpan(Path(facts.log).name, min(firsts), max(lasts), _frames(facts))
 
 
 def _frames(facts: LogFacts) -> int:
@@ -98,7 +98,7 @@ def _only_in_some(logs: Sequence[LogFacts]) -> Iterator[str]:
             yield f"{topic}: only in {listed(names)}"
 
 
-def _whole(logs: Sequence[LogFacts], spans: Sequence[PartSpan]) -> Iterator[str]:
+def _whole(logs: Sequence[LogFacts], spans: Sequence[FileSpan]) -> Iterator[str]:
     messages, topics = sum(facts.messages for facts in logs), {c.topic for facts in logs for c in facts.channels}
     seconds = ns_to_seconds(max(span.last_ns for span in spans) - spans[0].first_ns)
     yield f"together {number(messages, 'message')} on {number(len(topics), 'topic')} over {seconds:.2f} s"

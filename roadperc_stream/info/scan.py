@@ -209,7 +209,7 @@ class Scan:
         sorted_items = log.in_order_within(items, lambda item: item.log_time_ns, lambda _: 1, _MOST_SORTED)
         for synced in pairing.frames_of(sorted_items):
             self.segments = max(self.segments, synced.reference.segment + 1)
-            self.alone.update(role for role in paired if role not in synced.parts)
+            self.alone.update(role for role in paired if role not in synced.messages)
             if synced.skew_ns is not None:
                 self.skew_ns = max(self.skew_ns or 0, synced.skew_ns)
         self.frames = pairing.frames

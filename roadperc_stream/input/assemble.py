@@ -54,16 +54,16 @@ def sample_of(
     Raises:
         ChannelError: a camera without calibration; the message names it.
     """
-    parts, latched, tree = synced.parts, synced.latched, synced.latched.tree
-    depth = _payload(parts, "depth", DepthImage)
+    messages, latched, tree = synced.messages, synced.latched, synced.latched.tree
+    depth = _payload(messages, "depth", DepthImage)
     camera = _camera(synced, topics)
     depth_camera = _depth_camera(latched, camera, depth)
     mounting = ego_T_camera_of(tree, camera)
     ego_T_camera = level_mounting(cfg.surface.assumed_height_m) if mounting is None else mounting
     left_camera = _left_camera(synced, camera, topics)
-    left = _payload(parts, "left", CameraImage) if "left" in topics and synced.reference.role != "left" else None
-    points = _payload(parts, "lidar", PointCloud)
-    detections = parts.get("detections")
+    left = _payload(messages, "left", CameraImage) if "left" in topics and synced.reference.role != "left" else None
+    points = _payload(messages, "lidar", PointCloud)
+    detections = messages.get("detections")
     frame = Frame(
         stamp_ns=synced.reference.stamp_ns,
         camera=camera,
@@ -73,20 +73,20 @@ def sample_of(
         left_camera=left_camera,
         ego_T_left=_mounting(tree, ego_T_camera, camera, left_camera),
         mounted=mounting is not None,
-        image=_payload(parts, "image", CameraImage) or _payload(parts, "left", CameraImage),
+        image=_payload(messages, "image", CameraImage) or _payload(messages, "left", CameraImage),
         left=left,
-        right=_payload(parts, "right", CameraImage),
+        right=_payload(messages, "right", CameraImage),
         right_camera=latched.cameras.get("right_calibration"),
         depth=depth,
-        segmentation=_payload(parts, "segmentation", TagImage),
-        instances=_payload(parts, "instances", InstanceImage),
+        segmentation=_payload(messages, "segmentation", TagImage),
+        instances=_payload(messages, "instances", InstanceImage),
         detections=detections.payload if detections else None,  # type: ignore[arg-type]
         points=points,
         ego_T_lidar=None if points is None else _lidar_mounting(tree, ego_T_camera, camera, points.frame_id),
         is_origin=index == 0,
     )
-    missing = tuple(role for role in topics if _expected(role) and role not in parts)
-    truth, anchor = _truth(parts, tree, camera), _anchor(tree, camera, ego_T_camera, parent_of)
+    missing = tuple(role for role in topics if _expected(role) and role not in messages)
+    truth, anchor = _truth(messages, tree, camera), _anchor(tree, camera, ego_T_camera, parent_of)
     reference = synced.reference
     return Sample(index, reference.log_time_ns, frame, truth, missing, synced.skew_ns, anchor, reference.segment)
 
@@ -95,9 +95,9 @@ def _expected(role: str) -> bool:
     return not ROLES[role].truth and ROLES[role].kind not in LATCHED_KINDS
 
 
-def _payload(parts: Mapping[str, Stamped], role: str, kind: type[T]) -> T | None:
-    part = parts.get(role)
-    return part.payload if part is not None and isinstance(part.payload, kind) else None
+def _payload(messages: Mapping[str, Stamped], role: str, kind: type[T]) -> T | None:
+    message = messages.get(role)
+    return message.payload if message is not None and isinstance(message.payload, kind) else None
 
 
 def _camera(synced: SyncedMessages, topics: Mapping[str, str]) -> Camera:
@@ -203,14 +203,14 @@ def _lidar_mounting(tree: TransformTree, ego_T_camera: Float, camera: Camera, fr
     return _ego_T(tree, frame_id) if camera_T_lidar is None else ego_T_camera @ camera_T_lidar
 
 
-def _truth(parts: Mapping[str, Stamped], tree: TransformTree, camera: Camera) -> Truth:
+def _truth(messages: Mapping[str, Stamped], tree: TransformTree, camera: Camera) -> Truth:
     return Truth(
-        odom_T_ego=_true_pose(_payload(parts, "truth_pose", Transform), tree, camera),
-        surface=_payload(parts, "truth_surface", Surface),
-        lanes=_payload(parts, "truth_lanes", Lanes),
-        objects=_payload(parts, "truth_objects", Objects),
-        depth=_payload(parts, "truth_depth", DepthImage),
-        segmentation=_payload(parts, "truth_segmentation", TagImage),
+        odom_T_ego=_true_pose(_payload(messages, "truth_pose", Transform), tree, camera),
+        surface=_payload(messages, "truth_surface", Surface),
+        lanes=_payload(messages, "truth_lanes", Lanes),
+        objects=_payload(messages, "truth_objects", Objects),
+        depth=_payload(messages, "truth_depth", DepthImage),
+        segmentation=_payload(messages, "truth_segmentation", TagImage),
     )
 
 

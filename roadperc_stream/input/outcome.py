@@ -32,7 +32,7 @@ class InputOutcome:
     frames: int = 0
     """Written frames."""
     given_again: int = 0
-    """Written frames that the previous part also has."""
+    """Written frames that the continued result also has."""
     segment_frames: Counter[int] = field(default_factory=Counter)
     """Written frames of each segment."""
     segment_stamps_ns: dict[int, int] = field(default_factory=dict)
@@ -47,7 +47,7 @@ class InputOutcome:
     def add(self, synced: SyncedMessages, *, is_written: bool = True) -> None:
         """Count a frame."""
         reference = synced.reference
-        self.paired.update(synced.parts)
+        self.paired.update(synced.messages)
         if is_written:
             self.frames += 1
             self.given_again += reference.carried is not None
@@ -68,7 +68,7 @@ class InputOutcome:
             nearest_ns: smallest distance of each role's dropped messages to a frame.
         """
         if self.given_again:
-            yield f"{self.given_again} of {self.frames} frames are also in the previous part"
+            yield f"{self.given_again} of {self.frames} frames are also in the continued result"
         if max(self.segment_frames, default=0) > self.begun_segment:
             yield self._segments_in_words()
         if self.dropped:
@@ -102,10 +102,10 @@ def _never_near(topic: str, tolerance_s: float, nearest_ns: int) -> str:
 
 
 @dataclass(frozen=True)
-class PartSpan:
-    """First and last log time of a part's messages, and the number that make frames.
+class FileSpan:
+    """First and last log time of a file's messages, and the number that make frames.
 
-    ``repeats`` is the number of messages that an earlier part also has; None if unknown.
+    ``repeats`` is the number of messages that an earlier file also has; None if unknown.
     """
 
     name: str
@@ -115,7 +115,7 @@ class PartSpan:
     repeats: int | None = None
 
 
-def part_notes(summary: LogSummary, topic: str) -> tuple[str, ...]:
+def file_notes(summary: LogSummary, topic: str) -> tuple[str, ...]:
     """Notes on gaps, overlaps and differences between the files of a log; empty for a single file.
 
     Args:
@@ -123,74 +123,74 @@ def part_notes(summary: LogSummary, topic: str) -> tuple[str, ...]:
         topic: the reference sensor's topic.
     """
     spans = [
-        PartSpan(str(part.path), part.first_ns, part.last_ns, counted_topics(part)[topic], part.repeats)
-        for part in summary.parts
-        if part.first_ns is not None and part.last_ns is not None and any(part.counts.values())
+        FileSpan(str(file.path), file.first_ns, file.last_ns, counted_topics(file)[topic], file.repeats)
+        for file in summary.files
+        if file.first_ns is not None and file.last_ns is not None and any(file.counts.values())
     ]
     joined = [text for text in joins(spans) if text]
-    more = (f"{len(joined) - _MOST_NAMED} more parts leave gaps or overlap",) if len(joined) > _MOST_NAMED else ()
+    more = (f"{len(joined) - _MOST_NAMED} more files leave gaps or overlap",) if len(joined) > _MOST_NAMED else ()
     differing = (*_differing("attachment", summary.attachments), *_differing("metadata", summary.metadata))
-    return (*joined[:_MOST_NAMED], *more, *(differing if summary.parts else ()))
+    return (*joined[:_MOST_NAMED], *more, *(differing if summary.files else ()))
 
 
-def joins(parts: Sequence[PartSpan]) -> list[str]:
-    """A text for each part that has a gap or overlap to earlier parts, else an empty one.
+def joins(files: Sequence[FileSpan]) -> list[str]:
+    """A text for each file that has a gap or overlap to earlier files, else an empty one.
 
     Args:
-        parts: sorted by first log time.
+        files: sorted by first log time.
     """
-    least_gap_ns = _GAP_INTERVALS * _interval_ns(parts)
-    latest: PartSpan | None = None
+    least_gap_ns = _GAP_INTERVALS * _interval_ns(files)
+    latest: FileSpan | None = None
     texts = []
-    for part in parts:
-        texts.append("" if latest is None else _join(latest, part, least_gap_ns))
-        latest = part if latest is None or part.last_ns > latest.last_ns else latest
+    for file in files:
+        texts.append("" if latest is None else _join(latest, file, least_gap_ns))
+        latest = file if latest is None or file.last_ns > latest.last_ns else latest
     return texts
 
 
-def continuation_notes(part: PartSpan, frames_before_ns: Sequence[int], ended_ns: int) -> tuple[str, ...]:
-    """A note if there is a gap between a part and the result that it continues.
+def continuation_notes(file: FileSpan, frames_before_ns: Sequence[int], ended_ns: int) -> tuple[str, ...]:
+    """Return a note if there is a gap between a log and the result that it continues.
 
     Args:
-        part: this part.
-        frames_before_ns: known log times of the reference sensor's last messages in the previous part.
-        ended_ns: log time where the previous part ended.
+        file: the span of the log.
+        frames_before_ns: known log times of the reference sensor's last messages in the result.
+        ended_ns: log time where the result ended.
     """
-    before = PartSpan("the continued result", min(frames_before_ns, default=ended_ns), ended_ns, len(frames_before_ns))
-    gap_ns, interval_ns = part.first_ns - ended_ns, _interval_ns([before, part])
+    before = FileSpan("the continued result", min(frames_before_ns, default=ended_ns), ended_ns, len(frames_before_ns))
+    gap_ns, interval_ns = file.first_ns - ended_ns, _interval_ns([before, file])
     missing = interval_ns and gap_ns > _GAP_INTERVALS * interval_ns
-    return (_join(before, part, 0.0),) if missing else ()
+    return (_join(before, file, 0.0),) if missing else ()
 
 
-def _join(before: PartSpan, part: PartSpan, least_gap_ns: float) -> str:
-    gap_ns = part.first_ns - before.last_ns
+def _join(before: FileSpan, file: FileSpan, least_gap_ns: float) -> str:
+    gap_ns = file.first_ns - before.last_ns
     if gap_ns < 0:
-        overlap_s = ns_to_seconds(min(-gap_ns, part.last_ns - part.first_ns))
-        return f"{part.name}: overlaps {before.name} by {overlap_s:.3f} s{_shared(part)}"
-    if part.repeats:
-        return f"{part.name}: begins when {before.name} ends{_shared(part)}"
+        overlap_s = ns_to_seconds(min(-gap_ns, file.last_ns - file.first_ns))
+        return f"{file.name}: overlaps {before.name} by {overlap_s:.3f} s{_shared(file)}"
+    if file.repeats:
+        return f"{file.name}: begins when {before.name} ends{_shared(file)}"
     if gap_ns > least_gap_ns:
-        return f"{part.name}: begins {ns_to_seconds(gap_ns):.3f} s after {before.name} ends"
+        return f"{file.name}: begins {ns_to_seconds(gap_ns):.3f} s after {before.name} ends"
     return ""
 
 
-def _shared(part: PartSpan) -> str:
-    """The treatment of a part's messages that overlap others."""
-    if part.repeats is None:
+def _shared(file: FileSpan) -> str:
+    """The treatment of a file's messages that overlap others."""
+    if file.repeats is None:
         return ""
-    if not part.repeats:
+    if not file.repeats:
         return "; they share no message and are merged"
-    return f"; {part.repeats} of its messages are also in earlier parts and count once"
+    return f"; {file.repeats} of its messages are also in earlier files and count once"
 
 
-def _interval_ns(parts: Iterable[PartSpan]) -> float:
-    """Mean interval of the messages that make frames, within the parts."""
-    counted = [part for part in parts if part.frames > 1]
-    intervals = sum(part.frames - 1 for part in counted)
-    return sum(part.last_ns - part.first_ns for part in counted) / intervals if intervals else 0.0
+def _interval_ns(files: Iterable[FileSpan]) -> float:
+    """Mean interval of the messages that make frames, within the files."""
+    counted = [file for file in files if file.frames > 1]
+    intervals = sum(file.frames - 1 for file in counted)
+    return sum(file.last_ns - file.first_ns for file in counted) / intervals if intervals else 0.0
 
 
 def _differing(kind: str, records: Iterable[Attachment | Metadata]) -> tuple[str, ...]:
     """Notes on records with the same name and different contents."""
     counts: Counter[str] = Counter(record.name for record in records if record.name not in _OF_EACH_RESULT)
-    return tuple(f"{kind} {name}: {n} versions in the parts; all are kept" for name, n in counts.items() if n > 1)
+    return tuple(f"{kind} {name}: {n} versions in the files; all are kept" for name, n in counts.items() if n > 1)

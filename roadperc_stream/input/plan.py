@@ -38,7 +38,7 @@ class FirstPass:
     """The findings of the first pass.
 
     ``counts`` has the messages of each topic. ``parent_of`` has the last parent of each frame that a transform places,
-    in this or an earlier part. No later message can change the first ``complete_frames``; ``end`` is the state after
+    in this log or an earlier one. No later message can change the first ``complete_frames``; ``end`` is the state after
     them.
     """
 
@@ -157,7 +157,7 @@ def plan_input(
         summary: of the log.
         cfg: settings for decoding, pairing and waiting.
         asked: the part of the log to replay, in seconds from the first message of ``summary``.
-        begin: the end state of an earlier part; None without one.
+        begin: the end state of the continued result; None without one.
 
     Raises:
         ChannelError: the channels do not fit the roles.
@@ -188,14 +188,14 @@ def plan_input(
 
 
 def _roles(summary: LogSummary, overrides: Mapping[str, str], begin: InputState | None) -> tuple[RoleAssignment, str]:
-    """The topic of each role, those of earlier parts included, and the role whose messages make the frames."""
+    """The topic of each role, including those of the continued result, and the role whose messages make the frames."""
     roles = assignment_of_log(summary, overrides) if begin is None else _roles_so_far(summary, overrides, begin)
     if roles.reference is None:
         raise ChannelError("; ".join((f"{summary.path}: {NOTHING_TO_REPLAY}", *roles.unassigned)))
     if begin is not None and roles.reference != begin.reference:
         known, found = begin.reference, roles.reference
         raise StateError(
-            f"{summary.path}: role {found} would make the frames: expected role {known}, as in the earlier part"
+            f"{summary.path}: role {found} would make the frames: expected role {known}, as in the continued result"
         )
     return roles, roles.reference
 

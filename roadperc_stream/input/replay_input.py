@@ -8,7 +8,7 @@ from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ChannelError, NoFrameError
 from roadperc_stream.input.assemble import sample_of
 from roadperc_stream.input.earlier_replay import is_result
-from roadperc_stream.input.outcome import InputOutcome, PartSpan, continuation_notes, part_notes
+from roadperc_stream.input.outcome import FileSpan, InputOutcome, continuation_notes, file_notes
 from roadperc_stream.input.plan import InputPlan, plan_input
 from roadperc_stream.input.roles import tag_table_to_record
 from roadperc_stream.input.source import LossTimes, ReadableLog, ReplaySource
@@ -60,8 +60,8 @@ def input_of(
         found: the log that ``source`` read.
         source: as in ``open_input``.
         cfg: as in ``open_input``.
-        begin: the end state of an earlier part; None without one.
-        lost: gaps of that part; one without an end ends where this log begins.
+        begin: the end state of the continued result; None without one.
+        lost: gaps of that result; one without an end ends where this log begins.
 
     Raises:
         StateError: the log cannot continue from ``begin``; else as ``open_input``.
@@ -96,7 +96,7 @@ class ReplayInput:
         self._pairing = StampPairing(self._cfg.sync, plan.order, plan.roles.topics, plan.begun, self._drop)
 
     def _ended(self, lost: Sequence[LostSpan]) -> tuple[LostSpan, ...]:
-        """The gaps of the previous part; one without an end ends before the first new message."""
+        """The gaps of the continued result; one without an end ends before the first new message."""
         inside = (message.log_time_ns for message in self._messages.inside()) if lost else ()
         next_ns = next((time_ns for time_ns in inside if time_ns >= self.plan.start.from_ns), None)
         return tuple(
@@ -164,7 +164,7 @@ class ReplayInput:
 
     def _until_ns(self, synced: SyncedMessages, since_ns: int | None, log_time_ns: int) -> int:
         """The log time up to which messages of a frame may have been lost."""
-        if all(role in synced.parts for role in self.topics if ROLES[role].kind not in LATCHED_KINDS):
+        if all(role in synced.messages for role in self.topics if ROLES[role].kind not in LATCHED_KINDS):
             return log_time_ns
         interval_ns = 0 if since_ns is None else log_time_ns - since_ns  # assume the same interval to the next frame
         return log_time_ns + self.plan.order.lateness_ns + interval_ns
@@ -179,16 +179,16 @@ class ReplayInput:
         try:
             sample = sample_of(self._cfg, synced, index, self.topics, self.plan.first_pass.parent_of)
         except ChannelError as error:
-            known = (*self.plan.problems.first.values(), *self.plan.roles.unassigned, *self._if_in_parts)
+            known = (*self.plan.problems.first.values(), *self.plan.roles.unassigned, *self._if_in_other_files)
             raise ChannelError("; ".join((f"{self.summary.path}: {error}", *known))) from error
-        if "truth_pose" in synced.parts and sample.truth.odom_T_ego is None:
+        if "truth_pose" in synced.messages and sample.truth.odom_T_ego is None:
             topic = self.topics["truth_pose"]
             text = f"{topic}: no transform connects the frame of its poses with ego: not used as truth"
             self._problems.report(topic, text)
         return sample
 
     @property
-    def _if_in_parts(self) -> tuple[str, ...]:
+    def _if_in_other_files(self) -> tuple[str, ...]:
         """A hint for a log whose calibrations may be in another file."""
         if self.plan.is_continuation or any(ROLES[role].kind == "calibration" for role in self.topics):
             return ()
@@ -261,15 +261,15 @@ class ReplayInput:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes for the user: gaps between parts, guessed or missing roles, the first problem of each topic.
+        """Notes for the user: gaps between files, guessed or missing roles, the first problem of each topic.
 
         For the samples read until now also segments, messages that belong to no frame, and roles in no frame.
         """
         plan, topics = self.plan, self.topics
-        parts = part_notes(self.summary, topics[plan.order.reference])
+        files = file_notes(self.summary, topics[plan.order.reference])
         problems = (plan.problems.first | self._problems.first).values()
         outcome = self._outcome.notes(topics, self._cfg.sync, self._pairing.nearest_ns)
-        return (*parts, *self._before, *plan.roles.notes, *problems, *outcome)
+        return (*files, *self._before, *plan.roles.notes, *problems, *outcome)
 
     @property
     def _before(self) -> tuple[str, ...]:
@@ -279,7 +279,7 @@ class ReplayInput:
             return ()
         frames = plan.first_pass.counts[self.topics[plan.order.reference]]
         waiting = [item.log_time_ns for item in plan.start.pairing.items if item.role == plan.order.reference]
-        return continuation_notes(PartSpan(str(self.summary.path), *self.span_ns, frames), waiting, plan.start.from_ns)
+        return continuation_notes(FileSpan(str(self.summary.path), *self.span_ns, frames), waiting, plan.start.from_ns)
 
     @property
     def chosen_topics(self) -> dict[str, str]:

@@ -97,10 +97,10 @@ def _repaired(path: Path, limits: LimitsConfig, error: DamagedLogError) -> Repai
     return None if is_whole else log.repaired_copy(path, limits)
 
 
-def _in_log(copy: RepairedLog, parts: Sequence[LogSummary]) -> RepairedLog:
+def _in_log(copy: RepairedLog, files: Sequence[LogSummary]) -> RepairedLog:
     """Return a repaired file whose losses end where later files continue."""
-    own = next((part for part in parts if part.path == copy.path), None)
-    return copy if own is None else replace(copy, recovery=copy.recovery.ending(log.gone_on_ns(own, parts)))
+    own = next((file for file in files if file.path == copy.path), None)
+    return copy if own is None else replace(copy, recovery=copy.recovery.ending(log.gone_on_ns(own, files)))
 
 
 def warnings_of(source: Path, damages: Sequence[Damage], recovery: Recovery, first_ns: int | None) -> Iterator[str]:
@@ -149,7 +149,7 @@ class ReplaySource:
             copies = [_repaired(path, limits, error) for path in sources]
             files = [copy.path if copy else path for copy, path in zip(copies, sources, strict=True)]
             summary = log.summarise(files, limits)
-            damaged = tuple(_in_log(copy, summary.parts) for copy in copies if copy is not None)
+            damaged = tuple(_in_log(copy, summary.files) for copy in copies if copy is not None)
             firsts = (summary.first_ns, *(copy.salvage.first_ns for copy in damaged))
             first_ns = min((ns for ns in firsts if ns is not None), default=None)
             return ReadableLog(summary, error, damaged, first_ns)

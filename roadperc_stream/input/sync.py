@@ -87,7 +87,7 @@ class SyncedMessages:
     """The messages of one instant by role, including the reference, and the latched state."""
 
     reference: Stamped
-    parts: Mapping[str, Stamped]
+    messages: Mapping[str, Stamped]
     latched: LatchedState
     skew_ns: int | None
 
@@ -208,16 +208,16 @@ class StampPairing:
 
     def _frame(self, reference: Stamped, latched: LatchedState) -> SyncedMessages:
         self._drop_before(reference.stamp_ns - self._tolerance_ns, reference.stamp_ns)
-        parts = {reference.role: reference}
+        messages = {reference.role: reference}
         for role, stream in self._streams.items():
             nearest = min(stream, key=lambda part: abs(part.stamp_ns - reference.stamp_ns), default=None)
             if nearest is not None and abs(nearest.stamp_ns - reference.stamp_ns) <= self._tolerance_ns:
-                parts[role] = nearest
+                messages[role] = nearest
                 stream.remove(nearest)
         self.frames += 1
         self._last_ns = reference.stamp_ns
-        skews = [abs(part.stamp_ns - reference.stamp_ns) for part in parts.values() if part is not reference]
-        return SyncedMessages(reference, parts, latched, max(skews, default=None))
+        skews = [abs(part.stamp_ns - reference.stamp_ns) for part in messages.values() if part is not reference]
+        return SyncedMessages(reference, messages, latched, max(skews, default=None))
 
     def _drop_before(self, limit_ns: int | None, next_ns: int | None = None) -> None:
         """Drop messages before a limit, or all without one; ``next_ns`` is the next frame's stamp."""

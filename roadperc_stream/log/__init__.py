@@ -1,13 +1,13 @@
 """Reading and writing MCAP files: the only package that imports mcap.
 
-Bytes in, bytes out; what they mean is the business of ``schemas`` and ``input``.
+It handles bytes; ``schemas`` and ``input`` decode them.
 """
 
 from roadperc_stream.log.audit import audited
 from roadperc_stream.log.damage import Damage, DamagedLogError, first_damage, number_of
+from roadperc_stream.log.files import counted_topics, gone_on_ns
 from roadperc_stream.log.growing import GrowingLog
 from roadperc_stream.log.mcap_file import Piece
-from roadperc_stream.log.parts import counted_topics, gone_on_ns
 from roadperc_stream.log.reading import pieces, read, summarise
 from roadperc_stream.log.records import (
     DIGEST_ALGORITHM,

@@ -1,7 +1,6 @@
-"""Logs in: messages in log-time order, and what a log holds besides them.
+"""Reads a log: its summary, and its messages in log-time order.
 
-A log that its index does not give in order is put in order on disk: the library holds the whole of each chunk, and a
-log may be a single one.
+A log without a usable index, or with large overlapping chunks, is sorted on disk, because a log may be a single chunk.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
@@ -14,17 +13,17 @@ from typing import Final
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import LogError
 from roadperc_stream.log.audit import audited, damage_in, in_file_order
+from roadperc_stream.log.files import UnitedFiles, united
 from roadperc_stream.log.index import most_at_once
 from roadperc_stream.log.indexed import IndexedFile
 from roadperc_stream.log.limits import LimitError, require_attachments
 from roadperc_stream.log.mcap_file import Piece
-from roadperc_stream.log.parts import UnitedParts, united
 from roadperc_stream.log.records import Channel, LogSummary, Message
 from roadperc_stream.log.salvage import Salvage
 from roadperc_stream.log.sorting import SortedMessages
 
 _LEAST_HELD_BYTES: Final = 1024 * 1024
-"""Counted of each open file, so that few are open at a time."""
+"""Least memory counted for an open file, so that few are open at a time."""
 
 
 def summarise(
@@ -33,21 +32,20 @@ def summarise(
     *,
     check_chunks: bool = False,
 ) -> LogSummary:
-    """Channels, counts, attachments and metadata of a log, from its index where it has one.
+    """Return channels, counts, attachments and metadata of a log, from its index if it has one.
 
-    All CRCs are checked, and that index and statistics say what stands in the file. A log that its index does not give
-    in order of log time with little memory is put in order on disk when it is first read. Where CRCs of chunks are all
-    there is, they are checked when the chunks are read. Where files share topics at the same time, their messages are
-    read to find those that several of them hold.
+    All CRCs are checked, and index and statistics are compared with the file. If only chunks have CRCs, these are
+    checked when the chunks are read. A log whose messages cannot be ordered in little memory is sorted on disk at the
+    first reading. If files share topics at the same time, their messages are read to find repeated ones.
 
     Args:
-        source: the log, or the files that are one log.
+        source: the log, or its files.
         limits: of their records and chunks.
-        check_chunks: check them now.
+        check_chunks: check the CRCs of chunks now.
 
     Raises:
-        LogError: a file cannot be read, is no MCAP, is cut or damaged, or is beyond the limits.
-        TargetError: there is no space to put several files in order.
+        LogError: a file cannot be read, is not MCAP, is cut or damaged, or exceeds the limits.
+        TargetError: there is no space to sort several files.
     """
     paths = [source] if isinstance(source, Path) else source
     files, held_bytes = list[LogSummary](), 0
@@ -62,7 +60,7 @@ def summarise(
 
 
 def _held_bytes(files: Iterable[LogSummary]) -> float:
-    """The most in memory at a time where files are merged; no end to it where one with messages has no index."""
+    """Return the most memory that merging files takes; infinite if one with messages has no index."""
     spans = []
     for file in files:
         if not any(file.counts.values()):
@@ -80,17 +78,17 @@ def read(
     start_ns: int | None = None,
     end_ns: int | None = None,
 ) -> Iterator[Message]:
-    """Messages in the order of their log time; those of equal time in the order of the file.
+    """Yield messages in log-time order; those of equal time in file order.
 
     Args:
         summary: of the log.
         topics: only these; None for all.
-        start_ns: first log time read.
-        end_ns: first log time no longer read.
+        start_ns: first log time to read.
+        end_ns: read only earlier log times.
 
     Raises:
-        LogError: the file cannot be read, is no MCAP, is cut or damaged.
-        TargetError: there is no space to put it in order.
+        LogError: the file cannot be read, is not MCAP, is cut or damaged.
+        TargetError: there is no space to sort it.
     """
     return summary.source.messages(topics, start_ns, end_ns)
 
@@ -98,12 +96,12 @@ def read(
 def pieces(
     summary: LogSummary, channels: Collection[Channel], start_ns: int | None, end_ns: int | None
 ) -> Iterator[Piece]:
-    """The messages of some channels as ``read`` gives them, whole chunks of the file where nothing else is in them.
+    """Yield the messages of some channels, as whole chunks of the file if these contain nothing else.
 
-    Times and errors are those of ``read``.
+    Times and errors are as in ``read``.
     """
     source, kept, topics = summary.source, frozenset(channels), {channel.topic for channel in channels}
-    if isinstance(source, UnitedParts) and source.in_turn:
+    if isinstance(source, UnitedFiles) and source.in_turn:
         return chain.from_iterable(
             pieces(file, kept.intersection(file.channels), start_ns, end_ns) for file in source.in_turn
         )
@@ -114,7 +112,7 @@ def pieces(
 
 
 def _summary_of(path: Path, limits: LimitsConfig, *, check_chunks: bool) -> LogSummary:
-    """What one file holds.
+    """Return the summary of one file.
 
     Raises:
         LogError: as ``summarise``.

@@ -91,10 +91,10 @@ class LogSummary:
     metadata: tuple[Metadata, ...] = ()
     first_ns: int | None = None
     last_ns: int | None = None
-    parts: tuple["LogSummary", ...] = ()
+    files: tuple["LogSummary", ...] = ()
     """The files of a log in several files, in the order of their times; empty for a single file."""
     repeats: int = 0
-    """For one of several files: how many of its messages an earlier file has too. These count once."""
+    """For one of several files: number of its messages that an earlier file also has. These count once."""
     schema_ids: Mapping[int, int] = field(default_factory=dict)
     """Schema id in the file, by ``Channel.source_id``; empty if not needed."""
 

@@ -26,7 +26,7 @@ _SETUP: Final = (
     "PRIMARY KEY (log_time, number)) WITHOUT ROWID",
 )
 _PLACE: Final = "PRAGMA temp_store_directory = '{folder}'"
-"""Else SQLite takes another folder than Python where TMPDIR is not set."""
+"""Without it, SQLite uses another folder than Python if TMPDIR is not set."""
 _ADD: Final = "INSERT INTO messages VALUES (?, ?, ?, ?, ?, ?, ?)"
 _FIND: Final = (
     "SELECT log_time, publish_time, sequence, channel, start, length FROM messages "
@@ -37,13 +37,13 @@ _FIND: Final = (
 def in_order_within(
     items: Iterable[T], time_of: Callable[[T], int], size_of: Callable[[T], int], most: int
 ) -> Iterator[T]:
-    """Yield items by time, those of equal time as they came, as far as a bounded buffer can sort them.
+    """Yield items by time, as far as a bounded buffer can sort them; those of equal time keep their order.
 
     Args:
         items: in any order.
-        time_of: what they are sorted by.
-        size_of: what holding one costs.
-        most: the sum of sizes from which on the earliest item held is given.
+        time_of: returns the time of an item.
+        size_of: returns the size of an item.
+        most: the largest total size in the buffer; beyond it, the earliest item is yielded.
     """
     waiting: list[tuple[int, int, T]] = []
     held = 0
@@ -59,9 +59,9 @@ def in_order_within(
 
 
 class SortedMessages:
-    """Messages that are put in the order of their log time when they are first read; those of equal time as they came.
+    """Sorts messages by log time when they are first read; those of equal time keep their order.
 
-    ``what`` holds them, for errors; ``unsorted`` gives them, where channels that differ have different ``source_id``.
+    ``what`` names the log in errors. ``unsorted`` returns the messages; each channel has its own ``source_id``.
     """
 
     def __init__(self, what: str, unsorted: Callable[[], Iterable[Message]]) -> None:
@@ -72,10 +72,10 @@ class SortedMessages:
         self._lock = Lock()
 
     def messages(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
-        """As ``reading.read``; what is stored was checked before.
+        """Yield messages as ``reading.read``.
 
         Raises:
-            TargetError: there is no space to store them, or what is stored cannot be read.
+            TargetError: there is no space to store them, or the stored ones cannot be read.
         """
         with self._lock:
             keys, spool = self._stored()
@@ -92,7 +92,7 @@ class SortedMessages:
                 yield Message(channel, log_time + _SIGN, publish_time + _SIGN, sequence, data)
 
     def _stored(self) -> tuple[sqlite3.Connection, Spool]:
-        """The order of the messages, and their bytes."""
+        """Return the keys of the messages, and their bytes."""
         if self._keys is not None and self._spool is not None:
             return self._keys, self._spool
         spool, keys = Spool(self._what), sqlite3.connect("", isolation_level=None, check_same_thread=False)
@@ -112,7 +112,7 @@ class SortedMessages:
         return keys, spool
 
     def _added_to(self, spool: Spool) -> Iterator[tuple[int, ...]]:
-        """The messages' keys; their bytes are stored."""
+        """Store the bytes of the messages; yield their keys."""
         for number, message in enumerate(self._unsorted()):
             channel_id = message.channel.source_id
             self._channels[channel_id] = message.channel

@@ -22,7 +22,7 @@ from roadperc_stream.log.damage import require_magic, unopened
 from roadperc_stream.log.layout import MAGIC
 
 _LEFT_FREE: Final = 0.1
-"""Part of the free space that stays free: a pipe without an end leaves others some."""
+"""Share of the free space that stays free, even if a pipe never ends."""
 STANDARD_INPUT: Final = Path("-")
 _BLOCK_BYTES: Final = 1024 * 1024
 _READ_BYTES: Final = io.DEFAULT_BUFFER_SIZE * 8
@@ -30,11 +30,11 @@ _READ_BYTES: Final = io.DEFAULT_BUFFER_SIZE * 8
 
 @contextmanager
 def storing(what: str, done: str = "stored") -> Iterator[None]:
-    """Errors of writing to the folder of temporary files and of reading from it, as one that names the folder.
+    """Turn errors of the folder for temporary files into one that names the folder.
 
     Args:
-        what: is stored there, for the error.
-        done: what cannot be done with it there.
+        what: the stored log, for the error.
+        done: the failed action, for the error.
 
     Raises:
         TargetError: the disk is full or fails, or there is no such folder.
@@ -51,18 +51,18 @@ def _folder() -> str:
     try:
         return tempfile.gettempdir()
     except OSError:
-        return "the folder of temporary files"
+        return "the folder for temporary files"
 
 
 class Spool:
-    """A temporary file that is written once, from its start to its end, and then read by any number of readers."""
+    """A temporary file that is written once from start to end, and then read by any number of readers."""
 
     def __init__(self, what: str, stored: IO[bytes] | None = None) -> None:
-        """Begin an empty one, or read one that is there.
+        """Create an empty file, or use an existing one.
 
         Args:
-            what: it holds, for errors.
-            stored: a file that can be read from any place; the spool owns it.
+            what: its content, for errors.
+            stored: a seekable file; the spool owns it.
 
         Raises:
             TargetError: there is no folder for temporary files.
@@ -75,13 +75,10 @@ class Spool:
         weakref.finalize(self, self._file.close)
 
     def append(self, data: bytes) -> int:
-        """Add bytes at the end.
-
-        Returns:
-            The byte they start at.
+        """Append bytes and return their position.
 
         Raises:
-            TargetError: the disk is full, or nearly so.
+            TargetError: the disk is full, or nearly full.
         """
         with storing(self._what):
             if self.size_bytes + len(data) > self._most_bytes:
@@ -91,7 +88,7 @@ class Spool:
         return start
 
     def finish(self) -> None:
-        """Write what is still to be written.
+        """Write buffered bytes.
 
         Raises:
             TargetError: the disk is full.
@@ -100,7 +97,7 @@ class Spool:
             self._file.flush()
 
     def read(self, start: int, length: int) -> bytes:
-        """Some of the bytes, fewer at the end."""
+        """Return bytes, fewer at the end."""
         found = data = os.pread(self._file.fileno(), length, start)
         while data and len(found) < length:  # the system reads no more than 2 GiB at once
             data = os.pread(self._file.fileno(), length - len(found), start + len(found))
@@ -116,11 +113,11 @@ class _Reader(io.RawIOBase):
         self._stored, self._at = stored, 0
 
     def readable(self) -> bool:
-        """It is."""
+        """Return true."""
         return True
 
     def seekable(self) -> bool:
-        """It is."""
+        """Return true."""
         return True
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
@@ -132,7 +129,7 @@ class _Reader(io.RawIOBase):
         return self._at
 
     def readinto(self, buffer: "memoryview") -> int:  # type: ignore[override]  # a buffer of any kind is a memoryview
-        """Fill a buffer as far as there are bytes."""
+        """Fill a buffer; return the number of bytes read."""
         data = self._stored.read(self._at, len(buffer))
         buffer[: len(data)] = data
         self._at += len(data)
@@ -140,19 +137,19 @@ class _Reader(io.RawIOBase):
 
 
 class StoredLog(type(Path())):  # type: ignore[misc]  # the class of paths of this system
-    """The name of a log whose bytes are in a temporary file; a path derived from it is an ordinary path."""
+    """The name of a log whose bytes are in a temporary file; paths derived from it are ordinary."""
 
     stored: Spool | None = None
 
     @classmethod
     def of(cls, path: Path, stored: Spool) -> Self:
-        """A name with its bytes."""
+        """Return a name with its bytes."""
         made = cls(path)
         made.stored = stored
         return made
 
     def open(self, *arguments: Any, **options: Any) -> IO[Any]:
-        """A stream over the bytes."""
+        """Open a stream over the bytes."""
         return (
             io.BufferedReader(_Reader(self.stored), _READ_BYTES) if self.stored else super().open(*arguments, **options)
         )
@@ -163,18 +160,18 @@ class StoredLog(type(Path())):  # type: ignore[misc]  # the class of paths of th
 
 
 def received(paths: Sequence[Path]) -> tuple[Path, ...]:
-    """Logs as files that can be read many times: what comes through a pipe is stored, all others stay what they are.
+    """Return logs as files that can be read many times: pipes are stored in temporary files.
 
     Args:
         paths: of logs; ``-`` is standard input.
 
     Raises:
-        LogError: there is none, one is given twice, standard input is a terminal, or what comes through a pipe does
-            not start as a log: the rest of it is not waited for.
-        TargetError: there is no space for what a pipe brings.
+        LogError: there is no path, a log is given twice, standard input is a terminal, or the first bytes of a pipe are
+            not MCAP.
+        TargetError: there is no space to store a pipe.
     """
     if not paths:
-        raise LogError("no log is given, expected one or the parts of one")
+        raise LogError("no log is given; pass a log, or all files of one log")
     for number, path in enumerate(paths):
         if any(_is_same(path, other) for other in paths[:number]):
             raise LogError(f"{path}: is given twice")
@@ -184,7 +181,7 @@ def received(paths: Sequence[Path]) -> tuple[Path, ...]:
 def _is_same(one: Path, other: Path) -> bool:
     try:
         return one == other or (STANDARD_INPUT not in (one, other) and one.samefile(other))
-    except OSError:  # one is not there, which reading it says
+    except OSError:  # one does not exist; reading it reports that
         return False
 
 
@@ -199,10 +196,10 @@ def _received(path: Path) -> Path:
 
 
 def _standard_input() -> IO[bytes]:
-    """A separate stream over standard input.
+    """Return a separate stream over standard input.
 
     Raises:
-        LogError: it is closed, or somebody would have to type the log.
+        LogError: it is closed, or a terminal.
     """
     if sys.stdin is None:
         raise LogError("-: standard input is closed, expected a log")
@@ -212,11 +209,11 @@ def _standard_input() -> IO[bytes]:
 
 
 def _stored(path: Path, stream: IO[bytes]) -> Spool:
-    """All that comes; a file that stands in for a pipe, as with ``< in.mcap``, is there already.
+    """Store a stream; a redirected file, as in ``< in.mcap``, is used directly.
 
     Raises:
-        LogError: what comes first is no log's.
-        TargetError: there is no space for all of it.
+        LogError: its first bytes are not MCAP.
+        TargetError: there is no space for it.
     """
     if stat.S_ISREG(os.fstat(stream.fileno()).st_mode) and stream.tell() == 0:
         return Spool(str(path), os.fdopen(os.dup(stream.fileno()), "rb"))

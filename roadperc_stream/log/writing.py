@@ -21,14 +21,14 @@ from roadperc_stream.system.files import partial_of, target_errors
 
 CHUNK_SIZE_BYTES = 1024 * 1024
 _IDS: Final = 65535
-"""Of channels and of schemas, at most."""
+"""Largest id of a channel or schema."""
 
 
 @dataclass
 class LogWriter:
     """Writes a log whose file appears under its name only when complete. Use it as a context manager.
 
-    All CRCs are written; the bytes depend on nothing but what is written.
+    All CRCs are written. The bytes depend only on the content.
     """
 
     path: Path
@@ -61,7 +61,7 @@ class LogWriter:
         """Append a message; its channel and schema are registered at their first use.
 
         Raises:
-            TargetError: it cannot be written, as when the disk is full; so with all that is added to a log.
+            TargetError: it cannot be written, for example because the disk is full; as in the other methods.
         """
         channel_id = self.register(message.channel)
         self.messages += 1
@@ -79,10 +79,10 @@ class LogWriter:
         self._add_chunk(finished)
 
     def write_chunk(self, chunk: ChunkRecords, reached_ns: int | None) -> None:
-        """Append a chunk of another log as it is; its channels have been registered with the ids that they have there.
+        """Append a chunk of another log unchanged; its channels are registered with their ids in that log.
 
         Args:
-            chunk: as it stands there.
+            chunk: of the other log.
             reached_ns: log time up to which all messages except results are written; None without an end.
         """
         self.end_chunk()
@@ -100,23 +100,20 @@ class LogWriter:
                 self._growing.add_chunk(entry)
 
     def while_written(self) -> GrowingLog:
-        """The log for a reader in another thread, from now to the end; before the first message.
+        """Return the log for a reader in another thread; call it before the first message.
 
-        What is written stays the same, byte for byte.
+        The file's bytes do not depend on it.
         """
         assert not self.messages
         self._growing = GrowingLog(self._temporary, {number: c for c, number in self._channel_ids.items()})
         return self._growing
 
     def register(self, channel: Channel, *, ids: tuple[int, int] | None = None) -> int:
-        """Make a channel known, also where it never gets a message.
+        """Describe a channel, even if it never gets a message, and return its id.
 
         Args:
             channel: with its schema.
-            ids: of the channel and of its schema (0 of none) where they are wanted, and free.
-
-        Returns:
-            Its id.
+            ids: preferred ids of the channel and of its schema, 0 without a schema.
         """
         known = self._channel_ids.get(channel)
         if known is not None:
@@ -134,7 +131,7 @@ class LogWriter:
         return channel_id
 
     def _schema_id(self, channel: Channel, wanted: int) -> int:
-        """The id of a channel's schema, which is made known: the wanted one, else any; 0 of none."""
+        """Describe a channel's schema and return its id, the preferred one if free; 0 without a schema."""
         schema = channel.schema
         if not wanted and not any(schema):
             return 0
@@ -150,7 +147,7 @@ class LogWriter:
         return schema_id
 
     def _free_id(self, used: Collection[int], wanted: int | None) -> int:
-        """The wanted id where it is free, else the one behind all others, or the first one that is free."""
+        """Return the preferred id if free, else the next one after all others, else the first free one."""
         if wanted is not None and wanted not in used:
             return wanted
         ids = chain(range(max(used, default=0) + 1, _IDS + 1), range(1, _IDS + 1))
@@ -211,7 +208,7 @@ class LogWriter:
             self._temporary.replace(self.path)
 
     def discard(self) -> None:
-        """Remove what is not complete; where nothing can be removed, nothing could be written either."""
+        """Remove the partial file, if it can be removed."""
         with suppress(OSError):
             self._temporary.unlink(missing_ok=True)
 
@@ -251,10 +248,10 @@ class MessageCopy:
         """Register the channels, also those that never get a message.
 
         Args:
-            writer: of the log to copy to, where no channel is registered yet: they keep their ids.
-            channels: of the messages, and others to be there.
-            copied: messages, and chunks, in the order of log time.
-            schema_ids: of the channels' schemas, as ``LogSummary`` has them, which are kept as well.
+            writer: of the target log. It has no channels yet, so the copied ones keep their ids.
+            channels: of the messages, and others to register.
+            copied: messages and chunks in log-time order.
+            schema_ids: of the channels' schemas, as in ``LogSummary``; they are kept too.
         """
         self._writer, self._copied = writer, copied
         for channel in channels:

@@ -88,7 +88,7 @@ class OpenedLog:
         try:
             return (*states, Attachment(STATE_ATTACHMENT, _MEDIA_TYPE, encode(saved))), ()
         except StateError as error:  # the results do not depend on it
-            return states, (f"{STATE_ATTACHMENT}: left out, this part cannot be continued: {error}",)
+            return states, (f"{STATE_ATTACHMENT}: left out, this result cannot be continued: {error}",)
 
     def facts(self) -> dict[str, str]:
         """Which log the replay continues, for the output to record."""

@@ -1,1 +1,1 @@
-"""Message definitions and their packing."""
+"""Definitions of messages, topics and columns, and the encoding of messages."""

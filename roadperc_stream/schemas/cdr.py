@@ -1,4 +1,4 @@
-"""ROS 2 messages out of CDR, laid out as the definition in the log says, and into it."""
+"""Reads and writes ROS 2 messages in CDR, by the definition in the log."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,20 +13,20 @@ from roadperc_stream.schemas.definitions import brief, types_of
 from roadperc_stream.system.time import NS_PER_S
 
 _MOST_LAYOUTS: Final = 64
-"""Definitions that are kept parsed: a log has a handful."""
+"""Parsed definitions to keep; a log has only a few."""
 
 
 def read(data: bytes, name: str, definition: bytes, encoding: str = "ros2msg") -> Any:
-    """The message, with its arrays as views of ``data``.
+    """Return a message whose arrays are views of ``data``.
 
     Args:
         data: CDR with its encapsulation header, of either byte order.
         name: the message's type, such as ``sensor_msgs/msg/Image``.
-        definition: text of the type and of those it is made of, as a log stores it.
+        definition: text of the type and of the types that it contains, as a log stores it.
         encoding: ``ros2msg`` or ``ros2idl``.
 
     Raises:
-        DecodeError: the definition does not define the type, or the bytes are not as it says.
+        DecodeError: the definition does not define the type, or the bytes do not match it.
     """
     if not definition:
         raise DecodeError(f"the log does not define {name}: expected ros2msg or ros2idl")
@@ -36,7 +36,7 @@ def read(data: bytes, name: str, definition: bytes, encoding: str = "ros2msg") -
 
 
 def layout_of(name: str, definition: bytes, encoding: str = "ros2msg") -> Typestore:
-    """Reads and writes messages of a type, and has the classes of its parts; arguments and errors as for ``read``."""
+    """Return a reader and writer for messages of a type; arguments and errors as in ``read``."""
     layout = _layout(name, definition, encoding)
     if isinstance(layout, str):
         raise DecodeError(layout)
@@ -44,32 +44,32 @@ def layout_of(name: str, definition: bytes, encoding: str = "ros2msg") -> Typest
 
 
 @contextmanager
-def as_defined(otherwise: str) -> Iterator[None]:
-    """What is done with a message of the log's own definition, under which it may hold anything, or nothing.
+def as_defined(fault: str) -> Iterator[None]:
+    """Turn any error into a DecodeError, because a message with the log's own definition may contain anything.
 
     Raises:
-        DecodeError: ``otherwise``, and what went wrong.
+        DecodeError: ``fault``, and the text of the error.
     """
     try:
         yield
     except DecodeError:
         raise
-    except Exception as error:  # What the fields hold is the log's word: there is no telling what meets it.
-        raise DecodeError(f"{otherwise}: {brief(error)}") from error
+    except Exception as error:  # the log decides the types of fields, so any error is possible
+        raise DecodeError(f"{fault}: {brief(error)}") from error
 
 
 def stamp_ns(stamp: Any) -> int:
-    """Integer nanoseconds of a builtin_interfaces/Time."""
+    """Return integer nanoseconds of a builtin_interfaces/Time."""
     return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
 
 
 @lru_cache(_MOST_LAYOUTS)
 def _layout(name: str, definition: bytes, encoding: str) -> Typestore | str:
-    """The reader of a type; of a bad definition its fault, so that it is looked at once and not for every message."""
+    """Return the reader of a type, or the fault of its definition. Both are cached, so each is parsed once."""
     store = get_typestore(Stores.EMPTY)
     try:
         store.register(types_of(name, definition, encoding))
         store.get_msgdef(name)
-    except Exception as error:  # Code is generated from the log's text, and run: there is no telling what that raises.
+    except Exception as error:  # runs code that is generated from the text, so any error is possible
         return f"the log's definition of {name} cannot be read: {brief(error)}"
     return store

@@ -1,8 +1,7 @@
-"""ROS 2 message definitions as a log carries them, held to what can be read in reasonable time.
+"""Parses the ROS 2 message definitions of a log, within limits on their size.
 
-The reader of a message is code that is generated from the definition, with every item of a fixed array of strings or
-messages unrolled: a line of text could ask for gigabytes of it. Of IDL, brackets and sequences within one another take
-the parser a time that grows exponentially with their depth.
+The library generates code from a definition, and unrolls every item of a fixed array of strings or messages. One line
+of text could need gigabytes of code. Nested brackets and sequences in IDL take the parser exponential time.
 """
 
 import re
@@ -17,7 +16,7 @@ from roadperc_stream.errors import DecodeError
 
 MOST_BYTES: Final = 100_000
 MOST_ELEMENTS: Final = 1000
-"""The largest of the messages that ROS 2 Jazzy brings has 119, and 4 kB of text without its comments."""
+"""The largest message of ROS 2 Jazzy has 119, and 4 kB of text without comments."""
 DEEPEST: Final = 50
 _LONGEST_ARRAY: Final = 2**31 - 1
 _SEPARATOR: Final = "=" * 80 + "\n"
@@ -27,16 +26,16 @@ _IDL_COMPUTED: Final = re.compile(r"[(*]|<<|sequence\s*<\s*sequence\b")
 
 
 def types_of(name: str, definition: bytes, encoding: str) -> Typesdict:
-    """The types that a definition speaks of, ``name`` among them.
+    """Return the types in a definition, including ``name``.
 
     Args:
         name: the message's type, such as ``sensor_msgs/msg/Image``.
-        definition: text of the type and of those it is made of.
+        definition: text of the type and of the types that it contains.
         encoding: ``ros2msg`` or ``ros2idl``.
 
     Raises:
-        DecodeError: the type or one it needs is not defined, is made of itself, or is beyond the bounds.
-        Exception: what the parser meets in a text that is no definition.
+        DecodeError: the type or one that it contains is undefined, contains itself, or exceeds the limits.
+        Exception: any error of the parser, for a text that is not a definition.
     """
     if len(definition) > MOST_BYTES:
         raise DecodeError(f"{len(definition)} bytes: expected {MOST_BYTES} at most")
@@ -46,7 +45,7 @@ def types_of(name: str, definition: bytes, encoding: str) -> Typesdict:
     elif encoding == "ros2idl":
         types = {key: value for part in _idl_parts(text) for key, value in get_types_from_idl(part).items()}
     else:
-        raise DecodeError(f"is defined in {encoding or 'no language'}: expected ros2msg or ros2idl")
+        raise DecodeError(f"definition in encoding {encoding or 'none'}: expected ros2msg or ros2idl")
     stated = sum(len(constants) + len(fields) for constants, fields in types.values())
     if stated > MOST_ELEMENTS:
         raise DecodeError(f"{stated} fields and constants: expected {MOST_ELEMENTS} at most")
@@ -55,7 +54,7 @@ def types_of(name: str, definition: bytes, encoding: str) -> Typesdict:
 
 
 def _idl_parts(text: str) -> Iterator[str]:
-    """One definition a type: rosbag2 puts a rule and a line with the type's name before each."""
+    """Yield the definition of each type: rosbag2 writes a rule and a line with the type's name before each."""
     for part in text.split(_SEPARATOR):
         if part.strip():
             idl = part.partition("\n")[2] if part.startswith("IDL: ") else part
@@ -64,26 +63,26 @@ def _idl_parts(text: str) -> Iterator[str]:
 
 
 def _require_plain(idl: str) -> None:
-    """ROS 2 writes constants as plain numbers and no sequence within another."""
+    """Refuse computed constants and sequences of sequences, which ROS 2 does not write."""
     found = _IDL_COMPUTED.search(_IDL_ANNOTATION.sub(" ", _IDL_TEXT.sub(" ", idl)))
     if found is not None:
-        raise DecodeError(f"{found[0]!r} in the IDL: expected plain constants, and no sequence of sequences")
+        raise DecodeError(f"{found[0]!r} in the IDL: expected plain constants and no nested sequences")
 
 
 def _count(name: str, types: Typesdict, within: tuple[str, ...]) -> int:
-    """What is read one by one for a message of this type: fields, those of the messages in it and in fixed arrays."""
+    """Return the number of values that are read one by one: all fields, with fixed arrays multiplied out."""
     if name not in types:
-        raise DecodeError(f"lacks {name!r}")
+        raise DecodeError(f"type {name!r} is not defined")
     if name in within:
-        raise DecodeError(f"{name} is made of itself")
+        raise DecodeError(f"{name} contains itself")
     if len(within) >= DEEPEST:
-        raise DecodeError(f"types within types: expected {DEEPEST} levels at most")
+        raise DecodeError(f"nested types: expected {DEEPEST} levels at most")
     number = 1
     for field, kind in types[name][1]:
         number += _count_field(f"{name}.{field}", kind, types, (*within, name))
-        # Counted up to here only: types within types multiply, and looking at them all would take as long as reading.
+        # stop here: nested types multiply, and counting all of them would take too long
         if number > MOST_ELEMENTS:
-            raise DecodeError(f"{name} has more than {MOST_ELEMENTS} elements, fixed arrays multiplied out")
+            raise DecodeError(f"{name} has too many elements: expected {MOST_ELEMENTS} at most")
     return number
 
 
@@ -95,13 +94,13 @@ def _count_field(field: str, kind: FieldDesc, types: Typesdict, within: tuple[st
     item, length = kind[1]
     fixed = kind[0] == Nodetype.ARRAY
     if fixed and not 1 <= int(length) <= _LONGEST_ARRAY:
-        raise DecodeError(f"{field} is an array of {brief(length)}")
+        raise DecodeError(f"{field} is an array of length {brief(length)}: expected 1 to {_LONGEST_ARRAY}")
     each = _count(str(item[1]), types, within) if item[0] == Nodetype.NAME else 1
     unrolled = fixed and (item[0] == Nodetype.NAME or item[1][0] == "string")
     return each * int(length) if unrolled else each
 
 
-def brief(words: object) -> str:
-    """One line of at most 200 characters of what somebody else's code says."""
-    line = " ".join(str(words).split())
+def brief(text: object) -> str:
+    """Return a library's text as one line of at most 200 characters."""
+    line = " ".join(str(text).split())
     return line if len(line) <= 200 else f"{line[:199]}…"

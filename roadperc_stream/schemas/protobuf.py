@@ -1,4 +1,4 @@
-"""Protobuf messages in a log: self-describing schemas, stamps, fields that may be absent."""
+"""Schemas, stamps and optional fields of protobuf messages."""
 
 from functools import cache
 from typing import Any, Final
@@ -24,17 +24,17 @@ _LARGEST: Final = float(np.finfo(np.float32).max)
 
 
 def require_finite(what: str, *values: float | None) -> None:
-    """Refuse numbers that are not finite; None is unknown.
+    """Check that numbers are finite in 32 bits; None is unknown.
 
     Raises:
-        DecodeError: one is NaN, infinite, or larger than the 32 bits hold in which it is computed with and shown.
+        DecodeError: one is NaN, infinite, or too large for the 32-bit floats of the chain and the viewer.
     """
     if not all(abs(value) <= _LARGEST for value in values if value is not None):
         raise DecodeError(f"{what}: a number is not finite in 32 bits")
 
 
 def optional(message: Any, name: str) -> Any:
-    """A field of a protobuf message; None where it is not set."""
+    """Return a field of a protobuf message; None if it is not set."""
     return getattr(message, name) if message.HasField(name) else None
 
 
@@ -63,13 +63,13 @@ MESSAGE_TYPES: Final[dict[str, type[ProtobufMessage]]] = {
 
 @cache
 def schema_data(name: str) -> bytes:
-    """The FileDescriptorSet that lets any reader decode messages of this type."""
+    """Return the FileDescriptorSet of a message type, so that every reader can decode it."""
     data: bytes = build_file_descriptor_set(MESSAGE_TYPES[name]).SerializeToString(deterministic=True)
     return data
 
 
 def stamp_ns(timestamp: Any) -> int:
-    """Integer nanoseconds of a google.protobuf.Timestamp."""
+    """Return integer nanoseconds of a google.protobuf.Timestamp."""
     return int(timestamp.seconds) * NS_PER_S + int(timestamp.nanos)
 
 

@@ -1,51 +1,50 @@
-"""Names of the metadata and attachments of a result, which identify it and its origin."""
+"""Names of the metadata and attachments of a result."""
 
 from typing import Final
 
 PRODUCER: Final = ("producer", "roadperc")
-"""Channel metadata by which a later replay knows the results of an earlier one."""
+"""Channel metadata that marks results."""
 TAG_TABLE_KEY: Final = "tag_table"
-"""Names the table of a channel's tags: in the channel's metadata, or, where its recorder did not, in a result's record
-of how it came about."""
+"""Key of the tag table: in the metadata of a channel of tags, or in the replay record if the user named the table."""
 CONVERSION_RECORD: Final = "roadperc_convert"
 """Metadata record of a log that ``roadperc-convert`` wrote."""
 PIXEL_ORIGIN_KEY: Final = "pixel_origin"
 METADATA_RECORD: Final = "roadperc"
-"""Metadata record of a result: how it came about."""
+"""The replay record: a result's metadata record with its version, seed, counts and digest."""
 VERSION_KEY: Final = "version"
 SEED_KEY: Final = "seed"
 DIGEST_KEY: Final = "digest"
-"""Of the input's messages that were replayed."""
+"""Digest of the replayed input messages."""
 DIGEST_ALGORITHM_KEY: Final = "digest_algorithm"
-"""What that digest, and with it ``log_id``, was made by: in that record and in the tables' footers."""
+"""Algorithm of the digest and of ``log_id``, in the replay record and in the tables' footers."""
 FIRST_DIGEST_ALGORITHM: Final = "sha256"
-"""Of results that do not say."""
+"""Algorithm of results that do not name one."""
 FRAMES_KEY: Final = "frames"
 END_KEY: Final = "end_ns"
-"""In that record of a part that was cut off a log: the log time at which the rest of the drive begins.
+"""In the replay record of a cut log: the log time at which the rest of the log begins.
 
-Messages behind it are late ones of earlier frames."""
+Messages after it are late ones of earlier frames."""
 TOPIC_KEY: Final = "topic."
-"""Keys of that record which begin so name a role, and the topic that was chosen for it."""
+"""Prefix of keys in the replay record: the role follows, and the value is its chosen topic."""
 DROPPED_KEY: Final = "dropped."
-"""Keys of that record which begin so name a role, and how many of its messages belonged to no frame."""
+"""Prefix of keys in the replay record: the role follows, and the value is the number of its messages in no frame."""
 CONFIG_ATTACHMENT: Final = "roadperc.toml"
-"""Attachment of a result: the whole configuration."""
+"""Attachment of a result: the resolved configuration."""
 STATE_ATTACHMENT: Final = "roadperc.state"
-"""Attachment of a result: what the replay of the next part of the drive needs of it."""
+"""Attachment of a result: the state for a continued replay."""
 BEGIN_ATTACHMENT: Final = "roadperc.state.begin"
-"""Attachment of a result that went on from an earlier part, or was warmed up: the state it began with."""
+"""Attachment of a continued or warmed-up result: the state that it began with."""
 OWN_ATTACHMENTS: Final = (CONFIG_ATTACHMENT, STATE_ATTACHMENT, BEGIN_ATTACHMENT)
-"""Attachments that a replay replaces: those of an input are not copied."""
+"""Attachments that a replay writes; those of an input are not copied."""
 CONTINUES_KEY: Final = "continues"
-"""In that record, and in the tables' footers: the log_id of the part of the drive that this one goes on from."""
+"""In the replay record and the tables' footers: the log_id of the continued result."""
 LOG_ID_KEY: Final = "log_id"
-"""In the tables' footers, so that it is known without a row."""
+"""In the tables' footers, so that tables without rows have it too."""
 FIRST_FRAME_KEY: Final = "first_frame"
-"""In the tables' footers of a part that goes on from another: number of its first frame. The part before may have given
-that frame and later ones as well, incomplete: they do not count."""
+"""In the tables' footers of a continued replay: number of its first frame. The continued result may have this frame and
+later ones too, incomplete; they do not count."""
 
 
 def log_id_of(digest: str) -> str:
-    """The first digits of the digest of all input messages: name the log in every table."""
+    """Return the log's name in every table: the first digits of the digest of its messages."""
     return digest[:16]

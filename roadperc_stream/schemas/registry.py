@@ -1,4 +1,4 @@
-"""The definition of every schema that this project writes, by its name."""
+"""Definitions of the schemas that this project writes."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ from roadperc_stream.schemas.protobuf import schema_data
 
 @dataclass(frozen=True)
 class Schema:
-    """Name, encoding and definition, as a log stores them."""
+    """Name, encodings and definition of a schema, as a log stores them."""
 
     name: str
     message_encoding: str
@@ -17,7 +17,7 @@ class Schema:
 
 
 def schema(name: str) -> Schema:
-    """Schema of any message this project writes."""
+    """Return the schema with this name."""
     if name in ros2.DEFINITIONS:
         return Schema(name, "cdr", "ros2msg", ros2.DEFINITIONS[name])
     return Schema(name, "protobuf", "protobuf", schema_data(name))

@@ -1,4 +1,4 @@
-"""What an input channel can be for, and the topic and schema that the contract gives each role."""
+"""The roles of input channels, with the default topic and schema of each."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ Kind = Literal[
 
 @dataclass(frozen=True)
 class Role:
-    """What an input channel is for."""
+    """The role of an input channel."""
 
     name: str
     topic: str
@@ -62,10 +62,10 @@ ROLES: Final = {
 }
 
 REFERENCE_ROLES: Final = ("image", "left", "depth", "segmentation")
-"""One frame per message of the first of these roles that a log has a topic for."""
+"""Each message of the first of these roles in the log makes one frame."""
 
 LATCHED_KINDS: Final = ("calibration", "tf")
-"""Kinds whose messages hold until replaced."""
+"""Kinds whose messages hold until they are replaced."""
 SHARED_KINDS: Final = ("tf",)
 """Kinds whose topic may carry several channels."""
 CARLA_BRIDGE: Final = "/carla/"
@@ -84,10 +84,10 @@ CARLA_TOPICS: Final = {
 
 
 def parse_topic_options(options: Iterable[str]) -> dict[str, str]:
-    """``role=/topic`` options as a mapping.
+    """Return the topic of each role in ``role=/topic`` options.
 
     Raises:
-        ChannelError: not of that form, or a role that does not exist.
+        ChannelError: an option has another form, or its role does not exist.
     """
     mapping = {}
     for option in options:
@@ -100,14 +100,14 @@ def parse_topic_options(options: Iterable[str]) -> dict[str, str]:
 
 
 def require_role(role: str, where: str) -> None:
-    """Refuse a role that does not exist.
+    """Check that a role exists.
 
     Args:
         role: its name.
-        where: what the message of the error begins with.
+        where: start of the error message.
 
     Raises:
-        ChannelError: there is no such role.
+        ChannelError: it does not exist.
     """
     if role not in ROLES:
         raise ChannelError(f"{where}: no role {role!r}; roles: {', '.join(ROLES)}")

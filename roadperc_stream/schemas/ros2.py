@@ -1,4 +1,4 @@
-"""ROS 2 messages that this project writes: depth images and occupancy grids."""
+"""Encodes the ROS 2 messages that this project writes: depth images and occupancy grids."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -80,10 +80,10 @@ class RosImage:
 
 
 def pack_occupancy_grid(stamp_ns: int, frame_id: str, grid: Occupancy) -> bytes:
-    """CDR bytes of a grid whose axes are those of its frame, columns along x and rows along y.
+    """Return CDR bytes of a grid along the axes of its frame: columns along x, rows along y.
 
     Raises:
-        LogError: its stamp has no place in a ROS 2 message.
+        LogError: a ROS 2 message cannot hold its stamp.
     """
     layout = cdr.layout_of(OCCUPANCY_GRID, OCCUPANCY_GRID_DEFINITION)
     types = layout.types
@@ -97,10 +97,10 @@ def pack_occupancy_grid(stamp_ns: int, frame_id: str, grid: Occupancy) -> bytes:
 
 
 def pack_image(image: RosImage) -> bytes:
-    """CDR bytes of a single-channel image.
+    """Return CDR bytes of a single-channel image.
 
     Raises:
-        LogError: its stamp has no place in a ROS 2 message.
+        LogError: a ROS 2 message cannot hold its stamp.
     """
     layout = cdr.layout_of(IMAGE, IMAGE_DEFINITION)
     height, width = image.pixels.shape
@@ -117,10 +117,10 @@ def pack_image(image: RosImage) -> bytes:
 
 
 def unpack_header(data: bytes, name: str) -> tuple[int, str]:
-    """Stamp in nanoseconds and frame_id of a message of this module's.
+    """Return stamp in nanoseconds and frame_id of a message that this module encoded.
 
     Raises:
-        DecodeError: the bytes are no such message.
+        DecodeError: the bytes are not such a message.
     """
     header = cdr.read(data, name, DEFINITIONS[name]).header
     return cdr.stamp_ns(header.stamp), header.frame_id
@@ -129,7 +129,7 @@ def unpack_header(data: bytes, name: str) -> tuple[int, str]:
 def _header(types: Mapping[str, Any], stamp_ns: int, frame_id: str) -> Any:
     if stamp_ns > LAST_ROS_STAMP_NS:
         raise LogError(
-            f"stamp {stamp_ns} ns: expected at most {LAST_ROS_STAMP_NS} ns, the last one ROS 2 messages hold"
+            f"stamp {stamp_ns} ns: expected at most {LAST_ROS_STAMP_NS} ns, the largest stamp of a ROS 2 message"
         )
     stamp = types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, NS_PER_S))
     return types["std_msgs/msg/Header"](stamp, frame_id)

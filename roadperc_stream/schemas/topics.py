@@ -1,4 +1,4 @@
-"""Names of stages, of topics, and of the schemas of the results."""
+"""Names of stages, topics, and schemas of results."""
 
 from collections.abc import Collection, Mapping
 from typing import Final, Literal
@@ -11,20 +11,20 @@ ROS_GRID_SCHEMA: Final = "nav_msgs/msg/OccupancyGrid"
 
 
 STAGES: Final = ("stereo", "surface", "odometry", "lanes", "objects", "occupancy")
-"""Stages in the order in which they run; each has a section in the configuration."""
+"""Stages in the order of execution; each has a section in the configuration."""
 NEEDS: Final = {"odometry": ("surface",), "lanes": ("surface",), "occupancy": ("surface",)}
-"""What stages need of others: odometry without depth has its scale from the road."""
+"""Stages that a stage needs. Without depth, odometry takes its scale from the road."""
 
 
 def switched_off(stage: str) -> str:
-    """The setting that switches a stage off."""
+    """Return the setting that switches a stage off."""
     return "stereo.method=off" if stage == "stereo" else f"{stage}.enabled=false"
 
 
 RESULT_PREFIX: Final = "/perception/"
-"""How the topics of results begin."""
+"""Prefix of the topics of results."""
 DEBUG_PREFIX: Final = "/perception/debug/"
-"""How the topics of the pictures begin that show what a stage did."""
+"""Prefix of the topics of pictures that show intermediate results of a stage."""
 SURFACE_TOPIC: Final = "/perception/surface"
 DRIVABLE_TOPIC: Final = "/perception/drivable"
 DRIVABLE_SCENE_TOPIC: Final = "/perception/drivable/scene"
@@ -68,7 +68,7 @@ RESULTS: Final[Mapping[str, str]] = {
     METRICS_TOPIC: "roadperc.FrameMetrics",
     LOG_TOPIC: "foxglove.Log",
 }
-"""Result topics and their schemas, in the order in which their channels are registered."""
+"""Result topics and their schemas, in the order of registration."""
 
 Request = Literal["overlay", "debug"]
 ON_REQUEST: Final[Mapping[str, Request]] = {
@@ -78,13 +78,12 @@ ON_REQUEST: Final[Mapping[str, Request]] = {
     DEBUG_TEMPLATE_TOPIC: "debug",
     DEBUG_DISPARITY_TOPIC: "debug",
 }
-"""Topics of pictures, foxglove.CompressedImage all, that are made only where somebody asks for them, and for what."""
+"""Topics of pictures (foxglove.CompressedImage) that are made on request, with the name of the request."""
 
 LIVE_ONLY: Final[Mapping[str, str]] = {TIMES_TOPIC: "roadperc.StageTimes"}
-"""Topics that a live server adds to those of the log: a log of the same input is the same bytes every time, and the
-times of its stages are not."""
+"""Topics that only a live server publishes: stage times differ between replays, and a log's bytes must not."""
 
 
 def result_schemas(requests: Collection[Request]) -> dict[str, str]:
-    """Topics and schemas of a replay's results, those on request among them."""
+    """Return topics and schemas of a replay's results, including the requested pictures."""
     return dict(RESULTS) | {topic: IMAGE_SCHEMA for topic, request in ON_REQUEST.items() if request in requests}

@@ -30,7 +30,7 @@ def test_millimetres_may_begin_at_an_odd_byte():
     np.testing.assert_array_equal(images.depth_from_mm(depth_mm), depth_mm * np.float32(0.001))
 
 
-def test_every_millimetre_comes_back_and_what_lies_between_two_is_rounded_to_even():
+def test_depth_is_rounded_to_millimetres():
     depth_mm = np.arange(1 << 16, dtype=np.uint16).reshape(256, -1)
     depth_m = images.depth_from_mm(depth_mm)
     np.testing.assert_array_equal(images.depth_to_mm(depth_m), depth_mm)
@@ -44,7 +44,7 @@ MASKS = arrays(np.bool_, hnp.array_shapes(min_dims=2, max_dims=2, max_side=40))
 
 
 @given(MASKS)
-def test_every_reader_finds_its_pixels(mask):
+def test_every_reader_decodes_the_mask(mask):
     data = encode_mask(mask, (BLACK, BLUE))
 
     np.testing.assert_array_equal(images.decode_indices(data), mask)
@@ -53,7 +53,7 @@ def test_every_reader_finds_its_pixels(mask):
 
 
 @given(MASKS, st.tuples(*[st.integers(0, 255)] * 3))
-def test_it_is_a_palette_of_two_colours_with_a_bit_a_pixel(mask, colour):
+def test_a_mask_is_a_palette_with_one_bit_a_pixel(mask, colour):
     data = encode_mask(mask, (BLACK, colour))
 
     with PillowImage.open(io.BytesIO(data)) as image:
@@ -64,7 +64,7 @@ def test_it_is_a_palette_of_two_colours_with_a_bit_a_pixel(mask, colour):
     assert data[24:26] == b"\x01\x03", "bits a pixel, and kind of colours"
 
 
-def test_a_mask_in_any_order_of_memory_is_the_same_file():
+def test_the_memory_order_of_a_mask_does_not_matter():
     mask = np.arange(35).reshape(5, 7) % 3 == 0
 
     assert encode_mask(np.asfortranarray(mask), (BLACK, BLUE)) == encode_mask(mask, (BLACK, BLUE))

@@ -1,4 +1,4 @@
-"""PNGs read without OpenCV and Pillow, against what those read of the same bytes: pixels, or the same error."""
+"""The PNG reader gives the same pixels or errors as OpenCV and Pillow."""
 
 import io
 import struct
@@ -66,7 +66,7 @@ def plain_chunks(draw, kinds=tuple((t, bits) for t in BITS for bits in BITS[t]))
 
 
 def outcome(decode, data):
-    """Pixels with their type, or the error's words."""
+    """Return pixels with their type, or the text of the error."""
     try:
         pixels = decode(data)
     except DecodeError as error:
@@ -75,7 +75,7 @@ def outcome(decode, data):
 
 
 def assert_same_as_others(data):
-    """Read by this project and, without its kernel, by OpenCV and Pillow."""
+    """Compare this reader with OpenCV and Pillow, which read without its kernel."""
     with pytest.MonkeyPatch.context() as patched:
         found = [outcome(decode, data) for decode in DECODERS]
         patched.setattr(png, "COMPILED", False)
@@ -90,9 +90,8 @@ READ_HERE = {
 }
 
 
-@pytest.mark.parametrize("read", READ_HERE, ids=lambda read: read.__name__)
-@given(data=st.data())
-def test_what_cameras_write_needs_nobody_else(read, data):
+@given(st.sampled_from(list(READ_HERE)), st.data())
+def test_common_pngs_need_no_other_reader(read, data):
     chunks = data.draw(plain_chunks(READ_HERE[read]))
     pixels = read(file_of(chunks))
     width, height = struct.unpack_from(">II", chunks[0][1])
@@ -101,14 +100,14 @@ def test_what_cameras_write_needs_nobody_else(read, data):
 
 
 @given(plain_chunks(), st.lists(st.sampled_from(ANCILLARY), max_size=3), st.randoms(use_true_random=False))
-def test_every_kind_and_filter_with_other_chunks_anywhere(chunks, others, random):
+def test_every_kind_and_filter_with_other_chunks(chunks, others, random):
     for other in others:
         chunks.insert(random.randint(0, len(chunks)), other)
     assert_same_as_others(file_of(chunks))
 
 
-def test_what_the_reader_only_warns_of_is_no_error():
-    """Two animation controls: Pillow, which is asked for the reason, warns and reads the picture."""
+def test_a_warning_of_pillow_is_not_an_error():
+    """Two animation controls: Pillow warns and reads the image."""
     controls = [(b"acTL", struct.pack(">II", 1, 0))] * 2
     lines = zlib.compress(bytes((0, 0)))
     chunks = [header(1, 1, 1, 0), *controls, (b"IDAT", b""), (b"IDAT", lines), (b"IEND", b"")]
@@ -116,15 +115,17 @@ def test_what_the_reader_only_warns_of_is_no_error():
     assert_same_as_others(file_of(chunks[:4]))
 
 
-@pytest.mark.parametrize("size", [0, 1, 3, 4, 6, 765, 767, 768, 769, 771, 10_000])
-@given(chunks=plain_chunks(tuple((3, bits) for bits in BITS[3])))
+@given(
+    chunks=plain_chunks(tuple((3, bits) for bits in BITS[3])),
+    size=st.sampled_from((0, 1, 3, 4, 6, 765, 767, 768, 769, 771, 10_000)),
+)
 def test_palettes_of_any_size(chunks, size):
     palette = (b"PLTE", bytes(k % 256 for k in range(size)))
     assert_same_as_others(file_of([palette if chunk == PALETTE else chunk for chunk in chunks]))
 
 
 @given(plain_chunks(), st.integers(0, 5), st.integers(0, 5))
-def test_chunks_missing_twice_or_out_of_order(chunks, one, other):
+def test_missing_repeated_or_reordered_chunks(chunks, one, other):
     chunks = list(chunks)
     chunks[one % len(chunks)] = chunks[other % len(chunks)]
     assert_same_as_others(file_of(chunks))
@@ -135,13 +136,13 @@ def test_chunks_missing_twice_or_out_of_order(chunks, one, other):
 def test_a_changed_byte_anywhere(chunks, data):
     whole = bytearray(file_of(chunks))
     at = data.draw(st.integers(0, len(whole) - 1))
-    assume(at not in [len(file_of(chunks[:n])) for n in range(len(chunks))])  # OpenCV takes the gigabytes of a length
+    assume(at not in [len(file_of(chunks[:n])) for n in range(len(chunks))])  # OpenCV allocates any declared length
     whole[at] ^= data.draw(st.integers(1, 255))
     assert_same_as_others(bytes(whole))
 
 
 @given(plain_chunks(), st.data())
-def test_a_changed_byte_with_a_right_checksum(chunks, data):
+def test_a_changed_byte_with_a_correct_crc(chunks, data):
     at = data.draw(st.integers(0, len(chunks) - 1))
     name, content = chunks[at]
     assume(content and name != b"PLTE")
@@ -153,24 +154,23 @@ def test_a_changed_byte_with_a_right_checksum(chunks, data):
 
 
 @given(plain_chunks(), st.data())
-def test_cut_and_continued_files(chunks, data):
+def test_cut_and_extended_files(chunks, data):
     whole = file_of(chunks)
     assert_same_as_others(whole[: data.draw(st.integers(0, len(whole)))])
     assert_same_as_others(whole + data.draw(st.binary(min_size=1, max_size=20)))
 
 
 @given(plain_chunks(), st.integers(-3, 3).filter(bool), st.integers(0, 9))
-def test_more_or_fewer_lines_than_the_header_says(chunks, rows, level):
+def test_more_or_fewer_lines_than_declared(chunks, rows, level):
     width, height, *rest = struct.unpack(">IIBBBBB", chunks[0][1])
     assert_same_as_others(
         file_of([(b"IHDR", struct.pack(">IIBBBBB", width, max(height + rows, 0), *rest)), *chunks[1:]])
     )
 
 
-@pytest.mark.parametrize("window_bits", range(9, 16))
-@pytest.mark.parametrize("declared", range(9))
+@given(window_bits=st.integers(9, 15), declared=st.integers(0, 8))
 def test_a_stream_of_every_window(window_bits, declared):
-    """Also one that looks back farther than it says: zlib refuses it."""
+    """zlib refuses a stream that looks back farther than its declared window."""
     rows = np.random.default_rng(1).integers(0, 256, (40, 1 + 3 * 100), dtype=np.uint8)
     rows[:, 0] = 0
     rows[20:] = rows[:20]  # 6020 bytes back
@@ -181,9 +181,13 @@ def test_a_stream_of_every_window(window_bits, declared):
     assert_same_as_others(file_of([header(100, 40, 8, 2), (b"IDAT", bytes(stream)), (b"IEND", b"")]))
 
 
-@pytest.mark.parametrize("mode", ["1", "L", "LA", "P", "RGB", "RGBA", "I;16"])
-@given(pixels=arrays(np.uint8, st.tuples(SIDES, SIDES)), bits=st.sampled_from((1, 2, 4, 8)), optimize=st.booleans())
-def test_what_pillow_writes(mode, pixels, bits, optimize):
+@given(
+    mode=st.sampled_from(("1", "L", "LA", "P", "RGB", "RGBA", "I;16")),
+    pixels=arrays(np.uint8, st.tuples(SIDES, SIDES)),
+    bits=st.sampled_from((1, 2, 4, 8)),
+    optimize=st.booleans(),
+)
+def test_pngs_of_pillow(mode, pixels, bits, optimize):
     image = PillowImage.fromarray(pixels & ((1 << bits) - 1), "L")
     if mode == "P":
         image.putpalette(bytes(range(256)) * 3)
@@ -202,7 +206,7 @@ def test_other_methods_and_interlaced_pixels(methods, colour_type):
 
 
 @pytest.mark.parametrize("size", [(0, 1), (1, 0), (0, 0), (1 << 14, 1), (1, (1 << 14) + 1), (1 << 31, 1), (9999, 9999)])
-def test_a_claimed_size_without_pixels(size):
+def test_a_declared_size_without_pixels(size):
     content = (b"IDAT", zlib.compress(bytes(10)))
     assert_same_as_others(file_of([header(*size, 8, 2), content, (b"IEND", b"")]))
 
@@ -215,7 +219,7 @@ def test_any_bytes(data):
     assert_same_as_others(png.MAGIC + data)
 
 
-def test_a_stream_that_inflates_beyond_its_header_takes_no_memory():
+def test_an_oversized_stream_takes_no_memory():
     """Megabytes of zeros behind a header of one pixel."""
     compressor = zlib.compressobj(9)
     stream = b"".join(compressor.compress(bytes(1 << 20)) for _ in range(64)) + compressor.flush()

@@ -55,7 +55,7 @@ def records(dtype=np.float32, count=4):
 
 
 @given(hnp.arrays(np.float32, st.tuples(st.integers(0, 20), st.sampled_from([3, 4])), elements=st.floats(width=32)))
-def test_what_is_written_is_read_but_for_points_that_are_not_finite(points):
+def test_written_points_are_read(points):
     expected = points[np.isfinite(points[:, :3]).all(axis=1), :3]
     np.testing.assert_array_equal(read(encode_points(STAMP, "lidar", points)).points_m, expected)
 
@@ -78,7 +78,7 @@ def test_fields_lie_anywhere_in_a_point(order, gap, random):
     np.testing.assert_array_equal(read(cloud(made, order)).points_m, [(1, -2, 3)] * 3)
 
 
-def test_the_pose_places_the_points():
+def test_points_are_transformed_by_their_pose():
     message = PointCloudProto.FromString(encode_points(STAMP, "lidar", np.array([[1, 0, 0]], np.float32)))
     x, y, z, w = quaternion(rotation_from_rpy(0.0, 0.0, np.pi / 2))
     message.pose.orientation.x, message.pose.orientation.y = x, y
@@ -88,14 +88,14 @@ def test_the_pose_places_the_points():
 
 
 @pytest.mark.parametrize("length", [1e300, 1e-300, 5e-324, 1.7e308, 3.0])
-def test_the_length_of_a_poses_quaternion_does_not_matter(length):
+def test_the_length_of_the_quaternion_does_not_matter(length):
     message = PointCloudProto.FromString(encode_points(STAMP, "lidar", np.array([[1, 2, 3]], np.float32)))
     message.pose.orientation.z = message.pose.orientation.w = length
     np.testing.assert_allclose(read(message).points_m, [(-2, 1, 3)], atol=1e-6)
 
 
 @pytest.mark.parametrize("w", [0.0, np.nan, np.inf])
-def test_a_quaternion_that_is_no_rotation_is_named(w):
+def test_an_invalid_quaternion_is_an_error(w):
     message = PointCloudProto.FromString(encode_points(STAMP, "lidar", np.array([[1, 2, 3]], np.float32)))
     message.pose.orientation.w = w
     with pytest.raises(DecodeError, match=rf"pose without an orientation: quaternion \(0, 0, 0, {w:g}\)"):
@@ -107,7 +107,7 @@ def test_points_that_are_not_finite_are_counted():
     assert (points.points_m.tolist(), points.left_out) == ([[1, 2, 3]], 2)
 
 
-def test_a_cloud_without_a_pose_or_without_points_is_one():
+def test_a_cloud_without_a_pose_or_points_is_read():
     assert read(cloud(records(count=0))).points_m.shape == (0, 3)
     assert read(cloud(records())).frame_id == "lidar"
 
@@ -134,19 +134,19 @@ FIELD = PackedElementField(name="x", offset=0, type=PackedElementField.FLOAT32)
         (lying(pose={"position": {"x": np.nan}, "orientation": {"w": 1.0}}), "pose: a number is not finite"),
     ],
 )
-def test_what_a_message_lacks_is_said_when_its_points_are_asked_for(message, fault):
+def test_missing_fields_are_reported_when_points_are_read(message, fault):
     points = read(message)
     with pytest.raises(DecodeError, match=fault):
         _ = points.points_m
 
 
-def test_bytes_that_are_no_message_are_refused():
+def test_invalid_bytes_are_refused():
     with pytest.raises(DecodeError, match=r"3 bytes are no foxglove\.PointCloud"):
         read(b"\xff\xff\xff")
 
 
 @given(st.binary(max_size=64), st.integers(0, 2**32 - 1), st.integers(0, 2**32 - 1), st.integers(0, 9))
-def test_no_message_breaks_more_than_itself(data, stride, offset, kind):
+def test_any_message_gives_points_or_one_error(data, stride, offset, kind):
     fields = [PackedElementField(name=name, offset=offset, type=kind) for name in "xyz"]
     try:
         assert read(PointCloudProto(point_stride=stride, fields=fields, data=data)).points_m.shape[1] == 3

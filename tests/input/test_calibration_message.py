@@ -59,7 +59,7 @@ def changed(camera=PLAIN, **entries):
         ({6: -5000.0}, "cy -5000: expected at most 4800 pixels from 0 in an image of 480"),
     ],
 )
-def test_numbers_that_are_no_cameras_are_refused(entries, fault):
+def test_impossible_intrinsics_are_refused(entries, fault):
     with pytest.raises(DecodeError, match=re.escape(f"calibration of 'right': {fault}")):
         camera_from_calibration(changed(P=entries))
     without_P = changed(K={{5: 4, 6: 5}.get(at, at): value for at, value in entries.items()})
@@ -69,7 +69,7 @@ def test_numbers_that_are_no_cameras_are_refused(entries, fault):
 
 
 @pytest.mark.parametrize("K", [{0: np.nan}, {0: -1.0}, {0: 1e-30}, {4: 0.0}, {2: np.inf}, {5: np.nan}])
-def test_a_lens_that_is_none_costs_only_its_rectification(K):
+def test_an_impossible_lens_only_prevents_rectification(K):
     """P stays: the image is one of that camera, and who must rectify it says why that cannot be done."""
     camera = camera_from_calibration(changed(K=K))
     assert (camera.fx, camera.cy) == (PLAIN.fx, PLAIN.cy)
@@ -77,7 +77,7 @@ def test_a_lens_that_is_none_costs_only_its_rectification(K):
 
 
 @pytest.mark.parametrize("entries", [{"D": {1: np.nan}}, {"R": {8: np.nan}}, {"K": {0: np.nan}}])
-def test_messages_that_say_the_same_nonsense_are_equal_cameras(entries):
+def test_equal_invalid_messages_give_equal_cameras(entries):
     lens = replace(PLAIN, distortion=DISTORTION, lens=Lens(310.0, 311.0, 318.0, 241.0, TURN, "plumb_bob"))
     first, second = (camera_from_calibration(changed(lens, **entries)) for _ in range(2))
     assert repr(first) == repr(second)

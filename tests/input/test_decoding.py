@@ -45,7 +45,7 @@ def test_a_rotation_without_length_is_refused():
         read("tf", "foxglove.FrameTransforms", broken)
 
 
-def test_boundaries_of_no_known_side_are_left_out():
+def test_boundaries_of_an_unknown_side_are_left_out():
     message = pb.Lanes(boundaries=[pb.Boundary(side=7), pb.Boundary(side=-1), pb.Boundary(side=2, offset_m=-1.5)])
     lanes = read("lanes", "roadperc.Lanes", message.SerializeToString()).payload
     assert [(b.side, b.offset_m) for b in lanes.boundaries] == [("right", -1.5)]
@@ -60,11 +60,11 @@ def test_a_stamp_beyond_64_bits_is_refused():
         read("detections", "roadperc.Detections", b"", log_time_ns=2**64 - 1)
 
 
-def test_without_a_stamp_of_its_own_the_log_time_counts():
+def test_a_message_without_a_stamp_gets_its_log_time():
     assert read("detections", "roadperc.Detections", b"", log_time_ns=77).stamp_ns == 77
 
 
-def test_lanes_come_back():
+def test_lanes_survive_a_round_trip():
     line = np.array([[0.0, 1.8, 0.0], [1.0, 1.8, 0.0]])
     lanes = Lanes((Boundary("left", "measured", None, None, 1.8, 0.1, 0.01, line_ego_m=line, outside="road"),))
     back = read("lanes", "roadperc.Lanes", encoding.encode_lanes(STAMP, "c", lanes)).payload.side("left")
@@ -92,7 +92,7 @@ GREY = PillowImage.fromarray(np.arange(64, dtype=np.uint8).reshape(8, 8))
     ],
     ids=["jpeg", "gif", "rgb", "cut", "empty"],
 )
-def test_tags_are_read_from_nothing_but_a_png_of_indices(data, words):
+def test_tags_are_read_only_from_indexed_pngs(data, words):
     with pytest.raises(DecodeError, match=words) as caught:
         images.decode_indices(data)
     assert "0x" not in str(caught.value), "an address would differ from run to run"
@@ -108,11 +108,6 @@ def test_a_header_that_claims_a_huge_image_is_refused(decoder, side):
         decoder(bytes(data))
 
 
-def test_indices_come_back():
-    tags = np.arange(64, dtype=np.uint8).reshape(8, 8) % 23
-    np.testing.assert_array_equal(images.decode_indices(images.encode_indices(tags, TABLE.colours)), tags)
-
-
 def test_set_stamp_keeps_nanoseconds():
     message = pb.Detections()
     set_stamp(message, STAMP + 123_456_789)
@@ -126,7 +121,7 @@ def surface(**grid):
     return read("surface", "roadperc.Surface", message.SerializeToString()).payload
 
 
-def test_a_height_grid_comes_back():
+def test_a_height_grid_survives_a_round_trip():
     grid = surface().height_grid
     assert (grid.x_min_m, grid.y_min_m, grid.step_m) == (2.0, -1.0, 0.5)
     np.testing.assert_array_equal(grid.z_m, [[0, 1, 2], [3, 4, 5]])
@@ -151,12 +146,12 @@ def test_a_height_grid_comes_back():
     ],
     ids=str,
 )
-def test_a_height_grid_that_is_none_is_refused(grid, words):
+def test_an_invalid_height_grid_is_refused(grid, words):
     with pytest.raises(DecodeError, match=f"height grid: .*{words}"):
         surface(**grid)
 
 
-def test_a_normal_beyond_any_is_refused_without_a_warning():
+def test_an_infinite_normal_is_refused_without_a_warning():
     message = pb.Surface(normal=pb.Vector3(z=-1e308))
     with pytest.raises(DecodeError, match="surface: a number is not finite in 32 bits"):
         read("surface", "roadperc.Surface", message.SerializeToString())

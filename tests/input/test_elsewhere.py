@@ -1,4 +1,4 @@
-"""Logs of other recorders: the same frames as the sample's in a ROS 2 bag give the same metrics."""
+"""A ROS 2 bag with the frames of the sample gives the same metrics."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -31,7 +31,7 @@ from tests.replaying import replay
 from tests.resume.parts import write
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
-FRAMES = 8
+FRAMES = 5
 CFG = load_config()
 TOPICS = {
     "/camera/front/image": "rgb_front/image",
@@ -47,7 +47,7 @@ EGO = {"ego": "ego_vehicle"}
 
 @pytest.fixture(scope="module")
 def recorded():
-    """The sample's first frames, as far as ROS has messages for them."""
+    """The messages of the sample's first frames that ROS has a type for."""
     messages = [m for m in log.read(log.summarise(SAMPLE)) if m.channel.topic in TOPICS]
     times = sorted({m.log_time_ns for m in messages})
     return [m for m in messages if m.log_time_ns <= times[FRAMES - 1]]
@@ -63,7 +63,7 @@ def in_metres(message):
 
 
 def in_ros(message, colours):
-    """(type, message) of one of the sample's, as CARLA's bridge and a detector would publish it."""
+    """Return (type, message) of a message of the sample, as the CARLA bridge and a detector publish it."""
     topic, data = message.channel.topic, message.data
     if topic == "/camera/front/image":
         picture = CompressedImage.FromString(data)
@@ -134,18 +134,25 @@ def rows(target, kind="metrics"):
     return table.drop(["log_id", *[c for c in table.columns if c.endswith("_ms") and c != "sync_skew_ms"]])
 
 
-@pytest.mark.parametrize(
-    ("colours", "depth", "static"),
-    [("bgra8", "16UC1", False), ("bgr8", "32FC1", True)],
-)
-def test_a_bag_of_carlas_bridge_gives_the_metrics_of_our_own_log(tmp_path, recorded, colours, depth, static):
-    messages = [in_metres(m) for m in recorded] if depth == "32FC1" else recorded
+@pytest.fixture(scope="module")
+def replayed(recorded, tmp_path_factory):
+    """A bag of the CARLA bridge, its output, and the summary of its replay."""
+    source = bag(tmp_path_factory.mktemp("bag") / "bag.mcap", recorded)
+    return source, *run(source)
+
+
+@pytest.mark.parametrize("depth", ["16UC1", "32FC1"])
+def test_a_bag_of_the_carla_bridge_gives_the_same_metrics(tmp_path, recorded, replayed, depth):
+    if depth == "32FC1":
+        messages = [in_metres(m) for m in recorded]
+        found, summary = run(bag(tmp_path / "bag.mcap", messages, "bgr8", static=True))
+    else:
+        messages, (_, found, summary) = recorded, replayed
     expected, _ = run(write(tmp_path / "ours.mcap", messages))
-    found, summary = run(bag(tmp_path / "bag.mcap", messages, colours, static=static))
     assert summary.problems == {}
     assert summary.notes == ("role detections: /carla/ego_vehicle/detections, the only topic that fits",)
     assert rows(found).equals(rows(expected), null_equal=True)
-    # A box's centre and size are rounded: its corners come back but for the last bits.
+    # a box's centre and size are rounded, so the last bits of its corners differ
     assert_frame_equal(rows(found, "objects"), rows(expected, "objects"), abs_tol=1e-12, rel_tol=0)
     table = rows(found)
     assert table.height == FRAMES
@@ -168,7 +175,7 @@ EGO_T_IMU = rigid(Rotation.from_euler("zyx", (90, 3, -2), degrees=True).as_matri
 
 
 def with_imu(path, messages, *, placed):
-    """A bag whose truth is the way of an inertial unit, which /tf places in the vehicle or does not."""
+    """A bag whose truth is the pose of an inertial unit; ``placed`` adds its transform to /tf."""
     with path.open("wb") as stream:
         made = rosbag.Bag(stream)
         for message in messages:
@@ -188,30 +195,28 @@ def with_imu(path, messages, *, placed):
     return path
 
 
-def test_the_truth_may_be_the_way_of_any_frame_of_the_vehicle(tmp_path, recorded):
-    expected, _ = run(bag(tmp_path / "bag.mcap", recorded, "bgr8"))
+def test_the_true_pose_may_be_of_any_frame_of_the_vehicle(tmp_path, recorded, replayed):
     found, summary = run(with_imu(tmp_path / "imu.mcap", recorded, placed=True))
     assert not any("truth" in note for note in summary.notes)
-    assert_frame_equal(rows(found), rows(expected), abs_tol=1e-9, rel_tol=0)
+    assert_frame_equal(rows(found), rows(replayed[1]), abs_tol=1e-9, rel_tol=0)
 
 
-def test_the_way_of_a_frame_nobody_places_is_no_truth(tmp_path, recorded):
+def test_the_pose_of_an_unconnected_frame_is_not_used(tmp_path, recorded):
     found, summary = run(with_imu(tmp_path / "imu.mcap", recorded, placed=False))
     topic = "/carla/ego_vehicle/odometry"
     assert f"{topic}: no transform connects the frame of its poses with ego: not used as truth" in summary.notes
     assert rows(found)["true_x_m"].null_count() == rows(found)["step_error_m"].null_count() == FRAMES
 
 
-def test_every_message_of_a_bag_is_kept_and_its_output_gives_the_same_bytes(tmp_path, recorded):
-    source = bag(tmp_path / "bag.mcap", recorded)
-    first, _ = run(source)
+def test_every_message_of_a_bag_is_kept(replayed):
+    source, first, _ = replayed
     assert kept(first) == kept(source)
     assert log.summarise(first).profile == "ros2"
     again, _ = run(first, "again")
     assert again.read_bytes() == first.read_bytes()
 
 
-def test_two_vehicles_are_an_error_until_one_is_chosen(tmp_path, recorded, capsys):
+def test_two_vehicles_are_an_error_until_one_is_chosen(tmp_path, recorded, replayed, capsys):
     source = bag(tmp_path / "two.mcap", recorded, vehicles=("hero", "other"))
     target = tmp_path / "out.mcap"
     assert replay_main([str(source), str(target)]) == 1
@@ -221,11 +226,10 @@ def test_two_vehicles_are_an_error_until_one_is_chosen(tmp_path, recorded, capsy
     assert words in capsys.readouterr().err
     chosen = ["--topic", "image=/carla/other/rgb_front/image"]
     assert replay_main([str(source), str(target), *chosen]) == 0
-    one, _ = run(bag(tmp_path / "one.mcap", recorded, vehicles=("other",)))
-    assert rows(target).equals(rows(one), null_equal=True)
+    assert rows(target).equals(rows(replayed[1]), null_equal=True)
 
 
-def test_a_bag_without_calibration_says_what_could_be_one(tmp_path, recorded, capsys):
+def test_a_bag_without_calibration_lists_candidates(tmp_path, recorded, capsys):
     renamed = {"/camera/front/calibration": "rgb_left/camera_info"}
     source = tmp_path / "bag.mcap"
     with source.open("wb") as stream:
@@ -254,7 +258,7 @@ BROKEN = {
 }
 
 
-def test_what_cannot_be_decoded_is_missing_with_its_reason_and_kept(tmp_path, recorded):
+def test_undecodable_messages_are_missing_with_a_reason_and_kept(tmp_path, recorded):
     source = tmp_path / "bag.mcap"
     with source.open("wb") as stream:
         made = rosbag.Bag(stream)
@@ -274,7 +278,7 @@ def test_what_cannot_be_decoded_is_missing_with_its_reason_and_kept(tmp_path, re
     assert kept(target) == kept(source)
 
 
-def test_messages_that_are_cut_are_counted_and_kept(tmp_path, recorded):
+def test_cut_messages_are_counted_and_kept(tmp_path, recorded):
     whole, source = bag(tmp_path / "whole.mcap", recorded), tmp_path / "cut.mcap"
     with log.LogWriter(source) as writer:
         for k, message in enumerate(log.read(log.summarise(whole))):
@@ -288,8 +292,8 @@ def test_messages_that_are_cut_are_counted_and_kept(tmp_path, recorded):
     assert kept(target) == kept(source)
 
 
-def test_a_foreign_recording_replays_with_its_topics(data_dir, tmp_path):
-    """Its calibration is of 640x480 pixels and its images have 520x360: no stage may use them, and each says so."""
+def test_a_foreign_log_is_replayed_with_its_topics(data_dir, tmp_path):
+    """Its calibration is for 640x480 pixels but its images have 520x360, so no stage uses them."""
     source = data_dir / "mcap" / "custom-camera-model.mcap"
     target = tmp_path / "out.mcap"
     options = ["--topic", "image=/image/compressed", "--topic", "calibration=/camera_calibration/custom"]
@@ -312,5 +316,5 @@ def test_a_foreign_recording_replays_with_its_topics(data_dir, tmp_path):
     }
     assert kept(target) == kept(source)
     again = tmp_path / "again.mcap"
-    assert replay_main([str(target), str(again)]) == 0  # the result knows the topics that it was made with
+    assert replay_main([str(target), str(again)]) == 0  # the result records its topics
     assert again.read_bytes() == target.read_bytes()

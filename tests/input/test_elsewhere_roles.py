@@ -22,7 +22,7 @@ def ros(**schemas_of):
     return [Channel("/" + topic.replace("__", "/"), "cdr", schema) for topic, schema in schemas_of.items()]
 
 
-def test_the_bridges_topics_are_known():
+def test_topics_of_the_carla_bridge_are_known():
     names = {"rgb_front": IMAGE, "depth_front": IMAGE, "semantic_segmentation_front": IMAGE}
     channels = [Channel(f"/carla/hero/{name}/image", "cdr", schema) for name, schema in names.items()]
     channels += [Channel(f"/carla/hero/{name}/camera_info", "cdr", INFO) for name in names]
@@ -43,7 +43,7 @@ def test_the_bridges_topics_are_known():
     assert roles.notes == ()
 
 
-def test_a_camera_info_is_looked_for_beside_its_images():
+def test_a_camera_info_is_taken_from_the_namespace_of_its_images():
     channels = ros(
         cam0__image_raw=IMAGE, cam0__camera_info=INFO, cam1__image_raw=IMAGE, cam1__camera_info=INFO, cam1__depth=IMAGE
     )
@@ -60,7 +60,7 @@ def calibrations(channels, **overrides):
 PAIR = {"image": "/robot/cam0/color", "right": "/robot/cam1/color"}
 
 
-def test_a_pair_whose_names_say_no_side_has_each_its_own_calibration():
+def test_each_camera_of_a_pair_gets_its_own_calibration():
     channels = ros(robot__cam0__color=IMAGE, robot__cam1__color=IMAGE, robot__cam0__calib=INFO, robot__cam1__calib=INFO)
     own = {"calibration": "/robot/cam0/calib", "right_calibration": "/robot/cam1/calib"}
     assert calibrations(channels, **PAIR) == own
@@ -75,7 +75,7 @@ def test_a_pair_whose_names_say_no_side_has_each_its_own_calibration():
     )
 
 
-def test_a_left_camera_of_its_own_has_its_calibration():
+def test_a_separate_left_camera_has_its_own_calibration():
     names = {f"{camera}/{part}": kind for camera in "abc" for part, kind in (("rgb", IMAGE), ("info", INFO))}
     channels = [Channel(f"/{name}", "cdr", schema) for name, schema in names.items()]
     assert calibrations(channels, image="/a/rgb", left="/b/rgb", right="/c/rgb") == {
@@ -101,7 +101,7 @@ def test_two_calibrations_beside_a_camera_are_candidates():
     assert candidates(channels, roles.topics) == {"right_calibration": ("/b/info", "/b/info_rectified", "/c/info")}
 
 
-def test_what_is_left_over_after_another_camera_was_served_is_not_taken():
+def test_a_calibration_left_by_another_camera_is_not_taken():
     """Of three cameras in one namespace, with calibrations of two: that of the third is not the right one's."""
     channels = ros(s__a=IMAGE, s__b=IMAGE, s__c=IMAGE, s__a_info=INFO, s__c_info=INFO)
     roles = assign_roles(channels, {"image": "/s/a", "right": "/s/b", "calibration": "/s/a_info"})
@@ -109,36 +109,36 @@ def test_what_is_left_over_after_another_camera_was_served_is_not_taken():
     assert candidates(channels, roles.topics)["right_calibration"] == ("/s/c_info",)
 
 
-def test_one_calibration_beside_two_cameras_is_nobodys_until_somebody_says():
+def test_one_calibration_beside_two_cameras_is_not_assigned():
     channels = ros(s__a=IMAGE, s__b=IMAGE, s__info=INFO)
     assert calibrations(channels, image="/s/a", right="/s/b") == {}
     assert calibrations(channels, image="/s/a") == {"calibration": "/s/info"}
 
 
-def test_names_tell_calibrations_in_one_namespace_apart():
+def test_calibrations_in_one_namespace_are_distinguished_by_name():
     channels = ros(s__left_image=IMAGE, s__right_image=IMAGE, s__left_info=INFO, s__right_info=INFO)
     own = {"calibration": "/s/left_info", "right_calibration": "/s/right_info"}
     assert calibrations(channels, image="/s/left_image", right="/s/right_image") == own
 
 
-def test_a_namespace_goes_before_a_name_elsewhere():
+def test_a_namespace_counts_more_than_a_name():
     channels = ros(a__rgb=IMAGE, a__info=INFO, b__rgb=IMAGE, b__info=INFO, old__right_info=INFO)
     assert calibrations(channels, image="/a/rgb", right="/b/rgb")["right_calibration"] == "/b/info"
     channels = ros(a__rgb=IMAGE, a__info=INFO, b__rgb=IMAGE, old__right_info=INFO)
     assert calibrations(channels, image="/a/rgb", right="/b/rgb")["right_calibration"] == "/old/right_info"
 
 
-def test_topics_without_a_namespace_tell_nothing():
+def test_topics_without_a_namespace_are_not_matched():
     channels = ros(color=IMAGE, other=IMAGE, front__rgb=IMAGE, front__info=INFO, info=INFO)
     assert calibrations(channels, image="/front/rgb", right="/other") == {"calibration": "/front/info"}
 
 
-def test_compressed_images_have_their_calibration_beside_the_raw_ones():
+def test_compressed_images_use_the_calibration_of_the_raw_ones():
     channels = ros(a__rgb__compressed="sensor_msgs/msg/CompressedImage", a__info=INFO, b__info=INFO)
     assert calibrations(channels, image="/a/rgb/compressed") == {"calibration": "/a/info"}
 
 
-def test_a_depth_beside_its_image_goes_with_the_images_calibration():
+def test_depth_beside_an_image_uses_its_calibration():
     channels = ros(cam__rgb=IMAGE, cam__range=IMAGE, cam__info=INFO)
     assert calibrations(channels, image="/cam/rgb", depth="/cam/range") == {"calibration": "/cam/info"}
     channels = ros(cam__rgb=IMAGE, tof__range=IMAGE, cam__info=INFO, tof__info=INFO)
@@ -148,18 +148,12 @@ def test_a_depth_beside_its_image_goes_with_the_images_calibration():
     }
 
 
-def test_a_depth_takes_no_calibration_that_may_be_a_pairs():
+def test_depth_does_not_take_a_calibration_of_a_pair():
     channels = ros(a__rgb=IMAGE, a__info=INFO, b__rgb=IMAGE, b__range=IMAGE, b__info=INFO)
     assert calibrations(channels, image="/a/rgb", right="/b/rgb", depth="/b/range") == {"calibration": "/a/info"}
 
 
-def test_a_depth_camera_has_its_own_calibration():
-    channels = ros(color__image=IMAGE, color__info=INFO, depth__image=IMAGE, depth__info=INFO)
-    topics = assign_roles(channels, {}).topics
-    assert (topics["calibration"], topics["depth_calibration"]) == ("/color/info", "/depth/info")
-
-
-def test_what_nobody_chose_is_listed():
+def test_unassigned_roles_are_listed():
     channels = ros(cam__image=IMAGE, cam__info=INFO, a__depth=IMAGE, b__depth=IMAGE, velodyne=CLOUD, odom=CLOUD)
     roles = assign_roles(channels, {})
     assert roles.unassigned == (
@@ -171,13 +165,13 @@ def test_what_nobody_chose_is_listed():
     assert candidates(channels, roles.topics) == {"depth": ("/a/depth", "/b/depth"), "lidar": ("/odom", "/velodyne")}
 
 
-def test_results_truths_and_what_is_used_are_no_candidates():
+def test_results_truths_and_assigned_topics_are_not_candidates():
     channels = ros(cam__image=IMAGE, odom="nav_msgs/msg/Odometry")
     channels += [Channel("/perception/stereo/depth", "cdr", IMAGE, metadata=(PRODUCER,))]
     assert candidates(channels, {"image": "/cam/image"}) == {}
 
 
-def test_where_no_name_speaks_of_images_every_image_is_a_candidate():
+def test_without_a_known_name_every_image_is_a_candidate():
     """A topic of a Segway speaks of no segmentation."""
     channels = ros(segway__left__labels__image=IMAGE)
     assert candidates(channels, {}) == {"image": ("/segway/left/labels/image",)}
@@ -232,6 +226,6 @@ def test_the_vehicles_frame_is_found_by_its_names(frame_id, edges, x_m):
     assert (None if found is None else found[0, 3]) == x_m
 
 
-def test_the_role_that_makes_the_frames():
+def test_the_reference_role():
     assert RoleAssignment({"depth": "/d", "left": "/l"}).reference == "left"
     assert RoleAssignment({"detections": "/x"}).reference is None

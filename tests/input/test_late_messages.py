@@ -14,7 +14,7 @@ from tests.resume import parts
 from tests.resume.parts import write
 from tests.test_sample import SAMPLE
 
-FRAMES = 12
+FRAMES = 8
 S, MS = 1_000_000_000, 1_000_000
 
 
@@ -30,7 +30,7 @@ def tidy(messages, tmp_path_factory):
 
 
 def replayed(folder, messages, *options):
-    """The output of a log in which messages stand in the order of their log times."""
+    """Return the output of a log with these messages in log-time order."""
     assert main([str(write(folder / "in.mcap", messages)), str(folder / "out.mcap"), *options]) == 0
     return folder / "out.mcap"
 
@@ -48,7 +48,7 @@ def delayed(messages, by_ns):
     return [replace(m, log_time_ns=m.log_time_ns + by_ns(m)) for m in messages]
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_any_delays_up_to_the_wait_give_the_same_results(seed, messages, tidy, tmp_path):
     random_numbers = random.Random(seed)
     output = replayed(tmp_path, delayed(messages, lambda _: random_numbers.randrange(S)))
@@ -59,21 +59,21 @@ def test_any_delays_up_to_the_wait_give_the_same_results(seed, messages, tidy, t
     assert results(output) == results(tidy)
 
 
-def test_an_image_beyond_the_wait_is_left_out_and_reported(messages, tidy, tmp_path, capsys):
+def test_an_image_later_than_the_wait_is_dropped_and_reported(messages, tidy, tmp_path, capsys):
     stamps = rows(tidy)["stamp_ns"].to_list()
-    late = delayed(messages, lambda m: 250 * MS * is_image(m, stamps[5]))
+    late = delayed(messages, lambda m: 250 * MS * is_image(m, stamps[3]))
     output = replayed(tmp_path, late, "--set", "sync.max_wait_s=0.1")
-    assert rows(output)["stamp_ns"].to_list() == [*stamps[:5], *stamps[6:]]
+    assert rows(output)["stamp_ns"].to_list() == [*stamps[:3], *stamps[4:]]
     assert rows(output)["odometry_status"].to_list()[1:] == ["tracked"] * (FRAMES - 2)
     said = capsys.readouterr().out
     (note,) = [line for line in said.splitlines() if "belong to no frame" in line]
     assert note.startswith("note: messages that belong to no frame: 1 on each of ")
-    assert note.endswith(f", /camera/front/image, stamp {stamps[5]} ns")
-    assert f"/camera/front/image: message with stamp {stamps[5]} ns at log time" in said
-    assert sum(is_image(m, stamps[5]) for m in log.read(log.summarise(output))) == 1  # it is copied all the same
+    assert note.endswith(f", /camera/front/image, stamp {stamps[3]} ns")
+    assert f"/camera/front/image: message with stamp {stamps[3]} ns at log time" in said
+    assert sum(is_image(m, stamps[3]) for m in log.read(log.summarise(output))) == 1  # it is copied all the same
 
 
-def test_a_log_played_twice_has_two_segments_each_from_the_beginning(messages, tidy, tmp_path):
+def test_a_log_played_twice_has_two_segments(messages, tidy, tmp_path):
     again = delayed(messages, lambda _: 60 * S)
     output = replayed(tmp_path, [*messages, *again], "--set", "sync.max_wait_s=0.2")
     found = rows(output)

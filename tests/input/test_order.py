@@ -45,19 +45,19 @@ def arriving(*stamps, role="image"):
     return [item(role, stamp, 10 * number) for number, stamp in enumerate(stamps)]
 
 
-def test_where_nothing_is_late_a_message_waits_for_the_next_image_alone():
+def test_without_lateness_a_message_waits_only_for_the_next_image():
     items = iter([item("image", t) for t in range(0, 500, 50)])
     assert next(in_stamp_order(items, CFG, None)).stamp_ns == 0
     assert next(items).stamp_ns == 100 * MS
 
 
-def test_a_late_image_comes_in_its_place():
+def test_a_late_image_is_sorted():
     items = [item("image", 0), item("image", 100), item("image", 50, 110), item("image", 150)]
     assert ordered(items) == (images(0, 50, 100, 150), [])
 
 
 @pytest.mark.parametrize(("late_ms", "comes"), [(WAIT_MS, True), (WAIT_MS + 1, False)])
-def test_how_late_a_message_may_be(late_ms, comes):
+def test_a_message_may_be_as_late_as_the_wait(late_ms, comes):
     items = [item("image", 1000), item("image", 1000 - late_ms, 1010), item("image", 1050)]
     expected = images(1000 - late_ms, 1000, 1050) if comes else images(1000, 1050)
     assert ordered(items) == (expected, [] if comes else [("image", 1000 - late_ms)])
@@ -73,12 +73,12 @@ def test_any_delay_up_to_the_wait_changes_nothing(delays_ms):
     assert [stamp for _, _, stamp in given] == sorted(stamp for _, _, stamp in given)
 
 
-def test_of_equal_stamps_what_is_latched_comes_first():
+def test_latched_messages_come_first_among_equal_stamps():
     items = [item("image", 0), item("image", 50), item("calibration", 50, 51, CAMERA), item("image", 100)]
     assert ordered(items)[0] == [*images(0), (0, "calibration", 50), *images(50, 100)]
 
 
-def test_a_calibration_that_is_too_late_holds_for_what_is_not_given_out_yet():
+def test_a_late_calibration_holds_for_waiting_frames():
     items = [*(item("image", t) for t in (0, 500, 1000)), item("calibration", 10, 1001, CAMERA), item("image", 1500)]
     assert ordered(items) == ([*images(0, 500), (0, "calibration", 10), *images(1000, 1500)], [])
 
@@ -99,11 +99,11 @@ RECORDING = range(0, 1000, 50)
     ],
     ids=["one", "two", "two that fall", "three that fall", "three that ascend", "one before three", "played thrice"],
 )
-def test_three_images_in_a_row_that_ascend_begin_a_segment_and_others_are_left_out(stamps, given, stragglers):
+def test_three_ascending_images_begin_a_segment(stamps, given, stragglers):
     assert ordered(arriving(*stamps)) == (given, [("image", stamp) for stamp in stragglers])
 
 
-def test_what_comes_before_its_first_image_belongs_to_the_new_segment_and_late_messages_to_the_old_one():
+def test_messages_around_a_segment_start_are_assigned_by_stamp():
     items = [
         *arriving(1000, 1050),
         item("depth", 0, 20),
@@ -119,7 +119,7 @@ def test_what_comes_before_its_first_image_belongs_to_the_new_segment_and_late_m
     assert left_out == []
 
 
-def test_a_sensor_without_images_is_given_out_in_time():
+def test_messages_without_images_do_not_wait_forever():
     items = (item("depth", t) for t in range(0, 100_000, 50))
     stream = in_stamp_order(items, CFG, None)
     assert next(stream).stamp_ns == 0
@@ -133,7 +133,7 @@ def test_equal_log_times_without_images_do_not_pile_up():
 
 
 @pytest.mark.parametrize("row", [[], [0, 50]], ids=["no image", "two images"])
-def test_a_sensor_that_went_back_is_given_out_in_time_where_the_images_stop(row):
+def test_messages_with_earlier_stamps_do_not_wait_forever(row):
     """Its messages are given as they are, images that may begin a segment go on waiting for a third one."""
     images_back = [item("image", t, 5050 + t) for t in row]
     others = [item("depth", t, 5100 + t) for t in range(0, 40_000, 50)]
@@ -150,7 +150,7 @@ def test_a_sensor_that_went_back_is_given_out_in_time_where_the_images_stop(row)
         assert (third.role, third.segment) == ("image", 1)
 
 
-def test_a_sensor_that_catches_up_while_the_images_are_silent_waits_no_more():
+def test_a_sensor_that_catches_up_during_a_pause_of_the_images_does_not_wait():
     held = _Segments(CFG, lambda _: None, OrderState())
     times = [*range(0, 500, 50), *range(5000, 30_000, 50)]
     given = [list(held.numbered(one)) for one in [item("image", 5000), *(item("depth", t, 5000 + t) for t in times)]]
@@ -182,7 +182,7 @@ OTHERS = {
 
 
 @pytest.mark.parametrize("case", OTHERS)
-def test_messages_of_another_sensor_disturb_no_image(case):
+def test_messages_of_another_sensor_do_not_affect_images(case):
     arrived, others = OTHERS[case]
     given, left_out = ordered([*others, *arrived])
     assert [row for row in given if row[1] == "image"] == images(*sorted(i.stamp_ns // MS for i in arrived))
@@ -190,7 +190,7 @@ def test_messages_of_another_sensor_disturb_no_image(case):
 
 
 @pytest.mark.parametrize("late_ms", [0, 30, WAIT_MS])
-def test_how_late_a_log_is_is_measured(late_ms):
+def test_the_lateness_of_a_log_is_measured(late_ms):
     items = [item("image", t) for t in range(0, 1000, 50)] + [
         item("depth", t, t + late_ms + 1) for t in range(0, 700, 50)
     ]

@@ -8,7 +8,7 @@ from roadperc_stream import log
 from roadperc_stream.cli.replay import main
 from roadperc_stream.config import SyncConfig, load_config
 from roadperc_stream.input.order import OrderConfig
-from roadperc_stream.input.outcome import InputOutcome, PartSpan, continuation_notes
+from roadperc_stream.input.outcome import FileSpan, InputOutcome, continuation_notes
 from roadperc_stream.input.sync import PairingState, StampPairing, SyncedMessages
 from tests import logs
 from tests.analytic import STEP_NS
@@ -46,7 +46,7 @@ def synced(segment, stamp_ms, *others, carried=False):
     return SyncedMessages(reference, {"image": reference} | dict.fromkeys(others, reference), None, None)
 
 
-def test_segments_that_begin_are_named_with_their_stamps_and_frames():
+def test_new_segments_are_listed_with_stamps_and_frames():
     outcome = InputOutcome()
     for segment, stamp_ms in [(0, 5), (0, 55), (1, 7), (2, 3), (2, 53)]:
         outcome.add(synced(segment, stamp_ms))
@@ -56,7 +56,7 @@ def test_segments_that_begin_are_named_with_their_stamps_and_frames():
     ]
 
 
-def test_of_many_segments_five_are_named():
+def test_at_most_five_segments_are_listed():
     outcome = InputOutcome()
     for segment in range(9):
         outcome.add(synced(segment, 5))
@@ -66,13 +66,13 @@ def test_of_many_segments_five_are_named():
 
 
 @pytest.mark.parametrize(("begun", "said"), [(1, 0), (0, 1)])
-def test_a_segment_that_an_earlier_part_began_is_no_new_one(begun, said):
+def test_a_continued_segment_is_not_new(begun, said):
     outcome = InputOutcome(begun)
     outcome.add(synced(1, 5))
     assert len(notes_of(outcome)) == said
 
 
-def test_messages_of_no_frame_are_one_note():
+def test_messages_in_no_frame_give_one_note():
     outcome = InputOutcome()
     for role, stamp_ms in [("depth", 3), ("segmentation", 3), ("lidar", 4), ("lidar", 54)]:
         outcome.drop(item(role, stamp_ms))
@@ -82,7 +82,7 @@ def test_messages_of_no_frame_are_one_note():
     ]
 
 
-def test_a_sensor_that_is_in_no_frame_is_said_with_the_setting_that_decides():
+def test_the_note_on_a_sensor_in_no_frame_names_the_setting():
     outcome = InputOutcome()
     outcome.add(synced(0, 5, "lidar"), is_written=False)
     for role in ("depth", "lidar"):
@@ -103,24 +103,24 @@ def test_the_distance_to_the_nearest_frame_is_found_on_either_side(stamps_ms, ne
     assert pairing.nearest_ns == ({} if nearest_ms is None else {"depth": nearest_ms * MS})
 
 
-def test_a_gap_behind_what_is_continued_is_noted_and_a_join_is_not(drive, tmp_path):
+def test_a_gap_after_the_continued_result_is_reported(drive, tmp_path):
     first = write(tmp_path / "0.mcap", between(drive, 0, 4))
     replay(first, tmp_path / "out_0.mcap", CFG)
     for begins, noted in ((4, False), (5, True)):
         part = write(tmp_path / f"from_{begins}.mcap", between(drive, begins, 12))
         notes = replay(part, tmp_path / f"out_{begins}.mcap", CFG, continued=tmp_path / "out_0.mcap").notes
         assert (f"{part}: begins 0.100 s after the continued result ends" in notes) == noted
-        assert f"4 of {16 - begins} frames are also in the previous part" in notes
+        assert f"4 of {16 - begins} frames are also in the continued result" in notes
 
 
-def test_a_gap_is_judged_by_the_images_of_both_parts_and_by_none_where_nothing_is_known():
-    part = PartSpan("b", 20 * S, 30 * S, 11)
+def test_a_gap_is_compared_with_the_interval_of_both_logs():
+    part = FileSpan("b", 20 * S, 30 * S, 11)
     assert continuation_notes(part, [17 * S, 18 * S], 19 * S) == ()
     assert continuation_notes(part, [16 * S, 17 * S], 18 * S) == ("b: begins 2.000 s after the continued result ends",)
     assert continuation_notes(replace(part, frames=1), [], 18 * S) == ()
 
 
-def test_what_is_continued_with_a_part_that_overlaps_names_a_start_that_works(drive, tmp_path, capsys):
+def test_the_error_on_an_overlap_names_a_start_that_works(drive, tmp_path, capsys):
     """The results are then those of parts that do not overlap."""
     write(tmp_path / "0.mcap", between(drive, 0, 6))
     write(tmp_path / "whole.mcap", drive)
@@ -138,7 +138,7 @@ def test_what_is_continued_with_a_part_that_overlaps_names_a_start_that_works(dr
     assert rows([before, after], "metrics").equals(rows([tmp_path / "out.mcap"], "metrics"))
 
 
-def test_of_a_part_without_calibration_the_next_step_is_named(drive, tmp_path, capsys):
+def test_a_missing_calibration_names_the_next_step(drive, tmp_path, capsys):
     part = write(tmp_path / "1.mcap", between(drive, 4, 8))
     assert main([str(part), str(tmp_path / "out.mcap")]) == 1
     said = capsys.readouterr().err

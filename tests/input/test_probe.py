@@ -64,14 +64,14 @@ def write(path, **messages):
         (compressed(b""), set()),
     ],
 )
-def test_what_the_first_image_is(tmp_path, message, kinds):
+def test_the_kind_of_the_first_image_is_found(tmp_path, message, kinds):
     summary = log.summarise(write(tmp_path / "a.mcap", thing=message))
     assert {
         kind for kind in ("depth", "tags") if probe_first_message(summary, kind, channel("/robot/thing", message))
     } == kinds
 
 
-def test_a_channel_without_a_message_and_a_file_that_is_gone_hold_nothing(tmp_path):
+def test_an_empty_channel_and_a_missing_file_have_no_kind(tmp_path):
     depth = raw("32FC1", GREY.astype(np.float32))
     path = write(tmp_path / "a.mcap", thing=depth)
     summary = log.summarise(path)
@@ -84,7 +84,7 @@ def unassigned(path):
     return assignment_of_log(log.summarise(path), {}).unassigned
 
 
-def test_what_is_left_over_is_offered_and_never_taken(tmp_path):
+def test_unnamed_images_are_candidates_but_not_assigned(tmp_path):
     depth, tags = raw("32FC1", GREY.astype(np.float32)), raw("mono8", TAGS)
     path = write(tmp_path / "a.mcap", range=depth, classes=tags, photo=raw("bgr8", RED), truth_range=depth)
     roles = assignment_of_log(log.summarise(path), {})
@@ -96,7 +96,7 @@ def test_what_is_left_over_is_offered_and_never_taken(tmp_path):
     )
 
 
-def test_a_better_name_goes_before_what_is_in_an_image(tmp_path):
+def test_a_name_counts_more_than_the_content(tmp_path):
     depth = raw("32FC1", GREY.astype(np.float32))
     path = write(tmp_path / "a.mcap", range=depth, depth_a=depth, depth_b=depth)
     (line,) = unassigned(path)
@@ -104,6 +104,6 @@ def test_a_better_name_goes_before_what_is_in_an_image(tmp_path):
     assert "candidates: /robot/depth_a (foxglove.RawImage), /robot/depth_b (foxglove.RawImage)" in line
 
 
-def test_other_cameras_are_nobodys_depth_and_nobodys_tags(tmp_path):
+def test_images_of_other_cameras_are_not_candidates(tmp_path):
     photo = compressed(cv2.imencode(".jpg", RED)[1].tobytes())
     assert unassigned(write(tmp_path / "a.mcap", back=photo, front=raw("bgr8", RED), infra=raw("mono8", GREY))) == ()

@@ -32,7 +32,7 @@ def test_samples_messages_and_counts(source):
     assert set(log_in.topics) == set(logs.ALL)
 
 
-def test_every_pass_begins_anew(source):
+def test_every_pass_resets_the_counts(source):
     bad = logs.Item("depth", logs.items(4)[-1].stamp_ns + 1, b"no depth")
     source = logs.write(source, [*logs.items(4), bad])
     log_in = open_input(ReplaySource(source), CFG)
@@ -42,7 +42,7 @@ def test_every_pass_begins_anew(source):
         assert any("/camera/front/depth: message at" in note for note in log_in.notes)
 
 
-def test_what_is_dropped_is_recorded(source):
+def test_dropped_messages_are_recorded(source):
     late = [logs.Item("depth", item.stamp_ns + 20_000_000, item.data) for item in logs.items(4) if item.role == "depth"]
     source = logs.write(source, sorted([*logs.items(4), *late], key=lambda item: item.stamp_ns))
     log_in = open_input(ReplaySource(source), CFG)
@@ -94,7 +94,7 @@ def with_late_depth(source, path, frame, by_ns):
     return write(path, moved)
 
 
-def test_where_nothing_arrives_late_what_is_behind_the_end_is_looked_at_once(tmp_path, reads):
+def test_messages_after_the_end_are_read_once(tmp_path, reads):
     log_in = opened(logs.write(tmp_path / "in.mcap", logs.items(8)))
     assert len(list(log_in.samples())) == FRAMES
     messages = list(log_in.messages())
@@ -104,7 +104,7 @@ def test_where_nothing_arrives_late_what_is_behind_the_end_is_looked_at_once(tmp
     assert reads.count(end_ns) == 1
 
 
-def test_what_arrives_behind_the_end_belongs_to_its_instant(tmp_path):
+def test_a_late_message_after_the_end_belongs_to_its_frame(tmp_path):
     source = logs.write(tmp_path / "in.mcap", logs.items(8))
     tidy = list(opened(source).samples())
     late = opened(with_late_depth(source, tmp_path / "late.mcap", FRAMES - 1, 3 * STEP_NS + 1))
@@ -117,7 +117,7 @@ def test_what_arrives_behind_the_end_belongs_to_its_instant(tmp_path):
     assert found[-1].frame.depth is not None
 
 
-def test_carried_messages_are_read_from_the_first_of_them_alone(tmp_path, reads):
+def test_carried_messages_are_read_from_the_first_one_on(tmp_path, reads):
     source = logs.write(tmp_path / "in.mcap", logs.items(12))
     cfg = load_config(None, ("sync.max_wait_s=0.2",))
     log_in = open_input(ReplaySource(source, time_range=TimeRange(start_s=0.1)), cfg)

@@ -54,7 +54,8 @@ def run(items, **options):
 
 def stamps(frames):
     return [
-        (m.reference.stamp_ns // MS, m.parts["depth"].stamp_ns // MS if "depth" in m.parts else None) for m in frames
+        (m.reference.stamp_ns // MS, m.messages["depth"].stamp_ns // MS if "depth" in m.messages else None)
+        for m in frames
     ]
 
 
@@ -81,7 +82,7 @@ def test_a_sensor_that_never_comes_is_not_waited_for():
 
 
 @pytest.mark.parametrize(("tolerance_s", "found"), [(0.019, None), (0.02, 20)])
-def test_outside_the_tolerance_is_missing_and_counted(tolerance_s, found):
+def test_messages_outside_the_tolerance_are_missing_and_counted(tolerance_s, found):
     frames, synchroniser = run([item("image", 0), item("depth", 20)], tolerance_s=tolerance_s)
     assert stamps(frames) == [(0, found)]
     assert frames[0].skew_ns == (None if found is None else 20 * MS)
@@ -89,7 +90,7 @@ def test_outside_the_tolerance_is_missing_and_counted(tolerance_s, found):
 
 
 @pytest.mark.parametrize(("max_wait_s", "found"), [(0.1, None), (0.3, 0)])
-def test_how_long_a_late_sensor_is_waited_for_is_set(max_wait_s, found):
+def test_the_wait_for_a_late_sensor_is_configurable(max_wait_s, found):
     """The depth comes 200 ms late, after the images of four more frames."""
     items = [*(item("image", t) for t in range(0, 251, 50)), item("depth", 0, 200.001)]
     frames, _ = run(items, max_wait_s=max_wait_s)
@@ -123,18 +124,20 @@ def test_calibration_is_latched_until_replaced():
 
 
 @given(st.lists(st.tuples(st.integers(0, 40), st.integers(0, 400)), max_size=40))
-def test_nothing_is_lost_nothing_is_used_twice(arrivals):
+def test_every_message_is_used_once_or_counted(arrivals):
     items = [item("image", t) for t in range(0, 2000, 50)]
     items += [item("depth", 50 * k, 50 * k + delay) for k, delay in arrivals]
     frames, synchroniser = run(items)
-    used = [m.parts["depth"] for m in frames if "depth" in m.parts]
+    used = [m.messages["depth"] for m in frames if "depth" in m.messages]
     assert len(frames) == 40
     assert len({id(part) for part in used}) == len(used)
     assert len(used) + synchroniser.dropped["depth"] == len(arrivals)
-    assert all(abs(m.parts["depth"].stamp_ns - m.reference.stamp_ns) <= 10 * MS for m in frames if "depth" in m.parts)
+    assert all(
+        abs(m.messages["depth"].stamp_ns - m.reference.stamp_ns) <= 10 * MS for m in frames if "depth" in m.messages
+    )
 
 
-def test_a_gap_longer_than_the_wait_does_not_rob_a_waiting_frame():
+def test_a_long_gap_keeps_the_messages_of_a_waiting_frame():
     """Without segmentation at the last frame before the gap, the frame keeps its depth."""
     items = [item("image", 0), item("depth", 0), item("seg", -50), item("image", 2500), item("depth", 2500)]
     items = [i if i.role != "seg" else item("segmentation", -50, 0) for i in items]
@@ -156,7 +159,7 @@ def test_cameras_and_transforms_are_latched_side_by_side():
     assert (state.cameras, list(state.tree.edges)) == ({"calibration": CAMERA}, ["camera"])
 
 
-def test_what_closes_a_loop_is_left_out_and_reported_once_a_topic():
+def test_transforms_that_close_a_loop_are_left_out_and_reported():
     problems = Problems()
     items = [
         transforms(("ego", "camera")),

@@ -58,11 +58,11 @@ def drivable(path):
     return pl.read_parquet(sidecar_path(path, "metrics"))["drivable_ratio"].to_list()
 
 
-def test_a_result_remembers_what_its_user_said(result):
+def test_a_result_records_the_named_table(result):
     assert recorded(result) == CARLA_BEFORE_0_9_14.name
 
 
-def test_a_replay_of_the_result_takes_the_table_and_hands_it_on(unnamed, result):
+def test_a_replay_of_the_result_uses_the_recorded_table(unnamed, result):
     again = replayed(result, "again", ReplayConfig())
     assert drivable(again) == drivable(result) != drivable(replayed(unnamed, "without", ReplayConfig()))
     assert recorded(again) == recorded(result)
@@ -70,13 +70,13 @@ def test_a_replay_of_the_result_takes_the_table_and_hands_it_on(unnamed, result)
     assert next(messages) == next(messages)
 
 
-def test_what_is_said_now_goes_before_what_was_said(result):
+def test_a_named_table_replaces_the_recorded_one(result):
     other = replayed(result, "other", OTHER)
     assert recorded(other) == CARLA_FROM_0_9_14.name
     assert drivable(other) != drivable(result)
 
 
-def test_info_and_the_viewer_take_the_table(unnamed, result, tmp_path):
+def test_info_and_the_viewer_use_the_recorded_table(unnamed, result, tmp_path):
     facts = examine(result, {}).replay
     assert (facts.tag_table, dict(facts.unreadable), dict(facts.alone)) == (CARLA_BEFORE_0_9_14.name, {}, {})
     assert dict(save_recording(result, tmp_path / "a.rrd", {}).problems) == {}
@@ -95,7 +95,7 @@ def record(path):
     return next(dict(record.values) for record in log.summarise(path).metadata if record.name == METADATA_RECORD)
 
 
-def test_numbers_of_a_dataset_say_the_same_as_carlas(tmp_path):
+def test_tags_of_mapillary_give_the_same_results(tmp_path):
     """The same road with Mapillary's numbers; where a part of it is parking, it is drivable once it is named so."""
     source = logs.write(tmp_path / "carla.mcap", logs.items(frames=2))
     road = drivable(replayed(source, "carla_out", ReplayConfig()))
@@ -147,6 +147,6 @@ def test_only_what_is_needed_is_recorded(label, recorded_before, configured, nee
 
 
 @pytest.mark.parametrize("name", ["", "auto", "carla-of-tomorrow"])
-def test_a_record_of_no_known_table_says_nothing(name):
+def test_an_unknown_recorded_table_is_ignored(name):
     assert recorded_tag_table([Metadata(METADATA_RECORD, ((TAG_TABLE_KEY, name),))]) == ""
     assert recorded_tag_table([Metadata("another", ((TAG_TABLE_KEY, CARLA_FROM_0_9_14.name),))]) == ""

@@ -95,7 +95,7 @@ def edges_of(path, *, results):
 
 
 @pytest.mark.parametrize("name", TREES)
-def test_results_join_the_logs_tree_with_the_chains_camera_and_ego_poses(name, tmp_path):
+def test_results_extend_the_transform_tree_of_the_log(name, tmp_path):
     tree, anchor, odom, above = TREES[name]
     target = replayed(tmp_path, tree)
     written = list(edges_of(target, results=True))
@@ -124,7 +124,7 @@ def tree_is_silent(name):
     return name in ("no transforms", "a camera that the log places", "a car of no known name")
 
 
-def test_without_odometry_the_results_still_stand_on_the_log(tmp_path):
+def test_without_odometry_results_are_placed_in_the_frames_of_the_log(tmp_path):
     source, target = tmp_path / "in.mcap", tmp_path / "out.mcap"
     logs.write(source, logs.items(FRAMES, roles=("calibration", "depth", "segmentation")))
     replay(source, target, CFG)

@@ -1,4 +1,4 @@
-"""Logs of many shapes without any CRC, and what one flipped bit does to the messages that are read of them."""
+"""Logs of many shapes without CRCs, and the effect of one flipped bit on the messages that are read."""
 
 from collections import Counter
 from random import Random
@@ -48,20 +48,20 @@ def write(path, *, messages=60, chunk_size=1500, seed=0, **options):
 
 
 def flipped(content, bit):
-    """The content with one bit of it the other way round."""
+    """The content with one bit flipped."""
     changed = bytearray(content)
     changed[bit // 8] ^= 1 << bit % 8
     return bytes(changed)
 
 
 def outcome(path, truth, *, counted=True):
-    """What reading a log comes to: ``refused``, ``lost`` (silently), or ``read``.
+    """Return the outcome of reading a log: ``refused``, ``lost`` (silently), or ``read``.
 
     Args:
         path: the log.
         truth: messages by topic.
-        counted: whether the log says itself how many messages each channel has: else a message that a bit moves to
-            another channel is as little to be found as one whose content it changes.
+        counted: whether the log counts the messages of each channel. Otherwise a message that a bit moves to another
+            channel cannot be detected.
     """
     try:
         summary = log.summarise(path)
@@ -82,7 +82,7 @@ def outcome(path, truth, *, counted=True):
 
 
 def ranges():
-    """Parts of the log that are read by its index."""
+    """Ranges of the log that are read by its index."""
     for first, last in ((0, 15), (20, 40), (45, 60)):
         yield {"start_ns": FIRST_NS + first * STEP_NS, "end_ns": FIRST_NS + last * STEP_NS}
 

@@ -1,4 +1,4 @@
-"""What hostile or broken input costs: time in proportion to its length, memory and disk up to a limit, and one line."""
+"""Hostile or broken input takes linear time, limited memory and disk, and gives one line."""
 
 import os
 import shutil
@@ -30,10 +30,10 @@ def written(path, attachments=(), metadata=()):
 
 
 @pytest.mark.promise("Logs", "A pipe that is not MCAP is refused at once; an endless one cannot fill the disk")
-def test_a_pipe_that_is_no_log_is_refused_by_its_first_bytes(tmp_path):
+def test_a_pipe_without_mcap_is_refused_by_its_first_bytes(tmp_path):
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    writer = os.open(pipe, os.O_RDWR)  # open to the end: who waits for more waits for ever
+    writer = os.open(pipe, os.O_RDWR)  # never closed: waiting for more would not end
     os.write(writer, b"y\n" * 4)
     with pytest.raises(LogError, match="pipe: not an MCAP log"):
         log.received([pipe])
@@ -68,8 +68,8 @@ def test_a_repaired_copy_never_has_a_name(tmp_path, monkeypatch):
         assert stream.read() == repaired.read_bytes()
 
 
-def test_an_error_of_reading_what_is_sorted_names_the_folder_but_a_reading_may_be_given_up():
-    """The garbage collector ends a reading and its database in any order."""
+def test_a_read_error_of_a_sorted_log_names_the_folder():
+    """The garbage collector may close the database before its reader."""
     source = SortedMessages("a.mcap", lambda: [Message(A, k, k, 0, b"x") for k in (2, 1)])
     assert [m.log_time_ns for m in source.messages(None, None, None)] == [1, 2]
     reading = source.messages(None, None, None)
@@ -91,7 +91,7 @@ def message_like(length):
 
 @pytest.mark.promise("Logs", "Time to skip bytes that only look like records grows linearly")
 @pytest.mark.parametrize(("junk", "length"), [(chunk_like, 4_000_000), (message_like, 20_000_000)])
-def test_what_looks_like_records_is_read_in_time_in_proportion(tmp_path, junk, length):
+def test_bytes_that_look_like_records_take_linear_time(tmp_path, junk, length):
     path = tmp_path / "junk.mcap"
     path.write_bytes(SAMPLE.read_bytes()[:60_000] + junk(length))
     salvage, started = log.Salvage(path), time.process_time()
@@ -100,7 +100,7 @@ def test_what_looks_like_records_is_read_in_time_in_proportion(tmp_path, junk, l
     assert not salvage.whole
 
 
-def test_very_many_damages_are_counted_and_not_listed(tmp_path):
+def test_many_damages_are_counted_but_not_listed(tmp_path):
     path = tmp_path / "junk.mcap"
     path.write_bytes(SAMPLE.read_bytes()[:60_000] + chunk_like(600_000))
     salvage = log.audited(path)
@@ -117,7 +117,7 @@ def recovered(gaps):
 
 
 @pytest.mark.promise("Logs", "A record with more gaps than `limits.gaps` is refused before decoding")
-def test_more_gaps_than_may_be_are_refused_before_they_are_decoded(tmp_path):
+def test_too_many_gaps_are_refused_before_decoding(tmp_path):
     gaps = [LostSpan(k, k, {"/[a]": 1}) for k in range(20)]
     path = written(tmp_path / "a.mcap", metadata=[recovered(gaps).to_record()])
     assert Recovery.of_records(log.summarise(path, LimitsConfig(gaps=20)).metadata) == recovered(gaps)
@@ -131,7 +131,7 @@ def test_more_gaps_than_may_be_are_refused_before_they_are_decoded(tmp_path):
     assert time.process_time() - started < 5
 
 
-def test_the_last_gap_stands_for_those_behind_it():
+def test_the_last_gap_covers_later_ones():
     gaps = (LostSpan(1, 2, {}), LostSpan(7, 9, {"/a": 1}), LostSpan(5, 6, {"/a": 2, "/b": 1}))
     assert recovered(gaps).of_at_most(3) == recovered(gaps)
     assert recovered(gaps).of_at_most(2).gaps == (gaps[0], LostSpan(5, 9, {"/a": 3, "/b": 1}))
@@ -140,7 +140,7 @@ def test_the_last_gap_stands_for_those_behind_it():
     )
 
 
-def test_a_repair_names_no_more_gaps_than_may_be(tmp_path):
+def test_a_repair_lists_at_most_the_allowed_gaps(tmp_path):
     content = bytearray(SAMPLE.read_bytes())
     for at in range(1_000_000, len(content) - 1_000_000, 1_000_000):
         content[at] ^= 1
@@ -154,7 +154,7 @@ def test_a_repair_names_no_more_gaps_than_may_be(tmp_path):
 
 
 def plain_reason(gaps, since_ns, until_ns):
-    """The same by looking at every gap."""
+    """The same result from a search through all gaps."""
     found = [
         (float("-inf") if g.first_ns is None else g.first_ns, float("inf") if g.last_ns is None else g.last_ns)
         for g in gaps
@@ -163,7 +163,7 @@ def plain_reason(gaps, since_ns, until_ns):
     return (min(first for first, _ in found), max(last for _, last in found)) if found else None
 
 
-def test_gaps_that_overlap_are_found_as_by_looking_at_all():
+def test_overlapping_gaps_are_found():
     random = Random(3)
     for _ in range(300):
         gaps = [
@@ -179,7 +179,7 @@ def test_gaps_that_overlap_are_found_as_by_looking_at_all():
 
 
 @pytest.mark.promise("Logs", "All attachments and metadata together stay below `limits.attachments_mb`")
-def test_attachments_have_a_limit_together(tmp_path):
+def test_attachments_together_have_a_limit(tmp_path):
     half = [Attachment(name, "x", bytes([k]) * (MIB * 6 // 10)) for k, name in enumerate("ab")]
     one, other = written(tmp_path / "1.mcap", half[:1]), written(tmp_path / "2.mcap", half[1:])
     both = written(tmp_path / "both.mcap", half)

@@ -1,4 +1,4 @@
-"""Whole chunks of the input stand in the output as they are; what cannot is written anew."""
+"""Whole chunks of the input are copied unchanged; all other messages are rewritten."""
 
 import zlib
 from dataclasses import replace
@@ -27,7 +27,7 @@ TWO = 400
 
 
 def copied(source, target, topics=("/a", "/b"), start_ns=None, end_ns=None, results=()):
-    """A log, or files that are one, copied by its pieces, a result at each of these times between; gives the pieces."""
+    """Copy a log or its files by pieces, with a result at each of these times; return the pieces."""
     summary = log.summarise(source)
     channels = [channel for channel in summary.channels if channel.topic in topics]
     found = []
@@ -75,7 +75,7 @@ def test_chunks_are_copied_byte_for_byte(tmp_path, compression):
     assert log.audited(tmp_path / "b.mcap", check_chunks=True).whole
 
 
-def test_the_library_reads_what_was_copied_with_crcs_checked(tmp_path):
+def test_the_library_reads_copied_chunks(tmp_path):
     source = by_library(tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO)
     copied(source, tmp_path / "b.mcap", results=[0, 10, 20])
     with (tmp_path / "b.mcap").open("rb") as stream:
@@ -123,7 +123,7 @@ UP = [("/a", 10 * k) for k in range(6)]
     ],
     ids=["start", "end", "a topic of two", "overlapping", "out of order inside", "touching"],
 )
-def test_chunks_that_cannot_stand_as_they_are_are_written_anew(tmp_path, items, options, expected):
+def test_partly_copied_chunks_are_rewritten(tmp_path, items, options, expected):
     source = by_library(tmp_path / "a.mcap", items, chunk_size=TWO)
     pieces = copied(source, tmp_path / "b.mcap", **options)
     read = {"topics": options.get("topics"), "start_ns": options.get("start_ns"), "end_ns": options.get("end_ns")}
@@ -131,8 +131,8 @@ def test_chunks_that_cannot_stand_as_they_are_are_written_anew(tmp_path, items, 
     assert whole(pieces) == expected
 
 
-def test_a_chunk_that_describes_what_is_left_out_is_written_anew(tmp_path):
-    """Its channel's id may be another one's in the copy."""
+def test_a_chunk_that_describes_an_omitted_channel_is_rewritten(tmp_path):
+    """Another channel may have its id in the copy."""
     source = by_library(tmp_path / "a.mcap", [("/b", time) for time in range(6)], chunk_size=TWO)
     pieces = copied(source, tmp_path / "b.mcap", topics=["/b"])
     assert whole(pieces)[0] is False
@@ -140,14 +140,14 @@ def test_a_chunk_that_describes_what_is_left_out_is_written_anew(tmp_path):
     assert inputs(tmp_path / "b.mcap") == plain(log.read(log.summarise(source)))
 
 
-def test_a_chunk_that_is_large_is_written_anew(tmp_path, monkeypatch):
+def test_a_large_chunk_is_rewritten(tmp_path, monkeypatch):
     monkeypatch.setattr("roadperc_stream.log.indexed._MOST_WHOLE_BYTES", 100)
     pieces = copied(by_library(tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO), tmp_path / "b.mcap")
     assert not any(whole(pieces))
 
 
 def pieces_of_changed(path, place_of):
-    """Which pieces are whole chunks, of a log of six in which a byte was changed after its CRCs were checked."""
+    """Change a byte of a log with six chunks after its CRCs were checked; return which pieces are whole chunks."""
     source = by_library(path, IN_ORDER, chunk_size=TWO)
     file = log.summarise(source).source
     assert isinstance(file, IndexedFile)
@@ -157,24 +157,24 @@ def pieces_of_changed(path, place_of):
     return whole(replace(file, check_chunks=False).pieces(frozenset({1, 2}), None, None))
 
 
-def test_a_chunk_whose_own_crc_is_wrong_is_written_anew(tmp_path):
-    """The data section's CRC says that these are the bytes that were written: then the writer was wrong."""
+def test_a_chunk_with_a_wrong_crc_is_rewritten(tmp_path):
+    """The data section's CRC is correct, so the writer wrote a wrong CRC."""
     found = pieces_of_changed(tmp_path / "a.mcap", lambda chunks: chunks[0].chunk_start_offset + 33)
     assert found[:2] == [False, False]
     assert found[-1] is True
 
 
 @pytest.mark.parametrize("byte", [9, 17, 25], ids=["channel", "log time", "place"])
-def test_a_chunk_whose_message_indexes_are_wrong_is_written_anew(tmp_path, byte):
-    """Who trusts them would not find its messages; and one that they do not name may be of any channel."""
+def test_a_chunk_with_wrong_message_indexes_is_rewritten(tmp_path, byte):
+    """A reader that trusts them would miss messages."""
     found = pieces_of_changed(
         tmp_path / "a.mcap", lambda chunks: chunks[-1].chunk_start_offset + chunks[-1].chunk_length + byte
     )
     assert found == [True] * 5 + [False] * 2
 
 
-def test_messages_that_no_index_names_are_no_results_of_the_copy(tmp_path):
-    """The id of their channel, which nothing describes, is free for a channel of results."""
+def test_messages_without_index_entry_do_not_become_results(tmp_path):
+    """The id of their undescribed channel is free for a channel of results."""
     source, hidden = tmp_path / "a.mcap", 2
     with source.open("wb") as stream:
         file, chunk = McapFile(stream, "", ""), OpenChunk()
@@ -196,7 +196,7 @@ def test_messages_that_no_index_names_are_no_results_of_the_copy(tmp_path):
     st.sampled_from([1, TWO, 1000, 2**20]),
     st.lists(st.integers(0, 30), max_size=8).map(sorted),
 )
-def test_a_copy_of_a_copy_is_the_same_byte_for_byte(tmp_path_factory, items, in_order, chunk_size, results):
+def test_a_copy_of_a_copy_has_the_same_bytes(tmp_path_factory, items, in_order, chunk_size, results):
     folder = tmp_path_factory.mktemp("log")
     items = sorted(items, key=lambda item: item[1]) if in_order else items
     source = by_library(folder / "a.mcap", items, chunk_size=chunk_size)
@@ -208,7 +208,7 @@ def test_a_copy_of_a_copy_is_the_same_byte_for_byte(tmp_path_factory, items, in_
     assert log.audited(folder / "b.mcap", check_chunks=True).whole
 
 
-def test_a_log_in_no_order_is_written_anew_in_chunks_apart_from_the_results(tmp_path):
+def test_an_unordered_log_is_rewritten_in_separate_chunks(tmp_path):
     source = by_library(tmp_path / "a.mcap", [("/a", 7 * k % 20) for k in range(20)], use_chunking=False)
     pieces = copied(source, tmp_path / "b.mcap", results=[3, 9, 15])
     assert not any(whole(pieces))
@@ -231,7 +231,7 @@ LATER = [(topic, time + 60) for topic, time in IN_ORDER]
     ],
     ids=["later", "meeting", "the schema's id is another", "the schema is another"],
 )
-def test_of_files_chunks_are_copied_whose_ids_agree_and_whose_times_do_not_meet(tmp_path, second, options, expected):
+def test_chunks_of_files_are_copied_if_ids_agree_and_times_do_not_overlap(tmp_path, second, options, expected):
     files = [by_library(tmp_path / "1.mcap", IN_ORDER, chunk_size=TWO)]
     files.append(by_library(tmp_path / "2.mcap", second, chunk_size=TWO, **options))
     pieces = copied(files, tmp_path / "b.mcap", results=[0, 20, 60])
@@ -243,7 +243,7 @@ def test_of_files_chunks_are_copied_whose_ids_agree_and_whose_times_do_not_meet(
     assert kinds - {("/a", "T")} == {("/a", "S"), ("/b", ""), ("/result", "S")}
 
 
-def test_of_files_without_an_index_messages_are_copied(tmp_path):
+def test_messages_of_files_without_an_index_are_copied(tmp_path):
     files = [by_library(tmp_path / "1.mcap", IN_ORDER, chunk_size=TWO)]
     files.append(by_library(tmp_path / "2.mcap", LATER, index_types=IndexType.NONE, use_statistics=False))
     pieces = copied(files, tmp_path / "b.mcap")
@@ -251,8 +251,8 @@ def test_of_files_without_an_index_messages_are_copied(tmp_path):
     assert whole(pieces) == [True] * 6 + [False] * 12
 
 
-def test_a_growing_copy_gives_messages_in_the_order_of_log_time(tmp_path):
-    """A chunk that is copied whole reaches further than the results that are there."""
+def test_a_growing_copy_is_read_in_log_time_order(tmp_path):
+    """A copied chunk may have later messages than the results written until then."""
     source = by_library(tmp_path / "a.mcap", [("/a", 10 * k) for k in range(6)], chunk_size=2**20)
     summary = log.summarise(source)
     with LogWriter(tmp_path / "b.mcap") as writer:
@@ -277,7 +277,7 @@ def test_a_growing_copy_gives_messages_in_the_order_of_log_time(tmp_path):
     assert growing.progress() == (50, True)
 
 
-def test_the_ids_of_new_channels_are_free_ones(tmp_path):
+def test_new_channels_get_free_ids(tmp_path):
     last = Channel("/last", "x", source_id=65535)
     with LogWriter(tmp_path / "a.mcap") as writer:
         assert [writer.register(c, ids=(c.source_id, 0)) for c in (last, A)] == [65535, 1]

@@ -1,4 +1,4 @@
-"""No flipped bit loses a message in silence, whatever the log does without."""
+"""A flipped bit never loses a message silently, in any shape of log."""
 
 from random import Random
 
@@ -12,11 +12,11 @@ TRUTH = dict.fromkeys(flips.TOPICS, 6)
 FLIPS = 40
 """Of each shape: 400 in all."""
 UNCOUNTED = {"no index, no statistics", "unchunked, no statistics"}
-"""Shapes in which nothing says how many messages a channel has."""
+"""Shapes that do not count the messages of a channel."""
 
 
 @pytest.mark.parametrize("shape", flips.SHAPES)
-def test_a_flipped_bit_is_refused_or_loses_no_message(tmp_path, shape):
+def test_a_flipped_bit_is_an_error_or_loses_no_message(tmp_path, shape):
     path = flips.write(tmp_path / "a.mcap", messages=18, chunk_size=700, **flips.SHAPES[shape])
     whole, random = path.read_bytes(), Random(shape)
     counted = shape not in UNCOUNTED
@@ -60,7 +60,7 @@ def plain(tmp_path):
     return path, path.read_bytes()
 
 
-def test_a_chunk_that_the_index_puts_elsewhere_or_names_twice_is_damage(plain):
+def test_a_wrong_or_repeated_index_entry_is_damage(plain):
     path, content = plain
     first, second = chunk_starts(path)[:2]
     assert "another" not in (words := refused(path, replaced(content, little(second), little(second + 1))))
@@ -69,10 +69,10 @@ def test_a_chunk_that_the_index_puts_elsewhere_or_names_twice_is_damage(plain):
     assert f"the index names the chunk at byte {first} more than once" in words
 
 
-def test_a_span_that_the_index_narrows_is_damage_since_a_part_would_lose_messages(plain):
+def test_a_narrower_span_in_the_index_is_damage(plain):
     path, content = plain
     last = flips.FIRST_NS + 59 * flips.STEP_NS
-    changed = content.rindex(little(last), 0, content.rindex(little(last)))  # the statistics' comes behind
+    changed = content.rindex(little(last), 0, content.rindex(little(last)))  # the last one is in the statistics
     narrowed = content[:changed] + little(last - flips.STEP_NS) + content[changed + 8 :]
     assert "statistics state" in refused(path, narrowed) or "does not match it" in refused(path, narrowed)
 
@@ -85,7 +85,7 @@ def test_a_log_time_outside_the_span_of_its_chunk_is_damage(tmp_path):
     assert "its chunk states" in refused(path, changed)
 
 
-def test_statistics_that_count_other_messages_are_damage(tmp_path):
+def test_wrong_counts_in_the_statistics_are_damage(tmp_path):
     path = flips.write(tmp_path / "a.mcap", **flips.SHAPES["unchunked"])
     content = path.read_bytes()
     head = little(60) + little(1, 2) + little(3, 4)  # messages, schemas, channels
@@ -95,7 +95,7 @@ def test_statistics_that_count_other_messages_are_damage(tmp_path):
     assert "20 messages found on channel 2, the statistics count 19" in words
 
 
-def test_a_message_that_becomes_another_kind_of_record_is_damage(tmp_path):
+def test_a_changed_opcode_of_a_message_is_damage(tmp_path):
     path = flips.write(tmp_path / "a.mcap", **flips.SHAPES["unchunked, no statistics"])
     content, data = path.read_bytes(), [m.data for m in log.read(log.summarise(path))]
     at = content.index(data[30]) - 22 - 9
@@ -104,7 +104,7 @@ def test_a_message_that_becomes_another_kind_of_record_is_damage(tmp_path):
         refused(path, content[:at] + bytes([opcode]) + content[at + 1 :])
 
 
-def test_an_applications_own_record_is_no_damage(tmp_path):
+def test_a_private_record_is_not_damage(tmp_path):
     path = flips.write(tmp_path / "a.mcap", **flips.SHAPES["unchunked, no statistics"])
     content = path.read_bytes()
     at = content.rindex(b"\x0f" + little(4))  # the data section's end
@@ -119,7 +119,7 @@ def test_an_applications_own_record_is_no_damage(tmp_path):
     assert sum(log.summarise(path).counts.values()) == 60
 
 
-def test_a_footer_that_points_elsewhere_is_damage(plain):
+def test_a_wrong_offset_in_the_footer_is_damage(plain):
     path, content = plain
     footer = len(content) - 8 - 29
     start = int.from_bytes(content[footer + 9 : footer + 17], "little")
@@ -128,7 +128,7 @@ def test_a_footer_that_points_elsewhere_is_damage(plain):
         assert "the summary starts at byte" in words
 
 
-def test_damage_of_a_chunk_is_one_error_with_its_place_what_can_be_saved_and_the_option(tmp_path):
+def test_the_error_for_a_damaged_chunk_has_its_place_and_the_option(tmp_path):
     path = flips.write(tmp_path / "a.mcap", enable_crcs=True, enable_data_crcs=True)
     content = path.read_bytes()
     first = chunk_starts(path)[2]

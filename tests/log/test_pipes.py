@@ -12,6 +12,9 @@ from threading import Thread
 import pytest
 
 from roadperc_stream import log
+from roadperc_stream.cli.info import main as info
+from roadperc_stream.cli.replay import main as replay_main
+from roadperc_stream.cli.view import main as view
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import LogError
 from roadperc_stream.output.tables import sidecar_path
@@ -30,7 +33,7 @@ def fed(path, data):
 
 
 def _write(path, data):
-    with suppress(BrokenPipeError):  # who reads may give up
+    with suppress(BrokenPipeError):  # the reader may stop early
         path.write_bytes(data)
 
 
@@ -39,7 +42,6 @@ def test_a_named_pipe_is_read_like_a_file(tmp_path, options):
     source = arranged(SAMPLE, tmp_path / "a.mcap", **options)
     (piped,) = log.received([fed(tmp_path / "pipe", source.read_bytes())])
     expected, summary = log.summarise(source), log.summarise(piped)
-    assert plain(log.read(summary)) == plain(log.read(expected))
     assert plain(log.read(summary)) == plain(log.read(expected))
     assert (summary.path, summary.metadata) == (tmp_path / "pipe", expected.metadata)
     salvage = log.Salvage(piped)
@@ -61,17 +63,31 @@ def test_a_pipe_gives_the_results_of_the_file(tmp_path):
     assert len(results) == 1
 
 
-def through(command, data, *arguments):
-    """A command that reads a pipe."""
-    return subprocess.run(words(command, "-", *arguments), input=data, capture_output=True, check=False, timeout=60)
+def with_input(monkeypatch, stream, main, *arguments):
+    """Exit code of a command's main function that reads standard input."""
+    with stream:
+        monkeypatch.setattr(sys, "stdin", stream)
+        return main(["-", *map(str, arguments)])
 
 
-def test_info_and_view_read_standard_input(tmp_path):
+@pytest.fixture
+def through(monkeypatch, tmp_path_factory):
+    """Runs a command's main function with data in a pipe as standard input; returns its exit code."""
+
+    def run_main(main, data, *arguments):
+        pipe = fed(tmp_path_factory.mktemp("input") / "pipe", data)
+        return with_input(monkeypatch, pipe.open("rb"), main, *arguments)
+
+    return run_main
+
+
+def test_info_and_view_read_standard_input(tmp_path, through, capsys):
     data = SAMPLE.read_bytes()
-    assert through("roadperc-info", data).stdout.startswith(b"-: whole, an input")
+    assert through(info, data) == 0
+    assert capsys.readouterr().out.startswith("-: whole, an input")
     layouts = [tmp_path / "piped.json", tmp_path / "file.json"]
-    assert through("roadperc-view", data, "--foxglove-layout", layouts[0]).returncode == 0
-    assert run("roadperc-view", SAMPLE, "--foxglove-layout", layouts[1]).returncode == 0
+    assert through(view, data, "--foxglove-layout", layouts[0]) == 0
+    assert view([str(SAMPLE), "--foxglove-layout", str(layouts[1])]) == 0
     assert layouts[0].read_bytes() == layouts[1].read_bytes()
 
 
@@ -83,24 +99,22 @@ def test_info_and_view_read_standard_input(tmp_path):
         (b"nothing of the kind, but long enough", "-: not an MCAP log"),
     ],
 )
-def test_a_pipe_that_brings_no_whole_log_is_one_line(tmp_path, data, fault):
-    ended = through("roadperc-replay", data, tmp_path / "out.mcap")
-    assert ended.returncode == 1
-    assert ended.stderr.decode().startswith(f"error: {fault}")
-    assert b"roadperc-info" not in ended.stderr
+def test_a_pipe_without_a_whole_log_gives_one_line(tmp_path, through, data, fault, capsys):
+    assert through(replay_main, data, tmp_path / "out.mcap") == 1
+    error = capsys.readouterr().err
+    assert error.startswith(f"error: {fault}")
+    assert "roadperc-info" not in error
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_terminal_is_no_log(tmp_path):
+def test_a_terminal_is_refused(tmp_path, monkeypatch, capsys):
     controller, terminal = os.openpty()
-    ended = run("roadperc-replay", "-", tmp_path / "out.mcap", stdin=terminal)
+    assert with_input(monkeypatch, os.fdopen(terminal), replay_main, tmp_path / "out.mcap") == 1
     os.close(controller)
-    os.close(terminal)
-    assert ended.returncode == 1
-    assert ended.stderr.startswith("error: -: standard input is a terminal")
+    assert capsys.readouterr().err.startswith("error: -: standard input is a terminal")
 
 
-def test_standard_input_that_is_closed_is_no_log(monkeypatch):
+def test_closed_standard_input_is_refused(monkeypatch):
     monkeypatch.setattr(sys, "stdin", None)
     with pytest.raises(LogError, match="-: standard input is closed"):
         log.received([Path("-")])
@@ -108,7 +122,7 @@ def test_standard_input_that_is_closed_is_no_log(monkeypatch):
         log.received([Path("-"), Path("-")])
 
 
-def test_a_disk_that_fills_up_while_a_pipe_is_stored_is_said(tmp_path):
+def test_a_full_disk_while_storing_a_pipe_gives_one_line(tmp_path):
     def limited():
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, 1_000_000))

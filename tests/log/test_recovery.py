@@ -1,4 +1,4 @@
-"""A damaged log gives every message that is whole, in order, and says which were lost."""
+"""A damaged log gives every whole message in order, and reports the lost ones."""
 
 import io
 from random import Random
@@ -39,9 +39,9 @@ def repaired(path):
 
 
 def ends(path):
-    """Log time of every message of a whole log, and the byte of the file behind which it is whole.
+    """Return the log time of every message of a whole log, and the byte after which it is complete.
 
-    A message of a compressed chunk counts as whole where the chunk is, those of others where they end themselves.
+    A message in a compressed chunk is complete at the end of the chunk, any other one at its own end.
     """
     found = []
     with path.open("rb") as stream:
@@ -61,7 +61,7 @@ def ends(path):
 
 
 @pytest.mark.parametrize("shape", CUT_SHAPES)
-def test_a_log_cut_anywhere_gives_every_message_that_is_whole_before_the_cut(tmp_path, shape):
+def test_a_cut_log_gives_every_whole_message(tmp_path, shape):
     path = flips.write(tmp_path / "a.mcap", **CRC | CUT_SHAPES[shape])
     whole, truth, random = path.read_bytes(), ends(path), Random(shape)
     for length in random.sample(range(60, len(whole)), CUTS):
@@ -78,7 +78,7 @@ def test_a_log_cut_anywhere_gives_every_message_that_is_whole_before_the_cut(tmp
         assert summary.first_ns == expected[0]
 
 
-def test_the_messages_of_a_cut_chunk_are_saved_as_far_as_it_can_be_decompressed(tmp_path):
+def test_the_start_of_a_cut_chunk_is_saved(tmp_path):
     path = flips.write(tmp_path / "a.mcap", messages=9000, chunk_size=1_000_000, **CRC)
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 3])
@@ -95,7 +95,7 @@ def damaged_in_the_middle(tmp_path, **options):
     return path, messages
 
 
-def test_a_damaged_chunk_in_the_middle_costs_its_messages_and_the_report_names_them(tmp_path):
+def test_a_damaged_chunk_loses_its_messages_and_they_are_reported(tmp_path):
     path, before = damaged_in_the_middle(tmp_path)
     recovery, messages, summary = repaired(path)
     lost = [m for m in before if m.log_time_ns not in {m.log_time_ns for m in messages}]
@@ -111,7 +111,7 @@ def test_a_damaged_chunk_in_the_middle_costs_its_messages_and_the_report_names_t
     assert Metadata("notes", (("k", "v"),)) in summary.metadata
 
 
-def test_without_an_index_the_next_chunk_is_searched_for(tmp_path):
+def test_without_an_index_the_next_chunk_is_found(tmp_path):
     options = {"compression": CompressionType.NONE, "index_types": IndexType.NONE, "use_statistics": False}
     path = flips.write(tmp_path / "a.mcap", **options)
     before = list(log.read(log.summarise(path)))
@@ -131,7 +131,7 @@ def test_without_an_index_the_next_chunk_is_searched_for(tmp_path):
     assert not recovery.exact
 
 
-def test_unchunked_messages_are_found_again_behind_a_length_that_makes_no_sense(tmp_path):
+def test_unchunked_messages_are_found_after_an_invalid_length(tmp_path):
     path = flips.write(tmp_path / "a.mcap", use_chunking=False)
     whole, messages = path.read_bytes(), list(log.read(log.summarise(path)))
     at = whole.index(messages[10].data) - 22 - 8
@@ -142,7 +142,7 @@ def test_unchunked_messages_are_found_again_behind_a_length_that_makes_no_sense(
     assert gap.first_ns <= messages[10].log_time_ns <= gap.last_ns < messages[11].log_time_ns
 
 
-def test_bytes_in_the_middle_of_a_log_that_are_zero_cost_what_stood_there(tmp_path):
+def test_zeros_in_the_middle_lose_only_their_messages(tmp_path):
     path = flips.write(tmp_path / "a.mcap", index_types=IndexType.NONE, **NO_STATISTICS)
     whole = path.read_bytes()
     third = len(whole) // 3
@@ -151,13 +151,13 @@ def test_bytes_in_the_middle_of_a_log_that_are_zero_cost_what_stood_there(tmp_pa
     times = [(m.log_time_ns - flips.FIRST_NS) // flips.STEP_NS for m in messages]
     assert times[0] == 0
     assert times[-1] == 59
-    assert 18 <= len(times) <= 42  # the two thirds, but for a chunk at each end
+    assert 18 <= len(times) <= 42  # two thirds, minus a chunk at each end
 
 
 NO_STATISTICS = {"use_statistics": False}
 
 
-def test_messages_of_a_channel_that_nothing_describes_are_reported(tmp_path):
+def test_messages_of_an_undescribed_channel_are_reported(tmp_path):
     path = flips.write(tmp_path / "a.mcap", use_chunking=False, repeat_channels=False, use_statistics=False)
     whole = path.read_bytes()
     at = whole.index(b"/depth") - 4 - 4 - 9
@@ -177,7 +177,7 @@ def test_channels_that_only_the_index_describes_are_kept(tmp_path):
     assert {c.schema_name for c in summary.channels} == {"Text"}
 
 
-def test_what_is_out_of_order_is_sorted(tmp_path):
+def test_unordered_messages_are_sorted(tmp_path):
     path = tmp_path / "a.mcap"
     channel = log.Channel("/a", "x")
     with log.LogWriter(path) as writer:
@@ -224,12 +224,12 @@ def test_a_repaired_log_that_is_damaged_again_keeps_both_losses(tmp_path, monkey
         {"version": "1", "saved": "9" * 5000, "lost": "{}", "exact": "true", "gaps": "[]"},
     ],
 )
-def test_a_record_of_losses_that_makes_no_sense_is_none(values):
+def test_an_invalid_record_of_losses_is_ignored(values):
     assert Recovery.of_records([Metadata("roadperc.recovery", tuple(values.items()))]) is None
 
 
-def test_channels_are_known_by_an_index_whose_crc_is_wrong(tmp_path):
-    """The chunk that describes them is damaged, and the statistics are: the index's channels are all there is."""
+def test_channels_are_taken_from_an_index_with_a_wrong_crc(tmp_path):
+    """The chunk that describes them and the statistics are damaged, so only the index has the channels."""
     stream = io.BytesIO()
     writer = Writer(stream, chunk_size=100)
     writer.start()
@@ -250,7 +250,7 @@ def test_channels_are_known_by_an_index_whose_crc_is_wrong(tmp_path):
     assert not salvage.losses.undescribed
 
 
-def test_a_frame_of_lz4_without_its_end_is_cut_off():
+def test_an_lz4_frame_without_its_end_is_an_error():
     data = b"a record" * 100
     frame = lz4.frame.compress(data, store_size=False)
     assert bytes(unpacked(head_of(frame, len(data)), check_crc=True).data) == data
@@ -262,7 +262,7 @@ def head_of(stored, size_bytes):
     return ChunkHead(0, 1, size_bytes, 0, "lz4", len(stored), memoryview(stored))
 
 
-def test_very_many_damages_keep_their_times():
+def test_many_damages_keep_their_times():
     framing = Framing(10, (), lambda _: False)
     for k in range(1500):
         framing.note(Damage(k, "x", 1000 + k, 2000 + k))

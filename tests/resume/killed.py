@@ -1,6 +1,6 @@
 """``roadperc-replay`` in a process that is killed: ``killed.py N SECONDS ARGUMENTS``.
 
-Before the n-th change of a name, or after so much time of the processor from when everything is imported (0: never).
+It is killed before the N-th rename, removal or sync, or after SECONDS of CPU time after the imports (0: never).
 """
 
 import os
@@ -25,5 +25,5 @@ def before(function):
 
 
 Path.replace, Path.unlink, shutil.rmtree, os.fsync = map(before, (Path.replace, Path.unlink, shutil.rmtree, os.fsync))
-signal.setitimer(signal.ITIMER_PROF, AFTER_S)  # nobody handles its signal: the kernel ends the process
+signal.setitimer(signal.ITIMER_PROF, AFTER_S)  # without a handler, the signal ends the process
 sys.exit(main(sys.argv[3:]))

@@ -1,4 +1,4 @@
-"""Drives as messages, cut into parts, and what the results of the parts are together."""
+"""Cuts logs into parts, replays each part as a continuation, and joins the results."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -32,7 +32,7 @@ def inputs(path):
 
 
 def with_attachments(source, target, **changed):
-    """A copy of a log with other attachments: None for none."""
+    """A copy of a log with other attachments; None removes one."""
     with log.LogWriter(target) as writer:
         for message in log.read(log.summarise(source)):
             writer.write(message)
@@ -44,18 +44,18 @@ def with_attachments(source, target, **changed):
 
 
 def carried(state):
-    """The messages that an input's state holds."""
+    """The messages in an input's state."""
     return [item.message for item in state.pairing.items if item.message is not None]
 
 
 def cut(messages, times_ns):
-    """The messages between the times, by log time: one part more than there are times."""
+    """Messages cut at the times, by log time."""
     edges = [0, *sorted(times_ns), 2**63]
     return [[m for m in messages if first <= m.log_time_ns < end] for first, end in pairwise(edges)]
 
 
 def replayed(folder, parts, cfg=CFG, **options):
-    """Each part, going on from the one before: the results' paths. A part without a message is none."""
+    """Replay each part as a continuation of the previous one; return the results' paths. Empty parts are skipped."""
     made = []
     for k, messages in enumerate(part for part in parts if part):
         source, target = write(folder / f"in_{k}.mcap", messages), folder / f"out_{k}.mcap"
@@ -65,7 +65,7 @@ def replayed(folder, parts, cfg=CFG, **options):
 
 
 def results(paths):
-    """All result messages without the log's name, by frame; of a frame given twice the last part's."""
+    """All result messages without the log's name, by frame; of a repeated frame the last version."""
     found = {}
     for path in paths:
         found |= _by_frame(path)
@@ -88,7 +88,7 @@ def _nameless(message):
 
 
 def rows(paths, table):
-    """A table's rows without the log's name and without times; of a frame given twice the last part's."""
+    """A table's rows without the log's name and without times; of a repeated frame the last version."""
     tables = [pl.read_parquet(sidecar_path(path, table)) for path in paths]
     kept = []
     for k, frame in enumerate(tables):

@@ -1,4 +1,4 @@
-"""States as bytes: exact, and of hostile bytes one error."""
+"""Encoded states keep all bits; hostile bytes give one error."""
 
 import struct
 import zlib
@@ -40,13 +40,13 @@ def test_floats_keep_all_their_bits(value):
     assert not found.pose.flags.writeable
 
 
-def test_equal_things_give_equal_bytes_once_and_again():
+def test_equal_values_give_equal_bytes():
     data = encode(Thing(1.0, np.eye(4), name="ä"))
     assert encode(decode(data, Thing)) == data
 
 
 def checked(data):
-    """Bytes behind a header that is right."""
+    """Bytes with a correct header."""
     return encoding._MAGIC + bytes([FORMAT_VERSION]) + struct.pack("<I", zlib.crc32(data)) + data
 
 
@@ -88,7 +88,7 @@ def test_hostile_bytes_give_one_error(data, expected):
     assert expected in str(caught.value)
 
 
-def test_what_unpacks_to_more_than_a_state_may_have_is_refused(monkeypatch):
+def test_an_oversized_unpacked_state_is_refused(monkeypatch):
     monkeypatch.setattr(encoding, "MOST_BYTES", 1000)
     with pytest.raises(StateError, match="more than 1000 bytes"):
         decode(packed(b"\0" * 2000), Thing)
@@ -106,8 +106,8 @@ def test_any_flipped_bit_is_one_error():
             decode(bytes(changed), Thing)
 
 
-def test_all_kinds_of_items_are_counted():
-    """As many as may be are read, one more is refused."""
+def test_every_kind_of_item_is_counted():
+    """The allowed number of items is read, one more is refused."""
     things = [None, True, 5, -5, 300, -300, 2**17, -(2**17), 2**40, -(2**40), 0.5, "a", "a" * 40, "a" * 300, b"a"]
     things += [b"a" * 300, "a" * 70_000, b"a" * 70_000, [], [1, 2], {}, {"a": 1}, [0] * 20, [0] * 70_000]
     things += [{str(k): k for k in range(20)}, msgspec.msgpack.Ext(1, b"abcd"), msgspec.msgpack.Ext(1, b"abc")]
@@ -123,5 +123,5 @@ def test_all_kinds_of_items_are_counted():
         require_bounded(plain, StateBounds(items - 1, 100))
 
 
-def test_numbers_of_numpy_are_plain_ones():
+def test_numpy_scalars_become_numbers():
     assert decode(encode(replace(Thing(0.0), value=np.float64(0.1))), Thing) == Thing(0.1)

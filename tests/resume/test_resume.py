@@ -1,4 +1,4 @@
-"""Checkpoints that are damaged, held by another replay, or no folder; and what a replay says of them."""
+"""Checkpoints that are damaged, locked by another replay, or not a folder; and notes on them."""
 
 import signal
 import subprocess
@@ -25,7 +25,7 @@ def source(tmp_path_factory):
 
 @pytest.fixture
 def stopped(source, tmp_path):
-    """An output whose replay was interrupted behind a checkpoint."""
+    """An output whose replay was interrupted after a checkpoint."""
     target = tmp_path / "out.mcap"
     interrupt(source, target, 14)
     return target
@@ -33,8 +33,7 @@ def stopped(source, tmp_path):
 
 @pytest.mark.promise("States", "Any flipped bit in a checkpoint gives one error")
 @pytest.mark.parametrize("name", ["state", "frames"])
-def test_a_flipped_bit_anywhere_is_one_error(source, stopped, name):
-    """14 of 14, of which 7 gave another output before records had a CRC."""
+def test_a_flipped_bit_in_a_checkpoint_gives_one_error(source, stopped, name):
     path, rng = checkpoint_folder(stopped) / name, Random(1)
     data, written = path.read_bytes(), CheckpointFolder(stopped).read().length
     for bit in (rng.randrange(8 * (written if name == "frames" else len(data))) for _ in range(14)):
@@ -50,7 +49,7 @@ def test_a_flipped_bit_anywhere_is_one_error(source, stopped, name):
 
 
 @pytest.mark.promise("States", "Two replays never write to one checkpoint")
-def test_a_second_replay_of_one_output_is_refused_while_the_first_lives(source, tmp_path):
+def test_a_second_replay_of_the_same_output_is_refused(source, tmp_path):
     target = tmp_path / "out.mcap"
     first = subprocess.Popen(command(source, target, "--resume", "--quiet"))
     while not (checkpoint_folder(target) / "state").exists():
@@ -66,7 +65,7 @@ def test_a_second_replay_of_one_output_is_refused_while_the_first_lives(source, 
         first.wait()
     replay(source, target, CFG, **RESUMED)
     replay(source, tmp_path / "direct.mcap", CFG)
-    assert same(target, tmp_path / "direct.mcap"), "the lock of a dead process is gone with it"
+    assert same(target, tmp_path / "direct.mcap"), "the lock ends with its process"
     assert not checkpoint_folder(target).exists()
 
 
@@ -92,7 +91,7 @@ def test_a_link_in_place_of_the_frames_is_not_written_through(source, stopped, t
     assert (tmp_path / "victim").read_bytes() == before
 
 
-def test_a_plain_replay_removes_what_an_interrupted_one_left_and_says_so(source, stopped):
+def test_a_plain_replay_removes_old_checkpoints_with_a_note(source, stopped):
     summary = replay(source, stopped, CFG)
     assert any("checkpoint: left by an interrupted replay; removed" in note for note in summary.notes)
     assert names(stopped.parent) == OUTPUTS
@@ -109,7 +108,7 @@ def test_an_output_with_another_table_is_not_complete(source, tmp_path, table):
     assert "nothing to do" in replay(source, target, CFG, **RESUMED).notes[0]
 
 
-def test_what_is_continued_is_not_replaced(source, tmp_path):
+def test_the_continued_result_is_not_replaced(source, tmp_path):
     target = tmp_path / "out.mcap"
     replay(source, target, CFG)
     before = target.read_bytes()
@@ -123,7 +122,7 @@ def words(source, target, *options):
     return [str(source), str(target), *settings, *EVERY, *options]
 
 
-def test_a_resumed_replay_says_from_where(source, stopped, capsys):
+def test_a_resumed_replay_reports_its_start(source, stopped, capsys):
     assert main(words(source, stopped, "--resume")) == 0
     said = capsys.readouterr().out.splitlines()
     (resumed,) = (line for line in said if line.startswith("resumed: "))
@@ -136,8 +135,8 @@ def test_a_resumed_replay_says_from_where(source, stopped, capsys):
     assert said[-1].startswith("16 frames, log ")
 
 
-def test_the_same_command_with_force_resumes_over_an_older_output(source, tmp_path):
-    """Of the command that was interrupted ``--force`` is a part: it does not start over where its checkpoint is."""
+def test_resume_with_force_replaces_an_older_output(source, tmp_path):
+    """``--force`` does not discard the checkpoint of the same command."""
     target = tmp_path / "out.mcap"
     replay(source, target, load_config())
     interrupt(source, target, 14, force=True)

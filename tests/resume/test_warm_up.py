@@ -1,4 +1,4 @@
-"""A replay that starts in the middle of a log, its memory built on the seconds before."""
+"""A replay that starts in the middle of a log after a warm-up on the seconds before."""
 
 from dataclasses import replace
 
@@ -34,7 +34,7 @@ def warmed(source):
     return source.with_name("warmed.mcap")
 
 
-def test_what_is_written_begins_at_the_start(source, warmed):
+def test_written_frames_begin_at_the_start(source, warmed):
     rows = read_metrics(warmed)
     assert rows["frame"].to_list() == list(range(8))
     assert rows["stamp_ns"][0] == logs.START_NS + 10 * STEP_NS
@@ -42,7 +42,7 @@ def test_what_is_written_begins_at_the_start(source, warmed):
     assert [m.log_time_ns for m in images] == [logs.START_NS + k * STEP_NS for k in range(10, 18)]
 
 
-def test_odometry_is_the_identity_at_the_first_frame_and_tracks_from_before(warmed):
+def test_odometry_starts_at_the_identity_and_is_tracked(warmed):
     first = read_metrics(warmed).row(0, named=True)
     assert [first[name] for name in FROM_START] == [0, 0, 0, 0, 0, 0, 1]
     assert first["odometry_status"] == "tracked"
@@ -51,8 +51,8 @@ def test_odometry_is_the_identity_at_the_first_frame_and_tracks_from_before(warm
     assert len(next(iter(log.read(log.summarise(warmed), topics=[ODOMETRY_TOPIC]))).data) > 0
 
 
-def test_the_memory_is_the_one_of_the_frames_before(source, warmed, tmp_path):
-    """As in a replay from where the warm-up begins, but for the place from which the pose counts."""
+def test_the_state_is_that_of_earlier_frames(source, warmed, tmp_path):
+    """Equal to a replay from the start of the warm-up, except for the origin of the pose."""
     replay(source, tmp_path / "longer.mcap", CFG, time_range=TimeRange(start_s=0.1))
     rows, longer = read_metrics(warmed), read_metrics(tmp_path / "longer.mcap").tail(8)
     same = [n for n in rows.columns if n not in {"log_id", "frame", *FROM_START} and (n[-3:] != "_ms" or n[0] == "y")]
@@ -71,15 +71,15 @@ def test_the_output_replays_to_itself(warmed, tmp_path):
     assert (tmp_path / "again.mcap").read_bytes() == warmed.read_bytes()
 
 
-def test_it_can_be_continued(source, warmed, tmp_path):
+def test_a_warmed_up_result_can_be_continued(source, warmed, tmp_path):
     first, second = tmp_path / "a.mcap", tmp_path / "b.mcap"
     replay(source, first, CFG, time_range=TimeRange(0.5, 0.6), warm_up_s=0.4)
     replay(source, second, CFG, time_range=TimeRange(0.6), continued=first)
     assert results([first, second]) == results([warmed])
 
 
-def test_messages_that_come_late_for_the_start(source, tmp_path):
-    """Frames whose image came before the start are none of the part, whenever their depth comes."""
+def test_late_messages_around_the_start(source, tmp_path):
+    """A frame whose image came before the start is not written, even if its depth comes later."""
     late = [
         replace(m, log_time_ns=m.log_time_ns + 120_000_000 * (m.channel.topic == "/camera/front/depth"))
         for m in inputs(source)
@@ -91,7 +91,7 @@ def test_messages_that_come_late_for_the_start(source, tmp_path):
     assert rows["missing"].to_list() == [[]] * 8
 
 
-def test_more_than_there_is(source, tmp_path):
+def test_a_warm_up_longer_than_the_log(source, tmp_path):
     summary = replay(source, tmp_path / "a.mcap", CFG, time_range=TimeRange(start_s=0.1), warm_up_s=5.0)
     assert summary.notes[0] == "warm-up: 0.1 s; the log has no more before the start"
     assert read_metrics(tmp_path / "a.mcap")["odometry_status"][0] == "tracked"
@@ -101,7 +101,7 @@ def test_more_than_there_is(source, tmp_path):
     assert results([tmp_path / "b.mcap"]) == results([tmp_path / "c.mcap"])
 
 
-def test_without_a_frame_before_the_start_there_is_no_memory(source, tmp_path):
+def test_without_an_earlier_frame_the_state_is_empty(source, tmp_path):
     messages = [
         m for m in inputs(source) if m.log_time_ns >= logs.START_NS + 10 * STEP_NS or "image" not in m.channel.topic
     ]

@@ -23,7 +23,7 @@ PROTO_TYPES = {
 
 
 @ROWS
-def test_every_column_says_what_it_means(row_type):
+def test_every_column_has_a_meaning(row_type):
     columns = columns_of(row_type)
     assert list(columns) == [field.name for field in fields(row_type)]
     assert all(column.meaning for column in columns.values())
@@ -34,7 +34,7 @@ def test_every_column_says_what_it_means(row_type):
 
 
 @ROWS
-def test_a_column_that_may_be_null_says_where(row_type):
+def test_a_nullable_column_says_when_it_is_null(row_type):
     hints, shared = get_type_hints(row_type), ("lane_tusimple", "lane_culane", "filter_", "stereo_", "lane_")
     for name, column in columns_of(row_type).items():
         optional = type(None) in getattr(hints[name], "__args__", ())
@@ -63,7 +63,7 @@ def test_the_table_has_every_column_in_its_order():
     assert schema.names[-len(TIME_COLUMNS) - 4 :][:4] == ["segment", "sync_skew_ms", "missing", "reasons"]
 
 
-def test_reports_know_labels_for_columns_that_exist_and_no_label_twice():
+def test_labels_of_reports_are_unique():
     columns = {**columns_of(FrameMetrics), **dict.fromkeys(TIME_COLUMNS)}
     stored = [quantity for quantity in NUMBERS if quantity not in DERIVED]
     assert {quantity.column for quantity in stored} <= columns.keys()

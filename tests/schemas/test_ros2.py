@@ -43,12 +43,12 @@ def test_a_public_reader_reads_it(frame_id):
 
 
 @given(st.integers(0, 60))
-def test_cut_bytes_are_a_stated_error(length):
+def test_cut_bytes_are_an_error(length):
     with pytest.raises(DecodeError):
         unpack_image(ros2.pack_image(image())[:length])
 
 
-def test_foreign_encoding_is_named():
+def test_an_unknown_encoding_is_an_error():
     with pytest.raises(DecodeError, match="'bgr8'"):
         unpack_image(ros2.pack_image(image(encoding="bgr8")))
 
@@ -71,7 +71,7 @@ def test_a_public_reader_reads_a_grid(frame_id):
 
 
 @pytest.mark.parametrize("stamp_ns", [2**31 * 10**9, 2**62])
-def test_a_stamp_from_2038_on_has_no_place(stamp_ns):
+def test_stamps_from_2038_on_are_refused(stamp_ns):
     last_ns = 2**31 * 10**9 - 1
     assert ros2.unpack_header(ros2.pack_image(replace(image(), stamp_ns=last_ns)), ros2.IMAGE)[0] == last_ns
     expected = f"stamp {stamp_ns} ns: expected at most {last_ns} ns"

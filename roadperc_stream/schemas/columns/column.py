@@ -1,4 +1,4 @@
-"""What is known of a column: how it is shown, which values are better, what it means."""
+"""The definition of a column: its meaning, its label, and which values are better."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -8,7 +8,7 @@ COUNT: Final = "count"
 RATIO: Final = "ratio"
 UNITLESS: Final = frozenset({"", COUNT, RATIO})
 Better = Literal["high", "low", "near 0", ""]
-"""On which side good values lie; empty where neither side is better."""
+"""The better side; empty if neither is better."""
 Row = TypeVar("Row")
 
 
@@ -16,9 +16,9 @@ Row = TypeVar("Row")
 class Column:
     """A column of a table. It annotates the field of the row that holds its value.
 
-    ``meaning`` and ``null`` are the definition: the formula, and when there is no value. ``label``, with ``unit`` and
-    ``decimals`` behind the point, is how reports name a number; empty for what they do not list. ``compares_coverage``
-    says that a frame without a value is a loss which no neighbouring column shows as well.
+    ``meaning`` is the formula, and ``null`` says when there is no value. Reports show the value with ``label``,
+    ``unit`` and ``decimals``; without a label they omit it. ``compares_coverage`` is true if a frame without a value is
+    a loss that no other column shows.
     """
 
     meaning: str
@@ -31,10 +31,10 @@ class Column:
 
 
 def columns_of(row_type: type) -> Mapping[str, Column]:
-    """The columns of a row, or of a group of them, by name and in the table's order.
+    """Return the columns of a row, or of a group of columns, by name and in the table's order.
 
     Raises:
-        TypeError: a field of the row says nothing of itself.
+        TypeError: a field has no Column in its annotation.
     """
     hints = get_type_hints(row_type, include_extras=True)
     return {field.name: _annotation(field.name, hints[field.name]) for field in fields(row_type)}
@@ -48,5 +48,5 @@ def _annotation(name: str, hint: Any) -> Column:
 
 
 def row_of(row_type: type[Row], *groups: object) -> Row:
-    """A row from its groups of columns, each an instance of one of the classes the row inherits from."""
+    """Return a row made of its groups of columns, which are instances of the row's base classes."""
     return row_type(**{name: value for group in groups for name, value in vars(group).items()})

@@ -1,4 +1,4 @@
-"""How far a frame's estimates are from the truth, and the truth that evaluation needs beside them."""
+"""Columns that compare a frame's estimates with the truth, and columns of the truth itself."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -9,13 +9,13 @@ _NO_TRUE_PLANE = "no plane, or no true one"
 
 
 def _score(meaning: str, unit: str, null: str, label: str, decimals: int, better: Better = "low") -> Column:
-    """A number that reports list and compare."""
+    """Return the column of a number that reports list and compare."""
     return Column(meaning, unit, null, label=label, decimals=decimals, better=better)
 
 
 @dataclass(frozen=True)
 class SurfaceErrorColumns:
-    """Plane, heights and drivable pixels."""
+    """Errors of plane, heights and drivable pixels."""
 
     surface_angle_error_deg: Annotated[
         float | None,
@@ -76,7 +76,7 @@ def _lane_error(side: str) -> Column:
 
 @dataclass(frozen=True)
 class LaneErrorColumns:
-    """The boundaries on the road."""
+    """Errors of the boundaries on the road."""
 
     lane_left_error_m: Annotated[float | None, _lane_error("left")] = None
     lane_right_error_m: Annotated[float | None, _lane_error("right")] = None
@@ -87,7 +87,7 @@ _TRUE_OFFSET = Column("true lateral offset at x = 0, to compare the smoothed off
 
 @dataclass(frozen=True)
 class TrueLaneColumns:
-    """Where the true boundaries are, for jitter and lag."""
+    """The true boundaries, for jitter and lag."""
 
     lane_left_true_offset_m: Annotated[float | None, _TRUE_OFFSET] = None
     lane_right_true_offset_m: Annotated[float | None, _TRUE_OFFSET] = None
@@ -101,13 +101,15 @@ class TrueLaneColumns:
     true_lane_changes: Annotated[
         int | None,
         Column(
-            "how often the car's reference point has truly come into another lane", COUNT, "the log has no such truth"
+            "true number of lanes that the car's reference point has entered",
+            COUNT,
+            "the log has no such truth",
         ),
     ] = None
     lane_true_heading_deg: Annotated[
         float | None,
         Column(
-            "true heading, the mean over the boundaries that `lane_heading_deg` is the mean of",
+            "true heading, the mean over the boundaries of `lane_heading_deg`",
             "deg",
             "both boundaries are lost, or one of them has no true heading",
         ),
@@ -120,7 +122,7 @@ def _culane(what: str, threshold: str) -> Column:
 
 @dataclass(frozen=True)
 class LaneScoreColumns:
-    """The boundaries in the image, as the public benchmarks score lanes."""
+    """Scores of the boundaries in the image, as in public benchmarks."""
 
     lane_tusimple_accuracy: Annotated[
         float | None,
@@ -159,7 +161,7 @@ class LaneScoreColumns:
 
 @dataclass(frozen=True)
 class ObjectErrorColumns:
-    """Distances, and how the filter judged the detections."""
+    """Errors of distances, and of the filter of detections."""
 
     object_distance_error_m: Annotated[
         float | None,
@@ -186,7 +188,7 @@ class ObjectErrorColumns:
 
 @dataclass(frozen=True)
 class TrueImpactColumns:
-    """What the truth says of the path ahead, and how far the time to impact is from it."""
+    """The true time to impact, and the error of the estimated one."""
 
     true_time_to_impact_s: Annotated[
         float | None,
@@ -211,7 +213,7 @@ class TrueImpactColumns:
 
 @dataclass(frozen=True)
 class StereoErrorColumns:
-    """Stereo depth against the depth camera's, over what both cameras see."""
+    """Errors of stereo depth against the depth camera, where both cameras see."""
 
     stereo_epe_px: Annotated[float | None, _score("mean of abs(d - d*)", "px", "", "stereo disparity", 2)] = None
     stereo_d1_ratio: Annotated[
@@ -231,7 +233,7 @@ class StereoErrorColumns:
 
 @dataclass(frozen=True)
 class OdometryErrorColumns:
-    """The step since the last frame against the true one."""
+    """Errors of the step since the last frame."""
 
     step_error_m: Annotated[
         float | None,
@@ -248,11 +250,9 @@ class OdometryErrorColumns:
     ] = None
     true_step_m: Annotated[
         float | None,
-        Column("true length of the step that `step_m` is the length of", "m", "no step, or no true pose at either end"),
+        Column("true length of the step of `step_m`", "m", "no step, or no true pose at either end"),
     ] = None
-    true_turn_deg: Annotated[
-        float | None, Column("true angle of the turn that `turn_deg` is the angle of", "deg", "the same")
-    ] = None
+    true_turn_deg: Annotated[float | None, Column("true angle of the turn of `turn_deg`", "deg", "the same")] = None
 
 
 def _true_pose(what: str, unit: str = "") -> Column:
@@ -261,7 +261,7 @@ def _true_pose(what: str, unit: str = "") -> Column:
 
 @dataclass(frozen=True)
 class TruePoseColumns:
-    """The true pose odom_T_ego, so that whole trajectories are evaluated from the table alone."""
+    """The true pose odom_T_ego, so that the table alone is enough to evaluate trajectories."""
 
     true_x_m: Annotated[float | None, _true_pose("true position of the ego frame in odom, x", "m")] = None
     true_y_m: Annotated[float | None, _true_pose("the same, y", "m")] = None

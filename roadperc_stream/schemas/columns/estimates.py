@@ -1,4 +1,4 @@
-"""What the chain says of a frame, with no truth needed."""
+"""Columns of the chain's estimates, which need no truth."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -10,12 +10,12 @@ _NOT_RUN = "the stage did not run"
 
 
 def _count(meaning: str, label: str, null: str = _NOT_RUN) -> Column:
-    """A number whose absence a neighbouring column shows as well."""
+    """Return the column of a count whose absence another column also shows."""
     return Column(meaning, COUNT, null, label=label, decimals=1, compares_coverage=False)
 
 
 def _shown_beside(meaning: str, unit: str, null: str, label: str, decimals: int) -> Column:
-    """A measurement whose absence a neighbouring column shows as well."""
+    """Return the column of a measurement whose absence another column also shows."""
     return Column(meaning, unit, null, label=label, decimals=decimals, compares_coverage=False)
 
 
@@ -63,7 +63,7 @@ class SurfaceColumns:
         ),
     ] = None
     surface_model: Annotated[
-        str | None, Column("`plane`, or `spline` where the road has a height field as well", null=_NO_PLANE)
+        str | None, Column("`plane`, or `spline` if the road also has a height field", null=_NO_PLANE)
     ] = None
 
 
@@ -139,7 +139,7 @@ class LaneColumns:
 
 @dataclass(frozen=True)
 class ObjectColumns:
-    """How many detections were kept, and the nearest and most urgent of them."""
+    """Numbers of detections, and the nearest and most urgent ones."""
 
     detections: Annotated[
         int | None, Column("detections of the detector", COUNT, _NOT_RUN, label="detections a frame", decimals=1)
@@ -184,7 +184,7 @@ class ObjectColumns:
         _count(
             "kept objects in the path",
             "objects in the path",
-            "the stage did not run, or it is known of no kept object whether it is in the path",
+            "the stage did not run, or no kept object is known to be inside or outside the path",
         ),
     ] = None
     cut_ins: Annotated[

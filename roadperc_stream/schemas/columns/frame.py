@@ -10,15 +10,15 @@ TIMED_STAGES: Final = (
     *("read", "decode", "surface", "lanes", "objects", "stereo", "odometry", "occupancy"),
     *("metrics", "copy", "encode", "write", "total"),
 )
-"""The parts of a frame's time, and their sum: reading its messages from the log, decoding its pixels, the chain's
-stages, its row, the copy of the input's messages up to it, the making of its own messages and their writing."""
+"""Timed steps of a frame: reading its messages, decoding its pixels, the chain's stages, its metrics, copying the input
+up to it, encoding its results, writing them, and the sum."""
 TIME_COLUMNS: Final = tuple(f"{stage}_ms" for stage in TIMED_STAGES)
-"""Milliseconds of each; null where it did not run. Only the Parquet table has them, after the row."""
+"""Milliseconds of each step, null if it did not run. They are only in the Parquet table, after the row."""
 
 
 @dataclass(frozen=True)
 class FrameKey:
-    """Which frame of which log."""
+    """The identity of a frame."""
 
     log_id: Annotated[str, Column("first 16 hexadecimal digits of the digest of the input's messages")]
     frame: Annotated[int, Column("number of the frame in the replay, from 0")]
@@ -27,10 +27,10 @@ class FrameKey:
 
 @dataclass(frozen=True)
 class InputColumns:
-    """What of the input was at hand."""
+    """The input of a frame."""
 
     segment: Annotated[
-        int, Column("how often the stamps restarted before the frame: another recording, or one played in a loop")
+        int, Column("number of times that the stamps restarted before the frame: another log, or one played in a loop")
     ] = 0
     sync_skew_ms: Annotated[
         float | None,
@@ -43,7 +43,7 @@ class InputColumns:
         ),
     ] = None
     missing: Annotated[tuple[str, ...], Column("roles of the log without a message for the frame")] = ()
-    reasons: Annotated[tuple[str, ...], Column("why an output is missing or incomplete, in words")] = ()
+    reasons: Annotated[tuple[str, ...], Column("why an output is missing or incomplete")] = ()
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class FrameMetrics(
     estimates.SurfaceColumns,
     FrameKey,
 ):
-    """The row of a frame, the times excepted."""
+    """The row of a frame without its times."""
 
 
 _NOT_TRACKED = "too few distances, or contradicting ones"
@@ -75,7 +75,7 @@ _NO_TRUTH = "no true object"
 
 @dataclass(frozen=True)
 class ObjectMetrics(FrameKey):
-    """A detection as the chain filtered and tracked it, and the true object it matches."""
+    """A filtered and tracked detection, and the true object that it matches."""
 
     track_id: Annotated[str | None, Column("the object's track through the log", null="not tracked")]
     label: Annotated[str, Column("class by the detector")]
@@ -92,14 +92,14 @@ class ObjectMetrics(FrameKey):
     distance_m: Annotated[
         float | None,
         Column(
-            "straight from the camera: the quantile `objects.distance_quantile` over its own pixels",
+            "straight-line distance from the camera: the quantile `objects.distance_quantile` over its own pixels",
             "m",
             "no depth there, or beyond its range",
         ),
     ]
     distance_std_m: Annotated[float | None, Column("its standard deviation", "m", "the same")]
     closing_speed_mps: Annotated[
-        float | None, Column("how fast the distance shrinks, positive when nearing", "m/s", _NOT_TRACKED)
+        float | None, Column("rate at which the distance shrinks, positive when approaching", "m/s", _NOT_TRACKED)
     ]
     closing_speed_std_mps: Annotated[float | None, Column("its standard deviation", "m/s", "the same")]
     time_to_impact_s: Annotated[
@@ -108,7 +108,7 @@ class ObjectMetrics(FrameKey):
     ]
     time_to_impact_std_s: Annotated[float | None, Column("its standard deviation", "s", "the same")]
     lateral_m: Annotated[
-        float | None, Column("how far its middle is to the left of the middle of the car's path", "m", _NO_PLACE)
+        float | None, Column("distance of its middle to the left of the middle of the car's path", "m", _NO_PLACE)
     ]
     in_path: Annotated[bool | None, Column("whether any of it is in the car's path", null=_NO_PLACE)]
     cut_in: Annotated[
@@ -125,13 +125,14 @@ class ObjectMetrics(FrameKey):
     true_time_to_impact_s: Annotated[
         float | None,
         Column(
-            "the truth's value, else its distance / its closing speed",
+            "the recorded true value, else its distance / its closing speed",
             "s",
             "no true object, it does not come nearer, or is truly beside the path",
         ),
     ]
     true_lateral_m: Annotated[
-        float | None, Column("how far its middle is truly to the left of the path's", "m", "the log has no such truth")
+        float | None,
+        Column("true lateral distance of its middle from the path's middle", "m", "the log has no such truth"),
     ]
     true_in_path: Annotated[
         bool | None, Column("whether any of it is truly in the path", null="the log has no such truth")

@@ -7,18 +7,18 @@ from roadperc_stream.schemas.columns.column import COUNT, Column
 from roadperc_stream.schemas.columns.frame import TIME_COLUMNS
 
 RunStatus = Literal["done", "empty", "damaged", "unfit", "timeout", "memory", "killed", "unreachable"]
-"""How a log fared: ``empty`` has no frame, ``damaged`` cannot be read, ``unfit`` has channels or times that the chain
-cannot use; the last four are of the machine it ran on and not of the log."""
+"""Outcome of a log: ``empty`` has no frame, ``damaged`` cannot be read, ``unfit`` has channels or times that the chain
+cannot use. The last four depend on the machine, not on the log."""
 STATUSES: Final[tuple[RunStatus, ...]] = get_args(RunStatus)
 
 
 def stage_column(name: str) -> str:
-    """The column of a stage's seconds in all frames of a log, for that of its milliseconds in one."""
+    """Return the column of a stage's seconds in all frames, for its column of milliseconds in one frame."""
     return f"{name.removesuffix('_ms')}_s"
 
 
 OF_THE_MACHINE: Final = frozenset({"timeout", "memory", "killed", "unreachable"})
-"""How a log fared for reasons that may be gone by the next run."""
+"""Outcomes that a new attempt may change."""
 RUN_TIME_COLUMNS: Final = tuple(map(stage_column, TIME_COLUMNS))
 """A column for each time in the table of frames."""
 
@@ -37,27 +37,27 @@ class RunRow:
         str, Column("`done`, `empty`, `damaged`, `unfit`, `timeout`, `memory`, `killed` or `unreachable`")
     ]
     error: Annotated[str | None, Column("what went wrong, in a line", null="nothing")]
-    path: Annotated[str, Column("path or address of the log, of its first part where it has several")]
-    names: Annotated[tuple[str, ...], Column("all paths and addresses under which the log has been seen")]
-    fingerprints: Annotated[tuple[str, ...], Column("size and time that the log had under each of the names")]
+    path: Annotated[str, Column("path or address of the log, or of its first file")]
+    names: Annotated[tuple[str, ...], Column("all known paths and addresses of the log")]
+    fingerprints: Annotated[tuple[str, ...], Column("size and modification time of the log under each name")]
     date: Annotated[str | None, Column("UTC date of the log's first message, YYYY-MM-DD", null=_UNKNOWN)]
     duration_s: Annotated[float | None, Column("from the first frame to the last", "s", "no frame")]
     size_bytes: Annotated[int, Column("of the log's files")]
     frames: Annotated[int, Column("frames replayed", COUNT)]
     dropped: Annotated[int, Column("messages that belong to no frame", COUNT)]
     unreadable: Annotated[int, Column("messages that could not be decoded", COUNT)]
-    warnings: Annotated[tuple[str, ...], Column("what `--recover` saved and lost, and what else the replay warned of")]
+    warnings: Annotated[tuple[str, ...], Column("messages saved and lost with `--recover`, and other warnings")]
     seconds: Annotated[float, Column("the last attempt, from start to end", "s")]
-    peak_memory_mb: Annotated[float | None, Column("the most memory its process held", "MB", "the process was killed")]
+    peak_memory_mb: Annotated[float | None, Column("peak memory of its process", "MB", "the process was killed")]
     version: Annotated[str, Column("version of the program")]
     code: Annotated[str, Column("digest of the code that results depend on, 8 digits")]
     libraries: Annotated[str, Column("versions of the libraries that compute")]
     config_digest: Annotated[str, Column("digest of the settings, as in the tables' footers")]
     settings: Annotated[str, Column("the settings that are not the default, as TOML")]
     options: Annotated[str, Column("the other options that results depend on, as on the command line")]
-    recover: Annotated[bool, Column("whether what can be read of a damaged log was to be replayed")]
+    recover: Annotated[bool, Column("whether `--recover` was given")]
     logs: Annotated[str, Column("the result log in the dataset: `no`, `whole`, or `results` without the input")]
-    digest_algorithm: Annotated[str, Column("what made `log_id`")]
+    digest_algorithm: Annotated[str, Column("algorithm of `log_id`")]
     worker: Annotated[str, Column("host and process of the last attempt")]
-    attempts: Annotated[int, Column("how often the log was begun, in the run that gave this row", COUNT)]
-    finished_ns: Annotated[int, Column("when this row was written, since 1970", "ns")]
+    attempts: Annotated[int, Column("number of attempts in the batch that wrote this row", COUNT)]
+    finished_ns: Annotated[int, Column("time at which this row was written, since 1970", "ns")]

@@ -82,7 +82,7 @@ def numbers(payload):
 
 
 @pytest.mark.parametrize("key", MESSAGES)
-def test_json_says_what_protobuf_says(key):
+def test_json_and_protobuf_decode_equally(key):
     name, data = MESSAGES[key]
     proto = decode(KINDS[key], name, "protobuf", data, 5, Context(TABLE))
     said = decode(KINDS[key], name, "json", as_json(name, data), 5, Context(TABLE))
@@ -95,7 +95,7 @@ def payload(key):
     return decode(KINDS[key], name, "protobuf", data, 5, Context(TABLE)).payload
 
 
-def test_raw_and_compressed_hold_the_same():
+def test_raw_and_compressed_images_decode_equally():
     np.testing.assert_array_equal(payload("raw image").bgr, payload("image").bgr)
     np.testing.assert_array_equal(payload("raw tags").tags, payload("tags").tags)
     np.testing.assert_array_equal(payload("raw tag colours").tags, [[1, 7]])
@@ -127,12 +127,12 @@ STAMPED = {"timestamp": {"sec": 1, "nsec": 2}}
     ],
     ids=range(15),
 )
-def test_json_that_is_no_message_is_a_stated_error(data):
+def test_invalid_json_is_an_error(data):
     with pytest.raises(DecodeError, match=r"bytes are no foxglove\.CameraCalibration as JSON"):
         decode("calibration", "foxglove.CameraCalibration", "json", data, 5, Context())
 
 
-def test_a_missing_time_is_the_log_time_and_null_is_nothing():
+def test_a_missing_time_becomes_the_log_time():
     text = json.dumps({"timestamp": None, "frame_id": "c", "data": base64.b64encode(png(BGR)).decode()})
     found = decode("image", "foxglove.CompressedImage", "json", text.encode(), 77, Context())
     assert found.stamp_ns == 77

@@ -49,7 +49,7 @@ def camera_pixels(encoding, pixels, padding=0):
         ("rgba8", np.dstack((BGR[..., ::-1], GREY))),
     ],
 )
-def test_colours_come_through_whatever_their_order_and_padding(encoding, pixels, padding):
+def test_colours_are_decoded_in_any_order_and_padding(encoding, pixels, padding):
     found = camera_pixels(encoding, pixels, padding)
     np.testing.assert_array_equal(found.bgr, BGR)
     np.testing.assert_array_equal(found.grey, cv2.cvtColor(BGR, cv2.COLOR_BGR2GRAY))
@@ -65,7 +65,7 @@ def test_colours_come_through_whatever_their_order_and_padding(encoding, pixels,
         ("mono16", GREY.astype(">u2") * 256 + 7),
     ],
 )
-def test_greys_come_through(encoding, pixels):
+def test_grey_images_are_decoded(encoding, pixels):
     dtype = pixels.dtype.str.replace("=", "<")
     found = camera_pixels(encoding, np.asarray(pixels, dtype), 1)
     np.testing.assert_array_equal(found.grey, GREY)
@@ -103,7 +103,7 @@ def test_instance_masks_are_numbers_in_green_and_blue():
     assert found.ids.dtype == np.uint16
 
 
-def test_tags_of_no_known_table_or_colour_are_an_error():
+def test_tags_of_an_unknown_table_or_colour_are_an_error():
     with pytest.raises(DecodeError, match="names no tag table"):
         read("tags", ros2.IMAGE, image("mono8", GREY))
     found = read("tags", ros2.IMAGE, image("rgb8", np.full((2, 2, 3), (1, 2, 3), np.uint8))).payload
@@ -123,14 +123,14 @@ def test_tags_of_no_known_table_or_colour_are_an_error():
     ],
     ids=["encoding", "step", "height", "huge", "empty", "depth"],
 )
-def test_pixels_that_cannot_be_are_named(message, words):
+def test_impossible_pixels_are_an_error(message, words):
     found = read("image", ros2.IMAGE, message).payload
     for pixels in ("bgr", "grey"):
         with pytest.raises(DecodeError, match=words):
             getattr(found, pixels)
 
 
-def test_colours_are_no_depth():
+def test_colours_are_refused_as_depth():
     with pytest.raises(DecodeError, match="depth of encoding 'bgr8': expected one of 16UC1"):
         _ = read("depth", ros2.IMAGE, image("bgr8", BGR)).payload.depth_m
 
@@ -144,7 +144,7 @@ def png(pixels):
 
 
 @pytest.mark.parametrize("layout", ["png", "bgr8; png compressed bgr8", "rgb8; jpeg compressed bgr8"])
-def test_a_compressed_image_is_what_its_bytes_are(layout):
+def test_a_compressed_image_is_decoded_by_its_bytes(layout):
     found = read("image", COMPRESSED, compressed(layout, png(BGR)))
     assert found.stamp_ns == STAMP
     np.testing.assert_array_equal(found.payload.bgr, BGR)
@@ -174,13 +174,13 @@ def test_compressed_depth_of_both_kinds():
     ],
     ids=["rvl", "short", "8 bits", "floats"],
 )
-def test_compressed_depth_that_cannot_be_read_is_named(layout, data, words):
+def test_unreadable_compressed_depth_is_an_error(layout, data, words):
     found = read("depth", COMPRESSED, compressed(layout, data)).payload
     with pytest.raises(DecodeError, match=words):
         _ = found.depth_m
 
 
-def test_compressed_depth_is_no_camera_image():
+def test_compressed_depth_is_refused_as_image():
     with pytest.raises(DecodeError, match="that is depth"):
         read("image", COMPRESSED, compressed("16UC1; compressedDepth", b""))
 
@@ -204,7 +204,7 @@ def test_a_camera_info_is_a_camera():
     assert read("calibration", INFO, right).payload.baseline_m == 0.5
 
 
-def test_the_principal_point_of_carlas_bridge_is_that_of_pixel_centres():
+def test_the_principal_point_of_the_carla_bridge_is_shifted_to_pixel_centres():
     """On a road of CARLA's the half pixel is a tenth of a degree of pitch."""
     topics = {"/carla/hero/rgb_front/camera_info": (159.5, 119.5), "/cam/camera_info": (160, 120)}
     for topic, centre in topics.items():
@@ -228,7 +228,7 @@ def test_the_principal_point_of_carlas_bridge_is_that_of_pixel_centres():
     ],
     ids=["zero", "nan", "binned", "part"],
 )
-def test_a_camera_info_of_another_image_is_named(other, words):
+def test_a_camera_info_of_a_cut_or_binned_image_is_an_error(other, words):
     with pytest.raises(DecodeError, match=words):
         read("calibration", INFO, info(**other))
 
@@ -237,7 +237,7 @@ def cloud(rows, padding=0, **other):
     return rosbag.cloud(STAMP, "lidar", rows, padding, **other)
 
 
-def test_points_come_through_row_by_row():
+def test_points_are_decoded_row_by_row():
     rows = np.arange(24, dtype=np.float32).reshape(2, 3, 4)
     for padding in (0, 5):
         found = read("points", CLOUD, cloud(rows, padding)).payload
@@ -262,7 +262,7 @@ def test_points_of_whole_numbers_keep_their_sign():
     ],
     ids=["big endian", "step", "height", "no y", "type"],
 )
-def test_points_that_cannot_be_are_named(other, words):
+def test_impossible_points_are_an_error(other, words):
     found = read("points", CLOUD, cloud(np.zeros((2, 3, 4), np.float32), **other)).payload
     with pytest.raises(DecodeError, match=words):
         _ = found.points_m
@@ -283,7 +283,7 @@ def test_detections_of_humble():
     assert (second.label, second.score) == ("", 0.0)
 
 
-def test_a_turned_box_is_the_upright_one_around_it():
+def test_a_rotated_box_becomes_the_box_around_it():
     car = rosbag.detection(box("", 10, 20, 50, 40).box_px, "car", 0.5)
     car["bbox"]["center"]["theta"] = math.pi / 2
     (found,) = read("detections", rosbag.DETECTIONS, detections(car)).payload
@@ -331,7 +331,7 @@ def test_transforms_and_poses():
 
 
 @pytest.mark.parametrize("length", [0, 3, 11, 30, 60])
-def test_cut_bytes_are_a_stated_error(length):
+def test_cut_bytes_are_an_error(length):
     data = rosbag.serialised(INFO, info())[:length]
     definition = rosbag.definition_of(INFO).encode()
     with pytest.raises(DecodeError, match=f"{length} bytes are no {INFO}"):
@@ -344,12 +344,12 @@ def test_cut_bytes_are_a_stated_error(length):
         (b"", "ros2msg", "the log does not define sensor_msgs/msg/CameraInfo"),
         (b"!!", "ros2msg", "cannot be read"),
         (b"\xff\xfe", "ros2msg", "cannot be read"),
-        (b"std_msgs/Header header\n", "ros2msg", "lacks 'std_msgs/msg/Header'"),
-        (b"uint8 x\n", "protobuf", "is defined in protobuf: expected ros2msg or ros2idl"),
+        (b"std_msgs/Header header\n", "ros2msg", "type 'std_msgs/msg/Header' is not defined"),
+        (b"uint8 x\n", "protobuf", "definition in encoding protobuf: expected ros2msg or ros2idl"),
     ],
     ids=["none", "text", "bytes", "part", "encoding"],
 )
-def test_a_definition_that_does_not_define_is_named(definition, encoding, words):
+def test_an_incomplete_definition_is_an_error(definition, encoding, words):
     with pytest.raises(DecodeError, match=words):
         decode("calibration", INFO, "cdr", b"\x00\x01\x00\x00" + bytes(400), STAMP, Context(None, definition, encoding))
 

@@ -36,7 +36,7 @@ def as_parsed(message_type, data):
     return message.SerializeToString(), content
 
 
-def test_the_content_stays_where_it_is():
+def test_the_content_is_not_copied():
     message, content = parsed(CompressedImage, DATA, "data")
     assert isinstance(content, memoryview)
     assert content.obj is DATA
@@ -50,7 +50,7 @@ def test_the_content_stays_where_it_is():
 
 
 @pytest.mark.parametrize("end", range(0, len(DATA), 7))
-def test_of_a_message_that_is_cut_the_parser_has_the_word(end):
+def test_the_parser_reports_cut_messages(end):
     assert as_parsed(CompressedImage, DATA[:end]) == as_parser(CompressedImage, DATA[:end])
 
 

@@ -1,13 +1,17 @@
-"""Several files as one log: their messages in the order of their log times, each file open only while it is read.
+"""Reads several files as one log, in the order of log times; each file is open only while it is read.
 
-A message that several files hold counts once.
+A message that several files hold counts once: recorders repeat some messages where a file begins, and files are copied.
+Messages are equal if topic, schema, times, sequence and bytes are. Of equal messages the log has as many as the file
+with the most of them. Only topics and times that files share are compared, with digests of the current log time.
 """
 
 import heapq
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from hashlib import blake2b
 from itertools import chain, pairwise
 from pathlib import Path
 
@@ -17,34 +21,36 @@ from roadperc_stream.log.damage import damaged
 from roadperc_stream.log.index import MOST_HELD_BYTES
 from roadperc_stream.log.records import RECOVERY_RECORD, Attachment, Channel, LogSummary, Message, Metadata
 from roadperc_stream.log.repair import Recovery
-from roadperc_stream.log.repeats import Numbered, SharedTimes, Span, marked, shared_times
 from roadperc_stream.log.sorting import SortedMessages
 
 Translation = Mapping[int, Channel]
-"""The channels of the log by the ``source_id`` that they have in a file."""
-Part = tuple[LogSummary, Translation]
+"""The channels of the log, by their ``source_id`` in a file."""
+File = tuple[LogSummary, Translation]
 """A file with messages, and its channels."""
+Span = tuple[int, int]
+"""First and last log time, both included."""
+Numbered = tuple[int, Message]
+"""The number of a file, and a message in it."""
 
 
 @dataclass(frozen=True)
-class MergedParts:
-    """The messages of files that begin one after the other."""
+class MergedFiles:
+    """Merges the messages of files, sorted by their first log time."""
 
-    parts: Sequence[Part]
-    """By their first log time."""
+    files: Sequence[File]
 
     def numbered(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Numbered]:
-        """As ``reading.read``; of equal log times those of the part that begins first come first."""
+        """Yield messages as ``reading.read``; among equal log times those of the earlier file come first."""
 
         def opened(number: int) -> Iterator[Message]:
-            summary, translation = self.parts[number]
+            summary, translation = self.files[number]
             return _translated(summary.path, summary.source.messages(topics, start_ns, end_ns), translation)
 
-        waiting = [i for i, (summary, _) in enumerate(self.parts) if _may_hold(summary, topics, start_ns, end_ns)]
+        waiting = [i for i, (summary, _) in enumerate(self.files) if _may_hold(summary, topics, start_ns, end_ns)]
         waiting.reverse()
-        heap: list[tuple[int, int, Message, Iterator[Message]]] = []  # by log time, then by place in the log
+        heap: list[tuple[int, int, Message, Iterator[Message]]] = []  # by log time, then by file
         while waiting or heap:
-            if waiting and (not heap or (self.parts[waiting[-1]][0].first_ns or 0) < heap[0][0]):
+            if waiting and (not heap or (self.files[waiting[-1]][0].first_ns or 0) < heap[0][0]):
                 number = waiting.pop()
                 rest = opened(number)
             else:
@@ -54,23 +60,23 @@ class MergedParts:
                 heapq.heappush(heap, (following.log_time_ns, number, following, rest))
 
 
-class SortedParts:
-    """The messages of files that are read one after the other and sorted on disk.
+class SortedFiles:
+    """Reads files one after the other and sorts their messages on disk.
 
     Args:
-        name: of the log, for errors.
-        parts: by their first log time.
+        name: the log, for errors.
+        files: sorted by their first log time.
         limits: of their records and chunks.
     """
 
-    def __init__(self, name: str, parts: Sequence[Part], limits: LimitsConfig) -> None:
-        self._origins = [(number, channel) for number, (_, known) in enumerate(parts) for channel in known.values()]
+    def __init__(self, name: str, files: Sequence[File], limits: LimitsConfig) -> None:
+        self._origins = [(number, channel) for number, (_, known) in enumerate(files) for channel in known.values()]
         ids = iter(range(len(self._origins)))
-        marked_parts = [(file, {i: replace(known[i], source_id=next(ids)) for i in known}) for file, known in parts]
-        self._sorted = SortedMessages(name, partial(_in_file_order, marked_parts, limits))
+        distinct = [(file, {i: replace(known[i], source_id=next(ids)) for i in known}) for file, known in files]
+        self._sorted = SortedMessages(name, partial(_in_file_order, distinct, limits))
 
     def numbered(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Numbered]:
-        """As ``MergedParts.numbered``.
+        """Yield messages as ``MergedFiles.numbered``.
 
         Raises:
             TargetError: there is no space to sort them.
@@ -81,21 +87,98 @@ class SortedParts:
 
 
 @dataclass(frozen=True)
-class UnitedParts:
-    """The messages of several files; what several of them hold comes once."""
+class SharedTimes:
+    """The times at which several files have messages on one topic: disjoint ascending spans, by topic."""
 
-    parts: MergedParts | SortedParts
+    spans: Mapping[str, Sequence[Span]]
+
+    @classmethod
+    def of(cls, files: Iterable[LogSummary]) -> "SharedTimes":
+        """Return the times that files share; the files are sorted by their first log times."""
+        spans: dict[str, list[Span]] = {}
+        for file in files:
+            for topic in counted_topics(file):
+                spans.setdefault(topic, []).append((file.first_ns or 0, file.last_ns or 0))
+        found = {topic: _disjoint(_overlaps(of_topic)) for topic, of_topic in spans.items()}
+        return cls({topic: overlaps for topic, overlaps in found.items() if overlaps})
+
+    def hold(self, message: Message) -> bool:
+        """Return whether another file may hold an equal message."""
+        spans = self.spans.get(message.channel.topic, ())
+        place = bisect_right(spans, message.log_time_ns, key=lambda span: span[0]) - 1
+        return place >= 0 and message.log_time_ns <= spans[place][1]
+
+    @property
+    def all_spans(self) -> list[Span]:
+        """The spans of any topic, disjoint and ascending."""
+        return _disjoint(sorted(span for spans in self.spans.values() for span in spans))
+
+    def marked(self, messages: Iterable[Numbered]) -> Iterator[tuple[int, Message, bool]]:
+        """Yield each message with the number of its file, and whether an earlier file holds it too.
+
+        Args:
+            messages: by log time; those of equal time file by file.
+        """
+        now: tuple[int, int] | None = None  # log time and file of the last message that was compared
+        found, in_file = Counter[bytes](), Counter[bytes]()
+        for number, message in messages:
+            is_repeated = False
+            if self.hold(message):
+                if now is None or now[0] != message.log_time_ns:
+                    found.clear()
+                if now != (message.log_time_ns, number):
+                    in_file.clear()
+                now, digest = (message.log_time_ns, number), _digest(message)
+                in_file[digest] += 1
+                is_repeated = in_file[digest] <= found[digest]
+                found[digest] += not is_repeated
+            yield number, message, is_repeated
+
+
+def _overlaps(spans: Iterable[Span]) -> Iterator[Span]:
+    """Yield where a span overlaps earlier ones; the spans are sorted by their first times."""
+    latest_ns = -1
+    for first_ns, last_ns in spans:
+        if first_ns <= latest_ns:
+            yield first_ns, min(last_ns, latest_ns)
+        latest_ns = max(latest_ns, last_ns)
+
+
+def _disjoint(spans: Iterable[Span]) -> list[Span]:
+    """Return sorted spans with overlapping ones joined."""
+    joined: list[Span] = []
+    for first_ns, last_ns in spans:
+        if joined and first_ns <= joined[-1][1]:
+            joined[-1] = joined[-1][0], max(joined[-1][1], last_ns)
+        else:
+            joined.append((first_ns, last_ns))
+    return joined
+
+
+def _digest(message: Message) -> bytes:
+    channel = message.channel
+    kind = f"{channel.topic}\0{channel.schema_name}\0{channel.message_encoding}"
+    found = blake2b(f"{kind}\0{message.publish_time_ns}\0{message.sequence}\0".encode(), digest_size=16)
+    found.update(message.data)
+    return found.digest()
+
+
+@dataclass(frozen=True)
+class UnitedFiles:
+    """Reads the messages of several files; a message that several of them hold comes once."""
+
+    files: MergedFiles | SortedFiles
     shared: SharedTimes
     in_turn: Sequence[LogSummary] = ()
-    """The files, where one behind the other they are the log: channels with its ids, no message twice; else none."""
+    """The files, if they can be read one after the other: the log's channel ids, and no shared times."""
 
     def messages(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
-        """As ``reading.read``."""
-        found = marked(self.parts.numbered(topics, start_ns, end_ns), self.shared)
+        """Yield messages as ``reading.read``."""
+        found = self.shared.marked(self.files.numbered(topics, start_ns, end_ns))
         return (message for _, message, is_repeated in found if not is_repeated)
 
     def repeats(self) -> Counter[tuple[int, int]]:
-        """How many messages come no second time, by the number of the file and the channel of the log.
+        """Count the messages that earlier files hold too, by number of the file and channel of the log.
 
         Raises:
             LogError: a file is damaged.
@@ -103,7 +186,7 @@ class UnitedParts:
         """
         counts = Counter[tuple[int, int]]()
         for first_ns, last_ns in self.shared.all_spans:
-            found = marked(self.parts.numbered(set(self.shared.spans), first_ns, last_ns + 1), self.shared)
+            found = self.shared.marked(self.files.numbered(set(self.shared.spans), first_ns, last_ns + 1))
             counts.update((number, m.channel.source_id) for number, m, is_repeated in found if is_repeated)
         return counts
 
@@ -111,15 +194,14 @@ class UnitedParts:
 def _may_hold(summary: LogSummary, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> bool:
     early = start_ns is not None and (summary.last_ns or 0) < start_ns
     late = end_ns is not None and (summary.first_ns or 0) >= end_ns
-    wanted = topics is None or any(c.topic in topics and summary.counts.get(c.source_id) for c in summary.channels)
-    return wanted and not early and not late
+    return not (early or late) and (topics is None or not counted_topics(summary).keys().isdisjoint(topics))
 
 
 def _translated(path: Path, messages: Iterable[Message], translation: Translation) -> Iterator[Message]:
-    """The messages of a file on the channels of the log.
+    """Yield the messages of a file on the channels of the log.
 
     Raises:
-        LogError: a message is of a channel that the file's summary does not name.
+        LogError: the file's summary does not name a message's channel.
     """
     for message in messages:
         channel = translation.get(message.channel.source_id)
@@ -129,11 +211,11 @@ def _translated(path: Path, messages: Iterable[Message], translation: Translatio
 
 
 def united(files: Sequence[LogSummary], held_bytes: float, limits: LimitsConfig) -> LogSummary:
-    """Files as one log: in the order of their times, equal channels of several files as one.
+    """Return files as one log, in the order of their times; equal channels of several files become one.
 
     Args:
         files: of the log.
-        held_bytes: the most in memory at a time where they are merged.
+        held_bytes: the most memory that merging takes.
         limits: of their records and chunks.
     """
     ordered = sorted(files, key=lambda file: _span_ns(file) or (0, 0))
@@ -148,11 +230,11 @@ def united(files: Sequence[LogSummary], held_bytes: float, limits: LimitsConfig)
     holding = [(file, known) for file, known in zip(ordered, translations, strict=True) if _span_ns(file)]
     spans = [span for file, _ in holding if (span := _span_ns(file))]
     name = Path(f"{ordered[0].path} and {len(files) - 1} more")
-    shared = shared_times(file for file, _ in holding)
+    shared = SharedTimes.of(file for file, _ in holding)
     is_in_turn = has_own_ids and not shared.spans and all(a[1] <= b[0] for a, b in pairwise(spans))
     is_little = held_bytes <= MOST_HELD_BYTES
-    parts = MergedParts(holding) if is_little else SortedParts(str(name), holding, limits)
-    source = UnitedParts(parts, shared, [file for file, _ in holding] if is_in_turn else [])
+    combined = MergedFiles(holding) if is_little else SortedFiles(str(name), holding, limits)
+    source = UnitedFiles(combined, shared, [file for file, _ in holding] if is_in_turn else [])
     repeats = source.repeats()
     repeats_of = Counter[Path]()
     for (number, _), count in repeats.items():
@@ -167,20 +249,19 @@ def united(files: Sequence[LogSummary], held_bytes: float, limits: LimitsConfig)
         metadata=tuple(metadata),
         first_ns=min((first for first, _ in spans), default=None),
         last_ns=max((last for _, last in spans), default=None),
-        parts=tuple(replace(file, repeats=repeats_of[file.path]) for file in ordered),
+        files=tuple(replace(file, repeats=repeats_of[file.path]) for file in ordered),
         schema_ids=dict(chain.from_iterable(file.schema_ids.items() for file in ordered if is_in_turn)),
     )
 
 
 def gone_on_ns(summary: LogSummary, files: Iterable[LogSummary]) -> int | None:
-    """The log time at which later files hold again all that a file holds: what it lost at its end ends there.
+    """Return the log time from which later files continue all topics of a file: its losses at the end stop there.
+
+    None if a topic does not continue. A topic with one message need not, unless all have one.
 
     Args:
         summary: of the file.
         files: of the log.
-
-    Returns:
-        None where one of its topics does not come again; what has a single message need not, if others have more.
     """
     first_ns, counts = summary.first_ns or 0, counted_topics(summary)
     repeated = [topic for topic, messages in counts.items() if messages > 1] or list(counts)
@@ -191,7 +272,7 @@ def gone_on_ns(summary: LogSummary, files: Iterable[LogSummary]) -> int | None:
 
 
 def counted_topics(summary: LogSummary) -> Counter[str]:
-    """Messages by topic, of those that have some."""
+    """Return the number of messages of each topic with messages."""
     counts = Counter[str]()
     for channel in summary.channels:
         counts[channel.topic] += summary.counts.get(channel.source_id, 0)
@@ -199,7 +280,7 @@ def counted_topics(summary: LogSummary) -> Counter[str]:
 
 
 def _with_ends(summary: LogSummary, files: Iterable[LogSummary]) -> Iterator[Metadata]:
-    """A file's metadata; of one that was repaired, with the ends of its gaps that the other files show."""
+    """Yield a file's metadata; other files show where the gaps of a repaired file end."""
     recovery = Recovery.of_records(summary.metadata)
     for record in summary.metadata:
         if recovery is None or record.name != RECOVERY_RECORD:
@@ -209,7 +290,7 @@ def _with_ends(summary: LogSummary, files: Iterable[LogSummary]) -> Iterator[Met
 
 
 def _translations(summaries: Sequence[LogSummary]) -> list[Translation]:
-    """Each file's channels on those of the log: twins within a file stay apart, equal ones of several files do not."""
+    """Return the channels of each file: equal ones of several files become one, those within a file stay apart."""
     known: dict[tuple[Channel, int], Channel] = {}
     made: list[Translation] = []
     for summary in summaries:
@@ -225,7 +306,7 @@ def _translations(summaries: Sequence[LogSummary]) -> list[Translation]:
 
 
 def _ids_agree(summaries: Sequence[LogSummary], translations: Iterable[Translation]) -> bool:
-    """Whether an id means the same channel in all files, or the same schema, and each channel has one id."""
+    """Return whether an id means the same channel or schema in all files, and each channel has one id."""
     channels = {(number, common.source_id) for known in translations for number, common in known.items()}
     schemas = {(s.schema_ids[c.source_id], *c.schema) for s in summaries for c in s.channels if s.schema_ids}
     own = {(number, schema_id) for summary in summaries for number, schema_id in summary.schema_ids.items()}
@@ -246,12 +327,12 @@ def _counts(
 
 
 def _span_ns(file: LogSummary) -> Span | None:
-    """First and last log time; None without messages."""
+    """Return first and last log time; None without messages."""
     if file.first_ns is None or file.last_ns is None or not any(file.counts.values()):
         return None
     return file.first_ns, file.last_ns
 
 
-def _in_file_order(parts: Iterable[Part], limits: LimitsConfig) -> Iterator[Message]:
-    for file, translation in parts:
+def _in_file_order(files: Iterable[File], limits: LimitsConfig) -> Iterator[Message]:
+    for file, translation in files:
         yield from _translated(file.path, in_file_order(file.path, limits), translation)

@@ -1,4 +1,4 @@
-"""Several files as one log: the results of the whole, whatever the cuts, and what the user is told of how they join."""
+"""Several files as one log: the results of the whole log for any cuts, and notes on gaps."""
 
 import random
 from collections import Counter
@@ -17,9 +17,9 @@ from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import LogError, TargetError
 from roadperc_stream.input import ReplaySource, open_input
-from roadperc_stream.input.outcome import PartSpan, joins
+from roadperc_stream.input.outcome import FileSpan, joins
 from roadperc_stream.log import Attachment, Channel, Message, Metadata
-from roadperc_stream.log.parts import MergedParts, SortedParts
+from roadperc_stream.log.files import MergedFiles, SortedFiles
 from roadperc_stream.output.tables import read_footer
 from roadperc_stream.system.time import TimeRange
 from tests import logs
@@ -42,17 +42,17 @@ def written(path, messages, **extra):
 
 @pytest.mark.parametrize("arrangement", [{}, ARRANGEMENTS["no chunks"]], ids=["indexed", "no index"])
 @pytest.mark.parametrize("seed", [1, 2])
-def test_parts_of_the_sample_are_the_sample(tmp_path, seed, arrangement):
+def test_files_of_the_sample_equal_the_sample(tmp_path, seed, arrangement):
     cuts = sorted(random.Random(seed).sample(range(1, MESSAGES), 4))
     files = parts(SAMPLE, tmp_path, cuts, **arrangement)
     random.Random(seed).shuffle(files)
     log_in, whole = open_input(ReplaySource(files), CFG), open_input(ReplaySource(SAMPLE), CFG)
-    assert isinstance(log_in.summary.source.parts, SortedParts if arrangement else MergedParts)
+    assert isinstance(log_in.summary.source.files, SortedFiles if arrangement else MergedFiles)
     assert plain(log_in.messages()) == plain(whole.messages())
     assert (log_in.log_id, log_in.span_ns, log_in.topics) == (whole.log_id, whole.span_ns, whole.topics)
 
 
-def test_the_results_of_parts_are_those_of_the_whole(tmp_path):
+def test_files_give_the_results_of_the_whole_log(tmp_path):
     third = [m.log_time_ns for m in log.read(WHOLE, topics=["/camera/front/image"])][2]
     cut = next(k for k, m in enumerate(log.read(WHOLE)) if m.log_time_ns == third) + 1
     files, part = parts(SAMPLE, tmp_path, [cut]), TimeRange(start_s=0.05, frames=3)
@@ -68,11 +68,11 @@ def test_the_results_of_parts_are_those_of_the_whole(tmp_path):
 
 @settings(max_examples=50)
 @given(st.lists(st.lists(st.tuples(st.sampled_from([A, B]), st.integers(0, 30)), max_size=12), min_size=2, max_size=5))
-def test_any_files_come_in_the_order_of_their_times(tmp_path_factory, files):
+def test_files_are_read_in_log_time_order(tmp_path_factory, files):
     folder = tmp_path_factory.mktemp("parts")
     summary = log.summarise([written(folder / f"{k}.mcap", messages) for k, messages in enumerate(files)])
     counted = [Counter((time, channel.topic) for channel, time in messages) for messages in files]
-    wanted = sorted(reduce(or_, counted).elements())  # of what several files hold, the most that one of them has
+    wanted = sorted(reduce(or_, counted).elements())  # of repeated messages, the largest number in one file
     read = [(m.log_time_ns, m.channel.topic) for m in log.read(summary)]
     assert [time for time, _ in read] == [time for time, _ in wanted]
     assert sorted(read) == wanted
@@ -83,7 +83,7 @@ def test_any_files_come_in_the_order_of_their_times(tmp_path_factory, files):
     assert sorted(late) == [(time, topic) for time, topic in wanted if 10 <= time < 20 and topic == "/a"]
 
 
-def test_equal_channels_of_several_files_are_one_and_twins_within_a_file_stay_apart(tmp_path):
+def test_equal_channels_are_joined_across_files_only(tmp_path):
     twins = Channel("/a", "x", source_id=1), Channel("/a", "x", source_id=2)
     one = written(tmp_path / "1.mcap", [(twins[0], 1), (twins[1], 2)])
     two = written(tmp_path / "2.mcap", [(twins[0], 3), (Channel("/a", "y"), 4), (twins[1], 5)])
@@ -93,10 +93,10 @@ def test_equal_channels_of_several_files_are_one_and_twins_within_a_file_stay_ap
     assert {m.channel for m in log.read(summary)} == set(summary.channels)
 
 
-def test_only_the_files_that_are_read_are_open(tmp_path, monkeypatch):
+def test_files_are_open_only_while_they_are_read(tmp_path, monkeypatch):
     files = [written(tmp_path / f"{k}.mcap", [(A, 10 * k + j) for j in range(9)]) for k in range(30)]
     summary, now, most = log.summarise(files), [0], [0]
-    for part, _ in summary.source.parts.parts:
+    for part, _ in summary.source.files.files:
 
         def counted(*args, messages=part.source.messages, **options):
             now[0] += 1
@@ -110,10 +110,10 @@ def test_only_the_files_that_are_read_are_open(tmp_path, monkeypatch):
     assert most[0] <= 2
 
 
-def test_more_files_at_a_time_than_can_be_open_are_sorted_on_disk(tmp_path):
+def test_many_overlapping_files_are_sorted_on_disk(tmp_path):
     files = [written(tmp_path / f"{k}.mcap", [(A, k), (B, 100 + k)]) for k in range(40)]
     summary = log.summarise(files)
-    assert isinstance(summary.source.parts, SortedParts)
+    assert isinstance(summary.source.files, SortedFiles)
     assert [m.log_time_ns for m in log.read(summary)] == [*range(40), *range(100, 140)]
 
 
@@ -121,31 +121,31 @@ SHARED = [("/a", 1), ("/a", 2), ("/b", 2), ("/a", 2), ("/b", 3), ("/a", 4)]
 
 
 @pytest.mark.parametrize("together", [2, 40], ids=["merged", "sorted on disk"])
-def test_what_several_files_hold_comes_once(tmp_path, together):
-    """As often as in the file that has it most often, and in the place that it has there."""
+def test_repeated_messages_come_once(tmp_path, together):
+    """As often as in the file with the most of them, in the order of that file."""
     channels = {"/a": A, "/b": B}
     pieces = [SHARED[:4], SHARED[2:], SHARED] + [SHARED[1:3]] * (together - 2)
     files = [written(tmp_path / f"{k}.mcap", [(channels[t], ns) for t, ns in piece]) for k, piece in enumerate(pieces)]
     summary = log.summarise(files)
-    assert isinstance(summary.source.parts, MergedParts if together == 2 else SortedParts)
+    assert isinstance(summary.source.files, MergedFiles if together == 2 else SortedFiles)
     assert [(m.channel.topic, m.log_time_ns) for m in log.read(summary)] == SHARED
     assert {c.topic: summary.counts[c.source_id] for c in summary.channels} == {"/a": 4, "/b": 2}
-    assert sum(part.repeats for part in summary.parts) == sum(map(len, pieces)) - len(SHARED)
+    assert sum(part.repeats for part in summary.files) == sum(map(len, pieces)) - len(SHARED)
     assert [m.log_time_ns for m in log.read(summary, topics=["/a"], start_ns=2, end_ns=4)] == [2, 2]
 
 
 @pytest.mark.parametrize("changed", [{"publish_time_ns": 4}, {"sequence": 1}, {"data": b"y"}, {"channel": B}])
-def test_messages_that_differ_in_anything_are_all_there(tmp_path, changed):
+def test_messages_that_differ_are_all_kept(tmp_path, changed):
     message = Message(A, 5, 5, 0, b"x")
     for name, one in (("1", message), ("2", replace(message, **changed))):
         by_us(tmp_path / f"{name}.mcap", [one])
     summary = log.summarise([tmp_path / "1.mcap", tmp_path / "2.mcap"])
     assert len(list(log.read(summary))) == 2
-    assert [part.repeats for part in summary.parts] == [0, 0]
+    assert [part.repeats for part in summary.files] == [0, 0]
 
 
 @pytest.mark.parametrize("arrangement", [{}, ARRANGEMENTS["no index"]], ids=["indexed", "no index"])
-def test_parts_that_repeat_messages_give_what_the_drive_without_does(tmp_path, arrangement):
+def test_files_with_repeated_messages_equal_the_whole_log(tmp_path, arrangement):
     messages = list(log.read(WHOLE))
     early, late = messages[: MESSAGES * 6 // 10], messages[MESSAGES * 4 // 10 :]
     files = [
@@ -158,14 +158,14 @@ def test_parts_that_repeat_messages_give_what_the_drive_without_does(tmp_path, a
         assert (log_in.log_id, log_in.expected_frames) == (whole.log_id, whole.expected_frames)
     shared = len(early) + len(late) - MESSAGES
     notes = open_input(ReplaySource(files[:2]), CFG).notes
-    assert any(f"{shared} of its messages are also in earlier parts and count once" in note for note in notes)
+    assert any(f"{shared} of its messages are also in earlier files and count once" in note for note in notes)
 
 
-def test_sensors_with_files_of_their_own_are_not_compared(tmp_path):
+def test_files_without_common_topics_are_not_compared(tmp_path):
     files = [written(tmp_path / "a.mcap", [(A, k) for k in range(9)]), written(tmp_path / "b.mcap", [(B, 3), (B, 20)])]
     summary = log.summarise(files)
     assert summary.source.shared.all_spans == []
-    assert [part.repeats for part in summary.parts] == [0, 0]
+    assert [part.repeats for part in summary.files] == [0, 0]
 
 
 def test_attachments_and_metadata_are_united(tmp_path):
@@ -180,13 +180,13 @@ def test_attachments_and_metadata_are_united(tmp_path):
 
 def test_gaps_and_overlaps_are_reported():
     spans = [
-        PartSpan(name, a * S, b * S, 11) for name, a, b in [("a", 0, 10), ("b", 11, 20), ("c", 15, 18), ("d", 23, 33)]
+        FileSpan(name, a * S, b * S, 11) for name, a, b in [("a", 0, 10), ("b", 11, 20), ("c", 15, 18), ("d", 23, 33)]
     ]
     assert joins(spans) == ["", "", "c: overlaps b by 3.000 s", "d: begins 3.000 s after b ends"]
-    assert joins([PartSpan("a", 0, 1, 1), PartSpan("b", 1, 2, 0)]) == ["", ""]
+    assert joins([FileSpan("a", 0, 1, 1), FileSpan("b", 1, 2, 0)]) == ["", ""]
 
 
-def test_what_a_replay_of_parts_says(tmp_path, capsys):
+def test_a_replay_reports_gaps_between_files(tmp_path, capsys):
     items = logs.items(8)
     edge = logs.START_NS + 3 * logs.STEP_NS
     early = logs.write(tmp_path / "1.mcap", [item for item in items if item.stamp_ns < edge])
@@ -199,7 +199,7 @@ def test_what_a_replay_of_parts_says(tmp_path, capsys):
     ]
 
 
-def test_calibration_and_transforms_of_the_first_part_hold_in_the_others(tmp_path):
+def test_calibration_and_transforms_of_the_first_file_hold_in_the_others(tmp_path):
     once = parts(SAMPLE, tmp_path, [MESSAGES // 2])
     assert not list(log.read(log.summarise(once[1]), topics=["/tf", "/camera/front/calibration"]))
     frames = open_input(ReplaySource(once, time_range=TimeRange(start_s=1.5, frames=1)), CFG).samples()
@@ -217,7 +217,7 @@ def test_a_file_given_twice_is_an_error(tmp_path):
 
 @pytest.mark.parametrize("number", [2, 3])
 @pytest.mark.parametrize("force", [[], ["--force"]])
-def test_who_forgets_the_output_loses_no_recording(tmp_path, number, force, capsys):
+def test_a_forgotten_output_overwrites_no_input(tmp_path, number, force, capsys):
     files = [logs.write(tmp_path / f"part_{k}.mcap", logs.items(2)) for k in range(number)]
     last = files[-1].read_bytes()
     assert replay_main([*map(str, files), *force]) == 1
@@ -225,7 +225,7 @@ def test_who_forgets_the_output_loses_no_recording(tmp_path, number, force, caps
     assert files[-1].read_bytes() == last
 
 
-def test_several_inputs_replace_a_result_and_nothing_else(tmp_path):
+def test_several_inputs_replace_only_a_result(tmp_path):
     files = parts(SAMPLE, tmp_path, [MESSAGES // 2])
     out, part = tmp_path / "out.mcap", TimeRange(frames=1)
     replay(files, out, CFG, time_range=part)
@@ -240,7 +240,7 @@ def test_several_inputs_replace_a_result_and_nothing_else(tmp_path):
     assert out.read_bytes() == b"something of value"
 
 
-def test_a_damaged_part_is_named(tmp_path):
+def test_a_damaged_file_is_named(tmp_path):
     files = parts(SAMPLE, tmp_path, [100, 200])
     files[1].write_bytes(files[1].read_bytes()[:-100])
     with pytest.raises(LogError, match=r"part_1\.mcap: damaged at byte"):
