@@ -8,39 +8,21 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from roadperc_stream.model import EGO
-from roadperc_stream.schemas.topics import (
-    DEBUG_PREFIX,
-    DRIVABLE_SCENE_TOPIC,
-    DRIVABLE_TOPIC,
-    LANES_ANNOTATIONS_TOPIC,
-    LANES_SCENE_TOPIC,
-    LOG_TOPIC,
-    METRICS_TOPIC,
-    OBJECTS_ANNOTATIONS_TOPIC,
-    OBJECTS_SCENE_TOPIC,
-    OCCUPANCY_TOPIC,
-    ODOMETRY_TOPIC,
-    OVERLAY_TOPIC,
-    STEREO_DEPTH_TOPIC,
-    SURFACE_TOPIC,
-    TF_TOPIC,
-    TIMES_TOPIC,
-    TRAJECTORY_TOPIC,
-)
+from roadperc_stream.schemas import topics
 from roadperc_stream.view.layout.curves import STAGE_COLOURS
 from roadperc_stream.view.rerun.scene import MISSING, STATES
 from roadperc_stream.view.rerun.tree import TREE
 
-_IN_THE_IMAGE: Final = (LANES_ANNOTATIONS_TOPIC, OBJECTS_ANNOTATIONS_TOPIC)
+_IN_THE_IMAGE: Final = (topics.LANES_ANNOTATIONS_TOPIC, topics.OBJECTS_ANNOTATIONS_TOPIC)
 _IN_SPACE: Final = (
-    SURFACE_TOPIC,
-    DRIVABLE_SCENE_TOPIC,
-    LANES_SCENE_TOPIC,
-    OBJECTS_SCENE_TOPIC,
-    OCCUPANCY_TOPIC,
-    ODOMETRY_TOPIC,
-    TRAJECTORY_TOPIC,
-    TF_TOPIC,
+    topics.SURFACE_TOPIC,
+    topics.DRIVABLE_SCENE_TOPIC,
+    topics.LANES_SCENE_TOPIC,
+    topics.OBJECTS_SCENE_TOPIC,
+    topics.OCCUPANCY_TOPIC,
+    topics.ODOMETRY_TOPIC,
+    topics.TRAJECTORY_TOPIC,
+    topics.TF_TOPIC,
 )
 _CURVES: Final[Mapping[str, tuple[str, ...]]] = {
     "lane offsets, m": (
@@ -121,14 +103,14 @@ def _front(log: Log) -> list[rrb.View]:
     results, inputs = log.present(_IN_THE_IMAGE), log.present([log.topics.get("detections")])
     name = "image and results" if results else "image and detections" if inputs else "image"
     views: list[rrb.View] = [_picture(name, entity, (*(results or inputs),)) for entity in under]
-    made = sorted(e for e in log.entities if e.startswith((OVERLAY_TOPIC, DEBUG_PREFIX)))
+    made = sorted(e for e in log.entities if e.startswith((topics.OVERLAY_TOPIC, topics.DEBUG_PREFIX)))
     return views + [_picture(entity.rpartition("/")[2], entity) for entity in made]
 
 
 def _aside(log: Log) -> rrb.Container | None:
     """Tags and depth, each with what was found of it behind."""
-    tags = {"tags": log.topics.get("segmentation"), "drivable": DRIVABLE_TOPIC}
-    depth = {"depth": log.topics.get("depth"), "stereo depth": STEREO_DEPTH_TOPIC}
+    tags = {"tags": log.topics.get("segmentation"), "drivable": topics.DRIVABLE_TOPIC}
+    depth = {"depth": log.topics.get("depth"), "stereo depth": topics.STEREO_DEPTH_TOPIC}
     more = {"left": log.topics.get("left"), "right": log.topics.get("right")}
     stacks = [_tabs(_named(log, names)) for names in (tags, depth | more)]
     there = [stack for stack in stacks if stack is not None]
@@ -147,7 +129,7 @@ def _picture(name: str, entity: str, over: tuple[str, ...] = ()) -> rrb.Spatial2
 
 def _space(log: Log) -> rrb.View | None:
     """Seen from behind the car and above it; the depth, or what stereo found of it, as points."""
-    depth = log.present([log.topics.get("depth"), STEREO_DEPTH_TOPIC])[:1]
+    depth = log.present([log.topics.get("depth"), topics.STEREO_DEPTH_TOPIC])[:1]
     inputs = log.present(log.topics.get(role) for role in ("image", "calibration", "lidar", "truth_lanes"))
     parts = [*depth, *inputs, *log.present([TREE]), *log.present(_IN_SPACE)]
     if not (depth or log.present(_IN_SPACE) or log.has(log.topics.get("lidar", "?"))):
@@ -170,8 +152,8 @@ def _numbers(log: Log) -> tuple[rrb.Container | rrb.View | None, ...]:
 
 
 def _plot(log: Log, title: str, names: tuple[str, ...]) -> rrb.View | None:
-    there = [name for name in names if f"{METRICS_TOPIC}/{name}" in log.entities]
-    lines = {f"{METRICS_TOPIC}/{name}": _line(name) if name in _COLOURS else None for name in there}
+    there = [name for name in names if f"{topics.METRICS_TOPIC}/{name}" in log.entities]
+    lines = {f"{topics.METRICS_TOPIC}/{name}": _line(name) if name in _COLOURS else None for name in there}
     return _curves(title, lines) if lines else None
 
 
@@ -183,8 +165,8 @@ def _line(name: str) -> rr.SeriesLines:
 
 def _times(log: Log) -> rrb.View:
     """Milliseconds of the stages that ran; the legend lies over the curves, so it is short."""
-    there = [stage for stage in STAGE_COLOURS if f"{TIMES_TOPIC}/{stage}_ms" in log.entities]
-    return _curves("time per stage, ms", {f"{TIMES_TOPIC}/{stage}_ms": _stage_line(stage) for stage in there})
+    there = [stage for stage in STAGE_COLOURS if f"{topics.TIMES_TOPIC}/{stage}_ms" in log.entities]
+    return _curves("time per stage, ms", {f"{topics.TIMES_TOPIC}/{stage}_ms": _stage_line(stage) for stage in there})
 
 
 def _stage_line(stage: str) -> rr.SeriesLines:
@@ -204,12 +186,12 @@ def _curves(title: str, lines: Mapping[str, rr.SeriesLines | None]) -> rrb.View:
 
 def _stages_and_words(log: Log) -> list[rrb.View]:
     views: list[rrb.View] = []
-    if log.has(TIMES_TOPIC):
+    if log.has(topics.TIMES_TOPIC):
         views.append(_times(log))
-    states = sorted(e for e in log.entities if e.startswith(METRICS_TOPIC) and e.endswith((*STATES, MISSING)))
+    states = sorted(e for e in log.entities if e.startswith(topics.METRICS_TOPIC) and e.endswith((*STATES, MISSING)))
     if states:
         views.append(rrb.StateTimelineView(name="states", contents=states))
-    lines = log.present((LOG_TOPIC, f"{METRICS_TOPIC}/reasons"))
+    lines = log.present((topics.LOG_TOPIC, f"{topics.METRICS_TOPIC}/reasons"))
     if lines:
         views.append(rrb.TextLogView(name="log", contents=lines))
     return views

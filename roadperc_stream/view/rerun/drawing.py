@@ -17,27 +17,9 @@ from roadperc_stream.input.stream import RoleAssignment
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.model.tag_tables import TagTable
 from roadperc_stream.output.results import DRIVABLE_COLOURS
-from roadperc_stream.schemas import cdr, ros2
+from roadperc_stream.schemas import cdr, ros2, topics
 from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics
 from roadperc_stream.schemas.roles import Kind
-from roadperc_stream.schemas.topics import (
-    DEBUG_PREFIX,
-    DRIVABLE_SCENE_TOPIC,
-    DRIVABLE_TOPIC,
-    IMAGE_SCHEMA,
-    LANES_TOPIC,
-    LOG_TOPIC,
-    METRICS_TOPIC,
-    OBJECTS_TOPIC,
-    OCCUPANCY_TOPIC,
-    ODOMETRY_TOPIC,
-    OVERLAY_TOPIC,
-    STEREO_DEPTH_TOPIC,
-    SURFACE_TOPIC,
-    TF_TOPIC,
-    TIMES_TOPIC,
-    TRAJECTORY_TOPIC,
-)
 from roadperc_stream.view.rerun import overlays, pictures, scene
 from roadperc_stream.view.rerun.tree import Entry, SceneState
 from roadperc_stream.view.result_frames import TimesOfFrame
@@ -59,22 +41,22 @@ _KINDS: Final[Mapping[Kind, Callable[[str, str, Any, SceneState], Iterator[Entry
     "lanes": overlays.lanes,
 }
 _RESULT_KINDS: Final[Mapping[str, tuple[Kind, str]]] = {
-    SURFACE_TOPIC: ("surface", "result"),
-    DRIVABLE_TOPIC: ("tags", "image"),
-    LANES_TOPIC: ("lanes", "result"),
-    OBJECTS_TOPIC: ("objects", "result"),
-    STEREO_DEPTH_TOPIC: ("depth", "left"),
-    ODOMETRY_TOPIC: ("pose", "result"),
-    TF_TOPIC: ("tf", "result"),
+    topics.SURFACE_TOPIC: ("surface", "result"),
+    topics.DRIVABLE_TOPIC: ("tags", "image"),
+    topics.LANES_TOPIC: ("lanes", "result"),
+    topics.OBJECTS_TOPIC: ("objects", "result"),
+    topics.STEREO_DEPTH_TOPIC: ("depth", "left"),
+    topics.ODOMETRY_TOPIC: ("pose", "result"),
+    topics.TF_TOPIC: ("tf", "result"),
 }
 """Results that are written as inputs of a role are, and the role whose camera they belong to."""
-_PICTURES: Final = (OVERLAY_TOPIC, DEBUG_PREFIX)
+_PICTURES: Final = (topics.OVERLAY_TOPIC, topics.DEBUG_PREFIX)
 _DRIVABLE: Final = TagTable("drivable", ("other", "drivable"), DRIVABLE_COLOURS)
 _PARSERS: Final[Mapping[str, tuple[Callable[[bytes], Any], Callable[[str, Any], Iterator[Entry]]]]] = {
-    DRIVABLE_SCENE_TOPIC: (SceneUpdate.FromString, scene.outlines),
-    TRAJECTORY_TOPIC: (PosesInFrame.FromString, scene.trajectory),
-    LOG_TOPIC: (Log.FromString, scene.log_line),
-    OCCUPANCY_TOPIC: (
+    topics.DRIVABLE_SCENE_TOPIC: (SceneUpdate.FromString, scene.outlines),
+    topics.TRAJECTORY_TOPIC: (PosesInFrame.FromString, scene.trajectory),
+    topics.LOG_TOPIC: (Log.FromString, scene.log_line),
+    topics.OCCUPANCY_TOPIC: (
         lambda data: cdr.read(data, ros2.OCCUPANCY_GRID, ros2.DEFINITIONS[ros2.OCCUPANCY_GRID]),
         scene.occupancy,
     ),
@@ -102,7 +84,7 @@ def _result_drawer(channel: Channel, world: SceneState, times: TimesOfFrame) -> 
     topic = channel.topic
     if not is_result_of(channel, topic):
         return None
-    if topic == METRICS_TOPIC:
+    if topic == topics.METRICS_TOPIC:
         return partial(_parsed, FrameMetrics.FromString, partial(_numbers, times, world))
     if topic in _PARSERS:
         return partial(_parsed, *_PARSERS[topic])
@@ -114,7 +96,7 @@ def _result_drawer(channel: Channel, world: SceneState, times: TimesOfFrame) -> 
 
 
 def _kind_drawer(channel: Channel, kind: Kind, role: str, world: SceneState, tag_table: str = "") -> Drawer:
-    if kind == "image" and (channel.schema_name, channel.message_encoding) == (IMAGE_SCHEMA, "protobuf"):
+    if kind == "image" and (channel.schema_name, channel.message_encoding) == (topics.IMAGE_SCHEMA, "protobuf"):
         return partial(_encoded, role, world)
     context = context_of_channel(channel, "auto", tag_table)
     context = Context(_DRIVABLE) if kind == "tags" and is_result(channel) else context
@@ -134,7 +116,7 @@ def _parsed(
 def _numbers(times: TimesOfFrame, world: SceneState, entity: str, message: Any) -> Iterator[Entry]:
     """A frame's metrics, and the times of its stages, which only the table has."""
     yield from scene.metrics(entity, message, world)
-    yield from scene.times(TIMES_TOPIC, times(message.log_id, message.frame))
+    yield from scene.times(topics.TIMES_TOPIC, times(message.log_id, message.frame))
 
 
 def _encoded(role: str, world: SceneState, message: Message) -> Iterator[Entry]:
