@@ -65,7 +65,7 @@ def _role_text(state: RoleState) -> str:
     fault = f"{where} {state.why}" if state.why else ""
     cost = f": {state.cost}" if state.cost else ""
     could = [f"--topic {state.role}={topic}" for topic in state.candidates]
-    return f"{state.state}{fault}{cost}" + (f"; could be {listed(could, 3)}" if could else "")
+    return f"{state.state}{fault}{cost}" + (f"; try {listed(could, 3)}" if could else "")
 
 
 def _frame_lines(whole: bool, replay: ReplayFacts) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""The modes of roadperc-view: Rerun, Foxglove, layout and video."""
+"""Runs the modes of roadperc-view: Rerun, Foxglove, layout and video."""
 
 import argparse
 from collections.abc import Iterable, Mapping
@@ -22,7 +22,7 @@ _RERUN = "roadperc_stream.view.rerun"
 
 
 def view_log(arguments: argparse.Namespace, playback: PlaybackOptions) -> None:
-    """Show or write a log as the arguments say.
+    """Show a log, or write it as a layout, recording or video.
 
     Raises:
         RoadpercError: the log cannot be shown.
@@ -41,7 +41,7 @@ def view_log(arguments: argparse.Namespace, playback: PlaybackOptions) -> None:
 
 
 def _readable(arguments: argparse.Namespace) -> Path:
-    """A file that can be read repeatedly: a pipe is stored, a damaged log repaired with --recover."""
+    """A file that can be read repeatedly: store a pipe; with ``--recover`` repair a damaged log."""
     (path,) = log.received([arguments.log])
     if not arguments.recover or log.audited(path, check_chunks=True).whole:
         return path
@@ -92,4 +92,4 @@ def _print_summary(notes: Iterable[str], problems: Mapping[str, int]) -> None:
     for note in notes:
         print_line(f"note: {note}")
     for topic, count in problems.items():
-        print_line(f"warning: {number(count, 'message')} on {topic} could not be read and are not shown")
+        print_line(f"warning: {number(count, 'message')} on {topic} could not be read, not shown")

@@ -121,7 +121,7 @@ def _other_pictures(has: LogContents) -> Node | None:
             "True depth": _depth(has, "truth_depth", "True depth", roles.get("truth_depth")),
         },
     )
-    titles = [", ".join(name for name, part in pair.items() if part).capitalize() for pair in pairs]
+    titles = [", ".join(name for name, panel in pair.items() if panel).capitalize() for pair in pairs]
     return tabs("pictures", {title: row(*pair.values()) for title, pair in zip(titles, pairs, strict=True)})
 
 
@@ -134,8 +134,8 @@ def _depth(has: LogContents, name: str, title: str, topic: str | None) -> Node |
 
 def _scene(has: LogContents) -> Node | None:
     """The 3D scene, seen from behind the car."""
-    drawn = {topic: how for topic, how in _IN_SPACE.items() if topic in has.results}
-    drawn |= {has.roles[role]: how for role, how in _ROLES_IN_SPACE.items() if role in has.roles}
+    drawn = {topic: style for topic, style in _IN_SPACE.items() if topic in has.results}
+    drawn |= {has.roles[role]: style for role, style in _ROLES_IN_SPACE.items() if role in has.roles}
     if not drawn:
         return None
     transforms = {"showLabel": False, "axisScale": 0.6, "lineWidth": 0, **PRELOADED}
@@ -148,13 +148,13 @@ def _scene(has: LogContents) -> Node | None:
         **({"followTf": EGO} if has.has_ego_frame else {}),
         scene={"transforms": transforms, "labelScaleFactor": 1},
         transforms={},
-        topics={topic: {"visible": True, **how} for topic, how in drawn.items()},
+        topics={topic: {"visible": True, **style} for topic, style in drawn.items()},
         layers={},
     )
 
 
 def _numbers(has: LogContents, table: Node | None) -> Node | None:
-    """Plots of the metrics, states, and results in words."""
+    """Tabs: plots of the metrics, states, stage times, log lines and messages."""
     return tabs(
         "numbers",
         {
@@ -186,7 +186,7 @@ def _plots(has: LogContents, *names: str) -> list[Node | None]:
 
 
 def _table(has: LogContents) -> tuple[Node | None, Config | None]:
-    """The table of objects, or of detections without results, and its script."""
+    """The table of objects, or of detections in a log without results, and its script."""
     if topics.OBJECTS_TOPIC in has.results:
         return objects_table(topics.OBJECTS_TOPIC)
     return detections_table(has.roles["detections"]) if "detections" in has.roles else (None, None)
@@ -218,7 +218,7 @@ def _messages(has: LogContents) -> Node | None:
 
 
 def _raw_messages(name: str, title: str, topic: str | None) -> Node | None:
-    """A topic's messages as a tree that can be unfolded."""
+    """The messages of a topic as a collapsible tree."""
     if topic is None:
         return None
     difference = {"diffEnabled": False, "diffMethod": "previous message", "diffTopicPath": ""}

@@ -1,4 +1,4 @@
-"""The viewer's panels: the image with overlays, the scene beside it, plots and log below."""
+"""Arranges the panels of the Rerun viewer: image with overlays, 3D scene beside it, plots and log below."""
 
 from collections.abc import Iterable, Mapping, Set
 from dataclasses import dataclass
@@ -61,16 +61,16 @@ class Log:
     entities: Set[str]
 
     def has(self, entity: str) -> bool:
-        """Whether anything is at or below an entity."""
+        """Whether the log has an entity or one below it."""
         return any(known == entity or known.startswith(f"{entity}/") for known in self.entities)
 
     def present(self, entities: Iterable[str | None]) -> list[str]:
-        """Those that are there."""
+        """The entities that the log has."""
         return [entity for entity in entities if entity is not None and self.has(entity)]
 
 
 def blueprint(log: Log, timeline: str) -> rrb.Blueprint:
-    """Panels of what the log has, and no empty ones."""
+    """Panels for the contents of the log, without empty ones."""
     rows = [_row(_WIDTHS, *_pictures(log)), _row((1.0, 1.0, 1.0), *_numbers(log))]
     filled = [row for row in rows if row is not None]
     return rrb.Blueprint(
@@ -83,9 +83,9 @@ def blueprint(log: Log, timeline: str) -> rrb.Blueprint:
 
 
 def _row(widths: Iterable[float], *parts: rrb.Container | rrb.View | None) -> rrb.Container | None:
-    there = [(part, width) for part, width in zip(parts, widths, strict=False) if part is not None]
-    shares = [width for _, width in there]
-    return rrb.Horizontal(*(part for part, _ in there), column_shares=shares) if there else None
+    shown = [(part, width) for part, width in zip(parts, widths, strict=False) if part is not None]
+    shares = [width for _, width in shown]
+    return rrb.Horizontal(*(part for part, _ in shown), column_shares=shares) if shown else None
 
 
 def _tabs(views: list[rrb.View]) -> rrb.Container | rrb.View | None:
@@ -98,7 +98,7 @@ def _pictures(log: Log) -> tuple[rrb.Container | rrb.View | None, ...]:
 
 
 def _front(log: Log) -> list[rrb.View]:
-    """The image with what was found drawn over it; where there is no image, what takes its place."""
+    """The image with results or detections; without an image, the tags or the depth; then the pictures on request."""
     under = log.present(log.topics.get(role) for role in ("image", "left", "segmentation", "depth"))[:1]
     results, inputs = log.present(_IN_THE_IMAGE), log.present([log.topics.get("detections")])
     name = "image and results" if results else "image and detections" if inputs else "image"
@@ -108,13 +108,13 @@ def _front(log: Log) -> list[rrb.View]:
 
 
 def _aside(log: Log) -> rrb.Container | None:
-    """Tags and depth, each with what was found of it behind."""
+    """Tags and depth, with the results from them as further tabs."""
     tags = {"tags": log.topics.get("segmentation"), "drivable": topics.DRIVABLE_TOPIC}
     depth = {"depth": log.topics.get("depth"), "stereo depth": topics.STEREO_DEPTH_TOPIC}
     more = {"left": log.topics.get("left"), "right": log.topics.get("right")}
     stacks = [_tabs(_named(log, names)) for names in (tags, depth | more)]
-    there = [stack for stack in stacks if stack is not None]
-    return rrb.Vertical(*there) if there else None
+    shown = [stack for stack in stacks if stack is not None]
+    return rrb.Vertical(*shown) if shown else None
 
 
 def _named(log: Log, entities: Mapping[str, str | None]) -> list[rrb.View]:
@@ -128,7 +128,7 @@ def _picture(name: str, entity: str, over: tuple[str, ...] = ()) -> rrb.Spatial2
 
 
 def _space(log: Log) -> rrb.View | None:
-    """Seen from behind the car and above it; the depth, or what stereo found of it, as points."""
+    """The 3D scene from behind and above the car; depth, or stereo depth, as points."""
     depth = log.present([log.topics.get("depth"), topics.STEREO_DEPTH_TOPIC])[:1]
     inputs = log.present(log.topics.get(role) for role in ("image", "calibration", "lidar", "truth_lanes"))
     parts = [*depth, *inputs, *log.present([TREE]), *log.present(_IN_SPACE)]
@@ -145,10 +145,10 @@ def _space(log: Log) -> rrb.View | None:
 
 
 def _numbers(log: Log) -> tuple[rrb.Container | rrb.View | None, ...]:
-    """Lane offsets, all other metrics, and times, states and words."""
+    """Lane offsets; all other metrics; times, states and log lines."""
     plots = {title: _plot(log, title, names) for title, names in _CURVES.items()}
     lanes = plots.pop("lane offsets, m")
-    return lanes, _tabs([plot for plot in plots.values() if plot is not None]), _tabs(_stages_and_words(log))
+    return lanes, _tabs([plot for plot in plots.values() if plot is not None]), _tabs(_times_and_texts(log))
 
 
 def _plot(log: Log, title: str, names: tuple[str, ...]) -> rrb.View | None:
@@ -164,9 +164,9 @@ def _line(name: str) -> rr.SeriesLines:
 
 
 def _times(log: Log) -> rrb.View:
-    """Milliseconds of the stages that ran; the legend lies over the curves, so it is short."""
-    there = [stage for stage in STAGE_COLOURS if f"{topics.TIMES_TOPIC}/{stage}_ms" in log.entities]
-    return _curves("time per stage, ms", {f"{topics.TIMES_TOPIC}/{stage}_ms": _stage_line(stage) for stage in there})
+    """Milliseconds of the stages that ran; the labels are short because the legend covers the curves."""
+    ran = [stage for stage in STAGE_COLOURS if f"{topics.TIMES_TOPIC}/{stage}_ms" in log.entities]
+    return _curves("time per stage, ms", {f"{topics.TIMES_TOPIC}/{stage}_ms": _stage_line(stage) for stage in ran})
 
 
 def _stage_line(stage: str) -> rr.SeriesLines:
@@ -175,7 +175,7 @@ def _stage_line(stage: str) -> rr.SeriesLines:
 
 
 def _curves(title: str, lines: Mapping[str, rr.SeriesLines | None]) -> rrb.View:
-    """Curves over time by entity; those without a line look as the viewer likes."""
+    """Curves over time by entity; the viewer chooses the style of those with None."""
     return rrb.TimeSeriesView(
         name=title,
         contents=[*lines],
@@ -184,7 +184,7 @@ def _curves(title: str, lines: Mapping[str, rr.SeriesLines | None]) -> rrb.View:
     )
 
 
-def _stages_and_words(log: Log) -> list[rrb.View]:
+def _times_and_texts(log: Log) -> list[rrb.View]:
     views: list[rrb.View] = []
     if log.has(topics.TIMES_TOPIC):
         views.append(_times(log))

@@ -1,4 +1,4 @@
-"""Draws the messages of a log: one drawer per channel."""
+"""Draws the messages of a log with one function per channel."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
@@ -49,7 +49,7 @@ _RESULT_KINDS: Final[Mapping[str, tuple[Kind, str]]] = {
     topics.ODOMETRY_TOPIC: ("pose", "result"),
     topics.TF_TOPIC: ("tf", "result"),
 }
-"""Results that are written as inputs of a role are, and the role whose camera they belong to."""
+"""Results with the message kind of an input, and the role whose camera they belong to."""
 _PICTURES: Final = (topics.OVERLAY_TOPIC, topics.DEBUG_PREFIX)
 _DRIVABLE: Final = TagTable("drivable", ("other", "drivable"), DRIVABLE_COLOURS)
 _PARSERS: Final[Mapping[str, tuple[Callable[[bytes], Any], Callable[[str, Any], Iterator[Entry]]]]] = {
@@ -64,43 +64,43 @@ _PARSERS: Final[Mapping[str, tuple[Callable[[bytes], Any], Callable[[str, Any], 
 
 
 def drawers(
-    channels: Iterable[Channel], assigned: RoleAssignment, world: SceneState, times: TimesOfFrame
+    channels: Iterable[Channel], assigned: RoleAssignment, state: SceneState, times: TimesOfFrame
 ) -> dict[Channel, Drawer]:
-    """The drawer of each channel that is drawn."""
-    found = {channel: _drawer(channel, assigned, world, times) for channel in channels}
+    """The function that draws the messages of each channel, for channels with a role or results."""
+    found = {channel: _drawer(channel, assigned, state, times) for channel in channels}
     return {channel: drawer for channel, drawer in found.items() if drawer is not None}
 
 
-def _drawer(channel: Channel, assigned: RoleAssignment, world: SceneState, times: TimesOfFrame) -> Drawer | None:
+def _drawer(channel: Channel, assigned: RoleAssignment, state: SceneState, times: TimesOfFrame) -> Drawer | None:
     if is_result(channel):
-        return _result_drawer(channel, world, times)
+        return _result_drawer(channel, state, times)
     roles = assigned.roles_of(channel.topic)
     if not roles:
         return None
-    return _kind_drawer(channel, roles[0].kind, roles[0].name, world, assigned.tag_table)
+    return _kind_drawer(channel, roles[0].kind, roles[0].name, state, assigned.tag_table)
 
 
-def _result_drawer(channel: Channel, world: SceneState, times: TimesOfFrame) -> Drawer | None:
+def _result_drawer(channel: Channel, state: SceneState, times: TimesOfFrame) -> Drawer | None:
     topic = channel.topic
     if not is_result_of(channel, topic):
         return None
     if topic == topics.METRICS_TOPIC:
-        return partial(_parsed, FrameMetrics.FromString, partial(_numbers, times, world))
+        return partial(_parsed, FrameMetrics.FromString, partial(_numbers, times, state))
     if topic in _PARSERS:
         return partial(_parsed, *_PARSERS[topic])
     if topic.startswith(_PICTURES):
-        return partial(_encoded, "image", world)
+        return partial(_encoded, "image", state)
     if topic in _RESULT_KINDS:
-        return _kind_drawer(channel, *_RESULT_KINDS[topic], world)
+        return _kind_drawer(channel, *_RESULT_KINDS[topic], state)
     return None
 
 
-def _kind_drawer(channel: Channel, kind: Kind, role: str, world: SceneState, tag_table: str = "") -> Drawer:
+def _kind_drawer(channel: Channel, kind: Kind, role: str, state: SceneState, tag_table: str = "") -> Drawer:
     if kind == "image" and (channel.schema_name, channel.message_encoding) == (topics.IMAGE_SCHEMA, "protobuf"):
-        return partial(_encoded, role, world)
+        return partial(_encoded, role, state)
     context = context_of_channel(channel, "auto", tag_table)
     context = Context(_DRIVABLE) if kind == "tags" and is_result(channel) else context
-    return partial(_decoded, kind, role, context, world)
+    return partial(_decoded, kind, role, context, state)
 
 
 def _parsed(
@@ -113,23 +113,23 @@ def _parsed(
     return draw(message.channel.topic, content)
 
 
-def _numbers(times: TimesOfFrame, world: SceneState, entity: str, message: Any) -> Iterator[Entry]:
-    """A frame's metrics, and the times of its stages, which only the table has."""
-    yield from scene.metrics(entity, message, world)
+def _numbers(times: TimesOfFrame, state: SceneState, entity: str, message: Any) -> Iterator[Entry]:
+    """A frame's metrics, and its stage times from the table."""
+    yield from scene.metrics(entity, message, state)
     yield from scene.times(topics.TIMES_TOPIC, times(message.log_id, message.frame))
 
 
-def _encoded(role: str, world: SceneState, message: Message) -> Iterator[Entry]:
-    """The image's own bytes: nothing is decoded."""
-    return _parsed(CompressedImage.FromString, partial(_as_it_is, role, world), message)
+def _encoded(role: str, state: SceneState, message: Message) -> Iterator[Entry]:
+    """The image in its encoded form."""
+
+    def draw(entity: str, content: Any) -> Iterator[Entry]:
+        yield pictures.encoded(entity, content.data, content.format, state.image_frame(role, content.frame_id))
+
+    return _parsed(CompressedImage.FromString, draw, message)
 
 
-def _as_it_is(role: str, world: SceneState, entity: str, content: Any) -> Iterator[Entry]:
-    yield pictures.encoded(entity, content.data, content.format, world.image_frame(role, content.frame_id))
-
-
-def _decoded(kind: Kind, role: str, context: Context, world: SceneState, message: Message) -> Iterator[Entry]:
+def _decoded(kind: Kind, role: str, context: Context, state: SceneState, message: Message) -> Iterator[Entry]:
     channel = message.channel
     schema, encoding = channel.schema_name, channel.message_encoding
     decoded = decode(kind, schema, encoding, message.data, message.log_time_ns, context)
-    return _KINDS[kind](channel.topic, role, decoded.payload, world)
+    return _KINDS[kind](channel.topic, role, decoded.payload, state)
