@@ -18,16 +18,7 @@ from roadperc_stream.formats.images import depth_to_mm
 from roadperc_stream.formats.points import FIELDS
 from roadperc_stream.geometry import Camera, Float, Float32, Lens
 from roadperc_stream.geometry.rotations import quaternion
-from roadperc_stream.model import (
-    Boundary,
-    Detection,
-    Lanes,
-    Object,
-    Objects,
-    Odometry,
-    Surface,
-    Transform,
-)
+from roadperc_stream.model import Boundary, Detection, Lanes, Object, Objects, Odometry, Surface, Transform
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas.protobuf import set_stamp
 from roadperc_stream.schemas.ros2 import RosImage, pack_image

@@ -10,15 +10,7 @@ from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats.png import encode_mask
 from roadperc_stream.geometry import Float, inverse
 from roadperc_stream.geometry.planes import SurfaceModel, SurfaceSource
-from roadperc_stream.model import (
-    EGO,
-    Absent,
-    FrameAnchor,
-    FrameResult,
-    Odometry,
-    Sample,
-    Transform,
-)
+from roadperc_stream.model import EGO, Absent, FrameAnchor, FrameResult, Odometry, Sample, Transform
 from roadperc_stream.model.results import BoundaryStatus, OdometryStatus
 from roadperc_stream.model.sample import LAST_ROS_STAMP_NS
 from roadperc_stream.model.tag_tables import Colour
