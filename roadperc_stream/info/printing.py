@@ -1,6 +1,6 @@
 """Prints the facts of a log: file, channels and their times, roles for a replay, provenance of a result."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from shlex import quote
@@ -82,7 +82,9 @@ def _frame_lines(whole: bool, replay: ReplayFacts) -> Iterator[str]:
     if replay.unused:
         unused = ", ".join(f"{role} {count}" for role, count in sorted(replay.unused.items()))
         yield f"messages that belong to no frame: {unused}"
-    yield from _tag_lines(replay)
+    if any(state.role == "segmentation" and state.state == "filled" for state in replay.roles):
+        advice = "the log names no tag table; pass one to the replay, such as --set tag_table=0.9.15"
+        yield f"tag table {replay.tag_table}" if replay.tag_table else advice
     for topic, count in replay.unreadable.items():
         yield f"{topic}: {number(count, 'message')} cannot be decoded"
     for problem in replay.problems:
@@ -97,15 +99,6 @@ def _alone_lines(replay: ReplayFacts) -> Iterator[str]:
         alone = [f"{role} {n}" for role, n in sorted(replay.alone.items()) if (role in unreadable) is broken]
         if alone:
             yield f"frames without a message of a role {reason}: {', '.join(alone)}"
-
-
-def _tag_lines(replay: ReplayFacts) -> Iterator[str]:
-    if any(state.role == "segmentation" and state.state == "filled" for state in replay.roles):
-        yield (
-            f"tag table {replay.tag_table}"
-            if replay.tag_table
-            else "the log names no tag table; pass one to the replay, such as --set tag_table=0.9.15"
-        )
 
 
 def _camera(found: CameraFacts) -> TextRow:
@@ -150,16 +143,20 @@ def print_log(console: Console, facts: LogFacts) -> None:
     print_table(console, TextTable("Camera", headers, cameras, last_is_text=True, label_columns=18))
     if facts.provenance is not None:
         print_lines(console, "", *_provenance_lines(facts.provenance, facts.replay.frames), unbroken=True)
-        print_table(console, _settings(facts.provenance))
+        settings = facts.provenance.settings
+        rows = tuple(row(item.key, item.value, item.default or "no such setting") for item in settings)
+        print_table(console, TextTable("Settings not at their defaults", ("value", "default"), rows))
 
 
 def _file_lines(facts: LogFacts) -> Iterator[str]:
     file = facts.file
     called = f", log {facts.log_id}" if facts.log_id else ""
-    yield f"{facts.log}: {'whole' if file.whole else 'DAMAGED'}, {_KINDS[facts.kind]}{called}"
+    kind = "an input" if facts.kind == "input" else "a result of roadperc-replay"
+    yield f"{facts.log}: {'whole' if file.whole else 'DAMAGED'}, {kind}{called}"
     written = f" written by {file.library}" if file.library else ""
     profile = f", profile {file.profile}" if file.profile else ""
-    yield f"{decimal(file.size_bytes)}{written}{profile}, {_chunks(file.chunks)}"
+    chunks = ", ".join(f"{number(n, 'chunk')} ({name or 'not compressed'})" for name, n in file.chunks.items())
+    yield f"{decimal(file.size_bytes)}{written}{profile}, {chunks or 'no chunks'}"
     yield f"{number(facts.messages, 'message')} on {number(len(facts.channels), 'channel')}{_span(facts)}"
     beside = [f"attachment {name} ({decimal(length)})" for name, length in file.attachments.items()]
     beside += [f"metadata {name}" for name in file.metadata]
@@ -172,14 +169,6 @@ def _file_lines(facts: LogFacts) -> Iterator[str]:
         yield f"without {', without '.join(file.absent)}"
     if facts.log_times_back:
         yield f"{number(facts.log_times_back, 'message')} after one with a later log time in the file"
-
-
-_KINDS: Final = {"input": "an input", "result": "a result of roadperc-replay"}
-
-
-def _chunks(chunks: Mapping[str, int]) -> str:
-    counted = [f"{number(n, 'chunk')} ({name or 'not compressed'})" for name, n in chunks.items()]
-    return ", ".join(counted) or "no chunks"
 
 
 def _span(facts: LogFacts) -> str:
@@ -295,10 +284,3 @@ def _digest_line(provenance: Provenance) -> str:
     if provenance.changed:
         return f"input {digest}: CHANGED since the replay, its messages now give {log_id_of(provenance.digest_found)}"
     return f"input {digest}: unchanged since the replay"
-
-
-def _settings(provenance: Provenance) -> TextTable:
-    rows = tuple(
-        row(setting.key, setting.value, setting.default or "no such setting") for setting in provenance.settings
-    )
-    return TextTable("Settings not at their defaults", ("value", "default"), rows)

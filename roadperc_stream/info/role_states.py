@@ -64,24 +64,21 @@ def roles_of(channels: Sequence[Channel], overrides: Mapping[str, str], probe: C
         refusal, assignment = str(error), RoleAssignment(_named(inputs, overrides))
     if refusal is None and assignment.reference is None:
         refusal = NOTHING_TO_REPLAY
-    could = {**candidates(inputs, assignment.topics, probe), "truth_pose": _poses(inputs, assignment.topics)}
+    unassigned = (channel for channel in inputs if channel.topic not in assignment.topics.values())
+    poses = distinct(channel for channel in unassigned if fits(ROLES["truth_pose"], channel))
+    could = {**candidates(inputs, assignment.topics, probe), "truth_pose": poses}
     states = (_state(role, inputs, assignment, overrides, could.get(role.name, ())) for role in ROLES.values())
     return Roles(tuple(states), assignment, refusal)
 
 
 def continued(roles: Roles) -> Roles:
     """The roles of a continued replay: earlier calibrations and transforms still hold."""
-    return replace(roles, states=tuple(map(_continued, roles.states)))
 
+    def state_of(state: RoleState) -> RoleState:
+        is_held = state.state == "missing" and state.cost and ROLES[state.role].kind in LATCHED_KINDS
+        return replace(state, cost=f"held from the continued replay, in {BEGIN_ATTACHMENT}") if is_held else state
 
-def _continued(state: RoleState) -> RoleState:
-    is_held = state.state == "missing" and state.cost and ROLES[state.role].kind in LATCHED_KINDS
-    return replace(state, cost=f"held from the continued replay, in {BEGIN_ATTACHMENT}") if is_held else state
-
-
-def _poses(inputs: Sequence[Channel], assigned: Mapping[str, str]) -> tuple[str, ...]:
-    """Topics of poses, which the user may choose as the truth."""
-    return distinct(c for c in inputs if fits(ROLES["truth_pose"], c) and c.topic not in assigned.values())
+    return replace(roles, states=tuple(map(state_of, roles.states)))
 
 
 def _named(inputs: Sequence[Channel], overrides: Mapping[str, str]) -> dict[str, str]:

@@ -201,7 +201,11 @@ class Scan:
             for _ in items:
                 pass
             return
-        cfg, drop = SyncConfig(), self._drop
+
+        def drop(item: Stamped) -> None:
+            self.dropped[item.role] += 1
+
+        cfg = SyncConfig()
         wait_ns = seconds_to_ns(cfg.max_wait_s)
         order = OrderConfig(roles.reference, wait_ns, lateness_ns=wait_ns)
         pairing = StampPairing(cfg, order, roles.topics, PairingState(), drop)
@@ -213,9 +217,6 @@ class Scan:
             if synced.skew_ns is not None:
                 self.skew_ns = max(self.skew_ns or 0, synced.skew_ns)
         self.frames = pairing.frames
-
-    def _drop(self, item: Stamped) -> None:
-        self.dropped[item.role] += 1
 
     def _counted(self, messages: Iterable[Message]) -> Iterator[Message]:
         """Count the messages and pass them on."""

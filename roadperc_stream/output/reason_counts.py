@@ -56,7 +56,7 @@ def merged(groups: Iterable[Mapping[ReasonKind, ReasonCount]]) -> ReasonCounts:
 
 def ranked(counts: Mapping[ReasonKind, ReasonCount]) -> ReasonCounts:
     """The most frequent first; inputs before stages, since an input is often the cause."""
-    return dict(sorted(counts.items(), key=lambda item: (-item[1].frames, _source(item[0]) in _STAGES, item[1].text)))
+    return dict(sorted(counts.items(), key=lambda item: (-item[1].frames, item[0][0][0] in _STAGES, item[1].text)))
 
 
 def throughout(counts: Mapping[ReasonKind, ReasonCount], frames: int, filled: Collection[str]) -> tuple[str, ...]:
@@ -88,10 +88,6 @@ def _unusable_in_some(counts: Mapping[ReasonKind, ReasonCount], frames: int) -> 
     rest = len(found) - _MOST_REPORTED
     more = (f"{rest} more kinds of messages that cannot be used, which roadperc-report lists",) if rest > 0 else ()
     return (*found[:_MOST_REPORTED], *more)
-
-
-def _source(kind: ReasonKind) -> str:
-    return kind[0][0]
 
 
 def _is_expected(kind: ReasonKind, filled: Collection[str]) -> bool:

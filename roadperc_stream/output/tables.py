@@ -85,8 +85,11 @@ def arrow_schema(
     columns = [_field(f.name, hints[f.name]) for f in fields(row_type)]
     columns += [pa.field(name, pa.float64()) for name in extra]
     columns += [_field(name, type(value)) for name, value in (constant or {}).items()]
-    encoded = {key: value.encode("utf-8", "surrogateescape") for key, value in (metadata or {}).items()}
-    return pa.schema(columns, metadata=encoded)
+    return pa.schema(columns, metadata=_encoded(metadata or {}))
+
+
+def _encoded(metadata: Mapping[str, str]) -> dict[bytes, bytes]:
+    return {key.encode(): value.encode("utf-8", "surrogateescape") for key, value in metadata.items()}
 
 
 def _field(name: str, hint: Any) -> pa.Field:
@@ -177,12 +180,9 @@ def copy_table(source: Path, target: Path, facts: Mapping[str, str], constant: M
     """
     with _opened(source) as table:
         old = table.schema_arrow
-        more = {f"{FACT_PREFIX}{key}": value for key, value in facts.items()}
-        metadata = {
-            **(old.metadata or {}),
-            **{k.encode(): v.encode("utf-8", "surrogateescape") for k, v in more.items()},
-        }
-        schema = pa.schema([*old, *(_field(name, type(value)) for name, value in constant.items())], metadata)
+        more = _encoded({f"{FACT_PREFIX}{key}": value for key, value in facts.items()})
+        columns = [*old, *(_field(name, type(value)) for name, value in constant.items())]
+        schema = pa.schema(columns, (old.metadata or {}) | more)
         with target_errors(target), pq.ParquetWriter(target, schema, compression="zstd") as copy:
             for group in range(table.num_row_groups):
                 rows = table.read_row_group(group)

@@ -8,7 +8,7 @@ from roadperc_stream import __version__
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.geometry import Float
 from roadperc_stream.input.replay_input import ReplayInput
-from roadperc_stream.log import Attachment, Channel, LogSummary, LogWriter, Message, MessageCopy, Metadata, Piece
+from roadperc_stream.log import Attachment, Channel, LogWriter, Message, MessageCopy, Metadata, Piece
 from roadperc_stream.model import FrameResult, Odometry, ReasonKind, Sample
 from roadperc_stream.model.sample import frame_reasons
 from roadperc_stream.output.drawing.on_request import PictureMaker
@@ -240,14 +240,24 @@ class Outputs:
         return Counted(tuple(self._reasons.items()), self._pictures.without_image, self._pictures.misfits)
 
     def end(self, facts: Mapping[str, str], states: Iterable[Attachment]) -> None:
-        """Write the rest of the input's messages, and the origin of the output.
+        """Copy the rest of the input, and record how the output was made.
 
         Args:
             facts: of the continued result, if any.
             states: of the replay at its start and its end.
         """
         self._copy.rest()
-        _write_origin(self._log, self._input.summary, self._cfg, {**facts, **self._input.record()}, states)
+        for attachment in self._input.summary.attachments:
+            if attachment.name not in OWN_ATTACHMENTS:
+                self._log.attach(attachment)
+        toml = Attachment(CONFIG_ATTACHMENT, "application/toml", self._cfg.to_toml().encode())
+        for attachment in (toml, *states):
+            self._log.attach(attachment)
+        for metadata in self._input.summary.metadata:
+            if metadata.name != METADATA_RECORD:
+                self._log.describe(metadata)
+        record = {VERSION_KEY: __version__, SEED_KEY: str(self._cfg.seed), **facts, **self._input.record()}
+        self._log.describe(Metadata(METADATA_RECORD, tuple(record.items())))
 
     def make_durable(self) -> None:
         """Complete all files and sync them to the disk, before the rename."""
@@ -277,23 +287,3 @@ class Outputs:
 def _result_channel(topic: str, schema_name: str) -> Channel:
     found = schema(schema_name)
     return Channel(topic, found.message_encoding, found.name, found.schema_encoding, found.data, metadata=(PRODUCER,))
-
-
-def _write_origin(
-    writer: LogWriter,
-    source: LogSummary,
-    cfg: ReplayConfig,
-    record: Mapping[str, str],
-    states: Iterable[Attachment],
-) -> None:
-    """Copy the input's attachments and metadata, and record how the output was made."""
-    for attachment in source.attachments:
-        if attachment.name not in OWN_ATTACHMENTS:
-            writer.attach(attachment)
-    for attachment in (Attachment(CONFIG_ATTACHMENT, "application/toml", cfg.to_toml().encode()), *states):
-        writer.attach(attachment)
-    for metadata in source.metadata:
-        if metadata.name != METADATA_RECORD:
-            writer.describe(metadata)
-    facts = {VERSION_KEY: __version__, SEED_KEY: str(cfg.seed), **record}
-    writer.describe(Metadata(METADATA_RECORD, tuple(facts.items())))

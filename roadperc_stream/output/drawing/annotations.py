@@ -1,6 +1,6 @@
 """Encodes results for viewers: foxglove.ImageAnnotations over the image, foxglove.SceneUpdate in 3D."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from functools import cache, lru_cache
 from typing import Any, Final
 
@@ -132,12 +132,12 @@ def objects_scene(stamp_ns: int, camera: Camera, ego_T_camera: Float, objects: O
     set_stamp(entity, stamp_ns)
     x, y, z, w = quaternion(ego_T_camera[:3, :3])
     sides_of_image = Quaternion(x=x, y=y, z=z, w=w)
-    for item, named in zip(objects.objects, captioned(camera, objects.objects), strict=True):
+    for item, place in zip(objects.objects, _places(camera, objects.objects), strict=True):
         if item.kept and item.distance_m is not None:
             slab = _slab(camera, ego_T_camera, sides_of_image, item.detection.box_px, item.distance_m)
             colour, _ = _box_style(item)
             entity.cubes.add(pose=slab.pose, size=slab.size, color=_color(colour, 0.5))
-            if named:
+            if place is not None:
                 entity.texts.append(_caption_above(slab, caption(item), colour))
     return message.SerializeToString()
 
@@ -218,14 +218,9 @@ def caption(item: Object) -> str:
     return " ".join(parts)
 
 
-def captioned(camera: Camera, objects: Sequence[Object]) -> tuple[bool, ...]:
-    """Whether the caption of each object fits into the camera image; the nearest objects choose first."""
-    return tuple(place is not None for place in _places(camera, tuple(objects)))
-
-
 @lru_cache(1)
 def _places(camera: Camera, objects: tuple[Object, ...]) -> tuple[Box | None, ...]:
-    """Cached because the image and the scene of a frame need the same places."""
+    """The place of each object's caption, or None; cached because the image and the scene of a frame need it."""
     boxes = [item.detection.box_px for item in objects]
     text_sizes = [viewer_text_size(camera, caption(item)) for item in objects]
     return caption_places((camera.width, camera.height), objects, boxes, text_sizes)

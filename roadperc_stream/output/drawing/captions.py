@@ -21,7 +21,12 @@ Size = tuple[float, float]
 
 def by_nearness(objects: Sequence[Object]) -> list[int]:
     """Indices of the objects: kept before dropped, then the nearest first, as the nearest matter most."""
-    return sorted(range(len(objects)), key=lambda index: _nearness(objects[index]))
+
+    def nearness(index: int) -> tuple[bool, float]:
+        item = objects[index]
+        return not item.kept, math.inf if item.distance_m is None else item.distance_m
+
+    return sorted(range(len(objects)), key=nearness)
 
 
 def caption_places(
@@ -43,10 +48,10 @@ def caption_places(
         wanted = _wanted(image_size, boxes[index], text_sizes[index])
         return next((place for place in wanted if not any(map(place.meets, taken))), None)
 
-    return nearest_first(objects, free_place)
+    return _nearest_first(objects, free_place)
 
 
-def nearest_first(
+def _nearest_first(
     objects: Sequence[Object], free_place: Callable[[int, Sequence[Box]], Box | None]
 ) -> tuple[Box | None, ...]:
     """The place of each object, or None; the nearest choose first.
@@ -80,10 +85,6 @@ def _wanted(image_size: Size, box: Box, text_size: Size) -> Iterable[Box]:
     x = max(min(box.x_min, columns - width), 0.0)
     top, bottom = max(box.y_min, 0.0), min(box.y_max, rows)
     return [Box(x, y, x + width, y + height) for y in (top - height, top, bottom) if 0 <= y <= rows - height]
-
-
-def _nearness(item: Object) -> tuple[bool, float]:
-    return not item.kept, math.inf if item.distance_m is None else item.distance_m
 
 
 _MOST_LIFTS: Final = 2
@@ -123,7 +124,7 @@ def label_places(
         inside = (_moved_inside(place, image_size) for place in wanted)
         return next((place for place in inside if _is_free(place, rows, covered)), None)
 
-    return nearest_first(objects, free_place)
+    return _nearest_first(objects, free_place)
 
 
 def _surrounds_middle(outer: Box, box: Box) -> bool:

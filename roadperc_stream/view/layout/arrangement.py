@@ -227,13 +227,10 @@ def _raw_messages(name: str, title: str, topic: str | None) -> Node | None:
     )
 
 
-_NO_OVERRIDES: Final[Mapping[str, str]] = {}
-
-
 def write_layout(
     target: Path,
     source: Path | None = None,
-    overrides: Mapping[str, str] = _NO_OVERRIDES,
+    overrides: Mapping[str, str] | None = None,
     *,
     timed: bool = False,
     force: bool,
@@ -252,7 +249,7 @@ def write_layout(
             written.
     """
     require_free(target, force=force, source=source, suffix=".json")
-    has = contents_of(source, overrides) if source else OF_A_LIVE_REPLAY
+    has = contents_of(source, overrides or {}) if source else OF_A_LIVE_REPLAY
     if timed:
         has = replace(has, results=has.results | {topics.TIMES_TOPIC})
     with completing(target, force=force) as temporary:

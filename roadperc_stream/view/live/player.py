@@ -11,17 +11,8 @@ from threading import Event, Lock
 from typing import Final
 
 import foxglove
-from foxglove.websocket import (
-    ChannelView,
-    Client,
-    PlaybackCommand,
-    PlaybackControlRequest,
-    PlaybackState,
-    PlaybackStatus,
-    ServerListener,
-    StatusLevel,
-    WebSocketServer,
-)
+from foxglove import websocket as ws
+from foxglove.websocket import PlaybackStatus
 
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.system.time import NS_PER_S, ns_to_seconds
@@ -59,13 +50,13 @@ class Playhead:
             return self.log_ns
         return self.log_ns + round((clock_ns - self.clock_ns) * self.rate)
 
-    def state(self, request_id: str = "", *, moved: bool = False) -> PlaybackState:
+    def state(self, request_id: str = "", *, moved: bool = False) -> ws.PlaybackState:
         """The state for viewers; ``request_id`` is the id of the answered request."""
-        return PlaybackState(self.status, self.log_ns, self.rate, moved, request_id)
+        return ws.PlaybackState(self.status, self.log_ns, self.rate, moved, request_id)
 
 
 def apply_request(
-    playhead: Playhead, request: PlaybackControlRequest, reach: Reach, clock_ns: int
+    playhead: Playhead, request: ws.PlaybackControlRequest, reach: Reach, clock_ns: int
 ) -> tuple[Playhead, bool]:
     """Apply a viewer's request.
 
@@ -76,7 +67,7 @@ def apply_request(
         The new playhead, and whether the viewer moved it.
     """
     now_ns, seek_ns, rate = playhead.at(clock_ns), request.seek_time, request.playback_speed
-    play = request.playback_command == PlaybackCommand.Play
+    play = request.playback_command == ws.PlaybackCommand.Play
     if play and seek_ns is None and reach.complete and now_ns >= reach.last_ns:
         seek_ns = reach.first_ns
     rate = min(max(rate, SLOWEST), FASTEST) if math.isfinite(rate) and rate > 0 else playhead.rate
@@ -129,7 +120,7 @@ def _at_the_end(playhead: Playhead, clock_ns: int, loop_ns: int) -> tuple[Playhe
 class Viewers:
     """The viewers of a server, and the channels that it advertises to them."""
 
-    def __init__(self, server: WebSocketServer, context: foxglove.Context, channels: Iterable[Channel]) -> None:
+    def __init__(self, server: ws.WebSocketServer, context: foxglove.Context, channels: Iterable[Channel]) -> None:
         self.server, self._context = server, context
         self._channels = {channel: _advertised(channel, context) for channel in channels}
 
@@ -161,7 +152,7 @@ def _advertised(channel: Channel, context: foxglove.Context) -> foxglove.Channel
     )
 
 
-class Player(ServerListener):
+class Player(ws.ServerListener):
     """Plays a source from a log time on, after the first viewer subscribes.
 
     Any thread may call ``stop``. The server's threads call the ``on_`` methods. These never wait for the disk, since
@@ -185,17 +176,17 @@ class Player(ServerListener):
         self._watched = self._stopped = False
         self._fresh = set[str]()
         """Topics with new subscribers, which need the held messages."""
-        self._seek_request: PlaybackControlRequest | None = None
+        self._seek_request: ws.PlaybackControlRequest | None = None
         """The newest seek that ``run`` has not handled yet."""
         self._follow_from(start_ns + 1)  # the first subscribers get the messages up to here as held ones
 
-    def on_subscribe(self, client: Client, channel: ChannelView) -> None:  # noqa: ARG002 - the signature is the SDK's
+    def on_subscribe(self, client: ws.Client, channel: ws.ChannelView) -> None:  # noqa: ARG002 - the signature is the SDK's
         """Note a new subscriber; ``run`` sends it the held messages of the topic."""
         with self._lock:
             self._fresh.add(channel.topic)
         self._wake.set()
 
-    def on_playback_control_request(self, playback_control_request: PlaybackControlRequest) -> PlaybackState:
+    def on_playback_control_request(self, playback_control_request: ws.PlaybackControlRequest) -> ws.PlaybackState:
         """Move the playhead. ``run`` then sends the messages there, or those of a newer request."""
         request = playback_control_request
         with self._lock:
@@ -238,7 +229,7 @@ class Player(ServerListener):
         if request.seek_time is not None and request.seek_time > reach.last_ns and not reach.complete:
             missing_s = ns_to_seconds(request.seek_time - reach.last_ns)
             warning = f"the replay is {missing_s:.1f} s before the requested time; playing from its end"
-            server.publish_status(warning, StatusLevel.Warning, _STATUS_ID)
+            server.publish_status(warning, ws.StatusLevel.Warning, _STATUS_ID)
         server.broadcast_time(log_ns)
         self._send_held({channel.topic for channel in self._source.channels}, log_ns)
         self._follow_from(log_ns + 1)

@@ -71,7 +71,8 @@ class Log:
 
 def blueprint(log: Log, timeline: str) -> rrb.Blueprint:
     """Panels for the contents of the log, without empty ones."""
-    rows = [_row(_WIDTHS, *_pictures(log)), _row((1.0, 1.0, 1.0), *_numbers(log))]
+    pictures = _row(_WIDTHS, _tabs(_front(log)), _aside(log), _space(log))
+    rows = [pictures, _row((1.0, 1.0, 1.0), *_numbers(log))]
     filled = [row for row in rows if row is not None]
     return rrb.Blueprint(
         rrb.Vertical(*filled, row_shares=[2.0, 1.0][: len(filled)]),
@@ -90,11 +91,6 @@ def _row(widths: Iterable[float], *parts: rrb.Container | rrb.View | None) -> rr
 
 def _tabs(views: list[rrb.View]) -> rrb.Container | rrb.View | None:
     return rrb.Tabs(*views, active_tab=0) if len(views) > 1 else next(iter(views), None)
-
-
-def _pictures(log: Log) -> tuple[rrb.Container | rrb.View | None, ...]:
-    """The front image, the other pictures and the scene."""
-    return _tabs(_front(log)), _aside(log), _space(log)
 
 
 def _front(log: Log) -> list[rrb.View]:

@@ -99,7 +99,7 @@ _LEVELS: Final = ("INFO", "DEBUG", "INFO", "WARN", "ERROR", "CRITICAL")
 
 
 def metrics(entity: str, message: Any, state: SceneState) -> Iterator[Entry]:
-    """Draw the numbers of a roadperc.FrameMetrics as curves, its texts as states, and its reasons as log lines."""
+    """Draw the numbers of a roadperc.FrameMetrics as curves, its texts as states, and new reasons as log lines."""
     for field, value in message.ListFields():
         if isinstance(value, int | float) and field.name not in _IDENTIFIERS:
             yield Entry(f"{entity}/{field.name}", rr.Scalars(float(value)))
@@ -107,21 +107,17 @@ def metrics(entity: str, message: Any, state: SceneState) -> Iterator[Entry]:
         if text or state.texts.get(name):  # an empty text ends the previous state
             yield Entry(f"{entity}/{name}", rr.StateChange(state=text))
         state.texts[name] = text
-    yield from _reasons(entity, "; ".join(message.reasons), state)
+    reasons = "; ".join(message.reasons)
+    if reasons != state.texts.get("reasons", ""):
+        line = rr.TextLog(reasons, level="WARN") if reasons else rr.TextLog("nothing is missing now", level="INFO")
+        yield Entry(f"{entity}/reasons", line)
+    state.texts["reasons"] = reasons
 
 
 def _texts(message: Any) -> dict[str, str]:
     """The states of a frame, empty if unknown, and its missing roles as one text."""
     states = (field.name for field in message.DESCRIPTOR.fields if field.name.endswith(STATES))
     return {name: getattr(message, name) for name in states} | {MISSING: ", ".join(message.missing)}
-
-
-def _reasons(entity: str, reasons: str, state: SceneState) -> Iterator[Entry]:
-    """Draw a log line when the reasons change."""
-    if reasons != state.texts.get("reasons", ""):
-        line = rr.TextLog(reasons, level="WARN") if reasons else rr.TextLog("nothing is missing now", level="INFO")
-        yield Entry(f"{entity}/reasons", line)
-    state.texts["reasons"] = reasons
 
 
 def times(entity: str, times_ms: Mapping[str, float]) -> Iterator[Entry]:
