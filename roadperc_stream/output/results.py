@@ -10,6 +10,7 @@ from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats.png import encode_mask
 from roadperc_stream.geometry import Float, inverse
 from roadperc_stream.geometry.planes import SurfaceModel, SurfaceSource
+from roadperc_stream.log import Channel
 from roadperc_stream.model import EGO, Absent, FrameAnchor, FrameResult, Odometry, Sample, Transform
 from roadperc_stream.model.results import BoundaryStatus, OdometryStatus
 from roadperc_stream.model.sample import LAST_ROS_STAMP_NS
@@ -20,6 +21,8 @@ from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas import topics
 from roadperc_stream.schemas.columns import FrameMetrics
 from roadperc_stream.schemas.protobuf import require_finite, set_stamp
+from roadperc_stream.schemas.record import PRODUCER
+from roadperc_stream.schemas.registry import schema
 from roadperc_stream.schemas.ros2 import pack_occupancy_grid
 
 DRIVABLE_COLOURS: tuple[Colour, Colour] = ((0, 0, 0), colours.DRIVABLE)
@@ -32,6 +35,12 @@ _WORDS: Final[Mapping[str, tuple[str, ...]]] = {
     "odometry_status": get_args(OdometryStatus),
 }
 Written = Iterator[tuple[str, bytes]]
+
+
+def result_channel(topic: str, schema_name: str) -> Channel:
+    """The channel of a result, marked as written by this project."""
+    found = schema(schema_name)
+    return Channel(topic, found.message_encoding, found.name, found.schema_encoding, found.data, (PRODUCER,))
 
 
 def result_messages(

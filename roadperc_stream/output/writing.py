@@ -13,19 +13,11 @@ from roadperc_stream.model import FrameResult, Odometry, ReasonKind, Sample
 from roadperc_stream.model.sample import frame_reasons
 from roadperc_stream.output.drawing.on_request import PictureMaker
 from roadperc_stream.output.reason_counts import ReasonCount, merged, of_frame, throughout
-from roadperc_stream.output.results import result_messages
+from roadperc_stream.output.results import result_channel, result_messages
 from roadperc_stream.output.tables import TableWriter, table_facts
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics, ObjectMetrics
-from roadperc_stream.schemas.record import (
-    CONFIG_ATTACHMENT,
-    METADATA_RECORD,
-    OWN_ATTACHMENTS,
-    PRODUCER,
-    SEED_KEY,
-    VERSION_KEY,
-)
-from roadperc_stream.schemas.registry import schema
+from roadperc_stream.schemas.record import CONFIG_ATTACHMENT, METADATA_RECORD, OWN_ATTACHMENTS, SEED_KEY, VERSION_KEY
 from roadperc_stream.schemas.topics import result_schemas
 from roadperc_stream.system.files import partial_of, sync_file
 from roadperc_stream.system.progress import Progress, no_progress
@@ -179,7 +171,7 @@ class Outputs:
         )
         self._copy = MessageCopy(self._log, *copied, log_in.summary.schema_ids)
         topics = result_schemas(self._pictures.requests)
-        self._channels = {topic: _result_channel(topic, name) for topic, name in topics.items()}
+        self._channels = {topic: result_channel(topic, name) for topic, name in topics.items()}
         for channel in self._channels.values():
             self._log.register(channel)
         self._reasons = dict(counted.reasons)
@@ -282,8 +274,3 @@ class Outputs:
             resumed_s=None if resumed_ns is None else ns_to_seconds(resumed_ns - (log_in.summary.first_ns or 0)),
             first_ns=log_in.summary.first_ns or 0,
         )
-
-
-def _result_channel(topic: str, schema_name: str) -> Channel:
-    found = schema(schema_name)
-    return Channel(topic, found.message_encoding, found.name, found.schema_encoding, found.data, metadata=(PRODUCER,))

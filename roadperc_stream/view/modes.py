@@ -17,9 +17,6 @@ from roadperc_stream.view.live import PlaybackOptions
 from roadperc_stream.view.live.serving import log_with_times, serve_log
 from roadperc_stream.view.video import write_video
 
-_RERUN = "roadperc_stream.view.rerun"
-"""Imported on use, because the import takes half a second."""
-
 
 def view_log(arguments: argparse.Namespace, playback: PlaybackOptions) -> None:
     """Show a log, or write it as a layout, recording or video.
@@ -73,7 +70,8 @@ def _record_video(arguments: argparse.Namespace) -> None:
 
 def _show_in_rerun(arguments: argparse.Namespace) -> None:
     """Save a recording, or send the log to a viewer."""
-    target, rerun = arguments.save, import_module(_RERUN)
+    target = arguments.save
+    rerun = import_module("roadperc_stream.view.rerun")  # on use only, because the import takes half a second
     overrides = parse_topic_options(arguments.topic)
     with frame_progress("writing" if target else "sending", not arguments.quiet) as progress:
         if target:

@@ -117,8 +117,8 @@ def read_frame(path: Path, stamp_ns: int, problems: Problems) -> PerceivedFrame 
     image_topic = _image_topic(summary)
     for lateness_ns in LATENESS_NS:
         found, reasons = _messages(summary, image_topic, stamp_ns, lateness_ns, problems)
-        if seen := _seen(found, image_topic, reasons, stamp_ns, problems):
-            return seen
+        if frame := _frame_of(found, image_topic, reasons, stamp_ns, problems):
+            return frame
     return None
 
 
@@ -138,7 +138,7 @@ def read_frames(summary: LogSummary, problems: Problems) -> Iterator[tuple[Frame
     waiting: dict[int, dict[str, Decoded]] = {}
     for message in log.read(summary, topics={image_topic, METRICS_TOPIC, *_KINDS}):
         if row := row_of(message, problems):
-            yield row, _seen(waiting.pop(row.stamp_ns, {}), image_topic, row.reasons, row.stamp_ns, problems)
+            yield row, _frame_of(waiting.pop(row.stamp_ns, {}), image_topic, row.reasons, row.stamp_ns, problems)
             waiting = {stamp_ns: found for stamp_ns, found in waiting.items() if stamp_ns > row.stamp_ns}
         elif content := _decoded(message, image_topic, problems):
             waiting.setdefault(content.stamp_ns, {})[message.channel.topic] = content
@@ -185,7 +185,7 @@ def _image_topic(summary: LogSummary) -> str:
     return topics.get("image") or topics.get("left", "")
 
 
-def _seen(
+def _frame_of(
     found: Mapping[str, Decoded], image_topic: str, reasons: Iterable[str], stamp_ns: int, problems: Problems
 ) -> PerceivedFrame | None:
     image = _result(found, image_topic, CameraImage, "image")
@@ -229,10 +229,7 @@ def _decoded(message: Message, image_topic: str, problems: Problems) -> Decoded 
     context = replace(context_of_channel(channel, "auto"), tag_table=CARLA_BEFORE_0_9_14)
     schema, encoding = channel.schema_name, channel.message_encoding
     return content_of(
-        lambda: decode(kind, schema, encoding, message.data, log_time_ns, context),
-        channel.topic,
-        log_time_ns,
-        problems,
+        lambda: decode(kind, schema, encoding, message.data, log_time_ns, context), channel.topic, log_time_ns, problems
     )
 
 

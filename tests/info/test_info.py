@@ -127,22 +127,22 @@ def test_an_input_log_gives_roles_frames_and_cameras(source):
     assert replay.tag_table == logs.TABLE.name
 
 
-@pytest.mark.parametrize(
-    ("role", "cost"),
-    [
-        ("calibration", "a replay stops"),
-        ("depth", "no distances"),
-        ("segmentation", "no lanes"),
-        ("detections", "no objects"),
-        ("tf", "assumed_height_m"),
-    ],
-)
-def test_a_missing_role_is_printed_with_its_consequence(tmp_path, capsys, role, cost):
+COSTS = {
+    "calibration": "a replay stops",
+    "depth": "no distances",
+    "segmentation": "no lanes",
+    "detections": "no objects",
+    "tf": "assumed_height_m",
+}
+
+
+@pytest.mark.parametrize("role", COSTS)
+def test_a_missing_role_is_printed_with_its_consequence(tmp_path, capsys, role):
     path = logs.write(tmp_path / "in.mcap", logs.items(3, roles=set(logs.ALL) - {role}))
     state = states(facts_of(path))[role]
     assert state.state == "missing"
-    assert cost in state.cost
-    assert cost in info(capsys, path)[1]
+    assert COSTS[role] in state.cost
+    assert COSTS[role] in info(capsys, path)[1]
 
 
 def test_static_transforms_replace_transforms(tmp_path, capsys):

@@ -12,7 +12,7 @@ from mcap_protobuf.schema import build_file_descriptor_set
 
 from roadperc_stream import log
 from roadperc_stream.config import load_config
-from roadperc_stream.errors import ChannelError, LogError, TargetError
+from roadperc_stream.errors import ChannelError, TargetError
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.schemas import roadperc_pb2
 from roadperc_stream.schemas.columns import TIME_COLUMNS
@@ -291,23 +291,11 @@ def test_the_left_camera_replaces_a_missing_front_camera(tmp_path):
     assert [p["imageMode"]["imageTopic"] for p in pictures.values()] == ["/camera/left/image"]
 
 
-@pytest.mark.parametrize(
-    ("frames", "name", "topics", "error", "fault"),
-    [
-        (1, "layout.json", {"image": "/none"}, ChannelError, "--topic image=/none: no such topic"),
-        (0, "layout.json", {}, LogError, "no topic that roadperc-view can show"),
-        (1, "in.mcap", {}, TargetError, r"expected a name that ends in \.json"),
-    ],
-    ids=["no such topic", "nothing to show", "the log itself"],
-)
-def test_a_failed_layout_names_the_log_and_writes_nothing(tmp_path, frames, name, topics, error, fault):
-    items = logs.items(frames=frames) if frames else []
-    source = logs.write(tmp_path / "in.mcap", items, extra=[logs.foreign()])
-    before = source.read_bytes()
-    with pytest.raises(error, match=rf"in\.mcap: {fault}"):
-        write_layout(tmp_path / name, source, topics, force=True)
+def test_a_failed_layout_names_the_log_and_writes_nothing(tmp_path):
+    source = logs.write(tmp_path / "in.mcap", logs.items(frames=1))
+    with pytest.raises(ChannelError, match=r"in\.mcap: --topic image=/none: no such topic"):
+        write_layout(tmp_path / "layout.json", source, {"image": "/none"}, force=True)
     assert list(tmp_path.iterdir()) == [source]
-    assert source.read_bytes() == before
 
 
 def test_an_existing_layout_is_replaced_only_with_force(tmp_path):

@@ -11,15 +11,13 @@ from roadperc_stream.cli.view import main
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import LogError, TableError
 from roadperc_stream.input.stream import Problems
-from roadperc_stream.log import Channel, LogWriter, Message
+from roadperc_stream.log import LogWriter, Message
 from roadperc_stream.model import Absent, Boundary, Lanes
 from roadperc_stream.output import encoding, tables
-from roadperc_stream.output.results import encode_metrics
+from roadperc_stream.output.results import encode_metrics, result_channel
 from roadperc_stream.output.tables import ROW_GROUP_ROWS, TableWriter
 from roadperc_stream.schemas import roadperc_pb2
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
-from roadperc_stream.schemas.record import PRODUCER
-from roadperc_stream.schemas.registry import schema
 from roadperc_stream.view.result_frames import ReplayTimes, TableTimes, read_frame, read_frames, read_rows
 from roadperc_stream.view.video import write_video
 from tests import logs
@@ -121,9 +119,8 @@ SCHEMAS = {
 
 
 def channel(topic, name=""):
-    found = schema(name or SCHEMAS[topic])
-    marks = () if topic == IMAGE else (PRODUCER,)
-    return Channel(topic, found.message_encoding, found.name, found.schema_encoding, found.data, marks)
+    found = result_channel(topic, name or SCHEMAS[topic])
+    return replace(found, metadata=()) if topic == IMAGE else found
 
 
 def contents(frame):

@@ -6,12 +6,10 @@ import pytest
 
 from roadperc_stream.config import load_config
 from roadperc_stream.errors import LogError, TargetError
-from roadperc_stream.log import Channel, LogWriter, Message
+from roadperc_stream.log import LogWriter, Message
 from roadperc_stream.output import encoding
-from roadperc_stream.output.results import encode_metrics
+from roadperc_stream.output.results import encode_metrics, result_channel
 from roadperc_stream.schemas.columns import FrameMetrics
-from roadperc_stream.schemas.record import PRODUCER
-from roadperc_stream.schemas.registry import schema
 from roadperc_stream.view.video import frame_rate_hz, pictures_shown, write_video
 from tests import logs
 from tests.replaying import replay
@@ -25,17 +23,10 @@ def stamps(*ms):
     return [START + round(m * MS) for m in ms]
 
 
-def result(topic, name):
-    found = schema(name)
-    return Channel(topic, found.message_encoding, name, found.schema_encoding, found.data, (PRODUCER,))
-
-
 def overlays(path, times, colours, size=(91, 121)):
     """Write a log with an overlay of one colour per frame; None for a frame without overlay."""
-    metrics, overlay = (
-        result("/perception/metrics", "roadperc.FrameMetrics"),
-        result("/perception/overlay", "foxglove.CompressedImage"),
-    )
+    metrics = result_channel("/perception/metrics", "roadperc.FrameMetrics")
+    overlay = result_channel("/perception/overlay", "foxglove.CompressedImage")
     with LogWriter(path) as writer:
         for k, (stamp, colour) in enumerate(zip(times, colours, strict=True)):
             row = encode_metrics("camera", FrameMetrics("log", k, stamp))

@@ -232,25 +232,14 @@ def _corners(box: Box) -> Float:
 
 
 def _points(
-    message: ImageAnnotations,
-    kind: Any,
-    points: Float,
-    colour: Colour,
-    width: float,
-    alpha: float = 1.0,
+    message: ImageAnnotations, kind: Any, points: Float, colour: Colour, width: float, alpha: float = 1.0
 ) -> None:
     entry = message.points.add(type=kind, outline_color=_color(colour, alpha), thickness=width)
     entry.timestamp.CopyFrom(message.timestamp)
     entry.points.extend(Point2(x=x, y=y) for x, y in points.tolist())
 
 
-def _text(
-    message: ImageAnnotations,
-    camera: Camera,
-    position: Iterable[float],
-    text: str,
-    colour: Colour,
-) -> None:
+def _text(message: ImageAnnotations, camera: Camera, position: Iterable[float], text: str, colour: Colour) -> None:
     x, y = position
     width, _ = viewer_text_size(camera, text)
     entry = message.texts.add(

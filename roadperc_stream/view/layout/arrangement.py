@@ -166,10 +166,7 @@ def _numbers(has: LogContents, table: Node | None) -> Node | None:
             ),
             "Objects": column(table, row(*_plots(has, "objects", "object_errors")), first_percent=58),
             "Motion": column(*_plots(has, "odometry", "odometry_errors", "inliers"), first_percent=34),
-            "Road": column(
-                row(*_plots(has, "surface", "surface_errors")),
-                row(*_plots(has, "shares", "scores")),
-            ),
+            "Road": column(row(*_plots(has, "surface", "surface_errors")), row(*_plots(has, "shares", "scores"))),
             "States": row(
                 states("states", "States", STATES, has.columns),
                 states("lane_states", "Boundaries", BOUNDARY_STATES, has.columns),

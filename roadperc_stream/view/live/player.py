@@ -160,13 +160,7 @@ class Player(ws.ServerListener):
     """
 
     def __init__(
-        self,
-        source: Source,
-        clock_ns: Callable[[], int],
-        *,
-        start_ns: int,
-        rate: float = 1.0,
-        loop: bool = False,
+        self, source: Source, clock_ns: Callable[[], int], *, start_ns: int, rate: float = 1.0, loop: bool = False
     ) -> None:
         self._source, self._clock_ns, self._wake = source, clock_ns, Event()
         self._loop_ns = start_ns if loop else None

@@ -10,9 +10,8 @@ from roadperc_stream import log
 from roadperc_stream.errors import LogError
 from roadperc_stream.input.earlier_replay import is_result_of
 from roadperc_stream.log import Channel, GrowingLog, LogSummary, Message
+from roadperc_stream.output.results import result_channel
 from roadperc_stream.schemas import roadperc_pb2 as pb
-from roadperc_stream.schemas.record import PRODUCER
-from roadperc_stream.schemas.registry import schema
 from roadperc_stream.schemas.topics import LIVE_ONLY, METRICS_TOPIC, TIMES_TOPIC
 from roadperc_stream.system.time import NS_PER_S
 from roadperc_stream.view.result_frames import TimesOfFrame
@@ -114,8 +113,7 @@ def _last_by_channel(messages: Iterator[Message]) -> dict[Channel, list[Message]
 
 def with_times(source: Source, times: TimesOfFrame) -> Source:
     """The source with stage times as one more channel, at the log times of their frames' metrics."""
-    found = schema(LIVE_ONLY[TIMES_TOPIC])
-    channel = Channel(TIMES_TOPIC, found.message_encoding, found.name, found.schema_encoding, found.data, (PRODUCER,))
+    channel = result_channel(TIMES_TOPIC, LIVE_ONLY[TIMES_TOPIC])
 
     def read(topics: Collection[str], start_ns: int, end_ns: int) -> Iterator[Message]:
         if TIMES_TOPIC not in topics:

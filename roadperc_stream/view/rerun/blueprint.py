@@ -148,8 +148,8 @@ def _numbers(log: Log) -> tuple[rrb.Container | rrb.View | None, ...]:
 
 
 def _plot(log: Log, title: str, names: tuple[str, ...]) -> rrb.View | None:
-    there = [name for name in names if f"{topics.METRICS_TOPIC}/{name}" in log.entities]
-    lines = {f"{topics.METRICS_TOPIC}/{name}": _line(name) if name in _COLOURS else None for name in there}
+    entities = {f"{topics.METRICS_TOPIC}/{name}": name for name in names}
+    lines = {e: _line(name) if name in _COLOURS else None for e, name in entities.items() if e in log.entities}
     return _curves(title, lines) if lines else None
 
 
@@ -162,12 +162,11 @@ def _line(name: str) -> rr.SeriesLines:
 def _times(log: Log) -> rrb.View:
     """Milliseconds of the stages that ran; the labels are short because the legend covers the curves."""
     ran = [stage for stage in STAGE_COLOURS if f"{topics.TIMES_TOPIC}/{stage}_ms" in log.entities]
-    return _curves("time per stage, ms", {f"{topics.TIMES_TOPIC}/{stage}_ms": _stage_line(stage) for stage in ran})
-
-
-def _stage_line(stage: str) -> rr.SeriesLines:
-    width = _RAW_WIDTH if stage == "total" else _SMOOTHED_WIDTH
-    return rr.SeriesLines(colors=int(f"{STAGE_COLOURS[stage][1:]}ff", 16), widths=width, names=stage)
+    lines: dict[str, rr.SeriesLines | None] = {}
+    for stage in ran:
+        width, colour = _RAW_WIDTH if stage == "total" else _SMOOTHED_WIDTH, int(f"{STAGE_COLOURS[stage][1:]}ff", 16)
+        lines[f"{topics.TIMES_TOPIC}/{stage}_ms"] = rr.SeriesLines(colors=colour, widths=width, names=stage)
+    return _curves("time per stage, ms", lines)
 
 
 def _curves(title: str, lines: Mapping[str, rr.SeriesLines | None]) -> rrb.View:

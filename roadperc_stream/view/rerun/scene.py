@@ -42,16 +42,13 @@ def road(entity: str, role: str, payload: Surface, state: SceneState) -> Iterato
     if role.startswith("truth"):
         return  # the true road would cover the estimated one
     if state.assumed_mounting is None:
-        state.assumed_mounting = level_mounting(_assumed_height_m(payload))
+        plane = payload.ego_plane
+        height_above_ego_m = (payload.camera_height_m - plane.offset_m) / plane.normal[2]
+        state.assumed_mounting = level_mounting(float(height_above_ego_m))
         yield from new_edges(state)
     patch = road_patch(payload)
     mesh = rr.Mesh3D(vertex_positions=patch, triangle_indices=patch_triangles(patch), albedo_factor=_ROAD)
     yield Entry(entity, mesh, EGO)
-
-
-def _assumed_height_m(surface: Surface) -> float:
-    """Height of a level camera above the ego origin, from its height above the road and the road's height at ego."""
-    return float((surface.camera_height_m - surface.ego_plane.offset_m) / surface.ego_plane.normal[2])
 
 
 def points(entity: str, _role: str, payload: PointCloud, _world: SceneState) -> Iterator[Entry]:

@@ -87,15 +87,11 @@ TREE: Final = "/tf"
 def new_edges(state: SceneState) -> Iterator[Entry]:
     """Draw the edges that changed since they were drawn last."""
     for child, edge in ego_tree(state).items():
-        if not _same(edge, state.edges.get(child)):
+        drawn = state.edges.get(child)
+        same_parent = drawn is not None and drawn.parent == edge.parent
+        if drawn is None or not same_parent or not np.array_equal(drawn.parent_T_child, edge.parent_T_child):
             state.edges[child] = edge
             yield edge_entry(TREE, edge)
-
-
-def _same(edge: Transform, drawn: Transform | None) -> bool:
-    if drawn is None or drawn.parent != edge.parent:
-        return False
-    return np.array_equal(drawn.parent_T_child, edge.parent_T_child)
 
 
 def known_as(frame_id: str) -> str:

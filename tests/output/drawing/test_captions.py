@@ -67,10 +67,7 @@ def labels(*objects, top_px=0.0, text_size=(50.0, 10.0)):
     return label_places(SIZE, top_px, objects, boxes, [text_size] * len(objects))
 
 
-@pytest.mark.parametrize(
-    ("corners", "left"),
-    [((-20, 60, 30, 90), 0.0), ((300, 60, 320, 90), 270.0)],
-)
+@pytest.mark.parametrize(("corners", "left"), [((-20, 60, 30, 90), 0.0), ((300, 60, 320, 90), 270.0)])
 def test_a_label_at_the_edge_is_moved_into_the_picture(corners, left):
     (place,) = labels(car(5.0, corners))
     assert (place.x_min, place.x_max) == (left, left + 50)

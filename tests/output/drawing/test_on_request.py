@@ -218,16 +218,6 @@ def test_an_unknown_correlation_has_no_heat_map_and_no_peak():
     assert not template_picture(black(), (search(np.full((30, 40), -np.inf)),))[20:].any()
 
 
-def test_a_correlation_gives_its_peak():
-    scores = np.full((30, 40), -0.9)
-    scores[20, 30] = 0.95
-    box, score = search(scores).peak
-    assert (box.x_min, box.y_min, box.x_max, box.y_max) == (130, 80, 151, 91)
-    assert score == pytest.approx(0.95)
-    assert search(scores).match(0.96) is None
-    assert search(np.full((3, 4), -np.inf)).match(-1.0) is None
-
-
 def test_unknown_disparity_is_black_and_equal_disparities_have_equal_colours():
     """At 100 px and 0.4 m the disparity is 40 px / depth; that of 2 m has the last colour."""
     depth_m = np.full((240, 320), np.nan, np.float32)

@@ -278,20 +278,23 @@ def test_an_existing_recording_is_replaced_only_with_force(tmp_path):
     assert target.read_text() == "mine"
     save_recording(source, target, {}, force=True)
     assert "/camera/front/image" in recorded(target)
-    with pytest.raises(TargetError, match=r"in\.mcap: expected a name that ends in \.rrd"):
-        save_recording(source, source, {}, force=True)
+
+
+@pytest.fixture(scope="module")
+def with_overlay(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("overlay")
+    source = logs.write(folder / "in.mcap", logs.items(frames=2))
+    assert replay_main([str(source), str(folder / "out.mcap"), "--quiet", "--overlay"]) == 0
+    return folder / "out.mcap"
 
 
 @pytest.mark.parametrize(
-    "topic",
-    ["/camera/front/image", "/camera/front/detections", "/perception/metrics", "/perception/overlay", "/tf"],
+    "topic", ["/camera/front/image", "/camera/front/detections", "/perception/metrics", "/perception/overlay", "/tf"]
 )
-def test_damaged_messages_are_counted_and_the_others_drawn(tmp_path, topic):
-    source, output = logs.write(tmp_path / "in.mcap", logs.items(frames=2)), tmp_path / "out.mcap"
-    assert replay_main([str(source), str(output), "--quiet", "--overlay"]) == 0
+def test_damaged_messages_are_counted_and_the_others_drawn(with_overlay, tmp_path, topic):
     broken = tmp_path / "broken.mcap"
     with LogWriter(broken) as writer:
-        for message in log.read(log.summarise(output)):
+        for message in log.read(log.summarise(with_overlay)):
             hit = message.channel.topic == topic
             writer.write(replace(message, data=b"\xff\xfe\x07garbage") if hit else message)
     exported = save_recording(broken, tmp_path / "out.rrd", {})
