@@ -1,1 +1,1 @@
-"""What is in a log, whether it is whole, and what a replay would make of it: ``roadperc-info``."""
+"""``roadperc-info``: the contents of a log, its damage, and its suitability for a replay."""

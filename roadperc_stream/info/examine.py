@@ -1,4 +1,4 @@
-"""A log's facts, from one pass over it."""
+"""Collects the facts of a log in one pass."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,7 +22,7 @@ def examine(path: Path, overrides: Mapping[str, str]) -> LogFacts:
         overrides: topic by role, from ``--topic``.
 
     Raises:
-        LogError: the file cannot be opened, or is not a log. A damaged log gives facts.
+        LogError: the file cannot be opened, or is not a log. A damaged log is no error.
     """
     scan = Scan.of(path, overrides)
     salvage, tallies = scan.salvage, scan.tallies.values()
@@ -119,7 +119,7 @@ def _camera_facts(role: str, camera: Camera, scan: Scan) -> CameraFacts:
 
 
 def _tag_table(scan: Scan, topic: str | None) -> str | None:
-    """The tag table that the segmentation's channel names, else the one a result was made with."""
+    """The tag table that the segmentation channel names, else the one that the replay of a result used."""
     channels = (channel for channel in scan.salvage.channels.values() if channel.topic == topic)
     named = next((channel.label(TAG_TABLE_KEY) for channel in channels if channel.label(TAG_TABLE_KEY)), None)
     return named or scan.roles.assignment.tag_table or None

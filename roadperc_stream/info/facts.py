@@ -1,6 +1,6 @@
-"""What is known of a log: the keys of ``roadperc-info --json`` are these fields. Times of logs are integer ns.
+"""The facts of a log; their fields are the keys of ``roadperc-info --json``.
 
-JSON has null for None, and for numbers that are not finite.
+Log times are integer nanoseconds. JSON has null for None and for numbers that are not finite.
 """
 
 import hashlib
@@ -17,26 +17,17 @@ from roadperc_stream.info.role_states import RoleState
 from roadperc_stream.input.earlier_replay import digest_algorithm, replay_record
 from roadperc_stream.log import Attachment, Damage, Metadata, Recovery
 from roadperc_stream.output.tables import read_footer, sidecar_path
-from roadperc_stream.schemas.record import (
-    CONFIG_ATTACHMENT,
-    CONTINUES_KEY,
-    DIGEST_KEY,
-    DROPPED_KEY,
-    FRAMES_KEY,
-    SEED_KEY,
-    VERSION_KEY,
-    log_id_of,
-)
+from roadperc_stream.schemas import record
 
 
 @dataclass(frozen=True)
 class ResolvedSetting:
-    """A setting that is not at its default."""
+    """A setting that differs from its default."""
 
     key: str
     value: str
     default: str | None
-    """None where this version knows no such setting."""
+    """None if this version does not have the setting."""
 
 
 @dataclass(frozen=True)
@@ -46,22 +37,22 @@ class SidecarTable:
     path: str
     rows: int | None
     fault: str = ""
-    """Why it does not belong to this log; empty if it does."""
+    """Why it does not belong to this log; empty if it belongs."""
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """What a result says of the replay that wrote it."""
+    """The replay that wrote a result, as the result records it."""
 
     version: str
     seed: str
     digest: str
     digest_algorithm: str
     digest_found: str | None
-    """Digest of the input's messages as they are in the file now; None where they are not there or not all readable."""
+    """Digest of the input's messages in the file; None if they are missing or not all readable."""
     frames: int | None
     continues: str | None
-    """``log_id`` of the log that it continues; None if it continues none."""
+    """``log_id`` of the log that it continues; None for a new replay."""
     dropped: Mapping[str, int]
     """Messages by role that belonged to no frame."""
     config_digest: str | None
@@ -71,31 +62,31 @@ class Provenance:
 
     @property
     def changed(self) -> bool:
-        """Whether the input's messages are not those that were replayed."""
+        """Whether the input's messages differ from the replayed ones."""
         return self.digest_found is not None and self.digest_found != self.digest
 
 
 def provenance_of(
     path: Path, metadata: Collection[Metadata], attachments: Iterable[Attachment], digest_found: str | None
 ) -> Provenance:
-    """What the log's metadata record and its configuration say, and whether the tables beside it belong to it."""
+    """The provenance from a result's metadata record, its configuration and the tables beside it."""
     facts = replay_record(metadata)
-    toml = next((item.data for item in attachments if item.name == CONFIG_ATTACHMENT), None)
+    toml = next((item.data for item in attachments if item.name == record.CONFIG_ATTACHMENT), None)
     config_digest = None if toml is None else hashlib.sha256(toml).hexdigest()
     settings, fault = _settings(toml)
-    digest = facts.get(DIGEST_KEY, "")
+    digest = facts.get(record.DIGEST_KEY, "")
     return Provenance(
-        version=facts.get(VERSION_KEY, ""),
-        seed=facts.get(SEED_KEY, ""),
+        version=facts.get(record.VERSION_KEY, ""),
+        seed=facts.get(record.SEED_KEY, ""),
         digest=digest,
         digest_algorithm=digest_algorithm(metadata),
         digest_found=digest_found,
-        frames=_number(facts.get(FRAMES_KEY, "")),
-        continues=facts.get(CONTINUES_KEY),
+        frames=_number(facts.get(record.FRAMES_KEY, "")),
+        continues=facts.get(record.CONTINUES_KEY),
         dropped={
-            name.removeprefix(DROPPED_KEY): _number(value) or 0
+            name.removeprefix(record.DROPPED_KEY): _number(value) or 0
             for name, value in facts.items()
-            if name.startswith(DROPPED_KEY)
+            if name.startswith(record.DROPPED_KEY)
         },
         config_digest=config_digest,
         settings=settings,
@@ -105,13 +96,13 @@ def provenance_of(
 
 
 def _settings(toml: bytes | None) -> tuple[tuple[ResolvedSetting, ...], str]:
-    """The settings that differ from this version's defaults, or why there is no knowing."""
+    """The settings that differ from this version's defaults, or why they are unknown."""
     if toml is None:
-        return (), f"no attachment {CONFIG_ATTACHMENT}"
+        return (), f"no attachment {record.CONFIG_ATTACHMENT}"
     try:
         found = settings_in(toml)
     except ConfigError as error:
-        return (), f"attachment {CONFIG_ATTACHMENT} is {error}"
+        return (), f"attachment {record.CONFIG_ATTACHMENT} is {error}"
     defaults = settings_in(ReplayConfig().to_toml().encode())
     differing = [key for key, value in found.items() if key not in defaults or defaults[key] != value]
     known = {key: as_typed(value) for key, value in defaults.items()}
@@ -124,26 +115,26 @@ def _number(text: str) -> int | None:
 
 def _table(path: Path, digest: str, config_digest: str | None) -> SidecarTable:
     if not path.exists():
-        return SidecarTable(str(path), None, "is not there")
+        return SidecarTable(str(path), None, "missing")
     try:
         footer = read_footer(path)
     except TableError as error:
         return SidecarTable(str(path), None, str(error).removeprefix(f"{path}: "))
-    if footer.log_id not in (None, log_id_of(digest)):
-        return SidecarTable(str(path), footer.rows, f"is of log {footer.log_id}")
+    if footer.log_id not in (None, record.log_id_of(digest)):
+        return SidecarTable(str(path), footer.rows, f"belongs to log {footer.log_id}")
     if footer.facts.get("config_digest") != config_digest:
-        return SidecarTable(str(path), footer.rows, "is of another configuration")
+        return SidecarTable(str(path), footer.rows, "belongs to another configuration")
     return SidecarTable(str(path), footer.rows)
 
 
 @dataclass(frozen=True)
 class FileFacts:
-    """The file itself, and how whole it is."""
+    """The file and its damage."""
 
     size_bytes: int
     profile: str
     library: str
-    """What wrote it."""
+    """The library that wrote it."""
     chunks: Mapping[str, int]
     """Chunks by compression, empty for none."""
     whole: bool
@@ -151,15 +142,15 @@ class FileFacts:
     last_good_ns: int | None
     """Log time of the last message before the first damage."""
     recovery: Recovery | None
-    """What an earlier repair saved and lost, as the repaired log records it."""
+    """Counts of an earlier repair, as the repaired log records them."""
     absent: tuple[str, ...]
-    """What a log may do without and this one does: index, CRCs."""
+    """Optional parts of a log that this one lacks: index, CRCs."""
     attachments: Mapping[str, int]
     """Bytes by name."""
     metadata: tuple[str, ...]
     """Names of its records."""
     conversion: Mapping[str, str]
-    """What ``roadperc-convert`` says of how it made the log; empty of other logs."""
+    """The conversion that ``roadperc-convert`` recorded; empty for other logs."""
 
 
 @dataclass(frozen=True)
@@ -177,73 +168,73 @@ class ChannelFacts:
     first_ns: int | None
     last_ns: int | None
     rate_hz: float | None
-    """Of the median interval of log times; None without intervals."""
+    """From the median interval of log times; None without intervals."""
     jitter_s: float | None
-    """95 % of the intervals differ from the median by no more than this."""
+    """95 % of the intervals differ from the median by at most this."""
     longest_gap_s: float | None
     gap_at_s: float | None
-    """Where the longest gap starts, seconds from the log's first message; so are all times that end in ``at_s``."""
+    """Start of the longest gap. All ``at_s`` times are seconds from the log's first message."""
     log_times_back: int
     """Messages after one of the same channel with a later log time."""
     stamps_back: int
-    """Messages whose own stamp is before that of the message before."""
+    """Messages whose own stamp is earlier than that of the previous message."""
     stamps_back_at_s: float | None
     stamps_repeated: int
-    """Messages whose own stamp is that of the message before."""
+    """Messages whose own stamp equals that of the previous message."""
     stamps_unset: int
-    """Messages of a schema with a stamp whose stamp is zero or cannot be read."""
+    """Messages whose schema has a stamp that is zero or unreadable."""
 
 
 @dataclass(frozen=True)
 class CameraFacts:
-    """What a calibration says, the last one of its role."""
+    """The last calibration of a role."""
 
     role: str
     camera: Camera
     ego_T_camera: tuple[tuple[float, ...], ...] | None
-    """The camera's place by the transforms; None where they do not give it."""
+    """The camera's mounting from the transforms; None if they lack it."""
     image_size: tuple[int, int] | None
-    """(width, height) of the first of its images that can be decoded; None without images."""
+    """(width, height) of its first readable image; None without images."""
 
 
 @dataclass(frozen=True)
 class ReplayFacts:
-    """What a replay would make of the log."""
+    """What a replay would do with the log."""
 
     refusal: str | None
-    """Why it would stop before its first frame."""
+    """Why a replay would stop before its first frame."""
     notes: tuple[str, ...]
-    """What was guessed."""
+    """Guesses about roles."""
     roles: tuple[RoleState, ...]
     reference: str | None
     """The role whose messages make the frames."""
     frames: int
     segments: int
-    """Parts with continuous stamps: more than one after a second recording or a looped bag."""
+    """Sections with increasing stamps; several if the log contains two recordings or a looped bag."""
     alone: Mapping[str, int]
-    """Frames for which an assigned role has no message within the tolerance, by role."""
+    """Frames without a message of an assigned role within the tolerance, by role."""
     unused: Mapping[str, int]
     """Messages by role that belong to no frame."""
     skew_s: float | None
     """Largest difference of stamps within a frame."""
     cameras: tuple[CameraFacts, ...]
     tag_table: str | None
-    """As the segmentation's channel names it, else as the user of the replay did that made the log."""
+    """From the segmentation channel, else from the replay that wrote the log."""
     unreadable: Mapping[str, int]
     """Messages of assigned roles that cannot be decoded, by topic."""
     problems: tuple[str, ...]
-    """The first of each in words."""
+    """The first problem of each topic, as text."""
 
 
 @dataclass(frozen=True)
 class LogFacts:
-    """All that is known of a log."""
+    """The facts of a log."""
 
     log: str
     """Its path."""
     kind: Literal["input", "result"]
     log_id: str | None
-    """What a replay of the whole log calls it; None where not all messages can be read."""
+    """The id that a replay of the whole log gives it; None if a message is unreadable."""
     file: FileFacts
     messages: int
     first_ns: int | None
@@ -254,4 +245,4 @@ class LogFacts:
     channels: tuple[ChannelFacts, ...]
     replay: ReplayFacts
     provenance: Provenance | None
-    """Of results alone."""
+    """Only for results."""

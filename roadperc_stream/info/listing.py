@@ -1,4 +1,4 @@
-"""The facts of several logs on stdout, as text or JSON."""
+"""Prints the facts of logs as text or JSON, and repairs logs."""
 
 import json
 import sys
@@ -26,12 +26,12 @@ from roadperc_stream.system.text import number
 from roadperc_stream.system.time import ns_to_seconds
 
 
-def print_parts(console: Console, logs: Sequence[LogFacts], overrides: Mapping[str, str]) -> None:
-    """How logs join in the order of their times, and what they are as one log.
+def _print_joined(console: Console, logs: Sequence[LogFacts], overrides: Mapping[str, str]) -> None:
+    """Print how several logs follow each other in time, and the facts of them as one log.
 
     Args:
         console: to print on.
-        logs: two or more; those without messages have no place among the parts.
+        logs: two or more; those without messages are left out.
         overrides: topic by role, from ``--topic``.
     """
     spans = sorted(_spans(logs), key=lambda span: (span.first_ns, span.last_ns))
@@ -42,7 +42,7 @@ def print_parts(console: Console, logs: Sequence[LogFacts], overrides: Mapping[s
         row(span.name, *(f"{ns_to_seconds(at_ns - began_ns):.3f}" for at_ns in (span.first_ns, span.last_ns)))
         for span in spans
     )
-    print_table(console, TextTable("As the parts of one log", ("from s", "to s"), rows))
+    print_table(console, TextTable("As files of one log", ("from s", "to s"), rows))
     lines = (*filter(None, joins(spans)), *_continuations(logs), *_only_in_some(logs), *_whole(logs, spans))
     print_lines(console, "", *lines)
     if not any(facts.provenance for facts in logs):
@@ -77,7 +77,7 @@ def _continuations(logs: Sequence[LogFacts]) -> Iterator[str]:
 
 
 def _channels(logs: Sequence[LogFacts]) -> list[Channel]:
-    """The channels with messages, as far as roles ask for them."""
+    """The channels with messages, with the fields that assign roles."""
     found = {
         Channel(channel.topic, channel.message_encoding, channel.schema, channel.schema_encoding)
         for facts in logs
@@ -88,7 +88,7 @@ def _channels(logs: Sequence[LogFacts]) -> list[Channel]:
 
 
 def _only_in_some(logs: Sequence[LogFacts]) -> Iterator[str]:
-    """A line for each topic with messages in some of the logs, and none in the others."""
+    """A line for each topic that has messages in some of the logs only."""
     holding: dict[str, list[str]] = {}
     for facts in logs:
         for topic in sorted({channel.topic for channel in facts.channels if channel.messages}):
@@ -113,15 +113,15 @@ def recover_log(source: Path, target: Path, *, force: bool) -> None:
         force: replace an existing ``target``.
 
     Raises:
-        LogError: not one message can be read.
-        TargetError: ``target`` cannot be written, or may not be.
+        LogError: no message is readable.
+        TargetError: ``target`` cannot or must not be written.
     """
     require_free(target, force=force, source=source, suffix=".mcap")
     (file,) = log.received([source])
     salvage, recovery = log.write_repaired(file, target)
     console = console_for(sys.stdout)
     if salvage.whole:
-        print_lines(console, f"note: {source}: whole, nothing was lost", unbroken=True)
+        print_lines(console, f"note: {source}: not damaged, nothing was lost", unbroken=True)
     else:
         warnings = warnings_of(source, salvage.damages, recovery, salvage.first_ns)
         print_lines(console, *(f"warning: {warning}" for warning in warnings), unbroken=True)
@@ -129,19 +129,19 @@ def recover_log(source: Path, target: Path, *, force: bool) -> None:
 
 
 def list_logs(paths: Sequence[Path], topics: Sequence[str], *, as_json: bool) -> None:
-    """Print what is known of each log, and of several how they join as the parts of one.
+    """Print the facts of each log; for several logs also how they follow each other.
 
     Args:
         paths: the logs; ``-`` is standard input.
         topics: ``ROLE=/NAME``, as a replay takes them.
-        as_json: an object and line per log instead of text.
+        as_json: print one JSON object per line and log instead of text.
 
     Raises:
-        ChannelError: a topic option is of another form.
-        LogError: one of the logs is not whole; the others are printed all the same.
+        ChannelError: a topic option has the wrong form.
+        LogError: a log is unreadable or damaged; the others are printed too.
     """
     overrides = parse_topic_options(topics)
-    faults, parts = [], list[LogFacts]()
+    faults, logs = [], list[LogFacts]()
     for path in paths:
         found: LogFacts | LogError
         try:
@@ -157,17 +157,17 @@ def list_logs(paths: Sequence[Path], topics: Sequence[str], *, as_json: bool) ->
             console = console_for(sys.stdout)
             print_log(console, found)
             print_lines(console, "")
-        parts += [found] if isinstance(found, LogFacts) else []
+        logs += [found] if isinstance(found, LogFacts) else []
         fault = _fault(found)
         faults += [fault] if fault else []
-    if len(parts) > 1 and not as_json:
-        print_parts(console_for(sys.stdout), parts, overrides)
+    if len(logs) > 1 and not as_json:
+        _print_joined(console_for(sys.stdout), logs, overrides)
     if faults:
         raise LogError(listed(faults, len(faults)))
 
 
 def _fault(found: LogFacts | LogError) -> str:
-    """What is wrong with a file, in a few words; empty where nothing is."""
+    """A short description of a file's damage; empty for a good file."""
     if isinstance(found, LogError):
         return str(found)
     if found.file.whole:

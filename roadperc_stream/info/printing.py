@@ -1,6 +1,6 @@
-"""Prints a log's facts: the file, its channels and their times, a replay's view of it, where a result comes from."""
+"""Prints the facts of a log: file, channels and their times, roles for a replay, provenance of a result."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from shlex import quote
@@ -22,18 +22,18 @@ _MOST_LISTED: Final = 6
 
 
 def listed(names: Sequence[str], most: int = _MOST_LISTED) -> str:
-    """Names by commas; of many the first ones."""
+    """Names separated by commas; of many only the first ones."""
     rest = len(names) - most
     return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def rounded(value: float | None) -> str:
-    """Two decimals, or one from 10 on; nothing for None."""
+    """The value with two decimals, one from 10 on; empty for None."""
     return "" if value is None else f"{value:z.1f}" if abs(value) >= 10 else f"{value:z.2f}"
 
 
-_ASIDE: Final = {"depth_calibration": "depth", "left_calibration": "left", "right_calibration": "right"}
-"""Calibrations that are not reported as missing if their camera is missing."""
+_CAMERA_OF: Final = {"depth_calibration": "depth", "left_calibration": "left", "right_calibration": "right"}
+"""Calibrations by the camera they need; they are not reported as missing without that camera."""
 _CHOICES: Final = {
     "contract": "",
     "known": " (a name that other recorders use)",
@@ -43,29 +43,29 @@ _CHOICES: Final = {
 
 
 def print_roles(console: Console, states: Sequence[RoleState]) -> None:
-    """Which topic fills which role, and what a replay does without."""
+    """Print the topic of each role, and what a replay lacks without it."""
     filled = {state.role for state in states if state.state == "filled"}
-    rows = tuple(row(state.role, _said(state)) for state in states if _worth_a_line(state, filled))
-    headers = ("topic, or what a replay does without",)
+    rows = tuple(row(state.role, _role_text(state)) for state in states if _is_listed(state, filled))
+    headers = ("topic, or what a replay lacks without it",)
     print_table(console, TextTable("Role", headers, rows, last_is_text=True, label_columns=18))
 
 
-def _worth_a_line(state: RoleState, filled: set[str]) -> bool:
+def _is_listed(state: RoleState, filled: set[str]) -> bool:
     """Whether the role is filled, or its absence matters."""
     if state.state != "missing" or state.candidates or state.why:
         return True
-    missed_with = _ASIDE.get(state.role)
-    return bool(state.cost) and (missed_with is None or missed_with in filled)
+    camera = _CAMERA_OF.get(state.role)
+    return bool(state.cost) and (camera is None or camera in filled)
 
 
-def _said(state: RoleState) -> str:
+def _role_text(state: RoleState) -> str:
     if state.state == "filled":
         return f"{state.topic or ''}{_CHOICES[state.why]}"
     where = f" {state.topic}:" if state.topic else ""
     fault = f"{where} {state.why}" if state.why else ""
     cost = f": {state.cost}" if state.cost else ""
     could = [f"--topic {state.role}={topic}" for topic in state.candidates]
-    return f"{state.state}{fault}{cost}" + (f"; could be {listed(could, 3)}" if could else "")
+    return f"{state.state}{fault}{cost}" + (f"; try {listed(could, 3)}" if could else "")
 
 
 def _frame_lines(whole: bool, replay: ReplayFacts) -> Iterator[str]:
@@ -82,7 +82,9 @@ def _frame_lines(whole: bool, replay: ReplayFacts) -> Iterator[str]:
     if replay.unused:
         unused = ", ".join(f"{role} {count}" for role, count in sorted(replay.unused.items()))
         yield f"messages that belong to no frame: {unused}"
-    yield from _tag_lines(replay)
+    if any(state.role == "segmentation" and state.state == "filled" for state in replay.roles):
+        advice = "the log names no tag table; pass one to the replay, such as --set tag_table=0.9.15"
+        yield f"tag table {replay.tag_table}" if replay.tag_table else advice
     for topic, count in replay.unreadable.items():
         yield f"{topic}: {number(count, 'message')} cannot be decoded"
     for problem in replay.problems:
@@ -90,22 +92,13 @@ def _frame_lines(whole: bool, replay: ReplayFacts) -> Iterator[str]:
 
 
 def _alone_lines(replay: ReplayFacts) -> Iterator[str]:
-    """Frames that a role leaves alone, those apart whose messages may be there and cannot be decoded."""
+    """Frames without a message of a role; roles with unreadable messages have their own line."""
     unreadable = {state.role for state in replay.roles if state.topic in replay.unreadable}
-    reasons = {False: "within the tolerance", True: "that is within the tolerance and can be decoded"}
+    reasons = {False: "within the tolerance", True: "that is readable and within the tolerance"}
     for broken, reason in reasons.items():
         alone = [f"{role} {n}" for role, n in sorted(replay.alone.items()) if (role in unreadable) is broken]
         if alone:
             yield f"frames without a message of a role {reason}: {', '.join(alone)}"
-
-
-def _tag_lines(replay: ReplayFacts) -> Iterator[str]:
-    if any(state.role == "segmentation" and state.state == "filled" for state in replay.roles):
-        yield (
-            f"tag table {replay.tag_table}"
-            if replay.tag_table
-            else ("no tag table is named; pass one to the replay, such as --set tag_table=0.9.15")
-        )
 
 
 def _camera(found: CameraFacts) -> TextRow:
@@ -121,24 +114,24 @@ def _camera(found: CameraFacts) -> TextRow:
 
 _DAMAGES_SHOWN: Final = 5
 _ODD_JITTER, _ODD_GAP = 0.2, 1.5
-"""Median intervals from which on jitter and the longest gap are worth a line: from 1.5 on a message is missing."""
+"""Jitter and gaps are listed from this many median intervals on; a gap of 1.5 means a missing message."""
 _FEWEST: Final = 4
 _NUMBERS_WIDTH: Final = 20
-"""Columns that messages, Hz and the gaps beside them need."""
+"""Width of the columns messages and Hz with their gaps."""
 _LAST_DATE_S: Final = 253_402_300_800
 _NATURAL: Final = {".": "protobuf", "/": "cdr"}
 _INTERVALS_NOTE: Final = (
-    "jitter: 95 % of the intervals differ from the median by no more, where that is a fifth of it or more; "
-    "gap: the longest, where it is 1.5 times the median or more; from s: seconds after the log's first message"
+    "jitter: 95 % of the intervals differ from the median by at most this; listed from a fifth of the median on; "
+    "gap: the longest interval, listed from 1.5 medians on; from s: its start after the log's first message"
 )
 _STAMPS_NOTE: Final = (
-    "back, same: own stamps before, or equal to, the one before; unset: zero, or not to be read; "
-    "late: messages in the file behind one of a later log time"
+    "back, same: own stamps earlier than or equal to the previous one; unset: zero or unreadable; "
+    "late: messages after one with a later log time in the file"
 )
 
 
 def print_log(console: Console, facts: LogFacts) -> None:
-    """All that is known of a log."""
+    """Print the facts of a log."""
     print_lines(console, *_file_lines(facts), unbroken=True)
     print_table(console, _channels(facts.channels, console.width))
     print_table(console, _odd_intervals(facts.channels))
@@ -150,16 +143,20 @@ def print_log(console: Console, facts: LogFacts) -> None:
     print_table(console, TextTable("Camera", headers, cameras, last_is_text=True, label_columns=18))
     if facts.provenance is not None:
         print_lines(console, "", *_provenance_lines(facts.provenance, facts.replay.frames), unbroken=True)
-        print_table(console, _settings(facts.provenance))
+        settings = facts.provenance.settings
+        rows = tuple(row(item.key, item.value, item.default or "no such setting") for item in settings)
+        print_table(console, TextTable("Settings not at their defaults", ("value", "default"), rows))
 
 
 def _file_lines(facts: LogFacts) -> Iterator[str]:
     file = facts.file
     called = f", log {facts.log_id}" if facts.log_id else ""
-    yield f"{facts.log}: {'whole' if file.whole else 'DAMAGED'}, {_KINDS[facts.kind]}{called}"
+    kind = "an input" if facts.kind == "input" else "a result of roadperc-replay"
+    yield f"{facts.log}: {'whole' if file.whole else 'DAMAGED'}, {kind}{called}"
     written = f" written by {file.library}" if file.library else ""
     profile = f", profile {file.profile}" if file.profile else ""
-    yield f"{decimal(file.size_bytes)}{written}{profile}, {_chunks(file.chunks)}"
+    chunks = ", ".join(f"{number(n, 'chunk')} ({name or 'not compressed'})" for name, n in file.chunks.items())
+    yield f"{decimal(file.size_bytes)}{written}{profile}, {chunks or 'no chunks'}"
     yield f"{number(facts.messages, 'message')} on {number(len(facts.channels), 'channel')}{_span(facts)}"
     beside = [f"attachment {name} ({decimal(length)})" for name, length in file.attachments.items()]
     beside += [f"metadata {name}" for name in file.metadata]
@@ -171,15 +168,7 @@ def _file_lines(facts: LogFacts) -> Iterator[str]:
     if file.absent:
         yield f"without {', without '.join(file.absent)}"
     if facts.log_times_back:
-        yield f"{number(facts.log_times_back, 'message')} in the file behind one of a later log time"
-
-
-_KINDS: Final = {"input": "an input", "result": "a result of roadperc-replay"}
-
-
-def _chunks(chunks: Mapping[str, int]) -> str:
-    counted = [f"{number(n, 'chunk')} ({name or 'not compressed'})" for name, n in chunks.items()]
-    return ", ".join(counted) or "no chunks"
+        yield f"{number(facts.log_times_back, 'message')} after one with a later log time in the file"
 
 
 def _span(facts: LogFacts) -> str:
@@ -196,7 +185,7 @@ def _damage_lines(facts: LogFacts) -> Iterator[str]:
     for damage in file.damages[:_DAMAGES_SHOWN]:
         yield f"byte {damage.byte}: {damage.words}"
     if len(file.damages) > _DAMAGES_SHOWN:
-        yield f"and {number_of(file.damages) - _DAMAGES_SHOWN} damages more"
+        yield f"and {number_of(file.damages) - _DAMAGES_SHOWN} more damaged places"
     if file.damages and file.last_good_ns is not None and facts.first_ns is not None:
         after_s = ns_to_seconds(file.last_good_ns - facts.first_ns)
         where = f"{after_s:.3f} s ({file.last_good_ns} ns)"
@@ -209,7 +198,7 @@ def _damage_lines(facts: LogFacts) -> Iterator[str]:
 
 
 def _channels(channels: Sequence[ChannelFacts], width: int) -> TextTable:
-    """Schemas stand behind the numbers, or below the topics where the two are too long for one line."""
+    """The table of channels; schemas are the last column, or below the topics if a line is too long."""
     ordered = sorted(channels, key=lambda channel: (channel.result, channel.topic))
     topics, schemas = [shown(channel.topic) for channel in ordered], [shown(_schema(channel)) for channel in ordered]
     numbers = [(str(channel.messages), rounded(channel.rate_hz)) for channel in ordered]
@@ -222,20 +211,20 @@ def _channels(channels: Sequence[ChannelFacts], width: int) -> TextTable:
 
 
 def _schema(channel: ChannelFacts) -> str:
-    """The schema's name, with the encoding where it is not the one that such names have."""
+    """The schema's name, with the encoding unless it is the usual one of such names."""
     name = channel.schema or "no schema"
     natural = next((encoding for sign, encoding in _NATURAL.items() if sign in name), "")
     return name if channel.message_encoding == natural else f"{name} ({channel.message_encoding})"
 
 
 def _odd_intervals(channels: Iterable[ChannelFacts]) -> TextTable:
-    inputs = (channel for channel in channels if not channel.result)  # results come as the frames have them
+    inputs = (channel for channel in channels if not channel.result)  # results follow the frames
     rows = tuple(row(channel.topic, *cells) for channel in inputs if any(cells := _intervals(channel)))
     return TextTable("Odd intervals", ("jitter ms", "gap s", "from s"), rows, (_INTERVALS_NOTE,) if rows else ())
 
 
 def _intervals(channel: ChannelFacts) -> tuple[str, ...]:
-    """Jitter, and the longest gap with its start, each where it is odd."""
+    """Jitter, and the longest gap with its start; empty if usual."""
     jitter = rounded(1000 * (channel.jitter_s or 0)) if _is_odd(channel, _ODD_JITTER, channel.jitter_s) else ""
     odd_gap = _is_odd(channel, _ODD_GAP, channel.longest_gap_s)
     return (jitter, *map(rounded, (channel.longest_gap_s, channel.gap_at_s) if odd_gap else ()))
@@ -257,22 +246,22 @@ def _stamps(channel: ChannelFacts) -> TextRow:
 
 
 def _is_odd(channel: ChannelFacts, least: float, seconds: float | None) -> bool:
-    """Whether a time is at least so many of a channel's median intervals; few messages have no rhythm to break."""
+    """Whether a time is at least ``least`` median intervals of a channel; never for fewer than four messages."""
     if seconds is None or channel.rate_hz is None or channel.messages < _FEWEST:
         return False
     return seconds * channel.rate_hz >= least
 
 
 def _provenance_lines(provenance: Provenance, own_frames: int) -> Iterator[str]:
-    """Where a result comes from; ``own_frames`` are those of the images that it holds."""
+    """Lines about the replay of a result; ``own_frames`` is the number of frames of the images in it."""
     config = (provenance.config_digest or "unknown")[:8]
     version, seed = provenance.version or "unknown", provenance.seed or "unknown"
     frames = "" if provenance.frames is None else f", {number(provenance.frames, 'frame')}"
     yield f"replayed by version {version}, configuration {config}, seed {seed}{frames}"
     if provenance.continues:
         again = (provenance.frames or 0) - own_frames
-        given = f", and repeats its last {number(again, 'frame')}, now complete" if own_frames and again > 0 else ""
-        yield f"continues the result of log {provenance.continues}{given}"
+        repeats = f", and repeats its last {number(again, 'frame')}, now complete" if own_frames and again > 0 else ""
+        yield f"continues the result of log {provenance.continues}{repeats}"
     yield _digest_line(provenance)
     if provenance.dropped:
         dropped = ", ".join(f"{role} {count}" for role, count in provenance.dropped.items())
@@ -289,16 +278,9 @@ def _provenance_lines(provenance: Provenance, own_frames: int) -> Iterator[str]:
 def _digest_line(provenance: Provenance) -> str:
     digest = log_id_of(provenance.digest) or "unknown"
     if not MessageDigest.is_known(provenance.digest_algorithm):
-        return f"input {digest}, whose digest {provenance.digest_algorithm} is not known here"
+        return f"input {digest}: not compared, because this version does not know {provenance.digest_algorithm} digests"
     if provenance.digest_found is None:
-        return f"input {digest}: not in the file (--results-only), or not all of it can be read"
+        return f"input {digest}: not in the file (--results-only), or not fully readable"
     if provenance.changed:
-        return f"input {digest}: CHANGED since, its messages now give {log_id_of(provenance.digest_found)}"
-    return f"input {digest}: its messages are those that were replayed"
-
-
-def _settings(provenance: Provenance) -> TextTable:
-    rows = tuple(
-        row(setting.key, setting.value, setting.default or "no such setting") for setting in provenance.settings
-    )
-    return TextTable("Settings not at their defaults", ("value", "default"), rows)
+        return f"input {digest}: CHANGED since the replay, its messages now give {log_id_of(provenance.digest_found)}"
+    return f"input {digest}: unchanged since the replay"

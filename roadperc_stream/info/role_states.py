@@ -1,4 +1,4 @@
-"""Which channel is assigned to which role of a replay, which role has none and why, and what a replay lacks then."""
+"""Assigns channels to the roles of a replay, and says what a replay lacks without a role."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,32 +14,28 @@ from roadperc_stream.schemas.record import BEGIN_ATTACHMENT
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES, Role
 
 _COSTS: Final = {
-    "calibration": "a replay stops, unless another part has it: the camera is not known",
-    "segmentation": "no lanes, no detection is verified, the lower image is taken as the road",
+    "calibration": "a replay stops, unless another file of the log has it: the camera is unknown",
+    "segmentation": "no lanes, no verified detections, the lower image counts as road",
     "detections": "no objects",
-    "tf": "the camera is taken as level, at the height of the setting surface.assumed_height_m",
+    "tf": "the camera is assumed level at the height of the setting surface.assumed_height_m",
 }
-_SPARED_BY: Final = {"tf": "tf_static"}
-"""Roles that are not needed if another one is assigned."""
-_UNNAMED_TRUTH: Final = (
-    "steps and turns are compared with no truth; a pose or an odometry is an estimate, and the truth only if you say so"
-)
+_UNNAMED_TRUTH: Final = "no truth for steps and turns; a pose topic counts as truth only if you pass it"
 
 
 @dataclass(frozen=True)
 class RoleState:
-    """A role, and the channel that is assigned to it or why none is."""
+    """A role with its channel, or why it has no channel."""
 
     role: str
     state: RoleFilling
     topic: str | None = None
-    """The topic that is assigned to it, or the one whose channel does not fit."""
+    """The assigned topic, or the one whose channel does not fit."""
     why: str = ""
-    """How the topic was chosen (``contract``, ``known``, ``guessed``, ``--topic``), or what is wrong with it."""
+    """The source of the topic (``contract``, ``known``, ``guessed``, ``--topic``), or its fault."""
     candidates: tuple[str, ...] = ()
-    """Topics that could serve it with ``--topic``."""
+    """Topics that fit, for ``--topic``."""
     cost: str = ""
-    """What a replay has to do without."""
+    """What a replay lacks without the role."""
 
 
 @dataclass(frozen=True)
@@ -56,9 +52,9 @@ def roles_of(channels: Sequence[Channel], overrides: Mapping[str, str], probe: C
     """The state of every role.
 
     Args:
-        channels: of the log, those with messages.
+        channels: the log's channels with messages.
         overrides: topic by role, from ``--topic``.
-        probe: as ``candidates`` takes it.
+        probe: reads first messages, for ``candidates``.
     """
     inputs = [channel for channel in channels if not is_result(channel)]
     refusal = None
@@ -68,28 +64,25 @@ def roles_of(channels: Sequence[Channel], overrides: Mapping[str, str], probe: C
         refusal, assignment = str(error), RoleAssignment(_named(inputs, overrides))
     if refusal is None and assignment.reference is None:
         refusal = NOTHING_TO_REPLAY
-    could = {**candidates(inputs, assignment.topics, probe), "truth_pose": _poses(inputs, assignment.topics)}
+    unassigned = (channel for channel in inputs if channel.topic not in assignment.topics.values())
+    poses = distinct(channel for channel in unassigned if fits(ROLES["truth_pose"], channel))
+    could = {**candidates(inputs, assignment.topics, probe), "truth_pose": poses}
     states = (_state(role, inputs, assignment, overrides, could.get(role.name, ())) for role in ROLES.values())
     return Roles(tuple(states), assignment, refusal)
 
 
 def continued(roles: Roles) -> Roles:
     """The roles of a continued replay: earlier calibrations and transforms still hold."""
-    return replace(roles, states=tuple(map(_continued, roles.states)))
 
+    def state_of(state: RoleState) -> RoleState:
+        is_held = state.state == "missing" and state.cost and ROLES[state.role].kind in LATCHED_KINDS
+        return replace(state, cost=f"held from the continued replay, in {BEGIN_ATTACHMENT}") if is_held else state
 
-def _continued(state: RoleState) -> RoleState:
-    is_held = state.state == "missing" and state.cost and ROLES[state.role].kind in LATCHED_KINDS
-    return replace(state, cost=f"as the part before had it, in {BEGIN_ATTACHMENT}") if is_held else state
-
-
-def _poses(inputs: Sequence[Channel], assigned: Mapping[str, str]) -> tuple[str, ...]:
-    """Topics whose poses the user may know to be true."""
-    return distinct(c for c in inputs if fits(ROLES["truth_pose"], c) and c.topic not in assigned.values())
+    return replace(roles, states=tuple(map(state_of, roles.states)))
 
 
 def _named(inputs: Sequence[Channel], overrides: Mapping[str, str]) -> dict[str, str]:
-    """The roles whose own topic is there and fits: what is sure where a replay would refuse the log."""
+    """The roles whose own topic exists and fits, for a log that a replay refuses."""
     topics = {role.name: overrides.get(role.name, role.topic) for role in ROLES.values()}
     return {
         name: topic
@@ -117,7 +110,7 @@ def _state(
     if role.name in overrides and state == "missing":
         fault = "no such topic"
     cost = _UNNAMED_TRUTH if role.truth and could else _cost(role.name, assignment)
-    if state == "filled":  # it fits, but the log as a whole is refused before this role has its turn
+    if state == "filled":  # the topic fits, but the log is refused before the role is assigned
         state = "missing"
     return RoleState(role.name, state, named if fault else None, fault, could, cost)
 
@@ -131,7 +124,7 @@ def _choice(role: Role, topic: str, assignment: RoleAssignment, overrides: Mappi
 
 
 def _cost(role: str, assignment: RoleAssignment) -> str:
-    """What a replay does without, given what else is there; empty where that is nothing."""
+    """What a replay lacks without the role, given the other roles; empty for nothing."""
     there: Collection[str] = assignment.topics
     if role == "image":
         return "no images: no odometry" if "left" not in there else ""
@@ -141,15 +134,15 @@ def _cost(role: str, assignment: RoleAssignment) -> str:
     if role == "depth":
         return _depth_cost(there)
     if role == "left_calibration":
-        return "a replay stops, unless another part has it: the left camera is not known" if "left" in there else ""
+        return "a replay stops, unless another file of the log has it: left camera unknown" if "left" in there else ""
     if role == "right_calibration":
-        return "no stereo: the baseline is not known" if "right" in there else ""
-    return "" if _SPARED_BY.get(role) in there else _COSTS.get(role, "")
+        return "no stereo: the baseline is unknown" if "right" in there else ""
+    return "" if role == "tf" and "tf_static" in there else _COSTS.get(role, "")
 
 
 def _depth_cost(there: Collection[str]) -> str:
     if {"right", "right_calibration"} <= set(there):
         return "surface, distances and occupancy from stereo"
     if "lidar" in there:
-        return "surface, distances and occupancy from the lidar's points, which are sparse"
-    return "surface from the mounting, no distances, no occupancy, no scale but by the camera's height"
+        return "surface, distances and occupancy from the sparse lidar points"
+    return "surface from the mounting, no distances, no occupancy, scale only from the camera height"

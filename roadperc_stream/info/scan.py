@@ -1,4 +1,4 @@
-"""One pass over a log: every message is counted, and those of assigned roles are paired to frames as a replay would."""
+"""Scans a log in one pass: counts all messages, and pairs those of assigned roles to frames like a replay."""
 
 from array import array
 from collections import Counter
@@ -29,19 +29,19 @@ from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
 from roadperc_stream.system.time import NS_PER_S, seconds_to_ns
 
 _MOST_KEPT: Final = 65_536
-"""Intervals kept of a channel; of more, every second, every fourth and so on."""
+"""Most intervals in memory per channel; beyond it every second, fourth, ... interval is kept."""
 
 
 @dataclass
 class Intervals:
-    """Times between messages: all of the first ones, then evenly thinned, so that memory is bounded."""
+    """Times between messages, evenly thinned to bound memory."""
 
     _kept: "array[int]" = field(default_factory=lambda: array("Q"))
     _stride: int = 1
     _seen: int = 0
 
     def add(self, interval_ns: int) -> None:
-        """Take one more; log times are 64 bits without a sign, and so are the times between them."""
+        """Add an interval, an unsigned 64-bit integer like log times."""
         if self._seen % self._stride == 0:
             self._kept.append(interval_ns)
         self._seen += 1
@@ -49,11 +49,11 @@ class Intervals:
             self._kept, self._stride = self._kept[::2], self._stride * 2
 
     def median_s(self) -> float | None:
-        """The median; None where there is no interval."""
+        """The median; None without intervals."""
         return float(np.quantile(self._seconds(), 0.5)) if self._kept else None
 
     def jitter_s(self) -> float | None:
-        """Difference from the median that 95 % do not exceed; None where there are not two to differ."""
+        """Difference from the median that 95 % do not exceed; None for fewer than two intervals."""
         if len(self._kept) < 2:
             return None
         seconds = self._seconds()
@@ -80,14 +80,14 @@ class Tally:
     log_times_back: int = 0
     stamps_back: int = 0
     first_back_ns: int | None = None
-    """Log time of the first message whose own stamp lies before its forerunner's."""
+    """Log time of the first message whose own stamp is earlier than the previous one."""
     stamps_repeated: int = 0
     stamps_unset: int = 0
-    """Messages of a schema with a stamp that have none, or one of zero."""
+    """Messages whose schema has a stamp that is zero or unreadable."""
     _last_stamp_ns: int | None = None
 
     def add(self, log_time_ns: int, data: bytes) -> None:
-        """Count one more message."""
+        """Count a message."""
         if self.messages:
             self._interval(log_time_ns)
         self.first_ns = log_time_ns if self.first_ns is None else min(self.first_ns, log_time_ns)
@@ -119,17 +119,17 @@ class Tally:
 
 
 _MOST_SORTED: Final = 100_000
-"""Messages of roles, without their content, that are held to be put in the order of log time."""
+"""Most messages of roles, without content, that wait to be sorted by log time."""
 
 
 @dataclass
 class Scan:
-    """What a pass has found; complete when ``run`` has returned."""
+    """The findings of one pass over a log."""
 
     salvage: Salvage
     roles: Roles
     summary: LogSummary | None
-    """None of a file that is not whole."""
+    """None for a damaged file."""
     tallies: dict[int, Tally] = field(default_factory=dict)
     """By ``Channel.source_id``."""
     problems: Problems = field(default_factory=Problems)
@@ -142,14 +142,14 @@ class Scan:
     alone: Counter[str] = field(default_factory=Counter)
     """Frames without a message of an assigned role, by role."""
     sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
-    """(width, height) of the first image that can be decoded, by role."""
+    """(width, height) of the first readable image, by role."""
     skew_ns: int | None = None
     log_times_back: int = 0
     inputs: int = 0
-    """Messages that are no results."""
+    """Number of messages that are not results."""
     inputs_back: int = 0
     algorithm: str = DIGEST_ALGORITHM
-    """Of the digest: the one a result says its own was made by."""
+    """Algorithm of the digest, as a result records it."""
     _digest: MessageDigest = field(default_factory=MessageDigest)
 
     @classmethod
@@ -157,7 +157,7 @@ class Scan:
         """The finished scan of a log.
 
         Raises:
-            LogError: the file cannot be opened, or is no log at all.
+            LogError: the file cannot be opened, or is not a log.
         """
         first, salvage = log.audited(path, check_chunks=True), Salvage(path)
         summary = None
@@ -180,7 +180,7 @@ class Scan:
     def digest(self) -> str | None:
         """Digest of the input's messages in log-time order; None if a message is unreadable or the algorithm unknown.
 
-        Where the file has them in another order they are read once more.
+        Reads the messages again if the file is in another order.
         """
         is_known = MessageDigest.is_known(self.algorithm)
         if self.summary is None or not self.salvage.whole or not self.inputs or not is_known:
@@ -201,7 +201,11 @@ class Scan:
             for _ in items:
                 pass
             return
-        cfg, drop = SyncConfig(), self._drop
+
+        def drop(item: Stamped) -> None:
+            self.dropped[item.role] += 1
+
+        cfg = SyncConfig()
         wait_ns = seconds_to_ns(cfg.max_wait_s)
         order = OrderConfig(roles.reference, wait_ns, lateness_ns=wait_ns)
         pairing = StampPairing(cfg, order, roles.topics, PairingState(), drop)
@@ -214,11 +218,8 @@ class Scan:
                 self.skew_ns = max(self.skew_ns or 0, synced.skew_ns)
         self.frames = pairing.frames
 
-    def _drop(self, item: Stamped) -> None:
-        self.dropped[item.role] += 1
-
     def _counted(self, messages: Iterable[Message]) -> Iterator[Message]:
-        """The messages as they come, each counted."""
+        """Count the messages and pass them on."""
         latest_ns = latest_input_ns = 0
         for message in messages:
             self.log_times_back += message.log_time_ns < latest_ns
@@ -235,7 +236,7 @@ class Scan:
             yield message
 
     def _without_latched(self, items: Iterable[Stamped]) -> Iterator[Stamped]:
-        """The items that are paired, without their content; calibrations and transforms are kept."""
+        """The items to pair, without content; calibrations and transforms go to ``latched``."""
         for item in items:
             if ROLES[item.role].kind in LATCHED_KINDS:
                 self.latched = self.latched.updated(item)

@@ -1,7 +1,7 @@
-"""The stamp of any message that carries one, without decoding the rest of it.
+"""Reads the stamp of a message without decoding the rest.
 
-The channel's own schema says where it stands: a field ``timestamp`` of Foxglove's messages and of this project's
-(protobuf, JSON), a leading std_msgs/Header (ROS 2), or that of the first part of a list, as transforms have it.
+The channel's schema shows the place: a field ``timestamp`` (protobuf or JSON, in Foxglove's and this project's
+messages), a leading std_msgs/Header (ROS 2), or that of the first element of a list of transforms.
 """
 
 import json
@@ -26,9 +26,9 @@ StampReader = Callable[[bytes], int | None]
 
 
 def stamp_reader(channel: Channel) -> StampReader | None:
-    """What reads the stamp, in ns, of a channel's messages; None where they carry none that is known.
+    """A function that reads the stamp of a channel's messages in ns; None if the schema has no known stamp.
 
-    The reader returns None for an unreadable stamp and for zero, which means that it was not set.
+    The function returns None for an unreadable stamp and for zero, which means that it was not set.
     """
     reader = {"protobuf": _protobuf_reader, "cdr": _cdr_reader, "json": _json_reader}.get(channel.message_encoding)
     found = None if reader is None else reader(channel)
@@ -80,7 +80,7 @@ def _cdr_reader(channel: Channel) -> Callable[[bytes], int] | None:
 
 
 def _cdr_stamp_ns(data: bytes, at: int) -> int:
-    """Stamp at a byte of a CDR message, whose second byte gives the order of bytes."""
+    """The stamp at a byte of a CDR message, whose second byte gives the byte order."""
     seconds, nanoseconds = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, at)
     return int(seconds) * NS_PER_S + int(nanoseconds)
 

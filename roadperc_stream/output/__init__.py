@@ -1,1 +1,1 @@
-"""From results to what is written: messages, tables, pictures."""
+"""Writes results: messages, tables, pictures."""

@@ -1,4 +1,4 @@
-"""Datatypes to the bytes of messages: what ``roadperc-convert`` and the replay write."""
+"""Encodes data types as messages, for ``roadperc-convert`` and the replay."""
 
 from collections.abc import Iterable
 from functools import lru_cache
@@ -18,26 +18,17 @@ from roadperc_stream.formats.images import depth_to_mm
 from roadperc_stream.formats.points import FIELDS
 from roadperc_stream.geometry import Camera, Float, Float32, Lens
 from roadperc_stream.geometry.rotations import quaternion
-from roadperc_stream.model import (
-    Boundary,
-    Detection,
-    Lanes,
-    Object,
-    Objects,
-    Odometry,
-    Surface,
-    Transform,
-)
+from roadperc_stream.model import Boundary, Detection, Lanes, Object, Objects, Odometry, Surface, Transform
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas.protobuf import set_stamp
 from roadperc_stream.schemas.ros2 import RosImage, pack_image
 
 _KEPT_POSES: Final = 1024
-"""Some trajectories' poses: each is shown by all frames of its window, and encoded for the first one."""
+"""Enough for some trajectories. All frames of a window contain the same poses, so each is encoded once."""
 
 
 def encode_image(stamp_ns: int, frame_id: str, image_format: str, data: bytes) -> bytes:
-    """foxglove.CompressedImage around bytes that are already ``png`` or ``jpeg``."""
+    """foxglove.CompressedImage of encoded bytes, ``png`` or ``jpeg``."""
     message = CompressedImage(frame_id=frame_id, format=image_format, data=data)
     return _serialised(message, stamp_ns)
 
@@ -50,7 +41,7 @@ def encode_depth(stamp_ns: int, frame_id: str, depth_m: Float32, *, as_float: bo
 
 
 def encode_calibration(stamp_ns: int, camera: Camera) -> bytes:
-    """foxglove.CameraCalibration; the right camera of a pair has -fx * baseline in P."""
+    """foxglove.CameraCalibration; P of a right camera contains -fx * baseline."""
     lens = camera.lens
     P = np.zeros((3, 4))
     P[:, :3] = camera.K
@@ -90,8 +81,8 @@ def encode_pose(stamp_ns: int, frame_id: str, frame_T_body: Float) -> bytes:
 def encode_poses(stamp_ns: int, frame_id: str, frame_T_body: Iterable[Float]) -> bytes:
     """foxglove.PosesInFrame of (4, 4) transforms, in order.
 
-    The bytes of a message with each pose alone are joined, which gives those of one message with them all. Source:
-    Protocol Buffers, Encoding: the poses are the last field, and the elements of a list stand one by one.
+    Joins the bytes of messages with one pose each, which equal the bytes of one message with all poses.
+    Source: Protocol Buffers, Encoding: poses are the last field, and each element of a list is encoded separately.
     """
     message = PosesInFrame(frame_id=frame_id)
     set_stamp(message, stamp_ns)
@@ -100,7 +91,7 @@ def encode_poses(stamp_ns: int, frame_id: str, frame_T_body: Iterable[Float]) ->
 
 @lru_cache(_KEPT_POSES)
 def _listed_pose(matrix: bytes) -> bytes:
-    """A pose as an element of foxglove.PosesInFrame, of a (4, 4) float64 transform's bytes."""
+    """A pose as an element of foxglove.PosesInFrame, from the bytes of a (4, 4) float64 transform."""
     message = PosesInFrame()
     _set_pose(message.poses.add(), np.frombuffer(matrix).reshape(4, 4))
     return message.SerializeToString()
@@ -180,7 +171,7 @@ def encode_objects(stamp_ns: int, frame_id: str, objects: Objects) -> bytes:
 
 
 def encode_warning(stamp_ns: int, text: str) -> bytes:
-    """foxglove.Log of this project, level ``WARNING``."""
+    """foxglove.Log with the name ``roadperc`` and level ``WARNING``."""
     return _serialised(Log(level=Log.WARNING, message=text, name="roadperc"), stamp_ns)
 
 
@@ -207,7 +198,7 @@ def _line(line: Iterable[float]) -> pb.Line:
 
 
 def _boundary(boundary: Boundary) -> pb.Boundary:
-    """Fields of a boundary have the same names in the message; these are of other types there."""
+    """Fields have the same names in the message; ``converted`` are those of other types."""
     converted = {
         "side": pb.Boundary.Side.Value(boundary.side.upper()),
         "status": pb.Boundary.Status.Value(boundary.status.upper()),

@@ -1,4 +1,4 @@
-"""The reasons of many frames: those of one kind are counted together, with how many frames gave them."""
+"""Counts the reasons of many frames by their kind."""
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
@@ -9,13 +9,13 @@ from roadperc_stream.model import MISSING_ROLES, Reason, ReasonKind, parse_reaso
 from roadperc_stream.model.reason import UNUSABLE
 
 _STAGES: Final = (*STAGES, "drivable")
-"""Sources that are stages: any other is an input."""
+"""Sources that are stages; all others are inputs."""
 _MOST_REPORTED: Final = 4
 
 
 @dataclass(frozen=True)
 class ReasonCount:
-    """One of the texts of a kind of reason, in how many frames it was given, and whether its numbers vary."""
+    """A text of a kind of reason, its number of frames, and whether the numbers in the text vary."""
 
     text: str
     frames: int
@@ -34,45 +34,45 @@ def of_frame(reasons: Iterable[Reason]) -> ReasonCounts:
 
 
 def grouped(counts: Mapping[str, int]) -> ReasonCounts:
-    """The reasons of frames as a table has them; the commonest text stands for its kind.
+    """Group the texts of a table by kind; the most common text represents its kind.
 
     Args:
-        counts: frames per text, of which each frame gives a kind once.
+        counts: frames by text; a frame has a kind at most once.
     """
     texts = sorted(counts, key=lambda text: (-counts[text], text))
     return merged({parse_reason(text).kind: ReasonCount(text, counts[text])} for text in texts)
 
 
-def merged(parts: Iterable[Mapping[ReasonKind, ReasonCount]]) -> ReasonCounts:
-    """The reasons of several lots of frames; the first one's text stands for a kind."""
-    whole: ReasonCounts = {}
-    for part in parts:
-        for kind, count in part.items():
-            known = whole.get(kind, ReasonCount(count.text, 0))
+def merged(groups: Iterable[Mapping[ReasonKind, ReasonCount]]) -> ReasonCounts:
+    """Merge the counts of several groups of frames; the first text represents its kind."""
+    found: ReasonCounts = {}
+    for counts in groups:
+        for kind, count in counts.items():
+            known = found.get(kind, ReasonCount(count.text, 0))
             varies = known.varies or count.varies or known.text != count.text
-            whole[kind] = ReasonCount(known.text, known.frames + count.frames, varies)
-    return whole
+            found[kind] = ReasonCount(known.text, known.frames + count.frames, varies)
+    return found
 
 
 def ranked(counts: Mapping[ReasonKind, ReasonCount]) -> ReasonCounts:
-    """The most frequent first; of equals those of inputs, of which those of stages often follow."""
-    return dict(sorted(counts.items(), key=lambda item: (-item[1].frames, _source(item[0]) in _STAGES, item[1].text)))
+    """The most frequent first; inputs before stages, since an input is often the cause."""
+    return dict(sorted(counts.items(), key=lambda item: (-item[1].frames, item[0][0][0] in _STAGES, item[1].text)))
 
 
 def throughout(counts: Mapping[ReasonKind, ReasonCount], frames: int, filled: Collection[str]) -> tuple[str, ...]:
-    """The reasons that held in all frames of a replay, in words, and messages that could not be used in some.
+    """Texts of the reasons in all frames of a replay, and of messages that could not be used in some frames.
 
-    Of many a few are named. Left out are stages that are switched off, inputs for which the log has no topic, and what
-    follows from another reason that is reported.
+    The first few are listed, the others counted. Not listed: stages that are switched off, inputs without a topic in
+    the log, and consequences of a listed reason.
 
     Args:
-        counts: of the frames.
-        frames: how many there are.
-        filled: roles that a topic of the log fills.
+        counts: of all frames.
+        frames: number of frames.
+        filled: roles that have a topic.
     """
     always = {kind: count for kind, count in ranked(counts).items() if count.frames == frames}
     unexpected = {kind: count for kind, count in always.items() if not _is_expected(kind, filled)}
-    # A reason follows where its cause, or its cause's, is itself among the reasons.
+    # A reason is a consequence if its cause, or the cause of its cause, is also a reason.
     follows = {kind for kind in unexpected if any(kind[k:] in unexpected for k in range(1, len(kind)))}
     first = [str(count) for kind, count in unexpected.items() if kind not in follows]
     where = f"in all {frames} frames" if frames > 1 else "in the only frame"
@@ -90,12 +90,8 @@ def _unusable_in_some(counts: Mapping[ReasonKind, ReasonCount], frames: int) -> 
     return (*found[:_MOST_REPORTED], *more)
 
 
-def _source(kind: ReasonKind) -> str:
-    return kind[0][0]
-
-
 def _is_expected(kind: ReasonKind, filled: Collection[str]) -> bool:
-    """Whether the user switched a stage off, or the log has no topic for an input."""
+    """Whether the user switched off the stage, or the log has no topic for an input."""
     codes = {code for _, code, *_ in kind}
     missing = {role for code, roles in MISSING_ROLES.items() if code in codes for role in roles}
     return "switched_off" in codes or not missing.issubset(filled)

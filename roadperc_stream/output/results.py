@@ -1,4 +1,4 @@
-"""What a frame's results look like in the log: topics and bytes."""
+"""Encodes the results of a frame as topics and bytes."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
@@ -10,43 +10,20 @@ from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats.png import encode_mask
 from roadperc_stream.geometry import Float, inverse
 from roadperc_stream.geometry.planes import SurfaceModel, SurfaceSource
-from roadperc_stream.model import (
-    EGO,
-    Absent,
-    FrameAnchor,
-    FrameResult,
-    Odometry,
-    Sample,
-    Transform,
-)
+from roadperc_stream.log import Channel
+from roadperc_stream.model import EGO, Absent, FrameAnchor, FrameResult, Odometry, Sample, Transform
 from roadperc_stream.model.results import BoundaryStatus, OdometryStatus
 from roadperc_stream.model.sample import LAST_ROS_STAMP_NS
 from roadperc_stream.model.tag_tables import Colour
 from roadperc_stream.output import encoding
 from roadperc_stream.output.drawing import annotations, colours
 from roadperc_stream.schemas import roadperc_pb2 as pb
+from roadperc_stream.schemas import topics
 from roadperc_stream.schemas.columns import FrameMetrics
 from roadperc_stream.schemas.protobuf import require_finite, set_stamp
+from roadperc_stream.schemas.record import PRODUCER
+from roadperc_stream.schemas.registry import schema
 from roadperc_stream.schemas.ros2 import pack_occupancy_grid
-from roadperc_stream.schemas.topics import (
-    DRIVABLE_SCENE_TOPIC,
-    DRIVABLE_TOPIC,
-    LANES_ANNOTATIONS_TOPIC,
-    LANES_SCENE_TOPIC,
-    LANES_TOPIC,
-    LOG_TOPIC,
-    METRICS_TOPIC,
-    OBJECTS_ANNOTATIONS_TOPIC,
-    OBJECTS_SCENE_TOPIC,
-    OBJECTS_TOPIC,
-    OCCUPANCY_TOPIC,
-    ODOMETRY_STATE_TOPIC,
-    ODOMETRY_TOPIC,
-    STEREO_DEPTH_TOPIC,
-    SURFACE_TOPIC,
-    TF_TOPIC,
-    TRAJECTORY_TOPIC,
-)
 
 DRIVABLE_COLOURS: tuple[Colour, Colour] = ((0, 0, 0), colours.DRIVABLE)
 _COLUMNS = {field.name for field in fields(FrameMetrics)}
@@ -60,6 +37,12 @@ _WORDS: Final[Mapping[str, tuple[str, ...]]] = {
 Written = Iterator[tuple[str, bytes]]
 
 
+def result_channel(topic: str, schema_name: str) -> Channel:
+    """The channel of a result, marked as written by this project."""
+    found = schema(schema_name)
+    return Channel(topic, found.message_encoding, found.name, found.schema_encoding, found.data, (PRODUCER,))
+
+
 def result_messages(
     sample: Sample,
     result: FrameResult,
@@ -67,14 +50,14 @@ def result_messages(
     previous_reasons: tuple[str, ...],
     trajectory: Sequence[Float],
 ) -> Written:
-    """Topic and bytes of everything a frame gave; what is absent is not written.
+    """Topic and bytes of each result of a frame; absent results are not written.
 
     Args:
         sample: the frame's input.
-        result: what the chain made of it.
+        result: the frame's results.
         metrics: its row.
-        previous_reasons: reasons of the frame before: only new ones are logged, not one line per frame.
-        trajectory: the latest poses odom_T_ego that are known, this frame's last.
+        previous_reasons: reasons of the previous frame; only new reasons are logged.
+        trajectory: the latest known poses odom_T_ego, this frame's last.
     """
     stamp_ns = result.stamp_ns
     yield from _surface(sample, result)
@@ -82,56 +65,56 @@ def result_messages(
     is_ros_time = stamp_ns <= LAST_ROS_STAMP_NS
     if not isinstance(result.stereo, Absent) and is_ros_time:
         depth = encoding.encode_depth(stamp_ns, result.stereo.frame_id, result.stereo.depth_m)
-        yield STEREO_DEPTH_TOPIC, depth
+        yield topics.STEREO_DEPTH_TOPIC, depth
     if not isinstance(result.occupancy, Absent) and is_ros_time:
-        yield OCCUPANCY_TOPIC, pack_occupancy_grid(stamp_ns, EGO, result.occupancy)
+        yield topics.OCCUPANCY_TOPIC, pack_occupancy_grid(stamp_ns, EGO, result.occupancy)
     if not isinstance(result.odometry, Absent):
         yield from _odometry(stamp_ns, sample.anchor.odom, result.odometry, trajectory)
     if edges := _edges(sample.anchor, result.odometry):
-        yield TF_TOPIC, encoding.encode_transforms(stamp_ns, edges)
-    yield METRICS_TOPIC, encode_metrics(sample.frame.camera.frame_id, metrics)
+        yield topics.TF_TOPIC, encoding.encode_transforms(stamp_ns, edges)
+    yield topics.METRICS_TOPIC, encode_metrics(sample.frame.camera.frame_id, metrics)
     for reason in metrics.reasons:
         if reason not in previous_reasons:
-            yield LOG_TOPIC, encoding.encode_warning(stamp_ns, f"frame {sample.index}: {reason}")
+            yield topics.LOG_TOPIC, encoding.encode_warning(stamp_ns, f"frame {sample.index}: {reason}")
 
 
 def _surface(sample: Sample, result: FrameResult) -> Written:
     stamp_ns, frame = result.stamp_ns, sample.frame
     if not isinstance(result.surface, Absent):
-        yield SURFACE_TOPIC, encoding.encode_surface(stamp_ns, result.surface)
+        yield topics.SURFACE_TOPIC, encoding.encode_surface(stamp_ns, result.surface)
     if not isinstance(result.drivable, Absent):
         png = encode_mask(result.drivable, DRIVABLE_COLOURS)
-        yield DRIVABLE_TOPIC, encoding.encode_image(stamp_ns, frame.camera.frame_id, "png", png)
+        yield topics.DRIVABLE_TOPIC, encoding.encode_image(stamp_ns, frame.camera.frame_id, "png", png)
         if not isinstance(result.front_surface, Absent):
             scene = annotations.drivable_scene(
                 stamp_ns, result.front_surface, frame.camera, frame.ego_T_camera, result.drivable
             )
-            yield DRIVABLE_SCENE_TOPIC, scene
+            yield topics.DRIVABLE_SCENE_TOPIC, scene
 
 
 def _lanes_and_objects(sample: Sample, result: FrameResult) -> Written:
     stamp_ns, camera = result.stamp_ns, sample.frame.camera
     if not isinstance(result.lanes, Absent):
-        yield LANES_TOPIC, encoding.encode_lanes(stamp_ns, camera.frame_id, result.lanes)
-        yield LANES_ANNOTATIONS_TOPIC, annotations.lane_annotations(stamp_ns, camera, result.lanes)
-        yield LANES_SCENE_TOPIC, annotations.lanes_scene(stamp_ns, result.lanes)
+        yield topics.LANES_TOPIC, encoding.encode_lanes(stamp_ns, camera.frame_id, result.lanes)
+        yield topics.LANES_ANNOTATIONS_TOPIC, annotations.lane_annotations(stamp_ns, camera, result.lanes)
+        yield topics.LANES_SCENE_TOPIC, annotations.lanes_scene(stamp_ns, result.lanes)
     if not isinstance(result.objects, Absent):
-        yield OBJECTS_TOPIC, encoding.encode_objects(stamp_ns, camera.frame_id, result.objects)
-        yield OBJECTS_ANNOTATIONS_TOPIC, annotations.object_annotations(stamp_ns, camera, result.objects)
+        yield topics.OBJECTS_TOPIC, encoding.encode_objects(stamp_ns, camera.frame_id, result.objects)
+        yield topics.OBJECTS_ANNOTATIONS_TOPIC, annotations.object_annotations(stamp_ns, camera, result.objects)
         scene = annotations.objects_scene(stamp_ns, camera, sample.frame.ego_T_camera, result.objects)
-        yield OBJECTS_SCENE_TOPIC, scene
+        yield topics.OBJECTS_SCENE_TOPIC, scene
 
 
 def _odometry(stamp_ns: int, odom: str, odometry: Odometry, trajectory: Sequence[Float]) -> Written:
-    """Of a lost frame the state alone says where the car was last: as a pose of this frame it would be false."""
-    yield ODOMETRY_STATE_TOPIC, encoding.encode_odometry(stamp_ns, EGO, odometry)
-    yield TRAJECTORY_TOPIC, encoding.encode_poses(stamp_ns, odom, trajectory)
+    """Odometry messages. A lost frame has no pose message, as its pose is that of an earlier frame."""
+    yield topics.ODOMETRY_STATE_TOPIC, encoding.encode_odometry(stamp_ns, EGO, odometry)
+    yield topics.TRAJECTORY_TOPIC, encoding.encode_poses(stamp_ns, odom, trajectory)
     if odometry.status != "lost":
-        yield ODOMETRY_TOPIC, encoding.encode_pose(stamp_ns, odom, odometry.odom_T_ego)
+        yield topics.ODOMETRY_TOPIC, encoding.encode_pose(stamp_ns, odom, odometry.odom_T_ego)
 
 
 def _edges(anchor: FrameAnchor, odometry: Odometry | Absent) -> list[Transform]:
-    """What joins ego with the log's own tree, and odom with ego: from above, or from below where the log is above."""
+    """The edges between ego and the log's tree, and between odom and ego; ego has one parent at most."""
     edges = []
     if anchor.frame_id:
         edges.append(_edge_between(anchor.frame_id, EGO, inverse(anchor.ego_T_frame), anchor.placed))
@@ -141,7 +124,7 @@ def _edges(anchor: FrameAnchor, odometry: Odometry | Absent) -> list[Transform]:
 
 
 def _edge_between(frame_id: str, other: str, frame_T_other: Float, above: bool) -> Transform:
-    """The edge between two frames with the first one above or below."""
+    """The edge between two frames; ``above`` makes the first one the parent."""
     if above:
         return Transform(frame_id, other, frame_T_other)
     return Transform(other, frame_id, inverse(frame_T_other))

@@ -1,4 +1,4 @@
-"""Rows of dataclasses to Parquet files, row group by row group."""
+"""Writes rows of dataclasses to Parquet files by row groups, and reads tables."""
 
 import hashlib
 import types
@@ -21,7 +21,7 @@ from roadperc_stream.system.files import TABLE_SUFFIX, partial_of, target_errors
 
 ROW_GROUP_ROWS: Final = 1000
 FACT_PREFIX: Final = "roadperc."
-"""How the names of this project's facts begin in a table's footer."""
+"""Prefix of this project's keys in the footer of a table."""
 _ARROW_TYPES: Final[Mapping[Any, pa.DataType]] = {
     str: pa.string(),
     float: pa.float64(),
@@ -33,18 +33,18 @@ Scalar = bool | int | float | str
 
 
 def sidecar_path(target: Path, table: str) -> Path:
-    """out.mcap gives out.metrics.parquet and out.objects.parquet."""
+    """The table beside a log, as out.metrics.parquet or out.objects.parquet beside out.mcap."""
     return target.with_name(f"{target.stem}.{table}{TABLE_SUFFIX}")
 
 
 def table_facts(source: Path, target: Path, cfg: ReplayConfig, more: Mapping[str, str] | None = None) -> dict[str, str]:
-    """What a table says of where it came from.
+    """The origin of a table, for its footer.
 
-    ``roadperc.log`` is the log it lies next to, ``roadperc.source`` the input, ``roadperc.config`` the configuration.
+    ``roadperc.log`` is the log beside it, ``roadperc.source`` the input, ``roadperc.config`` the configuration.
 
     Args:
         source: the input.
-        target: the log.
+        target: the log beside the table.
         cfg: the configuration.
         more: other facts.
     """
@@ -60,7 +60,7 @@ def table_facts(source: Path, target: Path, cfg: ReplayConfig, more: Mapping[str
 
 
 def config_digest(cfg: ReplayConfig) -> str:
-    """What tells a configuration from any other, defaults included."""
+    """SHA-256 of a configuration with its defaults."""
     return hashlib.sha256(cfg.to_toml().encode()).hexdigest()
 
 
@@ -80,13 +80,16 @@ def arrow_schema(
     metadata: Mapping[str, str] | None = None,
     constant: Mapping[str, Scalar] | None = None,
 ) -> pa.Schema:
-    """Arrow schema of a dataclass, each ``X | None`` nullable, with ``extra`` float columns and constants behind."""
+    """Arrow schema of a dataclass, ``X | None`` nullable, then ``extra`` float columns and constant columns."""
     hints = typing.get_type_hints(row_type)
     columns = [_field(f.name, hints[f.name]) for f in fields(row_type)]
     columns += [pa.field(name, pa.float64()) for name in extra]
     columns += [_field(name, type(value)) for name, value in (constant or {}).items()]
-    encoded = {key: value.encode("utf-8", "surrogateescape") for key, value in (metadata or {}).items()}
-    return pa.schema(columns, metadata=encoded)
+    return pa.schema(columns, metadata=_encoded(metadata or {}))
+
+
+def _encoded(metadata: Mapping[str, str]) -> dict[bytes, bytes]:
+    return {key.encode(): value.encode("utf-8", "surrogateescape") for key, value in metadata.items()}
 
 
 def _field(name: str, hint: Any) -> pa.Field:
@@ -97,19 +100,19 @@ def _field(name: str, hint: Any) -> pa.Field:
 
 @dataclass(frozen=True)
 class TableFooter:
-    """What a table says without its rows being read."""
+    """The facts of a table that need no reading of its rows."""
 
     rows: int
     facts: Mapping[str, str]
     log_id: str | None
-    """Log of its rows; None where it has no rows."""
+    """Log of its rows; None without rows."""
 
 
 def read_footer(path: Path) -> TableFooter:
-    """The end of a Parquet file.
+    """Read the footer of a table.
 
     Raises:
-        TableError: the file cannot be read, or is not Parquet.
+        TableError: the file is unreadable or not Parquet.
     """
     with _opened(path) as table:
         footer = table.metadata
@@ -120,9 +123,10 @@ def read_footer(path: Path) -> TableFooter:
 def read_rows_around(
     path: Path, frame: int, columns: Iterable[str], optional: Collection[str] = ()
 ) -> list[dict[str, Any]]:
-    """Some columns of the row group that holds a frame, and the ``optional`` ones it has; no other is read.
+    """Read columns of the one row group that contains a frame; ``optional`` columns may be missing.
 
-    Empty where no group holds it.
+    Returns:
+        The rows; empty if no group contains the frame.
 
     Raises:
         TableError: the file cannot be read, is not Parquet, or lacks a column.
@@ -138,7 +142,7 @@ def read_rows_around(
 
 @dataclass(frozen=True)
 class TableTotals:
-    """Rows of a table, sums of its columns where they have a value, and the time from its first stamp to its last."""
+    """Number of rows of a table, sums of its columns without nulls, and the time from first to last stamp."""
 
     rows: int
     sums: Mapping[str, float]
@@ -146,7 +150,7 @@ class TableTotals:
 
 
 def totals(path: Path, columns: Iterable[str]) -> TableTotals:
-    """What a table of frames adds up to, read in groups of rows.
+    """Compute the totals of a table of frames, read in groups of rows.
 
     Raises:
         TableError: the file cannot be read, is not Parquet, or lacks a column.
@@ -168,20 +172,17 @@ def totals(path: Path, columns: Iterable[str]) -> TableTotals:
 
 
 def copy_table(source: Path, target: Path, facts: Mapping[str, str], constant: Mapping[str, Scalar]) -> None:
-    """Copy a table, its row groups as they are, with more columns of one value and some facts replaced.
+    """Copy a table with its row groups, added constant columns and replaced facts.
 
     Raises:
-        TableError: it cannot be read.
-        TargetError: it cannot be written.
+        TableError: the table cannot be read.
+        TargetError: the copy cannot be written.
     """
     with _opened(source) as table:
         old = table.schema_arrow
-        more = {f"{FACT_PREFIX}{key}": value for key, value in facts.items()}
-        metadata = {
-            **(old.metadata or {}),
-            **{k.encode(): v.encode("utf-8", "surrogateescape") for k, v in more.items()},
-        }
-        schema = pa.schema([*old, *(_field(name, type(value)) for name, value in constant.items())], metadata)
+        more = _encoded({f"{FACT_PREFIX}{key}": value for key, value in facts.items()})
+        columns = [*old, *(_field(name, type(value)) for name, value in constant.items())]
+        schema = pa.schema(columns, (old.metadata or {}) | more)
         with target_errors(target), pq.ParquetWriter(target, schema, compression="zstd") as copy:
             for group in range(table.num_row_groups):
                 rows = table.read_row_group(group)
@@ -190,27 +191,27 @@ def copy_table(source: Path, target: Path, facts: Mapping[str, str], constant: M
 
 
 def rows_in(data: bytes, address: str) -> list[dict[str, Any]]:
-    """The rows of a table that has been fetched from an address.
+    """The rows of a table that was downloaded from an address.
 
     Raises:
-        TableError: it is not Parquet.
+        TableError: the bytes are not Parquet.
     """
     with _opened(address, pa.BufferReader(data)) as table:
-        # A thread of Arrow's that gives such bytes back aborts the process if the interpreter is about to end.
+        # An Arrow thread that releases Python's bytes while the interpreter ends aborts the process.
         rows: list[dict[str, Any]] = table.read(use_threads=False).to_pylist()
     return rows
 
 
 @contextmanager
 def _opened(path: Path | str, data: pa.BufferReader | None = None) -> Iterator[pq.ParquetFile]:
-    """A table; ``data`` are its bytes where they are not read from the path."""
+    """Open a table; its bytes are ``data`` if given, else those of the file."""
     try:
         with pq.ParquetFile(path if data is None else data) as table:
             yield table
     except OSError as error:
         raise TableError(f"{path}: {error.strerror or error}") from error
     except (pa.ArrowException, KeyError) as error:
-        raise TableError(f"{path}: is not a table of a replay, or was cut short") from error
+        raise TableError(f"{path}: not a table of a replay, or truncated") from error
 
 
 def _present(path: Path, table: pq.ParquetFile, columns: Iterable[str]) -> list[str]:
@@ -222,9 +223,9 @@ def _present(path: Path, table: pq.ParquetFile, columns: Iterable[str]) -> list[
 
 
 class TableWriter:
-    """Writes rows to a Parquet file that appears under its name only when complete. Use it as a context manager.
+    """Writes rows to a Parquet file, which gets its name only when complete. Use it as a context manager.
 
-    ``extra`` are float columns that come with each row, ``constant`` columns with one value in all rows.
+    ``extra`` are names of float columns that each row brings, ``constant`` columns with one value in all rows.
     """
 
     def __init__(
@@ -251,7 +252,7 @@ class TableWriter:
         """Add a row: a dataclass, and values of the extra columns.
 
         Raises:
-            TargetError: it cannot be written, as when the disk is full.
+            TargetError: the row cannot be written, as on a full disk.
         """
         self._rows.append(vars(row) | extra | self._constant)
         if len(self._rows) >= ROW_GROUP_ROWS:
@@ -264,10 +265,10 @@ class TableWriter:
             self._rows.clear()
 
     def complete(self) -> None:
-        """Write what is still to be written: then nothing is left but to give the file its name.
+        """Write the remaining rows and the footer; only the rename is left.
 
         Raises:
-            TargetError: it cannot be written.
+            TargetError: the file cannot be written.
         """
         self._flush()
         with target_errors(self._path):
@@ -287,6 +288,6 @@ class TableWriter:
             self.discard()
 
     def discard(self) -> None:
-        """Remove what is not complete; where nothing can be removed, nothing could be written either."""
+        """Remove the partial file; errors are ignored, since an unwritable folder has no partial file."""
         with suppress(OSError):
             self._temporary.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""The files that a replay writes, and the checks before it writes them."""
+"""Names the files that a replay writes, and checks that it may write them."""
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
@@ -17,10 +17,10 @@ class ReplayTarget:
     """The log that a replay writes, with the tables beside it.
 
     Args:
-        path: of the log; ``path.metrics.parquet`` and ``path.objects.parquet`` come beside it.
+        path: the log. The tables beside it are ``NAME.metrics.parquet`` and ``NAME.objects.parquet``.
         results_only: leave the input's messages out.
-        on_request: pictures to write beside the results; drawing them counts as encoding.
-        force: replace existing results, but never an input log; start over if a checkpoint is of another replay.
+        on_request: pictures to write with the results; their time counts as encoding.
+        force: replace existing results, but never an input log; start over if a checkpoint is from another replay.
     """
 
     path: Path
@@ -55,7 +55,7 @@ class ReplayTarget:
             sources: the input, which they must not replace.
 
         Raises:
-            TargetError: one may not.
+            TargetError: a file must not be written.
         """
         for source in sources:
             require_free(self.path, force=self.force, source=source, suffix=".mcap")
@@ -71,17 +71,17 @@ class ReplayTarget:
             resume: whether a finished output may be there.
 
         Raises:
-            TargetError: a file may not be replaced.
+            TargetError: a file must not be replaced.
         """
         replace(self, force=True).require_free(sources)
         if continued is not None and continued.exists() and self.path.exists() and self.path.samefile(continued):
             raise TargetError(f"{self.path} is the result that --continue names; choose another output")
-        self._require_no_recording(several=len(sources) > 1)
+        self._require_result(several=len(sources) > 1)
         if not resume:
             self.require_free(sources)
 
-    def _require_no_recording(self, *, several: bool) -> None:
-        """Check that an existing log is a result. Otherwise it may be the last input, and the output was forgotten."""
+    def _require_result(self, *, several: bool) -> None:
+        """Check that an existing log is a result. An input here may mean that the user forgot the output."""
         if not self.path.exists():
             return
         try:

@@ -1,4 +1,4 @@
-"""Tables, lines and progress on a terminal, or as plain text where they are piped: how all commands print."""
+"""Prints tables, lines and progress of all commands, on a terminal or as plain text into a pipe."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,16 +16,16 @@ from roadperc_stream.system.progress import no_progress
 from roadperc_stream.system.text import shown
 
 NARROWEST, WIDEST = 80, 120
-"""Columns a text is laid out for; a narrower terminal wraps its lines rather than losing digits."""
+"""Limits of the layout width in characters; a narrower terminal wraps lines and loses no digits."""
 _RULE_BELOW_HEADER: Final = Box("\n".join(["    ", "    ", " ── ", "    ", "    ", "    ", "    ", "    "]))
 _GAP: Final = 2
-"""Blanks between two columns."""
+"""Spaces between two columns."""
 _LEAST_LABEL: Final = 15
-"""Characters that labels keep, however many columns of numbers there are: rather these go on in a table below."""
+"""Minimum width of labels; columns of numbers that do not fit beside them continue in a table below."""
 
 
 class PipeConsole(Console):
-    """A console whose reader may go: rich would end the command with exit code 1, here it goes on unread."""
+    """A console that continues after its reader closes the pipe; rich would exit with code 1."""
 
     def on_broken_pipe(self) -> None:
         """Send buffered and later output to the null device."""
@@ -33,15 +33,15 @@ class PipeConsole(Console):
 
 
 def console_for(stream: TextIO) -> Console:
-    """A console that keeps numbers whole, takes names as they are, and colours nothing where it is piped."""
+    """A console that never splits numbers, interprets no markup in names, and has no colours in a pipe."""
     width = min(max(PipeConsole(file=stream).width, NARROWEST), WIDEST)
     return PipeConsole(file=stream, width=width, highlight=False, markup=False, emoji=False)
 
 
 def print_table(console: Console, table: TextTable) -> None:
-    """Print a table with a line of air before it and its notes below; without rows, its notes behind its title.
+    """Print a table after an empty line, with its notes below; without rows, print its title and notes.
 
-    Where it gets narrow, labels and text fold; numbers neither wrap nor shorten: columns that do not fit go below.
+    In a narrow console labels and text wrap. Numbers never do: columns that do not fit continue below.
     """
     table = table.of_texts(shown)
     if table.rows:
@@ -53,7 +53,7 @@ def print_table(console: Console, table: TextTable) -> None:
 
 
 def print_parts(console: Console, *parts: str | TextTable) -> None:
-    """Print unbroken lines and tables in their order."""
+    """Print lines, which do not wrap, and tables in order."""
     for part in parts:
         if isinstance(part, str):
             print_lines(console, part, unbroken=True)
@@ -62,7 +62,7 @@ def print_parts(console: Console, *parts: str | TextTable) -> None:
 
 
 def _parts(table: TextTable, width: int) -> Iterator[TextTable]:
-    """The table as flat ones that are no wider than the console, each with some of its columns."""
+    """Split the table into flat ones that fit the width, each with some of the columns."""
     flat = table.flat()
     if flat.last_is_text:
         yield flat
@@ -79,7 +79,7 @@ def _parts(table: TextTable, width: int) -> Iterator[TextTable]:
 
 
 def _needed(table: TextTable, columns: range | list[int]) -> int:
-    """Characters that some of the columns need beside the least of their labels."""
+    """Width of some columns with the narrowest labels."""
     return _least_label(table) + sum(_GAP + _column_width(table, column) for column in columns)
 
 
@@ -102,9 +102,9 @@ def _of_columns(table: TextTable, columns: list[int]) -> TextTable:
 
 
 def _rendered(table: TextTable, width: int) -> Table:
-    """A table without lines: labels on the left, columns of numbers, and maybe a column of text."""
+    """A table without borders: labels on the left, columns of numbers, optionally a last column of text."""
     rendered = Table(box=_RULE_BELOW_HEADER, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0), header_style="bold")
-    # One column at most may fold: of two, rich narrows both alike, below what the labels must have.
+    # Only one column may fold: rich shrinks two columns equally, which makes labels too narrow.
     words = table.last_is_text
     numbers = range(len(table.headers) - words)
     label_columns = max(width - sum(_GAP + _column_width(table, column) for column in numbers), _least_label(table))
@@ -121,10 +121,10 @@ def _rendered(table: TextTable, width: int) -> Table:
 
 
 def print_lines(console: Console, *lines: str | Table, unbroken: bool = False) -> None:
-    """Print without the blanks that fill lines up to the right margin; what does not fit runs over, uncut.
+    """Print lines without trailing spaces; long lines are not cut.
 
-    Text folds between its words, unless ``unbroken``: what somebody may search for stays on its line. What a terminal
-    would take as a command is escaped in it; a ``Table`` comes with its texts escaped.
+    Text wraps between words, unless ``unbroken``, which keeps searchable text on its line. Control characters are
+    escaped; those of a ``Table`` must be escaped already.
     """
     with console.capture() as capture:
         for line in lines:
@@ -135,14 +135,14 @@ def print_lines(console: Console, *lines: str | Table, unbroken: bool = False) -
 
 
 @contextmanager
-def frame_progress(what: str, enabled: bool) -> Iterator[Callable[[int, int], None]]:
-    """A progress bar over frames on a terminal, nothing where the output is piped."""
+def frame_progress(activity: str, enabled: bool) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar over frames on a terminal; nothing in a pipe."""
     console = PipeConsole(stderr=True)
     if not (enabled and console.is_terminal):
         yield no_progress
         return
-    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TextColumn("frames"), TimeRemainingColumn())
+    columns = (TextColumn(activity), BarColumn(), MofNCompleteColumn(), TextColumn("frames"), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as bar:
-        console.show_cursor(True)  # a program that ends at once does not give it back
-        task = bar.add_task(what, total=None)
+        console.show_cursor(True)  # a program that a signal kills does not restore a hidden cursor
+        task = bar.add_task(activity, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)

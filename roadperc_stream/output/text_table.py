@@ -1,4 +1,4 @@
-"""A table of texts, built once and rendered on a terminal or into a page."""
+"""A table of texts for the terminal and for HTML pages."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -9,10 +9,10 @@ _ONE_VALUE: Final = ("",)
 
 @dataclass(frozen=True)
 class TextRow:
-    """A row: its label, per subject the cells under the table's headers, and which way is better.
+    """A row: a label, the cells of each subject, and whether lower or higher is better.
 
-    A subject without values has no cells, and cells at the end may be left out. ``listed`` are the subjects that get a
-    line each, in that order; None for all that have values.
+    A subject without values has no cells; the last cells may be left out. ``listed`` are the subjects that get a line,
+    in order; None for all subjects with values.
     """
 
     label: str
@@ -20,15 +20,15 @@ class TextRow:
     better: str = ""
     listed: tuple[int, ...] | None = None
     below: str = ""
-    """On a terminal, a second line of the label."""
+    """A second line of the label, on a terminal only."""
 
 
 @dataclass(frozen=True)
 class TextTable:
-    """A title, which is the heading of the labels, headers of columns of numbers, rows, and notes on how to read them.
+    """A title, which is the heading of the labels, headers of the columns, rows, and explanatory notes.
 
-    ``subjects`` are the runs or configurations that a row has cells of; a table about one thing names none.
-    ``last_is_text`` says that the last column holds words. Labels get ``label_columns`` characters where they fit.
+    ``subjects`` are the runs or configurations that the rows compare; empty for a single one. ``last_is_text`` says
+    that the last column contains text. Labels get ``label_columns`` characters if they fit.
     """
 
     title: str
@@ -40,7 +40,7 @@ class TextTable:
     label_columns: int = 26
 
     def of_texts(self, text: Callable[[str], str]) -> "TextTable":
-        """The table with every text put through a function."""
+        """The table with a function applied to every text."""
         rows = tuple(
             replace(
                 item,
@@ -60,9 +60,9 @@ class TextTable:
         )
 
     def flat(self) -> "TextTable":
-        """The table with a single line of cells in every row.
+        """The table with one line of cells in every row.
 
-        Of several subjects each is a column where a row has one value of each, and else a line below the row's label.
+        Several subjects become columns if each has one value per row, else lines below the label of the row.
         """
         if len(self.subjects) < 2:
             return self
@@ -78,19 +78,19 @@ class TextTable:
 
 
 def row(label: str, *cells: str) -> TextRow:
-    """A row of a table about one thing."""
+    """A row of a table with a single subject."""
     return TextRow(label, (cells,))
 
 
 def by_header(item: TextRow, headers: Sequence[str]) -> list[tuple[str, tuple[str, ...]]]:
-    """A row turned: of each header that any subject has a cell under, the cells of all subjects side by side."""
+    """The cells of all subjects by header, without headers that have no cells."""
     padded = [cells + ("",) * (len(headers) - len(cells)) for cells in item.cells]
     lines = zip(headers, zip(*padded, strict=True), strict=True)
     return [(header, cells) for header, cells in lines if any(cells)]
 
 
 def transposed(table: TextTable) -> TextTable:
-    """A flat table with its rows as columns."""
+    """A flat table with rows and columns exchanged."""
     columns = zip(*(item.cells[0] for item in table.rows), strict=True)
     rows = tuple(row(header, *cells) for header, cells in zip(table.headers, columns, strict=True))
     return replace(table, headers=tuple(item.label for item in table.rows), rows=rows)

@@ -1,4 +1,4 @@
-"""All that a replay writes, frame by frame: the log with the results, and its two tables."""
+"""Writes the log with results and its two tables, frame by frame."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -8,24 +8,16 @@ from roadperc_stream import __version__
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.geometry import Float
 from roadperc_stream.input.replay_input import ReplayInput
-from roadperc_stream.log import Attachment, Channel, LogSummary, LogWriter, Message, MessageCopy, Metadata, Piece
+from roadperc_stream.log import Attachment, Channel, LogWriter, Message, MessageCopy, Metadata, Piece
 from roadperc_stream.model import FrameResult, Odometry, ReasonKind, Sample
 from roadperc_stream.model.sample import frame_reasons
 from roadperc_stream.output.drawing.on_request import PictureMaker
 from roadperc_stream.output.reason_counts import ReasonCount, merged, of_frame, throughout
-from roadperc_stream.output.results import result_messages
+from roadperc_stream.output.results import result_channel, result_messages
 from roadperc_stream.output.tables import TableWriter, table_facts
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics, ObjectMetrics
-from roadperc_stream.schemas.record import (
-    CONFIG_ATTACHMENT,
-    METADATA_RECORD,
-    OWN_ATTACHMENTS,
-    PRODUCER,
-    SEED_KEY,
-    VERSION_KEY,
-)
-from roadperc_stream.schemas.registry import schema
+from roadperc_stream.schemas.record import CONFIG_ATTACHMENT, METADATA_RECORD, OWN_ATTACHMENTS, SEED_KEY, VERSION_KEY
 from roadperc_stream.schemas.topics import result_schemas
 from roadperc_stream.system.files import partial_of, sync_file
 from roadperc_stream.system.progress import Progress, no_progress
@@ -44,7 +36,7 @@ class Callbacks:
     Args:
         on_progress: takes the frames done and the frames expected.
         on_start: takes the output and its first and last log time in nanoseconds, before the first message.
-        on_frame: takes a frame's row and its time columns in milliseconds, before anything of a later frame is written.
+        on_frame: takes a frame's row and its time columns in milliseconds, before the next frame is written.
     """
 
     on_progress: Progress = no_progress
@@ -57,10 +49,10 @@ NO_CALLBACKS: Final = Callbacks()
 
 @dataclass(frozen=True)
 class Shown:
-    """What a frame's messages show of earlier frames.
+    """Facts of earlier frames that the messages of a frame show.
 
-    ``trajectory`` are the latest known poses odom_T_ego, ``reasons`` those of the frame before, ``first_ns`` the stamp
-    of the first frame.
+    ``trajectory`` are the latest known poses odom_T_ego, ``reasons`` those of the previous frame, ``first_ns`` the
+    stamp of the first frame.
     """
 
     trajectory: tuple[Float, ...] = ()
@@ -72,7 +64,7 @@ class Shown:
             raise ValueError("trajectory: expected poses of shape (4, 4)")
 
     def after(self, result: FrameResult, reasons: tuple[str, ...]) -> "Shown":
-        """The same with one more frame, and its pose if it has one."""
+        """The facts after one more frame, with its pose if known."""
         poses = self.trajectory
         if isinstance(result.odometry, Odometry) and result.odometry.status != "lost":
             poses = (*poses, result.odometry.odom_T_ego)[-TRAJECTORY_POSES:]
@@ -81,7 +73,7 @@ class Shown:
 
 @dataclass(frozen=True)
 class Counted:
-    """The reasons of the written frames, and the number of frames whose pictures could not be drawn."""
+    """The reasons of the written frames, and the numbers of frames without pictures and with bare ones."""
 
     reasons: tuple[tuple[ReasonKind, ReasonCount], ...] = ()
     without_image: int = 0
@@ -90,7 +82,7 @@ class Counted:
 
 @dataclass(frozen=True)
 class FrameOutput:
-    """All that is written of one frame: topic and bytes of its messages, its row with the time columns, its objects."""
+    """The output of one frame: topic and bytes of its messages, its row with time columns, rows of its objects."""
 
     messages: tuple[tuple[str, bytes], ...]
     row: FrameMetrics
@@ -100,10 +92,10 @@ class FrameOutput:
 
 @dataclass(frozen=True)
 class ReplaySummary:
-    """What a replay did, for its user.
+    """A summary of a replay, for the user.
 
-    ``dropped`` are the messages of each role that belong to no frame, ``problems`` those of each topic that could not
-    be decoded.
+    ``dropped`` counts the messages of each role that belong to no frame, ``problems`` those of each topic that could
+    not be decoded.
     """
 
     log_id: str
@@ -114,26 +106,26 @@ class ReplaySummary:
     dropped: Mapping[str, int] = field(default_factory=dict)
     problems: Mapping[str, int] = field(default_factory=dict)
     throughout: tuple[str, ...] = ()
-    """The reasons that held in all frames, in words."""
+    """Texts of the reasons that held in all frames."""
     warnings: tuple[str, ...] = ()
-    """Of a damaged log: where, what was saved and what was lost."""
+    """For a damaged log: the damaged places, and the numbers of saved and lost messages."""
     frames_before: int = 0
-    """Frames that an interrupted replay had computed."""
+    """Frames that an interrupted replay computed."""
     resumed_s: float | None = None
-    """How far into the log these frames go, in seconds; None if no interrupted replay was resumed."""
+    """Log seconds that these frames cover; None if no interrupted replay was resumed."""
     is_new: bool = True
-    """Whether anything was written; False if the output was complete already."""
+    """Whether the replay wrote an output; False if the output was already complete."""
     first_ns: int = 0
-    """Log time of the input's first message, nanoseconds since 1970 where its clock counts so."""
+    """Log time of the input's first message in nanoseconds."""
 
     @property
     def frames_per_s(self) -> float:
-        """Frames computed in a second."""
+        """Frames computed per second."""
         return (self.frames - self.frames_before) / self.seconds
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What the user should know, one line each."""
+        """Warnings and notes, one line each."""
         unreadable = (
             f"warning: {number(count, 'message')} on {topic} could not be read, skipped"
             for topic, count in self.problems.items()
@@ -148,7 +140,7 @@ class ReplaySummary:
 class Outputs:
     """The files that a replay writes: the log, the table of frames and the table of objects.
 
-    ``shown`` is what the messages of the next frame show of earlier frames.
+    ``shown`` are the facts of earlier frames for the messages of the next frame.
     """
 
     def __init__(self, target: ReplayTarget, cfg: ReplayConfig, log_in: ReplayInput, facts: Mapping[str, str]) -> None:
@@ -158,7 +150,7 @@ class Outputs:
             target: what to write.
             cfg: the chain's configuration.
             log_in: the input.
-            facts: what the tables say of the input.
+            facts: of the input, for the footers of the tables.
         """
         self._target, self._cfg, self._input = target, cfg, log_in
         facts = table_facts(log_in.summary.path, target.path, cfg, facts)
@@ -167,19 +159,19 @@ class Outputs:
         self._log = LogWriter(target.path, log_in.summary.profile)
         self._pictures = PictureMaker(target.on_request)
         self.files = (self._log, self._objects, self._frames)
-        """The last one gets its name first: if the log has its name, its tables have theirs."""
+        """Renamed in reverse order: when the log has its name, the tables have theirs."""
         self._frames_before = 0
         self._resumed_ns: int | None = None
 
     def begin(self, callbacks: Callbacks, shown: Shown, counted: Counted) -> None:
-        """Register all channels; ``shown`` and ``counted`` are of the frames before."""
+        """Register all channels; ``shown`` and ``counted`` are those of earlier frames."""
         log_in, self.shown, self._on_frame = self._input, shown, callbacks.on_frame
         copied: tuple[Iterable[Channel], Iterator[Piece]] = (
             ((), iter(())) if self._target.results_only else (log_in.channels, log_in.pieces())
         )
         self._copy = MessageCopy(self._log, *copied, log_in.summary.schema_ids)
         topics = result_schemas(self._pictures.requests)
-        self._channels = {topic: _result_channel(topic, name) for topic, name in topics.items()}
+        self._channels = {topic: result_channel(topic, name) for topic, name in topics.items()}
         for channel in self._channels.values():
             self._log.register(channel)
         self._reasons = dict(counted.reasons)
@@ -195,7 +187,7 @@ class Outputs:
         objects: Iterable[ObjectMetrics],
         timer: StageTimer,
     ) -> FrameOutput:
-        """Write the messages and the rows of a frame, after the input's messages up to it."""
+        """Copy the input's messages up to a frame, then write the frame's messages and rows."""
         with timer("copy"):
             self._copy.through(sample.log_time_ns)
         with timer("encode"):
@@ -215,7 +207,7 @@ class Outputs:
         self._frames_before, self._resumed_ns = self._frames_before + 1, sample.log_time_ns
 
     def _messages(self, sample: Sample, result: FrameResult, row: FrameMetrics) -> tuple[tuple[str, bytes], ...]:
-        """Topics and bytes of a frame's results."""
+        """Topics and bytes of a frame's results and pictures."""
         known_reasons, self.shown = self.shown.reasons, self.shown.after(result, row.reasons)
         self._reasons = merged((self._reasons, of_frame(frame_reasons(sample, result))))
         return (
@@ -240,24 +232,34 @@ class Outputs:
         return Counted(tuple(self._reasons.items()), self._pictures.without_image, self._pictures.misfits)
 
     def end(self, facts: Mapping[str, str], states: Iterable[Attachment]) -> None:
-        """Write the rest of the input's messages, and the origin of the output.
+        """Copy the rest of the input, and record how the output was made.
 
         Args:
-            facts: which part of a drive the replay continues.
-            states: of the replay at its begin and its end.
+            facts: of the continued result, if any.
+            states: of the replay at its start and its end.
         """
         self._copy.rest()
-        _write_origin(self._log, self._input.summary, self._cfg, {**facts, **self._input.record()}, states)
+        for attachment in self._input.summary.attachments:
+            if attachment.name not in OWN_ATTACHMENTS:
+                self._log.attach(attachment)
+        toml = Attachment(CONFIG_ATTACHMENT, "application/toml", self._cfg.to_toml().encode())
+        for attachment in (toml, *states):
+            self._log.attach(attachment)
+        for metadata in self._input.summary.metadata:
+            if metadata.name != METADATA_RECORD:
+                self._log.describe(metadata)
+        record = {VERSION_KEY: __version__, SEED_KEY: str(self._cfg.seed), **facts, **self._input.record()}
+        self._log.describe(Metadata(METADATA_RECORD, tuple(record.items())))
 
     def make_durable(self) -> None:
-        """Write all files to the disk, before they get their names."""
+        """Complete all files and sync them to the disk, before the rename."""
         for file in self.files:
             file.complete()
         for path in self._target.files:
             sync_file(partial_of(path))
 
     def summary(self, warnings: tuple[str, ...], notes: tuple[str, ...]) -> ReplaySummary:
-        """What was written, with warnings and more notes."""
+        """The summary of the replay, with warnings and more notes."""
         log_in, resumed_ns = self._input, self._resumed_ns
         return ReplaySummary(
             log_in.log_id,
@@ -272,28 +274,3 @@ class Outputs:
             resumed_s=None if resumed_ns is None else ns_to_seconds(resumed_ns - (log_in.summary.first_ns or 0)),
             first_ns=log_in.summary.first_ns or 0,
         )
-
-
-def _result_channel(topic: str, schema_name: str) -> Channel:
-    found = schema(schema_name)
-    return Channel(topic, found.message_encoding, found.name, found.schema_encoding, found.data, metadata=(PRODUCER,))
-
-
-def _write_origin(
-    writer: LogWriter,
-    source: LogSummary,
-    cfg: ReplayConfig,
-    record: Mapping[str, str],
-    states: Iterable[Attachment],
-) -> None:
-    """Copy the input's attachments and metadata, and record how the output was made."""
-    for attachment in source.attachments:
-        if attachment.name not in OWN_ATTACHMENTS:
-            writer.attach(attachment)
-    for attachment in (Attachment(CONFIG_ATTACHMENT, "application/toml", cfg.to_toml().encode()), *states):
-        writer.attach(attachment)
-    for metadata in source.metadata:
-        if metadata.name != METADATA_RECORD:
-            writer.describe(metadata)
-    facts = {VERSION_KEY: __version__, SEED_KEY: str(cfg.seed), **record}
-    writer.describe(Metadata(METADATA_RECORD, tuple(facts.items())))

@@ -1,4 +1,4 @@
-"""The modes of roadperc-view: Rerun, Foxglove, layout and video."""
+"""Runs the modes of roadperc-view: Rerun, Foxglove, layout and video."""
 
 import argparse
 from collections.abc import Iterable, Mapping
@@ -17,12 +17,9 @@ from roadperc_stream.view.live import PlaybackOptions
 from roadperc_stream.view.live.serving import log_with_times, serve_log
 from roadperc_stream.view.video import write_video
 
-_RERUN = "roadperc_stream.view.rerun"
-"""Imported on use, because the import takes half a second."""
-
 
 def view_log(arguments: argparse.Namespace, playback: PlaybackOptions) -> None:
-    """Show or write a log as the arguments say.
+    """Show a log, or write it as a layout, recording or video.
 
     Raises:
         RoadpercError: the log cannot be shown.
@@ -41,7 +38,7 @@ def view_log(arguments: argparse.Namespace, playback: PlaybackOptions) -> None:
 
 
 def _readable(arguments: argparse.Namespace) -> Path:
-    """A file that can be read repeatedly: a pipe is stored, a damaged log repaired with --recover."""
+    """A file that can be read repeatedly: store a pipe; with ``--recover`` repair a damaged log."""
     (path,) = log.received([arguments.log])
     if not arguments.recover or log.audited(path, check_chunks=True).whole:
         return path
@@ -73,7 +70,8 @@ def _record_video(arguments: argparse.Namespace) -> None:
 
 def _show_in_rerun(arguments: argparse.Namespace) -> None:
     """Save a recording, or send the log to a viewer."""
-    target, rerun = arguments.save, import_module(_RERUN)
+    target = arguments.save
+    rerun = import_module("roadperc_stream.view.rerun")  # on use only, because the import takes half a second
     overrides = parse_topic_options(arguments.topic)
     with frame_progress("writing" if target else "sending", not arguments.quiet) as progress:
         if target:
@@ -92,4 +90,4 @@ def _print_summary(notes: Iterable[str], problems: Mapping[str, int]) -> None:
     for note in notes:
         print_line(f"note: {note}")
     for topic, count in problems.items():
-        print_line(f"warning: {number(count, 'message')} on {topic} could not be read and are not shown")
+        print_line(f"warning: {number(count, 'message')} on {topic} could not be read, not shown")

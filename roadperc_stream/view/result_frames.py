@@ -25,11 +25,11 @@ from roadperc_stream.system.time import NS_PER_S
 
 _TOTAL: Final = "total_ms"
 _PARTS: Final = frozenset(TIME_COLUMNS) - {_TOTAL}
-"""Tables of earlier versions lack some of them."""
+"""Tables of earlier versions lack some of these columns."""
 TimesMs = Mapping[str, float]
 """Milliseconds by time column; stages that did not run are left out."""
 TimesOfFrame = Callable[[str, int], TimesMs]
-"""The times of a frame by ``log_id`` and ``frame``, in any order; empty where they are not known."""
+"""The times of a frame by ``log_id`` and ``frame``, in any order; empty if unknown."""
 
 
 class TableTimes:
@@ -80,7 +80,7 @@ def require_shown(summary: LogSummary, roles: RoleAssignment) -> None:
     """
     holding = [channel for channel in summary.channels if summary.counts.get(channel.source_id)]
     if not holding:
-        raise LogError(f"{summary.path}: no message to show")
+        raise LogError(f"{summary.path}: the log has no messages to show")
     if not roles.topics and not any(is_result_of(channel, channel.topic) for channel in holding):
         raise nothing_shown(summary.path, roles.unassigned)
 
@@ -88,27 +88,27 @@ def require_shown(summary: LogSummary, roles: RoleAssignment) -> None:
 def nothing_shown(path: Path, reasons: Iterable[str]) -> LogError:
     """The error for a log with nothing to show; it names commands that show any log."""
     named = quote(str(path))
-    elsewhere = f"rerun {named} or roadperc-view {named} --foxglove may show what there is"
-    return LogError("; ".join((f"{path}: nothing here that this project shows", *reasons, elsewhere)))
+    elsewhere = f"try rerun {named} or roadperc-view {named} --foxglove"
+    return LogError("; ".join((f"{path}: no topic that roadperc-view can show", *reasons, elsewhere)))
 
 
 Content = TypeVar("Content")
 LATENESS_NS: Final = (0, 2 * NS_PER_S)
-"""Largest distance of log time and stamp. The first window is cheap to read, so it is tried first."""
+"""Windows for the difference of log time and stamp; the first one is cheap to read."""
 _KINDS: Final[Mapping[str, Kind]] = {LANES_TOPIC: "lanes", OBJECTS_TOPIC: "objects", DRIVABLE_TOPIC: "tags"}
 _MOST_WAITING: Final = 64
-"""Most instants that wait for metrics. Messages that belong to no frame never get any."""
+"""Most stamps that wait for metrics. Messages without a frame never get metrics."""
 
 
 def read_frame(path: Path, stamp_ns: int, problems: Problems) -> PerceivedFrame | None:
     """The frame of a stamp; None without a camera image. Reads only the log around the stamp.
 
-    The image is from the camera of the results. Unreadable messages are absent.
+    The image is from the camera of the results. Unreadable messages count as absent.
 
     Args:
         path: the log.
-        stamp_ns: of the frame.
-        problems: filled in; a message near two frames counts twice.
+        stamp_ns: stamp of the frame.
+        problems: collects unreadable messages; a message near two frames counts twice.
 
     Raises:
         LogError: the log cannot be read.
@@ -117,19 +117,19 @@ def read_frame(path: Path, stamp_ns: int, problems: Problems) -> PerceivedFrame 
     image_topic = _image_topic(summary)
     for lateness_ns in LATENESS_NS:
         found, reasons = _messages(summary, image_topic, stamp_ns, lateness_ns, problems)
-        if seen := _seen(found, image_topic, reasons, stamp_ns, problems):
-            return seen
+        if frame := _frame_of(found, image_topic, reasons, stamp_ns, problems):
+            return frame
     return None
 
 
 def read_frames(summary: LogSummary, problems: Problems) -> Iterator[tuple[FrameMetrics, PerceivedFrame | None]]:
     """The row and the results of every frame, in order; no results without a camera image.
 
-    Frames with an unreadable row are left out. Other unreadable messages are absent. A few frames are in memory.
+    Frames with an unreadable row are left out. Other unreadable messages count as absent. Holds a few frames in memory.
 
     Args:
         summary: the log.
-        problems: filled in.
+        problems: collects unreadable messages.
 
     Raises:
         LogError: the log cannot be read.
@@ -138,7 +138,7 @@ def read_frames(summary: LogSummary, problems: Problems) -> Iterator[tuple[Frame
     waiting: dict[int, dict[str, Decoded]] = {}
     for message in log.read(summary, topics={image_topic, METRICS_TOPIC, *_KINDS}):
         if row := row_of(message, problems):
-            yield row, _seen(waiting.pop(row.stamp_ns, {}), image_topic, row.reasons, row.stamp_ns, problems)
+            yield row, _frame_of(waiting.pop(row.stamp_ns, {}), image_topic, row.reasons, row.stamp_ns, problems)
             waiting = {stamp_ns: found for stamp_ns, found in waiting.items() if stamp_ns > row.stamp_ns}
         elif content := _decoded(message, image_topic, problems):
             waiting.setdefault(content.stamp_ns, {})[message.channel.topic] = content
@@ -151,7 +151,7 @@ def read_rows(summary: LogSummary, problems: Problems) -> Iterator[FrameMetrics]
 
     Args:
         summary: the log.
-        problems: filled in.
+        problems: collects unreadable messages.
 
     Raises:
         LogError: the log cannot be read.
@@ -180,12 +180,12 @@ def _image_topic(summary: LogSummary) -> str:
     """The image topic that the replay used; empty if the log no longer has it."""
     try:
         topics = assignment_of_log(summary, {}).topics
-    except ChannelError:  # an input whose roles are not clear
+    except ChannelError:  # the roles of the input are ambiguous
         return ""
     return topics.get("image") or topics.get("left", "")
 
 
-def _seen(
+def _frame_of(
     found: Mapping[str, Decoded], image_topic: str, reasons: Iterable[str], stamp_ns: int, problems: Problems
 ) -> PerceivedFrame | None:
     image = _result(found, image_topic, CameraImage, "image")
@@ -197,7 +197,7 @@ def _seen(
     mask = content_of(lambda: _drivable(found), DRIVABLE_TOPIC, stamp_ns, problems)
     drivable = _drivable({}) if mask is None else mask
     wrong_size = any((r.source, r.code) == ("image", "wrong_size") for r in map(parse_reason, reasons))
-    # A mask of another size belongs to another camera than this image, and so do lanes and objects.
+    # If the mask has another size, mask, lanes and objects belong to another camera.
     fits = not wrong_size and (isinstance(drivable, Absent) or drivable.shape == image_bgr.shape[:2])
     lanes = _result(found, LANES_TOPIC, Lanes, "lanes")
     return PerceivedFrame(image_bgr, lanes, _result(found, OBJECTS_TOPIC, Objects, "objects"), drivable, fits)
@@ -225,14 +225,11 @@ def _decoded(message: Message, image_topic: str, problems: Problems) -> Decoded 
         kind = "image" if channel.topic == image_topic else None
     if kind is None:  # not drawn
         return None
-    # The decoder requires a tag table, though a mask has no tags.
+    # The decoder requires a tag table, although a mask has no tags.
     context = replace(context_of_channel(channel, "auto"), tag_table=CARLA_BEFORE_0_9_14)
     schema, encoding = channel.schema_name, channel.message_encoding
     return content_of(
-        lambda: decode(kind, schema, encoding, message.data, log_time_ns, context),
-        channel.topic,
-        log_time_ns,
-        problems,
+        lambda: decode(kind, schema, encoding, message.data, log_time_ns, context), channel.topic, log_time_ns, problems
     )
 
 

@@ -1,4 +1,4 @@
-"""A video of a log's overlays, for people without a viewer: VP9 in an MP4 file.
+"""Writes a video of a log's overlays, for people without a viewer: VP9 in an MP4 file.
 
 OpenCV's wheels can write VP9, which browsers play. They have no H.264 encoder.
 """
@@ -42,7 +42,7 @@ _FFMPEG_QUIET: Final = -8
 
 @dataclass(frozen=True)
 class Video:
-    """Pictures written at ``rate_hz``, of so many frames of the log."""
+    """Number of pictures, their rate, and the number of the log's frames."""
 
     pictures: int
     rate_hz: float
@@ -66,8 +66,8 @@ def write_video(
         progress: called with frames done and frames expected.
 
     Raises:
-        LogError: the log cannot be read, or holds no results or no pictures.
-        TargetError: the video exists and ``force`` is not set, or it cannot be written whole; nothing is left behind.
+        LogError: the log is unreadable, or has no results or no pictures.
+        TargetError: the video exists and ``force`` is not set, or it cannot be completed; no partial file remains.
     """
     require_free(target, force=force, source=source, suffix=".mp4")
     summary, problems = log.summarise(source), Problems()
@@ -108,9 +108,9 @@ def frame_rate_hz(stamps_ns: Sequence[int]) -> float:
 
 
 def pictures_shown(stamps_ns: Sequence[int], rate_hz: float) -> list[int]:
-    """How many of the video's pictures show each frame, so that video time follows the frames' time.
+    """The number of video pictures of each frame, so that video time follows the stamps.
 
-    0 for a frame that comes faster than the video's rate, 1 where stamps go back.
+    0 for a frame that is faster than the video rate, 1 where stamps go back.
     """
     elapsed, ticks = 0.0, [0]
     for earlier, later in pairwise(stamps_ns):
@@ -166,7 +166,7 @@ class _VideoWriter:
         self._last: Image | None = None
 
     def show(self, picture: Image | None, times: int) -> None:
-        """Show a picture for ``times`` pictures of the video; None repeats the one before."""
+        """Write a picture ``times`` times; None repeats the previous one."""
         if picture is not None:
             self._last = self._fitted(picture)
         if self._last is None:
@@ -184,7 +184,7 @@ class _VideoWriter:
         if self._writer is not None:
             self._writer.release()
         if kind is None and _pictures_in(self._temporary) != self.pictures:
-            raise TargetError(f"{self._target}: the video is incomplete. Is the disk full?")
+            raise TargetError(f"{self._target}: the video is incomplete; check the free disk space")
 
     def _fitted(self, picture: Image) -> Image:
         """Scale to the video's size. Its sides are even, as VP9 halves the resolution of colours."""

@@ -49,8 +49,7 @@ def test_a_log_with_nothing_to_show_is_an_error(tmp_path, options, monkeypatch, 
     logs.write(tmp_path / "in.mcap", [], extra=[logs.foreign()])
     assert main(["in.mcap", *options]) == 1
     assert capsys.readouterr().err == (
-        "error: in.mcap: nothing here that this project shows; "
-        "rerun in.mcap or roadperc-view in.mcap --foxglove may show what there is\n"
+        "error: in.mcap: no topic that roadperc-view can show; try rerun in.mcap or roadperc-view in.mcap --foxglove\n"
     )
     assert [path.name for path in tmp_path.iterdir()] == ["in.mcap"]
 

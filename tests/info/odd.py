@@ -1,4 +1,4 @@
-"""Logs with a known oddity each, as other programs write them."""
+"""Writes logs with unusual properties, as other programs write them."""
 
 import json
 
@@ -9,7 +9,7 @@ SECOND_NS = 1_000_000_000
 
 
 def write(path, times, topic="/a", stamps=None, **options):
-    """A log of JSON messages at these log times (ns), with these own stamps."""
+    """Write a log of JSON messages with these log times and stamps, in ns."""
     stamps = times if stamps is None else stamps
     with path.open("wb") as stream:
         writer = Writer(stream, chunk_size=400, **({"compression": CompressionType.NONE} | options))

@@ -1,4 +1,4 @@
-"""What roadperc-info says of how several logs join as the parts of one."""
+"""roadperc-info shows how several logs follow each other as files of one log."""
 
 import pytest
 
@@ -6,7 +6,7 @@ from roadperc_stream.api import replay
 from roadperc_stream.cli.info import main
 from roadperc_stream.config import load_config
 from roadperc_stream.errors import ChannelError, StateError
-from roadperc_stream.info.printing import _worth_a_line
+from roadperc_stream.info.printing import _is_listed
 from roadperc_stream.info.role_states import RoleState
 from roadperc_stream.log import LogWriter, Message
 from tests import logs
@@ -14,16 +14,16 @@ from tests.analytic import Road
 from tests.logs import START_NS, STEP_NS
 
 
-def test_info_says_how_parts_join(tmp_path, capsys):
+def test_info_prints_how_files_follow_each_other(tmp_path, capsys):
     items = logs.items(12)
 
-    def part(name, first, last):
+    def split(name, first, last):
         kept = [item for item in items if first <= (item.stamp_ns - START_NS) // STEP_NS <= last]
         return str(logs.write(tmp_path / name, kept))
 
-    files = [part("c.mcap", 7, 11), part("a.mcap", 0, 4), part("b.mcap", 3, 5)]
+    files = [split("c.mcap", 7, 11), split("a.mcap", 0, 4), split("b.mcap", 3, 5)]
     assert main(files) == 0
-    text = capsys.readouterr().out.partition("As the parts of one log")[2]
+    text = capsys.readouterr().out.partition("As files of one log")[2]
     lines = [" ".join(line.split()) for line in text.splitlines()]
     assert [line for line in lines if line.split(" ")[0] in ("a.mcap", "b.mcap", "c.mcap")] == [
         "a.mcap 0.000 0.200",
@@ -37,11 +37,11 @@ def test_info_says_how_parts_join(tmp_path, capsys):
     assert "together 54 messages on 6 topics over 0.55 s" in joined
 
 
-def test_json_and_a_single_log_say_nothing_of_parts(tmp_path, capsys):
+def test_json_and_a_single_log_print_nothing_about_joining(tmp_path, capsys):
     path = str(logs.write(tmp_path / "a.mcap", logs.items(2)))
     assert main([path]) == 0
     assert main(["--json", path, path]) == 0
-    assert "parts of one" not in capsys.readouterr().out
+    assert "files of one" not in capsys.readouterr().out
 
 
 CFG = load_config(None, [f"{stage}.enabled=false" for stage in ("odometry", "lanes", "objects", "occupancy")])
@@ -49,7 +49,7 @@ CFG = load_config(None, [f"{stage}.enabled=false" for stage in ("odometry", "lan
 
 @pytest.fixture
 def parts(tmp_path):
-    """A drive in two files, the first of which alone has calibration and transforms."""
+    """A log in two files; only the first has calibration and transforms."""
     items, cut_ns = logs.items(6, Road(width=64, height=48)), START_NS + 3 * STEP_NS
     first = logs.write(tmp_path / "part_0.mcap", [item for item in items if item.stamp_ns < cut_ns])
     return first, logs.write(tmp_path / "part_1.mcap", [item for item in items if item.stamp_ns >= cut_ns])
@@ -60,33 +60,33 @@ def words_of(capsys, *files):
     return " ".join(capsys.readouterr().out.split())
 
 
-def test_the_roles_of_parts_are_those_of_the_whole(parts, capsys):
+def test_roles_are_assigned_over_all_files_of_a_log(parts, capsys):
     alone = words_of(capsys, parts[1])
-    assert "calibration missing: a replay stops, unless another part has it: the camera is not known" in alone
-    together = words_of(capsys, *parts).partition("As the parts of one log")[2]
+    assert "calibration missing: a replay stops, unless another file of the log has it: the camera is unknown" in alone
+    together = words_of(capsys, *parts).partition("As files of one log")[2]
     assert "calibration /camera/front/calibration" in together
     assert "missing" not in together
     with pytest.raises(ChannelError, match=r"pass the earlier files of the log too, or pass --continue"):
         replay(parts[1], parts[1].with_name("out.mcap"), config=CFG)
 
 
-def test_a_continuation_says_what_it_goes_on_from(parts, capsys):
+def test_a_continued_replay_names_the_earlier_one(parts, capsys):
     results = [path.with_name(f"out_{k}.mcap") for k, path in enumerate(parts)]
     replay(parts[0], results[0], config=CFG)
     replay(parts[1], results[1], config=CFG, continued=results[0])
     text = words_of(capsys, results[1])
-    assert "calibration missing: as the part before had it, in roadperc.state.begin" in text
+    assert "calibration missing: held from the continued replay, in roadperc.state.begin" in text
     assert "6 frames continues the result of log" in text
     assert "and repeats its last 3 frames, now complete" in text
     assert "segments" not in text
-    together = words_of(capsys, *results).partition("As the parts of one log")[2]
+    together = words_of(capsys, *results).partition("As files of one log")[2]
     assert "out_1.mcap 0.150 0.250 out_1.mcap: continues out_0.mcap" in together
     assert "overlaps" not in together
     with pytest.raises(StateError, match=r"expected later messages; pass --start"):
         replay(parts[0], parts[0].with_name("out.mcap"), config=CFG, continued=results[0])
 
 
-def test_recordings_in_one_file_are_segments(tmp_path, capsys):
+def test_two_recordings_in_one_file_are_segments(tmp_path, capsys):
     items = [item for item in logs.items(30, Road(width=64, height=48)) if item.role in {"image", "calibration"}]
     path = tmp_path / "loop.mcap"
     with LogWriter(path) as writer:
@@ -100,7 +100,7 @@ def test_recordings_in_one_file_are_segments(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("state", "filled", "worth"),
+    ("state", "filled", "listed"),
     [
         (RoleState("image", "filled", "/a"), set(), True),
         (RoleState("depth", "missing", cost="no scale"), set(), True),
@@ -113,5 +113,5 @@ def test_recordings_in_one_file_are_segments(tmp_path, capsys):
         (RoleState("right_calibration", "missing", cost="no stereo"), set(), False),
     ],
 )
-def test_a_role_is_listed_where_it_is_filled_or_missed(state, filled, worth):
-    assert _worth_a_line(state, filled) == worth
+def test_a_role_is_listed_if_it_is_filled_or_needed(state, filled, listed):
+    assert _is_listed(state, filled) == listed

@@ -1,4 +1,4 @@
-"""A message's own stamp is read by its channel's schema, without the package knowing the message."""
+"""Stamps of any message are read with the schema of its channel."""
 
 import json
 
@@ -19,16 +19,16 @@ MESSAGES = {item.role: item.data for item in frame_items(STAMP_NS, SMALL)}
 
 
 @pytest.mark.parametrize("role", MESSAGES)
-def test_the_stamp_of_every_role(role):
+def test_the_stamp_of_every_role_is_read(role):
     assert stamp_reader(channel(role))(MESSAGES[role]) == STAMP_NS
 
 
-def test_the_stamp_of_transforms_is_the_first_ones():
+def test_the_stamp_of_transforms_is_that_of_the_first_one():
     data = encoding.encode_transforms(STAMP_NS, [Transform("ego", "camera", level_mounting(1.4))])
     assert stamp_reader(channel("tf"))(data) == STAMP_NS
 
 
-def test_transforms_of_ros():
+def test_stamps_of_ros_transforms_are_read():
     definition = b"# a comment\ngeometry_msgs/TransformStamped[] transforms\n"
     listed = Channel("/tf", "cdr", "tf2_msgs/msg/TFMessage", "ros2msg", definition)
     data = bytes([0, 1, 0, 0]) + (1).to_bytes(4, "little") + (17).to_bytes(4, "little") + (5).to_bytes(4, "little")
@@ -37,7 +37,7 @@ def test_transforms_of_ros():
     assert stamp_reader(listed)(big) == 17_000_000_005
 
 
-def test_json():
+def test_stamps_of_json_messages_are_read():
     read = stamp_reader(Channel("/a", "json", "Text", "jsonschema", json.dumps(STAMPED).encode()))
     assert read(message(STAMP_NS)) == STAMP_NS
     assert [read(data) for data in (b"", b"[]", b'{"timestamp": 3}', b"\xff", message(0))] == [None] * 5
@@ -62,5 +62,5 @@ def test_a_message_without_a_stamp_has_none():
     ],
     ids=lambda c: f"{c.message_encoding} {c.schema_name}",
 )
-def test_no_reader_where_the_schema_tells_no_stamp(unknown):
+def test_a_schema_without_a_stamp_has_no_reader(unknown):
     assert stamp_reader(unknown) is None

@@ -1,4 +1,4 @@
-"""Datatypes to messages where bytes are joined by hand: they are those that the library would have made."""
+"""Messages that are joined from bytes equal those that the library encodes."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def in_one_message(stamp_ns, frame_id, poses):
 
 
 @given(st.lists(st.floats(-1e3, 1e3), max_size=12), st.text(max_size=5), st.integers(0, 2**62))
-def test_joined_poses_are_the_bytes_of_one_message(places, frame_id, stamp_ns):
+def test_joined_poses_equal_the_bytes_of_one_message(places, frame_id, stamp_ns):
     poses = [pose_at(x) for x in places]
 
     data = encoding.encode_poses(stamp_ns, frame_id, poses)
@@ -38,7 +38,7 @@ def test_joined_poses_are_the_bytes_of_one_message(places, frame_id, stamp_ns):
     assert data == in_one_message(stamp_ns, frame_id, poses).SerializeToString()
 
 
-def test_poses_of_any_order_of_memory_are_read_as_they_are():
+def test_poses_in_column_order_give_the_same_bytes():
     pose = pose_at(3.0)
 
     assert encoding.encode_poses(STAMP, "odom", [np.asfortranarray(pose)]) == encoding.encode_poses(
@@ -46,7 +46,7 @@ def test_poses_of_any_order_of_memory_are_read_as_they_are():
     )
 
 
-def test_a_pose_is_encoded_once_for_all_the_frames_that_show_it(monkeypatch: pytest.MonkeyPatch):
+def test_each_pose_is_encoded_once(monkeypatch: pytest.MonkeyPatch):
     encoded = []
     monkeypatch.setattr(encoding, "quaternion", lambda rotation: encoded.append(1) or rotations.quaternion(rotation))
     poses = [pose_at(700.0 + k) for k in range(200)]

@@ -1,6 +1,6 @@
-"""Every result channel of the sample, the pictures on request among them, stays as it was recorded.
+"""Every result channel of the sample, including pictures on request, stays as recorded.
 
-After a change that is meant, ``pytest tests/output/test_recorded.py --force-regen`` records anew.
+After an intended change, ``pytest tests/output/test_recorded.py --force-regen`` records them again.
 """
 
 from collections import defaultdict
@@ -26,13 +26,13 @@ VARYING = {"total_ms", "stage_ms", "timestamp", "stamp", "header"}
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory):
-    """Some frames of the sample, with all that can be asked for."""
+    """Some frames of the sample with all pictures on request."""
     path = tmp_path_factory.mktemp("recorded") / "out.mcap"
     assert replay.main([str(SAMPLE), str(path), "--start", "1", "--frames", "3", "--overlay", "--debug"]) == 0
     return path
 
 
-def test_channels_hold_what_was_recorded(result, ndarrays_regression):
+def test_channels_equal_the_recorded_ones(result, ndarrays_regression):
     documents, found = defaultdict(list), {}
     with result.open("rb") as file:
         reader = make_reader(file, decoder_factories=[ProtobufDecoders(), RosDecoders()])
@@ -48,13 +48,13 @@ def test_channels_hold_what_was_recorded(result, ndarrays_regression):
 
 
 @pytest.mark.parametrize("width_px", [200, 640, 1280])
-def test_a_frame_of_any_size_is_drawn_as_recorded(result, width_px, ndarrays_regression):
+def test_a_drawn_frame_equals_the_recorded_one(result, width_px, ndarrays_regression):
     *_, (row, frame) = read_frames(log.summarise(result), Problems())
     summaries.check(ndarrays_regression, {"frame": summaries.of_picture(draw_frame(frame, row, 1.25, width_px))})
 
 
 def fields_of(message):
-    """A message's fields by name; of many bytes their sum."""
+    """The fields of a message by name; bytes as their sum."""
     if isinstance(message, Message):
         fields = MessageToDict(message, preserving_proto_field_name=True)
         return {name: value for name, value in fields.items() if name not in VARYING}

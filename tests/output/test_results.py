@@ -1,4 +1,4 @@
-"""What a frame's results look like in the log."""
+"""The messages of a frame's results."""
 
 from dataclasses import replace
 
@@ -17,8 +17,8 @@ POSES = {"/perception/odometry", "/perception/tf"}
 
 
 @pytest.mark.parametrize("status", ["first", "tracked", "lost"])
-def test_a_lost_frame_has_a_state_with_its_reason_but_no_pose(status):
-    """The last pose known is no pose of a frame that is lost: viewers would draw the car where it is not."""
+def test_a_lost_frame_has_a_state_with_a_reason_and_no_pose(status):
+    """The last known pose is not the pose of a lost frame; viewers would draw the car at a wrong place."""
     sample = Sample(0, 0, SMALL.frame(0), Truth())
     reason = Reason("odometry", "no_image") if status == "lost" else None
     _, result = step(ReplayConfig(), ChainState(), sample.frame)

@@ -1,4 +1,4 @@
-"""Tables whose bytes are in memory."""
+"""Tables are read from bytes in memory."""
 
 import subprocess
 import sys
@@ -23,8 +23,8 @@ print(rows[1]["c7"], process.num_threads() - before)
 
 
 @pytest.mark.promise("Crashes", "No Arrow thread frees Python memory while a batch ends")
-def test_no_thread_of_arrow_holds_bytes_of_python(tmp_path):
-    """It may give them back when the interpreter ends, and then Python up to 3.13 aborts the process."""
+def test_arrow_threads_do_not_hold_python_bytes(tmp_path):
+    """A thread that releases them while the interpreter ends aborts the process, up to Python 3.13."""
     pq.write_table(pa.table({f"c{k}": ["a", "b"] for k in range(45)}), tmp_path / "table.parquet")
     command = [sys.executable, "-c", CODE, str(tmp_path / "table.parquet")]
     assert subprocess.run(command, check=True, capture_output=True, text=True).stdout == "b 0\n"

@@ -1,4 +1,4 @@
-"""One table for terminal and page: what becomes of several subjects, and of what does not fit."""
+"""Tables with several subjects and tables wider than the terminal."""
 
 import io
 
@@ -15,7 +15,7 @@ def printed(monkeypatch, table, columns=80):
     return stream.getvalue()
 
 
-def test_rows_notes_and_a_rule(monkeypatch):
+def test_a_table_has_a_rule_rows_and_notes(monkeypatch):
     text = printed(monkeypatch, TextTable("Stage", ("ms", "share %"), (row("lanes", "1.25", "7.0"),), ("a note",)))
     assert [line.split() for line in text.splitlines()] == [
         [],
@@ -26,7 +26,7 @@ def test_rows_notes_and_a_rule(monkeypatch):
     ]
 
 
-def test_without_rows_the_notes_stand_behind_the_title_and_nothing_is_nothing(monkeypatch):
+def test_a_table_without_rows_prints_title_and_notes(monkeypatch):
     assert printed(monkeypatch, TextTable("Accuracy", ("x",), (), ("no truth",))) == "\nAccuracy: no truth\n"
     assert printed(monkeypatch, TextTable("Accuracy", ("x",), ())) == ""
 
@@ -36,7 +36,7 @@ SEVERAL = TextTable(
 )
 
 
-def test_several_subjects_have_a_line_each_where_they_have_values():
+def test_subjects_with_values_get_a_line_each():
     assert [(item.label, item.cells[0]) for item in SEVERAL.flat().rows] == [
         ("step", ()),
         ("  a", ("1", "2")),
@@ -44,13 +44,13 @@ def test_several_subjects_have_a_line_each_where_they_have_values():
     ]
 
 
-def test_only_listed_subjects_have_a_line_in_their_order():
+def test_only_listed_subjects_get_a_line():
     cells = (("1",), ("2",), ("3",))
     table = TextTable("E", ("x",), (TextRow("step", cells, listed=(2, 0)),), subjects=("a", "b", "c"))
     assert [item.label for item in table.flat().rows] == ["step", "  c", "  a"]
 
 
-def test_turned_for_a_page_headers_without_cells_are_left_out():
+def test_by_header_leaves_out_headers_without_cells():
     assert by_header(SEVERAL.rows[0], SEVERAL.headers) == [("median", ("1", "", "3")), ("worst", ("2", "", "4"))]
     assert by_header(TextRow("depth", (("1",), ("2",))), ("share", "p5")) == [("share", ("1", "2"))]
 
@@ -58,14 +58,14 @@ def test_turned_for_a_page_headers_without_cells_are_left_out():
 ONE_VALUE = TextTable("Setting", ("",), (TextRow("lanes.hold_s", (("1.0",), ("2.0",))),), subjects=("base", "slow"))
 
 
-def test_one_value_of_each_subject_is_a_column_of_each():
+def test_subjects_with_one_value_become_columns():
     flat = ONE_VALUE.flat()
     assert (flat.headers, flat.rows) == (("base", "slow"), (row("lanes.hold_s", "1.0", "2.0"),))
     turned = transposed(flat)
     assert (turned.headers, turned.rows) == (("lanes.hold_s",), (row("base", "1.0"), row("slow", "2.0")))
 
 
-def test_subjects_that_do_not_fit_as_columns_are_rows(monkeypatch):
+def test_subjects_that_do_not_fit_as_columns_become_rows(monkeypatch):
     names = tuple(f"run_number_{k}" for k in range(9))
     values = tuple((f"{k}",) for k in range(9))
     rows = tuple(TextRow(key, values) for key in ("lanes.hold_s", "seed"))
@@ -75,7 +75,7 @@ def test_subjects_that_do_not_fit_as_columns_are_rows(monkeypatch):
 
 
 @pytest.mark.parametrize("columns", [80, 120])
-def test_columns_that_do_not_fit_go_on_below_and_none_is_lost(monkeypatch, columns):
+def test_columns_that_do_not_fit_continue_below(monkeypatch, columns):
     headers = tuple(f"header{k:02}" for k in range(20))
     table = TextTable("Run", headers, (row("the_name", *(f"{k}.125" for k in range(20))), row("short", "0.5")))
     text = printed(monkeypatch, table, columns)
@@ -85,7 +85,7 @@ def test_columns_that_do_not_fit_go_on_below_and_none_is_lost(monkeypatch, colum
     assert text.count("the_name") == text.count("Run") > 1
 
 
-def test_words_in_the_last_column_fold_and_labels_do_not(monkeypatch):
+def test_only_text_in_the_last_column_wraps(monkeypatch):
     table = TextTable("Role", ("topic",), (row("image", "word " * 30),), last_is_text=True, label_columns=18)
     lines = printed(monkeypatch, table).splitlines()
     assert len(lines) == 6

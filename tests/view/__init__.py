@@ -1,1 +1,1 @@
-"""Tests of what people see of a log."""
+"""Tests of the views of a log."""

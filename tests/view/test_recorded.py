@@ -1,6 +1,6 @@
-"""What viewers are given of the sample's results, channel by channel, stays as it was recorded.
+"""Layouts of the sample stay as recorded.
 
-After a change that is meant, ``pytest tests/view/test_recorded.py --force-regen`` records anew.
+After an intended change, ``pytest tests/view/test_recorded.py --force-regen`` records them again.
 """
 
 import json
@@ -15,13 +15,13 @@ from tests.test_sample import SAMPLE
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory):
-    """Some frames of the sample, with all that can be asked for."""
+    """Some frames of the sample with all pictures on request."""
     path = tmp_path_factory.mktemp("recorded") / "out.mcap"
     assert replay.main([str(SAMPLE), str(path), "--frames", "3", "--overlay", "--debug"]) == 0
     return path
 
 
 @pytest.mark.parametrize("of", ["input", "result", "running replay"])
-def test_the_layout_is_the_recorded_one(of, result, data_regression):
+def test_the_layout_equals_the_recorded_one(of, result, data_regression):
     contents = {"input": lambda: contents_of(SAMPLE, {}), "result": lambda: contents_of(result, {})}
     data_regression.check(json.loads(layout_of(contents.get(of, lambda: OF_A_LIVE_REPLAY)())))

@@ -1,4 +1,4 @@
-"""A log's frames with messages that cannot be read: those are left out and counted, the others come back."""
+"""Frames, rows and stage times of a log are read; unreadable messages are left out and counted."""
 
 from dataclasses import replace
 
@@ -11,15 +11,13 @@ from roadperc_stream.cli.view import main
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import LogError, TableError
 from roadperc_stream.input.stream import Problems
-from roadperc_stream.log import Channel, LogWriter, Message
+from roadperc_stream.log import LogWriter, Message
 from roadperc_stream.model import Absent, Boundary, Lanes
 from roadperc_stream.output import encoding, tables
-from roadperc_stream.output.results import encode_metrics
+from roadperc_stream.output.results import encode_metrics, result_channel
 from roadperc_stream.output.tables import ROW_GROUP_ROWS, TableWriter
 from roadperc_stream.schemas import roadperc_pb2
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
-from roadperc_stream.schemas.record import PRODUCER
-from roadperc_stream.schemas.registry import schema
 from roadperc_stream.view.result_frames import ReplayTimes, TableTimes, read_frame, read_frames, read_rows
 from roadperc_stream.view.video import write_video
 from tests import logs
@@ -30,7 +28,7 @@ FRAMES = 2 * ROW_GROUP_ROWS + 10
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory):
-    """Three row groups; lanes did not run, surface only in even frames."""
+    """A table of three row groups without lanes and with surface in even frames only."""
     path = tmp_path_factory.mktemp("times") / "out.metrics.parquet"
     with TableWriter(path, FrameMetrics, {}, TIME_COLUMNS) as writer:
         for frame in range(FRAMES):
@@ -39,20 +37,20 @@ def path(tmp_path_factory):
     return path
 
 
-def test_the_message_has_a_field_for_each_column():
+def test_stage_times_have_a_field_for_each_column():
     names = [field.name for field in roadperc_pb2.StageTimes.DESCRIPTOR.fields]
     assert names == ["timestamp", "frame_id", *TIME_COLUMNS]
     assert all(roadperc_pb2.StageTimes.DESCRIPTOR.fields_by_name[name].has_presence for name in TIME_COLUMNS)
 
 
-def test_times_in_any_order(path):
+def test_stage_times_are_read_in_any_order(path):
     times = TableTimes(path)
     for frame in (0, 1, FRAMES - 1, 3, ROW_GROUP_ROWS, ROW_GROUP_ROWS - 1):
         surface = {} if frame % 2 else {"surface_ms": 1.5}
         assert times.of("log", frame) == {"total_ms": frame} | surface
 
 
-def test_a_row_group_is_read_once_and_no_other(path, monkeypatch):
+def test_each_row_group_is_read_once(path, monkeypatch):
     asked = []
     monkeypatch.setattr(
         "roadperc_stream.view.result_frames.read_rows_around",
@@ -65,21 +63,17 @@ def test_a_row_group_is_read_once_and_no_other(path, monkeypatch):
     assert len(times._rows) <= ROW_GROUP_ROWS
 
 
-@pytest.mark.parametrize(("log_id", "frame"), [("another", 5), ("log", FRAMES), ("log", -1)])
-def test_no_times_of_what_the_table_has_not(path, log_id, frame):
-    assert TableTimes(path).of(log_id, frame) == {}
-
-
-@pytest.mark.parametrize("written", [False, True])
-def test_no_or_an_empty_table_has_no_times(tmp_path, written):
-    if written:
-        with TableWriter(tmp_path / "out.metrics.parquet", FrameMetrics, {}, TIME_COLUMNS):
-            pass
+def test_missing_frames_and_tables_have_no_times(path, tmp_path):
+    for log_id, frame in (("another", 5), ("log", FRAMES), ("log", -1)):
+        assert TableTimes(path).of(log_id, frame) == {}
+    assert TableTimes(tmp_path / "out.metrics.parquet").of("log", 0) == {}
+    with TableWriter(tmp_path / "out.metrics.parquet", FrameMetrics, {}, TIME_COLUMNS):
+        pass
     assert TableTimes(tmp_path / "out.metrics.parquet").of("log", 0) == {}
 
 
 @pytest.mark.parametrize("damage", ["cut", "text", "folder"])
-def test_a_table_that_cannot_be_read_is_named(path, tmp_path, damage):
+def test_the_error_names_an_unreadable_table(path, tmp_path, damage):
     broken = tmp_path / "out.metrics.parquet"
     if damage == "folder":
         broken.mkdir()
@@ -89,20 +83,20 @@ def test_a_table_that_cannot_be_read_is_named(path, tmp_path, damage):
         TableTimes(broken).of("log", 0)
 
 
-def test_a_table_without_times_is_named(tmp_path):
+def test_the_error_names_a_table_without_times(tmp_path):
     with TableWriter(tmp_path / "out.metrics.parquet", FrameMetrics, {}) as writer:
         writer.append(FrameMetrics("log", 0, 0))
     with pytest.raises(TableError, match="no column total_ms"):
         TableTimes(tmp_path / "out.metrics.parquet").of("log", 0)
 
 
-def test_a_table_of_an_earlier_version_has_the_times_it_has(tmp_path):
+def test_a_table_of_an_earlier_version_gives_the_times_it_has(tmp_path):
     with TableWriter(tmp_path / "out.metrics.parquet", FrameMetrics, {}, ("lanes_ms", "total_ms")) as writer:
         writer.append(FrameMetrics("log", 0, 0), lanes_ms=2.0, total_ms=3.0)
     assert TableTimes(tmp_path / "out.metrics.parquet").of("log", 0) == {"lanes_ms": 2.0, "total_ms": 3.0}
 
 
-def test_a_running_replay_knows_what_it_was_told():
+def test_a_running_replay_returns_the_noted_times():
     times = ReplayTimes()
     times.note(FrameMetrics("log", 3, 0), {"total_ms": 7.0, "lanes_ms": 2.0})
     assert times.of("log", 3) == {"lanes_ms": 2.0, "total_ms": 7.0}
@@ -125,9 +119,8 @@ SCHEMAS = {
 
 
 def channel(topic, name=""):
-    found = schema(name or SCHEMAS[topic])
-    marks = () if topic == IMAGE else (PRODUCER,)
-    return Channel(topic, found.message_encoding, found.name, found.schema_encoding, found.data, marks)
+    found = result_channel(topic, name or SCHEMAS[topic])
+    return replace(found, metadata=()) if topic == IMAGE else found
 
 
 def contents(frame):
@@ -140,7 +133,7 @@ def contents(frame):
 
 
 def write_log(path, bad=None, foreign=""):
-    """Three frames; ``bad`` are messages of the second one."""
+    """Write three frames; ``bad`` replaces messages of the second one."""
     with LogWriter(path) as writer:
         for frame, stamp in enumerate(STAMPS):
             messages = contents(frame) | ((bad or {}) if frame == 1 else {})
@@ -168,7 +161,7 @@ NO_IMAGE = encoding.encode_image(STAMPS[1], "camera", "png", b"no png")
     ],
     ids=["lanes", "image", "pixels", "mask"],
 )
-def test_a_part_that_cannot_be_read_is_not_there_and_is_counted(tmp_path, topic, data, there):
+def test_an_unreadable_message_counts_as_absent(tmp_path, topic, data, there):
     found, problems = frames(write_log(tmp_path / "out.mcap", {topic: data}))
     assert [there(seen) for _, seen in found] == [True, topic == "/perception/drivable", True]
     assert problems.counts == {topic: 1}
@@ -183,7 +176,7 @@ def test_a_part_that_cannot_be_read_is_not_there_and_is_counted(tmp_path, topic,
         ({"lane_left_offset_m": np.inf}, "metrics: a number is not finite"),
     ],
 )
-def test_a_row_that_cannot_be_read_is_left_out(tmp_path, values, fault):
+def test_a_frame_with_an_unreadable_row_is_left_out(tmp_path, values, fault):
     row = encode_metrics("camera", FrameMetrics("log", 1, STAMPS[1], **values))
     path = write_log(tmp_path / "out.mcap", {METRICS: row})
     found, problems = frames(path)
@@ -192,30 +185,25 @@ def test_a_row_that_cannot_be_read_is_left_out(tmp_path, values, fault):
     assert fault in problems.first[METRICS]
 
 
-def test_results_of_a_foreign_schema_are_no_results(tmp_path):
+def test_results_with_another_schema_are_ignored(tmp_path):
     found, problems = frames(write_log(tmp_path / "lanes.mcap", foreign="/perception/lanes"))
     assert [isinstance(seen.lanes, Absent) for _, seen in found] == [True] * 3
     assert not list(read_rows(log.summarise(write_log(tmp_path / "rows.mcap", foreign=METRICS)), problems))
     assert not problems.counts
 
 
-def test_one_frame_goes_without_what_cannot_be_read(tmp_path):
-    problems = Problems()
-    seen = read_frame(write_log(tmp_path / "out.mcap", {"/perception/lanes": BAD}), STAMPS[1], problems)
-    assert isinstance(seen.lanes, Absent)
+def test_an_unreadable_message_is_absent_in_a_frame_and_reported_by_a_video(tmp_path, capsys):
+    source, problems = write_log(tmp_path / "out.mcap", {"/perception/lanes": BAD}), Problems()
+    assert isinstance(read_frame(source, STAMPS[1], problems).lanes, Absent)
     assert list(problems.counts) == ["/perception/lanes"]
-
-
-def test_the_video_goes_on_and_says_what_is_not_in_it(tmp_path, capsys):
-    source = write_log(tmp_path / "out.mcap", {"/perception/lanes": BAD})
     assert main([str(source), "--video", str(tmp_path / "video.mp4")]) == 0
-    said = capsys.readouterr().out
-    assert "note: /perception/lanes: message at" in said
-    assert "warning: 1 message on /perception/lanes could not be read" in said
-    assert "(3 pictures at 20 Hz, of 3 frames)" in said
+    out = capsys.readouterr().out
+    assert "note: /perception/lanes: message at" in out
+    assert "warning: 1 message on /perception/lanes could not be read, not shown" in out
+    assert "(3 pictures at 20 Hz, of 3 frames)" in out
 
 
-def test_an_overlay_that_cannot_be_read_is_a_still(tmp_path):
+def test_an_unreadable_overlay_repeats_the_previous_picture(tmp_path):
     good = encoding.encode_image(STAMPS[0], "camera", "png", PNG)
     path = tmp_path / "out.mcap"
     with LogWriter(path) as writer:
@@ -229,7 +217,7 @@ def test_an_overlay_that_cannot_be_read_is_a_still(tmp_path):
     assert video.problems.counts == {"/perception/overlay": 1}
 
 
-def test_a_log_of_rows_that_cannot_be_read_says_why(tmp_path):
+def test_a_video_of_unreadable_rows_says_why_it_fails(tmp_path):
     path = tmp_path / "out.mcap"
     with LogWriter(path) as writer:
         writer.write(Message(channel(METRICS), START, START, 0, BAD))
@@ -239,8 +227,8 @@ def test_a_log_of_rows_that_cannot_be_read_says_why(tmp_path):
         write_video(path, tmp_path / "video.mp4")
 
 
-def test_the_image_is_that_of_the_camera_the_replay_was_told_to_take(tmp_path):
-    """Other cameras' topics may come before it, and nothing in its name need speak of a camera."""
+def test_the_image_is_from_the_camera_of_the_replay(tmp_path):
+    """Topics of other cameras may come first, and the topic name need not contain the word camera."""
     source, target = tmp_path / "in.mcap", tmp_path / "out.mcap"
     of_front = [item for item in logs.items(frames=2) if item.role in ("calibration", "image")]
     black = cv2.imencode(".png", np.zeros((240, 320, 3), np.uint8))[1].tobytes()

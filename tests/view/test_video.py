@@ -1,4 +1,4 @@
-"""A video shows the log's frames at the log's pace."""
+"""A video shows the frames of a log at the pace of the log."""
 
 import cv2
 import numpy as np
@@ -6,12 +6,10 @@ import pytest
 
 from roadperc_stream.config import load_config
 from roadperc_stream.errors import LogError, TargetError
-from roadperc_stream.log import Channel, LogWriter, Message
+from roadperc_stream.log import LogWriter, Message
 from roadperc_stream.output import encoding
-from roadperc_stream.output.results import encode_metrics
+from roadperc_stream.output.results import encode_metrics, result_channel
 from roadperc_stream.schemas.columns import FrameMetrics
-from roadperc_stream.schemas.record import PRODUCER
-from roadperc_stream.schemas.registry import schema
 from roadperc_stream.view.video import frame_rate_hz, pictures_shown, write_video
 from tests import logs
 from tests.replaying import replay
@@ -25,17 +23,10 @@ def stamps(*ms):
     return [START + round(m * MS) for m in ms]
 
 
-def result(topic, name):
-    found = schema(name)
-    return Channel(topic, found.message_encoding, name, found.schema_encoding, found.data, (PRODUCER,))
-
-
 def overlays(path, times, colours, size=(91, 121)):
-    """A log of overlays of one colour each; None: a frame without."""
-    metrics, overlay = (
-        result("/perception/metrics", "roadperc.FrameMetrics"),
-        result("/perception/overlay", "foxglove.CompressedImage"),
-    )
+    """Write a log with an overlay of one colour per frame; None for a frame without overlay."""
+    metrics = result_channel("/perception/metrics", "roadperc.FrameMetrics")
+    overlay = result_channel("/perception/overlay", "foxglove.CompressedImage")
     with LogWriter(path) as writer:
         for k, (stamp, colour) in enumerate(zip(times, colours, strict=True)):
             row = encode_metrics("camera", FrameMetrics("log", k, stamp))
@@ -62,7 +53,7 @@ def blue_red(picture):
     return "blue" if blue > red + 100 else "red" if red > blue + 100 else "other"
 
 
-def test_the_rate_is_that_of_the_median_interval():
+def test_the_video_rate_comes_from_the_median_interval():
     assert frame_rate_hz(stamps(0, 50, 100, 150, 1000)) == pytest.approx(20)
     assert frame_rate_hz(stamps(0)) == 1
     assert frame_rate_hz(stamps(0, 0, 0)) == 1
@@ -80,12 +71,12 @@ def test_the_rate_is_that_of_the_median_interval():
         ([0, 50, 100, 3_600_000, 3_600_050], [1, 1, 200, 1, 1]),
     ],
 )
-def test_video_time_follows_the_frames_time(times, shown):
+def test_video_time_follows_the_stamps(times, shown):
     assert pictures_shown(stamps(*times), 20.0) == shown
 
 
-def test_the_video_shows_overlays_and_repeats_the_last_in_a_gap(tmp_path):
-    """The missing overlay of the second frame is one, too."""
+def test_a_video_shows_overlays_and_repeats_the_last_one_in_gaps(tmp_path):
+    """The second frame has no overlay, which is also a gap."""
     times = stamps(0, 50, 100, 150, 350, 400)
     colours = [(220, 0, 0), None, (0, 0, 220), (0, 0, 220), (220, 0, 0), (220, 0, 0)]
     source, reported = overlays(tmp_path / "out.mcap", times, colours), []
@@ -99,7 +90,7 @@ def test_the_video_shows_overlays_and_repeats_the_last_in_a_gap(tmp_path):
     assert not list(tmp_path.glob(".*"))
 
 
-def test_without_overlays_they_are_drawn_and_look_the_same(tmp_path):
+def test_a_log_without_overlays_gives_the_same_video(tmp_path):
     source = logs.write(tmp_path / "in.mcap", logs.items(3))
     bare, full = tmp_path / "bare.mcap", tmp_path / "full.mcap"
     replay(source, bare, CFG)
@@ -112,7 +103,7 @@ def test_without_overlays_they_are_drawn_and_look_the_same(tmp_path):
         assert a[200, 160, 0] > a[200, 160, 2] + 20
 
 
-def test_an_existing_video_is_kept_unless_forced(tmp_path):
+def test_an_existing_video_is_replaced_only_with_force(tmp_path):
     source = overlays(tmp_path / "out.mcap", stamps(0, 50), [(220, 0, 0)] * 2)
     target = tmp_path / "video.mp4"
     target.write_bytes(b"mine")
@@ -123,13 +114,7 @@ def test_an_existing_video_is_kept_unless_forced(tmp_path):
     assert len(read_video(target)[0]) == 2
 
 
-@pytest.mark.parametrize("name", ["video.avi", "video"])
-def test_other_containers_are_refused(tmp_path, name):
-    with pytest.raises(TargetError, match=r"expected a name that ends in .mp4"):
-        write_video(tmp_path / "out.mcap", tmp_path / name)
-
-
-def test_a_log_without_results_says_how_to_get_them(tmp_path):
+def test_a_video_of_an_input_log_says_to_replay_it_first(tmp_path):
     (tmp_path / "my logs").mkdir()
     source = logs.write(tmp_path / "my logs" / "in.mcap", logs.items(2))
     with pytest.raises(
@@ -139,7 +124,7 @@ def test_a_log_without_results_says_how_to_get_them(tmp_path):
     assert not (tmp_path / "video.mp4").exists()
 
 
-def test_a_log_without_images_leaves_nothing_behind(tmp_path):
+def test_a_log_without_images_gives_no_video(tmp_path):
     source = overlays(tmp_path / "out.mcap", stamps(0, 50), [None, None])
     with pytest.raises(LogError, match=r"no camera image in any of 2 frames"):
         write_video(source, tmp_path / "video.mp4")

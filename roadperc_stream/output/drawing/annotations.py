@@ -1,6 +1,6 @@
-"""What the viewers draw over the image and in 3D: foxglove.ImageAnnotations and foxglove.SceneUpdate."""
+"""Encodes results for viewers: foxglove.ImageAnnotations over the image, foxglove.SceneUpdate in 3D."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from functools import cache, lru_cache
 from typing import Any, Final
 
@@ -30,9 +30,9 @@ from roadperc_stream.output.drawing.captions import by_nearness, caption_places,
 from roadperc_stream.schemas.protobuf import set_stamp
 
 _FAINT: Final = 0.45
-"""Opacity of the many proposals, under the few lines that were made of them."""
+"""Opacity of the proposals: there are many, under the few lines merged from them."""
 _TEXT_UP_TO: Final = 0.8
-"""Part of the image's columns from which on a text has no space to its right."""
+"""Texts start left of this share of the image's columns, because they need space on their right."""
 _PATCH_M: Final = (2.0, 40.0, 4.0)
 """Nearest and farthest x, and half the width."""
 _PATCH_STRIPS: Final = 19
@@ -43,7 +43,7 @@ _CAPTION_M: Final = 0.7
 
 
 def lane_annotations(stamp_ns: int, camera: Camera, lanes: Lanes) -> bytes:
-    """Proposals thin and faint, raw lines, and the smoothed boundaries in the colour of their status."""
+    """Encode proposals (thin and faint), raw lines, and smoothed boundaries in the colour of their status."""
     message = ImageAnnotations()
     set_stamp(message, stamp_ns)
     proposals = lanes.proposals_px.reshape(-1, 2)
@@ -65,9 +65,9 @@ def lane_annotations(stamp_ns: int, camera: Camera, lanes: Lanes) -> bytes:
 
 
 def object_annotations(stamp_ns: int, camera: Camera, objects: Objects) -> bytes:
-    """Boxes of kept detections with their distance, of dropped ones with their share of class pixels.
+    """Encode boxes: kept detections with their distance, dropped ones with their share of class pixels.
 
-    The nearest come last: what is drawn last lies on top. A caption that does not fit is left out.
+    The nearest come last and are therefore on top. A caption that does not fit is left out.
     """
     message = ImageAnnotations()
     set_stamp(message, stamp_ns)
@@ -82,12 +82,12 @@ def object_annotations(stamp_ns: int, camera: Camera, objects: Objects) -> bytes
 
 
 def drivable_scene(stamp_ns: int, surface: Surface, camera: Camera, ego_T_camera: Float, mask: Mask) -> bytes:
-    """The outline of the drivable pixels on the road, and a patch of the road itself, in the ego frame.
+    """Encode the outline of the drivable area and a patch of the road, in the ego frame.
 
     Args:
         stamp_ns: the frame's time.
         surface: the road, its plane in the frame of ``camera``.
-        camera: the camera of the mask.
+        camera: the camera that saw the mask.
         ego_T_camera: its mounting.
         mask: (H, W) drivable pixels.
     """
@@ -109,7 +109,7 @@ def drivable_scene(stamp_ns: int, surface: Surface, camera: Camera, ego_T_camera
 
 
 def lanes_scene(stamp_ns: int, lanes: Lanes) -> bytes:
-    """The boundaries on the road, in the ego frame."""
+    """Encode the boundaries on the road, in the ego frame."""
     message = SceneUpdate()
     for boundary in lanes.boundaries:
         entity = message.entities.add(frame_id=EGO, id=f"lane_{boundary.side}")
@@ -122,37 +122,38 @@ def lanes_scene(stamp_ns: int, lanes: Lanes) -> bytes:
 
 
 def objects_scene(stamp_ns: int, camera: Camera, ego_T_camera: Float, objects: Objects) -> bytes:
-    """Kept objects whose distance is known as slabs across their boxes' central rays, in the ego frame.
+    """Encode kept objects with a known distance as slabs across the central rays of their boxes, in the ego frame.
 
-    Those captioned in the image are captioned here. All are one entity, so that those of the frame before are gone.
+    An object has a caption here if it has one in the image. All objects share one entity, so each frame replaces the
+    previous one.
     """
     message = SceneUpdate()
     entity = message.entities.add(frame_id=EGO, id="objects")
     set_stamp(entity, stamp_ns)
     x, y, z, w = quaternion(ego_T_camera[:3, :3])
     sides_of_image = Quaternion(x=x, y=y, z=z, w=w)
-    for item, named in zip(objects.objects, captioned(camera, objects.objects), strict=True):
+    for item, place in zip(objects.objects, _places(camera, objects.objects), strict=True):
         if item.kept and item.distance_m is not None:
             slab = _slab(camera, ego_T_camera, sides_of_image, item.detection.box_px, item.distance_m)
             colour, _ = _box_style(item)
             entity.cubes.add(pose=slab.pose, size=slab.size, color=_color(colour, 0.5))
-            if named:
+            if place is not None:
                 entity.texts.append(_caption_above(slab, caption(item), colour))
     return message.SerializeToString()
 
 
 def _slab(camera: Camera, ego_T_camera: Float, orientation: Quaternion, box: Box, distance_m: float) -> CubePrimitive:
-    """What covers the box at that distance from the camera, its sides those of the image (``orientation``)."""
+    """The slab that covers a box at a distance from the camera; ``orientation`` aligns it with the image."""
     centre_m, size_m = box_in_space(camera, box, distance_m)
     pose = Pose(position=Vector3(**_xyz(transform(ego_T_camera, centre_m))), orientation=orientation)
     return CubePrimitive(pose=pose, size=Vector3(**_xyz(size_m)))
 
 
 def box_in_space(camera: Camera, box: Box, distance_m: float) -> tuple[Float, Float]:
-    """(3,) centre and (3,) sides in metres, in the camera's frame, of what covers a box at a distance.
+    """(3,) centre and (3,) sides, metres in the camera frame, of a slab that covers a box at a distance.
 
-    It lies across the ray through the box's centre. How deep an object is, one view from the front does not tell: it
-    is drawn as a slab.
+    It is perpendicular to the camera axis, on the ray through the box's centre. The slab is thin because one view does
+    not show an object's depth.
     """
     corners = _corners(box)
     ray = rays(camera, corners.mean(axis=0))
@@ -174,7 +175,7 @@ def _caption_above(slab: CubePrimitive, text: str, colour: Colour) -> TextPrimit
 
 
 def road_patch(surface: Surface) -> Float:
-    """(2 N, 3) ego points on the road ahead, left and right by turns; a plane needs but its corners."""
+    """(2 N, 3) ego points on the road ahead, left and right alternating; a plane has only its four corners."""
     near, far, half = _PATCH_M
     ahead = np.linspace(near, far, 2 if surface.height_grid is None else _PATCH_STRIPS + 1)
     x, y = np.repeat(ahead, 2), np.tile((half, -half), len(ahead))
@@ -182,14 +183,14 @@ def road_patch(surface: Surface) -> Float:
 
 
 def patch_triangles(patch: Float) -> NDArray[np.int64]:
-    """(M, 3) which points of a road's patch make a triangle."""
+    """(M, 3) indices of the patch's points that form triangles."""
     strips = np.arange(len(patch) // 2 - 1)[:, None, None]
     corners: NDArray[np.int64] = 2 * strips + np.array([[0, 1, 3], [0, 3, 2]])
     return corners.reshape(-1, 3)
 
 
 def _outline(surface: Surface, camera: Camera, ego_T_camera: Float, mask: Mask) -> Float:
-    """(N, 3) ego points of the largest drivable region's outline; points far away are left out."""
+    """(N, 3) ego points on the outline of the largest drivable region, without those beyond 60 m."""
     contours, _ = cv2.findContours(mask.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     if not contours:
         return np.empty((0, 3))
@@ -201,12 +202,12 @@ def _outline(surface: Surface, camera: Camera, ego_T_camera: Float, mask: Mask) 
 
 
 def _box_style(item: Object) -> tuple[Colour, float]:
-    """Colour and width: dropped ones are thin."""
+    """Colour and line width; dropped objects have thin lines."""
     return colours.OBJECT[item.verdict], 3.0 if item.kept else 1.0
 
 
 def caption(item: Object) -> str:
-    """Label, distance and time to impact of an object; of one that was dropped its share of class pixels."""
+    """Label, distance and time to impact of an object; a dropped object also shows its share of class pixels."""
     parts = [item.detection.label]
     if item.distance_m is not None:
         parts.append(f"{item.distance_m:.1f} m")
@@ -217,14 +218,9 @@ def caption(item: Object) -> str:
     return " ".join(parts)
 
 
-def captioned(camera: Camera, objects: Sequence[Object]) -> tuple[bool, ...]:
-    """Of each object whether its caption fits into the camera's image; the nearest have the first choice."""
-    return tuple(place is not None for place in _places(camera, tuple(objects)))
-
-
 @lru_cache(1)
 def _places(camera: Camera, objects: tuple[Object, ...]) -> tuple[Box | None, ...]:
-    """Asked for twice a frame: for its image, and for its scene."""
+    """The place of each object's caption, or None; cached because the image and the scene of a frame need it."""
     boxes = [item.detection.box_px for item in objects]
     text_sizes = [viewer_text_size(camera, caption(item)) for item in objects]
     return caption_places((camera.width, camera.height), objects, boxes, text_sizes)
@@ -236,25 +232,14 @@ def _corners(box: Box) -> Float:
 
 
 def _points(
-    message: ImageAnnotations,
-    kind: Any,
-    points: Float,
-    colour: Colour,
-    width: float,
-    alpha: float = 1.0,
+    message: ImageAnnotations, kind: Any, points: Float, colour: Colour, width: float, alpha: float = 1.0
 ) -> None:
     entry = message.points.add(type=kind, outline_color=_color(colour, alpha), thickness=width)
     entry.timestamp.CopyFrom(message.timestamp)
     entry.points.extend(Point2(x=x, y=y) for x, y in points.tolist())
 
 
-def _text(
-    message: ImageAnnotations,
-    camera: Camera,
-    position: Iterable[float],
-    text: str,
-    colour: Colour,
-) -> None:
+def _text(message: ImageAnnotations, camera: Camera, position: Iterable[float], text: str, colour: Colour) -> None:
     x, y = position
     width, _ = viewer_text_size(camera, text)
     entry = message.texts.add(

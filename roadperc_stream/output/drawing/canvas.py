@@ -1,4 +1,4 @@
-"""Pixels to draw into: lines, boxes and text, sized for the image they go into."""
+"""Draws lines, boxes and text into an image, at sizes that fit the image."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,21 +16,21 @@ Point = tuple[float, float]
 """Column and row."""
 
 DARK: Final[Colour] = (25, 25, 25)
-"""Behind text, and at both sides of lines, which thereby stand out on any background."""
+"""Drawn behind text and on both sides of lines, for contrast on any background."""
 _LEAST_TEXT_PX: Final = 11
 _TEXT_ROWS: Final = 45
-"""A line of text takes this part of the image's rows, and ``_LEAST_TEXT_PX`` at least."""
+"""The image height is divided by this for the text height, ``_LEAST_TEXT_PX`` or more."""
 _TEXT_WEIGHT: Final = 500
-"""Medium. OpenCV's glyph cache ignores the weight: with two of them, a text's pixels would depend on earlier texts."""
+"""Medium. OpenCV's glyph cache ignores the weight: with two weights, pixels would depend on earlier texts."""
 _LINE_ROWS: Final = 320
 _SUBPIXEL_BITS: Final = 4
 _FAR_OUT: Final = 4
-"""Points farther outside than this many image sizes are drawn there: OpenCV's integers end somewhere."""
+"""Points are clipped to this many image sizes, because OpenCV's integers overflow."""
 
 
 @dataclass(frozen=True)
 class Pen:
-    """What fits an image's size: (columns, rows), the scale of the pixels drawn into it, widths in pixels."""
+    """Widths in pixels for an image of ``size`` (columns, rows), and the scale from original pixels to this image."""
 
     size: tuple[int, int]
     scale: float
@@ -39,43 +39,43 @@ class Pen:
 
     @classmethod
     def of(cls, image: Image, scale: float = 1.0) -> "Pen":
-        """A pen for an image, into which pixels go that were ``1 / scale`` times as many."""
+        """A pen for an image that is ``scale`` times as large as the original."""
         rows, columns = image.shape[:2]
         return cls.of_size(columns, rows, scale)
 
     @classmethod
     def of_size(cls, columns: int, rows: int, scale: float = 1.0) -> "Pen":
-        """The same by the image's size."""
+        """Like ``of``, from the size of the image."""
         line_px = max(round(rows / _LINE_ROWS), 1)
         return cls((columns, rows), scale, line_px, max(round(rows / _TEXT_ROWS), _LEAST_TEXT_PX))
 
     def scaled(self, pixels: Float) -> Float:
-        """(N, 2) pixels of the original in the copy: pixel centres are whole numbers in both."""
+        """(N, 2) pixels of the copy from pixels of the original; pixel centres are integers in both."""
         return np.asarray((pixels + 0.5) * self.scale - 0.5, float)
 
     @property
     def broad_px(self) -> int:
-        """Width of the lines that matter most."""
+        """Width of the most important lines."""
         return 2 * self.line_px
 
     @property
     def thin_px(self) -> int:
-        """Width of what lies over or beside them."""
+        """Width of lines over or beside the broad ones."""
         return max(self.line_px - 1, 1)
 
     @property
     def row_px(self) -> int:
-        """Rows a line of text takes, the margin around it included."""
+        """Height of a line of text with its margin."""
         return round(1.3 * self.text_px)
 
     @property
     def margin_px(self) -> int:
-        """Columns free at either end of a text."""
+        """Free columns at either end of a text."""
         return max(round(0.25 * self.text_px), 2)
 
     @property
     def edge_px(self) -> int:
-        """Width of the dark edge at either side of a line; a small image has no space for one."""
+        """Width of the dark edge on either side of a line; 0 in small images."""
         return self.line_px // 2
 
 
@@ -90,7 +90,7 @@ def resized(image_bgr: Image, scale: float) -> Image:
 
 
 def dashes(start: Point, end: Point, length_px: float) -> list[tuple[Point, Point]]:
-    """Every other piece of about ``length_px`` of a line, the first and the last among them."""
+    """Every second piece of a line, each about ``length_px`` long, including the first and the last."""
     a, b = np.array(start), np.array(end)
     pieces = 2 * int(np.linalg.norm(b - a) / (2 * length_px)) + 1
     points = [a + (b - a) * k / pieces for k in range(pieces + 1)]
@@ -98,38 +98,38 @@ def dashes(start: Point, end: Point, length_px: float) -> list[tuple[Point, Poin
 
 
 def scaled_box(box: Box, pen: Pen) -> Box:
-    """The box in the copy's pixels, its corners those of the outermost pixels inside, clipped to the image."""
+    """The box in pixels of the copy, clipped to the image; its corners are its outermost pixels."""
     corners = np.array([(box.x_min, box.y_min), (box.x_max - 1, box.y_max - 1)])
     (x0, y0), (x1, y1) = np.clip(pen.scaled(corners), 0, np.array(pen.size) - 1)
     return Box(float(x0), float(y0), float(x1), float(y1))
 
 
 def text_size(text: str, pen: Pen) -> tuple[int, int]:
-    """Columns and rows a text takes, the margin around it included."""
+    """Columns and rows of a text with its margin."""
     _, _, width, _ = cv2.getTextSize(pen.size, text, (0, 0), _face(), pen.text_px, _TEXT_WEIGHT)
     return width + 2 * pen.margin_px, pen.row_px
 
 
 def write(canvas: Image, text: str, at_px: Point, colour: Colour, pen: Pen) -> None:
-    """A line of text; ``at_px`` is the top left corner of what ``text_size`` says it takes."""
+    """Write a line of text; ``at_px`` is the top left corner of its ``text_size``."""
     left, baseline = round(at_px[0]) + pen.margin_px, round(at_px[1] + pen.text_px)
     cv2.putText(canvas, text, (left, baseline), colour, _face(), pen.text_px, _TEXT_WEIGHT)
 
 
 def write_on_plate(canvas: Image, text: str, at_px: Point, colour: Colour, pen: Pen) -> None:
-    """A line of text on a dark plate, whose top left corner is ``at_px``."""
-    (left, top), (width, height) = nearest_pixel(at_px), text_size(text, pen)
+    """Write a line of text on a dark plate with the top left corner ``at_px``."""
+    (left, top), (width, height) = _nearest_pixel(at_px), text_size(text, pen)
     cv2.rectangle(canvas, (left, top), (left + width - 1, top + height - 1), DARK, cv2.FILLED)
     write(canvas, text, (left, top), colour, pen)
 
 
 def _face() -> cv2.FontFace:
-    """OpenCV's built-in sans: unlike the stroke fonts it stays legible when small, and knows more than ASCII."""
+    """OpenCV's built-in sans, which is legible at small sizes and has more than ASCII, unlike the stroke fonts."""
     return cv2.FontFace("sans")
 
 
 def polyline(canvas: Image, pixels: Float, colour: Colour, thickness_px: int, pen: Pen) -> None:
-    """An anti-aliased line through (N, 2) pixels; points that are not finite are left out."""
+    """Draw an anti-aliased line through (N, 2) pixels, without points that are not finite."""
     inside = pen.scaled(pixels[np.isfinite(pixels).all(axis=1)])
     reach = _FAR_OUT * max(pen.size)
     fixed = np.rint(np.clip(inside, -reach, reach) * 2**_SUBPIXEL_BITS).astype(np.int32)
@@ -137,7 +137,7 @@ def polyline(canvas: Image, pixels: Float, colour: Colour, thickness_px: int, pe
 
 
 def edged_lines(canvas: Image, lines: Sequence[Float], colour: Colour, thickness_px: int, pen: Pen) -> None:
-    """Lines, each through (N, 2) pixels, with a dark edge at either side."""
+    """Draw lines, each through (N, 2) pixels, with a dark edge on either side."""
     edges = [(DARK, thickness_px + 2 * pen.edge_px)] if pen.edge_px else []
     for line_colour, width_px in (*edges, (colour, thickness_px)):
         for line in lines:
@@ -145,7 +145,7 @@ def edged_lines(canvas: Image, lines: Sequence[Float], colour: Colour, thickness
 
 
 def dashed_line(canvas: Image, ends: Float, colour: Colour, thickness_px: int, dash_px: float, pen: Pen) -> None:
-    """A line with a dark edge between two ends, (2, 2) pixels, in dashes of about ``dash_px`` pixels of the copy."""
+    """Draw a dashed line with a dark edge between two ends, (2, 2) pixels; dashes are about ``dash_px`` long."""
     (x0, y0), (x1, y1) = ends.tolist()
     pieces = [np.array(piece) for piece in dashes((x0, y0), (x1, y1), dash_px / pen.scale)]
     edged_lines(canvas, pieces, colour, thickness_px, pen)
@@ -154,7 +154,7 @@ def dashed_line(canvas: Image, ends: Float, colour: Colour, thickness_px: int, d
 def box_outline(
     canvas: Image, box: Box, colour: Colour, thickness_px: int, pen: Pen, dash_px: float | None = None
 ) -> None:
-    """A box with a dark edge, on whole pixels, where its sides are sharpest; its corners are pixels of the copy."""
+    """Draw a box with a dark edge on whole pixels, for sharp sides; its corners are pixels of the copy."""
     corners = [(box.x_min, box.y_min), (box.x_max, box.y_min), (box.x_max, box.y_max), (box.x_min, box.y_max)]
     sides = list(zip(corners, [*corners[1:], corners[0]], strict=True))
     pieces = sides if dash_px is None else [piece for side in sides for piece in dashes(*side, dash_px)]
@@ -162,11 +162,10 @@ def box_outline(
     for edge_px, line_colour in (*edges, (0, colour)):
         before, behind = (thickness_px - 1) // 2 + edge_px, thickness_px // 2 + edge_px
         for start, end in pieces:
-            (x0, y0), (x1, y1) = nearest_pixel(start), nearest_pixel(end)
+            (x0, y0), (x1, y1) = _nearest_pixel(start), _nearest_pixel(end)
             first, last = (min(x0, x1) - before, min(y0, y1) - before), (max(x0, x1) + behind, max(y0, y1) + behind)
             cv2.rectangle(canvas, first, last, line_colour, cv2.FILLED)
 
 
-def nearest_pixel(point: Point) -> tuple[int, int]:
-    """The pixel a point lies in."""
+def _nearest_pixel(point: Point) -> tuple[int, int]:
     return round(point[0]), round(point[1])

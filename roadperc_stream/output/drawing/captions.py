@@ -1,4 +1,4 @@
-"""Which objects are named in a picture, and where: text over other text is not readable."""
+"""Places captions and labels of objects in a picture without overlap."""
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -9,51 +9,56 @@ from roadperc_stream.geometry import Camera
 from roadperc_stream.model import Box, Object
 
 _FONT_ROWS: Final = 40
-"""A line of text is this part of the image's rows in the viewers: 24 px of 960."""
+"""The image height is divided by this for the height of a line of text in viewers: 24 px of 960."""
 _GLYPH_ASPECT: Final = 0.65
-"""Width of a letter by the font's size, in the viewers' typeface."""
+"""Mean width of a letter by the font size, in the typeface of the viewers."""
 _LEAST_FONT_PX: Final = 8.0
 _LINE_HEIGHT: Final = 1.15
-"""Height of a line with the plate behind it by the font's size."""
+"""Height of a line with its plate by the font size."""
 Size = tuple[float, float]
 """Columns and rows, pixels."""
 
 
 def by_nearness(objects: Sequence[Object]) -> list[int]:
-    """The objects' indices: those kept before those dropped, then the nearest first, for they matter most."""
-    return sorted(range(len(objects)), key=lambda index: _nearness(objects[index]))
+    """Indices of the objects: kept before dropped, then the nearest first, as the nearest matter most."""
+
+    def nearness(index: int) -> tuple[bool, float]:
+        item = objects[index]
+        return not item.kept, math.inf if item.distance_m is None else item.distance_m
+
+    return sorted(range(len(objects)), key=nearness)
 
 
 def caption_places(
     image_size: Size, objects: Sequence[Object], boxes: Sequence[Box], text_sizes: Sequence[Size]
 ) -> tuple[Box | None, ...]:
-    """Where each object's caption fits beside those of nearer ones: above its box, in it at the top, or below.
+    """The place of each object's caption: above its box, at the top inside it, or below it. The nearest choose first.
 
     Args:
         image_size: columns and rows of the picture.
         objects: in any order.
-        boxes: their boxes in the picture's pixels.
-        text_sizes: columns and rows their captions take there.
+        boxes: their boxes in pixels of the picture.
+        text_sizes: columns and rows of their captions there.
 
     Returns:
-        For each object the box its caption takes, inside the picture; None where no place is free.
+        For each object the box of its caption, inside the picture; None if no place is free.
     """
 
     def free_place(index: int, taken: Sequence[Box]) -> Box | None:
         wanted = _wanted(image_size, boxes[index], text_sizes[index])
         return next((place for place in wanted if not any(map(place.meets, taken))), None)
 
-    return nearest_first(objects, free_place)
+    return _nearest_first(objects, free_place)
 
 
-def nearest_first(
+def _nearest_first(
     objects: Sequence[Object], free_place: Callable[[int, Sequence[Box]], Box | None]
 ) -> tuple[Box | None, ...]:
     """The place of each object, or None; the nearest choose first.
 
     Args:
         objects: in any order.
-        free_place: from an object's index and the places of those before it, its own.
+        free_place: returns the place of an object from its index and the places that are taken.
     """
     places: list[Box | None] = [None] * len(objects)
     taken: list[Box] = []
@@ -64,51 +69,47 @@ def nearest_first(
 
 
 def viewer_font_px(camera: Camera) -> float:
-    """Size of the viewers' text, in pixels of the camera's image."""
+    """Font size of the viewers, in pixels of the camera image."""
     return max(camera.height / _FONT_ROWS, _LEAST_FONT_PX)
 
 
 def viewer_text_size(camera: Camera, text: str) -> Size:
-    """Columns and rows that a text with the plate behind it takes in a viewer, in pixels of the camera's image."""
+    """Columns and rows of a text with its plate in a viewer, in pixels of the camera image."""
     font_px = viewer_font_px(camera)
     return _GLYPH_ASPECT * font_px * len(text), _LINE_HEIGHT * font_px
 
 
 def _wanted(image_size: Size, box: Box, text_size: Size) -> Iterable[Box]:
-    """The places for a text at a box that lie inside the picture, the best first."""
+    """Places for a text at a box inside the picture, the best first."""
     (columns, rows), (width, height) = image_size, text_size
     x = max(min(box.x_min, columns - width), 0.0)
     top, bottom = max(box.y_min, 0.0), min(box.y_max, rows)
     return [Box(x, y, x + width, y + height) for y in (top - height, top, bottom) if 0 <= y <= rows - height]
 
 
-def _nearness(item: Object) -> tuple[bool, float]:
-    return not item.kept, math.inf if item.distance_m is None else item.distance_m
-
-
 _MOST_LIFTS: Final = 2
-"""A label finds its place this many lines of text above its object at most."""
+"""A label is at most this many lines of text above its object."""
 _LEAST_BOX_AREAS: Final = 6.0
-"""An object of this many times a label's area may have it inside."""
+"""An object may have its label inside if its area is this many times as large."""
 _GAP: Final = 0.15
-"""Between a label and what it does not cover, in heights of the label."""
+"""Gap between a label and the boxes it must not cover, in heights of the label."""
 
 
 def label_places(
     image_size: Size, top_px: float, objects: Sequence[Object], boxes: Sequence[Box], text_sizes: Sequence[Size]
 ) -> tuple[Box | None, ...]:
-    """The place of each object's label, the nearest having the first choice.
+    """The place of each object's label; the nearest objects choose first.
 
-    It is above the box, some lines higher (for objects that are kept), inside a large box, or below it: the first of
-    these where it covers no label and no other object that is kept. A large object whose box surrounds this one's
-    middle may be covered.
+    Candidates in order: above the box, some lines higher (kept objects only), inside a large box, below the box.
+    The first one that covers no label and no other kept object is used. A label may cover a large object whose box
+    surrounds the middle of the labelled one.
 
     Args:
         image_size: columns and rows of the picture.
         top_px: rows at the top that are taken.
         objects: in any order.
-        boxes: their boxes in the picture's pixels.
-        text_sizes: columns and rows their labels take there.
+        boxes: their boxes in pixels of the picture.
+        text_sizes: columns and rows of their labels there.
 
     Returns:
         For each object the place of its label, inside the picture; None if no place is free.
@@ -123,7 +124,7 @@ def label_places(
         inside = (_moved_inside(place, image_size) for place in wanted)
         return next((place for place in inside if _is_free(place, rows, covered)), None)
 
-    return nearest_first(objects, free_place)
+    return _nearest_first(objects, free_place)
 
 
 def _surrounds_middle(outer: Box, box: Box) -> bool:

@@ -17,7 +17,7 @@ RAW_LINE: Final = YELLOW
 PROPOSED_LINE: Final = CYAN
 OBJECT: Final[Mapping[str, Colour]] = {"kept": GREEN, "unverified": YELLOW, "dropped": GREY}
 DRIVABLE: Final[Colour] = (30, 130, 220)
-"""Blue, for lanes and boxes are drawn over it in green."""
+"""Blue, because green lanes and boxes are drawn over it."""
 
 
 def bgr(colour: Colour) -> Colour:

@@ -1,4 +1,4 @@
-"""The pictures a replay writes on request: what the chain saw, drawn into the camera image, as JPEG."""
+"""Draws the pictures that a replay writes on request: results and intermediate steps in the camera image, as JPEG."""
 
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
@@ -28,15 +28,8 @@ from roadperc_stream.output.drawing import colours
 from roadperc_stream.output.drawing.canvas import Colour, Pen, polyline, text_size, write_on_plate
 from roadperc_stream.output.drawing.colours import bgr
 from roadperc_stream.output.drawing.overlay import PerceivedFrame, draw_frame
+from roadperc_stream.schemas import topics
 from roadperc_stream.schemas.columns import FrameMetrics
-from roadperc_stream.schemas.topics import (
-    DEBUG_DISPARITY_TOPIC,
-    DEBUG_LANES_TOPIC,
-    DEBUG_MATCHES_TOPIC,
-    DEBUG_TEMPLATE_TOPIC,
-    OVERLAY_TOPIC,
-    Request,
-)
 from roadperc_stream.system.time import ns_to_seconds
 
 _EDGE: Final[Colour] = (255, 255, 255)
@@ -50,11 +43,11 @@ _DIMMED: Final = 0.45
 _HEAT: Final = 0.65
 """Share of the heat map's colour in the pixels that it covers."""
 _NEAREST_M: Final = 2.0
-"""Depth whose disparity has the last colour, so that a colour means the same in every frame."""
+"""Depth of the last colour. It is fixed, so a colour means the same in every frame."""
 
 
 def lanes_picture(image_bgr: Image, lanes: Lanes) -> Image:
-    """The edges white on the dimmed image, proposals blue, merged lines magenta, those of the ego lane broad and green.
+    """White edges on the dimmed image, blue proposals, magenta merged lines, broad green lines of the ego lane.
 
     Args:
         image_bgr: (H, W, 3) the camera image.
@@ -82,7 +75,7 @@ def lanes_picture(image_bgr: Image, lanes: Lanes) -> Image:
 
 
 def matches_picture(image_bgr: Image, matches: Matches) -> Image:
-    """Each feature's displacement from the keyframe to a dot at its place here; inliers green, outliers red.
+    """A line per feature from its place in the keyframe to a dot at its place here; inliers green, outliers red.
 
     Args:
         image_bgr: (H, W, 3) the camera image.
@@ -102,11 +95,11 @@ def matches_picture(image_bgr: Image, matches: Matches) -> Image:
 
 
 def template_picture(image_bgr: Image, searches: Iterable[Correlation]) -> Image:
-    """The correlation of each lost object's last image where its middle may lie, blue -1 to red 1, and the peak's box.
+    """The correlation of each lost object's last image, blue -1 to red 1, at possible positions; a box marks the peak.
 
     Args:
         image_bgr: (H, W, 3) the camera image.
-        searches: in that image; of an object that is not found, too.
+        searches: in that image, including objects that were not found.
     """
     canvas = _dimmed(image_bgr)
     pen = Pen.of(canvas)
@@ -124,12 +117,12 @@ def template_picture(image_bgr: Image, searches: Iterable[Correlation]) -> Image
 
 
 def disparity_picture(left: Camera, baseline_m: float, stereo: StereoDepth) -> Image:
-    """The disparity in Turbo's colours, blue far and red near; black where it is not known.
+    """The disparity in Turbo's colours, blue far and red near; black if unknown.
 
     Args:
         left: the pair's left camera.
-        baseline_m: from it to the right one.
-        stereo: (H, W) depth as the left camera sees it.
+        baseline_m: its distance to the right camera.
+        stereo: (H, W) depth in the left camera.
     """
     most_px = left.fx * baseline_m / _NEAREST_M
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -142,19 +135,19 @@ def disparity_picture(left: Camera, baseline_m: float, stereo: StereoDepth) -> I
 
 
 def _turbo(share: Float32) -> Image:
-    """(H, W, 3) colours of 0 to 1; what lies beyond has the last one."""
+    """(H, W, 3) colours of (H, W) values from 0 to 1; other values are clipped."""
     levels = np.clip(share * np.float32(255) + np.float32(0.5), 0, 255).astype(np.uint8)
     return np.asarray(cv2.applyColorMap(levels, cv2.COLORMAP_TURBO), np.uint8)
 
 
 def _dimmed(image_bgr: Image) -> Image:
-    """Grey and dark, so that what is drawn in stands out."""
+    """A grey, dark copy, for contrast with the drawing."""
     grey = cv2.cvtColor(image_bgr, cv2.COLOR_BGR2GRAY)
     return np.asarray(cv2.cvtColor(cv2.convertScaleAbs(grey, alpha=_DIMMED), cv2.COLOR_GRAY2BGR), np.uint8)
 
 
 def _lay_heat(canvas: Image, search: Correlation) -> None:
-    """Blend the scores in, each at the middle of the patch it belongs to; nothing where the image shows nothing."""
+    """Blend in the scores, each at the middle of its patch; scores that are not finite are left out."""
     rows, columns = search.scores.shape
     x, y = search.x_px + (search.template_px[0] - 1) // 2, search.y_px + (search.template_px[1] - 1) // 2
     covered = canvas[y : y + rows, x : x + columns]
@@ -164,13 +157,13 @@ def _lay_heat(canvas: Image, search: Correlation) -> None:
 
 
 def _draw_legend(canvas: Image, phrases: Iterable[tuple[str, Colour]], pen: Pen) -> None:
-    """What the colours mean, below each other in the upper left corner."""
+    """Write the meaning of the colours as lines in the upper left corner."""
     for row, (text, colour) in enumerate(phrases):
         _draw_plate(canvas, text, (0, row * pen.row_px), colour, pen)
 
 
 def _draw_plate(canvas: Image, text: str, at_px: tuple[int, int], colour: Colour, pen: Pen) -> None:
-    """Text on a dark plate, moved into the image where it would lie outside."""
+    """Write text on a dark plate, moved to be inside the image."""
     width, height = text_size(text, pen)
     x, y = (max(min(at, size - side), 0) for at, size, side in zip(at_px, pen.size, (width, height), strict=True))
     write_on_plate(canvas, text, (x, y), colour, pen)
@@ -183,13 +176,13 @@ Picture = tuple[str, str, Image]
 
 @dataclass
 class PictureMaker:
-    """Draws the frames of one replay, as far as it is asked to."""
+    """Draws the requested pictures of one replay."""
 
-    requests: Collection[Request]
+    requests: Collection[topics.Request]
     without_image: int = 0
-    """Frames whose pictures could not be drawn, for want of a camera image."""
+    """Frames without pictures, because they have no readable camera image."""
     misfits: int = 0
-    """Frames whose camera image is shown, and too large or too small to draw into."""
+    """Frames with a bare picture, because the camera image is not of its calibration's size."""
 
     def messages(
         self, sample: Sample, result: FrameResult, metrics: FrameMetrics, first_ns: int
@@ -198,22 +191,22 @@ class PictureMaker:
 
         Args:
             sample: the frame's input, in the order of the replay.
-            result: what the chain made of it.
+            result: the frame's results.
             metrics: its row.
-            first_ns: stamp of the drive's first frame.
+            first_ns: stamp of the log's first frame.
         """
         for topic, frame_id, picture in self._drawn(sample, result, metrics, first_ns) if self.requests else ():
             jpeg = encode_jpeg(picture, _JPEG_QUALITY)
             yield topic, encoding.encode_image(result.stamp_ns, frame_id, "jpeg", jpeg)
 
     def notes(self) -> tuple[str, ...]:
-        """What the person who asked for pictures should know."""
+        """Lines for the user about frames without pictures or with bare ones."""
         asked = " and ".join(f"--{request}" for request in self.requests)
         counts = {
-            "frames without a camera image that can be read": self.without_image,
-            "frames with nothing drawn into an image that is not of its calibration's size": self.misfits,
+            "frames without a readable camera image": self.without_image,
+            "frames without drawing, because the image size differs from its calibration": self.misfits,
         }
-        return tuple(f"{asked}: {what}: {number}" for what, number in counts.items() if number)
+        return tuple(f"{asked}: {text}: {number}" for text, number in counts.items() if number)
 
     def _drawn(self, sample: Sample, result: FrameResult, metrics: FrameMetrics, first_ns: int) -> Iterator[Picture]:
         image = _pixels(sample.frame.image)
@@ -223,7 +216,7 @@ class PictureMaker:
         if image is not None and "overlay" in self.requests:
             frame = PerceivedFrame(image, result.lanes, result.objects, result.drivable, fits)
             since_start_s = ns_to_seconds(result.stamp_ns - first_ns)
-            yield OVERLAY_TOPIC, result.frame_id, draw_frame(frame, metrics, since_start_s, image.shape[1])
+            yield topics.OVERLAY_TOPIC, result.frame_id, draw_frame(frame, metrics, since_start_s, image.shape[1])
         if "debug" in self.requests:
             yield from _debug(sample.frame, image if fits else None, result)
 
@@ -238,12 +231,12 @@ def _pixels(image: CameraImage | None) -> Image | None:
 
 def _debug(frame: Frame, image: Image | None, result: FrameResult) -> Iterator[Picture]:
     if image is not None and isinstance(result.lanes, Lanes):
-        yield DEBUG_LANES_TOPIC, result.frame_id, lanes_picture(image, result.lanes)
+        yield topics.DEBUG_LANES_TOPIC, result.frame_id, lanes_picture(image, result.lanes)
     if image is not None and isinstance(result.odometry, Odometry) and result.odometry.matches is not None:
-        yield DEBUG_MATCHES_TOPIC, result.frame_id, matches_picture(image, result.odometry.matches)
+        yield topics.DEBUG_MATCHES_TOPIC, result.frame_id, matches_picture(image, result.odometry.matches)
     if image is not None and isinstance(result.objects, Objects) and result.objects.searches:
-        yield DEBUG_TEMPLATE_TOPIC, result.frame_id, template_picture(image, result.objects.searches)
+        yield topics.DEBUG_TEMPLATE_TOPIC, result.frame_id, template_picture(image, result.objects.searches)
     baseline_m = frame.right_camera.baseline_m if frame.right_camera else None
     if isinstance(result.stereo, StereoDepth) and baseline_m:
         disparity = disparity_picture(frame.left_camera, baseline_m, result.stereo)
-        yield DEBUG_DISPARITY_TOPIC, result.stereo.frame_id, disparity
+        yield topics.DEBUG_DISPARITY_TOPIC, result.stereo.frame_id, disparity

@@ -1,7 +1,7 @@
 """Draws the results into a camera image, for reports and videos.
 
-Viewers draw their own (``drawing`` writes what they need); here the drawing becomes pixels, sized for the image it goes
-into, so that a thumbnail's text is as easy to read as a full frame's.
+Lines and text are sized for the target image, so the text of a thumbnail is as legible as that of a full frame.
+Viewers draw the results themselves, from the messages of ``drawing.annotations``.
 """
 
 from collections.abc import Sequence
@@ -33,19 +33,19 @@ from roadperc_stream.schemas.columns import FrameMetrics
 _TINT: Final = 0.22
 _LEVELS: Final = np.arange(256)[None, :, None]
 _TINTED: Final = np.rint((1 - _TINT) * _LEVELS + _TINT * np.array(bgr(colours.DRIVABLE))).astype(np.uint8)
-"""(1, 256, 3) what each level of each colour becomes where the road is drivable."""
+"""(1, 256, 3) lookup table of each colour's levels on the drivable road."""
 _RAW_DASH: Final = 7.0
 _BOX_DASH: Final = 4.0
-"""Length of a dash by a line's width."""
+"""Length of a dash, in line widths."""
 _BOX_LINE: Final = 12.0
-"""A box's line is its smaller side by this, as long as that is thinner than other lines."""
+"""The line width of a small box is its shorter side divided by this."""
 
 
 @dataclass(frozen=True)
 class PerceivedFrame:
     """A camera image, (H, W, 3), and its results.
 
-    ``fits`` says whether the image is of the size its calibration, and so all the results, speak of.
+    ``fits`` says whether the image has the size of its calibration, which is that of the results.
     """
 
     image_bgr: Image
@@ -56,23 +56,25 @@ class PerceivedFrame:
 
 
 def draw_results(frame: PerceivedFrame, width_px: int, top_px: int = 0) -> Image:
-    """A copy of the image with the frame's results drawn in; what is absent is not drawn.
+    """A copy of the image with the frame's results drawn in; absent results are not drawn.
 
-    The drivable pixels are tinted blue; a lane boundary is a broad line along the smoothed curve, green where measured
-    and orange where held, with the raw line thin, dashed and yellow; kept objects have a solid box with label, distance
-    and time to impact, yellow where nothing could judge them; dropped ones a dashed grey box. An image that does not
-    fit the results stays bare.
+    - Drivable pixels are tinted blue.
+    - A lane boundary is a broad line along the smoothed curve: green if measured, orange if held.
+    - The raw line is thin, dashed and yellow.
+    - A kept object has a solid box with label, distance and time to impact: green, or yellow if unverified.
+    - A dropped object has a dashed grey box.
+    - An image whose size differs from the results stays bare.
 
     Args:
-        frame: what is drawn.
-        width_px: columns of the copy, for which lines and text are sized.
-        top_px: rows at the copy's top where no label goes.
+        frame: the image and its results.
+        width_px: columns of the copy; lines and text are sized for it.
+        top_px: rows at the top of the copy without labels.
 
     Returns:
         (H * width_px / W, width_px, 3) uint8, blue, green, red.
 
     Raises:
-        ValueError: the mask is not of the image's size.
+        ValueError: the sizes of mask and image differ.
     """
     scale = width_px / frame.image_bgr.shape[1]
     canvas = resized(frame.image_bgr, scale)
@@ -97,7 +99,7 @@ def _draw_lanes(canvas: Image, lanes: Lanes, pen: Pen) -> None:
     for boundary in lanes.boundaries:
         if boundary.status != "lost" and len(boundary.line_px):
             edged_lines(canvas, [boundary.line_px], bgr(colours.BOUNDARY[boundary.status]), pen.broad_px, pen)
-    # Thin over broad: the raw line is what the smoothed one is compared with.
+    # The thin raw line is on top of the broad smoothed one, so that both can be compared.
     for boundary in lanes.boundaries:
         if boundary.raw_px is not None:
             ends = np.array(boundary.raw_px).reshape(2, 2)
@@ -105,7 +107,7 @@ def _draw_lanes(canvas: Image, lanes: Lanes, pen: Pen) -> None:
 
 
 def _draw_objects(canvas: Image, objects: Sequence[Object], pen: Pen, top_px: int) -> None:
-    """Boxes from far to near, then the labels that find a place, tied to their boxes where they are apart."""
+    """Draw boxes from far to near, then labels that have a place, with a line to boxes that are not next to them."""
     boxes = [scaled_box(item.detection.box_px, pen) for item in objects]
     for index in reversed(by_nearness(objects)):
         _draw_box(canvas, objects[index], boxes[index], pen)
@@ -121,7 +123,7 @@ def _draw_objects(canvas: Image, objects: Sequence[Object], pen: Pen, top_px: in
 
 
 def _draw_box(canvas: Image, item: Object, box: Box, pen: Pen) -> None:
-    """A small object has thin lines: it is to be seen as well."""
+    """Draw a box; a small one has thin lines, so that the object stays visible."""
     side_px = min(box.x_max - box.x_min, box.y_max - box.y_min)
     thickness_px = max(min(pen.line_px, round(side_px / _BOX_LINE)), 1)
     dash_px = None if item.kept else _BOX_DASH * pen.line_px
@@ -129,7 +131,7 @@ def _draw_box(canvas: Image, item: Object, box: Box, pen: Pen) -> None:
 
 
 def _draw_tie(canvas: Image, item: Object, box: Box, place: Box) -> None:
-    """A thin line from a label's lower edge to the box below it that is not at the label."""
+    """Draw a thin line from a label down to its box, if they are apart."""
     if box.y_min - place.y_max > (place.y_max - place.y_min) / 2:
         x = (box.x_min + box.x_max) / 2
         start = min(max(x, place.x_min + 1), place.x_max - 1), place.y_max
@@ -137,12 +139,12 @@ def _draw_tie(canvas: Image, item: Object, box: Box, place: Box) -> None:
 
 
 def draw_frame(frame: PerceivedFrame, metrics: FrameMetrics, since_start_s: float, width_px: int) -> Image:
-    """``draw_results`` with the frame's numbers above.
+    """``draw_results`` with a strip of the frame's numbers at the top.
 
     Args:
-        frame: what is drawn.
+        frame: the image and its results.
         metrics: its row.
-        since_start_s: its time, from the first frame.
+        since_start_s: seconds since the first frame.
         width_px: columns of the picture.
     """
     rows, columns = frame.image_bgr.shape[:2]

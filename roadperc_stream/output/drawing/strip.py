@@ -1,4 +1,4 @@
-"""A strip of text at the top of a frame's overlay: what its numbers are, and what the colours mean."""
+"""Draws the strip of text at the top of an overlay: the frame's numbers and the legend."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -23,18 +23,18 @@ from roadperc_stream.output.drawing.colours import bgr
 from roadperc_stream.schemas.columns import FrameMetrics
 
 Phrase = tuple[str, Colour]
-"""A few words that stay on one line, and their colour."""
+"""Text that stays on one line, and its colour."""
 _PLAIN: Final[Colour] = (240, 240, 240)
 _SHADE: Final = 0.7
 _GAP_CHARACTERS: Final = 0.6
-"""Between two phrases, in heights of the text."""
+"""Gap between two phrases, in heights of the text."""
 _SYMBOL_DASHES: Final = 4.0
 Symbol = Literal["area", "line", "dashed line", "box", "dashed box"]
 
 
 @dataclass(frozen=True)
 class LegendEntry:
-    """What a drawing's colour and shape mean."""
+    """The meaning of a colour and a shape."""
 
     text: str
     colour: Colour
@@ -52,17 +52,17 @@ LEGEND: Final = (
 )
 Item = Phrase | LegendEntry
 Strip = Sequence[Sequence[tuple[int, Item]]]
-"""Lines of items, each with the column it begins at."""
+"""Lines of items, each with its first column."""
 
 
 def lay_out_strip(pen: Pen, metrics: FrameMetrics, objects: Objects | Absent, since_start_s: float) -> Strip:
-    """A frame's numbers and the legend behind them; a narrow image takes more lines.
+    """Arrange a frame's numbers and the legend in lines; a narrow image needs more lines.
 
     Args:
         pen: for the image.
-        metrics: the frame's row; what is null there is left out.
-        objects: the frame's objects, of which the nearest and the most urgent are named.
-        since_start_s: the frame's time, from the first frame.
+        metrics: the frame's row; null values are left out.
+        objects: the frame's objects; the nearest and the most urgent are named.
+        since_start_s: seconds since the first frame.
     """
     return _lines((*frame_phrases(metrics, objects, since_start_s), *LEGEND), pen)
 
@@ -89,7 +89,7 @@ def _draw_item(canvas: Image, item: Item, at_px: tuple[int, int], pen: Pen) -> N
 
 
 def _draw_symbol(canvas: Image, entry: LegendEntry, place: Box, pen: Pen) -> None:
-    """A piece of what the overlay draws, as broad as there."""
+    """Draw a sample of the overlay's drawing, at the same line width."""
     y = (place.y_min + place.y_max) / 2
     dash_px = (place.x_max - place.x_min) / _SYMBOL_DASHES
     ends = np.array(((place.x_min, y), (place.x_max, y)))
@@ -109,7 +109,7 @@ def _symbol_size(pen: Pen) -> tuple[int, int]:
 
 
 def frame_phrases(metrics: FrameMetrics, objects: Objects | Absent, since_start_s: float) -> Iterator[Phrase]:
-    """What a frame's row says, and of which objects it speaks, the most telling numbers first."""
+    """Phrases of a frame's row and of its nearest and most urgent objects, the most important numbers first."""
     yield f"frame {metrics.frame}", _PLAIN
     yield f"{since_start_s:.2f} s", _PLAIN
     yield from _lane("left", metrics.lane_left_status, metrics.lane_left_offset_m)
@@ -123,12 +123,12 @@ def frame_phrases(metrics: FrameMetrics, objects: Objects | Absent, since_start_
 
 def _lane(side: str, status: str | None, offset_m: float | None) -> Iterator[Phrase]:
     if status is not None:
-        said = status if offset_m is None else f"{offset_m:+.2f} m"
-        yield f"lane {side} {said}", bgr(colours.BOUNDARY[status])
+        text = status if offset_m is None else f"{offset_m:+.2f} m"
+        yield f"lane {side} {text}", bgr(colours.BOUNDARY[status])
 
 
 def _objects(nearest: Object | None, urgent: Object | None) -> Iterator[Phrase]:
-    """The most urgent object before the nearest: the time to impact need not be the nearest one's."""
+    """The most urgent object, then the nearest: the smallest time to impact may belong to another object."""
     if urgent is not None and urgent is nearest:
         yield f"nearest {_named(urgent)}, impact in {urgent.time_to_impact_s:.1f} s", _PLAIN
         return
@@ -139,7 +139,7 @@ def _objects(nearest: Object | None, urgent: Object | None) -> Iterator[Phrase]:
 
 
 def _named(item: Object) -> str:
-    """Label and distance, as far as there is one."""
+    """Label, and distance if known."""
     name = item.detection.label or "object"
     return name if item.distance_m is None else f"{name} {item.distance_m:.1f} m"
 
@@ -148,12 +148,12 @@ def _odometry(metrics: FrameMetrics) -> Iterator[Phrase]:
     if metrics.step_m is not None:
         yield f"step {metrics.step_m:.2f} m", _PLAIN
     elif metrics.odometry_status is not None:
-        said = "without scale" if metrics.odometry_status == "tracked" else metrics.odometry_status
-        yield f"odometry {said}", bgr(colours.ORANGE) if metrics.odometry_status == "lost" else _PLAIN
+        text = "without scale" if metrics.odometry_status == "tracked" else metrics.odometry_status
+        yield f"odometry {text}", bgr(colours.ORANGE) if metrics.odometry_status == "lost" else _PLAIN
 
 
 def _lines(items: Iterable[Item], pen: Pen) -> list[list[tuple[int, Item]]]:
-    """The items and the columns they begin at, as many on a line as fit."""
+    """The items with their first columns, as many on a line as fit."""
     lines: list[list[tuple[int, Item]]] = [[]]
     x = 0
     for item in items:

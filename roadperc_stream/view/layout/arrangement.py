@@ -7,39 +7,20 @@ from pathlib import Path
 from typing import Final
 
 from roadperc_stream.model import EGO
+from roadperc_stream.schemas import topics
 from roadperc_stream.schemas.roles import ROLES
-from roadperc_stream.schemas.topics import (
-    DRIVABLE_SCENE_TOPIC,
-    DRIVABLE_TOPIC,
-    LANES_ANNOTATIONS_TOPIC,
-    LANES_SCENE_TOPIC,
-    LANES_TOPIC,
-    LOG_TOPIC,
-    OBJECTS_ANNOTATIONS_TOPIC,
-    OBJECTS_SCENE_TOPIC,
-    OBJECTS_TOPIC,
-    OCCUPANCY_TOPIC,
-    ODOMETRY_TOPIC,
-    ON_REQUEST,
-    RESULT_PREFIX,
-    STEREO_DEPTH_TOPIC,
-    SURFACE_TOPIC,
-    TF_TOPIC,
-    TIMES_TOPIC,
-    TRAJECTORY_TOPIC,
-)
 from roadperc_stream.system.files import completing, require_free
 from roadperc_stream.view.layout.contents import OF_A_LIVE_REPLAY, LogContents, contents_of
 from roadperc_stream.view.layout.curves import BOUNDARY_STATES, STATES, plot, stage_times, states
 from roadperc_stream.view.layout.panels import PRELOADED, Config, Node, column, panel, picture, row, tabs
 from roadperc_stream.view.layout.tables import detections_table, objects_table
 
-_IN_THE_IMAGE: Final = (LANES_ANNOTATIONS_TOPIC, OBJECTS_ANNOTATIONS_TOPIC)
+_IN_THE_IMAGE: Final = (topics.LANES_ANNOTATIONS_TOPIC, topics.OBJECTS_ANNOTATIONS_TOPIC)
 _IN_SPACE: Final[Mapping[str, Config]] = {
-    DRIVABLE_SCENE_TOPIC: {},
-    LANES_SCENE_TOPIC: {},
-    OBJECTS_SCENE_TOPIC: {},
-    OCCUPANCY_TOPIC: {
+    topics.DRIVABLE_SCENE_TOPIC: {},
+    topics.LANES_SCENE_TOPIC: {},
+    topics.OBJECTS_SCENE_TOPIC: {},
+    topics.OCCUPANCY_TOPIC: {
         "frameLocked": True,
         "colorMode": "custom",
         "minColor": "#1e82dc50",
@@ -48,9 +29,9 @@ _IN_SPACE: Final[Mapping[str, Config]] = {
         "invalidColor": "#00000000",
         "alpha": 0.6,
     },
-    TRAJECTORY_TOPIC: {"type": "line", "lineWidth": 0.25, "gradient": ["#f0c419ff", "#f0c419ff"]},
-    ODOMETRY_TOPIC: {"type": "axis", "axisScale": 1},
-    TF_TOPIC: {},
+    topics.TRAJECTORY_TOPIC: {"type": "line", "lineWidth": 0.25, "gradient": ["#f0c419ff", "#f0c419ff"]},
+    topics.ODOMETRY_TOPIC: {"type": "axis", "axisScale": 1},
+    topics.TF_TOPIC: {},
 }
 """Results in the scene and their styles."""
 _ROLES_IN_SPACE: Final[Mapping[str, Config]] = {
@@ -76,12 +57,12 @@ _MOST_DEPTH_M: Final = 60
 _MM_PER_M: Final = 1000
 _ALWAYS_TIMED: Final = tuple(f"{part}_ms" for part in ("read", "decode", "metrics", "copy", "encode", "write", "total"))
 _OUTPUT_OF: Final = {
-    "surface_ms": SURFACE_TOPIC,
-    "lanes_ms": LANES_TOPIC,
-    "objects_ms": OBJECTS_TOPIC,
-    "stereo_ms": STEREO_DEPTH_TOPIC,
-    "odometry_ms": ODOMETRY_TOPIC,
-    "occupancy_ms": OCCUPANCY_TOPIC,
+    "surface_ms": topics.SURFACE_TOPIC,
+    "lanes_ms": topics.LANES_TOPIC,
+    "objects_ms": topics.OBJECTS_TOPIC,
+    "stereo_ms": topics.STEREO_DEPTH_TOPIC,
+    "odometry_ms": topics.ODOMETRY_TOPIC,
+    "occupancy_ms": topics.OCCUPANCY_TOPIC,
 }
 """The output topic of each time column; it shows whether the stage ran."""
 
@@ -107,9 +88,9 @@ def _camera(has: LogContents) -> Node | None:
     """Tabs: the camera image with results, pictures of the stages, other cameras."""
     front = _front(has)
     drawn = [topic for topic in _IN_THE_IMAGE if topic in has.results]
-    camera = "Drivable" if front == DRIVABLE_TOPIC else "Front camera"
+    camera = "Drivable" if front == topics.DRIVABLE_TOPIC else "Front camera"
     shown = picture("front", f"{camera}: lanes and objects" if drawn else camera, front, drawn)
-    made = {topic.rpartition("/")[2].capitalize(): has.result(topic) for topic in ON_REQUEST}
+    made = {topic.rpartition("/")[2].capitalize(): has.result(topic) for topic in topics.ON_REQUEST}
     others = {side.capitalize(): has.roles.get(side) for side in ("left", "right") if has.roles.get(side) != front}
     named = made | others | {topic: topic for topic in has.more_images}
     pictures = {title: picture(title.lower(), title, topic) for title, topic in named.items()}
@@ -118,13 +99,13 @@ def _camera(has: LogContents) -> Node | None:
 
 def _front(has: LogContents) -> str | None:
     """The picture under lanes and objects: the camera image, or the drivable mask in a log without images."""
-    return has.roles.get("image") or has.roles.get("left") or has.result(DRIVABLE_TOPIC)
+    return has.roles.get("image") or has.roles.get("left") or has.result(topics.DRIVABLE_TOPIC)
 
 
 def _other_pictures(has: LogContents) -> Node | None:
     """Tabs: tags and depth, the results from them, and their truth."""
     roles = has.roles
-    drivable = None if _front(has) == DRIVABLE_TOPIC else has.result(DRIVABLE_TOPIC)
+    drivable = None if _front(has) == topics.DRIVABLE_TOPIC else has.result(topics.DRIVABLE_TOPIC)
     pairs = (
         {
             "Tags": picture("tags", "Tags", roles.get("segmentation")),
@@ -133,14 +114,14 @@ def _other_pictures(has: LogContents) -> Node | None:
         {"Instances": picture("instances", "Instances", roles.get("instances"))},
         {
             "Drivable": picture("drivable", "Drivable", drivable),
-            "Stereo": _depth(has, "stereo", "Stereo depth", has.result(STEREO_DEPTH_TOPIC)),
+            "Stereo": _depth(has, "stereo", "Stereo depth", has.result(topics.STEREO_DEPTH_TOPIC)),
         },
         {
             "True tags": picture("true_tags", "True tags", roles.get("truth_segmentation")),
             "True depth": _depth(has, "truth_depth", "True depth", roles.get("truth_depth")),
         },
     )
-    titles = [", ".join(name for name, part in pair.items() if part).capitalize() for pair in pairs]
+    titles = [", ".join(name for name, panel in pair.items() if panel).capitalize() for pair in pairs]
     return tabs("pictures", {title: row(*pair.values()) for title, pair in zip(titles, pairs, strict=True)})
 
 
@@ -153,8 +134,8 @@ def _depth(has: LogContents, name: str, title: str, topic: str | None) -> Node |
 
 def _scene(has: LogContents) -> Node | None:
     """The 3D scene, seen from behind the car."""
-    drawn = {topic: how for topic, how in _IN_SPACE.items() if topic in has.results}
-    drawn |= {has.roles[role]: how for role, how in _ROLES_IN_SPACE.items() if role in has.roles}
+    drawn = {topic: style for topic, style in _IN_SPACE.items() if topic in has.results}
+    drawn |= {has.roles[role]: style for role, style in _ROLES_IN_SPACE.items() if role in has.roles}
     if not drawn:
         return None
     transforms = {"showLabel": False, "axisScale": 0.6, "lineWidth": 0, **PRELOADED}
@@ -167,13 +148,13 @@ def _scene(has: LogContents) -> Node | None:
         **({"followTf": EGO} if has.has_ego_frame else {}),
         scene={"transforms": transforms, "labelScaleFactor": 1},
         transforms={},
-        topics={topic: {"visible": True, **how} for topic, how in drawn.items()},
+        topics={topic: {"visible": True, **style} for topic, style in drawn.items()},
         layers={},
     )
 
 
 def _numbers(has: LogContents, table: Node | None) -> Node | None:
-    """Plots of the metrics, states, and results in words."""
+    """Tabs: plots of the metrics, states, stage times, log lines and messages."""
     return tabs(
         "numbers",
         {
@@ -185,10 +166,7 @@ def _numbers(has: LogContents, table: Node | None) -> Node | None:
             ),
             "Objects": column(table, row(*_plots(has, "objects", "object_errors")), first_percent=58),
             "Motion": column(*_plots(has, "odometry", "odometry_errors", "inliers"), first_percent=34),
-            "Road": column(
-                row(*_plots(has, "surface", "surface_errors")),
-                row(*_plots(has, "shares", "scores")),
-            ),
+            "Road": column(row(*_plots(has, "surface", "surface_errors")), row(*_plots(has, "shares", "scores"))),
             "States": row(
                 states("states", "States", STATES, has.columns),
                 states("lane_states", "Boundaries", BOUNDARY_STATES, has.columns),
@@ -205,28 +183,30 @@ def _plots(has: LogContents, *names: str) -> list[Node | None]:
 
 
 def _table(has: LogContents) -> tuple[Node | None, Config | None]:
-    """The table of objects, or of detections without results, and its script."""
-    if OBJECTS_TOPIC in has.results:
-        return objects_table(OBJECTS_TOPIC)
+    """The table of objects, or of detections in a log without results, and its script."""
+    if topics.OBJECTS_TOPIC in has.results:
+        return objects_table(topics.OBJECTS_TOPIC)
     return detections_table(has.roles["detections"]) if "detections" in has.roles else (None, None)
 
 
 def _times(has: LogContents) -> Node | None:
     """The times of the stages that ran, if a server provides them; logs do not contain them."""
     ran = {column for column, topic in _OUTPUT_OF.items() if topic in has.results}
-    return stage_times(ran | set(_ALWAYS_TIMED)) if TIMES_TOPIC in has.results else None
+    return stage_times(ran | set(_ALWAYS_TIMED)) if topics.TIMES_TOPIC in has.results else None
 
 
 def _log(has: LogContents) -> Node | None:
-    if LOG_TOPIC not in has.results:
+    if topics.LOG_TOPIC not in has.results:
         return None
-    return panel("RosOut", "log", "Log: what was missing", searchTerms=[], minLogLevel=1, topicToRender=LOG_TOPIC)
+    return panel(
+        "RosOut", "log", "Log: what was missing", searchTerms=[], minLogLevel=1, topicToRender=topics.LOG_TOPIC
+    )
 
 
 def _messages(has: LogContents) -> Node | None:
     """Result messages as trees; the truth of an input log if it has no results."""
     results = [
-        _raw_messages(name.replace("/", "_"), name.capitalize(), has.result(f"{RESULT_PREFIX}{name}"))
+        _raw_messages(name.replace("/", "_"), name.capitalize(), has.result(f"{topics.RESULT_PREFIX}{name}"))
         for name in ("surface", "lanes", "odometry/state", "metrics")
     ]
     truths = [_raw_messages(name, ROLES[name].topic, has.roles.get(name)) for name in ("truth_surface", "truth_lanes")]
@@ -235,7 +215,7 @@ def _messages(has: LogContents) -> Node | None:
 
 
 def _raw_messages(name: str, title: str, topic: str | None) -> Node | None:
-    """A topic's messages as a tree that can be unfolded."""
+    """The messages of a topic as a collapsible tree."""
     if topic is None:
         return None
     difference = {"diffEnabled": False, "diffMethod": "previous message", "diffTopicPath": ""}
@@ -244,13 +224,10 @@ def _raw_messages(name: str, title: str, topic: str | None) -> Node | None:
     )
 
 
-_NO_OVERRIDES: Final[Mapping[str, str]] = {}
-
-
 def write_layout(
     target: Path,
     source: Path | None = None,
-    overrides: Mapping[str, str] = _NO_OVERRIDES,
+    overrides: Mapping[str, str] | None = None,
     *,
     timed: bool = False,
     force: bool,
@@ -269,8 +246,8 @@ def write_layout(
             written.
     """
     require_free(target, force=force, source=source, suffix=".json")
-    has = contents_of(source, overrides) if source else OF_A_LIVE_REPLAY
+    has = contents_of(source, overrides or {}) if source else OF_A_LIVE_REPLAY
     if timed:
-        has = replace(has, results=has.results | {TIMES_TOPIC})
+        has = replace(has, results=has.results | {topics.TIMES_TOPIC})
     with completing(target, force=force) as temporary:
         temporary.write_text(layout_of(has), "utf-8")

@@ -1,4 +1,4 @@
-"""Finds the contents of a log that a layout can show."""
+"""Collects the contents of a log that a layout can show."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -51,7 +51,7 @@ class LogContents:
     more_images: tuple[str, ...] = ()
     """Image topics without a role."""
     has_ego_frame: bool = False
-    """Whether the log has the ego frame, which the scene follows."""
+    """Whether the log has the ego frame, which the 3D scene follows."""
 
     def result(self, topic: str) -> str | None:
         """The topic if it has results, else None."""

@@ -1,12 +1,11 @@
 """Panels of Foxglove and Lichtblick and their arrangement, as the JSON that both viewers store.
 
-A part with nothing to show is None; rows, columns and tabs leave it out. The SDK's own ``foxglove.layouts``
-writes a form that Lichtblick does not read.
+A part with nothing to show is None; rows, columns and tabs leave it out. ``foxglove.layouts`` of the SDK writes a form
+that Lichtblick does not read.
 """
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from itertools import chain
 from typing import Any, Final
 
 Config = dict[str, Any]
@@ -23,16 +22,16 @@ class Node:
     place: Config | str
     """The key of a panel or of tabs, or a split into two parts beside or above each other."""
     configs: Mapping[str, Config]
-    """Settings of its panels by their keys, those in tabs included."""
+    """Settings of its panels by key, including panels in tabs."""
 
 
 def panel(kind: str, name: str, title: str, **config: Any) -> Node:
-    """A panel of a type that the viewers know.
+    """A panel of one of the viewers' types.
 
     Args:
         kind: the type.
         name: unique among the panels of this type.
-        title: stored under the name that either viewer looks for.
+        title: stored under the key of each viewer.
         config: its other settings.
     """
     key = f"{kind}!{name}"
@@ -40,10 +39,10 @@ def panel(kind: str, name: str, title: str, **config: Any) -> Node:
 
 
 def picture(name: str, title: str, topic: str | None, annotations: Iterable[str] = (), **mode: Any) -> Node | None:
-    """An image, with what is drawn over it; ``mode`` says how its numbers are coloured.
+    """An image panel with annotations; ``mode`` are its colour settings.
 
-    It names no calibration: images and annotations work without one. A viewer reports an error if it draws an image
-    before the calibration arrives.
+    It has no calibration topic, because images and annotations do not need one. With one, a viewer reports an error if
+    an image arrives before the calibration.
     """
     if topic is None:
         return None
@@ -64,20 +63,20 @@ def column(*parts: Node | None, first_percent: float = _EVEN) -> Node | None:
 
 
 def _split(direction: str, parts: Iterable[Node | None], first_percent: float) -> Node | None:
-    there = [part for part in parts if part is not None]
-    if len(there) < 2:
-        return there[0] if there else None
-    rest = _split(direction, there[1:], 100 / (len(there) - 1))
+    shown = [part for part in parts if part is not None]
+    if len(shown) < 2:
+        return shown[0] if shown else None
+    rest = _split(direction, shown[1:], 100 / (len(shown) - 1))
     assert rest is not None
-    place = {"direction": direction, "first": there[0].place, "second": rest.place, "splitPercentage": first_percent}
-    return Node(place, {**there[0].configs, **rest.configs})
+    place = {"direction": direction, "first": shown[0].place, "second": rest.place, "splitPercentage": first_percent}
+    return Node(place, {**shown[0].configs, **rest.configs})
 
 
 def tabs(name: str, parts: Mapping[str, Node | None]) -> Node | None:
-    """Parts by their titles, the first one open; a single one needs no tab."""
-    there = {title: part for title, part in parts.items() if part is not None}
-    if len(there) < 2:
-        return next(iter(there.values()), None)
-    shown = [{"title": title, "layout": part.place} for title, part in there.items()]
-    own = {f"Tab!{name}": {"activeTabIdx": 0, "tabs": shown}}
-    return Node(f"Tab!{name}", own | dict(chain.from_iterable(part.configs.items() for part in there.values())))
+    """Tabs by title, with the first one open; a single part gets no tab."""
+    shown = {title: part for title, part in parts.items() if part is not None}
+    if len(shown) < 2:
+        return next(iter(shown.values()), None)
+    configs = {key: config for part in shown.values() for key, config in part.configs.items()}
+    tab = {"activeTabIdx": 0, "tabs": [{"title": title, "layout": part.place} for title, part in shown.items()]}
+    return Node(f"Tab!{name}", {f"Tab!{name}": tab, **configs})

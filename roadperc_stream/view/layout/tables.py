@@ -7,7 +7,7 @@ from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.view.layout.panels import Config, Node, panel
 
 _OBJECTS_SOURCE: Final = """\
-// One row per detection, in words: what roadperc.Objects says in numbers and nested messages.
+// One row per detection: the content of roadperc.Objects as text.
 type Detected = {
   detection?: { label: string; score: number };
   kept: boolean;
@@ -69,7 +69,7 @@ export default function script(event: { message: { objects: Detected[] } }): Tab
 }
 """
 _DETECTIONS_SOURCE: Final = """\
-// One row per detection, without messages in messages.
+// One row per detection, without nested messages.
 type Detection = {
   label: string;
   score: number;
@@ -101,7 +101,7 @@ export default function script(event: { message: { detections: Detection[] } }):
 
 
 def objects_table(topic: str) -> tuple[Node, Config]:
-    """The table of a ``roadperc.Objects`` topic: class, status and filter in words, numbers with units.
+    """The table of a ``roadperc.Objects`` topic: class, status and filter as text, numbers with units.
 
     Returns:
         The panel, and the script as the viewers store it.

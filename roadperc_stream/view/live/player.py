@@ -11,17 +11,8 @@ from threading import Event, Lock
 from typing import Final
 
 import foxglove
-from foxglove.websocket import (
-    ChannelView,
-    Client,
-    PlaybackCommand,
-    PlaybackControlRequest,
-    PlaybackState,
-    PlaybackStatus,
-    ServerListener,
-    StatusLevel,
-    WebSocketServer,
-)
+from foxglove import websocket as ws
+from foxglove.websocket import PlaybackStatus
 
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.system.time import NS_PER_S, ns_to_seconds
@@ -31,13 +22,13 @@ from roadperc_stream.view.live.source import Reach, Source, held
 TICK_S: Final = 0.1
 """Longest wait while playing, so that the viewer's clock moves through gaps of the log."""
 EDGE_POLL_S: Final = 0.05
-"""How often to look for more of a log that is being written."""
+"""Interval of polling a log that is still written."""
 RESUME_LEAD_S: Final = 0.25
 """Seconds of playback that must be computed before playback continues; avoids stutter."""
 LOOP_PAUSE_S: Final = 0.5
 """Pause at the end before playback starts over, while sent messages arrive."""
 LONGEST_WAIT_S: Final = 0.5
-"""Python handles a signal only after the wait ends."""
+"""Bounded because Python handles a signal only after the wait."""
 _STATUS_ID: Final = "roadperc"
 
 
@@ -45,7 +36,7 @@ _STATUS_ID: Final = "roadperc"
 class Playhead:
     """Playback was at ``log_ns`` at clock time ``clock_ns`` and continues as its status says.
 
-    It is buffering while it waits for more of a running replay.
+    Buffering means waiting for more of a running replay.
     """
 
     status: PlaybackStatus
@@ -54,18 +45,20 @@ class Playhead:
     rate: float = 1.0
 
     def at(self, clock_ns: int) -> int:
-        """Log time at a time of the clock."""
+        """The log time at a clock time."""
         if self.status != PlaybackStatus.Playing:
             return self.log_ns
         return self.log_ns + round((clock_ns - self.clock_ns) * self.rate)
 
-    def state(self, request_id: str = "", *, moved: bool = False) -> PlaybackState:
-        """The state for viewers; ``request_id`` names the request that it answers."""
-        return PlaybackState(self.status, self.log_ns, self.rate, moved, request_id)
+    def state(self, request_id: str = "", *, moved: bool = False) -> ws.PlaybackState:
+        """The state for viewers; ``request_id`` is the id of the answered request."""
+        return ws.PlaybackState(self.status, self.log_ns, self.rate, moved, request_id)
 
 
-def obey(playhead: Playhead, asked: PlaybackControlRequest, reach: Reach, clock_ns: int) -> tuple[Playhead, bool]:
-    """Apply the request of a viewer.
+def apply_request(
+    playhead: Playhead, request: ws.PlaybackControlRequest, reach: Reach, clock_ns: int
+) -> tuple[Playhead, bool]:
+    """Apply a viewer's request.
 
     Playing from the end starts over. A rate that is not a positive number is ignored; others are clamped to
     ``SLOWEST`` and ``FASTEST``.
@@ -73,8 +66,8 @@ def obey(playhead: Playhead, asked: PlaybackControlRequest, reach: Reach, clock_
     Returns:
         The new playhead, and whether the viewer moved it.
     """
-    now_ns, seek_ns, rate = playhead.at(clock_ns), asked.seek_time, asked.playback_speed
-    play = asked.playback_command == PlaybackCommand.Play
+    now_ns, seek_ns, rate = playhead.at(clock_ns), request.seek_time, request.playback_speed
+    play = request.playback_command == ws.PlaybackCommand.Play
     if play and seek_ns is None and reach.complete and now_ns >= reach.last_ns:
         seek_ns = reach.first_ns
     rate = min(max(rate, SLOWEST), FASTEST) if math.isfinite(rate) and rate > 0 else playhead.rate
@@ -85,14 +78,14 @@ def obey(playhead: Playhead, asked: PlaybackControlRequest, reach: Reach, clock_
 def advance(
     playhead: Playhead, next_ns: int | None, reach: Reach, clock_ns: int, *, loop_ns: int | None = None
 ) -> tuple[Playhead, float]:
-    """Where playback is now, and the seconds until it changes or the next message is due.
+    """The playhead now, and the seconds until it changes or the next message is due.
 
     A message is due when playback reaches its log time, or at once if log time goes back. A change from the end to a
     pause starts playback over: viewers then forget the messages that they showed.
 
     Args:
-        playhead: where playback was.
-        next_ns: log time of the next message, None if it does not exist (yet).
+        playhead: the previous playhead.
+        next_ns: log time of the next message; None if there is none (yet).
         reach: the playable span, read before the next message.
         clock_ns: the clock's time.
         loop_ns: log time to start over from at the end, None to stay there.
@@ -124,23 +117,23 @@ def _at_the_end(playhead: Playhead, clock_ns: int, loop_ns: int) -> tuple[Playhe
     return Playhead(PlaybackStatus.Paused, loop_ns, clock_ns, playhead.rate), LONGEST_WAIT_S
 
 
-class Audience:
-    """The viewers that are connected to a server, and the channels that it offers them."""
+class Viewers:
+    """The viewers of a server, and the channels that it advertises to them."""
 
-    def __init__(self, server: WebSocketServer, context: foxglove.Context, channels: Iterable[Channel]) -> None:
+    def __init__(self, server: ws.WebSocketServer, context: foxglove.Context, channels: Iterable[Channel]) -> None:
         self.server, self._context = server, context
         self._channels = {channel: _advertised(channel, context) for channel in channels}
 
     def send(self, message: Message) -> None:
-        """Show a message, at its log time."""
+        """Send a message with its log time."""
         if message.channel not in self._channels:
             self._channels[message.channel] = _advertised(message.channel, self._context)
         self._channels[message.channel].log(message.data, log_time=message.log_time_ns)
 
     def restart(self) -> None:
-        """Begin a new session with new channels; viewers forget the old one.
+        """Start a new session, so that viewers drop the old messages.
 
-        Some viewers forget the schemas too. They learn schemas from new channels only.
+        Some viewers also drop the schemas and read them only from new channels, so the channels are new too.
         """
         for advertised in self._channels.values():
             advertised.close()
@@ -159,106 +152,100 @@ def _advertised(channel: Channel, context: foxglove.Context) -> foxglove.Channel
     )
 
 
-class Player(ServerListener):
-    """Plays a source from a log time on, once a viewer subscribes.
+class Player(ws.ServerListener):
+    """Plays a source from a log time on, after the first viewer subscribes.
 
-    Any thread may call ``stop``. The server's threads call the ``on_`` methods, which never wait for the disk: only
-    ``run`` reads.
+    Any thread may call ``stop``. The server's threads call the ``on_`` methods. These never wait for the disk, since
+    only ``run`` reads.
     """
 
     def __init__(
-        self,
-        source: Source,
-        clock_ns: Callable[[], int],
-        *,
-        start_ns: int,
-        rate: float = 1.0,
-        loop: bool = False,
+        self, source: Source, clock_ns: Callable[[], int], *, start_ns: int, rate: float = 1.0, loop: bool = False
     ) -> None:
-        self._source, self._clock_ns, self._asked = source, clock_ns, Event()
+        self._source, self._clock_ns, self._wake = source, clock_ns, Event()
         self._loop_ns = start_ns if loop else None
         self._lock = Lock()
-        """Guards what viewers change: the five below."""
+        """Guards the fields that viewers change: the next four."""
         self._playhead = Playhead(PlaybackStatus.Paused, start_ns, clock_ns(), rate)
         self._watched = self._stopped = False
         self._fresh = set[str]()
-        """Topics to show to new subscribers."""
-        self._sought: PlaybackControlRequest | None = None
-        """The newest request that moved the playhead and is not carried out yet."""
-        self._follow_from(start_ns + 1)  # the first subscribers see the latched messages
+        """Topics with new subscribers, which need the held messages."""
+        self._seek_request: ws.PlaybackControlRequest | None = None
+        """The newest seek that ``run`` has not handled yet."""
+        self._follow_from(start_ns + 1)  # the first subscribers get the messages up to here as held ones
 
-    def on_subscribe(self, client: Client, channel: ChannelView) -> None:  # noqa: ARG002 - the signature is the SDK's
-        """Show a topic to a new subscriber."""
+    def on_subscribe(self, client: ws.Client, channel: ws.ChannelView) -> None:  # noqa: ARG002 - the signature is the SDK's
+        """Note a new subscriber; ``run`` sends it the held messages of the topic."""
         with self._lock:
             self._fresh.add(channel.topic)
-        self._asked.set()
+        self._wake.set()
 
-    def on_playback_control_request(self, playback_control_request: PlaybackControlRequest) -> PlaybackState:
-        """Move the playhead. ``run`` then shows the messages there, or those of a newer request."""
-        asked = playback_control_request
+    def on_playback_control_request(self, playback_control_request: ws.PlaybackControlRequest) -> ws.PlaybackState:
+        """Move the playhead. ``run`` then sends the messages there, or those of a newer request."""
+        request = playback_control_request
         with self._lock:
-            self._playhead, moved = obey(self._playhead, asked, self._source.reach(), self._clock_ns())
+            self._playhead, moved = apply_request(self._playhead, request, self._source.reach(), self._clock_ns())
             self._watched = True
-            self._sought = asked if moved else self._sought
-            answer = self._playhead.state(asked.request_id, moved=moved)
-        self._asked.set()
+            self._seek_request = request if moved else self._seek_request
+            answer = self._playhead.state(request.request_id, moved=moved)
+        self._wake.set()
         return answer
 
     def stop(self) -> None:
         """End ``run``."""
         self._stopped = True
-        self._asked.set()
+        self._wake.set()
 
-    def run(self, audience: Audience) -> None:
+    def run(self, viewers: Viewers) -> None:
         """Play until ``stop``.
 
         Raises:
             LogError: the log can no longer be read.
         """
-        self._audience = audience
+        self._viewers = viewers
         wait_s = 0.0
         while True:
-            self._asked.wait(wait_s)
-            self._asked.clear()
+            self._wake.wait(wait_s)
+            self._wake.clear()
             if self._stopped:
                 return
             self._seek()
-            self._show_new_subscribers()
+            self._serve_new_subscribers()
             wait_s = self._advance()
 
     def _seek(self) -> None:
-        """Show the messages that hold at the newest requested time, and continue there."""
+        """Send the messages held at the newest requested time, and continue there."""
         with self._lock:
-            asked, self._sought, log_ns = self._sought, None, self._playhead.log_ns
-        if asked is None:
+            request, self._seek_request, log_ns = self._seek_request, None, self._playhead.log_ns
+        if request is None:
             return
-        reach, server = self._source.reach(), self._audience.server
-        if asked.seek_time is not None and asked.seek_time > reach.last_ns and not reach.complete:
-            beyond_s = ns_to_seconds(asked.seek_time - reach.last_ns)
-            warning = f"the replay is {beyond_s:.1f} s short of the requested time: playing from its end"
-            server.publish_status(warning, StatusLevel.Warning, _STATUS_ID)
+        reach, server = self._source.reach(), self._viewers.server
+        if request.seek_time is not None and request.seek_time > reach.last_ns and not reach.complete:
+            missing_s = ns_to_seconds(request.seek_time - reach.last_ns)
+            warning = f"the replay is {missing_s:.1f} s before the requested time; playing from its end"
+            server.publish_status(warning, ws.StatusLevel.Warning, _STATUS_ID)
         server.broadcast_time(log_ns)
-        self._show_held({channel.topic for channel in self._source.channels}, log_ns)
+        self._send_held({channel.topic for channel in self._source.channels}, log_ns)
         self._follow_from(log_ns + 1)
 
-    def _show_new_subscribers(self) -> None:
-        """Show the messages that hold now to new subscribers. The first subscribers start playback."""
+    def _serve_new_subscribers(self) -> None:
+        """Send the messages held now to new subscribers. The first subscribers start playback."""
         with self._lock:
-            if self._sought or not self._fresh:
-                return  # a seek shows all topics
+            if self._seek_request or not self._fresh:
+                return  # a seek sends all topics
             fresh, self._fresh = self._fresh, set()
             clock_ns = self._clock_ns()
             now_ns = self._playhead.at(clock_ns)
             status = self._playhead.status if self._watched else PlaybackStatus.Playing
             self._watched, self._playhead = True, Playhead(status, now_ns, clock_ns, self._playhead.rate)
         coming = self._peek()
-        self._audience.server.broadcast_time(now_ns)  # a viewer that connects during a pause has no time yet
-        self._show_held(fresh, min(now_ns, coming.log_time_ns - 1) if coming else now_ns)
-        self._audience.server.broadcast_playback_state(self._playhead.state())
+        self._viewers.server.broadcast_time(now_ns)  # a viewer that connects during a pause has no time yet
+        self._send_held(fresh, min(now_ns, coming.log_time_ns - 1) if coming else now_ns)
+        self._viewers.server.broadcast_playback_state(self._playhead.state())
 
-    def _show_held(self, topics: Collection[str], log_ns: int) -> None:
+    def _send_held(self, topics: Collection[str], log_ns: int) -> None:
         for message in held(self._source, topics, log_ns):
-            self._audience.send(message)
+            self._viewers.send(message)
 
     def _follow_from(self, log_ns: int) -> None:
         self._coming: Iterator[Message | None] = self._source.follow(log_ns)
@@ -269,24 +256,24 @@ class Player(ServerListener):
         return self._next
 
     def _advance(self) -> float:
-        """Do what is due. Returns the seconds to the next action."""
+        """Send a message that is due and update the status; return the seconds to the next action."""
         reach, coming = self._source.reach(), self._peek()
         next_ns = coming.log_time_ns if coming else None
         with self._lock:
-            if self._sought:
-                return 0.0  # a seek has moved the playhead since
+            if self._seek_request:
+                return 0.0  # a seek has just moved the playhead
             before, clock_ns = self._playhead, self._clock_ns()
             head, wait_s = advance(before, next_ns, reach, clock_ns, loop_ns=self._loop_ns)
             restarts = before.status == PlaybackStatus.Ended and head.status == PlaybackStatus.Paused
             self._playhead, self._watched = head, self._watched and not restarts
-        if restarts:  # viewers without seek would join the end to the start
-            self._audience.restart()
+        if restarts:  # viewers without seek would connect the end to the start
+            self._viewers.restart()
             self._follow_from(head.log_ns + 1)
         elif coming and before.status == head.status == PlaybackStatus.Playing and wait_s == 0:
-            self._audience.send(coming)
+            self._viewers.send(coming)
             self._next = None
         elif head.status == PlaybackStatus.Playing:
-            self._audience.server.broadcast_time(head.at(self._clock_ns()))
+            self._viewers.server.broadcast_time(head.at(self._clock_ns()))
         if head.status != before.status:
-            self._audience.server.broadcast_playback_state(head.state(moved=restarts))
+            self._viewers.server.broadcast_playback_state(head.state(moved=restarts))
         return wait_s

@@ -1,4 +1,4 @@
-"""Serving a finished log until Ctrl-C, and the output of a replay while it is computed."""
+"""Serves a finished log until Ctrl-C, or the output of a replay during the replay."""
 
 import shlex
 from collections.abc import Iterator
@@ -20,13 +20,13 @@ from roadperc_stream.system.process import optional_output
 from roadperc_stream.system.text import print_line
 from roadperc_stream.system.time import ns_to_seconds, seconds_to_ns
 from roadperc_stream.view.live import PlaybackOptions
-from roadperc_stream.view.live.player import LONGEST_WAIT_S, Audience, Player
+from roadperc_stream.view.live.player import LONGEST_WAIT_S, Player, Viewers
 from roadperc_stream.view.live.source import Source, finished_log, has_times, running_replay, with_times
 from roadperc_stream.view.result_frames import ReplayTimes, TableTimes
 
 _BACKLOG_MESSAGES: Final = 256
 """Messages that wait for a slow viewer; older ones are dropped."""
-_GOODBYE_S: Final = 2.0
+_STOP_S: Final = 2.0
 _HOW_TO_CONNECT: Final = (
     "Foxglove: Open connection > Foxglove WebSocket > this address; playback starts when a panel is open"
 )
@@ -45,7 +45,7 @@ def serve_log(path: Path, options: PlaybackOptions, *, quiet: bool = False) -> N
         quiet: print nothing.
 
     Raises:
-        LogError: the log cannot be read or holds no message, or ``--start`` lies outside.
+        LogError: the log is unreadable or has no messages, or ``--start`` is outside it.
         TableError: the metrics table beside it cannot be read.
         ServeError: the port is not available.
     """
@@ -60,15 +60,15 @@ def serve_log(path: Path, options: PlaybackOptions, *, quiet: bool = False) -> N
         f"{shlex.quote(str(path))} --foxglove --foxglove-layout {shlex.quote(str(path.with_suffix('.layout.json')))}"
     )
     served = playing(source, path.name, (reach.first_ns, reach.last_ns), options, None if quiet else layout)
-    with suppress(KeyboardInterrupt), served as (player, audience):
-        player.run(audience)
+    with suppress(KeyboardInterrupt), served as (player, viewers):
+        player.run(viewers)
 
 
 def log_with_times(path: Path) -> Source:
     """A finished log, with stage times if the table beside it has them.
 
     Raises:
-        LogError: the log cannot be read or holds no message.
+        LogError: the log is unreadable or has no messages.
         TableError: the table cannot be read.
     """
     source, times = finished_log(log.summarise(path)), TableTimes(sidecar_path(path, "metrics")).of
@@ -83,36 +83,38 @@ class LiveReplay(ExitStack):
         self._options, self._quiet = options, quiet
         self._playback: Future[None] | None = None
         self.times = ReplayTimes()
-        """Takes each frame's times."""
+        """Collects the stage times of each frame."""
 
     def start(self, writer: LogWriter, span_ns: tuple[int, int]) -> None:
-        """Begin: ``replay`` calls it when all channels are known and nothing is written yet.
+        """Start the server; ``replay`` calls it when all channels are registered, before the first message.
 
         Args:
             writer: writes the output.
-            span_ns: first and last log time it will have.
+            span_ns: first and last log time of the complete output.
 
         Raises:
             ServeError: the port is not available.
         """
         source = with_times(running_replay(writer.while_written(), span_ns[0]), self.times.of)
-        layout = None if self._quiet else "--foxglove-layout layout.json"  # for all topics: the log's are not known yet
-        player, audience = self.enter_context(playing(source, writer.path.name, span_ns, self._options, layout))
-        self.port = audience.server.port
+        layout = (
+            None if self._quiet else "--foxglove-layout layout.json"
+        )  # for all topics, as the log's are unknown yet
+        player, viewers = self.enter_context(playing(source, writer.path.name, span_ns, self._options, layout))
+        self.port = viewers.server.port
         thread = self.enter_context(ThreadPoolExecutor(1, "player"))
         self.callback(player.stop)
-        self._playback = thread.submit(player.run, audience)
+        self._playback = thread.submit(player.run, viewers)
 
     def wait(self) -> None:
         """Serve the complete output until Ctrl-C; return at once if nothing is served.
 
         Raises:
-            LogError: it can no longer be read.
+            LogError: the output is no longer readable.
         """
         with suppress(KeyboardInterrupt):
             if self._playback and not self._quiet:
                 with optional_output():
-                    print("the replay is complete and still served: Ctrl-C ends")
+                    print("the replay is complete and still served; press Ctrl-C to end")
             while self._playback and not self._playback.done():
                 wait([self._playback], LONGEST_WAIT_S)
         if self._playback and self._playback.done():
@@ -122,18 +124,21 @@ class LiveReplay(ExitStack):
 @contextmanager
 def playing(
     source: Source, name: str, span_ns: tuple[int, int], options: PlaybackOptions, layout: str | None
-) -> Iterator[tuple[Player, Audience]]:
-    """A player that is served under an address, and its audience; the caller runs the player.
+) -> Iterator[tuple[Player, Viewers]]:
+    """Start a server with a player; the caller runs the player.
 
     Args:
         source: what to play.
-        name: what viewers call it.
-        span_ns: first and last log time there will be.
+        name: shown by viewers.
+        span_ns: first and last log time of the complete log.
         options: speed, start, loop and address.
-        layout: arguments with which roadperc-view writes a layout for it; None to print nothing.
+        layout: printed as the roadperc-view arguments that write a matching layout; None to print nothing.
 
     Raises:
         ServeError: the address or the port is not available.
+
+    Yields:
+        The player and its viewers.
     """
     start_ns, host, context = source.reach().first_ns + seconds_to_ns(options.start_s), options.host, Context()
     player = Player(source, monotonic_ns, start_ns=start_ns, rate=options.rate, loop=options.loop)
@@ -150,17 +155,17 @@ def playing(
         )
     except RuntimeError as error:
         reason = str(error).removeprefix("FoxgloveError: ")
-        hint = "; --port 0 takes a free port" if "in use" in reason else ""
+        hint = "; pass --port 0 for a free port" if "in use" in reason else ""
         raise ServeError(f"{host}:{options.port}: {reason}{hint}") from error
     try:
-        audience = Audience(server, context, source.channels)
+        viewers = Viewers(server, context, source.channels)
         if layout is not None:
             with optional_output():
-                print_line(f"serving ws://{f'[{host}]' if ':' in host else host}:{server.port} (Ctrl-C ends)")
+                print_line(f"serving ws://{f'[{host}]' if ':' in host else host}:{server.port} (press Ctrl-C to end)")
                 print_line(_HOW_TO_CONNECT)
                 print_line(f"layout, for Layouts > Import from file: roadperc-view {layout}")
-        yield player, audience
+        yield player, viewers
     finally:  # a viewer that does not respond must not block the end
         stopping = Thread(target=server.stop, name="stop", daemon=True)
         stopping.start()
-        stopping.join(_GOODBYE_S)
+        stopping.join(_STOP_S)

@@ -10,9 +10,8 @@ from roadperc_stream import log
 from roadperc_stream.errors import LogError
 from roadperc_stream.input.earlier_replay import is_result_of
 from roadperc_stream.log import Channel, GrowingLog, LogSummary, Message
+from roadperc_stream.output.results import result_channel
 from roadperc_stream.schemas import roadperc_pb2 as pb
-from roadperc_stream.schemas.record import PRODUCER
-from roadperc_stream.schemas.registry import schema
 from roadperc_stream.schemas.topics import LIVE_ONLY, METRICS_TOPIC, TIMES_TOPIC
 from roadperc_stream.system.time import NS_PER_S
 from roadperc_stream.view.result_frames import TimesOfFrame
@@ -23,14 +22,14 @@ _LOOK_BACK_GROWTH: Final = 4
 
 @dataclass(frozen=True)
 class Reach:
-    """The part of a log that can be played now; a complete one does not grow."""
+    """The span of a log that can be played now; a complete one does not grow."""
 
     first_ns: int
     last_ns: int
     complete: bool = True
 
     def clamp(self, log_ns: int) -> int:
-        """The nearest log time within."""
+        """The nearest log time in the span."""
         return max(self.first_ns, min(log_ns, self.last_ns))
 
 
@@ -39,23 +38,23 @@ class Source:
     """A log to play, finished or growing."""
 
     channels: tuple[Channel, ...]
-    """All channels, those without a message included."""
+    """All channels, including those without messages."""
     reach: Callable[[], Reach]
-    """What can be played now."""
+    """Returns the span that can be played now."""
     read: Callable[[Collection[str], int, int], Iterator[Message]]
-    """The present messages of some topics in a half-open span of log time."""
+    """Returns the existing messages of some topics in a half-open span of log time."""
     follow: Callable[[int], Iterator[Message | None]]
-    """All messages from a log time on; None while the next one is not written yet."""
+    """Returns all messages from a log time on, and None while the next one is not written yet."""
 
 
 def finished_log(summary: LogSummary) -> Source:
-    """A log on disk; its CRCs are checked as it is read.
+    """A log on disk; reading it checks its CRCs.
 
     Raises:
-        LogError: it holds no message.
+        LogError: it has no messages.
     """
     if summary.first_ns is None or summary.last_ns is None or not sum(summary.counts.values()):
-        raise LogError(f"{summary.path}: no message to play")
+        raise LogError(f"{summary.path}: the log has no messages to play")
     reach = Reach(summary.first_ns, summary.last_ns)
 
     def read(topics: Collection[str], start_ns: int, end_ns: int) -> Iterator[Message]:
@@ -71,7 +70,7 @@ def running_replay(growing: GrowingLog, first_ns: int) -> Source:
 
     Args:
         growing: the output.
-        first_ns: first log time of the part that is replayed.
+        first_ns: first log time of the replayed messages.
     """
 
     def reach() -> Reach:
@@ -86,7 +85,7 @@ def running_replay(growing: GrowingLog, first_ns: int) -> Source:
 
 
 def held(source: Source, topics: Collection[str], log_ns: int) -> list[Message]:
-    """The last messages of each channel up to a log time; all of them if several share that time.
+    """The last message of each channel up to a log time, or its last messages if several share a log time.
 
     Looks back in growing steps for the topics not found yet. The index leads to a calibration at the start without
     reading all messages between.
@@ -113,9 +112,8 @@ def _last_by_channel(messages: Iterator[Message]) -> dict[Channel, list[Message]
 
 
 def with_times(source: Source, times: TimesOfFrame) -> Source:
-    """A source with the stages' times as one more channel, at the log times of the metrics they belong to."""
-    found = schema(LIVE_ONLY[TIMES_TOPIC])
-    channel = Channel(TIMES_TOPIC, found.message_encoding, found.name, found.schema_encoding, found.data, (PRODUCER,))
+    """The source with stage times as one more channel, at the log times of their frames' metrics."""
+    channel = result_channel(TIMES_TOPIC, LIVE_ONLY[TIMES_TOPIC])
 
     def read(topics: Collection[str], start_ns: int, end_ns: int) -> Iterator[Message]:
         if TIMES_TOPIC not in topics:
@@ -151,7 +149,7 @@ def _timed(messages: Iterator[Message | None], channel: Channel, times: TimesOfF
 
 
 def _times_of(message: Message | None, channel: Channel, times: TimesOfFrame) -> list[Message]:
-    """The message with the times of a frame; empty if they are not known."""
+    """The message with the stage times of a frame; empty if they are unknown."""
     frame = _frame_of(message)
     times_ms = times(frame.log_id, frame.frame) if frame else {}
     if message is None or frame is None or not times_ms:

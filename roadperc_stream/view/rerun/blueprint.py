@@ -1,4 +1,4 @@
-"""The viewer's panels: the image with overlays, the scene beside it, plots and log below."""
+"""Arranges the panels of the Rerun viewer: image with overlays, 3D scene beside it, plots and log below."""
 
 from collections.abc import Iterable, Mapping, Set
 from dataclasses import dataclass
@@ -8,39 +8,21 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from roadperc_stream.model import EGO
-from roadperc_stream.schemas.topics import (
-    DEBUG_PREFIX,
-    DRIVABLE_SCENE_TOPIC,
-    DRIVABLE_TOPIC,
-    LANES_ANNOTATIONS_TOPIC,
-    LANES_SCENE_TOPIC,
-    LOG_TOPIC,
-    METRICS_TOPIC,
-    OBJECTS_ANNOTATIONS_TOPIC,
-    OBJECTS_SCENE_TOPIC,
-    OCCUPANCY_TOPIC,
-    ODOMETRY_TOPIC,
-    OVERLAY_TOPIC,
-    STEREO_DEPTH_TOPIC,
-    SURFACE_TOPIC,
-    TF_TOPIC,
-    TIMES_TOPIC,
-    TRAJECTORY_TOPIC,
-)
+from roadperc_stream.schemas import topics
 from roadperc_stream.view.layout.curves import STAGE_COLOURS
 from roadperc_stream.view.rerun.scene import MISSING, STATES
 from roadperc_stream.view.rerun.tree import TREE
 
-_IN_THE_IMAGE: Final = (LANES_ANNOTATIONS_TOPIC, OBJECTS_ANNOTATIONS_TOPIC)
+_IN_THE_IMAGE: Final = (topics.LANES_ANNOTATIONS_TOPIC, topics.OBJECTS_ANNOTATIONS_TOPIC)
 _IN_SPACE: Final = (
-    SURFACE_TOPIC,
-    DRIVABLE_SCENE_TOPIC,
-    LANES_SCENE_TOPIC,
-    OBJECTS_SCENE_TOPIC,
-    OCCUPANCY_TOPIC,
-    ODOMETRY_TOPIC,
-    TRAJECTORY_TOPIC,
-    TF_TOPIC,
+    topics.SURFACE_TOPIC,
+    topics.DRIVABLE_SCENE_TOPIC,
+    topics.LANES_SCENE_TOPIC,
+    topics.OBJECTS_SCENE_TOPIC,
+    topics.OCCUPANCY_TOPIC,
+    topics.ODOMETRY_TOPIC,
+    topics.TRAJECTORY_TOPIC,
+    topics.TF_TOPIC,
 )
 _CURVES: Final[Mapping[str, tuple[str, ...]]] = {
     "lane offsets, m": (
@@ -79,17 +61,18 @@ class Log:
     entities: Set[str]
 
     def has(self, entity: str) -> bool:
-        """Whether anything is at or below an entity."""
+        """Whether the log has an entity or one below it."""
         return any(known == entity or known.startswith(f"{entity}/") for known in self.entities)
 
     def present(self, entities: Iterable[str | None]) -> list[str]:
-        """Those that are there."""
+        """The entities that the log has."""
         return [entity for entity in entities if entity is not None and self.has(entity)]
 
 
 def blueprint(log: Log, timeline: str) -> rrb.Blueprint:
-    """Panels of what the log has, and no empty ones."""
-    rows = [_row(_WIDTHS, *_pictures(log)), _row((1.0, 1.0, 1.0), *_numbers(log))]
+    """Panels for the contents of the log, without empty ones."""
+    pictures = _row(_WIDTHS, _tabs(_front(log)), _aside(log), _space(log))
+    rows = [pictures, _row((1.0, 1.0, 1.0), *_numbers(log))]
     filled = [row for row in rows if row is not None]
     return rrb.Blueprint(
         rrb.Vertical(*filled, row_shares=[2.0, 1.0][: len(filled)]),
@@ -101,38 +84,33 @@ def blueprint(log: Log, timeline: str) -> rrb.Blueprint:
 
 
 def _row(widths: Iterable[float], *parts: rrb.Container | rrb.View | None) -> rrb.Container | None:
-    there = [(part, width) for part, width in zip(parts, widths, strict=False) if part is not None]
-    shares = [width for _, width in there]
-    return rrb.Horizontal(*(part for part, _ in there), column_shares=shares) if there else None
+    shown = [(part, width) for part, width in zip(parts, widths, strict=False) if part is not None]
+    shares = [width for _, width in shown]
+    return rrb.Horizontal(*(part for part, _ in shown), column_shares=shares) if shown else None
 
 
 def _tabs(views: list[rrb.View]) -> rrb.Container | rrb.View | None:
     return rrb.Tabs(*views, active_tab=0) if len(views) > 1 else next(iter(views), None)
 
 
-def _pictures(log: Log) -> tuple[rrb.Container | rrb.View | None, ...]:
-    """The front image, the other pictures and the scene."""
-    return _tabs(_front(log)), _aside(log), _space(log)
-
-
 def _front(log: Log) -> list[rrb.View]:
-    """The image with what was found drawn over it; where there is no image, what takes its place."""
+    """The image with results or detections; without an image, the tags or the depth; then the pictures on request."""
     under = log.present(log.topics.get(role) for role in ("image", "left", "segmentation", "depth"))[:1]
     results, inputs = log.present(_IN_THE_IMAGE), log.present([log.topics.get("detections")])
     name = "image and results" if results else "image and detections" if inputs else "image"
     views: list[rrb.View] = [_picture(name, entity, (*(results or inputs),)) for entity in under]
-    made = sorted(e for e in log.entities if e.startswith((OVERLAY_TOPIC, DEBUG_PREFIX)))
+    made = sorted(e for e in log.entities if e.startswith((topics.OVERLAY_TOPIC, topics.DEBUG_PREFIX)))
     return views + [_picture(entity.rpartition("/")[2], entity) for entity in made]
 
 
 def _aside(log: Log) -> rrb.Container | None:
-    """Tags and depth, each with what was found of it behind."""
-    tags = {"tags": log.topics.get("segmentation"), "drivable": DRIVABLE_TOPIC}
-    depth = {"depth": log.topics.get("depth"), "stereo depth": STEREO_DEPTH_TOPIC}
+    """Tags and depth, with the results from them as further tabs."""
+    tags = {"tags": log.topics.get("segmentation"), "drivable": topics.DRIVABLE_TOPIC}
+    depth = {"depth": log.topics.get("depth"), "stereo depth": topics.STEREO_DEPTH_TOPIC}
     more = {"left": log.topics.get("left"), "right": log.topics.get("right")}
     stacks = [_tabs(_named(log, names)) for names in (tags, depth | more)]
-    there = [stack for stack in stacks if stack is not None]
-    return rrb.Vertical(*there) if there else None
+    shown = [stack for stack in stacks if stack is not None]
+    return rrb.Vertical(*shown) if shown else None
 
 
 def _named(log: Log, entities: Mapping[str, str | None]) -> list[rrb.View]:
@@ -146,8 +124,8 @@ def _picture(name: str, entity: str, over: tuple[str, ...] = ()) -> rrb.Spatial2
 
 
 def _space(log: Log) -> rrb.View | None:
-    """Seen from behind the car and above it; the depth, or what stereo found of it, as points."""
-    depth = log.present([log.topics.get("depth"), STEREO_DEPTH_TOPIC])[:1]
+    """The 3D scene from behind and above the car; depth, or stereo depth, as points."""
+    depth = log.present([log.topics.get("depth"), topics.STEREO_DEPTH_TOPIC])[:1]
     inputs = log.present(log.topics.get(role) for role in ("image", "calibration", "lidar", "truth_lanes"))
     parts = [*depth, *inputs, *log.present([TREE]), *log.present(_IN_SPACE)]
     if not (depth or log.present(_IN_SPACE) or log.has(log.topics.get("lidar", "?"))):
@@ -163,15 +141,15 @@ def _space(log: Log) -> rrb.View | None:
 
 
 def _numbers(log: Log) -> tuple[rrb.Container | rrb.View | None, ...]:
-    """Lane offsets, all other metrics, and times, states and words."""
+    """Lane offsets; all other metrics; times, states and log lines."""
     plots = {title: _plot(log, title, names) for title, names in _CURVES.items()}
     lanes = plots.pop("lane offsets, m")
-    return lanes, _tabs([plot for plot in plots.values() if plot is not None]), _tabs(_stages_and_words(log))
+    return lanes, _tabs([plot for plot in plots.values() if plot is not None]), _tabs(_times_and_texts(log))
 
 
 def _plot(log: Log, title: str, names: tuple[str, ...]) -> rrb.View | None:
-    there = [name for name in names if f"{METRICS_TOPIC}/{name}" in log.entities]
-    lines = {f"{METRICS_TOPIC}/{name}": _line(name) if name in _COLOURS else None for name in there}
+    entities = {f"{topics.METRICS_TOPIC}/{name}": name for name in names}
+    lines = {e: _line(name) if name in _COLOURS else None for e, name in entities.items() if e in log.entities}
     return _curves(title, lines) if lines else None
 
 
@@ -182,18 +160,17 @@ def _line(name: str) -> rr.SeriesLines:
 
 
 def _times(log: Log) -> rrb.View:
-    """Milliseconds of the stages that ran; the legend lies over the curves, so it is short."""
-    there = [stage for stage in STAGE_COLOURS if f"{TIMES_TOPIC}/{stage}_ms" in log.entities]
-    return _curves("time per stage, ms", {f"{TIMES_TOPIC}/{stage}_ms": _stage_line(stage) for stage in there})
-
-
-def _stage_line(stage: str) -> rr.SeriesLines:
-    width = _RAW_WIDTH if stage == "total" else _SMOOTHED_WIDTH
-    return rr.SeriesLines(colors=int(f"{STAGE_COLOURS[stage][1:]}ff", 16), widths=width, names=stage)
+    """Milliseconds of the stages that ran; the labels are short because the legend covers the curves."""
+    ran = [stage for stage in STAGE_COLOURS if f"{topics.TIMES_TOPIC}/{stage}_ms" in log.entities]
+    lines: dict[str, rr.SeriesLines | None] = {}
+    for stage in ran:
+        width, colour = _RAW_WIDTH if stage == "total" else _SMOOTHED_WIDTH, int(f"{STAGE_COLOURS[stage][1:]}ff", 16)
+        lines[f"{topics.TIMES_TOPIC}/{stage}_ms"] = rr.SeriesLines(colors=colour, widths=width, names=stage)
+    return _curves("time per stage, ms", lines)
 
 
 def _curves(title: str, lines: Mapping[str, rr.SeriesLines | None]) -> rrb.View:
-    """Curves over time by entity; those without a line look as the viewer likes."""
+    """Curves over time by entity; the viewer chooses the style of those with None."""
     return rrb.TimeSeriesView(
         name=title,
         contents=[*lines],
@@ -202,14 +179,14 @@ def _curves(title: str, lines: Mapping[str, rr.SeriesLines | None]) -> rrb.View:
     )
 
 
-def _stages_and_words(log: Log) -> list[rrb.View]:
+def _times_and_texts(log: Log) -> list[rrb.View]:
     views: list[rrb.View] = []
-    if log.has(TIMES_TOPIC):
+    if log.has(topics.TIMES_TOPIC):
         views.append(_times(log))
-    states = sorted(e for e in log.entities if e.startswith(METRICS_TOPIC) and e.endswith((*STATES, MISSING)))
+    states = sorted(e for e in log.entities if e.startswith(topics.METRICS_TOPIC) and e.endswith((*STATES, MISSING)))
     if states:
         views.append(rrb.StateTimelineView(name="states", contents=states))
-    lines = log.present((LOG_TOPIC, f"{METRICS_TOPIC}/reasons"))
+    lines = log.present((topics.LOG_TOPIC, f"{topics.METRICS_TOPIC}/reasons"))
     if lines:
         views.append(rrb.TextLogView(name="log", contents=lines))
     return views

@@ -1,4 +1,4 @@
-"""Draws the messages of a log: one drawer per channel."""
+"""Draws the messages of a log with one function per channel."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
@@ -17,27 +17,9 @@ from roadperc_stream.input.stream import RoleAssignment
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.model.tag_tables import TagTable
 from roadperc_stream.output.results import DRIVABLE_COLOURS
-from roadperc_stream.schemas import cdr, ros2
+from roadperc_stream.schemas import cdr, ros2, topics
 from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics
 from roadperc_stream.schemas.roles import Kind
-from roadperc_stream.schemas.topics import (
-    DEBUG_PREFIX,
-    DRIVABLE_SCENE_TOPIC,
-    DRIVABLE_TOPIC,
-    IMAGE_SCHEMA,
-    LANES_TOPIC,
-    LOG_TOPIC,
-    METRICS_TOPIC,
-    OBJECTS_TOPIC,
-    OCCUPANCY_TOPIC,
-    ODOMETRY_TOPIC,
-    OVERLAY_TOPIC,
-    STEREO_DEPTH_TOPIC,
-    SURFACE_TOPIC,
-    TF_TOPIC,
-    TIMES_TOPIC,
-    TRAJECTORY_TOPIC,
-)
 from roadperc_stream.view.rerun import overlays, pictures, scene
 from roadperc_stream.view.rerun.tree import Entry, SceneState
 from roadperc_stream.view.result_frames import TimesOfFrame
@@ -59,22 +41,22 @@ _KINDS: Final[Mapping[Kind, Callable[[str, str, Any, SceneState], Iterator[Entry
     "lanes": overlays.lanes,
 }
 _RESULT_KINDS: Final[Mapping[str, tuple[Kind, str]]] = {
-    SURFACE_TOPIC: ("surface", "result"),
-    DRIVABLE_TOPIC: ("tags", "image"),
-    LANES_TOPIC: ("lanes", "result"),
-    OBJECTS_TOPIC: ("objects", "result"),
-    STEREO_DEPTH_TOPIC: ("depth", "left"),
-    ODOMETRY_TOPIC: ("pose", "result"),
-    TF_TOPIC: ("tf", "result"),
+    topics.SURFACE_TOPIC: ("surface", "result"),
+    topics.DRIVABLE_TOPIC: ("tags", "image"),
+    topics.LANES_TOPIC: ("lanes", "result"),
+    topics.OBJECTS_TOPIC: ("objects", "result"),
+    topics.STEREO_DEPTH_TOPIC: ("depth", "left"),
+    topics.ODOMETRY_TOPIC: ("pose", "result"),
+    topics.TF_TOPIC: ("tf", "result"),
 }
-"""Results that are written as inputs of a role are, and the role whose camera they belong to."""
-_PICTURES: Final = (OVERLAY_TOPIC, DEBUG_PREFIX)
+"""Results with the message kind of an input, and the role whose camera they belong to."""
+_PICTURES: Final = (topics.OVERLAY_TOPIC, topics.DEBUG_PREFIX)
 _DRIVABLE: Final = TagTable("drivable", ("other", "drivable"), DRIVABLE_COLOURS)
 _PARSERS: Final[Mapping[str, tuple[Callable[[bytes], Any], Callable[[str, Any], Iterator[Entry]]]]] = {
-    DRIVABLE_SCENE_TOPIC: (SceneUpdate.FromString, scene.outlines),
-    TRAJECTORY_TOPIC: (PosesInFrame.FromString, scene.trajectory),
-    LOG_TOPIC: (Log.FromString, scene.log_line),
-    OCCUPANCY_TOPIC: (
+    topics.DRIVABLE_SCENE_TOPIC: (SceneUpdate.FromString, scene.outlines),
+    topics.TRAJECTORY_TOPIC: (PosesInFrame.FromString, scene.trajectory),
+    topics.LOG_TOPIC: (Log.FromString, scene.log_line),
+    topics.OCCUPANCY_TOPIC: (
         lambda data: cdr.read(data, ros2.OCCUPANCY_GRID, ros2.DEFINITIONS[ros2.OCCUPANCY_GRID]),
         scene.occupancy,
     ),
@@ -82,43 +64,43 @@ _PARSERS: Final[Mapping[str, tuple[Callable[[bytes], Any], Callable[[str, Any], 
 
 
 def drawers(
-    channels: Iterable[Channel], assigned: RoleAssignment, world: SceneState, times: TimesOfFrame
+    channels: Iterable[Channel], assigned: RoleAssignment, state: SceneState, times: TimesOfFrame
 ) -> dict[Channel, Drawer]:
-    """The drawer of each channel that is drawn."""
-    found = {channel: _drawer(channel, assigned, world, times) for channel in channels}
+    """The function that draws the messages of each channel, for channels with a role or results."""
+    found = {channel: _drawer(channel, assigned, state, times) for channel in channels}
     return {channel: drawer for channel, drawer in found.items() if drawer is not None}
 
 
-def _drawer(channel: Channel, assigned: RoleAssignment, world: SceneState, times: TimesOfFrame) -> Drawer | None:
+def _drawer(channel: Channel, assigned: RoleAssignment, state: SceneState, times: TimesOfFrame) -> Drawer | None:
     if is_result(channel):
-        return _result_drawer(channel, world, times)
+        return _result_drawer(channel, state, times)
     roles = assigned.roles_of(channel.topic)
     if not roles:
         return None
-    return _kind_drawer(channel, roles[0].kind, roles[0].name, world, assigned.tag_table)
+    return _kind_drawer(channel, roles[0].kind, roles[0].name, state, assigned.tag_table)
 
 
-def _result_drawer(channel: Channel, world: SceneState, times: TimesOfFrame) -> Drawer | None:
+def _result_drawer(channel: Channel, state: SceneState, times: TimesOfFrame) -> Drawer | None:
     topic = channel.topic
     if not is_result_of(channel, topic):
         return None
-    if topic == METRICS_TOPIC:
-        return partial(_parsed, FrameMetrics.FromString, partial(_numbers, times, world))
+    if topic == topics.METRICS_TOPIC:
+        return partial(_parsed, FrameMetrics.FromString, partial(_numbers, times, state))
     if topic in _PARSERS:
         return partial(_parsed, *_PARSERS[topic])
     if topic.startswith(_PICTURES):
-        return partial(_encoded, "image", world)
+        return partial(_encoded, "image", state)
     if topic in _RESULT_KINDS:
-        return _kind_drawer(channel, *_RESULT_KINDS[topic], world)
+        return _kind_drawer(channel, *_RESULT_KINDS[topic], state)
     return None
 
 
-def _kind_drawer(channel: Channel, kind: Kind, role: str, world: SceneState, tag_table: str = "") -> Drawer:
-    if kind == "image" and (channel.schema_name, channel.message_encoding) == (IMAGE_SCHEMA, "protobuf"):
-        return partial(_encoded, role, world)
+def _kind_drawer(channel: Channel, kind: Kind, role: str, state: SceneState, tag_table: str = "") -> Drawer:
+    if kind == "image" and (channel.schema_name, channel.message_encoding) == (topics.IMAGE_SCHEMA, "protobuf"):
+        return partial(_encoded, role, state)
     context = context_of_channel(channel, "auto", tag_table)
     context = Context(_DRIVABLE) if kind == "tags" and is_result(channel) else context
-    return partial(_decoded, kind, role, context, world)
+    return partial(_decoded, kind, role, context, state)
 
 
 def _parsed(
@@ -131,23 +113,23 @@ def _parsed(
     return draw(message.channel.topic, content)
 
 
-def _numbers(times: TimesOfFrame, world: SceneState, entity: str, message: Any) -> Iterator[Entry]:
-    """A frame's metrics, and the times of its stages, which only the table has."""
-    yield from scene.metrics(entity, message, world)
-    yield from scene.times(TIMES_TOPIC, times(message.log_id, message.frame))
+def _numbers(times: TimesOfFrame, state: SceneState, entity: str, message: Any) -> Iterator[Entry]:
+    """A frame's metrics, and its stage times from the table."""
+    yield from scene.metrics(entity, message, state)
+    yield from scene.times(topics.TIMES_TOPIC, times(message.log_id, message.frame))
 
 
-def _encoded(role: str, world: SceneState, message: Message) -> Iterator[Entry]:
-    """The image's own bytes: nothing is decoded."""
-    return _parsed(CompressedImage.FromString, partial(_as_it_is, role, world), message)
+def _encoded(role: str, state: SceneState, message: Message) -> Iterator[Entry]:
+    """The image in its encoded form."""
+
+    def draw(entity: str, content: Any) -> Iterator[Entry]:
+        yield pictures.encoded(entity, content.data, content.format, state.image_frame(role, content.frame_id))
+
+    return _parsed(CompressedImage.FromString, draw, message)
 
 
-def _as_it_is(role: str, world: SceneState, entity: str, content: Any) -> Iterator[Entry]:
-    yield pictures.encoded(entity, content.data, content.format, world.image_frame(role, content.frame_id))
-
-
-def _decoded(kind: Kind, role: str, context: Context, world: SceneState, message: Message) -> Iterator[Entry]:
+def _decoded(kind: Kind, role: str, context: Context, state: SceneState, message: Message) -> Iterator[Entry]:
     channel = message.channel
     schema, encoding = channel.schema_name, channel.message_encoding
     decoded = decode(kind, schema, encoding, message.data, message.log_time_ns, context)
-    return _KINDS[kind](channel.topic, role, decoded.payload, world)
+    return _KINDS[kind](channel.topic, role, decoded.payload, state)

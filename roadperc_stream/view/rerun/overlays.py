@@ -1,7 +1,4 @@
-"""Lanes, detections and judged objects over the image and in space.
-
-Their classes have names and colours in annotation contexts.
-"""
+"""Draws lanes, detections and objects over the image and in 3D; annotation contexts name and colour their classes."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
@@ -21,36 +18,36 @@ _TRUE: Final[Colour] = (255, 255, 255)
 
 
 _BOX_COLOURS: Final[Mapping[str, Colour]] = {**colours.OBJECT, "detected": colours.CYAN, "true": _TRUE}
-"""By what became of a detection; the last two are not judged by the chain."""
+"""By the verdict on a detection; ``detected`` and ``true`` ones have none."""
 _LINE_COLOURS: Final[Mapping[str, Colour]] = {
     **colours.BOUNDARY,
     "raw": colours.RAW_LINE,
     "proposal": colours.PROPOSED_LINE,
     "true": _TRUE,
 }
-"""By where a line comes from."""
+"""By the status or the origin of a line."""
 _BOXES: Final = annotation_context(_BOX_COLOURS, _BOX_COLOURS.values())
 _LINES: Final = annotation_context(_LINE_COLOURS, _LINE_COLOURS.values())
 _BOX_IDS: Final = {name: number for number, name in enumerate(_BOX_COLOURS)}
 _LINE_IDS: Final = {name: number for number, name in enumerate(_LINE_COLOURS)}
 _KEPT_PX, _DROPPED_PX = 1.5, 0.75
 _CAPTION_MARGIN = (1.25, 1.8)
-"""Columns and rows that the viewer's captions take beside those of the text."""
+"""Size of the viewer's captions relative to their text, in columns and rows."""
 
 
-def detections(entity: str, _role: str, payload: Sequence[Detection], world: SceneState) -> Iterator[Entry]:
-    """The boxes of the detector."""
+def detections(entity: str, _role: str, payload: Sequence[Detection], state: SceneState) -> Iterator[Entry]:
+    """Draw the boxes of the detector."""
     texts = [f"{detection.label} {detection.score:.2f}" for detection in payload]
     yield Entry(entity, _BOXES)
     boxes = _boxes([d.box_px for d in payload], ["detected"] * len(payload), texts, shown=True)
-    yield Entry(entity, boxes, world.image_frame(world.reference, ""))
+    yield Entry(entity, boxes, state.image_frame(state.reference, ""))
 
 
-def objects(entity: str, role: str, payload: Objects, world: SceneState) -> Iterator[Entry]:
-    """Boxes by verdict in the image; kept objects with a distance also in space."""
+def objects(entity: str, role: str, payload: Objects, state: SceneState) -> Iterator[Entry]:
+    """Draw boxes by verdict in the image, and kept objects with a distance in 3D."""
     true = role.startswith("truth")
     judged = [(item, "true" if true else item.verdict) for item in payload.objects]
-    frame, camera = world.image_frame(world.reference, ""), world.front
+    frame, camera = state.image_frame(state.reference, ""), state.front
     yield Entry(entity, _BOXES)
     kept = [(item, box) for item, box in judged if item.kept or true]
     dropped = [(item, box) for item, box in judged if not (item.kept or true)]
@@ -63,7 +60,7 @@ def objects(entity: str, role: str, payload: Objects, world: SceneState) -> Iter
 
 
 def _caption_places(kept: Sequence[tuple[Object, str]], camera: Camera) -> tuple[Box | None, ...]:
-    """Space for the captions, which are larger here than elsewhere by the margin around them."""
+    """Places for the captions, which have a wider margin in this viewer."""
     items = [item for item, _ in kept]
     sizes = [viewer_text_size(camera, caption(item)) for item in items]
     wider = [(_CAPTION_MARGIN[0] * width, _CAPTION_MARGIN[1] * height) for width, height in sizes]
@@ -71,7 +68,7 @@ def _caption_places(kept: Sequence[tuple[Object, str]], camera: Camera) -> tuple
 
 
 def _captions(kept: Sequence[tuple[Object, str]], places: Sequence[Box | None]) -> rr.Points2D:
-    """Captions that fit, below their points; hovering over a box shows its caption as well."""
+    """The captions that have a place, below their points; hovering over a box also shows its caption."""
     shown = [(caption(item), box, place) for (item, box), place in zip(kept, places, strict=True) if place]
     return rr.Points2D(
         np.array([((place.x_min + place.x_max) / 2, place.y_min) for _, _, place in shown]).reshape(-1, 2),
@@ -89,7 +86,7 @@ def _judged(objects: Sequence[tuple[Object, str]]) -> rr.Boxes2D:
 
 
 def _boxes(boxes_px: Sequence[Box], classes: Sequence[str], texts: Sequence[str], *, shown: bool) -> rr.Boxes2D:
-    """Half-open boxes, counted from the image's corner as they stand; their texts shown, or shown on hovering only."""
+    """Half-open boxes in pixels from the image corner; ``shown`` texts are visible without hovering."""
     corners = np.array([(b.x_min, b.y_min, b.x_max, b.y_max) for b in boxes_px], float).reshape(-1, 4)
     return rr.Boxes2D(
         array=corners,
@@ -105,7 +102,7 @@ def _boxes(boxes_px: Sequence[Box], classes: Sequence[str], texts: Sequence[str]
 def _in_space(
     entity: str, kept: Sequence[tuple[Object, str]], places: Sequence[Box | None], camera: Camera
 ) -> Iterator[Entry]:
-    """Those of known distance, and the captions of those that have one in the image."""
+    """Objects with a distance, and captions of those with a caption in the image."""
     near = [(*pair, place) for pair, place in zip(kept, places, strict=True) if pair[0].distance_m]
     slabs = [box_in_space(camera, item.detection.box_px, item.distance_m or 0.0) for item, _, _ in near]
     centres = np.array([centre for centre, _ in slabs]).reshape(-1, 3)
@@ -134,13 +131,13 @@ _HALF_PIXEL = 0.5
 _SMOOTHED_PX, _RAW_PX, _PROPOSAL_PX = 2.0, 1.0, 0.5
 _ON_THE_ROAD_M, _TRUE_M = 0.09, 0.03
 _PARTS = 20
-"""Into so many a metre of line is cut to end it at the image's edge."""
+"""Pieces of a metre of line, to cut the line at the image's edge."""
 
 
-def lanes(entity: str, role: str, payload: Lanes, world: SceneState) -> Iterator[Entry]:
-    """Smoothed, raw and proposed lines in the image, and the boundaries in the ego frame."""
+def lanes(entity: str, role: str, payload: Lanes, state: SceneState) -> Iterator[Entry]:
+    """Draw smoothed, raw and proposed lines in the image, and the boundaries in the ego frame."""
     yield Entry(entity, _LINES)
-    yield from _on_the_image(f"{entity}/annotations", payload, role, world)
+    yield from _on_the_image(f"{entity}/annotations", payload, role, state)
     drawn = [boundary for boundary in payload.boundaries if len(boundary.line_ego_m)]
     strips = rr.LineStrips3D(
         [boundary.line_ego_m for boundary in drawn],
@@ -152,8 +149,8 @@ def lanes(entity: str, role: str, payload: Lanes, world: SceneState) -> Iterator
     yield Entry(f"{entity}/scene", strips, EGO)
 
 
-def _on_the_image(entity: str, payload: Lanes, role: str, world: SceneState) -> Iterator[Entry]:
-    frame, camera = world.image_frame(world.reference, ""), world.front
+def _on_the_image(entity: str, payload: Lanes, role: str, state: SceneState) -> Iterator[Entry]:
+    frame, camera = state.image_frame(state.reference, ""), state.front
     drawn = [boundary for boundary in payload.boundaries if len(boundary.line_px)]
     smoothed = rr.LineStrips2D(
         [_inside(boundary.line_px, camera) + _HALF_PIXEL for boundary in drawn],
@@ -170,7 +167,7 @@ def _on_the_image(entity: str, payload: Lanes, role: str, world: SceneState) -> 
 
 
 def _inside(line_px: Float, camera: Camera | None) -> Float:
-    """The part of an (N, 2) line that the image shows: what lies beside it would shift the view."""
+    """The part of an (N, 2) line inside the image, because points outside would shift the view."""
     if camera is None:
         return line_px
     places = np.arange(len(line_px))

@@ -1,4 +1,4 @@
-"""Images, tags and depth as Rerun shows them."""
+"""Draws images, tags, depth and cameras in Rerun."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -14,38 +14,38 @@ from roadperc_stream.view.rerun.tree import Entry, SceneState, annotation_contex
 
 _MM_PER_M: Final = 1000.0
 _COLOURED_MM: Final = (0.0, 40_000.0)
-"""Beyond it the road is a few rows high, and all would be one colour."""
+"""Colour range. Beyond it the road is only a few rows high."""
 _JPEG_QUALITY: Final = 90
 _PIXEL_CENTRE: Final = 0.5
 """Rerun counts pixels from the image's corner, this project from the first pixel's centre."""
 
 
 def encoded(entity: str, contents: bytes, image_format: str, frame: str) -> Entry:
-    """An image as the log holds it."""
+    """An image with the encoded bytes of the log."""
     return Entry(entity, rr.EncodedImage(contents=contents, media_type=f"image/{image_format}"), frame)
 
 
-def image(entity: str, role: str, payload: CameraImage, world: SceneState) -> Iterator[Entry]:
-    """An image of raw pixels, or of a message that is no foxglove.CompressedImage: encoded here."""
+def image(entity: str, role: str, payload: CameraImage, state: SceneState) -> Iterator[Entry]:
+    """Encode and draw an image of raw pixels or of another message type than foxglove.CompressedImage."""
     jpeg = encode_jpeg(payload.bgr, _JPEG_QUALITY)
-    yield encoded(entity, jpeg, "jpeg", world.image_frame(role, payload.frame_id))
+    yield encoded(entity, jpeg, "jpeg", state.image_frame(role, payload.frame_id))
 
 
-def tags(entity: str, role: str, payload: TagImage, world: SceneState) -> Iterator[Entry]:
-    """Class ids, and the names and colours of their table."""
+def tags(entity: str, role: str, payload: TagImage, state: SceneState) -> Iterator[Entry]:
+    """Draw class ids, with names and colours from the tag table."""
     yield Entry(entity, annotation_context(payload.table.names, payload.table.colours))
-    yield Entry(entity, rr.SegmentationImage(payload.tags), world.image_frame(role, payload.frame_id))
+    yield Entry(entity, rr.SegmentationImage(payload.tags), state.image_frame(role, payload.frame_id))
 
 
-def instances(entity: str, role: str, payload: InstanceImage, world: SceneState) -> Iterator[Entry]:
-    """The objects' numbers, each in its own colour."""
-    yield Entry(entity, rr.SegmentationImage(payload.ids), world.image_frame(role, payload.frame_id))
+def instances(entity: str, role: str, payload: InstanceImage, state: SceneState) -> Iterator[Entry]:
+    """Draw the numbers of objects, each in its own colour."""
+    yield Entry(entity, rr.SegmentationImage(payload.ids), state.image_frame(role, payload.frame_id))
 
 
-def depth(entity: str, role: str, payload: DepthImage, world: SceneState) -> Iterator[Entry]:
-    """Millimetres, 0 where the depth is unknown or saturated: such pixels are no points in space."""
-    camera = world.camera_of(role)
-    borrowed = "depth_calibration" not in world.latched.cameras
+def depth(entity: str, role: str, payload: DepthImage, state: SceneState) -> Iterator[Entry]:
+    """Draw depth in millimetres; unknown and saturated pixels are 0, so they give no 3D points."""
+    camera = state.camera_of(role)
+    borrowed = "depth_calibration" not in state.latched.cameras
     if camera and borrowed and payload.frame_id not in ("", camera.frame_id):
         yield pinhole(f"{entity}/camera", replace(camera, frame_id=payload.frame_id))
     known_mm = np.where(payload.depth_m < payload.limit_m, depth_to_mm(payload.depth_m), 0).astype(np.uint16)
@@ -53,11 +53,11 @@ def depth(entity: str, role: str, payload: DepthImage, world: SceneState) -> Ite
     yield Entry(entity, picture, image_plane(payload.frame_id or (camera.frame_id if camera else "")))
 
 
-def calibration(entity: str, role: str, payload: Camera, world: SceneState) -> Iterator[Entry]:
-    """A camera; the front one's frame tells which frame of the tree is ego."""
-    world.latch(role, payload)
+def calibration(entity: str, role: str, payload: Camera, state: SceneState) -> Iterator[Entry]:
+    """Draw a camera. The front camera determines which frame of the tree is ego."""
+    state.latch(role, payload)
     yield pinhole(entity, payload)
-    yield from new_edges(world)
+    yield from new_edges(state)
 
 
 def pinhole(entity: str, payload: Camera) -> Entry:

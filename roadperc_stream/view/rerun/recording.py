@@ -1,4 +1,4 @@
-"""A log to a Rerun viewer or into a recording, message by message."""
+"""Sends a log to a Rerun viewer or writes it as a recording, message by message."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -33,9 +33,9 @@ from roadperc_stream.view.result_frames import TableTimes, nothing_shown, requir
 LOG_TIME, FRAME = "message_log_time", "frame"
 _APPLICATION: Final = "roadperc"
 _LARGE_CHUNKS: Final = rr.ChunkBatcherConfig(flush_tick=timedelta(seconds=10), flush_num_bytes=16 * 2**20)
-"""A recording's footer, held in memory, names every chunk: small ones cost 0.25 MB a frame."""
+"""The footer of a recording is in memory and lists every chunk: small chunks take 0.25 MB per frame."""
 _MOST_WAITING: Final = 25
-"""Instants that may wait to be written or sent: the queue of the sending thread is not bounded."""
+"""Most log times that wait to be sent, because the queue of the sending thread is unbounded."""
 Progress = Callable[[int, int], None]
 
 
@@ -44,17 +44,16 @@ class Exported:
     """A summary of an export, for the user."""
 
     frames: int
-    """0 if no message makes a frame."""
+    """Number of frames; 0 without messages of frames."""
     notes: tuple[str, ...]
     problems: Mapping[str, int]
 
 
 def open_viewer(path: Path, overrides: Mapping[str, str], progress: Progress = no_progress) -> Exported:
-    """Open the viewer and send it a log; it stays open.
+    """Open the viewer and send it a log; the viewer stays open.
 
     Raises:
-        RoadpercError: the log cannot be read or holds nothing that is shown, or the viewer does not start or does not
-            answer.
+        RoadpercError: the log is unreadable or has nothing to show, or the viewer does not start or answer.
     """
     summary, roles = _opened(path, overrides)
     start_viewer()
@@ -64,20 +63,20 @@ def open_viewer(path: Path, overrides: Mapping[str, str], progress: Progress = n
             recording.connect_grpc(URL)
             exported = _export(recording, summary, roles, progress, recording.flush, arrange_early=True)
             recording.flush()
-            recording.disconnect()  # it waits until all is sent
-    except RuntimeError as error:  # what the SDK throws
-        raise TargetError(f"{URL}: the viewer is gone") from error
+            recording.disconnect()  # waits until everything is sent
+    except RuntimeError as error:  # raised by the SDK
+        raise TargetError(f"{URL}: the viewer was closed before it had the whole log") from error
     return exported
 
 
 def save_recording(
     path: Path, target: Path, overrides: Mapping[str, str], *, force: bool = False, progress: Progress = no_progress
 ) -> Exported:
-    """Write a log as a Rerun recording with its blueprint; the file appears under its name only when complete.
+    """Write a log as a Rerun recording with its blueprint; the file gets its name only when complete.
 
     Raises:
-        RoadpercError: the log cannot be read or holds nothing that is shown, ``target`` is no ``.rrd``, exists and
-            ``force`` is not set, or it cannot be written whole; nothing is left behind.
+        RoadpercError: the log is unreadable or has nothing to show, ``target`` is not an ``.rrd`` or exists without
+            ``force``, or it cannot be completed; no partial file remains.
     """
     require_free(target, force=force, source=path, suffix=".rrd")
     summary, roles = _opened(path, overrides)
@@ -100,7 +99,7 @@ def _opened(path: Path, overrides: Mapping[str, str]) -> tuple[LogSummary, RoleA
 
 def _recording(path: Path, batches: rr.ChunkBatcherConfig | None = None) -> rr.RecordingStream:
     recording = rr.RecordingStream(_APPLICATION, batcher_config=batches)
-    recording.set_log_time_enabled(False)  # the wall time of the export is not useful
+    recording.set_log_time_enabled(False)  # the time of the export is not useful
     recording.send_recording_name(path.name)
     return recording
 
@@ -114,7 +113,7 @@ def _export(
     *,
     arrange_early: bool,
 ) -> Exported:
-    """Log every message, and arrange what was logged; ``keep_up`` waits until what was logged has arrived."""
+    """Log all messages and send the blueprint; ``keep_up`` waits until the logged messages are sent."""
     sender = _Sender(recording, summary, roles)
     expected = sum(summary.counts[c.source_id] for c in summary.channels if c.topic == sender.reference)
     frames = 0
@@ -123,7 +122,7 @@ def _export(
         sender.send(log_time_ns, tuple(messages))
         if count % _MOST_WAITING == 0:
             keep_up()
-        if arrange_early and frames == 1 and sender.frame == 1:  # the first frame is there: it has most of what comes
+        if arrange_early and frames == 1 and sender.frame == 1:  # the first frame has most entities
             recording.send_blueprint(sender.arranged())
         frames = max(frames, sender.frame + 1)
         progress(frames, expected)
@@ -140,19 +139,19 @@ class _Sender:
         self._recording = recording
         self._roles = roles
         self.reference = roles.topics.get(roles.reference or "")
-        """Topic whose messages make the frames if no metrics number them; None if absent."""
+        """Topic whose messages are counted as frames in a log without metrics; None if absent."""
         self.frame = -1
-        """Number of the frame that the last messages belong to, from 0; -1 before the first."""
-        world = SceneState(roles.reference or "")
-        self._drawers = drawers(summary.channels, roles, world, TableTimes(sidecar_path(summary.path, "metrics")).of)
+        """Number of the current frame from 0; -1 before the first one."""
+        state = SceneState(roles.reference or "")
+        self._drawers = drawers(summary.channels, roles, state, TableTimes(sidecar_path(summary.path, "metrics")).of)
         self._contexts: dict[str, rr.AsComponents] = {}
         self._drawn: set[str] = set()
         self.entities: set[str] = set()
-        """Everything that has been sent, by its path."""
+        """Paths of the sent entities."""
         self.problems = Problems()
 
     def arranged(self) -> rr.blueprint.Blueprint:
-        """The blueprint of what has been sent."""
+        """The blueprint for the sent entities."""
         return blueprint(Log(self._roles.topics, frozenset(self.entities)), LOG_TIME)
 
     def send(self, log_time_ns: int, messages: Sequence[Message]) -> None:
@@ -166,11 +165,11 @@ class _Sender:
         metrics = [message for message in messages if is_result_of(message.channel, METRICS_TOPIC)]
         self.frame = self._frame_of(messages, metrics)
         self._recording.set_time(LOG_TIME, timestamp=np.datetime64(log_time_ns, "ns"))
-        self._recording.set_time(FRAME, sequence=max(self.frame, 0))  # what comes before counts to the first frame
+        self._recording.set_time(FRAME, sequence=max(self.frame, 0))  # earlier messages belong to the first frame
         entries = list(self._entries(messages))
         for entry in entries:
             self._log(entry)
-        if metrics:  # each frame has them
+        if metrics:  # every frame of a result has metrics
             of_frame = {e.entity for e in entries if e.frame and e.entity.startswith(tuple(RESULTS))}
             # The viewer shows the last value: clear results that this frame lacks.
             for entity in sorted(self._drawn - of_frame):
@@ -180,7 +179,7 @@ class _Sender:
     def _frame_of(self, messages: Sequence[Message], metrics: Sequence[Message]) -> int:
         """The frame number of the metrics; without metrics, count the reference messages."""
         for message in metrics:
-            with suppress(ProtobufError):  # a damaged one is reported where it would be drawn
+            with suppress(ProtobufError):  # drawing it reports the damage
                 return int(FrameMetrics.FromString(message.data).frame)
         return self.frame + any(message.channel.topic == self.reference for message in messages)
 
@@ -196,7 +195,7 @@ class _Sender:
     def _log(self, entry: Entry) -> None:
         self.entities.add(entry.entity)
         if isinstance(entry.archetype, rr.AnnotationContext):
-            if entry.entity not in self._contexts:  # it holds for all of the recording
+            if entry.entity not in self._contexts:  # one context is valid for the whole recording
                 self._contexts[entry.entity] = entry.archetype
                 self._recording.log(entry.entity, entry.archetype, static=True)
         elif entry.frame:

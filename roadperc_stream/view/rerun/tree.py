@@ -1,4 +1,4 @@
-"""Entries for Rerun, the state between messages, and the transform tree."""
+"""The state between messages and the transform tree, as entries for Rerun."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -21,7 +21,7 @@ _CALIBRATIONS: Final = {"left": "left_calibration", "depth": "depth_calibration"
 
 @dataclass(frozen=True)
 class Entry:
-    """One archetype of one entity; ``frame`` is the coordinate frame it is drawn in, empty where it has none."""
+    """An archetype of an entity; ``frame`` is its coordinate frame, empty for none."""
 
     entity: str
     archetype: rr.AsComponents
@@ -30,15 +30,15 @@ class Entry:
 
 @dataclass
 class SceneState:
-    """Cameras and transforms, which hold until replaced, and the parts that are drawn already."""
+    """Cameras and transforms, which hold until replaced, and the edges and texts that were drawn last."""
 
     reference: str = "image"
-    """The role whose messages make the frames: the results are those of its camera."""
+    """The role whose messages are the frames; results belong to its camera."""
     latched: LatchedState = field(default_factory=LatchedState)
     assumed_mounting: Float | None = None
-    """ego_T_camera of a front camera that the log does not place."""
+    """ego_T_camera of a front camera without transforms."""
     edges: dict[str, Transform] = field(default_factory=dict)
-    words: dict[str, str] = field(default_factory=dict)
+    texts: dict[str, str] = field(default_factory=dict)
 
     @property
     def front(self) -> Camera | None:
@@ -53,16 +53,16 @@ class SceneState:
         return cameras.get(_CALIBRATIONS.get(role, "calibration")) or cameras.get("calibration")
 
     def image_frame(self, role: str, frame_id: str) -> str:
-        """Coordinate frame of a role's pixels: that of its calibration, where there is one."""
+        """Coordinate frame of a role's pixels, from its calibration if it has one."""
         camera = self.camera_of(role)
         return image_plane(camera.frame_id if camera else frame_id)
 
     def knows(self, frame_id: str) -> bool:
-        """Whether the log's transforms place a frame, or others below it."""
+        """Whether the log's transforms contain a frame."""
         return self.latched.tree.knows(frame_id)
 
     def latch(self, role: str, payload: Payload) -> None:
-        """Take in a calibration or transforms; edges that close a loop are left out, as the chain leaves them out."""
+        """Update a calibration or transforms; leaves out edges that close a loop, like the chain."""
         item = Stamped(role, 0, 0, payload)
         looping = self.latched.tree.looping(item.edges)
         kept = tuple(edge for edge in item.edges if edge.child not in looping)
@@ -70,7 +70,7 @@ class SceneState:
 
 
 def image_plane(frame_id: str) -> str:
-    """Coordinate frame of a camera's pixels: the name that Rerun's own importer gives it."""
+    """Coordinate frame of a camera's pixels, named as Rerun's importer names it."""
     return f"{frame_id}_image_plane"
 
 
@@ -81,21 +81,17 @@ def annotation_context(names: Iterable[str], colours: Iterable[Colour]) -> rr.An
 
 
 TREE: Final = "/tf"
-"""Each frame of the log has one entity below it. With two entities, Rerun would mix their transforms."""
+"""Parent of one entity per frame. Rerun would mix the transforms of two entities."""
 
 
-def new_edges(world: SceneState) -> Iterator[Entry]:
-    """The edges that changed since they were drawn."""
-    for child, edge in ego_tree(world).items():
-        if not _same(edge, world.edges.get(child)):
-            world.edges[child] = edge
+def new_edges(state: SceneState) -> Iterator[Entry]:
+    """Draw the edges that changed since they were drawn last."""
+    for child, edge in ego_tree(state).items():
+        drawn = state.edges.get(child)
+        same_parent = drawn is not None and drawn.parent == edge.parent
+        if drawn is None or not same_parent or not np.array_equal(drawn.parent_T_child, edge.parent_T_child):
+            state.edges[child] = edge
             yield edge_entry(TREE, edge)
-
-
-def _same(edge: Transform, drawn: Transform | None) -> bool:
-    if drawn is None or drawn.parent != edge.parent:
-        return False
-    return np.array_equal(drawn.parent_T_child, edge.parent_T_child)
 
 
 def known_as(frame_id: str) -> str:
@@ -104,17 +100,17 @@ def known_as(frame_id: str) -> str:
 
 
 def of_odometry(edge: Transform) -> bool:
-    """Whether an edge of the results is the pose of the car. The others tie ego to the log's tree."""
+    """Whether an edge of the results is the pose of the car; the others connect ego and the log's tree."""
     return {edge.parent, edge.child} in ({EGO, ODOM}, {EGO, OWN_ODOM})
 
 
-def ego_tree(world: SceneState) -> Mapping[str, Transform]:
-    """The edges by child, as the chain reads them: the frame that it uses as ego is placed at ego.
+def ego_tree(state: SceneState) -> Mapping[str, Transform]:
+    """The edges by child, as the chain uses them: the frame that it uses as ego is placed at ego.
 
-    Without a mounting that is the front camera itself, as soon as a result says how high it was assumed to be.
+    Without a mounting, the front camera is placed below ego as soon as a result gives its assumed height.
     """
-    camera, assumed = world.front, world.assumed_mounting
-    tree = world.latched.tree
+    camera, assumed = state.front, state.assumed_mounting
+    tree = state.latched.tree
     own = ego_frame_of(tree, camera) if camera else None
     if camera and own is None and assumed is not None:
         return _below_ego(tree, camera.frame_id, Transform(EGO, camera.frame_id, assumed))
@@ -127,7 +123,7 @@ def _below_ego(tree: TransformTree, frame: str, ego_T_frame: Transform) -> Mappi
     return {
         child: Transform(known_as(edge.parent), known_as(child), edge.parent_T_child)
         for child, edge in edges.items()
-        if child != EGO  # odometry alone says where ego is
+        if child != EGO  # only odometry places ego
     }
 
 

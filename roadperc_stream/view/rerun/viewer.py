@@ -1,4 +1,4 @@
-"""Targets of a recording: the Rerun viewer in its own process, or a file through a pipe."""
+"""Starts the Rerun viewer, and saves a recording through a pipe."""
 
 import os
 import shutil
@@ -27,17 +27,17 @@ _ADDRESS: Final = ("127.0.0.1", 9876)
 _COMMAND: Final = (sys.executable, "-m", "rerun", "--bind", _ADDRESS[0], "--port", str(_ADDRESS[1]))
 _STARTS_WITHIN_S: Final = 30.0
 _ANSWERS_WITHIN_S: Final = 5.0
-_FALLS_WITHIN_S: Final = 2.0
-"""A viewer without a display listens for a moment before it exits."""
+_EXITS_WITHIN_S: Final = 2.0
+"""A viewer without a display listens briefly before it exits."""
 
 
 def start_viewer() -> None:
-    """Start a viewer on the loopback address, or use the one that listens there.
+    """Start a viewer on the loopback address, or use the running one.
 
     The SDK's own ``spawn`` listens on all addresses and waits forever for a viewer without a display.
 
     Raises:
-        RoadpercError: no viewer comes up, or another program has its port.
+        RoadpercError: no viewer starts, or another program uses its port.
     """
     if _listening():
         if not _is_viewer():
@@ -52,10 +52,10 @@ def start_viewer() -> None:
     while monotonic() < deadline and viewer.poll() is None and not _listening():
         sleep(0.1)
     with suppress(subprocess.TimeoutExpired):
-        viewer.wait(_FALLS_WITHIN_S)
+        viewer.wait(_EXITS_WITHIN_S)
     if viewer.poll() is not None or not _listening():
         raise RoadpercError(
-            "the Rerun viewer does not start. Is there a display? Pass --save FILE.rrd to write a recording"
+            "the Rerun viewer does not start; without a display pass --save FILE.rrd to write a recording"
         )
 
 
@@ -105,7 +105,7 @@ def saving(recording: rr.RecordingStream, path: Path) -> Iterator[Callable[[], N
         A check that the file has all bytes from the pipe; it raises the same errors.
 
     Raises:
-        OSError: the SDK cannot open the pipe, or the file cannot be written whole, as when the disk is full.
+        OSError: the SDK cannot open the pipe, or the file cannot be completed, as on a full disk.
     """
     readable, writable = os.pipe()
     with FileIO(readable) as pipe, ThreadPoolExecutor(1, "recording") as thread, FileIO(writable, "wb") as end:

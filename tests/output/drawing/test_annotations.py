@@ -1,4 +1,4 @@
-"""What is drawn in 3D lies where the results say it is."""
+"""Annotations and 3D drawings are at the places of the results."""
 
 from dataclasses import replace
 
@@ -11,7 +11,6 @@ from roadperc_stream.geometry import inverse, project, transform
 from roadperc_stream.geometry.rotations import rotation_from_quaternion
 from roadperc_stream.model import Boundary, Box, Detection, Lanes, Object, Objects
 from roadperc_stream.output.drawing.annotations import (
-    captioned,
     drivable_scene,
     lane_annotations,
     object_annotations,
@@ -32,7 +31,7 @@ def scene(surface):
 
 
 @pytest.mark.parametrize("model", ["plane", "spline"])
-def test_patch_and_outline_lie_on_the_road(model):
+def test_patch_and_outline_are_on_the_road(model):
     surface = HILL.surface()
     surface = surface if model == "spline" else replace(surface, model=model, height_grid=None)
     patch, triangles, outline = scene(surface)
@@ -68,8 +67,8 @@ def test_a_kept_object_covers_its_box_at_its_distance():
     assert text.pose.position.z > place.z
 
 
-def test_what_was_dropped_or_is_nowhere_leaves_an_empty_entity():
-    """It replaces the one of the frame before: viewers would go on to show what is gone."""
+def test_objects_dropped_or_without_distance_give_an_empty_entity():
+    """It replaces the entity of the previous frame, which viewers would keep."""
     detection = Detection("Car", Box(10, 10, 20, 20), 0.9)
     entity = objects_entity(Object(detection, kept=False, distance_m=5.0), Object(detection, kept=True))
     assert (entity.id, entity.frame_id, len(entity.cubes), len(entity.texts)) == ("objects", "ego", 0, 0)
@@ -80,7 +79,7 @@ def captions(*items):
     return [(text.text, text.position.x, text.font_size) for text in message.texts]
 
 
-def test_a_caption_stays_in_the_image():
+def test_a_caption_is_inside_the_image():
     detection = Detection("Pedestrian", Box(300, 100, 318, 140), 0.9)
     ((text, x, font_px),) = captions(Object(detection, kept=False, class_ratio=0.25))
     assert text == "Pedestrian 25%"
@@ -91,10 +90,10 @@ CROWD = tuple(
     Object(Detection("Car", Box(10, 100, 40, 140), 0.9), kept=True, distance_m=distance_m)
     for distance_m in (30.0, 4.0, 12.0, 20.0)
 )
-"""Above, in and below a box is room for three captions."""
+"""Four objects at one place, which has space for three captions: above, inside and below the box."""
 
 
-def test_captions_go_to_the_nearest_and_lie_over_no_other():
+def test_the_nearest_objects_get_captions_without_overlap():
     message = ImageAnnotations.FromString(object_annotations(7, HILL.camera, Objects(CROWD)))
     assert [text.text for text in message.texts] == ["Car 20.0 m", "Car 12.0 m", "Car 4.0 m"]
     assert len(message.points) == 4
@@ -102,14 +101,13 @@ def test_captions_go_to_the_nearest_and_lie_over_no_other():
     assert np.diff(bottoms).min() > message.texts[0].font_size
 
 
-def test_what_has_no_caption_in_the_image_has_none_in_3d():
-    assert captioned(HILL.camera, CROWD) == (False, True, True, True)
+def test_objects_without_a_caption_in_the_image_have_none_in_3d():
     entity = objects_entity(*CROWD)
     assert len(entity.cubes) == 4
     assert [text.text for text in entity.texts] == ["Car 4.0 m", "Car 12.0 m", "Car 20.0 m"]
 
 
-def test_proposals_are_fainter_than_what_was_made_of_them():
+def test_proposals_are_fainter_than_boundaries():
     line = (10.0, 200.0, 60.0, 120.0)
     ends = np.array(line).reshape(2, 2)
     lanes = Lanes(

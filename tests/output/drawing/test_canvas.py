@@ -1,4 +1,4 @@
-"""What is drawn depends on what is asked for and on the image's size alone."""
+"""Drawing depends only on its arguments and the image size."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ def written(text="Car 10.7 m", rows=960):
     return canvas
 
 
-def test_a_text_is_the_same_whatever_was_written_before():
+def test_a_text_does_not_depend_on_earlier_texts():
     first = written()
     for rows in (240, 480, 720, 1200):
         written("frame 7 \u00e4\u4e2d 0.35 s", rows)
@@ -23,7 +23,7 @@ def test_a_text_is_the_same_whatever_was_written_before():
 
 
 @pytest.mark.parametrize("rows", [240, 480, 960, 2160])
-def test_a_text_stays_in_the_place_that_its_size_says(rows):
+def test_a_text_stays_within_its_text_size(rows):
     canvas = np.zeros((rows, 1280, 3), np.uint8)
     pen, text = Pen.of(canvas), "jgy\u00c4Q 10.7 m"
     width, height = text_size(text, pen)
@@ -39,7 +39,7 @@ def test_a_text_stays_in_the_place_that_its_size_says(rows):
     assert not dark[:, 20 + width].any()
 
 
-def test_a_box_has_its_lines_on_its_pixels():
+def test_a_box_is_drawn_on_its_outermost_pixels():
     canvas = np.zeros((960, 1280, 3), np.uint8)
     box_outline(canvas, box("", 100, 200, 300, 400).box_px, WHITE, 1, Pen.of(canvas))
     white = (canvas == 255).all(axis=-1)

@@ -1,4 +1,4 @@
-"""Captions lie in the picture and over no other one; the nearest objects have the first choice."""
+"""Captions are inside the picture without overlap; the nearest objects choose first."""
 
 import pytest
 from hypothesis import given
@@ -36,31 +36,27 @@ def places(objects, text_size=(50.0, 10.0)):
         ((100, -9, 140, 300), Box(100, 0, 150, 10)),
     ],
 )
-def test_a_caption_stays_in_the_picture(corners, expected):
+def test_a_caption_is_inside_the_picture(corners, expected):
     assert places([car(5.0, corners)]) == (expected,)
 
 
-def test_the_nearest_chooses_first_whatever_their_order():
+def test_the_nearest_object_chooses_first():
     far, near, nowhere, middle = car(30.0), car(4.0), car(None), car(9.0)
     above, inside, below = Box(100, 50, 150, 60), Box(100, 60, 150, 70), Box(100, 90, 150, 100)
     assert places([far, near, nowhere, middle]) == (below, above, None, inside)
 
 
-def test_what_is_dropped_gives_way_to_what_is_kept():
+def test_kept_objects_choose_before_dropped_ones():
     objects = [car(1.0, kept=False), car(50.0)]
     assert by_nearness(objects) == [1, 0]
     assert places(objects) == (Box(100, 60, 150, 70), Box(100, 50, 150, 60))
 
 
-def test_captions_side_by_side_leave_each_other_room():
+def test_captions_fit_side_by_side():
     assert None not in places([car(5.0, (x, 60, x + 40, 62)) for x in (0, 50, 100)])
 
 
-def test_a_text_too_high_for_the_picture_is_left_out():
-    assert places([car(5.0)], (50.0, 241.0)) == (None,)
-
-
-def test_text_in_a_viewer_grows_with_the_image_and_its_letters():
+def test_the_text_size_in_a_viewer_grows_with_image_and_length():
     columns, rows = viewer_text_size(CAMERA, "Car 4.0 m")
     assert viewer_text_size(CAMERA, 2 * "Car 4.0 m") == pytest.approx((2 * columns, rows))
     assert rows > viewer_font_px(CAMERA) >= CAMERA.height / 40
@@ -71,56 +67,53 @@ def labels(*objects, top_px=0.0, text_size=(50.0, 10.0)):
     return label_places(SIZE, top_px, objects, boxes, [text_size] * len(objects))
 
 
-@pytest.mark.parametrize(
-    ("corners", "left"),
-    [((-20, 60, 30, 90), 0.0), ((300, 60, 320, 90), 270.0)],
-)
-def test_a_label_is_moved_sideways_into_the_picture(corners, left):
+@pytest.mark.parametrize(("corners", "left"), [((-20, 60, 30, 90), 0.0), ((300, 60, 320, 90), 270.0)])
+def test_a_label_at_the_edge_is_moved_into_the_picture(corners, left):
     (place,) = labels(car(5.0, corners))
     assert (place.x_min, place.x_max) == (left, left + 50)
 
 
-def test_a_second_object_in_the_same_place_has_its_label_higher():
+def test_a_second_object_at_the_same_place_has_a_higher_label():
     far, near = labels(car(30.0), car(4.0))
     assert near == Box(100, 48.5, 150, 58.5)
     assert far == Box(100, 37, 150, 47)
 
 
-def test_a_label_covers_no_object_that_is_kept_and_may_cover_a_dropped_one():
+def test_a_label_covers_only_dropped_objects():
     covered = (100, 50, 150, 59)
     assert labels(car(9.0), car(2.0, covered))[0] == Box(100, 25.5, 150, 35.5)
     assert labels(car(9.0), car(2.0, covered, kept=False))[0] == Box(100, 48.5, 150, 58.5)
 
 
-def test_a_large_object_may_be_covered_by_the_label_of_what_is_in_front_of_it():
+def test_a_label_may_cover_a_large_object_around_its_own():
     assert labels(car(9.0), car(2.0, (20, 10, 300, 230)))[0] == Box(100, 48.5, 150, 58.5)
 
 
-def test_where_nothing_is_free_above_a_large_box_has_its_label_inside_and_a_small_one_below():
+def test_without_space_above_the_label_is_inside_a_large_box_or_below_a_small_one():
     assert labels(car(5.0, (100, 4, 200, 90))) == (Box(101.5, 5.5, 151.5, 15.5),)
     assert labels(car(5.0, (100, 4, 120, 20))) == (Box(100, 21.5, 150, 31.5),)
 
 
-def test_the_rows_that_are_taken_stay_free():
+def test_labels_leave_out_the_reserved_rows():
     assert labels(car(5.0), top_px=48.0) == (Box(100, 48.5, 150, 58.5),)
     assert labels(car(5.0), top_px=49.0) == (Box(100, 91.5, 150, 101.5),)
 
 
-def test_a_dropped_object_has_its_label_near_or_none():
+def test_a_dropped_object_has_its_label_next_to_it_or_none():
     crowd = [car(1.0, (40, 40, 170, 59)), car(2.0, (40, 91, 170, 110))]
     assert labels(car(5.0), *crowd)[0] == Box(100, 25.5, 150, 35.5)
     assert labels(car(5.0, kept=False), *crowd)[0] is None
 
 
 def test_a_text_too_large_for_the_picture_is_left_out():
-    assert labels(car(5.0), text_size=(50.0, 241.0)) == (None,)
+    assert places([car(5.0)], (50.0, 241.0)) == labels(car(5.0), text_size=(50.0, 241.0)) == (None,)
 
 
 coordinate = st.integers(-50, 350)
 
 
 @given(st.lists(st.tuples(st.none() | st.floats(0, 100), *[coordinate] * 4, st.booleans()), max_size=12))
-def test_captions_and_labels_lie_in_the_picture_and_over_no_other_one(rows):
+def test_captions_and_labels_are_inside_the_picture_without_overlap(rows):
     objects = [car(distance_m, corners, kept=kept) for distance_m, *corners, kept in rows]
     for top_px, placed in ((0, places(objects)), (30, labels(*objects, top_px=30.0))):
         found = [place for place in placed if place is not None]

@@ -1,6 +1,5 @@
-"""Pictures on request: which are written, that they are pictures of the frame, and that nothing else changes."""
+"""Pictures on request show the frame and change nothing else."""
 
-import dataclasses
 from dataclasses import replace
 
 import cv2
@@ -23,15 +22,23 @@ from roadperc_stream.schemas.record import PRODUCER
 from roadperc_stream.schemas.topics import ON_REQUEST
 from roadperc_stream.view.video import write_video
 from tests import logs
+from tests.analytic import STEP_NS
 from tests.replaying import replay
 
 CFG = load_config()
-DEBUG = {topic for topic, request in ON_REQUEST.items() if request == "debug"}
 
 
-@pytest.fixture
-def source(tmp_path):
-    return logs.write(tmp_path / "in.mcap", logs.items(3))
+REQUESTS = {"bare": (), "overlay": ("overlay",), "debug": ("debug",), "full": ("overlay", "debug")}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A log of three frames, and its replays without and with pictures."""
+    folder = tmp_path_factory.mktemp("pictures")
+    source = logs.write(folder / "in.mcap", logs.items(3))
+    for name, requests in REQUESTS.items():
+        replay(source, folder / f"{name}.mcap", CFG, on_request=requests)
+    return folder
 
 
 def pictures(path):
@@ -42,27 +49,22 @@ def pictures(path):
     return found
 
 
-def plain(path):
-    return [m for m in log.read(log.summarise(path)) if m.channel.topic not in ON_REQUEST]
+def others(path):
+    messages = (m for m in log.read(log.summarise(path)) if m.channel.topic not in ON_REQUEST)
+    return [(replace(m.channel, source_id=0), m.log_time_ns, m.sequence, m.data) for m in messages]
 
 
-def unnumbered(messages):
-    return [(dataclasses.replace(m.channel, source_id=0), m.log_time_ns, m.sequence, m.data) for m in messages]
-
-
-def test_only_what_is_asked_for_is_registered_and_written(source):
-    for requests in ((), ("overlay",), ("debug",), ("overlay", "debug")):
-        target = source.with_name("out.mcap")
-        replay(source, target, CFG, on_request=requests, force=True)
+def test_only_requested_pictures_are_registered_and_written(folder):
+    for name, requests in REQUESTS.items():
+        target = folder / f"{name}.mcap"
         wanted = {topic for topic, request in ON_REQUEST.items() if request in requests}
         assert {c.topic for c in log.summarise(target).channels if c.topic in ON_REQUEST} == wanted
         assert set(pictures(target)) <= wanted
+        assert others(target) == others(folder / "bare.mcap")
 
 
-def test_an_overlay_is_a_jpeg_of_the_frame(source):
-    target = source.with_name("out.mcap")
-    replay(source, target, CFG, on_request=("overlay",))
-    made = pictures(target)["/perception/overlay"]
+def test_an_overlay_is_a_jpeg_of_the_frame(folder):
+    made = pictures(folder / "overlay.mcap")["/perception/overlay"]
     assert [m.sequence for m in made] == [0, 1, 2]
     for message in made:
         assert PRODUCER in message.channel.metadata
@@ -72,86 +74,72 @@ def test_an_overlay_is_a_jpeg_of_the_frame(source):
         picture = content.payload.bgr
         assert picture.shape == (240, 320, 3)
         assert b"\xff\xd8\xff" in message.data[:80]
-        # The road is tinted blue, the grey image is not.
-        assert picture[200, 160, 0] > picture[200, 160, 2] + 20
+        assert picture[200, 160, 0] > picture[200, 160, 2] + 20  # the road is tinted blue
 
 
-def test_everything_else_is_as_without(source):
-    bare, full = source.with_name("bare.mcap"), source.with_name("full.mcap")
-    replay(source, bare, CFG)
-    replay(source, full, CFG, on_request=("overlay", "debug"))
-    assert unnumbered(plain(bare)) == unnumbered(plain(full))
+def test_pictures_are_deterministic_and_replaced_by_a_later_replay(folder, tmp_path):
+    replay(folder / "full.mcap", tmp_path / "again.mcap", CFG, on_request=("overlay", "debug"))
+    assert (tmp_path / "again.mcap").read_bytes() == (folder / "full.mcap").read_bytes()
+    replay(folder / "full.mcap", tmp_path / "bare.mcap", CFG)
+    assert not pictures(tmp_path / "bare.mcap")
 
 
-def test_the_same_pictures_twice_and_a_later_replay_replaces_them(source):
-    first, second, bare = (source.with_name(f"{name}.mcap") for name in ("first", "second", "bare"))
-    replay(source, first, CFG, on_request=("overlay", "debug"))
-    replay(first, second, CFG, on_request=("overlay", "debug"))
-    assert first.read_bytes() == second.read_bytes()
-    replay(first, bare, CFG)
-    assert not pictures(bare)
-
-
-def test_what_is_absent_has_no_picture(source):
-    target = source.with_name("out.mcap")
+def test_absent_results_have_no_picture(folder, tmp_path):
     cfg = load_config(None, ("odometry.enabled=false", "stereo.method=off"))
-    replay(source, target, cfg, on_request=("debug",))
-    assert set(pictures(target)) == {"/perception/debug/lanes"}
+    replay(folder / "in.mcap", tmp_path / "out.mcap", cfg, on_request=("debug",))
+    assert set(pictures(tmp_path / "out.mcap")) == {"/perception/debug/lanes"}
 
 
-def test_matches_are_drawn_from_the_second_frame_on(source):
-    target = source.with_name("out.mcap")
-    replay(source, target, CFG, on_request=("debug",))
-    made = pictures(target)
+def test_matches_are_drawn_from_the_second_frame_on(folder):
+    made = pictures(folder / "debug.mcap")
     assert [m.sequence for m in made.get("/perception/debug/matches", [])] == [1, 2]
     assert "/perception/debug/template" not in made
 
 
-def test_frames_without_an_image_are_told_of_and_not_drawn(tmp_path):
+def test_frames_without_an_image_are_counted_in_a_note(tmp_path):
     source = logs.write(tmp_path / "in.mcap", logs.items(3, roles=("calibration", "tf", "depth", "segmentation")))
-    target = tmp_path / "out.mcap"
-    summary = replay(source, target, CFG, on_request=("overlay",))
-    assert not pictures(target)
-    assert "--overlay: frames without a camera image that can be read: 3" in summary.notes
+    summary = replay(source, tmp_path / "out.mcap", CFG, on_request=("overlay",))
+    assert not pictures(tmp_path / "out.mcap")
+    assert "--overlay: frames without a readable camera image: 3" in summary.notes
 
 
-def test_a_broken_image_leaves_its_frame_without_pictures(tmp_path):
-    items = logs.items(3)
-    second = [item for item in items if item.role == "image"][1]
-    broken = dataclasses.replace(second, data=encoding.encode_image(second.stamp_ns, "camera", "png", b"no image"))
-    source = logs.write(tmp_path / "in.mcap", [broken if item is second else item for item in items])
+def with_images(path, data_of):
+    """Three frames with other images: ``data_of`` returns the message of a frame's image."""
+    stamps = sorted({item.stamp_ns for item in logs.items(3)})
+    items = [
+        replace(item, data=data_of(stamps.index(item.stamp_ns), item)) if item.role == "image" else item
+        for item in logs.items(3)
+    ]
+    return logs.write(path, items)
+
+
+def test_a_frame_with_an_unreadable_image_has_no_pictures(tmp_path):
+    broken = encoding.encode_image(logs.START_NS + STEP_NS, "camera", "png", b"no image")
+    source = with_images(tmp_path / "in.mcap", lambda frame, item: broken if frame == 1 else item.data)
     summary = replay(source, tmp_path / "out.mcap", CFG, on_request=("overlay", "debug"))
     found = pictures(tmp_path / "out.mcap")
     assert [m.sequence for m in found["/perception/overlay"]] == [0, 2]
     assert [m.sequence for m in found["/perception/debug/lanes"]] == [0, 2]
-    assert "--overlay and --debug: frames without a camera image that can be read: 1" in summary.notes
+    assert "--overlay and --debug: frames without a readable camera image: 1" in summary.notes
 
 
-def test_an_image_of_another_size_is_shown_with_nothing_drawn_in(tmp_path):
-    """The road is seen, for its tags are of the calibration's size: it would be drawn where it is not."""
+def test_an_image_of_another_size_stays_bare(tmp_path):
+    """The tags have the calibration's size, so there are results, which would be drawn at wrong places."""
     white = cv2.imencode(".png", np.full((200, 400, 3), 255, np.uint8))[1].tobytes()
-    source = logs.write(
-        tmp_path / "in.mcap",
-        [
-            replace(item, data=encoding.encode_image(item.stamp_ns, "camera", "png", white))
-            if item.role == "image"
-            else item
-            for item in logs.items(3)
-        ],
+    source = with_images(
+        tmp_path / "in.mcap", lambda _, item: encoding.encode_image(item.stamp_ns, "camera", "png", white)
     )
     summary = replay(source, tmp_path / "out.mcap", CFG, on_request=("overlay", "debug"))
     found = pictures(tmp_path / "out.mcap")
-    assert "/perception/drivable" in {
-        message.channel.topic for message in log.read(log.summarise(tmp_path / "out.mcap"))
-    }
+    assert "/perception/drivable" in {channel.topic for channel, *_ in others(tmp_path / "out.mcap")}
     assert set(found) == {"/perception/overlay"}
     for message in found["/perception/overlay"]:
         picture = decode("image", message.channel.schema_name, "protobuf", message.data, 0, Context()).payload.bgr
         assert picture.shape == (200, 400, 3)
         assert picture[:10].min() < 100
         assert picture[100:].min() > 245
-    told = "frames with nothing drawn into an image that is not of its calibration's size: 3"
-    assert f"--overlay and --debug: {told}" in summary.notes
+    note = "frames without drawing, because the image size differs from its calibration: 3"
+    assert f"--overlay and --debug: {note}" in summary.notes
     assert "in all 3 frames: image: 400x200 pixels, its calibration says 320x240" in summary.throughout
     assert write_video(tmp_path / "out.mcap", tmp_path / "overlays.mp4").pictures == 3
     replay(source, tmp_path / "bare.mcap", CFG)
@@ -177,7 +165,7 @@ def near(picture, colour):
     return (np.abs(picture.astype(int) - colour) <= 40).all(axis=-1)
 
 
-def test_lines_lie_on_their_pixels_by_their_part():
+def test_lines_are_drawn_in_the_colour_of_their_kind():
     edges = np.zeros((240, 320), bool)
     edges[130, 300] = True
     lanes = Lanes(
@@ -194,12 +182,12 @@ def test_lines_lie_on_their_pixels_by_their_part():
     assert not picture[180, [100, 150, 280]].any()
 
 
-def test_lanes_without_edges_or_lines_are_the_dimmed_image():
+def test_lanes_without_edges_and_lines_give_the_dimmed_image():
     picture = lanes_picture(np.full((240, 320, 3), 200, np.uint8), Lanes(()))
     assert (picture[200:] == 90).all()
 
 
-def test_inliers_and_outliers_end_where_they_are_now():
+def test_inliers_and_outliers_end_at_their_current_place():
     px = np.array([(100, 100), (200, 200)], np.float32)
     matches = Matches(px - np.float32(40), px, np.array([True, False]))
     picture = matches_picture(black(), matches)
@@ -213,7 +201,7 @@ def search(scores):
     return Correlation(100, 60, (21, 11), np.asarray(scores, np.float32))
 
 
-def test_the_heat_lies_at_the_middles_and_the_box_at_the_peak():
+def test_the_heat_map_is_at_the_middles_and_the_box_at_the_peak():
     scores = np.full((30, 40), -0.9)
     scores[20, 30] = 0.95
     picture = template_picture(black(), (search(scores),))
@@ -226,22 +214,12 @@ def test_the_heat_lies_at_the_middles_and_the_box_at_the_peak():
     assert near(picture, WHITE)[80:91, [130, 150]].all()
 
 
-def test_where_the_image_shows_nothing_there_is_no_heat_and_no_peak():
+def test_an_unknown_correlation_has_no_heat_map_and_no_peak():
     assert not template_picture(black(), (search(np.full((30, 40), -np.inf)),))[20:].any()
 
 
-def test_correlation_says_where_its_peak_is():
-    scores = np.full((30, 40), -0.9)
-    scores[20, 30] = 0.95
-    box, score = search(scores).peak
-    assert (box.x_min, box.y_min, box.x_max, box.y_max) == (130, 80, 151, 91)
-    assert score == pytest.approx(0.95)
-    assert search(scores).match(0.96) is None
-    assert search(np.full((3, 4), -np.inf)).match(-1.0) is None
-
-
-def test_disparity_is_black_where_unknown_and_the_same_colour_at_the_same_disparity():
-    """With 100 px and 0.4 m the disparity is 40 px over the depth, and 20 px, of 2 m, has the last colour."""
+def test_unknown_disparity_is_black_and_equal_disparities_have_equal_colours():
+    """At 100 px and 0.4 m the disparity is 40 px / depth; that of 2 m has the last colour."""
     depth_m = np.full((240, 320), np.nan, np.float32)
     depth_m[100:120] = 4.0
     depth_m[120:140] = 2.0
@@ -257,7 +235,7 @@ def test_disparity_is_black_where_unknown_and_the_same_colour_at_the_same_dispar
     assert far[0] > far[2]
 
 
-def test_matches_must_fit_together():
+def test_matches_of_different_lengths_are_an_error():
     px = np.zeros((3, 2), np.float32)
     with pytest.raises(ValueError, match=r"inliers: expected bool \(3,\)"):
         Matches(px, px.copy(), np.zeros(2, bool))

@@ -1,4 +1,4 @@
-"""What is drawn into a camera image is where the results say it is."""
+"""Results are drawn into a camera image at their places."""
 
 import cv2
 import numpy as np
@@ -33,14 +33,14 @@ def is_colour(drawn, colour):
     return (np.abs(drawn.astype(int) - colour) <= 2).all(axis=-1)
 
 
-def test_nothing_to_draw_is_the_image_itself():
+def test_without_results_the_image_is_unchanged():
     image = np.random.default_rng(0).integers(0, 255, (24, 32, 3), np.uint8)
     drawn = draw_overlay(image, NOTHING, NOTHING, NOTHING)
     np.testing.assert_array_equal(drawn, image)
     assert not np.shares_memory(drawn, image)
 
 
-def test_a_boundary_lies_on_its_pixels_in_the_colour_of_its_status():
+def test_a_boundary_has_the_colour_of_its_status():
     for status, colour in (("measured", GREEN), ("held", ORANGE)):
         found = is_colour(draw_overlay(black(), lane(status), NOTHING, NOTHING), colour)
         rows, columns = np.nonzero(found)
@@ -50,22 +50,22 @@ def test_a_boundary_lies_on_its_pixels_in_the_colour_of_its_status():
     assert not draw_overlay(black(), lane("lost"), NOTHING, NOTHING).any()
 
 
-def test_the_raw_line_is_dashed_thin_and_over_the_smoothed_one():
-    """Where both are in one place its dashes leave the smoothed line to be seen between and beside them."""
+def test_the_raw_line_is_thin_dashed_and_on_top():
+    """At one place, the smoothed line is visible between and beside the dashes of the raw line."""
     lanes = lane("measured", raw_px=(100.0, 240.0, 100.0, 120.0))
     drawn = draw_overlay(black(960, 1280), lanes, NOTHING, NOTHING)
     middle = drawn[122:236, 100].astype(int)
     dashed, smoothed = middle[:, 2] > 200, middle[:, 2] < 60
     assert dashed.sum() > 30
     assert (smoothed & (middle[:, 1] > 200)).sum() > 30
-    # Three dashes and two gaps at least.
+    # At least three dashes and two gaps.
     assert (np.diff(dashed.astype(int)) == 1).sum() >= 2
     in_dash = drawn[122:236, 92:109][dashed]
     assert ((in_dash[..., 1] > 150) & (in_dash[..., 2] < 60)).any(axis=1).all()
 
 
-def test_lines_stand_out_on_a_background_of_their_own_colour():
-    """At either side of a lane's line and of a box lies a dark edge; so small an image has no room for one."""
+def test_lines_have_dark_edges_for_contrast():
+    """Lane lines and boxes have a dark edge on either side, except in small images."""
     objects = Objects((Object(box("Car", 200, 300, 800, 600), kept=True, class_ratio=1.0),))
     for rows, edged in ((960, True), (240, False)):
         image = np.full((rows, 1280, 3), GREEN, np.uint8)
@@ -78,7 +78,7 @@ def test_lines_stand_out_on_a_background_of_their_own_colour():
 
 
 def test_slanted_lines_are_anti_aliased():
-    """A line that crosses a row at a fraction of a pixel has pixels between its colour and the background's."""
+    """Pixels at the edge of a line have colours between those of line and background."""
     line = np.array([(60.3, 239.0), (140.7, 120.0)])
     lanes = Lanes((Boundary("left", "measured", line_px=line, raw_px=(220.2, 240.0, 180.6, 120.0)),))
     drawn = draw_overlay(black(), lanes, NOTHING, NOTHING)
@@ -87,7 +87,7 @@ def test_slanted_lines_are_anti_aliased():
         assert len(np.unique(green[green > 0])) > 20
 
 
-def test_no_label_goes_into_the_rows_that_are_taken():
+def test_labels_are_not_drawn_in_the_reserved_rows():
     objects = Objects((Object(box("Car", 80, 5, 200, 90), kept=True, class_ratio=1.0, distance_m=5.0),))
     drawn = draw_overlay(np.full((240, 320, 3), 255, np.uint8), NOTHING, objects, NOTHING, top_px=40)
     plate = is_colour(drawn, (25, 25, 25))
@@ -102,7 +102,7 @@ def test_small_boxes_have_thin_lines():
         assert drawn[300 + side // 2, 290:304].sum() == width
 
 
-def test_a_smaller_copy_has_everything_in_its_place():
+def test_a_smaller_copy_has_the_results_at_scaled_places():
     objects = Objects((Object(box("Car", 200, 80, 260, 160), kept=True, class_ratio=1.0),))
     drawn = draw_overlay(black(), lane("measured"), objects, NOTHING, width_px=160)
     assert drawn.shape == (120, 160, 3)
@@ -132,8 +132,8 @@ def test_kept_boxes_are_solid_and_dropped_ones_dashed():
         assert edge.any()
 
 
-def test_text_stays_legible_and_labels_do_not_cover_each_other():
-    """Behind each label lies a dark plate at least 11 pixels high, and three boxes in one place have three of them."""
+def test_text_is_legible_and_labels_do_not_overlap():
+    """Every label has a dark plate of 11 rows or more; three boxes at one place have three separate plates."""
     same = [Object(box("Car", 80, 160, 140, 220), kept=True, class_ratio=1.0, distance_m=float(m)) for m in (5, 9, 20)]
     for rows, columns in ((240, 320), (960, 1280)):
         white = np.full((rows, columns, 3), 255, np.uint8)
@@ -144,7 +144,7 @@ def test_text_stays_legible_and_labels_do_not_cover_each_other():
         assert stats[1:, cv2.CC_STAT_HEIGHT].min() >= 11
 
 
-def test_a_mask_of_another_size_is_refused():
+def test_a_mask_of_another_size_is_an_error():
     with pytest.raises(ValueError, match=r"expected the image's \(240, 320\) pixels, got \(10, 10\)"):
         draw_overlay(black(), NOTHING, NOTHING, np.zeros((10, 10), bool))
 
@@ -161,7 +161,7 @@ coordinates = st.floats(-1e9, 1e9) | st.just(np.nan) | st.just(np.inf)
     st.tuples(*[st.floats(-500, 500)] * 4),
     st.booleans(),
 )
-def test_any_result_can_be_drawn_into_any_image(rows, columns, width, points, corners, kept):
+def test_any_result_is_drawn_into_any_image(rows, columns, width, points, corners, kept):
     lanes = Lanes((Boundary("right", "measured", line_px=np.array(points, float).reshape(-1, 2)),))
     objects = Objects((Object(box("Löwe <b>", *corners), kept=kept, distance_m=1.0, time_to_impact_s=2.0),))
     drawn = draw_overlay(black(rows, columns), lanes, objects, np.ones((rows, columns), bool), width_px=width)

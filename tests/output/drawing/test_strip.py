@@ -1,4 +1,4 @@
-"""The strip above an overlay says what the frame's row says, and hides no more of the image than its lines."""
+"""The strip at the top of an overlay shows the frame's row and covers only its lines."""
 
 from dataclasses import replace
 
@@ -37,7 +37,7 @@ def words(row, *objects, since_start_s=0.35):
     return [text for text, _ in frame_phrases(row, Objects(objects), since_start_s)]
 
 
-def test_it_says_the_rows_numbers():
+def test_the_strip_shows_the_numbers_of_the_row():
     assert words(FULL, CAR) == [
         "frame 7",
         "0.35 s",
@@ -49,13 +49,13 @@ def test_it_says_the_rows_numbers():
     ]
 
 
-def test_what_is_null_is_left_out():
+def test_null_values_are_left_out():
     assert words(ROW) == ["frame 7", "0.35 s"]
     assert [text for text, _ in frame_phrases(ROW, NOTHING, 0.35)] == ["frame 7", "0.35 s"]
 
 
 @pytest.mark.parametrize(
-    ("objects", "said"),
+    ("objects", "text"),
     [
         ([CAR, FAR_CAR], ["impact: Car 15.8 m in 0.2 s", "nearest Car 3.3 m"]),
         ([FAR_CAR, replace(CAR, time_to_impact_s=None)], ["impact: Car 15.8 m in 0.2 s", "nearest Car 3.3 m"]),
@@ -66,12 +66,12 @@ def test_what_is_null_is_left_out():
         ([replace(CAR, kept=False)], []),
     ],
 )
-def test_a_time_to_impact_stands_with_the_object_it_belongs_to(objects, said):
-    assert words(ROW, *objects)[2:] == said
+def test_a_time_to_impact_is_next_to_its_object(objects, text):
+    assert words(ROW, *objects)[2:] == text
 
 
 @pytest.mark.parametrize(
-    ("columns", "said"),
+    ("columns", "text"),
     [
         ({"odometry_status": "lost"}, "odometry lost"),
         ({"odometry_status": "first"}, "odometry first"),
@@ -79,8 +79,8 @@ def test_a_time_to_impact_stands_with_the_object_it_belongs_to(objects, said):
         ({"lane_left_status": "lost"}, "lane left lost"),
     ],
 )
-def test_a_status_stands_where_there_is_no_number(columns, said):
-    assert words(FrameMetrics("log", 7, 0, **columns))[-1] == said
+def test_a_status_replaces_a_missing_number(columns, text):
+    assert words(FrameMetrics("log", 7, 0, **columns))[-1] == text
 
 
 def test_a_lane_has_the_colour_of_its_status():
@@ -90,12 +90,12 @@ def test_a_lane_has_the_colour_of_its_status():
 
 
 @pytest.mark.parametrize(("status", "stands_out"), [("lost", True), ("first", False), ("tracked", False)])
-def test_lost_odometry_stands_out(status, stands_out):
+def test_lost_odometry_is_orange(status, stands_out):
     ((_, colour),) = list(frame_phrases(replace(ROW, odometry_status=status), NOTHING, 0.0))[2:]
     assert (colour == bgr(colours.ORANGE)) == stands_out
 
 
-def test_the_legend_has_every_colour_that_an_overlay_draws():
+def test_the_legend_has_every_colour_of_an_overlay():
     drawn = [*colours.OBJECT.values(), colours.RAW_LINE, colours.DRIVABLE]
     drawn += [colours.BOUNDARY[status] for status in ("measured", "held")]
     assert {bgr(colour) for colour in drawn} == {entry.colour for entry in LEGEND}
@@ -103,7 +103,7 @@ def test_the_legend_has_every_colour_that_an_overlay_draws():
 
 
 @pytest.mark.parametrize(("rows", "columns"), [(270, 360), (960, 1280)])
-def test_it_covers_the_topmost_rows_and_no_text_is_cut(rows, columns):
+def test_the_strip_covers_the_top_rows_and_cuts_no_text(rows, columns):
     canvas = np.full((rows, columns, 3), 200, np.uint8)
     strip = lay_out_strip(Pen.of(canvas), FULL, Objects((CAR, FAR_CAR)), 0.35)
     draw_strip(canvas, strip)
@@ -118,14 +118,14 @@ def test_it_covers_the_topmost_rows_and_no_text_is_cut(rows, columns):
 
 
 @pytest.mark.parametrize(("rows", "columns"), [(1, 1), (20, 30)])
-def test_an_image_that_is_too_small_gets_what_fits(rows, columns):
+def test_the_strip_fits_into_tiny_images(rows, columns):
     canvas = np.zeros((rows, columns, 3), np.uint8)
     draw_strip(canvas, lay_out_strip(Pen.of(canvas), FULL, Objects((CAR, FAR_CAR)), 0.0))
 
 
 @pytest.mark.parametrize(("rows", "columns"), [(480, 640), (960, 1280)])
-def test_the_legend_shows_what_the_overlay_draws(rows, columns):
-    """Each entry's symbol is in its colour: an area, whole and dashed lines, whole and dashed boxes."""
+def test_legend_symbols_have_colour_and_shape_of_the_drawing(rows, columns):
+    """The symbols are areas, solid and dashed lines, solid and dashed boxes in the colours of their entries."""
     for entry in LEGEND:
         canvas = np.zeros((rows, columns, 3), np.uint8)
         draw_strip(canvas, [[(0, entry)]])

@@ -1,4 +1,4 @@
-"""A viewer for tests: speaks foxglove.sdk.v1, and waits for what it expects, never for a time to pass."""
+"""A viewer for tests of the protocol foxglove.sdk.v1; it waits for messages, never for a fixed time."""
 
 import base64
 import json
@@ -16,7 +16,7 @@ STATUS = ["playing", "paused", "buffering", "ended"]
 
 
 class Viewer:
-    """Connects, and remembers what it was told."""
+    """Connects and stores the received messages."""
 
     def __init__(self, port, host="127.0.0.1"):
         self.socket = connect(
@@ -25,7 +25,7 @@ class Viewer:
             max_size=None,
             open_timeout=PATIENCE_S,
             ping_interval=None,
-            close_timeout=1,  # messages that nobody hears may be before the answer
+            close_timeout=1,  # unread messages may come before the answer
         )
         self.info, self.channels, self.heard, self.warnings, self.requests = {}, {}, [], [], count(1)
         self.sessions = []
@@ -39,7 +39,7 @@ class Viewer:
         self.socket.close()
 
     def until(self, done):
-        """Listen until what is asked holds; gives its value."""
+        """Receive until ``done`` returns a true value, and return it."""
         deadline = time.monotonic() + PATIENCE_S
         while not (value := done()):
             self.hear(self.socket.recv(timeout=max(deadline - time.monotonic(), 0)))
@@ -49,16 +49,16 @@ class Viewer:
         if isinstance(frame, bytes):
             self.heard.append(self.binary(frame))
             return
-        told = json.loads(frame)
-        if told["op"] == "serverInfo":
-            self.info = told
-            self.sessions.append(told["sessionId"])
-        elif told["op"] == "advertise":
-            self.channels |= {channel["id"]: channel for channel in told["channels"]}
-        elif told["op"] == "unadvertise":
-            self.channels = {i: channel for i, channel in self.channels.items() if i not in told["channelIds"]}
-        elif told["op"] == "status":
-            self.warnings.append(told["message"])
+        received = json.loads(frame)
+        if received["op"] == "serverInfo":
+            self.info = received
+            self.sessions.append(received["sessionId"])
+        elif received["op"] == "advertise":
+            self.channels |= {channel["id"]: channel for channel in received["channels"]}
+        elif received["op"] == "unadvertise":
+            self.channels = {i: channel for i, channel in self.channels.items() if i not in received["channelIds"]}
+        elif received["op"] == "status":
+            self.warnings.append(received["message"])
 
     def binary(self, frame):
         if frame[0] == 1:
@@ -71,7 +71,7 @@ class Viewer:
         return State(STATUS[status], log_ns, rate, bool(moved), frame[19 : 19 + length].decode())
 
     def subscribe(self, *topics):
-        """Ask for some topics, or for all; gives the ids under which they come."""
+        """Subscribe to some topics or to all, and return the subscription ids."""
         wanted = {next(self.fresh): c for c in self.channels.values() if not topics or c["topic"] in topics}
         self.subscriptions |= {i: channel["topic"] for i, channel in wanted.items()}
         ask = [{"id": i, "channelId": channel["id"]} for i, channel in wanted.items()]
@@ -79,10 +79,10 @@ class Viewer:
         return list(wanted)
 
     def settle(self):
-        """Hear all messages that are on their way while playback stands.
+        """Receive all messages that are under way during a pause.
 
-        Answers and messages come by two ways, in no order between them. Who subscribes anew is shown what holds, and
-        that comes behind all messages sent before.
+        Answers and messages are not ordered. A new subscription makes the server send the held messages after all
+        earlier messages.
         """
         counted = Counter((shown.topic, shown.log_time_ns) for shown in self.shown())
         topic = next((topic for (topic, _), number in counted.items() if number == 1), None)
@@ -93,20 +93,20 @@ class Viewer:
         fresh = set(self.subscribe(topic))
         self.until(lambda: fresh <= self.arrived)
 
-    def order(self, name, *, play, rate=1.0, seek_ns=None):
-        """Press a button, and do not wait for the answer."""
+    def request(self, name, *, play, rate=1.0, seek_ns=None):
+        """Send a playback request without waiting for the answer."""
         name = name.encode()
         fields = (3, 0 if play else 1, rate, seek_ns is not None, seek_ns or 0, len(name))
         self.socket.send(struct.pack("<BBfBQI", *fields) + name)
 
     def control(self, *, play, rate=1.0, seek_ns=None, request_id=None):
-        """Press a button; gives the answer, and forgets what was shown before it was obeyed.
+        """Send a playback request, return the answer, and drop messages from before the request.
 
-        Where playback was standing and goes elsewhere, what is shown there is heard.
+        Messages of a seek during a pause are kept.
         """
         name = request_id or str(next(self.requests))
         known, self.heard = self.heard, []
-        self.order(name, play=play, rate=rate, seek_ns=seek_ns)
+        self.request(name, play=play, rate=rate, seek_ns=seek_ns)
         state = self.until(lambda: next((s for s in self.states() if s.request_id == name), None))
         if not play and not state.moved:
             self.heard = known + self.heard
@@ -121,6 +121,6 @@ class Viewer:
         return [item for item in self.heard if isinstance(item, Shown) and topic in {None, item.topic}]
 
     def schema(self, channel):
-        """The schema's bytes: binary ones come in base64."""
+        """The bytes of a schema; binary ones are sent as base64."""
         text = channel["schema"]
         return base64.b64decode(text) if channel["schemaEncoding"] == "protobuf" else text.encode()

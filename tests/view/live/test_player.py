@@ -1,4 +1,4 @@
-"""The player on a clock that moves only while it waits, with the log and the viewers scripted."""
+"""The player with a scripted log, scripted viewers, and a clock that moves only during waits."""
 
 import math
 from collections import namedtuple
@@ -18,7 +18,7 @@ from roadperc_stream.view.live.player import (
     Player,
     Playhead,
     advance,
-    obey,
+    apply_request,
 )
 from roadperc_stream.view.live.source import Reach
 
@@ -27,8 +27,8 @@ Request = namedtuple("Request", "playback_command playback_speed seek_time reque
 Subscribed = namedtuple("Subscribed", "topic")
 
 
-def order(*, play, rate=1.0, seek_ns=None):
-    """What the SDK hands on when somebody presses a button."""
+def request(*, play, rate=1.0, seek_ns=None):
+    """A playback request as the SDK passes it."""
     return Request(PlaybackCommand.Play if play else PlaybackCommand.Pause, rate, seek_ns, "id")
 
 
@@ -45,18 +45,18 @@ STOP = [None]
 
 @dataclass
 class Script:
-    """A log, those who watch it, and a clock: each wait moves the clock and may bring what is asked."""
+    """A log, its viewers and a clock; each wait moves the clock and may deliver requests."""
 
     messages: list = field(default_factory=list)
-    asked: dict = field(default_factory=dict)
-    """Second of the clock: topics and orders that come then; None ends playback."""
+    requests: dict = field(default_factory=dict)
+    """By second of the clock: subscribed topics and requests; None ends playback."""
     complete_at_s: float = 0.0
     clock_ns: int = 0
     events: list = field(default_factory=list)
     answers: list = field(default_factory=list)
     reads: int = 0
     watching: list = field(default_factory=lambda: list(WATCH))
-    """What those who are connected subscribe to when playback starts over."""
+    """Topics that the viewers subscribe to in a new session."""
     channels = (CALIBRATION, IMAGE)
 
     def reach(self):
@@ -64,7 +64,7 @@ class Script:
         return Reach(0, there[-1].log_time_ns if there else 0, self.clock_ns >= self.complete_at_s * S)
 
     def there(self):
-        """A running replay makes a second of log in two seconds of the clock."""
+        """The existing messages; a running replay writes a second of log in two seconds of the clock."""
         if self.clock_ns >= self.complete_at_s * S:
             return self.messages
         return [m for m in self.messages if m.log_time_ns * 2 <= self.clock_ns]
@@ -84,28 +84,28 @@ class Script:
         return self.clock_ns
 
     def wait(self, wait_s):
-        due_s = min(self.asked)
+        due_s = min(self.requests)
         until_ns = self.clock_ns + round(wait_s * S)
         if round(due_s * S) > until_ns:
             self.clock_ns = until_ns
             return
         self.clock_ns = max(self.clock_ns, round(due_s * S))
-        for asked in self.asked.pop(due_s):
-            self.ask(asked)
+        for item in self.requests.pop(due_s):
+            self.deliver(item)
 
-    def ask(self, asked):
-        if isinstance(asked, Request):
-            self.answers.append(self.player.on_playback_control_request(asked))
-        elif asked is None:
+    def deliver(self, item):
+        if isinstance(item, Request):
+            self.answers.append(self.player.on_playback_control_request(item))
+        elif item is None:
             self.player.stop()
         else:
-            self.player.on_subscribe(None, Subscribed(asked))
+            self.player.on_subscribe(None, Subscribed(item))
 
     def set(self):
-        """What is asked comes in a wait: nothing to wake."""
+        """Requests come during waits, so there is nothing to wake."""
 
     def clear(self):
-        """Nothing to forget."""
+        """There is nothing to clear."""
 
     def send(self, sent):
         self.events.append((sent.channel.topic, sent.log_time_ns / S, self.clock_ns / S))
@@ -115,7 +115,7 @@ class Script:
         return self
 
     def broadcast_time(self, log_ns):
-        self.told_ns = log_ns
+        self.sent_time_ns = log_ns
 
     def broadcast_playback_state(self, state):
         self.events.append((state.status, state.current_time / S, state.did_seek))
@@ -124,13 +124,13 @@ class Script:
         self.events.append(text)
 
     def restart(self):
-        """All is forgotten; those who watch subscribe again in a tenth of a second."""
+        """A new session: the viewers subscribe again after a tenth of a second."""
         self.events.append("restarted")
-        self.asked[self.clock_ns / S + 0.1] = self.watching
+        self.requests[self.clock_ns / S + 0.1] = self.watching
 
     def run(self, start_s=0.0, **options):
         self.player = Player(self, self.now, start_ns=round(start_s * S), **options)
-        self.player._asked = self
+        self.player._wake = self
         self.player.run(self)
         return self
 
@@ -138,56 +138,56 @@ class Script:
         return [event for event in self.events if event[0] in ("/calibration", "/image")]
 
 
-def drive():
+def log():
     return [message(CALIBRATION, 0), *(message(IMAGE, k) for k in range(5))]
 
 
-def test_nothing_is_played_to_nobody():
-    assert Script(drive(), {9: STOP}).run().sent() == []
+def test_without_viewers_nothing_is_played():
+    assert Script(log(), {9: STOP}).run().sent() == []
 
 
 @pytest.mark.parametrize("rate", [1.0, 0.5, 2.0])
-def test_messages_come_at_their_time_once_somebody_watches(rate):
-    script = Script(drive(), {3: WATCH, 30: STOP}).run(rate=rate)
+def test_messages_are_sent_at_their_time_after_the_first_subscription(rate):
+    script = Script(log(), {3: WATCH, 30: STOP}).run(rate=rate)
     assert script.sent() == [("/calibration", 0, 3), *(("/image", k, pytest.approx(3 + k / rate)) for k in range(5))]
     assert script.events[-1:] == [(Status.Ended, 4, False)]
 
 
-def test_starting_later_shows_what_holds_there():
-    script = Script(drive(), {0: WATCH, 9: STOP}).run(start_s=2.5)
+def test_a_later_start_sends_the_held_messages():
+    script = Script(log(), {0: WATCH, 9: STOP}).run(start_s=2.5)
     assert [event[:2] for event in script.sent()] == [("/calibration", 0), ("/image", 2), ("/image", 3), ("/image", 4)]
 
 
-def test_who_comes_late_sees_what_holds_once():
+def test_a_late_subscriber_gets_the_held_messages_once():
     words = {0: ["/image"], 1.5: ["/calibration"], 9: STOP}
-    assert ("/calibration", 0, 1.5) in Script(drive(), words).run().sent()
+    assert ("/calibration", 0, 1.5) in Script(log(), words).run().sent()
 
 
-def test_a_pause_stops_and_play_goes_on():
-    pause, play = order(play=False), order(play=True, rate=2.0)
-    script = Script(drive(), {0: WATCH, 1.5: [pause], 10: [play], 20: STOP}).run()
+def test_pause_stops_playback_and_play_continues_it():
+    pause, play = request(play=False), request(play=True, rate=2.0)
+    script = Script(log(), {0: WATCH, 1.5: [pause], 10: [play], 20: STOP}).run()
     times = [pytest.approx(at) for at in (0, 1, 10.25, 10.75, 11.25)]
     assert [event[2] for event in script.sent() if event[0] == "/image"] == times
     assert script.answers[0].current_time == round(1.5 * S)
 
 
-def test_a_paused_seek_shows_the_whole_frame():
-    seek = order(play=False, seek_ns=3 * S)
-    script = Script(drive(), {0: WATCH, 1.5: [seek], 20: STOP}).run()
+def test_a_paused_seek_sends_the_whole_frame():
+    seek = request(play=False, seek_ns=3 * S)
+    script = Script(log(), {0: WATCH, 1.5: [seek], 20: STOP}).run()
     assert script.sent()[-2:] == [("/calibration", 0, 1.5), ("/image", 3, 1.5)]
     assert script.answers[0].did_seek
-    assert script.told_ns == 3 * S
+    assert script.sent_time_ns == 3 * S
 
 
 def test_seeking_back_plays_again_from_there():
-    words = {0: WATCH, 3.5: [order(play=True, seek_ns=1 * S)], 20: STOP}
-    images = [event[1] for event in Script(drive(), words).run().sent() if event[0] == "/image"]
+    words = {0: WATCH, 3.5: [request(play=True, seek_ns=1 * S)], 20: STOP}
+    images = [event[1] for event in Script(log(), words).run().sent() if event[0] == "/image"]
     assert images == [0, 1, 2, 3, 1, 2, 3, 4]
 
 
-def test_a_loop_goes_round():
-    """Each round is a session of its own, which begins with what holds at its start."""
-    script = Script(drive(), {0: WATCH, 9.8: STOP}).run(loop=True)
+def test_each_round_of_a_loop_is_a_new_session():
+    """A session starts with the held messages."""
+    script = Script(log(), {0: WATCH, 9.8: STOP}).run(loop=True)
     images = [event[1] for event in script.sent() if event[0] == "/image"]
     assert images == [0, 1, 2, 3, 4] * 2 + [0]
     rounds = [i for i, event in enumerate(script.events) if event == "restarted"]
@@ -202,68 +202,68 @@ def test_a_loop_goes_round():
         assert script.events[start + 4] == (Status.Playing, 0, False)
 
 
-def test_a_loop_goes_back_to_where_it_started():
-    script = Script(drive(), {0: WATCH, 3.9: STOP}).run(start_s=2.0, loop=True)
+def test_a_loop_returns_to_the_start_time():
+    script = Script(log(), {0: WATCH, 3.9: STOP}).run(start_s=2.0, loop=True)
     assert [event[1] for event in script.sent() if event[0] == "/image"] == [2, 3, 4, 2, 3]
 
 
-def test_a_loop_that_nobody_watches_any_more_waits():
-    script = Script(drive(), {0: WATCH, 99: STOP}, watching=[]).run(loop=True)
+def test_a_loop_without_viewers_waits():
+    script = Script(log(), {0: WATCH, 99: STOP}, watching=[]).run(loop=True)
     assert [event[1] for event in script.sent() if event[0] == "/image"] == [0, 1, 2, 3, 4]
     assert script.events[-1:] == [(Status.Paused, 0, True)]
 
 
-def test_a_loop_of_one_instant_is_no_race():
+def test_a_loop_over_one_message_pauses_between_rounds():
     script = Script([message(IMAGE, 0)], {0: ["/image"], 10: STOP}).run(loop=True)
     assert len(script.sent()) <= 10 / LOOP_PAUSE_S
 
 
-def test_a_running_replay_is_waited_for_and_nothing_is_lost():
-    script = Script(drive(), {0: WATCH, 30: STOP}, complete_at_s=9).run()
+def test_playback_waits_for_a_running_replay_without_loss():
+    script = Script(log(), {0: WATCH, 30: STOP}, complete_at_s=9).run()
     assert [event[1] for event in script.sent() if event[0] == "/image"] == [0, 1, 2, 3, 4]
     assert any(event[0] == Status.Buffering for event in script.events)
     assert script.events[-1:] == [(Status.Ended, 4, False)]
 
 
-def test_seeking_beyond_what_is_computed_is_told():
-    seek = order(play=True, seek_ns=4 * S)
-    script = Script(drive(), {0: WATCH, 2.5: [seek], 30: STOP}, complete_at_s=9).run()
+def test_a_seek_beyond_the_computed_part_gives_a_warning():
+    seek = request(play=True, seek_ns=4 * S)
+    script = Script(log(), {0: WATCH, 2.5: [seek], 30: STOP}, complete_at_s=9).run()
     assert script.answers[0].current_time == 1 * S
-    assert any("3.0 s short of the requested time" in event for event in script.events if isinstance(event, str))
+    assert any("3.0 s before the requested time" in event for event in script.events if isinstance(event, str))
 
 
-def test_an_order_to_a_player_that_ended_is_answered():
-    script = Script(drive(), {0: WATCH, 1.5: STOP}).run()
-    assert script.player.on_playback_control_request(order(play=False)).current_time == round(1.5 * S)
+def test_a_stopped_player_answers_requests():
+    script = Script(log(), {0: WATCH, 1.5: STOP}).run()
+    assert script.player.on_playback_control_request(request(play=False)).current_time == round(1.5 * S)
 
 
 @pytest.mark.promise("The live server", "Only the newest waiting seek reads the log")
-def test_only_the_newest_waiting_seek_is_carried_out():
-    seeks = [order(play=False, seek_ns=k * S) for k in (4, 3, 1, 2)]
-    once, storm = (Script(drive(), {0: WATCH, 1.5: asked, 9: STOP}).run() for asked in (seeks[-1:], seeks))
+def test_only_the_newest_waiting_seek_reads_the_log():
+    seeks = [request(play=False, seek_ns=k * S) for k in (4, 3, 1, 2)]
+    once, storm = (Script(log(), {0: WATCH, 1.5: requests, 9: STOP}).run() for requests in (seeks[-1:], seeks))
     assert [(answer.current_time, answer.did_seek) for answer in storm.answers] == [(s.seek_time, True) for s in seeks]
     assert (storm.sent(), storm.reads) == (once.sent(), once.reads)
 
 
-def test_a_seek_that_comes_while_the_next_message_is_read_is_not_lost():
-    """The end of what was read before is not the end of playback."""
-    script, seek = Script(drive(), {0: WATCH, 20: STOP}), order(play=True, seek_ns=3 * S)
+def test_a_seek_during_a_read_is_not_lost():
+    """The end of the earlier read is not the end of playback."""
+    script, seek = Script(log(), {0: WATCH, 20: STOP}), request(play=True, seek_ns=3 * S)
     follow = script.follow
 
     def interrupted(start_ns):
         yield from follow(start_ns)
         script.follow = follow
-        script.ask(seek)
+        script.deliver(seek)
 
     script.follow = interrupted
     assert [event[1] for event in script.run().sent() if event[0] == "/image"] == [0, 1, 2, 3, 4, 3, 4]
     assert script.events[-1] == (Status.Ended, 4, False)
 
 
-def test_a_player_never_waits_without_end():
-    """A signal that comes just before the wait begins is handled only after it."""
+def test_every_wait_of_the_player_is_bounded():
+    """A signal just before a wait is handled only after it."""
     waits = []
-    script = Script(drive(), {9: STOP})
+    script = Script(log(), {9: STOP})
     wait = script.wait
     script.wait = lambda wait_s: (waits.append(wait_s), wait(wait_s))
     script.run()
@@ -278,61 +278,51 @@ PLAYING = Playhead(Status.Playing, 110 * S, 7 * S)
 @pytest.mark.parametrize(
     ("rate", "next_s", "wait_s"), [(1, 110.05, 0.05), (2, 110.05, 0.025), (1, 190, TICK_S), (1, 105, 0)]
 )
-def test_the_wait_is_the_gap_at_the_rate_in_ticks_and_none_where_time_goes_back(rate, next_s, wait_s):
+def test_the_wait_is_the_time_to_the_next_message_and_one_tick_at_most(rate, next_s, wait_s):
     head = Playhead(Status.Playing, 110 * S, 7 * S, rate)
     assert advance(head, round(next_s * S), LOG, 7 * S) == (head, pytest.approx(wait_s))
 
 
-def test_another_speed_while_playing_counts_from_now():
-    faster, moved = obey(PLAYING, order(play=True, rate=3.0), LOG, 9 * S)
+def test_a_new_rate_applies_from_now_on():
+    faster, moved = apply_request(PLAYING, request(play=True, rate=3.0), LOG, 9 * S)
     assert (faster.at(9 * S), faster.at(10 * S), moved) == (112 * S, 115 * S, False)
 
 
-@pytest.mark.parametrize(
-    ("asked", "played"),
-    [
-        (3e38, 1000.0),
-        (1000.5, 1000.0),
-        (1e-45, 0.001),
-        (0.5, 0.5),
-        *((r, 2.0) for r in (0.0, -1.0, math.nan, math.inf)),
-    ],
-)
-def test_a_rate_beyond_what_is_played_becomes_the_nearest_one_and_none_changes_nothing(asked, played):
-    head = Playhead(Status.Playing, 110 * S, 7 * S, 2.0)
-    assert obey(head, order(play=True, rate=asked), LOG, 9 * S)[0].rate == played
+def test_rates_are_clamped_and_invalid_ones_ignored():
+    head, invalid = Playhead(Status.Playing, 110 * S, 7 * S, 2.0), (0.0, -1.0, math.nan, math.inf)
+    for rate, played in ((3e38, 1000.0), (1000.5, 1000.0), (1e-45, 0.001), (0.5, 0.5), *((r, 2.0) for r in invalid)):
+        assert apply_request(head, request(play=True, rate=rate), LOG, 9 * S)[0].rate == played
 
 
 @pytest.mark.parametrize(("seek_s", "lands_s"), [(180, 180), (101, 101), (5, 100), (999, 200)])
-@pytest.mark.parametrize("play", [True, False])
-def test_seeking_both_ways_within_the_log(seek_s, lands_s, play):
-    head, moved = obey(PLAYING, order(play=play, seek_ns=seek_s * S), LOG, 9 * S)
-    assert (head.log_ns, moved) == (lands_s * S, True)
-    assert head.status == (Status.Playing if play else Status.Paused)
+def test_a_seek_is_clamped_to_the_log(seek_s, lands_s):
+    for play, status in ((True, Status.Playing), (False, Status.Paused)):
+        head, moved = apply_request(PLAYING, request(play=play, seek_ns=seek_s * S), LOG, 9 * S)
+        assert (head.log_ns, head.status, moved) == (lands_s * S, status, True)
 
 
 @pytest.mark.parametrize("status", [Status.Ended, Status.Paused])
 def test_playing_from_the_end_starts_over(status):
-    head, moved = obey(Playhead(status, 200 * S, 0), order(play=True), LOG, 9 * S)
+    head, moved = apply_request(Playhead(status, 200 * S, 0), request(play=True), LOG, 9 * S)
     assert (head.log_ns, head.status, moved) == (100 * S, Status.Playing, True)
 
 
-def test_who_paused_at_the_end_stays_there():
-    paused, _ = obey(Playhead(Status.Ended, 200 * S, 97 * S), order(play=False), LOG, 97 * S)
+def test_a_pause_at_the_end_does_not_loop():
+    paused, _ = apply_request(Playhead(Status.Ended, 200 * S, 97 * S), request(play=False), LOG, 97 * S)
     assert advance(paused, None, LOG, 999 * S, loop_ns=105 * S) == (paused, LONGEST_WAIT_S)
 
 
 @pytest.mark.parametrize("loop_ns", [100 * S, None])
-def test_a_growing_log_has_no_end_but_an_edge(loop_ns):
+def test_the_end_of_a_growing_log_means_buffering(loop_ns):
     edge = Playhead(Status.Buffering, 150 * S, 90 * S)
     assert advance(PLAYING, None, GROWING, 90 * S, loop_ns=loop_ns) == (edge, EDGE_POLL_S)
 
 
 @pytest.mark.parametrize("rate", [0.5, 1.0, 4.0])
 @pytest.mark.parametrize(("ahead", "complete", "goes_on"), [(0.99, False, False), (1.0, False, True), (0, True, True)])
-def test_playback_leaves_the_edge_once_it_can_play_for_a_while(rate, ahead, complete, goes_on):
+def test_buffering_ends_with_enough_lead_or_a_complete_log(rate, ahead, complete, goes_on):
     head = Playhead(Status.Buffering, 150 * S, 9 * S, rate)
     reach = Reach(100 * S, 150 * S + round(ahead * RESUME_LEAD_S * rate * S), complete)
     after, _ = advance(head, 150 * S, reach, 20 * S)
     assert (after.status == Status.Playing) is goes_on
-    assert after.at(20 * S) == 150 * S  # the time it waited is not skipped
+    assert after.at(20 * S) == 150 * S  # playback skips nothing

@@ -1,22 +1,22 @@
-"""What stands in a Rerun recording."""
+"""Reads Rerun recordings for tests."""
 
 from collections import defaultdict
 from dataclasses import dataclass, field
 
 import pyarrow as pa
-from rerun.chunk import McapReader, RrdReader
+from rerun.chunk import RrdReader
 
 
 @dataclass
 class Entity:
-    """Rows of an entity, each a dict of its columns; and the archetypes they make up."""
+    """Rows of an entity as dicts by column, and its archetypes."""
 
     rows: list = field(default_factory=list)
     static: list = field(default_factory=list)
     archetypes: set = field(default_factory=set)
 
     def column(self, name):
-        """Non-empty cells in the order of log time."""
+        """Non-empty cells in log-time order."""
         ordered = sorted((row for row in self.rows if row.get(name) is not None), key=lambda r: r["message_log_time"])
         return [row[name] for row in ordered]
 
@@ -26,13 +26,8 @@ def recorded(path):
     return _entities(RrdReader(path).stream())
 
 
-def imported(path):
-    """Entities that Rerun's own importer makes of an MCAP file."""
-    return _entities(McapReader(path).stream())
-
-
 def _in_nanoseconds(batch):
-    """Python's datetime ends at microseconds."""
+    """The batch with times in nanoseconds, since Python's datetime has microseconds only."""
     columns = [c.cast("int64") if pa.types.is_timestamp(c.type) else c for c in batch.columns]
     return pa.RecordBatch.from_arrays(columns, batch.schema.names)
 

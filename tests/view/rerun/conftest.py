@@ -1,4 +1,4 @@
-"""The sample's first frames, replayed and saved as a recording: once for all tests of it."""
+"""The first frames of the sample, replayed and saved as a recording once for all tests."""
 
 from pathlib import Path
 

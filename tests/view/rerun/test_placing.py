@@ -1,4 +1,4 @@
-"""Where things lie in a saved recording, by the chain of its pinholes and transforms: images, boxes, road and map."""
+"""Places of images, boxes, road and map in a recording, from its pinholes and transforms."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ CALIBRATION = "/camera/front/calibration"
 
 
 def shown(entities, entity, frame):
-    """The columns of an entity at a frame; each the last one that is there."""
+    """The last value of each column of an entity at a frame."""
     cells = {}
     for row in sorted(entities[entity].rows, key=lambda row: row["message_log_time"]):
         if row["frame"] <= frame:
@@ -28,7 +28,7 @@ def shown(entities, entity, frame):
 
 
 def ego_T(entities, frame_id, frame):
-    """Of a frame by the transforms that hold at a frame; each has one entity, and so one parent."""
+    """The pose of a coordinate frame from the transforms at a frame; each has one entity and one parent."""
     edges = {}
     for entity in entities:
         cells = shown(entities, entity, frame)
@@ -45,7 +45,7 @@ def ego_T(entities, frame_id, frame):
 
 
 def front(entities):
-    """The camera as Rerun has it, whose pixels count from the image's corner; and ego_T_camera at the first frame."""
+    """Rerun's camera, with pixels counted from the image corner, and ego_T_camera at the first frame."""
     cells = shown(entities, CALIBRATION, 0)
     K = np.array(cells["Pinhole:image_from_camera"][0]).reshape(3, 3, order="F")
     (frame_id,), (size,) = cells["Pinhole:parent_frame"], cells["Pinhole:resolution"]
@@ -54,7 +54,7 @@ def front(entities):
 
 
 @pytest.mark.parametrize("frame", range(FRAMES))
-def test_the_lanes_on_the_road_lie_on_the_lanes_in_the_image(saved, frame):
+def test_lanes_in_3d_project_onto_lanes_in_the_image(saved, frame):
     camera, ego_T_camera = front(saved)
     on_road = shown(saved, "/perception/lanes/scene", frame)["LineStrips3D:strips"]
     in_image = shown(saved, "/perception/lanes/annotations/smoothed", frame)["LineStrips2D:strips"]
@@ -68,7 +68,7 @@ def test_the_lanes_on_the_road_lie_on_the_lanes_in_the_image(saved, frame):
 
 
 @pytest.mark.parametrize("frame", range(FRAMES))
-def test_the_boxes_in_space_cover_the_boxes_in_the_image(saved, frame):
+def test_boxes_in_3d_project_onto_boxes_in_the_image(saved, frame):
     camera, _ = front(saved)
     space = shown(saved, "/perception/objects/scene", frame)
     image = shown(saved, "/perception/objects/annotations/kept", frame)
@@ -82,14 +82,14 @@ def test_the_boxes_in_space_cover_the_boxes_in_the_image(saved, frame):
 
 
 def corners(cells, archetype):
-    """(N, 2, D) least and largest corners."""
+    """(N, 2, D) smallest and largest corners."""
     centres, halves = (np.array(cells[f"{archetype}:{name}"]) for name in ("centers", "half_sizes"))
     return np.stack((centres - halves, centres + halves), axis=1)
 
 
 @pytest.fixture(scope="module")
 def road(tmp_path_factory):
-    """Two frames of a level road, which the depth shows to the millimetre; camera 1.4 m above it."""
+    """Two frames of a level road with exact depth; the camera is 1.4 m above it."""
     return replayed(tmp_path_factory.mktemp("road"), logs.items(frames=2))
 
 
@@ -100,7 +100,7 @@ def replayed(folder, items):
     return recorded(folder / "out.rrd")
 
 
-def test_the_depths_points_lie_on_the_road(road):
+def test_depth_points_are_on_the_road(road):
     camera, ego_T_camera = front(road)
     cells = shown(road, "/camera/front/depth", 0)
     depth_m = np.frombuffer(bytes(cells["DepthImage:buffer"][0]), np.uint16).reshape(camera.size) / 1000.0
@@ -113,7 +113,7 @@ def test_the_depths_points_lie_on_the_road(road):
     assert abs(z_m).max() < 0.002
 
 
-def test_the_map_lies_a_little_below_the_road(road):
+def test_the_occupancy_map_is_slightly_below_the_road(road):
     (x_m, y_m, z_m) = shown(road, "/perception/occupancy", 0)["GridMap:translation"][0]
     mesh = np.array(shown(road, "/perception/surface", 0)["Mesh3D:vertex_positions"])
     assert -0.1 < z_m - mesh[:, 2].min() < -0.02
@@ -121,7 +121,7 @@ def test_the_map_lies_a_little_below_the_road(road):
     assert (x_m, y_m) == pytest.approx((occupancy.x_min_m, -occupancy.half_width_m), abs=1e-6)
 
 
-def test_where_the_left_image_makes_the_frames_the_results_are_its_cameras(tmp_path):
+def test_results_of_left_frames_belong_to_the_left_camera(tmp_path):
     stereo = {"image": "left", "calibration": "left_calibration"}
     items = [replace(i, role=stereo.get(i.role, i.role)) for i in logs.items(frames=2) if i.role != "tf"]
     entities = replayed(tmp_path, items)
@@ -132,8 +132,8 @@ def test_where_the_left_image_makes_the_frames_the_results_are_its_cameras(tmp_p
 
 
 @pytest.mark.parametrize("role", ["tf", "tf_static"])
-def test_a_tree_whose_camera_comes_first_is_that_of_one_edge(tmp_path, road, role):
-    """The same mounting in two steps, the upper one last, and a car that moves in a map."""
+def test_a_mounting_in_two_edges_equals_one_edge(tmp_path, road, role):
+    """The same mounting as two edges, the upper one last, and a car that moves in a map."""
     up = rigid(np.eye(3), np.array([0.0, 0.0, 0.3]))
     edges = (
         Transform("base_link", "camera", inverse(up) @ logs.SMALL.ego_T_camera),
@@ -147,7 +147,7 @@ def test_a_tree_whose_camera_comes_first_is_that_of_one_edge(tmp_path, road, rol
     assert front(entities)[1] == pytest.approx(logs.SMALL.ego_T_camera, abs=1e-6)
     assert ego_T(entities, "map", 1)[:3, 3] == pytest.approx([-50.0, 0.0, 0.0])
     for name in ("camera_height_m", "lane_left_offset_m"):
-        told = [
+        values = [
             [cell[0] for cell in e[f"/perception/metrics/{name}"].column("Scalars:scalars")] for e in (road, entities)
         ]
-        assert told[1] == pytest.approx(told[0], abs=1e-6)
+        assert values[1] == pytest.approx(values[0], abs=1e-6)

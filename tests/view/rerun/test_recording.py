@@ -1,4 +1,4 @@
-"""The exported recording, read back: entities, archetypes, rows, timelines and values are those of the log."""
+"""A recording, read back, has the entities, archetypes, timelines and values of the log."""
 
 from dataclasses import replace
 
@@ -64,25 +64,25 @@ def decoded(path, kind, topic):
 
 
 @pytest.mark.parametrize("entity", OF_EVERY_FRAME)
-def test_an_entity_of_every_frame(saved, entity):
+def test_entities_have_a_row_for_every_frame(saved, entity):
     found = saved[entity]
     assert OF_EVERY_FRAME[entity] in found.archetypes
     assert [row["frame"] for row in found.rows] == list(range(FRAMES))
 
 
-def test_the_timelines_are_the_logs_times_and_the_frames(saved, output):
+def test_timelines_are_log_time_and_frame(saved, output):
     times = [message.log_time_ns for message in messages(output, "/camera/front/image")]
     rows = saved["/camera/front/image"].rows
     assert [row["message_log_time"] for row in rows] == times
     assert "log_time" not in rows[0]
 
 
-def test_images_are_the_logs_own_bytes(saved, output):
+def test_images_keep_the_bytes_of_the_log(saved, output):
     blobs = [cell[0] for cell in saved["/camera/front/image"].column("EncodedImage:blob")]
     assert all(bytes(blob) in m.data for blob, m in zip(blobs, messages(output, "/camera/front/image"), strict=True))
 
 
-def test_metrics_are_those_of_the_log(saved, output):
+def test_metrics_equal_those_of_the_log(saved, output):
     seen = [cell[0] for cell in saved["/perception/metrics/lane_left_offset_m"].column("Scalars:scalars")]
     rows = [FrameMetrics.FromString(message.data) for message in messages(output, "/perception/metrics")]
     assert seen == [row.lane_left_offset_m for row in rows]
@@ -93,12 +93,12 @@ def test_metrics_are_those_of_the_log(saved, output):
     assert not {"frame", "stamp_ns", "log_id"} & {entity.rpartition("/")[2] for entity in saved}
 
 
-def test_times_are_those_of_the_table(saved, output):
+def test_stage_times_equal_those_of_the_table(saved, output):
     seen = [cell[0] for cell in saved["/perception/times/lanes_ms"].column("Scalars:scalars")]
     assert seen == pl.read_parquet(sidecar_path(output, "metrics"))["lanes_ms"].to_list()
 
 
-def test_boxes_captions_and_classes_are_those_of_the_log(saved, output):
+def test_boxes_captions_and_classes_equal_those_of_the_log(saved, output):
     boxes = saved["/perception/objects/annotations/kept"]
     for k, objects in enumerate(decoded(output, "objects", "/perception/objects")):
         kept = [item for item in objects.objects if item.kept]
@@ -111,7 +111,7 @@ def test_boxes_captions_and_classes_are_those_of_the_log(saved, output):
         )
 
 
-def test_the_nearest_objects_are_named_and_no_name_lies_over_another(saved, output):
+def test_the_nearest_objects_have_captions_without_overlap(saved, output):
     names = saved["/perception/objects/annotations/captions"]
     for k, objects in enumerate(decoded(output, "objects", "/perception/objects")):
         kept = [item for item in objects.objects if item.kept]
@@ -119,20 +119,20 @@ def test_the_nearest_objects_are_named_and_no_name_lies_over_another(saved, outp
         texts, places = names.column("Points2D:labels")[k], np.array(names.column("Points2D:positions")[k])
         assert caption(nearest) in texts
         assert set(texts) <= {caption(item) for item in kept}
-        assert len(texts) < len(kept)  # cars far away stand in a row
+        assert len(texts) < len(kept)  # distant cars overlap in the image
         rows = np.abs(places[:, None, 1] - places[:, 1]) + 1e3 * np.eye(len(places))
         columns = np.abs(places[:, None, 0] - places[:, 0])
-        assert ((rows > 8) | (columns > 20)).all()  # a line of text has 8 pixels of 270
+        assert ((rows > 8) | (columns > 20)).all()  # a line of text is 8 of 270 pixels high
 
 
-def test_kept_objects_stand_at_their_distance(saved, output):
+def test_kept_objects_are_at_their_distance(saved, output):
     centres = saved["/perception/objects/scene"].column("Boxes3D:centers")
     for k, objects in enumerate(decoded(output, "objects", "/perception/objects")):
         distances = [item.distance_m for item in objects.objects if item.kept and item.distance_m]
         assert np.linalg.norm(centres[k], axis=1) == pytest.approx(distances, rel=1e-5)
 
 
-def test_lanes_lie_in_the_image_and_on_the_road(saved, output):
+def test_lanes_are_inside_the_image_and_on_the_road(saved, output):
     strips = saved["/perception/lanes/annotations/smoothed"].column("LineStrips2D:strips")
     road = saved["/perception/lanes/scene"].column("LineStrips3D:strips")
     for k, lanes in enumerate(decoded(output, "lanes", "/perception/lanes")):
@@ -142,7 +142,7 @@ def test_lanes_lie_in_the_image_and_on_the_road(saved, output):
         assert np.array(road[k][0]) == pytest.approx(lanes.boundaries[0].line_ego_m, abs=1e-4)
 
 
-def test_class_names_and_colours_stand_in_annotation_contexts(saved):
+def test_annotation_contexts_have_class_names_and_colours(saved):
     classes = saved["/camera/front/segmentation"].static[0]["AnnotationContext:context"][0]
     infos = {entry["class_id"]: entry["class_description"]["info"] for entry in classes}
     assert {i: info["label"] for i, info in infos.items()} == dict(enumerate(CARLA_FROM_0_9_14.names))
@@ -161,7 +161,7 @@ def test_depth_is_metric_and_saturated_depth_is_unknown(saved):
     assert (depth[:20] == 0).mean() > 0.3  # the sky
 
 
-def test_an_input_log_shows_what_it_has(tmp_path):
+def test_an_input_log_is_shown(tmp_path):
     source = logs.write(tmp_path / "in.mcap", logs.items(frames=3))
     assert save_recording(source, tmp_path / "in.rrd", {}).frames == 3
     entities = recorded(tmp_path / "in.rrd")
@@ -174,7 +174,7 @@ def test_an_input_log_shows_what_it_has(tmp_path):
 
 @pytest.fixture(scope="module")
 def without_second_detections(tmp_path_factory):
-    """Of three frames the second one has no detections; there is no stereo pair."""
+    """Three frames without stereo; the second one has no detections."""
     folder = tmp_path_factory.mktemp("missing")
     second = logs.START_NS + STEP_NS
     items = [i for i in logs.items(frames=3) if not (i.role == "detections" and i.stamp_ns == second)]
@@ -185,14 +185,14 @@ def without_second_detections(tmp_path_factory):
     return recorded(folder / "out.rrd"), rows
 
 
-def test_what_a_frame_has_not_is_cleared(without_second_detections):
-    """The detections of the first frame do not stay in the image of the second one."""
+def test_results_missing_in_a_frame_are_cleared(without_second_detections):
+
     entity = without_second_detections[0]["/perception/objects/annotations/dropped"]
     rows = sorted(entity.rows, key=lambda row: row["frame"])
     assert [(row["frame"], row.get("Clear:is_recursive")) for row in rows] == [(0, None), (1, [False]), (2, None)]
 
 
-def test_the_reasons_stand_in_the_log_where_they_change(without_second_detections):
+def test_changed_reasons_are_log_lines(without_second_detections):
     entities, rows = without_second_detections
     lines = sorted(entities["/perception/metrics/reasons"].rows, key=lambda row: row["frame"])
     assert [(row["frame"], row["TextLog:text"]) for row in lines] == [
@@ -202,20 +202,20 @@ def test_the_reasons_stand_in_the_log_where_they_change(without_second_detection
     assert "detections" not in lines[2]["TextLog:text"][0]
 
 
-def test_roles_without_a_message_are_a_state_that_ends(without_second_detections):
+def test_missing_roles_are_a_state_that_ends(without_second_detections):
     states = sorted(without_second_detections[0]["/perception/metrics/missing"].rows, key=lambda row: row["frame"])
     assert [(row["frame"], row["StateChange:state"]) for row in states] == [(1, ["detections"]), (2, [""])]
 
 
-def test_reasons_are_told_once_and_so_is_their_end():
-    world, told = SceneState(), []
+def test_reasons_and_their_end_are_drawn_once():
+    state, drawn = SceneState(), []
     for reasons in ((), ("stereo: no right image",), ("stereo: no right image",), ()):
-        entries = metrics("/perception/metrics", FrameMetrics(reasons=reasons), world)
-        told.append([entry.archetype.text.as_arrow_array().to_pylist() for entry in entries])
-    assert told == [[], [["stereo: no right image"]], [], [["nothing is missing now"]]]
+        entries = metrics("/perception/metrics", FrameMetrics(reasons=reasons), state)
+        drawn.append([entry.archetype.text.as_arrow_array().to_pylist() for entry in entries])
+    assert drawn == [[], [["stereo: no right image"]], [], [["nothing is missing now"]]]
 
 
-def test_times_of_another_run_are_left_out(tmp_path):
+def test_stage_times_of_another_replay_are_left_out(tmp_path):
     source = logs.write(tmp_path / "in.mcap", logs.items(frames=2))
     other = logs.write(tmp_path / "other.mcap", logs.items(frames=3))
     assert replay_main([str(source), str(tmp_path / "out.mcap"), "--quiet"]) == 0
@@ -225,41 +225,41 @@ def test_times_of_another_run_are_left_out(tmp_path):
     assert not [e for e in recorded(tmp_path / "out.rrd") if e.startswith("/perception/times")]
 
 
-NOTHING = "nothing here that this project shows; "
+NOTHING = "no topic that roadperc-view can show; "
 
 
 @pytest.mark.parametrize(
     ("items", "extra", "why"),
     [
-        ([], [], "no message to show$"),
-        ([], [logs.foreign()], f"{NOTHING}rerun "),
+        ([], [], "the log has no messages to show$"),
+        ([], [logs.foreign()], f"{NOTHING}try rerun "),
         (
             [logs.Item("lidar", 5, b"", "/radar")],
             [],
-            f"{NOTHING}role lidar: not assigned; .* --topic lidar=/radar; rerun ",
+            f"{NOTHING}role lidar: not assigned; .* --topic lidar=/radar; try rerun ",
         ),
         (
             [logs.Item("image", 5, b"\xff\xfe\x07bad")],
             [],
-            f"{NOTHING}/camera/front/image: message at 5 ns: 6 bytes are no.*; rerun .*in.mcap.* or ",
+            f"{NOTHING}/camera/front/image: message at 5 ns: 6 bytes are no.*; try rerun .*in.mcap.* or ",
         ),
     ],
     ids=["no message", "nothing known", "a topic that could fill a role", "nothing that can be read"],
 )
-def test_a_log_with_nothing_to_show_gives_no_recording(tmp_path, items, extra, why):
+def test_a_log_without_shown_topics_gives_no_recording(tmp_path, items, extra, why):
     source = logs.write(tmp_path / "in.mcap", items, extra)
     with pytest.raises(LogError, match=rf"in\.mcap: {why}"):
         save_recording(source, tmp_path / "out.rrd", {})
     assert list(tmp_path.iterdir()) == [source]
 
 
-def test_what_makes_no_frame_is_not_counted_as_one(tmp_path):
+def test_messages_without_a_frame_are_not_counted_as_frames(tmp_path):
     source = logs.write(tmp_path / "in.mcap", logs.items(frames=0))
     assert save_recording(source, tmp_path / "in.rrd", {}).frames == 0
     assert {"/camera/front/calibration", "/tf/camera"} <= set(recorded(tmp_path / "in.rrd"))
 
 
-def test_a_damaged_log_leaves_no_file_behind(tmp_path):
+def test_a_damaged_log_gives_no_recording(tmp_path):
     source = logs.write(tmp_path / "in.mcap", logs.items(frames=2))
     content = bytearray(source.read_bytes())
     content[len(content) // 2] ^= 0xFF
@@ -269,7 +269,7 @@ def test_a_damaged_log_leaves_no_file_behind(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["in.mcap"]
 
 
-def test_an_existing_file_is_replaced_only_by_force(tmp_path):
+def test_an_existing_recording_is_replaced_only_with_force(tmp_path):
     source = logs.write(tmp_path / "in.mcap", logs.items(frames=1))
     target = tmp_path / "in.rrd"
     target.write_text("mine")
@@ -278,20 +278,23 @@ def test_an_existing_file_is_replaced_only_by_force(tmp_path):
     assert target.read_text() == "mine"
     save_recording(source, target, {}, force=True)
     assert "/camera/front/image" in recorded(target)
-    with pytest.raises(TargetError, match=r"in\.mcap: expected a name that ends in \.rrd"):
-        save_recording(source, source, {}, force=True)
+
+
+@pytest.fixture(scope="module")
+def with_overlay(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("overlay")
+    source = logs.write(folder / "in.mcap", logs.items(frames=2))
+    assert replay_main([str(source), str(folder / "out.mcap"), "--quiet", "--overlay"]) == 0
+    return folder / "out.mcap"
 
 
 @pytest.mark.parametrize(
-    "topic",
-    ["/camera/front/image", "/camera/front/detections", "/perception/metrics", "/perception/overlay", "/tf"],
+    "topic", ["/camera/front/image", "/camera/front/detections", "/perception/metrics", "/perception/overlay", "/tf"]
 )
-def test_a_damaged_message_of_any_topic_is_counted_and_the_rest_is_drawn(tmp_path, topic):
-    source, output = logs.write(tmp_path / "in.mcap", logs.items(frames=2)), tmp_path / "out.mcap"
-    assert replay_main([str(source), str(output), "--quiet", "--overlay"]) == 0
+def test_damaged_messages_are_counted_and_the_others_drawn(with_overlay, tmp_path, topic):
     broken = tmp_path / "broken.mcap"
     with LogWriter(broken) as writer:
-        for message in log.read(log.summarise(output)):
+        for message in log.read(log.summarise(with_overlay)):
             hit = message.channel.topic == topic
             writer.write(replace(message, data=b"\xff\xfe\x07garbage") if hit else message)
     exported = save_recording(broken, tmp_path / "out.rrd", {})
@@ -300,7 +303,7 @@ def test_a_damaged_message_of_any_topic_is_counted_and_the_rest_is_drawn(tmp_pat
     assert "/perception/lanes/annotations/smoothed" in recorded(tmp_path / "out.rrd")
 
 
-def test_somebody_elses_topics_of_our_names_are_left_alone(tmp_path):
+def test_foreign_topics_with_names_of_results_are_ignored(tmp_path):
     theirs = [Channel(topic, "cdr", "std_msgs/msg/String", "ros2msg", b"string data\n") for topic in RESULTS]
     ours = [replace(channel, metadata=(PRODUCER,)) for channel in theirs]
     source, foreign = logs.write(tmp_path / "in.mcap", logs.items(frames=2)), tmp_path / "foreign.mcap"
@@ -314,6 +317,6 @@ def test_somebody_elses_topics_of_our_names_are_left_alone(tmp_path):
         assert (exported.frames, exported.problems) == (2, {})
 
 
-def test_every_stage_has_a_colour_of_its_own():
+def test_every_stage_has_its_own_colour():
     assert {f"{stage}_ms" for stage in STAGE_COLOURS} == set(TIME_COLUMNS)
     assert len(set(STAGE_COLOURS.values())) == len(TIME_COLUMNS)

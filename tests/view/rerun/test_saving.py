@@ -18,14 +18,14 @@ def log(recording, values):
         recording.log("value", rr.TextLog(f"{k:04} " * 100))
 
 
-def test_what_comes_through_the_pipe_is_a_whole_recording(recording, tmp_path):
+def test_the_pipe_passes_a_whole_recording(recording, tmp_path):
     target = tmp_path / "out.rrd"
     with saving(recording, target) as check:
         log(recording, 500)
         recording.flush()
         check()
     assert recorded(target)["/value"].column("TextLog:text") == [[f"{k:04} " * 100] for k in range(500)]
-    assert b"FOOT" in target.read_bytes()[-16:]  # the table of contents, without which a viewer must read all of it
+    assert b"FOOT" in target.read_bytes()[-16:]  # the index, without which a viewer reads the whole file
 
 
 def save_and_fail(recording, target):
@@ -34,7 +34,7 @@ def save_and_fail(recording, target):
         raise KeyError(target)
 
 
-def test_an_error_of_the_block_ends_the_pipe_too(recording, tmp_path):
+def test_an_error_in_the_block_closes_the_pipe(recording, tmp_path):
     with pytest.raises(KeyError):
         save_and_fail(recording, tmp_path / "out.rrd")
 
@@ -47,12 +47,12 @@ def save_for_ever(recording, target):
             check()
 
 
-def test_a_file_that_cannot_be_written_is_told_while_it_goes_on(recording, tmp_path):
+def test_an_unwritable_file_is_an_error_during_the_export(recording, tmp_path):
     with pytest.raises(IsADirectoryError):
         save_for_ever(recording, tmp_path)
 
 
-def test_a_pipe_that_cannot_be_had_is_told(recording, tmp_path, monkeypatch):
+def test_a_pipe_that_the_sdk_cannot_open_is_an_error(recording, tmp_path, monkeypatch):
     monkeypatch.setattr(recording, "save", lambda _path: (_ for _ in ()).throw(RuntimeError("no")))
     with pytest.raises(OSError, match="no"), saving(recording, tmp_path / "out.rrd"):
         pytest.fail("nothing can be logged")

@@ -1,4 +1,4 @@
-"""The transform tree that is drawn: one parent for each frame, and the camera where the chain has it."""
+"""The drawn transform tree has one parent per frame, and the camera's mounting of the chain."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def camera(frame_id):
 
 
 class Drawn:
-    """What the entries so far place: each frame by one entity, and so below one parent at a time."""
+    """The tree of the drawn entries; each frame has one entity and therefore one parent."""
 
     def __init__(self):
         self.edges = {}
@@ -37,7 +37,7 @@ class Drawn:
         assert sorted(self.frame_at.values()) == sorted(self.edges)
 
     def ego_T(self, frame):
-        """None where the frame is not placed below ego."""
+        """The pose of a frame below ego; None for other frames."""
         ego_T_frame, steps = np.eye(4), 0
         while frame in self.edges and steps <= len(self.edges):
             frame, parent_T_frame = self.edges[frame]
@@ -77,24 +77,24 @@ TREES = {
 @pytest.mark.parametrize("known_early", [True, False])
 @pytest.mark.parametrize("role", ["tf", "tf_static"])
 @pytest.mark.parametrize("name", TREES)
-def test_the_camera_is_where_the_chain_has_it(name, role, known_early):
-    """After every message, whether the calibration comes before the transforms or after them."""
+def test_the_camera_has_the_mounting_of_the_chain(name, role, known_early):
+    """Holds after every message, with the calibration before or after the transforms."""
     frame_id, messages = TREES[name]
-    world, drawn = SceneState(), Drawn()
-    parts = [("/tf", role, tuple(message), world) for message in messages]
+    state, drawn = SceneState(), Drawn()
+    parts = [("/tf", role, tuple(message), state) for message in messages]
     steps = [(scene.transforms, part) for part in parts]
     steps.insert(
-        0 if known_early else len(steps), (pictures.calibration, ("/c", "calibration", camera(frame_id), world))
+        0 if known_early else len(steps), (pictures.calibration, ("/c", "calibration", camera(frame_id), state))
     )
     for draw, part in steps:
         drawn.add(draw(*part))
-        if world.front:
-            found = placed(world, drawn, frame_id)
+        if state.front:
+            found = placed(state, drawn, frame_id)
     assert found
 
 
-def placed(world, drawn, frame_id):
-    wanted, found = ego_T_camera_of(world.latched.tree, camera(frame_id)), drawn.ego_T(frame_id)
+def placed(state, drawn, frame_id):
+    wanted, found = ego_T_camera_of(state.latched.tree, camera(frame_id)), drawn.ego_T(frame_id)
     assert (wanted is None) == (found is None)
     assert wanted is None or found == pytest.approx(wanted, abs=1e-5)
     assert "ego" not in drawn.edges  # odometry places it
@@ -103,58 +103,58 @@ def placed(world, drawn, frame_id):
 
 
 def with_camera(frame_id):
-    """What is drawn of a calibration that comes before all else."""
-    world, drawn = SceneState(), Drawn()
-    drawn.add(pictures.calibration("/c", "calibration", camera(frame_id), world))
-    return world, drawn
+    """The state and the drawn tree after a calibration."""
+    state, drawn = SceneState(), Drawn()
+    drawn.add(pictures.calibration("/c", "calibration", camera(frame_id), state))
+    return state, drawn
 
 
 def test_frames_above_the_car_are_kept_below_it():
-    world, drawn = with_camera("cam")
+    state, drawn = with_camera("cam")
     above = edge("map", "base_link", 50.0, yaw=0.3)
     messages = (above, edge("base_link", "cam", 1.0)), (edge("map", "sign", 60.0),)
     for message in messages:
-        drawn.add(scene.transforms("/tf", "tf", message, world))
+        drawn.add(scene.transforms("/tf", "tf", message, state))
     wanted = inverse(above.parent_T_child) @ messages[1][0].parent_T_child
     assert drawn.ego_T("sign") == pytest.approx(wanted, abs=1e-4)
 
 
-def test_only_what_changes_is_drawn_again():
-    world = SceneState()
-    world.latch("calibration", camera("camera"))
-    assert len(list(scene.transforms("/tf", "tf", (FOOT, MOUNT), world))) == 3
-    assert not list(scene.transforms("/tf", "tf", (FOOT, MOUNT), world))
-    (again,) = scene.transforms("/tf", "tf", (edge("base_link", "camera", 1.2),), world)
+def test_only_changed_edges_are_drawn_again():
+    state = SceneState()
+    state.latch("calibration", camera("camera"))
+    assert len(list(scene.transforms("/tf", "tf", (FOOT, MOUNT), state))) == 3
+    assert not list(scene.transforms("/tf", "tf", (FOOT, MOUNT), state))
+    (again,) = scene.transforms("/tf", "tf", (edge("base_link", "camera", 1.2),), state)
     assert again.entity == "/tf/camera"
 
 
 def surface(height_m):
-    """A road 0.2 m below ego's origin, seen by a camera so high above that."""
+    """A road 0.2 m below the ego origin, and a camera ``height_m`` above that origin."""
     plane = Plane((0.0, 0.0, 1.0), 0.2)
     return Surface("assumed", "", plane, plane, height_m + 0.2, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("frame_id", ["camera", "base_link"])
-def test_a_camera_nobody_places_stands_as_high_as_the_chain_took_it_to_be(frame_id):
-    """The vehicle's own frame is no optical one: its camera is not placed, wherever the tree has the frame."""
-    world, drawn = with_camera(frame_id)
-    drawn.add(scene.transforms("/tf", "tf", (edge("ego", "base_link", 9.0), edge("map", "camera", 9.0)), world))
-    drawn.add(e for e in scene.road("/perception/surface", "result", surface(1.7), world))
+def test_a_camera_without_transforms_has_the_assumed_height(frame_id):
+    """The vehicle frame is not optical, so its edge does not place a camera with that frame."""
+    state, drawn = with_camera(frame_id)
+    drawn.add(scene.transforms("/tf", "tf", (edge("ego", "base_link", 9.0), edge("map", "camera", 9.0)), state))
+    drawn.add(e for e in scene.road("/perception/surface", "result", surface(1.7), state))
     assert drawn.ego_T(frame_id) == pytest.approx(level_mounting(1.7), abs=1e-6)
     assert "ego" not in drawn.edges
 
 
-def test_a_transform_that_comes_later_takes_the_place_of_what_was_assumed():
-    world, drawn = with_camera("camera")
-    drawn.add(scene.road("/perception/surface", "result", surface(1.7), world))
-    drawn.add(scene.transforms("/tf_static", "tf_static", (FOOT, MOUNT), world))
-    assert placed(world, drawn, "camera")
+def test_a_later_transform_replaces_the_assumed_mounting():
+    state, drawn = with_camera("camera")
+    drawn.add(scene.road("/perception/surface", "result", surface(1.7), state))
+    drawn.add(scene.transforms("/tf_static", "tf_static", (FOOT, MOUNT), state))
+    assert placed(state, drawn, "camera")
 
 
-def test_a_right_image_without_calibration_is_not_in_the_front_cameras_plane():
-    world = SceneState()
-    world.latch("calibration", camera("camera"))
-    planes = {role: world.image_frame(role, f"{role}_camera") for role in ("image", "left", "depth", "right")}
+def test_a_right_image_without_calibration_has_its_own_plane():
+    state = SceneState()
+    state.latch("calibration", camera("camera"))
+    planes = {role: state.image_frame(role, f"{role}_camera") for role in ("image", "left", "depth", "right")}
     front = "camera_image_plane"
     assert planes == {"image": front, "left": front, "depth": front, "right": "right_camera_image_plane"}
 
@@ -162,21 +162,21 @@ def test_a_right_image_without_calibration_is_not_in_the_front_cameras_plane():
 @pytest.mark.parametrize(
     "odometry", [edge("odom", "ego", 3.0), edge("ego", "perception_odom", -3.0)], ids=["above", "below"]
 )
-def test_of_the_results_only_odometry_is_drawn(odometry):
-    """What ties ego to the log's frames stands in the tree already, the other way round."""
+def test_only_the_odometry_edges_of_results_are_drawn(odometry):
+    """The edges between ego and the log's frames are already in the drawn tree."""
     ties = (edge("base_link", "ego", 0.0), edge("ego", "camera", 1.0))
     (drawn,) = scene.transforms("/perception/tf", "result", (*ties, odometry), SceneState())
     assert drawn.entity == f"/perception/tf/{odometry.child}"
 
 
 @pytest.mark.parametrize(("role", "frame"), [("truth_pose", "odom of the log"), ("result", "odom")])
-def test_a_pose_stands_in_the_odom_of_who_tells_it(role, frame):
-    world = SceneState()
-    world.latch("tf", (edge("odom", "base_link", 9.0),))
-    (arrow,) = scene.pose("/pose", role, edge("odom", "car", 2.0), world)
+def test_poses_of_log_and_results_have_different_odom_frames(role, frame):
+    state = SceneState()
+    state.latch("tf", (edge("odom", "base_link", 9.0),))
+    (arrow,) = scene.pose("/pose", role, edge("odom", "car", 2.0), state)
     assert arrow.frame == frame
 
 
-def test_a_pose_of_an_odom_that_the_log_does_not_place_stands_in_that_of_the_results():
+def test_a_pose_in_an_odom_without_transforms_uses_the_odom_of_the_results():
     (arrow,) = scene.pose("/truth/pose", "truth_pose", edge("odom", "ego", 2.0), SceneState())
     assert arrow.frame == "odom"

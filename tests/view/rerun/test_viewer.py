@@ -1,4 +1,4 @@
-"""A viewer that goes away while it is sent a log: Rerun's own server, without a window."""
+"""Sending a log to Rerun's server without a window, which may close or block."""
 
 import signal
 import socket
@@ -23,8 +23,8 @@ def server(monkeypatch, tmp_path):
     monkeypatch.setattr(recording, "URL", f"rerun+http://127.0.0.1:{address[1]}/proxy")
     binary = Path(rerun_cli.__file__).with_name("rerun")
     command = [binary, "--serve-grpc", "--bind", address[0], "--port", str(address[1])]
-    with (tmp_path / "server.log").open("wb") as told:
-        process = subprocess.Popen(command, stdout=told, stderr=told)
+    with (tmp_path / "server.log").open("wb") as output:
+        process = subprocess.Popen(command, stdout=output, stderr=output)
     deadline = monotonic() + 60
     while not viewer._listening():
         assert monotonic() < deadline, (tmp_path / "server.log").read_text()
@@ -34,13 +34,13 @@ def server(monkeypatch, tmp_path):
     process.wait()
 
 
-def test_a_log_is_sent_whole(server, tmp_path):
+def test_a_whole_log_is_sent(server, tmp_path):
     source = logs.write(tmp_path / "in.mcap", logs.items(frames=3))
     assert open_viewer(source, {}).frames == 3
     assert server.poll() is None
 
 
-def test_a_viewer_that_goes_away_is_an_error(server, tmp_path):
+def test_closing_the_viewer_is_an_error(server, tmp_path):
     source = logs.write(tmp_path / "in.mcap", logs.items(frames=60))
 
     def close_window(frames, _expected):
@@ -48,7 +48,7 @@ def test_a_viewer_that_goes_away_is_an_error(server, tmp_path):
             server.kill()
             server.wait()
 
-    with pytest.raises(TargetError, match=r"127\.0\.0\.1:\d+/proxy: the viewer is gone"):
+    with pytest.raises(TargetError, match=r"127\.0\.0\.1:\d+/proxy: the viewer was closed"):
         open_viewer(source, {}, close_window)
 
 
@@ -71,7 +71,7 @@ open_viewer(Path(sys.argv[1]), {}, stopped)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_what_waits_for_a_viewer_that_takes_nothing(server, tmp_path, number):
+def test_a_signal_ends_the_wait_for_a_blocked_viewer(server, tmp_path, number):
     source = logs.write(tmp_path / "in.mcap", logs.items(frames=3))
     command = [sys.executable, "-c", SENDING, str(source), str(viewer._ADDRESS[1])]
     pipe = subprocess.PIPE
@@ -81,6 +81,6 @@ def test_a_signal_ends_what_waits_for_a_viewer_that_takes_nothing(server, tmp_pa
         sender.stdin.write("\n")
         sender.stdin.close()
         with pytest.raises(subprocess.TimeoutExpired):  # it waits
-            sender.wait(3)
+            sender.wait(1)
         sender.send_signal(number)
         assert sender.wait(60) == -number
