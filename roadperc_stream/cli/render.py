@@ -1,4 +1,4 @@
-"""``roadperc-render``: a drive rendered in CARLA's own file formats, with exact ground truth."""
+"""``roadperc-render``: render a scene as a CARLA dump with exact ground truth."""
 
 import argparse
 from collections.abc import Sequence
@@ -14,15 +14,15 @@ example:
   roadperc-render drive --scene bend --seconds 5 --tag-noise 0.02 --depth-noise 0.01
   roadperc-convert drive drive.mcap
 
-DUMP then holds rgb/, depth/, segmentation/ and right/ (the second camera of a stereo pair, 0.5 m to the right),
-calibration.json, detections.json, poses.json, timestamps.txt, truth.json, and truth/ with the clean tags and depth
-where noise or drops degrade the others, or they are left out. With --lidar it also holds lidar/: 64 rings over 90
-degrees ahead, PLY files with CARLA's left-handed x forward, y right, z up. The same options give the same bytes.
+DUMP has the folders rgb, depth, segmentation and right (the second camera of a stereo pair, 0.5 m to the right), and
+the files calibration.json, detections.json, poses.json, timestamps.txt and truth.json. If tags or depth are noisy,
+dropped or left out, truth/ has the exact ones. With --lidar, lidar/ has PLY files with 64 rings over 90 degrees ahead,
+in CARLA's left-handed coordinates (x forward, y right, z up). The same options give the same bytes.
 """
 
 
 def main(argv: list[str] | None = None) -> int:
-    """``roadperc-render``: 0 done, 1 a stated error, 2 wrong usage."""
+    """``roadperc-render``: exit code 0 on success, 1 on an error, 2 on wrong usage."""
     arguments = parse(_parser(), argv)
     rendering = part("tools.scene.job")
     return run(lambda: rendering.render_and_report(arguments.dump, _options(arguments), force=arguments.force))
@@ -34,9 +34,15 @@ def _parser() -> argparse.ArgumentParser:
     parser = command_parser("render", "Render a scene as a CARLA dump with exact ground truth.", _EXAMPLE)
     add = parser.add_argument
     dump = add("dump", type=Path, metavar="DUMP", help="folder to write")
-    add("--size", type=image_size, default=(defaults.width, defaults.height), metavar="WxH", help="pixels (1280x960)")
-    add("--jpeg", action="store_true", help="rgb and right as JPEG")
-    add("--lidar", action="store_true", help="a lidar on the roof, 2.4 m high: its points are exact")
+    add(
+        "--size",
+        type=image_size,
+        default=(defaults.width, defaults.height),
+        metavar="WxH",
+        help="image size in pixels (1280x960)",
+    )
+    add("--jpeg", action="store_true", help="write rgb and right as JPEG")
+    add("--lidar", action="store_true", help="add a lidar with exact points, 2.4 m above the road")
     add(
         "--without",
         action="append",
@@ -46,27 +52,27 @@ def _parser() -> argparse.ArgumentParser:
         help=f"leave out {', '.join(facts.SENSORS)}",
     )
     add("--seed", type=int, default=defaults.seed, metavar="N", help="seed of all random numbers (0)")
-    add("--force", action="store_true", help="replace an earlier dump in the folder")
-    _add_drive(parser.add_argument_group("the drive"), facts.SCENES, defaults)
-    _add_noise(parser.add_argument_group("noise and drops"))
-    _add_lane_changes(parser.add_argument_group("changes of lane"))
-    _add_road(parser.add_argument_group("the road"))
-    _add_camera(parser.add_argument_group("camera and pitching"), defaults)
-    _add_car_before(parser.add_argument_group("the car ahead"))
+    add("--force", action="store_true", help="replace an existing dump")
+    _add_drive(parser.add_argument_group("scene and motion"), facts.SCENES, defaults)
+    _add_noise(parser.add_argument_group("noise"))
+    _add_lane_changes(parser.add_argument_group("lane changes"))
+    _add_road(parser.add_argument_group("road"))
+    _add_camera(parser.add_argument_group("camera and pitch"), defaults)
+    _add_car_before(parser.add_argument_group("car ahead"))
     _add_truth(parser.add_argument_group("truth"))
     completed_by(dump, files())
     return parser
 
 
 def _add_drive(group: argparse._ArgumentGroup, scenes: Sequence[str], defaults: Any) -> None:
-    meaning = "bend: radius 150 m; hill: grades to 8 %%; town (default): all of it"
+    meaning = "bend: radius 150 m; hill: grades up to 8 %%; town (default): all of these"
     group.add_argument("--scene", choices=scenes, default=defaults.scene, help=meaning)
-    group.add_argument("--static", action="store_true", help="the ego car stands still; the others move")
+    group.add_argument("--static", action="store_true", help="keep the ego car still while others move")
     for name, key, metavar, text in (
-        ("--seconds", "seconds", "S", "length of the drive"),
+        ("--seconds", "seconds", "S", "duration in seconds"),
         ("--rate", "rate_hz", "HZ", "frames per second"),
-        ("--speed", "speed_mps", "MPS", "metres per second along the road"),
-        ("--weave", "weave_m", "METRES", "how far the ego car weaves to either side of its lane's middle"),
+        ("--speed", "speed_mps", "MPS", "speed of the ego car in metres per second"),
+        ("--weave", "weave_m", "METRES", "lateral amplitude of the ego car in its lane"),
     ):
         default = getattr(defaults, key)
         group.add_argument(name, type=float, default=default, dest=key, metavar=metavar, help=f"{text} ({default:g})")
@@ -74,31 +80,37 @@ def _add_drive(group: argparse._ArgumentGroup, scenes: Sequence[str], defaults: 
 
 def _add_noise(group: argparse._ArgumentGroup) -> None:
     for name, metavar, text in (
-        ("--tag-noise", "P", "blobs of wrong classes over a share P of the image, and wobbling borders"),
-        ("--depth-noise", "R", "relative standard deviation of the depth"),
-        ("--rgb-noise", "STD", "standard deviation of the colours, grey levels"),
-        ("--drop", "P", "probability that a sensor's file is missing; the first frame is whole"),
+        ("--tag-noise", "P", "cover a share P of the image with wrong tags, and distort borders"),
+        ("--depth-noise", "R", "relative standard deviation of depth noise"),
+        ("--rgb-noise", "STD", "standard deviation of colour noise in grey levels"),
+        ("--drop", "P", "probability that a file is missing; the first frame is complete"),
     ):
         group.add_argument(name, type=float, default=0.0, metavar=metavar, help=text)
 
 
 def _add_lane_changes(group: argparse._ArgumentGroup) -> None:
-    side = "after 2 s, over 3 s; the road has another lane of the car's own direction on that side"
+    side = "change lane after 2 s, within 3 s, to a second lane in the same direction"
     group.add_argument("--change-lane", choices=("left", "right"), help=side)
-    group.add_argument("--change-back", action="store_true", help="and back again after 2 s, over 3 s")
-    group.add_argument("--change-broken-off", action="store_true", help="back before the line is crossed, in all 3 s")
+    group.add_argument(
+        "--change-back", action="store_true", help="with --change-lane: change back after 2 s, within 3 s"
+    )
+    group.add_argument(
+        "--change-broken-off",
+        action="store_true",
+        help="with --change-lane: return before crossing the line, within 3 s",
+    )
 
 
 def _add_road(group: argparse._ArgumentGroup) -> None:
-    turn = "a 90 degree bend of 12 m radius at a crossing without markings, on level ground (left)"
+    turn = "turn 90 degrees with a radius of 12 m at a crossing without markings, on level ground (left)"
     group.add_argument("--turn", nargs="?", const="left", choices=("left", "right"), help=turn)
-    lane = "a second lane on the right does so after 4 s, over 30 m"
+    lane = "a second lane on the right begins, ends, splits off or merges after 4 s, over 30 m"
     group.add_argument("--lane", choices=("begins", "ends", "splits", "merges"), help=lane)
-    group.add_argument("--crossing-cars", action="store_true", help="a crossing where cars cross close ahead")
-    group.add_argument("--parked-rows", action="store_true", help="rows of parked cars without gaps, on both sides")
+    group.add_argument("--crossing-cars", action="store_true", help="add a crossing with cars that cross close ahead")
+    group.add_argument("--parked-rows", action="store_true", help="add rows of parked cars without gaps on both sides")
     stretch = partial(_numbers, form="FROM,TO", example="20,50")
-    for name, text in (("--worn-lines", "worn down to faded remains"), ("--missing-lines", "missing")):
-        group.add_argument(name, type=stretch, metavar="FROM,TO", help=f"metres of road where markings are {text}")
+    for name, text in (("--worn-lines", "worn"), ("--missing-lines", "missing")):
+        group.add_argument(name, type=stretch, metavar="FROM,TO", help=f"metres of road with {text} markings")
 
 
 def _add_camera(group: argparse._ArgumentGroup, defaults: Any) -> None:
@@ -109,27 +121,32 @@ def _add_camera(group: argparse._ArgumentGroup, defaults: Any) -> None:
         type=partial(_numbers, form="X,Y,Z,ROLL,PITCH,YAW", example="1.5,0,1.4,0,-3,0"),
         default=mount,
         metavar="X,Y,Z,ROLL,PITCH,YAW",
-        help="the front camera as CARLA places it: metres forward, right, up; degrees of roll, pitch up, yaw right "
+        help="pose of the front camera in CARLA's convention: metres forward, right, up; degrees of roll, pitch up, "
+        "yaw right "
         f"({','.join(f'{v:g}' for v in mount)})",
     )
-    text = "standard deviation of a pitching of the car, degrees (0)"
+    text = "standard deviation of the car's pitch in degrees (0)"
     add("--pitch-std", type=float, default=0.0, dest="pitch_std_deg", metavar="DEG", help=text)
-    add("--bumps", action="store_true", help="a speed bump every 30 m, 10 cm high")
+    add("--bumps", action="store_true", help="add a speed bump of 10 cm every 30 m")
 
 
 def _add_car_before(group: argparse._ArgumentGroup) -> None:
-    hard = "it brakes hard after 2 s and the ego car late, so that they nearly collide"
+    hard = "the car ahead brakes hard after 2 s; the ego car brakes late and nearly collides"
     group.add_argument("--lead-brakes", action="store_true", help=hard)
-    group.add_argument("--stop-and-go", action="store_true", help="both drive, brake, stand and drive off, in a queue")
+    group.add_argument(
+        "--stop-and-go", action="store_true", help="both cars drive, brake, stand and drive on, in a queue"
+    )
 
 
 def _add_truth(group: argparse._ArgumentGroup) -> None:
-    text = "truth.json also says what is in the path, its time to impact, and lane changes"
-    whole = "boxes of whole objects, hidden parts included, as CARLA's own 2D boxes are"
-    group.add_argument("--whole-boxes", action="store_true", help=f"{whole}, in truth.json and detections.json")
-    coding = "instance_segmentation/ in CARLA's coding: red the tag, green and blue the id's low and high byte"
+    text = "add objects in the path, their time to impact, and lane changes to truth.json"
+    whole = "write boxes of whole objects, with their hidden parts, as CARLA does"
+    group.add_argument("--whole-boxes", action="store_true", help=f"{whole}, to truth.json and detections.json")
+    coding = (
+        "write instance_segmentation/ in CARLA's coding: red is the tag, green and blue the low and high byte of the id"
+    )
     group.add_argument("--instances", action="store_true", help=coding)
-    group.add_argument("--path-truth", action="store_true", help=f"{text}; implied by the other options of the scene")
+    group.add_argument("--path-truth", action="store_true", help=f"{text}; implied by the other scene options")
 
 
 def _options(arguments: argparse.Namespace) -> Any:
@@ -142,11 +159,11 @@ def _options(arguments: argparse.Namespace) -> Any:
 
 
 def _numbers(text: str, form: str, example: str) -> tuple[float, ...]:
-    """As many numbers as the form has words."""
+    """The numbers of an option of a form such as ``X,Y``."""
     try:
         values = tuple(float(part) for part in text.split(","))
     except ValueError:
         values = ()
     if len(values) != len(form.split(",")):
-        raise argparse.ArgumentTypeError(f"{text!r} is not {form}, such as {example}")
+        raise argparse.ArgumentTypeError(f"{text!r}: expected {form}, such as {example}")
     return values
