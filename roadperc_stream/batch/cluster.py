@@ -130,10 +130,8 @@ class RayBackend:
     def _await_session(self) -> None:
         within_s = _START_WITHIN_S if self._request.address == LOCAL else _JOIN_WITHIN_S
         if not self._connection.poll(within_s):
-            raise ClusterError(
             error = f"no cluster joined within {within_s:g} s; check the address"
             raise ClusterError(f"--ray {self._request.address}: {error}")
-            )
         self._received()
 
     def submit(self, task: Task) -> None:
