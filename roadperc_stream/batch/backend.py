@@ -6,7 +6,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import AbstractContextManager
 from functools import partial
 from threading import Event
-from typing import Protocol, Self
+from typing import Protocol
 
 from roadperc_stream.batch.attempt import attempt
 from roadperc_stream.batch.task import Outcome, Task
@@ -37,7 +37,7 @@ class Backend(AbstractContextManager["Backend"], Protocol):
         ...
 
 
-class LocalBackend:
+class LocalBackend(AbstractContextManager["LocalBackend"]):
     """Runs a fixed number of tasks at a time."""
 
     def __init__(self, jobs: int) -> None:
@@ -68,10 +68,6 @@ class LocalBackend:
         for task, _ in found:
             self._frames.pop(task.key, None)
         return found
-
-    def __enter__(self) -> Self:
-        """Do nothing: processes start with the first task."""
-        return self
 
     def __exit__(self, *raised: object) -> None:
         """End the running tasks."""

@@ -47,11 +47,7 @@ _ENVIRONMENT: Final = {
 class ClusterRequest:
     """The cluster that a session joins or starts.
 
-    Args:
-        address: of the cluster, or ``local``.
-        jobs: CPUs of a local cluster.
-        memory_bytes: memory of a task.
-        code: digest of the code, which must be the same on all machines.
+    ``jobs`` are the CPUs of a local cluster, ``memory_bytes`` is the memory of a task. All machines must have ``code``.
     """
 
     address: str

@@ -12,7 +12,7 @@ import tempfile
 import threading
 from collections.abc import Iterator
 from concurrent.futures import Future
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any, Final
@@ -62,7 +62,9 @@ def _joined(request: ClusterRequest) -> Iterator[None]:
     Raises:
         ClusterError: the workers have other code than the batch.
     """
-    with _started(request) if request.address == LOCAL else _connected(request.address):
+    options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL}
+    with _local(request) if request.address == LOCAL else nullcontext({}) as more:
+        ray.init(request.address, **options, **more)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)  # Ray's own handler prints
         try:
             _require_code(request.code)
@@ -72,29 +74,19 @@ def _joined(request: ClusterRequest) -> Iterator[None]:
 
 
 @contextmanager
-def _connected(address: str) -> Iterator[None]:
-    ray.init(address, log_to_driver=False, logging_level=logging.CRITICAL)
-    yield
-
-
-@contextmanager
-def _started(request: ClusterRequest) -> Iterator[None]:
-    """A Ray on this machine that reserves no more than a batch without Ray uses."""
+def _local(request: ClusterRequest) -> Iterator[dict[str, Any]]:
+    """The options for a Ray on this machine that reserves no more than a batch without Ray uses."""
     usual = tempfile.gettempdir()
     root = usual if len(usual) <= _LONGEST_FOLDER and " " not in usual else "/tmp"
     with tempfile.TemporaryDirectory(prefix="ray-", dir=root, ignore_cleanup_errors=True) as folder:
-        ray.init(
-            LOCAL,
-            num_cpus=request.jobs,
-            num_gpus=0,
-            include_dashboard=False,
-            object_store_memory=_OBJECTS_BYTES,
-            log_to_driver=False,
-            logging_level=logging.CRITICAL,
-            _memory=request.jobs * request.memory_bytes,
-            _temp_dir=folder,
-        )
-        yield
+        yield {
+            "num_cpus": request.jobs,
+            "num_gpus": 0,
+            "include_dashboard": False,
+            "object_store_memory": _OBJECTS_BYTES,
+            "_memory": request.jobs * request.memory_bytes,
+            "_temp_dir": folder,
+        }
 
 
 def _require_code(code: str) -> None:

@@ -91,13 +91,6 @@ def test_the_text_on_a_pipe_is_eighty_columns_wide():
     assert "lanes.hold_s = 0.5  [s]  (0 to 3600)\n    How long an unseen boundary is held" in said
 
 
-def test_every_form_explains_lengths_in_pixels():
-    sentence = "Lengths in pixels refer to 960 image rows and scale with the image. Lengths of stereo do not scale."
-    assert f"\n{sentence}\n" in as_text(100)
-    assert f"\n# {sentence}\n" in as_toml(ReplayConfig())
-    assert sentence in as_page().replace("`", "")
-
-
 def test_json_has_the_same_facts(capsys):
     found = json.loads(printed(capsys, "--list-settings", "--json"))
     assert [item["key"] for item in found] == list(BY_KEY)

@@ -69,13 +69,6 @@ def test_size_and_fingerprint_are_of_the_content(logs):
     assert after.size_bytes == len(b"longer than before")
 
 
-def test_relative_paths_become_absolute(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "a.mcap").touch()
-    for text in ("a.mcap", ".", "*.mcap", tmp_path.as_uri()):
-        assert [stored.address for stored in find_files(text)] == [str(tmp_path / "a.mcap")]
-
-
 def test_links_are_followed_but_not_in_circles(tmp_path):
     (tmp_path / "disk").mkdir()
     (tmp_path / "disk" / "a.mcap").write_bytes(b"log")
