@@ -12,7 +12,7 @@ import tempfile
 import threading
 from collections.abc import Iterator
 from concurrent.futures import Future
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any, Final
@@ -63,7 +63,9 @@ def _joined(request: ClusterRequest) -> Iterator[None]:
         ClusterError: the workers have other code than the batch.
     """
     options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL}
-    with _local(request) if request.address == LOCAL else nullcontext({}) as more:
+    is_local = request.address == LOCAL
+    started: AbstractContextManager[dict[str, Any]] = _local(request) if is_local else nullcontext({})
+    with started as more:
         ray.init(request.address, **options, **more)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)  # Ray's own handler prints
         try:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from roadperc_stream.cli.replay import main
-from roadperc_stream.cli.settings import as_page, as_text, as_toml
+from roadperc_stream.cli.settings import as_page, as_text
 from roadperc_stream.config import ReplayConfig, load_config
 from roadperc_stream.config.catalogue import catalogue, sections
 from roadperc_stream.errors import ConfigError
