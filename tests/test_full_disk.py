@@ -27,7 +27,7 @@ def roadperc(command, *arguments, limit=resource.RLIM_INFINITY):
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("made")
-    assert replay.main([str(SAMPLE), str(folder / "run.mcap"), "--frames", "5", "--quiet"]) == 0
+    assert replay.main([str(SAMPLE), str(folder / "run.mcap"), "--frames", "20", "--quiet"]) == 0
     assert render.main([str(folder / "dump"), "--size", "160x120", "--seconds", "0.2"]) == 0
     return folder
 
