@@ -2,15 +2,15 @@
 
     import roadperc_stream as rp
 
-    rp.replay("in.mcap", "out.mcap")                        # a log in, the log with results and its tables out
-    for frame in rp.frames("in.mcap"): ...                  # the frames of a log with their results
-    rp.Chain(camera).step(stamp_ns, depth_m=..., tags=...)  # arrays of your own
-    rp.read_metrics("out.mcap")                                  # a row per frame, as a polars frame
+    rp.replay("in.mcap", "out.mcap")                        # writes a log with results, and its tables
+    for frame in rp.frames("in.mcap"): ...                  # yields the frames of a log with their results
+    rp.Chain(camera).step(stamp_ns, depth_m=..., tags=...)  # runs the chain on your own arrays
+    rp.read_metrics("out.mcap")                             # returns a polars frame with a row per frame
 
 Each name is imported when it is first used.
 """
 
-TYPE_CHECKING = False  # typing itself would be half the time that importing this takes
+TYPE_CHECKING = False  # importing typing would double the import time
 
 __version__: str
 
@@ -47,7 +47,7 @@ def __dir__() -> list[str]:
 if not TYPE_CHECKING:
 
     def __getattr__(name: str) -> object:
-        """A public name when it is asked for, and the version, which importlib.metadata takes long to find."""
+        """A public name or the version, imported or found at its first use."""
         from importlib import import_module  # noqa: PLC0415
 
         if name == "__version__":

@@ -1,11 +1,11 @@
-"""The package for notebooks and scripts: replay a log, go through its frames, run the chain on arrays, read metrics.
+"""The Python API: replay a log, iterate over its frames, run the chain on arrays, read metrics.
 
 Lengths are in metres, stamps in nanoseconds, pixels count from 0 at the centre of the first one. ``a_T_b`` is a (4, 4)
 matrix that maps coordinates in frame b to frame a: ego is x forward, y left, z up, cameras are x right, y down,
 z forward.
 """
 
-from __future__ import annotations  # help shows ArrayLike by its name and not all that it stands for
+from __future__ import annotations  # help() shows the name ArrayLike instead of its long definition
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 Config = ReplayConfig | Mapping[str, Any] | str | Path | None
 """A configuration, a nested mapping such as ``{"lanes": {"hold_s": 0.8}}``, a TOML file, or None for the defaults."""
 Source = str | Path | Sequence[str | Path]
-"""A log, or its files."""
+"""A log, or the files of a log."""
 
 
 def replay(
@@ -71,28 +71,27 @@ def replay(
 
     Args:
         src: the log to read, or its files.
-        dst: the log to write; ``dst`` with ``.metrics.parquet`` and ``.objects.parquet`` comes beside it.
+        dst: the log to write; the tables are ``dst`` with the suffixes ``.metrics.parquet`` and ``.objects.parquet``.
         config: the chain's configuration.
-        topics: topic by role, where the log's topics are not this project's, such as ``{"image": "/front/rgb"}``.
-        start_s: seconds after the log's first message from which to replay.
-        end_s: seconds after the log's first message up to which to replay.
-        max_frames: replay at most so many frames.
-        results_only: leave the input's messages out of ``dst``.
-        force: replace an existing ``dst``, but no recording, and start over where a checkpoint is of another replay.
-        recover: replay what can be read of a damaged log; frames behind what was lost say so in their reasons.
-        strict: the first message that cannot be used is an error, instead of costing that message alone.
-        continued: the result that the replay continues; with the same configuration.
-        warm_up_s: seconds of log before ``start_s`` whose frames build the state and are not written.
-        checkpoint_every_s: seconds of log between two checkpoints; None: no checkpoints.
-        resume: go on from the latest checkpoint, if there is one.
-        threads: how many share the work; None: as many as there are cores. The output is the same with any number,
-            except for timing columns.
+        topics: topic by role, for topics with other names, such as ``{"image": "/front/rgb"}``.
+        start_s: start of the replay in seconds after the log's first message.
+        end_s: end of the replay in seconds after the log's first message.
+        max_frames: largest number of frames.
+        results_only: write only results to ``dst``, without the input's messages.
+        force: replace an existing result, but no recording; ignore a checkpoint of another replay.
+        recover: replay the readable part of a damaged log; frames after a loss have a reason.
+        strict: stop with an error at the first unusable message, instead of skipping it.
+        continued: the earlier result to continue, with the same configuration.
+        warm_up_s: seconds of log before ``start_s`` that build the state and are not written.
+        checkpoint_every_s: seconds of log between two checkpoints; None for no checkpoints.
+        resume: continue from the latest checkpoint, if any.
+        threads: number of threads; None for one per core. The output does not depend on it, except for timing columns.
 
     Returns:
-        Frames, dropped messages, notes, warnings of damage, and the reasons that held in all frames.
+        Frames, dropped messages, notes, warnings of damage, and the reasons of all frames.
 
     Raises:
-        RoadpercError: the input cannot be read or replayed, or the output cannot be written; nothing is left behind.
+        RoadpercError: the input cannot be read or replayed, or the output cannot be written; no partial file stays.
     """
     return _replay(
         ReplaySource(_paths(src), dict(topics or {}), TimeRange(start_s, end_s, max_frames), recover, strict),
@@ -106,7 +105,7 @@ def replay(
 
 @dataclass(frozen=True)
 class LogFrame:
-    """A frame of a log: the chain's input, the truth, the chain's result, and the row of metrics."""
+    """A frame of a log: input of the chain, truth, result of the chain, and row of metrics."""
 
     input: Frame
     truth: Truth
@@ -124,9 +123,9 @@ def frames(
     max_frames: int | None = None,
     recover: bool = False,
 ) -> Iterator[LogFrame]:
-    """Run the chain over a log and give its frames with their results, in order, one in memory at a time.
+    """Run the chain over a log and yield its frames with their results, in order.
 
-    Nothing is written. Arguments as in ``replay``.
+    Writes no file, and keeps one frame in memory. Arguments as in ``replay``.
 
     Raises:
         RoadpercError: the log cannot be read or replayed.
@@ -137,7 +136,7 @@ def frames(
     state = opened.state_for(cfg)
     chain, earlier = state.chain, state.earlier
     for sample in opened.input.samples():
-        with one_thread():  # the same bits as in a replay, whatever the caller's own settings
+        with one_thread():  # the same bits as in a replay, with any settings of the caller
             chain, result = step(cfg, chain, sample.frame)
             row = frame_metrics(cfg, opened.input.log_id, sample, result, earlier)
         earlier = sample.as_earlier
@@ -146,9 +145,9 @@ def frames(
 
 
 class Chain:
-    """The perception chain for arrays of your own: call ``step`` once per frame, in the order of time.
+    """The perception chain for your own arrays: call ``step`` once per frame, in the order of time.
 
-    It keeps the chain's state between frames; ``reset`` clears it.
+    The object keeps the chain's state between frames; ``reset`` clears it.
     """
 
     def __init__(
@@ -163,17 +162,17 @@ class Chain:
         """Set up the chain.
 
         Args:
-            camera: of image, depth, tags and detections.
+            camera: the camera of image, depth, tags and detections.
             config: the chain's configuration.
             ego_T_camera: (4, 4) mounting; None for a level camera at ``surface.assumed_height_m``.
-            right_camera: of a rectified pair whose left camera is ``camera``; its ``baseline_m`` is positive.
-            tag_table: CARLA version whose tag numbers ``tags`` holds, such as ``"0.9.15"``; empty for the
-                configuration's ``tag_table``.
+            right_camera: right camera of a rectified pair whose left camera is ``camera``; ``baseline_m`` is positive.
+            tag_table: CARLA version of the numbers in ``tags``, such as ``"0.9.15"``; empty for the configuration's
+                ``tag_table``.
 
         Raises:
-            TypeError: a camera is no Camera.
-            ValueError: a camera or the mounting has impossible numbers.
-            ConfigError: the configuration does not fit, or the tag table is not known.
+            TypeError: a camera is not a Camera.
+            ValueError: a camera or the mounting has invalid numbers.
+            ConfigError: the configuration is invalid, or the tag table is unknown.
         """
         self._cfg = _config(config)
         self._camera = checked_camera("camera", camera)
@@ -203,19 +202,19 @@ class Chain:
         """Run the chain on one frame; any input may be missing.
 
         Args:
-            stamp_ns: the frame's time, of any integer type; one not after the last frame's clears the state.
+            stamp_ns: the frame's time, of any integer type; a stamp not after the last frame's clears the state.
             image: (H, W, 3) uint8 in OpenCV's order blue, green, red, or (H, W) grey.
             depth_m: (H, W) floating-point metres along the camera's z axis, NaN unknown.
             tags: (H, W) class of each pixel, by ``tag_table``: any integer type, 0 to 255.
-            detections: of a detector, such as ``Detection("car", Box(150, 100, 180, 140), score=0.9)``, in pixels.
+            detections: in pixels, such as ``Detection("car", Box(150, 100, 180, 140), score=0.9)``.
             right_image: as ``image``, of the right camera.
 
         Returns:
-            What each stage made; ``Absent`` with a reason where it could make nothing.
+            The output of each stage, or ``Absent`` with a reason.
 
         Raises:
-            TypeError: the stamp or a detection is of another type.
-            ValueError: an array is of another shape or type, or a detection's box is impossible.
+            TypeError: the stamp or a detection has another type.
+            ValueError: an array has another shape or type, or a detection's box is invalid.
             ConfigError: tags were given without a tag table.
         """
         camera, ego_T_camera = self._camera, self._ego_T_camera
@@ -242,24 +241,24 @@ class Chain:
 
 
 def read_metrics(run: str | Path | Sequence[str | Path]) -> pl.DataFrame:
-    """The metrics of a run, a row per frame, as a polars frame.
+    """The metrics of a run as a polars frame with a row per frame.
 
     Args:
-        run: a log with results, whose table lies beside it, or the table itself. Or those of the parts of a drive that
-            were continued, in their order: frames that two of them give are the later one's.
+        run: a log with results and its table, or the table. For continued replays, a list in their order; the later run
+            replaces frames of the earlier one.
 
     Raises:
-        TableError: there is no such table, or it cannot be read.
+        TableError: the table does not exist or cannot be read.
     """
-    import polars as pl  # noqa: PLC0415 - what replays and steps does not need it
+    import polars as pl  # noqa: PLC0415 - only this function needs it
 
     if isinstance(run, str | Path):
         return _metrics_table(Path(run))
-    parts = [_metrics_table(Path(part)) for part in run]
-    if not parts:
+    tables = [_metrics_table(Path(path)) for path in run]
+    if not tables:
         raise TableError("read_metrics: expected at least one run")
     columns = ("frame",)
-    return pl.concat(parts, how="diagonal").unique(columns, keep="last", maintain_order=True).sort(columns)
+    return pl.concat(tables, how="diagonal").unique(columns, keep="last", maintain_order=True).sort(columns)
 
 
 def _metrics_table(path: Path) -> pl.DataFrame:
@@ -275,11 +274,11 @@ def _metrics_table(path: Path) -> pl.DataFrame:
     except FileNotFoundError as error:
         raise TableError(f"{table}: no such metrics table") from error
     except (OSError, pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
-        raise TableError(f"{table}: is not a metrics table that can be read: {error}") from error
+        raise TableError(f"{table}: not a readable metrics table: {error}") from error
 
 
 def _paths(source: Source) -> list[Path]:
-    return [Path(source)] if isinstance(source, str | Path) else [Path(part) for part in source]
+    return [Path(source)] if isinstance(source, str | Path) else [Path(path) for path in source]
 
 
 def _config(config: Config) -> ReplayConfig:

@@ -1,8 +1,8 @@
-"""The errors of this project, each with a one-line message; only the command line catches them."""
+"""Errors of this project, each with a one-line message; only the command line catches them."""
 
 
 class RoadpercError(Exception):
-    """Root of every error this project states: the message says what and where."""
+    """Root of all errors of this project; the message says what is wrong and where."""
 
 
 class LogError(RoadpercError):
@@ -10,7 +10,7 @@ class LogError(RoadpercError):
 
 
 class NoFrameError(LogError):
-    """A log, or a part of one, in which there is no frame."""
+    """A log, or a part of it, without frames."""
 
 
 class ChannelError(RoadpercError):
@@ -18,11 +18,11 @@ class ChannelError(RoadpercError):
 
 
 class DecodeError(RoadpercError):
-    """One message whose bytes are not what its schema promises."""
+    """One message whose bytes do not fit its schema."""
 
 
 class ConfigError(RoadpercError):
-    """A setting that does not exist or does not fit."""
+    """A setting that does not exist or has an invalid value."""
 
 
 class StateError(RoadpercError):
@@ -42,16 +42,16 @@ class RegressionError(RoadpercError):
 
 
 class TargetError(RoadpercError):
-    """A file that may not be written under the name asked for."""
+    """An output that may not or cannot be written."""
 
 
 class StorageError(RoadpercError):
-    """A place that cannot be reached, read or written."""
+    """A file or folder of a batch that cannot be reached, read or written."""
 
 
 class ClusterError(RoadpercError):
-    """A cluster that cannot be joined, or that is lost."""
+    """A cluster that cannot be joined or was lost."""
 
 
 class ProgramError(RoadpercError):
-    """A program that was started for what it does or takes, and failed."""
+    """An external program that failed."""

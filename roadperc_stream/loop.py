@@ -32,21 +32,21 @@ def replay(
     """Replay a log through the chain.
 
     Args:
-        source: the log to read, and which part of it.
-        target: the log to write, and what to write into it.
+        source: the log to read, and the part to replay.
+        target: the log to write, and its content.
         cfg: the chain's configuration.
-        options: how the replay begins and goes on after an interruption, and its threads.
-        callbacks: called while it runs.
+        options: state at the start, checkpoints, and threads.
+        callbacks: called during the replay.
 
     Raises:
-        RoadpercError: the input cannot be read or replayed, or the output cannot be written. Only the checkpoints that
-            were asked for are left then.
+        RoadpercError: the input cannot be read or replayed, or the output cannot be written. Only requested checkpoints
+            stay.
     """
     started = perf_counter()
     with CheckpointFolder(target.path, cfg.limits) as folder:
         found = folder.read() if options.resume else None
         target.require_writable(source.files, options.continued, resume=options.resume)
-        target.remove_dead_partials()
+        target.remove_stale_partials()
         opened = open_replay(source, cfg, options)
         summary = finished(target, cfg, opened) if options.resume and found is None else None
         if summary is None:
@@ -62,7 +62,7 @@ def replay(
                 frames.replay(options.threads)
                 states, notes = opened.attachments(cfg, frames.end, with_messages=target.results_only)
                 outputs.end(opened.facts(), states)
-                target.require_free(source.files)  # another program may have written them by now
+                target.require_free(source.files)  # another program may have written them
                 if checkpoints.are_durable:
                     outputs.make_durable()
             checkpoints.sync(target.path)
@@ -75,7 +75,7 @@ _Timed = tuple[Sample, StageTimer]
 
 
 class _Frames:
-    """The frames of one replay, step by step; each step keeps its own state, so that the steps may run in threads.
+    """The frames of one replay; each step keeps its own state, so the steps may run in different threads.
 
     ``end`` is the state after the last frame that no later message can change.
     """
@@ -91,7 +91,7 @@ class _Frames:
         self._earlier = self.end.earlier
 
     def replay(self, threads: int) -> None:
-        """Write all frames: those of an interrupted replay again, the others computed."""
+        """Write all frames: copy those of an interrupted replay, compute the others."""
         self._threads, samples = threads, self._input.samples()
         self._outputs.begin(self._callbacks, self.end.shown, self._checkpoints.begun.counted)
         for sample in islice(samples, self._checkpoints.begun.samples):

@@ -1,4 +1,4 @@
-"""Writes docs/errors.md: frequent errors as the commands print them, what they mean and what to do.
+"""Writes docs/errors.md: frequent errors as the commands print them, with meaning and remedy.
 
 ``python -m tests.errors_page`` runs each command on a small broken input and writes the page; ``make pages`` calls it.
 """
@@ -170,7 +170,7 @@ def _write(path: Path, roles: tuple[str, ...], skipped: tuple[str, ...] = (), **
 
 
 def printed(entry: Entry, folder: Path) -> str:
-    """What a command prints about its error: the last line on stderr, or notes and reasons of one that succeeds."""
+    """The error of a command: its last line on stderr, or its notes and reasons if it succeeds."""
     done = run(*entry.command.split(), cwd=folder)
     if done.returncode:
         return done.stderr.strip().splitlines()[-1]

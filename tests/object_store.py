@@ -1,4 +1,4 @@
-"""A real object store on this machine: moto's S3 server in a process of its own, and a connection to it that breaks."""
+"""A real object store on this machine: moto's S3 server in its own process, and a proxy that breaks connections."""
 
 import contextlib
 import os
@@ -20,12 +20,12 @@ server.start()
 print(server.get_host_and_port()[1], flush=True)
 sys.stdin.read()
 """
-"""Ends when the process that started it does."""
+"""Ends with the process that started it."""
 
 
 @dataclass(frozen=True)
 class ObjectServer:
-    """An S3 server that takes any credentials until it is told otherwise."""
+    """An S3 server that accepts any credentials, except within ``checking_credentials``."""
 
     port: int
     log: Path
@@ -35,7 +35,7 @@ class ObjectServer:
         return f"http://127.0.0.1:{self.port}"
 
     def send(self, method, path, data=None):
-        """An unsigned request, which the server grants as long as it checks no credentials."""
+        """Send an unsigned request."""
         kind = {"Content-Type": "application/octet-stream"}
         request = urllib.request.Request(f"{self.url}/{quote(path)}", data=data, method=method, headers=kind)
         with urllib.request.urlopen(request, timeout=20) as answer:
@@ -43,7 +43,7 @@ class ObjectServer:
 
     @contextmanager
     def checking_credentials(self):
-        """Within the block requests are refused whose keys the server has not given out."""
+        """Refuse unknown keys within the block."""
         self.send("POST", "moto-api/reset-auth", b"0")
         try:
             yield
@@ -51,13 +51,13 @@ class ObjectServer:
             self.send("POST", "moto-api/reset-auth", b"inf")
 
     def requests(self):
-        """What was asked for so far: ``GET /bucket?list-type=2``, in order."""
+        """All requests, in order, such as ``GET /bucket?list-type=2``."""
         return [line.split('"')[1].rpartition(" ")[0] for line in self.log.read_text().splitlines() if '"' in line]
 
 
 @contextmanager
 def object_server(folder):
-    """A server with nothing in it, and its log in a folder."""
+    """An empty server, with its log in a folder."""
     log = folder / "requests.log"
     environment = {name: value for name, value in os.environ.items() if not name.startswith("AWS_")}
     with log.open("wb") as stream:
@@ -74,7 +74,7 @@ def object_server(folder):
 
 
 def environment_of(url):
-    """What a process needs in its environment to reach a server."""
+    """The environment variables for a server."""
     return {
         "AWS_ACCESS_KEY_ID": "testing",
         "AWS_SECRET_ACCESS_KEY": "testing",
@@ -85,14 +85,14 @@ def environment_of(url):
 
 @dataclass
 class BreakingProxy:
-    """Passes connections on to a server, and breaks them off where they bring too much.
+    """A proxy of a server that breaks connections.
 
     Attributes:
         target: port of the server.
-        after_bytes: a connection breaks when it carried this much, in either direction.
-        breaks: how many more connections break; the others are passed on whole.
-        first_bytes: what comes before the first break, over all connections.
-        brought_bytes: what came from the server so far.
+        after_bytes: a connection breaks after this many bytes in either direction.
+        breaks: number of connections that still break.
+        first_bytes: bytes of all connections before the first break.
+        brought_bytes: bytes received from the server.
     """
 
     target: int

@@ -1,4 +1,4 @@
-"""The package from Python: what a notebook calls gives what the commands give."""
+"""The Python API gives the same results as the commands."""
 
 import copy
 import pickle
@@ -49,7 +49,7 @@ def test_metrics_of_nothing_name_the_table(tmp_path):
     with pytest.raises(rp.RoadpercError, match=r"expected a metrics table, found a folder$"):
         rp.read_metrics(tmp_path)
     (tmp_path / "bad.parquet").write_bytes(b"no table")
-    with pytest.raises(rp.RoadpercError, match=r"bad\.parquet: is not a metrics table"):
+    with pytest.raises(rp.RoadpercError, match=r"bad\.parquet: not a readable metrics table"):
         rp.read_metrics(tmp_path / "bad.parquet")
 
 
@@ -147,7 +147,7 @@ def test_grey_and_colour_are_the_same_image_to_the_chain():
     assert np.array_equal(*poses)
 
 
-def test_reset_forgets():
+def test_reset_clears_the_state():
     depth_m, tags = road()
     chain = rp.Chain(CAMERA, tag_table="0.9.15")
     chain.step(STEP_NS, depth_m=depth_m, tags=tags)
@@ -186,7 +186,7 @@ def test_arrays_of_another_shape_or_type_are_refused(inputs, message):
         rp.Chain(CAMERA, tag_table="0.9.15").step(0, **inputs)
 
 
-def test_tags_without_a_table_and_a_pose_that_is_none_are_refused():
+def test_tags_without_a_table_and_an_invalid_pose_are_refused():
     with pytest.raises(rp.RoadpercError, match="tags: no tag table; pass one"):
         rp.Chain(CAMERA).step(0, tags=np.zeros((240, 320), np.uint8))
     with pytest.raises(ValueError, match=r"ego_T_camera: expected \(4, 4\) finite numbers, found \(3, 3\)"):
@@ -220,7 +220,7 @@ def test_a_camera_of_another_type_is_refused(camera):
         rp.Chain(CAMERA, right_camera=camera)
 
 
-def test_a_camera_that_is_no_pinhole_is_refused():
+def test_a_camera_with_invalid_numbers_is_refused():
     with pytest.raises(ValueError, match=r"camera: fx 0: expected 0\.32 to 320000 pixels"):
         rp.Chain(rp.Camera("camera", 320, 240, 0, 200, 159.5, 119.5))
     with pytest.raises(ValueError, match="camera: expected an image of one pixel or more, found 0x240"):
@@ -260,8 +260,8 @@ def test_every_public_name_is_there():
 
 
 @pytest.mark.parametrize("nothing", [0.0, -1.0, -np.inf, np.nan])
-def test_what_is_no_depth_is_unknown(nothing):
-    """Zero, negative and infinite depths of a caller do what NaN does."""
+def test_invalid_depth_is_unknown(nothing):
+    """Zero, negative and infinite depths count as NaN."""
     depth_m = np.full((240, 320), 20.0, np.float32)
     depth_m[200:204, 100:110] = nothing
     taken = depth_image(depth_m, CAMERA).depth_m

@@ -1,10 +1,11 @@
-"""Whole replays: what comes out, that it comes out the same, and what is refused."""
+"""Whole replays: messages, tables, equal bytes, cuts, and errors."""
 
 import re
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import polars as pl
 import pyarrow.parquet as pq
@@ -94,7 +95,7 @@ def test_every_input_message_is_kept_byte_for_byte(tmp_path):
     assert kept == [plain(m) for m in log.read(log.summarise(source))]
 
 
-def test_attachments_metadata_and_silent_channels_are_kept(tmp_path):
+def test_attachments_metadata_and_channels_without_messages_are_kept(tmp_path):
     source = tmp_path / "in.mcap"
     with log.LogWriter(source, profile="ros2") as writer:
         writer.register(Channel("/silent", "x"))
@@ -136,7 +137,7 @@ def test_the_log_carries_its_configuration(source):
     assert dict(record.values)["digest"].startswith(summary.log_id)
 
 
-def test_cuts_cut_the_copy_too(source):
+def test_cuts_apply_to_the_copied_messages(source):
     target, summary = run(source, time_range=TimeRange(start_s=0.1, frames=2))
     assert summary.frames == 2
     topics = by_topic(target)
@@ -150,7 +151,7 @@ def test_cuts_cut_the_copy_too(source):
 @pytest.mark.parametrize(
     "cut", [TimeRange(start_s=0.1), TimeRange(start_s=0.1, frames=2), TimeRange(end_s=0.2), TimeRange(0.1, 0.2)]
 )
-def test_a_cut_carries_what_held_before_it_and_replays_to_itself(source, cut):
+def test_a_cut_has_the_earlier_calibration_and_replays_to_itself(source, cut):
     target, _ = run(source, time_range=cut)
     again, _ = run(target, "again")
     assert again.read_bytes() == target.read_bytes()
@@ -169,7 +170,7 @@ def test_only_the_last_calibration_before_a_cut_is_carried(tmp_path):
 
 
 def late(items, role, delay_ns):
-    """The role's messages with the stamps they had, arriving later."""
+    """The messages of a role arrive later, with the same stamps."""
     return sorted(((i.stamp_ns + delay_ns * (i.role == role), k, i) for k, i in enumerate(items)), key=lambda x: x[:2])
 
 
@@ -185,7 +186,7 @@ def test_a_late_sensor_is_not_cut_off_its_frame(tmp_path, cut):
     assert run(target, "again")[0].read_bytes() == target.read_bytes()
 
 
-def test_a_calibration_from_behind_the_cut_is_not_used(tmp_path):
+def test_a_calibration_after_the_cut_is_not_used(tmp_path):
     items = logs.items()
     ordered = [*items[1:], logs.Item("calibration", logs.START_NS + 10 * STEP_NS, items[0].data)]
     source = logs.write(tmp_path / "in.mcap", ordered)
@@ -194,7 +195,7 @@ def test_a_calibration_from_behind_the_cut_is_not_used(tmp_path):
         run(source, "cut", time_range=TimeRange(frames=3))
 
 
-def test_what_was_wrong_with_a_calibration_is_said(tmp_path):
+def test_the_error_names_the_fault_of_a_calibration(tmp_path):
     items = logs.items()
     items[0] = logs.Item("calibration", logs.START_NS, b"\xff\xff")
     with pytest.raises(ChannelError, match=r"no calibration .*; /camera/front/calibration: .* are no foxglove"):
@@ -215,7 +216,7 @@ def test_tables_are_not_overwritten_either(source, table):
 
 
 @pytest.mark.parametrize("name", ["out.mcap", "out.objects.parquet"])
-def test_what_another_replay_wrote_meanwhile_stays(source, name):
+def test_a_file_that_another_replay_wrote_stays(source, name):
     def other(done, expected):
         if done == expected:
             source.with_name(name).write_bytes(b"theirs")
@@ -227,7 +228,7 @@ def test_what_another_replay_wrote_meanwhile_stays(source, name):
 
 
 @pytest.mark.parametrize("table", ["metrics", "objects"])
-def test_a_disk_that_is_full_at_the_end_leaves_neither_log_nor_table(source, monkeypatch, table):
+def test_a_full_disk_at_the_end_leaves_neither_log_nor_table(source, monkeypatch, table):
     closing = pq.ParquetWriter.close
 
     def close(writer):
@@ -243,7 +244,7 @@ def test_a_disk_that_is_full_at_the_end_leaves_neither_log_nor_table(source, mon
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_signal_leaves_no_file(tmp_path, number):
-    source = logs.write(tmp_path / "in.mcap", logs.items(200))
+    source = logs.write(tmp_path / "in.mcap", logs.items(60, road=replace(logs.SMALL, width=160, height=120)))
     command = [sys.executable, "-c", "import sys; from roadperc_stream.cli.replay import main; sys.exit(main())"]
     process = subprocess.Popen([*command, str(source), str(tmp_path / "out.mcap")], stderr=subprocess.PIPE, text=True)
     while process.poll() is None and not list(tmp_path.glob(".out*")):
@@ -349,7 +350,7 @@ def renamed(role, items):
     ],
     ids=["no calibration", "two topics", "no image", "wrong schema", "no frames"],
 )
-def test_what_cannot_be_replayed_is_one_line_and_no_file(tmp_path, capsys, items, words):
+def test_a_log_that_cannot_be_replayed_is_one_line_and_no_file(tmp_path, capsys, items, words):
     source = logs.write(tmp_path / "in.mcap", items)
     assert replay_main([str(source), str(tmp_path / "out.mcap")]) == 1
     err = capsys.readouterr().err
@@ -384,7 +385,7 @@ def test_wrong_usage_is_exit_code_2(arguments, capsys):
     assert "usage:" in capsys.readouterr().err
 
 
-def test_the_command_says_what_it_wrote(source, capsys):
+def test_the_command_prints_its_outputs(source, capsys):
     target = source.with_name("out.mcap")
     assert replay_main([str(source), str(target), "--only", "surface", "--set", "surface.inlier_m=0.04"]) == 0
     out, err = capsys.readouterr()

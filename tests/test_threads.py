@@ -1,4 +1,4 @@
-"""Replays in several threads: files, order and errors of one, whichever thread is faster; nothing is left."""
+"""Replays in several threads: the same files, order and errors as with one thread; no partial files or threads stay."""
 
 import errno
 import random
@@ -37,41 +37,41 @@ CHAIN = ("observe", "localise", "perceive")
 FRAMES = 5
 
 
-def drive(frames=FRAMES):
+def items_of(frames=FRAMES):
     return logs.items(frames, road=TINY)
 
 
 def broken(role, frame, data=b"\xff\xff\xff"):
-    """A drive with a message that cannot be read."""
+    """The items with an unreadable message."""
     stamp = logs.START_NS + frame * STEP_NS
-    return [logs.Item(i.role, i.stamp_ns, data) if (i.role, i.stamp_ns) == (role, stamp) else i for i in drive()]
+    return [logs.Item(i.role, i.stamp_ns, data) if (i.role, i.stamp_ns) == (role, stamp) else i for i in items_of()]
 
 
 def without(role):
-    return [item for item in drive() if item.role != role]
+    return [item for item in items_of() if item.role != role]
 
 
 def twice():
-    """A drive, and the same again: its stamps step back."""
-    return [*drive(3), *drive(3)]
+    """The same items twice: the stamps step back."""
+    return [*items_of(3), *items_of(3)]
 
 
 BROKEN_NS = logs.START_NS + 3 * STEP_NS
 NO_IMAGE = encode_image(BROKEN_NS, "camera", "png", b"no")
-DRIVES = {
-    "whole": drive,
+LOGS = {
+    "whole": items_of,
     "without depth": partial(without, "depth"),
     "without tags": partial(without, "segmentation"),
     "without detections": partial(without, "detections"),
     "stamps step back": twice,
     "broken detections": partial(broken, "detections", 2),
     "broken image": partial(broken, "image", 3, NO_IMAGE),
-    "one frame": partial(drive, 1),
+    "one frame": partial(items_of, 1),
 }
 
 
 def jittered(monkeypatch, seed):
-    """Let every step of every frame take a while, another one each time."""
+    """Delay every step of every frame at random."""
     rng = random.Random(seed)
 
     def slow(function):
@@ -87,7 +87,7 @@ def jittered(monkeypatch, seed):
 
 
 def tables(target):
-    """Both tables but for the times."""
+    """Both tables without times."""
     kinds = {kind: pl.read_parquet(sidecar_path(target, kind)) for kind in ("metrics", "objects")}
     return kinds["metrics"].drop(TIME_COLUMNS), kinds["objects"]
 
@@ -96,9 +96,9 @@ def threads_left():
     return [thread.name for thread in threading.enumerate() if thread.name.startswith("roadperc")]
 
 
-@pytest.mark.parametrize("kind", DRIVES)
+@pytest.mark.parametrize("kind", LOGS)
 def test_the_files_are_those_of_one_thread(tmp_path, monkeypatch, kind):
-    source = logs.write(tmp_path / "in.mcap", DRIVES[kind](), [logs.foreign()])
+    source = logs.write(tmp_path / "in.mcap", LOGS[kind](), [logs.foreign()])
     one = replay(source, tmp_path / "one.mcap", CFG)
     for threads in THREADS:
         jittered(monkeypatch, threads)
@@ -112,8 +112,8 @@ def test_the_files_are_those_of_one_thread(tmp_path, monkeypatch, kind):
 
 
 @pytest.mark.parametrize("threads", THREADS)
-def test_a_replay_that_goes_on_gives_the_files_of_one_that_was_never_interrupted(tmp_path, threads):
-    source, target = logs.write(tmp_path / "in.mcap", drive(14)), tmp_path / "out.mcap"
+def test_a_resumed_replay_has_the_files_of_an_uninterrupted_one(tmp_path, threads):
+    source, target = logs.write(tmp_path / "in.mcap", items_of(14)), tmp_path / "out.mcap"
     replay(source, tmp_path / "whole.mcap", LIGHT)
 
     def stop(done, _):
@@ -130,9 +130,9 @@ def test_a_replay_that_goes_on_gives_the_files_of_one_that_was_never_interrupted
 
 @pytest.mark.parametrize("threads", [1, *THREADS])
 def test_progress_counts_the_frames_that_are_written(tmp_path, threads):
-    source, told = logs.write(tmp_path / "in.mcap", drive()), []
-    replay(source, tmp_path / "out.mcap", LIGHT, threads=threads, progress=lambda *numbers: told.append(numbers))
-    assert told == [(k, FRAMES) for k in range(1, FRAMES + 1)]
+    source, seen = logs.write(tmp_path / "in.mcap", items_of()), []
+    replay(source, tmp_path / "out.mcap", LIGHT, threads=threads, progress=lambda *numbers: seen.append(numbers))
+    assert seen == [(k, FRAMES) for k in range(1, FRAMES + 1)]
 
 
 @pytest.mark.parametrize("threads", [1, *THREADS])
@@ -143,7 +143,7 @@ def test_progress_counts_the_frames_that_are_written(tmp_path, threads):
             broken("detections", 4),
             rf"in\.mcap: /camera/front/detections: message at {logs.START_NS + 4 * STEP_NS} ns: ",
         ),
-        (DRIVES["broken image"](), str(BROKEN_NS)),
+        (LOGS["broken image"](), str(BROKEN_NS)),
     ],
     ids=["no message", "no image"],
 )
@@ -158,7 +158,7 @@ def test_an_error_in_reading_or_decoding_names_its_message(tmp_path, threads, it
 @pytest.mark.parametrize("threads", [1, *THREADS])
 @pytest.mark.parametrize("step", [*CHAIN, "write"])
 def test_an_error_in_any_step_ends_the_replay_and_leaves_nothing(tmp_path, monkeypatch, threads, step):
-    source, calls = logs.write(tmp_path / "in.mcap", drive()), []
+    source, calls = logs.write(tmp_path / "in.mcap", items_of()), []
 
     def failing(function):
         def called(*arguments):
@@ -180,8 +180,8 @@ def test_an_error_in_any_step_ends_the_replay_and_leaves_nothing(tmp_path, monke
 
 
 @pytest.mark.parametrize(("number", "threads"), [(signal.SIGTERM, 2), (signal.SIGINT, 3), (signal.SIGTERM, 1)])
-def test_a_signal_in_the_middle_leaves_the_checkpoint_alone_and_says_how_it_goes_on(tmp_path, number, threads):
-    source, target = logs.write(tmp_path / "in.mcap", drive(80)), tmp_path / "out.mcap"
+def test_a_signal_leaves_only_the_checkpoint_and_prints_how_to_continue(tmp_path, number, threads):
+    source, target = logs.write(tmp_path / "in.mcap", items_of(50)), tmp_path / "out.mcap"
     command = [sys.executable, "-c", "import sys; from roadperc_stream.cli.replay import main; sys.exit(main())"]
     options = ["--threads", str(threads), "--checkpoint-every", "0.2", "--set", "sync.max_wait_s=0.1"]
     process = subprocess.Popen(
@@ -192,13 +192,13 @@ def test_a_signal_in_the_middle_leaves_the_checkpoint_alone_and_says_how_it_goes
         time.sleep(0.01)
     process.send_signal(number)
     _, err = process.communicate(timeout=60)
-    expected = "error: interrupted; the same command with --resume goes on from the last checkpoint\n"
+    expected = "error: interrupted; run the same command with --resume to continue from the last checkpoint\n"
     assert (process.returncode, err) == (1, expected)
     assert {path.name for path in tmp_path.iterdir()} == {"in.mcap", ".out.mcap.checkpoint"}
 
 
 def test_the_times_of_one_thread_add_up(tmp_path, monkeypatch):
-    """By a clock that only the work itself moves, each kind by another time."""
+    """With a clock that only the steps move, each by another time."""
     now_s = [0.0]
 
     def taking(milliseconds, function):
@@ -215,7 +215,7 @@ def test_the_times_of_one_thread_add_up(tmp_path, monkeypatch):
     monkeypatch.setattr(writing.Outputs, "_messages", taking(11, writing.Outputs._messages))
     monkeypatch.setattr(writing.Outputs, "_write_messages", taking(13, writing.Outputs._write_messages))
     target = tmp_path / "out.mcap"
-    replay(logs.write(tmp_path / "in.mcap", drive()), target, LIGHT)
+    replay(logs.write(tmp_path / "in.mcap", items_of()), target, LIGHT)
 
     times = pl.read_parquet(sidecar_path(target, "metrics")).select(TIME_COLUMNS)
     expected = {"decode_ms": 3, "metrics_ms": 5, "copy_ms": 7, "encode_ms": 11, "write_ms": 13, "total_ms": 39}
@@ -228,7 +228,7 @@ def test_the_times_of_one_thread_add_up(tmp_path, monkeypatch):
 @pytest.mark.parametrize("threads", THREADS)
 def test_the_times_of_several_threads_add_up(tmp_path, threads):
     target = tmp_path / "out.mcap"
-    replay(logs.write(tmp_path / "in.mcap", drive()), target, CFG, threads=threads)
+    replay(logs.write(tmp_path / "in.mcap", items_of()), target, CFG, threads=threads)
     times = pl.read_parquet(sidecar_path(target, "metrics")).select(TIME_COLUMNS)
     assert times.drop("total_ms").sum_horizontal().to_list() == pytest.approx(times["total_ms"].to_list())
     assert times.null_count().sum_horizontal().item() == 0, "each part has its time"
@@ -236,9 +236,9 @@ def test_the_times_of_several_threads_add_up(tmp_path, threads):
 
 
 def test_the_command_and_the_api_take_a_number_of_threads(tmp_path, monkeypatch):
-    source, told = logs.write(tmp_path / "in.mcap", drive(2)), []
+    source, seen = logs.write(tmp_path / "in.mcap", items_of(2)), []
     run = Pipeline.run
-    monkeypatch.setattr(Pipeline, "run", lambda frames, threads: (told.append(threads), run(frames, threads))[1])
+    monkeypatch.setattr(Pipeline, "run", lambda frames, threads: (seen.append(threads), run(frames, threads))[1])
     monkeypatch.setattr("roadperc_stream.api.usable_cores", lambda: 7)
     monkeypatch.setattr("roadperc_stream.cli.replay_log.usable_cores", lambda: 5)
     options = [str(source), str(tmp_path / "out.mcap"), "--quiet", "--force", "--only", "surface"]
@@ -246,7 +246,7 @@ def test_the_command_and_the_api_take_a_number_of_threads(tmp_path, monkeypatch)
     assert main([*options, "--threads", "2"]) == 0
     rp.replay(source, tmp_path / "out.mcap", config=LIGHT, force=True)
     rp.replay(source, tmp_path / "out.mcap", config=LIGHT, force=True, threads=1)
-    assert told == [5, 2, 7, 1]
+    assert seen == [5, 2, 7, 1]
 
 
 @pytest.mark.parametrize(
@@ -264,9 +264,9 @@ def test_threads_are_counted_in_whole_numbers_from_1_on(tmp_path, capsys, thread
 
 
 @pytest.mark.parametrize("threads", [1, *THREADS])
-def test_a_folder_that_cannot_be_written_is_one_error_that_names_the_output(tmp_path, monkeypatch, threads):
-    """Removing what is not complete fails there as well, and says nothing more."""
-    source, target = logs.write(tmp_path / "in.mcap", drive(1)), tmp_path / "out" / "out.mcap"
+def test_an_unwritable_folder_is_one_error_with_the_output(tmp_path, monkeypatch, threads):
+    """Removing the partial file fails too, without another error."""
+    source, target = logs.write(tmp_path / "in.mcap", items_of(1)), tmp_path / "out" / "out.mcap"
     opened, removed = Path.open, Path.unlink
 
     def refusing(original):

@@ -27,34 +27,36 @@ import psutil
 from roadperc_stream.batch.task import Outcome, Task, this_worker
 from roadperc_stream.batch.worker import scratch_of, work
 from roadperc_stream.errors import RoadpercError, TargetError
-from roadperc_stream.system.progress import Progress, no_progress, now_and_then
+from roadperc_stream.system.progress import Progress, at_most_every, no_progress
 
 OUTPUT: Final = "log"
-"""The folder of a dataset for what workers print."""
-_LOOK_EVERY_S: Final = 0.1
-_SAY_EVERY_S: Final = 0.2
+"""The folder of a dataset for the output of the workers."""
+_CHECK_EVERY_S: Final = 0.1
+_PROGRESS_EVERY_S: Final = 0.2
 _CONTEXT: Final = multiprocessing.get_context("forkserver")
 _PRELOADED: Final = ("roadperc_stream.batch.worker",)
-_END_BYTES, _LONGEST = 1 << 20, 500
-"""Of what a process printed: where a fatal error is looked for, and the characters of a line that a row quotes."""
+_END_BYTES: Final = 1 << 20
+"""A fatal error is searched in this much of the end of the output."""
+_LONGEST: Final = 500
+"""Characters of a line of output that a row quotes."""
 _ONE_THREAD: Final = "OPENBLAS_NUM_THREADS"
 _starting: Final = threading.Lock()
 
 
-def attempt(task: Task, stop: threading.Event | None = None, tell: Progress = no_progress) -> Outcome:
+def attempt(task: Task, stop: threading.Event | None = None, on_progress: Progress = no_progress) -> Outcome:
     """Replay a log into the dataset; a crash of the process is an outcome too.
 
     Args:
         task: the log, and what to do with it.
-        stop: once set, the process is ended.
-        tell: takes its progress.
+        stop: ends the process when set.
+        on_progress: called during the replay.
 
     Returns:
-        What ``work`` gave, or ``timeout``, ``memory`` or ``killed``.
+        The outcome of ``work``, or ``timeout``, ``memory`` or ``killed``.
     """
     started = monotonic()
     try:
-        outcome = _attempt(task, stop or threading.Event(), tell)
+        outcome = _attempt(task, stop or threading.Event(), on_progress)
     except TargetError as error:
         outcome = Outcome("unreachable", str(error))
     except OSError as error:
@@ -62,9 +64,11 @@ def attempt(task: Task, stop: threading.Event | None = None, tell: Progress = no
     return replace(outcome, seconds=outcome.seconds or monotonic() - started, worker=outcome.worker or this_worker())
 
 
-def _attempt(task: Task, stop: threading.Event, tell: Progress) -> Outcome:
+def _attempt(task: Task, stop: threading.Event, on_progress: Progress) -> Outcome:
     if task.job.out.is_local and not Path(task.job.out.address).is_dir():
-        return Outcome("unreachable", f"{task.job.out.address}: no such folder on this machine")
+        return Outcome(
+            "unreachable", f"{task.job.out.address}: no such folder on this machine; mount it here, or use an address"
+        )
     scratch = scratch_of(task)
     printed = scratch.with_name(f"{scratch.name}.{uuid4().hex}.log")
     printed.parent.mkdir(parents=True, exist_ok=True)
@@ -74,39 +78,39 @@ def _attempt(task: Task, stop: threading.Event, tell: Progress) -> Outcome:
         process.start()
     sender.close()
     try:
-        outcome = _watched(task, process, receiver, stop, tell)
+        outcome = _watched(task, process, receiver, stop, on_progress)
     finally:
         process.kill()
         process.join()
         receiver.close()
     if outcome is None:
-        outcome = Outcome("killed", f"its process ended by {_ending(process.exitcode)}{_fatal_error(printed)}")
+        outcome = Outcome("killed", f"its process ended by {_end_of(process.exitcode)}{_fatal_error(printed)}")
     _keep_printed(task, printed)
     return outcome
 
 
 def _watched(
-    task: Task, process: ForkServerProcess, receiver: Connection, stop: threading.Event, tell: Progress
+    task: Task, process: ForkServerProcess, receiver: Connection, stop: threading.Event, on_progress: Progress
 ) -> Outcome | None:
-    """The outcome that a process sends, or why it must be killed; None if it ended without one."""
+    """The outcome that a process sends, or the reason to kill it; None if it ended without an outcome."""
     job, started = task.job, monotonic()
     while not stop.is_set():
-        wait([receiver, process.sentinel], _LOOK_EVERY_S)
+        wait([receiver, process.sentinel], _CHECK_EVERY_S)
         while receiver.poll():
             try:
-                said = receiver.recv()
+                message = receiver.recv()
             except (EOFError, OSError):
                 process.join()
                 return None
-            if isinstance(said, Outcome):
-                return said
-            tell(*said)
+            if isinstance(message, Outcome):
+                return message
+            on_progress(*message)
         if job.timeout_s is not None and monotonic() - started > job.timeout_s:
             return Outcome("timeout", f"took more than the {job.timeout_s:g} s of --timeout")
-        if (held := _memory_bytes(process)) > job.memory_bytes:
-            asked, found = (f"{size / 1e6:.0f} MB" for size in (job.memory_bytes, held))
-            error = f"held more than the {asked} of --memory: {found}"
-            return Outcome("memory", error, peak_memory_mb=held / 1e6)
+        if (used := _memory_bytes(process)) > job.memory_bytes:
+            limit, found = (f"{size / 1e6:.0f} MB" for size in (job.memory_bytes, used))
+            error = f"used {found}, more than the {limit} of --memory"
+            return Outcome("memory", error, peak_memory_mb=used / 1e6)
     return Outcome("killed", "the batch was stopped")
 
 
@@ -116,7 +120,7 @@ def _memory_bytes(process: ForkServerProcess) -> int:
     return 0
 
 
-def _ending(code: int | None) -> str:
+def _end_of(code: int | None) -> str:
     if code is None or code >= 0:
         return f"exit code {code}"
     with suppress(ValueError):
@@ -125,13 +129,13 @@ def _ending(code: int | None) -> str:
 
 
 def _fatal_error(printed: Path) -> str:
-    """The fatal error that a process printed, with the line before it and its line of code; empty without one."""
+    """The fatal error in the output of a process, with the line before it and its line of code; empty without one."""
     with suppress(OSError), printed.open("rb") as file:
         file.seek(max(printed.stat().st_size - _END_BYTES, 0))
         before, mark, after = file.read().decode(errors="replace").rpartition("Fatal Python error: ")
         error, _, dump = after.partition("\n")
-        said = (*before.splitlines()[-1:], mark + error, *dump.partition("Current thread ")[2].splitlines()[1:2])
-        return "".join(f": {line.strip()[:_LONGEST]}" for line in said) if mark else ""
+        lines = (*before.splitlines()[-1:], mark + error, *dump.partition("Current thread ")[2].splitlines()[1:2])
+        return "".join(f": {line.strip()[:_LONGEST]}" for line in lines) if mark else ""
     return ""
 
 
@@ -139,17 +143,17 @@ def _keep_printed(task: Task, printed: Path) -> None:
     """Put the output of the process, if any, into the dataset."""
     with suppress(OSError, RoadpercError):
         if printed.stat().st_size:
-            task.job.out.at(f"{OUTPUT}/{task.drive.stem}-{task.key}.txt").put(printed)
-        for left_over in printed.parent.glob(f"{task.key}.*.log"):  # and of attempts whose batch was killed
-            left_over.unlink(missing_ok=True)
+            task.job.out.at(f"{OUTPUT}/{task.log.stem}-{task.key}.txt").put(printed)
+        for leftover in printed.parent.glob(f"{task.key}.*.log"):  # also of attempts whose batch was killed
+            leftover.unlink(missing_ok=True)
 
 
 @contextmanager
 def _clean_start() -> Iterator[None]:
     """Start a process without the main module and without threads of BLAS.
 
-    The main module of a Ray worker takes a second to import. Libraries must not start threads in the process that
-    is forked.
+    The main module of a Ray worker takes a second to import. The process that is forked must have no threads of
+    libraries.
     """
     _CONTEXT.set_forkserver_preload(list(_PRELOADED))
     main, threads = sys.modules["__main__"], os.environ.get(_ONE_THREAD)
@@ -171,11 +175,11 @@ def _run(task: Task, printed: Path, sender: Connection) -> None:
     _print_to(printed)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
-        outcome = work(task, now_and_then(lambda done, expected: sender.send((done, expected)), _SAY_EVERY_S))
-    except Exception as error:  # it concerns only this log: the batch continues with the others
+        outcome = work(task, at_most_every(_PROGRESS_EVERY_S, lambda done, expected: sender.send((done, expected))))
+    except Exception as error:  # only this log fails
         traceback.print_exc()
-        said = f"{type(error).__name__}: {error}; {OUTPUT}/ has the traceback"
-        outcome = Outcome("killed", " ".join(said.splitlines()), worker=this_worker())
+        text = f"{type(error).__name__}: {error}; {OUTPUT}/ has the traceback"
+        outcome = Outcome("killed", " ".join(text.splitlines()), worker=this_worker())
     sender.send(outcome)
 
 

@@ -6,38 +6,38 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import AbstractContextManager
 from functools import partial
 from threading import Event
-from typing import Protocol, Self
+from typing import Protocol
 
 from roadperc_stream.batch.attempt import attempt
 from roadperc_stream.batch.task import Outcome, Task
 
 Frames = tuple[int, int]
-"""Frames done of a task, and frames expected."""
+"""Frames done and frames expected of a task."""
 
 
 class Backend(AbstractContextManager["Backend"], Protocol):
-    """Runs tasks; leaving its context ends the running ones."""
+    """Runs tasks. Leaving its context ends the running tasks."""
 
     @property
     def slots(self) -> int:
-        """How many tasks it can run at a time; a cluster grows and shrinks."""
+        """Number of tasks that run at a time; it changes with the size of a cluster."""
         ...
 
     def submit(self, task: Task) -> None:
-        """Begin with a task."""
+        """Start a task."""
         ...
 
     def wait(self, timeout_s: float) -> list[tuple[Task, Outcome]]:
-        """The tasks that have ended since the last call; waits at most this long."""
+        """The tasks that ended since the last call; waits for one at most this long."""
         ...
 
     @property
-    def at_work(self) -> Mapping[str, Frames]:
+    def running(self) -> Mapping[str, Frames]:
         """The known progress of the running tasks, by their keys."""
         ...
 
 
-class LocalBackend:
+class LocalBackend(AbstractContextManager["LocalBackend"]):
     """Runs a fixed number of tasks at a time."""
 
     def __init__(self, jobs: int) -> None:
@@ -48,19 +48,19 @@ class LocalBackend:
         self._frames: dict[str, Frames] = {}
 
     def submit(self, task: Task) -> None:
-        """Begin with a task."""
-        self._tasks[self._threads.submit(attempt, task, self._stop, partial(self._told, task.key))] = task
+        """Start a task."""
+        self._tasks[self._threads.submit(attempt, task, self._stop, partial(self._note, task.key))] = task
 
-    def _told(self, key: str, done: int, expected: int) -> None:
+    def _note(self, key: str, done: int, expected: int) -> None:
         self._frames[key] = done, expected
 
     @property
-    def at_work(self) -> Mapping[str, Frames]:
+    def running(self) -> Mapping[str, Frames]:
         """The progress of the running tasks, by their keys."""
         return self._frames.copy()
 
     def wait(self, timeout_s: float) -> list[tuple[Task, Outcome]]:
-        """The tasks that have ended since the last call."""
+        """The tasks that ended since the last call."""
         if not self._tasks:
             time.sleep(timeout_s)
         ended = wait(self._tasks, timeout_s, FIRST_COMPLETED).done
@@ -68,10 +68,6 @@ class LocalBackend:
         for task, _ in found:
             self._frames.pop(task.key, None)
         return found
-
-    def __enter__(self) -> Self:
-        """Do nothing: processes start with the first task."""
-        return self
 
     def __exit__(self, *raised: object) -> None:
         """End the running tasks."""

@@ -23,10 +23,10 @@ from roadperc_stream.batch.attempt import attempt
 from roadperc_stream.batch.backend import Frames
 from roadperc_stream.batch.task import Outcome, Task, code_digest
 from roadperc_stream.errors import ClusterError
-from roadperc_stream.system.progress import now_and_then
+from roadperc_stream.system.progress import at_most_every
 
 LOCAL: Final = "local"
-"""The address of a Ray that the batch starts for itself on this machine."""
+"""The address for a Ray that the batch starts and ends on this machine."""
 _CLIENT: Final = "ray"
 _CLIENT_PORT: Final = 10001
 _ANSWER_WITHIN_S: Final = 5.0
@@ -45,13 +45,9 @@ _ENVIRONMENT: Final = {
 
 @dataclass(frozen=True)
 class ClusterRequest:
-    """What a session needs to start.
+    """The cluster that a session joins or starts.
 
-    Args:
-        address: of the cluster, or ``local``.
-        jobs: CPUs of a local one.
-        memory_bytes: what a task may take.
-        code: digest of the code that the machines are to have.
+    ``jobs`` are the CPUs of a local cluster, ``memory_bytes`` is the memory of a task. All machines must have ``code``.
     """
 
     address: str
@@ -65,12 +61,12 @@ class ClusterState:
     """Current CPUs of the cluster, and the progress of the running tasks by their keys."""
 
     slots: int
-    at_work: Mapping[str, Frames]
+    running: Mapping[str, Frames]
 
 
 @dataclass(frozen=True)
 class TaskEnd:
-    """How the task of this key ended."""
+    """The outcome of the task with this key."""
 
     key: str
     outcome: Outcome
@@ -85,8 +81,8 @@ class RayBackend:
 
     Args:
         address: of a cluster, as Ray takes it (``auto``, ``host:6379``, ``ray://host:10001``), or ``local``.
-        jobs: CPUs of a local one.
-        memory_bytes: what Ray is to keep free for a task.
+        jobs: CPUs of a local cluster.
+        memory_bytes: memory that Ray reserves for a task.
 
     Raises:
         ClusterError: Ray is not installed.
@@ -94,20 +90,20 @@ class RayBackend:
 
     def __init__(self, address: str, jobs: int, memory_bytes: int) -> None:
         if importlib.util.find_spec("ray") is None:
-            raise ClusterError("--ray: Ray is not installed: pip install 'roadperc_stream[cluster]'")
+            raise ClusterError("--ray: Ray is not installed; pip install 'roadperc_stream[cluster]'")
         self._request = ClusterRequest(address, jobs, memory_bytes, code_digest())
         self._tasks: dict[str, Task] = {}
         self._state = ClusterState(0, {})
 
     @property
     def slots(self) -> int:
-        """CPUs of the cluster: they may come and go."""
+        """CPUs of the cluster, which may grow and shrink."""
         return self._state.slots
 
     @property
-    def at_work(self) -> Mapping[str, Frames]:
-        """The progress of the running tasks, by their keys, as their machines report it."""
-        return {key: frames for key, frames in self._state.at_work.items() if key in self._tasks}
+    def running(self) -> Mapping[str, Frames]:
+        """The progress of the running tasks, by their keys."""
+        return {key: frames for key, frames in self._state.running.items() if key in self._tasks}
 
     def __enter__(self) -> Self:
         """Start Ray or join a cluster.
@@ -130,11 +126,12 @@ class RayBackend:
     def _await_session(self) -> None:
         within_s = _START_WITHIN_S if self._request.address == LOCAL else _JOIN_WITHIN_S
         if not self._connection.poll(within_s):
-            raise ClusterError(f"--ray {self._request.address}: no cluster joined within {within_s:g} s")
+            error = f"no cluster joined within {within_s:g} s; check the address"
+            raise ClusterError(f"--ray {self._request.address}: {error}")
         self._received()
 
     def submit(self, task: Task) -> None:
-        """Begin with a task."""
+        """Start a task."""
         self._tasks[task.key] = task
         try:
             self._connection.send(task)
@@ -142,7 +139,7 @@ class RayBackend:
             raise self._lost() from None
 
     def wait(self, timeout_s: float) -> list[tuple[Task, Outcome]]:
-        """The tasks that have ended since.
+        """The tasks that ended since the last call.
 
         Raises:
             ClusterError: the connection to the cluster is lost.
@@ -155,7 +152,7 @@ class RayBackend:
         return ended
 
     def _received(self) -> TaskEnd | None:
-        """The next message if a task has ended; None for a new state of the cluster, which is kept."""
+        """The next message if a task has ended; None for a new state of the cluster, which is stored."""
         try:
             message: SessionMessage = self._connection.recv()
         except (EOFError, OSError):
@@ -169,15 +166,17 @@ class RayBackend:
 
     def _lost(self) -> ClusterError:
         address = self._request.address
-        return ClusterError(f"--ray {address}: the connection to the cluster is lost; the same command goes on later")
+        return ClusterError(
+            f"--ray {address}: lost the connection to the cluster; run the same command again to continue"
+        )
 
     def __exit__(self, *raised: object) -> None:
         """End all tasks and leave the cluster: the session does both when its pipe closes."""
         self._connection.close()
-        has_begun = self._state.slots > 0 or self._request.address == LOCAL
+        has_joined = self._state.slots > 0 or self._request.address == LOCAL
         try:
             with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(_LEAVE_WITHIN_S if has_begun else 0)
+                self._process.wait(_LEAVE_WITHIN_S if has_joined else 0)
         finally:
             self._process.kill()
             self._process.wait()
@@ -186,7 +185,7 @@ class RayBackend:
 def _start_session(connection: Connection, address: str) -> "subprocess.Popen[bytes]":
     """Start the session in its own process group, which an interrupt from the terminal does not reach."""
     environment = _ENVIRONMENT | dict(os.environ)
-    if address == LOCAL:  # others must not use it, and no key may stay in the user's home
+    if address == LOCAL:  # only for this batch, and without a key in the user's home
         environment |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32)}
     return subprocess.Popen(
         [sys.executable, "-P", "-m", _SESSION, str(connection.fileno())],
@@ -200,7 +199,7 @@ def _start_session(connection: Connection, address: str) -> "subprocess.Popen[by
 
 
 def _require_listener(address: str) -> None:
-    """Check at once that something listens at the address: Ray itself tries for minutes.
+    """Check at once that something listens at the address; Ray itself tries for minutes.
 
     Raises:
         ClusterError: nothing listens at the address, or it is invalid.
@@ -214,16 +213,16 @@ def _require_listener(address: str) -> None:
             try:
                 socket.create_connection((host, port), _ANSWER_WITHIN_S).close()
             except OSError as error:
-                raise ClusterError(f"--ray {address}: no cluster there: {error}") from None
+                raise ClusterError(f"--ray {address}: no cluster at this address: {error}") from None
             return
     raise ClusterError(f"--ray {address}: expected local, auto, HOST:PORT or ray://HOST:PORT")
 
 
-_TELL_EVERY_S: Final = 1.0
+_PROGRESS_EVERY_S: Final = 1.0
 
 
 def code_on_node() -> str:
-    """Digest of the code that a machine has."""
+    """Digest of the code of the machine that runs this; Ray takes only plain functions."""
     return code_digest()
 
 
@@ -233,15 +232,15 @@ class FrameCount:
     def __init__(self) -> None:
         self._done: dict[str, Frames] = {}
 
-    def tell(self, key: str, frames: Frames) -> None:
+    def store(self, key: str, frames: Frames) -> None:
         """Store the frames done and expected of a task."""
         self._done[key] = frames
 
-    def forget(self, key: str) -> None:
+    def remove(self, key: str) -> None:
         """Remove a task that has ended."""
         self._done.pop(key, None)
 
-    def told(self) -> dict[str, Frames]:
+    def all(self) -> dict[str, Frames]:
         """The progress of all running tasks."""
         return self._done
 
@@ -253,8 +252,11 @@ def attempt_on_node(task: Task, count: Any) -> Outcome:
         task: the log, and what to do with it.
         count: Ray's handle of a ``FrameCount``.
     """
-    tell = now_and_then(lambda done, expected: count.tell.remote(task.key, (done, expected)), _TELL_EVERY_S)
+
+    def report(done: int, expected: int) -> None:
+        count.store.remote(task.key, (done, expected))
+
     try:
-        return attempt(task, tell=tell)
+        return attempt(task, on_progress=at_most_every(_PROGRESS_EVERY_S, report))
     finally:
-        count.forget.remote(task.key)
+        count.remove.remote(task.key)

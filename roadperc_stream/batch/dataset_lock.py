@@ -18,12 +18,12 @@ from roadperc_stream.resume.lock import FolderLock
 from roadperc_stream.system.files import target_errors
 
 LOCK: Final = ".lock"
-"""The file of a dataset that names the batch at work on it."""
+"""The file of a dataset that names the running batch."""
 RENEW_EVERY_S: Final = 30.0
 DEAD_AFTER_S: Final = 120.0
-"""A lock in a store that was not renewed for this long belongs to a killed batch."""
+"""A lock in a store without a renewal for this long belongs to a killed batch."""
 _SETTLES_S: Final = 1.0
-"""Wait after writing a lock; if two batches write at once, both then see which one was last."""
+"""Wait after writing a lock; if two batches write at once, both then see the last one."""
 
 
 @dataclass(frozen=True)
@@ -38,18 +38,15 @@ class LockHolder:
 
     @property
     def is_alive(self) -> bool:
-        """Whether it was renewed recently; a time far ahead comes from a wrong clock and does not count."""
+        """Whether it was renewed recently; a time far in the future comes from a wrong clock and does not count."""
         return abs(time.time() - self.renewed_s) < DEAD_AFTER_S
 
 
 class DatasetLock:
-    """Held within its context by the one batch that may write a dataset.
+    """A lock on a dataset: the batch in its context is the only one that writes.
 
     On a disk the system holds the lock and releases it when the process ends; a file only names the holder. A store has
     no locks: there the file itself is the lock, and a thread renews it.
-
-    Args:
-        out: the dataset.
     """
 
     def __init__(self, out: Location) -> None:
@@ -60,7 +57,7 @@ class DatasetLock:
         self._taken_by: LockHolder | None = None
 
     def __enter__(self) -> Self:
-        """Take it.
+        """Take the lock.
 
         Raises:
             StorageError: another batch holds it, or the store cannot be reached.
@@ -74,7 +71,7 @@ class DatasetLock:
                 is_taken = self._on_disk.take()
             if not is_taken:
                 raise self._refusal(self._holder())
-            with suppress(RoadpercError):  # the system's lock holds without the file
+            with suppress(RoadpercError):  # the lock works without the file
                 self._write()
         else:
             self._require_free()
@@ -85,23 +82,23 @@ class DatasetLock:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Give it back."""
+        """Release the lock."""
         self._ended.set()
         if not self._out.is_local:
             self._renewing.join()
         if self._taken_by is None:
-            with suppress(RoadpercError):  # then it is dead soon
+            with suppress(RoadpercError):  # otherwise it expires
                 self._out.at(LOCK).remove()
         if self._out.is_local:
             self._on_disk.release()
 
     @property
     def is_held(self) -> bool:
-        """Whether this batch still has the lock; another one takes a lock that looks dead."""
+        """Whether this batch still has the lock; another batch takes a lock that looks dead."""
         return self._taken_by is None
 
     def require_held(self) -> None:
-        """Check that the dataset is still this batch's.
+        """Check that this batch still has the lock.
 
         Raises:
             StorageError: another batch has taken it.
@@ -134,7 +131,7 @@ class DatasetLock:
                 if self._taken_by is None:
                     self._write()
             except RoadpercError:
-                continue  # the store may answer in time the next time
+                continue  # the store may answer the next time
 
     def _refusal(self, holder: LockHolder | None) -> StorageError:
         who = f": host {holder.host}, process {holder.process}, started {holder.started}" if holder else ""

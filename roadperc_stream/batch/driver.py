@@ -1,4 +1,4 @@
-"""Runs a batch: gives logs to a back end, retries, and records the outcomes in the list of runs."""
+"""Runs a batch: submits logs to a back end, retries, and records the outcomes in the list of runs."""
 
 import re
 import time
@@ -11,137 +11,137 @@ from typing import Final
 from roadperc_stream import __version__
 from roadperc_stream.batch.backend import Backend
 from roadperc_stream.batch.dataset_lock import DatasetLock
-from roadperc_stream.batch.plan import Planner, Step, find_drives_in
+from roadperc_stream.batch.plan import Planner, Step, find_logs
 from roadperc_stream.batch.runs import BatchRow, KnownRuns, RunsTable
-from roadperc_stream.batch.task import BatchJob, DriveFiles, Outcome, Task, code_digest, libraries
+from roadperc_stream.batch.task import BatchJob, LogFiles, Outcome, Task, code_digest, libraries
 from roadperc_stream.log import DIGEST_ALGORITHM
 from roadperc_stream.output.tables import config_digest
 from roadperc_stream.schemas.columns.runs import OF_THE_MACHINE, RunRow
 
 _WAIT_S: Final = 0.2
 _SAVE_EVERY_S: Final = 1.0
-_AGAIN_S: Final = 1.0
+_RETRY_AFTER_S: Final = 1.0
 """Wait before the first retry of a log; each further retry waits this much longer."""
-_TRIED_AGAIN: Final = frozenset({"killed", "unreachable"})
+_RETRIED: Final = frozenset({"killed", "unreachable"})
 """Outcomes that a retry may avoid."""
 _RUN_COLUMNS = frozenset(item.name for item in fields(RunRow))
 
 
 @dataclass
 class BatchProgress:
-    """How far a batch is; ``frames`` are those it has computed itself, of the logs done, ``failed`` rows of logs."""
+    """The progress of a batch; ``frames`` counts the computed frames of the finished logs."""
 
     logs: int
     bytes_expected: int
     done: int = 0
     failed: list[RunRow] = field(default_factory=list)
     bytes_done: int = 0
-    bytes_at_work: int = 0
+    bytes_running: int = 0
     frames: int = 0
-    frames_at_work: int = 0
+    frames_running: int = 0
 
 
 @dataclass(frozen=True)
-class _Try:
-    """A log that is to be done or is at work."""
+class _Attempt:
+    """A waiting or running log."""
 
     step: Step
-    attempts: int = 1
+    number: int = 1
     not_before_s: float = 0.0
 
 
-Watch = Callable[[BatchProgress], None]
-"""Takes how far the batch is, several times a second."""
+OnProgress = Callable[[BatchProgress], None]
+"""Takes the progress several times a second."""
 
 
 @dataclass
 class Driver:
-    """One batch at work."""
+    """Runs the steps of one batch."""
 
     job: BatchJob
     backend: Backend
     table: RunsTable
     known: KnownRuns
-    watch: Watch
-    _waiting: deque[_Try] = field(default_factory=deque)
-    _at_work: dict[str, _Try] = field(default_factory=dict)
+    on_progress: OnProgress
+    _waiting: deque[_Attempt] = field(default_factory=deque)
+    _running: dict[str, _Attempt] = field(default_factory=dict)
     _save_at_s: float = 0.0
 
     def run(self, steps: Sequence[Step]) -> BatchProgress:
-        """Do all steps that are to be done, the longest logs first for load balance; how far it came."""
-        todo = sorted((step for step in steps if step.action != "leave"), key=lambda step: -step.drive.size_bytes)
-        self._waiting.extend(_Try(step) for step in todo)
-        self._progress = BatchProgress(len(todo), sum(step.drive.size_bytes for step in todo))
+        """Run all steps, the longest logs first for load balance."""
+        todo = sorted((step for step in steps if step.action != "skip"), key=lambda step: -step.log.size_bytes)
+        self._waiting.extend(_Attempt(step) for step in todo)
+        self._progress = BatchProgress(len(todo), sum(step.log.size_bytes for step in todo))
         try:
-            while self._waiting or self._at_work:
-                self._give()
-                self._take()
+            while self._waiting or self._running:
+                self._submit()
+                self._collect()
                 if self._progress.failed and self.job.fail_fast:
                     break
         finally:
             self.table.save()
         return self._progress
 
-    def _give(self) -> None:
-        """Keep the back end busy."""
+    def _submit(self) -> None:
+        """Give the back end as many tasks as it can run."""
         for _ in range(len(self._waiting)):
-            if len(self._at_work) >= max(self.backend.slots, 1):  # a cluster may grow only once it is asked to
+            if len(self._running) >= max(self.backend.slots, 1):  # a cluster grows when a task waits
                 return
             item = self._waiting.popleft()
-            before = item.step.before
-            was_recovered = before is not None and before.row.recover
-            task = Task(item.step.drive, self.job, item.step.same_ids, was_recovered)
+            previous = item.step.previous
+            was_recovered = previous is not None and previous.row.recover
+            task = Task(item.step.log, self.job, item.step.known_ids, was_recovered)
             is_early = item.not_before_s > time.monotonic()
-            if is_early or task.key in self._at_work:
+            if is_early or task.key in self._running:
                 self._waiting.append(item)
                 continue
-            self._at_work[task.key] = item
+            self._running[task.key] = item
             self.backend.submit(task)
 
-    def _take(self) -> None:
-        """Record the tasks that have ended, and the progress of the others."""
+    def _collect(self) -> None:
+        """Record the ended tasks and the progress of the others."""
         for task, outcome in self.backend.wait(_WAIT_S):
-            item = self._at_work.pop(task.key)
-            if outcome.status in _TRIED_AGAIN and item.attempts <= self.job.retries:
-                not_before_s = time.monotonic() + _AGAIN_S * item.attempts
-                self._waiting.append(replace(item, attempts=item.attempts + 1, not_before_s=not_before_s))
+            item = self._running.pop(task.key)
+            if outcome.status in _RETRIED and item.number <= self.job.retries:
+                not_before_s = time.monotonic() + _RETRY_AFTER_S * item.number
+                self._waiting.append(replace(item, number=item.number + 1, not_before_s=not_before_s))
             else:
-                self._write(item, outcome)
-        self._look_at_work()
-        self.watch(self._progress)
-        self._save_now_and_then()
+                self._record(item, outcome)
+        self._measure_running()
+        self.on_progress(self._progress)
+        self._save_sometimes()
 
-    def _look_at_work(self) -> None:
-        progress, at_work = self._progress, self.backend.at_work
-        progress.frames_at_work = sum(done for done, _ in at_work.values())
-        progress.bytes_at_work = sum(
-            self._at_work[key].step.drive.size_bytes * min(done, expected) // expected
-            for key, (done, expected) in at_work.items()
-            if expected and key in self._at_work
+    def _measure_running(self) -> None:
+        progress, running = self._progress, self.backend.running
+        progress.frames_running = sum(done for done, _ in running.values())
+        progress.bytes_running = sum(
+            self._running[key].step.log.size_bytes * min(done, expected) // expected
+            for key, (done, expected) in running.items()
+            if expected and key in self._running
         )
 
-    def _save_now_and_then(self) -> None:
-        """Save the rows, in a twentieth of the time at most."""
+    def _save_sometimes(self) -> None:
+        """Save the rows, for at most a twentieth of the time."""
         now_s = time.monotonic()
         if now_s > self._save_at_s:
             self.table.save()
             self._save_at_s = time.monotonic() + max(_SAVE_EVERY_S, 20 * (time.monotonic() - now_s))
 
-    def _write(self, item: _Try, outcome: Outcome) -> None:
+    def _record(self, item: _Attempt, outcome: Outcome) -> None:
         """Record the outcome of a log."""
-        drive, progress = item.step.drive, self._progress
-        before = self.known.get(outcome.log_id or drive.name)
-        if not outcome.is_new and before is not None:
-            run = replace(before, row=_also_named(before.row, drive))
+        log, progress = item.step.log, self._progress
+        previous = self.known.get(outcome.log_id or log.name)
+        if not outcome.is_new and previous is not None:
+            run = replace(previous, row=_with_name(previous.row, log))
         else:
-            run = BatchRow(_row_of(self.job, drive, outcome, before, item.attempts), outcome.stages_s)
+            run = BatchRow(_row_of(self.job, log, outcome, previous, item.number), outcome.stages_s)
         if outcome.status not in OF_THE_MACHINE:  # otherwise the content of the file is unknown
-            for other in self.known.named(drive.name):  # logs that were under this name before
+            for other in self.known.named(log.name):  # earlier logs of this name
                 if other.key != run.key and other.row.log_id:
-                    self._add(replace(other, row=_not_named(other.row, drive.name)))
+                    self._add(replace(other, row=_without_name(other.row, log.name)))
         self._add(run)
         progress.done += 1
-        progress.bytes_done += drive.size_bytes
+        progress.bytes_done += log.size_bytes
         progress.frames += outcome.frames - outcome.frames_before
         if run.row.status != "done":
             progress.failed.append(run.row)
@@ -151,53 +151,51 @@ class Driver:
         self.table.add(run)
 
 
-def _row_of(job: BatchJob, drive: DriveFiles, outcome: Outcome, before: BatchRow | None, attempts: int) -> RunRow:
-    """The row of a log; most columns come from the outcome.
+def _row_of(job: BatchJob, log: LogFiles, outcome: Outcome, previous: BatchRow | None, attempts: int) -> RunRow:
+    """The row of a log; most columns come from the outcome of its last attempt.
 
     Args:
-        job: what the batch does.
-        drive: the log.
+        job: the options of the batch.
+        log: the log.
         outcome: of its last attempt.
-        before: its row in the dataset.
-        attempts: how often it was begun.
+        previous: its row in the dataset.
+        attempts: number of attempts.
     """
-    how = job.how
+    configuration = job.configuration
     row = RunRow(
         **{name: value for name, value in asdict(outcome).items() if name in _RUN_COLUMNS},
-        config=how.name,
-        path=drive.name,
-        names=before.row.names if before else (),
-        fingerprints=before.row.fingerprints if before else (),
-        size_bytes=drive.size_bytes,
+        config=configuration.name,
+        path=log.name,
+        names=previous.row.names if previous else (),
+        fingerprints=previous.row.fingerprints if previous else (),
+        size_bytes=log.size_bytes,
         version=__version__,
         code=code_digest(),
         libraries=libraries(),
-        config_digest=config_digest(how.cfg),
-        settings=how.settings,
-        options=how.options,
+        config_digest=config_digest(configuration.cfg),
+        settings=configuration.settings,
+        options=configuration.options,
         recover=job.recover,
         logs=job.keep_logs,
         digest_algorithm=DIGEST_ALGORITHM,
         attempts=attempts,
-        finished_ns=before.row.finished_ns if before else 0,
+        finished_ns=previous.row.finished_ns if previous else 0,
     )
-    return _also_named(row, drive)
+    return _with_name(row, log)
 
 
-def _also_named(row: RunRow, drive: DriveFiles) -> RunRow:
-    """The row of a log that has been seen under this name."""
-    seen = dict(zip(row.names, row.fingerprints, strict=True)) | {drive.name: drive.fingerprint}
-    return _with_names(row, seen)
+def _with_name(row: RunRow, log: LogFiles) -> RunRow:
+    """The row with the name and the fingerprint of a log."""
+    return _with_names(row, dict(zip(row.names, row.fingerprints, strict=True)) | {log.name: log.fingerprint})
 
 
-def _not_named(row: RunRow, name: str) -> RunRow:
-    """The row of a log that is under this name no more."""
-    seen = {n: print_ for n, print_ in zip(row.names, row.fingerprints, strict=True) if n != name}
-    return _with_names(row, seen)
+def _without_name(row: RunRow, name: str) -> RunRow:
+    """The row without a name that another log has now."""
+    return _with_names(row, {n: print_ for n, print_ in zip(row.names, row.fingerprints, strict=True) if n != name})
 
 
 def _with_names(row: RunRow, seen: Mapping[str, str]) -> RunRow:
-    """The row with the fingerprints of a log's files by their names, newer than it was; its path is one of those."""
+    """A newer row with the fingerprints by name; its path is one of the names."""
     path = row.path if row.path in seen or not seen else next(iter(seen))
     finished_ns = max(time.time_ns(), row.finished_ns + 1)
     return replace(row, path=path, names=tuple(seen), fingerprints=tuple(seen.values()), finished_ns=finished_ns)
@@ -205,47 +203,47 @@ def _with_names(row: RunRow, seen: Mapping[str, str]) -> RunRow:
 
 @dataclass(frozen=True)
 class BatchSummary:
-    """What a batch came to: logs done, left and not begun, frames computed, rows of logs that failed, now or before."""
+    """The result of a batch: number of logs, computed frames, rows of failed logs (also of earlier runs)."""
 
     done: int
-    left: int
+    skipped: int
+    not_started: int
     frames: int
     failed: tuple[RunRow, ...]
-    undone: int = 0
 
 
 StartBackend = Callable[[], Backend]
-Display = Callable[[], AbstractContextManager[Watch]]
+Display = Callable[[], AbstractContextManager[OnProgress]]
 
 
 class BatchRun:
-    """A batch: its logs, what it does with each, and the doing."""
+    """A batch: its logs, its plan, and its execution."""
 
-    def __init__(self, job: BatchJob, arguments: Sequence[str], parts: re.Pattern[str] | None) -> None:
+    def __init__(self, job: BatchJob, arguments: Sequence[str], join: re.Pattern[str] | None) -> None:
         """Find the logs.
 
         Raises:
             StorageError: an argument names no log.
         """
         self._job, self._table = job, RunsTable(job.out)
-        self.drives = find_drives_in(arguments, job.out, parts)
+        self.logs = find_logs(arguments, job.out, join)
 
     def plan(self) -> tuple[Step, ...]:
-        """What is to be done with each log.
+        """The step for each log.
 
         Raises:
             StorageError: the dataset cannot be read.
             TableError: its list of runs cannot be read.
         """
-        self._known = KnownRuns(self._table.read().values(), self._job.how.name)
+        self._known = KnownRuns(self._table.read().values(), self._job.configuration.name)
         planner = Planner(self._known, self._job)
-        return tuple(planner.step(drive) for drive in self.drives)
+        return tuple(planner.step(log) for log in self.logs)
 
     def run(self, start: StartBackend, display: Display) -> BatchSummary:
-        """Do what is to be done, as the one batch that writes the dataset.
+        """Run all steps while no other batch writes the dataset.
 
         Args:
-            start: gives the back end; called only where anything is to be done.
+            start: starts the back end; called only if a log must be replayed or checked.
             display: shows the progress.
 
         Raises:
@@ -255,22 +253,25 @@ class BatchRun:
             steps = self.plan()
             progress = BatchProgress(0, 0)
             try:
-                if any(step.action != "leave" for step in steps):
-                    progress = self._driven(steps, lock, start, display)
+                if any(step.action != "skip" for step in steps):
+                    progress = self._run(steps, lock, start, display)
             finally:
                 if lock.is_held:
                     self._table.fold()
-        before = [step.before.row for step in steps if step.is_failed and step.before is not None]
-        left = sum(step.action == "leave" for step in steps) - len(before)
-        undone = progress.logs - progress.done
-        failed = (*before, *progress.failed)
-        return BatchSummary(progress.done - len(progress.failed), left, progress.frames, failed, undone)
+        earlier = [step.previous.row for step in steps if step.is_failed and step.previous is not None]
+        return BatchSummary(
+            done=progress.done - len(progress.failed),
+            skipped=sum(step.action == "skip" for step in steps) - len(earlier),
+            not_started=progress.logs - progress.done,
+            frames=progress.frames,
+            failed=(*earlier, *progress.failed),
+        )
 
-    def _driven(self, steps: Sequence[Step], lock: DatasetLock, start: StartBackend, display: Display) -> BatchProgress:
-        with start() as backend, display() as watch:
+    def _run(self, steps: Sequence[Step], lock: DatasetLock, start: StartBackend, display: Display) -> BatchProgress:
+        with start() as backend, display() as show:
 
-            def watch_and_hold(progress: BatchProgress) -> None:
+            def on_progress(progress: BatchProgress) -> None:
                 lock.require_held()
-                watch(progress)
+                show(progress)
 
-            return Driver(self._job, backend, self._table, self._known, watch_and_hold).run(steps)
+            return Driver(self._job, backend, self._table, self._known, on_progress).run(steps)

@@ -1,7 +1,7 @@
 """The process that speaks to Ray: ``python -m roadperc_stream.batch.ray_session FILE_DESCRIPTOR``.
 
-Tasks come through the pipe; how they ended, and how large the cluster is, goes back. When the pipe is closed, this
-process leaves the cluster, or ends the Ray that it has started.
+The pipe brings tasks, and takes outcomes and the size of the cluster. When the pipe closes, this process leaves the
+cluster, or ends the Ray that it has started.
 """
 
 import logging
@@ -12,7 +12,7 @@ import tempfile
 import threading
 from collections.abc import Iterator
 from concurrent.futures import Future
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any, Final
@@ -35,7 +35,7 @@ from roadperc_stream.batch.task import Outcome, Task
 from roadperc_stream.errors import ClusterError
 
 _OBJECTS_BYTES: Final = 100_000_000
-"""Ray's store of objects: outcomes are small and bypass it."""
+"""Ray's object store, of the smallest size: outcomes are small and bypass it."""
 _STATE_EVERY_S: Final = 1.0
 _CHECK_WITHIN_S: Final = 30.0
 _LONGEST_FOLDER: Final = 36
@@ -44,26 +44,30 @@ _COLOURS: Final = re.compile(r"\x1b\[\d+m")
 
 
 def main() -> None:
-    """Serve the batch at the other end of the pipe until it closes it."""
+    """Serve the batch at the other end of the pipe until the pipe closes."""
     connection = Connection(int(sys.argv[1]))
     request: ClusterRequest = connection.recv()
     try:
         with _joined(request):
             _Session(connection, request).serve()
-    except Exception as error:  # Ray raises of many kinds; the batch at the other end tells its user
+    except Exception as error:  # Ray has no common base class; the batch prints the line
         with suppress(OSError):
             connection.send(_line(error))
 
 
 @contextmanager
 def _joined(request: ClusterRequest) -> Iterator[None]:
-    """Within Ray, and the workers have the code that the batch was started with.
+    """Join or start the cluster within the context.
 
     Raises:
-        ClusterError: they have another.
+        ClusterError: the workers have other code than the batch.
     """
-    with _started(request) if request.address == LOCAL else _connected(request.address):
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)  # Ray's own handler says what nobody asked for
+    options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL}
+    is_local = request.address == LOCAL
+    started: AbstractContextManager[dict[str, Any]] = _local(request) if is_local else nullcontext({})
+    with started as more:
+        ray.init(request.address, **options, **more)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)  # Ray's own handler prints
         try:
             _require_code(request.code)
             yield
@@ -72,53 +76,45 @@ def _joined(request: ClusterRequest) -> Iterator[None]:
 
 
 @contextmanager
-def _connected(address: str) -> Iterator[None]:
-    ray.init(address, log_to_driver=False, logging_level=logging.CRITICAL)
-    yield
-
-
-@contextmanager
-def _started(request: ClusterRequest) -> Iterator[None]:
-    """A Ray on this machine that reserves no more than the local processes of a batch would take."""
+def _local(request: ClusterRequest) -> Iterator[dict[str, Any]]:
+    """The options for a Ray on this machine that reserves no more than a batch without Ray uses."""
     usual = tempfile.gettempdir()
     root = usual if len(usual) <= _LONGEST_FOLDER and " " not in usual else "/tmp"
     with tempfile.TemporaryDirectory(prefix="ray-", dir=root, ignore_cleanup_errors=True) as folder:
-        ray.init(
-            LOCAL,
-            num_cpus=request.jobs,
-            num_gpus=0,
-            include_dashboard=False,
-            object_store_memory=_OBJECTS_BYTES,
-            log_to_driver=False,
-            logging_level=logging.CRITICAL,
-            _memory=request.jobs * request.memory_bytes,
-            _temp_dir=folder,
-        )
-        yield
+        yield {
+            "num_cpus": request.jobs,
+            "num_gpus": 0,
+            "include_dashboard": False,
+            "object_store_memory": _OBJECTS_BYTES,
+            "_memory": request.jobs * request.memory_bytes,
+            "_temp_dir": folder,
+        }
 
 
 def _require_code(code: str) -> None:
     check = ray.remote(code_on_node).options(num_cpus=0)
     if ray.get(check.remote(), timeout=_CHECK_WITHIN_S) != code:
-        raise ClusterError("its machines have another version of roadperc_stream than this one: install the same")
+        raise ClusterError(
+            "its machines have another version of roadperc_stream than this one; install the same version"
+        )
 
 
 class _Session:
-    """A cluster, and the batch that it works for."""
+    """Runs the tasks of a batch on a cluster."""
 
     def __init__(self, connection: Connection, request: ClusterRequest) -> None:
         self._connection, self._request = connection, request
         self._sending = threading.Lock()
         self._tasks: dict[str, Any] = {}
-        # Where the machine with the count is lost, another one goes on with it.
+        # Ray restarts the count on another machine if its machine is lost.
         self._count: Any = ray.remote(FrameCount).options(num_cpus=0, max_restarts=-1).remote()
         self._attempt = ray.remote(attempt_on_node)
         self._largest_bytes = 0
 
     def serve(self) -> None:
-        """Work on tasks until the batch closes the pipe; then end those at work."""
-        self._tell_state()
-        threading.Thread(target=self._keep_telling, daemon=True).start()
+        """Run tasks until the batch closes the pipe; then end the running tasks."""
+        self._send_state()
+        threading.Thread(target=self._keep_sending, daemon=True).start()
         with suppress(EOFError, OSError):
             while True:
                 self._submit(self._connection.recv())
@@ -127,9 +123,9 @@ class _Session:
                 ray.cancel(reference, force=True)
 
     def _submit(self, task: Task) -> None:
-        """Begin with a task; one that asks for more memory than any machine has would wait for ever."""
+        """Start a task with at most the memory of the largest machine; Ray never starts a task that asks for more."""
         memory_bytes = min(self._request.memory_bytes, self._largest_bytes)
-        name = f"replay {task.drive.stem}"  # in the dashboard, and of the worker's process
+        name = f"replay {task.log.stem}"  # in the dashboard, and the title of the worker's process
         call = self._attempt.options(name=name, num_cpus=1, memory=memory_bytes, max_retries=0)
         reference = call.remote(task, self._count)
         self._tasks[task.key] = reference
@@ -140,22 +136,22 @@ class _Session:
         error = future.exception()
         self._send(TaskEnd(key, future.result() if error is None else Outcome("killed", _line(error))))
 
-    def _keep_telling(self) -> None:
+    def _keep_sending(self) -> None:
         while not threading.Event().wait(_STATE_EVERY_S):
             with suppress(RayError, OSError):
-                self._tell_state()
+                self._send_state()
 
-    def _tell_state(self) -> None:
-        """Ray's own sum of resources still counts, for a while, the machines that are lost."""
+    def _send_state(self) -> None:
+        """Send CPUs and progress; Ray's own sum of resources counts lost machines for a while."""
         nodes: list[dict[str, Any]] = ray.nodes()  # type: ignore[no-untyped-call]
         machines = [node["Resources"] for node in nodes if node["Alive"]]
         self._largest_bytes = int(max((machine.get("memory", 0) for machine in machines), default=0))
-        self._send(ClusterState(int(sum(machine.get("CPU", 0) for machine in machines)), self._at_work()))
+        self._send(ClusterState(int(sum(machine.get("CPU", 0) for machine in machines)), self._running()))
 
-    def _at_work(self) -> dict[str, Frames]:
+    def _running(self) -> dict[str, Frames]:
         with suppress(RayError):
-            told: dict[str, Frames] = ray.get(self._count.told.remote(), timeout=_STATE_EVERY_S)
-            return told
+            frames: dict[str, Frames] = ray.get(self._count.all.remote(), timeout=_STATE_EVERY_S)
+            return frames
         return {}
 
     def _send(self, message: SessionMessage) -> None:
@@ -164,17 +160,17 @@ class _Session:
 
 
 def _line(error: BaseException) -> str:
-    """What went wrong, in a line: the last one where Ray hands over a traceback."""
+    """The error in a line: the last line of a traceback."""
     lines = [line.strip() for line in _COLOURS.sub("", str(error)).strip().splitlines()] or [type(error).__name__]
     match error:
         case RayTaskError():
-            return f"a fault on the machine it was given to: {lines[-1]}"
+            return f"the task failed on its machine: {lines[-1]}"
         case NodeDiedError():
-            return "the machine it was on left the cluster"
+            return "the machine of the task left the cluster"
         case WorkerCrashedError():
-            return "the worker it was on died"
+            return "the worker of the task died"
         case OutOfMemoryError():
-            return "the machine it was on ran out of memory"
+            return "the machine of the task ran out of memory"
     return lines[-1] if any(line.endswith("(most recent call last):") for line in lines) else " ".join(lines)
 
 

@@ -1,7 +1,7 @@
-"""The list of a dataset's runs: ``runs.parquet``, and beside it the rows of the running batch.
+"""The list of runs of a dataset: ``runs.parquet``, and the folder ``runs/`` with the rows of the running batch.
 
-A batch saves its own rows often, and merges all rows into ``runs.parquet`` at its end. So the rows of a killed batch
-are not lost.
+A batch saves its own rows often, and merges all rows into ``runs.parquet`` at its end. The rows of a killed batch are
+therefore not lost.
 """
 
 import os
@@ -24,21 +24,21 @@ from roadperc_stream.schemas.columns.runs import RUN_TIME_COLUMNS, RunRow
 from roadperc_stream.system.files import TABLE_SUFFIX, target_errors
 
 ALL: Final = f"runs{TABLE_SUFFIX}"
-AT_WORK: Final = "runs"
+RUNNING: Final = "runs"
 _REMEDY: Final = "remove it to replay all logs again"
 _UNFINISHED: Final = "runs-"
 
 
 @dataclass(frozen=True)
 class BatchRow:
-    """A row, and its seconds of each stage by column."""
+    """A row, and the seconds of each stage by column."""
 
     row: RunRow
     stages_s: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def key(self) -> tuple[str, str]:
-        """Two rows with the same one are of the same log and configuration."""
+        """The log and the configuration."""
         return self.row.log_id or self.row.path, self.row.config
 
 
@@ -48,7 +48,7 @@ Rows = dict[tuple[str, str], BatchRow]
 def merged(*some: Iterable[BatchRow]) -> Rows:
     """The newest row of each log and configuration.
 
-    A log without a digest is known by its path: once it has one under that path, the row without has no more to say.
+    A log without a digest is known by its path. A newer row with a digest under that path replaces it.
     """
     rows: Rows = {}
     for run in sorted((run for runs in some for run in runs), key=lambda run: run.row.finished_ns):
@@ -83,32 +83,32 @@ class KnownRuns:
             self._by_name.setdefault(name, set()).add(run.key)
 
     def get(self, log: str) -> BatchRow | None:
-        """The row of a log by its digest, or by its path where it has none."""
+        """The row of a log by its digest, or by its path if it has no digest."""
         return self._by_key.get((log, self._config))
 
     def named(self, name: str) -> list[BatchRow]:
-        """The rows of the logs that were last seen under a name, the newest first."""
+        """The rows of the logs with this name, the newest first."""
         runs = (self._by_key[key] for key in self._by_name.get(name, ()))
         return sorted((run for run in runs if name in run.row.names), key=lambda run: -run.row.finished_ns)
 
     def done_of_size(self, size_bytes: int) -> list[BatchRow]:
-        """The rows of logs of a size that were replayed."""
+        """The rows of replayed logs of a size."""
         runs = (self._by_key[key] for key in sorted(self._by_size.get(size_bytes, ())))
         return [run for run in runs if run.row.size_bytes == size_bytes and run.row.status == "done"]
 
 
 class RunsTable:
-    """The rows of a dataset, as the batch that holds its lock reads and writes them."""
+    """The rows of a dataset; only the batch with the dataset's lock writes them."""
 
     def __init__(self, folder: Location) -> None:
         self._folder = folder
         started = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
-        self._own_name = f"{AT_WORK}/{started}-{socket.gethostname()}-{os.getpid()}{TABLE_SUFFIX}"
+        self._own_name = f"{RUNNING}/{started}-{socket.gethostname()}-{os.getpid()}{TABLE_SUFFIX}"
         self._own: Rows = {}
         self._is_saved = True
 
     def read(self) -> Rows:
-        """All rows, those of batches that were killed included.
+        """All rows, also those of killed batches.
 
         Raises:
             StorageError: the dataset cannot be read.
@@ -116,11 +116,11 @@ class RunsTable:
         """
         return merged(*self._tables(), self._own.values())
 
-    def _at_work(self) -> list[str]:
-        return [f"{AT_WORK}/{name}" for name in self._folder.at(AT_WORK).files(TABLE_SUFFIX)]
+    def _running(self) -> list[str]:
+        return [f"{RUNNING}/{name}" for name in self._folder.at(RUNNING).files(TABLE_SUFFIX)]
 
     def _tables(self) -> Iterator[list[BatchRow]]:
-        for name in (ALL, *self._at_work()):
+        for name in (ALL, *self._running()):
             file = self._folder.at(name)
             if (data := file.read()) is not None:
                 yield _runs_in(data, file.address)
@@ -131,35 +131,37 @@ class RunsTable:
         self._is_saved = False
 
     def save(self) -> None:
-        """Write the rows that were added.
+        """Write the added rows.
 
         Raises:
-            StorageError: the dataset cannot be written.
-            TargetError: it is on this machine, and cannot be written.
+            StorageError: the store cannot be written.
+            TargetError: the local dataset cannot be written.
         """
         if not self._is_saved:
             self._write(self._own.values(), self._own_name)
             self._is_saved = True
 
     def fold(self) -> None:
-        """Merge the rows of all batches into the one list.
+        """Merge the rows of all batches into ``runs.parquet``.
 
         Raises:
-            StorageError: the dataset cannot be written.
-            TargetError: it is on this machine, and cannot be written.
+            StorageError: the store cannot be written.
+            TargetError: the local dataset cannot be written.
         """
-        names = self._at_work()
+        names = self._running()
         if names or not self._is_saved:
             self._write(self.read().values(), ALL)
             self._is_saved = True
         for name in names:
             self._folder.at(name).remove()
         if self._folder.is_local:
-            for left_over in Path(self._folder.address, SCRATCH).glob(f"{_UNFINISHED}*"):  # of batches that were killed
-                shutil.rmtree(left_over, ignore_errors=True)
+            for leftover in Path(self._folder.address, SCRATCH).glob(f"{_UNFINISHED}*"):  # of killed batches
+                shutil.rmtree(leftover, ignore_errors=True)
 
     def _write(self, runs: Iterable[BatchRow], name: str) -> None:
-        scratch = Path(self._folder.address, SCRATCH) if self._folder.is_local else None  # the system's may be full
+        scratch = (
+            Path(self._folder.address, SCRATCH) if self._folder.is_local else None
+        )  # the system's folder may be full
         if scratch is not None:
             with target_errors(scratch):
                 scratch.mkdir(parents=True, exist_ok=True)
@@ -175,7 +177,7 @@ def _runs_in(data: bytes, address: str) -> list[BatchRow]:
     try:
         rows = rows_in(data, address)
     except TableError as error:
-        raise TableError(f"{address}: is not a list of runs that can be read; {_REMEDY}") from error
+        raise TableError(f"{address}: not a readable list of runs; {_REMEDY}") from error
     return [_run_of(row, address) for row in rows]
 
 
@@ -187,7 +189,7 @@ def _run_of(row: Mapping[str, Any], address: str) -> BatchRow:
     try:
         values = msgspec.convert(row, RunRow)
     except msgspec.ValidationError as error:
-        raise TableError(f"{address}: is not a list of runs of this program: {error}; {_REMEDY}") from error
+        raise TableError(f"{address}: not a list of runs of this program: {error}; {_REMEDY}") from error
     if len(values.names) != len(values.fingerprints):
-        raise TableError(f"{address}: is not a list of runs of this program: names without fingerprints; {_REMEDY}")
+        raise TableError(f"{address}: not a list of runs of this program: names without fingerprints; {_REMEDY}")
     return BatchRow(values, stages_s)

@@ -1,4 +1,4 @@
-"""What goes to a worker, and what comes back: both are sent between processes and machines."""
+"""Tasks for workers, and their outcomes; both are sent between processes and machines."""
 
 import hashlib
 import os
@@ -30,11 +30,11 @@ _LIBRARIES: Final = ("numpy", "opencv-python-headless", "scipy")
 
 @dataclass(frozen=True)
 class BatchConfiguration:
-    """Everything but the log that results depend on.
+    """Everything that results depend on, except the log.
 
     Args:
         cfg: the chain's configuration.
-        topics: role and topic, where logs have topics of their own.
+        topics: (role, topic) for topics with other names.
         time_range: the part of every log to replay.
     """
 
@@ -44,7 +44,7 @@ class BatchConfiguration:
 
     @cached_property
     def name(self) -> str:
-        """Eight hexadecimal digits, from what is not the default: a new setting leaves the names as they are."""
+        """Eight hexadecimal digits of the values that are not the default, so that a new setting changes no name."""
         return _digest(f"{self.settings}\n{self.options}".encode("utf-8", "backslashreplace"))
 
     @property
@@ -55,28 +55,23 @@ class BatchConfiguration:
     @property
     def options(self) -> str:
         """The other options, as on the command line."""
-        given: dict[str, float | None] = {
+        limits: dict[str, float | None] = {
             "start": self.time_range.start_s,
             "end": self.time_range.end_s,
             "frames": self.time_range.frames,
         }
         topics = (f"--topic {role}={topic}" for role, topic in sorted(self.topics))
-        return " ".join(
-            (*topics, *(f"--{name} {_exactly(value)}" for name, value in given.items() if value is not None))
-        )
-
-
-def _exactly(value: float) -> str:
-    """A number with all its digits: another one is another configuration."""
-    return str(value).removesuffix(".0")
+        # All digits: another number is another configuration.
+        numbers = {name: str(value).removesuffix(".0") for name, value in limits.items() if value is not None}
+        return " ".join((*topics, *(f"--{name} {value}" for name, value in numbers.items())))
 
 
 @cache
 def code_digest() -> str:
     """Eight hexadecimal digits of the modules that results depend on.
 
-    A change of the chain replays all logs again, without a new version. A compiled kernel does not count: its plain
-    form has the same results and is among the modules.
+    A change of the chain makes a batch replay all logs again. Compiled kernels do not count: their plain forms have the
+    same results and are among the modules.
     """
     root = Path(roadperc_stream.__file__).parent
     modules = [path for pattern in _RESULTS_DEPEND_ON for path in root.glob(pattern)]
@@ -86,7 +81,7 @@ def code_digest() -> str:
 
 @cache
 def libraries() -> str:
-    """The versions of the libraries that compute."""
+    """The versions of the numeric libraries."""
     return ", ".join(f"{name} {version(name)}" for name in _LIBRARIES)
 
 
@@ -95,41 +90,41 @@ def _digest(data: bytes) -> str:
 
 
 KeepLogs = Literal["no", "whole", "results"]
-"""Which result log stays in the dataset: none, one as a replay writes it, or one without the input's messages."""
+"""The result log in the dataset: none, a whole one, or one without the input's messages."""
 METRICS, OBJECTS, LOGS, SCRATCH = "metrics", "objects", "logs", ".work"
-"""The folders of a dataset; the last one is for partial files, in a local dataset only."""
+"""The folders of a dataset; only a local dataset has the last one, for partial files."""
 _KEY_DIGITS: Final = 16
 
 
 def name_in(folder: str, date: str, log_id: str, config: str) -> str:
-    """The name in the dataset of a log's file under a configuration."""
+    """The name of a file in the dataset, of a log under a configuration."""
     return f"{folder}/date={date}/{log_id}-{config}{'.mcap' if folder == LOGS else TABLE_SUFFIX}"
 
 
 @dataclass(frozen=True)
-class DriveFiles:
-    """A log, or the files of one in parts, in the order of their names."""
+class LogFiles:
+    """The files of one log, in the order of their names."""
 
     files: tuple[StoredFile, ...]
 
     @property
     def name(self) -> str:
-        """The path or address of its first file; bytes of a file's name that are no text are escaped."""
+        """The path or address of its first file; bytes that are not UTF-8 are escaped."""
         return as_text(self.files[0].address)
 
     @property
     def stem(self) -> str:
-        """The name of its first file alone."""
+        """The name of its first file without folder and suffix."""
         return PurePosixPath(self.name).stem
 
     @property
     def size_bytes(self) -> int:
-        """Of all its files."""
+        """The size of all files."""
         return sum(file.size_bytes for file in self.files)
 
     @cached_property
     def fingerprint(self) -> str:
-        """Differs whenever what is in the files may."""
+        """A text that changes when the content of a file may have changed."""
         if len(self.files) == 1:
             return self.files[0].fingerprint
         text = "\n".join(f"{file.address} {file.fingerprint}" for file in self.files)
@@ -138,24 +133,24 @@ class DriveFiles:
 
 @dataclass(frozen=True)
 class BatchJob:
-    """What a batch does with each of its logs.
+    """The options of a batch.
 
     Args:
-        how: the configuration.
+        configuration: of all replays.
         out: the dataset.
         keep_logs: the result log to keep.
-        recover: replay what can be read of damaged logs.
-        timeout_s: seconds that an attempt may take; None: as long as it needs.
-        memory_bytes: memory that an attempt may take.
-        retries: how often a log is tried again whose worker died.
+        recover: replay the readable part of damaged logs.
+        timeout_s: limit of an attempt in seconds; None for no limit.
+        memory_bytes: limit of an attempt.
+        retries: retries of a log whose worker died.
         fail_fast: stop at the first log that fails.
         verify: read every log instead of trusting its size and modification time.
         retry_failed: replay damaged and empty logs again, although they have not changed.
-        scratch: folder for temporary files on the workers' machines; None: within the dataset, or the system's.
-        code: digest of the code that the batch was started with, which is to be the workers'; empty: not checked.
+        scratch: folder for temporary files on the workers' machines; None for the dataset, or the system's folder.
+        code: digest of the batch's code, which the workers must have too; empty to skip the check.
     """
 
-    how: BatchConfiguration
+    configuration: BatchConfiguration
     out: Location
     keep_logs: KeepLogs = "no"
     recover: bool = False
@@ -174,36 +169,34 @@ class Task:
     """A log to replay into a dataset.
 
     Args:
-        drive: the log.
-        job: what the batch does with it.
-        same_ids: logs that are in the dataset already and that this one may be, under another name or another time of
-            change: then nothing is left to do.
-        was_recovered: whether the dataset's log was recovered; this one is then read in the same way, to see whether it
-            is the same still.
+        log: the log.
+        job: the options of the batch.
+        known_ids: ids of logs in the dataset whose content this log may have; a log with one of them is not replayed.
+        was_recovered: the dataset's log was recovered, so this log is read with ``--recover`` for the comparison.
     """
 
-    drive: DriveFiles
+    log: LogFiles
     job: BatchJob
-    same_ids: tuple[str, ...] = ()
+    known_ids: tuple[str, ...] = ()
     was_recovered: bool = False
 
     @cached_property
     def content_key(self) -> str:
-        """Differs where the log, or what replays it, has changed: nothing that is not complete then is of use."""
-        return hashlib.sha256(f"{self.drive.fingerprint}\n{self.job.code}".encode()).hexdigest()[:_KEY_DIGITS]
+        """A text that changes with the log and the code; partial results of another key are useless."""
+        return hashlib.sha256(f"{self.log.fingerprint}\n{self.job.code}".encode()).hexdigest()[:_KEY_DIGITS]
 
     @cached_property
     def key(self) -> str:
-        """Names the log and the configuration where the log's digest is not known yet."""
-        return hashlib.sha256(f"{self.drive.name}\n{self.job.how.name}".encode()).hexdigest()[:_KEY_DIGITS]
+        """The name of log and configuration before the log's digest is known."""
+        return hashlib.sha256(f"{self.log.name}\n{self.job.configuration.name}".encode()).hexdigest()[:_KEY_DIGITS]
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How an attempt ended; what is not known is None or 0.
+    """The outcome of an attempt; unknown values are None or 0.
 
-    ``is_new`` is False where the log was in the dataset already, ``stages_s`` are the seconds of each stage by column,
-    ``frames_before`` those that an interrupted attempt had computed.
+    ``is_new`` is False if the dataset already has the log. ``stages_s`` has the seconds of each stage by column.
+    ``frames_before`` counts the frames of an interrupted attempt.
     """
 
     status: RunStatus
@@ -228,6 +221,6 @@ def this_worker() -> str:
     return f"{socket.gethostname()}:{os.getpid()}"
 
 
-def as_text(words: str) -> str:
-    """Words in which the bytes of a file's name that are no text are escaped: no table takes them."""
-    return words.encode("utf-8", "backslashreplace").decode()
+def as_text(text: str) -> str:
+    """A text for a table: the bytes of a file's name that are not UTF-8 are escaped."""
+    return text.encode("utf-8", "backslashreplace").decode()

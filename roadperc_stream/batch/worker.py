@@ -1,4 +1,4 @@
-"""One log of a batch: fetched where it is elsewhere, replayed, its tables put into the dataset."""
+"""Replays one log of a batch: fetches it from a store, replays it, and puts its tables into the dataset."""
 
 import hashlib
 import os
@@ -49,48 +49,48 @@ from roadperc_stream.system.text import print_line
 from roadperc_stream.system.time import NS_PER_S
 
 _CHECKPOINTS: Final = ReplayOptions(checkpoint_every_s=60.0, resume=True)
-"""Seconds of log after which a replay that is killed goes on, rather than from the start."""
+"""A killed replay continues at its last checkpoint."""
 _FREE_WITHIN_S: Final = 30.0
-_LOOKS_EVERY_S: Final = 0.2
+_CHECK_EVERY_S: Final = 0.2
 _DIGITS: Final = 16
 _MB: Final = 1e6
 _MEMORY_UNIT: Final = 1 if sys.platform == "darwin" else 1024
-"""In which the system counts the most memory that a process has held, bytes."""
+"""Bytes of the unit of ``ru_maxrss``."""
 
 
-def work(task: Task, progress: Progress) -> Outcome:
-    """Replay a log into the dataset; what goes wrong with the log is an outcome as well.
+def work(task: Task, on_progress: Progress) -> Outcome:
+    """Replay a log into the dataset; an error of the log is an outcome as well.
 
     Args:
         task: the log, and what to do with it.
-        progress: takes the frames done and the frames expected.
+        on_progress: called during the replay.
     """
     started = perf_counter()
     keep_freed_memory()
     try:
         with _claimed(task) as folder:
-            outcome = _tried(task, folder, progress)
-            said = outcome.error and _with_addresses(outcome.error, task, folder)
+            outcome = _outcome_of(task, folder, on_progress)
+            error = outcome.error and _with_addresses(outcome.error, task, folder)
             warnings = tuple(_with_addresses(text, task, folder) for text in outcome.warnings)
-            outcome = replace(outcome, error=said, warnings=warnings)
+            outcome = replace(outcome, error=error, warnings=warnings)
             if outcome.status not in OF_THE_MACHINE:
                 shutil.rmtree(folder, ignore_errors=True)
-    except (OSError, StorageError, TargetError) as error:
-        outcome = Outcome("unreachable", _line(error))
+    except (OSError, StorageError, TargetError) as refused:
+        outcome = Outcome("unreachable", _line(refused))
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _MEMORY_UNIT / _MB
     return replace(outcome, seconds=perf_counter() - started, peak_memory_mb=peak_mb, worker=this_worker())
 
 
-def _tried(task: Task, folder: Path, progress: Progress) -> Outcome:
-    """Replay a log; why it cannot be is what comes of it."""
+def _outcome_of(task: Task, folder: Path, on_progress: Progress) -> Outcome:
+    """Replay a log, and turn an error into an outcome."""
     try:
-        return _replayed(task, folder, progress)
+        return _replayed(task, folder, on_progress)
     except NoFrameError as error:
         return Outcome("empty", _line(error))
     except (StorageError, TargetError, OSError) as error:
         return Outcome("unreachable", _line(error))
     except LogError as error:
-        return Outcome("damaged" if task.drive.size_bytes else "empty", _line(error))
+        return Outcome("damaged" if task.log.size_bytes else "empty", _line(error))
     except RoadpercError as error:
         return Outcome("unfit", _line(error))
     except MemoryError:
@@ -102,7 +102,7 @@ def _line(error: Exception) -> str:
 
 
 def scratch_of(task: Task) -> Path:
-    """The folder for what is not complete: where an interrupted replay of the same log goes on.
+    """The folder for partial files of a task, where an interrupted replay continues.
 
     Raises:
         TargetError: as ``scratch_root``.
@@ -111,7 +111,7 @@ def scratch_of(task: Task) -> Path:
 
 
 def scratch_root(job: BatchJob) -> Path:
-    """The folder for what is not complete of a dataset: in the dataset, or in a private folder that this makes.
+    """The folder for partial files: in the dataset, or in a private folder, which this function makes.
 
     Raises:
         TargetError: the private folder cannot be made, or is not private.
@@ -125,13 +125,12 @@ def scratch_root(job: BatchJob) -> Path:
 
 @contextmanager
 def _claimed(task: Task) -> Iterator[Path]:
-    """Hold a task's folder; a process of a batch that was killed may still hold it for some seconds.
+    """Lock a task's folder; a process of a killed batch may hold it for some seconds.
 
-    What is in it is of use for the next attempt: a checkpoint, or a log that has been fetched. That of a log, or code,
-    as it was before goes.
+    Its files are for the next attempt: a checkpoint, or a fetched log. Folders of earlier content or code are removed.
 
     Raises:
-        StorageError: another process keeps it.
+        StorageError: another process keeps the lock.
     """
     folder = scratch_of(task)
     folder.mkdir(parents=True, exist_ok=True)
@@ -139,61 +138,62 @@ def _claimed(task: Task) -> Iterator[Path]:
     until_s = perf_counter() + _FREE_WITHIN_S
     while not lock.take():
         if perf_counter() > until_s:
-            raise StorageError(f"{folder}: another process is at work on this log; try again when it has ended")
-        time.sleep(_LOOKS_EVERY_S)
-    for former in folder.parent.glob(f"{task.key}.*"):
-        if former != folder and former.is_dir():
-            shutil.rmtree(former, ignore_errors=True)
+            raise StorageError(f"{folder}: another process replays this log; run the command again when it has ended")
+        time.sleep(_CHECK_EVERY_S)
+    for earlier in folder.parent.glob(f"{task.key}.*"):
+        if earlier != folder and earlier.is_dir():
+            shutil.rmtree(earlier, ignore_errors=True)
     try:
         yield folder
     finally:
-        with suppress(OSError):  # something is in it
+        with suppress(OSError):  # it has files for the next attempt
             folder.rmdir()
         lock.release()
 
 
-def _replayed(task: Task, folder: Path, progress: Progress) -> Outcome:
+def _replayed(task: Task, folder: Path, on_progress: Progress) -> Outcome:
+    job = task.job
     _require_same_code(task)
     before = _identities(task)
     paths = _fetched(task, folder)
-    target = ReplayTarget(folder / "out.mcap", results_only=task.job.keep_logs != "whole", force=True)
-    source = ReplaySource(paths, dict(task.job.how.topics), task.job.how.time_range, task.job.recover)
+    target = ReplayTarget(folder / "out.mcap", results_only=job.keep_logs != "whole", force=True)
+    source = ReplaySource(paths, dict(job.configuration.topics), job.configuration.time_range, job.recover)
     try:
         known_id = _known_id(task, source)
         if known_id is None:
-            summary = replay(source, target, task.job.how.cfg, _CHECKPOINTS, Callbacks(progress))
+            summary = replay(source, target, job.configuration.cfg, _CHECKPOINTS, Callbacks(on_progress))
     finally:
-        for name, identity in _identities(task).items():  # a log may look damaged that is half another file
+        for name, identity in _identities(task).items():  # a mixture of two files may look damaged
             if identity != before[name]:
-                raise StorageError(f"{name}: changed while it was replayed")
+                raise StorageError(f"{name}: changed while it was replayed; run the command again")
     if known_id is not None:
         return Outcome("done", log_id=known_id, is_new=False)
-    for remark in summary.remarks:  # the output of a process is stored in the dataset
+    for remark in summary.remarks:  # the dataset stores the output of the process
         print_line(_with_addresses(remark, task, folder))
     return _published(task, target, summary)
 
 
 def _published(task: Task, target: ReplayTarget, summary: ReplaySummary) -> Outcome:
-    """Put tables and, with ``--logs``, the log into the dataset; the metrics table comes last.
+    """Put the tables and, with ``--logs``, the log into the dataset; the metrics table comes last.
 
     Raises:
         StorageError: the dataset cannot be written.
-        TargetError: there is no space for what is copied.
+        TargetError: no space for the copies.
     """
     job, log_id = task.job, summary.log_id
     date = datetime.fromtimestamp(summary.first_ns // NS_PER_S, UTC).date().isoformat()
-    names = {folder: name_in(folder, date, log_id, job.how.name) for folder in (METRICS, OBJECTS, LOGS)}
+    names = {folder: name_in(folder, date, log_id, job.configuration.name) for folder in (METRICS, OBJECTS, LOGS)}
     keeps_log = job.keep_logs != "no"
-    facts = {"source": task.drive.name, "log": job.out.at(names[LOGS]).address if keeps_log else ""}
-    facts["options"] = job.how.options
+    facts = {"source": task.log.name, "log": job.out.at(names[LOGS]).address if keeps_log else ""}
+    facts["options"] = job.configuration.options
     measured = totals(target.metrics, TIME_COLUMNS)
     if keeps_log:
         job.out.at(names[LOGS]).put(target.path)
     else:
-        job.out.at(names[LOGS]).remove()  # a log of an earlier run does not belong to these tables
+        job.out.at(names[LOGS]).remove()  # an earlier result log does not belong to these tables
     for folder, table in ((OBJECTS, target.objects), (METRICS, target.metrics)):
         copy = table.with_suffix(".copy")
-        copy_table(table, copy, facts, {"config": job.how.name})
+        copy_table(table, copy, facts, {"config": job.configuration.name})
         job.out.at(names[folder]).put(copy)
     return Outcome(
         "done",
@@ -210,16 +210,16 @@ def _published(task: Task, target: ReplayTarget, summary: ReplaySummary) -> Outc
 
 
 def _known_id(task: Task, source: ReplaySource) -> str | None:
-    """The digest of a log that is in the dataset already; None of another one."""
-    if not task.same_ids:
+    """The id of a log that the dataset already has; None for a new log."""
+    if not task.known_ids:
         return None
-    as_before = replace(source, recover=task.job.recover or task.was_recovered)
-    log_id = open_log(as_before, task.job.how.cfg).input.log_id
-    return log_id if log_id in task.same_ids else None
+    source = replace(source, recover=source.recover or task.was_recovered)
+    log_id = open_log(source, task.job.configuration.cfg).input.log_id
+    return log_id if log_id in task.known_ids else None
 
 
 def _require_same_code(task: Task) -> None:
-    """Check that a worker elsewhere computes what the others compute.
+    """Check that this worker has the code of the batch.
 
     Raises:
         StorageError: it has another version of the program.
@@ -227,48 +227,48 @@ def _require_same_code(task: Task) -> None:
     if task.job.code and task.job.code != code_digest():
         found = f"{roadperc_stream.__version__}, code {code_digest()}"
         raise StorageError(
-            f"{this_worker()}: has another version of roadperc_stream ({found}); expected {task.job.code}"
+            f"{this_worker()}: found roadperc_stream {found}, expected code {task.job.code}; install the same version"
         )
 
 
 def _copies_in(task: Task, folder: Path) -> Iterator[Path]:
-    """The path of each file on this machine: its own, or that of a copy in the folder."""
-    for number, file in enumerate(task.drive.files):
+    """The path of each file on this machine: its own path, or that of a copy in the folder."""
+    for number, file in enumerate(task.log.files):
         yield folder / f"{number}.mcap" if is_address(file.address) else Path(file.address)
 
 
 def _with_addresses(text: str, task: Task, folder: Path) -> str:
-    """What was said of copies, said of what they are copies of."""
-    for file, copy in zip(task.drive.files, _copies_in(task, folder), strict=True):
+    """The text with the addresses of the originals instead of the paths of the copies."""
+    for file, copy in zip(task.log.files, _copies_in(task, folder), strict=True):
         text = text.replace(str(copy), file.address)
     return text
 
 
 def _fetched(task: Task, folder: Path) -> tuple[Path, ...]:
-    """The log's files on this machine; those of a store are copied into a folder, unless an attempt before did so.
+    """The log's files on this machine; files of a store are copied unless an earlier attempt copied them.
 
     Raises:
-        StorageError: one cannot be read.
+        StorageError: a file cannot be read.
     """
     paths = tuple(_copies_in(task, folder))
-    for file, path in zip(task.drive.files, paths, strict=True):
+    for file, path in zip(task.log.files, paths, strict=True):
         if is_address(file.address) and not path.exists():
             Location(file.address).fetch(path)
     return paths
 
 
 def _identities(task: Task) -> dict[str, tuple[int, ...]]:
-    """What differs when a file of this machine does, by its name: a replay reads a log more than once.
+    """Device, inode, size and modification time of the local files, by name: a replay reads a log more than once.
 
     Raises:
-        StorageError: one cannot be looked at.
+        StorageError: a file does not exist.
     """
     found = dict[str, tuple[int, ...]]()
-    for name in (file.address for file in task.drive.files if not is_address(file.address)):
+    for name in (file.address for file in task.log.files if not is_address(file.address)):
         try:
             facts = Path(name).stat()
         except OSError as error:
-            words = f"no such file on {socket.gethostname()}; machines without a disk in common need addresses"
-            raise StorageError(f"{name}: {words}") from error
+            hint = "use addresses if the machines share no disk"
+            raise StorageError(f"{name}: no such file on {socket.gethostname()}; {hint}") from error
         found[name] = facts.st_dev, facts.st_ino, facts.st_size, facts.st_mtime_ns
     return found

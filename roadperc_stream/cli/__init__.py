@@ -1,1 +1,1 @@
-"""The commands: a thin file each, with its arguments; what does the work is imported when it runs."""
+"""The commands: one thin module each, with its arguments; the module that does the work is imported when it runs."""

@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 
 def add_input_arguments(parser: argparse.ArgumentParser) -> None:
-    """The settings, the topics and the part of the log: options of every command that replays."""
+    """Add the options of every command that replays: settings, topics and the part of the log."""
     add = parser.add_argument
-    config = add("--config", metavar="FILE", type=Path, help="TOML file with any of the settings")
-    setting = add("--set", metavar="KEY=VALUE", action="append", default=[], help="one setting; overrides FILE")
+    config = add("--config", metavar="FILE", type=Path, help="read settings from this TOML file")
+    setting = add("--set", metavar="KEY=VALUE", action="append", default=[], help="change one setting; overrides FILE")
     add_topic_argument(parser)
     add("--start", metavar="SECONDS", type=seconds, help="start this long after the first message")
     add("--end", metavar="SECONDS", type=seconds, help="end this long after the first message")
@@ -29,20 +29,25 @@ def add_input_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_topic_argument(parser: argparse.ArgumentParser) -> None:
-    """``--topic``, for every command that reads an input log."""
+    """Add ``--topic``, for every command that reads an input log."""
     action = parser.add_argument(
-        "--topic", metavar="ROLE=/NAME", action="append", default=[], help="use this topic for a role"
+        "--topic",
+        metavar="ROLE=/NAME",
+        action="append",
+        default=[],
+        help="use this topic for a role, such as image=/front/rgb",
     )
     completed_by(action, topics)
 
 
 def add_only_argument(parser: argparse.ArgumentParser) -> None:
-    """``--only``, for every command that replays with all stages by default."""
+    """Add ``--only``, for commands that run all stages by default."""
     action = parser.add_argument(
         "--only",
         metavar="STAGES",
         type=_stages,
-        help=f"run only these of {','.join(STAGES)} and the stages they need; without a depth sensor include stereo",
+        help=f"run only these stages, and the stages that they need: {','.join(STAGES)}; "
+        "a log without depth needs stereo",
     )
     completed_by(action, words(STAGES))
 
@@ -56,7 +61,7 @@ def _stages(text: str) -> tuple[str, ...]:
 
 
 def time_range_of(arguments: argparse.Namespace) -> "TimeRange":
-    """The part of the log that the options name.
+    """The part of the log that the options select.
 
     Raises:
         ConfigError: it ends before it starts.
@@ -87,20 +92,20 @@ _port = number(0, 65535, "0 to 65535", int)
 
 
 def add_serving_arguments(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
-    """``--rate``, ``--loop``, ``--host`` and ``--port``, None where not given."""
+    """Add ``--rate``, ``--loop``, ``--host`` and ``--port``; without an option its value is None."""
     group = parser.add_argument_group("serving to Foxglove")
-    group.add_argument("--rate", metavar="FACTOR", type=_rate, help="initial playback speed (default 1)")
-    group.add_argument("--loop", action="store_true", default=None, help="restart at the end")
+    group.add_argument("--rate", metavar="FACTOR", type=_rate, help="playback speed (default 1)")
+    group.add_argument("--loop", action="store_true", default=None, help="play the log again when it ends")
     group.add_argument("--host", metavar="ADDRESS", help="address to listen on (default 127.0.0.1, this machine only)")
     group.add_argument("--port", metavar="N", type=_port, help="port to listen on (default 8765; 0: any free port)")
     return group
 
 
 def serving_options(arguments: argparse.Namespace) -> PlaybackOptions:
-    """What ``add_serving_arguments`` read, and the defaults of the others."""
+    """The options of ``add_serving_arguments``, with defaults."""
     return PlaybackOptions(**{name: getattr(arguments, name) for name in given_options(arguments)})
 
 
 def given_options(arguments: argparse.Namespace) -> list[str]:
-    """Names of the serving options on the command line: without a server they are wrong usage."""
+    """Names of the serving options on the command line; without a server they are wrong usage."""
     return [name for name in _SERVING_OPTIONS if getattr(arguments, name) is not None]

@@ -12,12 +12,12 @@ from roadperc_stream.cli.plumbing import command_parser, number, parse, positive
 
 _EXAMPLE: Final = """\
 example:
-  roadperc-batch dataset drives/                        every log below drives/, on all cores
-  roadperc-batch dataset drives/                        again: only new and changed logs
-  roadperc-batch dataset drives/ --set lanes.hold_s=2   a second configuration in the same dataset
-  roadperc-report dataset
-  roadperc-batch dataset 'drives/2026-*/*.mcap' @more.txt --join '_\\d+$' --recover
-  roadperc-batch s3://bucket/dataset s3://bucket/drives/ --ray auto --memory 4GB
+  roadperc-batch dataset logs/                          replay every log below logs/, on all cores
+  roadperc-batch dataset logs/                          again: replay only new and changed logs
+  roadperc-batch dataset logs/ --set lanes.hold_s=2     add a second configuration to the dataset
+  roadperc-report dataset                               evaluate the dataset
+  roadperc-batch dataset 'logs/2026-*/*.mcap' @more.txt --join '_\\d+$' --recover
+  roadperc-batch s3://bucket/dataset s3://bucket/logs/ --ray auto --memory 4GB
 
 In Python: polars.scan_parquet("dataset/metrics/**/*.parquet", hive_partitioning=True)
 """
@@ -37,9 +37,9 @@ def main(argv: list[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser(
         "batch",
-        "Replay many logs into one dataset: a row per frame in OUT_DIR/metrics, a row per detection in\n"
-        "OUT_DIR/objects, a row per log, failed ones included, in OUT_DIR/runs.parquet. Run the same command\n"
-        "again to replay only new, changed and interrupted logs.",
+        "Replay many logs into one dataset. OUT_DIR/metrics has a row per frame, OUT_DIR/objects a row per\n"
+        "detection, OUT_DIR/runs.parquet a row per log, also for failed logs. Run the same command again to\n"
+        "replay only new, changed and interrupted logs.",
         _EXAMPLE,
     )
     add = parser.add_argument
@@ -48,14 +48,14 @@ def _parser() -> argparse.ArgumentParser:
         "logs",
         metavar="LOG",
         nargs="+",
-        help="a log, a folder, a glob in quotes, an address, or @FILE with one of these in each line",
+        help="a log, a folder, a glob in quotes, an address, or @FILE with one of these per line",
     )
     join = add(
         "--join",
         metavar="PATTERN",
         type=_pattern,
-        help="join files of one folder into one log if their names are equal without this regular expression; "
-        "'_\\d+$' joins drive_0.mcap and drive_1.mcap",
+        help="join the files of one folder whose names are equal without this regular expression into one log; "
+        "'_\\d+$' joins town_0.mcap and town_1.mcap",
     )
     add_input_arguments(parser)
     add_only_argument(parser)
@@ -68,14 +68,14 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_dataset_arguments(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("what to do")
+    group = parser.add_argument_group("dataset")
     add = group.add_argument
-    add("--logs", dest="keep_logs", action="store_true", help="also keep the result logs, in OUT_DIR/logs")
-    add("--results-only", action="store_true", help="with --logs: leave out the input's messages")
+    add("--logs", dest="keep_logs", action="store_true", help="also store the result logs in OUT_DIR/logs")
+    add("--results-only", action="store_true", help="with --logs: store only results, without the input's messages")
     add("--recover", action="store_true", help="replay the readable part of damaged logs and report the losses")
     add("--retry-failed", action="store_true", help="retry damaged and empty logs, even if unchanged")
-    add("--verify", action="store_true", help="read every log to detect changes, instead of comparing size and time")
-    add("--dry-run", action="store_true", help="print what the batch would do with each log, and why")
+    add("--verify", action="store_true", help="detect changed logs by their content, not by size and time; slow")
+    add("--dry-run", action="store_true", help="print the action and the reason for each log, and do nothing")
     add("--fail-fast", action="store_true", help="stop at the first log that fails")
 
 
@@ -86,44 +86,44 @@ def _add_worker_arguments(parser: argparse.ArgumentParser) -> None:
         "--jobs",
         metavar="N",
         type=whole_number,
-        help="logs at a time on this machine (default: one per core)",
+        help="replay N logs at a time on this machine (default: one per core)",
     )
     add(
         "--ray",
         metavar="ADDRESS",
-        help="use the Ray cluster at this address; auto: the cluster of this machine, local: start one here",
+        help="run on the Ray cluster at this address; auto: the cluster of this machine; local: start a cluster here",
     )
-    add("--timeout", metavar="SECONDS", type=positive_seconds, help="stop a log that takes longer (default: no limit)")
+    add("--timeout", metavar="SECONDS", type=positive_seconds, help="stop a replay after this time (default: no limit)")
     add(
         "--memory",
         metavar="SIZE",
         type=_bytes,
         default="2GB",
-        help="stop a log that needs more memory, such as 500MB or 4GiB (default 2GB); Ray reserves this much per log",
+        help="stop a replay that needs more memory, such as 500MB or 4GiB (default 2GB); Ray reserves it for each log",
     )
     add(
         "--retries",
         metavar="N",
         type=number(0, math.inf, "a whole number", int),
         default=2,
-        help="how often to retry a log whose worker died or that was unreachable (default 2)",
+        help="retries of a log that was unreachable or whose worker died (default 2)",
     )
     scratch = add(
         "--scratch",
         metavar="DIR",
         type=Path,
-        help="folder for temporary files on the worker's machine (default: OUT_DIR/.work, for an address $TMPDIR)",
+        help="folder for temporary files on each machine (default: OUT_DIR/.work, or $TMPDIR if OUT_DIR is an address)",
     )
     add("--quiet", action="store_true", help="print errors only")
     completed_by(scratch, files())
 
 
 def _require_sense(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
-    """End with a line on the usage, where an option has nothing to say."""
+    """Exit with code 2 if options contradict each other."""
     if arguments.results_only and not arguments.keep_logs:
-        parser.error("--results-only: only with --logs")
+        parser.error("--results-only needs --logs")
     if arguments.ray not in {None, "local"} and arguments.jobs is not None:
-        parser.error("--jobs: not together with --ray ADDRESS; the cluster says how many")
+        parser.error("--jobs cannot be combined with --ray ADDRESS; the cluster sets the number")
 
 
 def _pattern(text: str) -> "re.Pattern[str]":
@@ -132,7 +132,7 @@ def _pattern(text: str) -> "re.Pattern[str]":
     except re.error as error:
         raise argparse.ArgumentTypeError(f"{text!r}: expected a regular expression: {error}") from None
     if pattern.match(""):
-        raise argparse.ArgumentTypeError(f"{text!r}: finds nothing in particular")
+        raise argparse.ArgumentTypeError(f"{text!r}: matches every name; expected a pattern such as _\\d+$")
     return pattern
 
 

@@ -1,4 +1,4 @@
-"""What ``roadperc-batch`` does with its arguments, what it says of the logs, and how far it is on a terminal."""
+"""Runs ``roadperc-batch``: makes the job, shows progress on a terminal, and prints the results."""
 
 import argparse
 from collections import Counter
@@ -9,7 +9,7 @@ from time import monotonic, perf_counter
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from roadperc_stream.batch.backend import Backend, LocalBackend
-from roadperc_stream.batch.driver import BatchProgress, BatchRun, BatchSummary, Watch
+from roadperc_stream.batch.driver import BatchProgress, BatchRun, BatchSummary, OnProgress
 from roadperc_stream.batch.storage.location import Location
 from roadperc_stream.batch.task import BatchConfiguration, BatchJob, KeepLogs, code_digest
 from roadperc_stream.batch.worker import scratch_root
@@ -30,7 +30,7 @@ def batch_logs(arguments: argparse.Namespace) -> None:
     """Replay many logs into one dataset as the arguments say.
 
     Raises:
-        RoadpercError: a log failed, or nothing could be done at all.
+        RoadpercError: a log failed, or the batch cannot run.
     """
     started = perf_counter()
     job = _job(arguments)
@@ -41,25 +41,25 @@ def batch_logs(arguments: argparse.Namespace) -> None:
     try:
         summary = batch.run(lambda: _backend(arguments, job), lambda: _progress_shown(not arguments.quiet))
     except KeyboardInterrupt:
-        raise KeyboardInterrupt("interrupted; the same command goes on with what is not done") from None
+        raise KeyboardInterrupt("interrupted; run the same command again to continue") from None
     with optional_output():
         if not arguments.quiet:
             _print_summary(job, summary, perf_counter() - started)
         for row in summary.failed:
             print_line(_failure(row))
     if summary.failed:
-        failed = f"{len(summary.failed)} of {number(len(batch.drives), 'log')}"
-        raise RoadpercError(f"{job.out.address}: {failed} failed; runs.parquet there says how")
+        failed = f"{len(summary.failed)} of {number(len(batch.logs), 'log')}"
+        raise RoadpercError(f"{job.out.address}: {failed} failed; see status and error in runs.parquet")
 
 
 def _job(arguments: argparse.Namespace) -> BatchJob:
     topics = tuple(sorted(parse_topic_options(arguments.topic).items()))
-    how = BatchConfiguration(config_of(arguments), topics, time_range_of(arguments))
+    configuration = BatchConfiguration(config_of(arguments), topics, time_range_of(arguments))
     keep_logs: KeepLogs = "no"
     if arguments.keep_logs:
         keep_logs = "results" if arguments.results_only else "whole"
     return BatchJob(
-        how,
+        configuration,
         Location(arguments.out),
         keep_logs,
         timeout_s=arguments.timeout,
@@ -82,56 +82,55 @@ def _backend(arguments: argparse.Namespace, job: BatchJob) -> Backend:
 def _print_plan(batch: BatchRun) -> None:
     steps = batch.plan()
     for step in steps:
-        if step.action != "leave":
-            parts = f" ({len(step.drive.files)} parts)" if len(step.drive.files) > 1 else ""
-            print_line(f"{step.action}  {step.drive.name}{parts}: {step.why}")
+        if step.action != "skip":
+            files = f" ({len(step.log.files)} files)" if len(step.log.files) > 1 else ""
+            print_line(f"{step.action}  {step.log.name}{files}: {step.why}")
     for text, logs in sorted(Counter(f"{step.action}: {step.why}" for step in steps).items()):
         print_line(f"{number(logs, 'log')}  {text}")
 
 
 def _print_summary(job: BatchJob, summary: BatchSummary, seconds: float) -> None:
-    left = f", {summary.left} left as they are" if summary.left else ""
+    skipped = f", {summary.skipped} skipped" if summary.skipped else ""
     failed = f", {len(summary.failed)} failed" if summary.failed else ""
     rate = f" ({summary.frames / seconds:.1f} frames/s)" if summary.frames else ""
-    undone = f", {summary.undone} not begun" if summary.undone else ""
-    print_line(
-        f"{number(summary.done, 'log')} done{left}{failed}{undone}: {summary.frames} frames in {seconds:.1f} s{rate}"
-    )
-    print_line(f"dataset {job.out.address}, configuration {job.how.name}")
+    not_started = f", {summary.not_started} not started" if summary.not_started else ""
+    logs = f"{number(summary.done, 'log')} done{skipped}{failed}{not_started}"
+    print_line(f"{logs}: {summary.frames} frames in {seconds:.1f} s{rate}")
+    print_line(f"dataset {job.out.address}, configuration {job.configuration.name}")
 
 
 @contextmanager
-def _progress_shown(enabled: bool) -> Iterator[Watch]:
-    """A bar over the bytes of the logs, with logs and frames done, failures and the time left."""
+def _progress_shown(enabled: bool) -> Iterator[OnProgress]:
+    """Show a bar over the bytes of the logs, with logs and frames done, failures and the remaining time."""
     console = PipeConsole(stderr=True, highlight=False, markup=False, emoji=False)
     if not (enabled and console.is_terminal):
         yield lambda _: None
         return
     columns = (BarColumn(), TaskProgressColumn(), TextColumn("{task.description}"), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as bar:
-        console.show_cursor(True)  # a program that ends at once does not give it back
+        console.show_cursor(True)  # a killed program does not restore it
         task, started_s, shown_rows = bar.add_task("starting", total=None), monotonic(), 0
 
-        def watch(now: BatchProgress) -> None:
+        def show(now: BatchProgress) -> None:
             nonlocal shown_rows
             for row in now.failed[shown_rows:]:
                 console.print(shown(_failure(row)), soft_wrap=True)
             shown_rows = len(now.failed)
             text = _progress_text(now, monotonic() - started_s)
-            completed, total = now.bytes_done + now.bytes_at_work, now.bytes_expected or None
+            completed, total = now.bytes_done + now.bytes_running, now.bytes_expected or None
             bar.update(task, completed=completed, total=total, description=text)
 
-        yield watch
+        yield show
 
 
 def _progress_text(now: BatchProgress, seconds: float) -> str:
-    """Logs and frames done, frames a second, and failures."""
-    frames = now.frames + now.frames_at_work
+    """Logs and frames done, frames per second, and failures."""
+    frames = now.frames + now.frames_running
     failed = f", {len(now.failed)} failed" if now.failed else ""
     return f"{now.done}/{now.logs} logs{failed}, {frames} frames, {frames / max(seconds, 1e-9):.1f} frames/s"
 
 
 def _failure(row: RunRow) -> str:
-    """A log that failed, in a line."""
+    """One line for a failed log."""
     error = row.error or ""
     return f"{row.status:<11} {row.path}: {error.removeprefix(f'{row.path}: ')}"

@@ -1,4 +1,4 @@
-"""``roadperc-compare``: a run against a reference, field by field and metric by metric."""
+"""``roadperc-compare``: compare a run with a reference, by fields and metrics."""
 
 import argparse
 
@@ -9,23 +9,30 @@ _EXAMPLE = """\
 example:
   roadperc-replay logs/sample.mcap base.mcap
   roadperc-replay logs/sample.mcap other.mcap --set surface.inlier_m=0.5
-  roadperc-compare base.mcap other.mcap                    tables and, field by field, the messages of both logs
+  roadperc-compare base.mcap other.mcap                    compare the tables, and the messages of both logs
   roadperc-compare base.metrics.parquet other.metrics.parquet --allow surface_angle_error_deg=0.2 --allow 5%
-  roadperc-compare reference/ runs/ --update-reference     folders: runs of the same log pair; reference/ is kept
-  roadperc-compare dataset --config default --config lanes.hold_s=2    two configurations of a batch, log by log
+  roadperc-compare reference/ runs/ --update-reference     compare folders by log, then update reference/
+  roadperc-compare dataset --config default --config lanes.hold_s=2    compare two configurations of a batch
 
-exit code 0: no metric is worse than allowed, whether or not fields differ; 1: a metric is worse, a run or frame of A is
-not in B, with --exact a field differs beyond its tolerance, or an error occurred; 2: wrong usage.
+exit codes:
+  0  no metric is worse than allowed; fields may differ
+  1  a metric is worse, a run or a frame of A is missing in B, an error occurred, or with --exact a field differs by
+     more than its tolerance
+  2  wrong usage
 
-Fields are the tables' columns and, where A and B are logs, those of the results, such as lanes.boundaries.offset_m.
-Metrics are the errors against truth and the lanes' jitter (lane_left_error_m), the share of frames in which a column
-has a value (lane_left_error_m.coverage) or a stage its best state (odometry_status.tracked, surface_source.depth,
-lane_left_status.measured). Times are shown, and judged only where --allow names them: --allow total_ms=10%.
+fields: the columns of the tables. If A and B are logs, also the fields of the result messages, such as
+  lanes.boundaries.offset_m.
+metrics:
+  errors against truth and jitter of the lanes, such as lane_left_error_m
+  the share of frames with a value, such as lane_left_error_m.coverage
+  the share of frames in the best state of a stage: odometry_status.tracked, surface_source.depth,
+  lane_left_status.measured
+  Times are printed. They count for the verdict only with --allow, such as --allow total_ms=10%.
 """
 
 
 def main(argv: list[str] | None = None) -> int:
-    """``roadperc-compare``: print where two runs part, and whether the second is worse."""
+    """``roadperc-compare``: print the differences of two runs, and whether the second is worse."""
     parser = _parser()
     arguments = parse(parser, argv)
     _require_two(parser, arguments)
@@ -34,45 +41,50 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _require_two(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
-    """End with exit code 2 where arguments do not name two sides."""
+    """Exit with code 2 if the arguments do not name two sides."""
     if arguments.candidate is not None:
         if arguments.config:
-            parser.error("--config: is for two configurations of one batch's OUT_DIR; expected no B")
+            parser.error("--config compares two configurations of the dataset A; remove B")
     elif part("eval.dataset.place").dataset_at(arguments.reference) is None:
-        parser.error(f"{arguments.reference}: is no OUT_DIR of a batch; expected B to compare it with")
+        parser.error(f"{arguments.reference}: expected B, or the OUT_DIR of a batch as A")
     elif arguments.update_reference:
-        parser.error("--update-reference: expected A and B; a batch's OUT_DIR is no reference to be replaced")
+        parser.error("--update-reference needs A and B; it does not update the OUT_DIR of a batch")
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser(
         "compare",
-        "Compare a run B with a reference A: for every metric the paired difference with its interval, marked\n"
-        "better, worse or unchanged, and the verdict; then the fields that differ, each at its first frame.",
+        "Compare a run B with a reference A. Prints the difference of each metric with its confidence interval,\n"
+        "the verdict (better, worse or unchanged), and the first differing frame of each field.",
         _EXAMPLE,
     )
-    inputs = "a metrics table (OUT.metrics.parquet), an OUT.mcap with its table next to it, or a folder of tables"
-    reference = parser.add_argument("reference", metavar="A", help=f"the reference: {inputs}")
-    candidate = parser.add_argument(
-        "candidate", metavar="B", nargs="?", help="the candidate: the same; not where A is the OUT_DIR of a batch"
+    inputs = "OUT.metrics.parquet, an OUT.mcap with its table, or a folder of tables"
+    reference = parser.add_argument(
+        "reference", metavar="A", help=f"the reference: {inputs}; or the OUT_DIR of a batch, without B"
     )
+    candidate = parser.add_argument("candidate", metavar="B", nargs="?", help=f"the candidate: {inputs}")
     parser.add_argument(
         "--config",
         metavar="NAME",
         action="append",
         default=[],
-        help="where A is the OUT_DIR of a batch, twice: the reference's configuration and the candidate's, by name, "
-        "first digits of it, or a setting such as lanes.hold_s=2, or default; of two, the older first if not given",
+        help="for the OUT_DIR of a batch: first the reference's configuration, then the candidate's. NAME is a name "
+        "or its first digits, a setting such as lanes.hold_s=2, or default. If the dataset has two "
+        "configurations, the older one is the default reference",
     )
     _add_rules(parser)
     parser.add_argument(
-        "--exact", action="store_true", help="list every field that differs; one beyond its tolerance is exit code 1"
+        "--exact",
+        action="store_true",
+        help="list every differing field; exit with 1 if a field differs by more than its tolerance",
     )
-    parser.add_argument("--other-log", action="store_true", help="compare runs of two different logs by their stamps")
+    parser.add_argument(
+        "--other-log", action="store_true", help="compare runs of two different logs, frame by frame by their stamps"
+    )
     parser.add_argument(
         "--update-reference",
         action="store_true",
-        help="then replace A's tables that differ by B's and exit with 0; A need not exist",
+        help="after the comparison replace the differing tables of A with those of B, and exit with 0",
     )
     for action in (reference, candidate):
         completed_by(action, files(*RUNS))
@@ -82,9 +94,10 @@ def _parser() -> argparse.ArgumentParser:
 def _add_rules(parser: argparse.ArgumentParser) -> None:
     rules = part("eval.options")
     ignored, tolerated, allowed = (
-        "leave out fields and metrics (glob)",
-        "largest absolute difference of a field (glob) that counts as equal",
-        "how much worse a metric (glob) may be: in its unit, or N%% of A's mean; N%% alone is for all but times",
+        "ignore fields and metrics that match this glob",
+        "allowed absolute difference of the fields that match a glob",
+        "allowed deterioration of the metrics that match a glob: in the metric's unit, or N%% of A's mean; "
+        "N%% alone applies to all metrics except times",
     )
     parser.add_argument("--ignore", metavar="NAME", action="append", default=[], help=ignored)
     parser.add_argument(

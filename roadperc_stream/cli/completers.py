@@ -1,7 +1,7 @@
-"""What a shell may put at the cursor: file names of the right kind, names from the project's own tables.
+"""Completers for the shell: file names of the right kind, and names of settings, roles and stages.
 
-A completer takes what is typed so far and gives whole words; ``argcomplete`` finds it on the parser's action. What it
-needs to know is imported when the shell asks.
+A completer takes the typed prefix and returns whole words; ``argcomplete`` finds it on the parser's action. Modules
+are imported when the shell asks.
 """
 
 import argparse
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 Completer = Callable[..., Iterable[str]]
 LOGS: Final = (".mcap",)
 RUNS: Final = (".mcap", METRICS_SUFFIX)
-"""How the files end that a finished run is known by."""
+"""Suffixes of the files that name a finished run."""
 
 
 def completed_by(action: argparse.Action, completer: Completer) -> None:
@@ -27,17 +27,17 @@ def completed_by(action: argparse.Action, completer: Completer) -> None:
 
 
 def files(*suffixes: str) -> Completer:
-    """Completer of files that end so, and of the folders on the way to them; folders alone where no ending is named."""
+    """Completer of folders, and of files with one of the suffixes."""
     return lambda prefix, **_: _paths(prefix, suffixes)
 
 
 def settings(prefix: str, **_: Any) -> Iterable[str]:
-    """``KEY=`` for every setting, ``KEY=VALUE`` for those with a choice; several by commas where it is a list."""
+    """``KEY=`` for every setting, ``KEY=VALUE`` for settings with a choice; lists take several values."""
     return _settings(prefix, lambda setting: setting.type == "array")
 
 
 def varied_settings(prefix: str, **_: Any) -> Iterable[str]:
-    """The same for ``--vary``, where commas stand between the values that a setting takes in turn."""
+    """As ``settings``, for ``--vary``: commas separate the values to try."""
     return _settings(prefix, lambda setting: setting.type != "array")
 
 
@@ -54,7 +54,7 @@ def _settings(prefix: str, takes_several: "Callable[[Setting], bool]") -> Iterab
 
 
 def topics(prefix: str, **_: Any) -> Iterable[str]:
-    """``ROLE=`` for every role; the topic is the user's to name."""
+    """``ROLE=`` for every role; topics are not completed."""
     from roadperc_stream.schemas.roles import ROLES
 
     return [] if "=" in prefix else [f"{role}=" for role in ROLES]
@@ -71,7 +71,7 @@ def words(names: Iterable[str]) -> Completer:
 
 
 def roles_in_dump(roles: Iterable[str]) -> Completer:
-    """Completer of ``ROLE=PATH``, the path being one inside the dump where that is named already."""
+    """Completer of ``ROLE=PATH``, with paths inside the dump if it is typed already."""
 
     def complete(prefix: str, parsed_args: argparse.Namespace, **_: Any) -> Iterable[str]:
         role, separator, typed = prefix.partition("=")
@@ -84,7 +84,7 @@ def roles_in_dump(roles: Iterable[str]) -> Completer:
 
 
 def _paths(prefix: str, suffixes: tuple[str, ...], base: Path | None = None) -> Iterable[str]:
-    """Paths that begin so: files that end in one of ``suffixes``, and folders with a slash behind."""
+    """Paths with a prefix: folders with a slash, and files with one of the suffixes."""
     head, tail = os.path.split(prefix)
     folder = (base or Path()) / Path(head or ".").expanduser()
     try:
@@ -95,6 +95,6 @@ def _paths(prefix: str, suffixes: tuple[str, ...], base: Path | None = None) -> 
         if not entry.name.startswith(tail) or entry.name.startswith(".") > tail.startswith("."):
             continue
         if entry.is_dir():
-            yield f"{os.path.join(head, entry.name)}/"  # noqa: PTH118 - what is typed stays as it is, such as ./ or ~
+            yield f"{os.path.join(head, entry.name)}/"  # noqa: PTH118 - keeps ./ and ~ as typed
         elif suffixes and entry.name.endswith(suffixes):
             yield os.path.join(head, entry.name)  # noqa: PTH118

@@ -1,4 +1,4 @@
-"""``roadperc-convert``: a CARLA dump folder to a log."""
+"""``roadperc-convert``: convert a CARLA dump folder to a log."""
 
 import argparse
 import math
@@ -14,23 +14,26 @@ example:
   roadperc-convert recordings/old old.mcap --carla 0.9.10 --fov 90 --role depth=CameraDepth2
 
 the dump:
-  one folder per sensor (rgb, CameraRGB, image_2, depth, segmentation, sem, left, right, ...) with a file per frame,
-  paired by the last number in each name; or flat files such as left.png and right.png. A lidar's points (lidar,
-  velodyne, ...) are CARLA's .ply or .npy, left-handed, or KITTI's .bin, right-handed. Beside them, where there are:
-  calibration.json   K, or fov_deg; width, height; P_left and P_right, or baseline_m; carla_tags; rate_hz;
-                     mounting {role: {x, y, z, roll, pitch, yaw}} as CARLA has it; cameras {role: {K, ...}} for those
-                     that differ; pixel_origin "corner" (c = w / 2, as CARLA has it) or
-                     "centre" (as KITTI has it, the default in its layout); mounting.lidar too
+  One folder per sensor (rgb, CameraRGB, image_2, depth, segmentation, sem, left, right, ...) with one file per frame.
+  The last number in each name pairs the files. Flat files such as left.png and right.png are read too.
+  Lidar points (lidar, velodyne, ...) are left-handed in CARLA's .ply and .npy, right-handed in KITTI's .bin.
+
+optional files:
+  calibration.json   K or fov_deg; width, height; P_left and P_right, or baseline_m; carla_tags; rate_hz
+                     mounting {role: {x, y, z, roll, pitch, yaw}} in CARLA's convention; a role may be lidar
+                     cameras {role: {K, ...}} for cameras with other values
+                     pixel_origin "corner" (c = w / 2, CARLA) or "centre" (KITTI, the default in its layout)
   detections.json    {frame: [{label, box_px, score}]}, COCO results, or KITTI files in label_2/
-  timestamps.txt     lines 'frame seconds', or a value a line
-  poses.json         {frame: {location, rotation}}, or poses.csv; truth.json and truth/ as roadperc-render writes
+  timestamps.txt     one line per frame: 'frame seconds', or seconds
+  poses.json         {frame: {location, rotation}}, or poses.csv
+  truth.json, truth/ as roadperc-render writes them
 """
 _field_of_view = number(1e-3, math.nextafter(180, 0), "degrees below 180")
 _rate = number(1e-3, 1e6, "a number from 0.001 to 1000000")
 
 
 def main(argv: list[str] | None = None) -> int:
-    """``roadperc-convert``: 0 done, 1 a stated error, 2 wrong usage."""
+    """``roadperc-convert``: exit code 0 on success, 1 on an error, 2 on wrong usage."""
     parser = _parser()
     arguments = parse(parser, argv)
     arguments.role = [_role(parser, option) for option in arguments.role]
@@ -42,26 +45,41 @@ def _parser() -> argparse.ArgumentParser:
     roles = part("tools.carla_dump.role_names").ROLES
     parser = command_parser(
         "convert",
-        "Convert a CARLA dump folder to a log. The layout is detected and printed.",
+        "Convert a CARLA dump folder to a log. The command detects the layout and prints it.",
         _EXAMPLE,
     )
     dump = parser.add_argument(
         "dump", type=Path, metavar="DUMP", help="folder with one folder per sensor, or flat files"
     )
-    out = parser.add_argument("out", type=Path, metavar="IN.mcap", help="log to write; it appears only when complete")
+    out = parser.add_argument("out", type=Path, metavar="IN.mcap", help="log to write")
     role = parser.add_argument(
-        "--role", action="append", default=[], metavar="ROLE=PATH", help=f"roles: {', '.join(roles)}"
+        "--role",
+        action="append",
+        default=[],
+        metavar="ROLE=PATH",
+        help=f"use this folder for a role: {', '.join(roles)}",
     )
-    parser.add_argument("--carla", metavar="VERSION", help="CARLA version that wrote the tags, such as 0.9.15")
+    parser.add_argument("--carla", metavar="VERSION", help="CARLA version of the tags, such as 0.9.15")
     parser.add_argument("--fov", type=_field_of_view, metavar="DEGREES", help="horizontal field of view")
-    parser.add_argument("--rate", type=_rate, metavar="HZ", help="frames per second (20, or rate_hz, or timestamps)")
-    parser.add_argument("--depth", choices=("mm", "float"), default="mm", help="write depth as millimetres or metres")
+    parser.add_argument(
+        "--rate", type=_rate, metavar="HZ", help="frames per second (default: timestamps, or rate_hz, or 20)"
+    )
+    parser.add_argument(
+        "--depth",
+        choices=("mm", "float"),
+        default="mm",
+        help="write depth as 16-bit millimetres or as float metres (default mm)",
+    )
     parser.add_argument(
         "--grey-depth",
         choices=("linear", "linear-50", "logarithmic"),
-        help="coding of 8-bit depth (default: the one with a level ground)",
+        help="coding of 8-bit depth images (default: the coding that gives a level ground)",
     )
-    parser.add_argument("--allow-lossy-tags", action="store_true", help="accept JPEG tags and use the nearest tag")
+    parser.add_argument(
+        "--allow-lossy-tags",
+        action="store_true",
+        help="accept JPEG segmentation, and use the nearest tag of each pixel",
+    )
     parser.add_argument("--force", action="store_true", help="replace an existing log")
     parser.add_argument("--quiet", action="store_true", help="print errors only")
     for action, completer in ((dump, files()), (out, files(*LOGS)), (role, roles_in_dump(roles))):
@@ -70,7 +88,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _role(parser: argparse.ArgumentParser, option: str) -> tuple[str, str]:
-    """A role and a path, of ``--role``."""
+    """The role and the path of a ``--role`` option."""
     roles = part("tools.carla_dump.role_names").ROLES
     role, separator, name = option.partition("=")
     if not separator or not name or role not in roles:

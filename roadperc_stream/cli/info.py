@@ -1,4 +1,4 @@
-"""``roadperc-info``: what is in a log, whether it is whole, and what a replay would make of it."""
+"""``roadperc-info``: print the content of logs, their damage, and the roles that a replay would use."""
 
 import argparse
 from pathlib import Path
@@ -10,19 +10,22 @@ from roadperc_stream.cli.plumbing import command_parser, parse, run
 _EXAMPLE = """\
 example:
   roadperc-info logs/sample.mcap
-  roadperc-info bag.mcap --topic image=/front/rgb      as roadperc-replay would read it
-  roadperc-info part_*.mcap                            also how they join into one log
-  roadperc-info --json logs/*.mcap                     a line of JSON per log, for scripts; times in ns
+  roadperc-info bag.mcap --topic image=/front/rgb      with a topic for a role, as in roadperc-replay
+  roadperc-info part_*.mcap                            the files of one log, and whether they fit together
+  roadperc-info --json logs/*.mcap                     one line of JSON per log, for scripts; times in ns
   roadperc-info cut.mcap --recover whole.mcap          save the readable part of a damaged log
 
-The keys of --json are the fields in roadperc_stream/info/facts.py; a log that cannot be opened gives "log" and "error".
-Exit code 0: every log is complete; 1: one is cut, damaged or not a log (the others are still printed).
-With --recover 0: part of the log was saved; 1: nothing was saved.
+The keys of --json are the fields in roadperc_stream/info/facts.py. If a log cannot be opened, its keys are "log" and
+"error".
+
+exit codes:
+  0  every log is complete; with --recover: the readable part was saved
+  1  a log is cut, damaged or not a log; the others are printed. With --recover: nothing was saved
 """
 
 
 def main(argv: list[str] | None = None) -> int:
-    """``roadperc-info``: print what is known of logs."""
+    """``roadperc-info``: print the facts of logs."""
     parser = _parser()
     arguments = parse(parser, argv)
     if arguments.recover is not None:
@@ -31,7 +34,7 @@ def main(argv: list[str] | None = None) -> int:
 
         return run(lambda: recover_log(arguments.logs[0], arguments.recover, force=arguments.force))
     if arguments.force:
-        parser.error("--force: only with --recover")
+        parser.error("--force needs --recover")
     from roadperc_stream.info.listing import list_logs
 
     return run(lambda: list_logs(arguments.logs, arguments.topic, as_json=arguments.json))
@@ -40,8 +43,8 @@ def main(argv: list[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser(
         "info",
-        "Print the content of a log, whether the file is complete, which roles its channels fill, and which roles\n"
-        "are missing. For a result log, also print its configuration and whether it was changed.",
+        "Print the channels of a log, the roles that they fill, missing roles, and damage. For a result log, also\n"
+        "print its configuration and whether another program changed it.",
         _EXAMPLE,
     )
     logs = parser.add_argument(
@@ -49,7 +52,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="LOG",
         type=Path,
         nargs="+",
-        help="an input or result log, damaged ones too; - for standard input",
+        help="an input or result log, also a damaged one; - for standard input",
     )
     add_topic_argument(parser)
     parser.add_argument("--json", action="store_true", help="print one line of JSON per log")
@@ -63,9 +66,9 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _require_alone(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
-    """End with a line on the usage, where something stands beside ``--recover`` that it has no use for."""
+    """Exit with code 2 if an argument contradicts ``--recover``."""
     if len(arguments.logs) > 1:
         parser.error(f"--recover: expected one LOG, found {len(arguments.logs)}")
     for option in ("json", "topic"):
         if getattr(arguments, option):
-            parser.error(f"--{option}: not together with --recover")
+            parser.error(f"--{option} cannot be combined with --recover")

@@ -1,4 +1,4 @@
-"""``roadperc-lanes``: a run's lanes as TuSimple's JSON lines, and their score against true ones."""
+"""``roadperc-lanes``: write the lanes of a run as TuSimple's JSON lines, and score them against truth."""
 
 import argparse
 from pathlib import Path
@@ -8,30 +8,34 @@ from roadperc_stream.cli.completers import LOGS, completed_by, files
 from roadperc_stream.cli.plumbing import command_parser, image_size, parse, part, run
 
 _DESCRIPTION = """\
-Write the lanes a run saw as TuSimple's JSON lines, and score them against true ones in the same format.
+Write the lanes of a run as TuSimple's JSON lines, and score them against true lanes in the same format.
 
-Each boundary is the smoothed line in the image (line_px), at every tenth row from 160 to 710 of 720 or the same part
-of another height; with --truth it is at the true frame's own h_samples and under its raw_file, and only frames that
-have a truth are written. raw_file is LOG/STAMP_NS, and run_time the frame's total_ms from the table next to the log,
-0 without one. A true frame belongs to the frame whose stamp ends its raw_file; --pair order takes them as they come.
+lines:
+  A boundary is the smoothed line in the image (line_px), at every tenth row from 160 to 710 of 720 rows, scaled to
+  the height of the image. raw_file is LOG/STAMP_NS. run_time is total_ms from the table of the log, 0 without a table.
+  With --truth, rows (h_samples) and raw_file are those of the true frame. Frames without truth are left out.
 
-Scores are TuSimple's (20 px over the cosine of the lane's angle, lanes found at 85 % of their points) and CULane's F1
-(lines 30 px wide), with pixels scaled from the benchmarks' 1280 and 1640 columns to the image's. A true frame that the
-run lacks scores as one in which it saw nothing. What the log itself carries as /truth/lanes the replay has scored
-already: roadperc-report shows it.
+pairs:
+  By default the stamp at the end of raw_file pairs a true frame with a frame. --pair order pairs them in order.
+
+scores:
+  TuSimple: a point is correct within 20 px over the cosine of the lane's angle. A lane is found if 85 % of its points
+  are correct. CULane: F1 of lines 30 px wide. Pixels refer to 1280 and 1640 image columns and scale with the image.
+  A true frame without a frame of the run counts as a frame without lanes.
+  For the log's own truth (/truth/lanes) see roadperc-report.
 """
 _EXAMPLE = """\
 example:
   roadperc-replay logs/sample.mcap runs/sample.mcap
-  roadperc-lanes runs/sample.mcap --tusimple sample.json                write what the run saw
+  roadperc-lanes runs/sample.mcap --tusimple sample.json                write the lanes of the run
   roadperc-replay logs/sample.mcap runs/other.mcap --set lanes.model=line
-  roadperc-lanes runs/other.mcap --truth sample.json                    hold another run against it
+  roadperc-lanes runs/other.mcap --truth sample.json                    score another run against them
   roadperc-lanes runs/clips.mcap --truth test_label.json --pair order --size 1280x720
 """
 
 
 def main(argv: list[str] | None = None) -> int:
-    """``roadperc-lanes``: export a run's lanes, and score them."""
+    """``roadperc-lanes``: export and score the lanes of a run."""
     parser = _parser()
     arguments = parse(parser, argv)
     if not (arguments.tusimple or arguments.truth):
@@ -43,18 +47,28 @@ def main(argv: list[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser("lanes", _DESCRIPTION, _EXAMPLE)
     add = parser.add_argument
-    log = add("log", metavar="OUT.mcap", type=Path, help="a log with results, as roadperc-replay writes it")
+    log = add("log", metavar="OUT.mcap", type=Path, help="a log with results of roadperc-replay")
     tusimple = add(
-        "--tusimple", metavar="FILE.json", type=Path, help="write the lanes into this file; replaces an earlier one"
+        "--tusimple", metavar="FILE.json", type=Path, help="write the lanes to this file; an existing file is replaced"
     )
-    truth = add("--truth", metavar="FILE.json", type=Path, help="true lanes in TuSimple's format")
+    truth = add(
+        "--truth",
+        metavar="FILE.json",
+        type=Path,
+        help="score against the true lanes in this file, in TuSimple's format",
+    )
     add(
         "--pair",
         choices=get_args(part("eval.options").LanePairing),
         default="stamp",
-        help="how true frames find theirs: by the stamp in raw_file, or in order, a line a frame (default stamp)",
+        help="pair true frames by the stamp in raw_file, or in order (default stamp)",
     )
-    add("--size", metavar="WxH", type=image_size, help="image in whose pixels FILE.json is (default the camera's)")
+    add(
+        "--size",
+        metavar="WxH",
+        type=image_size,
+        help="image size that the pixels in FILE.json refer to (default: the camera's)",
+    )
     for action, suffixes in ((log, LOGS), (tusimple, (".json",)), (truth, (".json",))):
         completed_by(action, files(*suffixes))
     return parser

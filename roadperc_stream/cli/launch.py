@@ -1,4 +1,4 @@
-"""Where each command starts: a light module, so that a signal finds its handler before the libraries are imported."""
+"""The start of every command: a module without libraries, which installs the signal handlers before their import."""
 
 import atexit
 import faulthandler
@@ -17,20 +17,20 @@ from types import FrameType
 from roadperc_stream.system.process import EXIT_ERROR, discard_output, ending_signals
 
 _MOST_HIDDEN_BYTES = 1 << 20
-"""Further writes to file 2 fail: a log must not fill the memory with what libraries say of its images."""
+"""Further writes to file 2 fail, so that messages of libraries on broken images do not fill the memory."""
 _STATED = 64
-"""Added to the exit code of a child process that said what there was to say."""
+"""Added to the exit code of a child process that printed its error."""
 _LIMITED = "not enough memory under the limit that ulimit sets"
 _PR_SET_PDEATHSIG = 1  # of Linux's prctl: the child process ends with its parent
 
 
 def _launch(command: str) -> int:
-    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # no look at all that is installed: 30 ms
-    gc.disable()  # imports make no garbage, and searching it takes a tenth of their time: ``plumbing.run`` goes on
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # saves 30 ms
+    gc.disable()  # imports make no garbage; saves a tenth of their time. ``plumbing.run`` enables it
     _open_closed_streams()
     for number in ending_signals():
         signal.signal(number, _end)
-        atexit.register(signal.signal, number, signal.SIG_IGN)  # else Python restores the default, which ends it by -15
+        atexit.register(signal.signal, number, signal.SIG_IGN)  # otherwise Python restores the default: exit code -15
     _keep_stderr_from_libraries()
     _print_any_name()
     code = _watched(command) if _is_limited() else _ended(command)
@@ -40,7 +40,7 @@ def _launch(command: str) -> int:
 
 
 def _ended(command: str) -> int:
-    """Run a command; the exit code."""
+    """Run a command and return its exit code."""
     try:
         code = int(import_module(f"roadperc_stream.cli.{command}").main())
     except SystemExit as end:  # argparse, after the help, the version or a usage error
@@ -53,17 +53,17 @@ def _ended(command: str) -> int:
 
 
 def _is_limited() -> bool:
-    """Whether ``ulimit -v`` or ``ulimit -d`` may refuse memory to the libraries."""
+    """Whether ``ulimit -v`` or ``ulimit -d`` limits the memory."""
     from resource import RLIM_INFINITY, RLIMIT_AS, RLIMIT_DATA, getrlimit
 
     return any(getrlimit(which)[0] != RLIM_INFINITY for which in (RLIMIT_AS, RLIMIT_DATA))
 
 
 def _watched(command: str) -> int:
-    """Run a command in a child process: libraries that get no memory crash, or exit without a word."""
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # no memory for threads that a replay does not use
+    """Run a command in a child process, because libraries without memory crash or exit silently."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads that a replay does not use need memory
     if not (child := os.fork()):
-        os._exit(_STATED + _ended_under_limit(command))  # the libraries may crash at their end too
+        os._exit(_STATED + _ended_under_limit(command))  # the libraries may also crash while they exit
     for number in ending_signals():
         signal.signal(number, lambda number, _: os.kill(child, number))
     code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
@@ -76,8 +76,8 @@ def _ended_under_limit(command: str) -> int:
     faulthandler.disable()  # the one line comes from the parent
     signal.signal(signal.SIGABRT, signal.SIG_DFL)
     warnings.simplefilter("ignore")
-    warnings.filterwarnings("default", category=UserWarning, module=r"roadperc_stream\.")  # what is for the user
-    os.setpgid(0, 0)  # a terminal signals the parent alone, which passes it on once
+    warnings.filterwarnings("default", category=UserWarning, module=r"roadperc_stream\.")  # warnings for the user
+    os.setpgid(0, 0)  # a terminal signals only the parent, which passes the signal on once
     try:
         with suppress(AttributeError, OSError):  # Linux only
             import_module("ctypes").CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
@@ -87,13 +87,13 @@ def _ended_under_limit(command: str) -> int:
 
 
 def _flushed(code: int) -> int:
-    """The exit code, once buffered text is written; the interpreter would print a traceback where that fails."""
+    """The exit code after flushing the streams; the interpreter would print a traceback if that fails."""
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
         except OSError as error:
             discard_output(stream)
-            if not isinstance(error, BrokenPipeError):  # else the reader has seen enough, as with | head
+            if not isinstance(error, BrokenPipeError):  # a reader such as head may close the pipe
                 code = code or _refused(error.strerror or str(error))
     return code
 
@@ -105,7 +105,7 @@ def _refused(why: str) -> int:
 
 
 def _open_closed_streams() -> None:
-    """What the shell has closed (``>&-``) goes nowhere: else the next file that is opened would take its number."""
+    """Redirect streams closed by the shell (``>&-``) to the null device; else the next open file gets the number."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:
             os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
@@ -113,17 +113,17 @@ def _open_closed_streams() -> None:
 
 
 def _keep_stderr_from_libraries() -> None:
-    """Hide what libpng, libjpeg and others write to file 2 by themselves; stderr goes on elsewhere.
+    """Hide the output of libpng, libjpeg and others to file 2; stderr gets another file number.
 
-    They write of every image that is damaged, and no setting of theirs stops it. What is wrong, and with which
-    message, is said by the command. Threads do not disturb each other: nothing is switched to and fro. After an abort
-    faulthandler's dump goes to stderr, and then what was hidden: it has the reason.
+    They write about every damaged image, and have no setting to stop it. The command itself reports the message. File 2
+    stays redirected, so threads do not disturb each other. After an abort stderr shows faulthandler's dump, and then
+    the hidden output, which has the reason.
     """
-    faulthandler.disable()  # -X faulthandler: its handlers must come before those of the hidden output
+    faulthandler.disable()  # of -X faulthandler: its handlers must run before those of the hidden output
     if sys.stderr.fileno() == 2:
         sys.stderr.flush()
         own, encoding = os.dup(2), sys.stderr.encoding
-        hidden = _hidden_file(own)  # which needs it open after the interpreter's end
+        hidden = _hidden_file(own)  # stays open after the interpreter's end
         sys.stderr = open(own, "w", 1, encoding, "backslashreplace", closefd=False)  # noqa: SIM115
         os.dup2(hidden, 2)
         os.close(hidden)
@@ -131,7 +131,7 @@ def _keep_stderr_from_libraries() -> None:
 
 
 def _hidden_file(stderr: int) -> int:
-    """A file in memory that stderr shows if the process aborts, or the null device if the system has none."""
+    """A file in memory, which is printed if the process aborts; the null device if the system has no such files."""
     try:
         import_module("roadperc_stream.system.fatal_output").show_when_aborted(stderr)
         file = os.memfd_create("stderr", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
@@ -143,20 +143,20 @@ def _hidden_file(stderr: int) -> int:
 
 
 def _print_any_name() -> None:
-    r"""A name that the terminal's encoding lacks is printed as ``\udcff``, on stdout as Python does on stderr."""
+    r"""Print characters that the terminal's encoding lacks as ``\udcff``, as Python does on stderr."""
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def _end(_number: int, _frame: FrameType | None, code: int = EXIT_ERROR) -> None:
-    """End at once: outside ``plumbing.run`` nothing is half written, and what is being imported may swallow errors."""
+    """Exit at once: outside ``plumbing.run`` no file is open, and a module in import may swallow exceptions."""
     with suppress(OSError):
         os.write(sys.stderr.fileno(), b"error: interrupted\n")
     os._exit(code)
 
 
 COMMANDS = ("batch", "compare", "convert", "info", "lanes", "render", "replay", "report", "sweep", "trajectory", "view")
-"""Each is a module beside this one, and the console script ``roadperc-...`` of that name."""
+"""Each is a module of this package and the console script ``roadperc-...``."""
 
 
 def __getattr__(name: str) -> partial[int]:

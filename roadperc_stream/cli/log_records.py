@@ -1,4 +1,4 @@
-"""What libraries log: printed in a command with the escaping of the command's own lines."""
+"""Log records of libraries, escaped as the lines of the commands."""
 
 import logging
 from typing import Any
@@ -7,7 +7,7 @@ from roadperc_stream.system.text import shown
 
 
 class ShownRecord(logging.LogRecord):
-    """A record whose message and traceback any handler prints escaped: a library may log what a file or client said."""
+    """A record with escaped message and traceback: libraries may log text from a file or a client."""
 
     def __init__(self, *args: Any, **more: Any) -> None:
         super().__init__(*args, **more)
@@ -15,5 +15,5 @@ class ShownRecord(logging.LogRecord):
             self.exc_text = shown(logging.Formatter().formatException(self.exc_info))
 
     def getMessage(self) -> str:
-        """The message as ``shown`` gives it."""
+        """The escaped message."""
         return shown(super().getMessage())

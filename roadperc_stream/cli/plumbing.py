@@ -1,4 +1,4 @@
-"""What every command shares: its parser's frame, errors and signals to exit codes, checked numbers."""
+"""Shared by all commands: the parser, exit codes of errors and signals, and checked numbers."""
 
 import argparse
 import gc
@@ -21,25 +21,25 @@ from roadperc_stream.system.text import print_line, shown
 
 _AGAIN_AFTER_S = 0.05
 _MOST_CHARACTERS = 255
-"""To either side of the one that a text must not have: a file's name is no longer."""
+"""Shown on either side of an invalid character: the longest name of a file."""
 _COMPLETING = "_ARGCOMPLETE"
-"""Set by a shell that asks for completions."""
+"""The variable that a shell sets when it asks for completions."""
 
 
 class _Parser(argparse.ArgumentParser):
-    """What it prints may go unread; argparse itself ends with an error then, or passes over a full disk."""
+    """A parser that exits normally if its output has no reader, and with an error if the disk is full."""
 
     def _print_message(self, message: str, file: Any = None) -> None:
         with optional_output(file or sys.stderr):
             (file or sys.stderr).write(message)
 
     def error(self, message: str) -> NoReturn:
-        """End with exit code 2; a shell's pattern may have put any file's name into the message."""
+        """Exit with code 2; the message is escaped, because a shell's pattern may insert any file name."""
         super().error(shown(message))
 
 
 def command_parser(name: str, description: str, example: str, usage: str | None = None) -> argparse.ArgumentParser:
-    """A parser whose texts keep their lines, with ``--version``."""
+    """A parser with ``--version`` that keeps the lines of its texts."""
     parser = _Parser(
         prog=f"roadperc-{name}",
         usage=usage,
@@ -59,10 +59,10 @@ def command_parser(name: str, description: str, example: str, usage: str | None 
 
 
 class _Version(argparse.Action):
-    """As argparse's own, but the version is looked up only where somebody asks for it: that takes 30 ms."""
+    """As argparse's action, but finds the version, which takes 30 ms, only when requested."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
-        """Print it and end."""
+        """Print the version and exit."""
         from roadperc_stream import __version__
 
         parser._print_message(f"{parser.prog} {__version__}\n", sys.stdout)
@@ -72,12 +72,12 @@ class _Version(argparse.Action):
 def parse(
     parser: argparse.ArgumentParser, argv: Sequence[str] | None, *, intermixed: bool = False
 ) -> argparse.Namespace:
-    """The arguments of a command; a shell that completes its line gets what could come next instead, and the end.
+    """The arguments of a command; if a shell asks for completions, print them and exit.
 
     Args:
         parser: of the command.
-        argv: what is parsed; None for the command line.
-        intermixed: options may stand among files.
+        argv: the arguments; None for the command line.
+        intermixed: allow options between files.
     """
     if _COMPLETING in os.environ:
         import argcomplete
@@ -85,31 +85,31 @@ def parse(
 
         silent = SuppressCompleter()  # an argument without a completer gets no files
         argcomplete.autocomplete(parser, always_complete_options=False, default_completer=silent)
-    given = list(sys.argv[1:] if argv is None else argv)
-    if "--" in given:  # argparse loses it among files that stand between options
-        at = given.index("--")
-        given[at:] = [f"./{name}" if name.startswith("-") and name != "-" else name for name in given[at + 1 :]]
-    return parser.parse_intermixed_args(given) if intermixed else parser.parse_args(given)
+    words = list(sys.argv[1:] if argv is None else argv)
+    if "--" in words:  # argparse loses it if options stand between files
+        at = words.index("--")
+        words[at:] = [f"./{name}" if name.startswith("-") and name != "-" else name for name in words[at + 1 :]]
+    return parser.parse_intermixed_args(words) if intermixed else parser.parse_args(words)
 
 
 def part(module: str) -> Any:
-    """A module of ``tools`` or ``eval``, which the package knows by name alone.
+    """A module of ``tools`` or ``eval``, which the package may import only by name.
 
-    A command reaches for those with names and numbers while it builds its parser, and for the one that does its work
-    before ``run``: a signal that comes in the middle of an import must not unwind it, for it may swallow the error.
+    A command imports the module that does its work before ``run``: a signal must not unwind an import, because the
+    import may swallow the exception.
     """
     return import_module(f"roadperc_stream.{module}")
 
 
 def run(command: Callable[[], None]) -> int:
-    """Run a command; what the project states, and what the system refuses, is one line on stderr and exit code 1.
+    """Run a command; an error of the project or the system is one line on stderr and exit code 1.
 
-    A signal that ends the program unwinds it like Ctrl-C, so that nothing half written stays behind.
+    A signal that ends the program raises an exception as Ctrl-C does, so that partial files are removed.
     """
     if not gc.isenabled():
         gc.freeze()
         gc.enable()
-    logging = import_module("logging")  # 4 ms that a wrong usage does not wait for
+    logging = import_module("logging")  # takes 4 ms, not needed for wrong usage
     logging.setLogRecordFactory(part("cli.log_records").ShownRecord)
     warnings.showwarning = _note
     try:
@@ -120,7 +120,7 @@ def run(command: Callable[[], None]) -> int:
         return _fail(str(error), "" if isinstance(error, RegressionError) else "error: ")
     except (KeyboardInterrupt, MemoryError) as error:
         return _fail("not enough memory" if isinstance(error, MemoryError) else str(error) or "interrupted")
-    except BrokenPipeError:  # the reader has seen enough, as with | head
+    except BrokenPipeError:  # a reader such as head may close the pipe
         discard_output(sys.stdout)
         return EXIT_DONE
     except OSError as error:
@@ -131,7 +131,7 @@ def run(command: Callable[[], None]) -> int:
 
 
 def _note(message: Warning | str, *_: object, **__: object) -> None:
-    """Show a warning of the package or of a library as a line on stderr, without the place in its code."""
+    """Print a warning as one line on stderr, without its place in the code."""
     with optional_output(sys.stderr):
         print_line(f"note: {' '.join(str(message).splitlines())}", sys.stderr)
 
@@ -143,7 +143,7 @@ def _fail(text: str, prefix: str = "error: ") -> int:
 
 
 def _unencodable(error: UnicodeEncodeError) -> str:
-    """A text that a library cannot take, such as a file's name; of a long one what surrounds the character."""
+    """The message for a text that a library cannot encode, such as a file name; long texts are cut."""
     text = error.object[max(error.start - _MOST_CHARACTERS, 0) : error.end + _MOST_CHARACTERS]
     return f"{text!r}: expected a name in {error.encoding.upper()}"
 
@@ -169,7 +169,7 @@ def _interrupt(_number: int, _frame: FrameType | None) -> None:
 
 
 def _interrupt_again(ignored: "sys.UnraisableHookArgs") -> None:
-    """A signal that comes while Python deletes an object is dropped there, so it is sent once more."""
+    """Send a signal again that Python dropped while it deleted an object."""
     if ignored.exc_type is KeyboardInterrupt:
         signal.setitimer(signal.ITIMER_REAL, _AGAIN_AFTER_S)
     else:
@@ -177,12 +177,12 @@ def _interrupt_again(ignored: "sys.UnraisableHookArgs") -> None:
 
 
 def number(least: float, most: float, expected: str, kind: type[float] = float) -> Callable[[str], Any]:
-    """The type of an argument that is a number of a kind between two limits; others are wrong usage.
+    """The type of an argument that is a number between two limits.
 
     Args:
         least: the lowest number.
         most: the highest number.
-        expected: what a message says of them.
+        expected: description of the valid numbers for the error.
         kind: int or float.
     """
 
@@ -200,15 +200,15 @@ def number(least: float, most: float, expected: str, kind: type[float] = float) 
 
 _CENTURY_S = 3.2e9
 ABOVE_0 = 1e-9
-"""The least of numbers above 0: a nanosecond."""
+"""The lowest number above 0: a nanosecond."""
 whole_number = number(1, math.inf, "a whole number of 1 or more", int)
 seconds = number(-_CENTURY_S, _CENTURY_S, "seconds")
 positive_seconds = number(ABOVE_0, _CENTURY_S, "more than 0 seconds")
 
 
 def image_size(text: str) -> tuple[int, int]:
-    """An argument such as 1280x720: columns and rows."""
+    """Columns and rows of an argument such as 1280x720."""
     found = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", text, re.IGNORECASE)
     if not found:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected columns and rows such as 1280x720")
+        raise argparse.ArgumentTypeError(f"{text!r}: expected columns and rows, such as 1280x720")
     return int(found[1]), int(found[2])

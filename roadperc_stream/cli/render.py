@@ -22,7 +22,7 @@ with CARLA's left-handed x forward, y right, z up. The same options give the sam
 
 
 def main(argv: list[str] | None = None) -> int:
-    """``roadperc-render``: 0 done, 1 a stated error, 2 wrong usage."""
+    """``roadperc-render``: exit code 0 on success, 1 on an error, 2 on wrong usage."""
     arguments = parse(_parser(), argv)
     rendering = part("tools.scene.job")
     return run(lambda: rendering.render_and_report(arguments.dump, _options(arguments), force=arguments.force))
@@ -61,7 +61,7 @@ def _parser() -> argparse.ArgumentParser:
 def _add_scene(group: argparse._ArgumentGroup, scenes: Sequence[str], defaults: Any) -> None:
     meaning = "bend: radius 150 m; hill: grades up to 8 %%; town (default): bends and hills"
     group.add_argument("--scene", choices=scenes, default=defaults.scene, help=meaning)
-    group.add_argument("--static", action="store_true", help="the ego car stands still; the others move")
+    group.add_argument("--static", action="store_true", help="keep the ego car still while others move")
     for name, key, metavar, text in (
         ("--seconds", "seconds", "S", "length of the scenario"),
         ("--rate", "rate_hz", "HZ", "frames per second"),
@@ -90,15 +90,15 @@ def _add_lane_changes(group: argparse._ArgumentGroup) -> None:
 
 
 def _add_road(group: argparse._ArgumentGroup) -> None:
-    turn = "a 90 degree bend of 12 m radius at a crossing without markings, on level ground (left)"
+    turn = "turn 90 degrees with a radius of 12 m at a crossing without markings, on level ground (left)"
     group.add_argument("--turn", nargs="?", const="left", choices=("left", "right"), help=turn)
     lane = "event of a second lane on the right after 4 s, over 30 m"
     group.add_argument("--lane", choices=("begins", "ends", "splits", "merges"), help=lane)
     group.add_argument("--crossing-cars", action="store_true", help="add a crossing where cars cross close ahead")
     group.add_argument("--parked-rows", action="store_true", help="add rows of parked cars on both sides")
     stretch = partial(_numbers, form="FROM,TO", example="20,50")
-    for name, text in (("--worn-lines", "worn down to faded remains"), ("--missing-lines", "missing")):
-        group.add_argument(name, type=stretch, metavar="FROM,TO", help=f"metres of road where markings are {text}")
+    for name, text in (("--worn-lines", "worn"), ("--missing-lines", "missing")):
+        group.add_argument(name, type=stretch, metavar="FROM,TO", help=f"metres of road with {text} markings")
 
 
 def _add_camera(group: argparse._ArgumentGroup, defaults: Any) -> None:
@@ -109,7 +109,8 @@ def _add_camera(group: argparse._ArgumentGroup, defaults: Any) -> None:
         type=partial(_numbers, form="X,Y,Z,ROLL,PITCH,YAW", example="1.5,0,1.4,0,-3,0"),
         default=mount,
         metavar="X,Y,Z,ROLL,PITCH,YAW",
-        help="the front camera as CARLA places it: metres forward, right, up; degrees of roll, pitch up, yaw right "
+        help="pose of the front camera in CARLA's convention: metres forward, right, up; degrees of roll, pitch up, "
+        "yaw right "
         f"({','.join(f'{v:g}' for v in mount)})",
     )
     text = "standard deviation of the car's pitching, degrees (0)"
@@ -152,5 +153,5 @@ def _numbers(text: str, form: str, example: str) -> tuple[float, ...]:
     except ValueError:
         values = ()
     if len(values) != len(form.split(",")):
-        raise argparse.ArgumentTypeError(f"{text!r} is not {form}, such as {example}")
+        raise argparse.ArgumentTypeError(f"{text!r}: expected {form}, such as {example}")
     return values

@@ -1,4 +1,4 @@
-"""``roadperc-replay``: a log through the chain; also lists the settings."""
+"""``roadperc-replay``: replay a log through the chain, or list the settings."""
 
 import argparse
 import sys
@@ -22,23 +22,22 @@ _USAGE: Final = """\
        %(prog)s --print-config [--config FILE] [--set KEY=VALUE] [--only STAGES]"""
 _EXAMPLE: Final = """\
 example:
-  roadperc-replay logs/sample.mcap out.mcap --set lanes.hold_s=0.8 --set surface.inlier_m=0.03
-  roadperc-report out.metrics.parquet
-  roadperc-replay logs/sample.mcap pictures.mcap --overlay --debug
-  roadperc-replay part_*.mcap out.mcap                 several files of one log
-  curl https://example.org/in.mcap | roadperc-replay - out.mcap
-  roadperc-replay --print-config > mine.toml
-  roadperc-replay part_1.mcap out_1.mcap --continue out_0.mcap
-  roadperc-replay long.mcap out.mcap --checkpoint-every 60 --resume
-
-Map other topic names to roles: --topic image=/front/rgb --topic depth=/front/depth.
+  roadperc-replay logs/sample.mcap out.mcap                            replay a log
+  roadperc-report out.metrics.parquet                                  print its metrics
+  roadperc-replay logs/sample.mcap out2.mcap --set lanes.hold_s=0.8    change a setting
+  roadperc-replay --print-config > mine.toml                           write all settings, for --config mine.toml
+  roadperc-replay bag.mcap out.mcap --topic image=/front/rgb           use a topic with another name
+  roadperc-replay part_*.mcap out.mcap                                 read several files of one log
+  roadperc-replay part_1.mcap out_1.mcap --continue out_0.mcap         continue the result of part_0.mcap
+  roadperc-replay long.mcap out.mcap --checkpoint-every 60 --resume    continue after an interruption
+  curl https://example.org/in.mcap | roadperc-replay - out.mcap        read a pipe
 """
 _WITH_PRINT_CONFIG: Final = frozenset({"print_config", "config", "set", "only"})
 _WITH_LIST_SETTINGS: Final = frozenset({"list_settings", "json"})
 
 
 def main(argv: list[str] | None = None) -> int:
-    """``roadperc-replay``: the main job."""
+    """``roadperc-replay``: replay a log, or print the settings."""
     parser = _parser()
     arguments = parse(parser, argv, intermixed=True)
     if arguments.list_settings or arguments.print_config:
@@ -65,7 +64,7 @@ def main(argv: list[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser(
         "replay",
-        "Replay a log through the perception chain. OUT.mcap contains the input and the results, "
+        "Replay a log through the perception chain. OUT.mcap contains the input and the results,\n"
         "OUT.metrics.parquet a row per frame, OUT.objects.parquet a row per detection.",
         _EXAMPLE,
         _USAGE,
@@ -77,33 +76,33 @@ def _parser() -> argparse.ArgumentParser:
         type=Path,
         nargs="*",
         default=[],
-        help="the log to read, or its files, or - for standard input; then the log to write",
+        help="the log to read (one or more files, or - for standard input), then the log to write",
     )
     add_input_arguments(parser)
     add_only_argument(parser)
     _add_parts_arguments(parser)
-    add("--results-only", action="store_true", help="leave the input's messages out of OUT.mcap")
-    add("--overlay", action="store_true", help="write /perception/overlay, the camera image with all results drawn")
+    add("--results-only", action="store_true", help="write only results to OUT.mcap, without the input's messages")
+    add("--overlay", action="store_true", help="write /perception/overlay: the camera image with all results drawn")
     add(
         "--debug",
         action="store_true",
-        help="write /perception/debug/...: proposed lines, matches, template, disparity",
+        help="write /perception/debug/...: proposed lane lines, odometry matches, template match, disparity",
     )
     template = add(
         "--template",
         metavar="IMAGE|FRAME:X0,Y0,X1,Y1",
-        help="search every frame for the obstacle in a picture, or in a box of a frame of IN.mcap; "
-        "the result is an object with the label template",
+        help="search every frame for the obstacle in an image file, or in a box of a frame of IN.mcap; "
+        "adds an object with the label template",
     )
     add("--recover", action="store_true", help="replay the readable part of a damaged log and report the losses")
-    add("--strict", action="store_true", help="stop at the first message that cannot be used")
+    add("--strict", action="store_true", help="stop with an error at the first unusable message")
     add(
         "--threads",
         metavar="N",
         type=whole_number,
-        help="number of threads, at most five are used (default: one per core); OUT.mcap does not depend on it",
+        help="number of threads, at most 5 (default: one per core); the results do not depend on it",
     )
-    add("--force", action="store_true", help="replace an existing OUT.mcap; an input log is never replaced")
+    add("--force", action="store_true", help="replace an existing result; a recording is never replaced")
     add("--quiet", action="store_true", help="print errors only")
     add("--live", action="store_true", help="serve the results to Foxglove during the replay")
     add_serving_arguments(parser)
@@ -118,66 +117,66 @@ def _add_parts_arguments(parser: argparse.ArgumentParser) -> None:
     continued = group.add_argument(
         "--continue",
         dest="continued",
-        metavar="OUT_BEFORE.mcap",
+        metavar="EARLIER_OUT.mcap",
         type=Path,
-        help="continue from the result of the previous log of the drive; the settings must be the same",
+        help="continue from the result of the previous file of the log; the settings must be the same",
     )
     group.add_argument(
         "--warm-up",
         metavar="SECONDS",
         type=positive_seconds,
-        help="with --start: run the chain on this much of the log before, without writing it",
+        help="with --start: also run the chain on this much of the log before, without writing results",
     )
     group.add_argument(
         "--checkpoint-every",
         metavar="SECONDS",
         type=positive_seconds,
-        help="save a checkpoint for --resume after every SECONDS of the log",
+        help="save a checkpoint for --resume every SECONDS of log time",
     )
     group.add_argument(
         "--resume",
         action="store_true",
-        help="with --checkpoint-every: continue an interrupted run of the same command, if there is one",
+        help="with --checkpoint-every: continue an interrupted replay of the same command, if any",
     )
     completed_by(continued, files(".mcap"))
 
 
 def _add_settings_arguments(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("settings (without IN.mcap and OUT.mcap)")
+    group = parser.add_argument_group("print the settings (without IN.mcap and OUT.mcap)")
     group.add_argument(
-        "--list-settings", action="store_true", help="print every setting: default, range, unit, meaning"
+        "--list-settings", action="store_true", help="print every setting with default, range, unit and meaning"
     )
-    group.add_argument("--json", action="store_true", help="with --list-settings: print JSON, one object per setting")
+    group.add_argument("--json", action="store_true", help="with --list-settings: print JSON")
     group.add_argument(
-        "--print-config", action="store_true", help="print the whole configuration as TOML, for --config to read"
+        "--print-config", action="store_true", help="print the whole configuration as TOML, for --config"
     )
 
 
 def _require_sense(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
-    """End with a line on the usage, where a log is missing or an option has nothing to say."""
+    """Exit with code 2 if a log is missing or options contradict each other."""
     if len(arguments.logs) == 1 and arguments.logs[0].is_dir():
         parser.error(not_a_log(arguments.logs[0]))
     missing = ("IN.mcap", "OUT.mcap")[len(arguments.logs) :]
     if missing:
         parser.error(f"the following arguments are required: {', '.join(missing)}")
     if arguments.json:
-        parser.error("--json: only with --list-settings")
+        parser.error("--json needs --list-settings")
     if arguments.warm_up and arguments.start is None:
-        parser.error("--warm-up: only with --start")
+        parser.error("--warm-up needs --start")
     if arguments.warm_up and arguments.continued:
-        parser.error("--warm-up: not together with --continue, which brings its own memory")
+        parser.error("--warm-up cannot be combined with --continue, which starts with a state")
     if arguments.resume and not arguments.checkpoint_every:
-        parser.error("--resume: only with --checkpoint-every")
+        parser.error("--resume needs --checkpoint-every")
     if given_options(arguments) and not arguments.live:
-        parser.error(f"--{given_options(arguments)[0]}: for --live only")
+        parser.error(f"--{given_options(arguments)[0]} needs --live")
 
 
 def _require_alone(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
-    """End with a line on the usage, where something stands beside ``--list-settings`` or ``--print-config``."""
+    """Exit with code 2 if an argument contradicts ``--list-settings`` or ``--print-config``."""
     asked, known = "--list-settings", _WITH_LIST_SETTINGS
     if not arguments.list_settings:
         asked, known = "--print-config", _WITH_PRINT_CONFIG
     given = [name for name, value in vars(arguments).items() if name not in known and value != parser.get_default(name)]
     if given:
         option = {"logs": "IN.mcap", "continued": "--continue"}.get(given[0], f"--{given[0].replace('_', '-')}")
-        parser.error(f"{option}: not together with {asked}")
+        parser.error(f"{option} cannot be combined with {asked}")

@@ -1,4 +1,4 @@
-"""What ``roadperc-replay`` does with its arguments, and what it says of the replay."""
+"""Runs ``roadperc-replay``: makes source, target and options from the arguments, and prints a summary."""
 
 import argparse
 from collections.abc import Callable, Iterator
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 Bar = Callable[[str, bool], AbstractContextManager[Progress]]
-"""As ``output.terminal.frame_progress``."""
+"""The type of ``output.terminal.frame_progress``."""
 
 
 def replay_log(arguments: argparse.Namespace, live: "LiveReplay | None", bar: Bar | None) -> None:
@@ -61,12 +61,12 @@ def replay_log(arguments: argparse.Namespace, live: "LiveReplay | None", bar: Ba
 
 @contextmanager
 def _naming_resume(arguments: argparse.Namespace, target: ReplayTarget) -> Iterator[None]:
-    """Around a replay: who interrupts it learns how it goes on, where it can."""
+    """Add the hint on ``--resume`` to the message of an interrupted replay with a checkpoint."""
     try:
         yield
     except KeyboardInterrupt:
         if arguments.checkpoint_every and CheckpointFolder(target.path).holds_one:
-            text = "interrupted; the same command with --resume goes on from the last checkpoint"
+            text = "interrupted; run the same command with --resume to continue from the last checkpoint"
             raise KeyboardInterrupt(text) from None
         raise
 
@@ -82,13 +82,13 @@ def _options(arguments: argparse.Namespace) -> ReplayOptions:
 
 
 def _source(arguments: argparse.Namespace) -> ReplaySource:
-    """All files but the last."""
+    """The input: all files except the last."""
     topics = parse_topic_options(arguments.topic)
     return ReplaySource(arguments.logs[:-1], topics, time_range_of(arguments), arguments.recover, arguments.strict)
 
 
 def _target(arguments: argparse.Namespace) -> ReplayTarget:
-    """The last file, with the pictures that the options ask for."""
+    """The output: the last file, with the requested pictures."""
     asked: dict[Request, bool] = {"overlay": arguments.overlay, "debug": arguments.debug}
     requests = tuple(request for request, wanted in asked.items() if wanted)
     return ReplayTarget(arguments.logs[-1], arguments.results_only, requests, arguments.force)

@@ -1,4 +1,4 @@
-"""``roadperc-report``: what came out of one replay or many."""
+"""``roadperc-report``: print tables on one or more replays."""
 
 import argparse
 from pathlib import Path
@@ -10,13 +10,13 @@ _EXAMPLE = """\
 example:
   roadperc-replay logs/sample.mcap runs/base/sample.mcap
   roadperc-replay logs/sample.mcap runs/slow/sample.mcap --set lanes.hold_s=2
-  roadperc-report runs/base/sample.mcap        one run, from the table next to the log
-  roadperc-report runs/                        both, side by side, as base/sample and slow/sample
+  roadperc-report runs/base/sample.mcap                one run, from the table of the log
+  roadperc-report runs/                                both runs side by side, as base/sample and slow/sample
   roadperc-report 'runs/*/town*.metrics.parquet' --worst 10
-  roadperc-report runs/ --html report.html     and a page with charts and pictures of the worst frames
-  roadperc-report dataset                      what roadperc-batch made: by configuration, and the worst logs
-  roadperc-report s3://bucket/dataset --by log,config
-  roadperc-report dataset --by lane_left_status        or any column of the metrics tables or of runs.parquet
+  roadperc-report runs/ --html report.html             also a page with charts and pictures of the worst frames
+  roadperc-report dataset                              the dataset of a batch, by configuration
+  roadperc-report s3://bucket/dataset --by log,config  by log and configuration
+  roadperc-report dataset --by lane_left_status        by any column
 """
 
 
@@ -35,13 +35,13 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _require_one_dataset(parser: argparse.ArgumentParser, arguments: argparse.Namespace, datasets: int) -> None:
-    """End with exit code 2 where options do not go together."""
+    """Exit with code 2 if options contradict each other."""
     if not datasets:
-        parser.error("--by: expected a batch's dataset, a folder with runs.parquet and metrics/date=.../")
+        parser.error("--by needs the OUT_DIR of a batch, a folder with runs.parquet and metrics/date=.../")
     if len(arguments.runs) > 1:
-        parser.error("a batch's dataset is reported by itself: expected no other RUN beside it")
+        parser.error("expected one OUT_DIR of a batch without any other RUN")
     if arguments.html:
-        parser.error("--html: the page is about runs of a log or some, not about a batch's dataset; name tables in it")
+        parser.error("--html cannot be combined with the OUT_DIR of a batch; name some of its tables as RUN")
 
 
 def _columns(text: str) -> list[str]:
@@ -56,39 +56,39 @@ def _parser() -> argparse.ArgumentParser:
     parser = command_parser(
         "report",
         "Report on replays: coverage, accuracy if the log has truth, missing outputs, latency and the worst frames.\n"
-        "Runs of one configuration and version are pooled and then listed. Runs of different configurations are\n"
-        "shown side by side with the settings that differ. For a dataset of roadperc-batch: the same over all logs,\n"
-        "by configuration or any column, and the worst logs.",
+        "Runs of one configuration are pooled and then listed. Runs of several configurations are shown side by\n"
+        "side with the settings that differ. For the OUT_DIR of a batch, print the same over all logs, and the\n"
+        "worst logs.",
         _EXAMPLE,
     )
     runs = parser.add_argument(
         "runs",
         metavar="RUN",
         nargs="+",
-        help="a metrics table (OUT.metrics.parquet), the OUT.mcap it lies next to, a folder with tables, or a glob; or "
-        "the OUT_DIR of a batch, which may be an address",
+        help="OUT.metrics.parquet, an OUT.mcap with its table, a folder with tables, or a glob; or the OUT_DIR of a "
+        "batch, which may be an address",
     )
     parser.add_argument(
         "--by",
         metavar="COLUMN[,COLUMN]",
         type=_columns,
         default=[],
-        help="of a batch's OUT_DIR: group by config (the default where there are several), log, date, or any columns "
-        "of the metrics tables or of runs.parquet, such as lane_left_status or worker",
+        help="for the OUT_DIR of a batch: group by config (the default), log, date, or any columns of the metrics "
+        "tables or of runs.parquet, such as lane_left_status or worker",
     )
     parser.add_argument(
         "--worst",
         metavar="N",
         type=whole_number,
         default=worst,
-        help=f"worst frames listed for each error; of a batch's OUT_DIR worst logs, their frames (default {worst})",
+        help=f"list the N worst frames for each error; for the OUT_DIR of a batch, the N worst logs (default {worst})",
     )
     html = parser.add_argument(
         "--html",
         metavar="FILE.html",
         type=Path,
-        help="also write one self-contained page: summary, charts, trajectory, pictures of the worst frames; "
-        "replaces an earlier one",
+        help="also write one offline page with summary, charts, trajectory and pictures of the worst frames; "
+        "an existing file is replaced",
     )
     completed_by(runs, files(*RUNS))
     completed_by(html, files(".html"))

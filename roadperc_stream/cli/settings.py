@@ -21,24 +21,26 @@ from roadperc_stream.model.tag_tables import CLASS_NAMES
 
 _NARROWEST, _WIDEST = 50, 100
 _CLASSES: Final = "names of classes"
-_SCALING: Final = "Lengths in pixels are given at 960 image rows and scale with the image, those of `stereo` excepted."
+_SCALING: Final = (
+    "Lengths in pixels refer to 960 image rows and scale with the image. Lengths of `stereo` do not scale."
+)
 _PLAIN_SCALING: Final = _SCALING.replace("`", "")
 _PAGE_HEAD: Final = f"""\
 # Settings
 
-Every setting of a replay, with its default. Give single ones as `--set KEY=VALUE`, any number of them as a TOML file
-with `--config FILE`; `--set` wins. `roadperc-replay --print-config > mine.toml` writes a file to start from, and
-`roadperc-replay --list-settings` prints this page's facts on the terminal, with `--json` for programs.
+All settings of a replay, with their defaults. Change one with `--set KEY=VALUE`, or several with a TOML file and
+`--config FILE`; `--set` overrides the file. `roadperc-replay --print-config > mine.toml` writes a file to start from.
+`roadperc-replay --list-settings` prints these tables on the terminal, with `--json` for programs.
 
 {_SCALING}
 """
 
 
 def print_settings(arguments: argparse.Namespace) -> None:
-    """Print what ``--list-settings`` or ``--print-config`` asks for.
+    """Print the settings for ``--list-settings``, or the configuration for ``--print-config``.
 
     Raises:
-        ConfigError: a setting that is given does not fit.
+        ConfigError: a given setting is invalid.
     """
     if arguments.print_config:
         print(as_toml(config_of(arguments)), end="")
@@ -49,7 +51,7 @@ def print_settings(arguments: argparse.Namespace) -> None:
 
 
 def as_text(width: int) -> str:
-    """All settings by stage, no line longer than ``width`` unless a single word is."""
+    """All settings by stage, in lines of at most ``width`` characters; longer words are not broken."""
     lines = [f"{len(catalogue())} settings: KEY = DEFAULT [UNIT] (RANGE), for --set and --config", _PLAIN_SCALING]
     for section, settings in _by_section():
         lines += ["", f"{section}: {sections()[section]}" if section else "whole replay:"]
@@ -61,15 +63,15 @@ def as_text(width: int) -> str:
 
 
 def as_json() -> str:
-    """A JSON array with an object a setting; limits are named as in JSON Schema."""
+    """A JSON array with one object per setting; limits are named as in JSON Schema."""
     facts = [{**asdict(item), "section": item.section, "range": item.range} for item in catalogue()]
     return json.dumps(facts, indent=2)
 
 
 def as_toml(cfg: ReplayConfig) -> str:
-    """A configuration as TOML that ``load_config`` reads back, every key with its meaning, range and default."""
+    """A configuration as TOML for ``load_config``, every key with its meaning, range and default."""
     values = cfg.model_dump(mode="json")
-    lines = ["# Settings of roadperc-replay, for --config. What is left out has its default."]
+    lines = ["# Settings of roadperc-replay, for --config. Missing keys have their defaults."]
     lines += [f"# {_PLAIN_SCALING}"]
     for section, settings in _by_section():
         lines += ["", *([f"# {sections()[section]}", f"[{section}]"] if section else [])]
@@ -80,7 +82,7 @@ def as_toml(cfg: ReplayConfig) -> str:
 
 
 def as_page() -> str:
-    """The page of the documentation."""
+    """The page ``docs/settings.md``."""
     lines = [_PAGE_HEAD]
     for section, settings in _by_section():
         lines += [f"## {section}\n\n{sections()[section]}\n" if section else "## whole replay\n"]
@@ -96,15 +98,15 @@ def _by_section() -> Iterator[tuple[str, Iterable[Setting]]]:
 
 
 def _wrapped(line: str, width: int) -> str:
-    """A line folded between words, what follows two columns further in than it begins."""
+    """A line folded between words, with continuation lines indented."""
     indent = " " * (len(line) - len(line.lstrip()))
     further = indent if len(indent) == len("    ") else f"{indent}      "
     return textwrap.fill(line, width, subsequent_indent=further, break_long_words=False, break_on_hyphens=False)
 
 
 def _comment(setting: Setting) -> Iterator[str]:
-    said = f"{_range(setting)}{f' [{setting.unit}]' if setting.unit else ''}; default {_value(setting.default)}"
-    for text in (setting.meaning, said):
+    facts = f"{_range(setting)}{f' [{setting.unit}]' if setting.unit else ''}; default {_value(setting.default)}"
+    for text in (setting.meaning, facts):
         yield from textwrap.wrap(text, _WIDEST, initial_indent="# ", subsequent_indent="# ", break_on_hyphens=False)
 
 
@@ -113,7 +115,7 @@ def _row(setting: Setting) -> str:
 
 
 def _range(setting: Setting) -> str:
-    """The range, where it is not the long list of classes."""
+    """The range of a setting; a short name for the list of all classes."""
     return _CLASSES if setting.choices == _class_names() else setting.range
 
 

@@ -1,4 +1,4 @@
-"""``roadperc-sweep``: logs under every combination of some settings, and which setting is best for which metric."""
+"""``roadperc-sweep``: replay logs under every combination of settings, and print the best setting per metric."""
 
 import argparse
 import os
@@ -13,13 +13,13 @@ _EXAMPLE = """\
 example:
   roadperc-sweep logs/sample.mcap --vary lanes.fit_strip_m=0.2,0.3,0.5 --vary surface.inlier_m=0.03,0.05
 
-replays the sample under all six combinations, writes sweep/ with a metrics table for each, the settings as columns
-(pl.scan_parquet("sweep/**/*.parquet")), and prints the best setting for each metric. roadperc-report reads sweep/ too.
+This replays the sample under all six combinations and writes a metrics table for each below sweep/, with the settings
+as columns. Read them with pl.scan_parquet("sweep/**/*.parquet") or roadperc-report sweep/.
 """
 
 
 def main(argv: list[str] | None = None) -> int:
-    """``roadperc-sweep``: replay logs under every combination of settings and print which is best."""
+    """``roadperc-sweep``: replay logs under every combination of settings."""
     parser = _parser()
     arguments = parse(parser, argv)
     _refuse_contradictions(parser, arguments)
@@ -30,18 +30,18 @@ def main(argv: list[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser(
         "sweep",
-        "Replay logs under every combination of some settings, each log read and decoded once, write one\n"
-        "dataset of metrics with the settings as columns, and print which setting is best for which metric.",
+        "Replay logs under every combination of some settings, write the metrics to one dataset, and print the\n"
+        "best setting for each metric. Each log is read and decoded once.",
         _EXAMPLE,
     )
-    logs = parser.add_argument("logs", metavar="IN.mcap", type=Path, nargs="+")
+    logs = parser.add_argument("logs", metavar="IN.mcap", type=Path, nargs="+", help="the logs to replay")
     vary = parser.add_argument(
         "--vary",
         metavar="KEY=A,B,...",
         type=part("eval.options").varied,
         action="append",
         required=True,
-        help="a setting and its values; repeat it for all combinations",
+        help="a setting and its values; repeat the option for combinations of settings",
     )
     out = parser.add_argument(
         "--out", metavar="DIR", type=Path, default=Path("sweep"), help="folder of the dataset (default: sweep)"
@@ -52,16 +52,16 @@ def _parser() -> argparse.ArgumentParser:
         metavar="N",
         type=whole_number,
         default=os.cpu_count() or 1,
-        help="logs to replay at a time (default: one per processor)",
+        help="replay N logs at a time (default: one per processor)",
     )
-    parser.add_argument("--force", action="store_true", help="replace DIR if it is an earlier sweep")
+    parser.add_argument("--force", action="store_true", help="replace DIR if it is the result of an earlier sweep")
     for action, completer in ((logs, files(*LOGS)), (vary, varied_settings), (out, files())):
         completed_by(action, completer)
     return parser
 
 
 def _refuse_contradictions(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
-    """End with a line on the usage, where an argument takes back what another one says."""
+    """Exit with code 2 if a setting or a log is repeated."""
     keys = [item.key for item in arguments.vary]
     for key in keys:
         if keys.count(key) > 1:

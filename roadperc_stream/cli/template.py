@@ -1,4 +1,4 @@
-"""``--template``: the picture of an obstacle, from a file or from a box in a frame of the log."""
+"""``--template``: the picture of an obstacle, from an image file or from a box in a frame of the log."""
 
 import re
 from collections.abc import Sequence
@@ -16,9 +16,9 @@ from roadperc_stream.input import ReplaySource, open_input
 from roadperc_stream.model import Image
 
 _IN_FRAME: Final = re.compile(r"(\d{1,9}):(\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9})")
-_EXPECTED: Final = "expected a picture's file, or FRAME:X0,Y0,X1,Y1 with X0 < X1 and Y0 < Y1"
+_EXPECTED: Final = "expected an image file, or FRAME:X0,Y0,X1,Y1 with X0 < X1 and Y0 < Y1"
 _LEAST_PX: Final = 8
-"""Rows and columns of a picture that is more than a speck."""
+"""Least rows and columns of a picture."""
 
 
 def with_template(cfg: ReplayConfig, option: str | None, source: ReplaySource) -> ReplayConfig:
@@ -30,7 +30,7 @@ def with_template(cfg: ReplayConfig, option: str | None, source: ReplaySource) -
         source: the log.
 
     Raises:
-        ConfigError: there is no such picture.
+        ConfigError: the file or the frame does not exist, or the picture is unsuitable.
     """
     if option is None:
         return cfg
@@ -60,12 +60,12 @@ def _of_file(path: Path) -> Image:
 def _of_frame(cfg: ReplayConfig, source: ReplaySource, place: Sequence[int]) -> Image:
     frame, x0, y0, x1, y1 = place
     if Path("-") in source.files:
-        raise ConfigError("--template: a box in a frame needs a log in a file, for it is read twice")
+        raise ConfigError("--template: a box in a frame needs a log in a file, because it is read twice; expected no -")
     first = replace(source.time_range, frames=frame + 1)
     samples = open_input(replace(source, time_range=first), cfg).samples()
     image = next((sample.frame.image for sample in samples if sample.index == frame), None)
     if image is None:
-        raise ConfigError(f"--template: the log has no frame {frame}, or it is without an image; {_EXPECTED}")
+        raise ConfigError(f"--template: the log has no image in frame {frame}; {_EXPECTED}")
     height, width = image.grey.shape
     if not (x0 < x1 <= width and y0 < y1 <= height):
         found = f"{x0},{y0},{x1},{y1}"

@@ -1,4 +1,4 @@
-"""``roadperc-view``: a log in Rerun, in Foxglove, or as a video."""
+"""``roadperc-view``: show a log in Rerun or Foxglove, or write a video."""
 
 import argparse
 from dataclasses import replace
@@ -11,21 +11,19 @@ from roadperc_stream.cli.plumbing import command_parser, parse, run, seconds
 _EXAMPLE = """\
 example:
   roadperc-replay logs/sample.mcap out.mcap
-  roadperc-view out.mcap                    the Rerun viewer, arranged for this log
-  roadperc-view out.mcap --save out.rrd     save it as a file: rerun out.rrd
-  roadperc-view out.mcap --foxglove         for Foxglove: Open connection, ws://localhost:8765
-  roadperc-view out.mcap --foxglove-layout road.json
-                                            the same arrangement for Foxglove, of this log's topics: Import from file
-  roadperc-view out.mcap --foxglove --foxglove-layout live.json
-                                            serve the log, with a layout that has the times of the stages
-  roadperc-view out.mcap --video out.mp4    a video, without a viewer
+  roadperc-view out.mcap                                open the Rerun viewer with a layout for this log
+  roadperc-view out.mcap --save out.rrd                 save a recording; open it with: rerun out.rrd
+  roadperc-view out.mcap --foxglove                     in Foxglove: Open connection, ws://localhost:8765
+  roadperc-view out.mcap --foxglove-layout road.json    in Foxglove: Import layout from file
+  roadperc-view out.mcap --foxglove --foxglove-layout live.json    a layout with the times of the stages
+  roadperc-view out.mcap --video out.mp4                write a video
 
-An input log opens too. rerun LOG.mcap shows channels that this project does not know.
+Input logs work too. For channels that this project does not know, use: rerun LOG.mcap
 """
 
 
 def main(argv: list[str] | None = None) -> int:
-    """``roadperc-view``."""
+    """``roadperc-view``: show a log."""
     parser = _parser()
     arguments = parse(parser, argv)
     _require_sense(parser, arguments)
@@ -36,17 +34,19 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = command_parser("view", "Show a log in the Rerun viewer, or where an option says.", _EXAMPLE)
+    parser = command_parser(
+        "view", "Show a log in the Rerun viewer or in Foxglove, or write a recording, a layout or a video.", _EXAMPLE
+    )
     log = parser.add_argument("log", metavar="OUT.mcap", type=Path, nargs="?", help="a log; - for standard input")
     add = parser.add_mutually_exclusive_group().add_argument
-    save = add("--save", metavar="FILE.rrd", type=Path, help="write a Rerun recording and open nothing")
-    add("--foxglove", action="store_true", help="serve the log live to Foxglove")
+    save = add("--save", metavar="FILE.rrd", type=Path, help="write a Rerun recording, and open no viewer")
+    add("--foxglove", action="store_true", help="play the log to Foxglove")
     video = add("--video", metavar="FILE.mp4", type=Path, help="write a video of the log")
     layout = parser.add_argument(
         "--foxglove-layout",
         metavar="FILE.json",
         type=Path,
-        help="write a Foxglove layout for the log; with --foxglove it includes the times of the stages",
+        help="write a Foxglove layout for the log; with --foxglove it shows the times of the stages",
     )
     add_topic_argument(parser)
     parser.add_argument("--recover", action="store_true", help="show the readable part of a damaged log")
@@ -60,15 +60,15 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _require_sense(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
-    """Wrong usage: no log, or an option that the chosen way to look does not know."""
+    """Exit with code 2 if the log is missing or an option does not apply to the chosen output."""
     if arguments.log is None and (arguments.foxglove_layout is None or arguments.topic or arguments.foxglove):
         parser.error("expected a log: OUT.mcap")
     if arguments.foxglove_layout and (arguments.save or arguments.video):
-        parser.error("--foxglove-layout: not allowed with --save and --video")
+        parser.error("--foxglove-layout cannot be combined with --save or --video")
     served = [*given_options(arguments), *(["start"] if arguments.start is not None else [])]
     if served and not arguments.foxglove:
-        parser.error(f"--{served[0]}: only with --foxglove")
+        parser.error(f"--{served[0]} needs --foxglove")
     if arguments.topic and (arguments.video or (arguments.foxglove and not arguments.foxglove_layout)):
-        parser.error("--topic: only with the Rerun viewer, --save and --foxglove-layout")
+        parser.error("--topic applies only to the Rerun viewer, --save and --foxglove-layout")
     if arguments.force and not (arguments.save or arguments.foxglove_layout or arguments.video):
-        parser.error("--force: only with --save, --foxglove-layout and --video")
+        parser.error("--force needs --save, --foxglove-layout or --video")

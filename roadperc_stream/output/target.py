@@ -9,7 +9,7 @@ from roadperc_stream.errors import LogError, TargetError
 from roadperc_stream.input.earlier_replay import is_result_log
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.topics import Request
-from roadperc_stream.system.files import TABLE_SUFFIX, remove_dead_partials, require_free
+from roadperc_stream.system.files import TABLE_SUFFIX, remove_stale_partials, require_free
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class ReplayTarget:
                 f"refusing to overwrite {self.path}: it was not written by roadperc-replay. Is OUT.mcap missing?"
             )
 
-    def remove_dead_partials(self) -> None:
+    def remove_stale_partials(self) -> None:
         """Remove the partial files of killed replays."""
         for path in self.files:
-            remove_dead_partials(path)
+            remove_stale_partials(path)

@@ -1,4 +1,4 @@
-"""Files that commands write: none is replaced unasked, and each appears under its name only when complete."""
+"""Output files: they replace no file without ``force``, and appear under their names only when complete."""
 
 import os
 import re
@@ -23,11 +23,11 @@ def require_free(target: Path, *, force: bool, suffix: str, source: Path | None 
     Args:
         target: the file.
         force: an existing file may be replaced.
-        suffix: how its name must end.
-        source: what the file is made from, which it must not replace.
+        suffix: required suffix of its name.
+        source: the input, which must not be replaced.
 
     Raises:
-        TargetError: it may not.
+        TargetError: it may not be written.
     """
     require_plain(target)
     require_suffix(target, suffix)
@@ -38,15 +38,15 @@ def require_free(target: Path, *, force: bool, suffix: str, source: Path | None 
 
 
 def require_plain(target: Path) -> None:
-    """Check that a name is, or can become, that of a file: links and devices would be replaced, not written to.
+    """Check that a path is a file or does not exist: links and devices would be replaced instead of written to.
 
     Raises:
-        TargetError: it is anything else, or no text, which not every library takes for a name.
+        TargetError: it is something else, or not UTF-8, which some libraries need.
     """
     if os.fsencode(target).decode("utf-8", "replace") != str(target):
         raise TargetError(f"{str(target)!a}: expected a name in UTF-8")
     if target.is_symlink():
-        raise TargetError(f"{target}: is a link; name the file that it is to stand for")
+        raise TargetError(f"{target}: is a link; name the file that it points to")
     if target.is_dir():
         raise TargetError(f"{target}: is a folder, expected the name of a file")
     if target.exists() and not target.is_file():
@@ -54,10 +54,10 @@ def require_plain(target: Path) -> None:
 
 
 def require_suffix(target: Path, *suffixes: str) -> None:
-    """Check that a file's name says what will be in it: a file of another kind might be a log or a table.
+    """Check the suffix of an output, so that no log or table is replaced by another kind of file.
 
     Raises:
-        TargetError: it ends in none of ``suffixes``.
+        TargetError: the suffix is not one of ``suffixes``.
     """
     if target.suffix.lower() not in suffixes:
         raise TargetError(f"{target}: expected a name that ends in {' or '.join(suffixes)}")
@@ -67,7 +67,7 @@ def make_private(folder: Path) -> None:
     """Make a folder that only this user can enter, or check that it is one; links are not followed.
 
     Raises:
-        TargetError: it cannot be made, or others made it or can enter it: what is in it may be theirs.
+        TargetError: it cannot be made, or other users own it or can enter it.
     """
     with target_errors(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -87,24 +87,24 @@ def make_private(folder: Path) -> None:
 
 
 def not_a_log(folder: Path) -> str:
-    """Words for a folder that is named as a log: the logs within, or the command that makes one of a dump."""
+    """The error for a folder instead of a log: names the logs in it, or the command that converts a dump."""
     logs = sorted(folder.glob("*.mcap"))
     if logs:
-        parts = f", or its {len(logs)} files as the parts of one: {folder}/*.mcap" if len(logs) > 1 else ""
-        return f"{folder}: is a folder, expected a log, such as {logs[0]}{parts}"
+        files = f", or all {len(logs)} files of one log: {folder}/*.mcap" if len(logs) > 1 else ""
+        return f"{folder}: is a folder, expected a log, such as {logs[0]}{files}"
     target = f"{folder if folder.name.strip('.') else folder.resolve().name}.mcap"
     command = shlex.join(("roadperc-convert", str(folder), target))
-    return f"{folder}: is a folder, expected a log; a CARLA dump becomes one with: {command}"
+    return f"{folder}: is a folder, expected a log; convert a CARLA dump with: {command}"
 
 
 def real_path(path: Path) -> Path:
-    """The absolute path without links; of links that run in a circle the last one, where pathlib raises an error."""
+    """The absolute path without links; unlike pathlib, no error for links in a circle."""
     return Path(os.path.realpath(path))
 
 
 @contextmanager
 def target_errors(target: Path) -> Iterator[None]:
-    """Turn an error of the system while a file is written into one that names the file.
+    """Turn an error of the system into an error that names the file.
 
     Raises:
         TargetError: the file or its folder cannot be written.
@@ -116,17 +116,17 @@ def target_errors(target: Path) -> Iterator[None]:
 
 
 def sync_file(path: Path) -> None:
-    """Make what is in a file durable, where the system can.
+    """Make the content of a file durable.
 
     Raises:
-        TargetError: it cannot be written, as when the disk is full.
+        TargetError: it cannot be written, for example because the disk is full.
     """
     with target_errors(path), path.open("rb") as stream:
         os.fsync(stream.fileno())
 
 
 def sync_folder(folder: Path) -> None:
-    """Make the names in a folder durable, where the system can."""
+    """Make the names in a folder durable, if the system can."""
     with suppress(OSError):
         number = os.open(folder, os.O_RDONLY)
         try:
@@ -136,21 +136,20 @@ def sync_folder(folder: Path) -> None:
 
 
 def partial_of(target: Path, suffix: str = "", mark: str = "") -> Path:
-    """The hidden name next to a target under which this process writes it.
+    """The hidden path next to a target where this process writes it: its partial file.
 
     Args:
         target: the file or folder.
-        suffix: how the name is to end, for libraries that go by it; by default as no file that is searched for does.
-        mark: a text of one writer alone, where processes of other machines, whose numbers may be the same, write there.
+        suffix: suffix for libraries that need it; by default a suffix that no command reads.
+        mark: unique text instead of the process number, for folders shared with other machines.
     """
     return target.with_name(f".{target.name}.{mark or os.getpid()}.partial{suffix}")
 
 
-def remove_dead_partials(target: Path) -> None:
-    """Remove what processes that are no more left unfinished under the hidden names next to a target.
+def remove_stale_partials(target: Path) -> None:
+    """Remove the partial files of a target whose processes have ended.
 
-    Their numbers are in the names. A file whose number a living process has stays, even where that is another one by
-    now; so do the files of other targets.
+    The names contain the process numbers. A file stays if any process has its number now.
     """
     name = re.compile(rf"\.{re.escape(target.name)}\.(\d+)\.partial({re.escape(target.suffix)})?")
     with suppress(OSError):
@@ -173,15 +172,15 @@ def _is_alive(process: int) -> bool:
 
 @contextmanager
 def completing(target: Path, *, force: bool = True, mark: str = "") -> Iterator[Path]:
-    """A name next to the target to write to, which becomes the target where the block ends without an error.
+    """A partial file, which is renamed to the target if the block ends without an error.
 
     Args:
         target: the file.
-        force: replace a file that appeared there in the meantime.
-        mark: of this writer alone, where other machines write to the same folder.
+        force: replace a file that another program wrote during the block.
+        mark: as in ``partial_of``.
 
     Raises:
-        TargetError: the folder or the file cannot be written, or may not be.
+        TargetError: the folder or the file cannot or may not be written.
     """
     require_plain(target)
     temporary = partial_of(target, target.suffix, mark)
@@ -199,14 +198,14 @@ def completing(target: Path, *, force: bool = True, mark: str = "") -> Iterator[
 
 @contextmanager
 def completing_folder(target: Path, keep: Callable[[Path], bool] = lambda _: False) -> Iterator[Path]:
-    """A hidden folder to fill, which takes the target's place where the block ends without an error.
+    """A hidden folder, which replaces the target if the block ends without an error.
 
     Args:
-        target: the folder; what stands there goes.
-        keep: whether something that lies in it stays.
+        target: the folder; its earlier content is removed.
+        keep: whether an entry of the earlier folder stays.
 
     Raises:
-        TargetError: it cannot be made, or put there.
+        TargetError: the folder cannot be written.
     """
     place = target.resolve()
     hidden = partial_of(place)
@@ -230,20 +229,20 @@ def completing_folder(target: Path, keep: Callable[[Path], bool] = lambda _: Fal
 
 
 class PartialFile(AbstractContextManager[Any], Protocol):
-    """A file under a hidden name while it is written: the end of its context names it, or removes it after an error."""
+    """A partial file: the end of its context renames it to its target, or removes it after an error."""
 
     def complete(self) -> None:
-        """Write what is still to be written: then nothing is left but to give the file its name."""
+        """Write the rest, so that only the renaming can fail."""
 
     def discard(self) -> None:
-        """Remove what is not complete."""
+        """Remove the partial file."""
 
 
 @contextmanager
 def all_or_none(*outputs: PartialFile) -> Iterator[None]:
-    """Open outputs that get their names when all are complete: a disk that is full is full for all of them.
+    """Open outputs, and rename them to their targets when all are complete.
 
-    Nothing half written stays, even where a signal comes while an output is being opened.
+    No partial file stays after an error, even if a signal arrives while an output is opened.
     """
     with ExitStack() as stack:
         for output in outputs:

@@ -1,23 +1,23 @@
-"""How the C library deals with memory that arrays give back."""
+"""Settings of the C library for freed memory."""
 
 import ctypes
 from typing import Final
 
 _TRIM_THRESHOLD: Final = -1
 _MMAP_THRESHOLD: Final = -3
-"""Parameters of glibc's ``mallopt``, as its malloc.h numbers them."""
+"""Parameters of glibc's ``mallopt``, from malloc.h."""
 _LARGEST_KEPT: Final = 32 << 20
-"""Bytes of an array up to which it is taken from memory that is kept: the most that glibc accepts."""
+"""Arrays up to this many bytes use kept memory; the largest value that glibc accepts."""
 _KEPT: Final = 256 << 20
-"""Bytes that are kept free at the end of the heap before any are given back."""
+"""Free bytes at the end of the heap that glibc does not return to the system."""
 
 
 def keep_freed_memory() -> None:
-    """Let the C library keep freed memory for the arrays of the next frame; for a process that replays and ends.
+    """Make the C library keep freed memory for the arrays of the next frame; for a process that replays and ends.
 
-    Every frame needs the same few hundred arrays. By its defaults glibc gives the large ones' pages back to the system
-    and asks for them again, thousands a frame, each of which the system must clear first. No more memory is used at
-    once. Other C libraries have no such setting, and nothing is done.
+    Every frame needs the same few hundred arrays. By default glibc returns the pages of large arrays to the system and
+    requests them again: thousands per frame, which the system must clear. The peak memory does not change. Other C
+    libraries have no such setting; the function then does nothing.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-TYPE_CHECKING = False  # typing itself would be half the time that a command's first moment takes
+TYPE_CHECKING = False  # importing typing would double the start time of a command
 if TYPE_CHECKING:
     from typing import IO, TextIO
 
@@ -15,7 +15,7 @@ EXIT_DONE, EXIT_ERROR = 0, 1
 
 
 def ending_signals() -> list[int]:
-    """The signals that end a command; not those it was started to ignore, as under nohup."""
+    """The signals that end a command, except ignored ones, as under nohup."""
     return [
         number
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -25,11 +25,7 @@ def ending_signals() -> list[int]:
 
 @contextmanager
 def optional_output(stream: "TextIO | None" = None) -> Iterator[None]:
-    """Let the work continue if the output in this block has no reader, or stderr has no space.
-
-    Args:
-        stream: what is printed to, stdout where none is named.
-    """
+    """Continue if the output of the block has no reader, or stderr has no space; ``stream`` is stdout by default."""
     stream = stream or sys.stdout
     try:
         yield

@@ -1,4 +1,4 @@
-"""How far a long job has come."""
+"""Callbacks for the progress of long jobs."""
 
 from collections.abc import Callable
 from time import monotonic
@@ -8,17 +8,17 @@ Progress = Callable[[int, int], None]
 
 
 def no_progress(_done: int, _expected: int) -> None:
-    """Nobody wants to know."""
+    """Ignore the progress."""
 
 
-def now_and_then(progress: Progress, every_s: float) -> Progress:
-    """The same at most once in so many seconds, for what takes long to tell."""
+def at_most_every(every_s: float, progress: Progress) -> Progress:
+    """A callback that calls another one at most once in ``every_s`` seconds."""
     next_s = 0.0
 
-    def told(done: int, expected: int) -> None:
+    def call(done: int, expected: int) -> None:
         nonlocal next_s
         if monotonic() >= next_s:
             next_s = monotonic() + every_s
             progress(done, expected)
 
-    return told
+    return call

@@ -1,4 +1,4 @@
-"""How long each stage takes."""
+"""A timer for the stages of a frame."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -8,22 +8,22 @@ from time import perf_counter, thread_time
 
 @dataclass
 class StageTimer:
-    """Milliseconds each stage took; made for one frame, before its first stage.
+    """The milliseconds of each stage of one frame.
 
-    ``clock`` gives seconds: of the wall, or where several threads have a part in the frame those that each of them
-    worked (``thread_time``).
+    ``clock`` returns seconds: wall time, or, if several threads work on a frame, the time of the thread
+    (``thread_time``).
     """
 
     clock: Callable[[], float] = perf_counter
     elapsed_ms: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Begin the frame."""
+        """Start the frame."""
         self._started = self.clock()
 
     @contextmanager
     def __call__(self, name: str) -> Iterator[None]:
-        """Measure what happens inside, and add it to the stage's time."""
+        """Add the time of the block to a stage."""
         started = self.clock()
         try:
             yield
@@ -31,12 +31,12 @@ class StageTimer:
             self.elapsed_ms[name] = self.elapsed_ms.get(name, 0.0) + (self.clock() - started) * 1000
 
     def end(self) -> None:
-        """End the frame: its ``total`` is the time since it began, or where each thread has its own clock the sum."""
+        """End the frame: ``total`` is the time since its start, or the sum of the stages for ``thread_time``."""
         if self.clock is thread_time:
             self.elapsed_ms["total"] = sum(self.elapsed_ms.values())
         else:
             self.elapsed_ms["total"] = (self.clock() - self._started) * 1000
 
     def columns(self) -> dict[str, float]:
-        """The time columns of a row; stages that did not run are left out."""
+        """The time columns of a row; stages without a run are left out."""
         return {f"{name}_ms": value for name, value in self.elapsed_ms.items()}

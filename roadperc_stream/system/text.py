@@ -1,21 +1,23 @@
-"""Lines for a terminal, escaped so that foreign text cannot control it; counts and similar names."""
+"""Escaped lines for a terminal, counts, and similar names."""
 
 import difflib
 from collections.abc import Iterable
 from typing import Final, TextIO
 
 _LONGEST: Final = 10_000
-"""Characters of a line; a path has 4096 at most."""
+"""Characters of a line; the longest path has 4096."""
 
 
 def shown(text: str) -> str:
-    r"""A line for the terminal, in which no character moves the cursor, changes colours or turns the reading order.
+    r"""A line for the terminal without characters that move the cursor, change colours or the reading direction.
 
-    Control characters, line separators, direction marks and other characters without a glyph are written
-    as ``\x1b``, ``\n`` or ``\u202e``; a line that is too long is cut.
+    Control characters, line separators, direction marks and other characters without a glyph become ``\x1b``, ``\n`` or
+    ``\u202e``. Long lines are cut.
     """
     cut = text if len(text) <= _LONGEST else f"{text[:_LONGEST]}… ({len(text) - _LONGEST} more characters)"
-    return cut if cut.isprintable() else "".join(s if s.isprintable() else _escaped(s) for s in cut)
+    if cut.isprintable():
+        return cut
+    return "".join(s if s.isprintable() else s.encode("unicode_escape").decode("ascii") for s in cut)
 
 
 def print_line(line: str, stream: TextIO | None = None) -> None:
@@ -32,14 +34,10 @@ def nearest(name: str, known: Iterable[str], likeness: float = 0.6) -> str | Non
     """The known name that is most similar to a name, ignoring case; None if none is similar.
 
     Args:
-        name: as the user wrote it.
-        known: the names that exist.
-        likeness: least similarity, 0 to 1, as the ratio of ``difflib``.
+        name: the user's name.
+        known: the existing names.
+        likeness: least similarity, 0 to 1, as ``difflib``'s ratio.
     """
     folded = {candidate.casefold(): candidate for candidate in known}
     close = difflib.get_close_matches(name.casefold(), folded, n=1, cutoff=likeness)
     return folded[close[0]] if close else None
-
-
-def _escaped(sign: str) -> str:
-    return sign.encode("unicode_escape").decode("ascii")

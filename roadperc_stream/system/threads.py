@@ -1,4 +1,4 @@
-"""How many threads the numeric libraries use, and a replay."""
+"""Number of threads of a replay and of the numeric libraries."""
 
 import os
 from collections.abc import Iterator
@@ -11,14 +11,14 @@ from threadpoolctl import threadpool_limits
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Keep OpenCV and BLAS to one thread, where a second one mostly waits, and numpy from warning of absurd input."""
+    """Limit OpenCV and BLAS to one thread, because a second one mostly waits, and silence numpy's warnings."""
     with opencv_threads(1), threadpool_limits(limits=1, user_api="blas"), np.errstate(all="ignore"):
         yield
 
 
 @contextmanager
 def opencv_threads(number: int) -> Iterator[None]:
-    """Have OpenCV use so many threads, in the whole process."""
+    """Set the number of OpenCV's threads in the whole process."""
     before = cv2.getNumThreads()
     cv2.setNumThreads(number)
     try:
@@ -28,5 +28,5 @@ def opencv_threads(number: int) -> Iterator[None]:
 
 
 def usable_cores() -> int:
-    """The cores that this process may use, which may be fewer than there are."""
+    """The number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

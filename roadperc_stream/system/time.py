@@ -1,4 +1,4 @@
-"""Times: logs count integer nanoseconds, people and configurations seconds."""
+"""Times: integer nanoseconds in logs, seconds in options and configurations."""
 
 import math
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from roadperc_stream.errors import ConfigError
 
 NS_PER_S: Final = 1_000_000_000
 END_OF_TIME_NS: Final = 2**63
-"""The first stamp that does not fit the signed 64 bits in which tables and viewers hold one."""
+"""The first stamp beyond the signed 64 bits of tables and viewers."""
 
 
 def seconds_to_ns(seconds: float) -> int:
@@ -18,13 +18,13 @@ def seconds_to_ns(seconds: float) -> int:
 
 
 def ns_to_seconds(time_ns: float) -> float:
-    """Seconds of nanoseconds."""
+    """Nanoseconds as seconds."""
     return time_ns / NS_PER_S
 
 
 @dataclass(frozen=True)
 class TimeRange:
-    """What part of a log is replayed: seconds from its first message, and at most so many frames."""
+    """A part of a log: limits in seconds from its first message, and the most frames."""
 
     start_s: float | None = None
     end_s: float | None = None
@@ -34,7 +34,7 @@ class TimeRange:
         """Check the limits.
 
         Raises:
-            ConfigError: one is no time or number, or the range ends before it starts.
+            ConfigError: a limit is invalid, or the range ends before it starts.
         """
         for name, limit_s in (("start", self.start_s), ("end", self.end_s)):
             if limit_s is not None and not (isinstance(limit_s, Real) and math.isfinite(limit_s)):

@@ -1,11 +1,11 @@
-"""Back ends on which nothing is replayed."""
+"""A back end without replays."""
 
 
 class Scripted:
-    """A back end that says of each task at once what a function of the task gives."""
+    """A back end that ends each task at once with the outcome of a function."""
 
     def __init__(self, outcome_of):
-        self.slots, self.at_work, self._tasks, self._outcome_of = 1, {}, [], outcome_of
+        self.slots, self.running, self._tasks, self._outcome_of = 1, {}, [], outcome_of
 
     def submit(self, task):
         self._tasks.append(task)
@@ -18,4 +18,4 @@ class Scripted:
         return self
 
     def __exit__(self, *raised):
-        """Nothing was begun that would have to end."""
+        """Nothing to end."""

@@ -1,4 +1,4 @@
-"""A real Ray cluster on this machine: each of its machines is a raylet with workers of its own."""
+"""A real Ray cluster on this machine: each of its machines is a raylet with its own workers."""
 
 import os
 import secrets
@@ -21,7 +21,7 @@ STARTS = 3
 
 
 class Machines:
-    """The head with one CPU, and whatever else is started; all end with the context."""
+    """The head with one CPU, and further machines; all end with the context."""
 
     def __init__(self, folder):
         self.address, self._folder = f"127.0.0.1:{free_port()}", folder
@@ -31,28 +31,28 @@ class Machines:
         self.client_address = f"ray://127.0.0.1:{(client_port := free_port())}"
         port = self.address.partition(":")[2]
         self._python = folder / "venv" / Path(sys.executable).relative_to(sys.prefix)
-        (folder / "venv").symlink_to(sys.prefix)  # Ray starts its client server by a shell, which splits at blanks
+        (folder / "venv").symlink_to(sys.prefix)  # Ray starts its client server in a shell, which splits at blanks
         self.started = []
         self.add("--head", f"--port={port}", f"--ray-client-server-port={client_port}", "--include-dashboard=false",
                  f"--temp-dir={folder}", "--num-cpus=1")  # fmt: skip
 
     def add(self, *options):
-        """A machine, with two CPUs unless said; Ray gives up a start after half a minute, as on a busy computer."""
+        """Start a machine, by default with two CPUs; retried, because Ray gives up after half a minute."""
         words = options or (f"--address={self.address}", "--num-cpus=2")
         for _ in range(STARTS):
-            process, said = self._started(words)
+            process, printed = self._started(words)
             if process.poll() is None:
                 return psutil.Process(process.pid)
             self.started.remove(process)
             with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
-        raise AssertionError(said)
+        raise AssertionError(printed)
 
     def _started(self, words):
-        """The process of a machine, and what it has said when it was ready or had ended."""
+        """The process of a machine, and its output when it is ready or has ended."""
         always = ("--block", "--object-store-memory=80000000", "--min-worker-port=0", "--max-worker-port=0")
-        said = self._folder / f"said_{time.monotonic_ns()}.txt"
-        with said.open("w") as output:
+        printed = self._folder / f"printed_{time.monotonic_ns()}.txt"
+        with printed.open("w") as output:
             process = subprocess.Popen(
                 [self._python, *RAY, "start", *words, *always],
                 env=self._environment,
@@ -62,14 +62,14 @@ class Machines:
                 start_new_session=True,
             )
         self.started.append(process)
-        wait_until(lambda: "Ray runtime started" in said.read_text() or self._has_ended(), START_WITHIN_S)
-        return process, said.read_text()
+        wait_until(lambda: "Ray runtime started" in printed.read_text() or self._has_ended(), START_WITHIN_S)
+        return process, printed.read_text()
 
     def _has_ended(self):
         return any(process.poll() is not None for process in self.started)
 
     def held(self, machine):
-        """Workers of a machine that are at a log, stopped so that they stay at it."""
+        """The workers of a machine that replay a log, suspended so that they do not finish."""
         found = [child for child in machine.children(recursive=True) if is_at_log(child)]
         for worker in found:
             worker.suspend()
@@ -82,7 +82,7 @@ class Machines:
 
 
 def kill(machine):
-    """As a machine goes whose power is cut: with all that runs on it, at once."""
+    """Kill a machine with all its processes at once, as a power failure does."""
     family = [machine, *machine.children(recursive=True)]
     for process in family:
         with suppress(psutil.NoSuchProcess):
@@ -97,14 +97,14 @@ def title(process):
 
 
 def is_at_log(process):
-    """Whether it is a worker of Ray that is at a log."""
+    """Whether a process is a worker of Ray that replays a log."""
     return title(process).startswith("ray::replay ")
 
 
 def wait_until(holds, within_s):
     until = time.monotonic() + within_s
     while not holds():
-        assert time.monotonic() < until, "waited in vain"
+        assert time.monotonic() < until, "timeout"
         time.sleep(0.05)
 
 
@@ -116,7 +116,7 @@ def free_port():
 
 @contextmanager
 def machines():
-    """A cluster; its folder has a short name, for the sockets in it."""
+    """A cluster; its folder has a short name because of the sockets in it."""
     folder = Path(tempfile.mkdtemp(prefix="ray-", dir="/tmp"))
     found = None
     try:

@@ -1,4 +1,4 @@
-"""A batch again, over logs and datasets to which something happened: what was done counts while it is true."""
+"""A batch again, after logs or the dataset have changed."""
 
 import os
 import shutil
@@ -10,12 +10,19 @@ import pytest
 from roadperc_stream.batch import worker
 from roadperc_stream.batch.driver import BatchRun
 from roadperc_stream.batch.storage.location import Location, find_files
-from roadperc_stream.batch.task import BatchConfiguration, BatchJob, DriveFiles, Outcome, Task
+from roadperc_stream.batch.task import BatchConfiguration, BatchJob, LogFiles, Outcome, Task
 from roadperc_stream.config import load_config
 from roadperc_stream.system.progress import no_progress
 from roadperc_stream.system.time import TimeRange
 from tests.batch.backends import Scripted
-from tests.batch.dataset import assert_as_single, batch, change_rows, runs, statuses, write_log
+from tests.batch.dataset import assert_as_single, batch, change_rows, runs, statuses, write_log, written
+
+CONFIGURATION = BatchConfiguration(load_config(None))
+
+
+@pytest.fixture
+def source(tmp_path):
+    return write_log(tmp_path / "in" / "a.mcap")
 
 
 @pytest.fixture
@@ -23,90 +30,88 @@ def out(tmp_path):
     return tmp_path / "out"
 
 
-def task(source, out, scratch=None, **how):
+def task(source, out, scratch=None):
     out.mkdir(exist_ok=True)
-    configuration = BatchConfiguration(load_config(None), **how)
-    return Task(
-        DriveFiles(tuple(find_files(str(source)))), BatchJob(configuration, Location(str(out)), scratch=scratch)
-    )
+    return Task(LogFiles(tuple(find_files(str(source)))), BatchJob(CONFIGURATION, Location(str(out)), scratch=scratch))
 
 
-def test_numbers_that_hardly_differ_are_other_configurations():
+def test_nearly_equal_numbers_are_different_configurations():
     ends_s = [0.2, 0.1999999, 0.2000001, 1234.561, 1234.564]
     configs = [BatchConfiguration(load_config(None), time_range=TimeRange(None, end_s)) for end_s in ends_s]
-    assert len({how.name for how in configs}) == len(ends_s)
+    assert len({config.name for config in configs}) == len(ends_s)
 
 
 @pytest.mark.parametrize("change", ["replaced", "cut off"])
-def test_a_log_that_changes_during_its_replay_is_unreachable_and_has_no_tables(tmp_path, out, monkeypatch, change):
-    source = write_log(tmp_path / "in" / "a.mcap")
+def test_a_log_that_changes_during_its_replay_is_unreachable_and_has_no_tables(
+    tmp_path, source, out, monkeypatch, change
+):
     other = write_log(tmp_path / "other.mcap", lane_m=0.2)
 
-    def changed(*given, **options):
+    def changed(*arguments, **options):
         if change == "replaced":
             other.rename(source)
         else:
             source.write_bytes(source.read_bytes()[:-3000])
-        return replay(*given, **options)
+        return replay(*arguments, **options)
 
     replay = worker.replay
     monkeypatch.setattr(worker, "replay", changed)
     outcome = worker.work(task(source, out), no_progress)
-    assert (outcome.status, outcome.error) == ("unreachable", f"{source}: changed while it was replayed")
-    assert not list(out.glob("metrics/*/*"))
+    error = f"{source}: changed while it was replayed; run the command again"
+    assert (outcome.status, outcome.error) == ("unreachable", error)
+    assert not written(out)
 
 
-def test_a_clock_that_was_set_back_hides_nothing(tmp_path, out):
-    source = write_log(tmp_path / "in" / "a.mcap")
+def test_rows_from_the_future_hide_nothing(tmp_path, source, out):
     batch(out, source)
     change_rows(out, finished_ns=pl.col("finished_ns") + 24 * 3600 * 10**9)
     shutil.rmtree(out / "metrics")
     assert batch(out, source).stdout.startswith("1 log done: 4 frames")
     write_log(source, lane_m=0.3)
     assert batch(out, source).stdout.startswith("1 log done: 4 frames")
-    assert batch(out, source).stdout.startswith("0 logs done, 1 left")
+    assert batch(out, source).stdout.startswith("0 logs done, 1 skipped")
     assert sorted(map(len, runs(out)["names"])) == [0, 1]
     assert_as_single(out, source, tmp_path)
 
 
-def test_the_path_of_a_log_is_one_that_it_still_has(tmp_path, out):
-    folder = tmp_path / "in"
-    one, other = write_log(folder / "a.mcap"), write_log(folder / "b.mcap", frames=5)
-    batch(out, folder)
-    one.rename(folder / "c")
-    other.rename(one)
-    (folder / "c").rename(other)
-    batch(out, folder)
+def test_the_path_of_a_log_is_one_of_its_current_names(tmp_path, source, out):
+    other = write_log(source.with_name("b.mcap"), frames=5)
+    batch(out, source.parent)
+    source.rename(tmp_path / "c")
+    other.rename(source)
+    (tmp_path / "c").rename(other)
+    batch(out, source.parent)
     assert {row["path"]: (row["names"], row["frames"]) for row in runs(out).to_dicts()} == {
-        str(one): ([str(one)], 5),
+        str(source): ([str(source)], 5),
         str(other): ([str(other)], 4),
     }
 
 
-def test_a_table_with_nothing_in_it_is_none(tmp_path, out):
-    source = write_log(tmp_path / "in" / "a.mcap")
+def test_an_empty_table_and_an_unknown_status_are_replayed(tmp_path, source, out):
     batch(out, source)
-    (table,) = out.glob("metrics/*/*.parquet")
+    (table,) = written(out)
     table.write_bytes(b"")
     assert batch(out, source).stdout.startswith("1 log done: 4 frames")
     assert_as_single(out, source, tmp_path)
+    change_rows(out, status=pl.lit("of another version"))
+    assert batch(out, source).returncode == 0
+    assert statuses(out) == {"a.mcap": "done"}
 
 
-def test_a_check_that_fails_leaves_what_is_done_as_it_is(tmp_path, out):
-    source = write_log(tmp_path / "in" / "a.mcap")
+def test_a_failed_check_changes_no_result(source, out):
     batch(out, source)
-    job = BatchJob(BatchConfiguration(load_config(None)), Location(str(out)), verify=True)
+    before = written(out)
+    job = BatchJob(CONFIGURATION, Location(str(out)), verify=True)
     verifying = BatchRun(job, [str(source)], None)
     verifying.run(lambda: Scripted(lambda _: Outcome("timeout", "took too long")), lambda: nullcontext(lambda _: None))
     assert sorted(row["status"] for row in runs(out).to_dicts()) == ["done", "timeout"]
     assert set(runs(out)["names"].list.len()) == {1}
-    written = [path.stat().st_mtime_ns for path in out.glob("metrics/*/*")]
     assert batch(out, source).stdout.startswith("1 log done: 0 frames")
-    assert [path.stat().st_mtime_ns for path in out.glob("metrics/*/*")] == written
+    assert written(out) == before
     assert statuses(out) == {"a.mcap": "done"}
 
 
-def test_a_recovered_log_is_looked_at_as_it_was_replayed(tmp_path, out):
+def test_a_recovered_log_is_checked_as_it_was_replayed(tmp_path, out):
     source = write_log(tmp_path / "in" / "a.mcap", frames=12)
     source.write_bytes(source.read_bytes()[:-4000])
     assert batch(out, source, "--recover").returncode == 0
@@ -115,34 +120,27 @@ def test_a_recovered_log_is_looked_at_as_it_was_replayed(tmp_path, out):
         assert batch(out, source, option).returncode == 0
     os.utime(source)
     assert batch(out, source).stdout.startswith("1 log done: 0 frames")
-    assert (
-        runs(out)
-        .drop("names", "fingerprints", "finished_ns")
-        .equals(before.drop("names", "fingerprints", "finished_ns"))
-    )
+    changing = ("names", "fingerprints", "finished_ns")
+    assert runs(out).drop(changing).equals(before.drop(changing))
 
 
-def test_a_link_that_leads_nowhere_is_a_log_that_is_not_to_be_had(tmp_path, out):
-    """Others in its folder are; to itself, to what is gone, or behind a disk that is not there today."""
-    source = write_log(tmp_path / "in" / "a.mcap")
-    gone, back = source.with_name("gone.mcap"), tmp_path / "elsewhere.mcap"
+def test_a_dead_link_is_an_unreachable_log(tmp_path, source, out):
+    dead, target = source.with_name("dead.mcap"), tmp_path / "elsewhere.mcap"
     (source.parent / "loop.txt").symlink_to("loop.txt")
     (source.parent / "loop.mcap").symlink_to("loop.mcap")
-    gone.symlink_to(back)
+    dead.symlink_to(target)
     once = batch(out, source.parent, "--retries", 0)
     assert (once.returncode, once.stdout.partition(":")[0]) == (1, "1 log done, 2 failed")
-    assert statuses(out) == {"a.mcap": "done", "gone.mcap": "unreachable", "loop.mcap": "unreachable"}
-    assert set(runs(out).filter(status="unreachable")["error"].str.split(": ").list.first()) == {
-        str(source.with_name("loop.mcap")),
-        str(gone),
-    }
+    assert statuses(out) == {"a.mcap": "done", "dead.mcap": "unreachable", "loop.mcap": "unreachable"}
+    errors = runs(out).filter(status="unreachable")["error"]
+    assert set(errors.str.split(": ").list.first()) == {str(source.with_name("loop.mcap")), str(dead)}
     (source.parent / "loop.mcap").unlink()
-    write_log(back, lane_m=0.2)
-    assert batch(out, source.parent).stdout.startswith("1 log done, 1 left")
-    assert statuses(out)["gone.mcap"] == "done"
+    write_log(target, lane_m=0.2)
+    assert batch(out, source.parent).stdout.startswith("1 log done, 1 skipped")
+    assert statuses(out)["dead.mcap"] == "done"
 
 
-def test_result_logs_are_no_input_by_whatever_name_the_dataset_goes(tmp_path):
+def test_result_logs_of_the_dataset_are_no_inputs(tmp_path):
     real, link = tmp_path / "real", tmp_path / "link"
     write_log(real / "a.mcap")
     link.symlink_to(real)
@@ -151,11 +149,11 @@ def test_result_logs_are_no_input_by_whatever_name_the_dataset_goes(tmp_path):
     assert runs(real / "out").height == 1
     nothing = batch(link / "out", real / "out" / "logs")
     assert (nothing.returncode, nothing.stderr.count("\n")) == (1, 1)
-    assert "no log but those of the dataset itself" in nothing.stderr
+    assert "only result logs of this dataset" in nothing.stderr
 
 
-def test_a_list_from_elsewhere(tmp_path, out):
-    source, listed = write_log(tmp_path / "in" / "a.mcap"), tmp_path / "list.txt"
+def test_a_list_with_other_line_ends_and_a_list_without_logs(tmp_path, source, out):
+    listed = tmp_path / "list.txt"
     listed.write_text(f"\ufeff{source}\r\n# more\r\n\r\n", encoding="utf-8")
     assert batch(out, f"@{listed}").stdout.startswith("1 log done")
     listed.write_text("# none\n")
@@ -163,36 +161,25 @@ def test_a_list_from_elsewhere(tmp_path, out):
     assert (nothing.returncode, nothing.stderr) == (1, f"error: @{listed}: names no log\n")
 
 
-@pytest.mark.parametrize(
-    ("change", "error"),
-    [
-        (lambda rows: rows.with_columns(finished_ns=pl.lit("today")), "is not a list of runs"),
-        (lambda rows: rows.with_columns(finished_ns=None), "is not a list of runs"),
-        (lambda rows: rows.with_columns(names=None), "is not a list of runs"),
-        (lambda rows: rows.with_columns(fingerprints=pl.lit([], pl.List(pl.String))), "is not a list of runs"),
-        (lambda rows: rows.with_columns(path=None), "is not a list of runs"),
-        (lambda rows: rows.drop("logs"), "has no column logs; another version of this program wrote it\n"),
-    ],
-)
-def test_a_list_of_runs_with_other_values_or_columns_is_a_one_line_error(tmp_path, out, change, error):
-    source, path = write_log(tmp_path / "in" / "a.mcap"), out / "runs.parquet"
+def test_a_list_of_runs_with_wrong_values_or_columns_is_a_one_line_error(source, out):
+    path = out / "runs.parquet"
     batch(out, source)
-    change(pl.read_parquet(path)).write_parquet(path)
-    refused = batch(out, source)
-    assert (refused.returncode, refused.stderr.count("\n")) == (1, 1)
-    assert refused.stderr.startswith(f"error: {path}: {error}")
+    rows = pl.read_parquet(path)
+    for changed, error in (
+        (rows.with_columns(finished_ns=pl.lit("today")), "not a list of runs"),
+        (rows.with_columns(finished_ns=None), "not a list of runs"),
+        (rows.with_columns(names=None), "not a list of runs"),
+        (rows.with_columns(fingerprints=pl.lit([], pl.List(pl.String))), "not a list of runs"),
+        (rows.with_columns(path=None), "not a list of runs"),
+        (rows.drop("logs"), "has no column logs; another version of this program wrote it\n"),
+    ):
+        changed.write_parquet(path)
+        refused = batch(out, source)
+        assert (refused.returncode, refused.stderr.count("\n")) == (1, 1)
+        assert refused.stderr.startswith(f"error: {path}: {error}")
 
 
-def test_a_status_of_another_version_is_no_reason_to_leave_a_log(tmp_path, out):
-    source = write_log(tmp_path / "in" / "a.mcap")
-    batch(out, source)
-    change_rows(out, status=pl.lit("lost"))
-    assert batch(out, source).returncode == 0
-    assert statuses(out) == {"a.mcap": "done"}
-
-
-def test_a_folder_for_temporary_files_that_cannot_be_is_an_error_at_once(tmp_path, out):
-    source = write_log(tmp_path / "in" / "a.mcap")
+def test_an_impossible_scratch_folder_is_an_error_at_once(tmp_path, source, out):
     (tmp_path / "file").touch()
     refused = batch(out, source, "--scratch", tmp_path / "file" / "a")
     assert (refused.returncode, refused.stderr.count("\n")) == (1, 1)

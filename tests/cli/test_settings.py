@@ -1,4 +1,4 @@
-"""The settings in all their forms: complete, in step with the models, and readable by what they are for."""
+"""The settings as text, JSON, TOML and page: complete, and equal to the models."""
 
 import json
 import os
@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from roadperc_stream.cli.replay import main
-from roadperc_stream.cli.settings import as_page, as_text, as_toml
+from roadperc_stream.cli.settings import as_page, as_text
 from roadperc_stream.config import ReplayConfig, load_config
 from roadperc_stream.config.catalogue import catalogue, sections
 from roadperc_stream.errors import ConfigError
@@ -20,8 +20,8 @@ from tests.config.test_settings import all_settings
 
 ROOT = Path(__file__).parents[2]
 BY_KEY = {setting.key: setting for setting in catalogue()}
-OF_NO_UNIT = {"seed"}
-"""Numbers that are no quantity."""
+WITHOUT_UNIT = {"seed"}
+"""Numbers without a quantity."""
 
 
 def printed(capsys, *arguments):
@@ -47,7 +47,7 @@ def test_every_setting_has_a_meaning_a_range_and_a_unit(setting):
     assert re.fullmatch(r"[A-Za-z].{10,}[.]", setting.meaning), setting
     assert "``" not in setting.meaning
     assert setting.range
-    if setting.type in ("integer", "number") and setting.key not in OF_NO_UNIT:
+    if setting.type in ("integer", "number") and setting.key not in WITHOUT_UNIT:
         assert setting.unit, setting
     is_text = setting.type == "string" and bool(setting.remark)
     assert bool(setting.choices) or is_text or {"minimum", "exclusiveMinimum"} & set(setting.limits)
@@ -55,7 +55,7 @@ def test_every_setting_has_a_meaning_a_range_and_a_unit(setting):
 
 @pytest.mark.parametrize("setting", [s for s in catalogue() if s.limits], ids=lambda setting: setting.key)
 def test_the_limits_hold(setting):
-    """What lies just beyond a limit is refused, and the message names the setting."""
+    """Values just beyond a limit are refused, and the message names the setting."""
     step = 1 if setting.type == "integer" else 1e-9
     limits = setting.limits
     beyond = [limits[name] - step for name in ("minimum",) if name in limits]
@@ -70,7 +70,7 @@ def test_the_limits_hold(setting):
 
 
 @pytest.mark.parametrize("setting", [s for s in catalogue() if s.choices], ids=lambda setting: setting.key)
-def test_the_choices_are_taken(setting):
+def test_the_choices_are_accepted(setting):
     for choice in setting.choices:
         load_config(None, (f"{setting.key}={choice}",))
 
@@ -89,13 +89,6 @@ def test_the_text_on_a_pipe_is_eighty_columns_wide():
     said = subprocess.run(words, check=True, capture_output=True, text=True, timeout=60, env=plain).stdout
     assert said == as_text(80)
     assert "lanes.hold_s = 0.5  [s]  (0 to 3600)\n    How long an unseen boundary is held" in said
-
-
-def test_every_form_says_at_what_size_pixels_are_given():
-    sentence = "Lengths in pixels are given at 960 image rows and scale with the image, those of stereo excepted."
-    assert f"\n{sentence}\n" in as_text(100)
-    assert f"\n# {sentence}\n" in as_toml(ReplayConfig())
-    assert sentence in as_page().replace("`", "")
 
 
 def test_json_has_the_same_facts(capsys):
@@ -140,14 +133,14 @@ def test_the_printed_configuration_is_the_resolved_one(capsys, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--list-settings", "in.mcap"], "IN.mcap: not together with --list-settings"),
-        (["--list-settings", "in.mcap", "out.mcap"], "IN.mcap: not together with --list-settings"),
-        (["--list-settings", "--set", "seed=1"], "--set: not together with --list-settings"),
-        (["--list-settings", "--print-config"], "--print-config: not together with --list-settings"),
-        (["--print-config", "--json"], "--json: not together with --print-config"),
-        (["--print-config", "--results-only"], "--results-only: not together with --print-config"),
-        (["--print-config", "--rate", "2"], "--rate: not together with --print-config"),
-        (["--json", "in.mcap", "out.mcap"], "--json: only with --list-settings"),
+        (["--list-settings", "in.mcap"], "IN.mcap cannot be combined with --list-settings"),
+        (["--list-settings", "in.mcap", "out.mcap"], "IN.mcap cannot be combined with --list-settings"),
+        (["--list-settings", "--set", "seed=1"], "--set cannot be combined with --list-settings"),
+        (["--list-settings", "--print-config"], "--print-config cannot be combined with --list-settings"),
+        (["--print-config", "--json"], "--json cannot be combined with --print-config"),
+        (["--print-config", "--results-only"], "--results-only cannot be combined with --print-config"),
+        (["--print-config", "--rate", "2"], "--rate cannot be combined with --print-config"),
+        (["--json", "in.mcap", "out.mcap"], "--json needs --list-settings"),
         (["--json"], "the following arguments are required: IN.mcap, OUT.mcap"),
         (["in.mcap"], "the following arguments are required: OUT.mcap"),
     ],
@@ -157,5 +150,5 @@ def test_wrong_usage_is_one_clear_line(arguments, said, capsys):
 
 
 def test_the_page_is_up_to_date():
-    """``make settings-page`` writes it."""
+    """``make pages`` writes it."""
     assert (ROOT / "docs" / "settings.md").read_text("utf-8") == as_page()

@@ -50,13 +50,13 @@ def test_the_box_and_the_picture_of_it_are_found_where_they_are(tmp_path, as_fil
         ("0:150,120,400,150", "X0 < X1 and Y0 < Y1 within 360x270 pixels, found 150,120,400,150"),
         ("0:50,60,50,80", "X0 < X1 and Y0 < Y1 within 360x270 pixels, found 50,60,50,80"),
         ("0:50,60,52,80", "a picture of 8x8 pixels or more, found 2x20 pixels"),
-        ("99:10,10,40,40", "the log has no frame 99, or it is without an image"),
-        ("99999999999999999999999:0,0,9,9", "No such file or directory; expected a picture's file, or FRAME:X0,"),
-        ("nowhere.png", "nowhere.png: No such file or directory; expected a picture's file, or FRAME:X0,Y0,X1,Y1"),
+        ("99:10,10,40,40", "the log has no image in frame 99"),
+        ("99999999999999999999999:0,0,9,9", "No such file or directory; expected an image file, or FRAME:X0,"),
+        ("nowhere.png", "nowhere.png: No such file or directory; expected an image file, or FRAME:X0,Y0,X1,Y1"),
         (str(SAMPLE), "bytes are no image"),
     ],
 )
-def test_what_is_no_template(tmp_path, capsys, template, complaint):
+def test_an_invalid_template_is_one_line(tmp_path, capsys, template, complaint):
     arguments = [str(SAMPLE), str(tmp_path / "out.mcap"), "--quiet", "--only", "objects", "--template", template]
     assert replay.main(arguments) == 1
     said = capsys.readouterr().err
@@ -65,7 +65,7 @@ def test_what_is_no_template(tmp_path, capsys, template, complaint):
     assert not (tmp_path / "out.mcap").exists()
 
 
-def test_a_picture_of_nothing_or_of_too_much(tmp_path, capsys):
+def test_a_flat_or_too_large_picture(tmp_path, capsys):
     for name, grey in (("flat", np.full((20, 30), 90, np.uint8)), ("large", noise((1200, 1200)))):
         cv2.imwrite(str(tmp_path / f"{name}.png"), grey)
     for name, complaint in (("flat", "found all of one brightness"), ("large", "1200x1200 pixels is too large")):
@@ -74,7 +74,7 @@ def test_a_picture_of_nothing_or_of_too_much(tmp_path, capsys):
         assert complaint in capsys.readouterr().err
 
 
-def test_a_configuration_with_a_picture_that_claims_too_much(tmp_path, capsys):
+def test_a_picture_with_a_huge_size_in_its_header(tmp_path, capsys):
     """A PNG of 74 bytes may say in its header that it has billions of pixels."""
     data = bytearray(cv2.imencode(".png", noise((9, 9)))[1].tobytes())
     data[16:24] = (60_000).to_bytes(4, "big") * 2
@@ -88,6 +88,6 @@ def noise(shape):
     return np.random.default_rng(0).integers(0, 256, shape).astype(np.uint8)
 
 
-def test_a_box_of_standard_input_cannot_be_had(tmp_path, capsys):
+def test_a_box_in_standard_input_is_refused(tmp_path, capsys):
     assert replay.main(["-", str(tmp_path / "out.mcap"), "--quiet", "--template", "0:1,2,30,40"]) == 1
     assert "it is read twice" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""``roadperc-view`` as a user types it: one way to look at a time, and what is refused."""
+"""``roadperc-view``: its outputs, and wrong usage."""
 
 import socket
 
@@ -26,7 +26,7 @@ def test_save_writes_a_recording_and_says_so(source, capsys):
     assert "/camera/front/image" in recorded(target)
 
 
-def test_what_opens_a_recording_can_be_pasted(tmp_path, capsys):
+def test_the_command_that_opens_a_recording_is_quoted(tmp_path, capsys):
     (tmp_path / "my logs").mkdir()
     source = logs.write(tmp_path / "my logs" / "in.mcap", logs.items(frames=0))
     target = source.with_suffix(".rrd")
@@ -35,7 +35,7 @@ def test_what_opens_a_recording_can_be_pasted(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("option", ["--save", "--foxglove-layout", "--video"])
-def test_no_log_is_replaced_by_something_else(source, option, capsys):
+def test_a_log_is_not_replaced_by_another_kind_of_file(source, option, capsys):
     other = source.with_name("other.mcap")
     other.write_bytes(b"a log")
     assert main([str(source), option, str(other), "--force"]) == 1
@@ -69,18 +69,18 @@ def test_topics_of_other_names_fill_roles_in_a_recording_and_in_a_layout(tmp_pat
     [
         ([], "expected a log"),
         (["in.mcap", "--save", "a.rrd", "--foxglove"], "not allowed with"),
-        (["in.mcap", "--rate", "2"], "--rate: only with --foxglove"),
-        (["in.mcap", "--save", "a.rrd", "--start", "1"], "--start: only with --foxglove"),
+        (["in.mcap", "--rate", "2"], "--rate needs --foxglove"),
+        (["in.mcap", "--save", "a.rrd", "--start", "1"], "--start needs --foxglove"),
         *((["in.mcap", "--foxglove", f"--rate={rate}"], "--rate: ") for rate in ("0", "-1", "nan", "x")),
         (["in.mcap", "--foxglove", "--port=-1"], "--port: "),
-        (["in.mcap", "--force"], "--force: only with"),
-        (["in.mcap", "--foxglove", "--topic", "image=/a"], "--topic: only with"),
+        (["in.mcap", "--force"], "--force needs"),
+        (["in.mcap", "--foxglove", "--topic", "image=/a"], "--topic applies only"),
         (["--foxglove-layout", "a.json", "--topic", "image=/a"], "expected a log"),
         (["--foxglove-layout", "a.json", "--foxglove"], "expected a log"),
-        (["in.mcap", "--foxglove-layout", "a.json", "--video", "a.mp4"], "not allowed with --save and --video"),
+        (["in.mcap", "--foxglove-layout", "a.json", "--video", "a.mp4"], "cannot be combined with --save or --video"),
     ],
 )
-def test_wrong_usage_is_told(options, said, capsys):
+def test_wrong_usage_has_exit_code_2(options, said, capsys):
     with pytest.raises(SystemExit) as stopped:
         main(options)
     assert stopped.value.code == 2
@@ -121,7 +121,7 @@ def test_a_log_is_served_as_the_options_say_and_its_layout_has_its_times(tmp_pat
 
 
 @pytest.mark.parametrize("content", [None, b"", b"no log"])
-def test_what_is_no_log_is_one_line_and_exit_code_1(tmp_path, content, capsys):
+def test_a_file_that_is_not_a_log_is_one_line_and_exit_code_1(tmp_path, content, capsys):
     source = tmp_path / "in.mcap"
     if content is not None:
         source.write_bytes(content)
@@ -140,7 +140,7 @@ def test_a_viewer_without_a_display_is_a_stated_error(source, monkeypatch, capsy
     assert "does not start" in capsys.readouterr().err
 
 
-def test_a_program_that_is_no_viewer_is_not_sent_the_log(source, monkeypatch, capsys):
+def test_another_program_on_the_port_gets_no_log(source, monkeypatch, capsys):
     with socket.create_server(("127.0.0.1", 0)) as silent:
         monkeypatch.setattr(viewer, "_ADDRESS", silent.getsockname())
         monkeypatch.setattr(viewer, "_ANSWERS_WITHIN_S", 0.2)

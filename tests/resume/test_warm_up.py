@@ -113,10 +113,10 @@ def test_without_an_earlier_frame_the_state_is_empty(source, tmp_path):
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        (["--warm-up", "5"], "--warm-up: only with --start"),
-        (["--start", "1", "--warm-up", "5", "--continue", "o.mcap"], "--warm-up: not together with --continue"),
+        (["--warm-up", "5"], "--warm-up needs --start"),
+        (["--start", "1", "--warm-up", "5", "--continue", "o.mcap"], "--warm-up cannot be combined with --continue"),
         (["--start", "1", "--warm-up", "0"], "expected more than 0 seconds"),
-        (["--resume"], "--resume: only with --checkpoint-every"),
+        (["--resume"], "--resume needs --checkpoint-every"),
         (["--checkpoint-every", "-1"], "expected more than 0 seconds"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Files that are written: what may be replaced, and that none appears half written."""
+"""Output files: what may be replaced, and partial files."""
 
 import os
 import re
@@ -11,14 +11,14 @@ from roadperc_stream.errors import TargetError
 from roadperc_stream.system.files import (
     completing,
     not_a_log,
-    remove_dead_partials,
+    remove_stale_partials,
     require_free,
     require_suffix,
 )
 
 
 @pytest.mark.parametrize("force", [False, True])
-def test_what_must_never_be_written(tmp_path, force):
+def test_inputs_folders_and_wrong_suffixes_are_refused(tmp_path, force):
     source = tmp_path / "in.mcap"
     source.write_bytes(b"log")
     (tmp_path / "folder.mp4").mkdir()
@@ -35,7 +35,7 @@ def test_what_must_never_be_written(tmp_path, force):
             require_free(target, force=force, source=source, suffix=suffix)
 
 
-def test_an_existing_file_is_replaced_when_told_so_only(tmp_path):
+def test_an_existing_file_is_replaced_only_with_force(tmp_path):
     target = tmp_path / "out.mp4"
     require_free(target, force=False, source=tmp_path / "in.mcap", suffix=".mp4")
     target.write_bytes(b"old")
@@ -74,7 +74,7 @@ def test_a_file_that_cannot_be_written_is_named(tmp_path):
         write_half(target)
 
 
-def test_what_fails_leaves_the_old_file_and_nothing_else(tmp_path):
+def test_an_error_keeps_the_old_file_and_leaves_no_partial_file(tmp_path):
     target = tmp_path / "out.mp4"
     target.write_bytes(b"old")
     with pytest.raises(KeyboardInterrupt):
@@ -84,7 +84,7 @@ def test_what_fails_leaves_the_old_file_and_nothing_else(tmp_path):
 
 
 def node(path, kind):
-    """Something that is no file: what a rename would replace, where writing would go elsewhere."""
+    """Make a pipe or a link, which a rename would replace."""
     if kind == "pipe":
         os.mkfifo(path)
     else:
@@ -97,7 +97,7 @@ def node(path, kind):
     ("kind", "why"),
     [("pipe", "is a device or a pipe"), ("link", "is a link"), ("dangling", "is a link"), ("loop", "is a link")],
 )
-def test_what_is_no_file_is_not_replaced(tmp_path, kind, why):
+def test_pipes_and_links_are_not_replaced(tmp_path, kind, why):
     target = tmp_path / "out.mp4"
     node(target, kind)
     before = sorted(tmp_path.iterdir())
@@ -109,8 +109,8 @@ def test_what_is_no_file_is_not_replaced(tmp_path, kind, why):
     assert target.is_fifo() or target.is_symlink()
 
 
-def test_a_name_that_is_no_text_is_refused(tmp_path):
-    """The libraries that write the files take text, and one of them ends the program where it is none."""
+def test_a_name_that_is_not_utf8_is_refused(tmp_path):
+    """The libraries that write files need text; one of them aborts without it."""
     target = tmp_path / os.fsdecode(b"out\xff.mp4")
     with pytest.raises(TargetError, match=r"out\\udcff\.mp4': expected a name in UTF-8"):
         require_free(target, force=True, suffix=".mp4")
@@ -122,7 +122,7 @@ def write_while_another_does(target, force):
         target.write_bytes(b"theirs")
 
 
-def test_what_another_program_wrote_meanwhile_stays(tmp_path):
+def test_a_file_that_another_program_wrote_stays(tmp_path):
     target = tmp_path / "out.mp4"
     with pytest.raises(TargetError, match="written by another program; pass --force"):
         write_while_another_does(target, force=False)
@@ -137,7 +137,7 @@ def dead_process():
         return process.pid
 
 
-def test_what_dead_processes_left_of_a_target_is_removed(tmp_path):
+def test_partial_files_of_ended_processes_are_removed(tmp_path):
     dead, target = dead_process(), tmp_path / "out.mcap"
     left = [f".out.mcap.{dead}.partial", f".out.mcap.{dead}.partial.mcap", f".out.mcap.{'9' * 30}.partial"]
     kept = [
@@ -151,15 +151,15 @@ def test_what_dead_processes_left_of_a_target_is_removed(tmp_path):
     for name in (*left, *kept):
         (tmp_path / name).write_bytes(b"")
     (tmp_path / ".out.mcap.0.partial").mkdir()
-    remove_dead_partials(target)
+    remove_stale_partials(target)
     assert {path.name for path in tmp_path.iterdir()} == {*kept, ".out.mcap.0.partial"}
-    remove_dead_partials(tmp_path / "no folder" / "out.mcap")
+    remove_stale_partials(tmp_path / "no folder" / "out.mcap")
 
 
 def test_the_error_for_a_folder_names_the_first_log_in_it(tmp_path):
     for name in ("b.mcap", "a.mcap", "0.txt"):
         (tmp_path / name).touch()
-    both = f", or its 2 files as the parts of one: {tmp_path}/*.mcap"
+    both = f", or all 2 files of one log: {tmp_path}/*.mcap"
     assert not_a_log(tmp_path) == f"{tmp_path}: is a folder, expected a log, such as {tmp_path / 'a.mcap'}{both}"
     (tmp_path / "b.mcap").unlink()
     assert not_a_log(tmp_path) == f"{tmp_path}: is a folder, expected a log, such as {tmp_path / 'a.mcap'}"
@@ -168,4 +168,4 @@ def test_the_error_for_a_folder_names_the_first_log_in_it(tmp_path):
 def test_the_error_for_a_dump_gives_the_command_that_converts_it(tmp_path):
     dump = tmp_path / "a drive"
     dump.mkdir()
-    assert not_a_log(dump).endswith(f"a CARLA dump becomes one with: roadperc-convert '{dump}' '{dump}.mcap'")
+    assert not_a_log(dump).endswith(f"convert a CARLA dump with: roadperc-convert '{dump}' '{dump}.mcap'")

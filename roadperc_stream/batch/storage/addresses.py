@@ -1,4 +1,4 @@
-"""Paths, addresses with a scheme such as ``s3://bucket/drives``, and patterns.
+"""Paths, addresses with a scheme such as ``s3://bucket/logs``, and patterns.
 
 Patterns follow the rules of shells and of Python's glob: ``*``, ``?``, ``[..]`` and ``**``. Only a pattern part that
 begins with a dot matches a hidden file or folder. A folder that matches selects all files below it.
@@ -19,7 +19,7 @@ _NUMBER: Final = re.compile(r"([0-9]+)")
 
 def is_address(text: str) -> bool:
     """Whether a text names a file or a folder of a store; ``file://`` is this machine."""
-    return "://" in text and not _is_file_url(text)
+    return "://" in text and not text.lower().startswith(_FILE_SCHEME)
 
 
 def local_path(text: str) -> str:
@@ -28,16 +28,12 @@ def local_path(text: str) -> str:
     Raises:
         StorageError: it names a file of another machine.
     """
-    if not _is_file_url(text):
+    if not text.lower().startswith(_FILE_SCHEME):
         return text
     path = text[len(_FILE_SCHEME) :].removeprefix("localhost")
     if not path.startswith("/"):
-        raise StorageError(f"{text}: expected a file of this machine, such as file:///drives/a.mcap")
+        raise StorageError(f"{text}: expected a file of this machine, such as file:///logs/a.mcap")
     return path
-
-
-def _is_file_url(text: str) -> bool:
-    return text[: len(_FILE_SCHEME)].lower() == _FILE_SCHEME
 
 
 def whole(text: str) -> str:
@@ -63,15 +59,15 @@ def split_pattern(address: str) -> tuple[str, Parts]:
     return "/".join(parts[:first]) or "/", tuple(parts[first:])
 
 
-def left_of(pattern: Parts, names: Parts) -> set[Parts]:
+def remainders(pattern: Parts, names: Parts) -> set[Parts]:
     """The remainders of a pattern after it has matched the names of a path.
 
-    It contains ``()`` if the pattern matches the path or a folder above. It is empty if nothing below can match.
+    The set contains ``()`` if the pattern matches the path or a folder above. It is empty if nothing below can match.
     """
-    left = {pattern}
+    found = {pattern}
     for name in names:
-        left = {rest for parts in left for rest in _after(parts, name)}
-    return left
+        found = {rest for parts in found for rest in _after(parts, name)}
+    return found
 
 
 def _after(pattern: Parts, name: str) -> set[Parts]:
@@ -85,6 +81,6 @@ def _after(pattern: Parts, name: str) -> set[Parts]:
 
 
 def natural(address: str) -> tuple[list[str | int], str]:
-    """The key that sorts ``drive2`` before ``drive10``."""
+    """The key that sorts ``log2`` before ``log10``."""
     parts = _NUMBER.split(address)
     return [int(part) if k % 2 else part for k, part in enumerate(parts)], address

@@ -16,7 +16,7 @@ from textwrap import shorten
 from typing import Any, Final, TypeVar
 from uuid import uuid4
 
-from roadperc_stream.batch.storage.addresses import Parts, is_address, left_of, natural, split_pattern, whole
+from roadperc_stream.batch.storage.addresses import Parts, is_address, natural, remainders, split_pattern, whole
 from roadperc_stream.batch.storage.stores import PIECE_BYTES, move, system_of, upload
 from roadperc_stream.errors import RoadpercError, StorageError
 from roadperc_stream.system.files import completing
@@ -34,9 +34,9 @@ _PLAIN_CAUSES: Final[Mapping[str, str]] = {
     "curlCode: 6": "the store's name does not resolve",
     "curlCode: 7": "the store refuses the connection",
     "curlCode: 28": "the store does not answer",
-    "Could not create a OAuth2 access token": "no credentials (GOOGLE_APPLICATION_CREDENTIALS)",
+    "Could not create a OAuth2 access token": "no credentials; set GOOGLE_APPLICATION_CREDENTIALS",
 }
-"""Marks in the clients' messages, and what they mean."""
+"""Marks in the clients' messages, and their meanings."""
 _FINAL: Final = ("NO_SUCH_", "ACCESS_DENIED", "INVALID_", "SIGNATURE_DOES_NOT_MATCH", "EXPIRED", "HTTP status 3")
 """Marks of errors that a retry cannot fix."""
 _NOISE: Final = re.compile(r" \(Request ID: [^)]*\)|^When .*?(?=AWS Error )")
@@ -47,12 +47,9 @@ _TIMES: Final = ("mtime", "LastModified", "last_modified", "updated", "modified"
 
 @dataclass(frozen=True)
 class StoredFile:
-    """A file that was found.
+    """A file that was found: its absolute path or address, its size, and a text that changes with its content.
 
-    Attributes:
-        address: its absolute path, or its address with a scheme.
-        size_bytes: its length.
-        fingerprint: size and modification time; changes whenever the content may have changed.
+    ``fingerprint`` is ``size_bytes:modification_time``.
     """
 
     address: str
@@ -64,10 +61,8 @@ class StoredFile:
 class Location:
     """A file or a folder, which need not exist; other processes and machines can use it.
 
-    All methods raise a StorageError if this machine or the store refuses.
-
-    Attributes:
-        address: the absolute path or the address; a relative path starts at the current folder.
+    ``address`` is the absolute path or the address; a relative path starts at the current folder. All methods raise a
+    StorageError if this machine or the store refuses.
     """
 
     address: str
@@ -92,7 +87,7 @@ class Location:
         return None
 
     def files(self, suffix: str, pattern: Parts = ()) -> dict[str, StoredFile]:
-        """The files below this folder, which need not exist, by their relative names: drive2 before drive10.
+        """The files below this folder, which need not exist, by their relative names: log2 before log10.
 
         A store is listed once.
 
@@ -101,14 +96,14 @@ class Location:
             pattern: matches the names or a folder above; only a part with a dot matches hidden files.
         """
         depth = 1 if len(pattern) == 1 and pattern[0].endswith(_LOG_SUFFIX) else None
+        files = dict[str, StoredFile]()
         with _errors(self.address):
             system, base = system_of(self.address)
             found = system.walked(base, pattern) if self.is_local else system.find(base, depth, detail=True).items()
-            start, files = f"{base.rstrip('/')}/", dict[str, StoredFile]()
             for path, info in found:
-                name = path.removeprefix(start)
-                is_named = path != name and name.lower().endswith(suffix) and () in left_of(pattern, name.split("/"))
-                if is_named and (stored := _stored(f"{self.address.rstrip('/')}/{name}", info)):
+                name = path.removeprefix(f"{base.rstrip('/')}/")
+                is_match = name.lower().endswith(suffix) and () in remainders(pattern, name.split("/"))
+                if path != name and is_match and (stored := _stored(self.at(name).address, info)):
                     files[name] = stored
         return dict(sorted(files.items(), key=lambda item: natural(item[0])))
 
@@ -155,26 +150,24 @@ class Location:
 
     def _require(self, before: tuple[int, str]) -> None:
         if self._retried(_identity) != before:
-            raise StorageError(f"{self.address}: changed while it was read")
+            raise StorageError(f"{self.address}: changed while it was read; run the command again")
 
     def _retried(self, action: Callable[[Any, str], Result]) -> Result:
         """The result of an action, which takes file system and path; retried if a store fails."""
-        for wait_s in () if self.is_local else WAITS_S:
+        waits_s = iter(() if self.is_local else WAITS_S)
+        while True:
             try:
                 with _errors(self.address):
                     return action(*system_of(self.address))
             except StorageError as error:
-                cause = error.__cause__
-                is_missing = cause is None or isinstance(cause, FileNotFoundError | PermissionError)
-                if is_missing or any(mark in str(cause) for mark in _FINAL):
+                wait_s = next(waits_s, None)
+                if wait_s is None or _is_final(error.__cause__):
                     raise
                 time.sleep(wait_s)
-        with _errors(self.address):
-            return action(*system_of(self.address))
 
 
 def find_files(pattern: str) -> list[StoredFile]:
-    """The files that a text names, drive2 before drive10.
+    """The files that a text names, log2 before log10.
 
     Args:
         pattern: a file of any suffix; a folder, for all logs below it; or a glob with ``*``, ``?``, ``[..]`` and
@@ -207,6 +200,11 @@ def _piece(system: Any, path: str, start: int, end: int) -> bytes:
     return data
 
 
+def _is_final(cause: BaseException | None) -> bool:
+    is_missing = cause is None or isinstance(cause, FileNotFoundError | PermissionError)
+    return is_missing or any(mark in str(cause) for mark in _FINAL)
+
+
 @contextmanager
 def _errors(address: str) -> Iterator[None]:
     """Turn errors of the system, a store or its client into one line with the address.
@@ -235,7 +233,7 @@ def _cause(address: str, error: Exception) -> str:
 
 
 def _stored(address: str, info: Mapping[str, Any]) -> StoredFile | None:
-    """A file from fsspec's facts; None if it is not a file. Without a modification time every look differs."""
+    """A file from fsspec's facts; None for a folder. A file without a modification time has a random fingerprint."""
     modified = next((info[name] for name in _TIMES if info.get(name) is not None), uuid4().hex)
     modified = modified.timestamp() if isinstance(modified, datetime) else modified
     is_file = info["type"] == "file"

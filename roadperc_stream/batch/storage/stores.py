@@ -1,9 +1,8 @@
 """File systems of fsspec: this machine's disk, pyarrow's for S3 and Google, fsspec's own packages for other schemes.
 
-A file that is written appears whole or not at all.
+A written file appears whole or not at all.
 """
 
-import errno
 import os
 import shutil
 import stat
@@ -21,16 +20,16 @@ from fsspec.implementations.arrow import ArrowFile, ArrowFSWrapper
 from fsspec.implementations.local import LocalFileSystem
 from pyarrow.fs import FileSelector, GcsFileSystem, S3FileSystem, resolve_s3_region
 
-from roadperc_stream.batch.storage.addresses import Parts, is_address, left_of
+from roadperc_stream.batch.storage.addresses import Parts, is_address, remainders
 from roadperc_stream.errors import StorageError
 from roadperc_stream.system.files import completing, require_plain
 
 PIECE_BYTES: Final = 16 << 20
 """Files are fetched and sent in pieces of this size."""
 TIMEOUTS_S: Final = {"connect_timeout": 5.0, "request_timeout": 10.0}
-"""For S3's client. It tries three times: its default of one second is too short for a busy store."""
+"""For S3's client, which makes three attempts: its default of one second is too short for a busy store."""
 _GOOGLE_RETRY: Final = timedelta(seconds=10)
-"""How long Google's client tries one request; its default is a quarter of an hour."""
+"""Limit of Google's client for one request; its default is a quarter of an hour."""
 
 
 class LocalFiles(LocalFileSystem):  # type: ignore[misc] # fsspec has no types
@@ -45,12 +44,8 @@ class LocalFiles(LocalFileSystem):  # type: ignore[misc] # fsspec has no types
     def walked(self, folder: str, pattern: Parts) -> Iterator[tuple[str, dict[str, Any]]]:
         """Path and ``info`` of all files below a folder, which need not exist.
 
-        The walk follows a link to a folder unless the link leads back to a folder that contains it. A dead link is
-        an empty file without a readable content, so that its log is reported as missing.
-
-        Args:
-            folder: its absolute path.
-            pattern: the walk skips folders that cannot contain a match.
+        The walk skips folders that cannot contain a match of the pattern. It follows a link to a folder unless the link
+        leads back to a folder that contains it. A dead link is an empty file, so that its log is reported as missing.
 
         Raises:
             StorageError: a folder cannot be read.
@@ -63,7 +58,9 @@ class LocalFiles(LocalFileSystem):  # type: ignore[misc] # fsspec has no types
         for here, folders, names in os.walk(base, onerror=fail, followlinks=True) if base.is_dir() else ():
             below = Path(here).relative_to(base).parts
             folders[:] = [
-                name for name in folders if left_of(pattern, (*below, name)) and not _leads_back(Path(here, name), base)
+                name
+                for name in folders
+                if remainders(pattern, (*below, name)) and not _leads_back(Path(here, name), base)
             ]
             for path in (os.path.join(here, name) for name in names):  # noqa: PTH118 - a Path for each is slow
                 try:
@@ -79,7 +76,7 @@ class LocalFiles(LocalFileSystem):  # type: ignore[misc] # fsspec has no types
 
 
 def _leads_back(folder: Path, base: Path) -> bool:
-    """Whether it is a link to a folder of the walk that contains it; the walk does not reach those above ``base``."""
+    """Whether it is a link to a folder between ``base`` and itself."""
     walked = folder.parents[: len(folder.relative_to(base).parts)]
     return folder.is_symlink() and any(folder.samefile(above) for above in walked)
 
@@ -102,21 +99,19 @@ class PyarrowFiles(ArrowFSWrapper):  # type: ignore[misc] # fsspec has no types
         return {info.path: self._make_entry(info) for info in infos if info.is_file}
 
     def ukey(self, path: str) -> str:
-        """A text that differs when the file does: S3's ETag, not only size and time."""
+        """A text that changes with the file: S3's ETag, not only size and time."""
         with self.fs.open_input_file(path) as stream:
             return str(stream.metadata() or self.info(path))
 
 
 def move(source: Path, _system: Any, path: str) -> None:
-    """Rename a file of this machine; if the new name is on another disk, copy the file to a hidden name first."""
+    """Rename a file of this machine, or copy it to another disk."""
     target = Path(path)
     require_plain(target)
     target.parent.mkdir(parents=True, exist_ok=True)
     try:
         source.replace(target)
-    except OSError as error:
-        if error.errno != errno.EXDEV:
-            raise
+    except OSError:  # another disk
         with completing(target, mark=uuid4().hex) as hidden:
             shutil.copyfile(source, hidden)
 
@@ -124,9 +119,9 @@ def move(source: Path, _system: Any, path: str) -> None:
 def upload(source: Path, system: Any, path: str) -> None:
     """Send a file in pieces to a store.
 
-    Closing a stream makes a file of what was written, even after an error here: that file is removed. If the store
-    failed, closing fails too, and the file that was there stays. S3's client writes in the background; waiting after
-    each piece keeps the memory to one piece.
+    Closing a stream makes a file of the written bytes, even after an error here: that file is removed. If the store
+    failed, closing fails too, and an earlier file stays. S3's client writes in the background; waiting after each
+    piece keeps the memory to one piece.
     """
     stream = system.open(path, "wb")
     try:
@@ -176,20 +171,20 @@ def system_of(address: str) -> tuple[Any, str]:
 
 @lru_cache(maxsize=16)
 def _pyarrow_files(scheme: str, bucket: str, settings: tuple[tuple[str, str], ...]) -> PyarrowFiles:
-    """The file system of a bucket, one for all its files, because a client keeps connections open.
+    """The file system of a bucket, shared by all its files because a client keeps connections open.
 
-    pyarrow's S3FileSystem reads keys from the environment or ``~/.aws``, but not endpoint and region as the
-    stores' own programs do.
+    pyarrow's S3FileSystem reads keys from the environment or ``~/.aws``. Endpoint, region and certificates come from
+    the same variables as for AWS's own programs.
     """
     if scheme != "s3":
         return PyarrowFiles(GcsFileSystem(retry_time_limit=_GOOGLE_RETRY), skip_instance_cache=True)
-    known, given = dict(settings), dict[str, Any](TIMEOUTS_S)
+    known, options = dict(settings), dict[str, Any](TIMEOUTS_S)
     endpoint = known.get("AWS_ENDPOINT_URL_S3") or known.get("AWS_ENDPOINT_URL")
     region = known.get("AWS_REGION") or known.get("AWS_DEFAULT_REGION")
-    given["region"] = region or ("us-east-1" if endpoint else resolve_s3_region(bucket))
+    options["region"] = region or ("us-east-1" if endpoint else resolve_s3_region(bucket))
     if endpoint:
         url = urlsplit(endpoint if "://" in endpoint else f"https://{endpoint}")
-        given |= {"endpoint_override": url.netloc, "scheme": url.scheme}
+        options |= {"endpoint_override": url.netloc, "scheme": url.scheme}
     if bundle := known.get("AWS_CA_BUNDLE"):
-        given["tls_ca_file_path"] = bundle
-    return PyarrowFiles(S3FileSystem(**given), skip_instance_cache=True)
+        options["tls_ca_file_path"] = bundle
+    return PyarrowFiles(S3FileSystem(**options), skip_instance_cache=True)

@@ -1,4 +1,4 @@
-"""The three kinds of places: this machine's disk, a real S3 server, and a store that fsspec knows."""
+"""The three kinds of storage: this machine's disk, a real S3 server, and a store of fsspec."""
 
 from uuid import uuid4
 
@@ -7,7 +7,7 @@ import pytest
 
 @pytest.fixture(params=["disk", "s3", "fsspec"])
 def place(request, tmp_path):
-    """The address of a folder that is not there yet."""
+    """The address of a folder that does not exist yet."""
     if request.param == "s3":
         return f"{request.getfixturevalue('bucket')}/some folder/ö"
     return str(tmp_path / "folder") if request.param == "disk" else f"memory://{uuid4().hex}/folder"

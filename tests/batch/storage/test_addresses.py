@@ -1,4 +1,4 @@
-"""What is a path and what an address; patterns stand for what Python's glob finds on a disk."""
+"""Paths, addresses and patterns; patterns match the files that Python's glob finds."""
 
 import glob
 from pathlib import Path
@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream.batch.storage.addresses import is_address, left_of, natural, split_pattern, whole
+from roadperc_stream.batch.storage.addresses import is_address, natural, remainders, split_pattern, whole
 from roadperc_stream.errors import StorageError
 
 NAMES = st.sampled_from(["a", "b2", "b10", ".h", "x.mcap", ".y.mcap", "[1]", "ä b"])
@@ -17,12 +17,12 @@ PATTERNS = st.lists(PATTERN_PARTS, min_size=1, max_size=4).map(tuple)
 
 
 def files_of(paths):
-    """Those of the paths that can be files together: none is a folder of another one."""
+    """The paths without those that are folders of others."""
     return {path for path in paths if not any(other[: len(path)] == path for other in paths if other != path)}
 
 
 def found_by_glob(root, pattern):
-    """Files that glob finds, and those in the folders that it finds."""
+    """The files that glob finds, and the files in the folders that it finds."""
     for found in glob.glob("/".join(pattern), root_dir=root, recursive=True):  # noqa: PTH207 - the one that can
         if (root / found).is_file():
             yield tuple(Path(found).parts)
@@ -35,11 +35,11 @@ def found_by_glob(root, pattern):
 @pytest.mark.parametrize(
     ("text", "answer"),
     [
-        ("s3://bucket/drives/*.mcap", True),
+        ("s3://bucket/logs/*.mcap", True),
         ("abfs://container@account.dfs.core.windows.net/a", True),
-        ("file:///drives/a.mcap", False),
-        ("FILE:///drives/a.mcap", False),
-        ("/drives/a.mcap", False),
+        ("file:///logs/a.mcap", False),
+        ("FILE:///logs/a.mcap", False),
+        ("/logs/a.mcap", False),
         ("a:b.mcap", False),
     ],
 )
@@ -52,11 +52,11 @@ def test_whole_addresses(tmp_path, monkeypatch):
     for text, address in (
         ("a.mcap", str(tmp_path / "a.mcap")),
         ("b/../a.mcap", str(tmp_path / "a.mcap")),
-        ("/drives/", "/drives"),
+        ("/logs/", "/logs"),
         ("/", "/"),
-        ("file:///drives/a b%20.mcap", "/drives/a b%20.mcap"),
-        ("FILE:///drives/a.mcap", "/drives/a.mcap"),
-        ("file://localhost/drives/a.mcap", "/drives/a.mcap"),
+        ("file:///logs/a b%20.mcap", "/logs/a b%20.mcap"),
+        ("FILE:///logs/a.mcap", "/logs/a.mcap"),
+        ("file://localhost/logs/a.mcap", "/logs/a.mcap"),
         ("s3://bucket/a%20b?c#d//", "s3://bucket/a%20b?c#d"),
         ("S3://bucket/", "s3://bucket"),
     ):
@@ -64,51 +64,51 @@ def test_whole_addresses(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("text", ["", "s3://", "s3:///", "a\0b"])
-def test_what_names_nothing(text):
+def test_a_text_without_a_name_is_refused(text):
     with pytest.raises(StorageError, match="expected the path or the address of a file or a folder"):
         whole(text)
 
 
-@pytest.mark.parametrize("text", ["file://host/drives", "file://localhosts/drives", "file://drives", "file://"])
-def test_a_file_of_another_machine(text):
+@pytest.mark.parametrize("text", ["file://host/logs", "file://localhosts/logs", "file://logs", "file://"])
+def test_a_file_of_another_machine_is_refused(text):
     with pytest.raises(StorageError, match=f"^{text}: expected a file of this machine, such as file:///"):
         whole(text)
 
 
 @given(paths=st.sets(PATHS, max_size=12), pattern=PATTERNS)
-def test_a_pattern_stands_for_what_glob_finds(tmp_path_factory, paths, pattern):
+def test_a_pattern_matches_the_files_of_glob(tmp_path_factory, paths, pattern):
     root = tmp_path_factory.mktemp("tree")
     files = files_of(paths)
     for names in files:
         root.joinpath(*names).parent.mkdir(parents=True, exist_ok=True)
         root.joinpath(*names).touch()
-    assert {names for names in files if () in left_of(pattern, names)} == set(found_by_glob(root, pattern))
+    assert {names for names in files if () in remainders(pattern, names)} == set(found_by_glob(root, pattern))
 
 
 @given(names=PATHS, pattern=PATTERNS)
 def test_every_folder_of_a_match_is_entered(names, pattern):
-    if () in left_of(pattern, names):
-        assert all(left_of(pattern, names[:depth]) for depth in range(len(names)))
+    if () in remainders(pattern, names):
+        assert all(remainders(pattern, names[:depth]) for depth in range(len(names)))
 
 
-def test_folders_that_lead_nowhere_are_not_entered():
-    assert not left_of(("*.mcap",), ("2024",))
-    assert not left_of(("2024", "*.mcap"), ("2025",))
-    assert not left_of(("**", "*.mcap"), (".git",))
-    assert not left_of((), ("a", ".git"))
-    assert left_of(("**", "*.mcap"), ("2024", "5"))
+def test_folders_without_a_match_are_skipped():
+    assert not remainders(("*.mcap",), ("2024",))
+    assert not remainders(("2024", "*.mcap"), ("2025",))
+    assert not remainders(("**", "*.mcap"), (".git",))
+    assert not remainders((), ("a", ".git"))
+    assert remainders(("**", "*.mcap"), ("2024", "5"))
 
 
 def test_where_a_pattern_begins():
-    assert split_pattern("s3://bucket/drives/20*/**/*.mcap") == ("s3://bucket/drives", ("20*", "**", "*.mcap"))
+    assert split_pattern("s3://bucket/logs/20*/**/*.mcap") == ("s3://bucket/logs", ("20*", "**", "*.mcap"))
     assert split_pattern("s3://bucket/*") == ("s3://bucket", ("*",))
     assert split_pattern("/a/b.mcap") == ("/a/b.mcap", ())
     assert split_pattern("/*.mcap") == ("/", ("*.mcap",))
 
 
 def test_numbers_sort_by_their_value():
-    names = ["drive10", "drive2", "drive2b", "drive02", "Drive1", "a", "drive", "9", "²"]
-    assert sorted(names, key=natural) == ["9", "Drive1", "a", "drive", "drive02", "drive2", "drive2b", "drive10", "²"]
+    names = ["log10", "log2", "log2b", "log02", "Drive1", "a", "log", "9", "²"]
+    assert sorted(names, key=natural) == ["9", "Drive1", "a", "log", "log02", "log2", "log2b", "log10", "²"]
 
 
 @given(st.data())

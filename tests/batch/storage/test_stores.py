@@ -1,4 +1,4 @@
-"""What stores refuse is one line that says where and why."""
+"""Errors of stores are one line with address and reason."""
 
 import socket
 import subprocess
@@ -13,7 +13,7 @@ from roadperc_stream.errors import StorageError
 
 
 def errors_of(address, tmp_path):
-    """What finding, fetching, reading and writing in a place that does not work say."""
+    """The errors of finding, fetching, writing and listing in a broken store."""
     (tmp_path / "source").write_bytes(b"x")
     for action in (
         lambda: find_files(f"{address}/*.mcap"),
@@ -40,7 +40,7 @@ def test_a_missing_bucket(bucket, tmp_path):
         assert "no such bucket" in text or text.endswith("no such file")
 
 
-def test_keys_that_the_store_does_not_know(bucket, s3_server, tmp_path):
+def test_unknown_keys(bucket, s3_server, tmp_path):
     with s3_server.checking_credentials():
         for text in errors_of(bucket, tmp_path):
             assert "access denied" in text
@@ -48,7 +48,7 @@ def test_keys_that_the_store_does_not_know(bucket, s3_server, tmp_path):
 
 
 def test_no_keys_at_all(bucket, monkeypatch):
-    """The error is AWS's: moto's server fails of itself where it checks keys and a request has none."""
+    """The error is AWS's: moto's server crashes if a request has no keys."""
     monkeypatch.delenv("AWS_ACCESS_KEY_ID")
     with (
         pytest.raises(StorageError, match="access denied, and no credentials in the environment"),
@@ -61,7 +61,7 @@ def test_no_keys_at_all(bucket, monkeypatch):
     ("endpoint", "why"),
     [("http://127.0.0.1:9", "the store refuses the connection"), ("http://no-such.invalid", "name does not resolve")],
 )
-def test_a_store_that_cannot_be_reached_is_told_within_seconds(bucket, tmp_path, monkeypatch, endpoint, why):
+def test_an_unreachable_store_is_an_error_within_seconds(bucket, tmp_path, monkeypatch, endpoint, why):
     monkeypatch.setenv("AWS_ENDPOINT_URL", endpoint)
     begin_s = time.monotonic()
     with pytest.raises(StorageError, match=why):
@@ -71,7 +71,7 @@ def test_a_store_that_cannot_be_reached_is_told_within_seconds(bucket, tmp_path,
 
 def test_a_store_that_does_not_answer(bucket, monkeypatch):
     monkeypatch.setattr(
-        "roadperc_stream.batch.storage.stores.TIMEOUTS_S", {"connect_timeout": 1.0, "request_timeout": 1.0}
+        "roadperc_stream.batch.storage.stores.TIMEOUTS_S", {"connect_timeout": 0.5, "request_timeout": 0.5}
     )
     with socket.create_server(("127.0.0.1", 0)) as silent:
         monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{silent.getsockname()[1]}")
@@ -81,7 +81,7 @@ def test_a_store_that_does_not_answer(bucket, monkeypatch):
         assert time.monotonic() - begin_s < 20
 
 
-def test_an_endpoint_that_is_none(bucket, monkeypatch):
+def test_an_invalid_endpoint(bucket, monkeypatch):
     monkeypatch.setenv("AWS_ENDPOINT_URL", "ftp://127.0.0.1")
     with pytest.raises(StorageError, match="ftp"):
         find_files(f"{bucket}/*.mcap")
@@ -94,12 +94,12 @@ def test_the_endpoint_for_this_service_comes_first(bucket, s3_server, monkeypatc
     assert len(find_files(bucket)) == 1
 
 
-def test_a_scheme_that_nobody_knows():
+def test_an_unknown_scheme():
     with pytest.raises(StorageError, match=r"nope://a: fsspec knows no scheme nope://"):
         find_files("nope://a")
 
 
-def test_what_is_to_be_installed_is_said(monkeypatch):
+def test_the_error_names_the_missing_package(monkeypatch):
     monkeypatch.setitem(sys.modules, "adlfs", None)
     with pytest.raises(StorageError, match=r"abfs://c/a: needs fsspec's package for abfs:// \(adlfs .*pip install"):
         find_files("abfs://c/a")
@@ -110,7 +110,7 @@ def test_a_process_that_used_a_store_and_forked_ends(bucket, end):
     code = f"""
 import os, sys, warnings
 from roadperc_stream.batch.storage.location import Location
-warnings.simplefilter("ignore", DeprecationWarning)  # of newer versions of Python, where threads are there
+warnings.simplefilter("ignore", DeprecationWarning)  # newer versions of Python warn of a fork with threads
 place = Location({bucket!r})
 place.at("a").write(b"1")
 child = os.fork()

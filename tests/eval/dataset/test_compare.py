@@ -61,9 +61,9 @@ def test_no_tables(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("elsewhere",), "elsewhere: is no OUT_DIR of a batch; expected B"),
-        (("a", "b", "--config", "c"), "--config: is for two configurations of one batch's OUT_DIR"),
-        (("DATASET", "--update-reference"), "--update-reference: expected A and B"),
+        (("elsewhere",), "elsewhere: expected B, or the OUT_DIR of a batch as A"),
+        (("a", "b", "--config", "c"), "--config compares two configurations of the dataset A"),
+        (("DATASET", "--update-reference"), "--update-reference needs A and B"),
     ],
 )
 def test_wrong_usage(dataset, capsys, arguments, said):

@@ -251,9 +251,9 @@ def test_every_error_is_one_line(dataset, capsys, spoilt, said):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("--by", "log", "elsewhere"), "--by: expected a batch's dataset"),
-        (("DATASET", "elsewhere"), "a batch's dataset is reported by itself"),
-        (("DATASET", "--html", "page.html"), "--html: the page is about runs"),
+        (("--by", "log", "elsewhere"), "--by needs the OUT_DIR of a batch"),
+        (("DATASET", "elsewhere"), "expected one OUT_DIR of a batch"),
+        (("DATASET", "--html", "page.html"), "--html cannot be combined with"),
         (("DATASET", "--by", "log,,date"), "expected names of columns"),
     ],
 )
