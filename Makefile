@@ -2,7 +2,8 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
-PARALLEL := -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
+# A worker that crashes ends the run with an error; replaced workers can hang.
+PARALLEL := -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder --max-worker-restart=0
 DEMO := logs/runs/demo
 PICTURES := logs/runs/pictures
 EVENTS := change brake worn
