@@ -6,7 +6,7 @@
 import ast
 import re
 from collections import defaultdict
-from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -14,15 +14,18 @@ PAGE = ROOT / "docs" / "reliability.md"
 TABLE = re.compile(r"(<!-- promises: (.*?) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
-def marked() -> Iterator[tuple[str, str, str]]:
+@cache
+def marked() -> list[tuple[str, str, str]]:
     """(section, promise, test) of every ``pytest.mark.promise``."""
+    found = []
     for path in sorted((ROOT / "tests").rglob("test_*.py")):
         tree = ast.parse(path.read_text("utf-8"))
         for function in (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)):
             for mark in function.decorator_list:
                 if isinstance(mark, ast.Call) and ast.unparse(mark.func) == "pytest.mark.promise":
                     section, promise = map(ast.literal_eval, mark.args)
-                    yield section, promise, f"{path.relative_to(ROOT).as_posix()}::{function.name}"
+                    found.append((section, promise, f"{path.relative_to(ROOT).as_posix()}::{function.name}"))
+    return found
 
 
 def written(page: str) -> str:

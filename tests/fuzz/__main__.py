@@ -21,7 +21,7 @@ command on each. The command must end with a result or one clear line, within 10
 no partial file, print no control characters, and give the same bytes again. Exit code 1 if a command breaks a rule.
 The cases of the corpus run first."""
 EPILOG = """A case SEED:NUMBER follows from its name. A failed case is printed with its recipe and the command that
-repeats it; --case also takes a file with a recipe. If Node is installed, a second reader checks one log in 50."""
+repeats it; --case also takes a file with a recipe."""
 
 
 def parser() -> argparse.ArgumentParser:

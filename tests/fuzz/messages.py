@@ -92,15 +92,6 @@ def _log_time(content: Content, choices: Choices) -> None:
         content.messages[k] = replace(content.messages[k], log_time_ns=value)
 
 
-def _shift(content: Content, choices: Choices) -> None:
-    """Shift the log times of a channel."""
-    topic = content.messages[_chosen(content, choices)].channel.topic
-    shift_ns = choices.of("shift_ns", (-(10**12), -(10**9), -60_000_000, 1, 10**9, 10**12, 2**62))
-    for k, message in enumerate(content.messages):
-        if message.channel.topic == topic:
-            content.messages[k] = replace(message, log_time_ns=min(max(message.log_time_ns + shift_ns, 0), LAST_NS))
-
-
 def _order(content: Content, choices: Choices) -> None:
     """Change the order of the messages, but not of their log times."""
     times = [message.log_time_ns for message in content.messages]
@@ -209,7 +200,7 @@ def _foreign(content: Content, choices: Choices) -> None:
 
 
 FAULTS: dict[str, Callable[[Content, Choices], object]] = {
-    "payload": _payload, "log_time": _log_time, "shift": _shift, "order": _order, "repeat": _repeat,
+    "payload": _payload, "log_time": _log_time, "order": _order, "repeat": _repeat,
     "drop": lambda content, choices: content.messages.pop(_chosen(content, choices)), "drop_channel": _drop_channel,
     "channel": _channel, "attach": _attach, "metadata": _metadata, "transforms": _transforms,
     "detections": _detections, "foreign": _foreign,

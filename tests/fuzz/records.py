@@ -3,7 +3,6 @@
 Layout: https://mcap.dev/spec. The mcap library cannot write invalid records.
 """
 
-import contextlib
 import struct
 import zlib
 from collections.abc import Callable
@@ -244,17 +243,8 @@ def _field(scope: list[Record], at: int, choices: Choices) -> None:
     elif kind in "dDr":
         record.fields[name] = damage(record.fields[name], choices)
     else:
-        record.fields[name] = wild_integer(choices)
-
-
-def _near(scope: list[Record], at: int, choices: Choices) -> None:
-    """Change a number by a small amount."""
-    record = scope[at]
-    names = [name for name, kind in LAYOUTS.get(record.opcode, ()) if kind in "BHIQ"]
-    if names:
-        name = choices.of("field", names)
-        record.held.add(name)
-        record.fields[name] += choices.of("by", (-9, -1, 1, 8, 9, 100))
+        near = record.fields[name] + choices.of("by", (-9, -1, 1, 8, 9, 100))
+        record.fields[name] = near if choices.chance("near", 0.3) else wild_integer(choices)
 
 
 def _length(scope: list[Record], at: int, choices: Choices) -> None:
@@ -269,14 +259,6 @@ def _inner_length(scope: list[Record], at: int, choices: Choices) -> None:
 
 def _repeat(scope: list[Record], at: int, choices: Choices) -> None:
     scope[at:at] = [scope[at]] * choices.of("copies", (1, 2, 300))
-
-
-def _opcode(scope: list[Record], at: int, choices: Choices) -> None:
-    body = scope[at].packed()[_HEAD.size :]
-    opcode = choices.of("opcode", (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 12, 15, 16, 0x7F, 0x80, 0xFF))
-    scope[at] = Record(opcode, filled(opcode, {}))
-    with contextlib.suppress(struct.error):  # the body is too short: the record is all zeros
-        scope[at] = Record(opcode, _fields(opcode, body))
 
 
 def _bomb(scope: list[Record], at: int, choices: Choices) -> None:
@@ -302,10 +284,10 @@ def zeros_as_zstd(size: int, *, stated: bool = True) -> bytes:
 
 
 FAULTS: dict[str, Callable[[list[Record], int, Choices], object]] = {
-    "bomb": _bomb, "field": _field, "near": _near, "length": _length, "inner_length": _inner_length, "opcode": _opcode,
+    "bomb": _bomb, "field": _field, "length": _length, "inner_length": _inner_length,
     "repeat": _repeat,
     "remove": lambda scope, at, _: scope.pop(at),
     "move": lambda scope, at, choices: scope.insert(choices.index("to", len(scope)), scope.pop(at)),
     "garbage": lambda scope, at, c: scope.insert(at, Record(0x90, {"data": bytes(c.of("bytes", (0, 1, 8, 9, 5000)))})),
 }  # fmt: skip
-WEIGHTED = ("field",) * 6 + ("near",) * 2 + tuple(FAULTS)
+WEIGHTED = ("field",) * 8 + tuple(FAULTS)

@@ -10,7 +10,7 @@ import sys
 from tests.fuzz.cases import recorded
 from tests.fuzz.judge import ROOT
 
-DRAWN = 200
+DRAWN = 60
 
 
 def fuzz(*words):

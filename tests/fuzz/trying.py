@@ -1,8 +1,4 @@
-"""Runs each case in a forked process, which has the imports already; the system limits its time and memory.
-
-If Node is installed, MCAP's TypeScript reader checks some of the written logs: ``mcap-validate/validate.mjs`` in the
-folder ``tools`` beside the recordings.
-"""
+"""Runs each case in a forked process, which has the imports already; the system limits its time and memory."""
 
 import contextlib
 import importlib
@@ -13,7 +9,6 @@ import re
 import resource
 import shutil
 import signal
-import subprocess
 import sys
 import warnings
 from collections import deque
@@ -28,7 +23,6 @@ import cv2
 
 import roadperc_stream.eval
 from roadperc_stream.cli import launch
-from tests.conftest import DEFAULT_DATA
 from tests.fuzz import contents
 from tests.fuzz.cases import Case, prepared
 from tests.fuzz.judge import FUZZER, Ran, crash_line, crash_of, faults
@@ -41,8 +35,6 @@ MOST_GROWTH_BYTES = 2**30 + 2**28
 """A gigabyte, and the memory that libraries reserve for their threads."""
 EVERY_AGAIN = 8
 """One replay in EVERY_AGAIN is repeated and must give the same bytes."""
-EVERY_VALIDATED = 50
-VALIDATOR_S = 60
 
 
 @dataclass
@@ -133,11 +125,8 @@ def tried(case: Case, folder: Path) -> Verdict:
     _limit_memory()
     refused: list[str] = []
     cv2.redirectError(lambda status, _f, message, *_: refused.append(message) if status == cv2.Error.StsNoMem else None)
-    number = sum(case.name.encode())
-    first, found = _judged(words, again=number % EVERY_AGAIN == 0)
+    first, found = _judged(words, again=sum(case.name.encode()) % EVERY_AGAIN == 0)
     found += [f"memory: OpenCV: {refused[0]}"] if refused else []
-    if number % EVERY_VALIDATED == 0:
-        found += [fault for name in _logs(first) for fault in damages(work / name)]
     line = " ".join(["roadperc-" + words[0], *words[1:]])
     return Verdict(words[0], first.code, _last_line(first.err), found, recipe, line)
 
@@ -146,10 +135,6 @@ def _limit_memory() -> None:
     """Limit writable memory, not address space: polars and Rerun reserve more than they use."""
     (kilobytes,) = re.findall(r"^VmData:\s+(\d+) kB$", Path("/proc/self/status").read_text("ascii"), re.MULTILINE)
     resource.setrlimit(resource.RLIMIT_DATA, (1024 * int(kilobytes) + MOST_GROWTH_BYTES, resource.RLIM_INFINITY))
-
-
-def _lift_limit() -> None:
-    resource.setrlimit(resource.RLIMIT_DATA, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
 
 
 def _limit_time() -> None:
@@ -214,21 +199,3 @@ def _files() -> set[str]:
 
 def _appeared(there: set[str]) -> tuple[str, ...]:
     return tuple(sorted(_files() - there))
-
-
-def damages(log: Path) -> list[str]:
-    """The problems that the validator finds in a log, except in copied input messages; none without a validator."""
-    data = Path(os.environ.get("ROADPERC_DATA", DEFAULT_DATA))
-    path = data.parent / "tools" / "mcap-validate" / "validate.mjs"
-    if not (shutil.which("node") and (path.parent / "node_modules").is_dir()):
-        return []
-    done = subprocess.run(
-        ["node", path, "--json", log], capture_output=True, check=False, timeout=VALIDATOR_S,
-        preexec_fn=_lift_limit,  # Node needs more memory
-    )  # fmt: skip
-    try:
-        found = json.loads(done.stdout)
-    except ValueError:
-        return [f"validator: {_last_line(done.stderr)}"]
-    copied = tuple(c["topic"] for c in found.get("channels", ()) if not c["topic"].startswith("/perception/"))
-    return [f"validator: {text}" for text in found["problems"] if not text.startswith(copied)]
