@@ -13,7 +13,7 @@ SAMPLE_OPTIONS := --scene town --size 360x270 --seconds 2 --tag-noise 0.01 --dep
 
 EVENT_LOGS := $(EVENTS:%=$(PICTURES)/%.mcap)
 
-.PHONY: $(EVENT_LOGS) demo test test-hostile mutants accuracy accuracy-long kills cluster parts bench bench-long bench-compare bench-report image fuzz lint pages proto sample pictures docs clean
+.PHONY: $(EVENT_LOGS) demo test test-hostile mutants accuracy accuracy-long kills cluster parts bench bench-compare bench-report image fuzz lint pages proto sample pictures docs clean
 
 $(VENV)/.installed: pyproject.toml setup.py $(wildcard roadperc_stream/*/*.pyx roadperc_stream/*/*/*.pyx)
 	@echo "installing into $(VENV), compiling inner loops: a minute or two"
@@ -72,12 +72,9 @@ parts: $(VENV)/.installed  # cuts logs at PARTS random places and compares the c
 
 BENCH := logs/runs/bench
 BENCH_OPTIONS ?=
-bench bench-long bench-compare: export PYTHONDONTWRITEBYTECODE :=  # users start with compiled modules
+bench bench-compare: export PYTHONDONTWRITEBYTECODE :=  # users start with compiled modules
 bench: $(VENV)/.installed  # speed of a replay and of the course's method: make bench BENCH_OPTIONS='--json bench.json'
 	$(BIN)/python -m roadperc_stream.tools.bench $(BENCH) $(BENCH_OPTIONS)
-
-bench-long: $(VENV)/.installed  # memory and encoding over 3000 frames: 15 minutes and 5 GB
-	$(BIN)/python -m roadperc_stream.tools.bench $(BENCH) --long-frames 3000 $(BENCH_OPTIONS)
 
 bench-compare: $(VENV)/.installed  # compares the speed with a commit: make bench-compare BASE=main
 	@test -n "$(BASE)" || { echo "make bench-compare BASE=<commit>"; exit 2; }

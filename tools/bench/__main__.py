@@ -1,4 +1,4 @@
-"""Measure the speed of replays against the course method and the floor, and the time of each part.
+"""Measure the speed of replays against the course method, and the time of each part.
 
 Run ``make bench`` or ``python -m roadperc_stream.tools.bench FOLDER``. The input is rendered into the folder once.
 Each run is a separate process. In each round all jobs run once.
@@ -23,14 +23,12 @@ from .figures import (
     ONE,
     Measure,
     figures,
-    figures_table,
     measured,
     replay_name,
     tables,
     write_json,
 )
 from .inputs import BenchLog, add_input_arguments, logs_of
-from .long import long_figures
 from .replays import cost_of, replay_command, replay_cost, start_cost
 
 
@@ -42,14 +40,8 @@ def main(argv: list[str] | None = None) -> int:
         "--course-frames", type=whole_number, default=10, metavar="N", help="frames for the course method (10)"
     )
     parser.add_argument("--rounds", type=whole_number, default=3, metavar="N", help="runs of each job (3)")
-    parser.add_argument(
-        "--long-frames",
-        type=whole_number,
-        metavar="N",
-        help="measure memory and encoding over a log of N frames instead",
-    )
     arguments = parser.parse_args(argv)
-    return run(lambda: _long(arguments) if arguments.long_frames else _bench(arguments))
+    return run(lambda: _bench(arguments))
 
 
 def _bench(arguments: argparse.Namespace) -> None:
@@ -63,15 +55,8 @@ def _bench(arguments: argparse.Namespace) -> None:
         write_json(arguments.json, series, found, {"frames": arguments.frames, "rounds": arguments.rounds})
 
 
-def _long(arguments: argparse.Namespace) -> None:
-    found = long_figures(arguments.folder, logs_of(arguments)["stereo"], arguments.long_frames)
-    print(figures_table(found))
-    if arguments.json:
-        write_json(arguments.json, {}, found, {"frames": arguments.long_frames})
-
-
 def _jobs(folder: Path, logs: dict[str, BenchLog], course_frames: int) -> dict[str, Measure]:
-    """Return the jobs by name; compared jobs follow each other, and a floor reads the result of the replay before."""
+    """Return the jobs by name; compared jobs follow each other."""
     jobs: dict[str, Measure] = {
         BARE: partial(start_cost, BARE, [sys.executable, "-P", "-c", BARE]),
         HELP: partial(start_cost, HELP, replay_command("--help")),
@@ -79,21 +64,19 @@ def _jobs(folder: Path, logs: dict[str, BenchLog], course_frames: int) -> dict[s
     for name in LOGS:
         log, out = logs[name], folder / f"{name}-result.mcap"
         if name in COMPARED:
-            jobs[f"course {name}"] = partial(_measured_by, "course", log.path, course_frames)
+            jobs[f"course {name}"] = partial(_course_cost, log.path, course_frames)
         for threads, count in ((ONE, 1), (ALL, os.cpu_count() or 1)):
             job = replay_name(name, threads)
             jobs[job] = partial(replay_cost, job, log, out, count)
-        if name in COMPARED:
-            jobs[f"floor {name}"] = partial(_measured_by, "floor", log.path, str(out))
     return jobs
 
 
-def _measured_by(module: str, log: Path, argument: str | int) -> dict[str, float]:
-    """Run ``measure`` of a module of this folder in a separate process and return its result."""
+def _course_cost(log: Path, frames: int) -> dict[str, float]:
+    """Run ``measure`` of the course method in a separate process and return its result."""
     out = log.with_name("measured.json")
-    call = f"from {__package__}.{module} import measure; found = measure({str(log)!r}, {argument!r})"
+    call = f"from {__package__}.course import measure; found = measure({str(log)!r}, {frames})"
     code = f"import json; {call}; open({str(out)!r}, 'w').write(json.dumps(found))"
-    cost_of(module, [sys.executable, "-P", "-c", code])
+    cost_of("course", [sys.executable, "-P", "-c", code])
     found: dict[str, float] = json.loads(out.read_text())
     return found
 

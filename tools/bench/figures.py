@@ -61,7 +61,7 @@ def parts_of(series: Series, job: str) -> dict[str, float]:
 
 ONE, ALL = "one thread", "all threads"
 COMPARED: Final = ("png", "jpeg", "stereo")
-"""Logs for the course method and the floor."""
+"""Logs for the course method."""
 LOGS: Final = (*COMPARED, "truth")
 BARE, HELP = "import numpy, cv2", "--help"
 
@@ -90,7 +90,7 @@ class SpeedFigure:
 
 
 def replay_name(log: str, threads: str) -> str:
-    """Return the name of a replay job; the other jobs are ``course LOG`` and ``floor LOG``."""
+    """Return the name of a replay job; the other jobs are ``course LOG``."""
     return f"replay {log}, {threads}"
 
 
@@ -103,9 +103,6 @@ def figures(series: Series) -> list[SpeedFigure]:
     for clock, threads, log, least in clocks:
         name, over = f"{log}: course method over replay, {clock}, {threads}", f"{replay_name(log, threads)}/{clock}"
         rows.append((name, f"course {log}/{clock}", over, least, None))
-    rows += [
-        (f"replay over floor, {log}", f"{replay_name(log, ONE)}/cpu", f"floor {log}/cpu", None, 1.5) for log in COMPARED
-    ]
     rows += [
         ("objects: p95 over median", f"{png}/objects p95 over median", None, None, 4.0),
         ("sum of parts over total", f"{png}/parts over total", None, 0.97, 1.03),
@@ -144,7 +141,6 @@ def tables(series: Series, found: Sequence[SpeedFigure]) -> list[str]:
         _runs(series),
         _parts(series, "a replay with one thread", {name: replay_name(name, ONE) for name in LOGS}),
         _parts(series, "the course method", {name: f"course {name}" for name in COMPARED}),
-        _parts(series, "the floor", {name: f"floor {name}" for name in COMPARED}),
         figures_table(found),
         f"Control workload: {median(control):.0f} ms of CPU time, {min(control):.0f} to {max(control):.0f}: noise of "
         f"{noise(series):.0%}.",

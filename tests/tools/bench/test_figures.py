@@ -7,7 +7,6 @@ import pytest
 from roadperc_stream.tools.bench import __main__ as bench
 from roadperc_stream.tools.bench.figures import SpeedFigure, figures, measured, median_of, noise, parts_of
 from roadperc_stream.tools.bench.inputs import WARM_UP
-from roadperc_stream.tools.bench.long import growth
 from roadperc_stream.tools.bench.replays import Cost, a_frame
 
 SERIES = {
@@ -21,8 +20,6 @@ SERIES = {
     "replay png, one thread/part/decode": [10.0, 20.0, 11.0],
     "replay png, one thread/part/lanes": [7.0, 15.0, 8.0],
     "replay png, all threads/wall": [50.0, 60.0, 40.0],
-    "floor png/cpu": [40.0, 50.0, 40.0],
-    "floor png/part/decode": [30.0, 40.0, 31.0],
     "--help/wall": [200.0, 330.0, 210.0],
     "import numpy, cv2/wall": [150.0, 300.0, 100.0],
 }
@@ -37,8 +34,6 @@ def test_figures_are_medians_of_the_rounds_ratios():
     assert found["png: course method over replay, cpu, one thread"].value == pytest.approx(8.0)
     assert found["png: course method over replay, cpu, one thread"].met is True
     assert found["png: course method over replay, wall, all threads"].value == pytest.approx(10.5)
-    assert found["replay over floor, png"].value == pytest.approx(1.5)
-    assert found["replay over floor, png"].met is True
     assert found["objects: p95 over median"].value == 3.5
     assert found["--help over import numpy, cv2, wall"].value == pytest.approx(200 / 150)
     assert found["first frame over import numpy, cv2, wall"].value == pytest.approx(6.0)
@@ -84,26 +79,16 @@ def test_parts_and_noise():
     assert noise(SERIES) == pytest.approx(0.15)
 
 
-def test_figures_of_a_long_log():
-    short, long = Cost(1.0, 1.0, 300.0), Cost(9.0, 9.0, 318.0)
-    memory, peak, encoding = growth(short, long, [5.0] * 500 + [6.0] * 500)
-    assert (memory.value, memory.met) == (pytest.approx(1.06), False)
-    assert (peak.value, peak.met) == (318.0, True)
-    assert (encoding.value, encoding.met) == (pytest.approx(1.2), False)
-    assert len(growth(short, long, [5.0] * 999)) == 2
-
-
 def test_it_prints_and_writes_all_figures(bench_logs, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(bench, "logs_of", lambda _: bench_logs)
     monkeypatch.setattr(bench, "measured", lambda *_: SERIES)
     assert bench.main([str(tmp_path), "--frames", "4", "--json", str(tmp_path / "bench.json")]) == 0
     text = capsys.readouterr().out
     assert text.startswith("| run | cpu ms |")
-    assert "| replay over floor, png | 1.50 | met | ≤ 1.5 |" in text
-    assert "| the floor, ms a frame | png |\n| --- | ---: |\n| decode | 31.0 |\n| total | 31.0 |\n" in text
+    assert "| objects: p95 over median | 3.50 | met | ≤ 4 |" in text
     assert "noise of 15%." in text
     written = json.loads((tmp_path / "bench.json").read_text())
     assert written["series"] == SERIES
     assert written["frames"] == 4
-    gate = next(figure for figure in written["figures"] if figure["name"] == "replay over floor, png")
-    assert gate == {"name": "replay over floor, png", "value": 1.5, "least": None, "most": 1.5, "met": True}
+    found = next(figure for figure in written["figures"] if figure["name"] == "objects: p95 over median")
+    assert found == {"name": "objects: p95 over median", "value": 3.5, "least": None, "most": 4.0, "met": True}
