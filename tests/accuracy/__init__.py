@@ -1,4 +1,4 @@
-"""The figures of docs/accuracy.md: rendered drives, their replays, and the measured values.
+"""The figures of docs/accuracy.md: rendered scenes, their replays, and the measured values.
 
 ``make accuracy`` prints required and measured values. The tests in this folder check the computation.
 """

@@ -1,4 +1,4 @@
-"""Logs of rendered drives: each is rendered once without noise; noise is added afterwards. A folder keeps the logs.
+"""Logs of rendered scenes: each is rendered once without noise; noise is added afterwards. A folder keeps the logs.
 
 The random numbers of a dump depend on (seed, frame, purpose). So a clean dump with added noise equals a dump that is
 rendered with noise (depth to its resolution), in a tenth of the time.

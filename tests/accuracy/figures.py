@@ -89,7 +89,7 @@ PRECISE = {5: (2, 6), 10: (4, 15)}
 
 
 def of_tag_noise():
-    """The same drives at five noise levels."""
+    """The same scenes at five noise levels."""
     for percent, scenarios in BY_TAG_NOISE.items():
         line, prefix = partial(bounded, "Lanes and noise", scenarios=scenarios), f"tag noise {percent} %: "
         yield from off_by_more(prefix, line)

@@ -22,7 +22,7 @@ def handed(replays):
 
 
 def counted(replays):
-    """Share of drives with the correct number of lane changes at the end.
+    """Share of scenes with the correct number of lane changes at the end.
 
     Raises:
         LookupError: the chain does not count them.
@@ -30,7 +30,7 @@ def counted(replays):
     if any("lane_changes" not in replay.frames.columns for replay in replays):
         raise LookupError("no column lane_changes")
     ends = pl.concat([replay.frames.select("lane_changes", "true_lane_changes").tail(1) for replay in replays])
-    return _share(ends["lane_changes"].eq_missing(ends["true_lane_changes"]).to_numpy(), f"{ends.height} drives")
+    return _share(ends["lane_changes"].eq_missing(ends["true_lane_changes"]).to_numpy(), f"{ends.height} scenes")
 
 
 def implausible(replays):

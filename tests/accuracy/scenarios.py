@@ -1,4 +1,4 @@
-"""The drives and recordings of the figures, and the options of their replays."""
+"""The scenes and recordings of the figures, and the options of their replays."""
 
 import os
 from dataclasses import dataclass
@@ -47,7 +47,7 @@ COURSE_STEREO = f"{DATA}/course_stereo"
 
 
 def swept(prefix, noise):
-    """The drives of the noise comparison, with one kind of noise."""
+    """The scenes of the noise comparison, with one kind of noise."""
     return tuple(Scenario(f"{prefix}, {of.name}", of, noise, LANES) for of in SWEPT)
 
 
