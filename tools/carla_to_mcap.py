@@ -28,6 +28,7 @@ from .carla_dump.plan import ConvertOptions, Plan, make_plan
 
 _MISSING: Final = "counted as missing: {}"
 _PIPED_WIDTH: Final = 140
+"""Columns of the output if it is not a terminal."""
 
 
 def convert(arguments: argparse.Namespace) -> None:
@@ -40,7 +41,9 @@ def convert(arguments: argparse.Namespace) -> None:
     require_free(out, force=arguments.force, suffix=".mcap")
     started = time.monotonic()
     plan = make_plan(arguments.dump, _options(arguments))
-    terminal = _console(quiet=arguments.quiet)
+    terminal = PipeConsole(markup=False, highlight=False, emoji=False, quiet=arguments.quiet)
+    if not terminal.is_terminal:
+        terminal.width = _PIPED_WIDTH
     with optional_output():
         _print_plan(terminal, plan)
     _warn((*plan.warnings, *map(_MISSING.format, plan.unreadable)))
@@ -113,14 +116,6 @@ def _description(plan: Plan) -> Metadata:
     return Metadata(CONVERSION_RECORD, tuple(sorted({**values, **origin}.items())))
 
 
-def _console(*, quiet: bool) -> Console:
-    """Return a console on stdout that prints plain text; wide if it is not a terminal."""
-    plain = PipeConsole(markup=False, highlight=False, emoji=False, quiet=quiet)
-    if not plain.is_terminal:
-        plain.width = _PIPED_WIDTH
-    return plain
-
-
 def _print_plan(out: Console, plan: Plan) -> None:
     """Print roles, counts, sizes, encodings, time, tag table, cameras, mountings and notes."""
     facts = _facts(plan)
@@ -153,10 +148,8 @@ def _facts(plan: Plan) -> list[tuple[str, str]]:
     facts += [(role.replace("_", " "), _camera(camera)) for role, camera in plan.rig.cameras.items()]
     facts += [("pixel origin", plan.pixel_origin)] if plan.pixel_origin else []
     facts.append(("mounting", _mounting(plan)))
-    entries = (plan.poses, plan.truth.surfaces, plan.truth.lanes, plan.truth.objects)
-    counts = [
-        f"{name} {len(e)}" for name, e in zip(("poses", "surface", "lanes", "objects"), entries, strict=True) if e
-    ]
+    truth = {"surface": plan.truth.surfaces, "lanes": plan.truth.lanes, "objects": plan.truth.objects}
+    counts = [f"{name} {len(entries)}" for name, entries in ({"poses": plan.poses} | truth).items() if entries]
     return facts + ([("truth", ", ".join(counts))] if counts else [])
 
 

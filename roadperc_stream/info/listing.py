@@ -141,7 +141,7 @@ def list_logs(paths: Sequence[Path], topics: Sequence[str], *, as_json: bool) ->
         LogError: a log is unreadable or damaged; the others are printed too.
     """
     overrides = parse_topic_options(topics)
-    faults, logs = [], list[LogFacts]()
+    examined: list[LogFacts | LogError] = []
     for path in paths:
         found: LogFacts | LogError
         try:
@@ -157,12 +157,11 @@ def list_logs(paths: Sequence[Path], topics: Sequence[str], *, as_json: bool) ->
             console = console_for(sys.stdout)
             print_log(console, found)
             print_lines(console, "")
-        logs += [found] if isinstance(found, LogFacts) else []
-        fault = _fault(found)
-        faults += [fault] if fault else []
+        examined.append(found)
+    logs = [facts for facts in examined if isinstance(facts, LogFacts)]
     if len(logs) > 1 and not as_json:
         _print_joined(console_for(sys.stdout), logs, overrides)
-    if faults:
+    if faults := list(filter(None, map(_fault, examined))):
         raise LogError(listed(faults, len(faults)))
 
 

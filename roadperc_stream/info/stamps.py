@@ -61,12 +61,8 @@ def _protobuf_reader(channel: Channel) -> Callable[[bytes], int] | None:
 
 def _has_stamp(message: Any) -> bool:
     field = message.fields_by_name.get(_FIELD)
-    return (
-        field is not None
-        and not field.is_repeated
-        and bool(field.message_type)
-        and field.message_type.full_name == _TIMESTAMP
-    )
+    single = None if field is None or field.is_repeated else field.message_type
+    return single is not None and bool(single.full_name == _TIMESTAMP)
 
 
 def _cdr_reader(channel: Channel) -> Callable[[bytes], int] | None:

@@ -72,17 +72,15 @@ def write_video(
     require_free(target, force=force, source=source, suffix=".mp4")
     summary, problems = log.summarise(source), Problems()
     stamps = _frame_stamps(summary)
-    rate_hz = frame_rate_hz(stamps)
-    shown = pictures_shown(stamps, rate_hz)
-    frames = 0
+    rate_hz, frames = frame_rate_hz(stamps), 0
     with (
         completing(target, force=force) as temporary,
         _quiet_opencv(),
         _VideoWriter(target, temporary, rate_hz) as video,
     ):
-        for picture, times in zip(_shots(summary, problems), shown, strict=True):
+        shots = zip(_shots(summary, problems), pictures_shown(stamps, rate_hz), strict=True)
+        for frames, (picture, times) in enumerate(shots, 1):
             video.show(picture, times)
-            frames += 1
             progress(frames, len(stamps))
         if not video.pictures:
             why = "".join(f"; {text}" for text in problems.first.values())
@@ -102,9 +100,7 @@ def _frame_stamps(summary: LogSummary) -> list[int]:
 def frame_rate_hz(stamps_ns: Sequence[int]) -> float:
     """Rate of the median interval between frames, 1 to 120 Hz; stamps that go back do not count."""
     forward = [later - earlier for earlier, later in pairwise(stamps_ns) if later > earlier]
-    if not forward:
-        return _SLOWEST_HZ
-    return float(np.clip(NS_PER_S / float(np.median(forward)), _SLOWEST_HZ, _FASTEST_HZ))
+    return float(np.clip(NS_PER_S / np.median(forward), _SLOWEST_HZ, _FASTEST_HZ)) if forward else _SLOWEST_HZ
 
 
 def pictures_shown(stamps_ns: Sequence[int], rate_hz: float) -> list[int]:

@@ -89,8 +89,7 @@ def _refuse_misspelled(path: Path, document: Any) -> None:
     parts = {"": (document, _KEYS), **{f"cameras.{n}.": (c, _CAMERA_KEYS) for n, c in _items(cameras)}}
     for place, (keys, known) in parts.items():
         for key in (key for key, _ in _items(keys) if key not in known):
-            meant = nearest(key, known, _MISSPELLED)
-            if meant is not None:
+            if meant := nearest(key, known, _MISSPELLED):
                 raise DumpError(f"{path}: unknown key {place}{key}; did you mean {meant}?")
 
 

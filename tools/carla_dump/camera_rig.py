@@ -11,14 +11,8 @@ from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Camera, Float, level_mounting, rigid
 from roadperc_stream.model import EGO, Transform
 
-from .calibration_file import (
-    CalibrationFile,
-    Intrinsics,
-    ProjectionPair,
-    decompose_pair,
-    pinhole_of_fov,
-    pinhole_of_K,
-)
+from . import calibration_file
+from .calibration_file import CalibrationFile, Intrinsics, ProjectionPair
 from .role_names import role_of
 from .truth_file import camera_mounting, right_handed
 
@@ -112,7 +106,7 @@ def build_rig(
 def _known(calibration: CalibrationFile, path: Path, sizes: Mapping[str, Size], front_name: str) -> _Known:
     pair = None
     if calibration.P_left is not None and calibration.P_right is not None:
-        pair = decompose_pair(path, np.array(calibration.P_left), np.array(calibration.P_right))
+        pair = calibration_file.decompose_pair(path, np.array(calibration.P_left), np.array(calibration.P_right))
     heights = {"image": calibration.rgb_height_m, "depth": calibration.depth_height_m}
     mountings = {role: level_mounting(height) for role, height in heights.items() if height is not None}
     mountings |= {role_of(name) or name: camera_mounting(pose) for name, pose in calibration.mounting.items()}
@@ -134,13 +128,13 @@ def _camera(known: _Known, frame_id: str, role: str) -> Camera:
         of_pair = known.pair.K_right if role == "right" else known.pair.K_left
     K = of_pair if source.K is None else np.array(source.K)
     if source.fov_deg is not None and source.K is None:
-        return Camera(frame_id, width, height, *pinhole_of_fov(source.fov_deg, width, height))
+        return Camera(frame_id, width, height, *calibration_file.pinhole_of_fov(source.fov_deg, width, height))
     if K is None:
         raise DumpError(
             f"{frame_id} has no calibration: expected K or fov_deg in {known.path}; "
             "add one of them, or pass --fov DEGREES (horizontal field of view)"
         )
-    return Camera(frame_id, width, height, *pinhole_of_K(K, known.file.pixel_origin))
+    return Camera(frame_id, width, height, *calibration_file.pinhole_of_K(K, known.file.pixel_origin))
 
 
 def _size(known: _Known, frame_id: str, role: str, source: Intrinsics) -> Size:

@@ -190,9 +190,8 @@ def grey_encoding(files: Sequence[Path], camera: Camera, asked: GreyDepth | None
             f"{files[0]}: the coding of 8-bit grey depth is unknown ({reason}); pass --grey-depth linear (to 1000 m, "
             "CARLA's ColorConverter.Depth), linear-50 (to 50 m, TransFuser) or logarithmic"
         )
-    return ENCODINGS[
-        ranked[0]
-    ], f"8-bit depth is {ENCODINGS[ranked[0]]}; errors of a level ground in grey levels: {found}"
+    best = ENCODINGS[ranked[0]]
+    return best, f"8-bit depth is {best}; errors of a level ground in grey levels: {found}"
 
 
 def _ground_levels(samples: Sequence[Pixels], camera: Camera) -> tuple[Float, Float]:

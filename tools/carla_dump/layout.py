@@ -128,10 +128,8 @@ def _folder_sensor(folder: Path, source: str, notes: list[str]) -> Sensor | None
     unused = [path.name for path in _entries(folder) if path.suffix == ".json"] if role != "detections" else []
     notes += [f"{source}/{name} is not used: put stamps into timestamps.txt or timestamps.csv" for name in unused]
     if role is None or not files:
-        notes.append(
-            f"{source}/ is left out: "
-            + ("it has no frames" if role else "its name fits no role; choose one with --role")
-        )
+        why = "it has no frames" if role else "its name fits no role; choose one with --role"
+        notes.append(f"{source}/ is left out: {why}")
         return None
     return _numbered(role, source, files, notes)
 
@@ -210,10 +208,8 @@ def _one_per_role(candidates: Iterable[Sensor]) -> dict[str, Sensor]:
     for sensor in candidates:
         if sensor.role in sensors:
             first = sensors[sensor.role].source
-            choice = f"--role {sensor.role}={quote(first)}"
-            raise DumpError(
-                f"{first} and {sensor.source} both match the role {sensor.role}; choose one, such as {choice}"
-            )
+            both = f"{first} and {sensor.source} both match the role {sensor.role}"
+            raise DumpError(f"{both}; choose one, such as --role {sensor.role}={quote(first)}")
         sensors[sensor.role] = sensor
     return sensors
 

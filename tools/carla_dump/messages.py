@@ -119,21 +119,20 @@ def _static(plan: Plan) -> list[tuple[str, bytes]]:
 def _encoders(plan: Plan) -> dict[str, Encode]:
     """Return the encoders of a frame's messages by role, in the order of ``ROLES``."""
     found: dict[str, Encode] = {role: partial(_of_file, plan, role, _OF_FILES[role]) for role in plan.surveys}
-    if plan.detections:
-        found["detections"] = _each(plan.detections, lambda ns, d: encoding.encode_detections(ns, FRONT, d))
-    if plan.poses:
-        found["truth_pose"] = _each(plan.poses, lambda ns, pose: encoding.encode_pose(ns, ODOM, pose))
-    if plan.truth.surfaces:
-        found["truth_surface"] = _each(plan.truth.surfaces, encoding.encode_surface)
-    if plan.truth.lanes:
-        found["truth_lanes"] = _each(plan.truth.lanes, lambda ns, lanes: encoding.encode_lanes(ns, EGO, lanes))
-    if plan.truth.objects:
-        found["truth_objects"] = _each(plan.truth.objects, lambda ns, o: encoding.encode_objects(ns, FRONT, o))
+    truth = plan.truth
+    found |= _each("detections", plan.detections, lambda ns, d: encoding.encode_detections(ns, FRONT, d))
+    found |= _each("truth_pose", plan.poses, lambda ns, pose: encoding.encode_pose(ns, ODOM, pose))
+    found |= _each("truth_surface", truth.surfaces, encoding.encode_surface)
+    found |= _each("truth_lanes", truth.lanes, lambda ns, lanes: encoding.encode_lanes(ns, EGO, lanes))
+    found |= _each("truth_objects", truth.objects, lambda ns, o: encoding.encode_objects(ns, FRONT, o))
     return {role: found[role] for role in ROLES if role in found}
 
 
-def _each(entries: Mapping[int, T], encode: Callable[[int, T], bytes]) -> Encode:
-    return lambda number, stamp_ns: encode(stamp_ns, entries[number]) if number in entries else None
+def _each(role: str, entries: Mapping[int, T], encode: Callable[[int, T], bytes]) -> dict[str, Encode]:
+    """Return the encoder of a role with one entry per frame; empty without entries."""
+    if not entries:
+        return {}
+    return {role: lambda number, stamp_ns: encode(stamp_ns, entries[number]) if number in entries else None}
 
 
 def _of_file(plan: Plan, role: str, encode: EncodeFile, number: int, stamp_ns: int) -> bytes | None:

@@ -30,20 +30,10 @@ _KINDS: Final = {
 """First bytes of a file, its name in messages, and its description, by suffix."""
 _PLY_END: Final = re.compile(rb"(?<=\n)end_header\r?\n")
 """The last header line, ended by one byte, or two on Windows. The points follow directly."""
-_PLY_TYPES: Final[Mapping[str, str]] = {
-    name: kind
-    for kind, names in {
-        "i1": ("char", "int8"),
-        "u1": ("uchar", "uint8"),
-        "<i2": ("short", "int16"),
-        "<u2": ("ushort", "uint16"),
-        "<i4": ("int", "int32"),
-        "<u4": ("uint", "uint32"),
-        "<f4": ("float", "float32"),
-        "<f8": ("double", "float64"),
-    }.items()
-    for name in names
-}
+_PLY_NAMES: Final = ("char", "uchar", "short", "ushort", "int", "uint", "float", "double")
+_SIZED_NAMES: Final = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
+_NUMPY_TYPES: Final = ("i1", "u1", "<i2", "<u2", "<i4", "<u4", "<f4", "<f8")
+_PLY_TYPES: Final = dict(zip(_PLY_NAMES + _SIZED_NAMES, _NUMPY_TYPES * 2, strict=True))
 """numpy's type by the name in a PLY header."""
 _INTENSITY: Final = ("I", "intensity", "Intensity")
 _KITTI_COLUMNS: Final = 4

@@ -49,9 +49,8 @@ def front_sensors(sensors: Mapping[str, Sensor]) -> tuple[dict[str, Sensor], str
         DumpError: no sensor is a camera.
     """
     if not any(role in sensors for role in CAMERA_ROLES):
-        raise DumpError(
-            f"no camera found, only {', '.join(s.source for s in sensors.values())}; add one or pass --role"
-        )
+        found = ", ".join(sensor.source for sensor in sensors.values())
+        raise DumpError(f"no camera found, only {found}; add one or pass --role")
     kept = dict(sensors)
     left = kept.pop("left", None)
     if left is None:
@@ -197,14 +196,11 @@ def meeting_notes(
     """Yield a note for each sensor without files near some images."""
     for role, distances in apart.items():
         if distances:
-            nearest, farthest = (_seconds(ns) for ns in (min(distances), max(distances)))
+            ends_s = map(ns_to_seconds, (min(distances), max(distances)))
+            nearest, farthest = (f"{end_s:.6f}".rstrip("0").rstrip(".") for end_s in ends_s)
             by = nearest if nearest == farthest else f"{nearest} to {farthest}"
             yield (
                 f"{surveys[role].sensor.source}: {len(distances)} of {frames} images have no file within "
                 f"sync.tolerance_s ({TOLERANCE_S:g} s), the nearest are {by} s apart; "
                 "pass --set sync.tolerance_s=SECONDS to the replay to pair them"
             )
-
-
-def _seconds(distance_ns: int) -> str:
-    return f"{ns_to_seconds(distance_ns):.6f}".rstrip("0").rstrip(".")

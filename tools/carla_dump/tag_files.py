@@ -9,22 +9,15 @@ from numpy.typing import NDArray
 
 from roadperc_stream.errors import DumpError
 from roadperc_stream.formats.raster import PALETTE_TABLE, UNKNOWN, tags_by_code
-from roadperc_stream.model import Image
-from roadperc_stream.model.tag_tables import (
-    CARLA_BEFORE_0_9_14,
-    CARLA_FROM_0_9_14,
-    CARLA_TABLES,
-    TABLES,
-    TagTable,
-    table_for_version,
-)
+from roadperc_stream.model import Image, tag_tables
+from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14, TagTable
 
 from .pixel_files import Pixels, surveyed
 
 TagEncoding = Literal["raw in red", "raw grey", "raw numbers", "palette colours"]
 
 LOSSY_TAGS: Final = "tags that are not exact are replaced by the nearest tag (--allow-lossy-tags)"
-_LARGEST_TAG: Final = max(len(table.names) for table in TABLES.values()) - 1
+_LARGEST_TAG: Final = max(len(table.names) for table in tag_tables.TABLES.values()) - 1
 """Largest tag of all tables; palette colours have larger values."""
 _JPEG_SLACK: Final = 40
 """Largest value of the empty channels of CARLA's raw images after JPEG compression."""
@@ -96,13 +89,14 @@ def choose_table(
         ConfigError: the version is unknown.
     """
     if version is not None:
-        return table_for_version(version), version if version in TABLES else f"CARLA {version}"
+        return tag_tables.table_for_version(version), version if version in tag_tables.TABLES else f"CARLA {version}"
     if encoding == "palette colours":
         return PALETTE_TABLE, "colours name the classes in every version"
-    if seen and len(CARLA_BEFORE_0_9_14.names) <= max(seen) < len(CARLA_FROM_0_9_14.names):
+    if seen and len(tag_tables.CARLA_BEFORE_0_9_14.names) <= max(seen) < len(CARLA_FROM_0_9_14.names):
         return CARLA_FROM_0_9_14, f"tag {max(seen)} exists only there"
     meanings = "; ".join(
-        f"{table.name}: {', '.join(f'{t} {table.name_of(t)}' for t in seen[:_SHOWN])}" for table in CARLA_TABLES
+        f"{table.name}: {', '.join(f'{t} {table.name_of(t)}' for t in seen[:_SHOWN])}"
+        for table in tag_tables.CARLA_TABLES
     )
     raise DumpError(
         f"{source}: the CARLA version of the tags is unknown, and their numbers fit several tables: {meanings}. "
@@ -167,12 +161,11 @@ def _colour_codes(pixels: Pixels) -> NDArray[Any]:
 
 def _nearest(codes: NDArray[np.uint32], table: TagTable) -> Image:
     """Return the tag of the nearest palette colour by squared distance in RGB."""
-    known = table.tag_by_colour()
     distinct, inverse = np.unique(codes, return_inverse=True)
     rgb = np.stack((distinct >> 16, distinct >> 8 & 255, distinct & 255), axis=-1).astype(np.int32)
     best = np.full(len(distinct), np.iinfo(np.int32).max)
     tags = np.zeros(len(distinct), np.uint8)
-    for colour, tag in known.items():
+    for colour, tag in table.tag_by_colour().items():
         distance = ((rgb - np.array(colour, np.int32)) ** 2).sum(axis=1)
         tags[distance < best] = tag
         best = np.minimum(best, distance)

@@ -6,6 +6,7 @@ The frame of a body is x forward, y left, z up. Its origin is on the ground belo
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -78,17 +79,9 @@ def face(
     two_sided: bool = False,
 ) -> Faces:
     """Return one face, in metres in the body's frame."""
-    return Faces(
-        np.array([origin], float),
-        np.array([across], float),
-        np.array([up], float),
-        np.array([patch], float),
-        np.array([tint], float),
-        np.array([CARLA_FROM_0_9_14.names.index(tag_name)], np.uint8),
-        np.zeros(1, np.int32),
-        np.array([cut]),
-        np.array([two_sided]),
-    )
+    start, a, b, texture, colour = (np.array([row], float) for row in (origin, across, up, patch, tint))
+    tag = np.array([CARLA_FROM_0_9_14.names.index(tag_name)], np.uint8)
+    return Faces(start, a, b, texture, colour, tag, np.zeros(1, np.int32), np.array([cut]), np.array([two_sided]))
 
 
 def box(centre: Vector, size: Vector, patch: Patch, tint: Vector, tag_name: str, lean: float = 0.0) -> Faces:
@@ -156,19 +149,19 @@ def car(colour: int) -> Faces:
     def side(x: float, y: float, across: float, patch: Patch) -> Faces:
         return face((x, y, 0.0), (across, 0.0, 0.0), (0.0, 0.0, height), patch, tint, "car", cut=True)
 
-    right = side(rear, -half, length, sheet.patch("car_side"))
-    left = side(-rear, half, -length, _flipped(sheet.patch("car_side")))
+    u, du, v, dv = sheet.patch("car_side")
+    right, left = side(rear, -half, length, (u, du, v, dv)), side(-rear, half, -length, (u + du, -du, v, dv))
     return together([right, left, *_skin(rear, tint), *_tyres(rear, half)])
 
 
 def _skin(rear: float, tint: Vector) -> list[Faces]:
     """Return the faces between the two sides of a car, without the floor."""
     corners = [(x + rear, z) for x, z in CAR_PROFILE]
-    sheet, width, plain = load_sheet(), CAR_WIDTH_M, plain_patch(1.8, 1.0)
     textures = {1: "car_nose", 4: "glass", 6: "glass", 8: "car_tail"}
-    patches = [sheet.patch(textures[i]) if i in textures else plain for i in range(len(corners))]
-    spans = zip(corners, [*corners[1:], corners[0]], patches, strict=True)
-    return [ribbon(start, end, width, patch, tint, "car") for start, end, patch in list(spans)[1:]]
+    patches = {i: load_sheet().patch(name) for i, name in textures.items()}
+    spans = list(enumerate(pairwise([*corners, corners[0]])))[1:]
+    plain = plain_patch(1.8, 1.0)
+    return [ribbon(*span, CAR_WIDTH_M, patches.get(i, plain), tint, "car") for i, span in spans]
 
 
 def _tyres(rear: float, half: float) -> list[Faces]:
@@ -236,8 +229,3 @@ def building(style: int, length_m: float, depth_m: float, height_m: float, tint:
 def plain_patch(width_m: float, height_m: float) -> Patch:
     """Return the section of the plain texture that a face of this size shows."""
     return load_sheet().patch("plain", (width_m / PLAIN_M, height_m / PLAIN_M))
-
-
-def _flipped(patch: Patch) -> Patch:
-    u, du, v, dv = patch
-    return u + du, -du, v, dv

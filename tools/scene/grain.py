@@ -69,11 +69,8 @@ def make_grain(focal_px: float, height_m: float, seed: int) -> Grain:
     rng = np.random.default_rng((seed, 11))
     banks = (pink_spectrum((ROWS, COLUMNS), rng, FALL), _paving(pink_spectrum((ROWS, COLUMNS), rng, FALL)))
     stds = [float(fft.irfft2(bank, (ROWS, COLUMNS)).std()) for bank in banks]
-    blocks = [
-        _level(bank, std, level, focal_px, height_m)
-        for bank, std in zip(banks, stds, strict=True)
-        for level in range(LEVELS)
-    ]
+    both = zip(banks, stds, strict=True)
+    blocks = [_level(bank, std, level, focal_px, height_m) for bank, std in both for level in range(LEVELS)]
     return Grain(np.concatenate(blocks), focal_px)
 
 
@@ -117,8 +114,7 @@ def _level(
 def _gauss(frequency: Float, footprint_m: float) -> Float:
     """Return the transfer function of a Gaussian with half the footprint as deviation; frequencies per texel."""
     sigma = footprint_m / TEXEL_M / 2
-    result: Float = np.exp(-2 * (np.pi * sigma * frequency) ** 2)
-    return result
+    return np.asarray(np.exp(-2 * (np.pi * sigma * frequency) ** 2))
 
 
 def _wrapped(metres: Float32, period: int) -> Float32:

@@ -136,12 +136,10 @@ def _curb_depth(
 
     def beyond(depth_m: Float) -> Float:
         _, _, d = _places(road, scene, start[0] + depth_m * rays.dx, start[1] + depth_m * rays.dy)
-        excess: Float = np.abs(d) - scene.section.curb_m
-        return excess
+        return np.asarray(np.abs(d) - scene.section.curb_m)
 
-    low, high = near_m, far_m
+    low, high, middle = near_m, far_m, near_m
     f_low, f_high = beyond(low), beyond(high)
-    middle = low
     for _ in range(FALSI_STEPS):
         with np.errstate(invalid="ignore", divide="ignore"):
             middle = np.where(f_high != f_low, (low * f_high - high * f_low) / (f_high - f_low), low)
@@ -205,8 +203,7 @@ def _remains(s_m: NDArray[np.float64], across_m: Float32) -> NDArray[np.bool_]:
     pattern = _wear_pattern()
     rows = np.floor(s_m / WEAR_TEXEL_M).astype(np.intp) % pattern.shape[0]
     columns = np.floor(across_m / WEAR_TEXEL_M).astype(np.intp) % pattern.shape[1]
-    remains: NDArray[np.bool_] = pattern[rows, columns]
-    return remains
+    return np.asarray(pattern[rows, columns])
 
 
 @cache

@@ -142,13 +142,11 @@ class _Job:
         options, rig = self.options, self.rig
         if sensor == "depth":
             share, depth_m = options.depth_noise, left.depth_m
-            return dump.depth_picture(
-                noise.noisy_depth(depth_m, share, self._rng(frame, "depth")) if share else depth_m
-            )
+            noisy_m = noise.noisy_depth(depth_m, share, self._rng(frame, "depth")) if share else depth_m
+            return dump.depth_picture(noisy_m)
         if sensor == "segmentation":
             share, tags = options.tag_noise, left.tags
             return dump.tags_picture(noise.noisy_tags(tags, share, self._rng(frame, "tags")) if share else tags)
-        rgb = left.rgb
-        if sensor == "right":
-            rgb = View(moment, rig.camera, moment.world_T_ego @ rig.ego_T_right).rgb
+        right = sensor == "right"
+        rgb = View(moment, rig.camera, moment.world_T_ego @ rig.ego_T_right).rgb if right else left.rgb
         return noise.noisy_rgb(rgb, options.rgb_noise, self._rng(frame, sensor)) if options.rgb_noise else rgb

@@ -34,15 +34,13 @@ def noisy_tags(tags: Tags, share: float, rng: np.random.Generator) -> Tags:
     scale = tags.shape[1] / REFERENCE_WIDTH
     classes = np.flatnonzero(np.bincount(tags.ravel()))
     result = _wobbled(tags, WOBBLE_PX * share * scale, WOBBLE_CELL_PX * scale, rng)
-    wrong = np.full(tags.shape, 255, np.uint8)
-    area = 0.0
+    wrong, area = np.full(tags.shape, 255, np.uint8), 0.0
     while area < share * tags.size:
         low, high = (radius * scale for radius in BLOB_RADIUS_PX)
         axes = rng.uniform(low, high, 2)
         x, y = (round(c) for c in rng.uniform((0, 0), tags.shape[::-1]))
         a, b = (max(round(c), 1) for c in axes)
-        angle = float(rng.uniform(0, 180))
-        cv2.ellipse(wrong, (x, y), (a, b), angle, 0, 360, int(rng.choice(classes)), -1)
+        cv2.ellipse(wrong, (x, y), (a, b), float(rng.uniform(0, 180)), 0, 360, int(rng.choice(classes)), -1)
         area += float(np.pi * axes.prod())
     wrong = _wobbled(wrong, 3.0 * scale, WOBBLE_CELL_PX * scale / 2, rng)
     np.copyto(result, wrong, where=wrong != 255)
@@ -68,8 +66,7 @@ def _wobbled(tags: Tags, deviation_px: float, cell_px: float, rng: np.random.Gen
 def noisy_depth(depth_m: Float32, relative_std: float, rng: np.random.Generator) -> Float32:
     """Return depth with an independent relative error in each pixel; the sky stays unchanged."""
     factor = rng.standard_normal(depth_m.shape, np.float32) * np.float32(relative_std) + np.float32(1)
-    noisy = np.clip(depth_m * factor, 0, FAR_M)
-    return np.where(depth_m >= FAR_M, np.float32(FAR_M), noisy).astype(np.float32)
+    return np.where(depth_m >= FAR_M, FAR_M, np.clip(depth_m * factor, 0, FAR_M)).astype(np.float32)
 
 
 def noisy_rgb(rgb: NDArray[np.uint8], std: float, rng: np.random.Generator) -> NDArray[np.uint8]:

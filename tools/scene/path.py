@@ -5,7 +5,7 @@ right-handed: x forward, y left, z up.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -70,12 +70,9 @@ class Path:
         origin = (float(x[0]), float(y[0]))
         ends = [e.s_m for e in self.elements[1:]] + [np.inf]
         near = [e for e, end in zip(self.elements, ends, strict=True) if e.s_m < s_m + ahead_m and end > s_m - behind_m]
-        first, *others = near
         # Describe a ring from the position of the car, so that angles reach half a turn in both directions.
-        moved = [first.at(s_m) if len(self.elements) == 1 else first, *others]
-        shifted = (
-            Element(e.s_m - s_m, e.x_m - origin[0], e.y_m - origin[1], e.heading, e.curvature_per_m) for e in moved
-        )
+        moved = [near[0].at(s_m)] if len(self.elements) == 1 else near
+        shifted = (replace(e, s_m=e.s_m - s_m, x_m=e.x_m - origin[0], y_m=e.y_m - origin[1]) for e in moved)
         return LocalPath(tuple(shifted), origin, s_m)
 
 
@@ -109,9 +106,8 @@ def chain(start: Element, pieces: Iterable[tuple[float, float]]) -> Path:
     elements: list[Element] = []
     end = start
     for length, curvature in pieces:
-        element = Element(end.s_m, end.x_m, end.y_m, end.heading, curvature)
-        elements.append(element)
-        end = element.at(element.s_m + length)
+        elements.append(replace(end, curvature_per_m=curvature))
+        end = elements[-1].at(end.s_m + length)
     return Path(tuple(elements))
 
 
@@ -119,9 +115,7 @@ def _along(heading: Float | float, curvature: Float | float, ahead: Float | floa
     """Return the displacement after ``ahead`` metres: a chord of length 2/k sin(k s / 2), turned by half the angle."""
     half = np.asarray(curvature) * ahead / 2
     chord = ahead * np.sinc(half / np.pi)
-    x: Float = chord * np.cos(heading + half)
-    y: Float = chord * np.sin(heading + half)
-    return x, y
+    return chord * np.cos(heading + half), chord * np.sin(heading + half)
 
 
 def _beside(element: Element, x_m: Real, y_m: Real) -> tuple[Real, Real]:
@@ -133,6 +127,5 @@ def _beside(element: Element, x_m: Real, y_m: Real) -> tuple[Real, Real]:
     radius = 1 / element.curvature_per_m
     sign = 1.0 if radius > 0 else -1.0
     inward = radius - left
-    d = radius - sign * np.sqrt(ahead * ahead + inward * inward)
     s = np.arctan2(sign * ahead, sign * inward) * radius + element.s_m
-    return s, d
+    return s, radius - sign * np.sqrt(ahead * ahead + inward * inward)

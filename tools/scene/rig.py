@@ -65,8 +65,7 @@ def scan(moment: Moment) -> Float32:
     right, down, forward = (rays(camera, pixels.astype(float)) * depth_m[:, None]).T
     distance_m = np.sqrt(right**2 + down**2 + forward**2)
     points = np.stack((forward, right, -down, np.exp(-ATTENUATION_PER_M * distance_m)), axis=-1)
-    within: Float32 = points[distance_m <= RANGE_M].astype(np.float32)
-    return within
+    return np.asarray(points[distance_m <= RANGE_M], np.float32)
 
 
 @lru_cache(maxsize=1)
@@ -80,5 +79,4 @@ def _rays() -> tuple[Camera, NDArray[np.intp]]:
     pixels = np.rint(np.stack((columns, rows), axis=-1).reshape(-1, 2)).astype(np.intp)
     first, last = pixels.min(axis=0), pixels.max(axis=0)
     (width, height), (cx, cy) = last - first + 1, -first
-    camera = Camera("lidar", int(width), int(height), _FOCAL_PX, _FOCAL_PX, float(cx), float(cy))
-    return camera, pixels - first
+    return Camera("lidar", int(width), int(height), _FOCAL_PX, _FOCAL_PX, float(cx), float(cy)), pixels - first

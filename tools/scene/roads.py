@@ -104,9 +104,9 @@ class LocalCrossing:
         x, y = x_m + self.origin_m[0], y_m + self.origin_m[1]
         first, second = crossing.arm_distances(x, y)
         ahead, left = x - crossing.x_m, -y if crossing.turn < 0 else y
-        s = np.where(np.abs(first) <= np.abs(second), ahead, left)
+        on_first = np.abs(first) <= np.abs(second)
+        s, d = np.where(on_first, ahead, left), np.where(on_first, first, second)
         s = s + np.where(s > 0, crossing.beyond_m, crossing.x_m) - self.s_origin_m
-        d = np.where(np.abs(first) <= np.abs(second), first, second)
         d = np.copysign(_rounded(crossing, np.abs(first), np.abs(second)), d)
         return s.astype(x_m.dtype), d.astype(x_m.dtype)
 
@@ -168,9 +168,8 @@ class Road:
 
 def plain_road(section: RoadSection) -> Road:
     """Return a uniform road with its lines in the cross-section."""
-    left = Edge(constant(section.left_edge_m), "road")
     right = Edge(constant(section.right_edge_m), section.outside_right)
-    lane = Lane(left, right)
+    lane = Lane(Edge(constant(section.left_edge_m), "road"), right)
     return Road(section, LaneMap((lane,), lane), constant(0.0))
 
 
@@ -186,8 +185,7 @@ def road_of(options: RenderOptions) -> Road:
     elif crossing := crossing_of(options, bare):
         lines = _outer_lines(bare, constant(bare.right_edge_m))
         missing = (crossing.unmarked_m, *missing)
-        lanes = _lanes_to_and_from(bare, crossing)
-        road = Road(bare, lanes, constant(0.0), Markings(tuple(lines)), crossing)
+        road = Road(bare, _lanes_to_and_from(bare, crossing), constant(0.0), Markings(tuple(lines)), crossing)
     elif missing or worn:
         lines = _outer_lines(bare, constant(bare.right_edge_m), "stretches" if broken else "none")
         road = replace(plain_road(bare), markings=Markings(tuple(lines)))
@@ -224,8 +222,7 @@ def _changing(section: RoadSection, what: LaneEvent, from_m: float) -> Road:
     For a beginning or ending lane, the dashed line runs along the taper and the ego lane keeps its width. A lane that
     splits first grows to the width of two, and the line begins after the taper. A merge is the reverse.
     """
-    to_m = from_m + TAPER_M
-    more = LINE_M + LANE_M
+    to_m, more = from_m + TAPER_M, LINE_M + LANE_M
     wider = Along((from_m, to_m), (0.0, more) if what in ("begins", "splits") else (more, 0.0))
     left, inner = Edge(constant(section.left_edge_m), "road"), -section.lane_m
     outer = Edge(Along(wider.s_m, tuple(inner - w for w in wider.value)), section.outside_right)
@@ -240,8 +237,7 @@ def _changing(section: RoadSection, what: LaneEvent, from_m: float) -> Road:
         Lane(left, divided, *two),
         Lane(Edge(constant(inner - LINE_M), "road", *two), outer, *two),
     )
-    divider = Marking(constant(inner - LINE_M / 2), WHITE, "all", *two)
-    lines = [*_outer_lines(section, outer.d_m), divider]
+    lines = [*_outer_lines(section, outer.d_m), Marking(constant(inner - LINE_M / 2), WHITE, "all", *two)]
     return Road(section, LaneMap(lanes, lanes[0]), wider, Markings(tuple(lines)))
 
 

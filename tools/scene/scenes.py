@@ -90,8 +90,7 @@ LEVEL_GROUND: Final = Terrain(np.zeros(1), np.zeros(1))
 def rolling_ground(length_m: float, wave_m: float, max_grade: float, knot_m: float = 2.0) -> Terrain:
     """Return waves from x = -200 on with a largest grade of ``max_grade``; the ground is level at x = 0."""
     x = np.arange(-200.0, length_m + wave_m, knot_m)
-    z = max_grade * wave_m / (2 * np.pi) * (1 - np.cos(2 * np.pi * x / wave_m))
-    return Terrain(x, z)
+    return Terrain(x, max_grade * wave_m / (2 * np.pi) * (1 - np.cos(2 * np.pi * x / wave_m)))
 
 
 def with_bumps(terrain: Terrain, length_m: float) -> Terrain:
@@ -152,21 +151,19 @@ class Scene:
         forward = np.array([np.cos(yaw), np.sin(yaw), slope * np.cos(yaw)])
         up = np.array([-slope, 0.0, 1.0])
         forward, up = forward / np.linalg.norm(forward), up / np.linalg.norm(up)
-        rotation = np.column_stack((forward, np.cross(up, forward), up))
-        return rigid(rotation, np.array([x, y, height]))
+        return rigid(np.column_stack((forward, np.cross(up, forward), up)), np.array([x, y, height]))
 
 
 def make_scene(options: RenderOptions, length_m: float) -> Scene:
     """Return the scene for ``length_m`` of driving along the road from s = 0."""
-    name = options.scene
-    wave_m = _WAVES_M.get(name)
-    terrain = rolling_ground(length_m + MARGIN_M, wave_m, _MAX_GRADE) if wave_m else LEVEL_GROUND
     road = road_of(options)
     if road.crossing is not None:
         return Scene(road.crossing.path, LEVEL_GROUND, road)
+    wave_m = _WAVES_M.get(options.scene)
+    terrain = rolling_ground(length_m + MARGIN_M, wave_m, _MAX_GRADE) if wave_m else LEVEL_GROUND
     if options.bumps:
         terrain = with_bumps(terrain, length_m + MARGIN_M)
-    return Scene(_path(name, length_m), terrain, road)
+    return Scene(_path(options.scene, length_m), terrain, road)
 
 
 def _path(name: SceneName, length_m: float) -> Path:

@@ -196,11 +196,8 @@ def _times(has: LogContents) -> Node | None:
 
 
 def _log(has: LogContents) -> Node | None:
-    if topics.LOG_TOPIC not in has.results:
-        return None
-    return panel(
-        "RosOut", "log", "Log: what was missing", searchTerms=[], minLogLevel=1, topicToRender=topics.LOG_TOPIC
-    )
+    shown: Config = {"searchTerms": [], "minLogLevel": 1, "topicToRender": topics.LOG_TOPIC}
+    return panel("RosOut", "log", "Log: what was missing", **shown) if topics.LOG_TOPIC in has.results else None
 
 
 def _messages(has: LogContents) -> Node | None:
@@ -218,10 +215,9 @@ def _raw_messages(name: str, title: str, topic: str | None) -> Node | None:
     """The messages of a topic as a collapsible tree."""
     if topic is None:
         return None
+    shown: Config = {"topicPath": topic, "expansion": "none", "showFullMessageForDiff": False}
     difference = {"diffEnabled": False, "diffMethod": "previous message", "diffTopicPath": ""}
-    return panel(
-        "RawMessages", name, title, topicPath=topic, expansion="none", showFullMessageForDiff=False, **difference
-    )
+    return panel("RawMessages", name, title, **shown, **difference)
 
 
 def write_layout(

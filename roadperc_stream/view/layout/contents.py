@@ -15,24 +15,16 @@ from roadperc_stream.input.roles import assignment_of_log
 from roadperc_stream.input.stream import Problems
 from roadperc_stream.log import Channel, LogSummary
 from roadperc_stream.model import EGO, DepthImage, Transform
+from roadperc_stream.schemas import topics
 from roadperc_stream.schemas.columns import FrameMetrics
 from roadperc_stream.schemas.roles import ROLES, Kind
-from roadperc_stream.schemas.topics import (
-    DRIVABLE_SCENE_TOPIC,
-    LANES_SCENE_TOPIC,
-    METRICS_TOPIC,
-    OBJECTS_SCENE_TOPIC,
-    OCCUPANCY_TOPIC,
-    RESULTS,
-    TF_TOPIC,
-    TIMES_TOPIC,
-)
 from roadperc_stream.view.result_frames import read_rows, require_shown
 
 _DEPTH_ROLES: Final = ("depth", "truth_depth")
 _TF_ROLES: Final = ("tf", "tf_static")
 _COLUMNS: Final = frozenset(field.name for field in fields(FrameMetrics))
-_IN_THE_EGO_FRAME: Final = {DRIVABLE_SCENE_TOPIC, LANES_SCENE_TOPIC, OBJECTS_SCENE_TOPIC, OCCUPANCY_TOPIC, TF_TOPIC}
+_SCENES: Final = {topics.DRIVABLE_SCENE_TOPIC, topics.LANES_SCENE_TOPIC, topics.OBJECTS_SCENE_TOPIC}
+_IN_THE_EGO_FRAME: Final = _SCENES | {topics.OCCUPANCY_TOPIC, topics.TF_TOPIC}
 """Results that name the ego frame."""
 
 
@@ -60,7 +52,7 @@ class LogContents:
 
 OF_A_LIVE_REPLAY: Final = LogContents(
     roles={name: role.topic for name, role in ROLES.items()},
-    results=frozenset(RESULTS) | {TIMES_TOPIC},
+    results=frozenset(topics.RESULTS) | {topics.TIMES_TOPIC},
     columns=_COLUMNS,
     has_ego_frame=True,
 )
@@ -85,7 +77,7 @@ def contents_of(path: Path, overrides: Mapping[str, str]) -> LogContents:
     return LogContents(
         roles=roles.topics,
         results=results,
-        columns=_columns(summary) if METRICS_TOPIC in results else frozenset(),
+        columns=_columns(summary) if topics.METRICS_TOPIC in results else frozenset(),
         depth_in_metres=frozenset(_depth_in_metres(summary, roles.topics)),
         more_images=_more_images(present, roles.topics.values()),
         has_ego_frame=bool(results & _IN_THE_EGO_FRAME) or EGO in _frames(summary, roles.topics),
@@ -105,17 +97,17 @@ def _more_images(channels: Iterable[Channel], known: Iterable[str]) -> tuple[str
     return tuple(sorted({channel.topic for channel in images} - filled))
 
 
-def _depth_in_metres(summary: LogSummary, topics: Mapping[str, str]) -> Iterable[str]:
+def _depth_in_metres(summary: LogSummary, assigned: Mapping[str, str]) -> Iterable[str]:
     """Depth topics in metres (32FC1, no largest value), judged by the first readable message."""
     for role in _DEPTH_ROLES:
-        first = _first(summary, "depth", topics[role]) if role in topics else None
+        first = _first(summary, "depth", assigned[role]) if role in assigned else None
         if isinstance(first, DepthImage) and math.isinf(first.limit_m):
-            yield topics[role]
+            yield assigned[role]
 
 
-def _frames(summary: LogSummary, topics: Mapping[str, str]) -> set[str]:
+def _frames(summary: LogSummary, assigned: Mapping[str, str]) -> set[str]:
     """The coordinate frames in the first transform messages of a log."""
-    payloads = (_first(summary, "tf", topics[role]) for role in _TF_ROLES if role in topics)
+    payloads = (_first(summary, "tf", assigned[role]) for role in _TF_ROLES if role in assigned)
     edges = [edge for payload in payloads if isinstance(payload, tuple) for edge in payload]
     return {name for edge in edges if isinstance(edge, Transform) for name in (edge.parent, edge.child)}
 

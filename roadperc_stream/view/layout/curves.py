@@ -1,7 +1,6 @@
 """Plots of metrics and states over time."""
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
 from typing import Final
 
 from roadperc_stream.schemas.columns import TIME_COLUMNS
@@ -32,19 +31,9 @@ _THICK: Final = 2.5
 _LEGEND_WIDTH_PX: Final = 150
 
 
-@dataclass(frozen=True)
-class Plot:
-    """The curves of a panel: thick lines in blue, orange and green unless ``_STYLES`` differs."""
-
-    title: str
-    unit: str
-    labels: Mapping[str, str]
-    """By metric."""
-
-
-PLOTS: Final[Mapping[str, Plot]] = {
+_PLOTS: Final[Mapping[str, tuple[str, str, Mapping[str, str]]]] = {
     **{
-        f"{side}_offset": Plot(
+        f"{side}_offset": (
             f"{side.capitalize()} boundary, offset",
             "m",
             {
@@ -56,32 +45,32 @@ PLOTS: Final[Mapping[str, Plot]] = {
         for side in ("left", "right")
     },
     **{
-        f"{side}_error": Plot(f"{side.capitalize()} boundary, error at 10 m", "m", {f"lane_{side}_error_m": "smoothed"})
+        f"{side}_error": (f"{side.capitalize()} boundary, error at 10 m", "m", {f"lane_{side}_error_m": "smoothed"})
         for side in ("left", "right")
     },
-    "lane": Plot("Lane", "m, degrees", {"lane_width_m": "width, m", "lane_heading_deg": "heading, °"}),
-    "objects": Plot(
+    "lane": ("Lane", "m, degrees", {"lane_width_m": "width, m", "lane_heading_deg": "heading, °"}),
+    "objects": (
         "Nearest object",
         "m, s",
         {"nearest_object_m": "object, m", "stereo_nearest_m": "stereo, m", "time_to_impact_s": "impact, s"},
     ),
-    "odometry": Plot("Odometry", "m, degrees", {"step_m": "step, m", "turn_deg": "turn, °"}),
-    "inliers": Plot(
+    "odometry": ("Odometry", "m, degrees", {"step_m": "step, m", "turn_deg": "turn, °"}),
+    "inliers": (
         "Odometry inliers and detections",
         "count",
         {"odometry_inliers": "inliers", "detections": "detections", "detections_kept": "kept"},
     ),
-    "surface": Plot(
+    "surface": (
         "Camera over the road",
         "m, degrees",
         {"camera_height_m": "height, m", "camera_pitch_deg": "pitch, °", "camera_roll_deg": "roll, °"},
     ),
-    "shares": Plot(
+    "shares": (
         "Shares",
         "",
         {"drivable_ratio": "drivable", "surface_inlier_ratio": "road inliers", "stereo_valid_ratio": "stereo valid"},
     ),
-    "surface_errors": Plot(
+    "surface_errors": (
         "Surface errors",
         "degrees, m",
         {
@@ -90,19 +79,22 @@ PLOTS: Final[Mapping[str, Plot]] = {
             "surface_height_error_m": "road, m",
         },
     ),
-    "object_errors": Plot(
+    "object_errors": (
         "Object and stereo errors",
         "m, px",
         {"object_distance_error_m": "distance, m", "stereo_epe_px": "disparity, px"},
     ),
-    "odometry_errors": Plot("Odometry errors", "m, degrees", {"step_error_m": "step, m", "turn_error_deg": "turn, °"}),
-    "scores": Plot(
+    "odometry_errors": ("Odometry errors", "m, degrees", {"step_error_m": "step, m", "turn_error_deg": "turn, °"}),
+    "scores": (
         "Scores of road and boxes",
         "",
         {"drivable_iou": "drivable IoU", "filter_precision": "box precision", "filter_recall": "box recall"},
     ),
 }
-"""By the name of their panel."""
+"""Title, unit, and labels by metric of each plot, by the name of its panel.
+
+The curves are thick lines in blue, orange and green unless ``_STYLES`` differs.
+"""
 _STYLES: Final[Mapping[str, Config]] = {
     "raw": {"color": _ORANGE, "showLine": False},
     "smoothed": {"color": _BLUE},
@@ -128,22 +120,22 @@ BOUNDARY_STATES: Final = {
 
 def plot(name: str, columns: Collection[str]) -> Node | None:
     """A plot of the curves that are in ``columns``; None if there are none."""
-    described = PLOTS[name]
-    coloured = zip(described.labels.items(), (_BLUE, _ORANGE, _GREEN), strict=False)
+    title, unit, labels = _PLOTS[name]
+    coloured = zip(labels.items(), (_BLUE, _ORANGE, _GREEN), strict=False)
     paths = [
         _path(METRICS_TOPIC, metric, label, color=colour, showLine=True, lineSize=_THICK) | _STYLES.get(label, {})
         for (metric, label), colour in coloured
         if metric in columns
     ]
-    return _plot(name, described.title, described.unit, paths)
+    return _plot(name, title, unit, paths)
 
 
 def stage_times(columns: Collection[str]) -> Node | None:
     """A plot of stage times in milliseconds, for the stages in ``columns``."""
-    stages = [(column, column.removesuffix("_ms")) for column in TIME_COLUMNS if column in columns]
+    stages = [column.removesuffix("_ms") for column in TIME_COLUMNS if column in columns]
     paths = [
-        _path(TIMES_TOPIC, column, stage, color=STAGE_COLOURS[stage], showLine=True, lineSize=_THIN)
-        for column, stage in stages
+        _path(TIMES_TOPIC, f"{stage}_ms", stage, color=STAGE_COLOURS[stage], showLine=True, lineSize=_THIN)
+        for stage in stages
     ]
     return _plot("times", "Time per stage, ms (live only)", "ms", paths)
 

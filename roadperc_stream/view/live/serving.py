@@ -56,9 +56,8 @@ def serve_log(path: Path, options: PlaybackOptions, *, quiet: bool = False) -> N
         raise LogError(
             f"{path}: --start {options.start_s:g}: expected 0 to {length_s:.3f}, the log's length in seconds"
         )
-    layout = (
-        f"{shlex.quote(str(path))} --foxglove --foxglove-layout {shlex.quote(str(path.with_suffix('.layout.json')))}"
-    )
+    named, beside = (shlex.quote(str(file)) for file in (path, path.with_suffix(".layout.json")))
+    layout = f"{named} --foxglove --foxglove-layout {beside}"
     served = playing(source, path.name, (reach.first_ns, reach.last_ns), options, None if quiet else layout)
     with suppress(KeyboardInterrupt), served as (player, viewers):
         player.run(viewers)
@@ -96,9 +95,8 @@ class LiveReplay(ExitStack):
             ServeError: the port is not available.
         """
         source = with_times(running_replay(writer.while_written(), span_ns[0]), self.times.of)
-        layout = (
-            None if self._quiet else "--foxglove-layout layout.json"
-        )  # for all topics, as the log's are unknown yet
+        # For all topics, as the log's are unknown yet.
+        layout = None if self._quiet else "--foxglove-layout layout.json"
         player, viewers = self.enter_context(playing(source, writer.path.name, span_ns, self._options, layout))
         self.port = viewers.server.port
         thread = self.enter_context(ThreadPoolExecutor(1, "player"))

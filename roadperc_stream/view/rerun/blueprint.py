@@ -95,7 +95,7 @@ def _tabs(views: list[rrb.View]) -> rrb.Container | rrb.View | None:
 
 def _front(log: Log) -> list[rrb.View]:
     """The image with results or detections; without an image, the tags or the depth; then the pictures on request."""
-    under = log.present(log.topics.get(role) for role in ("image", "left", "segmentation", "depth"))[:1]
+    under = log.present(map(log.topics.get, ("image", "left", "segmentation", "depth")))[:1]
     results, inputs = log.present(_IN_THE_IMAGE), log.present([log.topics.get("detections")])
     name = "image and results" if results else "image and detections" if inputs else "image"
     views: list[rrb.View] = [_picture(name, entity, (*(results or inputs),)) for entity in under]
@@ -109,8 +109,7 @@ def _aside(log: Log) -> rrb.Container | None:
     depth = {"depth": log.topics.get("depth"), "stereo depth": topics.STEREO_DEPTH_TOPIC}
     more = {"left": log.topics.get("left"), "right": log.topics.get("right")}
     stacks = [_tabs(_named(log, names)) for names in (tags, depth | more)]
-    shown = [stack for stack in stacks if stack is not None]
-    return rrb.Vertical(*shown) if shown else None
+    return rrb.Vertical(*shown) if (shown := [stack for stack in stacks if stack is not None]) else None
 
 
 def _named(log: Log, entities: Mapping[str, str | None]) -> list[rrb.View]:
@@ -161,11 +160,11 @@ def _line(name: str) -> rr.SeriesLines:
 
 def _times(log: Log) -> rrb.View:
     """Milliseconds of the stages that ran; the labels are short because the legend covers the curves."""
-    ran = [stage for stage in STAGE_COLOURS if f"{topics.TIMES_TOPIC}/{stage}_ms" in log.entities]
     lines: dict[str, rr.SeriesLines | None] = {}
-    for stage in ran:
-        width, colour = _RAW_WIDTH if stage == "total" else _SMOOTHED_WIDTH, int(f"{STAGE_COLOURS[stage][1:]}ff", 16)
-        lines[f"{topics.TIMES_TOPIC}/{stage}_ms"] = rr.SeriesLines(colors=colour, widths=width, names=stage)
+    for stage, colour in STAGE_COLOURS.items():
+        if (entity := f"{topics.TIMES_TOPIC}/{stage}_ms") in log.entities:
+            width = _RAW_WIDTH if stage == "total" else _SMOOTHED_WIDTH
+            lines[entity] = rr.SeriesLines(colors=int(f"{colour[1:]}ff", 16), widths=width, names=stage)
     return _curves("time per stage, ms", lines)
 
 
@@ -183,10 +182,9 @@ def _times_and_texts(log: Log) -> list[rrb.View]:
     views: list[rrb.View] = []
     if log.has(topics.TIMES_TOPIC):
         views.append(_times(log))
-    states = sorted(e for e in log.entities if e.startswith(topics.METRICS_TOPIC) and e.endswith((*STATES, MISSING)))
-    if states:
+    metrics = sorted(entity for entity in log.entities if entity.startswith(topics.METRICS_TOPIC))
+    if states := [entity for entity in metrics if entity.endswith((*STATES, MISSING))]:
         views.append(rrb.StateTimelineView(name="states", contents=states))
-    lines = log.present((topics.LOG_TOPIC, f"{topics.METRICS_TOPIC}/reasons"))
-    if lines:
+    if lines := log.present((topics.LOG_TOPIC, f"{topics.METRICS_TOPIC}/reasons")):
         views.append(rrb.TextLogView(name="log", contents=lines))
     return views

@@ -67,17 +67,14 @@ def drawers(
     channels: Iterable[Channel], assigned: RoleAssignment, state: SceneState, times: TimesOfFrame
 ) -> dict[Channel, Drawer]:
     """The function that draws the messages of each channel, for channels with a role or results."""
-    found = {channel: _drawer(channel, assigned, state, times) for channel in channels}
-    return {channel: drawer for channel, drawer in found.items() if drawer is not None}
+    return {channel: drawer for channel in channels if (drawer := _drawer(channel, assigned, state, times))}
 
 
 def _drawer(channel: Channel, assigned: RoleAssignment, state: SceneState, times: TimesOfFrame) -> Drawer | None:
     if is_result(channel):
         return _result_drawer(channel, state, times)
-    roles = assigned.roles_of(channel.topic)
-    if not roles:
-        return None
-    return _kind_drawer(channel, roles[0].kind, roles[0].name, state, assigned.tag_table)
+    role = next(iter(assigned.roles_of(channel.topic)), None)
+    return None if role is None else _kind_drawer(channel, role.kind, role.name, state, assigned.tag_table)
 
 
 def _result_drawer(channel: Channel, state: SceneState, times: TimesOfFrame) -> Drawer | None:
@@ -129,7 +126,6 @@ def _encoded(role: str, state: SceneState, message: Message) -> Iterator[Entry]:
 
 
 def _decoded(kind: Kind, role: str, context: Context, state: SceneState, message: Message) -> Iterator[Entry]:
-    channel = message.channel
-    schema, encoding = channel.schema_name, channel.message_encoding
-    decoded = decode(kind, schema, encoding, message.data, message.log_time_ns, context)
+    channel, data, time_ns = message.channel, message.data, message.log_time_ns
+    decoded = decode(kind, channel.schema_name, channel.message_encoding, data, time_ns, context)
     return _KINDS[kind](channel.topic, role, decoded.payload, state)

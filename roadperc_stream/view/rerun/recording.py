@@ -186,11 +186,10 @@ class _Sender:
     def _entries(self, messages: Iterable[Message]) -> Iterator[Entry]:
         for message in messages:
             drawer = self._drawers.get(message.channel)
-            topic = message.channel.topic
             try:
                 yield from drawer(message) if drawer else ()
             except DecodeError as error:
-                self.problems.add(topic, message.log_time_ns, error)
+                self.problems.add(message.channel.topic, message.log_time_ns, error)
 
     def _log(self, entry: Entry) -> None:
         self.entities.add(entry.entity)
@@ -198,7 +197,6 @@ class _Sender:
             if entry.entity not in self._contexts:  # one context is valid for the whole recording
                 self._contexts[entry.entity] = entry.archetype
                 self._recording.log(entry.entity, entry.archetype, static=True)
-        elif entry.frame:
-            self._recording.log(entry.entity, entry.archetype, rr.CoordinateFrame(entry.frame))
         else:
-            self._recording.log(entry.entity, entry.archetype)
+            frame = (rr.CoordinateFrame(entry.frame),) if entry.frame else ()
+            self._recording.log(entry.entity, entry.archetype, *frame)
