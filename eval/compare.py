@@ -39,11 +39,6 @@ def _require_updatable(reference: str) -> None:
         raise TableError(f"{reference}: expected a folder or a table to update, found a glob")
 
 
-def _is_new(path: Path) -> bool:
-    """Whether nothing has this name, or only a folder without tables."""
-    return not path.exists() or (path.is_dir() and not any(path.rglob(f"*{METRICS_SUFFIX}")))
-
-
 def _first_copies(reference: Path, candidate: Sequence[Run]) -> list[Copy]:
     """Copies that create a reference.
 
@@ -72,10 +67,9 @@ def _update_copies(reference: Path, pairing: Pairing) -> list[Copy]:
 def _replacements(pair: RunPair) -> Iterator[Copy]:
     ours, theirs = pair.reference.tables, pair.candidate.tables
     if len(ours) != len(theirs):
-        raise TableError(
-            f"{pair.candidate.source_name}: {number(len(theirs), 'table')} cannot replace {len(ours)}; "
-            "expected as many continued replays, or a new reference"
-        )
+        found = f"{number(len(theirs), 'table')} cannot replace {len(ours)}"
+        expected = "expected as many continued replays, or a new reference"
+        raise TableError(f"{pair.candidate.source_name}: {found}; {expected}")
     return ((new.path, old.path) for old, new in zip(ours, theirs, strict=True))
 
 
@@ -103,7 +97,7 @@ def compare(arguments: argparse.Namespace) -> None:
     candidate, reference = logged_runs(arguments.candidate), Path(arguments.reference)
     if arguments.update_reference:
         _require_updatable(arguments.reference)
-        if _is_new(reference):
+        if not reference.exists() or (reference.is_dir() and not any(reference.rglob(f"*{METRICS_SUFFIX}"))):
             _update(_first_copies(reference, candidate))
             return
     pairing = pair_runs(logged_runs(arguments.reference), candidate, arguments.other_log)

@@ -42,12 +42,8 @@ class Judged:
 
 
 FRAME_QUANTITIES: Final = (
-    *(
-        Judged(
-            f"lane {side} offset", f"lane_{side}_offset_m", f"lane_{side}_true_offset_m", f"lane_{side}_offset_std_m"
-        )
-        for side in ("left", "right")
-    ),
+    Judged("lane left offset", "lane_left_offset_m", "lane_left_true_offset_m", "lane_left_offset_std_m"),
+    Judged("lane right offset", "lane_right_offset_m", "lane_right_true_offset_m", "lane_right_offset_std_m"),
     Judged("lane heading", "lane_heading_deg", "lane_true_heading_deg", "lane_heading_std_deg"),
     Judged("step", "step_m", "true_step_m", "step_std_m"),
     Judged("turn", "turn_deg", "true_turn_deg", "turn_std_deg"),

@@ -76,9 +76,8 @@ def to_line(frame: LaneFrame) -> str:
     lanes = [_numbers(np.nan_to_num(lane, nan=ABSENT_PX)) for lane in frame.lanes]
     run_time = round(frame.run_time_ms, _DECIMALS)
     # without validation: a small image has no row of TuSimple's, which is an error only in files to read
-    line = _Line.model_construct(
-        raw_file=frame.raw_file, lanes=lanes, h_samples=_numbers(frame.rows), run_time=run_time
-    )
+    rows = _numbers(frame.rows)
+    line = _Line.model_construct(raw_file=frame.raw_file, lanes=lanes, h_samples=rows, run_time=run_time)
     return line.model_dump_json() + "\n"
 
 
@@ -185,9 +184,8 @@ def open_lanes(path: Path) -> RunLanes:
     summary = log.summarise(path)
     channels = summary.channels
     if not any(c.topic == LANES_TOPIC and c.schema_name == _SCHEMAS["lanes"] for c in channels):
-        raise LogError(
-            f"{path}: no {LANES_TOPIC} of schema {_SCHEMAS['lanes']}; pass an OUT.mcap of roadperc-replay with lanes"
-        )
+        hint = "pass an OUT.mcap of roadperc-replay with lanes"
+        raise LogError(f"{path}: no {LANES_TOPIC} of schema {_SCHEMAS['lanes']}; {hint}")
     frame_id = next((pb.Lanes.FromString(m.data).frame_id for m in log.read(summary, topics=[LANES_TOPIC])), None)
     topics = [c.topic for c in channels if c.schema_name == _SCHEMAS["calibration"]]
     return RunLanes(summary, _camera(summary, topics, frame_id), _times_ms(path))

@@ -14,17 +14,8 @@ from roadperc_stream.output.terminal import console_for, print_parts
 from roadperc_stream.output.text_table import TextTable, row
 from roadperc_stream.system.files import real_path
 
-from .lane_files import (
-    LaneFileError,
-    LaneFrame,
-    RunFrame,
-    RunLanes,
-    default_rows,
-    lane_frame,
-    lane_writer,
-    open_lanes,
-    read_frames,
-)
+from . import lane_files
+from .lane_files import LaneFileError, LaneFrame, RunFrame, RunLanes
 from .options import LanePairing
 from .quantities import listed, percent
 from .scores import Score
@@ -58,9 +49,8 @@ def by_key(truth: Sequence[LaneFrame], pairing: LanePairing) -> dict[int, LaneFr
                 "such as drive/1600000000000000000, or pass --pair order"
             )
         if int(stamp) in found:
-            raise LaneFileError(
-                f"{frame.place}: raw_file {frame.raw_file!r} has the same stamp as {found[int(stamp)].place}"
-            )
+            other = found[int(stamp)].place
+            raise LaneFileError(f"{frame.place}: raw_file {frame.raw_file!r} has the same stamp as {other}")
         found[int(stamp)] = frame
     return found
 
@@ -124,20 +114,20 @@ def print_lanes(
     """
     if target and true_lanes and real_path(target) == real_path(true_lanes):
         raise LaneFileError(f"{target}: is the file with the true lanes; pass another file to write")
-    truth = by_key(read_frames(true_lanes), pairing) if true_lanes else {}
-    source = open_lanes(path)
+    truth = by_key(lane_files.read_frames(true_lanes), pairing) if true_lanes else {}
+    source = lane_files.open_lanes(path)
     size = size or (source.camera.width, source.camera.height)
-    with lane_writer(target) as write:
+    with lane_files.lane_writer(target) as write:
         parts = _write_and_score(source, truth, pairing, size, write) if truth else [_export(source, size, write)]
     print_parts(console_for(sys.stdout), *parts)
 
 
 def _export(source: RunLanes, size: tuple[int, int], write: Callable[[LaneFrame], object]) -> str:
     """Write every frame; a line with the number of frames and of frames with lanes."""
-    name, rows = source.summary.path.stem, default_rows(size[1])
+    name, rows = source.summary.path.stem, lane_files.default_rows(size[1])
     has_lanes = []
     for frame in source.frames():
-        found = lane_frame(frame, source.camera, size, f"{name}/{frame.stamp_ns}", rows)
+        found = lane_files.lane_frame(frame, source.camera, size, f"{name}/{frame.stamp_ns}", rows)
         has_lanes.append(bool(found.lanes))
         write(found)
     return f"{name}: {len(has_lanes)} frames, lanes in {sum(has_lanes)}"
@@ -154,7 +144,7 @@ def _write_and_score(
     scores: list[FrameScore] = []
     missing = {truth.raw_file: truth for truth in true_frames.values()}
     for frame, truth in paired(source.frames(), true_frames, pairing):
-        found = lane_frame(frame, source.camera, size, truth.raw_file, truth.rows)
+        found = lane_files.lane_frame(frame, source.camera, size, truth.raw_file, truth.rows)
         write(found)
         scores.append(score_frame(found, truth, size))
         missing.pop(truth.raw_file, None)

@@ -14,14 +14,8 @@ import pyarrow.parquet as pq
 
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.tables import arrow_schema, facts_in, sidecar_path
+from roadperc_stream.schemas import record
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
-from roadperc_stream.schemas.record import (
-    CONTINUES_KEY,
-    DIGEST_ALGORITHM_KEY,
-    FIRST_DIGEST_ALGORITHM,
-    FIRST_FRAME_KEY,
-    LOG_ID_KEY,
-)
 from roadperc_stream.system.files import METRICS_SUFFIX, OBJECTS_SUFFIX, TABLE_SUFFIX, real_path
 from roadperc_stream.system.text import number
 
@@ -36,7 +30,7 @@ REQUIRED_COLUMNS: Final = ("log_id", "frame", "stamp_ns", "missing", "reasons", 
 """Columns of every metrics table. Tables of older versions may lack the others, which then count as null."""
 _FACTS: Final = (
     *("config_digest", "version", "config", "source", "log"),
-    *(LOG_ID_KEY, DIGEST_ALGORITHM_KEY, CONTINUES_KEY),
+    *(record.LOG_ID_KEY, record.DIGEST_ALGORITHM_KEY, record.CONTINUES_KEY),
 )
 """Entries of a table's footer that become attributes of its run, under the same names."""
 _MOST_DIGITS: Final = 16
@@ -146,7 +140,7 @@ class Run:
     source: str = ""
     log: str = ""
     log_id: str = ""
-    digest_algorithm: str = FIRST_DIGEST_ALGORITHM
+    digest_algorithm: str = record.FIRST_DIGEST_ALGORITHM
     continues: str = ""
     first_frame: int = 0
     end_frame: int | None = None
@@ -224,7 +218,7 @@ def open_run(path: Path, name: str) -> Run:
     facts = facts_in(footer.metadata)
     rows = footer.num_rows
     known: dict[str, Any] = {key: facts[key] for key in _FACTS if key in facts}
-    first_frame = _whole_number(facts.get(FIRST_FRAME_KEY, ""))
+    first_frame = _whole_number(facts.get(record.FIRST_FRAME_KEY, ""))
     return Run(name, path, rows, frozenset(columns), **known, first_frame=first_frame, rows=rows)
 
 
@@ -240,9 +234,8 @@ def distinct_names(paths: Sequence[Path]) -> list[str]:
     while True:
         names = ["/".join(parts[-depth:]) for parts, depth in zip(full, depths, strict=True)]
         shared = Counter(names)
-        grown = [
-            min(depth + (shared[name] > 1), len(parts)) for name, depth, parts in zip(names, depths, full, strict=True)
-        ]
+        rows = zip(names, depths, full, strict=True)
+        grown = [min(depth + (shared[name] > 1), len(parts)) for name, depth, parts in rows]
         if grown == depths:
             return names
         depths = grown
@@ -290,9 +283,8 @@ def _require_columns(path: Path, columns: Iterable[str]) -> None:
     missing = [name for name in REQUIRED_COLUMNS if name not in columns]
     if not missing:
         return
-    hint = ""
-    if path.name.endswith(OBJECTS_SUFFIX):
-        hint = f"; its frames are in {path.name.removesuffix(OBJECTS_SUFFIX)}{METRICS_SUFFIX}"
+    frames = f"{path.name.removesuffix(OBJECTS_SUFFIX)}{METRICS_SUFFIX}"
+    hint = f"; its frames are in {frames}" if path.name.endswith(OBJECTS_SUFFIX) else ""
     raise TableError(f"{path}: is not a metrics table: it has no column {', '.join(missing)}{hint}")
 
 

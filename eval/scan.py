@@ -18,11 +18,8 @@ from .runs import Run
 SEGMENT: Final = "segment"
 _STAMP_NS: Final = pl.col("stamp_ns")
 _LANE_CHANGES: Final = "lane_changes"
-NUMBER_COLUMNS: Final = tuple(
-    dict.fromkeys(
-        (*(quantity.column for quantity in STORED), *COUNTS, *(truth for _, truth in TRACED.values()), _LANE_CHANGES)
-    )
-)
+_TRUE_OFFSETS: Final = tuple(truth for _, truth in TRACED.values())
+NUMBER_COLUMNS: Final = tuple(dict.fromkeys((*(q.column for q in STORED), *COUNTS, *_TRUE_OFFSETS, _LANE_CHANGES)))
 """The numeric columns of a report."""
 
 

@@ -102,10 +102,8 @@ def averaged(parts: Iterable[tuple[int, Sequence[float | None]]]) -> tuple[float
     """Correlations over several tables, weighted by their frames; empty if no table has a lag."""
     lagging = [(frames, coefficients) for frames, coefficients in parts if lag_frames(coefficients) is not None]
     total = sum(frames for frames, _ in lagging)
-    by_shift = zip(
-        *([frames / total * (c or 0.0) for c in coefficients] for frames, coefficients in lagging), strict=True
-    )
-    return tuple(sum(shares) for shares in by_shift)
+    weighted = ([frames / total * (c or 0.0) for c in coefficients] for frames, coefficients in lagging)
+    return tuple(map(sum, zip(*weighted, strict=True)))
 
 
 def _share(part: int, whole: int) -> float | None:
@@ -164,9 +162,8 @@ def tallied_together(parts: Iterable[Tallies]) -> Tallies:
 
 def _texts(name: str, *, of_lists: bool = False) -> pl.Expr:
     """Number of occurrences of each text: a list of structs of ``text`` and ``count``."""
-    column = pl.col(name)
-    texts = (column.explode() if of_lists else column).drop_nulls()
-    counted = texts.value_counts(sort=True)
+    texts = pl.col(name).explode() if of_lists else pl.col(name)
+    counted = texts.drop_nulls().value_counts(sort=True)
     return counted.struct.rename_fields(["text", "count"]).implode().alias(name)
 
 

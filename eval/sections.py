@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from itertools import islice
+from itertools import chain, islice
 from typing import Final
 
 from roadperc_stream.model import ReasonKind
@@ -17,15 +17,7 @@ from .quantities import CATEGORIES, SEEN, SIDES, STAGE_TIMES, STORED, TOTAL, TRU
 from .statistics import Statistics
 from .summary import Summary, WorstFrame
 
-_CONSISTENCY_HEADERS: Final = (
-    "errors",
-    "with std %",
-    "1\N{GREEK SMALL LETTER SIGMA} %",
-    "2\N{GREEK SMALL LETTER SIGMA} %",
-    ">3\N{GREEK SMALL LETTER SIGMA} %",
-    "NEES",
-    f"{LEVEL:.0%} interval",
-)
+_SIGMAS: Final = tuple(f"{limit}\N{GREEK SMALL LETTER SIGMA} %" for limit in ("1", "2", ">3"))
 _LARGE: Final = 100
 _LEGEND: Final = (
     "with std %: errors with a standard deviation; then the shares within 1 and 2 of it, and beyond 3",
@@ -48,13 +40,8 @@ _SEGMENTS: Final = "a segment starts at the time at which the previous one ended
 
 def sections(summaries: Summaries) -> Iterator[TextTable]:
     """All tables in their order, including those without rows."""
-    yield coverage(summaries)
-    yield lane_boundaries(summaries)
-    yield missing_outputs(summaries)
-    yield accuracy(summaries)
-    yield consistency_table(summaries)
-    yield detection_counts(summaries)
-    yield latency(summaries)
+    tables = (coverage, lane_boundaries, missing_outputs, accuracy, consistency_table, detection_counts, latency)
+    return (table(summaries) for table in tables)
 
 
 def coverage(summaries: Summaries) -> TextTable:
@@ -94,11 +81,8 @@ def accuracy(summaries: Summaries) -> TextTable:
     headers = ("frames %", "bias", "median", "p95", "worst")
     rows = list(_quantities(summaries, TRUTH, _accuracy, better))
     absent = [q.label for q in TRUTH if not any(q.column in summary.statistics for summary in summaries)]
-    notes = (
-        _ERRORS,
-        _COVERAGE,
-        *([f"No frame has an estimate and a truth for: {'; '.join(absent)}."] if absent else []),
-    )
+    without = [f"No frame has an estimate and a truth for: {'; '.join(absent)}."] if absent else []
+    notes = (_ERRORS, _COVERAGE, *without)
     return _table("Accuracy", headers, rows, summaries, notes if rows else (_NO_TRUTH,))
 
 
@@ -112,7 +96,8 @@ def consistency_table(summaries: Summaries) -> TextTable:
     ]
     without = [name for name in found if any(found[name]) and name not in {item.label for item in rows}]
     notes = [*(_LEGEND if rows else ()), *([f"no standard deviation: {', '.join(without)}"] if without else [])]
-    return _table("Consistency", _CONSISTENCY_HEADERS, rows, summaries, tuple(notes), label_columns=17)
+    headers = ("errors", "with std %", *_SIGMAS, "NEES", f"{LEVEL:.0%} interval")
+    return _table("Consistency", headers, rows, summaries, tuple(notes), label_columns=17)
 
 
 def detection_counts(summaries: Summaries) -> TextTable:
@@ -298,9 +283,8 @@ def _remarks(summaries: Summaries, remark: Callable[[Summary], str]) -> Iterator
 
 
 def _worst(summaries: Summaries, quantity: Quantity, several: bool) -> Iterator[TextRow]:
-    frames = [
-        frame for place in listed(summaries, quantity) for frame in summaries[place].worst.get(quantity.column, ())
-    ]
+    having = [summaries[place].worst.get(quantity.column, ()) for place in listed(summaries, quantity)]
+    frames = list(chain.from_iterable(having))
     if several:
         yield row(quantity.label)
         yield from (row(f"  {frame.run}", *_worst_cells(frame, quantity)) for frame in frames)

@@ -154,9 +154,8 @@ def _judge(metric: Metric, values: Paired, rules: Rules) -> Verdict:
     interval = _interval(metric, values)
     allowed = max(rules.allowance(metric.name, reference), ROUNDING * max(abs(reference), abs(candidate)))
     judged = not metric.timed or rules.names(metric.name)
-    return Verdict(
-        metric, values.frames, reference, candidate, interval, _mark(metric, values, interval, allowed), judged
-    )
+    mark = _mark(metric, values, interval, allowed)
+    return Verdict(metric, values.frames, reference, candidate, interval, mark, judged)
 
 
 def _interval(metric: Metric, values: Paired) -> Interval:

@@ -143,10 +143,8 @@ def _verdict(found: Comparison) -> Iterator[str]:
     if changed:
         many = len(found.pairing.pairs) >= MANY_LOGS
         blocks = "whole logs as blocks" if many else "blocks of neighbouring frames"
-        yield (
-            f"intervals: {LEVEL:.0%} each, from {blocks}; "
-            f"chance alone marks about {changed * (1 - LEVEL):.2g} of {changed} metrics"
-        )
+        chance = f"chance alone marks about {changed * (1 - LEVEL):.2g} of {changed} metrics"
+        yield f"intervals: {LEVEL:.0%} each, from {blocks}; {chance}"
     for mark in ("better", "worse"):
         yield from (f"{mark}: {_sentence(verdict)}" for verdict in found.named(mark))
     yield _conclusion(found)

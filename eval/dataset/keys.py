@@ -62,9 +62,8 @@ def grouping(by: Sequence[str], table_columns: Collection[str]) -> Grouping:
     of_runs = tuple(name for name in names if name not in (*_OF_THE_FILE, *of_rows) and name in RUN_COLUMNS)
     for name in names:
         if name not in (*_OF_THE_FILE, *of_rows, *of_runs):
-            near = sorted(
-                {other for other in (*table_columns, *RUN_COLUMNS) if name.split("_", maxsplit=1)[0] in other}
-            )
+            word = name.partition("_")[0]
+            near = sorted({other for other in (*table_columns, *RUN_COLUMNS) if word in other})
             hint = f"; similar columns: {listed(near)}" if near else ""
             raise TableError(f"--by {name}: no column of the metrics tables or of runs.parquet{hint}")
     return Grouping(names, of_runs, of_rows)

@@ -130,11 +130,8 @@ def stage_times(runs: Sequence[Series], summaries: Sequence[Summary]) -> Iterato
         yield from _stacked(runs[0])
         return
     yield _means(summaries)
-    totals = [
-        _thinned_line(run.name, run, TOTAL.column, colour_of(place))
-        for place, run in enumerate(runs)
-        if TOTAL.column in run.values
-    ]
+    timed = [(place, run) for place, run in enumerate(runs) if TOTAL.column in run.values]
+    totals = [_thinned_line(run.name, run, TOTAL.column, colour_of(place)) for place, run in timed]
     if totals:
         yield Figure("Time of a frame", "The sum over all stages.", totals, layout(_TIME, "ms"))
 
@@ -170,10 +167,8 @@ def _means(summaries: Sequence[Summary]) -> Figure:
         found = [summary.statistics.get(stage.column) for summary in summaries]
         means_ms = [round(s.total / run.frames, 3) if s else 0.0 for s, run in zip(found, summaries, strict=True)]
         if any(means_ms):
-            look = {"color": _STAGE_COLOURS[stage.name]}
-            traces.append(
-                {"type": "bar", "orientation": "h", "name": stage.name, "y": names, "x": means_ms, "marker": look}
-            )
+            bar = {"type": "bar", "orientation": "h", "name": stage.name}
+            traces.append({**bar, "y": names, "x": means_ms, "marker": {"color": _STAGE_COLOURS[stage.name]}})
     height = 240 + 34 * len(summaries)
     runs = axis("", autorange="reversed", type="category")
     look = layout("ms a frame, mean", "", barmode="stack", hovermode="closest", height=height, yaxis=runs)

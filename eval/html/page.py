@@ -97,11 +97,8 @@ def _page(runs: Sequence[Run]) -> str:
 def _render(charts: Mapping[str, Sequence[Figure]], **content: Any) -> str:
     """Render the template; each figure gets an identifier, and sections without figures are left out."""
     numbers = count(1)
-    named = {
-        section: [(f"chart-{next(numbers)}", figure) for figure in figures]
-        for section, figures in charts.items()
-        if figures
-    }
+    filled = {section: figures for section, figures in charts.items() if figures}
+    named = {section: [(f"chart-{next(numbers)}", figure) for figure in figures] for section, figures in filled.items()}
     specs = {name: figure.spec for figures in named.values() for name, figure in figures}
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, finalize=_text, trim_blocks=True, lstrip_blocks=True

@@ -98,9 +98,8 @@ def read_poses(run: Run) -> RunPoses:
     estimated, true = (table.select(names).to_numpy() for names in (ESTIMATED_COLUMNS, TRUE_COLUMNS))
     has_estimate, has_truth = known_poses(estimated) & ~lost, known_poses(true)
     if not has_estimate.any():
-        raise TableError(
-            f"{run.source_name}: no frame has an estimated pose (odom_x_m to odom_qw); replay the log with odometry"
-        )
+        found = "no frame has an estimated pose (odom_x_m to odom_qw)"
+        raise TableError(f"{run.source_name}: {found}; replay the log with odometry")
     used = has_estimate & has_truth if has_truth.any() else has_estimate
     turned = table["turn_deg"].is_not_null()
     return RunPoses(

@@ -66,9 +66,8 @@ def attempt(task: Task, stop: threading.Event | None = None, on_progress: Progre
 
 def _attempt(task: Task, stop: threading.Event, on_progress: Progress) -> Outcome:
     if task.job.out.is_local and not Path(task.job.out.address).is_dir():
-        return Outcome(
-            "unreachable", f"{task.job.out.address}: no such folder on this machine; mount it here, or use an address"
-        )
+        error = "no such folder on this machine; mount it here, or use an address"
+        return Outcome("unreachable", f"{task.job.out.address}: {error}")
     scratch = scratch_of(task)
     printed = scratch.with_name(f"{scratch.name}.{uuid4().hex}.log")
     printed.parent.mkdir(parents=True, exist_ok=True)

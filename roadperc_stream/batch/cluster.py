@@ -165,10 +165,8 @@ class RayBackend:
         return None
 
     def _lost(self) -> ClusterError:
-        address = self._request.address
-        return ClusterError(
-            f"--ray {address}: lost the connection to the cluster; run the same command again to continue"
-        )
+        error = "lost the connection to the cluster; run the same command again to continue"
+        return ClusterError(f"--ray {self._request.address}: {error}")
 
     def __exit__(self, *raised: object) -> None:
         """End all tasks and leave the cluster: the session does both when its pipe closes."""

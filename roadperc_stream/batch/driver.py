@@ -91,15 +91,14 @@ class Driver:
             previous = item.step.previous
             was_recovered = previous is not None and previous.row.recover
             task = Task(item.step.log, self.job, item.step.known_ids, was_recovered)
-            is_early = item.not_before_s > time.monotonic()
-            if is_early or task.key in self._running:
+            if item.not_before_s > time.monotonic() or task.key in self._running:
                 self._waiting.append(item)
-                continue
-            self._running[task.key] = item
-            self.backend.submit(task)
+            else:
+                self._running[task.key] = item
+                self.backend.submit(task)
 
     def _collect(self) -> None:
-        """Record the ended tasks and the progress of the others."""
+        """Record the ended tasks and the progress of the others, and save the rows from time to time."""
         for task, outcome in self.backend.wait(_WAIT_S):
             item = self._running.pop(task.key)
             if outcome.status in _RETRIED and item.number <= self.job.retries:
@@ -109,7 +108,10 @@ class Driver:
                 self._record(item, outcome)
         self._measure_running()
         self.on_progress(self._progress)
-        self._save_sometimes()
+        now_s = time.monotonic()
+        if now_s > self._save_at_s:  # saving takes at most a twentieth of the time
+            self.table.save()
+            self._save_at_s = time.monotonic() + max(_SAVE_EVERY_S, 20 * (time.monotonic() - now_s))
 
     def _measure_running(self) -> None:
         progress, running = self._progress, self.backend.running
@@ -119,13 +121,6 @@ class Driver:
             for key, (done, expected) in running.items()
             if expected and key in self._running
         )
-
-    def _save_sometimes(self) -> None:
-        """Save the rows, for at most a twentieth of the time."""
-        now_s = time.monotonic()
-        if now_s > self._save_at_s:
-            self.table.save()
-            self._save_at_s = time.monotonic() + max(_SAVE_EVERY_S, 20 * (time.monotonic() - now_s))
 
     def _record(self, item: _Attempt, outcome: Outcome) -> None:
         """Record the outcome of a log."""

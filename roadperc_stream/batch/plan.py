@@ -146,9 +146,5 @@ class Planner:
 
 def _files_of(out: Location, folders: Sequence[str], suffix: str) -> set[str]:
     """The names of all files with content; a power failure may leave empty files."""
-    return {
-        f"{folder}/{name}"
-        for folder in folders
-        for name, file in out.at(folder).files(suffix).items()
-        if file.size_bytes
-    }
+    files = {f"{folder}/{name}": file for folder in folders for name, file in out.at(folder).files(suffix).items()}
+    return {name for name, file in files.items() if file.size_bytes}

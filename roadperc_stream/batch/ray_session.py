@@ -20,17 +20,8 @@ from typing import Any, Final
 import ray
 from ray.exceptions import NodeDiedError, OutOfMemoryError, RayError, RayTaskError, WorkerCrashedError
 
+from roadperc_stream.batch import cluster
 from roadperc_stream.batch.backend import Frames
-from roadperc_stream.batch.cluster import (
-    LOCAL,
-    ClusterRequest,
-    ClusterState,
-    FrameCount,
-    SessionMessage,
-    TaskEnd,
-    attempt_on_node,
-    code_on_node,
-)
 from roadperc_stream.batch.task import Outcome, Task
 from roadperc_stream.errors import ClusterError
 
@@ -46,7 +37,7 @@ _COLOURS: Final = re.compile(r"\x1b\[\d+m")
 def main() -> None:
     """Serve the batch at the other end of the pipe until the pipe closes."""
     connection = Connection(int(sys.argv[1]))
-    request: ClusterRequest = connection.recv()
+    request: cluster.ClusterRequest = connection.recv()
     try:
         with _joined(request):
             _Session(connection, request).serve()
@@ -56,27 +47,30 @@ def main() -> None:
 
 
 @contextmanager
-def _joined(request: ClusterRequest) -> Iterator[None]:
+def _joined(request: cluster.ClusterRequest) -> Iterator[None]:
     """Join or start the cluster within the context.
 
     Raises:
         ClusterError: the workers have other code than the batch.
     """
-    options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL}
-    is_local = request.address == LOCAL
+    is_local = request.address == cluster.LOCAL
     started: AbstractContextManager[dict[str, Any]] = _local(request) if is_local else nullcontext({})
-    with started as more:
-        ray.init(request.address, **options, **more)
+    with started as options:
+        ray.init(request.address, log_to_driver=False, logging_level=logging.CRITICAL, **options)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)  # Ray's own handler prints
         try:
-            _require_code(request.code)
+            check = ray.remote(cluster.code_on_node).options(num_cpus=0)
+            if ray.get(check.remote(), timeout=_CHECK_WITHIN_S) != request.code:
+                raise ClusterError(
+                    "its machines have another version of roadperc_stream than this one; install the same version"
+                )
             yield
         finally:
             ray.shutdown()
 
 
 @contextmanager
-def _local(request: ClusterRequest) -> Iterator[dict[str, Any]]:
+def _local(request: cluster.ClusterRequest) -> Iterator[dict[str, Any]]:
     """The options for a Ray on this machine that reserves no more than a batch without Ray uses."""
     usual = tempfile.gettempdir()
     root = usual if len(usual) <= _LONGEST_FOLDER and " " not in usual else "/tmp"
@@ -91,24 +85,16 @@ def _local(request: ClusterRequest) -> Iterator[dict[str, Any]]:
         }
 
 
-def _require_code(code: str) -> None:
-    check = ray.remote(code_on_node).options(num_cpus=0)
-    if ray.get(check.remote(), timeout=_CHECK_WITHIN_S) != code:
-        raise ClusterError(
-            "its machines have another version of roadperc_stream than this one; install the same version"
-        )
-
-
 class _Session:
     """Runs the tasks of a batch on a cluster."""
 
-    def __init__(self, connection: Connection, request: ClusterRequest) -> None:
+    def __init__(self, connection: Connection, request: cluster.ClusterRequest) -> None:
         self._connection, self._request = connection, request
         self._sending = threading.Lock()
         self._tasks: dict[str, Any] = {}
         # Ray restarts the count on another machine if its machine is lost.
-        self._count: Any = ray.remote(FrameCount).options(num_cpus=0, max_restarts=-1).remote()
-        self._attempt = ray.remote(attempt_on_node)
+        self._count: Any = ray.remote(cluster.FrameCount).options(num_cpus=0, max_restarts=-1).remote()
+        self._attempt = ray.remote(cluster.attempt_on_node)
         self._largest_bytes = 0
 
     def serve(self) -> None:
@@ -134,7 +120,7 @@ class _Session:
     def _ended(self, key: str, future: "Future[Outcome]") -> None:
         self._tasks.pop(key, None)
         error = future.exception()
-        self._send(TaskEnd(key, future.result() if error is None else Outcome("killed", _line(error))))
+        self._send(cluster.TaskEnd(key, future.result() if error is None else Outcome("killed", _line(error))))
 
     def _keep_sending(self) -> None:
         while not threading.Event().wait(_STATE_EVERY_S):
@@ -146,7 +132,7 @@ class _Session:
         nodes: list[dict[str, Any]] = ray.nodes()  # type: ignore[no-untyped-call]
         machines = [node["Resources"] for node in nodes if node["Alive"]]
         self._largest_bytes = int(max((machine.get("memory", 0) for machine in machines), default=0))
-        self._send(ClusterState(int(sum(machine.get("CPU", 0) for machine in machines)), self._running()))
+        self._send(cluster.ClusterState(int(sum(machine.get("CPU", 0) for machine in machines)), self._running()))
 
     def _running(self) -> dict[str, Frames]:
         with suppress(RayError):
@@ -154,7 +140,7 @@ class _Session:
             return frames
         return {}
 
-    def _send(self, message: SessionMessage) -> None:
+    def _send(self, message: cluster.SessionMessage) -> None:
         with self._sending, suppress(OSError):
             self._connection.send(message)
 

@@ -159,9 +159,8 @@ class RunsTable:
                 shutil.rmtree(leftover, ignore_errors=True)
 
     def _write(self, runs: Iterable[BatchRow], name: str) -> None:
-        scratch = (
-            Path(self._folder.address, SCRATCH) if self._folder.is_local else None
-        )  # the system's folder may be full
+        # not the system's folder, which may be full
+        scratch = Path(self._folder.address, SCRATCH) if self._folder.is_local else None
         if scratch is not None:
             with target_errors(scratch):
                 scratch.mkdir(parents=True, exist_ok=True)

@@ -55,11 +55,8 @@ class BatchConfiguration:
     @property
     def options(self) -> str:
         """The other options, as on the command line."""
-        limits: dict[str, float | None] = {
-            "start": self.time_range.start_s,
-            "end": self.time_range.end_s,
-            "frames": self.time_range.frames,
-        }
+        part = self.time_range
+        limits = {"start": part.start_s, "end": part.end_s, "frames": part.frames}
         topics = (f"--topic {role}={topic}" for role, topic in sorted(self.topics))
         # All digits: another number is another configuration.
         numbers = {name: str(value).removesuffix(".0") for name, value in limits.items() if value is not None}

@@ -17,21 +17,10 @@ from time import perf_counter
 from typing import Final
 
 import roadperc_stream
+from roadperc_stream.batch import task as tasks
 from roadperc_stream.batch.storage.addresses import is_address
 from roadperc_stream.batch.storage.location import Location
-from roadperc_stream.batch.task import (
-    LOGS,
-    METRICS,
-    OBJECTS,
-    SCRATCH,
-    BatchJob,
-    Outcome,
-    Task,
-    as_text,
-    code_digest,
-    name_in,
-    this_worker,
-)
+from roadperc_stream.batch.task import BatchJob, Outcome, Task, as_text, code_digest, this_worker
 from roadperc_stream.errors import LogError, NoFrameError, RoadpercError, StorageError, TargetError
 from roadperc_stream.input import ReplaySource
 from roadperc_stream.loop import replay
@@ -117,7 +106,7 @@ def scratch_root(job: BatchJob) -> Path:
         TargetError: the private folder cannot be made, or is not private.
     """
     if job.scratch is None and job.out.is_local:
-        return Path(job.out.address, SCRATCH)
+        return Path(job.out.address, tasks.SCRATCH)
     private = (job.scratch or Path(tempfile.gettempdir())) / f"roadperc-batch-{os.getuid()}"
     make_private(private)
     return private / hashlib.sha256(job.out.address.encode()).hexdigest()[:_DIGITS]
@@ -182,16 +171,17 @@ def _published(task: Task, target: ReplayTarget, summary: ReplaySummary) -> Outc
     """
     job, log_id = task.job, summary.log_id
     date = datetime.fromtimestamp(summary.first_ns // NS_PER_S, UTC).date().isoformat()
-    names = {folder: name_in(folder, date, log_id, job.configuration.name) for folder in (METRICS, OBJECTS, LOGS)}
+    place = date, log_id, job.configuration.name
+    names = {folder: tasks.name_in(folder, *place) for folder in (tasks.METRICS, tasks.OBJECTS, tasks.LOGS)}
     keeps_log = job.keep_logs != "no"
-    facts = {"source": task.log.name, "log": job.out.at(names[LOGS]).address if keeps_log else ""}
+    facts = {"source": task.log.name, "log": job.out.at(names[tasks.LOGS]).address if keeps_log else ""}
     facts["options"] = job.configuration.options
     measured = totals(target.metrics, TIME_COLUMNS)
     if keeps_log:
-        job.out.at(names[LOGS]).put(target.path)
+        job.out.at(names[tasks.LOGS]).put(target.path)
     else:
-        job.out.at(names[LOGS]).remove()  # an earlier result log does not belong to these tables
-    for folder, table in ((OBJECTS, target.objects), (METRICS, target.metrics)):
+        job.out.at(names[tasks.LOGS]).remove()  # an earlier result log does not belong to these tables
+    for folder, table in ((tasks.OBJECTS, target.objects), (tasks.METRICS, target.metrics)):
         copy = table.with_suffix(".copy")
         copy_table(table, copy, facts, {"config": job.configuration.name})
         job.out.at(names[folder]).put(copy)

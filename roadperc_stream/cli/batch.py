@@ -28,7 +28,10 @@ def main(argv: list[str] | None = None) -> int:
     """``roadperc-batch``: replay many logs into one dataset."""
     parser = _parser()
     arguments = parse(parser, argv, intermixed=True)
-    _require_sense(parser, arguments)
+    if arguments.results_only and not arguments.keep_logs:
+        parser.error("--results-only needs --logs")
+    if arguments.ray not in {None, "local"} and arguments.jobs is not None:
+        parser.error("--jobs cannot be combined with --ray ADDRESS; the cluster sets the number")
     from roadperc_stream.cli.batch_logs import batch_logs
 
     return run(lambda: batch_logs(arguments))
@@ -116,14 +119,6 @@ def _add_worker_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--quiet", action="store_true", help="print errors only")
     completed_by(scratch, files())
-
-
-def _require_sense(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
-    """Exit with code 2 if options contradict each other."""
-    if arguments.results_only and not arguments.keep_logs:
-        parser.error("--results-only needs --logs")
-    if arguments.ray not in {None, "local"} and arguments.jobs is not None:
-        parser.error("--jobs cannot be combined with --ray ADDRESS; the cluster sets the number")
 
 
 def _pattern(text: str) -> "re.Pattern[str]":

@@ -55,13 +55,11 @@ def batch_logs(arguments: argparse.Namespace) -> None:
 def _job(arguments: argparse.Namespace) -> BatchJob:
     topics = tuple(sorted(parse_topic_options(arguments.topic).items()))
     configuration = BatchConfiguration(config_of(arguments), topics, time_range_of(arguments))
-    keep_logs: KeepLogs = "no"
-    if arguments.keep_logs:
-        keep_logs = "results" if arguments.results_only else "whole"
+    kept: KeepLogs = "results" if arguments.results_only else "whole"
     return BatchJob(
         configuration,
         Location(arguments.out),
-        keep_logs,
+        kept if arguments.keep_logs else "no",
         timeout_s=arguments.timeout,
         memory_bytes=arguments.memory,
         code=code_digest(),

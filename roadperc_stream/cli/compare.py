@@ -93,16 +93,10 @@ def _parser() -> argparse.ArgumentParser:
 
 def _add_rules(parser: argparse.ArgumentParser) -> None:
     rules = part("eval.options")
-    ignored, tolerated, allowed = (
-        "ignore fields and metrics that match this glob",
-        "allowed absolute difference of the fields that match a glob",
-        "allowed deterioration of the metrics that match a glob: in the metric's unit, or N%% of A's mean; "
-        "N%% alone applies to all metrics except times",
-    )
-    parser.add_argument("--ignore", metavar="NAME", action="append", default=[], help=ignored)
-    parser.add_argument(
-        "--tolerance", metavar="FIELD=VALUE", type=rules.tolerance, action="append", default=[], help=tolerated
-    )
-    parser.add_argument(
-        "--allow", metavar="[METRIC=]VALUE", type=rules.allowance, action="append", default=[], help=allowed
-    )
+    allowed = "allowed deterioration of the metrics that match a glob: in the metric's unit, or N%% of A's mean; "
+    for option, metavar, kind, text in (
+        ("--ignore", "NAME", str, "ignore fields and metrics that match this glob"),
+        ("--tolerance", "FIELD=VALUE", rules.tolerance, "allowed absolute difference of the fields that match a glob"),
+        ("--allow", "[METRIC=]VALUE", rules.allowance, f"{allowed}N%% alone applies to all metrics except times"),
+    ):
+        parser.add_argument(option, metavar=metavar, type=kind, action="append", default=[], help=text)

@@ -29,7 +29,11 @@ def main(argv: list[str] | None = None) -> int:
     parser = _parser()
     arguments = parse(parser, argv)
     if arguments.recover is not None:
-        _require_alone(parser, arguments)
+        if len(arguments.logs) > 1:
+            parser.error(f"--recover: expected one LOG, found {len(arguments.logs)}")
+        for option in ("json", "topic"):
+            if getattr(arguments, option):
+                parser.error(f"--{option} cannot be combined with --recover")
         from roadperc_stream.info.listing import recover_log
 
         return run(lambda: recover_log(arguments.logs[0], arguments.recover, force=arguments.force))
@@ -63,12 +67,3 @@ def _parser() -> argparse.ArgumentParser:
     completed_by(logs, files(*LOGS))
     completed_by(recover, files(".mcap"))
     return parser
-
-
-def _require_alone(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
-    """Exit with code 2 if an argument contradicts ``--recover``."""
-    if len(arguments.logs) > 1:
-        parser.error(f"--recover: expected one LOG, found {len(arguments.logs)}")
-    for option in ("json", "topic"):
-        if getattr(arguments, option):
-            parser.error(f"--{option} cannot be combined with --recover")

@@ -32,7 +32,8 @@ def _launch(command: str) -> int:
         signal.signal(number, _end)
         atexit.register(signal.signal, number, signal.SIG_IGN)  # otherwise Python restores the default: exit code -15
     _keep_stderr_from_libraries()
-    _print_any_name()
+    if isinstance(sys.stdout, TextIOWrapper):  # characters that the encoding lacks become \udcff, as on stderr
+        sys.stdout.reconfigure(errors="backslashreplace")
     code = _watched(command) if _is_limited() else _ended(command)
     for number in ending_signals():
         signal.signal(number, lambda *_: os._exit(code))
@@ -140,12 +141,6 @@ def _hidden_file(stderr: int) -> int:
     except (AttributeError, ImportError, OSError):  # not on macOS, without a C compiler, or in a sandbox
         return os.open(os.devnull, os.O_WRONLY)
     return file
-
-
-def _print_any_name() -> None:
-    r"""Print characters that the terminal's encoding lacks as ``\udcff``, as Python does on stderr."""
-    if isinstance(sys.stdout, TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def _end(_number: int, _frame: FrameType | None, code: int = EXIT_ERROR) -> None:

@@ -125,8 +125,9 @@ def run(command: Callable[[], None]) -> int:
         return EXIT_DONE
     except OSError as error:
         return _fail(": ".join(str(word) for word in (error.filename, error.strerror or error) if word))
-    except UnicodeEncodeError as error:
-        return _fail(_unencodable(error))
+    except UnicodeEncodeError as error:  # a library cannot encode a text, such as a file name
+        text = error.object[max(error.start - _MOST_CHARACTERS, 0) : error.end + _MOST_CHARACTERS]
+        return _fail(f"{text!r}: expected a name in {error.encoding.upper()}")
     return EXIT_DONE
 
 
@@ -140,12 +141,6 @@ def _fail(text: str, prefix: str = "error: ") -> int:
     with optional_output(sys.stderr):
         print_line(f"{prefix}{' '.join(text.splitlines())}", sys.stderr)
     return EXIT_ERROR
-
-
-def _unencodable(error: UnicodeEncodeError) -> str:
-    """The message for a text that a library cannot encode, such as a file name; long texts are cut."""
-    text = error.object[max(error.start - _MOST_CHARACTERS, 0) : error.end + _MOST_CHARACTERS]
-    return f"{text!r}: expected a name in {error.encoding.upper()}"
 
 
 @contextmanager

@@ -5,13 +5,7 @@ import sys
 from pathlib import Path
 from typing import Final
 
-from roadperc_stream.cli.arguments import (
-    add_input_arguments,
-    add_only_argument,
-    add_serving_arguments,
-    given_options,
-    serving_options,
-)
+from roadperc_stream.cli import arguments as shared
 from roadperc_stream.cli.completers import LOGS, completed_by, files
 from roadperc_stream.cli.plumbing import command_parser, parse, positive_seconds, run, whole_number
 from roadperc_stream.system.files import not_a_log
@@ -32,8 +26,6 @@ example:
   roadperc-replay long.mcap out.mcap --checkpoint-every 60 --resume    continue after an interruption
   curl https://example.org/in.mcap | roadperc-replay - out.mcap        read a pipe
 """
-_WITH_PRINT_CONFIG: Final = frozenset({"print_config", "config", "set", "only"})
-_WITH_LIST_SETTINGS: Final = frozenset({"list_settings", "json"})
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -57,7 +49,7 @@ def main(argv: list[str] | None = None) -> int:
     if arguments.live:
         from roadperc_stream.view.live.serving import LiveReplay
 
-        live = LiveReplay(serving_options(arguments), quiet=arguments.quiet)
+        live = LiveReplay(shared.serving_options(arguments), quiet=arguments.quiet)
     return run(lambda: replay_log(arguments, live, bar))
 
 
@@ -78,8 +70,8 @@ def _parser() -> argparse.ArgumentParser:
         default=[],
         help="the log to read (one or more files, or - for standard input), then the log to write",
     )
-    add_input_arguments(parser)
-    add_only_argument(parser)
+    shared.add_input_arguments(parser)
+    shared.add_only_argument(parser)
     _add_parts_arguments(parser)
     add("--results-only", action="store_true", help="write only results to OUT.mcap, without the input's messages")
     add("--overlay", action="store_true", help="write /perception/overlay: the camera image with all results drawn")
@@ -105,7 +97,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--force", action="store_true", help="replace an existing result; a recording is never replaced")
     add("--quiet", action="store_true", help="print errors only")
     add("--live", action="store_true", help="serve the results to Foxglove during the replay")
-    add_serving_arguments(parser)
+    shared.add_serving_arguments(parser)
     _add_settings_arguments(parser)
     completed_by(logs, files(*LOGS))
     completed_by(template, files(".png", ".jpg"))
@@ -167,15 +159,15 @@ def _require_sense(parser: argparse.ArgumentParser, arguments: argparse.Namespac
         parser.error("--warm-up cannot be combined with --continue, which starts with a state")
     if arguments.resume and not arguments.checkpoint_every:
         parser.error("--resume needs --checkpoint-every")
-    if given_options(arguments) and not arguments.live:
-        parser.error(f"--{given_options(arguments)[0]} needs --live")
+    if shared.given_options(arguments) and not arguments.live:
+        parser.error(f"--{shared.given_options(arguments)[0]} needs --live")
 
 
 def _require_alone(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
     """Exit with code 2 if an argument contradicts ``--list-settings`` or ``--print-config``."""
-    asked, known = "--list-settings", _WITH_LIST_SETTINGS
+    asked, known = "--list-settings", {"list_settings", "json"}
     if not arguments.list_settings:
-        asked, known = "--print-config", _WITH_PRINT_CONFIG
+        asked, known = "--print-config", {"print_config", "config", "set", "only"}
     given = [name for name, value in vars(arguments).items() if name not in known and value != parser.get_default(name)]
     if given:
         option = {"logs": "IN.mcap", "continued": "--continue"}.get(given[0], f"--{given[0].replace('_', '-')}")

@@ -21,6 +21,7 @@ from roadperc_stream.model.tag_tables import CLASS_NAMES
 
 _NARROWEST, _WIDEST = 50, 100
 _CLASSES: Final = "names of classes"
+_CLASS_NAMES: Final = tuple(sorted(CLASS_NAMES))
 _SCALING: Final = (
     "Lengths in pixels refer to 960 image rows and scale with the image. Lengths of `stereo` do not scale."
 )
@@ -58,7 +59,7 @@ def as_text(width: int) -> str:
         for setting in settings:
             quantity = f"  {setting.key} = {_value(setting.default)}{f'  [{setting.unit}]' if setting.unit else ''}"
             lines += [f"{quantity}  ({_range(setting)})", f"    {setting.meaning}"]
-    lines += ["", f"{_CLASSES}: {', '.join(_class_names())}"]
+    lines += ["", f"{_CLASSES}: {', '.join(_CLASS_NAMES)}"]
     return "".join(f"{_wrapped(line, width)}\n" for line in lines)
 
 
@@ -87,9 +88,8 @@ def as_page() -> str:
     for section, settings in _by_section():
         lines += [f"## {section}\n\n{sections()[section]}\n" if section else "## whole replay\n"]
         lines += ["| setting | default | range | unit | meaning |", "|---|---|---|---|---|"]
-        lines += [_row(setting) for setting in settings]
-        lines += [""]
-    lines += ["Classes:\n", *(f"- `{name}`" for name in _class_names())]
+        lines += [*map(_row, settings), ""]
+    lines += ["Classes:\n", *(f"- `{name}`" for name in _CLASS_NAMES)]
     return "\n".join(lines) + "\n"
 
 
@@ -116,11 +116,7 @@ def _row(setting: Setting) -> str:
 
 def _range(setting: Setting) -> str:
     """The range of a setting; a short name for the list of all classes."""
-    return _CLASSES if setting.choices == _class_names() else setting.range
-
-
-def _class_names() -> tuple[str, ...]:
-    return tuple(sorted(CLASS_NAMES))
+    return _CLASSES if setting.choices == _CLASS_NAMES else setting.range
 
 
 def _value(value: Value) -> str:

@@ -22,7 +22,14 @@ def main(argv: list[str] | None = None) -> int:
     """``roadperc-sweep``: replay logs under every combination of settings."""
     parser = _parser()
     arguments = parse(parser, argv)
-    _refuse_contradictions(parser, arguments)
+    keys = [item.key for item in arguments.vary]
+    for key in keys:
+        if keys.count(key) > 1:
+            parser.error(f"argument --vary: {key} is varied twice")
+    logs = [real_path(path) for path in arguments.logs]
+    for path in arguments.logs:
+        if logs.count(real_path(path)) > 1:
+            parser.error(f"argument IN.mcap: {path} is given twice")
     sweeping = part("eval.sweep")
     return run(lambda: sweeping.sweep(arguments))
 
@@ -58,15 +65,3 @@ def _parser() -> argparse.ArgumentParser:
     for action, completer in ((logs, files(*LOGS)), (vary, varied_settings), (out, files())):
         completed_by(action, completer)
     return parser
-
-
-def _refuse_contradictions(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
-    """Exit with code 2 if a setting or a log is repeated."""
-    keys = [item.key for item in arguments.vary]
-    for key in keys:
-        if keys.count(key) > 1:
-            parser.error(f"argument --vary: {key} is varied twice")
-    logs = [real_path(path) for path in arguments.logs]
-    for path in arguments.logs:
-        if logs.count(real_path(path)) > 1:
-            parser.error(f"argument IN.mcap: {path} is given twice")

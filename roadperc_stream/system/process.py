@@ -16,11 +16,8 @@ EXIT_DONE, EXIT_ERROR = 0, 1
 
 def ending_signals() -> list[int]:
     """The signals that end a command, except ignored ones, as under nohup."""
-    return [
-        number
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-        if signal.getsignal(number) != signal.SIG_IGN
-    ]
+    ending = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    return [number for number in ending if signal.getsignal(number) != signal.SIG_IGN]
 
 
 @contextmanager

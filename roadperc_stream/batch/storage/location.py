@@ -111,8 +111,7 @@ class Location:
         """The content of the file, None if it does not exist."""
         with _errors(self.address), suppress(FileNotFoundError, NotADirectoryError):
             system, path = system_of(self.address)
-            data: bytes = system.cat_file(path)
-            return data
+            return bytes(system.cat_file(path))
         return None
 
     def write(self, data: bytes) -> None:
