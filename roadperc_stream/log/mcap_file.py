@@ -119,17 +119,8 @@ class McapFile:
     def add_attachment(self, item: records.Attachment) -> None:
         """Write an attachment."""
         start, length = self._add(item)
-        self._attachments.append(
-            records.AttachmentIndex(
-                offset=start,
-                length=length,
-                log_time=item.log_time,
-                create_time=item.create_time,
-                data_size=len(item.data),
-                name=item.name,
-                media_type=item.media_type,
-            )
-        )
+        numbers = start, length, item.log_time, item.create_time, len(item.data)
+        self._attachments.append(records.AttachmentIndex(*numbers, item.name, item.media_type))
 
     def add_metadata(self, item: records.Metadata) -> None:
         """Write a metadata record."""

@@ -87,17 +87,14 @@ def _lanes(message: Any, _: Context) -> Decoded:
 
 def _boundary(message: Any) -> model.Boundary:
     line_ego_m, line_px = _points(message.line_ego_m, "xyz"), _points(message.line_px, "xy")
-    numbers = (message.offset_m, message.heading, message.curvature_per_m, message.raw_offset_m, *message.covariance)
-    require_finite("boundary", *numbers, *line_ego_m.ravel(), *line_px.ravel())
+    numbers = {name: optional(message, name) for name in ("offset_m", "heading", "curvature_per_m", "raw_offset_m")}
+    require_finite("boundary", *numbers.values(), *message.covariance, *line_ego_m.ravel(), *line_px.ravel())
     return model.Boundary(
         side=_SIDE_OF[message.side],
         status=_BOUNDARY_STATUS_OF.get(message.status, "measured"),
         raw_px=_line(message, "raw_px"),
         smoothed_px=_line(message, "smoothed_px"),
-        offset_m=optional(message, "offset_m"),
-        heading=optional(message, "heading"),
-        curvature_per_m=optional(message, "curvature_per_m"),
-        raw_offset_m=optional(message, "raw_offset_m"),
+        **numbers,
         covariance=tuple(message.covariance),
         inside=message.inside,
         outside=message.outside,
