@@ -18,16 +18,7 @@ from roadperc_stream.chain.step import ChainState, step
 from roadperc_stream.config import ReplayConfig, load_config, validated
 from roadperc_stream.errors import ConfigError, TableError
 from roadperc_stream.geometry import Camera, level_mounting
-from roadperc_stream.input import ReplaySource
-from roadperc_stream.input.arrays import (
-    camera_image,
-    checked_camera,
-    checked_detections,
-    checked_stamp_ns,
-    depth_image,
-    mounting,
-    tag_image,
-)
+from roadperc_stream.input import ReplaySource, arrays
 from roadperc_stream.loop import replay as _replay
 from roadperc_stream.metrics import frame_metrics
 from roadperc_stream.model import Detection, Frame, FrameResult, Truth
@@ -175,12 +166,11 @@ class Chain:
             ConfigError: the configuration is invalid, or the tag table is unknown.
         """
         self._cfg = _config(config)
-        self._camera = checked_camera("camera", camera)
-        self._right_camera = None if right_camera is None else checked_camera("right_camera", right_camera)
+        self._camera = arrays.checked_camera("camera", camera)
+        self._right_camera = None if right_camera is None else arrays.checked_camera("right_camera", right_camera)
         self._mounted = ego_T_camera is not None
-        self._ego_T_camera = (
-            level_mounting(self._cfg.surface.assumed_height_m) if ego_T_camera is None else mounting(ego_T_camera)
-        )
+        level = level_mounting(self._cfg.surface.assumed_height_m)
+        self._ego_T_camera = level if ego_T_camera is None else arrays.mounting(ego_T_camera)
         version = tag_table or self._cfg.tag_table
         self._table = None if version == "auto" else table_for_version(version)
         self._state = ChainState()
@@ -220,7 +210,7 @@ class Chain:
         camera, ego_T_camera = self._camera, self._ego_T_camera
         right_camera = self._right_camera or camera
         frame = Frame(
-            stamp_ns=checked_stamp_ns(stamp_ns),
+            stamp_ns=arrays.checked_stamp_ns(stamp_ns),
             camera=camera,
             ego_T_camera=ego_T_camera,
             depth_camera=camera,
@@ -228,12 +218,12 @@ class Chain:
             left_camera=camera,
             ego_T_left=ego_T_camera,
             mounted=self._mounted,
-            image=None if image is None else camera_image("image", image, camera),
-            right=None if right_image is None else camera_image("right_image", right_image, right_camera),
+            image=None if image is None else arrays.camera_image("image", image, camera),
+            right=None if right_image is None else arrays.camera_image("right_image", right_image, right_camera),
             right_camera=self._right_camera,
-            depth=None if depth_m is None else depth_image(depth_m, camera),
-            segmentation=None if tags is None else tag_image(tags, camera, self._table),
-            detections=None if detections is None else checked_detections(detections),
+            depth=None if depth_m is None else arrays.depth_image(depth_m, camera),
+            segmentation=None if tags is None else arrays.tag_image(tags, camera, self._table),
+            detections=None if detections is None else arrays.checked_detections(detections),
         )
         with one_thread():
             self._state, result = step(self._cfg, self._state, frame)

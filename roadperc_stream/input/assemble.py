@@ -6,33 +6,16 @@ from typing import Final, TypeVar
 
 import numpy as np
 
+from roadperc_stream import model
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ChannelError
 from roadperc_stream.geometry import Camera, Float, inverse, level_mounting
 from roadperc_stream.input.stream import Stamped
 from roadperc_stream.input.sync import LatchedState, SyncedMessages
 from roadperc_stream.input.transforms import TransformTree
-from roadperc_stream.model import (
-    EGO,
-    ODOM,
-    OWN_ODOM,
-    CameraImage,
-    DepthImage,
-    Frame,
-    FrameAnchor,
-    InstanceImage,
-    Lanes,
-    Objects,
-    PointCloud,
-    Sample,
-    Surface,
-    TagImage,
-    Transform,
-    Truth,
-)
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
 
-EGO_FRAMES: Final = (EGO, "base_footprint", "base_link", "ego_vehicle", "hero")
+EGO_FRAMES: Final = (model.EGO, "base_footprint", "base_link", "ego_vehicle", "hero")
 """Names of the vehicle's frame in logs (REP 105, REP 120, CARLA); the frame on the road comes first."""
 _SAME_PLACE: Final = 1e-6
 """Tolerance in metres and radians for two cameras in the same place."""
@@ -41,7 +24,7 @@ T = TypeVar("T")
 
 def sample_of(
     cfg: ReplayConfig, synced: SyncedMessages, index: int, topics: Mapping[str, str], parent_of: Mapping[str, str]
-) -> Sample:
+) -> model.Sample:
     """The sample of one instant's messages.
 
     Args:
@@ -55,16 +38,17 @@ def sample_of(
         ChannelError: a camera without calibration; the message names it.
     """
     messages, latched, tree = synced.messages, synced.latched, synced.latched.tree
-    depth = _payload(messages, "depth", DepthImage)
+    depth = _payload(messages, "depth", model.DepthImage)
     camera = _camera(synced, topics)
     depth_camera = _depth_camera(latched, camera, depth)
     mounting = ego_T_camera_of(tree, camera)
     ego_T_camera = level_mounting(cfg.surface.assumed_height_m) if mounting is None else mounting
     left_camera = _left_camera(synced, camera, topics)
-    left = _payload(messages, "left", CameraImage) if "left" in topics and synced.reference.role != "left" else None
-    points = _payload(messages, "lidar", PointCloud)
+    is_pair = "left" in topics and synced.reference.role != "left"
+    left = _payload(messages, "left", model.CameraImage) if is_pair else None
+    points = _payload(messages, "lidar", model.PointCloud)
     detections = messages.get("detections")
-    frame = Frame(
+    frame = model.Frame(
         stamp_ns=synced.reference.stamp_ns,
         camera=camera,
         ego_T_camera=ego_T_camera,
@@ -73,13 +57,13 @@ def sample_of(
         left_camera=left_camera,
         ego_T_left=_mounting(tree, ego_T_camera, camera, left_camera),
         mounted=mounting is not None,
-        image=_payload(messages, "image", CameraImage) or _payload(messages, "left", CameraImage),
+        image=_payload(messages, "image", model.CameraImage) or _payload(messages, "left", model.CameraImage),
         left=left,
-        right=_payload(messages, "right", CameraImage),
+        right=_payload(messages, "right", model.CameraImage),
         right_camera=latched.cameras.get("right_calibration"),
         depth=depth,
-        segmentation=_payload(messages, "segmentation", TagImage),
-        instances=_payload(messages, "instances", InstanceImage),
+        segmentation=_payload(messages, "segmentation", model.TagImage),
+        instances=_payload(messages, "instances", model.InstanceImage),
         detections=detections.payload if detections else None,  # type: ignore[arg-type]
         points=points,
         ego_T_lidar=None if points is None else _lidar_mounting(tree, ego_T_camera, camera, points.frame_id),
@@ -88,7 +72,7 @@ def sample_of(
     missing = tuple(role for role in topics if _expected(role) and role not in messages)
     truth, anchor = _truth(messages, tree, camera), _anchor(tree, camera, ego_T_camera, parent_of)
     reference = synced.reference
-    return Sample(index, reference.log_time_ns, frame, truth, missing, synced.skew_ns, anchor, reference.segment)
+    return model.Sample(index, reference.log_time_ns, frame, truth, missing, synced.skew_ns, anchor, reference.segment)
 
 
 def _expected(role: str) -> bool:
@@ -114,7 +98,7 @@ def _camera(synced: SyncedMessages, topics: Mapping[str, str]) -> Camera:
     return camera
 
 
-def _depth_camera(latched: LatchedState, camera: Camera, depth: DepthImage | None) -> Camera:
+def _depth_camera(latched: LatchedState, camera: Camera, depth: model.DepthImage | None) -> Camera:
     """The depth calibration if the log has one; else the front camera's, with the depth's frame id."""
     own = latched.cameras.get("depth_calibration")
     if own is not None:
@@ -161,13 +145,16 @@ def ego_frame_of(tree: TransformTree, camera: Camera) -> str | None:
     return None if camera.frame_id in EGO_FRAMES else _ego_frame(tree, camera.frame_id)
 
 
-def _anchor(tree: TransformTree, camera: Camera, ego_T_camera: Float, parent_of: Mapping[str, str]) -> FrameAnchor:
+def _anchor(
+    tree: TransformTree, camera: Camera, ego_T_camera: Float, parent_of: Mapping[str, str]
+) -> model.FrameAnchor:
     """The anchor at the log's ego frame; without one, at the camera with its assumed mounting."""
     own = camera.frame_id if camera.frame_id in EGO_FRAMES else ego_frame_of(tree, camera)
     frame_id, ego_T_frame = (camera.frame_id, ego_T_camera) if own is None else (own, np.eye(4))
     placed = frame_id in parent_of
-    odom_is_taken = placed or ODOM in parent_of or ODOM in parent_of.values()
-    return FrameAnchor("" if frame_id == EGO else frame_id, ego_T_frame, placed, OWN_ODOM if odom_is_taken else ODOM)
+    is_taken = placed or model.ODOM in parent_of or model.ODOM in parent_of.values()
+    odom = model.OWN_ODOM if is_taken else model.ODOM
+    return model.FrameAnchor("" if frame_id == model.EGO else frame_id, ego_T_frame, placed, odom)
 
 
 def _ego_T(tree: TransformTree, frame_id: str, sensor: str = "") -> Float | None:
@@ -203,18 +190,18 @@ def _lidar_mounting(tree: TransformTree, ego_T_camera: Float, camera: Camera, fr
     return _ego_T(tree, frame_id) if camera_T_lidar is None else ego_T_camera @ camera_T_lidar
 
 
-def _truth(messages: Mapping[str, Stamped], tree: TransformTree, camera: Camera) -> Truth:
-    return Truth(
-        odom_T_ego=_true_pose(_payload(messages, "truth_pose", Transform), tree, camera),
-        surface=_payload(messages, "truth_surface", Surface),
-        lanes=_payload(messages, "truth_lanes", Lanes),
-        objects=_payload(messages, "truth_objects", Objects),
-        depth=_payload(messages, "truth_depth", DepthImage),
-        segmentation=_payload(messages, "truth_segmentation", TagImage),
+def _truth(messages: Mapping[str, Stamped], tree: TransformTree, camera: Camera) -> model.Truth:
+    return model.Truth(
+        odom_T_ego=_true_pose(_payload(messages, "truth_pose", model.Transform), tree, camera),
+        surface=_payload(messages, "truth_surface", model.Surface),
+        lanes=_payload(messages, "truth_lanes", model.Lanes),
+        objects=_payload(messages, "truth_objects", model.Objects),
+        depth=_payload(messages, "truth_depth", model.DepthImage),
+        segmentation=_payload(messages, "truth_segmentation", model.TagImage),
     )
 
 
-def _true_pose(pose: Transform | None, tree: TransformTree, camera: Camera) -> Float | None:
+def _true_pose(pose: model.Transform | None, tree: TransformTree, camera: Camera) -> Float | None:
     """odom_T_ego of a pose of any vehicle frame; None if no transform connects that frame with ego."""
     ego_T_child = None if pose is None else _ego_T(tree, pose.child, camera.frame_id)
     return None if pose is None or ego_T_child is None else pose.parent_T_child @ inverse(ego_T_child)

@@ -5,15 +5,7 @@ from typing import Final
 
 from roadperc_stream.log import DIGEST_ALGORITHM, Channel, Metadata
 from roadperc_stream.model.tag_tables import TABLES
-from roadperc_stream.schemas.record import (
-    DIGEST_ALGORITHM_KEY,
-    DIGEST_KEY,
-    FIRST_DIGEST_ALGORITHM,
-    METADATA_RECORD,
-    PRODUCER,
-    TAG_TABLE_KEY,
-    TOPIC_KEY,
-)
+from roadperc_stream.schemas import record
 from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.schemas.topics import ON_REQUEST, result_schemas
 
@@ -23,12 +15,12 @@ _SCHEMAS: Final = result_schemas(tuple(ON_REQUEST.values()))
 
 def is_result(channel: Channel) -> bool:
     """Whether an earlier replay wrote this channel."""
-    return PRODUCER in channel.metadata
+    return record.PRODUCER in channel.metadata
 
 
 def is_result_log(metadata: Iterable[Metadata], channels: Iterable[Channel]) -> bool:
     """Whether a replay wrote the log, by its contents."""
-    return any(record.name == METADATA_RECORD for record in metadata) or any(map(is_result, channels))
+    return any(item.name == record.METADATA_RECORD for item in metadata) or any(map(is_result, channels))
 
 
 def is_result_of(channel: Channel, topic: str) -> bool:
@@ -38,24 +30,25 @@ def is_result_of(channel: Channel, topic: str) -> bool:
 
 def recorded_topics(metadata: Iterable[Metadata], channels: Iterable[Channel]) -> dict[str, str]:
     """Topics by role that the user of an earlier replay named, if the log has them."""
-    record = replay_record(metadata)
-    named = {key.removeprefix(TOPIC_KEY): topic for key, topic in record.items() if key.startswith(TOPIC_KEY)}
+    found, prefix = replay_record(metadata), record.TOPIC_KEY
+    named = {key.removeprefix(prefix): topic for key, topic in found.items() if key.startswith(prefix)}
     there = {channel.topic for channel in channels if not is_result(channel)}
     return {role: topic for role, topic in named.items() if role in ROLES and topic in there}
 
 
 def recorded_tag_table(metadata: Iterable[Metadata]) -> str:
     """The tag table that the user of an earlier replay named; empty if unknown."""
-    name = replay_record(metadata).get(TAG_TABLE_KEY, "")
+    name = replay_record(metadata).get(record.TAG_TABLE_KEY, "")
     return name if name in TABLES else ""
 
 
 def digest_algorithm(metadata: Iterable[Metadata]) -> str:
     """The algorithm of a result's digest; for other logs, the current one."""
-    record = replay_record(metadata)
-    return record.get(DIGEST_ALGORITHM_KEY, FIRST_DIGEST_ALGORITHM) if DIGEST_KEY in record else DIGEST_ALGORITHM
+    found = replay_record(metadata)
+    stated = found.get(record.DIGEST_ALGORITHM_KEY, record.FIRST_DIGEST_ALGORITHM)
+    return stated if record.DIGEST_KEY in found else DIGEST_ALGORITHM
 
 
 def replay_record(metadata: Iterable[Metadata]) -> dict[str, str]:
     """The replay record of a result; empty for other logs."""
-    return next((dict(record.values) for record in metadata if record.name == METADATA_RECORD), {})
+    return next((dict(item.values) for item in metadata if item.name == record.METADATA_RECORD), {})

@@ -19,16 +19,7 @@ from roadperc_stream.input.window import WindowMessages
 from roadperc_stream.log import DIGEST_ALGORITHM, Channel, LogSummary, LostSpan, Message, Piece, Recovery
 from roadperc_stream.model import UNWRITTEN, FrameResult, Sample
 from roadperc_stream.model.reason import UNUSABLE
-from roadperc_stream.schemas.record import (
-    DIGEST_ALGORITHM_KEY,
-    DIGEST_KEY,
-    DROPPED_KEY,
-    END_KEY,
-    FRAMES_KEY,
-    TAG_TABLE_KEY,
-    TOPIC_KEY,
-    log_id_of,
-)
+from roadperc_stream.schemas import record
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES, require_role
 
 
@@ -112,7 +103,7 @@ class ReplayInput:
     @property
     def log_id(self) -> str:
         """The name of the log in every table."""
-        return log_id_of(self.plan.first_pass.digest)
+        return record.log_id_of(self.plan.first_pass.digest)
 
     @property
     def topics(self) -> Mapping[str, str]:
@@ -284,19 +275,19 @@ class ReplayInput:
     @property
     def chosen_topics(self) -> dict[str, str]:
         """The topics that the user chose, by their keys in the replay record."""
-        return {f"{TOPIC_KEY}{role}": topic for role, topic in sorted(self.plan.roles.chosen.items())}
+        return {f"{record.TOPIC_KEY}{role}": topic for role, topic in sorted(self.plan.roles.chosen.items())}
 
     def record(self) -> dict[str, str]:
         """The input facts that a result records, so that it can be replayed again."""
         roles = self.plan.roles
         tag_table = tag_table_to_record(self.summary.channels, roles, self._cfg.tag_table)
         return {
-            DIGEST_KEY: self.plan.first_pass.digest,
-            DIGEST_ALGORITHM_KEY: DIGEST_ALGORITHM,
+            record.DIGEST_KEY: self.plan.first_pass.digest,
+            record.DIGEST_ALGORITHM_KEY: DIGEST_ALGORITHM,
             "input_messages": str(self.plan.first_pass.counts.total()),
-            FRAMES_KEY: str(self.frames),
-            **({} if self.plan.window.cut_ns is None else {END_KEY: str(self.plan.window.cut_ns)}),
+            record.FRAMES_KEY: str(self.frames),
+            **({} if self.plan.window.cut_ns is None else {record.END_KEY: str(self.plan.window.cut_ns)}),
             **self.chosen_topics,
-            **({TAG_TABLE_KEY: tag_table} if tag_table else {}),
-            **{f"{DROPPED_KEY}{role}": str(number) for role, number in sorted(self.dropped.items())},
+            **({record.TAG_TABLE_KEY: tag_table} if tag_table else {}),
+            **{f"{record.DROPPED_KEY}{role}": str(number) for role, number in sorted(self.dropped.items())},
         }

@@ -132,14 +132,8 @@ def decoded_messages(
             contexts[channel] = context_of_channel(channel, tag_table, roles.tag_table, limits)
         for role in roles_by_topic[channel.topic]:
             try:
-                decoded = decode(
-                    role.kind,
-                    channel.schema_name,
-                    channel.message_encoding,
-                    message.data,
-                    message.log_time_ns,
-                    contexts[channel],
-                )
+                content = message.data, message.log_time_ns, contexts[channel]
+                decoded = decode(role.kind, channel.schema_name, channel.message_encoding, *content)
             except DecodeError as error:
                 problems.add(channel.topic, message.log_time_ns, error)
                 continue

@@ -64,15 +64,9 @@ def is_within(log_time_ns: int, start_ns: int | None, end_ns: int | None) -> boo
 
 def channel_of(channel: McapChannel, schema: McapSchema | None) -> Channel:
     """Return a channel with its schema, independent of the mcap library."""
-    return Channel(
-        channel.topic,
-        channel.message_encoding,
-        schema.name if schema else "",
-        schema.encoding if schema else "",
-        schema.data if schema else b"",
-        tuple(sorted(channel.metadata.items())),
-        channel.id,
-    )
+    described = (schema.name, schema.encoding, schema.data) if schema else ("", "", b"")
+    labels = tuple(sorted(channel.metadata.items()))
+    return Channel(channel.topic, channel.message_encoding, *described, labels, channel.id)
 
 
 def places_of(index: Summary, data_end: int | None) -> tuple[int, ...]:

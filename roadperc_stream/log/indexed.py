@@ -21,19 +21,10 @@ from mcap.records import ChunkIndex, McapRecord
 from mcap.summary import Summary
 
 from roadperc_stream.config import LimitsConfig
+from roadperc_stream.log import layout
 from roadperc_stream.log.audit import in_file_order, opened
 from roadperc_stream.log.chunks import Unpacked, unpacked
 from roadperc_stream.log.index import MOST_HELD_BYTES, channel_of, held_bytes, is_within, may_hold, share_channels
-from roadperc_stream.log.layout import (
-    UNREADABLE,
-    ChunkHead,
-    MessageIndex,
-    chunk_of,
-    message_head,
-    message_indexes,
-    parse,
-    records_in,
-)
 from roadperc_stream.log.mcap_file import ChunkRecords, Piece
 from roadperc_stream.log.records import Channel, Message
 from roadperc_stream.log.sorting import SortedMessages
@@ -41,6 +32,8 @@ from roadperc_stream.log.sorting import SortedMessages
 _MOST_WHOLE_BYTES: Final = 16 * 1024 * 1024
 """Largest chunk that is copied unchanged: a reader of the copy keeps it in memory together with its results."""
 _NEVER_NS: Final = 2**64
+Body = bytes | memoryview
+"""The bytes of a record behind its length."""
 IndexEntry = tuple[int, int, int]
 """A message's channel, log time and offset in the chunk's data."""
 
@@ -154,42 +147,42 @@ class IndexedFile:
     ) -> Iterator[Message]:
         """Yield the messages of chunks by log time; those of equal time in file order."""
         coming = sorted(chunks, key=_place, reverse=True)
-        waiting: list[tuple[int, int, int, bytes | memoryview]] = []
+        waiting: list[tuple[int, int, int, Body]] = []
         while coming or waiting:
             if coming and (not waiting or _place(coming[-1]) < waiting[0][:2]):
                 chunk = coming.pop()
                 for number, body in enumerate(self._bodies(stream, chunk)):
-                    head = message_head(body)
+                    head = layout.message_head(body)
                     if head.channel_id not in self.channels:
                         raise McapError(f"no channel record found with id {head.channel_id}")
                     if head.channel_id in wanted and is_within(head.log_time_ns, start_ns, end_ns):
                         heapq.heappush(waiting, (head.log_time_ns, _start(chunk), number, body))
             else:
                 body = heapq.heappop(waiting)[3]
-                head = message_head(body)
+                head = layout.message_head(body)
                 yield head.of(self.channels[head.channel_id], body)
 
-    def _bodies(self, stream: IO[bytes], chunk: ChunkIndex) -> Iterator[bytes | memoryview]:
+    def _bodies(self, stream: IO[bytes], chunk: ChunkIndex) -> Iterator[Body]:
         """Yield the message records of a chunk, and record its contents."""
-        head = chunk_of(_record(stream, chunk))
+        head = layout.chunk_of(_record(stream, chunk))
         found = unpacked(head, check_crc=self.check_chunks)
-        others, entries = list[tuple[int, bytes | memoryview]](), list[IndexEntry]()
-        for item in records_in(found.data):
+        others, entries = list[tuple[int, Body]](), list[IndexEntry]()
+        for item in layout.records_in(found.data):
             if item.opcode == Opcode.MESSAGE:
-                message = message_head(item.body)
+                message = layout.message_head(item.body)
                 entries.append((message.channel_id, message.log_time_ns, item.start))
                 yield item.body
             else:
                 others.append((item.opcode, item.body))
         if _start(chunk) not in self._seen:
-            is_indexed = _in_order_and_indexed(entries, message_indexes(_indexes(stream, chunk)))
+            is_indexed = _in_order_and_indexed(entries, layout.message_indexes(_indexes(stream, chunk)))
             times = [time_ns for _, time_ns, _ in entries]
             span_ns = (min(times), max(times)) if times else None
             is_tidy = is_indexed and span_ns == (head.first_ns, head.last_ns)
             self._seen[_start(chunk)] = self._contents(head, found, others, is_tidy=is_tidy)
 
     def _contents(
-        self, head: ChunkHead, found: Unpacked, others: Sequence[tuple[int, bytes | memoryview]], *, is_tidy: bool
+        self, head: layout.ChunkHead, found: Unpacked, others: Sequence[tuple[int, Body]], *, is_tidy: bool
     ) -> ChunkContents:
         """Return the contents of a chunk; ``others`` are its records except messages, ``is_tidy`` is for messages."""
         crc, described = crc32(found.data), [(opcode, int.from_bytes(body[:2], "little")) for opcode, body in others]
@@ -197,12 +190,12 @@ class IndexedFile:
         is_correct = found.is_plain and head.crc in {0, crc}
         return ChunkContents(crc, is_tidy and is_known and is_correct, frozenset(described))
 
-    def _describes(self, key: tuple[int, int], body: bytes | memoryview) -> bool:
+    def _describes(self, key: tuple[int, int], body: Body) -> bool:
         """Return whether a record of a chunk equals a channel or a schema of the index."""
         known = self._descriptions.get(key)
         try:
-            return known is not None and parse(key[0], bytes(body), spare_allowed=True) == known
-        except UNREADABLE:
+            return known is not None and layout.parse(key[0], bytes(body), spare_allowed=True) == known
+        except layout.UNREADABLE:
             return False
 
 
@@ -237,7 +230,7 @@ def _place(chunk: ChunkIndex) -> tuple[int, int]:
     return chunk.message_start_time, chunk.chunk_start_offset
 
 
-def _in_order_and_indexed(entries: Sequence[IndexEntry], indexes: Sequence[MessageIndex]) -> bool:
+def _in_order_and_indexed(entries: Sequence[IndexEntry], indexes: Sequence[layout.MessageIndex]) -> bool:
     """Return whether messages are in log-time order, and exactly one message index per channel lists them."""
     in_order = all(earlier[1] <= later[1] for earlier, later in pairwise(entries))
     channels = [index.channel_id for index in indexes]

@@ -15,24 +15,10 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from zstandard import ZstdCompressor
 
-from roadperc_stream.log.layout import (
-    CHUNK,
-    CRC_BYTES,
-    ENTRY,
-    INDEX,
-    LENGTH,
-    MAGIC,
-    MESSAGE,
-    RECORD,
-    ChunkHead,
-    MessageIndex,
-    chunk_of,
-    entry_of,
-    message_indexes,
-)
+from roadperc_stream.log import layout
 from roadperc_stream.log.records import Message
 
-_CRC_AT: Final = RECORD.size + CHUNK.size - 2 * CRC_BYTES
+_CRC_AT: Final = layout.RECORD.size + layout.CHUNK.size - 2 * layout.CRC_BYTES
 """Offset in the record of a chunk."""
 _COMPRESSION: Final = b"zstd"
 _LEVEL: Final = 1
@@ -47,19 +33,19 @@ class ChunkRecords:
     indexes: bytes
 
     @cached_property
-    def head(self) -> ChunkHead:
+    def head(self) -> layout.ChunkHead:
         """The fields of the chunk."""
-        return chunk_of(self.record)
+        return layout.chunk_of(self.record)
 
     @property
-    def message_indexes(self) -> list[MessageIndex]:
+    def message_indexes(self) -> list[layout.MessageIndex]:
         """The message indexes behind it."""
-        return message_indexes(self.indexes)
+        return layout.message_indexes(self.indexes)
 
     def with_crc(self, crc: int) -> "ChunkRecords":
         """Return the chunk with another CRC of its data."""
         record = bytearray(self.record)
-        record[_CRC_AT : _CRC_AT + CRC_BYTES] = crc.to_bytes(CRC_BYTES, "little")
+        record[_CRC_AT : _CRC_AT + layout.CRC_BYTES] = crc.to_bytes(layout.CRC_BYTES, "little")
         return ChunkRecords(bytes(record), self.indexes)
 
 
@@ -79,28 +65,28 @@ class OpenChunk:
     def add(self, channel_id: int, message: Message) -> None:
         """Append a message."""
         times = message.log_time_ns, message.publish_time_ns
-        length = MESSAGE.size + len(message.data)
-        head = RECORD.pack(Opcode.MESSAGE, length) + MESSAGE.pack(channel_id, message.sequence, *times)
+        length = layout.MESSAGE.size + len(message.data)
+        head = layout.RECORD.pack(Opcode.MESSAGE, length) + layout.MESSAGE.pack(channel_id, message.sequence, *times)
         self._pieces += head, message.data
         self._entries.setdefault(channel_id, []).append((message.log_time_ns, self.size_bytes))
-        self.size_bytes += RECORD.size + length
+        self.size_bytes += layout.RECORD.size + length
 
     def records(self) -> ChunkRecords:
         """Return the chunk to write."""
         data = b"".join(self._pieces)
         stored = ZstdCompressor(level=_LEVEL).compress(data)
         times = [time_ns for entries in self._entries.values() for time_ns, _ in entries]
-        fields = CHUNK.pack(min(times), max(times), len(data), crc32(data), len(_COMPRESSION))
-        record = _record(Opcode.CHUNK, fields, _COMPRESSION, LENGTH.pack(len(stored)), stored)
+        fields = layout.CHUNK.pack(min(times), max(times), len(data), crc32(data), len(_COMPRESSION))
+        record = _record(Opcode.CHUNK, fields, _COMPRESSION, layout.LENGTH.pack(len(stored)), stored)
         indexes = b""
         for channel_id, entries in self._entries.items():
-            body = b"".join(ENTRY.pack(*entry) for entry in entries)
-            indexes += _record(Opcode.MESSAGE_INDEX, INDEX.pack(channel_id, len(body)), body)
+            body = b"".join(layout.ENTRY.pack(*entry) for entry in entries)
+            indexes += _record(Opcode.MESSAGE_INDEX, layout.INDEX.pack(channel_id, len(body)), body)
         return ChunkRecords(record, indexes)
 
 
 def _record(opcode: int, *fields: bytes) -> bytes:
-    return b"".join((RECORD.pack(opcode, sum(map(len, fields))), *fields))
+    return b"".join((layout.RECORD.pack(opcode, sum(map(len, fields))), *fields))
 
 
 class McapFile:
@@ -117,7 +103,7 @@ class McapFile:
         self._attachments: list[records.AttachmentIndex] = []
         self._metadata: list[records.MetadataIndex] = []
         self._counts = Counter[int]()
-        self._write(MAGIC)
+        self._write(layout.MAGIC)
         self._add(records.Header(profile, library))
 
     def add_schema(self, schema: records.Schema) -> None:
@@ -133,17 +119,8 @@ class McapFile:
     def add_attachment(self, item: records.Attachment) -> None:
         """Write an attachment."""
         start, length = self._add(item)
-        self._attachments.append(
-            records.AttachmentIndex(
-                offset=start,
-                length=length,
-                log_time=item.log_time,
-                create_time=item.create_time,
-                data_size=len(item.data),
-                name=item.name,
-                media_type=item.media_type,
-            )
-        )
+        numbers = start, length, item.log_time, item.create_time, len(item.data)
+        self._attachments.append(records.AttachmentIndex(*numbers, item.name, item.media_type))
 
     def add_metadata(self, item: records.Metadata) -> None:
         """Write a metadata record."""
@@ -153,7 +130,7 @@ class McapFile:
     def add_chunk(self, chunk: ChunkRecords) -> records.ChunkIndex:
         """Write a chunk with its message indexes; return its index entry."""
         head, start = chunk.head, self._stream.tell()
-        entry = entry_of(head, start, len(chunk.record))
+        entry = layout.entry_of(head, start, len(chunk.record))
         entry.message_index_length = len(chunk.indexes)
         for index in chunk.message_indexes:
             entry.message_index_offsets[index.channel_id] = start + len(chunk.record) + index.offset
@@ -176,9 +153,9 @@ class McapFile:
         offsets_start, self._crc = start + summary.count, 0
         self._write(_taken_from(summary))
         self._write(_taken_from(offsets))
-        self._write(_bytes_of([records.Footer(start, offsets_start, 0)])[:-CRC_BYTES])
-        self._write(self._crc.to_bytes(CRC_BYTES, "little"))
-        self._write(MAGIC)
+        self._write(_bytes_of([records.Footer(start, offsets_start, 0)])[: -layout.CRC_BYTES])
+        self._write(self._crc.to_bytes(layout.CRC_BYTES, "little"))
+        self._write(layout.MAGIC)
 
     def _summary(self) -> Iterator[tuple[Opcode, bytes]]:
         """Yield the records of the index, by kind."""

@@ -27,10 +27,7 @@ _LEAST_HELD_BYTES: Final = 1024 * 1024
 
 
 def summarise(
-    source: Path | Sequence[Path],
-    limits: LimitsConfig = DEFAULT_LIMITS,
-    *,
-    check_chunks: bool = False,
+    source: Path | Sequence[Path], limits: LimitsConfig = DEFAULT_LIMITS, *, check_chunks: bool = False
 ) -> LogSummary:
     """Return channels, counts, attachments and metadata of a log, from its index if it has one.
 

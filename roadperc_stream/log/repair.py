@@ -134,14 +134,9 @@ def _listed(messages: Mapping[str, int]) -> str:
 
 
 def _between(gap: LostSpan, first_ns: int | None) -> str:
-    if gap.first_ns is None and gap.last_ns is None:
-        return "at an unknown time"
-    parts = [
-        f"{word} {_at(time_ns, first_ns)}"
-        for word, time_ns in (("from", gap.first_ns), ("to", gap.last_ns))
-        if time_ns is not None
-    ]
-    return " ".join(parts)
+    ends = ("from", gap.first_ns), ("to", gap.last_ns)
+    known = [f"{word} {_at(time_ns, first_ns)}" for word, time_ns in ends if time_ns is not None]
+    return " ".join(known) or "at an unknown time"
 
 
 def _at(time_ns: int, first_ns: int | None) -> str:

@@ -18,25 +18,12 @@ from mcap.opcode import Opcode
 
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import LogError
+from roadperc_stream.log import layout
 from roadperc_stream.log.chunks import contents_of, too_many
 from roadperc_stream.log.damage import Damage, require_magic, unopened
 from roadperc_stream.log.framing import BREAK, Framing, is_chunk
 from roadperc_stream.log.index import Described, data_end_of, index_of, places_of, summary_fits
 from roadperc_stream.log.inventory import Gap, Inventory, Losses, Positions, expected_messages, lost_in_chunk, span_of
-from roadperc_stream.log.layout import (
-    ENTRY,
-    MAGIC,
-    MESSAGE,
-    PARSED,
-    TOO_SHORT,
-    UNREADABLE,
-    ChunkHead,
-    MessageHead,
-    Record,
-    chunk_head,
-    message_head,
-    parse,
-)
 from roadperc_stream.log.limits import GuardedFile, LimitError, require_attachments, require_chunk, require_gaps
 from roadperc_stream.log.records import Message
 
@@ -46,7 +33,7 @@ _OF_MESSAGES: Final = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, 
 _FAR_NS: Final = 24 * 3600 * 1_000_000_000
 """Limit for the time between messages of a log."""
 
-Found = tuple[MessageHead, bytes | memoryview]
+Found = tuple[layout.MessageHead, bytes | memoryview]
 """A message's fields and its record."""
 
 
@@ -83,7 +70,7 @@ class Salvage:
         try:
             with GuardedFile(self.path, self.limits) as stream:
                 self.size_bytes = stream.size_bytes
-                require_magic(self.path, stream.read(len(MAGIC)))
+                require_magic(self.path, stream.read(len(layout.MAGIC)))
                 parsed = index_of(stream)
                 resume_at = () if parsed is None else places_of(parsed, data_end_of(stream))
                 self._is_without_index = parsed is None
@@ -174,7 +161,7 @@ class Salvage:
             raise LogError(f"{self.path}: {error}") from error
         self._conclude()
 
-    def _messages_of(self, record: Record) -> Iterator[Found]:
+    def _messages_of(self, record: layout.Record) -> Iterator[Found]:
         """Yield the messages of a record; record what any other record says."""
         if record.opcode != Opcode.MESSAGE_INDEX:
             self._framing.note(self._inventory.close_chunk())
@@ -189,7 +176,7 @@ class Salvage:
                 self.all_in_chunks = self._covered = False
                 yield self._counted(record.body)
             elif record.opcode == Opcode.MESSAGE_INDEX:
-                if len(record.body) > (self.limits.chunk_messages + 1) * ENTRY.size:
+                if len(record.body) > (self.limits.chunk_messages + 1) * layout.ENTRY.size:
                     raise ValueError(too_many(self.limits.chunk_messages))
                 self._inventory.add_message_index(record)
             elif record.opcode >= _PRIVATE_BIT:
@@ -198,19 +185,20 @@ class Salvage:
                 self._note(record.opcode, bytes(record.body), record.start)
         except LimitError:
             raise
-        except UNREADABLE as error:
+        except layout.UNREADABLE as error:
             of_messages = record.opcode in _OF_MESSAGES and self._framing.summary_start is None
             chunk, fault = self._inventory.chunk, f"{record.name}: {_text_of(error)}"
             first_ns, last_ns = (None, None) if chunk is None else span_of(chunk)
             self._framing.note(Damage(record.start, fault, first_ns, last_ns, of_messages))
 
-    def _chunk(self, record: Record) -> Iterator[Found]:
+    def _chunk(self, record: layout.Record) -> Iterator[Found]:
         try:
-            head = chunk_head(record.body)
+            head = layout.chunk_head(record.body)
             if not record.fault:
                 require_chunk(head, self.limits)
-        except UNREADABLE as error:
-            self._lose(record, None, Positions(), record.fault or f"{record.name}: {_text_of(error)}")
+        except layout.UNREADABLE as error:
+            fault = record.fault or f"{record.name}: {_text_of(error)}"
+            self._lose(record, None, Positions(), fault, all_read=False)
             return
         self.chunks[head.compression] += 1
         self._chunks_without_crc += not head.crc
@@ -226,7 +214,7 @@ class Salvage:
                     self._note(item.opcode, bytes(item.body))
                     continue
                 message, body = self._counted(item.body)
-            except UNREADABLE as error:
+            except layout.UNREADABLE as error:
                 faults.append(f"{record.name}: {_text_of(error)}")
                 continue
             positions.setdefault(message.channel_id, []).append((message.log_time_ns, item.start))
@@ -242,7 +230,7 @@ class Salvage:
             self._inventory.add_chunk(record, head, positions)
 
     def _counted(self, body: bytes | memoryview) -> Found:
-        head = message_head(body)
+        head = layout.message_head(body)
         if head.channel_id not in self.channels:
             self.losses.add_undescribed(head.channel_id, head.log_time_ns)
             raise ValueError(f"message of channel {head.channel_id}, which the log does not describe")
@@ -255,7 +243,7 @@ class Salvage:
         return head, body
 
     def _lose(
-        self, record: Record, head: ChunkHead | None, saved: Positions, fault: str, *, all_read: bool = False
+        self, record: layout.Record, head: layout.ChunkHead | None, saved: Positions, fault: str, *, all_read: bool
     ) -> None:
         """Record a damaged chunk and the messages that it lost."""
         entry = self._entries.get(record.start)
@@ -285,7 +273,7 @@ class Salvage:
                 return
             self.damages[number] = replace(damage, first_ns=damage.first_ns or first_ns, last_ns=last_ns)
 
-    def _require_private(self, record: Record) -> None:
+    def _require_private(self, record: layout.Record) -> None:
         """Check that an application's private record is not a message or chunk whose opcode was damaged."""
         opcode = record.opcode & ~_PRIVATE_BIT
         if opcode == Opcode.MESSAGE and self._framing.is_message(bytes(record.body)):
@@ -295,8 +283,8 @@ class Salvage:
 
     def _note(self, opcode: int, body: bytes, start: int | None = None) -> None:
         """Record what a record other than a message says; ``start`` is its first byte, None inside a chunk."""
-        if opcode in PARSED:
-            item = parse(opcode, body, spare_allowed=start is None)
+        if opcode in layout.PARSED:
+            item = layout.parse(opcode, body, spare_allowed=start is None)
             if start is not None:
                 self._inventory.note(start, item)
             self.described.add(item, in_data=self._framing.summary_start is None)
@@ -321,14 +309,14 @@ class Salvage:
 
 def _is_message(described: Described, inventory: Inventory, body: bytes) -> bool:
     """Return whether these are the first bytes of a message of this log, judged by its channel and log time."""
-    if len(body) < MESSAGE.size or int.from_bytes(body[:2], "little") not in described.channels:
+    if len(body) < layout.MESSAGE.size or int.from_bytes(body[:2], "little") not in described.channels:
         return False  # checked first because it is cheap: there may be millions
-    head = message_head(body)
+    head = layout.message_head(body)
     near_ns = inventory.last_ns or head.log_time_ns
     return abs(head.log_time_ns - near_ns) < _FAR_NS
 
 
 def _text_of(error: BaseException) -> str:
     if isinstance(error, EndOfFile):
-        return TOO_SHORT
+        return layout.TOO_SHORT
     return " ".join(str(error).split()) or type(error).__name__

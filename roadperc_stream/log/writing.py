@@ -160,15 +160,9 @@ class LogWriter:
         """Add an attachment."""
         self.end_chunk()
         with self._errors():
-            self._file.add_attachment(
-                records.Attachment(
-                    create_time=attachment.create_time_ns,
-                    log_time=attachment.log_time_ns,
-                    name=attachment.name,
-                    media_type=attachment.media_type,
-                    data=attachment.data,
-                )
-            )
+            times_ns = attachment.create_time_ns, attachment.log_time_ns
+            item = records.Attachment(*times_ns, attachment.name, attachment.media_type, attachment.data)
+            self._file.add_attachment(item)
 
     def describe(self, metadata: Metadata) -> None:
         """Add a metadata record."""

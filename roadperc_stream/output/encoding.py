@@ -18,7 +18,7 @@ from roadperc_stream.formats.images import depth_to_mm
 from roadperc_stream.formats.points import FIELDS
 from roadperc_stream.geometry import Camera, Float, Float32, Lens
 from roadperc_stream.geometry.rotations import quaternion
-from roadperc_stream.model import Boundary, Detection, Lanes, Object, Objects, Odometry, Surface, Transform
+from roadperc_stream.model import Boundary, Detection, HeightGrid, Lanes, Object, Objects, Odometry, Surface, Transform
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas.protobuf import set_stamp
 from roadperc_stream.schemas.ros2 import RosImage, pack_image
@@ -134,20 +134,8 @@ def encode_surface(stamp_ns: int, surface: Surface) -> bytes:
         a=a,
         b=b,
         d=d,
+        height_grid=None if surface.height_grid is None else _height_grid(surface.height_grid),
     )
-    if surface.height_grid is not None:
-        grid = surface.height_grid
-        rows, columns = grid.z_m.shape
-        message.height_grid.CopyFrom(
-            pb.HeightGrid(
-                x_min_m=grid.x_min_m,
-                y_min_m=grid.y_min_m,
-                step_m=grid.step_m,
-                columns=columns,
-                rows=rows,
-                z_m=grid.z_m.ravel().tolist(),
-            )
-        )
     return _serialised(message, stamp_ns)
 
 
@@ -190,6 +178,11 @@ def _detection(detection: Detection) -> pb.Detection:
         score=detection.score,
         id=detection.id,
     )
+
+
+def _height_grid(grid: HeightGrid) -> pb.HeightGrid:
+    rows, columns = grid.z_m.shape
+    return pb.HeightGrid(**vars(grid) | {"rows": rows, "columns": columns, "z_m": grid.z_m.ravel().tolist()})
 
 
 def _line(line: Iterable[float]) -> pb.Line:

@@ -22,6 +22,11 @@ class TextRow:
     below: str = ""
     """A second line of the label, on a terminal only."""
 
+    def of_texts(self, text: Callable[[str], str]) -> "TextRow":
+        """The row with a function applied to every text."""
+        cells = tuple(tuple(map(text, cells)) for cells in self.cells)
+        return replace(self, label=text(self.label), cells=cells, below=text(self.below))
+
 
 @dataclass(frozen=True)
 class TextTable:
@@ -41,23 +46,9 @@ class TextTable:
 
     def of_texts(self, text: Callable[[str], str]) -> "TextTable":
         """The table with a function applied to every text."""
-        rows = tuple(
-            replace(
-                item,
-                label=text(item.label),
-                cells=tuple(tuple(map(text, cells)) for cells in item.cells),
-                below=text(item.below),
-            )
-            for item in self.rows
-        )
-        return replace(
-            self,
-            title=text(self.title),
-            headers=tuple(map(text, self.headers)),
-            rows=rows,
-            notes=tuple(map(text, self.notes)),
-            subjects=tuple(map(text, self.subjects)),
-        )
+        headers, subjects = tuple(map(text, self.headers)), tuple(map(text, self.subjects))
+        rows, notes = tuple(item.of_texts(text) for item in self.rows), tuple(map(text, self.notes))
+        return replace(self, title=text(self.title), headers=headers, rows=rows, notes=notes, subjects=subjects)
 
     def flat(self) -> "TextTable":
         """The table with one line of cells in every row.

@@ -21,27 +21,8 @@ from roadperc_stream.output.tables import read_footer
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.output.writing import ReplaySummary
 from roadperc_stream.resume.encoding import decode, encode
-from roadperc_stream.resume.state import (
-    Notes,
-    ReplayState,
-    SavedState,
-    settings_of,
-    state_at_begin,
-    state_at_end,
-)
-from roadperc_stream.schemas.record import (
-    BEGIN_ATTACHMENT,
-    CONFIG_ATTACHMENT,
-    CONTINUES_KEY,
-    DIGEST_ALGORITHM_KEY,
-    DIGEST_KEY,
-    FIRST_FRAME_KEY,
-    FRAMES_KEY,
-    LOG_ID_KEY,
-    STATE_ATTACHMENT,
-    TOPIC_KEY,
-    VERSION_KEY,
-)
+from roadperc_stream.resume.state import Notes, ReplayState, SavedState, settings_of, state_at_begin, state_at_end
+from roadperc_stream.schemas import record
 from roadperc_stream.schemas.topics import result_schemas
 from roadperc_stream.system.threads import one_thread
 from roadperc_stream.system.time import TimeRange, ns_to_seconds, seconds_to_ns
@@ -82,24 +63,24 @@ class OpenedLog:
             with_messages: whether the state at the end carries its messages, because the output does not.
         """
         begin, log_in = self.saved_for(cfg), self.input
-        states = () if begin is None else (Attachment(BEGIN_ATTACHMENT, _MEDIA_TYPE, encode(begin)),)
+        states = () if begin is None else (Attachment(record.BEGIN_ATTACHMENT, _MEDIA_TYPE, encode(begin)),)
         waiting = log_in.end_state(with_messages=with_messages)
         saved = SavedState(log_in.log_id, settings_of(cfg), waiting, end, log_in.lost_to_come)
         try:
-            return (*states, Attachment(STATE_ATTACHMENT, _MEDIA_TYPE, encode(saved))), ()
+            return (*states, Attachment(record.STATE_ATTACHMENT, _MEDIA_TYPE, encode(saved))), ()
         except StateError as error:  # the results do not depend on it
-            return states, (f"{STATE_ATTACHMENT}: left out, this result cannot be continued: {error}",)
+            return states, (f"{record.STATE_ATTACHMENT}: left out, this result cannot be continued: {error}",)
 
     def facts(self) -> dict[str, str]:
         """Which log the replay continues, for the output to record."""
-        return {CONTINUES_KEY: self.begin.log_id} if self.begin is not None and self.begin.log_id else {}
+        return {record.CONTINUES_KEY: self.begin.log_id} if self.begin is not None and self.begin.log_id else {}
 
     def table_facts(self) -> dict[str, str]:
         """The log facts for the tables, and the number of a continued replay's first frame."""
-        log_id = {LOG_ID_KEY: self.input.log_id, DIGEST_ALGORITHM_KEY: DIGEST_ALGORITHM}
+        log_id = {record.LOG_ID_KEY: self.input.log_id, record.DIGEST_ALGORITHM_KEY: DIGEST_ALGORITHM}
         if self.begin is None or not self.begin.log_id:
             return log_id
-        return {**log_id, **self.facts(), FIRST_FRAME_KEY: str(self.begin.input.numbers.next)}
+        return {**log_id, **self.facts(), record.FIRST_FRAME_KEY: str(self.begin.input.numbers.next)}
 
 
 @dataclass(frozen=True)
@@ -237,18 +218,19 @@ def finished(target: ReplayTarget, cfg: ReplayConfig, opened: OpenedLog) -> Repl
         return None
     summary = log.summarise(target.path)
     attached = {item.name: item.data for item in summary.attachments}
-    record, begin = replay_record(summary.metadata), opened.saved_for(cfg)
+    recorded, begin = replay_record(summary.metadata), opened.saved_for(cfg)
+    chosen = {key: topic for key, topic in recorded.items() if key.startswith(record.TOPIC_KEY)}
     is_same = (
-        record.get(DIGEST_KEY) == opened.input.plan.first_pass.digest
-        and record.get(VERSION_KEY) == __version__
-        and {key: topic for key, topic in record.items() if key.startswith(TOPIC_KEY)} == opened.input.chosen_topics
-        and attached.get(CONFIG_ATTACHMENT) == cfg.to_toml().encode()
-        and attached.get(BEGIN_ATTACHMENT) == (None if begin is None else encode(begin))
+        recorded.get(record.DIGEST_KEY) == opened.input.plan.first_pass.digest
+        and recorded.get(record.VERSION_KEY) == __version__
+        and chosen == opened.input.chosen_topics
+        and attached.get(record.CONFIG_ATTACHMENT) == cfg.to_toml().encode()
+        and attached.get(record.BEGIN_ATTACHMENT) == (None if begin is None else encode(begin))
         and {(channel.topic, is_result(channel)) for channel in summary.channels} == _topics(target, opened)
     )
-    if not is_same or not _are_its_tables(target, record, opened):
+    if not is_same or not _are_its_tables(target, recorded, opened):
         return None
-    frames = int(record.get(FRAMES_KEY, 0))
+    frames = int(recorded.get(record.FRAMES_KEY, 0))
     return ReplaySummary(
         opened.input.log_id,
         frames,
@@ -261,14 +243,14 @@ def finished(target: ReplayTarget, cfg: ReplayConfig, opened: OpenedLog) -> Repl
     )
 
 
-def _are_its_tables(target: ReplayTarget, record: Mapping[str, str], opened: OpenedLog) -> bool:
+def _are_its_tables(target: ReplayTarget, recorded: Mapping[str, str], opened: OpenedLog) -> bool:
     """Whether both tables are readable and match the input and frames of the log."""
     try:
         frames, objects = read_footer(target.metrics), read_footer(target.objects)
     except TableError:
         return False
-    log_ids = {frames.facts.get(LOG_ID_KEY), objects.facts.get(LOG_ID_KEY)}
-    return log_ids == {opened.input.log_id} and str(frames.rows) == record.get(FRAMES_KEY)
+    log_ids = {frames.facts.get(record.LOG_ID_KEY), objects.facts.get(record.LOG_ID_KEY)}
+    return log_ids == {opened.input.log_id} and str(frames.rows) == recorded.get(record.FRAMES_KEY)
 
 
 def _topics(target: ReplayTarget, opened: OpenedLog) -> set[tuple[str, bool]]:

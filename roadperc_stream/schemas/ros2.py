@@ -104,15 +104,9 @@ def pack_image(image: RosImage) -> bytes:
     """
     layout = cdr.layout_of(IMAGE, IMAGE_DEFINITION)
     height, width = image.pixels.shape
-    message = layout.types[IMAGE](
-        _header(layout.types, image.stamp_ns, image.frame_id),
-        height,
-        width,
-        image.encoding,
-        0,
-        image.pixels.itemsize * width,
-        np.ascontiguousarray(image.pixels).reshape(-1).view(np.uint8),
-    )
+    header, step = _header(layout.types, image.stamp_ns, image.frame_id), image.pixels.itemsize * width
+    data = np.ascontiguousarray(image.pixels).reshape(-1).view(np.uint8)
+    message = layout.types[IMAGE](header, height, width, image.encoding, 0, step, data)
     return bytes(layout.serialize_cdr(message, IMAGE))
 
 

@@ -5,22 +5,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from roadperc_stream import model
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.geometry import Float, Plane
 from roadperc_stream.input.decoding.payload import Context, Decoded, require_count
-from roadperc_stream.model import (
-    Boundary,
-    Box,
-    Detection,
-    HeightGrid,
-    Lanes,
-    Line,
-    Object,
-    Objects,
-    Side,
-    Surface,
-    parse_reason,
-)
 from roadperc_stream.model.results import BoundaryStatus, LaneChange, ObjectStatus
 from roadperc_stream.schemas.protobuf import optional, require_finite, stamp_ns
 from roadperc_stream.schemas.roadperc_pb2 import Detections as DetectionsProto
@@ -30,7 +18,7 @@ from roadperc_stream.schemas.roadperc_pb2 import Surface as SurfaceProto
 from roadperc_stream.schemas.roles import Kind
 
 _LANE_CHANGE_OF: Final[Mapping[str, LaneChange]] = {"none": "none", "left": "left", "right": "right"}
-_SIDE_OF: Final[Mapping[int, Side]] = {1: "left", 2: "right"}
+_SIDE_OF: Final[Mapping[int, model.Side]] = {1: "left", 2: "right"}
 _BOUNDARY_STATUS_OF: Final[Mapping[int, BoundaryStatus]] = {1: "measured", 2: "held", 3: "lost"}
 _OBJECT_STATUS_OF: Final[Mapping[int, ObjectStatus]] = {1: "measured", 2: "tracked", 3: "lost"}
 """A truth without a status counts as measured."""
@@ -45,11 +33,11 @@ def _detections(message: Any, context: Context) -> Decoded:
     return Decoded(stamp_ns(message.timestamp), tuple(detection_from_proto(d) for d in message.detections))
 
 
-def detection_from_proto(message: Any) -> Detection:
+def detection_from_proto(message: Any) -> model.Detection:
     """One detection of a roadperc.Detections or roadperc.Objects."""
-    box = Box(message.box_px.x_min, message.box_px.y_min, message.box_px.x_max, message.box_px.y_max)
+    box = model.Box(message.box_px.x_min, message.box_px.y_min, message.box_px.x_max, message.box_px.y_max)
     require_finite(f"detection {message.label!r}", box.x_min, box.y_min, box.x_max, box.y_max, message.score)
-    return Detection(message.label, box, float(message.score), message.id)
+    return model.Detection(message.label, box, float(message.score), message.id)
 
 
 def _surface(message: Any, _: Context) -> Decoded:
@@ -58,7 +46,7 @@ def _surface(message: Any, _: Context) -> Decoded:
     require_finite("surface", *normal, message.camera_height_m, message.a, message.b, message.d)
     if not np.linalg.norm(normal) > 0:
         raise DecodeError("surface without a normal")
-    decoded = Surface(
+    decoded = model.Surface(
         source="truth",
         frame_id=message.frame_id,
         plane=Plane.of(normal, message.camera_height_m),
@@ -72,7 +60,7 @@ def _surface(message: Any, _: Context) -> Decoded:
     return Decoded(stamp_ns(message.timestamp), decoded)
 
 
-def _height_grid(grid: Any) -> HeightGrid:
+def _height_grid(grid: Any) -> model.HeightGrid:
     heights = np.array(grid.z_m, np.float32)
     if grid.rows < _FEWEST or grid.columns < _FEWEST or heights.size != grid.rows * grid.columns:
         size = f"{grid.rows} rows of {grid.columns}, {heights.size} heights"
@@ -84,12 +72,12 @@ def _height_grid(grid: Any) -> HeightGrid:
         raise DecodeError(
             f"height grid: {found}: expected up to {_FARTHEST_M:g} m, in steps of {_FINEST_M:g} m or more"
         )
-    return HeightGrid(grid.x_min_m, grid.y_min_m, grid.step_m, heights.reshape(grid.rows, grid.columns))
+    return model.HeightGrid(grid.x_min_m, grid.y_min_m, grid.step_m, heights.reshape(grid.rows, grid.columns))
 
 
 def _lanes(message: Any, _: Context) -> Decoded:
     """roadperc.Lanes of a truth or of a replay; boundaries of an unknown side are left out."""
-    found = Lanes(
+    found = model.Lanes(
         tuple(_boundary(b) for b in message.boundaries if b.side in _SIDE_OF),
         lane_change=_LANE_CHANGE_OF.get(message.lane_change),
         lane_changes=optional(message, "lane_changes"),
@@ -97,25 +85,22 @@ def _lanes(message: Any, _: Context) -> Decoded:
     return Decoded(stamp_ns(message.timestamp), found)
 
 
-def _boundary(message: Any) -> Boundary:
+def _boundary(message: Any) -> model.Boundary:
     line_ego_m, line_px = _points(message.line_ego_m, "xyz"), _points(message.line_px, "xy")
-    numbers = (message.offset_m, message.heading, message.curvature_per_m, message.raw_offset_m, *message.covariance)
-    require_finite("boundary", *numbers, *line_ego_m.ravel(), *line_px.ravel())
-    return Boundary(
+    numbers = {name: optional(message, name) for name in ("offset_m", "heading", "curvature_per_m", "raw_offset_m")}
+    require_finite("boundary", *numbers.values(), *message.covariance, *line_ego_m.ravel(), *line_px.ravel())
+    return model.Boundary(
         side=_SIDE_OF[message.side],
         status=_BOUNDARY_STATUS_OF.get(message.status, "measured"),
         raw_px=_line(message, "raw_px"),
         smoothed_px=_line(message, "smoothed_px"),
-        offset_m=optional(message, "offset_m"),
-        heading=optional(message, "heading"),
-        curvature_per_m=optional(message, "curvature_per_m"),
-        raw_offset_m=optional(message, "raw_offset_m"),
+        **numbers,
         covariance=tuple(message.covariance),
         inside=message.inside,
         outside=message.outside,
         line_ego_m=line_ego_m,
         line_px=line_px,
-        reason=parse_reason(message.reason) if message.reason else None,
+        reason=model.parse_reason(message.reason) if message.reason else None,
     )
 
 
@@ -124,7 +109,7 @@ def _points(points: Any, axes: str) -> Float:
     return np.array([[getattr(p, axis) for axis in axes] for p in points], float).reshape(-1, len(axes))
 
 
-def _line(message: Any, name: str) -> Line | None:
+def _line(message: Any, name: str) -> model.Line | None:
     line = optional(message, name)
     if line is None:
         return None
@@ -147,13 +132,13 @@ _OPTIONAL_NUMBERS: Final = (
 def _objects(message: Any, context: Context) -> Decoded:
     """roadperc.Objects of a truth or of a replay."""
     require_count("detections", len(message.objects), context.limits)
-    return Decoded(stamp_ns(message.timestamp), Objects(tuple(_object(o) for o in message.objects)))
+    return Decoded(stamp_ns(message.timestamp), model.Objects(tuple(_object(o) for o in message.objects)))
 
 
-def _object(message: Any) -> Object:
+def _object(message: Any) -> model.Object:
     numbers = {name: optional(message, name) for name in _OPTIONAL_NUMBERS}
     require_finite("objects", *numbers.values())
-    return Object(
+    return model.Object(
         detection=detection_from_proto(message.detection),
         kept=message.kept,
         beyond_range=message.beyond_range,

@@ -7,40 +7,29 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
+from roadperc_stream import model
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats.images import require_pixels
 from roadperc_stream.geometry import Camera, Float, Lens, pinhole_fault, rigid
 from roadperc_stream.geometry.rotations import rotation_from_quaternion
-from roadperc_stream.model import (
-    CameraImage,
-    DepthImage,
-    Detection,
-    InstanceImage,
-    Lanes,
-    Objects,
-    PointCloud,
-    Surface,
-    TagImage,
-    Transform,
-)
 from roadperc_stream.model.tag_tables import TagTable
 from roadperc_stream.schemas.protobuf import require_finite
 from roadperc_stream.schemas.roles import Kind
 
 Payload = (
-    CameraImage
-    | TagImage
-    | InstanceImage
-    | DepthImage
-    | PointCloud
+    model.CameraImage
+    | model.TagImage
+    | model.InstanceImage
+    | model.DepthImage
+    | model.PointCloud
     | Camera
-    | tuple[Detection, ...]
-    | tuple[Transform, ...]
-    | Transform
-    | Surface
-    | Lanes
-    | Objects
+    | tuple[model.Detection, ...]
+    | tuple[model.Transform, ...]
+    | model.Transform
+    | model.Surface
+    | model.Lanes
+    | model.Objects
 )
 READ_AS_A_WHOLE: Final[frozenset[Kind]] = frozenset(("image", "tags", "instances", "depth", "points"))
 """Kinds with one large block of data. The others have many items, so their messages have a size limit."""
@@ -48,24 +37,24 @@ _INTRINSICS: Final = (0, 4, 2, 5)
 """Indices of fx, fy, cx and cy in K, row by row."""
 
 
-def names_in(payload: Payload | Transform | Detection) -> Iterator[str]:
+def names_in(payload: Payload | model.Transform | model.Detection) -> Iterator[str]:
     """All names in a message: frames, labels, ids."""
     match payload:
-        case CameraImage() | TagImage() | InstanceImage() | DepthImage() | PointCloud() | Camera() | Surface():
-            yield payload.frame_id
-        case Transform():
+        case model.Transform():
             yield from (payload.parent, payload.child)
-        case Detection():
+        case model.Detection():
             yield from (payload.label, payload.id)
-        case Lanes():
+        case model.Lanes():
             for boundary in payload.boundaries:
                 yield from (boundary.inside, boundary.outside)
-        case Objects():
+        case model.Objects():
             for item in payload.objects:
                 yield from (item.detection.label, item.detection.id, item.track_id)
         case tuple():
             for part in payload:
                 yield from names_in(part)
+        case _:
+            yield payload.frame_id
 
 
 @dataclass(frozen=True)

@@ -154,10 +154,8 @@ def _box(message: Any) -> Box:
     """The axis-aligned box around a rotated one."""
     centre = getattr(message.center, "position", message.center)
     c, s = abs(cos(message.center.theta)), abs(sin(message.center.theta))
-    half_x, half_y = (
-        (message.size_x * c + message.size_y * s) / 2,
-        (message.size_x * s + message.size_y * c) / 2,
-    )
+    half_x = (message.size_x * c + message.size_y * s) / 2
+    half_y = (message.size_x * s + message.size_y * c) / 2
     return Box(centre.x - half_x, centre.y - half_y, centre.x + half_x, centre.y + half_y)
 
 

@@ -7,22 +7,10 @@ from typing import Final
 import cv2
 import numpy as np
 
+from roadperc_stream import model
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats.images import encode_jpeg
 from roadperc_stream.geometry import Camera, Float32
-from roadperc_stream.model import (
-    CameraImage,
-    Correlation,
-    Frame,
-    FrameResult,
-    Image,
-    Lanes,
-    Matches,
-    Objects,
-    Odometry,
-    Sample,
-    StereoDepth,
-)
 from roadperc_stream.output import encoding
 from roadperc_stream.output.drawing import colours
 from roadperc_stream.output.drawing.canvas import Colour, Pen, polyline, text_size, write_on_plate
@@ -46,7 +34,7 @@ _NEAREST_M: Final = 2.0
 """Depth of the last colour. It is fixed, so a colour means the same in every frame."""
 
 
-def lanes_picture(image_bgr: Image, lanes: Lanes) -> Image:
+def lanes_picture(image_bgr: model.Image, lanes: model.Lanes) -> model.Image:
     """White edges on the dimmed image, blue proposals, magenta merged lines, broad green lines of the ego lane.
 
     Args:
@@ -74,7 +62,7 @@ def lanes_picture(image_bgr: Image, lanes: Lanes) -> Image:
     return canvas
 
 
-def matches_picture(image_bgr: Image, matches: Matches) -> Image:
+def matches_picture(image_bgr: model.Image, matches: model.Matches) -> model.Image:
     """A line per feature from its place in the keyframe to a dot at its place here; inliers green, outliers red.
 
     Args:
@@ -94,7 +82,7 @@ def matches_picture(image_bgr: Image, matches: Matches) -> Image:
     return canvas
 
 
-def template_picture(image_bgr: Image, searches: Iterable[Correlation]) -> Image:
+def template_picture(image_bgr: model.Image, searches: Iterable[model.Correlation]) -> model.Image:
     """The correlation of each lost object's last image, blue -1 to red 1, at possible positions; a box marks the peak.
 
     Args:
@@ -116,7 +104,7 @@ def template_picture(image_bgr: Image, searches: Iterable[Correlation]) -> Image
     return canvas
 
 
-def disparity_picture(left: Camera, baseline_m: float, stereo: StereoDepth) -> Image:
+def disparity_picture(left: Camera, baseline_m: float, stereo: model.StereoDepth) -> model.Image:
     """The disparity in Turbo's colours, blue far and red near; black if unknown.
 
     Args:
@@ -134,19 +122,19 @@ def disparity_picture(left: Camera, baseline_m: float, stereo: StereoDepth) -> I
     return canvas
 
 
-def _turbo(share: Float32) -> Image:
+def _turbo(share: Float32) -> model.Image:
     """(H, W, 3) colours of (H, W) values from 0 to 1; other values are clipped."""
     levels = np.clip(share * np.float32(255) + np.float32(0.5), 0, 255).astype(np.uint8)
     return np.asarray(cv2.applyColorMap(levels, cv2.COLORMAP_TURBO), np.uint8)
 
 
-def _dimmed(image_bgr: Image) -> Image:
+def _dimmed(image_bgr: model.Image) -> model.Image:
     """A grey, dark copy, for contrast with the drawing."""
     grey = cv2.cvtColor(image_bgr, cv2.COLOR_BGR2GRAY)
     return np.asarray(cv2.cvtColor(cv2.convertScaleAbs(grey, alpha=_DIMMED), cv2.COLOR_GRAY2BGR), np.uint8)
 
 
-def _lay_heat(canvas: Image, search: Correlation) -> None:
+def _lay_heat(canvas: model.Image, search: model.Correlation) -> None:
     """Blend in the scores, each at the middle of its patch; scores that are not finite are left out."""
     rows, columns = search.scores.shape
     x, y = search.x_px + (search.template_px[0] - 1) // 2, search.y_px + (search.template_px[1] - 1) // 2
@@ -156,13 +144,13 @@ def _lay_heat(canvas: Image, search: Correlation) -> None:
     covered[known] = cv2.addWeighted(covered, 1 - _HEAT, heat, _HEAT, 0)[known]
 
 
-def _draw_legend(canvas: Image, phrases: Iterable[tuple[str, Colour]], pen: Pen) -> None:
+def _draw_legend(canvas: model.Image, phrases: Iterable[tuple[str, Colour]], pen: Pen) -> None:
     """Write the meaning of the colours as lines in the upper left corner."""
     for row, (text, colour) in enumerate(phrases):
         _draw_plate(canvas, text, (0, row * pen.row_px), colour, pen)
 
 
-def _draw_plate(canvas: Image, text: str, at_px: tuple[int, int], colour: Colour, pen: Pen) -> None:
+def _draw_plate(canvas: model.Image, text: str, at_px: tuple[int, int], colour: Colour, pen: Pen) -> None:
     """Write text on a dark plate, moved to be inside the image."""
     width, height = text_size(text, pen)
     x, y = (max(min(at, size - side), 0) for at, size, side in zip(at_px, pen.size, (width, height), strict=True))
@@ -170,7 +158,7 @@ def _draw_plate(canvas: Image, text: str, at_px: tuple[int, int], colour: Colour
 
 
 _JPEG_QUALITY: Final = 85
-Picture = tuple[str, str, Image]
+Picture = tuple[str, str, model.Image]
 """Topic, frame_id and (H, W, 3) pixels."""
 
 
@@ -185,7 +173,7 @@ class PictureMaker:
     """Frames with a bare picture, because the camera image is not of its calibration's size."""
 
     def messages(
-        self, sample: Sample, result: FrameResult, metrics: FrameMetrics, first_ns: int
+        self, sample: model.Sample, result: model.FrameResult, metrics: FrameMetrics, first_ns: int
     ) -> Iterator[tuple[str, bytes]]:
         """Topic and bytes of a frame's pictures; absent results have no picture.
 
@@ -208,7 +196,9 @@ class PictureMaker:
         }
         return tuple(f"{asked}: {text}: {number}" for text, number in counts.items() if number)
 
-    def _drawn(self, sample: Sample, result: FrameResult, metrics: FrameMetrics, first_ns: int) -> Iterator[Picture]:
+    def _drawn(
+        self, sample: model.Sample, result: model.FrameResult, metrics: FrameMetrics, first_ns: int
+    ) -> Iterator[Picture]:
         image = _pixels(sample.frame.image)
         fits = image is not None and image.shape[:2] == sample.frame.camera.size
         self.without_image += image is None
@@ -221,7 +211,7 @@ class PictureMaker:
             yield from _debug(sample.frame, image if fits else None, result)
 
 
-def _pixels(image: CameraImage | None) -> Image | None:
+def _pixels(image: model.CameraImage | None) -> model.Image | None:
     """(H, W, 3) pixels of a camera image of any size; None if it is missing or cannot be decoded."""
     try:
         return None if image is None else image.bgr
@@ -229,14 +219,14 @@ def _pixels(image: CameraImage | None) -> Image | None:
         return None
 
 
-def _debug(frame: Frame, image: Image | None, result: FrameResult) -> Iterator[Picture]:
-    if image is not None and isinstance(result.lanes, Lanes):
+def _debug(frame: model.Frame, image: model.Image | None, result: model.FrameResult) -> Iterator[Picture]:
+    if image is not None and isinstance(result.lanes, model.Lanes):
         yield topics.DEBUG_LANES_TOPIC, result.frame_id, lanes_picture(image, result.lanes)
-    if image is not None and isinstance(result.odometry, Odometry) and result.odometry.matches is not None:
+    if image is not None and isinstance(result.odometry, model.Odometry) and result.odometry.matches is not None:
         yield topics.DEBUG_MATCHES_TOPIC, result.frame_id, matches_picture(image, result.odometry.matches)
-    if image is not None and isinstance(result.objects, Objects) and result.objects.searches:
+    if image is not None and isinstance(result.objects, model.Objects) and result.objects.searches:
         yield topics.DEBUG_TEMPLATE_TOPIC, result.frame_id, template_picture(image, result.objects.searches)
     baseline_m = frame.right_camera.baseline_m if frame.right_camera else None
-    if isinstance(result.stereo, StereoDepth) and baseline_m:
+    if isinstance(result.stereo, model.StereoDepth) and baseline_m:
         disparity = disparity_picture(frame.left_camera, baseline_m, result.stereo)
         yield topics.DEBUG_DISPARITY_TOPIC, result.stereo.frame_id, disparity

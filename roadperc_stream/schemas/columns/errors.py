@@ -100,11 +100,7 @@ class TrueLaneColumns:
     ] = None
     true_lane_changes: Annotated[
         int | None,
-        Column(
-            "true number of lanes that the car's reference point has entered",
-            COUNT,
-            "the log has no such truth",
-        ),
+        Column("true number of lanes that the car's reference point has entered", COUNT, "the log has no such truth"),
     ] = None
     lane_true_heading_deg: Annotated[
         float | None,
