@@ -189,14 +189,7 @@ def _filtered(
     if scene.depth_m is not None and measured == UNKNOWN:
         distances = of_box(scene.camera, scene.depth_m, box, scene.depth_limit_m)
         measured = nearest(cfg, _counted(cfg, scene, distances, of_class))
-    return Object(
-        detection,
-        kept,
-        ratio,
-        distance_m=measured.distance_m,
-        distance_std_m=measured.std_m,
-        beyond_range=measured.beyond_range,
-    )
+    return Object(detection, kept, ratio, measured.distance_m, measured.std_m, beyond_range=measured.beyond_range)
 
 
 def _counted(cfg: ObjectsConfig, scene: Scene, distances_m: Float32, of_class: Image | None) -> Float32:

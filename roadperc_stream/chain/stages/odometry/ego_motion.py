@@ -172,14 +172,9 @@ def _continued(this: FollowedFrame, estimate: Estimate) -> tuple[OdometryState, 
         keyframe = make_keyframe(cfg, frame, estimate.odom_T_ego @ frame.ego_T_camera, carried)
         found_px = keyframe.landmarks.features.px
         influence, length_variance = np.zeros((len(found_px), 6)), 0.0
-    now = LastFrame(
-        frame.stamp_ns,
-        this.velocity(estimate.odom_T_ego),
-        found_px,
-        influence,
-        length_variance,
-        motion.noise_variance / this.seconds**2 if metric and motion.scale is not None else None,
-    )
+    velocity = this.velocity(estimate.odom_T_ego)
+    speed_variance = motion.noise_variance / this.seconds**2 if metric and motion.scale is not None else None
+    now = LastFrame(frame.stamp_ns, velocity, found_px, influence, length_variance, speed_variance)
     return OdometryState(estimate.odom_T_ego, keyframe, now, estimate.pitch), out
 
 
