@@ -18,18 +18,8 @@ from roadperc_stream.chain.stages.odometry.keyframes import OdometryState, count
 from roadperc_stream.chain.stages.surface.road import SurfaceState, drivable_mask, find_surface, remember
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.geometry import inverse, transform_plane
-from roadperc_stream.model import (
-    Absent,
-    Frame,
-    FrameResult,
-    Image,
-    Mask,
-    Objects,
-    Odometry,
-    Reason,
-    StereoDepth,
-    Surface,
-)
+from roadperc_stream.model import Absent, Frame, FrameResult, Image, Mask, Objects, Odometry, Reason, Surface
+from roadperc_stream.model.results import StereoDepth
 from roadperc_stream.model.scene import DepthMap, Scene
 from roadperc_stream.system.threads import opencv_threads
 

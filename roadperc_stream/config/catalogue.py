@@ -60,9 +60,8 @@ class Setting:
     @property
     def range(self) -> str:
         """The allowed values, in words."""
-        return "; or ".join(
-            part for part in (_range_in_words(self.limits, self.remark), ", ".join(self.choices)) if part
-        )
+        parts = _range_in_words(self.limits, self.remark), ", ".join(self.choices)
+        return "; or ".join(filter(None, parts))
 
 
 @cache

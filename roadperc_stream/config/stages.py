@@ -9,19 +9,8 @@ from typing import Annotated, Final, Literal, Self
 import tomli_w
 from pydantic import Field, model_validator
 
-from roadperc_stream.config.fields import (
-    Classes,
-    Count,
-    LimitsConfig,
-    OddCount,
-    Pixels,
-    Positive,
-    Ratio,
-    Seconds,
-    Section,
-    TableName,
-    unit,
-)
+from roadperc_stream.config import fields
+from roadperc_stream.config.fields import Classes, Count, Pixels, Positive, Ratio, Seconds, Section, unit
 
 MOST_PNG_BYTES = 1_000_000
 """Largest length of a picture in base 64 in a configuration."""
@@ -58,7 +47,7 @@ class StereoConfig(Section):
     """``fast`` matches at half resolution, ``full`` at full resolution; both along three directions."""
     disparities: Annotated[Annotated[int, Field(ge=16, multiple_of=16, le=1024)] | Literal["auto"], unit("px")] = "auto"
     """Number of disparities to search, from 0; ``auto``: as many as the nearest road pixel needs."""
-    block_px: OddCount = 5
+    block_px: fields.OddCount = 5
     """Side of the block that is matched."""
     p1: Annotated[Count, unit("matching cost")] = 200
     """Penalty for neighbours that differ by one disparity: about 8 per pixel of the block, for grey levels."""
@@ -72,7 +61,7 @@ class StereoConfig(Section):
     """Isolated patches with fewer pixels than this become unknown; 0 keeps all."""
     speckle_step_px: Count = 2
     """Largest difference between neighbouring disparities of one patch."""
-    refine_px: OddCount | Literal[0] = 7
+    refine_px: fields.OddCount | Literal[0] = 7
     """Side of the window whose gradients refine the disparities; 0 keeps the matched ones, in sixteenths of a pixel."""
     min_disparity_px: Positive = 1.0
     """Smaller disparities, in pixels of the image, are unknown, because their depth would be mostly error."""
@@ -286,7 +275,7 @@ class ReplayConfig(Section):
 
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Seed of the random numbers, together with the frame's stamp; the same seed gives the same results."""
-    tag_table: TableName = "auto"
+    tag_table: fields.TableName = "auto"
     """Table of the segmentation's tag numbers: a CARLA version or a table's name; ``auto`` uses the log's table."""
     sync: SyncConfig = SyncConfig()
     stereo: StereoConfig = StereoConfig()
@@ -295,7 +284,7 @@ class ReplayConfig(Section):
     lanes: LanesConfig = LanesConfig()
     objects: ObjectsConfig = ObjectsConfig()
     occupancy: OccupancyConfig = OccupancyConfig()
-    limits: LimitsConfig = LimitsConfig()
+    limits: fields.LimitsConfig = fields.LimitsConfig()
 
     def to_toml(self) -> str:
         """The whole configuration, defaults included; ``load_config`` reads it back."""

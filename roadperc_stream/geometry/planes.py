@@ -143,9 +143,7 @@ def plane_of_scatter(centroid: Float, scatter: Float) -> Plane:
 
 def facing(plane: Plane, point: Float) -> Plane:
     """The plane with its normal turned to the side on which the point lies."""
-    if float(plane.distance(point)) >= 0:
-        return plane
-    return Plane.of(-plane.n, -plane.offset_m)
+    return plane if float(plane.distance(point)) >= 0 else Plane.of(-plane.n, -plane.offset_m)
 
 
 def camera_pitch_roll(plane: Plane) -> tuple[float, float]:

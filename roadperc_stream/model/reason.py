@@ -204,9 +204,8 @@ def parse_reason(text: str) -> Reason:
 @cache
 def fields_of(code: str) -> dict[str, tuple[str, str]]:
     """Format and conversion of each field of a template, by its name, in order."""
-    return {
-        name: (spec or "", conversion or "") for _, name, spec, conversion in Formatter().parse(TEMPLATES[code]) if name
-    }
+    parts = Formatter().parse(TEMPLATES[code])
+    return {name: (spec or "", conversion or "") for _, name, spec, conversion in parts if name}
 
 
 def _parsed(source: str, text: str) -> Reason:

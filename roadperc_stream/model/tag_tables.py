@@ -107,12 +107,8 @@ _OF_SOME_VERSIONS: Final[dict[Colour, str]] = {
 
 def _table(name: str, names: str, variants: dict[Colour, str]) -> TagTable:
     classes = tuple(names.split())
-    return TagTable(
-        name,
-        classes,
-        tuple(_COLOURS[c] for c in classes),
-        tuple((colour, classes.index(c)) for colour, c in variants.items()),
-    )
+    colours = tuple(_COLOURS[c] for c in classes)
+    return TagTable(name, classes, colours, tuple((colour, classes.index(c)) for colour, c in variants.items()))
 
 
 CARLA_BEFORE_0_9_14: Final = _table(

@@ -15,19 +15,8 @@ import numpy as np
 
 from roadperc_stream.chain.kernels import doubled, refined_disparities
 from roadperc_stream.config import StereoConfig
-from roadperc_stream.geometry import (
-    Camera,
-    Float,
-    Float32,
-    Lens,
-    Plane,
-    inverse,
-    pinhole_fault,
-    project,
-    rays,
-    rigid,
-    transform_plane,
-)
+from roadperc_stream.geometry import Float, Float32, Plane, inverse, rigid, transform_plane
+from roadperc_stream.geometry.cameras import Camera, Lens, pinhole_fault, project, rays
 from roadperc_stream.model import Absent, Image, Mask, Reason, StereoDepth
 
 _MULTIPLE: Final = 16

@@ -6,17 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.chain.kernels import mark
-from roadperc_stream.chain.stages.lanes import lines
-from roadperc_stream.chain.stages.lanes.curves import (
-    FIT_MAX_M,
-    NEAR_M,
-    Curve,
-    Edges,
-    fit_curve,
-    lateral,
-    line_on_ground,
-    outward,
-)
+from roadperc_stream.chain.stages.lanes import curves, lines
+from roadperc_stream.chain.stages.lanes.curves import Curve, Edges, lateral, outward
 from roadperc_stream.chain.stages.lanes.lines import LineGroup
 from roadperc_stream.config import LanesConfig
 from roadperc_stream.geometry import Camera, Float, inverse, project, transform
@@ -85,14 +76,14 @@ class Observation:
 
     def curve_beyond(self, cfg: LanesConfig, side: Side, least_m: float) -> Curve | None:
         """The curve of the closest line that lies at least this far out at the ego origin."""
-        curves = (_curve(cfg, self, side, group) for group in self.near.get(side, ()))
-        return next((c for c in curves if c is not None and outward(side) * float(c.state[0]) > least_m), None)
+        fitted = (_curve(cfg, self, side, group) for group in self.near.get(side, ()))
+        return next((c for c in fitted if c is not None and outward(side) * float(c.state[0]) > least_m), None)
 
     def curve_along(self, cfg: LanesConfig, side: Side, line: Float) -> Curve | None:
         """The curve of the edges near a (3,) state; None if there are too few."""
         if side not in self.edges:
             return None
-        return fit_curve(cfg, self.edges[side], line, side, 1.0 / self.projection.camera.fx)
+        return curves.fit_curve(cfg, self.edges[side], line, side, 1.0 / self.projection.camera.fx)
 
     def classes_beside(self, side: Side, curve: Curve) -> tuple[str, str]:
         """The classes inside and outside a boundary, empty if not visible."""
@@ -149,8 +140,8 @@ def observe(cfg: LanesConfig, projection: RoadProjection, tags: Image, table: Ta
         edges[side] = Edges.of(projection.ground(pixels)[:, :2], pixels[:, 1])
     found = Observation(projection, tags, table, float(far), edge_pixels > 0, proposals, groups, edges)
     near = _near_lines(projection, groups)
-    curves = {side: _curve(cfg, found, side, lines_near[0]) for side, lines_near in near.items()}
-    return replace(found, near=near, curves=curves)
+    closest = {side: _curve(cfg, found, side, lines_near[0]) for side, lines_near in near.items()}
+    return replace(found, near=near, curves=closest)
 
 
 def _ends_of_runs(marked: Image, towards: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -176,7 +167,7 @@ def _near_lines(projection: RoadProjection, groups: tuple[LineGroup, ...]) -> di
         return {}
     bottom, path = float(projection.camera.height), projection.path_column()
     nearest_m = projection.ground(np.array([(group.x(group.bottom_px), group.bottom_px) for group in groups]))[:, 0]
-    near = [group for group, x in zip(groups, nearest_m.tolist(), strict=True) if x <= NEAR_M]  # NaN is not near
+    near = [group for group, x in zip(groups, nearest_m.tolist(), strict=True) if x <= curves.NEAR_M]  # NaN is not near
     left = [group for group in near if group.x(bottom) < path and group.slope < 0]
     right = [group for group in near if group.x(bottom) >= path and group.slope > 0]
     closest_first: dict[Side, tuple[LineGroup, ...]] = {
@@ -189,7 +180,7 @@ def _near_lines(projection: RoadProjection, groups: tuple[LineGroup, ...]) -> di
 def _curve(cfg: LanesConfig, observation: Observation, side: Side, group: LineGroup) -> Curve | None:
     """The boundary on the road: the Hough line itself in the line model, else the edges along it."""
     rows = np.linspace(group.top_px, group.bottom_px, _LINE_SAMPLES).tolist()
-    line = line_on_ground(observation.projection.ground(np.array([(group.x(row), row) for row in rows])))
+    line = curves.line_on_ground(observation.projection.ground(np.array([(group.x(row), row) for row in rows])))
     if line is None or cfg.model == "curve":
         return None if line is None else observation.curve_along(cfg, side, line)
-    return Curve(line, np.diag(_LINE_STD**2), FIT_MAX_M)
+    return Curve(line, np.diag(_LINE_STD**2), curves.FIT_MAX_M)

@@ -16,17 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.chain.kernels import mark
+from roadperc_stream.chain.stages.objects import regions
 from roadperc_stream.chain.stages.objects.mosaic import areas, corners, cut_out, kinds, shared_areas
-from roadperc_stream.chain.stages.objects.regions import (
-    UNKNOWN,
-    Measured,
-    Region,
-    find_regions,
-    nearest,
-    of_box,
-    of_region,
-    own_distances,
-)
+from roadperc_stream.chain.stages.objects.regions import UNKNOWN, Measured, Region, nearest, of_box
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Float32
 from roadperc_stream.model import Absent, Detection, Image, Object, Objects, Reason
@@ -166,9 +158,9 @@ def _candidates(
     if not divides(scene) or "region" not in (cfg.distance_pixels, cfg.filter):
         return [_NO_REGION] * len(detections)
     boxes = [detection.box_px for detection in detections]
-    found = find_regions(scene.camera, cut_out(scene, lookups, boxes), boxes)
+    found = regions.find_regions(scene.camera, cut_out(scene, lookups, boxes), boxes)
     labels = [detection.label for detection in detections]
-    return choose(labels, found, lambda region: of_region(cfg, region), expected_m)
+    return choose(labels, found, lambda region: regions.of_region(cfg, region), expected_m)
 
 
 def _filtered(
@@ -197,14 +189,7 @@ def _filtered(
     if scene.depth_m is not None and measured == UNKNOWN:
         distances = of_box(scene.camera, scene.depth_m, box, scene.depth_limit_m)
         measured = nearest(cfg, _counted(cfg, scene, distances, of_class))
-    return Object(
-        detection,
-        kept,
-        ratio,
-        distance_m=measured.distance_m,
-        distance_std_m=measured.std_m,
-        beyond_range=measured.beyond_range,
-    )
+    return Object(detection, kept, ratio, measured.distance_m, measured.std_m, beyond_range=measured.beyond_range)
 
 
 def _counted(cfg: ObjectsConfig, scene: Scene, distances_m: Float32, of_class: Image | None) -> Float32:
@@ -213,7 +198,7 @@ def _counted(cfg: ObjectsConfig, scene: Scene, distances_m: Float32, of_class: I
         return distances_m.ravel()
     if cfg.distance_pixels == "class" or scene.dense_depth_m is not None:
         return distances_m[of_class > 0]
-    return own_distances(np.where(of_class > 0, distances_m, np.float32(np.nan)))
+    return regions.own_distances(np.where(of_class > 0, distances_m, np.float32(np.nan)))
 
 
 def _mostly_beyond(scene: Scene, box: tuple[int, int, int, int], of_class: Image | None) -> bool:

@@ -245,9 +245,5 @@ def _time_to_impact_std_s(distance: RateFilter) -> float:
     """Standard deviation of distance / closing speed to first order, including their covariance, seconds."""
     by_distance = -1 / distance.rate
     by_rate = distance.value / distance.rate**2
-    variance = (
-        by_distance**2 * distance.value_var
-        + 2 * by_distance * by_rate * distance.cross_var
-        + by_rate**2 * distance.rate_var
-    )
-    return sqrt(max(variance, 0.0))
+    variance = by_distance**2 * distance.value_var + 2 * by_distance * by_rate * distance.cross_var
+    return sqrt(max(variance + by_rate**2 * distance.rate_var, 0.0))

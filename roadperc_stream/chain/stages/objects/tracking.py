@@ -84,18 +84,9 @@ class ObjectTrack:
 def start(cfg: ObjectsConfig, number: int, item: Object, box_px: Box, stamp_ns: int) -> ObjectTrack:
     """A new track of a detected object; ``box_px`` is its box within the image."""
     (x, y), (width, height) = _centre(box_px), _sides(box_px)
-    track = ObjectTrack(
-        number,
-        item.detection,
-        box_px,
-        rate_filter.start(x, _centre_std(width), _FIRST_DRIFT_STD * width),
-        rate_filter.start(y, _centre_std(height), _FIRST_DRIFT_STD * height),
-        None,
-        stamp_ns,
-        stamp_ns,
-        stamp_ns,
-        stamp_ns,
-    )
+    x_px = rate_filter.start(x, _centre_std(width), _FIRST_DRIFT_STD * width)
+    y_px = rate_filter.start(y, _centre_std(height), _FIRST_DRIFT_STD * height)
+    track = ObjectTrack(number, item.detection, box_px, x_px, y_px, None, stamp_ns, stamp_ns, stamp_ns, stamp_ns)
     return _with_distance(cfg, track, item, cut=False)
 
 

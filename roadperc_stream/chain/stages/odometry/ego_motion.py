@@ -14,27 +14,12 @@ import numpy as np
 
 from roadperc_stream.chain.kernels import align_patches
 from roadperc_stream.chain.kernels.odometry_plain import REACH_PX
-from roadperc_stream.chain.stages.odometry import camera_pitch
+from roadperc_stream.chain.stages.odometry import camera_pitch, keyframes
 from roadperc_stream.chain.stages.odometry.camera_pitch import LINES_STD, CameraPitch, pitch_by_lines
 from roadperc_stream.chain.stages.odometry.epipolar import motion_from_rays
 from roadperc_stream.chain.stages.odometry.features import FRONTENDS, TrackingFrame, tracking_frame
-from roadperc_stream.chain.stages.odometry.keyframes import (
-    Keyframe,
-    LastFrame,
-    OdometryState,
-    carry,
-    is_due,
-    make_keyframe,
-    stretch,
-)
-from roadperc_stream.chain.stages.odometry.motion import (
-    Motion,
-    Scale,
-    in_ego_axes,
-    motion_from_points,
-    moved,
-    step_covariance,
-)
+from roadperc_stream.chain.stages.odometry.keyframes import Keyframe, LastFrame, OdometryState, make_keyframe
+from roadperc_stream.chain.stages.odometry.motion import Motion, in_ego_axes, motion_from_points, moved, step_covariance
 from roadperc_stream.chain.stages.odometry.road_scale import Expected, scaled_by_road
 from roadperc_stream.config import OdometryConfig, scaled
 from roadperc_stream.geometry import Float, Float32, inverse, project, transform
@@ -43,7 +28,7 @@ from roadperc_stream.model import Absent, Matches, Odometry, Reason, Surface
 from roadperc_stream.model.scene import Scene
 from roadperc_stream.system.time import NS_PER_S
 
-_SCALE_REASONS: Final[dict[Scale | None, Reason]] = {
+_SCALE_REASONS: Final[dict[str | None, Reason]] = {
     "carried": Reason("odometry", "scale_carried"),
     "none": Reason("odometry", "scale_unknown"),
 }
@@ -182,19 +167,14 @@ def _continued(this: FollowedFrame, estimate: Estimate) -> tuple[OdometryState, 
     found_px = np.where(np.isfinite(estimate.px), estimate.px, last.found_px)
     if motion.scale is not None:
         length_variance = motion.noise_variance
-    if is_due(cfg, keyframe, frame, estimate.px, motion.inliers):
-        carried = carry(keyframe.landmarks, motion, estimate.px)
+    if keyframes.is_due(cfg, keyframe, frame, estimate.px, motion.inliers):
+        carried = keyframes.carry(keyframe.landmarks, motion, estimate.px)
         keyframe = make_keyframe(cfg, frame, estimate.odom_T_ego @ frame.ego_T_camera, carried)
         found_px = keyframe.landmarks.features.px
         influence, length_variance = np.zeros((len(found_px), 6)), 0.0
-    now = LastFrame(
-        frame.stamp_ns,
-        this.velocity(estimate.odom_T_ego),
-        found_px,
-        influence,
-        length_variance,
-        motion.noise_variance / this.seconds**2 if metric and motion.scale is not None else None,
-    )
+    velocity = this.velocity(estimate.odom_T_ego)
+    speed_variance = motion.noise_variance / this.seconds**2 if metric and motion.scale is not None else None
+    now = LastFrame(frame.stamp_ns, velocity, found_px, influence, length_variance, speed_variance)
     return OdometryState(estimate.odom_T_ego, keyframe, now, estimate.pitch), out
 
 
@@ -310,7 +290,7 @@ def aligned(keyframe: Keyframe, frame: TrackingFrame, this_T_key: Float) -> Floa
     if not len(chosen):
         return found
     key_px, start = landmarks.features.px[chosen], predicted[chosen]
-    stretched = stretch(
+    stretched = keyframes.stretch(
         frame.camera, key_px.astype(float), landmarks.points_m[chosen, 2], landmarks.slope[chosen], this_T_key
     )
     px = start.astype(float)

@@ -202,14 +202,12 @@ def _follow(_: OdometryConfig, before: Image, features: Features, guess_px: Floa
 
 
 def _match_orb(cfg: OdometryConfig, before: Image, features: Features, _: Float32, grey: Image) -> Float32:
-    everywhere = np.full_like(grey, 255)
-    coarse = _nearest(cfg, features, _detect_orb(grey, everywhere)[0], cv2.NORM_HAMMING)
+    coarse = _nearest(cfg, features, _detect_orb(grey, np.full_like(grey, 255))[0], cv2.NORM_HAMMING)
     return _flow(before, features.px, coarse, grey, _REFINING_LEVELS)
 
 
 def _match_sift(cfg: OdometryConfig, _: Image, features: Features, __: Float32, grey: Image) -> Float32:
-    everywhere = np.full_like(grey, 255)
-    return _nearest(cfg, features, _detect_sift(grey, everywhere)[0], cv2.NORM_L2)
+    return _nearest(cfg, features, _detect_sift(grey, np.full_like(grey, 255))[0], cv2.NORM_L2)
 
 
 def _flow(before: Image, px: Float32, guess_px: Float32, grey: Image, levels: int) -> Float32:
@@ -252,7 +250,8 @@ def _nearest(cfg: OdometryConfig, features: Features, others: Features, norm: in
     found = np.full_like(features.px, np.nan)
     if len(features.px) == 0 or len(others.px) < 2:
         return found
-    pairs = MATCHERS[cfg.matcher](norm).knnMatch(features.descriptors, others.descriptors, k=2)
+    matcher = _flann(norm) if cfg.matcher == "flann" else cv2.BFMatcher(norm)
+    pairs = matcher.knnMatch(features.descriptors, others.descriptors, k=2)
     clear = [p[0] for p in pairs if len(p) == 2 and p[0].distance < _MATCH_RATIO * p[1].distance]
     # Later entries win, so the nearest match of a feature remains.
     best = {match.trainIdx: match for match in sorted(clear, key=lambda match: -match.distance)}
@@ -267,12 +266,6 @@ def _flann(norm: int) -> cv2.DescriptorMatcher:
     hashing = {"algorithm": 6, "table_number": 6, "key_size": 12, "multi_probe_level": 1}
     index: dict[str, Any] = hashing if norm == cv2.NORM_HAMMING else trees
     return cv2.FlannBasedMatcher(index, {"checks": 64})
-
-
-MATCHERS: Final[dict[Literal["brute_force", "flann"], Callable[[int], cv2.DescriptorMatcher]]] = {
-    "brute_force": cv2.BFMatcher,
-    "flann": _flann,
-}
 
 
 FRONTENDS: Final[dict[Literal["klt", "orb", "sift"], Frontend]] = {

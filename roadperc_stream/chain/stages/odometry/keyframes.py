@@ -16,18 +16,8 @@ from roadperc_stream.chain.stages.odometry.camera_pitch import CameraPitch
 from roadperc_stream.chain.stages.odometry.features import FRONTENDS, Features, TrackingFrame, spread
 from roadperc_stream.chain.stages.odometry.motion import Motion
 from roadperc_stream.config import OdometryConfig, scaled
-from roadperc_stream.geometry import (
-    Camera,
-    Float,
-    Float32,
-    Plane,
-    intersect_plane,
-    inverse,
-    project,
-    rays,
-    transform,
-    unproject,
-)
+from roadperc_stream.geometry import Float, Float32, Plane, intersect_plane, inverse, transform
+from roadperc_stream.geometry.cameras import Camera, project, rays, unproject
 from roadperc_stream.model import Image, Mask, read_only
 
 _REACH_PX = 3

@@ -18,20 +18,9 @@ from roadperc_stream.chain.stages.odometry.camera_pitch import CameraPitch, upda
 from roadperc_stream.chain.stages.odometry.features import TrackingFrame
 from roadperc_stream.chain.stages.odometry.motion import Motion, Scale
 from roadperc_stream.config import scaled
-from roadperc_stream.geometry import (
-    Camera,
-    Float,
-    Float32,
-    Plane,
-    intersect_plane,
-    inverse,
-    project,
-    rays,
-    rigid,
-    transform,
-    transform_plane,
-)
+from roadperc_stream.geometry import Camera, Float, Float32, inverse, project, rays, rigid, transform
 from roadperc_stream.geometry.ground import tilted_ground
+from roadperc_stream.geometry.planes import Plane, intersect_plane, transform_plane
 from roadperc_stream.model import Image, Mask
 
 _PLANE_STD: Final = np.deg2rad(1.0)

@@ -8,18 +8,9 @@ import numpy as np
 from roadperc_stream.chain.stages.surface.plane import first_row, leaves_plane, pixels_near, road_plane, usable_pixels
 from roadperc_stream.chain.stages.surface.spline import fit_height_grid, road_cells
 from roadperc_stream.config import SurfaceConfig
-from roadperc_stream.geometry import (
-    Camera,
-    Float,
-    Plane,
-    camera_pitch_roll,
-    inverse,
-    project,
-    rigid,
-    transform,
-    transform_plane,
-)
+from roadperc_stream.geometry import Camera, Float, inverse, project, rigid, transform
 from roadperc_stream.geometry.ground import ego_points, height_above, height_at, tilted_ground
+from roadperc_stream.geometry.planes import Plane, camera_pitch_roll, transform_plane
 from roadperc_stream.model import Absent, Mask, Reason, Surface, SurfaceSource
 from roadperc_stream.model.scene import DepthMap, Scene
 
