@@ -198,7 +198,9 @@ def test_a_calibration_after_the_cut_is_not_used(tmp_path):
 def test_the_error_names_the_fault_of_a_calibration(tmp_path):
     items = logs.items()
     items[0] = logs.Item("calibration", logs.START_NS, b"\xff\xff")
-    with pytest.raises(ChannelError, match=r"no calibration .*; /camera/front/calibration: .* are no foxglove"):
+    with pytest.raises(
+        ChannelError, match=r"no calibration .*; /camera/front/calibration: .* are not a valid foxglove"
+    ):
         run(logs.write(tmp_path / "in.mcap", items))
 
 

@@ -84,7 +84,7 @@ def decode_grey(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> Image:
 def _decoded(data: bytes, mode: str, limits: LimitsConfig) -> Image:
     pixels = _pixels(data, mode, limits)
     if pixels is None:
-        raise DecodeError(f"{len(data)} bytes are no image{_why(data, limits)}")
+        raise DecodeError(f"{len(data)} bytes are not an image{_why(data, limits)}")
     return pixels.astype(np.uint8, copy=False)
 
 
@@ -121,7 +121,7 @@ def _allowed_format(data: bytes, limits: LimitsConfig) -> str:
     """
     name, allowed = format_of(data), limits.image_formats
     if not name:
-        raise DecodeError(f"{len(data)} bytes are no image" + f", they start with {data[:4].hex()}" * bool(data))
+        raise DecodeError(f"{len(data)} bytes are not an image" + f", they start with {data[:4].hex()}" * bool(data))
     if (key := name.lower()) not in allowed:
         listed = f", or set limits.image_formats={','.join((*allowed, key))}" * (key in get_args(ImageFormat))
         raise DecodeError(f"image of format {name}: expected {', '.join(allowed)}; convert it{listed}")
@@ -161,9 +161,9 @@ def _opened(data: bytes, name: str, limits: LimitsConfig) -> Iterator["PillowIma
                     avif.require_frames_of(data, image.size)
                 yield image
     except UnidentifiedImageError as error:
-        raise DecodeError(f"{len(data)} bytes are no {name}, they start with {data[:4].hex()}") from error
+        raise DecodeError(f"{len(data)} bytes are not a valid {name}, they start with {data[:4].hex()}") from error
     except (OSError, ValueError, RuntimeError, SyntaxError, struct.error, Pillow.DecompressionBombError) as error:
-        raise DecodeError(f"{len(data)} bytes are no whole {name}: {error}") from error
+        raise DecodeError(f"{len(data)} bytes are not a complete {name}: {error}") from error
 
 
 def _require_within(data: bytes, limits: LimitsConfig) -> None:
@@ -195,7 +195,7 @@ def _jpeg_size(data: bytes) -> tuple[int, int]:
         if marker in _JPEG_FRAMES:
             return width, height
         at += 1 if marker == 0xFF else 2 if marker in _JPEG_BARE else 2 + length
-    raise DecodeError(f"{len(data)} bytes are no whole JPEG: no size in it")
+    raise DecodeError(f"{len(data)} bytes are not a complete JPEG: no size in it")
 
 
 def _why(data: bytes, limits: LimitsConfig) -> str:

@@ -31,7 +31,7 @@ def read(data: bytes, name: str, definition: bytes, encoding: str = "ros2msg") -
     if not definition:
         raise DecodeError(f"the log does not define {name}: expected ros2msg or ros2idl")
     layout = layout_of(name, definition, encoding)
-    with as_defined(f"{len(data)} bytes are no {name}"):
+    with as_defined(f"{len(data)} bytes are not a valid {name}"):
         return layout.deserialize_cdr(memoryview(data), name)
 
 

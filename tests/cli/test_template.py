@@ -53,7 +53,7 @@ def test_the_box_and_the_picture_of_it_are_found_where_they_are(tmp_path, as_fil
         ("99:10,10,40,40", "the log has no image in frame 99"),
         ("99999999999999999999999:0,0,9,9", "No such file or directory; expected an image file, or FRAME:X0,"),
         ("nowhere.png", "nowhere.png: No such file or directory; expected an image file, or FRAME:X0,Y0,X1,Y1"),
-        (str(SAMPLE), "bytes are no image"),
+        (str(SAMPLE), "bytes are not an image"),
     ],
 )
 def test_an_invalid_template_is_one_line(tmp_path, capsys, template, complaint):

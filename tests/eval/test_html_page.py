@@ -180,7 +180,7 @@ def test_a_picture_lacks_unreadable_results_and_a_note_says_so(tmp_path):
     log = write_log(tmp_path / "out.mcap", objects=b"\xff\xfe")
     page, _ = report(tmp_path, with_log(tmp_path / "out.metrics.parquet", log, [STAMP], stereo_epe_px=0.5))
     assert len(page.images) == 1
-    assert f"not drawn, because unreadable: /perception/objects: message at {STAMP} ns: 2 bytes are no" in page.text
+    assert f"not drawn, because unreadable: /perception/objects: message at {STAMP} ns: 2 bytes are not a" in page.text
 
 
 def test_a_log_that_was_replayed_again_gives_no_pictures(tmp_path):

@@ -141,7 +141,7 @@ def test_missing_fields_are_reported_when_points_are_read(message, fault):
 
 
 def test_invalid_bytes_are_refused():
-    with pytest.raises(DecodeError, match=r"3 bytes are no foxglove\.PointCloud"):
+    with pytest.raises(DecodeError, match=r"3 bytes are not a valid foxglove\.PointCloud"):
         read(b"\xff\xff\xff")
 
 

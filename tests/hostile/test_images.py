@@ -174,5 +174,5 @@ def test_an_avif_that_is_not_a_still_picture_is_refused(changed):
 def test_the_limit_holds_when_a_damaged_image_is_explained():
     """OpenCV refuses a second header; Pillow uses its size."""
     twice = [[b"IHDR", png(12_000, 12_000, rows=0)[16:29]]]
-    with pytest.raises(DecodeError, match=r"125 bytes are no image: expected limits\.image_megapixels 40"):
+    with pytest.raises(DecodeError, match=r"125 bytes are not an image: expected limits\.image_megapixels 40"):
         images.decode_bgr(png(96, 72, extra=twice))

@@ -88,7 +88,7 @@ GREY = PillowImage.fromarray(np.arange(64, dtype=np.uint8).reshape(8, 8))
         (packed(GREY, "GIF"), "no PNG"),
         (packed(GREY.convert("RGB"), "PNG"), "mode RGB"),
         (packed(GREY, "PNG")[:50], "no whole PNG"),
-        (b"", "0 bytes are no PNG"),
+        (b"", "0 bytes are not a valid PNG"),
     ],
     ids=["jpeg", "gif", "rgb", "cut", "empty"],
 )

@@ -286,7 +286,7 @@ def test_cut_messages_are_counted_and_kept(tmp_path, recorded):
             writer.write(replace(message, data=message.data[:50]) if cut else message)
     target, summary = run(source)
     assert set(summary.problems) == {"/carla/ego_vehicle/depth_front/image", "/carla/ego_vehicle/odometry"}
-    assert any("50 bytes are no nav_msgs/msg/Odometry" in note for note in summary.notes)
+    assert any("50 bytes are not a valid nav_msgs/msg/Odometry" in note for note in summary.notes)
     table = rows(target)
     assert table["missing"].list.contains("depth").sum() == summary.problems["/carla/ego_vehicle/depth_front/image"]
     assert kept(target) == kept(source)

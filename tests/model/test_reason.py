@@ -13,7 +13,11 @@ from roadperc_stream.schemas.roles import ROLES
 
 PACKAGE = Path(roadperc_stream.__file__).parent
 EXAMPLES = {"d": -12, "g": 0.025, ".0f": 45.0, ".0%": 0.2, "": "left"}
-WORDS = {"frame_id": "velo: 'top'", "detail": "52 bytes are no PNG: cut off, \n{} lost", "known": "plumb_bob, other"}
+WORDS = {
+    "frame_id": "velo: 'top'",
+    "detail": "52 bytes are not a valid PNG: cut off, \n{} lost",
+    "known": "plumb_bob, other",
+}
 
 
 def example(code, cause=None):

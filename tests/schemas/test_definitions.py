@@ -96,7 +96,7 @@ def test_long_arrays_of_numbers_are_one_element():
 
 @pytest.mark.parametrize("data", [b"", HEADER, HEADER + bytes(3), b"\x00\x07" + bytes(40)])
 def test_bytes_of_another_layout_are_an_error(data):
-    with pytest.raises(DecodeError, match=f"{len(data)} bytes are no {NAME}: "):
+    with pytest.raises(DecodeError, match=f"{len(data)} bytes are not a valid {NAME}: "):
         cdr.read(data, NAME, b"float64 a\nstring b\n")
 
 

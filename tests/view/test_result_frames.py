@@ -222,7 +222,7 @@ def test_a_video_of_unreadable_rows_says_why_it_fails(tmp_path):
     with LogWriter(path) as writer:
         writer.write(Message(channel(METRICS), START, START, 0, BAD))
     with pytest.raises(
-        LogError, match=r"no results for a video; /perception/metrics: message at \d+ ns: 2 bytes are no"
+        LogError, match=r"no results for a video; /perception/metrics: message at \d+ ns: 2 bytes are not a"
     ):
         write_video(path, tmp_path / "video.mp4")
 

@@ -12,7 +12,7 @@ from roadperc_stream.model.results import LaneChange
 from .lanes import Lane, LaneMap
 from .motions import SpeedProfile
 from .options import RenderOptions
-from .scenes import Scene
+from .scenes import RenderedScene
 
 CHANGE_AFTER_S: Final = 2.0
 CHANGE_S: Final = 3.0
@@ -107,7 +107,7 @@ class LaneChangeState:
 class Ego:
     """The ego car: it follows the road and weaves about its lane's centre, at constant speed without a ``motion``."""
 
-    scene: Scene
+    scene: RenderedScene
     speed_mps: float
     weave_m: float
     static: bool

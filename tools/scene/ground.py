@@ -18,7 +18,7 @@ from .lanes import CURB_HEIGHT_M, DASH_M, DASH_PERIOD_M, LINE_M, Colour, Marking
 from .options import Stretch
 from .path import LocalPath, Real
 from .roads import LocalCrossing
-from .scenes import Scene
+from .scenes import RenderedScene
 
 FAR_M: Final = 1000.0
 """CARLA's far plane; everything beyond it is sky."""
@@ -57,7 +57,7 @@ class _Rays:
     dz: Float
 
 
-def trace_ground(camera: Camera, world_T_camera: Float, scene: Scene, s_m: float) -> Ground:
+def trace_ground(camera: Camera, world_T_camera: Float, scene: RenderedScene, s_m: float) -> Ground:
     """Return the ground as the camera sees it; ``s_m`` is the camera's position along the road."""
     road = scene.ground_path.around(s_m)
     top_row, rays = _rays(camera, world_T_camera, scene.terrain.steepest)
@@ -94,7 +94,7 @@ def _at(start: Float, rays: _Rays, depth_m: Float) -> tuple[Float32, Float32]:
     return x.astype(np.float32), y.astype(np.float32)
 
 
-def _raise_beyond_curbs(ground: Ground, depth_m: Float, rays: _Rays, start: Float, scene: Scene) -> None:
+def _raise_beyond_curbs(ground: Ground, depth_m: Float, rays: _Rays, start: Float, scene: RenderedScene) -> None:
     """Replace the ground beyond the curbs by the raised layer and the faces of the curbs, in place."""
     curb_m = scene.section.curb_m
     # A ray descends by a curb's height within about an eighth of its depth. Other pixels cannot change layers.
@@ -123,14 +123,14 @@ def _put(ground: Ground, where: NDArray[np.intp], *values: Float32) -> None:
         target.ravel()[where] = value
 
 
-def _places(road: LocalPath | LocalCrossing, scene: Scene, x_m: Real, y_m: Real) -> tuple[Real, Real, Real]:
+def _places(road: LocalPath | LocalCrossing, scene: RenderedScene, x_m: Real, y_m: Real) -> tuple[Real, Real, Real]:
     """Return s, the true d and the cross-section's d of local points."""
     s, across = road.coordinates(x_m, y_m)
     return s, across, scene.road.section_d(s + road.s_origin_m, across)
 
 
 def _curb_depth(
-    road: LocalPath | LocalCrossing, start: Float, rays: _Rays, near_m: Float, far_m: Float, scene: Scene
+    road: LocalPath | LocalCrossing, start: Float, rays: _Rays, near_m: Float, far_m: Float, scene: RenderedScene
 ) -> Float:
     """Return the depth between two bounds where rays cross the curbs, by regula falsi (Illinois)."""
 

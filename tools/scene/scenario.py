@@ -17,7 +17,7 @@ from .ego import Ego, lane_changes, shake_of
 from .faces import Body, Faces, building, car, lamp_post, together, tree
 from .motions import motions_of
 from .options import RenderOptions
-from .scenes import Scene
+from .scenes import RenderedScene
 from .shade import Shadow
 from .sheet import CAR_M, CAR_WIDTH_M
 from .traffic import Traffic
@@ -38,7 +38,7 @@ PARKED_M: Final = 1.2
 class Fixtures:
     """Houses, lamp posts, trees and parked cars along the road of a scene."""
 
-    scene: Scene
+    scene: RenderedScene
     seed: int
     parked_rows: bool = False
     """True if cars are parked without gaps."""
@@ -130,7 +130,7 @@ class Scenario:
     camera_height_m: float
 
     @classmethod
-    def of(cls, scene: Scene, options: RenderOptions) -> "Scenario":
+    def of(cls, scene: RenderedScene, options: RenderOptions) -> "Scenario":
         """Return the scenario of the options; the seed decides which bodies it contains."""
         changes = lane_changes(options, scene.road.lanes)
         motion, leader = motions_of(options)

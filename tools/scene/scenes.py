@@ -112,7 +112,7 @@ WHEELBASE_M: Final = 2.8
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class RenderedScene:
     """The road and the terrain of a scenario."""
 
     path: Path
@@ -154,16 +154,16 @@ class Scene:
         return rigid(np.column_stack((forward, np.cross(up, forward), up)), np.array([x, y, height]))
 
 
-def make_scene(options: RenderOptions, length_m: float) -> Scene:
+def make_scene(options: RenderOptions, length_m: float) -> RenderedScene:
     """Return the scene for ``length_m`` of driving along the road from s = 0."""
     road = road_of(options)
     if road.crossing is not None:
-        return Scene(road.crossing.path, LEVEL_GROUND, road)
+        return RenderedScene(road.crossing.path, LEVEL_GROUND, road)
     wave_m = _WAVES_M.get(options.scene)
     terrain = rolling_ground(length_m + MARGIN_M, wave_m, _MAX_GRADE) if wave_m else LEVEL_GROUND
     if options.bumps:
         terrain = with_bumps(terrain, length_m + MARGIN_M)
-    return Scene(_path(options.scene, length_m), terrain, road)
+    return RenderedScene(_path(options.scene, length_m), terrain, road)
 
 
 def _path(name: SceneName, length_m: float) -> Path:

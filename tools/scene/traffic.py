@@ -14,7 +14,7 @@ from .ego import Ego
 from .faces import Body, car, pedestrian
 from .lanes import CURB_HEIGHT_M
 from .motions import SpeedProfile
-from .scenes import Scene
+from .scenes import RenderedScene
 
 HEADWAY_S: Final = 2.8
 HEADWAY_MIN_M: Final = 14.0
@@ -46,7 +46,7 @@ class Traffic:
     crossing_cars: bool = False
 
     @property
-    def scene(self) -> Scene:
+    def scene(self) -> RenderedScene:
         """Return the scene of the traffic."""
         return self.ego.scene
 

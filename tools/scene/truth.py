@@ -9,7 +9,7 @@ from roadperc_stream.geometry import Float, camera_pitch_roll, facing, fit_plane
 
 from .lanes import Edge
 from .rig import CameraPair
-from .scenes import Scene, Terrain
+from .scenes import RenderedScene, Terrain
 from .view import Moment
 
 LINE_LENGTH_M: Final = 60
@@ -72,7 +72,7 @@ def line_at(moment: Moment, edge: Edge, x_ego_m: Float) -> tuple[Float, NDArray[
     return points, np.abs(points[:, 0] - x_ego_m) < FOUND_M
 
 
-def _on_road(scene: Scene, s_m: Float, edge: Edge, ego_T_world: Float) -> Float:
+def _on_road(scene: RenderedScene, s_m: Float, edge: Edge, ego_T_world: Float) -> Float:
     x, y = scene.path.point(s_m, edge.d_m.at(s_m))
     return transform(ego_T_world, np.stack((x, y, scene.terrain.height(x)), axis=-1))
 

@@ -16,7 +16,7 @@ from .grain import make_grain
 from .ground import FAR_M, Ground, Paint, paint_on, trace_ground
 from .lanes import bins
 from .raster import Drawn, draw_faces
-from .scenes import Scene
+from .scenes import RenderedScene
 from .shade import Shadow, cast_shadows, daylight, shade_faces, shade_ground, shade_sky
 from .sheet import load_sheet
 
@@ -28,7 +28,7 @@ class Moment:
     """The scene at one time; ``bodies[i]`` has the number i + 1 in the views."""
 
     time_s: float
-    scene: Scene
+    scene: RenderedScene
     s_m: float
     """Position of the ego car along the road."""
     d_m: float

@@ -104,7 +104,7 @@ def decode(kind: Kind, schema: str, encoding: str, data: bytes, log_time_ns: int
         decoded = decoder(data, context)
         require_within(decoded.payload, context.limits)
     except (ProtobufError, ValueError) as error:
-        raise DecodeError(f"{len(data)} bytes are no {schema}: {error}") from error
+        raise DecodeError(f"{len(data)} bytes are not a valid {schema}: {error}") from error
     decoded = decoded if decoded.stamp_ns else replace(decoded, stamp_ns=log_time_ns)
     if not 0 <= decoded.stamp_ns < END_OF_TIME_NS:
         raise DecodeError(f"stamp {decoded.stamp_ns} ns does not fit 64 bits")

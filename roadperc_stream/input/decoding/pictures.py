@@ -64,7 +64,7 @@ def of_file(kind: Kind, frame_id: str, content: Content, context: Context) -> Pi
         return CameraImage(frame_id, bgr, lambda: grey(bytes(content), limits), lambda: size(bytes(content), limits))
     if kind == "instances":
         if not _is_png(content):
-            raise DecodeError("instance masks that are no PNG: expected a lossless file with CARLA's coding")
+            raise DecodeError("instance masks: expected a lossless PNG with CARLA's coding")
         return InstanceImage(frame_id, lambda: images.instance_ids(bgr()))
     in_colours = _is_png(content) and content[_COLOUR_TYPE : _COLOUR_TYPE + 1] in _TRUE_COLOURS
     table = _table_of(context.tag_table, indexed=not in_colours)

@@ -86,7 +86,7 @@ def from_json(message_type: Any, data: bytes) -> Any:
     # protobuf's C code also raises undocumented errors, such as SystemError for invalid Unicode.
     except (ParseError, ValueError, TypeError, AttributeError, ArithmeticError, RecursionError, SystemError) as error:
         name = message_type.DESCRIPTOR.full_name
-        raise DecodeError(f"{len(data)} bytes are no {name} as JSON: {brief(error)}") from error
+        raise DecodeError(f"{len(data)} bytes are not a valid {name} as JSON: {brief(error)}") from error
 
 
 def _object(data: bytes) -> dict[str, Any]:

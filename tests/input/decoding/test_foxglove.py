@@ -128,7 +128,7 @@ STAMPED = {"timestamp": {"sec": 1, "nsec": 2}}
     ids=range(15),
 )
 def test_invalid_json_is_an_error(data):
-    with pytest.raises(DecodeError, match=r"bytes are no foxglove\.CameraCalibration as JSON"):
+    with pytest.raises(DecodeError, match=r"bytes are not a valid foxglove\.CameraCalibration as JSON"):
         decode("calibration", "foxglove.CameraCalibration", "json", data, 5, Context())
 
 

@@ -334,7 +334,7 @@ def test_transforms_and_poses():
 def test_cut_bytes_are_an_error(length):
     data = rosbag.serialised(INFO, info())[:length]
     definition = rosbag.definition_of(INFO).encode()
-    with pytest.raises(DecodeError, match=f"{length} bytes are no {INFO}"):
+    with pytest.raises(DecodeError, match=f"{length} bytes are not a valid {INFO}"):
         decode("calibration", INFO, "cdr", data, STAMP, Context(None, definition))
 
 

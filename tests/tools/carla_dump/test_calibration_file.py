@@ -87,7 +87,7 @@ def test_malformed_values_name_file_and_key(tmp_path, content, fault):
 
 
 @pytest.mark.parametrize(
-    ("left", "right", "fault"), [(P, P, "one and the same centre"), (np.zeros((3, 4)), P, "P_left: no proj")]
+    ("left", "right", "fault"), [(P, P, "one and the same centre"), (np.zeros((3, 4)), P, "P_left: expected a camera")]
 )
 def test_matrices_without_a_baseline_are_refused(left, right, fault):
     with pytest.raises(DumpError, match=fault):

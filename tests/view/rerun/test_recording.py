@@ -241,7 +241,7 @@ NOTHING = "no topic that roadperc-view can show; "
         (
             [logs.Item("image", 5, b"\xff\xfe\x07bad")],
             [],
-            f"{NOTHING}/camera/front/image: message at 5 ns: 6 bytes are no.*; try rerun .*in.mcap.* or ",
+            f"{NOTHING}/camera/front/image: message at 5 ns: 6 bytes are not .*; try rerun .*in.mcap.* or ",
         ),
     ],
     ids=["no message", "nothing known", "a topic that could fill a role", "nothing that can be read"],
