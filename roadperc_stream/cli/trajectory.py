@@ -64,10 +64,16 @@ def _parser() -> argparse.ArgumentParser:
     add("--delta", metavar="N", type=positive, default=1.0, help="distance of the poses of a pair (default 1)")
     add("--delta-unit", choices=get_args(options.DeltaUnit), default="frames", help="unit of --delta (default frames)")
     tum = add(
-        "--export-tum", metavar="DIR", type=Path, help="write TUM files to this folder; existing files are replaced"
+        "--export-tum",
+        metavar="DIR",
+        type=Path,
+        help="write TUM files of the ego frame to this folder; existing files are replaced",
     )
     kitti = add(
-        "--export-kitti", metavar="DIR", type=Path, help="write KITTI files to this folder; existing files are replaced"
+        "--export-kitti",
+        metavar="DIR",
+        type=Path,
+        help="write KITTI files of the ego frame to this folder; existing files are replaced",
     )
     for action, completer in ((runs, files(*RUNS)), (tum, files()), (kitti, files())):
         completed_by(action, completer)

@@ -1,4 +1,4 @@
-"""Messages that lie: numbers that are not finite, stamps beyond time, images that are no PNG."""
+"""Messages that lie: numbers that are not finite, stamps beyond time, images that are not PNG."""
 
 import io
 import zlib
@@ -84,10 +84,10 @@ GREY = PillowImage.fromarray(np.arange(64, dtype=np.uint8).reshape(8, 8))
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (packed(GREY, "JPEG"), "no PNG, they start with ffd8"),
-        (packed(GREY, "GIF"), "no PNG"),
+        (packed(GREY, "JPEG"), "not a valid PNG, they start with ffd8"),
+        (packed(GREY, "GIF"), "not a valid PNG"),
         (packed(GREY.convert("RGB"), "PNG"), "mode RGB"),
-        (packed(GREY, "PNG")[:50], "no whole PNG"),
+        (packed(GREY, "PNG")[:50], "not a complete PNG"),
         (b"", "0 bytes are not a valid PNG"),
     ],
     ids=["jpeg", "gif", "rgb", "cut", "empty"],
