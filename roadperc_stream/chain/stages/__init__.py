@@ -1,1 +1,1 @@
-"""The stages of the chain: each a pure function, none knows another."""
+"""The stages of the chain: pure functions that do not depend on each other."""

@@ -1,9 +1,9 @@
 """Lane boundaries on the road: from edge pixels to offset, heading and curvature in the ego frame.
 
-The boundary is the edge that faces the ego lane. Both edges of a marking lie within a few centimetres, and so does the
-second line of a double one, so only pixels whose neighbour towards the ego lane is road are used, and of several
-parallel edges the innermost well supported one. The fit is y = offset + heading x + curvature x^2 / 2, robust, reaching
-farther ahead step by step so that a bend is followed from the straight part near the car.
+The boundary is the edge that faces the ego lane. The other edge of its marking, or a second line, is only centimetres
+away. So the fit uses only pixels whose neighbour towards the ego lane is road, and the innermost well supported edge of
+several parallel ones. The robust fit is y = offset + heading x + curvature x^2 / 2. It extends ahead step by step, from
+the straight part near the car into a bend.
 """
 
 from dataclasses import dataclass, replace
@@ -30,7 +30,7 @@ _SEARCH_M = 0.6
 """Half width of the strip around a Hough line in which edges are searched."""
 _BIN_M = 0.04
 _PEAK_SHARE = 0.4
-"""Support of the innermost edge, as a share of the best supported one, from which it counts as the boundary."""
+"""The innermost edge is the boundary if its support is at least this share of the largest support of an edge."""
 _BLOB_VARIANCE = 5.0
 _BLOB_ANGLE = 0.0125
 """Factor of a fit's variance over that of its edges with wrong tags. Beyond the second number, radians, it grows with
@@ -40,7 +40,7 @@ _MIN_ROWS = 3
 _LEAST_BINS = 3
 _GROUND_STD_M = 0.01
 _LEAST_SPREAD = 0.67
-"""Minimum mean square of the edges' normalised residuals: few edges fit too well."""
+"""Minimum mean square of the edges' normalised residuals, because a fit to few edges has too small residuals."""
 _CURVATURE_INFORMATION = 0.01**-2
 """Prior inverse variance of road curvature: a short stretch does not determine it, and roads are nearly straight."""
 _CORRELATED_ROWS = 24.0
@@ -48,7 +48,7 @@ _CORRELATED_ROWS = 24.0
 _NOISE_PX = (1.0, 2.0, 4.0, 8.0, 16.0)
 """Tried standard deviations of the edges' noise; the smallest one that explains the edges counts."""
 _LOW_PX = 1.0
-"""Noise up to which the innermost edge of a row is the boundary's; above it, that edge has the largest error."""
+"""Largest noise at which the innermost edge of a row is the boundary's; with more noise it has the largest error."""
 _EXPLAINED = 0.7
 _ON_CURVE_STD = 2.5
 _STRIP_STD = 3.0

@@ -24,11 +24,11 @@ _STEP_M = 1.0
 _CERTAIN_STD_M = 0.09
 """Standard deviation ``JUDGED_AT_M`` ahead up to which a boundary needs no confirmation by the other one."""
 _PARALLEL_M = 0.3
-"""Largest change of the lane's width up to there; wrong tags turn boundaries so that they are not parallel."""
+"""Largest change of the lane's width up to ``JUDGED_AT_M``: wrong tags may turn a boundary out of parallel."""
 _TURNED = 0.1
 """If two headings differ by more, the boundary that is turned farther from the car's axis is wrong."""
 _ELSEWHERE = frozenset(("camera_changed", "too_few_inliers", "impossible_motion"))
-"""Codes with which odometry is lost because the image may show another scene than the last one."""
+"""Reason codes of lost odometry after which the image may show a different scene than the last one."""
 
 
 def _boundary(
@@ -99,7 +99,7 @@ def _chord(state: Float, projection: RoadProjection | None, far: float | None) -
 
 
 def without_implausible(state: LanesState) -> tuple[LanesState, dict[Side, Reason]]:
-    """The state without the worse one of two boundaries that contradict each other, and the reason."""
+    """The state, without the worse boundary if the two contradict each other, and the reason."""
     if state.left is None or state.right is None:
         return state, {}
     side: Side = "left" if _worse(state.left, state.right) else "right"

@@ -93,8 +93,8 @@ def _candidates(
 ) -> Iterator[Curve]:
     """Candidates for the boundary: the edges along the prediction, then the curve of the closest line.
 
-    Visible dashes are often too short for a Hough line, and the closest line is then one farther out. But a clear line
-    closer than the prediction contradicts it, so edges along the prediction do not count then.
+    Visible dashes are often too short for a Hough line; the closest line is then a different one farther out. If a
+    clear line is closer than the prediction, it contradicts the prediction, and edges along that are not used.
     """
     closer = curve is not None and outward(side) * (before.offset_m - float(curve.state[0])) > _SAME_M
     if curve is not None and closer and curve.is_clear:
@@ -131,7 +131,7 @@ def handed_over(cfg: LanesConfig, state: LanesState, observation: Observation | 
 
 
 def change_of(cfg: LanesConfig, before: LaneChange, state: LanesState) -> LaneChange:
-    """The side on which part of the car is over a line while it changes lanes; ``before`` is the last frame's."""
+    """The side on which the car is partly over a line while it changes lanes; ``before`` is the last frame's."""
     known = {side: boundary for side in SIDES if (boundary := state.side(side)) is not None}
     over = {side: b for side, b in known.items() if outward(side) * b.offset_m < cfg.car_width_m / 2}
     if before != "none":

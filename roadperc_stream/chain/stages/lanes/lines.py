@@ -92,7 +92,7 @@ def propose(cfg: LanesConfig, edges: Image) -> Float:
 def on_road(proposals: Float, drivable: Mask) -> Float:
     """The (M, 4) proposals that are steep enough and lie on the (H, W) drivable surface for over half of their length.
 
-    A vertical line is steep, a line within one row is not. The surface is widened by a pixel or two because the edge of
+    A vertical line is steep; a line within one row is not. The surface is widened by a pixel or two because the edge of
     a kerb lies just outside it.
     """
     dx, dy = np.abs(proposals[:, 2:] - proposals[:, :2]).T

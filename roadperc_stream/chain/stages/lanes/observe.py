@@ -16,7 +16,7 @@ from roadperc_stream.model import SIDES, Image, Mask, Side, Surface
 from roadperc_stream.model.tag_tables import TagTable
 
 _FRINGE_PX = 4
-"""Largest number of foreign pixels between a separator and the road, which compression may cause."""
+"""Largest number of pixels of other classes between a separator and the road; compression may cause them."""
 _INSIDE_M = (0.2, 0.4, 0.6)
 _OUTSIDE_M = (0.2, 0.4, 0.6, 0.8, 1.0)
 """Distances beside a boundary at which the class there is sampled; a double marking is 0.35 m wide."""

@@ -26,7 +26,7 @@ from roadperc_stream.model.scene import Scene
 from roadperc_stream.model.tag_tables import label_lookup
 
 SAME_DISTANCE = 0.03
-"""Largest difference of the distances of two regions of one object, as a share: they have the same nearest point."""
+"""Largest relative difference between the distances of two regions of one object, as they share a nearest point."""
 SAME_PLACE = 0.5
 """Minimum overlap of two regions of one object, as a share of the smaller one's bounds."""
 _ROWS = 64
@@ -41,7 +41,7 @@ LEAST_RATIO = 0.2
 _MIN_FIT = 0.7
 """Minimum fit of a region to its box for a detection to be kept."""
 _MIN_FIT_SEEN = 0.2
-"""The same for an object tracked for ``carry_after_s``; then ``min_class_ratio`` alone is also enough."""
+"""Minimum fit for an object tracked for ``carry_after_s``; a share above ``min_class_ratio`` is also enough."""
 
 
 def choose(

@@ -35,21 +35,21 @@ _OBJECT_LENGTH_M = 5.0
 _LATERAL_STD_M = 0.1
 """Least standard deviation of the place of an object's edges."""
 _MOST_PIXELS = 1000
-"""Number of pixels that is enough for a place."""
+"""Larger boxes are sampled with about this number of pixels."""
 _FEWEST_PIXELS = 5
 _NEARER_SHARE = 0.05
 """Pixels nearer than the object by more than this share of its distance belong to something in front of it."""
 _NEARER_M = 0.3
 _OUTERMOST = 0.02
-"""Share of the pixels beyond either edge, to exclude strays at the border of the class."""
+"""Share of the pixels left out beyond either edge: stray pixels at the border of the class."""
 _NEAREST = 0.05
 """Share of the pixels that count as nearest."""
 _STD_SHARE = 0.005
-"""Part of an edge's standard deviation that grows with the distance: errors of the border and of the path."""
+"""Standard deviation of an edge as a share of its distance, from errors of the border and of the path."""
 _VAGUE_M = 1.0
-"""Largest standard deviation of an edge with which it can be judged to be in the path."""
+"""An edge with a larger standard deviation cannot be judged to be in the path."""
 _VAGUE_MPS = 0.8
-"""Largest standard deviation of an edge's speed with which it can be judged to stay there."""
+"""An edge whose speed has a larger standard deviation cannot be judged to stay in the path."""
 _CROSSING_MPS = 2.0
 """Speed across the path above which a vehicle crosses it instead of changing lanes."""
 _SURE_SIGMAS = 2.0

@@ -1,10 +1,10 @@
 """Regions: the pixels in and around a detection's box that may be its object, and their distance.
 
 In a segmentation, a car and a nearer car in front of it form one area of the same class. The depth separates them:
-neighbouring pixels belong to one region if their depths differ by less than a share of the depth. No single share is
-right: the side of a car is steep, and a car parked behind another is close. So regions are found for several shares,
-and the one that fits the detection's box is its object. A larger share only joins regions of the smallest one, so that
-the pixels are divided once. If the frame has instance masks, the instances are the regions.
+neighbouring pixels belong to one region if their depths differ by less than a share of the depth. One share does not
+fit all cases: the depth changes fast along a car's side, and a car parked behind another is close. So regions are found
+for several shares, and the region that fits the detection's box is its object. A larger share only joins regions of the
+smallest share, so the pixels are divided once. If the frame has instance masks, the instances are the regions.
 
 The depth is smoothed first (bilateral filter: C. Tomasi and R. Manduchi, Bilateral filtering for gray and color
 images, ICCV 1998).

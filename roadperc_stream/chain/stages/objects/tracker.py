@@ -2,7 +2,7 @@
 
 Detections and tracks are paired for the largest total similarity (the assignment problem). The similarity is the
 overlap of the boxes, reduced if the distances contradict each other. So an object keeps its id if its distance jumps to
-something in front, and two objects that pass each other keep their ids.
+another object in front, and two objects that pass each other keep their ids.
 """
 
 from collections.abc import Sequence

@@ -1,9 +1,9 @@
 """The camera's pitch against the road without depth: a running estimate, also from vanishing points.
 
 Lane markings, kerbs and walls run along the road and meet at one point of its horizon. The line segment detector finds
-them (Grompone von Gioi et al., "LSD: a Line Segment Detector", IPOL 2012). Among the crossings of pairs, the point that
-most of the segments' length agrees on is chosen and refined by least squares. In a bend, on a wet road or in a yard the
-lines have no common point or a wrong one. Such a point is rejected.
+them (Grompone von Gioi et al., "LSD: a Line Segment Detector", IPOL 2012). The crossing of a pair
+with the largest length of agreeing segments is chosen and refined by least squares. In a bend, on a wet road or in a
+yard the lines have no common point or a wrong one. Such a point is rejected.
 
 A car moves along the road. The direction of its motion (the focus of expansion), the vanishing point of the lines and
 the motion of the road's image all measure the pitch. One scalar Kalman filter fuses them. Between two frames the pitch
@@ -34,7 +34,7 @@ _AGREE_PX: Final = 3.0
 _LEAST_AGREE_PX: Final = 1.0
 """Lower limit of that distance: the accuracy of the detector."""
 _LEAST_SLOPE: Final = 0.15
-"""Rows per column below which a segment runs across the view; its crossings with the others mean nothing."""
+"""Rows per column below which a segment runs across the view; its crossings with other segments are not used."""
 _MOST_SEGMENTS: Final = 40
 _LEAST_SEGMENTS: Final = 6
 _LEAST_SHARE: Final = 0.5

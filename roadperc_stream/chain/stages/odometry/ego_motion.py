@@ -95,10 +95,10 @@ def step(
 ) -> tuple[OdometryState, Odometry | Absent]:
     """Follow the camera from the last frames to this one.
 
-    The keyframe outlives missing frames, that is frames without a grey image: the next frame continues from it, and no
-    motion is lost. If its points are not found again, the frame is lost and becomes the keyframe, at the last known
-    pose. Without dense depth the motion comes from the image and its scale from ``road`` (in the front camera's frame).
-    Pixels of vehicles and pedestrians are left out. ``rng`` seeds OpenCV's random numbers.
+    The keyframe is kept during frames without a grey image: the next frame continues from it, and no motion is lost.
+    If its points are not found again, the frame is lost and becomes the keyframe, at the last known pose. Without
+    dense depth the motion comes from the image and its scale from ``road`` (in the front camera's frame). Pixels of
+    vehicles and pedestrians are left out. ``rng`` seeds OpenCV's random numbers.
 
     Returns:
         The new state, and the pose; absent before the first image.
@@ -209,8 +209,8 @@ def _estimated(this: FollowedFrame) -> Estimate | Absent:
 def guesses(this: FollowedFrame) -> Iterator[tuple[Float32, Float32, float]]:
     """(N, 2) pixels where the search starts, (N, 2) pixels near which matches must lie, and the share that must agree.
 
-    The first guess continues the last motion and accepts only matches near it: the texture of a road repeats, and a
-    match one repetition off gives a consistent motion, too. The second guess is the last pixels; NaN accepts any match.
+    The first guess continues the last motion and accepts only matches near it: a road's texture repeats, and matches
+    shifted by one repetition also agree on a motion. The second guess is the last pixels; NaN accepts any match.
     """
     frame, keyframe, last = this.frame, this.keyframe, this.last
     if last.velocity is not None:

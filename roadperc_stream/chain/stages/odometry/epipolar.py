@@ -116,7 +116,7 @@ def _direction(camera: Camera, a: Float, b: Float) -> tuple[Float, Float, Mask, 
 def _refined(camera: Camera, R: Float, t: Float, a: Float, b: Float) -> tuple[Float, Float, Float]:
     """Least squares over the rotation and the direction's two tangents, and each point's pull on both.
 
-    A pull is a small motion as ``Motion`` has it: its rotation turns t as well.
+    A pull is a small motion, as ``Motion.influence``; its rotation also turns t.
     """
     from scipy.optimize import least_squares
 

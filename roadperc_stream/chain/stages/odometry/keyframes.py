@@ -222,8 +222,8 @@ def make_keyframe(
 def is_due(cfg: OdometryConfig, keyframe: Keyframe, frame: TrackingFrame, px: Float32, inliers: Mask) -> bool:
     """Whether the frame must become the next keyframe: few points are left, or they have moved far.
 
-    A keyframe with depth is not given up early for a frame without. Its features are at (N, 2) pixels in the frame;
-    (N,) ``inliers`` agree on the motion.
+    A frame without depth replaces a keyframe with depth only when few points are left. The keyframe's features are at
+    (N, 2) pixels in the frame; (N,) ``inliers`` agree on the motion.
     """
     share = float(np.sum(inliers)) / max(len(px), 1)
     if keyframe.landmarks.source == "depth" and frame.depth_m is None:

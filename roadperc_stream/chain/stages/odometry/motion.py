@@ -58,8 +58,8 @@ class Motion:
     where unknown after the motion. ``influence`` (N, 6) is the small translation and rotation (m, rad) of this camera,
     in its own axes, that each feature's residual causes; 0 for unused features, None if unknown. ``scaled``: the length
     is in the unit of known points. ``length_variance`` is the part of its variance, in square metres, that the
-    influence does not show. ``scale`` is how the road gave the length, None if the points gave it. ``noise_variance``
-    is then the part of the variance that later motions do not share.
+    influence does not show. ``scale`` is the source of a length by the road; None if the points give the length. With
+    a ``scale``, ``noise_variance`` is the part of ``length_variance`` that later motions do not share.
     """
 
     this_T_key: Float

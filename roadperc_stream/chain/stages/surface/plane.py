@@ -4,9 +4,9 @@ Method: RANSAC (Fischler and Bolles 1981) over a seeded subsample, hypotheses fr
 then total least squares over all inliers. The road plane is nearly parallel to the optical axis, so the fit minimises
 the distance to the plane, never an error along one axis.
 
-A height field follows every road, but the errors of its coefficients grow with the scatter of the points; a plane has
-a bias instead (Mallows 1973). So a field is better if the road near the car leaves the plane by more than those errors:
-on roads that climb, and if noise has tilted the plane. The road is cut into patches. The median height of a patch's
+A height field fits every road, but the errors of its coefficients grow with the scatter of the points. A plane has a
+bias instead (Mallows 1973). A field is better if the road near the car leaves the plane by more than these errors, as
+on roads that climb, or after noise has tilted the plane. The road is cut into patches. The median height of a patch's
 cells above the plane is compared with its standard error and with the error of a field.
 """
 

@@ -75,7 +75,7 @@ def road_cells(
 ) -> tuple[Float, Float]:
     """One point of each square metre of the road, up to ``spline_half_width_m`` aside and ``max_depth_m`` ahead.
 
-    It is the point of median height, not a mean: on a slope a mean position does not fit a median height. ``depth_m``
+    It is the point of median height. On a slope, a mean position would not fit a median height. ``depth_m``
     is (H, W) metres, NaN unknown; ``usable`` (H, W) are the pixels of the road with known depth.
 
     Returns:
@@ -150,8 +150,8 @@ def _prior(cfg: SurfaceConfig) -> Float:
 def _grow(cfg: SurfaceConfig, points: Float, weights: Float) -> Float:
     """(P,) coefficients of the field, fitted step by step farther ahead.
 
-    Each step leaves out points that a road of plausible curvature cannot reach: behind a crest, for example, no points
-    of the road outweigh them.
+    Each step leaves out points that a road of plausible curvature cannot reach: behind a crest, for example, the
+    road has no points that outweigh them.
     """
     x, heights = points[:, 0], points[:, 2]
     design, prior = _design(cfg, x, points[:, 1]), _prior(cfg)
