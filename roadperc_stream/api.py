@@ -69,7 +69,7 @@ def replay(
         end_s: end of the replay in seconds after the log's first message.
         max_frames: largest number of frames.
         results_only: write only results to ``dst``, without the input's messages.
-        force: replace an existing result, but no recording; ignore a checkpoint of another replay.
+        force: replace an existing result, but never an input log; ignore a checkpoint of another replay.
         recover: replay the readable part of a damaged log; frames after a loss have a reason.
         strict: stop with an error at the first unusable message, instead of skipping it.
         continued: the earlier result to continue, with the same configuration.
@@ -82,7 +82,7 @@ def replay(
         Frames, dropped messages, notes, warnings of damage, and the reasons of all frames.
 
     Raises:
-        RoadpercError: the input cannot be read or replayed, or the output cannot be written; no partial file stays.
+        RoadpercError: the input cannot be read or replayed, or the output cannot be written; partial files are removed.
     """
     return _replay(
         ReplaySource(_paths(src), dict(topics or {}), TimeRange(start_s, end_s, max_frames), recover, strict),
@@ -116,7 +116,7 @@ def frames(
 ) -> Iterator[LogFrame]:
     """Run the chain over a log and yield its frames with their results, in order.
 
-    Writes no file, and keeps one frame in memory. Arguments as in ``replay``.
+    No file is written, and one frame is in memory at a time. Arguments as in ``replay``.
 
     Raises:
         RoadpercError: the log cannot be read or replayed.

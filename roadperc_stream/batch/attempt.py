@@ -36,15 +36,15 @@ _PROGRESS_EVERY_S: Final = 0.2
 _CONTEXT: Final = multiprocessing.get_context("forkserver")
 _PRELOADED: Final = ("roadperc_stream.batch.worker",)
 _END_BYTES: Final = 1 << 20
-"""A fatal error is searched in this much of the end of the output."""
+"""Bytes at the end of the output in which a fatal error is searched."""
 _LONGEST: Final = 500
-"""Characters of a line of output that a row quotes."""
+"""Most characters of a line of output that a row of the list of runs quotes."""
 _ONE_THREAD: Final = "OPENBLAS_NUM_THREADS"
 _starting: Final = threading.Lock()
 
 
 def attempt(task: Task, stop: threading.Event | None = None, on_progress: Progress = no_progress) -> Outcome:
-    """Replay a log into the dataset; a crash of the process is an outcome too.
+    """Replay a log into the dataset; a crash of the process also gives an outcome.
 
     Args:
         task: the log, and what to do with it.

@@ -1,6 +1,6 @@
 """Tasks on the machines of a Ray cluster.
 
-A separate process speaks to Ray (``ray_session``). Ray prints, handles the signals, waits minutes for a missing
+A separate process connects to Ray (``ray_session``). Ray prints, handles the signals, waits minutes for a missing
 cluster, and ends its process if the cluster's head dies. None of this affects the batch.
 """
 
@@ -73,7 +73,7 @@ class TaskEnd:
 
 
 SessionMessage = ClusterState | TaskEnd | str
-"""A text is the one-line error of a session that cannot start."""
+"""Messages of a session; a string is the one-line error of a session that cannot start."""
 
 
 class RayBackend:

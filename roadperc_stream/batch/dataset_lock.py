@@ -94,7 +94,7 @@ class DatasetLock:
 
     @property
     def is_held(self) -> bool:
-        """Whether this batch still has the lock; another batch takes a lock that looks dead."""
+        """Whether this batch still has the lock; another batch may take a lock that is not renewed."""
         return self._taken_by is None
 
     def require_held(self) -> None:

@@ -1,7 +1,7 @@
-"""The process that speaks to Ray: ``python -m roadperc_stream.batch.ray_session FILE_DESCRIPTOR``.
+"""The process that connects to Ray: ``python -m roadperc_stream.batch.ray_session FILE_DESCRIPTOR``.
 
-The pipe brings tasks, and takes outcomes and the size of the cluster. When the pipe closes, this process leaves the
-cluster, or ends the Ray that it has started.
+It reads tasks from the pipe, and writes outcomes and the size of the cluster to it. When the pipe closes, this process
+leaves the cluster, or ends the Ray that it has started.
 """
 
 import logging

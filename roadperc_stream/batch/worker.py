@@ -48,7 +48,7 @@ _MEMORY_UNIT: Final = 1 if sys.platform == "darwin" else 1024
 
 
 def work(task: Task, on_progress: Progress) -> Outcome:
-    """Replay a log into the dataset; an error of the log is an outcome as well.
+    """Replay a log into the dataset; an error of the log also gives an outcome.
 
     Args:
         task: the log, and what to do with it.

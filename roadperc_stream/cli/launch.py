@@ -144,7 +144,7 @@ def _hidden_file(stderr: int) -> int:
 
 
 def _end(_number: int, _frame: FrameType | None, code: int = EXIT_ERROR) -> None:
-    """Exit at once: outside ``plumbing.run`` no file is open, and a module in import may swallow exceptions."""
+    """Exit at once: outside ``plumbing.run`` no file is open, and an import in progress may swallow exceptions."""
     with suppress(OSError):
         os.write(sys.stderr.fileno(), b"error: interrupted\n")
     os._exit(code)

@@ -45,7 +45,7 @@ class LocalFiles(LocalFileSystem):  # type: ignore[misc] # fsspec has no types
         """Path and ``info`` of all files below a folder, which need not exist.
 
         The walk skips folders that cannot contain a match of the pattern. It follows a link to a folder unless the link
-        leads back to a folder that contains it. A dead link is an empty file, so that its log is reported as missing.
+        leads back to a folder that contains it. A broken link counts as an empty file: its log is reported as missing.
 
         Raises:
             StorageError: a folder cannot be read.
@@ -82,10 +82,10 @@ def _leads_back(folder: Path, base: Path) -> bool:
 
 
 class PyarrowFiles(ArrowFSWrapper):  # type: ignore[misc] # fsspec has no types
-    """A file system of pyarrow with fewer requests than fsspec's wrapper, and files that are whole."""
+    """A file system of pyarrow with fewer requests than fsspec's wrapper; a written file is complete or absent."""
 
     def _open(self, path: str, mode: str = "rb", **_: Any) -> ArrowFile:
-        """Open a file; fsspec's own method mistakes an unknown access key for a missing file."""
+        """Open a file; fsspec's own method reports an unknown access key as a missing file."""
         is_read = mode == "rb"
         stream = self.fs.open_input_file(path) if is_read else self.fs.open_output_stream(path, compression=None)
         return ArrowFile(self, stream, path, mode)
@@ -119,9 +119,9 @@ def move(source: Path, _system: Any, path: str) -> None:
 def upload(source: Path, system: Any, path: str) -> None:
     """Send a file in pieces to a store.
 
-    Closing a stream makes a file of the written bytes, even after an error here: that file is removed. If the store
-    failed, closing fails too, and an earlier file stays. S3's client writes in the background; waiting after each
-    piece keeps the memory to one piece.
+    Closing a stream creates a file from the written bytes, also after an error here; this file is then removed. If the
+    store fails, closing also fails, and an earlier file stays. S3's client writes in the background; waiting after
+    each piece limits the memory to one piece.
     """
     stream = system.open(path, "wb")
     try:
@@ -149,7 +149,7 @@ def system_of(address: str) -> tuple[Any, str]:
     """The file system of an address, and its path there.
 
     Raises:
-        StorageError: no installed package knows the scheme.
+        StorageError: no installed package supports the scheme.
         OSError: the bucket's region cannot be found.
     """
     if not is_address(address):
