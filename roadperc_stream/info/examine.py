@@ -22,7 +22,7 @@ def examine(path: Path, overrides: Mapping[str, str]) -> LogFacts:
         overrides: topic by role, from ``--topic``.
 
     Raises:
-        LogError: the file cannot be opened, or is not a log. A damaged log is no error.
+        LogError: the file cannot be opened, or is not a log. A damaged log raises no error.
     """
     scan = Scan.of(path, overrides)
     salvage, tallies = scan.salvage, scan.tallies.values()

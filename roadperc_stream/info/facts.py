@@ -204,7 +204,7 @@ class ReplayFacts:
     refusal: str | None
     """Why a replay would stop before its first frame."""
     notes: tuple[str, ...]
-    """Guesses about roles."""
+    """Notes on guessed and missing roles."""
     roles: tuple[RoleState, ...]
     reference: str | None
     """The role whose messages make the frames."""

@@ -1,4 +1,4 @@
-"""Assigns channels to the roles of a replay, and says what a replay lacks without a role."""
+"""Assigns channels to the roles of a replay, and describes the effect of each missing role."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -82,7 +82,7 @@ def continued(roles: Roles) -> Roles:
 
 
 def _named(inputs: Sequence[Channel], overrides: Mapping[str, str]) -> dict[str, str]:
-    """The roles whose own topic exists and fits, for a log that a replay refuses."""
+    """The roles whose own topic exists and fits, for a log that cannot be replayed."""
     topics = {role.name: overrides.get(role.name, role.topic) for role in ROLES.values()}
     return {
         name: topic
@@ -110,7 +110,7 @@ def _state(
     if role.name in overrides and state == "missing":
         fault = "no such topic"
     cost = _UNNAMED_TRUTH if role.truth and could else _cost(role.name, assignment)
-    if state == "filled":  # the topic fits, but the log is refused before the role is assigned
+    if state == "filled":  # the topic fits, but the roles of this log could not be assigned
         state = "missing"
     return RoleState(role.name, state, named if fault else None, fault, could, cost)
 

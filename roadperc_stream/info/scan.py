@@ -119,7 +119,7 @@ class Tally:
 
 
 _MOST_SORTED: Final = 100_000
-"""Most messages of roles, without content, that wait to be sorted by log time."""
+"""Most messages of roles, without their content, that wait in memory to be sorted by log time."""
 
 
 @dataclass

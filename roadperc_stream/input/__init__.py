@@ -1,8 +1,8 @@
 """From a log to frames.
 
-The path of a frame: ``source`` says which part of which log, ``plan`` finds it in a first pass, ``stream`` decodes the
-messages of the assigned ``roles``, ``order`` puts them in the order of their stamps, ``latched`` keeps calibrations and
-transforms, ``sync`` groups what belongs together, ``assemble`` makes the sample.
+The modules in the order of use: ``source`` names the log and its time range, ``plan`` reads it in a first pass,
+``stream`` decodes the messages of the assigned ``roles``, ``order`` sorts them by stamp, ``sync`` groups the messages
+of each frame with the calibrations and transforms that hold, ``assemble`` makes the sample.
 """
 
 from roadperc_stream.input.replay_input import ReplayInput, input_of, open_input

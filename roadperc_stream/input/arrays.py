@@ -108,7 +108,7 @@ def checked_detections(detections: Iterable[Any]) -> tuple[Detection, ...]:
     """Detections as they are.
 
     Raises:
-        TypeError: one is no Detection with a Box.
+        TypeError: a detection is not a Detection with a Box.
         ValueError: a box ends before it begins, or is not finite.
     """
     return tuple(_checked_detection(f"detections[{number}]", found) for number, found in enumerate(detections))

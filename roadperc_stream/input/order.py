@@ -1,9 +1,9 @@
 """Sorts the messages of a log by stamp.
 
-A log has the order of arrival, but the chain needs the order of measurement: some sensors take longer than others, and
-single messages are late. A first pass measures the lateness, so that a log without late messages waits only for the
-next frame. Any wait of at least the lateness gives the same order. A stamp far before the latest one is a straggler or
-starts a new segment: the clock was set back, or a bag was played in a loop.
+Messages in a log are in the order of arrival, but the chain needs the order of measurement: some sensors take longer
+than others, and single messages are late. A first pass measures the lateness, so a log without late messages waits
+only for the next frame. Any wait of at least the lateness gives the same order. A stamp far before the latest one
+belongs to a late message or starts a new segment: the clock was set back, or a bag was played in a loop.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -15,7 +15,7 @@ from roadperc_stream.input.stream import Stamped
 from roadperc_stream.system.time import NS_PER_S
 
 _ROW: Final = 3
-"""Consecutive reference messages that begin a new segment; fewer are stragglers."""
+"""Consecutive reference messages that begin a new segment; fewer count as late messages."""
 _MOST_HELD: Final = 10_000
 """The most messages that wait while the reference sensor is silent and log times do not advance."""
 _LONGEST_HOLD_NS: Final = 10 * NS_PER_S
@@ -83,8 +83,8 @@ class StampOrder:
         for item in state.waiting:
             self._add(item)
         self.lateness_ns = 0
-        """The largest lag behind the reference sensor's latest stamp, at most the wait; reference stragglers do not
-        count."""
+        """The largest lag behind the reference sensor's latest stamp, at most the wait; late reference messages do
+        not count."""
 
     def through(self, items: Iterable[Stamped]) -> Iterator[Stamped]:
         """Take more messages in log order; give those that no later message can precede."""

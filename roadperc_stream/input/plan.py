@@ -2,7 +2,7 @@
 
 This first pass measures the lateness of the messages and gives the state for a continued replay. It pairs messages like
 the replay, but waits the full ``max_wait`` for each and drops contents. Later messages cannot change frames that are
-then complete; a continued replay takes the messages that still wait.
+complete after this pass; a continued replay takes the messages that still wait.
 """
 
 from collections import Counter
@@ -145,7 +145,7 @@ class InputPlan:
     problems: Problems
     first_pass: FirstPass
     most_frames: int | None = None
-    """Limit on the number of frames: the first ones by stamp among those that arrive in the part."""
+    """Largest number of frames: the first ones by stamp among those that arrive in the time range."""
 
 
 def plan_input(
@@ -227,7 +227,7 @@ def _window(summary: LogSummary, cfg: ReplayConfig, part: TimeRange, roles: Role
 
 
 def _cut_ns(summary: LogSummary, end_ns: int | None) -> int | None:
-    """The log time where another part continues the log: at the requested or the recorded end."""
+    """The log time from which another replay continues the log: the requested or the recorded end."""
     recorded = replay_record(summary.metadata).get(END_KEY, "")
     known = [int(recorded)] if recorded.isascii() and recorded.isdigit() and len(recorded) <= _MOST_DIGITS else []
     asked = [] if end_ns is None or end_ns > (summary.last_ns or 0) else [end_ns]

@@ -223,7 +223,7 @@ class ReplayInput:
 
     @property
     def lost_to_come(self) -> tuple[LostSpan, ...]:
-        """The gaps that may affect the frames after the last complete one, except gaps of later parts."""
+        """The gaps that may affect the frames after the last complete one, without gaps after the cut."""
         numbers = self.plan.first_pass.end.numbers
         since_ns = numbers.log_time_ns if numbers.next else None
         cut_ns = self.plan.window.cut_ns

@@ -59,7 +59,7 @@ class PendingMessage:
 
 @dataclass(frozen=True)
 class InputState:
-    """The state that later frames need of the messages that have arrived.
+    """The state of the arrived messages that later frames need.
 
     It assumes the full wait for every message, so it depends neither on the cut nor on the lateness of the messages.
     """

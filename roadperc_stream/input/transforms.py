@@ -28,7 +28,7 @@ class TransformTree:
         return TransformTree({**self.edges, **{edge.child: edge for edge in edges}})
 
     def knows(self, frame: str) -> bool:
-        """Whether a frame has a parent or children."""
+        """Whether the tree contains a frame."""
         return frame in self.edges or any(edge.parent == frame for edge in self.edges.values())
 
     def lookup(self, target: str, source: str) -> Float | None:

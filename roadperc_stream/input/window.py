@@ -18,8 +18,8 @@ class Window:
 
     ``end_stamp_ns`` is the stamp of the first frame after the window. A sensor's message with an earlier stamp belongs
     to the window even if it arrives after ``end_ns``. ``late_until_ns`` is the end of these late messages in log time,
-    None without any. ``cut_ns`` is the log time where another part continues the log: ``end_ns``, or the cut of an
-    earlier replay. Later messages of this log arrived late, and the other part has them too.
+    None without any. ``cut_ns`` is the log time from which another replay continues the log: ``end_ns``, or the cut of
+    an earlier replay. Messages of this log after the cut arrived late, and the other replay's input has them too.
     """
 
     start_ns: int | None = None

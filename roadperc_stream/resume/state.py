@@ -100,7 +100,7 @@ def state_at_end(path: Path, cfg: ReplayConfig) -> SavedState:
 def state_at_begin(summary: LogSummary, cfg: ReplayConfig, part: TimeRange) -> tuple[SavedState | None, Notes]:
     """The state before the first frame of a result, and notes for the user.
 
-    A part with a start time begins without a state.
+    A replay with a start time begins without a state.
 
     Raises:
         StateError: the state cannot be read.

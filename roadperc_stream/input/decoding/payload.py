@@ -75,7 +75,7 @@ class Context:
     definition_encoding: str = "ros2msg"
     limits: LimitsConfig = DEFAULT_LIMITS
     carla_bridge: bool = False
-    """Whether CARLA's ROS bridge wrote it. Its principal point counts from a pixel's corner."""
+    """Whether CARLA's ROS bridge wrote it: its principal point counts from a pixel's corner."""
 
 
 def pose_matrix(position: Any, orientation: Any) -> Float:
