@@ -56,7 +56,7 @@ class Damage:
     last_ns: int | None = None
     of_messages: bool = True
     number: int = 1
-    """How many damages it represents: the last listed one also represents all behind it."""
+    """Number of damages that it represents; the last listed one also represents all later ones."""
 
     def concerns(self, start_ns: int | None, end_ns: int | None) -> bool:
         """Return whether messages from ``start_ns`` up to ``end_ns`` may be affected; None is no limit."""
@@ -92,7 +92,7 @@ class DamagedLogError(LogError):
         self.path, self.damages, self.can_be_saved = path, tuple(damages), can_be_saved
 
     def __reduce__(self) -> tuple[type[Self], tuple[Any, ...]]:
-        """Pickle it by its arguments: worker processes raise it too."""
+        """Pickle the error by its arguments: worker processes raise it too."""
         return type(self), (self.path, self.damages, self.can_be_saved)
 
 

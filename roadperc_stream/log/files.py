@@ -1,8 +1,8 @@
 """Reads several files as one log, in the order of log times; each file is open only while it is read.
 
-A message that several files hold counts once: recorders repeat some messages where a file begins, and files are copied.
-Messages are equal if topic, schema, times, sequence and bytes are. Of equal messages the log has as many as the file
-with the most of them. Only topics and times that files share are compared, with digests of the current log time.
+A message in several files counts once: recorders repeat some messages at the start of a file, and files are copied.
+Messages are equal if topic, schema, times, sequence and bytes are equal. If one file has a message several times, the
+log also does. Only topics and times that files share are compared, with digests of the current log time.
 """
 
 import heapq
@@ -165,7 +165,7 @@ def _digest(message: Message) -> bytes:
 
 @dataclass(frozen=True)
 class UnitedFiles:
-    """Reads the messages of several files; a message that several of them hold comes once."""
+    """Reads the messages of several files; a message in several of them is yielded once."""
 
     files: MergedFiles | SortedFiles
     shared: SharedTimes
@@ -255,9 +255,9 @@ def united(files: Sequence[LogSummary], held_bytes: float, limits: LimitsConfig)
 
 
 def gone_on_ns(summary: LogSummary, files: Iterable[LogSummary]) -> int | None:
-    """Return the log time from which later files continue all topics of a file: its losses at the end stop there.
+    """Return the log time from which later files continue all topics of a file; its losses at the end stop there.
 
-    None if a topic does not continue. A topic with one message need not, unless all have one.
+    None if a topic does not continue. Topics with one message are not required to, unless all topics have only one.
 
     Args:
         summary: of the file.
@@ -290,7 +290,7 @@ def _with_ends(summary: LogSummary, files: Iterable[LogSummary]) -> Iterator[Met
 
 
 def _translations(summaries: Sequence[LogSummary]) -> list[Translation]:
-    """Return the channels of each file: equal ones of several files become one, those within a file stay apart."""
+    """Return the channels of each file: equal channels of several files become one, those of one file stay separate."""
     known: dict[tuple[Channel, int], Channel] = {}
     made: list[Translation] = []
     for summary in summaries:

@@ -20,7 +20,7 @@ BREAK: Final = 0
 """Opcode of the record that marks invalid bytes in the data section; the specification does not use it."""
 _BLOCK_BYTES: Final = 1024 * 1024
 _OVERLAP_BYTES: Final = 128
-"""More than the search reads at a possible start: the head of a record and the fields of a chunk."""
+"""Overlap of two blocks: longer than the head of a record and the fields of a chunk, which the search reads."""
 _FIELDS_BYTES: Final = 64
 _CHUNK_BEGINS: Final = rb"(?=\x06.{5}\x00{3}.{28}(?:\x00{4}|\x03\x00{3}lz4|\x04\x00{3}zstd))"
 _BESIDE_CHUNKS: Final = re.compile(_CHUNK_BEGINS + rb"|(?=[\x09\x0c\x0f].{5}\x00{3})", re.DOTALL)
@@ -37,7 +37,7 @@ _LEAST_BYTES: Final = {
 }
 """Smallest length of each kind of record: all its variable fields are empty."""
 IsMessage = Callable[[bytes], bool]
-"""Says whether the first bytes of a message record belong to a message of this log."""
+"""Returns whether the first bytes of a message record belong to a message of this log."""
 _FIRST_PRIVATE: Final = 0x80
 """First opcode of the range that applications may use."""
 _OF_DATA: Final = frozenset(_LEAST_BYTES) | {Opcode.MESSAGE_INDEX}
@@ -163,7 +163,7 @@ class Framing:
 
     @property
     def has_place(self) -> bool:
-        """Whether the place of a damage is known: the data section's CRC alone does not show one."""
+        """Whether the place of a damage is known; a wrong CRC of the data section does not show the place."""
         return self.damages not in ([], [self._data_crc_damage])
 
     def damaged(self, byte: int, words: str, first_ns: int | None = None, last_ns: int | None = None) -> None:
@@ -173,8 +173,8 @@ class Framing:
     def records(self, stream: IO[bytes]) -> Iterator[Record]:
         """Yield the file's records outside chunks, up to its end or to the last valid one.
 
-        A chunk that exceeds the file is yielded as far as it goes, with a fault. A record ``BREAK`` marks each place
-        with invalid bytes in the data section.
+        A chunk that exceeds the file is yielded with its available bytes and a fault. A record ``BREAK`` marks each
+        place with invalid bytes in the data section.
         """
         self._data_crc = crc32(stream.read(len(MAGIC)))
         search = RecordSearch(stream, self.size_bytes, self.is_message)
@@ -215,7 +215,7 @@ class Framing:
         return None
 
     def _broken(self, stream: IO[bytes], at: int, head: bytes, fault: str) -> Iterator[Record]:
-        """Add the damage; yield a chunk that exceeds the file as far as it goes."""
+        """Add the damage; yield the available bytes of a chunk that exceeds the file."""
         opcode, length = RECORD.unpack(head) if len(head) == RECORD.size else (BREAK, 0)
         left = self.size_bytes - at - RECORD.size
         if opcode == Opcode.CHUNK and length > left and self.summary_start is None:

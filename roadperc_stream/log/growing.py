@@ -21,9 +21,9 @@ from roadperc_stream.log.records import Channel, Message
 class GrowingLog:
     """The log that a ``LogWriter`` is writing, for one reader in another thread.
 
-    It keeps position, channels and time span of each chunk, and the messages of the open one. Memory is that of a few
-    chunks for a log of any length. Messages come in log-time order, up to the time that the writer has reached. A chunk
-    copied unchanged may have later messages: results are still to be written between them.
+    It keeps position, channels and time span of each chunk, and the messages of the open one. It needs memory for a
+    few chunks, whatever the log's length. Messages come in log-time order, up to the time that the writer has reached.
+    A chunk copied unchanged may have later messages, because results are written between them afterwards.
     """
 
     path: Path

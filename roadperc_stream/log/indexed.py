@@ -43,7 +43,7 @@ class ChunkContents:
     """Facts about a chunk that are known once it is decompressed."""
 
     crc: int
-    """Of its data."""
+    """CRC of the chunk's data."""
     is_tidy: bool
     """Whether its fields and message indexes are correct, and its messages are in log-time order."""
     described: frozenset[tuple[int, int]]

@@ -1,6 +1,6 @@
 """Compares a file with its index and statistics, and finds which messages a damaged log lost.
 
-Missing messages leave no other trace. Message indexes, chunk spans or the next message show what was lost.
+Only message indexes, chunk spans and the log time of the next message show which messages are missing.
 """
 
 from collections import Counter
@@ -30,7 +30,7 @@ class Inventory:
     first_ns: int | None = None
     last_ns: int | None = None
     behind_ns: int = -1
-    """The most that a message's log time lies before an earlier one's; -1 if log times strictly ascend."""
+    """Largest step back of log time from an earlier message to a later one; -1 if log times strictly ascend."""
     chunks: dict[int, records.ChunkIndex] = field(default_factory=dict)
     """The correct index entries, by the chunk's first byte."""
     entries: list[tuple[int, records.ChunkIndex]] = field(default_factory=list)
@@ -51,7 +51,7 @@ class Inventory:
     _with_index: bool | None = None
 
     def note(self, start: int, item: records.McapRecord) -> None:
-        """Record what a record outside chunks says, other than a message."""
+        """Record the content of a record outside chunks, except messages."""
         match item:
             case records.Attachment():
                 self.attachments.append(start)
@@ -208,7 +208,7 @@ class Gap:
 
 
 def expected_messages(stream: IO[bytes], at: int) -> Positions:
-    """Return the messages that the message indexes from a byte on list; the stream's position stays."""
+    """Return the messages in the message indexes that start at a byte; the stream's position is restored."""
     expected = Positions()
     here = stream.tell()
     stream.seek(at)

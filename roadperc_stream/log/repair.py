@@ -39,10 +39,10 @@ class LostSpan:
 
 @dataclass(frozen=True)
 class Recovery:
-    """What was saved of a damaged log, and what was lost."""
+    """The saved and lost messages of a damaged log."""
 
     saved: int
-    """Messages."""
+    """Number of saved messages."""
     lost: Mapping[str, int]
     """Number of messages by topic, as far as the log shows it."""
     exact: bool
@@ -82,19 +82,19 @@ class Recovery:
         return Metadata(RECOVERY_RECORD, tuple(values.items()))
 
     def ending(self, last_ns: int | None) -> "Recovery":
-        """Return it with an end for gaps without one, except gaps that begin later."""
+        """Return the recovery with an end for gaps without one, except gaps that begin later."""
         if last_ns is None:
             return self
         return replace(self, gaps=tuple(_ending(gap, last_ns) for gap in self.gaps))
 
     def of_at_most(self, gaps: int) -> "Recovery":
-        """Return it with at most this number of gaps; the last one covers the rest."""
+        """Return the recovery with at most this number of gaps; the last one covers the rest."""
         if len(self.gaps) <= gaps:
             return self
         return replace(self, gaps=(*self.gaps[: gaps - 1], _as_one(self.gaps[gaps - 1 :])))
 
     def after(self, earlier: "Recovery | None", saved: int) -> "Recovery":
-        """Return it with the losses of an earlier repair of this log, or of its previous file."""
+        """Return the recovery with the losses of an earlier repair of this log, or of its previous file."""
         if earlier is None:
             return self
         lost = dict(Counter(earlier.lost) + Counter(self.lost))
@@ -144,7 +144,7 @@ def _at(time_ns: int, first_ns: int | None) -> str:
 
 
 def _recovery_of(salvage: Salvage) -> Recovery:
-    """Return what a finished salvage saved and lost."""
+    """Return the recovery of a finished salvage."""
     topics = {number: channel.topic for number, channel in salvage.channels.items()}
     gaps = tuple(LostSpan(gap.first_ns, gap.last_ns, _by_topic(gap.messages, topics)) for gap in salvage.losses.all)
     if salvage.written is not None:
@@ -171,7 +171,7 @@ def write_repaired(source: Path, target: Path, limits: LimitsConfig = DEFAULT_LI
         limits: of the records and chunks of ``source``.
 
     Returns:
-        The finished salvage of ``source``, and what the record says.
+        The finished salvage of ``source``, and the recovery in the record.
 
     Raises:
         LogError: not one message can be read.

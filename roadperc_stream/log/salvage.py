@@ -60,7 +60,7 @@ class Salvage:
     """Number of chunks by compression; "" for uncompressed ones."""
     described: Described = field(default_factory=Described)
     absent: tuple[str, ...] = ()
-    """Optional things that the log lacks: its index, CRCs."""
+    """Optional parts that the log lacks: its index, CRCs."""
     last_good_ns: int | None = None
     """Log time of the last message before the first damage."""
     all_in_chunks: bool = True
@@ -97,7 +97,7 @@ class Salvage:
 
     @property
     def whole(self) -> bool:
-        """Whether the file is complete and has no damage that it can reveal."""
+        """Whether the file is complete and no damage was found."""
         return self._framing.ended and not self.damages
 
     @property
@@ -162,7 +162,7 @@ class Salvage:
         self._conclude()
 
     def _messages_of(self, record: layout.Record) -> Iterator[Found]:
-        """Yield the messages of a record; record what any other record says."""
+        """Yield the messages of a record; store the content of any other record."""
         if record.opcode != Opcode.MESSAGE_INDEX:
             self._framing.note(self._inventory.close_chunk())
         if record.opcode == Opcode.CHUNK:
@@ -282,7 +282,7 @@ class Salvage:
             raise ValueError("has the form of a chunk")
 
     def _note(self, opcode: int, body: bytes, start: int | None = None) -> None:
-        """Record what a record other than a message says; ``start`` is its first byte, None inside a chunk."""
+        """Store the content of a record that is not a message; ``start`` is its first byte, None inside a chunk."""
         if opcode in layout.PARSED:
             item = layout.parse(opcode, body, spare_allowed=start is None)
             if start is not None:
@@ -292,7 +292,7 @@ class Salvage:
                 require_gaps(self.described.metadata[-1], self.limits)
 
     def _conclude(self) -> None:
-        """Find what only the end shows: missing records, and what the writer left out."""
+        """Check at the end of the file: find missing records, and optional parts that the writer left out."""
         self._framing.note(self._inventory.close_chunk())
         if not self._framing.has_place and self.conclusive:
             for damage in self._inventory.discrepancies(self._framing.summary_start):

@@ -61,7 +61,7 @@ class LogWriter:
         """Append a message; its channel and schema are registered at their first use.
 
         Raises:
-            TargetError: it cannot be written, for example because the disk is full; as in the other methods.
+            TargetError: the log cannot be written, for example on a full disk; the other methods raise it too.
         """
         channel_id = self.register(message.channel)
         self.messages += 1
