@@ -22,13 +22,13 @@ _MOST_LISTED: Final = 6
 
 
 def listed(names: Sequence[str], most: int = _MOST_LISTED) -> str:
-    """Names separated by commas; of many only the first ones."""
+    """Names separated by commas; only the first ones if there are many."""
     rest = len(names) - most
     return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def rounded(value: float | None) -> str:
-    """The value with two decimals, one from 10 on; empty for None."""
+    """The value with two decimals, with one decimal from 10 on; empty for None."""
     return "" if value is None else f"{value:z.1f}" if abs(value) >= 10 else f"{value:z.2f}"
 
 

@@ -18,15 +18,15 @@ ROW_STEP_PX: Final = 10
 CULANE_THRESHOLDS: Final = (0.5, 0.3)
 """Intersection over union from which a line is found."""
 TUSIMPLE_PX: Final = 20.0
-"""Largest column error of a right point on an upright lane, in a 1280 px wide image."""
+"""Limit of the column error of a correct point on an upright lane, in a 1280 px wide image."""
 TUSIMPLE_MATCHED: Final = 0.85
 """Accuracy from which a true lane is found."""
 _TUSIMPLE_SURPLUS: Final = 2
 """A frame with more surplus predicted lanes than this scores (0, 0, 1)."""
 _TUSIMPLE_LANES: Final = 4
-"""If there are more true lanes than this, the worst one is forgiven."""
+"""If there are more true lanes than this, the worst one does not count."""
 _NOWHERE_PX: Final = -100.0
-"""Column of an absent point, as in TuSimple's script: right only if both points are absent."""
+"""Column of an absent point, as in TuSimple's script: correct only if both points are absent."""
 CULANE_WIDTH_PX: Final = 30
 """Width of a drawn lane in a 1640 px wide image."""
 TUSIMPLE_COLUMNS: Final = 1280
@@ -39,7 +39,7 @@ seconds or overflow its 32 bits. Lines that pass beside the camera have such poi
 
 
 class TuSimpleScore(NamedTuple):
-    """Shares of one frame: right points, wrong predicted lanes, missed true lanes."""
+    """Shares of one frame: correct points, wrong predicted lanes, missed true lanes."""
 
     accuracy: float
     fp: float
@@ -180,10 +180,10 @@ def tusimple(
 ) -> TuSimpleScore:
     """Accuracy, false positives and false negatives of a frame, by the TuSimple lane detection challenge (2017).
 
-    A point is right if its column error is less than 20 px / cos(angle of the true lane), or if both lanes have no
+    A point is correct if its column error is less than 20 px / cos(angle of the true lane), or if both lanes have no
     point there. The best predicted lane gives the accuracy of a true lane, which is found from ``TUSIMPLE_MATCHED`` on.
-    As in the benchmark's script, the worst of more than four true lanes is forgiven. A frame with more than two surplus
-    lanes scores (0, 0, 1).
+    As in the benchmark's script, the worst of more than four true lanes does not count. A frame with more than two
+    surplus lanes scores (0, 0, 1).
 
     Args:
         predicted: one (N,) array per lane: its column in px at each row, NaN without a point.

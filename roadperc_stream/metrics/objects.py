@@ -126,7 +126,7 @@ def object_errors(objects: Objects | Absent, truth: Objects | None) -> ObjectErr
 def true_impact(objects: Objects | Absent, truth: Objects | None) -> TrueImpactColumns:
     """The smallest true time to impact of the objects in the path, and the estimate's error.
 
-    None if the truth does not say which objects are in the path.
+    None if the truth lacks ``in_path``.
     """
     ahead = () if truth is None else (item for item in truth.objects if item.in_path)
     true_s = min((impact for item in ahead if (impact := true_time_to_impact_s(item)) is not None), default=None)

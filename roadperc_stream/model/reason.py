@@ -137,12 +137,12 @@ MISSING_ROLES: Final[dict[str, tuple[str, ...]]] = {
     "no_right_image": ("right",),
     "no_left_no_right_image": ("left", "right"),
 }
-"""The inputs that a code says are missing."""
+"""The missing inputs of each code."""
 _CAUSE: Final = "cause"
 _CAUSE_SOURCE: Final[dict[str, str]] = {"no_surface": "surface", "no_drivable_surface": "drivable"}
-"""The source of the cause, by code; other codes have a cause of their own source."""
+"""The source of the cause, by code; for other codes it is the source of the reason itself."""
 _DETAIL: Final = "detail"
-"""The field with the text of a library or a file, which does not distinguish kinds."""
+"""The field with the text of a library or a file; reasons of one kind may differ in it."""
 _SOURCE: Final = re.compile(r"([a-z_]+): (.*)", re.DOTALL)
 _NUMBERS: Final = {"d": r"-?\d+", "g": r"-?(?:[\d.]+(?:e[-+]\d+)?|inf|nan)", ".0f": r"-?\d+|nan", ".0%": r"-?\d+%"}
 

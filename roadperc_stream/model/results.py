@@ -40,7 +40,7 @@ class Absent:
     def __format__(self, layout: str) -> str:
         return format(str(self), layout)
 
-    if not TYPE_CHECKING:  # for mypy, an absent output has only its reason
+    if not TYPE_CHECKING:  # mypy must see only the reason of an absent output
 
         def __getattr__(self, name: str) -> object:
             """Raise for each attribute of a present output."""

@@ -62,8 +62,8 @@ def ranked(counts: Mapping[ReasonKind, ReasonCount]) -> ReasonCounts:
 def throughout(counts: Mapping[ReasonKind, ReasonCount], frames: int, filled: Collection[str]) -> tuple[str, ...]:
     """Texts of the reasons in all frames of a replay, and of messages that could not be used in some frames.
 
-    The first few are listed, the others counted. Not listed: stages that are switched off, inputs without a topic in
-    the log, and consequences of a listed reason.
+    The first few are listed, the others are only counted. Stages that are switched off, inputs without a topic in the
+    log, and consequences of a listed reason are left out.
 
     Args:
         counts: of all frames.

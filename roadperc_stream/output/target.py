@@ -68,7 +68,7 @@ class ReplayTarget:
         Args:
             sources: the input.
             continued: the result that the replay continues.
-            resume: whether a finished output may be there.
+            resume: whether a finished output may exist.
 
         Raises:
             TargetError: a file must not be replaced.

@@ -94,7 +94,7 @@ def nothing_shown(path: Path, reasons: Iterable[str]) -> LogError:
 
 Content = TypeVar("Content")
 LATENESS_NS: Final = (0, 2 * NS_PER_S)
-"""Windows for the difference of log time and stamp; the first one is cheap to read."""
+"""Tried limits of the difference between log time and stamp; little is read with the first one."""
 _KINDS: Final[Mapping[str, Kind]] = {LANES_TOPIC: "lanes", OBJECTS_TOPIC: "objects", DRIVABLE_TOPIC: "tags"}
 _MOST_WAITING: Final = 64
 """Most stamps that wait for metrics. Messages without a frame never get metrics."""

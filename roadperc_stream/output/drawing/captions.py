@@ -90,7 +90,7 @@ def _wanted(image_size: Size, box: Box, text_size: Size) -> Iterable[Box]:
 _MOST_LIFTS: Final = 2
 """A label is at most this many lines of text above its object."""
 _LEAST_BOX_AREAS: Final = 6.0
-"""An object may have its label inside if its area is this many times as large."""
+"""An object may have its label inside if its area is more than this many times the label's."""
 _GAP: Final = 0.15
 """Gap between a label and the boxes it must not cover, in heights of the label."""
 

@@ -1,6 +1,6 @@
 """Panels of Foxglove and Lichtblick and their arrangement, as the JSON that both viewers store.
 
-A part with nothing to show is None; rows, columns and tabs leave it out. ``foxglove.layouts`` of the SDK writes a form
+A panel with nothing to show is None; rows, columns and tabs leave it out. ``foxglove.layouts`` of the SDK writes a form
 that Lichtblick does not read.
 """
 

@@ -28,7 +28,7 @@ RESUME_LEAD_S: Final = 0.25
 LOOP_PAUSE_S: Final = 0.5
 """Pause at the end before playback starts over, while sent messages arrive."""
 LONGEST_WAIT_S: Final = 0.5
-"""Bounded because Python handles a signal only after the wait."""
+"""Longest wait without playback; Python handles a signal only after the wait."""
 _STATUS_ID: Final = "roadperc"
 
 
@@ -81,7 +81,7 @@ def advance(
     """The playhead now, and the seconds until it changes or the next message is due.
 
     A message is due when playback reaches its log time, or at once if log time goes back. A change from the end to a
-    pause starts playback over: viewers then forget the messages that they showed.
+    pause starts playback over: viewers then drop the messages that they showed.
 
     Args:
         playhead: the previous playhead.

@@ -87,8 +87,8 @@ def running_replay(growing: GrowingLog, first_ns: int) -> Source:
 def held(source: Source, topics: Collection[str], log_ns: int) -> list[Message]:
     """The last message of each channel up to a log time, or its last messages if several share a log time.
 
-    Looks back in growing steps for the topics not found yet. The index leads to a calibration at the start without
-    reading all messages between.
+    Looks back in growing steps for the topics not found yet. With the index, a calibration at the start is read without
+    the messages in between.
     """
     missing, end_ns, step_ns = set(topics), log_ns + 1, _LOOK_BACK_NS
     first_ns, found = source.reach().first_ns, list[Message]()
@@ -136,8 +136,8 @@ def has_times(source: Source, times: TimesOfFrame) -> bool:
 def _timed(messages: Iterator[Message | None], channel: Channel, times: TimesOfFrame) -> Iterator[Message | None]:
     """The messages, with the times of each frame after its metrics.
 
-    A replay knows the times of a frame after it writes the metrics and before it writes the next frame. Times are
-    therefore looked up at each message until they are known.
+    In a running replay, the times of a frame are known after its metrics and before the next frame is written. So they
+    are looked up at each message until they are known.
     """
     waiting: Message | None = None
     for message in messages:

@@ -58,7 +58,7 @@ class SceneState:
         return image_plane(camera.frame_id if camera else frame_id)
 
     def knows(self, frame_id: str) -> bool:
-        """Whether the log's transforms contain a frame."""
+        """Whether the log's transforms contain this frame."""
         return self.latched.tree.knows(frame_id)
 
     def latch(self, role: str, payload: Payload) -> None:
