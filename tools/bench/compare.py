@@ -1,7 +1,7 @@
 """Compare the speed with an earlier commit: alternating replays of both versions, ratios with confidence intervals.
 
 Run ``make bench-compare BASE=<commit>`` or ``python -m roadperc_stream.tools.bench.compare FOLDER BASE``. The exit code
-is 1 if a quantity is slower by more than a share with the given confidence.
+is 1 if a quantity is slower by more than the allowed share, with the given confidence.
 
 The logarithms of the rounds' ratios scatter around the true ratio, with a few large outliers. The estimate of Hodges
 and Lehmann is the median of all pairwise means (Walsh averages). The interval lies between two of these means, by the

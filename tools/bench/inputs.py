@@ -32,7 +32,7 @@ _RATE_HZ: Final = 20.0
 
 @dataclass(frozen=True)
 class BenchLog:
-    """A log to replay, and logs of its first frames and its first frame; their time is the start."""
+    """A log to replay, a log of its first frames, whose time is the start, and a log of its first frame."""
 
     name: str
     path: Path

@@ -69,7 +69,7 @@ def cost_of(name: str, command: Sequence[str]) -> Cost:
 
 
 def replay_command(*arguments: str | Path, package: Path | None = None) -> list[str]:
-    """Return the command of a replay with this package or that in a folder; ``-P`` ignores the working directory."""
+    """Return the command of a replay with this package or a folder's package; ``-P`` ignores the working directory."""
     found = "" if package is None else f"sys.path.insert(0, {str(package)!r}); "
     code = f"import sys; {found}from roadperc_stream.cli.launch import replay; sys.exit(replay())"
     return [sys.executable, "-P", "-c", code, *map(str, arguments)]

@@ -53,7 +53,7 @@ class CalibrationFile(Intrinsics):
 _CAMERA_KEYS = (*Intrinsics.model_fields, "fov")
 _KEYS = (*CalibrationFile.model_fields, "fov")
 _MISSPELLED = 0.78
-"""Similarity to a known key that makes a key an error: ``widht`` has 0.8, ``fov_y`` 0.75 (a note)."""
+"""An unknown key is an error if it is more similar to a known one: ``widht`` has 0.8, ``fov_y`` 0.75 (a note)."""
 
 
 Pinhole = tuple[float, float, float, float]
@@ -78,7 +78,7 @@ def load_calibration(path: Path) -> CalibrationFile:
 
 
 def _refuse_misspelled(path: Path, document: Any) -> None:
-    """Check for keys that are nearly known keys; other unknown keys are notes.
+    """Check that no unknown key is similar to a known key; other unknown keys are notes.
 
     Raises:
         DumpError: a key is misspelled.

@@ -1,6 +1,6 @@
 """Depth in metres from the usual encodings of CARLA's depth. The content decides, once for each sensor.
 
-The ground shows which coding an 8-bit grey image has. Below the horizon a level camera sees a road at
+The ground shows which coding an 8-bit grey image has. In a level camera, a row below the horizon shows the road at
 h fy / (row - horizon) metres. Each coding predicts a grey level for each row. Only the right coding fits the rows with
 a plausible camera height. With a wrong coding the ground is curved, or the camera is metres too low or too high.
 
@@ -154,19 +154,19 @@ _GREY_OF: Final[Mapping[GreyDepth, Callable[[Float], Float]]] = {
     "logarithmic": lambda metres: 1.0 + np.log(metres / FAR_PLANE_M) / LOG_SCALE,
 }
 _HEIGHTS_M: Final = np.geomspace(1.0, 4.0, 33)
-"""Heights of cameras on cars and lorries."""
+"""Tried heights of the camera, as on cars and lorries."""
 _HORIZON_SHARE: Final = 0.1
 """Largest distance of the horizon from the principal point, share of the image's height: 5 degrees or more."""
 _HORIZONS: Final = 61
 _BELOW: Final = 0.03
 """First compared row: distance below the principal point, share of the image's height."""
 _MIDDLE: Final = 1 / 3
-"""Share of the columns that is compared: the centre shows road."""
+"""Share of the columns that is compared, in the centre, which shows road."""
 _MIN_ROWS: Final = 8
 _MOST_OFF: Final = 3.0
 """Largest mean error of a coding over the rows, grey levels."""
 _MOST_COUNTED: Final = 20.0
-"""Largest counted error of a row, grey levels: a car may stand on the road."""
+"""Limit of a row's error in the mean, grey levels, because a car may cover the road."""
 _TIMES_BETTER: Final = 2.0
 _FINEST: Final = 0.3
 """Smaller errors do not distinguish codings, because grey levels are integers."""

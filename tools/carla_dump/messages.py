@@ -29,7 +29,7 @@ from .tag_files import tags_of
 
 T = TypeVar("T")
 Encode = Callable[[int, int], bytes | None]
-"""Makes the message of a frame from its number and stamp in nanoseconds; None if the frame has none."""
+"""Makes the message of a frame from its number and stamp in nanoseconds; None for a frame without one."""
 EncodeFile = Callable[[Plan, str, Path, int], bytes]
 """Makes the message of a role's file with a stamp in nanoseconds."""
 

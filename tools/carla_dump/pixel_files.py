@@ -1,6 +1,6 @@
 """Read a frame's file as an array: PNG, JPEG, ``.npy`` or CSV text. The content decides the format.
 
-numpy's reader trusts the header of a ``.npy`` file: it allocates the stated shape, and opens zip archives and pickles.
+numpy's reader does not check a ``.npy`` header: it allocates the stated shape, and opens zip archives and pickles.
 ``read_npy`` compares the header with the size of the file before it allocates an array.
 """
 

@@ -94,7 +94,7 @@ def survey(sensor: Sensor) -> SensorSurvey:
 
 
 def points_fault(sensor: Sensor, frames: Collection[int]) -> str:
-    """Return why no frame gets points from a lidar, or "" if one does; ``frames`` are the frames with an image.
+    """Return the reason if a lidar has points for no frame, else ""; ``frames`` are the frames with an image.
 
     Reads files until one holds points, since the first bytes are not enough.
     """

@@ -1,7 +1,7 @@
 """Noise textures with grain at every scale, prefiltered for every distance.
 
-Stereo matching needs texture everywhere. Grain finer than a pixel must fade, or it flickers and differs between the
-two views. Coarser grain must stay. Each level of the stack holds the road's grain blurred by the footprint of a pixel
+Stereo matching needs texture everywhere. Grain finer than a pixel must fade, because it would flicker and differ
+between the two views. Coarser grain must stay. Each level of the stack holds the grain blurred by a pixel's footprint
 at one depth: z / f across the road and z^2 / (f h) along it.
 """
 

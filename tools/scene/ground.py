@@ -58,7 +58,7 @@ class _Rays:
 
 
 def trace_ground(camera: Camera, world_T_camera: Float, scene: RenderedScene, s_m: float) -> Ground:
-    """Return the ground as the camera sees it; ``s_m`` is the camera's position along the road."""
+    """Return the ground in the camera's image; ``s_m`` is the camera's position along the road."""
     road = scene.ground_path.around(s_m)
     top_row, rays = _rays(camera, world_T_camera, scene.terrain.steepest)
     depth = np.minimum(scene.terrain.first_hits(rays.centre_m, rays.dx, rays.dz, 0.0), FAR_M)
@@ -72,7 +72,7 @@ def trace_ground(camera: Camera, world_T_camera: Float, scene: RenderedScene, s_
 
 
 def _rays(camera: Camera, world_T_camera: Float, steepest: float) -> tuple[int, _Rays]:
-    """Return the first row that can see ground, and the directions of all pixels from there on."""
+    """Return the first row that can show ground, and the directions of all pixels from that row on."""
     R = world_T_camera[:3, :3]
     u = (np.arange(camera.width) - camera.cx) / camera.fx
     v = (np.arange(camera.height) - camera.cy) / camera.fy
@@ -104,7 +104,7 @@ def _raise_beyond_curbs(ground: Ground, depth_m: Float, rays: _Rays, start: Floa
     x, y = _at(start, picked, upper)
     s, across, d = _places(ground.road, scene, x, y)
     raised = (np.abs(d) >= curb_m) & (upper < FAR_M)
-    # Stay off the border by more than a rounding error, or the tag table takes the edge of the curb for road.
+    # Stay off the border by more than a rounding error, or the tag table gives road at the edge of the curb.
     d = np.copysign(np.maximum(np.abs(d), np.float32(curb_m + 1e-4)), d)
     _put(ground, chosen[raised], *(a[raised] for a in (upper.astype(np.float32), s, across, d, x, y)))
     lower = depth_m.ravel()[chosen]
@@ -173,7 +173,7 @@ class Paint:
 
 
 def paint_on(markings: Markings, ground: Ground, focal_px: float) -> Paint:
-    """Return the paint that a camera sees."""
+    """Return the paint in the camera's image."""
     s = ground.s_m + np.float64(ground.road.s_origin_m)
     on_road = (ground.depth_m < FAR_M) & ~ground.curb & ~_within(s, markings.missing)
     fresh: Float32 = np.ones(s.shape, np.float32)

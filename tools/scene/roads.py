@@ -59,7 +59,7 @@ class Crossing:
 
     @property
     def beyond_m(self) -> float:
-        """Return the offset from the distance behind the centre to s, after the crossing."""
+        """Return the offset to add to the distance behind the centre to get s, after the crossing."""
         return self.x_m + (np.pi / 2 - 2) * self.radius_m if self.turn else self.x_m
 
     @property
@@ -85,7 +85,7 @@ class Crossing:
 
     def arm_distances(self, x_m: Real, y_m: Real) -> tuple[Real, Real]:
         """Return the signed distances of a world point from the centre lines of the first and the second road."""
-        # The second road points to where the car turns, or to the left if it does not turn.
+        # The second road points in the direction of the turn, or to the left if the car does not turn.
         sign = -1.0 if self.turn < 0 else 1.0
         return y_m, sign * (self.x_m - x_m)
 

@@ -1,7 +1,7 @@
-"""A scenario frame by frame: the pose of the car and everything that the cameras can see.
+"""A scenario frame by frame: the pose of the car and everything visible to the cameras.
 
-Houses, lamp posts, trees and parked cars stand in slots along s. The content of a slot depends on (seed, slot) only.
-So a scenario can have any length, and a place always looks the same.
+Houses, lamp posts, trees and parked cars stand in slots along s. The content of a slot depends only on (seed, slot),
+so a scenario can have any length, and a place always looks the same.
 """
 
 from dataclasses import dataclass
@@ -140,7 +140,7 @@ class Scenario:
         return cls(ego, Fixtures(scene, options.seed, options.parked_rows), traffic, options.mount[2])
 
     def at(self, time_s: float) -> Moment:
-        """Return the moment at a time since the start, in seconds."""
+        """Return the scene at a time since the start, in seconds."""
         scene, s = self.ego.scene, self.ego.s(time_s)
         fixtures = self.layout.near(s)
         bodies = (*(body for body in fixtures if body.label), *self.traffic.at(time_s))

@@ -148,7 +148,7 @@ def _cast_shadow(brightness: Float32, ground: Ground, shadow: Shadow, box: tuple
 
 
 def shade_faces(drawn: Drawn, sheet: Sheet, pixels: NDArray[np.intp], light: Float) -> Picture:
-    """Return (N, 3) colours of pixels (flat indices) that see a face; ``light`` is the brightness of each face."""
+    """Return (N, 3) colours of pixels (flat indices) that show a face; ``light`` is the brightness of each face."""
     index = drawn.face.ravel()[pixels].astype(np.intp)
     rows, columns = np.divmod(pixels.astype(np.int32), np.int32(drawn.face.shape[1]))
     u, v = columns.astype(np.float32), rows.astype(np.float32)

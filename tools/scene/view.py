@@ -25,7 +25,7 @@ ROAD, ROAD_LINE, SKY = (CARLA_FROM_0_9_14.names.index(name) for name in ("road",
 
 @dataclass(frozen=True)
 class Moment:
-    """The scene at one time; ``bodies[i]`` has the number i + 1 in the views."""
+    """The scene at one time; ``bodies[i]`` has object number i + 1 in the views."""
 
     time_s: float
     scene: RenderedScene
