@@ -54,7 +54,7 @@ def _first_copies(reference: Path, candidate: Sequence[Run]) -> list[Copy]:
 
 
 def _update_copies(reference: Path, pairing: Pairing) -> list[Copy]:
-    """Copies of the tables whose results differ, and of those that the reference lacks.
+    """Copies of the tables whose results differ, and of the tables that the reference lacks.
 
     Raises:
         TableError: a pair has different numbers of continued replays.

@@ -32,14 +32,14 @@ class Group:
 
     @property
     def example(self) -> Run:
-        """A run with the settings of all runs."""
+        """A run that has the settings, which are the same in all runs."""
         return next((run for run in self.runs if run.config), self.runs[0])
 
 
 def grouped(runs: Sequence[Run]) -> list[Group]:
     """The runs by configuration and version, in the order of appearance.
 
-    A run without a configuration is a group. A group of one run has the run's name, a larger one its configuration's.
+    A run without a configuration is a separate group. Groups are named by their only run, else by their configuration.
     """
     groups: dict[Hashable, list[Run]] = {}
     for run in runs:

@@ -23,7 +23,7 @@ class JoinedRuns:
 
 
 def find_joined(arguments: Sequence[str]) -> JoinedRuns:
-    """The runs that the arguments name, with continued replays joined at the place of the first one.
+    """The runs that the arguments name, with continued replays joined at the position of their first replay.
 
     Replays of different versions, and several replays that continue the same one, are not joined.
 

@@ -75,7 +75,7 @@ def to_line(frame: LaneFrame) -> str:
     """One frame as a line of JSON, columns rounded to hundredths of a pixel."""
     lanes = [_numbers(np.nan_to_num(lane, nan=ABSENT_PX)) for lane in frame.lanes]
     run_time = round(frame.run_time_ms, _DECIMALS)
-    # without validation: a small image has no row of TuSimple's, which is an error only in files to read
+    # without validation: a small image may have none of TuSimple's rows; only files to read must have one
     rows = _numbers(frame.rows)
     line = _Line.model_construct(raw_file=frame.raw_file, lanes=lanes, h_samples=rows, run_time=run_time)
     return line.model_dump_json() + "\n"
@@ -192,7 +192,7 @@ def open_lanes(path: Path) -> RunLanes:
 
 
 def _frames_before(waiting: deque[tuple[int, float]], stamp_ns: int, left: Counter[int]) -> Iterator[tuple[int, float]]:
-    """Take the frames before the next frame of a stamp, perhaps in a later segment; without one, the earlier stamps."""
+    """Take the frames before the next frame with a stamp, also in a later segment; else those of earlier stamps."""
     while waiting and (waiting[0][0] != stamp_ns if left[stamp_ns] > 0 else waiting[0][0] < stamp_ns):
         left[waiting[0][0]] -= 1
         yield waiting.popleft()

@@ -33,7 +33,7 @@ class FrameScore(NamedTuple):
 
 
 def by_key(truth: Sequence[LaneFrame], pairing: LanePairing) -> dict[int, LaneFrame]:
-    """True frames by stamp in ns, the last part of ``raw_file``, or by their order in the file.
+    """True frames by stamp in ns, from the last component of ``raw_file``, or by their order in the file.
 
     Raises:
         LaneFileError: a ``raw_file`` has no stamp, or the stamp of another line.

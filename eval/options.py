@@ -13,7 +13,7 @@ Alignment = Literal["se3", "sim3", "origin", "none"]
 """Alignment of the estimated path to the true one."""
 DeltaUnit = Literal["frames", "metres"]
 LanePairing = Literal["stamp", "order"]
-"""How a lane frame of the ground truth finds the frame of the run."""
+"""How frames of the true lanes are paired with frames of the run."""
 WORST_FRAMES: Final = 3
 EVERYTHING = "*"
 

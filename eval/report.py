@@ -22,7 +22,7 @@ from .summary import Summary, summarise_group, summarise_run
 
 WritePage = Callable[[Path, list[Run]], None]
 RUNS_LISTED: Final = 40
-"""Rows of the tables with one row per run; of more runs, those with the least coverage."""
+"""Rows of the tables with one row per run; if there are more runs, those with the least coverage."""
 _NARROW: Final = {"odometry": "odom."}
 """Short headers for wide tables."""
 

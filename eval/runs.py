@@ -188,7 +188,7 @@ def find_runs(arguments: Sequence[str]) -> tuple[Run, ...]:
 
 
 def _without_repeated_frames(run: Run, runs: Iterable[Run]) -> Run:
-    """The run without the frames that the run which continues it repeats."""
+    """The run without the frames that its continued replay repeats."""
     same = (run.log_id, run.config_digest)
     later = [other for other in runs if run.log_id and (other.continues, other.config_digest) == same]
     if not later:

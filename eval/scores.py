@@ -16,11 +16,11 @@ from .scan import before
 
 _FARTHEST: Final = 6
 _SHIFTS: Final = tuple(sorted(range(-_FARTHEST, _FARTHEST + 1), key=abs))
-"""Lags that are tried, in frames; the smallest first, which is chosen between equals."""
+"""Tried lags, in frames, the smallest first; among equally good lags the smallest one is chosen."""
 _FOLLOWS: Final = 0.5
 """Smallest correlation of an estimate that follows its truth; on a straight road it is lower."""
 _DISTINCT: Final = 1.25
-"""Ratio by which other lags must leave more of the variance unexplained than the reported lag."""
+"""Minimum ratio between the unexplained variance at other lags and that at the reported lag."""
 _ROUNDING: Final = 1e-9
 _FEWEST: Final = 3
 """Fewest frames for a correlation; two columns of fewer frames always correlate."""

@@ -25,7 +25,7 @@ _LEGEND: Final = (
 )
 REASONS_SHOWN: Final = 10
 LISTED: Final = 12
-"""Runs or configurations per row; of more, those with the worst p95 are listed."""
+"""Runs or configurations per row; if there are more, those with the worst p95 are listed."""
 Summaries = Sequence[Summary]
 """The subjects of a table: runs or pooled runs, side by side."""
 _STATUSES: Final = ("measured", "held", "lost")

@@ -1,7 +1,7 @@
 """Summaries of metrics tables, one by one and over all of them.
 
 Each table is read once. The distributions of its columns are kept whole while all tables together have at most
-EXACT_FRAMES rows; beyond that they are thinned. Everything else in a summary is exact and small.
+EXACT_FRAMES rows; beyond that they are thinned. All other figures of a summary are exact and small.
 """
 
 from collections.abc import Iterable, Mapping, Sequence

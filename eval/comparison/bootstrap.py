@@ -1,8 +1,8 @@
 """Confidence interval of a mean paired difference, from resampled blocks: neighbouring frames are not independent.
 
 Within a log the circular block bootstrap (Politis and Romano 1992) draws blocks of neighbouring frames. Their length
-follows from the data's correlation (Politis and White 2004, corrected by Patton, Politis and White 2009). From
-``MANY_LOGS`` logs on, whole logs are the blocks. Few blocks give intervals that are too narrow, so the interval is
+follows from the data's correlation (Politis and White 2004, corrected by Patton, Politis and White 2009). With
+``MANY_LOGS`` logs or more, whole logs are the blocks. Few blocks give intervals that are too narrow, so the interval is
 widened by the ratio of Student's t to the normal quantile (Hesterberg 2015).
 """
 
@@ -17,7 +17,7 @@ from roadperc_stream.geometry import Float
 
 LEVEL: Final = 0.99
 MANY_LOGS: Final = 8
-"""Number of logs from which on whole logs are the blocks; Student's t of fewer logs would hide most differences."""
+"""With this many logs or more, whole logs are the blocks; Student's t of fewer logs would hide most differences."""
 _RESAMPLES: Final = 4000
 _MOST_BLOCKS: Final = 500
 """Most blocks of a log; longer blocks than the correlation requires are harmless and faster."""

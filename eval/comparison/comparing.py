@@ -68,8 +68,8 @@ METRICS: Final = (
 """The metrics on which two runs are judged.
 
 Errors against truth and the jitter of lane boundaries are judged over the frames in which both runs have a value.
-States and coverage are judged over all common frames, as 1 or 0. Outputs without truth (camera height, lane width,
-inliers) have no better side, so only the comparison of fields shows them.
+States and coverage are judged over all common frames, as 1 or 0. For outputs without truth (camera height, lane width,
+inliers) neither side is better, so only the comparison of fields shows them.
 """
 FRAMES: Final = _share("frames.coverage", pl.lit(value=True))
 """Share of the reference's frames that the candidate has."""
@@ -139,7 +139,7 @@ def verdicts(pairs: Sequence[RunPair], overlaps: Sequence[Overlap], rules: Rules
         for metric, values in every
         if values.frames
         and not rules.ignores(metric.name)
-        # a share that is 0 in both runs belongs to an output that neither has
+        # a share of 0 in both runs means that neither run has the output
         and not (metric.share and values.reference_sum == values.candidate_sum == 0)
     )
 
@@ -161,7 +161,7 @@ def _judge(metric: Metric, values: Paired, rules: Rules) -> Verdict:
 def _interval(metric: Metric, values: Paired) -> Interval:
     """The interval of the mean difference; for a share it ends at 0 if no frame was gained, or none was lost.
 
-    Lost frames are counted, not estimated: a single burst of them is worse, although other logs may have none.
+    Lost frames are counted, not estimated: a single series of lost frames is worse, even if other logs lost none.
     """
     interval = mean_interval(values.differences)
     if not metric.share:

@@ -99,7 +99,7 @@ def _frame_agreements(
 def _values_apart(
     pair: tuple[Message | None, Message | None], paths: tuple[Path, Path]
 ) -> Iterator[tuple[str, tuple[Value, Value]]]:
-    """Both values of each field of two messages with different bytes; or that only one message is present."""
+    """Both values of each field of two messages with different bytes; or the fact that only one message is present."""
     ours, theirs = pair
     if ours is None or theirs is None:
         yield _MESSAGE, ("present" if ours else None, "present" if theirs else None)

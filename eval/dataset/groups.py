@@ -22,7 +22,7 @@ from .reading import FILES, GAP_NS, SEGMENTS, SPAN_NS, batches, ledger, logs_of,
 from .worst import chosen
 
 MOST_GROUPS: Final = 40
-"""Most groups with statistics; of more groups of whole logs, the worst ones have statistics."""
+"""Most groups with statistics; if there are more groups of whole logs, only the worst ones have statistics."""
 _FEWEST_POINTS: Final = 256
 _AT_ONCE: Final = 2
 _COLUMNS: Final = tuple(quantity.column for quantity in NUMBERS)

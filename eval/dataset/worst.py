@@ -93,7 +93,7 @@ def _each_once(ranked: pl.DataFrame, number: int) -> pl.DataFrame:
 
 
 def _longest_without(column: str) -> pl.Expr:
-    """A struct of the first and last frame of the longest stretch without a value; of equals the first."""
+    """A struct of the first and last frame of the longest stretch without a value, the first of equal ones."""
     without = pl.col(column).is_null()
     stretch = without.rle_id().filter(without)
     longest = stretch == stretch.mode().min()

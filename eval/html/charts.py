@@ -51,13 +51,13 @@ def _histogram(run: Series, quantity: Quantity, edges: Float, place: int) -> Tra
     values = run.values[quantity.column]
     counts, _ = np.histogram(values[np.isfinite(values)], edges)
     percent = 100 * counts / max(counts.sum(), 1)
-    # A step line rather than bars: the outlines of several runs stay visible over each other.
+    # A step line, because the outlines of several runs stay visible over each other, unlike bars.
     outline = np.concatenate([[0.0], np.repeat(percent, 2), [0.0]])
     return line(run.name, np.repeat(edges, 2), outline, colour_of(place), fill="tozeroy", width=1.2)
 
 
 def trajectory(runs: Sequence[Series]) -> Figure | None:
-    """Odometry's path and the true one in the ego frame of each run's first pose; None where no run has a pose."""
+    """Odometry's path and the true path in the ego frame of each run's first pose; None if no run has a pose."""
     traces = [trace for place, run in enumerate(runs) for trace in _traces(run, place, len(runs) > 1)]
     if not traces:
         return None
@@ -89,7 +89,7 @@ def paths(run: Series) -> dict[str, Float]:
 
 
 def _from_starts(poses: Float, known: NDArray[np.bool_], segments: NDArray[np.int64]) -> Float:
-    """(N, 3) positions of (N, 7) poses in the frame of the first known one of their segment; NaN in one without any."""
+    """(N, 3) positions of (N, 7) poses in the frame of their segment's first known pose; NaN without a known pose."""
     points_m = np.full((len(poses), 3), np.nan)
     for segment in np.unique(segments[known]):
         these = segments == segment

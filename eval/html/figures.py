@@ -135,7 +135,7 @@ def load_series(run: Run, columns: Iterable[str]) -> Series:
 def thinned(values: Float, buckets: int = BUCKETS) -> Indices:
     """Indices of the smallest value, the largest value and the first gap of each bucket, in order.
 
-    A line through these values looks like the line through all values, with its peaks and gaps. Series with up to three
+    A line through these values has the same peaks and gaps as the line through all values. Series with up to three
     values per bucket are kept whole.
     """
     if len(values) <= 3 * buckets:

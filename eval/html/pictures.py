@@ -110,7 +110,7 @@ def _images(frames: Sequence[WorstFrame], runs: Sequence[Run]) -> tuple[dict[Key
 
 
 def log_of(table: Run) -> Path | None:
-    """The log with results that a table names, or the log beside the table if that file is gone; None without a name.
+    """The log that a table names, or a log beside the table if the named one does not exist; None without both.
 
     A run's files are often moved together to another machine.
     """

@@ -22,7 +22,7 @@ from ..scan import finite
 from .settings import Combination
 
 COVERAGE_SLACK: Final = 0.01
-"""A setting can be the best if its coverage is below the highest by at most this."""
+"""Largest difference from the highest coverage at which a setting can still be the best."""
 TIME_NOISE: Final = 0.15
 """Ratio by which times differ between sweeps on a busy machine."""
 _TABLE: Final = "table"
@@ -116,7 +116,7 @@ def best(
 ) -> tuple[int, int | None] | None:
     """Index of the best combination with the highest coverage, and of a better one with lower coverage.
 
-    Of equal combinations the one with the fewest changes from the reference is best. The second index is None if there
+    Among equal combinations, the best one has the fewest changes from the reference. The second index is None if there
     is no better combination. The result is None if no combination has a value.
     """
 

@@ -16,7 +16,7 @@ from roadperc_stream.geometry import Float, inverse
 from ..options import Alignment, DeltaUnit
 
 _STANDING: Final = 1e-12
-"""Ratio to the paths' squared size below which a common extent is rounding."""
+"""Ratio to the paths' squared size below which their common extent counts as a rounding error."""
 Indices = NDArray[np.intp]
 _PATH_TOLERANCE: Final = 0.1
 """Ratio by which the path length of a pair may differ from ``Delta``."""
@@ -128,8 +128,8 @@ def absolute_errors_m(estimated: Float, true: Float) -> Float:
 def pairs(estimated: Float, delta: Delta) -> tuple[Indices, Indices]:
     """(M,) indices of the first and second poses of all pairs that are ``delta`` apart; pairs overlap.
 
-    In metres, each pose is paired with the later pose whose path length is nearest to ``delta``, the earliest of
-    equals. A pose has no pair if that length differs by more than a tenth.
+    In metres, each pose is paired with the later pose whose path length is nearest to ``delta``; among equally
+    near ones, with the earliest. A pose has no pair if that length differs by more than a tenth.
     """
     if delta.unit == "frames":
         first = np.arange(max(len(estimated) - int(delta.size), 0))
