@@ -131,7 +131,7 @@ class DatasetLock:
                 if self._taken_by is None:
                     self._write()
             except RoadpercError:
-                continue  # the store may answer the next time
+                continue  # the next renewal may succeed
 
     def _refusal(self, holder: LockHolder | None) -> StorageError:
         who = f": host {holder.host}, process {holder.process}, started {holder.started}" if holder else ""

@@ -1,4 +1,4 @@
-"""Finds the logs of a command line and decides what a batch does with each, and why."""
+"""Finds the logs of a command line, and chooses the batch's action for each log, with the reason."""
 
 import os
 import re
@@ -39,7 +39,7 @@ def find_logs(arguments: Sequence[str], out: Location, join: re.Pattern[str] | N
 def _is_in(file: StoredFile, out: Location) -> bool:
     """Whether a file is a result log of the dataset, also through links."""
     if out.is_local and not is_address(file.address):
-        place = Path(os.path.realpath(file.address))  # resolve() refuses a link to itself
+        place = Path(os.path.realpath(file.address))  # resolve() raises an error for a link to itself
         return place.is_relative_to(Path(out.address).resolve() / LOGS)
     return file.address.startswith(f"{out.address}/{LOGS}/")
 

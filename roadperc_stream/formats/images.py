@@ -199,7 +199,7 @@ def _jpeg_size(data: bytes) -> tuple[int, int]:
 
 
 def _why(data: bytes, limits: LimitsConfig) -> str:
-    """Pillow's reason why an image cannot be decoded; empty if it finds none."""
+    """Pillow's reason why an image cannot be decoded; empty without one."""
     try:
         with _opened(data, _allowed_format(data, limits), limits) as image:
             image.load()

@@ -17,7 +17,7 @@ _MOST_PAIRS = 512
 _MOST_WAYS = 512
 """Largest number of combinations tried per group."""
 _TIE = 1e-9
-"""Difference of totals below which rounding may decide; scipy decides then."""
+"""Difference of totals below which rounding may change the order; scipy then solves the problem."""
 
 Pair = tuple[int, int]
 

@@ -19,7 +19,7 @@ _ROW: Final = 3
 _MOST_HELD: Final = 10_000
 """The most messages that wait while the reference sensor is silent and log times do not advance."""
 _LONGEST_HOLD_NS: Final = 10 * NS_PER_S
-"""Log time that other messages wait for the reference sensor to decide their segment."""
+"""Longest log time that other messages wait for reference messages that determine their segment."""
 T = TypeVar("T")
 U = TypeVar("U")
 Drop = Callable[[Stamped], None]
@@ -162,7 +162,7 @@ class _Segments:
         self.row = [item for item in state.held if item.role == cfg.reference]
 
     def numbered(self, item: Stamped) -> Iterator[Stamped]:
-        """Take one more message; give those whose segment it decides, in order of arrival."""
+        """Take one more message; give the messages whose segment is then known, in order of arrival."""
         is_reference, is_back = item.role == self._cfg.reference, self._is_back(item)
         if not is_back and (is_reference or not self.held):
             yield from self.rest()

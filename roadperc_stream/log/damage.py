@@ -22,7 +22,7 @@ def see_info(path: Path) -> str:
 
 
 def unopened(path: Path, error: OSError) -> LogError:
-    """Return the error for a log that the system cannot open; for a folder it says what to pass instead."""
+    """Return the error for a log that the system cannot open; for a folder it is that of ``not_a_log``."""
     return LogError(not_a_log(path) if path.is_dir() else f"{path}: {error.strerror or error}")
 
 
@@ -44,7 +44,7 @@ def require_magic(path: Path, start: bytes) -> None:
 
 @dataclass(frozen=True)
 class Damage:
-    """One damage of a file: the byte where it is, and a text that says what is wrong.
+    """One damage of a file: its first byte, and a text that describes it.
 
     Messages between the log times ``first_ns`` and ``last_ns`` may be affected; None is no limit. ``of_messages`` is
     false if no message is affected, for example for a damaged index.

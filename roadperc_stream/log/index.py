@@ -70,7 +70,7 @@ def channel_of(channel: McapChannel, schema: McapSchema | None) -> Channel:
 
 
 def places_of(index: Summary, data_end: int | None) -> tuple[int, ...]:
-    """Return where the index says that records start: chunks, attachments, metadata, the data section's end."""
+    """Return the positions of records in the index: chunks, attachments, metadata, the data section's end."""
     places = {chunk.chunk_start_offset for chunk in index.chunk_indexes}
     places |= {attachment.offset for attachment in index.attachment_indexes}
     places |= {metadata.offset for metadata in index.metadata_indexes}

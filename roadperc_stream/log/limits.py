@@ -28,7 +28,7 @@ class LimitError(McapError):
 
 
 class GuardedFile(io.BufferedReader):
-    """A file that refuses to read more bytes than it has, or a record beyond the limit."""
+    """A file that raises an error for reads beyond its end, or of a record beyond the limit."""
 
     def __init__(self, path: Path, limits: LimitsConfig) -> None:
         super().__init__(path.open("rb").detach())

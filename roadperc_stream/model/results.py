@@ -81,7 +81,7 @@ class Odometry:
 
     With ``up_to_scale`` lengths are in units of the first step, not metres. ``covariance`` is 6x6 row by row of
     x, y, z, roll, pitch, yaw of ``step`` in the ego frame's axes. ``since_ns`` is the stamp at which ``step``
-    begins. ``reason`` says why a frame is ``lost``, or what gives its scale instead of the road. A lost frame has the
+    begins. ``reason`` is why a frame is ``lost``, or the source of its scale instead of the road. A lost frame has the
     last known pose. ``matches`` are the features of the estimated motion, None without a motion.
     """
 

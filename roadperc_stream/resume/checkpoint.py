@@ -32,8 +32,8 @@ _FRAMES, _STATE = "frames", "state"
 class Checkpoint:
     """The progress of a replay.
 
-    ``run`` has everything that decides the results, by name and value. ``samples`` is the number of complete samples,
-    ``length`` the length of the file with their outputs.
+    ``run`` has all inputs and options that the results depend on, by name and value. ``samples`` is the number of
+    complete samples, ``length`` the length of the file with their outputs.
     """
 
     run: Mapping[str, str]

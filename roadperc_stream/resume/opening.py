@@ -197,7 +197,7 @@ def _warmed(summary: LogSummary, lead: ReplaySource, cfg: ReplayConfig, start_ns
 
 
 def run_of(cfg: ReplayConfig, opened: OpenedLog, target: ReplayTarget) -> dict[str, str]:
-    """Everything that decides what a replay writes, by name and value."""
+    """All inputs and options that the output of a replay depends on, by name and value."""
     plan, begin = opened.input.plan, opened.saved_for(cfg)
     return {
         **settings_of(cfg),

@@ -54,7 +54,7 @@ def as_defined(fault: str) -> Iterator[None]:
         yield
     except DecodeError:
         raise
-    except Exception as error:  # the log decides the types of fields, so any error is possible
+    except Exception as error:  # the log defines the types of fields, so any error is possible
         raise DecodeError(f"{fault}: {brief(error)}") from error
 
 

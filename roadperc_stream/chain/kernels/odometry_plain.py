@@ -6,7 +6,7 @@ Every sum goes through the patch's pixels row by row.
 
 Reprojection: a point's variance combines its pixel's and the pixel shift that its depth's error causes. Each row is
 multiplied by the square root of Huber's weight (Robust estimation of a location parameter, Annals of Mathematical
-Statistics 35, 1964), so that the products of the rows are the weighted normal equations.
+Statistics 35, 1964). So the products of the rows are the weighted normal equations.
 """
 
 from typing import Final, NamedTuple

@@ -45,7 +45,7 @@ _BOX_LINE: Final = 12.0
 class PerceivedFrame:
     """A camera image, (H, W, 3), and its results.
 
-    ``fits`` says whether the image has the size of its calibration, which is that of the results.
+    ``fits`` is true if the image has the size of its calibration, which is the size of the results.
     """
 
     image_bgr: Image

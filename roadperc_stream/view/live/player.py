@@ -34,7 +34,7 @@ _STATUS_ID: Final = "roadperc"
 
 @dataclass(frozen=True)
 class Playhead:
-    """Playback was at ``log_ns`` at clock time ``clock_ns`` and continues as its status says.
+    """Playback was at ``log_ns`` at clock time ``clock_ns`` and continues according to its status.
 
     Buffering means waiting for more of a running replay.
     """

@@ -43,8 +43,8 @@ T = TypeVar("T", bound=np.generic)
 class Mosaic:
     """The cutouts of N boxes, one below the other with an empty row after each: (H, W) pixels.
 
-    ``first_px`` (N, 2) are column and row of each cutout's first pixel in the image, ``steps`` (N, 2) its sampling step
-    in columns and rows, ``tops`` (N + 1,) its first row in the mosaic. ``of_class`` is 1 at pixels of the box's
+    ``first_px`` (N, 2) are column and row of each cutout's first pixel in the image. ``steps`` (N, 2) are its sampling
+    steps in columns and rows, ``tops`` (N + 1,) its first row in the mosaic. ``of_class`` is 1 at pixels of the box's
     classes. ``log_depth`` is the logarithm of the smoothed depth in metres. ``distances_m`` is the smoothed distance
     from the camera, NaN unknown and infinite beyond the depth's range. ``noise`` is the absolute difference of the
     logarithm before and after smoothing. These three are None without dense depth. ``ids`` are instance masks or None.

@@ -44,7 +44,7 @@ _ROAD_HALF_WIDTH_M = 3.0
 class Landmarks:
     """(N,) features, their (N, 3) points in the camera's frame, and the (N, 2) slope of 1 / depth around each.
 
-    The slope is in 1/m per pixel to the right and down. Unknown is NaN; ``metric`` says whether lengths are in metres.
+    The slope is in 1/m per pixel to the right and down. Unknown is NaN; ``metric`` is true if lengths are in metres.
     """
 
     features: Features
