@@ -63,8 +63,8 @@ class Consistency:
     """Sums over normalised errors, which can be added over tables.
 
     ``errors`` counts the values with known truth, ``values`` those that also have a standard deviation above zero.
-    ``within_1`` to ``within_3`` count the values that are off by at most 1 to 3 deviations. With S the sum of squared
-    normalised errors of a block and N its number of values, the other fields are sums of S, S², S N and N² over the
+    ``within_1`` to ``within_3`` count the values that are off by at most 1 to 3 deviations. S is the sum of squared
+    normalised errors of a block, N its number of values. The other fields are sums of S, S², S N and N² over the
     ``blocks``.
     """
 

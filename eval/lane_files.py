@@ -192,7 +192,7 @@ def open_lanes(path: Path) -> RunLanes:
 
 
 def _frames_before(waiting: deque[tuple[int, float]], stamp_ns: int, left: Counter[int]) -> Iterator[tuple[int, float]]:
-    """Take the frames before the next frame with a stamp, also in a later segment; else those of earlier stamps."""
+    """Take the frames before the next frame with this stamp, also in a later segment; else those of earlier stamps."""
     while waiting and (waiting[0][0] != stamp_ns if left[stamp_ns] > 0 else waiting[0][0] < stamp_ns):
         left[waiting[0][0]] -= 1
         yield waiting.popleft()

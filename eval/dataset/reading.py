@@ -150,8 +150,8 @@ def ledger(batch: pl.DataFrame) -> pl.DataFrame:
 def logs_of(ledgers: Sequence[pl.DataFrame]) -> pl.DataFrame:
     """A row for each log and configuration, from the ledgers of all batches.
 
-    The columns are ``LOG``, ``DATE``, the ``FILES`` with its rows, its ``FRAMES``, ``SEGMENTS`` and ``SPAN_NS``, the
-    longest ``GAP_NS``, and for the columns in rankings the number of frames with a value (``valued``) and the sum of
+    The columns are ``LOG``, ``DATE``, the ``FILES`` with its rows, its ``FRAMES``, ``SEGMENTS`` and ``SPAN_NS``, and
+    the longest ``GAP_NS``. Ranked columns also have the number of frames with a value (``valued``) and the sum of
     the values (``summed``).
 
     Raises:

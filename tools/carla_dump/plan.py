@@ -1,4 +1,4 @@
-"""The plan of a conversion: find, read and decide everything before the first message is written."""
+"""The plan of a conversion: all files are found and checked before the first message is written."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -96,7 +96,7 @@ def survey(sensor: Sensor) -> SensorSurvey:
 def points_fault(sensor: Sensor, frames: Collection[int]) -> str:
     """Return the reason if a lidar has points for no frame, else ""; ``frames`` are the frames with an image.
 
-    Reads files until one holds points, since the first bytes are not enough.
+    Reads files until one holds points, because the first bytes are not enough.
     """
     faults = []
     for number, path in sorted(sensor.files.items()):

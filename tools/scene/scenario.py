@@ -60,7 +60,7 @@ class Fixtures:
         ]
 
     def _is_free(self, fixture: Body, is_house: bool) -> bool:
-        """Return True if the fixture stands on no other road."""
+        """Return True if the fixture does not stand on another road."""
         crossing = self.scene.road.crossing
         if crossing is None:
             return True
