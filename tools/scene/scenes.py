@@ -71,7 +71,7 @@ class Terrain:
             with np.errstate(divide="ignore"):
                 return np.where(dz < 0, (self.z_m[0] + lift_m - centre_m[2]) / dz, np.inf)
         # A ray meets the ground before the first knot whose slope, seen from the centre, is above the ray's slope.
-        # Within a strip the slope is monotone, so it compares knots. The running maximum hides knots behind a crest.
+        # Within a strip the slope is monotone, so knots are enough. The running maximum hides knots behind a crest.
         first = int(np.searchsorted(self.x_m, centre_m[0] + 0.1))
         last = int(np.searchsorted(self.x_m, centre_m[0] + VIEW_M))
         x, z = self.x_m[first - 1 : last], self.z_m[first - 1 : last] + lift_m
