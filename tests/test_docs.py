@@ -27,7 +27,7 @@ FENCE = re.compile(r"^```(sh|python)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 SERVES = re.compile(r"--(foxglove|live)$")
 OPENS_VIEWER = re.compile(r"^roadperc-view \S+$")
 PYTHON = shlex.quote(sys.executable)
-BENCHES = ("bench", "bench.long", "bench.compare")
+BENCHES = ("bench", "bench.compare")
 OTHERS = {"--delta_unit", "--all_pairs", "--shell", "--max-bag-duration", "--inplace"} | {
     "--head", "--address", "--num-cpus", "--block", "--port", "--generate", "--dashboard-host",
     "--sett", "--rm", "--init", "--network", "--env", "--volume", "--shm-size", "--detach",
