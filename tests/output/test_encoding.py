@@ -49,7 +49,7 @@ def test_poses_in_column_order_give_the_same_bytes():
 def test_each_pose_is_encoded_once(monkeypatch: pytest.MonkeyPatch):
     encoded = []
     monkeypatch.setattr(encoding, "quaternion", lambda rotation: encoded.append(1) or rotations.quaternion(rotation))
-    poses = [pose_at(700.0 + k) for k in range(200)]
+    poses = [pose_at(7000.0 + k) for k in range(200)]  # beyond the places above: equal poses are cached
 
     for shown in range(1, len(poses) + 1):
         encoding.encode_poses(STAMP, "odom", poses[:shown])
