@@ -53,7 +53,7 @@ def test_an_object_that_does_not_certainly_come_nearer_has_no_time_to_impact(spe
 def test_standard_deviations_agree_with_the_errors_of_many_logs():
     """With the assumed noise, errors agree with their standard deviations, which also allow for changes of speed."""
     errors, impacts = [], []
-    for seed in range(20):
+    for seed in range(40):
         follower, rng, distance = Follower(), np.random.default_rng(seed), 40.0
         for _ in range(30):
             distance -= 8.0 * STEP_NS / 1e9
