@@ -1,4 +1,4 @@
-"""Compares a run with a reference, field by field and metric by metric, and updates the reference."""
+"""Compares a run with a base, field by field and metric by metric, and updates the base."""
 
 import argparse
 import shutil
@@ -23,58 +23,58 @@ from .quantities import listed
 from .runs import Run
 
 Copy = tuple[Path, Path]
-"""A table of the candidate, and its place in the reference."""
+"""A table of the new, and its place in the base."""
 
 
-def _require_updatable(reference: str) -> None:
+def _require_updatable(base: str) -> None:
     """Check that an argument names tables that can be replaced.
 
     Raises:
         TableError: it is a log, which would not fit a new table, or a glob.
     """
-    path = Path(reference)
+    path = Path(base)
     if path.suffix == ".mcap":
-        raise TableError(f"{reference}: is a log; with --update-reference pass a table or a folder of tables")
-    if any(sign in reference for sign in "*?[") and not path.exists():
-        raise TableError(f"{reference}: expected a folder or a table to update, found a glob")
+        raise TableError(f"{base}: is a log; with --update-reference pass a table or a folder of tables")
+    if any(sign in base for sign in "*?[") and not path.exists():
+        raise TableError(f"{base}: expected a folder or a table to update, found a glob")
 
 
-def _first_copies(reference: Path, candidate: Sequence[Run]) -> list[Copy]:
-    """Copies that create a reference.
+def _first_copies(base: Path, new: Sequence[Run]) -> list[Copy]:
+    """Copies that create a base.
 
     Raises:
-        TableError: the candidate has several tables, and the reference is the name of one.
+        TableError: the new has several tables, and the base is the name of one.
     """
-    if reference.suffix != TABLE_SUFFIX:
-        return [copy for run in candidate for copy in _into_folder(reference, run)]
-    tables = sum(len(run.tables) for run in candidate)
+    if base.suffix != TABLE_SUFFIX:
+        return [copy for run in new for copy in _into_folder(base, run)]
+    tables = sum(len(run.tables) for run in new)
     if tables > 1:
-        raise TableError(f"{reference}: cannot hold {tables} tables; pass the name of a folder")
-    return [(candidate[0].path, reference)]
+        raise TableError(f"{base}: cannot hold {tables} tables; pass the name of a folder")
+    return [(new[0].path, base)]
 
 
-def _update_copies(reference: Path, pairing: Pairing) -> list[Copy]:
-    """Copies of the tables whose results differ, and of the tables that the reference lacks.
+def _update_copies(base: Path, pairing: Pairing) -> list[Copy]:
+    """Copies of the tables whose results differ, and of the tables that the base lacks.
 
     Raises:
         TableError: a pair has different numbers of continued replays.
     """
     changed = [copy for pair in pairing.pairs if not same_except_times(pair) for copy in _replacements(pair)]
-    added = pairing.added if reference.is_dir() else ()
-    return [*changed, *(copy for run in added for copy in _into_folder(reference, run))]
+    added = pairing.added if base.is_dir() else ()
+    return [*changed, *(copy for run in added for copy in _into_folder(base, run))]
 
 
 def _replacements(pair: RunPair) -> Iterator[Copy]:
-    ours, theirs = pair.reference.tables, pair.candidate.tables
+    ours, theirs = pair.base.tables, pair.new.tables
     if len(ours) != len(theirs):
         found = f"{number(len(theirs), 'table')} cannot replace {len(ours)}"
-        expected = "expected as many continued replays, or a new reference"
-        raise TableError(f"{pair.candidate.source_name}: {found}; {expected}")
+        expected = "expected as many continued replays, or a new base"
+        raise TableError(f"{pair.new.source_name}: {found}; {expected}")
     return ((new.path, old.path) for old, new in zip(ours, theirs, strict=True))
 
 
 def _into_folder(folder: Path, run: Run) -> Iterator[Copy]:
-    """The tables at their place below the candidate's folder; those of continued replays beside the first."""
+    """The tables at their place below the new's folder; those of continued replays beside the first."""
     first, *others = run.tables
     target = folder / f"{run.name}{METRICS_SUFFIX}"
     yield first.path, target
@@ -82,29 +82,29 @@ def _into_folder(folder: Path, run: Run) -> Iterator[Copy]:
 
 
 def compare(arguments: argparse.Namespace) -> None:
-    """Print the differences of two runs, and whether the candidate is worse.
+    """Print the differences of two runs, and whether the new is worse.
 
     Raises:
-        RegressionError: the candidate is worse, or with ``--exact`` a field differs.
+        RegressionError: the new is worse, or with ``--exact`` a field differs.
         RoadpercError: the runs cannot be read, or do not belong together.
     """
-    if arguments.candidate is None:
-        with in_a_folder(Dataset(arguments.reference)) as dataset:
+    if arguments.new is None:
+        with in_a_folder(Dataset(arguments.base)) as dataset:
             pairing = pair_runs(*runs_of_configs(dataset, arguments.config), arguments.other_log)
             found = _compared(pairing, None, arguments)
         _require_no_regression(found, arguments.exact)
         return
-    candidate, reference = logged_runs(arguments.candidate), Path(arguments.reference)
+    new, base = logged_runs(arguments.new), Path(arguments.base)
     if arguments.update_reference:
-        _require_updatable(arguments.reference)
-        if not reference.exists() or (reference.is_dir() and not any(reference.rglob(f"*{METRICS_SUFFIX}"))):
-            _update(_first_copies(reference, candidate))
+        _require_updatable(arguments.base)
+        if not base.exists() or (base.is_dir() and not any(base.rglob(f"*{METRICS_SUFFIX}"))):
+            _update(_first_copies(base, new))
             return
-    pairing = pair_runs(logged_runs(arguments.reference), candidate, arguments.other_log)
-    paths = reference, Path(arguments.candidate)
+    pairing = pair_runs(logged_runs(arguments.base), new, arguments.other_log)
+    paths = base, Path(arguments.new)
     found = _compared(pairing, paths if {path.suffix for path in paths} == {".mcap"} else None, arguments)
     if arguments.update_reference:
-        _update(_update_copies(reference, pairing))
+        _update(_update_copies(base, pairing))
     else:
         _require_no_regression(found, arguments.exact)
 
@@ -124,13 +124,13 @@ def _update(copies: Sequence[Copy]) -> None:
         with completing(target) as temporary:
             shutil.copyfile(source, temporary)
     for source, target in copies:
-        print_line(f"reference: {target} is now {source}")
+        print_line(f"base: {target} is now {source}")
     if not copies:
-        print("reference: unchanged, all results are equal")
+        print("base: unchanged, all results are equal")
 
 
 def _require_no_regression(found: Comparison, exact: bool) -> None:
     if found.regressions:
-        raise RegressionError(f"worse than the reference: {listed(found.regressions)}")
+        raise RegressionError(f"worse than the base: {listed(found.regressions)}")
     if exact and found.differences:
-        raise RegressionError(f"differs from the reference: {listed(found.differences)}")
+        raise RegressionError(f"differs from the base: {listed(found.differences)}")

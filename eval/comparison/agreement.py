@@ -15,7 +15,7 @@ from roadperc_stream.schemas.record import LOG_ID_KEY
 from ..options import Rules
 from ..runs import Run, collect
 from ..scan import rows_of
-from .pairing import CANDIDATE, KEY, STAMP, RunPair, numbered
+from .pairing import KEY, NEW, STAMP, RunPair, numbered
 
 Value = float | int | str | bool | None
 State = Literal["identical", "within tolerance", "differs"]
@@ -34,8 +34,8 @@ class Difference:
     frame: int
     stamp_ns: int
     place: str
-    reference: Value
-    candidate: Value
+    base: Value
+    new: Value
 
     @property
     def at(self) -> tuple[str, int, int]:
@@ -77,15 +77,15 @@ Agreements = Mapping[str, Agreement]
 """Agreement by field name without indices."""
 
 
-def distance(reference: Value, candidate: Value) -> float:
+def distance(base: Value, new: Value) -> float:
     """Absolute difference of two numbers, 0 for equal values, else ``INCOMPARABLE``; NaN equals NaN."""
-    if reference == candidate:
+    if base == new:
         return 0.0
-    if not (isinstance(reference, int | float) and isinstance(candidate, int | float)):
+    if not (isinstance(base, int | float) and isinstance(new, int | float)):
         return INCOMPARABLE
-    if math.isnan(reference) and math.isnan(candidate):
+    if math.isnan(base) and math.isnan(new):
         return 0.0
-    apart = abs(reference - candidate)
+    apart = abs(base - new)
     return INCOMPARABLE if math.isnan(apart) else apart
 
 
@@ -102,8 +102,8 @@ class Overlap(NamedTuple):
     """Number of frames that both tables have, and that only one has."""
 
     common: int
-    only_reference: int
-    only_candidate: int
+    only_base: int
+    only_new: int
 
 
 def compare_tables(pair: RunPair, rules: Rules) -> tuple[Overlap, dict[str, Agreement]]:
@@ -114,16 +114,16 @@ def compare_tables(pair: RunPair, rules: Rules) -> tuple[Overlap, dict[str, Agre
     Raises:
         TableError: the tables share no frame, or a table's data cannot be read.
     """
-    ours, theirs = (_rows(run, pair.by_segment) for run in (pair.reference, pair.candidate))
+    ours, theirs = (_rows(run, pair.by_segment) for run in (pair.base, pair.new))
     columns = [name for name in ours.columns if name not in KEY]
     columns += sorted(pair.columns.difference(columns))
-    renamed = theirs.rename({name: name + CANDIDATE for name in theirs.columns if name not in KEY})
+    renamed = theirs.rename({name: name + NEW for name in theirs.columns if name not in KEY})
     joined = ours.join(renamed, on=KEY).sort(KEY)
     common = joined.height
     if not common:
         found, expected = (f"{side[STAMP].item(0)} to {side[STAMP].item(-1)}" for side in (theirs, ours))
         raise TableError(
-            f"{pair.candidate.path}: shares no stamp with {pair.reference.path}: {found}, expected some of {expected}"
+            f"{pair.new.path}: shares no stamp with {pair.base.path}: {found}, expected some of {expected}"
         )
     left_out = NOT_COMPARED if pair.by_one_digest else (*NOT_COMPARED, LOG_ID_KEY)
     compared = [name for name in columns if name not in left_out and not rules.ignores(name)]
@@ -136,7 +136,7 @@ def _rows(run: Run, by_segment: bool) -> pl.DataFrame:
 
 
 def _column(joined: pl.DataFrame, name: str, run: str, tolerance: float) -> Agreement:
-    ours, theirs = _of_one_type(_side(joined, name), _side(joined, name + CANDIDATE))
+    ours, theirs = _of_one_type(_side(joined, name), _side(joined, name + NEW))
     apart = _distances(ours, theirs)
     beyond = apart > tolerance
     finite = apart.filter(apart.is_finite())
@@ -180,5 +180,5 @@ def _distances(ours: pl.Series, theirs: pl.Series) -> pl.Series:
 
 def same_except_times(pair: RunPair) -> bool:
     """Whether two tables hold the same frames with the same results, apart from the time columns."""
-    ours, theirs = (_rows(run, by_segment=False) for run in (pair.reference, pair.candidate))
+    ours, theirs = (_rows(run, by_segment=False) for run in (pair.base, pair.new))
     return ours.drop(TIME_COLUMNS, strict=False).equals(theirs.drop(TIME_COLUMNS, strict=False))

@@ -1,4 +1,4 @@
-"""Comparison of a candidate with a reference: a verdict on every metric, and the agreement of every field."""
+"""Comparison of a new run with a base run: a verdict on every metric, and the agreement of every field."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -19,7 +19,7 @@ from ..scan import scan
 from .agreement import NOT_COMPARED, Agreement, Overlap, added, compare_tables
 from .bootstrap import Interval, mean_interval
 from .messages import message_agreements
-from .pairing import CANDIDATE, KEY, Pairing, RunPair, numbered
+from .pairing import KEY, NEW, Pairing, RunPair, numbered
 
 Mark = Literal["worse", "unchanged", "better"]
 ROUNDING: Final = 1e-9
@@ -72,28 +72,28 @@ States and coverage are judged over all common frames, as 1 or 0. For outputs wi
 inliers) neither side is better, so only the comparison of fields shows them.
 """
 FRAMES: Final = _share("frames.coverage", pl.lit(value=True))
-"""Share of the reference's frames that the candidate has."""
+"""Share of the base's frames that the new run has."""
 
 
 @dataclass
 class Paired:
     """A metric's values in the common frames, log by log.
 
-    ``differences`` are candidate minus reference, (N,) float64 for each log with values.
+    ``differences`` are new minus base, (N,) float64 for each log with values.
     """
 
     frames: int = 0
-    reference_sum: float = 0.0
-    candidate_sum: float = 0.0
+    base_sum: float = 0.0
+    new_sum: float = 0.0
     differences: list[Float] = field(default_factory=list)
 
-    def add(self, reference: Float, candidate: Float) -> None:
+    def add(self, base: Float, new: Float) -> None:
         """Add the values of a log, (N,) each."""
-        if reference.size:
-            self.frames += reference.size
-            self.reference_sum += float(reference.sum())
-            self.candidate_sum += float(candidate.sum())
-            self.differences.append(candidate - reference)
+        if base.size:
+            self.frames += base.size
+            self.base_sum += float(base.sum())
+            self.new_sum += float(new.sum())
+            self.differences.append(new - base)
 
 
 @dataclass(frozen=True)
@@ -105,16 +105,16 @@ class Verdict:
 
     metric: Metric
     frames: int
-    reference: float
-    candidate: float
+    base: float
+    new: float
     interval: Interval
     mark: Mark
     judged: bool
 
     @property
     def difference(self) -> float:
-        """Candidate minus reference."""
-        return self.candidate - self.reference
+        """Candidate minus base."""
+        return self.new - self.base
 
 
 def verdicts(pairs: Sequence[RunPair], overlaps: Sequence[Overlap], rules: Rules) -> tuple[Verdict, ...]:
@@ -125,14 +125,14 @@ def verdicts(pairs: Sequence[RunPair], overlaps: Sequence[Overlap], rules: Rules
     """
     paired = {metric.name: Paired() for metric in METRICS}
     for pair in pairs:
-        ours, theirs = (_measured(run, pair.by_segment) for run in (pair.reference, pair.candidate))
-        joined = ours.join(theirs, on=KEY, suffix=CANDIDATE).sort(KEY)
+        ours, theirs = (_measured(run, pair.by_segment) for run in (pair.base, pair.new))
+        joined = ours.join(theirs, on=KEY, suffix=NEW).sort(KEY)
         for name, values in paired.items():
-            known = joined.select(name, name + CANDIDATE).drop_nulls()
-            values.add(known[name].to_numpy(), known[name + CANDIDATE].to_numpy())
+            known = joined.select(name, name + NEW).drop_nulls()
+            values.add(known[name].to_numpy(), known[name + NEW].to_numpy())
     kept = Paired()
     for found in overlaps:
-        kept.add(np.ones(found.common + found.only_reference), np.repeat([1.0, 0.0], found[:2]))
+        kept.add(np.ones(found.common + found.only_base), np.repeat([1.0, 0.0], found[:2]))
     every = ((FRAMES, kept), *((metric, paired[metric.name]) for metric in METRICS))
     return tuple(
         _judge(metric, values, rules)
@@ -140,7 +140,7 @@ def verdicts(pairs: Sequence[RunPair], overlaps: Sequence[Overlap], rules: Rules
         if values.frames
         and not rules.ignores(metric.name)
         # a share of 0 in both runs means that neither run has the output
-        and not (metric.share and values.reference_sum == values.candidate_sum == 0)
+        and not (metric.share and values.base_sum == values.new_sum == 0)
     )
 
 
@@ -150,12 +150,12 @@ def _measured(run: Run, by_segment: bool) -> pl.DataFrame:
 
 
 def _judge(metric: Metric, values: Paired, rules: Rules) -> Verdict:
-    reference, candidate = values.reference_sum / values.frames, values.candidate_sum / values.frames
+    base, new = values.base_sum / values.frames, values.new_sum / values.frames
     interval = _interval(metric, values)
-    allowed = max(rules.allowance(metric.name, reference), ROUNDING * max(abs(reference), abs(candidate)))
+    allowed = max(rules.allowance(metric.name, base), ROUNDING * max(abs(base), abs(new)))
     judged = not metric.timed or rules.names(metric.name)
     mark = _mark(metric, values, interval, allowed)
-    return Verdict(metric, values.frames, reference, candidate, interval, mark, judged)
+    return Verdict(metric, values.frames, base, new, interval, mark, judged)
 
 
 def _interval(metric: Metric, values: Paired) -> Interval:
@@ -173,7 +173,7 @@ def _interval(metric: Metric, values: Paired) -> Interval:
 
 def _mark(metric: Metric, values: Paired, interval: Interval, allowed: float) -> Mark:
     sign = 1 if metric.higher_is_better else -1
-    gain = sign * (values.candidate_sum - values.reference_sum) / values.frames
+    gain = sign * (values.new_sum - values.base_sum) / values.frames
     low, high = sorted((sign * interval.low, sign * interval.high))
     if abs(gain) <= allowed:
         return "unchanged"
@@ -214,7 +214,7 @@ class Comparison:
 
     @property
     def regressions(self) -> list[str]:
-        """Metrics that became worse than allowed, and runs that the candidate lacks."""
+        """Metrics that became worse than allowed, and runs that the new run lacks."""
         return [
             *(verdict.metric.name for verdict in self.named("worse")),
             *(f"no run of {run.name}" for run in self.pairing.missing),
@@ -223,7 +223,7 @@ class Comparison:
     @property
     def differences(self) -> list[str]:
         """Fields that differ beyond their tolerance, and runs or frames that only one side has."""
-        apart = any(found.only_reference or found.only_candidate for found in self.overlaps)
+        apart = any(found.only_base or found.only_new for found in self.overlaps)
         alone = [*self.pairing.missing, *self.pairing.added]
         return [
             *(name for name, agreement in self.fields.items() if agreement.state == "differs"),
@@ -245,7 +245,7 @@ def compare_runs(pairing: Pairing, logs: tuple[Path, Path] | None, rules: Rules)
     return Comparison(
         pairing,
         overlaps,
-        tuple(change(pair.reference, pair.candidate) for pair in pairing.pairs),
+        tuple(change(pair.base, pair.new) for pair in pairing.pairs),
         added(agreements),
         message_agreements(*logs, pairing.pairs[0].name, rules) if logs else {},
         verdicts(pairing.pairs, overlaps, rules),

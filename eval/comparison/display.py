@@ -35,19 +35,19 @@ def print_comparison(console: Console, found: Comparison, *, all_fields: bool) -
 def _heading(found: Comparison) -> Iterator[str]:
     pairs = found.pairing.pairs
     if len(pairs) == 1:
-        yield _identity("reference", pairs[0].reference)
-        yield _identity("candidate", pairs[0].candidate)
+        yield _identity("base", pairs[0].base)
+        yield _identity("new", pairs[0].new)
     for pair in (pair for pair in pairs if not pair.by_one_digest):
-        algorithms = f"digest algorithms {pair.reference.digest_algorithm} and {pair.candidate.digest_algorithm}"
+        algorithms = f"digest algorithms {pair.base.digest_algorithm} and {pair.new.digest_algorithm}"
         yield f"{pair.name}: the log ids have {algorithms}; whether both runs are of one log is unknown"
     yield from _settings(found)
     yield f"{found.frames} frames compared" + (f" in {len(pairs)} pairs of runs" if len(pairs) > 1 else "")
     for pair, part in zip(pairs, found.overlaps, strict=True):
-        if part.only_reference or part.only_candidate:
-            only = f"{part.only_reference} frames only in the reference, {part.only_candidate} only in the candidate"
+        if part.only_base or part.only_new:
+            only = f"{part.only_base} frames only in the base, {part.only_new} only in the new run"
             yield f"{pair.name}: {only}"
-    yield from (f"only in the reference: {run.name} (log {run.log_id})" for run in found.pairing.missing)
-    yield from (f"only in the candidate: {run.name} (log {run.log_id})" for run in found.pairing.added)
+    yield from (f"only in the base: {run.name} (log {run.log_id})" for run in found.pairing.missing)
+    yield from (f"only in the new run: {run.name} (log {run.log_id})" for run in found.pairing.added)
 
 
 def _settings(found: Comparison) -> Iterator[str]:
@@ -79,7 +79,7 @@ def _fields(found: Comparison, *, all_fields: bool) -> Iterator[str]:
         several = f"{run}: " if are_several else ""
         yield from ("", f"{several}frame {frame}, stamp {stamp_ns}")
         for difference, agreement in group:
-            values = " → ".join(_both(difference.reference, difference.candidate))
+            values = " → ".join(_both(difference.base, difference.new))
             yield f"  {difference.place}: {values}, {_largest(agreement)}"
     if len(shown) < len(differing):
         yield from ("", f"{len(differing) - len(shown)} more fields differ; pass --exact to list all")
@@ -94,10 +94,10 @@ def _largest(agreement: Agreement) -> str:
     return f"{counted}, by up to {agreement.largest:.3g}" if agreement.largest else counted
 
 
-def _both(reference: Value, candidate: Value) -> tuple[str, str]:
+def _both(base: Value, new: Value) -> tuple[str, str]:
     """Both values as text, with enough digits to show the difference."""
-    short = _text(reference, 6), _text(candidate, 6)
-    return short if short[0] != short[1] else (_text(reference, 17), _text(candidate, 17))
+    short = _text(base, 6), _text(new, 6)
+    return short if short[0] != short[1] else (_text(base, 17), _text(new, 17))
 
 
 def _text(value: Value, digits: int) -> str:
@@ -117,19 +117,19 @@ def _metrics(found: Comparison) -> TextTable:
         rows += [row(mark)] if changed else []
         for verdict in changed:
             bounds = f"{verdict.interval.low:+.3g}", f"{verdict.interval.high:+.3g}"
-            means = f"{verdict.reference:.4g}", f"{verdict.candidate:.4g}"
+            means = f"{verdict.base:.4g}", f"{verdict.new:.4g}"
             rows.append(row(f"  {verdict.metric.name}", str(verdict.frames), *means, *bounds))
-    return TextTable("Metric", ("frames", "reference", "candidate", *_BOUNDS), tuple(rows))
+    return TextTable("Metric", ("frames", "base", "new", *_BOUNDS), tuple(rows))
 
 
 def _times(found: Comparison) -> TextTable:
-    """Mean times, and the ratio of the candidate's to the reference's."""
+    """Mean times, and the ratio of the new run's to the base's."""
     rows = []
-    for verdict in (verdict for verdict in found.verdicts if verdict.metric.timed and verdict.reference > 0):
+    for verdict in (verdict for verdict in found.verdicts if verdict.metric.timed and verdict.base > 0):
         changes = verdict.difference, verdict.interval.low, verdict.interval.high
-        ratios = (f"{1 + change / verdict.reference:.2f}" for change in changes)
-        rows.append(row(verdict.metric.name, f"{verdict.reference:.2f}", f"{verdict.candidate:.2f}", *ratios))
-    return TextTable("Latency", ("reference ms", "candidate ms", "times", *_BOUNDS), tuple(rows))
+        ratios = (f"{1 + change / verdict.base:.2f}" for change in changes)
+        rows.append(row(verdict.metric.name, f"{verdict.base:.2f}", f"{verdict.new:.2f}", *ratios))
+    return TextTable("Latency", ("base ms", "new ms", "times", *_BOUNDS), tuple(rows))
 
 
 def _verdict(found: Comparison) -> Iterator[str]:
@@ -158,7 +158,7 @@ def _states(agreements: Agreements) -> str:
 def _sentence(verdict: Verdict) -> str:
     low, high = verdict.interval.low, verdict.interval.high
     between = f" [{low:+.3g}, {high:+.3g}]" if math.isfinite(low) else ""
-    values = f"{verdict.reference:.4g} → {verdict.candidate:.4g}"
+    values = f"{verdict.base:.4g} → {verdict.new:.4g}"
     return f"{verdict.metric.name} {values} ({verdict.difference:+.3g}{between})"
 
 

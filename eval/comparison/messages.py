@@ -35,7 +35,7 @@ Group = dict[tuple[str, int], Message]
 """Messages of one log time by topic and order on it."""
 
 
-def message_agreements(reference: Path, candidate: Path, run: str, rules: Rules) -> dict[str, Agreement]:
+def message_agreements(base: Path, new: Path, run: str, rules: Rules) -> dict[str, Agreement]:
     """Agreement of each field of the results, by its topic below /perception and its name without indices.
 
     Only the messages of two frames are in memory.
@@ -43,8 +43,8 @@ def message_agreements(reference: Path, candidate: Path, run: str, rules: Rules)
     Raises:
         LogError: a log cannot be read, or a result in it cannot be decoded.
     """
-    frames = _aligned(_frames(reference), _frames(candidate))
-    return added(_frame_agreements(ours, theirs, (reference, candidate), run, rules) for ours, theirs in frames)
+    frames = _aligned(_frames(base), _frames(new))
+    return added(_frame_agreements(ours, theirs, (base, new), run, rules) for ours, theirs in frames)
 
 
 def _frames(path: Path) -> Iterator[tuple[int, Group]]:

@@ -1,4 +1,4 @@
-"""Pairs the runs of a candidate with those of a reference, and their frames."""
+"""Pairs the runs of a new with those of a base, and their frames."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -21,31 +21,31 @@ _NTH: Final = "nth of stamp"
 _WITHIN: Final = "pairs within"
 KEY: Final = (_WITHIN, STAMP, _NTH)
 """Columns that pair the frames of two runs."""
-CANDIDATE: Final = " of the candidate"
-"""Suffix of the candidate's columns in a joined table."""
+NEW: Final = " of the new run"
+"""Suffix of the new run's columns in a joined table."""
 
 
 @dataclass(frozen=True)
 class RunPair:
-    """A run of the reference and the candidate's run of the same log."""
+    """A run of the base and the new run's run of the same log."""
 
-    reference: Run
-    candidate: Run
+    base: Run
+    new: Run
 
     @property
     def name(self) -> str:
         """Name of the pair."""
-        return self.reference.name
+        return self.base.name
 
     @property
     def columns(self) -> frozenset[str]:
         """The columns of both tables."""
-        return self.reference.columns | self.candidate.columns
+        return self.base.columns | self.new.columns
 
     @property
     def by_one_digest(self) -> bool:
         """Whether one algorithm made both log digests; earlier versions used another one."""
-        return self.reference.digest_algorithm == self.candidate.digest_algorithm
+        return self.base.digest_algorithm == self.new.digest_algorithm
 
     @cached_property
     def by_segment(self) -> bool:
@@ -55,7 +55,7 @@ class RunPair:
         """
         ours, theirs = (
             collect(rows_of(run).select(segment(run.columns).n_unique()), run.source_name).item()
-            for run in (self.reference, self.candidate)
+            for run in (self.base, self.new)
         )
         return bool(ours == theirs > 1)
 
@@ -78,7 +78,7 @@ def logged_runs(argument: str) -> tuple[Run, ...]:
     return tuple(_logged(run, Path(argument)) for run in find_joined([argument]).runs)
 
 
-def pair_runs(reference: Sequence[Run], candidate: Sequence[Run], other_log: bool) -> Pairing:
+def pair_runs(base: Sequence[Run], new: Sequence[Run], other_log: bool) -> Pairing:
     """Pair runs by log if each side has one run of the log, else by name. Two single runs always pair.
 
     The runs come from ``logged_runs``; ``other_log`` allows pairs of two different logs.
@@ -86,28 +86,26 @@ def pair_runs(reference: Sequence[Run], candidate: Sequence[Run], other_log: boo
     Raises:
         TableError: nothing pairs, or a pair is of two different logs without ``other_log``.
     """
-    if len(reference) == len(candidate) == 1:
-        partners = {reference[0].name: candidate[0]}
+    if len(base) == len(new) == 1:
+        partners = {base[0].name: new[0]}
     else:
-        first, second = _single_by_log(reference), _single_by_log(candidate)
+        first, second = _single_by_log(base), _single_by_log(new)
         by_log = {first[log_id].name: second[log_id] for log_id in first if log_id in second}
         taken = {run.name for run in by_log.values()}
-        partners = {run.name: run for run in candidate if run.name not in taken} | by_log
-    pairs = tuple(RunPair(run, partners[run.name]) for run in reference if run.name in partners)
+        partners = {run.name: run for run in new if run.name not in taken} | by_log
+    pairs = tuple(RunPair(run, partners[run.name]) for run in base if run.name in partners)
     if not pairs:
-        raise TableError(
-            f"{candidate[0].path}: no run of the candidate has the log or the name of a run of the reference"
-        )
+        raise TableError(f"{new[0].path}: no run of the new run has the log or the name of a run of the base")
     for pair in pairs:
-        ours, theirs = pair.reference, pair.candidate
+        ours, theirs = pair.base, pair.new
         if ours.log_id != theirs.log_id and pair.by_one_digest and not other_log:
             raise TableError(
                 f"{theirs.path}: is of log {theirs.log_id}, expected {ours.log_id} as in {ours.path}; "
                 "pass --other-log to compare two logs by their stamps"
             )
-    paired = {pair.candidate.name for pair in pairs}
-    missing = tuple(run for run in reference if run.name not in partners)
-    return Pairing(pairs, missing, tuple(run for run in candidate if run.name not in paired))
+    paired = {pair.new.name for pair in pairs}
+    missing = tuple(run for run in base if run.name not in partners)
+    return Pairing(pairs, missing, tuple(run for run in new if run.name not in paired))
 
 
 def numbered(frame: pl.LazyFrame, run: Run, by_segment: bool) -> pl.LazyFrame:

@@ -47,7 +47,7 @@ def in_a_folder(dataset: Dataset) -> Iterator[Dataset]:
 
 
 def runs_of_configs(dataset: Dataset, names: Sequence[str]) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
-    """The runs of the reference and of the candidate, one for each log, from a dataset in a local folder.
+    """The runs of the base and of the new, one for each log, from a dataset in a local folder.
 
     Raises:
         TableError: ``names`` do not identify two configurations, or a table cannot be read.
@@ -58,9 +58,9 @@ def runs_of_configs(dataset: Dataset, names: Sequence[str]) -> tuple[tuple[Run, 
     runs, found = read_runs(dataset), _row_counts(files)
     found = found.join(without_file(runs), on=LOG, how="anti", maintain_order="left")
     present = in_order_of_runs(found["config"].unique(maintain_order=True).to_list(), runs)
-    reference, candidate = two_configs(names, settings_by_config(runs, present))
+    base, new = two_configs(names, settings_by_config(runs, present))
     logs = log_names(found["log_id"].unique(maintain_order=True), runs)
-    return tuple(_runs(found, reference, logs)), tuple(_runs(found, candidate, logs))
+    return tuple(_runs(found, base, logs)), tuple(_runs(found, new, logs))
 
 
 def _row_counts(files: Sequence[str]) -> pl.DataFrame:

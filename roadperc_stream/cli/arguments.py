@@ -60,6 +60,18 @@ def _stages(text: str) -> tuple[str, ...]:
     return names + tuple(needed for name in names for needed in NEEDS.get(name, ()))
 
 
+def add_machine_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add ``--json``, ``--markdown`` and ``--junit`` to a command of the evaluation."""
+    group = parser.add_argument_group("results for other programs")
+    for option, suffix, text in (
+        ("--json", ".json", "one nested object"),
+        ("--markdown", ".md", "a summary for merge requests, such as $GITHUB_STEP_SUMMARY"),
+        ("--junit", ".xml", "JUnit XML for GitLab, GitHub and Jenkins"),
+    ):
+        action = group.add_argument(option, metavar="FILE", type=Path, help=f"write {text}")
+        completed_by(action, files(suffix))
+
+
 def time_range_of(arguments: argparse.Namespace) -> "TimeRange":
     """The part of the log that the options select.
 

@@ -42,11 +42,11 @@ def main(argv: list[str] | None = None) -> int:
 
 def _require_two(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
     """Exit with code 2 if the arguments do not name two sides."""
-    if arguments.candidate is not None:
+    if arguments.new is not None:
         if arguments.config:
             parser.error("--config compares two configurations of the dataset A; remove B")
-    elif part("eval.dataset.place").dataset_at(arguments.reference) is None:
-        parser.error(f"{arguments.reference}: expected B, or the OUT_DIR of a batch as A")
+    elif part("eval.dataset.place").dataset_at(arguments.base) is None:
+        parser.error(f"{arguments.base}: expected B, or the OUT_DIR of a batch as A")
     elif arguments.update_reference:
         parser.error("--update-reference needs A and B; it does not update the OUT_DIR of a batch")
 
@@ -59,10 +59,10 @@ def _parser() -> argparse.ArgumentParser:
         _EXAMPLE,
     )
     inputs = "OUT.metrics.parquet, an OUT.mcap with its table, or a folder of tables"
-    reference = parser.add_argument(
-        "reference", metavar="A", help=f"the reference: {inputs}; or the OUT_DIR of a batch, without B"
+    base = parser.add_argument(
+        "base", metavar="BASE", help=f"the base run: {inputs}; or the OUT_DIR of a batch, without B"
     )
-    candidate = parser.add_argument("candidate", metavar="B", nargs="?", help=f"the candidate: {inputs}")
+    new = parser.add_argument("new", metavar="NEW", nargs="?", help=f"the new run: {inputs}")
     parser.add_argument(
         "--config",
         metavar="NAME",
@@ -86,7 +86,7 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="after the comparison replace the differing tables of A with those of B, and exit with 0",
     )
-    for action in (reference, candidate):
+    for action in (base, new):
         completed_by(action, files(*RUNS))
     return parser
 

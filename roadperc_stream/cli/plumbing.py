@@ -101,8 +101,10 @@ def part(module: str) -> Any:
     return import_module(f"roadperc_stream.{module}")
 
 
-def run(command: Callable[[], None]) -> int:
-    """Run a command; an error of the project or the system is one line on stderr and exit code 1.
+def run(command: Callable[[], None], error_code: int = EXIT_ERROR) -> int:
+    """Run a command; an error of the project or the system is one line on stderr and exit code ``error_code``.
+
+    A ``RegressionError`` is a result: one line and exit code 1.
 
     A signal that ends the program raises an exception as Ctrl-C does, so that partial files are removed.
     """
@@ -117,17 +119,18 @@ def run(command: Callable[[], None]) -> int:
             command()
             sys.stdout.flush()
     except RoadpercError as error:
-        return _fail(str(error), "" if isinstance(error, RegressionError) else "error: ")
+        is_result = isinstance(error, RegressionError)
+        return _fail(str(error), *((EXIT_ERROR, "") if is_result else (error_code,)))
     except (KeyboardInterrupt, MemoryError) as error:
-        return _fail("not enough memory" if isinstance(error, MemoryError) else str(error) or "interrupted")
+        return _fail("not enough memory" if isinstance(error, MemoryError) else str(error) or "interrupted", error_code)
     except BrokenPipeError:  # a reader such as head may close the pipe
         discard_output(sys.stdout)
         return EXIT_DONE
     except OSError as error:
-        return _fail(": ".join(str(word) for word in (error.filename, error.strerror or error) if word))
+        return _fail(": ".join(str(word) for word in (error.filename, error.strerror or error) if word), error_code)
     except UnicodeEncodeError as error:  # a library cannot encode a text, such as a file name
         text = error.object[max(error.start - _MOST_CHARACTERS, 0) : error.end + _MOST_CHARACTERS]
-        return _fail(f"{text!r}: expected a name in {error.encoding.upper()}")
+        return _fail(f"{text!r}: expected a name in {error.encoding.upper()}", error_code)
     return EXIT_DONE
 
 
@@ -137,10 +140,10 @@ def _note(message: Warning | str, *_: object, **__: object) -> None:
         print_line(f"note: {' '.join(str(message).splitlines())}", sys.stderr)
 
 
-def _fail(text: str, prefix: str = "error: ") -> int:
+def _fail(text: str, code: int, prefix: str = "error: ") -> int:
     with optional_output(sys.stderr):
         print_line(f"{prefix}{' '.join(text.splitlines())}", sys.stderr)
-    return EXIT_ERROR
+    return code
 
 
 @contextmanager

@@ -189,7 +189,7 @@ def test_frames_of_equal_stamps_pair_within_their_segment(tmp_path):
     found = pair(tmp_path, rows, [*rows[:2], *rows[3:]])
     assert found.by_segment
     frames, columns = compare_tables(found, Rules())
-    assert (frames.common, frames.only_reference, frames.only_candidate) == (9, 1, 0)
+    assert (frames.common, frames.only_base, frames.only_new) == (9, 1, 0)
     assert {agreement.state for agreement in columns.values()} == {"identical"}
 
 

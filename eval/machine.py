@@ -1,0 +1,102 @@
+"""Results for other programs: JSON, Markdown for merge requests, and JUnit XML for CI servers."""
+
+import json
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal
+from xml.etree import ElementTree
+
+from roadperc_stream.output.text_table import TextTable
+from roadperc_stream.system.files import completing, require_plain
+
+Outcome = Literal["passed", "failed", "skipped", "error"]
+_ELEMENTS: Final[Mapping[Outcome, str]] = {"failed": "failure", "skipped": "skipped", "error": "error"}
+_NOT_IN_NAMES: Final = re.compile(r"[^/\w.\- ]", re.ASCII)
+_NOT_IN_XML: Final = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+@dataclass(frozen=True)
+class Case:
+    """A judged item of a JUnit file: its log, its name, which is unique within the log, and the text of its result."""
+
+    log: str
+    name: str
+    outcome: Outcome
+    text: str = ""
+
+
+def write_json(path: Path, value: Mapping[str, Any]) -> None:
+    """Write a nested mapping as JSON; NaN and infinities become null.
+
+    Characters of keys that MLflow refuses become ``_``.
+
+    Raises:
+        TargetError: the file cannot be written.
+    """
+    _write(path, json.dumps(_plain(value), indent=2, allow_nan=False) + "\n")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {_NOT_IN_NAMES.sub("_", str(key)): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def write_markdown(path: Path, title: str, lines: Sequence[str], tables: Sequence[TextTable] = ()) -> None:
+    """Write a heading, a list of lines, and tables as Markdown.
+
+    Raises:
+        TargetError: the file cannot be written.
+    """
+    parts = [f"## {_escaped(title)}", "\n".join(f"- {_escaped(line)}" for line in lines), *map(_markdown, tables)]
+    _write(path, "\n\n".join(part for part in parts if part) + "\n")
+
+
+def _markdown(table: TextTable) -> str:
+    flat = table.flat()
+    header = [flat.title, *flat.headers]
+    rows = [[item.label, *item.cells[0], *[""] * (len(flat.headers) - len(item.cells[0]))] for item in flat.rows]
+    lines = [header, ["---", *["---:"] * len(flat.headers)], *rows]
+    text = "\n".join(f"| {' | '.join(map(_escaped, cells))} |" for cells in lines)
+    return "\n\n".join([text, *map(_escaped, flat.notes)])
+
+
+def _escaped(text: str) -> str:
+    return re.sub(r"([\\`*_|<>\[\]])", r"\\\1", " ".join(text.split()))
+
+
+def write_junit(path: Path, suite: str, cases: Sequence[Case]) -> None:
+    """Write cases as JUnit XML that GitLab, GitHub's actions and Jenkins read.
+
+    The class name of a case is its log. The text is the body of its element, because GitLab ignores the attribute
+    ``message``.
+
+    Raises:
+        TargetError: the file cannot be written.
+    """
+    counts = {
+        f"{element}s" if element != "skipped" else element: str(sum(case.outcome == outcome for case in cases))
+        for outcome, element in _ELEMENTS.items()
+    }
+    root = ElementTree.Element("testsuites")
+    group = ElementTree.SubElement(root, "testsuite", {"name": suite, "tests": str(len(cases)), **counts})
+    for case in cases:
+        names = {"classname": _NOT_IN_XML.sub("?", case.log), "name": _NOT_IN_XML.sub("?", case.name)}
+        item = ElementTree.SubElement(group, "testcase", names)
+        if (element := _ELEMENTS.get(case.outcome)) is not None:
+            ElementTree.SubElement(item, element).text = _NOT_IN_XML.sub("?", case.text)
+        elif case.text:
+            ElementTree.SubElement(item, "system-out").text = _NOT_IN_XML.sub("?", case.text)
+    ElementTree.indent(root)
+    _write(path, ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n")
+
+
+def _write(path: Path, text: str) -> None:
+    require_plain(path)
+    with completing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
