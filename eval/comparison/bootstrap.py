@@ -32,11 +32,12 @@ class Interval:
     high: float
 
 
-def mean_interval(differences: Sequence[Float]) -> Interval:
+def mean_interval(differences: Sequence[Float], tests: int = 1) -> Interval:
     """Interval of the mean over all values at ``LEVEL``; deterministic.
 
     Args:
         differences: paired differences of each log in frame order, (N,) float64, N at least 1.
+        tests: number of intervals that have this level together (Bonferroni).
     """
     values = np.concatenate(differences)
     mean = float(values.mean())
@@ -46,7 +47,7 @@ def mean_interval(differences: Sequence[Float]) -> Interval:
     deviations, blocks, groups = _resampled_logs(differences) if by_log else _resampled_frames(differences)
     if blocks == groups:
         return Interval(-np.inf, np.inf)
-    low, high = np.quantile(deviations, [(1 - LEVEL) / 2, (1 + LEVEL) / 2]) * _widening(blocks, blocks - groups)
+    low, high = np.quantile(deviations, [(1 - LEVEL) / 2, (1 + LEVEL) / 2]) * _widening(blocks, blocks - groups, tests)
     return Interval(mean + float(low), mean + float(high))
 
 
@@ -118,7 +119,7 @@ def _resampled_logs(differences: Sequence[Float]) -> tuple[Float, int, int]:
     return sums[picks].sum(axis=1) / counts[picks].sum(axis=1) - sums.sum() / counts.sum(), sums.size, 1
 
 
-def _widening(blocks: int, freedom: int) -> float:
-    """Factor by which the bootstrap's interval is widened for a number of blocks and degrees of freedom."""
-    tail = (1 + LEVEL) / 2
-    return float(stats.t.ppf(tail, freedom) / stats.norm.ppf(tail) * np.sqrt(blocks / freedom))
+def _widening(blocks: int, freedom: int, tests: int) -> float:
+    """Factor by which the bootstrap's interval is widened for a number of blocks, degrees of freedom and tests."""
+    tail = (1 - LEVEL) / 2
+    return float(stats.t.isf(tail / tests, freedom) / stats.norm.isf(tail) * np.sqrt(blocks / freedom))

@@ -6,118 +6,72 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import polars as pl
-from numpy.typing import NDArray
 
 from roadperc_stream.geometry import Float
 
 from ..configurations import change
 from ..options import Rules
-from ..runs import Run, collect
-from ..scan import scan
 from .agreement import NOT_COMPARED, Agreement, Overlap, added, compare_tables
 from .bootstrap import Interval, mean_interval
 from .messages import message_agreements
 from .metrics import FRAMES, METRICS, Metric
-from .pairing import KEY, NEW, STAMP, Pairing, RunPair, numbered
+from .pairing import Pairing, RunPair
+from .tails import tail_findings
+from .values import LogValues, values_of
 from .verdicts import Finding, Group, Mark, Place, Verdict
 
 ROUNDING: Final = 1e-9
 """Ratio to a metric's size below which a difference is rounding, as on another processor."""
 
 
-@dataclass(frozen=True)
-class LogValues:
-    """A metric's values in the common frames of a pair: (N,) float64 each, the frames' numbers and stamps beside them.
-
-    ``base`` and ``new`` are the judged numbers: absolute values, or the values themselves if high is better.
-    """
-
-    pair: RunPair
-    frames: NDArray[np.int64]
-    stamps_ns: NDArray[np.int64]
-    base: Float
-    new: Float
-
-    @property
-    def differences(self) -> Float:
-        """New minus base."""
-        return self.new - self.base
-
-    def place(self, metric: Metric) -> Place:
-        """The frame in which the new run is worse by most."""
-        at = int(np.argmin(self.differences) if metric.higher_is_better else np.argmax(self.differences))
-        numbers = int(self.frames[at]), int(self.stamps_ns[at])
-        return Place(self.pair, *numbers, float(self.base[at]), float(self.new[at]))
-
-
 def verdicts(pairs: Sequence[RunPair], overlaps: Sequence[Overlap], rules: Rules) -> tuple[Verdict, ...]:
     """A verdict on each metric with values in any pair, in the order of ``METRICS``.
+
+    The intervals share ``LEVEL``: it is divided by the number of groups, because the metrics of a group restate one
+    cause (Bonferroni), and for the worst log also by the number of logs.
 
     Raises:
         TableError: a table's data cannot be read.
     """
-    joined = [(pair, _joined(pair)) for pair in pairs]
-    kept = [_kept(pair, found) for pair, found in zip(pairs, overlaps, strict=True)]
-    every = ((FRAMES, kept), *((metric, [_values(metric, *one) for one in joined]) for metric in METRICS))
-    return tuple(
-        _judge(metric, values, rules)
-        for metric, logs in every
-        if (values := [log for log in logs if log.base.size])
-        and not rules.ignores(metric.name)
+    found = [
+        logs
+        for logs in values_of(pairs, overlaps)
+        if not rules.ignores(logs[0].metric.name)
         # a share of 0 in both runs means that neither run has the output
-        and not (metric.share and not any(log.base.any() or log.new.any() for log in values))
-    )
+        and not (logs[0].metric.share and not any(log.base.any() or log.new.any() for log in logs))
+    ]
+    tests = len({logs[0].metric.group for logs in found})
+    return tuple(_judge(logs, rules, tests) for logs in found)
 
 
-def _joined(pair: RunPair) -> pl.DataFrame:
-    ours, theirs = (_measured(run, pair.by_segment) for run in (pair.base, pair.new))
-    return ours.join(theirs, on=KEY, suffix=NEW).sort(KEY)
-
-
-def _measured(run: Run, by_segment: bool) -> pl.DataFrame:
-    values = [metric.value.alias(metric.name) for metric in METRICS]
-    return collect(numbered(scan(run), run, by_segment).select(*KEY, "frame", *values), run.source_name)
-
-
-def _values(metric: Metric, pair: RunPair, joined: pl.DataFrame) -> LogValues:
-    known = joined.select("frame" + NEW, STAMP, metric.name, metric.name + NEW).drop_nulls()
-    base, new = (known[name].cast(pl.Float64).to_numpy() for name in (metric.name, metric.name + NEW))
-    if not metric.higher_is_better:
-        base, new = np.abs(base), np.abs(new)
-    return LogValues(pair, known["frame" + NEW].to_numpy(), known[STAMP].to_numpy(), base, new)
-
-
-def _kept(pair: RunPair, found: Overlap) -> LogValues:
-    """The base's frames as 1, and whether the new run has them; without their numbers."""
-    unknown = np.full(found.common + found.only_base, -1)
-    return LogValues(pair, unknown, unknown, np.ones(unknown.size), np.repeat([1.0, 0.0], found[:2]))
-
-
-def _judge(metric: Metric, logs: Sequence[LogValues], rules: Rules) -> Verdict:
-    base, new = (float(np.concatenate(side).mean()) for side in ([x.base for x in logs], [x.new for x in logs]))
-    interval = _interval(metric, [log.differences for log in logs])
-    relevant = rules.relevant.get(metric.name, metric.relevant)
+def _judge(logs: Sequence[LogValues], rules: Rules, tests: int) -> Verdict:
+    metric = logs[0].metric
+    before, after = (float(np.concatenate([log.judged[side] for log in logs]).mean()) for side in (0, 1))
+    base, new = metric.shown(before), metric.shown(after)
+    relevant = rules.relevant.get(metric.name, metric.relevant) * (base if metric.timed else 1.0)
+    rounding = ROUNDING * max(abs(base), abs(new))
+    allowed = max((rules.allowance(metric.name, base) or relevant) - rounding, rounding)
+    interval = _interval(metric, [log.differences for log in logs], tests)
     if metric.timed:
-        relevant *= abs(base)
-    allowed = max(relevant, rules.allowance(metric.name, base), ROUNDING * max(abs(base), abs(new)))
+        interval = Interval(*(base * float(np.expm1(bound)) for bound in (interval.low, interval.high)))
     mark = _mark(metric, new - base, interval, allowed)
-    places = [log.place(metric) for log in logs]
-    sign = -1 if metric.higher_is_better else 1
-    place = max(places, key=lambda at: sign * (at.new - at.base))
-    shown = None if metric is FRAMES or place.base == place.new else place
-    mean = Finding(metric, "mean", base, new, interval, mark, shown)
+    places = [place for log in logs if (place := log.place())]
+    worst = max(places, key=lambda at: metric.sign * (at.new - at.base), default=None)
+    mean = Finding(metric, "mean", base, new, interval, mark, worst)
+    tails = tuple(tail_findings(logs, allowed, rules.limits.get(metric.name, metric.limit), tests, worst))
+    worse = any(finding.mark == "worse" for finding in tails)
     judged = not metric.timed or rules.times or rules.names(metric.name)
     frames = sum(log.base.size for log in logs)
-    return Verdict(metric, frames, base, new, interval, mark, judged, (mean,), shown, allowed)
+    whole: Mark = "worse" if worse else mark
+    return Verdict(metric, frames, base, new, interval, whole, judged, (mean, *tails), worst, allowed)
 
 
-def _interval(metric: Metric, differences: Sequence[Float]) -> Interval:
+def _interval(metric: Metric, differences: Sequence[Float], tests: int) -> Interval:
     """The interval of the mean difference; for a share it ends at 0 if no frame was gained, or none was lost.
 
     Lost frames are counted, not estimated: a single series of lost frames is worse, even if other logs lost none.
     """
-    interval = mean_interval(differences)
+    interval = mean_interval(differences, tests)
     if not metric.share:
         return interval
     least = min(float(part.min()) for part in differences)
@@ -126,8 +80,7 @@ def _interval(metric: Metric, differences: Sequence[Float]) -> Interval:
 
 
 def _mark(metric: Metric, difference: float, interval: Interval, allowed: float) -> Mark:
-    sign = 1 if metric.higher_is_better else -1
-    low, high = sorted((sign * interval.low, sign * interval.high))
+    low, high = sorted((-metric.sign * interval.low, -metric.sign * interval.high))
     if abs(difference) < allowed:
         return "unchanged"
     if high < 0 or (metric.share and high == 0):

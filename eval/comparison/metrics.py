@@ -1,10 +1,13 @@
 """The metrics on which two runs are judged: errors against truth, jitter, states, coverage and times."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import Final
 
+import numpy as np
 import polars as pl
 
+from roadperc_stream.geometry import Float
 from roadperc_stream.schemas.columns import RATIO, FrameMetrics, columns_of
 
 from ..quantities import JITTERS, OFFSETS, SEEN, SIDES, STAGE_TIMES, TRUTH, Quantity
@@ -12,6 +15,9 @@ from ..quantities import JITTERS, OFFSETS, SEEN, SIDES, STAGE_TIMES, TRUTH, Quan
 COVERAGE_RELEVANT: Final = 0.005
 TIME_RELEVANT: Final = 0.1
 """Smallest relevant change of a time, as a ratio."""
+_SHORTEST_MS: Final = 0.1
+"""Shorter times count as this time."""
+_DISTANCE: Final = "object_distance_error_m"
 
 
 @dataclass(frozen=True)
@@ -32,6 +38,21 @@ class Metric:
     timed: bool = False
     relevant: float = COVERAGE_RELEVANT
     limit: float | None = None
+
+    @property
+    def sign(self) -> int:
+        """1 if a larger judged number is worse, else -1."""
+        return -1 if self.higher_is_better else 1
+
+    def judged(self, values: Float) -> Float:
+        """The judged numbers of (N,) values; of a time its logarithm, so that one slow frame weighs as any other."""
+        if self.timed:
+            return np.log(np.maximum(values, _SHORTEST_MS))
+        return values if self.higher_is_better else np.abs(values)
+
+    def shown(self, judged: float) -> float:
+        """A judged number, or a mean of them, in the metric's unit; of times this is the geometric mean."""
+        return math.exp(judged) if self.timed else judged
 
 
 def _error(quantity: Quantity) -> Metric:
@@ -78,3 +99,9 @@ inliers) neither side is better, so only the comparison of fields shows them.
 """
 FRAMES: Final = _share("frames.coverage", "frames", pl.lit(value=True))
 """Share of the base's frames that the new run has."""
+
+
+def of_class(label: str) -> Metric:
+    """The error of the distances of one class of objects; a table of objects has its values."""
+    (whole,) = (metric for metric in METRICS if metric.name == _DISTANCE)
+    return replace(whole, name=f"{_DISTANCE}.{label}")

@@ -1,5 +1,6 @@
 """Columns that compare a frame's estimates with the truth, and columns of the truth itself."""
 
+import math
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -8,9 +9,18 @@ from roadperc_stream.schemas.columns.column import COUNT, RATIO, Better, Column
 _NO_TRUE_PLANE = "no plane, or no true one"
 
 
-def _score(meaning: str, unit: str, null: str, label: str, decimals: int, better: Better = "low") -> Column:
+def _score(
+    meaning: str,
+    unit: str,
+    null: str,
+    label: str,
+    decimals: int,
+    better: Better = "low",
+    limit: float | None = None,
+    relevant: float = math.nan,
+) -> Column:
     """Return the column of a number that reports list and compare."""
-    return Column(meaning, unit, null, label=label, decimals=decimals, better=better)
+    return Column(meaning, unit, null, label, decimals, better, limit=limit, relevant=relevant)
 
 
 @dataclass(frozen=True)
@@ -25,6 +35,7 @@ class SurfaceErrorColumns:
             _NO_TRUE_PLANE,
             "surface angle",
             4,
+            limit=1.0,
         ),
     ] = None
     camera_height_error_m: Annotated[
@@ -36,6 +47,7 @@ class SurfaceErrorColumns:
             "camera height",
             4,
             better="near 0",
+            limit=0.1,
         ),
     ] = None
     surface_height_error_m: Annotated[
@@ -46,6 +58,7 @@ class SurfaceErrorColumns:
             "no plane, or no true grid there",
             "road height 5-40 m",
             4,
+            limit=0.1,
         ),
     ] = None
     drivable_iou: Annotated[
@@ -58,6 +71,7 @@ class SurfaceErrorColumns:
             "drivable IoU",
             3,
             better="high",
+            limit=0.9,
         ),
     ] = None
 
@@ -71,6 +85,7 @@ def _lane_error(side: str) -> Column:
         f"lane {side} at 10 m",
         3,
         better="near 0",
+        limit=0.3,
     )
 
 
@@ -132,6 +147,7 @@ class LaneScoreColumns:
             "lane points (TuSimple)",
             3,
             better="high",
+            limit=0.85,
         ),
     ] = None
     lane_tusimple_fp: Annotated[
@@ -142,10 +158,13 @@ class LaneScoreColumns:
             "",
             "wrong lanes (TuSimple)",
             3,
+            limit=0.4,
+            relevant=0.01,
         ),
     ] = None
     lane_tusimple_fn: Annotated[
-        float | None, _score("unmatched true lanes / true lanes", RATIO, "", "missed lanes (TuSimple)", 3)
+        float | None,
+        _score("unmatched true lanes / true lanes", RATIO, "", "missed lanes (TuSimple)", 3, limit=0.4, relevant=0.01),
     ] = None
     lane_culane_tp_50: Annotated[int | None, _culane("true positives", "0.5")] = None
     lane_culane_fp_50: Annotated[int | None, _culane("false positives: other found lines", "0.5")] = None
@@ -167,6 +186,8 @@ class ObjectErrorColumns:
             "no such detection",
             "object distance error (mean)",
             3,
+            limit=1.0,
+            relevant=0.05,
         ),
     ] = None
     filter_tp: Annotated[int | None, Column("kept detections that match a true object", COUNT)] = None
@@ -174,11 +195,20 @@ class ObjectErrorColumns:
     filter_fn: Annotated[int | None, Column("dropped detections that match a true object", COUNT)] = None
     filter_tn: Annotated[int | None, Column("dropped detections that do not", COUNT)] = None
     filter_precision: Annotated[
-        float | None, _score("tp / (tp + fp)", RATIO, "nothing was kept", "filter precision", 3, better="high")
+        float | None,
+        _score("tp / (tp + fp)", RATIO, "nothing was kept", "filter precision", 3, better="high", relevant=0.01),
     ] = None
     filter_recall: Annotated[
         float | None,
-        _score("tp / (tp + fn)", RATIO, "no detection matches a true object", "filter recall", 3, better="high"),
+        _score(
+            "tp / (tp + fn)",
+            RATIO,
+            "no detection matches a true object",
+            "filter recall",
+            3,
+            better="high",
+            relevant=0.01,
+        ),
     ] = None
 
 
@@ -203,6 +233,7 @@ class TrueImpactColumns:
             "time to impact",
             3,
             better="near 0",
+            limit=1.0,
         ),
     ] = None
 
@@ -211,18 +242,28 @@ class TrueImpactColumns:
 class StereoErrorColumns:
     """Errors of stereo depth against the depth camera, where both cameras see."""
 
-    stereo_epe_px: Annotated[float | None, _score("mean of abs(d - d*)", "px", "", "stereo disparity", 2)] = None
+    stereo_epe_px: Annotated[
+        float | None, _score("mean of abs(d - d*)", "px", "", "stereo disparity", 2, limit=3.0)
+    ] = None
     stereo_d1_ratio: Annotated[
         float | None,
-        _score("share with abs(d - d*) > 3 px and abs(d - d*) > 0.05 d*", RATIO, "", "stereo outliers (D1)", 4),
+        _score(
+            "share with abs(d - d*) > 3 px and abs(d - d*) > 0.05 d*", RATIO, "", "stereo outliers (D1)", 4, limit=0.1
+        ),
     ] = None
     stereo_abs_rel: Annotated[
-        float | None, _score("mean of abs(Z - Z*) / Z*", RATIO, "", "stereo relative depth", 4)
+        float | None, _score("mean of abs(Z - Z*) / Z*", RATIO, "", "stereo relative depth", 4, limit=0.2)
     ] = None
     stereo_coverage: Annotated[
         float | None,
         _score(
-            "share of the counted pixels that have a disparity", RATIO, "", "stereo true pixels known", 3, better="high"
+            "share of the counted pixels that have a disparity",
+            RATIO,
+            "",
+            "stereo true pixels known",
+            3,
+            "high",
+            limit=0.9,
         ),
     ] = None
 
@@ -239,10 +280,21 @@ class OdometryErrorColumns:
             "no step, no true pose at either end, or a step without scale",
             "step",
             4,
+            limit=0.05,
+            relevant=0.002,
         ),
     ] = None
     turn_error_deg: Annotated[
-        float | None, _score("angle of the rotation of E", "deg", "no step, or no true pose at either end", "turn", 4)
+        float | None,
+        _score(
+            "angle of the rotation of E",
+            "deg",
+            "no step, or no true pose at either end",
+            "turn",
+            4,
+            limit=0.2,
+            relevant=0.01,
+        ),
     ] = None
     true_step_m: Annotated[
         float | None,
