@@ -1,8 +1,6 @@
 """Regressions that are put into the tables of replays, to measure how often compare finds them."""
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 import polars as pl
@@ -10,8 +8,8 @@ import polars as pl
 from roadperc_stream.eval.quantities import COVERED, SIDES, TRUTH
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 
-TIMES: Final = "recorded times x 1.2 (`--times`)"
-_ERROR: Final = (pl.col("distance_m") - pl.col("true_distance_m")).abs()
+TIMES = "recorded times x 1.2 (`--times`)"
+_ERROR = (pl.col("distance_m") - pl.col("true_distance_m")).abs()
 
 
 @dataclass(frozen=True)
@@ -22,12 +20,7 @@ class Tables:
     objects: pl.DataFrame
 
 
-Logs = list[Tables]
-Inject = Callable[[Logs, np.random.Generator], Logs]
-"""Returns the logs of a run with a regression at a random place."""
-
-
-def _boundary_off(new: Logs, random: np.random.Generator) -> Logs:
+def _boundary_off(new, random):
     """One boundary is off by 2 m in two frames of one log: neighbours in half of the trials."""
     log, side = random.integers(len(new)), random.choice(SIDES)
     count = new[log].frames.height
@@ -39,9 +32,9 @@ def _boundary_off(new: Logs, random: np.random.Generator) -> Logs:
     return _changed(new, log, [pl.when(at).then(pl.col(name) + shift).otherwise(pl.col(name)) for name in columns])
 
 
-def _distances_long(new: Logs, random: np.random.Generator) -> Logs:
+def _distances_long(new, random):
     """The distances of one class are 5 % long."""
-    label = random.choice(sorted(set[str]().union(*(log.objects["label"].unique() for log in new))))
+    label = random.choice(sorted(set().union(*(log.objects["label"].unique() for log in new))))
     factor = pl.when(pl.col("label") == label).then(1.05).otherwise(1.0)
     changed = []
     for log in new:
@@ -52,7 +45,7 @@ def _distances_long(new: Logs, random: np.random.Generator) -> Logs:
     return changed
 
 
-def _coverage_lower(new: Logs, random: np.random.Generator) -> Logs:
+def _coverage_lower(new, random):
     """One output is missing in 2 % of the frames of one log."""
     log, column = random.integers(len(new)), random.choice(list(COVERED.values()))
     count = new[log].frames.height
@@ -61,7 +54,7 @@ def _coverage_lower(new: Logs, random: np.random.Generator) -> Logs:
     return _changed(new, log, [pl.when(~at).then(pl.col(column)).alias(column)])
 
 
-def _jitter(new: Logs, random: np.random.Generator) -> Logs:
+def _jitter(new, random):
     """An error's deviation from its median is three times as large."""
     errors = [q.column for q in TRUTH if q.better != "high" and q.unit in ("m", "deg", "px")]
     known = [name for name in errors if not all(log.frames[name].is_null().all() for log in new)]
@@ -71,18 +64,18 @@ def _jitter(new: Logs, random: np.random.Generator) -> Logs:
     return [Tables(log.frames.with_columns(tripled), log.objects) for log in new]
 
 
-def _slower(new: Logs, _: np.random.Generator) -> Logs:
+def _slower(new, _):
     """The recorded times are 1.2 times as long."""
     return [Tables(log.frames.with_columns(pl.col(TIME_COLUMNS) * 1.2), log.objects) for log in new]
 
 
-def _changed(logs: Logs, index: int, columns: list[pl.Expr]) -> Logs:
+def _changed(logs, index, columns):
     changed = list(logs)
     changed[index] = Tables(logs[index].frames.with_columns(columns), logs[index].objects)
     return changed
 
 
-INJECTIONS: Final[Mapping[str, Inject]] = {
+INJECTIONS = {
     "one boundary off by 2 m in 2 frames": _boundary_off,
     "one class's distances 5 % long": _distances_long,
     "coverage 2 % lower in one log": _coverage_lower,
