@@ -2,8 +2,8 @@
 
 import argparse
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from typing import Final, Literal
 
@@ -32,12 +32,16 @@ class Rules:
     """Rules for fields and metrics, by glob; when several amounts match a name, the last one applies.
 
     A field differs when its absolute difference exceeds its tolerance. A metric may become worse by its allowance,
-    in its own unit or as a ratio of the reference's mean.
+    in its own unit or as a ratio of the reference's mean. ``relevant`` and ``limits`` override the smallest relevant
+    effect and the limit of a metric. Times are judged only with ``times``.
     """
 
     ignored: tuple[str, ...] = ()
     tolerances: tuple[Amount, ...] = ()
     allowances: tuple[Amount, ...] = ()
+    times: bool = False
+    relevant: Mapping[str, float] = field(default_factory=dict)
+    limits: Mapping[str, float] = field(default_factory=dict)
 
     def ignores(self, name: str) -> bool:
         """Whether a field or metric is left out of the comparison."""

@@ -16,7 +16,8 @@ from roadperc_stream.schemas.columns.column import Better
 class Quantity:
     """A numeric column of a report: its name, unit, number of decimals, and the side of the good values.
 
-    Large absolute values are bad unless ``better`` is ``high``. If it is ``near 0``, the median is a bias.
+    Large absolute values are bad unless ``better`` is ``high``. If it is ``near 0``, the median is a bias. ``relevant``
+    and ``limit`` are those of the column, and ``stage`` is the stage whose result it describes.
     """
 
     column: str
@@ -24,6 +25,9 @@ class Quantity:
     unit: str
     decimals: int
     better: Better = ""
+    relevant: float = 0.0
+    limit: float | None = None
+    stage: str = ""
 
     @property
     def label(self) -> str:
@@ -36,19 +40,23 @@ class Quantity:
         return pl.col(self.column) if self.better == "high" else pl.col(self.column).abs()
 
 
-def _quantities(*groups: type) -> tuple[Quantity, ...]:
-    """The columns of these groups that have a label for reports."""
-    columns = [(name, column) for group in groups for name, column in columns_of(group).items() if column.label]
-    return tuple(Quantity(name, column.label, column.unit, column.decimals, column.better) for name, column in columns)
+def _quantities(**groups: type) -> tuple[Quantity, ...]:
+    """The columns with a label for reports, from the groups of columns of each stage."""
+    return tuple(
+        Quantity(name, at.label, at.unit, at.decimals, at.better, at.relevant, at.limit, stage.partition("_")[0])
+        for stage, group in groups.items()
+        for name, at in columns_of(group).items()
+        if at.label
+    )
 
 
 SIDES: Final = ("left", "right")
 _ESTIMATES: Final = _quantities(
-    estimates.SurfaceColumns,
-    estimates.LaneColumns,
-    estimates.ObjectColumns,
-    estimates.StereoColumns,
-    estimates.OdometryColumns,
+    surface=estimates.SurfaceColumns,
+    lanes=estimates.LaneColumns,
+    objects=estimates.ObjectColumns,
+    stereo=estimates.StereoColumns,
+    odometry=estimates.OdometryColumns,
 )
 _OFFSET_COLUMNS: Final = tuple(f"lane_{side}_{kind}offset_m" for side in SIDES for kind in ("", "raw_"))
 OFFSETS: Final = tuple(q for q in _ESTIMATES if q.column in _OFFSET_COLUMNS)
@@ -56,13 +64,13 @@ SEEN: Final = tuple(q for q in _ESTIMATES if q.column not in _OFFSET_COLUMNS)
 """Outputs of the chain that need no truth; the lane offsets have a separate table."""
 
 TRUTH: Final = _quantities(
-    errors.SurfaceErrorColumns,
-    errors.LaneErrorColumns,
-    errors.LaneScoreColumns,
-    errors.TrueImpactColumns,
-    errors.ObjectErrorColumns,
-    errors.StereoErrorColumns,
-    errors.OdometryErrorColumns,
+    surface=errors.SurfaceErrorColumns,
+    lanes=errors.LaneErrorColumns,
+    lanes_scored=errors.LaneScoreColumns,
+    objects_impact=errors.TrueImpactColumns,
+    objects=errors.ObjectErrorColumns,
+    stereo=errors.StereoErrorColumns,
+    odometry=errors.OdometryErrorColumns,
 )
 """Errors against truth."""
 
@@ -75,9 +83,11 @@ STAGE_TIMES: Final = (
     TOTAL,
 )
 
-(SKEW,) = _quantities(InputColumns)
+(SKEW,) = _quantities(inputs=InputColumns)
 JITTERS: Final = tuple(
-    Quantity(f"lane_{side}_{kind}second_difference_m", f"{side} jitter", "m", 4)
+    Quantity(
+        f"lane_{side}_{kind}second_difference_m", f"{side} jitter", "m", 4, relevant=0.001, limit=0.1, stage="lanes"
+    )
     for side in SIDES
     for kind in ("", "raw_")
 )

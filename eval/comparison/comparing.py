@@ -1,120 +1,54 @@
 """Comparison of a new run with a base run: a verdict on every metric, and the agreement of every field."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from roadperc_stream.geometry import Float
-from roadperc_stream.schemas.columns import FrameMetrics, columns_of
 
 from ..configurations import change
 from ..options import Rules
-from ..quantities import JITTERS, OFFSETS, SEEN, SIDES, STAGE_TIMES, TRUTH, Quantity
 from ..runs import Run, collect
 from ..scan import scan
 from .agreement import NOT_COMPARED, Agreement, Overlap, added, compare_tables
 from .bootstrap import Interval, mean_interval
 from .messages import message_agreements
-from .pairing import KEY, NEW, Pairing, RunPair, numbered
+from .metrics import FRAMES, METRICS, Metric
+from .pairing import KEY, NEW, STAMP, Pairing, RunPair, numbered
+from .verdicts import Finding, Group, Mark, Place, Verdict
 
-Mark = Literal["worse", "unchanged", "better"]
 ROUNDING: Final = 1e-9
 """Ratio to a metric's size below which a difference is rounding, as on another processor."""
 
 
 @dataclass(frozen=True)
-class Metric:
-    """A number per frame, float64, null where unknown.
+class LogValues:
+    """A metric's values in the common frames of a pair: (N,) float64 each, the frames' numbers and stamps beside them.
 
-    ``--allow`` and ``--ignore`` match ``name``. With ``share`` the values are 1 and 0. With ``timed`` it is a time,
-    which depends on the machine and is judged on request only.
+    ``base`` and ``new`` are the judged numbers: absolute values, or the values themselves if high is better.
     """
 
-    name: str
-    value: pl.Expr
-    higher_is_better: bool = False
-    share: bool = False
-    timed: bool = False
-
-
-def _of_quantity(quantity: Quantity, *, timed: bool = False) -> Metric:
-    return Metric(quantity.column, quantity.judged, quantity.better == "high", timed=timed)
-
-
-def _share(name: str, holds: pl.Expr) -> Metric:
-    return Metric(name, holds.cast(pl.Float64), higher_is_better=True, share=True)
-
-
-_BEST_STATES: Final = {
-    "surface_source": "depth",
-    **{f"lane_{side}_status": "measured" for side in SIDES},
-    "odometry_status": "tracked",
-}
-_COVERING: Final = (
-    "surface_source",
-    *(q.column for q in (*SEEN, *OFFSETS, *TRUTH) if columns_of(FrameMetrics)[q.column].compares_coverage),
-)
-METRICS: Final = (
-    *map(_of_quantity, TRUTH),
-    *(replace(_of_quantity(q), name=q.column.replace("second_difference", "jitter")) for q in JITTERS),
-    *(_share(f"{name}.{best}", (pl.col(name) == best).fill_null(value=False)) for name, best in _BEST_STATES.items()),
-    *(_share(f"{name}.coverage", pl.col(name).is_not_null()) for name in _COVERING),
-    *(_of_quantity(quantity, timed=True) for quantity in STAGE_TIMES),
-)
-"""The metrics on which two runs are judged.
-
-Errors against truth and the jitter of lane boundaries are judged over the frames in which both runs have a value.
-States and coverage are judged over all common frames, as 1 or 0. For outputs without truth (camera height, lane width,
-inliers) neither side is better, so only the comparison of fields shows them.
-"""
-FRAMES: Final = _share("frames.coverage", pl.lit(value=True))
-"""Share of the base's frames that the new run has."""
-
-
-@dataclass
-class Paired:
-    """A metric's values in the common frames, log by log.
-
-    ``differences`` are new minus base, (N,) float64 for each log with values.
-    """
-
-    frames: int = 0
-    base_sum: float = 0.0
-    new_sum: float = 0.0
-    differences: list[Float] = field(default_factory=list)
-
-    def add(self, base: Float, new: Float) -> None:
-        """Add the values of a log, (N,) each."""
-        if base.size:
-            self.frames += base.size
-            self.base_sum += float(base.sum())
-            self.new_sum += float(new.sum())
-            self.differences.append(new - base)
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """The means of a metric over the common ``frames``, the interval of their difference, and the mark.
-
-    ``judged`` is false for times that no allowance names.
-    """
-
-    metric: Metric
-    frames: int
-    base: float
-    new: float
-    interval: Interval
-    mark: Mark
-    judged: bool
+    pair: RunPair
+    frames: NDArray[np.int64]
+    stamps_ns: NDArray[np.int64]
+    base: Float
+    new: Float
 
     @property
-    def difference(self) -> float:
-        """Candidate minus base."""
+    def differences(self) -> Float:
+        """New minus base."""
         return self.new - self.base
+
+    def place(self, metric: Metric) -> Place:
+        """The frame in which the new run is worse by most."""
+        at = int(np.argmin(self.differences) if metric.higher_is_better else np.argmax(self.differences))
+        numbers = int(self.frames[at]), int(self.stamps_ns[at])
+        return Place(self.pair, *numbers, float(self.base[at]), float(self.new[at]))
 
 
 def verdicts(pairs: Sequence[RunPair], overlaps: Sequence[Overlap], rules: Rules) -> tuple[Verdict, ...]:
@@ -123,59 +57,78 @@ def verdicts(pairs: Sequence[RunPair], overlaps: Sequence[Overlap], rules: Rules
     Raises:
         TableError: a table's data cannot be read.
     """
-    paired = {metric.name: Paired() for metric in METRICS}
-    for pair in pairs:
-        ours, theirs = (_measured(run, pair.by_segment) for run in (pair.base, pair.new))
-        joined = ours.join(theirs, on=KEY, suffix=NEW).sort(KEY)
-        for name, values in paired.items():
-            known = joined.select(name, name + NEW).drop_nulls()
-            values.add(known[name].to_numpy(), known[name + NEW].to_numpy())
-    kept = Paired()
-    for found in overlaps:
-        kept.add(np.ones(found.common + found.only_base), np.repeat([1.0, 0.0], found[:2]))
-    every = ((FRAMES, kept), *((metric, paired[metric.name]) for metric in METRICS))
+    joined = [(pair, _joined(pair)) for pair in pairs]
+    kept = [_kept(pair, found) for pair, found in zip(pairs, overlaps, strict=True)]
+    every = ((FRAMES, kept), *((metric, [_values(metric, *one) for one in joined]) for metric in METRICS))
     return tuple(
         _judge(metric, values, rules)
-        for metric, values in every
-        if values.frames
+        for metric, logs in every
+        if (values := [log for log in logs if log.base.size])
         and not rules.ignores(metric.name)
         # a share of 0 in both runs means that neither run has the output
-        and not (metric.share and values.base_sum == values.new_sum == 0)
+        and not (metric.share and not any(log.base.any() or log.new.any() for log in values))
     )
 
 
+def _joined(pair: RunPair) -> pl.DataFrame:
+    ours, theirs = (_measured(run, pair.by_segment) for run in (pair.base, pair.new))
+    return ours.join(theirs, on=KEY, suffix=NEW).sort(KEY)
+
+
 def _measured(run: Run, by_segment: bool) -> pl.DataFrame:
-    values = [metric.value.cast(pl.Float64).alias(metric.name) for metric in METRICS]
-    return collect(numbered(scan(run), run, by_segment).select(*KEY, *values), run.source_name)
+    values = [metric.value.alias(metric.name) for metric in METRICS]
+    return collect(numbered(scan(run), run, by_segment).select(*KEY, "frame", *values), run.source_name)
 
 
-def _judge(metric: Metric, values: Paired, rules: Rules) -> Verdict:
-    base, new = values.base_sum / values.frames, values.new_sum / values.frames
-    interval = _interval(metric, values)
-    allowed = max(rules.allowance(metric.name, base), ROUNDING * max(abs(base), abs(new)))
-    judged = not metric.timed or rules.names(metric.name)
-    mark = _mark(metric, values, interval, allowed)
-    return Verdict(metric, values.frames, base, new, interval, mark, judged)
+def _values(metric: Metric, pair: RunPair, joined: pl.DataFrame) -> LogValues:
+    known = joined.select("frame" + NEW, STAMP, metric.name, metric.name + NEW).drop_nulls()
+    base, new = (known[name].cast(pl.Float64).to_numpy() for name in (metric.name, metric.name + NEW))
+    if not metric.higher_is_better:
+        base, new = np.abs(base), np.abs(new)
+    return LogValues(pair, known["frame" + NEW].to_numpy(), known[STAMP].to_numpy(), base, new)
 
 
-def _interval(metric: Metric, values: Paired) -> Interval:
+def _kept(pair: RunPair, found: Overlap) -> LogValues:
+    """The base's frames as 1, and whether the new run has them; without their numbers."""
+    unknown = np.full(found.common + found.only_base, -1)
+    return LogValues(pair, unknown, unknown, np.ones(unknown.size), np.repeat([1.0, 0.0], found[:2]))
+
+
+def _judge(metric: Metric, logs: Sequence[LogValues], rules: Rules) -> Verdict:
+    base, new = (float(np.concatenate(side).mean()) for side in ([x.base for x in logs], [x.new for x in logs]))
+    interval = _interval(metric, [log.differences for log in logs])
+    relevant = rules.relevant.get(metric.name, metric.relevant)
+    if metric.timed:
+        relevant *= abs(base)
+    allowed = max(relevant, rules.allowance(metric.name, base), ROUNDING * max(abs(base), abs(new)))
+    mark = _mark(metric, new - base, interval, allowed)
+    places = [log.place(metric) for log in logs]
+    sign = -1 if metric.higher_is_better else 1
+    place = max(places, key=lambda at: sign * (at.new - at.base))
+    shown = None if metric is FRAMES or place.base == place.new else place
+    mean = Finding(metric, "mean", base, new, interval, mark, shown)
+    judged = not metric.timed or rules.times or rules.names(metric.name)
+    frames = sum(log.base.size for log in logs)
+    return Verdict(metric, frames, base, new, interval, mark, judged, (mean,), shown, allowed)
+
+
+def _interval(metric: Metric, differences: Sequence[Float]) -> Interval:
     """The interval of the mean difference; for a share it ends at 0 if no frame was gained, or none was lost.
 
     Lost frames are counted, not estimated: a single series of lost frames is worse, even if other logs lost none.
     """
-    interval = mean_interval(values.differences)
+    interval = mean_interval(differences)
     if not metric.share:
         return interval
-    least = min(float(part.min()) for part in values.differences)
-    most = max(float(part.max()) for part in values.differences)
+    least = min(float(part.min()) for part in differences)
+    most = max(float(part.max()) for part in differences)
     return Interval(max(interval.low, least), min(interval.high, most))
 
 
-def _mark(metric: Metric, values: Paired, interval: Interval, allowed: float) -> Mark:
+def _mark(metric: Metric, difference: float, interval: Interval, allowed: float) -> Mark:
     sign = 1 if metric.higher_is_better else -1
-    gain = sign * (values.new_sum - values.base_sum) / values.frames
     low, high = sorted((sign * interval.low, sign * interval.high))
-    if abs(gain) <= allowed:
+    if abs(difference) < allowed:
         return "unchanged"
     if high < 0 or (metric.share and high == 0):
         return "worse"
@@ -211,6 +164,21 @@ class Comparison:
     def named(self, mark: Mark) -> list[Verdict]:
         """The judged metrics with this mark."""
         return [verdict for verdict in self.verdicts if verdict.judged and verdict.mark == mark]
+
+    def groups(self, mark: Mark) -> list[Group]:
+        """The judged metrics with this mark, by cause; the largest effect first, among the groups and in each."""
+        names = dict.fromkeys(verdict.metric.group for verdict in self.named(mark))
+        by_name = {name: [found for found in self.named(mark) if found.metric.group == name] for name in names}
+        groups = [
+            Group(name, tuple(sorted(found, key=lambda verdict: -verdict.weight))) for name, found in by_name.items()
+        ]
+        return sorted(groups, key=lambda group: -group.verdicts[0].weight)
+
+    @property
+    def worst_place(self) -> Place | None:
+        """The frame of the worse metric with the largest effect."""
+        worse = sorted(self.named("worse"), key=lambda verdict: -verdict.weight)
+        return next((verdict.place for verdict in worse if verdict.place), None)
 
     @property
     def regressions(self) -> list[str]:

@@ -15,7 +15,8 @@ from ..configurations import UNKNOWN, short_digest
 from ..runs import Run
 from .agreement import Agreement, Agreements, Value
 from .bootstrap import LEVEL, MANY_LOGS
-from .comparing import Comparison, Mark, Verdict
+from .comparing import Comparison
+from .verdicts import Mark, Verdict
 
 TEXT_SHOWN = 48
 """Characters shown of a text value."""
