@@ -16,7 +16,7 @@ from roadperc_stream.config.settings import MOST_BYTES, in_brief, parsed_toml
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.system.text import nearest
 
-from .comparison.comparing import METRICS
+from .comparison.metrics import METRICS
 from .runs import first_line
 
 Statistic = Literal["mean", "median", "p1", "p5", "p95", "p99", "min", "max", "share", "rate"]

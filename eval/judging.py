@@ -1,4 +1,4 @@
-"""Judges criteria over runs: the statistic of each, its coverage, and the worst frame of each that fails."""
+"""Judges criteria over runs: the statistic of each, its coverage, and the worst frame of those that fail."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -112,15 +112,9 @@ def unit_of(criterion: Criterion) -> str:
     """The unit of the statistic with a space before it; empty if it has none."""
     if criterion.statistic == "rate":
         return " per minute"
-    unit = "" if criterion.statistic == "share" else _units().get(criterion.subject, "")
-    return f" {unit}" if unit not in UNITLESS else ""
-
-
-@cache
-def _units() -> Mapping[str, str]:
-    jitters = {name: "m" for name in BY_NAME if name.endswith("jitter_m")}
-    columns = {name: column.unit for name, column in columns_of(FrameMetrics).items()}
-    return columns | jitters | dict.fromkeys(TIME_COLUMNS, "ms")
+    known = {name: column.unit for name, column in columns_of(FrameMetrics).items()} | dict.fromkeys(TIME_COLUMNS, "ms")
+    unit = BY_NAME[criterion.metric].unit if criterion.metric else known.get(criterion.column or "", "")
+    return "" if unit in UNITLESS or criterion.statistic == "share" else f" {unit}"
 
 
 @cache
@@ -164,9 +158,10 @@ def _value(criterion: Criterion) -> pl.Expr:
     if criterion.statistic == "rate":
         event = _sql(criterion.event).fill_null(value=False)
         return (event & ~before(event, 1).fill_null(value=False)).cast(pl.Float64)
-    value = BY_NAME[criterion.metric].value if criterion.metric else pl.col(criterion.column or "")
-    number = value.cast(pl.Float64)
-    return pl.when(number.is_finite()).then(number)
+    metric = BY_NAME.get(criterion.metric or "")
+    number = (metric.value if metric else pl.col(criterion.column or "")).cast(pl.Float64)
+    judged = number.abs() if metric and not metric.higher_is_better else number
+    return pl.when(judged.is_finite()).then(judged)
 
 
 def _measured(criteria: Sequence[Criterion], run: Run, schema: pl.Schema) -> list[_Part]:
