@@ -190,7 +190,12 @@ def _as_json(found: Check) -> dict[str, Any]:
 
 
 def _values(result: Result) -> dict[str, Any]:
-    values = {"outcome": result.outcome, "value": result.value, "coverage": result.coverage, "frames": result.frames}
+    values: dict[str, Any] = {
+        "outcome": result.outcome,
+        "value": result.value,
+        "coverage": result.coverage,
+        "frames": result.frames,
+    }
     if result.reason:
         values["reason"] = result.reason
     if result.worst is not None:

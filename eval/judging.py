@@ -1,6 +1,6 @@
 """Judges criteria over runs: the statistic of each, its coverage, and the worst frame of those that fail."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -208,6 +208,7 @@ def _judged(criterion: Criterion, parts: Sequence[_Part], log: str) -> Result:
     frames = sum(part.rows.height for part in parts)
     if frames < criterion.least_frames:
         reason = f"{number_of(frames, 'frame')}, expected {criterion.least_frames} at least"
+        reason = reason if frames else "no frame fulfils the filter"
         return Result(criterion, log, "skipped", frames, reason=reason)
     values = pl.concat([part.rows["value"] for part in parts]).drop_nulls()
     coverage = values.len() / frames

@@ -64,8 +64,8 @@ def _parser() -> argparse.ArgumentParser:
         "runs",
         metavar="RUN",
         nargs="+",
-        help="OUT.metrics.parquet, an OUT.mcap with its table, a folder with tables, a glob, or the OUT_DIR of a batch; "
-        "all runs are judged together",
+        help="OUT.metrics.parquet, an OUT.mcap with its table, a folder with tables, a glob, or the OUT_DIR of a "
+        "batch; all runs are judged together",
     )
     criteria = add(
         "--criteria", metavar="FILE.toml", type=Path, help="the criteria; without this option those of the package"

@@ -158,7 +158,20 @@ def _end(_number: int, _frame: FrameType | None, code: int) -> None:
     os._exit(code)
 
 
-COMMANDS = ("batch", "check", "compare", "convert", "info", "lanes", "render", "replay", "report", "sweep", "trajectory", "view")
+COMMANDS = (
+    "batch",
+    "check",
+    "compare",
+    "convert",
+    "info",
+    "lanes",
+    "render",
+    "replay",
+    "report",
+    "sweep",
+    "trajectory",
+    "view",
+)
 """Each is a module of this package and the console script ``roadperc-...``."""
 
 
