@@ -34,7 +34,11 @@ def _launch(command: str) -> int:
     _keep_stderr_from_libraries()
     if isinstance(sys.stdout, TextIOWrapper):  # characters that the encoding lacks become \udcff, as on stderr
         sys.stdout.reconfigure(errors="backslashreplace")
-    code = _watched(command) if _is_limited() else _ended(command)
+    try:
+        code = _watched(command) if _is_limited() else _ended(command)
+    except Exception:  # a fault of the program
+        sys.excepthook(*sys.exc_info())
+        code = _error_code(command)
     for number in ending_signals():
         signal.signal(number, lambda *_: os._exit(code))
     return code
@@ -50,9 +54,6 @@ def _ended(command: str) -> int:
         code = _refused("not enough memory", command)
     except OSError as error:  # such as no space for the help
         code = _refused(str(error) if error.filename else error.strerror or str(error), command)
-    except Exception:  # a fault of the program
-        sys.excepthook(*sys.exc_info())
-        code = _error_code(command)
     return _flushed(code, command)
 
 
@@ -159,18 +160,8 @@ def _end(_number: int, _frame: FrameType | None, code: int) -> None:
 
 
 COMMANDS = (
-    "batch",
-    "check",
-    "compare",
-    "convert",
-    "info",
-    "lanes",
-    "render",
-    "replay",
-    "report",
-    "sweep",
-    "trajectory",
-    "view",
+    *("batch", "check", "compare", "convert", "info", "lanes"),
+    *("render", "replay", "report", "sweep", "trajectory", "view"),
 )
 """Each is a module of this package and the console script ``roadperc-...``."""
 
