@@ -1,6 +1,7 @@
 """Checks runs against absolute limits, and writes the results for people and for other programs."""
 
 import argparse
+import math
 import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -18,10 +19,10 @@ from roadperc_stream.system.text import number
 from .continued import find_joined
 from .criteria import DEFAULT_CRITERIA, read_criteria
 from .dataset.pairs import all_runs, in_a_folder
-from .dataset.place import DONE, Dataset, dataset_at, read_runs
-from .judging import Result, judge, unit_of
+from .dataset.place import DONE, dataset_at, read_runs
+from .judging import Result, judge
 from .machine import Case, Outcome, write_json, write_junit, write_markdown
-from .quantities import listed, percent
+from .quantities import listed
 from .reference_criteria import write_criteria
 from .runs import Run
 
@@ -31,21 +32,13 @@ _BY_SEVERITY: Final[tuple[Outcome, ...]] = ("failed", "error", "passed", "skippe
 
 
 @dataclass(frozen=True)
-class FailedLog:
-    """A log of a batch without a result, and the reason."""
-
-    path: str
-    reason: str
-
-
-@dataclass(frozen=True)
 class Check:
-    """The results of all criteria, and the logs of a batch that have none."""
+    """The results of all criteria, and the logs of a batch without a result: path and reason."""
 
     criteria: Path
     runs: tuple[Run, ...]
     results: tuple[Result, ...]
-    failed_logs: tuple[FailedLog, ...]
+    failed_logs: tuple[tuple[str, str], ...]
 
     @property
     def by_title(self) -> dict[str, list[Result]]:
@@ -89,13 +82,13 @@ def check(arguments: argparse.Namespace) -> None:
     if found.verdict == "failed":
         raise RegressionError(f"failed: {listed(_titles(found, 'failed'))}")
     if found.verdict == "error":
-        raise TableError(f"{failed_logs[0].path}: has no result: {failed_logs[0].reason}")
+        raise TableError(": has no result: ".join(failed_logs[0]))
     if found.verdict == "skipped":
         raise TableError(f"{path}: all criteria are skipped, so nothing is checked: {found.results[0].reason}")
 
 
-def _found(arguments: Sequence[str], stack: ExitStack) -> tuple[tuple[Run, ...], tuple[FailedLog, ...]]:
-    """The runs with frames, and the failed logs of batches.
+def _found(arguments: Sequence[str], stack: ExitStack) -> tuple[tuple[Run, ...], tuple[tuple[str, str], ...]]:
+    """The runs with frames, and the path and the reason of each failed log of a batch.
 
     Raises:
         RoadpercError: an argument names no run, or no run has a frame.
@@ -106,14 +99,8 @@ def _found(arguments: Sequence[str], stack: ExitStack) -> tuple[tuple[Run, ...],
     filled = tuple(run for run in runs if run.frames)
     if not filled:
         raise TableError(f"{runs[0].why_empty}; expected a table with frames")
-    return filled, tuple(log for dataset in datasets for log in _failed_logs(dataset))
-
-
-def _failed_logs(dataset: Dataset) -> Iterator[FailedLog]:
-    rows = read_runs(dataset).select("path", "status", "error")
-    for path, status, reason in rows.iter_rows():
-        if status != DONE:
-            yield FailedLog(path, reason or status)
+    listed_logs = [row for found in datasets for row in read_runs(found).select("path", "status", "error").iter_rows()]
+    return filled, tuple((path, reason or status) for path, status, reason in listed_logs if status != DONE)
 
 
 def _titles(found: Check, outcome: Outcome) -> list[str]:
@@ -130,8 +117,7 @@ def _lines(found: Check) -> Iterator[str]:
         yield from _failure(title, found.by_title[title])
     if len(failed) > _LISTED:
         yield f"failed   also {listed(failed[_LISTED:])}"
-    for log in found.failed_logs[:_LISTED]:
-        yield f"error    {log.path} has no result: {log.reason}"
+    yield from (f"error    {path} has no result: {reason}" for path, reason in found.failed_logs[:_LISTED])
     skipped: dict[str, list[str]] = {}
     for title in _titles(found, "skipped"):
         skipped.setdefault(found.by_title[title][0].reason, []).append(title)
@@ -141,19 +127,12 @@ def _lines(found: Check) -> Iterator[str]:
 
 def _failure(title: str, results: Sequence[Result]) -> Iterator[str]:
     failed = [result for result in results if result.outcome == "failed"]
-    first = max(failed, key=_excess)
+    sign = 1 if failed[0].criterion.least is None else -1
+    first = max(failed, key=lambda result: math.inf if result.value is None else sign * result.value)
     logs = f" in {len(failed)} of {len(results)} logs, worst {first.log}" if first.criterion.per_log else ""
     yield f"failed   {title}{logs}: {first.text}"
     if first.worst is not None:
         yield f"         worst frame: {first.worst.command}"
-
-
-def _excess(result: Result) -> float:
-    """How far the value is beyond its bound; negative if only the coverage is too low."""
-    most, least, value = result.criterion.most, result.criterion.least, result.value
-    if value is None:
-        return float("inf")
-    return value - most if most is not None else (least or 0.0) - value
 
 
 def _write(found: Check, arguments: argparse.Namespace) -> None:
@@ -164,7 +143,7 @@ def _write(found: Check, arguments: argparse.Namespace) -> None:
         write_markdown(arguments.markdown, f"Check: {found.verdict}", list(_lines(found))[1:], [_table(found)])
     if arguments.junit is not None:
         cases = [Case(result.log, result.criterion.title, result.outcome, _body(result)) for result in found.results]
-        logs = [Case(log.path, "replay", "error", log.reason) for log in found.failed_logs]
+        logs = [Case(path, "replay", "error", reason) for path, reason in found.failed_logs]
         write_junit(arguments.junit, "roadperc-check", [*cases, *logs])
 
 
@@ -185,7 +164,7 @@ def _as_json(found: Check) -> dict[str, Any]:
         "runs": len(found.runs),
         "frames": sum(run.frames for run in found.runs),
         "criteria": criteria,
-        "failed_logs": {log.path: log.reason for log in found.failed_logs},
+        "failed_logs": dict(found.failed_logs),
     }
 
 
@@ -205,16 +184,8 @@ def _values(result: Result) -> dict[str, Any]:
 
 def _table(found: Check) -> TextTable:
     rows = [
-        row(
-            result.criterion.title,
-            result.outcome,
-            result.log,
-            "" if result.value is None else f"{result.value:.4g}{unit_of(result.criterion)}",
-            result.criterion.bound,
-            f"{percent(result.coverage)} %",
-            str(result.frames),
-        )
+        row(result.criterion.title, result.outcome, result.log, result.text, str(result.frames))
         for results in found.by_title.values()
         for result in results
     ]
-    return TextTable("Criterion", ("result", "log", "value", "bound", "coverage", "frames"), tuple(rows))
+    return TextTable("Criterion", ("result", "log", "value and bound", "frames"), tuple(rows))

@@ -19,7 +19,7 @@ from .frame_commands import view_command
 from .machine import Outcome
 from .quantities import percent
 from .runs import Run, collect, first_line
-from .scan import SEGMENT, before, rows_of, scan
+from .scan import before, rows_of, scan
 
 _QUANTILES: Final = {"median": 0.5, "p1": 0.01, "p5": 0.05, "p95": 0.95, "p99": 0.99, "min": 0.0, "max": 1.0}
 _OF_ONE_TRUTH: Final = (
@@ -180,7 +180,7 @@ def _measured(criteria: Sequence[Criterion], run: Run, schema: pl.Schema) -> lis
     for number, criterion in enumerate(criteria):
         rows = table.filter(f"keep {number}")
         needed = _columns_of(criterion)
-        of_truth = [names[0] for names in _TRUTHS if needed[0] in names]
+        of_truth = [names[0] for names in _TRUTHS if not set(needed[:1]).isdisjoint(names)]
         absent = next((name for name in needed if name in _written() and name not in run.columns), "")
         has_truth = all(table[f"truth {name}"].any() for name in of_truth)
         minutes = float(rows["lasts"].sum()) / _S_PER_MINUTE
@@ -190,12 +190,8 @@ def _measured(criteria: Sequence[Criterion], run: Run, schema: pl.Schema) -> lis
 
 def _columns_of(criterion: Criterion) -> list[str]:
     """The columns that a criterion needs; those of its value first."""
-    return [
-        name
-        for expression in (_value(criterion), _sql(criterion.filter))
-        for name in expression.meta.root_names()
-        if name != SEGMENT or criterion.statistic != "rate"
-    ]
+    value = _sql(criterion.event) if criterion.statistic == "rate" else _value(criterion)
+    return [*value.meta.root_names(), *_sql(criterion.filter).meta.root_names()]
 
 
 def _judged(criterion: Criterion, parts: Sequence[_Part], log: str) -> Result:
@@ -207,8 +203,8 @@ def _judged(criterion: Criterion, parts: Sequence[_Part], log: str) -> Result:
         return Result(criterion, log, "skipped", frames, reason="no truth")
     frames = sum(part.rows.height for part in parts)
     if frames < criterion.least_frames:
-        reason = f"{number_of(frames, 'frame')}, expected {criterion.least_frames} at least"
-        reason = reason if frames else "no frame fulfils the filter"
+        found = number_of(frames, "frame") if frames else "no frame fulfils the filter"
+        reason = f"{found}, expected {criterion.least_frames} at least" if frames else found
         return Result(criterion, log, "skipped", frames, reason=reason)
     values = pl.concat([part.rows["value"] for part in parts]).drop_nulls()
     coverage = values.len() / frames

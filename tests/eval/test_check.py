@@ -24,7 +24,9 @@ STATUSES = ["measured", "lost", "lost", "measured", "lost"]
 @pytest.fixture
 def table(tmp_path):
     """Five frames, 50 ms each: four errors, and two losses of the lane."""
-    rows = [row(k, lane_left_error_m=e, lane_left_status=s) for k, (e, s) in enumerate(zip(ERRORS_M, STATUSES, strict=True))]
+    rows = [
+        row(k, lane_left_error_m=e, lane_left_status=s) for k, (e, s) in enumerate(zip(ERRORS_M, STATUSES, strict=True))
+    ]
     return write(tmp_path / "out.metrics.parquet", rows)
 
 
@@ -116,7 +118,7 @@ def test_files_for_other_programs(capsys, table, tmp_path):
     assert "0.4 m, at most 0.2 m" in next(iter(suite)).result[0].text
     markdown = (tmp_path / "a.md").read_text()
     assert markdown.startswith("## Check: failed\n")
-    assert "| lane\\_left\\_error\\_m max | failed | out | 0.4 m | at most 0.2 | 80.0 % | 5 |" in markdown
+    assert "| lane\\_left\\_error\\_m max | failed | out | 0.4 m, at most 0.2 m; coverage 80.0 % | 5 |" in markdown
 
 
 def test_a_failed_log_of_a_batch_is_an_error(capsys, tmp_path):
@@ -200,7 +202,7 @@ def test_the_default_criteria_pass_on_the_sample(sample, capsys):
 
 
 def test_git_bisect_finds_the_commit_with_the_bad_setting(tmp_path):
-    """The fourth commit of five has a setting that drops detections; a commit that cannot be replayed is skipped."""
+    """The third commit of four fits the road badly; a commit that cannot be replayed is skipped."""
     repository, tools = tmp_path / "repository", tmp_path / "tools"
     repository.mkdir()
     tools.mkdir()
@@ -210,8 +212,8 @@ def test_git_bisect_finds_the_commit_with_the_bad_setting(tmp_path):
         (tools / name).write_text(f"#!{sys.executable}\n{code}\n")
         (tools / name).chmod(0o755)
     limits = tmp_path / "limits.toml"
-    limits.write_text('criterion = [{ column = "detections_kept", statistic = "mean", least = 5 }]')
-    given = [SCRIPT, SAMPLE, limits, "--config", "roadperc.toml", "--frames", "2"]
+    limits.write_text('criterion = [{ metric = "surface_angle_error_deg", statistic = "max", most = 0.4 }]')
+    given = [SCRIPT, SAMPLE, limits, "--config", "roadperc.toml", "--frames", "1", "--only", "surface"]
     variables = os.environ | {"PATH": f"{tools}{os.pathsep}{os.environ['PATH']}", "GIT_CONFIG_GLOBAL": os.devnull}
 
     def run(*command, code=0):
@@ -224,15 +226,12 @@ def test_git_bisect_finds_the_commit_with_the_bad_setting(tmp_path):
         return run("git", "-c", "user.name=a", "-c", "user.email=a@example.org", *words)
 
     git("init", "--quiet")
-    for number, ratio in enumerate((0.5, 0.51, 0.52, 1.0, 0.99)):
-        (repository / "roadperc.toml").write_text(f"[objects]\nmin_class_ratio = {ratio}\n")
+    for number, inlier_m in enumerate((0.05, 0.04, 1.0, 0.9)):
+        (repository / "roadperc.toml").write_text(f"[surface]\ninlier_m = {inlier_m}\n")
         git("add", ".")
         git("commit", "--quiet", "-m", f"commit {number}")
     bad = git("rev-parse", "HEAD~1").strip()
-    git("bisect", "start", "HEAD", "HEAD~4")
+    git("bisect", "start", "HEAD", "HEAD~3")
     assert f"{bad} is the first bad commit" in git("bisect", "run", *given)
-    (repository / "roadperc.toml").write_text("[objects")
+    (repository / "roadperc.toml").write_text("[surface")
     run(*given, code=125)
-    (repository / "roadperc.toml").unlink()
-    limits.write_text("")
-    run(*given[:3], "--frames", "2", code=125)
