@@ -142,9 +142,14 @@ def _write(found: Check, arguments: argparse.Namespace) -> None:
     if arguments.markdown is not None:
         write_markdown(arguments.markdown, f"Check: {found.verdict}", list(_lines(found))[1:], [_table(found)])
     if arguments.junit is not None:
-        cases = [Case(result.log, result.criterion.title, result.outcome, _body(result)) for result in found.results]
-        logs = [Case(path, "replay", "error", reason) for path, reason in found.failed_logs]
+        cases = [Case(result.log, _case(result), result.outcome, _body(result)) for result in found.results]
+        logs = [Case(path, f"replay of {path}", "error", reason) for path, reason in found.failed_logs]
         write_junit(arguments.junit, "roadperc-check", [*cases, *logs])
+
+
+def _case(result: Result) -> str:
+    """A unique name: GitLab counts only the first case of each name."""
+    return f"{result.criterion.title}, {result.log}" if result.criterion.per_log else result.criterion.title
 
 
 def _body(result: Result) -> str:

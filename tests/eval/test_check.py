@@ -1,6 +1,7 @@
 """roadperc-check: known answers of every statistic, skipped criteria, files for other programs, and errors."""
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -11,6 +12,7 @@ from junitparser import Error, Failure, JUnitXml, Skipped
 
 from roadperc_stream.cli import check, replay
 from roadperc_stream.eval.criteria import DEFAULT_CRITERIA, Effect, effects, read_criteria
+from roadperc_stream.eval.machine import write_json
 from tests.commands import SCRIPTS
 from tests.eval.dataset.datasets import small_dataset
 from tests.eval.tables import outcome, row, usage_error, write
@@ -111,7 +113,7 @@ def test_files_for_other_programs(capsys, table, tmp_path):
     assert (suite.tests, suite.failures, suite.skipped) == (3, 1, 1)
     found = {case.name: (case.classname, [type(result) for result in case.result]) for case in suite}
     assert found == {
-        "lane_left_error_m max": ("out", [Failure]),
+        "lane_left_error_m max, out": ("out", [Failure]),
         "step_error_m mean": ("out", [Skipped]),
         "height": ("out", []),
     }
@@ -235,3 +237,8 @@ def test_git_bisect_finds_the_commit_with_the_bad_setting(tmp_path):
     assert f"{bad} is the first bad commit" in git("bisect", "run", *given)
     (repository / "roadperc.toml").write_text("[surface")
     run(*given, code=125)
+
+
+def test_names_in_json_are_unique_and_valid_for_mlflow(tmp_path):
+    write_json(tmp_path / "a.json", {"a+b": math.nan, "a=b": [1, math.inf], "c": {"d:": 2.0}})
+    assert json.loads((tmp_path / "a.json").read_text()) == {"a_b": None, "a_b 1": [1, None], "c": {"d_": 2.0}}
