@@ -26,6 +26,8 @@ demo: $(VENV)/.installed
 	$(BIN)/roadperc-replay logs/sample.mcap $(DEMO)/sample.mcap --force
 	$(BIN)/roadperc-report $(DEMO)/sample.metrics.parquet --worst 1
 	@echo
+	$(BIN)/roadperc-check $(DEMO)/sample.metrics.parquet
+	@echo
 	@echo "log with results   $(DEMO)/sample.mcap             (see it: $(BIN)/roadperc-view $(DEMO)/sample.mcap)"
 	@echo "a row per frame    $(DEMO)/sample.metrics.parquet"
 	@echo "a row per object   $(DEMO)/sample.objects.parquet"

@@ -31,7 +31,7 @@ class Case:
 def write_json(path: Path, value: Mapping[str, Any]) -> None:
     """Write a nested mapping as JSON; NaN and infinities become null.
 
-    Characters of keys that MLflow refuses become ``_``.
+    Characters of keys that MLflow refuses become ``_``; keys that are equal then get a number.
 
     Raises:
         TargetError: the file cannot be written.
@@ -41,7 +41,11 @@ def write_json(path: Path, value: Mapping[str, Any]) -> None:
 
 def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {_NOT_IN_NAMES.sub("_", str(key)): _plain(item) for key, item in value.items()}
+        plain: dict[str, Any] = {}
+        for key, item in value.items():
+            name = _NOT_IN_NAMES.sub("_", str(key))
+            plain[name if name not in plain else f"{name} {len(plain)}"] = _plain(item)
+        return plain
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,4 +1,4 @@
-"""The runs of two configurations of a dataset, to compare each log with itself."""
+"""The runs of a dataset: those of all configurations, and those of two to compare each log with itself."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -52,15 +52,32 @@ def runs_of_configs(dataset: Dataset, names: Sequence[str]) -> tuple[tuple[Run, 
     Raises:
         TableError: ``names`` do not identify two configurations, or a table cannot be read.
     """
+    runs, found, present = _contents(dataset)
+    base, new = two_configs(names, settings_by_config(runs, present))
+    logs = log_names(found["log_id"].unique(maintain_order=True), runs)
+    return tuple(_runs(found, base, logs)), tuple(_runs(found, new, logs))
+
+
+def all_runs(dataset: Dataset) -> tuple[Run, ...]:
+    """The runs of all configurations of a dataset in a local folder; several add the configuration to the names.
+
+    Raises:
+        TableError: a table cannot be read.
+    """
+    runs, found, present = _contents(dataset)
+    logs = log_names(found["log_id"].unique(maintain_order=True), runs)
+    every = [(config, run) for config in present for run in _runs(found, config, logs)]
+    return tuple(run if len(present) == 1 else replace(run, name=f"{run.name} {config}") for config, run in every)
+
+
+def _contents(dataset: Dataset) -> tuple[pl.DataFrame, pl.DataFrame, list[str]]:
+    """The list of runs, the number of rows of each log and configuration in each file, and the configurations."""
     files = metrics_files(dataset)
     if not files:
         raise TableError(f"{dataset.address}: {NO_TABLES}")
     runs, found = read_runs(dataset), _row_counts(files)
     found = found.join(without_file(runs), on=LOG, how="anti", maintain_order="left")
-    present = in_order_of_runs(found["config"].unique(maintain_order=True).to_list(), runs)
-    base, new = two_configs(names, settings_by_config(runs, present))
-    logs = log_names(found["log_id"].unique(maintain_order=True), runs)
-    return tuple(_runs(found, base, logs)), tuple(_runs(found, new, logs))
+    return runs, found, in_order_of_runs(found["config"].unique(maintain_order=True).to_list(), runs)
 
 
 def _row_counts(files: Sequence[str]) -> pl.DataFrame:

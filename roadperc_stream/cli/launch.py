@@ -14,7 +14,7 @@ from importlib import import_module
 from io import TextIOWrapper
 from types import FrameType
 
-from roadperc_stream.system.process import EXIT_ERROR, discard_output, ending_signals
+from roadperc_stream.system.process import EXIT_ERROR, EXIT_UNDECIDED, discard_output, ending_signals
 
 _MOST_HIDDEN_BYTES = 1 << 20
 """Further writes to file 2 fail, so that messages of libraries on broken images do not fill the memory."""
@@ -29,12 +29,16 @@ def _launch(command: str) -> int:
     gc.disable()  # imports make no garbage; saves a tenth of their time. ``plumbing.run`` enables it
     _open_closed_streams()
     for number in ending_signals():
-        signal.signal(number, _end)
+        signal.signal(number, partial(_end, code=_error_code(command)))
         atexit.register(signal.signal, number, signal.SIG_IGN)  # otherwise Python restores the default: exit code -15
     _keep_stderr_from_libraries()
     if isinstance(sys.stdout, TextIOWrapper):  # characters that the encoding lacks become \udcff, as on stderr
         sys.stdout.reconfigure(errors="backslashreplace")
-    code = _watched(command) if _is_limited() else _ended(command)
+    try:
+        code = _watched(command) if _is_limited() else _ended(command)
+    except Exception:  # a fault of the program
+        sys.excepthook(*sys.exc_info())
+        code = _error_code(command)
     for number in ending_signals():
         signal.signal(number, lambda *_: os._exit(code))
     return code
@@ -45,12 +49,12 @@ def _ended(command: str) -> int:
     try:
         code = int(import_module(f"roadperc_stream.cli.{command}").main())
     except SystemExit as end:  # argparse, after the help, the version or a usage error
-        code = end.code if isinstance(end.code, int) else EXIT_ERROR
+        code = end.code if isinstance(end.code, int) else _error_code(command)
     except MemoryError:
-        code = _refused("not enough memory")
+        code = _refused("not enough memory", command)
     except OSError as error:  # such as no space for the help
-        code = _refused(str(error) if error.filename else error.strerror or str(error))
-    return _flushed(code)
+        code = _refused(str(error) if error.filename else error.strerror or str(error), command)
+    return _flushed(code, command)
 
 
 def _is_limited() -> bool:
@@ -68,12 +72,12 @@ def _watched(command: str) -> int:
     for number in ending_signals():
         signal.signal(number, lambda number, _: os.kill(child, number))
     code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    return code - _STATED if code >= _STATED else _refused(f"{_LIMITED}: the process ended with {code}")
+    return code - _STATED if code >= _STATED else _refused(f"{_LIMITED}: the process ended with {code}", command)
 
 
 def _ended_under_limit(command: str) -> int:
     for number in ending_signals():
-        signal.signal(number, partial(_end, code=_STATED + EXIT_ERROR))
+        signal.signal(number, partial(_end, code=_STATED + _error_code(command)))
     faulthandler.disable()  # the one line comes from the parent
     signal.signal(signal.SIGABRT, signal.SIG_DFL)
     warnings.simplefilter("ignore")
@@ -84,10 +88,10 @@ def _ended_under_limit(command: str) -> int:
             import_module("ctypes").CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
         return _ended(command)
     except BaseException as error:
-        return _refused(f"{_LIMITED}: {repr(error)[-300:]}")
+        return _refused(f"{_LIMITED}: {repr(error)[-300:]}", command)
 
 
-def _flushed(code: int) -> int:
+def _flushed(code: int, command: str) -> int:
     """The exit code after flushing the streams; the interpreter would print a traceback if that fails."""
     for stream in (sys.stdout, sys.stderr):
         try:
@@ -95,14 +99,19 @@ def _flushed(code: int) -> int:
         except OSError as error:
             discard_output(stream)
             if not isinstance(error, BrokenPipeError):  # a reader such as head may close the pipe
-                code = code or _refused(error.strerror or str(error))
+                code = code or _refused(error.strerror or str(error), command)
     return code
 
 
-def _refused(why: str) -> int:
+def _error_code(command: str) -> int:
+    """The exit code of an error; 1 is a result of the commands that judge."""
+    return EXIT_UNDECIDED if command in {"check", "compare"} else EXIT_ERROR
+
+
+def _refused(why: str, command: str) -> int:
     with suppress(OSError):
         os.write(sys.stderr.fileno(), f"error: {' '.join(why.split())}\n".encode(errors="backslashreplace"))
-    return EXIT_ERROR
+    return _error_code(command)
 
 
 def _open_closed_streams() -> None:
@@ -143,14 +152,17 @@ def _hidden_file(stderr: int) -> int:
     return file
 
 
-def _end(_number: int, _frame: FrameType | None, code: int = EXIT_ERROR) -> None:
+def _end(_number: int, _frame: FrameType | None, code: int) -> None:
     """Exit at once: outside ``plumbing.run`` no file is open, and an import in progress may swallow exceptions."""
     with suppress(OSError):
         os.write(sys.stderr.fileno(), b"error: interrupted\n")
     os._exit(code)
 
 
-COMMANDS = ("batch", "compare", "convert", "info", "lanes", "render", "replay", "report", "sweep", "trajectory", "view")
+COMMANDS = (
+    *("batch", "check", "compare", "convert", "info", "lanes"),
+    *("render", "replay", "report", "sweep", "trajectory", "view"),
+)
 """Each is a module of this package and the console script ``roadperc-...``."""
 
 

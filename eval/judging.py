@@ -1,0 +1,253 @@
+"""Judges criteria over runs: the statistic of each, its coverage, and the worst frame of those that fail."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Final
+
+import polars as pl
+
+from roadperc_stream.errors import ConfigError
+from roadperc_stream.output.tables import arrow_schema
+from roadperc_stream.schemas.columns import TIME_COLUMNS, UNITLESS, FrameMetrics, columns_of, errors
+from roadperc_stream.system.text import number as number_of
+from roadperc_stream.system.time import NS_PER_S
+
+from .criteria import BY_NAME, Criterion, hint
+from .frame_commands import view_command
+from .machine import Outcome
+from .quantities import percent
+from .runs import Run, collect, first_line
+from .scan import before, rows_of, scan
+
+_QUANTILES: Final = {"median": 0.5, "p1": 0.01, "p5": 0.05, "p95": 0.95, "p99": 0.99, "min": 0.0, "max": 1.0}
+_OF_ONE_TRUTH: Final = (
+    (errors.SurfaceErrorColumns,),
+    (errors.LaneErrorColumns, errors.LaneScoreColumns, errors.TrueLaneColumns),
+    (errors.ObjectErrorColumns, errors.TrueImpactColumns),
+    (errors.StereoErrorColumns,),
+    (errors.OdometryErrorColumns, errors.TruePoseColumns),
+)
+"""Groups of columns that need the same truth: a value in any of them shows that a log has this truth."""
+_TRUTHS: Final = tuple([name for group in groups for name in columns_of(group)] for groups in _OF_ONE_TRUTH)
+_S_PER_MINUTE: Final = 60
+ALL: Final = "all logs"
+
+
+@dataclass(frozen=True)
+class WorstPlace:
+    """The worst frame of a result; ``value`` is None if the frame has no value."""
+
+    log: str
+    frame: int
+    value: float | None
+    command: str
+
+
+@dataclass(frozen=True)
+class Result:
+    """The result of a criterion over one log, or over ``ALL`` logs.
+
+    ``value`` is the statistic, None without values. ``coverage`` is the share of the ``frames`` with a value; frames
+    are those that fulfil the filter. ``reason`` explains every outcome except passed.
+    """
+
+    criterion: Criterion
+    log: str
+    outcome: Outcome
+    frames: int
+    value: float | None = None
+    coverage: float = 0.0
+    reason: str = ""
+    worst: WorstPlace | None = None
+
+    @property
+    def text(self) -> str:
+        """Value, bound and coverage in one line, or the reason why it is skipped."""
+        if self.outcome not in ("passed", "failed"):
+            return self.reason
+        unit = unit_of(self.criterion)
+        value = "no value" if self.value is None else f"{self.value:.4g}{unit}"
+        covered = "" if self.criterion.statistic == "rate" else f"; coverage {percent(self.coverage)} %"
+        least = self.criterion.least_coverage
+        return f"{value}, {self.criterion.bound}{unit}{covered}{f', at least {percent(least)} %' if least else ''}"
+
+
+@dataclass(frozen=True)
+class _Part:
+    """The frames of a run that fulfil a criterion's filter: ``frame`` and ``value``, and their time in minutes.
+
+    ``absent`` is a column that the criterion needs and the table lacks.
+    """
+
+    run: Run
+    rows: pl.DataFrame
+    minutes: float
+    has_truth: bool
+    absent: str
+
+
+def judge(criteria: Sequence[Criterion], runs: Sequence[Run], source: Path) -> list[Result]:
+    """A result for each criterion, or for each log with ``per_log``, in the order of the file.
+
+    Raises:
+        ConfigError: a criterion of the file ``source`` names an unknown column, or its SQL does not fit.
+        TableError: a table cannot be read.
+    """
+    schema = pl.Schema({**_written(), **{k: v for run in runs for k, v in _frames_of(run).collect_schema().items()}})
+    for criterion in criteria:
+        _require_fit(criterion, schema, f"{source}: criterion {criterion.title!r}")
+    by_run = [_measured(criteria, run, schema) for run in runs]
+    results: list[Result] = []
+    for criterion, parts in zip(criteria, zip(*by_run, strict=True), strict=True):
+        if criterion.per_log:
+            results += [_judged(criterion, [part], part.run.name) for part in parts]
+        else:
+            results.append(_judged(criterion, parts, parts[0].run.name if len(parts) == 1 else ALL))
+    return results
+
+
+def unit_of(criterion: Criterion) -> str:
+    """The unit of the statistic with a space before it; empty if it has none."""
+    if criterion.statistic == "rate":
+        return " per minute"
+    known = {name: column.unit for name, column in columns_of(FrameMetrics).items()} | dict.fromkeys(TIME_COLUMNS, "ms")
+    unit = BY_NAME[criterion.metric].unit if criterion.metric else known.get(criterion.column or "", "")
+    return "" if unit in UNITLESS or criterion.statistic == "share" else f" {unit}"
+
+
+@cache
+def _written() -> pl.Schema:
+    """Names and types of the columns that a replay writes."""
+    return pl.DataFrame(arrow_schema(FrameMetrics, TIME_COLUMNS).empty_table()).schema
+
+
+def _frames_of(run: Run) -> pl.LazyFrame:
+    """The columns of a report, derived ones included, and the other columns of a run's table."""
+    report = scan(run)
+    names = report.collect_schema().names()
+    return pl.concat([report, rows_of(run).select(pl.exclude(names))], how="horizontal")
+
+
+def _require_fit(criterion: Criterion, schema: pl.Schema, where: str) -> None:
+    """Check that the columns of a criterion exist, that its value is a number, and that its SQL is a condition."""
+    empty = pl.DataFrame(schema=schema).lazy()
+    for key, found, expected in (
+        ("filter", _sql(criterion.filter), "a condition"),
+        ("event", _sql(criterion.event), "a condition"),
+        ("column", pl.col(criterion.column or "frame"), "numbers"),
+    ):
+        if wrong := [name for name in found.meta.root_names() if name not in schema]:
+            raise ConfigError(f"{where}: {key}: no column {wrong[0]}; {hint(wrong[0], schema.names())}")
+        try:
+            kind = empty.select(value=found).collect_schema()["value"]
+        except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
+            raise ConfigError(f"{where}: {key}: {first_line(error)}") from error
+        if kind != pl.Boolean and not (expected == "numbers" and kind.is_numeric()):
+            raise ConfigError(f"{where}: {key}: is of type {kind}, expected {expected}")
+
+
+def _sql(text: str | None) -> pl.Expr:
+    """A condition that the reader of the file has parsed; true without one."""
+    return pl.lit(value=True) if text is None else pl.sql_expr(text)
+
+
+def _value(criterion: Criterion) -> pl.Expr:
+    """The value of each frame; for a rate whether the event begins in it."""
+    if criterion.statistic == "rate":
+        event = _sql(criterion.event).fill_null(value=False)
+        return (event & ~before(event, 1).fill_null(value=False)).cast(pl.Float64)
+    metric = BY_NAME.get(criterion.metric or "")
+    number = (metric.value if metric else pl.col(criterion.column or "")).cast(pl.Float64)
+    judged = number.abs() if metric and not metric.higher_is_better else number
+    return pl.when(judged.is_finite()).then(judged)
+
+
+def _measured(criteria: Sequence[Criterion], run: Run, schema: pl.Schema) -> list[_Part]:
+    """The part of one run in each criterion."""
+    frames = _frames_of(run)
+    present = {*frames.collect_schema().names()}
+    lacking = [pl.lit(None, kind).alias(name) for name, kind in schema.items() if name not in present]
+    columns = [pl.col("frame"), before(pl.col("stamp_ns"), -1).sub(pl.col("stamp_ns")).alias("lasts")]
+    columns += [pl.any_horizontal(pl.col(names).is_not_null()).any().alias(f"truth {names[0]}") for names in _TRUTHS]
+    for number, criterion in enumerate(criteria):
+        columns.append(_sql(criterion.filter).fill_null(value=False).alias(f"keep {number}"))
+        columns.append(_value(criterion).alias(f"value {number}"))
+    table = collect(frames.with_columns(lacking).select(columns), run.source_name)
+    table = table.with_columns(pl.col("lasts").fill_null(pl.col("lasts").median()).fill_null(0) / NS_PER_S)
+    parts = []
+    for number, criterion in enumerate(criteria):
+        rows = table.filter(f"keep {number}")
+        needed = _columns_of(criterion)
+        of_truth = [names[0] for names in _TRUTHS if not set(needed[:1]).isdisjoint(names)]
+        absent = next((name for name in needed if name in _written() and name not in run.columns), "")
+        has_truth = all(table[f"truth {name}"].any() for name in of_truth)
+        minutes = float(rows["lasts"].sum()) / _S_PER_MINUTE
+        parts.append(_Part(run, rows.select("frame", value=f"value {number}"), minutes, has_truth, absent))
+    return parts
+
+
+def _columns_of(criterion: Criterion) -> list[str]:
+    """The columns that a criterion needs; those of its value first."""
+    value = _sql(criterion.event) if criterion.statistic == "rate" else _value(criterion)
+    return [*value.meta.root_names(), *_sql(criterion.filter).meta.root_names()]
+
+
+def _judged(criterion: Criterion, parts: Sequence[_Part], log: str) -> Result:
+    frames = sum(part.rows.height for part in parts)
+    if lacking := next((part for part in parts if part.absent), None):
+        return Result(criterion, log, "skipped", frames, reason=f"{lacking.run.name} has no column {lacking.absent}")
+    parts = [part for part in parts if part.has_truth]
+    if not parts:
+        return Result(criterion, log, "skipped", frames, reason="no truth")
+    frames = sum(part.rows.height for part in parts)
+    if frames < criterion.least_frames:
+        found = number_of(frames, "frame") if frames else "no frame fulfils the filter"
+        reason = f"{found}, expected {criterion.least_frames} at least" if frames else found
+        return Result(criterion, log, "skipped", frames, reason=reason)
+    values = pl.concat([part.rows["value"] for part in parts]).drop_nulls()
+    coverage = values.len() / frames
+    covered = coverage >= criterion.least_coverage
+    value = _statistic(criterion, values, sum(part.minutes for part in parts))
+    if value is None and covered:
+        return Result(criterion, log, "skipped", frames, reason="no value in any frame")
+    kept = value is None or _within_bound(criterion, value)
+    outcome: Outcome = "passed" if kept and covered else "failed"
+    worst = None if outcome == "passed" else _worst(criterion, parts, by_value=not kept)
+    return Result(criterion, log, outcome, frames, value, coverage, worst=worst)
+
+
+def _within_bound(criterion: Criterion, value: float) -> bool:
+    return value <= criterion.most if criterion.most is not None else value >= (criterion.least or 0.0)
+
+
+def _statistic(criterion: Criterion, values: pl.Series, minutes: float) -> float | None:
+    """The statistic of known values; None without values, or for a rate without time."""
+    if criterion.statistic == "rate":
+        return float(values.sum()) / minutes if minutes else None
+    if criterion.statistic == "share":
+        values = (values.abs() <= criterion.within).cast(pl.Float64)
+    quantile = _QUANTILES.get(criterion.statistic)
+    found = values.mean() if quantile is None else values.quantile(quantile, "linear")
+    return None if found is None else float(found)  # type: ignore[arg-type]
+
+
+def _worst(criterion: Criterion, parts: Sequence[_Part], *, by_value: bool) -> WorstPlace | None:
+    """The frame with the worst value; the first one without a value if only the coverage is too low."""
+    worst: tuple[float, Run, int, float | None] | None = None
+    for part in parts:
+        rows = part.rows
+        if by_value:
+            size = rows["value"].abs() if criterion.statistic == "share" else rows["value"]
+            badness = size if (criterion.most is not None) != (criterion.statistic == "share") else -size
+        else:
+            badness = rows["value"].is_null().cast(pl.Float64)
+        at = badness.arg_max()
+        if at is not None and (worst is None or badness[at] > worst[0]):
+            worst = badness[at], part.run, rows["frame"][at], rows["value"][at]
+    if worst is None:
+        return None
+    _, run, frame, value = worst
+    of_frame = next((table for table in reversed(run.tables) if table.first_frame <= frame), run)
+    return WorstPlace(run.name, frame, value, view_command(of_frame, frame))
