@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 
 
 EXIT_DONE, EXIT_ERROR = 0, 1
+EXIT_UNDECIDED = 3
+"""Of an error in a command whose exit code 1 is a result."""
 
 
 def ending_signals() -> list[int]:
