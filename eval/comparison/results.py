@@ -7,7 +7,7 @@ from typing import Any, get_args
 
 from roadperc_stream.output.text_table import TextTable, row
 
-from ..machine import Case, write_json, write_junit, write_markdown
+from ..machine import Case, Outcome, write_json, write_junit, write_markdown
 from .comparing import Comparison
 from .summary import command, outcome, summary, values, where
 from .verdicts import Finding, Mark, Place, Verdict
@@ -88,7 +88,7 @@ def _cases(found: Comparison, *, exact: bool) -> Iterator[Case]:
     every = pairs[0].name if len(pairs) == 1 else _ALL_LOGS
     for finding in (finding for verdict in found.verdicts if verdict.judged for finding in verdict.findings):
         text = "\n".join(filter(None, (f"{finding.mark}: {values(finding)}", _shown(finding))))
-        result = "failed" if finding.mark == "worse" else "passed"
+        result: Outcome = "failed" if finding.mark == "worse" else "passed"
         yield Case(finding.log or every, f"{finding.metric.name} {finding.statistic}", result, text)
     yield from (Case(run.name, "run", "failed", "missing in the new run") for run in found.pairing.missing)
     for name, agreement in found.fields.items() if exact else ():
