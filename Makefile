@@ -13,7 +13,7 @@ SAMPLE_OPTIONS := --scene town --size 360x270 --seconds 2 --tag-noise 0.01 --dep
 
 EVENT_LOGS := $(EVENTS:%=$(PICTURES)/%.mcap)
 
-.PHONY: $(EVENT_LOGS) demo test test-hostile mutants accuracy accuracy-long kills cluster parts bench bench-compare bench-report image fuzz lint pages proto sample pictures docs clean
+.PHONY: $(EVENT_LOGS) demo test test-hostile mutants accuracy accuracy-long gate-rates kills cluster parts bench bench-compare bench-report image fuzz lint pages proto sample pictures docs clean
 
 $(VENV)/.installed: pyproject.toml setup.py $(wildcard roadperc_stream/*/*.pyx roadperc_stream/*/*/*.pyx)
 	@echo "installing into $(VENV), compiling inner loops: a minute or two"
@@ -56,6 +56,9 @@ SEEDS ?= 4
 PAGE ?=
 accuracy: $(VENV)/.installed  # required and measured accuracy: make accuracy SEEDS=2; PAGE=docs/accuracy.md updates the page
 	$(BIN)/python -m tests.accuracy --seeds $(SEEDS) --jobs $(JOBS) $(if $(PAGE),--page $(PAGE))
+
+gate-rates: $(VENV)/.installed  # how often compare is wrong, an hour on two cores; PAGE=docs/evaluation.md updates the page
+	$(BIN)/python -m tests.gate_rates logs/runs/gate-rates --jobs $(JOBS) $(if $(PAGE),--page $(PAGE))
 
 accuracy-long: $(VENV)/.installed  # the accuracy tests at full size
 	$(BIN)/python -m pytest -m accuracy -s

@@ -2,15 +2,19 @@
 
 import re
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
 from roadperc_stream.schemas.columns import FrameMetrics, ObjectMetrics, columns_of
+from roadperc_stream.schemas.columns.column import Column
 from roadperc_stream.schemas.columns.runs import RunRow
 
 _BLOCK: Final = re.compile(r"(<!-- columns: (?P<groups>[\w ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 """A table in the page, below the names of the groups of columns it defines."""
-_HEADER: Final = "| column | meaning | unit | better | null where |\n|---|---|---|---|---|\n"
+_HEADER: Final = ("column", "meaning", "unit", "better", "null where")
+_JUDGED: Final = ("relevant", "limit")
+"""Headings that tables of errors have, too."""
 _GROUPS: Final = {group.__name__: group for group in (*FrameMetrics.__bases__, ObjectMetrics, RunRow)}
 
 
@@ -26,11 +30,19 @@ def with_tables(page: str) -> str:
 def table(groups: list[str]) -> str:
     """Markdown lines that define the columns of some groups."""
     columns = {name: column for group in groups for name, column in columns_of(_GROUPS[group]).items()}
-    rows = (
-        f"| `{name}` | {column.meaning} | {column.unit} | {column.better} | {column.null} |"
-        for name, column in columns.items()
-    )
-    return _HEADER + "".join(f"{row}\n" for row in rows)
+    judged = any(column.limit is not None for column in columns.values())
+    header = (*_HEADER, *(_JUDGED if judged else ()))
+    rows: list[Sequence[str]] = [header]
+    for name, column in columns.items():
+        cells = [f"`{name}`", column.meaning, column.unit, column.better, column.null]
+        rows.append(cells + (_judged(column) if judged else []))
+    first, *lines = (f"| {' | '.join(row)} |\n" for row in rows)
+    return f"{first}{'|---' * len(header)}|\n{''.join(lines)}"
+
+
+def _judged(column: Column) -> list[str]:
+    limit = "" if column.limit is None else f"{column.limit:g}"
+    return [f"{column.relevant:g}" if column.label else "", limit]
 
 
 def main() -> None:

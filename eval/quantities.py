@@ -85,11 +85,9 @@ STAGE_TIMES: Final = (
 
 (SKEW,) = _quantities(inputs=InputColumns)
 JITTERS: Final = tuple(
-    Quantity(
-        f"lane_{side}_{kind}second_difference_m", f"{side} jitter", "m", 4, relevant=0.001, limit=0.1, stage="lanes"
-    )
+    Quantity(f"lane_{side}_{kind}second_difference_m", f"{side} jitter", "m", 4, relevant=relevant, stage="lanes")
     for side in SIDES
-    for kind in ("", "raw_")
+    for kind, relevant in (("", 0.001), ("raw_", 0.01))
 )
 """Second differences of the offsets from frame to frame; derived."""
 
