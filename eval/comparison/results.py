@@ -51,7 +51,7 @@ def _metric(verdict: Verdict) -> dict[str, Any]:
     statistics = {finding.statistic.replace(" ", "_"): _statistic(finding) for finding in verdict.findings}
     facts = {"mark": verdict.mark, "unit": metric.unit, "group": metric.group, "frames": verdict.frames}
     place = {"place": _place(verdict.place)} if verdict.place and verdict.mark == "worse" else {}
-    return {**facts, "relevant": verdict.relevant, **statistics, **place}
+    return {**facts, "relevant": float(f"{verdict.relevant:.6g}"), **statistics, **place}
 
 
 def _statistic(finding: Finding) -> dict[str, Any]:

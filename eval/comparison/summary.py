@@ -18,6 +18,7 @@ from .verdicts import Finding, Group, Mark, Place, Statistic, Verdict
 _MOST_GROUPS: Final[dict[Mark, int]] = {"worse": 5, "better": 3}
 """Groups of metrics with a line each; ``--full`` lists all."""
 _MOST_SETTINGS: Final = 5
+_BY_USE: Final[tuple[Statistic, ...]] = ("mean", "worst frame", "worst log", "p95", "beyond limit", "spread")
 
 
 def outcome(found: Comparison) -> str:
@@ -54,28 +55,25 @@ def _verdict(found: Comparison) -> str:
     metrics = f"{number(sum(verdict.judged for verdict in found.verdicts), 'metric')} judged, {counts}"
     if found.pairing.missing:
         return f"{result}: no new run of {listed([run.name for run in found.pairing.missing])}; {metrics}"
-    return f"{result}: {f'{leading(changed[0].verdicts[0])}; ' if changed else ''}{metrics}"
-
-
-def leading(verdict: Verdict) -> str:
-    """The finding with the largest effect, such as ``lane_left_error_m worst frame 0.14 → 2.42 m``."""
-    return _sentence(_lead(verdict))
+    return f"{result}: {f'{_sentence(_lead(changed[0].verdicts[0]), interval=False)}; ' if changed else ''}{metrics}"
 
 
 def _lead(verdict: Verdict) -> Finding:
-    return (verdict.worst if verdict.mark == "worse" else None) or verdict.findings[0]
+    """The finding that explains the mark: the mean, else the one that is easiest to look at."""
+    found = [finding for finding in verdict.findings if finding.mark == verdict.mark]
+    return min(found, key=lambda finding: _BY_USE.index(finding.statistic), default=verdict.findings[0])
 
 
-def _sentence(finding: Finding) -> str:
+def _sentence(finding: Finding, *, interval: bool = True) -> str:
     log = f" of {finding.log}" if finding.log else ""
-    return f"{finding.metric.name} {finding.statistic}{log} {values(finding)}"
+    return f"{finding.metric.name} {finding.statistic}{log} {values(finding, interval=interval)}"
 
 
-def values(finding: Finding) -> str:
+def values(finding: Finding, *, interval: bool = True) -> str:
     """A statistic in both runs with its unit, and its difference with the interval, if it has one."""
     scale, unit = _unit(finding.metric, finding.statistic)
     both = _both(finding.base * scale, finding.new * scale) + unit
-    if finding.interval is None:
+    if finding.interval is None or not interval:
         return both
     low, high = finding.interval.low * scale, finding.interval.high * scale
     between = f" [{low:+.3g}, {high:+.3g}]" if math.isfinite(low) else ""
