@@ -25,8 +25,6 @@ _ALIGNED: Final[Mapping[Alignment, str]] = {
     "none": "not aligned",
 }
 
-_MOST_NAME: Final = 255
-"""Characters of a name in Markdown: the longest name of a file."""
 _EACH: Final = ", each segment of the log separately"
 
 
@@ -156,10 +154,10 @@ def _write(evaluated: Sequence[Evaluation], refused: Mapping[str, TableError], a
         runs = {item.run.name: _as_json(item) for item in evaluated}
         write_json(arguments.json, {"runs": runs, "skipped": {name: str(error) for name, error in refused.items()}})
     if arguments.markdown is not None:
-        parts = _several(evaluated, _MOST_NAME) if evaluated else []
-        lines = [part for part in parts if isinstance(part, str)]
-        tables = [part for part in parts if isinstance(part, TextTable)]
-        write_markdown(arguments.markdown, "Trajectories", [*lines, *map(str, refused.values())], tables)
+        names = {item.run.name: item.run.name for item in evaluated}
+        tables = [_run_table(evaluated, names), _side_by_side(evaluated, names)] if evaluated else []
+        notes = [f"{item.run.name}: {note}" for item in evaluated for note in _notes(item)]
+        write_markdown(arguments.markdown, "Trajectories", [*notes, *map(str, refused.values())], tables)
     if arguments.junit is not None:
         cases = [Case(item.run.name, "trajectory", "passed", _body(item)) for item in evaluated]
         skipped = [Case(name, "trajectory", "skipped", str(error)) for name, error in refused.items()]

@@ -31,12 +31,9 @@ def print_comparison(console: Console, found: Comparison, *, full: bool, all_fie
     """
     print_lines(console, *summary(found, full=full), unbroken=True)
     if full:
-        pairs = found.pairing.pairs
-        runs = (
-            [_identity(*side) for side in (("base", pairs[0].base), ("new", pairs[0].new))] if len(pairs) == 1 else []
-        )
-        print_lines(console, "", *runs, *_chance(found), unbroken=True)
-        for table in (_metrics(found), _times(found)):
+        for pair in found.pairing.pairs if len(found.pairing.pairs) == 1 else ():
+            print_lines(console, "", _identity("base", pair.base), _identity("new", pair.new), unbroken=True)
+        for table in (metrics_table(found), _times(found)):
             print_table(console, table)
     if full or all_fields:
         print_lines(console, *_fields(found, all_fields=all_fields), unbroken=True)
@@ -89,7 +86,7 @@ def _text(value: Value, digits: int) -> str:
     return text if len(text) <= TEXT_SHOWN else f"{text[:TEXT_SHOWN]}…"
 
 
-def _metrics(found: Comparison) -> TextTable:
+def metrics_table(found: Comparison) -> TextTable:
     """The metrics that changed, by mark: means of both runs, and the interval of the difference."""
     rows: list[TextRow] = []
     for mark in get_args(Mark):
@@ -99,7 +96,9 @@ def _metrics(found: Comparison) -> TextTable:
             bounds = f"{verdict.interval.low:+.3g}", f"{verdict.interval.high:+.3g}"
             means = f"{verdict.base:.4g}", f"{verdict.new:.4g}"
             rows.append(row(f"  {verdict.metric.name}", str(verdict.frames), *means, *bounds))
-    return TextTable("Metric", ("frames", "base", "new", *_BOUNDS), tuple(rows))
+    blocks = "whole logs" if len(found.pairing.pairs) >= MANY_LOGS else "blocks of neighbouring frames"
+    notes = (f"intervals: {LEVEL:.0%} for all groups of metrics together, from resampled {blocks}",) if rows else ()
+    return TextTable("Metric", ("frames", "base", "new", *_BOUNDS), tuple(rows), notes)
 
 
 def _times(found: Comparison) -> TextTable:
@@ -110,9 +109,3 @@ def _times(found: Comparison) -> TextTable:
         ratios = (f"{1 + change / verdict.base:.2f}" for change in changes)
         rows.append(row(verdict.metric.name, f"{verdict.base:.2f}", f"{verdict.new:.2f}", *ratios))
     return TextTable("Latency", ("base ms", "new ms", "times", *_BOUNDS), tuple(rows))
-
-
-def _chance(found: Comparison) -> Iterator[str]:
-    many = len(found.pairing.pairs) >= MANY_LOGS
-    blocks = "whole logs as blocks" if many else "blocks of neighbouring frames"
-    yield f"intervals: {LEVEL:.0%} for all groups of metrics together, from {blocks}"

@@ -5,10 +5,9 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Any, get_args
 
-from roadperc_stream.output.text_table import TextTable, row
-
 from ..machine import Case, Outcome, write_json, write_junit, write_markdown
 from .comparing import Comparison
+from .display import metrics_table
 from .summary import command, outcome, summary, values, where
 from .verdicts import Finding, Mark, Place, Verdict
 
@@ -25,7 +24,7 @@ def write_results(found: Comparison, arguments: argparse.Namespace) -> None:
         write_json(arguments.json, as_json(found))
     if arguments.markdown is not None:
         first, *lines = summary(found)
-        write_markdown(arguments.markdown, f"Comparison: {first}", lines, [_table(found)])
+        write_markdown(arguments.markdown, f"Comparison: {first}", lines, [metrics_table(found)])
     if arguments.junit is not None:
         write_junit(arguments.junit, "roadperc-compare", list(_cases(found, exact=arguments.exact)))
 
@@ -65,30 +64,14 @@ def _place(place: Place) -> dict[str, Any]:
     return {**at, "base": place.base, "new": place.new, "command": command(place)}
 
 
-def _table(found: Comparison) -> TextTable:
-    """The metrics that became worse or better, with the frame that became worse by most."""
-    rows = (
-        row(f"{finding.metric.name} {finding.statistic}", finding.mark, values(finding), _shown(finding))
-        for mark in ("worse", "better")
-        for group in found.groups(mark)
-        for verdict in group.verdicts
-        for finding in verdict.findings
-        if finding.mark == mark
-    )
-    return TextTable("Metric", ("mark", "base → new", "worst frame"), tuple(rows))
-
-
-def _shown(finding: Finding) -> str:
-    return where(finding.metric, finding.place) if finding.place and finding.mark == "worse" else ""
-
-
 def _cases(found: Comparison, *, exact: bool) -> Iterator[Case]:
     """A case for each statistic of a judged metric, for each missing run, and with ``exact`` for each field."""
     pairs = found.pairing.pairs
     every = pairs[0].name if len(pairs) == 1 else _ALL_LOGS
     for finding in (finding for verdict in found.verdicts if verdict.judged for finding in verdict.findings):
-        text = "\n".join(filter(None, (f"{finding.mark}: {values(finding)}", _shown(finding))))
-        result: Outcome = "failed" if finding.mark == "worse" else "passed"
+        worse, text = finding.mark == "worse", f"{finding.mark}: {values(finding)}"
+        text += f"\n{where(finding.metric, finding.place)}" if worse and finding.place else ""
+        result: Outcome = "failed" if worse else "passed"
         yield Case(finding.log or every, f"{finding.metric.name} {finding.statistic}", result, text)
     yield from (Case(run.name, "run", "failed", "missing in the new run") for run in found.pairing.missing)
     for name, agreement in found.fields.items() if exact else ():

@@ -17,7 +17,7 @@ from .verdicts import Finding, Group, Mark, Place, Statistic, Verdict
 
 _MOST_GROUPS: Final[dict[Mark, int]] = {"worse": 5, "better": 3}
 """Groups of metrics with a line each; ``--full`` lists all."""
-_MOST_SETTINGS: Final = 5
+_MOST_SETTINGS: Final = 6
 _BY_USE: Final[tuple[Statistic, ...]] = ("mean", "worst frame", "worst log", "p95", "beyond limit", "spread")
 
 
@@ -125,13 +125,13 @@ def _settings(found: Comparison, *, full: bool) -> Iterator[str]:
     for pair, changed in zip(found.pairing.pairs, found.changes, strict=True):
         if changed:
             names.setdefault(changed, []).append(pair.name)
-    for (heading, *lines), runs in list(names.items())[: None if full else 2]:
+    lines: list[str] = []
+    for (heading, *changed_settings), runs in names.items():
         among = "" if len(runs) == len(found.pairing.pairs) else f" in {listed(runs)}"
-        yield f"settings that differ{among}: {heading}".rstrip()
-        shown = lines if full or len(lines) <= _MOST_SETTINGS else lines[: _MOST_SETTINGS - 1]
-        yield from (f"  {line}" for line in shown)
-        if len(shown) < len(lines):
-            yield f"  {len(lines) - len(shown)} more; pass --full to list them"
+        lines += [f"settings that differ{among}: {heading}".rstrip(), *(f"  {line}" for line in changed_settings)]
+    yield from lines if full else lines[:_MOST_SETTINGS]
+    if len(lines) > _MOST_SETTINGS and not full:
+        yield f"  {len(lines) - _MOST_SETTINGS} more lines; pass --full to list them"
 
 
 def _compared(found: Comparison) -> Iterator[str]:

@@ -148,6 +148,8 @@ WRITING = [
 ]
 
 
+JUDGES = {"roadperc-check", "roadperc-compare"}
+"""Commands whose exit code 1 is a result; an error exits with 3."""
 CODES = {"--help": 0, "--version": 0, "--wrong": 2, "none.mcap": 1}
 """Exit codes of the arguments."""
 UNREAD = [("closed", "buffered"), *(("unread", buffering) for buffering in BUFFERINGS)]
@@ -181,7 +183,10 @@ def test_a_comparison_has_its_exit_code_without_a_reader(made):
         *product(["roadperc-info"], [["--version"], ["--help"], [SAMPLE]], ["stdout"], BUFFERINGS, [1]),
         ("roadperc-batch", ["--help"], "stderr", "buffered", 0),
         ("roadperc-batch", ["--wrong"], "stderr", "buffered", 2),
-        *((command, ENOUGH.get(command, ["in.mcap", "out.mcap"]), "stderr", "buffered", 1) for command in SCRIPTS),
+        *(
+            (command, ENOUGH.get(command, ["in.mcap", "out.mcap"]), "stderr", "buffered", 3 if command in JUDGES else 1)
+            for command in SCRIPTS
+        ),
         *(("roadperc-info", [word], "stderr", "unbuffered", code) for word, code in CODES.items()),
         *(("roadperc-info", [word], "both", "buffered", code or 1) for word, code in CODES.items()),
     ],

@@ -1,5 +1,6 @@
 """roadperc-compare on hand-made tables: its output, its exit code, and updated references."""
 
+import json
 import math
 import re
 import shutil
@@ -8,6 +9,7 @@ from functools import partial
 
 import polars as pl
 import pytest
+from junitparser import JUnitXml
 
 from roadperc_stream.cli.compare import main
 from roadperc_stream.config import load_config
@@ -172,10 +174,38 @@ def test_folders_pair_by_log(tmp_path, capsys):
     code, text, _ = compare(capsys, ours, theirs, "--full")
     assert code == 1
     assert f"{20 * MANY_LOGS} frames compared in {MANY_LOGS} pairs of runs" in text
-    assert "whole logs as blocks" in text
+    assert "from resampled whole logs" in text
     assert "part0/log0: frame 0" in text
     low, high = (float(x) for x in re.search(r"worse, .*\[(\S+), (\S+)\]", text).groups())
     assert 0.009 < low < 0.0109 < high < 0.013
+
+
+def test_a_jump_in_two_frames_is_named_with_its_log_and_command(tmp_path, capsys):
+    ours, theirs = folder(tmp_path / "a", [0.0] * 2), folder(tmp_path / "b", [0.0] * 2)
+    table_path = theirs / "part0" / "log1.metrics.parquet"
+    rows = pl.read_parquet(table_path)
+    rows.with_columns(lane_left_error_m=pl.when(frames(7, 8)).then(-2.42).otherwise(LEFT)).write_parquet(table_path)
+    outputs = {kind: tmp_path / f"compare.{kind}" for kind in ("json", "markdown", "junit")}
+    options = [word for kind, path in outputs.items() for word in (f"--{kind}", path)]
+    code, text, error = compare(capsys, ours, theirs, *options)
+    shown = f"frame 7 of part0/log1, 0.1 → 2.42 m: roadperc-view {ours}/part0/log1.mcap {theirs}/part0/log1.mcap"
+    assert (code, error) == (1, "worse than the base run: lane_left_error_m\n")
+    assert text.startswith("worse: lane_left_error_m worst frame of part0/log1 0.1 → 2.42 m; 3 metrics judged, 1 ")
+    assert f"\n  {shown} --frame 7\n" in text
+
+    found = json.loads(outputs["json"].read_text(), parse_constant=pytest.fail)
+    assert (found["verdict"], found["counts"]) == ("worse", {"worse": 1, "unchanged": 2, "better": 0})
+    place = found["metrics"]["lane_left_error_m"]["place"]
+    assert (place["log"], place["frame"], place["new"]) == ("part0/log1", 7, 2.42)
+    assert outputs["markdown"].read_text().startswith("## Comparison: worse: lane\\_left\\_error\\_m worst frame")
+    (suite,) = JUnitXml.fromfile(str(outputs["junit"]))
+    bad = [case for case in suite if case.result]
+    assert [(case.classname, case.name) for case in bad] == [("part0/log1", "lane_left_error_m worst frame")]
+    assert shown in bad[0].result[0].text
+    assert len({case.name for case in suite}) == suite.tests
+    criteria = tmp_path / "criteria.toml"
+    criteria.write_text("[metrics.lane_left_error_m]\nrelevant = 0.3\n")
+    assert compare(capsys, ours, theirs, "--criteria", criteria)[0] == 0
 
 
 def test_runs_that_only_one_folder_has(tmp_path, capsys):
