@@ -13,7 +13,7 @@ from ..quantities import listed
 from .agreement import Agreements
 from .comparing import Comparison
 from .metrics import Metric
-from .verdicts import Finding, Group, Mark, Place, Statistic, Verdict
+from .verdicts import CauseGroup, Finding, Mark, Place, Statistic, Verdict
 
 _MOST_GROUPS: Final[dict[Mark, int]] = {"worse": 5, "better": 3}
 """Groups of metrics with a line each; ``--full`` lists all."""
@@ -105,7 +105,7 @@ def command(place: Place) -> str:
     return view_pair_command(place.pair.base, place.pair.new, place.frame)
 
 
-def _group(group: Group, mark: Mark, *, full: bool) -> Iterator[str]:
+def _group(group: CauseGroup, mark: Mark, *, full: bool) -> Iterator[str]:
     """The leading metric with the frame that became worse by most; with ``full`` a line for each finding."""
     first, *others = group.verdicts
     lead, mean = _lead(first), first.findings[0]
