@@ -173,7 +173,7 @@ def _read(path: Path) -> Criteria:
 
 def _complaint(error: ValidationError, tree: Mapping[str, Any]) -> str:
     """The first error, such as ``criterion 2 ('left'): least_frames: expected ..., found 0``."""
-    first = error.errors()[0]
+    first = min(error.errors(), key=lambda found: found["type"] != "extra_forbidden")
     *place, key = first["loc"] or ("",)
     if first["type"] == "value_error":
         place, key = [*place, key], ""
