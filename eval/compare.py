@@ -1,4 +1,4 @@
-"""Compares a run with a base, field by field and metric by metric, and updates the base."""
+"""Compares a new run with a base run, field by field and metric by metric, and updates the tables of the base."""
 
 import argparse
 import shutil
@@ -16,6 +16,8 @@ from .comparison.agreement import same_except_times
 from .comparison.comparing import Comparison, compare_runs
 from .comparison.display import print_comparison
 from .comparison.pairing import Pairing, RunPair, logged_runs, pair_runs
+from .comparison.results import write_results
+from .criteria import effects
 from .dataset.pairs import in_a_folder, runs_of_configs
 from .dataset.place import Dataset
 from .options import Rules
@@ -23,7 +25,7 @@ from .quantities import listed
 from .runs import Run
 
 Copy = tuple[Path, Path]
-"""A table of the new, and its place in the base."""
+"""A table of the new run, and its place in the base."""
 
 
 def _require_updatable(base: str) -> None:
@@ -40,16 +42,16 @@ def _require_updatable(base: str) -> None:
 
 
 def _first_copies(base: Path, new: Sequence[Run]) -> list[Copy]:
-    """Copies that create a base.
+    """Copies that create the base.
 
     Raises:
-        TableError: the new has several tables, and the base is the name of one.
+        TableError: there are several new tables, and the base is the name of one.
     """
     if base.suffix != TABLE_SUFFIX:
         return [copy for run in new for copy in _into_folder(base, run)]
     tables = sum(len(run.tables) for run in new)
     if tables > 1:
-        raise TableError(f"{base}: cannot hold {tables} tables; pass the name of a folder")
+        raise TableError(f"{base}: one table cannot hold {tables} tables; pass the name of a folder")
     return [(new[0].path, base)]
 
 
@@ -68,13 +70,13 @@ def _replacements(pair: RunPair) -> Iterator[Copy]:
     ours, theirs = pair.base.tables, pair.new.tables
     if len(ours) != len(theirs):
         found = f"{number(len(theirs), 'table')} cannot replace {len(ours)}"
-        expected = "expected as many continued replays, or a new base"
+        expected = "expected as many continued replays, or another base"
         raise TableError(f"{pair.new.source_name}: {found}; {expected}")
     return ((new.path, old.path) for old, new in zip(ours, theirs, strict=True))
 
 
 def _into_folder(folder: Path, run: Run) -> Iterator[Copy]:
-    """The tables at their place below the new's folder; those of continued replays beside the first."""
+    """The tables of a new run at their place in the base's folder; those of continued replays beside the first."""
     first, *others = run.tables
     target = folder / f"{run.name}{METRICS_SUFFIX}"
     yield first.path, target
@@ -82,16 +84,16 @@ def _into_folder(folder: Path, run: Run) -> Iterator[Copy]:
 
 
 def compare(arguments: argparse.Namespace) -> None:
-    """Print the differences of two runs, and whether the new is worse.
+    """Print the verdict on a new run, and write it to files for other programs.
 
     Raises:
-        RegressionError: the new is worse, or with ``--exact`` a field differs.
+        RegressionError: the new run is worse, or with ``--exact`` a field differs.
         RoadpercError: the runs cannot be read, or do not belong together.
     """
     if arguments.new is None:
         with in_a_folder(Dataset(arguments.base)) as dataset:
-            pairing = pair_runs(*runs_of_configs(dataset, arguments.config), arguments.other_log)
-            found = _compared(pairing, None, arguments)
+            configs = runs_of_configs(dataset, (arguments.base_config, arguments.new_config))
+            found = _compared(pair_runs(*configs, arguments.other_log), None, arguments)
         _require_no_regression(found, arguments.exact)
         return
     new, base = logged_runs(arguments.new), Path(arguments.base)
@@ -110,12 +112,20 @@ def compare(arguments: argparse.Namespace) -> None:
 
 
 def _compared(pairing: Pairing, logs: tuple[Path, Path] | None, arguments: argparse.Namespace) -> Comparison:
-    """Compare and print; with two ``logs`` also their messages."""
-    rules = Rules(tuple(arguments.ignore), tuple(arguments.tolerance), tuple(arguments.allow))
-    found = compare_runs(pairing, logs, rules)
+    """Compare, print, and write the files for other programs; with two ``logs`` compare also their messages."""
+    found = compare_runs(pairing, logs, _rules(arguments))
+    write_results(found, arguments)
     with optional_output():
-        print_comparison(console_for(sys.stdout), found, all_fields=arguments.exact)
+        print_comparison(console_for(sys.stdout), found, full=arguments.full, all_fields=arguments.exact)
     return found
+
+
+def _rules(arguments: argparse.Namespace) -> Rules:
+    known = effects(arguments.criteria) if arguments.criteria is not None else {}
+    relevant = {name: effect.relevant for name, effect in known.items() if effect.relevant is not None}
+    limits = {name: effect.limit for name, effect in known.items() if effect.limit is not None}
+    amounts = tuple(arguments.tolerance), tuple(arguments.allow)
+    return Rules(tuple(arguments.ignore), *amounts, arguments.times, relevant, limits)
 
 
 def _update(copies: Sequence[Copy]) -> None:
@@ -131,6 +141,6 @@ def _update(copies: Sequence[Copy]) -> None:
 
 def _require_no_regression(found: Comparison, exact: bool) -> None:
     if found.regressions:
-        raise RegressionError(f"worse than the base: {listed(found.regressions)}")
+        raise RegressionError(f"worse than the base run: {listed(found.regressions)}")
     if exact and found.differences:
-        raise RegressionError(f"differs from the base: {listed(found.differences)}")
+        raise RegressionError(f"differs from the base run: {listed(found.differences)}")

@@ -85,11 +85,11 @@ def differing(configurations: Sequence[Settings]) -> dict[str, tuple[str, ...]]:
     return {key: values for key, values in rows.items() if len(set(values)) > 1}
 
 
-def change(reference: Run, candidate: Run) -> tuple[str, ...]:
+def change(base: Run, new: Run) -> tuple[str, ...]:
     """The changed settings of two runs: a heading and a line for each setting; empty if there are none."""
-    if reference.config_digest and reference.config_digest == candidate.config_digest:
+    if base.config_digest and base.config_digest == new.config_digest:
         return ()
-    ours, theirs = settings_of(reference), settings_of(candidate)
+    ours, theirs = settings_of(base), settings_of(new)
     if ours is None or theirs is None:
         return (f"{UNKNOWN}, because a run has no configuration in its table or in a log beside it",)
     rows = differing([ours, theirs])

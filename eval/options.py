@@ -52,12 +52,12 @@ class Rules:
         found = _last(self.tolerances, field)
         return found.value if found else 0.0
 
-    def allowance(self, metric: str, reference_mean: float) -> float:
+    def allowance(self, metric: str, base_mean: float) -> float:
         """Amount by which a metric may become worse, in its unit; 0 by default."""
         found = _last(self.allowances, metric)
         if found is None:
             return 0.0
-        return found.value * abs(reference_mean) if found.relative else found.value
+        return found.value * abs(base_mean) if found.relative else found.value
 
     def names(self, metric: str) -> bool:
         """Whether an allowance names this metric, not all metrics."""

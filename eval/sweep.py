@@ -4,7 +4,7 @@ import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from roadperc_stream.cli.arguments import time_range_of
 from roadperc_stream.config import load_config
@@ -15,6 +15,7 @@ from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.system.files import METRICS_SUFFIX, not_a_log
 from roadperc_stream.system.text import print_line
 
+from .machine import Case, write_json, write_junit, write_markdown
 from .quantities import percent, rounded
 from .sweeping.ranking import METRICS, SettingScore, SweepMetric, best, effect, scores, without_influence
 from .sweeping.settings import Combination, combinations, dataset, describe, reference_of, shown, table_names
@@ -114,17 +115,53 @@ def sweep(arguments: argparse.Namespace) -> None:
     for job, texts in zip(jobs, notes, strict=True):
         for note in texts:
             print_line(f"note: {job.source.name}: {note}")
-    _print(arguments.out, made, reference)
+    _print(arguments, made, reference)
 
 
-def _print(folder: Path, made: Sequence[Combination], reference: Combination) -> None:
+def _print(arguments: argparse.Namespace, made: Sequence[Combination], reference: Combination) -> None:
+    """Print the best settings, and write them to the files for other programs."""
+    folder: Path = arguments.out
     console, files = console_for(sys.stdout), sorted(folder.rglob(f"*{METRICS_SUFFIX}"))
     found = [(metric, scores(files, made, metric)) for metric in METRICS]
     heading = f"{len(files)} tables in {folder}: {len(made)} settings, reference {reference}"
     values = {key: dict.fromkeys(shown(item.settings[key]) for item in made) for key in reference.settings}
     taken = (f"  {key} {', '.join(texts)}" for key, texts in values.items())
+    tables = (best_settings(found, made, reference), *(effects(found, made, key) for key in reference.settings))
+    idle = [f"{key} changed nothing" for key in without_influence(folder, files, made)]
+    notes = [*idle, without_effect(found), *LEGEND]
+    if arguments.json is not None:
+        write_json(arguments.json, _as_json(found, made, reference))
+    if arguments.markdown is not None:
+        write_markdown(arguments.markdown, f"Sweep: {heading}", [note for note in notes if note], tables)
+    if arguments.junit is not None:
+        write_junit(arguments.junit, "roadperc-sweep", [_case(scored, made, reference) for scored in found])
     print_lines(console, heading, *taken, unbroken=True)
-    for table in (best_settings(found, made, reference), *(effects(found, made, key) for key in reference.settings)):
+    for table in tables:
         print_table(console, table)
-    idle = (f"{key} changed nothing" for key in without_influence(folder, files, made))
-    print_lines(console, "", *idle, without_effect(found), *LEGEND)
+    print_lines(console, "", *notes)
+
+
+def _as_json(found: Sequence[Scored], made: Sequence[Combination], reference: Combination) -> dict[str, Any]:
+    """The combinations by their folders, and the scores of each metric with a value."""
+    metrics = {}
+    for metric, scored in found:
+        if places := best(metric, scored, made, reference):
+            by_folder = {item.folder: vars(score) for item, score in zip(made, scored, strict=True)}
+            best_folder = made[places[0]].folder
+            metrics[metric.quantity.name] = {"unit": metric.quantity.unit, "best": best_folder, "scores": by_folder}
+    return {
+        "reference": reference.folder,
+        "settings": {item.folder: item.settings for item in made},
+        "metrics": metrics,
+    }
+
+
+def _case(scored: Scored, made: Sequence[Combination], reference: Combination) -> Case:
+    """A metric with the scores of all combinations; skipped without values."""
+    metric, scores = scored
+    if not best(metric, scores, made, reference):
+        return Case("sweep", metric.quantity.name, "skipped", "no frame has a value")
+    cells = [
+        (str(item), f"{_cell(metric, score)} {metric.quantity.unit}") for item, score in zip(made, scores, strict=True)
+    ]
+    return Case("sweep", metric.quantity.name, "passed", "\n".join(f"{name}: {cell}" for name, cell in cells))

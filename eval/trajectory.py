@@ -1,9 +1,9 @@
 """Prints errors of runs' trajectories against truth, and exports them for other tools."""
 
+import argparse
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.terminal import console_for, print_lines, print_parts
@@ -11,6 +11,7 @@ from roadperc_stream.output.text_table import TextTable, row
 from roadperc_stream.system.text import number
 
 from .continued import find_joined
+from .machine import Case, write_json, write_junit, write_markdown
 from .options import Alignment
 from .quantities import legend, listed, name_columns, percent, short_names
 from .trajectories.errors import Delta, ErrorStatistics
@@ -112,40 +113,73 @@ def _number(value: float | None) -> str:
     return "" if value is None else f"{value:z.4f}"
 
 
-def print_trajectories(
-    arguments: Sequence[str], alignment: Alignment | None, delta: Delta, tum: Path | None, kitti: Path | None
-) -> None:
-    """Print the errors of runs' trajectories, and export the poses.
+def trajectories(arguments: argparse.Namespace, delta: Delta) -> None:
+    """Print the errors of runs' trajectories, write them to files for other programs, and export the poses.
 
-    A line names each run without a trajectory; it is an error if no run has one. ``alignment`` and ``delta`` are those
-    of ``evaluate``; ``tum`` and ``kitti`` are folders for the exports, if any.
+    A line names each run without a trajectory; it is an error if no run has one.
 
     Raises:
         TableError: an argument names no run, or no run has a trajectory.
+        TargetError: a file cannot be written.
     """
-    found = find_joined(arguments)
+    found = find_joined(arguments.runs)
     evaluated: list[Evaluation] = []
-    refused: list[TableError] = []
+    refused: dict[str, TableError] = {}
     exported = False
     for item in found.runs:
         try:
             poses = read_poses(item)
-            if tum:
-                export(tum, poses, "tum")
-            if kitti:
-                export(kitti, poses, "kitti")
-            exported = bool(tum or kitti)
-            evaluated.append(evaluate(poses, alignment, delta))
+            if arguments.export_tum:
+                export(arguments.export_tum, poses, "tum")
+            if arguments.export_kitti:
+                export(arguments.export_kitti, poses, "kitti")
+            exported = bool(arguments.export_tum or arguments.export_kitti)
+            evaluated.append(evaluate(poses, arguments.align, delta))
         except TableError as error:
-            refused.append(error)
+            refused[item.name] = error
     if not evaluated and not exported:
-        raise refused[0]
+        raise next(iter(refused.values()))
+    _write(evaluated, refused, arguments)
     console = console_for(sys.stdout)
-    print_lines(console, *found.notes, *(str(reason) for reason in refused), unbroken=True)
+    print_lines(console, *found.notes, *map(str, refused.values()), unbroken=True)
     if len(evaluated) == 1:
         print_parts(console, *_one(evaluated[0]))
     elif evaluated:
         print_parts(console, *_several(evaluated, name_columns(console)))
+
+
+def _write(evaluated: Sequence[Evaluation], refused: Mapping[str, TableError], arguments: argparse.Namespace) -> None:
+    """Write the files of ``--json``, ``--markdown`` and ``--junit``; a run without a trajectory is skipped."""
+    if arguments.json is not None:
+        runs = {item.run.name: _as_json(item) for item in evaluated}
+        write_json(arguments.json, {"runs": runs, "skipped": {name: str(error) for name, error in refused.items()}})
+    if arguments.markdown is not None:
+        names = {item.run.name: item.run.name for item in evaluated}
+        tables = [_run_table(evaluated, names), _side_by_side(evaluated, names)] if evaluated else []
+        notes = [f"{item.run.name}: {note}" for item in evaluated for note in _notes(item)]
+        write_markdown(arguments.markdown, "Trajectories", [*notes, *map(str, refused.values())], tables)
+    if arguments.junit is not None:
+        cases = [Case(item.run.name, "trajectory", "passed", _body(item)) for item in evaluated]
+        skipped = [Case(name, "trajectory", "skipped", str(error)) for name, error in refused.items()]
+        write_junit(arguments.junit, "roadperc-trajectory", [*cases, *skipped])
+
+
+def _as_json(item: Evaluation) -> dict[str, Any]:
+    errors = {"ate_m": item.absolute_m, "rpe_m": item.relative_m, "rpe_deg": item.relative_deg}
+    return {
+        "alignment": item.alignment,
+        "frames": item.run.frames,
+        "coverage": item.run.coverage,
+        "lost": item.run.lost,
+        "driven_m": item.driven_m,
+        **{name: vars(found) for name, found in errors.items() if found is not None},
+        "kitti": {key: value for key, value in vars(item.together).items() if value is not None},
+    }
+
+
+def _body(item: Evaluation) -> str:
+    table = _side_by_side([item], {item.run.name: item.run.name})
+    return ", ".join(f"{name} {cell}" for name, cell in zip(table.headers, table.rows[0].cells[0], strict=True) if cell)
 
 
 def _one(evaluation: Evaluation) -> list[str | TextTable]:

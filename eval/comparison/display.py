@@ -1,7 +1,5 @@
-"""Prints a comparison as tables and lines."""
+"""Prints a comparison: the verdict in a few lines, and on request tables and differing fields."""
 
-import math
-from collections import Counter
 from collections.abc import Iterator
 from itertools import groupby
 from typing import get_args
@@ -13,10 +11,11 @@ from roadperc_stream.output.text_table import TextRow, TextTable, row
 
 from ..configurations import UNKNOWN, short_digest
 from ..runs import Run
-from .agreement import Agreement, Agreements, Value
+from .agreement import Agreement, Value
 from .bootstrap import LEVEL, MANY_LOGS
 from .comparing import Comparison
-from .verdicts import Mark, Verdict
+from .summary import summary
+from .verdicts import Mark
 
 TEXT_SHOWN = 48
 """Characters shown of a text value."""
@@ -25,42 +24,19 @@ FIELDS_SHOWN = 10
 _BOUNDS = f"{LEVEL:.0%} from", "to"
 
 
-def print_comparison(console: Console, found: Comparison, *, all_fields: bool) -> None:
-    """Print the runs, their metrics and times, the verdict, and the fields that differ: the first ones, or all."""
-    print_lines(console, *_heading(found), unbroken=True)
-    for table in (_metrics(found), _times(found)):
-        print_table(console, table)
-    print_lines(console, "", *_verdict(found), *_fields(found, all_fields=all_fields), unbroken=True)
+def print_comparison(console: Console, found: Comparison, *, full: bool, all_fields: bool) -> None:
+    """Print the verdict in a few lines; with ``full`` also the tables of metrics and times, and fields that differ.
 
-
-def _heading(found: Comparison) -> Iterator[str]:
-    pairs = found.pairing.pairs
-    if len(pairs) == 1:
-        yield _identity("base", pairs[0].base)
-        yield _identity("new", pairs[0].new)
-    for pair in (pair for pair in pairs if not pair.by_one_digest):
-        algorithms = f"digest algorithms {pair.base.digest_algorithm} and {pair.new.digest_algorithm}"
-        yield f"{pair.name}: the log ids have {algorithms}; whether both runs are of one log is unknown"
-    yield from _settings(found)
-    yield f"{found.frames} frames compared" + (f" in {len(pairs)} pairs of runs" if len(pairs) > 1 else "")
-    for pair, part in zip(pairs, found.overlaps, strict=True):
-        if part.only_base or part.only_new:
-            only = f"{part.only_base} frames only in the base, {part.only_new} only in the new run"
-            yield f"{pair.name}: {only}"
-    yield from (f"only in the base: {run.name} (log {run.log_id})" for run in found.pairing.missing)
-    yield from (f"only in the new run: {run.name} (log {run.log_id})" for run in found.pairing.added)
-
-
-def _settings(found: Comparison) -> Iterator[str]:
-    """The settings that differ, with both values; pairs with the same differences are listed together."""
-    names: dict[tuple[str, ...], list[str]] = {}
-    for pair, changed in zip(found.pairing.pairs, found.changes, strict=True):
-        if changed:
-            names.setdefault(changed, []).append(pair.name)
-    for (heading, *lines), runs in names.items():
-        among = "" if len(runs) == len(found.pairing.pairs) else f" in {', '.join(runs)}"
-        yield f"settings that differ{among}: {heading}".rstrip()
-        yield from (f"  {line}" for line in lines)
+    With ``all_fields`` print every field that differs, else the first ones.
+    """
+    print_lines(console, *summary(found, full=full), unbroken=True)
+    if full:
+        for pair in found.pairing.pairs if len(found.pairing.pairs) == 1 else ():
+            print_lines(console, "", _identity("base", pair.base), _identity("new", pair.new), unbroken=True)
+        for table in (metrics_table(found), _times(found)):
+            print_table(console, table)
+    if full or all_fields:
+        print_lines(console, *_fields(found, all_fields=all_fields), unbroken=True)
 
 
 def _identity(side: str, run: Run) -> str:
@@ -110,7 +86,7 @@ def _text(value: Value, digits: int) -> str:
     return text if len(text) <= TEXT_SHOWN else f"{text[:TEXT_SHOWN]}…"
 
 
-def _metrics(found: Comparison) -> TextTable:
+def metrics_table(found: Comparison) -> TextTable:
     """The metrics that changed, by mark: means of both runs, and the interval of the difference."""
     rows: list[TextRow] = []
     for mark in get_args(Mark):
@@ -120,7 +96,9 @@ def _metrics(found: Comparison) -> TextTable:
             bounds = f"{verdict.interval.low:+.3g}", f"{verdict.interval.high:+.3g}"
             means = f"{verdict.base:.4g}", f"{verdict.new:.4g}"
             rows.append(row(f"  {verdict.metric.name}", str(verdict.frames), *means, *bounds))
-    return TextTable("Metric", ("frames", "base", "new", *_BOUNDS), tuple(rows))
+    blocks = "whole logs" if len(found.pairing.pairs) >= MANY_LOGS else "blocks of neighbouring frames"
+    notes = (f"intervals: {LEVEL:.0%} for all groups of metrics together, from resampled {blocks}",) if rows else ()
+    return TextTable("Metric", ("frames", "base", "new", *_BOUNDS), tuple(rows), notes)
 
 
 def _times(found: Comparison) -> TextTable:
@@ -131,43 +109,3 @@ def _times(found: Comparison) -> TextTable:
         ratios = (f"{1 + change / verdict.base:.2f}" for change in changes)
         rows.append(row(verdict.metric.name, f"{verdict.base:.2f}", f"{verdict.new:.2f}", *ratios))
     return TextTable("Latency", ("base ms", "new ms", "times", *_BOUNDS), tuple(rows))
-
-
-def _verdict(found: Comparison) -> Iterator[str]:
-    yield f"fields of the tables: {_states(found.columns)}"
-    if found.messages:
-        yield f"fields of messages with different bytes: {_states(found.messages)}"
-    judged = [verdict for verdict in found.verdicts if verdict.judged]
-    same = [verdict for verdict in judged if not verdict.difference]
-    yield f"metrics: {len(judged)} judged, {len(same)} with equal means"
-    changed = len(judged) - len(same)
-    if changed:
-        many = len(found.pairing.pairs) >= MANY_LOGS
-        blocks = "whole logs as blocks" if many else "blocks of neighbouring frames"
-        chance = f"chance alone marks about {changed * (1 - LEVEL):.2g} of {changed} metrics"
-        yield f"intervals: {LEVEL:.0%} each, from {blocks}; {chance}"
-    for mark in ("better", "worse"):
-        yield from (f"{mark}: {_sentence(verdict)}" for verdict in found.named(mark))
-    yield _conclusion(found)
-
-
-def _states(agreements: Agreements) -> str:
-    counts = Counter(agreement.state for agreement in agreements.values())
-    return f"{counts['identical']} identical, {counts['within tolerance']} within tolerance, {counts['differs']} differ"
-
-
-def _sentence(verdict: Verdict) -> str:
-    low, high = verdict.interval.low, verdict.interval.high
-    between = f" [{low:+.3g}, {high:+.3g}]" if math.isfinite(low) else ""
-    values = f"{verdict.base:.4g} → {verdict.new:.4g}"
-    return f"{verdict.metric.name} {values} ({verdict.difference:+.3g}{between})"
-
-
-def _conclusion(found: Comparison) -> str:
-    if found.regressions:
-        return f"verdict: worse in {', '.join(found.regressions)}"
-    if found.differences:
-        better = [verdict.metric.name for verdict in found.named("better")]
-        return f"verdict: different, nothing worse, better in {', '.join(better) or 'nothing'}"
-    identical = all(agreement.state == "identical" for agreement in found.fields.values())
-    return f"verdict: {'identical' if identical else 'within tolerance'}"

@@ -1,4 +1,4 @@
-"""Pairs the runs of a new with those of a base, and their frames."""
+"""Pairs new runs with base runs, and their frames."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ NEW: Final = " of the new run"
 
 @dataclass(frozen=True)
 class RunPair:
-    """A run of the base and the new run's run of the same log."""
+    """A base run and the new run of the same log."""
 
     base: Run
     new: Run
@@ -95,7 +95,7 @@ def pair_runs(base: Sequence[Run], new: Sequence[Run], other_log: bool) -> Pairi
         partners = {run.name: run for run in new if run.name not in taken} | by_log
     pairs = tuple(RunPair(run, partners[run.name]) for run in base if run.name in partners)
     if not pairs:
-        raise TableError(f"{new[0].path}: no run of the new run has the log or the name of a run of the base")
+        raise TableError(f"{new[0].path}: no new run has the log or the name of a base run")
     for pair in pairs:
         ours, theirs = pair.base, pair.new
         if ours.log_id != theirs.log_id and pair.by_one_digest and not other_log:

@@ -11,7 +11,6 @@ import polars as pl
 from roadperc_stream.batch.storage.addresses import natural
 from roadperc_stream.config.settings import as_typed, settings_in
 from roadperc_stream.errors import ConfigError, TableError
-from roadperc_stream.system.text import number
 
 from ..configurations import Settings
 from ..options import number_or_text
@@ -27,6 +26,7 @@ Key = tuple[str | None, ...]
 _DIGITS: Final = 8
 """Digits of a log's digest that distinguish logs of equal names."""
 DEFAULT: str = "default"
+_OPTIONS: Final = ("--base-config", "--new-config")
 
 
 @dataclass(frozen=True)
@@ -137,29 +137,30 @@ def in_order_of_runs(present: Sequence[str], runs: pl.DataFrame) -> list[str]:
     return [*(name for name in known if name in present), *(name for name in present if name not in known)]
 
 
-def two_configs(names: Sequence[str], configs: Mapping[str, Settings | None]) -> tuple[str, str]:
-    """The configurations of the reference and of the candidate.
+def two_configs(names: tuple[str | None, str | None], configs: Mapping[str, Settings | None]) -> tuple[str, str]:
+    """The configurations of the base and of the new runs.
 
     Args:
-        names: two names, their first digits, or settings such as ``lanes.hold_s=2``. It may be empty for a dataset of
-            two configurations; the older one is then the reference.
+        names: of base and new: a name, its first digits, or a setting such as ``lanes.hold_s=2``. In a dataset of two
+            configurations they may be None; without both, the older configuration is the base.
         configs: the configurations of the dataset, the oldest first, with their settings.
 
     Raises:
         TableError: ``names`` are not two different configurations of the dataset.
     """
-    if not names and len(configs) == 2:
-        first, second = configs
-        return first, second
-    if len(names) != 2:
-        raise TableError(f"pass --config twice (found {number(len(names), 'time')}); {_listed(configs)}")
-    reference, candidate = (_config(name, configs) for name in names)
-    if reference == candidate:
-        raise TableError(f"--config {names[0]}, --config {names[1]}: expected two configurations; {_listed(configs)}")
-    return reference, candidate
+    base, new = (name and _config(option, name, configs) for option, name in zip(_OPTIONS, names, strict=True))
+    if len(configs) == 2:
+        older, newer = configs
+        base = base or (older if new != older else newer)
+        new = new or (newer if base != newer else older)
+    if not base or not new:
+        raise TableError(f"pass --base-config and --new-config; {_listed(configs)}")
+    if base == new:
+        raise TableError(f"--base-config and --new-config: expected two configurations; {_listed(configs)}")
+    return base, new
 
 
-def _config(name: str, configs: Mapping[str, Settings | None]) -> str:
+def _config(option: str, name: str, configs: Mapping[str, Settings | None]) -> str:
     matching = [config for config in configs if config.startswith(name)] or [
         config
         for config, settings in configs.items()
@@ -167,7 +168,7 @@ def _config(name: str, configs: Mapping[str, Settings | None]) -> str:
     ]
     if len(matching) != 1:
         matches = "no configuration" if not matching else f"{len(matching)} configurations"
-        raise TableError(f"--config {name}: matches {matches}; {_listed(configs)}")
+        raise TableError(f"{option} {name}: matches {matches}; {_listed(configs)}")
     return matching[0]
 
 

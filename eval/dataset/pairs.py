@@ -46,8 +46,8 @@ def in_a_folder(dataset: Dataset) -> Iterator[Dataset]:
         yield Dataset(folder)
 
 
-def runs_of_configs(dataset: Dataset, names: Sequence[str]) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
-    """The runs of the base and of the new, one for each log, from a dataset in a local folder.
+def runs_of_configs(dataset: Dataset, names: tuple[str | None, str | None]) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
+    """The base runs and the new runs, one for each log, from a dataset in a local folder.
 
     Raises:
         TableError: ``names`` do not identify two configurations, or a table cannot be read.

@@ -1,9 +1,12 @@
-"""``roadperc-compare``: compare a run with a reference, by fields and metrics."""
+"""``roadperc-compare``: compare a new run with a base run, by metrics and fields."""
 
 import argparse
+from pathlib import Path
 
+from roadperc_stream.cli.arguments import add_machine_arguments
 from roadperc_stream.cli.completers import RUNS, completed_by, files
 from roadperc_stream.cli.plumbing import command_parser, parse, part, run
+from roadperc_stream.system.process import EXIT_UNDECIDED
 
 _EXAMPLE = """\
 example:
@@ -12,88 +15,90 @@ example:
   roadperc-compare base.mcap other.mcap                    compare the tables, and the messages of both logs
   roadperc-compare base.metrics.parquet other.metrics.parquet --allow surface_angle_error_deg=0.2 --allow 5%
   roadperc-compare reference/ runs/ --update-reference     compare folders by log, then update reference/
-  roadperc-compare dataset --config default --config lanes.hold_s=2    compare two configurations of a batch
+  roadperc-compare dataset --base-config default --new-config lanes.hold_s=2    two configurations of a batch
+  roadperc-compare reference/ runs/ --junit compare.xml --markdown "$GITHUB_STEP_SUMMARY"
 
 exit codes:
   0  no metric is worse than allowed; fields may differ
-  1  a metric is worse, a run or a frame of A is missing in B, an error occurred, or with --exact a field differs by
-     more than its tolerance
+  1  a metric is worse, NEW lacks a run or a frame of BASE, or with --exact a field differs by more than its tolerance
   2  wrong usage
+  3  an error: a file cannot be read, or the runs do not belong together
 
-fields: the columns of the tables. If A and B are logs, also the fields of the result messages, such as
-  lanes.boundaries.offset_m.
 metrics:
   errors against truth and jitter of the lanes, such as lane_left_error_m
   the share of frames with a value, such as lane_left_error_m.coverage
   the share of frames in the best state of a stage: odometry_status.tracked, surface_source.depth,
   lane_left_status.measured
-  Times are printed. They count for the verdict only with --allow, such as --allow total_ms=10%.
+  times, only with --times or if --allow names them, such as --allow total_ms=10%
+fields: the columns of the tables. If BASE and NEW are logs, also the fields of the result messages, such as
+  lanes.boundaries.offset_m.
 """
 
 
 def main(argv: list[str] | None = None) -> int:
-    """``roadperc-compare``: print the differences of two runs, and whether the second is worse."""
+    """``roadperc-compare``: print what became worse or better, and where."""
     parser = _parser()
     arguments = parse(parser, argv)
     _require_two(parser, arguments)
     comparing = part("eval.compare")
-    return run(lambda: comparing.compare(arguments))
+    return run(lambda: comparing.compare(arguments), EXIT_UNDECIDED)
 
 
 def _require_two(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
     """Exit with code 2 if the arguments do not name two sides."""
     if arguments.new is not None:
-        if arguments.config:
-            parser.error("--config compares two configurations of the dataset A; remove B")
+        if arguments.base_config or arguments.new_config:
+            parser.error("--base-config and --new-config compare two configurations of one dataset; remove NEW")
     elif part("eval.dataset.place").dataset_at(arguments.base) is None:
-        parser.error(f"{arguments.base}: expected B, or the OUT_DIR of a batch as A")
+        parser.error(f"{arguments.base}: expected NEW, or the OUT_DIR of a batch as BASE")
     elif arguments.update_reference:
-        parser.error("--update-reference needs A and B; it does not update the OUT_DIR of a batch")
+        parser.error("--update-reference needs BASE and NEW; it does not update the OUT_DIR of a batch")
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser(
         "compare",
-        "Compare a run B with a reference A. Prints the difference of each metric with its confidence interval,\n"
-        "the verdict (better, worse or unchanged), and the first differing frame of each field.",
+        "Compare a new run with a base run. Prints the verdict, the metrics that became worse or better with the\n"
+        "interval of the difference, and the command that shows the frame that became worse by most.",
         _EXAMPLE,
     )
+    add = parser.add_argument
     inputs = "OUT.metrics.parquet, an OUT.mcap with its table, or a folder of tables"
-    base = parser.add_argument(
-        "base", metavar="BASE", help=f"the base run: {inputs}; or the OUT_DIR of a batch, without B"
-    )
-    new = parser.add_argument("new", metavar="NEW", nargs="?", help=f"the new run: {inputs}")
-    parser.add_argument(
-        "--config",
+    base = add("base", metavar="BASE", help=f"the base run: {inputs}; or the OUT_DIR of a batch, without NEW")
+    new = add("new", metavar="NEW", nargs="?", help=f"the new run: {inputs}")
+    name = "a name or its first digits, a setting such as lanes.hold_s=2, or default"
+    add("--base-config", metavar="NAME", help=f"for the OUT_DIR of a batch: the base's configuration, {name}")
+    add(
+        "--new-config",
         metavar="NAME",
-        action="append",
-        default=[],
-        help="for the OUT_DIR of a batch: first the reference's configuration, then the candidate's. NAME is a name "
-        "or its first digits, a setting such as lanes.hold_s=2, or default. If the dataset has two "
-        "configurations, the older one is the default reference",
+        help="the new configuration; in a dataset of two configurations the older one is the base by default",
     )
     _add_rules(parser)
-    parser.add_argument(
+    add("--times", action="store_true", help="judge times; the machine and its load must be the same")
+    criteria = add("--criteria", metavar="FILE.toml", type=Path, help="smallest relevant effects and limits of metrics")
+    add("--full", action="store_true", help="print all findings, the table of every metric, and the first fields")
+    add(
         "--exact",
         action="store_true",
         help="list every differing field; exit with 1 if a field differs by more than its tolerance",
     )
-    parser.add_argument(
-        "--other-log", action="store_true", help="compare runs of two different logs, frame by frame by their stamps"
-    )
-    parser.add_argument(
+    add("--other-log", action="store_true", help="compare runs of two different logs, frame by frame by their stamps")
+    add(
         "--update-reference",
         action="store_true",
-        help="after the comparison replace the differing tables of A with those of B, and exit with 0",
+        help="after the comparison replace the differing tables of BASE with those of NEW, and exit with 0",
     )
-    for action in (base, new):
-        completed_by(action, files(*RUNS))
+    add_machine_arguments(parser)
+    for action, completer in ((base, files(*RUNS)), (new, files(*RUNS)), (criteria, files(".toml"))):
+        completed_by(action, completer)
     return parser
 
 
 def _add_rules(parser: argparse.ArgumentParser) -> None:
     rules = part("eval.options")
-    allowed = "allowed deterioration of the metrics that match a glob: in the metric's unit, or N%% of A's mean; "
+    allowed = (
+        "allowed deterioration of the metrics that match a glob: in the metric's unit, or N%% of the base's mean; "
+    )
     for option, metavar, kind, text in (
         ("--ignore", "NAME", str, "ignore fields and metrics that match this glob"),
         ("--tolerance", "FIELD=VALUE", rules.tolerance, "allowed absolute difference of the fields that match a glob"),

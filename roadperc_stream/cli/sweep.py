@@ -4,7 +4,7 @@ import argparse
 import os
 from pathlib import Path
 
-from roadperc_stream.cli.arguments import add_input_arguments
+from roadperc_stream.cli.arguments import add_input_arguments, add_machine_arguments
 from roadperc_stream.cli.completers import LOGS, completed_by, files, varied_settings
 from roadperc_stream.cli.plumbing import command_parser, parse, part, run, whole_number
 from roadperc_stream.system.files import real_path
@@ -62,6 +62,7 @@ def _parser() -> argparse.ArgumentParser:
         help="replay N logs at a time (default: one per processor)",
     )
     parser.add_argument("--force", action="store_true", help="replace DIR if it is the result of an earlier sweep")
+    add_machine_arguments(parser)
     for action, completer in ((logs, files(*LOGS)), (vary, varied_settings), (out, files())):
         completed_by(action, completer)
     return parser

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import get_args
 
+from roadperc_stream.cli.arguments import add_machine_arguments
 from roadperc_stream.cli.completers import RUNS, completed_by, files
 from roadperc_stream.cli.plumbing import ABOVE_0, command_parser, number, parse, part, run
 
@@ -44,8 +45,7 @@ def main(argv: list[str] | None = None) -> int:
         parser.error(f"argument --delta: {arguments.delta:g}: expected whole frames, or --delta-unit metres")
     judging = part("eval.trajectory")
     delta = judging.Delta(arguments.delta, arguments.delta_unit)
-    folders = arguments.export_tum, arguments.export_kitti
-    return run(lambda: judging.print_trajectories(arguments.runs, arguments.align, delta, *folders))
+    return run(lambda: judging.trajectories(arguments, delta))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -75,6 +75,7 @@ def _parser() -> argparse.ArgumentParser:
         type=Path,
         help="write KITTI files of the ego frame to this folder; existing files are replaced",
     )
+    add_machine_arguments(parser)
     for action, completer in ((runs, files(*RUNS)), (tum, files()), (kitti, files())):
         completed_by(action, completer)
     return parser

@@ -150,6 +150,8 @@ WRITING = [
 ]
 
 
+JUDGES = {"roadperc-check", "roadperc-compare"}
+"""Commands whose exit code 1 is a result; an error exits with 3."""
 CODES = {"--help": 0, "--version": 0, "--wrong": 2, "none.mcap": 1}
 """Exit codes of the arguments."""
 UNREAD = [("closed", "buffered"), *(("unread", buffering) for buffering in BUFFERINGS)]

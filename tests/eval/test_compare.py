@@ -1,5 +1,6 @@
 """roadperc-compare on hand-made tables: its output, its exit code, and updated references."""
 
+import json
 import math
 import re
 import shutil
@@ -8,6 +9,7 @@ from functools import partial
 
 import polars as pl
 import pytest
+from junitparser import JUnitXml
 
 from roadperc_stream.cli.compare import main
 from roadperc_stream.config import load_config
@@ -71,52 +73,52 @@ def test_metrics_that_become_worse(reference, capsys, before, after, options, wo
     """The absolute error counts (here 0.1 m); a lower value is worse if high is better; states are metrics."""
     base = other(reference, "c", **before)
     code, text, error = compare(capsys, base, other(base, "d", **after), *options)
-    assert (code, error) == ((1, f"worse than the reference: {worse}\n") if worse else (0, ""))
-    assert (f"\nverdict: worse in {worse}\n" in text) == bool(worse)
+    assert (code, error) == ((1, f"worse than the base run: {worse}\n") if worse else (0, ""))
+    assert text.startswith(f"worse: {worse} " if worse else ("no relevant difference", "better: "))
 
 
 def test_tolerance_and_ignored_fields(reference, capsys):
-    candidate = other(reference, lane_left_error_m=LEFT - 0.01)
-    assert compare(capsys, reference, candidate, "--exact")[0] == 1
+    new = other(reference, lane_left_error_m=LEFT - 0.01)
+    assert compare(capsys, reference, new, "--exact")[0] == 1
     for option in ("--tolerance=lane_*=0.011", "--ignore=lane_left_error*"):
-        assert compare(capsys, reference, candidate, "--exact", option)[0] == 0
+        assert compare(capsys, reference, new, "--exact", option)[0] == 0
 
 
 def test_an_unchanged_run_is_identical(reference, capsys):
     changed_times = other(reference, total_ms=pl.col("total_ms") * 1.5)
-    code, text, error = compare(capsys, reference, changed_times, "--exact")
+    code, text, error = compare(capsys, reference, changed_times, "--exact", "--full")
     assert (code, error) == (0, "")
-    assert "differ" not in text.replace("0 differ", "").replace("settings that differ: unknown", "")
-    assert text.endswith("verdict: identical\n")
+    assert "within tolerance, 0 differ\n" in text
     assert re.search(r"total_ms +10.00 +15.00 +1.50 +1.50 +1.50\n", text)
 
 
 def test_texts_lists_nan_and_values_that_differ_in_late_digits(reference, capsys):
     base = other(reference, "c", lane_left_status=pl.lit("held"), step_m=pl.lit(math.nan))
     changes = {"lane_left_status": pl.lit("lost"), "reasons": pl.lit(["lanes: gone"])}
-    _, text, _ = compare(capsys, base, other(base, "d", lane_left_error_m=LEFT + 1e-13, **changes))
+    _, text, _ = compare(capsys, base, other(base, "d", lane_left_error_m=LEFT + 1e-13, **changes), "--full")
     assert "lane_left_status: held → lost, in 40 frames" in text
     assert "reasons:  → lanes: gone, in 40 frames" in text
     assert "step_m:" not in text
-    reference_value, candidate_value = re.search(r"lane_left_error_m: (\S+) → (\S+), in 40 frames", text).groups()
-    assert reference_value != candidate_value
-    assert "nothing worse" in text
+    base_value, new_value = re.search(r"lane_left_error_m: (\S+) → (\S+), in 40 frames", text).groups()
+    assert base_value != new_value
+    assert text.startswith("no relevant difference")
 
 
 def test_lost_coverage_is_a_regression_even_if_the_error_is_equal(reference, capsys):
-    candidate = other(reference, lane_left_error_m=pl.when(~frames(10, 14)).then(LEFT))
-    code, text, error = compare(capsys, reference, candidate)
-    assert (code, error) == (1, "worse than the reference: lane_left_error_m.coverage\n")
-    assert "worse: lane_left_error_m.coverage 1 → 0.875 (-0.125" in text
-    assert "worse: lane_left_error_m 0" not in text
-    assert compare(capsys, reference, candidate, "--allow", "*.coverage=0.13")[0] == 0
+    new = other(reference, lane_left_error_m=pl.when(~frames(10, 14)).then(LEFT))
+    code, text, error = compare(capsys, reference, new)
+    assert (code, error) == (1, "worse than the base run: lane_left_error_m.coverage\n")
+    assert "worse, lanes coverage: lane_left_error_m.coverage mean 100 → 87.5 % (-12.5 [" in text
+    assert "  frame 10 of a, 100 → 0 %: roadperc-view " in text
+    assert "lane_left_error_m mean" not in text
+    assert compare(capsys, reference, new, "--allow", "*.coverage=0.13")[0] == 0
 
 
 def test_times_are_judged_on_request_only(reference, capsys):
     slower = other(reference, total_ms=pl.col("total_ms") * 1.2)
     code, text, error = compare(capsys, reference, slower, "--allow", "total_ms=10%")
-    assert (code, error) == (1, "worse than the reference: total_ms\n")
-    assert "worse: total_ms 10 → 12 (+2 [+2, +2])" in text
+    assert (code, error) == (1, "worse than the base run: total_ms\n")
+    assert "worse, times: total_ms mean 10 → 12 ms (+2 [+2, +2])" in text
     for allowed in ("10%", "total_ms=21%"):
         assert compare(capsys, reference, slower, "--allow", allowed)[0] == 0
 
@@ -124,9 +126,9 @@ def test_times_are_judged_on_request_only(reference, capsys):
 def test_frames_that_only_one_run_has(reference, tmp_path, capsys):
     shorter = table(tmp_path / "b.metrics.parquet", wave(30))
     code, text, error = compare(capsys, reference, shorter)
-    assert "a: 10 frames only in the reference, 0 only in the candidate" in text
+    assert "frames only in the base run: 10, only in the new run: 0 (in a)" in text
     assert "30 frames compared" in text
-    assert (code, error) == (1, "worse than the reference: frames.coverage\n")
+    assert (code, error) == (1, "worse than the base run: frames.coverage\n")
     assert compare(capsys, shorter, reference)[0] == 0
     assert compare(capsys, shorter, reference, "--exact")[0] == 1
 
@@ -134,7 +136,7 @@ def test_frames_that_only_one_run_has(reference, tmp_path, capsys):
 def test_a_table_of_an_older_version_lacks_columns(reference, capsys):
     older = reference.with_name("old.metrics.parquet")
     pl.read_parquet(reference).drop("lane_left_error_m", "objects_carried").write_parquet(older)
-    code, text, _ = compare(capsys, older, reference)
+    code, text, _ = compare(capsys, older, reference, "--full")
     assert code == 0
     assert "lane_left_error_m: none → 0.1, in 40 frames" in text
 
@@ -142,11 +144,11 @@ def test_a_table_of_an_older_version_lacks_columns(reference, capsys):
 def test_columns_of_a_type_that_no_replay_writes(reference, capsys):
     kinds = pl.duration(seconds="frame"), pl.struct("frame", "log_id"), pl.col("log_id").cast(pl.Binary)
     strange = {f"extra{k}": kind for k, kind in enumerate((*kinds, pl.concat_list("frame")))}
-    candidate = other(reference, **strange)
-    code, text, error = compare(capsys, candidate, reference, "--exact")
+    new = other(reference, **strange)
+    code, text, error = compare(capsys, new, reference, "--exact")
     assert "extra0: " in text
-    assert (code, error) == (1, "differs from the reference: extra0, extra1, extra2, extra3\n")
-    assert compare(capsys, candidate, other(candidate, "c", **strange), "--exact")[0] == 0
+    assert (code, error) == (1, "differs from the base run: extra0, extra1, extra2, extra3\n")
+    assert compare(capsys, new, other(new, "c", **strange), "--exact")[0] == 0
 
 
 def test_frames_of_equal_stamps_stay_in_order(tmp_path, capsys):
@@ -169,22 +171,50 @@ def test_folders_pair_by_log(tmp_path, capsys):
     ours = folder(tmp_path / "a", [0.0] * MANY_LOGS)
     theirs = folder(tmp_path / "b", [0.010 + 0.001 * (k % 3) for k in range(MANY_LOGS)])
     (theirs / "part0" / "log0.metrics.parquet").rename(theirs / "renamed.metrics.parquet")
-    code, text, _ = compare(capsys, ours, theirs)
+    code, text, _ = compare(capsys, ours, theirs, "--full")
     assert code == 1
     assert f"{20 * MANY_LOGS} frames compared in {MANY_LOGS} pairs of runs" in text
-    assert "whole logs as blocks" in text
+    assert "from resampled whole logs" in text
     assert "part0/log0: frame 0" in text
-    low, high = (float(x) for x in re.search(r"worse: .*\[(\S+), (\S+)\]", text).groups())
+    low, high = (float(x) for x in re.search(r"worse, .*\[(\S+), (\S+)\]", text).groups())
     assert 0.009 < low < 0.0109 < high < 0.013
+
+
+def test_a_jump_in_two_frames_is_named_with_its_log_and_command(tmp_path, capsys):
+    ours, theirs = folder(tmp_path / "a", [0.0] * 2), folder(tmp_path / "b", [0.0] * 2)
+    table_path = theirs / "part0" / "log1.metrics.parquet"
+    rows = pl.read_parquet(table_path)
+    rows.with_columns(lane_left_error_m=pl.when(frames(7, 8)).then(-2.42).otherwise(LEFT)).write_parquet(table_path)
+    outputs = {kind: tmp_path / f"compare.{kind}" for kind in ("json", "markdown", "junit")}
+    options = [word for kind, path in outputs.items() for word in (f"--{kind}", path)]
+    code, text, error = compare(capsys, ours, theirs, *options)
+    shown = f"frame 7 of part0/log1, 0.1 → 2.42 m: roadperc-view {ours}/part0/log1.mcap {theirs}/part0/log1.mcap"
+    assert (code, error) == (1, "worse than the base run: lane_left_error_m\n")
+    assert text.startswith("worse: lane_left_error_m worst frame of part0/log1 0.1 → 2.42 m; 3 metrics judged, 1 ")
+    assert f"\n  {shown} --frame 7\n" in text
+
+    found = json.loads(outputs["json"].read_text(), parse_constant=pytest.fail)
+    assert (found["verdict"], found["counts"]) == ("worse", {"worse": 1, "unchanged": 2, "better": 0})
+    place = found["metrics"]["lane_left_error_m"]["place"]
+    assert (place["log"], place["frame"], place["new"]) == ("part0/log1", 7, 2.42)
+    assert outputs["markdown"].read_text().startswith("## Comparison: worse: lane\\_left\\_error\\_m worst frame")
+    (suite,) = JUnitXml.fromfile(str(outputs["junit"]))
+    bad = [case for case in suite if case.result]
+    assert [(case.classname, case.name) for case in bad] == [("part0/log1", "lane_left_error_m worst frame")]
+    assert shown in bad[0].result[0].text
+    assert len({case.name for case in suite}) == suite.tests
+    criteria = tmp_path / "criteria.toml"
+    criteria.write_text("[metrics.lane_left_error_m]\nrelevant = 0.3\n")
+    assert compare(capsys, ours, theirs, "--criteria", criteria)[0] == 0
 
 
 def test_runs_that_only_one_folder_has(tmp_path, capsys):
     ours, theirs = folder(tmp_path / "a", [0.0]), folder(tmp_path / "b", [0.0] * 2)
     code, text, _ = compare(capsys, ours, theirs)
     assert code == 0
-    assert f"only in the candidate: part0/log1 (log {1:016x})" in text
+    assert f"only in new: part0/log1 (log {1:016x})" in text
     code, _, error = compare(capsys, theirs, ours)
-    assert (code, error) == (1, "worse than the reference: no run of part0/log1\n")
+    assert (code, error) == (1, "worse than the base run: no run of part0/log1\n")
 
 
 def test_several_runs_of_one_log_pair_by_name(tmp_path, capsys):
@@ -216,7 +246,7 @@ def other_log(path, start=0):
 def test_runs_that_cannot_be_compared(reference, capsys, make, options, message):
     make(reference.with_name("b.metrics.parquet"))
     code, text, error = compare(capsys, reference, reference.with_name("b.metrics.parquet"), *options)
-    assert (code, text) == (1, "")
+    assert (code, text) == (3, "")
     assert re.fullmatch(rf"error: .*{message}.*\n", error)
 
 
@@ -234,44 +264,44 @@ def test_folders_without_anything_in_common(tmp_path, capsys):
     for name in ("x", "y"):
         other_log(tmp_path / "b" / f"{name}.metrics.parquet")
     code, _, error = compare(capsys, ours, tmp_path / "b")
-    assert code == 1
-    assert "no run of the candidate has the log or the name of a run of the reference" in error
+    assert code == 3
+    assert "no new run has the log or the name of a base run" in error
 
 
 def test_a_misspelt_name_is_an_error(reference, capsys):
     code, _, error = compare(capsys, reference, reference, "--ignore", "lame_*")
-    assert (code, error) == (1, "error: lame_*: matches no field and no metric of these runs; check the spelling\n")
+    assert (code, error) == (3, "error: lame_*: matches no field and no metric of these runs; check the spelling\n")
 
 
 def test_a_reference_is_created_and_updated(tmp_path, capsys):
     reference, runs = tmp_path / "reference", folder(tmp_path / "runs", [0.0, 0.0])
     code, text, _ = compare(capsys, reference, runs, "--update-reference")
-    assert (code, text.count("reference: ")) == (0, 2)
+    assert (code, text.count("base: ")) == (0, 2)
     unchanged = reference / "part0" / "log0.metrics.parquet"
     before_ns = unchanged.stat().st_mtime_ns
 
     folder(runs, [0.0, 0.3, 0.0])
     code, text, _ = compare(capsys, reference, runs, "--update-reference")
     assert code == 0
-    assert re.findall(r"reference: .+reference/(\S+) is now", text) == [
+    assert re.findall(r"base: .+reference/(\S+) is now", text) == [
         "part0/log1.metrics.parquet",
         "part1/log2.metrics.parquet",
     ]
     assert unchanged.stat().st_mtime_ns == before_ns
     code, text, _ = compare(capsys, reference, runs, "--exact", "--update-reference")
-    assert (code, "verdict: identical" in text, "unchanged, all results are equal" in text) == (0, True, True)
+    assert (code, " 0 differ" in text, "unchanged, all results are equal" in text) == (0, True, True)
 
 
 def test_a_table_as_reference_is_replaced(reference, capsys):
-    candidate = other(reference, **SHIFTED)
-    assert compare(capsys, reference, candidate, "--update-reference")[0] == 0
-    assert reference.read_bytes() == candidate.read_bytes()
+    new = other(reference, **SHIFTED)
+    assert compare(capsys, reference, new, "--update-reference")[0] == 0
+    assert reference.read_bytes() == new.read_bytes()
     assert [path for path in reference.parent.iterdir() if path.name.startswith(".")] == []
 
 
 def test_a_log_as_reference_is_not_updated(reference, capsys):
     code, _, error = compare(capsys, reference.with_name("a.mcap"), reference, "--update-reference")
-    assert code == 1
+    assert code == 3
     assert re.fullmatch(r"error: .*a\.mcap: is a log; with --update-reference pass .*\n", error)
 
 
@@ -282,6 +312,4 @@ def test_pairs_with_the_same_changed_settings_are_listed_together(tmp_path, caps
             settings = (f"lanes.hold_s={0.5 if name == 'rain' else hold_s}",)
             pl.read_parquet(path).write_parquet(path, metadata=table_facts(path, path, load_config(settings=settings)))
     _, text, _ = compare(capsys, tmp_path / "a", tmp_path / "b")
-    assert text.startswith(
-        "settings that differ in day, night:\n  lanes.hold_s 0.5 → 2.0\n9 frames compared in 3 pairs"
-    )
+    assert "\nsettings that differ in day, night:\n  lanes.hold_s 0.5 → 2.0\n9 frames compared in 3 pairs" in text

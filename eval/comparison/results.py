@@ -1,0 +1,80 @@
+"""The results of a comparison for other programs: JSON, Markdown and JUnit XML."""
+
+import argparse
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any, get_args
+
+from ..machine import Case, Outcome, write_json, write_junit, write_markdown
+from .comparing import Comparison
+from .display import metrics_table
+from .summary import command, outcome, summary, values, where
+from .verdicts import Finding, Mark, Place, Verdict
+
+_ALL_LOGS = "all logs"
+
+
+def write_results(found: Comparison, arguments: argparse.Namespace) -> None:
+    """Write the files of ``--json``, ``--markdown`` and ``--junit``.
+
+    Raises:
+        TargetError: a file cannot be written.
+    """
+    if arguments.json is not None:
+        write_json(arguments.json, as_json(found))
+    if arguments.markdown is not None:
+        first, *lines = summary(found)
+        write_markdown(arguments.markdown, f"Comparison: {first}", lines, [metrics_table(found)])
+    if arguments.junit is not None:
+        write_junit(arguments.junit, "roadperc-compare", list(_cases(found, exact=arguments.exact)))
+
+
+def as_json(found: Comparison) -> dict[str, Any]:
+    """The verdict, counts, changed settings, every judged metric with its statistics, and counts of fields."""
+    changed = {line for lines in found.changes for line in lines[1:]}
+    states = Counter(agreement.state for agreement in found.fields.values())
+    return {
+        "verdict": outcome(found),
+        "counts": {mark: len(found.named(mark)) for mark in get_args(Mark)},
+        "frames": found.frames,
+        "logs": len(found.pairing.pairs),
+        "missing_logs": len(found.pairing.missing),
+        "settings": dict(line.split(" ", 1) for line in sorted(changed)),
+        "metrics": {verdict.metric.name: _metric(verdict) for verdict in found.verdicts if verdict.judged},
+        "fields": {state.replace(" ", "_"): states[state] for state in ("identical", "within tolerance", "differs")},
+    }
+
+
+def _metric(verdict: Verdict) -> dict[str, Any]:
+    metric = verdict.metric
+    statistics = {finding.statistic.replace(" ", "_"): _statistic(finding) for finding in verdict.findings}
+    facts = {"mark": verdict.mark, "unit": metric.unit, "group": metric.group, "frames": verdict.frames}
+    place = {"place": _place(verdict.place)} if verdict.place and verdict.mark == "worse" else {}
+    return {**facts, "relevant": float(f"{verdict.relevant:.6g}"), **statistics, **place}
+
+
+def _statistic(finding: Finding) -> dict[str, Any]:
+    known = {"base": finding.base, "new": finding.new, "difference": finding.new - finding.base, "mark": finding.mark}
+    interval = vars(finding.interval) if finding.interval else {}
+    return {**known, **interval, **({"log": finding.log} if finding.log else {})}
+
+
+def _place(place: Place) -> dict[str, Any]:
+    at = {"log": place.pair.name, "frame": place.frame, "stamp_ns": place.stamp_ns}
+    return {**at, "base": place.base, "new": place.new, "command": command(place)}
+
+
+def _cases(found: Comparison, *, exact: bool) -> Iterator[Case]:
+    """A case for each statistic of a judged metric, for each missing run, and with ``exact`` for each field."""
+    pairs = found.pairing.pairs
+    every = pairs[0].name if len(pairs) == 1 else _ALL_LOGS
+    for finding in (finding for verdict in found.verdicts if verdict.judged for finding in verdict.findings):
+        worse, text = finding.mark == "worse", f"{finding.mark}: {values(finding)}"
+        text += f"\n{where(finding.metric, finding.place)}" if worse and finding.place else ""
+        result: Outcome = "failed" if worse else "passed"
+        yield Case(finding.log or every, f"{finding.metric.name} {finding.statistic}", result, text)
+    yield from (Case(run.name, "run", "failed", "missing in the new run") for run in found.pairing.missing)
+    for name, agreement in found.fields.items() if exact else ():
+        first = agreement.first
+        text = f"first in frame {first.frame}: {first.base} → {first.new}" if first else agreement.state
+        yield Case(first.run if first else every, f"{name} equal", "failed" if first else "passed", text)
