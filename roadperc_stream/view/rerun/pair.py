@@ -130,7 +130,7 @@ def _offsets(base: Log, new: Log) -> rrb.View:
 
 def _from_above(base: Log, new: Log) -> rrb.View:
     """Lanes, boxes and trajectories of both runs, each in one colour, from above the car of the base."""
-    overrides: dict[str, rr.AsComponents] = {}
+    overrides: dict[str, Any] = {}
     for log in (base, new):
         colour = [_COLOURS[log.root]]
         for entity in log.present(_STRIPS):

@@ -1,7 +1,7 @@
 """Timelines of a recording, and the panel that opens the viewer at a frame.
 
-A blueprint cannot set the viewer's time cursor, but it can follow the end of a timeline. So the messages up to the frame
-are also on a timeline that ends there.
+A blueprint cannot set the viewer's time cursor, but it can follow the end of a timeline. So the messages up to the
+frame are also on a timeline that ends there.
 """
 
 from typing import Final
