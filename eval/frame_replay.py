@@ -90,8 +90,8 @@ def replay_up_to(
         TableError: the table has no such frame, or no configuration.
         LogError: the input is missing or is not the log of the table.
     """
-    row = _row(recorded, frame)
-    if not recorded.source or (not recorded.config and not recorded.options and recorded.run.config_digest == ""):
+    run, row = _row(recorded, frame)
+    if not recorded.source or not (recorded.config or run.config_digest):
         raise TableError(f"{recorded.name}: its table does not record the input and the configuration; replay the log")
     source, options = _input(recorded, folder), _options(recorded.options)
     at_s = ns_to_seconds(row["stamp_ns"] - (log.summarise(source).first_ns or 0))
@@ -119,7 +119,7 @@ def replay_up_to(
     return ReplayedFrame(target.path, again["frame"][0], tuple(_notes(recorded, row, again.row(0, named=True), is_far)))
 
 
-def _row(recorded: Recorded, frame: int) -> dict[str, Any]:
+def _row(recorded: Recorded, frame: int) -> tuple[Run, dict[str, Any]]:
     run = recorded.run
     if run is None:
         raise TableError(f"{recorded.name}: has no metrics table")
@@ -128,7 +128,7 @@ def _row(recorded: Recorded, frame: int) -> dict[str, Any]:
     if found.is_empty():
         known = f"expected {rows['frame'].min()} to {rows['frame'].max()}" if rows.height else "the table is empty"
         raise TableError(f"{run.path}: no frame {frame}; {known}")
-    return found.row(0, named=True)
+    return run, found.row(0, named=True)
 
 
 def _input(recorded: Recorded, folder: Path) -> Path:

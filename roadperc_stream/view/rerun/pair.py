@@ -7,7 +7,7 @@ frames, so that their lanes and boxes compare in the car's frame.
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from itertools import groupby
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 import rerun as rr
@@ -24,6 +24,9 @@ from roadperc_stream.view.rerun.timelines import LOG_TIME, time_panel
 
 BASE, NEW = "/base", "/new"
 _COLOURS: Final = {BASE: (255, 150, 0), NEW: (0, 190, 255)}
+_RADII_M: Final = {BASE: 0.14, NEW: 0.06}
+"""So that both runs are visible where they agree."""
+_WIDTHS: Final = {BASE: 3.0, NEW: 1.2}
 _DIFFERENCES: Final = "/differences"
 _MOST_CURVES: Final = 6
 _MOST_LISTED: Final = 12
@@ -120,7 +123,7 @@ def _plots(differences: Sequence[Difference]) -> list[rrb.View]:
 def _offsets(base: Log, new: Log) -> rrb.View:
     lines = {
         f"{log.root}{entity}": rr.SeriesLines(
-            names=f"{log.root[1:]} {entity.split('_')[1]}", colors=_COLOURS[log.root], widths=1.5
+            names=f"{log.root[1:]} {entity.split('_')[1]}", colors=_COLOURS[log.root], widths=_WIDTHS[log.root]
         )
         for log in (base, new)
         for entity in log.present(_OFFSETS)
@@ -134,14 +137,14 @@ def _from_above(base: Log, new: Log) -> rrb.View:
     for log in (base, new):
         colour = [_COLOURS[log.root]]
         for entity in log.present(_STRIPS):
-            overrides[f"{log.root}{entity}"] = rr.LineStrips3D.from_fields(colors=colour)
+            overrides[f"{log.root}{entity}"] = rr.LineStrips3D.from_fields(colors=colour, radii=_RADII_M[log.root])
         for entity in log.present([_BOXES]):
             overrides[f"{log.root}{entity}"] = rr.Boxes3D.from_fields(colors=colour)
     return rrb.Spatial3DView(
         origin="/",
         name="from above: base orange, new blue",
         contents=[*overrides],
-        overrides=overrides,
+        overrides=cast("Any", overrides),  # the stubs of the SDK expect keys of a union type
         spatial_information=rrb.SpatialInformation(target_frame=EGO),
         eye_controls=_FROM_ABOVE,
         line_grid=True,
