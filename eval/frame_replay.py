@@ -126,7 +126,8 @@ def _row(recorded: Recorded, frame: int) -> tuple[Run, dict[str, Any]]:
     rows = collect(rows_of(run), run.source_name)
     found = rows.filter(pl.col("frame") == frame)
     if found.is_empty():
-        known = f"expected {rows['frame'].min()} to {rows['frame'].max()}" if rows.height else "the table is empty"
+        frames = rows["frame"].to_list()
+        known = f"expected {min(frames)} to {max(frames)}" if frames else "the table is empty"
         raise TableError(f"{run.path}: no frame {frame}; {known}")
     return run, found.row(0, named=True)
 

@@ -139,7 +139,7 @@ def _from_above(base: Log, new: Log) -> rrb.View:
         for entity in log.present(_STRIPS):
             overrides[f"{log.root}{entity}"] = rr.LineStrips3D.from_fields(colors=colour, radii=_RADII_M[log.root])
         for entity in log.present([_BOXES]):
-            overrides[f"{log.root}{entity}"] = rr.Boxes3D.from_fields(colors=colour)
+            overrides[f"{log.root}{entity}"] = rr.Boxes3D.from_fields(colors=colour, radii=_RADII_M[log.root])
     return rrb.Spatial3DView(
         origin="/",
         name="from above: base orange, new blue",
