@@ -36,6 +36,8 @@ _FAR_S: Final = 60.0
 _WARM_UP_S: Final = 20.0
 _BEFORE_S: Final = 5.0
 """Shown before a far frame."""
+_BEGIN_S: Final = 0.5
+"""A table that begins this close to the log's start is of the whole log, and its rows can be counted."""
 _AFTER_S: Final = 2.0
 """Replayed after the frame, because messages may be logged this long after their stamps."""
 _OF_THE_REPLAY: Final = frozenset({"log_id", "config", "frame", "segment", "reasons", "missing", *TIME_COLUMNS})
@@ -90,7 +92,7 @@ def replay_up_to(
         TableError: the table has no such frame, or no configuration.
         LogError: the input is missing or is not the log of the table.
     """
-    run, row = _row(recorded, frame)
+    run, row, before_s, position = _row(recorded, frame)
     if not recorded.source or not (recorded.config or run.config_digest):
         raise TableError(f"{recorded.name}: its table does not record the input and the configuration; replay the log")
     source, options = _input(recorded, folder), _options(recorded.options)
@@ -99,12 +101,17 @@ def replay_up_to(
     is_far = at_s - begin_s > _FAR_S
     start_s = at_s - _BEFORE_S if is_far else options.start
     end_s = at_s + _AFTER_S if options.end is None else min(at_s + _AFTER_S, options.end)
+    is_from_start = abs(at_s - begin_s - before_s) < _BEGIN_S and not is_far
+    frames = position if is_from_start else None
     written = folder / CONFIG_ATTACHMENT
     written.write_text(recorded.config, "utf-8", errors="surrogateescape")
     target = ReplayTarget(folder / "out.mcap")
     replay(
         ReplaySource(
-            (source,), parse_topic_options([*options.topic, *topics]), TimeRange(start_s, end_s), recorded.recover
+            (source,),
+            parse_topic_options([*options.topic, *topics]),
+            TimeRange(start_s, end_s, frames),
+            recorded.recover,
         ),
         target,
         load_config(written),
@@ -119,7 +126,8 @@ def replay_up_to(
     return ReplayedFrame(target.path, again["frame"][0], tuple(_notes(recorded, row, again.row(0, named=True), is_far)))
 
 
-def _row(recorded: Recorded, frame: int) -> tuple[Run, dict[str, Any]]:
+def _row(recorded: Recorded, frame: int) -> tuple[Run, dict[str, Any], float, int]:
+    """The run, the row, seconds from the first row to it, and the number of rows up to it."""
     run = recorded.run
     if run is None:
         raise TableError(f"{recorded.name}: has no metrics table")
@@ -129,7 +137,9 @@ def _row(recorded: Recorded, frame: int) -> tuple[Run, dict[str, Any]]:
         frames = rows["frame"].to_list()
         known = f"expected {min(frames)} to {max(frames)}" if frames else "the table is empty"
         raise TableError(f"{run.path}: no frame {frame}; {known}")
-    return run, found.row(0, named=True)
+    row = found.row(0, named=True)
+    earlier = rows.filter(pl.col("frame") <= frame)
+    return run, row, ns_to_seconds(row["stamp_ns"] - earlier["stamp_ns"][0]), earlier.height
 
 
 def _input(recorded: Recorded, folder: Path) -> Path:

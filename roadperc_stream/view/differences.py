@@ -19,7 +19,7 @@ _JUDGED: Final[Mapping[str, Column]] = {name: c for name, c in columns_of(FrameM
 
 
 @dataclass(frozen=True)
-class Difference:
+class MetricDifference:
     """The new run minus the base in a column, of absolute values if values near 0 are better.
 
     ``times_ns`` (N,) int64 are log times of the base, ``values`` (N,) the differences. ``worst`` is the frame in which
@@ -55,7 +55,7 @@ class Difference:
         return f"| {self.worst and self.worst.frame} | {self.name} | {self.base:.4g}{unit} | {self.new:.4g}{unit} |"
 
 
-def find_differences(base: Path, new: Path) -> list[Difference]:
+def find_differences(base: Path, new: Path) -> list[MetricDifference]:
     """The columns with a relevant difference, the largest worsening first. Frames pair by their stamps.
 
     Raises:
@@ -75,7 +75,9 @@ def find_differences(base: Path, new: Path) -> list[Difference]:
     return sorted(relevant, key=lambda found: (-found.worst_weight, -found.weight))
 
 
-def _difference(name: str, column: Column, pairs: list[tuple[int, FrameMetrics, FrameMetrics]]) -> Difference | None:
+def _difference(
+    name: str, column: Column, pairs: list[tuple[int, FrameMetrics, FrameMetrics]]
+) -> MetricDifference | None:
     """The difference in a column; None if it is nowhere relevant."""
     rows = [(t, row.frame, getattr(row, name), getattr(other, name)) for t, row, other in pairs]
     known = [row for row in rows if row[2] is not None and row[3] is not None]
@@ -89,5 +91,5 @@ def _difference(name: str, column: Column, pairs: list[tuple[int, FrameMetrics, 
     at = int(worse.argmax())
     times_ns = np.array([row[0] for row in known], np.int64)
     if worse[at] < max(column.relevant, 1e-12):
-        return Difference(name, times_ns, values, None)
-    return Difference(name, times_ns, values, Stop(known[at][1], known[at][0]), float(base[at]), float(new[at]))
+        return MetricDifference(name, times_ns, values, None)
+    return MetricDifference(name, times_ns, values, Stop(known[at][1], known[at][0]), float(base[at]), float(new[at]))

@@ -98,7 +98,7 @@ def _show_pair(arguments: argparse.Namespace, logs: Sequence[Path], stop: Stop |
         stop = differences[0].worst
     rerun = import_module("roadperc_stream.view.rerun")
     overrides = parse_topic_options(arguments.topic)
-    runs = rerun.Shown(base, overrides, stop), rerun.Shown(new, overrides)
+    runs = rerun.ShownLog(base, overrides, stop), rerun.ShownLog(new, overrides)
     name, target = f"{base.stem} and {new.stem}", arguments.save
     if target:
         require_free(target, force=arguments.force, source=base, suffix=".rrd")

@@ -12,6 +12,6 @@ import os
 os.environ.setdefault("RUST_LOG", "off")
 
 from roadperc_stream.view.rerun.pair import export_of_pair
-from roadperc_stream.view.rerun.recording import Exported, Shown, open_viewer, save, save_recording, send
+from roadperc_stream.view.rerun.recording import Exported, ShownLog, open_viewer, save, save_recording, send
 
-__all__ = ["Exported", "Shown", "export_of_pair", "open_viewer", "save", "save_recording", "send"]
+__all__ = ["Exported", "ShownLog", "export_of_pair", "open_viewer", "save", "save_recording", "send"]

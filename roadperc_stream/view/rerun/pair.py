@@ -16,10 +16,10 @@ import rerun.blueprint as rrb
 from roadperc_stream.model import EGO
 from roadperc_stream.schemas import topics
 from roadperc_stream.system.progress import Progress
-from roadperc_stream.view.differences import Difference
+from roadperc_stream.view.differences import MetricDifference
 from roadperc_stream.view.frame_times import Stop
 from roadperc_stream.view.rerun.blueprint import Log, arranged, curves, in_tabs, picture_with_results
-from roadperc_stream.view.rerun.recording import Export, Exported, Sender, Shown, opened, send_log
+from roadperc_stream.view.rerun.recording import Export, Exported, Sender, ShownLog, opened, send_log
 from roadperc_stream.view.rerun.timelines import LOG_TIME, time_panel
 
 BASE, NEW = "/base", "/new"
@@ -36,7 +36,9 @@ _BOXES: Final = f"{topics.OBJECTS_TOPIC}/scene"
 _FROM_ABOVE: Final = rrb.EyeControls3D(position=(14.0, 0.0, 42.0), look_target=(14.5, 0.0, 0.0), eye_up=(1.0, 0.0, 0.0))
 
 
-def export_of_pair(base: Shown, new: Shown, differences: Sequence[Difference], progress: Progress) -> Export:
+def export_of_pair(
+    base: ShownLog, new: ShownLog, differences: Sequence[MetricDifference], progress: Progress
+) -> Export:
     """A function that logs both runs, their differences and a blueprint to a recording.
 
     Args:
@@ -64,7 +66,7 @@ def export_of_pair(base: Shown, new: Shown, differences: Sequence[Difference], p
     return export
 
 
-def _log_differences(recording: rr.RecordingStream, differences: Iterable[Difference], stop: Stop | None) -> None:
+def _log_differences(recording: rr.RecordingStream, differences: Iterable[MetricDifference], stop: Stop | None) -> None:
     """Log curves of the differences, points at the worst ones, and a list of these."""
     for found in differences:
         _send(recording, f"{_DIFFERENCES}/{found.name}", found.times_ns, found.values, stop)
@@ -92,7 +94,7 @@ def _send(recording: rr.RecordingStream, entity: str, times_ns: Any, values: Any
             recording.send_columns(entity, indexes, rr.Scalars.columns(scalars=values[chosen]))
 
 
-def _blueprint(base: Log, new: Log, differences: Sequence[Difference], stop: Stop | None) -> rrb.Blueprint:
+def _blueprint(base: Log, new: Log, differences: Sequence[MetricDifference], stop: Stop | None) -> rrb.Blueprint:
     pictures = [picture_with_results(f"{log.root[1:]}: image and results", base, log) for log in (base, new)]
     shown = [*(view for view in pictures if view is not None), _from_above(base, new)]
     below = [_list_view(), in_tabs(_plots(differences)), _offsets(base, new)]
@@ -104,7 +106,7 @@ def _list_view() -> rrb.View:
     return rrb.TextDocumentView(origin=f"{_DIFFERENCES}/list", name="worst differences")
 
 
-def _plots(differences: Sequence[Difference]) -> list[rrb.View]:
+def _plots(differences: Sequence[MetricDifference]) -> list[rrb.View]:
     """A plot for each unit, the one with the worst difference first."""
     order = list(dict.fromkeys(found.unit for found in differences))
     by_unit = groupby(sorted(differences, key=lambda found: order.index(found.unit)), key=lambda found: found.unit)

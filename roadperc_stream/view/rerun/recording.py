@@ -42,7 +42,7 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
-class Shown:
+class ShownLog:
     """What to show of a log: topics of roles with other names, and the frame to open at; None for the end of the log.
 
     ``root`` is the parent of all entities, such as ``/base``. ``only_results`` leaves out inputs and transforms, which
@@ -78,7 +78,7 @@ def open_viewer(
     Raises:
         RoadpercError: the log is unreadable or has nothing to show, or the viewer does not start or answer.
     """
-    return send(path.name, export_of(Shown(path, overrides, stop), progress, arrange_early=True))
+    return send(path.name, export_of(ShownLog(path, overrides, stop), progress, arrange_early=True))
 
 
 def send(name: str, export: Export) -> Exported:
@@ -116,7 +116,9 @@ def save_recording(
             ``force``, or it cannot be completed; no partial file remains.
     """
     require_free(target, force=force, source=path, suffix=".rrd")
-    return save(path.name, target, export_of(Shown(path, overrides, stop), progress, arrange_early=False), force=force)
+    return save(
+        path.name, target, export_of(ShownLog(path, overrides, stop), progress, arrange_early=False), force=force
+    )
 
 
 def save(name: str, target: Path, export: Export, *, force: bool = False) -> Exported:
@@ -135,7 +137,7 @@ def save(name: str, target: Path, export: Export, *, force: bool = False) -> Exp
         return export(recording, keep_up)
 
 
-def export_of(shown: Shown, progress: Progress, *, arrange_early: bool) -> Export:
+def export_of(shown: ShownLog, progress: Progress, *, arrange_early: bool) -> Export:
     """A function that logs a log and its blueprint to a recording.
 
     Raises:
@@ -199,7 +201,9 @@ def send_log(
 class Sender:
     """Sends messages to a recording and clears results that a frame lacks."""
 
-    def __init__(self, recording: rr.RecordingStream, summary: LogSummary, roles: RoleAssignment, shown: Shown) -> None:
+    def __init__(
+        self, recording: rr.RecordingStream, summary: LogSummary, roles: RoleAssignment, shown: ShownLog
+    ) -> None:
         self.recording, self.summary, self.roles, self._shown = recording, summary, roles, shown
         self.reference = roles.topics.get(roles.reference or "")
         """Topic whose messages are counted as frames in a log without metrics; None if absent."""
