@@ -125,6 +125,7 @@ class Run:
     continues this one and repeats them, complete.
 
     ``within`` is the log and the configuration of the run's rows if its file holds rows of other runs too.
+    ``dataset`` is the dataset of the run, as the user named it, and the name of its configuration there.
 
     If continued replays were joined, ``joined`` holds their runs in order, at least two. The other fields, except the
     counts and the name, are those of the first one.
@@ -147,6 +148,7 @@ class Run:
     next_run: str = ""
     rows: int = 0
     within: tuple[str, str] | None = None
+    dataset: tuple[str, str] | None = None
     joined: tuple["Run", ...] = ()
 
     @property

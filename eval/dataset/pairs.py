@@ -43,7 +43,7 @@ def in_a_folder(dataset: Dataset) -> Iterator[Dataset]:
         list(threads.map(lambda name: store.at(name).fetch(Path(folder, name)), names))
         if (runs := store.at(RUNS).read()) is not None:
             Path(folder, RUNS).write_bytes(runs)
-        yield Dataset(folder)
+        yield Dataset(folder, dataset.address)
 
 
 def runs_of_configs(dataset: Dataset, names: tuple[str | None, str | None]) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
@@ -55,7 +55,7 @@ def runs_of_configs(dataset: Dataset, names: tuple[str | None, str | None]) -> t
     runs, found, present = _contents(dataset)
     base, new = two_configs(names, settings_by_config(runs, present))
     logs = log_names(found["log_id"].unique(maintain_order=True), runs)
-    return tuple(_runs(found, base, logs)), tuple(_runs(found, new, logs))
+    return tuple(_runs(dataset, found, base, logs)), tuple(_runs(dataset, found, new, logs))
 
 
 def all_runs(dataset: Dataset) -> tuple[Run, ...]:
@@ -66,7 +66,7 @@ def all_runs(dataset: Dataset) -> tuple[Run, ...]:
     """
     runs, found, present = _contents(dataset)
     logs = log_names(found["log_id"].unique(maintain_order=True), runs)
-    every = [(config, run) for config in present for run in _runs(found, config, logs)]
+    every = [(config, run) for config in present for run in _runs(dataset, found, config, logs)]
     return tuple(run if len(present) == 1 else replace(run, name=f"{run.name} {config}") for config, run in every)
 
 
@@ -80,6 +80,19 @@ def _contents(dataset: Dataset) -> tuple[pl.DataFrame, pl.DataFrame, list[str]]:
     return runs, found, in_order_of_runs(found["config"].unique(maintain_order=True).to_list(), runs)
 
 
+def run_of_log(dataset: Dataset, log_id: str, config: str, name: str) -> Run:
+    """The run of a log under a configuration, from a dataset in a local folder; ``name`` becomes its name.
+
+    Raises:
+        TableError: the dataset has no table of it, or it cannot be read.
+    """
+    files = metrics_files(dataset)
+    found = _row_counts(files).filter(pl.col("log_id") == log_id) if files else pl.DataFrame(schema=[*LOG])
+    for run in _runs(dataset, found, config, {log_id: name}):
+        return run
+    raise TableError(f"{dataset.address}: no metrics table of log {name}, configuration {config}")
+
+
 def _row_counts(files: Sequence[str]) -> pl.DataFrame:
     """The number of rows of each log and configuration in each file."""
     tables, _ = metrics_tables(files)
@@ -90,17 +103,18 @@ def _row_counts(files: Sequence[str]) -> pl.DataFrame:
     return found
 
 
-def _runs(found: pl.DataFrame, config: str, names: Mapping[str, str]) -> Iterator[Run]:
+def _runs(dataset: Dataset, found: pl.DataFrame, config: str, names: Mapping[str, str]) -> Iterator[Run]:
     of_config = found.filter(pl.col("config") == config)
     for (log_id,), rows in of_config.group_by("log_id", maintain_order=True):
-        by_file = tuple(_run(row, names[str(log_id)]) for row in rows.iter_rows(named=True))
+        by_file = tuple(_run(dataset, row, names[str(log_id)]) for row in rows.iter_rows(named=True))
         frames = sum(run.frames for run in by_file)
         yield replace(by_file[0], frames=frames, joined=by_file if len(by_file) > 1 else ())
 
 
-def _run(row: Mapping[str, Any], name: str) -> Run:
+def _run(dataset: Dataset, row: Mapping[str, Any], name: str) -> Run:
     """The rows of a log in one file."""
     log_id, config, count = row["log_id"], row["config"], row[_ROWS]
     run = open_run(Path(row[FILE]), name)
     within = None if count == run.rows else (log_id, config)
-    return replace(run, log_id=log_id, frames=count, rows=count, within=within)
+    named = dataset.copy_of or dataset.address, config
+    return replace(run, log_id=log_id, frames=count, rows=count, within=within, dataset=named)

@@ -29,9 +29,13 @@ RUN_COLUMNS: Final = pl.DataFrame(arrow_schema(RunRow, RUN_TIME_COLUMNS).empty_t
 
 @dataclass(frozen=True)
 class Dataset:
-    """The dataset of a batch; ``address`` is a local path or an object store's address, such as ``s3://bucket/a``."""
+    """The dataset of a batch; ``address`` is a local path or an object store's address, such as ``s3://bucket/a``.
+
+    ``copy_of`` is the address of the dataset of which it is a temporary copy.
+    """
 
     address: str
+    copy_of: str = ""
 
     @property
     def folder(self) -> Path | None:

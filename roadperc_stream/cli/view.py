@@ -5,13 +5,17 @@ from dataclasses import replace
 from pathlib import Path
 
 from roadperc_stream.cli.arguments import add_serving_arguments, add_topic_argument, given_options, serving_options
-from roadperc_stream.cli.completers import LOGS, completed_by, files
-from roadperc_stream.cli.plumbing import command_parser, parse, run, seconds
+from roadperc_stream.cli.completers import RUNS, completed_by, files
+from roadperc_stream.cli.plumbing import command_parser, number, parse, part, run, seconds
 
 _EXAMPLE = """\
 example:
   roadperc-replay logs/sample.mcap out.mcap
   roadperc-view out.mcap                                open the Rerun viewer with a layout for this log
+  roadperc-view out.mcap --frame 34                     open the viewer at a frame
+  roadperc-view out.mcap --worst lane_right_error_m     open it at the worst frame of a metric
+  roadperc-view base.mcap new.mcap                      compare two runs of a log in one view
+  roadperc-view dataset --log drive_2 --frame 34        replay a log of a batch up to the frame, and show it
   roadperc-view out.mcap --save out.rrd                 save a recording; open it with: rerun out.rrd
   roadperc-view out.mcap --foxglove                     in Foxglove: Open connection, ws://localhost:8765
   roadperc-view out.mcap --foxglove-layout road.json    in Foxglove: Import layout from file
@@ -27,17 +31,44 @@ def main(argv: list[str] | None = None) -> int:
     parser = _parser()
     arguments = parse(parser, argv)
     _require_sense(parser, arguments)
-    from roadperc_stream.view.modes import view_log
+    from roadperc_stream.view.modes import view_frame, view_log
 
     options = replace(serving_options(arguments), start_s=arguments.start or 0.0)
-    return run(lambda: view_log(arguments, options))
+    if not _needs_lookup(arguments):
+        return run(lambda: view_log(arguments, options))
+    lookup = part("eval.frames")
+    return run(lambda: view_frame(arguments, options, lookup))
+
+
+def _needs_lookup(arguments: argparse.Namespace) -> bool:
+    """Whether the arguments name more than a log and a frame in it; the lookup imports polars, which takes 0.2 s."""
+    if arguments.log is None or arguments.log == "-":
+        return False
+    path = Path(arguments.log)
+    plain = path.suffix not in {".parquet", ".mcap"} or (path.suffix == ".mcap" and path.exists())
+    asked = (arguments.new, arguments.worst, arguments.of_log, *arguments.config)
+    return any(asked) or not plain or path.is_dir() or "://" in arguments.log
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser(
         "view", "Show a log in the Rerun viewer or in Foxglove, or write a recording, a layout or a video.", _EXAMPLE
     )
-    log = parser.add_argument("log", metavar="OUT.mcap", type=Path, nargs="?", help="a log; - for standard input")
+    log = parser.add_argument(
+        "log", metavar="RUN", nargs="?", help="OUT.mcap, OUT.metrics.parquet, an input log, a dataset; - for a pipe"
+    )
+    new = parser.add_argument("new", metavar="NEW", nargs="?", help="a second run of the same log, to compare with RUN")
+    place = parser.add_mutually_exclusive_group()
+    place.add_argument("--frame", metavar="N", type=number(0, 1e15, "a frame number", int), help="open at this frame")
+    place.add_argument("--worst", metavar="COLUMN", help="open at the worst frame of this column of the metrics table")
+    parser.add_argument("--log", dest="of_log", metavar="NAME", help="the log of a dataset")
+    parser.add_argument(
+        "--config",
+        metavar="NAME",
+        action="append",
+        default=[],
+        help="the configuration of a dataset: its name, its first digits or a setting; pass it twice to compare two",
+    )
     add = parser.add_mutually_exclusive_group().add_argument
     save = add("--save", metavar="FILE.rrd", type=Path, help="write a Rerun recording, and open no viewer")
     add("--foxglove", action="store_true", help="play the log to Foxglove")
@@ -54,7 +85,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--quiet", action="store_true", help="print errors only")
     serving = add_serving_arguments(parser)
     serving.add_argument("--start", metavar="SECONDS", type=seconds, help="start this long after the first message")
-    for action, suffixes in ((log, LOGS), (save, (".rrd",)), (layout, (".json",)), (video, (".mp4",))):
+    for action, suffixes in ((log, RUNS), (new, RUNS), (save, (".rrd",)), (layout, (".json",)), (video, (".mp4",))):
         completed_by(action, files(*suffixes))
     return parser
 
@@ -63,6 +94,13 @@ def _require_sense(parser: argparse.ArgumentParser, arguments: argparse.Namespac
     """Exit with code 2 if the log is missing or an option does not apply to the chosen output."""
     if arguments.log is None and (arguments.foxglove_layout is None or arguments.topic or arguments.foxglove):
         parser.error("expected a log: OUT.mcap")
+    pair, at = arguments.new is not None or len(arguments.config) > 1, _place(arguments)
+    if (pair or at) and (arguments.video or arguments.foxglove_layout):
+        parser.error(f"{at or 'NEW'} applies only to the Rerun viewer, --save and --foxglove")
+    if pair and arguments.foxglove:
+        parser.error("--foxglove plays one log; remove NEW")
+    if at and arguments.start is not None:
+        parser.error(f"{at} cannot be combined with --start")
     if arguments.foxglove_layout and (arguments.save or arguments.video):
         parser.error("--foxglove-layout cannot be combined with --save or --video")
     served = [*given_options(arguments), *(["start"] if arguments.start is not None else [])]
@@ -72,3 +110,8 @@ def _require_sense(parser: argparse.ArgumentParser, arguments: argparse.Namespac
         parser.error("--topic applies only to the Rerun viewer, --save and --foxglove-layout")
     if arguments.force and not (arguments.save or arguments.foxglove_layout or arguments.video):
         parser.error("--force needs --save, --foxglove-layout or --video")
+
+
+def _place(arguments: argparse.Namespace) -> str:
+    """The option that names a frame; empty without one."""
+    return "--frame" if arguments.frame is not None else "--worst" if arguments.worst else ""

@@ -1,6 +1,6 @@
 """Arranges the panels of the Rerun viewer: image with overlays, 3D scene beside it, plots and log below."""
 
-from collections.abc import Iterable, Mapping, Set
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Final
 
@@ -59,6 +59,8 @@ class Log:
 
     topics: Mapping[str, str]
     entities: Set[str]
+    root: str = ""
+    """Parent of the entities in the recording."""
 
     def has(self, entity: str) -> bool:
         """Whether the log has an entity or one below it."""
@@ -69,17 +71,22 @@ class Log:
         return [entity for entity in entities if entity is not None and self.has(entity)]
 
 
-def blueprint(log: Log, timeline: str) -> rrb.Blueprint:
+def blueprint(log: Log, time_panel: rrb.TimePanel) -> rrb.Blueprint:
     """Panels for the contents of the log, without empty ones."""
-    pictures = _row(_WIDTHS, _tabs(_front(log)), _aside(log), _space(log))
+    pictures = _row(_WIDTHS, in_tabs(_front(log)), _aside(log), _space(log))
     rows = [pictures, _row((1.0, 1.0, 1.0), *_numbers(log))]
     filled = [row for row in rows if row is not None]
+    return arranged(filled, time_panel)
+
+
+def arranged(rows: Sequence[rrb.Container], time_panel: rrb.TimePanel) -> rrb.Blueprint:
+    """At most two rows of panels above the time panel; without rows, the viewer chooses the panels."""
     return rrb.Blueprint(
-        rrb.Vertical(*filled, row_shares=[2.0, 1.0][: len(filled)]),
-        rrb.TimePanel(timeline=timeline, state="collapsed"),
+        rrb.Vertical(*rows, row_shares=[2.0, 1.0][: len(rows)]),
+        time_panel,
         rrb.SelectionPanel(state="hidden"),
         rrb.BlueprintPanel(state="hidden"),
-        auto_views=not filled,
+        auto_views=not rows,
     )
 
 
@@ -89,18 +96,27 @@ def _row(widths: Iterable[float], *parts: rrb.Container | rrb.View | None) -> rr
     return rrb.Horizontal(*(part for part, _ in shown), column_shares=shares) if shown else None
 
 
-def _tabs(views: list[rrb.View]) -> rrb.Container | rrb.View | None:
+def in_tabs(views: list[rrb.View]) -> rrb.Container | rrb.View | None:
+    """The views as tabs; None without views."""
     return rrb.Tabs(*views, active_tab=0) if len(views) > 1 else next(iter(views), None)
 
 
 def _front(log: Log) -> list[rrb.View]:
     """The image with results or detections; without an image, the tags or the depth; then the pictures on request."""
-    under = log.present(map(log.topics.get, ("image", "left", "segmentation", "depth")))[:1]
     results, inputs = log.present(_IN_THE_IMAGE), log.present([log.topics.get("detections")])
     name = "image and results" if results else "image and detections" if inputs else "image"
-    views: list[rrb.View] = [_picture(name, entity, (*(results or inputs),)) for entity in under]
+    view = picture_with_results(name, log, log)
+    views: list[rrb.View] = [] if view is None else [view]
     made = sorted(e for e in log.entities if e.startswith((topics.OVERLAY_TOPIC, topics.DEBUG_PREFIX)))
     return views + [_picture(entity.rpartition("/")[2], entity) for entity in made]
+
+
+def picture_with_results(name: str, of_image: Log, log: Log) -> rrb.View | None:
+    """The image of a log, or its tags or depth, with the results or detections of the same or another log."""
+    under = of_image.present(map(of_image.topics.get, ("image", "left", "segmentation", "depth")))[:1]
+    over = log.present(_IN_THE_IMAGE) or log.present([log.topics.get("detections")])
+    parts = tuple(f"{log.root}{entity}" for entity in over)
+    return _picture(name, f"{of_image.root}{under[0]}", parts) if under else None
 
 
 def _aside(log: Log) -> rrb.Container | None:
@@ -108,7 +124,7 @@ def _aside(log: Log) -> rrb.Container | None:
     tags = {"tags": log.topics.get("segmentation"), "drivable": topics.DRIVABLE_TOPIC}
     depth = {"depth": log.topics.get("depth"), "stereo depth": topics.STEREO_DEPTH_TOPIC}
     more = {"left": log.topics.get("left"), "right": log.topics.get("right")}
-    stacks = [_tabs(_named(log, names)) for names in (tags, depth | more)]
+    stacks = [in_tabs(_named(log, names)) for names in (tags, depth | more)]
     return rrb.Vertical(*shown) if (shown := [stack for stack in stacks if stack is not None]) else None
 
 
@@ -143,13 +159,13 @@ def _numbers(log: Log) -> tuple[rrb.Container | rrb.View | None, ...]:
     """Lane offsets; all other metrics; times, states and log lines."""
     plots = {title: _plot(log, title, names) for title, names in _CURVES.items()}
     lanes = plots.pop("lane offsets, m")
-    return lanes, _tabs([plot for plot in plots.values() if plot is not None]), _tabs(_times_and_texts(log))
+    return lanes, in_tabs([plot for plot in plots.values() if plot is not None]), in_tabs(_times_and_texts(log))
 
 
 def _plot(log: Log, title: str, names: tuple[str, ...]) -> rrb.View | None:
     entities = {f"{topics.METRICS_TOPIC}/{name}": name for name in names}
     lines = {e: _line(name) if name in _COLOURS else None for e, name in entities.items() if e in log.entities}
-    return _curves(title, lines) if lines else None
+    return curves(title, lines) if lines else None
 
 
 def _line(name: str) -> rr.SeriesLines:
@@ -165,10 +181,10 @@ def _times(log: Log) -> rrb.View:
         if (entity := f"{topics.TIMES_TOPIC}/{stage}_ms") in log.entities:
             width = _RAW_WIDTH if stage == "total" else _SMOOTHED_WIDTH
             lines[entity] = rr.SeriesLines(colors=int(f"{colour[1:]}ff", 16), widths=width, names=stage)
-    return _curves("time per stage, ms", lines)
+    return curves("time per stage, ms", lines)
 
 
-def _curves(title: str, lines: Mapping[str, rr.SeriesLines | None]) -> rrb.View:
+def curves(title: str, lines: Mapping[str, rr.SeriesLines | rr.SeriesPoints | None]) -> rrb.View:
     """Curves over time by entity; the viewer chooses the style of those with None."""
     return rrb.TimeSeriesView(
         name=title,

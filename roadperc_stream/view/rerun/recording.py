@@ -2,13 +2,12 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import timedelta
 from itertools import groupby
 from pathlib import Path
 from typing import Final
 
-import numpy as np
 import rerun as rr
 from google.protobuf.message import DecodeError as ProtobufError
 
@@ -19,24 +18,42 @@ from roadperc_stream.input.roles import assignment_of_log
 from roadperc_stream.input.stream import Problems, RoleAssignment
 from roadperc_stream.log import LogSummary, Message
 from roadperc_stream.output.tables import sidecar_path
+from roadperc_stream.schemas import topics
 from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics
 from roadperc_stream.schemas.topics import METRICS_TOPIC, RESULTS
 from roadperc_stream.system.files import completing, require_free
 from roadperc_stream.system.progress import no_progress
 from roadperc_stream.system.time import END_OF_TIME_NS
+from roadperc_stream.view.frame_times import Stop
 from roadperc_stream.view.rerun.blueprint import Log, blueprint
 from roadperc_stream.view.rerun.drawing import drawers
+from roadperc_stream.view.rerun.timelines import set_log_time, time_panel
 from roadperc_stream.view.rerun.tree import Entry, SceneState
 from roadperc_stream.view.rerun.viewer import URL, ending_at_once, saving, start_viewer
 from roadperc_stream.view.result_frames import TableTimes, nothing_shown, require_shown
 
-LOG_TIME, FRAME = "message_log_time", "frame"
+FRAME: Final = "frame"
 _APPLICATION: Final = "roadperc"
 _LARGE_CHUNKS: Final = rr.ChunkBatcherConfig(flush_tick=timedelta(seconds=10), flush_num_bytes=16 * 2**20)
 """The footer of a recording is in memory and lists every chunk: small chunks take 0.25 MB per frame."""
 _MOST_WAITING: Final = 25
 """Most log times that wait to be sent, because the queue of the sending thread is unbounded."""
 Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class ShownLog:
+    """What to show of a log: topics of roles with other names, and the frame to open at; None for the end of the log.
+
+    ``root`` is the parent of all entities, such as ``/base``. ``only_results`` leaves out inputs and transforms, which
+    another log of the recording has.
+    """
+
+    path: Path
+    overrides: Mapping[str, str] = field(default_factory=dict)
+    stop: Stop | None = None
+    root: str = ""
+    only_results: bool = False
 
 
 @dataclass(frozen=True)
@@ -49,19 +66,33 @@ class Exported:
     problems: Mapping[str, int]
 
 
-def open_viewer(path: Path, overrides: Mapping[str, str], progress: Progress = no_progress) -> Exported:
+Export = Callable[[rr.RecordingStream, Callable[[], None]], Exported]
+"""Logs everything to a recording; the function that it gets waits until the logged messages are sent."""
+
+
+def open_viewer(
+    path: Path, overrides: Mapping[str, str], progress: Progress = no_progress, stop: Stop | None = None
+) -> Exported:
     """Open the viewer and send it a log; the viewer stays open.
 
     Raises:
         RoadpercError: the log is unreadable or has nothing to show, or the viewer does not start or answer.
     """
-    summary, roles = _opened(path, overrides)
+    return send(path.name, export_of(ShownLog(path, overrides, stop), progress, arrange_early=True))
+
+
+def send(name: str, export: Export) -> Exported:
+    """Open the viewer and send it a recording.
+
+    Raises:
+        RoadpercError: the viewer does not start or answer; else as ``export``.
+    """
     start_viewer()
-    recording = _recording(path)
+    recording = _recording(name)
     try:
         with ending_at_once():
             recording.connect_grpc(URL)
-            exported = _export(recording, summary, roles, progress, recording.flush, arrange_early=True)
+            exported = export(recording, recording.flush)
             recording.flush()
             recording.disconnect()  # waits until everything is sent
     except RuntimeError as error:  # raised by the SDK
@@ -70,7 +101,13 @@ def open_viewer(path: Path, overrides: Mapping[str, str], progress: Progress = n
 
 
 def save_recording(
-    path: Path, target: Path, overrides: Mapping[str, str], *, force: bool = False, progress: Progress = no_progress
+    path: Path,
+    target: Path,
+    overrides: Mapping[str, str],
+    *,
+    force: bool = False,
+    progress: Progress = no_progress,
+    stop: Stop | None = None,
 ) -> Exported:
     """Write a log as a Rerun recording with its blueprint; the file gets its name only when complete.
 
@@ -79,42 +116,72 @@ def save_recording(
             ``force``, or it cannot be completed; no partial file remains.
     """
     require_free(target, force=force, source=path, suffix=".rrd")
-    summary, roles = _opened(path, overrides)
-    recording = _recording(path, _LARGE_CHUNKS)
+    return save(
+        path.name, target, export_of(ShownLog(path, overrides, stop), progress, arrange_early=False), force=force
+    )
+
+
+def save(name: str, target: Path, export: Export, *, force: bool = False) -> Exported:
+    """Write a recording; the file gets its name only when complete.
+
+    Raises:
+        RoadpercError: it cannot be completed; else as ``export``.
+    """
+    recording = _recording(name, _LARGE_CHUNKS)
     with completing(target, force=force) as temporary, saving(recording, temporary) as check:
 
         def keep_up() -> None:
             recording.flush()
             check()
 
-        return _export(recording, summary, roles, progress, keep_up, arrange_early=False)
+        return export(recording, keep_up)
 
 
-def _opened(path: Path, overrides: Mapping[str, str]) -> tuple[LogSummary, RoleAssignment]:
+def export_of(shown: ShownLog, progress: Progress, *, arrange_early: bool) -> Export:
+    """A function that logs a log and its blueprint to a recording.
+
+    Raises:
+        LogError: the log is unreadable or has nothing to show.
+    """
+    summary, roles = opened(shown.path, shown.overrides)
+
+    def export(recording: rr.RecordingStream, keep_up: Callable[[], None]) -> Exported:
+        sender = Sender(recording, summary, roles, shown)
+        exported = send_log(sender, progress, keep_up, arrange_early=arrange_early)
+        recording.send_blueprint(sender.arranged())
+        return exported
+
+    return export
+
+
+def opened(path: Path, overrides: Mapping[str, str]) -> tuple[LogSummary, RoleAssignment]:
+    """The index of a log and the topics of its roles.
+
+    Raises:
+        LogError: the log is unreadable or has nothing to show.
+    """
     summary = log.summarise(path)
     roles = assignment_of_log(summary, overrides)
     require_shown(summary, roles)
     return summary, roles
 
 
-def _recording(path: Path, batches: rr.ChunkBatcherConfig | None = None) -> rr.RecordingStream:
+def _recording(name: str, batches: rr.ChunkBatcherConfig | None = None) -> rr.RecordingStream:
     recording = rr.RecordingStream(_APPLICATION, batcher_config=batches)
     recording.set_log_time_enabled(False)  # the time of the export is not useful
-    recording.send_recording_name(path.name)
+    recording.send_recording_name(name)
     return recording
 
 
-def _export(
-    recording: rr.RecordingStream,
-    summary: LogSummary,
-    roles: RoleAssignment,
-    progress: Progress,
-    keep_up: Callable[[], None],
-    *,
-    arrange_early: bool,
+def send_log(
+    sender: "Sender", progress: Progress, keep_up: Callable[[], None], *, arrange_early: bool = False
 ) -> Exported:
-    """Log all messages and send the blueprint; ``keep_up`` waits until the logged messages are sent."""
-    sender = _Sender(recording, summary, roles)
+    """Log all messages; ``keep_up`` waits until the logged messages are sent.
+
+    Raises:
+        LogError: the log is unreadable or has nothing to show.
+    """
+    summary, roles = sender.summary, sender.roles
     expected = sum(summary.counts[c.source_id] for c in summary.channels if c.topic == sender.reference)
     frames = 0
     instants = groupby(log.read(summary), key=lambda message: message.log_time_ns)
@@ -123,21 +190,21 @@ def _export(
         if count % _MOST_WAITING == 0:
             keep_up()
         if arrange_early and frames == 1 and sender.frame == 1:  # the first frame has most entities
-            recording.send_blueprint(sender.arranged())
+            sender.recording.send_blueprint(sender.arranged())
         frames = max(frames, sender.frame + 1)
         progress(frames, expected)
     if not sender.entities:
         raise nothing_shown(summary.path, sender.problems.first.values())
-    recording.send_blueprint(sender.arranged())
     return Exported(frames, (*roles.notes, *sender.problems.first.values()), dict(sender.problems.counts))
 
 
-class _Sender:
+class Sender:
     """Sends messages to a recording and clears results that a frame lacks."""
 
-    def __init__(self, recording: rr.RecordingStream, summary: LogSummary, roles: RoleAssignment) -> None:
-        self._recording = recording
-        self._roles = roles
+    def __init__(
+        self, recording: rr.RecordingStream, summary: LogSummary, roles: RoleAssignment, shown: ShownLog
+    ) -> None:
+        self.recording, self.summary, self.roles, self._shown = recording, summary, roles, shown
         self.reference = roles.topics.get(roles.reference or "")
         """Topic whose messages are counted as frames in a log without metrics; None if absent."""
         self.frame = -1
@@ -147,12 +214,17 @@ class _Sender:
         self._contexts: dict[str, rr.AsComponents] = {}
         self._drawn: set[str] = set()
         self.entities: set[str] = set()
-        """Paths of the sent entities."""
+        """Paths of the sent entities, without the root."""
         self.problems = Problems()
+
+    @property
+    def log(self) -> Log:
+        """The sent contents of the log."""
+        return Log(self.roles.topics, frozenset(self.entities), self._shown.root)
 
     def arranged(self) -> rr.blueprint.Blueprint:
         """The blueprint for the sent entities."""
-        return blueprint(Log(self._roles.topics, frozenset(self.entities)), LOG_TIME)
+        return blueprint(self.log, time_panel(self._shown.stop))
 
     def send(self, log_time_ns: int, messages: Sequence[Message]) -> None:
         """Log all messages of one log time.
@@ -164,8 +236,8 @@ class _Sender:
             raise LogError(f"log time {log_time_ns} ns: expected less than 2^63, the limit of Rerun")
         metrics = [message for message in messages if is_result_of(message.channel, METRICS_TOPIC)]
         self.frame = self._frame_of(messages, metrics)
-        self._recording.set_time(LOG_TIME, timestamp=np.datetime64(log_time_ns, "ns"))
-        self._recording.set_time(FRAME, sequence=max(self.frame, 0))  # earlier messages belong to the first frame
+        set_log_time(self.recording, log_time_ns, self._shown.stop)
+        self.recording.set_time(FRAME, sequence=max(self.frame, 0))  # earlier messages belong to the first frame
         entries = list(self._entries(messages))
         for entry in entries:
             self._log(entry)
@@ -173,7 +245,7 @@ class _Sender:
             of_frame = {e.entity for e in entries if e.frame and e.entity.startswith(tuple(RESULTS))}
             # The viewer shows the last value: clear results that this frame lacks.
             for entity in sorted(self._drawn - of_frame):
-                self._recording.log(entity, rr.Clear(recursive=False))
+                self.recording.log(f"{self._shown.root}{entity}", rr.Clear(recursive=False))
             self._drawn = of_frame
 
     def _frame_of(self, messages: Sequence[Message], metrics: Sequence[Message]) -> int:
@@ -192,11 +264,16 @@ class _Sender:
                 self.problems.add(message.channel.topic, message.log_time_ns, error)
 
     def _log(self, entry: Entry) -> None:
+        if self._shown.only_results and (
+            not entry.entity.startswith(topics.RESULT_PREFIX) or isinstance(entry.archetype, rr.Transform3D)
+        ):
+            return
         self.entities.add(entry.entity)
+        path = f"{self._shown.root}{entry.entity}"
         if isinstance(entry.archetype, rr.AnnotationContext):
             if entry.entity not in self._contexts:  # one context is valid for the whole recording
                 self._contexts[entry.entity] = entry.archetype
-                self._recording.log(entry.entity, entry.archetype, static=True)
+                self.recording.log(path, entry.archetype, static=True)
         else:
             frame = (rr.CoordinateFrame(entry.frame),) if entry.frame else ()
-            self._recording.log(entry.entity, entry.archetype, *frame)
+            self.recording.log(path, entry.archetype, *frame)

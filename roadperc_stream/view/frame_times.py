@@ -1,0 +1,52 @@
+"""Finds the log time of a frame."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from roadperc_stream import log
+from roadperc_stream.errors import LogError
+from roadperc_stream.input.roles import assignment_of_log
+from roadperc_stream.input.stream import Problems
+from roadperc_stream.log import LogSummary
+from roadperc_stream.schemas.columns import FrameMetrics
+from roadperc_stream.schemas.topics import METRICS_TOPIC
+from roadperc_stream.view.result_frames import row_of
+
+
+@dataclass(frozen=True)
+class Stop:
+    """The frame to open at: its number, and its log time."""
+
+    frame: int
+    log_time_ns: int
+
+    @property
+    def name(self) -> str:
+        """The timeline that ends at this frame."""
+        return f"up to frame {self.frame}"
+
+
+def timed_rows(summary: LogSummary, problems: Problems) -> Iterator[tuple[int, FrameMetrics]]:
+    """Log time and row of every readable frame, in order; empty without results."""
+    for message in log.read(summary, topics=(METRICS_TOPIC,)):
+        if row := row_of(message, problems):
+            yield message.log_time_ns, row
+
+
+def find_stop(path: Path, frame: int, overrides: Mapping[str, str]) -> Stop:
+    """The stop at a frame of a log, by its number in the metrics; an input log counts the images.
+
+    Raises:
+        LogError: the log cannot be read, or has no such frame.
+    """
+    summary = log.summarise(path)
+    times_ns = {row.frame: log_time_ns for log_time_ns, row in timed_rows(summary, Problems())}
+    if not times_ns:
+        roles = assignment_of_log(summary, overrides)
+        images = log.read(summary, topics=(roles.topics.get(roles.reference or "", ""),))
+        times_ns = dict(enumerate(message.log_time_ns for message in images))
+    if frame not in times_ns:
+        known = f"expected {min(times_ns)} to {max(times_ns)}" if times_ns else "the log has no frames"
+        raise LogError(f"{path}: no frame {frame}; {known}")
+    return Stop(frame, times_ns[frame])
