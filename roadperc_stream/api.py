@@ -20,7 +20,8 @@ from numpy.typing import ArrayLike
 from roadperc_stream.chain.step import ChainState, step
 from roadperc_stream.config import ReplayConfig, load_config, validated
 from roadperc_stream.errors import ConfigError, RoadpercError, TableError
-from roadperc_stream.geometry import EGO_R_OPTICAL, Camera, Float, level_mounting, rigid, rotation_from_rpy
+from roadperc_stream.geometry import EGO_R_OPTICAL, Camera, Float, level_mounting, rigid
+from roadperc_stream.geometry.rotations import rotation_from_rpy
 from roadperc_stream.input import ReplaySource, arrays
 from roadperc_stream.loop import replay as _replay
 from roadperc_stream.metrics import frame_metrics
@@ -197,7 +198,7 @@ def _looking_ahead(ego_T_camera: Float) -> Float:
     names = (("ahead", "back"), ("left", "right"), ("up", "down"))
     main = int(np.argmax(np.abs(axis)))
     raise ValueError(
-        f"ego_T_camera: the camera looks {names[main][int(axis[main] < 0)]}, {aside_deg:.0f} degrees from ego's x axis; "
+        f"ego_T_camera: the camera looks {names[main][int(axis[main] < 0)]}, {aside_deg:.0f} degrees from ego's x; "
         "expected a camera that looks ahead, with axes x right, y down, z forward; "
         "pass rp.mounting(x, y, z, roll, pitch, yaw)"
     )
