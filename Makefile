@@ -28,7 +28,7 @@ demo: $(VENV)/.installed
 	@echo
 	$(BIN)/roadperc-check $(DEMO)/sample.metrics.parquet
 	@echo
-	@echo "log with results   $(DEMO)/sample.mcap             (see it: $(BIN)/roadperc-view $(DEMO)/sample.mcap)"
+	@echo "log with results   $(DEMO)/sample.mcap             (see it: $(BIN)/roadperc view $(DEMO)/sample.mcap)"
 	@echo "a row per frame    $(DEMO)/sample.metrics.parquet"
 	@echo "a row per object   $(DEMO)/sample.objects.parquet"
 
@@ -118,7 +118,7 @@ docs: $(VENV)/.installed  # build/site with the API reference; a broken link is 
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 
 pictures: $(VENV)/.installed $(EVENT_LOGS)  # all pictures of docs/ except foxglove.png and rerun.jpg; needs chromium
-	$(BIN)/roadperc-render $(PICTURES)/drive --scene town --seconds 2.2 --force
+	$(BIN)/roadperc-render $(PICTURES)/drive --scene town --size 1280x720 --seconds 2.2 --force
 	$(BIN)/roadperc-convert $(PICTURES)/drive $(PICTURES)/town.mcap --force --quiet
 	$(BIN)/roadperc-replay $(PICTURES)/town.mcap $(PICTURES)/result.mcap --overlay --force
 	$(BIN)/roadperc-report $(PICTURES)/result.metrics.parquet --html $(PICTURES)/report.html

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from roadperc_stream.api import Chain as Chain
     from roadperc_stream.api import LogFrame as LogFrame
     from roadperc_stream.api import frames as frames
+    from roadperc_stream.api import mounting as mounting
     from roadperc_stream.api import read_metrics as read_metrics
     from roadperc_stream.api import replay as replay
     from roadperc_stream.config import ReplayConfig as ReplayConfig
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from roadperc_stream.model import FrameResult as FrameResult
 
 _NAMES = {
-    "api": ("Chain", "LogFrame", "frames", "read_metrics", "replay"),
+    "api": ("Chain", "LogFrame", "frames", "mounting", "read_metrics", "replay"),
     "config": ("ReplayConfig", "load_config"),
     "errors": ("RoadpercError",),
     "geometry": ("Camera",),

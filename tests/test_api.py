@@ -268,3 +268,33 @@ def test_invalid_depth_is_unknown(nothing):
     assert np.isnan(taken[200:204, 100:110]).all()
     assert np.isfinite(taken).sum() == depth_m.size - 40
     assert (depth_m[0, 0], taken[0, 0]) == (20.0, 20.0)
+
+
+def test_a_mounting_has_the_signs_of_its_page():
+    assert np.allclose(rp.mounting(1, 2, 3) @ (0, 0, 10, 1), (11, 2, 3, 1))  # 10 m ahead of the camera
+    assert np.allclose(rp.mounting()[:3, :3] @ (1, 2, 3), (3, -1, -2))  # camera: right, down, ahead
+    sine, cosine = np.sin(np.radians(10)), np.cos(np.radians(10))
+    assert np.allclose(rp.mounting(pitch=10)[:3, 2], (cosine, 0, -sine))  # looks down
+    assert np.allclose(rp.mounting(yaw=10)[:3, 2], (cosine, sine, 0))  # looks to the left
+    assert np.allclose(rp.mounting(roll=10)[:3, 0], (0, -cosine, -sine))  # its right side is down
+    with pytest.raises(ValueError, match="mounting: expected finite numbers"):
+        rp.mounting(yaw=float("nan"))
+
+
+@pytest.mark.parametrize(
+    ("pose", "found"),
+    [(np.eye(4), "up, 90 degrees"), (rp.mounting(yaw=180), "back, 180 degrees")],
+    ids=["axes", "back"],
+)
+def test_a_camera_that_does_not_look_ahead_is_refused(pose, found):
+    with pytest.raises(ValueError, match=f"the camera looks {found} from ego's x; .* pass rp.mounting"):
+        rp.Chain(CAMERA, ego_T_camera=pose)
+
+
+def test_a_result_prints_as_one_line():
+    depth_m, tags = road()
+    result = rp.Chain(CAMERA, tag_table="0.9.15").step(0, depth_m=depth_m, tags=tags)
+    assert str(result.lanes).startswith("lanes: left measured at +1.7")
+    assert str(result.surface).startswith("surface: depth, camera 1.50 m above the road, pitch ")
+    assert "\n" not in str(result)
+    assert str(result).endswith("; objects: no detections; odometry: no image")

@@ -159,11 +159,38 @@ def _end(_number: int, _frame: FrameType | None, code: int) -> None:
     os._exit(code)
 
 
-COMMANDS = (
-    *("batch", "check", "compare", "convert", "info", "lanes"),
-    *("render", "replay", "report", "sweep", "trajectory", "view"),
-)
-"""Each is a module of this package and the console script ``roadperc-...``."""
+COMMANDS = {
+    "batch": "replay many logs, one per core or on a cluster",
+    "check": "check runs against limits: passed or failed",
+    "compare": "compare runs with a base: worse, better or unchanged",
+    "convert": "convert folders of frames, such as CARLA dumps, to a log",
+    "info": "show a log's channels, rates, roles and damage",
+    "lanes": "write or score lanes in the formats of TuSimple and CULane",
+    "render": "render a scene with exact truth",
+    "replay": "replay a log through the perception chain",
+    "report": "show the coverage, errors and latency of runs",
+    "sweep": "replay a log once per combination of settings",
+    "trajectory": "score trajectories; write TUM and KITTI files",
+    "view": "open a log in Rerun or Foxglove, or write a video",
+}
+"""Each is a module of this package, the subcommand ``roadperc ...`` and the console script ``roadperc-...``."""
+_COMPLETING = "_ARGCOMPLETE"
+"""Position of the command among a line's words, from 1; a shell sets it when it asks for completions."""
+
+
+def roadperc() -> int:
+    """Start the subcommand of ``roadperc``; without one, the parser that lists them."""
+    if _COMPLETING in os.environ:
+        complete = os.environ.get("COMP_LINE", "")[: int(os.environ.get("COMP_POINT", "0"))].rpartition(" ")[0].split()
+        command = complete[1] if len(complete) > 1 else ""
+    else:
+        command = sys.argv[1] if len(sys.argv) > 1 else ""
+    if command not in COMMANDS:
+        return _launch("subcommands")
+    if _COMPLETING in os.environ:
+        os.environ[_COMPLETING] = "2"
+    sys.argv[:2] = [f"roadperc {command}"]
+    return _launch(command)
 
 
 def __getattr__(name: str) -> partial[int]:

@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 
 from roadperc_stream.errors import RegressionError, RoadpercError
 from roadperc_stream.system.process import EXIT_DONE, EXIT_ERROR, discard_output, ending_signals, optional_output
-from roadperc_stream.system.text import print_line, shown
+from roadperc_stream.system.text import nearest, print_line, shown
 
 _AGAIN_AFTER_S = 0.05
 _MOST_CHARACTERS = 255
@@ -27,25 +27,45 @@ _COMPLETING = "_ARGCOMPLETE"
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that exits normally if its output has no reader, and with an error if the disk is full."""
+    """A parser that exits normally if its output has no reader, and with an error if the disk is full.
+
+    An unknown option is an error with the most similar known one. Options are not abbreviated, so that a new option
+    changes the meaning of no script.
+    """
+
+    words: Sequence[str] = ()
+    """The arguments of the command."""
 
     def _print_message(self, message: str, file: Any = None) -> None:
         with optional_output(file or sys.stderr):
             (file or sys.stderr).write(message)
 
     def error(self, message: str) -> NoReturn:
-        """Exit with code 2; the message is escaped, because a shell's pattern may insert any file name."""
-        super().error(shown(message))
+        """Exit with code 2; the message is escaped, because a shell's pattern may insert any file name.
+
+        argparse complains of missing arguments first, even if an option is misspelled.
+        """
+        super().error(shown(self._unknown_option() or message))
+
+    def _unknown_option(self) -> str:
+        for word in self.words:
+            name = word.partition("=")[0]
+            if name.startswith("--") and " " not in word and name not in self._option_string_actions:
+                near = nearest(name, self._option_string_actions)
+                return f"unrecognized arguments: {word}" + (f"; did you mean {near}?" if near else "")
+        return ""
 
 
 def command_parser(name: str, description: str, example: str, usage: str | None = None) -> argparse.ArgumentParser:
-    """A parser with ``--version`` that keeps the lines of its texts."""
+    """A parser with ``--version`` that keeps the lines of its texts; its name is the one that the user typed."""
+    subcommand = f"roadperc {name}".strip()
     parser = _Parser(
-        prog=f"roadperc-{name}",
+        prog=subcommand if not name or sys.argv[0] == subcommand else f"roadperc-{name}",
         usage=usage,
         description=description,
         epilog=example,
         formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
     )
     parser.add_argument(
         "--version",
@@ -89,6 +109,8 @@ def parse(
     if "--" in words:  # argparse loses it if options stand between files
         at = words.index("--")
         words[at:] = [f"./{name}" if name.startswith("-") and name != "-" else name for name in words[at + 1 :]]
+    if isinstance(parser, _Parser):
+        parser.words = words
     return parser.parse_intermixed_args(words) if intermixed else parser.parse_args(words)
 
 

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Final, Literal, get_args
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, field_validator
 
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.model.tag_tables import CLASS_NAMES, TABLES, table_for_version
@@ -10,6 +10,8 @@ from roadperc_stream.model.tag_tables import CLASS_NAMES, TABLES, table_for_vers
 ImageFormat = Literal["png", "jpeg", "webp", "avif", "bmp", "gif"]
 """Formats with one size in the header, known before decoding; a TIFF may have several sizes, JPEG 2000 two."""
 
+_ORDER: Final = ("road", "road_line", "ground", "sidewalk", "rail_track", "guard_rail", "vehicle", "pedestrian")
+"""The classes of defaults, in an order that fits all of them; the other classes follow by name."""
 _MEGA: Final = 1_000_000
 _MIB: Final = 1024 * 1024
 
@@ -18,7 +20,16 @@ def _known_classes(names: tuple[str, ...]) -> tuple[str, ...]:
     unknown = [name for name in names if name not in CLASS_NAMES]
     if unknown:
         raise ValueError(f"unknown class {unknown[0]!r}; known: {', '.join(sorted(CLASS_NAMES))}")
-    return names
+    return _in_order(names, (*_ORDER, *sorted(CLASS_NAMES)))
+
+
+def _in_order(names: tuple[str, ...], order: tuple[str, ...]) -> tuple[str, ...]:
+    """Each name once, in the order of all names: lists that mean the same have the same digest."""
+    return tuple(name for name in dict.fromkeys(order) if name in names)
+
+
+def _formats_in_order(names: tuple[str, ...]) -> tuple[str, ...]:
+    return _in_order(names, get_args(ImageFormat))
 
 
 def _known_table(version: str) -> str:
@@ -68,6 +79,12 @@ class Section(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
+    @field_validator("*")
+    @classmethod
+    def _without_negative_zero(cls, value: Any) -> Any:
+        """0.0 for -0.0: equal settings have the same digest."""
+        return 0.0 if isinstance(value, float) and value == 0.0 else value
+
 
 class LimitsConfig(Section):
     """Limits on the content of a log, checked before memory is allocated.
@@ -90,6 +107,7 @@ class LimitsConfig(Section):
     image_formats: Annotated[
         tuple[ImageFormat, ...],
         BeforeValidator(split),
+        AfterValidator(_formats_in_order),
         Field(min_length=1, json_schema_extra={"choices": [*get_args(ImageFormat)]}),
     ] = ("png", "jpeg", "webp")
     """Image formats to decode; an error names any other format."""

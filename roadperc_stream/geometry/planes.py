@@ -73,6 +73,10 @@ class Surface:
     model: SurfaceModel = "plane"
     height_grid: HeightGrid | None = None
 
+    def __str__(self) -> str:
+        angles = f"pitch {np.degrees(self.pitch):.2f} deg, roll {np.degrees(self.roll):.2f} deg"
+        return f"surface: {self.source}, camera {self.camera_height_m:.2f} m above the road, {angles}"
+
     @property
     def measured(self) -> bool:
         """Whether this frame's depth shows the road: the plane is not held, estimated or assumed."""

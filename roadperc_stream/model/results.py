@@ -31,7 +31,7 @@ class Absent:
 
     reason: Reason
 
-    def __bool__(self) -> bool:
+    def __bool__(self) -> Literal[False]:  # `if result.lanes:` tells type checkers that it is present
         return False
 
     def __str__(self) -> str:
@@ -100,6 +100,13 @@ class Odometry:
         if self.step is not None:
             read_only(self.step, np.float64, (4, 4), "step")
 
+    def __str__(self) -> str:
+        x, y, z = self.odom_T_ego[:3, 3]
+        reason = "" if self.reason is None else f", {self.reason.text}"
+        return (
+            f"odometry: {self.status} at x {x:.2f}, y {y:.2f}, z {z:.2f}{' steps' * self.up_to_scale or ' m'}{reason}"
+        )
+
 
 @dataclass(frozen=True)
 class Occupancy:
@@ -145,6 +152,10 @@ class Boundary:
         read_only(self.line_ego_m, np.float64, (None, 3), "line_ego_m")
         read_only(self.line_px, np.float64, (None, 2), "line_px")
 
+    def __str__(self) -> str:
+        where = "" if self.offset_m is None else f" at {self.offset_m:+.2f} m"
+        return f"{self.side} {self.status}{where}"
+
 
 @dataclass(frozen=True)
 class Lanes:
@@ -167,6 +178,9 @@ class Lanes:
             read_only(self.edges, np.bool_, (None, None), "edges")
         read_only(self.proposals_px, np.float64, (None, 4), "proposals_px")
         read_only(self.merged_px, np.float64, (None, 4), "merged_px")
+
+    def __str__(self) -> str:
+        return f"lanes: {', '.join(map(str, self.boundaries)) or 'no boundary'}"
 
     @property
     def reasons(self) -> tuple[Reason, ...]:
@@ -253,6 +267,11 @@ class Objects:
     searches: tuple[Correlation, ...] = field(default=(), repr=False)
     path_source: PathSource | None = None
 
+    def __str__(self) -> str:
+        near = self.nearest
+        nearest = "" if near is None else f", nearest: {near.detection.label} at {near.distance_m:.1f} m"
+        return f"objects: {sum(item.kept for item in self.objects)} of {len(self.objects)} kept{nearest}"
+
     @property
     def nearest(self) -> Object | None:
         """The nearest kept object; None if no distance is known."""
@@ -292,6 +311,9 @@ class FrameResult:
     def __post_init__(self) -> None:
         if not isinstance(self.drivable, Absent):
             read_only(self.drivable, np.bool_, (None, None), "drivable")
+
+    def __str__(self) -> str:
+        return f"{self.stamp_ns} ns: {self.surface}; {self.lanes}; {self.objects}; {self.odometry}"
 
     def reasons(self) -> tuple[Reason, ...]:
         """The reasons of absent outputs, and the problems of the input."""

@@ -58,6 +58,9 @@ def test_every_command_completes_its_options(command, folder):
 @pytest.mark.parametrize(
     ("line", "expected"),
     [
+        ("roadperc rep", ["replay", "report"]),
+        ("roadperc replay a.mcap b", ["b.mcap"]),
+        ("roadperc replay --thr", ["--threads"]),
         ("roadperc-convert ", ["drive/"]),
         ("roadperc-convert drive ", ["a.mcap", "b.mcap", "drive/"]),
         ("roadperc-render ", ["drive/"]),

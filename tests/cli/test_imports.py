@@ -47,7 +47,7 @@ def made(tmp_path_factory):
 
 def test_every_script_is_a_command_of_its_name():
     assert {name.removeprefix("roadperc-"): target for name, target in SCRIPTS.items()} == {
-        name: f"roadperc_stream.cli.launch:{name}" for name in COMMANDS
+        name: f"roadperc_stream.cli.launch:{name}" for name in (*COMMANDS, "roadperc")
     }
 
 
@@ -56,7 +56,7 @@ def test_help_and_wrong_usage_import_nothing_heavy(arguments):
     code = f"""\
 import sys
 from importlib import import_module
-for command in {COMMANDS}:
+for command in {(*COMMANDS, "subcommands")}:
     try:
         import_module("roadperc_stream.cli." + command).main({arguments})
     except SystemExit:
@@ -65,7 +65,7 @@ for command in {COMMANDS}:
 """
     ended = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, timeout=120)
     lines = [line for line in ended.stdout.splitlines() if line.startswith("modules of ")]
-    assert len(lines) == len(COMMANDS)
+    assert len(lines) == len(COMMANDS) + 1
     for line in lines:  # with the modules of the commands before it
         found = packages(line.split(": ")[1].split())
         assert not found & (HEAVY | {"argcomplete"}), line.split(": ")[0]

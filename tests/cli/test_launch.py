@@ -13,7 +13,10 @@ from pathlib import Path
 
 import pytest
 
+from roadperc_stream import api
 from roadperc_stream.cli import render, replay
+from roadperc_stream.cli.launch import COMMANDS
+from roadperc_stream.errors import TargetError
 from tests.commands import BUFFERINGS, SCRIPTS, environment, run, status, words
 from tests.test_sample import SAMPLE
 
@@ -33,6 +36,7 @@ def signalling(folder, library, number):
 
 
 ENOUGH = {
+    "roadperc": ["info", "in.mcap"],
     "roadperc-lanes": ["in.mcap", "--tusimple", "lanes.json"],
     "roadperc-render": ["drive"],
     "roadperc-sweep": ["in.mcap", "--vary", "seed=1,2"],
@@ -342,3 +346,35 @@ def test_a_name_of_another_encoding_is_one_line_at_most(command, name, made, tmp
     assert "Traceback" not in ended.stderr
     assert (ended.returncode, ended.stderr.count("\n")) in {(0, 0), (1, 1)}
     assert ended.returncode == 0 or re.match(r"error: .*(bad|\\udcc3).*\n", ended.stderr), ended.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "printed"),
+    [
+        (["--help"], 0, "\n  replay      replay a log through the perception chain\n"),
+        (["replay", "--version"], 0, "roadperc replay "),
+        (["--version"], 0, "roadperc "),
+        (["repaly", "in.mcap", "--force"], 2, "roadperc: error: no command 'repaly'; did you mean replay?\n"),
+        ([], 2, "roadperc: error: the following arguments are required: COMMAND\n"),
+        (["replay", "--forc"], 2, "roadperc replay: error: unrecognized arguments: --forc; did you mean --force?\n"),
+        (["info", "none.mcap"], 1, "error: none.mcap: No such file or directory\n"),
+    ],
+)
+def test_subcommands_have_the_name_that_was_typed(arguments, code, printed):
+    ended = run("roadperc", *arguments)
+    assert (ended.returncode, printed in ended.stdout + ended.stderr) == (code, True), ended
+    assert "roadperc-" not in ended.stderr
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_misspelled_option_gets_a_suggestion(command):
+    ended = run(f"roadperc-{command}", "--versio")
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert ended.stderr.endswith("unrecognized arguments: --versio; did you mean --version?\n")
+
+
+def test_an_error_of_a_command_names_its_option(made):
+    ended = run("roadperc-replay", SAMPLE, made / "run.mcap", "--frames", "1")
+    assert ended.stderr.endswith("run.mcap: exists; pass --force to overwrite it\n")
+    with pytest.raises(TargetError, match=r"run\.mcap: exists; pass force=True to overwrite it$"):
+        api.replay(SAMPLE, made / "run.mcap", max_frames=1)

@@ -108,3 +108,19 @@ def test_numbers_must_be_finite():
                 for wild in ("inf", "nan", "-inf", "1e300"):
                     with pytest.raises(ConfigError, match=name):
                         load_config(None, (f"{section}.{name}={wild}",))
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("lanes.hold_s=0", "lanes.hold_s=-0.0"),
+        ("lanes.hold_s=2", "lanes.hold_s=2.0"),
+        ("surface.classes=car,truck", "surface.classes=truck,car,truck"),
+        ("surface.classes=ground,road_line,road", "seed=0"),
+        ("lanes.separators=guard_rail,rail_track,sidewalk,road_line", "seed=0"),
+        ("occupancy.obstacle_classes=pedestrian,vehicle", "seed=0"),
+        ("limits.image_formats=webp,png,jpeg", "seed=0"),
+    ],
+)
+def test_equal_settings_have_equal_digests(one, other):
+    assert load_config(None, one).to_toml() == load_config(None, other).to_toml()
