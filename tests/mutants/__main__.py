@@ -186,13 +186,16 @@ def measured(test_file: str) -> Reach:
         if all(path.is_file() and path.stat().st_mtime < kept.stat().st_mtime for path in changed):
             return known
     lines, started = defaultdict(set), time.monotonic()
-    with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
+    with tempfile.TemporaryDirectory(prefix="mutants-", ignore_cleanup_errors=True) as folder:
         settings = Path(folder, "coveragerc")
         settings.write_text(MEASURING.format(sources=",".join(map(os.path.abspath, SOURCES)), folder=folder), "utf-8")
         run_tests([test_file], folder, 900.0, ("coverage", "run", f"--rcfile={settings}", "-m"))
         for file in Path(folder).glob("coverage.*"):
             data = coverage.CoverageData(str(file))
-            data.read()
+            try:
+                data.read()
+            except coverage.exceptions.DataError:  # of a process that a test killed
+                continue
             for path in data.measured_files():
                 lines[os.path.relpath(path)].update(data.lines(path))
     found = Reach(test_file, time.monotonic() - started, {path: sorted(numbers) for path, numbers in lines.items()})

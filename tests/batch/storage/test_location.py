@@ -35,7 +35,7 @@ def test_written_files_are_read(place):
     assert folder.at(NAME).read() is None
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=15)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=30)
 @given(name=st.lists(st.text("aä .%?*[]=+&#", min_size=1, max_size=6), min_size=1, max_size=3).map("/".join))
 def test_any_name_below_the_folder_is_its_own(place, name):
     folder = Location(f"{place}/{uuid4().hex}")

@@ -392,7 +392,8 @@ SERVE = "import sys; from roadperc_stream.cli.view import main; sys.exit(main(sy
 REPLAY = "import sys; from roadperc_stream.cli.replay import main; sys.exit(main(sys.argv[1:]))"
 
 
-@pytest.mark.parametrize(("command", "number"), [("serve", signal.SIGTERM), ("replay", signal.SIGINT)])
+@pytest.mark.parametrize("command", ["serve", "replay"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_the_server_without_error(source, tmp_path, command, number):
     target = tmp_path / "out.mcap"
     code, arguments = (SERVE, [source, "--foxglove"]) if command == "serve" else (REPLAY, [source, target, "--live"])

@@ -179,7 +179,7 @@ def _filtered(
     if scene.tags is not None and lookup is not None:
         tags = scene.tags[y0:y1, x0:x1]
         marks = mark(tags, lookup)
-        ratio = int(np.count_nonzero(marks)) / tags.size
+        ratio = cv2.countNonZero(marks) / tags.size
         if fit <= _MIN_FIT or measured == UNKNOWN:
             of_class = marks
     beyond = fit <= _MIN_FIT and divides(scene) and _mostly_beyond(scene, box, of_class)

@@ -34,7 +34,7 @@ def depth_image():
     return 5 + rows / 10 + columns / 20
 
 
-@settings(max_examples=30)
+@settings(max_examples=60)
 @given(drives, st.randoms(use_true_random=False))
 def test_the_order_of_detections_affects_only_the_order_of_objects(frames, random):
     usual, shuffled, depth = Follower(), Follower(), depth_image()
