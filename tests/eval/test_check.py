@@ -91,7 +91,7 @@ least = 0.0
 def test_a_failure_names_the_frame_and_its_command(capsys, table, tmp_path):
     good = write(tmp_path / "good.metrics.parquet", [row(0, "b" * 16, lane_left_error_m=0.1)])
     code, out, err, criteria = checked(capsys, tmp_path, FAILING, table, good)
-    command = f"roadperc-view {tmp_path / 'out.mcap'} --frame 4"
+    command = f"roadperc-view {tmp_path / 'out.metrics.parquet'} --frame 4"
     assert (code, err) == (1, "failed: lane_left_error_m max\n")
     assert out.splitlines() == [
         f"check: failed, 6 frames of 2 runs, {tmp_path / 'criteria.toml'}",

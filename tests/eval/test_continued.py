@@ -169,5 +169,5 @@ def test_a_reference_of_continued_replays_is_created_and_updated(tmp_path, capsy
     assert find_joined([str(reference)]).runs[0].frames == 19
     for name in ("out_2", "out_1"):
         (candidate / f"{name}.metrics.parquet").unlink()
-    assert compare_main([str(reference), str(candidate), "--update-reference", "--other-log"]) == 1
+    assert compare_main([str(reference), str(candidate), "--update-reference", "--other-log"]) == 3
     assert "1 table cannot replace 3" in capsys.readouterr().err

@@ -107,7 +107,7 @@ def test_an_existing_video_is_replaced_only_with_force(tmp_path):
     source = overlays(tmp_path / "out.mcap", stamps(0, 50), [(220, 0, 0)] * 2)
     target = tmp_path / "video.mp4"
     target.write_bytes(b"mine")
-    with pytest.raises(TargetError, match=r"video.mp4: exists; pass --force \(force=True\) to overwrite it"):
+    with pytest.raises(TargetError, match=r"video.mp4: exists; pass --force to overwrite it"):
         write_video(source, target)
     assert target.read_bytes() == b"mine"
     write_video(source, target, force=True)

@@ -41,7 +41,7 @@ def test_the_report_is_the_same_as_for_a_folder(dataset, capsys):
 
 
 def test_the_comparison_is_the_same_as_for_a_folder(dataset, capsys):
-    options = ("--config", "default", "--config", "lanes.hold_s=2")
+    options = ("--base-config", "default", "--new-config", "lanes.hold_s=2")
     expected = outcome(compare.main, capsys, dataset, *options)
     assert "worse" in expected[1]
     assert outcome(compare.main, capsys, "s3://drives/all/", *options) == expected

@@ -273,7 +273,7 @@ def test_an_existing_recording_is_replaced_only_with_force(tmp_path):
     source = logs.write(tmp_path / "in.mcap", logs.items(frames=1))
     target = tmp_path / "in.rrd"
     target.write_text("mine")
-    with pytest.raises(TargetError, match=r"in\.rrd: exists; pass --force \(force=True\) to overwrite it"):
+    with pytest.raises(TargetError, match=r"in\.rrd: exists; pass --force to overwrite it"):
         save_recording(source, target, {})
     assert target.read_text() == "mine"
     save_recording(source, target, {}, force=True)
