@@ -1,5 +1,6 @@
 """Report over finished runs, on the terminal and as an HTML page."""
 
+import argparse
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -13,11 +14,15 @@ from roadperc_stream.output.terminal import console_for, print_lines, print_part
 from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.system.text import number
 
+from .answers import Answer, of_pair, of_summaries, print_answer, wants_files, write_files
+from .brief import rows_tables
 from .configurations import UNKNOWN, grouped, settings_table, short_digest
 from .continued import find_joined
+from .frame_commands import view_command
 from .quantities import COVERED, SKEW, legend, listed, name_columns, percent, short_names
 from .runs import Run
 from .sections import LISTED, accuracy, latency, missing_outputs, sections, worst_frames
+from .slices import slices_of_runs
 from .summary import Summary, summarise_group, summarise_run
 
 WritePage = Callable[[Path, list[Run]], None]
@@ -25,36 +30,65 @@ RUNS_LISTED: Final = 40
 """Rows of the tables with one row per run; if there are more runs, those with the least coverage."""
 _NARROW: Final = {"odometry": "odom."}
 """Short headers for wide tables."""
+_MORE: Final = "pass --full for all tables, --by EXPRESSION for slices"
 
 
-def print_report(arguments: Sequence[str], worst: int, html: Path | None, write_page: WritePage | None) -> None:
-    """Print tables over finished runs.
+def print_report(arguments: argparse.Namespace, write_page: WritePage | None) -> None:
+    """Print the figures of finished runs, and write the files that the options name.
 
     Args:
-        arguments: tables, logs, folders or globs.
-        worst: number of frames listed for each error.
-        html: path of a page to write as well, if any.
+        arguments: of the command.
         write_page: writes the page; None without a page, since its import is slow.
 
     Raises:
-        TableError: an argument names no run, or no run has a frame.
+        TableError: an argument names no run, no run has a frame, or a column does not exist.
+        TargetError: a file cannot be written.
     """
-    found = find_joined(arguments)
+    found = find_joined(arguments.runs)
     filled = [item for item in found.runs if item.frames]
     if not filled:
         raise TableError(f"{found.runs[0].why_empty}; expected a table with frames")
-    if html is not None and write_page is not None:
-        write_page(html, filled)  # first, because the reader of the text may close the pipe
+    if arguments.html is not None and write_page is not None:
+        write_page(arguments.html, filled)  # first, because the reader of the text may close the pipe
+    answer = None if arguments.full and not wants_files(arguments) else _answer(filled, arguments.by)
+    if answer is not None:
+        write_files(answer, arguments)
     console = console_for(sys.stdout)
     print_lines(console, *found.notes, *(item.why_empty for item in found.runs if not item.frames), unbroken=True)
-    if len(filled) == 1:
-        summary = summarise_run(filled[0], worst)
+    if answer is not None and not arguments.full:
+        print_answer(console, answer)
+    elif len(filled) == 1:
+        summary = summarise_run(filled[0], arguments.worst)
         print_lines(console, identity(summary), extent(summary), inputs(summary))
         print_parts(console, *sections([summary]), worst_frames([summary]))
     else:
-        _print_several(console, filled, worst)
-    if html is not None:
-        print_lines(console, "", f"page   {html}", unbroken=True)
+        _print_several(console, filled, arguments.worst)
+    if arguments.html is not None:
+        print_lines(console, "", f"page   {arguments.html}", unbroken=True)
+
+
+def _answer(runs: Sequence[Run], by: Sequence[str]) -> Answer:
+    """The short report."""
+    if by:
+        return slices_of_runs(runs, by)
+    summaries = [summarise_run(run, 1) for run in runs]
+    if len(runs) == 2 and len({summary.log_ids for summary in summaries}) == 1:
+        return of_pair(runs, summaries)
+    names = short_names([run.name for run in runs], name_columns(console_for(sys.stdout)))
+    settings = settings_table({names[run.name]: run for run in runs})
+    tables = (settings, *rows_tables("Run", [replace(s, name=names[s.name]) for s in summaries]))
+    notes = tuple(legend(names))
+    answer = of_summaries("Report", "runs", summaries, lambda at: view_command(_named(runs, at.run), at.frame))
+    if len(runs) == 1:
+        (summary,) = summaries
+        extent_s = f"{number(summary.frames, 'frame')}{in_segments(summary)}, {summary.span_s:.2f} s"
+        return replace(answer, head=(f"{identity(summary)}, {extent_s}", *answer.head), tail=(*answer.tail, _MORE))
+    head = (f"{contents(summaries)}, {sum(summary.frames for summary in summaries)} frames", *answer.head)
+    return replace(answer, head=head, tables=tables, tail=(*notes, *answer.tail, _MORE))
+
+
+def _named(runs: Sequence[Run], name: str) -> Run:
+    return next(run for run in runs if run.name == name)
 
 
 def _print_several(console: Console, found: Sequence[Run], worst: int) -> None:

@@ -79,7 +79,7 @@ def test_a_long_name_is_shortened_and_explained_in_the_legend(drive, tmp_path, c
     lines = text.splitlines()
     assert f"the_qui…azy_dog: {name}" in lines
     assert sum(name in line for line in lines) == 1
-    at = next(k for k, line in enumerate(lines) if line == "lane left at 10 m, m" and "15778" in lines[k + 1])
+    at = next(k for k, line in enumerate(lines) if line == "lane left error at 10 m, m" and "15778" in lines[k + 1])
     assert lines[at + 1].split() == ["the_qui…azy_dog", "9.000", "0", "0.000", "1577836800000000000"]
     rows = [line for line in lines if line.lstrip().startswith("the_qui…azy_dog ")]
     assert all(re.search(r"\d$", line) for line in rows)
