@@ -33,8 +33,8 @@ _NARROW: Final = {"lane left": "left", "lane right": "right", "odometry": "odom.
 class StageFigures:
     """The coverage of a stage as a ratio, and the statistics of its error, or of its quality without truth.
 
-    ``tail`` is p95 of the absolute values, or p5 if high is better. ``worst`` is the worst value, in the frame ``at`` if
-    that is known. All are None without values; ``reason`` then says why.
+    ``tail`` is p95 of the absolute values, or p5 if high is better. ``worst`` is the worst value, in the frame ``at``
+    if that is known. All are None without values; ``reason`` then says why.
     """
 
     stage: str
@@ -57,19 +57,23 @@ class StageFigures:
         names_it = self.quantity.name.startswith(self.stage.removesuffix("s"))
         return self.quantity.label if names_it else f"{self.stage}: {self.quantity.label}"
 
+    @property
+    def tail_name(self) -> str:
+        """Name of the tail's quantile."""
+        return "p5" if self.quantity.better == "high" else "p95"
+
     def as_mapping(self, command: str = "") -> dict[str, Any]:
         """The figures for other programs."""
-        tail = "p5" if self.quantity.better == "high" else "p95"
-        known = {"median": self.median, tail: self.tail, "worst": self.worst}
+        known = {"median": self.median, self.tail_name: self.tail, "worst": self.worst}
         frame = {"worst_frame": self.at.frame, "command": command} if self.at else {}
         names = {"coverage": self.coverage, "column": self.quantity.column, "unit": self.quantity.unit}
         return names | (known | frame if self.median is not None else {"reason": self.reason})
 
 
 def stage_figures(summary: Summary, *, truth: bool) -> tuple[StageFigures, ...]:
-    """The figures of each stage that has a value or a reason in any frame: errors with ``truth``, else quality."""
+    """The figures of each stage with a value or a reason in any frame: errors with ``truth``, else quality."""
     figures = (_figures(summary, stage, truth=truth) for stage in _STAGES)
-    return tuple(found for found in figures if found.coverage > 0 or found.reason)
+    return tuple(found for found in figures if found.coverage > 0 or found.median is not None or found.reason)
 
 
 def _figures(summary: Summary, stage: str, *, truth: bool) -> StageFigures:
@@ -119,11 +123,14 @@ def worst_of(figures: Iterable[StageFigures]) -> StageFigures | None:
     return max(having, key=lambda found: abs(found.worst or 0.0) / (found.quantity.limit or 1e99), default=None)
 
 
+def with_unit(value: float, quantity: Quantity) -> str:
+    """A quantity's name and a value of it with its unit."""
+    return f"{quantity.name} {rounded(value, quantity)}{'' if quantity.unit in UNITLESS else f' {quantity.unit}'}"
+
+
 def worst_line(found: StageFigures, command: str) -> str:
     """The worst frame of a stage and the command that shows it."""
-    unit = "" if found.quantity.unit in UNITLESS else f" {found.quantity.unit}"
-    value = rounded(found.worst or 0.0, found.quantity)
-    return f"worst frame: {found.label.partition(', ')[0]} {value}{unit}: {command}"
+    return f"worst frame: {with_unit(abs(found.worst or 0.0), found.quantity)}: {command}"
 
 
 def latency_line(summary: Summary) -> str:
@@ -177,7 +184,7 @@ def values_of(summary: Summary, *, truth: bool, commands: Mapping[str, str]) -> 
         "logs": len(summary.log_ids),
         "seconds": summary.span_s,
         "latency": latency(summary),
-        "stages": {found.stage: found.as_mapping(commands.get(found.stage, "")) for found in figures},
+        "stages": {found.stage.replace(" ", "_"): found.as_mapping(commands.get(found.stage, "")) for found in figures},
     }
 
 
@@ -187,6 +194,6 @@ def cases_of(summary: Summary, *, truth: bool) -> Iterator[Case]:
         if found.median is None:
             yield Case(summary.name, found.stage, "skipped", found.reason or "no value")
         else:
-            names = ("median", "tail", "worst")
-            text = ", ".join(f"{name} {cell}" for name, cell in zip(names, _cells(found), strict=True))
+            median, tail, worst = _cells(found)
+            text = f"median {median}, {found.tail_name} {tail}, worst {worst}"
             yield Case(summary.name, found.stage, "passed", f"{found.label}: {text}")

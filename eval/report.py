@@ -2,7 +2,7 @@
 
 import argparse
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -19,7 +19,7 @@ from .brief import rows_tables
 from .configurations import UNKNOWN, grouped, settings_table, short_digest
 from .continued import find_joined
 from .frame_commands import view_command
-from .quantities import COVERED, SKEW, legend, listed, name_columns, percent, short_names
+from .quantities import SKEW, legend, listed, name_columns, percent, short_names
 from .runs import Run
 from .sections import LISTED, accuracy, latency, missing_outputs, sections, worst_frames
 from .slices import slices_of_runs
@@ -27,9 +27,7 @@ from .summary import Summary, summarise_group, summarise_run
 
 WritePage = Callable[[Path, list[Run]], None]
 RUNS_LISTED: Final = 40
-"""Rows of the tables with one row per run; if there are more runs, those with the least coverage."""
-_NARROW: Final = {"odometry": "odom."}
-"""Short headers for wide tables."""
+"""Most rows of the table of runs with ``--full``."""
 _MORE: Final = "pass --full for all tables, --by EXPRESSION for slices"
 
 
@@ -99,7 +97,7 @@ def _print_several(console: Console, found: Sequence[Run], worst: int) -> None:
     groups = [summarise_group(group, worst) for group in grouped_runs]
     together = [summary for _, summary in groups]
     runs = [summary for summaries, _ in groups for summary in summaries]
-    rows = least_covered(runs)
+    rows = runs[:RUNS_LISTED]
     print_lines(console, contents(runs))
     print_parts(console, settings, runs_table(rows, tuple(legend(names))))
     for summary in together[:LISTED]:
@@ -107,11 +105,11 @@ def _print_several(console: Console, found: Sequence[Run], worst: int) -> None:
         print_lines(console, "", *name, extent(summary), inputs(summary))
         if summary.rank_error:
             print_lines(console, precision(summary))
-    print_parts(console, *sections(together), worst_frames(together), coverage_by_run(rows))
+    print_parts(console, *sections(together), worst_frames(together), *rows_tables("Run", runs))
     if len(runs) > len(groups):
         print_parts(console, *tables_by_run(runs))
     if len(runs) > len(rows):
-        print_lines(console, f"listed: the {len(rows)} of {len(runs)} runs with the least coverage")
+        print_lines(console, f"listed: the first {len(rows)} of {len(runs)} runs")
     each_time = f"at most {LISTED} of {{}} per row, those with the worst p95"
     if len(groups) > LISTED:
         print_lines(console, f"by configuration: {each_time.format(len(groups))}")
@@ -172,14 +170,6 @@ def precision(summary: Summary) -> str:
     )
 
 
-def least_covered(summaries: Sequence[Summary]) -> list[Summary]:
-    """The runs that get a row, in order."""
-    if len(summaries) <= RUNS_LISTED:
-        return list(summaries)
-    least = sorted(range(len(summaries)), key=lambda place: sum(_shares(summaries[place], COVERED.values())))
-    return [summaries[place] for place in sorted(least[:RUNS_LISTED])]
-
-
 def runs_table(summaries: Sequence[Summary], notes: tuple[str, ...]) -> TextTable:
     """A row per run: log, configuration, extent, and the version if they differ."""
     versions = len({summary.versions for summary in summaries}) > 1
@@ -193,23 +183,9 @@ def _run(summary: Summary, with_version: bool) -> TextRow:
     return row(summary.name, listed(summary.log_ids, 1), short_digest(summary.configs[0]), *version, *extent)
 
 
-def coverage_by_run(summaries: Sequence[Summary]) -> TextTable:
-    """A row per run: shares of frames with all inputs, and with each output that any run has."""
-    shown = {what: column for what, column in COVERED.items() if any(column in s.statistics for s in summaries)}
-    rows = (row(summary.name, *map(percent, _shares(summary, shown.values()))) for summary in summaries)
-    return TextTable(
-        "Coverage, %", ("inputs", *(_NARROW.get(what, what) for what in shown)), tuple(rows), label_columns=15
-    )
-
-
 def tables_by_run(summaries: Sequence[Summary]) -> Iterator[TextTable]:
     """Missing outputs that differ between runs, accuracy and latency, each with a line per run."""
     missing = missing_outputs(summaries)
     vary = tuple(item for item in missing.rows if len({cells[-1:] for cells in item.cells}) > 1)
     for table in (replace(missing, rows=vary), accuracy(summaries), latency(summaries)):
         yield replace(table, title=f"{table.title} by run", notes=())
-
-
-def _shares(summary: Summary, columns: Iterable[str]) -> list[float]:
-    """Shares of frames with all inputs, and with a value in each column."""
-    return [1 - summary.incomplete / summary.frames, *(summary.coverage(column) for column in columns)]

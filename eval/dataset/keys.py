@@ -14,8 +14,8 @@ from roadperc_stream.errors import ConfigError, TableError
 from roadperc_stream.system.text import number
 
 from ..configurations import Settings
-from ..options import number_or_text
 from ..expressions import roots, unknown
+from ..options import number_or_text
 from .place import DATE, RUN_COLUMNS
 
 LOG: Final = ("log_id", "config")

@@ -18,7 +18,7 @@ from roadperc_stream.system.text import number
 from roadperc_stream.system.time import NS_PER_S
 
 from ..answers import Answer, of_summaries, print_answer, wants_files, write_files
-from ..brief import has_truth, rows_tables, stage_figures
+from ..brief import has_truth, rows_tables, stage_figures, with_unit
 from ..configurations import Settings, rows_that_differ
 from ..frame_commands import view_dataset_command
 from ..quantities import Quantity, legend, listed, percent, rounded, short_names
@@ -244,7 +244,7 @@ def _answer(
     for quantity, item in sorted(worst, key=lambda pair: -pair[1]["mean"] / (pair[0].limit or math.inf))[:_FEW]:
         (log_id, config), at = key_of(item), item["at"][0]
         command = view_dataset_command(dataset.address, names[log_id], at["frame"], config if several else "")
-        lines.append(f"worst log: {quantity.label} {rounded(abs(at['value']), quantity)}: {command}")
+        lines.append(f"worst log: {with_unit(abs(at['value']), quantity)}: {command}")
     note = () if runs.height else ("no runs.parquet: failed logs are unknown",)
     tables = answer.tables if len(summaries) == 1 else rows_tables("Group", renamed)
     tail = (*legend(short), *lines, *answer.tail, *note, "pass --full for all tables, --by EXPRESSION for slices")

@@ -82,8 +82,8 @@ def _parser() -> argparse.ArgumentParser:
         metavar="EXPR[,EXPR]",
         type=_expressions,
         default=[],
-        help="a row for each value of columns or polars SQL expressions, the worst first: log, class, lane_left_status, "
-        "date, worker, 'floor(distance_m / 10) * 10'",
+        help="a row for each value of columns or polars SQL expressions, the worst first: log, class, date, "
+        "lane_left_status, 'floor(distance_m / 10) * 10'",
     )
     parser.add_argument("--full", action="store_true", help="print all tables")
     parser.add_argument(
