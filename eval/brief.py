@@ -158,10 +158,10 @@ def rows_tables(title: str, summaries: Sequence[Summary]) -> tuple[TextTable, ..
     headers = [f"{_NARROW.get(stage, stage)}{'' if q.unit in UNITLESS else f' {q.unit}'}" for stage, q in units.items()]
     tails = [row(s.name, str(s.frames), *(_tail(found[s.name].get(stage)) for stage in stages)) for s in shown]
     covered = [row(s.name, *(_coverage(found[s.name].get(stage)) for stage in stages)) for s in shown]
-    note = f"listed: the worst {len(shown)} of {len(summaries)}" if len(summaries) > len(shown) else ""
-    kinds = "p95 of the error" if truth else "p95, or p5 where high is better, of the quality"
+    notes = (f"listed: the worst {len(shown)} of {len(summaries)}",) if len(summaries) > len(shown) else ()
+    kinds = "p95 error" if truth else "p95 or p5"
     return (
-        TextTable(title, ("frames", *headers), tuple(tails), (f"{kinds}{'; ' * bool(note)}{note}",), label_columns=15),
+        TextTable(f"{title}: {kinds}", ("frames", *headers), tuple(tails), notes, label_columns=15),
         TextTable(
             "Coverage, %", tuple(_NARROW.get(stage, stage) for stage in stages), tuple(covered), label_columns=15
         ),
