@@ -8,7 +8,7 @@ from typing import Any, Final
 from rich.console import Console
 
 from roadperc_stream.output.terminal import print_lines, print_parts
-from roadperc_stream.output.text_table import TextRow, TextTable
+from roadperc_stream.output.text_table import TextRow, TextTable, row
 
 from .brief import (
     NO_TRUTH,
@@ -105,10 +105,7 @@ def of_pair(runs: Sequence[Run], summaries: Sequence[Summary]) -> Answer:
     base, new = runs
     found = compare_runs(pair_runs([base], [new], other_log=True), None, Rules())
     groups = [group for mark in _MARKS for group in found.groups(mark)]
-    place = found.worst_place
-    worst = (
-        f"worst frame: {place.base:.4g} → {place.new:.4g}: {view_pair_command(base, new, place.frame)}" if place else ""
-    )
+    worst = _worst_line(found, base, new)
     none = "" if groups else f"no relevant difference in {found.frames} frames"
     with_each = of_summaries(
         "Differences", "runs", summaries, lambda at: view_command(base if at.run == base.name else new, at.frame)
@@ -131,11 +128,23 @@ def of_pair(runs: Sequence[Run], summaries: Sequence[Summary]) -> Answer:
     )
 
 
+def _worst_line(found: Comparison, base: Run, new: Run) -> str:
+    """The frame in which the new run is worse by most; empty if no metric is worse."""
+    place = found.worst_place
+    names = (verdict.metric.name for verdict in found.named("worse") if verdict.place is place)
+    if place is None:
+        return ""
+    command = view_pair_command(base, new, place.frame)
+    return f"worst frame: {next(names)} {place.base:.4g} → {place.new:.4g}: {command}"
+
+
 def _differences(groups: Sequence[Group]) -> TextTable:
     """A row for the leading metric of each group, with the finding of the largest effect."""
     rows = tuple(map(_difference, groups))
     headers = ("base", "new", "change", f"{LEVEL:.0%} interval", "mark")
-    return TextTable("Difference", headers, rows, label_columns=15)
+    more = any(len(group.verdicts) > 1 for group in groups)
+    notes = ("(+N): N more metrics of the same cause, which roadperc-compare lists",) if more else ()
+    return TextTable("Difference", headers, rows, notes, label_columns=15)
 
 
 def _difference(group: Group) -> TextRow:
@@ -143,9 +152,12 @@ def _difference(group: Group) -> TextRow:
     marked = [finding for finding in verdict.findings if finding.mark == verdict.mark]
     found = max(marked, key=lambda finding: abs(finding.new - finding.base), default=verdict.findings[0])
     interval = f"{found.interval.low:+.3g} to {found.interval.high:+.3g}" if found.interval else ""
-    cells = (f"{found.base:.4g}", f"{found.new:.4g}", f"{found.new - found.base:+.3g}", interval, found.mark)
-    more = f", and {others} more of {group.name}" if others else ""
-    return TextRow(found.metric.name, (cells,), below=f"{found.statistic}{more}")
+    name = (
+        found.metric.name
+        + (f", {found.statistic}" if found.statistic != "mean" else "")
+        + f" (+{others})" * bool(others)
+    )
+    return row(name, f"{found.base:.4g}", f"{found.new:.4g}", f"{found.new - found.base:+.3g}", interval, found.mark)
 
 
 def _values(found: Comparison) -> dict[str, Any]:

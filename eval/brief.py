@@ -25,7 +25,13 @@ _STAGES: Final = {
     "odometry": ("odometry", "step_error_m", "odometry_inliers", "odometry"),
 }
 """By stage: its output in ``COVERED``, the column of its error, that of its quality, and its name in reasons."""
-_NARROW: Final = {"lane left": "left", "lane right": "right", "odometry": "odom."}
+_NARROW: Final = {
+    "surface": "surf.",
+    "objects": "obj.",
+    "lane left": "left",
+    "lane right": "right",
+    "odometry": "odom.",
+}
 """Short headers for wide tables."""
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
+from typing import Final
 
 import polars as pl
 
@@ -9,6 +10,11 @@ from roadperc_stream.errors import TableError
 
 from .quantities import listed
 from .runs import first_line
+
+_ROWS: Final = 2
+"""Rows on which an expression is tried."""
+_DIGITS: Final = 6
+"""Significant digits of a number in the name of a group."""
 
 
 def expression(text: str) -> pl.Expr:
@@ -47,14 +53,19 @@ def as_key(text: str, schema: Mapping[str, pl.DataType]) -> pl.Expr:
     """The value of an expression as text, for the keys and names of groups; null if empty.
 
     Raises:
-        TableError: the expression does not fit the types of its columns.
+        TableError: the expression does not fit the types of its columns, or is one value for all rows.
     """
     found = expression(text).alias(key_name(text))
     try:
-        (kind,) = pl.LazyFrame(schema=dict(schema)).select(found).collect_schema().dtypes()
+        rows = pl.DataFrame(schema=schema).clear(_ROWS).select(found)
     except pl.exceptions.PolarsError as error:
         raise TableError(f"--by {text}: cannot be computed from the table's columns: {first_line(error)}") from error
-    shown = found.cast(pl.List(pl.String)).list.join("; ") if isinstance(kind, pl.List) else found.cast(pl.String)
+    if rows.height != _ROWS:
+        raise TableError(f"--by {text}: gives one value for all rows; expected a value for each row")
+    kind = rows.to_series().dtype
+    is_list = isinstance(kind, pl.List)
+    found = found.round_sig_figs(_DIGITS) if kind.is_float() else found
+    shown = found.cast(pl.List(pl.String)).list.join("; ") if is_list else found.cast(pl.String)
     return pl.when(shown.str.len_bytes() > 0).then(shown).alias(key_name(text))
 
 

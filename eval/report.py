@@ -3,6 +3,7 @@
 import argparse
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -71,7 +72,8 @@ def _answer(runs: Sequence[Run], by: Sequence[str]) -> Answer:
         return slices_of_runs(runs, by)
     summaries = [summarise_run(run, 1) for run in runs]
     if len(runs) == 2 and len({summary.log_ids for summary in summaries}) == 1:
-        return of_pair(runs, summaries)
+        with suppress(TableError):  # runs without a common frame get a row each
+            return of_pair(runs, summaries)
     names = short_names([run.name for run in runs], name_columns(console_for(sys.stdout)))
     settings = settings_table({names[run.name]: run for run in runs})
     tables = (settings, *rows_tables("Run", [replace(s, name=names[s.name]) for s in summaries]))

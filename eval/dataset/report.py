@@ -240,15 +240,16 @@ def _answer(
     several = found.logs["config"].n_unique() > 1
     columns = {figures.quantity.column for s in summaries for figures in stage_figures(s, truth=has_truth(summaries))}
     worst = [(q, logs[0]) for q, logs in worst_logs(found.logs, 1)[0].items() if q.column in columns]
-    lines = []
+    lines, values = [], []
     for quantity, item in sorted(worst, key=lambda pair: -pair[1]["mean"] / (pair[0].limit or math.inf))[:_FEW]:
         (log_id, config), at = key_of(item), item["at"][0]
         command = view_dataset_command(dataset.address, names[log_id], at["frame"], config if several else "")
+        values.append({"column": quantity.column, "log": names[log_id], "config": config, **at, "command": command})
         lines.append(f"worst log: {with_unit(abs(at['value']), quantity)}: {command}")
     note = () if runs.height else ("no runs.parquet: failed logs are unknown",)
     tables = answer.tables if len(summaries) == 1 else rows_tables("Group", renamed)
     tail = (*legend(short), *lines, *answer.tail, *note, "pass --full for all tables, --by EXPRESSION for slices")
-    return replace(answer, tables=tables, tail=tail)
+    return replace(answer, tables=tables, tail=tail, values={**answer.values, "worst_logs": values})
 
 
 def _contents(dataset: Dataset, logs: pl.DataFrame) -> str:
