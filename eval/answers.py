@@ -139,7 +139,7 @@ def _worst_line(found: Comparison, base: Run, new: Run) -> str:
 
 
 def _differences(groups: Sequence[Group]) -> TextTable:
-    """A row for the leading metric of each group, with the finding of the largest effect."""
+    """A row for the leading metric of each group, with its first finding of that mark, which is the mean if possible."""
     rows = tuple(map(_difference, groups))
     headers = ("base", "new", "change", f"{LEVEL:.0%} interval", "mark")
     more = any(len(group.verdicts) > 1 for group in groups)
@@ -150,7 +150,7 @@ def _differences(groups: Sequence[Group]) -> TextTable:
 def _difference(group: Group) -> TextRow:
     verdict, others = group.verdicts[0], len(group.verdicts) - 1
     marked = [finding for finding in verdict.findings if finding.mark == verdict.mark]
-    found = max(marked, key=lambda finding: abs(finding.new - finding.base), default=verdict.findings[0])
+    found = next(iter(marked), verdict.findings[0])
     interval = f"{found.interval.low:+.3g} to {found.interval.high:+.3g}" if found.interval else ""
     name = (
         found.metric.name
