@@ -32,7 +32,7 @@ class Rules:
     """Rules for fields and metrics, by glob; when several amounts match a name, the last one applies.
 
     A field differs when its absolute difference exceeds its tolerance. A metric may become worse by its allowance,
-    in its own unit or as a ratio of the reference's mean. ``relevant`` and ``limits`` override the smallest relevant
+    in its own unit or as a ratio of the base's mean. ``relevant`` and ``limits`` override the smallest relevant
     effect and the limit of a metric. Times are judged only with ``times``.
     """
 

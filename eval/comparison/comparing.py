@@ -18,7 +18,7 @@ from .metrics import FRAMES, METRICS, Metric
 from .pairing import Pairing, RunPair
 from .tails import tail_findings
 from .values import LogValues, values_of
-from .verdicts import Finding, Group, Mark, Place, Verdict
+from .verdicts import CauseGroup, Finding, Mark, Place, Verdict
 
 ROUNDING: Final = 1e-9
 """Ratio to a metric's size below which a difference is rounding, as on another processor."""
@@ -118,12 +118,13 @@ class Comparison:
         """The judged metrics with this mark."""
         return [verdict for verdict in self.verdicts if verdict.judged and verdict.mark == mark]
 
-    def groups(self, mark: Mark) -> list[Group]:
+    def groups(self, mark: Mark) -> list[CauseGroup]:
         """The judged metrics with this mark, by cause; the largest effect first, among the groups and in each."""
         names = dict.fromkeys(verdict.metric.group for verdict in self.named(mark))
         by_name = {name: [found for found in self.named(mark) if found.metric.group == name] for name in names}
         groups = [
-            Group(name, tuple(sorted(found, key=lambda verdict: -verdict.weight))) for name, found in by_name.items()
+            CauseGroup(name, tuple(sorted(found, key=lambda verdict: -verdict.weight)))
+            for name, found in by_name.items()
         ]
         return sorted(groups, key=lambda group: -group.verdicts[0].weight)
 

@@ -78,7 +78,7 @@ class Verdict:
 
 
 @dataclass(frozen=True)
-class Group:
+class CauseGroup:
     """Verdicts with one mark that restate one cause, the one with the largest effect first."""
 
     name: str

@@ -4,6 +4,7 @@ import argparse
 import math
 
 import numpy as np
+import polars as pl
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -11,9 +12,16 @@ from scipy.signal import lfilter
 
 from roadperc_stream.eval.comparison.agreement import INCOMPARABLE, Agreement, Difference, added, distance
 from roadperc_stream.eval.comparison.bootstrap import MANY_LOGS, Interval, _block_means, block_length, mean_interval
+from roadperc_stream.eval.comparison.comparing import compare_runs
+from roadperc_stream.eval.comparison.metrics import METRICS
+from roadperc_stream.eval.comparison.pairing import RunPair, logged_runs, pair_runs
+from roadperc_stream.eval.comparison.tails import tail_findings
+from roadperc_stream.eval.comparison.values import LogValues
 from roadperc_stream.eval.options import Amount, Rules, allowance, tolerance
+from tests.eval.tables import row, run_of, write
 
 NAN = math.nan
+METRIC = {metric.name: metric for metric in METRICS}
 
 
 @pytest.mark.parametrize(
@@ -142,3 +150,114 @@ def test_the_interval_scales_and_contains_the_mean(values, factor):
 @example([0.0, 0.0, 0.0, 3e-143])
 def test_a_block_is_no_longer_than_the_log(values):
     assert 1 <= block_length(np.array(values)) <= len(values)
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory):
+    run = run_of(write(tmp_path_factory.mktemp("tails") / "a.metrics.parquet", [row(0)]))
+    return RunPair(run, run)
+
+
+def worse_tails(pair, name, base, new):
+    """The statistics that are worse in six logs, with their base and new values."""
+    numbers = np.arange(100) + 7
+    metric = METRIC[name]
+    logs = [LogValues(metric, pair, numbers, numbers, *one) for one in zip(base, new, strict=True)]
+    place = max((found for log in logs if (found := log.place())), key=lambda at: at.new, default=None)
+    found = tail_findings(logs, metric.relevant, metric.limit, 10, place)
+    return {one.statistic: one for one in found if one.mark == "worse"}
+
+
+def errors(seed=0):
+    """Errors of six logs, 100 frames each, in metres."""
+    return [drive(np.random.default_rng([seed, log]), 100, 0.8) * 0.01 for log in range(6)]
+
+
+@pytest.mark.parametrize(
+    ("offs", "found"),
+    [
+        ({40: 2.0, 41: 2.0}, True),
+        ({3: -2.0, 90: 2.0}, True),
+        ({40: 2.0}, True),
+        ({40: 0.4}, False),
+        ({40: 0.2, 41: 0.2}, False),
+    ],
+)
+def test_a_few_frames_far_off_are_found(pair, offs, found):
+    base, new = errors(), errors(1)
+    new[4] = new[4].copy()
+    for frame, off in offs.items():
+        new[4][frame] = off
+    worse = worse_tails(pair, "lane_left_error_m", base, new)
+    assert set(worse) == ({"worst frame"} if found else set())
+    if found:
+        assert worse["worst frame"].place.frame - 7 in offs
+        assert worse["worst frame"].new == 2.0
+    assert not worse_tails(pair, "lane_left_error_m", new, base)
+
+
+def test_outliers_on_both_sides_are_no_regression(pair):
+    base, new = errors(), errors(1)
+    new[4][[40, 41]], base[2][[10, 11]] = 2.0, 1.2
+    assert not worse_tails(pair, "lane_left_error_m", base, new)
+
+
+def test_a_tripled_spread_is_found(pair):
+    base = [0.5 + values for values in errors()]
+    new = [0.5 + 3 * values for values in errors()]
+    assert "spread" in worse_tails(pair, "surface_height_error_m", base, new)
+    assert not worse_tails(pair, "surface_height_error_m", base, [values[::-1] for values in base])
+
+
+@pytest.mark.parametrize(("lost", "gained", "found"), [(2, 0, True), (1, 0, False), (2, 2, False), (12, 1, True)])
+def test_coverage_lost_in_one_log(pair, lost, gained, found):
+    """The logs gain ``gained`` frames each, the last one also loses some."""
+    base, new = np.ones((6, 100)), np.ones((6, 100))
+    base[:, :gained] = 0
+    new[5, 50 : 50 + lost] = 0
+    assert bool(worse_tails(pair, "lane_left_error_m.coverage", base, new)) == found
+
+
+def compared(tmp_path, rules=None, times=1.0, objects=False, **changed):
+    """A log of 300 frames, compared with itself after changes to columns."""
+    rng = np.random.default_rng(3)
+    rows = [
+        row(n, lane_left_error_m=e, lane_left_offset_m=1.5, drivable_iou=0.97)
+        for n, e in enumerate(rng.normal(size=300) / 100)
+    ]
+    base = write(tmp_path / "base" / "a.metrics.parquet", rows)
+    table = pl.read_parquet(base).with_columns(pl.col("total_ms") * times, **changed)
+    (tmp_path / "new").mkdir()
+    table.write_parquet(tmp_path / "new" / "a.metrics.parquet")
+    for side, long in (("base", 1.0), ("new", 1.05)):
+        cars = {"frame": range(300), "label": "Car", "kept": True, "true_distance_m": 20.0, "distance_m": 20.0 * long}
+        pl.DataFrame(cars).write_parquet(tmp_path / side / "a.objects.parquet") if objects else None
+    return compare_runs(
+        pair_runs(*(logged_runs(str(tmp_path / side)) for side in ("base", "new")), False), None, rules or Rules()
+    )
+
+
+def test_one_loss_is_one_group_with_its_frame(tmp_path):
+    known = ~pl.col("frame").is_between(100, 120)
+    columns = {name: pl.when(known).then(pl.col(name)) for name in ("lane_left_error_m", "lane_left_offset_m")}
+    found = compared(tmp_path, **columns)
+    (group,) = found.groups("worse")
+    assert {verdict.metric.name for verdict in group.verdicts} == {f"{name}.coverage" for name in columns}
+    assert (found.worst_place.frame, found.worst_place.base, found.worst_place.new) == (100, 1.0, 0.0)
+
+
+@pytest.mark.parametrize(("relevant", "worse"), [({}, []), ({"drivable_iou": 1e-5}, ["drivable_iou"])])
+def test_an_irrelevant_change_is_unchanged(tmp_path, relevant, worse):
+    assert compared(tmp_path, Rules(relevant=relevant), drivable_iou=pl.lit(0.97 - 2e-5)).regressions == worse
+
+
+@pytest.mark.parametrize(("judged", "factor", "worse"), [(True, 1.2, True), (True, 1.05, False), (False, 1.2, False)])
+def test_times_are_judged_on_request(tmp_path, judged, factor, worse):
+    found = compared(tmp_path, Rules(times=judged), times=factor)
+    assert ("total_ms" in found.regressions) == worse
+    (total,) = (verdict for verdict in found.verdicts if verdict.metric.name == "total_ms")
+    assert total.new / total.base == pytest.approx(factor)
+
+
+def test_classes_of_objects_are_compared(tmp_path):
+    assert compared(tmp_path, objects=True).regressions == ["object_distance_error_m.Car"]
