@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Container, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import polars as pl
@@ -85,7 +85,14 @@ STAGE_TIMES: Final = (
 
 (SKEW,) = _quantities(inputs=InputColumns)
 JITTERS: Final = tuple(
-    Quantity(f"lane_{side}_{kind}second_difference_m", f"{side} jitter", "m", 4, relevant=relevant, stage="lanes")
+    Quantity(
+        f"lane_{side}_{kind}second_difference_m",
+        f"lane {side} {'raw ' * bool(kind)}jitter",
+        "m",
+        4,
+        relevant=relevant,
+        stage="lanes",
+    )
     for side in SIDES
     for kind, relevant in (("", 0.001), ("raw_", 0.01))
 )
@@ -104,7 +111,16 @@ STORED: Final = tuple(q for q in (*SEEN, *TRUTH, *STAGE_TIMES, SKEW, *OFFSETS) i
 NUMBERS: Final = (*STORED, *DERIVED)
 SUSPECT: Final = (LOST, SEEN[0], TOTAL)
 """Quantities without truth that indicate problems."""
-RANKED: Final = (*TRUTH, *SUSPECT)
+_BETTER: Final[Mapping[str, Better]] = {
+    "detections_kept": "high",
+    "stereo_valid_ratio": "high",
+    "odometry_inliers": "high",
+    "lane_left_second_difference_m": "low",
+    "lane_right_second_difference_m": "low",
+}
+QUALITY: Final = tuple(replace(q, better=_BETTER[q.column]) for q in (*SEEN, *JITTERS) if q.column in _BETTER)
+"""Quantities that describe a stage without truth."""
+RANKED: Final = (*TRUTH, *SUSPECT, *QUALITY)
 """Quantities for rankings of frames and logs."""
 COVERED: Final = {
     "surface": "camera_height_m",

@@ -1,7 +1,9 @@
 """Report over finished runs, on the terminal and as an HTML page."""
 
+import argparse
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -13,48 +15,80 @@ from roadperc_stream.output.terminal import console_for, print_lines, print_part
 from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.system.text import number
 
+from .answers import Answer, of_pair, of_summaries, print_answer, wants_files, write_files
+from .brief import rows_tables
 from .configurations import UNKNOWN, grouped, settings_table, short_digest
 from .continued import find_joined
-from .quantities import COVERED, SKEW, legend, listed, name_columns, percent, short_names
+from .frame_commands import view_command
+from .quantities import SKEW, legend, listed, name_columns, percent, short_names
 from .runs import Run
 from .sections import LISTED, accuracy, latency, missing_outputs, sections, worst_frames
+from .slices import slices_of_runs
 from .summary import Summary, summarise_group, summarise_run
 
 WritePage = Callable[[Path, list[Run]], None]
 RUNS_LISTED: Final = 40
-"""Rows of the tables with one row per run; if there are more runs, those with the least coverage."""
-_NARROW: Final = {"odometry": "odom."}
-"""Short headers for wide tables."""
+"""Most rows of the table of runs with ``--full``."""
+_MORE: Final = "pass --full for all tables, --by EXPRESSION for slices"
 
 
-def print_report(arguments: Sequence[str], worst: int, html: Path | None, write_page: WritePage | None) -> None:
-    """Print tables over finished runs.
+def print_report(arguments: argparse.Namespace, write_page: WritePage | None) -> None:
+    """Print the figures of finished runs, and write the files that the options name.
 
     Args:
-        arguments: tables, logs, folders or globs.
-        worst: number of frames listed for each error.
-        html: path of a page to write as well, if any.
+        arguments: of the command.
         write_page: writes the page; None without a page, since its import is slow.
 
     Raises:
-        TableError: an argument names no run, or no run has a frame.
+        TableError: an argument names no run, no run has a frame, or a column does not exist.
+        TargetError: a file cannot be written.
     """
-    found = find_joined(arguments)
+    found = find_joined(arguments.runs)
     filled = [item for item in found.runs if item.frames]
     if not filled:
         raise TableError(f"{found.runs[0].why_empty}; expected a table with frames")
-    if html is not None and write_page is not None:
-        write_page(html, filled)  # first, because the reader of the text may close the pipe
+    if arguments.html is not None and write_page is not None:
+        write_page(arguments.html, filled)  # first, because the reader of the text may close the pipe
+    answer = None if arguments.full and not wants_files(arguments) else _answer(filled, arguments.by)
+    if answer is not None:
+        write_files(answer, arguments)
     console = console_for(sys.stdout)
     print_lines(console, *found.notes, *(item.why_empty for item in found.runs if not item.frames), unbroken=True)
-    if len(filled) == 1:
-        summary = summarise_run(filled[0], worst)
+    if answer is not None and not arguments.full:
+        print_answer(console, answer)
+    elif len(filled) == 1:
+        summary = summarise_run(filled[0], arguments.worst)
         print_lines(console, identity(summary), extent(summary), inputs(summary))
         print_parts(console, *sections([summary]), worst_frames([summary]))
     else:
-        _print_several(console, filled, worst)
-    if html is not None:
-        print_lines(console, "", f"page   {html}", unbroken=True)
+        _print_several(console, filled, arguments.worst)
+    if arguments.html is not None:
+        print_lines(console, "", f"page   {arguments.html}", unbroken=True)
+
+
+def _answer(runs: Sequence[Run], by: Sequence[str]) -> Answer:
+    """The short report."""
+    if by:
+        return slices_of_runs(runs, by)
+    summaries = [summarise_run(run, 1) for run in runs]
+    if len(runs) == 2 and len({summary.log_ids for summary in summaries}) == 1:
+        with suppress(TableError):  # runs without a common frame get a row each
+            return of_pair(runs, summaries)
+    names = short_names([run.name for run in runs], name_columns(console_for(sys.stdout)))
+    settings = settings_table({names[run.name]: run for run in runs})
+    tables = (settings, *rows_tables("Run", [replace(s, name=names[s.name]) for s in summaries]))
+    notes = tuple(legend(names))
+    answer = of_summaries("Report", "runs", summaries, lambda at: view_command(_named(runs, at.run), at.frame))
+    if len(runs) == 1:
+        (summary,) = summaries
+        extent_s = f"{number(summary.frames, 'frame')}{in_segments(summary)}, {summary.span_s:.2f} s"
+        return replace(answer, head=(f"{identity(summary)}, {extent_s}", *answer.head), tail=(*answer.tail, _MORE))
+    head = (f"{contents(summaries)}, {sum(summary.frames for summary in summaries)} frames", *answer.head)
+    return replace(answer, head=head, tables=tables, tail=(*notes, *answer.tail, _MORE))
+
+
+def _named(runs: Sequence[Run], name: str) -> Run:
+    return next(run for run in runs if run.name == name)
 
 
 def _print_several(console: Console, found: Sequence[Run], worst: int) -> None:
@@ -65,7 +99,7 @@ def _print_several(console: Console, found: Sequence[Run], worst: int) -> None:
     groups = [summarise_group(group, worst) for group in grouped_runs]
     together = [summary for _, summary in groups]
     runs = [summary for summaries, _ in groups for summary in summaries]
-    rows = least_covered(runs)
+    rows = runs[:RUNS_LISTED]
     print_lines(console, contents(runs))
     print_parts(console, settings, runs_table(rows, tuple(legend(names))))
     for summary in together[:LISTED]:
@@ -73,11 +107,11 @@ def _print_several(console: Console, found: Sequence[Run], worst: int) -> None:
         print_lines(console, "", *name, extent(summary), inputs(summary))
         if summary.rank_error:
             print_lines(console, precision(summary))
-    print_parts(console, *sections(together), worst_frames(together), coverage_by_run(rows))
+    print_parts(console, *sections(together), worst_frames(together), *rows_tables("Run", runs))
     if len(runs) > len(groups):
         print_parts(console, *tables_by_run(runs))
     if len(runs) > len(rows):
-        print_lines(console, f"listed: the {len(rows)} of {len(runs)} runs with the least coverage")
+        print_lines(console, f"listed: the first {len(rows)} of {len(runs)} runs")
     each_time = f"at most {LISTED} of {{}} per row, those with the worst p95"
     if len(groups) > LISTED:
         print_lines(console, f"by configuration: {each_time.format(len(groups))}")
@@ -138,14 +172,6 @@ def precision(summary: Summary) -> str:
     )
 
 
-def least_covered(summaries: Sequence[Summary]) -> list[Summary]:
-    """The runs that get a row, in order."""
-    if len(summaries) <= RUNS_LISTED:
-        return list(summaries)
-    least = sorted(range(len(summaries)), key=lambda place: sum(_shares(summaries[place], COVERED.values())))
-    return [summaries[place] for place in sorted(least[:RUNS_LISTED])]
-
-
 def runs_table(summaries: Sequence[Summary], notes: tuple[str, ...]) -> TextTable:
     """A row per run: log, configuration, extent, and the version if they differ."""
     versions = len({summary.versions for summary in summaries}) > 1
@@ -159,23 +185,9 @@ def _run(summary: Summary, with_version: bool) -> TextRow:
     return row(summary.name, listed(summary.log_ids, 1), short_digest(summary.configs[0]), *version, *extent)
 
 
-def coverage_by_run(summaries: Sequence[Summary]) -> TextTable:
-    """A row per run: shares of frames with all inputs, and with each output that any run has."""
-    shown = {what: column for what, column in COVERED.items() if any(column in s.statistics for s in summaries)}
-    rows = (row(summary.name, *map(percent, _shares(summary, shown.values()))) for summary in summaries)
-    return TextTable(
-        "Coverage, %", ("inputs", *(_NARROW.get(what, what) for what in shown)), tuple(rows), label_columns=15
-    )
-
-
 def tables_by_run(summaries: Sequence[Summary]) -> Iterator[TextTable]:
     """Missing outputs that differ between runs, accuracy and latency, each with a line per run."""
     missing = missing_outputs(summaries)
     vary = tuple(item for item in missing.rows if len({cells[-1:] for cells in item.cells}) > 1)
     for table in (replace(missing, rows=vary), accuracy(summaries), latency(summaries)):
         yield replace(table, title=f"{table.title} by run", notes=())
-
-
-def _shares(summary: Summary, columns: Iterable[str]) -> list[float]:
-    """Shares of frames with all inputs, and with a value in each column."""
-    return [1 - summary.incomplete / summary.frames, *(summary.coverage(column) for column in columns)]

@@ -4,6 +4,7 @@ A table starts a new segment where its stamps step back: at another recording, o
 difference, gap or motion is measured across segments. Time continues from one segment to the next without a gap.
 """
 
+import math
 from collections.abc import Container, Iterable
 from typing import Final
 
@@ -149,7 +150,7 @@ def worst_frames(quantity: Quantity, number: int) -> pl.Expr:
     value = pl.col(quantity.column)
     high = quantity.better == "high"
     badness = -quantity.judged if high else quantity.judged
-    flawed = badness > (-1 if high and quantity.unit == RATIO else 0)
+    flawed = badness > ((-1 if quantity.unit == RATIO else -math.inf) if high else 0)
     row = pl.struct("frame", SEGMENT, "since_start_s", "stamp_ns", value=value).filter(flawed)
     order = [badness.filter(flawed), pl.col(SEGMENT).filter(flawed), pl.col("stamp_ns").filter(flawed)]
     return row.sort_by(order, descending=[True, False, False]).head(number).implode().alias(f"worst {quantity.column}")

@@ -195,10 +195,14 @@ def _facts(worst: int) -> list[pl.Expr]:
 
 
 def _merged(summaries: Iterable[Summary], quantity: Quantity, worst: int) -> tuple[WorstFrame, ...]:
-    """The worst frames of all runs; equal values stay in the order of the runs."""
-    frames = [frame for summary in summaries for frame in summary.worst.get(quantity.column, ())]
+    frames = chain.from_iterable(summary.worst.get(quantity.column, ()) for summary in summaries)
+    return worst_of(frames, quantity, worst)
+
+
+def worst_of(frames: Iterable[WorstFrame], quantity: Quantity, number: int) -> tuple[WorstFrame, ...]:
+    """The worst of the worst frames of several runs; equal values stay in the order of the runs."""
     high = quantity.better == "high"
-    return tuple(sorted(frames, key=lambda frame: frame.value if high else -abs(frame.value))[:worst])
+    return tuple(sorted(frames, key=lambda frame: frame.value if high else -abs(frame.value))[:number])
 
 
 def _distinct(parts: Iterable[Iterable[str]]) -> tuple[str, ...]:

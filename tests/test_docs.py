@@ -115,24 +115,11 @@ def test_every_python_example_runs(code, tmp_path):
     run(f"{PYTHON} example.py", tmp_path)
 
 
-def test_the_report_in_the_docs_has_tables_of_the_printed_one(folder):
-    printed = run("roadperc-report logs/runs/demo/sample.mcap", folder)
-    page = (ROOT / "docs" / "evaluation.md").read_text(encoding="utf-8")
-    shown = re.search(r"<!-- report -->\n```text\n(.*?)```", page, re.DOTALL).group(1)
-    cut = re.compile(r"configuration \w+, version \S+")
-    shown, printed = (cut.sub("", text).partition("Latency")[0].strip().split("\n\n") for text in (shown, printed))
-    tables = {words(text)[0]: text for text in printed}
-    assert len(shown) == 4
-    for table in shown:
-        expected = tables[words(table)[0]]
-        assert words(table) == words(expected)
-        assert numbers(table) == pytest.approx(numbers(expected), rel=0.02, abs=0.002)
-
-
-def test_the_readme_shows_lines_of_the_report(folder):
+@pytest.mark.parametrize("page", ["README.md", "docs/evaluation.md"])
+def test_the_pages_show_lines_of_the_report(folder, page):
     printed = run("roadperc-report logs/runs/demo/sample.mcap", folder).splitlines()
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    shown = [line for line in re.search(r"```text\n(.*?)```", readme, re.DOTALL).group(1).splitlines() if line]
+    text = (ROOT / page).read_text(encoding="utf-8")
+    shown = [line for line in re.search(r"```text\n(.*?)```", text, re.DOTALL).group(1).splitlines() if line]
     assert len(shown) >= 8
     for line in shown:
         match = next((other for other in printed if words(other) == words(line)), None)

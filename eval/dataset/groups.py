@@ -12,11 +12,12 @@ import polars as pl
 from roadperc_stream.errors import TableError
 from roadperc_stream.system.time import NS_PER_S
 
+from ..expressions import as_key, key_name
 from ..quantities import CATEGORIES, COUNTS, NUMBERS
 from ..scores import Tallies, tallied, tallied_together, tallies
 from ..statistics import ColumnPools, Distribution, Moments, exactly, moments, thinned
 from ..summary import EXACT_FRAMES, POINTS, Summary
-from .keys import LOG, Grouping, Key, as_key, group_name, grouping, in_order, key_name
+from .keys import LOG, Grouping, Key, group_name, grouping, in_order
 from .place import DONE, RUN_COLUMNS, scan_tables, without_file
 from .reading import FILES, GAP_NS, SEGMENTS, SPAN_NS, batches, ledger, logs_of, rows_of_tables
 from .worst import chosen
@@ -131,7 +132,7 @@ def group_frames(files: Sequence[str], runs: pl.DataFrame, asked: Sequence[str])
 
 
 def _grouped(files: Sequence[str], known: pl.DataFrame, by: Grouping) -> GroupedFrames:
-    run_keys = known.select(*LOG, *(as_key(name, RUN_COLUMNS[name]) for name in by.of_runs))
+    run_keys = known.select(*LOG, *(as_key(name, RUN_COLUMNS) for name in by.of_runs))
     rows = rows_of_tables(files, by)
     replaced = without_file(known).select(LOG)
     if replaced.height:

@@ -13,8 +13,8 @@ from roadperc_stream.config.settings import as_typed, settings_in
 from roadperc_stream.errors import ConfigError, TableError
 
 from ..configurations import Settings
+from ..expressions import roots, unknown
 from ..options import number_or_text
-from ..quantities import listed
 from .place import DATE, RUN_COLUMNS
 
 LOG: Final = ("log_id", "config")
@@ -31,7 +31,7 @@ _OPTIONS: Final = ("--base-config", "--new-config")
 
 @dataclass(frozen=True)
 class Grouping:
-    """The columns that group the rows, and their origin.
+    """The columns and expressions that group the rows, and their origin.
 
     ``of_runs`` come from the list of runs, ``of_rows`` may change from frame to frame; the others belong to a file.
     """
@@ -58,27 +58,14 @@ def grouping(by: Sequence[str], table_columns: Collection[str]) -> Grouping:
         TableError: a column does not exist.
     """
     names = tuple(dict.fromkeys("log_id" if name == "log" else name for name in by))
-    of_rows = tuple(name for name in names if name not in _OF_THE_FILE and name in table_columns)
-    of_runs = tuple(name for name in names if name not in (*_OF_THE_FILE, *of_rows) and name in RUN_COLUMNS)
+    tables, lists = {*_OF_THE_FILE, *table_columns}, set(RUN_COLUMNS)
+    of_rows = tuple(name for name in names if name not in _OF_THE_FILE and tables.issuperset(roots(name)))
+    of_runs = tuple(name for name in names if not tables.issuperset(roots(name)) and lists.issuperset(roots(name)))
     for name in names:
         if name not in (*_OF_THE_FILE, *of_rows, *of_runs):
-            word = name.partition("_")[0]
-            near = sorted({other for other in (*table_columns, *RUN_COLUMNS) if word in other})
-            hint = f"; similar columns: {listed(near)}" if near else ""
-            raise TableError(f"--by {name}: no column of the metrics tables or of runs.parquet{hint}")
+            lacking = next(root for root in roots(name) if root not in tables)
+            raise unknown(name, lacking, tables | lists, "the metrics tables or of runs.parquet")
     return Grouping(names, of_runs, of_rows)
-
-
-def as_key(name: str, kind: pl.DataType) -> pl.Expr:
-    """A column as text, for the keys and names of groups."""
-    column = pl.col(name)
-    text = column.cast(pl.List(pl.String)).list.join("; ") if isinstance(kind, pl.List) else column.cast(pl.String)
-    return pl.when(text.str.len_bytes() > 0).then(text).alias(key_name(name))
-
-
-def key_name(name: str) -> str:
-    """Name of a key's column; the table's own column may have another type."""
-    return f"by {name}"
 
 
 def log_names(log_ids: Iterable[str], runs: pl.DataFrame) -> dict[str, str]:

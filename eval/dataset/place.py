@@ -103,6 +103,20 @@ def scan_tables(files: Sequence[str]) -> pl.LazyFrame:
     )
 
 
+def scan_objects(dataset: Dataset, runs: pl.DataFrame) -> pl.LazyFrame:
+    """All rows of the dataset's tables of objects; ``log`` is the name of the log's file, or its digest.
+
+    Raises:
+        TableError: there are no tables of objects, or one cannot be read.
+    """
+    files = dataset.tables("objects", f"{_PARTITION}*", f"*{TABLE_SUFFIX}")
+    if not files:
+        raise TableError(f"{dataset.address}: no tables in objects/date=.../; expected tables of objects")
+    known = runs.filter(pl.col("log_id").is_not_null()).unique("log_id", keep="last")
+    stem = pl.col("path").str.extract(r"([^/]*?)(?:\.[^./]*)?$")
+    return scan_tables(files).join(known.lazy().select("log_id", stem.alias("log")), on="log_id", how="left")
+
+
 def date_of(file: pl.Expr) -> pl.Expr:
     """The date of a table, from the name of its folder."""
     return file.str.extract(rf"(?:^|[/\\]){_PARTITION}([^/\\]*)[/\\][^/\\]*$")

@@ -12,10 +12,11 @@ import polars as pl
 
 from roadperc_stream.errors import TableError
 
+from ..expressions import as_key, key_name
 from ..quantities import COVERED, RANKED
 from ..runs import REQUIRED_COLUMNS, first_line, reading
 from ..scan import NUMBER_COLUMNS, SEGMENT, derived_columns, difference, finite, stored_columns
-from .keys import LOG, Grouping, as_key, key_name
+from .keys import LOG, Grouping
 from .place import DATE, FILE, date_of, scan_tables
 
 FRAMES, SPAN_NS, SEGMENTS, GAP_NS, FILES = "frames", "span ns", "segments", "gap ns", "files"
@@ -64,7 +65,7 @@ def rows_of_tables(files: Sequence[str], by: Grouping) -> pl.LazyFrame:
     """
     tables, schema = metrics_tables(files)
     keys = [
-        date_of(pl.col(FILE)).alias(key_name(name)) if name == DATE else as_key(name, schema[name])
+        date_of(pl.col(FILE)).alias(key_name(name)) if name == DATE else as_key(name, schema)
         for name in by.columns
         if name not in by.of_runs
     ]

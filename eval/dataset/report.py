@@ -1,5 +1,7 @@
 """Prints the report over a batch's dataset."""
 
+import argparse
+import math
 import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -15,18 +17,37 @@ from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.system.text import number
 from roadperc_stream.system.time import NS_PER_S
 
+from ..answers import Answer, of_summaries, print_answer, wants_files, write_files
+from ..brief import has_truth, rows_tables, stage_figures, with_unit
 from ..configurations import Settings, rows_that_differ
+from ..frame_commands import view_dataset_command
 from ..quantities import Quantity, legend, listed, percent, rounded, short_names
 from ..report import inputs, precision
 from ..sections import LISTED, sections
+from ..slices import object_slices, of_objects
 from ..summary import Summary
 from .groups import GroupedFrames, group_frames, summaries_of
 from .keys import DEFAULT, LOG, in_order_of_runs, log_names, settings_by_config
-from .place import DONE, NO_TABLES, Dataset, metrics_files, read_runs, without_file
+from .place import (
+    DATE,
+    DONE,
+    NO_TABLES,
+    RUN_COLUMNS,
+    Dataset,
+    metrics_files,
+    read_runs,
+    scan_objects,
+    scan_tables,
+    without_file,
+)
 from .reading import FRAMES, SPAN_NS
 from .worst import LogKey, Row, key_of, worst_logs
 
 FAILED_LISTED: Final = 20
+_FEW: Final = 3
+"""Failed logs and worst logs in the short report."""
+_NAME_COLUMNS: Final = 22
+"""Width of a group's name in the short report."""
 _LABEL_COLUMNS: Final = 24
 _HOUR_S: Final = 3600
 _GROUP_COLUMNS: Final = 59
@@ -35,7 +56,7 @@ _WORST_COLUMNS: Final = 59
 """Width of the widest table of worst logs beside a log's name."""
 
 
-def _statuses(runs: pl.DataFrame) -> Iterator[str]:
+def _statuses(runs: pl.DataFrame, most: int) -> Iterator[str]:
     """Numbers of runs by status, then a line for each of the first failed logs.
 
     A line names the configurations unless the log failed under all of them.
@@ -48,11 +69,11 @@ def _statuses(runs: pl.DataFrame) -> Iterator[str]:
     configs = runs["config"].n_unique()
     failed = runs.filter(pl.col("status") != DONE).sort("status", "path", "config")
     logs = failed.group_by("status", "path", "error", maintain_order=True).agg("config")
-    for status, path, error, under in logs.head(FAILED_LISTED).iter_rows():
+    for status, path, error, under in logs.head(most).iter_rows():
         where = "" if len(under) == configs else f" ({', '.join(under)})"
         yield f"  {status}{where}: {path}: {(error or 'no reason given').removeprefix(f'{path}: ')}"
-    if logs.height > FAILED_LISTED:
-        yield f"  and {logs.height - FAILED_LISTED} more, in runs.parquet"
+    if logs.height > most:
+        yield f"  and {logs.height - most} more, in runs.parquet"
 
 
 def settings_that_differ(known: Mapping[str, Settings | None]) -> TextTable:
@@ -166,33 +187,69 @@ def _count(rows: pl.DataFrame) -> str:
     return f"{rows.height} ({listed(names, 3)})"
 
 
-def print_dataset(dataset: Dataset, by: Sequence[str], worst: int) -> None:
-    """Print statistics over a dataset's tables by group, and its worst logs.
+def print_dataset(dataset: Dataset, arguments: argparse.Namespace) -> None:
+    """Print the figures of a dataset by group, and its worst logs, and write the files that the options name.
 
     Args:
         dataset: the dataset.
-        by: columns to group by; if empty, configuration and version if they differ.
-        worst: number of logs listed for each error, and of frames of each log.
+        arguments: of the command. Without ``by`` the groups are configurations, and versions if they differ.
 
     Raises:
         TableError: there are no tables, a table cannot be read, or a column does not exist.
+        TargetError: a file cannot be written.
     """
     runs, files = read_runs(dataset), metrics_files(dataset)
     console = console_for(sys.stdout)
     if not files:
         if not runs.height:
             raise TableError(f"{dataset.address}: {NO_TABLES}")
-        print_lines(console, *_statuses(runs), unbroken=True)
+        print_lines(console, *_statuses(runs, FAILED_LISTED), unbroken=True)
         raise TableError(f"{dataset.address}: no tables in metrics/date=.../; no log of the batch has frames")
-    found = group_frames(files, runs, by)
+    if arguments.by and of_objects(arguments.by, (*scan_tables(files).collect_schema(), *RUN_COLUMNS, DATE)):
+        answer = object_slices(scan_objects(dataset, runs), arguments.by, dataset.address)
+        write_files(answer, arguments)
+        print_answer(console, answer)
+        return
+    found = group_frames(files, runs, arguments.by)
     configs = in_order_of_runs(found.logs["config"].unique(maintain_order=True).to_list(), runs)
     names = log_names(found.logs["log_id"].unique(maintain_order=True), runs)
     summaries = summaries_of(found, names, configs)
-    print_lines(console, _contents(dataset, found.logs), *_statuses(runs), unbroken=True)
-    print_lines(console, *not_listed(runs, found.logs), unbroken=True)
-    print_table(console, settings_that_differ(settings_by_config(runs, configs)))
+    settings = settings_that_differ(settings_by_config(runs, configs))
+    head = [_contents(dataset, found.logs), *_statuses(runs, FAILED_LISTED if arguments.full else _FEW)]
+    head += not_listed(runs, found.logs)
+    if not arguments.full or wants_files(arguments):
+        answer = _answer(dataset, found, runs, names, summaries)
+        answer = replace(answer, head=(*head, *answer.head), tables=(settings, *answer.tables))
+        write_files(answer, arguments)
+        if not arguments.full:
+            print_answer(console, answer)
+            return
+    print_lines(console, *head, unbroken=True)
+    print_table(console, settings)
     _print_groups(console, summaries, found)
-    _print_worst(console, found.logs, runs, names, worst)
+    _print_worst(console, found.logs, runs, names, arguments.worst)
+
+
+def _answer(
+    dataset: Dataset, found: GroupedFrames, runs: pl.DataFrame, names: Mapping[str, str], summaries: Sequence[Summary]
+) -> Answer:
+    """The stages of one group, or a row for each group; then the worst log by each stage's error."""
+    short = _short([summary.name for summary in summaries], found.by.columns, _NAME_COLUMNS)
+    renamed = [replace(summary, name=short[summary.name]) for summary in summaries]
+    answer = of_summaries("Report", "groups", summaries, lambda _: "")
+    several = found.logs["config"].n_unique() > 1
+    columns = {figures.quantity.column for s in summaries for figures in stage_figures(s, truth=has_truth(summaries))}
+    worst = [(q, logs[0]) for q, logs in worst_logs(found.logs, 1)[0].items() if q.column in columns]
+    lines, values = [], []
+    for quantity, item in sorted(worst, key=lambda pair: -pair[1]["mean"] / (pair[0].limit or math.inf))[:_FEW]:
+        (log_id, config), at = key_of(item), item["at"][0]
+        command = view_dataset_command(dataset.address, names[log_id], at["frame"], config if several else "")
+        values.append({"column": quantity.column, "log": names[log_id], "config": config, **at, "command": command})
+        lines.append(f"worst log: {with_unit(abs(at['value']), quantity)}: {command}")
+    note = () if runs.height else ("no runs.parquet: failed logs are unknown",)
+    tables = answer.tables if len(summaries) == 1 else rows_tables("Group", renamed)
+    tail = (*legend(short), *lines, *answer.tail, *note, "pass --full for all tables, --by EXPRESSION for slices")
+    return replace(answer, tables=tables, tail=tail, values={**answer.values, "worst_logs": values})
 
 
 def _contents(dataset: Dataset, logs: pl.DataFrame) -> str:

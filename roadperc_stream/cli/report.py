@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+from roadperc_stream.cli.arguments import add_machine_arguments
 from roadperc_stream.cli.completers import RUNS, completed_by, files
 from roadperc_stream.cli.plumbing import command_parser, parse, part, run, whole_number
 
@@ -15,8 +16,10 @@ example:
   roadperc-report 'runs/*/town*.metrics.parquet' --worst 10
   roadperc-report runs/ --html report.html             also a page with charts and pictures of the worst frames
   roadperc-report dataset                              the dataset of a batch, by configuration
+  roadperc-report runs/base/sample.mcap --by "floor(nearest_object_m / 10) * 10"
+                                                       slices by a column or a polars SQL expression, the worst first
+  roadperc-report runs/base/sample.mcap --by class     errors of the objects of each class
   roadperc-report s3://bucket/dataset --by log,config  by log and configuration
-  roadperc-report dataset --by lane_left_status        by any column
 """
 
 
@@ -25,40 +28,46 @@ def main(argv: list[str] | None = None) -> int:
     parser = _parser()
     arguments = parse(parser, argv)
     datasets = [dataset for run_ in arguments.runs if (dataset := part("eval.dataset.place").dataset_at(run_))]
-    if datasets or arguments.by:
-        _require_one_dataset(parser, arguments, len(datasets))
+    if datasets:
+        _require_one_dataset(parser, arguments)
         of_dataset = part("eval.dataset.report")
-        return run(lambda: of_dataset.print_dataset(datasets[0], arguments.by, arguments.worst))
+        return run(lambda: of_dataset.print_dataset(datasets[0], arguments))
     report = part("eval.report")
     write_page = part("eval.html.page").write_page if arguments.html else None
-    return run(lambda: report.print_report(arguments.runs, arguments.worst, arguments.html, write_page))
+    return run(lambda: report.print_report(arguments, write_page))
 
 
-def _require_one_dataset(parser: argparse.ArgumentParser, arguments: argparse.Namespace, datasets: int) -> None:
+def _require_one_dataset(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
     """Exit with code 2 if options contradict each other."""
-    if not datasets:
-        parser.error("--by needs the OUT_DIR of a batch, a folder with runs.parquet and metrics/date=.../")
     if len(arguments.runs) > 1:
         parser.error("expected one OUT_DIR of a batch without any other RUN")
     if arguments.html:
         parser.error("--html cannot be combined with the OUT_DIR of a batch; name some of its tables as RUN")
 
 
-def _columns(text: str) -> list[str]:
-    names = [name.strip() for name in text.split(",")]
-    if not all(names):
-        raise argparse.ArgumentTypeError(f"{text!r}: expected names of columns, such as config,date")
-    return names
+def _expressions(text: str) -> list[str]:
+    """Split at the commas outside of brackets and quotes."""
+    names, depth, quote = [""], 0, ""
+    for character in text:
+        quote = "" if character == quote else quote or (character if character in "'\"" else "")
+        depth += 0 if quote else (character in "([") - (character in ")]")
+        if character == "," and not depth and not quote:
+            names.append("")
+        else:
+            names[-1] += character
+    found = [name.strip() for name in names]
+    if not all(found):
+        raise argparse.ArgumentTypeError(f"{text!r}: expected columns or SQL expressions, such as config,date")
+    return found
 
 
 def _parser() -> argparse.ArgumentParser:
     worst = part("eval.options").WORST_FRAMES
     parser = command_parser(
         "report",
-        "Report on replays: coverage, accuracy if the log has truth, missing outputs, latency and the worst frames.\n"
-        "Runs of one configuration are pooled and then listed. Runs of several configurations are shown side by\n"
-        "side with the settings that differ. For the OUT_DIR of a batch, print the same over all logs, and the\n"
-        "worst logs.",
+        "Report on replays: coverage, error and worst frame of each stage, and the latency. For two runs of a log,\n"
+        "print the relevant differences; for more, a row for each. For the OUT_DIR of a batch, print a row for each\n"
+        "configuration, and the worst logs. --full prints all tables.",
         _EXAMPLE,
     )
     runs = parser.add_argument(
@@ -70,18 +79,19 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--by",
-        metavar="COLUMN[,COLUMN]",
-        type=_columns,
+        metavar="EXPR[,EXPR]",
+        type=_expressions,
         default=[],
-        help="for the OUT_DIR of a batch: group by config (the default), log, date, or any columns of the metrics "
-        "tables or of runs.parquet, such as lane_left_status or worker",
+        help="a row for each value of columns or polars SQL expressions, the worst first: log, class, date, "
+        "lane_left_status, 'floor(distance_m / 10) * 10'",
     )
+    parser.add_argument("--full", action="store_true", help="print all tables")
     parser.add_argument(
         "--worst",
         metavar="N",
         type=whole_number,
         default=worst,
-        help=f"list the N worst frames for each error; for the OUT_DIR of a batch, the N worst logs (default {worst})",
+        help=f"with --full, list the N worst frames for each error; for a batch, the N worst logs (default {worst})",
     )
     html = parser.add_argument(
         "--html",
@@ -90,6 +100,7 @@ def _parser() -> argparse.ArgumentParser:
         help="also write one offline page with summary, charts, trajectory and pictures of the worst frames; "
         "an existing file is replaced",
     )
+    add_machine_arguments(parser)
     completed_by(runs, files(*RUNS))
     completed_by(html, files(".html"))
     return parser

@@ -131,7 +131,7 @@ def test_a_run_is_read_from_both_tables(tmp_path):
 def test_the_report_and_the_page_have_the_table(tmp_path, capsys):
     errors = np.random.default_rng(4).normal(size=200)
     path = frames(tmp_path / "drive.metrics.parquet", 0.1 * errors, np.full(200, 0.1))
-    assert main([str(path), "--html", str(tmp_path / "page.html")]) == 0
+    assert main([str(path), "--full", "--html", str(tmp_path / "page.html")]) == 0
     text = capsys.readouterr().out
     line = next(line for line in text.partition("Consistency")[2].splitlines() if line.startswith("step")).split()
     assert line[1:3] == ["200", "100.0"]

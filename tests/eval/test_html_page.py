@@ -130,8 +130,8 @@ def test_the_page_starts_with_differing_settings_and_ranks_worst_frames_per_conf
     words = " ".join(page.text.split())
     assert "Settings that differ base/a slow/a lanes.hold_s 0.5 2.0 What was replayed" in words
     worst = words[words.index("Worst frames") :]
-    assert "stereo disparity, pxbase/a " in worst
-    assert "stereo disparity, pxslow/a " in worst
+    assert "stereo disparity error, pxbase/a " in worst
+    assert "stereo disparity error, pxslow/a " in worst
     assert re.findall(r"base/a (\d)0\.10 px", worst) == list("01234")
     assert re.findall(r"slow/a (\d)0\.20 px", worst) == list("01234")
 
@@ -171,7 +171,7 @@ def test_each_worst_frame_has_one_picture(tmp_path, moved):
     assert len(page.images) == 2
     assert all(image.startswith("data:image/jpeg;base64,/9j/") for image in page.images)
     captions = " ".join(page.text.split())
-    assert "frame 0 at 0.000 s stereo disparity, px 0.50 px 1. turn, deg 1.0000 deg 1." in captions
+    assert "frame 0 at 0.000 s stereo disparity error, px 0.50 px 1. turn error, deg 1.0000 deg 1." in captions
     assert "somewhere" not in captions
     assert "in.mcap" in captions
 

@@ -70,7 +70,7 @@ def runs(tmp_path):
 @pytest.mark.parametrize("number", [1, 2])
 def test_the_report_equals_its_recording(number, runs, tmp_path, monkeypatch, capsys, file_regression):
     monkeypatch.chdir(tmp_path)
-    assert main([path.rpartition("/")[2] for path in runs[:number]]) == 0
+    assert main([path.rpartition("/")[2] for path in runs[:number]] + ["--full"]) == 0
     file_regression.check(re.sub(r" +$", "", capsys.readouterr().out, flags=re.MULTILINE))
 
 

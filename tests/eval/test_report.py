@@ -1,5 +1,6 @@
 """roadperc-report: its text, its width, and its exit code."""
 
+import json
 import re
 from functools import partial
 from pathlib import Path
@@ -9,12 +10,13 @@ import pytest
 
 from roadperc_stream.cli.report import main
 from roadperc_stream.config import load_config
-from roadperc_stream.eval import report as report_module
 from roadperc_stream.eval import summary
+from roadperc_stream.eval.frame_commands import view_command, view_pair_command
 from roadperc_stream.output.tables import table_facts
-from tests.eval.tables import outcome, row, write
+from tests.eval.tables import outcome, row, run_of, write
 
-report = partial(outcome, main)
+short = partial(outcome, main)
+report = partial(outcome, lambda argv: main([*argv, "--full"]))
 
 TRUTHFUL = {
     "surface_source": "depth",
@@ -79,26 +81,10 @@ def test_a_long_name_is_shortened_and_explained_in_the_legend(drive, tmp_path, c
     lines = text.splitlines()
     assert f"the_qui…azy_dog: {name}" in lines
     assert sum(name in line for line in lines) == 1
-    at = next(k for k, line in enumerate(lines) if line == "lane left at 10 m, m" and "15778" in lines[k + 1])
+    at = next(k for k, line in enumerate(lines) if line == "lane left error at 10 m, m" and "15778" in lines[k + 1])
     assert lines[at + 1].split() == ["the_qui…azy_dog", "9.000", "0", "0.000", "1577836800000000000"]
     rows = [line for line in lines if line.lstrip().startswith("the_qui…azy_dog ")]
     assert all(re.search(r"\d$", line) for line in rows)
-
-
-def test_eight_runs_with_all_columns_have_a_line_each_in_80_columns(tmp_path, capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "80")
-    everything = {**TRUTHFUL, "drivable_ratio": 0.4, "lane_right_offset_m": -1.7, "detections": 12}
-    everything |= {"stereo_valid_ratio": 0.7, "step_m": 0.5, "lane_left_error_m": 0.1}
-    for k in range(8):
-        path = tmp_path / f"a_run_whose_name_says_what_was_changed_{k}_and_why" / "town_in_the_rain_at_night"
-        path.mkdir(parents=True)
-        write(path / "drive.metrics.parquet", [row(0, **everything)], config=f"{k}" * 64)
-        write(path / "other.metrics.parquet", [row(0, **everything)], config=f"{k}" * 64)
-    _, text, _ = report(capsys, tmp_path, "--worst", "1")
-    table = text[text.index("Coverage, %") :].split("\n\n")[0].splitlines()[2:]
-    assert [len(line.split("  ")[0]) <= 15 and line.count("100.0") for line in table] == [8] * 16
-    assert len({line.split("  ")[0] for line in table}) == 16
-    assert max(len(line) for line in text.splitlines() if "town_in_the_rain" not in line) <= 80
 
 
 def test_only_runs_of_one_configuration_are_pooled(tmp_path, capsys):
@@ -147,20 +133,6 @@ def test_of_many_logs_the_worst_are_shown(tmp_path, capsys):
     block = text[text.index("Accuracy by run") : text.index("Latency by run")]
     assert re.findall(r"log(\d\d)", block) == [f"{index:02}" for index in range(13, 1, -1)]
     assert "at most 12 of 14 per row, those with the worst p95" in text
-
-
-def test_of_many_runs_those_with_the_least_coverage_are_listed(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(report_module, "RUNS_LISTED", 15)
-    for index in range(18):
-        seen = 1.5 if index % 9 else None
-        write(tmp_path / f"log{index:02}.metrics.parquet", [row(0, camera_height_m=seen), row(1, camera_height_m=1.5)])
-    _, text, _ = report(capsys, tmp_path)
-    block = text[text.index("Coverage, %") : text.index("Latency by run")]
-    shown = re.findall(r"log(\d\d)", block)
-    assert len(shown) == 15
-    assert shown == sorted(shown)
-    assert {"00", "09"} < set(shown)
-    assert "the 15 of 18 runs with the least coverage" in text
 
 
 def test_the_rank_error_of_thinned_quantiles_is_printed(tmp_path, capsys, monkeypatch):
@@ -212,6 +184,58 @@ def test_reasons_that_differ_between_runs_are_listed_by_run(tmp_path, capsys):
         ["image:", "0x9", "pixels,", "its", "calibration", "says", "64x48", "(numbers", "vary)"],
         ["blind", "2", "50.0"],
     ]
+
+
+def test_the_short_report_has_a_row_per_stage_and_the_command_of_the_worst_frame(drive, capsys):
+    _, text, _ = short(capsys, drive)
+    assert line_of(text, "lane left error at 10 m, m")[-5:] == ["100.0", "0.020", "0.272", "0.300", "2"]
+    worst = [line for line in text.splitlines() if line.startswith("worst frame: ")]
+    assert worst == [f"worst frame: object distance error 12345.678 m: {view_command(run_of(drive), 0)}"]
+    assert "latency: median 4.0 ms, p95 4.0 ms, 250.0 frames/s per core" in text
+    assert len(text.splitlines()) <= 15
+
+
+def test_two_runs_of_a_log_show_only_relevant_differences(tmp_path, capsys):
+    paths = [
+        write(tmp_path / f"{name}.metrics.parquet", [row(k, lane_left_error_m=e + k % 3 / 1000) for k in range(60)])
+        for name, e in (("a", 0.01), ("b", 0.01), ("c", 0.2))
+    ]
+    _, text, _ = short(capsys, *paths[:2])
+    assert "no relevant difference in 60 frames" in text.splitlines()
+    _, text, _ = short(capsys, paths[0], paths[2])
+    assert line_of(text, "lane_left_error_m")[1:4] == ["0.012", "0.202", "+0.19"]
+    assert "worse" in text
+    assert view_pair_command(run_of(paths[0]), run_of(paths[2]), 0) in text
+
+
+@pytest.mark.parametrize(
+    ("by", "expected"),
+    [
+        ("lane_left_error_m > 0.05", [["true", "1", "0.300"], ["false", "2", "0.019"], ["none", "1"]]),
+        ("log", [["drive", "4", "0.272"]]),
+    ],
+)
+def test_slices_are_sorted_by_the_worst(tmp_path, capsys, by, expected):
+    rows = [row(k, lane_left_error_m=error) for k, error in enumerate([0.01, -0.02, 0.30, None])]
+    _, text, _ = short(capsys, write(tmp_path / "drive.metrics.parquet", rows), "--by", by)
+    lines = text[text.index("Slice") :].splitlines()[2:]
+    assert [line.split() for line in lines[: len(expected)]] == expected
+
+
+def test_objects_by_class_and_files_for_other_programs(tmp_path, capsys):
+    path = write(tmp_path / "drive.metrics.parquet", [row(0), row(1)])
+    seen = {"frame": [0, 0, 1], "label": ["Car", "Van", "Car"], "kept": [True] * 3, "distance_m": [10.0, 20.0, 12.0]}
+    pl.DataFrame(seen | {"true_distance_m": [10.5, 22.0, 12.0]}).write_parquet(tmp_path / "drive.objects.parquet")
+    files = {name: tmp_path / f"out.{name}" for name in ("json", "markdown", "junit")}
+    options = [word for name, file in files.items() for word in (f"--{name}", file)]
+    _, text, _ = short(capsys, path, "--by", "class", *options)
+    assert line_of(text, "Van")[1:] == ["1", "1", "100.0", "2.000", "2.000", "2.000"]
+    assert json.loads(files["json"].read_text())["slices"]["Car"]["median"] == 0.25
+    assert "| Van | 1 | 1 |" in files["markdown"].read_text()
+    _, _, error = short(capsys, path, "--by", "clas")
+    assert "--by clas: no column of the tables; similar columns: class" in error
+    assert short(capsys, path, *options)[0] == 0
+    assert '<testsuite name="roadperc-report" tests="0"' in files["junit"].read_text()
 
 
 def test_an_empty_table_is_noted_beside_others_and_an_error_alone(tmp_path, capsys, drive):

@@ -81,7 +81,7 @@ def test_a_table_without_the_column_is_one_segment(tmp_path):
 
 
 def test_the_report_counts_segments_and_curves_are_interrupted_between_them(looped, capsys):
-    assert report_main([str(looped)]) == 0
+    assert report_main([str(looped), "--full"]) == 0
     assert "48 frames in 2 segments over 2.30 s, 20.0 frames/s, longest gap 0.05 s" in capsys.readouterr().out
     found = load_series(run_of(looped), ["lane_left_offset_m"])
     values = found.values["lane_left_offset_m"]

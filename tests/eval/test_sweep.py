@@ -149,7 +149,7 @@ def test_best_settings_are_printed_beside_the_reference(tmp_path, capsys):
     assert [line for line in lines if line.endswith("changed nothing")] == ["lanes.process_noise changed nothing"]
     angle = next(line.split() for line in lines if line.startswith("surface angle"))
     assert angle[-1] == "reference"
-    assert angle[3] == angle[5]
+    assert angle[4] == angle[6]
     assert any(line.startswith("no difference: ") for line in lines)
     assert max(len(line) for line in lines[1:]) <= 80
 

@@ -33,7 +33,7 @@ class SurfaceErrorColumns:
             "angle between the two unit normals in the ego frame, atan2(norm(cross(n, n*)), dot(n, n*))",
             "deg",
             _NO_TRUE_PLANE,
-            "surface angle",
+            "surface angle error",
             4,
             limit=1.0,
         ),
@@ -44,7 +44,7 @@ class SurfaceErrorColumns:
             "h - h*, the height of the camera the depth belongs to",
             "m",
             _NO_TRUE_PLANE,
-            "camera height",
+            "camera height error",
             4,
             better="near 0",
             limit=0.1,
@@ -56,7 +56,7 @@ class SurfaceErrorColumns:
             "median of abs(z - z*) at the nodes of the true height grid with 5 m <= x <= 40 m and abs(y) < 4 m",
             "m",
             "no plane, or no true grid there",
-            "road height 5-40 m",
+            "road height error",
             4,
             limit=0.1,
         ),
@@ -82,7 +82,7 @@ def _lane_error(side: str) -> Column:
         "estimate lies farther left",
         "m",
         "boundary lost, or the true line does not reach 10 m",
-        f"lane {side} at 10 m",
+        f"lane {side} error at 10 m",
         3,
         better="near 0",
         limit=0.3,
@@ -184,7 +184,7 @@ class ObjectErrorColumns:
             "mean of abs(d - d*) over kept detections with both distances",
             "m",
             "no such detection",
-            "object distance error (mean)",
+            "object distance error",
             3,
             limit=1.0,
             relevant=0.05,
@@ -230,7 +230,7 @@ class TrueImpactColumns:
             "t - t*, the smallest time to impact of the objects in the path",
             "s",
             "either is not known",
-            "time to impact",
+            "time to impact error",
             3,
             better="near 0",
             limit=1.0,
@@ -243,7 +243,7 @@ class StereoErrorColumns:
     """Errors of stereo depth against the depth camera, where both cameras see."""
 
     stereo_epe_px: Annotated[
-        float | None, _score("mean of abs(d - d*)", "px", "", "stereo disparity", 2, limit=3.0)
+        float | None, _score("mean of abs(d - d*)", "px", "", "stereo disparity error", 2, limit=3.0)
     ] = None
     stereo_d1_ratio: Annotated[
         float | None,
@@ -252,7 +252,7 @@ class StereoErrorColumns:
         ),
     ] = None
     stereo_abs_rel: Annotated[
-        float | None, _score("mean of abs(Z - Z*) / Z*", RATIO, "", "stereo relative depth", 4, limit=0.2)
+        float | None, _score("mean of abs(Z - Z*) / Z*", RATIO, "", "stereo relative depth error", 4, limit=0.2)
     ] = None
     stereo_coverage: Annotated[
         float | None,
@@ -278,7 +278,7 @@ class OdometryErrorColumns:
             "length of the translation of E = (T*ₖ₋₁⁻¹ T*ₖ)⁻¹ S, S the estimated step since the last frame",
             "m",
             "no step, no true pose at either end, or a step without scale",
-            "step",
+            "step error",
             4,
             limit=0.05,
             relevant=0.002,
@@ -290,7 +290,7 @@ class OdometryErrorColumns:
             "angle of the rotation of E",
             "deg",
             "no step, or no true pose at either end",
-            "turn",
+            "turn error",
             4,
             limit=0.2,
             relevant=0.01,

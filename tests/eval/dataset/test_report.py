@@ -17,7 +17,7 @@ from roadperc_stream.tools.bench.report import write_dataset
 from tests.eval.dataset.datasets import A, B, add_table, compact, done, frames, log_id, small_dataset, write_runs
 from tests.eval.tables import outcome, usage_error
 
-report = partial(outcome, main)
+report = partial(outcome, lambda argv: main([*argv, "--full"]))
 
 
 @pytest.fixture
@@ -46,6 +46,17 @@ def test_names_of_groups(dataset, by, names):
     grouping = group_frames(metrics_files(found), read_runs(found), [by])
     logs = {log_id(number): f"drive{number}" for number in (1, 2)}
     assert [summary.name for summary in summaries_of(grouping, logs, [A, B])] == names
+
+
+def test_the_short_report_has_a_row_per_configuration_and_the_worst_log(dataset, capsys):
+    _, text, _ = outcome(main, capsys, dataset)
+    at = text.index("Group")
+    assert [line.split() for line in text[at:].splitlines()[2:4]] == [[B, "10", "0.688"], [A, "10", "0.220"]]
+    command = f"roadperc-view {dataset} --log drive1 --config {B} --frame 2"
+    assert f"worst log: lane left error at 10 m 0.800 m: {command}" in text.splitlines()
+    assert len(text.splitlines()) <= 20
+    _, text, _ = outcome(main, capsys, dataset, "--by", "lane_left_status || '-' || config")
+    assert f"measured-{A}" in text
 
 
 def test_a_dataset_is_found_by_its_address_on_this_machine(dataset, capsys):
@@ -251,10 +262,9 @@ def test_every_error_is_one_line(dataset, capsys, spoilt, said):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("--by", "log", "elsewhere"), "--by needs the OUT_DIR of a batch"),
         (("DATASET", "elsewhere"), "expected one OUT_DIR of a batch"),
         (("DATASET", "--html", "page.html"), "--html cannot be combined with"),
-        (("DATASET", "--by", "log,,date"), "expected names of columns"),
+        (("DATASET", "--by", "log,,date"), "expected columns or SQL expressions"),
     ],
 )
 def test_wrong_usage(dataset, capsys, arguments, said):

@@ -138,7 +138,7 @@ def test_the_table_shows_the_best_setting_the_reference_and_lower_coverage():
         (OVERLAP, [SettingScore(0.9, 1.0)] * 3),
     ]
     assert cells(best_settings(found, GATES, GATES[0])) == [
-        ["lane left at 10 m, m", "  lower coverage"],
+        ["lane left error at 10 m, m", "  lower coverage"],
         ["0.200", "0.100"],
         ["100.0", "50.0"],
         ["0.300", "0.300"],
@@ -146,7 +146,7 @@ def test_the_table_shows_the_best_setting_the_reference_and_lower_coverage():
         ["gate=3", "gate=2"],
     ]
     assert without_effect(found) == "no difference: drivable IoU"
-    assert cells(effects(found, GATES, "lanes.gate"))[0] == ["lane left at 10 m, m", "  frames %"]
+    assert cells(effects(found, GATES, "lanes.gate"))[0] == ["lane left error at 10 m, m", "  frames %"]
     assert cells(effects(found, GATES, "lanes.gate"))[2] == ["0.100", "50.0"]
 
 

@@ -1,0 +1,174 @@
+"""Short answers of the report: lines and tables for a terminal and Markdown, values for JSON, cases for JUnit."""
+
+import argparse
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from rich.console import Console
+
+from roadperc_stream.output.terminal import print_lines, print_parts
+from roadperc_stream.output.text_table import TextRow, TextTable, row
+
+from .brief import (
+    NO_TRUTH,
+    StageFigures,
+    cases_of,
+    has_truth,
+    latency_line,
+    stage_figures,
+    stage_table,
+    values_of,
+    worst_line,
+    worst_of,
+)
+from .comparison.bootstrap import LEVEL
+from .comparison.comparing import Comparison, compare_runs
+from .comparison.pairing import pair_runs
+from .comparison.verdicts import Group, Mark
+from .frame_commands import view_command, view_pair_command
+from .machine import Case, write_json, write_junit, write_markdown
+from .options import Rules
+from .runs import Run
+from .summary import Summary, WorstFrame
+
+Command = Callable[[WorstFrame], str]
+"""The command that shows a frame."""
+_MARKS: Final[tuple[Mark, ...]] = ("worse", "better")
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The short report: lines above and below its tables, and the same figures for JSON and JUnit."""
+
+    title: str
+    head: tuple[str, ...]
+    tables: tuple[TextTable, ...]
+    tail: tuple[str, ...]
+    values: Mapping[str, Any]
+    cases: tuple[Case, ...] = ()
+
+
+def print_answer(console: Console, answer: Answer) -> None:
+    """Print the lines and the tables."""
+    print_lines(console, *answer.head, unbroken=True)
+    print_parts(console, *answer.tables)
+    print_lines(console, *answer.tail, unbroken=True)
+
+
+def wants_files(arguments: argparse.Namespace) -> bool:
+    """Whether the options name a file for another program."""
+    return any((arguments.json, arguments.markdown, arguments.junit))
+
+
+def write_files(answer: Answer, arguments: argparse.Namespace) -> None:
+    """Write the files for other programs that the options name.
+
+    Raises:
+        TargetError: a file cannot be written.
+    """
+    if arguments.json:
+        write_json(arguments.json, answer.values)
+    if arguments.markdown:
+        write_markdown(arguments.markdown, answer.title, (*answer.head, *answer.tail), answer.tables)
+    if arguments.junit:
+        write_junit(arguments.junit, "roadperc-report", answer.cases)
+
+
+def of_summaries(title: str, kind: str, summaries: Sequence[Summary], command: Command) -> Answer:
+    """The stages of one summary, or the worst frame of several; ``kind`` is their name in JSON."""
+    truth = has_truth(summaries)
+    figures = {summary.name: stage_figures(summary, truth=truth) for summary in summaries}
+    worst = worst_of(found for of_one in figures.values() for found in of_one)
+    (first, *others) = summaries
+    tables = () if others else (stage_table(figures[first.name], truth=truth),)
+    shown = [worst_line(worst, command(worst.at))] if worst and worst.at else []
+    times = [] if others else [latency_line(first)]
+    values = {
+        summary.name: values_of(summary, truth=truth, commands=_commands(figures[summary.name], command))
+        for summary in summaries
+    }
+    cases = tuple(case for summary in summaries for case in cases_of(summary, truth=truth))
+    return Answer(title, () if truth else (NO_TRUTH,), tables, (*shown, *times), {kind: values}, cases)
+
+
+def _commands(figures: Sequence[StageFigures], command: Command) -> dict[str, str]:
+    return {found.stage: command(found.at) for found in figures if found.at}
+
+
+def of_pair(runs: Sequence[Run], summaries: Sequence[Summary]) -> Answer:
+    """The relevant differences of two runs of one log; the first run is the base.
+
+    Raises:
+        TableError: a table cannot be read, or the runs share no stamp.
+    """
+    base, new = runs
+    found = compare_runs(pair_runs([base], [new], other_log=True), None, Rules())
+    groups = [group for mark in _MARKS for group in found.groups(mark)]
+    worst = _worst_line(found, base, new)
+    none = "" if groups else f"no relevant difference in {found.frames} frames"
+    with_each = of_summaries(
+        "Differences", "runs", summaries, lambda at: view_command(base if at.run == base.name else new, at.frame)
+    )
+    changes = ", ".join(line for line in found.changes[0] if line)
+    settings = (f"settings: {changes}",) if changes else ()
+    more = "pass --full for the tables of both runs; roadperc-compare judges them"
+    tail = (
+        *filter(None, (worst, none)),
+        *(f"{name} {latency_line(s)}" for name, s in zip(("base", "new"), summaries, strict=True)),
+        more,
+    )
+    return Answer(
+        with_each.title,
+        (f"base {base.name}, new {new.name}: {found.frames} common frames", *settings, *with_each.head),
+        (_differences(groups),) if groups else (),
+        tail,
+        {**with_each.values, "differences": _values(found)},
+        with_each.cases,
+    )
+
+
+def _worst_line(found: Comparison, base: Run, new: Run) -> str:
+    """The frame in which the new run is worse by most; empty if no metric is worse."""
+    place = found.worst_place
+    names = (verdict.metric.name for verdict in found.named("worse") if verdict.place is place)
+    if place is None:
+        return ""
+    command = view_pair_command(base, new, place.frame)
+    return f"worst frame: {next(names)} {place.base:.4g} → {place.new:.4g}: {command}"
+
+
+def _differences(groups: Sequence[Group]) -> TextTable:
+    """A row for the leading metric of each group, with its first finding of that mark, which is the mean if possible."""
+    rows = tuple(map(_difference, groups))
+    headers = ("base", "new", "change", f"{LEVEL:.0%} interval", "mark")
+    more = any(len(group.verdicts) > 1 for group in groups)
+    notes = ("(+N): N more metrics of the same cause, which roadperc-compare lists",) if more else ()
+    return TextTable("Difference", headers, rows, notes, label_columns=15)
+
+
+def _difference(group: Group) -> TextRow:
+    verdict, others = group.verdicts[0], len(group.verdicts) - 1
+    marked = [finding for finding in verdict.findings if finding.mark == verdict.mark]
+    found = next(iter(marked), verdict.findings[0])
+    interval = f"{found.interval.low:+.3g} to {found.interval.high:+.3g}" if found.interval else ""
+    name = (
+        found.metric.name
+        + (f", {found.statistic}" if found.statistic != "mean" else "")
+        + f" (+{others})" * bool(others)
+    )
+    return row(name, f"{found.base:.4g}", f"{found.new:.4g}", f"{found.new - found.base:+.3g}", interval, found.mark)
+
+
+def _values(found: Comparison) -> dict[str, Any]:
+    return {
+        verdict.metric.name: {
+            "base": verdict.base,
+            "new": verdict.new,
+            "low": verdict.interval.low,
+            "high": verdict.interval.high,
+            "mark": verdict.mark,
+        }
+        for mark in _MARKS
+        for verdict in found.named(mark)
+    }

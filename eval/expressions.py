@@ -1,0 +1,74 @@
+"""Columns and polars SQL expressions that group rows, as in ``--by``."""
+
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
+from typing import Final
+
+import polars as pl
+
+from roadperc_stream.errors import TableError
+
+from .quantities import listed
+from .runs import first_line
+
+_ROWS: Final = 2
+"""Rows on which an expression is tried."""
+_DIGITS: Final = 6
+"""Significant digits of a number in the name of a group."""
+
+
+def expression(text: str) -> pl.Expr:
+    """A column by its name, or a polars SQL expression on columns.
+
+    Raises:
+        TableError: the text is neither.
+    """
+    if text.isidentifier():
+        return pl.col(text)
+    try:
+        return pl.sql_expr(text)
+    except pl.exceptions.PolarsError as error:
+        raise TableError(
+            f"--by {text}: is neither a column nor a polars SQL expression ({first_line(error)}); "
+            'expected one such as config or "floor(distance_m / 10) * 10"'
+        ) from error
+
+
+def roots(text: str) -> list[str]:
+    """The columns that an expression reads."""
+    return expression(text).meta.root_names()
+
+
+def unknown(text: str, name: str, known: Iterable[str], where: str) -> TableError:
+    """The error for a column that does not exist; it lists similar columns, or all."""
+    names = sorted(set(known))
+    word = name.partition("_")[0]
+    near = get_close_matches(name, names, 4) + [other for other in names if word in other]
+    hint = f"similar columns: {listed(list(dict.fromkeys(near)))}" if near else f"columns: {listed(names, 200)}"
+    column = "" if text == name else f" {name}"
+    return TableError(f"--by {text}: no column{column} of {where}; {hint}")
+
+
+def as_key(text: str, schema: Mapping[str, pl.DataType]) -> pl.Expr:
+    """The value of an expression as text, for the keys and names of groups; null if empty.
+
+    Raises:
+        TableError: the expression does not fit the types of its columns, or is one value for all rows.
+    """
+    found = expression(text).alias(key_name(text))
+    try:
+        rows = pl.DataFrame(schema=schema).clear(_ROWS).select(found)
+    except pl.exceptions.PolarsError as error:
+        raise TableError(f"--by {text}: cannot be computed from the table's columns: {first_line(error)}") from error
+    if rows.height != _ROWS:
+        raise TableError(f"--by {text}: gives one value for all rows; expected a value for each row")
+    kind = rows.to_series().dtype
+    is_list = isinstance(kind, pl.List)
+    found = found.round_sig_figs(_DIGITS) if kind.is_float() else found
+    shown = found.cast(pl.List(pl.String)).list.join("; ") if is_list else found.cast(pl.String)
+    return pl.when(shown.str.len_bytes() > 0).then(shown).alias(key_name(text))
+
+
+def key_name(text: str) -> str:
+    """Name of a key's column; the table's own column may have another type."""
+    return f"by {text}"
