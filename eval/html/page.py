@@ -1,7 +1,8 @@
 """Renders the page into one file, including the charting library."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
+from dataclasses import dataclass
 from importlib import resources
 from itertools import count
 from pathlib import Path
@@ -15,16 +16,20 @@ from roadperc_stream.output.text_table import TextRow, TextTable, by_header
 from roadperc_stream.system.files import completing, require_suffix
 from roadperc_stream.system.text import shown
 
+from ..comparison.comparing import Comparison
 from ..configurations import UNKNOWN, grouped, settings_table, short_digest
+from ..frame_commands import view_command, view_pair_command
 from ..quantities import listed, percent
 from ..report import in_segments
 from ..runs import Run
 from ..sections import sections
-from ..summary import Summary, summarise_group
+from ..summary import Summary, WorstFrame, summarise_group
 from .charts import ERROR_COLUMNS, POSE_COLUMNS, histograms, trajectory
 from .figures import Figure, load_series
 from .over_time import COLUMNS, over_time, stage_times
-from .pictures import WORST, gallery, log_of
+from .pictures import WORST, Gallery, Key, frame_at, gallery, log_of
+from .pictures import shown as shown_value
+from .verdict import Ranked, bars, comparison_of, place_text, ranked_frames, sentence, single_sentence, stage_table
 
 RUNS_DRAWN: Final = 8
 """Most runs on a page; there are as many colours."""
@@ -72,11 +77,14 @@ def _page(runs: Sequence[Run]) -> str:
     """The page as HTML, over the first ``RUNS_DRAWN`` runs; a note gives the number of the others."""
     drawn = runs[:RUNS_DRAWN]
     groups = grouped(drawn)
-    frames = max(WORST // len(groups), 1)
-    found = [summarise_group(group, frames) for group in groups]
+    found = [summarise_group(group, WORST) for group in groups]
     by_name = {summary.name: summary for of_group, _ in found for summary in of_group}
     summaries = [by_name[run.name] for run in drawn]
     series = [load_series(run, _COLUMNS) for run in drawn]
+    compared = comparison_of([(group.runs, of_group) for group, (of_group, _) in zip(groups, found, strict=True)])
+    ranked = ranked_frames([together for _, together in found], WORST)
+    lead = _lead(compared, ranked, drawn)
+    pictures = gallery([*(item.frame for item in ranked), *lead.frames], drawn)
     from_above = trajectory(series)
     charts = {
         "Over time": [*over_time(series), *stage_times(series, summaries)],
@@ -86,12 +94,65 @@ def _page(runs: Sequence[Run]) -> str:
     return _render(
         names=[run.name for run in drawn],
         left_out=len(runs) - len(drawn),
+        compared=compared is not None,
+        verdicts=[sentence(compared)] if compared else [single_sentence(summary) for summary in summaries],
+        bars=bars(compared) if compared else [],
+        stages=stage_table(summaries),
+        lead=lead,
+        ranked=[(item, shown_value(item.frame.value, item.quantity)) for item in ranked],
+        gallery=pictures,
+        pictures=_pictures(pictures, {(f.run, f.frame) for f in (*lead.frames, *(item.frame for item in ranked))}),
         overview=[settings_table({run.name: run for run in drawn}), identity(summaries, drawn)],
         tables=list(sections(summaries)),
         by_header=by_header,
         charts=charts,
-        gallery=gallery([together for _, together in found], drawn),
     )
+
+
+@dataclass(frozen=True)
+class Lead:
+    """The worst frame: what is bad in it, its frame in each run, and the command that shows it."""
+
+    text: str = ""
+    frames: tuple[WorstFrame, ...] = ()
+    command: str = ""
+
+
+def _lead(compared: Comparison | None, ranked: Sequence[Ranked], runs: Sequence[Run]) -> Lead:
+    """The frame in which the new run is worse by most, in both runs; else the first of the ranking."""
+    if compared and (place := compared.worst_place):
+        new = frame_at(place.pair.new, place.frame)
+        base = frame_at(place.pair.base, stamp_ns=place.stamp_ns)
+        command = view_pair_command(place.pair.base, place.pair.new, place.frame)
+        return Lead(place_text(compared, place), tuple(frame for frame in (base, new) if frame), command)
+    if not ranked:
+        return Lead()
+    first = ranked[0]
+    run = next(run for run in runs if run.name == first.frame.run)
+    value = shown_value(first.frame.value, first.quantity)
+    command = view_command(run, first.frame.frame)
+    return Lead(f"frame {first.frame.frame}: {first.quantity.name} {value}", (first.frame,), command)
+
+
+def _pictures(found: Gallery, visible: Container[Key]) -> Markup:
+    """Time, anchor, caption, command and image of each picture, for the script; no image if the page shows it."""
+    rows = [
+        (
+            picture.frame.since_start_s,
+            picture.anchor,
+            f"{picture.frame.run}, frame {picture.frame.frame}, {picture.frame.since_start_s:.2f} s",
+            picture.command,
+            "" if key in visible else picture.image,
+        )
+        for key, picture in found.pictures.items()
+        if picture.image
+    ]
+    return _json(rows)
+
+
+def _json(content: Any) -> Markup:
+    """Compact JSON for a script element; "<" is escaped, so that no name can end the element."""
+    return Markup(json.dumps(content, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"))
 
 
 def _render(charts: Mapping[str, Sequence[Figure]], **content: Any) -> str:
@@ -105,8 +166,7 @@ def _render(charts: Mapping[str, Sequence[Figure]], **content: Any) -> str:
     )
     return environment.from_string(_part("page.html")).render(
         charts=named,
-        # "<" is escaped, so that no name can end the script element
-        specs=Markup(json.dumps(specs, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")),
+        specs=_json(specs),
         style=Markup(_part("page.css")),
         script=Markup(_part("page.js")),
         plotly=Markup(get_plotlyjs()),
