@@ -2,7 +2,7 @@
 
 import base64
 import math
-from collections.abc import Container, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -35,6 +35,8 @@ WIDTH_PX: Final = 480
 JPEG_QUALITY: Final = 70
 Key = tuple[str, int]
 """A run's name and a frame's number."""
+Command = Callable[[Run, int], str]
+"""The command that shows a frame of a run."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,7 @@ class Gallery:
     notes: list[str]
 
 
-def gallery(wanted: Iterable[WorstFrame], runs: Sequence[Run]) -> Gallery:
+def gallery(wanted: Iterable[WorstFrame], runs: Sequence[Run], command: Command = view_command) -> Gallery:
     """Pictures of the wanted frames, and of frames at even distances in time where the log has an image."""
     frames = {(frame.run, frame.frame): frame for frame in wanted}
     asked = list(frames)
@@ -65,7 +67,7 @@ def gallery(wanted: Iterable[WorstFrame], runs: Sequence[Run]) -> Gallery:
     by_name = {run.name: (place, run) for place, run in enumerate(runs)}
     images, notes = _images(list(frames.values()), asked, runs)
     pictures = {
-        key: Picture(f"frame-{place}", frames[key], images.get(key, ""), view_command(by_name[key[0]][1], key[1]))
+        key: Picture(f"frame-{place}", frames[key], images.get(key, ""), command(by_name[key[0]][1], key[1]))
         for place, key in enumerate(sorted(frames, key=lambda key: (by_name[key[0]][0], key[1])), 1)
         if key in images or key in asked
     }

@@ -20,6 +20,10 @@ from ..sections import ranked_by
 from ..statistics import Statistics
 from ..summary import Summary, WorstFrame
 
+BARS: Final = 9
+"""Most bars of the verdict."""
+_NO_EFFECT: Final = 0.01
+"""Largest effect that is not drawn, as a multiple of the relevant effect."""
 _CUT: Final = 10.0
 """Largest effect drawn, as a multiple of the relevant effect."""
 _NAMES: Final = {quantity.column: quantity.name for quantity in NUMBERS}
@@ -104,7 +108,7 @@ def _is_beyond(found: Statistics, quantity: Quantity) -> bool:
 def ranked_frames(groups: Sequence[Summary], most: int) -> list[Ranked]:
     """The worst frames across metrics, each once, by their size in relevant effects; only those above one."""
     found = [
-        Ranked(frame, quantity, _size(frame.value, quantity))
+        Ranked(frame, quantity, size(frame.value, quantity))
         for quantity in ranked_by(groups)
         for group in groups
         for frame in group.worst.get(quantity.column, ())
@@ -115,7 +119,7 @@ def ranked_frames(groups: Sequence[Summary], most: int) -> list[Ranked]:
     return list(largest.values())[:most]
 
 
-def _size(value: float, quantity: Quantity) -> float:
+def size(value: float, quantity: Quantity) -> float:
     """The distance from a perfect value in relevant effects; 0 if it is unknown."""
     if quantity == LOST:
         return 1.0 + value
@@ -153,13 +157,14 @@ def sentence(found: Comparison) -> tuple[Mark, str]:
 
 
 def bars(found: Comparison) -> list[Bar]:
-    """A bar for each group: first the worse, then the better, then the unchanged ones."""
+    """A bar for each group whose metrics changed: first the worse, then the better, then the unchanged ones."""
     marks: tuple[Mark, ...] = ("worse", "better", "unchanged")
-    groups = [group for mark in marks for group in found.groups(mark)]
+    leading = [(mark, group) for mark in marks for group in found.groups(mark)]
     seen: dict[str, Bar] = {}
-    for group in groups:
-        seen.setdefault(group.name, _bar(group.verdicts[0], len(group.verdicts) - 1))
-    return list(seen.values())
+    for mark, group in leading:
+        if mark != "unchanged" or group.verdicts[0].weight > _NO_EFFECT:
+            seen.setdefault(group.name, _bar(group.verdicts[0], len(group.verdicts) - 1, len(found.pairing.pairs) > 1))
+    return list(seen.values())[:BARS]
 
 
 def place_text(found: Comparison, place: Place) -> str:
@@ -170,7 +175,7 @@ def place_text(found: Comparison, place: Place) -> str:
     return f"{where}frame {place.frame}: {metric_name(metric.name)} {values}"
 
 
-def _bar(verdict: Verdict, others: int) -> Bar:
+def _bar(verdict: Verdict, others: int, several: bool) -> Bar:
     finding = (verdict.worst if verdict.mark == "worse" else None) or verdict.findings[0]
     unit, effect = verdict.metric.unit, verdict.metric.sign * (finding.new - finding.base)
     ends = (finding.interval.low, finding.interval.high) if finding.interval else ()
@@ -181,7 +186,7 @@ def _bar(verdict: Verdict, others: int) -> Bar:
     left, right = sorted((50.0, _place(effect, verdict)))
     statistic = "" if finding.statistic == "mean" else f", {finding.statistic}"
     return Bar(
-        f"{metric_name(verdict.metric.name)}{statistic}{_of_log(finding)}",
+        f"{metric_name(verdict.metric.name)}{statistic}{_of_log(finding) if several else ''}",
         values + bounds,
         verdict.mark,
         left,
