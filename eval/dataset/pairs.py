@@ -18,6 +18,7 @@ from ..runs import Run, open_run
 from .keys import LOG, in_order_of_runs, log_names, settings_by_config, two_configs
 from .place import FILE, NO_TABLES, RUNS, Dataset, metrics_files, read_runs, without_file
 from .reading import metrics_tables, reading_files, require_named
+from .worst import LogKey
 
 _AT_ONCE: Final = 16
 """Files fetched at the same time; files are small, so most of the time is latency."""
@@ -91,6 +92,17 @@ def run_of_log(dataset: Dataset, log_id: str, config: str, name: str) -> Run:
     for run in _runs(dataset, found, config, {log_id: name}):
         return run
     raise TableError(f"{dataset.address}: no metrics table of log {name}, configuration {config}")
+
+
+def runs_of_logs(files: Sequence[str], keys: Sequence[LogKey], names: Mapping[str, str]) -> dict[LogKey, Run]:
+    """The runs of logs and configurations, from tables in a local folder; ``names`` are those of the logs.
+
+    Raises:
+        TableError: a table cannot be read.
+    """
+    found = _row_counts(files)
+    rows = {key: found.filter(pl.col("log_id") == key[0]) for key in keys}
+    return {key: next(_runs(of_log, key[1], names)) for key, of_log in rows.items()}
 
 
 def _row_counts(files: Sequence[str]) -> pl.DataFrame:

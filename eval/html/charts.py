@@ -5,20 +5,22 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from roadperc_stream.geometry import Float
-from roadperc_stream.geometry.rotations import rotation_from_quaternion
 
 from ..quantities import TRUTH, Quantity
 from ..sections import better
 from ..trajectories.poses import ESTIMATED_COLUMNS, TRUE_COLUMNS, known_poses
-from .figures import BUCKETS, TRUTH_COLOUR, Figure, Series, Trace, axis, colour_of, layout, line
+from .figures import BUCKETS, TRUTH_COLOUR, Figure, Series, Trace, axis, colour_of, layout, line, numbers
 
 MOST_BINS, LEAST_BINS = 40, 8
 ERROR_COLUMNS: Final = tuple(quantity.column for quantity in TRUTH)
 """Columns of the histograms."""
 POSE_COLUMNS: Final = (*ESTIMATED_COLUMNS, *TRUE_COLUMNS)
 """Columns of the trajectory."""
+Paths = dict[str, Float]
+"""(N, 6) poses by path, from ``paths``."""
 
 
 def histograms(runs: Sequence[Series]) -> Iterator[Figure]:
@@ -56,9 +58,13 @@ def _histogram(run: Series, quantity: Quantity, edges: Float, place: int) -> Tra
     return line(run.name, np.repeat(edges, 2), outline, colour_of(place), fill="tozeroy", width=1.2)
 
 
-def trajectory(runs: Sequence[Series]) -> Figure | None:
-    """Odometry's path and the true path in the ego frame of each run's first pose; None if no run has a pose."""
-    traces = [trace for place, run in enumerate(runs) for trace in _traces(run, place, len(runs) > 1)]
+def trajectory(runs: Sequence[Series], found: Sequence[Paths]) -> Figure | None:
+    """Odometry's path and the true path in the ego frame of each run's first pose; None if no run has a pose.
+
+    The path of a single run has the colours of its position error.
+    """
+    pairs = zip(runs, found, strict=True)
+    traces = [trace for at, (run, path) in enumerate(pairs) for trace in _traces(run, path, at, len(runs) > 1)]
     if not traces:
         return None
     note = "From above: ahead of the first frame is up, left is left; both axes to one scale, in metres."
@@ -66,16 +72,34 @@ def trajectory(runs: Sequence[Series]) -> Figure | None:
         note += " Each segment of a log begins at the origin."
     if any(trace["line"]["dash"] != "solid" for trace in traces):
         note += " The true path is dashed."
+    if len(runs) == 1 and len(traces) > 1:
+        note += " Points: the position error."
+        traces.append(_coloured_by_error(runs[0], found[0]))
     left = axis("y to the left, m", autorange="reversed")
     ahead = axis("x ahead, m", scaleanchor="x", scaleratio=1)
     return Figure("Trajectory", note, traces, layout("", "", hovermode="closest", height=440, xaxis=left, yaxis=ahead))
 
 
-def paths(run: Series) -> dict[str, Float]:
-    """(N, 3) metres of odometry's path (``odom``) and the true path (``true``), if present, NaN if unknown.
+def _coloured_by_error(run: Series, found: Paths) -> Trace:
+    kept = _evenly(run)
+    poses, error_m = found["odom"][kept], np.linalg.norm((found["odom"] - found["true"])[kept, :3], axis=1)
+    bar = {"title": {"text": "position error, m"}, "thickness": 12, "exponentformat": "none"}
+    marker = {"color": numbers(error_m), "colorscale": "Portland", "size": 5, "colorbar": bar}
+    points = {"mode": "markers", "showlegend": False, "hovertemplate": "error %{marker.color} m<extra></extra>"}
+    return {**line("error", poses[:, 1], poses[:, 0], TRUTH_COLOUR), **points, "marker": marker}
 
-    The pose of the first frame with all poses becomes the origin, with x ahead, so that both paths have the same start.
-    Each segment has a separate start, because its odometry restarts.
+
+def _evenly(run: Series) -> NDArray[np.intp]:
+    evenly = np.linspace(0, len(run.segments) - 1, 3 * BUCKETS).astype(int)
+    return np.union1d(evenly, np.flatnonzero(np.diff(run.segments)))
+
+
+def paths(run: Series) -> Paths:
+    """(N, 6) poses of odometry's path (``odom``) and the true path (``true``), if present, NaN if unknown.
+
+    A pose is x, y, z in metres and roll, pitch, yaw in degrees. The pose of the first frame with all poses becomes the
+    origin, with x ahead, so that both paths have the same start. Each segment has a separate start, because its
+    odometry restarts.
     """
     poses = {  # (N, 7) x, y, z and quaternion
         which: np.stack([run.values[name] for name in columns], axis=-1)
@@ -89,25 +113,28 @@ def paths(run: Series) -> dict[str, Float]:
 
 
 def _from_starts(poses: Float, known: NDArray[np.bool_], segments: NDArray[np.int64]) -> Float:
-    """(N, 3) positions of (N, 7) poses in the frame of their segment's first known pose; NaN without a known pose."""
-    points_m = np.full((len(poses), 3), np.nan)
+    """(N, 6) poses of (N, 7) ones in the frame of their segment's first known pose; NaN without a known pose."""
+    found = np.full((len(poses), 6), np.nan)
+    own = known_poses(poses)
     for segment in np.unique(segments[known]):
-        these = segments == segment
-        x, y, z, *quaternion = poses[these][np.argmax(known[these])].tolist()
-        points_m[these] = (poses[these, :3] - (x, y, z)) @ rotation_from_quaternion(*quaternion)
-    return points_m
+        these = (segments == segment) & own
+        start = poses[np.flatnonzero((segments == segment) & known)[0]]
+        rotation = Rotation.from_quat(start[3:])
+        found[these, :3] = (poses[these, :3] - start[:3]) @ rotation.as_matrix()
+        angles = (rotation.inv() * Rotation.from_quat(poses[these, 3:])).as_euler("ZYX", degrees=True)
+        found[these, 3:] = angles[:, ::-1]
+    return found
 
 
-def _traces(run: Series, place: int, several: bool) -> list[Trace]:
+def _traces(run: Series, found: Paths, place: int, several: bool) -> list[Trace]:
     names = {"odom": run.name if several else "odometry", "true": f"{run.name}: truth" if several else "truth"}
     looks = {
         "odom": (colour_of(place), {"width": 2.2, "dash": "solid"}),
         "true": (colour_of(place) if several else TRUTH_COLOUR, {"width": 1.6, "dash": "dash"}),
     }
     traces = []
-    for which, points_m in paths(run).items():
-        evenly = np.linspace(0, len(points_m) - 1, 3 * BUCKETS).astype(int)
-        kept = np.union1d(evenly, np.flatnonzero(np.diff(run.segments)))
+    for which, poses in found.items():
+        kept = _evenly(run)
         colour, look = looks[which]
-        traces.append(line(names[which], points_m[kept, 1], points_m[kept, 0], colour, **look))
+        traces.append(line(names[which], poses[kept, 1], poses[kept, 0], colour, **look))
     return traces

@@ -21,11 +21,12 @@ from ..scan import SEGMENT, finite, rows_of, segment, since_start_s
 COLOURS: Final = ("#2563eb", "#d97706", "#059669", "#c026d3", "#dc2626", "#0891b2", "#65a30d", "#57534e")
 """Distinct on white, on paper, and for most forms of colour blindness."""
 TRUTH_COLOUR: Final = "#111827"
-_GRID: Final = "#e5e7eb"
+"""The page's script replaces it on a dark page."""
 _DIGITS: Final = 6
 Trace = dict[str, Any]
 Layout = dict[str, Any]
 _TIME: Final = "since_start_s"
+TIME_TITLE: Final = "time from the log's first frame, s"
 BUCKETS: Final = 600
 """Buckets of a thinned series: more than a chart has columns of pixels."""
 Indices = NDArray[np.intp]
@@ -41,6 +42,11 @@ class Figure:
     layout: Mapping[str, Any]
 
     @property
+    def timed(self) -> bool:
+        """Whether the chart is over time, so that its cursor follows the others."""
+        return bool(self.layout["xaxis"]["title"]["text"] == TIME_TITLE)
+
+    @property
     def spec(self) -> dict[str, Any]:
         """The figure for plotly.js."""
         return {"data": list(self.traces), "layout": dict(self.layout)}
@@ -51,9 +57,9 @@ def layout(x_title: str, y_title: str, **more: Any) -> Layout:
     return {
         "height": 270,
         "margin": {"l": 52, "r": 12, "t": 8, "b": 42},
-        "font": {"family": "system-ui, sans-serif", "size": 12, "color": "#1f2937"},
-        "paper_bgcolor": "#ffffff",
-        "plot_bgcolor": "#ffffff",
+        "font": {"family": "system-ui, sans-serif", "size": 12},
+        "paper_bgcolor": "rgba(0,0,0,0)",
+        "plot_bgcolor": "rgba(0,0,0,0)",
         "hovermode": "x unified",
         "legend": {"orientation": "h", "x": 0, "y": 1.02, "yanchor": "bottom"},
         "showlegend": True,
@@ -64,8 +70,8 @@ def layout(x_title: str, y_title: str, **more: Any) -> Layout:
 
 
 def axis(title: str, **more: Any) -> Layout:
-    """An axis with a light grid."""
-    look = {"gridcolor": _GRID, "zerolinecolor": "#9ca3af", "automargin": True, "ticks": "outside", "ticklen": 3}
+    """An axis whose numbers have neither exponents nor prefixes; the page's script gives it a colour."""
+    look = {"automargin": True, "ticks": "outside", "ticklen": 3, "exponentformat": "none"}
     return {"title": {"text": title, "standoff": 6}, **look, **more}
 
 

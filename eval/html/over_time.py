@@ -10,9 +10,7 @@ from roadperc_stream.geometry import Float
 
 from ..quantities import REST, SIDES, STAGE_TIMES, TOTAL
 from ..summary import Summary
-from .figures import TRUTH_COLOUR, Figure, Series, Trace, axis, colour_of, escaped, layout, line, thinned
-
-_TIME: Final = "s from the log's first frame"
+from .figures import TIME_TITLE, TRUTH_COLOUR, Figure, Series, Trace, axis, colour_of, escaped, layout, line, thinned
 
 
 @dataclass(frozen=True)
@@ -40,7 +38,7 @@ CHARTS: Final = (
     *(
         TimeChart(
             f"Lane boundary, {side}",
-            "offset, m",
+            "lateral offset, m",
             (
                 Kind(f"lane_{side}_raw_offset_m", "raw", 1.0, "dot"),
                 Kind(f"lane_{side}_offset_m", "smoothed", 2.0),
@@ -52,7 +50,7 @@ CHARTS: Final = (
     ),
     TimeChart(
         "Distances",
-        "m",
+        "distance, m",
         (
             Kind("nearest_object_m", "nearest object"),
             Kind("stereo_nearest_m", "nearest in stereo", 1.4, "dash"),
@@ -61,7 +59,7 @@ CHARTS: Final = (
     ),
     TimeChart(
         "Time to impact",
-        "s",
+        "time to impact, s",
         (
             Kind("time_to_impact_s", "shortest"),
             Kind("true_time_to_impact_s", "truth", 1.6, "dash", truth=True),
@@ -70,11 +68,13 @@ CHARTS: Final = (
     ),
     TimeChart(
         "Surface inliers",
-        "share",
+        "share of points",
         (Kind("surface_inlier_ratio", "inlier ratio"),),
         "Share of the road's points that lie on the plane.",
     ),
-    TimeChart("Odometry inliers", "count", (Kind("odometry_inliers", "inliers"),), "Points the motion agrees with."),
+    TimeChart(
+        "Odometry inliers", "number of points", (Kind("odometry_inliers", "inliers"),), "Points the motion agrees with."
+    ),
 )
 STAGE_COLUMNS: Final = tuple(stage.column for stage in STAGE_TIMES if stage != REST)
 _AROUND_THE_CHAIN: Final = {"read": "#93c5fd", "metrics": "#fca5a5", "copy": "#6ee7b7", "write": "#fcd34d"}
@@ -93,7 +93,7 @@ def over_time(runs: Sequence[Series]) -> Iterator[Figure]:
     for chart in CHARTS:
         traces = [trace for place, run in enumerate(runs) for trace in _traces(chart, run, place, len(runs) > 1)]
         if traces:
-            look = layout(_TIME, chart.unit, showlegend=len(traces) > 1)
+            look = layout(TIME_TITLE, chart.unit, showlegend=len(traces) > 1)
             yield Figure(chart.title, _note(chart, len(runs)), traces, look)
 
 
@@ -133,7 +133,7 @@ def stage_times(runs: Sequence[Series], summaries: Sequence[Summary]) -> Iterato
     timed = [(place, run) for place, run in enumerate(runs) if TOTAL.column in run.values]
     totals = [_thinned_line(run.name, run, TOTAL.column, colour_of(place)) for place, run in timed]
     if totals:
-        yield Figure("Time of a frame", "The sum over all stages.", totals, layout(_TIME, "ms"))
+        yield Figure("Time of a frame", "The sum over all stages.", totals, layout(TIME_TITLE, "time of a frame, ms"))
 
 
 def _stacked(run: Series) -> Iterator[Figure]:
@@ -148,7 +148,7 @@ def _stacked(run: Series) -> Iterator[Figure]:
         trace = line(name, run.since_start_s[kept], took_ms[kept], colour, width=0.5)
         traces.append({**trace, "stackgroup": "stages", "fillcolor": f"rgba({red},{green},{blue},0.72)"})
     note = "Stacked: the upper edge is the frame's total."
-    yield Figure("Time per stage", note, traces, layout(_TIME, "ms", height=340))
+    yield Figure("Time per stage", note, traces, layout(TIME_TITLE, "time of a frame, ms", height=340))
 
 
 def _stages(run: Series) -> dict[str, Float]:
@@ -171,5 +171,5 @@ def _means(summaries: Sequence[Summary]) -> Figure:
             traces.append({**bar, "y": names, "x": means_ms, "marker": {"color": _STAGE_COLOURS[stage.name]}})
     height = 240 + 34 * len(summaries)
     runs = axis("", autorange="reversed", type="category")
-    look = layout("ms a frame, mean", "", barmode="stack", hovermode="closest", height=height, yaxis=runs)
+    look = layout("mean time of a frame, ms", "", barmode="stack", hovermode="closest", height=height, yaxis=runs)
     return Figure("Time per stage", "The mean over all frames of each run.", traces, look)

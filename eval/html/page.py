@@ -1,7 +1,8 @@
 """Renders the page into one file, including the charting library."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
+from dataclasses import dataclass
 from importlib import resources
 from itertools import count
 from pathlib import Path
@@ -15,16 +16,21 @@ from roadperc_stream.output.text_table import TextRow, TextTable, by_header
 from roadperc_stream.system.files import completing, require_suffix
 from roadperc_stream.system.text import shown
 
+from ..comparison.comparing import Comparison
 from ..configurations import UNKNOWN, grouped, settings_table, short_digest
+from ..frame_commands import view_command, view_pair_command
 from ..quantities import listed, percent
 from ..report import in_segments
 from ..runs import Run
 from ..sections import sections
-from ..summary import Summary, summarise_group
-from .charts import ERROR_COLUMNS, POSE_COLUMNS, histograms, trajectory
+from ..summary import Summary, WorstFrame, summarise_group
+from .charts import ERROR_COLUMNS, POSE_COLUMNS, histograms, paths, trajectory
 from .figures import Figure, load_series
+from .known_plots import error_over_distance, poses_over_time, precision_recall
 from .over_time import COLUMNS, over_time, stage_times
-from .pictures import WORST, gallery, log_of
+from .pictures import WORST, Command, Gallery, Key, frame_at, gallery, log_of
+from .pictures import shown as shown_value
+from .verdict import Ranked, bars, comparison_of, place_text, ranked_frames, sentence, single_sentence, stage_table
 
 RUNS_DRAWN: Final = 8
 """Most runs on a page; there are as many colours."""
@@ -55,7 +61,7 @@ def _facts(summary: Summary, run: Run) -> dict[str, str]:
     }
 
 
-def write_page(target: Path, runs: Sequence[Run]) -> None:
+def write_page(target: Path, runs: Sequence[Run], command: Command = view_command) -> None:
     """Write the page over runs with frames to a ``.html`` or ``.htm`` file, as a partial file until complete.
 
     Raises:
@@ -63,35 +69,101 @@ def write_page(target: Path, runs: Sequence[Run]) -> None:
         TargetError: the page cannot be written, or has another suffix.
     """
     require_suffix(target, ".html", ".htm")
-    text = _page(runs)
+    text = _page(runs, command)
     with completing(target) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
-def _page(runs: Sequence[Run]) -> str:
+def _page(runs: Sequence[Run], command: Command) -> str:
     """The page as HTML, over the first ``RUNS_DRAWN`` runs; a note gives the number of the others."""
     drawn = runs[:RUNS_DRAWN]
     groups = grouped(drawn)
-    frames = max(WORST // len(groups), 1)
-    found = [summarise_group(group, frames) for group in groups]
+    found = [summarise_group(group, WORST) for group in groups]
     by_name = {summary.name: summary for of_group, _ in found for summary in of_group}
     summaries = [by_name[run.name] for run in drawn]
     series = [load_series(run, _COLUMNS) for run in drawn]
-    from_above = trajectory(series)
+    compared = comparison_of([(group.runs, of_group) for group, (of_group, _) in zip(groups, found, strict=True)])
+    ranked = ranked_frames([together for _, together in found], WORST)
+    lead = _lead(compared, ranked, drawn, command)
+    pictures = gallery([*(item.frame for item in ranked), *lead.frames], drawn, command)
+    driven = [paths(run) for run in series]
+    from_above = trajectory(series, driven)
     charts = {
         "Over time": [*over_time(series), *stage_times(series, summaries)],
-        "From above": [from_above] if from_above else [],
+        "Trajectory": [
+            *([from_above] if from_above else []),
+            *error_over_distance(series, driven),
+            *poses_over_time(series, driven),
+        ],
+        "Precision and recall": list(precision_recall(drawn)),
         "Error distributions": list(histograms(series)),
     }
     return _render(
         names=[run.name for run in drawn],
         left_out=len(runs) - len(drawn),
+        compared=compared is not None,
+        verdicts=[sentence(compared)] if compared else [single_sentence(summary) for summary in summaries],
+        bars=bars(compared) if compared else [],
+        stages=stage_table(summaries),
+        lead=lead,
+        ranked=[(item, shown_value(item.frame.value, item.quantity)) for item in ranked],
+        gallery=pictures,
+        pictures=_pictures(pictures, {(f.run, f.frame) for f in (*lead.frames, *(item.frame for item in ranked))}),
         overview=[settings_table({run.name: run for run in drawn}), identity(summaries, drawn)],
         tables=list(sections(summaries)),
         by_header=by_header,
         charts=charts,
-        gallery=gallery([together for _, together in found], drawn),
     )
+
+
+@dataclass(frozen=True)
+class Lead:
+    """The worst frame: what is bad in it, its frame in each run, and the command that shows it."""
+
+    text: str = ""
+    frames: tuple[WorstFrame, ...] = ()
+    command: str = ""
+
+
+def _lead(compared: Comparison | None, ranked: Sequence[Ranked], runs: Sequence[Run], command: Command) -> Lead:
+    """The frame in which the new run is worse by most, in both runs; else the first of the ranking."""
+    if compared and (place := compared.worst_place):
+        new = frame_at(place.pair.new, place.frame)
+        base = frame_at(place.pair.base, stamp_ns=place.stamp_ns)
+        both = view_pair_command(place.pair.base, place.pair.new, place.frame)
+        return Lead(place_text(compared, place), tuple(frame for frame in (base, new) if frame), both)
+    if not ranked:
+        return Lead()
+    first = ranked[0]
+    text = f"frame {first.frame.frame}: {first.quantity.name} {shown_value(first.frame.value, first.quantity)}"
+    pairs = compared.pairing.pairs if compared else ()
+    for pair in (pair for pair in pairs if first.frame.run in {pair.base.name, pair.new.name}):
+        base, new = (frame_at(run, stamp_ns=first.frame.stamp_ns) for run in (pair.base, pair.new))
+        both = view_pair_command(pair.base, pair.new, new.frame if new else first.frame.frame)
+        return Lead(f"{first.frame.run}, {text}", tuple(frame for frame in (base, new) if frame), both)
+    run = next(run for run in runs if run.name == first.frame.run)
+    return Lead(text, (first.frame,), command(run, first.frame.frame))
+
+
+def _pictures(found: Gallery, visible: Container[Key]) -> Markup:
+    """Time, anchor, caption, command and image of each picture, for the script; no image if the page shows it."""
+    rows = [
+        (
+            picture.frame.since_start_s,
+            picture.anchor,
+            f"{picture.frame.run}, frame {picture.frame.frame}, {picture.frame.since_start_s:.2f} s",
+            picture.command,
+            "" if key in visible else picture.image,
+        )
+        for key, picture in found.pictures.items()
+        if picture.image
+    ]
+    return as_json(rows)
+
+
+def as_json(content: Any) -> Markup:
+    """Compact JSON for a script element; "<" is escaped, so that no name can end the element."""
+    return Markup(json.dumps(content, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"))
 
 
 def _render(charts: Mapping[str, Sequence[Figure]], **content: Any) -> str:
@@ -100,18 +172,22 @@ def _render(charts: Mapping[str, Sequence[Figure]], **content: Any) -> str:
     filled = {section: figures for section, figures in charts.items() if figures}
     named = {section: [(f"chart-{next(numbers)}", figure) for figure in figures] for section, figures in filled.items()}
     specs = {name: figure.spec for figures in named.values() for name, figure in figures}
+    return rendered(
+        "page.html",
+        charts=named,
+        specs=asas_json(specs),
+        plotly=Markup(get_plotlyjs()),
+        script=_part("page.js"),
+        **content,
+    )
+
+
+def rendered(template: str, **content: Any) -> str:
+    """A template of this folder, with the style of the page."""
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, finalize=_text, trim_blocks=True, lstrip_blocks=True
     )
-    return environment.from_string(_part("page.html")).render(
-        charts=named,
-        # "<" is escaped, so that no name can end the script element
-        specs=Markup(json.dumps(specs, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")),
-        style=Markup(_part("page.css")),
-        script=Markup(_part("page.js")),
-        plotly=Markup(get_plotlyjs()),
-        **content,
-    )
+    return environment.from_string(_part(template)).render(style=_part("page.css"), **content)
 
 
 def _text(value: Any) -> Any:
@@ -120,5 +196,5 @@ def _text(value: Any) -> Any:
     return value if plain else shown(value)
 
 
-def _part(name: str) -> str:
-    return resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
+def _part(name: str) -> Markup:
+    return Markup(resources.files(__package__).joinpath(name).read_text(encoding="utf-8"))

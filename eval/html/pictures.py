@@ -1,14 +1,16 @@
-"""The worst frames of each metric, with a picture of each that shows the chain's results."""
+"""Pictures of frames with the chain's results: of the worst frames, and at even distances in time."""
 
 import base64
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import Final
 
 import cv2
+import numpy as np
+import polars as pl
 
 from roadperc_stream.errors import RoadpercError
 from roadperc_stream.input.stream import Problems
@@ -19,68 +21,73 @@ from roadperc_stream.schemas.columns import UNITLESS
 from roadperc_stream.schemas.record import CONFIG_ATTACHMENT
 from roadperc_stream.view.result_frames import read_frame, read_frames
 
+from ..frame_commands import view_command
 from ..quantities import Quantity, rounded
-from ..runs import Run
-from ..sections import ranked_by
-from ..summary import Summary, WorstFrame
+from ..runs import Run, collect
+from ..scan import rows_of, segment, since_start_s
+from ..summary import WorstFrame
 
 WORST: Final = 10
-"""Frames shown for each metric, over all configurations."""
-WIDTH_PX: Final = 400
-JPEG_QUALITY: Final = 75
+"""Worst frames on the page, over all runs."""
+OVER_TIME: Final = 48
+"""Pictures at even distances in time, over all runs."""
+WIDTH_PX: Final = 480
+JPEG_QUALITY: Final = 70
 Key = tuple[str, int]
 """A run's name and a frame's number."""
-Ranking = tuple[str, str, list[tuple[str, WorstFrame, str]]]
-"""A metric, the name of the configuration if there are several, and anchor, frame and value of each frame."""
+Command = Callable[[Run, int], str]
+"""The command that shows a frame of a run."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """One of the worst frames: ``image`` is a data URI or empty, ``places`` are its metrics, values and ranks."""
+    """A frame of a run: ``image`` is a data URI or empty, ``command`` shows the frame."""
 
     anchor: str
     frame: WorstFrame
     image: str
-    places: list[tuple[str, str, int]]
+    command: str
 
 
 @dataclass(frozen=True)
 class Gallery:
-    """The rankings, one picture per frame in the order of runs and frames, and notes on missing pictures."""
+    """The pictures by run and frame, in the order of runs and frames, and notes on missing pictures."""
 
-    rankings: list[Ranking]
-    pictures: list[Picture]
+    pictures: dict[Key, Picture]
     notes: list[str]
 
 
-def gallery(groups: Sequence[Summary], runs: Sequence[Run]) -> Gallery:
-    """The worst frames by each truth metric, or without truth by the suspect quantities.
+def gallery(wanted: Iterable[WorstFrame], runs: Sequence[Run], command: Command = view_command) -> Gallery:
+    """Pictures of the wanted frames, and of frames at even distances in time where the log has an image."""
+    frames = {(frame.run, frame.frame): frame for frame in wanted}
+    asked = list(frames)
+    for run in runs:
+        for frame in evenly(run, OVER_TIME // len(runs)):
+            frames.setdefault((frame.run, frame.frame), frame)
+    by_name = {run.name: (place, run) for place, run in enumerate(runs)}
+    images, notes = _images(list(frames.values()), asked, runs)
+    pictures = {
+        key: Picture(f"frame-{place}", frames[key], images.get(key, ""), command(by_name[key[0]][1], key[1]))
+        for place, key in enumerate(sorted(frames, key=lambda key: (by_name[key[0]][0], key[1])), 1)
+        if key in images or key in asked
+    }
+    return Gallery(pictures, notes)
 
-    Args:
-        groups: summary over the runs of each configuration, with its worst frames.
-        runs: the runs of all groups, in the order in which their frames are shown.
-    """
-    ranked = [
-        (quantity, group.name if len(groups) > 1 else "", group.worst.get(quantity.column, ()))
-        for quantity in ranked_by(groups)
-        for group in groups
-    ]
-    worst = {(frame.run, frame.frame): frame for _, _, frames in ranked for frame in frames}
-    at = {run.name: number for number, run in enumerate(runs)}
-    order = sorted(worst, key=lambda key: (at[key[0]], key[1]))
-    anchors = {key: f"frame-{number}" for number, key in enumerate(order, 1)}
-    images, notes = _images([worst[key] for key in order], runs)
-    pictures = {key: Picture(anchors[key], worst[key], images.get(key, ""), []) for key in order}
-    rankings: list[Ranking] = []
-    for quantity, group, frames in ranked:
-        values = [shown(frame.value, quantity) for frame in frames]
-        keys = [(frame.run, frame.frame) for frame in frames]
-        for rank, (key, value) in enumerate(zip(keys, values, strict=True), 1):
-            pictures[key].places.append((quantity.label, value, rank))
-        if frames:
-            named = list(zip(map(anchors.__getitem__, keys), frames, values, strict=True))
-            rankings.append((quantity.label, group, named))
-    return Gallery(rankings, list(pictures.values()), notes)
+
+def evenly(run: Run, most: int) -> list[WorstFrame]:
+    """Frames at even distances in a run's table, without values."""
+    rows = rows_of(run).select("frame", "stamp_ns", segment(run.columns))
+    table = collect(rows.with_columns(since_start_s()), run.source_name)
+    chosen = np.unique(np.linspace(0, table.height - 1, max(most, 1)).astype(int))
+    return [WorstFrame(run=run.name, value=math.nan, **row) for row in table[chosen].iter_rows(named=True)]
+
+
+def frame_at(run: Run, frame: int | None = None, *, stamp_ns: int = 0) -> WorstFrame | None:
+    """The frame of a run with this number, or else the first one with this stamp; without a value."""
+    rows = rows_of(run).select("frame", "stamp_ns", segment(run.columns)).with_columns(since_start_s())
+    wanted = pl.col("stamp_ns") == stamp_ns if frame is None else pl.col("frame") == frame
+    table = collect(rows.filter(wanted), run.source_name)
+    return next((WorstFrame(run=run.name, value=math.nan, **row) for row in table.iter_rows(named=True)), None)
 
 
 def shown(value: float, quantity: Quantity) -> str:
@@ -95,15 +102,17 @@ def data_uri(image_bgr: Image) -> str:
     return "data:image/jpeg;base64," + base64.b64encode(encoded.tobytes()).decode()
 
 
-def _images(frames: Sequence[WorstFrame], runs: Sequence[Run]) -> tuple[dict[Key, str], list[str]]:
-    """Pictures of the frames whose logs exist, and a line for each log without pictures."""
+def _images(
+    frames: Sequence[WorstFrame], asked: Container[Key], runs: Sequence[Run]
+) -> tuple[dict[Key, str], list[str]]:
+    """Pictures of the frames whose logs exist, and a line for each log that lacks pictures of the ``asked`` frames."""
     images: dict[Key, str] = {}
     notes: list[str] = []
     for run in runs:
         for table in run.tables:
             end = math.inf if table.end_frame is None else table.end_frame
             wanted = [frame for frame in frames if frame.run == run.name and table.first_frame <= frame.frame < end]
-            found, why = _of_log(wanted, table) if wanted or len(run.tables) == 1 else ({}, "")
+            found, why = _of_log(wanted, asked, table) if wanted or len(run.tables) == 1 else ({}, "")
             images |= found
             notes += [f"{run.name}: {why}"] if why else []
     return images, notes
@@ -119,7 +128,7 @@ def log_of(table: Run) -> Path | None:
     return table.beside(".mcap") if moved else named
 
 
-def _of_log(frames: Sequence[WorstFrame], table: Run) -> tuple[dict[Key, str], str]:
+def _of_log(frames: Sequence[WorstFrame], asked: Container[Key], table: Run) -> tuple[dict[Key, str], str]:
     """Pictures of a table's frames, and a note on frames without a picture."""
     log = log_of(table)
     if log is None or not log.is_file():
@@ -137,7 +146,7 @@ def _of_log(frames: Sequence[WorstFrame], table: Run) -> tuple[dict[Key, str], s
             images[frame.run, frame.frame] = data_uri(draw_results(seen, WIDTH_PX))
     except RoadpercError as error:
         return images, f"no more pictures: {str(error).replace(str(log), log.name)}"
-    lacking = len(frames) - len(images)
+    lacking = sum((frame.run, frame.frame) in asked and (frame.run, frame.frame) not in images for frame in frames)
     notes = [f"{log.name} holds no camera image of {lacking} of these frames."] if lacking else []
     notes += [f"not drawn, because unreadable: {'; '.join(problems.first.values())}."] if problems.first else []
     return images, " ".join(notes)

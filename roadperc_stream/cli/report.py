@@ -31,6 +31,9 @@ def main(argv: list[str] | None = None) -> int:
     if datasets:
         _require_one_dataset(parser, arguments)
         of_dataset = part("eval.dataset.report")
+        if arguments.html:
+            write = part("eval.html.dataset_page").write_dataset_page
+            return run(lambda: write(arguments.html, datasets[0]))
         return run(lambda: of_dataset.print_dataset(datasets[0], arguments))
     report = part("eval.report")
     write_page = part("eval.html.page").write_page if arguments.html else None
@@ -41,8 +44,6 @@ def _require_one_dataset(parser: argparse.ArgumentParser, arguments: argparse.Na
     """Exit with code 2 if options contradict each other."""
     if len(arguments.runs) > 1:
         parser.error("expected one OUT_DIR of a batch without any other RUN")
-    if arguments.html:
-        parser.error("--html cannot be combined with the OUT_DIR of a batch; name some of its tables as RUN")
 
 
 def _expressions(text: str) -> list[str]:

@@ -188,7 +188,8 @@ def test_a_jump_in_two_frames_is_named_with_its_log_and_command(tmp_path, capsys
     outputs = {kind: tmp_path / f"compare.{kind}" for kind in ("json", "markdown", "junit")}
     options = [word for kind, path in outputs.items() for word in (f"--{kind}", path)]
     code, text, error = compare(capsys, ours, theirs, *options)
-    shown = f"frame 7 of part0/log1, 0.1 → 2.42 m: roadperc-view {ours}/part0/log1.metrics.parquet {theirs}/part0/log1.metrics.parquet"
+    logs = [f"{side}/part0/log1.metrics.parquet" for side in (ours, theirs)]
+    shown = f"frame 7 of part0/log1, 0.1 → 2.42 m: roadperc-view {logs[0]} {logs[1]}"
     assert (code, error) == (1, "worse than the base run: lane_left_error_m\n")
     assert text.startswith("worse: lane_left_error_m worst frame of part0/log1 0.1 → 2.42 m; 3 metrics judged, 1 ")
     assert f"\n  {shown} --frame 7\n" in text
