@@ -25,7 +25,7 @@ from .brief import (
 from .comparison.bootstrap import LEVEL
 from .comparison.comparing import Comparison, compare_runs
 from .comparison.pairing import pair_runs
-from .comparison.verdicts import Group, Mark
+from .comparison.verdicts import CauseGroup, Mark
 from .frame_commands import view_command, view_pair_command
 from .machine import Case, write_json, write_junit, write_markdown
 from .options import Rules
@@ -138,8 +138,8 @@ def _worst_line(found: Comparison, base: Run, new: Run) -> str:
     return f"worst frame: {next(names)} {place.base:.4g} → {place.new:.4g}: {command}"
 
 
-def _differences(groups: Sequence[Group]) -> TextTable:
-    """A row for the leading metric of each group, with its first finding of that mark, which is the mean if possible."""
+def _differences(groups: Sequence[CauseGroup]) -> TextTable:
+    """A row for the leading metric of each group, with its first finding of that mark, the mean if possible."""
     rows = tuple(map(_difference, groups))
     headers = ("base", "new", "change", f"{LEVEL:.0%} interval", "mark")
     more = any(len(group.verdicts) > 1 for group in groups)
@@ -147,7 +147,7 @@ def _differences(groups: Sequence[Group]) -> TextTable:
     return TextTable("Difference", headers, rows, notes, label_columns=15)
 
 
-def _difference(group: Group) -> TextRow:
+def _difference(group: CauseGroup) -> TextRow:
     verdict, others = group.verdicts[0], len(group.verdicts) - 1
     marked = [finding for finding in verdict.findings if finding.mark == verdict.mark]
     found = next(iter(marked), verdict.findings[0])
