@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -21,6 +22,7 @@ from ..dataset.report import settings_that_differ
 from ..dataset.worst import LogKey, key_of, worst_logs
 from ..frame_commands import view_dataset_command
 from ..quantities import Quantity
+from ..runs import Run
 from .page import rendered, write_page
 from .pictures import shown
 from .verdict import single_sentence, size, stage_table
@@ -145,7 +147,10 @@ def _write_worst(
     for place, log in enumerate(worst, 1):
         target = folder / f"worst_{place}.html"
         folder.mkdir(parents=True, exist_ok=True)
-        log_id, config = log.key
-        write_page(target, [runs[log.key]], lambda _, frame: view_dataset_command(address, log_id, frame, config))
+        write_page(target, [runs[log.key]], partial(_command, address, log.key))
         links[log.name] = f"{folder.name}/{target.name}"
     return links
+
+
+def _command(address: str, log: LogKey, _run: Run, frame: int) -> str:
+    return view_dataset_command(address, log[0], frame, log[1])

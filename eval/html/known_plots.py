@@ -14,14 +14,7 @@ from ..runs import Run, collect
 from .charts import Paths
 from .figures import TIME_TITLE, TRUTH_COLOUR, Figure, Series, Trace, colour_of, layout, line, thinned
 
-_AXES: Final = (
-    ("x ahead", "m"),
-    ("y to the left", "m"),
-    ("z up", "m"),
-    ("roll", "deg"),
-    ("pitch", "deg"),
-    ("yaw", "deg"),
-)
+_AXES: Final = {"x ahead": "m", "y to the left": "m", "z up": "m", "roll": "deg", "pitch": "deg", "yaw": "deg"}
 MATCHES_M: Final = (0.5, 1.0, 2.0, 4.0)
 """Largest centre distances of a match, as in nuScenes' detection benchmark."""
 DRAWN_M: Final = 2.0

@@ -175,7 +175,7 @@ def _render(charts: Mapping[str, Sequence[Figure]], **content: Any) -> str:
     return rendered(
         "page.html",
         charts=named,
-        specs=asas_json(specs),
+        specs=as_json(specs),
         plotly=Markup(get_plotlyjs()),
         script=_part("page.js"),
         **content,
