@@ -253,7 +253,6 @@ def test_every_error_is_one_line(dataset, capsys, spoilt, said):
     [
         (("--by", "log", "elsewhere"), "--by needs the OUT_DIR of a batch"),
         (("DATASET", "elsewhere"), "expected one OUT_DIR of a batch"),
-        (("DATASET", "--html", "page.html"), "--html cannot be combined with"),
         (("DATASET", "--by", "log,,date"), "expected names of columns"),
     ],
 )
