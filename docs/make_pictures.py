@@ -24,7 +24,7 @@ _SHOWN_FRAME: Final = 30
 _PANEL_SIZE: Final = (1110, 1240)
 """Columns and rows of the browser's window."""
 _PANEL_SCALE: Final = 0.58
-_PANELS: Final = (".tables", "section:has(.charts)", ".worst")
+_PANELS: Final = (":is(header, .verdict, .verdict + section)", ".tables", ".worst")
 """What each of the panels shows, as CSS selectors of the page's parts."""
 _COLOURS: Final = 128
 _JPEG_QUALITY: Final = 80

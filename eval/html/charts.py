@@ -1,4 +1,4 @@
-"""Charts without a time axis: histograms of the errors, and the trajectories from above."""
+"""Charts without a time axis: distributions of the errors, and the trajectories from above."""
 
 from collections.abc import Iterator, Sequence
 from typing import Final
@@ -9,80 +9,79 @@ from scipy.spatial.transform import Rotation
 
 from roadperc_stream.geometry import Float
 
-from ..quantities import TRUTH, Quantity
+from ..quantities import TRUTH
 from ..sections import better
 from ..trajectories.poses import ESTIMATED_COLUMNS, TRUE_COLUMNS, known_poses
-from .figures import BUCKETS, TRUTH_COLOUR, Figure, Series, Trace, axis, colour_of, layout, line, numbers
+from .figures import BUCKETS, TRUTH_COLOUR, Figure, Series, Trace, axis, colour_of, layout, line, numbers, thinned
 
-MOST_BINS, LEAST_BINS = 40, 8
+_SHARES: Final = np.linspace(0, 1, 201)
 ERROR_COLUMNS: Final = tuple(quantity.column for quantity in TRUTH)
-"""Columns of the histograms."""
+"""Columns of the distributions."""
 POSE_COLUMNS: Final = (*ESTIMATED_COLUMNS, *TRUE_COLUMNS)
 """Columns of the trajectory."""
 Paths = dict[str, Float]
 """(N, 6) poses by path, from ``paths``."""
 
 
-def histograms(runs: Sequence[Series]) -> Iterator[Figure]:
-    """A histogram of each truth metric that has values, the runs over each other on the same bins."""
+def distributions(runs: Sequence[Series]) -> Iterator[Figure]:
+    """The cumulative distribution of each error that has values, the runs over each other."""
     for quantity in TRUTH:
-        having = [(place, run) for place, run in enumerate(runs) if quantity.column in run.values]
-        if having:
-            edges = bin_edges([run.values[quantity.column] for _, run in having])
-            traces = [_histogram(run, quantity, edges, place) for place, run in having]
-            look = layout(quantity.label, "% of values", height=230, showlegend=len(runs) > 1)
+        traces = [
+            line(run.name, np.nanquantile(run.values[quantity.column], _SHARES), 100 * _SHARES, colour_of(place))
+            for place, run in enumerate(runs)
+            if quantity.column in run.values
+        ]
+        if traces:
+            look = layout(quantity.label, "frames up to here, %", height=230, showlegend=len(runs) > 1)
             yield Figure(quantity.label, better(quantity), traces, look)
 
 
-def bin_edges(values: Sequence[Float]) -> Float:
-    """Edges of 2 sqrt(N) bins over N finite values, within limits; more bins would only show single values.
+def trajectory(runs: Sequence[Series], found: Sequence[Paths]) -> Iterator[Figure]:
+    """Odometry's path and the true path from above, in the frame of each run's first pose, and the position error.
 
-    Bins have a width even if all values are equal.
+    The path of a single run has the colours of its error. Nothing is drawn if no run has a pose.
     """
-    joined = np.concatenate(values)
-    known = joined[np.isfinite(joined)]
-    bins = int(np.clip(2 * np.sqrt(len(known)), LEAST_BINS, MOST_BINS))
-    span = float(known.max() - known.min()) if known.size else 0.0
-    if known.size and 0 <= span < bins * np.spacing(np.abs(known).max()):  # too few floats between the ends
-        return np.linspace(known.min() - abs(known.min()) / 2, known.max() + abs(known.max()) / 2, bins + 1)
-    edges: Float = np.histogram_bin_edges(known, bins)
-    return edges
-
-
-def _histogram(run: Series, quantity: Quantity, edges: Float, place: int) -> Trace:
-    values = run.values[quantity.column]
-    counts, _ = np.histogram(values[np.isfinite(values)], edges)
-    percent = 100 * counts / max(counts.sum(), 1)
-    # A step line, because the outlines of several runs stay visible over each other, unlike bars.
-    outline = np.concatenate([[0.0], np.repeat(percent, 2), [0.0]])
-    return line(run.name, np.repeat(edges, 2), outline, colour_of(place), fill="tozeroy", width=1.2)
-
-
-def trajectory(runs: Sequence[Series], found: Sequence[Paths]) -> Figure | None:
-    """Odometry's path and the true path in the ego frame of each run's first pose; None if no run has a pose.
-
-    The path of a single run has the colours of its position error.
-    """
-    pairs = zip(runs, found, strict=True)
-    traces = [trace for at, (run, path) in enumerate(pairs) for trace in _traces(run, path, at, len(runs) > 1)]
+    pairs = [*enumerate(zip(runs, found, strict=True))]
+    traces = [trace for at, (run, path) in pairs for trace in _traces(run, path, at, len(runs) > 1)]
     if not traces:
-        return None
+        return
     note = "From above: ahead of the first frame is up, left is left; both axes to one scale, in metres."
     if any(np.ptp(run.segments) for run in runs):
         note += " Each segment of a log begins at the origin."
     if any(trace["line"]["dash"] != "solid" for trace in traces):
         note += " The true path is dashed."
-    if len(runs) == 1 and len(traces) > 1:
-        note += " Points: the position error."
+    errors = [(at, run, path) for at, (run, path) in pairs if path.keys() >= {"odom", "true"}]
+    if len(runs) == 1 and errors:
         traces.append(_coloured_by_error(runs[0], found[0]))
     left = axis("y to the left, m", autorange="reversed")
     ahead = axis("x ahead, m", scaleanchor="x", scaleratio=1)
-    return Figure("Trajectory", note, traces, layout("", "", hovermode="closest", height=440, xaxis=left, yaxis=ahead))
+    yield Figure("Trajectory", note, traces, layout("", "", hovermode="closest", height=440, xaxis=left, yaxis=ahead))
+    if errors:
+        look = layout("distance driven, m", "position error, m", showlegend=len(runs) > 1)
+        lines = [_over_distance(run, path, at) for at, run, path in errors]
+        yield Figure("Position error over distance", "Without alignment: both paths begin at one pose.", lines, look)
+
+
+def _over_distance(run: Series, found: Paths, at: int) -> Trace:
+    """The position error over the distance driven; segments follow each other."""
+    error_m = _position_error_m(found)
+    known = np.isfinite(error_m)
+    true_m, segments, error_m = found["true"][known, :3], run.segments[known], error_m[known]
+    steps_m = np.linalg.norm(np.diff(true_m, axis=0, prepend=true_m[:1]), axis=1)
+    driven_m = np.cumsum(np.where(np.diff(segments, prepend=segments[:1]) == 0, steps_m, 0.0))
+    kept = thinned(error_m)
+    return line(run.name, driven_m[kept], error_m[kept], colour_of(at))
+
+
+def _position_error_m(found: Paths) -> Float:
+    """(N,) distances between the estimated and the true positions; NaN where one is unknown."""
+    error_m: Float = np.linalg.norm(found["odom"][:, :3] - found["true"][:, :3], axis=1)
+    return error_m
 
 
 def _coloured_by_error(run: Series, found: Paths) -> Trace:
     kept = _evenly(run)
-    poses, error_m = found["odom"][kept], np.linalg.norm((found["odom"] - found["true"])[kept, :3], axis=1)
+    poses, error_m = found["odom"][kept], _position_error_m(found)[kept]
     bar = {"title": {"text": "position error, m"}, "thickness": 12, "exponentformat": "none"}
     marker = {"color": numbers(error_m), "colorscale": "Portland", "size": 5, "colorbar": bar}
     points = {"mode": "markers", "showlegend": False, "hovertemplate": "error %{marker.color} m<extra></extra>"}

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -21,6 +22,7 @@ from ..dataset.report import settings_that_differ
 from ..dataset.worst import LogKey, key_of, worst_logs
 from ..frame_commands import view_dataset_command
 from ..quantities import Quantity
+from ..runs import Run
 from .page import rendered, write_page
 from .pictures import shown
 from .verdict import single_sentence, size, stage_table
@@ -34,7 +36,6 @@ class BadLog:
     """A log and configuration, and the quantity whose mean is the largest multiple of its relevant effect."""
 
     key: LogKey
-    name: str
     quantity: Quantity
     mean: float
     size: float
@@ -50,62 +51,61 @@ def write_dataset_page(target: Path, dataset: Dataset) -> None:
     """
     require_suffix(target, ".html", ".htm")
     with in_a_folder(dataset) as local:
-        _write(target, local, dataset.address)
+        if not (files := metrics_files(local)):
+            raise TableError(f"{dataset.address}: {NO_TABLES}")
+        _write(target, read_runs(local), files, dataset.address)
 
 
-def _write(target: Path, local: Dataset, address: str) -> None:
-    runs, files = read_runs(local), metrics_files(local)
-    if not files:
-        raise TableError(f"{address}: {NO_TABLES}")
+def _write(target: Path, runs: pl.DataFrame, files: Sequence[str], address: str) -> None:
     found = group_frames(files, runs, [])
     configs = in_order_of_runs(found.logs["config"].unique(maintain_order=True).to_list(), runs)
     names = log_names(found.logs["log_id"].unique(maintain_order=True), runs)
     summaries = summaries_of(found, names, configs)
     failed = runs.filter(pl.col("status") != DONE).sort("status", "path", "config")
-    worst = worst_of(found.logs, names, PAGES)
+    worst = worst_of(found.logs, PAGES)
     folder = target.with_name(f"{target.stem}_logs")
+    folder.mkdir(parents=True, exist_ok=True)
     failed_links = _write_failed(folder, failed.head(PAGES))
     shown_logs = worst[: PAGES - len(failed_links)]
-    links = _write_worst(folder, shown_logs, files, names, address)
-    verdicts: list[tuple[Mark, str]] = [_statuses(runs, failed.height)]
+    links = {}
+    for place, (key, run) in enumerate(runs_of_logs(files, [log.key for log in shown_logs], names).items(), 1):
+        write_page(folder / f"worst_{place}.html", [run], partial(_command, address, key))
+        links[_name(key, names)] = f"{folder.name}/worst_{place}.html"
+    mark: Mark = "worse" if failed.height else "better"
+    verdicts = [(mark, f"{failed.height} of {number(runs.height, 'run')} failed")] if runs.height else []
     for summary in summaries:
         mark, text = single_sentence(summary)
         verdicts.append((mark, f"{summary.name}: {text}" if len(summaries) > 1 else text))
     settings = settings_that_differ(settings_by_config(runs, configs))
-    tables = [
-        (stage_table(summaries), {}),
-        (settings, {}),
-        (_failed_table(failed), failed_links),
-        (_worst(worst), links),
-    ]
-    text = rendered("dataset.html", title=address, verdicts=verdicts, tables=tables, by_header=by_header)
+    lost, bad = _failed_table(failed), _worst_table(worst, names)
+    tables = [(stage_table(summaries), {}), (settings, {}), (lost, failed_links), (bad, links)]
+    _render(target, address, verdicts, tables)
+
+
+def _render(
+    target: Path, title: str, verdicts: Sequence[tuple[Mark, str]], tables: Sequence[tuple[TextTable, dict[str, str]]]
+) -> None:
+    text = rendered("dataset.html", title=title, verdicts=verdicts, tables=tables, by_header=by_header)
     with completing(target) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
-def worst_of(logs: pl.DataFrame, names: Mapping[str, str], most: int) -> list[BadLog]:
+def worst_of(logs: pl.DataFrame, most: int) -> list[BadLog]:
     """The worst logs over all quantities, each once, with a mean above the relevant effect of its quantity.
 
     Raises:
         TableError: a table cannot be read.
     """
-    by_quantity, _ = worst_logs(logs, most)
-    several = logs["config"].n_unique() > 1
-    found = [
-        BadLog(key, f"{names[key[0]]} {key[1]}" if several else names[key[0]], quantity, mean, size(mean, quantity))
-        for quantity, rows in by_quantity.items()
-        for key, mean in ((key_of(item), item["mean"]) for item in rows)
-    ]
+    rankings = worst_logs(logs, most)[0].items()
+    found = [BadLog(key_of(row), q, row["mean"], size(row["mean"], q)) for q, rows in rankings for row in rows]
     each: dict[LogKey, BadLog] = {}
     for log in sorted((log for log in found if log.size > 1), key=lambda log: -log.size):
         each.setdefault(log.key, log)
     return list(each.values())[:most]
 
 
-def _statuses(runs: pl.DataFrame, failed: int) -> tuple[Mark, str]:
-    if not runs.height:
-        return "unchanged", "The status of the runs is unknown, because there is no runs.parquet"
-    return ("worse" if failed else "better"), f"{failed} of {number(runs.height, 'run')} failed"
+def _name(key: LogKey, names: Mapping[str, str]) -> str:
+    return f"{names[key[0]]} {key[1]}"
 
 
 def _failed_table(failed: pl.DataFrame) -> TextTable:
@@ -114,8 +114,10 @@ def _failed_table(failed: pl.DataFrame) -> TextTable:
     return TextTable("Failed logs", ("status", "error"), tuple(rows), last_is_text=True)
 
 
-def _worst(worst: Sequence[BadLog]) -> TextTable:
-    rows = [row(log.name, shown(log.mean, log.quantity), f"{log.size:.0f}", log.quantity.name) for log in worst]
+def _worst_table(worst: Sequence[BadLog], names: Mapping[str, str]) -> TextTable:
+    rows = [
+        row(_name(log.key, names), shown(log.mean, log.quantity), f"{log.size:.0f}", log.quantity.name) for log in worst
+    ]
     notes = ("mean of the absolute error over the log, and its distance from a perfect value in relevant effects",)
     return TextTable("Worst logs", ("mean", "relevant effects", "metric"), tuple(rows), notes, last_is_text=True)
 
@@ -126,26 +128,11 @@ def _write_failed(folder: Path, failed: pl.DataFrame) -> dict[str, str]:
     for place, item in enumerate(failed.iter_rows(named=True), 1):
         facts = [row(name, str(value)) for name, value in item.items() if value not in (None, [], "")]
         table = TextTable("Run", ("value",), tuple(facts), last_is_text=True)
-        said: list[tuple[Mark, str]] = [("worse", f"{item['status']}: {item['error'] or 'no reason given'}")]
-        text = rendered("dataset.html", title=item["path"], verdicts=said, tables=[(table, {})], by_header=by_header)
-        target = folder / f"failed_{place}.html"
-        folder.mkdir(parents=True, exist_ok=True)
-        with completing(target) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-        links[f"{item['path']} {item['config']}"] = f"{folder.name}/{target.name}"
+        said = f"{item['status']}: {item['error'] or 'no reason given'}"
+        _render(folder / f"failed_{place}.html", item["path"], [("worse", said)], [(table, {})])
+        links[f"{item['path']} {item['config']}"] = f"{folder.name}/failed_{place}.html"
     return links
 
 
-def _write_worst(
-    folder: Path, worst: Sequence[BadLog], files: Sequence[str], names: Mapping[str, str], address: str
-) -> dict[str, str]:
-    """Write the page of each log; the address of each from the dataset's page."""
-    runs = runs_of_logs(files, [log.key for log in worst], names)
-    links = {}
-    for place, log in enumerate(worst, 1):
-        target = folder / f"worst_{place}.html"
-        folder.mkdir(parents=True, exist_ok=True)
-        log_id, config = log.key
-        write_page(target, [runs[log.key]], lambda _, frame: view_dataset_command(address, log_id, frame, config))
-        links[log.name] = f"{folder.name}/{target.name}"
-    return links
+def _command(address: str, log: LogKey, _run: Run, frame: int) -> str:
+    return view_dataset_command(address, log[0], frame, log[1])

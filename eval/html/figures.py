@@ -27,8 +27,8 @@ Trace = dict[str, Any]
 Layout = dict[str, Any]
 _TIME: Final = "since_start_s"
 TIME_TITLE: Final = "time from the log's first frame, s"
-BUCKETS: Final = 600
-"""Buckets of a thinned series: more than a chart has columns of pixels."""
+BUCKETS: Final = 300
+"""Buckets of a thinned series: with two extremes in each, more than a chart has columns of pixels."""
 Indices = NDArray[np.intp]
 
 

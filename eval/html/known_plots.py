@@ -10,63 +10,43 @@ from numpy.typing import NDArray
 from roadperc_stream.geometry import Float
 from roadperc_stream.system.files import OBJECTS_SUFFIX
 
-from ..runs import Run, collect
+from ..runs import Run, collect, reading
 from .charts import Paths
 from .figures import TIME_TITLE, TRUTH_COLOUR, Figure, Series, Trace, colour_of, layout, line, thinned
 
-_AXES: Final = (
-    ("x ahead", "m"),
-    ("y to the left", "m"),
-    ("z up", "m"),
-    ("roll", "deg"),
-    ("pitch", "deg"),
-    ("yaw", "deg"),
-)
+_AXES: Final = {"x ahead": "m", "y to the left": "m", "z up": "m", "roll": "deg", "pitch": "deg", "yaw": "deg"}
 MATCHES_M: Final = (0.5, 1.0, 2.0, 4.0)
 """Largest centre distances of a match, as in nuScenes' detection benchmark."""
 DRAWN_M: Final = 2.0
 LEAST_RECALL: Final = 0.1
 LEAST_PRECISION: Final = 0.1
 """Recalls and precisions below these are left out of the average precision, as in nuScenes."""
-_OBJECT_COLUMNS: Final = ("frame", "label", "score", "kept", "is_true", "distance_m", "true_distance_m")
+_ASIDE_M: Final = pl.col("lateral_m") - pl.col("true_lateral_m")
+_COLUMNS: Final = {
+    *("frame", "label", "score", "kept", "is_true", "distance_m", "true_distance_m", "lateral_m", "true_lateral_m")
+}
+_NOTE: Final = (
+    f"Matches within {DRAWN_M:g} m of the true centre; AP is the mean over 0.5, 1, 2 and 4 m. "
+    "Recall is among objects with a detection, because the table lacks objects that the detector missed."
+)
+Mask = NDArray[np.bool_]
 
 _SCHEMA: Final = {"label": pl.String, "score": pl.Float64, "off_m": pl.Float64}
 
 
 def poses_over_time(runs: Sequence[Series], paths: Sequence[Paths]) -> Iterator[Figure]:
     """Position and rotation against the first pose over time, with the truth."""
+    several = len(runs) > 1
     for at, (name, unit) in enumerate(_AXES.items()):
         traces = []
         for place, (run, found) in enumerate(zip(runs, paths, strict=True)):
             for which, poses in found.items():
-                kept = thinned(poses[:, at])
-                more = _look(which, place, len(runs) > 1)
-                traces.append(_line(run, which, run.since_start_s[kept], poses[kept, at], len(runs) > 1, more))
+                label, dash = ("truth", "dash") if which == "true" else ("odometry", "solid")
+                colour = TRUTH_COLOUR if which == "true" and not several else colour_of(place)
+                label, kept = f"{run.name}: {label}" if several else label, thinned(poses[:, at])
+                traces.append(line(label, run.since_start_s[kept], poses[kept, at], colour, dash=dash))
         if traces:
             yield Figure(f"Pose: {name}", "Against the first pose.", traces, layout(TIME_TITLE, f"{name}, {unit}"))
-
-
-def error_over_distance(runs: Sequence[Series], paths: Sequence[Paths]) -> Iterator[Figure]:
-    """Distance between the estimated and the true position over the distance driven; segments follow each other."""
-    traces = []
-    for place, (run, found) in enumerate(zip(runs, paths, strict=True)):
-        if found.keys() >= {"odom", "true"}:
-            error_m, true_m = position_error_m(found), found["true"][:, :3]
-            known = np.isfinite(error_m)
-            steps_m = np.linalg.norm(np.diff(true_m[known], axis=0, prepend=true_m[known][:1]), axis=1)
-            steps_m[np.diff(run.segments[known], prepend=run.segments[known][:1]) != 0] = 0.0
-            kept = thinned(error_m[known])
-            traces.append(line(run.name, np.cumsum(steps_m)[kept], error_m[known][kept], colour_of(place)))
-    if traces:
-        note = "Error of the position, without alignment: both paths begin at one pose."
-        look = layout("distance driven, m", "position error, m", showlegend=len(runs) > 1)
-        yield Figure("Position error over distance", note, traces, look)
-
-
-def position_error_m(paths: Paths) -> Float:
-    """(N,) distances between the estimated and the true positions; NaN where one is unknown."""
-    error_m: Float = np.linalg.norm(paths["odom"][:, :3] - paths["true"][:, :3], axis=1)
-    return error_m
 
 
 def precision_recall(runs: Sequence[Run]) -> Iterator[Figure]:
@@ -77,33 +57,31 @@ def precision_recall(runs: Sequence[Run]) -> Iterator[Figure]:
     Source: Caesar et al., nuScenes: A multimodal dataset for autonomous driving, 2020, section 3.1.
     """
     tables = [_objects(run) for run in runs]
-    labels = sorted({label for table in tables for label in table["label"].unique()})
-    for name in labels:
-        traces = []
-        for place, (run, table) in enumerate(zip(runs, tables, strict=True)):
-            rows = table.filter(pl.col("label") == name)
-            off_m, score = rows["off_m"].to_numpy(), rows["score"].to_numpy()
-            found = int(np.isfinite(off_m).sum())
-            if found:
-                recall, precision = curve(score, off_m <= DRAWN_M, found)
-                kept = np.unique(np.linspace(0, len(recall) - 1, 200).astype(int))
-                precisions = [average_precision(*curve(score, off_m <= limit, found)) for limit in MATCHES_M]
-                label = f"{run.name}: " if len(runs) > 1 else ""
-                label += f"AP {np.mean(precisions):.2f} over {found} true detections"
-                traces.append(line(label, recall[kept], precision[kept], colour_of(place)))
+    for name in sorted({label for table in tables for label in table["label"].unique()}):
+        found = [table.filter(pl.col("label") == name) for table in tables]
+        pairs = enumerate(zip(runs, found, strict=True))
+        traces = [
+            _precision(run, rows, at, len(runs) > 1) for at, (run, rows) in pairs if rows["off_m"].is_not_nan().any()
+        ]
         if traces:
-            note = f"Matches within {DRAWN_M:g} m of the true centre; AP is the mean over 0.5, 1, 2 and 4 m. "
-            note += "Recall is among objects with a detection: the table lacks objects that the detector missed."
             axes = layout("recall among detected objects", "precision", hovermode="closest")
-            for one in ("xaxis", "yaxis"):
-                axes[one]["range"] = [0, 1.03]
-            yield Figure(f"Precision and recall: {name}", note, traces, axes)
+            axes["xaxis"]["range"] = axes["yaxis"]["range"] = [0, 1.03]
+            yield Figure(f"Precision and recall: {name}", _NOTE, traces, axes)
 
 
-def curve(score: Float, matches: NDArray[np.bool_], found: int) -> tuple[Float, Float]:
-    """(N,) recall and precision over the detections in the order of falling score; ``found`` true ones in all."""
+def _precision(run: Run, rows: pl.DataFrame, place: int, several: bool) -> Trace:
+    off_m, score = rows["off_m"].to_numpy(), rows["score"].to_numpy()
+    recall, precision = curve(score, off_m <= DRAWN_M, np.isfinite(off_m))
+    mean = np.mean([average_precision(*curve(score, off_m <= limit, np.isfinite(off_m))) for limit in MATCHES_M])
+    kept = np.unique(np.linspace(0, len(recall) - 1, 200).astype(int))
+    label = f"{f'{run.name}: ' if several else ''}AP {mean:.2f}, {np.isfinite(off_m).sum()} true detections"
+    return line(label, recall[kept], precision[kept], colour_of(place))
+
+
+def curve(score: Float, matches: Mask, true: Mask) -> tuple[Float, Float]:
+    """(N,) recall and precision over the detections in the order of falling score."""
     hits = np.cumsum(matches[np.argsort(-score, kind="stable")])
-    return hits / found, hits / np.arange(1, len(hits) + 1)
+    return hits / true.sum(), hits / np.arange(1, len(hits) + 1)
 
 
 def average_precision(recall: Float, precision: Float) -> float:
@@ -120,35 +98,16 @@ def _objects(run: Run) -> pl.DataFrame:
     ``off_m`` is the distance between the estimated and the true centre on the ground, or along the view if the lateral
     position is unknown.
     """
-    parts = []
+    off = ((pl.col("distance_m") - pl.col("true_distance_m")) ** 2 + _ASIDE_M.fill_null(0.0) ** 2).sqrt()
+    true = pl.when(pl.col("is_true")).then(off).fill_null(float("nan")).alias("off_m")
+    parts = [pl.DataFrame(schema=_SCHEMA)]
     for table in run.tables:
         path = table.beside(OBJECTS_SUFFIX)
-        if path.is_file():
-            rows = pl.scan_parquet(path, glob=False)
+        rows = pl.scan_parquet(path, glob=False) if path.is_file() else pl.LazyFrame()
+        with reading(str(path)):
             columns = rows.collect_schema().names()
-            if set(_OBJECT_COLUMNS) <= set(columns):
-                lateral = ["lateral_m", "true_lateral_m"]
-                aside = pl.col(lateral[0]) - pl.col(lateral[1]) if set(lateral) <= set(columns) else pl.lit(0.0)
-                off = ((pl.col("distance_m") - pl.col("true_distance_m")) ** 2 + aside.fill_null(0.0) ** 2).sqrt()
-                rows = rows.filter(pl.col("kept"), pl.col("distance_m").is_not_null(), pl.col("score").is_not_null())
-                if table.end_frame is not None:
-                    rows = rows.filter(pl.col("frame") < table.end_frame)
-                true = pl.when(pl.col("is_true")).then(off).fill_null(float("nan")).cast(pl.Float64)
-                parts.append(collect(rows.select("label", "score", true.alias("off_m")), str(path)))
-    return (
-        pl.concat(parts)
-        if parts
-        else pl.DataFrame(schema={"label": pl.String, "score": pl.Float64, "off_m": pl.Float64})
-    )
-
-
-def _look(which: str, place: int, several: bool) -> tuple[str, str]:
-    """Colour and dash of a path."""
-    truth = which == "true"
-    return TRUTH_COLOUR if truth and not several else colour_of(place), "dash" if truth else "solid"
-
-
-def _line(run: Series, which: str, x: Float, y: Float, several: bool, look: tuple[str, str]) -> Trace:
-    name = {"odom": "odometry", "true": "truth"}[which]
-    name = f"{run.name}: {name}" if several else name
-    return line(name, x, y, look[0], dash=look[1], width=1.6)
+        if set(columns) >= _COLUMNS:
+            end = pl.col("frame") < table.end_frame if table.end_frame is not None else pl.lit(value=True)
+            known = pl.col("distance_m").is_not_null() & pl.col("score").is_not_null()
+            parts.append(collect(rows.filter("kept", known, end).select("label", "score", true), str(path)))
+    return pl.concat(parts)

@@ -9,8 +9,7 @@ import numpy as np
 from roadperc_stream.geometry import Float
 
 from ..quantities import REST, SIDES, STAGE_TIMES, TOTAL
-from ..summary import Summary
-from .figures import TIME_TITLE, TRUTH_COLOUR, Figure, Series, Trace, axis, colour_of, escaped, layout, line, thinned
+from .figures import TIME_TITLE, TRUTH_COLOUR, Figure, Series, Trace, colour_of, layout, line, thinned
 
 
 @dataclass(frozen=True)
@@ -124,12 +123,11 @@ def _note(chart: TimeChart, runs: int) -> str:
     return f"{chart.note} {looks.capitalize()}.".strip()
 
 
-def stage_times(runs: Sequence[Series], summaries: Sequence[Summary]) -> Iterator[Figure]:
-    """Times of the stages: of one run stacked over time; of several runs stacked means, and totals over time."""
+def stage_times(runs: Sequence[Series]) -> Iterator[Figure]:
+    """Times over time: of one run those of the stages, stacked; of several runs the totals."""
     if len(runs) == 1:
         yield from _stacked(runs[0])
         return
-    yield _means(summaries)
     timed = [(place, run) for place, run in enumerate(runs) if TOTAL.column in run.values]
     totals = [_thinned_line(run.name, run, TOTAL.column, colour_of(place)) for place, run in timed]
     if totals:
@@ -157,19 +155,3 @@ def _stages(run: Series) -> dict[str, Float]:
     stages = {names[column]: np.nan_to_num(run.values[column]) for column in names if column in run.values}
     rest = run.values[TOTAL.column] - sum(stages.values(), np.zeros(len(run.since_start_s)))
     return {**stages, REST.name: np.maximum(rest, 0.0)}
-
-
-def _means(summaries: Sequence[Summary]) -> Figure:
-    """A bar for each run with each stage's mean over all frames."""
-    traces: list[Trace] = []
-    names = [escaped(summary.name) for summary in summaries]
-    for stage in (stage for stage in STAGE_TIMES if stage != TOTAL):
-        found = [summary.statistics.get(stage.column) for summary in summaries]
-        means_ms = [round(s.total / run.frames, 3) if s else 0.0 for s, run in zip(found, summaries, strict=True)]
-        if any(means_ms):
-            bar = {"type": "bar", "orientation": "h", "name": stage.name}
-            traces.append({**bar, "y": names, "x": means_ms, "marker": {"color": _STAGE_COLOURS[stage.name]}})
-    height = 240 + 34 * len(summaries)
-    runs = axis("", autorange="reversed", type="category")
-    look = layout("mean time of a frame, ms", "", barmode="stack", hovermode="closest", height=height, yaxis=runs)
-    return Figure("Time per stage", "The mean over all frames of each run.", traces, look)

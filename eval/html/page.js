@@ -51,8 +51,8 @@ const moveCursor = (chart, at) => {
 };
 const nearest = (at) => {
   const byRun = new Map();
-  for (const [time, anchor, caption, command, image] of pictures) {
-    const run = caption.split(", frame ")[0];
+  for (const [time, anchor, run, frame, command, image] of pictures) {
+    const caption = `${run}, frame ${frame}, ${time.toFixed(2)} s`;
     if (!byRun.has(run) || Math.abs(time - at) < Math.abs(byRun.get(run).time - at)) byRun.set(run, { time, anchor, caption, command, image });
   }
   return [...byRun.values()].slice(0, 2);

@@ -8,6 +8,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any, Final
 
+import polars as pl
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
@@ -24,11 +25,11 @@ from ..report import in_segments
 from ..runs import Run
 from ..sections import sections
 from ..summary import Summary, WorstFrame, summarise_group
-from .charts import ERROR_COLUMNS, POSE_COLUMNS, histograms, paths, trajectory
+from .charts import ERROR_COLUMNS, POSE_COLUMNS, distributions, paths, trajectory
 from .figures import Figure, load_series
-from .known_plots import error_over_distance, poses_over_time, precision_recall
+from .known_plots import poses_over_time, precision_recall
 from .over_time import COLUMNS, over_time, stage_times
-from .pictures import WORST, Command, Gallery, Key, frame_at, gallery, log_of
+from .pictures import WORST, Command, Gallery, Key, frames_of, gallery, log_of
 from .pictures import shown as shown_value
 from .verdict import Ranked, bars, comparison_of, place_text, ranked_frames, sentence, single_sentence, stage_table
 
@@ -87,16 +88,11 @@ def _page(runs: Sequence[Run], command: Command) -> str:
     lead = _lead(compared, ranked, drawn, command)
     pictures = gallery([*(item.frame for item in ranked), *lead.frames], drawn, command)
     driven = [paths(run) for run in series]
-    from_above = trajectory(series, driven)
     charts = {
-        "Over time": [*over_time(series), *stage_times(series, summaries)],
-        "Trajectory": [
-            *([from_above] if from_above else []),
-            *error_over_distance(series, driven),
-            *poses_over_time(series, driven),
-        ],
+        "Over time": [*over_time(series), *stage_times(series)],
+        "Trajectory": [*trajectory(series, driven), *poses_over_time(series, driven)],
         "Precision and recall": list(precision_recall(drawn)),
-        "Error distributions": list(histograms(series)),
+        "Error distributions": list(distributions(series)),
     }
     return _render(
         names=[run.name for run in drawn],
@@ -127,38 +123,29 @@ class Lead:
 
 def _lead(compared: Comparison | None, ranked: Sequence[Ranked], runs: Sequence[Run], command: Command) -> Lead:
     """The frame in which the new run is worse by most, in both runs; else the first of the ranking."""
-    if compared and (place := compared.worst_place):
-        new = frame_at(place.pair.new, place.frame)
-        base = frame_at(place.pair.base, stamp_ns=place.stamp_ns)
-        both = view_pair_command(place.pair.base, place.pair.new, place.frame)
-        return Lead(place_text(compared, place), tuple(frame for frame in (base, new) if frame), both)
-    if not ranked:
+    place = compared.worst_place if compared else None
+    if not ranked and not place:
         return Lead()
-    first = ranked[0]
-    text = f"frame {first.frame.frame}: {first.quantity.name} {shown_value(first.frame.value, first.quantity)}"
-    pairs = compared.pairing.pairs if compared else ()
-    for pair in (pair for pair in pairs if first.frame.run in {pair.base.name, pair.new.name}):
-        base, new = (frame_at(run, stamp_ns=first.frame.stamp_ns) for run in (pair.base, pair.new))
-        both = view_pair_command(pair.base, pair.new, new.frame if new else first.frame.frame)
-        return Lead(f"{first.frame.run}, {text}", tuple(frame for frame in (base, new) if frame), both)
-    run = next(run for run in runs if run.name == first.frame.run)
-    return Lead(text, (first.frame,), command(run, first.frame.frame))
+    if compared and place:
+        pair, stamp_ns, text = place.pair, place.stamp_ns, place_text(compared, place)
+    else:
+        frame, quantity = ranked[0].frame, ranked[0].quantity
+        stamp_ns, text = frame.stamp_ns, f"frame {frame.frame}: {quantity.name} {shown_value(frame.value, quantity)}"
+        pairs = compared.pairing.pairs if compared else ()
+        found = next((pair for pair in pairs if frame.run in {pair.base.name, pair.new.name}), None)
+        if found is None:
+            return Lead(text, (frame,), command(next(run for run in runs if run.name == frame.run), frame.frame))
+        pair, text = found, f"{frame.run}, {text}"
+    both = [frame for run in (pair.base, pair.new) for frame in frames_of(run, pl.col("stamp_ns") == stamp_ns)[:1]]
+    return Lead(text, tuple(both), view_pair_command(pair.base, pair.new, place.frame if place else both[-1].frame))
 
 
 def _pictures(found: Gallery, visible: Container[Key]) -> Markup:
-    """Time, anchor, caption, command and image of each picture, for the script; no image if the page shows it."""
-    rows = [
-        (
-            picture.frame.since_start_s,
-            picture.anchor,
-            f"{picture.frame.run}, frame {picture.frame.frame}, {picture.frame.since_start_s:.2f} s",
-            picture.command,
-            "" if key in visible else picture.image,
-        )
-        for key, picture in found.pictures.items()
-        if picture.image
-    ]
-    return as_json(rows)
+    """Time, anchor, run, frame, command and image of each picture, for the script; no image if the page shows it."""
+    pictures = [(key, picture) for key, picture in found.pictures.items() if picture.image]
+    return as_json(
+        [(p.frame.since_start_s, p.anchor, *key, p.command, "" if key in visible else p.image) for key, p in pictures]
+    )
 
 
 def as_json(content: Any) -> Markup:
@@ -175,7 +162,7 @@ def _render(charts: Mapping[str, Sequence[Figure]], **content: Any) -> str:
     return rendered(
         "page.html",
         charts=named,
-        specs=asas_json(specs),
+        specs=as_json(specs),
         plotly=Markup(get_plotlyjs()),
         script=_part("page.js"),
         **content,

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Final
 
 import cv2
-import numpy as np
 import polars as pl
 
 from roadperc_stream.errors import RoadpercError
@@ -62,7 +61,8 @@ def gallery(wanted: Iterable[WorstFrame], runs: Sequence[Run], command: Command 
     frames = {(frame.run, frame.frame): frame for frame in wanted}
     asked = list(frames)
     for run in runs:
-        for frame in evenly(run, OVER_TIME // len(runs)):
+        each = max(run.frames * len(runs) // OVER_TIME, 1)
+        for frame in frames_of(run, pl.int_range(pl.len()) % each == 0):
             frames.setdefault((frame.run, frame.frame), frame)
     by_name = {run.name: (place, run) for place, run in enumerate(runs)}
     images, notes = _images(list(frames.values()), asked, runs)
@@ -74,20 +74,11 @@ def gallery(wanted: Iterable[WorstFrame], runs: Sequence[Run], command: Command 
     return Gallery(pictures, notes)
 
 
-def evenly(run: Run, most: int) -> list[WorstFrame]:
-    """Frames at even distances in a run's table, without values."""
-    rows = rows_of(run).select("frame", "stamp_ns", segment(run.columns))
-    table = collect(rows.with_columns(since_start_s()), run.source_name)
-    chosen = np.unique(np.linspace(0, table.height - 1, max(most, 1)).astype(int))
-    return [WorstFrame(run=run.name, value=math.nan, **row) for row in table[chosen].iter_rows(named=True)]
-
-
-def frame_at(run: Run, frame: int | None = None, *, stamp_ns: int = 0) -> WorstFrame | None:
-    """The frame of a run with this number, or else the first one with this stamp; without a value."""
+def frames_of(run: Run, wanted: pl.Expr) -> list[WorstFrame]:
+    """The frames of a run for which an expression holds, without values."""
     rows = rows_of(run).select("frame", "stamp_ns", segment(run.columns)).with_columns(since_start_s())
-    wanted = pl.col("stamp_ns") == stamp_ns if frame is None else pl.col("frame") == frame
-    table = collect(rows.filter(wanted), run.source_name)
-    return next((WorstFrame(run=run.name, value=math.nan, **row) for row in table.iter_rows(named=True)), None)
+    found = collect(rows.filter(wanted), run.source_name).iter_rows(named=True)
+    return [WorstFrame(run=run.name, value=math.nan, **row) for row in found]
 
 
 def shown(value: float, quantity: Quantity) -> str:

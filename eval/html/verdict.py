@@ -5,19 +5,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
+import numpy as np
+
 from roadperc_stream.errors import TableError
-from roadperc_stream.output.text_table import TextRow, TextTable
+from roadperc_stream.output.text_table import TextTable
 from roadperc_stream.schemas.columns import RATIO, UNITLESS
 from roadperc_stream.system.text import number
 
 from ..comparison.comparing import Comparison, compare_runs
 from ..comparison.pairing import pair_runs
-from ..comparison.verdicts import Finding, Mark, Place, Verdict
+from ..comparison.verdicts import Mark, Place, Verdict
 from ..options import Rules
-from ..quantities import COVERED, LOST, NUMBERS, TRUTH, Quantity, listed, percent, rounded
+from ..quantities import LOST, NUMBERS, TRUTH, Quantity, listed
 from ..runs import Run
-from ..sections import ranked_by
-from ..statistics import Statistics
+from ..sections import accuracy, coverage, ranked_by
 from ..summary import Summary, WorstFrame
 
 BARS: Final = 9
@@ -27,16 +28,12 @@ _NO_EFFECT: Final = 0.01
 _CUT: Final = 10.0
 """Largest effect drawn, as a multiple of the relevant effect."""
 _NAMES: Final = {quantity.column: quantity.name for quantity in NUMBERS}
-_STAGES: Final = {
-    "surface": ("surface_height_error_m", "surface_inlier_ratio"),
-    "left": ("lane_left_error_m", "lane_left_second_difference_m"),
-    "right": ("lane_right_error_m", "lane_right_second_difference_m"),
-    "objects": ("object_distance_error_m", "detections_kept"),
-    "stereo": ("stereo_epe_px", "stereo_valid_ratio"),
-    "odometry": ("step_error_m", "odometry_inliers"),
+_SHOWN: Final = {
+    *("surface_height_error_m", "lane_left_error_m", "lane_right_error_m", "object_distance_error_m", "stereo_epe_px"),
+    *("step_error_m", "surface_inlier_ratio", "lane_width_m", "detections_kept", "stereo_valid_ratio"),
+    "odometry_inliers",
 }
-"""By output in ``COVERED``: the column of its error, and the column shown without truth."""
-_LANES: Final = {"left": "lane left", "right": "lane right"}
+"""The column of each stage's error, and the column shown without truth."""
 
 
 @dataclass(frozen=True)
@@ -62,47 +59,22 @@ class Ranked:
 
 
 def stage_table(summaries: Sequence[Summary]) -> TextTable:
-    """Coverage, and median, p95 and worst error of each stage; without truth those of a quality number."""
-    quantities = {quantity.column: quantity for quantity in NUMBERS}
-    rows, truth = [], any(error in s.statistics for s in summaries for error, _ in _STAGES.values())
-    for output, columns in _STAGES.items():
-        quantity = quantities[columns[0 if truth else 1]]
-        cells = tuple(_stage_cells(summary, output, quantity) for summary in summaries)
-        if any(cells):
-            stage = _LANES.get(output, output)
-            named = quantity.name.startswith(stage.removesuffix("s"))
-            rows.append(TextRow(quantity.label if named else f"{stage}: {quantity.label}", cells))
-    kind = "error" if truth else "value"
-    notes = () if truth else ("No frame has truth: the numbers are the stages' own values, not errors.",)
-    headers = ("frames %", f"{kind}, median", "p95", "largest")
-    return TextTable("Stages", headers, tuple(rows), notes, tuple(summary.name for summary in summaries))
-
-
-def _stage_cells(summary: Summary, output: str, quantity: Quantity) -> tuple[str, ...]:
-    covered, found = summary.coverage(COVERED[output]), summary.statistics.get(quantity.column)
-    if not covered and found is None:
-        return ()
-    return (percent(covered), *(_tail(found, quantity) if found else ("", "", "")))
-
-
-def _tail(found: Statistics, quantity: Quantity) -> tuple[str, ...]:
-    return tuple(rounded(value, quantity) for value in (found.abs_median, found.abs_p95, found.abs_most))
+    """Coverage and error of each stage; without truth the stages' own values."""
+    labels = {quantity.label for quantity in NUMBERS if quantity.column in _SHOWN}
+    errors, values = accuracy(summaries), coverage(summaries)
+    table, notes = (errors, ()) if errors.rows else (values, ("No frame has truth: the values are not errors.",))
+    return replace(table, title="Stages", rows=tuple(row for row in table.rows if row.label in labels), notes=notes)
 
 
 def single_sentence(summary: Summary) -> tuple[Mark, str]:
     """The mark of one run, and the stages whose p95 error is beyond its limit."""
-    pairs = [(q, found) for q in TRUTH if q.limit is not None and (found := summary.statistics.get(q.column))]
-    beyond = [q.name for q, found in pairs if _is_beyond(found, q)]
-    if not pairs:
+    known = [(q, summary.statistics[q.column]) for q in TRUTH if q.limit is not None and q.column in summary.statistics]
+    beyond = [q.name for q, s in known if (s.p5 < (q.limit or 0) if q.better == "high" else s.abs_p95 > (q.limit or 0))]
+    if not known:
         return "unchanged", "No verdict, because no frame has truth"
     if beyond:
-        return "worse", f"{len(beyond)} of {len(pairs)} errors have their p95 beyond the limit: {listed(beyond)}"
-    return "better", f"The p95 of all {len(pairs)} errors is within its limit"
-
-
-def _is_beyond(found: Statistics, quantity: Quantity) -> bool:
-    limit = quantity.limit or 0.0
-    return found.p5 < limit if quantity.better == "high" else found.abs_p95 > limit
+        return "worse", f"{len(beyond)} of {number(len(known), 'error')} with p95 beyond the limit: {listed(beyond)}"
+    return "better", f"{number(len(known), 'error')} with p95 within the limit"
 
 
 def ranked_frames(groups: Sequence[Summary], most: int) -> list[Ranked]:
@@ -133,17 +105,16 @@ def comparison_of(groups: Sequence[tuple[Sequence[Run], Sequence[Summary]]]) -> 
     """The second group of runs against the first; None unless there are two groups with a log in common."""
     if len(groups) != 2:
         return None
-    base, new = ([_with_log(run, s) for run, s in zip(*group, strict=True)] for group in groups)
+    base, new = (
+        [replace(run, log_id="+".join(summary.log_ids)) for run, summary in zip(*group, strict=True)]
+        for group in groups
+    )
     if not {run.log_id for run in base} & {run.log_id for run in new}:
         return None
     try:
         return compare_runs(pair_runs(base, new, other_log=False), None, Rules())
     except TableError:  # frames without common stamps, for example
         return None
-
-
-def _with_log(run: Run, summary: Summary) -> Run:
-    return replace(run, log_id="+".join(summary.log_ids))
 
 
 def sentence(found: Comparison) -> tuple[Mark, str]:
@@ -158,11 +129,10 @@ def sentence(found: Comparison) -> tuple[Mark, str]:
 
 def bars(found: Comparison) -> list[Bar]:
     """A bar for each group whose metrics changed: first the worse, then the better, then the unchanged ones."""
-    marks: tuple[Mark, ...] = ("worse", "better", "unchanged")
-    leading = [(mark, group) for mark in marks for group in found.groups(mark)]
     seen: dict[str, Bar] = {}
-    for mark, group in leading:
-        if mark != "unchanged" or group.verdicts[0].weight > _NO_EFFECT:
+    marks: tuple[Mark, ...] = ("worse", "better", "unchanged")
+    for group in (group for mark in marks for group in found.groups(mark)):
+        if group.verdicts[0].weight > _NO_EFFECT:
             seen.setdefault(group.name, _bar(group.verdicts[0], len(group.verdicts) - 1, len(found.pairing.pairs) > 1))
     return list(seen.values())[:BARS]
 
@@ -171,39 +141,32 @@ def place_text(found: Comparison, place: Place) -> str:
     """The metric of the worst place, its log if there are several, and both values."""
     metric = next(verdict.metric for verdict in found.named("worse") if verdict.place is place)
     where = f"{place.pair.name}, " if len(found.pairing.pairs) > 1 else ""
-    values = f"{readable(place.base, metric.unit)} \N{RIGHTWARDS ARROW} {readable(place.new, metric.unit)}"
-    return f"{where}frame {place.frame}: {metric_name(metric.name)} {values}"
+    return f"{where}frame {place.frame}: {metric_name(metric.name)} {arrow(place.base, place.new, metric.unit)}"
 
 
 def _bar(verdict: Verdict, others: int, several: bool) -> Bar:
-    finding = (verdict.worst if verdict.mark == "worse" else None) or verdict.findings[0]
-    unit, effect = verdict.metric.unit, verdict.metric.sign * (finding.new - finding.base)
-    ends = (finding.interval.low, finding.interval.high) if finding.interval else ()
-    places = sorted(_place(verdict.metric.sign * end, verdict) for end in ends)
-    values = f"{readable(finding.base, unit)} \N{RIGHTWARDS ARROW} {readable(finding.new, unit)}"
-    bounds = f", {readable(finding.new - finding.base, unit, sign='+')}"
-    bounds += f" [{', '.join(readable(end, unit, sign='+') for end in ends)}]" if ends else ""
-    left, right = sorted((50.0, _place(effect, verdict)))
-    statistic = "" if finding.statistic == "mean" else f", {finding.statistic}"
-    return Bar(
-        f"{metric_name(verdict.metric.name)}{statistic}{_of_log(finding) if several else ''}",
-        values + bounds,
-        verdict.mark,
-        left,
-        max(right - left, 0.5),
-        (places[0], places[1] - places[0]) if places else None,
-        others,
-    )
-
-
-def _of_log(finding: Finding) -> str:
-    return f" in {finding.log}" if finding.log else ""
+    found = (verdict.worst if verdict.mark == "worse" else None) or verdict.findings[0]
+    unit, sign = verdict.metric.unit, verdict.metric.sign
+    ends = (found.interval.low, found.interval.high) if found.interval else ()
+    bounds = f" [{', '.join(readable(end, unit, '+') for end in ends)}]" if ends else ""
+    change = f"{arrow(found.base, found.new, unit)}, {readable(found.new - found.base, unit, '+')}{bounds}"
+    left, right = sorted((50.0, _place(sign * (found.new - found.base), verdict)))
+    places = sorted(_place(sign * end, verdict) for end in ends)
+    statistic = "" if found.statistic == "mean" else f", {found.statistic}"
+    name = f"{metric_name(verdict.metric.name)}{statistic}{f' in {found.log}' if several and found.log else ''}"
+    whisker = (places[0], places[1] - places[0]) if places else None
+    return Bar(name, change, verdict.mark, left, max(right - left, 0.5), whisker, others)
 
 
 def _place(effect: float, verdict: Verdict) -> float:
     """The place of an effect in percent of the bar's width; worse is right of the middle."""
-    multiple = effect / (verdict.relevant or 1.0)
-    return round(50 + 50 * min(max(multiple, -_CUT), _CUT) / _CUT, 2) if multiple == multiple else 50.0  # noqa: PLR0124
+    multiple = np.nan_to_num(effect / (verdict.relevant or 1.0))
+    return float(round(50 + 50 * np.clip(multiple / _CUT, -1, 1), 2))
+
+
+def arrow(base: float, new: float, unit: str) -> str:
+    """Both values."""
+    return f"{readable(base, unit)} \N{RIGHTWARDS ARROW} {readable(new, unit)}"
 
 
 def metric_name(name: str) -> str:

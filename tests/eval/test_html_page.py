@@ -16,6 +16,7 @@ from roadperc_stream.cli.report import main
 from roadperc_stream.config import load_config
 from roadperc_stream.eval.html.page import RUNS_DRAWN
 from roadperc_stream.output.tables import table_facts
+from tests.eval.dataset.datasets import small_dataset
 from tests.eval.tables import START_NS, STEP_NS, row, write
 from tests.eval.test_html_parts import STAMP, write_log
 
@@ -25,6 +26,8 @@ QUIET = (
     *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync"),
     *("--disable-background-networking", "--disable-component-update", "--virtual-time-budget=8000"),
 )
+SELECTS = """<script>setInterval(() => document.documentElement.dataset.drawn && select(0.03), 100)</script>"""
+"""Points at a time as the mouse does."""
 FULL = {
     "surface_source": "depth",
     "lane_left_status": "measured",
@@ -105,7 +108,7 @@ def test_names_are_escaped_everywhere(tmp_path):
 def test_any_table_gives_a_page(tmp_path, frames, columns):
     page, _ = report(tmp_path, write(tmp_path / "a.metrics.parquet", [row(k, **columns) for k in range(frames)]))
     assert "What was replayed" in page.text
-    assert ("No frame has truth for the replayed stages" in page.text) == ("stereo_epe_px" not in columns)
+    assert ("No verdict, because no frame has truth" in page.text) == ("stereo_epe_px" not in columns)
 
 
 def test_a_table_of_an_older_version_gives_a_page(tmp_path):
@@ -119,21 +122,34 @@ def test_a_table_of_an_older_version_gives_a_page(tmp_path):
     assert "depth 100.0 %" in page.text
 
 
-def test_the_page_starts_with_differing_settings_and_ranks_worst_frames_per_configuration(tmp_path):
+def test_two_runs_start_with_the_verdict_and_the_worst_frame_and_its_command(tmp_path):
     paths = [tmp_path / name / "a.metrics.parquet" for name in ("base", "slow")]
-    for error, settings, path in zip((0.1, 0.2), ((), ("lanes.hold_s=2",)), paths, strict=True):
+    for error, settings, path in zip((0.1, 2.0), ((), ("lanes.hold_s=2",)), paths, strict=True):
         path.parent.mkdir()
-        write(path, [row(k, stereo_epe_px=error) for k in range(12)])
+        write(path, [row(k, stereo_epe_px=error + k / 1000) for k in range(40)])
         facts = table_facts(path, path, load_config(settings=settings))
         pl.read_parquet(path).write_parquet(path, metadata=facts)
     page, _ = report(tmp_path, *paths)
     words = " ".join(page.text.split())
     assert "Settings that differ base/a slow/a lanes.hold_s 0.5 2.0 What was replayed" in words
+    verdict = words[: words.index("Over time")]
+    assert "New is worse: 1 of" in verdict
+    assert re.search(r"0\.1\d+ px → 2\.\d+ px, \+1\.90 px", verdict)
+    logs = " ".join(str(path.with_name("a.mcap")) for path in paths)
+    assert re.search(rf"Worst frame \d+: stereo disparity.* {re.escape(logs)} --frame \d+", verdict)
     worst = words[words.index("Worst frames") :]
-    assert "stereo disparity error, pxbase/a " in worst
-    assert "stereo disparity error, pxslow/a " in worst
-    assert re.findall(r"base/a (\d)0\.10 px", worst) == list("01234")
-    assert re.findall(r"slow/a (\d)0\.20 px", worst) == list("01234")
+    assert re.findall(r"(\d+)\. frame (\d+) at", worst) == [(str(k + 1), str(39 - k)) for k in range(10)]
+
+
+def test_a_dataset_gives_a_page_and_pages_of_its_bad_logs(tmp_path):
+    small_dataset(tmp_path / "batch")
+    assert main([str(tmp_path / "batch"), "--html", str(tmp_path / "page.html")]) == 0
+    page = Page((tmp_path / "page.html").read_text(encoding="utf-8"))
+    assert "3 of 7 runs failed" in page.text
+    linked = [tmp_path / link for link in page.links if link.startswith("page_logs/")]
+    assert {path.stem for path in linked} == {f"failed_{k}" for k in (1, 2, 3)} | {"worst_1", "worst_2"}
+    assert all(path.is_file() for path in linked)
+    assert f"roadperc-view {tmp_path / 'batch'} --log" in linked[-1].read_text(encoding="utf-8")
 
 
 def test_a_note_counts_the_runs_beyond_the_colours(tmp_path):
@@ -168,10 +184,10 @@ def test_each_worst_frame_has_one_picture(tmp_path, moved):
         tmp_path / "out.metrics.parquet", moved or log, [STAMP, STAMP + STEP_NS], stereo_epe_px=0.5, turn_error_deg=1.0
     )
     page, _ = report(tmp_path, table)
-    assert len(page.images) == 2
+    assert len(page.images) == 3  # the worst frame is also at the top
     assert all(image.startswith("data:image/jpeg;base64,/9j/") for image in page.images)
     captions = " ".join(page.text.split())
-    assert "frame 0 at 0.000 s stereo disparity error, px 0.50 px 1. turn error, deg 1.0000 deg 1." in captions
+    assert "1. frame 0 at 0.000 s turn error 1.0000 deg 100 relevant effects" in captions
     assert "somewhere" not in captions
     assert "in.mcap" in captions
 
@@ -179,7 +195,7 @@ def test_each_worst_frame_has_one_picture(tmp_path, moved):
 def test_a_picture_lacks_unreadable_results_and_a_note_says_so(tmp_path):
     log = write_log(tmp_path / "out.mcap", objects=b"\xff\xfe")
     page, _ = report(tmp_path, with_log(tmp_path / "out.metrics.parquet", log, [STAMP], stereo_epe_px=0.5))
-    assert len(page.images) == 1
+    assert len(page.images) == 2
     assert f"not drawn, because unreadable: /perception/objects: message at {STAMP} ns: 2 bytes are not a" in page.text
 
 
@@ -220,7 +236,6 @@ def test_a_note_says_why_a_log_has_no_pictures(tmp_path, content, said):
     assert not page.images
     assert said in page.text
     assert "stereo disparity" in page.text
-    assert str(tmp_path) not in page.text
 
 
 def test_only_a_page_is_replaced(tmp_path, capsys):
@@ -237,12 +252,17 @@ def test_only_a_page_is_replaced(tmp_path, capsys):
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine: the page is not opened in a browser")
 def test_a_browser_draws_every_chart_and_asks_for_nothing(tmp_path):
-    page, _ = report(tmp_path, write(tmp_path / "a.metrics.parquet", [row(k, **FULL) for k in range(30)]))
+    log = write_log(tmp_path / "out.mcap")
+    page, text = report(tmp_path, with_log(tmp_path / "out.metrics.parquet", log, [STAMP, STAMP + STEP_NS], **FULL))
+    (tmp_path / "report.html").write_text(text + SELECTS, encoding="utf-8")
     command = [CHROMIUM, *QUIET, f"--user-data-dir={tmp_path / 'profile'}", "--enable-logging=stderr", "--dump-dom"]
     done = subprocess.run(
         [*command, (tmp_path / "report.html").as_uri()], capture_output=True, text=True, timeout=120, check=True
     )
     assert f'data-drawn="{len(page.specs)}"' in done.stdout
     assert done.stdout.count('class="main-svg"') >= len(page.specs) > 3
+    assert done.stdout.count('class="cursor"') == text.count("plot timed") > 2
+    assert 'data-time="0.03"' in done.stdout
+    assert re.search(r"<figcaption>out, frame 1, 0.05 s<code>roadperc-view \S+out.mcap --frame 1</code>", done.stdout)
     assert "violates the following Content Security Policy" not in done.stderr
     assert "CONSOLE" not in done.stderr

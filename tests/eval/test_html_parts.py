@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream.eval.html.charts import bin_edges, histograms, paths, trajectory
+from roadperc_stream.eval.html.charts import distributions, paths, trajectory
 from roadperc_stream.eval.html.figures import Series, line, numbers, thinned
+from roadperc_stream.eval.html.known_plots import average_precision, curve, poses_over_time
 from roadperc_stream.eval.html.over_time import over_time, stage_times
 from roadperc_stream.eval.html.pictures import gallery
 from roadperc_stream.eval.runs import find_runs
@@ -60,12 +61,18 @@ def test_numbers_are_valid_json_and_gaps_stay_gaps():
     assert line("x", np.arange(3.0), np.array([np.nan, 1.0, 2.0]), "#000000")["mode"] == "lines"
 
 
-def test_histogram_in_percent_also_of_equal_values():
-    (chart,) = histograms([series(stereo_epe_px=[0.5] * 10 + [np.nan])])
-    assert max(chart.traces[0]["y"]) == 100
-    edges = bin_edges([np.array([0.0, np.nan]), np.array([4.0])])
-    assert (edges[0], edges[-1]) == (0, 4)
-    assert (np.diff(edges) > 0).all()
+def test_distribution_in_percent_also_of_equal_values():
+    (chart,) = distributions([series(stereo_epe_px=[0.5] * 10 + [np.nan])])
+    assert (set(chart.traces[0]["x"]), chart.traces[0]["y"][-1]) == ({0.5}, 100)
+
+
+def test_precision_and_recall_over_falling_scores():
+    true = np.array([True, False, True])
+    recall, precision = curve(np.array([0.9, 0.8, 0.1]), true, true)
+    np.testing.assert_allclose(recall, [0.5, 0.5, 1])
+    np.testing.assert_allclose(precision, [1, 0.5, 2 / 3])
+    assert average_precision(np.array([0.5, 1.0]), np.array([1.0, 1.0])) == pytest.approx(1)
+    assert average_precision(np.array([0.05]), np.array([1.0])) == 0
 
 
 def poses(which, xy, yaw_deg=0.0):
@@ -83,7 +90,7 @@ def test_the_true_path_starts_at_the_start_of_odometry():
     """The car drives 2 m north in the frame of the truth, 2 m ahead in the odom frame."""
     run = series(**poses("odom", [(0, 0), (1, 0), (2, 0)]), **poses("true", [(100, 50), (100, 51), (100, 52)], 90))
     found = paths(run)
-    np.testing.assert_allclose(found["odom"], [(0, 0, 0), (1, 0, 0), (2, 0, 0)], atol=1e-9)
+    np.testing.assert_allclose(found["odom"][:, :3], [(0, 0, 0), (1, 0, 0), (2, 0, 0)], atol=1e-9)
     np.testing.assert_allclose(found["true"], found["odom"], atol=1e-9)
 
 
@@ -91,7 +98,7 @@ def test_truth_that_starts_later_joins_the_path_there():
     later = {name: np.where(np.arange(3) < 1, np.nan, c) for name, c in poses("true", [(9, 9), (7, 7), (8, 7)]).items()}
     found = paths(series(**poses("odom", [(0, 0), (1, 0), (2, 0)]), **later))
     np.testing.assert_allclose(found["odom"][1:, 0], [0, 1], atol=1e-9)
-    np.testing.assert_allclose(found["true"][1:], [(0, 0, 0), (1, 0, 0)], atol=1e-9)
+    np.testing.assert_allclose(found["true"][1:, :3], [(0, 0, 0), (1, 0, 0)], atol=1e-9)
 
 
 def test_plotly_accepts_every_property_of_the_charts():
@@ -103,7 +110,9 @@ def test_plotly_accepts_every_property_of_the_charts():
         total_ms=[2, 2],
         stereo_epe_px=[1, 2],
     )
-    for chart in [*over_time([run, run]), *stage_times([run], []), trajectory([run]), *histograms([run])]:
+    driven = [paths(run)]
+    pose_charts = [*trajectory([run], driven), *poses_over_time([run], driven)]
+    for chart in [*over_time([run, run]), *stage_times([run]), *pose_charts, *distributions([run])]:
         go.Figure(json.loads(json.dumps(chart.spec, allow_nan=False)))
 
 
@@ -192,9 +201,9 @@ def test_pictures_of_a_looped_log_come_from_the_right_segment(tmp_path):
             metrics = result_channel(METRICS_TOPIC, "roadperc.FrameMetrics")
             writer.write(Message(metrics, time_ns, time_ns, item.frame, encode_metrics("camera", item)))
     (run,) = find_runs([str(write(table, rows, log=str(log)))])
-    found = gallery([summarise_run(run, 2)], [run])
+    found = gallery(summarise_run(run, 2).worst["lane_left_error_m"], [run])
     assert found.notes == []
-    assert [picture.frame.frame for picture in found.pictures] == [0, 1]
-    decoded = [np.frombuffer(base64.b64decode(p.image.partition(",")[2]), np.uint8) for p in found.pictures]
+    assert [picture.frame.frame for picture in found.pictures.values()] == [0, 1]
+    decoded = [np.frombuffer(base64.b64decode(p.image.partition(",")[2]), np.uint8) for p in found.pictures.values()]
     shades = [int(np.median(cv2.imdecode(data, cv2.IMREAD_COLOR))) for data in decoded]
     assert shades == [pytest.approx(40, abs=3), pytest.approx(200, abs=3)]

@@ -78,7 +78,7 @@ def test_the_report_equals_its_recording(number, runs, tmp_path, monkeypatch, ca
 def test_the_page_equals_its_recording(number, runs, tmp_path, ndarrays_regression):
     assert main([*runs[:number], "--html", str(tmp_path / "page.html")]) == 0
     page = Page((tmp_path / "page.html").read_text())
-    words = np.array([line.strip() for line in page.text.splitlines() if line.strip()])
+    words = np.array([line.strip() for line in page.text.replace(str(tmp_path), "").splitlines() if line.strip()])
     found = {"words": {"": (words, summaries.EXACT)}, "charts": summaries.of_document(page.specs)}
     summaries.check(ndarrays_regression, found)
 
