@@ -1,7 +1,6 @@
 """The page over a batch's dataset, with pages of its failed and its worst logs in a folder beside it."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -31,14 +30,8 @@ PAGES: Final = 10
 """Most pages of logs: failed ones first, then the worst."""
 
 
-@dataclass(frozen=True)
-class BadLog:
-    """A log and configuration, and the quantity whose mean is the largest multiple of its relevant effect."""
-
-    key: LogKey
-    quantity: Quantity
-    mean: float
-    size: float
+BadLogs = dict[LogKey, tuple[Quantity, float, float]]
+"""By log: the quantity with the worst mean, the mean, and its size as a multiple of the relevant effect."""
 
 
 def write_dataset_page(target: Path, dataset: Dataset) -> None:
@@ -66,9 +59,8 @@ def _write(target: Path, runs: pl.DataFrame, files: Sequence[str], address: str)
     folder = target.with_name(f"{target.stem}_logs")
     folder.mkdir(parents=True, exist_ok=True)
     failed_links = _write_failed(folder, failed.head(PAGES))
-    shown_logs = worst[: PAGES - len(failed_links)]
     links = {}
-    for place, (key, run) in enumerate(runs_of_logs(files, [log.key for log in shown_logs], names).items(), 1):
+    for place, (key, run) in enumerate(runs_of_logs(files, list(worst)[: PAGES - len(failed_links)], names).items(), 1):
         write_page(folder / f"worst_{place}.html", [run], partial(_command, address, key))
         links[_name(key, names)] = f"{folder.name}/worst_{place}.html"
     mark: Mark = "worse" if failed.height else "better"
@@ -90,18 +82,16 @@ def _render(
         temporary.write_text(text, encoding="utf-8")
 
 
-def worst_of(logs: pl.DataFrame, most: int) -> list[BadLog]:
-    """The worst logs over all quantities, each once, with a mean above the relevant effect of its quantity.
+def worst_of(logs: pl.DataFrame, most: int) -> BadLogs:
+    """The worst logs over all quantities, the worst first, with means above the relevant effects.
 
     Raises:
         TableError: a table cannot be read.
     """
     rankings = worst_logs(logs, most)[0].items()
-    found = [BadLog(key_of(row), q, row["mean"], size(row["mean"], q)) for q, rows in rankings for row in rows]
-    each: dict[LogKey, BadLog] = {}
-    for log in sorted((log for log in found if log.size > 1), key=lambda log: -log.size):
-        each.setdefault(log.key, log)
-    return list(each.values())[:most]
+    found = [(key_of(row), (q, row["mean"], size(row["mean"], q))) for q, rows in rankings for row in rows]
+    largest_last = sorted((item for item in found if item[1][2] > 1), key=lambda item: item[1][2])
+    return dict(sorted(dict(largest_last).items(), key=lambda item: -item[1][2])[:most])
 
 
 def _name(key: LogKey, names: Mapping[str, str]) -> str:
@@ -114,10 +104,8 @@ def _failed_table(failed: pl.DataFrame) -> TextTable:
     return TextTable("Failed logs", ("status", "error"), tuple(rows), last_is_text=True)
 
 
-def _worst_table(worst: Sequence[BadLog], names: Mapping[str, str]) -> TextTable:
-    rows = [
-        row(_name(log.key, names), shown(log.mean, log.quantity), f"{log.size:.0f}", log.quantity.name) for log in worst
-    ]
+def _worst_table(worst: BadLogs, names: Mapping[str, str]) -> TextTable:
+    rows = [row(_name(key, names), shown(mean, q), f"{times:.0f}", q.name) for key, (q, mean, times) in worst.items()]
     notes = ("mean of the absolute error over the log, and its distance from a perfect value in relevant effects",)
     return TextTable("Worst logs", ("mean", "relevant effects", "metric"), tuple(rows), notes, last_is_text=True)
 
