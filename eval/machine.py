@@ -1,5 +1,6 @@
 """Results for other programs: JSON, Markdown for merge requests, and JUnit XML for CI servers."""
 
+import argparse
 import json
 import math
 import re
@@ -26,6 +27,26 @@ class Case:
     name: str
     outcome: Outcome
     text: str = ""
+
+
+def write_files(
+    arguments: argparse.Namespace,
+    values: Mapping[str, Any],
+    markdown: tuple[str, Sequence[str], Sequence[TextTable]],
+    suite: str,
+    cases: Sequence[Case],
+) -> None:
+    """Write the files of ``--json``, ``--markdown`` (title, lines and tables) and ``--junit``, if they are given.
+
+    Raises:
+        TargetError: a file cannot be written.
+    """
+    if arguments.json is not None:
+        write_json(arguments.json, values)
+    if arguments.markdown is not None:
+        write_markdown(arguments.markdown, *markdown)
+    if arguments.junit is not None:
+        write_junit(arguments.junit, f"roadperc-{suite}", cases)
 
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:

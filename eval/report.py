@@ -15,7 +15,7 @@ from roadperc_stream.output.terminal import console_for, print_lines, print_part
 from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.system.text import number
 
-from .answers import Answer, of_pair, of_summaries, print_answer, wants_files, write_files
+from .answers import Answer, of_pair, of_summaries, print_answer, wants_files, write_answer
 from .brief import rows_tables
 from .configurations import UNKNOWN, grouped, settings_table, short_digest
 from .continued import find_joined
@@ -51,7 +51,7 @@ def print_report(arguments: argparse.Namespace, write_page: WritePage | None) ->
         write_page(arguments.html, filled)  # first, because the reader of the text may close the pipe
     answer = None if arguments.full and not wants_files(arguments) else _answer(filled, arguments.by)
     if answer is not None:
-        write_files(answer, arguments)
+        write_answer(answer, arguments)
     console = console_for(sys.stdout)
     print_lines(console, *found.notes, *(item.why_empty for item in found.runs if not item.frames), unbroken=True)
     if answer is not None and not arguments.full:

@@ -17,7 +17,7 @@ from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.system.text import number
 from roadperc_stream.system.time import NS_PER_S
 
-from ..answers import Answer, of_summaries, print_answer, wants_files, write_files
+from ..answers import Answer, of_summaries, print_answer, wants_files, write_answer
 from ..brief import has_truth, rows_tables, stage_figures, with_unit
 from ..configurations import Settings, rows_that_differ
 from ..frame_commands import view_dataset_command
@@ -207,7 +207,7 @@ def print_dataset(dataset: Dataset, arguments: argparse.Namespace) -> None:
         raise TableError(f"{dataset.address}: no tables in metrics/date=.../; no log of the batch has frames")
     if arguments.by and of_objects(arguments.by, (*scan_tables(files).collect_schema(), *RUN_COLUMNS, DATE)):
         answer = object_slices(scan_objects(dataset, runs), arguments.by, dataset.address)
-        write_files(answer, arguments)
+        write_answer(answer, arguments)
         print_answer(console, answer)
         return
     found = group_frames(files, runs, arguments.by)
@@ -220,7 +220,7 @@ def print_dataset(dataset: Dataset, arguments: argparse.Namespace) -> None:
     if not arguments.full or wants_files(arguments):
         answer = _answer(dataset, found, runs, names, summaries)
         answer = replace(answer, head=(*head, *answer.head), tables=(settings, *answer.tables))
-        write_files(answer, arguments)
+        write_answer(answer, arguments)
         if not arguments.full:
             print_answer(console, answer)
             return
