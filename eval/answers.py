@@ -25,8 +25,9 @@ from .brief import (
 from .comparison.bootstrap import LEVEL
 from .comparison.comparing import Comparison, compare_runs
 from .comparison.pairing import pair_runs
+from .comparison.summary import command as command_of
 from .comparison.verdicts import CauseGroup, Mark
-from .frame_commands import view_command, view_pair_command
+from .frame_commands import view_command
 from .machine import Case, write_files
 from .options import Rules
 from .runs import Run
@@ -92,7 +93,7 @@ def of_pair(runs: Sequence[Run], summaries: Sequence[Summary]) -> Answer:
     base, new = runs
     found = compare_runs(pair_runs([base], [new], other_log=True), None, Rules())
     groups = [group for mark in _MARKS for group in found.groups(mark)]
-    worst = _worst_line(found, base, new)
+    worst = _worst_line(found)
     none = "" if groups else f"no relevant difference in {found.frames} frames"
     with_each = of_summaries(
         "Differences", "runs", summaries, lambda at: view_command(base if at.run == base.name else new, at.frame)
@@ -112,14 +113,12 @@ def of_pair(runs: Sequence[Run], summaries: Sequence[Summary]) -> Answer:
     )
 
 
-def _worst_line(found: Comparison, base: Run, new: Run) -> str:
+def _worst_line(found: Comparison) -> str:
     """The frame in which the new run is worse by most; empty if no metric is worse."""
-    place = found.worst_place
-    names = (verdict.metric.name for verdict in found.named("worse") if verdict.place is place)
-    if place is None:
+    if (place := found.worst_place) is None:
         return ""
-    command = view_pair_command(base, new, place.frame)
-    return f"worst frame: {next(names)} {place.base:.4g} → {place.new:.4g}: {command}"
+    name = next(verdict.metric.name for verdict in found.named("worse") if verdict.place is place)
+    return f"worst frame: {name} {place.base:.4g} → {place.new:.4g}: {command_of(place)}"
 
 
 def _differences(groups: Sequence[CauseGroup]) -> TextTable:

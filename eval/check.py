@@ -51,9 +51,7 @@ class Check:
     def counts(self) -> dict[Outcome, int]:
         """The number of criteria by outcome; a criterion with several logs has that of its worst one."""
         found = Counter(results[0].outcome for results in self.by_title.values())
-        return {outcome: found[outcome] for outcome in get_args(Outcome) if outcome != "error"} | {
-            "error": len(self.failed_logs)
-        }
+        return {outcome: found[outcome] for outcome in get_args(Outcome)} | {"error": len(self.failed_logs)}
 
     @property
     def verdict(self) -> Outcome:

@@ -18,7 +18,7 @@ from .brief import LISTED, rows_tables
 from .configurations import short_digest
 from .dataset.groups import Pool, require_few
 from .dataset.keys import Key, group_name
-from .expressions import as_key, key_name, roots, unknown
+from .expressions import as_key, key_name, require_roots, roots
 from .frame_commands import view_command
 from .quantities import RANKED, percent
 from .runs import Run, collect
@@ -27,7 +27,6 @@ from .summary import EXACT_FRAMES, Summary, WorstFrame, worst_of
 
 _LOG: Final = "log"
 _CLASS: Final = "class"
-_TABLES: Final = "the tables"
 OBJECT_COLUMNS: Final = frozenset(columns_of(ObjectMetrics)) | {_CLASS}
 
 
@@ -49,9 +48,7 @@ def slices_of_runs(runs: Sequence[Run], by: Sequence[str]) -> Answer:
         if not scanned_objects:
             raise TableError(f"--by {','.join(by)}: {runs[0].beside(OBJECTS_SUFFIX)} does not exist; expected it")
         return object_slices(pl.concat(scanned_objects, how="diagonal_relaxed"), by, str(runs[0].path))
-    missing = [(text, name) for text in by for name in roots(text) if name not in columns]
-    if missing:
-        raise unknown(*missing[0], columns | OBJECT_COLUMNS, _TABLES)
+    require_roots(by, columns, OBJECT_COLUMNS, "the tables")
     summaries = _slices(runs, by)
     named = {run.name: run for run in runs}
     answer = of_summaries("Slices", "slices", summaries, lambda at: view_command(named[at.run], at.frame))
@@ -108,9 +105,7 @@ def object_slices(rows: pl.LazyFrame, by: Sequence[str], source: str) -> Answer:
     """
     rows = rows.with_columns(pl.col("label").alias(_CLASS))
     schema = rows.collect_schema()
-    missing = [(text, name) for text in by for name in roots(text) if name not in schema]
-    if missing:
-        raise unknown(*missing[0], schema, "the tables of objects")
+    require_roots(by, schema, (), "the tables of objects")
     keys = [key_name(text) for text in by]
     error = (pl.col("distance_m") - pl.col("true_distance_m")).abs()
     known = error.filter(error.is_finite())
