@@ -1,8 +1,8 @@
 """Short answers of the report: lines and tables for a terminal and Markdown, values for JSON, cases for JUnit."""
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from rich.console import Console
@@ -12,7 +12,7 @@ from roadperc_stream.output.text_table import TextRow, TextTable, row
 
 from .brief import (
     NO_TRUTH,
-    StageFigures,
+    Command,
     cases_of,
     has_truth,
     latency_line,
@@ -25,15 +25,14 @@ from .brief import (
 from .comparison.bootstrap import LEVEL
 from .comparison.comparing import Comparison, compare_runs
 from .comparison.pairing import pair_runs
+from .comparison.summary import command as command_of
 from .comparison.verdicts import CauseGroup, Mark
-from .frame_commands import view_command, view_pair_command
-from .machine import Case, write_json, write_junit, write_markdown
+from .frame_commands import view_command
+from .machine import Case, write_files
 from .options import Rules
 from .runs import Run
-from .summary import Summary, WorstFrame
+from .summary import Summary
 
-Command = Callable[[WorstFrame], str]
-"""The command that shows a frame."""
 _MARKS: Final[tuple[Mark, ...]] = ("worse", "better")
 
 
@@ -61,18 +60,14 @@ def wants_files(arguments: argparse.Namespace) -> bool:
     return any((arguments.json, arguments.markdown, arguments.junit))
 
 
-def write_files(answer: Answer, arguments: argparse.Namespace) -> None:
+def write_answer(answer: Answer, arguments: argparse.Namespace) -> None:
     """Write the files for other programs that the options name.
 
     Raises:
         TargetError: a file cannot be written.
     """
-    if arguments.json:
-        write_json(arguments.json, answer.values)
-    if arguments.markdown:
-        write_markdown(arguments.markdown, answer.title, (*answer.head, *answer.tail), answer.tables)
-    if arguments.junit:
-        write_junit(arguments.junit, "roadperc-report", answer.cases)
+    markdown = answer.title, (*answer.head, *answer.tail), answer.tables
+    write_files(arguments, answer.values, markdown, "report", answer.cases)
 
 
 def of_summaries(title: str, kind: str, summaries: Sequence[Summary], command: Command) -> Answer:
@@ -84,16 +79,9 @@ def of_summaries(title: str, kind: str, summaries: Sequence[Summary], command: C
     tables = () if others else (stage_table(figures[first.name], truth=truth),)
     shown = [worst_line(worst, command(worst.at))] if worst and worst.at else []
     times = [] if others else [latency_line(first)]
-    values = {
-        summary.name: values_of(summary, truth=truth, commands=_commands(figures[summary.name], command))
-        for summary in summaries
-    }
-    cases = tuple(case for summary in summaries for case in cases_of(summary, truth=truth))
+    values = {summary.name: values_of(summary, figures[summary.name], command) for summary in summaries}
+    cases = tuple(case for name, found in figures.items() for case in cases_of(name, found))
     return Answer(title, () if truth else (NO_TRUTH,), tables, (*shown, *times), {kind: values}, cases)
-
-
-def _commands(figures: Sequence[StageFigures], command: Command) -> dict[str, str]:
-    return {found.stage: command(found.at) for found in figures if found.at}
 
 
 def of_pair(runs: Sequence[Run], summaries: Sequence[Summary]) -> Answer:
@@ -105,37 +93,32 @@ def of_pair(runs: Sequence[Run], summaries: Sequence[Summary]) -> Answer:
     base, new = runs
     found = compare_runs(pair_runs([base], [new], other_log=True), None, Rules())
     groups = [group for mark in _MARKS for group in found.groups(mark)]
-    worst = _worst_line(found, base, new)
+    worst = _worst_line(found)
     none = "" if groups else f"no relevant difference in {found.frames} frames"
     with_each = of_summaries(
         "Differences", "runs", summaries, lambda at: view_command(base if at.run == base.name else new, at.frame)
     )
     changes = ", ".join(line for line in found.changes[0] if line)
     settings = (f"settings: {changes}",) if changes else ()
-    more = "pass --full for the tables of both runs; roadperc-compare judges them"
-    tail = (
-        *filter(None, (worst, none)),
-        *(f"{name} {latency_line(s)}" for name, s in zip(("base", "new"), summaries, strict=True)),
-        more,
-    )
-    return Answer(
-        with_each.title,
-        (f"base {base.name}, new {new.name}: {found.frames} common frames", *settings, *with_each.head),
-        (_differences(groups),) if groups else (),
-        tail,
-        {**with_each.values, "differences": _values(found)},
-        with_each.cases,
+    return replace(
+        with_each,
+        head=(f"base {base.name}, new {new.name}: {found.frames} common frames", *settings, *with_each.head),
+        tables=(_differences(groups),) if groups else (),
+        tail=(
+            *filter(None, (worst, none)),
+            *(f"{name} {latency_line(s)}" for name, s in zip(("base", "new"), summaries, strict=True)),
+            "pass --full for the tables of both runs; roadperc-compare judges them",
+        ),
+        values={**with_each.values, "differences": _values(found)},
     )
 
 
-def _worst_line(found: Comparison, base: Run, new: Run) -> str:
+def _worst_line(found: Comparison) -> str:
     """The frame in which the new run is worse by most; empty if no metric is worse."""
-    place = found.worst_place
-    names = (verdict.metric.name for verdict in found.named("worse") if verdict.place is place)
-    if place is None:
+    if (place := found.worst_place) is None:
         return ""
-    command = view_pair_command(base, new, place.frame)
-    return f"worst frame: {next(names)} {place.base:.4g} → {place.new:.4g}: {command}"
+    name = next(verdict.metric.name for verdict in found.named("worse") if verdict.place is place)
+    return f"worst frame: {name} {place.base:.4g} → {place.new:.4g}: {command_of(place)}"
 
 
 def _differences(groups: Sequence[CauseGroup]) -> TextTable:
@@ -152,23 +135,11 @@ def _difference(group: CauseGroup) -> TextRow:
     marked = [finding for finding in verdict.findings if finding.mark == verdict.mark]
     found = next(iter(marked), verdict.findings[0])
     interval = f"{found.interval.low:+.3g} to {found.interval.high:+.3g}" if found.interval else ""
-    name = (
-        found.metric.name
-        + (f", {found.statistic}" if found.statistic != "mean" else "")
-        + f" (+{others})" * bool(others)
-    )
+    statistic = "" if found.statistic == "mean" else f", {found.statistic}"
+    name = f"{found.metric.name}{statistic}{f' (+{others})' if others else ''}"
     return row(name, f"{found.base:.4g}", f"{found.new:.4g}", f"{found.new - found.base:+.3g}", interval, found.mark)
 
 
 def _values(found: Comparison) -> dict[str, Any]:
-    return {
-        verdict.metric.name: {
-            "base": verdict.base,
-            "new": verdict.new,
-            "low": verdict.interval.low,
-            "high": verdict.interval.high,
-            "mark": verdict.mark,
-        }
-        for mark in _MARKS
-        for verdict in found.named(mark)
-    }
+    changed = [verdict for mark in _MARKS for verdict in found.named(mark)]
+    return {v.metric.name: {"base": v.base, "new": v.new, **vars(v.interval), "mark": v.mark} for v in changed}

@@ -1,6 +1,6 @@
 """The short report: coverage, error and worst frame of each stage, as a table, as lines, and for other programs."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -12,6 +12,8 @@ from .machine import Case
 from .quantities import COVERED, NUMBERS, QUALITY, TOTAL, Quantity, percent, rounded
 from .summary import Summary, WorstFrame
 
+Command = Callable[[WorstFrame], str]
+"""The command that shows a frame."""
 LISTED: Final = 10
 """Most rows of the short tables with a row for each run, configuration or slice: the worst ones."""
 NO_TRUTH: Final = "No frame has truth: the figures are the stages' own quality numbers, not errors."
@@ -68,10 +70,10 @@ class StageFigures:
         """Name of the tail's quantile."""
         return "p5" if self.quantity.better == "high" else "p95"
 
-    def as_mapping(self, command: str = "") -> dict[str, Any]:
+    def as_mapping(self, command: Command) -> dict[str, Any]:
         """The figures for other programs."""
         known = {"median": self.median, self.tail_name: self.tail, "worst": self.worst}
-        frame = {"worst_frame": self.at.frame, "command": command} if self.at else {}
+        frame = {"worst_frame": self.at.frame, "command": command(self.at)} if self.at else {}
         names = {"coverage": self.coverage, "column": self.quantity.column, "unit": self.quantity.unit}
         return names | (known | frame if self.median is not None else {"reason": self.reason})
 
@@ -141,9 +143,9 @@ def worst_line(found: StageFigures, command: str) -> str:
 
 def latency_line(summary: Summary) -> str:
     """Median and p95 of the time of a frame, and the speed of one core."""
-    return ", ".join(
-        ("latency: median {median_ms:.1f} ms", "p95 {p95_ms:.1f} ms", "{frames_per_core_s:.1f} frames/s per core")
-    ).format_map(latency(summary))
+    found = latency(summary)
+    times = f"latency: median {found['median_ms']:.1f} ms, p95 {found['p95_ms']:.1f} ms"
+    return f"{times}, {found['frames_per_core_s']:.1f} frames/s per core"
 
 
 def latency(summary: Summary) -> dict[str, float]:
@@ -162,44 +164,34 @@ def rows_tables(title: str, summaries: Sequence[Summary]) -> tuple[TextTable, ..
     shown = ordered[:LISTED]
     units = {stage: _KNOWN[_STAGES[stage][1 if truth else 2]] for stage in stages}
     headers = [f"{_NARROW.get(stage, stage)}{'' if q.unit in UNITLESS else f' {q.unit}'}" for stage, q in units.items()]
-    tails = [row(s.name, str(s.frames), *(_tail(found[s.name].get(stage)) for stage in stages)) for s in shown]
-    covered = [row(s.name, *(_coverage(found[s.name].get(stage)) for stage in stages)) for s in shown]
+    tails, covered = [], []
+    for s in shown:
+        of_stages = [found[s.name].get(stage) for stage in stages]
+        tails.append(row(s.name, str(s.frames), *(_cells(f)[1] if f else "" for f in of_stages)))
+        covered.append(row(s.name, *(percent(f.coverage) if f else "" for f in of_stages)))
     notes = (f"listed: the worst {len(shown)} of {len(summaries)}",) if len(summaries) > len(shown) else ()
     kinds = "p95 error" if truth else "p95 or p5"
     return (
         TextTable(f"{title}: {kinds}", ("frames", *headers), tuple(tails), notes, label_columns=15),
-        TextTable(
-            "Coverage, %", tuple(_NARROW.get(stage, stage) for stage in stages), tuple(covered), label_columns=15
-        ),
+        TextTable("Coverage, %", tuple(_NARROW.get(s, s) for s in stages), tuple(covered), label_columns=15),
     )
 
 
-def _tail(found: StageFigures | None) -> str:
-    return "" if found is None or found.tail is None else rounded(found.tail, found.quantity)
-
-
-def _coverage(found: StageFigures | None) -> str:
-    return "" if found is None else percent(found.coverage)
-
-
-def values_of(summary: Summary, *, truth: bool, commands: Mapping[str, str]) -> dict[str, Any]:
-    """The figures of a summary for other programs; ``commands`` show the worst frame of each stage."""
-    figures = stage_figures(summary, truth=truth)
+def values_of(summary: Summary, figures: Sequence[StageFigures], command: Command) -> dict[str, Any]:
+    """The figures of a summary for other programs."""
     return {
         "frames": summary.frames,
         "logs": len(summary.log_ids),
         "seconds": summary.span_s,
         "latency": latency(summary),
-        "stages": {found.stage.replace(" ", "_"): found.as_mapping(commands.get(found.stage, "")) for found in figures},
+        "stages": {found.stage.replace(" ", "_"): found.as_mapping(command) for found in figures},
     }
 
 
-def cases_of(summary: Summary, *, truth: bool) -> Iterator[Case]:
-    """A case for each stage, skipped without a value."""
-    for found in stage_figures(summary, truth=truth):
-        if found.median is None:
-            yield Case(summary.name, found.stage, "skipped", found.reason or "no value")
-        else:
-            median, tail, worst = _cells(found)
-            text = f"median {median}, {found.tail_name} {tail}, worst {worst}"
-            yield Case(summary.name, found.stage, "passed", f"{found.label}: {text}")
+def cases_of(name: str, figures: Sequence[StageFigures]) -> Iterator[Case]:
+    """A case for each stage of the summary ``name``, skipped without a value."""
+    for found in figures:
+        median, tail, worst = _cells(found)
+        text = f"{found.label}: median {median}, {found.tail_name} {tail}, worst {worst}"
+        without = found.reason or "no value"
+        yield Case(name, found.stage, *(("passed", text) if median else ("skipped", without)))

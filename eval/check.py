@@ -21,7 +21,7 @@ from .criteria import DEFAULT_CRITERIA, read_criteria
 from .dataset.pairs import all_runs, in_a_folder
 from .dataset.place import DONE, dataset_at, read_runs
 from .judging import Result, judge
-from .machine import Case, Outcome, write_json, write_junit, write_markdown
+from .machine import Case, Outcome, write_files
 from .quantities import listed
 from .reference_criteria import write_criteria
 from .runs import Run
@@ -51,9 +51,7 @@ class Check:
     def counts(self) -> dict[Outcome, int]:
         """The number of criteria by outcome; a criterion with several logs has that of its worst one."""
         found = Counter(results[0].outcome for results in self.by_title.values())
-        return {outcome: found[outcome] for outcome in get_args(Outcome) if outcome != "error"} | {
-            "error": len(self.failed_logs)
-        }
+        return {outcome: found[outcome] for outcome in get_args(Outcome)} | {"error": len(self.failed_logs)}
 
     @property
     def verdict(self) -> Outcome:
@@ -136,15 +134,10 @@ def _failure(title: str, results: Sequence[Result]) -> Iterator[str]:
 
 
 def _write(found: Check, arguments: argparse.Namespace) -> None:
-    """Write the files of ``--json``, ``--markdown`` and ``--junit``."""
-    if arguments.json is not None:
-        write_json(arguments.json, _as_json(found))
-    if arguments.markdown is not None:
-        write_markdown(arguments.markdown, f"Check: {found.verdict}", list(_lines(found))[1:], [_table(found)])
-    if arguments.junit is not None:
-        cases = [Case(result.log, _case(result), result.outcome, _body(result)) for result in found.results]
-        logs = [Case(path, f"replay of {path}", "error", reason) for path, reason in found.failed_logs]
-        write_junit(arguments.junit, "roadperc-check", [*cases, *logs])
+    cases = [Case(result.log, _case(result), result.outcome, _body(result)) for result in found.results]
+    cases += [Case(path, f"replay of {path}", "error", reason) for path, reason in found.failed_logs]
+    lines = f"Check: {found.verdict}", list(_lines(found))[1:], [_table(found)]
+    write_files(arguments, _as_json(found), lines, "check", cases)
 
 
 def _case(result: Result) -> str:
@@ -174,17 +167,9 @@ def _as_json(found: Check) -> dict[str, Any]:
 
 
 def _values(result: Result) -> dict[str, Any]:
-    values: dict[str, Any] = {
-        "outcome": result.outcome,
-        "value": result.value,
-        "coverage": result.coverage,
-        "frames": result.frames,
-    }
-    if result.reason:
-        values["reason"] = result.reason
-    if result.worst is not None:
-        values["worst"] = vars(result.worst)
-    return values
+    values = {name: getattr(result, name) for name in ("outcome", "value", "coverage", "frames")}
+    reason = {"reason": result.reason} if result.reason else {}
+    return values | reason | ({"worst": vars(result.worst)} if result.worst else {})
 
 
 def _table(found: Check) -> TextTable:

@@ -15,7 +15,7 @@ from roadperc_stream.system.text import number, print_line
 from .comparison.agreement import same_except_times
 from .comparison.comparing import Comparison, compare_runs
 from .comparison.display import print_comparison
-from .comparison.pairing import Pairing, RunPair, logged_runs, pair_runs
+from .comparison.pairing import Pairing, logged_runs, pair_runs
 from .comparison.results import write_results
 from .criteria import effects
 from .dataset.pairs import in_a_folder, runs_of_configs
@@ -61,18 +61,16 @@ def _update_copies(base: Path, pairing: Pairing) -> list[Copy]:
     Raises:
         TableError: a pair has different numbers of continued replays.
     """
-    changed = [copy for pair in pairing.pairs if not same_except_times(pair) for copy in _replacements(pair)]
+    copies: list[Copy] = []
+    for pair in (pair for pair in pairing.pairs if not same_except_times(pair)):
+        ours, theirs = pair.base.tables, pair.new.tables
+        if len(ours) != len(theirs):
+            found = f"{number(len(theirs), 'table')} cannot replace {len(ours)}"
+            expected = "expected as many continued replays, or another base"
+            raise TableError(f"{pair.new.source_name}: {found}; {expected}")
+        copies += ((new.path, old.path) for old, new in zip(ours, theirs, strict=True))
     added = pairing.added if base.is_dir() else ()
-    return [*changed, *(copy for run in added for copy in _into_folder(base, run))]
-
-
-def _replacements(pair: RunPair) -> Iterator[Copy]:
-    ours, theirs = pair.base.tables, pair.new.tables
-    if len(ours) != len(theirs):
-        found = f"{number(len(theirs), 'table')} cannot replace {len(ours)}"
-        expected = "expected as many continued replays, or another base"
-        raise TableError(f"{pair.new.source_name}: {found}; {expected}")
-    return ((new.path, old.path) for old, new in zip(ours, theirs, strict=True))
+    return [*copies, *(copy for run in added for copy in _into_folder(base, run))]
 
 
 def _into_folder(folder: Path, run: Run) -> Iterator[Copy]:

@@ -165,8 +165,6 @@ def _read(path: Path) -> Criteria:
         raise ConfigError(f"{path}: {error}") from error
     try:
         return Criteria.model_validate(tree)
-    except RecursionError as error:
-        raise ConfigError(f"{path}: nested too deeply") from error
     except ValidationError as error:
         raise ConfigError(f"{path}: {_complaint(error, tree)}") from error
 

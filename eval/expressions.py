@@ -49,6 +49,18 @@ def unknown(text: str, name: str, known: Iterable[str], where: str) -> TableErro
     return TableError(f"--by {text}: no column{column} of {where}; {hint}")
 
 
+def require_roots(by: Iterable[str], known: Iterable[str], others: Iterable[str], where: str) -> None:
+    """Check that the columns of expressions are among the known ones; an error also lists ``others``.
+
+    Raises:
+        TableError: a column does not exist.
+    """
+    names = set(known)
+    lacking = [(text, name) for text in by for name in roots(text) if name not in names]
+    if lacking:
+        raise unknown(*lacking[0], names.union(others), where)
+
+
 def as_key(text: str, schema: Mapping[str, pl.DataType]) -> pl.Expr:
     """The value of an expression as text, for the keys and names of groups; null if empty.
 

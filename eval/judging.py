@@ -22,7 +22,7 @@ from .runs import Run, collect, first_line
 from .scan import before, rows_of, scan
 
 _QUANTILES: Final = {"median": 0.5, "p1": 0.01, "p5": 0.05, "p95": 0.95, "p99": 0.99, "min": 0.0, "max": 1.0}
-_OF_ONE_TRUTH: Final = (
+_TRUTHS: Final = (
     (errors.SurfaceErrorColumns,),
     (errors.LaneErrorColumns, errors.LaneScoreColumns, errors.TrueLaneColumns),
     (errors.ObjectErrorColumns, errors.TrueImpactColumns),
@@ -30,7 +30,7 @@ _OF_ONE_TRUTH: Final = (
     (errors.OdometryErrorColumns, errors.TruePoseColumns),
 )
 """Groups of columns that need the same truth: a value in any of them shows that a log has this truth."""
-_TRUTHS: Final = tuple([name for group in groups for name in columns_of(group)] for groups in _OF_ONE_TRUTH)
+_OF_TRUTH: Final = tuple([name for group in groups for name in columns_of(group)] for groups in _TRUTHS)
 _S_PER_MINUTE: Final = 60
 ALL: Final = "all logs"
 
@@ -170,7 +170,7 @@ def _measured(criteria: Sequence[Criterion], run: Run, schema: pl.Schema) -> lis
     present = {*frames.collect_schema().names()}
     lacking = [pl.lit(None, kind).alias(name) for name, kind in schema.items() if name not in present]
     columns = [pl.col("frame"), before(pl.col("stamp_ns"), -1).sub(pl.col("stamp_ns")).alias("lasts")]
-    columns += [pl.any_horizontal(pl.col(names).is_not_null()).any().alias(f"truth {names[0]}") for names in _TRUTHS]
+    columns += [pl.any_horizontal(pl.col(names).is_not_null()).any().alias(f"truth {names[0]}") for names in _OF_TRUTH]
     for number, criterion in enumerate(criteria):
         columns.append(_sql(criterion.filter).fill_null(value=False).alias(f"keep {number}"))
         columns.append(_value(criterion).alias(f"value {number}"))
@@ -180,7 +180,7 @@ def _measured(criteria: Sequence[Criterion], run: Run, schema: pl.Schema) -> lis
     for number, criterion in enumerate(criteria):
         rows = table.filter(f"keep {number}")
         needed = _columns_of(criterion)
-        of_truth = [names[0] for names in _TRUTHS if not set(needed[:1]).isdisjoint(names)]
+        of_truth = [names[0] for names in _OF_TRUTH if not set(needed[:1]).isdisjoint(names)]
         absent = next((name for name in needed if name in _written() and name not in run.columns), "")
         has_truth = all(table[f"truth {name}"].any() for name in of_truth)
         minutes = float(rows["lasts"].sum()) / _S_PER_MINUTE
@@ -203,8 +203,8 @@ def _judged(criterion: Criterion, parts: Sequence[_Part], log: str) -> Result:
         return Result(criterion, log, "skipped", frames, reason="no truth")
     frames = sum(part.rows.height for part in parts)
     if frames < criterion.least_frames:
-        found = number_of(frames, "frame") if frames else "no frame fulfils the filter"
-        reason = f"{found}, expected {criterion.least_frames} at least" if frames else found
+        few = f"{number_of(frames, 'frame')}, expected {criterion.least_frames} at least"
+        reason = few if frames else "no frame fulfils the filter"
         return Result(criterion, log, "skipped", frames, reason=reason)
     values = pl.concat([part.rows["value"] for part in parts]).drop_nulls()
     coverage = values.len() / frames
@@ -235,19 +235,13 @@ def _statistic(criterion: Criterion, values: pl.Series, minutes: float) -> float
 
 def _worst(criterion: Criterion, parts: Sequence[_Part], *, by_value: bool) -> WorstPlace | None:
     """The frame with the worst value; the first one without a value if only the coverage is too low."""
-    worst: tuple[float, Run, int, float | None] | None = None
-    for part in parts:
-        rows = part.rows
-        if by_value:
-            size = rows["value"].abs() if criterion.statistic == "share" else rows["value"]
-            badness = size if (criterion.most is not None) != (criterion.statistic == "share") else -size
-        else:
-            badness = rows["value"].is_null().cast(pl.Float64)
-        at = badness.arg_max()
-        if at is not None and (worst is None or badness[at] > worst[0]):
-            worst = badness[at], part.run, rows["frame"][at], rows["value"][at]
-    if worst is None:
+    rows = pl.concat([part.rows.with_columns(part=pl.lit(place)) for place, part in enumerate(parts)])
+    is_share = criterion.statistic == "share"
+    size = rows["value"].abs() if is_share else rows["value"]
+    by_size = size if (criterion.most is not None) != is_share else -size
+    at = (by_size if by_value else rows["value"].is_null().cast(pl.Int8)).arg_max()
+    if at is None:
         return None
-    _, run, frame, value = worst
+    run, frame = parts[rows["part"][at]].run, rows["frame"][at]
     of_frame = next((table for table in reversed(run.tables) if table.first_frame <= frame), run)
-    return WorstPlace(run.name, frame, value, view_command(of_frame, frame))
+    return WorstPlace(run.name, frame, rows["value"][at], view_command(of_frame, frame))

@@ -1,5 +1,6 @@
 """Results for other programs: JSON, Markdown for merge requests, and JUnit XML for CI servers."""
 
+import argparse
 import json
 import math
 import re
@@ -26,6 +27,26 @@ class Case:
     name: str
     outcome: Outcome
     text: str = ""
+
+
+def write_files(
+    arguments: argparse.Namespace,
+    values: Mapping[str, Any],
+    markdown: tuple[str, Sequence[str], Sequence[TextTable]],
+    suite: str,
+    cases: Sequence[Case],
+) -> None:
+    """Write the files of ``--json``, ``--markdown`` (title, lines and tables) and ``--junit``, if they are given.
+
+    Raises:
+        TargetError: a file cannot be written.
+    """
+    if arguments.json is not None:
+        write_json(arguments.json, values)
+    if arguments.markdown is not None:
+        write_markdown(arguments.markdown, *markdown)
+    if arguments.junit is not None:
+        write_junit(arguments.junit, f"roadperc-{suite}", cases)
 
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:
@@ -90,14 +111,12 @@ def write_junit(path: Path, suite: str, cases: Sequence[Case]) -> None:
     root = ElementTree.Element("testsuites")
     group = ElementTree.SubElement(root, "testsuite", {"name": suite, "tests": str(len(cases)), **counts})
     for case in cases:
-        names = {"classname": _NOT_IN_XML.sub("?", case.log), "name": _NOT_IN_XML.sub("?", case.name)}
-        item = ElementTree.SubElement(group, "testcase", names)
-        if (element := _ELEMENTS.get(case.outcome)) is not None:
-            ElementTree.SubElement(item, element).text = _NOT_IN_XML.sub("?", case.text)
-        elif case.text:
-            ElementTree.SubElement(item, "system-out").text = _NOT_IN_XML.sub("?", case.text)
+        item = ElementTree.SubElement(group, "testcase", {"classname": case.log, "name": case.name})
+        if case.text or case.outcome in _ELEMENTS:
+            ElementTree.SubElement(item, _ELEMENTS.get(case.outcome, "system-out")).text = case.text
     ElementTree.indent(root)
-    _write(path, ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n")
+    text = ElementTree.tostring(root, encoding="unicode", xml_declaration=True)
+    _write(path, _NOT_IN_XML.sub("?", text) + "\n")
 
 
 def _write(path: Path, text: str) -> None:

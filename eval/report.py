@@ -15,7 +15,7 @@ from roadperc_stream.output.terminal import console_for, print_lines, print_part
 from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.system.text import number
 
-from .answers import Answer, of_pair, of_summaries, print_answer, wants_files, write_files
+from .answers import Answer, of_pair, of_summaries, print_answer, wants_files, write_answer
 from .brief import rows_tables
 from .configurations import UNKNOWN, grouped, settings_table, short_digest
 from .continued import find_joined
@@ -51,7 +51,7 @@ def print_report(arguments: argparse.Namespace, write_page: WritePage | None) ->
         write_page(arguments.html, filled)  # first, because the reader of the text may close the pipe
     answer = None if arguments.full and not wants_files(arguments) else _answer(filled, arguments.by)
     if answer is not None:
-        write_files(answer, arguments)
+        write_answer(answer, arguments)
     console = console_for(sys.stdout)
     print_lines(console, *found.notes, *(item.why_empty for item in found.runs if not item.frames), unbroken=True)
     if answer is not None and not arguments.full:
@@ -74,21 +74,17 @@ def _answer(runs: Sequence[Run], by: Sequence[str]) -> Answer:
     if len(runs) == 2 and len({summary.log_ids for summary in summaries}) == 1:
         with suppress(TableError):  # runs without a common frame get a row each
             return of_pair(runs, summaries)
-    names = short_names([run.name for run in runs], name_columns(console_for(sys.stdout)))
-    settings = settings_table({names[run.name]: run for run in runs})
-    tables = (settings, *rows_tables("Run", [replace(s, name=names[s.name]) for s in summaries]))
-    notes = tuple(legend(names))
-    answer = of_summaries("Report", "runs", summaries, lambda at: view_command(_named(runs, at.run), at.frame))
+    named = {run.name: run for run in runs}
+    answer = of_summaries("Report", "runs", summaries, lambda at: view_command(named[at.run], at.frame))
     if len(runs) == 1:
         (summary,) = summaries
         extent_s = f"{number(summary.frames, 'frame')}{in_segments(summary)}, {summary.span_s:.2f} s"
         return replace(answer, head=(f"{identity(summary)}, {extent_s}", *answer.head), tail=(*answer.tail, _MORE))
     head = (f"{contents(summaries)}, {sum(summary.frames for summary in summaries)} frames", *answer.head)
-    return replace(answer, head=head, tables=tables, tail=(*notes, *answer.tail, _MORE))
-
-
-def _named(runs: Sequence[Run], name: str) -> Run:
-    return next(run for run in runs if run.name == name)
+    names = short_names([run.name for run in runs], name_columns(console_for(sys.stdout)))
+    settings = settings_table({names[run.name]: run for run in runs})
+    tables = (settings, *rows_tables("Run", [replace(s, name=names[s.name]) for s in summaries]))
+    return replace(answer, head=head, tables=tables, tail=(*legend(names), *answer.tail, _MORE))
 
 
 def _print_several(console: Console, found: Sequence[Run], worst: int) -> None:
@@ -127,12 +123,9 @@ def identity(summary: Summary) -> str:
 
 def contents(summaries: Sequence[Summary]) -> str:
     """Numbers of runs, logs, configurations and versions."""
-    kinds = {
-        "log": [name for summary in summaries for name in summary.log_ids],
-        "configuration": [name for summary in summaries for name in summary.configs],
-        "version": [name for summary in summaries for name in summary.versions],
-    }
-    counts = ", ".join(number(len(set(names)), kind) for kind, names in kinds.items())
+    kinds = {"log": "log_ids", "configuration": "configs", "version": "versions"}
+    names = {kind: {name for summary in summaries for name in getattr(summary, of)} for kind, of in kinds.items()}
+    counts = ", ".join(number(len(found), kind) for kind, found in names.items())
     return f"{sum(summary.runs for summary in summaries)} runs: {counts}"
 
 
@@ -141,10 +134,8 @@ def extent(summary: Summary) -> str:
     frames = f"{number(summary.frames, 'frame')}{in_segments(summary)}"
     if summary.rate_hz is None:
         return frames
-    return (
-        f"{frames} over {summary.span_s:.2f} s, {summary.rate_hz:.1f} frames/s, "
-        f"longest gap {summary.longest_gap_s:.2f} s"
-    )
+    rate = f"{summary.rate_hz:.1f} frames/s, longest gap {summary.longest_gap_s:.2f} s"
+    return f"{frames} over {summary.span_s:.2f} s, {rate}"
 
 
 def in_segments(summary: Summary) -> str:

@@ -16,9 +16,9 @@ from roadperc_stream.system.text import number
 from .answers import Answer, of_summaries
 from .brief import LISTED, rows_tables
 from .configurations import short_digest
-from .dataset.groups import MOST_GROUPS, Pool
+from .dataset.groups import Pool, require_few
 from .dataset.keys import Key, group_name
-from .expressions import as_key, key_name, roots, unknown
+from .expressions import as_key, key_name, require_roots, roots
 from .frame_commands import view_command
 from .quantities import RANKED, percent
 from .runs import Run, collect
@@ -27,7 +27,6 @@ from .summary import EXACT_FRAMES, Summary, WorstFrame, worst_of
 
 _LOG: Final = "log"
 _CLASS: Final = "class"
-_TABLES: Final = "the tables"
 OBJECT_COLUMNS: Final = frozenset(columns_of(ObjectMetrics)) | {_CLASS}
 
 
@@ -49,9 +48,7 @@ def slices_of_runs(runs: Sequence[Run], by: Sequence[str]) -> Answer:
         if not scanned_objects:
             raise TableError(f"--by {','.join(by)}: {runs[0].beside(OBJECTS_SUFFIX)} does not exist; expected it")
         return object_slices(pl.concat(scanned_objects, how="diagonal_relaxed"), by, str(runs[0].path))
-    missing = [(text, name) for text in by for name in roots(text) if name not in columns]
-    if missing:
-        raise unknown(*missing[0], columns | OBJECT_COLUMNS, _TABLES)
+    require_roots(by, columns, OBJECT_COLUMNS, "the tables")
     summaries = _slices(runs, by)
     named = {run.name: run for run in runs}
     answer = of_summaries("Slices", "slices", summaries, lambda at: view_command(named[at.run], at.frame))
@@ -62,7 +59,7 @@ def slices_of_runs(runs: Sequence[Run], by: Sequence[str]) -> Answer:
 
 def _slices(runs: Sequence[Run], by: Sequence[str]) -> list[Summary]:
     pools: dict[Key, Pool] = {}
-    worst: dict[Key, dict[str, list[WorstFrame]]] = {}
+    worst: dict[tuple[Key, str], list[WorstFrame]] = {}
     keys = [key_name(text) for text in by]
     with ThreadPoolExecutor(1) as threads:
         for run in runs:
@@ -70,13 +67,11 @@ def _slices(runs: Sequence[Run], by: Sequence[str]) -> list[Summary]:
                 pools.setdefault(key, Pool(EXACT_FRAMES)).add(frames, threads)
                 require_few(len(pools), by)
                 found = frames.select(worst_frames(quantity, 1) for quantity in RANKED).row(0, named=True)
-                at = {
-                    q.column: tuple(WorstFrame(run.name, **row) for row in found[f"worst {q.column}"]) for q in RANKED
-                }
-                for column, ranking in at.items():
-                    worst.setdefault(key, {}).setdefault(column, []).extend(ranking)
-    merged = {key: {q.column: worst_of(columns[q.column], q, 1) for q in RANKED} for key, columns in worst.items()}
-    return [replace(pool.summary(group_name(key, by, {})), worst=merged[key]) for key, pool in pools.items()]
+                for q in RANKED:
+                    at = (WorstFrame(run.name, **row) for row in found[f"worst {q.column}"])
+                    worst.setdefault((key, q.column), []).extend(at)
+    first = {key: {q.column: worst_of(worst[key, q.column], q, 1) for q in RANKED} for key in pools}
+    return [replace(pool.summary(group_name(key, by, {})), worst=first[key]) for key, pool in pools.items()]
 
 
 def _keyed(run: Run, by: Sequence[str]) -> pl.DataFrame:
@@ -90,19 +85,6 @@ def _keyed(run: Run, by: Sequence[str]) -> pl.DataFrame:
     return collect(
         pl.concat([scanned(rows, run.columns), keys], how="horizontal").with_columns(config), run.source_name
     )
-
-
-def require_few(slices: int, by: Sequence[str]) -> None:
-    """Check the number of slices.
-
-    Raises:
-        TableError: there are too many.
-    """
-    if slices > MOST_GROUPS:
-        raise TableError(
-            f"--by {','.join(by)}: has more than {MOST_GROUPS} different values in the frames; "
-            'expected fewer, as in lane_left_status or "floor(distance_m / 10) * 10"'
-        )
 
 
 def _objects(run: Run, table: Run) -> pl.LazyFrame:
@@ -123,9 +105,7 @@ def object_slices(rows: pl.LazyFrame, by: Sequence[str], source: str) -> Answer:
     """
     rows = rows.with_columns(pl.col("label").alias(_CLASS))
     schema = rows.collect_schema()
-    missing = [(text, name) for text in by for name in roots(text) if name not in schema]
-    if missing:
-        raise unknown(*missing[0], schema, "the tables of objects")
+    require_roots(by, schema, (), "the tables of objects")
     keys = [key_name(text) for text in by]
     error = (pl.col("distance_m") - pl.col("true_distance_m")).abs()
     known = error.filter(error.is_finite())

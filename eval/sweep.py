@@ -15,7 +15,7 @@ from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.system.files import METRICS_SUFFIX, not_a_log
 from roadperc_stream.system.text import print_line
 
-from .machine import Case, write_json, write_junit, write_markdown
+from .machine import Case, write_files
 from .quantities import percent, rounded
 from .sweeping.ranking import METRICS, SettingScore, SweepMetric, best, effect, scores, without_influence
 from .sweeping.settings import Combination, combinations, dataset, describe, reference_of, shown, table_names
@@ -129,12 +129,9 @@ def _print(arguments: argparse.Namespace, made: Sequence[Combination], reference
     tables = (best_settings(found, made, reference), *(effects(found, made, key) for key in reference.settings))
     idle = [f"{key} changed nothing" for key in without_influence(folder, files, made)]
     notes = [*idle, without_effect(found), *LEGEND]
-    if arguments.json is not None:
-        write_json(arguments.json, _as_json(found, made, reference))
-    if arguments.markdown is not None:
-        write_markdown(arguments.markdown, f"Sweep: {heading}", [note for note in notes if note], tables)
-    if arguments.junit is not None:
-        write_junit(arguments.junit, "roadperc-sweep", [_case(scored, made, reference) for scored in found])
+    markdown = f"Sweep: {heading}", [note for note in notes if note], tables
+    cases = [_case(scored, made, reference) for scored in found]
+    write_files(arguments, _as_json(found, made, reference), markdown, "sweep", cases)
     print_lines(console, heading, *taken, unbroken=True)
     for table in tables:
         print_table(console, table)

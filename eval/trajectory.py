@@ -11,7 +11,7 @@ from roadperc_stream.output.text_table import TextTable, row
 from roadperc_stream.system.text import number
 
 from .continued import find_joined
-from .machine import Case, write_json, write_junit, write_markdown
+from .machine import Case, write_files
 from .options import Alignment
 from .quantities import legend, listed, name_columns, percent, short_names
 from .trajectories.errors import Delta, ErrorStatistics
@@ -150,18 +150,15 @@ def trajectories(arguments: argparse.Namespace, delta: Delta) -> None:
 
 def _write(evaluated: Sequence[Evaluation], refused: Mapping[str, TableError], arguments: argparse.Namespace) -> None:
     """Write the files of ``--json``, ``--markdown`` and ``--junit``; a run without a trajectory is skipped."""
-    if arguments.json is not None:
-        runs = {item.run.name: _as_json(item) for item in evaluated}
-        write_json(arguments.json, {"runs": runs, "skipped": {name: str(error) for name, error in refused.items()}})
-    if arguments.markdown is not None:
-        names = {item.run.name: item.run.name for item in evaluated}
-        tables = [_run_table(evaluated, names), _side_by_side(evaluated, names)] if evaluated else []
-        notes = [f"{item.run.name}: {note}" for item in evaluated for note in _notes(item)]
-        write_markdown(arguments.markdown, "Trajectories", [*notes, *map(str, refused.values())], tables)
-    if arguments.junit is not None:
-        cases = [Case(item.run.name, "trajectory", "passed", _body(item)) for item in evaluated]
-        skipped = [Case(name, "trajectory", "skipped", str(error)) for name, error in refused.items()]
-        write_junit(arguments.junit, "roadperc-trajectory", [*cases, *skipped])
+    names = {item.run.name: item.run.name for item in evaluated}
+    values = {"runs": {item.run.name: _as_json(item) for item in evaluated}}
+    skipped = {name: str(error) for name, error in refused.items()}
+    tables = [_run_table(evaluated, names), _side_by_side(evaluated, names)] if evaluated else []
+    notes = [f"{item.run.name}: {note}" for item in evaluated for note in _notes(item)]
+    cases = [Case(item.run.name, "trajectory", "passed", _body(item)) for item in evaluated]
+    cases += [Case(name, "trajectory", "skipped", error) for name, error in skipped.items()]
+    markdown = "Trajectories", [*notes, *skipped.values()], tables
+    write_files(arguments, values | {"skipped": skipped}, markdown, "trajectory", cases)
 
 
 def _as_json(item: Evaluation) -> dict[str, Any]:

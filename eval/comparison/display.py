@@ -11,14 +11,12 @@ from roadperc_stream.output.text_table import TextRow, TextTable, row
 
 from ..configurations import UNKNOWN, short_digest
 from ..runs import Run
-from .agreement import Agreement, Value
+from .agreement import Agreement
 from .bootstrap import LEVEL, MANY_LOGS
 from .comparing import Comparison
-from .summary import summary
+from .summary import both, summary
 from .verdicts import Mark
 
-TEXT_SHOWN = 48
-"""Characters shown of a text value."""
 FIELDS_SHOWN = 10
 """Differing fields shown without ``--exact``."""
 _BOUNDS = f"{LEVEL:.0%} from", "to"
@@ -56,7 +54,7 @@ def _fields(found: Comparison, *, all_fields: bool) -> Iterator[str]:
         several = f"{run}: " if are_several else ""
         yield from ("", f"{several}frame {frame}, stamp {stamp_ns}")
         for difference, agreement in group:
-            values = " → ".join(_both(difference.base, difference.new))
+            values = both(difference.base, difference.new, (6, 17))
             yield f"  {difference.place}: {values}, {_largest(agreement)}"
     if len(shown) < len(differing):
         yield from ("", f"{len(differing) - len(shown)} more fields differ; pass --exact to list all")
@@ -69,21 +67,6 @@ def _largest(agreement: Agreement) -> str:
     frames = agreement.differing or agreement.within
     counted = f"in {frames} frame{'s' * (frames > 1)}"
     return f"{counted}, by up to {agreement.largest:.3g}" if agreement.largest else counted
-
-
-def _both(base: Value, new: Value) -> tuple[str, str]:
-    """Both values as text, with enough digits to show the difference."""
-    short = _text(base, 6), _text(new, 6)
-    return short if short[0] != short[1] else (_text(base, 17), _text(new, 17))
-
-
-def _text(value: Value, digits: int) -> str:
-    if value is None:
-        return "none"
-    if isinstance(value, float):
-        return f"{value:.{digits}g}"
-    text = str(value)
-    return text if len(text) <= TEXT_SHOWN else f"{text[:TEXT_SHOWN]}…"
 
 
 def metrics_table(found: Comparison) -> TextTable:

@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Any, get_args
 
-from ..machine import Case, Outcome, write_json, write_junit, write_markdown
+from ..machine import Case, Outcome, write_files
 from .comparing import Comparison
 from .display import metrics_table
 from .summary import command, outcome, summary, values, where
@@ -20,13 +20,9 @@ def write_results(found: Comparison, arguments: argparse.Namespace) -> None:
     Raises:
         TargetError: a file cannot be written.
     """
-    if arguments.json is not None:
-        write_json(arguments.json, as_json(found))
-    if arguments.markdown is not None:
-        first, *lines = summary(found)
-        write_markdown(arguments.markdown, f"Comparison: {first}", lines, [metrics_table(found)])
-    if arguments.junit is not None:
-        write_junit(arguments.junit, "roadperc-compare", list(_cases(found, exact=arguments.exact)))
+    first, *lines = summary(found)
+    markdown = f"Comparison: {first}", lines, [metrics_table(found)]
+    write_files(arguments, as_json(found), markdown, "compare", list(_cases(found, exact=arguments.exact)))
 
 
 def as_json(found: Comparison) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from roadperc_stream.system.text import number
 
 from ..frame_commands import view_pair_command
 from ..quantities import listed
-from .agreement import Agreements
+from .agreement import Agreements, Value
 from .comparing import Comparison
 from .metrics import Metric
 from .verdicts import CauseGroup, Finding, Mark, Place, Statistic, Verdict
@@ -18,6 +18,8 @@ from .verdicts import CauseGroup, Finding, Mark, Place, Statistic, Verdict
 _MOST_GROUPS: Final[dict[Mark, int]] = {"worse": 5, "better": 3}
 """Groups of metrics with a line each; ``--full`` lists all."""
 _MOST_SETTINGS: Final = 6
+TEXT_SHOWN: Final = 48
+"""Characters shown of a text value."""
 _BY_USE: Final[tuple[Statistic, ...]] = ("mean", "worst frame", "worst log", "p95", "beyond limit", "spread")
 
 
@@ -72,12 +74,12 @@ def _sentence(finding: Finding, *, interval: bool = True) -> str:
 def values(finding: Finding, *, interval: bool = True) -> str:
     """A statistic in both runs with its unit, and its difference with the interval, if it has one."""
     scale, unit = _unit(finding.metric, finding.statistic)
-    both = _both(finding.base * scale, finding.new * scale) + unit
+    shown = both(finding.base * scale, finding.new * scale) + unit
     if finding.interval is None or not interval:
-        return both
+        return shown
     low, high = finding.interval.low * scale, finding.interval.high * scale
     between = f" [{low:+.3g}, {high:+.3g}]" if math.isfinite(low) else ""
-    return f"{both} ({(finding.new - finding.base) * scale:+.3g}{between})"
+    return f"{shown} ({(finding.new - finding.base) * scale:+.3g}{between})"
 
 
 def _unit(metric: Metric, statistic: Statistic) -> tuple[float, str]:
@@ -87,17 +89,24 @@ def _unit(metric: Metric, statistic: Statistic) -> tuple[float, str]:
     return 1.0, "" if metric.unit in UNITLESS else f" {metric.unit}"
 
 
-def _both(base: float, new: float) -> str:
-    """Both numbers, with enough digits to show the difference."""
-    short = f"{base:.3g}", f"{new:.3g}"
-    return f"{base:.6g} → {new:.6g}" if short[0] == short[1] else " → ".join(short)
+def both(base: Value, new: Value, digits: tuple[int, int] = (3, 6)) -> str:
+    """Both values; with the second number of digits if the first does not show the difference."""
+    short, long = ([_text(value, count) for value in (base, new)] for count in digits)
+    return " → ".join(short if short[0] != short[1] else long)
+
+
+def _text(value: Value, digits: int) -> str:
+    if isinstance(value, float):
+        return f"{value:.{digits}g}"
+    text = "none" if value is None else str(value)
+    return text if len(text) <= TEXT_SHOWN else f"{text[:TEXT_SHOWN]}…"
 
 
 def where(metric: Metric, place: Place) -> str:
     """The frame, its log, both values, and the command that shows it."""
     scale, unit = _unit(metric, "mean")
-    both = f"{_both(place.base * scale, place.new * scale)}{unit}"
-    return f"frame {place.frame} of {place.pair.name}, {both}: {command(place)}"
+    values_there = both(place.base * scale, place.new * scale) + unit
+    return f"frame {place.frame} of {place.pair.name}, {values_there}: {command(place)}"
 
 
 def command(place: Place) -> str:

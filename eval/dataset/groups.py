@@ -70,6 +70,19 @@ def _part(column: pl.Series, points: int) -> tuple[Moments, Distribution] | None
     return (moments(values), thinned(exactly(values), points)) if len(values) else None
 
 
+def require_few(groups: int, by: Sequence[str]) -> None:
+    """Check the number of groups whose frames are not those of whole logs.
+
+    Raises:
+        TableError: there are too many.
+    """
+    if groups > MOST_GROUPS:
+        raise TableError(
+            f"--by {','.join(by)}: has more than {MOST_GROUPS} different values in the frames; "
+            'expected fewer, as in lane_left_status or "floor(distance_m / 10) * 10"'
+        )
+
+
 def _add_batch(pools: dict[Key, Pool], batch: pl.DataFrame, by: Grouping, threads: Executor) -> bool:
     """Add a batch with the columns of the keys; False if there are too many groups of whole logs.
 
@@ -80,13 +93,10 @@ def _add_batch(pools: dict[Key, Pool], batch: pl.DataFrame, by: Grouping, thread
     groups: dict[Key, pl.DataFrame] = {batch.select(keys).row(0) if keys else (): batch}
     if keys and batch.select(keys).unique().height > 1:
         groups = batch.select(*keys, *_POOLED).partition_by(keys, as_dict=True, maintain_order=True)
-    if len({*pools, *groups}) > MOST_GROUPS:
-        if by.of_whole_logs:
-            return False
-        raise TableError(
-            f"--by {','.join(by.columns)}: has more than {MOST_GROUPS} different values in the frames; "
-            "expected a column with fewer values, such as lane_left_status"
-        )
+    count = len({*pools, *groups})
+    if by.of_whole_logs and count > MOST_GROUPS:
+        return False
+    require_few(count, by.columns)
     for key, frames in groups.items():
         pools.setdefault(key, Pool(EXACT_FRAMES)).add(frames, threads)
     return True

@@ -17,7 +17,7 @@ from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.system.text import number
 from roadperc_stream.system.time import NS_PER_S
 
-from ..answers import Answer, of_summaries, print_answer, wants_files, write_files
+from ..answers import Answer, of_summaries, print_answer, wants_files, write_answer
 from ..brief import has_truth, rows_tables, stage_figures, with_unit
 from ..configurations import Settings, rows_that_differ
 from ..frame_commands import view_dataset_command
@@ -50,10 +50,8 @@ _NAME_COLUMNS: Final = 22
 """Width of a group's name in the short report."""
 _LABEL_COLUMNS: Final = 24
 _HOUR_S: Final = 3600
-_GROUP_COLUMNS: Final = 59
-"""Width of the widest row of numbers beside a group's name."""
-_WORST_COLUMNS: Final = 59
-"""Width of the widest table of worst logs beside a log's name."""
+_NUMBER_COLUMNS: Final = 59
+"""Width of the widest row of numbers beside the name of a group or of a log."""
 
 
 def _statuses(runs: pl.DataFrame, most: int) -> Iterator[str]:
@@ -150,10 +148,8 @@ def least_covered_table(worst: Mapping[str, Sequence[Row]], names: Mapping[LogKe
         "without: the longest stretch of frames, in brackets seconds from the log's first frame",
         "outputs that a configuration never has are left out",
     )
-    headers = ("frames %", "without")
-    return TextTable(
-        "Least covered logs", headers, tuple(rows), notes if rows else (), last_is_text=True, label_columns=15
-    )
+    headers, shown = ("frames %", "without"), notes if rows else ()
+    return TextTable("Least covered logs", headers, tuple(rows), shown, last_is_text=True, label_columns=15)
 
 
 def log_paths(log_ids: Iterable[str], names: Mapping[str, str], runs: pl.DataFrame) -> Iterator[str]:
@@ -207,7 +203,7 @@ def print_dataset(dataset: Dataset, arguments: argparse.Namespace) -> None:
         raise TableError(f"{dataset.address}: no tables in metrics/date=.../; no log of the batch has frames")
     if arguments.by and of_objects(arguments.by, (*scan_tables(files).collect_schema(), *RUN_COLUMNS, DATE)):
         answer = object_slices(scan_objects(dataset, runs), arguments.by, dataset.address)
-        write_files(answer, arguments)
+        write_answer(answer, arguments)
         print_answer(console, answer)
         return
     found = group_frames(files, runs, arguments.by)
@@ -220,7 +216,7 @@ def print_dataset(dataset: Dataset, arguments: argparse.Namespace) -> None:
     if not arguments.full or wants_files(arguments):
         answer = _answer(dataset, found, runs, names, summaries)
         answer = replace(answer, head=(*head, *answer.head), tables=(settings, *answer.tables))
-        write_files(answer, arguments)
+        write_answer(answer, arguments)
         if not arguments.full:
             print_answer(console, answer)
             return
@@ -260,7 +256,7 @@ def _contents(dataset: Dataset, logs: pl.DataFrame) -> str:
 
 
 def _print_groups(console: Console, summaries: Sequence[Summary], found: GroupedFrames) -> None:
-    names = _short([summary.name for summary in summaries], found.by.columns, console.width - _GROUP_COLUMNS)
+    names = _short([summary.name for summary in summaries], found.by.columns, console.width - _NUMBER_COLUMNS)
     renamed = [replace(summary, name=names[summary.name]) for summary in summaries]
     if found.by.columns:
         print_table(console, groups_table(renamed, found, tuple(legend(names))))
@@ -287,7 +283,7 @@ def _print_worst(
     keys = [key_of(item) for ranking in (by_quantity, by_coverage) for rows in ranking.values() for item in rows]
     several = logs["config"].n_unique() > 1
     full = {key: f"{names[key[0]]} {key[1]}" if several else names[key[0]] for key in dict.fromkeys(keys)}
-    short = short_names(list(full.values()), console.width - _WORST_COLUMNS)
+    short = short_names(list(full.values()), console.width - _NUMBER_COLUMNS)
     shown = {key: short[name] for key, name in full.items()}
     print_parts(console, worst_logs_table(by_quantity, shown), least_covered_table(by_coverage, shown))
     print_lines(console, "", *log_paths((log_id for log_id, _ in keys), names, runs), unbroken=True)

@@ -29,7 +29,8 @@ def main(argv: list[str] | None = None) -> int:
     arguments = parse(parser, argv)
     datasets = [dataset for run_ in arguments.runs if (dataset := part("eval.dataset.place").dataset_at(run_))]
     if datasets:
-        _require_one_dataset(parser, arguments)
+        if len(arguments.runs) > 1:
+            parser.error("expected one OUT_DIR of a batch without any other RUN")
         of_dataset = part("eval.dataset.report")
         if arguments.html:
             write = part("eval.html.dataset_page").write_dataset_page
@@ -38,12 +39,6 @@ def main(argv: list[str] | None = None) -> int:
     report = part("eval.report")
     write_page = part("eval.html.page").write_page if arguments.html else None
     return run(lambda: report.print_report(arguments, write_page))
-
-
-def _require_one_dataset(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
-    """Exit with code 2 if options contradict each other."""
-    if len(arguments.runs) > 1:
-        parser.error("expected one OUT_DIR of a batch without any other RUN")
 
 
 def _expressions(text: str) -> list[str]:

@@ -135,7 +135,7 @@ def test_two_runs_start_with_the_verdict_and_the_worst_frame_and_its_command(tmp
     verdict = words[: words.index("Over time")]
     assert "New is worse: 1 of" in verdict
     assert re.search(r"0\.1\d+ px → 2\.\d+ px, \+1\.90 px", verdict)
-    logs = " ".join(str(path.with_name("a.mcap")) for path in paths)
+    logs = " ".join(str(path) for path in paths)
     assert re.search(rf"Worst frame \d+: stereo disparity.* {re.escape(logs)} --frame \d+", verdict)
     worst = words[words.index("Worst frames") :]
     assert re.findall(r"(\d+)\. frame (\d+) at", worst) == [(str(k + 1), str(39 - k)) for k in range(10)]
