@@ -77,7 +77,7 @@ def test_the_commands_print_the_same_as_for_a_single_replay(tmp_path, whole, cap
     expected = capsys.readouterr().out
     assert command(continued(tmp_path)) == 0
     printed = capsys.readouterr().out
-    expected, printed = (re.sub(r"/\w+\.mcap", "", text) for text in (expected, printed))
+    expected, printed = (re.sub(r"/\w+\.(mcap|metrics\.parquet)", "", text) for text in (expected, printed))
     note, text = printed.split("\n", 1)
     assert note == "out_0+2: 3 continued replays as one run: out_0, out_1, out_2"
     text = re.sub(r"log a{16}, b{16}, c{16},", f"log {'e' * 16},", " ".join(text.split())).replace("out_0+2", "whole")
