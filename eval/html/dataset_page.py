@@ -66,7 +66,7 @@ def _write(target: Path, local: Dataset, address: str) -> None:
     folder = target.with_name(f"{target.stem}_logs")
     failed_links = _write_failed(folder, failed.head(PAGES))
     shown_logs = worst[: PAGES - len(failed_links)]
-    links = _write_worst(folder, shown_logs, files, names, address)
+    links = _write_worst(folder, shown_logs, local, names, address)
     verdicts: list[tuple[Mark, str]] = [_statuses(runs, failed.height)]
     for summary in summaries:
         mark, text = single_sentence(summary)
@@ -137,10 +137,10 @@ def _write_failed(folder: Path, failed: pl.DataFrame) -> dict[str, str]:
 
 
 def _write_worst(
-    folder: Path, worst: Sequence[BadLog], files: Sequence[str], names: Mapping[str, str], address: str
+    folder: Path, worst: Sequence[BadLog], local: Dataset, names: Mapping[str, str], address: str
 ) -> dict[str, str]:
     """Write the page of each log; the address of each from the dataset's page."""
-    runs = runs_of_logs(files, [log.key for log in worst], names)
+    runs = runs_of_logs(local, [log.key for log in worst], names)
     links = {}
     for place, log in enumerate(worst, 1):
         target = folder / f"worst_{place}.html"

@@ -31,23 +31,20 @@ def main(argv: list[str] | None = None) -> int:
     parser = _parser()
     arguments = parse(parser, argv)
     _require_sense(parser, arguments)
-    from roadperc_stream.view.modes import view_frame, view_log
+    from roadperc_stream.view.modes import view_log, view_runs
 
     options = replace(serving_options(arguments), start_s=arguments.start or 0.0)
     if not _needs_lookup(arguments):
         return run(lambda: view_log(arguments, options))
-    lookup = part("eval.frames")
-    return run(lambda: view_frame(arguments, options, lookup))
+    modules = part("eval.frames"), part("eval.frame_replay")
+    return run(lambda: view_runs(arguments, options, *modules))
 
 
 def _needs_lookup(arguments: argparse.Namespace) -> bool:
     """Whether the arguments name more than a log and a frame in it; the lookup imports polars, which takes 0.2 s."""
-    if arguments.log is None or arguments.log == "-":
-        return False
-    path = Path(arguments.log)
-    plain = path.suffix not in {".parquet", ".mcap"} or (path.suffix == ".mcap" and path.exists())
-    asked = (arguments.new, arguments.worst, arguments.of_log, *arguments.config)
-    return any(asked) or not plain or path.is_dir() or "://" in arguments.log
+    path = Path(arguments.log or "-")
+    is_log = str(path) == "-" or (path.exists() and not path.is_dir() and path.suffix != ".parquet")
+    return not is_log or any((arguments.new, arguments.worst, arguments.of_log, arguments.config))
 
 
 def _parser() -> argparse.ArgumentParser:
