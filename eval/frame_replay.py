@@ -93,7 +93,8 @@ def _replayed(run: Run, row: Mapping[str, Any], topics: Sequence[str], folder: P
     source, options = _input(run, folder), _options(run.options)
     at_s = ns_to_seconds(row["stamp_ns"] - (log.summarise(source).first_ns or 0))
     is_far = at_s - (options.start or 0.0) > _FAR_S
-    part = TimeRange(at_s - _BEFORE_S if is_far else options.start, min(at_s + _AFTER_S, options.end or math.inf))
+    end_s = min(at_s + _AFTER_S, options.end or math.inf)
+    part = TimeRange(at_s - _BEFORE_S, end_s) if is_far else TimeRange(options.start, end_s, row["frame"] + 1)
     config = folder / CONFIG_ATTACHMENT
     config.write_text(run.config, "utf-8", errors="surrogateescape")
     target = ReplayTarget(folder / "out.mcap")
