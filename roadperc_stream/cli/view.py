@@ -91,13 +91,14 @@ def _require_sense(parser: argparse.ArgumentParser, arguments: argparse.Namespac
     """Exit with code 2 if the log is missing or an option does not apply to the chosen output."""
     if arguments.log is None and (arguments.foxglove_layout is None or arguments.topic or arguments.foxglove):
         parser.error("expected a log: OUT.mcap")
-    pair, at = arguments.new is not None or len(arguments.config) > 1, _place(arguments)
-    if (pair or at) and (arguments.video or arguments.foxglove_layout):
-        parser.error(f"{at or 'NEW'} applies only to the Rerun viewer, --save and --foxglove")
+    pair = arguments.new is not None or len(arguments.config) > 1
+    at_frame = arguments.frame is not None or arguments.worst
+    if (pair or at_frame) and (arguments.video or arguments.foxglove_layout):
+        parser.error("--frame, --worst and NEW apply only to the Rerun viewer, --save and --foxglove")
     if pair and arguments.foxglove:
         parser.error("--foxglove plays one log; remove NEW")
-    if at and arguments.start is not None:
-        parser.error(f"{at} cannot be combined with --start")
+    if at_frame and arguments.start is not None:
+        parser.error("--frame and --worst cannot be combined with --start")
     if arguments.foxglove_layout and (arguments.save or arguments.video):
         parser.error("--foxglove-layout cannot be combined with --save or --video")
     served = [*given_options(arguments), *(["start"] if arguments.start is not None else [])]
@@ -107,8 +108,3 @@ def _require_sense(parser: argparse.ArgumentParser, arguments: argparse.Namespac
         parser.error("--topic applies only to the Rerun viewer, --save and --foxglove-layout")
     if arguments.force and not (arguments.save or arguments.foxglove_layout or arguments.video):
         parser.error("--force needs --save, --foxglove-layout or --video")
-
-
-def _place(arguments: argparse.Namespace) -> str:
-    """The option that names a frame; empty without one."""
-    return "--frame" if arguments.frame is not None else "--worst" if arguments.worst else ""

@@ -32,7 +32,7 @@ def view_log(arguments: argparse.Namespace, playback: PlaybackOptions) -> None:
         RoadpercError: the log cannot be shown.
     """
     logs = [_readable(arguments)] if arguments.log else []
-    stop = _stop(arguments, logs[0], arguments.frame) if logs else None
+    stop = find_stop(logs[0], arguments.frame) if logs and arguments.frame is not None else None
     _view(arguments, playback, logs, stop)
 
 
@@ -58,12 +58,9 @@ def view_runs(arguments: argparse.Namespace, playback: PlaybackOptions, finding:
             found = [replaying.shown(run, frame, arguments.topic, files, progress) for run in runs]
         if not arguments.quiet:
             _print_summary((note for item in found for note in item.notes), {})
-        stop = _stop(arguments, found[0].log, found[0].number)
-        _view(arguments, playback, [item.log for item in found], stop and replace(stop, frame=frame))
-
-
-def _stop(arguments: argparse.Namespace, path: Path, number: int | None) -> Stop | None:
-    return None if number is None else find_stop(path, number, parse_topic_options(arguments.topic))
+        logs, number_in_log = [item.log for item in found], found[0].number
+        stop = None if number_in_log is None else replace(find_stop(logs[0], number_in_log), frame=frame)
+        _view(arguments, playback, logs, stop)
 
 
 def _view(arguments: argparse.Namespace, playback: PlaybackOptions, logs: Sequence[Path], stop: Stop | None) -> None:
@@ -119,16 +116,16 @@ def _show_in_rerun(arguments: argparse.Namespace, logs: Sequence[Path], stop: St
     """Save a recording, or send it to a viewer; two runs open at the worst difference unless a frame is given."""
     target = arguments.save
     rerun = import_module("roadperc_stream.view.rerun")  # on use only, because the import takes half a second
-    new = rerun.NewRun(logs[1], find_differences(*logs)) if len(logs) > 1 else None
-    if new is not None and stop is None and new.differences:
-        stop = new.differences[0].worst
+    differences = find_differences(*logs) if len(logs) > 1 else []
+    stop = stop or (differences[0].worst if differences else None)
+    shown = rerun.Shown(stop, logs[1] if len(logs) > 1 else None, differences)
     overrides = parse_topic_options(arguments.topic)
     with frame_progress("writing" if target else "sending", not arguments.quiet) as progress:
-        options = {"progress": progress, "stop": stop, "new": new}
         if target:
-            exported = rerun.save_recording(logs[0], target, overrides, force=arguments.force, **options)
+            options = {"force": arguments.force, "progress": progress, "shown": shown}
+            exported = rerun.save_recording(logs[0], target, overrides, **options)
         else:
-            exported = rerun.open_viewer(logs[0], overrides, **options)
+            exported = rerun.open_viewer(logs[0], overrides, progress, shown)
     if arguments.quiet:
         return
     _print_summary(exported.notes, exported.problems)

@@ -30,26 +30,30 @@ _FROM_ABOVE: Final = rrb.EyeControls3D(position=(14.0, 0.0, 42.0), look_target=(
 
 
 @dataclass(frozen=True)
-class NewRun:
-    """A run to compare with the base, of which only results are shown; differences from ``find_differences``."""
+class Shown:
+    """What to show with a log.
 
-    path: Path
-    differences: Sequence[MetricDifference]
+    ``stop`` is the frame to open at, None for the end. ``new`` is a second run of the log, to compare with the first;
+    ``differences`` are those of the two, from ``find_differences``.
+    """
+
+    stop: Stop | None = None
+    new: Path | None = None
+    differences: Sequence[MetricDifference] = ()
 
 
-def arrange_pair(
-    recording: rr.RecordingStream, runs: Sequence[Log], differences: Sequence[MetricDifference], stop: Stop | None
-) -> None:
+def arrange_pair(recording: rr.RecordingStream, runs: Sequence[Log], shown: Shown) -> None:
     """Log curves of the differences with points at the worst ones, and the blueprint of base and new run."""
-    for found in differences:
-        send_curve(recording, f"{_DIFFERENCES}/{found.name}", found.times_ns, found.values, stop)
+    for found in shown.differences:
+        parts = {found.name: found.times_ns >= 0}
         if found.worst is not None:
-            at = found.times_ns == found.worst.log_time_ns
-            send_curve(recording, f"{_DIFFERENCES}/worst/{found.name}", found.times_ns[at], found.values[at], stop)
+            parts[f"worst/{found.name}"] = found.times_ns == found.worst.log_time_ns
+        for name, at in parts.items():
+            send_curve(recording, f"{_DIFFERENCES}/{name}", found.times_ns[at], found.values[at], shown.stop)
     pictures = [picture_with_results(f"{log.root[1:]}: image and results", runs[0], log) for log in runs]
-    shown = [*(view for view in pictures if view is not None), _from_above(runs)]
-    plots = in_tabs(_plots(differences)) or rrb.TextDocumentView(name="no relevant difference")
-    recording.send_blueprint(arranged([rrb.Horizontal(*shown), rrb.Horizontal(plots)], time_panel(stop)))
+    views = [*(view for view in pictures if view is not None), _from_above(runs)]
+    plots = in_tabs(_plots(shown.differences)) or rrb.TextDocumentView(name="no relevant difference")
+    recording.send_blueprint(arranged([rrb.Horizontal(*views), rrb.Horizontal(plots)], time_panel(shown.stop)))
 
 
 def _plots(differences: Sequence[MetricDifference]) -> list[rrb.View]:

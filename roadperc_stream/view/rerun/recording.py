@@ -27,7 +27,7 @@ from roadperc_stream.system.time import END_OF_TIME_NS
 from roadperc_stream.view.frame_times import Stop
 from roadperc_stream.view.rerun.blueprint import Log, blueprint
 from roadperc_stream.view.rerun.drawing import drawers
-from roadperc_stream.view.rerun.pair import BASE, NEW, NewRun, arrange_pair
+from roadperc_stream.view.rerun.pair import BASE, NEW, Shown, arrange_pair
 from roadperc_stream.view.rerun.timelines import set_log_time, time_panel
 from roadperc_stream.view.rerun.tree import Entry, SceneState
 from roadperc_stream.view.rerun.viewer import URL, ending_at_once, saving, start_viewer
@@ -40,6 +40,7 @@ _LARGE_CHUNKS: Final = rr.ChunkBatcherConfig(flush_tick=timedelta(seconds=10), f
 _MOST_WAITING: Final = 25
 """Most log times that wait to be sent, because the queue of the sending thread is unbounded."""
 Progress = Callable[[int, int], None]
+ALONE: Final = Shown()
 
 
 @dataclass(frozen=True)
@@ -57,25 +58,14 @@ Export = Callable[[rr.RecordingStream, Callable[[], None]], Exported]
 
 
 def open_viewer(
-    path: Path,
-    overrides: Mapping[str, str],
-    progress: Progress = no_progress,
-    stop: Stop | None = None,
-    new: NewRun | None = None,
+    path: Path, overrides: Mapping[str, str], progress: Progress = no_progress, shown: Shown = ALONE
 ) -> Exported:
     """Open the viewer and send it a log; the viewer stays open.
-
-    Args:
-        path: the log; with ``new`` the base run.
-        overrides: topics of roles with other names.
-        progress: called with the frames of one log after the other.
-        stop: the frame to open at; None for the end.
-        new: a second run of the log, to compare.
 
     Raises:
         RoadpercError: a log is unreadable or has nothing to show, or the viewer does not start or answer.
     """
-    export = _export_of(path, overrides, progress, stop, new, arrange_early=new is None)
+    export = _export_of(path, overrides, progress, shown, arrange_early=shown.new is None)
     start_viewer()
     recording = _recording(path)
     try:
@@ -96,19 +86,16 @@ def save_recording(
     *,
     force: bool = False,
     progress: Progress = no_progress,
-    stop: Stop | None = None,
-    new: NewRun | None = None,
+    shown: Shown = ALONE,
 ) -> Exported:
     """Write a log as a Rerun recording with its blueprint; the file gets its name only when complete.
-
-    The arguments are those of ``open_viewer``.
 
     Raises:
         RoadpercError: a log is unreadable or has nothing to show, ``target`` is not an ``.rrd`` or exists without
             ``force``, or it cannot be completed; no partial file remains.
     """
     require_free(target, force=force, source=path, suffix=".rrd")
-    export = _export_of(path, overrides, progress, stop, new, arrange_early=False)
+    export = _export_of(path, overrides, progress, shown, arrange_early=False)
     recording = _recording(path, _LARGE_CHUNKS)
     with completing(target, force=force) as temporary, saving(recording, temporary) as check:
 
@@ -120,25 +107,19 @@ def save_recording(
 
 
 def _export_of(
-    path: Path,
-    overrides: Mapping[str, str],
-    progress: Progress,
-    stop: Stop | None,
-    new: NewRun | None,
-    *,
-    arrange_early: bool,
+    path: Path, overrides: Mapping[str, str], progress: Progress, shown: Shown, *, arrange_early: bool
 ) -> Export:
-    """A function that logs a log, or two runs, and the blueprint."""
-    roots = {"": path} if new is None else {BASE: path, NEW: new.path}
-    found = {root: _opened(shown, overrides) for root, shown in roots.items()}
+    """A function that logs one or two runs and the blueprint."""
+    roots = {"": path} if shown.new is None else {BASE: path, NEW: shown.new}
+    found = {root: _opened(one, overrides) for root, one in roots.items()}
 
     def export(recording: rr.RecordingStream, keep_up: Callable[[], None]) -> Exported:
-        senders = [_Sender(recording, *opened, root, stop) for root, opened in found.items()]
+        senders = [_Sender(recording, *opened, root, shown.stop) for root, opened in found.items()]
         exported = [_send(sender, progress, keep_up, arrange_early=arrange_early) for sender in senders]
-        if new is None:
+        if shown.new is None:
             senders[0].arrange()
         else:
-            arrange_pair(recording, [sender.log for sender in senders], new.differences, stop)
+            arrange_pair(recording, [sender.log for sender in senders], shown)
         notes = dict.fromkeys(note for one in exported for note in one.notes)
         problems = {topic: count for one in exported for topic, count in one.problems.items()}
         return Exported(exported[0].frames, tuple(notes), problems)
@@ -183,12 +164,7 @@ class _Sender:
     """Sends messages to a recording and clears results that a frame lacks."""
 
     def __init__(
-        self,
-        recording: rr.RecordingStream,
-        summary: LogSummary,
-        roles: RoleAssignment,
-        root: str = "",
-        stop: Stop | None = None,
+        self, recording: rr.RecordingStream, summary: LogSummary, roles: RoleAssignment, root: str, stop: Stop | None
     ) -> None:
         self._recording, self.summary, self.roles, self._root, self._stop = recording, summary, roles, root, stop
         self.reference = roles.topics.get(roles.reference or "")
