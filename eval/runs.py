@@ -29,7 +29,7 @@ _TEXTS: Final = (pl.String, pl.Categorical, pl.Enum)
 REQUIRED_COLUMNS: Final = ("log_id", "frame", "stamp_ns", "missing", "reasons", "total_ms")
 """Columns of every metrics table. Tables of older versions may lack the others, which then count as null."""
 _FACTS: Final = (
-    *("config_digest", "version", "config", "source", "log"),
+    *("config_digest", "version", "config", "options", "source", "log"),
     *(record.LOG_ID_KEY, record.DIGEST_ALGORITHM_KEY, record.CONTINUES_KEY),
 )
 """Entries of a table's footer that become attributes of its run, under the same names."""
@@ -117,8 +117,9 @@ class Run:
     """One metrics table, or several tables of continued replays: the frames of one log under one configuration.
 
     ``name`` is unique within a report. ``frames`` counts the frames in use, ``rows`` all rows of the table.
-    ``config_digest``, ``version`` and ``config`` (the configuration as TOML) identify the replay, ``source`` and
-    ``log`` its input and its result. Each is empty if the file does not record it.
+    ``config_digest``, ``version``, ``config`` (the configuration as TOML) and ``options`` (of its batch, as on the
+    command line) identify the replay, ``source`` and ``log`` its input and its result. Each is empty if the file does
+    not record it.
 
     ``log_id`` and ``continues`` are digests, made by ``digest_algorithm``, of this log and of the log it continues.
     The table starts at ``first_frame``. Frames from ``end_frame`` on are not used, because the run ``next_run``
@@ -138,6 +139,7 @@ class Run:
     config_digest: str = ""
     version: str = ""
     config: str = ""
+    options: str = ""
     source: str = ""
     log: str = ""
     log_id: str = ""

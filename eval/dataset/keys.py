@@ -135,7 +135,7 @@ def two_configs(names: tuple[str | None, str | None], configs: Mapping[str, Sett
     Raises:
         TableError: ``names`` are not two different configurations of the dataset.
     """
-    base, new = (name and _config(option, name, configs) for option, name in zip(_OPTIONS, names, strict=True))
+    base, new = (name and config_named(option, name, configs) for option, name in zip(_OPTIONS, names, strict=True))
     if len(configs) == 2:
         older, newer = configs
         base = base or (older if new != older else newer)
@@ -147,7 +147,12 @@ def two_configs(names: tuple[str | None, str | None], configs: Mapping[str, Sett
     return base, new
 
 
-def _config(option: str, name: str, configs: Mapping[str, Settings | None]) -> str:
+def config_named(option: str, name: str, configs: Mapping[str, Settings | None]) -> str:
+    """The configuration that a name, its first digits or a setting means; an empty name means the only one.
+
+    Raises:
+        TableError: no configuration fits, or several.
+    """
     matching = [config for config in configs if config.startswith(name)] or [
         config
         for config, settings in configs.items()
@@ -155,7 +160,7 @@ def _config(option: str, name: str, configs: Mapping[str, Settings | None]) -> s
     ]
     if len(matching) != 1:
         matches = "no configuration" if not matching else f"{len(matching)} configurations"
-        raise TableError(f"{option} {name}: matches {matches}; {_listed(configs)}")
+        raise TableError(f"{f'{option} {name}'.strip()}: matches {matches}; {_listed(configs)}")
     return matching[0]
 
 

@@ -81,28 +81,15 @@ def _contents(dataset: Dataset) -> tuple[pl.DataFrame, pl.DataFrame, list[str]]:
     return runs, found, in_order_of_runs(found["config"].unique(maintain_order=True).to_list(), runs)
 
 
-def run_of_log(dataset: Dataset, log_id: str, config: str, name: str) -> Run:
-    """The run of a log under a configuration, from a dataset in a local folder; ``name`` becomes its name.
-
-    Raises:
-        TableError: the dataset has no table of it, or it cannot be read.
-    """
-    files = metrics_files(dataset)
-    found = _row_counts(files).filter(pl.col("log_id") == log_id) if files else pl.DataFrame(schema=[*LOG])
-    for run in _runs(dataset, found, config, {log_id: name}):
-        return run
-    raise TableError(f"{dataset.address}: no metrics table of log {name}, configuration {config}")
-
-
-def runs_of_logs(files: Sequence[str], keys: Sequence[LogKey], names: Mapping[str, str]) -> dict[LogKey, Run]:
-    """The runs of logs and configurations, from tables in a local folder; ``names`` are those of the logs.
+def runs_of_logs(dataset: Dataset, keys: Sequence[LogKey], names: Mapping[str, str]) -> dict[LogKey, Run]:
+    """The runs of logs and configurations, from a dataset in a local folder; ``names`` are those of the logs.
 
     Raises:
         TableError: a table cannot be read.
     """
-    found = _row_counts(files)
+    found = _row_counts(metrics_files(dataset))
     rows = {key: found.filter(pl.col("log_id") == key[0]) for key in keys}
-    return {key: next(_runs(of_log, key[1], names)) for key, of_log in rows.items()}
+    return {key: next(_runs(dataset, of_log, key[1], names)) for key, of_log in rows.items()}
 
 
 def _row_counts(files: Sequence[str]) -> pl.DataFrame:

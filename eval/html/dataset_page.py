@@ -1,7 +1,6 @@
 """The page over a batch's dataset, with pages of its failed and its worst logs in a folder beside it."""
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -19,9 +18,7 @@ from ..dataset.pairs import in_a_folder, runs_of_logs
 from ..dataset.place import DONE, NO_TABLES, Dataset, metrics_files, read_runs
 from ..dataset.report import settings_that_differ
 from ..dataset.worst import LogKey, key_of, worst_logs
-from ..frame_commands import view_dataset_command
 from ..quantities import Quantity
-from ..runs import Run
 from .page import rendered, write_page
 from .pictures import shown
 from .verdict import single_sentence, size, stage_table
@@ -46,10 +43,11 @@ def write_dataset_page(target: Path, dataset: Dataset) -> None:
     with in_a_folder(dataset) as local:
         if not (files := metrics_files(local)):
             raise TableError(f"{dataset.address}: {NO_TABLES}")
-        _write(target, read_runs(local), files, dataset.address)
+        _write(target, local, files, dataset.address)
 
 
-def _write(target: Path, runs: pl.DataFrame, files: Sequence[str], address: str) -> None:
+def _write(target: Path, local: Dataset, files: Sequence[str], address: str) -> None:
+    runs = read_runs(local)
     found = group_frames(files, runs, [])
     configs = in_order_of_runs(found.logs["config"].unique(maintain_order=True).to_list(), runs)
     names = log_names(found.logs["log_id"].unique(maintain_order=True), runs)
@@ -60,8 +58,8 @@ def _write(target: Path, runs: pl.DataFrame, files: Sequence[str], address: str)
     folder.mkdir(parents=True, exist_ok=True)
     failed_links = _write_failed(folder, failed.head(PAGES))
     links = {}
-    for place, (key, run) in enumerate(runs_of_logs(files, list(worst)[: PAGES - len(failed_links)], names).items(), 1):
-        write_page(folder / f"worst_{place}.html", [run], partial(_command, address, key))
+    for place, (key, run) in enumerate(runs_of_logs(local, list(worst)[: PAGES - len(failed_links)], names).items(), 1):
+        write_page(folder / f"worst_{place}.html", [run])
         links[_name(key, names)] = f"{folder.name}/worst_{place}.html"
     mark: Mark = "worse" if failed.height else "better"
     verdicts = [(mark, f"{failed.height} of {number(runs.height, 'run')} failed")] if runs.height else []
@@ -120,7 +118,3 @@ def _write_failed(folder: Path, failed: pl.DataFrame) -> dict[str, str]:
         _render(folder / f"failed_{place}.html", item["path"], [("worse", said)], [(table, {})])
         links[f"{item['path']} {item['config']}"] = f"{folder.name}/failed_{place}.html"
     return links
-
-
-def _command(address: str, log: LogKey, _run: Run, frame: int) -> str:
-    return view_dataset_command(address, log[0], frame, log[1])

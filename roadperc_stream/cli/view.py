@@ -31,23 +31,20 @@ def main(argv: list[str] | None = None) -> int:
     parser = _parser()
     arguments = parse(parser, argv)
     _require_sense(parser, arguments)
-    from roadperc_stream.view.modes import view_frame, view_log
+    from roadperc_stream.view.modes import view_log, view_runs
 
     options = replace(serving_options(arguments), start_s=arguments.start or 0.0)
     if not _needs_lookup(arguments):
         return run(lambda: view_log(arguments, options))
-    lookup = part("eval.frames")
-    return run(lambda: view_frame(arguments, options, lookup))
+    modules = part("eval.frames"), part("eval.frame_replay")
+    return run(lambda: view_runs(arguments, options, *modules))
 
 
 def _needs_lookup(arguments: argparse.Namespace) -> bool:
     """Whether the arguments name more than a log and a frame in it; the lookup imports polars, which takes 0.2 s."""
-    if arguments.log is None or arguments.log == "-":
-        return False
-    path = Path(arguments.log)
-    plain = path.suffix not in {".parquet", ".mcap"} or (path.suffix == ".mcap" and path.exists())
-    asked = (arguments.new, arguments.worst, arguments.of_log, *arguments.config)
-    return any(asked) or not plain or path.is_dir() or "://" in arguments.log
+    path = Path(arguments.log or "-")
+    is_log = str(path) == "-" or (path.exists() and not path.is_dir() and path.suffix != ".parquet")
+    return not is_log or any((arguments.new, arguments.worst, arguments.of_log, arguments.config))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -94,13 +91,14 @@ def _require_sense(parser: argparse.ArgumentParser, arguments: argparse.Namespac
     """Exit with code 2 if the log is missing or an option does not apply to the chosen output."""
     if arguments.log is None and (arguments.foxglove_layout is None or arguments.topic or arguments.foxglove):
         parser.error("expected a log: OUT.mcap")
-    pair, at = arguments.new is not None or len(arguments.config) > 1, _place(arguments)
-    if (pair or at) and (arguments.video or arguments.foxglove_layout):
-        parser.error(f"{at or 'NEW'} applies only to the Rerun viewer, --save and --foxglove")
+    pair = arguments.new is not None or len(arguments.config) > 1
+    at_frame = arguments.frame is not None or arguments.worst
+    if (pair or at_frame) and (arguments.video or arguments.foxglove_layout):
+        parser.error("--frame, --worst and NEW apply only to the Rerun viewer, --save and --foxglove")
     if pair and arguments.foxglove:
         parser.error("--foxglove plays one log; remove NEW")
-    if at and arguments.start is not None:
-        parser.error(f"{at} cannot be combined with --start")
+    if at_frame and arguments.start is not None:
+        parser.error("--frame and --worst cannot be combined with --start")
     if arguments.foxglove_layout and (arguments.save or arguments.video):
         parser.error("--foxglove-layout cannot be combined with --save or --video")
     served = [*given_options(arguments), *(["start"] if arguments.start is not None else [])]
@@ -110,8 +108,3 @@ def _require_sense(parser: argparse.ArgumentParser, arguments: argparse.Namespac
         parser.error("--topic applies only to the Rerun viewer, --save and --foxglove-layout")
     if arguments.force and not (arguments.save or arguments.foxglove_layout or arguments.video):
         parser.error("--force needs --save, --foxglove-layout or --video")
-
-
-def _place(arguments: argparse.Namespace) -> str:
-    """The option that names a frame; empty without one."""
-    return "--frame" if arguments.frame is not None else "--worst" if arguments.worst else ""

@@ -1,12 +1,11 @@
 """Finds the log time of a frame."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from roadperc_stream import log
 from roadperc_stream.errors import LogError
-from roadperc_stream.input.roles import assignment_of_log
 from roadperc_stream.input.stream import Problems
 from roadperc_stream.log import LogSummary
 from roadperc_stream.schemas.columns import FrameMetrics
@@ -34,19 +33,14 @@ def timed_rows(summary: LogSummary, problems: Problems) -> Iterator[tuple[int, F
             yield message.log_time_ns, row
 
 
-def find_stop(path: Path, frame: int, overrides: Mapping[str, str]) -> Stop:
-    """The stop at a frame of a log, by its number in the metrics; an input log counts the images.
+def find_stop(path: Path, frame: int) -> Stop:
+    """The stop at a frame of a log with results, by its number in the metrics.
 
     Raises:
         LogError: the log cannot be read, or has no such frame.
     """
-    summary = log.summarise(path)
-    times_ns = {row.frame: log_time_ns for log_time_ns, row in timed_rows(summary, Problems())}
-    if not times_ns:
-        roles = assignment_of_log(summary, overrides)
-        images = log.read(summary, topics=(roles.topics.get(roles.reference or "", ""),))
-        times_ns = dict(enumerate(message.log_time_ns for message in images))
+    times_ns = {row.frame: log_time_ns for log_time_ns, row in timed_rows(log.summarise(path), Problems())}
     if frame not in times_ns:
-        known = f"expected {min(times_ns)} to {max(times_ns)}" if times_ns else "the log has no frames"
+        known = f"expected {min(times_ns)} to {max(times_ns)}" if times_ns else "the log has no results"
         raise LogError(f"{path}: no frame {frame}; {known}")
     return Stop(frame, times_ns[frame])

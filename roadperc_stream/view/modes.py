@@ -10,11 +10,11 @@ from shlex import quote
 from typing import Any
 
 from roadperc_stream import log
+from roadperc_stream.errors import TableError
 from roadperc_stream.input.source import warnings_of
 from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.schemas.topics import TIMES_TOPIC
-from roadperc_stream.system.files import require_free
 from roadperc_stream.system.text import number, print_line
 from roadperc_stream.system.time import ns_to_seconds
 from roadperc_stream.view.differences import find_differences
@@ -31,81 +31,54 @@ def view_log(arguments: argparse.Namespace, playback: PlaybackOptions) -> None:
     Raises:
         RoadpercError: the log cannot be shown.
     """
-    arguments.log = arguments.log and _readable(arguments)
-    stop = None
-    if arguments.frame is not None:
-        stop = find_stop(arguments.log, arguments.frame, parse_topic_options(arguments.topic))
-    _view(arguments, playback, stop)
+    logs = [_readable(arguments)] if arguments.log else []
+    stop = find_stop(logs[0], arguments.frame) if logs and arguments.frame is not None else None
+    _view(arguments, playback, logs, stop)
 
 
-def view_frame(arguments: argparse.Namespace, playback: PlaybackOptions, lookup: Any) -> None:
-    """Show the frame of a run, of a dataset's log or of two runs; what is not kept is replayed.
+def view_runs(arguments: argparse.Namespace, playback: PlaybackOptions, finding: Any, replaying: Any) -> None:
+    """Show a frame of a run, of a dataset's log or of two runs; a log that was not kept is replayed.
 
     Args:
         arguments: of the command line.
         playback: options of the live server.
-        lookup: the module ``eval.frames``.
+        finding: the module ``eval.frames``.
+        replaying: the module ``eval.frame_replay``.
 
     Raises:
         RoadpercError: the run cannot be found, replayed or shown.
     """
-    runs = [arguments.log, *([arguments.new] if arguments.new else [])]
-    wanted = lookup.Wanted(
-        runs, arguments.frame, arguments.worst, arguments.of_log, arguments.config, tuple(arguments.topic)
-    )
+    names = [arguments.log, *([arguments.new] if arguments.new else [])]
     with ExitStack() as files:
+        runs = [run for name in names for run in finding.runs_to_show(name, arguments.of_log, arguments.config, files)]
+        if len(runs) > 2:
+            raise TableError(f"{' '.join(names)}: expected at most two runs, found {len(runs)}")
+        frame = finding.worst_frame(runs[-1], arguments.worst) if arguments.worst else arguments.frame
         with frame_progress("replaying", not arguments.quiet) as progress:
-            found = lookup.find_frames(wanted, files, progress)
+            found = [replaying.shown(run, frame, arguments.topic, files, progress) for run in runs]
         if not arguments.quiet:
             _print_summary((note for item in found for note in item.notes), {})
-        overrides = parse_topic_options(arguments.topic)
-        stops = [
-            None if item.frame is None else replace(find_stop(item.log, item.number, overrides), frame=item.frame)
-            for item in found
-        ]
-        if len(found) > 1:
-            _show_pair(arguments, [item.log for item in found], stops[0])
-        else:
-            arguments.log = found[0].log
-            _view(arguments, playback, stops[0])
+        logs, number_in_log = [item.log for item in found], found[0].number
+        stop = None if number_in_log is None else replace(find_stop(logs[0], number_in_log), frame=frame)
+        _view(arguments, playback, logs, stop)
 
 
-def _view(arguments: argparse.Namespace, playback: PlaybackOptions, stop: Stop | None) -> None:
+def _view(arguments: argparse.Namespace, playback: PlaybackOptions, logs: Sequence[Path], stop: Stop | None) -> None:
+    """Show one or two logs, or none for a layout of all topics."""
+    arguments.log = logs[0] if logs else None
     if arguments.foxglove_layout:
         _lay_out(arguments)
     if arguments.foxglove:
-        serve_log(arguments.log, _starting_at(arguments.log, playback, stop), quiet=arguments.quiet)
+        if stop is not None:
+            first_ns = log.summarise(logs[0]).first_ns or 0
+            playback = replace(playback, start_s=ns_to_seconds(stop.log_time_ns - first_ns))
+        serve_log(logs[0], playback, quiet=arguments.quiet)
     elif arguments.foxglove_layout:
         return
     elif arguments.video:
         _record_video(arguments)
     else:
-        _show_in_rerun(arguments, stop)
-
-
-def _starting_at(path: Path, playback: PlaybackOptions, stop: Stop | None) -> PlaybackOptions:
-    """The options with the start at a frame."""
-    if stop is None:
-        return playback
-    return replace(playback, start_s=ns_to_seconds(stop.log_time_ns - (log.summarise(path).first_ns or 0)))
-
-
-def _show_pair(arguments: argparse.Namespace, logs: Sequence[Path], stop: Stop | None) -> None:
-    """Save or show two runs in one recording, at a frame or at the worst difference."""
-    base, new = logs
-    differences = find_differences(base, new)
-    if stop is None and differences:
-        stop = differences[0].worst
-    rerun = import_module("roadperc_stream.view.rerun")
-    overrides = parse_topic_options(arguments.topic)
-    runs = rerun.ShownLog(base, overrides, stop), rerun.ShownLog(new, overrides)
-    name, target = f"{base.stem} and {new.stem}", arguments.save
-    if target:
-        require_free(target, force=arguments.force, source=base, suffix=".rrd")
-    with frame_progress("writing" if target else "sending", not arguments.quiet) as progress:
-        export = rerun.export_of_pair(*runs, differences, progress)
-        exported = rerun.save(name, target, export, force=arguments.force) if target else rerun.send(name, export)
-    _report(arguments, exported, stop)
+        _show_in_rerun(arguments, logs, stop)
 
 
 def _readable(arguments: argparse.Namespace) -> Path:
@@ -139,23 +112,20 @@ def _record_video(arguments: argparse.Namespace) -> None:
         )
 
 
-def _show_in_rerun(arguments: argparse.Namespace, stop: Stop | None) -> None:
-    """Save a recording, or send the log to a viewer."""
+def _show_in_rerun(arguments: argparse.Namespace, logs: Sequence[Path], stop: Stop | None) -> None:
+    """Save a recording, or send it to a viewer; two runs open at the worst difference unless a frame is given."""
     target = arguments.save
     rerun = import_module("roadperc_stream.view.rerun")  # on use only, because the import takes half a second
+    differences = find_differences(*logs) if len(logs) > 1 else []
+    stop = stop or (differences[0].worst if differences else None)
+    shown = rerun.Shown(stop, logs[1] if len(logs) > 1 else None, differences)
     overrides = parse_topic_options(arguments.topic)
     with frame_progress("writing" if target else "sending", not arguments.quiet) as progress:
         if target:
-            options = {"force": arguments.force, "progress": progress, "stop": stop}
-            exported = rerun.save_recording(arguments.log, target, overrides, **options)
+            options = {"force": arguments.force, "progress": progress, "shown": shown}
+            exported = rerun.save_recording(logs[0], target, overrides, **options)
         else:
-            exported = rerun.open_viewer(arguments.log, overrides, progress, stop)
-    _report(arguments, exported, stop)
-
-
-def _report(arguments: argparse.Namespace, exported: Any, stop: Stop | None) -> None:
-    """Print what was exported, and the frame that the viewer shows."""
-    target = arguments.save
+            exported = rerun.open_viewer(logs[0], overrides, progress, shown)
     if arguments.quiet:
         return
     _print_summary(exported.notes, exported.problems)

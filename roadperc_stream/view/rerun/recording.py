@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import timedelta
 from itertools import groupby
 from pathlib import Path
@@ -27,6 +27,7 @@ from roadperc_stream.system.time import END_OF_TIME_NS
 from roadperc_stream.view.frame_times import Stop
 from roadperc_stream.view.rerun.blueprint import Log, blueprint
 from roadperc_stream.view.rerun.drawing import drawers
+from roadperc_stream.view.rerun.pair import BASE, NEW, Shown, arrange_pair
 from roadperc_stream.view.rerun.timelines import set_log_time, time_panel
 from roadperc_stream.view.rerun.tree import Entry, SceneState
 from roadperc_stream.view.rerun.viewer import URL, ending_at_once, saving, start_viewer
@@ -39,21 +40,7 @@ _LARGE_CHUNKS: Final = rr.ChunkBatcherConfig(flush_tick=timedelta(seconds=10), f
 _MOST_WAITING: Final = 25
 """Most log times that wait to be sent, because the queue of the sending thread is unbounded."""
 Progress = Callable[[int, int], None]
-
-
-@dataclass(frozen=True)
-class ShownLog:
-    """What to show of a log: topics of roles with other names, and the frame to open at; None for the end of the log.
-
-    ``root`` is the parent of all entities, such as ``/base``. ``only_results`` leaves out inputs and transforms, which
-    another log of the recording has.
-    """
-
-    path: Path
-    overrides: Mapping[str, str] = field(default_factory=dict)
-    stop: Stop | None = None
-    root: str = ""
-    only_results: bool = False
+ALONE: Final = Shown()
 
 
 @dataclass(frozen=True)
@@ -71,24 +58,16 @@ Export = Callable[[rr.RecordingStream, Callable[[], None]], Exported]
 
 
 def open_viewer(
-    path: Path, overrides: Mapping[str, str], progress: Progress = no_progress, stop: Stop | None = None
+    path: Path, overrides: Mapping[str, str], progress: Progress = no_progress, shown: Shown = ALONE
 ) -> Exported:
     """Open the viewer and send it a log; the viewer stays open.
 
     Raises:
-        RoadpercError: the log is unreadable or has nothing to show, or the viewer does not start or answer.
+        RoadpercError: a log is unreadable or has nothing to show, or the viewer does not start or answer.
     """
-    return send(path.name, export_of(ShownLog(path, overrides, stop), progress, arrange_early=True))
-
-
-def send(name: str, export: Export) -> Exported:
-    """Open the viewer and send it a recording.
-
-    Raises:
-        RoadpercError: the viewer does not start or answer; else as ``export``.
-    """
+    export = _export_of(path, overrides, progress, shown, arrange_early=shown.new is None)
     start_viewer()
-    recording = _recording(name)
+    recording = _recording(path)
     try:
         with ending_at_once():
             recording.connect_grpc(URL)
@@ -107,27 +86,17 @@ def save_recording(
     *,
     force: bool = False,
     progress: Progress = no_progress,
-    stop: Stop | None = None,
+    shown: Shown = ALONE,
 ) -> Exported:
     """Write a log as a Rerun recording with its blueprint; the file gets its name only when complete.
 
     Raises:
-        RoadpercError: the log is unreadable or has nothing to show, ``target`` is not an ``.rrd`` or exists without
+        RoadpercError: a log is unreadable or has nothing to show, ``target`` is not an ``.rrd`` or exists without
             ``force``, or it cannot be completed; no partial file remains.
     """
     require_free(target, force=force, source=path, suffix=".rrd")
-    return save(
-        path.name, target, export_of(ShownLog(path, overrides, stop), progress, arrange_early=False), force=force
-    )
-
-
-def save(name: str, target: Path, export: Export, *, force: bool = False) -> Exported:
-    """Write a recording; the file gets its name only when complete.
-
-    Raises:
-        RoadpercError: it cannot be completed; else as ``export``.
-    """
-    recording = _recording(name, _LARGE_CHUNKS)
+    export = _export_of(path, overrides, progress, shown, arrange_early=False)
+    recording = _recording(path, _LARGE_CHUNKS)
     with completing(target, force=force) as temporary, saving(recording, temporary) as check:
 
         def keep_up() -> None:
@@ -137,50 +106,43 @@ def save(name: str, target: Path, export: Export, *, force: bool = False) -> Exp
         return export(recording, keep_up)
 
 
-def export_of(shown: ShownLog, progress: Progress, *, arrange_early: bool) -> Export:
-    """A function that logs a log and its blueprint to a recording.
-
-    Raises:
-        LogError: the log is unreadable or has nothing to show.
-    """
-    summary, roles = opened(shown.path, shown.overrides)
+def _export_of(
+    path: Path, overrides: Mapping[str, str], progress: Progress, shown: Shown, *, arrange_early: bool
+) -> Export:
+    """A function that logs one or two runs and the blueprint."""
+    roots = {"": path} if shown.new is None else {BASE: path, NEW: shown.new}
+    found = {root: _opened(one, overrides) for root, one in roots.items()}
 
     def export(recording: rr.RecordingStream, keep_up: Callable[[], None]) -> Exported:
-        sender = Sender(recording, summary, roles, shown)
-        exported = send_log(sender, progress, keep_up, arrange_early=arrange_early)
-        recording.send_blueprint(sender.arranged())
-        return exported
+        senders = [_Sender(recording, *opened, root, shown.stop) for root, opened in found.items()]
+        exported = [_send(sender, progress, keep_up, arrange_early=arrange_early) for sender in senders]
+        if shown.new is None:
+            senders[0].arrange()
+        else:
+            arrange_pair(recording, [sender.log for sender in senders], shown)
+        notes = dict.fromkeys(note for one in exported for note in one.notes)
+        problems = {topic: count for one in exported for topic, count in one.problems.items()}
+        return Exported(exported[0].frames, tuple(notes), problems)
 
     return export
 
 
-def opened(path: Path, overrides: Mapping[str, str]) -> tuple[LogSummary, RoleAssignment]:
-    """The index of a log and the topics of its roles.
-
-    Raises:
-        LogError: the log is unreadable or has nothing to show.
-    """
+def _opened(path: Path, overrides: Mapping[str, str]) -> tuple[LogSummary, RoleAssignment]:
     summary = log.summarise(path)
     roles = assignment_of_log(summary, overrides)
     require_shown(summary, roles)
     return summary, roles
 
 
-def _recording(name: str, batches: rr.ChunkBatcherConfig | None = None) -> rr.RecordingStream:
+def _recording(path: Path, batches: rr.ChunkBatcherConfig | None = None) -> rr.RecordingStream:
     recording = rr.RecordingStream(_APPLICATION, batcher_config=batches)
     recording.set_log_time_enabled(False)  # the time of the export is not useful
-    recording.send_recording_name(name)
+    recording.send_recording_name(path.name)
     return recording
 
 
-def send_log(
-    sender: "Sender", progress: Progress, keep_up: Callable[[], None], *, arrange_early: bool = False
-) -> Exported:
-    """Log all messages; ``keep_up`` waits until the logged messages are sent.
-
-    Raises:
-        LogError: the log is unreadable or has nothing to show.
-    """
+def _send(sender: "_Sender", progress: Progress, keep_up: Callable[[], None], *, arrange_early: bool) -> Exported:
+    """Log all messages; ``keep_up`` waits until the logged messages are sent."""
     summary, roles = sender.summary, sender.roles
     expected = sum(summary.counts[c.source_id] for c in summary.channels if c.topic == sender.reference)
     frames = 0
@@ -190,7 +152,7 @@ def send_log(
         if count % _MOST_WAITING == 0:
             keep_up()
         if arrange_early and frames == 1 and sender.frame == 1:  # the first frame has most entities
-            sender.recording.send_blueprint(sender.arranged())
+            sender.arrange()
         frames = max(frames, sender.frame + 1)
         progress(frames, expected)
     if not sender.entities:
@@ -198,13 +160,13 @@ def send_log(
     return Exported(frames, (*roles.notes, *sender.problems.first.values()), dict(sender.problems.counts))
 
 
-class Sender:
+class _Sender:
     """Sends messages to a recording and clears results that a frame lacks."""
 
     def __init__(
-        self, recording: rr.RecordingStream, summary: LogSummary, roles: RoleAssignment, shown: ShownLog
+        self, recording: rr.RecordingStream, summary: LogSummary, roles: RoleAssignment, root: str, stop: Stop | None
     ) -> None:
-        self.recording, self.summary, self.roles, self._shown = recording, summary, roles, shown
+        self._recording, self.summary, self.roles, self._root, self._stop = recording, summary, roles, root, stop
         self.reference = roles.topics.get(roles.reference or "")
         """Topic whose messages are counted as frames in a log without metrics; None if absent."""
         self.frame = -1
@@ -220,11 +182,11 @@ class Sender:
     @property
     def log(self) -> Log:
         """The sent contents of the log."""
-        return Log(self.roles.topics, frozenset(self.entities), self._shown.root)
+        return Log(self.roles.topics, frozenset(self.entities), self._root)
 
-    def arranged(self) -> rr.blueprint.Blueprint:
-        """The blueprint for the sent entities."""
-        return blueprint(self.log, time_panel(self._shown.stop))
+    def arrange(self) -> None:
+        """Send the blueprint for the sent entities."""
+        self._recording.send_blueprint(blueprint(self.log, time_panel(self._stop)))
 
     def send(self, log_time_ns: int, messages: Sequence[Message]) -> None:
         """Log all messages of one log time.
@@ -236,8 +198,8 @@ class Sender:
             raise LogError(f"log time {log_time_ns} ns: expected less than 2^63, the limit of Rerun")
         metrics = [message for message in messages if is_result_of(message.channel, METRICS_TOPIC)]
         self.frame = self._frame_of(messages, metrics)
-        set_log_time(self.recording, log_time_ns, self._shown.stop)
-        self.recording.set_time(FRAME, sequence=max(self.frame, 0))  # earlier messages belong to the first frame
+        set_log_time(self._recording, log_time_ns, self._stop)
+        self._recording.set_time(FRAME, sequence=max(self.frame, 0))  # earlier messages belong to the first frame
         entries = list(self._entries(messages))
         for entry in entries:
             self._log(entry)
@@ -245,7 +207,7 @@ class Sender:
             of_frame = {e.entity for e in entries if e.frame and e.entity.startswith(tuple(RESULTS))}
             # The viewer shows the last value: clear results that this frame lacks.
             for entity in sorted(self._drawn - of_frame):
-                self.recording.log(f"{self._shown.root}{entity}", rr.Clear(recursive=False))
+                self._recording.log(f"{self._root}{entity}", rr.Clear(recursive=False))
             self._drawn = of_frame
 
     def _frame_of(self, messages: Sequence[Message], metrics: Sequence[Message]) -> int:
@@ -264,16 +226,15 @@ class Sender:
                 self.problems.add(message.channel.topic, message.log_time_ns, error)
 
     def _log(self, entry: Entry) -> None:
-        if self._shown.only_results and (
-            not entry.entity.startswith(topics.RESULT_PREFIX) or isinstance(entry.archetype, rr.Transform3D)
-        ):
+        is_result = entry.entity.startswith(topics.RESULT_PREFIX) and not isinstance(entry.archetype, rr.Transform3D)
+        if self._root == NEW and not is_result:  # inputs and transforms come from the base
             return
         self.entities.add(entry.entity)
-        path = f"{self._shown.root}{entry.entity}"
+        path = f"{self._root}{entry.entity}"
         if isinstance(entry.archetype, rr.AnnotationContext):
             if entry.entity not in self._contexts:  # one context is valid for the whole recording
                 self._contexts[entry.entity] = entry.archetype
-                self.recording.log(path, entry.archetype, static=True)
+                self._recording.log(path, entry.archetype, static=True)
         else:
             frame = (rr.CoordinateFrame(entry.frame),) if entry.frame else ()
-            self.recording.log(path, entry.archetype, *frame)
+            self._recording.log(path, entry.archetype, *frame)

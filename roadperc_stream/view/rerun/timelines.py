@@ -4,12 +4,13 @@ A blueprint cannot set the viewer's time cursor, but it can follow the end of a 
 frame are also on a timeline that ends there.
 """
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from roadperc_stream.system.time import END_OF_TIME_NS
 from roadperc_stream.view.frame_times import Stop
 
 LOG_TIME: Final = "message_log_time"
@@ -25,6 +26,15 @@ def set_log_time(recording: rr.RecordingStream, log_time_ns: int, stop: Stop | N
         recording.set_time(stop.name, timestamp=time)
     else:
         recording.disable_timeline(stop.name)
+
+
+def send_curve(recording: rr.RecordingStream, entity: str, times_ns: Any, values: Any, stop: Stop | None) -> None:
+    """Send values (N,) at log times (N,) in ns; those up to the frame to show also on its timeline."""
+    for name, until_ns in ((LOG_TIME, END_OF_TIME_NS), *([(stop.name, stop.log_time_ns)] if stop else [])):
+        chosen = times_ns <= until_ns
+        if chosen.any():
+            time = rr.TimeColumn(name, timestamp=times_ns[chosen].astype("datetime64[ns]"))
+            recording.send_columns(entity, [time], rr.Scalars.columns(scalars=values[chosen]))
 
 
 def time_panel(stop: Stop | None) -> rrb.TimePanel:
