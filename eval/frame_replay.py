@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import polars as pl
 
-from roadperc_stream import __version__, log
+from roadperc_stream import log
 from roadperc_stream.batch.storage.addresses import is_address
 from roadperc_stream.batch.storage.location import Location
 from roadperc_stream.config import load_config
@@ -41,10 +41,8 @@ _BEFORE_S: Final = 5.0
 """Shown before a far frame."""
 _AFTER_S: Final = 2.0
 """Replayed after the frame, because messages may be logged this long after their stamps."""
-_OF_THE_REPLAY: Final = frozenset({"log_id", "config", "frame", "segment", "reasons", "missing", *TIME_COLUMNS})
-"""Columns that are not results, or depend on the part of the log."""
-_FROM_THE_START: Final = "odom_"
-"""Prefix of columns that count from the replay's first frame."""
+_OF_THE_REPLAY: Final = ("log_id", "config", "frame", "segment", "reasons", "missing", "odom_", *TIME_COLUMNS)
+"""Beginnings of columns that are not results, or depend on the part of the log."""
 _SAME: Final = 1e-6
 """Relative difference of numbers below which they are equal, as on another processor."""
 
@@ -108,7 +106,8 @@ def _replayed(run: Run, row: Mapping[str, Any], topics: Sequence[str], folder: P
     again = pl.read_parquet(target.metrics).filter(pl.col("stamp_ns") == row["stamp_ns"])
     if again.is_empty():
         raise LogError(f"{run.source}: no frame with stamp {row['stamp_ns']} ns; it is not the whole log of the run")
-    return FrameToShow(target.path, again["frame"][0], tuple(_notes(run, row, again.row(0, named=True), is_far)))
+    far = (f"replayed from {_WARM_UP_S + _BEFORE_S:g} s before the frame; the trajectory starts there",) * is_far
+    return FrameToShow(target.path, again["frame"][0], (*far, *_differing(row, again.row(0, named=True))))
 
 
 def _input(run: Run, folder: Path) -> Path:
@@ -117,8 +116,7 @@ def _input(run: Run, folder: Path) -> Path:
         Location(run.source).fetch(copy)
         return copy
     if not Path(run.source).exists():
-        why = f"the result log of {run.name} was not kept, and its input log is missing"
-        raise LogError(f"{run.source}: no such file: {why}; put the input log there")
+        raise LogError(f"{run.source}: no such file: {run.name} has no result log; put the input log there")
     return Path(run.source)
 
 
@@ -131,15 +129,10 @@ def _options(text: str) -> argparse.Namespace:
     return parser.parse_args(shlex.split(text))
 
 
-def _notes(run: Run, row: Mapping[str, Any], again: Mapping[str, Any], is_far: bool) -> Iterator[str]:
-    """What differs from the recorded run."""
-    if is_far:
-        yield f"replayed from {_WARM_UP_S + _BEFORE_S:g} s before the frame; the trajectory starts there"
-    if run.version != __version__:
-        yield f"recorded by version {run.version or 'unknown'}, replayed by version {__version__}"
-    compared = row.keys() & again.keys() - _OF_THE_REPLAY
-    differing = [name for name in row if name in compared and not _same(row[name], again[name])]
-    differing = [name for name in differing if not (is_far and name.startswith(_FROM_THE_START))]
+def _differing(row: Mapping[str, Any], again: Mapping[str, Any]) -> Iterator[str]:
+    """A note on the values that differ from the recorded run."""
+    compared = [name for name in row if name in again and not name.startswith(_OF_THE_REPLAY)]
+    differing = [name for name in compared if not _same(row[name], again[name])]
     if differing:
         values = listed([f"{name} {again[name]} (recorded {row[name]})" for name in differing], 3)
         yield f"{number(len(differing), 'value')} of the frame differ: {values}"

@@ -51,8 +51,7 @@ def _runs_of_log(dataset: Dataset, name: str | None, configs: Sequence[str]) -> 
         )
     log_id = next((key for key, known in names.items() if known in {name, PurePath(name).stem} or key == name), None)
     if log_id is None:
-        close = nearest(name, names.values())
-        hint = f"did you mean {close}?" if close else f"its logs: {listed(sorted(names.values()))}"
+        hint = f"did you mean {nearest(name, names.values(), 0.0)}?"
         raise TableError(f"{dataset.copy_of}: --log {name}: no such log in the dataset; {hint}")
     of_log = runs.filter(pl.col("log_id") == log_id)
     known = settings_by_config(of_log, of_log["config"].to_list())
@@ -72,10 +71,9 @@ def worst_frame(run: Run | Path, column: str) -> int:
     rows = collect(rows_of(table), table.source_name)
     numbers = [name for name, kind in rows.schema.items() if kind.is_numeric()]
     if column not in numbers:
-        hint = listed([nearest(column, numbers) or "", *(name for name in numbers if name[:4] == column[:4])], 8)
+        hint = nearest(column, numbers, 0.0)
         raise TableError(f"{table.path}: --worst {column}: no such column of numbers; nearest: {hint}")
-    definition = columns_of(FrameMetrics).get(column)
-    lowest = definition is not None and definition.better == "high"
+    lowest = getattr(columns_of(FrameMetrics).get(column), "better", "") == "high"
     value = pl.col(column).cast(pl.Float64)
     known = rows.filter(value.is_finite()).sort(value if lowest else -value.abs(), maintain_order=True)
     if known.is_empty():

@@ -14,6 +14,7 @@ from roadperc_stream.batch.storage.location import Location
 from roadperc_stream.errors import TableError
 from roadperc_stream.system.files import TABLE_SUFFIX
 
+from ..configurations import Settings
 from ..runs import Run, open_run
 from .keys import LOG, in_order_of_runs, log_names, settings_by_config, two_configs
 from .place import FILE, NO_TABLES, RUNS, Dataset, metrics_files, read_runs, without_file
@@ -53,9 +54,8 @@ def runs_of_configs(dataset: Dataset, names: tuple[str | None, str | None]) -> t
     Raises:
         TableError: ``names`` do not identify two configurations, or a table cannot be read.
     """
-    runs, found, present = _contents(dataset)
-    base, new = two_configs(names, settings_by_config(runs, present))
-    logs = log_names(found["log_id"].unique(maintain_order=True), runs)
+    configs, found, logs = _contents(dataset)
+    base, new = two_configs(names, configs)
     return tuple(_runs(dataset, found, base, logs)), tuple(_runs(dataset, found, new, logs))
 
 
@@ -65,20 +65,20 @@ def all_runs(dataset: Dataset) -> tuple[Run, ...]:
     Raises:
         TableError: a table cannot be read.
     """
-    runs, found, present = _contents(dataset)
-    logs = log_names(found["log_id"].unique(maintain_order=True), runs)
-    every = [(config, run) for config in present for run in _runs(dataset, found, config, logs)]
-    return tuple(run if len(present) == 1 else replace(run, name=f"{run.name} {config}") for config, run in every)
+    configs, found, logs = _contents(dataset)
+    every = [(config, run) for config in configs for run in _runs(dataset, found, config, logs)]
+    return tuple(run if len(configs) == 1 else replace(run, name=f"{run.name} {config}") for config, run in every)
 
 
-def _contents(dataset: Dataset) -> tuple[pl.DataFrame, pl.DataFrame, list[str]]:
-    """The list of runs, the number of rows of each log and configuration in each file, and the configurations."""
+def _contents(dataset: Dataset) -> tuple[dict[str, Settings | None], pl.DataFrame, dict[str, str]]:
+    """The configurations, the number of rows of each log and configuration in each file, and the names of logs."""
     files = metrics_files(dataset)
     if not files:
         raise TableError(f"{dataset.address}: {NO_TABLES}")
     runs, found = read_runs(dataset), _row_counts(files)
     found = found.join(without_file(runs), on=LOG, how="anti", maintain_order="left")
-    return runs, found, in_order_of_runs(found["config"].unique(maintain_order=True).to_list(), runs)
+    present = in_order_of_runs(found["config"].unique(maintain_order=True).to_list(), runs)
+    return settings_by_config(runs, present), found, log_names(found["log_id"].unique(maintain_order=True), runs)
 
 
 def runs_of_logs(dataset: Dataset, keys: Sequence[LogKey], names: Mapping[str, str]) -> dict[LogKey, Run]:
@@ -88,8 +88,7 @@ def runs_of_logs(dataset: Dataset, keys: Sequence[LogKey], names: Mapping[str, s
         TableError: a table cannot be read.
     """
     found = _row_counts(metrics_files(dataset))
-    rows = {key: found.filter(pl.col("log_id") == key[0]) for key in keys}
-    return {key: next(_runs(dataset, of_log, key[1], names)) for key, of_log in rows.items()}
+    return {key: next(_runs(dataset, found.filter(pl.col("log_id") == key[0]), key[1], names)) for key in keys}
 
 
 def _row_counts(files: Sequence[str]) -> pl.DataFrame:

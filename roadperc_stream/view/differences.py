@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
@@ -12,9 +11,6 @@ from roadperc_stream.geometry import Float
 from roadperc_stream.input.stream import Problems
 from roadperc_stream.schemas.columns import Column, FrameMetrics, columns_of
 from roadperc_stream.view.frame_times import Stop, timed_rows
-
-_TINY: Final = 1e-12
-"""A relevant effect of a column without one."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +43,7 @@ def find_differences(base: Path, new: Path) -> list[MetricDifference]:
     pairs = [(time_ns, row, theirs[row.stamp_ns]) for time_ns, row in ours if row.stamp_ns in theirs]
     if not pairs:
         raise LogError(f"{base} and {new}: no frame has the same stamp in both runs; expected runs of one log")
-    columns = {name: column for name, column in columns_of(FrameMetrics).items() if column.better}
+    columns = {name: column for name, column in columns_of(FrameMetrics).items() if column.better and column.relevant}
     differences = (_difference(name, column, pairs) for name, column in columns.items())
     return sorted((found for found in differences if found is not None), key=lambda found: -found.worsening)
 
@@ -62,7 +58,7 @@ def _difference(
         return None
     base, new = (np.array([row[side] for row in known], float) for side in (2, 3))
     values = np.abs(new) - np.abs(base) if column.better == "near 0" else new - base
-    effects = (-values if column.better == "high" else values) / (column.relevant or _TINY)
+    effects = (-values if column.better == "high" else values) / column.relevant
     if np.abs(effects).max() < 1:
         return None
     at = int(effects.argmax())

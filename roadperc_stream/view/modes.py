@@ -118,7 +118,7 @@ def _show_in_rerun(arguments: argparse.Namespace, logs: Sequence[Path], stop: St
     rerun = import_module("roadperc_stream.view.rerun")  # on use only, because the import takes half a second
     differences = find_differences(*logs) if len(logs) > 1 else []
     stop = stop or (differences[0].worst if differences else None)
-    shown = rerun.Shown(stop, logs[1] if len(logs) > 1 else None, differences)
+    shown = rerun.Opening(stop, logs[1] if len(logs) > 1 else None, differences)
     overrides = parse_topic_options(arguments.topic)
     with frame_progress("writing" if target else "sending", not arguments.quiet) as progress:
         if target:

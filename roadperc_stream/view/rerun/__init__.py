@@ -11,7 +11,7 @@ import os
 # This project reports errors in one line; the SDK would add its own log lines.
 os.environ.setdefault("RUST_LOG", "off")
 
-from roadperc_stream.view.rerun.pair import Shown
+from roadperc_stream.view.rerun.pair import Opening
 from roadperc_stream.view.rerun.recording import Exported, open_viewer, save_recording
 
-__all__ = ["Exported", "Shown", "open_viewer", "save_recording"]
+__all__ = ["Exported", "Opening", "open_viewer", "save_recording"]

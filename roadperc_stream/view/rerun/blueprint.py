@@ -75,8 +75,7 @@ def blueprint(log: Log, time_panel: rrb.TimePanel) -> rrb.Blueprint:
     """Panels for the contents of the log, without empty ones."""
     pictures = _row(_WIDTHS, in_tabs(_front(log)), _aside(log), _space(log))
     rows = [pictures, _row((1.0, 1.0, 1.0), *_numbers(log))]
-    filled = [row for row in rows if row is not None]
-    return arranged(filled, time_panel)
+    return arranged([row for row in rows if row is not None], time_panel)
 
 
 def arranged(rows: Sequence[rrb.Container], time_panel: rrb.TimePanel) -> rrb.Blueprint:
@@ -105,18 +104,17 @@ def _front(log: Log) -> list[rrb.View]:
     """The image with results or detections; without an image, the tags or the depth; then the pictures on request."""
     results, inputs = log.present(_IN_THE_IMAGE), log.present([log.topics.get("detections")])
     name = "image and results" if results else "image and detections" if inputs else "image"
-    view = picture_with_results(name, log, log)
-    views: list[rrb.View] = [] if view is None else [view]
     made = sorted(e for e in log.entities if e.startswith((topics.OVERLAY_TOPIC, topics.DEBUG_PREFIX)))
-    return views + [_picture(entity.rpartition("/")[2], entity) for entity in made]
+    pictures = picture_with_results(name, log, log)
+    return pictures + [_picture(entity.rpartition("/")[2], entity) for entity in made]
 
 
-def picture_with_results(name: str, of_image: Log, log: Log) -> rrb.View | None:
-    """The image of a log, or its tags or depth, with the results or detections of the same or another log."""
+def picture_with_results(name: str, of_image: Log, log: Log) -> list[rrb.View]:
+    """The image of a log, or its tags or depth, with results or detections of the same or another log; at most one."""
     under = of_image.present(map(of_image.topics.get, ("image", "left", "segmentation", "depth")))[:1]
     over = log.present(_IN_THE_IMAGE) or log.present([log.topics.get("detections")])
     parts = tuple(f"{log.root}{entity}" for entity in over)
-    return _picture(name, f"{of_image.root}{under[0]}", parts) if under else None
+    return [_picture(name, f"{of_image.root}{entity}", parts) for entity in under]
 
 
 def _aside(log: Log) -> rrb.Container | None:

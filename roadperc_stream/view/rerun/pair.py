@@ -6,6 +6,7 @@ frames, so that their lanes and boxes compare in the car's frame.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final, cast
 
@@ -30,7 +31,7 @@ _FROM_ABOVE: Final = rrb.EyeControls3D(position=(14.0, 0.0, 42.0), look_target=(
 
 
 @dataclass(frozen=True)
-class Shown:
+class Opening:
     """What to show with a log.
 
     ``stop`` is the frame to open at, None for the end. ``new`` is a second run of the log, to compare with the first;
@@ -42,7 +43,7 @@ class Shown:
     differences: Sequence[MetricDifference] = ()
 
 
-def arrange_pair(recording: rr.RecordingStream, runs: Sequence[Log], shown: Shown) -> None:
+def arrange_pair(recording: rr.RecordingStream, runs: Sequence[Log], shown: Opening) -> None:
     """Log curves of the differences with points at the worst ones, and the blueprint of base and new run."""
     for found in shown.differences:
         parts = {found.name: found.times_ns >= 0}
@@ -51,7 +52,7 @@ def arrange_pair(recording: rr.RecordingStream, runs: Sequence[Log], shown: Show
         for name, at in parts.items():
             send_curve(recording, f"{_DIFFERENCES}/{name}", found.times_ns[at], found.values[at], shown.stop)
     pictures = [picture_with_results(f"{log.root[1:]}: image and results", runs[0], log) for log in runs]
-    views = [*(view for view in pictures if view is not None), _from_above(runs)]
+    views = [*chain.from_iterable(pictures), _from_above(runs)]
     plots = in_tabs(_plots(shown.differences)) or rrb.TextDocumentView(name="no relevant difference")
     recording.send_blueprint(arranged([rrb.Horizontal(*views), rrb.Horizontal(plots)], time_panel(shown.stop)))
 

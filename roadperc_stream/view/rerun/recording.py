@@ -27,7 +27,7 @@ from roadperc_stream.system.time import END_OF_TIME_NS
 from roadperc_stream.view.frame_times import Stop
 from roadperc_stream.view.rerun.blueprint import Log, blueprint
 from roadperc_stream.view.rerun.drawing import drawers
-from roadperc_stream.view.rerun.pair import BASE, NEW, Shown, arrange_pair
+from roadperc_stream.view.rerun.pair import BASE, NEW, Opening, arrange_pair
 from roadperc_stream.view.rerun.timelines import set_log_time, time_panel
 from roadperc_stream.view.rerun.tree import Entry, SceneState
 from roadperc_stream.view.rerun.viewer import URL, ending_at_once, saving, start_viewer
@@ -40,7 +40,7 @@ _LARGE_CHUNKS: Final = rr.ChunkBatcherConfig(flush_tick=timedelta(seconds=10), f
 _MOST_WAITING: Final = 25
 """Most log times that wait to be sent, because the queue of the sending thread is unbounded."""
 Progress = Callable[[int, int], None]
-ALONE: Final = Shown()
+ALONE: Final = Opening()
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ Export = Callable[[rr.RecordingStream, Callable[[], None]], Exported]
 
 
 def open_viewer(
-    path: Path, overrides: Mapping[str, str], progress: Progress = no_progress, shown: Shown = ALONE
+    path: Path, overrides: Mapping[str, str], progress: Progress = no_progress, shown: Opening = ALONE
 ) -> Exported:
     """Open the viewer and send it a log; the viewer stays open.
 
@@ -86,7 +86,7 @@ def save_recording(
     *,
     force: bool = False,
     progress: Progress = no_progress,
-    shown: Shown = ALONE,
+    shown: Opening = ALONE,
 ) -> Exported:
     """Write a log as a Rerun recording with its blueprint; the file gets its name only when complete.
 
@@ -107,7 +107,7 @@ def save_recording(
 
 
 def _export_of(
-    path: Path, overrides: Mapping[str, str], progress: Progress, shown: Shown, *, arrange_early: bool
+    path: Path, overrides: Mapping[str, str], progress: Progress, shown: Opening, *, arrange_early: bool
 ) -> Export:
     """A function that logs one or two runs and the blueprint."""
     roots = {"": path} if shown.new is None else {BASE: path, NEW: shown.new}
@@ -115,14 +115,13 @@ def _export_of(
 
     def export(recording: rr.RecordingStream, keep_up: Callable[[], None]) -> Exported:
         senders = [_Sender(recording, *opened, root, shown.stop) for root, opened in found.items()]
-        exported = [_send(sender, progress, keep_up, arrange_early=arrange_early) for sender in senders]
+        frames = [_send(sender, progress, keep_up, arrange_early=arrange_early) for sender in senders]
         if shown.new is None:
             senders[0].arrange()
         else:
             arrange_pair(recording, [sender.log for sender in senders], shown)
-        notes = dict.fromkeys(note for one in exported for note in one.notes)
-        problems = {topic: count for one in exported for topic, count in one.problems.items()}
-        return Exported(exported[0].frames, tuple(notes), problems)
+        notes = dict.fromkeys(note for s in senders for note in (*s.roles.notes, *s.problems.first.values()))
+        return Exported(frames[0], tuple(notes), {topic: n for s in senders for topic, n in s.problems.counts.items()})
 
     return export
 
@@ -141,9 +140,9 @@ def _recording(path: Path, batches: rr.ChunkBatcherConfig | None = None) -> rr.R
     return recording
 
 
-def _send(sender: "_Sender", progress: Progress, keep_up: Callable[[], None], *, arrange_early: bool) -> Exported:
-    """Log all messages; ``keep_up`` waits until the logged messages are sent."""
-    summary, roles = sender.summary, sender.roles
+def _send(sender: "_Sender", progress: Progress, keep_up: Callable[[], None], *, arrange_early: bool) -> int:
+    """Log all messages, and count the frames; ``keep_up`` waits until the logged messages are sent."""
+    summary = sender.summary
     expected = sum(summary.counts[c.source_id] for c in summary.channels if c.topic == sender.reference)
     frames = 0
     instants = groupby(log.read(summary), key=lambda message: message.log_time_ns)
@@ -157,7 +156,7 @@ def _send(sender: "_Sender", progress: Progress, keep_up: Callable[[], None], *,
         progress(frames, expected)
     if not sender.entities:
         raise nothing_shown(summary.path, sender.problems.first.values())
-    return Exported(frames, (*roles.notes, *sender.problems.first.values()), dict(sender.problems.counts))
+    return frames
 
 
 class _Sender:

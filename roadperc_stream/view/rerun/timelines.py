@@ -20,11 +20,9 @@ def set_log_time(recording: rr.RecordingStream, log_time_ns: int, stop: Stop | N
     """Set the time of the next messages, also on the timeline that ends at the frame to show."""
     time = np.datetime64(log_time_ns, "ns")
     recording.set_time(LOG_TIME, timestamp=time)
-    if stop is None:
-        return
-    if log_time_ns <= stop.log_time_ns:
+    if stop is not None and log_time_ns <= stop.log_time_ns:
         recording.set_time(stop.name, timestamp=time)
-    else:
+    elif stop is not None:
         recording.disable_timeline(stop.name)
 
 
