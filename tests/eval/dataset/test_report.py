@@ -263,7 +263,6 @@ def test_every_error_is_one_line(dataset, capsys, spoilt, said):
     ("arguments", "said"),
     [
         (("DATASET", "elsewhere"), "expected one OUT_DIR of a batch"),
-        (("DATASET", "--html", "page.html"), "--html cannot be combined with"),
         (("DATASET", "--by", "log,,date"), "expected columns or SQL expressions"),
     ],
 )
