@@ -48,7 +48,6 @@ _FEW: Final = 3
 """Failed logs and worst logs in the short report."""
 _NAME_COLUMNS: Final = 22
 """Width of a group's name in the short report."""
-_LABEL_COLUMNS: Final = 24
 _HOUR_S: Final = 3600
 _NUMBER_COLUMNS: Final = 59
 """Width of the widest row of numbers beside the name of a group or of a log."""
@@ -115,7 +114,7 @@ def worst_logs_table(worst: Mapping[Quantity, Sequence[Row]], names: Mapping[Log
     """The worst logs by each quantity, and the frames to look at in each."""
     rows: list[TextRow] = []
     for quantity, logs in worst.items():
-        rows.append(_folded(quantity.label))
+        rows.append(row(quantity.label))
         for item in logs:
             values = (rounded(value, quantity) for value in (item["mean"], item["at"][0]["value"]))
             frames = ", ".join(f"{at['frame']}({at['since_start_s']:.2f}s)" for at in item["at"])
@@ -126,13 +125,6 @@ def worst_logs_table(worst: Mapping[Quantity, Sequence[Row]], names: Mapping[Log
     )
     headers = ("mean", "worst", "frames %", "frames to look at")
     return TextTable("Worst logs", headers, tuple(rows), notes if rows else (), last_is_text=True, label_columns=15)
-
-
-def _folded(label: str) -> TextRow:
-    """A quantity's label; the part in brackets of a long label goes on the next line."""
-    name, bracket, more = label.rpartition(" (")
-    long = bracket and len(label) > _LABEL_COLUMNS
-    return TextRow(name, below=f"{bracket.strip()}{more}") if long else row(label)
 
 
 def least_covered_table(worst: Mapping[str, Sequence[Row]], names: Mapping[LogKey, str]) -> TextTable:
