@@ -37,7 +37,7 @@ from roadperc_stream.system.time import TimeRange
 if TYPE_CHECKING:
     import polars as pl
 
-_ARGUMENTS: Final = {"--force": "force=True", "--resume": "resume=True", "--recover": "recover=True"}
+_ARGUMENTS: Final = {"--force": "force=True", "--resume": "resume=True"}
 """Arguments of ``replay`` for the options that errors name."""
 _MOST_ASIDE_DEG: Final = 80.0
 """Largest angle of the optical axis to ego's x axis; the chain needs the road ahead in the image."""

@@ -77,7 +77,7 @@ ENTRIES = (
         "The name before `=` is not a role.", "Use one of the listed roles.",
     ),
     Entry(
-        "Frames without segmentation", "roadperc-report no_segmentation.out.mcap",
+        "Frames without segmentation", "roadperc-report no_segmentation.out.mcap --full",
         "Stages without their inputs have no output. The other stages run.",
         "Record segmentation if you need lanes and filtered detections.",
     ),
