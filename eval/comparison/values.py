@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from roadperc_stream.geometry import Float
 from roadperc_stream.system.files import METRICS_SUFFIX, OBJECTS_SUFFIX
 
-from ..runs import Run, collect
+from ..runs import Run, collect, reading
 from ..scan import scan
 from .agreement import Overlap
 from .metrics import FRAMES, METRICS, Metric, of_class
@@ -101,7 +101,9 @@ def _class_errors(run: Run) -> pl.DataFrame | None:
         if table.within or not table.path.name.endswith(METRICS_SUFFIX) or not path.is_file():
             continue
         rows = pl.scan_parquet(path, glob=False)
-        if not _OBJECT_COLUMNS.issubset(rows.collect_schema().names()):
+        with reading(str(path)):
+            present = rows.collect_schema().names()
+        if not _OBJECT_COLUMNS.issubset(present):
             continue
         if table.end_frame is not None:
             rows = rows.filter(pl.col(_FRAME) < table.end_frame)

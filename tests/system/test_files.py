@@ -40,7 +40,7 @@ def test_an_existing_file_is_replaced_only_with_force(tmp_path):
     require_free(target, force=False, source=tmp_path / "in.mcap", suffix=".mp4")
     target.write_bytes(b"old")
     require_free(target, force=True, suffix=".mp4")
-    with pytest.raises(TargetError, match=r"exists; pass --force \(force=True\) to overwrite it"):
+    with pytest.raises(TargetError, match=r"exists; pass --force to overwrite it"):
         require_free(target, force=False, suffix=".mp4")
 
 

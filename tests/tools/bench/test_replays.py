@@ -33,6 +33,7 @@ def test_another_version_is_found_in_its_folder(bench_logs, tmp_path):
     launch = tmp_path / "roadperc_stream" / "cli" / "launch.py"
     launch.parent.mkdir(parents=True)
     launch.write_text("replay = lambda: 7")
+    (tmp_path / "roadperc_stream" / "__init__.py").touch()
     with pytest.raises(ProgramError, match="replay png ended with exit code 7"):
         replay_cost("replay png", bench_logs["png"], tmp_path / "out.mcap", 1, tmp_path)
 
