@@ -1,5 +1,6 @@
 """The report over a batch's dataset: known answers, reading in batches, and one-line errors."""
 
+import shlex
 from dataclasses import replace
 from functools import partial
 
@@ -52,7 +53,7 @@ def test_the_short_report_has_a_row_per_configuration_and_the_worst_log(dataset,
     _, text, _ = outcome(main, capsys, dataset)
     at = text.index("Group")
     assert [line.split() for line in text[at:].splitlines()[2:4]] == [[B, "10", "0.688"], [A, "10", "0.220"]]
-    command = f"roadperc-view {dataset} --log drive1 --config {B} --frame 2"
+    command = f"roadperc-view {shlex.quote(str(dataset))} --log drive1 --config {B} --frame 2"
     assert f"worst log: lane left error at 10 m 0.800 m: {command}" in text.splitlines()
     assert len(text.splitlines()) <= 20
     _, text, _ = outcome(main, capsys, dataset, "--by", "lane_left_status || '-' || config")
