@@ -1,8 +1,8 @@
 #!/bin/sh
 # Judges one commit for git bisect: 0 is good, 1 is bad, 125 means that the commit cannot be judged.
 #
-#   cp docs/bisect.sh /tmp && git bisect start BAD GOOD
-#   git bisect run /tmp/bisect.sh in.mcap criteria.toml [options of roadperc-replay]
+#   cp docs/bisect.sh .. && git bisect start BAD GOOD
+#   git bisect run ../bisect.sh in.mcap criteria.toml [options of roadperc-replay]
 #
 # BUILD is a command that builds each commit, for example BUILD='python -m pip install -e .'
 # CHECK is the roadperc-check to use, for commits that have none.

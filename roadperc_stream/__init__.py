@@ -18,23 +18,23 @@ if TYPE_CHECKING:
     from roadperc_stream.api import Chain as Chain
     from roadperc_stream.api import LogFrame as LogFrame
     from roadperc_stream.api import frames as frames
-    from roadperc_stream.api import mounting as mounting
     from roadperc_stream.api import read_metrics as read_metrics
     from roadperc_stream.api import replay as replay
     from roadperc_stream.config import ReplayConfig as ReplayConfig
     from roadperc_stream.config import load_config as load_config
     from roadperc_stream.errors import RoadpercError as RoadpercError
     from roadperc_stream.geometry import Camera as Camera
+    from roadperc_stream.geometry import mounting as mounting
     from roadperc_stream.model import Absent as Absent
     from roadperc_stream.model import Box as Box
     from roadperc_stream.model import Detection as Detection
     from roadperc_stream.model import FrameResult as FrameResult
 
 _NAMES = {
-    "api": ("Chain", "LogFrame", "frames", "mounting", "read_metrics", "replay"),
+    "api": ("Chain", "LogFrame", "frames", "read_metrics", "replay"),
     "config": ("ReplayConfig", "load_config"),
     "errors": ("RoadpercError",),
-    "geometry": ("Camera",),
+    "geometry": ("Camera", "mounting"),
     "model": ("Absent", "Box", "Detection", "FrameResult"),
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names}

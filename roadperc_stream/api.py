@@ -7,21 +7,18 @@ z forward.
 
 from __future__ import annotations  # help() shows the name ArrayLike instead of its long definition
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from roadperc_stream.chain.step import ChainState, step
 from roadperc_stream.config import ReplayConfig, load_config, validated
 from roadperc_stream.errors import ConfigError, RoadpercError, TableError
-from roadperc_stream.geometry import EGO_R_OPTICAL, Camera, Float, level_mounting, rigid
-from roadperc_stream.geometry.rotations import rotation_from_rpy
+from roadperc_stream.geometry import Camera, mounting
 from roadperc_stream.input import ReplaySource, arrays
 from roadperc_stream.loop import replay as _replay
 from roadperc_stream.metrics import frame_metrics
@@ -39,8 +36,6 @@ if TYPE_CHECKING:
 
 _ARGUMENTS: Final = {"--force": "force=True", "--resume": "resume=True"}
 """Arguments of ``replay`` for the options that errors name."""
-_MOST_ASIDE_DEG: Final = 80.0
-"""Largest angle of the optical axis to ego's x axis; the chain needs the road ahead in the image."""
 Config = ReplayConfig | Mapping[str, Any] | str | Path | None
 """A configuration, a nested mapping such as ``{"lanes": {"hold_s": 0.8}}``, a TOML file, or None for the defaults."""
 Source = str | Path | Sequence[str | Path]
@@ -157,53 +152,6 @@ def frames(
             yield LogFrame(sample.frame, sample.truth, result, row)
 
 
-def mounting(
-    x: float = 0.0, y: float = 0.0, z: float = 0.0, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0
-) -> Float:
-    """The mounting ``ego_T_camera`` of a camera that looks ahead; angles of 0 are a level camera.
-
-    The rotations are those of ROS REP 103 in the ego frame: first roll, then pitch, then yaw.
-
-    Args:
-        x: metres from the ego origin to the camera, positive forward.
-        y: metres, positive to the left.
-        z: metres, positive up; the height above the road if the ego origin is on the road.
-        roll: degrees about the forward axis, positive if the right side is down.
-        pitch: degrees, positive if the camera looks down.
-        yaw: degrees, positive if the camera looks to the left.
-
-    Returns:
-        (4, 4) matrix that maps points in the camera's frame (x right, y down, z forward) to the ego frame.
-
-    Raises:
-        ValueError: a number is not finite.
-    """
-    numbers = (x, y, z, roll, pitch, yaw)
-    if not all(map(math.isfinite, numbers)):
-        raise ValueError(f"mounting: expected finite numbers, found {numbers}")
-    R = rotation_from_rpy(math.radians(roll), math.radians(pitch), math.radians(yaw))
-    return rigid(R @ EGO_R_OPTICAL, np.array([x, y, z], np.float64))
-
-
-def _looking_ahead(ego_T_camera: Float) -> Float:
-    """The mounting, if the camera looks ahead.
-
-    Raises:
-        ValueError: its optical axis is far from ego's x axis, as with a matrix for another convention of axes.
-    """
-    axis = ego_T_camera[:3, 2]
-    aside_deg = math.degrees(math.acos(max(-1.0, min(1.0, float(axis[0])))))
-    if aside_deg <= _MOST_ASIDE_DEG:
-        return ego_T_camera
-    names = (("ahead", "back"), ("left", "right"), ("up", "down"))
-    main = int(np.argmax(np.abs(axis)))
-    raise ValueError(
-        f"ego_T_camera: the camera looks {names[main][int(axis[main] < 0)]}, {aside_deg:.0f} degrees from ego's x; "
-        "expected a camera that looks ahead, with axes x right, y down, z forward; "
-        "pass rp.mounting(x, y, z, roll, pitch, yaw)"
-    )
-
-
 class Chain:
     """The perception chain for your own arrays: call ``step`` once per frame, in the order of time.
 
@@ -239,8 +187,8 @@ class Chain:
         self._camera = arrays.checked_camera("camera", camera)
         self._right_camera = None if right_camera is None else arrays.checked_camera("right_camera", right_camera)
         self._mounted = ego_T_camera is not None
-        level = level_mounting(self._cfg.surface.assumed_height_m)
-        self._ego_T_camera = level if ego_T_camera is None else _looking_ahead(arrays.mounting(ego_T_camera))
+        level = mounting(z=self._cfg.surface.assumed_height_m)
+        self._ego_T_camera = level if ego_T_camera is None else arrays.checked_mounting(ego_T_camera)
         version = tag_table or self._cfg.tag_table
         self._table = None if version == "auto" else table_for_version(version)
         self._state = ChainState()

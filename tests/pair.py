@@ -11,7 +11,7 @@ from roadperc_stream.geometry.rotations import rotation_from_rpy
 CAR_X_M, CAR_HALF_WIDTH_M, CAR_HEIGHT_M = 12.0, 1.0, 1.6
 """The car's back stands across the lane so far ahead of the ego origin."""
 _PROJECTOR = g.Camera("projector", 1024, 1024, 400.0, 400.0, 512.0, 512.0)
-_EGO_T_PROJECTOR = g.level_mounting(1.3)
+_EGO_T_PROJECTOR = g.mounting(z=1.3)
 """The texture lies on road and car as a slide is projected on them: equally fine in the image wherever it is seen."""
 
 

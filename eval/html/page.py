@@ -13,6 +13,7 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
+from roadperc_stream.errors import TableError
 from roadperc_stream.output.text_table import TextRow, TextTable, by_header
 from roadperc_stream.system.files import completing, require_suffix
 from roadperc_stream.system.text import shown
@@ -83,7 +84,12 @@ def _page(runs: Sequence[Run], command: Command) -> str:
     by_name = {summary.name: summary for of_group, _ in found for summary in of_group}
     summaries = [by_name[run.name] for run in drawn]
     series = [load_series(run, _COLUMNS) for run in drawn]
-    compared = comparison_of([(group.runs, of_group) for group, (of_group, _) in zip(groups, found, strict=True)])
+    verdicts = [single_sentence(summary) for summary in summaries]
+    compared = None
+    try:
+        compared = comparison_of([(group.runs, of_group) for group, (of_group, _) in zip(groups, found, strict=True)])
+    except TableError as error:
+        verdicts = [("unchanged", f"No comparison: {error}")]
     ranked = ranked_frames([together for _, together in found], WORST)
     lead = _lead(compared, ranked, drawn, command)
     pictures = gallery([*(item.frame for item in ranked), *lead.frames], drawn, command)
@@ -98,7 +104,7 @@ def _page(runs: Sequence[Run], command: Command) -> str:
         names=[run.name for run in drawn],
         left_out=len(runs) - len(drawn),
         compared=compared is not None,
-        verdicts=[sentence(compared)] if compared else [single_sentence(summary) for summary in summaries],
+        verdicts=[sentence(compared)] if compared else verdicts,
         bars=bars(compared) if compared else [],
         stages=stage_table(summaries),
         lead=lead,

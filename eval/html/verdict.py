@@ -7,7 +7,6 @@ from typing import Final
 
 import numpy as np
 
-from roadperc_stream.errors import TableError
 from roadperc_stream.output.text_table import TextTable
 from roadperc_stream.schemas.columns import RATIO, UNITLESS
 from roadperc_stream.system.text import number
@@ -102,7 +101,11 @@ def size(value: float, quantity: Quantity) -> float:
 
 
 def comparison_of(groups: Sequence[tuple[Sequence[Run], Sequence[Summary]]]) -> Comparison | None:
-    """The second group of runs against the first; None unless there are two groups with a log in common."""
+    """The second group of runs against the first; None unless there are two groups with a log in common.
+
+    Raises:
+        TableError: the runs share no stamp.
+    """
     if len(groups) != 2:
         return None
     base, new = (
@@ -111,10 +114,7 @@ def comparison_of(groups: Sequence[tuple[Sequence[Run], Sequence[Summary]]]) -> 
     )
     if not {run.log_id for run in base} & {run.log_id for run in new}:
         return None
-    try:
-        return compare_runs(pair_runs(base, new, other_log=False), None, Rules())
-    except TableError:  # frames without common stamps, for example
-        return None
+    return compare_runs(pair_runs(base, new, other_log=False), None, Rules())
 
 
 def sentence(found: Comparison) -> tuple[Mark, str]:

@@ -30,7 +30,7 @@ from roadperc_stream.geometry.rotations import (
     EGO_R_OPTICAL,
     adjoint,
     inverse,
-    level_mounting,
+    mounting,
     rigid,
     transform,
 )

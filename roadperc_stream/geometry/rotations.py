@@ -54,9 +54,32 @@ def transform(a_T_b: Float, points_b: Float) -> Float:
     return result
 
 
-def level_mounting(height_m: float) -> Float:
-    """ego_T_camera of a level camera above the ego origin, looking along ego's x axis."""
-    return rigid(EGO_R_OPTICAL, np.array([0.0, 0.0, height_m]))
+def mounting(
+    x: float = 0.0, y: float = 0.0, z: float = 0.0, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0
+) -> Float:
+    """The mounting ``ego_T_camera`` of a camera that looks ahead; angles of 0 are a level camera.
+
+    The rotations are those of ROS REP 103 in the ego frame: first roll, then pitch, then yaw.
+
+    Args:
+        x: metres from the ego origin to the camera, positive forward.
+        y: metres, positive to the left.
+        z: metres, positive up; the height above the road if the ego origin is on the road.
+        roll: degrees about the forward axis, positive if the right side is down.
+        pitch: degrees, positive if the camera looks down.
+        yaw: degrees, positive if the camera looks to the left.
+
+    Returns:
+        (4, 4) matrix that maps points in the camera's frame (x right, y down, z forward) to the ego frame.
+
+    Raises:
+        ValueError: a number is not finite.
+    """
+    numbers = (x, y, z, roll, pitch, yaw)
+    if not all(map(math.isfinite, numbers)):
+        raise ValueError(f"mounting: expected finite numbers, found {numbers}")
+    R = rotation_from_rpy(math.radians(roll), math.radians(pitch), math.radians(yaw))
+    return rigid(R @ EGO_R_OPTICAL, np.array([x, y, z], np.float64))
 
 
 def rotation_from_rpy(roll: float, pitch: float, yaw: float) -> Float:

@@ -2,7 +2,7 @@
 
 import operator
 from collections.abc import Callable, Iterable
-from math import isfinite
+from math import acos, degrees, isfinite
 from numbers import Real
 from typing import Any, Final
 
@@ -15,6 +15,8 @@ from roadperc_stream.geometry import Camera, Float, pinhole_fault
 from roadperc_stream.model import Box, CameraImage, DepthImage, Detection, Image, TagImage
 from roadperc_stream.model.tag_tables import TagTable
 
+_MOST_ASIDE_DEG: Final = 80.0
+"""Largest angle of the optical axis to ego's x axis; the chain needs the road ahead in the image."""
 _ROTATION_TOLERANCE: Final = 1e-3
 """Tolerance for R @ R.T, so that rotations written with four digits pass."""
 
@@ -48,11 +50,12 @@ def checked_camera(name: str, camera: Any) -> Camera:
     return camera
 
 
-def mounting(ego_T_camera: ArrayLike) -> Float:
-    """A copy of a (4, 4) pose.
+def checked_mounting(ego_T_camera: ArrayLike) -> Float:
+    """A copy of the (4, 4) pose of a camera that looks ahead.
 
     Raises:
-        ValueError: another shape, not finite, or not a rotation and a translation.
+        ValueError: another shape, not finite, not a rotation and a translation, or the optical axis is far from ego's x
+            axis, as with a matrix for another convention of axes.
     """
     pose = np.array(ego_T_camera, np.float64)
     if pose.shape != (4, 4) or not np.isfinite(pose).all():
@@ -62,6 +65,16 @@ def mounting(ego_T_camera: ArrayLike) -> Float:
         raise ValueError(f"ego_T_camera: expected a rotation in its first three rows and columns, found {R.tolist()}")
     if last != [0.0, 0.0, 0.0, 1.0]:
         raise ValueError(f"ego_T_camera: expected 0, 0, 0, 1 in its last row, found {last}")
+    axis = R[:, 2]
+    aside_deg = degrees(acos(max(-1.0, min(1.0, float(axis[0])))))
+    if aside_deg > _MOST_ASIDE_DEG:
+        names = (("ahead", "back"), ("left", "right"), ("up", "down"))
+        main = int(np.argmax(np.abs(axis)))
+        raise ValueError(
+            f"ego_T_camera: the camera looks {names[main][int(axis[main] < 0)]}, {aside_deg:.0f} degrees from ego's x; "
+            "expected a camera that looks ahead, with axes x right, y down, z forward; "
+            "pass rp.mounting(x, y, z, roll, pitch, yaw)"
+        )
     return pose
 
 

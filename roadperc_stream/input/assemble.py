@@ -9,7 +9,7 @@ import numpy as np
 from roadperc_stream import model
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ChannelError
-from roadperc_stream.geometry import Camera, Float, inverse, level_mounting
+from roadperc_stream.geometry import Camera, Float, inverse, mounting
 from roadperc_stream.input.stream import Stamped
 from roadperc_stream.input.sync import LatchedState, SyncedMessages
 from roadperc_stream.input.transforms import TransformTree
@@ -41,8 +41,8 @@ def sample_of(
     depth = _payload(messages, "depth", model.DepthImage)
     camera = _camera(synced, topics)
     depth_camera = _depth_camera(latched, camera, depth)
-    mounting = ego_T_camera_of(tree, camera)
-    ego_T_camera = level_mounting(cfg.surface.assumed_height_m) if mounting is None else mounting
+    known = ego_T_camera_of(tree, camera)
+    ego_T_camera = mounting(z=cfg.surface.assumed_height_m) if known is None else known
     left_camera = _left_camera(synced, camera, topics)
     is_pair = "left" in topics and synced.reference.role != "left"
     left = _payload(messages, "left", model.CameraImage) if is_pair else None
@@ -56,7 +56,7 @@ def sample_of(
         ego_T_depth_camera=_mounting(tree, ego_T_camera, camera, depth_camera),
         left_camera=left_camera,
         ego_T_left=_mounting(tree, ego_T_camera, camera, left_camera),
-        mounted=mounting is not None,
+        mounted=known is not None,
         image=_payload(messages, "image", model.CameraImage) or _payload(messages, "left", model.CameraImage),
         left=left,
         right=_payload(messages, "right", model.CameraImage),

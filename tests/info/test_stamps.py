@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from roadperc_stream.geometry import level_mounting
+from roadperc_stream.geometry import mounting
 from roadperc_stream.info.stamps import stamp_reader
 from roadperc_stream.log import Channel
 from roadperc_stream.model import Transform
@@ -24,7 +24,7 @@ def test_the_stamp_of_every_role_is_read(role):
 
 
 def test_the_stamp_of_transforms_is_that_of_the_first_one():
-    data = encoding.encode_transforms(STAMP_NS, [Transform("ego", "camera", level_mounting(1.4))])
+    data = encoding.encode_transforms(STAMP_NS, [Transform("ego", "camera", mounting(z=1.4))])
     assert stamp_reader(channel("tf"))(data) == STAMP_NS
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from roadperc_stream import log
 from roadperc_stream.config import ReplayConfig
-from roadperc_stream.geometry import level_mounting, rigid
+from roadperc_stream.geometry import mounting, rigid
 from roadperc_stream.geometry.rotations import rotation_from_rpy
 from roadperc_stream.input.decoding import Context, decode
 from roadperc_stream.input.earlier_replay import is_result
@@ -109,7 +109,7 @@ def test_results_extend_the_transform_tree_of_the_log(name, tmp_path):
         joined = joined.updated(edges)
         for found in edges:
             assert parents.setdefault(found.child, found.parent) == found.parent
-    mounted = level_mounting(CFG.surface.assumed_height_m) if tree_is_silent(name) else MOUNTED
+    mounted = mounting(z=CFG.surface.assumed_height_m) if tree_is_silent(name) else MOUNTED
     assert joined.lookup("ego", "camera") == pytest.approx(mounted, abs=1e-9)
     (*_, last) = log.read(log.summarise(target), topics=["/perception/odometry"])
     pose = decode("pose", "foxglove.PoseInFrame", "protobuf", last.data, last.log_time_ns, Context()).payload

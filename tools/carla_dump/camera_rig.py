@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from roadperc_stream.errors import DumpError
-from roadperc_stream.geometry import Camera, Float, level_mounting, rigid
+from roadperc_stream.geometry import Camera, Float, mounting, rigid
 from roadperc_stream.model import EGO, Transform
 
 from . import calibration_file
@@ -108,7 +108,7 @@ def _known(calibration: CalibrationFile, path: Path, sizes: Mapping[str, Size], 
     if calibration.P_left is not None and calibration.P_right is not None:
         pair = calibration_file.decompose_pair(path, np.array(calibration.P_left), np.array(calibration.P_right))
     heights = {"image": calibration.rgb_height_m, "depth": calibration.depth_height_m}
-    mountings = {role: level_mounting(height) for role, height in heights.items() if height is not None}
+    mountings = {role: mounting(z=height) for role, height in heights.items() if height is not None}
     mountings |= {role_of(name) or name: camera_mounting(pose) for name, pose in calibration.mounting.items()}
     of_lidar = [right_handed(pose) for name, pose in calibration.mounting.items() if role_of(name) == LIDAR]
     intrinsics = {role_of(name) or name: camera for name, camera in calibration.cameras.items()}

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 import rerun as rr
 
-from roadperc_stream.geometry import level_mounting
+from roadperc_stream.geometry import mounting
 from roadperc_stream.model import EGO, PointCloud, Surface, Transform
 from roadperc_stream.output.drawing import colours
 from roadperc_stream.output.drawing.annotations import patch_triangles, road_patch
@@ -44,7 +44,7 @@ def road(entity: str, role: str, payload: Surface, state: SceneState) -> Iterato
     if state.assumed_mounting is None:
         plane = payload.ego_plane
         height_above_ego_m = (payload.camera_height_m - plane.offset_m) / plane.normal[2]
-        state.assumed_mounting = level_mounting(float(height_above_ego_m))
+        state.assumed_mounting = mounting(z=float(height_above_ego_m))
         yield from new_edges(state)
     patch = road_patch(payload)
     mesh = rr.Mesh3D(vertex_positions=patch, triangle_indices=patch_triangles(patch), albedo_factor=_ROAD)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from roadperc_stream.chain.kernels import occupancy_plain as plain
 from roadperc_stream.chain.kernels.occupancy_plain import Cells, KnownPixels, Middles, Rays
 from roadperc_stream.chain.kernels.odometry_plain import Projection
-from roadperc_stream.geometry import inverse, level_mounting
+from roadperc_stream.geometry import inverse, mounting
 
 compiled = pytest.importorskip("roadperc_stream.chain.kernels.occupancy_compiled")
 BOTH = pytest.mark.parametrize("kernel", [plain, compiled], ids=["plain", "compiled"])
@@ -100,7 +100,7 @@ def test_counts_refuse_other_sizes():
 
 PROJECTION = Projection(10.0, 10.0, 7.5, 2.0)
 SIZE = 12, 16
-CAMERA_T_EGO = inverse(level_mounting(1.0))
+CAMERA_T_EGO = inverse(mounting(z=1.0))
 X, Y = np.array([-1.0, 2.0, 4.0]), np.array([0.0, 1.0])
 """Rows 7 and 4.5 (rounded to 4), columns 7.5 (rounded to 8), 2.5 and 5; the first x lies behind the camera."""
 FLAT = np.zeros((2, 3))

@@ -28,7 +28,7 @@ from tests.course import SETTINGS
 HEIGHT, WIDTH = 120, 240
 LEFT = g.Camera("left", WIDTH, HEIGHT, 200.0, 200.0, 119.5, 59.5)
 RIGHT = replace(LEFT, frame_id="right", baseline_m=0.5)
-MOUNTING = g.level_mounting(1.4)
+MOUNTING = g.mounting(z=1.4)
 FULL, FAST = StereoConfig(method="full"), StereoConfig(method="fast")
 BOTH = pytest.mark.parametrize("cfg", [FULL, FAST], ids=["full", "fast"])
 RENDERED = g.Camera("left", 1280, 960, 640.0, 640.0, 639.5, 479.5)
@@ -129,11 +129,11 @@ def test_threads_do_not_change_the_depth():
 
 def test_disparities_reach_the_nearest_road():
     """The bottom row sees the road at 1.4 * 640 / 479.5 m: 640 * 0.5 / 1.8686 = 171.3, and a tenth more."""
-    assert disparities_needed(RENDERED, 0.5, g.level_mounting(1.4)) == 192
-    assert disparities_needed(RENDERED, 0.5, g.level_mounting(2.8)) == 96
-    assert disparities_needed(RENDERED, 0.25, g.level_mounting(1.4)) == 96
-    assert disparities_needed(RENDERED, 50.0, g.level_mounting(1.4)) == 1280
-    assert disparities_needed(RENDERED, 0.5, g.level_mounting(0.0)) is None
+    assert disparities_needed(RENDERED, 0.5, g.mounting(z=1.4)) == 192
+    assert disparities_needed(RENDERED, 0.5, g.mounting(z=2.8)) == 96
+    assert disparities_needed(RENDERED, 0.25, g.mounting(z=1.4)) == 96
+    assert disparities_needed(RENDERED, 50.0, g.mounting(z=1.4)) == 1280
+    assert disparities_needed(RENDERED, 0.5, g.mounting(z=0.0)) is None
     down = g.rigid(rotation_from_rpy(0, 0.2, 0) @ g.EGO_R_OPTICAL, np.array([0, 0, 1.4]))
     assert disparities_needed(RENDERED, 0.5, down) > 192
 
@@ -169,7 +169,7 @@ def test_every_lens_of_opencv_is_rectified(count):
         ({"left": replace(LEFT, distortion=(0.1, 0.0, 0.0, 0.0))}, "the left camera has distortion but no R"),
         ({"right": replace(RIGHT, lens=g.Lens(200, 200, 119, 59, (1.0,) * 9))}, "R that is not a rotation"),
         ({"right": replace(RIGHT, lens=g.Lens(200, 200, 119, 59, model="equidistant"))}, "model 'equidistant'"),
-        ({"ego_T_left": g.level_mounting(-1.0)}, "set stereo.disparities"),
+        ({"ego_T_left": g.mounting(z=-1.0)}, "set stereo.disparities"),
         *(
             ({"left": with_lens(R=(bad,) * 9)}, f"the left camera has an R that is not a rotation: .*{bad:.3}")
             for bad in (np.nan, np.inf, 1e-300)
@@ -241,7 +241,7 @@ def test_an_unrectified_pair_is_rectified_first():
 def test_the_depth_belongs_to_the_mounted_left_camera(cfg, p95):
     """For road and car nearer than 25 m; in the rectified camera, turned by 2 degrees, the median error is 9 %."""
     pinhole = replace(RENDERED, width=640, height=480, fx=320.0, fy=320.0, cx=319.5, cy=239.5)
-    (left, ego_T_left), (right, ego_T_right) = pair.crooked(pinhole, 0.5, g.level_mounting(1.2), 2.0)
+    (left, ego_T_left), (right, ego_T_right) = pair.crooked(pinhole, 0.5, g.mounting(z=1.2), 2.0)
     images = pair.photograph(left, ego_T_left), pair.photograph(right, ego_T_right)
     true_m = pair.depth_of(left, ego_T_left)
     error = np.abs(stereo.match(cfg, left, right, ego_T_left, *images).depth_m / true_m - 1)[true_m < 25]
@@ -344,7 +344,7 @@ def rendered(folder, *options):
         code = cv2.imread(str(folder / "depth" / path.name))
         metres = code.astype(float) @ [65536, 256, 1] * (1000 / (2**24 - 1))
         frames.append((left, right, metres.astype(np.float32)))
-    return camera, calibration["baseline_m"], g.level_mounting(calibration["mounting"]["rgb"]["z"]), frames
+    return camera, calibration["baseline_m"], g.mounting(z=calibration["mounting"]["rgb"]["z"]), frames
 
 
 def figures(cfg, camera, baseline_m, mounting, frames):

@@ -7,7 +7,7 @@ import pytest
 
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.config import load_config
-from roadperc_stream.geometry import Camera, inverse, level_mounting, project, rays, rigid, transform
+from roadperc_stream.geometry import Camera, inverse, mounting, project, rays, rigid, transform
 from roadperc_stream.model import Transform
 from roadperc_stream.output.encoding import encode_transforms
 from roadperc_stream.view.rerun import save_recording
@@ -125,7 +125,7 @@ def test_results_of_left_frames_belong_to_the_left_camera(tmp_path):
     stereo = {"image": "left", "calibration": "left_calibration"}
     items = [replace(i, role=stereo.get(i.role, i.role)) for i in logs.items(frames=2) if i.role != "tf"]
     entities = replayed(tmp_path, items)
-    wanted = level_mounting(load_config().surface.assumed_height_m)
+    wanted = mounting(z=load_config().surface.assumed_height_m)
     assert ego_T(entities, "camera", 0) == pytest.approx(wanted, abs=1e-5)
     lanes = shown(entities, "/perception/lanes/annotations/smoothed", 0)
     assert lanes["CoordinateFrame:frame"] == ["camera_image_plane"]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from roadperc_stream.geometry import Camera, Plane, inverse, level_mounting, rigid
+from roadperc_stream.geometry import Camera, Plane, inverse, mounting, rigid
 from roadperc_stream.geometry.rotations import rotation_from_rpy
 from roadperc_stream.input.assemble import ego_T_camera_of
 from roadperc_stream.model import Surface, Transform
@@ -140,7 +140,7 @@ def test_a_camera_without_transforms_has_the_assumed_height(frame_id):
     state, drawn = with_camera(frame_id)
     drawn.add(scene.transforms("/tf", "tf", (edge("ego", "base_link", 9.0), edge("map", "camera", 9.0)), state))
     drawn.add(e for e in scene.road("/perception/surface", "result", surface(1.7), state))
-    assert drawn.ego_T(frame_id) == pytest.approx(level_mounting(1.7), abs=1e-6)
+    assert drawn.ego_T(frame_id) == pytest.approx(mounting(z=1.7), abs=1e-6)
     assert "ego" not in drawn.edges
 
 

@@ -8,7 +8,7 @@ import pytest
 from roadperc_stream.chain.stages.objects.path import PATH_MEMORY_M, DrivenArc, EgoPath, left_of, path_of
 from roadperc_stream.chain.stages.objects.tracker import ObjectsState, step
 from roadperc_stream.config import ObjectsConfig
-from roadperc_stream.geometry import Camera, level_mounting, rigid
+from roadperc_stream.geometry import Camera, mounting, rigid
 from roadperc_stream.geometry.rotations import rotation_from_rpy
 from roadperc_stream.model import Boundary, Box, Detection, Lanes
 from tests.analytic import PEDESTRIAN, STEP_NS, VEHICLE
@@ -87,7 +87,7 @@ def test_a_standing_car_keeps_its_curvature():
 
 
 CAMERA = Camera("camera", 640, 480, 320.0, 320.0, 319.5, 239.5)
-MOUNTING = level_mounting(1.4)
+MOUNTING = mounting(z=1.4)
 LANE = lanes(1.75, -1.75)
 STEP_S = STEP_NS / 1e9
 FAR_M = 90.0

@@ -11,7 +11,7 @@ from roadperc_stream.chain.stages.odometry.keyframes import OdometryState
 from roadperc_stream.chain.stages.surface.road import assumed_surface
 from roadperc_stream.cli import render
 from roadperc_stream.config import OdometryConfig
-from roadperc_stream.geometry import EGO_R_OPTICAL, Camera, inverse, level_mounting, rigid
+from roadperc_stream.geometry import EGO_R_OPTICAL, Camera, inverse, mounting, rigid
 from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14 as TABLE
 from roadperc_stream.tools.carla_dump.depth_files import carla_metres
 from tests.chain.stages.odometry.trajectories import angle_deg, distances_m
@@ -64,7 +64,7 @@ def poses(results):
 def test_carla_rgbd_steps_chained_steps_and_the_way_back(data_dir):
     folder = data_dir / "carla_rgbd"
     camera, frames = calibrated(folder)[0], list(pictures(folder))
-    results = track(frames + frames[-2::-1], camera, level_mounting(2.0))
+    results = track(frames + frames[-2::-1], camera, mounting(z=2.0))
     miss_m = np.linalg.norm(results[-1].odom_T_ego[:3, 3])
     print(f"\nthere and back: {miss_m:.3f} m of {distances_m(poses(results))[-1]:.1f} m")
     assert miss_m < 0.20
@@ -73,7 +73,7 @@ def test_carla_rgbd_steps_chained_steps_and_the_way_back(data_dir):
     assert ((steps_m > 0.185) & (steps_m < 0.315)).all()
     errors = []
     for i in range(0, 85, 10):
-        _, direct = track([frames[i], frames[i + 5]], camera, level_mounting(2.0), rate_hz=4)
+        _, direct = track([frames[i], frames[i + 5]], camera, mounting(z=2.0), rate_hz=4)
         chained = inverse(results[i].odom_T_ego) @ results[i + 5].odom_T_ego
         shift_m = np.linalg.norm(direct.step[:3, 3] - chained[:3, 3])
         errors.append(shift_m / np.linalg.norm(direct.step[:3, 3]))

@@ -72,7 +72,7 @@ def test_depth_of_the_published_plane_of_course_frame_0_gives_the_plane_back(dat
     rng = np.random.default_rng(0)
     wild = rng.random(depth.shape) < 1 / 3
     depth[wild] = rng.uniform(1, 60, wild.sum()).astype(np.float32)
-    depth_map = DepthMap(depth, camera, g.level_mounting(1.4), np.inf, "depth")
+    depth_map = DepthMap(depth, camera, g.mounting(z=1.4), np.inf, "depth")
     surface = fit_surface(CFG, depth_map, road, np.random.default_rng(0))
     assert np.degrees(g.angle_between(surface.plane.n, plane.n)) < 0.01
     assert surface.camera_height_m == pytest.approx(plane.offset_m, abs=1e-3)
