@@ -312,9 +312,10 @@ def test_a_live_replay_continues_without_a_reader_of_its_address(tmp_path):
     reading, writing = os.pipe()
     os.close(reading)
     command = words("roadperc-replay", SAMPLE, tmp_path / "out.mcap", "--frames", "2", "--live", "--port", "0")
+    outputs = {"out.mcap", "out.metrics.parquet", "out.objects.parquet"}
     with subprocess.Popen(command, stdout=writing, stderr=subprocess.PIPE, text=True) as started:
         os.close(writing)
-        while started.poll() is None and not (tmp_path / "out.metrics.parquet").exists():  # renamed last
+        while started.poll() is None and {path.name for path in tmp_path.iterdir()} != outputs:
             time.sleep(0.01)
         assert started.poll() is None  # it still serves
         started.send_signal(signal.SIGTERM)
@@ -323,7 +324,7 @@ def test_a_live_replay_continues_without_a_reader_of_its_address(tmp_path):
         finally:
             started.kill()
     assert errors in ("", "error: interrupted\n")  # the signal may arrive before it serves
-    assert {path.name for path in tmp_path.iterdir()} == {"out.mcap", "out.metrics.parquet", "out.objects.parquet"}
+    assert {path.name for path in tmp_path.iterdir()} == outputs
 
 
 def test_a_closed_stream_does_not_take_the_number_of_a_file(tmp_path):
