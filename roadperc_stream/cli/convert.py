@@ -34,11 +34,17 @@ _rate = number(1e-3, 1e6, "a number from 0.001 to 1000000")
 
 def main(argv: list[str] | None = None) -> int:
     """``roadperc-convert``: exit code 0 on success, 1 on an error, 2 on wrong usage."""
+    arguments = conversion(argv)
+    converting = part("tools.carla_to_mcap")
+    return run(lambda: converting.convert(arguments))
+
+
+def conversion(argv: list[str] | None) -> argparse.Namespace:
+    """The arguments of a conversion."""
     parser = _parser()
     arguments = parse(parser, argv)
     arguments.role = [_role(parser, option) for option in arguments.role]
-    converting = part("tools.carla_to_mcap")
-    return run(lambda: converting.convert(arguments))
+    return arguments
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -1,8 +1,6 @@
 """The messages of a planned conversion in the order of the log; few frames are in memory at a time."""
 
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Final, TypeVar
@@ -17,6 +15,7 @@ from roadperc_stream.output import encoding
 from roadperc_stream.schemas.record import TAG_TABLE_KEY
 from roadperc_stream.schemas.registry import schema
 from roadperc_stream.schemas.roles import ROLES
+from roadperc_stream.system.threads import in_order
 
 from .camera_rig import FRONT, LIDAR
 from .depth_files import depth_metres
@@ -35,7 +34,6 @@ EncodeFile = Callable[[Plan, str, Path, int], bytes]
 
 ODOM = "odom"
 _WORKERS = 2
-"""Number of threads; one more frame than threads is in memory."""
 
 
 def channels(plan: Plan) -> dict[str, Channel]:
@@ -69,7 +67,9 @@ def messages(plan: Plan, unreadable: list[str]) -> Iterator[tuple[str, Message]]
     first_ns = next(iter(plan.stamps_ns.values()))
     for role, data in _static(plan):
         yield role, Message(by_role[role], first_ns, first_ns, 0, data)
-    frames = zip(plan.stamps_ns.values(), _frames_ahead(plan), strict=True)
+    encoders = _encoders(plan)
+    made = in_order(lambda at: _frame(encoders, *at), plan.stamps_ns.items(), _WORKERS)
+    frames = zip(plan.stamps_ns.values(), made, strict=True)
     for sequence, (stamp_ns, (contents, faults)) in enumerate(frames):
         for role, content in contents:
             yield role, Message(by_role[role], stamp_ns, stamp_ns, sequence, content)
@@ -78,19 +78,6 @@ def messages(plan: Plan, unreadable: list[str]) -> Iterator[tuple[str, Message]]
 
 _Frame = tuple[list[tuple[str, bytes]], list[str]]
 """Encoded messages of a frame with their roles, in the order of ``ROLES``, and the errors of its files."""
-
-
-def _frames_ahead(plan: Plan) -> Iterator[_Frame]:
-    """Yield frames in order; threads prepare a few in advance, since the libraries release the GIL."""
-    encoders = _encoders(plan)
-    pending: deque[Future[_Frame]] = deque()
-    with ThreadPoolExecutor(_WORKERS) as pool:
-        for number, stamp_ns in plan.stamps_ns.items():
-            pending.append(pool.submit(_frame, encoders, number, stamp_ns))
-            if len(pending) > _WORKERS:
-                yield pending.popleft().result()
-        while pending:
-            yield pending.popleft().result()
 
 
 def _frame(encoders: Mapping[str, Encode], number: int, stamp_ns: int) -> _Frame:
