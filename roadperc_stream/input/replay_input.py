@@ -7,7 +7,7 @@ from itertools import islice
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ChannelError, NoFrameError
 from roadperc_stream.input.assemble import sample_of
-from roadperc_stream.input.earlier_replay import is_result
+from roadperc_stream.input.earlier_replay import is_result, networks_digest
 from roadperc_stream.input.outcome import FileSpan, InputOutcome, continuation_notes, file_notes
 from roadperc_stream.input.plan import InputPlan, plan_input
 from roadperc_stream.input.roles import tag_table_to_record
@@ -104,6 +104,11 @@ class ReplayInput:
     def log_id(self) -> str:
         """The name of the log in every table."""
         return record.log_id_of(self.plan.first_pass.digest)
+
+    @property
+    def networks(self) -> str:
+        """Digest of the networks that computed channels of the log; empty without them."""
+        return networks_digest(self.summary.metadata)
 
     @property
     def topics(self) -> Mapping[str, str]:

@@ -14,7 +14,7 @@ from roadperc_stream.model.sample import frame_reasons
 from roadperc_stream.output.drawing.on_request import PictureMaker
 from roadperc_stream.output.reason_counts import ReasonCount, merged, of_frame, throughout
 from roadperc_stream.output.results import result_channel, result_messages
-from roadperc_stream.output.tables import TableWriter, table_facts
+from roadperc_stream.output.tables import TableWriter, config_text, table_facts
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics, ObjectMetrics
 from roadperc_stream.schemas.record import CONFIG_ATTACHMENT, METADATA_RECORD, OWN_ATTACHMENTS, SEED_KEY, VERSION_KEY
@@ -153,7 +153,7 @@ class Outputs:
             facts: of the input, for the footers of the tables.
         """
         self._target, self._cfg, self._input = target, cfg, log_in
-        facts = table_facts(log_in.summary.path, target.path, cfg, facts)
+        facts = table_facts(log_in.summary.path, target.path, cfg, facts, log_in.networks)
         self._frames = TableWriter(target.metrics, FrameMetrics, facts, TIME_COLUMNS)
         self._objects = TableWriter(target.objects, ObjectMetrics, facts)
         self._log = LogWriter(target.path, log_in.summary.profile)
@@ -242,7 +242,8 @@ class Outputs:
         for attachment in self._input.summary.attachments:
             if attachment.name not in OWN_ATTACHMENTS:
                 self._log.attach(attachment)
-        toml = Attachment(CONFIG_ATTACHMENT, "application/toml", self._cfg.to_toml().encode())
+        text = config_text(self._cfg, self._input.networks)
+        toml = Attachment(CONFIG_ATTACHMENT, "application/toml", text.encode())
         for attachment in (toml, *states):
             self._log.attach(attachment)
         for metadata in self._input.summary.metadata:

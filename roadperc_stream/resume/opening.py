@@ -17,7 +17,7 @@ from roadperc_stream.input.earlier_replay import is_result, replay_record
 from roadperc_stream.input.source import ReadableLog
 from roadperc_stream.input.state import FrameNumbers
 from roadperc_stream.log import DIGEST_ALGORITHM, Attachment, LogSummary
-from roadperc_stream.output.tables import read_footer
+from roadperc_stream.output.tables import config_text, read_footer
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.output.writing import ReplaySummary
 from roadperc_stream.resume.encoding import decode, encode
@@ -224,7 +224,7 @@ def finished(target: ReplayTarget, cfg: ReplayConfig, opened: OpenedLog) -> Repl
         recorded.get(record.DIGEST_KEY) == opened.input.plan.first_pass.digest
         and recorded.get(record.VERSION_KEY) == __version__
         and chosen == opened.input.chosen_topics
-        and attached.get(record.CONFIG_ATTACHMENT) == cfg.to_toml().encode()
+        and attached.get(record.CONFIG_ATTACHMENT) == config_text(cfg, opened.input.networks).encode()
         and attached.get(record.BEGIN_ATTACHMENT) == (None if begin is None else encode(begin))
         and {(channel.topic, is_result(channel)) for channel in summary.channels} == _topics(target, opened)
     )
