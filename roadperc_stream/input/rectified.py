@@ -56,7 +56,7 @@ def rectified_truth(truth: Truth, camera: Camera) -> Truth:
     if depth is not None and depth.frame_id in ("", camera.frame_id):
         depth = _depth(depth, lens)
     if objects is not None:
-        found = (replace(item, detection=_detection(item.detection, lens)) for item in objects.objects)
+        found = (replace(item, detection=rectified_detection(item.detection, lens)) for item in objects.objects)
         objects = Objects(tuple(found))
     return replace(truth, depth=depth, objects=objects, segmentation=None if tags is None else _tags(tags, lens))
 
@@ -77,7 +77,7 @@ def _of_front(frame: Frame, lens: Camera) -> Frame:
         image=None if image is None else _image(image, lens),
         segmentation=None if tags is None else _tags(tags, lens),
         instances=None if instances is None else _instances(instances, lens),
-        detections=None if detections is None else tuple(_detection(found, lens) for found in detections),
+        detections=None if detections is None else tuple(rectified_detection(found, lens) for found in detections),
     )
 
 
@@ -99,7 +99,8 @@ def _depth(image: DepthImage, lens: Camera) -> DepthImage:
     return DepthImage(image.frame_id, lambda: (depth_m(), image.limit_m))
 
 
-def _detection(detection: Detection, lens: Camera) -> Detection:
+def rectified_detection(detection: Detection, lens: Camera) -> Detection:
+    """The detection with the box around its own in the rectified image; ``lens`` is the camera as recorded."""
     box = detection.box_px
     sides = rectified_box(lens, rectified(lens), (box.x_min, box.y_min, box.x_max, box.y_max))
     return replace(detection, box_px=Box(*sides))

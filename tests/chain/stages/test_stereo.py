@@ -17,7 +17,7 @@ from roadperc_stream.chain.stages.objects.template import correlate
 from roadperc_stream.chain.stages.stereo import disparities_needed
 from roadperc_stream.cli import render
 from roadperc_stream.config import StereoConfig, load_config
-from roadperc_stream.geometry.rectification import lens_fault, rectification_maps, rotation_of
+from roadperc_stream.geometry.rectification import lens_fault
 from roadperc_stream.geometry.rotations import rotation_from_rpy
 from roadperc_stream.input.decoding import camera_from_calibration
 from roadperc_stream.metrics.stereo import stereo_errors
