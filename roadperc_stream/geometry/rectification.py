@@ -8,7 +8,6 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import Any, Final, TypeVar
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -89,6 +88,8 @@ def _is_rotation(R: Float) -> bool:
 @lru_cache(maxsize=_CACHED)
 def rectification_maps(camera: Camera, target: Camera) -> tuple[Float32, Float32, Mask]:
     """(H, W) columns and rows in the camera's image of the target's pixels, and whether they lie inside it."""
+    import cv2
+
     lens, D = lens_of(camera), np.array(camera.distortion)
     size = (target.width, target.height)
     fisheye = lens.model in FISHEYE_MODELS and D.size
@@ -103,6 +104,8 @@ def resampled(camera: Camera, target: Camera, image: NDArray[P], *, nearest: boo
 
     ``nearest`` keeps values that cannot be mixed, such as tags and depth.
     """
+    import cv2
+
     columns, rows, _ = rectification_maps(camera, target)
     border = np.nan if image.dtype.kind == "f" else 0
     interpolation = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
@@ -112,6 +115,8 @@ def resampled(camera: Camera, target: Camera, image: NDArray[P], *, nearest: boo
 
 def rectified_pixels(camera: Camera, target: Camera, pixels: Float) -> Float:
     """(N, 2) pixels of the target camera of (N, 2) pixels of the camera's image."""
+    import cv2
+
     lens, D = lens_of(camera), np.array(camera.distortion)
     points, R = np.ascontiguousarray(pixels, np.float64).reshape(-1, 1, 2), rotation_of(camera)
     if lens.model in FISHEYE_MODELS and D.size:
