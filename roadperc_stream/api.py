@@ -20,6 +20,7 @@ from roadperc_stream.config import ReplayConfig, load_config, validated
 from roadperc_stream.errors import ConfigError, RoadpercError, TableError
 from roadperc_stream.geometry import Camera, mounting
 from roadperc_stream.input import ReplaySource, arrays
+from roadperc_stream.input.rectified import rectified_frame
 from roadperc_stream.loop import replay as _replay
 from roadperc_stream.metrics import frame_metrics
 from roadperc_stream.model import Detection, Frame, FrameResult, Truth
@@ -244,7 +245,7 @@ class Chain:
             detections=None if detections is None else arrays.checked_detections(detections),
         )
         with one_thread():
-            self._state, result = step(self._cfg, self._state, frame)
+            self._state, result = step(self._cfg, self._state, rectified_frame(frame))
         return result
 
 

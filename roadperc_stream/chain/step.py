@@ -18,6 +18,7 @@ from roadperc_stream.chain.stages.odometry.keyframes import OdometryState, count
 from roadperc_stream.chain.stages.surface.road import SurfaceState, drivable_mask, find_surface, remember
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.geometry import inverse, transform_plane
+from roadperc_stream.geometry.rectification import is_rectified
 from roadperc_stream.model import Absent, Frame, FrameResult, Image, Mask, Objects, Odometry, Reason, Surface
 from roadperc_stream.model.results import StereoDepth
 from roadperc_stream.model.scene import DepthMap, Scene
@@ -280,7 +281,7 @@ def _stereo(
 
 def _odd_camera(scene: Scene) -> Iterator[Reason]:
     """Problems of the front camera's calibration."""
-    if scene.camera.lens is not None:
+    if not is_rectified(scene.camera):
         yield Reason("image", "not_rectified")
     if not scene.camera.square_pixels:
         yield Reason("image", "pixels_not_square", (scene.camera.fx, scene.camera.fy))

@@ -24,8 +24,8 @@ _FARTHEST_CENTRE: Final = 10.0
 class Lens:
     """The optics of an unrectified image: a distorted pinhole camera and its rotation.
 
-    ``R`` is the (3, 3) rotation, row by row, from this lens's frame to the rectified camera's; ``model`` names the
-    meaning of the camera's ``distortion``, as foxglove.CameraCalibration does.
+    ``R`` is the (3, 3) rotation, row by row, from this lens's frame to the rectified camera's, empty if it is unknown;
+    ``model`` names the meaning of the camera's ``distortion``, as foxglove.CameraCalibration does.
     """
 
     fx: float
@@ -45,7 +45,7 @@ class Lens:
 class Camera:
     """A rectified pinhole camera; ``baseline_m`` is set on the right camera of a rectified pair (P[0, 3] = -fx b).
 
-    With a ``lens`` its images are unrectified and can be rectified; with ``distortion`` but no lens they cannot.
+    With a ``lens`` or ``distortion`` its images are unrectified; ``geometry.rectification`` rectifies them.
     """
 
     frame_id: str

@@ -10,6 +10,7 @@ from roadperc_stream import model
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ChannelError
 from roadperc_stream.geometry import Camera, Float, inverse, mounting
+from roadperc_stream.input.rectified import rectified_frame, rectified_truth
 from roadperc_stream.input.stream import Stamped
 from roadperc_stream.input.sync import LatchedState, SyncedMessages
 from roadperc_stream.input.transforms import TransformTree
@@ -72,6 +73,7 @@ def sample_of(
     missing = tuple(role for role in topics if _expected(role) and role not in messages)
     truth, anchor = _truth(messages, tree, camera), _anchor(tree, camera, ego_T_camera, parent_of)
     reference = synced.reference
+    frame, truth = rectified_frame(frame), rectified_truth(truth, camera)
     return model.Sample(index, reference.log_time_ns, frame, truth, missing, synced.skew_ns, anchor, reference.segment)
 
 
@@ -105,7 +107,7 @@ def _depth_camera(latched: LatchedState, camera: Camera, depth: model.DepthImage
         return own
     if depth is None or depth.frame_id in ("", camera.frame_id):
         return camera
-    return replace(camera, frame_id=depth.frame_id, baseline_m=None, lens=None)
+    return replace(camera, frame_id=depth.frame_id, baseline_m=None, distortion=(), lens=None)
 
 
 def _left_camera(synced: SyncedMessages, camera: Camera, topics: Mapping[str, str]) -> Camera:

@@ -8,6 +8,7 @@ from roadperc_stream.chain.kernels import disparity_errors, seen_by_both
 from roadperc_stream.chain.kernels.stereo_plain import DisparityLimits
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.geometry import Camera, Float32
+from roadperc_stream.geometry.rectification import rectified
 from roadperc_stream.model import Absent, Sample, StereoDepth
 from roadperc_stream.schemas.columns.errors import StereoErrorColumns
 from roadperc_stream.schemas.columns.estimates import StereoColumns
@@ -35,7 +36,8 @@ def stereo_errors_of(stereo: StereoDepth | Absent, sample: Sample) -> StereoErro
     """Errors against the front depth; empty columns unless the front camera is the left one."""
     frame = sample.frame
     depth = sample.truth.depth or frame.depth
-    if isinstance(stereo, Absent) or depth is None or frame.right_camera is None or frame.left is not None:
+    is_front = frame.left is None or rectified(frame.left_camera) == frame.camera
+    if isinstance(stereo, Absent) or depth is None or frame.right_camera is None or not is_front:
         return StereoErrorColumns()
     try:
         true_m = depth.depth_m

@@ -30,7 +30,7 @@ TEMPLATES: Final[dict[str, str]] = {
     "lost_to_damage_before": "messages up to {last_ns:d} ns were lost to damage",
     "lost_to_damage_after": "messages from {first_ns:d} ns on were lost to damage",
     "lost_to_damage_somewhere": "messages were lost to damage at an unknown time",
-    "not_rectified": "its camera is not rectified; only stereo corrects distortion",
+    "not_rectified": "its camera has distortion that cannot be undone; it is used as it is",
     "pixels_not_square": "fx {fx:g} and fy {fy:g} of its calibration differ by more than 5 %: cameras usually have "
     "square pixels; if one of the two is wrong, heights and pitch are wrong",
     "no_image": "no image",
