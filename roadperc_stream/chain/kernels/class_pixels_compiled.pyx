@@ -4,7 +4,6 @@
 import numpy as np
 
 from libc.stdint cimport uint8_t
-from libc.string cimport memset
 
 cdef enum:
     TAGS = 256
@@ -21,12 +20,18 @@ cdef inline Py_ssize_t _mirrored(Py_ssize_t place, Py_ssize_t size) noexcept nog
     return place if place < size else size - 2
 
 
-cdef void _mark_four(const uint8_t* tags, Py_ssize_t count, const uint8_t* wanted, uint8_t* marked) noexcept nogil:
-    """Mark also the pixels that have one of four tags."""
+cdef void _mark_four(
+    const uint8_t* tags, Py_ssize_t count, const uint8_t* wanted, bint is_first, uint8_t* marked
+) noexcept nogil:
+    """Mark the pixels that have one of four tags; only the first call also clears the others."""
     cdef uint8_t a = wanted[0], b = wanted[1], c = wanted[2], d = wanted[3]
     cdef Py_ssize_t i
-    for i in range(count):
-        marked[i] |= (tags[i] == a) | (tags[i] == b) | (tags[i] == c) | (tags[i] == d)
+    if is_first:
+        for i in range(count):
+            marked[i] = (tags[i] == a) | (tags[i] == b) | (tags[i] == c) | (tags[i] == d)
+    else:
+        for i in range(count):
+            marked[i] |= (tags[i] == a) | (tags[i] == b) | (tags[i] == c) | (tags[i] == d)
 
 
 def mark(tags, const uint8_t[::1] of_class):
@@ -40,17 +45,18 @@ def mark(tags, const uint8_t[::1] of_class):
         if of_class[tag]:
             wanted[count] = tag
             count += 1
+    if not count:
+        return np.zeros(tags.shape, np.uint8)
     for tag in range(AT_ONCE):  # fill the last group of four by repeating a tag
-        wanted[count + tag] = wanted[count - 1] if count else 0
+        wanted[count + tag] = wanted[count - 1]
     found = np.empty(tags.shape, np.uint8)
     cdef const uint8_t[::1] pixels = np.ascontiguousarray(tags).reshape(-1)
     cdef uint8_t[::1] marked = found.reshape(-1)
     with nogil:
         while start < pixels.shape[0]:
             size = min(pixels.shape[0] - start, BLOCK)
-            memset(&marked[start], 0, size)
             for tag in range((count + AT_ONCE - 1) // AT_ONCE):
-                _mark_four(&pixels[start], size, wanted + AT_ONCE * tag, &marked[start])
+                _mark_four(&pixels[start], size, wanted + AT_ONCE * tag, tag == 0, &marked[start])
             start += size
     return found
 
