@@ -50,9 +50,7 @@ _MEMORY_UNIT: Final = 1 if sys.platform == "darwin" else 1024
 def work(task: Task, on_progress: Progress) -> Outcome:
     """Replay a log into the dataset; an error of the log also gives an outcome.
 
-    Args:
-        task: the log, and what to do with it.
-        on_progress: called during the replay.
+    ``on_progress`` is called during the replay.
     """
     started = perf_counter()
     keep_freed_memory()

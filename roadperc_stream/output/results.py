@@ -52,12 +52,8 @@ def result_messages(
 ) -> Written:
     """Topic and bytes of each result of a frame; absent results are not written.
 
-    Args:
-        sample: the frame's input.
-        result: the frame's results.
-        metrics: its row.
-        previous_reasons: reasons of the previous frame; only new reasons are logged.
-        trajectory: the latest known poses odom_T_ego, this frame's last.
+    Only reasons that are not in ``previous_reasons`` are logged. ``trajectory`` are the latest known poses odom_T_ego,
+    this frame's last.
     """
     stamp_ns = result.stamp_ns
     yield from _surface(sample, result)

@@ -41,12 +41,6 @@ def table_facts(source: Path, target: Path, cfg: ReplayConfig, more: Mapping[str
     """The origin of a table, for its footer.
 
     ``roadperc.log`` is the log beside it, ``roadperc.source`` the input, ``roadperc.config`` the configuration.
-
-    Args:
-        source: the input.
-        target: the log beside the table.
-        cfg: the configuration.
-        more: other facts.
     """
     facts = {
         "config": cfg.to_toml(),

@@ -144,14 +144,7 @@ class Outputs:
     """
 
     def __init__(self, target: ReplayTarget, cfg: ReplayConfig, log_in: ReplayInput, facts: Mapping[str, str]) -> None:
-        """Name the files.
-
-        Args:
-            target: what to write.
-            cfg: the chain's configuration.
-            log_in: the input.
-            facts: of the input, for the footers of the tables.
-        """
+        """Name the files."""
         self._target, self._cfg, self._input = target, cfg, log_in
         facts = table_facts(log_in.summary.path, target.path, cfg, facts)
         self._frames = TableWriter(target.metrics, FrameMetrics, facts, TIME_COLUMNS)
@@ -234,9 +227,7 @@ class Outputs:
     def end(self, facts: Mapping[str, str], states: Iterable[Attachment]) -> None:
         """Copy the rest of the input, and record how the output was made.
 
-        Args:
-            facts: of the continued result, if any.
-            states: of the replay at its start and its end.
+        ``facts`` are those of a continued result, ``states`` those of the replay at its start and its end.
         """
         self._copy.rest()
         for attachment in self._input.summary.attachments:

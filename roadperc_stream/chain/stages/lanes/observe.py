@@ -112,11 +112,12 @@ def facing_edges(separators: Image, drivable: Mask, top: int) -> dict[Side, Floa
     ``drivable`` is (H, W). The edges of a left boundary face right.
     """
     ends = _ends_of_runs(separators)
-    return {side: _facing(separators, drivable[top:], side, *ends[side]) + (0.0, float(top)) for side in SIDES}
+    edges = {side: _facing(separators, drivable[top:], side, *ends[side]) for side in SIDES}
+    return {side: np.stack((columns, (rows + top).astype(float)), axis=-1) for side, (rows, columns) in edges.items()}
 
 
-def _facing(separators: Image, drivable: Mask, side: Side, rows: Indices, columns: Indices) -> Float:
-    """The edges of one side at the ends of runs of separators, if the road begins within a few pixels of them."""
+def _facing(separators: Image, drivable: Mask, side: Side, rows: Indices, columns: Indices) -> tuple[Indices, Float]:
+    """Rows and columns of one side's edges, at the ends of runs of separators with road a few pixels beside them."""
     towards = round(outward(side))
     gap = np.full(len(rows), -1)
     sought = np.arange(len(rows))
@@ -127,8 +128,7 @@ def _facing(separators: Image, drivable: Mask, side: Side, rows: Indices, column
         gap[sought[met]] = step
         sought = sought[~(met | marked)]
     found = gap >= 0
-    rows, columns, gap = rows[found], columns[found], gap[found]
-    return np.stack((columns + towards * 0.5 * (gap + 1), rows.astype(float)), axis=-1)
+    return rows[found], columns[found] + towards * 0.5 * (gap[found] + 1)
 
 
 def observe(cfg: LanesConfig, projection: RoadProjection, tags: Image, table: TagTable, drivable: Mask) -> Observation:
