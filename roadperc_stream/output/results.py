@@ -20,9 +20,8 @@ from roadperc_stream.output.drawing import annotations, colours
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas import topics
 from roadperc_stream.schemas.columns import FrameMetrics
-from roadperc_stream.schemas.protobuf import require_finite, set_stamp
+from roadperc_stream.schemas.protobuf import require_finite, schema, set_stamp
 from roadperc_stream.schemas.record import PRODUCER
-from roadperc_stream.schemas.registry import schema
 from roadperc_stream.schemas.ros2 import pack_occupancy_grid
 
 DRIVABLE_COLOURS: tuple[Colour, Colour] = ((0, 0, 0), colours.DRIVABLE)

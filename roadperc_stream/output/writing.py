@@ -20,8 +20,7 @@ from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics, ObjectMe
 from roadperc_stream.schemas.record import CONFIG_ATTACHMENT, METADATA_RECORD, OWN_ATTACHMENTS, SEED_KEY, VERSION_KEY
 from roadperc_stream.schemas.topics import result_schemas
 from roadperc_stream.system.files import partial_of, sync_file
-from roadperc_stream.system.progress import Progress, no_progress
-from roadperc_stream.system.stage_timer import StageTimer
+from roadperc_stream.system.progress import Progress, StageTimer, no_progress
 from roadperc_stream.system.text import number
 from roadperc_stream.system.time import ns_to_seconds
 

@@ -14,8 +14,8 @@ from roadperc_stream.formats.images import encode_indices
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.model import EGO
 from roadperc_stream.output import encoding
+from roadperc_stream.schemas.protobuf import schema
 from roadperc_stream.schemas.record import TAG_TABLE_KEY
-from roadperc_stream.schemas.registry import schema
 from roadperc_stream.schemas.roles import ROLES
 
 from .camera_rig import FRONT, LIDAR
