@@ -61,12 +61,7 @@ def shown(
 ) -> FrameToShow:
     """The log of a run, or a replay of its input up to a frame.
 
-    Args:
-        run: a run, or a log.
-        frame: number of the frame in the table.
-        topics: ``ROLE=/TOPIC``, as in the recorded replay.
-        files: removes a replayed log when it closes.
-        progress: called with frames done and expected.
+    ``topics`` are ``ROLE=/TOPIC``, as in the recorded replay. ``files`` removes a replayed log when it closes.
 
     Raises:
         TableError: the table has no such frame, or no configuration.

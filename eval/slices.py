@@ -95,10 +95,7 @@ def _objects(run: Run, table: Run) -> pl.LazyFrame:
 def object_slices(rows: pl.LazyFrame, by: Sequence[str], source: str) -> Answer:
     """The errors of the distances of kept detections in each slice, the largest p95 first.
 
-    Args:
-        rows: of tables of objects, with the name of the log in ``log``.
-        by: expressions.
-        source: a file, for errors.
+    ``rows`` are those of tables of objects, with the name of the log in ``log``; errors name ``source``.
 
     Raises:
         TableError: a table cannot be read, a column does not exist, or there are too many slices.

@@ -18,7 +18,7 @@ from roadperc_stream.resume.opening import PLAIN, OpenedLog, ReplayOptions, fini
 from roadperc_stream.resume.state import ReplayState
 from roadperc_stream.system.files import all_or_none
 from roadperc_stream.system.pipeline import Pipeline
-from roadperc_stream.system.stage_timer import StageTimer
+from roadperc_stream.system.progress import StageTimer
 from roadperc_stream.system.threads import one_thread
 
 

@@ -26,7 +26,7 @@ from roadperc_stream.resume.opening import open_log
 from roadperc_stream.resume.state import ReplayState
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
 from roadperc_stream.system.process import ending_signals
-from roadperc_stream.system.stage_timer import StageTimer
+from roadperc_stream.system.progress import StageTimer
 from roadperc_stream.system.threads import one_thread
 from roadperc_stream.system.time import TimeRange
 

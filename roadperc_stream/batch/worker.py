@@ -32,7 +32,7 @@ from roadperc_stream.resume.opening import ReplayOptions, open_log
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from roadperc_stream.schemas.columns.runs import OF_THE_MACHINE, stage_column
 from roadperc_stream.system.files import make_private
-from roadperc_stream.system.memory import keep_freed_memory
+from roadperc_stream.system.process import keep_freed_memory
 from roadperc_stream.system.progress import Progress
 from roadperc_stream.system.text import print_line
 from roadperc_stream.system.time import NS_PER_S
@@ -50,9 +50,7 @@ _MEMORY_UNIT: Final = 1 if sys.platform == "darwin" else 1024
 def work(task: Task, on_progress: Progress) -> Outcome:
     """Replay a log into the dataset; an error of the log also gives an outcome.
 
-    Args:
-        task: the log, and what to do with it.
-        on_progress: called during the replay.
+    ``on_progress`` is called during the replay.
     """
     started = perf_counter()
     keep_freed_memory()

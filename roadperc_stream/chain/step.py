@@ -117,11 +117,11 @@ def localise(cfg: ReplayConfig, state: ChainState, scene: Scene, timer: Timer = 
     stages, no_road = _EnabledStages(cfg, timer), _off("surface")
     last, _ = _in_order(state, scene.stamp_ns)
     rng = np.random.default_rng((cfg.seed, scene.stamp_ns % 2**63))
-    seen, failed = stages.run("surface", lambda: find_surface(cfg.surface, scene, rng), (no_road, None))
+    found = stages.run("surface", lambda: find_surface(cfg.surface, scene, rng), (no_road, None))
     moved, motion = stages.run(
         "odometry",
         lambda: ego_motion.step(
-            cfg.odometry, last.odometry, scene, _metric_road(scene, _in_front_camera(scene, seen)), rng
+            cfg.odometry, last.odometry, scene, _metric_road(scene, _in_front_camera(scene, found[0])), rng
         ),
         (last.odometry, _off("odometry")),
     )
@@ -129,7 +129,7 @@ def localise(cfg: ReplayConfig, state: ChainState, scene: Scene, timer: Timer = 
     last_T_this = None if metric is None else metric.step
     kept, road, held = stages.run(
         "surface",
-        lambda: remember(cfg.surface, last.surface, scene, seen, failed, last_T_this, _shown_pitch(moved)),
+        lambda: remember(cfg.surface, last.surface, scene, found, last_T_this, _shown_pitch(moved)),
         (last.surface, no_road, ()),
     )
     front_road = _in_front_camera(scene, road)

@@ -15,8 +15,7 @@ from roadperc_stream.resume.checkpoint import CheckpointFolder
 from roadperc_stream.resume.opening import ReplayOptions
 from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.schemas.topics import Request
-from roadperc_stream.system.memory import keep_freed_memory
-from roadperc_stream.system.process import optional_output
+from roadperc_stream.system.process import keep_freed_memory, optional_output
 from roadperc_stream.system.progress import Progress, no_progress
 from roadperc_stream.system.text import print_line
 from roadperc_stream.system.threads import usable_cores

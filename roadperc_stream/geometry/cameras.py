@@ -99,11 +99,8 @@ def decompose_projection(P: Float) -> tuple[Float, Float, Float]:
     """K, R and the camera's centre of a projection matrix P ~ K [R | -R centre].
 
     P is known up to a factor of either sign. These choices make the RQ decomposition of P's left half unique: the
-    diagonal of K is positive, K[2, 2] = 1 and det R = +1, so R is a rotation.
-    Source: Hartley and Zisserman, Multiple View Geometry, 2004, section 6.2.4.
-
-    Args:
-        P: (3, 4), pixels.
+    diagonal of K is positive, K[2, 2] = 1 and det R = +1, so R is a rotation. Source: Hartley and Zisserman, Multiple
+    View Geometry, 2004, section 6.2.4. P is (3, 4), in pixels.
 
     Returns:
         (3, 3) upper triangular K in pixels, (3, 3) rotation from the world's frame to the camera's, and the (3,) centre

@@ -51,10 +51,7 @@ class Roles:
 def roles_of(channels: Sequence[Channel], overrides: Mapping[str, str], probe: ContentProbe | None) -> Roles:
     """The state of every role.
 
-    Args:
-        channels: the log's channels with messages.
-        overrides: topic by role, from ``--topic``.
-        probe: reads first messages, for ``candidates``.
+    ``overrides`` are topics by role, from ``--topic``; ``probe`` reads first messages, for ``candidates``.
     """
     inputs = [channel for channel in channels if not is_result(channel)]
     refusal = None

@@ -28,12 +28,8 @@ def sample_of(
 ) -> model.Sample:
     """The sample of one instant's messages.
 
-    Args:
-        cfg: gives the assumed height of a camera without a mounting.
-        synced: the messages of one instant.
-        index: number of the frame in the replay, from 0; ``UNWRITTEN`` for a warm-up frame.
-        topics: topic of each role that the log has.
-        parent_of: parent of each frame that the log places, at any time.
+    ``cfg`` gives the assumed height of a camera without a mounting. ``index`` is the number of the frame in the replay,
+    from 0, or ``UNWRITTEN`` for a warm-up frame. ``parent_of`` has each frame that the log places at any time.
 
     Raises:
         ChannelError: a camera without calibration; the message names it.

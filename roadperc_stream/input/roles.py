@@ -132,10 +132,7 @@ def _choices(channels: Sequence[Channel], named: Mapping[str, str]) -> dict[str,
 def tag_table_to_record(channels: Iterable[Channel], roles: RoleAssignment, configured: str) -> str:
     """The table that the user named, now or earlier, if a channel of tags names none; else empty.
 
-    Args:
-        channels: of the log.
-        roles: the topic of each role.
-        configured: table of this replay, or ``auto``.
+    ``configured`` is the table of this replay, or ``auto``.
     """
     tags = (c for c in channels if any(role.kind == "tags" for role in roles.roles_of(c.topic)) and not is_result(c))
     if all(channel.label(TAG_TABLE_KEY) for channel in tags):
@@ -149,12 +146,8 @@ def assign_roles(
     """Assign topics to roles: topics that the user names, known topics, else the only topic that fits.
 
     If several fit, those in the namespace of the role's camera come first. If several are left, an optional role stays
-    unassigned.
-
-    Args:
-        channels: of the log; results of earlier replays do not count.
-        overrides: topic by role, from ``--topic``.
-        probe: as ``candidates`` takes it.
+    unassigned. Channels with results of earlier replays do not count. ``overrides`` are topics by role, from
+    ``--topic``.
 
     Raises:
         ChannelError: a named topic is missing or has the wrong schema, or several fit a role that is needed.

@@ -52,15 +52,11 @@ def stereo_errors_of(stereo: StereoDepth | Absent, sample: Sample) -> StereoErro
 def stereo_errors(estimated_m: Float32, true_m: Float32, camera: Camera, baseline_m: float) -> StereoErrorColumns:
     """End-point error and D1 of a stereo depth, by the definitions of the KITTI 2015 benchmark (non-occluded pixels).
 
-    The end-point error is the mean absolute error of the disparity f b / Z; D1 is the share of disparities more than
-    3 px and more than 5 % off; the absolute relative error is the mean of |Z - Z*| / Z*. All are over known pixels, so
-    read them with the coverage. Pixels with a true depth beyond ``STEREO_MAX_DEPTH_M`` do not count.
-
-    Args:
-        estimated_m: (H, W) metres along z of the left camera, NaN unknown.
-        true_m: the same, true.
-        camera: the left camera.
-        baseline_m: distance of the right camera along the rows.
+    The end-point error is the mean absolute error of the disparity f b / Z; D1 is the share of disparities more than 3
+    px and more than 5 % off; the absolute relative error is the mean of |Z - Z*| / Z*. All are over known pixels, so
+    read them with the coverage. Pixels with a true depth beyond ``STEREO_MAX_DEPTH_M`` do not count. ``estimated_m``
+    and ``true_m`` are (H, W) metres along z of the left camera, NaN unknown. ``baseline_m`` is the distance of the
+    right camera along the rows.
 
     Returns:
         The errors; None without counted pixels.

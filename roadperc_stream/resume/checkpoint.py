@@ -238,8 +238,7 @@ class Checkpoints:
     def next_output(self, index: int) -> FrameOutput:
         """The output of the next complete frame.
 
-        Args:
-            index: number of the frame.
+        ``index`` is the number of the frame.
 
         Raises:
             StateError: it cannot be read, or belongs to another frame.
@@ -257,11 +256,8 @@ class Checkpoints:
     def reached(self, log_time_ns: int, samples: int, state: ReplayState, counted: Callable[[], Counted]) -> None:
         """Write a checkpoint if it is due and the sample is new.
 
-        Args:
-            log_time_ns: log time of the last frame.
-            samples: number of complete samples.
-            state: the state after these samples.
-            counted: returns the counts of these samples.
+        ``log_time_ns`` is that of the last frame. ``state`` and the result of ``counted`` describe all complete
+        ``samples``.
         """
         if self._every_ns is None:
             return

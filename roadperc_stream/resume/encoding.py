@@ -54,10 +54,7 @@ def encode(state: Any) -> bytes:
 def decode(data: bytes, kind: type[T], bounds: StateBounds = DEFAULT_BOUNDS) -> T:
     """The dataclass that the bytes encode.
 
-    Args:
-        data: from ``encode``, or from an untrusted file.
-        kind: the dataclass.
-        bounds: limits on its contents.
+    ``data`` come from ``encode``, or from an untrusted file; ``bounds`` limit its contents.
 
     Raises:
         StateError: the bytes have another format or version, were changed, or exceed the bounds.

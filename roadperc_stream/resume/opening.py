@@ -57,10 +57,8 @@ class OpenedLog:
     ) -> tuple[tuple[Attachment, ...], Notes]:
         """The states that the result begins and ends with, and notes for the user.
 
-        Args:
-            cfg: the chain's configuration.
-            end: the state after the last complete frame.
-            with_messages: whether the state at the end carries its messages, because the output does not.
+        ``end`` is the state after the last complete frame. It carries its messages if the output does not
+        (``with_messages``).
         """
         begin, log_in = self.saved_for(cfg), self.input
         states = () if begin is None else (Attachment(record.BEGIN_ATTACHMENT, _MEDIA_TYPE, encode(begin)),)

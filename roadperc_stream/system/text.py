@@ -33,10 +33,7 @@ def number(count: int, what: str) -> str:
 def nearest(name: str, known: Iterable[str], likeness: float = 0.6) -> str | None:
     """The known name that is most similar to a name, ignoring case; None if none is similar.
 
-    Args:
-        name: the user's name.
-        known: the existing names.
-        likeness: least similarity, 0 to 1, as ``difflib``'s ratio.
+    ``likeness`` is the least similarity, 0 to 1, as ``difflib``'s ratio.
     """
     folded = {candidate.casefold(): candidate for candidate in known}
     close = difflib.get_close_matches(name.casefold(), folded, n=1, cutoff=likeness)

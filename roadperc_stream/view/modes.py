@@ -39,11 +39,7 @@ def view_log(arguments: argparse.Namespace, playback: PlaybackOptions) -> None:
 def view_runs(arguments: argparse.Namespace, playback: PlaybackOptions, finding: Any, replaying: Any) -> None:
     """Show a frame of a run, of a dataset's log or of two runs; a log that was not kept is replayed.
 
-    Args:
-        arguments: of the command line.
-        playback: options of the live server.
-        finding: the module ``eval.frames``.
-        replaying: the module ``eval.frame_replay``.
+    ``finding`` is the module ``eval.frames``, ``replaying`` the module ``eval.frame_replay``.
 
     Raises:
         RoadpercError: the run cannot be found, replayed or shown.

@@ -13,7 +13,7 @@ from roadperc_stream.config import STAGES, ReplayConfig, load_config, switched_o
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.model import Absent, CameraImage, DepthImage, Reason, TagImage
 from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14 as TABLE
-from roadperc_stream.system.stage_timer import StageTimer
+from roadperc_stream.system.progress import StageTimer
 from tests.analytic import ROAD, Road, box
 from tests.logs import SMALL, shifted
 

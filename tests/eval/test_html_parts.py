@@ -24,8 +24,8 @@ from roadperc_stream.model import Absent, Boundary, Lanes, Object, Objects
 from roadperc_stream.output import encoding
 from roadperc_stream.output.results import encode_metrics
 from roadperc_stream.schemas.columns import FrameMetrics
+from roadperc_stream.schemas.protobuf import schema
 from roadperc_stream.schemas.record import PRODUCER
-from roadperc_stream.schemas.registry import schema
 from roadperc_stream.schemas.topics import METRICS_TOPIC
 from roadperc_stream.view.result_frames import read_frame
 from tests.analytic import box

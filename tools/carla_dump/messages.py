@@ -18,8 +18,8 @@ from roadperc_stream.log import Channel, Message
 from roadperc_stream.model import EGO, Detection
 from roadperc_stream.model.tag_tables import TagTable
 from roadperc_stream.output import encoding
+from roadperc_stream.schemas.protobuf import schema
 from roadperc_stream.schemas.record import TAG_TABLE_KEY
-from roadperc_stream.schemas.registry import schema
 from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.system.threads import in_order
 

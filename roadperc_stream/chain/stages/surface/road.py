@@ -146,8 +146,7 @@ def remember(
     cfg: SurfaceConfig,
     state: SurfaceState,
     scene: Scene,
-    road: Surface | Absent,
-    failed: Reason | None,
+    found: tuple[Surface | Absent, Reason | None],
     last_T_this: Float | None,
     pitch: float | None = None,
 ) -> tuple[SurfaceState, Surface | Absent, tuple[Reason, ...]]:
@@ -157,14 +156,14 @@ def remember(
         cfg: with ``hold_m``, the distance for which a plane is held.
         state: the state after the last frame.
         scene: the frame.
-        road: fitted to the frame's depth, or taken from the mounting.
-        failed: the reason if the depth does not show the road; None if it does, or if there is no depth.
+        found: the road and the reason that ``find_surface`` returns.
         last_T_this: (4, 4) motion of the ego frame since the last frame, metres; None if unknown.
         pitch: of the front camera beyond its mounting, radians, nose down; None if unknown.
 
     Returns:
         The new state, the road, and the reason if the road does not come from the depth.
     """
+    road, failed = found
     if isinstance(road, Surface) and road.measured:
         return SurfaceState(road.ego_plane), road, ()
     state = _moved(state, last_T_this)
