@@ -2,7 +2,9 @@
 
 from roadperc_stream.config.fields import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.config.loading import load_config, validated
+from roadperc_stream.config.sources import implementations, with_sources
 from roadperc_stream.config.stages import (
+    BUILT_IN,
     LanesConfig,
     ObjectsConfig,
     OccupancyConfig,

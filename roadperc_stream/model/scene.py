@@ -56,8 +56,8 @@ class Scene:
     no object) and ``detections`` belong; ``depth`` may be from another camera. Missing and unusable
     inputs are None; an empty detections message is (). ``grey`` is decoded from ``image``.
     Without a mounting (``mounted`` False) ``ego_T_camera`` is that of a level camera at the assumed height.
-    ``is_origin`` as in ``Frame``. ``undecodable`` are the front camera's images that cannot be used, ``problems``
-    all other problems.
+    ``is_origin`` and ``number`` as in ``Frame``. ``undecodable`` are the front camera's images that cannot be used,
+    ``problems`` all other problems.
     """
 
     stamp_ns: int
@@ -75,6 +75,12 @@ class Scene:
     instances: Ids | None = None
     undecodable: tuple[Reason, ...] = ()
     problems: tuple[Reason, ...] = ()
+    number: int | None = None
+
+    @property
+    def bgr(self) -> Image | None:
+        """(H, W, 3) colours blue, green, red; None if ``grey`` is None."""
+        return None if self.image is None or self.grey is None else self.image.bgr
 
     @property
     def image_unusable(self) -> bool:
@@ -84,7 +90,11 @@ class Scene:
     @cached_property
     def depth_m(self) -> Float32 | None:
         """(H, W) depth in metres in the front camera's image."""
-        return None if self.depth is None else self.depth.registered_to(self.camera, self.ego_T_camera)
+        if self.depth is None:
+            return None
+        depth_m = self.depth.registered_to(self.camera, self.ego_T_camera)
+        depth_m.setflags(write=False)
+        return depth_m
 
     @property
     def dense_depth_m(self) -> Float32 | None:

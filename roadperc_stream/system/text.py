@@ -1,4 +1,4 @@
-"""Escaped lines for a terminal, counts, and similar names."""
+"""Escaped lines for a terminal, counts, exceptions in one line, and similar names."""
 
 import difflib
 from collections.abc import Iterable
@@ -28,6 +28,16 @@ def print_line(line: str, stream: TextIO | None = None) -> None:
 def number(count: int, what: str) -> str:
     """A count with its noun: 1 frame, 2 frames."""
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
+
+
+def failure(error: BaseException, file: str) -> str:
+    """The type and text of an exception in one line, with the last line of ``file`` that it passed, if any."""
+    line, trace = 0, error.__traceback__
+    while trace is not None:
+        line = trace.tb_lineno if trace.tb_frame.f_code.co_filename == file else line
+        trace = trace.tb_next
+    text = " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":")
+    return f"{text} ({file}, line {line})" if line else text
 
 
 def nearest(name: str, known: Iterable[str], likeness: float = 0.6) -> str | None:
