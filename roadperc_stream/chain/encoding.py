@@ -44,7 +44,7 @@ def encode(state: Any) -> bytes:
     Raises:
         StateError: it is too large.
     """
-    plain = encode_plain(state)
+    plain = encode_plain(state, MOST_BYTES)
     packed = zstandard.ZstdCompressor(level=_LEVEL).compress(plain)
     return _MAGIC + bytes([FORMAT_VERSION]) + _CRC.pack(zlib.crc32(packed)) + packed
 
@@ -73,7 +73,7 @@ def decode(data: bytes, kind: type[T], bounds: StateBounds = DEFAULT_BOUNDS) -> 
         raise StateError(f"damaged: {error}") from error
 
 
-def encode_plain(value: Any, most_bytes: int = MOST_BYTES) -> bytes:
+def encode_plain(value: Any, most_bytes: int) -> bytes:
     """The MessagePack of a dataclass and its contents.
 
     Raises:

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from roadperc_stream.chain.encoding import decode_plain, encode_plain
+from roadperc_stream.chain.encoding import MOST_BYTES, decode_plain, encode_plain
 from roadperc_stream.errors import StateError
 from roadperc_stream.geometry import Camera, Float
 from roadperc_stream.model import Absent, Lanes, Objects, Odometry, StereoDepth, Surface
@@ -43,7 +43,7 @@ def checked(stage: str, output: object, seen: Scene | Camera) -> Any:
     if not isinstance(output, (kind, Absent)):
         raise ValueError(f"expected {kind.__name__} or Absent, found {type(output).__name__}")  # noqa: TRY004
     try:
-        copy: Any = decode_plain(encode_plain(output), Absent if isinstance(output, Absent) else kind)
+        copy: Any = decode_plain(encode_plain(output, MOST_BYTES), Absent if isinstance(output, Absent) else kind)
     except (TypeError, RecursionError, OverflowError, StateError) as error:
         raise ValueError(str(error)) from error
     _require_finite(copy, type(copy).__name__)
@@ -100,7 +100,7 @@ def _check_surface(surface: Surface, scene: Scene) -> None:
 def _check_odometry(motion: Odometry, scene: Scene) -> None:
     for matrix, name in ((motion.odom_T_ego, "odom_T_ego"), (motion.step, "step")):
         _require(matrix is None or _is_rigid(matrix), f"{name}: expected a rotation and a translation")
-    _require(len(motion.covariance) in (0, 36), f"covariance: expected 36 numbers, found {len(motion.covariance)}")
+    _check_covariance(motion.covariance, 6)
     known = motion.step is not None and motion.since_ns is not None
     _require(motion.status != "tracked" or known, "step, since_ns: expected for a tracked frame")
     at_origin = not scene.is_origin or np.array_equal(motion.odom_T_ego, np.eye(4))
@@ -113,11 +113,16 @@ def _is_rigid(matrix: Float) -> bool:
     return bool(is_rotation and np.array_equal(matrix[3], (0, 0, 0, 1)))
 
 
+def _check_covariance(covariance: tuple[float, ...], size: int) -> None:
+    count = len(covariance)
+    _require(count in (0, size**2), f"covariance: expected {size**2} numbers or none, found {count}")
+    _require(min(covariance[:: size + 1], default=0) >= 0, "covariance: expected variances of 0 or more")
+
+
 def _check_lanes(lanes: Lanes, scene: Scene) -> None:
     sides = [boundary.side for boundary in lanes.boundaries]
     _require(len(sides) == len(set(sides)), f"boundaries: expected one for each side, found {', '.join(sides)}")
     for boundary in lanes.boundaries:
-        count = len(boundary.covariance)
-        _require(count in (0, 9), f"covariance: expected 9 numbers, found {count}")
+        _check_covariance(boundary.covariance, 3)
     edges = lanes.edges
     _require(edges is None or edges.shape == scene.camera.size, f"edges: expected the shape {scene.camera.size}")

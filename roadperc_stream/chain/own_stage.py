@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any, Final
 
 from numpy import ndarray
@@ -33,6 +34,8 @@ class OwnStage:
     file: str
     function: Callable[..., Any]
     state_type: type[Any] | None
+    first: bytes
+    """The state before the first frame."""
 
     @classmethod
     def of(cls, stage: str, code: Any, name: str = "") -> "OwnStage":
@@ -46,18 +49,19 @@ class OwnStage:
         file = getattr(sys.modules.get(home.__module__), "__file__", None) or ""
         if stage not in OUTPUTS:
             raise ConfigError(f"no stage {stage!r} to replace; expected one of {', '.join(OUTPUTS)}")
-        state_type, fault = getattr(code, "State", None), ""
-        if state_type is not None:
-            fault = "stereo has no state" if stage == "stereo" else _state_fault(state_type, file)
         try:
             function = code() if isinstance(code, type) else code
         except (Exception, SystemExit) as error:  # code of the user can fail in any way
             raise ConfigError(f"{stage}: {name}() failed: {failure(error, file)}") from error
         if not callable(function):
-            fault = f"a {type(function).__name__} cannot be called; {_SIGNATURES}"
-        if fault:
-            raise ConfigError(f"{stage}: {name}: {fault}")
-        return cls(stage, name, file, function, state_type)
+            raise ConfigError(
+                f"{stage}: {name}: expected a class or function, found {_described(function)}; {_SIGNATURES}"
+            )
+        state_type = getattr(code, "State", None)
+        if state_type is not None and stage == "stereo":
+            raise ConfigError(f"{stage}: {name}: State: stereo has no state")
+        first = b"" if state_type is None else _first_state(f"{stage}: {name}", state_type, file)
+        return cls(stage, name, file, function, state_type, first)
 
     def step(self, place: Place, cfg: Any, state: object, *inputs: Any) -> tuple[bytes, Any]:
         """Call the stage and check what it returns.
@@ -74,7 +78,7 @@ class OwnStage:
         Raises:
             StageError: the stage raised an exception, or returned something else than its protocol says.
         """
-        before = self._decoded(place, state) if isinstance(state, bytes) else self._first
+        before = self._decoded(place, state if isinstance(state, bytes) else self.first)
         returned = self._call(place, cfg, before, *inputs)
         if not isinstance(returned, tuple) or len(returned) != 2:
             raise self._wrong(place, f"expected state and output, found {_described(returned)}")
@@ -99,10 +103,6 @@ class OwnStage:
             return checked(self.stage, output, seen)
         except ValueError as error:
             raise self._wrong(place, str(error)) from error
-
-    @property
-    def _first(self) -> Any:
-        return None if self.state_type is None else self.state_type()
 
     def _decoded(self, place: Place, state: bytes) -> Any:
         if self.state_type is None:
@@ -144,26 +144,33 @@ def own_stages(cfg: ReplayConfig) -> OwnStages:
 
 def _imported(stage: str, name: str) -> Any:
     key, (module_name, _, attribute) = f"{stage}.implementation", name.partition(":")
+    spec = find_spec(module_name)
     try:
         module = import_module(module_name)
     except (Exception, SystemExit) as error:  # code of the user can fail in any way
-        file = str(getattr(sys.modules.get(module_name), "__file__", ""))
+        file = str(spec and spec.origin)
         raise ConfigError(f"{key}: {module_name} cannot be imported: {failure(error, file)}") from error
     if not hasattr(module, attribute):
         raise ConfigError(f"{key}: {module.__file__} has no {attribute!r}; expected a class or function")
     return getattr(module, attribute)
 
 
-def _state_fault(state_type: Any, file: str) -> str:
-    """Why a class cannot be a state; empty if it can."""
+def _first_state(owner: str, state_type: Any, file: str) -> bytes:
+    """The encoded state before the first frame.
+
+    Raises:
+        ConfigError: the class cannot be a state.
+    """
     is_frozen = getattr(getattr(state_type, "__dataclass_params__", None), "frozen", False)
     if not isinstance(state_type, type) or not is_frozen:
-        return "State: expected a frozen dataclass"
+        raise ConfigError(f"{owner}: State: expected a frozen dataclass")
     try:
-        decode_plain(encode_plain(state_type()), state_type)
+        first = encode_plain(state_type(), _MOST_STATE_BYTES)
+        decode_plain(first, state_type)
     except Exception as error:  # the state's own checks can fail in any way
-        return f"State: {failure(error, file)}; expected a default for each field, and types with an encoding"
-    return ""
+        fault = f"{failure(error, file)}; expected a default for each field, and types with an encoding"
+        raise ConfigError(f"{owner}: State: {fault}") from error
+    return first
 
 
 def _described(value: object) -> str:

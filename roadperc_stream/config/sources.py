@@ -4,6 +4,7 @@ import hashlib
 import importlib
 import sys
 from collections.abc import Iterator
+from functools import cache
 from importlib.machinery import ModuleSpec
 from importlib.metadata import packages_distributions, version
 from importlib.util import find_spec
@@ -70,5 +71,9 @@ def _find(key: str, module: str) -> ModuleSpec | None:
 def _source(spec: ModuleSpec) -> str:
     """Distribution and version, if the module has them, and the digest of its file."""
     digest = hashlib.sha256(Path(str(spec.origin)).read_bytes()).hexdigest()
-    names = packages_distributions().get(spec.name.partition(".")[0], ())
+    names = _distributions().get(spec.name.partition(".")[0], ())
     return ", ".join((*(f"{name} {version(name)}" for name in sorted(set(names))), f"sha256 {digest}"))
+
+
+_distributions = cache(packages_distributions)
+"""Distributions by the name of a package in them; the search takes 0.2 s."""

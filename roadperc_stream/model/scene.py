@@ -26,6 +26,9 @@ class DepthMap:
     limit_m: float
     source: SurfaceSource
 
+    def __post_init__(self) -> None:
+        self.depth_m.setflags(write=False)
+
     @property
     def dense(self) -> bool:
         """Whether most pixels have a depth; a lidar has few points."""
