@@ -57,28 +57,23 @@ class FrameToShow:
     notes: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class Repeated:
-    """Options of the recorded replay that the user repeats: ``ROLE=/TOPIC``, ``STAGE.implementation=MODULE:NAME``."""
-
-    topics: Sequence[str] = ()
-    settings: Sequence[str] = ()
-
-
-def shown(run: Run | Path, frame: int | None, repeated: Repeated, files: ExitStack, progress: Progress) -> FrameToShow:
+def shown(
+    run: Run | Path, frame: int | None, topics: Sequence[str], changed: Sequence[str], files: ExitStack, bar: Progress
+) -> FrameToShow:
     """The log of a run, or a replay of its input up to a frame.
 
     Args:
         run: a run, or a log.
         frame: number of the frame in the table.
-        repeated: options of the recorded replay.
+        topics: ``ROLE=/TOPIC``, as in the recorded replay.
+        changed: settings ``KEY=VALUE``; a stage of the user's own must be among them to run.
         files: removes a replayed log when it closes.
-        progress: called with frames done and expected.
+        bar: called with frames done and expected.
 
     Raises:
         TableError: the table has no such frame, or no configuration.
         LogError: the input is missing or is not the log of the table.
-        ConfigError: the run has a stage of the user's own that is not repeated.
+        ConfigError: a stage of the user's own is not repeated.
     """
     kept = run if isinstance(run, Path) else Path(run.log) if run.dataset else run.beside(".mcap")
     if isinstance(run, Path) or kept.is_file():
@@ -92,11 +87,19 @@ def shown(run: Run | Path, frame: int | None, repeated: Repeated, files: ExitSta
     if found.is_empty():
         raise TableError(f"{run.path}: no frame {frame}; the table has {number(rows.height, 'frame')}")
     folder = Path(files.enter_context(TemporaryDirectory(prefix="roadperc-view-")))
-    return _replayed(run, found.row(0, named=True), repeated, folder, progress)
+    config = folder / CONFIG_ATTACHMENT
+    config.write_text(run.config, "utf-8", errors="surrogateescape")
+    cfg = load_config(config, changed)
+    named = [f"{stage}.implementation={name}" for stage, name in implementations(cfg)]
+    if missing := [f"--set {setting}" for setting in named if setting not in changed]:
+        raise ConfigError(f"{run.path}: used a stage of your own; to run its code, pass {' '.join(missing)}")
+    return _replayed(run, found.row(0, named=True), topics, cfg, folder, bar)
 
 
-def _replayed(run: Run, row: Mapping[str, Any], repeated: Repeated, folder: Path, progress: Progress) -> FrameToShow:
-    cfg = _config(run, folder, repeated.settings)
+def _replayed(
+    run: Run, row: Mapping[str, Any], topics: Sequence[str], cfg: ReplayConfig, folder: Path, progress: Progress
+) -> FrameToShow:
+    cfg, own = own_stages(cfg)
     source, options = _input(run, folder), _options(run.options)
     at_s = ns_to_seconds(row["stamp_ns"] - (log.summarise(source).first_ns or 0))
     is_far = at_s - (options.start or 0.0) > _FAR_S
@@ -104,10 +107,10 @@ def _replayed(run: Run, row: Mapping[str, Any], repeated: Repeated, folder: Path
     part = TimeRange(at_s - _BEFORE_S, end_s) if is_far else TimeRange(options.start, end_s, row["frame"] + 1)
     target = ReplayTarget(folder / "out.mcap")
     replay(
-        ReplaySource(source, parse_topic_options([*options.topic, *repeated.topics]), part, recover=True),
+        ReplaySource(source, parse_topic_options([*options.topic, *topics]), part, recover=True),
         target,
         cfg,
-        ReplayOptions(warm_up_s=_WARM_UP_S if is_far else 0.0, threads=usable_cores(), own=own_stages(cfg)),
+        ReplayOptions(warm_up_s=_WARM_UP_S if is_far else 0.0, threads=usable_cores(), own=own),
         Callbacks(progress),
     )
     again = pl.read_parquet(target.metrics).filter(pl.col("stamp_ns") == row["stamp_ns"])
@@ -115,21 +118,6 @@ def _replayed(run: Run, row: Mapping[str, Any], repeated: Repeated, folder: Path
         raise LogError(f"{run.source}: no frame with stamp {row['stamp_ns']} ns; it is not the whole log of the run")
     far = (f"replayed from {_WARM_UP_S + _BEFORE_S:g} s before the frame; the trajectory starts there",) * is_far
     return FrameToShow(target.path, again["frame"][0], (*far, *_differing(row, again.row(0, named=True))))
-
-
-def _config(run: Run, folder: Path, settings: Sequence[str]) -> ReplayConfig:
-    """The recorded configuration. A recording must not import code, so the user repeats each own stage."""
-    path = folder / CONFIG_ATTACHMENT
-    path.write_text(run.config, "utf-8", errors="surrogateescape")
-    cfg = load_config(path)
-    recorded = [f"{stage}.implementation={name}" for stage, name in implementations(cfg)]
-    if missing := [setting for setting in recorded if setting not in settings]:
-        options = " ".join(f"--set {setting}" for setting in missing)
-        raise ConfigError(f"{run.path}: its replay used a stage of your own; to run that code again, pass {options}")
-    if other := [setting for setting in settings if setting not in recorded]:
-        used = ", ".join(recorded) or "built-in stages only"
-        raise ConfigError(f"--set {other[0]}: expected a setting of {run.path}, which used {used}")
-    return cfg
 
 
 def _input(run: Run, folder: Path) -> Path:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from roadperc_stream.chain.own_stage import OwnStage, own_stages
 from roadperc_stream.chain.step import ChainState, step
-from roadperc_stream.config import ReplayConfig, load_config, validated, with_sources
+from roadperc_stream.config import ReplayConfig, load_config, validated
 from roadperc_stream.errors import ConfigError, RoadpercError, TableError
 from roadperc_stream.geometry import Camera, mounting
 from roadperc_stream.input import ReplaySource, arrays
@@ -89,8 +89,8 @@ def replay(
         RoadpercError: the input cannot be read or replayed, or the output cannot be written; partial files are removed.
             After a failure of a stage of your own, ``__cause__`` is its exception.
     """
-    cfg, before = _config(config), None if continued is None else Path(continued)
-    own = own_stages(cfg)
+    cfg, own = own_stages(_config(config))
+    before = None if continued is None else Path(continued)
     with _arguments_in_errors():
         return _replay(
             ReplaySource(_paths(src), dict(topics or {}), TimeRange(start_s, end_s, max_frames), recover, strict),
@@ -140,8 +140,7 @@ def frames(
     Raises:
         RoadpercError: the log cannot be read or replayed.
     """
-    cfg = _config(config)
-    own = own_stages(cfg)
+    cfg, own = own_stages(_config(config))
     source = ReplaySource(_paths(log), topics or {}, TimeRange(start_s, end_s, max_frames), recover)
     opened = open_log(source, cfg)
     state = opened.state_for(cfg)
@@ -189,9 +188,8 @@ class Chain:
             ValueError: a camera or the mounting has invalid numbers, or the camera does not look ahead.
             ConfigError: the configuration is invalid, the tag table is unknown, or a stage cannot be used.
         """
-        self._cfg = _config(config)
-        given = {stage: OwnStage.of(stage, code) for stage, code in (stages or {}).items()}
-        self._own = {**own_stages(self._cfg), **given}
+        self._cfg, own = own_stages(_config(config))
+        self._own = {**own, **{stage: OwnStage.of(stage, code) for stage, code in (stages or {}).items()}}
         self._camera = arrays.checked_camera("camera", camera)
         self._right_camera = None if right_camera is None else arrays.checked_camera("right_camera", right_camera)
         self._mounted = ego_T_camera is not None
@@ -298,9 +296,11 @@ def _paths(source: Source) -> list[Path]:
 
 
 def _config(config: Config) -> ReplayConfig:
+    if isinstance(config, ReplayConfig):
+        return config
     if isinstance(config, Mapping):
-        config = validated(config, "config: ")
-    return with_sources(config if isinstance(config, ReplayConfig) else load_config(config))
+        return validated(config, "config: ")
+    return load_config(config)
 
 
 def _threads(threads: int | None) -> int:

@@ -92,7 +92,7 @@ def _one_pass(job: Job, group: Sequence[Combination], progress: Progress) -> tup
     for item in group:
         path, facts = job.folder / item.folder / job.table, table_facts(job.source, job.source, item.cfg)
         table = TableWriter(path, FrameMetrics, facts, TIME_COLUMNS, item.settings)
-        candidates.append(Candidate(item.cfg, own_stages(item.cfg), table, opened.state_for(item.cfg)))
+        candidates.append(Candidate(item.cfg, own_stages(item.cfg)[1], table, opened.state_for(item.cfg)))
     with one_thread(), ExitStack() as tables:
         for candidate in candidates:
             tables.enter_context(candidate.table)

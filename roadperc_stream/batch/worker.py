@@ -151,9 +151,8 @@ def _replayed(task: Task, folder: Path, on_progress: Progress) -> Outcome:
     try:
         known_id = _known_id(task, source)
         if known_id is None:
-            cfg = job.configuration.cfg
-            options = replace(_CHECKPOINTS, own=own_stages(cfg))
-            summary = replay(source, target, cfg, options, Callbacks(on_progress))
+            cfg, own = own_stages(job.configuration.cfg)
+            summary = replay(source, target, cfg, replace(_CHECKPOINTS, own=own), Callbacks(on_progress))
     finally:
         for name, identity in _identities(task).items():  # a mixture of two files may look damaged
             if identity != before[name]:

@@ -74,12 +74,7 @@ def decode(data: bytes, kind: type[T], bounds: StateBounds = DEFAULT_BOUNDS) -> 
 
 
 def encode_plain(value: Any, most_bytes: int) -> bytes:
-    """The MessagePack of a dataclass and its contents.
-
-    Raises:
-        StateError: it is too large.
-        TypeError: a value has no encoding.
-    """
+    """The MessagePack of a dataclass; ``StateError`` if it is too large, ``TypeError`` if a value has no encoding."""
     plain = msgspec.msgpack.encode(value, enc_hook=_encoded)
     if len(plain) > most_bytes:
         raise StateError(f"{len(plain)} bytes: expected {most_bytes} at most")
@@ -87,12 +82,7 @@ def encode_plain(value: Any, most_bytes: int) -> bytes:
 
 
 def decode_plain(plain: bytes, kind: type[T], bounds: StateBounds = DEFAULT_BOUNDS) -> T:
-    """The dataclass that MessagePack encodes.
-
-    Raises:
-        StateError: it exceeds the bounds.
-        ValueError, RecursionError, OverflowError: a value has another type or shape.
-    """
+    """The dataclass that MessagePack encodes; errors as in ``decode``, or of the dataclass itself."""
     require_bounded(plain, bounds)
     found: T = msgspec.msgpack.decode(plain, type=kind, dec_hook=partial(_decoded, bounds))
     return found

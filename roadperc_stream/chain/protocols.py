@@ -48,7 +48,7 @@ class SurfaceStage(Protocol[S]):
     def __call__(
         self, cfg: SurfaceConfig, state: S, scene: Scene, rng: np.random.Generator, /
     ) -> tuple[S, Surface | Absent]:
-        """The new state and the road."""
+        """The new state and the surface."""
 
 
 class OdometryStage(Protocol[S]):

@@ -8,7 +8,7 @@ from typing import Any, Concatenate, Final, ParamSpec, TypeVar
 import numpy as np
 
 from roadperc_stream.chain import pixels
-from roadperc_stream.chain.own_stage import NO_OWN_STAGES, OwnStage, OwnStages
+from roadperc_stream.chain.own_stage import NO_OWN, OwnStage, OwnStages
 from roadperc_stream.chain.protocols import LanesStage, ObjectsStage, OdometryStage, StereoStage, SurfaceStage
 from roadperc_stream.chain.stages import occupancy, stereo
 from roadperc_stream.chain.stages.lanes import ego_lane
@@ -17,13 +17,7 @@ from roadperc_stream.chain.stages.objects import tracker
 from roadperc_stream.chain.stages.objects.tracker import ObjectsState
 from roadperc_stream.chain.stages.odometry import ego_motion
 from roadperc_stream.chain.stages.odometry.keyframes import OdometryState, counted_from_here
-from roadperc_stream.chain.stages.surface.road import (
-    SurfaceState,
-    drivable_mask,
-    find_surface,
-    or_assumed,
-    remember,
-)
+from roadperc_stream.chain.stages.surface.road import SurfaceState, drivable_mask, find_surface, or_assumed, remember
 from roadperc_stream.config import BUILT_IN, ReplayConfig
 from roadperc_stream.errors import ConfigError, StateError
 from roadperc_stream.geometry import inverse, transform_plane
@@ -79,7 +73,7 @@ class LocalisedFrame:
 
 
 def step(
-    cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = nullcontext, own: OwnStages = NO_OWN_STAGES
+    cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = nullcontext, own: OwnStages = NO_OWN
 ) -> tuple[ChainState, FrameResult]:
     """Run all enabled stages on one frame, in the order of their dependencies; ``own`` ones replace built-in ones.
 
@@ -92,7 +86,7 @@ def step(
 
 
 def observe(
-    cfg: ReplayConfig, frame: Frame, timer: Timer = nullcontext, threads: int = 1, own: OwnStages = NO_OWN_STAGES
+    cfg: ReplayConfig, frame: Frame, timer: Timer = nullcontext, threads: int = 1, own: OwnStages = NO_OWN
 ) -> Scene:
     """Decode what the enabled stages need, and match the stereo pair. This part of the chain needs no state.
 
@@ -134,7 +128,7 @@ def observe(
 
 
 def localise(
-    cfg: ReplayConfig, state: ChainState, scene: Scene, timer: Timer = nullcontext, own: OwnStages = NO_OWN_STAGES
+    cfg: ReplayConfig, state: ChainState, scene: Scene, timer: Timer = nullcontext, own: OwnStages = NO_OWN
 ) -> LocalisedFrame:
     """Find the road and the car's motion. Use only stamp, surface and odometry of the state."""
     stages = _Stages(cfg, timer, own, scene)
@@ -159,11 +153,7 @@ def localise(
 
 
 def perceive(
-    cfg: ReplayConfig,
-    state: ChainState,
-    localised: LocalisedFrame,
-    timer: Timer = nullcontext,
-    own: OwnStages = NO_OWN_STAGES,
+    cfg: ReplayConfig, state: ChainState, localised: LocalisedFrame, timer: Timer = nullcontext, own: OwnStages = NO_OWN
 ) -> tuple[ChainState, FrameResult]:
     """Find what is on the road. Use only stamp, lanes and objects of the state."""
     road, drivable = localised.front_road, localised.drivable
@@ -229,13 +219,10 @@ class _Stages:
                 raise StateError(f"{stage}: its state is that of an own stage; replay the input from the start")
             return built_in(section, state, *inputs, **_)
 
-    def match(self, built_in: StereoStage, *pair: Any) -> StereoDepth | Absent:
+    def match(self, *pair: Any) -> StereoDepth | Absent:
         """Depth of a stereo pair; ``pair`` are the inputs of the stage."""
-        replacement = self._own("stereo")
-        found: StereoDepth | Absent = (
-            replacement.match(self._place, self.cfg.stereo, *pair) if replacement else built_in(self.cfg.stereo, *pair)
-        )
-        return found
+        replacement, cfg = self._own("stereo"), self.cfg.stereo
+        return replacement.match(self._place, cfg, *pair) if replacement else MATCH(cfg, *pair)
 
     def _own(self, stage: str) -> OwnStage | None:
         """The stage of the user's own; None for the built-in one."""
@@ -338,7 +325,7 @@ def _stereo(
     left_grey = grey if pixels.left_is_front(frame) else pixels.grey_of("left", frame.left, frame.left_camera, problems)
     right_grey = pixels.grey_of("right", frame.right, frame.right_camera, problems)
     with opencv_threads(min(threads, _MATCHING_THREADS)):
-        return stages.match(MATCH, frame.left_camera, frame.right_camera, frame.ego_T_left, left_grey, right_grey)
+        return stages.match(frame.left_camera, frame.right_camera, frame.ego_T_left, left_grey, right_grey)
 
 
 def _odd_camera(scene: Scene) -> Iterator[Reason]:

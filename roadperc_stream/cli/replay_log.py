@@ -5,10 +5,9 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import TYPE_CHECKING
 
-from roadperc_stream.chain.own_stage import own_stages
+from roadperc_stream.chain.own_stage import OwnStages, own_stages
 from roadperc_stream.cli.arguments import config_of, time_range_of
 from roadperc_stream.cli.template import with_template
-from roadperc_stream.config import ReplayConfig, with_sources
 from roadperc_stream.input import ReplaySource
 from roadperc_stream.loop import replay
 from roadperc_stream.output.target import ReplayTarget
@@ -43,7 +42,8 @@ def replay_log(arguments: argparse.Namespace, live: "LiveReplay | None", bar: Ba
         RoadpercError: the log cannot be replayed.
     """
     keep_freed_memory()
-    target, cfg = _target(arguments), with_sources(config_of(arguments))
+    target = _target(arguments)
+    cfg, own = own_stages(config_of(arguments))
     shown = nullcontext(no_progress) if bar is None else bar("replaying", True)
     with live or nullcontext():
         with _naming_resume(arguments, target), shown as progress:
@@ -51,7 +51,7 @@ def replay_log(arguments: argparse.Namespace, live: "LiveReplay | None", bar: Ba
                 _source(arguments),
                 target,
                 with_template(cfg, arguments.template, _source(arguments)),
-                _options(arguments, cfg),
+                _options(arguments, own),
                 Callbacks(progress, live.start, live.times.note) if live else Callbacks(progress),
             )
         if not arguments.quiet:
@@ -73,14 +73,14 @@ def _naming_resume(arguments: argparse.Namespace, target: ReplayTarget) -> Itera
         raise
 
 
-def _options(arguments: argparse.Namespace, cfg: ReplayConfig) -> ReplayOptions:
+def _options(arguments: argparse.Namespace, own: OwnStages) -> ReplayOptions:
     return ReplayOptions(
         arguments.continued,
         arguments.warm_up or 0.0,
         arguments.checkpoint_every,
         arguments.resume,
         arguments.threads or usable_cores(),
-        own_stages(cfg),
+        own,
     )
 
 

@@ -2,7 +2,6 @@
 
 from roadperc_stream.config.fields import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.config.loading import load_config, validated
-from roadperc_stream.config.sources import implementations, with_sources
 from roadperc_stream.config.stages import (
     BUILT_IN,
     LanesConfig,
@@ -13,6 +12,7 @@ from roadperc_stream.config.stages import (
     StereoConfig,
     SurfaceConfig,
     SyncConfig,
+    implementations,
     scaled,
 )
 from roadperc_stream.schemas.topics import NEEDS, STAGES, switched_off

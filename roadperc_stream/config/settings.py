@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 from warnings import warn
 
-from roadperc_stream.config.stages import BUILT_IN, OWN_STAGES
+from roadperc_stream.config.stages import OWN_STAGES, UNSET
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.system.text import number
 
@@ -60,13 +60,6 @@ FIXED: Final[Mapping[str, float]] = {
 """Settings of older versions that are constants now, with their values; logs and tables still contain them."""
 
 
-_NOT_WRITTEN: Final[Mapping[str, str]] = {
-    **{f"{stage}.implementation": BUILT_IN for stage in OWN_STAGES},
-    **{f"{stage}.implementation_source": "" for stage in OWN_STAGES},
-}
-"""Settings that a configuration contains only if they differ from these defaults."""
-
-
 def settings_in(toml: bytes) -> dict[str, Any]:
     """The settings of a TOML text by keys such as ``lanes.hold_s``, including unknown ones.
 
@@ -80,7 +73,7 @@ def settings_in(toml: bytes) -> dict[str, Any]:
     except RecursionError as error:
         raise ConfigError("not TOML of settings: nested too deeply") from error
     kept = {key: value for key, value in found.items() if key not in FIXED or FIXED[key] != value}
-    return {**_NOT_WRITTEN, **kept}
+    return {f"{stage}.{name}": value for stage in OWN_STAGES for name, value in UNSET} | kept
 
 
 def without_fixed(tree: dict[str, Any], source: Path) -> dict[str, Any]:

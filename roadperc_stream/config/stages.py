@@ -4,6 +4,7 @@ Lengths in pixels are given at 960 image rows and scale with the image.
 """
 
 from base64 import b64decode
+from collections.abc import Iterator
 from typing import Annotated, Any, Final, Literal, Self
 
 import tomli_w
@@ -22,9 +23,9 @@ _PNG_IN_BASE64 = "^(iVBORw0KGgo[A-Za-z0-9+/]*={0,2})?$"
 _CONFIG_ROWS: Final = 960.0
 OWN_STAGES: Final = ("stereo", "surface", "odometry", "lanes", "objects")
 """Stages that the user can replace."""
-BUILT_IN: Final = "built-in"
-_NAME: Final = r"[A-Za-z_]\w*"
-_UNSET: Final = (("implementation", BUILT_IN), ("implementation_source", ""))
+BUILT_IN: Final = fields.BUILT_IN
+UNSET: Final = (("implementation", BUILT_IN), ("implementation_source", ""))
+"""Settings of a stage that are written only with other values."""
 
 
 def scaled(length_px: float, rows: int) -> float:
@@ -35,14 +36,7 @@ def scaled(length_px: float, rows: int) -> float:
 class StageSection(Section):
     """The settings of a stage that the user can replace."""
 
-    implementation: Annotated[
-        str,
-        Field(
-            max_length=1000,
-            pattern=rf"^({BUILT_IN}|{_NAME}(\.{_NAME})*:{_NAME})$",
-            json_schema_extra={"choices": [BUILT_IN], "remark": "MODULE:NAME"},
-        ),
-    ] = BUILT_IN
+    implementation: fields.ImplementationName = BUILT_IN
     """The code of the stage: ``built-in``, or a class or function of your own, such as ``my_package.module:MyLanes``.
     A configuration in a log does not import code."""
     implementation_source: Annotated[str, Field(max_length=1000)] = ""
@@ -51,7 +45,7 @@ class StageSection(Section):
     @model_serializer(mode="wrap")
     def _without_unset(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Only an own stage is written, so the digests of other configurations stay."""
-        return {key: value for key, value in dump(self).items() if (key, value) not in _UNSET}
+        return {key: value for key, value in dump(self).items() if (key, value) not in UNSET}
 
 
 class SyncConfig(Section):
@@ -316,3 +310,9 @@ class ReplayConfig(Section):
     def to_toml(self) -> str:
         """The whole configuration, defaults included; ``load_config`` reads it back."""
         return tomli_w.dumps(self.model_dump(mode="json"))
+
+
+def implementations(cfg: ReplayConfig) -> Iterator[tuple[str, str]]:
+    """Stage and ``MODULE:NAME`` of each own stage of a configuration."""
+    named = ((stage, getattr(cfg, stage).implementation) for stage in OWN_STAGES)
+    return ((stage, name) for stage, name in named if name != BUILT_IN)

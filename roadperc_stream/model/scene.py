@@ -8,6 +8,7 @@ import numpy as np
 
 from roadperc_stream.chain.kernels import mark
 from roadperc_stream.geometry import Camera, Float, Float32, inverse
+from roadperc_stream.geometry.arrays import read_only
 from roadperc_stream.geometry.registration import sample_labels, warp_depth
 from roadperc_stream.model import Absent, CameraImage, Detection, Ids, Image, Reason, StereoDepth, SurfaceSource
 from roadperc_stream.model.tag_tables import TagTable
@@ -25,9 +26,6 @@ class DepthMap:
     ego_T_camera: Float
     limit_m: float
     source: SurfaceSource
-
-    def __post_init__(self) -> None:
-        self.depth_m.setflags(write=False)
 
     @property
     def dense(self) -> bool:
@@ -93,11 +91,8 @@ class Scene:
     @cached_property
     def depth_m(self) -> Float32 | None:
         """(H, W) depth in metres in the front camera's image."""
-        if self.depth is None:
-            return None
-        depth_m = self.depth.registered_to(self.camera, self.ego_T_camera)
-        depth_m.setflags(write=False)
-        return depth_m
+        depth_m = None if self.depth is None else self.depth.registered_to(self.camera, self.ego_T_camera)
+        return None if depth_m is None else read_only(depth_m, np.float32, (None, None), "depth_m")
 
     @property
     def dense_depth_m(self) -> Float32 | None:

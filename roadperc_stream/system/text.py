@@ -30,14 +30,14 @@ def number(count: int, what: str) -> str:
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
-def failure(error: BaseException, file: str) -> str:
-    """The type and text of an exception in one line, with the last line of ``file`` that it passed, if any."""
-    line, trace = 0, error.__traceback__
+def failure(error: BaseException, module: str) -> str:
+    """The type and text of an exception in one line, with the last line of a module that it passed, if any."""
+    place, trace = "", error.__traceback__
     while trace is not None:
-        line = trace.tb_lineno if trace.tb_frame.f_code.co_filename == file else line
+        if trace.tb_frame.f_globals.get("__name__") == module:
+            place = f" ({trace.tb_frame.f_code.co_filename}, line {trace.tb_lineno})"
         trace = trace.tb_next
-    text = " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":")
-    return f"{text} ({file}, line {line})" if line else text
+    return " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":") + place
 
 
 def nearest(name: str, known: Iterable[str], likeness: float = 0.6) -> str | None:

@@ -20,7 +20,7 @@ from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.cli.sweep import main as sweep_main
 from roadperc_stream.config import load_config
 from roadperc_stream.errors import ConfigError, StageError, StateError
-from roadperc_stream.eval.frame_replay import Repeated, shown
+from roadperc_stream.eval.frame_replay import shown
 from roadperc_stream.eval.runs import open_run
 from roadperc_stream.geometry import Plane
 from roadperc_stream.model import Absent, Boundary, Lanes, Object, Objects, Odometry, Reason, StereoDepth, Surface
@@ -112,7 +112,7 @@ def test_the_saved_state_is_the_state_of_the_next_frame():
     with pytest.raises(StateError, match="lanes: its state is that of an own stage"):
         built_in.step(9 * STEP_NS, depth_m=DEPTH_M, tags=TAGS)
     one._state = replace(one._state, lanes=b"\x93\x01")
-    with pytest.raises(StageError, match="its saved state"):
+    with pytest.raises(StageError, match="failed in .*: ValidationError: Expected `object`, got `array`"):
         one.step(9 * STEP_NS, depth_m=DEPTH_M, tags=TAGS)
 
 
@@ -144,16 +144,16 @@ HOSTILE = {
     "wrong arguments": (lambda _: None, "TypeError: .* takes 1 positional argument but 6 were given"),
     "wrong output": (returning(None, "left"), "expected Lanes or Absent, found str"),
     "no lanes": (returning(None, Objects(())), "expected Lanes or Absent, found Objects"),
-    "undeclared state": (returning(3, LEFT), "state: expected None, found int"),
+    "undeclared state": (returning(3, LEFT), "state: expected NoneType, found int"),
     "text for a number": (returning(None, lines(offset_m="1.5")), "Expected `float | null`, got `str`"),
     "unknown side": (returning(None, Lanes((Boundary("middle", "measured"),))), "Invalid enum value 'middle'"),
     "NaN": (returning(None, lines(offset_m=np.nan)), "Lanes.boundaries.offset_m: expected a finite number or None"),
     "infinite": (returning(None, lines(raw_offset_m=np.inf)), "raw_offset_m: expected a finite number"),
     "NaN in an array": (returning(None, lines(line_px=np.full((2, 2), np.nan))), "line_px: expected finite numbers"),
     "huge": (returning(None, replace(LEFT, lane_changes=2**31)), "lane_changes: expected less than"),
-    "two left": (returning(None, Lanes(LEFT.boundaries * 2)), "expected one for each side, found left, left"),
-    "covariance": (returning(None, lines(covariance=(1.0,))), "covariance: expected 9 numbers or none, found 1"),
-    "variance": (returning(None, lines(covariance=(-1.0,) * 9)), "expected variances of 0 or more"),
+    "two left": (returning(None, Lanes(LEFT.boundaries * 2)), "boundaries: expected one for each side"),
+    "covariance": (returning(None, lines(covariance=(1.0,))), "covariance: expected 9 numbers or none"),
+    "variance": (returning(None, lines(covariance=(-1.0,) * 9)), "with variances of 0 or more"),
     "edges": (returning(None, replace(LEFT, edges=np.zeros((2, 2), bool))), "edges: expected the shape"),
     "shape": (lambda *_: lines(line_px=np.zeros(3)), r"ValueError: line_px: expected float64 \(None, 2\)"),
     "reason": (lambda *_: (None, Absent(Reason("lanes", "tired"))), "KeyError: 'tired'"),
@@ -202,9 +202,9 @@ def stage_with(state_type, step=lambda *given: (given[1], LEFT)):
     [
         (stage_with(Thawed), "State: expected a frozen dataclass"),
         (stage_with(int), "State: expected a frozen dataclass"),
-        (stage_with(Demanding), "missing 1 required positional argument: 'frames'; expected a default for each field"),
+        (stage_with(Demanding), "missing 1 required positional argument: 'frames'; see roadperc_stream/chain/protocols.py"),
         (stage_with(Opaque), "object has no encoding"),
-        (type("Demanding", (), {"__init__": lambda _, x: x}), r"Demanding\(\) failed: TypeError"),
+        (type("Demanding", (), {"__init__": lambda _, x: x}), "Demanding: TypeError: .* missing 1"),
         (type("Silent", (), {}), "expected a class or function, found Silent"),
         ("lanes.py", "expected a class or function, found str"),
     ],
@@ -217,8 +217,6 @@ def test_what_is_no_stage_is_refused_before_the_first_frame(stage, message):
 def test_stages_that_cannot_be_replaced_are_refused():
     with pytest.raises(ConfigError, match="no stage 'occupancy' to replace; expected one of stereo, surface"):
         rp.Chain(CAMERA, stages={"occupancy": raising})
-    with pytest.raises(ConfigError, match="stereo has no state"):
-        rp.Chain(CAMERA, stages={"stereo": stage_with(Changeable)})
 
 
 def test_a_stage_can_change_only_its_new_state():
@@ -286,16 +284,14 @@ def test_all_stages_can_be_replaced_and_are_written(tmp_path):
 
 
 UP, FORWARD = Plane((0.0, 0.0, 1.0), 1.5), Plane((0.0, -1.0, 0.0), 1.5)
-LONG = Surface("depth", "camera", Plane((0.0, 0.0, 2.0), 1.5), UP, 1.5, 0.0, 0.0)
 ELSEWHERE = Surface.of("depth", replace(CAMERA, frame_id="x"), np.eye(4), UP)
-FLAT = Object(rp.Detection("car", rp.Box(9, 0, 1, 1), 1.0), kept=True)
+WILD = Object(rp.Detection("car", rp.Box(9, 0, np.inf, 1), 1.0), kept=True)
 WRONG = {
     "surface without a camera": ("surface", ELSEWHERE, "frame_id: expected camera"),
     "surface on its side": ("surface", Surface.of("depth", CAMERA, np.eye(4), FORWARD), "a normal that points up"),
-    "normal": ("surface", LONG, "plane: expected a normal of length 1"),
-    "scaled pose": ("odometry", Odometry("first", np.diag([2.0, 1, 1, 1])), "odom_T_ego: expected a rotation"),
+    "scaled pose": ("odometry", Odometry("first", np.diag([2.0, 1, 1, 1])), "odom_T_ego, step: expected rotations"),
     "no step": ("odometry", Odometry("tracked", np.eye(4)), "step, since_ns: expected for a tracked frame"),
-    "box": ("objects", Objects((FLAT,)), "maxima below minima"),
+    "box": ("objects", Objects((WILD,)), "x_max: expected a finite number"),
 }  # fmt: skip
 
 
@@ -307,7 +303,10 @@ def test_wrong_outputs_of_other_stages(name, output, message):
 
 @pytest.mark.parametrize(
     ("depth_m", "message"),
-    [(np.ones((2, 3), np.float32), r"expected \(240, 320\)"), (np.zeros(CAMERA.size, np.float32), "metres or NaN")],
+    [
+        (np.ones((2, 3), np.float32), r"expected the shape \(240, 320\), found \(2, 3\)"),
+        (np.zeros(CAMERA.size, np.float32), "metres or NaN"),
+    ],
 )
 def test_wrong_stereo_depth(depth_m, message):
     stage = lambda *_: StereoDepth("camera", depth_m)  # noqa: E731 - a stage in one line
@@ -351,16 +350,11 @@ def test_a_result_does_not_import_code(folder):
     del sys.modules["counting"]
     run = open_run(folder / "run.metrics.parquet", "run")
     asked = "lanes.implementation=counting:Counting"
-    with ExitStack() as files, pytest.raises(ConfigError, match=f"own; to run that code again, pass --set {asked}$"):
-        shown(run, 1, Repeated(), files, lambda *_: None)
-    with (
-        ExitStack() as files,
-        pytest.raises(ConfigError, match=r"--set seed=1: expected a setting of .* used lanes\.impl"),
-    ):
-        shown(run, 1, Repeated(settings=(asked, "seed=1")), files, lambda *_: None)
+    with ExitStack() as files, pytest.raises(ConfigError, match=f"own; to run its code, pass --set {asked}$"):
+        shown(run, 1, (), (), files, lambda *_: None)
     assert "counting" not in sys.modules
     with ExitStack() as files:
-        found = shown(run, 1, Repeated(settings=(asked,)), files, lambda *_: None)
+        found = shown(run, 1, (), (asked,), files, lambda *_: None)
         assert found.notes == ()
         assert offsets(found.log) == [1.0, 2.0]
 
@@ -372,11 +366,11 @@ def test_a_result_does_not_import_code(folder):
         ("\nraise OSError('no\\nfile')", "mine:Mine", r"OSError: no file \(.*mine.py, line 2\)"),
         ("import sys; sys.exit(3)", "mine:Mine", "SystemExit: 3"),
         ("import nothing_there", "mine:Mine", "ModuleNotFoundError: No module named 'nothing_there'"),
-        ("Mine = 3", "mine:Mine", "mine:Mine: expected a class or function, found int"),
+        ("Mine = 3", "mine:Mine", "mine:Mine: TypeError: expected a class or function, found int"),
         ("", "mine:Mine", "mine.py has no 'Mine'; expected a class or function"),
-        ("", "nobody:Mine", "no module 'nobody'; install it, or run the command in the folder of its file"),
-        ("", "mine.sub:Mine", "no module 'mine.sub'"),
-        ("", "sys:exit", "module 'sys' has no source file"),
+        ("", "nobody:Mine", "No module named 'nobody'; install it, or run the command in the folder of its file"),
+        ("", "mine.sub:Mine", "No module named 'mine.sub'; 'mine' is not a package; install it"),
+        ("", "sys:exit", "module sys has no source file"),
         ("", "mine", "expected MODULE:NAME; or built-in, found 'mine'"),
     ],
 )  # fmt: skip
