@@ -20,12 +20,7 @@ _LEAST_UP: Final = 0.1
 
 
 def checked(stage: str, output: object, seen: Scene | Camera) -> Any:
-    """A copy of a stage's output, with the types that its class declares and read-only arrays.
-
-    Args:
-        stage: such as ``lanes``.
-        output: returned by the stage.
-        seen: the scene; for stereo the left camera.
+    """A copy of a stage's output, with the types that its class declares; ``seen`` is the left camera for stereo.
 
     Raises:
         Exception: the output cannot be used; the message names the field.

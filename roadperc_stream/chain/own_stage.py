@@ -53,8 +53,8 @@ class OwnStage:
             own = cls(stage, name, code() if isinstance(code, type) else code, getattr(code, "State", NoneType))
             own._require_usable()
         except (Exception, SystemExit) as error:  # code of the user can fail in any way
-            text = failure(error, _module(name))
-            raise ConfigError(f"{stage}: {name}: {text}; see roadperc_stream/chain/protocols.py") from error
+            text = f"{failure(error, name)}; see roadperc_stream/chain/protocols.py"
+            raise ConfigError(f"{stage}: {name}: {text}") from error
         return own
 
     def _require_usable(self) -> None:
@@ -68,11 +68,7 @@ class OwnStage:
     def step(self, place: str, cfg: Any, state: object, *inputs: Any) -> tuple[bytes, Any]:
         """Call the stage: the new state, and a checked copy of its output.
 
-        Args:
-            place: the frame in words, for errors.
-            cfg: the stage's settings.
-            state: of the last call; it is not of type bytes before the first call.
-            *inputs: as in the stage's protocol.
+        ``place`` is the frame in words, for errors. ``state`` is not bytes before the first call.
 
         Raises:
             StageError: the stage raised an exception, or returned something else than its protocol says.
@@ -98,7 +94,7 @@ class OwnStage:
         except MemoryError:
             raise
         except (Exception, SystemExit) as error:  # code of the user can fail in any way
-            text = failure(error, _module(self.name))
+            text = failure(error, self.name)
             raise StageError(f"{self.stage}: {self.name} failed in {place}: {text}") from error
 
     def _encoded(self, state: object) -> bytes:
@@ -125,8 +121,8 @@ def own_stages(cfg: ReplayConfig) -> tuple[ReplayConfig, OwnStages]:
     """
     sections, own = {}, {}
     for stage, name in implementations(cfg):
-        key, section = f"{stage}.implementation", getattr(cfg, stage)
-        module, attribute = _imported(key, _module(name)), name.partition(":")[2]
+        key, section, (module_name, _, attribute) = f"{stage}.implementation", getattr(cfg, stage), name.partition(":")
+        module = _imported(key, module_name)
         found, expected = _source(key, module), section.implementation_source
         if expected not in ("", found):
             raise ConfigError(
@@ -168,7 +164,3 @@ def _read_only(inputs: tuple[Any, ...]) -> tuple[Any, ...]:
         if isinstance(array, ndarray):
             array.setflags(write=False)
     return inputs
-
-
-def _module(name: str) -> str:
-    return name.partition(":")[0]

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
-from typing import Any, Concatenate, Final, ParamSpec, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 
@@ -26,9 +26,6 @@ from roadperc_stream.model.results import StereoDepth
 from roadperc_stream.model.scene import DepthMap, Scene
 from roadperc_stream.system.threads import opencv_threads
 
-P = ParamSpec("P")
-C = TypeVar("C")
-S = TypeVar("S")
 T = TypeVar("T")
 U = TypeVar("U")
 _MATCHING_THREADS: Final = 2
@@ -201,12 +198,7 @@ class _Stages:
             return compute()
 
     def step(
-        self,
-        stage: str,
-        built_in: Callable[Concatenate[C, S, P], tuple[S, T]],
-        state: Any,
-        *inputs: P.args,
-        **_: P.kwargs,
+        self, stage: str, built_in: Callable[..., tuple[Any, T]], state: Any, *inputs: Any
     ) -> tuple[Any, T | Absent]:
         """The new state and the output of a stage; the same state if the stage is switched off."""
         section = getattr(self.cfg, stage)
@@ -217,7 +209,7 @@ class _Stages:
                 return replacement.step(self._place, section, state, *inputs)
             if isinstance(state, bytes):
                 raise StateError(f"{stage}: its state is that of an own stage; replay the input from the start")
-            return built_in(section, state, *inputs, **_)
+            return built_in(section, state, *inputs)
 
     def match(self, *pair: Any) -> StereoDepth | Absent:
         """Depth of a stereo pair; ``pair`` are the inputs of the stage."""

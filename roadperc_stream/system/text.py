@@ -30,11 +30,11 @@ def number(count: int, what: str) -> str:
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
-def failure(error: BaseException, module: str) -> str:
-    """The type and text of an exception in one line, with the last line of a module that it passed, if any."""
+def failure(error: BaseException, name: str) -> str:
+    """An exception in one line, with the last line that it passed of ``MODULE`` or ``MODULE:NAME``, if any."""
     place, trace = "", error.__traceback__
     while trace is not None:
-        if trace.tb_frame.f_globals.get("__name__") == module:
+        if trace.tb_frame.f_globals.get("__name__") == name.partition(":")[0]:
             place = f" ({trace.tb_frame.f_code.co_filename}, line {trace.tb_lineno})"
         trace = trace.tb_next
     return " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":") + place
