@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
-from typing import Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 
@@ -32,13 +32,12 @@ _MATCHING_THREADS: Final = 2
 """More threads of OpenCV hardly make stereo matching faster."""
 Timer = Callable[[str], AbstractContextManager[object]]
 """Called with a stage's name; the context it returns is active while the stage runs."""
-
-# The built-in stages; mypy checks their signatures. A stage of the user's own replaces one of them.
-MATCH: Final[StereoStage] = stereo.match
-FIND_SURFACE: Final[SurfaceStage[SurfaceState]] = find_surface
-FOLLOW: Final[OdometryStage[OdometryState]] = ego_motion.step
-FIND_LANES: Final[LanesStage[LanesState]] = ego_lane.step
-TRACK: Final[ObjectsStage[ObjectsState]] = tracker.step
+if TYPE_CHECKING:  # the built-in stages have the signatures that stages of the user's own must have
+    _match: StereoStage = stereo.match
+    _find: SurfaceStage[SurfaceState] = find_surface
+    _follow: OdometryStage[OdometryState] = ego_motion.step
+    _see: LanesStage[LanesState] = ego_lane.step
+    _track: ObjectsStage[ObjectsState] = tracker.step
 
 
 @dataclass(frozen=True)
@@ -131,11 +130,11 @@ def localise(
     stages = _Stages(cfg, timer, own, scene)
     last, _ = _in_order(state, scene.stamp_ns)
     rng = np.random.default_rng((cfg.seed, scene.stamp_ns % 2**63))
-    surfaces, found = stages.step("surface", FIND_SURFACE, last.surface, scene, rng)
+    surfaces, found = stages.step("surface", find_surface, last.surface, scene, rng)
     is_built_in = cfg.surface.enabled and "surface" not in own
     seen = or_assumed(scene, found) if is_built_in else found
     metric_road = _metric_road(scene, _in_front_camera(scene, seen))
-    moved, motion = stages.step("odometry", FOLLOW, last.odometry, scene, metric_road, rng)
+    moved, motion = stages.step("odometry", ego_motion.step, last.odometry, scene, metric_road, rng)
     metric = _metric_motion(motion, last.stamp_ns)
     last_T_this = None if metric is None else metric.step
     kept, road, held = surfaces, found, tuple[Reason, ...]()
@@ -159,9 +158,9 @@ def perceive(
     stages = _Stages(cfg, timer, own, scene)
     motion = _metric_motion(localised.motion, last.stamp_ns)
     last_T_this = None if motion is None else motion.step
-    lanes_state, found_lanes = stages.step("lanes", FIND_LANES, last.lanes, scene, road, drivable, motion)
+    lanes_state, found_lanes = stages.step("lanes", ego_lane.step, last.lanes, scene, road, drivable, motion)
     known_lane = None if isinstance(found_lanes, Absent) else found_lanes
-    objects_state, tracked = stages.step("objects", TRACK, last.objects, scene, known_lane, last_T_this)
+    objects_state, tracked = stages.step("objects", tracker.step, last.objects, scene, known_lane, last_T_this)
     grid = stages.run("occupancy", lambda: occupancy.build(cfg.occupancy, scene, road, drivable), _off("occupancy"))
     missing = _missing_inputs(scene, localised.road, tracked) if pixels.needs_scene(cfg) else ()
     problems = (*out_of_order, *scene.undecodable, *scene.problems, *localised.problems, *_odd_camera(scene), *missing)
@@ -214,7 +213,7 @@ class _Stages:
     def match(self, *pair: Any) -> StereoDepth | Absent:
         """Depth of a stereo pair; ``pair`` are the inputs of the stage."""
         replacement, cfg = self._own("stereo"), self.cfg.stereo
-        return replacement.match(self._place, cfg, *pair) if replacement else MATCH(cfg, *pair)
+        return replacement.match(self._place, cfg, *pair) if replacement else stereo.match(cfg, *pair)
 
     def _own(self, stage: str) -> OwnStage | None:
         """The stage of the user's own; None for the built-in one."""

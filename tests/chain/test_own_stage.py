@@ -112,7 +112,7 @@ def test_the_saved_state_is_the_state_of_the_next_frame():
     with pytest.raises(StateError, match="lanes: its state is that of an own stage"):
         built_in.step(9 * STEP_NS, depth_m=DEPTH_M, tags=TAGS)
     one._state = replace(one._state, lanes=b"\x93\x01")
-    with pytest.raises(StageError, match=r"failed in .*: ValidationError: Expected `object`, got `array`"):
+    with pytest.raises(StageError, match=r"failed in .*: ValidationError: Expected `object`"):
         one.step(9 * STEP_NS, depth_m=DEPTH_M, tags=TAGS)
 
 
