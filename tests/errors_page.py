@@ -107,6 +107,11 @@ ENTRIES = (
         "The value is outside the allowed range.", "Choose a value in the printed range.",
     ),
     Entry(
+        "Own stage without its module", "roadperc-replay in.mcap out.mcap --set lanes.implementation=my_lanes:MyLanes",
+        "Python does not find the code of a stage of your own.",
+        "Run the command in the folder of `my_lanes.py`, or install the package ([A stage of your own](own_stage.md)).",
+    ),
+    Entry(
         "Configuration with a syntax error", "roadperc-replay in.mcap out.mcap --config broken.toml",
         "The file is not valid TOML.", "Start from the output of `roadperc-replay --print-config`.",
     ),

@@ -16,14 +16,17 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", *(ROOT / f"docs/{name}.md" for name in ("viewing", "recordings", "chain", "evaluation"))]
+PAGES = [
+    ROOT / "README.md",
+    *(ROOT / f"docs/{name}.md" for name in ("viewing", "recordings", "chain", "own_stage", "evaluation")),
+]
 """Pages whose commands run, in the order in which a reader meets them."""
 TEXTS = [
     *(ROOT / f"{name}.md" for name in ("README", "CHANGELOG", "CONTRIBUTING")),
     *sorted((ROOT / "docs").glob("*.md")),
 ]
-FENCE = re.compile(r"^```(sh|python)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
-EXAMPLES = [text for _, text in FENCE.findall((ROOT / "docs" / "python.md").read_text(encoding="utf-8"))]
+FENCE = re.compile(r'^```(sh|python)(?: title="(\S+)")?\n(.*?)^```$', re.DOTALL | re.MULTILINE)
+EXAMPLES = [text for *_, text in FENCE.findall((ROOT / "docs" / "python.md").read_text(encoding="utf-8"))]
 SERVES = re.compile(r"--(foxglove|live)$")
 OPENS_VIEWER = re.compile(r"^roadperc-view \S+$")
 PYTHON = shlex.quote(sys.executable)
@@ -39,6 +42,7 @@ OTHERS = {"--delta_unit", "--all_pairs", "--shell", "--max-bag-duration", "--inp
 class Block:
     page: str
     language: str
+    title: str
     text: str
 
     def lines(self):
@@ -90,8 +94,9 @@ def serve(command, folder):
 def test_every_command_runs_in_order(folder):
     for block in blocks():
         if block.language == "python":
-            (folder / "block.py").write_text(block.text, encoding="utf-8")
-            run(f"{PYTHON} block.py", folder)
+            name = block.title or "block.py"
+            (folder / name).write_text(block.text, encoding="utf-8")
+            run(f"{PYTHON} {name}", folder)
             continue
         for line in block.lines():
             if SERVES.search(line):

@@ -25,7 +25,7 @@ from roadperc_stream.model import CameraImage
 from roadperc_stream.output import encoding
 from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.schemas import record
-from roadperc_stream.schemas.registry import schema
+from roadperc_stream.schemas.protobuf import schema
 from roadperc_stream.schemas.roles import ROLES, parse_topic_options
 from roadperc_stream.system.files import partial_of, require_free
 from roadperc_stream.system.process import optional_output

@@ -21,6 +21,7 @@ from roadperc_stream.batch import task as tasks
 from roadperc_stream.batch.storage.addresses import is_address
 from roadperc_stream.batch.storage.location import Location
 from roadperc_stream.batch.task import BatchJob, Outcome, Task, as_text, code_digest, this_worker
+from roadperc_stream.chain.own_stage import own_stages
 from roadperc_stream.errors import LogError, NoFrameError, RoadpercError, StorageError, TargetError
 from roadperc_stream.input import ReplaySource
 from roadperc_stream.loop import replay
@@ -148,7 +149,8 @@ def _replayed(task: Task, folder: Path, on_progress: Progress) -> Outcome:
     try:
         known_id = _known_id(task, source)
         if known_id is None:
-            summary = replay(source, target, job.configuration.cfg, _CHECKPOINTS, Callbacks(on_progress))
+            cfg, own = own_stages(job.configuration.cfg)
+            summary = replay(source, target, cfg, replace(_CHECKPOINTS, own=own), Callbacks(on_progress))
     finally:
         for name, identity in _identities(task).items():  # a mixture of two files may look damaged
             if identity != before[name]:

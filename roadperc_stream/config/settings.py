@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 from warnings import warn
 
+from roadperc_stream.config.stages import OWN_STAGES, UNSET
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.system.text import number
 
@@ -62,7 +63,7 @@ FIXED: Final[Mapping[str, float]] = {
 def settings_in(toml: bytes) -> dict[str, Any]:
     """The settings of a TOML text by keys such as ``lanes.hold_s``, including unknown ones.
 
-    Settings of older versions are left out if they have the value that is fixed now.
+    Settings of older versions are left out if they have the value that is fixed now. Built-in stages are named.
 
     Raises:
         ConfigError: the text is not TOML.
@@ -71,7 +72,8 @@ def settings_in(toml: bytes) -> dict[str, Any]:
         found = _flat(parsed_toml(toml))
     except RecursionError as error:
         raise ConfigError("not TOML of settings: nested too deeply") from error
-    return {key: value for key, value in found.items() if key not in FIXED or FIXED[key] != value}
+    kept = {key: value for key, value in found.items() if key not in FIXED or FIXED[key] != value}
+    return {f"{stage}.{name}": value for stage in OWN_STAGES for name, value in UNSET} | kept
 
 
 def without_fixed(tree: dict[str, Any], source: Path) -> dict[str, Any]:

@@ -65,6 +65,7 @@ def sample_of(
         points=points,
         ego_T_lidar=None if points is None else _lidar_mounting(tree, ego_T_camera, camera, points.frame_id),
         is_origin=index == 0,
+        number=None if index == model.UNWRITTEN else index,
     )
     missing = tuple(role for role in topics if _expected(role) and role not in messages)
     truth, anchor = _truth(messages, tree, camera), _anchor(tree, camera, ego_T_camera, parent_of)

@@ -14,6 +14,7 @@ Value = str | int | float
 TEMPLATES: Final[dict[str, str]] = {
     "switched_off": "switched off",
     "not_run": "not run",
+    "no_result": "no result: {detail}",
     "not_in_log": "not in the log",
     "not_written": "not written, the frame's stamp exceeds {last_ns:d} ns (2038-01-19), the largest stamp of "
     "ROS 2 messages",

@@ -14,11 +14,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import IO, Final, Self
 
+from roadperc_stream.chain.bounds import StateBounds
+from roadperc_stream.chain.encoding import decode, encode
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import StateError
 from roadperc_stream.output.writing import Counted, FrameOutput
-from roadperc_stream.resume.bounds import StateBounds
-from roadperc_stream.resume.encoding import decode, encode
 from roadperc_stream.resume.lock import FolderLock
 from roadperc_stream.resume.state import ReplayState
 from roadperc_stream.system.files import sync_folder, target_errors

@@ -51,7 +51,7 @@ def view_runs(arguments: argparse.Namespace, playback: PlaybackOptions, finding:
             raise TableError(f"{' '.join(names)}: expected at most two runs, found {len(runs)}")
         frame = finding.worst_frame(runs[-1], arguments.worst) if arguments.worst else arguments.frame
         with frame_progress("replaying", not arguments.quiet) as progress:
-            found = [replaying.shown(run, frame, arguments.topic, files, progress) for run in runs]
+            found = [replaying.shown(run, frame, arguments.topic, arguments.set, files, progress) for run in runs]
         if not arguments.quiet:
             _print_summary((note for item in found for note in item.notes), {})
         logs, number_in_log = [item.log for item in found], found[0].number

@@ -15,6 +15,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from roadperc_stream import log, read_metrics
+from roadperc_stream.chain import encoding
+from roadperc_stream.chain.encoding import FORMAT_VERSION, decode, encode
 from roadperc_stream.chain.step import step
 from roadperc_stream.cli.report import main as report
 from roadperc_stream.config import load_config
@@ -24,9 +26,7 @@ from roadperc_stream.eval.scan import rows_of
 from roadperc_stream.input import ReplaySource, open_input
 from roadperc_stream.metrics import frame_metrics
 from roadperc_stream.output.writing import FrameOutput
-from roadperc_stream.resume import encoding
 from roadperc_stream.resume.checkpoint import Checkpoint
-from roadperc_stream.resume.encoding import FORMAT_VERSION, decode, encode
 from roadperc_stream.resume.state import ReplayState, SavedState
 from roadperc_stream.schemas.record import BEGIN_ATTACHMENT, STATE_ATTACHMENT
 from roadperc_stream.system.time import TimeRange

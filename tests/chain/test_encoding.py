@@ -10,11 +10,11 @@ import pytest
 import zstandard
 from numpy.typing import NDArray
 
+from roadperc_stream.chain import encoding
+from roadperc_stream.chain.bounds import StateBounds, require_bounded
+from roadperc_stream.chain.encoding import FORMAT_VERSION, decode, encode
 from roadperc_stream.errors import StateError
 from roadperc_stream.geometry import Float
-from roadperc_stream.resume import encoding
-from roadperc_stream.resume.bounds import StateBounds, require_bounded
-from roadperc_stream.resume.encoding import FORMAT_VERSION, decode, encode
 
 
 @dataclass(frozen=True)
