@@ -25,6 +25,7 @@ from .carla_dump.layout import frame_count
 from .carla_dump.plan import ConvertOptions
 from .carla_dump.recording import recording_of_dump
 from .recording import COLUMNS, Recording
+from .video_log import is_log, recording_of_log
 from .video_recording import recording_of_videos, videos_in
 
 _PIPED_WIDTH: Final = 140
@@ -37,6 +38,8 @@ def recording_of(path: Path, options: ConvertOptions) -> Recording:
     Raises:
         RoadpercError: the recording cannot be converted.
     """
+    if path.is_file() and is_log(path):
+        return recording_of_log(path)
     if path.is_file():
         return recording_of_videos(path, [path], options)
     videos = videos_in(path) if path.is_dir() else []
@@ -122,7 +125,7 @@ def _shown(
     with Progress(console=terminal, disable=quiet or not terminal.is_terminal, transient=True) as bar:
         task = bar.add_task("writing", total=recording.frames or None)
         for role, message in stream:
-            bar.update(task, completed=message.sequence)
+            bar.advance(task, role == recording.required[0])
             yield role, message
 
 
