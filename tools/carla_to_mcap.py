@@ -38,11 +38,12 @@ def recording_of(path: Path, options: ConvertOptions) -> Recording:
     Raises:
         RoadpercError: the recording cannot be converted.
     """
-    if path.is_file() and is_log(path):
-        return recording_of_log(path)
-    if path.is_file():
-        return recording_of_videos(path, [path], options)
-    videos = videos_in(path) if path.is_dir() else []
+    try:
+        if path.is_file():
+            return recording_of_log(path) if is_log(path) else recording_of_videos(path, [path], options)
+        videos = videos_in(path) if path.is_dir() else []
+    except OSError as error:
+        raise DumpError(f"{path}: {error.strerror or error}") from error
     if len(videos) > (frame_count(path) if videos else 0):
         return recording_of_videos(path, videos, options)
     return recording_of_dump(path, options)

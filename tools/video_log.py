@@ -25,7 +25,7 @@ from roadperc_stream.schemas.topics import VIDEO_SCHEMA
 from roadperc_stream.system.text import shown
 
 from .carla_dump.messages import JPEG_QUALITY, channel_of
-from .recording import Recording, SensorRow
+from .recording import Recording
 from .video_file import open_capture
 
 _MCAP: Final = b"\x89MCAP0\r\n"
@@ -54,9 +54,7 @@ def recording_of_log(path: Path) -> Recording:
     kept = {f"{c.topic} {c.source_id}": _as_images(c) if c in videos else c for c in summary.channels}
     return Recording(
         title=f"{path}: {sum(counts.values())} frames of video",
-        sensors=tuple(
-            SensorRow("image", shown(topic), str(n), "", "", "h264, stored as jpeg") for topic, n in counts.items()
-        ),
+        sensors=tuple(("image", shown(topic), str(n), "", "", "h264, stored as jpeg") for topic, n in counts.items()),
         facts=(("time", "that of the messages"),),
         frames=sum(counts.values()),
         channels=kept,
