@@ -52,7 +52,7 @@ ENTRIES = (
     ),
     Entry(
         "Not an MCAP log", "roadperc-info notes.mcap", "The file has another format.",
-        "Convert folders of frames with `roadperc-convert`. Convert ROS bags of other formats to MCAP first.",
+        "Convert videos and folders of frames with `roadperc-convert`. Convert other ROS bags to MCAP first.",
     ),
     Entry(
         "Cut or damaged log", "roadperc-replay cut.mcap out.mcap", "The recording ended early, or the copy is damaged.",
@@ -120,6 +120,11 @@ ENTRIES = (
         "Add `calibration.json`, or pass `--fov` in degrees.",
     ),
     Entry(
+        "Video that cannot be read", "roadperc-convert cut_off.mp4 in2.mcap --fov 55",
+        "The file is no video, or the recorder was switched off before it wrote the index of the MP4.",
+        "Repair the file with the tool of the camera, or record Matroska (`.mkv`), which can be read up to a cut.",
+    ),
+    Entry(
         "Wrong folder layout", "roadperc-convert empty_folder in2.mcap", "The folder has no images with known names.",
         "Arrange the frames as in [your own recordings](recordings.md), or pass `--role`.",
     ),
@@ -158,6 +163,7 @@ def make_inputs(folder: Path) -> None:
     (folder / "notes.mcap").write_text("no log")
     (folder / "broken.toml").write_text("[lanes\n")
     (folder / "empty_folder").mkdir()
+    (folder / "cut_off.mp4").write_bytes(b"\0\0\0\x1cftypisom\0\0\2\0isomiso2mp41")
     for name, calibration in (("drive", "{}"), ("misspelled", '{"widht": 16, "height": 12, "fov_deg": 90}')):
         (folder / name / "rgb").mkdir(parents=True)
         cv2.imwrite(str(folder / name / "rgb" / "1.png"), np.zeros((12, 16, 3), np.uint8))

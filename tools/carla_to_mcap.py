@@ -25,6 +25,7 @@ from .carla_dump.layout import frame_count
 from .carla_dump.plan import ConvertOptions
 from .carla_dump.recording import recording_of_dump
 from .recording import COLUMNS, Recording
+from .video_log import is_log, recording_of_log
 from .video_recording import recording_of_videos, videos_in
 
 _PIPED_WIDTH: Final = 140
@@ -37,9 +38,12 @@ def recording_of(path: Path, options: ConvertOptions) -> Recording:
     Raises:
         RoadpercError: the recording cannot be converted.
     """
-    if path.is_file():
-        return recording_of_videos(path, [path], options)
-    videos = videos_in(path) if path.is_dir() else []
+    try:
+        if path.is_file():
+            return recording_of_log(path) if is_log(path) else recording_of_videos(path, [path], options)
+        videos = videos_in(path) if path.is_dir() else []
+    except OSError as error:
+        raise DumpError(f"{path}: {error.strerror or error}") from error
     if len(videos) > (frame_count(path) if videos else 0):
         return recording_of_videos(path, videos, options)
     return recording_of_dump(path, options)
@@ -122,7 +126,7 @@ def _shown(
     with Progress(console=terminal, disable=quiet or not terminal.is_terminal, transient=True) as bar:
         task = bar.add_task("writing", total=recording.frames or None)
         for role, message in stream:
-            bar.update(task, completed=message.sequence)
+            bar.advance(task, role == recording.required[0])
             yield role, message
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Final
 
 from roadperc_stream.geometry import Camera
 from roadperc_stream.geometry.rectification import is_rectified, lens_of
@@ -10,20 +10,9 @@ from roadperc_stream.log import Channel, Message
 
 from .carla_dump.camera_rig import Rig
 
-
-class SensorRow(NamedTuple):
-    """The printed row of a sensor; empty cells are unknown."""
-
-    role: str
-    source: str
-    frames: str
-    missing: str
-    size: str
-    encoding: str
-
-
 COLUMNS: Final = ("role", "from", "frames", "missing", "size", "encoding")
-"""The headings of the columns of ``SensorRow``."""
+SensorRow = tuple[str, str, str, str, str, str]
+"""The printed row of a sensor, by ``COLUMNS``; empty cells are unknown."""
 Messages = Callable[[list[str]], Iterator[tuple[str, Message]]]
 """Makes the messages with their roles, in log order; appends warnings about lost frames to its argument."""
 

@@ -1,5 +1,6 @@
 """Read the frames of a video file, one at a time, with their own times."""
 
+import io
 import math
 import os
 from collections.abc import Iterator
@@ -75,7 +76,7 @@ def open_video(path: Path) -> VideoFile:
     Raises:
         DumpError: OpenCV cannot read the file, or it has no frame.
     """
-    with _capture(path) as capture:
+    with open_capture(path, str(path.resolve())) as capture:
         if not _grabbed(capture)[0]:
             raise DumpError(f"{path}: the video has no frame that can be read; it is empty, cut off or damaged")
         width, height = (int(capture.get(p)) for p in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
@@ -91,7 +92,7 @@ def frames_of(video: VideoFile, counts: ReadCounts) -> Iterator[tuple[int, Image
 
     Reading goes on after damage. ``counts`` is complete when the iteration has ended.
     """
-    with _capture(video.path) as capture:
+    with open_capture(video.path, str(video.path.resolve())) as capture:
         first_ns = last_ns = None
         while (found := _grabbed(capture))[0]:
             is_decoded, pixels = capture.retrieve()
@@ -118,22 +119,27 @@ def _grabbed(capture: cv2.VideoCapture) -> tuple[bool, int]:
 
 
 @contextmanager
-def _capture(path: Path) -> Iterator[cv2.VideoCapture]:
+def open_capture(name: str | Path, source: str | io.BytesIO) -> Iterator[cv2.VideoCapture]:
     """An open video, turned upright by its rotation.
+
+    Args:
+        name: names the video in the message of an error.
+        source: an absolute path, because FFmpeg takes a name such as ``a:b`` for an address; or the bytes.
 
     Raises:
         DumpError: OpenCV cannot open it.
     """
     level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", _FFMPEG_QUIET)
-    try:  # an absolute path, because FFmpeg takes a name such as "a:b" for an address
-        capture = cv2.VideoCapture(str(path.resolve()), cv2.CAP_FFMPEG)
+    try:
+        # the stubs of OpenCV know only one of both
+        capture = cv2.VideoCapture(source, cv2.CAP_FFMPEG, [])  # type: ignore[arg-type]
     finally:
         cv2.utils.logging.setLogLevel(level)
     try:
         if not capture.isOpened():
             raise DumpError(
-                f"{path}: not a video that OpenCV can read; a recorder that stopped early leaves an MP4 without its "
+                f"{name}: not a video that OpenCV can read; a recorder that stopped early leaves an MP4 without its "
                 "index: repair it with the recorder's tool"
             )
         capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1)

@@ -68,7 +68,7 @@ def recording_of_videos(source: Path, paths: Sequence[Path], options: ConvertOpt
     stored = f"{', '.join(dict.fromkeys(video.codec for video in videos))}, stored as jpeg {JPEG_QUALITY}"
     roles = [role for role in ROLES if role == "image" or role in dict(static_messages(rig, EPOCH_NS))]
     return Recording(
-        title=f"{source}: {frames} frames",
+        title=f"{source}: {frames or 'an unknown number of'} frames",
         sensors=tuple(_row(video) for video in videos),
         facts=(("time", timing), *camera_facts(rig), mounting_fact(rig)),
         frames=frames,
@@ -91,7 +91,7 @@ def _refuse_folder_options(source: Path, options: ConvertOptions) -> None:
 
 def _row(video: VideoFile) -> SensorRow:
     size = f"{video.width}x{video.height}"
-    return SensorRow("image", shown(video.path.name), str(video.count), "", size, f"{video.codec}, stored as jpeg")
+    return ("image", shown(video.path.name), str(video.count or ""), "", size, f"{video.codec}, stored as jpeg")
 
 
 def _messages(videos: Sequence[VideoFile], rig: Rig, warnings: list[str]) -> Iterator[tuple[str, Message]]:

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import numpy as np
 import yaml
-from pydantic import ConfigDict, Field, FiniteFloat, PositiveInt, TypeAdapter
+from pydantic import Field, FiniteFloat, PositiveInt, TypeAdapter
 
 from roadperc_stream.errors import DumpError
 
@@ -16,27 +16,12 @@ SUFFIXES = (".yaml", ".yml")
 
 
 class _Matrix(Document):
-    """A matrix as OpenCV and ROS write it: ``{rows: 3, cols: 3, data: [...]}``."""
-
     rows: PositiveInt
     cols: PositiveInt
     data: list[FiniteFloat]
 
-    def rows_of(self, path: Path, name: str, rows: int, columns: int) -> tuple[tuple[float, ...], ...]:
-        """Return the numbers row by row.
-
-        Raises:
-            DumpError: the matrix has another size.
-        """
-        if (self.rows, self.cols, len(self.data)) != (rows, columns, rows * columns):
-            found = f"{self.rows}x{self.cols} with {len(self.data)} numbers"
-            raise DumpError(f"{path}: {name}: expected {rows}x{columns}, found {found}")
-        return tuple(tuple(self.data[k * columns : (k + 1) * columns]) for k in range(rows))
-
 
 class _CameraInfo(Document):
-    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
-
     image_width: PositiveInt
     image_height: PositiveInt
     camera_matrix: _Matrix
@@ -59,19 +44,25 @@ def load_camera_info(path: Path) -> CalibrationFile:
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
         raise DumpError(f"{path}: not YAML: {' '.join(str(error).split())}") from error
     info = checked(path, TypeAdapter(_CameraInfo), document)
-    matrices = {"K": ("camera_matrix", 3, 3), "R": ("rectification_matrix", 3, 3), "P": ("projection_matrix", 3, 4)}
-    found = {
-        key: matrix.rows_of(path, name, rows, columns)
-        for key, (name, rows, columns) in matrices.items()
-        if (matrix := getattr(info, name)) is not None
-    }
-    require_pinhole(f"{path}: camera_matrix", np.array(found["K"]))
-    D = info.distortion_coefficients
+    K = _rows(f"{path}: camera_matrix", info.camera_matrix, 3)
+    require_pinhole(f"{path}: camera_matrix", np.array(K))
     return CalibrationFile(
         width=info.image_width,
         height=info.image_height,
+        K=K,
+        D=() if info.distortion_coefficients is None else tuple(info.distortion_coefficients.data),
         distortion_model=info.distortion_model,
-        D=tuple(D.data) if D else (),
+        R=_rows(f"{path}: rectification_matrix", info.rectification_matrix, 3),
+        P=_rows(f"{path}: projection_matrix", info.projection_matrix, 4),
         pixel_origin="centre",
-        **found,
     )
+
+
+def _rows(where: str, matrix: _Matrix | None, columns: int) -> tuple[tuple[float, ...], ...] | None:
+    """Return the numbers of three rows."""
+    if matrix is None:
+        return None
+    if (matrix.rows, matrix.cols, len(matrix.data)) != (3, columns, 3 * columns):
+        found = f"{matrix.rows}x{matrix.cols} with {len(matrix.data)} numbers"
+        raise DumpError(f"{where}: expected 3x{columns}, found {found}")
+    return tuple(tuple(matrix.data[row * columns : (row + 1) * columns]) for row in range(3))

@@ -56,12 +56,12 @@ def _sensors(plan: Plan) -> Iterator[SensorRow]:
         camera, count = plan.rig.camera_of(role), sum(number in plan.stamps_ns for number in survey.sensor.files)
         size = "" if role == LIDAR else f"{camera.width}x{camera.height}"
         missing = str(plan.missing[role])
-        yield SensorRow(role, shown(survey.sensor.source), str(count), missing, size, survey.encoding)
+        yield (role, shown(survey.sensor.source), str(count), missing, size, survey.encoding)
     if plan.detections:
         missing = str(sum(number not in plan.detections for number in plan.frames))
         boxes = f"{sum(map(len, plan.detections.values()))} boxes"
         source = shown(plan.detections_source)
-        yield SensorRow("detections", source, str(len(plan.detections)), missing, "", boxes)
+        yield ("detections", source, str(len(plan.detections)), missing, "", boxes)
 
 
 def _facts(plan: Plan) -> list[tuple[str, str]]:
