@@ -11,7 +11,7 @@ from roadperc_stream.chain import pixels
 from roadperc_stream.chain.stages import occupancy, stereo
 from roadperc_stream.chain.stages.lanes import ego_lane
 from roadperc_stream.chain.stages.lanes.tracking import LanesState
-from roadperc_stream.chain.stages.objects import tracker
+from roadperc_stream.chain.stages.objects import contact, tracker
 from roadperc_stream.chain.stages.objects.tracker import ObjectsState
 from roadperc_stream.chain.stages.odometry import ego_motion
 from roadperc_stream.chain.stages.odometry.keyframes import OdometryState, counted_from_here
@@ -155,7 +155,9 @@ def perceive(
     known_lane = None if isinstance(found_lanes, Absent) else found_lanes
     objects_state, tracked = stages.run(
         "objects",
-        lambda: tracker.step(cfg.objects, last.objects, scene, known_lane, last_T_this),
+        lambda: tracker.step(
+            cfg.objects, last.objects, scene, known_lane, last_T_this, _ground(cfg, localised)
+        ),
         (last.objects, _off("objects")),
     )
     grid = stages.run("occupancy", lambda: occupancy.build(cfg.occupancy, scene, road, drivable), _off("occupancy"))
@@ -252,6 +254,16 @@ def _metric_motion(motion: Odometry | Absent, since_ns: int | None) -> Odometry 
     return motion if motion.status == "lost" or motion.since_ns == since_ns else None
 
 
+def _ground(cfg: ReplayConfig, localised: LocalisedFrame) -> contact.Ground | None:
+    """The road that gives the objects' distances; None with depth."""
+    scene, road, pitch = localised.scene, localised.front_road, localised.state.odometry.pitch
+    if scene.depth is not None or isinstance(road, Absent):
+        return None
+    shown = pitch is not None and pitch.measured
+    pitch_std = np.sqrt(pitch.variance) if shown else np.deg2rad(cfg.odometry.pitch_std_deg)
+    return contact.ground_of(road, float(pitch_std), mounted=scene.mounted)
+
+
 def _with_grey_for_tracks(cfg: ReplayConfig, state: ChainState, scene: Scene, timer: Timer) -> Scene:
     """The scene with the front camera's pixels if the tracked objects are searched in them."""
     searches = cfg.objects.enabled and cfg.objects.template_search and bool(state.objects.tracks)
@@ -298,4 +310,5 @@ def _missing_inputs(scene: Scene, road: Surface | Absent, tracked: Objects | Abs
         if scene.tags is None:
             yield Reason("objects", "no_segmentation_not_filtered")
         if scene.depth is None:
-            yield Reason("objects", "no_depth_no_distances")
+            known = not isinstance(road, Absent)
+            yield Reason("objects", "no_depth_ground_distances" if known else "no_depth_no_distances")

@@ -98,6 +98,10 @@ class ObjectMetrics(FrameKey):
         ),
     ]
     distance_std_m: Annotated[float | None, Column("its standard deviation", "m", "the same")]
+    distance_source: Annotated[
+        str | None,
+        Column("`depth`, or `ground`: the contact of the box's lower edge with the road", null="no distance"),
+    ]
     closing_speed_mps: Annotated[
         float | None, Column("rate at which the distance shrinks, positive when approaching", "m/s", _NOT_TRACKED)
     ]

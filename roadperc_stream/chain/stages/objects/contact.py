@@ -1,0 +1,187 @@
+"""Distances without depth: the lower edge of a box is where its object meets the road.
+
+The ray of the lower edge meets the road's plane at the object's nearest depth (G. Stein, O. Mano and A. Shashua,
+Vision-based ACC with a single camera: bounds on range and range rate accuracy, IEEE Intelligent Vehicles 2003). An
+error of a row, of the pitch or of the road's slope grows with the square of the depth.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import hypot, radians, sqrt
+from typing import Final
+
+import numpy as np
+
+from roadperc_stream.chain.stages.objects.path import LATERAL_STD_M, OBJECT_LENGTH_M, EgoPath, left_of
+from roadperc_stream.chain.stages.objects.tracking import Extent
+from roadperc_stream.geometry import Camera, rays
+from roadperc_stream.geometry.planes import Plane
+from roadperc_stream.model import Box, Object, Surface
+from roadperc_stream.model.scene import Scene
+from roadperc_stream.model.tag_tables import classes_of_label
+
+EDGE_STD_PX: Final = 1.0
+EDGE_STD_SHARE: Final = 0.03
+"""Standard deviation of a box's edge: this share of the box's side, at least one pixel."""
+MOST_STD_SHARE: Final = 0.3
+"""A distance with a larger standard deviation, as a share, is left out: the lower edge is near the horizon."""
+BORDER_PX: Final = 1.5
+"""A box this near to the image's border counts as cut by it."""
+_HIDDEN: Final = 0.5
+"""Share of the lower edge behind nearer boxes from which it counts as hidden."""
+_BODY_STD: Final = radians(0.3)
+"""Standard deviation of the pitch of a plane that is not estimated in this frame: the body moves on its springs."""
+_SLOPE_STD_PER_ROOT_M: Final = radians(0.1)
+"""Standard deviation of the change of the road's slope over one metre; it grows with the root of the distance."""
+_OVERHANG_M: Final = 0.4
+_OVERHANG_STD_M: Final = 0.3
+"""A vehicle's nearest point is this much nearer than the tyres on which it stands. Boxes of some detectors end at the
+bumper's ground projection."""
+_HEIGHT_STD: Final = 0.02
+_ASSUMED_HEIGHT_STD: Final = 0.1
+"""Standard deviation of the camera height as a share: of a mounting, and of the assumed height."""
+
+
+@dataclass(frozen=True)
+class Ground:
+    """The road in a frame without depth: its plane in the front camera's frame.
+
+    ``pitch_std`` is the standard deviation of the plane's pitch in radians, ``height_std`` that of the camera height
+    as a share of it.
+    """
+
+    plane: Plane
+    pitch_std: float
+    height_std: float
+
+
+@dataclass(frozen=True)
+class _Contact:
+    """Depth of a lower edge in metres, its standard deviation, and the part of it that other frames share."""
+
+    depth_m: float
+    std_m: float
+    common_std_m: float
+
+
+def ground_of(road: Surface, pitch_std: float, *, mounted: bool) -> Ground:
+    """The road as the ground of objects.
+
+    Args:
+        road: in the front camera's frame.
+        pitch_std: standard deviation of its pitch, radians; of the mounting's pitch if it is not estimated.
+        mounted: whether the log has the camera's mounting.
+    """
+    estimated = road.source == "estimated"
+    pitch_std = pitch_std if estimated else _BODY_STD if road.source == "held" else hypot(pitch_std, _BODY_STD)
+    return Ground(road.plane, pitch_std, _HEIGHT_STD if mounted else _ASSUMED_HEIGHT_STD)
+
+
+def whole(camera: Camera, objects: Sequence[Object]) -> frozenset[int]:
+    """Positions of the objects whose boxes are within the image and whose lower edges are visible.
+
+    A lower edge is hidden if nearer boxes of kept objects, those that end lower, cover half of it.
+    """
+    boxes = [item.detection.box_px for item in objects]
+    kept = [box for item, box in zip(objects, boxes, strict=True) if item.kept]
+    return frozenset(k for k, box in enumerate(boxes) if _inside(camera, box) and not _hidden(box, kept))
+
+
+def _inside(camera: Camera, box: Box) -> bool:
+    """Whether neither the left, the right nor the lower border of the image cuts a box."""
+    right, bottom = camera.width - BORDER_PX, camera.height - BORDER_PX
+    return box.x_min >= BORDER_PX and box.x_max <= right and box.y_max <= bottom and box.area > 0
+
+
+def _hidden(box: Box, others: Sequence[Box]) -> bool:
+    covered = sorted(
+        (max(other.x_min, box.x_min), min(other.x_max, box.x_max))
+        for other in others
+        if other.y_min < box.y_max < other.y_max and other.x_min < box.x_max and other.x_max > box.x_min
+    )
+    hidden_px, reached_px = 0.0, box.x_min
+    for left, right in covered:
+        hidden_px += max(right - max(left, reached_px), 0.0)
+        reached_px = max(reached_px, right)
+    return hidden_px > _HIDDEN * (box.x_max - box.x_min)
+
+
+def with_distances(
+    camera: Camera, ground: Ground, objects: Sequence[Object], seen: frozenset[int]
+) -> tuple[Object, ...]:
+    """The objects with distances from the ground contact, for those at the positions ``seen``.
+
+    The distance is that of the nearest point of an upright face above the contact, as with depth. Objects above the
+    horizon, or whose distance is uncertain by more than ``MOST_STD_SHARE``, have none.
+    """
+    return tuple(_with_distance(camera, ground, item) if k in seen else item for k, item in enumerate(objects))
+
+
+def _with_distance(camera: Camera, ground: Ground, item: Object) -> Object:
+    contact = _contact(camera, ground, item)
+    if contact is None:
+        return item
+    length = hypot(*_nearest_ray(camera, item.detection.box_px))
+    distance_m, std_m = contact.depth_m * length, contact.std_m * length
+    return replace(item, distance_m=distance_m, distance_std_m=std_m, distance_source="ground")
+
+
+def common_share(camera: Camera, ground: Ground, item: Object) -> float:
+    """The part of a ground distance's standard deviation that other frames share, as a share of the distance."""
+    contact = _contact(camera, ground, item)
+    return MOST_STD_SHARE if contact is None else contact.common_std_m / contact.depth_m
+
+
+def _contact(camera: Camera, ground: Ground, item: Object) -> _Contact | None:
+    """Where the middle of a box's lower edge meets the road; None beyond the horizon or if it is too uncertain."""
+    box = item.detection.box_px
+    middle = np.array([(box.x_min + box.x_max) / 2 - 0.5, box.y_max - 0.5])
+    slope = -float(rays(camera, middle) @ ground.plane.n)
+    if slope <= 0:
+        return None
+    height_m = ground.plane.offset_m
+    to_tyres_m = height_m / slope
+    is_vehicle = classes_of_label(item.detection.label) == ("vehicle",)
+    depth_m = to_tyres_m - _OVERHANG_M if is_vehicle else to_tyres_m
+    m_per_rad = to_tyres_m**2 / height_m
+    # The slope's random walk from the car to the object, seen from the car.
+    pitch_std = hypot(ground.pitch_std, _SLOPE_STD_PER_ROOT_M * sqrt(to_tyres_m / 3.0))
+    common_m = hypot(m_per_rad * pitch_std, to_tyres_m * ground.height_std, _OVERHANG_STD_M if is_vehicle else 0.0)
+    row_std = edge_std_px(box.y_max - box.y_min) * abs(ground.plane.normal[1]) / camera.fy
+    std_m = hypot(m_per_rad * row_std, common_m)
+    return _Contact(depth_m, std_m, common_m) if std_m <= MOST_STD_SHARE * depth_m else None
+
+
+def edge_std_px(side_px: float) -> float:
+    """Standard deviation in pixels of a detected box's edge; ``side_px`` is the side at right angles to it."""
+    return max(EDGE_STD_SHARE * side_px, EDGE_STD_PX)
+
+
+def _nearest_ray(camera: Camera, box: Box) -> tuple[float, float, float]:
+    """Direction, z = 1, of the nearest point of a face at right angles to the camera's axis that fills a box."""
+    x0, x1 = ((x - 0.5 - camera.cx) / camera.fx for x in (box.x_min, box.x_max))
+    y0, y1 = ((y - 0.5 - camera.cy) / camera.fy for y in (box.y_min, box.y_max))
+    return min(max(0.0, x0), x1), min(max(0.0, y0), y1), 1.0
+
+
+def extent(scene: Scene, ground: Ground, path: EgoPath, item: Object) -> Extent | None:
+    """The edges of an object beside the path, from its box at its ground contact; None without a ground distance.
+
+    The box of a vehicle beside the camera's axis shows its flank. The flank's far end bounds the box, so that side of
+    the box is deeper by a vehicle's length.
+    """
+    box, camera = item.detection.box_px, scene.camera
+    contact = _contact(camera, ground, item)
+    if item.distance_source != "ground" or contact is None:
+        return None
+    directions = rays(camera, np.array([[x - 0.5, box.y_max - 0.5] for x in (box.x_min, box.x_max)]))
+    long_m = OBJECT_LENGTH_M if classes_of_label(item.detection.label) == ("vehicle",) else 0.0
+    inner = 0 if directions[0, 0] > 0 else 1 if directions[1, 0] < 0 else None
+    depths_m = np.array([contact.depth_m + (long_m if k == inner else 0.0) for k in range(2)])
+    points = directions * contact.depth_m
+    points[:, 0] = directions[:, 0] * depths_m
+    left, right = left_of(path, points, scene.ego_T_camera).tolist()
+    across = edge_std_px(box.x_max - box.x_min) * contact.depth_m / camera.fx
+    aside = float(np.abs(directions[:, 0]).max()) * contact.std_m
+    std_m = sqrt(LATERAL_STD_M**2 + across**2 + aside**2)
+    return Extent(right, left, std_m, _nearest_ray(camera, box))
