@@ -155,9 +155,7 @@ def perceive(
     known_lane = None if isinstance(found_lanes, Absent) else found_lanes
     objects_state, tracked = stages.run(
         "objects",
-        lambda: tracker.step(
-            cfg.objects, last.objects, scene, known_lane, last_T_this, _ground(cfg, localised)
-        ),
+        lambda: tracker.step(cfg.objects, last.objects, scene, known_lane, last_T_this, _ground(cfg, localised)),
         (last.objects, _off("objects")),
     )
     grid = stages.run("occupancy", lambda: occupancy.build(cfg.occupancy, scene, road, drivable), _off("occupancy"))
@@ -259,9 +257,9 @@ def _ground(cfg: ReplayConfig, localised: LocalisedFrame) -> contact.Ground | No
     scene, road, pitch = localised.scene, localised.front_road, localised.state.odometry.pitch
     if scene.depth is not None or isinstance(road, Absent):
         return None
-    shown = pitch is not None and pitch.measured
-    pitch_std = np.sqrt(pitch.variance) if shown else np.deg2rad(cfg.odometry.pitch_std_deg)
-    return contact.ground_of(road, float(pitch_std), mounted=scene.mounted)
+    mounting_std = float(np.deg2rad(cfg.odometry.pitch_std_deg))
+    pitch_std = mounting_std if pitch is None or not pitch.measured else float(np.sqrt(pitch.variance))
+    return contact.ground_of(road, pitch_std, mounted=scene.mounted)
 
 
 def _with_grey_for_tracks(cfg: ReplayConfig, state: ChainState, scene: Scene, timer: Timer) -> Scene:

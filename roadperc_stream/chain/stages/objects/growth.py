@@ -32,8 +32,11 @@ class Approach:
 
     @property
     def time_to_impact_std_s(self) -> float:
-        """Standard deviation of 1 / rate to first order, seconds."""
-        return sqrt(self.variance) / self.rate**2
+        """Half the width of the times to impact within one standard deviation of the rate, seconds.
+
+        The rate must exceed its standard deviation.
+        """
+        return sqrt(self.variance) / (self.rate**2 - self.variance)
 
     def fused(self, other: "Approach", gate: float) -> "Approach":
         """The mean by inverse variances; if both contradict each other, the more certain one.
@@ -87,7 +90,8 @@ class Growth:
     @property
     def approach(self) -> Approach:
         """The approach that the growth shows."""
-        return Approach(self.size.rate / _PERCENT, max(self.jitter.rate_var_scale, 1.0) * self.size.rate_var / _PERCENT**2)
+        variance = max(self.jitter.rate_var_scale, 1.0) * self.size.rate_var
+        return Approach(self.size.rate / _PERCENT, variance / _PERCENT**2)
 
 
 def of_distance(distance: RateFilter, variance_scale: float, common_share: float) -> Approach:

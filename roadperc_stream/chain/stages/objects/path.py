@@ -238,7 +238,7 @@ def _timed_without_depth(cfg: ObjectsConfig, item: Object, track: ObjectTrack, d
     if std <= cfg.max_speed_std_mps:
         std_mps = hypot(std, (track.ground_share or 0.0) * closing)
         item = replace(item, closing_speed_mps=closing, closing_speed_std_mps=std_mps)
-    nears = closing >= cfg.min_closing_mps and closing >= cfg.min_closing_sigmas * std
+    nears = closing >= cfg.min_closing_mps and closing > max(cfg.min_closing_sigmas, 1.0) * std
     if not item.in_path or not nears or not _may_be_hit(cfg, item.detection.label, track, 1.0 / found.rate):
         return item
     return replace(item, time_to_impact_s=1.0 / found.rate, time_to_impact_std_s=found.time_to_impact_std_s)

@@ -95,10 +95,11 @@ def step(
     """
     arc = state.arc.after(last_T_this)
     path = path_of(ego_lane, arc)
-    # Without depth the scale of the motion is too uncertain for the filters' known input.
-    still = last_T_this is None or ground is not None
-    now_T_last = None if still else inverse(last_T_this @ scene.ego_T_camera) @ scene.ego_T_camera
-    known = [tracking.predict(cfg, track, scene.stamp_ns, now_T_last) for track in state.tracks]
+    now_T_last = None
+    if last_T_this is not None and ground is None:  # without depth the motion's scale is too uncertain for the filters
+        now_T_last = inverse(last_T_this @ scene.ego_T_camera) @ scene.ego_T_camera
+    last = state.tracks if ground is not None else [tracking.with_depth(track) for track in state.tracks]
+    known = [tracking.predict(cfg, track, scene.stamp_ns, now_T_last) for track in last]
     known = [track for track in known if not tracking.expired(cfg, track)]
     known = known if path.goes_on(state.path) else [replace(track, right_m=None, left_m=None) for track in known]
     filtered = filter_detections(cfg, scene, scene.detections, _expected(cfg, scene, known))

@@ -140,8 +140,9 @@ def _grown(track: ObjectTrack, walk_mps: float, dt_s: float) -> Growth | None:
     if track.growth is None:
         return None
     distance = track.distance_m
-    known = distance is not None and distance.value > 0
-    return track.growth.predict(walk_mps / distance.value if known else GROWTH_WALK, dt_s)
+    if distance is None or distance.value <= 0:
+        return track.growth.predict(GROWTH_WALK, dt_s)
+    return track.growth.predict(walk_mps / distance.value, dt_s)
 
 
 def _ego_rate(track: ObjectTrack, now_T_last: Float | None, dt_s: float) -> EgoRate | None:
@@ -205,6 +206,11 @@ def grown(cfg: ObjectsConfig, track: ObjectTrack, edge_std_px: tuple[float, floa
     box, stamp_ns = track.box_px, track.stamp_ns
     after = track.growth.after(stamp_ns, box, edge_std_px, cfg.gate) if track.growth else None
     return replace(track, growth=after or Growth.of_first(stamp_ns, box, edge_std_px), ground_share=ground_share)
+
+
+def with_depth(track: ObjectTrack) -> ObjectTrack:
+    """The track for a frame with depth: without what only frames without depth need."""
+    return track if track.ground_share is None else replace(track, growth=None, ground_share=None)
 
 
 def expired(cfg: ObjectsConfig, track: ObjectTrack) -> bool:
