@@ -252,7 +252,7 @@ def _metric_motion(motion: Odometry | Absent, since_ns: int | None) -> Odometry 
     return motion if motion.status == "lost" or motion.since_ns == since_ns else None
 
 
-def _ground(cfg: ReplayConfig, localised: LocalisedFrame) -> contact.Ground | None:
+def _ground(cfg: ReplayConfig, localised: LocalisedFrame) -> contact.GroundPlane | None:
     """The road that gives the objects' distances; None with depth."""
     scene, road, pitch = localised.scene, localised.front_road, localised.state.odometry.pitch
     if scene.depth is not None or isinstance(road, Absent):

@@ -43,7 +43,7 @@ _ASSUMED_HEIGHT_STD: Final = 0.1
 
 
 @dataclass(frozen=True)
-class Ground:
+class GroundPlane:
     """The road in a frame without depth: its plane in the front camera's frame.
 
     ``pitch_std`` is the standard deviation of the plane's pitch in radians, ``height_std`` that of the camera height
@@ -64,7 +64,7 @@ class _Contact:
     common_std_m: float
 
 
-def ground_of(road: Surface, pitch_std: float, *, mounted: bool) -> Ground:
+def ground_of(road: Surface, pitch_std: float, *, mounted: bool) -> GroundPlane:
     """The road as the ground of objects.
 
     Args:
@@ -74,7 +74,7 @@ def ground_of(road: Surface, pitch_std: float, *, mounted: bool) -> Ground:
     """
     estimated = road.source == "estimated"
     pitch_std = pitch_std if estimated else _BODY_STD if road.source == "held" else hypot(pitch_std, _BODY_STD)
-    return Ground(road.plane, pitch_std, _HEIGHT_STD if mounted else _ASSUMED_HEIGHT_STD)
+    return GroundPlane(road.plane, pitch_std, _HEIGHT_STD if mounted else _ASSUMED_HEIGHT_STD)
 
 
 def whole(camera: Camera, objects: Sequence[Object]) -> frozenset[int]:
@@ -107,7 +107,7 @@ def _hidden(box: Box, others: Sequence[Box]) -> bool:
 
 
 def with_distances(
-    camera: Camera, ground: Ground, objects: Sequence[Object], seen: frozenset[int]
+    camera: Camera, ground: GroundPlane, objects: Sequence[Object], seen: frozenset[int]
 ) -> tuple[Object, ...]:
     """The objects with distances from the ground contact, for those at the positions ``seen``.
 
@@ -117,7 +117,7 @@ def with_distances(
     return tuple(_with_distance(camera, ground, item) if k in seen else item for k, item in enumerate(objects))
 
 
-def _with_distance(camera: Camera, ground: Ground, item: Object) -> Object:
+def _with_distance(camera: Camera, ground: GroundPlane, item: Object) -> Object:
     contact = _contact(camera, ground, item)
     if contact is None:
         return item
@@ -126,13 +126,13 @@ def _with_distance(camera: Camera, ground: Ground, item: Object) -> Object:
     return replace(item, distance_m=distance_m, distance_std_m=std_m, distance_source="ground")
 
 
-def common_share(camera: Camera, ground: Ground, item: Object) -> float:
+def common_share(camera: Camera, ground: GroundPlane, item: Object) -> float:
     """The part of a ground distance's standard deviation that other frames share, as a share of the distance."""
     contact = _contact(camera, ground, item)
     return MOST_STD_SHARE if contact is None else contact.common_std_m / contact.depth_m
 
 
-def _contact(camera: Camera, ground: Ground, item: Object) -> _Contact | None:
+def _contact(camera: Camera, ground: GroundPlane, item: Object) -> _Contact | None:
     """Where the middle of a box's lower edge meets the road; None beyond the horizon or if it is too uncertain."""
     box = item.detection.box_px
     middle = np.array([(box.x_min + box.x_max) / 2 - 0.5, box.y_max - 0.5])
@@ -164,7 +164,7 @@ def _nearest_ray(camera: Camera, box: Box) -> tuple[float, float, float]:
     return min(max(0.0, x0), x1), min(max(0.0, y0), y1), 1.0
 
 
-def extent(scene: Scene, ground: Ground, path: EgoPath, item: Object) -> Extent | None:
+def extent(scene: Scene, ground: GroundPlane, path: EgoPath, item: Object) -> Extent | None:
     """The edges of an object beside the path, from its box at its ground contact; None without a ground distance.
 
     The box of a vehicle beside the camera's axis shows its flank. The flank's far end bounds the box, so that side of

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.chain.stages.objects import contact, tracking
-from roadperc_stream.chain.stages.objects.contact import BORDER_PX, Ground
+from roadperc_stream.chain.stages.objects.contact import BORDER_PX, GroundPlane
 from roadperc_stream.chain.stages.objects.filtering import filter_detections
 from roadperc_stream.chain.stages.objects.mosaic import corners, kinds, overlaps
 from roadperc_stream.chain.stages.objects.path import DrivenArc, EgoPath, extent, judged, path_of
@@ -73,7 +73,7 @@ def step(
     scene: Scene,
     ego_lane: Lanes | None = None,
     last_T_this: Float | None = None,
-    ground: Ground | None = None,
+    ground: GroundPlane | None = None,
 ) -> tuple[ObjectsState, Objects | Absent]:
     """Filter a frame's detections and track the kept ones over time.
 
@@ -222,11 +222,11 @@ def _detected(
     return tracks
 
 
-def _extent(scene: Scene, ground: Ground | None, path: EgoPath, item: Object) -> Extent | None:
+def _extent(scene: Scene, ground: GroundPlane | None, path: EgoPath, item: Object) -> Extent | None:
     return extent(scene, path, item) if ground is None else contact.extent(scene, ground, path, item)
 
 
-def _grown(cfg: ObjectsConfig, camera: Camera, ground: Ground, item: Object, track: ObjectTrack) -> ObjectTrack:
+def _grown(cfg: ObjectsConfig, camera: Camera, ground: GroundPlane, item: Object, track: ObjectTrack) -> ObjectTrack:
     """The track of a detection whose whole box is visible, after the growth of the box."""
     box = track.box_px
     edge_std_px = contact.edge_std_px(box.x_max - box.x_min), contact.edge_std_px(box.y_max - box.y_min)
