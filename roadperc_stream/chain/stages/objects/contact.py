@@ -12,9 +12,10 @@ from typing import Final
 
 import numpy as np
 
+from roadperc_stream.chain.stages.objects.mosaic import corners
 from roadperc_stream.chain.stages.objects.path import LATERAL_STD_M, OBJECT_LENGTH_M, EgoPath, left_of
 from roadperc_stream.chain.stages.objects.tracking import Extent
-from roadperc_stream.geometry import Camera, rays
+from roadperc_stream.geometry import Camera, Float, rays
 from roadperc_stream.geometry.planes import Plane
 from roadperc_stream.model import Box, Object, Surface
 from roadperc_stream.model.scene import Scene
@@ -82,9 +83,22 @@ def whole(camera: Camera, objects: Sequence[Object]) -> frozenset[int]:
 
     A lower edge is hidden if nearer boxes of kept objects, those that end lower, cover half of it.
     """
-    boxes = [item.detection.box_px for item in objects]
-    kept = [box for item, box in zip(objects, boxes, strict=True) if item.kept]
+    boxes, kept = _boxes(objects)
     return frozenset(k for k, box in enumerate(boxes) if _inside(camera, box) and not _hidden(box, kept))
+
+
+def clear(objects: Sequence[Object], seen: frozenset[int]) -> frozenset[int]:
+    """The positions ``seen`` of boxes that no nearer box of a kept object touches, up to the deviation of their edges.
+
+    The box of a partly hidden object grows as more of it becomes visible.
+    """
+    boxes, kept = _boxes(objects)
+    return frozenset(k for k in seen if not len(_nearer(boxes[k], kept, 2.0)[0]))
+
+
+def _boxes(objects: Sequence[Object]) -> tuple[list[Box], Float]:
+    """The boxes of all objects, and (4, K) x_min, y_min, x_max and y_max of those of kept objects."""
+    return [item.detection.box_px for item in objects], corners(o.detection.box_px for o in objects if o.kept)
 
 
 def _inside(camera: Camera, box: Box) -> bool:
@@ -93,17 +107,21 @@ def _inside(camera: Camera, box: Box) -> bool:
     return box.x_min >= BORDER_PX and box.x_max <= right and box.y_max <= bottom and box.area > 0
 
 
-def _hidden(box: Box, others: Sequence[Box]) -> bool:
-    covered = sorted(
-        (max(other.x_min, box.x_min), min(other.x_max, box.x_max))
-        for other in others
-        if other.y_min < box.y_max < other.y_max and other.x_min < box.x_max and other.x_max > box.x_min
-    )
-    hidden_px, reached_px = 0.0, box.x_min
-    for left, right in covered:
-        hidden_px += max(right - max(left, reached_px), 0.0)
-        reached_px = max(reached_px, right)
-    return hidden_px > _HIDDEN * (box.x_max - box.x_min)
+def _hidden(box: Box, kept: Float) -> bool:
+    """Whether nearer ones of (4, K) boxes cover half of a box's lower edge."""
+    left, right = (np.clip(x, box.x_min, box.x_max) for x in _nearer(box, kept, 0.0))
+    order = np.argsort(left)
+    left, reached = left[order], np.maximum.accumulate(right[order])
+    before = np.append(box.x_min, reached)[: len(reached)]
+    return float(np.maximum(reached - np.maximum(left, before), 0.0).sum()) > _HIDDEN * (box.x_max - box.x_min)
+
+
+def _nearer(box: Box, kept: Float, sigmas: float) -> tuple[Float, Float]:
+    """Left and right edges of those of (4, K) boxes that end lower and come near a box by deviations of its edges."""
+    x0, y0, x1, y1 = kept
+    x, y = (sigmas * edge_std_px(side) for side in (box.x_max - box.x_min, box.y_max - box.y_min))
+    meets = (y1 > box.y_max) & (y0 < box.y_max + y) & (x0 < box.x_max + x) & (x1 > box.x_min - x)
+    return x0[meets], x1[meets]
 
 
 def with_distances(

@@ -226,7 +226,7 @@ def _timed_without_depth(cfg: ObjectsConfig, item: Object, track: ObjectTrack, d
     """The same from ground contact and growth: each gives closing speed over distance, and the two are fused.
 
     Distances that contradict the filter leave the growth alone. The growth counts for objects in the path only: the
-    flank of an object beside it grows differently.
+    flank of an object beside it grows differently. A box without a distance has no time to impact.
     """
     scale = max(track.jitter.rate_var_scale, 1.0) if track.jitter else 1.0
     found = None if track.rival_m else growth.of_distance(distance, scale, track.ground_share or 0.0)
@@ -239,7 +239,12 @@ def _timed_without_depth(cfg: ObjectsConfig, item: Object, track: ObjectTrack, d
         std_mps = hypot(std, (track.ground_share or 0.0) * closing)
         item = replace(item, closing_speed_mps=closing, closing_speed_std_mps=std_mps)
     nears = closing >= cfg.min_closing_mps and closing > max(cfg.min_closing_sigmas, 1.0) * std
-    if not item.in_path or not nears or not _may_be_hit(cfg, item.detection.label, track, 1.0 / found.rate):
+    if (
+        item.distance_m is None
+        or not item.in_path
+        or not nears
+        or not _may_be_hit(cfg, item.detection.label, track, 1.0 / found.rate)
+    ):
         return item
     return replace(item, time_to_impact_s=1.0 / found.rate, time_to_impact_std_s=found.time_to_impact_std_s)
 

@@ -113,7 +113,9 @@ def step(
         for k, track in _detected(cfg, state.next_number, scene, known, kept, pairs).items()
     }
     if ground is not None:
-        detected |= {k: _grown(cfg, scene.camera, ground, own[k], detected[k]) for k in whole & detected.keys()}
+        clear = contact.clear(own, whole)
+        shares = {k: contact.common_share(scene.camera, ground, own[k]) for k in whole & detected.keys()}
+        detected |= {k: _grown(cfg, detected[k], share, clear=k in clear) for k, share in shares.items()}
     missed = [track for k, track in enumerate(known) if k not in pairs]
     searched = [_searched(cfg, scene, path, track, kept) for track in missed]
     found = tuple(judged(cfg, path, s.item, s.track) for s in searched if s.item is not None)
@@ -226,11 +228,12 @@ def _extent(scene: Scene, ground: GroundPlane | None, path: EgoPath, item: Objec
     return extent(scene, path, item) if ground is None else contact.extent(scene, ground, path, item)
 
 
-def _grown(cfg: ObjectsConfig, camera: Camera, ground: GroundPlane, item: Object, track: ObjectTrack) -> ObjectTrack:
-    """The track of a detection whose whole box is visible, after the growth of the box."""
+def _grown(cfg: ObjectsConfig, track: ObjectTrack, ground_share: float, *, clear: bool) -> ObjectTrack:
+    """The track with what its ground distances share; after the growth of its box if nothing hides a part of it."""
+    track = replace(track, ground_share=ground_share)
     box = track.box_px
     edge_std_px = contact.edge_std_px(box.x_max - box.x_min), contact.edge_std_px(box.y_max - box.y_min)
-    return tracking.grown(cfg, track, edge_std_px, contact.common_share(camera, ground, item))
+    return tracking.grown(cfg, track, edge_std_px) if clear else track
 
 
 def _template(cfg: ObjectsConfig, scene: Scene, track: ObjectTrack) -> Template | None:

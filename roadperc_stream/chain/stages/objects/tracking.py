@@ -194,18 +194,11 @@ def placed(track: ObjectTrack, extent: Extent | None, template: Template | None)
     return replace(track, right_m=right_m, left_m=left_m, nearest_ray=extent.nearest_ray, template=template)
 
 
-def grown(cfg: ObjectsConfig, track: ObjectTrack, edge_std_px: tuple[float, float], ground_share: float) -> ObjectTrack:
-    """The track after its whole box was seen in a frame without depth.
-
-    Args:
-        cfg: the gate.
-        track: after its detection.
-        edge_std_px: standard deviations of the box's vertical and horizontal edges.
-        ground_share: standard deviation that its ground distances share, as a share.
-    """
+def grown(cfg: ObjectsConfig, track: ObjectTrack, edge_std_px: tuple[float, float]) -> ObjectTrack:
+    """The track after its whole box was seen; with the deviations of the box's vertical and horizontal edges."""
     box, stamp_ns = track.box_px, track.stamp_ns
     after = track.growth.after(stamp_ns, box, edge_std_px, cfg.gate) if track.growth else None
-    return replace(track, growth=after or Growth.of_first(stamp_ns, box, edge_std_px), ground_share=ground_share)
+    return replace(track, growth=after or Growth.of_first(stamp_ns, box, edge_std_px))
 
 
 def with_depth(track: ObjectTrack) -> ObjectTrack:
