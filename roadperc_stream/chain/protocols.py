@@ -13,6 +13,7 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
+from roadperc_stream.chain.stages.objects.contact import GroundPlane
 from roadperc_stream.config import LanesConfig, ObjectsConfig, OdometryConfig, StereoConfig, SurfaceConfig
 from roadperc_stream.geometry import Camera, Float
 from roadperc_stream.model import Absent, Image, Lanes, Mask, Objects, Odometry, StereoDepth, Surface
@@ -85,9 +86,19 @@ class LanesStage(Protocol[S]):
 
 
 class ObjectsStage(Protocol[S]):
-    """The objects of a frame, kept and dropped. ``last_T_this`` is the (4, 4) motion of ego, metres, None unknown."""
+    """The objects of a frame, kept and dropped.
+
+    ``last_T_this`` is the (4, 4) motion of ego, metres, None unknown; ``ground`` is the road in a frame without depth.
+    """
 
     def __call__(
-        self, cfg: ObjectsConfig, state: S, scene: Scene, lanes: Lanes | None, last_T_this: Float | None, /
+        self,
+        cfg: ObjectsConfig,
+        state: S,
+        scene: Scene,
+        lanes: Lanes | None,
+        last_T_this: Float | None,
+        ground: GroundPlane | None,
+        /,
     ) -> tuple[S, Objects | Absent]:
         """The new state and the objects."""

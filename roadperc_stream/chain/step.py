@@ -13,9 +13,10 @@ from roadperc_stream.chain.protocols import LanesStage, ObjectsStage, OdometrySt
 from roadperc_stream.chain.stages import occupancy, stereo
 from roadperc_stream.chain.stages.lanes import ego_lane
 from roadperc_stream.chain.stages.lanes.tracking import LanesState
-from roadperc_stream.chain.stages.objects import tracker
+from roadperc_stream.chain.stages.objects import contact, tracker
 from roadperc_stream.chain.stages.objects.tracker import ObjectsState
 from roadperc_stream.chain.stages.odometry import ego_motion
+from roadperc_stream.chain.stages.odometry.camera_pitch import CameraPitch
 from roadperc_stream.chain.stages.odometry.keyframes import OdometryState, counted_from_here
 from roadperc_stream.chain.stages.surface.road import SurfaceState, drivable_mask, find_surface, or_assumed, remember
 from roadperc_stream.config import BUILT_IN, ReplayConfig
@@ -136,12 +137,12 @@ def localise(
     seen = or_assumed(scene, found) if is_built_in else found
     metric_road = _metric_road(scene, _in_front_camera(scene, seen))
     moved, motion = stages.step("odometry", ego_motion.step, last.odometry, scene, metric_road, rng)
-    metric = _metric_motion(motion, last.stamp_ns)
+    metric, pitch = _metric_motion(motion, last.stamp_ns), _shown_pitch(moved)
     last_T_this = None if metric is None else metric.step
     kept, road, held = surfaces, found, tuple[Reason, ...]()
     if is_built_in and isinstance(surfaces, SurfaceState):
         with timer("surface"):
-            kept, road, held = remember(cfg.surface, surfaces, scene, found, last_T_this, _shown_pitch(moved))
+            kept, road, held = remember(cfg.surface, surfaces, scene, found, last_T_this, pitch and pitch.offset)
     front_road = _in_front_camera(scene, road)
     drivable = stages.run("surface", lambda: drivable_mask(cfg.surface, scene, front_road), _off("drivable"))
     state = replace(last, stamp_ns=scene.stamp_ns, surface=kept, odometry=moved)
@@ -161,7 +162,8 @@ def perceive(
     last_T_this = None if motion is None else motion.step
     lanes_state, found_lanes = stages.step("lanes", ego_lane.step, last.lanes, scene, road, drivable, motion)
     known_lane = None if isinstance(found_lanes, Absent) else found_lanes
-    objects_state, tracked = stages.step("objects", tracker.step, last.objects, scene, known_lane, last_T_this)
+    ground = _ground(cfg, localised)
+    objects_state, tracked = stages.step("objects", tracker.step, last.objects, scene, known_lane, last_T_this, ground)
     grid = stages.run("occupancy", lambda: occupancy.build(cfg.occupancy, scene, road, drivable), _off("occupancy"))
     missing = _missing_inputs(scene, localised.road, tracked) if pixels.needs_scene(cfg) else ()
     problems = (*out_of_order, *scene.undecodable, *scene.problems, *localised.problems, *_odd_camera(scene), *missing)
@@ -279,11 +281,11 @@ def _metric_road(scene: Scene, front_road: Surface | Absent) -> Surface | None:
     return front_road
 
 
-def _shown_pitch(state: OdometryState | bytes) -> float | None:
-    """The pitch of the camera beyond its mounting, radians, downwards; None if no motion has shown it."""
+def _shown_pitch(state: OdometryState | bytes) -> CameraPitch | None:
+    """The pitch of the camera beyond its mounting; None if no motion has shown it."""
     if isinstance(state, bytes):
         return None
-    return state.pitch.offset if state.pitch is not None and state.pitch.measured else None
+    return state.pitch if state.pitch is not None and state.pitch.measured else None
 
 
 def _metric_motion(motion: Odometry | Absent, since_ns: int | None) -> Odometry | None:
@@ -291,6 +293,15 @@ def _metric_motion(motion: Odometry | Absent, since_ns: int | None) -> Odometry 
     if isinstance(motion, Absent) or motion.status == "first" or motion.up_to_scale:
         return None
     return motion if motion.status == "lost" or motion.since_ns == since_ns else None
+
+
+def _ground(cfg: ReplayConfig, localised: LocalisedFrame) -> contact.GroundPlane | None:
+    """The road that gives the objects' distances; None with depth."""
+    scene, road, pitch = localised.scene, localised.front_road, _shown_pitch(localised.state.odometry)
+    if scene.depth is not None or isinstance(road, Absent):
+        return None
+    pitch_std = float(np.deg2rad(cfg.odometry.pitch_std_deg) if pitch is None else np.sqrt(pitch.variance))
+    return contact.ground_of(road, pitch_std, mounted=scene.mounted)
 
 
 def _with_grey_for_tracks(cfg: ReplayConfig, state: ChainState, scene: Scene, timer: Timer) -> Scene:
@@ -340,4 +351,5 @@ def _missing_inputs(scene: Scene, road: Surface | Absent, tracked: Objects | Abs
         if scene.tags is None:
             yield Reason("objects", "no_segmentation_not_filtered")
         if scene.depth is None:
-            yield Reason("objects", "no_depth_no_distances")
+            known = not isinstance(road, Absent)
+            yield Reason("objects", "no_depth_ground_distances" if known else "no_depth_no_distances")

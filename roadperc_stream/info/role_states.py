@@ -142,4 +142,6 @@ def _depth_cost(there: Collection[str]) -> str:
         return "surface, distances and occupancy from stereo"
     if "lidar" in there:
         return "surface, distances and occupancy from the sparse lidar points"
-    return "surface from the mounting, no distances, no occupancy, scale only from the camera height"
+    return (
+        "surface from the mounting, distances from the boxes' lower edges, no occupancy, scale from the camera height"
+    )

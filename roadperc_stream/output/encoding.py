@@ -206,7 +206,12 @@ def _boundary(boundary: Boundary) -> pb.Boundary:
 
 
 def _object(item: Object) -> pb.Object:
-    converted = {"detection": _detection(item.detection), "status": pb.Object.Status.Value(item.status.upper())}
+    """``depth`` is an empty source, as in logs before there was another one."""
+    converted = {
+        "detection": _detection(item.detection),
+        "status": pb.Object.Status.Value(item.status.upper()),
+        "distance_source": item.distance_source if item.distance_source != "depth" else "",
+    }
     return pb.Object(**vars(item) | converted)
 
 

@@ -78,7 +78,7 @@ def broken(*_):
                 "depth: cannot be decoded: cut off",
                 "surface: no depth, the mounting gives the plane",
                 "objects: no segmentation, detections are not filtered",
-                "objects: no depth, no distances",
+                "objects: no depth, the boxes' lower edges on the road give the distances",
             ),
         ),
         (

@@ -265,7 +265,7 @@ def test_all_stages_can_be_replaced_and_are_written(tmp_path):
         assert road.camera_height_m == 1.25
         return None, Odometry("first", np.eye(4))
 
-    def objects(cfg, state, scene, lanes, last_T_this):
+    def objects(cfg, state, scene, lanes, last_T_this, ground):
         assert scene.bgr.shape == (*CAMERA.size, 3)
         return None, Objects((Object(scene.detections[0], kept=True, distance_m=9.0),))
 
