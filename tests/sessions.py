@@ -10,6 +10,7 @@ from importlib import import_module
 from pathlib import Path
 
 VARYING = (
+    (r"─{9,}", "─" * 8),
     (r"\x1b\[[0-9;]*[A-Za-z]", ""),
     (r"\b[0-9a-f]{16}\b", "#"),
     (r"\b\d+(\.\d+)?(?= (s|ms|min|kB|MB|bytes|frames/s|times real time)\b)|(?<=byte )\d+", "#"),

@@ -14,7 +14,7 @@ from roadperc_stream.tools.scene.job import render_dump
 from roadperc_stream.tools.scene.options import RenderOptions
 from tests import summaries
 
-SMALL = {"width": 64, "height": 64, "seconds": 4.5, "rate_hz": 0.7}
+SMALL = {"width": 64, "height": 64, "seconds": 5.0, "rate_hz": 0.4}
 SCENARIOS = {
     "bend": {"scene": "bend", "seed": 3},
     "hill": {"scene": "hill", "seed": 1},
