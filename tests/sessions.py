@@ -13,8 +13,8 @@ VARYING = (
     (r"─{9,}", "─" * 8),
     (r"\x1b\[[0-9;]*[A-Za-z]", ""),
     (r"\b[0-9a-f]{16}\b", "#"),
-    (r"\b\d+(\.\d+)?(?= (s|ms|min|kB|MB|bytes|frames/s|times real time)\b)|(?<=byte )\d+", "#"),
-    (r"^(Latency|time a frame, ms|total, ms)( +.*)", r"\1"),
+    (r"\b\d+(\.\d+)?(?= (s|ms|min|kB|MB|bytes|frames/s|times real time)\b)|(?<=byte )\d+|(?<=size_bytes": )\d+", "#"),
+    (r"^(Latency|total, ms)( +.*)", r"\1"),
     (r" +$", ""),
 )
 """Colours, digests and sizes of compressed pictures, and times; their values depend on libraries or the machine."""

@@ -102,7 +102,7 @@ def test_a_seed_draws_the_same_faults_at_different_places(project):
     places_in.cache_clear()
     every = draw([], 100, 7)  # none in error messages, types, texts of objects and marks of arguments
     assert not [
-        fault for fault in every if "more=2" in str(fault) and "Mul" in fault.operator or "True" in fault.operator
+        fault for fault in every if ("more=2" in str(fault) and "Mul" in fault.operator) or "True" in fault.operator
     ]
     assert not [fault for fault in every if "raise" in str(fault) or "BitOr" in fault.operator]
 
