@@ -13,7 +13,7 @@ VARYING = (
     (r"─{9,}", "─" * 8),
     (r"\x1b\[[0-9;]*[A-Za-z]", ""),
     (r"\b[0-9a-f]{16}\b", "#"),
-    (r"\b\d+(\.\d+)?(?= (s|ms|min|kB|MB|bytes|frames/s|times real time)\b)|(?<=byte )\d+|(?<=size_bytes": )\d+", "#"),
+    (r"\b\d+(\.\d+)?(?= (s|ms|min|kB|MB|bytes|frames/s|times real time)\b)|(?<=byte )\d+|(?<=size_bytes.: )\d+", "#"),
     (r"^(Latency|total, ms)( +.*)", r"\1"),
     (r" +$", ""),
 )
