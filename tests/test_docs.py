@@ -33,9 +33,9 @@ PYTHON = shlex.quote(sys.executable)
 BENCHES = ("bench", "bench.compare")
 OTHERS = {"--delta_unit", "--all_pairs", "--shell", "--max-bag-duration", "--inplace"} | {
     "--head", "--address", "--num-cpus", "--block", "--port", "--generate", "--dashboard-host",
-    "--sett", "--rm", "--init", "--network", "--env", "--volume", "--shm-size", "--detach",
+    "--sett", "--force-regen", "--rm", "--init", "--network", "--env", "--volume", "--shm-size", "--detach",
 }  # fmt: skip
-"""Options of evo, argcomplete, rosbag2, setuptools, Ray and containers, and a misspelled one, that the pages name."""
+"""Options of evo, argcomplete, rosbag2, setuptools, Ray, pytest and containers, and a misspelled one, on the pages."""
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,7 @@ class Checkpoint:
 
 def checkpoint_folder(target: Path) -> Path:
     """The folder for the checkpoints of an output."""
-    return target.with_name(f".{target.name}.checkpoint")
+    return target.parent / f".{target.name}.checkpoint"  # a folder such as `..` has no name
 
 
 class CheckpointFolder:
