@@ -138,11 +138,12 @@ def localise(
     metric_road = _metric_road(scene, _in_front_camera(scene, seen))
     moved, motion = stages.step("odometry", ego_motion.step, last.odometry, scene, metric_road, rng)
     metric, pitch = _metric_motion(motion, last.stamp_ns), _shown_pitch(moved)
+    offset = None if pitch is None else pitch.offset
     last_T_this = None if metric is None else metric.step
     kept, road, held = surfaces, found, tuple[Reason, ...]()
     if is_built_in and isinstance(surfaces, SurfaceState):
         with timer("surface"):
-            kept, road, held = remember(cfg.surface, surfaces, scene, found, last_T_this, pitch and pitch.offset)
+            kept, road, held = remember(cfg.surface, surfaces, scene, found, last_T_this, offset)
     front_road = _in_front_camera(scene, road)
     drivable = stages.run("surface", lambda: drivable_mask(cfg.surface, scene, front_road), _off("drivable"))
     state = replace(last, stamp_ns=scene.stamp_ns, surface=kept, odometry=moved)
