@@ -44,9 +44,11 @@ def view_runs(arguments: argparse.Namespace, playback: PlaybackOptions, finding:
     Raises:
         RoadpercError: the run cannot be found, replayed or shown.
     """
-    names = [arguments.log, *([arguments.new] if arguments.new else [])]
+    names, configs = [arguments.log, *([arguments.new] if arguments.new else [])], arguments.config
+    of_each = [[config] for config in configs] if len(names) == len(configs) == 2 else [configs] * len(names)
     with ExitStack() as files:
-        runs = [run for name in names for run in finding.runs_to_show(name, arguments.of_log, arguments.config, files)]
+        pairs = zip(names, of_each, strict=True)
+        runs = [run for name, of_one in pairs for run in finding.runs_to_show(name, arguments.of_log, of_one, files)]
         if len(runs) > 2:
             raise TableError(f"{' '.join(names)}: expected at most two runs, found {len(runs)}")
         frame = finding.worst_frame(runs[-1], arguments.worst) if arguments.worst else arguments.frame

@@ -63,7 +63,7 @@ def test_no_tables(tmp_path, capsys):
     ("arguments", "said"),
     [
         (("elsewhere",), "elsewhere: expected NEW, or the OUT_DIR of a batch as BASE"),
-        (("a", "b", "--new-config", "c"), "compare two configurations of one dataset; remove NEW"),
+        (("a", "b", "--new-config", "c"), "--new-config needs the OUT_DIR of a batch, found b"),
         (("DATASET", "--update-reference"), "--update-reference needs BASE and NEW"),
     ],
 )
