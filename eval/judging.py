@@ -19,7 +19,7 @@ from .expressions import on_empty_rows
 from .frame_commands import view_command
 from .machine import Outcome
 from .quantities import percent
-from .runs import Run, collect
+from .runs import Run, reading
 from .scan import before, rows_of, scan
 
 _QUANTILES: Final = {"median": 0.5, "p1": 0.01, "p5": 0.05, "p95": 0.95, "p99": 0.99, "min": 0.0, "max": 1.0}
@@ -174,7 +174,8 @@ def _measured(criteria: Sequence[Criterion], run: Run, schema: pl.Schema) -> lis
     for number, criterion in enumerate(criteria):
         columns.append(_sql(criterion.filter).fill_null(value=False).alias(f"keep {number}"))
         columns.append(_value(criterion).alias(f"value {number}"))
-    table = collect(frames.with_columns(lacking).select(columns), run.source_name)
+    with reading(f"{run.source_name}, with the filters and events of the criteria"):
+        table = frames.with_columns(lacking).select(columns).collect(engine="in-memory")
     table = table.with_columns(pl.col("lasts").fill_null(pl.col("lasts").median()).fill_null(0) / NS_PER_S)
     parts = []
     for number, criterion in enumerate(criteria):
