@@ -188,8 +188,8 @@ def _bytes_of(path: Path, most: int, hint: str = "") -> bytes:
 
 
 def _complaint(error: ValidationError) -> str:
-    """The first error, such as ``input.size: expected ..., found ...``."""
-    first = error.errors()[0]
+    """The first error, such as ``input.size: expected ..., found ...``; a misspelt key is also missing."""
+    first = min(error.errors(), key=lambda found: found["type"] != "extra_forbidden")
     sections = [str(part) for part in first["loc"]]
     key = ".".join(part for part in sections if part not in _DECODERS)
     if first["type"] == "extra_forbidden":
