@@ -8,7 +8,7 @@ from itertools import chain
 from typing import Any, Final
 
 from roadperc_stream import log
-from roadperc_stream.config.settings import as_typed, settings_in
+from roadperc_stream.config.settings import BUILT_IN_STAGES, as_typed, settings_in
 from roadperc_stream.errors import ConfigError, LogError
 from roadperc_stream.output.text_table import TextRow, TextTable
 from roadperc_stream.schemas.record import CONFIG_ATTACHMENT, NETWORKS_COMMENT
@@ -68,7 +68,7 @@ def settings_of(run: Run) -> Settings | None:
     for toml in _stored(run):
         if sha256(toml).hexdigest() == run.config_digest:
             try:
-                return settings_in(toml)
+                return {**BUILT_IN_STAGES, **settings_in(toml)}
             except ConfigError:
                 return None
     return None

@@ -59,11 +59,14 @@ FIXED: Final[Mapping[str, float]] = {
 }
 """Settings of older versions that are constants now, with their values; logs and tables still contain them."""
 
+BUILT_IN_STAGES: Final = {f"{stage}.{name}": value for stage in OWN_STAGES for name, value in UNSET}
+"""Settings that a configuration contains only with other values."""
+
 
 def settings_in(toml: bytes) -> dict[str, Any]:
     """The settings of a TOML text by keys such as ``lanes.hold_s``, including unknown ones.
 
-    Settings of older versions are left out if they have the value that is fixed now. Built-in stages are named.
+    Settings of older versions are left out if they have the value that is fixed now.
 
     Raises:
         ConfigError: the text is not TOML.
@@ -72,8 +75,7 @@ def settings_in(toml: bytes) -> dict[str, Any]:
         found = _flat(parsed_toml(toml))
     except RecursionError as error:
         raise ConfigError("not TOML of settings: nested too deeply") from error
-    kept = {key: value for key, value in found.items() if key not in FIXED or FIXED[key] != value}
-    return {f"{stage}.{name}": value for stage in OWN_STAGES for name, value in UNSET} | kept
+    return {key: value for key, value in found.items() if key not in FIXED or FIXED[key] != value}
 
 
 def without_fixed(tree: dict[str, Any], source: Path) -> dict[str, Any]:

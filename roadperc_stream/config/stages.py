@@ -39,7 +39,7 @@ class StageSection(Section):
     implementation: fields.ImplementationName = BUILT_IN
     """The code of the stage: ``built-in``, or a class or function of your own, such as ``my_package.module:MyLanes``.
     A configuration in a log does not import code."""
-    implementation_source: Annotated[str, Field(max_length=1000)] = ""
+    implementation_source: Annotated[str, Field(max_length=1000, json_schema_extra={"remark": "a text"})] = ""
     """Version and digest of the source of your own stage. A replay sets it; a value must match the source."""
 
     @model_serializer(mode="wrap")
