@@ -79,10 +79,8 @@ def test_messages_of_the_input_are_copied_and_results_have_the_images_log_times(
 
 
 def test_detections_that_no_class_can_judge_are_kept_and_counted(drive):
-    assert (
-        replay.main([str(drive / name) for name in ("out.mcap", "replayed.mcap")] + ["--only", "objects", "--quiet"])
-        == 0
-    )
+    paths = [str(drive / name) for name in ("out.mcap", "replayed.mcap")]
+    assert replay.main([*paths, "--only", "objects", "--quiet"]) == 0
     rows = pl.read_parquet(drive / "replayed.metrics.parquet")
     assert rows["detections"].min() >= 2
     assert rows["detections_kept"].to_list() == rows["detections"].to_list() == rows["detections_unjudged"].to_list()
@@ -106,7 +104,7 @@ def test_the_wrong_export_is_an_error(drive, data_dir, capsys, changes, words):
     for old, new in changes:
         text = text.replace(old, new, 1)
     (drive / "wrong.toml").write_text(text)
-    shutil.copy(data_dir / "networks" / "twinnetlite.onnx", drive)
+    shutil.copyfile(data_dir / "networks" / "twinnetlite.onnx", drive / "twinnetlite.onnx")
     out = drive / "wrong.mcap"
     assert main([str(w) for w in (drive / "out.mcap", out, "--network", drive / "wrong.toml", "--force")]) == 1
     error = capsys.readouterr().err
