@@ -1,0 +1,1 @@
+"""Channels that networks compute from a log's images."""

@@ -1,0 +1,158 @@
+"""Masks of the road and its markings from a small network's scores, without the known faults of such networks.
+
+A small network sees the image at a fraction of its size. Its markings are equally wide at every distance, its road has
+holes just before the car, and it takes the own bonnet for road. The corrections need no second network.
+"""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from roadperc_stream.geometry import Float, Float32
+from roadperc_stream.model import Mask
+
+_STEPS = 64.0
+"""Scores are rounded to multiples of 1 / 64: other processors and versions differ by less."""
+_HORIZON_FRAMES = 101
+"""Frames of the running median: four seconds at 25 Hz."""
+_ROAD_COLUMNS = 0.01
+"""Minimum share of road columns in a row that shows the road."""
+
+
+@dataclass(frozen=True)
+class Corrections:
+    """The corrections of one network's masks.
+
+    ``marking_width_m`` is the true width of a marking, None to keep the network's. ``fill_holes`` fills holes of the
+    road at the image's bottom. ``roi`` is a polygon of (x, y) in shares of the image's width and height; pixels outside
+    belong to no class. So do those below ``ignore_below``, a share of the height.
+    """
+
+    marking_width_m: float | None = None
+    fill_holes: bool = False
+    roi: tuple[tuple[float, float], ...] = ()
+    ignore_below: float = 1.0
+
+
+@dataclass(frozen=True)
+class RoadMasks:
+    """(H, W) pixels of the road and of its markings; a pixel of both is a marking."""
+
+    drivable: Mask
+    markings: Mask
+
+
+@dataclass(frozen=True)
+class HorizonEstimate:
+    """The horizon's row: the running median of the topmost road row, over the last frames that show a road."""
+
+    rows: tuple[int, ...] = ()
+
+    def after(self, drivable: Mask) -> "HorizonEstimate":
+        """The estimate after one more frame, given its (H, W) road."""
+        far = np.flatnonzero(np.count_nonzero(drivable, axis=1) >= max(_ROAD_COLUMNS * drivable.shape[1], 1))
+        return HorizonEstimate((*self.rows, int(far[0]))[-_HORIZON_FRAMES:]) if len(far) else self
+
+    @property
+    def row(self) -> float | None:
+        """The row, pixels; None before the first road."""
+        return float(np.median(self.rows)) if self.rows else None
+
+
+def full_size_scores(scores: Float32, size: tuple[int, int]) -> Float32:
+    """(C, H, W) scores of an image of size (H, W), from (C, h, w) ones of a network.
+
+    Interpolating the scores before the comparison moves a class's edge by less than a pixel; the nearest score moves it
+    by up to half of a network's pixel.
+    """
+    rounded = np.rint(scores.astype(np.float32) * _STEPS) / np.float32(_STEPS)
+    return np.stack([cv2.resize(channel, size[::-1], interpolation=cv2.INTER_LINEAR) for channel in rounded])
+
+
+def corrected(
+    cfg: Corrections, camera_height_m: float, horizon: HorizonEstimate, masks: RoadMasks, boxes_px: Float
+) -> tuple[HorizonEstimate, RoadMasks]:
+    """The horizon after this frame, and its corrected masks.
+
+    ``boxes_px`` are the (N, 4) x_min, y_min, x_max, y_max of the objects in the frame.
+    """
+    seen = seen_mask(cfg, masks.drivable.shape)
+    masks = RoadMasks(masks.drivable & seen, masks.markings & seen)
+    horizon = horizon.after(masks.drivable)
+    if cfg.marking_width_m is not None and horizon.row is not None:
+        masks = with_marking_width(masks, horizon.row, cfg.marking_width_m / camera_height_m)
+    if cfg.fill_holes:
+        masks = replace(masks, drivable=without_holes(masks.drivable | masks.markings, seen, boxes_px))
+    return horizon, masks
+
+
+def seen_mask(cfg: Corrections, size: tuple[int, ...]) -> Mask:
+    """(H, W) pixels inside ``roi`` and above ``ignore_below``."""
+    height, width = size
+    seen = np.ones(size, np.uint8)
+    if cfg.roi:
+        seen[:] = 0
+        corners = np.rint(np.array(cfg.roi) * (width, height)).astype(np.int32)
+        cv2.fillPoly(seen, [corners], 1)
+    seen[round(cfg.ignore_below * height) :] = 0
+    return seen.view(bool)
+
+
+def with_marking_width(masks: RoadMasks, horizon_row: float, width_per_row: float) -> RoadMasks:
+    """The masks with each marking as wide as it is on the road: ``width_per_row`` pixels per row below the horizon.
+
+    A line of width w appears w (row - horizon) / h pixels wide to a camera at height h, in any direction on the road.
+    The middle of each run of marked pixels in a row remains. Pixels that are no longer marked become road if the pixel
+    beside the run is road. Rows above the horizon have no markings.
+    """
+    rows, first, end = _runs(masks.markings)
+    width = masks.markings.shape[1]
+    below = rows > horizon_row
+    wanted = width_per_row * (rows[below] - horizon_row)
+    middle = (first[below] + end[below]) / 2
+    markings = _filled(rows[below], np.rint(middle - wanted / 2), np.rint(middle + wanted / 2), masks.markings.shape)
+    road_left = masks.drivable[rows, np.maximum(first - 1, 0)]
+    road_right = masks.drivable[rows, np.minimum(end, width - 1)]
+    middle = (first + end) // 2
+    freed = _filled(rows[road_left], first[road_left], middle[road_left], markings.shape)
+    freed |= _filled(rows[road_right], middle[road_right], end[road_right], markings.shape)
+    return RoadMasks(masks.drivable | freed, markings)
+
+
+def without_holes(road: Mask, seen: Mask, boxes_px: Float) -> Mask:
+    """(H, W) road with the holes at its lower edge filled, except those with a box's pixels.
+
+    The lower edge is that of the ``seen`` pixels: the image's bottom, or the own bonnet. A hole lies in the lower half
+    of the road's rows. What is beside the road reaches farther up.
+    """
+    height, width = road.shape
+    count, labels = cv2.connectedComponents((seen & ~road).view(np.uint8), connectivity=4)
+    hole = np.zeros(count, bool)
+    hole[labels[height - 1 - np.argmax(seen[::-1], axis=0), np.arange(width)]] = True
+    far = np.flatnonzero(road.any(axis=1))
+    top = (int(far[0]) + height) // 2 if len(far) else height
+    hole[np.unique(labels[:top])] = False
+    for x_min, y_min, x_max, y_max in np.clip(np.rint(boxes_px), 0, max(height, width)).astype(int):
+        hole[np.unique(labels[y_min:y_max, x_min:x_max])] = False
+    hole[0] = False
+    return road | hole[labels]
+
+
+def _runs(mask: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+    """Rows of (H, W) runs of set pixels, their first columns and the columns after their last ones."""
+    change = np.diff(np.pad(mask.view(np.int8), ((0, 0), (1, 1))), axis=1)
+    rows, first = np.nonzero(change == 1)
+    return rows, first, np.nonzero(change == -1)[1]
+
+
+def _filled(
+    rows: NDArray[np.intp], first: NDArray[np.generic], end: NDArray[np.generic], size: tuple[int, ...]
+) -> Mask:
+    """(H, W) mask with the pixels from ``first`` to before ``end`` set in each of these rows."""
+    height, width = size
+    steps = np.zeros((height, width + 1), np.int32)
+    np.add.at(steps, (rows, np.clip(first, 0, width).astype(int)), 1)
+    np.add.at(steps, (rows, np.clip(end, 0, width).astype(int)), -1)
+    return np.asarray(np.cumsum(steps[:, :-1], axis=1) > 0)
