@@ -115,9 +115,9 @@ def with_marking_width(masks: RoadMasks, horizon_row: float, width_per_row: floa
     markings = _filled(rows[below], np.rint(middle - wanted / 2), np.rint(middle + wanted / 2), masks.markings.shape)
     road_left = masks.drivable[rows, np.maximum(first - 1, 0)]
     road_right = masks.drivable[rows, np.minimum(end, width - 1)]
-    middle = (first + end) // 2
-    freed = _filled(rows[road_left], first[road_left], middle[road_left], markings.shape)
-    freed |= _filled(rows[road_right], middle[road_right], end[road_right], markings.shape)
+    half = (first + end) // 2
+    freed = _filled(rows[road_left], first[road_left], half[road_left], markings.shape)
+    freed |= _filled(rows[road_right], half[road_right], end[road_right], markings.shape)
     return RoadMasks(masks.drivable | freed, markings)
 
 
@@ -134,10 +134,10 @@ def without_holes(road: Mask, seen: Mask, boxes_px: Float) -> Mask:
     far = np.flatnonzero(road.any(axis=1))
     top = (int(far[0]) + height) // 2 if len(far) else height
     hole[np.unique(labels[:top])] = False
-    for x_min, y_min, x_max, y_max in np.clip(np.rint(boxes_px), 0, max(height, width)).astype(int):
+    for x_min, y_min, x_max, y_max in np.clip(np.rint(boxes_px), 0, max(height, width)).astype(int).tolist():
         hole[np.unique(labels[y_min:y_max, x_min:x_max])] = False
     hole[0] = False
-    return road | hole[labels]
+    return np.asarray(road | hole[labels])
 
 
 def _runs(mask: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
