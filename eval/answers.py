@@ -9,6 +9,7 @@ from rich.console import Console
 
 from roadperc_stream.output.terminal import print_lines, print_parts
 from roadperc_stream.output.text_table import TextRow, TextTable, row
+from roadperc_stream.system.text import number
 
 from .brief import (
     NO_TRUTH,
@@ -94,7 +95,7 @@ def of_pair(runs: Sequence[Run], summaries: Sequence[Summary]) -> Answer:
     found = compare_runs(pair_runs([base], [new], other_log=True), None, Rules())
     groups = [group for mark in _MARKS for group in found.groups(mark)]
     worst = _worst_line(found)
-    none = "" if groups else f"no relevant difference in {found.frames} frames"
+    none = "" if groups else "no relevant difference"
     with_each = of_summaries(
         "Differences", "runs", summaries, lambda at: view_command(base if at.run == base.name else new, at.frame)
     )
@@ -102,7 +103,7 @@ def of_pair(runs: Sequence[Run], summaries: Sequence[Summary]) -> Answer:
     settings = (f"settings: {changes}",) if changes else ()
     return replace(
         with_each,
-        head=(f"base {base.name}, new {new.name}: {found.frames} common frames", *settings, *with_each.head),
+        head=(f"base {base.name}, new {new.name}: {number(found.frames, 'common frame')}", *settings, *with_each.head),
         tables=(_differences(groups),) if groups else (),
         tail=(
             *filter(None, (worst, none)),

@@ -1,7 +1,7 @@
 """The short report: coverage, error and worst frame of each stage, as a table, as lines, and for other programs."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from roadperc_stream.output.reason_counts import ranked as ranked_reasons
@@ -169,6 +169,8 @@ def rows_tables(title: str, summaries: Sequence[Summary]) -> tuple[TextTable, ..
         of_stages = [found[s.name].get(stage) for stage in stages]
         tails.append(row(s.name, str(s.frames), *(_cells(f)[1] if f else "" for f in of_stages)))
         covered.append(row(s.name, *(percent(f.coverage) if f else "" for f in of_stages)))
+    if len(covered) > 1 and len({item.cells for item in covered}) == 1:
+        covered = [replace(covered[0], label="each row")]
     notes = (f"listed: the worst {len(shown)} of {len(summaries)}",) if len(summaries) > len(shown) else ()
     kinds = "p95 error" if truth else "p95 or p5"
     return (

@@ -4,6 +4,7 @@ import argparse
 import shutil
 import sys
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 from roadperc_stream.errors import RegressionError, TableError
@@ -18,8 +19,8 @@ from .comparison.display import print_comparison
 from .comparison.pairing import Pairing, logged_runs, pair_runs
 from .comparison.results import write_results
 from .criteria import effects
-from .dataset.pairs import in_a_folder, runs_of_configs
-from .dataset.place import Dataset
+from .dataset.pairs import in_a_folder, runs_of_config, runs_of_configs
+from .dataset.place import Dataset, dataset_at
 from .options import Rules
 from .quantities import listed
 from .runs import Run
@@ -88,25 +89,36 @@ def compare(arguments: argparse.Namespace) -> None:
         RegressionError: the new run is worse, or with ``--exact`` a field differs.
         RoadpercError: the runs cannot be read, or do not belong together.
     """
-    if arguments.new is None:
-        with in_a_folder(Dataset(arguments.base)) as dataset:
-            configs = runs_of_configs(dataset, (arguments.base_config, arguments.new_config))
-            found = _compared(pair_runs(*configs, arguments.other_log), None, arguments)
-        _require_no_regression(found, arguments.exact)
-        return
-    new, base = logged_runs(arguments.new), Path(arguments.base)
     if arguments.update_reference:
         _require_updatable(arguments.base)
+        base = Path(arguments.base)
         if not base.exists() or (base.is_dir() and not any(base.rglob(f"*{METRICS_SUFFIX}"))):
-            _update(_first_copies(base, new))
+            _update(_first_copies(base, logged_runs(arguments.new)))
             return
-    pairing = pair_runs(logged_runs(arguments.base), new, arguments.other_log)
-    paths = base, Path(arguments.new)
-    found = _compared(pairing, paths if {path.suffix for path in paths} == {".mcap"} else None, arguments)
+    with ExitStack() as files:
+        pairing = pair_runs(*_sides(arguments, files), arguments.other_log)
+        paths = Path(arguments.base), Path(arguments.new or "")
+        found = _compared(pairing, paths if {path.suffix for path in paths} == {".mcap"} else None, arguments)
     if arguments.update_reference:
-        _update(_update_copies(base, pairing))
+        _update(_update_copies(paths[0], pairing))
     else:
         _require_no_regression(found, arguments.exact)
+
+
+def _sides(arguments: argparse.Namespace, files: ExitStack) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
+    """The base runs and the new runs: of two configurations of a dataset, or of an argument each."""
+    if arguments.new is None:
+        dataset = files.enter_context(in_a_folder(Dataset(arguments.base)))
+        return runs_of_configs(dataset, (arguments.base_config, arguments.new_config))
+    base = _side(arguments.base, "--base-config", arguments.base_config, files)
+    return base, _side(arguments.new, "--new-config", arguments.new_config, files)
+
+
+def _side(argument: str, option: str, config: str | None, files: ExitStack) -> tuple[Run, ...]:
+    dataset = dataset_at(argument)
+    if dataset is None:
+        return logged_runs(argument)
+    return runs_of_config(files.enter_context(in_a_folder(dataset)), option, config)
 
 
 def _compared(pairing: Pairing, logs: tuple[Path, Path] | None, arguments: argparse.Namespace) -> Comparison:

@@ -8,10 +8,10 @@ from itertools import chain
 from typing import Any, Final
 
 from roadperc_stream import log
-from roadperc_stream.config.settings import as_typed, settings_in
+from roadperc_stream.config.settings import BUILT_IN_STAGES, as_typed, settings_in
 from roadperc_stream.errors import ConfigError, LogError
 from roadperc_stream.output.text_table import TextRow, TextTable
-from roadperc_stream.schemas.record import CONFIG_ATTACHMENT
+from roadperc_stream.schemas.record import CONFIG_ATTACHMENT, NETWORKS_COMMENT
 
 from .runs import Run
 
@@ -68,7 +68,7 @@ def settings_of(run: Run) -> Settings | None:
     for toml in _stored(run):
         if sha256(toml).hexdigest() == run.config_digest:
             try:
-                return settings_in(toml)
+                return {**BUILT_IN_STAGES, **settings_in(toml)}
             except ConfigError:
                 return None
     return None
@@ -93,7 +93,14 @@ def change(base: Run, new: Run) -> tuple[str, ...]:
     if ours is None or theirs is None:
         return (f"{UNKNOWN}, because a run has no configuration in its table or in a log beside it",)
     rows = differing([ours, theirs])
+    if _networks(base) != _networks(new):
+        rows["networks of the input"] = _networks(base), _networks(new)
     return ("" if rows else "none", *(f"{key} {' → '.join(values)}" for key, values in rows.items()))
+
+
+def _networks(run: Run) -> str:
+    """The first digits of the digest of the networks that computed channels of the input; ``none`` without them."""
+    return run.config.rpartition(NETWORKS_COMMENT)[2][:_DIGITS] if NETWORKS_COMMENT in run.config else "none"
 
 
 def settings_table(runs: Mapping[str, Run]) -> TextTable:

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from roadperc_stream.geometry import Float
-from roadperc_stream.system.files import METRICS_SUFFIX, OBJECTS_SUFFIX
 
 from .comparison.bootstrap import LEVEL, block_length
 from .runs import Run, collect
@@ -149,9 +148,8 @@ def consistency_of_run(run: Run) -> dict[str, Consistency]:
     frames = collect(rows_of(run).select(_columns(FRAME_QUANTITIES)), run.source_name)
     parts = [{judged.name: consistency_of_frames(*errors_of(frames, judged)) for judged in FRAME_QUANTITIES}]
     for table in run.tables:
-        path = table.beside(OBJECTS_SUFFIX)
-        if table.path.name.endswith(METRICS_SUFFIX) and path.is_file():
-            seen = _kept_objects(path, table.end_frame)
+        if table.objects is not None:
+            seen = _kept_objects(table.objects, table.end_frame)
             objects = object_numbers(seen)
             parts.append({judged.name: consistency(*errors_of(seen, judged), objects) for judged in OBJECT_QUANTITIES})
     return {name: sums for name, sums in added(parts).items() if sums.errors}

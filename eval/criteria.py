@@ -9,7 +9,6 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self, get_args
 
-import polars as pl
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from roadperc_stream.config.settings import MOST_BYTES, in_brief, parsed_toml
@@ -17,7 +16,7 @@ from roadperc_stream.errors import ConfigError
 from roadperc_stream.system.text import nearest
 
 from .comparison.metrics import METRICS
-from .runs import first_line
+from .expressions import parsed
 
 Statistic = Literal["mean", "median", "p1", "p5", "p95", "p99", "min", "max", "share", "rate"]
 DEFAULT_CRITERIA: Final = Path(__file__).with_name("criteria.toml")
@@ -125,8 +124,11 @@ def read_criteria(path: Path) -> tuple[Criterion, ...]:
         raise ConfigError(f"{path}: {count} criteria are named {title!r}; give each its own name")
     for criterion in criteria:
         for key, text in (("filter", criterion.filter), ("event", criterion.event)):
-            if text is not None:
-                condition(text, f"{path}: criterion {criterion.title!r}: {key}")
+            try:
+                parsed("true" if text is None else text)
+            except ValueError as error:
+                where = f"{path}: criterion {criterion.title!r}: {key}"
+                raise ConfigError(f"{where}: {in_brief(text)} is no SQL expression: {error}") from error
     return criteria
 
 
@@ -141,18 +143,6 @@ def effects(path: Path) -> Mapping[str, Effect]:
         if name not in BY_NAME:
             raise ConfigError(f"{path}: metrics.{name}: no such metric; {hint(name, BY_NAME)}")
     return found
-
-
-def condition(text: str, source: str) -> pl.Expr:
-    """An SQL condition as a polars expression.
-
-    Raises:
-        ConfigError: it is no SQL expression; the message starts with ``source``.
-    """
-    try:
-        return pl.sql_expr(text)
-    except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
-        raise ConfigError(f"{source}: {text!r} is no SQL expression: {first_line(error)}") from error
 
 
 def _read(path: Path) -> Criteria:
@@ -183,8 +173,9 @@ def _complaint(error: ValidationError, tree: Mapping[str, Any]) -> str:
         return f"{where}expected the key {key}"
     if first["type"] == "value_error":
         return f"{where}{first['ctx']['error']}"
-    expected = f"one of {', '.join(get_args(Statistic))}" if key == "statistic" else first["msg"]
-    return f"{where}{key}: {expected}, found {in_brief(first['input'])}"
+    kinds = f"one of {', '.join(get_args(Statistic))}"
+    expected = kinds if key == "statistic" else first["msg"].removeprefix("Input should be ")
+    return f"{where}{key}: expected {expected}, found {in_brief(first['input'])}"
 
 
 def _place(place: list[Any], tree: Mapping[str, Any]) -> str:

@@ -13,6 +13,8 @@ from .runs import first_line
 
 _ROWS: Final = 2
 """Rows on which an expression is tried."""
+_MOST_CHARACTERS: Final = 1000
+"""Polars takes minutes for an expression of 10,000 characters, and a longer one can end the process."""
 _DIGITS: Final = 6
 """Significant digits of a number in the name of a group."""
 
@@ -26,12 +28,38 @@ def expression(text: str) -> pl.Expr:
     if text.isidentifier():
         return pl.col(text)
     try:
-        return pl.sql_expr(text)
-    except pl.exceptions.PolarsError as error:
+        return parsed(text)
+    except ValueError as error:
         raise TableError(
-            f"--by {text}: is neither a column nor a polars SQL expression ({first_line(error)}); "
+            f"--by {text[:_MOST_CHARACTERS]}: is neither a column nor a polars SQL expression ({error}); "
             'expected one such as config or "floor(distance_m / 10) * 10"'
         ) from error
+
+
+def parsed(text: str) -> pl.Expr:
+    """A polars SQL expression.
+
+    Raises:
+        ValueError: it is not one, or too long; the message says why.
+    """
+    if len(text) > _MOST_CHARACTERS:
+        raise ValueError(f"{len(text)} characters, expected {_MOST_CHARACTERS} at most")
+    try:
+        return pl.sql_expr(text)
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
+        raise ValueError(first_line(error)) from error
+
+
+def on_empty_rows(found: pl.Expr, schema: Mapping[str, pl.DataType]) -> pl.Series:
+    """The value of an expression on ``_ROWS`` rows of nulls.
+
+    Raises:
+        ValueError: the expression does not fit the types of its columns.
+    """
+    try:
+        return pl.DataFrame(schema=schema).clear(_ROWS).select(value=found)["value"]
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
+        raise ValueError(first_line(error)) from error
 
 
 def roots(text: str) -> list[str]:
@@ -69,12 +97,12 @@ def as_key(text: str, schema: Mapping[str, pl.DataType]) -> pl.Expr:
     """
     found = expression(text).alias(key_name(text))
     try:
-        rows = pl.DataFrame(schema=schema).clear(_ROWS).select(found)
-    except pl.exceptions.PolarsError as error:
-        raise TableError(f"--by {text}: cannot be computed from the table's columns: {first_line(error)}") from error
-    if rows.height != _ROWS:
+        rows = on_empty_rows(found, schema)
+    except ValueError as error:
+        raise TableError(f"--by {text}: cannot be computed from the table's columns: {error}") from error
+    if rows.len() != _ROWS:
         raise TableError(f"--by {text}: gives one value for all rows; expected a value for each row")
-    kind = rows.to_series().dtype
+    kind = rows.dtype
     is_list = isinstance(kind, pl.List)
     found = found.round_sig_figs(_DIGITS) if kind.is_float() else found
     shown = found.cast(pl.List(pl.String)).list.join("; ") if is_list else found.cast(pl.String)

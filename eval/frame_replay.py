@@ -15,8 +15,9 @@ import polars as pl
 from roadperc_stream import log
 from roadperc_stream.batch.storage.addresses import is_address
 from roadperc_stream.batch.storage.location import Location
-from roadperc_stream.config import load_config
-from roadperc_stream.errors import LogError, TableError
+from roadperc_stream.chain.own_stage import own_stages
+from roadperc_stream.config import ReplayConfig, implementations, load_config
+from roadperc_stream.errors import ConfigError, LogError, TableError
 from roadperc_stream.input import ReplaySource
 from roadperc_stream.loop import replay
 from roadperc_stream.output.target import ReplayTarget
@@ -57,7 +58,7 @@ class FrameToShow:
 
 
 def shown(
-    run: Run | Path, frame: int | None, topics: Sequence[str], files: ExitStack, progress: Progress
+    run: Run | Path, frame: int | None, topics: Sequence[str], changed: Sequence[str], files: ExitStack, bar: Progress
 ) -> FrameToShow:
     """The log of a run, or a replay of its input up to a frame.
 
@@ -65,12 +66,14 @@ def shown(
         run: a run, or a log.
         frame: number of the frame in the table.
         topics: ``ROLE=/TOPIC``, as in the recorded replay.
+        changed: settings ``KEY=VALUE``; a stage of the user's own must be among them to run.
         files: removes a replayed log when it closes.
-        progress: called with frames done and expected.
+        bar: called with frames done and expected.
 
     Raises:
         TableError: the table has no such frame, or no configuration.
         LogError: the input is missing or is not the log of the table.
+        ConfigError: a stage of the user's own is not repeated.
     """
     kept = run if isinstance(run, Path) else Path(run.log) if run.dataset else run.beside(".mcap")
     if isinstance(run, Path) or kept.is_file():
@@ -84,23 +87,30 @@ def shown(
     if found.is_empty():
         raise TableError(f"{run.path}: no frame {frame}; the table has {number(rows.height, 'frame')}")
     folder = Path(files.enter_context(TemporaryDirectory(prefix="roadperc-view-")))
-    return _replayed(run, found.row(0, named=True), topics, folder, progress)
+    config = folder / CONFIG_ATTACHMENT
+    config.write_text(run.config, "utf-8", errors="surrogateescape")
+    cfg = load_config(config, changed)
+    named = [f"{stage}.implementation={name}" for stage, name in implementations(cfg)]
+    if missing := [f"--set {setting}" for setting in named if setting not in changed]:
+        raise ConfigError(f"{run.path}: used a stage of your own; to run its code, pass {' '.join(missing)}")
+    return _replayed(run, found.row(0, named=True), topics, cfg, folder, bar)
 
 
-def _replayed(run: Run, row: Mapping[str, Any], topics: Sequence[str], folder: Path, progress: Progress) -> FrameToShow:
+def _replayed(
+    run: Run, row: Mapping[str, Any], topics: Sequence[str], cfg: ReplayConfig, folder: Path, progress: Progress
+) -> FrameToShow:
+    cfg, own = own_stages(cfg)
     source, options = _input(run, folder), _options(run.options)
     at_s = ns_to_seconds(row["stamp_ns"] - (log.summarise(source).first_ns or 0))
     is_far = at_s - (options.start or 0.0) > _FAR_S
     end_s = min(at_s + _AFTER_S, options.end or math.inf)
     part = TimeRange(at_s - _BEFORE_S, end_s) if is_far else TimeRange(options.start, end_s, row["frame"] + 1)
-    config = folder / CONFIG_ATTACHMENT
-    config.write_text(run.config, "utf-8", errors="surrogateescape")
     target = ReplayTarget(folder / "out.mcap")
     replay(
         ReplaySource(source, parse_topic_options([*options.topic, *topics]), part, recover=True),
         target,
-        load_config(config),
-        ReplayOptions(warm_up_s=_WARM_UP_S if is_far else 0.0, threads=usable_cores()),
+        cfg,
+        ReplayOptions(warm_up_s=_WARM_UP_S if is_far else 0.0, threads=usable_cores(), own=own),
         Callbacks(progress),
     )
     again = pl.read_parquet(target.metrics).filter(pl.col("stamp_ns") == row["stamp_ns"])

@@ -22,11 +22,8 @@ from .scan import rows_of
 def runs_to_show(argument: str, log: str | None, configs: Sequence[str], files: ExitStack) -> list[Run | Path]:
     """The runs that an argument names; a log needs no table.
 
-    Args:
-        argument: a log, a table, a folder of tables or a dataset.
-        log: the log of a dataset.
-        configs: configurations of the dataset, by name or setting; empty if it has one.
-        files: removes copies of tables when it closes.
+    It is a log, a table, a folder of tables or a dataset. ``configs`` are names or settings, empty if the dataset has
+    one configuration. ``files`` removes copies of tables when it closes.
 
     Raises:
         RoadpercError: the argument names no run.

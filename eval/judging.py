@@ -15,10 +15,11 @@ from roadperc_stream.system.text import number as number_of
 from roadperc_stream.system.time import NS_PER_S
 
 from .criteria import BY_NAME, Criterion, hint
+from .expressions import on_empty_rows
 from .frame_commands import view_command
 from .machine import Outcome
 from .quantities import percent
-from .runs import Run, collect, first_line
+from .runs import Run, reading
 from .scan import before, rows_of, scan
 
 _QUANTILES: Final = {"median": 0.5, "p1": 0.01, "p5": 0.05, "p95": 0.95, "p99": 0.99, "min": 0.0, "max": 1.0}
@@ -132,7 +133,6 @@ def _frames_of(run: Run) -> pl.LazyFrame:
 
 def _require_fit(criterion: Criterion, schema: pl.Schema, where: str) -> None:
     """Check that the columns of a criterion exist, that its value is a number, and that its SQL is a condition."""
-    empty = pl.DataFrame(schema=schema).lazy()
     for key, found, expected in (
         ("filter", _sql(criterion.filter), "a condition"),
         ("event", _sql(criterion.event), "a condition"),
@@ -141,9 +141,9 @@ def _require_fit(criterion: Criterion, schema: pl.Schema, where: str) -> None:
         if wrong := [name for name in found.meta.root_names() if name not in schema]:
             raise ConfigError(f"{where}: {key}: no column {wrong[0]}; {hint(wrong[0], schema.names())}")
         try:
-            kind = empty.select(value=found).collect_schema()["value"]
-        except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
-            raise ConfigError(f"{where}: {key}: {first_line(error)}") from error
+            kind = on_empty_rows(found, schema).dtype
+        except ValueError as error:
+            raise ConfigError(f"{where}: {key}: {error}") from error
         if kind != pl.Boolean and not (expected == "numbers" and kind.is_numeric()):
             raise ConfigError(f"{where}: {key}: is of type {kind}, expected {expected}")
 
@@ -174,7 +174,8 @@ def _measured(criteria: Sequence[Criterion], run: Run, schema: pl.Schema) -> lis
     for number, criterion in enumerate(criteria):
         columns.append(_sql(criterion.filter).fill_null(value=False).alias(f"keep {number}"))
         columns.append(_value(criterion).alias(f"value {number}"))
-    table = collect(frames.with_columns(lacking).select(columns), run.source_name)
+    with reading(f"{run.source_name}, with the filters and events of the criteria"):
+        table = frames.with_columns(lacking).select(columns).collect(engine="in-memory")
     table = table.with_columns(pl.col("lasts").fill_null(pl.col("lasts").median()).fill_null(0) / NS_PER_S)
     parts = []
     for number, criterion in enumerate(criteria):

@@ -10,11 +10,14 @@ from pathlib import Path
 from typing import Any, Final, Literal
 from xml.etree import ElementTree
 
+from roadperc_stream.errors import TargetError
 from roadperc_stream.output.text_table import TextTable
-from roadperc_stream.system.files import completing, require_plain
+from roadperc_stream.system.files import completing, real_path, require_plain
 
 Outcome = Literal["passed", "failed", "skipped", "error"]
 _ELEMENTS: Final[Mapping[Outcome, str]] = {"failed": "failure", "skipped": "skipped", "error": "error"}
+_INPUTS: Final = {".mcap", ".parquet", ".toml"}
+"""Suffixes of files that a result does not replace."""
 _NOT_IN_NAMES: Final = re.compile(r"[^/\w.\- ]", re.ASCII)
 _NOT_IN_XML: Final = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
@@ -39,8 +42,14 @@ def write_files(
     """Write the files of ``--json``, ``--markdown`` (title, lines and tables) and ``--junit``, if they are given.
 
     Raises:
-        TargetError: a file cannot be written.
+        TargetError: a file cannot be written, has the suffix of an input, or is named twice.
     """
+    paths = [path for path in (arguments.json, arguments.markdown, arguments.junit) if path is not None]
+    for place, path in enumerate(paths):
+        if path.suffix.lower() in _INPUTS:
+            raise TargetError(f"{path}: expected the name of a result, not of a log, a table or a criteria file")
+        if real_path(path) in map(real_path, paths[:place]):
+            raise TargetError(f"{path}: two options name it; give each result its own file")
     if arguments.json is not None:
         write_json(arguments.json, values)
     if arguments.markdown is not None:

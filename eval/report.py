@@ -35,9 +35,7 @@ _MORE: Final = "pass --full for all tables, --by EXPRESSION for slices"
 def print_report(arguments: argparse.Namespace, write_page: WritePage | None) -> None:
     """Print the figures of finished runs, and write the files that the options name.
 
-    Args:
-        arguments: of the command.
-        write_page: writes the page; None without a page, since its import is slow.
+    ``write_page`` is None without a page, since its import is slow.
 
     Raises:
         TableError: an argument names no run, no run has a frame, or a column does not exist.

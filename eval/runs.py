@@ -163,6 +163,14 @@ class Run:
         return self.path.with_name(self.path.name.removesuffix(METRICS_SUFFIX) + suffix)
 
     @property
+    def objects(self) -> Path | None:
+        """The table of objects beside the table or in its dataset; None without one, or if it holds other runs too."""
+        path = self.beside(OBJECTS_SUFFIX)
+        if self.dataset:
+            path = self.path.parents[2].joinpath("objects", *self.path.parts[-2:])
+        return path if path.is_file() and not self.within else None
+
+    @property
     def source_name(self) -> str:
         """The tables' name in error messages."""
         more = len(self.tables) - 1

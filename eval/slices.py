@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, Final
 
 import polars as pl
@@ -43,8 +44,8 @@ def slices_of_runs(runs: Sequence[Run], by: Sequence[str]) -> Answer:
     """
     columns = frozenset[str]().union(*(run.columns for run in runs)) | {_LOG}
     if of_objects(by, columns):
-        tables = [(run, table) for run in runs for table in run.tables]
-        scanned_objects = [_objects(run, table) for run, table in tables if table.beside(OBJECTS_SUFFIX).is_file()]
+        tables = [(run.name, table, table.objects) for run in runs for table in run.tables]
+        scanned_objects = [_objects(name, table, path) for name, table, path in tables if path]
         if not scanned_objects:
             raise TableError(f"--by {','.join(by)}: {runs[0].beside(OBJECTS_SUFFIX)} does not exist; expected it")
         return object_slices(pl.concat(scanned_objects, how="diagonal_relaxed"), by, str(runs[0].path))
@@ -87,18 +88,15 @@ def _keyed(run: Run, by: Sequence[str]) -> pl.DataFrame:
     )
 
 
-def _objects(run: Run, table: Run) -> pl.LazyFrame:
-    rows = pl.scan_parquet(table.beside(OBJECTS_SUFFIX), glob=False).with_columns(pl.lit(run.name).alias(_LOG))
+def _objects(name: str, table: Run, path: Path) -> pl.LazyFrame:
+    rows = pl.scan_parquet(path, glob=False).with_columns(pl.lit(name).alias(_LOG))
     return rows if table.end_frame is None else rows.filter(pl.col("frame") < table.end_frame)
 
 
 def object_slices(rows: pl.LazyFrame, by: Sequence[str], source: str) -> Answer:
     """The errors of the distances of kept detections in each slice, the largest p95 first.
 
-    Args:
-        rows: of tables of objects, with the name of the log in ``log``.
-        by: expressions.
-        source: a file, for errors.
+    ``rows`` are those of tables of objects, with the name of the log in ``log``; errors name ``source``.
 
     Raises:
         TableError: a table cannot be read, a column does not exist, or there are too many slices.

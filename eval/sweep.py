@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from roadperc_stream.chain.own_stage import own_stages
 from roadperc_stream.cli.arguments import time_range_of
 from roadperc_stream.config import load_config
 from roadperc_stream.errors import LogError
@@ -101,7 +102,7 @@ def sweep(arguments: argparse.Namespace) -> None:
         RoadpercError: a log cannot be replayed, a setting is invalid, or the dataset cannot be written.
     """
     made = combinations(arguments.config, arguments.set, arguments.vary)
-    reference = reference_of(made, load_config(arguments.config, tuple(arguments.set)))
+    reference = reference_of(made, own_stages(load_config(arguments.config, tuple(arguments.set)))[0])
     for path in arguments.logs:  # fail before any log is replayed
         if not path.is_file():
             raise LogError(not_a_log(path) if path.is_dir() else f"{path}: no such file")

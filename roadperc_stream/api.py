@@ -7,7 +7,7 @@ z forward.
 
 from __future__ import annotations  # help() shows the name ArrayLike instead of its long definition
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,11 +15,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 from numpy.typing import ArrayLike
 
+from roadperc_stream.chain.own_stage import OwnStage, own_stages
 from roadperc_stream.chain.step import ChainState, step
 from roadperc_stream.config import ReplayConfig, load_config, validated
 from roadperc_stream.errors import ConfigError, RoadpercError, TableError
 from roadperc_stream.geometry import Camera, mounting
 from roadperc_stream.input import ReplaySource, arrays
+from roadperc_stream.input.rectified import rectified_frame
 from roadperc_stream.loop import replay as _replay
 from roadperc_stream.metrics import frame_metrics
 from roadperc_stream.model import Detection, Frame, FrameResult, Truth
@@ -86,15 +88,16 @@ def replay(
 
     Raises:
         RoadpercError: the input cannot be read or replayed, or the output cannot be written; partial files are removed.
+            After a failure of a stage of your own, ``__cause__`` is its exception.
     """
+    cfg, own = own_stages(_config(config))
+    before = None if continued is None else Path(continued)
     with _arguments_in_errors():
         return _replay(
             ReplaySource(_paths(src), dict(topics or {}), TimeRange(start_s, end_s, max_frames), recover, strict),
             ReplayTarget(Path(dst), results_only=results_only, force=force),
-            _config(config),
-            ReplayOptions(
-                None if continued is None else Path(continued), warm_up_s, checkpoint_every_s, resume, _threads(threads)
-            ),
+            cfg,
+            ReplayOptions(before, warm_up_s, checkpoint_every_s, resume, _threads(threads), own),
         )
 
 
@@ -138,14 +141,14 @@ def frames(
     Raises:
         RoadpercError: the log cannot be read or replayed.
     """
-    cfg = _config(config)
+    cfg, own = own_stages(_config(config))
     source = ReplaySource(_paths(log), topics or {}, TimeRange(start_s, end_s, max_frames), recover)
     opened = open_log(source, cfg)
     state = opened.state_for(cfg)
     chain, earlier = state.chain, state.earlier
     for sample in opened.input.samples():
         with one_thread():  # the same bits as in a replay, with any settings of the caller
-            chain, result = step(cfg, chain, sample.frame)
+            chain, result = step(cfg, chain, sample.frame, own=own)
             row = frame_metrics(cfg, opened.input.log_id, sample, result, earlier)
         earlier = sample.as_earlier
         if sample.is_written:
@@ -166,6 +169,7 @@ class Chain:
         ego_T_camera: ArrayLike | None = None,
         right_camera: Camera | None = None,
         tag_table: str = "",
+        stages: Mapping[str, Callable[..., Any]] | None = None,
     ) -> None:
         """Set up the chain.
 
@@ -177,13 +181,16 @@ class Chain:
             right_camera: right camera of a rectified pair whose left camera is ``camera``; ``baseline_m`` is positive.
             tag_table: CARLA version of the numbers in ``tags``, such as ``"0.9.15"``; empty for the configuration's
                 ``tag_table``.
+            stages: stages of your own by name, such as ``{"lanes": MyLanes}``: classes or functions with the signatures
+                in ``roadperc_stream.chain.protocols``. They override ``implementation`` in the configuration.
 
         Raises:
             TypeError: a camera is not a Camera.
             ValueError: a camera or the mounting has invalid numbers, or the camera does not look ahead.
-            ConfigError: the configuration is invalid, or the tag table is unknown.
+            ConfigError: the configuration is invalid, the tag table is unknown, or a stage cannot be used.
         """
-        self._cfg = _config(config)
+        self._cfg, own = own_stages(_config(config))
+        self._own = {**own, **{stage: OwnStage.of(stage, code) for stage, code in (stages or {}).items()}}
         self._camera = arrays.checked_camera("camera", camera)
         self._right_camera = None if right_camera is None else arrays.checked_camera("right_camera", right_camera)
         self._mounted = ego_T_camera is not None
@@ -244,7 +251,7 @@ class Chain:
             detections=None if detections is None else arrays.checked_detections(detections),
         )
         with one_thread():
-            self._state, result = step(self._cfg, self._state, frame)
+            self._state, result = step(self._cfg, self._state, rectified_frame(frame), own=self._own)
         return result
 
 

@@ -25,6 +25,10 @@ class ConfigError(RoadpercError):
     """A setting that does not exist or has an invalid value."""
 
 
+class StageError(RoadpercError):
+    """A stage of the user's own that failed, or whose output cannot be used."""
+
+
 class StateError(RoadpercError):
     """A saved state or checkpoint from which a replay cannot continue."""
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 from itertools import islice
 from time import perf_counter, thread_time
 
+from roadperc_stream.chain.own_stage import OwnStages
 from roadperc_stream.chain.step import ChainState, LocalisedFrame, localise, observe, perceive
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.input import ReplaySource
@@ -18,7 +19,7 @@ from roadperc_stream.resume.opening import PLAIN, OpenedLog, ReplayOptions, fini
 from roadperc_stream.resume.state import ReplayState
 from roadperc_stream.system.files import all_or_none
 from roadperc_stream.system.pipeline import Pipeline
-from roadperc_stream.system.stage_timer import StageTimer
+from roadperc_stream.system.progress import StageTimer
 from roadperc_stream.system.threads import one_thread
 
 
@@ -59,7 +60,7 @@ def replay(
             checkpoints.begin()
             with one_thread(), all_or_none(*outputs.files):
                 frames = _Frames(cfg, opened, outputs, checkpoints, callbacks)
-                frames.replay(options.threads)
+                frames.replay(options.threads, options.own)
                 states, notes = opened.attachments(cfg, frames.end, with_messages=target.results_only)
                 outputs.end(opened.facts(), states)
                 target.require_free(source.files)  # another program may have written them
@@ -90,9 +91,9 @@ class _Frames:
         self._localised = self._perceived = self.end.chain
         self._earlier = self.end.earlier
 
-    def replay(self, threads: int) -> None:
+    def replay(self, threads: int, own: OwnStages) -> None:
         """Write all frames: copy those of an interrupted replay, compute the others."""
-        self._threads, samples = threads, self._input.samples()
+        self._threads, self._own, samples = threads, own, self._input.samples()
         self._outputs.begin(self._callbacks, self.end.shown, self._checkpoints.begun.counted)
         for sample in islice(samples, self._checkpoints.begun.samples):
             if sample.is_written:
@@ -112,17 +113,17 @@ class _Frames:
 
     def _observe(self, item: _Timed) -> tuple[_Timed, Scene]:
         sample, timer = item
-        return item, observe(self._cfg, sample.frame, timer, self._threads)
+        return item, observe(self._cfg, sample.frame, timer, self._threads, self._own)
 
     def _localise(self, item: tuple[_Timed, Scene]) -> tuple[_Timed, LocalisedFrame]:
         (sample, timer), scene = item
-        localised = localise(self._cfg, self._localised, scene, timer)
+        localised = localise(self._cfg, self._localised, scene, timer, self._own)
         self._localised = localised.state
         return (sample, timer), localised
 
     def _perceive(self, item: tuple[_Timed, LocalisedFrame]) -> tuple[_Timed, ChainState, FrameResult]:
         (sample, timer), localised = item
-        self._perceived, result = perceive(self._cfg, self._perceived, localised, timer)
+        self._perceived, result = perceive(self._cfg, self._perceived, localised, timer, self._own)
         return (sample, timer), self._perceived, result
 
     def _write(self, item: tuple[_Timed, ChainState, FrameResult]) -> None:

@@ -52,7 +52,7 @@ ENTRIES = (
     ),
     Entry(
         "Not an MCAP log", "roadperc-info notes.mcap", "The file has another format.",
-        "Convert folders of frames with `roadperc-convert`. Convert ROS bags of other formats to MCAP first.",
+        "Convert videos and folders of frames with `roadperc-convert`. Convert other ROS bags to MCAP first.",
     ),
     Entry(
         "Cut or damaged log", "roadperc-replay cut.mcap out.mcap", "The recording ended early, or the copy is damaged.",
@@ -107,12 +107,22 @@ ENTRIES = (
         "The value is outside the allowed range.", "Choose a value in the printed range.",
     ),
     Entry(
+        "Own stage without its module", "roadperc-replay in.mcap out.mcap --set lanes.implementation=my_lanes:MyLanes",
+        "Python does not find the code of a stage of your own.",
+        "Run the command in the folder of `my_lanes.py`, or install the package ([A stage of your own](own_stage.md)).",
+    ),
+    Entry(
         "Configuration with a syntax error", "roadperc-replay in.mcap out.mcap --config broken.toml",
         "The file is not valid TOML.", "Start from the output of `roadperc-replay --print-config`.",
     ),
     Entry(
         "Dump without calibration", "roadperc-convert drive in2.mcap", "The field of view of the camera is unknown.",
         "Add `calibration.json`, or pass `--fov` in degrees.",
+    ),
+    Entry(
+        "Video that cannot be read", "roadperc-convert cut_off.mp4 in2.mcap --fov 55",
+        "The file is no video, or the recorder was switched off before it wrote the index of the MP4.",
+        "Repair the file with the tool of the camera, or record Matroska (`.mkv`), which can be read up to a cut.",
     ),
     Entry(
         "Wrong folder layout", "roadperc-convert empty_folder in2.mcap", "The folder has no images with known names.",
@@ -153,6 +163,7 @@ def make_inputs(folder: Path) -> None:
     (folder / "notes.mcap").write_text("no log")
     (folder / "broken.toml").write_text("[lanes\n")
     (folder / "empty_folder").mkdir()
+    (folder / "cut_off.mp4").write_bytes(b"\0\0\0\x1cftypisom\0\0\2\0isomiso2mp41")
     for name, calibration in (("drive", "{}"), ("misspelled", '{"widht": 16, "height": 12, "fov_deg": 90}')):
         (folder / name / "rgb").mkdir(parents=True)
         cv2.imwrite(str(folder / name / "rgb" / "1.png"), np.zeros((12, 16, 3), np.uint8))

@@ -10,8 +10,8 @@ from roadperc_stream.log import Channel, LogWriter, Message
 from roadperc_stream.model import Transform
 from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14 as TABLE
 from roadperc_stream.output import encoding
+from roadperc_stream.schemas.protobuf import schema
 from roadperc_stream.schemas.record import TAG_TABLE_KEY
-from roadperc_stream.schemas.registry import schema
 from roadperc_stream.schemas.roles import ROLES
 from tests.analytic import STEP_NS, Road, box
 

@@ -75,6 +75,8 @@ def _leaves(node, path="", found=None):
     elif isinstance(node, list | tuple):
         for value in node:
             _leaves(value, f"{path}[]", found)
+    elif isinstance(node, bytes):
+        numbers[path].append(len(node))
     elif isinstance(node, str) or node is None:
         texts[path].append(str(node))
     else:

@@ -16,29 +16,33 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", *(ROOT / f"docs/{name}.md" for name in ("viewing", "recordings", "chain", "evaluation"))]
+PAGES = [
+    ROOT / "README.md",
+    *(ROOT / f"docs/{name}.md" for name in ("viewing", "recordings", "chain", "own_stage", "evaluation")),
+]
 """Pages whose commands run, in the order in which a reader meets them."""
 TEXTS = [
     *(ROOT / f"{name}.md" for name in ("README", "CHANGELOG", "CONTRIBUTING")),
     *sorted((ROOT / "docs").glob("*.md")),
 ]
-FENCE = re.compile(r"^```(sh|python)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
-EXAMPLES = [text for _, text in FENCE.findall((ROOT / "docs" / "python.md").read_text(encoding="utf-8"))]
+FENCE = re.compile(r'^```(sh|python)(?: title="(\S+)")?\n(.*?)^```$', re.DOTALL | re.MULTILINE)
+EXAMPLES = [text for *_, text in FENCE.findall((ROOT / "docs" / "python.md").read_text(encoding="utf-8"))]
 SERVES = re.compile(r"--(foxglove|live)$")
 OPENS_VIEWER = re.compile(r"^roadperc-view \S+$")
 PYTHON = shlex.quote(sys.executable)
 BENCHES = ("bench", "bench.compare")
 OTHERS = {"--delta_unit", "--all_pairs", "--shell", "--max-bag-duration", "--inplace"} | {
     "--head", "--address", "--num-cpus", "--block", "--port", "--generate", "--dashboard-host",
-    "--sett", "--rm", "--init", "--network", "--env", "--volume", "--shm-size", "--detach",
+    "--sett", "--force-regen", "--rm", "--init", "--network", "--env", "--volume", "--shm-size", "--detach",
 }  # fmt: skip
-"""Options of evo, argcomplete, rosbag2, setuptools, Ray and containers, and a misspelled one, that the pages name."""
+"""Options of evo, argcomplete, rosbag2, setuptools, Ray, pytest and containers, and a misspelled one, on the pages."""
 
 
 @dataclass(frozen=True)
 class Block:
     page: str
     language: str
+    title: str
     text: str
 
     def lines(self):
@@ -90,8 +94,9 @@ def serve(command, folder):
 def test_every_command_runs_in_order(folder):
     for block in blocks():
         if block.language == "python":
-            (folder / "block.py").write_text(block.text, encoding="utf-8")
-            run(f"{PYTHON} block.py", folder)
+            name = block.title or "block.py"
+            (folder / name).write_text(block.text, encoding="utf-8")
+            run(f"{PYTHON} {name}", folder)
             continue
         for line in block.lines():
             if SERVES.search(line):

@@ -273,7 +273,7 @@ def test_a_dropped_sensor_is_named_in_its_frame(tmp_path):
         "stereo: no right image",
         "occupancy: no depth",
         "surface: the plane of earlier frames, moved by odometry, is used: no depth",
-        "objects: no depth, no distances",
+        "objects: no depth, the boxes' lower edges on the road give the distances",
     ]
 
 

@@ -55,11 +55,8 @@ def block_length(values: Float) -> int:
     """Number of frames in a block of the circular bootstrap, from the values' correlation.
 
     It is at least twice the cube root of N, because few values underestimate the correlation. (200 simulated logs
-    without a difference, correlation 0.8: of those with 40 frames 29 were marked without this bound and 12 with it,
-    of those with 200 frames 9 and 6.)
-
-    Args:
-        values: (N,) float64 in frame order.
+    without a difference, correlation 0.8: of those with 40 frames 29 were marked without this bound and 12 with it, of
+    those with 200 frames 9 and 6.) ``values`` (N,) are float64 in frame order.
     """
     count = values.size
     size = float(np.ptp(values))

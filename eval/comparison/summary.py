@@ -5,11 +5,11 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Final
 
-from roadperc_stream.schemas.columns import UNITLESS
+from roadperc_stream.schemas.columns import RATIO, UNITLESS
 from roadperc_stream.system.text import number
 
 from ..frame_commands import view_pair_command
-from ..quantities import listed
+from ..quantities import QUALITY, SEEN, listed
 from .agreement import Agreements, Value
 from .comparing import Comparison
 from .metrics import Metric
@@ -18,6 +18,8 @@ from .verdicts import CauseGroup, Finding, Mark, Place, Statistic, Verdict
 _MOST_GROUPS: Final[dict[Mark, int]] = {"worse": 5, "better": 3}
 """Groups of metrics with a line each; ``--full`` lists all."""
 _MOST_SETTINGS: Final = 6
+_MUCH: Final = 0.1
+"""Smallest change of a share that is named though it is not judged."""
 TEXT_SHOWN: Final = 48
 """Characters shown of a text value."""
 _BY_USE: Final[tuple[Statistic, ...]] = ("mean", "worst frame", "worst log", "p95", "beyond limit", "spread")
@@ -46,9 +48,21 @@ def summary(found: Comparison, *, full: bool = False) -> Iterator[str]:
         if len(shown) < len(groups):
             yield f"{mark}: {listed([group.name for group in groups[most:]])}; pass --full for details"
     yield f"unchanged: {number(len(found.named('unchanged')), 'metric')}"
+    yield from _unjudged(found)
     yield f"fields of the tables: {_states(found.columns)}"
     if found.messages:
         yield f"fields of messages with different bytes: {_states(found.messages)}"
+
+
+def _unjudged(found: Comparison) -> Iterator[str]:
+    """A line for each share that changed much and is neither better nor worse if high."""
+    judged = {quantity.column for quantity in QUALITY}
+    for column in (quantity.column for quantity in SEEN if quantity.unit == RATIO and quantity.column not in judged):
+        change = found.columns.get(column)
+        if change is not None and change.first is not None and change.largest >= _MUCH:
+            changed = f"{both(change.first.base, change.first.new)} in frame {change.first.frame}"
+            frames = number(change.differing, "frame")
+            yield f"not judged: {column} {changed}, differs in {frames} by up to {change.largest:.3g}"
 
 
 def _verdict(found: Comparison) -> str:

@@ -25,7 +25,7 @@ from roadperc_stream.geometry import Float
 from .bootstrap import mean_interval
 from .metrics import COVERAGE_RELEVANT, Metric
 from .values import LogValues
-from .verdicts import Finding, Mark, Place, Statistic
+from .verdicts import Finding, Mark, Place
 
 FEWEST: Final = 2
 JUMP: Final = 10.0
@@ -50,9 +50,11 @@ def tail_findings(
     if metric.share:
         return
     base, new = ([metric.sign * log.judged[side] for log in logs] for side in (0, 1))
-    yield _quantile(metric, "p95", base, new, relevant, tests, place)
-    base_spread, new_spread = [_deviations(log.base) for log in logs], [_deviations(log.new) for log in logs]
-    yield _quantile(metric, "spread", base_spread, new_spread, relevant / 10, tests, place)
+    bound, after, worse = _quantile(base, new, relevant, tests)
+    yield Finding(metric, "p95", metric.sign * bound, metric.sign * after, None, _mark(worse), place)
+    deviations = [_deviations(log.base) for log in logs], [_deviations(log.new) for log in logs]
+    bound, after, worse = _quantile(*deviations, relevant / 10, tests)
+    yield Finding(metric, "spread", bound, after, None, _mark(worse and after >= SPREAD_RATIO * bound), place)
     if limit is not None:
         yield _worst_frame(logs, relevant, limit, place)
         yield _beyond_limit(metric, base, new, metric.sign * limit, tests, place)
@@ -62,21 +64,11 @@ def _deviations(values: Float) -> Float:
     return np.asarray(np.abs(values - np.median(values)), np.float64)
 
 
-def _quantile(
-    metric: Metric,
-    statistic: Statistic,
-    base: Sequence[Float],
-    new: Sequence[Float],
-    relevant: float,
-    tests: int,
-    place: Place | None,
-) -> Finding:
-    """The quantile of the bad side over all frames; of a spread, large is bad."""
-    sign = metric.sign if statistic == "p95" else 1
+def _quantile(base: Sequence[Float], new: Sequence[Float], relevant: float, tests: int) -> tuple[float, float, bool]:
+    """The quantile of both sides over all frames, and whether more frames of the new one are clearly beyond it."""
     bound, after = (float(np.quantile(np.concatenate(side), _TAIL)) for side in (base, new))
-    grows = after - bound >= relevant and (statistic == "p95" or after >= SPREAD_RATIO * bound)
-    worse = grows and _rises([(b > bound, n > bound) for b, n in zip(base, new, strict=True)], tests)
-    return Finding(metric, statistic, sign * bound, sign * after, None, _mark(worse), place)
+    beyond = [(b > bound, n > bound) for b, n in zip(base, new, strict=True)]
+    return bound, after, after - bound >= relevant and _rises(beyond, tests)
 
 
 def _rises(beyond: Sequence[tuple[NDArray[np.bool_], NDArray[np.bool_]]], tests: int) -> bool:

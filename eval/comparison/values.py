@@ -9,7 +9,6 @@ import polars as pl
 from numpy.typing import NDArray
 
 from roadperc_stream.geometry import Float
-from roadperc_stream.system.files import METRICS_SUFFIX, OBJECTS_SUFFIX
 
 from ..runs import Run, collect, reading
 from ..scan import scan
@@ -97,8 +96,7 @@ def _class_errors(run: Run) -> pl.DataFrame | None:
     """Mean absolute error of the distance per frame, a column for each class; None without tables of objects."""
     parts = []
     for table in run.tables:
-        path = table.beside(OBJECTS_SUFFIX)
-        if table.within or not table.path.name.endswith(METRICS_SUFFIX) or not path.is_file():
+        if (path := table.objects) is None:
             continue
         rows = pl.scan_parquet(path, glob=False)
         with reading(str(path)):

@@ -119,10 +119,8 @@ class GroupedFrames:
 def group_frames(files: Sequence[str], runs: pl.DataFrame, asked: Sequence[str]) -> GroupedFrames:
     """Read the tables of a dataset.
 
-    Args:
-        files: at least one; for an address a pattern.
-        runs: the list of runs.
-        asked: columns to group by; if empty, configuration and version if they differ.
+    ``files`` are at least one, for an address a pattern. Without ``asked`` columns the groups are configurations, and
+    versions if they differ.
 
     Raises:
         TableError: a table cannot be read, a frame appears twice, or a column does not exist or has too many values.

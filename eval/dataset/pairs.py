@@ -16,7 +16,7 @@ from roadperc_stream.system.files import TABLE_SUFFIX
 
 from ..configurations import Settings
 from ..runs import Run, open_run
-from .keys import LOG, in_order_of_runs, log_names, settings_by_config, two_configs
+from .keys import LOG, config_named, in_order_of_runs, log_names, settings_by_config, two_configs
 from .place import FILE, NO_TABLES, RUNS, Dataset, metrics_files, read_runs, without_file
 from .reading import metrics_tables, reading_files, require_named
 from .worst import LogKey
@@ -28,7 +28,7 @@ _ROWS: Final = "rows"
 
 @contextmanager
 def in_a_folder(dataset: Dataset) -> Iterator[Dataset]:
-    """A dataset in a local folder; for an address a temporary copy of its lists of runs and its metrics tables.
+    """A dataset in a local folder; for an address a temporary copy of its lists of runs and its tables.
 
     Raises:
         TableError: the dataset has no tables.
@@ -38,7 +38,8 @@ def in_a_folder(dataset: Dataset) -> Iterator[Dataset]:
         yield dataset
         return
     store = Location(dataset.address)
-    names = [f"{folder}/{name}" for folder in ("metrics", "runs") for name in store.at(folder).files(TABLE_SUFFIX)]
+    folders = "metrics", "objects", "runs"
+    names = [f"{folder}/{name}" for folder in folders for name in store.at(folder).files(TABLE_SUFFIX)]
     if not names:
         raise TableError(f"{dataset.address}: {NO_TABLES}")
     with TemporaryDirectory(prefix="roadperc-compare-") as folder, ThreadPoolExecutor(_AT_ONCE) as threads:
@@ -57,6 +58,16 @@ def runs_of_configs(dataset: Dataset, names: tuple[str | None, str | None]) -> t
     configs, found, logs = _contents(dataset)
     base, new = two_configs(names, configs)
     return tuple(_runs(dataset, found, base, logs)), tuple(_runs(dataset, found, new, logs))
+
+
+def runs_of_config(dataset: Dataset, option: str, name: str | None) -> tuple[Run, ...]:
+    """The runs of one configuration of a dataset in a local folder; without a ``name`` of the only one.
+
+    Raises:
+        TableError: the name of ``option`` does not identify a configuration, or a table cannot be read.
+    """
+    configs, found, logs = _contents(dataset)
+    return tuple(_runs(dataset, found, config_named(option, name or "", configs), logs))
 
 
 def all_runs(dataset: Dataset) -> tuple[Run, ...]:

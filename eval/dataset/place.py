@@ -76,9 +76,7 @@ def scan_tables(files: Sequence[str]) -> pl.LazyFrame:
     """All rows of metrics tables with their ``FILE``; columns that a table lacks are null in its rows.
 
     The columns are those of the first and the last file; they differ if the files come from different versions.
-
-    Args:
-        files: at least one; for an address a pattern.
+    ``files`` are at least one, for an address a pattern.
 
     Raises:
         TableError: a file cannot be read.

@@ -56,9 +56,7 @@ def metrics_tables(files: Sequence[str]) -> tuple[pl.LazyFrame, pl.Schema]:
 def rows_of_tables(files: Sequence[str], by: Grouping) -> pl.LazyFrame:
     """The columns of metrics tables that a report needs, with ``FILE`` and the keys that come from the tables.
 
-    Args:
-        files: at least one; for an address a pattern.
-        by: the grouping of the frames.
+    ``files`` are at least one, for an address a pattern.
 
     Raises:
         TableError: a table cannot be read, or lacks columns.

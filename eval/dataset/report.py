@@ -178,9 +178,7 @@ def _count(rows: pl.DataFrame) -> str:
 def print_dataset(dataset: Dataset, arguments: argparse.Namespace) -> None:
     """Print the figures of a dataset by group, and its worst logs, and write the files that the options name.
 
-    Args:
-        dataset: the dataset.
-        arguments: of the command. Without ``by`` the groups are configurations, and versions if they differ.
+    Without ``by`` the groups are configurations, and versions if they differ.
 
     Raises:
         TableError: there are no tables, a table cannot be read, or a column does not exist.

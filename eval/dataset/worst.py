@@ -27,10 +27,7 @@ def worst_logs(logs: pl.DataFrame, number: int) -> tuple[dict[Quantity, list[Row
     """The worst logs by each quantity, with their worst frames.
 
     Errors against truth rank the logs, or suspect quantities without truth. Logs with only perfect frames are left out.
-
-    Args:
-        logs: the result of ``logs_of``.
-        number: number of logs, and of frames in each log.
+    ``logs`` come from ``logs_of``; ``number`` limits the logs, and the frames of each log.
 
     Returns:
         By quantity: rows with ``LOG``, the ``mean`` of the absolute values (of the values if high is better), the

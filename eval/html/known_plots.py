@@ -8,7 +8,6 @@ import polars as pl
 from numpy.typing import NDArray
 
 from roadperc_stream.geometry import Float
-from roadperc_stream.system.files import OBJECTS_SUFFIX
 
 from ..runs import Run, collect, reading
 from .charts import Paths
@@ -27,11 +26,11 @@ _COLUMNS: Final = {
 }
 _NOTE: Final = (
     f"Matches within {DRAWN_M:g} m of the true centre; AP is the mean over 0.5, 1, 2 and 4 m. "
-    "Recall is among objects with a detection, because the table lacks objects that the detector missed."
+    "Recall is among objects with a detection, kept or not, because the table lacks objects that the detector missed."
 )
 Mask = NDArray[np.bool_]
 
-_SCHEMA: Final = {"label": pl.String, "score": pl.Float64, "off_m": pl.Float64}
+_SCHEMA: Final = {"label": pl.String, "score": pl.Float64, "is_true": pl.Boolean, "off_m": pl.Float64}
 
 
 def poses_over_time(runs: Sequence[Series], paths: Sequence[Paths]) -> Iterator[Figure]:
@@ -61,7 +60,9 @@ def precision_recall(runs: Sequence[Run]) -> Iterator[Figure]:
         found = [table.filter(pl.col("label") == name) for table in tables]
         pairs = enumerate(zip(runs, found, strict=True))
         traces = [
-            _precision(run, rows, at, len(runs) > 1) for at, (run, rows) in pairs if rows["off_m"].is_not_nan().any()
+            _precision(run, rows, at, len(runs) > 1)
+            for at, (run, rows) in pairs
+            if rows.filter("is_true")["score"].count()
         ]
         if traces:
             axes = layout("recall among detected objects", "precision", hovermode="closest")
@@ -70,18 +71,19 @@ def precision_recall(runs: Sequence[Run]) -> Iterator[Figure]:
 
 
 def _precision(run: Run, rows: pl.DataFrame, place: int, several: bool) -> Trace:
-    off_m, score = rows["off_m"].to_numpy(), rows["score"].to_numpy()
-    recall, precision = curve(score, off_m <= DRAWN_M, np.isfinite(off_m))
-    mean = np.mean([average_precision(*curve(score, off_m <= limit, np.isfinite(off_m))) for limit in MATCHES_M])
+    estimated, true = rows.drop_nulls("score"), int(rows["is_true"].sum())
+    off_m, score = estimated["off_m"].to_numpy(), estimated["score"].to_numpy()
+    recall, precision = curve(score, off_m <= DRAWN_M, true)
+    mean = np.mean([average_precision(*curve(score, off_m <= limit, true)) for limit in MATCHES_M])
     kept = np.unique(np.linspace(0, len(recall) - 1, 200).astype(int))
-    label = f"{f'{run.name}: ' if several else ''}AP {mean:.2f}, {np.isfinite(off_m).sum()} true detections"
+    label = f"{f'{run.name}: ' if several else ''}AP {mean:.2f}, {true} true detections"
     return line(label, recall[kept], precision[kept], colour_of(place))
 
 
-def curve(score: Float, matches: Mask, true: Mask) -> tuple[Float, Float]:
-    """(N,) recall and precision over the detections in the order of falling score."""
+def curve(score: Float, matches: Mask, true: int) -> tuple[Float, Float]:
+    """(N,) recall of ``true`` objects and precision over the detections in the order of falling score."""
     hits = np.cumsum(matches[np.argsort(-score, kind="stable")])
-    return hits / true.sum(), hits / np.arange(1, len(hits) + 1)
+    return hits / true, hits / np.arange(1, len(hits) + 1)
 
 
 def average_precision(recall: Float, precision: Float) -> float:
@@ -93,21 +95,23 @@ def average_precision(recall: Float, precision: Float) -> float:
 
 
 def _objects(run: Run) -> pl.DataFrame:
-    """Class, score and ``off_m`` of the kept detections with a distance; NaN as ``off_m`` of those that are not true.
+    """Class, score, ``is_true`` and ``off_m`` of the detections in logs with true objects.
 
-    ``off_m`` is the distance between the estimated and the true centre on the ground, or along the view if the lateral
-    position is unknown.
+    Only kept detections with a distance have a score. ``off_m`` is NaN for those that are not true, else it is the
+    distance between the estimated and the true centre on the ground, or along the view without a lateral position.
     """
     off = ((pl.col("distance_m") - pl.col("true_distance_m")) ** 2 + _ASIDE_M.fill_null(0.0) ** 2).sqrt()
-    true = pl.when(pl.col("is_true")).then(off).fill_null(float("nan")).alias("off_m")
+    off_m = pl.when(pl.col("is_true")).then(off).fill_null(float("nan")).alias("off_m")
+    score = pl.when("kept", pl.col("distance_m").is_not_null()).then("score")
     parts = [pl.DataFrame(schema=_SCHEMA)]
     for table in run.tables:
-        path = table.beside(OBJECTS_SUFFIX)
-        rows = pl.scan_parquet(path, glob=False) if path.is_file() else pl.LazyFrame()
+        if (path := table.objects) is None:
+            continue
+        rows = pl.scan_parquet(path, glob=False)
         with reading(str(path)):
             columns = rows.collect_schema().names()
         if set(columns) >= _COLUMNS:
             end = pl.col("frame") < table.end_frame if table.end_frame is not None else pl.lit(value=True)
-            known = pl.col("distance_m").is_not_null() & pl.col("score").is_not_null()
-            parts.append(collect(rows.filter("kept", known, end).select("label", "score", true), str(path)))
+            known = rows.filter(pl.col("is_true").is_not_null(), end)
+            parts.append(collect(known.select("label", score, "is_true", off_m), str(path)))
     return pl.concat(parts)

@@ -11,6 +11,7 @@ from typing import Final
 import tomli_w
 
 from roadperc_stream import __version__
+from roadperc_stream.chain.own_stage import own_stages
 from roadperc_stream.config import ReplayConfig, load_config
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.tables import Scalar
@@ -50,7 +51,7 @@ def combinations(config: Path | None, settings: Sequence[str], vary: Sequence[Va
         ConfigError: a key or value is invalid; the message names it.
     """
     choices = product(*([f"{item.key}={text}" for text in item.texts] for item in vary))
-    cfgs = [load_config(config, (*settings, *choice)) for choice in choices]
+    cfgs = [own_stages(load_config(config, (*settings, *choice)))[0] for choice in choices]
     columns = {item.key: _of_one_type([setting_of(cfg, item.key) for cfg in cfgs]) for item in vary}
     return tuple(
         Combination(number, {key: values[number] for key, values in columns.items()}, cfg)

@@ -15,6 +15,7 @@ from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Final
 
+from roadperc_stream.chain.own_stage import OwnStages, own_stages
 from roadperc_stream.chain.step import step
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import RoadpercError
@@ -26,7 +27,7 @@ from roadperc_stream.resume.opening import open_log
 from roadperc_stream.resume.state import ReplayState
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
 from roadperc_stream.system.process import ending_signals
-from roadperc_stream.system.stage_timer import StageTimer
+from roadperc_stream.system.progress import StageTimer
 from roadperc_stream.system.threads import one_thread
 from roadperc_stream.system.time import TimeRange
 
@@ -50,9 +51,10 @@ class Job:
 
 @dataclass
 class Candidate:
-    """A configuration, its state in the log, and its table."""
+    """A configuration, its own stages, its state in the log, and its table."""
 
     cfg: ReplayConfig
+    own: OwnStages
     table: TableWriter
     state: ReplayState
 
@@ -60,7 +62,7 @@ class Candidate:
         """Run the chain on a sample and add its row, the same as in a replay with this configuration."""
         timer = StageTimer()
         with timer("total"):
-            chain, result = step(self.cfg, self.state.chain, sample.frame, timer)
+            chain, result = step(self.cfg, self.state.chain, sample.frame, timer, self.own)
             with timer("metrics"):
                 row = frame_metrics(self.cfg, log_id, sample, result, self.state.earlier)
         self.state = ReplayState(chain, sample.as_earlier)
@@ -90,7 +92,7 @@ def _one_pass(job: Job, group: Sequence[Combination], progress: Progress) -> tup
     for item in group:
         path, facts = job.folder / item.folder / job.table, table_facts(job.source, job.source, item.cfg)
         table = TableWriter(path, FrameMetrics, facts, TIME_COLUMNS, item.settings)
-        candidates.append(Candidate(item.cfg, table, opened.state_for(item.cfg)))
+        candidates.append(Candidate(item.cfg, own_stages(item.cfg)[1], table, opened.state_for(item.cfg)))
     with one_thread(), ExitStack() as tables:
         for candidate in candidates:
             tables.enter_context(candidate.table)

@@ -46,10 +46,7 @@ _starting: Final = threading.Lock()
 def attempt(task: Task, stop: threading.Event | None = None, on_progress: Progress = no_progress) -> Outcome:
     """Replay a log into the dataset; a crash of the process also gives an outcome.
 
-    Args:
-        task: the log, and what to do with it.
-        stop: ends the process when set.
-        on_progress: called during the replay.
+    ``stop`` ends the process when set; ``on_progress`` is called during the replay.
 
     Returns:
         The outcome of ``work``, or ``timeout``, ``memory`` or ``killed``.

@@ -246,9 +246,7 @@ class FrameCount:
 def attempt_on_node(task: Task, count: Any) -> Outcome:
     """Replay a log and report its progress.
 
-    Args:
-        task: the log, and what to do with it.
-        count: Ray's handle of a ``FrameCount``.
+    ``count`` is Ray's handle of a ``FrameCount``.
     """
 
     def report(done: int, expected: int) -> None:

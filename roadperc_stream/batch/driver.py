@@ -149,12 +149,7 @@ class Driver:
 def _row_of(job: BatchJob, log: LogFiles, outcome: Outcome, previous: BatchRow | None, attempts: int) -> RunRow:
     """The row of a log; most columns come from the outcome of its last attempt.
 
-    Args:
-        job: the options of the batch.
-        log: the log.
-        outcome: of its last attempt.
-        previous: its row in the dataset.
-        attempts: number of attempts.
+    ``previous`` is its row in the dataset.
     """
     configuration = job.configuration
     row = RunRow(
@@ -237,9 +232,7 @@ class BatchRun:
     def run(self, start: StartBackend, display: Display) -> BatchSummary:
         """Run all steps while no other batch writes the dataset.
 
-        Args:
-            start: starts the back end; called only if a log must be replayed or checked.
-            display: shows the progress.
+        ``start`` starts the back end; it is called only if a log must be replayed or checked.
 
         Raises:
             StorageError: the dataset cannot be written, or another batch is writing it.

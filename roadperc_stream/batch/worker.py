@@ -21,6 +21,7 @@ from roadperc_stream.batch import task as tasks
 from roadperc_stream.batch.storage.addresses import is_address
 from roadperc_stream.batch.storage.location import Location
 from roadperc_stream.batch.task import BatchJob, Outcome, Task, as_text, code_digest, this_worker
+from roadperc_stream.chain.own_stage import own_stages
 from roadperc_stream.errors import LogError, NoFrameError, RoadpercError, StorageError, TargetError
 from roadperc_stream.input import ReplaySource
 from roadperc_stream.loop import replay
@@ -32,7 +33,7 @@ from roadperc_stream.resume.opening import ReplayOptions, open_log
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from roadperc_stream.schemas.columns.runs import OF_THE_MACHINE, stage_column
 from roadperc_stream.system.files import make_private
-from roadperc_stream.system.memory import keep_freed_memory
+from roadperc_stream.system.process import keep_freed_memory
 from roadperc_stream.system.progress import Progress
 from roadperc_stream.system.text import print_line
 from roadperc_stream.system.time import NS_PER_S
@@ -50,9 +51,7 @@ _MEMORY_UNIT: Final = 1 if sys.platform == "darwin" else 1024
 def work(task: Task, on_progress: Progress) -> Outcome:
     """Replay a log into the dataset; an error of the log also gives an outcome.
 
-    Args:
-        task: the log, and what to do with it.
-        on_progress: called during the replay.
+    ``on_progress`` is called during the replay.
     """
     started = perf_counter()
     keep_freed_memory()
@@ -150,7 +149,8 @@ def _replayed(task: Task, folder: Path, on_progress: Progress) -> Outcome:
     try:
         known_id = _known_id(task, source)
         if known_id is None:
-            summary = replay(source, target, job.configuration.cfg, _CHECKPOINTS, Callbacks(on_progress))
+            cfg, own = own_stages(job.configuration.cfg)
+            summary = replay(source, target, cfg, replace(_CHECKPOINTS, own=own), Callbacks(on_progress))
     finally:
         for name, identity in _identities(task).items():  # a mixture of two files may look damaged
             if identity != before[name]:

@@ -3,21 +3,26 @@
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
-from typing import Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 
 from roadperc_stream.chain import pixels
+from roadperc_stream.chain.own_stage import NO_OWN, OwnStage, OwnStages
+from roadperc_stream.chain.protocols import LanesStage, ObjectsStage, OdometryStage, StereoStage, SurfaceStage
 from roadperc_stream.chain.stages import occupancy, stereo
 from roadperc_stream.chain.stages.lanes import ego_lane
 from roadperc_stream.chain.stages.lanes.tracking import LanesState
-from roadperc_stream.chain.stages.objects import tracker
+from roadperc_stream.chain.stages.objects import contact, tracker
 from roadperc_stream.chain.stages.objects.tracker import ObjectsState
 from roadperc_stream.chain.stages.odometry import ego_motion
+from roadperc_stream.chain.stages.odometry.camera_pitch import CameraPitch
 from roadperc_stream.chain.stages.odometry.keyframes import OdometryState, counted_from_here
-from roadperc_stream.chain.stages.surface.road import SurfaceState, drivable_mask, find_surface, remember
-from roadperc_stream.config import ReplayConfig
+from roadperc_stream.chain.stages.surface.road import SurfaceState, drivable_mask, find_surface, or_assumed, remember
+from roadperc_stream.config import BUILT_IN, ReplayConfig
+from roadperc_stream.errors import ConfigError, StateError
 from roadperc_stream.geometry import inverse, transform_plane
+from roadperc_stream.geometry.rectification import is_rectified
 from roadperc_stream.model import Absent, Frame, FrameResult, Image, Mask, Objects, Odometry, Reason, Surface
 from roadperc_stream.model.results import StereoDepth
 from roadperc_stream.model.scene import DepthMap, Scene
@@ -29,17 +34,23 @@ _MATCHING_THREADS: Final = 2
 """More threads of OpenCV hardly make stereo matching faster."""
 Timer = Callable[[str], AbstractContextManager[object]]
 """Called with a stage's name; the context it returns is active while the stage runs."""
+if TYPE_CHECKING:  # the built-in stages have the signatures that stages of the user's own must have
+    _match: StereoStage = stereo.match
+    _find: SurfaceStage[SurfaceState] = find_surface
+    _follow: OdometryStage[OdometryState] = ego_motion.step
+    _see: LanesStage[LanesState] = ego_lane.step
+    _track: ObjectsStage[ObjectsState] = tracker.step
 
 
 @dataclass(frozen=True)
 class ChainState:
-    """What the chain keeps between frames."""
+    """What the chain keeps between frames; bytes are the encoded state of a stage of the user's own."""
 
     stamp_ns: int | None = None
-    surface: SurfaceState = field(default_factory=SurfaceState)
-    odometry: OdometryState = field(default_factory=OdometryState)
-    lanes: LanesState = field(default_factory=LanesState)
-    objects: ObjectsState = field(default_factory=ObjectsState)
+    surface: SurfaceState | bytes = field(default_factory=SurfaceState)
+    odometry: OdometryState | bytes = field(default_factory=OdometryState)
+    lanes: LanesState | bytes = field(default_factory=LanesState)
+    objects: ObjectsState | bytes = field(default_factory=ObjectsState)
 
 
 @dataclass(frozen=True)
@@ -60,24 +71,26 @@ class LocalisedFrame:
 
 
 def step(
-    cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = nullcontext
+    cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = nullcontext, own: OwnStages = NO_OWN
 ) -> tuple[ChainState, FrameResult]:
-    """Run all enabled stages on one frame, in the order of their dependencies.
+    """Run all enabled stages on one frame, in the order of their dependencies; ``own`` ones replace built-in ones.
 
     Pure: the same configuration, state and frame give the same result, bit for bit. The timer's readings are not part
     of it. The configuration's seed and the frame's stamp seed the random numbers.
     """
-    scene = observe(cfg, frame, timer)
-    localised = localise(cfg, state, scene, timer)
-    return perceive(cfg, state, localised, timer)
+    scene = observe(cfg, frame, timer, own=own)
+    localised = localise(cfg, state, scene, timer, own)
+    return perceive(cfg, state, localised, timer, own)
 
 
-def observe(cfg: ReplayConfig, frame: Frame, timer: Timer = nullcontext, threads: int = 1) -> Scene:
+def observe(
+    cfg: ReplayConfig, frame: Frame, timer: Timer = nullcontext, threads: int = 1, own: OwnStages = NO_OWN
+) -> Scene:
     """Decode what the enabled stages need, and match the stereo pair. This part of the chain needs no state.
 
     With two or more ``threads`` OpenCV matches in half the time, with the same bits.
     """
-    stages, undecodable, problems = _EnabledStages(cfg, timer), list[Reason](), list[Reason]()
+    stages, undecodable, problems = _Stages(cfg, timer, own, frame), list[Reason](), list[Reason]()
     camera = frame.camera
     tags = sensor = instances = grey = depth = None
     with timer("decode"):
@@ -86,9 +99,9 @@ def observe(cfg: ReplayConfig, frame: Frame, timer: Timer = nullcontext, threads
             sensor = pixels.sensor_depth(frame, undecodable)
         if cfg.objects.enabled:
             instances = pixels.decoded("instances", frame.instances, lambda image: image.ids, camera, undecodable)
-        if pixels.needs_grey(cfg, frame):
+        if own or pixels.needs_grey(cfg, frame):
             grey = pixels.grey_of("image", frame.image, camera, undecodable)
-    matched = stages.run("stereo", lambda: _stereo(cfg, frame, grey, problems, threads), _off("stereo"))
+    matched = stages.run("stereo", lambda: _stereo(stages, frame, grey, problems, threads), _off("stereo"))
     with timer("decode"):
         if pixels.needs_scene(cfg):
             depth = _best_depth(frame, sensor, matched, problems)
@@ -108,29 +121,29 @@ def observe(cfg: ReplayConfig, frame: Frame, timer: Timer = nullcontext, threads
         instances=instances,
         undecodable=tuple(undecodable),
         problems=tuple(problems),
+        number=frame.number,
     )
 
 
-def localise(cfg: ReplayConfig, state: ChainState, scene: Scene, timer: Timer = nullcontext) -> LocalisedFrame:
+def localise(
+    cfg: ReplayConfig, state: ChainState, scene: Scene, timer: Timer = nullcontext, own: OwnStages = NO_OWN
+) -> LocalisedFrame:
     """Find the road and the car's motion. Use only stamp, surface and odometry of the state."""
-    stages, no_road = _EnabledStages(cfg, timer), _off("surface")
+    stages = _Stages(cfg, timer, own, scene)
     last, _ = _in_order(state, scene.stamp_ns)
     rng = np.random.default_rng((cfg.seed, scene.stamp_ns % 2**63))
-    seen, failed = stages.run("surface", lambda: find_surface(cfg.surface, scene, rng), (no_road, None))
-    moved, motion = stages.run(
-        "odometry",
-        lambda: ego_motion.step(
-            cfg.odometry, last.odometry, scene, _metric_road(scene, _in_front_camera(scene, seen)), rng
-        ),
-        (last.odometry, _off("odometry")),
-    )
-    metric = _metric_motion(motion, last.stamp_ns)
+    surfaces, found = stages.step("surface", find_surface, last.surface, scene, rng)
+    is_built_in = cfg.surface.enabled and "surface" not in own
+    seen = or_assumed(scene, found) if is_built_in else found
+    metric_road = _metric_road(scene, _in_front_camera(scene, seen))
+    moved, motion = stages.step("odometry", ego_motion.step, last.odometry, scene, metric_road, rng)
+    metric, pitch = _metric_motion(motion, last.stamp_ns), _shown_pitch(moved)
+    offset = None if pitch is None else pitch.offset
     last_T_this = None if metric is None else metric.step
-    kept, road, held = stages.run(
-        "surface",
-        lambda: remember(cfg.surface, last.surface, scene, seen, failed, last_T_this, _shown_pitch(moved)),
-        (last.surface, no_road, ()),
-    )
+    kept, road, held = surfaces, found, tuple[Reason, ...]()
+    if is_built_in and isinstance(surfaces, SurfaceState):
+        with timer("surface"):
+            kept, road, held = remember(cfg.surface, surfaces, scene, found, last_T_this, offset)
     front_road = _in_front_camera(scene, road)
     drivable = stages.run("surface", lambda: drivable_mask(cfg.surface, scene, front_road), _off("drivable"))
     state = replace(last, stamp_ns=scene.stamp_ns, surface=kept, odometry=moved)
@@ -139,25 +152,19 @@ def localise(cfg: ReplayConfig, state: ChainState, scene: Scene, timer: Timer = 
 
 
 def perceive(
-    cfg: ReplayConfig, state: ChainState, localised: LocalisedFrame, timer: Timer = nullcontext
+    cfg: ReplayConfig, state: ChainState, localised: LocalisedFrame, timer: Timer = nullcontext, own: OwnStages = NO_OWN
 ) -> tuple[ChainState, FrameResult]:
     """Find what is on the road. Use only stamp, lanes and objects of the state."""
-    stages, road, drivable = _EnabledStages(cfg, timer), localised.front_road, localised.drivable
+    road, drivable = localised.front_road, localised.drivable
     last, out_of_order = _in_order(state, localised.scene.stamp_ns)
     scene = _with_grey_for_tracks(cfg, last, localised.scene, timer)
+    stages = _Stages(cfg, timer, own, scene)
     motion = _metric_motion(localised.motion, last.stamp_ns)
     last_T_this = None if motion is None else motion.step
-    lanes_state, found_lanes = stages.run(
-        "lanes",
-        lambda: ego_lane.step(cfg.lanes, last.lanes, scene, road, drivable, motion),
-        (last.lanes, _off("lanes")),
-    )
+    lanes_state, found_lanes = stages.step("lanes", ego_lane.step, last.lanes, scene, road, drivable, motion)
     known_lane = None if isinstance(found_lanes, Absent) else found_lanes
-    objects_state, tracked = stages.run(
-        "objects",
-        lambda: tracker.step(cfg.objects, last.objects, scene, known_lane, last_T_this),
-        (last.objects, _off("objects")),
-    )
+    ground = _ground(cfg, localised)
+    objects_state, tracked = stages.step("objects", tracker.step, last.objects, scene, known_lane, last_T_this, ground)
     grid = stages.run("occupancy", lambda: occupancy.build(cfg.occupancy, scene, road, drivable), _off("occupancy"))
     missing = _missing_inputs(scene, localised.road, tracked) if pixels.needs_scene(cfg) else ()
     problems = (*out_of_order, *scene.undecodable, *scene.problems, *localised.problems, *_odd_camera(scene), *missing)
@@ -178,11 +185,13 @@ def perceive(
 
 
 @dataclass(frozen=True)
-class _EnabledStages:
-    """Runs the enabled stages, each timed under its name."""
+class _Stages:
+    """Runs the enabled stages on a frame, each timed under its name; ``own`` ones replace built-in ones."""
 
     cfg: ReplayConfig
     timer: Timer
+    own: OwnStages
+    frame: Frame | Scene
 
     def run(self, stage: str, compute: Callable[[], T], otherwise: U) -> T | U:
         """The result of ``compute``, or ``otherwise`` if the stage is switched off."""
@@ -190,6 +199,37 @@ class _EnabledStages:
             return otherwise
         with self.timer(stage):
             return compute()
+
+    def step(
+        self, stage: str, built_in: Callable[..., tuple[Any, T]], state: Any, *inputs: Any
+    ) -> tuple[Any, T | Absent]:
+        """The new state and the output of a stage; the same state if the stage is switched off."""
+        section = getattr(self.cfg, stage)
+        if not section.enabled:
+            return state, _off(stage)
+        with self.timer(stage):
+            if replacement := self._own(stage):
+                return replacement.step(self._place, section, state, *inputs)
+            if isinstance(state, bytes):
+                raise StateError(f"{stage}: its state is that of an own stage; replay the input from the start")
+            return built_in(section, state, *inputs)
+
+    def match(self, *pair: Any) -> StereoDepth | Absent:
+        """Depth of a stereo pair; ``pair`` are the inputs of the stage."""
+        replacement, cfg = self._own("stereo"), self.cfg.stereo
+        return replacement.match(self._place, cfg, *pair) if replacement else stereo.match(cfg, *pair)
+
+    def _own(self, stage: str) -> OwnStage | None:
+        """The stage of the user's own; None for the built-in one."""
+        name = getattr(self.cfg, stage).implementation
+        if stage not in self.own and name != BUILT_IN:
+            raise ConfigError(f"{stage}.implementation: {name} is not loaded; only settings of the user import code")
+        return self.own.get(stage)
+
+    @property
+    def _place(self) -> str:
+        stamp = f"stamp {self.frame.stamp_ns} ns"
+        return f"the frame with {stamp}" if self.frame.number is None else f"frame {self.frame.number} ({stamp})"
 
 
 def _off(stage: str) -> Absent:
@@ -208,6 +248,8 @@ def _in_order(state: ChainState, stamp_ns: int) -> tuple[ChainState, list[Reason
 
 def _with_origin_here(localised: LocalisedFrame) -> LocalisedFrame:
     """The frame with odom at its ego frame: its pose is exactly the identity."""
+    if isinstance(localised.state.odometry, bytes):
+        return localised  # an own stage begins odom by itself
     moved = counted_from_here(localised.state.odometry)
     motion = localised.motion
     motion = motion if isinstance(motion, Absent) else replace(motion, odom_T_ego=moved.odom_T_ego)
@@ -228,7 +270,7 @@ def _best_depth(
 def _in_front_camera(scene: Scene, road: Surface | Absent) -> Surface | Absent:
     """The road with its plane in the frame of the front camera."""
     depth = scene.depth
-    if isinstance(road, Absent) or depth is None or depth.camera.frame_id == scene.camera.frame_id:
+    if isinstance(road, Absent) or depth is None or road.frame_id == scene.camera.frame_id:
         return road
     return replace(road, plane=transform_plane(inverse(scene.ego_T_camera) @ depth.ego_T_camera, road.plane))
 
@@ -240,9 +282,11 @@ def _metric_road(scene: Scene, front_road: Surface | Absent) -> Surface | None:
     return front_road
 
 
-def _shown_pitch(state: OdometryState) -> float | None:
-    """The pitch of the camera beyond its mounting, radians, downwards; None if no motion has shown it."""
-    return state.pitch.offset if state.pitch is not None and state.pitch.measured else None
+def _shown_pitch(state: OdometryState | bytes) -> CameraPitch | None:
+    """The pitch of the camera beyond its mounting; None if no motion has shown it."""
+    if isinstance(state, bytes):
+        return None
+    return state.pitch if state.pitch is not None and state.pitch.measured else None
 
 
 def _metric_motion(motion: Odometry | Absent, since_ns: int | None) -> Odometry | None:
@@ -252,9 +296,19 @@ def _metric_motion(motion: Odometry | Absent, since_ns: int | None) -> Odometry 
     return motion if motion.status == "lost" or motion.since_ns == since_ns else None
 
 
+def _ground(cfg: ReplayConfig, localised: LocalisedFrame) -> contact.GroundPlane | None:
+    """The road that gives the objects' distances; None with depth."""
+    scene, road, pitch = localised.scene, localised.front_road, _shown_pitch(localised.state.odometry)
+    if scene.depth is not None or isinstance(road, Absent):
+        return None
+    pitch_std = float(np.deg2rad(cfg.odometry.pitch_std_deg) if pitch is None else np.sqrt(pitch.variance))
+    return contact.ground_of(road, pitch_std, mounted=scene.mounted)
+
+
 def _with_grey_for_tracks(cfg: ReplayConfig, state: ChainState, scene: Scene, timer: Timer) -> Scene:
     """The scene with the front camera's pixels if the tracked objects are searched in them."""
-    searches = cfg.objects.enabled and cfg.objects.template_search and bool(state.objects.tracks)
+    tracks = () if isinstance(state.objects, bytes) else state.objects.tracks
+    searches = cfg.objects.enabled and cfg.objects.template_search and bool(tracks)
     was_decoded = scene.grey is not None or any(reason.source == "image" for reason in scene.undecodable)
     if not searches or was_decoded:
         return scene
@@ -265,7 +319,7 @@ def _with_grey_for_tracks(cfg: ReplayConfig, state: ChainState, scene: Scene, ti
 
 
 def _stereo(
-    cfg: ReplayConfig, frame: Frame, grey: Image | None, problems: list[Reason], threads: int
+    stages: _Stages, frame: Frame, grey: Image | None, problems: list[Reason], threads: int
 ) -> StereoDepth | Absent:
     """Depth of the stereo pair; its left camera may be the front camera."""
     if frame.right is None:
@@ -275,12 +329,12 @@ def _stereo(
     left_grey = grey if pixels.left_is_front(frame) else pixels.grey_of("left", frame.left, frame.left_camera, problems)
     right_grey = pixels.grey_of("right", frame.right, frame.right_camera, problems)
     with opencv_threads(min(threads, _MATCHING_THREADS)):
-        return stereo.match(cfg.stereo, frame.left_camera, frame.right_camera, frame.ego_T_left, left_grey, right_grey)
+        return stages.match(frame.left_camera, frame.right_camera, frame.ego_T_left, left_grey, right_grey)
 
 
 def _odd_camera(scene: Scene) -> Iterator[Reason]:
     """Problems of the front camera's calibration."""
-    if scene.camera.lens is not None:
+    if not is_rectified(scene.camera):
         yield Reason("image", "not_rectified")
     if not scene.camera.square_pixels:
         yield Reason("image", "pixels_not_square", (scene.camera.fx, scene.camera.fy))
@@ -298,4 +352,5 @@ def _missing_inputs(scene: Scene, road: Surface | Absent, tracked: Objects | Abs
         if scene.tags is None:
             yield Reason("objects", "no_segmentation_not_filtered")
         if scene.depth is None:
-            yield Reason("objects", "no_depth_no_distances")
+            known = not isinstance(road, Absent)
+            yield Reason("objects", "no_depth_ground_distances" if known else "no_depth_no_distances")

@@ -13,6 +13,7 @@ from roadperc_stream.batch.driver import BatchProgress, BatchRun, BatchSummary, 
 from roadperc_stream.batch.storage.location import Location
 from roadperc_stream.batch.task import BatchConfiguration, BatchJob, KeepLogs, code_digest
 from roadperc_stream.batch.worker import scratch_root
+from roadperc_stream.chain.own_stage import own_stages
 from roadperc_stream.cli.arguments import config_of, time_range_of
 from roadperc_stream.errors import RoadpercError
 from roadperc_stream.output.terminal import PipeConsole
@@ -54,7 +55,7 @@ def batch_logs(arguments: argparse.Namespace) -> None:
 
 def _job(arguments: argparse.Namespace) -> BatchJob:
     topics = tuple(sorted(parse_topic_options(arguments.topic).items()))
-    configuration = BatchConfiguration(config_of(arguments), topics, time_range_of(arguments))
+    configuration = BatchConfiguration(own_stages(config_of(arguments))[0], topics, time_range_of(arguments))
     kept: KeepLogs = "results" if arguments.results_only else "whole"
     return BatchJob(
         configuration,

@@ -46,12 +46,13 @@ def main(argv: list[str] | None = None) -> int:
 
 def _require_two(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
     """Exit with code 2 if the arguments do not name two sides."""
-    if arguments.new is not None:
-        if arguments.base_config or arguments.new_config:
-            parser.error("--base-config and --new-config compare two configurations of one dataset; remove NEW")
-    elif part("eval.dataset.place").dataset_at(arguments.base) is None:
+    dataset_at = part("eval.dataset.place").dataset_at
+    if arguments.new is None and dataset_at(arguments.base) is None:
         parser.error(f"{arguments.base}: expected NEW, or the OUT_DIR of a batch as BASE")
-    elif arguments.update_reference:
+    for side, argument in (("base", arguments.base), ("new", arguments.new or arguments.base)):
+        if getattr(arguments, f"{side}_config") and dataset_at(argument) is None:
+            parser.error(f"--{side}-config needs the OUT_DIR of a batch, found {argument}")
+    if arguments.update_reference and dataset_at(arguments.base) is not None:
         parser.error("--update-reference needs BASE and NEW; it does not update the OUT_DIR of a batch")
 
 
@@ -63,9 +64,9 @@ def _parser() -> argparse.ArgumentParser:
         _EXAMPLE,
     )
     add = parser.add_argument
-    inputs = "OUT.metrics.parquet, an OUT.mcap with its table, or a folder of tables"
-    base = add("base", metavar="BASE", help=f"the base run: {inputs}; or the OUT_DIR of a batch, without NEW")
-    new = add("new", metavar="NEW", nargs="?", help=f"the new run: {inputs}")
+    inputs = "OUT.metrics.parquet, an OUT.mcap with its table, a folder of tables, or the OUT_DIR of a batch"
+    base = add("base", metavar="BASE", help=f"the base run: {inputs}")
+    new = add("new", metavar="NEW", nargs="?", help="the new run, likewise; without it, BASE is a batch with both")
     name = "a name or its first digits, a setting such as lanes.hold_s=2, or default"
     add("--base-config", metavar="NAME", help=f"for the OUT_DIR of a batch: the base's configuration, {name}")
     add(

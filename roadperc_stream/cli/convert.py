@@ -1,4 +1,4 @@
-"""``roadperc-convert``: convert a CARLA dump folder to a log."""
+"""``roadperc-convert``: convert a dump folder, images or videos to a log."""
 
 import argparse
 import math
@@ -12,8 +12,17 @@ _EXAMPLE: Final = """\
 example:
   roadperc-convert recordings/town04 town04.mcap
   roadperc-convert recordings/old old.mcap --carla 0.9.10 --fov 90 --role depth=CameraDepth2
+  roadperc-convert drive.mp4 drive.mcap --fov 55 --height 1.3
+  roadperc-convert dashcam/ drive.mcap --calibration ost.yaml
 
-the dump:
+videos:
+  A video, or a folder of videos: parts of one drive, in the order of their names. The stamps are those of the video.
+  Each frame is stored as JPEG, upright. Without a calibration of the camera, pass --fov.
+
+images:
+  A folder of numbered images, or one folder with them. Pass --fov and --rate.
+
+a dump:
   One folder per sensor (rgb, CameraRGB, image_2, depth, segmentation, sem, left, right, ...) with one file per frame.
   The last number in each name pairs the files. Flat files such as left.png and right.png are read too.
   Lidar points (lidar, velodyne, ...) are left-handed in CARLA's .ply and .npy, right-handed in KITTI's .bin.
@@ -23,33 +32,45 @@ optional files:
                      mounting {role: {x, y, z, roll, pitch, yaw}} in CARLA's convention; a role may be lidar
                      cameras {role: {K, ...}} for cameras with other values
                      pixel_origin "corner" (c = w / 2, CARLA) or "centre" (KITTI, the default in its layout)
+                     D, distortion_model (plumb_bob, rational_polynomial, equidistant), R and P as in ROS' CameraInfo:
+                     distortion is removed, and the log holds the rectified images
   detections.json    {frame: [{label, box_px, score}]}, COCO results, or KITTI files in label_2/
   timestamps.txt     one line per frame: 'frame seconds', or seconds
   poses.json         {frame: {location, rotation}}, or poses.csv
   truth.json, truth/ as roadperc-render writes them
 """
 _field_of_view = number(1e-3, math.nextafter(180, 0), "degrees below 180")
+_height = number(0.05, 100, "metres from 0.05 to 100")
 _rate = number(1e-3, 1e6, "a number from 0.001 to 1000000")
 
 
 def main(argv: list[str] | None = None) -> int:
     """``roadperc-convert``: exit code 0 on success, 1 on an error, 2 on wrong usage."""
+    arguments = conversion(argv)
+    converting = part("tools.carla_to_mcap")
+    return run(lambda: converting.convert(arguments))
+
+
+def conversion(argv: list[str] | None) -> argparse.Namespace:
+    """The arguments of a conversion."""
     parser = _parser()
     arguments = parse(parser, argv)
     arguments.role = [_role(parser, option) for option in arguments.role]
-    converting = part("tools.carla_to_mcap")
-    return run(lambda: converting.convert(arguments))
+    return arguments
 
 
 def _parser() -> argparse.ArgumentParser:
     roles = part("tools.carla_dump.role_names").ROLES
     parser = command_parser(
         "convert",
-        "Convert a CARLA dump folder to a log. The command detects the layout and prints it.",
+        "Convert a CARLA dump folder, images or videos to a log. The command detects the layout and prints it.",
         _EXAMPLE,
     )
     dump = parser.add_argument(
-        "dump", type=Path, metavar="DUMP", help="folder with one folder per sensor, or flat files"
+        "dump",
+        type=Path,
+        metavar="RECORDING",
+        help="folder with one folder per sensor, folder of images or videos, or one video",
     )
     out = parser.add_argument("out", type=Path, metavar="IN.mcap", help="log to write")
     role = parser.add_argument(
@@ -61,6 +82,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--carla", metavar="VERSION", help="CARLA version of the tags, such as 0.9.15")
     parser.add_argument("--fov", type=_field_of_view, metavar="DEGREES", help="horizontal field of view")
+    parser.add_argument("--height", type=_height, metavar="METRES", help="height of a level camera above the road")
+    calibration = parser.add_argument(
+        "--calibration",
+        type=Path,
+        metavar="FILE",
+        help="calibration of the camera: camera_info YAML of ROS, or JSON (default: calibration.json of the recording)",
+    )
     parser.add_argument(
         "--rate", type=_rate, metavar="HZ", help="frames per second (default: timestamps, or rate_hz, or 20)"
     )
@@ -82,7 +110,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--force", action="store_true", help="replace an existing log")
     parser.add_argument("--quiet", action="store_true", help="print errors only")
-    for action, completer in ((dump, files()), (out, files(*LOGS)), (role, roles_in_dump(roles))):
+    for action, completer in (
+        (dump, files()),
+        (out, files(*LOGS)),
+        (role, roles_in_dump(roles)),
+        (calibration, files(".yaml", ".yml", ".json")),
+    ):
         completed_by(action, completer)
     return parser
 

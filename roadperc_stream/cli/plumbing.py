@@ -94,10 +94,7 @@ def parse(
 ) -> argparse.Namespace:
     """The arguments of a command; if a shell asks for completions, print them and exit.
 
-    Args:
-        parser: of the command.
-        argv: the arguments; None for the command line.
-        intermixed: allow options between files.
+    ``intermixed`` allows options between files.
     """
     if _COMPLETING in os.environ:
         import argcomplete
@@ -199,11 +196,7 @@ def _interrupt_again(ignored: "sys.UnraisableHookArgs") -> None:
 def number(least: float, most: float, expected: str, kind: type[float] = float) -> Callable[[str], Any]:
     """The type of an argument that is a number between two limits.
 
-    Args:
-        least: the lowest number.
-        most: the highest number.
-        expected: description of the valid numbers for the error.
-        kind: int or float.
+    Errors describe the valid numbers as ``expected``; ``kind`` is int or float.
     """
 
     def parsed(text: str) -> float:

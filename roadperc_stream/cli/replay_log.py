@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import TYPE_CHECKING
 
+from roadperc_stream.chain.own_stage import OwnStages, own_stages
 from roadperc_stream.cli.arguments import config_of, time_range_of
 from roadperc_stream.cli.template import with_template
 from roadperc_stream.input import ReplaySource
@@ -15,8 +16,7 @@ from roadperc_stream.resume.checkpoint import CheckpointFolder
 from roadperc_stream.resume.opening import ReplayOptions
 from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.schemas.topics import Request
-from roadperc_stream.system.memory import keep_freed_memory
-from roadperc_stream.system.process import optional_output
+from roadperc_stream.system.process import keep_freed_memory, optional_output
 from roadperc_stream.system.progress import Progress, no_progress
 from roadperc_stream.system.text import print_line
 from roadperc_stream.system.threads import usable_cores
@@ -42,14 +42,15 @@ def replay_log(arguments: argparse.Namespace, live: "LiveReplay | None", bar: Ba
     """
     keep_freed_memory()
     target = _target(arguments)
+    cfg, own = own_stages(config_of(arguments))
     shown = nullcontext(no_progress) if bar is None else bar("replaying", True)
     with live or nullcontext():
         with _naming_resume(arguments, target), shown as progress:
             summary = replay(
                 _source(arguments),
                 target,
-                with_template(config_of(arguments), arguments.template, _source(arguments)),
-                _options(arguments),
+                with_template(cfg, arguments.template, _source(arguments)),
+                _options(arguments, own),
                 Callbacks(progress, live.start, live.times.note) if live else Callbacks(progress),
             )
         if not arguments.quiet:
@@ -71,13 +72,14 @@ def _naming_resume(arguments: argparse.Namespace, target: ReplayTarget) -> Itera
         raise
 
 
-def _options(arguments: argparse.Namespace) -> ReplayOptions:
+def _options(arguments: argparse.Namespace, own: OwnStages) -> ReplayOptions:
     return ReplayOptions(
         arguments.continued,
         arguments.warm_up or 0.0,
         arguments.checkpoint_every,
         arguments.resume,
         arguments.threads or usable_cores(),
+        own,
     )
 
 

@@ -77,7 +77,7 @@ def as_toml(cfg: ReplayConfig) -> str:
     for section, settings in _by_section():
         lines += ["", *([f"# {sections()[section]}", f"[{section}]"] if section else [])]
         for setting in settings:
-            value = (values[section] if section else values)[setting.name]
+            value = (values[section] if section else values).get(setting.name, setting.default)
             lines += [*_comment(setting), tomli_w.dumps({setting.name: value}).rstrip()]
     return "\n".join(lines) + "\n"
 

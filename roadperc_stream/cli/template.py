@@ -24,10 +24,7 @@ _LEAST_PX: Final = 8
 def with_template(cfg: ReplayConfig, option: str | None, source: ReplaySource) -> ReplayConfig:
     """The configuration with the picture in ``objects.template_png``.
 
-    Args:
-        cfg: the other settings.
-        option: a file, or ``FRAME:X0,Y0,X1,Y1`` with frames counted from 0 and a half-open box; None changes nothing.
-        source: the log.
+    ``option`` is a file, or ``FRAME:X0,Y0,X1,Y1`` with frames counted from 0 and a half-open box. None changes nothing.
 
     Raises:
         ConfigError: the file or the frame does not exist, or the picture is unsuitable.

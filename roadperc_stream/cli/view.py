@@ -77,6 +77,8 @@ def _parser() -> argparse.ArgumentParser:
         help="write a Foxglove layout for the log; with --foxglove it shows the times of the stages",
     )
     add_topic_argument(parser)
+    text = "if a frame is replayed: change a setting of the run, or repeat STAGE.implementation=MODULE:NAME"
+    parser.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], help=text)
     parser.add_argument("--recover", action="store_true", help="show the readable part of a damaged log")
     parser.add_argument("--force", action="store_true", help="replace an existing file")
     parser.add_argument("--quiet", action="store_true", help="print errors only")

@@ -3,6 +3,7 @@
 from roadperc_stream.config.fields import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.config.loading import load_config, validated
 from roadperc_stream.config.stages import (
+    BUILT_IN,
     LanesConfig,
     ObjectsConfig,
     OccupancyConfig,
@@ -11,6 +12,7 @@ from roadperc_stream.config.stages import (
     StereoConfig,
     SurfaceConfig,
     SyncConfig,
+    implementations,
     scaled,
 )
 from roadperc_stream.schemas.topics import NEEDS, STAGES, switched_off

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from pydantic import BaseModel
 
+from roadperc_stream.config.fields import Section
 from roadperc_stream.config.stages import ReplayConfig
 
 _UNIT_OF_SUFFIX: Final[Mapping[str, str]] = {
@@ -81,7 +82,8 @@ def sections() -> Mapping[str, str]:
 
 def _settings(model: type[BaseModel], prefix: str) -> Iterator[Setting]:
     schema = model.model_json_schema()["properties"]
-    meanings = _meanings(model)
+    kinds = [kind for kind in reversed(model.__mro__) if issubclass(kind, Section)]
+    meanings = {name: text for kind in kinds for name, text in _meanings(kind).items()}
     for name, field in model.model_fields.items():
         if isinstance(field.default, BaseModel):
             yield from _settings(type(field.default), f"{name}.")

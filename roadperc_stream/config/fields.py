@@ -71,6 +71,12 @@ TableName = Annotated[
     AfterValidator(_known_table),
     Field(json_schema_extra={"choices": ["auto", *TABLES], "remark": "a CARLA version"}),
 ]
+BUILT_IN: Final = "built-in"
+ImplementationName = Annotated[
+    str,
+    Field(max_length=1000, pattern=rf"^({BUILT_IN}|[A-Za-z_][\w.]*:[A-Za-z_]\w*)$"),
+    Field(json_schema_extra={"choices": [BUILT_IN], "remark": "MODULE:NAME"}),
+]
 OddCount = Annotated[int, Field(ge=1, le=99, json_schema_extra={"remark": "odd"}), AfterValidator(_odd)]
 
 

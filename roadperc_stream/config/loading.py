@@ -40,9 +40,7 @@ def load_config(path: str | Path | None = None, settings: str | Sequence[str] = 
 def validated(tree: Mapping[str, Any], source: str) -> ReplayConfig:
     """Configuration from nested mappings with any part of the keys.
 
-    Args:
-        tree: such as ``{"lanes": {"hold_s": 0.8}}``.
-        source: prefix of error messages, such as ``a.toml: ``.
+    ``tree`` is such as ``{"lanes": {"hold_s": 0.8}}``, ``source`` a prefix of errors, such as ``a.toml: ``.
 
     Raises:
         ConfigError: a key or value is invalid; the message names it.

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 from warnings import warn
 
+from roadperc_stream.config.stages import OWN_STAGES, UNSET
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.system.text import number
 
@@ -57,6 +58,9 @@ FIXED: Final[Mapping[str, float]] = {
     "objects.lateral_noise": 1.0,
 }
 """Settings of older versions that are constants now, with their values; logs and tables still contain them."""
+
+BUILT_IN_STAGES: Final = {f"{stage}.{name}": value for stage in OWN_STAGES for name, value in UNSET}
+"""Settings that a configuration contains only with other values."""
 
 
 def settings_in(toml: bytes) -> dict[str, Any]:

@@ -4,10 +4,11 @@ Lengths in pixels are given at 960 image rows and scale with the image.
 """
 
 from base64 import b64decode
-from typing import Annotated, Final, Literal, Self
+from collections.abc import Iterator
+from typing import Annotated, Any, Final, Literal, Self
 
 import tomli_w
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from roadperc_stream.config import fields
 from roadperc_stream.config.fields import Classes, Count, Pixels, Positive, Ratio, Seconds, Section, unit
@@ -20,11 +21,31 @@ _PNG_HEADER = 32
 _PNG_IN_BASE64 = "^(iVBORw0KGgo[A-Za-z0-9+/]*={0,2})?$"
 """Pattern of a PNG in base 64, by its first eight bytes."""
 _CONFIG_ROWS: Final = 960.0
+OWN_STAGES: Final = ("stereo", "surface", "odometry", "lanes", "objects")
+"""Stages that the user can replace."""
+BUILT_IN: Final = fields.BUILT_IN
+UNSET: Final = (("implementation", BUILT_IN), ("implementation_source", ""))
+"""Settings of a stage that are written only with other values."""
 
 
 def scaled(length_px: float, rows: int) -> float:
     """A length of the configuration, given at 960 image rows, scaled to ``rows`` image rows."""
     return length_px * rows / _CONFIG_ROWS
+
+
+class StageSection(Section):
+    """The settings of a stage that the user can replace."""
+
+    implementation: fields.ImplementationName = BUILT_IN
+    """The code of the stage: ``built-in``, or a class or function of your own, such as ``my_package.module:MyLanes``.
+    A configuration in a log does not import code."""
+    implementation_source: Annotated[str, Field(max_length=1000, json_schema_extra={"remark": "a text"})] = ""
+    """Version and digest of the source of your own stage. A replay sets it; a value must match the source."""
+
+    @model_serializer(mode="wrap")
+    def _without_unset(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Only an own stage is written, so the digests of other configurations stay."""
+        return {key: value for key, value in dump(self).items() if (key, value) not in UNSET}
 
 
 class SyncConfig(Section):
@@ -36,7 +57,7 @@ class SyncConfig(Section):
     """How late a message may arrive, behind the latest stamp of the reference sensor."""
 
 
-class StereoConfig(Section):
+class StereoConfig(StageSection):
     """Depth from a stereo pair by semi-global matching.
 
     ``full`` matches the image itself, ``fast`` an image with half its rows and columns. ``block_px``,
@@ -78,7 +99,7 @@ class StereoConfig(Section):
         return self.method != "off"
 
 
-class SurfaceConfig(Section):
+class SurfaceConfig(StageSection):
     """The drivable surface, by RANSAC on road points."""
 
     enabled: bool = True
@@ -109,7 +130,7 @@ class SurfaceConfig(Section):
     """The height field uses points up to this distance to either side of the ego x axis."""
 
 
-class LanesConfig(Section):
+class LanesConfig(StageSection):
     """The ego lane, by edges and Hough lines of the segmentation, smoothed over time."""
 
     enabled: bool = True
@@ -150,7 +171,7 @@ class LanesConfig(Section):
     """Standard deviation of the change of the car's sideways speed within a second, without odometry."""
 
 
-class ObjectsConfig(Section):
+class ObjectsConfig(StageSection):
     """Detections filtered by segmentation, with their distance, and tracked over time."""
 
     enabled: bool = True
@@ -214,7 +235,7 @@ class ObjectsConfig(Section):
         return self
 
 
-class OdometryConfig(Section):
+class OdometryConfig(StageSection):
     """Where the car is, from images and depth."""
 
     enabled: bool = True
@@ -289,3 +310,9 @@ class ReplayConfig(Section):
     def to_toml(self) -> str:
         """The whole configuration, defaults included; ``load_config`` reads it back."""
         return tomli_w.dumps(self.model_dump(mode="json"))
+
+
+def implementations(cfg: ReplayConfig) -> Iterator[tuple[str, str]]:
+    """Stage and ``MODULE:NAME`` of each own stage of a configuration."""
+    named = ((stage, getattr(cfg, stage).implementation) for stage in OWN_STAGES)
+    return ((stage, name) for stage, name in named if name != BUILT_IN)

@@ -275,7 +275,7 @@ def depth_from_mm(depth_mm: NDArray[np.uint16]) -> Float32:
     """(H, W) metres of 16-bit millimetres: NaN for 0; 65535 means 65.535 m or more."""
     depth_m = depth_mm.astype(np.float32)
     depth_m *= np.float32(0.001)
-    depth_m[depth_mm == UNKNOWN_MM] = np.nan
+    np.copyto(depth_m, np.float32(np.nan), where=depth_mm == UNKNOWN_MM)
     return depth_m
 
 

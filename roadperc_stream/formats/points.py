@@ -19,9 +19,7 @@ _TYPES: Final[Mapping[int, str]] = {1: "u1", 2: "i1", 3: "<u2", 4: "<i2", 5: "<u
 def unpack_points(message: Any, frame_T_points: Float) -> Float32:
     """(N, 3) float32 metres of a foxglove.PointCloud, in its frame; points that are not finite stay.
 
-    Args:
-        message: the cloud; its fields x, y and z may have any type of number.
-        frame_T_points: the pose of the points.
+    The fields x, y and z may have any type of number. ``frame_T_points`` is the pose of the points.
 
     Raises:
         DecodeError: a field is missing, has an unknown type or exceeds the stride, or the data end within a point.

@@ -24,8 +24,8 @@ _FARTHEST_CENTRE: Final = 10.0
 class Lens:
     """The optics of an unrectified image: a distorted pinhole camera and its rotation.
 
-    ``R`` is the (3, 3) rotation, row by row, from this lens's frame to the rectified camera's; ``model`` names the
-    meaning of the camera's ``distortion``, as foxglove.CameraCalibration does.
+    ``R`` is the (3, 3) rotation, row by row, from this lens's frame to the rectified camera's, empty if it is unknown;
+    ``model`` names the meaning of the camera's ``distortion``, as foxglove.CameraCalibration does.
     """
 
     fx: float
@@ -45,7 +45,7 @@ class Lens:
 class Camera:
     """A rectified pinhole camera; ``baseline_m`` is set on the right camera of a rectified pair (P[0, 3] = -fx b).
 
-    With a ``lens`` its images are unrectified and can be rectified; with ``distortion`` but no lens they cannot.
+    With a ``lens`` or ``distortion`` its images are unrectified; ``geometry.rectification`` rectifies them.
     """
 
     frame_id: str
@@ -99,11 +99,8 @@ def decompose_projection(P: Float) -> tuple[Float, Float, Float]:
     """K, R and the camera's centre of a projection matrix P ~ K [R | -R centre].
 
     P is known up to a factor of either sign. These choices make the RQ decomposition of P's left half unique: the
-    diagonal of K is positive, K[2, 2] = 1 and det R = +1, so R is a rotation.
-    Source: Hartley and Zisserman, Multiple View Geometry, 2004, section 6.2.4.
-
-    Args:
-        P: (3, 4), pixels.
+    diagonal of K is positive, K[2, 2] = 1 and det R = +1, so R is a rotation. Source: Hartley and Zisserman, Multiple
+    View Geometry, 2004, section 6.2.4. P is (3, 4), in pixels.
 
     Returns:
         (3, 3) upper triangular K in pixels, (3, 3) rotation from the world's frame to the camera's, and the (3,) centre

@@ -73,6 +73,15 @@ class Surface:
     model: SurfaceModel = "plane"
     height_grid: HeightGrid | None = None
 
+    @classmethod
+    def of(
+        cls, source: SurfaceSource, camera: Camera, ego_T_camera: Float, plane: Plane, inlier_ratio: float | None = None
+    ) -> "Surface":
+        """The surface with a plane in the frame of a camera, whose mounting is (4, 4) ``ego_T_camera``."""
+        pitch, roll = camera_pitch_roll(plane)
+        ego_plane = transform_plane(ego_T_camera, plane)
+        return cls(source, camera.frame_id, plane, ego_plane, plane.offset_m, pitch, roll, inlier_ratio)
+
     def __str__(self) -> str:
         angles = f"pitch {np.degrees(self.pitch):.2f} deg, roll {np.degrees(self.roll):.2f} deg"
         return f"surface: {self.source}, camera {self.camera_height_m:.2f} m above the road, {angles}"

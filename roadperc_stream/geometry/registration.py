@@ -14,12 +14,8 @@ def sample_labels(
 ) -> Image:
     """Another camera's labels at the pixels of a depth image: each depth pixel samples its point in the other image.
 
-    Args:
-        depth_camera: camera of ``depth_m``.
-        camera_T_depth: its pose in the other camera's frame.
-        camera: camera of ``labels``.
-        depth_m: (H, W) metres, NaN unknown.
-        labels: (h, w) uint8.
+    ``depth_m`` (H, W) are metres, NaN unknown; ``labels`` (h, w) are uint8. ``camera_T_depth`` is the pose of the
+    depth's camera.
 
     Returns:
         (H, W) uint8; 0 where the depth is unknown or the point lies outside the other image.
@@ -52,12 +48,8 @@ def depth_of_points(camera: Camera, camera_T_lidar: Float, points_m: Float32) ->
     """Sparse depth of lidar points in a camera's image; the nearest point of a pixel counts.
 
     The projection is that of a pinhole camera, even if the camera has a lens. A pixel and its depth thus give the point
-    again, to within half a pixel.
-
-    Args:
-        camera: the camera of the image.
-        camera_T_lidar: the lidar's pose in the camera's frame.
-        points_m: (N, 3) in the lidar's frame; those behind the camera and outside its image are left out.
+    again, to within half a pixel. ``points_m`` are (N, 3) in the lidar's frame; those behind the camera and outside its
+    image are left out.
 
     Returns:
         (h, w) float32 metres along the camera's z, NaN where no point falls.

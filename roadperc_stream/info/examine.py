@@ -17,9 +17,7 @@ from roadperc_stream.system.time import ns_to_seconds
 def examine(path: Path, overrides: Mapping[str, str]) -> LogFacts:
     """Return the facts of a log, from one pass.
 
-    Args:
-        path: the log.
-        overrides: topic by role, from ``--topic``.
+    ``overrides`` are topics by role, from ``--topic``.
 
     Raises:
         LogError: the file cannot be opened, or is not a log. A damaged log raises no error.

@@ -29,10 +29,7 @@ from roadperc_stream.system.time import ns_to_seconds
 def _print_joined(console: Console, logs: Sequence[LogFacts], overrides: Mapping[str, str]) -> None:
     """Print how several logs follow each other in time, and the facts of them as one log.
 
-    Args:
-        console: to print on.
-        logs: two or more; those without messages are left out.
-        overrides: topic by role, from ``--topic``.
+    Logs without messages are left out.
     """
     spans = sorted(_spans(logs), key=lambda span: (span.first_ns, span.last_ns))
     if not spans:
@@ -107,10 +104,7 @@ def _whole(logs: Sequence[LogFacts], spans: Sequence[FileSpan]) -> Iterator[str]
 def recover_log(source: Path, target: Path, *, force: bool) -> None:
     """Repair a log.
 
-    Args:
-        source: the log.
-        target: the log to write.
-        force: replace an existing ``target``.
+    ``force`` replaces an existing target.
 
     Raises:
         LogError: no message is readable.
@@ -131,10 +125,8 @@ def recover_log(source: Path, target: Path, *, force: bool) -> None:
 def list_logs(paths: Sequence[Path], topics: Sequence[str], *, as_json: bool) -> None:
     """Print the facts of each log; for several logs also how they follow each other.
 
-    Args:
-        paths: the logs; ``-`` is standard input.
-        topics: ``ROLE=/NAME``, as a replay takes them.
-        as_json: print one JSON object per line and log instead of text.
+    The path ``-`` is standard input. ``topics`` are ``ROLE=/NAME``, as a replay takes them. ``as_json`` prints a JSON
+    object on one line for each log instead of text.
 
     Raises:
         ChannelError: a topic option has the wrong form.

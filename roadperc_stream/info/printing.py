@@ -144,7 +144,9 @@ def print_log(console: Console, facts: LogFacts) -> None:
     if facts.provenance is not None:
         print_lines(console, "", *_provenance_lines(facts.provenance, facts.replay.frames), unbroken=True)
         settings = facts.provenance.settings
-        rows = tuple(row(item.key, item.value, item.default or "no such setting") for item in settings)
+        rows = tuple(
+            row(item.key, item.value, "no such setting" if item.default is None else item.default) for item in settings
+        )
         print_table(console, TextTable("Settings not at their defaults", ("value", "default"), rows))
 
 

@@ -51,10 +51,7 @@ class Roles:
 def roles_of(channels: Sequence[Channel], overrides: Mapping[str, str], probe: ContentProbe | None) -> Roles:
     """The state of every role.
 
-    Args:
-        channels: the log's channels with messages.
-        overrides: topic by role, from ``--topic``.
-        probe: reads first messages, for ``candidates``.
+    ``overrides`` are topics by role, from ``--topic``; ``probe`` reads first messages, for ``candidates``.
     """
     inputs = [channel for channel in channels if not is_result(channel)]
     refusal = None
@@ -145,4 +142,6 @@ def _depth_cost(there: Collection[str]) -> str:
         return "surface, distances and occupancy from stereo"
     if "lidar" in there:
         return "surface, distances and occupancy from the sparse lidar points"
-    return "surface from the mounting, no distances, no occupancy, scale only from the camera height"
+    return (
+        "surface from the mounting, distances from the boxes' lower edges, no occupancy, scale from the camera height"
+    )

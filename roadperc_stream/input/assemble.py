@@ -10,6 +10,7 @@ from roadperc_stream import model
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ChannelError
 from roadperc_stream.geometry import Camera, Float, inverse, mounting
+from roadperc_stream.input.rectified import rectified_frame, rectified_truth
 from roadperc_stream.input.stream import Stamped
 from roadperc_stream.input.sync import LatchedState, SyncedMessages
 from roadperc_stream.input.transforms import TransformTree
@@ -27,12 +28,8 @@ def sample_of(
 ) -> model.Sample:
     """The sample of one instant's messages.
 
-    Args:
-        cfg: gives the assumed height of a camera without a mounting.
-        synced: the messages of one instant.
-        index: number of the frame in the replay, from 0; ``UNWRITTEN`` for a warm-up frame.
-        topics: topic of each role that the log has.
-        parent_of: parent of each frame that the log places, at any time.
+    ``cfg`` gives the assumed height of a camera without a mounting. ``index`` is the number of the frame in the replay,
+    from 0, or ``UNWRITTEN`` for a warm-up frame. ``parent_of`` has each frame that the log places at any time.
 
     Raises:
         ChannelError: a camera without calibration; the message names it.
@@ -68,10 +65,12 @@ def sample_of(
         points=points,
         ego_T_lidar=None if points is None else _lidar_mounting(tree, ego_T_camera, camera, points.frame_id),
         is_origin=index == 0,
+        number=None if index == model.UNWRITTEN else index,
     )
     missing = tuple(role for role in topics if _expected(role) and role not in messages)
     truth, anchor = _truth(messages, tree, camera), _anchor(tree, camera, ego_T_camera, parent_of)
     reference = synced.reference
+    frame, truth = rectified_frame(frame), rectified_truth(truth, camera)
     return model.Sample(index, reference.log_time_ns, frame, truth, missing, synced.skew_ns, anchor, reference.segment)
 
 
@@ -105,7 +104,7 @@ def _depth_camera(latched: LatchedState, camera: Camera, depth: model.DepthImage
         return own
     if depth is None or depth.frame_id in ("", camera.frame_id):
         return camera
-    return replace(camera, frame_id=depth.frame_id, baseline_m=None, lens=None)
+    return replace(camera, frame_id=depth.frame_id, baseline_m=None, distortion=(), lens=None)
 
 
 def _left_camera(synced: SyncedMessages, camera: Camera, topics: Mapping[str, str]) -> Camera:

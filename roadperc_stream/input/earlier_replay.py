@@ -1,5 +1,7 @@
 """Reads the records of an earlier replay in a log: its results, and the chosen topics and tag table."""
 
+import hashlib
+import json
 from collections.abc import Iterable
 from typing import Final
 
@@ -47,6 +49,13 @@ def digest_algorithm(metadata: Iterable[Metadata]) -> str:
     found = replay_record(metadata)
     stated = found.get(record.DIGEST_ALGORITHM_KEY, record.FIRST_DIGEST_ALGORITHM)
     return stated if record.DIGEST_KEY in found else DIGEST_ALGORITHM
+
+
+def networks_digest(metadata: Iterable[Metadata]) -> str:
+    """Digest of the networks that computed channels of a log: of their models, runtimes and settings; empty without."""
+    networks = [sorted(item.values) for item in metadata if item.name == record.NETWORKS_RECORD]
+    facts = [[pair for pair in own if pair[0] != record.VERSION_KEY] for own in networks]
+    return hashlib.sha256(json.dumps(facts).encode()).hexdigest() if facts else ""
 
 
 def replay_record(metadata: Iterable[Metadata]) -> dict[str, str]:

@@ -69,10 +69,7 @@ class StampOrder:
     def __init__(self, cfg: OrderConfig, drop: Drop, state: OrderState[Stamped] | None = None) -> None:
         """Start, or continue from a state.
 
-        Args:
-            cfg: how late a message may be.
-            drop: called with each message that is left out.
-            state: the state of an earlier sorting; None at the beginning.
+        ``drop`` is called with each message that is left out; ``state`` is that of an earlier sorting.
         """
         state = state or OrderState()
         self._cfg, self._drop = cfg, drop

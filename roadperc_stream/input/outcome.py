@@ -62,10 +62,7 @@ class InputOutcome:
     def notes(self, topics: Mapping[str, str], cfg: SyncConfig, nearest_ns: Mapping[str, int]) -> Iterator[str]:
         """Notes for the user.
 
-        Args:
-            topics: the topic of each role.
-            cfg: gives the tolerance of stamps within a frame.
-            nearest_ns: smallest distance of each role's dropped messages to a frame.
+        ``nearest_ns`` is the smallest distance of each role's dropped messages to a frame.
         """
         if self.given_again:
             yield f"{self.given_again} of {self.frames} frames are also in the continued result"
@@ -116,12 +113,7 @@ class FileSpan:
 
 
 def file_notes(summary: LogSummary, topic: str) -> tuple[str, ...]:
-    """Notes on gaps, overlaps and differences between the files of a log; empty for a single file.
-
-    Args:
-        summary: of the log.
-        topic: the reference sensor's topic.
-    """
+    """Notes on gaps, overlaps and differences between the files of a log; empty for a single file."""
     spans = [
         FileSpan(str(file.path), file.first_ns, file.last_ns, counted_topics(file)[topic], file.repeats)
         for file in summary.files
@@ -136,8 +128,7 @@ def file_notes(summary: LogSummary, topic: str) -> tuple[str, ...]:
 def joins(files: Sequence[FileSpan]) -> list[str]:
     """A text for each file that has a gap or overlap to earlier files, else an empty one.
 
-    Args:
-        files: sorted by first log time.
+    ``files`` are sorted by first log time.
     """
     least_gap_ns = _GAP_INTERVALS * _interval_ns(files)
     latest: FileSpan | None = None
@@ -151,10 +142,8 @@ def joins(files: Sequence[FileSpan]) -> list[str]:
 def continuation_notes(file: FileSpan, frames_before_ns: Sequence[int], ended_ns: int) -> tuple[str, ...]:
     """Return a note if there is a gap between a log and the result that it continues.
 
-    Args:
-        file: the span of the log.
-        frames_before_ns: known log times of the reference sensor's last messages in the result.
-        ended_ns: log time where the result ended.
+    ``frames_before_ns`` are known log times of the reference sensor's last messages in the result, which ends at the
+    log time ``ended_ns``.
     """
     before = FileSpan("the continued result", min(frames_before_ns, default=ended_ns), ended_ns, len(frames_before_ns))
     gap_ns, interval_ns = file.first_ns - ended_ns, _interval_ns([before, file])

@@ -82,12 +82,8 @@ def first_pass(
 ) -> FirstPass:
     """Read all messages once.
 
-    Args:
-        reader: reads the messages.
-        order: the role that makes the frames, and how late messages may be.
-        start: the state before the first message.
-        begun: the pending messages of ``start``.
-        strict_in: the log to name in an error at the first unreadable message; None to count such messages.
+    ``begun`` are the pending messages of ``start``. An error at the first unreadable message names the log
+    ``strict_in``; None counts such messages.
 
     Raises:
         LogError: the log is damaged.
@@ -153,11 +149,7 @@ def plan_input(
 ) -> InputPlan:
     """Assign the roles, find the part to replay, and read it once: every CRC is checked before work starts.
 
-    Args:
-        summary: of the log.
-        cfg: settings for decoding, pairing and waiting.
-        asked: the part of the log to replay, in seconds from the first message of ``summary``.
-        begin: the end state of the continued result; None without one.
+    ``asked`` is in seconds from the first message of ``summary``; ``begin`` is the end state of a continued result.
 
     Raises:
         ChannelError: the channels do not fit the roles.

@@ -7,7 +7,7 @@ from itertools import islice
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ChannelError, NoFrameError
 from roadperc_stream.input.assemble import sample_of
-from roadperc_stream.input.earlier_replay import is_result
+from roadperc_stream.input.earlier_replay import is_result, networks_digest
 from roadperc_stream.input.outcome import FileSpan, InputOutcome, continuation_notes, file_notes
 from roadperc_stream.input.plan import InputPlan, plan_input
 from roadperc_stream.input.roles import tag_table_to_record
@@ -26,10 +26,6 @@ from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES, require_role
 def open_input(source: ReplaySource, cfg: ReplayConfig) -> "ReplayInput":
     """Check a log, assign its channels to roles, and find the part to replay.
 
-    Args:
-        source: the log, and its requested part.
-        cfg: settings for decoding, pairing and placing messages.
-
     Raises:
         ChannelError: a role does not exist, or the channels do not fit the roles.
         LogError: the log cannot be read, is damaged in the requested part, or that part has no frame.
@@ -47,12 +43,8 @@ def input_of(
 ) -> "ReplayInput":
     """As ``open_input``, for a log that was already read.
 
-    Args:
-        found: the log that ``source`` read.
-        source: as in ``open_input``.
-        cfg: as in ``open_input``.
-        begin: the end state of the continued result; None without one.
-        lost: gaps of that result; one without an end ends where this log begins.
+    ``source`` read ``found``. ``begin`` is the end state of a continued result, ``lost`` the gaps of that result; a gap
+    without an end ends where this log begins.
 
     Raises:
         StateError: the log cannot continue from ``begin``; else as ``open_input``.
@@ -104,6 +96,11 @@ class ReplayInput:
     def log_id(self) -> str:
         """The name of the log in every table."""
         return record.log_id_of(self.plan.first_pass.digest)
+
+    @property
+    def networks(self) -> str:
+        """Digest of the networks that computed channels of the log; empty without them."""
+        return networks_digest(self.summary.metadata)
 
     @property
     def topics(self) -> Mapping[str, str]:

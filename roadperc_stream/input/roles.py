@@ -25,7 +25,9 @@ from roadperc_stream.input.topics import (
 from roadperc_stream.log import Channel, LogSummary
 from roadperc_stream.schemas.record import TAG_TABLE_KEY
 from roadperc_stream.schemas.roles import REFERENCE_ROLES, ROLES, SHARED_KINDS, Role
+from roadperc_stream.schemas.topics import VIDEO_SCHEMA
 
+_CONVERT_VIDEO: Final = "run roadperc-convert on the log, which stores the frames as images"
 _GUESSED_ROLES: Final = ("image", "calibration", "depth", "segmentation", "detections", "tf")
 """Roles that take a topic of another name if it is the only one that fits."""
 _NEEDED_ROLES: Final = ("image", "calibration")
@@ -132,10 +134,7 @@ def _choices(channels: Sequence[Channel], named: Mapping[str, str]) -> dict[str,
 def tag_table_to_record(channels: Iterable[Channel], roles: RoleAssignment, configured: str) -> str:
     """The table that the user named, now or earlier, if a channel of tags names none; else empty.
 
-    Args:
-        channels: of the log.
-        roles: the topic of each role.
-        configured: table of this replay, or ``auto``.
+    ``configured`` is the table of this replay, or ``auto``.
     """
     tags = (c for c in channels if any(role.kind == "tags" for role in roles.roles_of(c.topic)) and not is_result(c))
     if all(channel.label(TAG_TABLE_KEY) for channel in tags):
@@ -149,12 +148,8 @@ def assign_roles(
     """Assign topics to roles: topics that the user names, known topics, else the only topic that fits.
 
     If several fit, those in the namespace of the role's camera come first. If several are left, an optional role stays
-    unassigned.
-
-    Args:
-        channels: of the log; results of earlier replays do not count.
-        overrides: topic by role, from ``--topic``.
-        probe: as ``candidates`` takes it.
+    unassigned. Channels with results of earlier replays do not count. ``overrides`` are topics by role, from
+    ``--topic``.
 
     Raises:
         ChannelError: a named topic is missing or has the wrong schema, or several fit a role that is needed.
@@ -182,7 +177,7 @@ def assign_roles(
             topics[role.name] = only
             guessed.append(role.name)
     notes = (f"role {name}: {topics[name]}, the only topic that fits" for name in guessed)
-    left = _unassigned_in_words(candidates(inputs, topics, probe), inputs)
+    left = (*_unassigned_in_words(candidates(inputs, topics, probe), inputs), *_videos_in_words(inputs))
     in_order = {name: topics[name] for name in ROLES if name in topics}
     return RoleAssignment(in_order, (*notes, *left), left, frozenset(guessed))
 
@@ -195,7 +190,8 @@ def channel_state(role: Role, named: Sequence[Channel]) -> tuple[RoleFilling, st
         if not fits(role, channel):
             expected = " or ".join(f"{schema} ({encoding})" for schema, encoding in schemas_of_kind(role.kind))
             found = f"{channel.schema_name or 'no schema'} ({channel.message_encoding or 'no encoding'})"
-            return "wrong schema", f"found {found}, expected {expected}"
+            hint = f"; {_CONVERT_VIDEO}" if channel.schema_name == VIDEO_SCHEMA else ""
+            return "wrong schema", f"found {found}, expected {expected}{hint}"
     if len(named) > 1 and role.kind not in SHARED_KINDS:
         return "several channels", f"{len(named)} channels carry this topic, expected one"
     return "filled", ""
@@ -220,6 +216,12 @@ def candidates(
         if probe is not None and name in found and not found[name]:
             found[name] = distinct(c for c in without_a_word(ROLES[name], unused) if probe(ROLES[name].kind, c))
     return {name: topics for name, topics in found.items() if topics}
+
+
+def _videos_in_words(channels: Iterable[Channel]) -> tuple[str, ...]:
+    """A line for each topic with video."""
+    topics = distinct(channel for channel in channels if channel.schema_name == VIDEO_SCHEMA)
+    return tuple(f"{topic}: {VIDEO_SCHEMA} is not read; {_CONVERT_VIDEO}" for topic in topics)
 
 
 def _unassigned_in_words(found: Mapping[str, tuple[str, ...]], channels: Iterable[Channel]) -> tuple[str, ...]:

@@ -157,10 +157,7 @@ def pending(item: Stamped) -> PendingMessage:
 def restored(state: InputState, roles: RoleAssignment, tag_table: str) -> PairingState[Stamped]:
     """The pending messages of a state, decoded again.
 
-    Args:
-        state: includes all messages that it needs.
-        roles: the topic of each role.
-        tag_table: configured table, or ``auto``.
+    ``state`` includes all messages that it needs; ``tag_table`` is the configured table, or ``auto``.
 
     Raises:
         StateError: a message contradicts the state.

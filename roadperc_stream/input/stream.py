@@ -117,12 +117,8 @@ def decoded_messages(
 ) -> Iterator[Stamped]:
     """Decode the messages of assigned roles; unreadable ones are counted and left out.
 
-    Args:
-        messages: in log-time order.
-        roles: the topic of each role.
-        tag_table: configured table, or ``auto`` for the channel's table, else the recorded one.
-        problems: counts the messages that cannot be decoded.
-        limits: limits on the contents of a message.
+    ``messages`` are in log-time order. ``tag_table`` is the configured table, or ``auto`` for the channel's table, else
+    the recorded one.
     """
     contexts: dict[Channel, Context] = {}
     roles_by_topic = {topic: roles.roles_of(topic) for topic in set(roles.topics.values())}
@@ -143,9 +139,7 @@ def decoded_messages(
 def numbered(messages: Iterable[Message], topics: Container[str]) -> Iterator[tuple[Message, int]]:
     """The messages on some topics, each with its place among those of equal log time.
 
-    Args:
-        messages: in log-time order.
-        topics: the topics that are assigned to roles.
+    ``messages`` are in log-time order.
     """
     log_time_ns, number = None, 0
     for message in messages:

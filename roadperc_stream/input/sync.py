@@ -48,12 +48,7 @@ def without_loops(
 ) -> Iterator[Stamped]:
     """Leave out and report transforms that close a loop or exceed the limit.
 
-    Args:
-        items: in the order in which they take effect.
-        tree: the transforms before the first item.
-        topics: the topic of each role.
-        problems: receives loops and transforms beyond the limit.
-        limits: limits on the tree.
+    ``items`` are in the order in which they take effect; ``tree`` are the transforms before the first one.
     """
     for item in items:
         edges = item.edges
@@ -130,12 +125,8 @@ class StampPairing:
     ) -> None:
         """Start, or continue from a state.
 
-        Args:
-            cfg: gives the tolerance of stamps within a frame.
-            order: the role that makes the frames, and how long messages wait.
-            roles: all roles that the log has.
-            state: the state of an earlier pass; at the beginning only the latched state.
-            drop: called with each message that belongs to no frame.
+        ``state`` is that of an earlier pass, at the beginning only the latched state. ``drop`` is called with each
+        message that belongs to no frame.
         """
         self._order = StampOrder(order, drop, state.order)
         self._tolerance_ns, self._reference, self._drop = seconds_to_ns(cfg.tolerance_s), order.reference, drop

@@ -111,12 +111,7 @@ def _own_words(role: Role) -> set[str]:
 def probe_first_message(summary: LogSummary, kind: Kind, channel: Channel) -> bool:
     """Whether the first message of a channel is depth (by its encoding) or tags (all pixels have a known class).
 
-    False if the log or the message cannot be read.
-
-    Args:
-        summary: the log.
-        kind: ``depth`` or ``tags``.
-        channel: of the log.
+    False if the log or the message cannot be read. ``kind`` is ``depth`` or ``tags``.
     """
     try:
         message = next(log.read(summary, topics=(channel.topic,)), None)

@@ -80,10 +80,7 @@ class TransformTree:
         """Children of the edges that would be part of a loop in the tree, in their order.
 
         Edges of the same message that contradict each other are all included. An edge that contradicts the tree is
-        included alone.
-
-        Args:
-            edges: the edges of one message.
+        included alone. ``edges`` are those of one message.
         """
         edges = tuple(edges)
         parents, found = {edge.child: edge.parent for edge in edges}, set[str]()
@@ -96,9 +93,7 @@ class TransformTree:
 def _in_loops(parents: Mapping[str, str], placed: Mapping[str, Transform]) -> set[str]:
     """The frames that are their own ancestors, among the ancestors of the frames in ``parents``.
 
-    Args:
-        parents: parent of some frames; they replace those in the tree.
-        placed: the tree's edges; only the ancestors are visited.
+    ``parents`` replace those in the tree; ``placed`` are the tree's edges, of which only the ancestors are visited.
     """
     found, done = set[str](), set[str]()
     for start in parents:

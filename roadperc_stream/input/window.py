@@ -45,8 +45,7 @@ class WindowMessages:
     def all(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """All messages of the window.
 
-        Args:
-            topics: only these; None for all.
+        ``topics`` limits them; None yields all.
         """
         yield from self.inside(topics)
         yield from self.late(topics)
@@ -54,9 +53,7 @@ class WindowMessages:
     def inside(self, topics: Collection[str] | None = None, from_ns: int = 0) -> Iterator[Message]:
         """Latched messages, and messages in the window up to the cut.
 
-        Args:
-            topics: only these; None for all.
-            from_ns: the first log time read.
+        ``topics`` limits them; None yields all. ``from_ns`` is the first log time read.
         """
         held = (m for m in self.latched if m.log_time_ns >= from_ns)
         yield from (m for m in held if topics is None or m.channel.topic in topics)

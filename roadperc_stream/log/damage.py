@@ -29,9 +29,7 @@ def unopened(path: Path, error: OSError) -> LogError:
 def require_magic(path: Path, start: bytes) -> None:
     """Check that a file or pipe starts as an MCAP log.
 
-    Args:
-        path: its name, for the error.
-        start: as many of its first bytes as the magic has; fewer if there are no more.
+    ``start`` are as many of its first bytes as the magic has, fewer if there are no more. Errors name ``path``.
 
     Raises:
         LogError: it is empty, or not MCAP.

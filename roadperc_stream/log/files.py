@@ -116,8 +116,7 @@ class SharedTimes:
     def marked(self, messages: Iterable[Numbered]) -> Iterator[tuple[int, Message, bool]]:
         """Yield each message with the number of its file, and whether an earlier file holds it too.
 
-        Args:
-            messages: by log time; those of equal time file by file.
+        ``messages`` are sorted by log time; those of equal time are sorted by file.
         """
         now: tuple[int, int] | None = None  # log time and file of the last message that was compared
         found, in_file = Counter[bytes](), Counter[bytes]()
@@ -213,10 +212,7 @@ def _translated(path: Path, messages: Iterable[Message], translation: Translatio
 def united(files: Sequence[LogSummary], held_bytes: float, limits: LimitsConfig) -> LogSummary:
     """Return files as one log, in the order of their times; equal channels of several files become one.
 
-    Args:
-        files: of the log.
-        held_bytes: the most memory that merging takes.
-        limits: of their records and chunks.
+    ``held_bytes`` is the most memory that merging takes.
     """
     ordered = sorted(files, key=lambda file: _span_ns(file) or (0, 0))
     attachments = dict[tuple[str, str, bytes], Attachment]()
@@ -258,10 +254,6 @@ def gone_on_ns(summary: LogSummary, files: Iterable[LogSummary]) -> int | None:
     """Return the log time from which later files continue all topics of a file; its losses at the end stop there.
 
     None if a topic does not continue. Topics with one message are not required to, unless all topics have only one.
-
-    Args:
-        summary: of the file.
-        files: of the log.
     """
     first_ns, counts = summary.first_ns or 0, counted_topics(summary)
     repeated = [topic for topic, messages in counts.items() if messages > 1] or list(counts)

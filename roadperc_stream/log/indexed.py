@@ -210,8 +210,7 @@ def _lies_in(chunk: ChunkIndex, kept: frozenset[int], start_ns: int | None, end_
 def apart(chunks: Sequence[ChunkIndex]) -> Iterator[ChunkIndex]:
     """Yield the chunks whose times overlap no other chunk and that are in log-time order among all.
 
-    Args:
-        chunks: in file order.
+    ``chunks`` are in file order.
     """
     behind = accumulate((chunk.message_start_time for chunk in reversed(chunks[1:])), min, initial=_NEVER_NS)
     latest_ns = 0

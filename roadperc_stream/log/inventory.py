@@ -83,10 +83,7 @@ class Inventory:
     def add_chunk(self, record: Record, head: ChunkHead, positions: Positions | None) -> None:
         """Record an intact chunk, whose message indexes come next.
 
-        Args:
-            record: the chunk.
-            head: its fields.
-            positions: of its messages; None if the chunk was not opened.
+        ``positions`` are those of its messages, None if the chunk was not opened.
         """
         self.chunk, self._positions = entry_of(head, record.start, record.end - record.start), positions
         self.chunks[record.start] = self.chunk
@@ -135,8 +132,7 @@ class Inventory:
     def discrepancies(self, summary_start: int | None) -> Iterator[Damage]:
         """Yield the differences between the contents and the index and statistics.
 
-        Args:
-            summary_start: the first byte behind the data section.
+        ``summary_start`` is the first byte behind the data section.
         """
         if self._footer is not None:
             byte, footer = self._footer

@@ -33,12 +33,8 @@ def summarise(
 
     All CRCs are checked, and index and statistics are compared with the file. If only chunks have CRCs, these are
     checked when the chunks are read. A log whose messages cannot be ordered in little memory is sorted on disk at the
-    first reading. If files share topics at the same time, their messages are read to find repeated ones.
-
-    Args:
-        source: the log, or its files.
-        limits: of their records and chunks.
-        check_chunks: check the CRCs of chunks now.
+    first reading. If files share topics at the same time, their messages are read to find repeated ones. ``limits`` are
+    those of records and chunks; ``check_chunks`` checks the CRCs of chunks now.
 
     Raises:
         LogError: a file cannot be read, is not MCAP, is cut or damaged, or exceeds the limits.
@@ -77,11 +73,7 @@ def read(
 ) -> Iterator[Message]:
     """Yield messages in log-time order; those of equal time in file order.
 
-    Args:
-        summary: of the log.
-        topics: only these; None for all.
-        start_ns: first log time to read.
-        end_ns: read only earlier log times.
+    ``topics`` limits them; None yields all. Log times begin at ``start_ns`` and are earlier than ``end_ns``.
 
     Raises:
         LogError: the file cannot be read, is not MCAP, is cut or damaged.

@@ -165,10 +165,7 @@ def _by_topic(counts: Mapping[int, int], topics: Mapping[int, str]) -> dict[str,
 def write_repaired(source: Path, target: Path, limits: LimitsConfig = DEFAULT_LIMITS) -> tuple[Salvage, Recovery]:
     """Write what can be read of a log to a new one, with index, CRCs, and a record of what was lost.
 
-    Args:
-        source: the damaged log; the copy of a whole log has no such record.
-        target: the log to write.
-        limits: of the records and chunks of ``source``.
+    The copy of a whole log has no such record. ``limits`` are those of records and chunks of ``source``.
 
     Returns:
         The finished salvage of ``source``, and the recovery in the record.

@@ -39,11 +39,7 @@ def in_order_within(
 ) -> Iterator[T]:
     """Yield items by time, as far as a bounded buffer can sort them; those of equal time keep their order.
 
-    Args:
-        items: in any order.
-        time_of: returns the time of an item.
-        size_of: returns the size of an item.
-        most: the largest total size in the buffer; beyond it, the earliest item is yielded.
+    ``most`` is the largest total size in the buffer; beyond it, the earliest item is yielded.
     """
     waiting: list[tuple[int, int, T]] = []
     held = 0

@@ -32,9 +32,7 @@ _READ_BYTES: Final = io.DEFAULT_BUFFER_SIZE * 8
 def storing(what: str, done: str = "stored") -> Iterator[None]:
     """Turn errors of the folder for temporary files into one that names the folder.
 
-    Args:
-        what: the stored log, for the error.
-        done: the failed action, for the error.
+    The error also names the stored log, ``what``, and the failed action, ``done``.
 
     Raises:
         TargetError: the disk is full or fails, or there is no such folder.
@@ -60,9 +58,7 @@ class Spool:
     def __init__(self, what: str, stored: IO[bytes] | None = None) -> None:
         """Create an empty file, or use an existing one.
 
-        Args:
-            what: its content, for errors.
-            stored: a seekable file; the spool owns it.
+        Errors name its content, ``what``. ``stored`` is a seekable file; the spool owns it.
 
         Raises:
             TargetError: there is no folder for temporary files.
@@ -162,8 +158,7 @@ class StoredLog(type(Path())):  # type: ignore[misc]  # the class of paths of th
 def received(paths: Sequence[Path]) -> tuple[Path, ...]:
     """Return logs as files that can be read many times: pipes are stored in temporary files.
 
-    Args:
-        paths: of logs; ``-`` is standard input.
+    The path ``-`` is standard input.
 
     Raises:
         LogError: there is no path, a log is given twice, standard input is a terminal, or the first bytes of a pipe are

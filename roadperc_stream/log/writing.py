@@ -81,9 +81,7 @@ class LogWriter:
     def write_chunk(self, chunk: ChunkRecords, reached_ns: int | None) -> None:
         """Append a chunk of another log unchanged; its channels are registered with their ids in that log.
 
-        Args:
-            chunk: of the other log.
-            reached_ns: log time up to which all messages except results are written; None without an end.
+        ``reached_ns`` is the log time up to which all messages except results are written; None without an end.
         """
         self.end_chunk()
         self._add_chunk(chunk)
@@ -111,9 +109,7 @@ class LogWriter:
     def register(self, channel: Channel, *, ids: tuple[int, int] | None = None) -> int:
         """Describe a channel, even if it never gets a message, and return its id.
 
-        Args:
-            channel: with its schema.
-            ids: preferred ids of the channel and of its schema, 0 without a schema.
+        ``ids`` are the preferred ids of the channel and of its schema, 0 without a schema.
         """
         known = self._channel_ids.get(channel)
         if known is not None:

@@ -183,13 +183,9 @@ def tusimple(
     A point is correct if its column error is less than 20 px / cos(angle of the true lane), or if both lanes have no
     point there. The best predicted lane gives the accuracy of a true lane, which is found from ``TUSIMPLE_MATCHED`` on.
     As in the benchmark's script, the worst of more than four true lanes does not count. A frame with more than two
-    surplus lanes scores (0, 0, 1).
-
-    Args:
-        predicted: one (N,) array per lane: its column in px at each row, NaN without a point.
-        truth: the same for the true lanes.
-        rows: (N,) rows in px, common to all lanes.
-        columns: width of the image; the 20 px of the benchmark scale with it.
+    surplus lanes scores (0, 0, 1). ``predicted`` and ``truth`` have an (N,) array for each lane: its column in px at
+    each of the (N,) ``rows``, NaN without a point. ``columns`` is the width of the image; the 20 px of the benchmark
+    scale with it.
     """
     threshold_px = TUSIMPLE_PX * columns / TUSIMPLE_COLUMNS
     if len(predicted) > len(truth) + _TUSIMPLE_SURPLUS:

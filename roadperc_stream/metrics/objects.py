@@ -46,6 +46,7 @@ def _object_row(
         kept=item.kept,
         distance_m=item.distance_m,
         distance_std_m=item.distance_std_m,
+        distance_source=None if item.distance_m is None else item.distance_source,
         closing_speed_mps=item.closing_speed_mps,
         closing_speed_std_mps=item.closing_speed_std_mps,
         time_to_impact_s=item.time_to_impact_s,

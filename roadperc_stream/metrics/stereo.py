@@ -8,6 +8,7 @@ from roadperc_stream.chain.kernels import disparity_errors, seen_by_both
 from roadperc_stream.chain.kernels.stereo_plain import DisparityLimits
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.geometry import Camera, Float32
+from roadperc_stream.geometry.rectification import rectified
 from roadperc_stream.model import Absent, Sample, StereoDepth
 from roadperc_stream.schemas.columns.errors import StereoErrorColumns
 from roadperc_stream.schemas.columns.estimates import StereoColumns
@@ -35,7 +36,8 @@ def stereo_errors_of(stereo: StereoDepth | Absent, sample: Sample) -> StereoErro
     """Errors against the front depth; empty columns unless the front camera is the left one."""
     frame = sample.frame
     depth = sample.truth.depth or frame.depth
-    if isinstance(stereo, Absent) or depth is None or frame.right_camera is None or frame.left is not None:
+    is_front = frame.left is None or rectified(frame.left_camera) == frame.camera
+    if isinstance(stereo, Absent) or depth is None or frame.right_camera is None or not is_front:
         return StereoErrorColumns()
     try:
         true_m = depth.depth_m
@@ -50,15 +52,11 @@ def stereo_errors_of(stereo: StereoDepth | Absent, sample: Sample) -> StereoErro
 def stereo_errors(estimated_m: Float32, true_m: Float32, camera: Camera, baseline_m: float) -> StereoErrorColumns:
     """End-point error and D1 of a stereo depth, by the definitions of the KITTI 2015 benchmark (non-occluded pixels).
 
-    The end-point error is the mean absolute error of the disparity f b / Z; D1 is the share of disparities more than
-    3 px and more than 5 % off; the absolute relative error is the mean of |Z - Z*| / Z*. All are over known pixels, so
-    read them with the coverage. Pixels with a true depth beyond ``STEREO_MAX_DEPTH_M`` do not count.
-
-    Args:
-        estimated_m: (H, W) metres along z of the left camera, NaN unknown.
-        true_m: the same, true.
-        camera: the left camera.
-        baseline_m: distance of the right camera along the rows.
+    The end-point error is the mean absolute error of the disparity f b / Z; D1 is the share of disparities more than 3
+    px and more than 5 % off; the absolute relative error is the mean of |Z - Z*| / Z*. All are over known pixels, so
+    read them with the coverage. Pixels with a true depth beyond ``STEREO_MAX_DEPTH_M`` do not count. ``estimated_m``
+    and ``true_m`` are (H, W) metres along z of the left camera, NaN unknown. ``baseline_m`` is the distance of the
+    right camera along the rows.
 
     Returns:
         The errors; None without counted pixels.

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from roadperc_stream.chain.stages.surface.plane import number_of
 from roadperc_stream.chain.stages.surface.road import drivable_mask
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import DecodeError
@@ -19,7 +20,7 @@ HEIGHT_ERROR_FROM_M, HEIGHT_ERROR_TO_M, HEIGHT_ERROR_ASIDE_M = 5.0, 40.0, 4.0
 def surface_columns(result: FrameResult) -> SurfaceColumns:
     """The road's plane, and the share of the image that is drivable."""
     surface, drivable = result.surface, result.drivable
-    drivable_ratio = None if isinstance(drivable, Absent) else float(drivable.mean())
+    drivable_ratio = None if isinstance(drivable, Absent) else number_of(drivable) / drivable.size
     if isinstance(surface, Absent):
         return SurfaceColumns(drivable_ratio=drivable_ratio)
     return SurfaceColumns(
@@ -91,5 +92,5 @@ def intersection_over_union(mask: Mask, truth: Mask) -> float | None:
     """|A and B| / |A or B| of two (H, W) masks; None if both are empty or their shapes differ."""
     if mask.shape != truth.shape:
         return None
-    union = int(np.count_nonzero(mask | truth))
-    return int(np.count_nonzero(mask & truth)) / union if union else None
+    union = number_of(mask | truth)
+    return number_of(mask & truth) / union if union else None

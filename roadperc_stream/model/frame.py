@@ -239,6 +239,8 @@ class Frame:
     points: PointCloud | None = None
     ego_T_lidar: Float | None = None
     is_origin: bool = False
+    number: int | None = None
+    """Number of the frame in the replay, for messages; None for a frame that is not written."""
 
     def __post_init__(self) -> None:
         read_only(self.ego_T_camera, np.float64, (4, 4), "ego_T_camera")

@@ -14,6 +14,7 @@ Value = str | int | float
 TEMPLATES: Final[dict[str, str]] = {
     "switched_off": "switched off",
     "not_run": "not run",
+    "no_result": "no result: {detail}",
     "not_in_log": "not in the log",
     "not_written": "not written, the frame's stamp exceeds {last_ns:d} ns (2038-01-19), the largest stamp of "
     "ROS 2 messages",
@@ -30,7 +31,7 @@ TEMPLATES: Final[dict[str, str]] = {
     "lost_to_damage_before": "messages up to {last_ns:d} ns were lost to damage",
     "lost_to_damage_after": "messages from {first_ns:d} ns on were lost to damage",
     "lost_to_damage_somewhere": "messages were lost to damage at an unknown time",
-    "not_rectified": "its camera is not rectified; only stereo corrects distortion",
+    "not_rectified": "its camera has distortion that cannot be undone; it is used as it is",
     "pixels_not_square": "fx {fx:g} and fy {fy:g} of its calibration differ by more than 5 %: cameras usually have "
     "square pixels; if one of the two is wrong, heights and pitch are wrong",
     "no_image": "no image",
@@ -42,6 +43,7 @@ TEMPLATES: Final[dict[str, str]] = {
     "no_depth": "no depth",
     "no_depth_no_segmentation": "neither depth nor segmentation",
     "no_depth_no_distances": "no depth, no distances",
+    "no_depth_ground_distances": "no depth, the boxes' lower edges on the road give the distances",
     "no_depth_plane_assumed": "no depth, {plane_source} gives the plane",
     "no_depth_pitch_estimated": "no depth, {plane_source} gives the plane, the motion gives its pitch",
     "no_detections": "no detections",
@@ -130,6 +132,7 @@ MISSING_ROLES: Final[dict[str, tuple[str, ...]]] = {
     "no_depth": ("depth",),
     "no_depth_no_segmentation": ("depth", "segmentation"),
     "no_depth_no_distances": ("depth",),
+    "no_depth_ground_distances": ("depth",),
     "no_depth_plane_assumed": ("depth",),
     "no_depth_pitch_estimated": ("depth",),
     "no_detections": ("detections",),

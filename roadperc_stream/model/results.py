@@ -18,6 +18,7 @@ SIDES: tuple[Side, Side] = ("left", "right")
 LaneChange = Literal["none", "left", "right"]
 BoundaryStatus = Literal["measured", "held", "lost"]
 ObjectStatus = Literal["measured", "tracked", "lost"]
+DistanceSource = Literal["depth", "ground"]
 Verdict = Literal["kept", "unverified", "dropped"]
 PathSource = Literal["lane", "boundary", "odometry", "straight"]
 OdometryStatus = Literal["first", "tracked", "lost"]
@@ -198,7 +199,8 @@ class Object:
 
     ``lateral_m`` is the position of its middle, to the left of the middle of the car's path. ``in_path``: part of it is
     in the path. ``cut_in``: it is not in the path yet, but crosses the lane's line towards it. Only objects in the path
-    have a time to impact.
+    have a time to impact. ``distance_source`` tells where a known distance comes from: the ``depth`` of its pixels, or
+    the contact of the box's lower edge with the ``ground``.
     """
 
     detection: Detection
@@ -216,6 +218,7 @@ class Object:
     lateral_m: float | None = None
     in_path: bool | None = None
     cut_in: bool | None = None
+    distance_source: DistanceSource = "depth"
 
     @property
     def verdict(self) -> Verdict:

@@ -8,6 +8,7 @@ import numpy as np
 
 from roadperc_stream.chain.kernels import mark
 from roadperc_stream.geometry import Camera, Float, Float32, inverse
+from roadperc_stream.geometry.arrays import read_only
 from roadperc_stream.geometry.registration import sample_labels, warp_depth
 from roadperc_stream.model import Absent, CameraImage, Detection, Ids, Image, Reason, StereoDepth, SurfaceSource
 from roadperc_stream.model.tag_tables import TagTable
@@ -56,8 +57,8 @@ class Scene:
     no object) and ``detections`` belong; ``depth`` may be from another camera. Missing and unusable
     inputs are None; an empty detections message is (). ``grey`` is decoded from ``image``.
     Without a mounting (``mounted`` False) ``ego_T_camera`` is that of a level camera at the assumed height.
-    ``is_origin`` as in ``Frame``. ``undecodable`` are the front camera's images that cannot be used, ``problems``
-    all other problems.
+    ``is_origin`` and ``number`` as in ``Frame``. ``undecodable`` are the front camera's images that cannot be used,
+    ``problems`` all other problems.
     """
 
     stamp_ns: int
@@ -75,6 +76,12 @@ class Scene:
     instances: Ids | None = None
     undecodable: tuple[Reason, ...] = ()
     problems: tuple[Reason, ...] = ()
+    number: int | None = None
+
+    @property
+    def bgr(self) -> Image | None:
+        """(H, W, 3) colours blue, green, red; None if ``grey`` is None."""
+        return None if self.image is None or self.grey is None else self.image.bgr
 
     @property
     def image_unusable(self) -> bool:
@@ -84,7 +91,8 @@ class Scene:
     @cached_property
     def depth_m(self) -> Float32 | None:
         """(H, W) depth in metres in the front camera's image."""
-        return None if self.depth is None else self.depth.registered_to(self.camera, self.ego_T_camera)
+        depth_m = None if self.depth is None else self.depth.registered_to(self.camera, self.ego_T_camera)
+        return None if depth_m is None else read_only(depth_m, np.float32, (None, None), "depth_m")
 
     @property
     def dense_depth_m(self) -> Float32 | None:

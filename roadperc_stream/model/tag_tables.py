@@ -4,7 +4,7 @@ Sources: CARLA's documentation of the semantic segmentation camera and ``CitySca
 0.8.2 to 0.9.15; ``labels.py`` of cityscapesScripts (``id``, not ``trainId``, which has only the evaluated classes);
 the configuration of Mapillary Vistas 1.2. CARLA 0.9.14 changed its order to that of Cityscapes' ``trainId``. Numbers
 do not identify the table, so the log names it (channel metadata ``tag_table``). If a dataset splits a class, all its
-tags get the common class.
+tags get the common class. The name of a network's table lists its classes: ``classes:unlabeled,road,road_line``.
 """
 
 import re
@@ -18,6 +18,9 @@ from numpy.typing import NDArray
 
 from roadperc_stream.errors import ConfigError
 
+UNLABELED: Final = "unlabeled"
+_OF_CLASSES: Final = "classes:"
+"""Prefix of the names of tables that list their classes."""
 _LABELS = 1024
 """Size of the cache of labels: a detector has fewer, but a log may hold any number."""
 Colour = tuple[int, int, int]
@@ -55,7 +58,7 @@ class TagTable:
 
     def name_of(self, tag: int) -> str:
         """Class name of a tag; a tag outside the table is ``unlabeled``."""
-        return self.names[tag] if tag < len(self.names) else "unlabeled"
+        return self.names[tag] if tag < len(self.names) else UNLABELED
 
     def tag_by_colour(self) -> dict[Colour, int]:
         """Every palette colour of these versions and its tag."""
@@ -171,9 +174,34 @@ def classes_of_label(label: str) -> tuple[str, ...] | None:
 
 @cache
 def label_lookup(table: TagTable, label: str) -> NDArray[np.uint8] | None:
-    """(256,) uint8 mask table of a detector label; None if the label is unknown."""
+    """(256,) uint8 mask table of a detector label; None if the label is unknown, or the table has none of its classes.
+
+    Tags cannot judge such a detection.
+    """
     classes = classes_of_label(label)
-    return None if classes is None else table.lookup(classes)
+    return None if classes is None or not table.tags_of(classes) else table.lookup(classes)
+
+
+def table_of_classes(classes: Iterable[str]) -> TagTable:
+    """The table of a network's classes, such as ``classes:unlabeled,road,road_line``; repeated ones count once.
+
+    Raises:
+        ConfigError: no other table has such a class.
+    """
+    names = tuple(dict.fromkeys(classes))
+    if unknown := next((name for name in names if name not in _COLOURS), None):
+        raise ConfigError(f"class {unknown!r} is in no tag table; known: {', '.join(sorted(_COLOURS))}")
+    return _table(f"{_OF_CLASSES}{','.join(names)}", " ".join(names), {})
+
+
+def table_named(name: str) -> TagTable | None:
+    """The table of a name in a log; None if it is unknown."""
+    if not name.startswith(_OF_CLASSES):
+        return TABLES.get(name)
+    try:
+        return table_of_classes(name.removeprefix(_OF_CLASSES).split(","))
+    except ConfigError:
+        return None
 
 
 def table_for_version(version: str) -> TagTable:

@@ -16,7 +16,8 @@ from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 
 from roadperc_stream.formats.images import depth_to_mm
 from roadperc_stream.formats.points import FIELDS
-from roadperc_stream.geometry import Camera, Float, Float32, Lens
+from roadperc_stream.geometry import Camera, Float, Float32
+from roadperc_stream.geometry.rectification import lens_of
 from roadperc_stream.geometry.rotations import quaternion
 from roadperc_stream.model import Boundary, Detection, HeightGrid, Lanes, Object, Objects, Odometry, Surface, Transform
 from roadperc_stream.schemas import roadperc_pb2 as pb
@@ -53,7 +54,7 @@ def encode_calibration(stamp_ns: int, camera: Camera) -> bytes:
         distortion_model=lens.model if lens else ("plumb_bob" if camera.distortion else ""),
         D=camera.distortion,
         K=(lens.K if lens else camera.K).ravel().tolist(),
-        R=lens.R if lens else () if camera.distortion else Lens.R,  # a distorted image without a lens: R is unknown
+        R=lens_of(camera).R,
         P=P.ravel().tolist(),
     )
     return _serialised(message, stamp_ns)
@@ -205,7 +206,12 @@ def _boundary(boundary: Boundary) -> pb.Boundary:
 
 
 def _object(item: Object) -> pb.Object:
-    converted = {"detection": _detection(item.detection), "status": pb.Object.Status.Value(item.status.upper())}
+    """``depth`` is an empty source, as in logs before there was another one."""
+    converted = {
+        "detection": _detection(item.detection),
+        "status": pb.Object.Status.Value(item.status.upper()),
+        "distance_source": item.distance_source if item.distance_source != "depth" else "",
+    }
     return pb.Object(**vars(item) | converted)
 
 

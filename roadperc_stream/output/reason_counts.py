@@ -36,8 +36,7 @@ def of_frame(reasons: Iterable[Reason]) -> ReasonCounts:
 def grouped(counts: Mapping[str, int]) -> ReasonCounts:
     """Group the texts of a table by kind; the most common text represents its kind.
 
-    Args:
-        counts: frames by text; a frame has a kind at most once.
+    ``counts`` are frames by text; a frame has a kind at most once.
     """
     texts = sorted(counts, key=lambda text: (-counts[text], text))
     return merged({parse_reason(text).kind: ReasonCount(text, counts[text])} for text in texts)
@@ -63,12 +62,8 @@ def throughout(counts: Mapping[ReasonKind, ReasonCount], frames: int, filled: Co
     """Texts of the reasons in all frames of a replay, and of messages that could not be used in some frames.
 
     The first few are listed, the others are only counted. Stages that are switched off, inputs without a topic in the
-    log, and consequences of a listed reason are left out.
-
-    Args:
-        counts: of all frames.
-        frames: number of frames.
-        filled: roles that have a topic.
+    log, and consequences of a listed reason are left out. ``counts`` are those of all ``frames``; ``filled`` are the
+    roles that have a topic.
     """
     always = {kind: count for kind, count in ranked(counts).items() if count.frames == frames}
     unexpected = {kind: count for kind, count in always.items() if not _is_expected(kind, filled)}

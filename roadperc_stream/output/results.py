@@ -20,9 +20,8 @@ from roadperc_stream.output.drawing import annotations, colours
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas import topics
 from roadperc_stream.schemas.columns import FrameMetrics
-from roadperc_stream.schemas.protobuf import require_finite, set_stamp
+from roadperc_stream.schemas.protobuf import require_finite, schema, set_stamp
 from roadperc_stream.schemas.record import PRODUCER
-from roadperc_stream.schemas.registry import schema
 from roadperc_stream.schemas.ros2 import pack_occupancy_grid
 
 DRIVABLE_COLOURS: tuple[Colour, Colour] = ((0, 0, 0), colours.DRIVABLE)
@@ -52,12 +51,8 @@ def result_messages(
 ) -> Written:
     """Topic and bytes of each result of a frame; absent results are not written.
 
-    Args:
-        sample: the frame's input.
-        result: the frame's results.
-        metrics: its row.
-        previous_reasons: reasons of the previous frame; only new reasons are logged.
-        trajectory: the latest known poses odom_T_ego, this frame's last.
+    Only reasons that are not in ``previous_reasons`` are logged. ``trajectory`` are the latest known poses odom_T_ego,
+    this frame's last.
     """
     stamp_ns = result.stamp_ns
     yield from _surface(sample, result)

@@ -17,6 +17,7 @@ import pyarrow.parquet as pq
 from roadperc_stream import __version__
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import TableError
+from roadperc_stream.schemas.record import NETWORKS_COMMENT
 from roadperc_stream.system.files import TABLE_SUFFIX, partial_of, target_errors
 
 ROW_GROUP_ROWS: Final = 1000
@@ -37,7 +38,13 @@ def sidecar_path(target: Path, table: str) -> Path:
     return target.with_name(f"{target.stem}.{table}{TABLE_SUFFIX}")
 
 
-def table_facts(source: Path, target: Path, cfg: ReplayConfig, more: Mapping[str, str] | None = None) -> dict[str, str]:
+def table_facts(
+    source: Path,
+    target: Path,
+    cfg: ReplayConfig,
+    more: Mapping[str, str] | None = None,
+    networks: str = "",
+) -> dict[str, str]:
     """The origin of a table, for its footer.
 
     ``roadperc.log`` is the log beside it, ``roadperc.source`` the input, ``roadperc.config`` the configuration.
@@ -47,10 +54,11 @@ def table_facts(source: Path, target: Path, cfg: ReplayConfig, more: Mapping[str
         target: the log beside the table.
         cfg: the configuration.
         more: other facts.
+        networks: digest of the networks of the input.
     """
     facts = {
-        "config": cfg.to_toml(),
-        "config_digest": config_digest(cfg),
+        "config": config_text(cfg, networks),
+        "config_digest": config_digest(cfg, networks),
         "version": __version__,
         "log": str(target.absolute()),
         "source": str(source.absolute()),
@@ -59,9 +67,14 @@ def table_facts(source: Path, target: Path, cfg: ReplayConfig, more: Mapping[str
     return {f"{FACT_PREFIX}{key}": value for key, value in facts.items()}
 
 
-def config_digest(cfg: ReplayConfig) -> str:
-    """SHA-256 of a configuration with its defaults."""
-    return hashlib.sha256(cfg.to_toml().encode()).hexdigest()
+def config_digest(cfg: ReplayConfig, networks: str = "") -> str:
+    """SHA-256 of the text of a configuration."""
+    return hashlib.sha256(config_text(cfg, networks).encode()).hexdigest()
+
+
+def config_text(cfg: ReplayConfig, networks: str) -> str:
+    """A configuration with its defaults as TOML; a comment has the digest of the networks of the input, if any."""
+    return cfg.to_toml() + (f"{NETWORKS_COMMENT}{networks}\n" if networks else "")
 
 
 def facts_in(metadata: Mapping[bytes, bytes] | None) -> dict[str, str]:

@@ -51,8 +51,7 @@ class ReplayTarget:
     def require_free(self, sources: Iterable[Path]) -> None:
         """Check that the files may be written; with ``force`` existing ones may be replaced.
 
-        Args:
-            sources: the input, which they must not replace.
+        They must not replace ``sources``, the input.
 
         Raises:
             TargetError: a file must not be written.
@@ -65,10 +64,8 @@ class ReplayTarget:
     def require_writable(self, sources: Collection[Path], continued: Path | None, *, resume: bool) -> None:
         """Check the output before the input is read.
 
-        Args:
-            sources: the input.
-            continued: the result that the replay continues.
-            resume: whether a finished output may exist.
+        ``sources`` is the input, ``continued`` the result that the replay continues. With ``resume`` a finished output
+        may exist.
 
         Raises:
             TargetError: a file must not be replaced.

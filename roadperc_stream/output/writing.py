@@ -14,14 +14,13 @@ from roadperc_stream.model.sample import frame_reasons
 from roadperc_stream.output.drawing.on_request import PictureMaker
 from roadperc_stream.output.reason_counts import ReasonCount, merged, of_frame, throughout
 from roadperc_stream.output.results import result_channel, result_messages
-from roadperc_stream.output.tables import TableWriter, table_facts
+from roadperc_stream.output.tables import TableWriter, config_text, table_facts
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics, ObjectMetrics
 from roadperc_stream.schemas.record import CONFIG_ATTACHMENT, METADATA_RECORD, OWN_ATTACHMENTS, SEED_KEY, VERSION_KEY
 from roadperc_stream.schemas.topics import result_schemas
 from roadperc_stream.system.files import partial_of, sync_file
-from roadperc_stream.system.progress import Progress, no_progress
-from roadperc_stream.system.stage_timer import StageTimer
+from roadperc_stream.system.progress import Progress, StageTimer, no_progress
 from roadperc_stream.system.text import number
 from roadperc_stream.system.time import ns_to_seconds
 
@@ -144,16 +143,9 @@ class Outputs:
     """
 
     def __init__(self, target: ReplayTarget, cfg: ReplayConfig, log_in: ReplayInput, facts: Mapping[str, str]) -> None:
-        """Name the files.
-
-        Args:
-            target: what to write.
-            cfg: the chain's configuration.
-            log_in: the input.
-            facts: of the input, for the footers of the tables.
-        """
+        """Name the files."""
         self._target, self._cfg, self._input = target, cfg, log_in
-        facts = table_facts(log_in.summary.path, target.path, cfg, facts)
+        facts = table_facts(log_in.summary.path, target.path, cfg, facts, log_in.networks)
         self._frames = TableWriter(target.metrics, FrameMetrics, facts, TIME_COLUMNS)
         self._objects = TableWriter(target.objects, ObjectMetrics, facts)
         self._log = LogWriter(target.path, log_in.summary.profile)
@@ -234,15 +226,14 @@ class Outputs:
     def end(self, facts: Mapping[str, str], states: Iterable[Attachment]) -> None:
         """Copy the rest of the input, and record how the output was made.
 
-        Args:
-            facts: of the continued result, if any.
-            states: of the replay at its start and its end.
+        ``facts`` are those of a continued result, ``states`` those of the replay at its start and its end.
         """
         self._copy.rest()
         for attachment in self._input.summary.attachments:
             if attachment.name not in OWN_ATTACHMENTS:
                 self._log.attach(attachment)
-        toml = Attachment(CONFIG_ATTACHMENT, "application/toml", self._cfg.to_toml().encode())
+        text = config_text(self._cfg, self._input.networks)
+        toml = Attachment(CONFIG_ATTACHMENT, "application/toml", text.encode())
         for attachment in (toml, *states):
             self._log.attach(attachment)
         for metadata in self._input.summary.metadata:

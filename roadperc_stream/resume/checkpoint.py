@@ -14,11 +14,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import IO, Final, Self
 
+from roadperc_stream.chain.bounds import StateBounds
+from roadperc_stream.chain.encoding import decode, encode
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import StateError
 from roadperc_stream.output.writing import Counted, FrameOutput
-from roadperc_stream.resume.bounds import StateBounds
-from roadperc_stream.resume.encoding import decode, encode
 from roadperc_stream.resume.lock import FolderLock
 from roadperc_stream.resume.state import ReplayState
 from roadperc_stream.system.files import sync_folder, target_errors
@@ -45,7 +45,7 @@ class Checkpoint:
 
 def checkpoint_folder(target: Path) -> Path:
     """The folder for the checkpoints of an output."""
-    return target.with_name(f".{target.name}.checkpoint")
+    return target.parent / f".{target.name}.checkpoint"  # a folder such as `..` has no name
 
 
 class CheckpointFolder:
@@ -238,8 +238,7 @@ class Checkpoints:
     def next_output(self, index: int) -> FrameOutput:
         """The output of the next complete frame.
 
-        Args:
-            index: number of the frame.
+        ``index`` is the number of the frame.
 
         Raises:
             StateError: it cannot be read, or belongs to another frame.
@@ -257,11 +256,8 @@ class Checkpoints:
     def reached(self, log_time_ns: int, samples: int, state: ReplayState, counted: Callable[[], Counted]) -> None:
         """Write a checkpoint if it is due and the sample is new.
 
-        Args:
-            log_time_ns: log time of the last frame.
-            samples: number of complete samples.
-            state: the state after these samples.
-            counted: returns the counts of these samples.
+        ``log_time_ns`` is that of the last frame. ``state`` and the result of ``counted`` describe all complete
+        ``samples``.
         """
         if self._every_ns is None:
             return

@@ -3,12 +3,14 @@
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import Final
 
 from roadperc_stream import __version__, log
+from roadperc_stream.chain.encoding import decode, encode
+from roadperc_stream.chain.own_stage import OwnStages
 from roadperc_stream.chain.step import ChainState, step
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ConfigError, NoFrameError, StateError, TableError
@@ -17,10 +19,9 @@ from roadperc_stream.input.earlier_replay import is_result, replay_record
 from roadperc_stream.input.source import ReadableLog
 from roadperc_stream.input.state import FrameNumbers
 from roadperc_stream.log import DIGEST_ALGORITHM, Attachment, LogSummary
-from roadperc_stream.output.tables import read_footer
+from roadperc_stream.output.tables import config_text, read_footer
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.output.writing import ReplaySummary
-from roadperc_stream.resume.encoding import decode, encode
 from roadperc_stream.resume.state import Notes, ReplayState, SavedState, settings_of, state_at_begin, state_at_end
 from roadperc_stream.schemas import record
 from roadperc_stream.schemas.topics import result_schemas
@@ -57,10 +58,8 @@ class OpenedLog:
     ) -> tuple[tuple[Attachment, ...], Notes]:
         """The states that the result begins and ends with, and notes for the user.
 
-        Args:
-            cfg: the chain's configuration.
-            end: the state after the last complete frame.
-            with_messages: whether the state at the end carries its messages, because the output does not.
+        ``end`` is the state after the last complete frame. It carries its messages if the output does not
+        (``with_messages``).
         """
         begin, log_in = self.saved_for(cfg), self.input
         states = () if begin is None else (Attachment(record.BEGIN_ATTACHMENT, _MEDIA_TYPE, encode(begin)),)
@@ -93,6 +92,7 @@ class ReplayOptions:
         checkpoint_every_s: seconds of log between two checkpoints; None for no checkpoints.
         resume: continue from the latest checkpoint, if there is one.
         threads: number of threads; the output does not depend on it, except for timing columns.
+        own: stages of the user's own, which ``own_stages`` loads for a configuration.
     """
 
     continued: Path | None = None
@@ -100,6 +100,7 @@ class ReplayOptions:
     checkpoint_every_s: float | None = None
     resume: bool = False
     threads: int = 1
+    own: OwnStages = field(default_factory=dict)
 
 
 PLAIN: Final = ReplayOptions()
@@ -118,7 +119,7 @@ def open_replay(source: ReplaySource, cfg: ReplayConfig, options: ReplayOptions)
         raise ConfigError("warm_up_s: expected a start; pass --start too")
     if continued is not None:
         return _open_continued(source, cfg, continued)
-    return _open_warmed(source, cfg, warm_up_s) if warm_up_s else open_log(source, cfg)
+    return _open_warmed(source, cfg, warm_up_s, options.own) if warm_up_s else open_log(source, cfg)
 
 
 def open_log(source: ReplaySource, cfg: ReplayConfig) -> OpenedLog:
@@ -151,7 +152,7 @@ def _open_continued(source: ReplaySource, cfg: ReplayConfig, before: Path) -> Op
     return opened
 
 
-def _open_warmed(source: ReplaySource, cfg: ReplayConfig, warm_up_s: float) -> OpenedLog:
+def _open_warmed(source: ReplaySource, cfg: ReplayConfig, warm_up_s: float, own: OwnStages) -> OpenedLog:
     """Open a part of a log, with the state after a warm-up on the seconds before it.
 
     Raises:
@@ -164,7 +165,7 @@ def _open_warmed(source: ReplaySource, cfg: ReplayConfig, warm_up_s: float) -> O
     start_ns = first_ns + seconds_to_ns(start_s)
     if not source.recover:
         found.require_outside(first_ns + seconds_to_ns(start_s - warm_up_s), start_ns)
-    begin = _warmed(found.summary, lead, cfg, start_ns) if start_s > 0 else None
+    begin = _warmed(found.summary, lead, cfg, start_ns, own) if start_s > 0 else None
     return _opened(found, source, cfg, begin, short)
 
 
@@ -179,7 +180,9 @@ def _opened(
     return OpenedLog(log_in, begin, notes, found.warnings)
 
 
-def _warmed(summary: LogSummary, lead: ReplaySource, cfg: ReplayConfig, start_ns: int) -> SavedState | None:
+def _warmed(
+    summary: LogSummary, lead: ReplaySource, cfg: ReplayConfig, start_ns: int, own: OwnStages
+) -> SavedState | None:
     """The state after the frames before a start; None without such frames. The frames are not written."""
     try:
         log_in = input_of(ReadableLog(summary), lead, cfg)
@@ -188,7 +191,7 @@ def _warmed(summary: LogSummary, lead: ReplaySource, cfg: ReplayConfig, start_ns
     chain, earlier = ChainState(), None
     with one_thread():
         for sample in islice(log_in.samples(), log_in.plan.first_pass.complete_frames):
-            chain, _ = step(cfg, chain, sample.frame)
+            chain, _ = step(cfg, chain, sample.frame, own=own)
             earlier = sample.as_earlier
     end = log_in.end_state(with_messages=True)
     end = replace(end, from_ns=start_ns, numbers=FrameNumbers(written_from_ns=start_ns))
@@ -224,7 +227,7 @@ def finished(target: ReplayTarget, cfg: ReplayConfig, opened: OpenedLog) -> Repl
         recorded.get(record.DIGEST_KEY) == opened.input.plan.first_pass.digest
         and recorded.get(record.VERSION_KEY) == __version__
         and chosen == opened.input.chosen_topics
-        and attached.get(record.CONFIG_ATTACHMENT) == cfg.to_toml().encode()
+        and attached.get(record.CONFIG_ATTACHMENT) == config_text(cfg, opened.input.networks).encode()
         and attached.get(record.BEGIN_ATTACHMENT) == (None if begin is None else encode(begin))
         and {(channel.topic, is_result(channel)) for channel in summary.channels} == _topics(target, opened)
     )

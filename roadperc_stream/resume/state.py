@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from roadperc_stream import log
+from roadperc_stream.chain.bounds import StateBounds
+from roadperc_stream.chain.encoding import decode
 from roadperc_stream.chain.step import ChainState
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import StateError
@@ -15,8 +17,6 @@ from roadperc_stream.input.state import InputState
 from roadperc_stream.log import LogSummary, LostSpan, Message
 from roadperc_stream.model import EarlierTruth
 from roadperc_stream.output.writing import Shown
-from roadperc_stream.resume.bounds import StateBounds
-from roadperc_stream.resume.encoding import decode
 from roadperc_stream.schemas.record import BEGIN_ATTACHMENT, STATE_ATTACHMENT
 from roadperc_stream.system.time import TimeRange
 
@@ -52,7 +52,7 @@ class SavedState:
         """Descriptions of the settings that differ from a configuration."""
         now = settings_of(cfg)
         keys = dict.fromkeys((*self.settings, *now))
-        values = ((key, self.settings.get(key, "unknown"), now.get(key, "unknown")) for key in keys)
+        values = ((key, self.settings.get(key, "not set"), now.get(key, "not set")) for key in keys)
         return tuple(f"{key} was {before}, is {after}" for key, before, after in values if before != after)
 
     def with_settings(self, cfg: ReplayConfig) -> "SavedState":

@@ -28,10 +28,8 @@ _IDL_COMPUTED: Final = re.compile(r"[(*]|<<|sequence\s*<\s*sequence\b")
 def types_of(name: str, definition: bytes, encoding: str) -> Typesdict:
     """Return the types in a definition, including ``name``.
 
-    Args:
-        name: the message's type, such as ``sensor_msgs/msg/Image``.
-        definition: text of the type and of the types that it contains.
-        encoding: ``ros2msg`` or ``ros2idl``.
+    ``name`` is a type such as ``sensor_msgs/msg/Image``; ``definition`` is its text with the types that it contains.
+    ``encoding`` is ``ros2msg`` or ``ros2idl``.
 
     Raises:
         DecodeError: the type or one that it contains is undefined, contains itself, or exceeds the limits.

@@ -1,5 +1,6 @@
-"""Schemas, stamps and optional fields of protobuf messages."""
+"""Schemas that this project writes; stamps and optional fields of protobuf messages."""
 
+from dataclasses import dataclass
 from functools import cache
 from typing import Any, Final
 
@@ -17,7 +18,7 @@ from google.protobuf.message import Message as ProtobufMessage
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.schemas import roadperc_pb2
+from roadperc_stream.schemas import roadperc_pb2, ros2
 from roadperc_stream.system.time import NS_PER_S
 
 _LARGEST: Final = float(np.finfo(np.float32).max)
@@ -66,6 +67,23 @@ def schema_data(name: str) -> bytes:
     """Return the FileDescriptorSet of a message type, so that every reader can decode it."""
     data: bytes = build_file_descriptor_set(MESSAGE_TYPES[name]).SerializeToString(deterministic=True)
     return data
+
+
+@dataclass(frozen=True)
+class Schema:
+    """Name, encodings and definition of a schema, as a log stores them."""
+
+    name: str
+    message_encoding: str
+    schema_encoding: str
+    data: bytes
+
+
+def schema(name: str) -> Schema:
+    """Return the schema with this name."""
+    if name in ros2.DEFINITIONS:
+        return Schema(name, "cdr", "ros2msg", ros2.DEFINITIONS[name])
+    return Schema(name, "protobuf", "protobuf", schema_data(name))
 
 
 def stamp_ns(timestamp: Any) -> int:

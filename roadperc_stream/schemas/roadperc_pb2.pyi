@@ -546,6 +546,7 @@ class Object(_message.Message):
     LATERAL_M_FIELD_NUMBER: _builtins.int
     IN_PATH_FIELD_NUMBER: _builtins.int
     CUT_IN_FIELD_NUMBER: _builtins.int
+    DISTANCE_SOURCE_FIELD_NUMBER: _builtins.int
     kept: _builtins.bool
     class_ratio: _builtins.float
     distance_m: _builtins.float
@@ -563,6 +564,8 @@ class Object(_message.Message):
     """whether it is before the car in its path"""
     cut_in: _builtins.bool
     """not in the path, but over the lane's line on its way in"""
+    distance_source: _builtins.str
+    """ground: contact of the box's lower edge with the road; empty: depth"""
     @_builtins.property
     def detection(self) -> Global___Detection: ...
     def __init__(
@@ -583,10 +586,11 @@ class Object(_message.Message):
         lateral_m: _builtins.float | None = ...,
         in_path: _builtins.bool | None = ...,
         cut_in: _builtins.bool | None = ...,
+        distance_source: _builtins.str = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_class_ratio", b"_class_ratio", "_closing_speed_mps", b"_closing_speed_mps", "_closing_speed_std_mps", b"_closing_speed_std_mps", "_cut_in", b"_cut_in", "_distance_m", b"_distance_m", "_distance_std_m", b"_distance_std_m", "_in_path", b"_in_path", "_lateral_m", b"_lateral_m", "_time_to_impact_s", b"_time_to_impact_s", "_time_to_impact_std_s", b"_time_to_impact_std_s", "class_ratio", b"class_ratio", "closing_speed_mps", b"closing_speed_mps", "closing_speed_std_mps", b"closing_speed_std_mps", "cut_in", b"cut_in", "detection", b"detection", "distance_m", b"distance_m", "distance_std_m", b"distance_std_m", "in_path", b"in_path", "lateral_m", b"lateral_m", "time_to_impact_s", b"time_to_impact_s", "time_to_impact_std_s", b"time_to_impact_std_s"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_class_ratio", b"_class_ratio", "_closing_speed_mps", b"_closing_speed_mps", "_closing_speed_std_mps", b"_closing_speed_std_mps", "_cut_in", b"_cut_in", "_distance_m", b"_distance_m", "_distance_std_m", b"_distance_std_m", "_in_path", b"_in_path", "_lateral_m", b"_lateral_m", "_time_to_impact_s", b"_time_to_impact_s", "_time_to_impact_std_s", b"_time_to_impact_std_s", "beyond_range", b"beyond_range", "class_ratio", b"class_ratio", "closing_speed_mps", b"closing_speed_mps", "closing_speed_std_mps", b"closing_speed_std_mps", "cut_in", b"cut_in", "detection", b"detection", "distance_m", b"distance_m", "distance_std_m", b"distance_std_m", "in_path", b"in_path", "kept", b"kept", "lateral_m", b"lateral_m", "status", b"status", "time_to_impact_s", b"time_to_impact_s", "time_to_impact_std_s", b"time_to_impact_std_s", "track_id", b"track_id"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_class_ratio", b"_class_ratio", "_closing_speed_mps", b"_closing_speed_mps", "_closing_speed_std_mps", b"_closing_speed_std_mps", "_cut_in", b"_cut_in", "_distance_m", b"_distance_m", "_distance_std_m", b"_distance_std_m", "_in_path", b"_in_path", "_lateral_m", b"_lateral_m", "_time_to_impact_s", b"_time_to_impact_s", "_time_to_impact_std_s", b"_time_to_impact_std_s", "beyond_range", b"beyond_range", "class_ratio", b"class_ratio", "closing_speed_mps", b"closing_speed_mps", "closing_speed_std_mps", b"closing_speed_std_mps", "cut_in", b"cut_in", "detection", b"detection", "distance_m", b"distance_m", "distance_source", b"distance_source", "distance_std_m", b"distance_std_m", "in_path", b"in_path", "kept", b"kept", "lateral_m", b"lateral_m", "status", b"status", "time_to_impact_s", b"time_to_impact_s", "time_to_impact_std_s", b"time_to_impact_std_s", "track_id", b"track_id"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__class_ratio: _TypeAlias = _typing.Literal["class_ratio"]  # noqa: Y015
     _WhichOneofArgType__class_ratio: _TypeAlias = _typing.Literal["_class_ratio", b"_class_ratio"]  # noqa: Y015

@@ -102,9 +102,7 @@ def parse_topic_options(options: Iterable[str]) -> dict[str, str]:
 def require_role(role: str, where: str) -> None:
     """Check that a role exists.
 
-    Args:
-        role: its name.
-        where: start of the error message.
+    ``where`` is the start of the error message.
 
     Raises:
         ChannelError: it does not exist.

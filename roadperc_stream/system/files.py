@@ -20,11 +20,8 @@ OBJECTS_SUFFIX: Final = ".objects.parquet"
 def require_free(target: Path, *, force: bool, suffix: str, source: Path | None = None) -> None:
     """Check that a file may be written.
 
-    Args:
-        target: the file.
-        force: an existing file may be replaced.
-        suffix: required suffix of its name.
-        source: the input, which must not be replaced.
+    ``force`` allows to replace an existing file, but never ``source``, the input. ``suffix`` is the required end of its
+    name.
 
     Raises:
         TargetError: it may not be written.
@@ -174,10 +171,7 @@ def _is_alive(process: int) -> bool:
 def completing(target: Path, *, force: bool = True, mark: str = "") -> Iterator[Path]:
     """A partial file, which is renamed to the target if the block ends without an error.
 
-    Args:
-        target: the file.
-        force: replace a file that another program wrote during the block.
-        mark: as in ``partial_of``.
+    ``force`` replaces a file that another program wrote during the block. ``mark`` is as in ``partial_of``.
 
     Raises:
         TargetError: the folder or the file cannot or may not be written.
@@ -200,9 +194,7 @@ def completing(target: Path, *, force: bool = True, mark: str = "") -> Iterator[
 def completing_folder(target: Path, keep: Callable[[Path], bool] = lambda _: False) -> Iterator[Path]:
     """A hidden folder, which replaces the target if the block ends without an error.
 
-    Args:
-        target: the folder; its earlier content is removed.
-        keep: whether an entry of the earlier folder stays.
+    The target's earlier content is removed; an entry stays if ``keep`` says so.
 
     Raises:
         TargetError: the folder cannot be written.

@@ -1,4 +1,4 @@
-"""Signals that end a process, and output without a reader. Imports no library."""
+"""Signals that end a process, output without a reader, and freed memory. Imports no library."""
 
 import os
 import signal
@@ -40,3 +40,27 @@ def discard_output(stream: "IO[str]") -> None:
     null = os.open(os.devnull, os.O_WRONLY)
     os.dup2(null, stream.fileno())
     os.close(null)
+
+
+_TRIM_THRESHOLD = -1
+_MMAP_THRESHOLD = -3
+"""Parameters of glibc's ``mallopt``, from malloc.h."""
+_LARGEST_KEPT = 32 << 20
+"""Arrays up to this many bytes use kept memory; the largest value that glibc accepts."""
+_KEPT = 256 << 20
+"""Free bytes at the end of the heap that glibc does not return to the system."""
+
+
+def keep_freed_memory() -> None:
+    """Make the C library keep freed memory for the arrays of the next frame; for a process that replays and ends.
+
+    Every frame needs the same few hundred arrays. By default glibc returns the pages of large arrays to the system and
+    requests them again: thousands per frame, which the system must clear. The peak memory does not change. Other C
+    libraries have no such setting; the function then does nothing.
+    """
+    import ctypes  # only replays need it
+
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is not None:
+        mallopt(_MMAP_THRESHOLD, _LARGEST_KEPT)
+        mallopt(_TRIM_THRESHOLD, _KEPT)

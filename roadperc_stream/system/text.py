@@ -1,4 +1,4 @@
-"""Escaped lines for a terminal, counts, and similar names."""
+"""Escaped lines for a terminal, counts, exceptions in one line, and similar names."""
 
 import difflib
 from collections.abc import Iterable
@@ -30,13 +30,20 @@ def number(count: int, what: str) -> str:
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
+def failure(error: BaseException, name: str) -> str:
+    """An exception in one line, with the last line that it passed of ``MODULE`` or ``MODULE:NAME``, if any."""
+    place, trace = "", error.__traceback__
+    while trace is not None:
+        if trace.tb_frame.f_globals.get("__name__") == name.partition(":")[0]:
+            place = f" ({trace.tb_frame.f_code.co_filename}, line {trace.tb_lineno})"
+        trace = trace.tb_next
+    return " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":") + place
+
+
 def nearest(name: str, known: Iterable[str], likeness: float = 0.6) -> str | None:
     """The known name that is most similar to a name, ignoring case; None if none is similar.
 
-    Args:
-        name: the user's name.
-        known: the existing names.
-        likeness: least similarity, 0 to 1, as ``difflib``'s ratio.
+    ``likeness`` is the least similarity, 0 to 1, as ``difflib``'s ratio.
     """
     folded = {candidate.casefold(): candidate for candidate in known}
     close = difflib.get_close_matches(name.casefold(), folded, n=1, cutoff=likeness)

@@ -1,12 +1,18 @@
 """Number of threads of a replay and of the numeric libraries."""
 
 import os
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from typing import TypeVar
 
 import cv2
 import numpy as np
 from threadpoolctl import threadpool_limits
+
+T = TypeVar("T")
+U = TypeVar("U")
 
 
 @contextmanager
@@ -30,3 +36,22 @@ def opencv_threads(number: int) -> Iterator[None]:
 def usable_cores() -> int:
     """The number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def in_order(step: Callable[[T], U], items: Iterable[T], threads: int) -> Iterator[U]:
+    """Yield the results of a step for each item, in the items' order.
+
+    Threads prepare a few results in advance, since the libraries release the GIL; one more item than threads is in
+    memory.
+    """
+    pending: deque[Future[U]] = deque()
+    pool = ThreadPoolExecutor(threads)
+    try:
+        for item in items:
+            pending.append(pool.submit(step, item))
+            if len(pending) > threads:
+                yield pending.popleft().result()
+        while pending:
+            yield pending.popleft().result()
+    finally:
+        pool.shutdown(cancel_futures=True)

@@ -39,23 +39,21 @@ def view_log(arguments: argparse.Namespace, playback: PlaybackOptions) -> None:
 def view_runs(arguments: argparse.Namespace, playback: PlaybackOptions, finding: Any, replaying: Any) -> None:
     """Show a frame of a run, of a dataset's log or of two runs; a log that was not kept is replayed.
 
-    Args:
-        arguments: of the command line.
-        playback: options of the live server.
-        finding: the module ``eval.frames``.
-        replaying: the module ``eval.frame_replay``.
+    ``finding`` is the module ``eval.frames``, ``replaying`` the module ``eval.frame_replay``.
 
     Raises:
         RoadpercError: the run cannot be found, replayed or shown.
     """
-    names = [arguments.log, *([arguments.new] if arguments.new else [])]
+    names, configs = [arguments.log, *([arguments.new] if arguments.new else [])], arguments.config
+    of_each = [[config] for config in configs] if len(names) == len(configs) == 2 else [configs] * len(names)
     with ExitStack() as files:
-        runs = [run for name in names for run in finding.runs_to_show(name, arguments.of_log, arguments.config, files)]
+        pairs = zip(names, of_each, strict=True)
+        runs = [run for name, of_one in pairs for run in finding.runs_to_show(name, arguments.of_log, of_one, files)]
         if len(runs) > 2:
             raise TableError(f"{' '.join(names)}: expected at most two runs, found {len(runs)}")
         frame = finding.worst_frame(runs[-1], arguments.worst) if arguments.worst else arguments.frame
         with frame_progress("replaying", not arguments.quiet) as progress:
-            found = [replaying.shown(run, frame, arguments.topic, files, progress) for run in runs]
+            found = [replaying.shown(run, frame, arguments.topic, arguments.set, files, progress) for run in runs]
         if not arguments.quiet:
             _print_summary((note for item in found for note in item.notes), {})
         logs, number_in_log = [item.log for item in found], found[0].number

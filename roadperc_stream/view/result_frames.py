@@ -103,12 +103,8 @@ _MOST_WAITING: Final = 64
 def read_frame(path: Path, stamp_ns: int, problems: Problems) -> PerceivedFrame | None:
     """The frame of a stamp; None without a camera image. Reads only the log around the stamp.
 
-    The image is from the camera of the results. Unreadable messages count as absent.
-
-    Args:
-        path: the log.
-        stamp_ns: stamp of the frame.
-        problems: collects unreadable messages; a message near two frames counts twice.
+    The image is from the camera of the results. Unreadable messages count as absent. ``problems`` collects unreadable
+    messages; a message near two frames counts twice.
 
     Raises:
         LogError: the log cannot be read.
@@ -126,10 +122,7 @@ def read_frames(summary: LogSummary, problems: Problems) -> Iterator[tuple[Frame
     """The row and the results of every frame, in order; no results without a camera image.
 
     Frames with an unreadable row are left out. Other unreadable messages count as absent. Holds a few frames in memory.
-
-    Args:
-        summary: the log.
-        problems: collects unreadable messages.
+    ``problems`` collects unreadable messages.
 
     Raises:
         LogError: the log cannot be read.
@@ -149,9 +142,7 @@ def read_frames(summary: LogSummary, problems: Problems) -> Iterator[tuple[Frame
 def read_rows(summary: LogSummary, problems: Problems) -> Iterator[FrameMetrics]:
     """The readable rows of all frames, in order; empty without results.
 
-    Args:
-        summary: the log.
-        problems: collects unreadable messages.
+    ``problems`` collects unreadable messages.
 
     Raises:
         LogError: the log cannot be read.

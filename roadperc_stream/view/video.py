@@ -57,13 +57,8 @@ def write_video(
     """Write a video of the overlays in a log; without overlays, draw the results into the camera image.
 
     The video runs at the log's pace. Its rate is that of the median interval between stamps. Faster frames are left
-    out. In a gap the last picture stays, for 10 s at most.
-
-    Args:
-        source: a log that ``roadperc-replay`` wrote.
-        target: the video, ``.mp4``.
-        force: replace an existing video.
-        progress: called with frames done and frames expected.
+    out. In a gap the last picture stays, for 10 s at most. ``source`` is a log that ``roadperc-replay`` wrote;
+    ``target`` ends with ``.mp4``.
 
     Raises:
         LogError: the log is unreadable, or has no results or no pictures.

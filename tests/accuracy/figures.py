@@ -7,6 +7,8 @@ from functools import partial
 from tests.accuracy import of_lanes, of_motion, of_objects, of_uncertainty
 from tests.accuracy.running import Results
 from tests.accuracy.scenarios import (
+    ALONE,
+    ALONE_LEADS,
     AT_TWO_HZ,
     BRAKING,
     BY_JPEG,
@@ -203,6 +205,25 @@ def of_deviations():
             )
 
 
+def of_one_camera():
+    """Distances, times to impact and their deviations without depth."""
+    for (nearest_m, farthest_m), limit in zip(((0, 10), (10, 20), (20, 30), (30, 50)), (6, 8, 12, 20), strict=True):
+        value = partial(of_objects.distance_error, nearest_m=nearest_m, farthest_m=farthest_m)
+        name = f"distance error, median, {nearest_m} to {farthest_m} m"
+        yield bounded("One camera", name, at_most(limit, "%"), ALONE, value)
+    line = partial(bounded, "One camera", scenarios=ALONE_LEADS)
+    yield line("braking lead car, 0.5 to 3 s: frames with a value", at_least(70, "%"), value=of_objects.impact_known)
+    yield line("braking lead car, 0.5 to 3 s: error, median", at_most(0.4, "s"), value=of_objects.impact_error)
+    for quantity in ("distance", "closing speed", "time to impact"):
+        yield Figure(
+            "One camera",
+            f"{quantity}, within 1 and 2 deviations, beyond 3",
+            f"50 to 85 / ≥ 90 / ≤ {of_uncertainty.QUANTITIES[quantity]} %",
+            ALONE,
+            partial(of_uncertainty.shares, quantity, ALONE, of_uncertainty.QUANTITIES[quantity]),
+        )
+
+
 STANDARD_TODAY = (
     ("lane left 10 m ahead", "lane_left_error_m", 100, "cm", 0.62, 1.37),
     ("lane right 10 m ahead", "lane_right_error_m", 100, "cm", 0.42, 0.85),
@@ -234,5 +255,6 @@ FIGURES = (
     *of_impact(),
     *of_obstacle(),
     *of_deviations(),
+    *of_one_camera(),
     *of_standard(),
 )

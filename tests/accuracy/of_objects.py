@@ -23,6 +23,14 @@ def off_by_a_metre(replays, nearest_m, farthest_m):
     return Value(share, known.height / rows.height, detail)
 
 
+def distance_error(replays, nearest_m, farthest_m):
+    """Median absolute error in percent of the distances of kept true detections in a range."""
+    rows = measures.kept_true(replays, nearest_m, farthest_m)
+    known = rows.drop_nulls("distance_m")
+    errors = (known["distance_m"] / known["true_distance_m"] - 1.0).to_numpy()
+    return Value(100 * measures.quantile(errors, 0.5) if len(errors) else None, known.height / rows.height)
+
+
 def obstacle_off(replays):
     """Distance error in mm of the course's obstacle; the detail gives its position."""
     found = _obstacle(replays)

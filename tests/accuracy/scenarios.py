@@ -76,6 +76,21 @@ BRAKING = {
     level: tuple(Scenario(f"{of.name}, {level}", of, noise, OBJECTS) for of in LEADS)
     for level, noise in (("1+2 %", MODEST), ("2+5 %", HEAVY))
 }
+ONE_CAMERA = {"without": ("depth", "right"), "fov_deg": 70.0}
+ALONE_LEADS = tuple(
+    Scenario(f"one camera, {of.name}", of, Noise(0.02), OBJECTS)
+    for of in (
+        drive(f"alone-{scene}", scene=scene, lead_brakes=True, seconds=5.0, pitch_std_deg=0.2, **ONE_CAMERA)
+        for scene in ("straight", "bend")
+    )
+)
+ALONE_TOWN = Scenario(
+    "one camera, town",
+    drive("alone-town", scene="town", path_truth=True, rate_hz=5.0, seconds=8.0, **ONE_CAMERA),
+    Noise(0.02),
+    OBJECTS,
+)
+ALONE = (*ALONE_LEADS, ALONE_TOWN)
 STANDARD = (Scenario("sample", SAMPLE),)
 COURSE_FRAMES = (Scenario("course frames", f"{DATA}/course_frames"),)
 COURSE_OBSTACLE = (Scenario("course obstacle", COURSE_STEREO, settings=course.SETTINGS, template=course.TEMPLATE),)

@@ -13,7 +13,7 @@ from roadperc_stream.config import STAGES, ReplayConfig, load_config, switched_o
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.model import Absent, CameraImage, DepthImage, Reason, TagImage
 from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14 as TABLE
-from roadperc_stream.system.stage_timer import StageTimer
+from roadperc_stream.system.progress import StageTimer
 from tests.analytic import ROAD, Road, box
 from tests.logs import SMALL, shifted
 
@@ -78,7 +78,7 @@ def broken(*_):
                 "depth: cannot be decoded: cut off",
                 "surface: no depth, the mounting gives the plane",
                 "objects: no segmentation, detections are not filtered",
-                "objects: no depth, no distances",
+                "objects: no depth, the boxes' lower edges on the road give the distances",
             ),
         ),
         (

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from roadperc_stream import geometry as g
+from roadperc_stream.chain.encoding import decode, encode
 from roadperc_stream.chain.step import ChainState, localise, observe, perceive, step
 from roadperc_stream.config import load_config
 from roadperc_stream.geometry.rotations import rotation_from_rpy
 from roadperc_stream.input import ReplaySource, open_input
 from roadperc_stream.metrics.lanes import lane_errors
 from roadperc_stream.model import Absent, DepthImage, PointCloud, Reason
-from roadperc_stream.resume.encoding import decode, encode
 from roadperc_stream.system.threads import one_thread
 from roadperc_stream.system.time import TimeRange
 from tests.chain.test_chain import same

@@ -36,6 +36,7 @@ def signalling(folder, library, number):
 
 
 ENOUGH = {
+    "roadperc-infer": ["in.mcap", "out.mcap", "--network", "n.toml"],
     "roadperc": ["info", "in.mcap"],
     "roadperc-lanes": ["in.mcap", "--tusimple", "lanes.json"],
     "roadperc-render": ["drive"],

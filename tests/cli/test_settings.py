@@ -127,7 +127,9 @@ def test_the_printed_configuration_is_the_resolved_one(capsys, tmp_path):
     assert (cfg.lanes.hold_s, cfg.lanes.model, cfg.surface.classes) == (0.8, "line", ("road",))
     assert (cfg.objects.enabled, cfg.surface.enabled, cfg.stereo.method) == (False, True, "off")
     assert "default 0.5" in path.read_text()
-    assert tomllib.loads(path.read_text()) == tomllib.loads(cfg.to_toml())
+    written = tomllib.loads(path.read_text())
+    assert ReplayConfig.model_validate(written) == cfg
+    assert written["lanes"].keys() == type(cfg.lanes).model_fields.keys()
 
 
 @pytest.mark.parametrize(

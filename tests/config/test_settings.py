@@ -10,6 +10,7 @@ import pytest
 from roadperc_stream.chain.step import ChainState, step
 from roadperc_stream.config import STAGES, ReplayConfig, load_config, switched_off
 from roadperc_stream.config.fields import Section
+from roadperc_stream.config.stages import OWN_STAGES
 from roadperc_stream.input import ReplaySource, open_input
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.system.threads import one_thread
@@ -128,6 +129,8 @@ ELSEWHERE = {
     "limits.detections": "hostile/test_messages.py",
     "limits.transforms": "hostile/test_messages.py",
     "limits.name_length": "hostile/test_messages.py",
+    **{f"{stage}.implementation": "chain/test_own_stage.py" for stage in OWN_STAGES},
+    **{f"{stage}.implementation_source": "chain/test_own_stage.py" for stage in OWN_STAGES},
 }
 """Settings without an effect on the sample, and the test of each."""
 

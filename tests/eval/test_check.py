@@ -142,8 +142,8 @@ def test_a_failed_log_of_a_batch_is_an_error(capsys, tmp_path):
         ("[[criterions]]", "no key criterions; did you mean criterion?"),
         ('criterion = [{ metric = "a" }]', "criterion 1 ('a'): expected the key statistic"),
         ('criterion = [{ metric = "lane_left_eror_m", statistic = "max", most = 1 }]', "mean lane_left_error_m?"),
-        ('criterion = [{ column = "frame", statistic = "p50", most = 1 }]', "statistic: one of mean, median, p1"),
-        ('criterion = [{ column = "frame", statistic = "max", most = "1" }]', "most: Input should be a valid number"),
+        ('criterion = [{ column = "frame", statistic = "p50", most = 1 }]', "statistic: expected one of mean, median"),
+        ('criterion = [{ column = "frame", statistic = "max", most = "1" }]', "most: expected a valid number"),
         ('criterion = [{ column = "frame", statistic = "max" }]', "expected one of most and least"),
         ('criterion = [{ column = "frame", statistic = "share", most = 1 }]', "within belongs to the statistic share"),
         ('criterion = [{ column = "fram", statistic = "max", most = 1 }]', "column: no column fram; did you mean"),
@@ -151,6 +151,7 @@ def test_a_failed_log_of_a_batch_is_an_error(capsys, tmp_path):
         ('criterion = [{ column = "frame", statistic = "max", most = 1, filter = "a +" }]', "filter: 'a +' is no SQL"),
         ('criterion = [{ column = "frame", statistic = "max", most = 1, filter = "fram > 1" }]', "did you mean frame?"),
         ('criterion = [{ column = "frame", statistic = "max", most = 1, filter = "frame" }]', "expected a condition"),
+        (f'criterion = [{{ column = "frame", statistic = "max", most = 1, filter = "{1200 * "("}" }}]', "1000 at most"),
         ('criterion = [{ column = "frame", statistic = "max", most = 1, name = "a,b" }]', "expected a name of letters"),
         (2 * '[[criterion]]\ncolumn = "frame"\nstatistic = "max"\nmost = 1\n', "2 criteria are named 'frame max'"),
     ],
@@ -167,6 +168,15 @@ def test_missing_files_and_contradicting_options(capsys, table, tmp_path):
     assert outcome(check.main, capsys, table, "--criteria", tmp_path / "no.toml")[0] == 3
     assert "--force belongs to --init" in usage_error(check.main, capsys, table, "--force")
     assert "remove --json" in usage_error(check.main, capsys, table, "--init", "a.toml", "--json", "a.json")
+
+
+@pytest.mark.parametrize("files", [("RUN",), ("limits.toml",), ("out.mcap",), ("a.txt", "a.txt")])
+def test_results_replace_no_input_and_no_other_result(files, capsys, table, tmp_path):
+    before, paths = table.read_bytes(), [str(table if name == "RUN" else tmp_path / name) for name in files]
+    options = [word for pair in zip(("--json", "--junit"), paths, strict=False) for word in pair]
+    code, _, error = outcome(check.main, capsys, table, *options)
+    assert (code, error.startswith(f"error: {paths[0]}: "), table.read_bytes()) == (3, True, before)
+    assert list(tmp_path.iterdir()) == [table]
 
 
 def test_effects_of_metrics(tmp_path):

@@ -24,8 +24,8 @@ from roadperc_stream.model import Absent, Boundary, Lanes, Object, Objects
 from roadperc_stream.output import encoding
 from roadperc_stream.output.results import encode_metrics
 from roadperc_stream.schemas.columns import FrameMetrics
+from roadperc_stream.schemas.protobuf import schema
 from roadperc_stream.schemas.record import PRODUCER
-from roadperc_stream.schemas.registry import schema
 from roadperc_stream.schemas.topics import METRICS_TOPIC
 from roadperc_stream.view.result_frames import read_frame
 from tests.analytic import box
@@ -68,7 +68,7 @@ def test_distribution_in_percent_also_of_equal_values():
 
 def test_precision_and_recall_over_falling_scores():
     true = np.array([True, False, True])
-    recall, precision = curve(np.array([0.9, 0.8, 0.1]), true, true)
+    recall, precision = curve(np.array([0.9, 0.8, 0.1]), true, 2)
     np.testing.assert_allclose(recall, [0.5, 0.5, 1])
     np.testing.assert_allclose(precision, [1, 0.5, 2 / 3])
     assert average_precision(np.array([0.5, 1.0]), np.array([1.0, 1.0])) == pytest.approx(1)

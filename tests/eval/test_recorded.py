@@ -4,18 +4,18 @@ After an intended change, ``pytest tests/eval/test_recorded.py --force-regen`` r
 """
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from roadperc_stream.cli.compare import main as compare_main
 from roadperc_stream.cli.report import main
-from roadperc_stream.cli.trajectory import main as trajectory_main
 from tests import summaries
 from tests.eval.dataset.datasets import small_dataset
 from tests.eval.tables import row, write
 from tests.eval.test_html_page import Page
 from tests.eval.trajectories.paths import helix, noisy, rigid, scaled, write_run
+from tests.sessions import repeated
 
 FRAMES = 120
 
@@ -64,7 +64,8 @@ def drive(path, seed):
 
 @pytest.fixture
 def runs(tmp_path):
-    return [str(drive(tmp_path / f"{name}.metrics.parquet", seed)) for seed, name in enumerate(("one", "other"))]
+    names = ("one", "other", "third")
+    return [str(drive(tmp_path / f"{name}.metrics.parquet", seed)) for seed, name in enumerate(names)]
 
 
 @pytest.mark.parametrize("number", [1, 2])
@@ -74,7 +75,7 @@ def test_the_report_equals_its_recording(number, runs, tmp_path, monkeypatch, ca
     file_regression.check(re.sub(r" +$", "", capsys.readouterr().out, flags=re.MULTILINE))
 
 
-@pytest.mark.parametrize("number", [1, 2])
+@pytest.mark.parametrize("number", [1, 2, 3])
 def test_the_page_equals_its_recording(number, runs, tmp_path, ndarrays_regression):
     assert main([*runs[:number], "--html", str(tmp_path / "page.html")]) == 0
     page = Page((tmp_path / "page.html").read_text())
@@ -84,9 +85,8 @@ def test_the_page_equals_its_recording(number, runs, tmp_path, ndarrays_regressi
 
 
 @pytest.fixture
-def tables(runs, tmp_path, monkeypatch):
-    """Two drives, paths with and without scale and truth, and a dataset, in the working directory."""
-    monkeypatch.chdir(tmp_path)
+def tables(runs, tmp_path):
+    """Drives, paths with and without scale and truth, and a dataset."""
     small_dataset(tmp_path / "dataset")
     (tmp_path / "paths").mkdir()
     write_run(tmp_path / "paths" / "long.metrics.parquet", rigid(1) @ noisy(helix(400), 1), helix(400))
@@ -94,19 +94,6 @@ def tables(runs, tmp_path, monkeypatch):
     write_run(tmp_path / "paths" / "blind.metrics.parquet", helix(60))
 
 
-CASES = {
-    "dataset": (main, ["dataset", "--worst", "2"]),
-    "dataset by status": (main, ["dataset", "--by", "lane_left_status,config"]),
-    "two configurations of a dataset": (compare_main, ["dataset"]),
-    "two runs": (compare_main, ["one.metrics.parquet", "other.metrics.parquet", "--allow", "total_ms=1%"]),
-    "a long path": (trajectory_main, ["paths/long.metrics.parquet"]),
-    "a short path without scale": (trajectory_main, ["paths/mono.metrics.parquet", "--align", "se3"]),
-    "paths": (trajectory_main, ["paths", "--delta", "2.5", "--delta-unit", "metres"]),
-}
-
-
-@pytest.mark.parametrize("case", CASES)
-def test_the_output_equals_its_recording(case, tables, capsys, file_regression):
-    command, arguments = CASES[case]
-    command(arguments)
-    file_regression.check("".join(capsys.readouterr()))
+def test_a_session_equals_its_recording(tables, tmp_path, capsys, monkeypatch, file_regression):
+    session = Path(__file__).with_name("sessions") / "tables.txt"
+    file_regression.check(repeated(session, tmp_path, capsys, monkeypatch), fullpath=session)

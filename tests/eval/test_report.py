@@ -201,7 +201,7 @@ def test_two_runs_of_a_log_show_only_relevant_differences(tmp_path, capsys):
         for name, e in (("a", 0.01), ("b", 0.01), ("c", 0.2))
     ]
     _, text, _ = short(capsys, *paths[:2])
-    assert "no relevant difference in 60 frames" in text.splitlines()
+    assert "no relevant difference" in text.splitlines()
     _, text, _ = short(capsys, paths[0], paths[2])
     assert line_of(text, "lane_left_error_m")[1:4] == ["0.011", "0.201", "+0.19"]
     assert "worse" in text

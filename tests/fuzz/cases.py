@@ -148,6 +148,7 @@ TABLE_COMMANDS = (
     f"trajectory {METRICS} --export-tum tum --export-kitti kitti --align none", f"info {OUT}",
     f"trajectory {METRICS} --delta 1 --delta-unit metres", f"lanes {OUT} --tusimple lanes.json",
     f"replay {OUT} result.mcap", f"view {OUT} --foxglove-layout view.json",
+    f"check {METRICS}", f"check . a/{METRICS}", f"check {METRICS} --init limits.toml",
 )  # fmt: skip
 
 
@@ -167,6 +168,29 @@ def _config(folder: Path, choices: Choices) -> list[str]:
 CONFIG_COMMANDS = (
     "replay --print-config --config mine.toml", "replay --print-config --config mine.toml",
     "replay in.mcap result.mcap --config mine.toml --frames 1",
+)  # fmt: skip
+
+
+def _criteria(folder: Path, choices: Choices) -> list[str]:
+    """A criteria file for a result, with its effects for compare."""
+    _write_tables(folder)
+    text = CRITERIA.encode()
+    for part in choices.parts("text", 3):
+        text = mutate_toml(text, part)
+    (folder / "mine.toml").write_bytes(text)
+    return str(choices.of("of_criteria", CRITERIA_COMMANDS)).split()
+
+
+CRITERIA = """
+metrics.lane_left_error_m = { relevant = 0.1, limit = 1.0 }
+criterion = [
+  { metric = "lane_left_error_m", statistic = "p95", most = 0.1, least_coverage = 0.9, filter = "frame > 0" },
+  { name = "losses", statistic = "rate", event = "lane_left_status = 'lost'", most = 2, per_log = true },
+  { column = "total_ms", statistic = "share", within = 100.0, least = 0.5, least_frames = 1 },
+]
+"""
+CRITERIA_COMMANDS = (f"check {METRICS} --criteria mine.toml",) * 3 + (
+    f"compare {METRICS} {METRICS} --criteria mine.toml",
 )  # fmt: skip
 
 
@@ -217,6 +241,7 @@ def _files(folder: Path, choices: Choices) -> list[str]:
 
 
 FAMILIES: dict[str, Callable[[Path, Choices], list[str]]] = {
-    "log": _log, "table": _table, "config": _config, "lanes": _lanes, "dump": _dump, "files": _files,
+    "log": _log, "table": _table, "config": _config, "criteria": _criteria, "lanes": _lanes, "dump": _dump,
+    "files": _files,
 }  # fmt: skip
-WEIGHTED = ("log",) * 10 + ("table",) * 4 + ("dump",) * 4 + ("config", "lanes")
+WEIGHTED = ("log",) * 10 + ("table",) * 4 + ("dump",) * 4 + ("config", "criteria", "lanes")

@@ -129,7 +129,7 @@ def test_an_input_log_gives_roles_frames_and_cameras(source):
 
 COSTS = {
     "calibration": "a replay stops",
-    "depth": "no distances",
+    "depth": "lower",
     "segmentation": "no lanes",
     "detections": "no objects",
     "tf": "assumed_height_m",

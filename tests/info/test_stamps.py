@@ -9,7 +9,7 @@ from roadperc_stream.info.stamps import stamp_reader
 from roadperc_stream.log import Channel
 from roadperc_stream.model import Transform
 from roadperc_stream.output import encoding
-from roadperc_stream.schemas.registry import schema
+from roadperc_stream.schemas.protobuf import schema
 from roadperc_stream.schemas.roadperc_pb2 import Detections
 from tests.info.odd import STAMPED, message
 from tests.logs import SMALL, channel, frame_items

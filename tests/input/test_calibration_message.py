@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 
-from roadperc_stream.chain.stages.stereo import lens_fault
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.geometry import Camera, Lens
+from roadperc_stream.geometry.rectification import is_rectified, lens_fault, rectified
 from roadperc_stream.geometry.rotations import rotation_from_rpy
 from roadperc_stream.input.decoding import camera_from_calibration
 from roadperc_stream.output.encoding import encode_calibration
@@ -23,7 +23,7 @@ DISTORTION = (0.1, -0.02, 0.001, 0.0, 0.0)
     "camera",
     [
         PLAIN,
-        replace(PLAIN, distortion=DISTORTION),
+        replace(PLAIN, distortion=DISTORTION, lens=Lens(310.0, 311.0, 318.0, 241.0, (), "plumb_bob")),
         replace(PLAIN, distortion=DISTORTION, lens=Lens(310.0, 311.0, 318.0, 241.0, TURN, "plumb_bob")),
         replace(PLAIN, lens=Lens(320.0, 321.0, 319.5, 239.5, TURN)),
         replace(PLAIN, lens=Lens(310.0, 311.0, 318.0, 241.0)),
@@ -34,10 +34,20 @@ def test_a_camera_comes_back_as_it_was(camera):
     assert camera_from_calibration(CameraCalibration.FromString(encode_calibration(1, camera))) == camera
 
 
-def test_an_R_of_zeros_is_none():
+def test_an_R_of_zeros_is_unknown():
     message = CameraCalibration.FromString(encode_calibration(1, replace(PLAIN, distortion=DISTORTION)))
     message.R.extend(np.zeros(9))
-    assert camera_from_calibration(message).lens is None
+    assert camera_from_calibration(message).lens == Lens(320.0, 321.0, 319.5, 239.5, (), "plumb_bob")
+    del message.D[:]
+    assert is_rectified(camera_from_calibration(message))
+
+
+def test_the_distortion_of_a_message_with_K_and_D_alone_can_be_undone():
+    message = CameraCalibration.FromString(encode_calibration(1, replace(PLAIN, distortion=DISTORTION)))
+    del message.R[:], message.P[:]
+    camera = camera_from_calibration(message)
+    assert lens_fault(camera) is None
+    assert rectified(camera) == replace(PLAIN, baseline_m=None)
 
 
 def changed(camera=PLAIN, **entries):
@@ -73,7 +83,7 @@ def test_an_impossible_lens_only_prevents_rectification(K):
     """P stays: the image is one of that camera, and who must rectify it says why that cannot be done."""
     camera = camera_from_calibration(changed(K=K))
     assert (camera.fx, camera.cy) == (PLAIN.fx, PLAIN.cy)
-    assert lens_fault("left", camera).code == "lens_without_camera_matrix"
+    assert lens_fault(camera)[0] == "lens_without_camera_matrix"
 
 
 @pytest.mark.parametrize("entries", [{"D": {1: np.nan}}, {"R": {8: np.nan}}, {"K": {0: np.nan}}])

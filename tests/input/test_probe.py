@@ -12,7 +12,7 @@ from roadperc_stream.input.roles import assignment_of_log
 from roadperc_stream.input.topics import probe_first_message
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14
-from roadperc_stream.schemas.registry import schema
+from roadperc_stream.schemas.protobuf import schema
 from tests import logs
 
 ROWS, COLUMNS = 4, 6

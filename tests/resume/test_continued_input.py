@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roadperc_stream import log
+from roadperc_stream.chain.encoding import decode, encode
 from roadperc_stream.config import load_config
 from roadperc_stream.geometry import rigid
 from roadperc_stream.input import ReplaySource, input_of
@@ -17,7 +18,6 @@ from roadperc_stream.input.source import ReadableLog
 from roadperc_stream.input.state import InputState
 from roadperc_stream.model import Transform
 from roadperc_stream.output import encoding
-from roadperc_stream.resume.encoding import decode, encode
 from tests import logs
 from tests.analytic import STEP_NS
 from tests.resume.parts import carried, cut, write

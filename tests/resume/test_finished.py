@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roadperc_stream import log
+from roadperc_stream.chain.encoding import FORMAT_VERSION, encode
 from roadperc_stream.cli.replay import main
 from roadperc_stream.geometry import rigid
 from roadperc_stream.geometry.rotations import rotation_from_rpy
@@ -17,7 +18,6 @@ from roadperc_stream.input.transforms import TransformTree
 from roadperc_stream.model import Transform
 from roadperc_stream.output import encoding
 from roadperc_stream.resume.checkpoint import checkpoint_folder
-from roadperc_stream.resume.encoding import FORMAT_VERSION, encode
 from roadperc_stream.schemas.record import BEGIN_ATTACHMENT, STATE_ATTACHMENT
 from tests import logs
 from tests.analytic import STEP_NS

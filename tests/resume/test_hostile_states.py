@@ -13,9 +13,9 @@ import pytest
 import zstandard
 
 from roadperc_stream import log
+from roadperc_stream.chain import encoding
 from roadperc_stream.config import load_config
 from roadperc_stream.errors import StateError
-from roadperc_stream.resume import encoding
 from roadperc_stream.resume.state import state_at_end
 from roadperc_stream.schemas.record import BEGIN_ATTACHMENT, STATE_ATTACHMENT
 from tests import logs

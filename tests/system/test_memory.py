@@ -6,13 +6,13 @@ import sys
 
 import pytest
 
-from roadperc_stream.system.memory import keep_freed_memory
+from roadperc_stream.system.process import keep_freed_memory
 
 FAULTS = """
 import resource
 import sys
 import numpy as np
-from roadperc_stream.system.memory import keep_freed_memory
+from roadperc_stream.system.process import keep_freed_memory
 
 if sys.argv[1] == "keep":
     keep_freed_memory()

@@ -4,7 +4,7 @@ from time import thread_time
 
 import pytest
 
-from roadperc_stream.system.stage_timer import StageTimer
+from roadperc_stream.system.progress import StageTimer
 
 
 class Clock:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from pydantic import AliasChoices, Field, FiniteFloat, PositiveInt, TypeAdapter
@@ -14,6 +14,7 @@ from roadperc_stream.system.text import nearest
 from .json_files import Document, Numbers3, Numbers4, checked, read_json
 from .truth_file import CarlaPose
 
+CALIBRATION_NAME: Final = "calibration.json"
 Positive = Annotated[float, Field(gt=0.0)]
 FieldOfView = Annotated[float, Field(gt=0.0, lt=180.0)]
 Pixels = Annotated[PositiveInt, Field(le=1_000_000)]
@@ -24,12 +25,19 @@ _FOCAL_DIGITS = 9
 """Decimals of a focal length, so that 90 degrees give exactly w / 2."""
 
 
+Matrix3 = tuple[Numbers3, Numbers3, Numbers3]
+
+
 class Intrinsics(Document):
-    """The size of a camera, and its K or horizontal field of view."""
+    """The size of a camera, and its K or horizontal field of view. The names of a lens are those of CameraInfo."""
 
     width: Pixels | None = None
     height: Pixels | None = None
-    K: tuple[Numbers3, Numbers3, Numbers3] | None = None
+    K: Matrix3 | None = None
+    D: tuple[FiniteFloat, ...] = ()
+    distortion_model: str = "plumb_bob"
+    R: Matrix3 | None = None
+    P: tuple[Numbers4, Numbers4, Numbers4] | None = None
     fov_deg: FieldOfView | None = Field(None, validation_alias=AliasChoices("fov_deg", "fov"))
 
 
@@ -71,7 +79,7 @@ def load_calibration(path: Path) -> CalibrationFile:
     calibration = checked(path, TypeAdapter(CalibrationFile), document)
     for name, camera in {"": calibration, **calibration.cameras}.items():
         if camera.K is not None:
-            _require_pinhole(f"{path}: {f'cameras.{name}.' if name else ''}K", np.array(camera.K))
+            require_pinhole(f"{path}: {f'cameras.{name}.' if name else ''}K", np.array(camera.K))
     if (calibration.P_left is None) != (calibration.P_right is None):
         raise DumpError(f"{path}: P_left and P_right: expected both or neither")
     return calibration
@@ -97,7 +105,12 @@ def _items(found: Any) -> list[tuple[str, Any]]:
     return list(found.items()) if isinstance(found, dict) else []
 
 
-def _require_pinhole(where: str, K: Float) -> None:
+def require_pinhole(where: str, K: Float) -> None:
+    """Check that a (3, 3) matrix is that of a camera without skew.
+
+    Raises:
+        DumpError: it is not; the message starts with ``where``.
+    """
     upper = K[0, 1] == K[1, 0] == 0 and K[2].tolist() == [0, 0, 1]
     if not (upper and K[0, 0] > 0 and K[1, 1] > 0):
         raise DumpError(f"{where}: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got {K.tolist()}")
@@ -148,5 +161,5 @@ def _decompose(where: str, P: Float) -> tuple[Float, Float, Float]:
     except ValueError as error:
         raise DumpError(f"{where}: {error}") from error
     K[np.abs(K) < _ROUNDING_PX] = 0.0
-    _require_pinhole(where, K)
+    require_pinhole(where, K)
     return K, R, centre

@@ -8,8 +8,9 @@ from typing import Final
 import numpy as np
 
 from roadperc_stream.errors import DumpError
-from roadperc_stream.geometry import Camera, Float, mounting, rigid
-from roadperc_stream.model import EGO, Transform
+from roadperc_stream.geometry import Camera, Float, Lens, mounting, pinhole_fault, rigid
+from roadperc_stream.geometry.rectification import lens_fault
+from roadperc_stream.model import EGO, Reason, Transform
 
 from . import calibration_file
 from .calibration_file import CalibrationFile, Intrinsics, ProjectionPair
@@ -88,6 +89,8 @@ def build_rig(
     cameras, transforms = {"calibration": front}, _edge(EGO, FRONT, front_T)
     if has_depth:
         depth = _camera(known, depth_frame, "depth")
+        if depth.lens is not None and depth.lens.R != Lens.R:
+            raise DumpError(f"{path}: R turns the image, but depth along its axis cannot be turned: remove R")
         cameras |= {} if depth.same_view(front) else {"depth_calibration": depth}
     transforms += _edge(EGO, DEPTH, depth_T) if depth_frame == DEPTH else ()
     if "left" in roles:
@@ -131,10 +134,35 @@ def _camera(known: _Known, frame_id: str, role: str) -> Camera:
         return Camera(frame_id, width, height, *calibration_file.pinhole_of_fov(source.fov_deg, width, height))
     if K is None:
         raise DumpError(
-            f"{frame_id} has no calibration: expected K or fov_deg in {known.path}; "
-            "add one of them, or pass --fov DEGREES (horizontal field of view)"
+            f"{frame_id} has no calibration: pass --fov DEGREES (horizontal field of view) or --calibration FILE "
+            f"(camera_info YAML of ROS, or JSON), or write K or fov_deg into {known.path}"
         )
-    return Camera(frame_id, width, height, *calibration_file.pinhole_of_K(K, known.file.pixel_origin))
+    return _with_lens(known, Camera(frame_id, width, height, *_pinhole(known, K)), source)
+
+
+def _pinhole(known: _Known, K: Float) -> calibration_file.Pinhole:
+    return calibration_file.pinhole_of_K(K, known.file.pixel_origin)
+
+
+def _with_lens(known: _Known, camera: Camera, source: Intrinsics) -> Camera:
+    """Return the camera with its distortion; P gives the intrinsics of the rectified image, else K.
+
+    Raises:
+        DumpError: the lens is impossible or unknown.
+    """
+    P = None if source.P is None or not source.P[0][0] else np.array(source.P)
+    target = _pinhole(known, P[:, :3]) if P is not None else (camera.fx, camera.fy, camera.cx, camera.cy)
+    turn = Lens.R if source.R is None else tuple(value for row in source.R for value in row)
+    lens = Lens(camera.fx, camera.fy, camera.cx, camera.cy, turn, source.distortion_model)
+    fx, fy, cx, cy = target
+    distorted = replace(camera, fx=fx, fy=fy, cx=cx, cy=cy, distortion=source.D, lens=lens)
+    if not any(source.D) and turn == Lens.R and camera.same_view(distorted):
+        return camera
+    fault = lens_fault(distorted) or pinhole_fault(camera.width, camera.height, *target)
+    if fault:
+        text = fault if isinstance(fault, str) else Reason("", fault[0], ("front", *fault[1])).text
+        raise DumpError(f"{known.path}: {text}")
+    return distorted
 
 
 def _size(known: _Known, frame_id: str, role: str, source: Intrinsics) -> Size:

@@ -10,8 +10,9 @@ from typing import Final
 from roadperc_stream.errors import DumpError
 from roadperc_stream.system.files import real_path
 
+from .calibration_file import CALIBRATION_NAME
 from .json_files import frame_number
-from .role_names import role_of
+from .role_names import names_other_sensor, role_of
 
 _IMAGE_SUFFIXES: Final = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".webp", ".tif", ".tiff", ".ppm", ".exr"})
 _NUMBER_SUFFIXES: Final = frozenset({".npy", ".npz", ".dat", ".csv", ".raw", ".bin"})
@@ -19,7 +20,7 @@ _POINT_SUFFIXES: Final = frozenset({".ply"})
 _FRAME_SUFFIXES: Final = _IMAGE_SUFFIXES | _NUMBER_SUFFIXES | _POINT_SUFFIXES
 """Suffixes of files that can be a frame; the content decides the format."""
 _DOCUMENTS: Final = {
-    "calibration": ("calibration.json",),
+    "calibration": (CALIBRATION_NAME,),
     "detections": ("detections.json", "coco_results.json", "coco.json"),
     "poses": ("poses.json", "transforms.json", "poses.csv", "poses.txt"),
     "timestamps": ("timestamps.txt", "timestamps.csv", "times.txt", "data.csv"),
@@ -82,6 +83,8 @@ def find_layout(dump: Path, overrides: Mapping[str, Path]) -> DumpLayout:
         if path not in documents.values()
     ]
     sensors = _one_per_role(candidates)
+    if not sensors and (camera := _only_images(dump, entries)):
+        sensors, notes = {"image": camera}, [f"{camera.source}: taken as the images of the front camera"]
     if not sensors:
         raise DumpError(_nothing_found(dump, entries))
     if "detections" in sensors and "detections" in documents:
@@ -90,6 +93,29 @@ def find_layout(dump: Path, overrides: Mapping[str, Path]) -> DumpLayout:
             "choose one with --role detections=PATH"
         )
     return DumpLayout(dump, sensors, documents, tuple(notes))
+
+
+def frame_count(dump: Path) -> int:
+    """Return the number of files that can be frames: of flat files, and of folders with a role.
+
+    Raises:
+        DumpError: a folder cannot be read.
+    """
+    entries = _entries(dump)
+    folders = [entry for entry in entries if entry.is_dir() and role_of(entry.name)]
+    return sum(map(_may_be_frame, entries)) + sum(len(_frame_files(folder)) for folder in folders)
+
+
+def _only_images(dump: Path, entries: Sequence[Path]) -> Sensor | None:
+    """Return the camera of a folder that holds nothing but images, flat or in one folder, under any name."""
+    folders = [entry for entry in entries if entry.is_dir()]
+    inside = _entries(folders[0]) if len(folders) == 1 else []
+    images = [path for path in (*entries, *inside) if path.suffix.lower() in _IMAGE_SUFFIXES and path.is_file()]
+    sources = {path.parent for path in images}
+    if len(sources) != 1 or any(names_other_sensor(f"{path.parent.name} {path.stem}") for path in images):
+        return None
+    source = f"{images[0].name} to {images[-1].name}" if sources == {dump} else folders[0].name
+    return _numbered("image", source, images, [], single=len(images) == 1 and _is_single(images[0]))
 
 
 def _entries(folder: Path) -> list[Path]:

@@ -13,12 +13,14 @@ from roadperc_stream.model.tag_tables import TagTable
 from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.system.time import NS_PER_S
 
-from .calibration_file import CalibrationFile, load_calibration
+from .calibration_file import CALIBRATION_NAME, CalibrationFile, load_calibration
+from .camera_info import SUFFIXES, load_camera_info
 from .camera_rig import CAMERA_ROLES, LIDAR, Rig, build_rig
 from .depth_files import GREY, DepthEncoding, GreyDepth, depth_encoding, grey_encoding
 from .detection_files import load_detections, load_kitti_labels
 from .frame_stamps import DEFAULT_RATE_HZ, stamps_of_file, stamps_of_names, stamps_of_rate
 from .layout import DumpLayout, find_layout
+from .role_names import role_of
 from .survey import SensorSurvey, apart_ns, front_sensors, meeting_notes, of_size, points_fault, reference_of, survey
 from .tag_files import LOSSY_TAGS, TagEncoding, choose_table, tag_encoding
 from .truth_file import NO_TRUTH, TruthTables, load_poses, load_truth
@@ -39,6 +41,9 @@ class ConvertOptions:
     depth_as_float: bool = False
     allow_lossy_tags: bool = False
     grey_depth: GreyDepth | None = None
+    calibration: Path | None = None
+    """A file that replaces ``calibration.json``: JSON, or the camera_info YAML of ROS."""
+    height_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -94,7 +99,8 @@ def make_plan(dump: Path, options: ConvertOptions) -> Plan:
     """
     layout = find_layout(dump, options.roles)
     notes = list(layout.notes)
-    said, calibration_path = _calibration(layout, options)
+    document = layout.documents.get("calibration", layout.dump / CALIBRATION_NAME)
+    said, calibration_path = calibration_of(document, options)
     calibration = _with_pixel_origin(layout, said)
     surveys = _surveys(layout, options, notes)
     sizes = {role: found.size for role, found in surveys.items() if found.size}
@@ -138,17 +144,31 @@ def make_plan(dump: Path, options: ConvertOptions) -> Plan:
         poses=_of_frames("poses", poses, stamps_ns, notes),
         truth=load_truth(truth, rig.frame_ids["truth_depth"]) if truth else NO_TRUTH,
         notes=tuple(notes),
-        pixel_origin=_origin_in_words(layout, said, calibration),
+        pixel_origin=_origin_in_words(layout, calibration_path, said, calibration),
     )
 
 
-def _calibration(layout: DumpLayout, options: ConvertOptions) -> tuple[CalibrationFile, Path]:
-    """Return the calibration and its path; a field of view from the command line replaces K."""
-    path = layout.documents.get("calibration")
-    calibration = load_calibration(path) if path else CalibrationFile()
+def calibration_of(beside: Path, options: ConvertOptions) -> tuple[CalibrationFile, Path]:
+    """Return the calibration and its path, with the options of the command line.
+
+    Args:
+        beside: the ``calibration.json`` of the input, which may not exist.
+        options: a field of view replaces K and the lens; a height mounts a level camera.
+
+    Raises:
+        DumpError: a file is wrong, or both the file and the options give the mounting.
+    """
+    path = options.calibration or beside
+    load = load_camera_info if path.suffix.lower() in SUFFIXES else load_calibration
+    calibration = load(path) if options.calibration or path.is_file() else CalibrationFile()
     if options.fov_deg is not None:
-        calibration = calibration.model_copy(update={"fov_deg": options.fov_deg, "K": None})
-    return calibration, path or layout.dump / "calibration.json"
+        no_lens = {"K": None, "D": (), "R": None, "P": None}
+        calibration = calibration.model_copy(update={"fov_deg": options.fov_deg, **no_lens})
+    if options.height_m is not None:
+        if any(role_of(name) in ("image", "left") for name in calibration.mounting):
+            raise DumpError(f"{path} has the camera's mounting: remove it there, or remove --height")
+        calibration = calibration.model_copy(update={"rgb_height_m": options.height_m})
+    return calibration, path
 
 
 def _with_pixel_origin(layout: DumpLayout, calibration: CalibrationFile) -> CalibrationFile:
@@ -162,12 +182,12 @@ def _is_kitti(layout: DumpLayout) -> bool:
     return any(layout.sensors[role].is_of_kitti for role in ("image", "left") if role in layout.sensors)
 
 
-def _origin_in_words(layout: DumpLayout, said: CalibrationFile, used: CalibrationFile) -> str:
+def _origin_in_words(layout: DumpLayout, path: Path, said: CalibrationFile, used: CalibrationFile) -> str:
     matrices = [said.P_left, said.K, *(camera.K for camera in said.cameras.values())]
     if all(matrix is None for matrix in matrices):
         return ""
     stated = "pixel_origin" in said.model_fields_set
-    source = "calibration.json says" if stated else f"{'KITTI' if _is_kitti(layout) else 'CARLA'} has it"
+    source = f"{path.name} says" if stated else f"{'KITTI' if _is_kitti(layout) else 'CARLA'} has it"
     return f"the first pixel's {used.pixel_origin}, as {source}"  # part of the log: its bytes must not change
 
 

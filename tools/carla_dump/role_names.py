@@ -29,8 +29,14 @@ _WORDS_OF: Final = {
     "detections": frozenset(["detections", "detection", "boxes", "bboxes"]),
     "lidar": frozenset(["lidar", "velodyne", "pointcloud", "pointclouds", "point", "points", "cloud", "clouds"]),
 }
+_SENSOR_WORDS: Final = frozenset[str]().union(*_WORDS_OF.values())
 _KITTI: Final = {("image", 2): "image", ("image", 3): "right", ("label", 2): "detections"}
 """KITTI's camera numbers: 2 is the left colour camera, 3 the right one."""
+
+
+def names_other_sensor(name: str) -> bool:
+    """Return True if a word of the name is that of a sensor other than a camera, such as ``depth_rear``."""
+    return not _SENSOR_WORDS.isdisjoint(re.findall(r"[a-z]+", name.lower()))
 
 
 def role_of(name: str) -> str | None:

@@ -26,7 +26,7 @@ class Corrections:
     """The corrections of one network's masks.
 
     ``marking_width_m`` is the true width of a marking, None to keep the network's. ``fill_holes`` fills holes of the
-    road at the image's bottom. ``roi`` is a polygon of (x, y) in shares of the image's width and height; pixels outside
+    road before the car. ``roi`` is a polygon of (x, y) in shares of the image's width and height; pixels outside
     belong to no class. So do those below ``ignore_below``, a share of the height.
     """
 
@@ -115,29 +115,29 @@ def with_marking_width(masks: RoadMasks, horizon_row: float, width_per_row: floa
     markings = _filled(rows[below], np.rint(middle - wanted / 2), np.rint(middle + wanted / 2), masks.markings.shape)
     road_left = masks.drivable[rows, np.maximum(first - 1, 0)]
     road_right = masks.drivable[rows, np.minimum(end, width - 1)]
-    half = (first + end) // 2
-    freed = _filled(rows[road_left], first[road_left], half[road_left], markings.shape)
-    freed |= _filled(rows[road_right], half[road_right], end[road_right], markings.shape)
+    centre = (first + end) // 2
+    freed = _filled(rows[road_left], first[road_left], centre[road_left], markings.shape)
+    freed |= _filled(rows[road_right], centre[road_right], end[road_right], markings.shape)
     return RoadMasks(masks.drivable | freed, markings)
 
 
 def without_holes(road: Mask, seen: Mask, boxes_px: Float) -> Mask:
-    """(H, W) road with the holes at its lower edge filled, except those with a box's pixels.
+    """(H, W) road with its holes before the car filled, except those with a box's pixels.
 
-    The lower edge is that of the ``seen`` pixels: the image's bottom, or the own bonnet. A hole lies in the lower half
-    of the road's rows. What is beside the road reaches farther up.
+    What is beside a road is above it in the image. So a hole has road above it in each column, and lies in the lower
+    half of the road's rows; ``seen`` are the pixels that may be road.
     """
-    height, width = road.shape
-    count, labels = cv2.connectedComponents((seen & ~road).view(np.uint8), connectivity=4)
-    hole = np.zeros(count, bool)
-    hole[labels[height - 1 - np.argmax(seen[::-1], axis=0), np.arange(width)]] = True
     far = np.flatnonzero(road.any(axis=1))
-    top = (int(far[0]) + height) // 2 if len(far) else height
-    hole[np.unique(labels[:top])] = False
-    for x_min, y_min, x_max, y_max in np.clip(np.rint(boxes_px), 0, max(height, width)).astype(int).tolist():
+    top = (int(far[0]) + len(road)) // 2 if len(far) else len(road)
+    below = np.maximum.accumulate(road, axis=0)
+    below[:top] = False
+    count, labels = cv2.connectedComponents((below & seen & ~road).view(np.uint8), connectivity=4)
+    hole = np.ones(count, bool)
+    for x_min, y_min, x_max, y_max in np.clip(np.rint(boxes_px), 0, max(road.shape)).astype(int):
         hole[np.unique(labels[y_min:y_max, x_min:x_max])] = False
     hole[0] = False
-    return np.asarray(road | hole[labels])
+    filled: Mask = road | hole[labels]
+    return filled
 
 
 def _runs(mask: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:

@@ -14,7 +14,6 @@ try:
     from roadperc_stream.chain.kernels.png_compiled import reverse_filters, reverse_to_grey
 
     if not TYPE_CHECKING:  # the plain functions have the annotations
-        from roadperc_stream.chain.kernels.class_pixels_compiled import mark, mark_together
         from roadperc_stream.chain.kernels.lanes_compiled import follow, rows_beside
         from roadperc_stream.chain.kernels.objects_compiled import divided, object_points, region_distances
         from roadperc_stream.chain.kernels.occupancy_compiled import count_points, mark_visible
@@ -26,6 +25,7 @@ try:
             seen_by_both,
         )
         from roadperc_stream.chain.kernels.surface_compiled import (
+            mark,
             mark_near,
             marked,
             median_places,
@@ -34,13 +34,13 @@ try:
         )
     COMPILED = True
 except ImportError:
-    from roadperc_stream.chain.kernels.class_pixels_plain import mark, mark_together
     from roadperc_stream.chain.kernels.lanes_plain import follow, rows_beside
     from roadperc_stream.chain.kernels.objects_plain import divided, object_points, region_distances
     from roadperc_stream.chain.kernels.occupancy_plain import count_points, mark_visible
     from roadperc_stream.chain.kernels.odometry_plain import align_patches, linearise
     from roadperc_stream.chain.kernels.stereo_plain import disparity_errors, doubled, refined_disparities, seen_by_both
     from roadperc_stream.chain.kernels.surface_plain import (
+        mark,
         mark_near,
         marked,
         median_places,

@@ -18,14 +18,14 @@ cdef struct Rules:
     float x_min, y_min, resolution, lowest, highest
     int32_t columns, rows
 
+cdef struct Vector:
+    float x, y, z
+
 cdef struct Road:
     float a, b, d
 
 cdef struct Points:  # arrays of neighbouring pixels, so that loops over them become vector code
     float depth[MOST]
-    float x_part[MOST]
-    float y_part[MOST]
-    float z_part[MOST]
     float x[MOST]
     float y[MOST]
     float height[MOST]
@@ -35,14 +35,16 @@ cdef struct Points:  # arrays of neighbouring pixels, so that loops over them be
     int32_t kind[MOST]
 
 
-cdef void _point(Points* points, float x, float y, float z, const Road* road, int count) noexcept nogil:
-    """Compute the points at their depths, and their heights above a plane."""
+cdef void _point(
+    Points* points, const float* x, const float* y, const float* z, Vector row, Vector centre, Road road, int count
+) noexcept nogil:
+    """Compute the points at their depths, and their heights above a plane, of one row."""
     cdef int k
     cdef float at_z
     for k in range(count):
-        points.x[k] = points.x_part[k] * points.depth[k] + x
-        points.y[k] = points.y_part[k] * points.depth[k] + y
-        at_z = points.z_part[k] * points.depth[k] + z
+        points.x[k] = (row.x + x[k]) * points.depth[k] + centre.x
+        points.y[k] = (row.y + y[k]) * points.depth[k] + centre.y
+        at_z = (row.z + z[k]) * points.depth[k] + centre.z
         points.height[k] = at_z - ((road.d - road.a * points.x[k]) - road.b * points.y[k])
 
 
@@ -90,6 +92,7 @@ def count_points(cells, pixels, rays, const float[::1] abd, int64_t[:, ::1] free
     cdef Rules rules
     cdef Road road
     cdef Points points
+    cdef Vector row, centre
     cdef int count, k
     sizes = {image.shape for image in pixels[:4] if image is not None}
     parts_of = tuple([np.shape(each) for each in (*rays, abd, obstacle_tags)])
@@ -103,20 +106,21 @@ def count_points(cells, pixels, rays, const float[::1] abd, int64_t[:, ::1] free
     if not free.size or not width:
         return
     road = Road(abd[0], abd[1], abd[2])
+    centre = Vector(start[0], start[1], start[2])
     with nogil:
         for v in range(height):
+            row.x, row.y, row.z = parts[0, v], parts[1, v], parts[2, v]
             for block in range((width + MOST - 1) // MOST):
                 first = block * MOST
                 count = <int>min(width - first, <Py_ssize_t>MOST)
                 for k in range(count):
                     u = first + k
                     points.depth[k] = depth_m[v, u]
-                    points.x_part[k] = parts[0, v] + column[0, u]
-                    points.y_part[k] = parts[1, v] + column[1, u]
-                    points.z_part[k] = parts[2, v] + column[2, u]
                     points.drivable[k] = drivable[v, u]
                     points.obstacle[k] = obstacle_tags[tags[v, u]]
-                _point(&points, start[0], start[1], start[2], &road, count)
+                _point(
+                    &points, &column[0, first], &column[1, first], &column[2, first], row, centre, road, count
+                )
                 for k in range(0 if is_plane else count):
                     points.height[k] = height_m[v, first + k]
                 _sort(&rules, &points, count)

@@ -1,5 +1,5 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
-"""Pixels near a plane, medians of cells, and normal equations; ``surface_plain`` documents the functions.
+"""Pixels of a class, pixels near a plane, medians of cells, and normal equations; ``surface_plain`` documents the functions.
 
 Medians use Hoare's quickselect (1961) on keys, unsigned numbers in the order of value and index.
 """
@@ -15,8 +15,52 @@ cdef enum:
     MOMENTS = 6
     WORDS = 8  # of eight marks
     BLOCK = 64  # marks that are counted together
+    TAGS = 256
+    AT_ONCE = 4  # tags compared in one pass
+    CACHED = 4096  # pixels that fit into the processor's first cache
 
 cdef uint64_t EACH_BYTE = 0x0101010101010101
+
+
+cdef void _mark_four(
+    const uint8_t* tags, Py_ssize_t count, const uint8_t* wanted, bint is_first, uint8_t* marked
+) noexcept nogil:
+    """Mark the pixels that have one of four tags; only the first call also clears the others."""
+    cdef uint8_t a = wanted[0], b = wanted[1], c = wanted[2], d = wanted[3]
+    cdef Py_ssize_t i
+    if is_first:
+        for i in range(count):
+            marked[i] = (tags[i] == a) | (tags[i] == b) | (tags[i] == c) | (tags[i] == d)
+    else:
+        for i in range(count):
+            marked[i] |= (tags[i] == a) | (tags[i] == b) | (tags[i] == c) | (tags[i] == d)
+
+
+def mark(tags, const uint8_t[::1] of_class):
+    """Compare many pixels at a time: a class has few tags."""
+    cdef uint8_t wanted[TAGS + AT_ONCE]
+    cdef int count = 0, tag
+    cdef Py_ssize_t start = 0, size
+    if of_class.shape[0] != TAGS:
+        raise ValueError(f"of_class: expected 256 numbers, got {of_class.shape[0]}")
+    for tag in range(TAGS):
+        if of_class[tag]:
+            wanted[count] = tag
+            count += 1
+    if not count:
+        return np.zeros(tags.shape, np.uint8)
+    for tag in range(AT_ONCE):  # fill the last group of four by repeating a tag
+        wanted[count + tag] = wanted[count - 1]
+    found = np.empty(tags.shape, np.uint8)
+    cdef const uint8_t[::1] pixels = np.ascontiguousarray(tags).reshape(-1)
+    cdef uint8_t[::1] marked = found.reshape(-1)
+    with nogil:
+        while start < pixels.shape[0]:
+            size = min(pixels.shape[0] - start, CACHED)
+            for tag in range((count + AT_ONCE - 1) // AT_ONCE):
+                _mark_four(&pixels[start], size, wanted + AT_ONCE * tag, tag == 0, &marked[start])
+            start += size
+    return found
 
 
 cdef void _mark_row(

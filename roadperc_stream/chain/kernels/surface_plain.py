@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +21,11 @@ class PlaneDistances(NamedTuple):
     column: Float32
     row: Float32
     offset_m: float
+
+
+def mark(tags: Marks, of_class: Marks) -> Marks:
+    """(H, W) 1 at pixels of a class, else 0; ``of_class`` is (256,) 1 at the tags of the class, else 0."""
+    return np.asarray(cv2.LUT(np.ascontiguousarray(tags), of_class), np.uint8)
 
 
 def mark_near(depth_m: Float32, distances: PlaneDistances, within_m: float, among: Marks, near: Marks) -> None:

@@ -36,11 +36,8 @@ _ROWS_AT_ONCE: Final = 64
 def build(cfg: OccupancyConfig, scene: Scene, surface: Surface | Absent, drivable: Mask | Absent) -> Occupancy | Absent:
     """The grid of one frame.
 
-    Args:
-        cfg: extent, resolution and thresholds.
-        scene: the frame; without tags heights alone decide what is an obstacle.
-        surface: the road, from which heights are measured, in the front camera's frame.
-        drivable: (H, W) drivable pixels.
+    Without tags heights alone decide what is an obstacle. ``surface`` is in the front camera's frame; ``drivable`` is
+    (H, W).
 
     Returns:
         The grid or ``Absent``.

@@ -16,7 +16,8 @@ import numpy as np
 from roadperc_stream.chain.kernels import doubled, refined_disparities
 from roadperc_stream.config import StereoConfig
 from roadperc_stream.geometry import Float, Float32, Plane, inverse, rigid, transform_plane
-from roadperc_stream.geometry.cameras import Camera, Lens, pinhole_fault, project, rays
+from roadperc_stream.geometry.cameras import Camera, project, rays
+from roadperc_stream.geometry.rectification import lens_fault, lens_of, rectification_maps, resampled, rotation_of
 from roadperc_stream.model import Absent, Image, Mask, Reason, StereoDepth
 
 _MULTIPLE: Final = 16
@@ -25,14 +26,6 @@ _SUBPIXELS: Final = 16
 """OpenCV gives disparities in sixteenths of a pixel."""
 _STEP_PX: Final = 1.0
 """Difference of neighbouring disparities, in pixels of the image, from which they belong to two objects."""
-_MODELS: Final = ("", "plumb_bob", "rational_polynomial")
-"""Distortion models whose coefficients are those of OpenCV's pinhole."""
-_NOT_TURNED: Final = 1e-6
-"""Largest entry of R R^T - 1 of a rotation."""
-_COEFFICIENTS: Final = (4, 5, 8, 12, 14)
-"""Numbers of distortion coefficients that OpenCV's pinhole may have."""
-_LARGEST_COEFFICIENT: Final = 1e4
-"""Rational lenses have coefficients of up to some hundreds."""
 _BASELINES_M: Final = (1e-3, 1e3)
 """Shortest and longest plausible distance between the cameras of a pair."""
 _NEARER: Final = 1.1
@@ -66,7 +59,7 @@ def match(
     fault = _fault(left, right, baseline_m, left_image, right_image)
     if fault is not None:
         return Absent(fault)
-    ego_T_rectified = ego_T_left @ rigid(rectification(left).T, np.zeros(3))
+    ego_T_rectified = ego_T_left @ rigid(rotation_of(left).T, np.zeros(3))
     count = disparities_needed(left, baseline_m, ego_T_rectified) if cfg.disparities == "auto" else cfg.disparities
     if count is None:
         return Absent(Reason("stereo", "camera_below_road"))
@@ -83,42 +76,18 @@ def _fault(left: Camera, right: Camera, baseline_m: float, left_image: Image, ri
     for side, camera, image in (("left", left, left_image), ("right", right, right_image)):
         if image.shape != camera.size:
             return Reason("stereo", "pair_of_wrong_size", (side, *image.shape[::-1], camera.width, camera.height))
-        fault = lens_fault(side, camera)
+        fault = _lens_fault(side, camera)
         if fault is not None:
             return fault
     return None
 
 
-def lens_fault(side: str, camera: Camera) -> Reason | None:
+def _lens_fault(side: str, camera: Camera) -> Reason | None:
     """The reason why a camera's images cannot be rectified; None if they can be, or need not be."""
-    lens = camera.lens
-    if lens is None:
-        return Reason("stereo", "lens_without_rotation", (side,)) if any(camera.distortion) else None
-    pinhole = pinhole_fault(camera.width, camera.height, lens.fx, lens.fy, lens.cx, lens.cy)
-    if pinhole is not None:
-        return Reason("stereo", "lens_without_camera_matrix", (side, pinhole))
-    if not _is_rotation(rectification(camera)):
-        return Reason("stereo", "lens_rotation_invalid", (side, str(list(lens.R))))
-    if lens.model not in _MODELS:
-        return Reason("stereo", "lens_model_unknown", (side, lens.model, ", ".join(filter(None, _MODELS))))
-    coefficients = camera.distortion  # an empty list means no distortion
-    if coefficients and len(coefficients) not in _COEFFICIENTS:
-        known = ", ".join(str(count) for count in _COEFFICIENTS)
-        return Reason("stereo", "lens_coefficient_count", (side, len(coefficients), known))
-    wild = [d for d in coefficients if not abs(d) <= _LARGEST_COEFFICIENT]
-    return Reason("stereo", "lens_coefficient_size", (side, wild[0], _LARGEST_COEFFICIENT)) if wild else None
-
-
-def _is_rotation(R: Float) -> bool:
-    """Whether a (3, 3) matrix is finite, orthonormal and does not mirror."""
-    if not np.isfinite(R).all():
-        return False
-    return bool(np.abs(R @ R.T - np.eye(3)).max() <= _NOT_TURNED and np.linalg.det(R) > 0)
-
-
-def rectification(camera: Camera) -> Float:
-    """(3, 3) rotation from the mounted camera to the rectified camera."""
-    return np.array(camera.lens.R if camera.lens else Lens.R).reshape(3, 3)
+    if not lens_of(camera).R:
+        return Reason("stereo", "lens_without_rotation", (side,))
+    fault = lens_fault(camera)
+    return None if fault is None else Reason("stereo", fault[0], (side, *fault[1]))
 
 
 def disparities_needed(left: Camera, baseline_m: float, ego_T_rectified: Float) -> int | None:
@@ -147,30 +116,13 @@ def _rectified_disparity(
     """(H, W) disparities of pixels visible to both cameras; unrectified images are resampled first."""
     left_valid = right_valid = None
     if left.lens is not None or right.lens is not None or not right.same_view(left):
-        left_grey, left_valid = resampled(left, left, left_grey)
-        right_grey, right_valid = resampled(right, left, right_grey)
+        left_valid, right_valid = (rectification_maps(camera, left)[2] for camera in (left, right))
+        left_grey, right_grey = resampled(left, left, left_grey), resampled(right, left, right_grey)
     disparity_px = disparity(cfg, count, left_grey, right_grey)
     if left_valid is not None:
         disparity_px[~left_valid] = np.nan
     disparity_px[_hidden_from_right(disparity_px, right_valid)] = np.nan
     return disparity_px
-
-
-def resampled(camera: Camera, target: Camera, image: Image) -> tuple[Image, Mask]:
-    """The image resampled to the rectified target camera, and which of its pixels lie in the image."""
-    columns, rows, valid = _maps(camera, target)
-    return np.asarray(cv2.remap(image, columns, rows, cv2.INTER_LINEAR), np.uint8), valid
-
-
-@lru_cache(maxsize=4)
-def _maps(camera: Camera, target: Camera) -> tuple[Float32, Float32, Mask]:
-    """(H, W) columns and rows in the camera's image of the target's pixels, and whether they lie inside it."""
-    lens = camera.lens or Lens(camera.fx, camera.fy, camera.cx, camera.cy)
-    size = (target.width, target.height)
-    distortion, R = np.array(camera.distortion), rectification(camera)
-    columns, rows = cv2.initUndistortRectifyMap(lens.K, distortion, R, target.K, size, cv2.CV_32FC1)
-    valid = (columns >= 0) & (columns <= camera.width - 1) & (rows >= 0) & (rows <= camera.height - 1)
-    return np.asarray(columns, np.float32), np.asarray(rows, np.float32), valid
 
 
 def _hidden_from_right(disparity_px: Float32, right_valid: Mask | None) -> Mask:
@@ -240,7 +192,7 @@ def turned_back(left: Camera, disparity_px: Float32) -> Float32:
     Both cameras have the same centre, so there is no occlusion: each pixel's ray samples the rectified pixel it hits.
     At the border of two objects it takes the nearest pixel, because interpolation would give a point in mid-air.
     """
-    if np.array_equal(rectification(left), np.eye(3)):
+    if np.array_equal(rotation_of(left), np.eye(3)):
         return disparity_px
     columns, rows, z = _turned_rays(left)
     nearest, smooth = (
@@ -256,7 +208,7 @@ def turned_back(left: Camera, disparity_px: Float32) -> Float32:
 def _turned_rays(left: Camera) -> tuple[Float32, Float32, Float32]:
     """(H, W) columns and rows in the rectified camera of the left camera's pixels, and z of their rays there."""
     rows, columns = np.indices(left.size, dtype=float)
-    turned = rays(left, np.stack((columns, rows), axis=-1)) @ rectification(left).T
+    turned = rays(left, np.stack((columns, rows), axis=-1)) @ rotation_of(left).T
     pixels = project(left, turned).astype(np.float32)
     return pixels[..., 0], pixels[..., 1], turned[..., 2].astype(np.float32)
 

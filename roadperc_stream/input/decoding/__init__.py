@@ -20,7 +20,7 @@ from roadperc_stream.input.decoding.payload import (
 )
 from roadperc_stream.input.decoding.wire import from_json, parsed
 from roadperc_stream.log.records import Channel
-from roadperc_stream.model.tag_tables import TABLES
+from roadperc_stream.model.tag_tables import table_named
 from roadperc_stream.schemas import cdr, ros2
 from roadperc_stream.schemas.record import TAG_TABLE_KEY
 from roadperc_stream.schemas.roles import CARLA_BRIDGE, Kind
@@ -82,7 +82,7 @@ def context_of_channel(
         limits: limits on the contents of a message.
     """
     name = dict(channel.metadata).get(TAG_TABLE_KEY, otherwise) if configured == "auto" else configured
-    context = Context(TABLES.get(name), limits=limits, carla_bridge=channel.topic.startswith(CARLA_BRIDGE))
+    context = Context(table_named(name), limits=limits, carla_bridge=channel.topic.startswith(CARLA_BRIDGE))
     if not channel.schema_data:
         return context
     return replace(context, definition=channel.schema_data, definition_encoding=channel.schema_encoding)

@@ -146,6 +146,7 @@ def _object(message: Any) -> model.Object:
         track_id=message.track_id,
         in_path=optional(message, "in_path"),
         cut_in=optional(message, "cut_in"),
+        distance_source="ground" if message.distance_source == "ground" else "depth",
         **numbers,
     )
 

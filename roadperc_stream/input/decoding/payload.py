@@ -140,13 +140,15 @@ def camera_from_calibration(message: Any) -> Camera:
 
 
 def _lens(message: Any, rectified: tuple[float, float, float, float]) -> Lens | None:
-    """The lens of the unrectified image; None if the image is rectified, or without R (all zero in ROS).
+    """The lens of the unrectified image; None if the image is rectified. R is unknown if it is all zero, as in ROS.
 
     The numbers are not checked here. Rectification checks them and reports an impossible lens.
     """
     R = tuple(_number(r) for r in message.R)
     if len(R) != 9 or not any(R):
-        return None
+        R = ()
+        if not any(message.D):
+            return None
     fx, fy, cx, cy = (_number(message.K[k]) for k in _INTRINSICS)
     as_taken = (fx, fy, cx, cy)
     if not any(message.D) and R == Lens.R and as_taken == rectified:

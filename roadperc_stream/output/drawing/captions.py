@@ -34,11 +34,7 @@ def caption_places(
 ) -> tuple[Box | None, ...]:
     """The place of each object's caption: above its box, at the top inside it, or below it. The nearest choose first.
 
-    Args:
-        image_size: columns and rows of the picture.
-        objects: in any order.
-        boxes: their boxes in pixels of the picture.
-        text_sizes: columns and rows of their captions there.
+    Sizes are columns and rows, boxes and sizes in pixels of the picture.
 
     Returns:
         For each object the box of its caption, inside the picture; None if no place is free.
@@ -56,9 +52,7 @@ def _nearest_first(
 ) -> tuple[Box | None, ...]:
     """The place of each object, or None; the nearest choose first.
 
-    Args:
-        objects: in any order.
-        free_place: returns the place of an object from its index and the places that are taken.
+    ``free_place`` returns the place of an object from its index and the places that are taken.
     """
     places: list[Box | None] = [None] * len(objects)
     taken: list[Box] = []
@@ -100,16 +94,10 @@ def label_places(
 ) -> tuple[Box | None, ...]:
     """The place of each object's label; the nearest objects choose first.
 
-    Candidates in order: above the box, some lines higher (kept objects only), inside a large box, below the box.
-    The first one that covers no label and no other kept object is used. A label may cover a large object whose box
-    surrounds the middle of the labelled one.
-
-    Args:
-        image_size: columns and rows of the picture.
-        top_px: rows at the top that are taken.
-        objects: in any order.
-        boxes: their boxes in pixels of the picture.
-        text_sizes: columns and rows of their labels there.
+    Candidates in order: above the box, some lines higher (kept objects only), inside a large box, below the box. The
+    first one that covers no label and no other kept object is used. A label may cover a large object whose box
+    surrounds the middle of the labelled one. ``top_px`` rows at the top are taken. Sizes are columns and rows, boxes
+    and sizes in pixels of the picture.
 
     Returns:
         For each object the place of its label, inside the picture; None if no place is free.

@@ -37,9 +37,7 @@ _NEAREST_M: Final = 2.0
 def lanes_picture(image_bgr: model.Image, lanes: model.Lanes) -> model.Image:
     """White edges on the dimmed image, blue proposals, magenta merged lines, broad green lines of the ego lane.
 
-    Args:
-        image_bgr: (H, W, 3) the camera image.
-        lanes: of that image.
+    ``image_bgr`` is the (H, W, 3) camera image of the lanes.
     """
     canvas = _dimmed(image_bgr)
     pen = Pen.of(canvas)
@@ -65,9 +63,7 @@ def lanes_picture(image_bgr: model.Image, lanes: model.Lanes) -> model.Image:
 def matches_picture(image_bgr: model.Image, matches: model.Matches) -> model.Image:
     """A line per feature from its place in the keyframe to a dot at its place here; inliers green, outliers red.
 
-    Args:
-        image_bgr: (H, W, 3) the camera image.
-        matches: of that image.
+    ``image_bgr`` is the (H, W, 3) camera image of the matches.
     """
     canvas = _dimmed(image_bgr)
     pen = Pen.of(canvas)
@@ -85,9 +81,7 @@ def matches_picture(image_bgr: model.Image, matches: model.Matches) -> model.Ima
 def template_picture(image_bgr: model.Image, searches: Iterable[model.Correlation]) -> model.Image:
     """The correlation of each lost object's last image, blue -1 to red 1, at possible positions; a box marks the peak.
 
-    Args:
-        image_bgr: (H, W, 3) the camera image.
-        searches: in that image, including objects that were not found.
+    ``image_bgr`` is the (H, W, 3) camera image of the searches, which include objects that were not found.
     """
     canvas = _dimmed(image_bgr)
     pen = Pen.of(canvas)
@@ -107,10 +101,7 @@ def template_picture(image_bgr: model.Image, searches: Iterable[model.Correlatio
 def disparity_picture(left: Camera, baseline_m: float, stereo: model.StereoDepth) -> model.Image:
     """The disparity in Turbo's colours, blue far and red near; black if unknown.
 
-    Args:
-        left: the pair's left camera.
-        baseline_m: its distance to the right camera.
-        stereo: (H, W) depth in the left camera.
+    The depth is (H, W) in the camera ``left``; ``baseline_m`` is its distance to the right camera.
     """
     most_px = left.fx * baseline_m / _NEAREST_M
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -177,11 +168,7 @@ class PictureMaker:
     ) -> Iterator[tuple[str, bytes]]:
         """Topic and bytes of a frame's pictures; absent results have no picture.
 
-        Args:
-            sample: the frame's input, in the order of the replay.
-            result: the frame's results.
-            metrics: its row.
-            first_ns: stamp of the log's first frame.
+        ``first_ns`` is the stamp of the log's first frame. Frames come in the order of the replay.
         """
         for topic, frame_id, picture in self._drawn(sample, result, metrics, first_ns) if self.requests else ():
             jpeg = encode_jpeg(picture, _JPEG_QUALITY)

@@ -65,10 +65,7 @@ def draw_results(frame: PerceivedFrame, width_px: int, top_px: int = 0) -> Image
     - A dropped object has a dashed grey box.
     - An image whose size differs from the results stays bare.
 
-    Args:
-        frame: the image and its results.
-        width_px: columns of the copy; lines and text are sized for it.
-        top_px: rows at the top of the copy without labels.
+    The copy has ``width_px`` columns, for which lines and text are sized, and no labels in its ``top_px`` upper rows.
 
     Returns:
         (H * width_px / W, width_px, 3) uint8, blue, green, red.
@@ -141,11 +138,7 @@ def _draw_tie(canvas: Image, item: Object, box: Box, place: Box) -> None:
 def draw_frame(frame: PerceivedFrame, metrics: FrameMetrics, since_start_s: float, width_px: int) -> Image:
     """``draw_results`` with a strip of the frame's numbers at the top.
 
-    Args:
-        frame: the image and its results.
-        metrics: its row.
-        since_start_s: seconds since the first frame.
-        width_px: columns of the picture.
+    The picture has ``width_px`` columns; ``since_start_s`` are the seconds since the first frame.
     """
     rows, columns = frame.image_bgr.shape[:2]
     pen = Pen.of_size(columns=width_px, rows=max(round(rows * width_px / columns), 1))

@@ -58,11 +58,7 @@ Strip = Sequence[Sequence[tuple[int, Item]]]
 def lay_out_strip(pen: Pen, metrics: FrameMetrics, objects: Objects | Absent, since_start_s: float) -> Strip:
     """Arrange a frame's numbers and the legend in lines; a narrow image needs more lines.
 
-    Args:
-        pen: for the image.
-        metrics: the frame's row; null values are left out.
-        objects: the frame's objects; the nearest and the most urgent are named.
-        since_start_s: seconds since the first frame.
+    Null values are left out. The nearest and the most urgent object are named.
     """
     return _lines((*frame_phrases(metrics, objects, since_start_s), *LEGEND), pen)
 

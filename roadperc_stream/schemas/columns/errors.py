@@ -1,26 +1,14 @@
 """Columns that compare a frame's estimates with the truth, and columns of the truth itself."""
 
-import math
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated
 
-from roadperc_stream.schemas.columns.column import COUNT, RATIO, Better, Column
+from roadperc_stream.schemas.columns.column import COUNT, RATIO, Column
 
 _NO_TRUE_PLANE = "no plane, or no true one"
-
-
-def _score(
-    meaning: str,
-    unit: str,
-    null: str,
-    label: str,
-    decimals: int,
-    better: Better = "low",
-    limit: float | None = None,
-    relevant: float = math.nan,
-) -> Column:
-    """Return the column of a number that reports list and compare."""
-    return Column(meaning, unit, null, label, decimals, better, limit=limit, relevant=relevant)
+_score = partial(Column, better="low")
+"""The column of a number that reports list and compare."""
 
 
 @dataclass(frozen=True)
@@ -262,7 +250,7 @@ class StereoErrorColumns:
             "",
             "stereo true pixels known",
             3,
-            "high",
+            better="high",
             limit=0.9,
         ),
     ] = None

@@ -92,12 +92,17 @@ class ObjectMetrics(FrameKey):
     distance_m: Annotated[
         float | None,
         Column(
-            "straight-line distance from the camera: the quantile `objects.distance_quantile` over its own pixels",
+            "straight-line distance from the camera: the quantile `objects.distance_quantile` over its own pixels, "
+            "or without depth from the ground contact",
             "m",
-            "no depth there, or beyond its range",
+            "no depth there, beyond its range, or too uncertain without depth",
         ),
     ]
     distance_std_m: Annotated[float | None, Column("its standard deviation", "m", "the same")]
+    distance_source: Annotated[
+        str | None,
+        Column("`depth`, or `ground`: the contact of the box's lower edge with the road", null="no distance"),
+    ]
     closing_speed_mps: Annotated[
         float | None, Column("rate at which the distance shrinks, positive when approaching", "m/s", _NOT_TRACKED)
     ]

@@ -230,12 +230,8 @@ def write_layout(
 ) -> None:
     """Write the layout to a file for the viewers' "import from file".
 
-    Args:
-        target: the file, ``.json``.
-        source: the log it is for; None for a replay that is served live and has all this project's own topics.
-        overrides: topic by role, from ``--topic``.
-        timed: the log is served live with stage times.
-        force: replace an existing file.
+    ``target`` ends with ``.json``. ``source`` is None for a replay that is served live and has all this project's own
+    topics. ``overrides`` are topics by role; ``timed`` logs are served live with stage times.
 
     Raises:
         RoadpercError: the log cannot be read or has nothing to show, or the file exists or cannot be

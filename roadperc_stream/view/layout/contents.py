@@ -62,9 +62,7 @@ OF_A_LIVE_REPLAY: Final = LogContents(
 def contents_of(path: Path, overrides: Mapping[str, str]) -> LogContents:
     """Return the contents of a log.
 
-    Args:
-        path: an input log or the result of a replay.
-        overrides: topic by role, from ``--topic``.
+    ``overrides`` are topics by role, from ``--topic``.
 
     Raises:
         RoadpercError: the log cannot be read or has nothing to show, or its channels do not fit the roles.

@@ -28,11 +28,7 @@ class Node:
 def panel(kind: str, name: str, title: str, **config: Any) -> Node:
     """A panel of one of the viewers' types.
 
-    Args:
-        kind: the type.
-        name: unique among the panels of this type.
-        title: stored under the key of each viewer.
-        config: its other settings.
+    ``name`` is unique among the panels of this type; ``title`` is stored under the key of each viewer.
     """
     key = f"{kind}!{name}"
     return Node(key, {key: {**config, "foxglovePanelTitle": title, "lichtblickPanelTitle": title}})

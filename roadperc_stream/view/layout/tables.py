@@ -14,6 +14,7 @@ type Detected = {
   class_ratio?: number;
   distance_m?: number;
   distance_std_m?: number;
+  distance_source?: string;
   closing_speed_mps?: number;
   time_to_impact_s?: number;
   beyond_range: boolean;
@@ -46,7 +47,7 @@ function distance(seen: Detected): string {
     return seen.beyond_range ? "beyond range" : UNKNOWN;
   }
   const deviation = seen.distance_std_m == undefined ? "" : " ± " + seen.distance_std_m.toFixed(1);
-  return seen.distance_m.toFixed(1) + deviation + " m";
+  return seen.distance_m.toFixed(1) + deviation + (seen.distance_source ? " m " + seen.distance_source : " m");
 }
 
 function filter(seen: Detected): string {

@@ -81,14 +81,9 @@ def advance(
     """The playhead now, and the seconds until it changes or the next message is due.
 
     A message is due when playback reaches its log time, or at once if log time goes back. A change from the end to a
-    pause starts playback over: viewers then drop the messages that they showed.
-
-    Args:
-        playhead: the previous playhead.
-        next_ns: log time of the next message; None if there is none (yet).
-        reach: the playable span, read before the next message.
-        clock_ns: the clock's time.
-        loop_ns: log time to start over from at the end, None to stay there.
+    pause starts playback over: viewers then drop the messages that they showed. ``next_ns`` is the log time of the next
+    message, ``reach`` the playable span, read before that message. ``loop_ns`` is the log time to start over from at
+    the end, None to stay there.
     """
     if playhead.status == PlaybackStatus.Buffering:
         return _at_the_edge(playhead, reach, clock_ns)

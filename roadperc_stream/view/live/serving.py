@@ -39,11 +39,6 @@ class ServeError(RoadpercError):
 def serve_log(path: Path, options: PlaybackOptions, *, quiet: bool = False) -> None:
     """Serve a finished log to Foxglove until Ctrl-C or SIGTERM, which ``plumbing.run`` turns into Ctrl-C.
 
-    Args:
-        path: the log.
-        options: speed, start, loop and address.
-        quiet: print nothing.
-
     Raises:
         LogError: the log is unreadable or has no messages, or ``--start`` is outside it.
         TableError: the metrics table beside it cannot be read.
@@ -87,9 +82,7 @@ class LiveReplay(ExitStack):
     def start(self, writer: LogWriter, span_ns: tuple[int, int]) -> None:
         """Start the server; ``replay`` calls it when all channels are registered, before the first message.
 
-        Args:
-            writer: writes the output.
-            span_ns: first and last log time of the complete output.
+        ``span_ns`` is first and last log time of the complete output.
 
         Raises:
             ServeError: the port is not available.
@@ -125,12 +118,8 @@ def playing(
 ) -> Iterator[tuple[Player, Viewers]]:
     """Start a server with a player; the caller runs the player.
 
-    Args:
-        source: what to play.
-        name: shown by viewers.
-        span_ns: first and last log time of the complete log.
-        options: speed, start, loop and address.
-        layout: printed as the roadperc-view arguments that write a matching layout; None to print nothing.
+    ``span_ns`` is first and last log time of the complete log. ``layout`` are the roadperc-view arguments that write a
+    matching layout, which are printed; None prints nothing.
 
     Raises:
         ServeError: the address or the port is not available.

@@ -66,11 +66,8 @@ def finished_log(summary: LogSummary) -> Source:
 def running_replay(growing: GrowingLog, first_ns: int) -> Source:
     """The output of a replay, played while it is written.
 
-    Its reach ends just before the last log time, whose messages may be incomplete.
-
-    Args:
-        growing: the output.
-        first_ns: first log time of the replayed messages.
+    Its reach ends just before the last log time, whose messages may be incomplete. ``first_ns`` is the first log time
+    of the replayed messages.
     """
 
     def reach() -> Reach:

@@ -1,4 +1,4 @@
-"""Pixels near a plane, medians of cells, normal equations: known answers, and the same bits by both forms."""
+"""Pixels of a class and near a plane, medians of cells, normal equations: known answers, same bits by both forms."""
 
 import numpy as np
 import pytest
@@ -9,6 +9,20 @@ from roadperc_stream.chain.kernels import surface_plain as plain
 
 compiled = pytest.importorskip("roadperc_stream.chain.kernels.surface_compiled")
 BOTH = pytest.mark.parametrize("kernel", [plain, compiled], ids=["plain", "compiled"])
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 90), st.integers(0, 200), st.integers(0, 256))
+def test_mark_finds_the_pixels_of_a_class(seed, height, width, tags_of_class):
+    rng = np.random.default_rng(seed)
+    of_class = (rng.permutation(256) < tags_of_class).astype(np.uint8)
+    tags = rng.integers(0, 256, (2 * height, 3 * width), np.uint8)[::2, ::3]
+    for kernel in (plain, compiled) if tags.size else (compiled,):  # OpenCV has no empty image
+        np.testing.assert_array_equal(kernel.mark(tags, of_class), of_class[tags], strict=True)
+
+
+def test_marks_need_a_class_of_256_tags():
+    with pytest.raises(ValueError, match="expected 256"):
+        compiled.mark(np.zeros((2, 3), np.uint8), np.zeros(9, np.uint8))
 
 
 def image(seed, height, width):

@@ -17,6 +17,7 @@ from roadperc_stream.chain.stages.objects.template import correlate
 from roadperc_stream.chain.stages.stereo import disparities_needed
 from roadperc_stream.cli import render
 from roadperc_stream.config import StereoConfig, load_config
+from roadperc_stream.geometry.rectification import lens_fault
 from roadperc_stream.geometry.rotations import rotation_from_rpy
 from roadperc_stream.input.decoding import camera_from_calibration
 from roadperc_stream.metrics.stereo import stereo_errors
@@ -146,7 +147,7 @@ def with_lens(distortion=(), **changes):
 
 @pytest.mark.parametrize("count", [0, 4, 5, 8, 12, 14])
 def test_every_lens_of_opencv_is_rectified(count):
-    assert stereo.lens_fault("left", with_lens((1e-3,) * count)) is None
+    assert lens_fault(with_lens((1e-3,) * count)) is None
     matched(FAST, *[view(texture(), 0.0)] * 2, with_lens((1e-3,) * count))
 
 
@@ -168,7 +169,8 @@ def test_every_lens_of_opencv_is_rectified(count):
         ({"right_image": np.zeros((60, 60), np.uint8)}, "right image: 60x60 pixels, its calibration says 240x120"),
         ({"left": replace(LEFT, distortion=(0.1, 0.0, 0.0, 0.0))}, "the left camera has distortion but no R"),
         ({"right": replace(RIGHT, lens=g.Lens(200, 200, 119, 59, (1.0,) * 9))}, "R that is not a rotation"),
-        ({"right": replace(RIGHT, lens=g.Lens(200, 200, 119, 59, model="equidistant"))}, "model 'equidistant'"),
+        ({"right": replace(RIGHT, lens=g.Lens(200, 200, 119, 59, model="division"))}, "model 'division'"),
+        ({"left": replace(with_lens((0.1,) * 5, model="equidistant"))}, "5 distortion coefficients, expected one of 4"),
         ({"ego_T_left": g.mounting(z=-1.0)}, "set stereo.disparities"),
         *(
             ({"left": with_lens(R=(bad,) * 9)}, f"the left camera has an R that is not a rotation: .*{bad:.3}")

@@ -23,6 +23,15 @@ def test_digits_and_settings_identify_a_configuration(dataset, capsys, first, se
     assert (code, "better: lane_left_error_m mean 0.27" in text) == (0, True)
 
 
+def test_each_side_can_be_a_dataset(dataset, capsys, tmp_path):
+    other = small_dataset(tmp_path / "other")
+    together = compare(capsys, dataset)
+    sides = compare(capsys, dataset, other, "--base-config", A, "--new-config", B)
+    assert (sides[0], sides[1].replace(f"{dataset} {other}", str(dataset))) == together[:2]
+    code, _, error = compare(capsys, dataset, other, "--base-config", A)
+    assert (code, "--new-config: matches 2 configurations" in error) == (3, True)
+
+
 def test_compacted_tables_give_the_same_comparison(dataset, capsys):
     compared = compare(capsys, dataset)
     compact(dataset, "2026-01-01")
@@ -63,8 +72,9 @@ def test_no_tables(tmp_path, capsys):
     ("arguments", "said"),
     [
         (("elsewhere",), "elsewhere: expected NEW, or the OUT_DIR of a batch as BASE"),
-        (("a", "b", "--new-config", "c"), "compare two configurations of one dataset; remove NEW"),
+        (("a", "b", "--new-config", "c"), "--new-config needs the OUT_DIR of a batch, found b"),
         (("DATASET", "--update-reference"), "--update-reference needs BASE and NEW"),
+        (("DATASET", "b", "--update-reference"), "it does not update the OUT_DIR of a batch"),
     ],
 )
 def test_wrong_usage(dataset, capsys, arguments, said):

@@ -122,6 +122,7 @@ def no_number(folder: Path) -> None:
 
 def only_junk(folder: Path) -> None:
     png(folder / "holiday" / "1.png", camera_pixels())
+    png(folder / "party" / "1.png", camera_pixels())
     (folder / "notes.txt").write_text("hello")
 
 

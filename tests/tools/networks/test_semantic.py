@@ -87,9 +87,9 @@ def test_a_marking_at_the_images_edge_stays_inside(road):
     assert not wide[53, 40:60].any()
 
 
-def test_holes_at_the_images_bottom_are_filled(road):
+def test_holes_before_the_car_are_filled(road):
     holed = road.copy()
-    holed[45:, 30:50] = holed[50:, :20] = False
+    holed[45:, 30:50] = holed[50:, :20] = holed[45:50, 60:70] = False
     assert np.array_equal(semantic.without_holes(holed, np.ones(SIZE, bool), NO_BOXES), road)
 
 
@@ -97,7 +97,7 @@ def test_holes_with_a_box_or_beside_the_road_stay(road):
     holed = road.copy()
     holed[45:, 30:50] = False
     holed[:, 80:] = False  # a verge
-    holed[25:30, 10:15] = False  # a hole that is not at the bottom
+    holed[25:30, 10:15] = False  # a hole far ahead
     seen = np.ones(SIZE, bool)
     box = np.array([[25.0, 40.0, 40.0, 60.0]])
     assert np.array_equal(semantic.without_holes(holed, seen, box), holed)

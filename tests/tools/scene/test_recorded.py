@@ -14,6 +14,7 @@ from roadperc_stream.tools.scene.job import render_dump
 from roadperc_stream.tools.scene.options import RenderOptions
 from tests import summaries
 
+SMALL = {"width": 64, "height": 64, "seconds": 5.0, "rate_hz": 0.4}
 SCENARIOS = {
     "bend": {"scene": "bend", "seed": 3},
     "hill": {"scene": "hill", "seed": 1},
@@ -21,12 +22,16 @@ SCENARIOS = {
     "far-in-town": {"scene": "town", "speed_mps": 40.0, "seconds": 12.0, "rate_hz": 0.25, "seed": 2},
     "noise": {"scene": "town", "tag_noise": 0.05, "depth_noise": 0.02, "rgb_noise": 5.0, "drop": 0.2},
     "static": {"scene": "town", "static": True, "weave_m": 0.0},
+    "queue": {"stop_and_go": True, "lane": "splits", "instances": True, "pitch_std_deg": 1.0} | SMALL,
+    "turn": {"scene": "straight", "turn": "left", "whole_boxes": True, "mount": (1.0, 0.1, 1.5, 1.0, 2.0, 3.0)} | SMALL,
+    "worn": {"worn_lines": (5.0, 25.0), "missing_lines": (25.0, 40.0), "bumps": True, "lead_brakes": True} | SMALL,
+    "change": {"change_lane": "right", "change_back": True, "parked_rows": True, "path_truth": True} | SMALL,
 }
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_a_scenario_is_rendered_as_recorded(name, tmp_path, ndarrays_regression):
-    options = RenderOptions(width=160, height=120, **{"seconds": 3.0, "rate_hz": 1.0} | SCENARIOS[name])
+    options = RenderOptions(**{"width": 160, "height": 120, "seconds": 3.0, "rate_hz": 1.0} | SCENARIOS[name])
     render_dump(tmp_path, options, force=False, on_frame=lambda: None)
     files = [path for path in sorted(tmp_path.rglob("*.*")) if path.is_file()]
     found = {str(path.relative_to(tmp_path)).replace("/", " "): summary_of(path) for path in files}

@@ -7,8 +7,8 @@ from roadperc_stream.errors import LogError
 from roadperc_stream.log import Channel, LogWriter, Message
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas.columns import FrameMetrics
+from roadperc_stream.schemas.protobuf import schema
 from roadperc_stream.schemas.record import PRODUCER
-from roadperc_stream.schemas.registry import schema
 from roadperc_stream.schemas.topics import LIVE_ONLY, RESULTS, TIMES_TOPIC
 from roadperc_stream.view.live.source import Reach, Source, finished_log, has_times, held, running_replay, with_times
 from roadperc_stream.view.result_frames import ReplayTimes

@@ -5,6 +5,7 @@ lines and lines off the road -> merge by slope and intercept -> draw from the im
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -51,28 +52,34 @@ def without_salt(cfg: LanesConfig, separators: Image) -> Image:
     """
     size = max(round(scaled(cfg.median_px, separators.shape[0])), 1) | 1
     depth = cv2.CV_8U if size**2 <= np.iinfo(np.uint8).max else cv2.CV_32F
-    mask = np.zeros_like(separators)
     part = _rows_around(separators, size // 2 + 1)
-    if part is not None:
-        count = cv2.boxFilter(separators[part], depth, (size, size), normalize=False, borderType=cv2.BORDER_REPLICATE)
-        mask[part] = cv2.threshold(count, size**2 // 2, 255, cv2.THRESH_BINARY)[1]
-    return mask
+    if part is None:
+        return np.zeros(separators.shape, np.uint8)
+    count = cv2.boxFilter(separators[part], depth, (size, size), normalize=False, borderType=cv2.BORDER_REPLICATE)
+    return _with_rows(separators.shape, part, cv2.threshold(count, size**2 // 2, 255, cv2.THRESH_BINARY)[1])
 
 
 def edges_of(cfg: LanesConfig, separators: Image) -> Image:
     """(H, W) uint8, 255 at the edges of (H, W) separators, which are 1; searched only in rows with separators."""
     mask = without_salt(cfg, separators)
-    edges = np.zeros_like(mask)
     part = _rows_around(mask, _AROUND_PX)
-    if part is not None:
-        edges[part] = cv2.Canny(mask[part], cfg.canny_low, cfg.canny_high, apertureSize=cfg.canny_aperture)
-    return edges
+    if part is None:
+        return mask
+    edges = cv2.Canny(mask[part], cfg.canny_low, cfg.canny_high, apertureSize=cfg.canny_aperture)
+    return _with_rows(mask.shape, part, edges)
 
 
 def _rows_around(mask: Image, margin: int) -> slice | None:
     """The rows from the first to the last nonzero one, widened by a margin; None if all are zero."""
     marked = np.flatnonzero(_row_sums(mask))
     return slice(max(int(marked[0]) - margin, 0), int(marked[-1]) + 1 + margin) if len(marked) else None
+
+
+def _with_rows(shape: tuple[int, ...], part: slice, rows: NDArray[Any]) -> Image:
+    """(H, W) uint8 with these values in a part of its rows and 0 in all others."""
+    image = np.empty(shape, np.uint8)
+    image[: part.start], image[part], image[part.stop :] = 0, rows, 0
+    return image
 
 
 def propose(cfg: LanesConfig, edges: Image) -> Float:

@@ -25,6 +25,7 @@ _LINE_SAMPLES = 20
 _LINE_STD = np.array([0.05, 0.01, 0.002])
 """Standard deviations of the offset (m), heading (rad) and curvature (1/m) of a line by the model ``line``."""
 _CLASS_AHEAD_M = np.arange(4.0, 14.0, 0.5)
+Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -104,25 +105,30 @@ class Observation:
         return self.table.name_of(int(counts.argmax())) if counts.any() else ""
 
 
-def facing_edges(separators: Image, drivable: Mask, side: Side, top: int) -> Float:
-    """(N, 2) pixels on the edge between a separator and the road beside it, towards the ego lane.
+def facing_edges(separators: Image, drivable: Mask, top: int) -> dict[Side, Float]:
+    """(N, 2) pixels on the edges between a separator and the road beside it, for each side of the ego lane.
 
     Row by row from above, those of a row outermost first. ``separators`` (H - top, W) are 1 from row ``top`` down,
     ``drivable`` is (H, W). The edges of a left boundary face right.
     """
+    ends = _ends_of_runs(separators)
+    edges = {side: _facing(separators, drivable[top:], side, *ends[side]) for side in SIDES}
+    return {side: np.stack((columns, (rows + top).astype(float)), axis=-1) for side, (rows, columns) in edges.items()}
+
+
+def _facing(separators: Image, drivable: Mask, side: Side, rows: Indices, columns: Indices) -> tuple[Indices, Float]:
+    """Rows and columns of one side's edges, at the ends of runs of separators with road a few pixels beside them."""
     towards = round(outward(side))
-    rows, columns = _ends_of_runs(separators, towards)
     gap = np.full(len(rows), -1)
     sought = np.arange(len(rows))
     for step in range(_FRINGE_PX + 1):
         row, beyond = rows[sought], np.clip(columns[sought] + towards * (1 + step), 0, separators.shape[1] - 1)
         marked = separators[row, beyond] > 0
-        met = drivable[top + row, beyond] & ~marked
+        met = drivable[row, beyond] & ~marked
         gap[sought[met]] = step
         sought = sought[~(met | marked)]
     found = gap >= 0
-    rows, columns, gap = rows[found], columns[found], gap[found]
-    return np.stack((columns + towards * 0.5 * (gap + 1), (rows + top).astype(float)), axis=-1)
+    return rows[found], columns[found] + towards * 0.5 * (gap[found] + 1)
 
 
 def observe(cfg: LanesConfig, projection: RoadProjection, tags: Image, table: TagTable, drivable: Mask) -> Observation:
@@ -134,28 +140,30 @@ def observe(cfg: LanesConfig, projection: RoadProjection, tags: Image, table: Ta
     edge_pixels = lines.edges_of(cfg, separators)
     proposals = lines.propose(cfg, edge_pixels)
     groups = lines.merge(lines.on_road(proposals, drivable), projection.camera.height)
-    edges = {}
-    for side in SIDES if cfg.model == "curve" else ():
-        pixels = facing_edges(separators[far:], drivable, side, far)
-        edges[side] = Edges.of(projection.ground(pixels)[:, :2], pixels[:, 1])
+    facing = facing_edges(separators[far:], drivable, far) if cfg.model == "curve" else {}
+    edges = {side: Edges.of(projection.ground(pixels)[:, :2], pixels[:, 1]) for side, pixels in facing.items()}
     found = Observation(projection, tags, table, float(far), edge_pixels > 0, proposals, groups, edges)
     near = _near_lines(projection, groups)
     closest = {side: _curve(cfg, found, side, lines_near[0]) for side, lines_near in near.items()}
     return replace(found, near=near, curves=closest)
 
 
-def _ends_of_runs(marked: Image, towards: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows and columns of marked pixels whose neighbour to the right (``towards`` 1) or to the left (-1) is not."""
+def _ends_of_runs(marked: Image) -> dict[Side, tuple[Indices, Indices]]:
+    """Rows and columns of marked pixels whose neighbour towards the ego lane is not marked, for each side of the lane.
+
+    That is the neighbour to the right of a boundary on the left.
+    """
     width, flat = marked.shape[1], marked.ravel()
-    if towards > 0:
-        rows, columns = np.divmod(np.flatnonzero(flat[:-1] > flat[1:]), width)
-        inside = columns < width - 1  # else the neighbour is in the next row
-        return rows[inside], columns[inside]
-    rows, columns = np.divmod(np.flatnonzero(flat[1:] > flat[:-1]) + 1, width)
+    before = np.flatnonzero(flat[:-1] != flat[1:])  # of both sides in one pass
+    is_last = flat[before] > 0
+    rows, columns = np.divmod(before[is_last], width)
+    inside = columns < width - 1  # else the neighbour is in the next row
+    left = rows[inside], columns[inside]
+    rows, columns = np.divmod(before[~is_last] + 1, width)
     inside = columns > 0
     rows, columns = rows[inside], columns[inside]
     order = np.lexsort((-columns, rows))
-    return rows[order], columns[order]
+    return {"left": left, "right": (rows[order], columns[order])}
 
 
 def _near_lines(projection: RoadProjection, groups: tuple[LineGroup, ...]) -> dict[Side, tuple[LineGroup, ...]]:

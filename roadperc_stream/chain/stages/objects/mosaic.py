@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.chain.kernels import mark_together
+from roadperc_stream.chain.kernels import mark
 from roadperc_stream.geometry import Camera, Float, Float32
 from roadperc_stream.model import Box, Ids, Image
 from roadperc_stream.model.scene import Scene
@@ -156,7 +156,9 @@ def _mark(scene: Scene, lookup: Image | None, cutout: Pixels, marked: Image) -> 
     if lookup is None or scene.tags is None:
         marked[...] = scene.instances is not None
     else:
-        mark_together(scene.tags[cutout], lookup, LEAST_TOGETHER, marked)
+        of_class = mark(scene.tags[cutout], lookup)
+        # OpenCV mirrors the borders.
+        marked[...] = of_class & (cv2.boxFilter(of_class, -1, (3, 3), normalize=False) >= LEAST_TOGETHER)
 
 
 def _placed(picture: NDArray[T], cutouts: Sequence[Pixels], places: Sequence[Pixels], into: NDArray[T]) -> NDArray[T]:

@@ -11,6 +11,7 @@ from math import atan2, ceil, cos, exp, fsum, hypot, sin, sqrt
 import numpy as np
 
 from roadperc_stream.chain.kernels import object_points
+from roadperc_stream.chain.stages.objects import growth
 from roadperc_stream.chain.stages.objects.rate_filter import RateFilter
 from roadperc_stream.chain.stages.objects.regions import ranked
 from roadperc_stream.chain.stages.objects.tracking import Extent, ObjectTrack
@@ -30,9 +31,9 @@ _LANE_WIDTH_MIN_M = 2.0
 """Width of the narrowest lane in which the car can drive."""
 _LANE_WIDTH_MAX_M = 5.0
 """In a wider lane, the path is parallel to the boundaries through the car, not in the middle."""
-_OBJECT_LENGTH_M = 5.0
+OBJECT_LENGTH_M = 5.0
 """Pixels up to this far behind an object's nearest point determine its place: a car's length."""
-_LATERAL_STD_M = 0.1
+LATERAL_STD_M = 0.1
 """Least standard deviation of the place of an object's edges."""
 _MOST_PIXELS = 1000
 """Larger boxes are sampled with about this number of pixels."""
@@ -145,7 +146,7 @@ def extent(scene: Scene, path: EgoPath, item: Object) -> Extent | None:
     right, left = ranked(left_of(path, points, scene.ego_T_camera), _OUTERMOST, 1.0 - _OUTERMOST)
     nearest = points[ranges_m <= ranked(ranges_m, _NEAREST)[0]]
     x, y = (np.cumsum(nearest[:, :2] / nearest[:, 2:], axis=0)[-1] / len(nearest)).tolist()
-    return Extent(right, left, _LATERAL_STD_M + _STD_SHARE * item.distance_m, (x, y, 1.0))
+    return Extent(right, left, LATERAL_STD_M + _STD_SHARE * item.distance_m, (x, y, 1.0))
 
 
 def left_of(path: EgoPath, points: Float, ego_T_camera: Float) -> Float:
@@ -171,7 +172,7 @@ def _points(scene: Scene, depth_m: Float32, detection: Detection, distance_m: fl
     step = max(ceil(sqrt(max(x1 - x0, 0) * max(y1 - y0, 0) / _MOST_PIXELS)), 1)
     lookup = None if scene.table is None else label_lookup(scene.table, detection.label)
     of_class = None if scene.tags is None or lookup is None else (scene.tags, lookup)
-    behind_m = -_NEARER_M - _NEARER_SHARE * distance_m, _OBJECT_LENGTH_M
+    behind_m = -_NEARER_M - _NEARER_SHARE * distance_m, OBJECT_LENGTH_M
     pinhole = camera.fx, camera.fy, camera.cx, camera.cy
     return object_points(depth_m, pinhole, (x0, y0, x1, y1, step), of_class, distance_m, behind_m)
 
@@ -204,6 +205,8 @@ def _timed(cfg: ObjectsConfig, item: Object, track: ObjectTrack) -> Object:
     distances contradict the filter, because they may belong to another object.
     """
     distance = track.distance_m
+    if track.ground_share is not None and distance is not None and distance.value > 0:
+        return _timed_without_depth(cfg, item, track, distance)
     if distance is None or sqrt(distance.rate_var) > cfg.max_speed_std_mps:
         return item
     closing, std = -distance.rate, sqrt(distance.rate_var)
@@ -217,6 +220,33 @@ def _timed(cfg: ObjectsConfig, item: Object, track: ObjectTrack) -> Object:
     if not _may_be_hit(cfg, item.detection.label, track, impact_s):
         return item
     return replace(item, time_to_impact_s=impact_s, time_to_impact_std_s=own * _time_to_impact_std_s(distance))
+
+
+def _timed_without_depth(cfg: ObjectsConfig, item: Object, track: ObjectTrack, distance: RateFilter) -> Object:
+    """The same from ground contact and growth: each gives closing speed over distance, and the two are fused.
+
+    Distances that contradict the filter leave the growth alone. The growth counts for objects in the path only: the
+    flank of an object beside it grows differently. A box without a distance has no time to impact.
+    """
+    scale = max(track.jitter.rate_var_scale, 1.0) if track.jitter else 1.0
+    found = None if track.rival_m else growth.of_distance(distance, scale, track.ground_share or 0.0)
+    if track.growth is not None and item.in_path:
+        found = track.growth.approach if found is None else found.fused(track.growth.approach, cfg.gate)
+    if found is None:
+        return item
+    closing, std = found.rate * distance.value, sqrt(found.variance) * distance.value
+    if std <= cfg.max_speed_std_mps:
+        std_mps = hypot(std, (track.ground_share or 0.0) * closing)
+        item = replace(item, closing_speed_mps=closing, closing_speed_std_mps=std_mps)
+    nears = closing >= cfg.min_closing_mps and closing > max(cfg.min_closing_sigmas, 1.0) * std
+    if (
+        item.distance_m is None
+        or not item.in_path
+        or not nears
+        or not _may_be_hit(cfg, item.detection.label, track, 1.0 / found.rate)
+    ):
+        return item
+    return replace(item, time_to_impact_s=1.0 / found.rate, time_to_impact_std_s=found.time_to_impact_std_s)
 
 
 def _may_be_hit(cfg: ObjectsConfig, label: str, track: ObjectTrack, after_s: float) -> bool:

@@ -23,7 +23,7 @@ from roadperc_stream.system.time import NS_PER_S
 _MEMORY_S = 1.0
 _FIRST_WEIGHT = 2.0
 """Weight of the first distance's deviation, in residuals."""
-_LEAST_STD_M = 0.01
+_LEAST_STD = 0.01
 _HUBER = 2.0
 """Standard deviations beyond which the weight of an innovation decreases (Huber's constant)."""
 _STEADIEST, _WILDEST = 0.25, 10.0
@@ -90,7 +90,9 @@ class RateFilter:
 
 @dataclass(frozen=True)
 class Jitter:
-    """Variance in square metres, its weight in residuals, and the last two distances with their stamps.
+    """Variance of the values, its weight in residuals, and the last two values with their stamps.
+
+    The unit is that of the filter: metres for distances.
 
     ``innovation`` is the mean of the filter's squared innovations, in units of their expected variance.
     """
@@ -98,28 +100,28 @@ class Jitter:
     variance: float
     weight: float
     last_ns: int
-    last_m: float
+    last: float
     earlier_ns: int | None = None
-    earlier_m: float = 0.0
+    earlier: float = 0.0
     innovation: float = 1.0
 
     @classmethod
-    def of_first(cls, stamp_ns: int, distance_m: float, std_m: float) -> "Jitter":
+    def of_first(cls, stamp_ns: int, measured: float, std: float) -> "Jitter":
         """The jitter after one distance."""
-        return cls(std_m**2, _FIRST_WEIGHT, stamp_ns, distance_m)
+        return cls(std**2, _FIRST_WEIGHT, stamp_ns, measured)
 
-    def after(self, stamp_ns: int, filtered: RateFilter, distance_m: float, std_m: float) -> "Jitter":
+    def after(self, stamp_ns: int, filtered: RateFilter, measured: float, std: float) -> "Jitter":
         """The jitter after a later distance with its standard deviation; ``filtered`` is its prediction."""
         if self.earlier_ns is None:
-            return Jitter(self.variance, self.weight, stamp_ns, distance_m, self.last_ns, self.last_m, self.innovation)
+            return Jitter(self.variance, self.weight, stamp_ns, measured, self.last_ns, self.last, self.innovation)
         share = (self.last_ns - self.earlier_ns) / (stamp_ns - self.earlier_ns)
-        residual = self.last_m - self.earlier_m * (1 - share) - distance_m * share
-        square = min(residual**2 / (1 + share**2 + (1 - share) ** 2), std_m**2)
+        residual = self.last - self.earlier * (1 - share) - measured * share
+        square = min(residual**2 / (1 + share**2 + (1 - share) ** 2), std**2)
         weight = self.weight * exp((self.last_ns - stamp_ns) / NS_PER_S / _MEMORY_S)
         variance = (self.variance * weight + square) / (weight + 1)
-        surprise = filtered.surprise(distance_m, max(sqrt(variance), _LEAST_STD_M))
+        surprise = filtered.surprise(measured, max(sqrt(variance), _LEAST_STD))
         innovation = (self.innovation * weight + surprise) / (weight + 1)
-        return Jitter(variance, weight + 1, stamp_ns, distance_m, self.last_ns, self.last_m, innovation)
+        return Jitter(variance, weight + 1, stamp_ns, measured, self.last_ns, self.last, innovation)
 
     @property
     def rate_var_scale(self) -> float:
@@ -131,14 +133,14 @@ class Jitter:
         """
         return min(max(self.innovation, _STEADIEST), _WILDEST)
 
-    def std_m(self, filtered: RateFilter, distance_m: float, std_m: float) -> float:
-        """Standard deviation of a distance for the filter: larger for an outlier, at most ``std_m``.
+    def std(self, filtered: RateFilter, measured: float, std: float) -> float:
+        """Standard deviation of a distance for the filter: larger for an outlier, at most ``std``.
 
         Source: P. Huber, Robust estimation of a location parameter, 1964: the influence of an outlier is bounded.
         """
-        variance = max(self.variance, _LEAST_STD_M**2)
-        off = (distance_m - filtered.value) ** 2 / _HUBER**2 - filtered.value_var
-        return min(sqrt(max(variance, off)), max(std_m, _LEAST_STD_M))
+        variance = max(self.variance, _LEAST_STD**2)
+        off = (measured - filtered.value) ** 2 / _HUBER**2 - filtered.value_var
+        return min(sqrt(max(variance, off)), max(std, _LEAST_STD))
 
 
 @dataclass(frozen=True)

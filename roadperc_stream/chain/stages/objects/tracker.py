@@ -12,12 +12,13 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.chain.stages.objects import tracking
+from roadperc_stream.chain.stages.objects import contact, tracking
+from roadperc_stream.chain.stages.objects.contact import BORDER_PX, GroundPlane
 from roadperc_stream.chain.stages.objects.filtering import filter_detections
 from roadperc_stream.chain.stages.objects.mosaic import corners, kinds, overlaps
 from roadperc_stream.chain.stages.objects.path import DrivenArc, EgoPath, extent, judged, path_of
 from roadperc_stream.chain.stages.objects.template import Template, cut, find_obstacle
-from roadperc_stream.chain.stages.objects.tracking import ObjectTrack, distance_std_m
+from roadperc_stream.chain.stages.objects.tracking import Extent, ObjectTrack, distance_std_m
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Camera, Float, inverse
 from roadperc_stream.geometry.assignment import largest_total
@@ -33,8 +34,6 @@ DISTANCE_PENALTY = 0.3
 _SEARCH_SIGMAS = 3.0
 _SEARCH_SIDES = 1.0
 """Largest search distance to each side of the predicted centre, in box sides."""
-_BORDER_PX = 1.5
-"""A box this near to the image's border counts as cut by it."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +73,7 @@ def step(
     scene: Scene,
     ego_lane: Lanes | None = None,
     last_T_this: Float | None = None,
+    ground: GroundPlane | None = None,
 ) -> tuple[ObjectsState, Objects | Absent]:
     """Filter a frame's detections and track the kept ones over time.
 
@@ -84,6 +84,7 @@ def step(
             are not searched for.
         ego_lane: the lane of the car, None if unknown.
         last_T_this: (4, 4) metric motion since the last frame, ego frame; None if unknown.
+        ground: the road, which gives the distances without depth; None with depth.
 
     Returns:
         The new state, and the objects. First come all detections in the detector's order; kept ones have a track id,
@@ -94,18 +95,27 @@ def step(
     """
     arc = state.arc.after(last_T_this)
     path = path_of(ego_lane, arc)
-    now_T_last = None if last_T_this is None else inverse(last_T_this @ scene.ego_T_camera) @ scene.ego_T_camera
-    known = [tracking.predict(cfg, track, scene.stamp_ns, now_T_last) for track in state.tracks]
+    now_T_last = None
+    if last_T_this is not None and ground is None:  # without depth the motion's scale is too uncertain for the filters
+        now_T_last = inverse(last_T_this @ scene.ego_T_camera) @ scene.ego_T_camera
+    last = state.tracks if ground is not None else [tracking.with_depth(track) for track in state.tracks]
+    known = [tracking.predict(cfg, track, scene.stamp_ns, now_T_last) for track in last]
     known = [track for track in known if not tracking.expired(cfg, track)]
     known = known if path.goes_on(state.path) else [replace(track, right_m=None, left_m=None) for track in known]
     filtered = filter_detections(cfg, scene, scene.detections, _expected(cfg, scene, known))
     own = () if isinstance(filtered, Absent) else filtered.objects
+    whole = frozenset[int]() if ground is None else contact.whole(scene.camera, own)
+    own = own if ground is None else contact.with_distances(scene.camera, ground, own, whole)
     kept = _kept(scene.camera, own)
     pairs = largest_total(similarities(cfg, known, kept.items, kept.boxes))
     detected = {
-        k: tracking.placed(track, extent(scene, path, own[k]), _template(cfg, scene, track))
+        k: tracking.placed(track, _extent(scene, ground, path, own[k]), _template(cfg, scene, track))
         for k, track in _detected(cfg, state.next_number, scene, known, kept, pairs).items()
     }
+    if ground is not None:
+        clear = contact.clear(own, whole)
+        shares = {k: contact.common_share(scene.camera, ground, own[k]) for k in whole & detected.keys()}
+        detected |= {k: _grown(cfg, detected[k], share, clear=k in clear) for k, share in shares.items()}
     missed = [track for k, track in enumerate(known) if k not in pairs]
     searched = [_searched(cfg, scene, path, track, kept) for track in missed]
     found = tuple(judged(cfg, path, s.item, s.track) for s in searched if s.item is not None)
@@ -205,13 +215,25 @@ def _detected(
     for k, (item, box, position) in enumerate(zip(kept.items, kept.boxes, kept.positions, strict=True)):
         if k in track_of:
             # The object continues beyond one side of the image.
-            cut = (box.x_min < _BORDER_PX) != (box.x_max > scene.camera.width - _BORDER_PX)
+            cut = (box.x_min < BORDER_PX) != (box.x_max > scene.camera.width - BORDER_PX)
             track = tracking.detected(cfg, known[track_of[k]], item, box, cut=cut)
         else:
             track = tracking.start(cfg, next_number, item, box, scene.stamp_ns)
             next_number += 1
         tracks[position] = track
     return tracks
+
+
+def _extent(scene: Scene, ground: GroundPlane | None, path: EgoPath, item: Object) -> Extent | None:
+    return extent(scene, path, item) if ground is None else contact.extent(scene, ground, path, item)
+
+
+def _grown(cfg: ObjectsConfig, track: ObjectTrack, ground_share: float, *, clear: bool) -> ObjectTrack:
+    """The track with what its ground distances share; after the growth of its box if nothing hides a part of it."""
+    track = replace(track, ground_share=ground_share)
+    box = track.box_px
+    edge_std_px = contact.edge_std_px(box.x_max - box.x_min), contact.edge_std_px(box.y_max - box.y_min)
+    return tracking.grown(cfg, track, edge_std_px) if clear else track
 
 
 def _template(cfg: ObjectsConfig, scene: Scene, track: ObjectTrack) -> Template | None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from math import hypot
 
 from roadperc_stream.chain.stages.objects import rate_filter
+from roadperc_stream.chain.stages.objects.growth import GROWTH_WALK, Growth
 from roadperc_stream.chain.stages.objects.rate_filter import EgoRate, Jitter, RateFilter, Ray, change_of_distance_m
 from roadperc_stream.chain.stages.objects.template import Template
 from roadperc_stream.config import ObjectsConfig
@@ -30,6 +31,8 @@ _DRIFT_WALK = 2.0
 """Standard deviation of the change of that motion within a second."""
 _UNKNOWN_STD_SHARE = 0.05
 """Standard deviation, as a share, of a distance without one: an object partly beyond the depth's range."""
+_WALK_WITHOUT_DEPTH = 2.0
+"""Factor of ``objects.process_noise`` without depth: then the braking of the car itself is not a known input."""
 _ZOOM = (0.5, 2.0)
 """Limits of the factor of a box's size in one prediction."""
 
@@ -57,7 +60,8 @@ class ObjectTrack:
     show it. ``rival_m`` is the filter of the distances beyond the gate since ``rival_ns``. ``right_m`` and ``left_m``
     are the filters of its edges, metres to the left of the path's middle. ``ego_rate`` is the part of the distance's
     rate that the car's own motion causes, None if unknown. ``nearest_ray`` is the direction of its nearest pixels,
-    ``jitter`` the jitter of its distances.
+    ``jitter`` the jitter of its distances. ``growth`` is the growth of its box in frames without depth, and
+    ``ground_share`` the standard deviation that its ground distances share, as a share; None with depth.
     """
 
     number: int
@@ -79,6 +83,8 @@ class ObjectTrack:
     ego_rate: EgoRate | None = None
     nearest_ray: Ray | None = None
     jitter: Jitter | None = None
+    growth: Growth | None = None
+    ground_share: float | None = None
 
 
 def start(cfg: ObjectsConfig, number: int, item: Object, box_px: Box, stamp_ns: int) -> ObjectTrack:
@@ -103,7 +109,8 @@ def predict(cfg: ObjectsConfig, track: ObjectTrack, stamp_ns: int, now_T_last: F
     width, height = _sides(track.box_px)
     x_px = track.x_px.predict(_DRIFT_WALK * width, dt_s)
     y_px = track.y_px.predict(_DRIFT_WALK * height, dt_s)
-    distance_m, rival_m = (m.predict(cfg.process_noise, dt_s) if m else None for m in (track.distance_m, track.rival_m))
+    walk_mps = cfg.process_noise if track.ground_share is None else _WALK_WITHOUT_DEPTH * cfg.process_noise
+    distance_m, rival_m = (m.predict(walk_mps, dt_s) if m else None for m in (track.distance_m, track.rival_m))
     right_m, left_m = (m.predict(_LATERAL_NOISE, dt_s) if m else None for m in (track.right_m, track.left_m))
     ego_rate = _ego_rate(track, now_T_last, dt_s)
     if ego_rate is not None and track.ego_rate is not None:
@@ -122,9 +129,20 @@ def predict(cfg: ObjectsConfig, track: ObjectTrack, stamp_ns: int, now_T_last: F
         right_m=right_m,
         left_m=left_m,
         ego_rate=ego_rate,
+        growth=_grown(track, walk_mps, dt_s),
         stamp_ns=stamp_ns,
         missed=track.observed_ns != track.stamp_ns,
     )
+
+
+def _grown(track: ObjectTrack, walk_mps: float, dt_s: float) -> Growth | None:
+    """The predicted growth; the same change of speed changes the growth of a near object more."""
+    if track.growth is None:
+        return None
+    distance = track.distance_m
+    if distance is None or distance.value <= 0:
+        return track.growth.predict(GROWTH_WALK, dt_s)
+    return track.growth.predict(walk_mps / distance.value, dt_s)
 
 
 def _ego_rate(track: ObjectTrack, now_T_last: Float | None, dt_s: float) -> EgoRate | None:
@@ -176,6 +194,18 @@ def placed(track: ObjectTrack, extent: Extent | None, template: Template | None)
     return replace(track, right_m=right_m, left_m=left_m, nearest_ray=extent.nearest_ray, template=template)
 
 
+def grown(cfg: ObjectsConfig, track: ObjectTrack, edge_std_px: tuple[float, float]) -> ObjectTrack:
+    """The track after its whole box was seen; with the deviations of the box's vertical and horizontal edges."""
+    box, stamp_ns = track.box_px, track.stamp_ns
+    after = track.growth.after(stamp_ns, box, edge_std_px, cfg.gate) if track.growth else None
+    return replace(track, growth=after or Growth.of_first(stamp_ns, box, edge_std_px))
+
+
+def with_depth(track: ObjectTrack) -> ObjectTrack:
+    """The track for a frame with depth: without what only frames without depth need."""
+    return track if track.ground_share is None else replace(track, growth=None, ground_share=None)
+
+
 def expired(cfg: ObjectsConfig, track: ObjectTrack) -> bool:
     """Whether the last detection is older than ``objects.hold_s``."""
     return (track.stamp_ns - track.detected_ns) / NS_PER_S > cfg.hold_s
@@ -216,7 +246,7 @@ def _measured(cfg: ObjectsConfig, track: ObjectTrack, distance_m: float, std_m: 
     theirs = rival.surprise(distance_m, std_m) if rival else cfg.gate
     if ours <= min(theirs, cfg.gate):
         jitter = track.jitter.after(track.stamp_ns, filtered, distance_m, std_m) if track.jitter else new
-        distance = filtered.update(distance_m, jitter.std_m(filtered, distance_m, std_m))
+        distance = filtered.update(distance_m, jitter.std(filtered, distance_m, std_m))
         return replace(track, distance_m=distance, rival_m=None, jitter=jitter)
     if rival is None or theirs > cfg.gate:
         return replace(track, rival_m=_first_distance(distance_m, std_m), rival_ns=track.stamp_ns)

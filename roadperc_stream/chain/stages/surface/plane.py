@@ -14,6 +14,7 @@ import math
 from functools import lru_cache
 from typing import Final
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -61,11 +62,19 @@ _SHARE: Final = 0.2
 def usable_pixels(cfg: SurfaceConfig, camera: Camera, depth_m: Float32, drivable: Mask | None) -> Mask:
     """(H, W) pixels that may belong to the road and have known depth (a comparison with NaN is False)."""
     top = int(camera.height * _LOWER_IMAGE) if drivable is None else first_row(drivable)
-    usable = np.zeros(camera.size, bool)
-    among = np.ones(camera.size, bool) if drivable is None else drivable
+    usable = _unmarked_above(camera, top)
     with np.errstate(invalid="ignore"):
-        np.logical_and(among[top:], depth_m[top:] < np.float32(cfg.max_depth_m), out=usable[top:])
+        np.less(depth_m[top:], np.float32(cfg.max_depth_m), out=usable[top:])
+    if drivable is not None:
+        usable[top:] &= drivable[top:]
     return usable
+
+
+def _unmarked_above(camera: Camera, top: int) -> Mask:
+    """A new (H, W) mask: False above row ``top``, not yet set from there on."""
+    mask = np.empty(camera.size, bool)
+    mask[:top] = False
+    return mask
 
 
 def points_of(camera: Camera, depth_m: Float32, pixels: NDArray[np.intp]) -> Float:
@@ -78,7 +87,8 @@ def points_of(camera: Camera, depth_m: Float32, pixels: NDArray[np.intp]) -> Flo
 
 def pixels_near(camera: Camera, depth_m: Float32, plane: Plane, within_m: float, among: Mask) -> Mask:
     """(H, W) pixels of a mask within a distance of a plane in the camera's frame; False where the depth is unknown."""
-    top, near = first_row(among), np.zeros(camera.size, bool)
+    top = first_row(among)
+    near = _unmarked_above(camera, top)
     marks = among[top:].view(np.uint8), near[top:].view(np.uint8)
     mark_near(depth_m[top:], _distances(camera, plane, top), within_m, *marks)
     return near
@@ -125,6 +135,11 @@ def first_row(mask: Mask) -> int:
     return first // mask.shape[1] if mask.flat[first] else len(mask) - 1
 
 
+def number_of(mask: Mask) -> int:
+    """Number of set pixels; NumPy takes three times as long."""
+    return cv2.countNonZero(mask.view(np.uint8))
+
+
 def road_plane(
     cfg: SurfaceConfig, camera: Camera, depth_m: Float32, usable: Mask, up: Float, rng: np.random.Generator
 ) -> tuple[Plane, float] | Absent:
@@ -133,7 +148,7 @@ def road_plane(
     ``depth_m`` is (H, W) metres, ``usable`` (H, W) the pixels of the road with known depth. ``up`` is a (3,) unit
     vector roughly away from the road, in the camera's frame. ``rng`` draws the hypotheses.
     """
-    count = int(np.count_nonzero(usable))
+    count = number_of(usable)
     if count < 3:
         return Absent(Reason("surface", "too_few_road_points", (count,)))
     chosen = rng.integers(0, count, min(_SUBSAMPLE, count))
@@ -156,7 +171,7 @@ def road_plane(
     if not tilt_deg <= cfg.max_tilt_deg:
         return Absent(Reason("surface", "plane_tilted", (tilt_deg, cfg.max_tilt_deg)))
     inliers = pixels_near(camera, depth_m, plane, cfg.inlier_m, usable)
-    return plane, int(np.count_nonzero(inliers)) / count
+    return plane, number_of(inliers) / count
 
 
 def _ransac(cfg: SurfaceConfig, points: Float, up: Float, rng: np.random.Generator) -> Plane | None:

@@ -10,7 +10,7 @@ from roadperc_stream.chain.stages.surface.spline import fit_height_grid, road_ce
 from roadperc_stream.config import SurfaceConfig
 from roadperc_stream.geometry import Camera, Float, inverse, project, rigid, transform
 from roadperc_stream.geometry.ground import ego_points, height_above, height_at, tilted_ground
-from roadperc_stream.geometry.planes import Plane, camera_pitch_roll, transform_plane
+from roadperc_stream.geometry.planes import Plane, transform_plane
 from roadperc_stream.model import Absent, Mask, Reason, Surface, SurfaceSource
 from roadperc_stream.model.scene import DepthMap, Scene
 
@@ -34,25 +34,32 @@ class SurfaceState:
     driven_m: float = 0.0
 
 
-def find_surface(cfg: SurfaceConfig, scene: Scene, rng: np.random.Generator) -> tuple[Surface | Absent, Reason | None]:
-    """Fit the road to the frame's depth; without usable depth, take it from the camera's mounting.
+def find_surface(
+    cfg: SurfaceConfig, state: SurfaceState, scene: Scene, rng: np.random.Generator
+) -> tuple[SurfaceState, Surface | Absent]:
+    """Fit the road to the frame's depth; without depth, take it from the camera's mounting.
 
     Returns:
-        The surface, with its plane in the frame of the depth's camera, or ``Absent``; and the reason if the depth does
-        not show the road. Then the mounting gives the plane. Dense depth without a mounting gives ``Absent``.
+        The same state, and the surface with its plane in the frame of the depth's camera; absent if the depth does not
+        show the road.
     """
     if scene.depth is None:
-        return assumed_surface(*_depth_camera(scene)), None
+        return state, assumed_surface(*_depth_camera(scene))
     labels = scene.labels(cfg.classes)
     drivable = None
     if labels is not None:
         drivable = scene.depth.labels_from(scene.camera, scene.ego_T_camera, labels).view(bool)
-    surface = fit_surface(cfg, scene.depth, drivable, rng)
-    if not isinstance(surface, Absent):
-        return surface, None
-    if scene.depth.dense and not scene.mounted:
-        return surface, surface.reason
-    return assumed_surface(*_depth_camera(scene)), surface.reason
+    return state, fit_surface(cfg, scene.depth, drivable, rng)
+
+
+def or_assumed(scene: Scene, found: Surface | Absent) -> Surface | Absent:
+    """The found surface; if the depth does not show the road, that of the mounting.
+
+    Dense depth without a mounting gives ``Absent``.
+    """
+    if isinstance(found, Surface) or (scene.depth is not None and scene.depth.dense and not scene.mounted):
+        return found
+    return assumed_surface(*_depth_camera(scene))
 
 
 def fit_surface(
@@ -70,7 +77,7 @@ def fit_surface(
     found = road_plane(cfg, camera, depth_m, usable, inverse(ego_T_camera)[:3, :3] @ _UP_EGO, rng)
     if isinstance(found, Absent):
         return found
-    surface = _surface(source, camera, ego_T_camera, *found)
+    surface = Surface.of(source, camera, ego_T_camera, *found)
     if cfg.model == "plane":
         return surface
     points, certainty = road_cells(cfg, surface, camera, ego_T_camera, depth_m, usable)
@@ -93,7 +100,7 @@ def _depth_camera(scene: Scene) -> tuple[Camera, Float]:
 
 def known_surface(source: SurfaceSource, camera: Camera, ego_T_camera: Float, ego_plane: Plane) -> Surface:
     """The surface with a known plane, given in the ego frame."""
-    return _surface(source, camera, ego_T_camera, transform_plane(inverse(ego_T_camera), ego_plane), None)
+    return Surface.of(source, camera, ego_T_camera, transform_plane(inverse(ego_T_camera), ego_plane))
 
 
 def drivable_mask(cfg: SurfaceConfig, scene: Scene, surface: Surface | Absent) -> Mask | Absent:
@@ -134,20 +141,11 @@ def _horizon_row(surface: Surface, camera: Camera, ego_T_camera: Float) -> int:
     return int(np.clip(np.floor(np.nanmin(rows, initial=camera.height)), 0, camera.height - 1))
 
 
-def _surface(
-    source: SurfaceSource, camera: Camera, ego_T_camera: Float, plane: Plane, inlier_ratio: float | None
-) -> Surface:
-    pitch, roll = camera_pitch_roll(plane)
-    ego_plane = transform_plane(ego_T_camera, plane)
-    return Surface(source, camera.frame_id, plane, ego_plane, plane.offset_m, pitch, roll, inlier_ratio)
-
-
 def remember(
     cfg: SurfaceConfig,
     state: SurfaceState,
     scene: Scene,
-    road: Surface | Absent,
-    failed: Reason | None,
+    found: Surface | Absent,
     last_T_this: Float | None,
     pitch: float | None = None,
 ) -> tuple[SurfaceState, Surface | Absent, tuple[Reason, ...]]:
@@ -157,16 +155,17 @@ def remember(
         cfg: with ``hold_m``, the distance for which a plane is held.
         state: the state after the last frame.
         scene: the frame.
-        road: fitted to the frame's depth, or taken from the mounting.
-        failed: the reason if the depth does not show the road; None if it does, or if there is no depth.
+        found: fitted to the frame's depth, or taken from the mounting without depth; absent if the depth does not show
+            the road.
         last_T_this: (4, 4) motion of the ego frame since the last frame, metres; None if unknown.
         pitch: of the front camera beyond its mounting, radians, nose down; None if unknown.
 
     Returns:
         The new state, the road, and the reason if the road does not come from the depth.
     """
-    if isinstance(road, Surface) and road.measured:
-        return SurfaceState(road.ego_plane), road, ()
+    if isinstance(found, Surface) and found.measured:
+        return SurfaceState(found.ego_plane), found, ()
+    failed, road = found.reason if isinstance(found, Absent) else None, or_assumed(scene, found)
     state = _moved(state, last_T_this)
     if state.ego_plane is not None and state.driven_m <= cfg.hold_m:
         cause = Reason("surface", "no_depth") if failed is None else failed

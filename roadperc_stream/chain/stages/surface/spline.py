@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.chain.kernels import median_places, normal_equations
-from roadperc_stream.chain.stages.surface.plane import NORMAL_MAD, first_row, median
+from roadperc_stream.chain.stages.surface.plane import NORMAL_MAD, first_row, median, number_of
 from roadperc_stream.config import SurfaceConfig
 from roadperc_stream.geometry import Camera, Float, Float32
 from roadperc_stream.geometry.ground import REACH_M, ego_points, part
@@ -81,13 +81,11 @@ def road_cells(
     Returns:
         (N, 3) x, y and height above the plane, metres, and (N,) weights, 0 to 1, which grow with a cell's points.
     """
-    columns = max(min(camera.width // _COLUMNS, int(np.count_nonzero(usable)) // _ENOUGH_POINTS), 1)
+    columns = max(min(camera.width // _COLUMNS, number_of(usable) // _ENOUGH_POINTS), 1)
     top = first_row(usable)
-    sampled, depth_m = usable[top:, ::columns], depth_m[top:, ::columns]
-    ego = ego_points(part(camera, 1, columns), ego_T_camera, depth_m, top)
-    x, y, z = (numbers[sampled] for numbers in ego)
+    x, y, z = ego_points(part(camera, 1, columns), ego_T_camera, depth_m[top:, ::columns], top)
     length_m, half_m, step_m = (np.float32(value) for value in (_length_m(cfg), cfg.spline_half_width_m, _STEP_M))
-    inside = (x >= 0) & (x < length_m) & (np.abs(y) < half_m)
+    inside = usable[top:, ::columns] & (x >= 0) & (x < length_m) & (np.abs(y) < half_m)
     x, y, z = x[inside], y[inside], z[inside]
     cells = (x / step_m).astype(np.int32) * np.int32(_cells_across(cfg)) + ((y + half_m) / step_m).astype(np.int32)
     a, b, d = np.array(surface.abd, np.float32)

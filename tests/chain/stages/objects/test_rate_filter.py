@@ -84,9 +84,9 @@ def test_the_jitter_is_at_most_the_deviation_of_a_distance():
 def test_an_outlier_has_a_larger_deviation():
     jitter = Jitter(1e-4, 10.0, 1, 10.0)
     filtered = rate_filter.start(10.0, 0.01, 0.1)
-    near, off = (jitter.std_m(filtered, distance_m, STD_M) for distance_m in (10.01, 10.2))
+    near, off = (jitter.std(filtered, distance_m, STD_M) for distance_m in (10.01, 10.2))
     assert (near, off) == (pytest.approx(0.01), pytest.approx(0.1, rel=0.02))
-    assert jitter.std_m(filtered, 12.0, STD_M) == STD_M
+    assert jitter.std(filtered, 12.0, STD_M) == STD_M
 
 
 @pytest.mark.parametrize(("true_m", "expected"), [(0.02, 0.25), (1.0, 1.0), (2.0, 4.0), (50.0, 10.0)])

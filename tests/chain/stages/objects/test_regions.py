@@ -94,6 +94,16 @@ def test_instances_divide_at_equal_depth():
     assert without_depth[0][0].distances_m is None
 
 
+def test_isolated_pixels_and_pairs_belong_to_no_region():
+    tags = np.zeros(CAMERA.size, np.uint8)
+    tags[12, 12:15], tags[15, 15:17] = VEHICLE, VEHICLE
+    scene = scene_of(CAMERA, tags=tags, depth_m=np.full(CAMERA.size, 5.0, np.float32))
+    mosaic = cut_out(scene, [label_lookup(TABLE, "Car")], [Box(10, 10, 20, 20)])
+    rows, columns = np.nonzero(mosaic.of_class)
+    assert [(c + x, r + y) for c, r in zip(columns, rows, strict=True) for x, y in mosaic.first_px] == [(13, 12)]
+    assert mosaic.of_class.max() == 1
+
+
 def test_large_boxes_are_sampled_within_the_image():
     camera = Camera("camera", 1000, 800, 500.0, 500.0, 499.5, 399.5)
     tags = np.full(camera.size, VEHICLE, np.uint8)

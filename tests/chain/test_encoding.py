@@ -10,11 +10,11 @@ import pytest
 import zstandard
 from numpy.typing import NDArray
 
+from roadperc_stream.chain import encoding
+from roadperc_stream.chain.bounds import StateBounds, require_bounded
+from roadperc_stream.chain.encoding import FORMAT_VERSION, decode, encode
 from roadperc_stream.errors import StateError
 from roadperc_stream.geometry import Float
-from roadperc_stream.resume import encoding
-from roadperc_stream.resume.bounds import StateBounds, require_bounded
-from roadperc_stream.resume.encoding import FORMAT_VERSION, decode, encode
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ MANY = struct.pack(">I", 10_000_000)
     [
         (b"", "not the state"),
         (b"PK\3\4 and so on", "not the state"),
-        (encoding._MAGIC + b"\1abc", "version 1, expected 6"),
+        (encoding._MAGIC + b"\1abc", "version 1, expected 7"),
         (encoding._MAGIC + bytes([FORMAT_VERSION]) + b"abc", "CRC is wrong"),
         (checked(b"\x28\xb5\x2f\xfdrubbish"), "damaged"),
         (packed(b""), "damaged"),

@@ -16,10 +16,10 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
+from roadperc_stream.chain.bounds import DEFAULT_BOUNDS, StateBounds, require_bounded
 from roadperc_stream.errors import StateError
-from roadperc_stream.resume.bounds import DEFAULT_BOUNDS, StateBounds, require_bounded
 
-FORMAT_VERSION: Final = 6
+FORMAT_VERSION: Final = 7
 """Raise it with every change to the contents of a state; otherwise an older state would be misread."""
 MOST_BYTES: Final = 512 * 1024**2
 """Limit on the size of an uncompressed state."""
@@ -44,9 +44,7 @@ def encode(state: Any) -> bytes:
     Raises:
         StateError: it is too large.
     """
-    plain = msgspec.msgpack.encode(state, enc_hook=_encoded)
-    if len(plain) > MOST_BYTES:
-        raise StateError(f"{len(plain)} bytes: expected {MOST_BYTES} at most")
+    plain = encode_plain(state, MOST_BYTES)
     packed = zstandard.ZstdCompressor(level=_LEVEL).compress(plain)
     return _MAGIC + bytes([FORMAT_VERSION]) + _CRC.pack(zlib.crc32(packed)) + packed
 
@@ -54,10 +52,7 @@ def encode(state: Any) -> bytes:
 def decode(data: bytes, kind: type[T], bounds: StateBounds = DEFAULT_BOUNDS) -> T:
     """The dataclass that the bytes encode.
 
-    Args:
-        data: from ``encode``, or from an untrusted file.
-        kind: the dataclass.
-        bounds: limits on its contents.
+    ``data`` come from ``encode``, or from an untrusted file; ``bounds`` limit its contents.
 
     Raises:
         StateError: the bytes have another format or version, were changed, or exceed the bounds.
@@ -69,12 +64,24 @@ def decode(data: bytes, kind: type[T], bounds: StateBounds = DEFAULT_BOUNDS) -> 
         raise StateError(f"its format has version {data[len(_MAGIC)]}, expected {FORMAT_VERSION}")
     if data[len(_MAGIC) + 1 : _HEADER_BYTES] != _CRC.pack(zlib.crc32(packed)):
         raise StateError("damaged: its CRC is wrong")
-    plain = _unpacked(packed)
-    require_bounded(plain, bounds)
     try:
-        found: T = msgspec.msgpack.decode(plain, type=kind, dec_hook=partial(_decoded, bounds))
+        return decode_plain(_unpacked(packed), kind, bounds)
     except (ValueError, RecursionError, OverflowError) as error:
         raise StateError(f"damaged: {error}") from error
+
+
+def encode_plain(value: Any, most_bytes: int) -> bytes:
+    """The MessagePack of a dataclass; ``StateError`` if it is too large, ``TypeError`` if a value has no encoding."""
+    plain = msgspec.msgpack.encode(value, enc_hook=_encoded)
+    if len(plain) > most_bytes:
+        raise StateError(f"{len(plain)} bytes: expected {most_bytes} at most")
+    return plain
+
+
+def decode_plain(plain: bytes, kind: type[T], bounds: StateBounds = DEFAULT_BOUNDS) -> T:
+    """The dataclass that MessagePack encodes; errors as in ``decode``, or of the dataclass itself."""
+    require_bounded(plain, bounds)
+    found: T = msgspec.msgpack.decode(plain, type=kind, dec_hook=partial(_decoded, bounds))
     return found
 
 

@@ -1,0 +1,205 @@
+"""Distances without depth: the lower edge of a box is where its object meets the road.
+
+The ray of the lower edge meets the road's plane at the object's nearest depth (G. Stein, O. Mano and A. Shashua,
+Vision-based ACC with a single camera: bounds on range and range rate accuracy, IEEE Intelligent Vehicles 2003). An
+error of a row, of the pitch or of the road's slope grows with the square of the depth.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import hypot, radians, sqrt
+from typing import Final
+
+import numpy as np
+
+from roadperc_stream.chain.stages.objects.mosaic import corners
+from roadperc_stream.chain.stages.objects.path import LATERAL_STD_M, OBJECT_LENGTH_M, EgoPath, left_of
+from roadperc_stream.chain.stages.objects.tracking import Extent
+from roadperc_stream.geometry import Camera, Float, rays
+from roadperc_stream.geometry.planes import Plane
+from roadperc_stream.model import Box, Object, Surface
+from roadperc_stream.model.scene import Scene
+from roadperc_stream.model.tag_tables import classes_of_label
+
+EDGE_STD_PX: Final = 1.0
+EDGE_STD_SHARE: Final = 0.03
+"""Standard deviation of a box's edge: this share of the box's side, at least one pixel."""
+MOST_STD_SHARE: Final = 0.3
+"""A distance with a larger standard deviation, as a share, is left out: the lower edge is near the horizon."""
+BORDER_PX: Final = 1.5
+"""A box this near to the image's border counts as cut by it."""
+_HIDDEN: Final = 0.5
+"""Share of the lower edge behind nearer boxes from which it counts as hidden."""
+_BODY_STD: Final = radians(0.3)
+"""Standard deviation of the pitch of a plane that is not estimated in this frame: the body moves on its springs."""
+_SLOPE_STD_PER_ROOT_M: Final = radians(0.1)
+"""Standard deviation of the change of the road's slope over one metre; it grows with the root of the distance."""
+_OVERHANG_M: Final = 0.4
+_OVERHANG_STD_M: Final = 0.3
+"""A vehicle's nearest point is this much nearer than the tyres on which it stands. Boxes of some detectors end at the
+bumper's ground projection."""
+_HEIGHT_STD: Final = 0.02
+_ASSUMED_HEIGHT_STD: Final = 0.1
+"""Standard deviation of the camera height as a share: of a mounting, and of the assumed height."""
+
+
+@dataclass(frozen=True)
+class GroundPlane:
+    """The road in a frame without depth: its plane in the front camera's frame.
+
+    ``pitch_std`` is the standard deviation of the plane's pitch in radians, ``height_std`` that of the camera height
+    as a share of it.
+    """
+
+    plane: Plane
+    pitch_std: float
+    height_std: float
+
+
+@dataclass(frozen=True)
+class _Contact:
+    """Depth of a lower edge in metres, its standard deviation, and the part of it that other frames share."""
+
+    depth_m: float
+    std_m: float
+    common_std_m: float
+
+
+def ground_of(road: Surface, pitch_std: float, *, mounted: bool) -> GroundPlane:
+    """The road as the ground of objects.
+
+    Args:
+        road: in the front camera's frame.
+        pitch_std: standard deviation of its pitch, radians; of the mounting's pitch if it is not estimated.
+        mounted: whether the log has the camera's mounting.
+    """
+    estimated = road.source == "estimated"
+    pitch_std = pitch_std if estimated else _BODY_STD if road.source == "held" else hypot(pitch_std, _BODY_STD)
+    return GroundPlane(road.plane, pitch_std, _HEIGHT_STD if mounted else _ASSUMED_HEIGHT_STD)
+
+
+def whole(camera: Camera, objects: Sequence[Object]) -> frozenset[int]:
+    """Positions of the objects whose boxes are within the image and whose lower edges are visible.
+
+    A lower edge is hidden if nearer boxes of kept objects, those that end lower, cover half of it.
+    """
+    boxes, kept = _boxes(objects)
+    return frozenset(k for k, box in enumerate(boxes) if _inside(camera, box) and not _hidden(box, kept))
+
+
+def clear(objects: Sequence[Object], seen: frozenset[int]) -> frozenset[int]:
+    """The positions ``seen`` of boxes that no nearer box of a kept object touches, up to the deviation of their edges.
+
+    The box of a partly hidden object grows as more of it becomes visible.
+    """
+    boxes, kept = _boxes(objects)
+    return frozenset(k for k in seen if not len(_nearer(boxes[k], kept, 2.0)[0]))
+
+
+def _boxes(objects: Sequence[Object]) -> tuple[list[Box], Float]:
+    """The boxes of all objects, and (4, K) x_min, y_min, x_max and y_max of those of kept objects."""
+    return [item.detection.box_px for item in objects], corners(o.detection.box_px for o in objects if o.kept)
+
+
+def _inside(camera: Camera, box: Box) -> bool:
+    """Whether neither the left, the right nor the lower border of the image cuts a box."""
+    right, bottom = camera.width - BORDER_PX, camera.height - BORDER_PX
+    return box.x_min >= BORDER_PX and box.x_max <= right and box.y_max <= bottom and box.area > 0
+
+
+def _hidden(box: Box, kept: Float) -> bool:
+    """Whether nearer ones of (4, K) boxes cover half of a box's lower edge."""
+    left, right = (np.clip(x, box.x_min, box.x_max) for x in _nearer(box, kept, 0.0))
+    order = np.argsort(left)
+    left, reached = left[order], np.maximum.accumulate(right[order])
+    before = np.append(box.x_min, reached)[: len(reached)]
+    return float(np.maximum(reached - np.maximum(left, before), 0.0).sum()) > _HIDDEN * (box.x_max - box.x_min)
+
+
+def _nearer(box: Box, kept: Float, sigmas: float) -> tuple[Float, Float]:
+    """Left and right edges of those of (4, K) boxes that end lower and come near a box by deviations of its edges."""
+    x0, y0, x1, y1 = kept
+    x, y = (sigmas * edge_std_px(side) for side in (box.x_max - box.x_min, box.y_max - box.y_min))
+    meets = (y1 > box.y_max) & (y0 < box.y_max + y) & (x0 < box.x_max + x) & (x1 > box.x_min - x)
+    return x0[meets], x1[meets]
+
+
+def with_distances(
+    camera: Camera, ground: GroundPlane, objects: Sequence[Object], seen: frozenset[int]
+) -> tuple[Object, ...]:
+    """The objects with distances from the ground contact, for those at the positions ``seen``.
+
+    The distance is that of the nearest point of an upright face above the contact, as with depth. Objects above the
+    horizon, or whose distance is uncertain by more than ``MOST_STD_SHARE``, have none.
+    """
+    return tuple(_with_distance(camera, ground, item) if k in seen else item for k, item in enumerate(objects))
+
+
+def _with_distance(camera: Camera, ground: GroundPlane, item: Object) -> Object:
+    contact = _contact(camera, ground, item)
+    if contact is None:
+        return item
+    length = hypot(*_nearest_ray(camera, item.detection.box_px))
+    distance_m, std_m = contact.depth_m * length, contact.std_m * length
+    return replace(item, distance_m=distance_m, distance_std_m=std_m, distance_source="ground")
+
+
+def common_share(camera: Camera, ground: GroundPlane, item: Object) -> float:
+    """The part of a ground distance's standard deviation that other frames share, as a share of the distance."""
+    contact = _contact(camera, ground, item)
+    return MOST_STD_SHARE if contact is None else contact.common_std_m / contact.depth_m
+
+
+def _contact(camera: Camera, ground: GroundPlane, item: Object) -> _Contact | None:
+    """Where the middle of a box's lower edge meets the road; None beyond the horizon or if it is too uncertain."""
+    box = item.detection.box_px
+    middle = np.array([(box.x_min + box.x_max) / 2 - 0.5, box.y_max - 0.5])
+    slope = -float(rays(camera, middle) @ ground.plane.n)
+    if slope <= 0:
+        return None
+    height_m = ground.plane.offset_m
+    to_tyres_m = height_m / slope
+    is_vehicle = classes_of_label(item.detection.label) == ("vehicle",)
+    depth_m = to_tyres_m - _OVERHANG_M if is_vehicle else to_tyres_m
+    m_per_rad = to_tyres_m**2 / height_m
+    # The slope's random walk from the car to the object, seen from the car.
+    pitch_std = hypot(ground.pitch_std, _SLOPE_STD_PER_ROOT_M * sqrt(to_tyres_m / 3.0))
+    common_m = hypot(m_per_rad * pitch_std, to_tyres_m * ground.height_std, _OVERHANG_STD_M if is_vehicle else 0.0)
+    row_std = edge_std_px(box.y_max - box.y_min) * abs(ground.plane.normal[1]) / camera.fy
+    std_m = hypot(m_per_rad * row_std, common_m)
+    return _Contact(depth_m, std_m, common_m) if std_m <= MOST_STD_SHARE * depth_m else None
+
+
+def edge_std_px(side_px: float) -> float:
+    """Standard deviation in pixels of a detected box's edge; ``side_px`` is the side at right angles to it."""
+    return max(EDGE_STD_SHARE * side_px, EDGE_STD_PX)
+
+
+def _nearest_ray(camera: Camera, box: Box) -> tuple[float, float, float]:
+    """Direction, z = 1, of the nearest point of a face at right angles to the camera's axis that fills a box."""
+    x0, x1 = ((x - 0.5 - camera.cx) / camera.fx for x in (box.x_min, box.x_max))
+    y0, y1 = ((y - 0.5 - camera.cy) / camera.fy for y in (box.y_min, box.y_max))
+    return min(max(0.0, x0), x1), min(max(0.0, y0), y1), 1.0
+
+
+def extent(scene: Scene, ground: GroundPlane, path: EgoPath, item: Object) -> Extent | None:
+    """The edges of an object beside the path, from its box at its ground contact; None without a ground distance.
+
+    The box of a vehicle beside the camera's axis shows its flank. The flank's far end bounds the box, so that side of
+    the box is deeper by a vehicle's length.
+    """
+    box, camera = item.detection.box_px, scene.camera
+    contact = _contact(camera, ground, item)
+    if item.distance_source != "ground" or contact is None:
+        return None
+    directions = rays(camera, np.array([[x - 0.5, box.y_max - 0.5] for x in (box.x_min, box.x_max)]))
+    long_m = OBJECT_LENGTH_M if classes_of_label(item.detection.label) == ("vehicle",) else 0.0
+    inner = 0 if directions[0, 0] > 0 else 1 if directions[1, 0] < 0 else None
+    depths_m = np.array([contact.depth_m + (long_m if k == inner else 0.0) for k in range(2)])
+    points = directions * contact.depth_m
+    points[:, 0] = directions[:, 0] * depths_m
+    left, right = left_of(path, points, scene.ego_T_camera).tolist()
+    across = edge_std_px(box.x_max - box.x_min) * contact.depth_m / camera.fx
+    aside = float(np.abs(directions[:, 0]).max()) * contact.std_m
+    std_m = sqrt(LATERAL_STD_M**2 + across**2 + aside**2)
+    return Extent(right, left, std_m, _nearest_ray(camera, box))

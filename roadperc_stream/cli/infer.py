@@ -1,0 +1,100 @@
+"""``roadperc-infer``: write the channels that networks compute from a log's images."""
+
+import argparse
+from pathlib import Path
+from typing import Final
+
+from roadperc_stream.cli.completers import LOGS, completed_by, files
+from roadperc_stream.cli.convert import conversion
+from roadperc_stream.cli.plumbing import ABOVE_0, command_parser, number, parse, part, run, whole_number
+
+_USAGE: Final = """\
+%(prog)s [options] IN OUT.mcap --network FILE.toml [--network FILE.toml]
+       %(prog)s --check FILE.toml IMAGE [OUT.png]"""
+_EXAMPLE: Final = """\
+example:
+  roadperc-infer drive.mp4 in.mcap --network twinlitenet.toml --network yolox_nano.toml --fov 55 --height 1.3
+  roadperc-replay in.mcap out.mcap
+  roadperc-infer --check twinlitenet.toml frame.jpg seen.png      show what the network sees
+
+the networks:
+  FILE.toml names an .onnx file beside it, and its input, outputs and classes. docs/networks/ has two examples.
+"""
+_PASSED_ON: Final = ("fov", "calibration")
+_CHECK_WORDS: Final = (2, 3)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """``roadperc-infer``: exit code 0 on success, 1 on an error, 2 on wrong usage."""
+    parser = _parser()
+    arguments = parse(parser, argv)
+    if arguments.check is not None:
+        if len(arguments.check) not in _CHECK_WORDS or arguments.source is not None:
+            parser.error("--check: expected FILE.toml IMAGE [OUT.png] and no other files")
+        description, image, *picture = arguments.check
+        out = Path(picture[0] if picture else f"{Path(image).stem}.check.png")
+        checking = part("tools.networks.check_picture")
+        return run(lambda: checking.check(Path(description), Path(image), out, force=arguments.force))
+    if arguments.out is None or not arguments.network:
+        parser.error("expected IN OUT.mcap and --network FILE.toml")
+    inferring = part("tools.infer")
+    arguments.conversion = None if inferring.is_log(arguments.source) else conversion(_conversion_words(arguments))
+    given = [f"--{name}" for name in _PASSED_ON if getattr(arguments, name) is not None]
+    if given and arguments.conversion is None:
+        parser.error(f"{' and '.join(given)}: {arguments.source} is a log, which has its own calibration")
+    return run(lambda: inferring.infer(arguments))
+
+
+def _conversion_words(arguments: argparse.Namespace) -> list[str]:
+    """The arguments of the conversion of a video or a folder."""
+    options = {name: getattr(arguments, name) for name in (*_PASSED_ON, "height")}
+    given = [word for name, value in options.items() if value is not None for word in (f"--{name}", f"{value}")]
+    return [*given, "--quiet", "--", str(arguments.source), str(arguments.out)]
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = command_parser(
+        "infer",
+        "Write the segmentation and detections that networks compute from the images, once, so that every replay is\n"
+        "fast and repeatable. OUT.mcap contains the input and the new channels.",
+        _EXAMPLE,
+        _USAGE,
+    )
+    add = parser.add_argument
+    source = add("source", type=Path, nargs="?", metavar="IN", help="log, or anything that roadperc-convert reads")
+    out = add("out", type=Path, nargs="?", metavar="OUT.mcap", help="log to write")
+    network = add(
+        "--network",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE.toml",
+        help="description of a network; one may compute the segmentation and one the detections",
+    )
+    check = add(
+        "--check",
+        nargs="+",
+        metavar="FILE.toml IMAGE",
+        help="write a picture of what a network sees in an image, and of its results; default IMAGE.check.png",
+    )
+    add("--topic", action="append", default=[], metavar="image=/TOPIC", help="use the images of this topic")
+    add("--fov", type=number(ABOVE_0, 180, "degrees below 180"), metavar="DEGREES", help="as in roadperc-convert")
+    add("--calibration", type=Path, metavar="FILE", help="as in roadperc-convert")
+    add(
+        "--height",
+        type=number(ABOVE_0, 100, "metres above 0"),
+        metavar="METRES",
+        help="height of the camera above the road, as in roadperc-convert; for a log without a mounting it gives the "
+        "width of markings (default: surface.assumed_height_m)",
+    )
+    add(
+        "--threads",
+        type=whole_number,
+        metavar="N",
+        help="images computed at a time (default: one per core); the results do not depend on it",
+    )
+    add("--force", action="store_true", help="replace an existing output, and channels of IN that the networks compute")
+    add("--quiet", action="store_true", help="print errors and warnings only")
+    for action, completer in ((source, files(*LOGS)), (out, files(*LOGS)), (network, files(".toml")), (check, files())):
+        completed_by(action, completer)
+    return parser

@@ -1,0 +1,245 @@
+"""Write the segmentation and the detections that networks compute from a log's images."""
+
+import argparse
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+from typing import Final
+
+from roadperc_stream import __version__, log
+from roadperc_stream.config import ReplayConfig
+from roadperc_stream.errors import ChannelError, ConfigError, DecodeError, NoFrameError
+from roadperc_stream.formats.images import encode_indices
+from roadperc_stream.geometry import Camera
+from roadperc_stream.input.assemble import ego_T_camera_of
+from roadperc_stream.input.earlier_replay import is_result
+from roadperc_stream.input.roles import assignment_of_log
+from roadperc_stream.input.stream import Problems, RoleAssignment, Stamped, decoded_messages
+from roadperc_stream.input.transforms import TransformTree
+from roadperc_stream.log import Channel, LogSummary, LogWriter, Message, MessageCopy, Metadata
+from roadperc_stream.model import CameraImage
+from roadperc_stream.output import encoding
+from roadperc_stream.output.terminal import frame_progress
+from roadperc_stream.schemas import record
+from roadperc_stream.schemas.protobuf import schema
+from roadperc_stream.schemas.roles import ROLES, parse_topic_options
+from roadperc_stream.system.files import partial_of, require_free
+from roadperc_stream.system.process import optional_output
+from roadperc_stream.system.text import number, print_line
+from roadperc_stream.system.threads import in_order, one_thread, usable_cores
+
+from .carla_to_mcap import convert
+from .networks.description import Network, SegmentationKeys, read_network
+from .networks.frames import Inferred, Pair, RawResult, load
+from .networks.plausibility import RoadCheck
+from .networks.semantic import HorizonEstimate
+
+MAGIC: Final = b"\x89MCAP0\r\n"
+_IMAGE_ROLES: Final = ("image", "left")
+_MOUNTING_MESSAGES: Final = 200
+"""Calibrations and transforms that are searched for the camera's mounting."""
+
+
+@dataclass(frozen=True)
+class InferenceJob:
+    """A log and what is written into its copy.
+
+    ``image`` is the role of the images, ``replaced`` are the topics of channels that are left out.
+    """
+
+    summary: LogSummary
+    roles: RoleAssignment
+    image: str
+    replaced: frozenset[str]
+    camera_height_m: float
+    pair: Pair
+
+    @property
+    def channels(self) -> dict[str, Channel]:
+        """The new channels, by role."""
+        return {role: _channel(role, network) for role, (network, _) in self.pair.sessions.items()}
+
+
+def is_log(path: Path) -> bool:
+    """Return whether a file is a log, by its first bytes or its name."""
+    with suppress(OSError), path.open("rb") as stream:
+        return stream.read(len(MAGIC)) == MAGIC or path.suffix == ".mcap"
+    return path.suffix == ".mcap"
+
+
+def infer(arguments: argparse.Namespace) -> None:
+    """Write OUT.mcap; ``arguments.conversion`` are those of ``roadperc-convert`` if IN is no log.
+
+    Raises:
+        RoadpercError: a network, the input or the output cannot be used.
+    """
+    out = arguments.out
+    require_free(out, force=arguments.force, suffix=".mcap", source=arguments.source)
+    networks = _one_for_each_role([read_network(path) for path in arguments.network])
+    with one_thread(), _as_log(arguments) as path:
+        summary = log.summarise(path)
+        job = _job(summary, networks, arguments)
+        started = time.monotonic()
+        frames, warnings = _write(job, out, arguments)
+    with optional_output(sys.stderr):
+        for text in warnings:
+            print_line(f"warning: {text}", sys.stderr)
+    if not arguments.quiet:
+        used = job.pair.sessions.items()
+        made = "; ".join(f"{role} by {network.keys.file} ({session.runtime})" for role, (network, session) in used)
+        rate = frames / (time.monotonic() - started)
+        print_line(f"{number(frames, 'frame')}, {rate:.1f} frames per second, {made}: {out}")
+
+
+def _one_for_each_role(networks: list[Network]) -> list[Network]:
+    """Check that no two networks compute the same channel.
+
+    Raises:
+        ConfigError: two do.
+    """
+    by_role = {network.role: network for network in networks}
+    for network in networks:
+        if by_role[network.role] is not network:
+            other = by_role[network.role].path
+            raise ConfigError(f"{network.path} and {other} both compute {network.role}; pass one of them")
+    return networks
+
+
+@contextmanager
+def _as_log(arguments: argparse.Namespace) -> Iterator[Path]:
+    """Yield the log, or a temporary one beside the output that is converted from other input."""
+    if is_log(arguments.source):
+        yield arguments.source
+        return
+    temporary = partial_of(arguments.out, ".mcap")
+    try:
+        convert(argparse.Namespace(**{**vars(arguments.conversion), "out": temporary}))
+        yield temporary
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _job(summary: LogSummary, networks: list[Network], arguments: argparse.Namespace) -> InferenceJob:
+    """Return the job of a log.
+
+    Raises:
+        ChannelError: there are no images, or existing results may not be replaced.
+    """
+    roles = assignment_of_log(summary, parse_topic_options(arguments.topic))
+    image = next((role for role in _IMAGE_ROLES if role in roles.topics), None)
+    if image is None:
+        raise ChannelError(f"{summary.path}: no channel for role image; choose one with --topic image=/TOPIC")
+    there = {role: roles.topics[role] for role in (network.role for network in networks) if role in roles.topics}
+    if there and not arguments.force:
+        listed = ", ".join(f"{role} on {topic}" for role, topic in there.items())
+        raise ChannelError(f"{summary.path}: has {listed}; pass --force to replace it")
+    height_m = arguments.height or _camera_height_m(summary, roles, image)
+    return InferenceJob(summary, roles, image, frozenset(there.values()), height_m, load(networks))
+
+
+def _camera_height_m(summary: LogSummary, roles: RoleAssignment, image: str) -> float:
+    """Height of the camera by the log's transforms, else ``surface.assumed_height_m``."""
+    calibration = "calibration" if image == "image" else f"{image}_calibration"
+    wanted = {role: roles.topics[role] for role in (calibration, "tf", "tf_static") if role in roles.topics}
+    messages = islice(log.read(summary, topics=tuple(wanted.values())), _MOUNTING_MESSAGES)
+    camera, tree = None, TransformTree()
+    for item in decoded_messages(messages, replace(roles, topics=wanted), "auto", Problems()):
+        camera = item.payload if camera is None and isinstance(item.payload, Camera) else camera
+        tree = tree.updated(item.edges) if not tree.looping(item.edges) else tree
+    known = None if camera is None else ego_T_camera_of(tree, camera)
+    return ReplayConfig().surface.assumed_height_m if known is None or known[2, 3] <= 0 else float(known[2, 3])
+
+
+def _write(job: InferenceJob, out: Path, arguments: argparse.Namespace) -> tuple[int, list[str]]:
+    """Write the copy with the new channels; return the number of frames, and warnings."""
+    summary, channels, problems, check, frames = job.summary, job.channels, Problems(), RoadCheck(), 0
+    kept = [channel for channel in summary.channels if not is_result(channel) and channel.topic not in job.replaced]
+    topic = job.roles.topics[job.image]
+    expected = sum(summary.counts.get(c.source_id, 0) for c in summary.channels if c.topic == topic)
+    threads = arguments.threads or usable_cores()
+    with LogWriter(out, summary.profile) as target, frame_progress("inferring", not arguments.quiet) as progress:
+        copy = MessageCopy(target, kept, log.pieces(summary, kept, None, None), summary.schema_ids)
+        for channel in channels.values():
+            target.register(channel)
+        for item, result in _results(job, problems, threads):
+            copy.through(item.log_time_ns)
+            for role, data in _encoded(job, item, result):
+                target.write(Message(channels[role], item.log_time_ns, item.log_time_ns, frames, data))
+            if job.pair.segmentation is not None and result.tags is not None:
+                check.add(job.pair.segmentation[1].table, result.tags)
+            frames += 1
+            progress(frames, expected)
+        if not frames:
+            raise NoFrameError(f"{summary.path}: no image on {topic} can be read; {'; '.join(problems.first.values())}")
+        copy.rest()
+        _describe(job, target)
+        require_free(out, force=arguments.force, suffix=".mcap")  # another program may have written it
+    name = "" if job.pair.segmentation is None else job.pair.segmentation[0].keys.file
+    unreadable = [f"{number(count, 'image')} could not be read, skipped" for count in problems.counts.values()]
+    return frames, [*unreadable, *problems.first.values(), *check.warnings(name)]
+
+
+def _results(job: InferenceJob, problems: Problems, threads: int) -> Iterator[tuple[Stamped, Inferred]]:
+    """Yield images and their results in order; several images are computed at a time."""
+    topic = job.roles.topics[job.image]
+    roles = replace(job.roles, topics={job.image: topic})
+    items = decoded_messages(log.read(job.summary, topics=(topic,)), roles, "auto", problems)
+    horizon = HorizonEstimate()
+    for item, raw in in_order(lambda item: (item, _raw(job, item)), items, threads):
+        if isinstance(raw, DecodeError):
+            problems.add(topic, item.log_time_ns, raw)
+            continue
+        horizon, result = job.pair.results(raw, horizon, job.camera_height_m)
+        yield item, result
+
+
+def _raw(job: InferenceJob, item: Stamped) -> RawResult | DecodeError:
+    assert isinstance(item.payload, CameraImage)
+    try:
+        return job.pair.raw(item.payload.decode_bgr())
+    except DecodeError as error:
+        return error
+
+
+def _channel(role: str, network: Network) -> Channel:
+    found, keys = schema(ROLES[role].schema), network.keys.output
+    metadata = ((record.TAG_TABLE_KEY, keys.table.name),) if isinstance(keys, SegmentationKeys) else ()
+    return Channel(ROLES[role].topic, found.message_encoding, found.name, found.schema_encoding, found.data, metadata)
+
+
+def _encoded(job: InferenceJob, item: Stamped, result: Inferred) -> Iterator[tuple[str, bytes]]:
+    """Yield role and message of an image's results."""
+    assert isinstance(item.payload, CameraImage)
+    frame_id = item.payload.frame_id
+    if result.tags is not None and job.pair.segmentation is not None:
+        png = encode_indices(result.tags, job.pair.segmentation[1].table.colours)
+        yield "segmentation", encoding.encode_image(item.stamp_ns, frame_id, "png", png)
+    if result.detections is not None:
+        yield "detections", encoding.encode_detections(item.stamp_ns, frame_id, result.detections)
+
+
+def _describe(job: InferenceJob, target: LogWriter) -> None:
+    """Copy attachments and metadata, and record the networks."""
+    summary, values = job.summary, {record.VERSION_KEY: __version__}
+    for attachment in summary.attachments:
+        if attachment.name not in record.OWN_ATTACHMENTS:
+            target.attach(attachment)
+    for metadata in summary.metadata:
+        if metadata.name == record.NETWORKS_RECORD:
+            values = {**dict(metadata.values), **values}
+        elif metadata.name != record.METADATA_RECORD:
+            target.describe(metadata)
+    for role, (network, session) in job.pair.sessions.items():
+        values |= {
+            f"{role}.network": Path(network.keys.file).name,
+            f"{role}.sha256": network.sha256,
+            f"{role}.runtime": session.runtime,
+            f"{role}.settings": network.settings,
+        }
+    if job.pair.segmentation is not None:
+        values["segmentation.camera_height_m"] = f"{job.camera_height_m:g}"
+    target.describe(Metadata(record.NETWORKS_RECORD, tuple(sorted(values.items()))))

@@ -1,0 +1,214 @@
+"""Description of a network, from a TOML file: its model, input, outputs, classes and corrections."""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError, field_validator, model_validator
+
+from roadperc_stream.config.settings import MOST_BYTES, in_brief, parsed_toml
+from roadperc_stream.errors import ConfigError
+from roadperc_stream.model.tag_tables import UNLABELED, TagTable, table_of_classes
+from roadperc_stream.system.text import nearest
+
+from .semantic import Corrections
+
+Share = Annotated[float, Field(gt=0, le=1)]
+Numbers = tuple[float, float, float]
+_ROAD: Final = "road"
+_SHOWN: Final = 80
+
+
+class _Keys(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class InputKeys(_Keys):
+    """How an image becomes the model's input: ``(pixel - mean) * scale`` of pixels from 0 to 255."""
+
+    size: tuple[PositiveInt, PositiveInt]
+    """Columns and rows."""
+    layout: Literal["NCHW", "NHWC"] = "NCHW"
+    colours: Literal["rgb", "bgr"] = "rgb"
+    mean: Numbers = (0.0, 0.0, 0.0)
+    scale: float | Numbers = 1.0
+    resize: Literal["squeeze", "letterbox"] = "squeeze"
+    align: Literal["corner", "centre"] = "corner"
+    """Place of the image in a letterbox."""
+    pad: Annotated[int, Field(ge=0, le=255)] = 114
+    """Grey level around the image in a letterbox."""
+
+    def shape(self) -> tuple[int, int, int, int]:
+        """Shape of the model's input."""
+        columns, rows = self.size
+        return (1, 3, rows, columns) if self.layout == "NCHW" else (1, rows, columns, 3)
+
+
+class _OutputKeys(_Keys):
+    roi: tuple[tuple[float, float], ...] = ()
+    """Polygon of (x, y) in shares of the image's width and height."""
+    ignore_below: Share = 1.0
+    """Share of the image's height at which the own bonnet begins."""
+
+
+class SegmentationKeys(_OutputKeys):
+    """Outputs with scores of each pixel's class.
+
+    ``semantic`` is one output with a channel per class, ``heads`` are several outputs with two channels (other, class)
+    or one (positive scores are the class). ``classes`` has the class of each channel, or of each output.
+    """
+
+    decoder: Literal["semantic", "heads"]
+    classes: dict[str, str] = Field(min_length=1)
+    output: str = ""
+    """Name of the output of ``semantic``; empty for the only one."""
+    marking_width_m: Annotated[float, Field(gt=0, le=1)] | None = None
+    fill_holes: bool = False
+
+    @field_validator("classes")
+    @classmethod
+    def _known(cls, classes: dict[str, str]) -> dict[str, str]:
+        table_of_classes(classes.values())
+        return classes
+
+    @model_validator(mode="after")
+    def _numbered(self) -> "SegmentationKeys":
+        if self.decoder == "semantic" and not all(key.isdecimal() for key in self.classes):
+            raise ValueError(f"classes: expected numbers of channels as keys, found {', '.join(self.classes)}")
+        return self
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the outputs; empty for the only one."""
+        return tuple(self.classes) if self.decoder == "heads" else (self.output,) * bool(self.output)
+
+    @property
+    def table(self) -> TagTable:
+        """The tag table of these classes; tag 0 is a pixel of no class."""
+        return table_of_classes((UNLABELED, *self.classes.values()))
+
+    @property
+    def corrections(self) -> Corrections:
+        """The corrections of the masks."""
+        return Corrections(self.marking_width_m, self.fill_holes, self.roi, self.ignore_below)
+
+
+class DetectionKeys(_OutputKeys):
+    """Outputs with boxes; ``classes`` has the label of each class number, other classes are left out.
+
+    ``yolo_grid``: YOLOX's raw grids. ``yolov8``: rows of centre, size and class scores, one column a box. ``boxes``:
+    corners in pixels of the input, then score and class, in one output or in three (boxes, scores, classes).
+    """
+
+    decoder: Literal["yolo_grid", "yolov8", "boxes"]
+    classes: dict[Annotated[int, Field(ge=0)], str] = Field(min_length=1)
+    outputs: tuple[str, ...] = ()
+    """Names of the outputs; empty for the model's own."""
+    strides: tuple[PositiveInt, ...] = (8, 16, 32)
+    min_score: Share = 0.3
+    max_overlap: Share = 0.45
+    """Largest intersection over union of two boxes, whatever their classes."""
+    max_area: Share = 0.4
+    """Largest share of the image that a box may cover."""
+    tiles: Literal["none", "centre"] = "none"
+    """``centre``: a second pass on the image's middle, twice as large, for small objects."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the outputs; empty for the model's own."""
+        return self.outputs
+
+
+class NetworkKeys(_Keys):
+    """All keys of a network's TOML file."""
+
+    file: str
+    """The ``.onnx`` file, relative to the TOML file."""
+    sha256: str = Field("", pattern=r"^([0-9a-f]{64})?$")
+    """Digest of the file; empty if any file will do."""
+    source: str = ""
+    licence: str = ""
+    input: InputKeys
+    output: Annotated[SegmentationKeys | DetectionKeys, Field(discriminator="decoder")]
+
+
+@dataclass(frozen=True)
+class Network:
+    """A network with the bytes of its model."""
+
+    path: Path
+    """Of the TOML file."""
+    keys: NetworkKeys
+    model: bytes
+    sha256: str
+
+    @property
+    def role(self) -> Literal["segmentation", "detections"]:
+        """The role of the channel that it computes."""
+        return "segmentation" if isinstance(self.keys.output, SegmentationKeys) else "detections"
+
+    @property
+    def settings(self) -> str:
+        """Digest of everything in the TOML file that changes the results."""
+        text = self.keys.model_dump_json(include={"input", "output"})
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+def read_network(path: Path) -> Network:
+    """Return the network of a TOML file.
+
+    Raises:
+        ConfigError: a file cannot be read, a key is invalid, or the model's digest is not the stated one.
+    """
+    try:
+        keys = NetworkKeys.model_validate(parsed_toml(_bytes_of(path, MOST_BYTES + 1)))
+    except ConfigError as error:
+        raise error if str(path) in str(error) else ConfigError(f"{path}: {error}") from error
+    except ValidationError as error:
+        raise ConfigError(f"{path}: {_complaint(error)}") from error
+    file = path.parent / keys.file
+    model = _bytes_of(file, -1, hint=f", named by {path}" + f"; download it from {keys.source}" * bool(keys.source))
+    digest = hashlib.sha256(model).hexdigest()
+    if keys.sha256 not in ("", digest):
+        raise ConfigError(
+            f"{file}: SHA-256 {digest}, expected {keys.sha256} as in {path}; download the file again, or change "
+            "the key sha256 if the model is the right one"
+        )
+    return Network(path, keys, model, digest)
+
+
+def _bytes_of(path: Path, most: int, hint: str = "") -> bytes:
+    try:
+        with path.open("rb") as stream:
+            return stream.read(most)
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror or error}{hint}") from error
+
+
+def _complaint(error: ValidationError) -> str:
+    """The first error, such as ``input.size: expected ..., found ...``; a misspelt key is also missing."""
+    first = min(error.errors(), key=lambda found: found["type"] != "extra_forbidden")
+    sections = [str(part) for part in first["loc"]]
+    key = ".".join(part for part in sections if part not in _DECODERS)
+    if first["type"] == "extra_forbidden":
+        known = _known_keys(sections[:-1])
+        near = nearest(sections[-1], known)
+        return f"no key {key}; " + (f"did you mean {near}?" if near else f"known: {', '.join(known)}")
+    if first["type"] == "missing":
+        return f"{key}: missing; see docs/networks.md for an example"
+    if first["type"] == "value_error":
+        return f"{key}: {first['ctx']['error']}"
+    return f"{key}: {first['msg']}, found {in_brief(first['input'], _SHOWN)}"
+
+
+_DECODERS: Final[Mapping[str, type[BaseModel]]] = {
+    **dict.fromkeys(("semantic", "heads"), SegmentationKeys),
+    **dict.fromkeys(("yolo_grid", "yolov8", "boxes"), DetectionKeys),
+}
+
+
+def _known_keys(sections: list[str]) -> tuple[str, ...]:
+    models: dict[str, Any] = {"": NetworkKeys, "input": InputKeys, **_DECODERS}
+    return tuple(models[sections[-1] if sections else ""].model_fields)

@@ -1,0 +1,58 @@
+"""A recording as ``roadperc-convert`` prints and writes it, whatever it was recorded with."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from roadperc_stream.geometry import Camera
+from roadperc_stream.geometry.rectification import is_rectified, lens_of
+from roadperc_stream.log import Channel, Message
+
+from .carla_dump.camera_rig import Rig
+
+COLUMNS: Final = ("role", "from", "frames", "missing", "size", "encoding")
+SensorRow = tuple[str, str, str, str, str, str]
+"""The printed row of a sensor, by ``COLUMNS``; empty cells are unknown."""
+Messages = Callable[[list[str]], Iterator[tuple[str, Message]]]
+"""Makes the messages with their roles, in log order; appends warnings about lost frames to its argument."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Facts to print before the log is written, and its content."""
+
+    title: str
+    sensors: tuple[SensorRow, ...]
+    facts: tuple[tuple[str, str], ...]
+    frames: int
+    """Number of frames for the progress bar; the header of a video may state a wrong one."""
+    channels: Mapping[str, Channel]
+    """Channel by role."""
+    messages: Messages
+    required: tuple[str, ...]
+    """Roles that must get messages."""
+    metadata: Mapping[str, str]
+    """How the log was made, without data of the machine or the user."""
+    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+def camera_facts(rig: Rig) -> list[tuple[str, str]]:
+    """Return name and text of each calibration."""
+    return [(role.replace("_", " "), _camera(camera)) for role, camera in rig.cameras.items()]
+
+
+def mounting_fact(rig: Rig) -> tuple[str, str]:
+    """Return name and text of the mountings."""
+    edges = [
+        f"{edge.parent} -> {edge.child} at {', '.join(f'{value:g}' for value in edge.parent_T_child[:3, 3].round(4))} m"
+        for edge in rig.transforms
+    ]
+    return "mounting", "; ".join(edges) or "unknown"
+
+
+def _camera(camera: Camera) -> str:
+    pair = f", baseline {camera.baseline_m:g} m" if camera.baseline_m else ""
+    where = f"cx {camera.cx:g} cy {camera.cy:g} (pixel centres from 0)"
+    lens = "" if is_rectified(camera) else f"; rectified from {lens_of(camera).model}"
+    return f"{camera.frame_id}: fx {camera.fx:g} fy {camera.fy:g} {where}{pair}{lens}"

@@ -1,0 +1,121 @@
+"""Videos of one camera as a recording: one file, or the files of a folder as parts of one drive."""
+
+import re
+from collections.abc import Iterator, Sequence
+from itertools import count
+from pathlib import Path
+from typing import Final
+
+from roadperc_stream.errors import DumpError
+from roadperc_stream.formats.images import encode_jpeg
+from roadperc_stream.log import Message
+from roadperc_stream.model import Image
+from roadperc_stream.output import encoding
+from roadperc_stream.schemas.roles import ROLES
+from roadperc_stream.system.text import shown
+from roadperc_stream.system.threads import in_order
+
+from .carla_dump.calibration_file import CALIBRATION_NAME
+from .carla_dump.camera_rig import FRONT, Rig, build_rig
+from .carla_dump.frame_stamps import EPOCH_NS
+from .carla_dump.messages import JPEG_QUALITY, WORKERS, channel_of, static_messages, straightened
+from .carla_dump.plan import ConvertOptions, calibration_of
+from .recording import Recording, SensorRow, camera_facts, mounting_fact
+from .video_file import ReadCounts, VideoFile, frames_of, open_video
+
+VIDEO_SUFFIXES: Final = frozenset({".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".ts", ".mts", ".mpg", ".mpeg"})
+_FOLDER_OPTIONS: Final = ("--role", "--carla", "--rate", "--allow-lossy-tags", "--grey-depth")
+
+
+def videos_in(folder: Path) -> list[Path]:
+    """Return the videos of a folder in the order of their names, numbers by value."""
+    found = [path for path in folder.iterdir() if path.suffix.lower() in VIDEO_SUFFIXES and path.is_file()]
+    return sorted((path for path in found if not path.name.startswith(".")), key=_by_number)
+
+
+def _by_number(path: Path) -> list[tuple[bool, int, str]]:
+    parts = re.split(r"([0-9]+)", path.name)
+    return [(not part.isdigit(), int(part) if part.isdigit() else 0, part) for part in parts]
+
+
+def recording_of_videos(source: Path, paths: Sequence[Path], options: ConvertOptions) -> Recording:
+    """Return the recording of videos; each continues the previous one after the interval of its frames.
+
+    Args:
+        source: the file or folder that the user named; ``calibration.json`` is in the folder.
+        paths: the videos, in order.
+        options: of the command line.
+
+    Raises:
+        DumpError: a video cannot be read or differs in size, the camera has no calibration, or an option is one of
+            folders of frames.
+    """
+    _refuse_folder_options(source, options)
+    videos = [open_video(path) for path in paths]
+    first = videos[0]
+    for video in videos[1:]:
+        if (video.width, video.height) != (first.width, first.height):
+            sizes = f"{video.width}x{video.height}, expected {first.width}x{first.height} as {first.path.name}"
+            raise DumpError(f"{video.path}: {sizes}; convert videos of different cameras one by one")
+    calibration, path = calibration_of(paths[0].parent / CALIBRATION_NAME, options)
+    rig = build_rig(calibration, path, ["image"], {"image": (first.width, first.height)})
+    camera = rig.cameras["calibration"]
+    if (camera.width, camera.height) != (first.width, first.height):
+        sizes = f"{first.width}x{first.height}, expected {camera.width}x{camera.height} as {path} says"
+        raise DumpError(f"{first.path}: the video is {sizes}; use the calibration of this resolution")
+    frames = sum(video.count for video in videos)
+    timing = f"stamps of the video, {first.rate_hz:.4g} Hz in the mean"
+    stored = f"{', '.join(dict.fromkeys(video.codec for video in videos))}, stored as jpeg {JPEG_QUALITY}"
+    roles = [role for role in ROLES if role == "image" or role in dict(static_messages(rig, EPOCH_NS))]
+    return Recording(
+        title=f"{source}: {frames or 'an unknown number of'} frames",
+        sensors=tuple(_row(video) for video in videos),
+        facts=(("time", timing), *camera_facts(rig), mounting_fact(rig)),
+        frames=frames,
+        channels={role: channel_of(role) for role in roles},
+        messages=lambda warnings: _messages(videos, rig, warnings),
+        required=("image",),
+        metadata={"time": timing, "encoding.image": stored},
+        notes=tuple(rig.notes),
+    )
+
+
+def _refuse_folder_options(source: Path, options: ConvertOptions) -> None:
+    given = (options.roles, options.carla, options.rate_hz, options.allow_lossy_tags, options.grey_depth)
+    for name, value in zip(_FOLDER_OPTIONS, given, strict=True):
+        if value:
+            raise DumpError(
+                f"{source}: {name} is an option for folders of frames; a video has its own times: remove it"
+            )
+
+
+def _row(video: VideoFile) -> SensorRow:
+    size = f"{video.width}x{video.height}"
+    return ("image", shown(video.path.name), str(video.count or ""), "", size, f"{video.codec}, stored as jpeg")
+
+
+def _messages(videos: Sequence[VideoFile], rig: Rig, warnings: list[str]) -> Iterator[tuple[str, Message]]:
+    for role, data in static_messages(rig, EPOCH_NS):
+        yield role, Message(channel_of(role), EPOCH_NS, EPOCH_NS, 0, data)
+    channel, camera = channel_of("image"), rig.cameras["calibration"]
+
+    def encoded(item: tuple[int, Image]) -> tuple[int, bytes]:
+        stamp_ns, pixels = item
+        jpeg = encode_jpeg(straightened(camera, pixels), JPEG_QUALITY)
+        return stamp_ns, encoding.encode_image(stamp_ns, FRONT, "jpeg", jpeg)
+
+    numbers = count()
+    for (stamp_ns, data), number in zip(in_order(encoded, _stamped(videos, warnings), WORKERS), numbers, strict=False):
+        yield "image", Message(channel, stamp_ns, stamp_ns, number, data)
+
+
+def _stamped(videos: Sequence[VideoFile], warnings: list[str]) -> Iterator[tuple[int, Image]]:
+    """Yield stamp and pixels of all frames; appends what is missing in each video to ``warnings``."""
+    start_ns = stamp_ns = EPOCH_NS
+    for video in videos:
+        counts = ReadCounts()
+        for since_ns, pixels in frames_of(video, counts):
+            stamp_ns = start_ns + since_ns
+            yield stamp_ns, pixels
+        warnings.extend(counts.warnings(video))
+        start_ns = stamp_ns + video.interval_ns
