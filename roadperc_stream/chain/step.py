@@ -301,7 +301,7 @@ def _on_other_plane(road: Surface | Absent, before: CameraPitch | None, now: Cam
     """Whether the plane of a road without depth has turned because motion has just shown the pitch, or lost it."""
     if isinstance(road, Absent) or road.source not in ("assumed", "estimated") or (before is None) == (now is None):
         return False
-    return abs((before.offset if before else 0.0) - (now.offset if now else 0.0)) > _TURNED
+    return bool(abs((before.offset if before else 0.0) - (now.offset if now else 0.0)) > _TURNED)
 
 
 def _metric_motion(motion: Odometry | Absent, since_ns: int | None) -> Odometry | None:
