@@ -1,12 +1,18 @@
 """``roadperc-infer`` on frames of a real video, with real networks."""
 
 import shutil
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import cv2
+import polars as pl
 import pytest
 
 from roadperc_stream import log
+from roadperc_stream.cli import replay
 from roadperc_stream.cli.infer import main
 
 DOCS = Path(__file__).parents[2] / "docs" / "networks"
@@ -53,3 +59,83 @@ def test_results_are_replaced_only_with_force_and_do_not_depend_on_threads(drive
 def test_check_writes_a_picture(drive):
     assert main(["--check", str(drive / "twinlitenet.toml"), str(drive / "shots/0.jpg"), str(drive / "seen.png")]) == 0
     assert cv2.imread(str(drive / "seen.png")).shape[0] > 800
+
+
+def messages(path):
+    """Log time, sequence and bytes of each message, by topic."""
+    found = {}
+    for message in log.read(log.summarise(path)):
+        found.setdefault(message.channel.topic, []).append((message.log_time_ns, message.sequence, message.data))
+    return found
+
+
+def test_messages_of_the_input_are_copied_and_results_have_the_images_log_times(drive):
+    assert infer(drive, drive / "out.mcap", "copy.mcap", "--force") == 0
+    before, after = messages(drive / "out.mcap"), messages(drive / "copy.mcap")
+    assert before == after
+    times = [time_ns for time_ns, _, _ in before["/camera/front/image"]]
+    for topic in ("/camera/front/segmentation", "/camera/front/detections"):
+        assert [time_ns for time_ns, _, _ in after[topic]] == times
+
+
+def test_detections_that_no_class_can_judge_are_kept_and_counted(drive):
+    assert (
+        replay.main([str(drive / name) for name in ("out.mcap", "replayed.mcap")] + ["--only", "objects", "--quiet"])
+        == 0
+    )
+    rows = pl.read_parquet(drive / "replayed.metrics.parquet")
+    assert rows["detections"].min() >= 2
+    assert rows["detections_kept"].to_list() == rows["detections"].to_list() == rows["detections_unjudged"].to_list()
+    assert pl.read_parquet(drive / "replayed.objects.parquet")["class_ratio"].null_count() == rows["detections"].sum()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ((), "SHA-256 55b4431f"),
+        ((("sha256", "#"),), "input input.1 is [1, 3, 640, 360] tensor(float), but"),
+        ((("sha256", "#"), ("[320, 320]", "[360, 640]")), "names drivable_area, lanes"),
+        (
+            (("sha256", "#"), ("[320, 320]", "[360, 640]"), ("drivable_area", "424"), ("lanes", "439")),
+            "input of 360 columns and 640 rows is portrait, but the images are landscape (960x540)",
+        ),
+    ],
+)
+def test_the_wrong_export_is_an_error(drive, data_dir, capsys, changes, words):
+    text = (drive / "twinlitenet.toml").read_text().replace("twinlitenet.onnx", "twinnetlite.onnx", 1)
+    for old, new in changes:
+        text = text.replace(old, new, 1)
+    (drive / "wrong.toml").write_text(text)
+    shutil.copy(data_dir / "networks" / "twinnetlite.onnx", drive)
+    out = drive / "wrong.mcap"
+    assert main([str(w) for w in (drive / "out.mcap", out, "--network", drive / "wrong.toml", "--force")]) == 1
+    error = capsys.readouterr().err
+    assert words in error
+    assert str(drive / "wrong.toml") in error
+    assert not out.exists()
+
+
+def test_without_onnxruntime_opencv_says_what_to_install(drive, data_dir, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    shutil.copy(data_dir / "networks" / "twinlitenet_preprocessed_quantized_dynamic.onnx", drive / "quantised.onnx")
+    text = (
+        (drive / "twinlitenet.toml").read_text().replace("sha256", "#").replace("twinlitenet.onnx", "quantised.onnx", 1)
+    )
+    (drive / "quantised.toml").write_text(text.replace("[320, 320]", "[320, 160]"))
+    words = drive / "out.mcap", drive / "cv.mcap", "--network", drive / "quantised.toml", "--force"
+    assert main([str(word) for word in words]) == 1
+    assert "pip install 'roadperc_stream[networks]'" in capsys.readouterr().err
+
+
+def test_an_interrupted_inference_leaves_no_file(drive):
+    before = set(drive.iterdir())
+    networks = [str(word) for word in ("--network", drive / "twinlitenet.toml", "--threads", 1)]
+    command = [sys.executable, "-c", "from roadperc_stream.cli.launch import infer; raise SystemExit(infer())"]
+    words = [str(drive / "shots"), str(drive / "stopped.mcap"), "--fov", "55", *networks]
+    ran = subprocess.Popen([*command, *words], stderr=subprocess.PIPE, text=True)
+    while ran.poll() is None and not list(drive.glob(".stopped.mcap.*.partial")):
+        time.sleep(0.01)
+    ran.send_signal(signal.SIGINT)
+    error = ran.communicate(timeout=60)[1]
+    assert (ran.returncode, error) == (1, "error: interrupted\n")
+    assert set(drive.iterdir()) == before

@@ -1,6 +1,7 @@
 """Comparison of two configurations of a dataset, log by log."""
 
 import re
+import shlex
 from functools import partial
 
 import pytest
@@ -27,7 +28,8 @@ def test_each_side_can_be_a_dataset(dataset, capsys, tmp_path):
     other = small_dataset(tmp_path / "other")
     together = compare(capsys, dataset)
     sides = compare(capsys, dataset, other, "--base-config", A, "--new-config", B)
-    assert (sides[0], sides[1].replace(f"{dataset} {other}", str(dataset))) == together[:2]
+    printed = sides[1].replace(shlex.join([str(dataset), str(other)]), shlex.quote(str(dataset)))
+    assert (sides[0], printed) == together[:2]
     code, _, error = compare(capsys, dataset, other, "--base-config", A)
     assert (code, "--new-config: matches 2 configurations" in error) == (3, True)
 
