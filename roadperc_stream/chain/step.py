@@ -30,6 +30,8 @@ from roadperc_stream.system.threads import opencv_threads
 
 T = TypeVar("T")
 U = TypeVar("U")
+_TURNED: Final = np.deg2rad(0.5)
+"""Turn of an assumed plane that moves a boundary 10 m ahead by a tenth of a metre, more than its standard deviation."""
 _MATCHING_THREADS: Final = 2
 """More threads of OpenCV hardly make stereo matching faster."""
 Timer = Callable[[str], AbstractContextManager[object]]
@@ -58,7 +60,8 @@ class LocalisedFrame:
     """A frame after surface and odometry: the road below the car and the car's motion.
 
     ``state`` is the chain's state after these two stages; its lanes and objects are unchanged. ``front_road`` is the
-    road with its plane in the frame of the front camera.
+    road with its plane in the frame of the front camera. ``on_other_plane`` is true if the pitch became known or
+    unknown, and so the plane differs from that of the last frame.
     """
 
     scene: Scene
@@ -68,6 +71,7 @@ class LocalisedFrame:
     front_road: Surface | Absent
     drivable: Mask | Absent
     problems: tuple[Reason, ...]
+    on_other_plane: bool = False
 
 
 def step(
@@ -147,7 +151,8 @@ def localise(
     front_road = _in_front_camera(scene, road)
     drivable = stages.run("surface", lambda: drivable_mask(cfg.surface, scene, front_road), _off("drivable"))
     state = replace(last, stamp_ns=scene.stamp_ns, surface=kept, odometry=moved)
-    localised = LocalisedFrame(scene, state, motion, road, front_road, drivable, held)
+    other_plane = _on_other_plane(road, _shown_pitch(last.odometry), pitch)
+    localised = LocalisedFrame(scene, state, motion, road, front_road, drivable, held, other_plane)
     return _with_origin_here(localised) if scene.is_origin and last.stamp_ns is not None else localised
 
 
@@ -161,7 +166,10 @@ def perceive(
     stages = _Stages(cfg, timer, own, scene)
     motion = _metric_motion(localised.motion, last.stamp_ns)
     last_T_this = None if motion is None else motion.step
-    lanes_state, found_lanes = stages.step("lanes", ego_lane.step, last.lanes, scene, road, drivable, motion)
+    lanes_state = last.lanes
+    if localised.on_other_plane and isinstance(lanes_state, LanesState):
+        lanes_state = LanesState(lane_changes=lanes_state.lane_changes)  # its headings do not fit this plane
+    lanes_state, found_lanes = stages.step("lanes", ego_lane.step, lanes_state, scene, road, drivable, motion)
     known_lane = None if isinstance(found_lanes, Absent) else found_lanes
     ground = _ground(cfg, localised)
     objects_state, tracked = stages.step("objects", tracker.step, last.objects, scene, known_lane, last_T_this, ground)
@@ -287,6 +295,13 @@ def _shown_pitch(state: OdometryState | bytes) -> CameraPitch | None:
     if isinstance(state, bytes):
         return None
     return state.pitch if state.pitch is not None and state.pitch.measured else None
+
+
+def _on_other_plane(road: Surface | Absent, before: CameraPitch | None, now: CameraPitch | None) -> bool:
+    """Whether the plane of a road without depth has turned because motion has just shown the pitch, or lost it."""
+    if isinstance(road, Absent) or road.source not in ("assumed", "estimated") or (before is None) == (now is None):
+        return False
+    return bool(abs((before.offset if before else 0.0) - (now.offset if now else 0.0)) > _TURNED)
 
 
 def _metric_motion(motion: Odometry | Absent, since_ns: int | None) -> Odometry | None:

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from roadperc_stream import geometry as g
+from roadperc_stream.chain.stages.odometry.camera_pitch import CameraPitch
 from roadperc_stream.chain.stages.surface.road import assumed_surface
-from roadperc_stream.chain.step import ChainState, _metric_road, step
+from roadperc_stream.chain.step import ChainState, _metric_road, _on_other_plane, step
 from roadperc_stream.config import STAGES, ReplayConfig, load_config, switched_off
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.model import Absent, CameraImage, DepthImage, Reason, TagImage
@@ -170,3 +171,21 @@ def test_a_road_gives_the_scale_if_depth_or_the_mounting_gives_its_height(source
     road = replace(assumed_surface(SMALL.camera, SMALL.ego_T_camera), source=source)
     assert _metric_road(SimpleNamespace(mounted=mounted), road) is (road if used else None)
     assert _metric_road(SimpleNamespace(mounted=mounted), Absent(Reason("surface", "no_depth"))) is None
+
+
+@pytest.mark.parametrize(
+    ("source", "before", "now", "other"),
+    [
+        ("estimated", None, 2.0, True),
+        ("assumed", 2.0, None, True),
+        ("estimated", None, 0.3, False),  # the mounting was right
+        ("estimated", 0.0, 2.0, False),  # the car has pitched, and its boundaries with it
+        ("depth", None, 2.0, False),
+        ("held", None, 2.0, False),
+    ],
+)
+def test_boundaries_of_an_assumed_plane_do_not_fit_the_plane_of_a_pitch_just_shown(source, before, now, other):
+    road = replace(assumed_surface(SMALL.camera, SMALL.ego_T_camera), source=source)
+    pitches = [None if deg is None else CameraPitch(np.deg2rad(deg), 1e-6, measured=True) for deg in (before, now)]
+    assert _on_other_plane(road, *pitches) == other
+    assert not _on_other_plane(Absent(Reason("surface", "no_depth")), *pitches)

@@ -20,6 +20,9 @@ _HORIZON_FRAMES = 101
 _ROAD_COLUMNS = 0.01
 """Minimum share of road columns in a row that shows the road."""
 
+_HOLES_BELOW = (0.5, 0.2)
+"""Shares of the road's rows below which holes are filled: up to two and five times the nearest row's distance."""
+
 
 @dataclass(frozen=True)
 class Corrections:
@@ -124,11 +127,17 @@ def with_marking_width(masks: RoadMasks, horizon_row: float, width_per_row: floa
 def without_holes(road: Mask, seen: Mask, boxes_px: Float) -> Mask:
     """(H, W) road with its holes before the car filled, except those with a box's pixels.
 
-    What is beside a road is above it in the image. So a hole has road above it in each column, and lies in the lower
-    half of the road's rows; ``seen`` are the pixels that may be road.
+    What is beside a road is above it in the image. So a hole has road above it in each column. Only holes below a share
+    of the road's rows are filled: the near ones first, because a box in a far one would keep both.
     """
+    for share in _HOLES_BELOW:
+        road = _without_holes_below(share, road, seen, boxes_px)
+    return road
+
+
+def _without_holes_below(share: float, road: Mask, seen: Mask, boxes_px: Float) -> Mask:
     far = np.flatnonzero(road.any(axis=1))
-    top = (int(far[0]) + len(road)) // 2 if len(far) else len(road)
+    top = int(far[0] + share * (len(road) - far[0])) if len(far) else len(road)
     below = np.maximum.accumulate(road, axis=0)
     below[:top] = False
     count, labels = cv2.connectedComponents((below & seen & ~road).view(np.uint8), connectivity=4)

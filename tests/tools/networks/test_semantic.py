@@ -97,11 +97,19 @@ def test_holes_with_a_box_or_beside_the_road_stay(road):
     holed = road.copy()
     holed[45:, 30:50] = False
     holed[:, 80:] = False  # a verge
-    holed[25:30, 10:15] = False  # a hole far ahead
+    holed[22:26, 10:15] = False  # a hole far ahead
     seen = np.ones(SIZE, bool)
     box = np.array([[25.0, 40.0, 40.0, 60.0]])
     assert np.array_equal(semantic.without_holes(holed, seen, box), holed)
     assert not semantic.without_holes(np.zeros(SIZE, bool), seen, NO_BOXES).any()
+
+
+def test_a_box_in_a_far_hole_does_not_keep_the_near_hole_below_it(road):
+    holed = road.copy()
+    holed[30:, 30:50] = False
+    filled = semantic.without_holes(holed, np.ones(SIZE, bool), np.array([[30.0, 28.0, 50.0, 34.0]]))
+    assert filled[37:].all()
+    assert not filled[30:37, 30:50].any()
 
 
 def test_pixels_outside_the_region_and_of_the_bonnet_belong_to_no_class(road, marking):

@@ -143,13 +143,17 @@ def _is_assumed(frame: TrackingFrame) -> bool:
 
 
 def _fused(found: RoadMotion, expected: Expected | None) -> tuple[float, float]:
-    """Length and variance, fused from the road and the expected length; the road alone if they disagree."""
+    """Length and variance, fused from the road and the expected length.
+
+    If they contradict each other, the expected length counts, but with a standard deviation of a third of their
+    difference: a single wrong match changes nothing, and a second one that confirms the first one is believed.
+    """
     noise = found.variance + (_ROAD_SHARE * found.length_m) ** 2
     if expected is None:
         return found.length_m, noise
     off = expected.length_m - found.length_m
     if off**2 > _SIGMAS**2 * (noise + expected.variance):
-        return found.length_m, noise
+        return expected.length_m, (off / _SIGMAS) ** 2
     gain = noise / (noise + expected.variance)
     return found.length_m + gain * off, (1.0 - gain) * noise
 
