@@ -1,15 +1,16 @@
 """The perception chain of one frame: ``observe`` its pixels, ``localise`` the car, ``perceive`` what is on the road."""
 
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from roadperc_stream.chain import pixels
-from roadperc_stream.chain.own_stage import NO_OWN, OwnStage, OwnStages
+from roadperc_stream.chain.own_stage import NO_OWN, OwnStages
 from roadperc_stream.chain.protocols import LanesStage, ObjectsStage, OdometryStage, StereoStage, SurfaceStage
+from roadperc_stream.chain.stage_runner import Stages, Timer, off
 from roadperc_stream.chain.stages import occupancy, stereo
 from roadperc_stream.chain.stages.lanes import ego_lane
 from roadperc_stream.chain.stages.lanes.tracking import LanesState
@@ -19,8 +20,7 @@ from roadperc_stream.chain.stages.odometry import ego_motion
 from roadperc_stream.chain.stages.odometry.camera_pitch import CameraPitch
 from roadperc_stream.chain.stages.odometry.keyframes import OdometryState, counted_from_here
 from roadperc_stream.chain.stages.surface.road import SurfaceState, drivable_mask, find_surface, or_assumed, remember
-from roadperc_stream.config import BUILT_IN, ReplayConfig
-from roadperc_stream.errors import ConfigError, StateError
+from roadperc_stream.config import ReplayConfig
 from roadperc_stream.geometry import inverse, transform_plane
 from roadperc_stream.geometry.rectification import is_rectified
 from roadperc_stream.model import Absent, Frame, FrameResult, Image, Mask, Objects, Odometry, Reason, Surface
@@ -28,14 +28,10 @@ from roadperc_stream.model.results import StereoDepth
 from roadperc_stream.model.scene import DepthMap, Scene
 from roadperc_stream.system.threads import opencv_threads
 
-T = TypeVar("T")
-U = TypeVar("U")
 _TURNED: Final = np.deg2rad(0.5)
 """Turn of an assumed plane that moves a boundary 10 m ahead by a tenth of a metre, more than its standard deviation."""
 _MATCHING_THREADS: Final = 2
 """More threads of OpenCV hardly make stereo matching faster."""
-Timer = Callable[[str], AbstractContextManager[object]]
-"""Called with a stage's name; the context it returns is active while the stage runs."""
 if TYPE_CHECKING:  # the built-in stages have the signatures that stages of the user's own must have
     _match: StereoStage = stereo.match
     _find: SurfaceStage[SurfaceState] = find_surface
@@ -94,7 +90,7 @@ def observe(
 
     With two or more ``threads`` OpenCV matches in half the time, with the same bits.
     """
-    stages, undecodable, problems = _Stages(cfg, timer, own, frame), list[Reason](), list[Reason]()
+    stages, undecodable, problems = Stages(cfg, timer, own, frame), list[Reason](), list[Reason]()
     camera = frame.camera
     tags = sensor = instances = grey = depth = None
     with timer("decode"):
@@ -105,7 +101,7 @@ def observe(
             instances = pixels.decoded("instances", frame.instances, lambda image: image.ids, camera, undecodable)
         if own or pixels.needs_grey(cfg, frame):
             grey = pixels.grey_of("image", frame.image, camera, undecodable)
-    matched = stages.run("stereo", lambda: _stereo(stages, frame, grey, problems, threads), _off("stereo"))
+    matched = stages.run("stereo", lambda: _stereo(stages, frame, grey, problems, threads), off("stereo"))
     with timer("decode"):
         if pixels.needs_scene(cfg):
             depth = _best_depth(frame, sensor, matched, problems)
@@ -133,7 +129,7 @@ def localise(
     cfg: ReplayConfig, state: ChainState, scene: Scene, timer: Timer = nullcontext, own: OwnStages = NO_OWN
 ) -> LocalisedFrame:
     """Find the road and the car's motion. Use only stamp, surface and odometry of the state."""
-    stages = _Stages(cfg, timer, own, scene)
+    stages = Stages(cfg, timer, own, scene)
     last, _ = _in_order(state, scene.stamp_ns)
     rng = np.random.default_rng((cfg.seed, scene.stamp_ns % 2**63))
     surfaces, found = stages.step("surface", find_surface, last.surface, scene, rng)
@@ -149,7 +145,7 @@ def localise(
         with timer("surface"):
             kept, road, held = remember(cfg.surface, surfaces, scene, found, last_T_this, offset)
     front_road = _in_front_camera(scene, road)
-    drivable = stages.run("surface", lambda: drivable_mask(cfg.surface, scene, front_road), _off("drivable"))
+    drivable = stages.run("surface", lambda: drivable_mask(cfg.surface, scene, front_road), off("drivable"))
     state = replace(last, stamp_ns=scene.stamp_ns, surface=kept, odometry=moved)
     other_plane = _on_other_plane(road, _shown_pitch(last.odometry), pitch)
     localised = LocalisedFrame(scene, state, motion, road, front_road, drivable, held, other_plane)
@@ -163,7 +159,7 @@ def perceive(
     road, drivable = localised.front_road, localised.drivable
     last, out_of_order = _in_order(state, localised.scene.stamp_ns)
     scene = _with_grey_for_tracks(cfg, last, localised.scene, timer)
-    stages = _Stages(cfg, timer, own, scene)
+    stages = Stages(cfg, timer, own, scene)
     motion = _metric_motion(localised.motion, last.stamp_ns)
     last_T_this = None if motion is None else motion.step
     lanes_state = last.lanes
@@ -173,7 +169,7 @@ def perceive(
     known_lane = None if isinstance(found_lanes, Absent) else found_lanes
     ground = _ground(cfg, localised)
     objects_state, tracked = stages.step("objects", tracker.step, last.objects, scene, known_lane, last_T_this, ground)
-    grid = stages.run("occupancy", lambda: occupancy.build(cfg.occupancy, scene, road, drivable), _off("occupancy"))
+    grid = stages.run("occupancy", lambda: occupancy.build(cfg.occupancy, scene, road, drivable), off("occupancy"))
     missing = _missing_inputs(scene, localised.road, tracked) if pixels.needs_scene(cfg) else ()
     problems = (*out_of_order, *scene.undecodable, *scene.problems, *localised.problems, *_odd_camera(scene), *missing)
     result = FrameResult(
@@ -190,58 +186,6 @@ def perceive(
         problems=problems,
     )
     return replace(localised.state, lanes=lanes_state, objects=objects_state), result
-
-
-@dataclass(frozen=True)
-class _Stages:
-    """Runs the enabled stages on a frame, each timed under its name; ``own`` ones replace built-in ones."""
-
-    cfg: ReplayConfig
-    timer: Timer
-    own: OwnStages
-    frame: Frame | Scene
-
-    def run(self, stage: str, compute: Callable[[], T], otherwise: U) -> T | U:
-        """The result of ``compute``, or ``otherwise`` if the stage is switched off."""
-        if not getattr(self.cfg, stage).enabled:
-            return otherwise
-        with self.timer(stage):
-            return compute()
-
-    def step(
-        self, stage: str, built_in: Callable[..., tuple[Any, T]], state: Any, *inputs: Any
-    ) -> tuple[Any, T | Absent]:
-        """The new state and the output of a stage; the same state if the stage is switched off."""
-        section = getattr(self.cfg, stage)
-        if not section.enabled:
-            return state, _off(stage)
-        with self.timer(stage):
-            if replacement := self._own(stage):
-                return replacement.step(self._place, section, state, *inputs)
-            if isinstance(state, bytes):
-                raise StateError(f"{stage}: its state is that of an own stage; replay the input from the start")
-            return built_in(section, state, *inputs)
-
-    def match(self, *pair: Any) -> StereoDepth | Absent:
-        """Depth of a stereo pair; ``pair`` are the inputs of the stage."""
-        replacement, cfg = self._own("stereo"), self.cfg.stereo
-        return replacement.match(self._place, cfg, *pair) if replacement else stereo.match(cfg, *pair)
-
-    def _own(self, stage: str) -> OwnStage | None:
-        """The stage of the user's own; None for the built-in one."""
-        name = getattr(self.cfg, stage).implementation
-        if stage not in self.own and name != BUILT_IN:
-            raise ConfigError(f"{stage}.implementation: {name} is not loaded; only settings of the user import code")
-        return self.own.get(stage)
-
-    @property
-    def _place(self) -> str:
-        stamp = f"stamp {self.frame.stamp_ns} ns"
-        return f"the frame with {stamp}" if self.frame.number is None else f"frame {self.frame.number} ({stamp})"
-
-
-def _off(stage: str) -> Absent:
-    return Absent(Reason(stage, "switched_off"))
 
 
 def _in_order(state: ChainState, stamp_ns: int) -> tuple[ChainState, list[Reason]]:
@@ -334,7 +278,7 @@ def _with_grey_for_tracks(cfg: ReplayConfig, state: ChainState, scene: Scene, ti
 
 
 def _stereo(
-    stages: _Stages, frame: Frame, grey: Image | None, problems: list[Reason], threads: int
+    stages: Stages, frame: Frame, grey: Image | None, problems: list[Reason], threads: int
 ) -> StereoDepth | Absent:
     """Depth of the stereo pair; its left camera may be the front camera."""
     if frame.right is None:
