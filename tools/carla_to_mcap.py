@@ -14,7 +14,7 @@ from rich.table import Table
 
 from roadperc_stream import __version__
 from roadperc_stream.errors import DumpError
-from roadperc_stream.log import LogWriter, Message, Metadata
+from roadperc_stream.log import LogWriter, Message, Metadata, is_log
 from roadperc_stream.output.terminal import PipeConsole, print_lines
 from roadperc_stream.schemas.record import CONVERSION_RECORD
 from roadperc_stream.system.files import require_free
@@ -25,7 +25,7 @@ from .carla_dump.layout import frame_count
 from .carla_dump.plan import ConvertOptions
 from .carla_dump.recording import recording_of_dump
 from .recording import COLUMNS, Recording
-from .video_log import is_log, recording_of_log
+from .video_log import recording_of_log
 from .video_recording import recording_of_videos, videos_in
 
 _PIPED_WIDTH: Final = 140

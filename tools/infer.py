@@ -38,7 +38,6 @@ from .networks.frames import Inferred, Pair, RawResult, load
 from .networks.plausibility import RoadCheck
 from .networks.semantic import HorizonEstimate
 
-MAGIC: Final = b"\x89MCAP0\r\n"
 _IMAGE_ROLES: Final = ("image", "left")
 _MOUNTING_MESSAGES: Final = 200
 """Calibrations and transforms that are searched for the camera's mounting."""
@@ -65,14 +64,14 @@ class InferenceJob:
 
 
 def is_log(path: Path) -> bool:
-    """Return whether a file is a log, by its first bytes or its name."""
-    with suppress(OSError), path.open("rb") as stream:
-        return stream.read(len(MAGIC)) == MAGIC or path.suffix == ".mcap"
-    return path.suffix == ".mcap"
+    """Return whether a file is a log, by its name or its first bytes."""
+    with suppress(OSError):
+        return path.suffix == ".mcap" or log.is_log(path)
+    return False
 
 
 def infer(arguments: argparse.Namespace) -> None:
-    """Write OUT.mcap; ``arguments.conversion`` are those of ``roadperc-convert`` if IN is no log.
+    """Write OUT.mcap; ``arguments.conversion`` are those of ``roadperc-convert``, None if IN is a log.
 
     Raises:
         RoadpercError: a network, the input or the output cannot be used.
@@ -112,7 +111,7 @@ def _one_for_each_role(networks: list[Network]) -> list[Network]:
 @contextmanager
 def _as_log(arguments: argparse.Namespace) -> Iterator[Path]:
     """Yield the log, or a temporary one beside the output that is converted from other input."""
-    if is_log(arguments.source):
+    if arguments.conversion is None:
         yield arguments.source
         return
     temporary = partial_of(arguments.out, ".mcap")

@@ -1,4 +1,4 @@
-"""A recording as ``roadperc-convert`` prints and writes it, whatever it was recorded with."""
+"""A recording of any kind, as ``roadperc-convert`` prints and writes it."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass

@@ -28,15 +28,8 @@ from .carla_dump.messages import JPEG_QUALITY, channel_of
 from .recording import Recording
 from .video_file import open_capture
 
-_MCAP: Final = b"\x89MCAP0\r\n"
 _KEY_FRAME: Final = re.compile(rb"\x00\x00\x01[\x07\x27\x47\x67]")
 """The start of a sequence parameter set, which each key frame has in an H.264 stream of Foxglove."""
-
-
-def is_log(path: Path) -> bool:
-    """Return True if a file begins as MCAP does."""
-    with path.open("rb") as stream:
-        return stream.read(len(_MCAP)) == _MCAP
 
 
 def recording_of_log(path: Path) -> Recording:
