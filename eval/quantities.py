@@ -104,6 +104,11 @@ CATEGORIES: Final = (
     *(f"lane_{side}_{what}" for side in SIDES for what in ("status", "boundary_class")),
     "odometry_status",
 )
+CONFUSED: Final = {
+    f"lane {side} classes": (f"lane_{side}_true_boundary_class", f"lane_{side}_boundary_class") for side in SIDES
+}
+"""Pairs of text columns, truth and estimate, whose combinations are counted."""
+TEXTS: Final = (*CATEGORIES, *(truth for truth, _ in CONFUSED.values()))
 LOST: Final = Quantity("lanes_lost", "lane boundaries lost", COUNT, 0)
 """Number of lost boundaries of a frame, null if 0; derived."""
 DERIVED: Final = (REST, LOST, *JITTERS)

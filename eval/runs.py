@@ -104,7 +104,10 @@ def _fits(name: str, expected: pl.DataType, kind: pl.DataType) -> bool:
     if kind == pl.Null:
         return name not in REQUIRED_COLUMNS
     if isinstance(expected, pl.List):
-        return isinstance(kind, pl.List) and kind.inner in (*_TEXTS, pl.Null)
+        if not isinstance(kind, pl.List):
+            return False
+        inner = kind.inner
+        return inner == pl.Null or (inner.is_numeric() if expected.inner.is_numeric() else inner in _TEXTS)
     if expected == pl.String:
         return kind in _TEXTS
     if expected == pl.Boolean:

@@ -13,7 +13,7 @@ import polars as pl
 from roadperc_stream.schemas.columns import RATIO
 from roadperc_stream.system.time import NS_PER_S
 
-from .quantities import CATEGORIES, COUNTS, LOST, REST, SIDES, STAGE_TIMES, STORED, TOTAL, TRACED, Quantity
+from .quantities import COUNTS, LOST, REST, SIDES, STAGE_TIMES, STORED, TEXTS, TOTAL, TRACED, Quantity
 from .runs import Run
 
 SEGMENT: Final = "segment"
@@ -56,7 +56,7 @@ def stored_columns(columns: Container[str]) -> list[pl.Expr]:
         segment(columns),
         pl.col("missing", "reasons").cast(pl.List(pl.String)),
         *(typed(columns, name, pl.Float64()) for name in NUMBER_COLUMNS),
-        *(typed(columns, name, pl.String()) for name in CATEGORIES),
+        *(typed(columns, name, pl.String()) for name in TEXTS),
     ]
 
 

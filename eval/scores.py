@@ -11,7 +11,7 @@ import polars as pl
 
 from roadperc_stream.output.reason_counts import ReasonCounts, grouped, merged
 
-from .quantities import CATEGORIES, COUNTED, COUNTS, TRACED
+from .quantities import CATEGORIES, CONFUSED, COUNTED, COUNTS, TRACED
 from .scan import before
 
 _FARTHEST: Final = 6
@@ -21,6 +21,8 @@ _FOLLOWS: Final = 0.5
 """Smallest correlation of an estimate that follows its truth; on a straight road it is lower."""
 _DISTINCT: Final = 1.25
 """Minimum ratio between the unexplained variance at other lags and that at the reported lag."""
+BETWEEN: Final = "\t"
+"""Separates a true text from its estimate."""
 _ROUNDING: Final = 1e-9
 _FEWEST: Final = 3
 """Fewest frames for a correlation; two columns of fewer frames always correlate."""
@@ -132,6 +134,7 @@ def tallies() -> list[pl.Expr]:
     return [
         (pl.col("missing").list.len() > 0).sum().alias("incomplete"),
         *(_texts(name) for name in CATEGORIES),
+        *(_pairs(name, *columns) for name, columns in CONFUSED.items()),
         *(_texts(name, of_lists=True) for name in ("missing", "reasons")),
         *(pl.when(pl.col(name).count() > 0).then(pl.col(name).sum()).cast(pl.Int64) for name in COUNTS),
     ]
@@ -141,7 +144,7 @@ def tallied(found: Mapping[str, Any]) -> Tallies:
     """The counts from a row of ``tallies``."""
     return Tallies(
         incomplete=found["incomplete"],
-        categories={name: _counter(found[name]) for name in CATEGORIES},
+        categories={name: _counter(found[name]) for name in (*CATEGORIES, *CONFUSED)},
         missing=_counter(found["missing"]),
         reasons=grouped(_counter(found["reasons"])),
         totals={name: found[name] for name in COUNTS if found[name] is not None},
@@ -153,7 +156,7 @@ def tallied_together(parts: Iterable[Tallies]) -> Tallies:
     listed = list(parts)
     return Tallies(
         incomplete=sum(part.incomplete for part in listed),
-        categories={name: _added(part.categories[name] for part in listed) for name in CATEGORIES},
+        categories={name: _added(part.categories[name] for part in listed) for name in (*CATEGORIES, *CONFUSED)},
         missing=_added(part.missing for part in listed),
         reasons=merged(part.reasons for part in listed),
         totals=_added(part.totals for part in listed),
@@ -162,9 +165,16 @@ def tallied_together(parts: Iterable[Tallies]) -> Tallies:
 
 def _texts(name: str, *, of_lists: bool = False) -> pl.Expr:
     """Number of occurrences of each text: a list of structs of ``text`` and ``count``."""
-    texts = pl.col(name).explode() if of_lists else pl.col(name)
-    counted = texts.drop_nulls().value_counts(sort=True)
-    return counted.struct.rename_fields(["text", "count"]).implode().alias(name)
+    return _counted(pl.col(name).explode() if of_lists else pl.col(name)).alias(name)
+
+
+def _pairs(name: str, truth: str, estimate: str) -> pl.Expr:
+    """Number of occurrences of each true text with each estimate, which may be empty, separated by ``BETWEEN``."""
+    return _counted(pl.concat_str(truth, pl.col(estimate).fill_null(""), separator=BETWEEN)).alias(name)
+
+
+def _counted(texts: pl.Expr) -> pl.Expr:
+    return texts.drop_nulls().value_counts(sort=True).struct.rename_fields(["text", "count"]).implode()
 
 
 def _counter(rows: Iterable[Mapping[str, Any]]) -> Counter[str]:

@@ -13,7 +13,21 @@ from roadperc_stream.output.text_table import TextRow, TextTable, row
 
 from .comparison.bootstrap import LEVEL
 from .consistency import JUDGED, Consistency
-from .quantities import CATEGORIES, SEEN, SIDES, STAGE_TIMES, STORED, TOTAL, TRUTH, Quantity, percent, ranked, rounded
+from .quantities import (
+    CATEGORIES,
+    CONFUSED,
+    SEEN,
+    SIDES,
+    STAGE_TIMES,
+    STORED,
+    TOTAL,
+    TRUTH,
+    Quantity,
+    percent,
+    ranked,
+    rounded,
+)
+from .scores import BETWEEN
 from .statistics import Statistics
 from .summary import Summary, WorstFrame
 
@@ -33,6 +47,9 @@ _JITTER: Final = "jitter: standard deviation of the offset's second difference, 
 _LAG: Final = "lag: frames by which the smoothed offset lags the true one; \N{EN DASH} if unknown"
 _ERRORS: Final = "median, p95 and worst are of the absolute error, bias is the median error"
 _COVERAGE: Final = "frames %: those with a value; p5 instead of p95, and the lowest as worst, where high is better"
+_CLASSES: Final = 6
+"""Most estimated classes with a column."""
+_CONFUSION: Final = "columns: class estimated beyond the boundary, left and right together; none: lost or unknown"
 _NO_TRUTH: Final = "No frame has truth for the replayed stages."
 _SECONDS: Final = "s: seconds from the log's first frame"
 _SEGMENTS: Final = "a segment starts at the time at which the previous one ended"
@@ -40,7 +57,16 @@ _SEGMENTS: Final = "a segment starts at the time at which the previous one ended
 
 def sections(summaries: Summaries) -> Iterator[TextTable]:
     """All tables in their order, including those without rows."""
-    tables = (coverage, lane_boundaries, missing_outputs, accuracy, consistency_table, detection_counts, latency)
+    tables = (
+        coverage,
+        lane_boundaries,
+        boundary_classes,
+        missing_outputs,
+        accuracy,
+        consistency_table,
+        detection_counts,
+        latency,
+    )
     return (table(summaries) for table in tables)
 
 
@@ -65,6 +91,19 @@ def lane_boundaries(summaries: Summaries) -> TextTable:
     notes = (_JITTER, *([_LAG] if lag else []), *_remarks(summaries, _beyond_lanes)) if present else ()
     headers = (*(f"{status} %" for status in _STATUSES), "offset m", "jitter cm", "raw cm", *(["lag"] if lag else []))
     return _table("Lane boundary", headers, rows, summaries, notes, label_columns=13)
+
+
+def boundary_classes(summaries: Summaries) -> TextTable:
+    """Confusion of the classes beyond the boundaries: a row for each true class, percentages of the estimates."""
+    found = [_class_pairs(summary) for summary in summaries]
+    most_common = [pair for pair, _ in sum(found, Counter[tuple[str, str]]()).most_common()]
+    seen = [*dict.fromkeys(estimate for _, estimate in most_common if estimate)][:_CLASSES]
+    rows = [
+        TextRow(truth, tuple(_class_shares(pairs, truth, (*seen, "")) for pairs in found))
+        for truth in dict.fromkeys(truth for truth, _ in most_common)
+    ]
+    headers = ("boundaries", *(f"{name} %" for name in seen), "none %")
+    return _table("True class beyond", headers, rows, summaries, (_CONFUSION,) if rows else (), label_columns=17)
 
 
 def missing_outputs(summaries: Summaries) -> TextTable:
@@ -252,6 +291,23 @@ def _beyond_lanes(summary: Summary) -> str:
         for side, classes in sides
         if classes
     )
+
+
+def _class_pairs(summary: Summary) -> Counter[tuple[str, str]]:
+    """Numbers of true and estimated classes beyond both boundaries; an unknown estimate is empty."""
+    pairs: Counter[tuple[str, str]] = Counter()
+    for name in CONFUSED:
+        for text, count in summary.categories[name].items():
+            truth, _, estimate = text.partition(BETWEEN)
+            pairs[truth, estimate] += count
+    return pairs
+
+
+def _class_shares(pairs: Counter[tuple[str, str]], truth: str, estimates: Iterable[str]) -> tuple[str, ...]:
+    """Number of boundaries with a true class, and the percentage of each estimate."""
+    boundaries = sum(count for (true, _), count in pairs.items() if true == truth)
+    shares = (percent(pairs[truth, estimate] / boundaries) for estimate in estimates if boundaries)
+    return (str(boundaries), *shares) if boundaries else ()
 
 
 def _reason(summaries: Summaries, kind: ReasonKind, text: str) -> TextRow:

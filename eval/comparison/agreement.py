@@ -155,7 +155,7 @@ def _side(joined: pl.DataFrame, name: str) -> pl.Series:
     if name not in joined.columns:
         return pl.Series(name, [None] * joined.height, pl.Float64)
     column = joined[name]
-    if column.dtype in (pl.List(pl.String), pl.List(pl.Null)):
+    if column.dtype in (pl.List(pl.String), pl.List(pl.Null), pl.List(pl.Float64)):
         return column.cast(pl.List(pl.String)).list.join("; ")
     if column.dtype.is_numeric() or column.dtype in _PLAIN:
         return column

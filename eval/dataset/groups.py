@@ -13,7 +13,7 @@ from roadperc_stream.errors import TableError
 from roadperc_stream.system.time import NS_PER_S
 
 from ..expressions import as_key, key_name
-from ..quantities import CATEGORIES, COUNTS, NUMBERS
+from ..quantities import COUNTS, NUMBERS, TEXTS
 from ..scores import Tallies, tallied, tallied_together, tallies
 from ..statistics import ColumnPools, Distribution, Moments, exactly, moments, thinned
 from ..summary import EXACT_FRAMES, POINTS, Summary
@@ -27,7 +27,7 @@ MOST_GROUPS: Final = 40
 _FEWEST_POINTS: Final = 256
 _AT_ONCE: Final = 2
 _COLUMNS: Final = tuple(quantity.column for quantity in NUMBERS)
-_POOLED: Final = (*LOG, "missing", "reasons", *CATEGORIES, *COUNTS, *_COLUMNS)
+_POOLED: Final = (*LOG, "missing", "reasons", *TEXTS, *COUNTS, *_COLUMNS)
 
 
 class Pool:

@@ -5,7 +5,7 @@ An error is estimate minus truth. A column is None if it could not be measured. 
 
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.metrics.lanes import lane_benchmarks, lane_columns, lane_errors, true_lane_columns
-from roadperc_stream.metrics.objects import object_columns, object_errors, object_metrics, true_impact
+from roadperc_stream.metrics.objects import object_columns, object_errors, object_metrics, true_impact, true_objects
 from roadperc_stream.metrics.odometry import odometry_columns, odometry_errors, true_pose_columns
 from roadperc_stream.metrics.stereo import stereo_columns, stereo_errors_of
 from roadperc_stream.metrics.surface import surface_columns, surface_errors
@@ -35,6 +35,7 @@ def frame_metrics(
         lane_benchmarks(result.lanes, truth.lanes, frame.camera, frame.ego_T_camera),
         object_errors(result.objects, truth.objects),
         true_impact(result.objects, truth.objects),
+        true_objects(truth.objects),
         stereo_errors_of(result.stereo, sample),
         odometry_errors(result.odometry, sample, previous),
         true_pose_columns(truth),

@@ -115,11 +115,19 @@ def lane_error_m(boundary: Boundary, truth: Boundary) -> float | None:
 
 
 def true_lane_columns(lanes: Lanes | Absent, truth: Lanes | None) -> TrueLaneColumns:
-    """Offsets of the true boundaries at the ego origin, for jitter and lag, and their heading."""
+    """Offsets of the true boundaries at the ego origin, for jitter and lag, their heading, and the classes beyond."""
     if truth is None:
         return TrueLaneColumns()
-    offsets = truth.side("left").offset_m, truth.side("right").offset_m
-    return TrueLaneColumns(*offsets, truth.lane_change, truth.lane_changes, _true_heading_deg(lanes, truth))
+    left, right = truth.side("left"), truth.side("right")
+    return TrueLaneColumns(
+        left.offset_m,
+        right.offset_m,
+        truth.lane_change,
+        truth.lane_changes,
+        _true_heading_deg(lanes, truth),
+        left.outside or None,
+        right.outside or None,
+    )
 
 
 def _true_heading_deg(lanes: Lanes | Absent, truth: Lanes) -> float | None:

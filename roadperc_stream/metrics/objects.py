@@ -8,7 +8,7 @@ import numpy as np
 from roadperc_stream.model import Absent, FrameResult, Object, Objects, Sample
 from roadperc_stream.model.tag_tables import classes_of_label
 from roadperc_stream.schemas.columns import ObjectMetrics
-from roadperc_stream.schemas.columns.errors import ObjectErrorColumns, TrueImpactColumns
+from roadperc_stream.schemas.columns.errors import ObjectErrorColumns, TrueImpactColumns, TrueObjectColumns
 from roadperc_stream.schemas.columns.estimates import ObjectColumns
 
 MATCH_OVERLAP = 0.5
@@ -134,6 +134,17 @@ def true_impact(objects: Objects | Absent, truth: Objects | None) -> TrueImpactC
     urgent = None if isinstance(objects, Absent) else objects.most_urgent
     impact_s = None if urgent is None else urgent.time_to_impact_s
     return TrueImpactColumns(true_s, None if impact_s is None or true_s is None else impact_s - true_s)
+
+
+def true_objects(truth: Objects | None) -> TrueObjectColumns:
+    """The classes and places of the true objects with a distance."""
+    placed = [item for item in truth.objects if item.distance_m is not None] if truth else []
+    laterals = [item.lateral_m for item in placed if item.lateral_m is not None]
+    return TrueObjectColumns(
+        tuple(item.detection.label for item in placed),
+        tuple(item.distance_m for item in placed if item.distance_m is not None),
+        tuple(laterals) if len(laterals) == len(placed) else (),
+    )
 
 
 def true_partners(objects: Sequence[Object], truth: Objects | None) -> list[Object | None]:

@@ -26,6 +26,7 @@ from roadperc_stream.schemas.ros2 import pack_occupancy_grid
 
 DRIVABLE_COLOURS: tuple[Colour, Colour] = ((0, 0, 0), colours.DRIVABLE)
 _COLUMNS = {field.name for field in fields(FrameMetrics)}
+_LISTS: Final = tuple(field.name for field in fields(FrameMetrics) if field.default == ())
 _WORDS: Final[Mapping[str, tuple[str, ...]]] = {
     "surface_source": get_args(SurfaceSource),
     "surface_model": get_args(SurfaceModel),
@@ -145,9 +146,10 @@ def decode_metrics(data: bytes) -> FrameMetrics:
         raise DecodeError(f"{len(data)} bytes are not a roadperc.FrameMetrics: {error}") from error
     always: dict[str, Any] = {"log_id": message.log_id, "frame": message.frame, "stamp_ns": message.stamp_ns}
     known: dict[str, Any] = {field.name: value for field, value in message.ListFields() if field.name in _COLUMNS}
-    require_finite("metrics", *(value for value in known.values() if isinstance(value, float)))
+    numbers = (*message.true_object_distances_m, *message.true_object_laterals_m)
+    require_finite("metrics", *(value for value in known.values() if isinstance(value, float)), *numbers)
     for column, words in _WORDS.items():
         if known.get(column, words[0]) not in words:
             raise DecodeError(f"{column} {known[column]!r}: expected one of {', '.join(words)}")
-    lists = {"missing": tuple(message.missing), "reasons": tuple(message.reasons)}
+    lists = {name: tuple(getattr(message, name)) for name in _LISTS}
     return FrameMetrics(**always | known | lists)

@@ -29,6 +29,7 @@ _ARROW_TYPES: Final[Mapping[Any, pa.DataType]] = {
     int: pa.int64(),
     bool: pa.bool_(),
     tuple[str, ...]: pa.list_(pa.string()),
+    tuple[float, ...]: pa.list_(pa.float64()),
 }
 Scalar = bool | int | float | str
 

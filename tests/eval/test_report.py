@@ -157,6 +157,17 @@ def test_rare_reasons_are_counted_together_and_markup_is_printed_as_text(tmp_pat
     assert line_of(text, "3 other reasons") == ["3", "other", "reasons"]
 
 
+def test_the_confusion_of_the_classes_beyond_the_boundaries(tmp_path, capsys):
+    names = ("lane_left_true_boundary_class", "lane_left_boundary_class", "lane_right_true_boundary_class")
+    seen = [("sidewalk", "road", None), ("sidewalk", "sidewalk", "road"), ("road", "road", None)]
+    write(tmp_path / "a.metrics.parquet", [row(k, **dict(zip(names, v, strict=True))) for k, v in enumerate(seen)])
+    _, out, _ = report(capsys, tmp_path / "a.metrics.parquet")
+    table = out[out.index("True class beyond") :].splitlines()
+    assert table[0].split() == ["True", "class", "beyond", "boundaries", "road", "%", "sidewalk", "%", "none", "%"]
+    rows = sorted(line.split() for line in table[2:4])
+    assert rows == [["road", "2", "50.0", "0.0", "50.0"], ["sidewalk", "2", "50.0", "50.0", "0.0"]]
+
+
 def test_reasons_with_different_numbers_are_merged_and_inputs_come_before_stages(tmp_path, capsys):
     size = ", its calibration says 640x480"
     texts = ("lanes: no segmentation", "image: {k}x9 pixels" + size, "depth: {k}x9 pixels" + size)

@@ -105,6 +105,10 @@ def test_columns_at_rows():
 def test_true_offsets_come_from_the_truth():
     assert true_lane_columns(NOTHING, TRUTH) == TrueLaneColumns(1.8, -1.9)
     assert true_lane_columns(NOTHING, None) == TrueLaneColumns()
+    beside = replace(TRUTH, boundaries=tuple(replace(b, outside=f"{b.side} class") for b in TRUTH.boundaries))
+    columns = true_lane_columns(NOTHING, beside)
+    assert columns.lane_left_true_boundary_class == "left class"
+    assert columns.lane_right_true_boundary_class == "right class"
 
 
 @pytest.mark.parametrize(

@@ -49,6 +49,15 @@ def test_the_filter_is_counted_over_the_detections():
     assert [r.is_true for r in rows] == [True, True, False, False, False]
 
 
+def test_true_objects_without_a_detection_are_in_the_row():
+    car = Object(box("Car", 0, 0, 10, 10), True, distance_m=5.0, lateral_m=-1.0)
+    row, _ = judged(truth=Objects((car, replace(car, distance_m=None))))
+    assert row.true_object_labels == ("Car",)
+    assert (row.true_object_distances_m, row.true_object_laterals_m) == ((5.0,), (-1.0,))
+    row, _ = judged(truth=Objects((car, replace(car, lateral_m=None))))
+    assert (row.true_object_distances_m, row.true_object_laterals_m) == ((5.0, 5.0), ())
+
+
 CAR = Object(box("Car", 0, 0, 10, 10), True, distance_m=5.0)
 
 

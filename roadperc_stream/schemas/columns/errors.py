@@ -85,6 +85,7 @@ class LaneErrorColumns:
     lane_right_error_m: Annotated[float | None, _lane_error("right")] = None
 
 
+_TRUE_CLASS = Column("true class beyond the boundary", null="no true boundary, or its class is not recorded")
 _TRUE_OFFSET = Column("true lateral offset at x = 0, to compare the smoothed offset with", "m", "no true boundary")
 
 
@@ -113,6 +114,8 @@ class TrueLaneColumns:
             "both boundaries are lost, or one of them has no true heading",
         ),
     ] = None
+    lane_left_true_boundary_class: Annotated[str | None, _TRUE_CLASS] = None
+    lane_right_true_boundary_class: Annotated[str | None, _TRUE_CLASS] = None
 
 
 def _culane(what: str, threshold: str) -> Column:
@@ -198,6 +201,17 @@ class ObjectErrorColumns:
             relevant=0.01,
         ),
     ] = None
+
+
+@dataclass(frozen=True)
+class TrueObjectColumns:
+    """The true objects of the frame, also those without a detection."""
+
+    true_object_labels: Annotated[tuple[str, ...], Column("classes of the true objects with a distance")] = ()
+    true_object_distances_m: Annotated[tuple[float, ...], Column("their distances", "m")] = ()
+    true_object_laterals_m: Annotated[
+        tuple[float, ...], Column("their lateral distances from the path's middle; empty if one has none", "m")
+    ] = ()
 
 
 @dataclass(frozen=True)

@@ -53,6 +53,7 @@ class FrameMetrics(
     errors.OdometryErrorColumns,
     errors.StereoErrorColumns,
     errors.TrueImpactColumns,
+    errors.TrueObjectColumns,
     errors.ObjectErrorColumns,
     errors.LaneScoreColumns,
     errors.TrueLaneColumns,
