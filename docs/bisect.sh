@@ -8,7 +8,7 @@
 # CHECK is the roadperc-check to use, for commits that have none.
 log=$1 criteria=$2
 shift 2 || exit 125
-folder=$(mktemp -d) || exit 125
+folder=$(mktemp -d -t bisect.XXXXXX) || exit 125
 trap 'rm -rf "$folder"' EXIT
 trap 'exit 125' HUP INT TERM
 if [ -n "$BUILD" ]; then
@@ -18,6 +18,6 @@ roadperc-replay "$log" "$folder/run.mcap" --quiet "$@" || exit 125
 "${CHECK:-roadperc-check}" "$folder/run.mcap" --criteria "$criteria"
 case $? in
     0) exit 0 ;;
-    1) exit 1 ;;
+    1) trap - EXIT && exit 1 ;; # the folder stays for the printed commands
     *) exit 125 ;;
 esac

@@ -15,9 +15,9 @@ from .comparing import Comparison
 from .metrics import Metric
 from .verdicts import CauseGroup, Finding, Mark, Place, Statistic, Verdict
 
-_MOST_GROUPS: Final[dict[Mark, int]] = {"worse": 5, "better": 3}
+_MOST_GROUPS: Final[dict[Mark, int]] = {"worse": 3, "better": 2}
 """Groups of metrics with a line each; ``--full`` lists all."""
-_MOST_SETTINGS: Final = 6
+_MOST_SETTINGS: Final = 4
 _MUCH: Final = 0.1
 """Smallest change of a share that is named though it is not judged."""
 TEXT_SHOWN: Final = 48
@@ -148,13 +148,13 @@ def _settings(found: Comparison, *, full: bool) -> Iterator[str]:
     for pair, changed in zip(found.pairing.pairs, found.changes, strict=True):
         if changed:
             names.setdefault(changed, []).append(pair.name)
-    lines: list[str] = []
-    for (heading, *changed_settings), runs in names.items():
+    shown = list(names.items())[: len(names) if full else 2]
+    for (heading, *changed), runs in shown:
         among = "" if len(runs) == len(found.pairing.pairs) else f" in {listed(runs)}"
-        lines += [f"settings that differ{among}: {heading}".rstrip(), *(f"  {line}" for line in changed_settings)]
-    yield from lines if full else lines[:_MOST_SETTINGS]
-    if len(lines) > _MOST_SETTINGS and not full:
-        yield f"  {len(lines) - _MOST_SETTINGS} more lines; pass --full to list them"
+        text = heading or listed(changed, len(changed) if full else _MOST_SETTINGS)
+        yield f"settings that differ{among}: {text}"
+    if len(shown) < len(names):
+        yield f"settings that differ in other runs: {len(names) - len(shown)} more lists; pass --full"
 
 
 def _compared(found: Comparison) -> Iterator[str]:

@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -227,6 +228,7 @@ def test_git_bisect_finds_the_commit_with_the_bad_setting(tmp_path):
     limits.write_text('criterion = [{ metric = "surface_angle_error_deg", statistic = "max", most = 0.4 }]')
     given = [SCRIPT, SAMPLE, limits, "--config", "roadperc.toml", "--frames", "1", "--only", "surface"]
     variables = os.environ | {"PATH": f"{tools}{os.pathsep}{os.environ['PATH']}", "GIT_CONFIG_GLOBAL": os.devnull}
+    variables["TMPDIR"] = str(tmp_path)
 
     def run(*command, code=0):
         words = [str(word) for word in command]
@@ -244,7 +246,12 @@ def test_git_bisect_finds_the_commit_with_the_bad_setting(tmp_path):
         git("commit", "--quiet", "-m", f"commit {number}")
     bad = git("rev-parse", "HEAD~1").strip()
     git("bisect", "start", "HEAD", "HEAD~3")
-    assert f"{bad} is the first bad commit" in git("bisect", "run", *given)
+    said = git("bisect", "run", *given)
+    assert f"{bad} is the first bad commit" in said
+    shown = re.findall(r"roadperc-view (\S+) --frame 0", said)
+    assert shown
+    assert all(Path(path).is_file() for path in shown)
+    assert len(list(tmp_path.glob("bisect.*"))) == len(shown)
     (repository / "roadperc.toml").write_text("[surface")
     run(*given, code=125)
 

@@ -313,4 +313,4 @@ def test_pairs_with_the_same_changed_settings_are_listed_together(tmp_path, caps
             settings = (f"lanes.hold_s={0.5 if name == 'rain' else hold_s}",)
             pl.read_parquet(path).write_parquet(path, metadata=table_facts(path, path, load_config(settings=settings)))
     _, text, _ = compare(capsys, tmp_path / "a", tmp_path / "b")
-    assert "\nsettings that differ in day, night:\n  lanes.hold_s 0.5 → 2.0\n9 frames compared in 3 pairs" in text
+    assert "\nsettings that differ in day, night: lanes.hold_s 0.5 → 2.0\n9 frames compared in 3 pairs" in text
