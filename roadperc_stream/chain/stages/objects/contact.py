@@ -38,6 +38,8 @@ _OVERHANG_M: Final = 0.4
 _OVERHANG_STD_M: Final = 0.3
 """A vehicle's nearest point is this much nearer than the tyres on which it stands. Boxes of some detectors end at the
 bumper's ground projection."""
+_KERB_STD_M: Final = 0.1
+"""Standard deviation of the height of other objects' ground: people stand on the road or on a raised sidewalk."""
 _HEIGHT_STD: Final = 0.02
 _ASSUMED_HEIGHT_STD: Final = 0.1
 """Standard deviation of the camera height as a share: of a mounting, and of the assumed height."""
@@ -154,7 +156,8 @@ def _contact(camera: Camera, ground: GroundPlane, item: Object, *, clear: bool) 
     m_per_rad = to_tyres_m**2 / height_m
     # The slope's random walk from the car to the object, seen from the car.
     pitch_std = hypot(ground.pitch_std, _SLOPE_STD_PER_ROOT_M * sqrt(to_tyres_m / 3.0))
-    common_m = hypot(m_per_rad * pitch_std, to_tyres_m * ground.height_std, _OVERHANG_STD_M if is_vehicle else 0.0)
+    place_std_m = _OVERHANG_STD_M if is_vehicle else to_tyres_m * _KERB_STD_M / height_m
+    common_m = hypot(m_per_rad * pitch_std, to_tyres_m * ground.height_std, place_std_m)
     row_std = edge_std_px(box.y_max - box.y_min) * abs(ground.plane.normal[1]) / camera.fy
     std_m = hypot(m_per_rad * row_std, common_m)
     return Contact(depth_m, std_m, common_m / depth_m, clear) if std_m <= MOST_STD_SHARE * depth_m else nowhere
