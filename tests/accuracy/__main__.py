@@ -29,7 +29,9 @@ def parser():
     made.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes (default: the cores)")
     made.add_argument("--folder", type=Path, default=ROOT / "logs" / "runs" / "accuracy", help="of rendered logs")
     made.add_argument("--page", type=Path, help="page whose tables are replaced")
-    made.add_argument("--only", action="append", metavar="SECTION", help="only sections that begin with this")
+    made.add_argument(
+        "--only", action="append", metavar="SECTION", help="only sections that begin with this; others stay"
+    )
     return made
 
 
@@ -54,7 +56,8 @@ def main():
     print(f"{(time.monotonic() - started) / 60:.1f} minutes")
     if arguments.page:
         page = arguments.page.read_text(encoding="utf-8")
-        arguments.page.write_text(with_figures(page, lines, about(results)), encoding="utf-8")
+        write = with_sections if arguments.only else with_figures
+        arguments.page.write_text(write(page, lines, about(results)), encoding="utf-8")
 
 
 def about(results):
@@ -104,6 +107,25 @@ def with_figures(page, lines, about):
     if count != 1:
         raise ValueError("expected one <!-- figures --> with an <!-- end --> in the page")
     return changed
+
+
+def with_sections(page, lines, about):
+    """The page with the tables of some sections replaced or added; the text before them is about a complete run.
+
+    Raises:
+        ValueError: the page has no markers for the tables.
+    """
+    names = [figure.section for figure, _ in lines]
+    for section in dict.fromkeys(names):
+        head, *rows = markdown([line for line, name in zip(lines, names, strict=True) if name == section])
+        text = "\n".join((head, about + "\n", *rows, ""))
+        table = re.compile(rf"### {re.escape(section)}\n.*?(?=### |<!-- end -->)", re.DOTALL)
+        page, count = table.subn(lambda _, text=text: text, page)
+        if not count:
+            if "<!-- end -->" not in page:
+                raise ValueError("expected an <!-- end --> in the page")
+            page = page.replace("<!-- end -->", f"\n{text}<!-- end -->")
+    return page
 
 
 def markdown(lines):
