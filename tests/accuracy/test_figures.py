@@ -123,14 +123,17 @@ def test_the_tables_of_the_page_are_replaced():
 
 
 def test_the_tables_of_some_sections_are_replaced():
+    def about_one(figures):
+        return f"About {figures[0].name}."
+
     figures = [Figure(section, "a", "", (), None) for section in ("One", "Two")]
     lines = [(figure, Measured("1.0 %", "", None)) for figure in figures]
     page = with_figures("<!-- figures -->\n<!-- end -->\n", lines, "All.")
-    newer = with_sections(page, [(figures[0], Measured("2.0 %", "", None))], "Some.")
-    assert "### One\n\nSome.\n\n| figure |" in newer
+    newer = with_sections(page, [(figures[0], Measured("2.0 %", "", None))], about_one)
+    assert "### One\n\nAbout a.\n\n| figure |" in newer
     assert newer.index("2.0 %") < newer.index("### Two") < newer.index("1.0 %")
-    assert with_sections(newer, [(figures[0], Measured("2.0 %", "", None))], "Some.") == newer
-    added = with_sections(newer, [(Figure("Three", "b", "", (), None), Measured("3.0 %", "", None))], "Some.")
+    assert with_sections(newer, [(figures[0], Measured("2.0 %", "", None))], about_one) == newer
+    added = with_sections(newer, [(Figure("Three", "b", "", (), None), Measured("3.0 %", "", None))], about_one)
     assert added.index("1.0 %") < added.index("### Three") < added.index("3.0 %") < added.index("<!-- end -->")
     with pytest.raises(ValueError, match="end"):
-        with_sections("nothing", lines, "Some.")
+        with_sections("nothing", lines, about_one)
