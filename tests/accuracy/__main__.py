@@ -4,6 +4,7 @@ import argparse
 import os
 import re
 import time
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 
@@ -29,15 +30,16 @@ def parser():
     made.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes (default: the cores)")
     made.add_argument("--folder", type=Path, default=ROOT / "logs" / "runs" / "accuracy", help="of rendered logs")
     made.add_argument("--page", type=Path, help="page whose tables are replaced")
-    made.add_argument("--only", action="append", metavar="SECTION", help="only sections that begin with this")
+    made.add_argument(
+        "--only", action="append", metavar="SECTION", help="only sections that begin with this; others stay"
+    )
     return made
 
 
 def main():
     """Render, replay, measure, print."""
     arguments = parser().parse_args()
-    sections = tuple(arguments.only or ("",))
-    figures = [figure for figure in FIGURES if figure.section.startswith(sections)]
+    figures = [figure for figure in FIGURES if not arguments.only or figure.section in arguments.only]
     arguments.folder.mkdir(parents=True, exist_ok=True)
     remove_replays(arguments.folder)
     started = time.monotonic()
@@ -54,13 +56,22 @@ def main():
     print(f"{(time.monotonic() - started) / 60:.1f} minutes")
     if arguments.page:
         page = arguments.page.read_text(encoding="utf-8")
-        arguments.page.write_text(with_figures(page, lines, about(results)), encoding="utf-8")
+        of_figures = partial(about, results)
+        if arguments.only:
+            page = with_sections(page, lines, of_figures)
+        else:
+            page = with_figures(page, lines, of_figures(figures))
+        arguments.page.write_text(page, encoding="utf-8")
 
 
-def about(results):
-    """A sentence with the seeds and the number of frames."""
-    seeds = sorted({replay.seed for replays in results.replays.values() for replay in replays})
-    frames = sum(replay.frames.height for replays in results.replays.values() for replay in replays)
+def about(results, figures):
+    """A sentence with the seeds and the number of frames of some figures."""
+    names = {scenario.name for figure in figures for scenario in figure.scenarios}
+    replays = [replay for name in names for replay in results.replays.get(name, ())]
+    if not replays:
+        return "No frames replayed."
+    seeds = sorted({replay.seed for replay in replays})
+    frames = sum(replay.frames.height for replay in replays)
     return f"Seeds {seeds[0]} to {seeds[-1]}, {frames} frames replayed."
 
 
@@ -104,6 +115,25 @@ def with_figures(page, lines, about):
     if count != 1:
         raise ValueError("expected one <!-- figures --> with an <!-- end --> in the page")
     return changed
+
+
+def with_sections(page, lines, about):
+    """The page with the tables of some sections replaced or added; ``about`` gives a sentence about some figures.
+
+    Raises:
+        ValueError: the page has no markers for the tables.
+    """
+    for section, group in groupby(lines, key=lambda line: line[0].section):
+        of_section = list(group)
+        head, *rows = markdown(of_section)
+        text = "\n".join((head, about([figure for figure, _ in of_section]) + "\n", *rows, ""))
+        table = re.compile(rf"### {re.escape(section)}\n.*?(?=### |<!-- end -->)", re.DOTALL)
+        page, count = table.subn(lambda _, text=text: text, page)
+        if not count:
+            if "<!-- end -->" not in page:
+                raise ValueError("expected an <!-- end --> in the page")
+            page = page.replace("<!-- end -->", f"\n{text}<!-- end -->")
+    return page
 
 
 def markdown(lines):

@@ -4,7 +4,7 @@ import polars as pl
 import pytest
 
 from tests.accuracy import of_motion, of_objects, of_uncertainty
-from tests.accuracy.__main__ import cells, summary, with_figures
+from tests.accuracy.__main__ import cells, summary, with_figures, with_sections
 from tests.accuracy.drives import Drive, drive
 from tests.accuracy.figures import FIGURES, Figure
 from tests.accuracy.running import Replayed, Results, seeds_of
@@ -120,3 +120,20 @@ def test_the_tables_of_the_page_are_replaced():
     assert with_figures(once, lines, "Seeds.") == once
     with pytest.raises(ValueError, match="figures"):
         with_figures("nothing", lines, "Seeds.")
+
+
+def test_the_tables_of_some_sections_are_replaced():
+    def about_one(figures):
+        return f"About {figures[0].name}."
+
+    figures = [Figure(section, "a", "", (), None) for section in ("One", "Two")]
+    lines = [(figure, Measured("1.0 %", "", None)) for figure in figures]
+    page = with_figures("<!-- figures -->\n<!-- end -->\n", lines, "All.")
+    newer = with_sections(page, [(figures[0], Measured("2.0 %", "", None))], about_one)
+    assert "### One\n\nAbout a.\n\n| figure |" in newer
+    assert newer.index("2.0 %") < newer.index("### Two") < newer.index("1.0 %")
+    assert with_sections(newer, [(figures[0], Measured("2.0 %", "", None))], about_one) == newer
+    added = with_sections(newer, [(Figure("Three", "b", "", (), None), Measured("3.0 %", "", None))], about_one)
+    assert added.index("1.0 %") < added.index("### Three") < added.index("3.0 %") < added.index("<!-- end -->")
+    with pytest.raises(ValueError, match="end"):
+        with_sections("nothing", lines, about_one)

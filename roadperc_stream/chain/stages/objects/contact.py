@@ -5,9 +5,9 @@ Vision-based ACC with a single camera: bounds on range and range rate accuracy, 
 error of a row, of the pitch or of the road's slope grows with the square of the depth.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import hypot, radians, sqrt
+from math import hypot, inf, radians, sqrt
 from typing import Final
 
 import numpy as np
@@ -38,6 +38,8 @@ _OVERHANG_M: Final = 0.4
 _OVERHANG_STD_M: Final = 0.3
 """A vehicle's nearest point is this much nearer than the tyres on which it stands. Boxes of some detectors end at the
 bumper's ground projection."""
+_KERB_STD_M: Final = 0.1
+"""Standard deviation of the height of other objects' ground: people stand on the road or on a raised sidewalk."""
 _HEIGHT_STD: Final = 0.02
 _ASSUMED_HEIGHT_STD: Final = 0.1
 """Standard deviation of the camera height as a share: of a mounting, and of the assumed height."""
@@ -57,12 +59,18 @@ class GroundPlane:
 
 
 @dataclass(frozen=True)
-class _Contact:
-    """Depth of a lower edge in metres, its standard deviation, and the part of it that other frames share."""
+class Contact:
+    """Where the lower edge of a whole box meets the road.
 
-    depth_m: float
+    ``depth_m`` is its depth in metres with the standard deviation ``std_m``, None beyond the horizon or if it is too
+    uncertain. ``common_share`` is the part of the deviation that other frames share, as a share of the depth.
+    ``clear`` says whether no nearer box touches the box.
+    """
+
+    depth_m: float | None
     std_m: float
-    common_std_m: float
+    common_share: float
+    clear: bool
 
 
 def ground_of(road: Surface, pitch_std: float, *, mounted: bool) -> GroundPlane:
@@ -78,27 +86,20 @@ def ground_of(road: Surface, pitch_std: float, *, mounted: bool) -> GroundPlane:
     return GroundPlane(road.plane, pitch_std, _HEIGHT_STD if mounted else _ASSUMED_HEIGHT_STD)
 
 
-def whole(camera: Camera, objects: Sequence[Object]) -> frozenset[int]:
-    """Positions of the objects whose boxes are within the image and whose lower edges are visible.
+def contacts(camera: Camera, ground: GroundPlane, objects: Sequence[Object]) -> dict[int, Contact]:
+    """The contacts, by position, of the objects whose boxes are within the image and whose lower edges are visible.
 
-    A lower edge is hidden if nearer boxes of kept objects, those that end lower, cover half of it.
+    A lower edge is hidden if nearer boxes of kept objects, those that end lower, cover half of it. A box is clear if
+    none of them touches it, up to the deviation of its edges: the box of a partly hidden object grows as more of it
+    becomes visible.
     """
-    boxes, kept = _boxes(objects)
-    return frozenset(k for k, box in enumerate(boxes) if _inside(camera, box) and not _hidden(box, kept))
-
-
-def clear(objects: Sequence[Object], seen: frozenset[int]) -> frozenset[int]:
-    """The positions ``seen`` of boxes that no nearer box of a kept object touches, up to the deviation of their edges.
-
-    The box of a partly hidden object grows as more of it becomes visible.
-    """
-    boxes, kept = _boxes(objects)
-    return frozenset(k for k in seen if not len(_nearer(boxes[k], kept, 2.0)[0]))
-
-
-def _boxes(objects: Sequence[Object]) -> tuple[list[Box], Float]:
-    """The boxes of all objects, and (4, K) x_min, y_min, x_max and y_max of those of kept objects."""
-    return [item.detection.box_px for item in objects], corners(o.detection.box_px for o in objects if o.kept)
+    kept = corners(item.detection.box_px for item in objects if item.kept)
+    boxes = [item.detection.box_px for item in objects]
+    return {
+        k: _contact(camera, ground, objects[k], clear=not len(_nearer(box, kept, 2.0)[0]))
+        for k, box in enumerate(boxes)
+        if _inside(camera, box) and not _hidden(box, kept)
+    }
 
 
 def _inside(camera: Camera, box: Box) -> bool:
@@ -124,39 +125,30 @@ def _nearer(box: Box, kept: Float, sigmas: float) -> tuple[Float, Float]:
     return x0[meets], x1[meets]
 
 
-def with_distances(
-    camera: Camera, ground: GroundPlane, objects: Sequence[Object], seen: frozenset[int]
-) -> tuple[Object, ...]:
-    """The objects with distances from the ground contact, for those at the positions ``seen``.
+def with_distances(camera: Camera, objects: Sequence[Object], found: Mapping[int, Contact]) -> tuple[Object, ...]:
+    """The objects with distances from their ground contacts, which are given by position.
 
     The distance is that of the nearest point of an upright face above the contact, as with depth. Objects above the
     horizon, or whose distance is uncertain by more than ``MOST_STD_SHARE``, have none.
     """
-    return tuple(_with_distance(camera, ground, item) if k in seen else item for k, item in enumerate(objects))
+    return tuple(_with_distance(camera, item, found.get(k)) for k, item in enumerate(objects))
 
 
-def _with_distance(camera: Camera, ground: GroundPlane, item: Object) -> Object:
-    contact = _contact(camera, ground, item)
-    if contact is None:
+def _with_distance(camera: Camera, item: Object, contact: Contact | None) -> Object:
+    if contact is None or contact.depth_m is None:
         return item
     length = hypot(*_nearest_ray(camera, item.detection.box_px))
     distance_m, std_m = contact.depth_m * length, contact.std_m * length
     return replace(item, distance_m=distance_m, distance_std_m=std_m, distance_source="ground")
 
 
-def common_share(camera: Camera, ground: GroundPlane, item: Object) -> float:
-    """The part of a ground distance's standard deviation that other frames share, as a share of the distance."""
-    contact = _contact(camera, ground, item)
-    return MOST_STD_SHARE if contact is None else contact.common_std_m / contact.depth_m
-
-
-def _contact(camera: Camera, ground: GroundPlane, item: Object) -> _Contact | None:
-    """Where the middle of a box's lower edge meets the road; None beyond the horizon or if it is too uncertain."""
-    box = item.detection.box_px
+def _contact(camera: Camera, ground: GroundPlane, item: Object, *, clear: bool) -> Contact:
+    """Where the middle of a box's lower edge meets the road."""
+    box, nowhere = item.detection.box_px, Contact(None, inf, MOST_STD_SHARE, clear)
     middle = np.array([(box.x_min + box.x_max) / 2 - 0.5, box.y_max - 0.5])
     slope = -float(rays(camera, middle) @ ground.plane.n)
     if slope <= 0:
-        return None
+        return nowhere
     height_m = ground.plane.offset_m
     to_tyres_m = height_m / slope
     is_vehicle = classes_of_label(item.detection.label) == ("vehicle",)
@@ -164,10 +156,11 @@ def _contact(camera: Camera, ground: GroundPlane, item: Object) -> _Contact | No
     m_per_rad = to_tyres_m**2 / height_m
     # The slope's random walk from the car to the object, seen from the car.
     pitch_std = hypot(ground.pitch_std, _SLOPE_STD_PER_ROOT_M * sqrt(to_tyres_m / 3.0))
-    common_m = hypot(m_per_rad * pitch_std, to_tyres_m * ground.height_std, _OVERHANG_STD_M if is_vehicle else 0.0)
+    place_std_m = _OVERHANG_STD_M if is_vehicle else to_tyres_m * _KERB_STD_M / height_m
+    common_m = hypot(m_per_rad * pitch_std, to_tyres_m * ground.height_std, place_std_m)
     row_std = edge_std_px(box.y_max - box.y_min) * abs(ground.plane.normal[1]) / camera.fy
     std_m = hypot(m_per_rad * row_std, common_m)
-    return _Contact(depth_m, std_m, common_m) if std_m <= MOST_STD_SHARE * depth_m else None
+    return Contact(depth_m, std_m, common_m / depth_m, clear) if std_m <= MOST_STD_SHARE * depth_m else nowhere
 
 
 def edge_std_px(side_px: float) -> float:
@@ -182,15 +175,14 @@ def _nearest_ray(camera: Camera, box: Box) -> tuple[float, float, float]:
     return min(max(0.0, x0), x1), min(max(0.0, y0), y1), 1.0
 
 
-def extent(scene: Scene, ground: GroundPlane, path: EgoPath, item: Object) -> Extent | None:
-    """The edges of an object beside the path, from its box at its ground contact; None without a ground distance.
+def extent(scene: Scene, path: EgoPath, item: Object, contact: Contact) -> Extent | None:
+    """The edges of an object beside the path, from its box at its ground contact; None without a depth.
 
     The box of a vehicle beside the camera's axis shows its flank. The flank's far end bounds the box, so that side of
     the box is deeper by a vehicle's length.
     """
     box, camera = item.detection.box_px, scene.camera
-    contact = _contact(camera, ground, item)
-    if item.distance_source != "ground" or contact is None:
+    if contact.depth_m is None:
         return None
     directions = rays(camera, np.array([[x - 0.5, box.y_max - 0.5] for x in (box.x_min, box.x_max)]))
     long_m = OBJECT_LENGTH_M if classes_of_label(item.detection.label) == ("vehicle",) else 0.0

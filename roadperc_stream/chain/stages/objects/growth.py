@@ -21,6 +21,11 @@ _MOST_STEP: Final = 0.5
 """Largest share of the distance that one prediction covers."""
 GROWTH_WALK: Final = 0.1
 """Standard deviation by which the growth of an object at an unknown distance changes within a second, 1/s."""
+_MOST_JITTER: Final = 3.0
+"""Largest deviation of a size that counts fully, in standard deviations: the jitter is the whole error of a size."""
+_CORRELATION: Final = 0.5
+"""Correlation of the errors of a ground distance and a size. With equal errors of all four edges, as shares of the
+sides, the lower edge causes a quarter of the size's variance and all of the distance's."""
 
 
 @dataclass(frozen=True)
@@ -39,17 +44,24 @@ class Approach:
         return sqrt(self.variance) / (self.rate**2 - self.variance)
 
     def fused(self, other: "Approach", gate: float) -> "Approach":
-        """The mean by inverse variances; if both contradict each other, the more certain one.
+        """The weighted mean with the least variance; if both contradict each other, the more certain one.
+
+        Both depend on the lower edge of the box, so their errors are correlated (Y. Bar-Shalom and L. Campo, The effect
+        of the common process noise on the two-sensor fused-track covariance, IEEE Transactions on Aerospace and
+        Electronic Systems 22, 1986).
 
         Args:
             other: the approach by another measurement.
             gate: squared difference, in variances, beyond which they contradict each other.
         """
-        total = self.variance + other.variance
-        if (self.rate - other.rate) ** 2 > gate * total:
-            return min(self, other, key=lambda approach: approach.variance)
-        share = other.variance / total
-        return Approach(share * self.rate + (1.0 - share) * other.rate, share * self.variance)
+        least = min(self, other, key=lambda approach: approach.variance)
+        common = min(_CORRELATION * sqrt(self.variance * other.variance), least.variance)
+        total = self.variance + other.variance - 2 * common
+        if total <= 0 or (self.rate - other.rate) ** 2 > gate * total:
+            return least
+        share = (other.variance - common) / total
+        variance = (self.variance * other.variance - common**2) / total
+        return Approach(share * self.rate + (1.0 - share) * other.rate, variance)
 
 
 @dataclass(frozen=True)
@@ -67,25 +79,31 @@ class Growth:
         return cls(first, Jitter.of_first(stamp_ns, size, std))
 
     def predict(self, walk: float, dt_s: float) -> "Growth":
-        """The growth ``dt_s`` seconds later: at constant speed it increases as the distance shrinks.
+        """The growth ``dt_s`` seconds later: at constant speed it and its error increase as the distance shrinks.
 
         Args:
             walk: standard deviation by which the growth changes within a second, 1/s.
             dt_s: seconds, not negative.
         """
-        rate = self.size.rate / _PERCENT
-        later = rate / (1.0 - min(rate * dt_s, _MOST_STEP))
-        mean = (later - rate) / 2 * dt_s
-        shifted = self.size.predict(_PERCENT * walk, dt_s).shifted(_PERCENT * mean, _PERCENT * (later - rate))
-        return Growth(shifted, self.jitter)
+        size, noise = self.size, (_PERCENT * walk) ** 2 * dt_s
+        closer = 1.0 / (1.0 - min(size.rate / _PERCENT * dt_s, _MOST_STEP))
+        by_rate_s = closer * dt_s
+        later = RateFilter(
+            size.value + _PERCENT * log(closer),
+            closer * size.rate,
+            size.value_var + 2 * by_rate_s * size.cross_var + by_rate_s**2 * size.rate_var + noise * dt_s**2 / 3,
+            closer**2 * (size.cross_var + by_rate_s * size.rate_var) + noise * dt_s / 2,
+            closer**4 * size.rate_var + noise,
+        )
+        return Growth(later, self.jitter)
 
     def after(self, stamp_ns: int, box: Box, edge_std_px: tuple[float, float], gate: float) -> "Growth":
         """The predicted growth after a box; a box beyond the gate starts anew, because another part is visible."""
         size, std = _log_size(box, edge_std_px)
         if self.size.surprise(size, std) > gate:
             return Growth.of_first(stamp_ns, box, edge_std_px)
-        jitter = self.jitter.after(stamp_ns, self.size, size, std)
-        return Growth(self.size.update(size, jitter.std(self.size, size, std)), jitter)
+        jitter = self.jitter.after(stamp_ns, self.size, size, _MOST_JITTER * std)
+        return Growth(self.size.update(size, jitter.std(self.size, size, _MOST_JITTER * std)), jitter)
 
     @property
     def approach(self) -> Approach:

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.chain.stages.objects import contact, tracking
-from roadperc_stream.chain.stages.objects.contact import BORDER_PX, GroundPlane
+from roadperc_stream.chain.stages.objects.contact import BORDER_PX, Contact, GroundPlane
 from roadperc_stream.chain.stages.objects.filtering import filter_detections
 from roadperc_stream.chain.stages.objects.mosaic import corners, kinds, overlaps
 from roadperc_stream.chain.stages.objects.path import DrivenArc, EgoPath, extent, judged, path_of
 from roadperc_stream.chain.stages.objects.template import Template, cut, find_obstacle
-from roadperc_stream.chain.stages.objects.tracking import Extent, ObjectTrack, distance_std_m
+from roadperc_stream.chain.stages.objects.tracking import ObjectTrack, distance_std_m
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Camera, Float, inverse
 from roadperc_stream.geometry.assignment import largest_total
@@ -95,27 +95,17 @@ def step(
     """
     arc = state.arc.after(last_T_this)
     path = path_of(ego_lane, arc)
-    now_T_last = None
-    if last_T_this is not None and ground is None:  # without depth the motion's scale is too uncertain for the filters
-        now_T_last = inverse(last_T_this @ scene.ego_T_camera) @ scene.ego_T_camera
-    last = state.tracks if ground is not None else [tracking.with_depth(track) for track in state.tracks]
-    known = [tracking.predict(cfg, track, scene.stamp_ns, now_T_last) for track in last]
-    known = [track for track in known if not tracking.expired(cfg, track)]
-    known = known if path.goes_on(state.path) else [replace(track, right_m=None, left_m=None) for track in known]
+    known = _known(cfg, state, scene, path, last_T_this, with_depth=ground is None)
     filtered = filter_detections(cfg, scene, scene.detections, _expected(cfg, scene, known))
     own = () if isinstance(filtered, Absent) else filtered.objects
-    whole = frozenset[int]() if ground is None else contact.whole(scene.camera, own)
-    own = own if ground is None else contact.with_distances(scene.camera, ground, own, whole)
+    contacts = {} if ground is None else contact.contacts(scene.camera, ground, own)
+    own = contact.with_distances(scene.camera, own, contacts)
     kept = _kept(scene.camera, own)
     pairs = largest_total(similarities(cfg, known, kept.items, kept.boxes))
     detected = {
-        k: tracking.placed(track, _extent(scene, ground, path, own[k]), _template(cfg, scene, track))
+        k: _placed(cfg, scene, path, own[k], track, contacts.get(k))
         for k, track in _detected(cfg, state.next_number, scene, known, kept, pairs).items()
     }
-    if ground is not None:
-        clear = contact.clear(own, whole)
-        shares = {k: contact.common_share(scene.camera, ground, own[k]) for k in whole & detected.keys()}
-        detected |= {k: _grown(cfg, detected[k], share, clear=k in clear) for k, share in shares.items()}
     missed = [track for k, track in enumerate(known) if k not in pairs]
     searched = [_searched(cfg, scene, path, track, kept) for track in missed]
     found = tuple(judged(cfg, path, s.item, s.track) for s in searched if s.item is not None)
@@ -128,6 +118,25 @@ def step(
     tracked = tuple(judged(cfg, path, item, detected[k]) if k in detected else item for k, item in enumerate(own))
     correlations = tuple(c for c in (*(s.correlation for s in searched), correlation) if c is not None)
     return after, Objects(tracked + found, correlations, path.source)
+
+
+def _known(
+    cfg: ObjectsConfig,
+    state: ObjectsState,
+    scene: Scene,
+    path: EgoPath,
+    last_T_this: Float | None,
+    *,
+    with_depth: bool,
+) -> list[ObjectTrack]:
+    """The tracks predicted to this frame. Without depth the motion's scale is too uncertain for the filters."""
+    now_T_last = None
+    if last_T_this is not None and with_depth:
+        now_T_last = inverse(last_T_this @ scene.ego_T_camera) @ scene.ego_T_camera
+    last = [tracking.with_depth(track) for track in state.tracks] if with_depth else state.tracks
+    known = [tracking.predict(cfg, track, scene.stamp_ns, now_T_last) for track in last]
+    known = [track for track in known if not tracking.expired(cfg, track)]
+    return known if path.goes_on(state.path) else [replace(track, right_m=None, left_m=None) for track in known]
 
 
 def _expected(cfg: ObjectsConfig, scene: Scene, known: Sequence[ObjectTrack]) -> dict[int, float | None]:
@@ -224,16 +233,17 @@ def _detected(
     return tracks
 
 
-def _extent(scene: Scene, ground: GroundPlane | None, path: EgoPath, item: Object) -> Extent | None:
-    return extent(scene, path, item) if ground is None else contact.extent(scene, ground, path, item)
-
-
-def _grown(cfg: ObjectsConfig, track: ObjectTrack, ground_share: float, *, clear: bool) -> ObjectTrack:
-    """The track with what its ground distances share; after the growth of its box if nothing hides a part of it."""
-    track = replace(track, ground_share=ground_share)
-    box = track.box_px
+def _placed(
+    cfg: ObjectsConfig, scene: Scene, path: EgoPath, item: Object, track: ObjectTrack, at: Contact | None
+) -> ObjectTrack:
+    """The track after its object's edges, its template and, at a ground contact, the growth of its box."""
+    template = _template(cfg, scene, track)
+    if at is None:
+        return tracking.placed(track, extent(scene, path, item), template)
+    track = tracking.placed(track, contact.extent(scene, path, item, at), template)
+    track, box = replace(track, ground_share=at.common_share), track.box_px
     edge_std_px = contact.edge_std_px(box.x_max - box.x_min), contact.edge_std_px(box.y_max - box.y_min)
-    return tracking.grown(cfg, track, edge_std_px) if clear else track
+    return tracking.grown(cfg, track, edge_std_px) if at.clear else track
 
 
 def _template(cfg: ObjectsConfig, scene: Scene, track: ObjectTrack) -> Template | None:
