@@ -19,6 +19,7 @@ from roadperc_stream.input.assemble import ego_T_camera_of
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.roles import assignment_of_log
 from roadperc_stream.input.stream import Problems, RoleAssignment, Stamped, decoded_messages
+from roadperc_stream.input.topics import fits
 from roadperc_stream.input.transforms import TransformTree
 from roadperc_stream.log import Channel, LogSummary, LogWriter, Message, MessageCopy, Metadata
 from roadperc_stream.model import CameraImage
@@ -27,12 +28,14 @@ from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.schemas import record
 from roadperc_stream.schemas.protobuf import schema
 from roadperc_stream.schemas.roles import ROLES, parse_topic_options
+from roadperc_stream.schemas.topics import VIDEO_SCHEMA
 from roadperc_stream.system.files import partial_of, require_free
 from roadperc_stream.system.process import optional_output
 from roadperc_stream.system.text import number, print_line
 from roadperc_stream.system.threads import in_order, one_thread, usable_cores
 
-from .carla_to_mcap import convert
+from .carla_dump.plan import ConvertOptions
+from .carla_to_mcap import recording_of, write
 from .networks.description import Network, SegmentationKeys, read_network
 from .networks.frames import Inferred, Pair, RawResult, load
 from .networks.plausibility import RoadCheck
@@ -71,7 +74,7 @@ def is_log(path: Path) -> bool:
 
 
 def infer(arguments: argparse.Namespace) -> None:
-    """Write OUT.mcap; ``arguments.conversion`` are those of ``roadperc-convert``, None if IN is a log.
+    """Write OUT.mcap from a log, or from anything that ``roadperc-convert`` reads.
 
     Raises:
         RoadpercError: a network, the input or the output cannot be used.
@@ -79,8 +82,7 @@ def infer(arguments: argparse.Namespace) -> None:
     out = arguments.out
     require_free(out, force=arguments.force, suffix=".mcap", source=arguments.source)
     networks = _one_for_each_role([read_network(path) for path in arguments.network])
-    with one_thread(), _as_log(arguments) as path:
-        summary = log.summarise(path)
+    with one_thread(), _as_log(arguments) as summary:
         job = _job(summary, networks, arguments)
         started = time.monotonic()
         frames, warnings = _write(job, out, arguments)
@@ -109,17 +111,27 @@ def _one_for_each_role(networks: list[Network]) -> list[Network]:
 
 
 @contextmanager
-def _as_log(arguments: argparse.Namespace) -> Iterator[Path]:
+def _as_log(arguments: argparse.Namespace) -> Iterator[LogSummary]:
     """Yield the log, or a temporary one beside the output that is converted from other input."""
-    if arguments.conversion is None:
-        yield arguments.source
+    summary = log.summarise(arguments.source) if is_log(arguments.source) else None
+    if summary is not None and not _has_only_video(summary):
+        yield summary
         return
+    options = ConvertOptions(
+        fov_deg=arguments.fov, rate_hz=arguments.rate, calibration=arguments.calibration, height_m=arguments.height
+    )
     temporary = partial_of(arguments.out, ".mcap")
     try:
-        convert(argparse.Namespace(**{**vars(arguments.conversion), "out": temporary}))
-        yield temporary
+        write(recording_of(arguments.source, options), temporary, force=False, quiet=True)
+        yield log.summarise(temporary)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _has_only_video(summary: LogSummary) -> bool:
+    """Whether the images of a log are ``foxglove.CompressedVideo``."""
+    has_images = any(fits(ROLES["image"], channel) for channel in summary.channels)
+    return not has_images and any(channel.schema_name == VIDEO_SCHEMA for channel in summary.channels)
 
 
 def _job(summary: LogSummary, networks: list[Network], arguments: argparse.Namespace) -> InferenceJob:
