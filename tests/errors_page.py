@@ -5,6 +5,7 @@
 
 import os
 import re
+import shutil
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -125,6 +126,11 @@ ENTRIES = (
         "Repair the file with the tool of the camera, or record Matroska (`.mkv`), which can be read up to a cut.",
     ),
     Entry(
+        "Network without its model", "roadperc-infer in.mcap in2.mcap --network twinlitenet.toml",
+        "The `.onnx` file is not beside the TOML file that names it.",
+        "Download it into the same folder ([Networks of your own](networks.md)).",
+    ),
+    Entry(
         "Wrong folder layout", "roadperc-convert empty_folder in2.mcap", "The folder has no images with known names.",
         "Arrange the frames as in [your own recordings](recordings.md), or pass `--role`.",
     ),
@@ -161,6 +167,7 @@ def make_inputs(folder: Path) -> None:
         writer.write(logs.foreign())
     (folder / "cut.mcap").write_bytes((folder / "in.mcap").read_bytes()[:-3000])
     (folder / "notes.mcap").write_text("no log")
+    shutil.copy(PAGE.parent / "networks" / "twinlitenet.toml", folder)
     (folder / "broken.toml").write_text("[lanes\n")
     (folder / "empty_folder").mkdir()
     (folder / "cut_off.mp4").write_bytes(b"\0\0\0\x1cftypisom\0\0\2\0isomiso2mp41")

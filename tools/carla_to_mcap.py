@@ -64,10 +64,7 @@ def convert(arguments: argparse.Namespace) -> None:
         terminal.width = _PIPED_WIDTH
     with optional_output():
         _print_facts(terminal, recording)
-    _warn(recording.warnings)
-    warnings: list[str] = []
-    count = _write(recording, out, warnings, force=arguments.force, quiet=arguments.quiet)
-    _warn(warnings)
+    count = write(recording, out, force=arguments.force, quiet=arguments.quiet)
     megabytes, seconds = out.stat().st_size / 1e6, time.monotonic() - started
     print_lines(terminal, f"{count} messages, {megabytes:.1f} MB, {seconds:.1f} s: {out}", unbroken=True)
 
@@ -100,8 +97,14 @@ def _warn(texts: Iterable[str]) -> None:
             print_line(f"warning: {text}", sys.stderr)
 
 
-def _write(recording: Recording, out: Path, warnings: list[str], *, force: bool, quiet: bool) -> int:
-    """Write the log and return the number of messages; append what was lost to ``warnings``."""
+def write(recording: Recording, out: Path, *, force: bool, quiet: bool) -> int:
+    """Write the log, warn of what is lost, and return the number of messages.
+
+    Raises:
+        RoadpercError: a part of the recording cannot be read, or the log cannot be written.
+    """
+    _warn(recording.warnings)
+    warnings: list[str] = []
     counts: Counter[str] = Counter()
     with LogWriter(out) as log:
         for channel in recording.channels.values():
@@ -115,6 +118,7 @@ def _write(recording: Recording, out: Path, warnings: list[str], *, force: bool,
         values = {"version": __version__, "frames": str(counts["image"]), **recording.metadata}
         log.describe(Metadata(CONVERSION_RECORD, tuple(sorted(values.items()))))
         require_free(out, force=force, suffix=".mcap")  # another program may have written it in the meantime
+    _warn(warnings)
     return counts.total()
 
 

@@ -12,28 +12,31 @@ from typing import Final
 
 from roadperc_stream import __version__, log
 from roadperc_stream.config import ReplayConfig
-from roadperc_stream.errors import ChannelError, ConfigError, DecodeError, NoFrameError
+from roadperc_stream.errors import ChannelError, DecodeError, NoFrameError
 from roadperc_stream.formats.images import encode_indices
 from roadperc_stream.geometry import Camera
 from roadperc_stream.input.assemble import ego_T_camera_of
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.roles import assignment_of_log
 from roadperc_stream.input.stream import Problems, RoleAssignment, Stamped, decoded_messages
+from roadperc_stream.input.topics import fits
 from roadperc_stream.input.transforms import TransformTree
 from roadperc_stream.log import Channel, LogSummary, LogWriter, Message, MessageCopy, Metadata
 from roadperc_stream.model import CameraImage
 from roadperc_stream.output import encoding
 from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.schemas import record
-from roadperc_stream.schemas.protobuf import schema
 from roadperc_stream.schemas.roles import ROLES, parse_topic_options
+from roadperc_stream.schemas.topics import VIDEO_SCHEMA
 from roadperc_stream.system.files import partial_of, require_free
 from roadperc_stream.system.process import optional_output
 from roadperc_stream.system.text import number, print_line
 from roadperc_stream.system.threads import in_order, one_thread, usable_cores
 
-from .carla_to_mcap import convert
-from .networks.description import Network, SegmentationKeys, read_network
+from .carla_dump.messages import channel_of
+from .carla_dump.plan import ConvertOptions
+from .carla_to_mcap import recording_of, write
+from .networks.description import read_network
 from .networks.frames import Inferred, Pair, RawResult, load
 from .networks.plausibility import RoadCheck
 from .networks.semantic import HorizonEstimate
@@ -60,7 +63,8 @@ class InferenceJob:
     @property
     def channels(self) -> dict[str, Channel]:
         """The new channels, by role."""
-        return {role: _channel(role, network) for role, (network, _) in self.pair.sessions.items()}
+        table = None if self.pair.segmentation is None else self.pair.segmentation[1].table
+        return {role: channel_of(role, table) for role in self.pair.sessions}
 
 
 def is_log(path: Path) -> bool:
@@ -71,17 +75,16 @@ def is_log(path: Path) -> bool:
 
 
 def infer(arguments: argparse.Namespace) -> None:
-    """Write OUT.mcap; ``arguments.conversion`` are those of ``roadperc-convert``, None if IN is a log.
+    """Write OUT.mcap from a log, or from anything that ``roadperc-convert`` reads.
 
     Raises:
         RoadpercError: a network, the input or the output cannot be used.
     """
     out = arguments.out
     require_free(out, force=arguments.force, suffix=".mcap", source=arguments.source)
-    networks = _one_for_each_role([read_network(path) for path in arguments.network])
-    with one_thread(), _as_log(arguments) as path:
-        summary = log.summarise(path)
-        job = _job(summary, networks, arguments)
+    pair = load([read_network(path) for path in arguments.network])
+    with one_thread(), _as_log(arguments) as summary:
+        job = _job(summary, pair, arguments)
         started = time.monotonic()
         frames, warnings = _write(job, out, arguments)
     with optional_output(sys.stderr):
@@ -94,35 +97,31 @@ def infer(arguments: argparse.Namespace) -> None:
         print_line(f"{number(frames, 'frame')}, {rate:.1f} frames per second, {made}: {out}")
 
 
-def _one_for_each_role(networks: list[Network]) -> list[Network]:
-    """Check that no two networks compute the same channel.
-
-    Raises:
-        ConfigError: two do.
-    """
-    by_role = {network.role: network for network in networks}
-    for network in networks:
-        if by_role[network.role] is not network:
-            other = by_role[network.role].path
-            raise ConfigError(f"{network.path} and {other} both compute {network.role}; pass one of them")
-    return networks
-
-
 @contextmanager
-def _as_log(arguments: argparse.Namespace) -> Iterator[Path]:
+def _as_log(arguments: argparse.Namespace) -> Iterator[LogSummary]:
     """Yield the log, or a temporary one beside the output that is converted from other input."""
-    if arguments.conversion is None:
-        yield arguments.source
+    summary = log.summarise(arguments.source) if is_log(arguments.source) else None
+    if summary is not None and not _has_only_video(summary):
+        yield summary
         return
+    options = ConvertOptions(
+        fov_deg=arguments.fov, rate_hz=arguments.rate, calibration=arguments.calibration, height_m=arguments.height
+    )
     temporary = partial_of(arguments.out, ".mcap")
     try:
-        convert(argparse.Namespace(**{**vars(arguments.conversion), "out": temporary}))
-        yield temporary
+        write(recording_of(arguments.source, options), temporary, force=False, quiet=True)
+        yield log.summarise(temporary)
     finally:
         temporary.unlink(missing_ok=True)
 
 
-def _job(summary: LogSummary, networks: list[Network], arguments: argparse.Namespace) -> InferenceJob:
+def _has_only_video(summary: LogSummary) -> bool:
+    """Whether the images of a log are ``foxglove.CompressedVideo``."""
+    has_images = any(fits(ROLES["image"], channel) for channel in summary.channels)
+    return not has_images and any(channel.schema_name == VIDEO_SCHEMA for channel in summary.channels)
+
+
+def _job(summary: LogSummary, pair: Pair, arguments: argparse.Namespace) -> InferenceJob:
     """Return the job of a log.
 
     Raises:
@@ -132,12 +131,12 @@ def _job(summary: LogSummary, networks: list[Network], arguments: argparse.Names
     image = next((role for role in _IMAGE_ROLES if role in roles.topics), None)
     if image is None:
         raise ChannelError(f"{summary.path}: no channel for role image; choose one with --topic image=/TOPIC")
-    there = {role: roles.topics[role] for role in (network.role for network in networks) if role in roles.topics}
+    there = {role: roles.topics[role] for role in pair.sessions if role in roles.topics}
     if there and not arguments.force:
         listed = ", ".join(f"{role} on {topic}" for role, topic in there.items())
         raise ChannelError(f"{summary.path}: has {listed}; pass --force to replace it")
     height_m = arguments.height or _camera_height_m(summary, roles, image)
-    return InferenceJob(summary, roles, image, frozenset(there.values()), height_m, load(networks))
+    return InferenceJob(summary, roles, image, frozenset(there.values()), height_m, pair)
 
 
 def _camera_height_m(summary: LogSummary, roles: RoleAssignment, image: str) -> float:
@@ -184,30 +183,23 @@ def _write(job: InferenceJob, out: Path, arguments: argparse.Namespace) -> tuple
 
 def _results(job: InferenceJob, problems: Problems, threads: int) -> Iterator[tuple[Stamped, Inferred]]:
     """Yield images and their results in order; several images are computed at a time."""
-    topic = job.roles.topics[job.image]
+    topic, horizon = job.roles.topics[job.image], HorizonEstimate()
     roles = replace(job.roles, topics={job.image: topic})
     items = decoded_messages(log.read(job.summary, topics=(topic,)), roles, "auto", problems)
-    horizon = HorizonEstimate()
-    for item, raw in in_order(lambda item: (item, _raw(job, item)), items, threads):
+
+    def raw_of(item: Stamped) -> tuple[Stamped, RawResult | DecodeError]:
+        assert isinstance(item.payload, CameraImage)
+        try:
+            return item, job.pair.raw(item.payload.decode_bgr())
+        except DecodeError as error:
+            return item, error
+
+    for item, raw in in_order(raw_of, items, threads):
         if isinstance(raw, DecodeError):
             problems.add(topic, item.log_time_ns, raw)
-            continue
-        horizon, result = job.pair.results(raw, horizon, job.camera_height_m)
-        yield item, result
-
-
-def _raw(job: InferenceJob, item: Stamped) -> RawResult | DecodeError:
-    assert isinstance(item.payload, CameraImage)
-    try:
-        return job.pair.raw(item.payload.decode_bgr())
-    except DecodeError as error:
-        return error
-
-
-def _channel(role: str, network: Network) -> Channel:
-    found, keys = schema(ROLES[role].schema), network.keys.output
-    metadata = ((record.TAG_TABLE_KEY, keys.table.name),) if isinstance(keys, SegmentationKeys) else ()
-    return Channel(ROLES[role].topic, found.message_encoding, found.name, found.schema_encoding, found.data, metadata)
+        else:
+            horizon, result = job.pair.results(raw, horizon, job.camera_height_m)
+            yield item, result
 
 
 def _encoded(job: InferenceJob, item: Stamped, result: Inferred) -> Iterator[tuple[str, bytes]]:

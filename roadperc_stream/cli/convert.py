@@ -46,17 +46,27 @@ _rate = number(1e-3, 1e6, "a number from 0.001 to 1000000")
 
 def main(argv: list[str] | None = None) -> int:
     """``roadperc-convert``: exit code 0 on success, 1 on an error, 2 on wrong usage."""
-    arguments = conversion(argv)
+    parser = _parser()
+    arguments = parse(parser, argv)
+    arguments.role = [_role(parser, option) for option in arguments.role]
     converting = part("tools.carla_to_mcap")
     return run(lambda: converting.convert(arguments))
 
 
-def conversion(argv: list[str] | None) -> argparse.Namespace:
-    """The arguments of a conversion."""
-    parser = _parser()
-    arguments = parse(parser, argv)
-    arguments.role = [_role(parser, option) for option in arguments.role]
-    return arguments
+def add_camera_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of videos and images, and of a dump with one camera."""
+    parser.add_argument("--fov", type=_field_of_view, metavar="DEGREES", help="horizontal field of view")
+    parser.add_argument("--height", type=_height, metavar="METRES", help="height of a level camera above the road")
+    calibration = parser.add_argument(
+        "--calibration",
+        type=Path,
+        metavar="FILE",
+        help="calibration of the camera: camera_info YAML of ROS, or JSON (default: calibration.json of the recording)",
+    )
+    completed_by(calibration, files(".yaml", ".yml", ".json"))
+    parser.add_argument(
+        "--rate", type=_rate, metavar="HZ", help="frames per second (default: timestamps, or rate_hz, or 20)"
+    )
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -81,17 +91,7 @@ def _parser() -> argparse.ArgumentParser:
         help=f"use this folder for a role: {', '.join(roles)}",
     )
     parser.add_argument("--carla", metavar="VERSION", help="CARLA version of the tags, such as 0.9.15")
-    parser.add_argument("--fov", type=_field_of_view, metavar="DEGREES", help="horizontal field of view")
-    parser.add_argument("--height", type=_height, metavar="METRES", help="height of a level camera above the road")
-    calibration = parser.add_argument(
-        "--calibration",
-        type=Path,
-        metavar="FILE",
-        help="calibration of the camera: camera_info YAML of ROS, or JSON (default: calibration.json of the recording)",
-    )
-    parser.add_argument(
-        "--rate", type=_rate, metavar="HZ", help="frames per second (default: timestamps, or rate_hz, or 20)"
-    )
+    add_camera_arguments(parser)
     parser.add_argument(
         "--depth",
         choices=("mm", "float"),
@@ -114,7 +114,6 @@ def _parser() -> argparse.ArgumentParser:
         (dump, files()),
         (out, files(*LOGS)),
         (role, roles_in_dump(roles)),
-        (calibration, files(".yaml", ".yml", ".json")),
     ):
         completed_by(action, completer)
     return parser

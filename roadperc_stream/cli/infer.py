@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Final
 
 from roadperc_stream.cli.completers import LOGS, completed_by, files
-from roadperc_stream.cli.convert import conversion
-from roadperc_stream.cli.plumbing import ABOVE_0, command_parser, number, parse, part, run, whole_number
+from roadperc_stream.cli.convert import add_camera_arguments
+from roadperc_stream.cli.plumbing import command_parser, parse, part, run, whole_number
 
 _USAGE: Final = """\
 %(prog)s [options] IN OUT.mcap --network FILE.toml [--network FILE.toml]
@@ -19,8 +19,12 @@ example:
 
 the networks:
   FILE.toml names an .onnx file beside it, and its input, outputs and classes. docs/networks/ has two examples.
+
+videos and images:
+  --fov, --calibration, --rate and --height are those of roadperc-convert. --height also counts for a log without a
+  mounting: it gives the width of markings (default: surface.assumed_height_m).
 """
-_PASSED_ON: Final = ("fov", "calibration")
+_OF_CONVERSION: Final = ("fov", "calibration", "rate")
 _CHECK_WORDS: Final = (2, 3)
 
 
@@ -38,18 +42,10 @@ def main(argv: list[str] | None = None) -> int:
     if arguments.out is None or not arguments.network:
         parser.error("expected IN OUT.mcap and --network FILE.toml")
     inferring = part("tools.infer")
-    arguments.conversion = None if inferring.is_log(arguments.source) else conversion(_conversion_words(arguments))
-    given = [f"--{name}" for name in _PASSED_ON if getattr(arguments, name) is not None]
-    if given and arguments.conversion is None:
-        parser.error(f"{' and '.join(given)}: {arguments.source} is a log, which has its own calibration")
+    given = [f"--{name}" for name in _OF_CONVERSION if getattr(arguments, name) is not None]
+    if given and inferring.is_log(arguments.source):
+        parser.error(f"{' and '.join(given)}: {arguments.source} is a log, which has its own calibration and times")
     return run(lambda: inferring.infer(arguments))
-
-
-def _conversion_words(arguments: argparse.Namespace) -> list[str]:
-    """The arguments of the conversion of a video or a folder."""
-    options = {name: getattr(arguments, name) for name in (*_PASSED_ON, "height")}
-    given = [word for name, value in options.items() if value is not None for word in (f"--{name}", f"{value}")]
-    return [*given, "--quiet", "--", str(arguments.source), str(arguments.out)]
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -78,15 +74,7 @@ def _parser() -> argparse.ArgumentParser:
         help="write a picture of what a network sees in an image, and of its results; default IMAGE.check.png",
     )
     add("--topic", action="append", default=[], metavar="image=/TOPIC", help="use the images of this topic")
-    add("--fov", type=number(ABOVE_0, 180, "degrees below 180"), metavar="DEGREES", help="as in roadperc-convert")
-    add("--calibration", type=Path, metavar="FILE", help="as in roadperc-convert")
-    add(
-        "--height",
-        type=number(ABOVE_0, 100, "metres above 0"),
-        metavar="METRES",
-        help="height of the camera above the road, as in roadperc-convert; for a log without a mounting it gives the "
-        "width of markings (default: surface.assumed_height_m)",
-    )
+    add_camera_arguments(parser)
     add(
         "--threads",
         type=whole_number,

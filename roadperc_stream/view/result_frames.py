@@ -8,10 +8,12 @@ from typing import Any, Final, TypeVar
 
 from roadperc_stream import log
 from roadperc_stream.errors import ChannelError, DecodeError, LogError
+from roadperc_stream.geometry import Camera
 from roadperc_stream.input.decoding import Decoded, context_of_channel, decode
 from roadperc_stream.input.earlier_replay import is_result, is_result_of
+from roadperc_stream.input.rectified import rectified
 from roadperc_stream.input.roles import assignment_of_log
-from roadperc_stream.input.stream import Problems, RoleAssignment
+from roadperc_stream.input.stream import Problems, RoleAssignment, decoded_messages
 from roadperc_stream.log import LogSummary, Message
 from roadperc_stream.model import Absent, CameraImage, Lanes, Mask, Objects, Reason, TagImage, parse_reason
 from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14
@@ -103,17 +105,17 @@ _MOST_WAITING: Final = 64
 def read_frame(path: Path, stamp_ns: int, problems: Problems) -> PerceivedFrame | None:
     """The frame of a stamp; None without a camera image. Reads only the log around the stamp.
 
-    The image is from the camera of the results. Unreadable messages count as absent. ``problems`` collects unreadable
-    messages; a message near two frames counts twice.
+    The image is the rectified one of the camera of the results. Unreadable messages count as absent. ``problems``
+    collects unreadable messages; a message near two frames counts twice.
 
     Raises:
         LogError: the log cannot be read.
     """
     summary = log.summarise(path)
-    image_topic = _image_topic(summary)
+    image_topic, camera = _image_source(summary)
     for lateness_ns in LATENESS_NS:
         found, reasons = _messages(summary, image_topic, stamp_ns, lateness_ns, problems)
-        if frame := _frame_of(found, image_topic, reasons, stamp_ns, problems):
+        if frame := _frame_of(found, (image_topic, camera), reasons, stamp_ns, problems):
             return frame
     return None
 
@@ -127,11 +129,12 @@ def read_frames(summary: LogSummary, problems: Problems) -> Iterator[tuple[Frame
     Raises:
         LogError: the log cannot be read.
     """
-    image_topic = _image_topic(summary)
+    image_topic, camera = _image_source(summary)
     waiting: dict[int, dict[str, Decoded]] = {}
     for message in log.read(summary, topics={image_topic, METRICS_TOPIC, *_KINDS}):
         if row := row_of(message, problems):
-            yield row, _frame_of(waiting.pop(row.stamp_ns, {}), image_topic, row.reasons, row.stamp_ns, problems)
+            found = waiting.pop(row.stamp_ns, {})
+            yield row, _frame_of(found, (image_topic, camera), row.reasons, row.stamp_ns, problems)
             waiting = {stamp_ns: found for stamp_ns, found in waiting.items() if stamp_ns > row.stamp_ns}
         elif content := _decoded(message, image_topic, problems):
             waiting.setdefault(content.stamp_ns, {})[message.channel.topic] = content
@@ -167,22 +170,31 @@ def content_of(content: Callable[[], Content], topic: str, time_ns: int, problem
         return None
 
 
-def _image_topic(summary: LogSummary) -> str:
-    """The image topic that the replay used; empty if the log no longer has it."""
+_ImageSource = tuple[str, Camera | None]
+"""The image topic that the replay used, empty if the log no longer has it, and its first calibration."""
+
+
+def _image_source(summary: LogSummary) -> _ImageSource:
     try:
-        topics = assignment_of_log(summary, {}).topics
+        roles = assignment_of_log(summary, {})
     except ChannelError:  # the roles of the input are ambiguous
-        return ""
-    return topics.get("image") or topics.get("left", "")
+        return "", None
+    names = ("image", "calibration") if "image" in roles.topics else ("left", "left_calibration")
+    topic = roles.topics.get(names[1]) or roles.topics.get("calibration", "")
+    calibrations = replace(roles, topics={"calibration": topic})
+    items = decoded_messages(log.read(summary, topics=(topic,)), calibrations, "auto", Problems())
+    camera = next((item.payload for item in items if isinstance(item.payload, Camera)), None)
+    return roles.topics.get(names[0], ""), camera
 
 
 def _frame_of(
-    found: Mapping[str, Decoded], image_topic: str, reasons: Iterable[str], stamp_ns: int, problems: Problems
+    found: Mapping[str, Decoded], source: _ImageSource, reasons: Iterable[str], stamp_ns: int, problems: Problems
 ) -> PerceivedFrame | None:
-    image = _result(found, image_topic, CameraImage, "image")
+    topic, camera = source
+    image = rectified(_result(found, topic, CameraImage, "image"), camera)
     if isinstance(image, Absent):
         return None
-    image_bgr = content_of(lambda: image.bgr, image_topic, stamp_ns, problems)
+    image_bgr = content_of(lambda: image.bgr, topic, stamp_ns, problems)
     if image_bgr is None:
         return None
     mask = content_of(lambda: _drivable(found), DRIVABLE_TOPIC, stamp_ns, problems)

@@ -340,6 +340,22 @@ def test_a_continued_replay_has_the_state_and_the_source_is_in_the_configuration
         rp.replay(SAMPLE, "d.mcap", config="roadperc.toml")
 
 
+def test_an_own_state_is_warmed_up_and_resumed(folder):
+    stopping = "assert state.frames < 5 or not __import__('os').path.exists('stop')\n        return"
+    (folder / "counting.py").write_text(COUNTING.replace("return", stopping))
+    part = {"config": counting(), "start_s": 0.16, "end_s": 0.46}
+    rp.replay(SAMPLE, "warm.mcap", **part, warm_up_s=0.11)
+    assert offsets("warm.mcap")[:2] == [4.0, 5.0]
+    rp.replay(SAMPLE, "whole.mcap", **part)
+    (folder / "stop").touch()
+    with pytest.raises(StageError, match="AssertionError"):
+        rp.replay(SAMPLE, "resumed.mcap", **part, checkpoint_every_s=0.1)
+    (folder / "stop").unlink()
+    found = rp.replay(SAMPLE, "resumed.mcap", **part, resume=True)
+    assert found.frames_before == 3
+    assert (folder / "resumed.mcap").read_bytes() == (folder / "whole.mcap").read_bytes()
+
+
 def test_built_in_stages_are_not_named_in_the_configuration():
     assert "implementation" not in load_config(None, "lanes.implementation=built-in").to_toml()
 

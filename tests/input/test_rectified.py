@@ -8,17 +8,22 @@ import polars as pl
 import pytest
 
 import roadperc_stream as rp
+from roadperc_stream import log
 from roadperc_stream.cli import replay
 from roadperc_stream.formats import images
 from roadperc_stream.geometry import Lens
 from roadperc_stream.geometry.rectification import lens_fault, lens_of, rectification_maps, rectified_pixels
 from roadperc_stream.geometry.rotations import rotation_from_rpy
 from roadperc_stream.input.rectified import rectified_frame
+from roadperc_stream.input.stream import Problems
 from roadperc_stream.model import Box, Detection
 from roadperc_stream.output import encoding
+from roadperc_stream.view.rerun import save_recording
+from roadperc_stream.view.result_frames import read_frames
 from tests import logs
 from tests.analytic import TABLE
 from tests.logs import SMALL, START_NS, Item
+from tests.view.rerun.chunks import recorded as recorded_by_rerun
 
 CAMERA = SMALL.camera
 LENS = Lens(150.0, 150.0, 161.0, 118.0, Lens.R, "plumb_bob")
@@ -95,6 +100,11 @@ def test_a_lens_is_undone_before_the_chain(tmp_path, plain, camera):
     (found,) = frame.input.detections
     sides = [found.box_px.x_min, found.box_px.y_min, found.box_px.x_max, found.box_px.y_max]
     np.testing.assert_allclose(sides, [180, 130, 220, 160], atol=2.5)
+    save_recording(out, tmp_path / "out.rrd", {})
+    (shown, *_) = recorded_by_rerun(tmp_path / "out.rrd")["/camera/front/image"].column("EncodedImage:blob")
+    in_video = next(read_frames(log.summarise(out), Problems()))[1].image_bgr
+    for picture in (images.decode_bgr(bytes(shown[0])), in_video):
+        assert np.abs(picture[..., 0] - 10.0 * SMALL.tags()).mean() < 2
 
 
 def test_a_lens_that_is_unknown_is_reported_and_its_image_used_as_it_is(tmp_path):

@@ -89,3 +89,7 @@ def test_pitch_and_scale_are_known_from_the_second_frame_on(drive):
     assert all(not result.odometry.up_to_scale for result in results)
     means = np.convolve(steps, np.full(min(50, len(steps)), 1 / min(50, len(steps))), "valid")
     assert means == pytest.approx(np.median(steps), rel=0.05)
+
+
+def test_false_detections_beside_the_road_never_warn(drive):
+    assert {item.time_to_impact_s for result in drive[1] for item in result.objects.objects} == {None}

@@ -14,7 +14,9 @@ import pytest
 from roadperc_stream import log
 from roadperc_stream.cli import replay
 from roadperc_stream.cli.infer import main
+from tests.tools.test_video_logs import TOPIC, write_log
 
+ANNEX_B = (cv2.CAP_PROP_FORMAT, -1)
 DOCS = Path(__file__).parents[2] / "docs" / "networks"
 
 
@@ -45,6 +47,25 @@ def test_the_log_has_channels_tag_table_and_digests(drive):
     values = {key: value for record in summary.metadata for key, value in record.values}
     assert values["segmentation.sha256"].startswith("9548df62")
     assert values["detections.sha256"].startswith("695e750a")
+
+
+def test_options_of_the_input_reach_the_conversion(drive, data_dir, capsys):
+    options = "--fov", 55, "--rate", 5, "--force"
+    assert infer(drive, drive / "shots", "slow.mcap", *options) == 0
+    times = [time_ns for time_ns, _, _ in messages(drive / "slow.mcap")["/camera/front/image"]]
+    assert times[2] - times[0] == 400_000_000
+    with pytest.raises(SystemExit):
+        infer(drive, drive / "slow.mcap", "no.mcap", *options)
+    assert "--fov and --rate: " in capsys.readouterr().err
+
+
+def test_a_log_with_only_video_is_converted_first(drive, data_dir):
+    capture = cv2.VideoCapture(str(data_dir / "highway_video" / "solidWhiteRight.mp4"), cv2.CAP_FFMPEG, ANNEX_B)
+    path = write_log(drive / "video.mcap", [capture.read()[1].tobytes() for _ in range(2)])
+    assert infer(drive, path, "images.mcap") == 0
+    found = messages(drive / "images.mcap")
+    assert len(found["/camera/front/segmentation"]) == len(found[TOPIC]) == 2
+    path.unlink()
 
 
 def test_results_are_replaced_only_with_force_and_do_not_depend_on_threads(drive, capsys):
@@ -131,7 +152,7 @@ def test_an_interrupted_inference_leaves_no_file(drive):
     command = [sys.executable, "-c", "from roadperc_stream.cli.launch import infer; raise SystemExit(infer())"]
     words = [str(drive / "shots"), str(drive / "stopped.mcap"), "--fov", "55", *networks]
     ran = subprocess.Popen([*command, *words], stderr=subprocess.PIPE, text=True)
-    while ran.poll() is None and not list(drive.glob(".stopped.mcap.*.partial")):
+    while ran.poll() is None and not any(p.stat().st_size for p in drive.glob(".stopped.mcap.*.partial")):
         time.sleep(0.01)
     ran.send_signal(signal.SIGINT)
     error = ran.communicate(timeout=60)[1]

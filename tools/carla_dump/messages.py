@@ -13,7 +13,7 @@ from roadperc_stream.errors import DecodeError, DumpError
 from roadperc_stream.formats.images import decode_bgr, encode_indices, encode_jpeg
 from roadperc_stream.geometry import Camera
 from roadperc_stream.geometry.rectification import is_rectified, rectified, resampled
-from roadperc_stream.input.rectified import rectified_detection
+from roadperc_stream.input.rectified import rectified_by
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.model import EGO, Detection
 from roadperc_stream.model.tag_tables import TagTable
@@ -161,7 +161,7 @@ def straightened(camera: Camera, pixels: NDArray[P], *, nearest: bool = False) -
 def _detections(plan: Plan, stamp_ns: int, detections: Iterable[Detection]) -> bytes:
     camera = plan.rig.camera_of("image")
     if not is_rectified(camera):
-        detections = [rectified_detection(detection, camera) for detection in detections]
+        detections = rectified_by(tuple(detections), camera)
     return encoding.encode_detections(stamp_ns, FRONT, detections)
 
 

@@ -1,6 +1,6 @@
 """Boxes of a detector: decoding, and removal of duplicates and of boxes that cannot be objects."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -11,11 +11,8 @@ from roadperc_stream.geometry import Float, Float32
 from roadperc_stream.model import Box, Detection
 
 from .description import DetectionKeys, Network
-from .pixels import Placement
 from .session import require_output
 
-_BEFORE_CLASSES: Final = {"yolo_grid": 5, "yolov8": 4}
-"""Values of a box before its class scores."""
 _IN_ANOTHER: Final = 0.8
 """Share of a box inside another one of its class, from which both are the same object."""
 _MOST: Final = 1000
@@ -70,15 +67,13 @@ def _scored(network: Network, keys: DetectionKeys, output: Float32) -> Boxes:
 
     Source of the grids: Ge et al., YOLOX: Exceeding YOLO Series in 2021, and its ``demo_postprocess``.
     """
-    before = _BEFORE_CLASSES[keys.decoder]
     grids = _grids(network, keys) if keys.decoder == "yolo_grid" else None
+    before = 4 if grids is None else 5  # values of a box before its class scores
     rows = output[0].astype(np.float64) if output.ndim == 3 else np.zeros((0, 0))
-    rows = rows if keys.decoder == "yolo_grid" else rows.T
-    classes = rows.shape[1] - before
-    fits = classes > max(keys.classes) and (grids is None or len(grids) == len(rows))
+    rows = rows.T if grids is None else rows
     least = before + max(keys.classes) + 1
-    count = "N" if grids is None else str(len(grids))
-    expected = f"[1, {count}, {least} or more]" if keys.decoder == "yolo_grid" else f"[1, {least} or more, N]"
+    fits = rows.shape[1] >= least and (grids is None or len(grids) == len(rows))
+    expected = f"[1, {least} or more, N]" if grids is None else f"[1, {len(grids)}, {least} or more]"
     require_output(network, "of boxes", output.shape, expected, fits=fits)
     best = rows[:, before:].argmax(axis=1)
     scores = rows[np.arange(len(rows)), before + best]
@@ -122,17 +117,13 @@ def possible(keys: DetectionKeys, boxes: Boxes, size: tuple[int, int]) -> Boxes:
     return boxes.of(np.asarray((area > 0) & (area <= keys.max_area * size[0] * size[1]) & above_bonnet))
 
 
-def centre_tile(size: tuple[int, int]) -> tuple[int, int, int, int]:
-    """x_min, y_min, x_max and y_max of the middle half of an image of ``size`` (columns, rows)."""
-    columns, rows = size
-    return columns // 4, rows // 4, columns // 4 + columns // 2, rows // 4 + rows // 2
+def of_tile(boxes: Boxes, corner: tuple[int, int], size: tuple[int, int]) -> Boxes:
+    """Return the boxes of a tile in pixels of the image, without those that the tile's edge cuts.
 
-
-def of_tile(boxes: Boxes, tile: tuple[int, int, int, int], place: Placement) -> Boxes:
-    """Return the boxes of a tile in pixels of the image, without those that the tile's edge cuts."""
-    inside = place.in_image(boxes.corners)
-    uncut = np.all((inside > 0) & (inside < np.tile(place.size, 2)), axis=1)
-    return Boxes(inside + np.tile(tile[:2], 2), boxes.scores, boxes.classes).of(np.asarray(uncut))
+    ``corner`` is the column and row of the tile's first pixel, ``size`` its columns and rows.
+    """
+    uncut = np.all((boxes.corners > 0) & (boxes.corners < np.tile(size, 2)), axis=1)
+    return replace(boxes, corners=boxes.corners + np.tile(corner, 2)).of(np.asarray(uncut))
 
 
 def detections(keys: DetectionKeys, boxes: Boxes) -> tuple[Detection, ...]:

@@ -1,5 +1,6 @@
 """A picture of what a network sees and finds in one image, so that a wrong size or order of colours is visible."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -37,10 +38,8 @@ def check(description: Path, image: Path, out: Path, *, force: bool) -> None:
         bgr = decode_bgr(image.read_bytes())
     except OSError as error:
         raise ConfigError(f"{image}: {error.strerror or error}") from error
-    other = "bgr" if network.keys.input.colours == "rgb" else "rgb"
     with one_thread():
-        rows = [_row(network, bgr, f'colours = "{network.keys.input.colours}", as described')]
-        rows.append(_row(_with_colours(network, other), bgr, f'colours = "{other}", for comparison'))
+        rows = [_row(network, bgr, "as described"), _row(_with_other_colours(network), bgr, "for comparison")]
     width = max(row.shape[1] for row in rows)
     picture = np.vstack([np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0))) for row in rows])
     with completing(out, force=force) as partial:
@@ -48,21 +47,19 @@ def check(description: Path, image: Path, out: Path, *, force: bool) -> None:
     print_line(f"left: the network's input; right: its results; below: with the other order of colours: {out}")
 
 
-def _with_colours(network: Network, colours: str) -> Network:
-    keys = network.keys
-    changed = keys.model_copy(update={"input": keys.input.model_copy(update={"colours": colours})})
-    return Network(network.path, changed, network.model, network.sha256)
+def _with_other_colours(network: Network) -> Network:
+    other = {"colours": network.keys.input.colours[::-1]}
+    keys = network.keys.model_copy(update={"input": network.keys.input.model_copy(update=other)})
+    return replace(network, keys=keys)
 
 
 def _row(network: Network, bgr: Image, heading: str) -> Image:
     """(H, W, 3) input and results side by side, below a line of text."""
-    pair = load([network])
-    raw = pair.raw(bgr)
-    _, found = pair.results(raw, HorizonEstimate(), _HEIGHT_M)
-    keys = network.keys.input
+    pair, keys = load([network]), network.keys.input
+    _, found = pair.results(pair.raw(bgr), HorizonEstimate(), _HEIGHT_M)
     seen = as_seen(keys, bgr)[..., ::-1]  # as if the first channel were red: BGR looks blue
-    columns, rows = keys.size
-    facts = f"{heading}; input {columns}x{rows}, {keys.resize}; {_facts(network, found)}"
+    size = "x".join(map(str, keys.size))
+    facts = f'colours = "{keys.colours}", {heading}; input {size}, {keys.resize}; {_facts(network, found)}'
     sides = [cv2.resize(side, (round(side.shape[1] * _HEIGHT_PX / side.shape[0]), _HEIGHT_PX))
              for side in (np.ascontiguousarray(seen), _drawn(network, bgr, found))]  # fmt: skip
     pictures = np.hstack(sides)

@@ -1,10 +1,9 @@
 """Description of a network, from a TOML file: its model, input, outputs, classes and corrections."""
 
 import hashlib
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError, field_validator, model_validator
 
@@ -13,11 +12,8 @@ from roadperc_stream.errors import ConfigError
 from roadperc_stream.model.tag_tables import UNLABELED, TagTable, table_of_classes
 from roadperc_stream.system.text import nearest
 
-from .semantic import Corrections
-
 Share = Annotated[float, Field(gt=0, le=1)]
 Numbers = tuple[float, float, float]
-_ROAD: Final = "road"
 _SHOWN: Final = 80
 
 
@@ -48,7 +44,7 @@ class InputKeys(_Keys):
 
 class _OutputKeys(_Keys):
     roi: tuple[tuple[float, float], ...] = ()
-    """Polygon of (x, y) in shares of the image's width and height."""
+    """Polygon of (x, y) in shares of the image's width and height; pixels outside belong to no class."""
     ignore_below: Share = 1.0
     """Share of the image's height at which the own bonnet begins."""
 
@@ -65,7 +61,9 @@ class SegmentationKeys(_OutputKeys):
     output: str = ""
     """Name of the output of ``semantic``; empty for the only one."""
     marking_width_m: Annotated[float, Field(gt=0, le=1)] | None = None
+    """True width of a marking; None to keep the network's."""
     fill_holes: bool = False
+    """Fill holes of the road before the car."""
 
     @field_validator("classes")
     @classmethod
@@ -88,11 +86,6 @@ class SegmentationKeys(_OutputKeys):
     def table(self) -> TagTable:
         """The tag table of these classes; tag 0 is a pixel of no class."""
         return table_of_classes((UNLABELED, *self.classes.values()))
-
-    @property
-    def corrections(self) -> Corrections:
-        """The corrections of the masks."""
-        return Corrections(self.marking_width_m, self.fill_holes, self.roi, self.ignore_below)
 
 
 class DetectionKeys(_OutputKeys):
@@ -190,25 +183,15 @@ def _bytes_of(path: Path, most: int, hint: str = "") -> bytes:
 def _complaint(error: ValidationError) -> str:
     """The first error, such as ``input.size: expected ..., found ...``; a misspelt key is also missing."""
     first = min(error.errors(), key=lambda found: found["type"] != "extra_forbidden")
-    sections = [str(part) for part in first["loc"]]
-    key = ".".join(part for part in sections if part not in _DECODERS)
+    sections = [str(part) for part in first["loc"] if part not in _DECODERS]
+    key = ".".join(sections)
     if first["type"] == "extra_forbidden":
-        known = _known_keys(sections[:-1])
-        near = nearest(sections[-1], known)
-        return f"no key {key}; " + (f"did you mean {near}?" if near else f"known: {', '.join(known)}")
+        near = nearest(sections[-1], (name for model in _MODELS for name in model.model_fields))
+        return f"no key {key}; " + (f"did you mean {near}?" if near else "docs/networks.md lists all keys")
     if first["type"] == "missing":
         return f"{key}: missing; see docs/networks.md for an example"
-    if first["type"] == "value_error":
-        return f"{key}: {first['ctx']['error']}"
-    return f"{key}: {first['msg']}, found {in_brief(first['input'], _SHOWN)}"
+    return f"{key}: {first.get('ctx', {}).get('error', first['msg'])}, found {in_brief(first['input'], _SHOWN)}"
 
 
-_DECODERS: Final[Mapping[str, type[BaseModel]]] = {
-    **dict.fromkeys(("semantic", "heads"), SegmentationKeys),
-    **dict.fromkeys(("yolo_grid", "yolov8", "boxes"), DetectionKeys),
-}
-
-
-def _known_keys(sections: list[str]) -> tuple[str, ...]:
-    models: dict[str, Any] = {"": NetworkKeys, "input": InputKeys, **_DECODERS}
-    return tuple(models[sections[-1] if sections else ""].model_fields)
+_MODELS: Final = (NetworkKeys, InputKeys, SegmentationKeys, DetectionKeys)
+_DECODERS: Final = ("semantic", "heads", "yolo_grid", "yolov8", "boxes")

@@ -4,11 +4,12 @@ Raw results may be computed in parallel. The corrections follow frame by frame, 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
+from roadperc_stream.errors import ConfigError
 from roadperc_stream.geometry import Float32
 from roadperc_stream.model import Detection, Image, Mask
 
@@ -54,8 +55,7 @@ class Pair:
     @property
     def sessions(self) -> dict[str, tuple[Network, Session]]:
         """Network and session by role."""
-        both = {"segmentation": self.segmentation, "detections": self.detections}
-        return {role: (part[0], part[2]) for role, part in both.items() if part is not None}
+        return {part[0].role: (part[0], part[2]) for part in (self.segmentation, self.detections) if part is not None}
 
     def raw(self, bgr: Image) -> RawResult:
         """Return the networks' results for an (H, W, 3) image; several threads may call it.
@@ -80,28 +80,29 @@ class Pair:
             detections = of_boxes.detections(self.detections[1], boxes)
         if raw.masks is None or self.segmentation is None:
             return horizon, Inferred(None, detections)
-        keys = self.segmentation[1]
-        rows, columns = raw.size[::-1]
-        none = np.zeros((rows, columns), bool)
+        keys, none = self.segmentation[1], np.zeros(raw.size[::-1], bool)
         masks = RoadMasks(raw.masks.get(ROAD, none), raw.masks.get(MARKING, none))
         corners = np.zeros((0, 4)) if boxes is None else boxes.corners
-        horizon, masks = corrected(keys.corrections, camera_height_m, horizon, masks, corners)
+        horizon, masks = corrected(keys, camera_height_m, horizon, masks, corners)
         return horizon, Inferred(_tags(keys, raw.masks, masks), detections)
 
 
 def load(networks: Sequence[Network]) -> Pair:
-    """Load networks, at most one for each role.
+    """Load networks.
 
     Raises:
-        ConfigError: a model cannot be loaded, or does not fit its TOML file.
+        ConfigError: two compute the same channel, or a model cannot be loaded or does not fit its TOML file.
     """
     pair = Pair()
     for network in networks:
-        keys, session = network.keys.output, open_session(network)
+        keys, loaded = network.keys.output, pair.sessions
+        if network.role in loaded:
+            other = loaded[network.role][0].path
+            raise ConfigError(f"{other} and {network.path} both compute {network.role}; pass one of them")
         if isinstance(keys, SegmentationKeys):
-            pair = Pair((network, keys, session), pair.detections)
+            pair = replace(pair, segmentation=(network, keys, open_session(network)))
         else:
-            pair = Pair(pair.segmentation, (network, keys, session))
+            pair = replace(pair, detections=(network, keys, open_session(network)))
     return pair
 
 
@@ -111,14 +112,12 @@ def class_masks(network: Network, keys: SegmentationKeys, session: Session, bgr:
     Raises:
         ConfigError: as ``Pair.raw``.
     """
-    outputs = _outputs(network, session, bgr)
-    place = placement(network.keys.input, (bgr.shape[1], bgr.shape[0]))
-    scores = [
-        full_size_scores(place.cut(_channels(network, output), network.keys.input.size), bgr.shape[:2])
-        for output in outputs
-    ]
+    place, size = placement(network.keys.input, (bgr.shape[1], bgr.shape[0])), network.keys.input.size
+    channels = [_channels(network, keys, output) for output in _outputs(network, session, bgr)]
+    scores = [full_size_scores(place.cut(each, size), bgr.shape[:2]) for each in channels]
     if keys.decoder == "heads":
-        return {name: _of_head(head) for name, head in zip(keys.classes.values(), scores, strict=True)}
+        heads = zip(keys.classes.values(), scores, strict=True)
+        return {name: head[-1] > (head[0] if len(head) == 2 else 0) for name, head in heads}
     best = scores[0].argmax(axis=0)
     found: dict[str, Mask] = {}
     for channel, name in keys.classes.items():
@@ -126,23 +125,17 @@ def class_masks(network: Network, keys: SegmentationKeys, session: Session, bgr:
     return found
 
 
-def _channels(network: Network, output: Float32) -> Float32:
-    """(C, h, w) scores of an output."""
+def _channels(network: Network, keys: SegmentationKeys, output: Float32) -> Float32:
+    """(C, h, w) scores of an output; a head has those of other and class, or the class's logits."""
     scores = output[0] if output.ndim == 4 else np.zeros((0, 0, 0), np.float32)
     scores = scores if network.keys.input.layout == "NCHW" else scores.transpose(2, 0, 1)
-    keys = network.keys.output
     if keys.decoder == "heads":
         fits, expected = len(scores) in (1, 2), "[1, 1 or 2, rows, columns]"
     else:
-        least = 1 + max(map(int, keys.classes))
-        fits, expected = len(scores) >= max(least, 2), f"[1, {least} or more, rows, columns]"
+        least = max(2, *(1 + int(channel) for channel in keys.classes))
+        fits, expected = len(scores) >= least, f"[1, {least} or more, rows, columns]"
     require_output(network, "of scores", output.shape, expected, fits=fits)
     return scores
-
-
-def _of_head(scores: Float32) -> Mask:
-    """(H, W) pixels of a head's class, from (2, H, W) scores of other and class, or (1, H, W) logits."""
-    return np.asarray(scores[1] > scores[0] if len(scores) == 2 else scores[0] > 0)
 
 
 def object_boxes(network: Network, keys: DetectionKeys, session: Session, bgr: Image) -> Boxes:
@@ -151,14 +144,17 @@ def object_boxes(network: Network, keys: DetectionKeys, session: Session, bgr: I
     Raises:
         ConfigError: as ``Pair.raw``.
     """
-    size = bgr.shape[1], bgr.shape[0]
-    found = of_boxes.decoded(network, keys, _outputs(network, session, bgr))
-    place = placement(network.keys.input, size)
-    found = Boxes(place.in_image(found.corners), found.scores, found.classes)
+
+    def boxes_in(part: Image) -> Boxes:
+        found = of_boxes.decoded(network, keys, _outputs(network, session, part))
+        place = placement(network.keys.input, (part.shape[1], part.shape[0]))
+        return replace(found, corners=place.in_image(found.corners))
+
+    found = boxes_in(bgr)
     if keys.tiles == "centre":
-        x0, y0, x1, y1 = tile = of_boxes.centre_tile(size)
-        part = of_boxes.decoded(network, keys, _outputs(network, session, bgr[y0:y1, x0:x1]))
-        found = found.with_others(of_boxes.of_tile(part, tile, placement(network.keys.input, (x1 - x0, y1 - y0))))
+        x, y = bgr.shape[1] // 4, bgr.shape[0] // 4
+        tile = bgr[y : y + bgr.shape[0] // 2, x : x + bgr.shape[1] // 2]
+        found = found.with_others(of_boxes.of_tile(boxes_in(tile), (x, y), (tile.shape[1], tile.shape[0])))
     return of_boxes.without_duplicates(keys, found)
 
 
@@ -169,7 +165,7 @@ def _outputs(network: Network, session: Session, bgr: Image) -> list[Float32]:
 
 def _tags(keys: SegmentationKeys, by_class: Mapping[str, Mask], road: RoadMasks) -> Image:
     """(H, W) tags in the network's table; the road and its markings are the corrected ones."""
-    table, seen = keys.table, seen_mask(keys.corrections, road.drivable.shape)
+    table, seen = keys.table, seen_mask(keys, road.drivable.shape)
     tags = np.zeros(seen.shape, np.uint8)
     for name, mask in {**by_class, ROAD: road.drivable, MARKING: road.markings}.items():
         if name in table.names:

@@ -1,7 +1,6 @@
 """Pixels of an image as the input of a network, and their place in it."""
 
 from dataclasses import dataclass
-from typing import Final
 
 import cv2
 import numpy as np
@@ -11,8 +10,6 @@ from roadperc_stream.geometry import Float, Float32
 from roadperc_stream.model import Image
 
 from .description import InputKeys, Network
-
-_CORNERS: Final = 2
 
 
 @dataclass(frozen=True)
@@ -25,17 +22,15 @@ class Placement:
 
     def in_image(self, boxes: Float) -> Float:
         """(N, 4) boxes in pixels of the image, clipped to it, from boxes in pixels of the input."""
-        found: Float = (boxes - np.tile(self.offset, _CORNERS)) / np.tile(self.scale, _CORNERS)
-        return np.clip(found, 0.0, np.tile(self.size, _CORNERS))
+        found: Float = (boxes - np.tile(self.offset, 2)) / np.tile(self.scale, 2)
+        return np.clip(found, 0.0, np.tile(self.size, 2))
 
     def cut(self, scores: Float32, input_size: tuple[int, int]) -> Float32:
         """(C, h', w') part of (C, h, w) scores that shows the image; the scores may be smaller than the input."""
-        part = []
-        for axis in (1, 0):
-            share = scores.shape[2 - axis] / input_size[axis]
-            first = self.offset[axis] * share
-            part.append(slice(round(first), round(first + self.size[axis] * self.scale[axis] * share)))
-        return scores[:, part[0], part[1]]
+        first = np.array(self.offset) * (share := scores.shape[:0:-1] / np.array(input_size))
+        end = first + np.array(self.size) * self.scale * share
+        (left, top), (right, bottom) = np.rint((first, end)).astype(int)
+        return scores[:, top:bottom, left:right]
 
 
 def placement(keys: InputKeys, size: tuple[int, int]) -> Placement:
@@ -52,12 +47,10 @@ def placement(keys: InputKeys, size: tuple[int, int]) -> Placement:
 def as_seen(keys: InputKeys, bgr: Image) -> Image:
     """(H, W, 3) uint8 input of an (H, W, 3) BGR image, in the network's order of colours, before mean and scale."""
     place = placement(keys, (bgr.shape[1], bgr.shape[0]))
-    inner = [max(round(place.size[axis] * place.scale[axis]), 1) for axis in (0, 1)]
-    resized = cv2.resize(bgr, inner, interpolation=cv2.INTER_LINEAR)
+    columns, rows = (max(round(side * scale), 1) for side, scale in zip(place.size, place.scale, strict=True))
     column, row = place.offset
-    columns, rows = keys.size
-    seen = np.full((rows, columns, 3), keys.pad, np.uint8)
-    seen[row : row + inner[1], column : column + inner[0]] = resized
+    seen = np.full((*keys.size[::-1], 3), keys.pad, np.uint8)
+    seen[row : row + rows, column : column + columns] = cv2.resize(bgr, (columns, rows))
     return seen[..., ::-1] if keys.colours == "rgb" else seen
 
 

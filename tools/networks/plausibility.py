@@ -1,5 +1,6 @@
 """Warnings about a segmentation that cannot be a road, such as that of a network with the wrong input."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -33,20 +34,18 @@ class RoadCheck:
             self.before.append(float(road[patch_rows, patch_columns].mean()))
             self.above.append(float(road[: max(int(_ABOVE * rows), 1)].mean()))
 
-    def warnings(self, name: str) -> list[str]:
-        """Return the warnings; ``name`` is the network's file."""
-        found = []
-        if self.before and (share := float(np.mean(self.before))) < _LEAST_ROAD:
-            found.append(
-                f"{name}: {share:.0%} of the road before the car is drivable in the first {len(self.before)} frames, "
-                f"expected {_LEAST_ROAD:.0%} or more; look at the picture of roadperc-infer --check"
-            )
-        if self.above and (share := float(np.mean(self.above))) > _MOST_ABOVE:
-            found.append(
-                f"{name}: {share:.0%} of the image's upper {_ABOVE:.0%} is drivable in the first {len(self.above)} "
-                "frames; look at the picture of roadperc-infer --check"
-            )
-        return found
+    def warnings(self, name: str) -> Iterator[str]:
+        """Yield the warnings; ``name`` is the network's file."""
+        found = (
+            (self.before, _LEAST_ROAD, 1.0, "of the road before the car"),
+            (self.above, 0.0, _MOST_ABOVE, f"of the image's upper {_ABOVE:.0%}"),
+        )
+        for shares, least, most, what in found:
+            if shares and not least <= (share := float(np.mean(shares))) <= most:
+                yield (
+                    f"{name}: {share:.0%} {what} is drivable in the first {len(shares)} frames, expected {least:.0%} "
+                    f"to {most:.0%}; look at the picture of roadperc-infer --check"
+                )
 
 
 def _span(shares: tuple[float, float], length: int) -> slice:

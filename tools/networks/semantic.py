@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from roadperc_stream.geometry import Float, Float32
 from roadperc_stream.model import Mask
 
+from .description import SegmentationKeys
+
 _STEPS = 64.0
 """Scores are rounded to multiples of 1 / 64: other processors and versions differ by less."""
 _HORIZON_FRAMES = 101
@@ -22,21 +24,6 @@ _ROAD_COLUMNS = 0.01
 
 _HOLES_BELOW = (0.5, 0.2)
 """Shares of the road's rows below which holes are filled: up to two and five times the nearest row's distance."""
-
-
-@dataclass(frozen=True)
-class Corrections:
-    """The corrections of one network's masks.
-
-    ``marking_width_m`` is the true width of a marking, None to keep the network's. ``fill_holes`` fills holes of the
-    road before the car. ``roi`` is a polygon of (x, y) in shares of the image's width and height; pixels outside
-    belong to no class. So do those below ``ignore_below``, a share of the height.
-    """
-
-    marking_width_m: float | None = None
-    fill_holes: bool = False
-    roi: tuple[tuple[float, float], ...] = ()
-    ignore_below: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -75,31 +62,29 @@ def full_size_scores(scores: Float32, size: tuple[int, int]) -> Float32:
 
 
 def corrected(
-    cfg: Corrections, camera_height_m: float, horizon: HorizonEstimate, masks: RoadMasks, boxes_px: Float
+    keys: SegmentationKeys, camera_height_m: float, horizon: HorizonEstimate, masks: RoadMasks, boxes_px: Float
 ) -> tuple[HorizonEstimate, RoadMasks]:
     """The horizon after this frame, and its corrected masks.
 
     ``boxes_px`` are the (N, 4) x_min, y_min, x_max, y_max of the objects in the frame.
     """
-    seen = seen_mask(cfg, masks.drivable.shape)
+    seen = seen_mask(keys, masks.drivable.shape)
     masks = RoadMasks(masks.drivable & seen, masks.markings & seen)
     horizon = horizon.after(masks.drivable)
-    if cfg.marking_width_m is not None and horizon.row is not None:
-        masks = with_marking_width(masks, horizon.row, cfg.marking_width_m / camera_height_m)
-    if cfg.fill_holes:
+    if keys.marking_width_m is not None and horizon.row is not None:
+        masks = with_marking_width(masks, horizon.row, keys.marking_width_m / camera_height_m)
+    if keys.fill_holes:
         masks = replace(masks, drivable=without_holes(masks.drivable | masks.markings, seen, boxes_px))
     return horizon, masks
 
 
-def seen_mask(cfg: Corrections, size: tuple[int, ...]) -> Mask:
+def seen_mask(keys: SegmentationKeys, size: tuple[int, ...]) -> Mask:
     """(H, W) pixels inside ``roi`` and above ``ignore_below``."""
     height, width = size
-    seen = np.ones(size, np.uint8)
-    if cfg.roi:
-        seen[:] = 0
-        corners = np.rint(np.array(cfg.roi) * (width, height)).astype(np.int32)
-        cv2.fillPoly(seen, [corners], 1)
-    seen[round(cfg.ignore_below * height) :] = 0
+    seen = np.full(size, not keys.roi, np.uint8)
+    if keys.roi:
+        cv2.fillPoly(seen, [np.rint(np.array(keys.roi) * (width, height)).astype(np.int32)], 1)
+    seen[round(keys.ignore_below * height) :] = 0
     return seen.view(bool)
 
 
@@ -111,16 +96,15 @@ def with_marking_width(masks: RoadMasks, horizon_row: float, width_per_row: floa
     beside the run is road. Rows above the horizon have no markings.
     """
     rows, first, end = _runs(masks.markings)
-    width = masks.markings.shape[1]
+    size, centre = masks.markings.shape, (first + end) // 2
     below = rows > horizon_row
     wanted = width_per_row * (rows[below] - horizon_row)
     middle = (first[below] + end[below]) / 2
-    markings = _filled(rows[below], np.rint(middle - wanted / 2), np.rint(middle + wanted / 2), masks.markings.shape)
-    road_left = masks.drivable[rows, np.maximum(first - 1, 0)]
-    road_right = masks.drivable[rows, np.minimum(end, width - 1)]
-    centre = (first + end) // 2
-    freed = _filled(rows[road_left], first[road_left], centre[road_left], markings.shape)
-    freed |= _filled(rows[road_right], centre[road_right], end[road_right], markings.shape)
+    markings = _filled(rows[below], np.rint(middle - wanted / 2), np.rint(middle + wanted / 2), size)
+    left = masks.drivable[rows, np.maximum(first - 1, 0)]
+    right = masks.drivable[rows, np.minimum(end, size[1] - 1)]
+    freed = _filled(rows[left], first[left], centre[left], size)
+    freed |= _filled(rows[right], centre[right], end[right], size)
     return RoadMasks(masks.drivable | freed, markings)
 
 
@@ -130,23 +114,17 @@ def without_holes(road: Mask, seen: Mask, boxes_px: Float) -> Mask:
     What is beside a road is above it in the image. So a hole has road above it in each column. Only holes below a share
     of the road's rows are filled: the near ones first, because a box in a far one would keep both.
     """
+    boxes = np.clip(np.rint(boxes_px), 0, max(road.shape)).astype(int)
     for share in _HOLES_BELOW:
-        road = _without_holes_below(share, road, seen, boxes_px)
+        far = np.argmax(road.any(axis=1))
+        below = np.maximum.accumulate(road, axis=0)
+        below[: int(far + share * (len(road) - far))] = False
+        count, labels = cv2.connectedComponents((below & seen & ~road).view(np.uint8), connectivity=4)
+        hole = np.arange(count) > 0
+        for x_min, y_min, x_max, y_max in boxes:
+            hole[labels[y_min:y_max, x_min:x_max]] = False
+        road = road | hole[labels]
     return road
-
-
-def _without_holes_below(share: float, road: Mask, seen: Mask, boxes_px: Float) -> Mask:
-    far = np.flatnonzero(road.any(axis=1))
-    top = int(far[0] + share * (len(road) - far[0])) if len(far) else len(road)
-    below = np.maximum.accumulate(road, axis=0)
-    below[:top] = False
-    count, labels = cv2.connectedComponents((below & seen & ~road).view(np.uint8), connectivity=4)
-    hole = np.ones(count, bool)
-    for x_min, y_min, x_max, y_max in np.clip(np.rint(boxes_px), 0, max(road.shape)).astype(int):
-        hole[np.unique(labels[y_min:y_max, x_min:x_max])] = False
-    hole[0] = False
-    filled: Mask = road | hole[labels]
-    return filled
 
 
 def _runs(mask: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:

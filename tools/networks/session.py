@@ -22,7 +22,11 @@ class Session(Protocol):
     """Library and version."""
 
     def run(self, pixels: Float32) -> list[Float32]:
-        """Return the outputs, in the order of the TOML file, or of the model."""
+        """Return the outputs, in the order of the TOML file, or of the model.
+
+        Raises:
+            ConfigError: OpenCV has no support for an operation, or the input has another size.
+        """
         ...
 
 
@@ -57,7 +61,7 @@ class _OnnxSession:
         self._outputs = _require_outputs(network, [output.name for output in self._session.get_outputs()])
 
     def run(self, pixels: Float32) -> list[Float32]:
-        """Return the outputs, in the order of the TOML file, or of the model."""
+        """Return the outputs, as ``Session``."""
         found: list[Float32] = self._session.run(self._outputs, {self._input: pixels})
         return found
 
@@ -76,11 +80,7 @@ class _OpenCvSession:
         self._outputs = _require_outputs(network, names)
 
     def run(self, pixels: Float32) -> list[Float32]:
-        """Return the outputs, in the order of the TOML file, or of the model.
-
-        Raises:
-            ConfigError: OpenCV has no support for an operation, or the input has another size.
-        """
+        """Return the outputs, as ``Session``."""
         try:
             with self._lock:  # a cv2.dnn.Net keeps its input
                 self._net.setInput(pixels)

@@ -11,8 +11,10 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import DecodeError as ProtobufError
 
 from roadperc_stream.errors import DecodeError
+from roadperc_stream.geometry.rectification import is_rectified
 from roadperc_stream.input.decoding import Context, context_of_channel, decode
 from roadperc_stream.input.earlier_replay import is_result, is_result_of
+from roadperc_stream.input.rectified import rectified
 from roadperc_stream.input.stream import RoleAssignment
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.model.tag_tables import TagTable
@@ -117,7 +119,10 @@ def _numbers(times: TimesOfFrame, state: SceneState, entity: str, message: Any) 
 
 
 def _encoded(role: str, state: SceneState, message: Message) -> Iterator[Entry]:
-    """The image in its encoded form."""
+    """The image in its encoded form, or rectified if its camera has a lens."""
+    camera = state.camera_of(role)
+    if camera is not None and not is_result(message.channel) and not is_rectified(camera):
+        return _decoded("image", role, Context(), state, message)
 
     def draw(entity: str, content: Any) -> Iterator[Entry]:
         yield pictures.encoded(entity, content.data, content.format, state.image_frame(role, content.frame_id))
@@ -128,4 +133,5 @@ def _encoded(role: str, state: SceneState, message: Message) -> Iterator[Entry]:
 def _decoded(kind: Kind, role: str, context: Context, state: SceneState, message: Message) -> Iterator[Entry]:
     channel, data, time_ns = message.channel, message.data, message.log_time_ns
     decoded = decode(kind, channel.schema_name, channel.message_encoding, data, time_ns, context)
-    return _KINDS[kind](channel.topic, role, decoded.payload, state)
+    payload = decoded.payload if is_result(channel) else rectified(decoded.payload, state.camera_of(role))
+    return _KINDS[kind](channel.topic, role, payload, state)

@@ -4,11 +4,16 @@ import numpy as np
 import pytest
 
 from roadperc_stream.tools.networks import semantic
-from roadperc_stream.tools.networks.semantic import Corrections, HorizonEstimate, RoadMasks
+from roadperc_stream.tools.networks.description import SegmentationKeys
+from roadperc_stream.tools.networks.semantic import HorizonEstimate, RoadMasks
 
 SIZE = HEIGHT, WIDTH = 54, 96
 HORIZON = 20
 NO_BOXES = np.empty((0, 4))
+
+
+def keys(**options):
+    return SegmentationKeys(decoder="heads", classes={"lane": "road"}, **options)
 
 
 @pytest.fixture
@@ -113,7 +118,7 @@ def test_a_box_in_a_far_hole_does_not_keep_the_near_hole_below_it(road):
 
 
 def test_pixels_outside_the_region_and_of_the_bonnet_belong_to_no_class(road, marking):
-    cfg = Corrections(roi=((0.0, 0.0), (0.5, 0.0), (0.5, 1.0), (0.0, 1.0)), ignore_below=0.9, fill_holes=True)
+    cfg = keys(roi=((0.0, 0.0), (0.5, 0.0), (0.5, 1.0), (0.0, 1.0)), ignore_below=0.9, fill_holes=True)
     holed = road.copy()
     holed[44:, 5:20] = False
     horizon, masks = semantic.corrected(cfg, 1.3, HorizonEstimate(), RoadMasks(holed, marking), NO_BOXES)
@@ -125,6 +130,6 @@ def test_pixels_outside_the_region_and_of_the_bonnet_belong_to_no_class(road, ma
 
 
 def test_without_corrections_the_masks_stay(road, marking):
-    _, masks = semantic.corrected(Corrections(), 1.3, HorizonEstimate(), RoadMasks(road, marking), NO_BOXES)
+    _, masks = semantic.corrected(keys(), 1.3, HorizonEstimate(), RoadMasks(road, marking), NO_BOXES)
     assert np.array_equal(masks.drivable, road)
     assert np.array_equal(masks.markings, marking)
