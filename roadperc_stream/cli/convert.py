@@ -80,6 +80,14 @@ def _parser() -> argparse.ArgumentParser:
         metavar="ROLE=PATH",
         help=f"use this folder for a role: {', '.join(roles)}",
     )
+    layouts = part("tools.layouts").LAYOUTS
+    parser.add_argument(
+        "--layout",
+        choices=layouts,
+        metavar="NAME",
+        help=f"read the folder as this layout (default: detected): {', '.join(layouts)}",
+    )
+    parser.add_argument("--sequence", metavar="NN", help="sequence of a dataset with several")
     parser.add_argument("--carla", metavar="VERSION", help="CARLA version of the tags, such as 0.9.15")
     parser.add_argument("--fov", type=_field_of_view, metavar="DEGREES", help="horizontal field of view")
     parser.add_argument("--height", type=_height, metavar="METRES", help="height of a level camera above the road")

@@ -195,3 +195,10 @@ def _increasing(path: Path, frames: Sequence[int], stamps: Mapping[int, tuple[in
         if stamps[later][0] <= stamps[earlier][0]:
             raise DumpError(f"{path}: line {stamps[later][1]}: frame {later} is not later than frame {earlier}")
     return {number: stamps[number][0] for number in frames}
+
+
+def mean_rate(stamps_ns: Sequence[int]) -> str:
+    """Return the mean rate of ascending stamps in words, or "" for fewer than two."""
+    if len(stamps_ns) < 2:
+        return ""
+    return f", {(len(stamps_ns) - 1) * NS_PER_S / (stamps_ns[-1] - stamps_ns[0]):.4g} Hz in the mean"
