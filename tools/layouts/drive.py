@@ -103,6 +103,21 @@ class Drive:
         return self.frame_rigs.get(number, self.rig)
 
 
+def choose_sequence(folder: Path, sequences: Mapping[str, Path], wanted: str | None) -> tuple[str, Path]:
+    """Return name and folder of the wanted sequence, or of the only one.
+
+    Raises:
+        DumpError: there is no such sequence, or several and none is wanted.
+    """
+    names = f"{', '.join(list(sequences)[:12])}{', ...' if len(sequences) > 12 else ''}" or "none"
+    if wanted is None and len(sequences) != 1:
+        raise DumpError(f"{folder}: expected one sequence, found {names}; choose one with --sequence NN")
+    name = next(iter(sequences)) if wanted is None else wanted
+    if name not in sequences:
+        raise DumpError(f"{folder}: no sequence {name}; found {names}")
+    return name, sequences[name]
+
+
 class Layout(Protocol):
     """A module of this package."""
 
