@@ -75,8 +75,7 @@ def camera_centre(where: str, P: Float) -> Float:
     if P.shape != (3, 4):
         raise DumpError(f"{where}: expected 12 numbers, found {P.size}")
     require_pinhole(where, P[:, :3])
-    centre: Float = -np.linalg.solve(P[:, :3], P[:, 3])
-    return centre
+    return -np.linalg.solve(P[:, :3], P[:, 3]).astype(np.float64)
 
 
 def mounting_of_camera0(where: str, P_front: Float, height_m: float = HEIGHT_M) -> Float:
