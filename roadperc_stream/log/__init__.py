@@ -9,7 +9,7 @@ from roadperc_stream.log.files import counted_topics, gone_on_ns
 from roadperc_stream.log.growing import GrowingLog
 from roadperc_stream.log.mcap_file import Piece
 from roadperc_stream.log.reading import is_log, pieces, read, summarise
-from roadperc_stream.log.received import received
+from roadperc_stream.log.received import received, received_file
 from roadperc_stream.log.records import (
     DIGEST_ALGORITHM,
     RECOVERY_RECORD,

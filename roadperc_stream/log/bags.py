@@ -26,8 +26,8 @@ from roadperc_stream.log.records import Channel, Message
 from roadperc_stream.log.salvage import Salvage
 from roadperc_stream.log.stored import BLOCK_BYTES, Spool, StoredLog, storing
 from roadperc_stream.log.writing import StoredLogWriter
+from roadperc_stream.system.files import BAG_METADATA, is_bag_folder
 
-_METADATA: Final = "metadata.yaml"
 _ZSTD: Final = b"\x28\xb5\x2f\xfd"
 """First bytes of a Zstandard frame; no CDR message begins with them."""
 _SUFFIX: Final = ".zstd"
@@ -66,8 +66,8 @@ def bag_files(path: Path) -> list[BagFile]:
     Raises:
         LogError: metadata.yaml cannot be read or names no files, a file is missing, or the compression is unknown.
     """
-    described = path / _METADATA
-    if not described.is_file():
+    described = path / BAG_METADATA
+    if not is_bag_folder(path):
         return [BagFile(path)]
     there = sorted(file for file in path.iterdir() if {".mcap", ".db3"} & set(file.suffixes))
     try:
@@ -79,7 +79,7 @@ def bag_files(path: Path) -> list[BagFile]:
         raise LogError(f"{described}: compression {name!r}, expected 'zstd'; decompress the files{_without(there)}")
     files = [_existing(path / PurePath(stated).name) for stated in found.relative_file_paths]
     if missing := next((file for file in files if file not in there), None):
-        raise LogError(f"{missing}: missing, but {_METADATA} names it{_without(there)}")
+        raise LogError(f"{missing}: missing, but {BAG_METADATA} names it{_without(there)}")
     if not files:
         raise LogError(f"{described}: names no files{_without(there)}")
     return [BagFile(file, mode == "message") for file in files]
@@ -170,6 +170,7 @@ def _copy(name: Path, writer: str, contents: Callable[[], Contents], repair: str
         except Exception as error:  # SQLite and rosbags read bytes of any kind, so any error is possible
             fault = _line(error)
             if not log.messages:
+                file.close()
                 raise LogError(f"{name}: {fault}; repair it with: {repair}") from error
             log.end_chunk()
             raise _CutError from error
@@ -233,6 +234,6 @@ def _of_sqlite(place: Path) -> Contents:
 
 def _channel(row: sqlite3.Row, definitions: dict[str, tuple[str, bytes]]) -> Channel:
     name = row["type"]
-    schema = definitions.get(name) or ("ros2msg", _ros1().definition_of(name))
+    encoding, text = definitions.get(name) or ("ros2msg", _ros1().definition_of(name))
     qos = ((_QOS, str(row[_QOS])),) if _QOS in row.keys() else ()  # noqa: SIM118 - a row is not a mapping
-    return Channel(row["name"], row["serialization_format"], name, *schema, qos)
+    return Channel(row["name"], row["serialization_format"], name, encoding, text, qos)

@@ -35,6 +35,18 @@ def received(paths: Sequence[Path]) -> tuple[Path, ...]:
     return tuple(_received(file) for file in files)
 
 
+def received_file(path: Path) -> Path:
+    """Return a log in one file, as ``received``.
+
+    Raises:
+        LogError: it is a bag of several files; else as ``received``.
+    """
+    files = received([path])
+    if len(files) > 1:
+        raise LogError(f"{path}: a bag of {len(files)} files, expected one; pass one of them, such as {files[0]}")
+    return files[0]
+
+
 def _is_same(one: Path, other: Path) -> bool:
     try:
         return one == other or (STANDARD_INPUT not in (one, other) and one.samefile(other))

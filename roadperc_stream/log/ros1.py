@@ -13,6 +13,9 @@ from roadperc_stream.log.records import Channel, Message
 from roadperc_stream.schemas.definitions import types_of
 
 _HEADER: Final = "std_msgs/msg/Header"
+_RULE: Final = "\n" + "=" * 80 + "\nMSG: builtin_interfaces/"
+_BUILT_IN: Final = f"{_RULE}Time\nint32 sec\nuint32 nanosec{_RULE}Duration\nint32 sec\nuint32 nanosec\n"
+"""Types that ROS 1 does not define in a bag."""
 _RENAMED: Final = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
 
 
@@ -47,7 +50,7 @@ def _as_ros2(connection: Connection) -> tuple[Channel, Callable[[bytes], memoryv
     name = _RENAMED.get(connection.msgtype, connection.msgtype)
     text = connection.msgdef.data
     try:
-        types = types_of(connection.msgtype, text.encode(), "ros2msg")
+        types = types_of(connection.msgtype, f"{text}{_BUILT_IN}".encode(), "ros2msg")
         types[name] = types.pop(connection.msgtype)
         types = {key: (said, [(f.lower(), kind) for f, kind in fields]) for key, (said, fields) in types.items()}
         types[_HEADER] = get_typestore(Stores.ROS2_HUMBLE).fielddefs[_HEADER]
