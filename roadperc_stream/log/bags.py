@@ -6,10 +6,9 @@ that is cut there, so that it is reported and recovered as any other damaged log
 
 import shlex
 import sqlite3
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from importlib import import_module
 from pathlib import Path, PurePath
 from tempfile import NamedTemporaryFile, TemporaryFile
@@ -36,8 +35,8 @@ _TABLES: Final = "SELECT name FROM sqlite_master"
 _DEFINITIONS: Final = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
 _MESSAGES: Final = "SELECT topic_id, timestamp, data FROM messages ORDER BY id"
 _QOS: Final = "offered_qos_profiles"
-Contents = tuple[Iterable[Channel], Iterator[Message]]
-"""All channels of a file, and its messages in file order."""
+Contents = Iterator[Channel | Message]
+"""The channels of a file, then its messages in file order."""
 
 
 class _Information(msgspec.Struct):
@@ -69,15 +68,16 @@ def bag_files(path: Path) -> list[BagFile]:
     described = path / BAG_METADATA
     if not is_bag_folder(path):
         return [BagFile(path)]
-    there = sorted(file for file in path.iterdir() if {".mcap", ".db3"} & set(file.suffixes))
+    there = list[Path]()
     try:
+        there += sorted(file for file in path.iterdir() if {".mcap", ".db3"} & set(file.suffixes))
         found = msgspec.yaml.decode(described.read_bytes(), type=_Metadata).rosbag2_bagfile_information
     except (OSError, ValueError, msgspec.MsgspecError, RecursionError) as error:
         raise LogError(f"{described}: {_line(error)}{_without(there)}") from error
     mode, name = (found.compression_mode or "none").lower(), found.compression_format or "none"
     if mode != "none" and name != "zstd":
         raise LogError(f"{described}: compression {name!r}, expected 'zstd'; decompress the files{_without(there)}")
-    files = [_existing(path / PurePath(stated).name) for stated in found.relative_file_paths]
+    files = [_existing(path / PurePath(stated).name, there) for stated in found.relative_file_paths]
     if missing := next((file for file in files if file not in there), None):
         raise LogError(f"{missing}: missing, but {BAG_METADATA} names it{_without(there)}")
     if not files:
@@ -85,10 +85,10 @@ def bag_files(path: Path) -> list[BagFile]:
     return [BagFile(file, mode == "message") for file in files]
 
 
-def _existing(path: Path) -> Path:
-    """Return a file's path, with or without the suffix of compressed files if only that file exists."""
-    other = path.with_suffix("") if path.suffix == _SUFFIX else path.with_name(path.name + _SUFFIX)
-    return other if not path.exists() and other.exists() else path
+def _existing(path: Path, there: Collection[Path]) -> Path:
+    """Return a file's path, with or without the suffix of compressed files if only that file is there."""
+    other = path.parent / (path.stem if path.suffix == _SUFFIX else f"{path.name}{_SUFFIX}")
+    return other if path not in there and other in there else path
 
 
 def _without(there: Iterable[Path]) -> str:
@@ -117,6 +117,8 @@ def as_mcap(file: BagFile) -> Path:
             plain = NamedTemporaryFile()  # noqa: SIM115 - the spool closes it
         spool = Spool(str(file.path), plain)
         fault = _decompress(stream, spool)
+    if fault and not spool.size_bytes:
+        raise LogError(f"{file.path}: {fault}")
     found = _copied(file.path, Path(plain.name))
     return StoredLog.of(file.path, spool, fault) if found == Path(plain.name) else found
 
@@ -129,7 +131,7 @@ def _decompress(stream: IO[bytes], spool: Spool) -> str:
             while block := reader.read(BLOCK_BYTES):
                 spool.append(block)
     except zstandard.ZstdError as error:
-        fault = _line(error)
+        fault = f"Zstandard: {_line(error)}"
     spool.finish()
     return fault
 
@@ -139,13 +141,15 @@ def _copied(name: Path, place: Path, *, zstd_messages: bool = False) -> Path:
     with place.open("rb") as stream:
         start = stream.read(len(_SQLITE))
     if start == _SQLITE:
-        repair = f"sqlite3 {shlex.quote(str(name))} .recover | sqlite3 recovered.db3"
-        return _copy(name, "rosbag2 (db3)", partial(_of_sqlite, place), repair)
+        unpack, file = ("", name) if place == name else (f"zstd -d {shlex.quote(str(name))} && ", name.with_suffix(""))
+        repair = f"{unpack}sqlite3 {shlex.quote(str(file))} .recover | sqlite3 recovered.db3"
+        return _copy(name, "rosbag2 (db3)", _of_sqlite(place), repair)
     if start.startswith(_ROS1):
-        contents = partial(_ros1().contents_of_ros1, place)
-        return _copy(name, "rosbag (ROS 1)", contents, f"rosbag reindex {shlex.quote(str(name))}")
+        return _copy(
+            name, "rosbag (ROS 1)", _ros1().contents_of_ros1(place), f"rosbag reindex {shlex.quote(str(name))}"
+        )
     if start.startswith(MAGIC) and zstd_messages:
-        return _copy(name, "rosbag2 (compressed messages)", partial(_of_mcap, place), f"roadperc-info {name}")
+        return _copy(name, "rosbag2 (compressed messages)", _of_mcap(place), f"roadperc-info {shlex.quote(str(name))}")
     return place
 
 
@@ -153,18 +157,18 @@ def _ros1() -> ModuleType:
     return import_module("roadperc_stream.log.ros1")  # on use only, because it imports rosbags
 
 
-def _copy(name: Path, writer: str, contents: Callable[[], Contents], repair: str) -> StoredLog:
+def _copy(name: Path, writer: str, contents: Contents, repair: str) -> StoredLog:
     """Return a copy in MCAP, cut where an error occurs; ``repair`` is a command for an unreadable bag."""
     with storing(str(name)):
         file = TemporaryFile()  # noqa: SIM115 - the spool closes it
     log, fault = StoredLogWriter(name, "ros2", f"{writer}, read as MCAP", file=file), ""
     with suppress(_CutError), log:
         try:
-            channels, messages = contents()
-            for channel in channels:
-                log.register(channel)
-            for message in messages:
-                log.write(_plain(message))
+            for item in contents:
+                if isinstance(item, Channel):
+                    log.register(item)
+                else:
+                    log.write(_plain(item))
         except RoadpercError:
             raise
         except Exception as error:  # SQLite and rosbags read bytes of any kind, so any error is possible
@@ -200,36 +204,28 @@ def _plain(message: Message) -> Message:
 
 def _of_mcap(place: Path) -> Contents:
     salvage = Salvage(place)
-
-    def messages() -> Iterator[Message]:
-        yield from salvage.messages()
-        if not salvage.whole:
-            raise ValueError(salvage.damages[0].words)
-
-    return (), messages()
+    yield from salvage.messages()
+    if not salvage.whole:
+        raise ValueError(salvage.damages[0].words)
 
 
 def _of_sqlite(place: Path) -> Contents:
-    """The contents of a db3 file. Files of before ROS 2 Iron do not define the types of their messages."""
+    """Yield the contents of a db3 file. Before ROS 2 Iron, they do not define the types of messages."""
     is_open = place.with_name(f"{place.name}-wal").exists()  # with messages that a killed recorder left there
     mode = "ro" if is_open else "ro&immutable=1"
-    database = sqlite3.connect(f"{place.absolute().as_uri()}?mode={mode}", uri=True)
-    database.row_factory = sqlite3.Row
-    database.execute("PRAGMA writable_schema = ON")  # reads a cut file too
-    tables = {name for (name,) in database.execute(_TABLES)}
-    rows = database.execute(_DEFINITIONS) if "message_definitions" in tables else ()
-    definitions = {name: (encoding, text.encode()) for name, encoding, text in rows}
-    channels = {row["id"]: _channel(row, definitions) for row in database.execute("SELECT * FROM topics")}
-
-    def messages() -> Iterator[Message]:
-        with closing(database):
-            for topic_id, time_ns, data in database.execute(_MESSAGES):
-                if topic_id not in channels or not isinstance(data, bytes) or time_ns < 0:
-                    topic = channels[topic_id].topic if topic_id in channels else f"topic {topic_id}, not described"
-                    raise ValueError(f"{topic}: message of {type(data).__name__} at {time_ns} ns")
-                yield Message(channels[topic_id], time_ns, time_ns, 0, data)
-
-    return channels.values(), messages()
+    with closing(sqlite3.connect(f"{place.absolute().as_uri()}?mode={mode}", uri=True)) as database:
+        database.row_factory = sqlite3.Row
+        database.execute("PRAGMA writable_schema = ON")  # reads a cut file too
+        tables = {name for (name,) in database.execute(_TABLES)}
+        rows = database.execute(_DEFINITIONS) if "message_definitions" in tables else ()
+        definitions = {name: (encoding, text.encode()) for name, encoding, text in rows if text}
+        channels = {row["id"]: _channel(row, definitions) for row in database.execute("SELECT * FROM topics")}
+        yield from channels.values()
+        for topic_id, time_ns, data in database.execute(_MESSAGES):
+            if topic_id not in channels or not isinstance(data, bytes) or time_ns < 0:
+                topic = channels[topic_id].topic if topic_id in channels else f"topic {topic_id}, not described"
+                raise ValueError(f"{topic}: message of {type(data).__name__} at {time_ns} ns")
+            yield Message(channels[topic_id], time_ns, time_ns, 0, data)
 
 
 def _channel(row: sqlite3.Row, definitions: dict[str, tuple[str, bytes]]) -> Channel:

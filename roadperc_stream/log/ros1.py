@@ -19,26 +19,21 @@ _BUILT_IN: Final = f"{_RULE}Time\nint32 sec\nuint32 nanosec{_RULE}Duration\nint3
 _RENAMED: Final = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
 
 
-def contents_of_ros1(path: Path) -> tuple[list[Channel], Iterator[Message]]:
-    """Return the channels and messages of a ROS 1 bag.
+def contents_of_ros1(path: Path) -> Iterator[Channel | Message]:
+    """Yield the channels of a ROS 1 bag, then its messages.
 
     Raises:
-        Exception: it is damaged or has no index; any error of the library, also while messages are read.
+        Exception: it is damaged or has no index; any error of the library.
     """
-    reader = Reader(path)
-    reader.open()
-    known = {connection.id: _as_ros2(connection) for connection in reader.connections}
-
-    def messages() -> Iterator[Message]:
-        with reader.bio or path.open("rb"):
-            for connection, time_ns, data in reader.messages():
-                channel, convert = known[connection.id]
-                try:
-                    yield Message(channel, time_ns, time_ns, 0, bytes(convert(data)))
-                except Exception as error:
-                    raise ValueError(f"{channel.topic}: message at {time_ns} ns: {error}") from error
-
-    return [channel for channel, _ in known.values()], messages()
+    with Reader(path) as reader:
+        known = {connection.id: _as_ros2(connection) for connection in reader.connections}
+        yield from (channel for channel, _ in known.values())
+        for connection, time_ns, data in reader.messages():
+            channel, convert = known[connection.id]
+            try:
+                yield Message(channel, time_ns, time_ns, 0, bytes(convert(data)))
+            except Exception as error:
+                raise ValueError(f"{channel.topic}: message at {time_ns} ns: {error}") from error
 
 
 def _as_ros2(connection: Connection) -> tuple[Channel, Callable[[bytes], memoryview | bytes]]:

@@ -88,7 +88,9 @@ BAG_METADATA: Final = "metadata.yaml"
 
 def is_bag_folder(path: Path) -> bool:
     """Whether a path is the folder of a ROS 2 bag."""
-    return (path / BAG_METADATA).is_file()
+    with suppress(OSError):
+        return (path / BAG_METADATA).is_file()
+    return False
 
 
 def not_a_log(folder: Path) -> str:
