@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from roadperc_stream.config.catalogue import Setting
 
 Completer = Callable[..., Iterable[str]]
-LOGS: Final = (".mcap",)
+LOGS: Final = (".mcap", ".db3", ".bag")
 RUNS: Final = (".mcap", METRICS_SUFFIX)
 """Suffixes of the files that name a finished run."""
 

@@ -8,7 +8,7 @@ from typing import Final
 from roadperc_stream.cli import arguments as shared
 from roadperc_stream.cli.completers import LOGS, completed_by, files
 from roadperc_stream.cli.plumbing import command_parser, parse, positive_seconds, run, whole_number
-from roadperc_stream.system.files import not_a_log
+from roadperc_stream.system.files import is_bag_folder, not_a_log
 
 _USAGE: Final = """\
 %(prog)s [options] IN.mcap [IN.mcap ...] OUT.mcap
@@ -21,6 +21,7 @@ example:
   roadperc-replay logs/sample.mcap out2.mcap --set lanes.hold_s=0.8    change a setting
   roadperc-replay --print-config > mine.toml                           write all settings, for --config mine.toml
   roadperc-replay bag.mcap out.mcap --topic image=/front/rgb           use a topic with another name
+  roadperc-replay my_bag/ out.mcap                                     read a ROS 2 bag; also .db3 and ROS 1 .bag
   roadperc-replay part_*.mcap out.mcap                                 read several files of one log
   roadperc-replay part_1.mcap out_1.mcap --continue out_0.mcap         continue the result of part_0.mcap
   roadperc-replay long.mcap out.mcap --checkpoint-every 60 --resume    continue after an interruption
@@ -68,7 +69,7 @@ def _parser() -> argparse.ArgumentParser:
         type=Path,
         nargs="*",
         default=[],
-        help="the log to read (one or more files, or - for standard input), then the log to write",
+        help="the log to read (one or more files, a folder of ROS 2, or - for standard input), then the log to write",
     )
     shared.add_input_arguments(parser)
     shared.add_only_argument(parser)
@@ -146,7 +147,7 @@ def _add_settings_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _require_sense(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
     """Exit with code 2 if a log is missing or options contradict each other."""
-    if len(arguments.logs) == 1 and arguments.logs[0].is_dir():
+    if len(arguments.logs) == 1 and arguments.logs[0].is_dir() and not is_bag_folder(arguments.logs[0]):
         parser.error(not_a_log(arguments.logs[0]))
     missing = ("IN.mcap", "OUT.mcap")[len(arguments.logs) :]
     if missing:

@@ -7,6 +7,7 @@ from pathlib import Path
 from roadperc_stream.cli.arguments import add_serving_arguments, add_topic_argument, given_options, serving_options
 from roadperc_stream.cli.completers import RUNS, completed_by, files
 from roadperc_stream.cli.plumbing import command_parser, number, parse, part, run, seconds
+from roadperc_stream.system.files import is_bag_folder
 
 _EXAMPLE = """\
 example:
@@ -43,7 +44,8 @@ def main(argv: list[str] | None = None) -> int:
 def _needs_lookup(arguments: argparse.Namespace) -> bool:
     """Whether the arguments name more than a log and a frame in it; the lookup imports polars, which takes 0.2 s."""
     path = Path(arguments.log or "-")
-    is_log = str(path) == "-" or (path.exists() and not path.is_dir() and path.suffix != ".parquet")
+    is_file = path.exists() and not path.is_dir() and path.suffix != ".parquet"
+    is_log = str(path) == "-" or is_file or is_bag_folder(path)
     return not is_log or any((arguments.new, arguments.worst, arguments.of_log, arguments.config))
 
 

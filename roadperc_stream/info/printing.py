@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
+from pathlib import Path
 from shlex import quote
 from typing import Final
 
@@ -91,6 +92,15 @@ def _frame_lines(whole: bool, replay: ReplayFacts) -> Iterator[str]:
         yield f"first of these: {problem}"
 
 
+def _proposals(replay: ReplayFacts, source: Path) -> Iterator[str]:
+    """The command with a topic for a role: for the one that stops a replay, else for missing images."""
+    refused = [state for state in replay.roles if f"fit role {state.role}:" in (replay.refusal or "")]
+    missing = [state for state in replay.roles if state.role == "image" and state.state == "missing"]
+    for state in [state for state in refused or missing if state.candidates][:1]:
+        option = quote(f"{state.role}={state.candidates[0]}")
+        yield f"to use this topic: roadperc-replay {quote(str(source))} OUT.mcap --topic {option}"
+
+
 def _alone_lines(replay: ReplayFacts) -> Iterator[str]:
     """Frames without a message of a role; roles with unreadable messages have their own line."""
     unreadable = {state.role for state in replay.roles if state.topic in replay.unreadable}
@@ -130,14 +140,15 @@ _STAMPS_NOTE: Final = (
 )
 
 
-def print_log(console: Console, facts: LogFacts) -> None:
-    """Print the facts of a log."""
+def print_log(console: Console, facts: LogFacts, source: Path) -> None:
+    """Print the facts of a log; ``source`` is the argument that names it, such as the folder of a bag."""
     print_lines(console, *_file_lines(facts), unbroken=True)
     print_table(console, _channels(facts.channels, console.width))
     print_table(console, _odd_intervals(facts.channels))
     print_table(console, _odd_stamps(facts.channels))
     print_roles(console, facts.replay.roles)
     print_lines(console, "", *_frame_lines(facts.file.whole, facts.replay))
+    print_lines(console, *_proposals(facts.replay, source), unbroken=True)
     headers = ("pixels", "fx px", "baseline m", "height m", "remark")
     cameras = tuple(map(_camera, facts.replay.cameras))
     print_table(console, TextTable("Camera", headers, cameras, last_is_text=True, label_columns=18))

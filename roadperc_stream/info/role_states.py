@@ -8,7 +8,7 @@ from roadperc_stream.errors import ChannelError
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.roles import NOTHING_TO_REPLAY, RoleFilling, assign_roles, candidates, channel_state
 from roadperc_stream.input.stream import RoleAssignment
-from roadperc_stream.input.topics import ContentProbe, distinct, fits
+from roadperc_stream.input.topics import ContentProbe, beside_camera, distinct, fits
 from roadperc_stream.log import Channel
 from roadperc_stream.schemas.record import BEGIN_ATTACHMENT
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES, Role
@@ -64,6 +64,8 @@ def roles_of(channels: Sequence[Channel], overrides: Mapping[str, str], probe: C
     unassigned = (channel for channel in inputs if channel.topic not in assignment.topics.values())
     poses = distinct(channel for channel in unassigned if fits(ROLES["truth_pose"], channel))
     could = {**candidates(inputs, assignment.topics, probe), "truth_pose": poses}
+    images = sorted(could.get("image", ()), key=lambda topic: not beside_camera(ROLES["calibration"], topic, inputs))
+    could["image"] = tuple(images)  # those with a calibration first
     states = (_state(role, inputs, assignment, overrides, could.get(role.name, ())) for role in ROLES.values())
     return Roles(tuple(states), assignment, refusal)
 

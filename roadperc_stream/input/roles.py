@@ -1,5 +1,6 @@
 """Assigns the channels of a log to roles: a named or known topic, else the only one that fits."""
 
+import shlex
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -117,7 +118,10 @@ def assignment_of_log(summary: LogSummary, overrides: Mapping[str, str]) -> Role
     try:
         roles = assign_roles(present, named, partial(probe_first_message, summary))
     except ChannelError as error:
-        raise ChannelError(f"{summary.path}: {error}") from error
+        files = (str(file.path) for file in summary.files or (summary,))
+        command = shlex.join(("roadperc-replay", *files, "OUT.mcap"))
+        text = str(error).replace("choose one with --topic", f"choose one with: {command} --topic")
+        raise ChannelError(f"{summary.path}: {text}") from error
     chosen = _choices(present, named) if named else {}
     return replace(roles, chosen=chosen, tag_table=recorded_tag_table(summary.metadata))
 

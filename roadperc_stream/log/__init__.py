@@ -9,6 +9,7 @@ from roadperc_stream.log.files import counted_topics, gone_on_ns
 from roadperc_stream.log.growing import GrowingLog
 from roadperc_stream.log.mcap_file import Piece
 from roadperc_stream.log.reading import is_log, pieces, read, summarise
+from roadperc_stream.log.received import received, received_file
 from roadperc_stream.log.records import (
     DIGEST_ALGORITHM,
     RECOVERY_RECORD,
@@ -22,5 +23,4 @@ from roadperc_stream.log.records import (
 from roadperc_stream.log.repair import LostSpan, Recovery, RepairedLog, repaired_copy, write_repaired
 from roadperc_stream.log.salvage import Salvage
 from roadperc_stream.log.sorting import in_order_within
-from roadperc_stream.log.stored import received
 from roadperc_stream.log.writing import LogWriter, MessageCopy

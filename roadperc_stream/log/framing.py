@@ -134,11 +134,13 @@ class Framing:
         size_bytes: of the file.
         resume_at: where records start according to the index, ascending. Reading continues there behind damage.
         is_message: finds messages behind damage if there is no index.
+        fault: why the file ends too early, if that is known.
     """
 
     size_bytes: int
     resume_at: Sequence[int] = ()
     is_message: IsMessage = bool
+    fault: str = ""
     damages: list[Damage] = field(default_factory=list)
     ended: bool = False
     """Whether the file ends with footer and magic, as a complete log does."""
@@ -201,7 +203,7 @@ class Framing:
     def _fault(self, at: int, head: bytes) -> str | None:
         """Return why no record can start here; None if one can."""
         if len(head) < RECORD.size:
-            return f"cut off: the file ends after {self.size_bytes} bytes, before its footer"
+            return f"cut off: {self.fault or f'the file ends after {self.size_bytes} bytes, before its footer'}"
         opcode, length = RECORD.unpack(head)
         left = self.size_bytes - at - RECORD.size
         if opcode not in NAMES and opcode < _FIRST_PRIVATE:

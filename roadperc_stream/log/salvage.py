@@ -26,6 +26,7 @@ from roadperc_stream.log.index import Described, data_end_of, index_of, places_o
 from roadperc_stream.log.inventory import Gap, Inventory, Losses, Positions, expected_messages, lost_in_chunk, span_of
 from roadperc_stream.log.limits import GuardedFile, LimitError, require_attachments, require_chunk, require_gaps
 from roadperc_stream.log.records import Message
+from roadperc_stream.log.stored import StoredLog
 
 _PRIVATE_BIT: Final = 0x80
 _OF_MESSAGES: Final = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.MESSAGE_INDEX))
@@ -83,7 +84,8 @@ class Salvage:
             self.described.add_index(parsed)
         self._inventory, self.losses = Inventory(), Losses()
         is_message = partial(_is_message, self.described, self._inventory)  # a method would make a reference cycle
-        self._framing = Framing(self.size_bytes, resume_at, is_message)
+        fault = self.path.fault if isinstance(self.path, StoredLog) else ""
+        self._framing = Framing(self.size_bytes, resume_at, is_message, fault)
         self.damages = self._framing.damages
         """In file order."""
         self.counts = self._inventory.counts

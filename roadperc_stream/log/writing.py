@@ -33,6 +33,8 @@ class LogWriter:
 
     path: Path
     profile: str = ""
+    library: str = f"roadperc_stream {__version__}"
+    """The program in the header."""
     messages: int = 0
     """Number of written messages."""
     _channel_ids: dict[Channel, int] = field(default_factory=dict)
@@ -47,7 +49,7 @@ class LogWriter:
     def __enter__(self) -> Self:
         with self._errors():
             self._stream = self._open()
-            self._file = McapFile(self._stream, self.profile, f"roadperc_stream {__version__}")
+            self._file = McapFile(self._stream, self.profile, self.library)
         return self
 
     def _open(self) -> IO[bytes]:

@@ -83,11 +83,21 @@ def make_private(folder: Path) -> None:
         raise TargetError(f"{folder}: {fault}, {expected}; remove it, or name another folder with --scratch")
 
 
+BAG_METADATA: Final = "metadata.yaml"
+
+
+def is_bag_folder(path: Path) -> bool:
+    """Whether a path is the folder of a ROS 2 bag."""
+    with suppress(OSError):
+        return (path / BAG_METADATA).is_file()
+    return False
+
+
 def not_a_log(folder: Path) -> str:
     """The error for a folder instead of a log: names the logs in it, or the command that converts a dump."""
-    logs = sorted(folder.glob("*.mcap"))
+    logs = sorted(folder.glob("*.mcap")) or sorted(folder.glob("*.db3"))
     if logs:
-        files = f", or all {len(logs)} files of one log: {folder}/*.mcap" if len(logs) > 1 else ""
+        files = f", or all {len(logs)} files of one log: {folder}/*{logs[0].suffix}" if len(logs) > 1 else ""
         return f"{folder}: is a folder, expected a log, such as {logs[0]}{files}"
     target = f"{folder if folder.name.strip('.') else folder.resolve().name}.mcap"
     command = shlex.join(("roadperc-convert", str(folder), target))

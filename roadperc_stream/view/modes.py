@@ -81,7 +81,7 @@ def _view(arguments: argparse.Namespace, playback: PlaybackOptions, logs: Sequen
 
 def _readable(arguments: argparse.Namespace) -> Path:
     """A file that can be read repeatedly: store a pipe; with ``--recover`` repair a damaged log."""
-    (path,) = log.received([Path(arguments.log)])
+    path = log.received_file(Path(arguments.log))
     if not arguments.recover or log.audited(path, check_chunks=True).whole:
         return path
     copy = log.repaired_copy(path)

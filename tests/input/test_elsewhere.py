@@ -220,10 +220,9 @@ def test_two_vehicles_are_an_error_until_one_is_chosen(tmp_path, recorded, repla
     source = bag(tmp_path / "two.mcap", recorded, vehicles=("hero", "other"))
     target = tmp_path / "out.mcap"
     assert replay_main([str(source), str(target)]) == 1
-    words = (
-        "2 topics fit role image: /carla/hero/rgb_front/image, /carla/other/rgb_front/image; choose one with --topic"
-    )
-    assert words in capsys.readouterr().err
+    words = "2 topics fit role image: /carla/hero/rgb_front/image, /carla/other/rgb_front/image; choose one with: "
+    command = f"roadperc-replay {source} OUT.mcap --topic image=/carla/hero/rgb_front/image\n"
+    assert capsys.readouterr().err.endswith(words + command)
     chosen = ["--topic", "image=/carla/other/rgb_front/image"]
     assert replay_main([str(source), str(target), *chosen]) == 0
     assert rows(target).equals(rows(replayed[1]), null_equal=True)
