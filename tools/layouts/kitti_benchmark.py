@@ -22,7 +22,6 @@ from ..carla_dump.layout import Sensor, sensor_in
 from .box_truth import box_distance_m
 from .kitti_calibration import kitti_rig, matrix_of, mounting_of_camera0, read_matrices, square
 
-PIXEL_ORIGIN: Final = "the first pixel's centre, as KITTI has it"
 _SPLITS: Final = ("training", "testing")
 _PROJECTIONS: Final = {"image": "P2", "right": "P3"}
 _SHAPE: Final = slice(8, 15)

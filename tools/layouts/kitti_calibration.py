@@ -20,6 +20,7 @@ from .drive import ConvertOptions
 
 HEIGHT_M: Final = 1.65
 """Height of all cameras above the road, from KITTI's description of the car; they are level."""
+PIXEL_ORIGIN: Final = "the first pixel's centre, as KITTI has it"
 _PAIRS: Final = ((2, 3), (0, 1))
 """Left and right camera: colour, then grey."""
 _SHAPES: Final = {12: (3, 4), 9: (3, 3)}

@@ -14,7 +14,6 @@ from ..carla_dump.survey import SensorSurvey, surveyed
 from ..carla_dump.truth_file import TruthTables
 from .drive import ConvertOptions, Drive, choose_sequence
 from .kitti_benchmark import (
-    PIXEL_ORIGIN,
     Calibration,
     Label,
     objects_of,
@@ -23,7 +22,7 @@ from .kitti_benchmark import (
     sensors_of,
     splits_of,
 )
-from .kitti_calibration import height_of
+from .kitti_calibration import PIXEL_ORIGIN, height_of
 
 _IMAGES: Final = "image_2"
 _FOLDERS: Final = {"image": _IMAGES, "right": "image_3", LIDAR: "velodyne"}

@@ -21,9 +21,10 @@ from ..carla_dump.layout import Sensor, sensor_in
 from ..carla_dump.survey import surveyed
 from .drive import ConvertOptions, Drive, choose_sequence
 from .kitti_calibration import (
-    HEIGHT_M,
+    PIXEL_ORIGIN,
     cameras_of,
     has_cameras,
+    height_of,
     kitti_rig,
     matrix_of,
     mounting_of_camera0,
@@ -39,7 +40,8 @@ _POSE_NUMBERS: Final = 12
 
 def detect(folder: Path) -> bool:
     """Return True if the folder is a sequence with images and ``calib.txt``, or holds some."""
-    return bool(_sequences(folder)) and not (folder / CALIBRATION_NAME).exists()
+    calibrated = any((path / _CALIBRATION).is_file() for path in _sequences(folder).values())
+    return calibrated and not (folder / CALIBRATION_NAME).exists()
 
 
 def read(folder: Path, options: ConvertOptions) -> Drive:
@@ -62,8 +64,7 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
             sensors[LIDAR] = sensor_in(sequence / "velodyne", LIDAR)
     surveys = surveyed(sensors)
     sizes = {role: found.size for role, found in surveys.items() if found.size}
-    height_m = options.height_m or HEIGHT_M
-    ego_T_camera0 = mounting_of_camera0(f"{calibration}: front camera", projections["image"], height_m)
+    ego_T_camera0 = mounting_of_camera0(f"{calibration}: image", projections["image"], height_of(options, notes))
     frames = sorted({number for role in projections for number in surveys[role].sensor.files})
     stamps_ns, timing = _stamps(sequence / "times.txt", frames, options)
     return Drive(
@@ -74,17 +75,17 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
         timing=timing,
         rig=kitti_rig(calibration, projections, sizes, ego_T_camera0, camera0_T_lidar if LIDAR in surveys else None),
         poses=_poses(sequence, ego_T_camera0, notes),
-        pixel_origin="the first pixel's centre, as KITTI has it",
+        pixel_origin=PIXEL_ORIGIN,
         notes=tuple(notes),
     )
 
 
 def _sequences(folder: Path) -> dict[str, Path]:
     """Return the sequences of a folder by name; the folder may be one itself."""
-    if has_cameras(folder, _CAMERA) and (folder / _CALIBRATION).is_file():
-        return {folder.resolve().name: folder}
+    if has_cameras(folder, _CAMERA):
+        return {folder.absolute().name: folder}
     inside = next((path for path in (folder / "dataset/sequences", folder / "sequences") if path.is_dir()), folder)
-    if inside.resolve().name != "sequences":
+    if inside.absolute().name != "sequences":
         return {}
     return {path.name: path for path in sorted(inside.iterdir()) if has_cameras(path, _CAMERA)}
 
@@ -118,7 +119,7 @@ def _poses(sequence: Path, ego_T_camera0: Float, notes: list[str]) -> dict[int, 
     Raises:
         DumpError: a line is not a pose.
     """
-    places = (sequence / "poses.txt", sequence.resolve().parent.parent / "poses" / f"{sequence.resolve().name}.txt")
+    places = (sequence / "poses.txt", sequence.absolute().parent.parent / "poses" / f"{sequence.absolute().name}.txt")
     path = next((place for place in places if place.is_file()), None)
     if path is None:
         notes.append(f"no true poses: neither {places[0]} nor {places[1]} exists")

@@ -20,6 +20,7 @@ from ..carla_dump.layout import sensor_in
 from ..carla_dump.survey import surveyed
 from .drive import ConvertOptions, Drive, choose_sequence
 from .kitti_calibration import (
+    PIXEL_ORIGIN,
     cameras_of,
     has_cameras,
     height_of,
@@ -82,7 +83,7 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
         timing=timing,
         rig=kitti_rig(calibration, projections, sizes, ego_T_camera0, camera0_T_lidar if LIDAR in surveys else None),
         poses=_poses(drive, None if camera0_T_imu is None else ego_T_camera0 @ camera0_T_imu, notes),
-        pixel_origin="the first pixel's centre, as KITTI has it",
+        pixel_origin=PIXEL_ORIGIN,
         notes=tuple(notes),
     )
 

@@ -18,7 +18,6 @@ from ..carla_dump.survey import surveyed
 from ..carla_dump.truth_file import NO_TRUTH, TruthTables
 from .drive import ConvertOptions, Drive, choose_sequence
 from .kitti_benchmark import (
-    PIXEL_ORIGIN,
     Calibration,
     Label,
     objects_of,
@@ -27,7 +26,7 @@ from .kitti_benchmark import (
     sensors_of,
     splits_of,
 )
-from .kitti_calibration import height_of
+from .kitti_calibration import PIXEL_ORIGIN, height_of
 from .kitti_oxts import packet, poses_of
 
 _IMAGES: Final = "image_02"
