@@ -56,6 +56,8 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
     _, drive = choose_sequence(folder, _drives(folder), options.sequence)
     notes = [f"{unused} is left out" for unused in _NOT_USED if (drive / unused).exists()]
     calibration = drive.absolute().parent / _CALIBRATION
+    if not calibration.is_file():
+        raise DumpError(f"{calibration}: no such file; put KITTI's calibration of the date beside the drive")
     matrices = read_matrices(calibration)
     used = cameras_of(drive, _CAMERA, notes)
     projections = {role: matrix_of(calibration, matrices, f"P_rect_0{number}") for role, number in used.items()}
@@ -89,7 +91,7 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
 
 
 def _drives(folder: Path) -> dict[str, Path]:
-    """Return the drives of a folder by number, or by date and number if there are several dates."""
+    """Return the drives of a folder by number, or by name if there are several dates."""
     inside = [folder] if _DRIVE.fullmatch(folder.absolute().name) else sorted(folder.glob("*_drive_*_sync"))
     found = inside or sorted(folder.glob("*/*_drive_*_sync"))
     named = [(match, path) for path in found if (match := _DRIVE.fullmatch(path.absolute().name))]

@@ -102,7 +102,7 @@ def _labels(path: Path, numbers: list[int], notes: list[str]) -> dict[int, list[
             continue
         if len(fields) not in _COLUMNS or not fields[0].isdigit():
             raise DumpError(
-                f"{where}: expected a frame number and {_COLUMNS[0]} columns, found {len(fields)}: {line[:60]!r}"
+                f"{where}: expected {_COLUMNS[0]} columns, the frame first; found {len(fields)}: {line[:60]!r}"
             )
         label = read_label(where, fields[2:], fields[1])
         if label and int(fields[0]) in labels:
