@@ -22,6 +22,7 @@ videos:
 
 datasets:
   KITTI odometry: the folder with sequences/ and poses/ (choose one with --sequence NN), or one sequence.
+  KITTI raw, object and tracking: the folder with training/, or with drives and calib_*.txt.
   The table of docs/recordings.md says what comes out. Calibration, stamps and true poses are those of the dataset.
 
 images:
