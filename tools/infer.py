@@ -34,8 +34,8 @@ from roadperc_stream.system.text import number, print_line
 from roadperc_stream.system.threads import in_order, one_thread, usable_cores
 
 from .carla_dump.messages import channel_of
-from .carla_dump.plan import ConvertOptions
 from .carla_to_mcap import recording_of, write
+from .layouts.drive import ConvertOptions
 from .networks.description import read_network
 from .networks.frames import Inferred, Pair, RawResult, load
 from .networks.plausibility import RoadCheck

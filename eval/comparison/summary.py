@@ -149,9 +149,9 @@ def _settings(found: Comparison, *, full: bool) -> Iterator[str]:
         if changed:
             names.setdefault(changed, []).append(pair.name)
     shown = list(names.items())[: len(names) if full else 2]
-    for (heading, *changed), runs in shown:
+    for (heading, *differing), runs in shown:
         among = "" if len(runs) == len(found.pairing.pairs) else f" in {listed(runs)}"
-        text = heading or listed(changed, len(changed) if full else _MOST_SETTINGS)
+        text = heading or listed(differing, len(differing) if full else _MOST_SETTINGS)
         yield f"settings that differ{among}: {text}"
     if len(shown) < len(names):
         yield f"settings that differ in other runs: {len(names) - len(shown)} more lists; pass --full"
