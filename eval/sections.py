@@ -96,7 +96,7 @@ def lane_boundaries(summaries: Summaries) -> TextTable:
 def boundary_classes(summaries: Summaries) -> TextTable:
     """Confusion of the classes beyond the boundaries: a row for each true class, percentages of the estimates."""
     found = [_class_pairs(summary) for summary in summaries]
-    most_common = [pair for pair, _ in sum(found, Counter[tuple[str, str]]()).most_common()]
+    most_common = [pair for pair, _ in sum(found, Counter[tuple[str, ...]]()).most_common()]
     seen = [*dict.fromkeys(estimate for _, estimate in most_common if estimate)][:_CLASSES]
     rows = [
         TextRow(truth, tuple(_class_shares(pairs, truth, (*seen, "")) for pairs in found))
@@ -293,21 +293,16 @@ def _beyond_lanes(summary: Summary) -> str:
     )
 
 
-def _class_pairs(summary: Summary) -> Counter[tuple[str, str]]:
+def _class_pairs(summary: Summary) -> Counter[tuple[str, ...]]:
     """Numbers of true and estimated classes beyond both boundaries; an unknown estimate is empty."""
-    pairs: Counter[tuple[str, str]] = Counter()
-    for name in CONFUSED:
-        for text, count in summary.categories[name].items():
-            truth, _, estimate = text.partition(BETWEEN)
-            pairs[truth, estimate] += count
-    return pairs
+    counts = sum((summary.categories[name] for name in CONFUSED), Counter[str]())
+    return Counter({tuple(text.split(BETWEEN)): count for text, count in counts.items()})
 
 
-def _class_shares(pairs: Counter[tuple[str, str]], truth: str, estimates: Iterable[str]) -> tuple[str, ...]:
+def _class_shares(pairs: Counter[tuple[str, ...]], truth: str, estimates: Iterable[str]) -> tuple[str, ...]:
     """Number of boundaries with a true class, and the percentage of each estimate."""
     boundaries = sum(count for (true, _), count in pairs.items() if true == truth)
-    shares = (percent(pairs[truth, estimate] / boundaries) for estimate in estimates if boundaries)
-    return (str(boundaries), *shares) if boundaries else ()
+    return (str(boundaries), *(percent(pairs[truth, name] / boundaries) for name in estimates)) if boundaries else ()
 
 
 def _reason(summaries: Summaries, kind: ReasonKind, text: str) -> TextRow:

@@ -148,13 +148,12 @@ def _settings(found: Comparison, *, full: bool) -> Iterator[str]:
     for pair, changed in zip(found.pairing.pairs, found.changes, strict=True):
         if changed:
             names.setdefault(changed, []).append(pair.name)
-    shown = list(names.items())[: len(names) if full else 2]
-    for (heading, *differing), runs in shown:
+    lists = list(names.items())
+    for (heading, *lines), runs in lists if full else lists[:2]:
         among = "" if len(runs) == len(found.pairing.pairs) else f" in {listed(runs)}"
-        text = heading or listed(differing, len(differing) if full else _MOST_SETTINGS)
-        yield f"settings that differ{among}: {text}"
-    if len(shown) < len(names):
-        yield f"settings that differ in other runs: {len(names) - len(shown)} more lists; pass --full"
+        yield f"settings that differ{among}: {heading or listed(lines, len(lines) if full else _MOST_SETTINGS)}"
+    if len(lists) > 2 and not full:
+        yield f"settings that differ in other runs: {len(lists) - 2} more lists; pass --full"
 
 
 def _compared(found: Comparison) -> Iterator[str]:

@@ -126,7 +126,7 @@ def _from_starts(poses: Float, known: NDArray[np.bool_], segments: NDArray[np.in
 
 
 def _traces(run: Series, found: Paths, place: int, several: bool) -> list[Trace]:
-    names = {"odom": run.name if several else "odometry", "true": f"{run.name}: truth" if several else "truth"}
+    names = {"odom": run.name, "true": f"{run.name}: truth"} if several else {"odom": "odometry", "true": "truth"}
     looks = {
         "odom": (colour_of(place), {"width": 2.2, "dash": "solid"}),
         "true": (colour_of(place) if several else TRUTH_COLOUR, {"width": 1.6, "dash": "dash"}),
@@ -135,5 +135,6 @@ def _traces(run: Series, found: Paths, place: int, several: bool) -> list[Trace]
     for which, poses in found.items():
         kept = _evenly(run)
         colour, look = looks[which]
-        traces.append(line(names[which], poses[kept, 1], poses[kept, 0], colour, **look))
+        keyed = which == "odom" or not several
+        traces.append(line(names[which], poses[kept, 1], poses[kept, 0], colour, showlegend=keyed, **look))
     return traces

@@ -45,9 +45,11 @@ def poses_over_time(runs: Sequence[Series], paths: Sequence[Paths]) -> Iterator[
                 label, dash = ("truth", "dash") if which == "true" else ("odometry", "solid")
                 colour = TRUTH_COLOUR if which == "true" and not several else colour_of(place)
                 label, kept = f"{run.name}: {label}" if several else label, thinned(poses[:, at])
-                traces.append(line(label, run.since_start_s[kept], poses[kept, at], colour, dash=dash))
+                more = {"dash": dash, "showlegend": dash == "solid" or not several}
+                traces.append(line(label, run.since_start_s[kept], poses[kept, at], colour, **more))
         if traces:
-            yield Figure(f"Pose: {name}", "Against the first pose.", traces, layout(TIME_TITLE, f"{name}, {unit}"))
+            note = "Against the first pose. The truth is dashed."
+            yield Figure(f"Pose: {name}", note, traces, layout(TIME_TITLE, f"{name}, {unit}"))
 
 
 def precision_recall(runs: Sequence[Run]) -> Iterator[Figure]:

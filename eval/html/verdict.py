@@ -121,9 +121,10 @@ def sentence(found: Comparison) -> tuple[Mark, str]:
     """The mark of the comparison, and the verdict in a sentence."""
     worse, better = (len(found.groups(mark)) for mark in ("worse", "better"))
     total = len({verdict.metric.group for verdict in found.verdicts if verdict.judged})
-    lacking = f"; {number(len(found.pairing.missing), 'log')} only in the base" if found.pairing.missing else ""
-    counts = f"{worse} of {total} groups of metrics worse, {better} better{lacking}"
+    counts = f"{worse} of {total} groups of metrics worse, {better} better"
     mark: Mark = "worse" if found.regressions else "better" if better else "unchanged"
+    if found.pairing.missing:
+        return mark, f"New has no run of {number(len(found.pairing.missing), 'log')}; {counts}"
     return mark, f"New is {mark}: {counts}" if mark != "unchanged" else f"No relevant difference: {counts}"
 
 

@@ -107,7 +107,8 @@ def _values(field: pa.Field, rng: np.random.Generator, rows: int) -> pa.Array:
     """Return random values, which do not compress, like real ones."""
     null = rng.random(rows) < 0.1 if field.nullable and field.name not in TIME_COLUMNS else None
     if pa.types.is_list(field.type):
-        return pa.array([("depth",) if lacks else () for lacks in rng.random(rows) < 0.02], type=field.type)
+        value = "depth" if pa.types.is_string(field.type.value_type) else 9.0
+        return pa.array([(value,) if lacks else () for lacks in rng.random(rows) < 0.02], type=field.type)
     if pa.types.is_string(field.type):
         return pa.array(_STATES[rng.choice(3, rows, p=(0.9, 0.08, 0.02))], mask=null)
     if pa.types.is_integer(field.type):
