@@ -2,7 +2,6 @@
 
 import io
 import math
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,11 +12,10 @@ import cv2
 import numpy as np
 
 from roadperc_stream.errors import DumpError
+from roadperc_stream.formats.images import quiet_opencv
 from roadperc_stream.model import Image
 from roadperc_stream.system.time import NS_PER_S
 
-_FFMPEG_QUIET: Final = "-8"
-"""FFmpeg's log level that prints nothing; lost frames are counted and reported here."""
 _MOST_FAILURES: Final = 1000
 """Reading goes on after this many damaged packets in a row; at the end of the file each attempt takes microseconds."""
 _HIGHEST_HZ: Final = 1000.0
@@ -129,13 +127,9 @@ def open_capture(name: str | Path, source: str | io.BytesIO) -> Iterator[cv2.Vid
     Raises:
         DumpError: OpenCV cannot open it.
     """
-    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", _FFMPEG_QUIET)
-    try:
+    with quiet_opencv():  # lost frames are counted and reported here
         # the stubs of OpenCV know only one of both
         capture = cv2.VideoCapture(source, cv2.CAP_FFMPEG, [])  # type: ignore[arg-type]
-    finally:
-        cv2.utils.logging.setLogLevel(level)
     try:
         if not capture.isOpened():
             raise DumpError(

@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Iterator, Sequence
-from itertools import count
 from pathlib import Path
 from typing import Final
 
@@ -97,8 +96,7 @@ def _messages(videos: Sequence[VideoFile], rig: Rig, warnings: list[str]) -> Ite
         jpeg = encode_jpeg(straightened(camera, pixels), JPEG_QUALITY)
         return stamp_ns, encoding.encode_image(stamp_ns, FRONT, "jpeg", jpeg)
 
-    numbers = count()
-    for (stamp_ns, data), number in zip(in_order(encoded, _stamped(videos, warnings), WORKERS), numbers, strict=False):
+    for number, (stamp_ns, data) in enumerate(in_order(encoded, _stamped(videos, warnings), WORKERS)):
         yield "image", Message(channel, stamp_ns, stamp_ns, number, data)
 
 

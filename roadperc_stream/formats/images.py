@@ -5,6 +5,7 @@ Both get only the formats in ``limits.image_formats``, because some of Pillow's 
 """
 
 import io
+import os
 import re
 import struct
 import threading
@@ -291,3 +292,17 @@ def depth_to_mm(depth_m: Float32) -> NDArray[np.uint16]:
             whole = np.rint(millimetres, out=millimetres).astype(np.uint16)
         np.maximum(whole * known, known, out=depth_mm[rows])
     return depth_mm
+
+
+@contextmanager
+def quiet_opencv() -> Iterator[None]:
+    """Silence the messages of OpenCV and FFmpeg about videos that cannot be read or written."""
+    import cv2
+
+    before = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    try:
+        yield
+    finally:
+        cv2.utils.logging.setLogLevel(before)

@@ -19,8 +19,7 @@ FISHEYE_MODELS: Final = ("equidistant", "fisheye")
 MODELS: Final = ("", "plumb_bob", "rational_polynomial", *FISHEYE_MODELS)
 """Known distortion models; without a name the coefficients are those of OpenCV's pinhole."""
 _COEFFICIENTS: Final = (4, 5, 8, 12, 14)
-"""Numbers of distortion coefficients that OpenCV's pinhole may have."""
-_FISHEYE_COEFFICIENTS: Final = (4,)
+"""Numbers of distortion coefficients that OpenCV's pinhole may have; a fisheye has the first."""
 _LARGEST_COEFFICIENT: Final = 1e4
 """Rational lenses have coefficients of up to some hundreds."""
 _NOT_TURNED: Final = 1e-6
@@ -73,7 +72,7 @@ def lens_fault(camera: Camera) -> tuple[str, tuple[Any, ...]] | None:
         return "lens_rotation_invalid", (str(list(lens.R)),)
     if lens.model not in MODELS:
         return "lens_model_unknown", (lens.model, ", ".join(filter(None, MODELS)))
-    counts = _FISHEYE_COEFFICIENTS if lens.model in FISHEYE_MODELS else _COEFFICIENTS
+    counts = _COEFFICIENTS[:1] if lens.model in FISHEYE_MODELS else _COEFFICIENTS
     if coefficients and len(coefficients) not in counts:
         return "lens_coefficient_count", (len(coefficients), ", ".join(map(str, counts)))
     wild = [d for d in coefficients if not abs(d) <= _LARGEST_COEFFICIENT]

@@ -3,9 +3,7 @@
 OpenCV's wheels can write VP9, which browsers play. They have no H.264 encoder.
 """
 
-import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -37,7 +35,6 @@ _MOST_COLUMNS: Final = 1280
 """Wider pictures are scaled down: the time of VP9 grows with the number of pixels."""
 _SLOWEST_HZ, _FASTEST_HZ = 1.0, 120.0
 _LONGEST_STILL_S: Final = 10.0
-_FFMPEG_QUIET: Final = -8
 
 
 @dataclass(frozen=True)
@@ -70,7 +67,7 @@ def write_video(
     rate_hz, frames = frame_rate_hz(stamps), 0
     with (
         completing(target, force=force) as temporary,
-        _quiet_opencv(),
+        images.quiet_opencv(),
         _VideoWriter(target, temporary, rate_hz) as video,
     ):
         shots = zip(_shots(summary, problems), pictures_shown(stamps, rate_hz), strict=True)
@@ -197,18 +194,6 @@ class _VideoWriter:
                 f"{self._target}: cannot write the video; check the folder and that OpenCV has a VP9 encoder"
             )
         return writer
-
-
-@contextmanager
-def _quiet_opencv() -> Iterator[None]:
-    """Silence the messages of OpenCV and FFmpeg about pictures that cannot be written."""
-    before = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", str(_FFMPEG_QUIET))
-    try:
-        yield
-    finally:
-        cv2.utils.logging.setLogLevel(before)
 
 
 def _pictures_in(path: Path) -> int:
