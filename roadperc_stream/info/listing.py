@@ -4,7 +4,6 @@ import json
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
-from itertools import chain
 from pathlib import Path
 
 from rich.console import Console
@@ -135,35 +134,27 @@ def list_logs(paths: Sequence[Path], topics: Sequence[str], *, as_json: bool) ->
     """
     overrides = parse_topic_options(topics)
     examined: list[LogFacts | LogError] = []
-    for path, found in chain.from_iterable(_examined(path, overrides) for path in paths):
-        if as_json:
-            facts = {"log": str(path), "error": str(found)} if isinstance(found, LogError) else asdict(found)
-            finite = json.loads(json.dumps(facts), parse_constant=lambda _: None)  # JSON has no NaN and no infinity
-            print(json.dumps(finite, allow_nan=False))
-        elif isinstance(found, LogFacts):  # the error at the end reports unreadable files
-            console = console_for(sys.stdout)
-            print_log(console, found, path)
-            print_lines(console, "")
-        examined.append(found)
+    for path in paths:
+        found: Sequence[LogFacts | LogError]
+        try:
+            found = [examine(file, overrides) for file in log.received([path])]
+        except LogError as error:
+            found = [error]
+        for item in found:
+            if as_json:
+                facts = {"log": str(path), "error": str(item)} if isinstance(item, LogError) else asdict(item)
+                finite = json.loads(json.dumps(facts), parse_constant=lambda _: None)  # JSON has no NaN and no infinity
+                print(json.dumps(finite, allow_nan=False))
+            elif isinstance(item, LogFacts):  # the error at the end reports unreadable files
+                console = console_for(sys.stdout)
+                print_log(console, item, path)
+                print_lines(console, "")
+        examined += found
     logs = [facts for facts in examined if isinstance(facts, LogFacts)]
     if len(logs) > 1 and not as_json:
         _print_joined(console_for(sys.stdout), logs, overrides)
     if faults := list(filter(None, map(_fault, examined))):
         raise LogError(listed(faults, len(faults)))
-
-
-def _examined(path: Path, overrides: Mapping[str, str]) -> Iterator[tuple[Path, LogFacts | LogError]]:
-    """The facts of each file of a log, with the log's path; a bag may have several files."""
-    try:
-        files = log.received([path])
-    except LogError as error:
-        yield path, error
-        return
-    for file in files:
-        try:
-            yield path, examine(file, overrides)
-        except LogError as error:
-            yield path, error
 
 
 def _fault(found: LogFacts | LogError) -> str:

@@ -96,9 +96,8 @@ def _proposals(replay: ReplayFacts, source: Path) -> Iterator[str]:
     """The command with a topic for a role: for the one that stops a replay, else for missing images."""
     refused = [state for state in replay.roles if f"fit role {state.role}:" in (replay.refusal or "")]
     missing = [state for state in replay.roles if state.role == "image" and state.state == "missing"]
-    for state in [state for state in refused or missing if state.candidates][:1]:
-        option = quote(f"{state.role}={state.candidates[0]}")
-        yield f"to use this topic: roadperc-replay {quote(str(source))} OUT.mcap --topic {option}"
+    for option in [f"{state.role}={state.candidates[0]}" for state in refused or missing if state.candidates][:1]:
+        yield f"to use this topic: roadperc-replay {quote(str(source))} OUT.mcap --topic {quote(option)}"
 
 
 def _alone_lines(replay: ReplayFacts) -> Iterator[str]:

@@ -42,8 +42,7 @@ def _as_ros2(connection: Connection) -> tuple[Channel, Callable[[bytes], memoryv
     ROS 2 has no sequence number in the header, and only names of fields in lower case. A type whose definition cannot
     be read stays in the encoding of ROS 1.
     """
-    name = _RENAMED.get(connection.msgtype, connection.msgtype)
-    text = connection.msgdef.data
+    name, text = _RENAMED.get(connection.msgtype, connection.msgtype), connection.msgdef.data
     try:
         types = types_of(connection.msgtype, f"{text}{_BUILT_IN}".encode(), "ros2msg")
         types[name] = types.pop(connection.msgtype)
@@ -52,10 +51,9 @@ def _as_ros2(connection: Connection) -> tuple[Channel, Callable[[bytes], memoryv
         store = get_typestore(Stores.EMPTY)
         store.register(types)
         definition = store.generate_msgdef(name, ros_version=2)[0].encode()
-        convert = partial(store.ros1_to_cdr, typename=name)
     except Exception:  # the bag defines the type, so any error is possible
         return Channel(connection.topic, "ros1", name, "ros1msg", text.encode()), bytes
-    return Channel(connection.topic, "cdr", name, "ros2msg", definition), convert
+    return Channel(connection.topic, "cdr", name, "ros2msg", definition), partial(store.ros1_to_cdr, typename=name)
 
 
 def definition_of(name: str) -> bytes:

@@ -8,18 +8,23 @@ import io
 import os
 import shutil
 import sqlite3
+import stat
+import sys
 import tempfile
 import weakref
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, Final, Self
 
-from roadperc_stream.errors import TargetError
+from roadperc_stream.errors import LogError, TargetError
+from roadperc_stream.log.damage import require_magic, unopened
+from roadperc_stream.log.layout import MAGIC
 
 _LEFT_FREE: Final = 0.1
 """Share of the free space that stays free, even if a pipe never ends."""
-BLOCK_BYTES: Final = 1024 * 1024
+STANDARD_INPUT: Final = Path("-")
+_BLOCK_BYTES: Final = 1024 * 1024
 _READ_BYTES: Final = io.DEFAULT_BUFFER_SIZE * 8
 
 
@@ -150,3 +155,70 @@ class StoredLog(type(Path())):  # type: ignore[misc]  # the class of paths of th
     def is_dir(self, **_: Any) -> bool:
         """Return false for a stored log."""
         return False if self.stored else super().is_dir()
+
+
+def received_files(paths: Sequence[Path]) -> tuple[Path, ...]:
+    """Return logs as files that can be read many times: pipes are stored in temporary files.
+
+    The path ``-`` is standard input.
+
+    Raises:
+        LogError: there is no path, a log is given twice, standard input is a terminal, or the first bytes of a pipe are
+            not MCAP.
+        TargetError: there is no space to store a pipe.
+    """
+    if not paths:
+        raise LogError("no log is given; pass a log, or all files of one log")
+    for number, path in enumerate(paths):
+        if any(_is_same(path, other) for other in paths[:number]):
+            raise LogError(f"{path}: is given twice")
+    return tuple(_received(path) for path in paths)
+
+
+def _is_same(one: Path, other: Path) -> bool:
+    try:
+        return one == other or (STANDARD_INPUT not in (one, other) and one.samefile(other))
+    except OSError:  # one does not exist; reading it reports that
+        return False
+
+
+def _received(path: Path) -> Path:
+    if isinstance(path, StoredLog) or not (path == STANDARD_INPUT or path.is_fifo()):
+        return path
+    try:
+        with _standard_input() if path == STANDARD_INPUT else path.open("rb") as stream:
+            return StoredLog.of(path, _stored(path, stream))
+    except OSError as error:
+        raise unopened(path, error) from error
+
+
+def _standard_input() -> IO[bytes]:
+    """Return a separate stream over standard input.
+
+    Raises:
+        LogError: it is closed, or a terminal.
+    """
+    if sys.stdin is None:
+        raise LogError("-: standard input is closed, expected a log")
+    if sys.stdin.isatty():
+        raise LogError("-: standard input is a terminal, expected a log, such as from: cat in.mcap | ...")
+    return os.fdopen(os.dup(sys.stdin.fileno()), "rb")
+
+
+def _stored(path: Path, stream: IO[bytes]) -> Spool:
+    """Store a stream; a redirected file, as in ``< in.mcap``, is used directly.
+
+    Raises:
+        LogError: its first bytes are not MCAP.
+        TargetError: there is no space for it.
+    """
+    if stat.S_ISREG(os.fstat(stream.fileno()).st_mode) and stream.tell() == 0:
+        return Spool(str(path), os.fdopen(os.dup(stream.fileno()), "rb"))
+    magic = stream.read(len(MAGIC))
+    require_magic(path, magic)
+    spool = Spool(str(path))
+    spool.append(magic)
+    while block := stream.read(_BLOCK_BYTES):
+        spool.append(block)
+    spool.finish()
+    return spool
