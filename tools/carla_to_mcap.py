@@ -75,7 +75,7 @@ def convert(arguments: argparse.Namespace) -> None:
 def _options(arguments: argparse.Namespace) -> ConvertOptions:
     return ConvertOptions(
         roles={role: _role_path(arguments.dump, role, name) for role, name in arguments.role},
-        carla=arguments.carla,
+        tags=arguments.tags,
         fov_deg=arguments.fov,
         rate_hz=arguments.rate,
         depth_as_float=arguments.depth == "float",

@@ -24,7 +24,7 @@ from .recording import Recording, SensorRow, camera_facts, mounting_fact
 from .video_file import ReadCounts, VideoFile, frames_of, open_video
 
 VIDEO_SUFFIXES: Final = frozenset({".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".ts", ".mts", ".mpg", ".mpeg"})
-_FOLDER_OPTIONS: Final = ("--role", "--carla", "--rate", "--allow-lossy-tags", "--grey-depth")
+_FOLDER_OPTIONS: Final = ("--role", "--carla or --tags", "--rate", "--allow-lossy-tags", "--grey-depth")
 
 
 def videos_in(folder: Path) -> list[Path]:
@@ -81,7 +81,7 @@ def recording_of_videos(source: Path, paths: Sequence[Path], options: ConvertOpt
 
 
 def _refuse_folder_options(source: Path, options: ConvertOptions) -> None:
-    given = (options.roles, options.carla, options.rate_hz, options.allow_lossy_tags, options.grey_depth)
+    given = (options.roles, options.tags, options.rate_hz, options.allow_lossy_tags, options.grey_depth)
     for name, value in zip(_FOLDER_OPTIONS, given, strict=True):
         if value:
             raise DumpError(

@@ -80,7 +80,10 @@ def _parser() -> argparse.ArgumentParser:
         metavar="ROLE=PATH",
         help=f"use this folder for a role: {', '.join(roles)}",
     )
-    parser.add_argument("--carla", metavar="VERSION", help="CARLA version of the tags, such as 0.9.15")
+    parser.add_argument("--carla", dest="tags", metavar="VERSION", help="CARLA version of the tags, such as 0.9.15")
+    tags = parser.add_argument(
+        "--tags", metavar="TABLE", help="table of the tags: a dataset's name, such as cityscapes, or a TOML file"
+    )
     parser.add_argument("--fov", type=_field_of_view, metavar="DEGREES", help="horizontal field of view")
     parser.add_argument("--height", type=_height, metavar="METRES", help="height of a level camera above the road")
     calibration = parser.add_argument(
@@ -114,6 +117,7 @@ def _parser() -> argparse.ArgumentParser:
         (dump, files()),
         (out, files(*LOGS)),
         (role, roles_in_dump(roles)),
+        (tags, files(".toml")),
         (calibration, files(".yaml", ".yml", ".json")),
     ):
         completed_by(action, completer)

@@ -22,7 +22,7 @@ from .frame_stamps import DEFAULT_RATE_HZ, stamps_of_file, stamps_of_names, stam
 from .layout import DumpLayout, find_layout
 from .role_names import role_of
 from .survey import SensorSurvey, apart_ns, front_sensors, meeting_notes, of_size, points_fault, reference_of, survey
-from .tag_files import LOSSY_TAGS, TagEncoding, choose_table, tag_encoding
+from .tag_files import LOSSY_TAGS, TagEncoding, choose_table, named_table, tag_encoding
 from .truth_file import NO_TRUTH, TruthTables, load_poses, load_truth
 
 T = TypeVar("T")
@@ -35,7 +35,8 @@ class ConvertOptions:
     """The options of the command line."""
 
     roles: Mapping[str, Path] = field(default_factory=dict)
-    carla: str | None = None
+    tags: str | None = None
+    """Table of the tags: a CARLA version, the name of a dataset's table, or a TOML file."""
     fov_deg: float | None = None
     rate_hz: float | None = None
     depth_as_float: bool = False
@@ -95,7 +96,7 @@ def make_plan(dump: Path, options: ConvertOptions) -> Plan:
 
     Raises:
         DumpError: the dump cannot be converted; nothing is written.
-        ConfigError: the CARLA version is unknown.
+        ConfigError: the tag table is unknown.
     """
     layout = find_layout(dump, options.roles)
     notes = list(layout.notes)
@@ -273,14 +274,14 @@ def _stamps_beside(layout: DumpLayout) -> Path | None:
 
 
 def _tags(
-    surveys: Mapping[str, SensorSurvey], options: ConvertOptions, carla_tags: str | None
+    surveys: Mapping[str, SensorSurvey], options: ConvertOptions, calibrated: str | None
 ) -> tuple[dict[str, TagEncoding], TagTable | None, str]:
     roles = [role for role in _TAG_ROLES if role in surveys]
     if not roles:
         return {}, None, ""
-    found = {role: tag_encoding(surveys[role].paths, allow_lossy=options.allow_lossy_tags) for role in roles}
-    first = roles[0]
-    table, source = choose_table(options.carla or carla_tags, *found[first], surveys[first].sensor.source)
+    named, lossy, first = named_table(options.tags or calibrated), options.allow_lossy_tags, roles[0]
+    found = {role: tag_encoding(surveys[role].paths, named and named[0], allow_lossy=lossy) for role in roles}
+    table, source = named or choose_table(*found[first], surveys[first].sensor.source)
     return {role: encoding for role, (encoding, _) in found.items()}, table, source
 
 

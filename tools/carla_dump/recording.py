@@ -21,7 +21,7 @@ def recording_of_dump(dump: Path, options: ConvertOptions) -> Recording:
 
     Raises:
         DumpError: the dump cannot be converted.
-        ConfigError: the CARLA version is unknown.
+        ConfigError: the tag table is unknown.
     """
     plan = make_plan(dump, options)
     return Recording(
@@ -67,7 +67,7 @@ def _sensors(plan: Plan) -> Iterator[SensorRow]:
 def _facts(plan: Plan) -> list[tuple[str, str]]:
     facts = [("time", plan.timing)]
     if plan.tag_table is not None:
-        facts.append(("tags", f"{plan.tag_table.name} ({plan.tag_table_source})"))
+        facts.append(("tags", f"{plan.tag_table.title} ({plan.tag_table_source})"))
     facts += camera_facts(plan.rig)
     facts += [("pixel origin", plan.pixel_origin)] if plan.pixel_origin else []
     facts.append(mounting_fact(plan.rig))
