@@ -22,8 +22,9 @@ from roadperc_stream.system.process import optional_output
 from roadperc_stream.system.text import print_line
 
 from .carla_dump.layout import frame_count
-from .carla_dump.plan import ConvertOptions
-from .carla_dump.recording import recording_of_dump
+from .carla_dump.recording import recording_of_drive
+from .layouts import dump, layout_of
+from .layouts.drive import ConvertOptions
 from .recording import COLUMNS, Recording
 from .video_log import recording_of_log
 from .video_recording import recording_of_videos, videos_in
@@ -40,13 +41,15 @@ def recording_of(path: Path, options: ConvertOptions) -> Recording:
     """
     try:
         if path.is_file():
+            options.refuse(path, ["--layout", "--sequence"], "is an option for folders")
             return recording_of_log(path) if is_log(path) else recording_of_videos(path, [path], options)
-        videos = videos_in(path) if path.is_dir() else []
+        layout = layout_of(path, options.layout)
+        videos = videos_in(path) if path.is_dir() and options.layout is None and layout is dump else []
     except OSError as error:
         raise DumpError(f"{path}: {error.strerror or error}") from error
     if len(videos) > (frame_count(path) if videos else 0):
         return recording_of_videos(path, videos, options)
-    return recording_of_dump(path, options)
+    return recording_of_drive(layout.read(path, options), options)
 
 
 def convert(arguments: argparse.Namespace) -> None:
@@ -83,6 +86,8 @@ def _options(arguments: argparse.Namespace) -> ConvertOptions:
         grey_depth=arguments.grey_depth,
         calibration=arguments.calibration,
         height_m=arguments.height,
+        layout=arguments.layout,
+        sequence=arguments.sequence,
     )
 
 

@@ -19,12 +19,13 @@ from .carla_dump.calibration_file import CALIBRATION_NAME
 from .carla_dump.camera_rig import FRONT, Rig, build_rig
 from .carla_dump.frame_stamps import EPOCH_NS
 from .carla_dump.messages import JPEG_QUALITY, WORKERS, channel_of, static_messages, straightened
-from .carla_dump.plan import ConvertOptions, calibration_of
+from .layouts.drive import ConvertOptions
+from .layouts.dump import calibration_of
 from .recording import Recording, SensorRow, camera_facts, mounting_fact
 from .video_file import ReadCounts, VideoFile, frames_of, open_video
 
 VIDEO_SUFFIXES: Final = frozenset({".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".ts", ".mts", ".mpg", ".mpeg"})
-_FOLDER_OPTIONS: Final = ("--role", "--carla or --tags", "--rate", "--allow-lossy-tags", "--grey-depth")
+_FOLDER_OPTIONS: Final = ("--role", "--tags", "--rate", "--allow-lossy-tags", "--grey-depth", "--sequence")
 
 
 def videos_in(folder: Path) -> list[Path]:
@@ -50,7 +51,8 @@ def recording_of_videos(source: Path, paths: Sequence[Path], options: ConvertOpt
         DumpError: a video cannot be read or differs in size, the camera has no calibration, or an option is one of
             folders of frames.
     """
-    _refuse_folder_options(source, options)
+    why = "is an option for folders of frames; a video has its own times"
+    options.refuse(source, _FOLDER_OPTIONS, why)
     videos = [open_video(path) for path in paths]
     first = videos[0]
     for video in videos[1:]:
@@ -78,15 +80,6 @@ def recording_of_videos(source: Path, paths: Sequence[Path], options: ConvertOpt
         metadata={"time": timing, "encoding.image": stored},
         notes=tuple(rig.notes),
     )
-
-
-def _refuse_folder_options(source: Path, options: ConvertOptions) -> None:
-    given = (options.roles, options.tags, options.rate_hz, options.allow_lossy_tags, options.grey_depth)
-    for name, value in zip(_FOLDER_OPTIONS, given, strict=True):
-        if value:
-            raise DumpError(
-                f"{source}: {name} is an option for folders of frames; a video has its own times: remove it"
-            )
 
 
 def _row(video: VideoFile) -> SensorRow:

@@ -80,6 +80,14 @@ def _parser() -> argparse.ArgumentParser:
         metavar="ROLE=PATH",
         help=f"use this folder for a role: {', '.join(roles)}",
     )
+    layouts = part("tools.layouts").LAYOUTS
+    parser.add_argument(
+        "--layout",
+        choices=layouts,
+        metavar="NAME",
+        help=f"read the folder as this layout (default: detected): {', '.join(layouts)}",
+    )
+    parser.add_argument("--sequence", metavar="NN", help="sequence of a dataset with several")
     parser.add_argument("--carla", dest="tags", metavar="VERSION", help="CARLA version of the tags, such as 0.9.15")
     tags = parser.add_argument(
         "--tags", metavar="TABLE", help="table of the tags: a dataset's name, such as cityscapes, or a TOML file"

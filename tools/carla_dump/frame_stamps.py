@@ -147,6 +147,19 @@ def stamps_of_file(path: Path, frames: Sequence[int]) -> dict[int, int]:
     return _increasing(path, frames, stamps)
 
 
+def stamps_by_line(path: Path, frames: Sequence[int]) -> dict[int, int]:
+    """Return the stamp in nanoseconds of each frame whose line is not empty; lines count from 0 as frames do.
+
+    Lines are those of ``stamps_of_file``: seconds, or dates with time.
+
+    Raises:
+        DumpError: a line cannot be read or does not increase; the message names it.
+    """
+    texts = read_lines(path)
+    stamps = {n: (_line(path, texts[n], n + 1)[1], n + 1) for n in frames if n < len(texts) and texts[n].strip()}
+    return _increasing(path, list(stamps), stamps)
+
+
 def _lines(path: Path, texts: Sequence[str]) -> list[tuple[int | None, int, int]]:
     """Return frame number (or None), stamp in nanoseconds and line number of each line."""
     numbered = [(text.strip(), line) for line, text in enumerate(texts, 1)]
@@ -195,3 +208,10 @@ def _increasing(path: Path, frames: Sequence[int], stamps: Mapping[int, tuple[in
         if stamps[later][0] <= stamps[earlier][0]:
             raise DumpError(f"{path}: line {stamps[later][1]}: frame {later} is not later than frame {earlier}")
     return {number: stamps[number][0] for number in frames}
+
+
+def mean_rate(stamps_ns: Sequence[int]) -> str:
+    """Return the mean rate of ascending stamps in words, or "" for fewer than two."""
+    if len(stamps_ns) < 2:
+        return ""
+    return f", {(len(stamps_ns) - 1) * NS_PER_S / (stamps_ns[-1] - stamps_ns[0]):.4g} Hz in the mean"

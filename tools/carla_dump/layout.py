@@ -160,6 +160,15 @@ def _folder_sensor(folder: Path, source: str, notes: list[str]) -> Sensor | None
     return _numbered(role, source, files, notes)
 
 
+def sensor_in(folder: Path, role: str) -> Sensor:
+    """Return a role's files in a folder by the number in their names.
+
+    Raises:
+        DumpError: the folder has no file of a frame, or two of one.
+    """
+    return _numbered(role, folder.name, _frame_files(folder, role), [])
+
+
 def _frame_files(path: Path, role: str | None = None) -> list[Path]:
     """Return the files of a folder that can be frames; in KITTI they are in the subfolder ``data``."""
     if path.is_file():

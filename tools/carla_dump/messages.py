@@ -1,6 +1,6 @@
 """The messages of a planned conversion in the order of the log; few frames are in memory at a time."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Final, TypeVar
@@ -15,7 +15,7 @@ from roadperc_stream.geometry import Camera
 from roadperc_stream.geometry.rectification import is_rectified, rectified, resampled
 from roadperc_stream.input.rectified import rectified_detection
 from roadperc_stream.log import Channel, Message
-from roadperc_stream.model import EGO, Detection
+from roadperc_stream.model import EGO
 from roadperc_stream.model.tag_tables import TagTable
 from roadperc_stream.output import encoding
 from roadperc_stream.schemas.protobuf import schema
@@ -37,7 +37,7 @@ P = TypeVar("P", np.uint8, np.uint16, np.float32)
 Encode = Callable[[int, int], bytes | None]
 """Makes the message of a frame from its number and stamp in nanoseconds; None for a frame without one."""
 EncodeFile = Callable[[Plan, str, Path, int], bytes]
-"""Makes the message of a role's file with a stamp in nanoseconds."""
+"""Makes the message of a role's file in the frame of a number."""
 
 ODOM = "odom"
 JPEG_QUALITY: Final = 95
@@ -47,7 +47,8 @@ WORKERS: Final = 2
 
 def channels(plan: Plan) -> dict[str, Channel]:
     """Return the channels of the plan's roles, in the order of ``ROLES``."""
-    filled = {role for role, _ in _static(plan)} | set(_encoders(plan))
+    rigs = (plan.drive.rig, *plan.drive.frame_rigs.values())
+    filled = {role for rig in rigs for role, _ in static_messages(rig, 0)} | set(_encoders(plan))
     return {role: channel_of(role, plan.tag_table) for role in ROLES if role in filled}
 
 
@@ -67,20 +68,20 @@ def channel_of(role: str, tag_table: TagTable | None = None) -> Channel:
 def messages(plan: Plan, unreadable: list[str]) -> Iterator[tuple[str, Message]]:
     """Yield role and message: calibrations and mountings first, then frame by frame.
 
+    If each frame has its own rig, that comes first in the frame.
+
     Appends the errors of files that cannot be decoded to ``unreadable``.
 
     Raises:
         DumpError: a file contradicts the plan: another size, another encoding, or unknown tags.
     """
     by_role = channels(plan)
-    first_ns = next(iter(plan.stamps_ns.values()))
-    for role, data in _static(plan):
-        yield role, Message(by_role[role], first_ns, first_ns, 0, data)
+    stamps_ns, rigs = plan.drive.stamps_ns, plan.drive.frame_rigs or {next(iter(plan.drive.stamps_ns)): plan.drive.rig}
     encoders = _encoders(plan)
-    made = in_order(lambda at: _frame(encoders, *at), plan.stamps_ns.items(), WORKERS)
-    frames = zip(plan.stamps_ns.values(), made, strict=True)
-    for sequence, (stamp_ns, (contents, faults)) in enumerate(frames):
-        for role, content in contents:
+    made = in_order(lambda at: _frame(encoders, *at), stamps_ns.items(), WORKERS)
+    for sequence, ((number, stamp_ns), (contents, faults)) in enumerate(zip(stamps_ns.items(), made, strict=True)):
+        static = static_messages(rigs[number], stamp_ns) if number in rigs else []
+        for role, content in (*static, *contents):
             yield role, Message(by_role[role], stamp_ns, stamp_ns, sequence, content)
         unreadable.extend(faults)
 
@@ -102,12 +103,6 @@ def _frame(encoders: Mapping[str, Encode], number: int, stamp_ns: int) -> _Frame
     return contents, unreadable
 
 
-def _static(plan: Plan) -> list[tuple[str, bytes]]:
-    """Return calibrations and transforms; they are written once, at the first frame."""
-    first_ns = next(iter(plan.stamps_ns.values()))
-    return static_messages(plan.rig, first_ns)
-
-
 def static_messages(rig: Rig, first_ns: int) -> list[tuple[str, bytes]]:
     """Return calibrations of the rectified images, and transforms, with their roles."""
     cameras = {role: rectified(rig.cameras[role]) for role in ROLES if role in rig.cameras}
@@ -119,10 +114,10 @@ def static_messages(rig: Rig, first_ns: int) -> list[tuple[str, bytes]]:
 
 def _encoders(plan: Plan) -> dict[str, Encode]:
     """Return the encoders of a frame's messages by role, in the order of ``ROLES``."""
-    found: dict[str, Encode] = {role: partial(_of_file, plan, role, _OF_FILES[role]) for role in plan.surveys}
-    truth = plan.truth
-    found |= _each("detections", plan.detections, lambda ns, d: _detections(plan, ns, d))
-    found |= _each("truth_pose", plan.poses, lambda ns, pose: encoding.encode_pose(ns, ODOM, pose))
+    found: dict[str, Encode] = {role: partial(_of_file, plan, role, _OF_FILES[role]) for role in plan.drive.surveys}
+    truth = plan.drive.truth
+    found |= {"detections": partial(_detections, plan)} if plan.drive.detections else {}
+    found |= _each("truth_pose", plan.drive.poses, lambda ns, pose: encoding.encode_pose(ns, ODOM, pose))
     found |= _each("truth_surface", truth.surfaces, encoding.encode_surface)
     found |= _each("truth_lanes", truth.lanes, lambda ns, lanes: encoding.encode_lanes(ns, EGO, lanes))
     found |= _each("truth_objects", truth.objects, lambda ns, o: encoding.encode_objects(ns, FRONT, o))
@@ -136,21 +131,22 @@ def _each(role: str, entries: Mapping[int, T], encode: Callable[[int, T], bytes]
     return {role: lambda number, stamp_ns: encode(stamp_ns, entries[number]) if number in entries else None}
 
 
-def _of_file(plan: Plan, role: str, encode: EncodeFile, number: int, stamp_ns: int) -> bytes | None:
-    path = plan.surveys[role].sensor.files.get(number)
-    return None if path is None else encode(plan, role, path, stamp_ns)
+def _of_file(plan: Plan, role: str, encode: EncodeFile, number: int, _stamp_ns: int) -> bytes | None:
+    path = plan.drive.surveys[role].sensor.files.get(number)
+    return None if path is None else encode(plan, role, path, number)
 
 
-def _image(plan: Plan, role: str, path: Path, stamp_ns: int) -> bytes:
+def _image(plan: Plan, role: str, path: Path, number: int) -> bytes:
     """Encode a camera image; its bytes stay unchanged unless a lens is undone."""
-    data = read_bytes(path)
+    rig = plan.drive.rig_of(number)
+    camera, data = rig.camera_of(role), read_bytes(path)
     form = require_whole(path, data)
-    if not is_rectified(plan.rig.camera_of(role)):
+    if not is_rectified(camera):
         try:
-            form, data = "jpeg", encode_jpeg(straightened(plan.rig.camera_of(role), decode_bgr(data)), JPEG_QUALITY)
+            form, data = "jpeg", encode_jpeg(straightened(camera, decode_bgr(data)), JPEG_QUALITY)
         except DecodeError as error:
             raise UnreadableFrameError(f"{path}: {error}") from error
-    return encoding.encode_image(stamp_ns, plan.rig.frame_ids.get(role, FRONT), form, data)
+    return encoding.encode_image(plan.drive.stamps_ns[number], rig.frame_ids.get(role, FRONT), form, data)
 
 
 def straightened(camera: Camera, pixels: NDArray[P], *, nearest: bool = False) -> NDArray[P]:
@@ -158,46 +154,54 @@ def straightened(camera: Camera, pixels: NDArray[P], *, nearest: bool = False) -
     return pixels if is_rectified(camera) else resampled(camera, rectified(camera), pixels, nearest=nearest)
 
 
-def _detections(plan: Plan, stamp_ns: int, detections: Iterable[Detection]) -> bytes:
-    camera = plan.rig.camera_of("image")
+def _detections(plan: Plan, number: int, stamp_ns: int) -> bytes | None:
+    detections = plan.drive.detections.get(number)
+    if detections is None:
+        return None
+    camera = plan.drive.rig_of(number).camera_of("image")
     if not is_rectified(camera):
-        detections = [rectified_detection(detection, camera) for detection in detections]
+        detections = tuple(rectified_detection(detection, camera) for detection in detections)
     return encoding.encode_detections(stamp_ns, FRONT, detections)
 
 
-def _instances(plan: Plan, role: str, path: Path, stamp_ns: int) -> bytes:
+def _instances(plan: Plan, role: str, path: Path, number: int) -> bytes:
     """Encode an instance mask, a PNG with 8-bit colours; its bytes stay unchanged unless a lens is undone."""
-    pixels = _pixels(plan, role, path)
+    camera, stamp_ns = plan.drive.rig_of(number).camera_of(role), plan.drive.stamps_ns[number]
+    pixels = _pixels(camera, path)
     if pixels.container != "png" or pixels.channels not in (3, 4) or pixels.values.dtype != np.uint8:
         raise DumpError(
             f"{path}: expected masks as a PNG of red, green and blue as CARLA saves them, found {pixels.shape}"
         )
-    if is_rectified(plan.rig.camera_of(role)):
+    if is_rectified(camera):
         return encoding.encode_image(stamp_ns, FRONT, "png", read_bytes(path))
-    _, found = cv2.imencode(".png", straightened(plan.rig.camera_of(role), pixels.values, nearest=True))
+    _, found = cv2.imencode(".png", straightened(camera, pixels.values, nearest=True))
     return encoding.encode_image(stamp_ns, FRONT, "png", found.tobytes())
 
 
-def _depth(plan: Plan, role: str, path: Path, stamp_ns: int) -> bytes:
-    measured_m = depth_metres(_pixels(plan, role, path), plan.depth_encodings[role])
-    depth_m = straightened(plan.rig.camera_of(role), measured_m, nearest=True)
-    return encoding.encode_depth(stamp_ns, plan.rig.frame_ids[role], depth_m, as_float=plan.options.depth_as_float)
+def _depth(plan: Plan, role: str, path: Path, number: int) -> bytes:
+    rig, stamp_ns = plan.drive.rig_of(number), plan.drive.stamps_ns[number]
+    camera = rig.camera_of(role)
+    measured_m = depth_metres(_pixels(camera, path), plan.depth_encodings[role])
+    depth_m = straightened(camera, measured_m, nearest=True)
+    return encoding.encode_depth(stamp_ns, rig.frame_ids[role], depth_m, as_float=plan.options.depth_as_float)
 
 
-def _tags(plan: Plan, role: str, path: Path, stamp_ns: int) -> bytes:
+def _tags(plan: Plan, role: str, path: Path, number: int) -> bytes:
+    camera, stamp_ns = plan.drive.rig_of(number).camera_of(role), plan.drive.stamps_ns[number]
     table, lossy = plan.tag_table, plan.options.allow_lossy_tags
     assert table is not None  # a plan with tags has their table
-    found = tags_of(_pixels(plan, role, path), plan.tag_encodings[role], table, allow_lossy=lossy)
-    tags = straightened(plan.rig.camera_of(role), found, nearest=True)
+    found = tags_of(_pixels(camera, path), plan.tag_encodings[role], table, allow_lossy=lossy)
+    tags = straightened(camera, found, nearest=True)
     return encoding.encode_image(stamp_ns, FRONT, "png", encode_indices(tags, table.colours))
 
 
-def _points(plan: Plan, role: str, path: Path, stamp_ns: int) -> bytes:
-    return encoding.encode_points(stamp_ns, plan.rig.frame_ids[role], load_points(path))
+def _points(plan: Plan, role: str, path: Path, number: int) -> bytes:
+    frame_id = plan.drive.rig_of(number).frame_ids[role]
+    return encoding.encode_points(plan.drive.stamps_ns[number], frame_id, load_points(path))
 
 
-def _pixels(plan: Plan, role: str, path: Path) -> Pixels:
-    pixels, camera = load_pixels(path), plan.rig.camera_of(role)
+def _pixels(camera: Camera, path: Path) -> Pixels:
+    pixels = load_pixels(path)
     require_size(path, pixels.size, (camera.width, camera.height))
     return pixels
 

@@ -5,13 +5,13 @@ If file names are stamps, also find the images without a file of another sensor 
 
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from roadperc_stream.config import SyncConfig
 from roadperc_stream.errors import DumpError
-from roadperc_stream.schemas.roles import REFERENCE_ROLES
+from roadperc_stream.schemas.roles import REFERENCE_ROLES, ROLES
 from roadperc_stream.system.time import ns_to_seconds, seconds_to_ns
 
 from .camera_rig import CAMERA_ROLES, LIDAR
@@ -67,6 +67,15 @@ def _same_files(a: Mapping[int, Path], b: Mapping[int, Path]) -> bool:
     if a.keys() != b.keys() or any(a[number].stat().st_size != b[number].stat().st_size for number in a):
         return False
     return a[min(a)].read_bytes() == b[min(b)].read_bytes()
+
+
+def surveyed(sensors: Mapping[str, Sensor]) -> dict[str, SensorSurvey]:
+    """Return the surveys of sensors by role, in the order of ``ROLES``.
+
+    Raises:
+        DumpError: no file of a sensor can be read.
+    """
+    return {role: survey(sensors[role]) for role in ROLES if role in sensors}
 
 
 def survey(sensor: Sensor) -> SensorSurvey:
@@ -127,8 +136,10 @@ def _counted(kinds: Counter[str]) -> str:
     return ", ".join(f"{kind} ({count})" for kind, count in kinds.most_common())
 
 
-def of_size(found: SensorSurvey, expected: tuple[int, int]) -> SensorSurvey:
+def of_size(found: SensorSurvey, expected: Callable[[int], tuple[int, int]]) -> SensorSurvey:
     """Return the survey without images of another size than their camera's; those count as missing.
+
+    ``expected`` gives columns and rows of the camera in a frame.
 
     Raises:
         UnreadableFrameError: no image has the camera's size.
@@ -137,7 +148,7 @@ def of_size(found: SensorSurvey, expected: tuple[int, int]) -> SensorSurvey:
     faults: list[UnreadableFrameError] = []
     for number, size in found.sizes.items():
         try:
-            require_size(files[number], size, expected)
+            require_size(files[number], size, expected(number))
         except UnreadableFrameError as error:
             faults.append(error)
             del files[number]

@@ -1,0 +1,127 @@
+"""KITTI's calibration files, and the rig of rectified cameras and lidar that they describe.
+
+The matrices P0 to P3 project from the frame of the rectified left grey camera (camera 0: x right, y down, z forward).
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from roadperc_stream.errors import DumpError
+from roadperc_stream.geometry import Camera, Float, mounting, pinhole_fault, rigid
+from roadperc_stream.model import EGO, Transform
+
+from ..carla_dump.calibration_file import require_pinhole
+from ..carla_dump.camera_rig import FRONT, LIDAR, RIGHT, Rig, Size
+from ..carla_dump.json_files import read_lines
+
+HEIGHT_M: Final = 1.65
+"""Height of all cameras above the road, from KITTI's description of the car; they are level."""
+_SHAPES: Final = {12: (3, 4), 9: (3, 3)}
+
+
+def read_matrices(path: Path) -> dict[str, Float]:
+    """Return the numbers of each line ``name: numbers``, also without the colon: (3, 4), (3, 3), or flat.
+
+    Lines without numbers, such as dates, are left out.
+
+    Raises:
+        DumpError: the file cannot be read, or a line that starts with numbers holds something else; it names the line.
+    """
+    found: dict[str, Float] = {}
+    for at, line in enumerate(read_lines(path), 1):
+        name, *words = line.replace(":", " ", 1).split() or [""]
+        try:
+            values = np.array(words, np.float64)
+        except ValueError as error:
+            if name.startswith(("P", "R", "T")):
+                raise DumpError(f"{path}: line {at}: {name}: {error}") from error
+            continue
+        if not np.isfinite(values).all():
+            raise DumpError(f"{path}: line {at}: {name}: expected finite numbers")
+        if len(values):
+            found[name] = values.reshape(_SHAPES.get(len(values), (-1,)))
+    return found
+
+
+def matrix_of(path: Path, matrices: Mapping[str, Float], *names: str) -> Float:
+    """Return the (3, 4) or (3, 3) matrix with the first of these names that the file has.
+
+    Raises:
+        DumpError: the file has none of them, or it has another number of values.
+    """
+    name = next((name for name in names if name in matrices), None)
+    if name is None or matrices[name].ndim != 2:
+        found = "no such line" if name is None else f"{matrices[name].size} numbers"
+        raise DumpError(f"{path}: {' or '.join(names)}: expected 12 or 9 numbers, found {found}")
+    return matrices[name]
+
+
+def square(matrix: Float) -> Float:
+    """Return the (4, 4) matrix of a (3, 4) or (3, 3) one."""
+    result = np.eye(4)
+    result[:3, : matrix.shape[1]] = matrix
+    return result
+
+
+def camera_centre(where: str, P: Float) -> Float:
+    """Return the (3,) centre of a rectified camera in camera 0's frame, metres: -K^-1 p4 with P = [K | p4].
+
+    Raises:
+        DumpError: P is not the projection of a rectified camera; the message starts with ``where``.
+    """
+    if P.shape != (3, 4):
+        raise DumpError(f"{where}: expected 12 numbers, found {P.size}")
+    require_pinhole(where, P[:, :3])
+    return -np.linalg.solve(P[:, :3], P[:, 3]).astype(np.float64)
+
+
+def mounting_of_camera0(where: str, P_front: Float, height_m: float = HEIGHT_M) -> Float:
+    """Return (4, 4) ego_T_camera0; the front camera with the projection ``P_front`` is level above the ego origin.
+
+    Raises:
+        DumpError: as ``camera_centre``.
+    """
+    return mounting(z=height_m) @ rigid(np.eye(3), -camera_centre(where, P_front))
+
+
+def kitti_rig(
+    path: Path,
+    projections: Mapping[str, Float],
+    sizes: Mapping[str, Size],
+    ego_T_camera0: Float,
+    camera0_T_lidar: Float | None,
+) -> Rig:
+    """Return the rig of a front camera, its pair and a lidar.
+
+    Args:
+        path: the calibration, for messages.
+        projections: (3, 4) matrices by role: ``image``, and ``right`` if there is a pair.
+        sizes: columns and rows by role.
+        ego_T_camera0: (4, 4) mounting of camera 0.
+        camera0_T_lidar: (4, 4) transform from the lidar to rectified camera 0; None without lidar.
+
+    Raises:
+        DumpError: a matrix is not the projection of a rectified camera, or the pair has no baseline.
+    """
+    centres = {role: camera_centre(f"{path}: {role}", P) for role, P in projections.items()}
+    cameras = {"calibration": _camera(path, FRONT, projections["image"], sizes["image"])}
+    frames = {FRONT: ego_T_camera0 @ rigid(np.eye(3), centres["image"])}
+    if "right" in projections:
+        baseline_m = float(centres["right"][0] - centres["image"][0])
+        if baseline_m <= 0:
+            raise DumpError(f"{path}: the right camera is {-baseline_m:g} m to the left of the front camera")
+        cameras["right_calibration"] = _camera(path, RIGHT, projections["right"], sizes["right"], baseline_m)
+        frames[RIGHT] = ego_T_camera0 @ rigid(np.eye(3), centres["right"])
+    if camera0_T_lidar is not None:
+        frames[LIDAR] = ego_T_camera0 @ camera0_T_lidar
+    transforms = tuple(Transform(EGO, frame, ego_T_frame) for frame, ego_T_frame in frames.items())
+    return Rig(cameras, {"right": RIGHT, LIDAR: LIDAR}, transforms)
+
+
+def _camera(path: Path, frame_id: str, P: Float, size: Size, baseline_m: float | None = None) -> Camera:
+    if fault := pinhole_fault(*size, P[0, 0], P[1, 1], P[0, 2], P[1, 2]):
+        raise DumpError(f"{path}: {frame_id}: {fault}")
+    return Camera(frame_id, *size, P[0, 0], P[1, 1], P[0, 2], P[1, 2], baseline_m=baseline_m)

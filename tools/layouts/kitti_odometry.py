@@ -1,0 +1,142 @@
+"""KITTI odometry: ``sequences/NN`` with ``poses/NN.txt``, or one sequence alone with ``poses.txt`` beside its images.
+
+Poses are those of the left grey camera relative to the first frame. The points are motion-compensated by KITTI.
+"""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from roadperc_stream.errors import DumpError
+from roadperc_stream.geometry import Float, inverse
+
+from ..carla_dump.calibration_file import CALIBRATION_NAME
+from ..carla_dump.camera_rig import LIDAR
+from ..carla_dump.frame_stamps import mean_rate, stamps_by_line, stamps_of_rate
+from ..carla_dump.json_files import read_lines
+from ..carla_dump.layout import Sensor, sensor_in
+from ..carla_dump.survey import surveyed
+from .drive import ConvertOptions, Drive, choose_sequence
+from .kitti_calibration import HEIGHT_M, kitti_rig, matrix_of, mounting_of_camera0, read_matrices, square
+
+_CALIBRATION: Final = "calib.txt"
+_PAIRS: Final = ((2, 3), (0, 1))
+"""Left and right camera: colour, then grey."""
+_RATE_HZ: Final = 10.0
+_POSE_NUMBERS: Final = 12
+
+
+def detect(folder: Path) -> bool:
+    """Return True if the folder is a sequence with images and ``calib.txt``, or holds some."""
+    return bool(_sequences(folder)) and not (folder / CALIBRATION_NAME).exists()
+
+
+def read(folder: Path, options: ConvertOptions) -> Drive:
+    """Read one sequence.
+
+    Raises:
+        DumpError: the folder holds no or several sequences, or a file is wrong; the message names file and line.
+    """
+    options.require_only(folder, "--sequence", "--rate", "--height")
+    name, sequence = choose_sequence(folder, _sequences(folder), options.sequence)
+    notes: list[str] = []
+    calibration = sequence / _CALIBRATION
+    matrices = read_matrices(calibration)
+    sensors, projections = _cameras(sequence, matrices, notes)
+    camera0_T_lidar = square(matrix_of(calibration, matrices, "Tr")) if "Tr" in matrices else None
+    if (sequence / "velodyne").is_dir():
+        if camera0_T_lidar is None:
+            notes.append(f"velodyne/ is left out: {_CALIBRATION} has no Tr; KITTI's calibration archive has it")
+        else:
+            sensors[LIDAR] = sensor_in(sequence / "velodyne", LIDAR)
+    surveys = surveyed(sensors)
+    sizes = {role: found.size for role, found in surveys.items() if found.size}
+    height_m = options.height_m or HEIGHT_M
+    ego_T_camera0 = mounting_of_camera0(f"{calibration}: front camera", projections["image"], height_m)
+    frames = sorted({number for role in projections for number in surveys[role].sensor.files})
+    stamps_ns, timing = _stamps(sequence / "times.txt", frames, options)
+    return Drive(
+        folder=folder,
+        title=f"KITTI odometry{f', sequence {name}' if name.isdigit() else ''}",
+        surveys=surveys,
+        stamps_ns=stamps_ns,
+        timing=timing,
+        rig=kitti_rig(calibration, projections, sizes, ego_T_camera0, camera0_T_lidar if LIDAR in surveys else None),
+        poses=_poses(sequence, ego_T_camera0, notes),
+        pixel_origin="the first pixel's centre, as KITTI has it",
+        notes=tuple(notes),
+    )
+
+
+def _sequences(folder: Path) -> dict[str, Path]:
+    """Return the sequences of a folder by name; the folder may be one itself."""
+    if _has_images(folder) and (folder / _CALIBRATION).is_file():
+        return {folder.resolve().name: folder}
+    inside = next((path for path in (folder / "dataset/sequences", folder / "sequences") if path.is_dir()), folder)
+    if inside.resolve().name != "sequences":
+        return {}
+    return {path.name: path for path in sorted(inside.iterdir()) if _has_images(path)}
+
+
+def _has_images(folder: Path) -> bool:
+    return any((folder / f"image_{number}").is_dir() for pair in _PAIRS for number in pair)
+
+
+def _cameras(
+    sequence: Path, matrices: Mapping[str, Float], notes: list[str]
+) -> tuple[dict[str, Sensor], dict[str, Float]]:
+    """Return the sensors and projections of the front camera and its pair, by role; adds notes about the others."""
+    there = [number for pair in _PAIRS for number in pair if (sequence / f"image_{number}").is_dir()]
+    front = there[0]
+    pair = next(pair for pair in _PAIRS if front in pair)
+    used = dict(zip(("image", "right"), [number for number in pair if number in there], strict=False))
+    notes += [
+        f"image_{number}/ is left out: image_{front} is the front camera"
+        for number in sorted(set(there) - set(used.values()))
+    ]
+    sensors = {role: sensor_in(sequence / f"image_{number}", role) for role, number in used.items()}
+    projections = {role: matrix_of(sequence / _CALIBRATION, matrices, f"P{number}") for role, number in used.items()}
+    return sensors, projections
+
+
+def _stamps(times: Path, frames: list[int], options: ConvertOptions) -> tuple[dict[int, int], str]:
+    if not times.is_file():
+        rate_hz = options.rate_hz or _RATE_HZ
+        return stamps_of_rate(frames, rate_hz), f"{rate_hz:g} Hz by frame number{'' if options.rate_hz else ' (KITTI)'}"
+    if options.rate_hz:
+        raise DumpError(f"--rate {options.rate_hz:g}: {times.name} has the stamps; remove --rate")
+    stamps_ns = stamps_by_line(times, frames)
+    if len(stamps_ns) < len(frames):
+        missing = next(number for number in frames if number not in stamps_ns)
+        raise DumpError(f"{times}: line {missing + 1}: no time for image {missing}")
+    return stamps_ns, f"stamps of {times.name}{mean_rate(list(stamps_ns.values()))}"
+
+
+def _poses(sequence: Path, ego_T_camera0: Float, notes: list[str]) -> dict[int, Float]:
+    """Return odom_T_ego by frame number; the odom frame is the ego frame of the first line.
+
+    Raises:
+        DumpError: a line is not a pose.
+    """
+    places = (sequence / "poses.txt", sequence.resolve().parent.parent / "poses" / f"{sequence.resolve().name}.txt")
+    path = next((place for place in places if place.is_file()), None)
+    if path is None:
+        notes.append(f"no true poses: neither {places[0]} nor {places[1]} exists")
+        return {}
+    camera0_T_ego = inverse(ego_T_camera0)
+    lines = enumerate(read_lines(path))
+    return {number: ego_T_camera0 @ _pose(path, number, line) @ camera0_T_ego for number, line in lines if line.strip()}
+
+
+def _pose(path: Path, number: int, line: str) -> Float:
+    """Return the (4, 4) pose of camera 0 relative to the first frame."""
+    try:
+        values = np.array(re.split(r"[,\s]+", line.strip()), np.float64)
+    except ValueError as error:
+        raise DumpError(f"{path}: line {number + 1}: {error}") from error
+    if values.size != _POSE_NUMBERS or not np.isfinite(values).all():
+        raise DumpError(f"{path}: line {number + 1}: expected 12 finite numbers, found {values.size}: {line[:60]!r}")
+    return square(values.reshape(3, 4))
