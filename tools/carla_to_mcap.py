@@ -83,7 +83,7 @@ def _options(arguments: argparse.Namespace) -> ConvertOptions:
         rate_hz=arguments.rate,
         depth_as_float=arguments.depth == "float",
         allow_lossy_tags=arguments.allow_lossy_tags,
-        grey_depth=arguments.grey_depth,
+        depth_coding=arguments.depth_coding,
         calibration=arguments.calibration,
         height_m=arguments.height,
         layout=arguments.layout,

@@ -110,9 +110,11 @@ def _parser() -> argparse.ArgumentParser:
         help="write depth as 16-bit millimetres or as float metres (default mm)",
     )
     parser.add_argument(
+        "--depth-coding",
         "--grey-depth",
-        choices=("linear", "linear-50", "logarithmic"),
-        help="coding of 8-bit depth images (default: the coding that gives a level ground)",
+        choices=("mm", "cm", "m", "depth-256", "disparity", "linear", "linear-50", "logarithmic"),
+        help="coding of depth files whose content does not show it: unit of numbers, KITTI's depth or disparity * 256, "
+        "or coding of 8-bit images (default: metres of floats, mm of integers, the grey that gives a level ground)",
     )
     parser.add_argument(
         "--allow-lossy-tags",

@@ -10,7 +10,7 @@ from roadperc_stream.geometry import Float
 from roadperc_stream.model import Detection
 
 from ..carla_dump.camera_rig import Rig
-from ..carla_dump.depth_files import GreyDepth
+from ..carla_dump.depth_files import DepthCoding
 from ..carla_dump.survey import SensorSurvey
 from ..carla_dump.truth_file import NO_TRUTH, TruthTables
 
@@ -20,7 +20,7 @@ _FLAGS: Final = {
     "--fov": "fov_deg",
     "--rate": "rate_hz",
     "--allow-lossy-tags": "allow_lossy_tags",
-    "--grey-depth": "grey_depth",
+    "--depth-coding": "depth_coding",
     "--calibration": "calibration",
     "--height": "height_m",
     "--layout": "layout",
@@ -39,7 +39,7 @@ class ConvertOptions:
     rate_hz: float | None = None
     depth_as_float: bool = False
     allow_lossy_tags: bool = False
-    grey_depth: GreyDepth | None = None
+    depth_coding: DepthCoding | None = None
     calibration: Path | None = None
     """A file that replaces ``calibration.json``: JSON, or the camera_info YAML of ROS."""
     height_m: float | None = None
