@@ -31,7 +31,8 @@ _POSE_NUMBERS: Final = 12
 
 def detect(folder: Path) -> bool:
     """Return True if the folder is a sequence with images and ``calib.txt``, or holds some."""
-    return bool(_sequences(folder)) and not (folder / CALIBRATION_NAME).exists()
+    calibrated = any((path / _CALIBRATION).is_file() for path in _sequences(folder).values())
+    return calibrated and not (folder / CALIBRATION_NAME).exists()
 
 
 def read(folder: Path, options: ConvertOptions) -> Drive:
@@ -55,6 +56,8 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
     surveys = surveyed(sensors)
     sizes = {role: found.size for role, found in surveys.items() if found.size}
     height_m = options.height_m or HEIGHT_M
+    if not options.height_m:
+        notes.append(f"assumed: level cameras {HEIGHT_M} m above the road, as KITTI describes its car")
     ego_T_camera0 = mounting_of_camera0(f"{calibration}: front camera", projections["image"], height_m)
     frames = sorted({number for role in projections for number in surveys[role].sensor.files})
     stamps_ns, timing = _stamps(sequence / "times.txt", frames, options)
@@ -73,10 +76,10 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
 
 def _sequences(folder: Path) -> dict[str, Path]:
     """Return the sequences of a folder by name; the folder may be one itself."""
-    if _has_images(folder) and (folder / _CALIBRATION).is_file():
-        return {folder.resolve().name: folder}
+    if _has_images(folder):
+        return {folder.absolute().name: folder}
     inside = next((path for path in (folder / "dataset/sequences", folder / "sequences") if path.is_dir()), folder)
-    if inside.resolve().name != "sequences":
+    if inside.absolute().name != "sequences":
         return {}
     return {path.name: path for path in sorted(inside.iterdir()) if _has_images(path)}
 
@@ -121,7 +124,7 @@ def _poses(sequence: Path, ego_T_camera0: Float, notes: list[str]) -> dict[int, 
     Raises:
         DumpError: a line is not a pose.
     """
-    places = (sequence / "poses.txt", sequence.resolve().parent.parent / "poses" / f"{sequence.resolve().name}.txt")
+    places = (sequence / "poses.txt", sequence.absolute().parent.parent / "poses" / f"{sequence.absolute().name}.txt")
     path = next((place for place in places if place.is_file()), None)
     if path is None:
         notes.append(f"no true poses: neither {places[0]} nor {places[1]} exists")
