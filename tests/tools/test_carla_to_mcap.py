@@ -264,8 +264,8 @@ def test_disparity_needs_a_baseline_to_become_depth(dump, capsys):
     stated = "disparity needs the baseline; add baseline_m to calibration.json"
     assert stated in failure(capsys, dump, dump.parent / "out.mcap", "--depth-coding", "disparity")
     (dump / "calibration.json").write_text(json.dumps({**CALIBRATION, "baseline_m": 0.5}))
-    depth, _ = payloads(convert(dump, "--depth-coding", "disparity"))["depth"][0][2].decode()
-    np.testing.assert_allclose(depth, WIDTH / 2 * 0.5 / 2)  # fx is half the width at 90 degrees
+    _, _, depth = payloads(convert(dump, "--depth-coding", "disparity"))["depth"][0]
+    np.testing.assert_allclose(depth.depth_m, WIDTH / 2 * 0.5 / 2, atol=6e-4)  # fx is half the width at 90 degrees
 
 
 def test_left_alone_becomes_the_front_camera(tmp_path, capsys):

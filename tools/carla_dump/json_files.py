@@ -51,7 +51,7 @@ def read_lines(path: Path) -> list[str]:
         raise DumpError(f"{path}: {error}") from error
 
 
-def checked(path: Path, expected: TypeAdapter[T], data: Any) -> T:
+def checked(path: Path | str, expected: TypeAdapter[T], data: Any) -> T:
     """Return data as the expected type.
 
     Raises:
