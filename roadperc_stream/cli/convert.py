@@ -22,6 +22,7 @@ videos:
 
 datasets:
   KITTI odometry: the folder with sequences/ and poses/ (choose one with --sequence NN), or one sequence.
+  TuSimple: the folder with label_data_*.json and clips/. CULane: a folder with *.lines.txt. Pass --fov and --height.
   The table of docs/recordings.md says what comes out. Calibration, stamps and true poses are those of the dataset.
 
 images:
@@ -30,7 +31,7 @@ images:
 a dump:
   One folder per sensor (rgb, CameraRGB, image_2, depth, segmentation, sem, left, right, ...) with one file per frame.
   The last number in each name pairs the files. Flat files such as left.png and right.png are read too.
-  Lidar points (lidar, velodyne, ...) are left-handed in CARLA's .ply and .npy, right-handed in KITTI's .bin.
+  Lidar points (lidar, velodyne, ...) are left-handed in CARLA's .ply, .npy and .laz, right-handed in KITTI's .bin.
 
 optional files:
   calibration.json   K or fov_deg; width, height; P_left and P_right, or baseline_m; carla_tags; rate_hz
