@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from rich.console import Console
 
@@ -25,10 +25,12 @@ from .runs import Run
 from .sections import LISTED, accuracy, latency, missing_outputs, sections, worst_frames
 from .slices import slices_of_runs
 from .summary import Summary, summarise_group, summarise_run
+from .trajectory import in_short
 
 WritePage = Callable[[Path, list[Run]], None]
 RUNS_LISTED: Final = 40
 """Most rows of the table of runs with ``--full``."""
+_HAS_TRUE_POSES: Final = "turn_error_deg"
 _MORE: Final = "pass --full for all tables, --by EXPRESSION for slices"
 
 
@@ -56,7 +58,8 @@ def print_report(arguments: argparse.Namespace, write_page: WritePage | None) ->
         print_answer(console, answer)
     elif len(filled) == 1:
         summary = summarise_run(filled[0], arguments.worst)
-        print_lines(console, identity(summary), extent(summary), inputs(summary))
+        path = _trajectory(filled[0], summary)
+        print_lines(console, identity(summary), extent(summary), inputs(summary), *([path[0]] if path else []))
         print_parts(console, *sections([summary]), worst_frames([summary]))
     else:
         _print_several(console, filled, arguments.worst)
@@ -77,12 +80,21 @@ def _answer(runs: Sequence[Run], by: Sequence[str]) -> Answer:
     if len(runs) == 1:
         (summary,) = summaries
         extent_s = f"{number(summary.frames, 'frame')}{in_segments(summary)}, {summary.span_s:.2f} s"
-        return replace(answer, head=(f"{identity(summary)}, {extent_s}", *answer.head), tail=(*answer.tail, _MORE))
+        head = (f"{identity(summary)}, {extent_s}", *answer.head)
+        if (path := _trajectory(runs[0], summary)) is None:
+            return replace(answer, head=head, tail=(*answer.tail, _MORE))
+        of_run = {**answer.values["runs"][summary.name], "trajectory": path[1]}
+        return replace(answer, head=head, tail=(path[0], *answer.tail, _MORE), values={"runs": {summary.name: of_run}})
     head = (f"{contents(summaries)}, {sum(summary.frames for summary in summaries)} frames", *answer.head)
     names = short_names([run.name for run in runs], name_columns(console_for(sys.stdout)))
     settings = settings_table({names[run.name]: run for run in runs})
     tables = (settings, *rows_tables("Run", [replace(s, name=names[s.name]) for s in summaries]))
     return replace(answer, head=head, tables=tables, tail=(*legend(names), *answer.tail, _MORE))
+
+
+def _trajectory(run: Run, summary: Summary) -> tuple[str, dict[str, Any]] | None:
+    """The line and the values of the errors of a run's path, if it has true poses."""
+    return in_short(run) if _HAS_TRUE_POSES in summary.statistics else None
 
 
 def _print_several(console: Console, found: Sequence[Run], worst: int) -> None:

@@ -14,6 +14,7 @@ from .continued import find_joined
 from .machine import Case, write_files
 from .options import Alignment
 from .quantities import legend, listed, name_columns, percent, short_names
+from .runs import Run
 from .trajectories.errors import Delta, ErrorStatistics
 from .trajectories.evaluation import Evaluation, Segments, evaluate
 from .trajectories.poses import RunPoses, export, read_poses
@@ -146,6 +147,21 @@ def trajectories(arguments: argparse.Namespace, delta: Delta) -> None:
         print_parts(console, *_one(evaluated[0]))
     elif evaluated:
         print_parts(console, *_several(evaluated, name_columns(console)))
+
+
+def in_short(run: Run) -> tuple[str, dict[str, Any]] | None:
+    """The errors of a run's trajectory in a line and for other programs; None without poses to compare."""
+    try:
+        found = evaluate(read_poses(run), None, Delta(1, "frames"))
+    except TableError:
+        return None
+    together, lengths = found.together, [s.length_m for s in found.stretches if s.length_m and s.count]
+    of_kitti = (
+        f", KITTI t_err {_number(together.translation_percent)} %, "
+        f"r_err {_number(together.rotation_deg_per_100m)} deg/100 m over {lengths[0]:.0f} to {lengths[-1]:.0f} m"
+    )
+    ate = f"ATE {_number(found.absolute_m.rmse)} m, {_ALIGNED[found.alignment]}"
+    return f"trajectory: {ate}{of_kitti if lengths else ''}", _as_json(found)
 
 
 def _write(evaluated: Sequence[Evaluation], refused: Mapping[str, TableError], arguments: argparse.Namespace) -> None:

@@ -12,12 +12,18 @@ _EXAMPLE: Final = """\
 example:
   roadperc-convert recordings/town04 town04.mcap
   roadperc-convert recordings/old old.mcap --carla 0.9.10 --fov 90 --role depth=CameraDepth2
+  roadperc-convert kitti/dataset kitti.mcap --sequence 05
   roadperc-convert drive.mp4 drive.mcap --fov 55 --height 1.3
   roadperc-convert dashcam/ drive.mcap --calibration ost.yaml
 
 videos:
   A video, or a folder of videos: parts of one drive, in the order of their names. The stamps are those of the video.
   Each frame is stored as JPEG, upright. Without a calibration of the camera, pass --fov.
+
+datasets:
+  KITTI odometry: the folder with sequences/ and poses/ (choose one with --sequence NN), or one sequence.
+  KITTI raw, object and tracking: the folder with training/, or with drives and calib_*.txt.
+  The table of docs/recordings.md says what comes out. Calibration, stamps and true poses are those of the dataset.
 
 images:
   A folder of numbered images, or one folder with them. Pass --fov and --rate.
@@ -63,14 +69,14 @@ def _parser() -> argparse.ArgumentParser:
     roles = part("tools.carla_dump.role_names").ROLES
     parser = command_parser(
         "convert",
-        "Convert a CARLA dump folder, images or videos to a log. The command detects the layout and prints it.",
+        "Convert a dataset, a CARLA dump, images or videos to a log. The command detects the layout and prints it.",
         _EXAMPLE,
     )
     dump = parser.add_argument(
         "dump",
         type=Path,
         metavar="RECORDING",
-        help="folder with one folder per sensor, folder of images or videos, or one video",
+        help="folder of a dataset, with one folder per sensor, of images or videos, or one video",
     )
     out = parser.add_argument("out", type=Path, metavar="IN.mcap", help="log to write")
     role = parser.add_argument(

@@ -16,7 +16,6 @@ from roadperc_stream.cli import convert
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.output.tables import sidecar_path
 from tests import course
-from tests.accuracy import kitti
 from tests.accuracy.drives import Drive, make_logs
 from tests.accuracy.scenarios import Scenario
 
@@ -125,10 +124,9 @@ def recording(source, folder):
     if source.is_file():
         return source
     target = folder / f"{source.name}.mcap"
-    for mark, module in (("image_0", kitti), ("left.png", course)):
-        if (source / mark).exists():
-            module.write_dump(source, folder / f"{source.name}-dump")
-            source = folder / f"{source.name}-dump"
+    if (source / "left.png").exists():
+        course.write_dump(source, folder / f"{source.name}-dump")
+        source = folder / f"{source.name}-dump"
     if convert.main([str(source), str(target), "--quiet", "--force"]) != 0:
         raise RuntimeError(f"{source.name} cannot be converted")
     return target

@@ -28,7 +28,7 @@ COCO_LABELS: Final = {
 """COCO's standard category ids of classes on a road."""
 _COCO_LISTS: Final = ("annotations", "results", "detections", "predictions")
 _KITTI_COLUMNS: Final = 15
-_KITTI_IGNORED: Final = "DontCare"
+KITTI_IGNORED: Final = "DontCare"
 
 
 class _Entry(Document):
@@ -131,11 +131,11 @@ def load_kitti_labels(files: Mapping[int, Path]) -> Detections:
 
 def _kitti_objects(path: Path) -> Iterator[Detection]:
     for at, line in enumerate(read_lines(path), 1):
-        if line.strip() and (found := _kitti_line(f"{path}: line {at}", line.split())).label != _KITTI_IGNORED:
+        if line.strip() and (found := kitti_detection(f"{path}: line {at}", line.split())).label != KITTI_IGNORED:
             yield found
 
 
-def _kitti_line(where: str, fields: list[str]) -> Detection:
+def kitti_detection(where: str, fields: list[str]) -> Detection:
     """Read a KITTI line: type, truncated, occluded, alpha, box, dimensions, location, rotation, score.
 
     The box's maxima are the last pixels inside. Half-open maxima are one pixel further.

@@ -109,7 +109,9 @@ def choose_sequence(folder: Path, sequences: Mapping[str, Path], wanted: str | N
     Raises:
         DumpError: there is no such sequence, or several and none is wanted.
     """
-    names = f"{', '.join(list(sequences)[:12])}{', ...' if len(sequences) > 12 else ''}" or "none"
+    if not sequences:
+        raise DumpError(f"{folder}: no sequence of this layout found; the documentation of datasets shows its folders")
+    names = f"{', '.join(list(sequences)[:12])}{', ...' if len(sequences) > 12 else ''}"
     if wanted is None and len(sequences) != 1:
         raise DumpError(f"{folder}: expected one sequence, found {names}; choose one with --sequence NN")
     name = next(iter(sequences)) if wanted is None else wanted

@@ -16,9 +16,13 @@ from roadperc_stream.model import EGO, Transform
 from ..carla_dump.calibration_file import require_pinhole
 from ..carla_dump.camera_rig import FRONT, LIDAR, RIGHT, Rig, Size
 from ..carla_dump.json_files import read_lines
+from .drive import ConvertOptions
 
 HEIGHT_M: Final = 1.65
 """Height of all cameras above the road, from KITTI's description of the car; they are level."""
+PIXEL_ORIGIN: Final = "the first pixel's centre, as KITTI has it"
+_PAIRS: Final = ((2, 3), (0, 1))
+"""Left and right camera: colour, then grey."""
 _SHAPES: Final = {12: (3, 4), 9: (3, 3)}
 
 
@@ -59,6 +63,30 @@ def matrix_of(path: Path, matrices: Mapping[str, Float], *names: str) -> Float:
     return matrices[name]
 
 
+def has_cameras(sequence: Path, prefix: str) -> bool:
+    """Return True if a folder has images of a camera, such as ``image_02`` for the prefix ``image_0``."""
+    return any((sequence / f"{prefix}{number}").is_dir() for pair in _PAIRS for number in pair)
+
+
+def cameras_of(sequence: Path, prefix: str, notes: list[str]) -> dict[str, int]:
+    """Return the numbers of the front camera and its pair by role, colour first; adds notes about the others."""
+    there = [number for pair in _PAIRS for number in pair if (sequence / f"{prefix}{number}").is_dir()]
+    pair = next(pair for pair in _PAIRS if there[0] in pair)
+    used = dict(zip(("image", "right"), [number for number in pair if number in there], strict=False))
+    notes += [
+        f"{prefix}{number}/ is left out: {prefix}{there[0]} is the front camera"
+        for number in sorted(set(there) - set(used.values()))
+    ]
+    return used
+
+
+def height_of(options: ConvertOptions, notes: list[str]) -> float:
+    """Return the height of the cameras in metres; adds a note if it is assumed."""
+    if not options.height_m:
+        notes.append(f"assumed: level cameras {HEIGHT_M} m above the road, as KITTI describes its car")
+    return options.height_m or HEIGHT_M
+
+
 def square(matrix: Float) -> Float:
     """Return the (4, 4) matrix of a (3, 4) or (3, 3) one."""
     result = np.eye(4)
@@ -75,8 +103,7 @@ def camera_centre(where: str, P: Float) -> Float:
     if P.shape != (3, 4):
         raise DumpError(f"{where}: expected 12 numbers, found {P.size}")
     require_pinhole(where, P[:, :3])
-    centre: Float = -np.linalg.solve(P[:, :3], P[:, 3])
-    return centre
+    return -np.linalg.solve(P[:, :3], P[:, 3]).astype(np.float64)
 
 
 def mounting_of_camera0(where: str, P_front: Float, height_m: float = HEIGHT_M) -> Float:

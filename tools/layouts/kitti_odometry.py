@@ -20,18 +20,28 @@ from ..carla_dump.json_files import read_lines
 from ..carla_dump.layout import Sensor, sensor_in
 from ..carla_dump.survey import surveyed
 from .drive import ConvertOptions, Drive, choose_sequence
-from .kitti_calibration import HEIGHT_M, kitti_rig, matrix_of, mounting_of_camera0, read_matrices, square
+from .kitti_calibration import (
+    PIXEL_ORIGIN,
+    cameras_of,
+    has_cameras,
+    height_of,
+    kitti_rig,
+    matrix_of,
+    mounting_of_camera0,
+    read_matrices,
+    square,
+)
 
 _CALIBRATION: Final = "calib.txt"
-_PAIRS: Final = ((2, 3), (0, 1))
-"""Left and right camera: colour, then grey."""
+_CAMERA: Final = "image_"
 _RATE_HZ: Final = 10.0
 _POSE_NUMBERS: Final = 12
 
 
 def detect(folder: Path) -> bool:
     """Return True if the folder is a sequence with images and ``calib.txt``, or holds some."""
-    return bool(_sequences(folder)) and not (folder / CALIBRATION_NAME).exists()
+    calibrated = any((path / _CALIBRATION).is_file() for path in _sequences(folder).values())
+    return calibrated and not (folder / CALIBRATION_NAME).exists()
 
 
 def read(folder: Path, options: ConvertOptions) -> Drive:
@@ -54,8 +64,7 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
             sensors[LIDAR] = sensor_in(sequence / "velodyne", LIDAR)
     surveys = surveyed(sensors)
     sizes = {role: found.size for role, found in surveys.items() if found.size}
-    height_m = options.height_m or HEIGHT_M
-    ego_T_camera0 = mounting_of_camera0(f"{calibration}: front camera", projections["image"], height_m)
+    ego_T_camera0 = mounting_of_camera0(f"{calibration}: image", projections["image"], height_of(options, notes))
     frames = sorted({number for role in projections for number in surveys[role].sensor.files})
     stamps_ns, timing = _stamps(sequence / "times.txt", frames, options)
     return Drive(
@@ -66,37 +75,26 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
         timing=timing,
         rig=kitti_rig(calibration, projections, sizes, ego_T_camera0, camera0_T_lidar if LIDAR in surveys else None),
         poses=_poses(sequence, ego_T_camera0, notes),
-        pixel_origin="the first pixel's centre, as KITTI has it",
+        pixel_origin=PIXEL_ORIGIN,
         notes=tuple(notes),
     )
 
 
 def _sequences(folder: Path) -> dict[str, Path]:
     """Return the sequences of a folder by name; the folder may be one itself."""
-    if _has_images(folder) and (folder / _CALIBRATION).is_file():
-        return {folder.resolve().name: folder}
+    if has_cameras(folder, _CAMERA):
+        return {folder.absolute().name: folder}
     inside = next((path for path in (folder / "dataset/sequences", folder / "sequences") if path.is_dir()), folder)
-    if inside.resolve().name != "sequences":
+    if inside.absolute().name != "sequences":
         return {}
-    return {path.name: path for path in sorted(inside.iterdir()) if _has_images(path)}
-
-
-def _has_images(folder: Path) -> bool:
-    return any((folder / f"image_{number}").is_dir() for pair in _PAIRS for number in pair)
+    return {path.name: path for path in sorted(inside.iterdir()) if has_cameras(path, _CAMERA)}
 
 
 def _cameras(
     sequence: Path, matrices: Mapping[str, Float], notes: list[str]
 ) -> tuple[dict[str, Sensor], dict[str, Float]]:
     """Return the sensors and projections of the front camera and its pair, by role; adds notes about the others."""
-    there = [number for pair in _PAIRS for number in pair if (sequence / f"image_{number}").is_dir()]
-    front = there[0]
-    pair = next(pair for pair in _PAIRS if front in pair)
-    used = dict(zip(("image", "right"), [number for number in pair if number in there], strict=False))
-    notes += [
-        f"image_{number}/ is left out: image_{front} is the front camera"
-        for number in sorted(set(there) - set(used.values()))
-    ]
+    used = cameras_of(sequence, _CAMERA, notes)
     sensors = {role: sensor_in(sequence / f"image_{number}", role) for role, number in used.items()}
     projections = {role: matrix_of(sequence / _CALIBRATION, matrices, f"P{number}") for role, number in used.items()}
     return sensors, projections
@@ -121,7 +119,7 @@ def _poses(sequence: Path, ego_T_camera0: Float, notes: list[str]) -> dict[int, 
     Raises:
         DumpError: a line is not a pose.
     """
-    places = (sequence / "poses.txt", sequence.resolve().parent.parent / "poses" / f"{sequence.resolve().name}.txt")
+    places = (sequence / "poses.txt", sequence.absolute().parent.parent / "poses" / f"{sequence.absolute().name}.txt")
     path = next((place for place in places if place.is_file()), None)
     if path is None:
         notes.append(f"no true poses: neither {places[0]} nor {places[1]} exists")
