@@ -1,4 +1,4 @@
-"""What a camera sees of an upright box: its image box, and its nearest point."""
+"""What a camera sees of an upright box."""
 
 from typing import Final
 
@@ -23,7 +23,7 @@ def seen_sides(camera: Camera, corners: Float, near_m: float) -> list[Float]:
         corners: (8, 3) corners in the camera's frame, in the order of ``corners_between``.
         near_m: the view begins here, metres along the axis.
     """
-    limits = view_limits(camera, near_m)
+    limits = _view_limits(camera, near_m)
     parts = [_clipped(corners[list(side)], limits) for side in SIDES]
     return [part for part in parts if len(part)]
 
@@ -41,16 +41,7 @@ def image_box(camera: Camera, sides: list[Float]) -> tuple[int, int, int, int]:
     return int(x0), int(y0), int(x1), int(y1)
 
 
-def nearest_edge_m(sides: list[Float]) -> float:
-    """Return the distance in metres from the camera to the nearest edge of the seen parts of a box's sides."""
-    starts = np.concatenate(sides)
-    ways = np.concatenate([np.roll(side, -1, axis=0) for side in sides]) - starts
-    squares = np.maximum((ways**2).sum(axis=1), np.finfo(np.float64).tiny)
-    shares = np.clip(-(starts * ways).sum(axis=1) / squares, 0.0, 1.0)
-    return float(np.linalg.norm(starts + shares[:, None] * ways, axis=1).min())
-
-
-def view_limits(camera: Camera, near_m: float) -> Float:
+def _view_limits(camera: Camera, near_m: float) -> Float:
     """Return (5, 4) planes a x + b y + c z + d >= 0 that bound the camera's view: left, right, top, bottom, near."""
     x0, x1 = (-0.5 - camera.cx) / camera.fx, (camera.width - 0.5 - camera.cx) / camera.fx
     y0, y1 = (-0.5 - camera.cy) / camera.fy, (camera.height - 0.5 - camera.cy) / camera.fy

@@ -1,6 +1,6 @@
 """True objects of labelled 3D boxes, in the terms of ``/truth/objects``."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -9,7 +9,9 @@ import numpy as np
 from roadperc_stream.geometry import Camera, Float, inverse, transform
 from roadperc_stream.model import Box, Detection, Object, Objects
 
-from ..box_view import corners_between, image_box, nearest_edge_m, seen_sides, view_limits
+from ..box_view import corners_between, image_box, seen_sides
+from ..carla_dump.truth_file import TruthTables
+from .box_truth import box_distance_m
 
 _NEAR_M: Final = 0.1
 
@@ -24,29 +26,23 @@ class LabelledBox:
     size_m: tuple[float, float, float]
     """Length, width, height."""
     track_id: str = ""
-    box_px: Box | None = None
-    """Box of the label in the image, if the dataset has it."""
 
 
-def true_objects(camera: Camera, ego_T_camera: Float, boxes: Iterable[LabelledBox]) -> Objects:
-    """Return the objects of all boxes of which at least a part is in the view; hidden ones are not recognised."""
-    found = (_true_object(camera, inverse(ego_T_camera), box) for box in boxes)
-    return Objects(tuple(item for item in found if item is not None))
+def objects_of_boxes(camera: Camera, ego_T_camera: Float, boxes: Mapping[int, Iterable[LabelledBox]]) -> TruthTables:
+    """Return the objects by frame number: all boxes of which a part is in the view, hidden ones too."""
+    camera_T_ego = inverse(ego_T_camera)
+    return TruthTables({}, {}, {n: Objects(tuple(_seen(camera, camera_T_ego, found))) for n, found in boxes.items()})
 
 
-def _true_object(camera: Camera, camera_T_ego: Float, box: LabelledBox) -> Object | None:
-    """Return an object with the image box of its box, and the distance from the camera to the box's nearest seen point.
-
-    The distance is a straight line, as in ``Object.distance_m``.
-    """
-    camera_T_box, half = camera_T_ego @ box.ego_T_box, np.array(box.size_m) / 2
-    sides = seen_sides(camera, transform(camera_T_box, corners_between(-half, half)), _NEAR_M)
-    if not sides:
-        return None
-    nearest = transform(camera_T_box, np.clip(inverse(camera_T_box)[:3, 3], -half, half))
-    is_seen = bool((view_limits(camera, _NEAR_M) @ np.append(nearest, 1.0) >= 0).all())
-    distance_m = float(np.linalg.norm(nearest)) if is_seen else nearest_edge_m(sides)
-    box_px = box.box_px or Box(*map(float, image_box(camera, sides)))
-    return Object(
-        Detection(box.label, box_px, 1.0, box.track_id), kept=True, track_id=box.track_id, distance_m=distance_m
-    )
+def _seen(camera: Camera, camera_T_ego: Float, boxes: Iterable[LabelledBox]) -> Iterator[Object]:
+    for box in boxes:
+        camera_T_box, size_m = camera_T_ego @ box.ego_T_box, np.array(box.size_m)
+        sides = seen_sides(camera, transform(camera_T_box, corners_between(-size_m / 2, size_m / 2)), _NEAR_M)
+        if sides:
+            box_px = Box(*map(float, image_box(camera, sides)))
+            yield Object(
+                Detection(box.label, box_px, 1.0, box.track_id),
+                kept=True,
+                track_id=box.track_id,
+                distance_m=box_distance_m(camera, camera_T_box, size_m),
+            )
