@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, TypeVar
 
-from roadperc_stream.geometry import Camera
 from roadperc_stream.model.tag_tables import TagTable
 
 from ..layouts.drive import ConvertOptions, Drive
@@ -65,7 +64,7 @@ def make_plan(drive: Drive, options: ConvertOptions) -> Plan:
     if LIDAR in surveys:
         _of_frames(LIDAR, surveys[LIDAR].sensor.files, drive.stamps_ns, notes)
     depth_encodings = {
-        role: _depth_encoding(surveys[role].paths, drive.rig.camera_of(role), options, notes)
+        role: _depth_encoding(drive, role, surveys[role].paths, options, notes)
         for role in _DEPTH_ROLES
         if role in surveys
     }
@@ -98,11 +97,15 @@ def _sizes(drive: Drive, role: str) -> Callable[[int], Size]:
     return size
 
 
-def _depth_encoding(files: Sequence[Path], camera: Camera, options: ConvertOptions, notes: list[str]) -> DepthEncoding:
+def _depth_encoding(
+    drive: Drive, role: str, files: Sequence[Path], options: ConvertOptions, notes: list[str]
+) -> DepthEncoding:
     """Return the encoding of a sensor's depth; adds a note for 8-bit grey."""
     found = depth_encoding(files)
-    if found in GREY:
-        found, note = grey_encoding(files, camera, options.grey_depth)
+    if found in GREY and drive.grey_depth and options.grey_depth is None:
+        found = drive.grey_depth
+    elif found in GREY:
+        found, note = grey_encoding(files, drive.rig.camera_of(role), options.grey_depth)
         notes.append(note)
     return found
 

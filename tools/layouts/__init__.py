@@ -9,7 +9,16 @@ from roadperc_stream.errors import DumpError
 if TYPE_CHECKING:
     from .drive import Layout
 
-LAYOUTS: Final = ("kitti-odometry", "kitti-raw", "kitti-object", "kitti-tracking", "nuscenes", "dump")
+LAYOUTS: Final = (
+    "kitti-odometry",
+    "kitti-raw",
+    "kitti-object",
+    "kitti-tracking",
+    "nuscenes",
+    "carla-leaderboard",
+    "bench2drive",
+    "dump",
+)
 """Names for ``--layout``, in the order of detection; the module of ``kitti-odometry`` is ``kitti_odometry``."""
 
 
