@@ -66,7 +66,7 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
 
 
 def _calibration(split: Path, number: int, surveys: dict[str, SensorSurvey], height_m: float) -> Calibration:
-    sizes = {role: found.sizes[number] for role, found in surveys.items() if number in found.sizes}
+    sizes = {role: found.sizes.get(number, found.size) for role, found in surveys.items() if found.size}
     return read_calibration(split / "calib" / f"{number:06d}.txt", sizes, surveys, height_m)
 
 

@@ -100,7 +100,7 @@ def _labels(path: Path, numbers: list[int], notes: list[str]) -> dict[int, list[
         where, fields = f"{path}: line {at}", line.split()
         if not fields:
             continue
-        if len(fields) not in _COLUMNS or not fields[0].isdigit():
+        if len(fields) not in _COLUMNS or not fields[0].isdecimal():
             raise DumpError(
                 f"{where}: expected {_COLUMNS[0]} columns, the frame first; found {len(fields)}: {line[:60]!r}"
             )

@@ -94,7 +94,7 @@ def test_a_drive_is_chosen_by_number_or_by_its_folder(day, tmp_path, capsys):
     assert "found 0001, 0009; choose one with --sequence" in failure(capsys, day, out)
     assert NAME in printed_by(capsys, day, out, "--sequence", "0009", "--height", "1.5")
     again = tmp_path / "again.mcap"
-    assert failure(capsys, tmp_path, again).count("_drive_") == 3
+    assert failure(capsys, tmp_path, again).count("_sync") == 3
     assert NAME in printed_by(capsys, tmp_path, again, "--sequence", NAME)
 
 
