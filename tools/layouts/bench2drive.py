@@ -15,7 +15,7 @@ from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import EGO_R_OPTICAL, Float, inverse, rigid
 from roadperc_stream.model.tag_tables import classes_of_label
 
-from ..carla_dump.calibration_file import Matrix3, pinhole_of_K, require_pinhole
+from ..carla_dump.calibration_file import Matrix3
 from ..carla_dump.camera_rig import LIDAR
 from ..carla_dump.frame_stamps import stamps_of_rate
 from ..carla_dump.json_files import Document, Numbers3, checked
@@ -23,7 +23,7 @@ from ..carla_dump.layout import sensor_in
 from ..carla_dump.survey import surveyed
 from ..carla_dump.truth_file import CarlaPose, right_handed
 from .boxes import LabelledBox, objects_of_boxes
-from .carla_files import Matrix4, laz_sensor, numbered, read_document, right_handed_matrix
+from .carla_files import Matrix4, folders_that, laz_sensor, numbered, read_document, right_handed_matrix
 from .drive import ConvertOptions, Drive, choose_sequence
 from .front_rig import front_rig
 
@@ -68,7 +68,7 @@ class _Actor(Document):
 
 def detect(folder: Path) -> bool:
     """Return True if the folder is a clip with annotations and a front camera, or holds some."""
-    return bool(_clips(folder))
+    return bool(folders_that(_is_clip, folder))
 
 
 def read(folder: Path, options: ConvertOptions) -> Drive:
@@ -78,7 +78,7 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
         DumpError: the folder holds no or several clips, or a file is wrong; the message names file and key.
     """
     options.require_only(folder, "--sequence", "--rate", "--allow-lossy-tags")
-    name, clip = choose_sequence(folder, _clips(folder), options.sequence)
+    name, clip = choose_sequence(folder, folders_that(_is_clip, folder), options.sequence)
     notes: list[str] = []
     camera = clip / "camera"
     sensors = {role: sensor_in(camera / n, role) for role, n in _FRONT.items() if (camera / n).is_dir()}
@@ -95,15 +95,18 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
         front = front or found.sensors.CAM_FRONT
         if (world_T_ego := _ego_pose(path, found)) is not None:
             poses[number], boxes[number] = world_T_ego, list(_boxes(path, found, inverse(world_T_ego)))
-    where = f"{next(iter(annotations.values()), clip / 'anno')}: sensors.CAM_FRONT.intrinsic"
     if front is None:
         raise DumpError(f"{clip / 'anno'}: expected annotations such as 00000.json.gz, found none")
-    K = np.array(front.intrinsic)
-    require_pinhole(where, K)
-    ego_T_camera = right_handed_matrix(front.cam2ego) @ rigid(EGO_R_OPTICAL, np.zeros(3))
-    size = surveys["image"].size
-    assert size is not None  # headers of images have it
-    rig = front_rig(where, size, pinhole_of_K(K, "corner"), ego_T_camera, np.eye(4) if LIDAR in surveys else None)
+    rig = front_rig(
+        f"{next(iter(annotations.values()))}: sensors.CAM_FRONT.intrinsic",
+        surveys["image"],
+        np.array(front.intrinsic),
+        "corner",
+        (
+            right_handed_matrix(front.cam2ego) @ rigid(EGO_R_OPTICAL, np.zeros(3)),
+            np.eye(4) if LIDAR in surveys else None,
+        ),
+    )
     rate_hz = options.rate_hz or _RATE_HZ
     return Drive(
         folder=folder,
@@ -113,17 +116,12 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
         timing=f"{rate_hz:g} Hz by frame number",
         rig=rig,
         poses=poses,
-        truth=objects_of_boxes(rig.cameras["calibration"], ego_T_camera, boxes),
+        truth=objects_of_boxes(rig, boxes),
         tag_table=_CARLA,
         grey_depth="linear grey to 255 m",
         pixel_origin="the first pixel's corner, as CARLA has it",
         notes=tuple(notes),
     )
-
-
-def _clips(folder: Path) -> dict[str, Path]:
-    found = [folder] if _is_clip(folder) else [path for path in sorted(folder.iterdir()) if _is_clip(path)]
-    return {path.resolve().name: path for path in found}
 
 
 def _is_clip(folder: Path) -> bool:

@@ -10,6 +10,7 @@ from roadperc_stream.geometry import Camera, Float, inverse, transform
 from roadperc_stream.model import Box, Detection, Object, Objects
 
 from ..box_view import corners_between, image_box, seen_sides
+from ..carla_dump.camera_rig import FRONT, Rig
 from ..carla_dump.truth_file import TruthTables
 from .box_truth import box_distance_m
 
@@ -28,9 +29,10 @@ class LabelledBox:
     track_id: str = ""
 
 
-def objects_of_boxes(camera: Camera, ego_T_camera: Float, boxes: Mapping[int, Iterable[LabelledBox]]) -> TruthTables:
-    """Return the objects by frame number: all boxes of which a part is in the view, hidden ones too."""
-    camera_T_ego = inverse(ego_T_camera)
+def objects_of_boxes(rig: Rig, boxes: Mapping[int, Iterable[LabelledBox]]) -> TruthTables:
+    """Return the objects by frame number: all boxes of which the front camera sees a part, hidden ones too."""
+    camera_T_ego = inverse(next(edge.parent_T_child for edge in rig.transforms if edge.child == FRONT))
+    camera = rig.cameras["calibration"]
     return TruthTables({}, {}, {n: Objects(tuple(_seen(camera, camera_T_ego, found))) for n, found in boxes.items()})
 
 

@@ -4,6 +4,7 @@ import ast
 import gzip
 import json
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -52,6 +53,12 @@ def numbered(folder: Path, pattern: str) -> dict[int, Path]:
     """Return the files of a folder by the number in their names, in order."""
     found = {frame_number(path.name.partition(".")[0]): path for path in folder.glob(pattern)}
     return {number: found[number] for number in sorted(key for key in found if key is not None)}
+
+
+def folders_that(fits: Callable[[Path], bool], folder: Path) -> dict[str, Path]:
+    """Return the folder itself by its name if it fits, else those inside it that do."""
+    found = [folder] if fits(folder) else [path for path in sorted(folder.iterdir()) if fits(path)]
+    return {path.resolve().name: path for path in found}
 
 
 def right_handed_matrix(matrix: Matrix4) -> Float:

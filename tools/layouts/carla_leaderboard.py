@@ -22,9 +22,9 @@ from ..carla_dump.frame_stamps import stamps_of_rate
 from ..carla_dump.json_files import Document, Numbers3, checked
 from ..carla_dump.layout import Sensor, sensor_in
 from ..carla_dump.survey import SensorSurvey, surveyed
-from ..carla_dump.truth_file import NO_TRUTH, CarlaPose, right_handed
+from ..carla_dump.truth_file import CarlaPose, right_handed
 from .boxes import LabelledBox, objects_of_boxes
-from .carla_files import Matrix4, laz_sensor, numbered, read_document, right_handed_matrix
+from .carla_files import Matrix4, folders_that, laz_sensor, numbered, read_document, right_handed_matrix
 from .drive import ConvertOptions, Drive, choose_sequence
 from .front_rig import front_rig
 
@@ -74,7 +74,7 @@ class _Label(Document):
 
 def detect(folder: Path) -> bool:
     """Return True if the folder is a route with images and measurements, or holds some."""
-    return bool(_routes(folder)) and not (folder / CALIBRATION_NAME).exists()
+    return bool(folders_that(_is_route, folder)) and not (folder / CALIBRATION_NAME).exists()
 
 
 def read(folder: Path, options: ConvertOptions) -> Drive:
@@ -85,53 +85,45 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
     """
     allowed = ("--sequence", "--rate", "--fov", "--height", "--grey-depth", "--carla", "--tags", "--allow-lossy-tags")
     options.require_only(folder, *allowed)
-    name, route = choose_sequence(folder, _routes(folder), options.sequence)
+    name, route = choose_sequence(folder, folders_that(_is_route, folder), options.sequence)
     recorder = next((found for marker, found in _RECORDERS.items() if (route / marker).is_dir()), _COURSE)
     notes: list[str] = []
     surveys = surveyed(_sensors(route, recorder, options, notes))
-    width, height = surveys["image"].size or (0, 0)
+    width, height = surveys["image"].size or (1, 1)
     if recorder is _COURSE and width >= _WIDE * height:
         recorder = _RECORDERS["label_raw"]
     surveys = {role: _of_one_camera(found, recorder.cameras) for role, found in surveys.items()}
-    frames = list(surveys["image"].sensor.files)
-    fov_deg, z_m, rate_hz = (
-        options.fov_deg or recorder.fov_deg,
-        options.height_m or recorder.z_m,
-        options.rate_hz or recorder.rate_hz,
-    )
     width //= recorder.cameras
-    ego_T_camera = mounting(x=recorder.x_m, z=z_m)
-    rig = front_rig(
-        f"{route}: image",
-        (width, height),
-        pinhole_of_fov(fov_deg, width, height),
-        ego_T_camera,
-        np.eye(4) if LIDAR in surveys else None,
-    )
+    fov_deg, rate_hz = options.fov_deg or recorder.fov_deg, options.rate_hz or recorder.rate_hz
+    z_m = options.height_m or recorder.z_m
+    f_px = pinhole_of_fov(fov_deg, width, height)[0]
+    K = np.array([(f_px, 0, width / 2), (0, f_px, height / 2), (0, 0, 1)])
+    mountings = mounting(x=recorder.x_m, z=z_m), np.eye(4) if LIDAR in surveys else None
+    rig = front_rig(f"{route}: image", surveys["image"], K, "corner", mountings)
     notes.append(
         f"assumed: level camera {recorder.x_m:g} m forward, {z_m:g} m up, {fov_deg:g} degrees, {rate_hz:g} Hz, "
         f"as in {recorder.name}; change it with --height, --fov and --rate"
     )
     poses = _poses(route, notes)
-    boxes = {number: list(_boxes(path, poses.get(number))) for number, path in _label_files(route).items()}
+    boxes = {
+        number: list(_boxes(path, poses[number]))
+        for name in ("label_raw", "boxes")
+        for number, path in numbered(route / name, "*.json*").items()
+        if number in poses
+    }
     return Drive(
         folder=folder,
         title=f"{recorder.name}, {name}",
         surveys=surveys,
-        stamps_ns=stamps_of_rate(frames, rate_hz),
+        stamps_ns=stamps_of_rate(list(surveys["image"].sensor.files), rate_hz),
         timing=f"{rate_hz:g} Hz by frame number",
         rig=rig,
         poses=poses,
-        truth=objects_of_boxes(rig.cameras["calibration"], ego_T_camera, boxes) if boxes else NO_TRUTH,
+        truth=objects_of_boxes(rig, boxes),
         side_by_side=recorder.cameras,
         grey_depth=recorder.depth,
         notes=tuple(notes),
     )
-
-
-def _routes(folder: Path) -> dict[str, Path]:
-    found = [folder] if _is_route(folder) else [path for path in sorted(folder.iterdir()) if _is_route(path)]
-    return {path.resolve().name: path for path in found}
 
 
 def _is_route(folder: Path) -> bool:
@@ -177,11 +169,7 @@ def _poses(route: Path, notes: list[str]) -> dict[int, Float]:
     return poses
 
 
-def _label_files(route: Path) -> dict[int, Path]:
-    return numbered(route / "boxes", "*.json*") or numbered(route / "label_raw", "*.json*")
-
-
-def _boxes(path: Path, world_T_ego: Float | None) -> Iterator[LabelledBox]:
+def _boxes(path: Path, world_T_ego: Float) -> Iterator[LabelledBox]:
     """Yield the boxes of vehicles and walkers that the lidar hits; traffic lights and signs are areas of the road.
 
     The origin of a vehicle is on the road below the middle of its box, that of a walker in the middle.
@@ -190,7 +178,7 @@ def _boxes(path: Path, world_T_ego: Float | None) -> Iterator[LabelledBox]:
     for row in checked(path, TypeAdapter(list[dict[str, Any]]), read_document(path)):
         kind = str(row.get("class"))
         label = _LABELS.get(kind.lower())
-        if label is None or row.get("num_points") == 0 or world_T_ego is None or row.get("distance") == -1:
+        if label is None or row.get("num_points") == 0 or row.get("distance") == -1:
             continue
         found = checked(path, TypeAdapter(_Label), row)
         matrix = found.matrix or found.ego_matrix

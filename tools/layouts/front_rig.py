@@ -1,21 +1,40 @@
 """The rig of a dataset with one front camera and a lidar."""
 
+from typing import Literal
+
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Camera, Float, pinhole_fault
 from roadperc_stream.model import EGO, Transform
 
-from ..carla_dump.calibration_file import Pinhole
-from ..carla_dump.camera_rig import FRONT, LIDAR, Rig, Size
+from ..carla_dump.calibration_file import pinhole_of_K, require_pinhole
+from ..carla_dump.camera_rig import FRONT, LIDAR, Rig
+from ..carla_dump.survey import SensorSurvey
 
 
-def front_rig(where: str, size: Size, pinhole: Pinhole, ego_T_camera: Float, ego_T_lidar: Float | None) -> Rig:
-    """Return the rig of a camera with ``size`` columns and rows; its depth and tags have the same view.
+def front_rig(
+    where: str,
+    images: SensorSurvey,
+    K: Float,
+    origin: Literal["corner", "centre"],
+    mountings: tuple[Float, Float | None],
+) -> Rig:
+    """Return the rig of a front camera; its depth and tags have the same view.
+
+    Args:
+        where: file and key of the calibration, for messages.
+        images: the camera's images.
+        K: (3, 3) matrix; its principal point counts from the ``origin`` of the first pixel.
+        mountings: (4, 4) ego_T_camera, and ego_T_lidar if there is a lidar.
 
     Raises:
-        DumpError: the pinhole does not fit the images; the message starts with ``where``.
+        DumpError: K is not that of a camera with such images.
     """
+    if K.shape != (3, 3):
+        raise DumpError(f"{where}: expected 3 rows of 3 numbers, found {K.size} numbers")
+    require_pinhole(where, K)
+    size, pinhole = images.size or (0, 0), pinhole_of_K(K, origin)
     if fault := pinhole_fault(*size, *pinhole):
         raise DumpError(f"{where}: {fault}")
-    mountings = {FRONT: ego_T_camera, LIDAR: ego_T_lidar}
-    transforms = tuple(Transform(EGO, frame, pose) for frame, pose in mountings.items() if pose is not None)
+    edges = zip((FRONT, LIDAR), mountings, strict=True)
+    transforms = tuple(Transform(EGO, frame, pose) for frame, pose in edges if pose is not None)
     return Rig({"calibration": Camera(FRONT, *size, *pinhole)}, {"depth": FRONT, LIDAR: LIDAR}, transforms)

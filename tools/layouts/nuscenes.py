@@ -6,26 +6,24 @@ constant speed, as in ``NuScenes.get_boxes`` of nuscenes-devkit.
 """
 
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Final, TypeVar
 
 import numpy as np
-from pydantic import Field, TypeAdapter
+from pydantic import AfterValidator, AliasChoices, Field, TypeAdapter
 
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float, inverse, rigid
 from roadperc_stream.geometry.rotations import rotation_from_quaternion
 from roadperc_stream.model.tag_tables import classes_of_label
 
-from ..carla_dump.calibration_file import Matrix3, Positive, pinhole_of_K, require_pinhole
-from ..carla_dump.camera_rig import LIDAR, Rig
+from ..carla_dump.calibration_file import Matrix3, Positive
+from ..carla_dump.camera_rig import LIDAR
 from ..carla_dump.frame_stamps import mean_rate
 from ..carla_dump.json_files import Document, Numbers3, Numbers4, checked, read_json
 from ..carla_dump.layout import Sensor
 from ..carla_dump.survey import surveyed
-from ..carla_dump.truth_file import NO_TRUTH, TruthTables
 from .boxes import LabelledBox, objects_of_boxes
 from .drive import ConvertOptions, Drive, choose_sequence
 from .front_rig import front_rig
@@ -36,16 +34,20 @@ _NEAREST_US: Final = 50_000
 Microseconds = Annotated[int, Field(ge=0, lt=2**31 * 1_000_000)]
 
 
+Quaternion = Annotated[Numbers4, AfterValidator(lambda wxyz: rotation_from_quaternion(*wxyz) is not None and wxyz)]
+"""w, x, y, z of any length above zero."""
+
+
 class _Row(Document):
-    token: str = ""
+    token: str
 
 
 class _Placed(_Row):
     translation: Numbers3
-    rotation: Numbers4
+    rotation: Quaternion
 
     def pose(self) -> Float:
-        """Return the (4, 4) pose; quaternions are w, x, y, z."""
+        """Return the (4, 4) pose in the parent frame."""
         w, x, y, z = self.rotation
         return rigid(rotation_from_quaternion(x, y, z, w), np.array(self.translation))
 
@@ -56,11 +58,9 @@ class _Calibrated(_Placed):
 
 
 class _Named(_Row):
-    name: str
+    """A scene, a category, or a sensor with its channel as name."""
 
-
-class _SensorRow(_Row):
-    channel: str
+    name: str = Field(validation_alias=AliasChoices("name", "channel"))
 
 
 class _Data(_Row):
@@ -84,6 +84,7 @@ class _Annotation(_Placed):
     sample_token: str
     instance_token: str
     size: tuple[Positive, Positive, Positive]
+    """Width, length, height."""
     num_lidar_pts: int | None = None
     num_radar_pts: int | None = None
 
@@ -91,27 +92,22 @@ class _Annotation(_Placed):
 T = TypeVar("T", bound=_Row)
 
 
-@dataclass(frozen=True)
-class _Tables:
-    folder: Path
+class _Table(dict[str, T]):
+    """The rows of a table by token; empty without its file."""
 
-    def rows(self, name: str, row: type[T]) -> list[T]:
-        """Return the rows of a table; empty without its file."""
-        path = self.folder / f"{name}.json"
-        return checked(path, TypeAdapter(list[row]), read_json(path)) if path.is_file() else []  # type: ignore[valid-type]
+    def __init__(self, version: Path, name: str, row: type[T]) -> None:
+        self.path = version / f"{name}.json"
+        listed = TypeAdapter(list[row])  # type: ignore[valid-type]
+        rows = checked(self.path, listed, read_json(self.path)) if self.path.is_file() else []
+        super().__init__({found.token: found for found in rows})
 
-    def by_token(self, name: str, row: type[T]) -> dict[str, T]:
-        return {found.token: found for found in self.rows(name, row)}
-
-    def look_up(self, name: str, rows: Mapping[str, T], token: str) -> T:
-        if token not in rows:
-            raise DumpError(f"{self.folder / name}.json: no row has the token {token!r}, which another table names")
-        return rows[token]
+    def __missing__(self, token: str) -> T:
+        raise DumpError(f"{self.path}: no row has the token {token!r}, which another table names")
 
 
 def detect(folder: Path) -> bool:
     """Return True if the folder has the tables of a version."""
-    return any(True for _ in folder.glob("v1.0-*/sample_data.json"))
+    return any(folder.glob("v1.0-*/sample_data.json"))
 
 
 def read(folder: Path, options: ConvertOptions) -> Drive:
@@ -122,114 +118,106 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
     """
     options.require_only(folder, "--sequence")
     versions = {path.parent.name: path.parent for path in sorted(folder.glob("v1.0-*/sample_data.json"))}
-    scenes = {row.name: path for path in versions.values() for row in _Tables(path).rows("scene", _Named)}
-    name, version = choose_sequence(folder, scenes or versions, options.sequence)
-    tables = _Tables(version)
-    scene = next((row.token for row in tables.rows("scene", _Named) if row.name == name), None)
-    samples = [s for s in tables.rows("sample", _Sample) if scene is None or s.scene_token == scene]
+    scenes = {row.name: (path, row.token) for path in versions.values() for row in _scenes(path)}
+    folders = {name: path for name, (path, _) in scenes.items()} or versions
+    name, version = choose_sequence(folder, folders, options.sequence)
+    samples = list(_Table(version, "sample", _Sample).values())
+    if name in scenes:
+        samples = [sample for sample in samples if sample.scene_token == scenes[name][1]]
     notes: list[str] = []
-    data = _data(tables, {sample.token for sample in samples}, notes)
-    files = {role: {row.timestamp: folder / row.filename for row, _ in rows} for role, rows in data.items()}
+    data = _data(version, {sample.token for sample in samples}, notes)
+    sensors = _Table(version, "calibrated_sensor", _Calibrated)
+    mounted = {role: sensors[rows[0].calibrated_sensor_token] for role, rows in data.items()}
+    files = {role: {row.timestamp: folder / row.filename for row in rows} for role, rows in data.items()}
     surveys = surveyed({role: Sensor(role, _CHANNELS[role], found) for role, found in files.items()})
-    poses = tables.by_token("ego_pose", _Placed)
-    world_T_ego = {r.timestamp: tables.look_up("ego_pose", poses, r.ego_pose_token).pose() for r, _ in data["image"]}
-    size = surveys["image"].size
-    assert size is not None  # headers of images have it
-    rig = _rig(version, {role: rows[0][1] for role, rows in data.items()}, size)
-    stamps_ns = {us: us * 1000 for us in sorted({us for found in files.values() for us in found})}
+    poses = _Table(version, "ego_pose", _Placed)
+    world_T_ego = {row.timestamp: poses[row.ego_pose_token].pose() for row in data["image"]}
+    front = mounted["image"]
+    rig = front_rig(
+        f"{sensors.path}: camera_intrinsic of {front.token}",
+        surveys["image"],
+        np.array(front.camera_intrinsic),
+        "centre",
+        (front.pose(), mounted[LIDAR].pose() if LIDAR in mounted else None),
+    )
     return Drive(
         folder=folder,
         title=f"nuScenes, {name}",
         surveys=surveys,
-        stamps_ns=stamps_ns,
+        stamps_ns={us: us * 1000 for us in sorted({us for found in files.values() for us in found})},
         timing=f"stamps of sample_data.json (of exposures' triggers){mean_rate([us * 1000 for us in world_T_ego])}",
         rig=rig,
         stamps_of_sensors=True,
         poses=world_T_ego,
-        truth=_truth(tables, rig, samples, world_T_ego, notes),
+        truth=objects_of_boxes(rig, _boxes(version, samples, world_T_ego, notes)),
         pixel_origin="the first pixel's centre, as OpenCV has it",
         notes=tuple(notes),
     )
 
 
-def _data(tables: _Tables, samples: set[str], notes: list[str]) -> dict[str, list[tuple[_Data, _Calibrated]]]:
-    """Return the files of a scene by role, in order of their stamps, with the calibration of their sensor."""
-    calibrated = tables.by_token("calibrated_sensor", _Calibrated)
-    channels = {token: row.channel for token, row in tables.by_token("sensor", _SensorRow).items()}
-    found: dict[str, list[tuple[_Data, _Calibrated]]] = {}
-    for row in sorted(tables.rows("sample_data", _Data), key=lambda row: row.timestamp):
+def _scenes(version: Path) -> Iterable[_Named]:
+    return _Table(version, "scene", _Named).values()
+
+
+def _data(version: Path, samples: set[str], notes: list[str]) -> dict[str, list[_Data]]:
+    """Return the existing files of a scene by role, in order of their stamps."""
+    sensors, channels = _Table(version, "calibrated_sensor", _Calibrated), _Table(version, "sensor", _Named)
+    table = _Table(version, "sample_data", _Data)
+    found: dict[str, list[_Data]] = {}
+    for row in sorted(table.values(), key=lambda row: row.timestamp):
         if not samples or row.sample_token in samples:
-            sensor = tables.look_up("calibrated_sensor", calibrated, row.calibrated_sensor_token)
-            found.setdefault(channels.get(sensor.sensor_token, sensor.sensor_token), []).append((row, sensor))
-    root = tables.folder.parent
-    kept = {
-        role: [(row, s) for row, s in found.pop(name, []) if (root / row.filename).is_file()]
-        for role, name in _CHANNELS.items()
-    }
+            channel = channels[sensors[row.calibrated_sensor_token].sensor_token].name
+            found.setdefault(channel, []).append(row)
+    used = {role: found.pop(name, []) for role, name in _CHANNELS.items()}
+    kept = {role: [row for row in rows if (version.parent / row.filename).is_file()] for role, rows in used.items()}
     if not kept["image"]:
-        raise DumpError(f"{tables.folder / 'sample_data.json'}: no file of {_CHANNELS['image']} exists in {root}")
+        raise DumpError(f"{table.path}: no file of {_CHANNELS['image']} exists in {version.parent}")
     notes += [f"{', '.join(sorted(found))} are left out: CAM_FRONT is the front camera"] if found else []
+    if lost := sum(map(len, used.values())) - sum(map(len, kept.values())):
+        notes.append(f"{lost} files of {table.path.name} do not exist")
     return {role: rows for role, rows in kept.items() if rows}
 
 
-def _rig(version: Path, sensors: Mapping[str, _Calibrated], size: tuple[int, int]) -> Rig:
-    where = f"{version / 'calibrated_sensor.json'}: camera_intrinsic of {_CHANNELS['image']}"
-    K = np.array(sensors["image"].camera_intrinsic)
-    if K.shape != (3, 3):
-        raise DumpError(f"{where}: expected 3 rows of 3 numbers, found none")
-    require_pinhole(where, K)
-    ego_T_lidar = sensors[LIDAR].pose() if LIDAR in sensors else None
-    return front_rig(where, size, pinhole_of_K(K, "centre"), sensors["image"].pose(), ego_T_lidar)
-
-
-def _truth(
-    tables: _Tables, rig: Rig, samples: Sequence[_Sample], world_T_ego: Mapping[int, Float], notes: list[str]
-) -> TruthTables:
+def _boxes(
+    version: Path, samples: Sequence[_Sample], world_T_ego: Mapping[int, Float], notes: list[str]
+) -> dict[int, list[LabelledBox]]:
     """Return the boxes at the stamps of the images."""
-    labels = _labels(tables)
     by_sample: dict[str, dict[str, _Annotation]] = {sample.token: {} for sample in samples}
-    for box in tables.rows("sample_annotation", _Annotation):
+    for box in _Table(version, "sample_annotation", _Annotation).values():
         if box.sample_token in by_sample and (box.num_lidar_pts, box.num_radar_pts) != (0, 0):
             by_sample[box.sample_token][box.instance_token] = box
-    keyframes = sorted((sample.timestamp, by_sample[sample.token]) for sample in samples if by_sample[sample.token])
-    if not keyframes or not labels:
-        notes.append("no true objects: the tables have no annotations, instances and categories of this scene")
-        return NO_TRUTH
-    boxes = {
-        us: [
-            LabelledBox(
-                tables.look_up("instance", labels, token).name, inverse(pose) @ box.pose(), _length_first(box), token
-            )
-            for token, box in _boxes_at(keyframes, us)
-        ]
-        for us, pose in world_T_ego.items()
-    }
-    front = rig.cameras["calibration"]
-    return objects_of_boxes(front, rig.transforms[0].parent_T_child, boxes)
+    if not any(by_sample.values()):
+        notes.append("no true objects: sample_annotation.json has no boxes of this scene")
+        return {}
+    instances, categories = _Table(version, "instance", _Instance), _Table(version, "category", _Named)
+    keyframes = [(row.timestamp, by_sample[row.token]) for row in sorted(samples, key=lambda row: row.timestamp)]
+    boxes: dict[int, list[LabelledBox]] = {}
+    for us, pose in world_T_ego.items():
+        for box in _annotations_at(keyframes, us):
+            label = _label(categories[instances[box.instance_token].category_token].name)
+            width_m, length_m, height_m = box.size
+            ego_T_box, size_m = inverse(pose) @ box.pose(), (length_m, width_m, height_m)
+            boxes.setdefault(us, []).append(LabelledBox(label, ego_T_box, size_m, box.instance_token))
+    return boxes
 
 
-def _labels(tables: _Tables) -> dict[str, _Named]:
-    """Return the label of each instance: ``car`` for vehicle.car, ``pedestrian`` for human.pedestrian.adult."""
-    categories = tables.by_token("category", _Named)
-    labels = {}
-    for token, row in tables.by_token("instance", _Instance).items():
-        group, kind, *_ = (*tables.look_up("category", categories, row.category_token).name.split("."), "")
-        known = kind if classes_of_label(kind) else ("vehicle" if group == "vehicle" else kind or group)
-        labels[token] = _Named(name="pedestrian" if group == "human" else known)
-    return labels
+def _label(category: str) -> str:
+    """Return ``car`` for vehicle.car, ``pedestrian`` for human.pedestrian.adult, ``barrier`` for its movable_object."""
+    group, kind, *_ = (*category.split("."), "")
+    if group == "human":
+        return "pedestrian"
+    return "vehicle" if group == "vehicle" and not classes_of_label(kind) else kind or group
 
 
-def _boxes_at(keyframes: Sequence[tuple[int, Mapping[str, _Annotation]]], us: int) -> Iterator[tuple[str, _Annotation]]:
-    """Yield instance and box at a stamp; an object that only one of the two samples around it has is not moved."""
+def _annotations_at(keyframes: Sequence[tuple[int, Mapping[str, _Annotation]]], us: int) -> Iterator[_Annotation]:
+    """Yield the boxes at a stamp; an object that only one of the two samples around it has is not moved."""
     after = bisect_right(keyframes, us, key=lambda frame: frame[0])
     (first_us, earlier), (second_us, later) = keyframes[max(after - 1, 0)], keyframes[min(after, len(keyframes) - 1)]
     for token in {**earlier, **later}:
         if token in earlier and token in later and first_us < second_us:
-            yield token, _between(earlier[token], later[token], (us - first_us) / (second_us - first_us))
-        else:
-            box, stamp_us = (earlier[token], first_us) if token in earlier else (later[token], second_us)
-            if abs(us - stamp_us) <= _NEAREST_US:
-                yield token, box
+            yield _between(earlier[token], later[token], (us - first_us) / (second_us - first_us))
+        elif abs(us - (first_us if token in earlier else second_us)) <= _NEAREST_US:
+            yield {**later, **earlier}[token]
 
 
 def _between(a: _Annotation, b: _Annotation, share: float) -> _Annotation:
@@ -238,8 +226,3 @@ def _between(a: _Annotation, b: _Annotation, share: float) -> _Annotation:
     rotation = (1 - share) * start + share * (end if start @ end >= 0 else -end)
     translation = (1 - share) * np.array(a.translation) + share * np.array(b.translation)
     return a.model_copy(update={"rotation": tuple(rotation), "translation": tuple(translation)})
-
-
-def _length_first(box: _Annotation) -> tuple[float, float, float]:
-    width, length, height = box.size
-    return length, width, height

@@ -81,7 +81,14 @@ def nuscenes(tmp_path):
         version,
         "sample_annotation",
         [
-            {**box, "sample_token": s, "instance_token": name, "translation": (x, 0, 1.5), "num_lidar_pts": points}
+            {
+                **box,
+                "token": s + name,
+                "sample_token": s,
+                "instance_token": name,
+                "translation": (x, 0, 1.5),
+                "num_lidar_pts": points,
+            }
             for s, x in (("a", 20), ("b", 30))
             for name, points in (("car", 9), ("hidden", 0))
         ],
