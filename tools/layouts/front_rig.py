@@ -23,7 +23,8 @@ def front_rig(
     Args:
         where: file and key of the calibration, for messages.
         images: the camera's images.
-        K: (3, 3) matrix; its principal point counts from the ``origin`` of the first pixel.
+        K: (3, 3) matrix.
+        origin: point of the first pixel from which the principal point counts.
         mountings: (4, 4) ego_T_camera, and ego_T_lidar if there is a lidar.
 
     Raises:

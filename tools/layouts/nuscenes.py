@@ -97,7 +97,7 @@ class _Table(dict[str, T]):
 
     def __init__(self, version: Path, name: str, row: type[T]) -> None:
         self.path = version / f"{name}.json"
-        listed = TypeAdapter(list[row])  # type: ignore[valid-type]
+        listed: TypeAdapter[list[T]] = TypeAdapter(list[row])  # type: ignore[valid-type]
         rows = checked(self.path, listed, read_json(self.path)) if self.path.is_file() else []
         super().__init__({found.token: found for found in rows})
 
