@@ -35,6 +35,7 @@ DepthEncoding = Literal[
     "numbers in m",
     "depth * 256",
     "disparity * 256",
+    "linear grey to 255 m",
 ]
 
 GreyDepth = Literal["linear", "linear-50", "logarithmic"]
@@ -50,11 +51,14 @@ NUMBERS: Final[Mapping[str | None, DepthEncoding]] = {
 FAR_PLANE_M: Final = 1000.0
 CLIPPED_M: Final = 50.0
 """Far plane of TransFuser's 8-bit depth."""
+_CLIPS_M: Final[Mapping[DepthEncoding, float]] = {"linear grey to 50 m": CLIPPED_M, "linear grey to 255 m": 255.0}
+"""Depth of white, which is this or more; Bench2Drive's levels are whole metres."""
 LOG_SCALE: Final = 5.70378
 GREY: Final[Mapping[DepthEncoding, str]] = {
     "logarithmic grey": "known to about 2 %",
     "linear grey to 1000 m": "known to 2 m",
     "linear grey to 50 m": "known to 0.1 m, to 50 m",
+    "linear grey to 255 m": "known to 0.5 m",
 }
 """Precision of the 8-bit codings."""
 _NUMBERS: Final = frozenset({"metres", "metres / 1000"})
@@ -144,8 +148,8 @@ def depth_metres(pixels: Pixels, encoding: DepthEncoding, focal_baseline: float 
             depth_m: Float32 = (FAR_PLANE_M * np.exp((levels - 1.0) * LOG_SCALE)).astype(np.float32)[grey_of(pixels)]
         case "linear grey to 1000 m":
             depth_m = grey_of(pixels).astype(np.float32) * np.float32(FAR_PLANE_M / 255)
-        case "linear grey to 50 m":
-            depth_m = grey_of(pixels).astype(np.float32) * np.float32(CLIPPED_M / 255)
+        case "linear grey to 50 m" | "linear grey to 255 m":
+            depth_m = grey_of(pixels).astype(np.float32) * np.float32(_CLIPS_M[encoding] / 255)
             depth_m[grey_of(pixels) == np.iinfo(np.uint8).max] = np.nan  # white is clipped depth
         case "millimetres":
             depth_m = pixels.values.astype(np.float32) * np.float32(0.001)

@@ -1,6 +1,7 @@
 """The messages of a planned conversion in the order of the log; few frames are in memory at a time."""
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Final, TypeVar
@@ -137,13 +138,14 @@ def _of_file(plan: Plan, role: str, encode: EncodeFile, number: int, _stamp_ns: 
 
 
 def _image(plan: Plan, role: str, path: Path, number: int) -> bytes:
-    """Encode a camera image; its bytes stay unchanged unless a lens is undone."""
+    """Encode a camera image; its bytes stay unchanged unless a lens is undone or cameras are side by side."""
     rig = plan.drive.rig_of(number)
     camera, data = rig.camera_of(role), read_bytes(path)
     form = require_whole(path, data)
-    if not is_rectified(camera):
+    if not is_rectified(camera) or plan.drive.side_by_side > 1:
         try:
-            form, data = "jpeg", encode_jpeg(straightened(camera, decode_bgr(data)), JPEG_QUALITY)
+            pixels = _middle(plan, decode_bgr(data))
+            form, data = "jpeg", encode_jpeg(straightened(camera, pixels), JPEG_QUALITY)
         except DecodeError as error:
             raise UnreadableFrameError(f"{path}: {error}") from error
     return encoding.encode_image(plan.drive.stamps_ns[number], rig.frame_ids.get(role, FRONT), form, data)
@@ -167,7 +169,7 @@ def _detections(plan: Plan, number: int, stamp_ns: int) -> bytes | None:
 def _instances(plan: Plan, role: str, path: Path, number: int) -> bytes:
     """Encode an instance mask, a PNG with 8-bit colours; its bytes stay unchanged unless a lens is undone."""
     camera, stamp_ns = plan.drive.rig_of(number).camera_of(role), plan.drive.stamps_ns[number]
-    pixels = _pixels(camera, path)
+    pixels = _pixels(plan, camera, path)
     if pixels.container != "png" or pixels.channels not in (3, 4) or pixels.values.dtype != np.uint8:
         raise DumpError(
             f"{path}: expected masks as a PNG of red, green and blue as CARLA saves them, found {pixels.shape}"
@@ -182,7 +184,7 @@ def _depth(plan: Plan, role: str, path: Path, number: int) -> bytes:
     rig, stamp_ns = plan.drive.rig_of(number), plan.drive.stamps_ns[number]
     camera = rig.camera_of(role)
     focal_baseline = camera.fx * (rig.baseline_m or np.nan)
-    measured_m = depth_metres(_pixels(camera, path), plan.depth_encodings[role], focal_baseline)
+    measured_m = depth_metres(_pixels(plan, camera, path), plan.depth_encodings[role], focal_baseline)
     depth_m = straightened(camera, measured_m, nearest=True)
     return encoding.encode_depth(stamp_ns, rig.frame_ids[role], depth_m, as_float=plan.options.depth_as_float)
 
@@ -191,7 +193,7 @@ def _tags(plan: Plan, role: str, path: Path, number: int) -> bytes:
     camera, stamp_ns = plan.drive.rig_of(number).camera_of(role), plan.drive.stamps_ns[number]
     table, lossy = plan.tag_table, plan.options.allow_lossy_tags
     assert table is not None  # a plan with tags has their table
-    found = tags_of(_pixels(camera, path), plan.tag_encodings[role], table, allow_lossy=lossy)
+    found = tags_of(_pixels(plan, camera, path), plan.tag_encodings[role], table, allow_lossy=lossy)
     tags = straightened(camera, found, nearest=True)
     return encoding.encode_image(stamp_ns, FRONT, "png", encode_indices(tags, table.colours))
 
@@ -201,8 +203,16 @@ def _points(plan: Plan, role: str, path: Path, number: int) -> bytes:
     return encoding.encode_points(plan.drive.stamps_ns[number], frame_id, load_points(path))
 
 
-def _pixels(camera: Camera, path: Path) -> Pixels:
+def _middle(plan: Plan, pixels: NDArray[P]) -> NDArray[P]:
+    """Return the columns of the middle camera of those side by side."""
+    cameras = plan.drive.side_by_side
+    width = pixels.shape[1] // cameras
+    return pixels[:, cameras // 2 * width : (cameras // 2 + 1) * width]
+
+
+def _pixels(plan: Plan, camera: Camera, path: Path) -> Pixels:
     pixels = load_pixels(path)
+    pixels = replace(pixels, values=_middle(plan, pixels.values))
     require_size(path, pixels.size, (camera.width, camera.height))
     return pixels
 

@@ -9,7 +9,7 @@ from roadperc_stream.errors import DumpError
 from roadperc_stream.model.tag_tables import TagTable
 
 from ..layouts.drive import ConvertOptions, Drive
-from .camera_rig import LIDAR, Rig
+from .camera_rig import LIDAR
 from .depth_files import GREY, DepthEncoding, depth_encoding, grey_encoding
 from .survey import SensorSurvey, apart_ns, meeting_notes, of_size, reference_of
 from .tag_files import LOSSY_TAGS, TagEncoding, choose_table, named_table, tag_encoding
@@ -65,7 +65,7 @@ def make_plan(drive: Drive, options: ConvertOptions) -> Plan:
     if LIDAR in surveys:
         _of_frames(LIDAR, surveys[LIDAR].sensor.files, drive.stamps_ns, notes)
     depth_encodings = {
-        role: _depth_encoding(surveys[role].paths, drive.rig, role, options, notes)
+        role: _depth_encoding(drive, role, surveys[role].paths, options, notes)
         for role in _DEPTH_ROLES
         if role in surveys
     }
@@ -89,7 +89,7 @@ def make_plan(drive: Drive, options: ConvertOptions) -> Plan:
 
 
 def _depth_encoding(
-    files: Sequence[Path], rig: Rig, role: str, options: ConvertOptions, notes: list[str]
+    drive: Drive, role: str, files: Sequence[Path], options: ConvertOptions, notes: list[str]
 ) -> DepthEncoding:
     """Return the encoding of a sensor's depth; adds a note for 8-bit grey.
 
@@ -97,10 +97,12 @@ def _depth_encoding(
         DumpError: the encoding is not known, or disparity without a baseline.
     """
     found = depth_encoding(files, options.depth_coding)
-    if found in GREY:
-        found, note = grey_encoding(files, rig.camera_of(role), options.depth_coding)
+    if found in GREY and drive.grey_depth and options.depth_coding is None:
+        found = drive.grey_depth
+    elif found in GREY:
+        found, note = grey_encoding(files, drive.rig.camera_of(role), options.depth_coding)
         notes.append(note)
-    if found == "disparity * 256" and not rig.baseline_m:
+    if found == "disparity * 256" and not drive.rig.baseline_m:
         raise DumpError(f"{files[0]}: disparity needs the baseline; add baseline_m to calibration.json")
     return found
 

@@ -7,6 +7,7 @@ The format of a file gives its axes:
 - ``.npy``: an (N, 3) or wider array of CARLA's ``raw_data``; left-handed as well, the fourth column the intensity.
 - ``.las``, ``.laz``: of CARLA's datasets; left-handed as well.
 - ``.bin``: KITTI's velodyne, (N, 4) float32 little-endian x forward, y left, z up, reflectance; right-handed already.
+- ``.pcd.bin``: nuScenes' lidar, (N, 5) float32 x right, y forward, z up, intensity, ring; stays in the sensor's axes.
 """
 
 import re
@@ -29,6 +30,7 @@ _KINDS: Final = {
     ".npy": (NPY_MAGIC, ".npy", "npy, left-handed"),
     **dict.fromkeys((".las", ".laz"), (LAS_MAGIC, "LAS", "las, left-handed")),
     ".bin": (b"", "", "KITTI velodyne, right-handed"),
+    ".pcd.bin": (b"", "", "nuScenes lidar, right-handed"),
 }
 """First bytes of a file, its name in messages, and its description, by suffix."""
 _PLY_END: Final = re.compile(rb"(?<=\n)end_header\r?\n")
@@ -39,7 +41,8 @@ _NUMPY_TYPES: Final = ("i1", "u1", "<i2", "<u2", "<i4", "<u4", "<f4", "<f8")
 _PLY_TYPES: Final = dict(zip(_PLY_NAMES + _SIZED_NAMES, _NUMPY_TYPES * 2, strict=True))
 """numpy's type by the name in a PLY header."""
 _INTENSITY: Final = ("I", "intensity", "Intensity")
-_KITTI_COLUMNS: Final = 4
+_FLOATS: Final = {".bin": 4, ".pcd.bin": 5}
+"""Numbers of a point by suffix."""
 _LONGEST_HEADER: Final = 4096
 
 
@@ -49,9 +52,9 @@ def points_kind(path: Path) -> str:
     Raises:
         UnreadableFrameError: the format is unknown; the message names file, expected and found content.
     """
-    if path.suffix.lower() not in _KINDS:
+    if _suffix(path) not in _KINDS:
         raise UnreadableFrameError(f"{path}: expected points as .ply, .npy, .bin, .las or .laz")
-    magic, expected, kind = _KINDS[path.suffix.lower()]
+    magic, expected, kind = _KINDS[_suffix(path)]
     try:
         with path.open("rb") as file:
             start = file.read(len(NPY_MAGIC))
@@ -73,7 +76,7 @@ def load_points(path: Path) -> Float32:
         UnreadableFrameError: the file is damaged; the message names file, expected and found content.
     """
     points_kind(path)
-    suffix, data = path.suffix.lower(), read_bytes(path)
+    suffix, data = _suffix(path), read_bytes(path)
     with np.errstate(over="ignore", invalid="ignore"):
         points = _READERS[suffix](path, data).astype(np.float32)
     if suffix in _LEFT_HANDED:
@@ -81,11 +84,17 @@ def load_points(path: Path) -> Float32:
     return points
 
 
-def _kitti(path: Path, data: bytes) -> NDArray[Any]:
-    point_bytes = 4 * _KITTI_COLUMNS
-    if len(data) % point_bytes:
-        raise UnreadableFrameError(f"{path}: {len(data)} bytes, expected points of {point_bytes} bytes (float32 x 4)")
-    return np.frombuffer(data, "<f4").reshape(-1, _KITTI_COLUMNS)
+def _suffix(path: Path) -> str:
+    name = path.name.lower()
+    return ".pcd.bin" if name.endswith(".pcd.bin") else path.suffix.lower()
+
+
+def _floats(path: Path, data: bytes) -> NDArray[Any]:
+    columns = _FLOATS[_suffix(path)]
+    if len(data) % (4 * columns):
+        expected = f"points of {4 * columns} bytes (float32 x {columns})"
+        raise UnreadableFrameError(f"{path}: {len(data)} bytes, expected {expected}")
+    return np.frombuffer(data, "<f4").reshape(-1, columns)[:, :4]
 
 
 def _npy(path: Path, data: bytes) -> NDArray[Any]:
@@ -155,7 +164,7 @@ _PLY_BODIES: Final[Mapping[str, Callable[[Path, bytes, int, Mapping[str, str]], 
 _READERS: Final[Mapping[str, Callable[[Path, bytes], NDArray[Any]]]] = {
     ".ply": _ply,
     ".npy": _npy,
-    ".bin": _kitti,
+    **dict.fromkeys(_FLOATS, _floats),
     ".las": read_las,
     ".laz": read_las,
 }

@@ -9,7 +9,18 @@ from roadperc_stream.errors import DumpError
 if TYPE_CHECKING:
     from .drive import Layout
 
-LAYOUTS: Final = ("kitti-odometry", "kitti-raw", "kitti-object", "kitti-tracking", "tusimple", "culane", "dump")
+LAYOUTS: Final = (
+    "kitti-odometry",
+    "kitti-raw",
+    "kitti-object",
+    "kitti-tracking",
+    "tusimple",
+    "culane",
+    "nuscenes",
+    "carla-leaderboard",
+    "bench2drive",
+    "dump",
+)
 """Names for ``--layout``, in the order of detection; the module of ``kitti-odometry`` is ``kitti_odometry``."""
 
 

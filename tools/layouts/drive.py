@@ -10,7 +10,7 @@ from roadperc_stream.geometry import Float
 from roadperc_stream.model import Detection
 
 from ..carla_dump.camera_rig import Rig
-from ..carla_dump.depth_files import DepthCoding
+from ..carla_dump.depth_files import DepthCoding, DepthEncoding
 from ..carla_dump.survey import SensorSurvey
 from ..carla_dump.truth_file import NO_TRUTH, TruthTables
 
@@ -92,6 +92,10 @@ class Drive:
     poses: Mapping[int, Float] = field(default_factory=dict)
     """(4, 4) true odom_T_ego."""
     truth: TruthTables = NO_TRUTH
+    side_by_side: int = 1
+    """Cameras that each file of a camera holds along its width; the middle one is used."""
+    grey_depth: DepthEncoding | None = None
+    """Encoding of 8-bit grey depth, if the dataset states it."""
     tag_table: str | None = None
     """Name of the tags' table, or a CARLA version, if the dataset states it."""
     pixel_origin: str = ""

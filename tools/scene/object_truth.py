@@ -10,8 +10,9 @@ from typing import Any, Final
 import numpy as np
 from scipy import ndimage
 
-from roadperc_stream.geometry import Camera, Float, inverse, project, rays, transform
+from roadperc_stream.geometry import Float, inverse, rays, transform
 
+from ..box_view import corners_between, image_box, seen_sides
 from .faces import Body
 from .raster import NEAR_M
 from .rig import CameraPair
@@ -40,15 +41,12 @@ def body_corners(body: Body, time_s: float) -> Float:
     pose = body.pose(time_s)
     own = transform(inverse(pose), body.faces.corners.reshape(-1, 3))
     low, high = own.min(axis=0), own.max(axis=0)
-    corners = np.array([[(low, high)[(i >> axis) & 1][axis] for axis in range(3)] for i in range(8)])
-    return transform(pose, corners)
+    return transform(pose, corners_between(low, high))
 
 
 DERIVATIVE_STEP_S: Final = 1e-3
 MIN_PIXELS: Final = 30
 """Objects with fewer visible pixels are left out."""
-_SIDES: Final = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
-"""Corner indices around each side of a box, in the order of ``body_corners``."""
 MIN_CLOSING_MPS: Final = 0.05
 """Below this closing speed there is no time to impact."""
 
@@ -103,44 +101,8 @@ def objects_truth(scenario: Scenario, moment: Moment, rig: CameraPair, view: Vie
     camera_T_world = inverse(moment.world_T_ego @ rig.ego_T_left)
     bodies = {body.name: body for body in moment.bodies}
     corners = (transform(camera_T_world, body_corners(bodies[truth.name], moment.time_s)) for truth in seen)
-    return [replace(truth, box_px=_whole_box(rig.camera, c)) for truth, c in zip(seen, corners, strict=True)]
-
-
-def _whole_box(camera: Camera, corners: Float) -> tuple[int, int, int, int]:
-    """Return the half-open image box of the (8, 3) corners of an upright box, as CARLA makes its 2D boxes.
-
-    Source: CARLA's documentation, "Bounding boxes": the extremes of the projected vertices. The box is clipped to the
-    view first. Otherwise the box of a car beside the camera would reach the top of the image.
-    """
-    limits = _view_limits(camera)
-    seen = np.concatenate([_clipped(corners[list(side)], limits) for side in _SIDES])
-    pixels = project(camera, seen)
-    low, high = np.floor(pixels.min(axis=0) + 0.5), np.ceil(pixels.max(axis=0) + 0.5)
-    size = np.array((camera.width, camera.height))
-    (x0, y0), (x1, y1) = np.clip(low, 0, size - 1), np.clip(high, 1, size)
-    return int(x0), int(y0), int(x1), int(y1)
-
-
-def _view_limits(camera: Camera) -> Float:
-    """Return (5, 4) planes a x + b y + c z + d >= 0 that bound the camera's view: left, right, top, bottom, near."""
-    x0, x1 = (-0.5 - camera.cx) / camera.fx, (camera.width - 0.5 - camera.cx) / camera.fx
-    y0, y1 = (-0.5 - camera.cy) / camera.fy, (camera.height - 0.5 - camera.cy) / camera.fy
-    return np.array([(1, 0, -x0, 0), (-1, 0, x1, 0), (0, 1, -y0, 0), (0, -1, y1, 0), (0, 0, 1, -NEAR_M)])
-
-
-def _clipped(corners: Float, limits: Float) -> Float:
-    """Return (M, 3) corners of a polygon clipped to all limits; no corners if it lies outside.
-
-    Source: I. Sutherland and G. Hodgman, Reentrant polygon clipping, CACM 17 (1974).
-    """
-    for limit in limits:
-        inside = corners @ limit[:3] + limit[3]
-        following, next_inside = np.roll(corners, -1, axis=0), np.roll(inside, -1)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            crossings = corners + (following - corners) * (inside / (inside - next_inside))[:, None]
-        kept = np.stack((inside >= 0, (inside >= 0) != (next_inside >= 0)), axis=1)
-        corners = np.stack((corners, crossings), axis=1)[kept]
-    return corners
+    sides = (seen_sides(rig.camera, found, NEAR_M) for found in corners)
+    return [replace(truth, box_px=image_box(rig.camera, parts)) for truth, parts in zip(seen, sides, strict=True)]
 
 
 def _object(

@@ -1,0 +1,79 @@
+"""Files that recorders of CARLA write: documents as JSON or Python literals, and left-handed matrices."""
+
+import ast
+import gzip
+import json
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from roadperc_stream.errors import DumpError
+from roadperc_stream.geometry import Float
+
+from ..carla_dump.camera_rig import LIDAR
+from ..carla_dump.json_files import Numbers4, frame_number
+from ..carla_dump.layout import Sensor
+from ..carla_dump.survey import points_fault
+
+Matrix4 = tuple[Numbers4, Numbers4, Numbers4, Numbers4]
+_LARGEST_BYTES: Final = 64_000_000
+_MIRROR: Final = np.diag((1.0, -1.0, 1.0, 1.0))
+
+
+def read_document(path: Path) -> Any:
+    """Return the content of a file with JSON or a Python literal, perhaps compressed with gzip.
+
+    Raises:
+        DumpError: the file cannot be read, is too large, or holds neither; the message names the line.
+    """
+    try:
+        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
+            data = file.read(_LARGEST_BYTES + 1)
+        if len(data) > _LARGEST_BYTES:
+            raise DumpError(f"{path}: more than {_LARGEST_BYTES // 1_000_000} MB")
+        text = data.decode()
+    except (OSError, EOFError, zlib.error, UnicodeDecodeError) as error:
+        raise DumpError(f"{path}: {error}") from error
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        if "'" not in text:
+            raise DumpError(f"{path}: not JSON: {error}") from error
+    try:
+        return ast.literal_eval(text)
+    except (ValueError, SyntaxError, RecursionError, MemoryError) as error:
+        line = getattr(error, "lineno", None) or 1
+        raise DumpError(f"{path}: line {line}: neither JSON nor a Python literal: {error}") from error
+
+
+def numbered(folder: Path, pattern: str) -> dict[int, Path]:
+    """Return the files of a folder by the number in their names, in order."""
+    found = {frame_number(path.name.partition(".")[0]): path for path in folder.glob(pattern)}
+    return {number: found[number] for number in sorted(key for key in found if key is not None)}
+
+
+def folders_that(fits: Callable[[Path], bool], folder: Path) -> dict[str, Path]:
+    """Return the folder itself by its name if it fits, else those inside it that do."""
+    found = [folder] if fits(folder) else [path for path in sorted(folder.iterdir()) if fits(path)]
+    return {path.resolve().name: path for path in found}
+
+
+def right_handed_matrix(matrix: Matrix4) -> Float:
+    """Return the (4, 4) right-handed transform of a matrix of ``carla.Transform.get_matrix``, or of its inverse."""
+    mirrored: Float = _MIRROR @ np.array(matrix, np.float64) @ _MIRROR
+    return mirrored
+
+
+def laz_sensor(route: Path, frames: set[int], notes: list[str]) -> dict[str, Sensor]:
+    """Return the sensor of ``lidar/*.laz`` by its role, or nothing with a note about points that cannot be read."""
+    files = numbered(route / "lidar", "*.laz")
+    sensor = Sensor(LIDAR, "lidar", files)
+    if not files and not (route / "lidar").is_dir():
+        return {}
+    if fault := points_fault(sensor, frames) if files else "expected points as .laz":
+        notes.append(f"lidar/ is left out: {fault}")
+        return {}
+    return {LIDAR: sensor}
