@@ -56,15 +56,13 @@ def read_calibration(path: Path, surveys: Mapping[str, SensorSurvey], height_m: 
     Raises:
         DumpError: a line is missing or wrong; the message names it.
     """
-    sizes = {role: found.sizes.get(number, found.size) for role, found in surveys.items() if found.size}
     matrices = kitti.read_matrices(path)
     camera0_T_lidar = ego_T_imu = None
     if LIDAR in surveys or any(name in matrices for name in _IMU):
         rectification = kitti.square(kitti.matrix_of(path, matrices, "R_rect", "R0_rect"))
         camera0_T_lidar = rectification @ kitti.square(kitti.matrix_of(path, matrices, "Tr_velo_cam", "Tr_velo_to_cam"))
-    lidar = camera0_T_lidar if LIDAR in surveys else None
-    projections = {role: kitti.matrix_of(path, matrices, _PROJECTIONS[role]) for role in sizes}
-    rig, ego_T_camera0 = kitti.rig(path, projections, sizes, lidar, height_m)
+    projections = {role: kitti.matrix_of(path, matrices, P) for role, P in _PROJECTIONS.items() if role in surveys}
+    rig, ego_T_camera0 = kitti.rig(path, projections, surveys, camera0_T_lidar, height_m, number)
     if camera0_T_lidar is not None and any(name in matrices for name in _IMU):
         ego_T_imu = ego_T_camera0 @ camera0_T_lidar @ kitti.square(kitti.matrix_of(path, matrices, *_IMU))
     return Calibration(rig, inverse(mounting(z=height_m)) @ ego_T_camera0, ego_T_imu)

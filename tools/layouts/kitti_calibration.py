@@ -17,6 +17,7 @@ from ..carla_dump.calibration_file import require_pinhole
 from ..carla_dump.camera_rig import FRONT, LIDAR, RIGHT, Rig, Size
 from ..carla_dump.json_files import read_lines
 from ..carla_dump.layout import Sensor, sensor_in
+from ..carla_dump.survey import SensorSurvey
 from .drive import ConvertOptions
 
 HEIGHT_M: Final = 1.65
@@ -114,22 +115,25 @@ def camera_centre(where: str, P: Float) -> Float:
 def rig(
     path: Path,
     projections: Mapping[str, Float],
-    sizes: Mapping[str, Size],
+    surveys: Mapping[str, SensorSurvey],
     camera0_T_lidar: Float | None,
     height_m: float,
+    number: int = -1,
 ) -> tuple[Rig, Float]:
     """Return the rig of a front camera, its pair and a lidar, and (4, 4) ego_T_camera0.
 
     Args:
         path: the calibration, for messages.
         projections: (3, 4) matrices by role: ``image``, and ``right`` if there is a pair.
-        sizes: columns and rows by role.
-        camera0_T_lidar: (4, 4) transform from the lidar to rectified camera 0; None without lidar.
+        surveys: the sensors by role.
+        camera0_T_lidar: (4, 4) transform from the lidar to rectified camera 0; None if it is unknown.
         height_m: height of the front camera, which is level above the ego origin.
+        number: the frame with the size of the images, else that of most frames.
 
     Raises:
         DumpError: a matrix is not the projection of a rectified camera, or the pair has no baseline.
     """
+    sizes = {role: found.sizes.get(number, found.size) for role, found in surveys.items() if found.size}
     centres = {role: camera_centre(f"{path}: {role}", P) for role, P in projections.items()}
     ego_T_camera0 = mounting(z=height_m) @ rigid(np.eye(3), -centres["image"])
     cameras = {"calibration": _camera(path, FRONT, projections["image"], sizes["image"])}
@@ -140,7 +144,7 @@ def rig(
             raise DumpError(f"{path}: the right camera is {-baseline_m:g} m to the left of the front camera")
         cameras["right_calibration"] = _camera(path, RIGHT, projections["right"], sizes["right"], baseline_m)
         frames[RIGHT] = ego_T_camera0 @ rigid(np.eye(3), centres["right"])
-    if camera0_T_lidar is not None:
+    if LIDAR in surveys and camera0_T_lidar is not None:
         frames[LIDAR] = ego_T_camera0 @ camera0_T_lidar
     transforms = tuple(Transform(EGO, frame, ego_T_frame) for frame, ego_T_frame in frames.items())
     return Rig(cameras, {"right": RIGHT, LIDAR: LIDAR}, transforms), ego_T_camera0

@@ -52,9 +52,8 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
         else:
             sensors[LIDAR] = sensor_in(sequence / "velodyne", LIDAR)
     surveys = surveyed(sensors)
-    sizes = {role: found.size for role, found in surveys.items() if found.size}
-    lidar = camera0_T_lidar if LIDAR in surveys else None
-    rig, ego_T_camera0 = kitti.rig(calibration, projections, sizes, lidar, kitti.height_of(options, notes))
+    height_m = kitti.height_of(options, notes)
+    rig, ego_T_camera0 = kitti.rig(calibration, projections, surveys, camera0_T_lidar, height_m)
     frames = sorted({number for role in projections for number in surveys[role].sensor.files})
     stamps_ns, timing = _stamps(sequence / "times.txt", frames, options)
     return Drive(

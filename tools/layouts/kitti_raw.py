@@ -60,9 +60,8 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
         sensors[LIDAR] = sensor_in(drive / _POINTS, LIDAR)
         notes.append(f"{_POINTS}: the points are not motion-compensated: a scan takes 0.1 s")
     surveys = surveyed(sensors)
-    sizes = {role: found.size for role, found in surveys.items() if found.size}
-    lidar = camera0_T_lidar if LIDAR in surveys else None
-    rig, ego_T_camera0 = kitti.rig(calibration, projections, sizes, lidar, kitti.height_of(options, notes))
+    height_m = kitti.height_of(options, notes)
+    rig, ego_T_camera0 = kitti.rig(calibration, projections, surveys, camera0_T_lidar, height_m)
     numbers = sorted({number for role in projections for number in surveys[role].sensor.files})
     stamps_ns, timing = _stamps(drive, surveys["image"].sensor.first, numbers, notes)
     return Drive(
