@@ -53,7 +53,7 @@ ENTRIES = (
     ),
     Entry(
         "Not an MCAP log", "roadperc-info notes.mcap", "The file has another format.",
-        "Convert videos and folders of frames with `roadperc-convert`. Convert other ROS bags to MCAP first.",
+        "Convert videos and folders of frames with `roadperc-convert`. ROS bags are replayed directly.",
     ),
     Entry(
         "Cut or damaged log", "roadperc-replay cut.mcap out.mcap", "The recording ended early, or the copy is damaged.",
