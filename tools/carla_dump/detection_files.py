@@ -143,7 +143,7 @@ def kitti_detection(where: str, fields: list[str]) -> Detection:
     if len(fields) not in (_KITTI_COLUMNS, _KITTI_COLUMNS + 1):
         raise DumpError(f"{where}: expected {_KITTI_COLUMNS} or {_KITTI_COLUMNS + 1} KITTI columns, got {len(fields)}")
     try:
-        x_min, y_min, x_max, y_max, score = (float(text) for text in (*fields[4:8], (*fields[15:], "1")[0]))
+        x_min, y_min, x_max, y_max, *_, score = map(float, (*fields[4:_KITTI_COLUMNS], (*fields[15:], "1")[0]))
     except ValueError as error:
         raise DumpError(f"{where}: {error}") from error
     if not all(map(math.isfinite, (x_min, y_min, x_max, y_max, score))):

@@ -5,7 +5,7 @@ from scipy.optimize import nnls
 
 from roadperc_stream.geometry import Camera, Float
 
-_INFEASIBLE = 1e-9
+from ..box_view import view_limits
 
 
 def box_distance_m(camera: Camera, camera_T_box: Float, size_m: Float) -> float:
@@ -23,24 +23,14 @@ def box_distance_m(camera: Camera, camera_T_box: Float, size_m: Float) -> float:
     middle = axes @ camera_T_box[:3, 3]
     sides = np.vstack((axes, -axes))
     bounds = np.concatenate((middle - size_m / 2, -middle - size_m / 2))
-    limits = _view_limits(camera)
-    point = _nearest(np.vstack((sides, limits)), np.concatenate((bounds, np.zeros(len(limits)))))
-    if point is None:
-        point = _nearest(sides, bounds)
-    return float(np.linalg.norm(camera_T_box[:3, 3] if point is None else point))
+    limits = view_limits(camera)
+    inside = _nearest_m(np.vstack((sides, limits)), np.concatenate((bounds, np.zeros(len(limits)))))
+    return _nearest_m(sides, bounds) if np.isnan(inside) else inside
 
 
-def _nearest(normals: Float, bounds: Float) -> Float | None:
-    """Return the (3,) point of least norm with ``normals @ point >= bounds``, or None if there is no such point."""
+def _nearest_m(normals: Float, bounds: Float) -> float:
+    """Return the least norm of points with ``normals @ point >= bounds``, or NaN if there is no such point."""
     system = np.vstack((normals.T, bounds))
-    target = np.array([0.0, 0.0, 0.0, 1.0])
-    weights, _ = nnls(system, target)
-    residual: Float = system @ weights - target
-    return None if np.linalg.norm(residual) < _INFEASIBLE else -residual[:3] / residual[3]
-
-
-def _view_limits(camera: Camera) -> Float:
-    """Return (4, 3) inward normals of the planes through the camera and the image's left, right, top and bottom."""
-    left, right = (-0.5 - camera.cx) / camera.fx, (camera.width - 0.5 - camera.cx) / camera.fx
-    top, bottom = (-0.5 - camera.cy) / camera.fy, (camera.height - 0.5 - camera.cy) / camera.fy
-    return np.array([(1, 0, -left), (-1, 0, right), (0, 1, -top), (0, -1, bottom)], np.float64)
+    weights, residual = nnls(system, np.array([0.0, 0.0, 0.0, 1.0]))
+    *beside, last = system @ weights - (0.0, 0.0, 0.0, 1.0)
+    return float("nan") if residual < 1e-9 else float(np.linalg.norm(beside) / -last)

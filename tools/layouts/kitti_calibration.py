@@ -16,6 +16,7 @@ from roadperc_stream.model import EGO, Transform
 from ..carla_dump.calibration_file import require_pinhole
 from ..carla_dump.camera_rig import FRONT, LIDAR, RIGHT, Rig, Size
 from ..carla_dump.json_files import read_lines
+from ..carla_dump.layout import Sensor, sensor_in
 from .drive import ConvertOptions
 
 HEIGHT_M: Final = 1.65
@@ -63,27 +64,31 @@ def matrix_of(path: Path, matrices: Mapping[str, Float], *names: str) -> Float:
     return matrices[name]
 
 
-def has_cameras(sequence: Path, prefix: str) -> bool:
-    """Return True if a folder has images of a camera, such as ``image_02`` for the prefix ``image_0``."""
-    return any((sequence / f"{prefix}{number}").is_dir() for pair in _PAIRS for number in pair)
+def cameras_in(sequence: Path, prefix: str) -> list[int]:
+    """Return the numbers of the cameras with images, such as ``image_02`` for the prefix ``image_0``, colour first."""
+    return [number for pair in _PAIRS for number in pair if (sequence / f"{prefix}{number}").is_dir()]
 
 
-def cameras_of(sequence: Path, prefix: str, notes: list[str]) -> dict[str, int]:
-    """Return the numbers of the front camera and its pair by role, colour first; adds notes about the others."""
-    there = [number for pair in _PAIRS for number in pair if (sequence / f"{prefix}{number}").is_dir()]
+def cameras_of(
+    sequence: Path, prefix: str, projection: str, path: Path, matrices: Mapping[str, Float], notes: list[str]
+) -> tuple[dict[str, Sensor], dict[str, Float]]:
+    """Return the sensors and projections of the front camera and its pair by role, colour first.
+
+    ``prefix`` and ``projection`` start the names of folders and matrices. Adds notes about the other cameras.
+    """
+    there = cameras_in(sequence, prefix)
     pair = next(pair for pair in _PAIRS if there[0] in pair)
     used = dict(zip(("image", "right"), [number for number in pair if number in there], strict=False))
-    notes += [
-        f"{prefix}{number}/ is left out: {prefix}{there[0]} is the front camera"
-        for number in sorted(set(there) - set(used.values()))
-    ]
-    return used
+    others = sorted(set(there) - set(used.values()))
+    notes += [f"{prefix}{number}/ is left out: {prefix}{there[0]} is the front camera" for number in others]
+    sensors = {role: sensor_in(sequence / f"{prefix}{number}", role) for role, number in used.items()}
+    return sensors, {role: matrix_of(path, matrices, f"{projection}{number}") for role, number in used.items()}
 
 
 def height_of(options: ConvertOptions, notes: list[str]) -> float:
     """Return the height of the cameras in metres; adds a note if it is assumed."""
-    if not options.height_m:
-        notes.append(f"assumed: level cameras {HEIGHT_M} m above the road, as KITTI describes its car")
+    assumed = f"assumed: level cameras {HEIGHT_M} m above the road, as KITTI describes its car"
+    notes += [] if options.height_m else [assumed]
     return options.height_m or HEIGHT_M
 
 
@@ -106,35 +111,27 @@ def camera_centre(where: str, P: Float) -> Float:
     return -np.linalg.solve(P[:, :3], P[:, 3]).astype(np.float64)
 
 
-def mounting_of_camera0(where: str, P_front: Float, height_m: float = HEIGHT_M) -> Float:
-    """Return (4, 4) ego_T_camera0; the front camera with the projection ``P_front`` is level above the ego origin.
-
-    Raises:
-        DumpError: as ``camera_centre``.
-    """
-    return mounting(z=height_m) @ rigid(np.eye(3), -camera_centre(where, P_front))
-
-
-def kitti_rig(
+def rig(
     path: Path,
     projections: Mapping[str, Float],
     sizes: Mapping[str, Size],
-    ego_T_camera0: Float,
     camera0_T_lidar: Float | None,
-) -> Rig:
-    """Return the rig of a front camera, its pair and a lidar.
+    height_m: float,
+) -> tuple[Rig, Float]:
+    """Return the rig of a front camera, its pair and a lidar, and (4, 4) ego_T_camera0.
 
     Args:
         path: the calibration, for messages.
         projections: (3, 4) matrices by role: ``image``, and ``right`` if there is a pair.
         sizes: columns and rows by role.
-        ego_T_camera0: (4, 4) mounting of camera 0.
         camera0_T_lidar: (4, 4) transform from the lidar to rectified camera 0; None without lidar.
+        height_m: height of the front camera, which is level above the ego origin.
 
     Raises:
         DumpError: a matrix is not the projection of a rectified camera, or the pair has no baseline.
     """
     centres = {role: camera_centre(f"{path}: {role}", P) for role, P in projections.items()}
+    ego_T_camera0 = mounting(z=height_m) @ rigid(np.eye(3), -centres["image"])
     cameras = {"calibration": _camera(path, FRONT, projections["image"], sizes["image"])}
     frames = {FRONT: ego_T_camera0 @ rigid(np.eye(3), centres["image"])}
     if "right" in projections:
@@ -146,7 +143,7 @@ def kitti_rig(
     if camera0_T_lidar is not None:
         frames[LIDAR] = ego_T_camera0 @ camera0_T_lidar
     transforms = tuple(Transform(EGO, frame, ego_T_frame) for frame, ego_T_frame in frames.items())
-    return Rig(cameras, {"right": RIGHT, LIDAR: LIDAR}, transforms)
+    return Rig(cameras, {"right": RIGHT, LIDAR: LIDAR}, transforms), ego_T_camera0
 
 
 def _camera(path: Path, frame_id: str, P: Float, size: Size, baseline_m: float | None = None) -> Camera:

@@ -4,7 +4,6 @@ Poses are those of the left grey camera relative to the first frame. The points 
 """
 
 import re
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
@@ -17,20 +16,10 @@ from ..carla_dump.calibration_file import CALIBRATION_NAME
 from ..carla_dump.camera_rig import LIDAR
 from ..carla_dump.frame_stamps import mean_rate, stamps_by_line, stamps_of_rate
 from ..carla_dump.json_files import read_lines
-from ..carla_dump.layout import Sensor, sensor_in
+from ..carla_dump.layout import sensor_in
 from ..carla_dump.survey import surveyed
+from . import kitti_calibration as kitti
 from .drive import ConvertOptions, Drive, choose_sequence
-from .kitti_calibration import (
-    PIXEL_ORIGIN,
-    cameras_of,
-    has_cameras,
-    height_of,
-    kitti_rig,
-    matrix_of,
-    mounting_of_camera0,
-    read_matrices,
-    square,
-)
 
 _CALIBRATION: Final = "calib.txt"
 _CAMERA: Final = "image_"
@@ -54,9 +43,9 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
     name, sequence = choose_sequence(folder, _sequences(folder), options.sequence)
     notes: list[str] = []
     calibration = sequence / _CALIBRATION
-    matrices = read_matrices(calibration)
-    sensors, projections = _cameras(sequence, matrices, notes)
-    camera0_T_lidar = square(matrix_of(calibration, matrices, "Tr")) if "Tr" in matrices else None
+    matrices = kitti.read_matrices(calibration)
+    sensors, projections = kitti.cameras_of(sequence, _CAMERA, "P", calibration, matrices, notes)
+    camera0_T_lidar = kitti.square(kitti.matrix_of(calibration, matrices, "Tr")) if "Tr" in matrices else None
     if (sequence / "velodyne").is_dir():
         if camera0_T_lidar is None:
             notes.append(f"velodyne/ is left out: {_CALIBRATION} has no Tr; KITTI's calibration archive has it")
@@ -64,7 +53,8 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
             sensors[LIDAR] = sensor_in(sequence / "velodyne", LIDAR)
     surveys = surveyed(sensors)
     sizes = {role: found.size for role, found in surveys.items() if found.size}
-    ego_T_camera0 = mounting_of_camera0(f"{calibration}: image", projections["image"], height_of(options, notes))
+    lidar = camera0_T_lidar if LIDAR in surveys else None
+    rig, ego_T_camera0 = kitti.rig(calibration, projections, sizes, lidar, kitti.height_of(options, notes))
     frames = sorted({number for role in projections for number in surveys[role].sensor.files})
     stamps_ns, timing = _stamps(sequence / "times.txt", frames, options)
     return Drive(
@@ -73,31 +63,21 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
         surveys=surveys,
         stamps_ns=stamps_ns,
         timing=timing,
-        rig=kitti_rig(calibration, projections, sizes, ego_T_camera0, camera0_T_lidar if LIDAR in surveys else None),
+        rig=rig,
         poses=_poses(sequence, ego_T_camera0, notes),
-        pixel_origin=PIXEL_ORIGIN,
+        pixel_origin=kitti.PIXEL_ORIGIN,
         notes=tuple(notes),
     )
 
 
 def _sequences(folder: Path) -> dict[str, Path]:
     """Return the sequences of a folder by name; the folder may be one itself."""
-    if has_cameras(folder, _CAMERA):
+    if kitti.cameras_in(folder, _CAMERA):
         return {folder.absolute().name: folder}
     inside = next((path for path in (folder / "dataset/sequences", folder / "sequences") if path.is_dir()), folder)
     if inside.absolute().name != "sequences":
         return {}
-    return {path.name: path for path in sorted(inside.iterdir()) if has_cameras(path, _CAMERA)}
-
-
-def _cameras(
-    sequence: Path, matrices: Mapping[str, Float], notes: list[str]
-) -> tuple[dict[str, Sensor], dict[str, Float]]:
-    """Return the sensors and projections of the front camera and its pair, by role; adds notes about the others."""
-    used = cameras_of(sequence, _CAMERA, notes)
-    sensors = {role: sensor_in(sequence / f"image_{number}", role) for role, number in used.items()}
-    projections = {role: matrix_of(sequence / _CALIBRATION, matrices, f"P{number}") for role, number in used.items()}
-    return sensors, projections
+    return {path.name: path for path in sorted(inside.iterdir()) if kitti.cameras_in(path, _CAMERA)}
 
 
 def _stamps(times: Path, frames: list[int], options: ConvertOptions) -> tuple[dict[int, int], str]:
@@ -137,4 +117,4 @@ def _pose(path: Path, number: int, line: str) -> Float:
         raise DumpError(f"{path}: line {number + 1}: {error}") from error
     if values.size != _POSE_NUMBERS or not np.isfinite(values).all():
         raise DumpError(f"{path}: line {number + 1}: expected 12 finite numbers, found {values.size}: {line[:60]!r}")
-    return square(values.reshape(3, 4))
+    return kitti.square(values.reshape(3, 4))

@@ -4,7 +4,7 @@ Source: A. Geiger, development kit of KITTI raw, ``latlonToMercator.m`` and ``co
 """
 
 from collections.abc import Mapping
-from math import cos, log, pi, radians, tan
+from math import asinh, cos, radians, tan
 from typing import Final
 
 import numpy as np
@@ -15,19 +15,17 @@ from roadperc_stream.geometry.rotations import rotation_from_rpy
 
 _RADIUS_M: Final = 6_378_137.0
 _NUMBERS: Final = 30
-_POSE: Final = 6
-"""Latitude and longitude in degrees, altitude in metres; roll, pitch and yaw in radians, yaw from east to the left."""
 
 
 def packet(where: str, line: str) -> Float:
-    """Return latitude, longitude, altitude, roll, pitch and yaw of a line.
+    """Return latitude and longitude in degrees, altitude in metres, and roll, pitch and yaw in radians of a line.
 
     Raises:
         DumpError: the line is not a packet; the message starts with ``where``.
     """
     words = line.split()
     try:
-        values = np.array(words[:_POSE], np.float64)
+        values = np.array(words[:6], np.float64)
     except ValueError as error:
         raise DumpError(f"{where}: {error}") from error
     if len(words) != _NUMBERS or not np.isfinite(values).all() or abs(values[0]) >= 90:
@@ -51,6 +49,6 @@ def poses_of(packets: Mapping[int, Float], ego_T_imu: Float) -> dict[int, Float]
 def _world_T_imu(values: Float, first: Float) -> Float:
     """Return the pose in a world with x to the east, y to the north and z up, its origin at the first packet."""
     scale_m = cos(radians(first[0])) * _RADIUS_M
-    north = [log(tan(pi * (90.0 + latitude) / 360.0)) for latitude in (values[0], first[0])]
-    position_m = (scale_m * radians(values[1] - first[1]), scale_m * (north[0] - north[1]), values[2] - first[2])
+    north = asinh(tan(radians(values[0]))) - asinh(tan(radians(first[0])))
+    position_m = (scale_m * radians(values[1] - first[1]), scale_m * north, values[2] - first[2])
     return rigid(rotation_from_rpy(*values[3:]), np.array(position_m))

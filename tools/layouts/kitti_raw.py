@@ -18,18 +18,8 @@ from ..carla_dump.frame_stamps import mean_rate, stamps_by_line
 from ..carla_dump.json_files import frame_number, read_lines
 from ..carla_dump.layout import sensor_in
 from ..carla_dump.survey import surveyed
+from . import kitti_calibration as kitti
 from .drive import ConvertOptions, Drive, choose_sequence
-from .kitti_calibration import (
-    PIXEL_ORIGIN,
-    cameras_of,
-    has_cameras,
-    height_of,
-    kitti_rig,
-    matrix_of,
-    mounting_of_camera0,
-    read_matrices,
-    square,
-)
 from .kitti_oxts import packet, poses_of
 
 _DRIVE: Final = re.compile(r"(\d{4}_\d\d_\d\d)_drive_(\d{4})_sync")
@@ -37,8 +27,9 @@ _CAMERA: Final = "image_0"
 _CALIBRATION: Final = "calib_cam_to_cam.txt"
 _LIDAR_CALIBRATION: Final = "calib_velo_to_cam.txt"
 _IMU_CALIBRATION: Final = "calib_imu_to_velo.txt"
+_STAMPS: Final = "timestamps.txt"
 _POINTS: Final = "velodyne_points"
-_NOT_USED: Final = ("tracklet_labels.xml",)
+_TRACKLETS: Final = "tracklet_labels.xml"
 
 
 def detect(folder: Path) -> bool:
@@ -54,38 +45,35 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
     """
     options.require_only(folder, "--sequence", "--height")
     _, drive = choose_sequence(folder, _drives(folder), options.sequence)
-    notes = [f"{unused} is left out" for unused in _NOT_USED if (drive / unused).exists()]
+    notes = [f"{_TRACKLETS} is left out"] if (drive / _TRACKLETS).exists() else []
     calibration = drive.absolute().parent / _CALIBRATION
     if not calibration.is_file():
         raise DumpError(f"{calibration}: no such file; put KITTI's calibration of the date beside the drive")
-    matrices = read_matrices(calibration)
-    used = cameras_of(drive, _CAMERA, notes)
-    projections = {role: matrix_of(calibration, matrices, f"P_rect_0{number}") for role, number in used.items()}
-    sensors = {role: sensor_in(drive / f"{_CAMERA}{number}", role) for role, number in used.items()}
-    rectification = square(matrix_of(calibration, matrices, "R_rect_00"))
+    matrices = kitti.read_matrices(calibration)
+    sensors, projections = kitti.cameras_of(drive, _CAMERA, "P_rect_0", calibration, matrices, notes)
+    rectification = kitti.square(kitti.matrix_of(calibration, matrices, "R_rect_00"))
     camera0_T_lidar = _calibrated(calibration.with_name(_LIDAR_CALIBRATION), rectification)
-    camera0_T_imu = None
-    if camera0_T_lidar is not None:
-        camera0_T_imu = _calibrated(calibration.with_name(_IMU_CALIBRATION), camera0_T_lidar)
-        if (drive / _POINTS).is_dir():
-            sensors[LIDAR] = sensor_in(drive / _POINTS, LIDAR)
-            notes.append(f"{_POINTS}: the points are not motion-compensated: a scan takes 0.1 s")
-    elif (drive / _POINTS).is_dir():
+    camera0_T_imu = _calibrated(calibration.with_name(_IMU_CALIBRATION), camera0_T_lidar)
+    if (drive / _POINTS).is_dir() and camera0_T_lidar is None:
         notes.append(f"{_POINTS}/ is left out: no {_LIDAR_CALIBRATION} beside the drive")
+    elif (drive / _POINTS).is_dir():
+        sensors[LIDAR] = sensor_in(drive / _POINTS, LIDAR)
+        notes.append(f"{_POINTS}: the points are not motion-compensated: a scan takes 0.1 s")
     surveys = surveyed(sensors)
     sizes = {role: found.size for role, found in surveys.items() if found.size}
-    ego_T_camera0 = mounting_of_camera0(f"{calibration}: image", projections["image"], height_of(options, notes))
-    numbers = sorted({number for role in used for number in surveys[role].sensor.files})
-    stamps_ns, timing = _stamps(drive, used["image"], numbers, notes)
+    lidar = camera0_T_lidar if LIDAR in surveys else None
+    rig, ego_T_camera0 = kitti.rig(calibration, projections, sizes, lidar, kitti.height_of(options, notes))
+    numbers = sorted({number for role in projections for number in surveys[role].sensor.files})
+    stamps_ns, timing = _stamps(drive, surveys["image"].sensor.first, numbers, notes)
     return Drive(
         folder=folder,
         title=f"KITTI raw, {drive.absolute().name}",
         surveys=surveys,
         stamps_ns=stamps_ns,
         timing=timing,
-        rig=kitti_rig(calibration, projections, sizes, ego_T_camera0, camera0_T_lidar if LIDAR in surveys else None),
+        rig=rig,
         poses=_poses(drive, None if camera0_T_imu is None else ego_T_camera0 @ camera0_T_imu, notes),
-        pixel_origin=PIXEL_ORIGIN,
+        pixel_origin=kitti.PIXEL_ORIGIN,
         notes=tuple(notes),
     )
 
@@ -96,49 +84,36 @@ def _drives(folder: Path) -> dict[str, Path]:
     found = inside or sorted(folder.glob("*/*_drive_*_sync"))
     named = [(match, path) for path in found if (match := _DRIVE.fullmatch(path.absolute().name))]
     several = len({match[1] for match, _ in named}) > 1
-    return {match[0 if several else 2]: path for match, path in named if has_cameras(path, _CAMERA)}
+    return {match[0 if several else 2]: path for match, path in named if kitti.cameras_in(path, _CAMERA)}
 
 
-def _calibrated(path: Path, camera0_T_parent: Float) -> Float | None:
-    """Return the (4, 4) transform of camera 0 and the sensor of a file with R and T; None without the file.
-
-    Raises:
-        DumpError: the file has no rotation or no translation.
-    """
-    if not path.is_file():
+def _calibrated(path: Path, camera0_T_parent: Float | None) -> Float | None:
+    """Return the (4, 4) transform to camera 0 of the sensor of a file with R and T; None without file or parent."""
+    if camera0_T_parent is None or not path.is_file():
         return None
-    matrices = read_matrices(path)
-    rotation, shift_m = matrix_of(path, matrices, "R"), matrices.get("T", np.empty(0))
+    matrices = kitti.read_matrices(path)
+    rotation, shift_m = kitti.matrix_of(path, matrices, "R"), matrices.get("T", np.empty(0))
     if rotation.shape != (3, 3) or shift_m.shape != (3,):
         raise DumpError(f"{path}: expected R with 9 and T with 3 numbers, found {rotation.size} and {shift_m.size}")
     return camera0_T_parent @ rigid(rotation, shift_m)
 
 
-def _stamps(drive: Path, front: int, numbers: list[int], notes: list[str]) -> tuple[dict[int, int], str]:
-    """Return the stamps of the images with a time, and their source; adds a note about the others.
-
-    Raises:
-        DumpError: no image has a time, or a line is wrong.
-    """
-    folders = (drive / f"{_CAMERA}{number}" for number in (0, front))
-    path = next((path for folder in folders if (path := folder / "timestamps.txt").is_file()), None)
-    if path is None:
-        raise DumpError(f"{drive / f'{_CAMERA}0' / 'timestamps.txt'}: no such file; it has the stamps of the drive")
+def _stamps(drive: Path, front: Path, numbers: list[int], notes: list[str]) -> tuple[dict[int, int], str]:
+    """Return the stamps of the images with a time, and their source; adds a note about the others."""
+    path = drive / f"{_CAMERA}0" / _STAMPS
+    if not path.is_file():
+        path = front.parent.parent / _STAMPS
     stamps_ns = stamps_by_line(path, numbers)
-    without = [number for number in numbers if number not in stamps_ns]
-    if not stamps_ns:
-        raise DumpError(f"{path}: line {without[0] + 1}: no time for image {without[0]}, nor for any other")
-    if without:
-        notes.append(f"{path}: line {without[0] + 1}: no time: {len(without)} of {len(numbers)} images are left out")
+    if without := [number for number in numbers if number not in stamps_ns]:
+        missing = f"{path}: line {without[0] + 1}: no time: {len(without)} of {len(numbers)} images are left out"
+        if not stamps_ns:
+            raise DumpError(missing)
+        notes.append(missing)
     return stamps_ns, f"stamps of {path.parent.name}{mean_rate(list(stamps_ns.values()))}"
 
 
 def _poses(drive: Path, ego_T_imu: Float | None, notes: list[str]) -> dict[int, Float]:
-    """Return odom_T_ego by number; adds a note if there are none.
-
-    Raises:
-        DumpError: a file of oxts is not one packet.
-    """
+    """Return odom_T_ego by number; adds a note if there are none."""
     files = sorted((drive / "oxts" / "data").glob("*.txt"))
     if not files or ego_T_imu is None:
         missing = f"{_LIDAR_CALIBRATION} or {_IMU_CALIBRATION} beside the drive" if files else "oxts/data"

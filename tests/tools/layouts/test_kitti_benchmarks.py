@@ -118,7 +118,7 @@ def test_a_tracking_sequence_has_ids_poses_and_stamps_of_its_numbers(tracking, t
             "label_02/0001.txt",
             2,
             "1 5 Van 0",
-            "label_02/0001.txt: line 3: expected 17 columns, the frame first; found 4",
+            "label_02/0001.txt: line 3: expected 17 columns of a label, found 4",
         ),
         ("label_02/0001.txt", 2, f"1 5 Van {CAR.format(truncated='x')}", ""),
         (
