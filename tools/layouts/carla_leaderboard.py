@@ -90,8 +90,8 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
     notes: list[str] = []
     surveys = surveyed(_sensors(route, recorder, options, notes))
     width, height = surveys["image"].size or (1, 1)
-    if recorder is _COURSE and width >= _WIDE * height:
-        recorder = _RECORDERS["label_raw"]
+    if width >= _WIDE * height:
+        recorder = replace(recorder, cameras=3)
     surveys = {role: _of_one_camera(found, recorder.cameras) for role, found in surveys.items()}
     width //= recorder.cameras
     fov_deg, rate_hz = options.fov_deg or recorder.fov_deg, options.rate_hz or recorder.rate_hz
