@@ -45,7 +45,7 @@ class _Recorder:
 
 _COURSE: Final = _Recorder("CARLA leaderboard", 2.0, 1.3, 1.3, 90.0)
 _RECORDERS: Final = {
-    "rgb_augmented": _Recorder("carla_garage", 4.0, -1.5, 2.0, 110.0, depth="linear grey to 50 m"),
+    "boxes": _Recorder("carla_garage", 4.0, -1.5, 2.0, 110.0, depth="linear grey to 50 m"),
     "label_raw": _Recorder("TransFuser", 2.0, 1.3, 2.3, 60.0, cameras=3),
     "rgb_front": _Recorder("TransFuser of 2021", 2.0, 1.3, 2.3, 100.0),
 }
