@@ -23,7 +23,7 @@ def seen_sides(camera: Camera, corners: Float, near_m: float) -> list[Float]:
         corners: (8, 3) corners in the camera's frame, in the order of ``corners_between``.
         near_m: the view begins here, metres along the axis.
     """
-    limits = _view_limits(camera, near_m)
+    limits = np.vstack((np.column_stack((view_limits(camera), np.zeros(4))), (0, 0, 1, -near_m)))
     parts = [_clipped(corners[list(side)], limits) for side in SIDES]
     return [part for part in parts if len(part)]
 
@@ -41,11 +41,11 @@ def image_box(camera: Camera, sides: list[Float]) -> tuple[int, int, int, int]:
     return int(x0), int(y0), int(x1), int(y1)
 
 
-def _view_limits(camera: Camera, near_m: float) -> Float:
-    """Return (5, 4) planes a x + b y + c z + d >= 0 that bound the camera's view: left, right, top, bottom, near."""
+def view_limits(camera: Camera) -> Float:
+    """Return (4, 3) inward normals of the planes through the camera and the image's left, right, top and bottom."""
     x0, x1 = (-0.5 - camera.cx) / camera.fx, (camera.width - 0.5 - camera.cx) / camera.fx
     y0, y1 = (-0.5 - camera.cy) / camera.fy, (camera.height - 0.5 - camera.cy) / camera.fy
-    return np.array([(1, 0, -x0, 0), (-1, 0, x1, 0), (0, 1, -y0, 0), (0, -1, y1, 0), (0, 0, 1, -near_m)])
+    return np.array([(1, 0, -x0), (-1, 0, x1), (0, 1, -y0), (0, -1, y1)], np.float64)
 
 
 def _clipped(corners: Float, limits: Float) -> Float:

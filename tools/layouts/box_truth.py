@@ -5,6 +5,8 @@ from scipy.optimize import nnls
 
 from roadperc_stream.geometry import Camera, Float
 
+from ..box_view import view_limits
+
 
 def box_distance_m(camera: Camera, camera_T_box: Float, size_m: Float) -> float:
     """Return the straight-line distance from the camera to the nearest point of a box inside the image's limits.
@@ -21,7 +23,7 @@ def box_distance_m(camera: Camera, camera_T_box: Float, size_m: Float) -> float:
     middle = axes @ camera_T_box[:3, 3]
     sides = np.vstack((axes, -axes))
     bounds = np.concatenate((middle - size_m / 2, -middle - size_m / 2))
-    limits = _view_limits(camera)
+    limits = view_limits(camera)
     inside = _nearest_m(np.vstack((sides, limits)), np.concatenate((bounds, np.zeros(len(limits)))))
     return _nearest_m(sides, bounds) if np.isnan(inside) else inside
 
@@ -32,10 +34,3 @@ def _nearest_m(normals: Float, bounds: Float) -> float:
     weights, residual = nnls(system, np.array([0.0, 0.0, 0.0, 1.0]))
     *beside, last = system @ weights - (0.0, 0.0, 0.0, 1.0)
     return float("nan") if residual < 1e-9 else float(np.linalg.norm(beside) / -last)
-
-
-def _view_limits(camera: Camera) -> Float:
-    """Return (4, 3) inward normals of the planes through the camera and the image's left, right, top and bottom."""
-    left, right = (-0.5 - camera.cx) / camera.fx, (camera.width - 0.5 - camera.cx) / camera.fx
-    top, bottom = (-0.5 - camera.cy) / camera.fy, (camera.height - 0.5 - camera.cy) / camera.fy
-    return np.array([(1, 0, -left), (-1, 0, right), (0, 1, -top), (0, -1, bottom)], np.float64)

@@ -3,6 +3,7 @@
 import ast
 import gzip
 import json
+import os
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -57,8 +58,11 @@ def numbered(folder: Path, pattern: str) -> dict[int, Path]:
 
 def folders_that(fits: Callable[[Path], bool], folder: Path) -> dict[str, Path]:
     """Return the folder itself by its name if it fits, else those inside it that do."""
-    found = [folder] if fits(folder) else [path for path in sorted(folder.iterdir()) if fits(path)]
-    return {path.resolve().name: path for path in found}
+    if fits(folder):
+        return {folder.resolve().name: folder}
+    with os.scandir(folder) as entries:
+        inside = sorted(entry.name for entry in entries if entry.is_dir())
+    return {name: folder / name for name in inside if fits(folder / name)}
 
 
 def right_handed_matrix(matrix: Matrix4) -> Float:

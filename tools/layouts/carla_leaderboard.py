@@ -45,7 +45,7 @@ class _Recorder:
 
 _COURSE: Final = _Recorder("CARLA leaderboard", 2.0, 1.3, 1.3, 90.0)
 _RECORDERS: Final = {
-    "rgb_augmented": _Recorder("carla_garage", 4.0, -1.5, 2.0, 110.0, depth="linear grey to 50 m"),
+    "boxes": _Recorder("carla_garage", 4.0, -1.5, 2.0, 110.0, depth="linear grey to 50 m"),
     "label_raw": _Recorder("TransFuser", 2.0, 1.3, 2.3, 60.0, cameras=3),
     "rgb_front": _Recorder("TransFuser of 2021", 2.0, 1.3, 2.3, 100.0),
 }
@@ -90,8 +90,8 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
     notes: list[str] = []
     surveys = surveyed(_sensors(route, recorder, options, notes))
     width, height = surveys["image"].size or (1, 1)
-    if recorder is _COURSE and width >= _WIDE * height:
-        recorder = _RECORDERS["label_raw"]
+    if width >= _WIDE * height:
+        recorder = replace(recorder, cameras=3)
     surveys = {role: _of_one_camera(found, recorder.cameras) for role, found in surveys.items()}
     width //= recorder.cameras
     fov_deg, rate_hz = options.fov_deg or recorder.fov_deg, options.rate_hz or recorder.rate_hz

@@ -20,12 +20,8 @@ def front_rig(
 ) -> Rig:
     """Return the rig of a front camera; its depth and tags have the same view.
 
-    Args:
-        where: file and key of the calibration, for messages.
-        images: the camera's images.
-        K: (3, 3) matrix.
-        origin: point of the first pixel from which the principal point counts.
-        mountings: (4, 4) ego_T_camera, and ego_T_lidar if there is a lidar.
+    ``where`` is the file and key of K, (3, 3), whose principal point counts from the first pixel's ``origin``.
+    ``mountings`` are (4, 4) ego_T_camera, and ego_T_lidar if there is a lidar.
 
     Raises:
         DumpError: K is not that of a camera with such images.
