@@ -78,12 +78,12 @@ def convert(arguments: argparse.Namespace) -> None:
 def _options(arguments: argparse.Namespace) -> ConvertOptions:
     return ConvertOptions(
         roles={role: _role_path(arguments.dump, role, name) for role, name in arguments.role},
-        carla=arguments.carla,
+        tags=arguments.tags,
         fov_deg=arguments.fov,
         rate_hz=arguments.rate,
         depth_as_float=arguments.depth == "float",
         allow_lossy_tags=arguments.allow_lossy_tags,
-        grey_depth=arguments.grey_depth,
+        depth_coding=arguments.depth_coding,
         calibration=arguments.calibration,
         height_m=arguments.height,
         layout=arguments.layout,

@@ -25,7 +25,7 @@ from .recording import Recording, SensorRow, camera_facts, mounting_fact
 from .video_file import ReadCounts, VideoFile, frames_of, open_video
 
 VIDEO_SUFFIXES: Final = frozenset({".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".ts", ".mts", ".mpg", ".mpeg"})
-_FOLDER_OPTIONS: Final = ("--role", "--carla", "--rate", "--allow-lossy-tags", "--grey-depth", "--sequence")
+_FOLDER_OPTIONS: Final = ("--role", "--tags", "--rate", "--allow-lossy-tags", "--depth-coding", "--sequence")
 
 
 def videos_in(folder: Path) -> list[Path]:

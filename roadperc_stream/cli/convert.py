@@ -23,6 +23,7 @@ videos:
 datasets:
   KITTI odometry: the folder with sequences/ and poses/ (choose one with --sequence NN), or one sequence.
   KITTI raw, object and tracking: the folder with training/, or with drives and calib_*.txt.
+  TuSimple: the folder with label_data_*.json and clips/. CULane: a folder with *.lines.txt. Pass --fov and --height.
   The table of docs/recordings.md says what comes out. Calibration, stamps and true poses are those of the dataset.
 
 images:
@@ -31,7 +32,7 @@ images:
 a dump:
   One folder per sensor (rgb, CameraRGB, image_2, depth, segmentation, sem, left, right, ...) with one file per frame.
   The last number in each name pairs the files. Flat files such as left.png and right.png are read too.
-  Lidar points (lidar, velodyne, ...) are left-handed in CARLA's .ply and .npy, right-handed in KITTI's .bin.
+  Lidar points (lidar, velodyne, ...) are left-handed in CARLA's .ply, .npy and .laz, right-handed in KITTI's .bin.
 
 optional files:
   calibration.json   K or fov_deg; width, height; P_left and P_right, or baseline_m; carla_tags; rate_hz
@@ -94,7 +95,10 @@ def _parser() -> argparse.ArgumentParser:
         help=f"read the folder as this layout (default: detected): {', '.join(layouts)}",
     )
     parser.add_argument("--sequence", metavar="NN", help="sequence of a dataset with several")
-    parser.add_argument("--carla", metavar="VERSION", help="CARLA version of the tags, such as 0.9.15")
+    parser.add_argument("--carla", dest="tags", metavar="VERSION", help="CARLA version of the tags, such as 0.9.15")
+    tags = parser.add_argument(
+        "--tags", metavar="TABLE", help="table of the tags: a dataset's name, such as cityscapes, or a TOML file"
+    )
     parser.add_argument("--fov", type=_field_of_view, metavar="DEGREES", help="horizontal field of view")
     parser.add_argument("--height", type=_height, metavar="METRES", help="height of a level camera above the road")
     calibration = parser.add_argument(
@@ -113,9 +117,11 @@ def _parser() -> argparse.ArgumentParser:
         help="write depth as 16-bit millimetres or as float metres (default mm)",
     )
     parser.add_argument(
+        "--depth-coding",
         "--grey-depth",
-        choices=("linear", "linear-50", "logarithmic"),
-        help="coding of 8-bit depth images (default: the coding that gives a level ground)",
+        choices=("mm", "cm", "m", "depth-256", "disparity", "linear", "linear-50", "logarithmic"),
+        help="coding of depth files whose content does not show it: unit of numbers, KITTI's depth or disparity * 256, "
+        "or coding of 8-bit images (default: metres of floats, mm of integers, the grey that gives a level ground)",
     )
     parser.add_argument(
         "--allow-lossy-tags",
@@ -128,6 +134,7 @@ def _parser() -> argparse.ArgumentParser:
         (dump, files()),
         (out, files(*LOGS)),
         (role, roles_in_dump(roles)),
+        (tags, files(".toml")),
         (calibration, files(".yaml", ".yml", ".json")),
     ):
         completed_by(action, completer)

@@ -56,7 +56,7 @@ Content = bytes | memoryview
 def tags_by_code(table: TagTable) -> Image:
     """(2^24,) uint8 tag of every colour, red * 65536 + green * 256 + blue."""
     tags = np.full(1 << 24, UNKNOWN, np.uint8)
-    for (r, g, b), tag in table.tag_by_colour().items():
+    for (r, g, b), tag in table.tag_by_colour.items():
         tags[(r << 16) | (g << 8) | b] = tag
     return tags
 

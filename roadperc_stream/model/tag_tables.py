@@ -1,26 +1,28 @@
-"""Tag tables of CARLA versions and two datasets, and the class names that all stages use.
+"""Tag tables of CARLA versions, datasets and users, and the class names that all stages use.
 
-Sources: CARLA's documentation of the semantic segmentation camera and ``CityScapesPalette.h`` of the versions
-0.8.2 to 0.9.15; ``labels.py`` of cityscapesScripts (``id``, not ``trainId``, which has only the evaluated classes);
-the configuration of Mapillary Vistas 1.2. CARLA 0.9.14 changed its order to that of Cityscapes' ``trainId``. Numbers
-do not identify the table, so the log names it (channel metadata ``tag_table``). If a dataset splits a class, all its
-tags get the common class. The name of a network's table lists its classes: ``classes:unlabeled,road,road_line``.
+Each file in ``tables/`` is a table. CARLA 0.9.14 changed its order to that of Cityscapes' ``trainId``. Numbers do not
+identify the table, so the log names it (channel metadata ``tag_table``). If a dataset splits a class, all its tags get
+the common class. The name of a network's or a user's table lists its classes: ``classes:unlabeled,road,road_line``.
 """
 
 import re
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+import tomllib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
-from typing import Final
+from pathlib import Path
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.errors import ConfigError
 
+K = TypeVar("K")
 UNLABELED: Final = "unlabeled"
 _OF_CLASSES: Final = "classes:"
 """Prefix of the names of tables that list their classes."""
+_LARGEST_TAG: Final = 255
 _LABELS = 1024
 """Size of the cache of labels: a detector has fewer, but a log may hold any number."""
 Colour = tuple[int, int, int]
@@ -29,13 +31,19 @@ Colour = tuple[int, int, int]
 
 @dataclass(frozen=True)
 class TagTable:
-    """The classes of one range of CARLA versions, or of a dataset: the tag is the position in ``names``."""
+    """The classes of CARLA versions, a dataset, a network or a user: the tag is the position in ``names``."""
 
     name: str
     names: tuple[str, ...] = field(repr=False)
     colours: tuple[Colour, ...] = field(repr=False)
-    other_colours: tuple[tuple[Colour, int], ...] = field(default=(), repr=False)
-    """Other colours that some versions in the range use for a tag."""
+    tag_by_colour: Mapping[Colour, int] = field(default_factory=dict, repr=False)
+    """The colours of palette images, and their tags."""
+    gaps: frozenset[int] = field(default=frozenset(), repr=False)
+    """Positions in ``names`` that are no tags; they are ``unlabeled``."""
+    instances_per_tag: int = 0
+    """Images of instances have tag * instances_per_tag + instance; 0 if the dataset has none."""
+    title: str = ""
+    """Name or file for messages."""
 
     def __hash__(self) -> int:
         """Hash the name only: it is unique, and hashing all classes and colours is slow."""
@@ -59,10 +67,6 @@ class TagTable:
     def name_of(self, tag: int) -> str:
         """Class name of a tag; a tag outside the table is ``unlabeled``."""
         return self.names[tag] if tag < len(self.names) else UNLABELED
-
-    def tag_by_colour(self) -> dict[Colour, int]:
-        """Every palette colour of these versions and its tag."""
-        return {**dict(self.other_colours), **{colour: tag for tag, colour in enumerate(self.colours)}}
 
 
 _COLOURS: Final[dict[str, Colour]] = {
@@ -100,51 +104,93 @@ _COLOURS: Final[dict[str, Colour]] = {
     "crosswalk": (140, 140, 200),
     "bike_lane": (128, 64, 255),
 }
-_OF_SOME_VERSIONS: Final[dict[Colour, str]] = {
-    (100, 40, 40): "fence",
-    (55, 90, 80): "other",
-    (145, 170, 100): "terrain",
-}
-"""Colours of fences and other things in later versions, and of terrain in early ones."""
 
 
-def _table(name: str, names: str, variants: dict[Colour, str]) -> TagTable:
-    classes = tuple(names.split())
-    colours = tuple(_COLOURS[c] for c in classes)
-    return TagTable(name, classes, colours, tuple((colour, classes.index(c)) for colour, c in variants.items()))
+def load_table(path: Path, name: str = "") -> TagTable:
+    """The table of a TOML file; a table without a name, as a user's, is called by the class of each tag.
+
+    ``[tags]`` has the tags of each class. ``[colours]`` has its colours in palette images: all of them in a user's
+    table, those besides the common ones in a named table. ``instances_per_tag`` is that of ``TagTable``.
+
+    Raises:
+        ConfigError: the file cannot be read, or a key, class, tag or colour is wrong.
+    """
+    try:
+        document = tomllib.loads(path.read_text("utf-8"))
+        of_tag = _class_of(document.pop("tags", {}), _tag)
+        of_colour = _class_of(document.pop("colours", {}), _rgb)
+        instances = document.pop("instances_per_tag", 0)
+        _require_keys(document, of_tag, of_colour, instances)
+    except (OSError, ValueError, AttributeError, ConfigError) as error:
+        raise ConfigError(f"{path}: {error}") from error
+    names = tuple(of_tag.get(tag, UNLABELED) for tag in range(max(of_tag) + 1))
+    by_colour = {colour: names.index(found) for colour, found in of_colour.items()}
+    if name or not by_colour:
+        by_colour |= {_COLOURS[found]: tag for tag, found in sorted(of_tag.items())}
+    gaps = frozenset(range(len(names))).difference(of_tag)
+    return replace(
+        _listed(names, name), tag_by_colour=by_colour, gaps=gaps, instances_per_tag=instances, title=name or str(path)
+    )
 
 
-CARLA_BEFORE_0_9_14: Final = _table(
-    "carla-before-0.9.14",
-    "unlabeled building fence other pedestrian pole road_line road sidewalk vegetation vehicle wall traffic_sign "
-    "sky ground bridge rail_track guard_rail traffic_light static dynamic water terrain",
-    _OF_SOME_VERSIONS,
-)
-CARLA_FROM_0_9_14: Final = _table(
-    "carla-from-0.9.14",
-    "unlabeled road sidewalk building wall fence pole traffic_light traffic_sign vegetation terrain sky pedestrian "
-    "rider car truck bus train motorcycle bicycle static dynamic other water road_line ground bridge rail_track "
-    "guard_rail",
-    _OF_SOME_VERSIONS,
-)
-CITYSCAPES: Final = _table(
-    "cityscapes",
-    "unlabeled unlabeled unlabeled unlabeled static dynamic ground road sidewalk parking rail_track building wall "
-    "fence guard_rail bridge building pole pole traffic_light traffic_sign vegetation terrain sky pedestrian rider car "
-    "truck bus truck truck train motorcycle bicycle",
-    {(111, 74, 0): "dynamic", (150, 120, 90): "building", (0, 0, 90): "truck", (0, 0, 110): "truck"},
-)
-MAPILLARY_VISTAS: Final = _table(
-    "mapillary-vistas-1.2",
-    "dynamic dynamic sidewalk fence guard_rail static wall bike_lane crosswalk sidewalk parking sidewalk rail_track "
-    "road road sidewalk bridge building building pedestrian rider rider rider crosswalk road_line terrain terrain sky "
-    "terrain terrain vegetation water static static static static road static static static static road static road "
-    "pole pole static pole traffic_light traffic_sign traffic_sign static bicycle dynamic bus car truck motorcycle "
-    "train truck truck truck dynamic unlabeled unlabeled unlabeled",
-    {},  # its palette is not CARLA's
-)
+def _require_keys(
+    others: Mapping[str, Any], of_tag: Mapping[int, str], of_colour: Mapping[Colour, str], instances: Any
+) -> None:
+    if others or not of_tag or type(instances) is not int or instances < 0:
+        raise ValueError("expected [tags], and perhaps [colours] and a whole number instances_per_tag")
+    if untagged := set(of_colour.values()).difference(of_tag.values()):
+        raise ValueError(f"{min(untagged)} has colours, but no tag")
+
+
+def _class_of(keys_of: Mapping[str, Any], key_of: Callable[[Any], K]) -> dict[K, str]:
+    """The class of each tag or colour; a class has one or a list of them."""
+    found: dict[K, str] = {}
+    for name, values in keys_of.items():
+        for value in values if isinstance(values, list) else [values]:
+            if found.setdefault(key_of(value), name) != name:
+                raise ValueError(f"{value} is both {found[key_of(value)]} and {name}")
+    _require_known(keys_of)
+    return found
+
+
+def _tag(value: Any) -> int:
+    if type(value) is not int or not 0 <= value <= _LARGEST_TAG:
+        raise ValueError(f"tag {value!r}: expected a whole number from 0 to {_LARGEST_TAG}")
+    return value
+
+
+def _rgb(value: Any) -> Colour:
+    if not (isinstance(value, str) and re.fullmatch("#[0-9A-Fa-f]{6}", value)):
+        raise ValueError(f'colour {value!r}: expected one such as "#8040ff"')
+    red, green, blue = bytes.fromhex(value[1:])
+    return red, green, blue
+
+
+def _require_known(classes: Iterable[str]) -> None:
+    if unknown := next((name for name in classes if name not in _COLOURS), None):
+        raise ConfigError(f"class {unknown!r} is in no tag table; known: {', '.join(sorted(_COLOURS))}")
+
+
+def _listed(names: tuple[str, ...], name: str = "") -> TagTable:
+    """The table of the class of each tag; without a name it is called by them."""
+    name = name or f"{_OF_CLASSES}{','.join(names)}"
+    colours = tuple(_COLOURS[found] for found in names)
+    return TagTable(name, names, colours, {colour: tag for tag, colour in enumerate(colours)}, title=name)
+
+
+_FILES: Final = Path(__file__).with_name("tables")
+TABLES: Final = tuple(sorted(path.stem for path in _FILES.glob("*.toml")))
+"""Names of the tables of CARLA and of datasets."""
+
+
+@cache
+def _table_of_dataset(name: str) -> TagTable:
+    return load_table(_FILES / f"{name}.toml", name)
+
+
+CARLA_BEFORE_0_9_14: Final = _table_of_dataset("carla-before-0.9.14")
+CARLA_FROM_0_9_14: Final = _table_of_dataset("carla-from-0.9.14")
 CARLA_TABLES: Final = (CARLA_BEFORE_0_9_14, CARLA_FROM_0_9_14)
-TABLES: Final = {table.name: table for table in (*CARLA_TABLES, CITYSCAPES, MAPILLARY_VISTAS)}
 
 GROUPS: Final[dict[str, tuple[str, ...]]] = {
     "vehicle": ("vehicle", "car", "truck", "bus", "train", "motorcycle", "bicycle"),
@@ -152,7 +198,7 @@ GROUPS: Final[dict[str, tuple[str, ...]]] = {
 }
 """Groups of classes that some tables split: before 0.9.14 all vehicles have one tag."""
 
-CLASS_NAMES: Final = frozenset(name for table in TABLES.values() for name in table.names) | frozenset(GROUPS)
+CLASS_NAMES: Final = frozenset(_COLOURS) | frozenset(GROUPS)
 
 LABEL_CLASSES: Final[dict[str, tuple[str, ...]]] = {
     **dict.fromkeys(("vehicle", "car", "van", "truck", "bus", "tram", "train"), ("vehicle",)),
@@ -189,19 +235,16 @@ def table_of_classes(classes: Iterable[str]) -> TagTable:
         ConfigError: no other table has such a class.
     """
     names = tuple(dict.fromkeys(classes))
-    if unknown := next((name for name in names if name not in _COLOURS), None):
-        raise ConfigError(f"class {unknown!r} is in no tag table; known: {', '.join(sorted(_COLOURS))}")
-    return _table(f"{_OF_CLASSES}{','.join(names)}", " ".join(names), {})
+    _require_known(names)
+    return _listed(names)
 
 
 def table_named(name: str) -> TagTable | None:
     """The table of a name in a log; None if it is unknown."""
-    if not name.startswith(_OF_CLASSES):
-        return TABLES.get(name)
-    try:
-        return table_of_classes(name.removeprefix(_OF_CLASSES).split(","))
-    except ConfigError:
-        return None
+    if name in TABLES:
+        return _table_of_dataset(name)
+    names = tuple(name.removeprefix(_OF_CLASSES).split(","))
+    return _listed(names) if name.startswith(_OF_CLASSES) and _COLOURS.keys() >= set(names) else None
 
 
 def table_for_version(version: str) -> TagTable:
@@ -211,7 +254,7 @@ def table_for_version(version: str) -> TagTable:
         ConfigError: ``version`` is neither a version nor the name of a table.
     """
     if version in TABLES:
-        return TABLES[version]
+        return _table_of_dataset(version)
     match = re.fullmatch(r"v?(\d{1,4})\.(\d{1,4})(?:\.(\d{1,4}))?(?:\D.*)?", version.strip())
     if not match:
         raise ConfigError(f"CARLA version {version!r}: expected a number such as 0.9.15, or one of {', '.join(TABLES)}")

@@ -16,7 +16,7 @@ from roadperc_stream.input.earlier_replay import recorded_tag_table
 from roadperc_stream.input.roles import tag_table_to_record
 from roadperc_stream.input.stream import RoleAssignment
 from roadperc_stream.log import Channel, LogWriter, Message, Metadata
-from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14, CARLA_FROM_0_9_14, MAPILLARY_VISTAS
+from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14, CARLA_FROM_0_9_14, table_for_version
 from roadperc_stream.output import encoding
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.record import METADATA_RECORD, TAG_TABLE_KEY
@@ -24,6 +24,7 @@ from roadperc_stream.view.rerun.recording import save_recording
 from tests import logs
 from tests.replaying import replay
 
+MAPILLARY_VISTAS = table_for_version("mapillary-vistas-1.2")
 NAMED = ReplayConfig(tag_table="0.9.12")
 OTHER = ReplayConfig(tag_table="0.9.15")
 

@@ -258,6 +258,16 @@ def test_lossy_input_is_converted_with_a_warning(dump, capsys):
     assert "--allow-lossy-tags" in warnings
 
 
+def test_disparity_needs_a_baseline_to_become_depth(dump, capsys):
+    for number in range(3):
+        write_png(dump / "depth" / f"{number:06d}.png", np.full((HEIGHT, WIDTH), 2 * 256, np.uint16))
+    stated = "disparity needs the baseline; add baseline_m to calibration.json"
+    assert stated in failure(capsys, dump, dump.parent / "out.mcap", "--depth-coding", "disparity")
+    (dump / "calibration.json").write_text(json.dumps({**CALIBRATION, "baseline_m": 0.5}))
+    _, _, depth = payloads(convert(dump, "--depth-coding", "disparity"))["depth"][0]
+    np.testing.assert_allclose(depth.depth_m, WIDTH / 2 * 0.5 / 2, atol=6e-4)  # fx is half the width at 90 degrees
+
+
 def test_left_alone_becomes_the_front_camera(tmp_path, capsys):
     dump = tmp_path / "dump"
     write_png(dump / "left.png", camera_pixels(1))

@@ -124,7 +124,7 @@ def test_a_video_without_frames_is_an_error_that_names_it(tmp_path, capsys, name
     [
         ((), "pass --fov DEGREES (horizontal field of view) or --calibration FILE"),
         ((*FOV, "--rate", "10"), "--rate is an option for folders of frames"),
-        ((*FOV, "--carla", "0.9.15"), "--carla is an option for folders of frames"),
+        ((*FOV, "--carla", "0.9.15"), "--tags is an option for folders of frames"),
         (("--calibration", "nowhere.yaml"), "nowhere.yaml: No such file or directory"),
     ],
 )

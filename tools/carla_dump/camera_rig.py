@@ -38,6 +38,14 @@ class Rig:
     frame_ids: Mapping[str, str]
     transforms: tuple[Transform, ...]
     notes: tuple[str, ...] = ()
+    stated_baseline_m: float | None = None
+    """Baseline of the calibration; needed for disparity images without the right camera."""
+
+    @property
+    def baseline_m(self) -> float | None:
+        """Return the distance of the right camera, if it is known."""
+        right = self.cameras.get("right_calibration")
+        return (right and right.baseline_m) or self.stated_baseline_m
 
     def camera_of(self, role: str) -> Camera:
         """Return the camera of a sensor's files."""
@@ -103,7 +111,7 @@ def build_rig(
         transforms += _right_edge(known, base, base_T, baseline_m)
     transforms += _edge(EGO, LIDAR, known.ego_T_lidar) if LIDAR in roles else ()
     frame_ids = {"depth": depth_frame, "truth_depth": depth_frame, "left": LEFT, "right": RIGHT, "lidar": LIDAR}
-    return Rig(cameras, frame_ids, transforms, tuple(_notes(known, front_T, cameras, roles)))
+    return Rig(cameras, frame_ids, transforms, tuple(_notes(known, front_T, cameras, roles)), _stated(known))
 
 
 def _known(calibration: CalibrationFile, path: Path, sizes: Mapping[str, Size], front_name: str) -> _Known:
@@ -194,7 +202,7 @@ def _right_edge(known: _Known, base: str, base_T: Float | None, baseline_m: floa
 
 def _baseline(known: _Known, base_T: Float | None) -> float | None:
     """Return the baseline in metres from the calibration or the mountings, which must agree."""
-    stated = known.file.baseline_m or (known.pair.baseline_m if known.pair else None)
+    stated = _stated(known)
     right_T = known.mountings.get("right")
     if base_T is None or right_T is None:
         return stated
@@ -209,6 +217,10 @@ def _baseline(known: _Known, base_T: Float | None) -> float | None:
             f"{known.path}: baseline {stated:g} m, but the mountings are {mounted:g} m apart; correct one of them"
         )
     return stated or mounted
+
+
+def _stated(known: _Known) -> float | None:
+    return known.file.baseline_m or (known.pair.baseline_m if known.pair else None)
 
 
 def _notes(

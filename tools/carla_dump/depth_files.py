@@ -1,4 +1,4 @@
-"""Depth in metres from the usual encodings of CARLA's depth. The content decides, once for each sensor.
+"""Depth in metres from the usual encodings of depth. The content decides, once for each sensor, or the user.
 
 The ground shows which coding an 8-bit grey image has. In a level camera, a row below the horizon shows the road at
 h fy / (row - horizon) metres. Each coding predicts a grey level for each row. Only the right coding fits the rows with
@@ -31,8 +31,23 @@ DepthEncoding = Literal[
     "linear grey to 1000 m",
     "linear grey to 50 m",
     "linear grey to 255 m",
+    "numbers in mm",
+    "numbers in cm",
+    "numbers in m",
+    "depth * 256",
+    "disparity * 256",
 ]
 
+GreyDepth = Literal["linear", "linear-50", "logarithmic"]
+DepthCoding = GreyDepth | Literal["mm", "cm", "m", "depth-256", "disparity"]
+NUMBERS: Final[Mapping[str | None, DepthEncoding]] = {
+    "mm": "numbers in mm",
+    "cm": "numbers in cm",
+    "m": "numbers in m",
+    "depth-256": "depth * 256",
+    "disparity": "disparity * 256",
+}
+"""Encodings of integers and floats by the name of the option: KITTI's depth and disparity have 256 steps a unit."""
 FAR_PLANE_M: Final = 1000.0
 CLIPPED_M: Final = 50.0
 """Far plane of TransFuser's 8-bit depth."""
@@ -47,17 +62,32 @@ GREY: Final[Mapping[DepthEncoding, str]] = {
 }
 """Precision of the 8-bit codings."""
 _NUMBERS: Final = frozenset({"metres", "metres / 1000"})
+_FACTORS: Final[Mapping[DepthEncoding, float]] = {
+    "numbers in mm": 0.001,
+    "numbers in cm": 0.01,
+    "numbers in m": 1.0,
+    "depth * 256": 1 / 256,
+    "disparity * 256": 1 / 256,
+}
+"""Encodings of integers and floats that only the user knows: metres or pixels of a number."""
+_FARTHEST_MEDIAN_M: Final = 1000.0
 _LARGEST_CODE: Final = 2**24 - 1
 
 
-def depth_encoding(files: Sequence[Path]) -> DepthEncoding:
+def depth_encoding(files: Sequence[Path], asked: DepthCoding | None = None) -> DepthEncoding:
     """Return the encoding of a sensor's files; 8-bit grey counts as logarithmic (see ``grey_encoding``).
 
     Raises:
-        DumpError: no file can be read, or the content is not depth.
+        DumpError: no file can be read, or the content is neither depth nor in the coding that the user ``asked`` for.
     """
     samples = surveyed(files)
     found = [encoding for pixels in samples if (encoding := _encoding(pixels))]
+    if asked in NUMBERS:
+        if other := next((encoding for encoding in found if encoding not in (*_NUMBERS, "millimetres")), None):
+            raise DumpError(f"{files[0]}: depth is encoded as {other}, but --depth-coding {asked} is for numbers")
+        return NUMBERS[asked]
+    if "metres" in found and (median := max(map(_median, samples))) > _FARTHEST_MEDIAN_M:
+        raise DumpError(f"{files[0]}: the median is {median:g}: pass --depth-coding mm, cm, m or disparity")
     if "metres" in found and set(found) <= _NUMBERS:
         return "metres"
     return found[0] if found else ("metres" if samples[0].values.dtype.kind == "f" else "carla 24 bit")
@@ -70,7 +100,7 @@ def _encoding(pixels: Pixels) -> DepthEncoding | None:
         # Values of a road in metres exceed 1. Values in metres / 1000 do not: CARLA's far plane is at 1.
         known = values[values > 0]
         return ("metres" if known.max() > 1.0 else "metres / 1000") if known.size else None
-    if values.dtype == np.uint16 and pixels.channels == 1:
+    if pixels.channels == 1 and values.dtype.kind in "iu" and values.dtype.itemsize > 1:
         return "millimetres"
     if values.dtype == np.uint8 and pixels.container == "npy" and pixels.channels == 4:
         return "carla 24 bit"
@@ -92,14 +122,22 @@ def _colour_encoding(pixels: Pixels) -> DepthEncoding | None:
     return "carla 24 bit"
 
 
-def depth_metres(pixels: Pixels, encoding: DepthEncoding) -> Float32:
+def _median(pixels: Pixels) -> float:
+    known = pixels.values[np.isfinite(pixels.values) & (pixels.values > 0)]
+    return float(np.median(known)) if known.size else 0.0
+
+
+def depth_metres(pixels: Pixels, encoding: DepthEncoding, focal_baseline: float = np.nan) -> Float32:
     """Return (H, W) float32 metres; NaN is unknown.
+
+    ``focal_baseline`` is the focal length in pixels times the baseline in metres, for disparity.
 
     Raises:
         DumpError: the encoding differs from the other files of the sensor.
     """
     own = _encoding(pixels)
     same = own == encoding or (own in GREY and encoding in GREY)
+    same = same or (encoding in _FACTORS and own in (*_NUMBERS, "millimetres"))
     if not same and own is not None and not (own in _NUMBERS and encoding == "metres"):
         raise DumpError(f"{pixels.path}: depth is encoded as {own}, the files before as {encoding}")
     match encoding:
@@ -119,6 +157,11 @@ def depth_metres(pixels: Pixels, encoding: DepthEncoding) -> Float32:
             depth_m = pixels.values.astype(np.float32)
         case "metres / 1000":
             depth_m = (pixels.values * FAR_PLANE_M).astype(np.float32)
+        case "disparity * 256":
+            disparity_px = _known(pixels.values.astype(np.float32) * np.float32(_FACTORS[encoding]))
+            depth_m = np.float32(focal_baseline) / disparity_px
+        case _:
+            depth_m = pixels.values.astype(np.float32) * np.float32(_FACTORS[encoding])
     return _known(depth_m)
 
 
@@ -145,9 +188,7 @@ def _known(depth_m: Float32) -> Float32:
     return depth_m
 
 
-GreyDepth = Literal["linear", "linear-50", "logarithmic"]
-
-ENCODINGS: Final[Mapping[GreyDepth, DepthEncoding]] = {
+ENCODINGS: Final[Mapping[str | None, DepthEncoding]] = {
     "linear": "linear grey to 1000 m",
     "linear-50": "linear grey to 50 m",
     "logarithmic": "logarithmic grey",
@@ -176,22 +217,22 @@ _FINEST: Final = 0.3
 """Smaller errors do not distinguish codings, because grey levels are integers."""
 
 
-def grey_encoding(files: Sequence[Path], camera: Camera, asked: GreyDepth | None) -> tuple[DepthEncoding, str]:
+def grey_encoding(files: Sequence[Path], camera: Camera, asked: DepthCoding | None) -> tuple[DepthEncoding, str]:
     """Return the coding of a sensor's 8-bit grey files, and the reason for it; ``asked`` is the user's choice.
 
     Raises:
         DumpError: the user chose no coding, and the ground does not show it.
     """
-    if asked is not None:
-        return ENCODINGS[asked], f"8-bit depth is {ENCODINGS[asked]}: --grey-depth {asked}"
+    if asked in ENCODINGS:
+        return ENCODINGS[asked], f"8-bit depth is {ENCODINGS[asked]}: --depth-coding {asked}"
     rows, levels = _ground_levels(surveyed(files), camera)
-    off = {name: _off(name, rows, levels, camera) for name in ENCODINGS} if len(rows) >= _MIN_ROWS else {}
+    off = {name: _off(name, rows, levels, camera) for name in _GREY_OF} if len(rows) >= _MIN_ROWS else {}
     ranked = sorted(off, key=lambda name: off[name])
     found = ", ".join(f"{name} {off[name]:.1f}" for name in ranked)
     if not ranked or off[ranked[0]] > _MOST_OFF or off[ranked[1]] < _TIMES_BETTER * max(off[ranked[0]], _FINEST):
         reason = f"errors of a level ground in grey levels: {found}" if found else "it shows no ground"
         raise DumpError(
-            f"{files[0]}: the coding of 8-bit grey depth is unknown ({reason}); pass --grey-depth linear (to 1000 m, "
+            f"{files[0]}: the coding of 8-bit grey depth is unknown ({reason}); pass --depth-coding linear (to 1000 m, "
             "CARLA's ColorConverter.Depth), linear-50 (to 50 m, TransFuser) or logarithmic"
         )
     best = ENCODINGS[ranked[0]]

@@ -51,7 +51,7 @@ def read_lines(path: Path) -> list[str]:
         raise DumpError(f"{path}: {error}") from error
 
 
-def checked(path: Path, expected: TypeAdapter[T], data: Any) -> T:
+def checked(path: Path | str, expected: TypeAdapter[T], data: Any) -> T:
     """Return data as the expected type.
 
     Raises:
@@ -68,11 +68,12 @@ def checked(path: Path, expected: TypeAdapter[T], data: Any) -> T:
 def frame_number(name: str) -> int | None:
     """Return the frame number in a name, its last group of digits (``frame_00001`` is 1), or None.
 
-    Unix time with a fraction (``1305031102.933``, as in TUM's image names) is one number, in nanoseconds.
+    Unix time with a fraction (``1305031102.933``, as in TUM's image names) is one number, in nanoseconds. The 8 in
+    Cityscapes' ``leftImg8bit`` is no frame number.
     """
     if stamp := _UNIX_SECONDS.search(name):
         return int(stamp[1]) * NS_PER_S + int(stamp[2].ljust(9, "0"))
-    groups = re.findall(r"[0-9]+", name)
+    groups = re.findall(r"[0-9]+", name.removesuffix("_leftImg8bit"))
     return int(groups[-1]) if groups else None
 
 

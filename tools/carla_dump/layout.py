@@ -15,8 +15,8 @@ from .json_files import frame_number
 from .role_names import names_other_sensor, role_of
 
 _IMAGE_SUFFIXES: Final = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".webp", ".tif", ".tiff", ".ppm", ".exr"})
-_NUMBER_SUFFIXES: Final = frozenset({".npy", ".npz", ".dat", ".csv", ".raw", ".bin"})
-_POINT_SUFFIXES: Final = frozenset({".ply"})
+_NUMBER_SUFFIXES: Final = frozenset({".npy", ".npz", ".dat", ".csv", ".raw", ".bin", ".h5", ".hdf5"})
+_POINT_SUFFIXES: Final = frozenset({".ply", ".las", ".laz"})
 _FRAME_SUFFIXES: Final = _IMAGE_SUFFIXES | _NUMBER_SUFFIXES | _POINT_SUFFIXES
 """Suffixes of files that can be a frame; the content decides the format."""
 _DOCUMENTS: Final = {

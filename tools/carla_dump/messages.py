@@ -183,7 +183,8 @@ def _instances(plan: Plan, role: str, path: Path, number: int) -> bytes:
 def _depth(plan: Plan, role: str, path: Path, number: int) -> bytes:
     rig, stamp_ns = plan.drive.rig_of(number), plan.drive.stamps_ns[number]
     camera = rig.camera_of(role)
-    measured_m = depth_metres(_pixels(plan, camera, path), plan.depth_encodings[role])
+    focal_baseline = camera.fx * (rig.baseline_m or np.nan)
+    measured_m = depth_metres(_pixels(plan, camera, path), plan.depth_encodings[role], focal_baseline)
     depth_m = straightened(camera, measured_m, nearest=True)
     return encoding.encode_depth(stamp_ns, rig.frame_ids[role], depth_m, as_float=plan.options.depth_as_float)
 

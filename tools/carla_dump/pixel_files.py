@@ -1,4 +1,4 @@
-"""Read a frame's file as an array: PNG, JPEG, ``.npy`` or CSV text. The content decides the format.
+"""Read a frame's file as an array: PNG, JPEG, ``.npy``, EXR, HDF5 or CSV text. The content decides the format.
 
 numpy's reader does not check a ``.npy`` header: it allocates the stated shape, and opens zip archives and pickles.
 ``read_npy`` compares the header with the size of the file before it allocates an array.
@@ -21,6 +21,7 @@ from PIL import Image as PillowImage
 from roadperc_stream.model.tag_tables import Colour
 
 from .image_files import UnreadableFrameError, read_bytes, read_header, require_whole
+from .library_formats import EXR_MAGIC, HDF5_MAGIC, read_exr, read_hdf5
 
 NPY_MAGIC: Final = npy_format.MAGIC_PREFIX
 _NUMBERS: Final = "fiu"
@@ -79,7 +80,7 @@ class Pixels:
     """(H, W) or (H, W, channels) numbers; colour channels in OpenCV's order blue, green, red, alpha."""
 
     path: Path
-    container: Literal["png", "jpeg", "npy", "csv"]
+    container: Literal["png", "jpeg", "npy", "exr", "hdf5", "csv"]
     values: NDArray[Any]
     palette: tuple[Colour, ...] = ()
     """Colours of an indexed image; ``values`` holds the indices."""
@@ -110,8 +111,13 @@ def load_pixels(path: Path) -> Pixels:
 
     Raises:
         UnreadableFrameError: the file is empty, cut off, damaged, or of an unknown format.
+        DumpError: the library for the format is not installed.
     """
     data = read_bytes(path)
+    if data.startswith(EXR_MAGIC):
+        return Pixels(path, "exr", read_exr(path))
+    if data.startswith(HDF5_MAGIC):
+        return Pixels(path, "hdf5", read_hdf5(path))
     if data.startswith(NPY_MAGIC):
         return _npy(path, data)
     if data and set(data[:256]) <= _TEXT:
@@ -173,7 +179,7 @@ def file_size(path: Path) -> tuple[int, int] | None:
             head = stream.read(256)
     except OSError as error:
         raise UnreadableFrameError(f"{path}: {error.strerror or error}") from error
-    if head.startswith(NPY_MAGIC) or (head and set(head) <= _TEXT):
+    if head.startswith((NPY_MAGIC, EXR_MAGIC, HDF5_MAGIC)) or (head and set(head) <= _TEXT):
         return None
     return read_header(path)[0]
 

@@ -5,13 +5,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, TypeVar
 
+from roadperc_stream.errors import DumpError
 from roadperc_stream.model.tag_tables import TagTable
 
 from ..layouts.drive import ConvertOptions, Drive
 from .camera_rig import LIDAR
 from .depth_files import GREY, DepthEncoding, depth_encoding, grey_encoding
 from .survey import SensorSurvey, apart_ns, meeting_notes, of_size, reference_of
-from .tag_files import LOSSY_TAGS, TagEncoding, choose_table, tag_encoding
+from .tag_files import LOSSY_TAGS, TagEncoding, choose_table, named_table, tag_encoding
 
 T = TypeVar("T")
 _TAG_ROLES: Final[tuple[str, ...]] = ("segmentation", "truth_segmentation")
@@ -56,7 +57,7 @@ def make_plan(drive: Drive, options: ConvertOptions) -> Plan:
 
     Raises:
         DumpError: the drive cannot be converted; nothing is written.
-        ConfigError: the CARLA version is unknown.
+        ConfigError: the tag table is unknown.
     """
     notes = list(drive.notes)
     surveys = {role: of_size(found, drive.rig_of) for role, found in drive.surveys.items()}
@@ -90,13 +91,19 @@ def make_plan(drive: Drive, options: ConvertOptions) -> Plan:
 def _depth_encoding(
     drive: Drive, role: str, files: Sequence[Path], options: ConvertOptions, notes: list[str]
 ) -> DepthEncoding:
-    """Return the encoding of a sensor's depth; adds a note for 8-bit grey."""
-    found = depth_encoding(files)
-    if found in GREY and drive.grey_depth and options.grey_depth is None:
+    """Return the encoding of a sensor's depth; adds a note for 8-bit grey.
+
+    Raises:
+        DumpError: the encoding is not known, or disparity without a baseline.
+    """
+    found = depth_encoding(files, options.depth_coding)
+    if found in GREY and drive.grey_depth and options.depth_coding is None:
         found = drive.grey_depth
     elif found in GREY:
-        found, note = grey_encoding(files, drive.rig.camera_of(role), options.grey_depth)
+        found, note = grey_encoding(files, drive.rig.camera_of(role), options.depth_coding)
         notes.append(note)
+    if found == "disparity * 256" and not drive.rig.baseline_m:
+        raise DumpError(f"{files[0]}: disparity needs the baseline; add baseline_m to calibration.json")
     return found
 
 
@@ -115,14 +122,14 @@ def _frames_and_missing(
 
 
 def _tags(
-    surveys: Mapping[str, SensorSurvey], options: ConvertOptions, carla_tags: str | None
+    surveys: Mapping[str, SensorSurvey], options: ConvertOptions, stated: str | None
 ) -> tuple[dict[str, TagEncoding], TagTable | None, str]:
     roles = [role for role in _TAG_ROLES if role in surveys]
     if not roles:
         return {}, None, ""
-    found = {role: tag_encoding(surveys[role].paths, allow_lossy=options.allow_lossy_tags) for role in roles}
-    first = roles[0]
-    table, source = choose_table(options.carla or carla_tags, *found[first], surveys[first].sensor.source)
+    named, lossy, first = named_table(options.tags or stated), options.allow_lossy_tags, roles[0]
+    found = {role: tag_encoding(surveys[role].paths, named and named[0], allow_lossy=lossy) for role in roles}
+    table, source = named or choose_table(*found[first], surveys[first].sensor.source)
     return {role: encoding for role, (encoding, _) in found.items()}, table, source
 
 

@@ -5,6 +5,7 @@ The format of a file gives its axes:
 - ``.ply``: ``carla.LidarMeasurement.save_to_disk``, text or binary_little_endian; CARLA's left-handed x forward,
   y right, z up, properties x, y, z and perhaps I.
 - ``.npy``: an (N, 3) or wider array of CARLA's ``raw_data``; left-handed as well, the fourth column the intensity.
+- ``.las``, ``.laz``: of CARLA's datasets; left-handed as well.
 - ``.bin``: KITTI's velodyne, (N, 4) float32 little-endian x forward, y left, z up, reflectance; right-handed already.
 - ``.pcd.bin``: nuScenes' lidar, (N, 5) float32 x right, y forward, z up, intensity, ring; stays in the sensor's axes.
 """
@@ -20,12 +21,14 @@ from numpy.typing import NDArray
 from roadperc_stream.geometry import Float32
 
 from .image_files import UnreadableFrameError, read_bytes
+from .library_formats import LAS_MAGIC, read_las
 from .pixel_files import NPY_MAGIC, read_npy
 
-_LEFT_HANDED: Final = frozenset({".ply", ".npy"})
+_LEFT_HANDED: Final = frozenset({".ply", ".npy", ".las", ".laz"})
 _KINDS: Final = {
     ".ply": (b"ply", "PLY", "ply, left-handed"),
     ".npy": (NPY_MAGIC, ".npy", "npy, left-handed"),
+    **dict.fromkeys((".las", ".laz"), (LAS_MAGIC, "LAS", "las, left-handed")),
     ".bin": (b"", "", "KITTI velodyne, right-handed"),
     ".pcd.bin": (b"", "", "nuScenes lidar, right-handed"),
 }
@@ -50,7 +53,7 @@ def points_kind(path: Path) -> str:
         UnreadableFrameError: the format is unknown; the message names file, expected and found content.
     """
     if _suffix(path) not in _KINDS:
-        raise UnreadableFrameError(f"{path}: expected points as .ply, .npy or .bin")
+        raise UnreadableFrameError(f"{path}: expected points as .ply, .npy, .bin, .las or .laz")
     magic, expected, kind = _KINDS[_suffix(path)]
     try:
         with path.open("rb") as file:
@@ -162,4 +165,6 @@ _READERS: Final[Mapping[str, Callable[[Path, bytes], NDArray[Any]]]] = {
     ".ply": _ply,
     ".npy": _npy,
     **dict.fromkeys(_FLOATS, _floats),
+    ".las": read_las,
+    ".laz": read_las,
 }

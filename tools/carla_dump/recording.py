@@ -21,7 +21,7 @@ def recording_of_drive(drive: Drive, options: ConvertOptions) -> Recording:
 
     Raises:
         DumpError: the drive cannot be converted.
-        ConfigError: the CARLA version is unknown.
+        ConfigError: the tag table is unknown.
     """
     plan = make_plan(drive, options)
     title = f"{drive.title}, " if drive.title else ""
@@ -70,7 +70,7 @@ def _sensors(plan: Plan) -> Iterator[SensorRow]:
 def _facts(plan: Plan) -> list[tuple[str, str]]:
     facts = [("time", plan.drive.timing)]
     if plan.tag_table is not None:
-        facts.append(("tags", f"{plan.tag_table.name} ({plan.tag_table_source})"))
+        facts.append(("tags", f"{plan.tag_table.title} ({plan.tag_table_source})"))
     facts += camera_facts(plan.drive.rig)
     facts += [("pixel origin", plan.drive.pixel_origin)] if plan.drive.pixel_origin else []
     facts.append(mounting_fact(plan.drive.rig))

@@ -1,6 +1,7 @@
-"""CARLA's semantic tags from raw images, palette images and CSV text. The content decides, once for each sensor."""
+"""Semantic tags from raw images, palette images and CSV text. The content decides, once for each sensor."""
 
 from collections.abc import Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -17,15 +18,32 @@ from .pixel_files import Pixels, surveyed
 TagEncoding = Literal["raw in red", "raw grey", "raw numbers", "palette colours"]
 
 LOSSY_TAGS: Final = "tags that are not exact are replaced by the nearest tag (--allow-lossy-tags)"
-_LARGEST_TAG: Final = max(len(table.names) for table in tag_tables.TABLES.values()) - 1
-"""Largest tag of all tables; palette colours have larger values."""
+_LARGEST_TAG: Final = 65
+"""Largest tag if no dataset's table is named; palette colours have larger values, such as a building's 70."""
 _JPEG_SLACK: Final = 40
 """Largest value of the empty channels of CARLA's raw images after JPEG compression."""
 _SHOWN: Final = 12
 
 
-def tag_encoding(files: Sequence[Path], *, allow_lossy: bool) -> tuple[TagEncoding, tuple[int, ...]]:
+def named_table(name: str | None) -> tuple[TagTable, str] | None:
+    """Return the table of a CARLA version, a dataset or a TOML file, and its source; None without a name.
+
+    Raises:
+        ConfigError: the name is unknown, or the file is wrong.
+    """
+    if name is None:
+        return None
+    if name.endswith(".toml"):
+        return tag_tables.load_table(Path(name)), name
+    return tag_tables.table_for_version(name), name if name in tag_tables.TABLES else f"CARLA {name}"
+
+
+def tag_encoding(
+    files: Sequence[Path], table: TagTable | None, *, allow_lossy: bool
+) -> tuple[TagEncoding, tuple[int, ...]]:
     """Return the encoding of a sensor's files, and the raw tags in a sample (none in palette images).
+
+    ``table`` is the one that the user names.
 
     Raises:
         DumpError: no file can be read, the content is not tags, or it is JPEG and lossy tags are not allowed.
@@ -33,7 +51,7 @@ def tag_encoding(files: Sequence[Path], *, allow_lossy: bool) -> tuple[TagEncodi
     samples = surveyed(files)
     for pixels in samples:
         _refuse_jpeg(pixels, allow_lossy=allow_lossy)
-    found = [kind for pixels in samples if (kind := _encoding(pixels))]
+    found = [kind for pixels in samples if (kind := _encoding(pixels, table))]
     encoding: TagEncoding = found[0] if found else "raw in red"
     if encoding == "palette colours":
         return encoding, ()
@@ -48,48 +66,50 @@ def _refuse_jpeg(pixels: Pixels, *, allow_lossy: bool) -> None:
         )
 
 
-def _encoding(pixels: Pixels) -> TagEncoding | None:
-    """Return the encoding of a file; None if it is all black."""
+def _encoding(pixels: Pixels, table: TagTable | None) -> TagEncoding | None:
+    """Return the encoding of a file; None if it is all black.
+
+    In a dataset's palette images the indices are the tags. In BDD100K's bitmasks red is the tag, and the other channels
+    are attributes and instances.
+    """
+    of_carla = table is None or table in tag_tables.CARLA_TABLES
+    largest = _LARGEST_TAG if table is None or of_carla else len(table.names) - 1
     if pixels.channels == 1:
-        return "palette colours" if _palette_of_classes(pixels) else "raw numbers"
+        return "palette colours" if of_carla and _palette_of_classes(pixels) else "raw numbers"
     if pixels.channels not in (3, 4) or pixels.values.dtype != np.uint8:
         raise DumpError(f"{pixels.path}: {pixels.shape} is not a tag image")
     blue, green, red = (pixels.values[..., c] for c in range(3))
+    if not of_carla and pixels.channels == 4 and (pixels.values[..., 3] < np.iinfo(np.uint8).max).any():
+        return "raw in red"
     slack = _JPEG_SLACK if pixels.container == "jpeg" else 0
     if not (blue.any() or green.any() or red.any()):
         return None
-    if blue.max() <= slack and green.max() <= slack and red.max() <= _LARGEST_TAG:
+    if blue.max() <= slack and green.max() <= slack and red.max() <= largest:
         return "raw in red"
-    if pixels.equal_channels() and red.max() <= _LARGEST_TAG:
+    if pixels.equal_channels() and red.max() <= largest:
         return "raw grey"
     return "palette colours"
 
 
 def _palette_of_classes(pixels: Pixels) -> bool:
     """Return True if each used index has the colour of a class; then the colours give the tags, not the indices."""
-    colours = CARLA_FROM_0_9_14.tag_by_colour()
+    colours = CARLA_FROM_0_9_14.tag_by_colour
     return bool(pixels.palette) and all(
         i < len(pixels.palette) and pixels.palette[i] in colours for i in np.unique(pixels.values)
     )
 
 
-def choose_table(
-    version: str | None, encoding: TagEncoding, seen: tuple[int, ...], source: str
-) -> tuple[TagTable, str]:
-    """Return the tag table and its source.
+def choose_table(encoding: TagEncoding, seen: tuple[int, ...], source: str) -> tuple[TagTable, str]:
+    """Return the tag table of tags whose table is not named, and its source.
 
     Args:
-        version: CARLA version from the user or calibration.json.
         encoding: encoding of the tags.
         seen: raw tags in a sample of the files.
         source: the sensor's folder, for the message.
 
     Raises:
-        DumpError: no version is given, and the tags do not show it.
-        ConfigError: the version is unknown.
+        DumpError: the tags do not show their table.
     """
-    if version is not None:
-        return tag_tables.table_for_version(version), version if version in tag_tables.TABLES else f"CARLA {version}"
     if encoding == "palette colours":
         return PALETTE_TABLE, "colours name the classes in every version"
     if seen and len(tag_tables.CARLA_BEFORE_0_9_14.names) <= max(seen) < len(CARLA_FROM_0_9_14.names):
@@ -100,7 +120,7 @@ def choose_table(
     )
     raise DumpError(
         f"{source}: the CARLA version of the tags is unknown, and their numbers fit several tables: {meanings}. "
-        'Pass --carla VERSION, such as --carla 0.9.15, or add "carla_tags" to calibration.json'
+        'Pass --carla VERSION, such as --carla 0.9.15, or --tags TABLE, or add "carla_tags" to calibration.json'
     )
 
 
@@ -111,7 +131,7 @@ def tags_of(pixels: Pixels, encoding: TagEncoding, table: TagTable, *, allow_los
         DumpError: the table lacks a tag or colour, or the encoding differs from the sensor's other files.
     """
     _refuse_jpeg(pixels, allow_lossy=allow_lossy)
-    own = _encoding(pixels)
+    own = _encoding(pixels, table)
     if own not in (encoding, None) and not (allow_lossy and pixels.container == "jpeg"):
         raise DumpError(f"{pixels.path}: tags are encoded as {own}, the files before as {encoding}")
     if encoding == "palette colours":
@@ -130,12 +150,23 @@ def _raw(pixels: Pixels) -> NDArray[Any]:
 
 def _known_tags(pixels: Pixels, raw: NDArray[Any], table: TagTable, *, allow_lossy: bool) -> Image:
     largest = len(table.names) - 1
+    if table.instances_per_tag and raw.max() >= table.instances_per_tag:
+        raw = np.where(raw < table.instances_per_tag, raw, raw // table.instances_per_tag)
     outside = (raw < 0) | (raw > largest)
+    if table.gaps:
+        outside |= np.isin(raw, list(table.gaps))
     if outside.any() and not allow_lossy:
         tag, count = int(raw[outside].flat[0]), int(np.count_nonzero(outside))
-        raise DumpError(f"{pixels.path}: tag {tag} is not in {table.name} (0 to {largest}); {count} pixels")
+        raise DumpError(f"{pixels.path}: tag {tag} is not in {table.title} ({_tags_in_words(table)}); {count} pixels")
     tags: Image = np.clip(raw, 0, largest).astype(np.uint8)
     return tags
+
+
+def _tags_in_words(table: TagTable) -> str:
+    """Return the tags as ranges: ``0 to 18, 255``."""
+    tags = [tag for tag in range(len(table.names)) if tag not in table.gaps]
+    runs = [[tag for _, tag in run] for _, run in groupby(enumerate(tags), lambda pair: pair[1] - pair[0])]
+    return ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 1 else str(run[0]) for run in runs)
 
 
 def _tags_of_colours(pixels: Pixels, table: TagTable, *, allow_lossy: bool) -> Image:
@@ -165,7 +196,7 @@ def _nearest(codes: NDArray[np.uint32], table: TagTable) -> Image:
     rgb = np.stack((distinct >> 16, distinct >> 8 & 255, distinct & 255), axis=-1).astype(np.int32)
     best = np.full(len(distinct), np.iinfo(np.int32).max)
     tags = np.zeros(len(distinct), np.uint8)
-    for colour, tag in table.tag_by_colour().items():
+    for colour, tag in table.tag_by_colour.items():
         distance = ((rgb - np.array(colour, np.int32)) ** 2).sum(axis=1)
         tags[distance < best] = tag
         best = np.minimum(best, distance)
@@ -178,6 +209,6 @@ def _unknown_colour(pixels: Pixels, codes: NDArray[np.uint32], table: TagTable) 
     colour = (code >> 16, code >> 8 & 255, code & 255)
     more = f" and {len(distinct) - 1} more colours" if len(distinct) > 1 else ""
     return (
-        f"{pixels.path}: colour {colour} ({counts.max()} pixels){more} is not in the palette of {table.name}. "
+        f"{pixels.path}: colour {colour} ({counts.max()} pixels){more} is not in the palette of {table.title}. "
         "Is it an image of instance ids, or smoothed? Pass --allow-lossy-tags to use the nearest colour"
     )

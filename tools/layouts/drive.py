@@ -10,17 +10,17 @@ from roadperc_stream.geometry import Float
 from roadperc_stream.model import Detection
 
 from ..carla_dump.camera_rig import Rig
-from ..carla_dump.depth_files import DepthEncoding, GreyDepth
+from ..carla_dump.depth_files import DepthCoding, DepthEncoding
 from ..carla_dump.survey import SensorSurvey
 from ..carla_dump.truth_file import NO_TRUTH, TruthTables
 
 _FLAGS: Final = {
     "--role": "roles",
-    "--carla": "carla",
+    "--tags": "tags",
     "--fov": "fov_deg",
     "--rate": "rate_hz",
     "--allow-lossy-tags": "allow_lossy_tags",
-    "--grey-depth": "grey_depth",
+    "--depth-coding": "depth_coding",
     "--calibration": "calibration",
     "--height": "height_m",
     "--layout": "layout",
@@ -33,12 +33,13 @@ class ConvertOptions:
     """The options of the command line."""
 
     roles: Mapping[str, Path] = field(default_factory=dict)
-    carla: str | None = None
+    tags: str | None = None
+    """Table of the tags: a CARLA version, the name of a dataset's table, or a TOML file."""
     fov_deg: float | None = None
     rate_hz: float | None = None
     depth_as_float: bool = False
     allow_lossy_tags: bool = False
-    grey_depth: GreyDepth | None = None
+    depth_coding: DepthCoding | None = None
     calibration: Path | None = None
     """A file that replaces ``calibration.json``: JSON, or the camera_info YAML of ROS."""
     height_m: float | None = None

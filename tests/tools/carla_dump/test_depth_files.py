@@ -68,6 +68,42 @@ def test_16_bit_millimetres(tmp_path):
     )
 
 
+NUMBERS_16 = np.array([[0, 1500], [65535, 256]], np.uint16)
+
+
+@pytest.mark.parametrize(
+    ("coding", "expected"),
+    [
+        ("mm", [[np.nan, 1.5], [65.535, 0.256]]),
+        ("cm", [[np.nan, 15.0], [655.35, 2.56]]),
+        ("m", [[np.nan, 1500.0], [65535.0, 256.0]]),
+        ("depth-256", [[np.nan, 1500 / 256], [65535 / 256, 1.0]]),
+        ("disparity", [[np.nan, 360 * 256 / 1500], [360 * 256 / 65535, 360.0]]),
+    ],
+)
+@pytest.mark.parametrize("write", [png, lambda p, values: npy(p, values.astype(float))], ids=["png", "npy"])
+def test_the_users_coding_of_numbers(tmp_path, write, coding, expected):
+    """Disparity of a camera with fx 720 and a baseline of 0.5 m: depth = fx * baseline / disparity."""
+    path = write(tmp_path / "0.png", NUMBERS_16)
+    encoding = depth_encoding([path], coding)
+    np.testing.assert_allclose(depth_metres(load_pixels(path), encoding, 720 * 0.5), expected, rtol=1e-6)
+
+
+def test_millimetres_of_larger_integers_need_no_option(tmp_path):
+    path = npy(tmp_path / "0.npy", np.array([[0, 70_000]], np.int32))
+    assert depth_encoding([path]) == "millimetres"
+    np.testing.assert_allclose(depth_metres(load_pixels(path), "millimetres"), [[np.nan, 70.0]], rtol=1e-6)
+
+
+def test_an_unknown_unit_and_a_wrong_coding_are_errors_that_name_the_option(tmp_path):
+    far = npy(tmp_path / "0.npy", np.array([[0.0, 1200.0, 45000.0, np.inf]]))
+    with pytest.raises(DumpError, match=r"0\.npy: the median is 23100: pass --depth-coding mm, cm, m or disparity"):
+        depth_encoding([far])
+    codes = png(tmp_path / "1.png", carla_codes(depth_m()))
+    with pytest.raises(DumpError, match=r"1\.png: depth is encoded as carla 24 bit, but --depth-coding cm is for numb"):
+        depth_encoding([codes], "cm")
+
+
 @given(st.integers(0, 2**24 - 1))
 def test_24_bits_as_carla_documents_them(code):
     r, g, b = code & 255, code >> 8 & 255, code >> 16
@@ -190,7 +226,7 @@ def test_the_chosen_coding_is_used(tmp_path, asked):
     road = Road(width=320, height=240)
     path, _ = grey(tmp_path / "0.png", "logarithmic", road)
     found, why = grey_encoding([path], road.camera, asked)
-    assert (found, why.endswith(f"--grey-depth {asked}")) == (ENCODINGS[asked], True)
+    assert (found, why.endswith(f"--depth-coding {asked}")) == (ENCODINGS[asked], True)
 
 
 @pytest.mark.parametrize(
@@ -205,7 +241,9 @@ def test_the_chosen_coding_is_used(tmp_path, asked):
 def test_images_without_ground_are_an_error_that_names_the_option(tmp_path, values):
     path = png(tmp_path / "0.png", values)
     assert depth_encoding([path]) == "logarithmic grey"
-    with pytest.raises(DumpError, match=r"the coding of 8-bit grey depth is unknown \(.*\); pass --grey-depth linear"):
+    with pytest.raises(
+        DumpError, match=r"the coding of 8-bit grey depth is unknown \(.*\); pass --depth-coding linear"
+    ):
         grey_encoding([path], Camera("camera", 320, 240, 160.0, 160.0, 159.5, 119.5), None)
 
 

@@ -49,6 +49,8 @@ def test_any_document_is_read_or_stated(tmp_path, load, content):
         ("rgb_1305031102.000000001", 1_305_031_102_000_000_001),
         ("v1.2_1305031102", 1_305_031_102),
         ("130503110.933", 933),
+        ("frankfurt_000000_000294_leftImg8bit", 294),
+        ("frankfurt_000000_000294_gtFine_labelIds", 294),
     ],
 )
 def test_the_last_group_of_digits_is_the_frame(name, number):

@@ -159,7 +159,7 @@ def test_an_empty_scan_has_no_points(tmp_path):
         ("1.npy", npy_of("(" * 9000), r"damaged .npy: expected an array's header, found b'\\x93NUMPY.*\({50}'$"),
         ("1.npy", npy_of("{'descr': (), 'fortran_order': False, 'shape': (4, 4)}"), "damaged .npy"),
         ("1.bin", b"\x00" * 20, "20 bytes, expected points of 16 bytes"),
-        ("1.csv", "1,2,3", "expected points as .ply, .npy or .bin"),
+        ("1.csv", "1,2,3", "expected points as .ply, .npy, .bin, .las or .laz"),
     ],
 )
 def test_errors_name_the_file(tmp_path, name, content, fault):

@@ -6,7 +6,7 @@ from roadperc_stream.errors import ConfigError, DumpError
 from roadperc_stream.formats.images import encode_indices
 from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14, CARLA_FROM_0_9_14
 from roadperc_stream.tools.carla_dump.pixel_files import load_pixels
-from roadperc_stream.tools.carla_dump.tag_files import choose_table, tag_encoding, tags_of
+from roadperc_stream.tools.carla_dump.tag_files import choose_table, named_table, tag_encoding, tags_of
 from tests.tools.dump_writer import TAGS, alpha, camera_pixels, jpeg, npy, png, red
 
 NEW = CARLA_FROM_0_9_14
@@ -59,7 +59,7 @@ MAKERS = {
 def test_every_encoding_gives_the_known_tags(tmp_path, name):
     make, encoding = MAKERS[name]
     path = make(tmp_path / "0.png")
-    found, seen = tag_encoding([path], allow_lossy=False)
+    found, seen = tag_encoding([path], None, allow_lossy=False)
     assert found == encoding
     assert seen == (() if encoding == "palette colours" else (0, 1, 2, 14))
     tags = tags_of(load_pixels(path), found, NEW, allow_lossy=False)
@@ -79,25 +79,28 @@ def test_every_colour_of_a_table_is_looked_up(tmp_path, table):
 def test_a_black_frame_does_not_decide(tmp_path):
     black = png(tmp_path / "0.png", np.zeros((4, 4, 3), np.uint8))
     palette = png(tmp_path / "1.png", colours(TAGS))
-    assert tag_encoding([black, palette], allow_lossy=False)[0] == "palette colours"
+    assert tag_encoding([black, palette], None, allow_lossy=False)[0] == "palette colours"
     assert not tags_of(load_pixels(black), "palette colours", NEW, allow_lossy=False).any()
 
 
 def test_a_named_version_chooses_the_table():
-    assert choose_table("0.9.13", "raw in red", (1,), "seg") == (CARLA_BEFORE_0_9_14, "CARLA 0.9.13")
-    assert choose_table("0.9.15", "raw in red", (1,), "seg")[0] is NEW
-    with pytest.raises(ConfigError, match="newest"):
-        choose_table("newest", "raw in red", (1,), "seg")
+    assert named_table("0.9.13") == (CARLA_BEFORE_0_9_14, "CARLA 0.9.13")
+    assert named_table("0.9.15")[0] is NEW
+    assert named_table("kitti-360")[1] == "kitti-360"
+    assert named_table(None) is None
+    for wrong in ("newest", "newest.toml"):
+        with pytest.raises(ConfigError, match="newest"):
+            named_table(wrong)
 
 
 def test_colours_and_high_numbers_tell_the_table():
-    assert choose_table(None, "palette colours", (), "seg")[0] is NEW
-    assert choose_table(None, "raw in red", (1, 24), "seg")[0] is NEW
+    assert choose_table("palette colours", (), "seg")[0] is NEW
+    assert choose_table("raw in red", (1, 24), "seg")[0] is NEW
 
 
 def test_ambiguous_numbers_are_an_error_that_names_the_option():
     with pytest.raises(DumpError) as fault:
-        choose_table(None, "raw in red", (1, 7), "seg")
+        choose_table("raw in red", (1, 7), "seg")
     message = str(fault.value)
     assert "--carla" in message
     assert "1 building, 7 road" in message
@@ -129,7 +132,7 @@ def blocks(values):
 def test_jpeg_is_refused_with_the_reason(tmp_path):
     path = jpeg(tmp_path / "0.jpg", colours(blocks(np.array([[1, 2]]))))
     with pytest.raises(DumpError, match=r"0\.jpg: tags as JPEG.*compression.*--allow-lossy-tags"):
-        tag_encoding([path], allow_lossy=False)
+        tag_encoding([path], None, allow_lossy=False)
     with pytest.raises(DumpError, match="tags as JPEG"):
         tags_of(load_pixels(path), "palette colours", NEW, allow_lossy=False)
 
@@ -137,7 +140,7 @@ def test_jpeg_is_refused_with_the_reason(tmp_path):
 def test_lossy_palette_colours_take_the_nearest(tmp_path):
     tags = blocks(np.array([[1, 2, 11], [24, 14, 9]]))
     path = jpeg(tmp_path / "0.jpg", colours(tags))
-    encoding, _ = tag_encoding([path], allow_lossy=True)
+    encoding, _ = tag_encoding([path], None, allow_lossy=True)
     assert encoding == "palette colours"
     found = tags_of(load_pixels(path), encoding, NEW, allow_lossy=True)
     inner = (slice(4, 12), slice(4, 12))
@@ -149,7 +152,7 @@ def test_lossy_palette_colours_take_the_nearest(tmp_path):
 
 def test_lossy_raw_tags_take_what_is_there(tmp_path):
     path = jpeg(tmp_path / "0.jpg", np.dstack([blocks(np.array([[1, 14], [24, 28]]))] * 3))
-    encoding, _ = tag_encoding([path], allow_lossy=True)
+    encoding, _ = tag_encoding([path], None, allow_lossy=True)
     assert encoding in ("raw in red", "raw grey")
     found = tags_of(load_pixels(path), encoding, NEW, allow_lossy=True)
     assert found.max() <= 28
@@ -169,7 +172,7 @@ def test_lossy_raw_tags_take_what_is_there(tmp_path):
 def test_other_content_than_tags_is_refused(tmp_path, make):
     path = make(tmp_path / "3.png")
     with pytest.raises(DumpError, match=r"3\.png"):
-        tags_of(load_pixels(path), tag_encoding([path], allow_lossy=False)[0], NEW, allow_lossy=False)
+        tags_of(load_pixels(path), tag_encoding([path], None, allow_lossy=False)[0], NEW, allow_lossy=False)
 
 
 def test_a_file_with_another_encoding_is_named(tmp_path):
@@ -183,7 +186,73 @@ def test_interlaced_and_small_palettes_are_read(tmp_path):
     image.putpalette([0, 0, 0, 128, 64, 128])
     image.save(tmp_path / "0.png", bits=1)
     path = tmp_path / "0.png"
-    assert tag_encoding([path], allow_lossy=False)[0] == "palette colours"
+    assert tag_encoding([path], None, allow_lossy=False)[0] == "palette colours"
     np.testing.assert_array_equal(
         tags_of(load_pixels(path), "palette colours", NEW, allow_lossy=False), [[0, 1], [1, 0]]
     )
+
+
+def of_dataset(name, path):
+    table, _ = named_table(name)
+    encoding, _ = tag_encoding([path], table, allow_lossy=False)
+    return tags_of(load_pixels(path), encoding, table, allow_lossy=False)
+
+
+IDS = np.array([[7, 26, 24], [0, 33, 7]])
+
+
+@pytest.mark.parametrize(
+    ("name", "make", "expected"),
+    [
+        ("cityscapes", lambda p: png(p, IDS.astype(np.uint8)), IDS),
+        ("cityscapes", lambda p: png(p, np.where(IDS > 23, IDS * 1000 + 12, IDS).astype(np.uint16)), IDS),
+        ("cityscapes", lambda p: png(p, colours(IDS, named_table("cityscapes")[0])), np.where(IDS == 0, 3, IDS)),
+        ("mapillary-vistas-2.0", lambda p: indexed(p, IDS.astype(np.uint8), ((128, 64, 128),) * 34), IDS),
+        ("mapillary-vistas-2.0", lambda p: png(p, np.dstack([IDS.astype(np.uint8) + 90] * 3)), IDS + 90),
+        ("bdd100k", lambda p: png(p, red(np.array([[0, 13, 255]], np.uint8))), [[0, 13, 255]]),
+        ("bdd100k-instances", lambda p: png(p, np.array([[[0, 4, 3, 2], [1, 0, 1, 9]]], np.uint8)), [[3, 1]]),
+        ("bdd100k-lanes", lambda p: png(p, np.array([[0, 6, 55, 255]], np.uint8)), [[0, 6, 55, 255]]),
+    ],
+    ids=["ids", "instance ids", "colours", "palette", "equal grey", "red", "bitmask", "lanes"],
+)
+def test_masks_of_datasets(tmp_path, name, make, expected):
+    np.testing.assert_array_equal(of_dataset(name, make(tmp_path / "0.png")), expected)
+
+
+def test_a_value_that_a_dataset_lacks_is_named(tmp_path):
+    path = png(tmp_path / "9.png", np.array([[7, 19, 200]], np.uint8))
+    with pytest.raises(DumpError, match=r"9\.png: tag 19 is not in bdd100k \(0 to 18, 255\); 2 pixels"):
+        of_dataset("bdd100k", path)
+    own = tmp_path / "own.toml"
+    own.write_text("[tags]\nroad = 7\ncar = 19\n")
+    with pytest.raises(DumpError, match=r"tag 200 is not in .*own\.toml \(7, 19\); 1 pixels"):
+        of_dataset(str(own), path)
+
+
+@pytest.mark.parametrize(
+    ("file", "name", "expected"),
+    [
+        ("cityscapes/gtFine/frankfurt_000000_000294_gtFine_labelIds.png", "cityscapes", {"road", "car", "sidewalk"}),
+        ("cityscapes/gtFine/frankfurt_000000_000294_gtFine_instanceIds.png", "cityscapes", {"road", "car", "sidewalk"}),
+        ("cityscapes/gtFine/frankfurt_000000_000294_gtFine_labelTrainIds.png", "cityscapes-train-ids", {"road", "car"}),
+        ("bdd100k/semseg_mask.png", "bdd100k", {"car", "unlabeled"}),
+        (
+            "bdd100k/lane_gts/fe189115-9981a740.png",
+            "bdd100k-lanes",
+            {"crosswalk", "sidewalk", "road_line", "unlabeled"},
+        ),
+        ("bdd100k/insseg_bitmask.png", "bdd100k-instances", {"car", "unlabeled"}),
+    ],
+)
+def test_real_masks(data_dir, file, name, expected):
+    path = data_dir / "label_masks" / file
+    table, _ = named_table(name)
+    assert expected <= {table.name_of(tag) for tag in np.unique(of_dataset(name, path))}
+
+
+def test_ids_and_instance_ids_of_a_real_frame_are_the_same(data_dir):
+    stem = data_dir / "label_masks/cityscapes/gtFine/frankfurt_000000_000294_gtFine_labelIds.png"
+    both = [
+        of_dataset("cityscapes", stem.with_name(stem.name.replace("label", kind))) for kind in ("label", "instance")
+    ]
+    np.testing.assert_array_equal(*both)

@@ -1,0 +1,71 @@
+"""CULane: folders of frames of a video, ``00030.jpg``, with the lines of the lanes beside them in ``00030.lines.txt``.
+
+Each line of such a file is one line on the road, x and y of its points in pixels. The number of a file is that of the
+video's frame: every 30th or 90th frame is there.
+"""
+
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from roadperc_stream.errors import DumpError
+from roadperc_stream.geometry import Float
+
+from ..carla_dump.frame_stamps import stamps_of_rate
+from ..carla_dump.json_files import read_lines
+from ..carla_dump.layout import sensor_in
+from ..carla_dump.survey import surveyed
+from .drive import ConvertOptions, Drive, choose_sequence
+from .lane_labels import labelled_rig
+
+_SUFFIX: Final = ".lines.txt"
+_RATE_HZ: Final = 30.0
+_DEPTHS: Final = ("", "*/", "*/*/")
+
+
+def detect(folder: Path) -> bool:
+    """Return True if the folder, or one up to two levels below it, has files of lines."""
+    return any(next(folder.glob(f"{depth}*{_SUFFIX}"), None) for depth in _DEPTHS)
+
+
+def read(folder: Path, options: ConvertOptions) -> Drive:
+    """Read one folder of frames.
+
+    Raises:
+        DumpError: there are several folders, or a file is wrong; the message names file and line.
+    """
+    options.require_only(folder, "--sequence", "--fov", "--calibration", "--height", "--rate")
+    found = {path.parent for depth in _DEPTHS for path in folder.glob(f"{depth}*{_SUFFIX}")}
+    sequences = {path.relative_to(folder).as_posix(): path for path in sorted(found)}
+    name, sequence = choose_sequence(folder, sequences, options.sequence)
+    surveys = surveyed({"image": sensor_in(sequence, "image")})
+    files, rate_hz = surveys["image"].sensor.files, options.rate_hz or _RATE_HZ
+    labels = {number: path.with_suffix(_SUFFIX) for number, path in files.items()}
+    lines_px = {number: _lines(path) for number, path in labels.items() if path.is_file()}
+    rig, truth, notes = labelled_rig(folder, options, surveys["image"].size, lines_px)
+    return Drive(
+        folder=folder,
+        title=f"CULane{f', {name}' if name != '.' else ''}",
+        surveys=surveys,
+        stamps_ns=stamps_of_rate(sorted(files), rate_hz),
+        timing=f"{rate_hz:g} Hz by frame number{'' if options.rate_hz else ' (CULane)'}",
+        rig=rig,
+        truth=truth,
+        notes=tuple(notes),
+    )
+
+
+def _lines(path: Path) -> list[Float]:
+    """Return the lines of a file, each (N, 2) x, y in pixels."""
+    return [_line(f"{path}: line {k}", text) for k, text in enumerate(read_lines(path), 1) if text.strip()]
+
+
+def _line(place: str, text: str) -> Float:
+    try:
+        points = np.array(text.split(), np.float64).reshape(-1, 2)
+    except ValueError as error:
+        raise DumpError(f"{place}: expected pairs of x and y, found {text[:60]!r}") from error
+    if not np.isfinite(points).all():
+        raise DumpError(f"{place}: expected finite numbers, found {text[:60]!r}")
+    return points
