@@ -110,7 +110,7 @@ def _depth_encoding(
     if found in GREY:
         found, note = grey_encoding(files, rig.camera_of(role), options.depth_coding)
         notes.append(note)
-    if found == "disparity * 256" and not rig.baseline_m:
+    if found == "disparity" and not rig.baseline_m:
         raise DumpError(f"{files[0]}: disparity needs the baseline; add baseline_m to calibration.json")
     return found
 
