@@ -25,18 +25,16 @@ from .pixel_files import Pixels, surveyed
 Units = Literal["mm", "cm", "m", "depth-256", "disparity"]
 GreyDepth = Literal["linear", "linear-50", "logarithmic"]
 DepthCoding = GreyDepth | Units
-DepthEncoding = (
-    Units
-    | Literal[
-        "carla 24 bit",
-        "millimetres",
-        "metres",
-        "metres / 1000",
-        "logarithmic grey",
-        "linear grey to 1000 m",
-        "linear grey to 50 m",
-    ]
-)
+DepthEncoding = Literal[
+    Units,
+    "carla 24 bit",
+    "millimetres",
+    "metres",
+    "metres / 1000",
+    "logarithmic grey",
+    "linear grey to 1000 m",
+    "linear grey to 50 m",
+]
 
 FAR_PLANE_M: Final = 1000.0
 CLIPPED_M: Final = 50.0
@@ -49,13 +47,7 @@ GREY: Final[Mapping[DepthEncoding, str]] = {
 }
 """Precision of the 8-bit codings."""
 _NUMBERS: Final = frozenset({"metres", "metres / 1000"})
-_FACTORS: Final[Mapping[str | None, float]] = {
-    "mm": 0.001,
-    "cm": 0.01,
-    "m": 1.0,
-    "depth-256": 1 / 256,
-    "disparity": 1 / 256,
-}
+_FACTORS: Final = {"mm": 0.001, "cm": 0.01, "m": 1.0, "depth-256": 1 / 256, "disparity": 1 / 256}
 """Metres or pixels of a number, by its encoding, which only the user knows; KITTI has 256 steps a metre or pixel."""
 _FARTHEST_MEDIAN_M: Final = 1000.0
 _LARGEST_CODE: Final = 2**24 - 1
