@@ -69,40 +69,16 @@ class TagTable:
         return self.names[tag] if tag < len(self.names) else UNLABELED
 
 
-_COLOURS: Final[dict[str, Colour]] = {
-    "unlabeled": (0, 0, 0),
-    "building": (70, 70, 70),
-    "fence": (190, 153, 153),
-    "other": (250, 170, 160),
-    "pedestrian": (220, 20, 60),
-    "pole": (153, 153, 153),
-    "road_line": (157, 234, 50),
-    "road": (128, 64, 128),
-    "sidewalk": (244, 35, 232),
-    "vegetation": (107, 142, 35),
-    "vehicle": (0, 0, 142),
-    "car": (0, 0, 142),
-    "wall": (102, 102, 156),
-    "traffic_sign": (220, 220, 0),
-    "sky": (70, 130, 180),
-    "ground": (81, 0, 81),
-    "bridge": (150, 100, 100),
-    "rail_track": (230, 150, 140),
-    "guard_rail": (180, 165, 180),
-    "traffic_light": (250, 170, 30),
-    "static": (110, 190, 160),
-    "dynamic": (170, 120, 50),
-    "water": (45, 60, 150),
-    "terrain": (152, 251, 152),
-    "rider": (255, 0, 0),
-    "truck": (0, 0, 70),
-    "bus": (0, 60, 100),
-    "train": (0, 80, 100),
-    "motorcycle": (0, 0, 230),
-    "bicycle": (119, 11, 32),
-    "parking": (250, 170, 160),
-    "crosswalk": (140, 140, 200),
-    "bike_lane": (128, 64, 255),
+def _rgb(value: Any) -> Colour:
+    if not (isinstance(value, str) and re.fullmatch("#[0-9A-Fa-f]{6}", value)):
+        raise ValueError(f'colour {value!r}: expected one such as "#8040ff"')
+    red, green, blue = bytes.fromhex(value[1:])
+    return red, green, blue
+
+
+_COLOURS: Final = {
+    name: _rgb(text)
+    for name, text in tomllib.loads(Path(__file__).with_name("colours.toml").read_text("utf-8")).items()
 }
 
 
@@ -157,13 +133,6 @@ def _tag(value: Any) -> int:
     if type(value) is not int or not 0 <= value <= _LARGEST_TAG:
         raise ValueError(f"tag {value!r}: expected a whole number from 0 to {_LARGEST_TAG}")
     return value
-
-
-def _rgb(value: Any) -> Colour:
-    if not (isinstance(value, str) and re.fullmatch("#[0-9A-Fa-f]{6}", value)):
-        raise ValueError(f'colour {value!r}: expected one such as "#8040ff"')
-    red, green, blue = bytes.fromhex(value[1:])
-    return red, green, blue
 
 
 def _require_known(classes: Iterable[str]) -> None:

@@ -11,7 +11,7 @@ TransFuser, which clips CARLA's depth at 50 m and spreads that over the greys.
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final, Literal, cast
 
 import cv2
 import numpy as np
@@ -22,7 +22,11 @@ from roadperc_stream.geometry import Camera, Float, Float32
 
 from .pixel_files import Pixels, surveyed
 
+Units = Literal["mm", "cm", "m", "depth-256", "disparity"]
+GreyDepth = Literal["linear", "linear-50", "logarithmic"]
+DepthCoding = GreyDepth | Units
 DepthEncoding = Literal[
+    Units,
     "carla 24 bit",
     "millimetres",
     "metres",
@@ -30,24 +34,9 @@ DepthEncoding = Literal[
     "logarithmic grey",
     "linear grey to 1000 m",
     "linear grey to 50 m",
-    "numbers in mm",
-    "numbers in cm",
-    "numbers in m",
-    "depth * 256",
-    "disparity * 256",
     "linear grey to 255 m",
 ]
 
-GreyDepth = Literal["linear", "linear-50", "logarithmic"]
-DepthCoding = GreyDepth | Literal["mm", "cm", "m", "depth-256", "disparity"]
-NUMBERS: Final[Mapping[str | None, DepthEncoding]] = {
-    "mm": "numbers in mm",
-    "cm": "numbers in cm",
-    "m": "numbers in m",
-    "depth-256": "depth * 256",
-    "disparity": "disparity * 256",
-}
-"""Encodings of integers and floats by the name of the option: KITTI's depth and disparity have 256 steps a unit."""
 FAR_PLANE_M: Final = 1000.0
 CLIPPED_M: Final = 50.0
 """Far plane of TransFuser's 8-bit depth."""
@@ -62,14 +51,8 @@ GREY: Final[Mapping[DepthEncoding, str]] = {
 }
 """Precision of the 8-bit codings."""
 _NUMBERS: Final = frozenset({"metres", "metres / 1000"})
-_FACTORS: Final[Mapping[DepthEncoding, float]] = {
-    "numbers in mm": 0.001,
-    "numbers in cm": 0.01,
-    "numbers in m": 1.0,
-    "depth * 256": 1 / 256,
-    "disparity * 256": 1 / 256,
-}
-"""Encodings of integers and floats that only the user knows: metres or pixels of a number."""
+_FACTORS: Final = {"mm": 0.001, "cm": 0.01, "m": 1.0, "depth-256": 1 / 256, "disparity": 1 / 256}
+"""Metres or pixels of a number, by its encoding, which only the user knows; KITTI has 256 steps a metre or pixel."""
 _FARTHEST_MEDIAN_M: Final = 1000.0
 _LARGEST_CODE: Final = 2**24 - 1
 
@@ -82,10 +65,10 @@ def depth_encoding(files: Sequence[Path], asked: DepthCoding | None = None) -> D
     """
     samples = surveyed(files)
     found = [encoding for pixels in samples if (encoding := _encoding(pixels))]
-    if asked in NUMBERS:
+    if asked in _FACTORS:
         if other := next((encoding for encoding in found if encoding not in (*_NUMBERS, "millimetres")), None):
             raise DumpError(f"{files[0]}: depth is encoded as {other}, but --depth-coding {asked} is for numbers")
-        return NUMBERS[asked]
+        return cast("Units", asked)
     if "metres" in found and (median := max(map(_median, samples))) > _FARTHEST_MEDIAN_M:
         raise DumpError(f"{files[0]}: the median is {median:g}: pass --depth-coding mm, cm, m or disparity")
     if "metres" in found and set(found) <= _NUMBERS:
@@ -157,7 +140,7 @@ def depth_metres(pixels: Pixels, encoding: DepthEncoding, focal_baseline: float 
             depth_m = pixels.values.astype(np.float32)
         case "metres / 1000":
             depth_m = (pixels.values * FAR_PLANE_M).astype(np.float32)
-        case "disparity * 256":
+        case "disparity":
             disparity_px = _known(pixels.values.astype(np.float32) * np.float32(_FACTORS[encoding]))
             depth_m = np.float32(focal_baseline) / disparity_px
         case _:

@@ -1,7 +1,13 @@
-"""Read OpenEXR, HDF5 and LAS files by the libraries of the extra ``recordings``."""
+"""Read OpenEXR, HDF5 and LAS files by the libraries of the extra ``recordings``.
+
+Raises everywhere:
+    UnreadableFrameError: the file is damaged or too large, or it holds no array or several arrays of depth.
+    DumpError: the library is not installed.
+"""
 
 import io
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
@@ -20,96 +26,66 @@ LAS_MAGIC: Final = b"LASF"
 _DEPTH_CHANNELS: Final = ("depth", "z", "v", "y", "r")
 """Channels of EXR files that hold depth; an earlier one is preferred."""
 _LIMITS: Final = LimitsConfig()
-_VLRS: Final = ((100, 54), (243, 60))
-"""Places of the counts of variable length records in a LAS header, and the smallest size of a record."""
 
 
 def read_exr(path: Path) -> NDArray[Any]:
-    """Return the (H, W) depth channel of an EXR file, or its only channel.
-
-    Raises:
-        UnreadableFrameError: the file is damaged or too large, or no channel is depth.
-        DumpError: the library is not installed.
-    """
-    exr = _library(path, "OpenEXR")
-    try:
+    """Return the (H, W) depth channel of an EXR file, or its only channel."""
+    with _library(path, "OpenEXR") as exr:
         first, last = exr.File(str(path), header_only=True).header()["dataWindow"]
-        _require_pixels(path, [int(b) - int(a) + 1 for a, b in zip(first, last, strict=True)])
-        channels = {
-            name: found.pixels for name, found in exr.File(str(path), separate_channels=True).channels().items()
-        }
-    except (RuntimeError, ValueError, KeyError, OSError) as error:
-        raise UnreadableFrameError(f"{path}: damaged EXR file: {error}") from error
-    by_leaf = {name.rpartition(".")[2].lower(): name for name in sorted(channels, reverse=True)}
-    depth = next((by_leaf[leaf] for leaf in _DEPTH_CHANNELS if leaf in by_leaf), None)
-    return np.asarray(_chosen(path, channels, [*channels] if len(channels) == 1 else [depth] if depth else []))
+        _require_at_most(path, "pixels", last - first + 1, _LIMITS.image_pixels)
+        channels = exr.File(str(path), separate_channels=True).channels()
+    by_leaf = {name.rpartition(".")[2].lower(): name for name in channels}
+    depth = [by_leaf[leaf] for leaf in _DEPTH_CHANNELS if leaf in by_leaf]
+    return np.asarray(_only(path, channels, depth[:1]).pixels)
 
 
 def read_hdf5(path: Path) -> NDArray[Any]:
-    """Return the only (H, W) array of numbers of an HDF5 file, or the only one that is named after depth.
-
-    Raises:
-        UnreadableFrameError: the file is damaged or too large, or there is no such array.
-        DumpError: the library is not installed.
-    """
-    h5py = _library(path, "h5py")
+    """Return the (H, W) array of numbers of an HDF5 file that is named after depth, or the only one."""
     arrays: dict[str, Any] = {}
 
     def collect(name: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset) and len(item.shape or ()) == 2 and item.dtype.kind in "fiu":
+        if len(getattr(item, "shape", None) or ()) == 2 and item.dtype.kind in "fiu":
             arrays[name] = item
 
-    try:
-        with h5py.File(path, "r") as file:
-            file.visititems(collect)
-            of_depth = [name for name in arrays if "depth" in name.lower()]
-            found = _chosen(path, arrays, of_depth or [*arrays])
-            _require_pixels(path, found.shape)
-            return np.asarray(found[()])
-    except (RuntimeError, ValueError, KeyError, OSError) as error:
-        raise UnreadableFrameError(f"{path}: damaged HDF5 file: {error}") from error
+    with _library(path, "h5py") as h5py, h5py.File(path, "r") as file:
+        file.visititems(collect)
+        found = _only(path, arrays, [name for name in arrays if "depth" in name.lower()])
+        _require_at_most(path, "pixels", found.shape, _LIMITS.image_pixels)
+        return np.asarray(found[()])
 
 
 def read_las(path: Path, data: bytes) -> NDArray[np.float64]:
-    """Return (N, 4) x, y, z and intensity of a LAS or LAZ file, as stored.
+    """Return (N, 4) x, y, z and intensity of a LAS or LAZ file, as stored."""
+    records = [int.from_bytes(data[100:104], "little") * 54]
+    records += [int.from_bytes(data[243:247], "little") * 60] * (data[25:26] >= b"\x04")  # since LAS 1.4
+    _require_at_most(path, "bytes of records", [max(records)], len(data))  # laspy would read billions of records
+    with _library(path, "laspy") as laspy, laspy.open(io.BytesIO(data)) as file:
+        _require_at_most(path, "points", [file.header.point_count], _LIMITS.points)
+        points = file.read()
+        return np.column_stack((points.xyz, points.intensity))
 
-    Raises:
-        UnreadableFrameError: the file is damaged or too large.
-        DumpError: the library is not installed.
-    """
-    laspy = _library(path, "laspy")
-    records = [
-        int.from_bytes(data[place : place + 4], "little") * size for place, size in _VLRS[: 1 + (data[25:26] >= b"\4")]
-    ]
-    if max(records) > len(data):  # laspy would read each of billions of records
-        raise UnreadableFrameError(f"{path}: damaged LAS file: its header states {max(records)} bytes of records")
+
+@contextmanager
+def _library(path: Path, name: str) -> Iterator[Any]:
+    """Import a library and state its errors."""
     try:
-        with laspy.open(io.BytesIO(data)) as file:
-            if file.header.point_count > _LIMITS.points:
-                raise UnreadableFrameError(
-                    f"{path}: {file.header.point_count} points, expected at most {_LIMITS.points}"
-                )
-            points = file.read()
-            return np.column_stack((points.xyz, points.intensity))
-    except (RuntimeError, ValueError, OSError, laspy.errors.LaspyException) as error:
-        raise UnreadableFrameError(f"{path}: damaged LAS file: {error}") from error
-
-
-def _library(path: Path, name: str) -> Any:
-    try:
-        return import_module(name)
+        library = import_module(name)
     except ImportError as error:
         raise DumpError(f"{path}: {name} is not installed; pip install 'roadperc_stream[recordings]'") from error
+    own = (library.errors.LaspyException,) if name == "laspy" else ()
+    try:
+        yield library
+    except (RuntimeError, ValueError, KeyError, OSError, *own) as error:
+        raise UnreadableFrameError(f"{path}: {name} cannot read it: {error}") from error
 
 
-def _chosen(path: Path, arrays: Mapping[str, Any], names: list[str]) -> Any:
+def _only(path: Path, arrays: Mapping[str, Any], preferred: Sequence[str]) -> Any:
+    names = preferred or list(arrays)
     if len(names) != 1:
-        found = ", ".join(names or arrays) or "none"
-        raise UnreadableFrameError(f"{path}: expected one array of depth, found {found}")
+        raise UnreadableFrameError(f"{path}: expected one array of depth, found {', '.join(names) or 'none'}")
     return arrays[names[0]]
 
 
-def _require_pixels(path: Path, sides: Any) -> None:
-    if np.prod([float(side) for side in sides]) > _LIMITS.image_pixels:
-        size = "x".join(map(str, sides))
-        raise UnreadableFrameError(f"{path}: {size} pixels, expected at most {_LIMITS.image_pixels}")
+def _require_at_most(path: Path, what: str, sides: Sequence[int] | NDArray[Any], limit: int) -> None:
+    if (count := np.prod([float(side) for side in sides])) > limit:
+        raise UnreadableFrameError(f"{path}: {count:.0f} {what}, expected at most {limit}")

@@ -102,7 +102,7 @@ def _depth_encoding(
     elif found in GREY:
         found, note = grey_encoding(files, drive.rig.camera_of(role), options.depth_coding)
         notes.append(note)
-    if found == "disparity * 256" and not drive.rig.baseline_m:
+    if found == "disparity" and not drive.rig.baseline_m:
         raise DumpError(f"{files[0]}: disparity needs the baseline; add baseline_m to calibration.json")
     return found
 

@@ -77,7 +77,11 @@ def laz_sensor(route: Path, frames: set[int], notes: list[str]) -> dict[str, Sen
     sensor = Sensor(LIDAR, "lidar", files)
     if not files and not (route / "lidar").is_dir():
         return {}
-    if fault := points_fault(sensor, frames) if files else "expected points as .laz":
+    try:
+        fault = points_fault(sensor, frames) if files else "expected points as .laz"
+    except DumpError as error:  # the library is not installed
+        fault = str(error)
+    if fault:
         notes.append(f"lidar/ is left out: {fault}")
         return {}
     return {LIDAR: sensor}

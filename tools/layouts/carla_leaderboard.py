@@ -83,7 +83,7 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
     Raises:
         DumpError: the folder holds no or several routes, or a file is wrong; the message names file and key.
     """
-    allowed = ("--sequence", "--rate", "--fov", "--height", "--grey-depth", "--carla", "--tags", "--allow-lossy-tags")
+    allowed = ("--sequence", "--rate", "--fov", "--height", "--depth-coding", "--tags", "--allow-lossy-tags")
     options.require_only(folder, *allowed)
     name, route = choose_sequence(folder, folders_that(_is_route, folder), options.sequence)
     recorder = next((found for marker, found in _RECORDERS.items() if (route / marker).is_dir()), _COURSE)

@@ -4,6 +4,7 @@ Each line of such a file is one line on the road, x and y of its points in pixel
 video's frame: every 30th or 90th frame is there.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -15,9 +16,8 @@ from roadperc_stream.geometry import Float
 from ..carla_dump.frame_stamps import stamps_of_rate
 from ..carla_dump.json_files import read_lines
 from ..carla_dump.layout import sensor_in
-from ..carla_dump.survey import surveyed
 from .drive import ConvertOptions, Drive, choose_sequence
-from .lane_labels import labelled_rig
+from .lane_labels import FLAGS, labelled_drive
 
 _SUFFIX: Final = ".lines.txt"
 _RATE_HZ: Final = 30.0
@@ -35,37 +35,26 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
     Raises:
         DumpError: there are several folders, or a file is wrong; the message names file and line.
     """
-    options.require_only(folder, "--sequence", "--fov", "--calibration", "--height", "--rate")
-    found = {path.parent for depth in _DEPTHS for path in folder.glob(f"{depth}*{_SUFFIX}")}
-    sequences = {path.relative_to(folder).as_posix(): path for path in sorted(found)}
+    options.require_only(folder, *FLAGS, "--rate")
+    found = sorted({path.parent for depth in _DEPTHS for path in folder.glob(f"{depth}*{_SUFFIX}")})
+    sequences = {path.relative_to(folder).as_posix(): path for path in found}
     name, sequence = choose_sequence(folder, sequences, options.sequence)
-    surveys = surveyed({"image": sensor_in(sequence, "image")})
-    files, rate_hz = surveys["image"].sensor.files, options.rate_hz or _RATE_HZ
-    labels = {number: path.with_suffix(_SUFFIX) for number, path in files.items()}
+    images, rate_hz = sensor_in(sequence, "image"), options.rate_hz or _RATE_HZ
+    labels = {number: path.with_suffix(_SUFFIX) for number, path in images.files.items()}
     lines_px = {number: _lines(path) for number, path in labels.items() if path.is_file()}
-    rig, truth, notes = labelled_rig(folder, options, surveys["image"].size, lines_px)
-    return Drive(
-        folder=folder,
-        title=f"CULane{f', {name}' if name != '.' else ''}",
-        surveys=surveys,
-        stamps_ns=stamps_of_rate(sorted(files), rate_hz),
-        timing=f"{rate_hz:g} Hz by frame number{'' if options.rate_hz else ' (CULane)'}",
-        rig=rig,
-        truth=truth,
-        notes=tuple(notes),
-    )
+    drive = labelled_drive(folder, options, images, lines_px, stamps_of_rate(sorted(images.files), rate_hz))
+    return replace(drive, title=f"CULane, {name}", timing=f"{rate_hz:g} Hz by frame number")
 
 
 def _lines(path: Path) -> list[Float]:
     """Return the lines of a file, each (N, 2) x, y in pixels."""
-    return [_line(f"{path}: line {k}", text) for k, text in enumerate(read_lines(path), 1) if text.strip()]
-
-
-def _line(place: str, text: str) -> Float:
-    try:
-        points = np.array(text.split(), np.float64).reshape(-1, 2)
-    except ValueError as error:
-        raise DumpError(f"{place}: expected pairs of x and y, found {text[:60]!r}") from error
-    if not np.isfinite(points).all():
-        raise DumpError(f"{place}: expected finite numbers, found {text[:60]!r}")
-    return points
+    found = []
+    for k, text in enumerate(read_lines(path), 1):
+        try:
+            points = np.array(text.split(), np.float64).reshape(-1, 2)
+        except ValueError:
+            points = np.array([[np.nan]])
+        if not np.isfinite(points).all():
+            raise DumpError(f"{path}: line {k}: expected pairs of x and y, found {text[:60]!r}")
+        found.append(points)
+    return found

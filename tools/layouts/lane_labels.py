@@ -13,15 +13,18 @@ import numpy as np
 
 from roadperc_stream.config import SurfaceConfig
 from roadperc_stream.geometry import Camera, Float, mounting, rays
-from roadperc_stream.geometry.rectification import rectified, rectified_pixels
+from roadperc_stream.geometry.rectification import is_rectified, rectified, rectified_pixels
 from roadperc_stream.model import EGO, SIDES, Boundary, Lanes, Transform
 
-from ..carla_dump.calibration_file import CALIBRATION_NAME, CalibrationFile
-from ..carla_dump.camera_rig import FRONT, Rig, Size, build_rig
-from ..carla_dump.truth_file import NO_TRUTH, TruthTables
-from .drive import ConvertOptions
+from ..carla_dump.calibration_file import CALIBRATION_NAME
+from ..carla_dump.camera_rig import FRONT, build_rig
+from ..carla_dump.layout import Sensor
+from ..carla_dump.survey import surveyed
+from ..carla_dump.truth_file import NO_TRUTH
+from .drive import ConvertOptions, Drive
 from .dump import calibration_of
 
+FLAGS: Final = ("--sequence", "--fov", "--calibration", "--height")
 Lines = Sequence[Float]
 """The lines of a frame, each (N, 2) x, y in pixels."""
 _FARTHEST_M: Final = 60.0
@@ -32,94 +35,77 @@ _CURVED_M: Final = 15.0
 _WIDEST_M: Final = 5.0
 """Largest distance of a boundary of the ego lane."""
 _SPREAD: Final = 0.3
-"""Least difference of the lines' slopes, columns a row: lines that are nearly parallel meet nowhere."""
-_WITHOUT_PITCH: Final = "the pitch of the camera is unknown, because no frame has two lines that meet"
+"""Least difference of the lines' slopes, columns a row: nearly parallel lines have no certain vanishing point."""
 
 
-def labelled_rig(
-    folder: Path, options: ConvertOptions, size: Size | None, frames: Mapping[int, Lines]
-) -> tuple[Rig, TruthTables, list[str]]:
-    """Return the rig of the front camera, the true lanes by frame, and notes about the mounting.
+def labelled_drive(
+    folder: Path, options: ConvertOptions, images: Sensor, lines_px: Mapping[int, Lines], stamps_ns: Mapping[int, int]
+) -> Drive:
+    """Return the images of the front camera with the true lanes of the labelled ones.
 
     Args:
         folder: dataset, which may have a ``calibration.json``.
         options: options of the command line.
-        size: columns and rows of the images.
-        frames: labelled lines by frame number, in the recorded image.
+        images: images by number.
+        lines_px: labelled lines by number, in the recorded image.
+        stamps_ns: stamp by number.
 
     Raises:
-        DumpError: the camera has no calibration.
+        DumpError: the camera has no calibration, or no image can be read.
     """
+    surveys = surveyed({"image": images})
     calibration, path = calibration_of(folder / CALIBRATION_NAME, options)
-    rig = build_rig(calibration, path, ["image"], {"image": size} if size else {})
-    camera, straight = rig.cameras["calibration"], rectified(rig.cameras["calibration"])
-    if straight is not camera:
-        frames = {n: [rectified_pixels(camera, straight, line) for line in lines] for n, lines in frames.items()}
-    ego_T_camera, notes = _mounting(rig, straight, calibration, frames.values())
-    lanes = {number: true_lanes(lines, straight, ego_T_camera) for number, lines in frames.items()}
-    truth = replace(NO_TRUTH, lanes={number: found for number, found in lanes.items() if found.boundaries})
-    mounted = Transform(EGO, FRONT, ego_T_camera)
-    return replace(rig, transforms=(mounted,)), truth, [*rig.notes, *notes]
-
-
-def _mounting(
-    rig: Rig, camera: Camera, calibration: CalibrationFile, frames: Iterable[Lines]
-) -> tuple[Float, list[str]]:
-    """Return ego_T_camera of the calibration, else of the labels and a height, and notes about them."""
+    rig = build_rig(calibration, path, ["image"], {role: found.size for role, found in surveys.items() if found.size})
+    recorded = rig.cameras["calibration"]
+    camera = rectified(recorded)
+    if not is_rectified(recorded):
+        lines_px = {k: [rectified_pixels(recorded, camera, line) for line in lines] for k, lines in lines_px.items()}
     if calibration.mounting and rig.transforms:
-        return rig.transforms[0].parent_T_child, []
-    height_m = calibration.rgb_height_m or SurfaceConfig().assumed_height_m
-    stated = "" if calibration.rgb_height_m else f"assumed: camera {height_m:g} m above the road (--height); "
+        ego_T_camera, notes = rig.transforms[0].parent_T_child, rig.notes
+    else:
+        ego_T_camera, note = _mounting(camera, calibration.rgb_height_m, lines_px.values())
+        notes = (*rig.notes, note)
+    rig = replace(rig, transforms=(Transform(EGO, FRONT, ego_T_camera),))
+    lanes = {number: true_lanes(lines, camera, ego_T_camera) for number, lines in lines_px.items()}
+    truth = replace(NO_TRUTH, lanes={number: found for number, found in lanes.items() if found.boundaries})
+    return Drive(folder, "", surveys, stamps_ns, "", rig, truth=truth, notes=notes)
+
+
+def _mounting(camera: Camera, height_m: float | None, frames: Iterable[Lines]) -> tuple[Float, str]:
+    """Return ego_T_camera of a height and the labels, and a note about it."""
     points = [point for lines in frames if (point := vanishing_point(lines)) is not None]
-    if not points:
-        return mounting(z=height_m), [f"{stated}{_WITHOUT_PITCH}"]
-    u, v = np.median(points, axis=0)
+    u, v = np.median(points, axis=0) if points else (camera.cx, camera.cy)
     pitch = np.arctan((camera.cy - v) / camera.fy)
-    yaw = np.arctan((u - camera.cx) / camera.fx * np.cos(pitch))
-    pitch_deg, yaw_deg = float(np.degrees(pitch)), float(np.degrees(yaw))
-    notes = [f"{stated}pitch {pitch_deg:.2f} and yaw {yaw_deg:.2f} degrees from the vanishing point of the labels"]
-    return mounting(z=height_m, pitch=pitch_deg, yaw=yaw_deg), notes
+    pitch_deg = float(np.degrees(pitch))
+    yaw_deg = float(np.degrees(np.arctan((u - camera.cx) / camera.fx * np.cos(pitch))))
+    z = height_m or SurfaceConfig().assumed_height_m
+    angles = f"pitch {pitch_deg:.2f} and yaw {yaw_deg:.2f} degrees from the vanishing point of the labels"
+    note = f"{'' if height_m else 'assumed: '}camera {z:g} m above the road; {angles if points else 'level (assumed)'}"
+    return mounting(z=z, pitch=pitch_deg, yaw=yaw_deg), note
 
 
 def vanishing_point(lines: Lines) -> Float | None:
     """Return (2,) pixels of the point that is nearest to the lower halves of the lines; None if they are parallel."""
     near = [line[line[:, 1] >= np.median(line[:, 1])] for line in lines]
-    fits = np.array(
-        [np.polyfit(part[:, 1], part[:, 0], 1) for part in near if np.ptp(part[:, 1]) > 0] or np.empty((0, 2))
-    )
-    if len(fits) < 2 or np.ptp(fits[:, 0]) < _SPREAD:
+    fits = [np.polyfit(half[:, 1], half[:, 0], 1) for half in near if np.ptp(half[:, 1]) > 0]
+    slopes, offsets = np.reshape(fits, (-1, 2)).T
+    if len(fits) < 2 or np.ptp(slopes) < _SPREAD:
         return None
-    slopes, offsets = fits.T
-    u, v = np.linalg.lstsq(np.column_stack((np.ones_like(slopes), -slopes)), offsets, rcond=None)[0]
-    return np.array([u, v])
+    return np.asarray(np.linalg.lstsq(np.column_stack((slopes**0, -slopes)), offsets, rcond=None)[0], np.float64)
 
 
 def true_lanes(lines: Lines, camera: Camera, ego_T_camera: Float) -> Lanes:
     """Return the nearest line on each side as a boundary of the ego lane, on the plane z = 0 of the ego frame.
 
-    Args:
-        lines: labelled lines in the rectified image.
-        camera: the rectified camera.
-        ego_T_camera: (4, 4) mounting.
+    ``camera`` and the lines are those of the rectified image.
     """
     on_road = [points for line in lines if (points := _on_road(line, camera, ego_T_camera)) is not None]
-    fits = [(_fit(points), points) for points in on_road]
-    boundaries = []
+    fits = sorted(((_fit(points), points) for points in on_road), key=lambda pair: abs(pair[0][0]))
+    found = []
     for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
-        near = [(state, points) for state, points in fits if 0 < sign * state[0] < _WIDEST_M]
-        if near:
-            (offset_m, heading, curvature), points = min(near, key=lambda pair: abs(pair[0][0]))
-            boundaries.append(
-                Boundary(
-                    side,
-                    "measured",
-                    offset_m=offset_m,
-                    heading=heading,
-                    curvature_per_m=curvature,
-                    line_ego_m=points,
-                )
-            )
-    return Lanes(tuple(boundaries))
+        near = [pair for pair in fits if 0 < sign * pair[0][0] < _WIDEST_M]
+        found += [Boundary(side, "measured", None, None, *state, line_ego_m=points) for state, points in near[:1]]
+    return Lanes(tuple(found))
 
 
 def _on_road(line_px: Float, camera: Camera, ego_T_camera: Float) -> Float | None:

@@ -185,7 +185,10 @@ def test_bench2drive(tmp_path, capsys):
     png(clip / "camera" / "semantic_front" / "00000.png", TAGS)
     png(clip / "camera" / "instance_front" / "00000.png", alpha(camera_pixels()))
     (clip / "lidar").mkdir()
-    (clip / "lidar" / "00000.laz").write_bytes(b"not points")
+    laspy = pytest.importorskip("laspy")
+    points = laspy.create(point_format=0)
+    points.x, points.y, points.z = [5.0], [2.0], [1.0]
+    points.write(str(clip / "lidar" / "00000.laz"))
     mounted = [[1, 0, 0, 0.8], [0, 1, 0, 0], [0, 0, 1, 1.6], [0, 0, 0, 1]]
     inverse = np.linalg.inv(carla_matrix(10, 25)).tolist()
     car = {"class": "vehicle", "id": "3", "base_type": "truck", "center": [10, 25, 2], "extent": [3, 1, 2]}
@@ -203,12 +206,14 @@ def test_bench2drive(tmp_path, capsys):
     packed(clip / "anno" / "00000.json.gz", annotation)
     found = payloads(convert(tmp_path))
     assert {"image", "depth", "segmentation", "instances", "truth_pose", "truth_objects"} <= set(found)
+    np.testing.assert_allclose(found["lidar"][0][2].points_m, [(5, -2, 1)], atol=0.01)
     assert (found["calibration"][0][2].cx, found["calibration"][0][2].cy) == (7.5, 5.5)
     np.testing.assert_allclose(found["depth"][0][2].depth_m, 20.0)
     by_compass = found["truth_pose"][0][2].parent_T_child
     np.testing.assert_allclose(by_compass[:2], [(0, 1, 0, 10), (-1, 0, 0, -5)], atol=1e-9)
     (truck,) = found["truth_objects"][0][2].objects
     assert (truck.detection.label, truck.distance_m) == ("truck", pytest.approx(20 - 3 - 0.8))
+    (clip / "lidar" / "00000.laz").write_bytes(b"not points")
     annotation["bounding_boxes"][0]["world2ego"] = np.linalg.inv(carla_matrix(10, 5)).tolist()
     packed(clip / "anno" / "00000.json.gz", annotation)
     text = printed_by(capsys, tmp_path, tmp_path / "o.mcap")
