@@ -58,8 +58,7 @@ def print_report(arguments: argparse.Namespace, write_page: WritePage | None) ->
         print_answer(console, answer)
     elif len(filled) == 1:
         summary = summarise_run(filled[0], arguments.worst)
-        path = _trajectory(filled[0], summary)
-        print_lines(console, identity(summary), extent(summary), inputs(summary), *([path[0]] if path else []))
+        print_lines(console, identity(summary), extent(summary), inputs(summary), *_trajectory(filled[0], summary)[0])
         print_parts(console, *sections([summary]), worst_frames([summary]))
     else:
         _print_several(console, filled, arguments.worst)
@@ -81,10 +80,9 @@ def _answer(runs: Sequence[Run], by: Sequence[str]) -> Answer:
         (summary,) = summaries
         extent_s = f"{number(summary.frames, 'frame')}{in_segments(summary)}, {summary.span_s:.2f} s"
         head = (f"{identity(summary)}, {extent_s}", *answer.head)
-        if (path := _trajectory(runs[0], summary)) is None:
-            return replace(answer, head=head, tail=(*answer.tail, _MORE))
-        of_run = {**answer.values["runs"][summary.name], "trajectory": path[1]}
-        return replace(answer, head=head, tail=(path[0], *answer.tail, _MORE), values={"runs": {summary.name: of_run}})
+        line, errors = _trajectory(runs[0], summary)
+        values = {"runs": {summary.name: answer.values["runs"][summary.name] | errors}}
+        return replace(answer, head=head, tail=(*line, *answer.tail, _MORE), values=values)
     head = (f"{contents(summaries)}, {sum(summary.frames for summary in summaries)} frames", *answer.head)
     names = short_names([run.name for run in runs], name_columns(console_for(sys.stdout)))
     settings = settings_table({names[run.name]: run for run in runs})
@@ -92,9 +90,9 @@ def _answer(runs: Sequence[Run], by: Sequence[str]) -> Answer:
     return replace(answer, head=head, tables=tables, tail=(*legend(names), *answer.tail, _MORE))
 
 
-def _trajectory(run: Run, summary: Summary) -> tuple[str, dict[str, Any]] | None:
-    """The line and the values of the errors of a run's path, if it has true poses."""
-    return in_short(run) if _HAS_TRUE_POSES in summary.statistics else None
+def _trajectory(run: Run, summary: Summary) -> tuple[tuple[str, ...], dict[str, Any]]:
+    """The line and the values of the errors of a run's path; both are empty without true poses."""
+    return in_short(run) if _HAS_TRUE_POSES in summary.statistics else ((), {})
 
 
 def _print_several(console: Console, found: Sequence[Run], worst: int) -> None:

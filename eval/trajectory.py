@@ -149,19 +149,18 @@ def trajectories(arguments: argparse.Namespace, delta: Delta) -> None:
         print_parts(console, *_several(evaluated, name_columns(console)))
 
 
-def in_short(run: Run) -> tuple[str, dict[str, Any]] | None:
-    """The errors of a run's trajectory in a line and for other programs; None without poses to compare."""
+def in_short(run: Run) -> tuple[tuple[str, ...], dict[str, Any]]:
+    """The errors of a run's trajectory in a line and for other programs; both are empty without poses to compare."""
     try:
         found = evaluate(read_poses(run), None, Delta(1, "frames"))
     except TableError:
-        return None
-    together, lengths = found.together, [s.length_m for s in found.stretches if s.length_m and s.count]
-    of_kitti = (
-        f", KITTI t_err {_number(together.translation_percent)} %, "
-        f"r_err {_number(together.rotation_deg_per_100m)} deg/100 m over {lengths[0]:.0f} to {lengths[-1]:.0f} m"
-    )
-    ate = f"ATE {_number(found.absolute_m.rmse)} m, {_ALIGNED[found.alignment]}"
-    return f"trajectory: {ate}{of_kitti if lengths else ''}", _as_json(found)
+        return (), {}
+    line = f"trajectory: ATE {_number(found.absolute_m.rmse)} m, {_ALIGNED[found.alignment]}"
+    if lengths := [stretch.length_m or 0 for stretch in found.stretches if stretch.count]:
+        percent_off, deg_off = _segment_cells(found.together)
+        over = f"over {lengths[0]:.0f} to {lengths[-1]:.0f} m"
+        line += f", KITTI t_err {percent_off} %, r_err {deg_off} deg/100 m {over}"
+    return (line,), {"trajectory": _as_json(found)}
 
 
 def _write(evaluated: Sequence[Evaluation], refused: Mapping[str, TableError], arguments: argparse.Namespace) -> None:

@@ -1,5 +1,6 @@
 """roadperc-trajectory: its output, its files, and its exit code."""
 
+import json
 import subprocess
 import sys
 from functools import partial
@@ -8,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from roadperc_stream.cli import report
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.cli.trajectory import main
 from roadperc_stream.eval.runs import find_runs
@@ -91,3 +93,15 @@ def test_the_command_does_not_import_slow_libraries():
     code = "import sys, roadperc_stream.eval.trajectory; print(*(n for n in ('cv2', 'mcap') if n in sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout.strip() == ""
+
+
+@pytest.mark.parametrize(("frames", "kitti"), [(60, True), (4, False)])
+def test_the_report_of_a_run_has_the_errors_of_its_path_in_one_line(tmp_path, capsys, frames, kitti):
+    path = write_run(
+        tmp_path / "drive.metrics.parquet", noisy(TRUE, 1)[:frames], TRUE[:frames], turn_error_deg=[0.1] * frames
+    )
+    assert report.main([str(path), "--json", str(tmp_path / "report.json")]) == 0
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("trajectory: ATE ")]
+    assert ("KITTI t_err " in line) == kitti
+    (found,) = json.loads((tmp_path / "report.json").read_text())["runs"].values()
+    assert f"ATE {found['trajectory']['ate_m']['rmse']:.4f} m, aligned by SE(3)" in line

@@ -30,8 +30,6 @@ _DOCUMENT_SUFFIXES: Final = frozenset({".json", ".txt", ".yaml", ".yml"})
 _DOCUMENT_NAMES: Final = frozenset(name for names in _DOCUMENTS.values() for name in names)
 _KNOWN_DOCUMENTS: Final = "known documents are " + ", ".join(names[0] for names in _DOCUMENTS.values())
 _TRUTH_FOLDER: Final = "truth"
-_KITTI_IMAGES: Final = re.compile(r"image_0?[0-3]")
-"""KITTI's folders: image_2 of objects, image_0 of odometry, image_02/data of raw data."""
 
 
 @dataclass(frozen=True)
@@ -48,18 +46,11 @@ class Sensor:
         """Return the file with the smallest frame number."""
         return self.files[min(self.files)]
 
-    @property
-    def is_of_kitti(self) -> bool:
-        """Return True if the images are in one of KITTI's folders."""
-        folders = self.first.parent, self.first.parent.parent
-        return any(_KITTI_IMAGES.fullmatch(folder.name) for folder in folders)
-
 
 @dataclass(frozen=True)
 class DumpLayout:
     """The sensors and documents of a dump."""
 
-    dump: Path
     sensors: Mapping[str, Sensor]
     documents: Mapping[str, Path]
     notes: tuple[str, ...] = ()
@@ -92,7 +83,7 @@ def find_layout(dump: Path, overrides: Mapping[str, Path]) -> DumpLayout:
             f"{dump}: both {documents['detections'].name} and {sensors['detections'].source}/ hold detections; "
             "choose one with --role detections=PATH"
         )
-    return DumpLayout(dump, sensors, documents, tuple(notes))
+    return DumpLayout(sensors, documents, tuple(notes))
 
 
 def frame_count(dump: Path) -> int:

@@ -1,6 +1,6 @@
 """The plan of a conversion: all files are found and checked before the first message is written."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, TypeVar
@@ -9,7 +9,7 @@ from roadperc_stream.errors import DumpError
 from roadperc_stream.model.tag_tables import TagTable
 
 from ..layouts.drive import ConvertOptions, Drive
-from .camera_rig import LIDAR, Rig, Size
+from .camera_rig import LIDAR, Rig
 from .depth_files import GREY, DepthEncoding, depth_encoding, grey_encoding
 from .survey import SensorSurvey, apart_ns, meeting_notes, of_size, reference_of
 from .tag_files import LOSSY_TAGS, TagEncoding, choose_table, named_table, tag_encoding
@@ -60,7 +60,7 @@ def make_plan(drive: Drive, options: ConvertOptions) -> Plan:
         ConfigError: the tag table is unknown.
     """
     notes = list(drive.notes)
-    surveys = {role: of_size(found, _sizes(drive, role)) for role, found in drive.surveys.items()}
+    surveys = {role: of_size(found, drive.rig_of) for role, found in drive.surveys.items()}
     frames, missing = _frames_and_missing(drive, surveys, notes)
     if LIDAR in surveys:
         _of_frames(LIDAR, surveys[LIDAR].sensor.files, drive.stamps_ns, notes)
@@ -86,16 +86,6 @@ def make_plan(drive: Drive, options: ConvertOptions) -> Plan:
         tag_table=table,
         tag_table_source=table_source,
     )
-
-
-def _sizes(drive: Drive, role: str) -> Callable[[int], Size]:
-    """Return the function that gives the size of a role's camera in a frame."""
-
-    def size(number: int) -> Size:
-        camera = drive.rig_of(number).camera_of(role)
-        return camera.width, camera.height
-
-    return size
 
 
 def _depth_encoding(

@@ -14,7 +14,7 @@ from roadperc_stream.errors import DumpError
 from roadperc_stream.schemas.roles import REFERENCE_ROLES, ROLES
 from roadperc_stream.system.time import ns_to_seconds, seconds_to_ns
 
-from .camera_rig import CAMERA_ROLES, LIDAR
+from .camera_rig import CAMERA_ROLES, LIDAR, Rig
 from .image_files import UnreadableFrameError, read_header
 from .layout import Sensor
 from .pixel_files import file_size
@@ -136,10 +136,10 @@ def _counted(kinds: Counter[str]) -> str:
     return ", ".join(f"{kind} ({count})" for kind, count in kinds.most_common())
 
 
-def of_size(found: SensorSurvey, expected: Callable[[int], tuple[int, int]]) -> SensorSurvey:
+def of_size(found: SensorSurvey, rig_of: Callable[[int], Rig]) -> SensorSurvey:
     """Return the survey without images of another size than their camera's; those count as missing.
 
-    ``expected`` gives columns and rows of the camera in a frame.
+    ``rig_of`` gives the cameras of a frame.
 
     Raises:
         UnreadableFrameError: no image has the camera's size.
@@ -147,8 +147,9 @@ def of_size(found: SensorSurvey, expected: Callable[[int], tuple[int, int]]) -> 
     files = dict(found.sensor.files)
     faults: list[UnreadableFrameError] = []
     for number, size in found.sizes.items():
+        camera = rig_of(number).camera_of(found.sensor.role)
         try:
-            require_size(files[number], size, expected(number))
+            require_size(files[number], size, (camera.width, camera.height))
         except UnreadableFrameError as error:
             faults.append(error)
             del files[number]

@@ -1,8 +1,10 @@
 """The layout of a CARLA dump: one folder per sensor with one file per frame, and documents such as poses.json."""
 
+import re
 from collections.abc import Mapping
 from math import gcd
 from pathlib import Path
+from typing import Final
 
 from roadperc_stream.errors import DumpError
 from roadperc_stream.model import Detection
@@ -17,6 +19,9 @@ from ..carla_dump.role_names import role_of
 from ..carla_dump.survey import SensorSurvey, front_sensors, points_fault, reference_of, surveyed
 from ..carla_dump.truth_file import NO_TRUTH, load_poses, load_truth
 from .drive import ConvertOptions, Drive
+
+_KITTI_IMAGES: Final = re.compile(r"image_0?[0-3]")
+"""KITTI's folders: image_2 of objects, image_0 of odometry, image_02/data of raw data."""
 
 
 def detect(_: Path) -> bool:
@@ -94,7 +99,8 @@ def _with_pixel_origin(layout: DumpLayout, calibration: CalibrationFile) -> Cali
 
 
 def _is_kitti(layout: DumpLayout) -> bool:
-    return any(layout.sensors[role].is_of_kitti for role in ("image", "left") if role in layout.sensors)
+    first = [layout.sensors[role].first for role in ("image", "left") if role in layout.sensors]
+    return any(_KITTI_IMAGES.fullmatch(folder.name) for path in first for folder in path.parents[:2])
 
 
 def _origin_in_words(layout: DumpLayout, path: Path, said: CalibrationFile, used: CalibrationFile) -> str:
