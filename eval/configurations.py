@@ -95,7 +95,10 @@ def change(base: Run, new: Run) -> tuple[str, ...]:
     rows = differing([ours, theirs])
     if _networks(base) != _networks(new):
         rows["networks of the input"] = _networks(base), _networks(new)
-    return ("" if rows else "none", *(f"{key} {' → '.join(values)}" for key, values in rows.items()))
+    return (
+        "" if rows else "none",
+        *(f"{key} {' → '.join(value or 'none' for value in values)}" for key, values in rows.items()),
+    )
 
 
 def _networks(run: Run) -> str:

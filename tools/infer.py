@@ -28,7 +28,7 @@ from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.schemas import record
 from roadperc_stream.schemas.roles import ROLES, parse_topic_options
 from roadperc_stream.schemas.topics import VIDEO_SCHEMA
-from roadperc_stream.system.files import partial_of, require_free
+from roadperc_stream.system.files import is_bag_folder, partial_of, require_free
 from roadperc_stream.system.process import optional_output
 from roadperc_stream.system.text import number, print_line
 from roadperc_stream.system.threads import in_order, one_thread, usable_cores
@@ -68,14 +68,14 @@ class InferenceJob:
 
 
 def is_log(path: Path) -> bool:
-    """Return whether a file is a log, by its name or its first bytes."""
+    """Return whether a path is a log or a ROS bag, by its name or its first bytes."""
     with suppress(OSError):
-        return path.suffix == ".mcap" or log.is_log(path)
+        return path.suffix in (".mcap", ".db3", ".bag") or is_bag_folder(path) or log.is_log(path)
     return False
 
 
 def infer(arguments: argparse.Namespace) -> None:
-    """Write OUT.mcap from a log, or from anything that ``roadperc-convert`` reads.
+    """Write OUT.mcap from a log, a ROS bag, or anything that ``roadperc-convert`` reads.
 
     Raises:
         RoadpercError: a network, the input or the output cannot be used.
@@ -100,7 +100,7 @@ def infer(arguments: argparse.Namespace) -> None:
 @contextmanager
 def _as_log(arguments: argparse.Namespace) -> Iterator[LogSummary]:
     """Yield the log, or a temporary one beside the output that is converted from other input."""
-    summary = log.summarise(arguments.source) if is_log(arguments.source) else None
+    summary = log.summarise(log.received([arguments.source])) if is_log(arguments.source) else None
     if summary is not None and not _has_only_video(summary):
         yield summary
         return

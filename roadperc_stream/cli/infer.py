@@ -57,7 +57,9 @@ def _parser() -> argparse.ArgumentParser:
         _USAGE,
     )
     add = parser.add_argument
-    source = add("source", type=Path, nargs="?", metavar="IN", help="log, or anything that roadperc-convert reads")
+    source = add(
+        "source", type=Path, nargs="?", metavar="IN", help="log, ROS bag, or anything that roadperc-convert reads"
+    )
     out = add("out", type=Path, nargs="?", metavar="OUT.mcap", help="log to write")
     network = add(
         "--network",

@@ -69,7 +69,7 @@ def _parser() -> argparse.ArgumentParser:
         type=Path,
         nargs="*",
         default=[],
-        help="the log to read (one or more files, a folder of ROS 2, or - for standard input), then the log to write",
+        help="the log to read (files, the folder of a ROS 2 bag, or - for standard input), then the log to write",
     )
     shared.add_input_arguments(parser)
     shared.add_only_argument(parser)

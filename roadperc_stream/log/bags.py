@@ -68,7 +68,8 @@ def _files_of(path: Path) -> list[Path]:
     if not is_bag_folder(path):
         return [path]
     described, there = path / BAG_METADATA, sorted([*path.glob("*.mcap*"), *path.glob("*.db3*")])
-    command = f"; replay the existing files with: {join(('roadperc-replay', *map(str, there), 'OUT.mcap'))}"
+    replay = join(("roadperc-replay", *map(str, there), "OUT.mcap"))
+    command = f"; replay the existing files with: {replay}" if there else "; copy the whole folder of the bag again"
     try:
         bag = msgspec.yaml.decode(described.read_bytes(), type=dict[str, _Bag])["rosbag2_bagfile_information"]
     except (OSError, ValueError, KeyError, msgspec.MsgspecError, RecursionError) as error:

@@ -97,7 +97,7 @@ def not_a_log(folder: Path) -> str:
         return f"{folder}: is a folder, expected a log, such as {logs[0]}{files}"
     target = f"{folder if folder.name.strip('.') else folder.resolve().name}.mcap"
     command = shlex.join(("roadperc-convert", str(folder), target))
-    return f"{folder}: is a folder, expected a log; convert a CARLA dump with: {command}"
+    return f"{folder}: is a folder, expected a log; convert frames or a dataset with: {command}"
 
 
 def real_path(path: Path) -> Path:

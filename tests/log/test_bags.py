@@ -8,6 +8,7 @@ from rosbags import rosbag1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from roadperc_stream import log
+from roadperc_stream.cli.convert import main as convert_main
 from roadperc_stream.cli.info import main as info_main
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.errors import LogError
@@ -185,6 +186,17 @@ def test_a_damaged_message_is_named(tmp_path, messages):
     (file,) = log.received([path])
     topic = messages[8].channel.topic
     assert f"{topic}: message at {messages[8].log_time_ns} ns: " in log.audited(file).damages[0].words
+
+
+def test_a_bag_without_files_has_no_command_for_them(tmp_path):
+    (tmp_path / "metadata.yaml").write_text(metadata("bag.db3"))
+    assert refused(tmp_path).endswith("names it; copy the whole folder of the bag again")
+
+
+def test_a_bag_is_not_converted(tmp_path, capsys):
+    (tmp_path / "metadata.yaml").write_text(metadata("bag.db3"))
+    assert convert_main([str(tmp_path), str(tmp_path / "in.mcap")]) == 1
+    assert f"replay it with: roadperc-replay {tmp_path} OUT.mcap" in capsys.readouterr().err
 
 
 def test_info_lists_every_file_of_a_bag_and_proposes_the_topic(tmp_path, messages, capsys):

@@ -168,4 +168,4 @@ def test_the_error_for_a_folder_names_the_first_log_in_it(tmp_path):
 def test_the_error_for_a_dump_gives_the_command_that_converts_it(tmp_path):
     dump = tmp_path / "a drive"
     dump.mkdir()
-    assert not_a_log(dump).endswith(f"convert a CARLA dump with: roadperc-convert '{dump}' '{dump}.mcap'")
+    assert not_a_log(dump).endswith(f"convert frames or a dataset with: roadperc-convert '{dump}' '{dump}.mcap'")

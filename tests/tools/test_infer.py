@@ -10,13 +10,17 @@ from pathlib import Path
 import cv2
 import polars as pl
 import pytest
+from rosbags.rosbag2 import StoragePlugin
 
 from roadperc_stream import log
 from roadperc_stream.cli import replay
 from roadperc_stream.cli.infer import main
+from tests.input import test_elsewhere as elsewhere
+from tests.log.test_bags import split_bag
 from tests.tools.test_video_logs import TOPIC, write_log
 
 ANNEX_B = (cv2.CAP_PROP_FORMAT, -1)
+IMAGE_TOPICS = {"/camera/front/image", "/camera/front/calibration"}
 DOCS = Path(__file__).parents[2] / "docs" / "networks"
 
 
@@ -66,6 +70,14 @@ def test_a_log_with_only_video_is_converted_first(drive, data_dir):
     found = messages(drive / "images.mcap")
     assert len(found["/camera/front/segmentation"]) == len(found[TOPIC]) == 2
     path.unlink()
+
+
+def test_a_split_bag_is_read_directly(drive):
+    whole = [m for m in log.read(log.summarise(elsewhere.SAMPLE)) if m.channel.topic in IMAGE_TOPICS][:3]
+    single = elsewhere.bag(drive / "bag.mcap", whole)
+    folder = split_bag(drive / "bag", [*log.read(log.summarise(single))], StoragePlugin.SQLITE3)
+    assert infer(drive, single, "single.mcap") == infer(drive, folder, "split.mcap") == 0
+    assert messages(drive / "single.mcap") == messages(drive / "split.mcap")
 
 
 def test_results_are_replaced_only_with_force_and_do_not_depend_on_threads(drive, capsys):

@@ -47,8 +47,10 @@ def read_lines(path: Path) -> list[str]:
     """
     try:
         return path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise DumpError(f"{path}: {error}") from error
+    except OSError as error:
+        raise DumpError(f"{path}: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise DumpError(f"{path}: not a text file in UTF-8: {error.reason} at byte {error.start}") from error
 
 
 def checked(path: Path | str, expected: TypeAdapter[T], data: Any) -> T:

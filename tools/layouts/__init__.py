@@ -19,8 +19,6 @@ LAYOUTS: Final = (
     "nuscenes",
     "carla-leaderboard",
     "bench2drive",
-    "tusimple",
-    "culane",
     "dump",
 )
 """Names for ``--layout``, in the order of detection; the module of ``kitti-odometry`` is ``kitti_odometry``."""

@@ -47,7 +47,8 @@ def read_document(path: Path) -> Any:
         return ast.literal_eval(text)
     except (ValueError, SyntaxError, RecursionError, MemoryError) as error:
         line = getattr(error, "lineno", None) or 1
-        raise DumpError(f"{path}: line {line}: neither JSON nor a Python literal: {error}") from error
+        what = f": {error.msg}" if isinstance(error, SyntaxError) else ": it holds a name or a call"
+        raise DumpError(f"{path}: line {line}: neither JSON nor a Python literal{what}") from error
 
 
 def numbered(folder: Path, pattern: str) -> dict[int, Path]:

@@ -115,7 +115,10 @@ def choose_sequence(folder: Path, sequences: Mapping[str, Path], wanted: str | N
         DumpError: there is no such sequence, or several and none is wanted.
     """
     if not sequences:
-        raise DumpError(f"{folder}: no sequence of this layout found; the documentation of datasets shows its folders")
+        raise DumpError(
+            f"{folder}: no sequence of this layout found; see the folders of each layout in docs/recordings.md, "
+            "or remove --layout to detect it"
+        )
     names = f"{', '.join(list(sequences)[:12])}{', ...' if len(sequences) > 12 else ''}"
     if wanted is None and len(sequences) != 1:
         raise DumpError(f"{folder}: expected one sequence, found {names}; choose one with --sequence NN")

@@ -114,6 +114,7 @@ def _pose(path: Path, number: int, line: str) -> Float:
         values = np.array(re.split(r"[,\s]+", line.strip()), np.float64)
     except ValueError as error:
         raise DumpError(f"{path}: line {number + 1}: {error}") from error
-    if values.size != _POSE_NUMBERS or not np.isfinite(values).all():
-        raise DumpError(f"{path}: line {number + 1}: expected 12 finite numbers, found {values.size}: {line[:60]!r}")
+    finite = np.count_nonzero(np.isfinite(values))
+    if values.size != _POSE_NUMBERS or finite != values.size:
+        raise DumpError(f"{path}: line {number + 1}: expected 12 finite numbers, found {finite}: {line[:60]!r}")
     return kitti.square(values.reshape(3, 4))

@@ -186,7 +186,8 @@ def _complaint(error: ValidationError) -> str:
     sections = [str(part) for part in first["loc"] if part not in _DECODERS]
     key = ".".join(sections)
     if first["type"] == "extra_forbidden":
-        near = nearest(sections[-1], (name for model in _MODELS for name in model.model_fields))
+        models = _MODELS[1:] if len(sections) > 1 else _MODELS[:1]
+        near = nearest(sections[-1], (name for model in models for name in model.model_fields))
         return f"no key {key}; " + (f"did you mean {near}?" if near else "docs/networks.md lists all keys")
     if first["type"] == "missing":
         return f"{key}: missing; see docs/networks.md for an example"

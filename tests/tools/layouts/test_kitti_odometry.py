@@ -3,6 +3,7 @@ import pytest
 
 from roadperc_stream.cli.convert import main
 from roadperc_stream.tools.carla_dump.frame_stamps import EPOCH_NS
+from roadperc_stream.tools.layouts import LAYOUTS
 from tests.tools.dump_writer import HEIGHT, WIDTH, camera_pixels, png
 from tests.tools.test_carla_to_mcap import convert, failure, payloads, printed_by
 
@@ -112,6 +113,7 @@ def replaced(path, line, text):
         ("sequences/00/times.txt", 2, "", "times.txt: line 3: no time for image 2"),
         ("sequences/00/times.txt", 2, "0.05", "times.txt: line 3: frame 2 is not later than frame 1"),
         ("poses/00.txt", 1, "1 0 0", "poses/00.txt: line 2: expected 12 finite numbers, found 3"),
+        ("poses/00.txt", 1, "nan " + "1 " * 11, "poses/00.txt: line 2: expected 12 finite numbers, found 11"),
     ],
 )
 def test_a_mistake_names_file_and_line(dataset, tmp_path, capsys, name, line, text, said):
@@ -126,7 +128,14 @@ def test_options_that_do_not_fit_are_refused(dataset, tmp_path, capsys):
     assert "--fov is not an option of this layout" in failure(capsys, dataset, out, "--sequence", "00", "--fov", "90")
     assert "times.txt has the stamps" in failure(capsys, dataset, out, "--sequence", "00", "--rate", "5")
     assert "--sequence chooses among" in failure(capsys, dataset, out, "--layout", "dump", "--sequence", "00")
-    assert "no sequence of this layout" in failure(capsys, dataset / "poses", out, "--layout", "kitti-odometry")
+    assert "or remove --layout to detect it" in failure(capsys, dataset / "poses", out, "--layout", "kitti-odometry")
+    assert len(set(LAYOUTS)) == len(LAYOUTS)
+
+
+def test_poses_that_are_no_text_are_named(dataset, tmp_path, capsys):
+    (dataset / "poses/00.txt").write_bytes(b"1\xff")
+    said = failure(capsys, dataset, tmp_path / "out.mcap", "--sequence", "00")
+    assert "00.txt: not a text file in UTF-8: invalid start byte at byte 1" in said
 
 
 def test_the_real_sequence_has_its_true_poses(data_dir, tmp_path):

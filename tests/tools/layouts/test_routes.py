@@ -231,6 +231,8 @@ def test_a_measurement_that_is_no_literal_names_its_line(tmp_path, capsys):
     (tmp_path / "measurements").mkdir()
     (tmp_path / "measurements" / "0000.json").write_text("{'x': 1,\n'y': }")
     assert "0000.json: line 2: neither JSON nor" in failure(capsys, tmp_path, tmp_path / "o.mcap")
+    (tmp_path / "measurements" / "0000.json").write_text("{'x': nan}")
+    assert " object at 0x" not in failure(capsys, tmp_path, tmp_path / "o.mcap")
     (tmp_path / "measurements" / "0000.json").write_text("{'x': 1, 'theta': 'north'}")
     assert "0000.json: theta: " in failure(capsys, tmp_path, tmp_path / "o.mcap")
 

@@ -33,6 +33,7 @@ def described(folder: Path, text: str = TEXT) -> Network:
     [
         ("size =", "sise =", "no key input.sise; did you mean size?"),
         ('file = "model.onnx"', "", "file: missing"),
+        ("output =", "outputs =", "no key outputs; did you mean output?"),
         ("input", 'sha256 = "' + "0" * 64 + '"\ninput', "download the file again"),
         ("model.onnx", "none.onnx", "none.onnx: No such file or directory, named by"),
     ],
