@@ -84,7 +84,7 @@ def _frame_lines(whole: bool, replay: ReplayFacts) -> Iterator[str]:
         unused = ", ".join(f"{role} {count}" for role, count in sorted(replay.unused.items()))
         yield f"messages that belong to no frame: {unused}"
     if any(state.role == "segmentation" and state.state == "filled" for state in replay.roles):
-        advice = "the log names no tag table; pass one to the replay, such as --set tag_table=0.9.15"
+        advice = "the log names no tag table; if the tags are numbers, pass one: --set tag_table=0.9.15"
         yield f"tag table {replay.tag_table}" if replay.tag_table else advice
     for topic, count in replay.unreadable.items():
         yield f"{topic}: {number(count, 'message')} cannot be decoded"

@@ -5,7 +5,7 @@ from typing import Final
 
 from roadperc_stream.log import Message
 from roadperc_stream.schemas.record import PIXEL_ORIGIN_KEY
-from roadperc_stream.system.text import shown
+from roadperc_stream.system.text import number, shown
 
 from ..layouts.drive import ConvertOptions, Drive
 from ..recording import Recording, SensorRow, camera_facts, mounting_fact
@@ -26,7 +26,7 @@ def recording_of_drive(drive: Drive, options: ConvertOptions) -> Recording:
     plan = make_plan(drive, options)
     title = f"{drive.title}, " if drive.title else ""
     return Recording(
-        title=f"{drive.folder}: {title}{len(plan.frames)} frames",
+        title=f"{drive.folder}: {title}{number(len(plan.frames), 'frame')}",
         sensors=tuple(_sensors(plan)),
         facts=tuple(_facts(plan)),
         frames=len(drive.stamps_ns),

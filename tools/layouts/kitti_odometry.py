@@ -11,6 +11,7 @@ import numpy as np
 
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float, inverse
+from roadperc_stream.system.text import number
 
 from ..carla_dump.calibration_file import CALIBRATION_NAME
 from ..carla_dump.camera_rig import LIDAR
@@ -55,6 +56,8 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
     height_m = kitti.height_of(options, notes)
     rig, ego_T_camera0 = kitti.rig(calibration, projections, surveys, camera0_T_lidar, height_m)
     frames = sorted({number for role in projections for number in surveys[role].sensor.files})
+    if absent := frames[-1] - frames[0] + 1 - len(frames):
+        notes.append(f"{number(absent, 'image')} missing between {frames[0]} and {frames[-1]}")
     stamps_ns, timing = _stamps(sequence / "times.txt", frames, options)
     return Drive(
         folder=folder,

@@ -87,6 +87,14 @@ def test_the_sequence_may_be_named_by_its_folder_or_by_a_folder_above(dataset, t
     assert "poses 3" in printed
 
 
+def test_missing_images_are_counted(dataset, tmp_path, capsys):
+    (dataset / "sequences/00/image_2/000001.png").unlink()
+    (dataset / "sequences/00/image_3/000001.png").unlink()
+    assert "note: 1 image missing between 0 and 2" in printed_by(
+        capsys, dataset, tmp_path / "out.mcap", "--sequence", "00"
+    )
+
+
 def test_a_sequence_without_poses_times_and_transform_of_the_lidar(tmp_path, capsys):
     folder = write_sequence(tmp_path / "alone", cameras=(0,), calibration="")
     printed = printed_by(capsys, folder, tmp_path / "out.mcap")
