@@ -31,6 +31,8 @@ class TimeChart:
     unit: str
     kinds: tuple[Kind, ...]
     note: str = ""
+    highest: float | None = None
+    """Upper end of the axis from 0, if larger values do not matter."""
 
 
 CHARTS: Final = (
@@ -63,7 +65,8 @@ CHARTS: Final = (
             Kind("time_to_impact_s", "shortest"),
             Kind("true_time_to_impact_s", "truth", 1.6, "dash", truth=True),
         ),
-        "The shortest of the objects in the car's path.",
+        "The shortest of the objects in the car's path, up to 10 s.",
+        highest=10.0,
     ),
     TimeChart(
         "Surface inliers",
@@ -93,6 +96,8 @@ def over_time(runs: Sequence[Series]) -> Iterator[Figure]:
         traces = [trace for place, run in enumerate(runs) for trace in _traces(chart, run, place, len(runs) > 1)]
         if traces:
             look = layout(TIME_TITLE, chart.unit, showlegend=len(traces) > 1)
+            if chart.highest is not None:
+                look["yaxis"] |= {"range": [0, chart.highest], "autorange": False}
             yield Figure(chart.title, _note(chart, len(runs)), traces, look)
 
 
