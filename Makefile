@@ -58,7 +58,7 @@ fuzz: $(VENV)/.installed  # gives every command wrong input: make fuzz N=20000 S
 SEEDS ?= 4
 PAGE ?=
 accuracy: $(VENV)/.installed  # required and measured accuracy: make accuracy SEEDS=2; PAGE=docs/accuracy.md updates the page
-	$(BIN)/python -m tests.accuracy --seeds $(SEEDS) --jobs $(JOBS) $(if $(PAGE),--page $(PAGE))
+	$(BIN)/python -m tests.accuracy --seeds $(SEEDS) --jobs $(JOBS) $(if $(ONLY),--only "$(ONLY)") $(if $(PAGE),--page $(PAGE))
 
 gate-rates: $(VENV)/.installed  # how often compare is wrong, an hour on two cores; PAGE=docs/evaluation.md updates the page
 	$(BIN)/python -m tests.gate_rates logs/runs/gate-rates --jobs $(JOBS) $(if $(PAGE),--page $(PAGE))
