@@ -28,7 +28,8 @@ from roadperc_stream.errors import ClusterError
 _OBJECTS_BYTES: Final = 100_000_000
 """Ray's object store, of the smallest size: outcomes are small and bypass it."""
 _STATE_EVERY_S: Final = 1.0
-_CHECK_WITHIN_S: Final = 30.0
+_CHECK_WITHIN_S: Final = 75.0
+"""Ray starts its first worker in this time: 10 s on a quiet machine, more than 30 s on a busy one."""
 _LONGEST_FOLDER: Final = 36
 """Characters of a folder below which Ray's sockets have names short enough for the system."""
 _COLOURS: Final = re.compile(r"\x1b\[\d+m")
