@@ -24,6 +24,7 @@ datasets:
   KITTI odometry: the folder with sequences/ and poses/ (choose one with --sequence NN), or one sequence.
   KITTI raw, object and tracking: the folder with training/, or with drives and calib_*.txt.
   TuSimple: the folder with label_data_*.json and clips/. CULane: a folder with *.lines.txt. Pass --fov and --height.
+  nuScenes: the folder with v1.0-*/. CARLA leaderboard: a route with rgb/ and measurements/. Bench2Drive: a clip.
   The table of docs/recordings.md says what comes out. Calibration, stamps and true poses are those of the dataset.
 
 images:
@@ -110,6 +111,21 @@ def _parser() -> argparse.ArgumentParser:
         "--tags", metavar="TABLE", help="table of the tags: a dataset's name, such as cityscapes, or a TOML file"
     )
     add_camera_arguments(parser)
+    _add_coding_arguments(parser)
+    parser.add_argument("--force", action="store_true", help="replace an existing log")
+    parser.add_argument("--quiet", action="store_true", help="print errors only")
+    for action, completer in (
+        (dump, files()),
+        (out, files(*LOGS)),
+        (role, roles_in_dump(roles)),
+        (tags, files(".toml")),
+    ):
+        completed_by(action, completer)
+    return parser
+
+
+def _add_coding_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of depth and tags."""
     parser.add_argument(
         "--depth",
         choices=("mm", "float"),
@@ -128,16 +144,6 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="accept JPEG segmentation, and use the nearest tag of each pixel",
     )
-    parser.add_argument("--force", action="store_true", help="replace an existing log")
-    parser.add_argument("--quiet", action="store_true", help="print errors only")
-    for action, completer in (
-        (dump, files()),
-        (out, files(*LOGS)),
-        (role, roles_in_dump(roles)),
-        (tags, files(".toml")),
-    ):
-        completed_by(action, completer)
-    return parser
 
 
 def _role(parser: argparse.ArgumentParser, option: str) -> tuple[str, str]:

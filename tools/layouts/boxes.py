@@ -1,18 +1,18 @@
-"""True objects of labelled 3D boxes, in the terms of ``/truth/objects``."""
+"""True objects of labelled 3D boxes, with the distance to the nearest point that the camera can see."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from scipy.optimize import nnls
 
 from roadperc_stream.geometry import Camera, Float, inverse, transform
 from roadperc_stream.model import Box, Detection, Object, Objects
 
-from ..box_view import corners_between, image_box, seen_sides
+from ..box_view import corners_between, image_box, seen_sides, view_limits
 from ..carla_dump.camera_rig import FRONT, Rig
 from ..carla_dump.truth_file import TruthTables
-from .box_truth import box_distance_m
 
 _NEAR_M: Final = 0.1
 
@@ -48,3 +48,31 @@ def _seen(camera: Camera, camera_T_ego: Float, boxes: Iterable[LabelledBox]) -> 
                 track_id=box.track_id,
                 distance_m=box_distance_m(camera, camera_T_box, size_m),
             )
+
+
+def box_distance_m(camera: Camera, camera_T_box: Float, size_m: Float) -> float:
+    """Return the straight-line distance from the camera to the nearest point of a box inside the image's limits.
+
+    A box outside the view counts as a whole. Source: C. Lawson and R. Hanson, Solving Least Squares Problems (1974),
+    chapter 23: the point of least norm under linear inequalities is a nonnegative least squares problem.
+
+    Args:
+        camera: the camera; only its size and matrix are used.
+        camera_T_box: (4, 4) pose of the box's centre in the camera's optical frame.
+        size_m: (3,) lengths along the box's axes.
+    """
+    axes = camera_T_box[:3, :3].T
+    middle = axes @ camera_T_box[:3, 3]
+    sides = np.vstack((axes, -axes))
+    bounds = np.concatenate((middle - size_m / 2, -middle - size_m / 2))
+    limits = view_limits(camera)
+    inside = _nearest_m(np.vstack((sides, limits)), np.concatenate((bounds, np.zeros(len(limits)))))
+    return _nearest_m(sides, bounds) if np.isnan(inside) else inside
+
+
+def _nearest_m(normals: Float, bounds: Float) -> float:
+    """Return the least norm of points with ``normals @ point >= bounds``, or NaN if there is no such point."""
+    system = np.vstack((normals.T, bounds))
+    weights, residual = nnls(system, np.array([0.0, 0.0, 0.0, 1.0]))
+    *beside, last = system @ weights - (0.0, 0.0, 0.0, 1.0)
+    return float("nan") if residual < 1e-9 else float(np.linalg.norm(beside) / -last)

@@ -22,7 +22,7 @@ from ..carla_dump.json_files import read_lines
 from ..carla_dump.layout import sensor_in
 from ..carla_dump.survey import SensorSurvey, surveyed
 from . import kitti_calibration as kitti
-from .box_truth import box_distance_m
+from .boxes import box_distance_m
 
 _PROJECTIONS: Final = {"image": "P2", "right": "P3"}
 _IMU: Final = ("Tr_imu_velo", "Tr_imu_to_velo")

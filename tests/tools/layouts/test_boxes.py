@@ -3,7 +3,7 @@ import pytest
 
 from roadperc_stream.geometry import Camera, project, rigid, transform
 from roadperc_stream.geometry.rotations import rotation_from_rpy
-from roadperc_stream.tools.layouts.box_truth import box_distance_m
+from roadperc_stream.tools.layouts.boxes import box_distance_m
 
 CAMERA = Camera("camera_front", 16, 12, 8.0, 8.0, 7.5, 5.5)
 """Sees 45 degrees to the left and right."""
