@@ -16,7 +16,7 @@ import numpy as np
 import polars as pl
 import polars.selectors as cs
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from roadperc_stream.geometry import Float
 
@@ -103,7 +103,7 @@ class Consistency:
         mean = self.nees
         scatter = max(self.s_s - 2 * mean * self.s_n + mean**2 * self.n_n, 0.0)
         error = np.sqrt(scatter * self.blocks / (self.blocks - 1)) / self.values
-        factor = float(np.exp(stats.t.ppf((1 + LEVEL) / 2, self.blocks - 1) * error / mean))
+        factor = float(np.exp(special.stdtrit(self.blocks - 1, (1 + LEVEL) / 2) * error / mean))
         return mean / factor, mean * factor
 
 

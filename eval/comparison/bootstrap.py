@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from roadperc_stream.geometry import Float
 
@@ -119,4 +119,4 @@ def _resampled_logs(differences: Sequence[Float]) -> tuple[Float, int, int]:
 def _widening(blocks: int, freedom: int, tests: int) -> float:
     """Factor by which the bootstrap's interval is widened for a number of blocks, degrees of freedom and tests."""
     tail = (1 - LEVEL) / 2
-    return float(stats.t.isf(tail / tests, freedom) / stats.norm.isf(tail) * np.sqrt(blocks / freedom))
+    return float(special.stdtrit(freedom, tail / tests) / special.ndtri(tail) * np.sqrt(blocks / freedom))

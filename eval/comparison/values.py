@@ -115,7 +115,7 @@ def _class_errors(run: Run) -> pl.DataFrame | None:
 def _values(metric: Metric, pair: RunPair, joined: tuple[pl.DataFrame, set[str]]) -> LogValues:
     table = joined[0]
     if not {metric.name, metric.name + NEW} <= set(table.columns):
-        table = table.clear().with_columns(pl.lit(0.0).alias(metric.name), pl.lit(0.0).alias(metric.name + NEW))
+        table = table.head(0).with_columns(pl.lit(0.0).alias(metric.name), pl.lit(0.0).alias(metric.name + NEW))
     known = table.select(_FRAME + NEW, STAMP, metric.name, metric.name + NEW).drop_nulls()
     base, new = (known[name].cast(pl.Float64).to_numpy() for name in (metric.name, metric.name + NEW))
     return LogValues(metric, pair, known[_FRAME + NEW].to_numpy(), known[STAMP].to_numpy(), base, new)
