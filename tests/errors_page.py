@@ -3,11 +3,9 @@
 ``python -m tests.errors_page`` runs each command on a small broken input and writes the page; ``make pages`` calls it.
 """
 
-import os
 import re
 import shutil
 import tempfile
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,7 +14,7 @@ import numpy as np
 
 from roadperc_stream.log import LogWriter
 from tests import logs
-from tests.commands import run
+from tests.commands import run_forked
 
 PAGE = Path(__file__).parents[1] / "docs" / "errors.md"
 HEAD = """# When something goes wrong
@@ -175,8 +173,8 @@ def make_inputs(folder: Path) -> None:
         (folder / name / "rgb").mkdir(parents=True)
         cv2.imwrite(str(folder / name / "rgb" / "1.png"), np.zeros((12, 16, 3), np.uint8))
         (folder / name / "calibration.json").write_text(calibration)
-    run("roadperc-replay", "in.mcap", "result.mcap", cwd=folder)
-    run("roadperc-replay", "no_segmentation.mcap", "no_segmentation.out.mcap", cwd=folder)
+    run_forked("roadperc-replay", "in.mcap", "result.mcap", cwd=folder)
+    run_forked("roadperc-replay", "no_segmentation.mcap", "no_segmentation.out.mcap", cwd=folder)
 
 
 def _write(path: Path, roles: tuple[str, ...], skipped: tuple[str, ...] = (), **labels: object) -> None:
@@ -190,7 +188,7 @@ def _write(path: Path, roles: tuple[str, ...], skipped: tuple[str, ...] = (), **
 
 def printed(entry: Entry, folder: Path) -> str:
     """The error of a command: its last line on stderr, or its notes and reasons if it succeeds."""
-    done = run(*entry.command.split(), cwd=folder)
+    done = run_forked(*entry.command.split(), cwd=folder)
     if done.returncode:
         return done.stderr.strip().splitlines()[-1]
     return "\n".join(line.rstrip() for line in done.stdout.splitlines() if re.search("^(note|warning):|no segm", line))
@@ -198,15 +196,14 @@ def printed(entry: Entry, folder: Path) -> str:
 
 def page() -> str:
     """The whole page."""
-    with tempfile.TemporaryDirectory() as name, ThreadPoolExecutor(os.cpu_count()) as pool:
+    with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         make_inputs(folder)
-        found = pool.map(lambda entry: printed(entry, folder), ENTRIES)
-        parts = (
-            f"\n## {entry.title}\n\n```text\n$ {entry.command}\n{text}\n```\n\n{entry.meaning} {entry.action}\n"
-            for entry, text in zip(ENTRIES, found, strict=True)
-        )
-        return HEAD + "".join(parts)
+        return HEAD + "".join(_part(entry, printed(entry, folder)) for entry in ENTRIES)
+
+
+def _part(entry: Entry, text: str) -> str:
+    return f"\n## {entry.title}\n\n```text\n$ {entry.command}\n{text}\n```\n\n{entry.meaning} {entry.action}\n"
 
 
 if __name__ == "__main__":

@@ -4,24 +4,14 @@ A limit on the size of files replaces the disk; its signal is ignored, so that w
 """
 
 import re
-import resource
-import signal
 
 import pytest
 
 from roadperc_stream.cli import render, replay
-from tests.commands import run
+from tests.commands import run_forked
 from tests.test_sample import SAMPLE
 
 _LEAST_BYTES = 1500
-
-
-def roadperc(command, *arguments, limit=resource.RLIM_INFINITY):
-    def limited():
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
-
-    return run(command, *arguments, timeout=120, preexec_fn=limited)
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +45,7 @@ def made(tmp_path_factory):
 )
 def test_a_full_disk_is_one_line_and_leaves_no_file(command, arguments, made, tmp_path):
     words = [re.sub("^MADE", str(made), re.sub("^OUT", str(tmp_path), str(argument))) for argument in arguments]
-    ended = roadperc(command, *words, limit=_LEAST_BYTES)
+    ended = run_forked(command, *words, file_bytes=_LEAST_BYTES)
     assert ended.returncode == (3 if command == "roadperc-compare" else 1)
     assert ended.stderr.startswith(f"error: {tmp_path}/")
     assert ended.stderr.count("\n") == 1

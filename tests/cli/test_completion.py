@@ -12,10 +12,10 @@ from roadperc_stream.cli.launch import COMMANDS
 from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.schemas.topics import STAGES
 from roadperc_stream.tools.scene.options import SCENES, SENSORS
+from tests.commands import run_forked
 from tests.config.test_settings import all_settings
 
 SEPARATOR = "\v"
-CODE = "from roadperc_stream.cli import launch; import sys; sys.exit(launch.{command}())"
 BIN = Path(sys.executable).parent
 TIMEOUT_S = 120
 
@@ -34,14 +34,10 @@ def folder(tmp_path):
 
 def answered(line, folder):
     """What could stand at the end of a line, as a shell without word breaks is told."""
-    command = line.split()[0].removeprefix("roadperc-")
     answer = folder / "answer"
     asked = {"COMP_LINE": line, "COMP_POINT": str(len(line)), "_ARGCOMPLETE": "1", "_ARGCOMPLETE_SHELL": "fish"}
     asked |= {"_ARGCOMPLETE_SUPPRESS_SPACE": "1", "_ARGCOMPLETE_STDOUT_FILENAME": str(answer)}
-    words = [sys.executable, "-c", CODE.format(command=command)]
-    ended = subprocess.run(
-        words, check=False, capture_output=True, text=True, cwd=folder, env=os.environ | asked, timeout=TIMEOUT_S
-    )
+    ended = run_forked(line.split()[0], cwd=folder, variables=asked)
     assert ended.returncode == 0, ended.stderr
     said = answer.read_text()
     answer.unlink()

@@ -17,7 +17,7 @@ from roadperc_stream import api
 from roadperc_stream.cli import render, replay
 from roadperc_stream.cli.launch import COMMANDS
 from roadperc_stream.errors import TargetError
-from tests.commands import BUFFERINGS, SCRIPTS, environment, run, status, words
+from tests.commands import BUFFERINGS, SCRIPTS, environment, run, run_forked, status, words
 from tests.test_sample import SAMPLE
 
 ROOT = Path(__file__).parents[2]
@@ -337,14 +337,13 @@ def test_a_closed_stream_does_not_take_the_number_of_a_file(tmp_path):
     assert int((tmp_path / "file").read_text()) > 2
 
 
-@pytest.mark.parametrize("command", ["roadperc-info", "roadperc-report", "roadperc-lanes"])
+@pytest.mark.parametrize("command", ["roadperc-info", "roadperc-report"])
 @pytest.mark.parametrize("name", ["bad\udcff", "\u00fc"])
 def test_a_name_of_another_encoding_is_one_line_at_most(command, name, made, tmp_path):
     for suffix in (".mcap", ".metrics.parquet", ".objects.parquet"):
         (tmp_path / f"{name}{suffix}").write_bytes((made / f"run{suffix}").read_bytes())
     plain = environment(LC_ALL="C", PYTHONUTF8="0", PYTHONCOERCECLOCALE="0")
-    options = ["--tusimple", tmp_path / "lanes.json"] if command == "roadperc-lanes" else []
-    ended = run(command, tmp_path / f"{name}.mcap", *options, env=plain)
+    ended = run(command, tmp_path / f"{name}.mcap", env=plain)
     assert "Traceback" not in ended.stderr
     assert (ended.returncode, ended.stderr.count("\n")) in {(0, 0), (1, 1)}
     assert ended.returncode == 0 or re.match(r"error: .*(bad|\\udcc3).*\n", ended.stderr), ended.stderr
@@ -363,20 +362,20 @@ def test_a_name_of_another_encoding_is_one_line_at_most(command, name, made, tmp
     ],
 )
 def test_subcommands_have_the_name_that_was_typed(arguments, code, printed):
-    ended = run("roadperc", *arguments)
+    ended = run_forked("roadperc", *arguments)
     assert (ended.returncode, printed in ended.stdout + ended.stderr) == (code, True), ended
     assert "roadperc-" not in ended.stderr
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_misspelled_option_gets_a_suggestion(command):
-    ended = run(f"roadperc-{command}", "--versio")
+    ended = run_forked(f"roadperc-{command}", "--versio")
     assert (ended.returncode, ended.stdout) == (2, "")
     assert ended.stderr.endswith("unrecognized arguments: --versio; did you mean --version?\n")
 
 
 def test_an_error_of_a_command_names_its_option(made):
-    ended = run("roadperc-replay", SAMPLE, made / "run.mcap", "--frames", "1")
+    ended = run_forked("roadperc-replay", SAMPLE, made / "run.mcap", "--frames", "1")
     assert ended.stderr.endswith("run.mcap: exists; pass --force to overwrite it\n")
     with pytest.raises(TargetError, match=r"run\.mcap: exists; pass force=True to overwrite it$"):
         api.replay(SAMPLE, made / "run.mcap", max_frames=1)

@@ -1,11 +1,8 @@
 """Runs each case in a forked process, which has the imports already; the system limits its time and memory."""
 
 import contextlib
-import importlib
 import json
 import os
-import pkgutil
-import re
 import resource
 import shutil
 import signal
@@ -21,8 +18,8 @@ from unittest.mock import patch
 
 import cv2
 
-import roadperc_stream.eval
 from roadperc_stream.cli import launch
+from tests.forking import import_all, limit_memory
 from tests.fuzz import contents
 from tests.fuzz.cases import Case, prepared
 from tests.fuzz.judge import FUZZER, Ran, crash_line, crash_of, faults
@@ -53,9 +50,7 @@ class Verdict:
 
 def import_commands() -> None:
     """Import all modules and make the valid inputs before any process is forked."""
-    for package in (roadperc_stream, roadperc_stream.eval):
-        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
-            importlib.import_module(module.name)
+    import_all()
     for make in contents.BASES.values():
         make()
 
@@ -122,19 +117,13 @@ def tried(case: Case, folder: Path) -> Verdict:
     signal.alarm(WALL_S)
     words, recipe = prepared(case, work)
     (folder / "made").write_text(json.dumps([words, recipe]))
-    _limit_memory()
+    limit_memory(MOST_GROWTH_BYTES)
     refused: list[str] = []
     cv2.redirectError(lambda status, _f, message, *_: refused.append(message) if status == cv2.Error.StsNoMem else None)
     first, found = _judged(words, again=sum(case.name.encode()) % EVERY_AGAIN == 0)
     found += [f"memory: OpenCV: {refused[0]}"] if refused else []
     line = " ".join(["roadperc-" + words[0], *words[1:]])
     return Verdict(words[0], first.code, _last_line(first.err), found, recipe, line)
-
-
-def _limit_memory() -> None:
-    """Limit writable memory, not address space: polars and Rerun reserve more than they use."""
-    (kilobytes,) = re.findall(r"^VmData:\s+(\d+) kB$", Path("/proc/self/status").read_text("ascii"), re.MULTILINE)
-    resource.setrlimit(resource.RLIMIT_DATA, (1024 * int(kilobytes) + MOST_GROWTH_BYTES, resource.RLIM_INFINITY))
 
 
 def _limit_time() -> None:

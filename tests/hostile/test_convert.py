@@ -14,7 +14,7 @@ from roadperc_stream import log
 from roadperc_stream.errors import DumpError
 from roadperc_stream.system.time import NS_PER_S
 from roadperc_stream.tools.carla_dump.frame_stamps import EPOCH_NS, stamps_of_file
-from tests.commands import run, words
+from tests.commands import run_forked, words
 
 pytestmark = pytest.mark.commands
 TIME_NS = 1_403_636_579_763_555_584
@@ -30,7 +30,7 @@ def dump(folder, names=("1", "2", "3"), sizes=((64, 48),) * 3, calibration=None)
 
 
 def convert(folder):
-    return run("roadperc-convert", folder, folder.parent / "out.mcap", "--force")
+    return run_forked("roadperc-convert", folder, folder.parent / "out.mcap", "--force")
 
 
 def stamps(folder):
@@ -148,10 +148,10 @@ def test_an_interrupted_render_keeps_its_target(tmp_path, name, former):
 def test_a_render_replaces_an_earlier_one_and_keeps_other_files(tmp_path):
     folder = tmp_path / "dump"
     options = ("--size", "64x48", "--seconds", "0.05", "--force")
-    assert run("roadperc-render", folder, *options).returncode == 0
+    assert run_forked("roadperc-render", folder, *options).returncode == 0
     (folder / "own.txt").write_text("own")
     (folder / "truth.json").write_text("former")
-    assert run("roadperc-render", folder, *options).returncode == 0
+    assert run_forked("roadperc-render", folder, *options).returncode == 0
     assert (folder / "own.txt").read_text() == "own"
     assert json.loads((folder / "truth.json").read_text())["lanes"]
     assert [path.name for path in tmp_path.iterdir()] == ["dump"]

@@ -10,7 +10,7 @@ from roadperc_stream.config import load_config
 from roadperc_stream.config.settings import as_typed, settings_in
 from roadperc_stream.errors import ConfigError, TableError
 from roadperc_stream.eval.runs import collect, open_run
-from tests.commands import run
+from tests.commands import run_forked
 from tests.hostile.inputs import write_log
 
 pytestmark = pytest.mark.commands
@@ -42,7 +42,7 @@ def test_a_configuration_is_read_or_refused_with_one_line(tmp_path, text):
 
 
 def test_a_setting_of_a_command_is_refused_with_one_line():
-    require_a_line(run("roadperc-replay", "a.mcap", "b.mcap", "--set", f"seed={'9' * 5000}"))
+    require_a_line(run_forked("roadperc-replay", "a.mcap", "b.mcap", "--set", f"seed={'9' * 5000}"))
 
 
 def require_a_line(done):
@@ -79,13 +79,13 @@ def test_an_unusable_column_is_named(tmp_path, table, column, values, words):
     table.with_columns(values.alias(column)).write_parquet(path)
     with pytest.raises(TableError, match=words.replace("+", r"\+")):
         open_run(path, "a")
-    require_a_line(run("roadperc-report", path))
+    require_a_line(run_forked("roadperc-report", path))
 
 
 def test_a_column_of_nulls_counts_as_missing(tmp_path, table):
     path = tmp_path / "a.metrics.parquet"
     table.with_columns(pl.lit(None).alias("odom_x_m")).write_parquet(path)
-    assert run("roadperc-report", path).returncode == 0
+    assert run_forked("roadperc-report", path).returncode == 0
 
 
 @pytest.mark.promise("Settings and tables", "A panic in polars gives a one-line error")
@@ -106,6 +106,6 @@ def test_a_damaged_table_gives_one_line(tmp_path, table, place):
     at = int(place * len(data))
     data[at : at + 200] = bytes(200)
     path.write_bytes(data)
-    done = run("roadperc-report", path)
+    done = run_forked("roadperc-report", path)
     if done.returncode or done.stderr:
         require_a_line(done)

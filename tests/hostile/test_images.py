@@ -15,7 +15,7 @@ from roadperc_stream.errors import ConfigError, DecodeError
 from roadperc_stream.formats import images
 from roadperc_stream.output import encoding
 from tests import logs
-from tests.commands import environment, run
+from tests.commands import run_forked
 from tests.fuzz.pictures import AVIF, POSTSCRIPT, png
 from tests.hostile import inputs
 
@@ -38,7 +38,7 @@ def ghostscript(tmp_path):
     folder.mkdir()
     (folder / "gs").write_text(f'#!/bin/sh\necho "$@" >> "{started}"\n')
     (folder / "gs").chmod(0o755)
-    return started, environment(PATH=f"{folder}{os.pathsep}{os.environ['PATH']}")
+    return started, {"PATH": f"{folder}{os.pathsep}{os.environ['PATH']}"}
 
 
 @pytest.mark.promise("Messages", "No image starts a program")
@@ -59,7 +59,7 @@ def test_no_command_starts_a_program_for_an_image(tmp_path, ghostscript, command
     (tmp_path / "dump" / "rgb").mkdir(parents=True)
     (tmp_path / "dump" / "rgb" / "1.png").write_bytes(data)
     (tmp_path / "dump" / "calibration.json").write_text('{"width": 9, "height": 9, "fov_deg": 90}')
-    done = run(*command.split(), cwd=tmp_path, env=variables)
+    done = run_forked(*command.split(), cwd=tmp_path, variables=variables)
     assert not started.exists(), started.read_text()
     assert "PostScript" in done.stdout + done.stderr or "info" in command, done.stdout + done.stderr
 

@@ -11,7 +11,7 @@ from roadperc_stream import log
 from roadperc_stream.config import LimitsConfig
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import Salvage
-from tests.commands import run
+from tests.commands import run_forked
 from tests.fuzz.records import zeros_as_zstd
 from tests.hostile import inputs
 
@@ -51,7 +51,7 @@ def test_declared_sizes_are_not_allocated(tmp_path, case):
     path = tmp_path / "in.mcap"
     path.write_bytes(CASES[case]())
     for command in (("roadperc-replay", path, tmp_path / "out.mcap"), ("roadperc-info", path)):
-        done = run(*command, preexec_fn=inputs.bounded)
+        done = run_forked(*command, memory_bytes=inputs.GROWTH_BYTES)
         assert done.returncode == 1, done.stdout
         assert done.stderr.count("\n") == 1, done.stderr
         assert done.stderr.startswith("error: ")
@@ -127,6 +127,6 @@ def test_the_limits_hold_during_recovery(tmp_path):
 def test_the_largest_64_bit_time_gives_one_line(tmp_path):
     path = tmp_path / "in.mcap"
     path.write_bytes(inputs.file(*KNOWN, inputs.message(1, 2**64 - 1, b"{}"), inputs.message(1, 5, b"{}")))
-    assert "2 messages on 1 channel" in run("roadperc-info", path).stdout
-    done = run("roadperc-replay", path, tmp_path / "out.mcap")
+    assert "2 messages on 1 channel" in run_forked("roadperc-info", path).stdout
+    done = run_forked("roadperc-replay", path, tmp_path / "out.mcap")
     assert (done.returncode, done.stderr.count("\n")) == (1, 1)

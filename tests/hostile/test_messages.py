@@ -19,7 +19,7 @@ from roadperc_stream.model import Transform
 from roadperc_stream.output import encoding
 from tests import logs
 from tests.analytic import box
-from tests.commands import run
+from tests.commands import run_forked
 from tests.fuzz.pictures import png
 from tests.hostile import inputs
 from tests.replaying import replay
@@ -33,7 +33,7 @@ HUGE_PNG = png(30_000, 30_000, rows=4)
 
 def replayed(tmp_path, items, *options):
     source = logs.write(tmp_path / "in.mcap", items)
-    return run("roadperc-replay", source, tmp_path / "out.mcap", *options, preexec_fn=inputs.bounded)
+    return run_forked("roadperc-replay", source, tmp_path / "out.mcap", *options, memory_bytes=inputs.GROWTH_BYTES)
 
 
 def read(kind, schema, data, limits):

@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from roadperc_stream.system.text import shown
-from tests.commands import run, words
+from tests.commands import run_forked, words
 from tests.hostile.inputs import COMMANDS, EVIL, SHOWN, taint, topic_options, write_log
 from tests.view.live.client import Viewer
 
@@ -31,7 +31,7 @@ def replayed(tmp_path_factory):
     """A hostile log and its replay, which prints its names."""
     folder = tmp_path_factory.mktemp("hostile")
     source, target = write_log(folder / "in.mcap"), folder / "out.mcap"
-    require_plain(run("roadperc-replay", source, target, "--set", "tag_table=0.9.13", *topic_options()))
+    require_plain(run_forked("roadperc-replay", source, target, "--set", "tag_table=0.9.13", *topic_options()))
     return source, target
 
 
@@ -92,7 +92,7 @@ PRINTED = {
 @pytest.mark.parametrize("case", PRINTED)
 def test_every_command_prints_escaped_text(folder, case):
     arguments, names, code = PRINTED[case]
-    done = run(f"roadperc-{case.split()[0]}", *arguments, cwd=folder)
+    done = run_forked(f"roadperc-{case.split()[0]}", *arguments, cwd=folder)
     require_plain(done, names=names, codes=(0, 1) if code is None else (code,))
     if case == "info as JSON":
         assert any(EVIL in channel["topic"] for channel in json.loads(done.stdout)["channels"])
