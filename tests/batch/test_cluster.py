@@ -76,7 +76,7 @@ def test_a_lost_cluster_is_a_one_line_error(two_machines, folder, tmp_path, monk
     assert (process.returncode, errors) == (1, f"error: --ray {two_machines.address}: {lost}\n")
 
 
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("sent", [pytest.param(signal.SIGINT, marks=pytest.mark.accuracy), signal.SIGKILL])
 def test_a_local_ray_ends_with_the_batch(folder, tmp_path, sent):
     family = []
     with started_batch(tmp_path / "out", folder, "--ray", "local", "--jobs", "1") as process:

@@ -18,7 +18,7 @@ from roadperc_stream.eval.runs import find_runs
 from roadperc_stream.eval.trajectories.errors import Delta
 from roadperc_stream.eval.trajectories.evaluation import evaluate
 from roadperc_stream.eval.trajectories.poses import read_poses
-from tests.eval.trajectories.paths import helix, noisy, poses_at, rigid, scaled, write_run
+from tests.eval.trajectories.paths import noisy, poses_at, scaled, write_run
 
 pytestmark = pytest.mark.skipif(
     "ROADPERC_EVO" not in os.environ, reason="evo is not installed: ROADPERC_EVO names no folder with evo_ape, evo_rpe"
@@ -35,10 +35,6 @@ def the_sample(path):
     assert replay_main([str(LOG), str(log), "--only", "odometry", "--results-only", "--quiet"]) == 0
 
 
-def a_noisy_helix(path):
-    write_run(path, rigid(1) @ noisy(helix(500), 1), rigid(2) @ helix(500))
-
-
 def a_car_that_stops(path):
     """Different speeds, a stop, hills, frames without a pose, and an unknown scale."""
     rng = np.random.default_rng(5)
@@ -50,7 +46,7 @@ def a_car_that_stops(path):
     write_run(path, scaled(noisy(true, 2), 0.7), true, odometry_status=lost)
 
 
-@pytest.fixture(scope="module", params=[the_sample, a_noisy_helix, a_car_that_stops], ids=lambda make: make.__name__)
+@pytest.fixture(scope="module", params=[the_sample, a_car_that_stops], ids=lambda make: make.__name__)
 def drive(request, tmp_path_factory):
     """A folder with the exports of a run, and the run's poses."""
     folder = tmp_path_factory.mktemp(request.param.__name__)

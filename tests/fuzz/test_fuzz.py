@@ -10,7 +10,7 @@ import sys
 from tests.fuzz.cases import recorded
 from tests.fuzz.judge import ROOT
 
-DRAWN = 60
+DRAWN = 20
 
 
 def fuzz(*words):
