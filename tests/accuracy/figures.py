@@ -20,8 +20,10 @@ from tests.accuracy.scenarios import (
     KITTI_DRIVE,
     MODELS,
     ROADS,
+    SPARSE,
     STANDARD,
     TOWNS,
+    TURNED,
     TURNING,
     WHOLE_BOXES,
     WITHOUT_DEPTH,
@@ -67,6 +69,9 @@ def of_changes():
     return (
         line("new lane measured and correct within 0.3 s of the crossing", at_least(100, "%"), value=of_lanes.handed),
         line("`lane_changes` counts every change", at_least(100, "%"), value=of_lanes.counted),
+        bounded(
+            "Changes of lane", "turns: `lane_changes` counts no change", at_least(100, "%"), TURNED, of_lanes.counted
+        ),
         line("both measured, but wrong sides or not 2 to 6 m wide", at_most(0, "%"), value=of_lanes.implausible),
         *off_by_more("", line),
         line("offset at the car, median", at_most(2, "cm"), value=of_lanes.offset_error),
@@ -205,6 +210,14 @@ def of_deviations():
             )
 
 
+def of_sparse_depth():
+    """Deviations of the lanes on a road whose only depth are lidar points."""
+    for quantity in ("lane offset", "lane heading"):
+        measure = partial(of_uncertainty.shares, quantity, SPARSE, of_uncertainty.QUANTITIES[quantity])
+        name = f"lidar alone: {quantity}, within 1 and 2 deviations, beyond 3"
+        yield Figure("Uncertainty", name, "50 to 85 / ≥ 90 / ≤ 2 %", SPARSE, measure)
+
+
 def of_one_camera():
     """Distances, times to impact and their deviations without depth."""
     for (nearest_m, farthest_m), limit in zip(((0, 10), (10, 20), (20, 30), (30, 50)), (6, 8, 12, 20), strict=True):
@@ -255,6 +268,7 @@ FIGURES = (
     *of_impact(),
     *of_obstacle(),
     *of_deviations(),
+    *of_sparse_depth(),
     *of_one_camera(),
     *of_standard(),
 )
