@@ -19,6 +19,7 @@ from tests.accuracy.scenarios import (
     COURSE_OBSTACLE,
     KITTI_DRIVE,
     MODELS,
+    ONE_BY_ONE,
     ROADS,
     SPARSE,
     STANDARD,
@@ -116,6 +117,8 @@ def of_hard_inputs():
         yield from off_by_more(prefix, line)
         yield line(f"{prefix}boundaries measured", REPORTED, value=of_lanes.covered)
         yield line(f"{prefix}absent without a reason", at_most(0, "%"), value=of_lanes.silent)
+    name = "stills with an unknown pitch of -6 to 6°: points within 20 px (TuSimple)"
+    yield bounded("Lanes and noise", name, at_least(0.93, ""), ONE_BY_ONE, of_lanes.points_right)
     name = "course frame 1: left boundary off its measured line"
     yield bounded("Lanes and noise", name, at_most(10, "cm"), COURSE_FRAMES, of_lanes.off_own_line)
 
