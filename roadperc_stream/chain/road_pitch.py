@@ -38,11 +38,14 @@ def known_pitch(
 def _by_lanes(cfg: ReplayConfig, scene: Scene) -> KnownPitch | None:
     """The pitch by the long lines of the separators on the road, searched in every n-th pixel."""
     n = max(scene.camera.height // _ROWS, 1)
-    separators, road = scene.labels(cfg.lanes.separators), scene.labels(cfg.surface.classes)
-    if separators is None or road is None:
+    labels = scene.labels(cfg.lanes.separators), scene.labels(cfg.surface.classes)
+    separators, road = (None if found is None else np.ascontiguousarray(found[::n, ::n]) for found in labels)
+    far = None if road is None else lines.road_far_end(road.view(bool))
+    if separators is None or road is None or far is None:
         return None
-    proposals = lines.propose(cfg.lanes, lines.edges_of(cfg.lanes, np.ascontiguousarray(separators[::n, ::n])))
-    found = lines.on_road(proposals, np.ascontiguousarray(road[::n, ::n]).view(bool))
+    visible = lines.visible_share(far, lines.road_near_end(road.view(bool)), len(road))
+    proposals = lines.propose(cfg.lanes, lines.edges_of(cfg.lanes, separators), visible)
+    found = lines.on_road(proposals, road.view(bool))
     longest = np.argsort(-np.linalg.norm(found[:, 2:] - found[:, :2], axis=1), kind="stable")[:_MOST_LINES]
     pitch = pitch_of_segments(part(scene.camera, n, n), scene.ego_T_camera, found[longest], _FEWEST_LINES)
     return None if pitch is None else KnownPitch(*pitch, "the lanes' vanishing point")

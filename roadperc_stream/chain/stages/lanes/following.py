@@ -74,6 +74,7 @@ def measured(
     now = replace(
         tracked,
         reach_m=curve.reach_m,
+        hidden_m=observation.hidden_m,
         inside=tracked.inside.add(cfg, stamp_ns, inside),
         outside=tracked.outside.add(cfg, stamp_ns, outside),
     )
@@ -86,8 +87,9 @@ def judged(tracked: TrackedBoundary) -> TrackedBoundary:
 
 
 def least_known_m(tracked: TrackedBoundary) -> float:
-    """Where the boundary is less certain: 0, at the car, or ``JUDGED_AT_M``."""
-    return max(0.0, JUDGED_AT_M, key=lambda x_m: tracking.std_at(tracked.track, x_m))
+    """Where the boundary is less certain: where it begins, at the car or the bonnet, or ``JUDGED_AT_M`` beyond."""
+    begins_m = tracked.hidden_m
+    return max(begins_m, begins_m + JUDGED_AT_M, key=lambda x_m: tracking.std_at(tracked.track, x_m))
 
 
 def _candidates(
