@@ -63,8 +63,9 @@ class LocalisedFrame:
     """A frame after surface and odometry: the road below the car and the car's motion.
 
     ``state`` is the chain's state after these two stages; its lanes and objects are unchanged. ``front_road`` is the
-    road with its plane in the frame of the front camera. ``on_other_plane`` is true if the pitch became known or
-    unknown, and so the plane differs from that of the last frame. ``pitch`` is None with depth, or if it is unknown.
+    road with its plane in the frame of the front camera. ``on_other_plane`` is true if the pitch
+    became known or unknown, or has another source, and so the plane differs from that of the last frame. ``pitch`` is
+    None with depth, or if it is unknown.
     """
 
     scene: Scene
@@ -152,11 +153,11 @@ def localise(
         with timer("surface"):
             pitch = known_pitch(cfg, surfaces, moved, scene)
             kept, road, held = remember(cfg.surface, surfaces, scene, found, last_T_this, pitch)
-            kept = replace(kept, pitch=None if pitch is None else pitch.offset)
+            kept = replace(kept, pitch=pitch)
     front_road = _in_front_camera(scene, road)
     drivable = stages.run("surface", lambda: drivable_mask(cfg.surface, scene, front_road), off("drivable"))
     state = replace(last, stamp_ns=scene.stamp_ns, surface=kept, odometry=moved)
-    other_plane = _on_other_plane(road, _last_pitch(last), None if pitch is None else pitch.offset)
+    other_plane = _on_other_plane(road, _last_pitch(last), pitch)
     localised = LocalisedFrame(scene, state, motion, road, front_road, drivable, held, other_plane, pitch)
     return _with_origin_here(localised) if scene.is_origin and last.stamp_ns is not None else localised
 
@@ -243,16 +244,17 @@ def _metric_road(scene: Scene, front_road: Surface | Absent) -> Surface | None:
     return front_road
 
 
-def _last_pitch(last: ChainState) -> float | None:
-    """The pitch of the camera beyond its mounting in the last frame; None if it was unknown."""
+def _last_pitch(last: ChainState) -> KnownPitch | None:
+    """The pitch in the last frame; None if it was unknown."""
     return None if isinstance(last.surface, bytes) else last.surface.pitch
 
 
-def _on_other_plane(road: Surface | Absent, before: float | None, now: float | None) -> bool:
-    """Whether the plane of a road without depth has turned because the pitch has just become known, or unknown."""
-    if isinstance(road, Absent) or road.source not in ("assumed", "estimated") or (before is None) == (now is None):
+def _on_other_plane(road: Surface | Absent, before: KnownPitch | None, now: KnownPitch | None) -> bool:
+    """Whether the plane of a road without depth has turned because the pitch has another source, or none."""
+    sources = before and before.source, now and now.source
+    if isinstance(road, Absent) or road.source not in ("assumed", "estimated") or sources[0] == sources[1]:
         return False
-    return bool(abs((before or 0.0) - (now or 0.0)) > _TURNED)
+    return bool(abs((before.offset if before else 0.0) - (now.offset if now else 0.0)) > _TURNED)
 
 
 def _metric_motion(motion: Odometry | Absent, since_ns: int | None) -> Odometry | None:

@@ -119,8 +119,11 @@ def of_hard_inputs():
         yield line(f"{prefix}boundaries measured", REPORTED, value=of_lanes.covered)
         yield line(f"{prefix}absent without a reason", at_most(0, "%"), value=of_lanes.silent)
     line = partial(bounded, "Lanes and noise", scenarios=BEHIND_BONNET)
-    yield from off_by_more("bonnet over 40 % of the rows: ", line)
-    yield line("bonnet over 40 % of the rows: boundaries measured", at_least(90, "%"), value=of_lanes.covered)
+    prefix = "bonnet over 40 % of the rows: "
+    yield line(f"{prefix}boundaries measured", at_least(90, "%"), value=of_lanes.covered)
+    yield line(f"{prefix}off by more than 0.3 m at the car", REPORTED, value=of_lanes.gross)
+    value = partial(of_lanes.gross, place="ahead_m")
+    yield line(f"{prefix}off by more than 0.3 m 10 m ahead", at_most(1, "%"), value=value)
     name = "stills with an unknown pitch of -6 to 6°: points within 20 px (TuSimple)"
     yield bounded("Lanes and noise", name, at_least(0.93, ""), ONE_BY_ONE, of_lanes.points_right)
     name = "course frame 1: left boundary off its measured line"

@@ -24,6 +24,15 @@ _FIELD_SAMPLES_M = np.arange(0.0, 201.0, 10.0), np.arange(-80.0, 81.0, 20.0)
 
 
 @dataclass(frozen=True)
+class KnownPitch:
+    """The pitch of the front camera beyond its mounting, radians, nose down, its variance, and what shows it."""
+
+    offset: float
+    variance: float
+    source: str
+
+
+@dataclass(frozen=True)
 class SurfaceState:
     """The plane of the last frame whose depth showed the road, in the ego frame of the last frame.
 
@@ -32,17 +41,8 @@ class SurfaceState:
 
     ego_plane: Plane | None = None
     driven_m: float = 0.0
-    pitch: float | None = None
-    """The pitch of the camera beyond its mounting, as last used or known, radians; None if it was unknown."""
-
-
-@dataclass(frozen=True)
-class KnownPitch:
-    """The pitch of the front camera beyond its mounting, radians, nose down, its variance, and what shows it."""
-
-    offset: float
-    variance: float
-    source: str
+    pitch: KnownPitch | None = None
+    """The pitch in the last frame; None if it was unknown."""
 
 
 def find_surface(
