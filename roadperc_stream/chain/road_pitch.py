@@ -11,23 +11,32 @@ from roadperc_stream.chain.stages.surface.road import KnownPitch, SurfaceState
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.geometry.ground import part
 from roadperc_stream.model.scene import Scene
+from roadperc_stream.system.time import NS_PER_S
 
 _ROWS: Final = 240
 """Least rows of the reduced image in which lines are searched: enough for a tenth of a degree."""
 _FEWEST_LINES: Final = 2
 _MOST_LINES: Final = 40
+_DRIVE_S: Final = 1.0
+"""Longest time between frames of a drive; odometry may match the similar roads of two single images."""
 
 
 def known_pitch(
-    cfg: ReplayConfig, surfaces: SurfaceState | bytes, odometry: OdometryState | bytes, scene: Scene
+    cfg: ReplayConfig,
+    surfaces: SurfaceState | bytes,
+    odometry: OdometryState | bytes,
+    scene: Scene,
+    last_ns: int | None = None,
 ) -> KnownPitch | None:
     """The pitch beyond the mounting; None if neither motion nor lanes show it, or if the mounting's is exact.
 
-    The lanes are searched only in a frame without any other plane, as in single images.
+    The lanes are searched only in a frame without any other plane, as in single images. ``last_ns`` is the stamp of the
+    last frame.
     """
     shown = None if isinstance(odometry, bytes) or odometry.pitch is None else odometry.pitch
     by_motion = KnownPitch(shown.offset, shown.variance, "the motion") if shown and shown.measured else None
-    if by_motion is not None and by_motion.variance < LINES_STD**2:
+    is_drive = last_ns is None or (scene.stamp_ns - last_ns) / NS_PER_S <= _DRIVE_S
+    if by_motion is not None and by_motion.variance < LINES_STD**2 and is_drive:
         return by_motion
     has_plane = scene.depth is not None or isinstance(surfaces, bytes) or surfaces.ego_plane is not None
     if has_plane or cfg.odometry.pitch_std_deg == 0:

@@ -151,7 +151,7 @@ def localise(
     kept, road, held = surfaces, found, tuple[Reason, ...]()
     if is_built_in and isinstance(surfaces, SurfaceState):
         with timer("surface"):
-            pitch = known_pitch(cfg, surfaces, moved, scene)
+            pitch = known_pitch(cfg, surfaces, moved, scene, last.stamp_ns)
             kept, road, held = remember(cfg.surface, surfaces, scene, found, last_T_this, pitch)
             kept = replace(kept, pitch=pitch)
     front_road = _in_front_camera(scene, road)

@@ -13,6 +13,7 @@ from roadperc_stream.geometry import EGO_R_OPTICAL, Camera, inverse, project, ri
 from roadperc_stream.geometry.planes import Plane
 from roadperc_stream.geometry.rotations import rotation_from_rpy
 from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14 as TABLE
+from roadperc_stream.system.time import NS_PER_S
 from tests.scenes import scene_of
 
 CFG = ReplayConfig()
@@ -47,6 +48,8 @@ def test_one_line_shows_no_pitch():
 def test_a_certain_pitch_of_the_motion_comes_first():
     sure, unsure = (OdometryState(pitch=CameraPitch(0.01, variance, measured=True)) for variance in (1e-6, 1e-3))
     assert known_pitch(CFG, SurfaceState(), sure, still(2.0)).offset == 0.01
+    of_a_single_image = known_pitch(CFG, SurfaceState(), sure, still(2.0), still(2.0).stamp_ns - 2 * NS_PER_S)
+    assert np.degrees(of_a_single_image.offset) == pytest.approx(2.0, abs=0.15)
     assert np.degrees(known_pitch(CFG, SurfaceState(), unsure, still(2.0)).offset) == pytest.approx(2.0, abs=0.15)
 
 
