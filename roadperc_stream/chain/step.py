@@ -10,6 +10,7 @@ import numpy as np
 from roadperc_stream.chain import pixels
 from roadperc_stream.chain.own_stage import NO_OWN, OwnStages
 from roadperc_stream.chain.protocols import LanesStage, ObjectsStage, OdometryStage, StereoStage, SurfaceStage
+from roadperc_stream.chain.road_pitch import known_pitch
 from roadperc_stream.chain.stage_runner import Stages, Timer, off
 from roadperc_stream.chain.stages import occupancy, stereo
 from roadperc_stream.chain.stages.lanes import ego_lane
@@ -17,9 +18,15 @@ from roadperc_stream.chain.stages.lanes.tracking import LanesState
 from roadperc_stream.chain.stages.objects import contact, tracker
 from roadperc_stream.chain.stages.objects.tracker import ObjectsState
 from roadperc_stream.chain.stages.odometry import ego_motion
-from roadperc_stream.chain.stages.odometry.camera_pitch import CameraPitch
 from roadperc_stream.chain.stages.odometry.keyframes import OdometryState, counted_from_here
-from roadperc_stream.chain.stages.surface.road import SurfaceState, drivable_mask, find_surface, or_assumed, remember
+from roadperc_stream.chain.stages.surface.road import (
+    KnownPitch,
+    SurfaceState,
+    drivable_mask,
+    find_surface,
+    or_assumed,
+    remember,
+)
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.geometry import inverse, transform_plane
 from roadperc_stream.geometry.rectification import is_rectified
@@ -56,8 +63,9 @@ class LocalisedFrame:
     """A frame after surface and odometry: the road below the car and the car's motion.
 
     ``state`` is the chain's state after these two stages; its lanes and objects are unchanged. ``front_road`` is the
-    road with its plane in the frame of the front camera. ``on_other_plane`` is true if the pitch became known or
-    unknown, and so the plane differs from that of the last frame.
+    road with its plane in the frame of the front camera. ``on_other_plane`` is true if the pitch
+    became known or unknown, or has another source, and so the plane differs from that of the last frame. ``pitch`` is
+    None with depth, or if it is unknown.
     """
 
     scene: Scene
@@ -68,6 +76,7 @@ class LocalisedFrame:
     drivable: Mask | Absent
     problems: tuple[Reason, ...]
     on_other_plane: bool = False
+    pitch: KnownPitch | None = None
 
 
 def step(
@@ -137,18 +146,19 @@ def localise(
     seen = or_assumed(scene, found) if is_built_in else found
     metric_road = _metric_road(scene, _in_front_camera(scene, seen))
     moved, motion = stages.step("odometry", ego_motion.step, last.odometry, scene, metric_road, rng)
-    metric, pitch = _metric_motion(motion, last.stamp_ns), _shown_pitch(moved)
-    offset = None if pitch is None else pitch.offset
+    metric, pitch = _metric_motion(motion, last.stamp_ns), None
     last_T_this = None if metric is None else metric.step
     kept, road, held = surfaces, found, tuple[Reason, ...]()
     if is_built_in and isinstance(surfaces, SurfaceState):
         with timer("surface"):
-            kept, road, held = remember(cfg.surface, surfaces, scene, found, last_T_this, offset)
+            pitch = known_pitch(cfg, surfaces, moved, scene, last.stamp_ns)
+            kept, road, held = remember(cfg.surface, surfaces, scene, found, last_T_this, pitch)
+            kept = replace(kept, pitch=pitch)
     front_road = _in_front_camera(scene, road)
     drivable = stages.run("surface", lambda: drivable_mask(cfg.surface, scene, front_road), off("drivable"))
     state = replace(last, stamp_ns=scene.stamp_ns, surface=kept, odometry=moved)
-    other_plane = _on_other_plane(road, _shown_pitch(last.odometry), pitch)
-    localised = LocalisedFrame(scene, state, motion, road, front_road, drivable, held, other_plane)
+    other_plane = _on_other_plane(road, _last_pitch(last), pitch)
+    localised = LocalisedFrame(scene, state, motion, road, front_road, drivable, held, other_plane, pitch)
     return _with_origin_here(localised) if scene.is_origin and last.stamp_ns is not None else localised
 
 
@@ -170,7 +180,7 @@ def perceive(
     ground = _ground(cfg, localised)
     objects_state, tracked = stages.step("objects", tracker.step, last.objects, scene, known_lane, last_T_this, ground)
     grid = stages.run("occupancy", lambda: occupancy.build(cfg.occupancy, scene, road, drivable), off("occupancy"))
-    missing = _missing_inputs(scene, localised.road, tracked) if pixels.needs_scene(cfg) else ()
+    missing = _missing_inputs(localised, tracked) if pixels.needs_scene(cfg) else ()
     problems = (*out_of_order, *scene.undecodable, *scene.problems, *localised.problems, *_odd_camera(scene), *missing)
     result = FrameResult(
         scene.stamp_ns,
@@ -234,16 +244,15 @@ def _metric_road(scene: Scene, front_road: Surface | Absent) -> Surface | None:
     return front_road
 
 
-def _shown_pitch(state: OdometryState | bytes) -> CameraPitch | None:
-    """The pitch of the camera beyond its mounting; None if no motion has shown it."""
-    if isinstance(state, bytes):
-        return None
-    return state.pitch if state.pitch is not None and state.pitch.measured else None
+def _last_pitch(last: ChainState) -> KnownPitch | None:
+    """The pitch in the last frame; None if it was unknown."""
+    return None if isinstance(last.surface, bytes) else last.surface.pitch
 
 
-def _on_other_plane(road: Surface | Absent, before: CameraPitch | None, now: CameraPitch | None) -> bool:
-    """Whether the plane of a road without depth has turned because motion has just shown the pitch, or lost it."""
-    if isinstance(road, Absent) or road.source not in ("assumed", "estimated") or (before is None) == (now is None):
+def _on_other_plane(road: Surface | Absent, before: KnownPitch | None, now: KnownPitch | None) -> bool:
+    """Whether the plane of a road without depth has turned because the pitch has another source, or none."""
+    sources = before and before.source, now and now.source
+    if isinstance(road, Absent) or road.source not in ("assumed", "estimated") or sources[0] == sources[1]:
         return False
     return bool(abs((before.offset if before else 0.0) - (now.offset if now else 0.0)) > _TURNED)
 
@@ -257,7 +266,7 @@ def _metric_motion(motion: Odometry | Absent, since_ns: int | None) -> Odometry 
 
 def _ground(cfg: ReplayConfig, localised: LocalisedFrame) -> contact.GroundPlane | None:
     """The road that gives the objects' distances; None with depth."""
-    scene, road, pitch = localised.scene, localised.front_road, _shown_pitch(localised.state.odometry)
+    scene, road, pitch = localised.scene, localised.front_road, localised.pitch
     if scene.depth is not None or isinstance(road, Absent):
         return None
     pitch_std = float(np.deg2rad(cfg.odometry.pitch_std_deg) if pitch is None else np.sqrt(pitch.variance))
@@ -299,12 +308,16 @@ def _odd_camera(scene: Scene) -> Iterator[Reason]:
         yield Reason("image", "pixels_not_square", (scene.camera.fx, scene.camera.fy))
 
 
-def _missing_inputs(scene: Scene, road: Surface | Absent, tracked: Objects | Absent) -> Iterator[Reason]:
+def _missing_inputs(localised: LocalisedFrame, tracked: Objects | Absent) -> Iterator[Reason]:
     """The missing inputs of stages that still have an output."""
+    scene, road, pitch = localised.scene, localised.road, localised.pitch
     source = None if isinstance(road, Absent) else road.source
     if scene.depth is None and source != "held":  # a held plane has its own reason
-        code = "no_depth_pitch_estimated" if source == "estimated" else "no_depth_plane_assumed"
-        yield Reason("surface", code, (scene.plane_source,))
+        yield (
+            Reason("surface", "no_depth_pitch_estimated", (scene.plane_source, pitch.source))
+            if pitch is not None and source == "estimated"
+            else Reason("surface", "no_depth_plane_assumed", (scene.plane_source,))
+        )
     if scene.depth is not None and scene.tags is None:
         yield Reason("surface", "no_segmentation_lower_image")
     if isinstance(tracked, Objects) and tracked.objects:

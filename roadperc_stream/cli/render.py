@@ -116,6 +116,8 @@ def _add_camera(group: argparse._ArgumentGroup, defaults: Any) -> None:
     text = "standard deviation of the car's pitching, degrees (0)"
     add("--pitch-std", type=float, default=0.0, dest="pitch_std_deg", metavar="DEG", help=text)
     add("--bumps", action="store_true", help="add a speed bump every 30 m, 10 cm high")
+    text = "the car's own bonnet hides this share of the image's rows (0.4)"
+    add("--bonnet", nargs="?", type=float, const=0.4, default=defaults.bonnet, metavar="SHARE", help=text)
 
 
 def _add_car_ahead(group: argparse._ArgumentGroup) -> None:

@@ -5,12 +5,14 @@ rendered with noise (depth to its resolution), in a tenth of the time.
 """
 
 import hashlib
+import json
 import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from roadperc_stream.cli import convert
 from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14
@@ -28,6 +30,8 @@ class Drive:
     name: str
     options: RenderOptions
     seeds: float = 1.0
+    pitch_is_unknown: bool = False
+    """Whether the log says that the camera is mounted level."""
 
 
 @dataclass(frozen=True)
@@ -45,10 +49,10 @@ class Noise:
         return f"t{100 * self.tags:02.0f}-d{100 * self.depth:02.0f}{jpeg}"
 
 
-def drive(name, seeds=1.0, **options):
+def drive(name, seeds=1.0, *, pitch_is_unknown=False, **options):
     """A drive of the usual size."""
     usual = {"width": 640, "height": 480, "rate_hz": 10.0, "without": ("right",)}
-    return Drive(name, RenderOptions(**(usual | options)), seeds)
+    return Drive(name, RenderOptions(**(usual | options)), seeds, pitch_is_unknown)
 
 
 def digest_of(options):
@@ -67,6 +71,8 @@ def make_logs(cache, of, seed, noises):
     clean = cache / f"{of.name}-{seed}-dump"
     if wanted:
         render_dump(clean, replace(of.options, seed=seed), force=True, on_frame=lambda: None)
+        if of.pitch_is_unknown:
+            hide_pitch(clean, of.options.mount)
     for kind, target in wanted.items():
         target.parent.mkdir(parents=True, exist_ok=True)
         noisy = cache / f"{of.name}-{seed}-noisy"
@@ -76,6 +82,21 @@ def make_logs(cache, of, seed, noises):
         shutil.rmtree(noisy)
     shutil.rmtree(clean, ignore_errors=True)
     return targets
+
+
+def hide_pitch(dump_folder, mount):
+    """Mount the cameras level in the calibration, and turn the true lanes with them: they stay at their pixels."""
+    calibration, truth = (json.loads((dump_folder / f"{name}.json").read_text()) for name in ("calibration", "truth"))
+    for mounting in calibration["mounting"].values():
+        mounting["pitch"] = 0.0
+    centre = np.array([mount[0], 0.0 - mount[1], mount[2]])
+    level_R_true = Rotation.from_euler("y", mount[4], degrees=True)
+    for lanes in truth["lanes"].values():
+        for side in lanes.values():
+            if isinstance(side, dict):
+                side["line_ego_m"] = (level_R_true.apply(np.array(side["line_ego_m"]) - centre) + centre).tolist()
+    for name, content in (("calibration", calibration), ("truth", truth)):
+        dump.write_json(dump_folder / f"{name}.json", content)
 
 
 def with_noise(clean, noisy, seed, kind):

@@ -10,6 +10,7 @@ from tests.accuracy.scenarios import (
     ALONE,
     ALONE_LEADS,
     AT_TWO_HZ,
+    BEHIND_BONNET,
     BRAKING,
     BY_JPEG,
     BY_MODEL,
@@ -19,9 +20,12 @@ from tests.accuracy.scenarios import (
     COURSE_OBSTACLE,
     KITTI_DRIVE,
     MODELS,
+    ONE_BY_ONE,
     ROADS,
+    SPARSE,
     STANDARD,
     TOWNS,
+    TURNED,
     TURNING,
     WHOLE_BOXES,
     WITHOUT_DEPTH,
@@ -67,6 +71,9 @@ def of_changes():
     return (
         line("new lane measured and correct within 0.3 s of the crossing", at_least(100, "%"), value=of_lanes.handed),
         line("`lane_changes` counts every change", at_least(100, "%"), value=of_lanes.counted),
+        bounded(
+            "Changes of lane", "turns: `lane_changes` counts no change", at_least(100, "%"), TURNED, of_lanes.counted
+        ),
         line("both measured, but wrong sides or not 2 to 6 m wide", at_most(0, "%"), value=of_lanes.implausible),
         *off_by_more("", line),
         line("offset at the car, median", at_most(2, "cm"), value=of_lanes.offset_error),
@@ -111,6 +118,14 @@ def of_hard_inputs():
         yield from off_by_more(prefix, line)
         yield line(f"{prefix}boundaries measured", REPORTED, value=of_lanes.covered)
         yield line(f"{prefix}absent without a reason", at_most(0, "%"), value=of_lanes.silent)
+    line = partial(bounded, "Lanes and noise", scenarios=BEHIND_BONNET)
+    prefix = "bonnet over 40 % of the rows: "
+    yield line(f"{prefix}boundaries measured", at_least(90, "%"), value=of_lanes.covered)
+    yield line(f"{prefix}off by more than 0.3 m at the car", REPORTED, value=of_lanes.gross)
+    value = partial(of_lanes.gross, place="ahead_m")
+    yield line(f"{prefix}off by more than 0.3 m 10 m ahead", at_most(1, "%"), value=value)
+    name = "stills with an unknown pitch of -6 to 6°: points within 20 px (TuSimple)"
+    yield bounded("Lanes and noise", name, at_least(0.93, ""), ONE_BY_ONE, of_lanes.points_right)
     name = "course frame 1: left boundary off its measured line"
     yield bounded("Lanes and noise", name, at_most(10, "cm"), COURSE_FRAMES, of_lanes.off_own_line)
 
@@ -205,6 +220,14 @@ def of_deviations():
             )
 
 
+def of_sparse_depth():
+    """Deviations of the lanes on a road whose only depth are lidar points."""
+    for quantity in ("lane offset", "lane heading"):
+        measure = partial(of_uncertainty.shares, quantity, SPARSE, of_uncertainty.QUANTITIES[quantity])
+        name = f"lidar alone: {quantity}, within 1 and 2 deviations, beyond 3"
+        yield Figure("Uncertainty", name, "50 to 85 / ≥ 90 / ≤ 2 %", SPARSE, measure)
+
+
 def of_one_camera():
     """Distances, times to impact and their deviations without depth."""
     for (nearest_m, farthest_m), limit in zip(((0, 10), (10, 20), (20, 30), (30, 50)), (6, 8, 12, 20), strict=True):
@@ -255,6 +278,7 @@ FIGURES = (
     *of_impact(),
     *of_obstacle(),
     *of_deviations(),
+    *of_sparse_depth(),
     *of_one_camera(),
     *of_standard(),
 )

@@ -39,6 +39,12 @@ def implausible(replays):
     return Value(_share(flags).number, len(flags) / sum(replay.frames.height for replay in replays))
 
 
+def points_right(replays):
+    """Mean of TuSimple's accuracy over frames; a frame without lanes has 0."""
+    scores = pl.concat([replay.frames["lane_tusimple_accuracy"] for replay in replays])
+    return Value(float(scores.fill_null(0.0).mean()), scores.count() / len(scores))
+
+
 def off_own_line(replays):
     """Distance in cm of the last frame's left boundary from the line measured in its image."""
     last = replays[0].frames.row(-1, named=True)

@@ -40,6 +40,28 @@ HILL = drive("hill", scene="hill", rate_hz=2.0, seconds=8.0)
 TOWN = drive("town", 2.5, scene="town", path_truth=True, rate_hz=5.0, seconds=8.0)
 WHOLE = drive("town-whole", 2.0, scene="town", path_truth=True, whole_boxes=True, rate_hz=5.0, seconds=8.0)
 TURN = drive("turn", scene="town", turn="right", path_truth=True, seconds=6.0)
+TURNS = tuple(drive(f"whole-turn-{side}", scene="town", turn=side, seconds=11.0) for side in ("left", "right"))
+LIDARS = tuple(
+    drive(f"lidar-{scene}", scene=scene, lidar=True, weave_m=0.5, seconds=4.0, without=("right", "depth"))
+    for scene in ("bend", "town")
+)
+BONNETS = tuple(
+    drive(name, scene="bend", bonnet=0.4, seconds=3.0, without=without)
+    for name, without in (("bonnet", ("right",)), ("bonnet-alone", ("right", "depth")))
+)
+STILLS = tuple(
+    drive(
+        f"still-{pitch_deg}",
+        scene=scene,
+        rate_hz=0.2,
+        seconds=20.0,
+        fov_deg=55.0,
+        mount=(1.5, 0.0, 1.4, 0.0, pitch_deg, 0.0),
+        pitch_is_unknown=True,
+        without=("right", "depth"),
+    )
+    for pitch_deg, scene in ((-6.0, "straight"), (-3.0, "bend"), (0.0, "straight"), (3.0, "bend"), (6.0, "straight"))
+)
 LEADS = tuple(drive(f"lead-{scene}", scene=scene, lead_brakes=True, seconds=5.0) for scene in ("straight", "bend"))
 SAMPLE = str(ROOT / "logs" / "sample.mcap")
 KITTI = f"{DATA}/kitti_odometry"
@@ -72,6 +94,12 @@ WHOLE_BOXES = {
     for level, noise in (("1+2 %", MODEST), ("2+5 %", HEAVY))
 }
 TURNING = (Scenario("turn", TURN, MODEST, OBJECTS),)
+TURNED = tuple(Scenario(of.name, of, MODEST, LANES) for of in TURNS)
+SPARSE = tuple(Scenario(of.name, of, Noise(0.02), LANES) for of in LIDARS)
+BEHIND_BONNET = tuple(
+    Scenario(of.name, of, noise, LANES) for of, noise in zip(BONNETS, (MODEST, Noise(0.02)), strict=True)
+)
+ONE_BY_ONE = tuple(Scenario(of.name, of, Noise(0.02), LANES) for of in STILLS)
 BRAKING = {
     level: tuple(Scenario(f"{of.name}, {level}", of, noise, OBJECTS) for of in LEADS)
     for level, noise in (("1+2 %", MODEST), ("2+5 %", HEAVY))

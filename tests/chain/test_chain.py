@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from roadperc_stream import geometry as g
-from roadperc_stream.chain.stages.odometry.camera_pitch import CameraPitch
-from roadperc_stream.chain.stages.surface.road import assumed_surface
+from roadperc_stream.chain.stages.surface.road import KnownPitch, assumed_surface
 from roadperc_stream.chain.step import ChainState, _metric_road, _on_other_plane, step
 from roadperc_stream.config import STAGES, ReplayConfig, load_config, switched_off
 from roadperc_stream.errors import DecodeError
@@ -186,6 +185,6 @@ def test_a_road_gives_the_scale_if_depth_or_the_mounting_gives_its_height(source
 )
 def test_boundaries_of_an_assumed_plane_do_not_fit_the_plane_of_a_pitch_just_shown(source, before, now, other):
     road = replace(assumed_surface(SMALL.camera, SMALL.ego_T_camera), source=source)
-    pitches = [None if deg is None else CameraPitch(np.deg2rad(deg), 1e-6, measured=True) for deg in (before, now)]
+    pitches = [None if deg is None else KnownPitch(np.deg2rad(deg), 1e-6, "the motion") for deg in (before, now)]
     assert _on_other_plane(road, *pitches) == other
     assert not _on_other_plane(Absent(Reason("surface", "no_depth")), *pitches)

@@ -38,6 +38,7 @@ def test_parked_rows_leave_no_gaps(rendered):
     numbers = [int(o["id"].split(":")[1]) for o in dump.truth["objects"]["000000"] if o["id"].startswith("parked1")]
     assert sorted(numbers) == list(range(min(numbers), min(numbers) + len(numbers)))
     assert len(numbers) >= 4
+    assert all("in_path" in o for frame in dump.truth["objects"].values() for o in frame)
 
 
 def test_whole_boxes_hold_what_is_seen_and_more(rendered):

@@ -81,7 +81,7 @@ class _Job:
         options, rig, name = self.options, self.rig, f"{frame:06d}"
         moment = self.scenario.at(frame / options.rate_hz)
         world_T_camera = moment.world_T_ego @ rig.ego_T_left
-        left = View(moment, rig.camera, world_T_camera)
+        left = View(moment, rig.camera, world_T_camera, options.bonnet)
         objects = objects_truth(self.scenario, moment, rig, left, whole=options.whole_boxes)
         entries = [truth.to_json(with_path=options.knows_path) for truth in objects]
         self._write_pictures(frame, name, moment, left)
@@ -148,5 +148,6 @@ class _Job:
             share, tags = options.tag_noise, left.tags
             return dump.tags_picture(noise.noisy_tags(tags, share, self._rng(frame, "tags")) if share else tags)
         right = sensor == "right"
-        rgb = View(moment, rig.camera, moment.world_T_ego @ rig.ego_T_right).rgb if right else left.rgb
+        beside = moment.world_T_ego @ rig.ego_T_right
+        rgb = View(moment, rig.camera, beside, options.bonnet).rgb if right else left.rgb
         return noise.noisy_rgb(rgb, options.rgb_noise, self._rng(frame, sensor)) if options.rgb_noise else rgb

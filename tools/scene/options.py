@@ -28,6 +28,7 @@ PATH_OPTIONS: Final = (
     "lane",
     "turn",
     "crossing_cars",
+    "parked_rows",
     "worn_lines",
     "missing_lines",
 )
@@ -76,6 +77,8 @@ class RenderOptions:
     """Front camera in CARLA's convention: metres forward, right, up; degrees of roll, pitch up, yaw right."""
     pitch_std_deg: float = 0.0
     bumps: bool = False
+    bonnet: float = 0.0
+    """Share of the rows that the car's own bonnet hides, in the middle of the image."""
 
     @property
     def knows_path(self) -> bool:
@@ -107,6 +110,7 @@ class RenderOptions:
             ("--seed", self.seed, 0, 2**32),
             ("--fov", self.fov_deg, 20, 140),
             ("--pitch-std", self.pitch_std_deg, 0, 5),
+            ("--bonnet", self.bonnet, 0, 0.6),
             *zip(MOUNT_NAMES, self.mount, (-2, -1.5, 0.3, -45, -45, -60), (4, 1.5, 5, 45, 45, 60), strict=True),
         )
         for name, value, low, high in limits:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Final
 
 import cv2
 import numpy as np
@@ -20,7 +21,12 @@ from .scenes import RenderedScene
 from .shade import Shadow, cast_shadows, daylight, shade_faces, shade_ground, shade_sky
 from .sheet import load_sheet
 
-ROAD, ROAD_LINE, SKY = (CARLA_FROM_0_9_14.names.index(name) for name in ("road", "road_line", "sky"))
+ROAD, ROAD_LINE, SKY, CAR = (CARLA_FROM_0_9_14.names.index(name) for name in ("road", "road_line", "sky", "car"))
+BONNET_M: Final = 1.5
+"""Depth of the car's own bonnet."""
+BONNET_BGR: Final = (70, 45, 35)
+BONNET_DROP: Final = 0.06
+"""Share of the rows by which the bonnet is lower at the image's sides."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +56,15 @@ class View:
     moment: Moment
     camera: Camera
     world_T_camera: Float
+    bonnet: float = 0.0
+    """Share of the rows that the car's own bonnet hides, in the middle of the image."""
+
+    @cached_property
+    def _bonnet(self) -> NDArray[np.bool_]:
+        """Return (H, W) the pixels of the car's own bonnet."""
+        height, width = self.camera.size
+        drop = BONNET_DROP * np.linspace(-1, 1, width) ** 2
+        return np.asarray(np.arange(height)[:, None] >= height * (1 - self.bonnet + drop))
 
     @cached_property
     def _ground(self) -> Ground:
@@ -71,7 +86,9 @@ class View:
     def owner(self) -> NDArray[np.int32]:
         """Return (H, W) the object number of each pixel, 0 for none."""
         # Index -1 (no face) selects the appended 0.
-        return np.append(self._drawn.faces.owner, 0)[self._drawn.face].astype(np.int32)
+        owner = np.append(self._drawn.faces.owner, 0)[self._drawn.face].astype(np.int32)
+        owner[self._bonnet] = 0
+        return owner
 
     @cached_property
     def depth_m(self) -> Float32:
@@ -80,6 +97,7 @@ class View:
         depth[self._ground.top_row :] = self._ground.depth_m
         faced = self._drawn.face >= 0
         depth[faced] = 1 / self._drawn.inverse_depth[faced]
+        depth[self._bonnet] = BONNET_M
         return depth
 
     @cached_property
@@ -96,6 +114,7 @@ class View:
         tags[ground.top_row :] = np.where(ground.depth_m < FAR_M, below, SKY)
         faced = drawn.face >= 0
         tags[faced] = drawn.faces.tag[drawn.face[faced]]
+        tags[self._bonnet] = CAR
         return tags
 
     @cached_property
@@ -116,4 +135,5 @@ class View:
         if len(pixels):
             light = daylight(drawn.faces.across @ R.T, drawn.faces.up @ R.T, drawn.faces.two_sided)
             picture.reshape(-1, 3)[pixels] = shade_faces(drawn, load_sheet(), pixels, light)
+        picture[self._bonnet] = BONNET_BGR
         return np.asarray(cv2.GaussianBlur(picture, (3, 3), 0.55), np.uint8)

@@ -175,13 +175,16 @@ def line_on_ground(points: Float) -> Float | None:
     return np.array([offset, heading, 0.0])
 
 
-def fit_curve(cfg: LanesConfig, edges: Edges, line: Float, side: Side, metres_per_px: float) -> Curve | None:
+def fit_curve(
+    cfg: LanesConfig, edges: Edges, line: Float, side: Side, metres_per_px: float, near_m: float = NEAR_M
+) -> Curve | None:
     """The boundary near a line, from the edges of its side on the ground; None if too few edges support it.
 
     ``line`` is the (3,) state of the Hough line, ``metres_per_px`` the width of a pixel one metre ahead.
+    ``near_m`` is the largest distance ahead of its nearest edge.
     """
     near = np.abs(edges.y - lateral(line, edges.x)) < _SEARCH_M
-    if np.count_nonzero(near) < _MIN_POINTS or edges.x[near].min() > NEAR_M:
+    if np.count_nonzero(near) < _MIN_POINTS or edges.x[near].min() > near_m:
         return None
     for noise_px in _NOISE_PX:
         noise = _Noise(noise_px, metres_per_px)

@@ -45,7 +45,7 @@ def _boundary(
     else:
         far, unseen = found.far, Reason("lanes", "edges_disagree" if side in found.near else "no_line_near")
         if side in found.near:
-            raw_px = lines.drawn(found.near[side][0], float(found.projection.camera.height), far)
+            raw_px = lines.drawn(found.near[side][0], found.bottom, far)
             curve = found.curves[side]
             raw_offset_m = None if curve is None else float(curve.state[0])
     if tracked is None and reason is None:
@@ -54,7 +54,7 @@ def _boundary(
         return Boundary(side, "lost", raw_px=raw_px, raw_offset_m=raw_offset_m, reason=reason)
     track = tracked.track
     offset, heading, curvature = (float(value) for value in track.state)
-    ahead, pixels = _drawn_curve(track.state, tracked.reach_m, projection)
+    ahead, pixels = _drawn_curve(tracked, projection)
     return Boundary(
         side,
         "measured" if track.measured_ns == track.stamp_ns else "held",
@@ -72,13 +72,16 @@ def _boundary(
     )
 
 
-def _drawn_curve(state: Float, reach_m: float, projection: RoadProjection | None) -> tuple[Float, Float]:
-    """(N, 3) ego points a metre apart on the road, and (M, 2) pixels of those that are in front of the camera."""
+def _drawn_curve(tracked: TrackedBoundary, projection: RoadProjection | None) -> tuple[Float, Float]:
+    """(N, 3) ego points a metre apart on the road, and (M, 2) pixels of those that are in front of the camera.
+
+    The car's own bonnet hides the others.
+    """
     if projection is None:
         return np.empty((0, 3)), np.empty((0, 2))
-    x = np.arange(max(reach_m, _SHORTEST_DRAWN_M) + 1)
-    points = projection.on_road(x, lateral(state, x))
-    pixels = projection.pixels(points)
+    x = np.arange(max(tracked.reach_m, _SHORTEST_DRAWN_M) + 1)
+    points = projection.on_road(x, lateral(tracked.track.state, x))
+    pixels = projection.pixels(points[x >= tracked.hidden_m])
     return points, pixels[np.isfinite(pixels).all(axis=1) & (pixels[:, 1] <= 2 * projection.camera.height)]
 
 

@@ -32,6 +32,8 @@ _CROSSED_STD = 2.0
 _DOUBLE_M = 0.6
 """Widest marking, double markings included."""
 _LINE_STEP = np.array([1.0, 0.0, 0.0])
+_ALONG = 0.4
+"""Largest angle between car and boundary in a lane change; a turn at a crossing passes lines at larger angles."""
 
 
 def followed(
@@ -72,6 +74,7 @@ def measured(
     now = replace(
         tracked,
         reach_m=curve.reach_m,
+        hidden_m=observation.hidden_m,
         inside=tracked.inside.add(cfg, stamp_ns, inside),
         outside=tracked.outside.add(cfg, stamp_ns, outside),
     )
@@ -84,8 +87,9 @@ def judged(tracked: TrackedBoundary) -> TrackedBoundary:
 
 
 def least_known_m(tracked: TrackedBoundary) -> float:
-    """Where the boundary is less certain: 0, at the car, or ``JUDGED_AT_M``."""
-    return max(0.0, JUDGED_AT_M, key=lambda x_m: tracking.std_at(tracked.track, x_m))
+    """Where the boundary is less certain: where it begins, at the car or the bonnet, or ``JUDGED_AT_M`` beyond."""
+    begins_m = tracked.hidden_m
+    return max(begins_m, begins_m + JUDGED_AT_M, key=lambda x_m: tracking.std_at(tracked.track, x_m))
 
 
 def _candidates(
@@ -110,7 +114,8 @@ def _candidates(
 def handed_over(cfg: LanesConfig, state: LanesState, observation: Observation | None, stamp_ns: int) -> LanesState:
     """The state with the boundaries of the next lane, if the car has crossed a boundary of this lane.
 
-    They are the far edge of the crossed marking and the next boundary beyond it, if that is visible.
+    A lane change counts only if the boundary runs along the car. The boundaries are the far edge of the crossed marking
+    and the next boundary beyond it, if that is visible.
     """
     for side in SIDES:
         crossed = state.side(side)
@@ -125,18 +130,24 @@ def handed_over(cfg: LanesConfig, state: LanesState, observation: Observation | 
             track = updated or tracking.start(far_edge.state, far_edge.covariance, stamp_ns)
         inner = judged(TrackedBoundary(track, crossed.reach_m, crossed.outside, crossed.inside))
         outer = followed(cfg, side, None, inner, observation, stamp_ns)
-        changed = replace(state, lane_change=side, lane_changes=state.lane_changes + 1)
-        return changed.with_side(side, outer).with_side(other_side(side), inner)
+        if _runs_along(crossed):
+            state = replace(state, lane_change=side, lane_changes=state.lane_changes + 1)
+        return state.with_side(side, outer).with_side(other_side(side), inner)
     return state
 
 
 def change_of(cfg: LanesConfig, before: LaneChange, state: LanesState) -> LaneChange:
     """The side on which the car is partly over a line while it changes lanes; ``before`` is the last frame's."""
-    known = {side: boundary for side in SIDES if (boundary := state.side(side)) is not None}
+    known = {side: b for side in SIDES if (b := state.side(side)) is not None and _runs_along(b)}
     over = {side: b for side, b in known.items() if outward(side) * b.offset_m < cfg.car_width_m / 2}
     if before != "none":
         return before if over else "none"
     return next((side for side, b in over.items() if outward(side) * b.track.rate_mps < 0), "none")
+
+
+def _runs_along(boundary: TrackedBoundary) -> bool:
+    """Whether the car moves along a boundary, and does not turn across it."""
+    return abs(float(boundary.track.state[1])) < _ALONG
 
 
 def _far_edge(

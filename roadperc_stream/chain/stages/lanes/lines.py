@@ -19,6 +19,12 @@ _ON_ROAD = 0.5
 _ROAD_MARGIN_PX = 2.0
 _ROAD_COLUMNS = 0.01
 """Minimum share of road columns in a row that shows the road."""
+_NEAR_COLUMNS = 0.1
+"""Minimum share of road columns in a row near the car; blobs of wrong tags cover less."""
+_HIDDEN_BELOW = 0.85
+"""Share of the rows: if no row below it shows the road, a bonnet hides it."""
+_LEAST_VISIBLE = 0.4
+"""Least factor of the length of lines above a bonnet; shorter ones are blobs of wrong tags."""
 _MIN_VERTICAL = 1e-6
 _HOUGH_THETA_DEG = 1.0
 """Resolution of the angle in the Hough transform: 2 px over the length of the shortest line, 100 px."""
@@ -82,15 +88,19 @@ def _with_rows(shape: tuple[int, ...], part: slice, rows: NDArray[Any]) -> Image
     return image
 
 
-def propose(cfg: LanesConfig, edges: Image) -> Float:
-    """(N, 4) x1, y1, x2, y2 of Hough lines along (H, W) uint8 edges of 255. The thresholds are for 960 rows."""
+def propose(cfg: LanesConfig, edges: Image, visible: float = 1.0) -> Float:
+    """(N, 4) x1, y1, x2, y2 of Hough lines along (H, W) uint8 edges of 255. The thresholds are for 960 rows.
+
+    ``visible`` is the visible share of the lines' length; lines may be shorter by this factor.
+    """
     scale = scaled(1.0, edges.shape[0])
+    shortest = scale * visible
     found = cv2.HoughLinesP(
         edges,
         cfg.hough_rho_px * scale,
         np.radians(_HOUGH_THETA_DEG),
-        max(round(cfg.hough_threshold * scale), 1),
-        minLineLength=cfg.hough_min_length_px * scale,
+        max(round(cfg.hough_threshold * shortest), 1),
+        minLineLength=cfg.hough_min_length_px * shortest,
         maxLineGap=cfg.hough_max_gap_px * scale,
     )
     return np.empty((0, 4)) if found is None else found.reshape(-1, 4).astype(float)
@@ -161,6 +171,18 @@ def road_far_end(drivable: Mask) -> int | None:
     """
     rows = np.flatnonzero(_row_sums(drivable.view(np.uint8)) >= max(_ROAD_COLUMNS * drivable.shape[1], 1))
     return int(rows[0]) if len(rows) else None
+
+
+def road_near_end(drivable: Mask) -> int:
+    """The row below which the car's own bonnet hides the road; the image's bottom edge if nothing hides it."""
+    height, width = drivable.shape
+    rows = np.flatnonzero(_row_sums(drivable.view(np.uint8)) >= _NEAR_COLUMNS * width)
+    return int(rows[-1]) + 1 if len(rows) and rows[-1] < _HIDDEN_BELOW * height else height
+
+
+def visible_share(far: int, bottom: int, height: int) -> float:
+    """The share of the rows below the road's far end that a bonnet leaves visible, at least ``_LEAST_VISIBLE``."""
+    return max((bottom - far) / (height - far), _LEAST_VISIBLE) if bottom < height else 1.0
 
 
 def _row_sums(image: Image) -> NDArray[np.int32]:

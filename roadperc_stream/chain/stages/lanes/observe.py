@@ -22,6 +22,8 @@ _OUTSIDE_M = (0.2, 0.4, 0.6, 0.8, 1.0)
 """Distances beside a boundary at which the class there is sampled; a double marking is 0.35 m wide."""
 _MARKINGS = ("road_line",)
 _LINE_SAMPLES = 20
+_BEGINS_M = 11.0
+"""Distance beyond a bonnet up to which a boundary's nearest support may lie; a gap between dashes is shorter."""
 _LINE_STD = np.array([0.05, 0.01, 0.002])
 """Standard deviations of the offset (m), heading (rad) and curvature (1/m) of a line by the model ``line``."""
 _CLASS_AHEAD_M = np.arange(4.0, 14.0, 0.5)
@@ -48,16 +50,17 @@ class RoadProjection:
         """(N, 2) pixels of (N, 3) ego points, NaN behind the camera."""
         return project(self.camera, transform(inverse(self.ego_T_camera), points))
 
-    def path_column(self) -> float:
-        """Column where the car's path, ego y = 0, meets the image's bottom edge."""
-        row = float(self.camera.height)
+    def path_column(self, row: float) -> float:
+        """Column where the car's path, ego y = 0, meets a row."""
         (_, y0, _), (_, y1, _) = self.ground(np.array([[0.0, row], [float(self.camera.width), row]]))
         return float(y0 / (y0 - y1) * self.camera.width)
 
 
 @dataclass(frozen=True)
 class Observation:
-    """The lane as observed in one frame; ``far`` is the row of the road's far end.
+    """The lane as observed in one frame, between the rows of the road's far end and of its lower end.
+
+    The lower end ``bottom`` is the image's bottom edge, or the upper edge of the car's own bonnet.
 
     ``edge_pixels`` (H, W) are those along which lines were proposed, ``edges`` those that face the ego lane.
     """
@@ -66,6 +69,7 @@ class Observation:
     tags: Image
     table: TagTable
     far: float
+    bottom: float
     edge_pixels: Mask | None = None
     proposals: Float = field(default_factory=lambda: np.empty((0, 4)))
     groups: tuple[LineGroup, ...] = ()
@@ -74,6 +78,19 @@ class Observation:
     """The lines on either side with support near the car, the closest one first."""
     curves: dict[Side, Curve | None] = field(default_factory=dict)
     """The curve on the road of the closest line on either side, None if no curve fits."""
+
+    @property
+    def hidden_m(self) -> float:
+        """Distance ahead up to which a bonnet hides the road; 0 without one."""
+        if self.bottom >= self.projection.camera.height:
+            return 0.0
+        nearest_m = float(self.projection.ground(np.array([[self.projection.camera.cx, self.bottom]]))[0, 0])
+        return nearest_m if np.isfinite(nearest_m) else 0.0
+
+    @property
+    def near_m(self) -> float:
+        """Largest distance ahead of a boundary's nearest support."""
+        return max(curves.NEAR_M, self.hidden_m + _BEGINS_M)
 
     def curve_beyond(self, cfg: LanesConfig, side: Side, least_m: float) -> Curve | None:
         """The curve of the closest line that lies at least this far out at the ego origin."""
@@ -84,12 +101,14 @@ class Observation:
         """The curve of the edges near a (3,) state; None if there are too few."""
         if side not in self.edges:
             return None
-        return curves.fit_curve(cfg, self.edges[side], line, side, 1.0 / self.projection.camera.fx)
+        fx = self.projection.camera.fx
+        return curves.fit_curve(cfg, self.edges[side], line, side, 1.0 / fx, self.near_m)
 
     def classes_beside(self, side: Side, curve: Curve) -> tuple[str, str]:
         """The classes inside and outside a boundary, empty if not visible."""
         at_m = outward(side) * np.array([-d for d in _INSIDE_M] + list(_OUTSIDE_M))
-        x = np.broadcast_to(_CLASS_AHEAD_M, (len(at_m), len(_CLASS_AHEAD_M)))
+        ahead_m = _CLASS_AHEAD_M + max(self.hidden_m - _CLASS_AHEAD_M[0], 0.0)
+        x = np.broadcast_to(ahead_m, (len(at_m), len(ahead_m)))
         y = lateral(curve.state, x) + at_m[:, None]
         pixels = self.projection.pixels(self.projection.on_road(x.ravel(), y.ravel())).reshape(*x.shape, 2)
         inside, outside = pixels[: len(_INSIDE_M)], pixels[len(_INSIDE_M) :]
@@ -135,15 +154,17 @@ def observe(cfg: LanesConfig, projection: RoadProjection, tags: Image, table: Ta
     """Find the ego lane's boundaries in one frame, from (H, W) tags and its (H, W) drivable surface."""
     far = lines.road_far_end(drivable)
     if far is None:
-        return Observation(projection, tags, table, float(projection.camera.cy))
+        return Observation(projection, tags, table, float(projection.camera.cy), float(projection.camera.height))
+    bottom = lines.road_near_end(drivable)
     separators = mark(tags, table.lookup(cfg.separators))
     edge_pixels = lines.edges_of(cfg, separators)
-    proposals = lines.propose(cfg, edge_pixels)
+    proposals = lines.propose(cfg, edge_pixels, lines.visible_share(far, bottom, projection.camera.height))
     groups = lines.merge(lines.on_road(proposals, drivable), projection.camera.height)
     facing = facing_edges(separators[far:], drivable, far) if cfg.model == "curve" else {}
     edges = {side: Edges.of(projection.ground(pixels)[:, :2], pixels[:, 1]) for side, pixels in facing.items()}
-    found = Observation(projection, tags, table, float(far), edge_pixels > 0, proposals, groups, edges)
-    near = _near_lines(projection, groups)
+    rows = float(far), float(bottom)
+    found = Observation(projection, tags, table, *rows, edge_pixels > 0, proposals, groups, edges)
+    near = _near_lines(found)
     closest = {side: _curve(cfg, found, side, lines_near[0]) for side, lines_near in near.items()}
     return replace(found, near=near, curves=closest)
 
@@ -166,16 +187,17 @@ def _ends_of_runs(marked: Image) -> dict[Side, tuple[Indices, Indices]]:
     return {"left": left, "right": (rows[order], columns[order])}
 
 
-def _near_lines(projection: RoadProjection, groups: tuple[LineGroup, ...]) -> dict[Side, tuple[LineGroup, ...]]:
-    """The lines on each side of the car's path at the image's bottom, among those with near support, closest first.
+def _near_lines(observation: Observation) -> dict[Side, tuple[LineGroup, ...]]:
+    """The lines on each side of the car's path at the road's lower end, among those with near support, closest first.
 
     A short fragment far away would otherwise extrapolate to the closest position.
     """
+    projection, groups, bottom = observation.projection, observation.groups, observation.bottom
     if not groups:
         return {}
-    bottom, path = float(projection.camera.height), projection.path_column()
+    path, near_m = projection.path_column(bottom), observation.near_m
     nearest_m = projection.ground(np.array([(group.x(group.bottom_px), group.bottom_px) for group in groups]))[:, 0]
-    near = [group for group, x in zip(groups, nearest_m.tolist(), strict=True) if x <= curves.NEAR_M]  # NaN is not near
+    near = [group for group, x in zip(groups, nearest_m.tolist(), strict=True) if x <= near_m]  # NaN is not near
     left = [group for group in near if group.x(bottom) < path and group.slope < 0]
     right = [group for group in near if group.x(bottom) >= path and group.slope > 0]
     closest_first: dict[Side, tuple[LineGroup, ...]] = {

@@ -100,6 +100,8 @@ class TrackedBoundary:
     reach_m: float
     inside: ClassHistory = field(default_factory=ClassHistory)
     outside: ClassHistory = field(default_factory=ClassHistory)
+    hidden_m: float = 0.0
+    """Distance ahead up to which a bonnet hid the road in its last measurement."""
     is_sure: bool = True
     """Whether its last measurement left it certain enough to be used."""
 

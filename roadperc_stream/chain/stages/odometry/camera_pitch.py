@@ -80,8 +80,15 @@ def pitch_by_lines(
     Only lines of the (H, W) image where ``movable`` (H, W) is 0 count. None if too few agree on a point near the
     horizon.
     """
-    segments = _segments(camera, grey, movable)
-    if len(segments) < _LEAST_SEGMENTS:
+    return pitch_of_segments(camera, ego_T_camera, _segments(camera, grey, movable), _LEAST_SEGMENTS)
+
+
+def pitch_of_segments(camera: Camera, ego_T_camera: Float, segments: Float, fewest: int) -> tuple[float, float] | None:
+    """The pitch and its variance as in ``pitch_by_lines``, by (N, 4) segments x1, y1, x2, y2.
+
+    None if fewer than ``fewest`` segments agree.
+    """
+    if len(segments) < fewest:
         return None
     points = _crossings(segments)
     elevation, ahead = _elevations(camera, ego_T_camera, points)
@@ -93,7 +100,7 @@ def pitch_by_lines(
     point = points[int(np.argmax(agree @ lengths))]
     for _ in range(_REFINEMENTS):
         chosen = _agreeing(camera, segments, point)
-        if np.sum(chosen) < _LEAST_SEGMENTS or lengths[chosen].sum() < _LEAST_SHARE * lengths.sum():
+        if np.sum(chosen) < fewest or lengths[chosen].sum() < _LEAST_SHARE * lengths.sum():
             return None
         fitted = _meeting(segments[chosen], lengths[chosen])
         if fitted is None:

@@ -24,6 +24,15 @@ _FIELD_SAMPLES_M = np.arange(0.0, 201.0, 10.0), np.arange(-80.0, 81.0, 20.0)
 
 
 @dataclass(frozen=True)
+class KnownPitch:
+    """The pitch of the front camera beyond its mounting, radians, nose down, its variance, and what shows it."""
+
+    offset: float
+    variance: float
+    source: str
+
+
+@dataclass(frozen=True)
 class SurfaceState:
     """The plane of the last frame whose depth showed the road, in the ego frame of the last frame.
 
@@ -32,6 +41,8 @@ class SurfaceState:
 
     ego_plane: Plane | None = None
     driven_m: float = 0.0
+    pitch: KnownPitch | None = None
+    """The pitch in the last frame; None if it was unknown."""
 
 
 def find_surface(
@@ -147,7 +158,7 @@ def remember(
     scene: Scene,
     found: Surface | Absent,
     last_T_this: Float | None,
-    pitch: float | None = None,
+    pitch: KnownPitch | None = None,
 ) -> tuple[SurfaceState, Surface | Absent, tuple[Reason, ...]]:
     """Keep the plane of a frame whose depth shows the road; otherwise use the held plane.
 
@@ -158,7 +169,7 @@ def remember(
         found: fitted to the frame's depth, or taken from the mounting without depth; absent if the depth does not show
             the road.
         last_T_this: (4, 4) motion of the ego frame since the last frame, metres; None if unknown.
-        pitch: of the front camera beyond its mounting, radians, nose down; None if unknown.
+        pitch: of the front camera; None if unknown.
 
     Returns:
         The new state, the road, and the reason if the road does not come from the depth.
@@ -174,11 +185,12 @@ def remember(
     if isinstance(road, Absent):
         return state, road, ()
     if pitch is not None:
-        road = known_surface("estimated", *_depth_camera(scene), tilted_ground(scene.ego_T_camera, pitch))
+        road = known_surface("estimated", *_depth_camera(scene), tilted_ground(scene.ego_T_camera, pitch.offset))
     if failed is None:
         return state, road, ()
-    code = "plane_assumed" if pitch is None else "plane_estimated"
-    return state, road, (Reason("surface", code, (scene.plane_source,), failed),)
+    if pitch is None:
+        return state, road, (Reason("surface", "plane_assumed", (scene.plane_source,), failed),)
+    return state, road, (Reason("surface", "plane_estimated", (scene.plane_source, pitch.source), failed),)
 
 
 def _moved(state: SurfaceState, last_T_this: Float | None) -> SurfaceState:

@@ -52,6 +52,21 @@ def test_bend_is_tracked_to_30_metres():
     assert straight.side("left").curvature_per_m == 0.0
 
 
+@pytest.mark.parametrize("curvature", [0.0, 0.003])
+def test_lanes_begin_above_the_bonnet(curvature):
+    road = Road(curvature_per_m=curvature, width=1280, height=960)
+    tags = road.tags()
+    bonnet_row = 576
+    tags[bonnet_row:] = TABLE.names.index("vehicle")
+    _, lanes = look(road, tags)
+    for boundary, offset_m in zip(lanes.boundaries, (road.left_m, road.right_m), strict=True):
+        assert boundary.status == "measured"
+        assert y_at(boundary, 15.0) == pytest.approx(road.lateral(offset_m, 15.0), abs=0.1)
+        assert abs(boundary.offset_m - offset_m) < 3 * boundary.covariance[0] ** 0.5
+        assert boundary.line_px[:, 1].max() < bonnet_row
+        assert boundary.inside == "road"
+
+
 def test_classes_beside_the_boundaries():
     _, lanes = look(Road())
     assert (lanes.side("left").inside, lanes.side("left").outside) == ("road", "road")
