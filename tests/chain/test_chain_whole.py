@@ -151,7 +151,7 @@ def test_two_cameras_and_tags_are_enough_for_everything(frames, whole):
 @pytest.mark.parametrize("missing", ["image", "segmentation", "detections", "points"])
 def test_any_input_beside_a_lidar_may_be_missing(lidar_frames, missing):
     _, results = run([replace(frame, **{missing: None}) for frame in lidar_frames[:2]])
-    expected = {"segmentation": ["lower_image"] * 2, "points": ["assumed", "estimated"]}
+    expected = {"segmentation": ["lower_image"] * 2, "points": ["estimated"] * 2}
     assert [result.surface.source for result in results] == expected.get(missing, ["lidar"] * 2)
 
 
