@@ -191,7 +191,7 @@ def test_a_jump_in_two_frames_is_named_with_its_log_and_command(tmp_path, capsys
     logs = [f"{side}/part0/log1.metrics.parquet" for side in (ours, theirs)]
     shown = f"frame 7 of part0/log1, 0.1 → 2.42 m: roadperc-view {logs[0]} {logs[1]}"
     assert (code, error) == (1, "worse than the base run: lane_left_error_m\n")
-    assert text.startswith("worse: lane left error at 10 m, worst frame of part0/log1 0.1 → 2.42 m; 3 metrics judged, 1 ")
+    assert text.startswith("worse: lane left error at 10 m, worst frame of part0/log1 0.1 → 2.42 m; 3 metrics ")
     assert f"\n  {shown} --frame 7\n" in text
 
     found = json.loads(outputs["json"].read_text(), parse_constant=pytest.fail)
