@@ -26,7 +26,7 @@ from .brief import (
 from .comparison.bootstrap import LEVEL
 from .comparison.comparing import Comparison, compare_runs
 from .comparison.pairing import pair_runs
-from .comparison.summary import command as command_of
+from .comparison.summary import shown_unit, where
 from .comparison.verdicts import CauseGroup, Mark
 from .frame_commands import view_command
 from .machine import Case, write_files
@@ -118,8 +118,8 @@ def _worst_line(found: Comparison) -> str:
     """The frame in which the new run is worse by most; empty if no metric is worse."""
     if (place := found.worst_place) is None:
         return ""
-    name = next(verdict.metric.name for verdict in found.named("worse") if verdict.place is place)
-    return f"worst frame: {name} {place.base:.4g} → {place.new:.4g}: {command_of(place)}"
+    metric = next(verdict.metric for verdict in found.named("worse") if verdict.place is place)
+    return f"worst frame: {metric.label}, {where(metric, place)}"
 
 
 def _differences(groups: Sequence[CauseGroup]) -> TextTable:
@@ -135,10 +135,12 @@ def _difference(group: CauseGroup) -> TextRow:
     verdict, others = group.verdicts[0], len(group.verdicts) - 1
     marked = [finding for finding in verdict.findings if finding.mark == verdict.mark]
     found = next(iter(marked), verdict.findings[0])
-    interval = f"{found.interval.low:+.3g} to {found.interval.high:+.3g}" if found.interval else ""
+    scale, unit = shown_unit(found.metric, found.statistic)
+    base, new = found.base * scale, found.new * scale
+    interval = f"{found.interval.low * scale:+.3g} to {found.interval.high * scale:+.3g}" if found.interval else ""
     statistic = "" if found.statistic == "mean" else f", {found.statistic}"
-    name = f"{found.metric.name}{statistic}{f' (+{others})' if others else ''}"
-    return row(name, f"{found.base:.4g}", f"{found.new:.4g}", f"{found.new - found.base:+.3g}", interval, found.mark)
+    name = f"{found.metric.label}{statistic}{f',{unit}' if unit else ''}{f' (+{others})' if others else ''}"
+    return row(name, f"{base:.4g}", f"{new:.4g}", f"{new - base:+.3g}", interval, found.mark)
 
 
 def _values(found: Comparison) -> dict[str, Any]:

@@ -123,6 +123,10 @@ class LogFrame:
     result: FrameResult
     metrics: FrameMetrics
 
+    def __str__(self) -> str:
+        """The number of the frame and its result, in one line."""
+        return f"frame {self.metrics.frame}: {self.result}"
+
 
 def frames(
     log: Source,

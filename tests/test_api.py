@@ -122,6 +122,7 @@ def test_an_absent_output_is_false_and_says_why():
 
 def test_a_frame_fits_on_a_screen():
     _, frame = rp.frames(SAMPLE, max_frames=2)
+    assert str(frame) == f"frame 1: {frame.result}"
     assert frame.result.odometry.matches is not None
     assert len(repr(frame.result.odometry)) < 1000
     assert len(repr(frame.result.lanes)) < 2000

@@ -10,7 +10,7 @@ import polars as pl
 from roadperc_stream.geometry import Float
 from roadperc_stream.schemas.columns import RATIO, FrameMetrics, columns_of
 
-from ..quantities import JITTERS, OFFSETS, SEEN, SIDES, STAGE_TIMES, TRUTH, Quantity
+from ..quantities import JITTERS, NUMBERS, OFFSETS, SEEN, SIDES, STAGE_TIMES, TRUTH, Quantity
 
 COVERAGE_RELEVANT: Final = 0.005
 TIME_RELEVANT: Final = 0.1
@@ -18,6 +18,9 @@ TIME_RELEVANT: Final = 0.1
 _SHORTEST_MS: Final = 0.1
 """Shorter times count as this time."""
 _DISTANCE: Final = "object_distance_error_m"
+_JITTER: Final = "second_difference", "jitter"
+"""Part of a derived column's name, and of its metric's."""
+_LABELS: Final = {quantity.column.replace(*_JITTER): quantity.name for quantity in NUMBERS}
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,12 @@ class Metric:
     limit: float | None = None
 
     @property
+    def label(self) -> str:
+        """The name in words: the label of its column, then the state, the class or ``coverage`` if it has one."""
+        column, _, of = self.name.partition(".")
+        return f"{_LABELS.get(column, column.replace('_', ' '))} {of}".strip()
+
+    @property
     def sign(self) -> int:
         """1 if a larger judged number is worse, else -1."""
         return -1 if self.higher_is_better else 1
@@ -57,7 +66,7 @@ class Metric:
 
 def _error(quantity: Quantity) -> Metric:
     return Metric(
-        quantity.column.replace("second_difference", "jitter"),
+        quantity.column.replace(*_JITTER),
         pl.col(quantity.column),
         f"{quantity.stage} error",
         quantity.unit,

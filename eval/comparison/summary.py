@@ -82,12 +82,12 @@ def _lead(verdict: Verdict) -> Finding:
 
 def _sentence(finding: Finding, *, interval: bool = True) -> str:
     log = f" of {finding.log}" if finding.log else ""
-    return f"{finding.metric.name} {finding.statistic}{log} {values(finding, interval=interval)}"
+    return f"{finding.metric.label}, {finding.statistic}{log} {values(finding, interval=interval)}"
 
 
 def values(finding: Finding, *, interval: bool = True) -> str:
     """A statistic in both runs with its unit, and its difference with the interval, if it has one."""
-    scale, unit = _unit(finding.metric, finding.statistic)
+    scale, unit = shown_unit(finding.metric, finding.statistic)
     shown = both(finding.base * scale, finding.new * scale) + unit
     if finding.interval is None or not interval:
         return shown
@@ -96,7 +96,7 @@ def values(finding: Finding, *, interval: bool = True) -> str:
     return f"{shown} ({(finding.new - finding.base) * scale:+.3g}{between})"
 
 
-def _unit(metric: Metric, statistic: Statistic) -> tuple[float, str]:
+def shown_unit(metric: Metric, statistic: Statistic) -> tuple[float, str]:
     """Factor and name of the printed unit; shares are in percent."""
     if metric.share or statistic == "beyond limit":
         return 100.0, " %"
@@ -118,7 +118,7 @@ def _text(value: Value, digits: int) -> str:
 
 def where(metric: Metric, place: Place) -> str:
     """The frame, its log, both values, and the command that shows it."""
-    scale, unit = _unit(metric, "mean")
+    scale, unit = shown_unit(metric, "mean")
     values_there = both(place.base * scale, place.new * scale) + unit
     return f"frame {place.frame} of {place.pair.name}, {values_there}: {command(place)}"
 

@@ -4,8 +4,9 @@ import argparse
 import math
 import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Final
 
 import polars as pl
@@ -43,6 +44,7 @@ from .place import (
 from .reading import FRAMES, SPAN_NS
 from .worst import LogKey, Row, key_of, worst_logs
 
+WritePage = Callable[[Path, Dataset], None]
 FAILED_LISTED: Final = 20
 _FEW: Final = 3
 """Failed logs and worst logs in the short report."""
@@ -175,10 +177,10 @@ def _count(rows: pl.DataFrame) -> str:
     return f"{rows.height} ({listed(names, 3)})"
 
 
-def print_dataset(dataset: Dataset, arguments: argparse.Namespace) -> None:
+def print_dataset(dataset: Dataset, arguments: argparse.Namespace, write_page: WritePage | None) -> None:
     """Print the figures of a dataset by group, and its worst logs, and write the files that the options name.
 
-    Without ``by`` the groups are configurations, and versions if they differ.
+    Without ``by`` the groups are configurations, and versions if they differ. ``write_page`` is None without a page.
 
     Raises:
         TableError: there are no tables, a table cannot be read, or a column does not exist.
@@ -191,6 +193,16 @@ def print_dataset(dataset: Dataset, arguments: argparse.Namespace) -> None:
             raise TableError(f"{dataset.address}: {NO_TABLES}")
         print_lines(console, *_statuses(runs, FAILED_LISTED), unbroken=True)
         raise TableError(f"{dataset.address}: no tables in metrics/date=.../; no log of the batch has frames")
+    if write_page is not None:
+        write_page(arguments.html, dataset)
+    _print_tables(console, dataset, runs, files, arguments)
+    if write_page is not None:
+        print_lines(console, "", f"page   {arguments.html}", unbroken=True)
+
+
+def _print_tables(
+    console: Console, dataset: Dataset, runs: pl.DataFrame, files: Sequence[str], arguments: argparse.Namespace
+) -> None:
     if arguments.by and of_objects(arguments.by, (*scan_tables(files).collect_schema(), *RUN_COLUMNS, DATE)):
         answer = object_slices(scan_objects(dataset, runs), arguments.by, dataset.address)
         write_answer(answer, arguments)

@@ -6,7 +6,6 @@ from typing import Final
 
 import polars as pl
 
-from roadperc_stream.errors import TableError
 from roadperc_stream.output.text_table import TextTable, by_header, row
 from roadperc_stream.system.files import completing, require_suffix
 from roadperc_stream.system.text import number
@@ -15,7 +14,7 @@ from ..comparison.verdicts import Mark
 from ..dataset.groups import group_frames, summaries_of
 from ..dataset.keys import in_order_of_runs, log_names, settings_by_config
 from ..dataset.pairs import in_a_folder, runs_of_logs
-from ..dataset.place import DONE, NO_TABLES, Dataset, metrics_files, read_runs
+from ..dataset.place import DONE, Dataset, metrics_files, read_runs
 from ..dataset.report import settings_that_differ
 from ..dataset.worst import LogKey, key_of, worst_logs
 from ..quantities import Quantity
@@ -25,6 +24,11 @@ from .verdict import single_sentence, size, stage_table
 
 PAGES: Final = 10
 """Most pages of logs: failed ones first, then the worst."""
+_FACTS: Final = (
+    *("names", "config", "config_digest", "settings", "options", "recover", "frames", "dropped", "unreadable"),
+    *("warnings", "size_bytes", "seconds", "peak_memory_mb", "attempts", "worker", "version", "code", "libraries"),
+)
+"""Columns of the list of runs on the page of a failed log."""
 
 
 BadLogs = dict[LogKey, tuple[Quantity, float, float]]
@@ -35,20 +39,18 @@ def write_dataset_page(target: Path, dataset: Dataset) -> None:
     """Write the page to a ``.html`` or ``.htm`` file, and the pages of logs to the folder ``NAME_logs``.
 
     Raises:
-        TableError: there are no tables, or one cannot be read.
+        TableError: a table cannot be read.
         TargetError: a page cannot be written, or has another suffix.
         StorageError: the store cannot be read.
     """
     require_suffix(target, ".html", ".htm")
     with in_a_folder(dataset) as local:
-        if not (files := metrics_files(local)):
-            raise TableError(f"{dataset.address}: {NO_TABLES}")
-        _write(target, local, files, dataset.address)
+        _write(target, local, dataset.address)
 
 
-def _write(target: Path, local: Dataset, files: Sequence[str], address: str) -> None:
+def _write(target: Path, local: Dataset, address: str) -> None:
     runs = read_runs(local)
-    found = group_frames(files, runs, [])
+    found = group_frames(metrics_files(local), runs, [])
     configs = in_order_of_runs(found.logs["config"].unique(maintain_order=True).to_list(), runs)
     names = log_names(found.logs["log_id"].unique(maintain_order=True), runs)
     summaries = summaries_of(found, names, configs)
@@ -56,18 +58,19 @@ def _write(target: Path, local: Dataset, files: Sequence[str], address: str) -> 
     worst = worst_of(found.logs, PAGES)
     folder = target.with_name(f"{target.stem}_logs")
     folder.mkdir(parents=True, exist_ok=True)
-    failed_links = _write_failed(folder, failed.head(PAGES))
+    several = len({*runs["config"], *configs}) > 1
+    failed_links = _write_failed(folder, failed.head(PAGES), several)
     links = {}
     for place, (key, run) in enumerate(runs_of_logs(local, list(worst)[: PAGES - len(failed_links)], names).items(), 1):
         write_page(folder / f"worst_{place}.html", [run])
-        links[_name(key, names)] = f"{folder.name}/worst_{place}.html"
+        links[_name(names[key[0]], key[1], several)] = f"{folder.name}/worst_{place}.html"
     mark: Mark = "worse" if failed.height else "better"
     verdicts = [(mark, f"{failed.height} of {number(runs.height, 'run')} failed")] if runs.height else []
     for summary in summaries:
         mark, text = single_sentence(summary)
         verdicts.append((mark, f"{summary.name}: {text}" if len(summaries) > 1 else text))
     settings = settings_that_differ(settings_by_config(runs, configs))
-    lost, bad = _failed_table(failed), _worst_table(worst, names)
+    lost, bad = _failed_table(failed, several), _worst_table(worst, names, several)
     tables = [(stage_table(summaries), {}), (settings, {}), (lost, failed_links), (bad, links)]
     _render(target, address, verdicts, tables)
 
@@ -92,29 +95,45 @@ def worst_of(logs: pl.DataFrame, most: int) -> BadLogs:
     return dict(sorted(dict(largest_last).items(), key=lambda item: -item[1][2])[:most])
 
 
-def _name(key: LogKey, names: Mapping[str, str]) -> str:
-    return f"{names[key[0]]} {key[1]}"
+def _name(log: str, config: str, several: bool) -> str:
+    """The name of a log, with the configuration if there are several."""
+    return f"{log} {config}" if several else log
 
 
-def _failed_table(failed: pl.DataFrame) -> TextTable:
-    columns = failed.select("path", "config", "status", "error").iter_rows()
-    rows = [row(f"{path} {config}", status, error or "no reason given") for path, config, status, error in columns]
+def _reason(failed: Mapping[str, str | None]) -> str:
+    return (failed["error"] or "no reason given").removeprefix(f"{failed['path']}: ")
+
+
+def _failed_table(failed: pl.DataFrame, several: bool) -> TextTable:
+    rows = [
+        row(_name(item["path"], item["config"], several), item["status"], _reason(item))
+        for item in failed.iter_rows(named=True)
+    ]
     return TextTable("Failed logs", ("status", "error"), tuple(rows), last_is_text=True)
 
 
-def _worst_table(worst: BadLogs, names: Mapping[str, str]) -> TextTable:
-    rows = [row(_name(key, names), shown(mean, q), f"{times:.0f}", q.name) for key, (q, mean, times) in worst.items()]
-    notes = ("mean of the absolute error over the log, and its distance from a perfect value in relevant effects",)
+def _worst_table(worst: BadLogs, names: Mapping[str, str], several: bool) -> TextTable:
+    rows = [
+        row(_name(names[log_id], config, several), shown(mean, q), f"{times:.0f}", q.name)
+        for (log_id, config), (q, mean, times) in worst.items()
+    ]
+    notes = ("mean of the absolute values over the log, and its distance from a perfect value in relevant effects",)
     return TextTable("Worst logs", ("mean", "relevant effects", "metric"), tuple(rows), notes, last_is_text=True)
 
 
-def _write_failed(folder: Path, failed: pl.DataFrame) -> dict[str, str]:
+def _write_failed(folder: Path, failed: pl.DataFrame, several: bool) -> dict[str, str]:
     """Write a page with the facts of each failed log; the address of each from the dataset's page."""
     links = {}
     for place, item in enumerate(failed.iter_rows(named=True), 1):
-        facts = [row(name, str(value)) for name, value in item.items() if value not in (None, [], "")]
+        facts = [row(name, _fact(item[name])) for name in _FACTS if item.get(name)]
         table = TextTable("Run", ("value",), tuple(facts), last_is_text=True)
-        said = f"{item['status']}: {item['error'] or 'no reason given'}"
+        said = f"{item['status']}: {_reason(item)}"
         _render(folder / f"failed_{place}.html", item["path"], [("worse", said)], [(table, {})])
-        links[f"{item['path']} {item['config']}"] = f"{folder.name}/failed_{place}.html"
+        links[_name(item["path"], item["config"], several)] = f"{folder.name}/failed_{place}.html"
     return links
+
+
+def _fact(value: object) -> str:
+    if isinstance(value, list):
+        return ", ".join(map(str, value))
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

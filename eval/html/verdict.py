@@ -26,7 +26,6 @@ _NO_EFFECT: Final = 0.01
 """Largest effect that is not drawn, as a multiple of the relevant effect."""
 _CUT: Final = 10.0
 """Largest effect drawn, as a multiple of the relevant effect."""
-_NAMES: Final = {quantity.column: quantity.name for quantity in NUMBERS}
 _SHOWN: Final = {
     *("surface_height_error_m", "lane_left_error_m", "lane_right_error_m", "object_distance_error_m", "stereo_epe_px"),
     *("step_error_m", "surface_inlier_ratio", "lane_width_m", "detections_kept", "stereo_valid_ratio"),
@@ -142,7 +141,7 @@ def place_text(found: Comparison, place: Place) -> str:
     """The metric of the worst place, its log if there are several, and both values."""
     metric = next(verdict.metric for verdict in found.named("worse") if verdict.place is place)
     where = f"{place.pair.name}, " if len(found.pairing.pairs) > 1 else ""
-    return f"{where}frame {place.frame}: {metric_name(metric.name)} {arrow(place.base, place.new, metric.unit)}"
+    return f"{where}frame {place.frame}: {metric.label} {arrow(place.base, place.new, metric.unit)}"
 
 
 def _bar(verdict: Verdict, others: int, several: bool) -> Bar:
@@ -154,7 +153,7 @@ def _bar(verdict: Verdict, others: int, several: bool) -> Bar:
     left, right = sorted((50.0, _place(sign * (found.new - found.base), verdict)))
     places = sorted(_place(sign * end, verdict) for end in ends)
     statistic = "" if found.statistic == "mean" else f", {found.statistic}"
-    name = f"{metric_name(verdict.metric.name)}{statistic}{f' in {found.log}' if several and found.log else ''}"
+    name = f"{verdict.metric.label}{statistic}{f' in {found.log}' if several and found.log else ''}"
     whisker = (places[0], places[1] - places[0]) if places else None
     return Bar(name, change, verdict.mark, left, max(right - left, 0.5), whisker, others)
 
@@ -168,13 +167,6 @@ def _place(effect: float, verdict: Verdict) -> float:
 def arrow(base: float, new: float, unit: str) -> str:
     """Both values."""
     return f"{readable(base, unit)} \N{RIGHTWARDS ARROW} {readable(new, unit)}"
-
-
-def metric_name(name: str) -> str:
-    """The label of a metric such as ``lane_left_error_m`` or ``step_m.coverage``."""
-    column, _, what = name.partition(".")
-    label = _NAMES.get(column.replace("jitter", "second_difference"), column.replace("_", " "))
-    return f"{label} {what}".strip()
 
 
 def readable(value: float, unit: str, sign: str = "") -> str:

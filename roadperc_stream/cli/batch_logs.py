@@ -16,6 +16,7 @@ from roadperc_stream.batch.worker import scratch_root
 from roadperc_stream.chain.own_stage import own_stages
 from roadperc_stream.cli.arguments import config_of, time_range_of
 from roadperc_stream.errors import RoadpercError
+from roadperc_stream.output.tables import config_digest
 from roadperc_stream.output.terminal import PipeConsole
 from roadperc_stream.schemas.columns.runs import RunRow
 from roadperc_stream.schemas.roles import parse_topic_options
@@ -95,7 +96,8 @@ def _print_summary(job: BatchJob, summary: BatchSummary, seconds: float) -> None
     not_started = f", {summary.not_started} not started" if summary.not_started else ""
     logs = f"{number(summary.done, 'log')} done{skipped}{failed}{not_started}"
     print_line(f"{logs}: {summary.frames} frames in {seconds:.1f} s{rate}")
-    print_line(f"dataset {job.out.address}, configuration {job.configuration.name}")
+    digest = config_digest(job.configuration.cfg)[:8]
+    print_line(f"dataset {job.out.address}, config {job.configuration.name}, configuration {digest}")
 
 
 @contextmanager

@@ -32,10 +32,8 @@ def main(argv: list[str] | None = None) -> int:
         if len(arguments.runs) > 1:
             parser.error("expected one OUT_DIR of a batch without any other RUN")
         of_dataset = part("eval.dataset.report")
-        if arguments.html:
-            write = part("eval.html.dataset_page").write_dataset_page
-            return run(lambda: write(arguments.html, datasets[0]))
-        return run(lambda: of_dataset.print_dataset(datasets[0], arguments))
+        write_dataset_page = part("eval.html.dataset_page").write_dataset_page if arguments.html else None
+        return run(lambda: of_dataset.print_dataset(datasets[0], arguments, write_dataset_page))
     report = part("eval.report")
     write_page = part("eval.html.page").write_page if arguments.html else None
     return run(lambda: report.print_report(arguments, write_page))

@@ -108,7 +108,7 @@ def test_lost_coverage_is_a_regression_even_if_the_error_is_equal(reference, cap
     new = other(reference, lane_left_error_m=pl.when(~frames(10, 14)).then(LEFT))
     code, text, error = compare(capsys, reference, new)
     assert (code, error) == (1, "worse than the base run: lane_left_error_m.coverage\n")
-    assert "worse, lanes coverage: lane_left_error_m.coverage mean 100 → 87.5 % (-12.5 [" in text
+    assert "worse, lanes coverage: lane left error at 10 m coverage, mean 100 → 87.5 % (-12.5 [" in text
     assert "  frame 10 of a, 100 → 0 %: roadperc-view " in text
     assert "lane_left_error_m mean" not in text
     assert compare(capsys, reference, new, "--allow", "*.coverage=0.13")[0] == 0
@@ -191,7 +191,7 @@ def test_a_jump_in_two_frames_is_named_with_its_log_and_command(tmp_path, capsys
     logs = [f"{side}/part0/log1.metrics.parquet" for side in (ours, theirs)]
     shown = f"frame 7 of part0/log1, 0.1 → 2.42 m: roadperc-view {logs[0]} {logs[1]}"
     assert (code, error) == (1, "worse than the base run: lane_left_error_m\n")
-    assert text.startswith("worse: lane_left_error_m worst frame of part0/log1 0.1 → 2.42 m; 3 metrics judged, 1 ")
+    assert text.startswith("worse: lane left error at 10 m, worst frame of part0/log1 0.1 → 2.42 m; 3 metrics ")
     assert f"\n  {shown} --frame 7\n" in text
 
     found = json.loads(outputs["json"].read_text(), parse_constant=pytest.fail)

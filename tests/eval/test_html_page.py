@@ -142,10 +142,13 @@ def test_two_runs_start_with_the_verdict_and_the_worst_frame_and_its_command(tmp
     assert re.findall(r"(\d+)\. frame (\d+) at", worst) == [(str(k + 1), str(39 - k)) for k in range(10)]
 
 
-def test_a_dataset_gives_a_page_and_pages_of_its_bad_logs(tmp_path):
+def test_a_dataset_gives_a_page_and_pages_of_its_bad_logs(tmp_path, capsys):
     small_dataset(tmp_path / "batch")
     assert main([str(tmp_path / "batch"), "--html", str(tmp_path / "page.html")]) == 0
     page = Page((tmp_path / "page.html").read_text(encoding="utf-8"))
+    assert capsys.readouterr().out.endswith(
+        f"pass --full for all tables, --by EXPRESSION for slices\n\npage   {tmp_path / 'page.html'}\n"
+    )
     assert "3 of 7 runs failed" in page.text
     linked = [tmp_path / link for link in page.links if link.startswith("page_logs/")]
     assert {path.stem for path in linked} == {f"failed_{k}" for k in (1, 2, 3)} | {"worst_1", "worst_2"}

@@ -214,7 +214,7 @@ def test_two_runs_of_a_log_show_only_relevant_differences(tmp_path, capsys):
     _, text, _ = short(capsys, *paths[:2])
     assert "no relevant difference" in text.splitlines()
     _, text, _ = short(capsys, paths[0], paths[2])
-    assert line_of(text, "lane_left_error_m")[1:4] == ["0.011", "0.201", "+0.19"]
+    assert line_of(text, "lane left error at 10 m, m")[7:10] == ["0.011", "0.201", "+0.19"]
     assert "worse" in text
     assert view_pair_command(run_of(paths[0]), run_of(paths[2]), 0) in text
 

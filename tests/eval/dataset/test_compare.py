@@ -21,7 +21,7 @@ def dataset(tmp_path):
 @pytest.mark.parametrize(("first", "second"), [(B[:2], "default"), ("lanes.hold_s=2.0", A), ("lanes.hold_s=2", A)])
 def test_digits_and_settings_identify_a_configuration(dataset, capsys, first, second):
     code, text, _ = compare(capsys, dataset, "--base-config", first, "--new-config", second)
-    assert (code, "better: lane_left_error_m mean 0.27" in text) == (0, True)
+    assert (code, "better: lane left error at 10 m, mean 0.27" in text) == (0, True)
 
 
 def test_each_side_can_be_a_dataset(dataset, capsys, tmp_path):
