@@ -9,6 +9,7 @@ from tests.accuracy.running import Results
 from tests.accuracy.scenarios import (
     ALONE,
     ALONE_LEADS,
+    APPROACHING,
     AT_TWO_HZ,
     BRAKING,
     BY_JPEG,
@@ -179,6 +180,11 @@ def of_impact():
     for name, scenarios in {"sample": STANDARD, "turn": TURNING, **noisy}.items():
         title = f"{name}: below 1.5 s although the true time is above 2 s or absent"
         yield bounded("Impact", title, at_most(0, "frames"), scenarios, of_objects.false_alarms)
+    title = "crossing people and cars: the same, not within 0.1 s of a true time below 2 s"
+    yield bounded("Impact", title, at_most(0, "frames"), APPROACHING, partial(of_objects.false_alarms, margin_s=0.1))
+    title = "5 to 30 m/s, 5 to 20 Hz, 0.5 to 3 s: frames with a value, from the third one on"
+    value = partial(of_objects.impact_known, first=2)
+    yield bounded("Impact", title, at_least(97, "%"), (*APPROACHING, *BRAKING["1+2 %"]), value)
     line = partial(bounded, "Impact", scenarios=BRAKING["1+2 %"])
     yield line("braking lead car, 0.5 to 3 s: frames with a value", at_least(95, "%"), value=of_objects.impact_known)
     yield line("braking lead car, 0.5 to 3 s: error, median", at_most(0.2, "s"), value=of_objects.impact_error)

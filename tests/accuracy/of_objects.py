@@ -67,15 +67,15 @@ def recall(replays):
     return Value(tp / (tp + fn) if tp + fn else None, coverage)
 
 
-def false_alarms(replays):
-    """Number of frames with a false alarm."""
-    flags = np.concatenate([measures.false_alarms(replay.frames) for replay in replays])
+def false_alarms(replays, margin_s=0.0):
+    """Number of frames with a false alarm, not within ``margin_s`` of a true impact."""
+    flags = np.concatenate([measures.false_alarms(replay.frames, margin_s=margin_s) for replay in replays])
     return Value(float(flags.sum()), None, f"of {len(flags)}")
 
 
-def impact_known(replays):
-    """Share in percent of the frames before a true impact that have a time to impact."""
-    times_s = measures.impacts(replays)
+def impact_known(replays, first=0):
+    """Share in percent of the frames before a true impact, from frame ``first`` on, that have a time to impact."""
+    times_s = measures.impacts(replays, first=first)
     return Value(
         100 * float(np.isfinite(times_s[:, 0]).mean()) if len(times_s) else None, None, f"{len(times_s)} frames"
     )

@@ -41,6 +41,22 @@ TOWN = drive("town", 2.5, scene="town", path_truth=True, rate_hz=5.0, seconds=8.
 WHOLE = drive("town-whole", 2.0, scene="town", path_truth=True, whole_boxes=True, rate_hz=5.0, seconds=8.0)
 TURN = drive("turn", scene="town", turn="right", path_truth=True, seconds=6.0)
 LEADS = tuple(drive(f"lead-{scene}", scene=scene, lead_brakes=True, seconds=5.0) for scene in ("straight", "bend"))
+APPROACHES = tuple(
+    drive(f"runner-{rate:g}-{speed:g}", scene=scene, path_truth=True, rate_hz=rate, speed_mps=speed, seconds=40 / speed)
+    for rate, speed, scene in (
+        (5.0, 10.0, "straight"),
+        (5.0, 30.0, "bend"),
+        (10.0, 5.0, "bend"),
+        (10.0, 20.0, "straight"),
+        (20.0, 10.0, "straight"),
+        (20.0, 30.0, "bend"),
+    )
+)
+"""People run across the road 38 m ahead of the start; the car arrives half a second after they cross the middle."""
+CROSSED = tuple(
+    drive(f"crossed-{speed:g}", scene="straight", crossing_cars=True, speed_mps=speed, seconds=4.2)
+    for speed in (5.0, 12.0)
+)
 SAMPLE = str(ROOT / "logs" / "sample.mcap")
 KITTI = f"{DATA}/kitti_odometry"
 COURSE_STEREO = f"{DATA}/course_stereo"
@@ -76,6 +92,7 @@ BRAKING = {
     level: tuple(Scenario(f"{of.name}, {level}", of, noise, OBJECTS) for of in LEADS)
     for level, noise in (("1+2 %", MODEST), ("2+5 %", HEAVY))
 }
+APPROACHING = tuple(Scenario(of.name, of, MODEST, OBJECTS) for of in (*APPROACHES, *CROSSED))
 ONE_CAMERA = {"without": ("depth", "right"), "fov_deg": 70.0}
 ALONE_LEADS = tuple(
     Scenario(f"one camera, {of.name}", of, Noise(0.02), OBJECTS)
