@@ -24,6 +24,7 @@ from tests.accuracy.scenarios import (
     STANDARD,
     TOWNS,
     TURNING,
+    UNTAGGED,
     WHOLE_BOXES,
     WITHOUT_DEPTH,
     Scenario,
@@ -156,6 +157,15 @@ def of_distances():
             yield bounded("Distances, town", name, at_most(limit, "%"), scenarios, value)
 
 
+def of_untagged():
+    """Distances by depth or lidar alone, without segmentation."""
+    for name, scenarios in UNTAGGED.items():
+        line = partial(bounded, "Distances without tags", scenarios=scenarios)
+        title = f"{name}: within 1 m or 2 deviations"
+        yield line(title, at_least(100, "%"), value=of_objects.right_or_unsure)
+        yield line(f"{name}: deviation below 15 %", at_least(66.6, "%"), value=of_objects.sure)
+
+
 def of_filter():
     """Detections kept and dropped."""
     for name, scenarios, precision in (("sample", STANDARD, 0.82), ("town", TOWNS["1+2 %"], 0.93)):
@@ -257,6 +267,7 @@ FIGURES = (
     *of_surface(),
     *of_odometry(),
     *of_distances(),
+    *of_untagged(),
     *of_filter(),
     *of_impact(),
     *of_obstacle(),

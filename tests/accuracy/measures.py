@@ -134,6 +134,11 @@ def kept_true(replays, nearest_m, farthest_m):
     return pl.concat(parts)
 
 
+def true_distances(replays):
+    """Rows of true detections with a distance."""
+    return pl.concat([replay.objects for replay in replays]).drop_nulls(("distance_m", "true_distance_m"))
+
+
 def false_alarms(frames, alarm_s=1.5, calm_s=2.0, margin_s=0.0):
     """(N,) bool for frames without a true impact before ``calm_s``: the estimate is below ``alarm_s``.
 

@@ -92,6 +92,32 @@ BRAKING = {
     level: tuple(Scenario(f"{of.name}, {level}", of, noise, OBJECTS) for of in LEADS)
     for level, noise in (("1+2 %", MODEST), ("2+5 %", HEAVY))
 }
+UNTAGGED = {
+    "depth": (
+        Scenario(
+            "no tags, depth",
+            drive("untagged", scene="town", rate_hz=1.25, seconds=8.0, without=("right", "segmentation")),
+            Noise(depth=0.01),
+            "surface,objects",
+        ),
+    ),
+    "lidar": (
+        Scenario(
+            "no tags, lidar",
+            drive(
+                "untagged-lidar",
+                scene="town",
+                rate_hz=1.25,
+                seconds=8.0,
+                lidar=True,
+                without=("right", "segmentation", "depth"),
+            ),
+            CLEAN,
+            "surface,objects",
+        ),
+    ),
+    "KITTI": (Scenario("kitti object", f"{DATA}/kitti_object", only="surface,objects"),),
+}
 APPROACHING = tuple(Scenario(of.name, of, MODEST, OBJECTS) for of in (*APPROACHES, *CROSSED))
 ONE_CAMERA = {"without": ("depth", "right"), "fov_deg": 70.0}
 ALONE_LEADS = tuple(
