@@ -37,7 +37,7 @@ _GAP: Final = 0.02
 """Gap between the distances of two clusters, as a share of the distance."""
 _ALIKE: Final = 5
 """Power of the relative fit that is the weight of another cluster."""
-_USUAL_M: Final = {("pedestrian",): (1.7, 0.15), ("vehicle",): (1.6, 0.4)}
+_USUAL_M: Final[dict[tuple[str, ...], tuple[float, float]]] = {("pedestrian",): (1.7, 0.15), ("vehicle",): (1.6, 0.4)}
 """Usual height of a class, and the standard deviation of its logarithm for larger ones."""
 _HIDDEN_STD: Final = 0.6
 """Standard deviation of the logarithm of the height for smaller ones, which may be partly hidden."""
@@ -66,8 +66,7 @@ def measured_by_points(
     x0, y0, x1, y1 = box = detection.box_px.rounded(camera.width, camera.height)
     aside, above = (MARGIN * (last - first) for first, last in ((x0, x1), (y0, y1)))
     around = Box(x0 - aside, y0 - above, x1 + aside, y1 + above).rounded(camera.width, camera.height)
-    distances = of_box(camera, depth_m, around, limit_m)
-    columns, rows, distances = _sampled(distances, around[:2])
+    columns, rows, distances = _sampled(of_box(camera, depth_m, around, limit_m), around[:2])
     upright = _upright(camera, columns, rows, distances)
     if np.count_nonzero(upright) >= LEAST_POINTS:
         order = np.flatnonzero(upright)[np.argsort(distances[upright], kind="stable")]
@@ -91,7 +90,11 @@ def _sampled(distances_m: Float32, first_px: tuple[int, int]) -> tuple[Float, Fl
     few = distances_m[::step, ::step]
     rows, columns = np.nonzero(np.isfinite(few))
     left, top = first_px
-    return left + step * columns.astype(np.float64), top + step * rows.astype(np.float64), few[rows, columns]
+    return (
+        left + step * columns.astype(np.float64),
+        top + step * rows.astype(np.float64),
+        few[rows, columns].astype(np.float64),
+    )
 
 
 def _upright(camera: Camera, columns: Float, rows: Float, distances_m: Float) -> NDArray[np.bool_]:
@@ -101,8 +104,7 @@ def _upright(camera: Camera, columns: Float, rows: Float, distances_m: Float) ->
     across, height, along = (np.abs(m[:, None] - m) for m in (x * depths_m, y * depths_m, distances_m))
     least_m, most_m = _HEIGHT_M
     pairs = (height > least_m) & (height < most_m) & (across < _ASIDE_M) & (along < _STEEPEST * height)
-    upright: NDArray[np.bool_] = pairs.any(axis=1)
-    return upright
+    return np.asarray(pairs.any(axis=1), np.bool_)
 
 
 def _usual(label: str, heights_m: Float) -> Float:

@@ -191,7 +191,7 @@ def within_range(depths_m: Float32, limit_m: float) -> Float32:
     return np.where(depths_m >= np.float32(limit_m), np.float32(np.inf), depths_m)
 
 
-def nearest(cfg: ObjectsConfig, distances_m: Float32) -> Measured:
+def nearest(cfg: ObjectsConfig, distances_m: NDArray[np.floating[Any]]) -> Measured:
     """The quantile of distances, NaN unknown and infinite beyond the depth's range.
 
     The standard deviation is the spread of the pixels around the quantile, at least ``objects.min_distance_std_m``.
