@@ -188,7 +188,7 @@ class ObjectsConfig(StageSection):
     hold_s: Annotated[float, Field(ge=0.0, le=1e4)] = 0.5
     """How long an object without a detection is held and searched for in the image."""
     template_search: bool = True
-    """Whether to search for an object without a detection by its last image patch; this decodes the image."""
+    """Whether to search for an object without a detection by its last image patch or its depth; decodes the image."""
     carry_after_s: Annotated[float, Field(ge=0.0, le=1e4)] = 0.1
     """How long an object must be detected without a gap before it is held, so that stray detections are not held."""
     template_min_score: Ratio = 0.7

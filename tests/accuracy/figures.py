@@ -9,6 +9,7 @@ from tests.accuracy.running import Results
 from tests.accuracy.scenarios import (
     ALONE,
     ALONE_LEADS,
+    APPROACHING,
     AT_TWO_HZ,
     BEHIND_BONNET,
     BRAKING,
@@ -27,6 +28,7 @@ from tests.accuracy.scenarios import (
     TOWNS,
     TURNED,
     TURNING,
+    UNTAGGED,
     WHOLE_BOXES,
     WITHOUT_DEPTH,
     Scenario,
@@ -170,6 +172,15 @@ def of_distances():
             yield bounded("Distances, town", name, at_most(limit, "%"), scenarios, value)
 
 
+def of_untagged():
+    """Distances by depth or lidar alone, without segmentation."""
+    for name, scenarios in UNTAGGED.items():
+        line = partial(bounded, "Distances without tags", scenarios=scenarios)
+        title = f"{name}: within 1 m or 2 deviations"
+        yield line(title, at_least(100, "%"), value=of_objects.right_or_unsure)
+        yield line(f"{name}: deviation below 15 %", at_least(66.6, "%"), value=of_objects.sure)
+
+
 def of_filter():
     """Detections kept and dropped."""
     for name, scenarios, precision in (("sample", STANDARD, 0.82), ("town", TOWNS["1+2 %"], 0.93)):
@@ -194,6 +205,11 @@ def of_impact():
     for name, scenarios in {"sample": STANDARD, "turn": TURNING, **noisy}.items():
         title = f"{name}: below 1.5 s although the true time is above 2 s or absent"
         yield bounded("Impact", title, at_most(0, "frames"), scenarios, of_objects.false_alarms)
+    title = "crossing people and cars: the same, not within 0.1 s of a true time below 2 s"
+    yield bounded("Impact", title, at_most(0, "frames"), APPROACHING, partial(of_objects.false_alarms, margin_s=0.1))
+    title = "5 to 30 m/s, 5 to 20 Hz, 0.5 to 3 s: frames with a value, from the third one on"
+    value = partial(of_objects.impact_known, first=2)
+    yield bounded("Impact", title, at_least(97, "%"), (*APPROACHING, *BRAKING["1+2 %"]), value)
     line = partial(bounded, "Impact", scenarios=BRAKING["1+2 %"])
     yield line("braking lead car, 0.5 to 3 s: frames with a value", at_least(95, "%"), value=of_objects.impact_known)
     yield line("braking lead car, 0.5 to 3 s: error, median", at_most(0.2, "s"), value=of_objects.impact_error)
@@ -274,6 +290,7 @@ FIGURES = (
     *of_surface(),
     *of_odometry(),
     *of_distances(),
+    *of_untagged(),
     *of_filter(),
     *of_impact(),
     *of_obstacle(),

@@ -63,6 +63,22 @@ STILLS = tuple(
     for pitch_deg, scene in ((-6.0, "straight"), (-3.0, "bend"), (0.0, "straight"), (3.0, "bend"), (6.0, "straight"))
 )
 LEADS = tuple(drive(f"lead-{scene}", scene=scene, lead_brakes=True, seconds=5.0) for scene in ("straight", "bend"))
+APPROACHES = tuple(
+    drive(f"runner-{rate:g}-{speed:g}", scene=scene, path_truth=True, rate_hz=rate, speed_mps=speed, seconds=40 / speed)
+    for rate, speed, scene in (
+        (5.0, 10.0, "straight"),
+        (5.0, 30.0, "bend"),
+        (10.0, 5.0, "bend"),
+        (10.0, 20.0, "straight"),
+        (20.0, 10.0, "straight"),
+        (20.0, 30.0, "bend"),
+    )
+)
+"""People run across the road 38 m ahead of the start; the car arrives half a second after they cross the middle."""
+CROSSED = tuple(
+    drive(f"crossed-{speed:g}", scene="straight", crossing_cars=True, speed_mps=speed, seconds=4.2)
+    for speed in (5.0, 12.0)
+)
 SAMPLE = str(ROOT / "logs" / "sample.mcap")
 KITTI = f"{DATA}/kitti_odometry"
 COURSE_STEREO = f"{DATA}/course_stereo"
@@ -104,6 +120,33 @@ BRAKING = {
     level: tuple(Scenario(f"{of.name}, {level}", of, noise, OBJECTS) for of in LEADS)
     for level, noise in (("1+2 %", MODEST), ("2+5 %", HEAVY))
 }
+UNTAGGED = {
+    "depth": (
+        Scenario(
+            "no tags, depth",
+            drive("untagged", scene="town", rate_hz=1.25, seconds=8.0, without=("right", "segmentation")),
+            Noise(depth=0.01),
+            "surface,objects",
+        ),
+    ),
+    "lidar": (
+        Scenario(
+            "no tags, lidar",
+            drive(
+                "untagged-lidar",
+                scene="town",
+                rate_hz=1.25,
+                seconds=8.0,
+                lidar=True,
+                without=("right", "segmentation", "depth"),
+            ),
+            CLEAN,
+            "surface,objects",
+        ),
+    ),
+    "KITTI": (Scenario("kitti object", f"{DATA}/kitti_object", only="surface,objects"),),
+}
+APPROACHING = tuple(Scenario(of.name, of, MODEST, OBJECTS) for of in (*APPROACHES, *CROSSED))
 ONE_CAMERA = {"without": ("depth", "right"), "fov_deg": 70.0}
 ALONE_LEADS = tuple(
     Scenario(f"one camera, {of.name}", of, Noise(0.02), OBJECTS)

@@ -91,8 +91,10 @@ def test_precision_and_recall_use_sums_over_frames():
 
 
 def test_impact_errors_count_frames_with_an_estimate():
-    replays = frames(time_to_impact_s=[1.1, None, 2.6, 9.0], true_time_to_impact_s=[1.0, 1.0, 2.0, 9.0])
+    true_s = [1.0, 1.0, 2.0, 9.0]
+    replays = frames(frame=[0, 1, 2, 3], time_to_impact_s=[1.1, None, 2.6, 9.0], true_time_to_impact_s=true_s)
     assert of_objects.impact_known(replays).number == pytest.approx(200 / 3)
+    assert of_objects.impact_known(replays, first=2).number == 100.0
     assert of_objects.impact_error(replays).number == pytest.approx(0.35)
     assert of_objects.impact_error(replays, 0.95).coverage == pytest.approx(2 / 3)
 

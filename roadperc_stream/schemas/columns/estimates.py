@@ -153,7 +153,10 @@ class ObjectColumns:
         ),
     ] = None
     objects_carried: Annotated[
-        int | None, _count("objects the detector missed in this frame, carried by their image patch", "objects carried")
+        int | None,
+        _count(
+            "objects the detector missed in this frame, found by their image patch or their depth", "objects carried"
+        ),
     ] = None
     nearest_object_m: Annotated[
         float | None,

@@ -121,9 +121,7 @@ class ObjectMetrics(FrameKey):
         bool | None,
         Column("whether it is not in the path, but over the lane's line and moving in", null="the same, or no lane"),
     ]
-    status: Annotated[
-        str, Column("`measured` (detected), `tracked` (carried by its image patch without a detection) or `lost`")
-    ]
+    status: Annotated[str, Column("`measured` (detected), `tracked` (found without a detection) or `lost`")]
     beyond_range: Annotated[bool, Column("the depth saturates there")]
     is_true: Annotated[bool | None, Column("matches a true object", null="the log has no true objects")]
     true_distance_m: Annotated[float | None, Column("distance of that object", "m", _NO_TRUTH)]

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from roadperc_stream.chain.kernels import mark
 from roadperc_stream.chain.stages.objects import regions
 from roadperc_stream.chain.stages.objects.mosaic import areas, corners, cut_out, kinds, shared_areas
+from roadperc_stream.chain.stages.objects.points import measured_by_points
 from roadperc_stream.chain.stages.objects.regions import UNKNOWN, Measured, Region, nearest, of_box
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Float32
@@ -186,7 +187,9 @@ def _filtered(
     kept = ratio is None or _is_kept(cfg, scene, ratio, fit, expected=expected, beyond=beyond)
     if beyond and cfg.distance_pixels == "region":
         measured = Measured(beyond_range=True)
-    if scene.depth_m is not None and measured == UNKNOWN:
+    if scene.depth_m is not None and measured == UNKNOWN and of_class is None and cfg.distance_pixels == "region":
+        measured = measured_by_points(cfg, scene.camera, scene.depth_m, scene.depth_limit_m, detection)
+    elif scene.depth_m is not None and measured == UNKNOWN:
         distances = of_box(scene.camera, scene.depth_m, box, scene.depth_limit_m)
         measured = nearest(cfg, _counted(cfg, scene, distances, of_class))
     return Object(detection, kept, ratio, measured.distance_m, measured.std_m, beyond_range=measured.beyond_range)

@@ -120,7 +120,7 @@ def find_regions(camera: Camera, mosaic: Mosaic, boxes: Sequence[Box]) -> list[t
         inside = corners(boxes).clip(0.0, np.array((camera.width, camera.height) * 2)[:, None])
         owners = np.searchsorted(mosaic.tops, division.bounds[1], side="right") - 1
         around = boxes_of(mosaic, owners, division.bounds)
-        fits = np.where(division.pixels >= LEAST_PIXELS, _fits(inside[:, owners], around), 0.0)
+        fits = np.where(division.pixels >= LEAST_PIXELS, fits_of_bounds(inside[:, owners], around), 0.0)
         fitting = np.flatnonzero(fits >= LEAST_FIT)
         for k in fitting[np.argsort(-fits[fitting], kind="stable")].tolist():
             of_owner = found[owners[k]]
@@ -129,7 +129,7 @@ def find_regions(camera: Camera, mosaic: Mosaic, boxes: Sequence[Box]) -> list[t
     return [tuple(regions) for regions in found]
 
 
-def _fits(boxes: Float, around: Float) -> Float:
+def fits_of_bounds(boxes: Float, around: Float) -> Float:
     """(K,) Tversky index, 0 to 1, of the bounds of regions (4, K) and their boxes (4, K).
 
     Source: A. Tversky, Features of similarity, Psychological Review 84 (1977): the shared area over the sum of the
@@ -191,7 +191,7 @@ def within_range(depths_m: Float32, limit_m: float) -> Float32:
     return np.where(depths_m >= np.float32(limit_m), np.float32(np.inf), depths_m)
 
 
-def nearest(cfg: ObjectsConfig, distances_m: Float32) -> Measured:
+def nearest(cfg: ObjectsConfig, distances_m: NDArray[np.floating[Any]]) -> Measured:
     """The quantile of distances, NaN unknown and infinite beyond the depth's range.
 
     The standard deviation is the spread of the pixels around the quantile, at least ``objects.min_distance_std_m``.
@@ -228,12 +228,27 @@ def own_distances(distances_m: Float32) -> Float32:
     order = np.argsort(distances_m[rows, columns], kind="stable")
     rows, columns = rows[order], columns[order]
     sorted_m = distances_m[rows, columns]
-    first = np.flatnonzero(np.append(True, sorted_m[1:] > sorted_m[:-1] * (1 + GAP)))[: len(sorted_m)]
-    if not len(first):
+    if not len(sorted_m):
         return sorted_m
+    first, last, bounds = bounds_of_groups(sorted_m, columns, rows, GAP)
+    filled = np.where(last - first >= LEAST_POINTS, areas(bounds), 0.0)
+    best = int(np.argmax(filled))
+    return sorted_m[first[best] : last[best]] if filled[best] > 0 else sorted_m
+
+
+def bounds_of_groups(
+    sorted_m: NDArray[np.floating[Any]], columns: NDArray[Any], rows: NDArray[Any], gap: float
+) -> tuple[Indices, Indices, Float]:
+    """The groups of points between gaps in distance: first and end positions (K,), and bounds (4, K) in the image.
+
+    Args:
+        sorted_m: (N,) increasing distances, at least one.
+        columns: (N,) their columns.
+        rows: (N,) their rows.
+        gap: smallest gap, as a share of the distance.
+    """
+    first = np.flatnonzero(np.append(True, sorted_m[1:] > sorted_m[:-1] * (1 + gap)))
     last = np.append(first[1:], len(sorted_m))
     low = [np.minimum.reduceat(places, first) for places in (columns, rows)]
     high = [np.maximum.reduceat(places, first) + 1 for places in (columns, rows)]
-    filled = np.where(last - first >= LEAST_POINTS, areas(np.array((*low, *high), np.float64)), 0.0)
-    best = int(np.argmax(filled))
-    return sorted_m[first[best] : last[best]] if filled[best] > 0 else sorted_m
+    return first, last, np.array((*low, *high), np.float64)

@@ -1,8 +1,8 @@
 """One frame of the objects: filter the detections, associate them with tracks, and search for tracks without one.
 
-Detections and tracks are paired for the largest total similarity (the assignment problem). The similarity is the
-overlap of the boxes, reduced if the distances contradict each other. So an object keeps its id if its distance jumps to
-another object in front, and two objects that pass each other keep their ids.
+Detections and tracks are paired for the largest total similarity (the assignment problem): of the places on the ground
+and of the boxes. So an object keeps its id if its distance jumps to another object in front, and two objects that pass
+each other keep their ids.
 """
 
 from collections.abc import Sequence
@@ -10,13 +10,14 @@ from dataclasses import dataclass, field, replace
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from roadperc_stream.chain.stages.objects import contact, tracking
+from roadperc_stream.chain.stages.objects.association import overlap_similarities, similarities
 from roadperc_stream.chain.stages.objects.contact import BORDER_PX, Contact, GroundPlane
-from roadperc_stream.chain.stages.objects.filtering import filter_detections
+from roadperc_stream.chain.stages.objects.filtering import divides, filter_detections
 from roadperc_stream.chain.stages.objects.mosaic import corners, kinds, overlaps
 from roadperc_stream.chain.stages.objects.path import DrivenArc, EgoPath, extent, judged, path_of
+from roadperc_stream.chain.stages.objects.place import Sighting, sighting
 from roadperc_stream.chain.stages.objects.template import Template, cut, find_obstacle
 from roadperc_stream.chain.stages.objects.tracking import ObjectTrack, distance_std_m
 from roadperc_stream.config import ObjectsConfig
@@ -29,8 +30,6 @@ MOST_TRACKS = 256
 """Largest number of tracks; beyond it, the tracks longest without a detection are dropped."""
 EXPECTED_OVERLAP = 0.4
 """Least intersection over union of a detection and the predicted box of its object."""
-DISTANCE_PENALTY = 0.3
-"""Share of the overlap that is subtracted if the distances contradict each other."""
 _SEARCH_SIGMAS = 3.0
 _SEARCH_SIDES = 1.0
 """Largest search distance to each side of the predicted centre, in box sides."""
@@ -51,11 +50,15 @@ class ObjectsState:
 
 @dataclass(frozen=True)
 class _Kept:
-    """Kept detections, independent of the detector's order: objects, boxes in the image, positions."""
+    """Kept detections, independent of the detector's order: objects, boxes in the image, positions.
+
+    ``seen`` is where each is seen, None without depth.
+    """
 
     items: tuple[Object, ...]
     boxes: tuple[Box, ...]
     positions: tuple[int, ...]
+    seen: tuple[Sighting | None, ...]
 
 
 @dataclass(frozen=True)
@@ -100,13 +103,13 @@ def step(
     own = () if isinstance(filtered, Absent) else filtered.objects
     contacts = {} if ground is None else contact.contacts(scene.camera, ground, own)
     own = contact.with_distances(scene.camera, own, contacts)
-    kept = _kept(scene.camera, own)
-    pairs = largest_total(similarities(cfg, known, kept.items, kept.boxes))
+    kept = _kept(cfg, scene, own)
+    pairs = largest_total(similarities(cfg, known, kept.items, kept.boxes, kept.seen))
     detected = {
         k: _placed(cfg, scene, path, own[k], track, contacts.get(k))
         for k, track in _detected(cfg, state.next_number, scene, known, kept, pairs).items()
     }
-    missed = [track for k, track in enumerate(known) if k not in pairs]
+    missed = [tracking.aimed(track, scene.camera) for k, track in enumerate(known) if k not in pairs]
     searched = [_searched(cfg, scene, path, track, kept) for track in missed]
     found = tuple(judged(cfg, path, s.item, s.track) for s in searched if s.item is not None)
     tracks = _remembered([*detected.values(), *(s.track for s in searched)])
@@ -158,40 +161,22 @@ def _expected(cfg: ObjectsConfig, scene: Scene, known: Sequence[ObjectTrack]) ->
     return {k: distances[best[k]] for k in np.flatnonzero(overlap.max(axis=0)).tolist()}
 
 
-def similarities(
-    cfg: ObjectsConfig, tracks: Sequence[ObjectTrack], items: Sequence[Object], boxes: Sequence[Box]
-) -> Float:
-    """(tracks, items) 0 to 1: how well each detection fits each predicted track; 0 where it cannot be the same object.
-
-    The similarity is the overlap, reduced by up to ``DISTANCE_PENALTY`` as the distances contradict each other. All
-    pairs are computed at once, because a detector may report thousands of boxes.
-    """
-    ours, theirs = kinds([track.detection.label for track in tracks], [item.detection.label for item in items])
-    with np.errstate(all="ignore"):  # coordinates may overflow; NaN becomes 0
-        overlap = overlaps(corners(track.box_px for track in tracks), corners(boxes))
-        scores = overlap * (1.0 - DISTANCE_PENALTY * _contradictions(cfg, tracks, items))
-        fits = (ours[:, None] == theirs) & (scores >= cfg.min_overlap)
-    return np.where(fits, scores, 0.0)
-
-
-def _contradictions(cfg: ObjectsConfig, tracks: Sequence[ObjectTrack], items: Sequence[Object]) -> Float:
-    """(tracks, items) 0 if the distances agree or one is unknown, 1 at the gate and beyond."""
-    motions = [track.distance_m for track in tracks]
-    expected = np.array([np.nan if m is None else m.value for m in motions])[:, None]
-    variances = np.array([np.nan if m is None else m.value_var for m in motions])[:, None]
-    measured = np.array([np.nan if item.distance_m is None else item.distance_m for item in items])
-    # As in RateFilter.surprise; float_power rounds like Python's **, a product does not always.
-    noise = np.float_power(np.array([distance_std_m(cfg, item) for item in items]), 2.0)
-    surprise = np.float_power(measured - expected, 2.0) / (variances + noise)
-    unknown: NDArray[np.bool_] = np.isnan(expected) | np.isnan(measured)
-    return np.where(unknown, 0.0, np.minimum(surprise / cfg.gate, 1.0))
-
-
-def _kept(camera: Camera, objects: Sequence[Object]) -> _Kept:
+def _kept(cfg: ObjectsConfig, scene: Scene, objects: Sequence[Object]) -> _Kept:
     """The kept objects by decreasing score, so that the order of the detections has no effect."""
-    found = [(item, _within(camera, item.detection.box_px), k) for k, item in enumerate(objects) if item.kept]
-    found.sort(key=lambda entry: _order(entry[0].detection))
-    return _Kept(tuple(item for item, _, _ in found), tuple(b for _, b, _ in found), tuple(k for _, _, k in found))
+    positions = sorted(
+        (k for k, item in enumerate(objects) if item.kept), key=lambda k: (*_order(objects[k].detection), k)
+    )
+    items = tuple(objects[k] for k in positions)
+    boxes = tuple(_within(scene.camera, item.detection.box_px) for item in items)
+    seen = tuple(_sighting(cfg, scene, item, box) for item, box in zip(items, boxes, strict=True))
+    return _Kept(items, boxes, tuple(positions), seen)
+
+
+def _sighting(cfg: ObjectsConfig, scene: Scene, item: Object, box: Box) -> Sighting | None:
+    """Where an object is seen; None without depth."""
+    if item.distance_m is None or scene.depth is None:
+        return None
+    return sighting(scene.camera, box, item.distance_m, distance_std_m(cfg, item))
 
 
 def _within(camera: Camera, box: Box) -> Box:
@@ -239,7 +224,9 @@ def _placed(
     """The track after its object's edges, its template and, at a ground contact, the growth of its box."""
     template = _template(cfg, scene, track)
     if at is None:
-        return tracking.placed(track, extent(scene, path, item), template)
+        return tracking.seen_at(
+            tracking.placed(track, extent(scene, path, item), template), _sighting(cfg, scene, item, track.box_px)
+        )
     track = tracking.placed(track, contact.extent(scene, path, item, at), template)
     track, box = replace(track, ground_share=at.common_share), track.box_px
     edge_std_px = contact.edge_std_px(box.x_max - box.x_min), contact.edge_std_px(box.y_max - box.y_min)
@@ -255,29 +242,40 @@ def _template(cfg: ObjectsConfig, scene: Scene, track: ObjectTrack) -> Template 
 
 
 def _searched(cfg: ObjectsConfig, scene: Scene, path: EgoPath, track: ObjectTrack, kept: _Kept) -> _Searched:
-    """The track and its object where its template matches, filtered as detections are; no object if it does not match.
+    """The track and its object where its template matches, or where its own pixels are at its predicted place.
 
-    A match is dropped if it overlaps a kept detection, or if the tags contradict it.
+    The object is filtered as detections are. It is dropped if it overlaps a kept detection, or if tags or depth
+    contradict it.
     """
-    searchable = cfg.template_search and tracking.confirmed(cfg, track)
-    if track.template is None or scene.grey is None or not searchable:
+    if not cfg.template_search or not tracking.confirmed(cfg, track):
         return _Searched(track)
-    scale = tracking.zoom(track.template.distance_m, track.distance_m)
-    correlation = track.template.search(scene.grey, _around(track), scale)
-    found = None if correlation is None else correlation.match(cfg.template_min_score)
+    matched, correlation = _matched(cfg, scene, track)
     lost = _Searched(track, None, correlation)
-    if found is None:
+    box_px = track.box_px if matched is None and track.place is not None and divides(scene) else matched
+    if box_px is None:
         return lost
-    box_px = _within(scene.camera, track.template.whole(found[0], scale))
+    detection = replace(track.detection, box_px=_within(scene.camera, box_px))
     expected_m = None if track.distance_m is None else track.distance_m.value
-    filtered = filter_detections(cfg, scene, (replace(track.detection, box_px=box_px),), {0: expected_m})
+    filtered = filter_detections(cfg, scene, (detection,), {0: expected_m})
     if isinstance(filtered, Absent) or not filtered.objects[0].kept:
         return lost
     item = replace(filtered.objects[0], status="tracked")
+    if matched is None and not tracking.agrees(cfg, track, item):
+        return lost
     after = tracking.observed(cfg, track, item, item.detection.box_px)
-    if similarities(cfg, [after], kept.items, kept.boxes).any():
+    if overlap_similarities(cfg, [after], kept.items, kept.boxes).any():
         return lost
     return _Searched(tracking.placed(after, extent(scene, path, item), after.template), item, correlation)
+
+
+def _matched(cfg: ObjectsConfig, scene: Scene, track: ObjectTrack) -> tuple[Box | None, Correlation | None]:
+    """The whole object's box where its template matches, None if nowhere, and the correlation."""
+    if track.template is None or scene.grey is None:
+        return None, None
+    scale = tracking.zoom(track.template.distance_m, track.distance_m)
+    correlation = track.template.search(scene.grey, _around(track), scale)
+    found = None if correlation is None else correlation.match(cfg.template_min_score)
+    return None if found is None else track.template.whole(found[0], scale), correlation
 
 
 def _around(track: ObjectTrack) -> Box:

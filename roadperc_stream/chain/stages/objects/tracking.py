@@ -6,14 +6,15 @@ filter, which replaces the filter of the distance when its own distances have be
 """
 
 from dataclasses import dataclass, replace
-from math import hypot
+from math import hypot, sqrt
 
 from roadperc_stream.chain.stages.objects import rate_filter
 from roadperc_stream.chain.stages.objects.growth import GROWTH_WALK, Growth
+from roadperc_stream.chain.stages.objects.place import Place, Sighting, usual_speed_std_mps
 from roadperc_stream.chain.stages.objects.rate_filter import EgoRate, Jitter, RateFilter, Ray, change_of_distance_m
 from roadperc_stream.chain.stages.objects.template import Template
 from roadperc_stream.config import ObjectsConfig
-from roadperc_stream.geometry import Float
+from roadperc_stream.geometry import Camera, Float
 from roadperc_stream.model import Box, Detection, Object
 from roadperc_stream.system.time import NS_PER_S
 
@@ -61,7 +62,8 @@ class ObjectTrack:
     are the filters of its edges, metres to the left of the path's middle. ``ego_rate`` is the part of the distance's
     rate that the car's own motion causes, None if unknown. ``nearest_ray`` is the direction of its nearest pixels,
     ``jitter`` the jitter of its distances. ``growth`` is the growth of its box in frames without depth, and
-    ``ground_share`` the standard deviation that its ground distances share, as a share; None with depth.
+    ``ground_share`` the standard deviation that its ground distances share, as a share; None with depth. ``place`` is
+    its place on the ground, None without depth or odometry.
     """
 
     number: int
@@ -85,6 +87,7 @@ class ObjectTrack:
     jitter: Jitter | None = None
     growth: Growth | None = None
     ground_share: float | None = None
+    place: Place | None = None
 
 
 def start(cfg: ObjectsConfig, number: int, item: Object, box_px: Box, stamp_ns: int) -> ObjectTrack:
@@ -110,9 +113,10 @@ def predict(cfg: ObjectsConfig, track: ObjectTrack, stamp_ns: int, now_T_last: F
     x_px = track.x_px.predict(_DRIFT_WALK * width, dt_s)
     y_px = track.y_px.predict(_DRIFT_WALK * height, dt_s)
     walk_mps = cfg.process_noise if track.ground_share is None else _WALK_WITHOUT_DEPTH * cfg.process_noise
+    ego_rate = _ego_rate(track, now_T_last, dt_s)
+    track = track if ego_rate is None else _with_usual_speed(track, ego_rate.mean_mps)
     distance_m, rival_m = (m.predict(walk_mps, dt_s) if m else None for m in (track.distance_m, track.rival_m))
     right_m, left_m = (m.predict(_LATERAL_NOISE, dt_s) if m else None for m in (track.right_m, track.left_m))
-    ego_rate = _ego_rate(track, now_T_last, dt_s)
     if ego_rate is not None and track.ego_rate is not None:
         change_m = (ego_rate.mean_mps - track.ego_rate.end_mps) * dt_s
         change_mps = ego_rate.end_mps - track.ego_rate.end_mps
@@ -130,6 +134,7 @@ def predict(cfg: ObjectsConfig, track: ObjectTrack, stamp_ns: int, now_T_last: F
         left_m=left_m,
         ego_rate=ego_rate,
         growth=_grown(track, walk_mps, dt_s),
+        place=None if track.place is None or now_T_last is None else track.place.predict(now_T_last, dt_s),
         stamp_ns=stamp_ns,
         missed=track.observed_ns != track.stamp_ns,
     )
@@ -151,6 +156,19 @@ def _ego_rate(track: ObjectTrack, now_T_last: Float | None, dt_s: float) -> EgoR
         return None
     change_m = change_of_distance_m(now_T_last, track.nearest_ray, max(track.distance_m.value, 0.0))
     return EgoRate.after(change_m, dt_s, track.ego_rate)
+
+
+def _with_usual_speed(track: ObjectTrack, ego_mps: float) -> ObjectTrack:
+    """The track with the rate of a standing object, as uncertain as its kind's speed, if it has only one distance."""
+    distance = track.distance_m
+    if distance is None or track.jitter is None or track.jitter.earlier_ns is not None or track.ego_rate is not None:
+        return track
+    if track.jitter.last_ns != track.stamp_ns:
+        return track
+    std_mps = usual_speed_std_mps(track.detection.label)
+    return replace(
+        track, distance_m=rate_filter.start(distance.value, sqrt(distance.value_var), std_mps).shifted(0.0, ego_mps)
+    )
 
 
 def zoom(before_m: float | None, after_m: RateFilter | None) -> float:
@@ -194,6 +212,29 @@ def placed(track: ObjectTrack, extent: Extent | None, template: Template | None)
     return replace(track, right_m=right_m, left_m=left_m, nearest_ray=extent.nearest_ray, template=template)
 
 
+def seen_at(track: ObjectTrack, seen: Sighting | None) -> ObjectTrack:
+    """The track after its object was seen at a place on the ground, if that is known."""
+    if seen is None:
+        return track
+    place = track.place.update(seen) if track.place else Place.of_first(seen, track.detection.label)
+    return replace(track, place=place)
+
+
+def aimed(track: ObjectTrack, camera: Camera) -> ObjectTrack:
+    """The predicted track with its box where its place on the ground appears in the image, if that is known.
+
+    In the image, a near object moves at other speeds from frame to frame; on the ground it moves steadily.
+    """
+    if track.place is None or track.place.ahead_m.value <= 0:
+        return track
+    ahead_m, sides = track.place.ahead_m.value, _sides(track.box_px)
+    x = camera.cx + 0.5 + camera.fx * track.place.right_m.value / ahead_m
+    y = camera.cy + 0.5 + camera.fy * track.place.down_m / ahead_m
+    x_std = camera.fx * sqrt(track.place.right_m.value_var) / ahead_m
+    x_px, y_px = (rate_filter.start(*values, 0.0) for values in ((x, x_std), (y, _centre_std(sides[1]))))
+    return replace(track, box_px=_box((x, y), sides), x_px=x_px, y_px=y_px)
+
+
 def grown(cfg: ObjectsConfig, track: ObjectTrack, edge_std_px: tuple[float, float]) -> ObjectTrack:
     """The track after its whole box was seen; with the deviations of the box's vertical and horizontal edges."""
     box, stamp_ns = track.box_px, track.stamp_ns
@@ -214,6 +255,13 @@ def expired(cfg: ObjectsConfig, track: ObjectTrack) -> bool:
 def confirmed(cfg: ObjectsConfig, track: ObjectTrack) -> bool:
     """Whether the object was observed without a gap for ``objects.carry_after_s``."""
     return (track.observed_ns - track.run_ns) / NS_PER_S >= cfg.carry_after_s
+
+
+def agrees(cfg: ObjectsConfig, track: ObjectTrack, item: Object) -> bool:
+    """Whether an object has the predicted distance of a track."""
+    if track.distance_m is None or item.distance_m is None:
+        return False
+    return track.distance_m.surprise(item.distance_m, distance_std_m(cfg, item)) < cfg.gate
 
 
 def distance_std_m(cfg: ObjectsConfig, item: Object) -> float:

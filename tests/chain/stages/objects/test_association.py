@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roadperc_stream.chain.stages.objects import tracking
-from roadperc_stream.chain.stages.objects.tracker import DISTANCE_PENALTY, similarities
+from roadperc_stream.chain.stages.objects.association import DISTANCE_PENALTY, overlap_similarities, similarities
+from roadperc_stream.chain.stages.objects.place import Sighting
 from roadperc_stream.geometry.assignment import largest_total
 from roadperc_stream.model import Box, Object
 from roadperc_stream.model.tag_tables import classes_of_label
@@ -66,7 +67,7 @@ def track_at(distance_m, number=1):
 
 
 def plain_similarity(cfg, track, item, box_px):
-    """The similarity of one pair in Python floats, as a reference for ``similarities``."""
+    """The similarity of one pair in Python floats, as a reference for ``overlap_similarities``."""
     kinds = [classes_of_label(thing.detection.label) or (thing.detection.label,) for thing in (track, item)]
     if kinds[0] != kinds[1]:
         return 0.0
@@ -94,21 +95,32 @@ def test_similarities_of_all_pairs_equal_those_of_single_pairs():
     tracks = [tracking.predict(CFG, track, 50_000_000) for track in tracks]
     boxes = [item.detection.box_px for item in detected]
     expected = [[plain_similarity(CFG, t, item, b) for item, b in zip(detected, boxes, strict=True)] for t in tracks]
-    found = similarities(CFG, tracks, detected, boxes)
+    found = overlap_similarities(CFG, tracks, detected, boxes)
     np.testing.assert_array_equal(found, expected)
     assert 0.2 < np.mean(found > 0) < 0.8
 
 
+def test_the_place_on_the_ground_comes_before_the_overlap():
+    """A person who has left the box of the last frame, and another one who is in it, but 6 m farther away."""
+    track = tracking.seen_at(track_at(20.0), Sighting((0.0, 0.0, 20.0), 0.2, 0.2))
+    items, boxes = [item_at(20.0), item_at(26.0)], [Box(11, 0, 21, 10), Box(0, 0, 10, 10)]
+    seen = [Sighting((0.4, 0.0, 20.0), 0.2, 0.2), Sighting((0.0, 0.0, 26.0), 0.2, 0.2), None]
+    assert largest_total(similarities(CFG, [track], items, boxes, seen[:2])) == {0: 0}
+    assert largest_total(similarities(CFG, [track], items[:1], boxes[:1], seen[2:])) == {}
+    assert similarities(CFG, [track], items[1:], boxes[1:], seen[1:2]) > 0, "its distance may have jumped"
+
+
 def test_boxes_that_overflow_have_no_similarity():
     wild = Box(-1.7e308, -1.7e308, 1.7e308, 1.7e308)
-    scores = similarities(CFG, [track_at(None)], [item_at(None)] * 2, [wild, Box(0, 0, 1e-200, 1e-200)])
+    scores = overlap_similarities(CFG, [track_at(None)], [item_at(None)] * 2, [wild, Box(0, 0, 1e-200, 1e-200)])
     assert scores.tolist() == [[0.0, 0.0]]
-    assert similarities(CFG, [track_at(None)], [], []).shape == (1, 0)
+    assert similarities(CFG, [track_at(None)], [], [], []).shape == (1, 0)
 
 
 def test_thousands_of_detections_are_associated_within_a_second():
-    tracks = [track_at(20.0, number) for number in range(256)]
-    items = [item_at(20.0)] * 5000
+    seen = Sighting((0.0, 0.0, 20.0), 0.1, 0.1)
+    tracks = [tracking.seen_at(track_at(20.0, number), seen) for number in range(256)]
+    items, boxes = [item_at(20.0)] * 5000, [Box(0, 0, 10, 10)] * 5000
     started = process_time()
-    assert len(largest_total(similarities(CFG, tracks, items, [Box(0, 0, 10, 10)] * 5000))) == 256
+    assert len(largest_total(similarities(CFG, tracks, items, boxes, [seen] * 5000))) == 256
     assert process_time() - started < 1.0

@@ -1,0 +1,135 @@
+"""The points of an object in its box, by depth alone: without tags and without instance masks.
+
+Points on the ground are left out. A surface is upright if there is a point above or below at nearly the same distance;
+along the ground, the distance changes many times faster than the height. The others form clusters: gaps in distance
+separate them. The object is the cluster whose bounds fit the box best. A background continues beside the box, and
+something in front covers a part of it. Clusters that fit nearly as well make the distance less certain.
+"""
+
+from math import hypot, sqrt
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadperc_stream.chain.stages.objects.mosaic import MARGIN, corners
+from roadperc_stream.chain.stages.objects.regions import (
+    LEAST_POINTS,
+    Measured,
+    bounds_of_groups,
+    fits_of_bounds,
+    nearest,
+    of_box,
+)
+from roadperc_stream.config import ObjectsConfig
+from roadperc_stream.geometry import Camera, Float, Float32
+from roadperc_stream.model import Box, Detection
+from roadperc_stream.model.tag_tables import classes_of_label
+
+_MOST_POINTS: Final = 300
+"""Larger boxes are sampled with about this number of points."""
+_HEIGHT_M: Final = (0.2, 1.5)
+_ASIDE_M: Final = 0.5
+_STEEPEST: Final = 0.7
+"""Two points are on an upright surface if their heights differ by these metres, their places across by at most
+``_ASIDE_M``, and their distances by at most this share of the height."""
+_GAP: Final = 0.02
+"""Gap between the distances of two clusters, as a share of the distance."""
+_ALIKE: Final = 5
+"""Power of the relative fit that is the weight of another cluster."""
+_USUAL_M: Final[dict[tuple[str, ...], tuple[float, float]]] = {("pedestrian",): (1.7, 0.15), ("vehicle",): (1.6, 0.4)}
+"""Usual height of a class, and the standard deviation of its logarithm for larger ones."""
+_HIDDEN_STD: Final = 0.6
+"""Standard deviation of the logarithm of the height for smaller ones, which may be partly hidden."""
+_LEAST_STD: Final = 0.02
+"""Least standard deviation, as a share of the distance: nothing but the depth separates the object."""
+_FIRST_PART: Final = 0.15
+"""Share of a cluster's points that may be ground before the object."""
+_OTHER: Final = 0.005
+"""Weight of the case that none of the clusters is the object."""
+_UNSURE: Final = 0.5
+"""Standard deviation, as a share of the distance, in that case and if no cluster is upright."""
+
+
+def measured_by_points(
+    cfg: ObjectsConfig, camera: Camera, depth_m: Float32, limit_m: float, detection: Detection
+) -> Measured:
+    """The distance of the cluster that fits a box, with its standard deviation.
+
+    Args:
+        cfg: the quantile of the distances.
+        camera: camera of box and depth.
+        depth_m: (H, W) metres along z, NaN unknown; few pixels of a lidar have one.
+        limit_m: depth at which the encoding saturates.
+        detection: its box may be cut by the image's border.
+    """
+    x0, y0, x1, y1 = box = detection.box_px.rounded(camera.width, camera.height)
+    aside, above = (MARGIN * (last - first) for first, last in ((x0, x1), (y0, y1)))
+    around = Box(x0 - aside, y0 - above, x1 + aside, y1 + above).rounded(camera.width, camera.height)
+    columns, rows, distances = _sampled(of_box(camera, depth_m, around, limit_m), around[:2])
+    upright = _upright(camera, columns, rows, distances)
+    if np.count_nonzero(upright) >= LEAST_POINTS:
+        order = np.flatnonzero(upright)[np.argsort(distances[upright], kind="stable")]
+        sorted_m = distances[order]
+        first, last, bounds = bounds_of_groups(sorted_m, columns[order], rows[order], _GAP)
+        fits = fits_of_bounds(corners([Box(x0, y0, x1, y1)]), bounds) * (last - first >= LEAST_POINTS)
+        heights_m = (y1 - y0) / camera.fy * sorted_m[first]
+        weights = fits**_ALIKE * _usual(detection.label, heights_m)
+        best = int(np.argmax(weights))
+        if weights[best] > 0:
+            return _with_doubt(cfg, sorted_m[first[best] : last[best]], weights, sorted_m[first])
+    measured = nearest(cfg, of_box(camera, depth_m, box, limit_m).ravel())
+    if measured.distance_m is None:
+        return measured
+    return Measured(measured.distance_m, max(measured.std_m or 0.0, _UNSURE * measured.distance_m))
+
+
+def _sampled(distances_m: Float32, first_px: tuple[int, int]) -> tuple[Float, Float, Float]:
+    """Columns, rows and distances of pixels with a finite distance, evenly spaced if they are too many."""
+    step = max(round(sqrt(np.count_nonzero(np.isfinite(distances_m)) / _MOST_POINTS)), 1)
+    few = distances_m[::step, ::step]
+    rows, columns = np.nonzero(np.isfinite(few))
+    left, top = first_px
+    return (
+        left + step * columns.astype(np.float64),
+        top + step * rows.astype(np.float64),
+        few[rows, columns].astype(np.float64),
+    )
+
+
+def _upright(camera: Camera, columns: Float, rows: Float, distances_m: Float) -> NDArray[np.bool_]:
+    """(N,) whether a point above or below is at nearly the same distance."""
+    x, y = (columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy
+    depths_m = distances_m / np.sqrt(x**2 + y**2 + 1.0)
+    across, height, along = (np.abs(m[:, None] - m) for m in (x * depths_m, y * depths_m, distances_m))
+    least_m, most_m = _HEIGHT_M
+    pairs = (height > least_m) & (height < most_m) & (across < _ASIDE_M) & (along < _STEEPEST * height)
+    return np.asarray(pairs.any(axis=1), np.bool_)
+
+
+def _usual(label: str, heights_m: Float) -> Float:
+    """(K,) 0 to 1: how usual heights of a box in metres are for a label; a part of an object may be visible."""
+    usual_m = _USUAL_M.get(classes_of_label(label) or ())
+    if usual_m is None:
+        return np.ones_like(heights_m)
+    off = np.log(heights_m / usual_m[0])
+    usual: Float = np.exp(-0.5 * (off / np.where(off > 0, usual_m[1], _HIDDEN_STD)) ** 2)
+    return usual
+
+
+def _with_doubt(cfg: ObjectsConfig, own_m: Float, weights: Float, first_m: Float) -> Measured:
+    """The distance of a cluster's sorted distances, with a deviation for the other clusters and its first points.
+
+    Its first points may be ground before the object. ``weights`` are those of all clusters, ``first_m`` their first
+    distances.
+    """
+    measured = nearest(cfg, own_m)
+    if measured.distance_m is None or measured.std_m is None:
+        return measured
+    squares = (
+        float((weights * (first_m - measured.distance_m) ** 2).sum()) + _OTHER * (_UNSURE * measured.distance_m) ** 2
+    )
+    others_m = sqrt(squares / (float(weights.sum()) + _OTHER))
+    first_part_m = float(own_m[round(_FIRST_PART * (len(own_m) - 1))]) - measured.distance_m
+    std_m = hypot(measured.std_m, others_m, first_part_m, _LEAST_STD * measured.distance_m)
+    return Measured(measured.distance_m, std_m)
