@@ -17,6 +17,7 @@ from tests.accuracy.scenarios import (
     CHANGED,
     COURSE_FRAMES,
     COURSE_OBSTACLE,
+    EXPOSURES,
     KITTI_DRIVE,
     MODELS,
     ROADS,
@@ -138,6 +139,15 @@ def of_odometry():
     )
 
 
+def of_exposure():
+    """Images whose brightness changes, and black ones, with depth."""
+    line = partial(bounded, "Exposure")
+    for kind, scenarios in EXPOSURES.items():
+        if kind != "blackouts":
+            yield line(f"{kind}: frames lost", at_most(0, "%"), scenarios, of_motion.lost)
+        yield line(f"{kind}: last pose", at_most(1, "%"), scenarios, of_motion.end_error)
+
+
 DISTANCES = ((0, 10), (10, 20), (20, 40), (40, 80))
 OFF_BY_A_METRE = {"1+2 %": (1, 3, 4, 5), "2+5 %": (1, 5, 12, 15)}
 
@@ -250,6 +260,7 @@ FIGURES = (
     *of_hard_inputs(),
     *of_surface(),
     *of_odometry(),
+    *of_exposure(),
     *of_distances(),
     *of_filter(),
     *of_impact(),

@@ -8,6 +8,7 @@ from tests.accuracy.drives import ROOT, Drive, Noise, drive
 from tests.conftest import DEFAULT_DATA
 
 CLEAN, MODEST, HEAVY = Noise(), Noise(0.02, 0.01), Noise(0.05, 0.02)
+MOTION = "surface,odometry"
 LANES = "surface,odometry,lanes"
 OBJECTS = "surface,odometry,lanes,objects"
 TAG_NOISES = {percent: Noise(percent / 100, 0.01) for percent in (0, 5, 10, 20, 40)}
@@ -94,4 +95,13 @@ ALONE = (*ALONE_LEADS, ALONE_TOWN)
 STANDARD = (Scenario("sample", SAMPLE),)
 COURSE_FRAMES = (Scenario("course frames", f"{DATA}/course_frames"),)
 COURSE_OBSTACLE = (Scenario("course obstacle", COURSE_STEREO, settings=course.SETTINGS, template=course.TEMPLATE),)
-KITTI_DRIVE = (Scenario("kitti", KITTI, only="surface,odometry"),)
+SMALL = {"scene": "town", "width": 320, "height": 240, "seconds": 3.0}
+EXPOSURES = {
+    kind: (
+        Scenario(
+            f"exposure {kind}", drive(f"exposure-{kind}", exposure=kind, rate_hz=rate_hz, **SMALL), MODEST, MOTION
+        ),
+    )
+    for kind, rate_hz in (("steps", 10.0), ("frames", 10.0), ("blackouts", 20.0))
+}
+KITTI_DRIVE = (Scenario("kitti", KITTI, only=MOTION),)

@@ -149,4 +149,6 @@ class _Job:
             return dump.tags_picture(noise.noisy_tags(tags, share, self._rng(frame, "tags")) if share else tags)
         right = sensor == "right"
         rgb = View(moment, rig.camera, moment.world_T_ego @ rig.ego_T_right).rgb if right else left.rgb
+        if options.exposure is not None:
+            rgb = noise.exposed(rgb, *noise.exposure_at(options.exposure, moment.time_s, frame, options.seed))
         return noise.noisy_rgb(rgb, options.rgb_noise, self._rng(frame, sensor)) if options.rgb_noise else rgb

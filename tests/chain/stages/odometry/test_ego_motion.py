@@ -159,13 +159,13 @@ def test_features_on_movable_objects_are_not_used():
     assert statuses(results) == ["first", "tracked", "tracked"]
 
 
-def test_no_image_is_absent_and_a_blank_image_is_lost():
+def test_no_image_is_absent_and_a_blank_image_is_skipped():
     assert isinstance(run([None])[1][0], Absent)
     blank = Shot(np.full(CAMERA.size, 90, np.uint8), SHOTS[0].depth_m)
     for depth in (True, False):
         for features in ("klt", "orb", "sift"):
             _, results = run([blank, *SHOTS[:2]], CFG.model_copy(update={"features": features}), depth=depth)
-            assert statuses(results) == ["first", "lost", "tracked"]
+            assert statuses(results) == ["lost", "first", "tracked"]
 
 
 @pytest.mark.parametrize(
