@@ -20,14 +20,18 @@ _BRIGHTEST: Final = 253.0
 _LEAST_QUANTILES: Final = 4
 _NOTICEABLE: Final = 8.0
 """Grey levels by which a quantile must differ; other images enter the view as well, and flow tolerates less."""
-_LEAST_LEVELS: Final = 12
+_COARSE: Final = (16, 12)
+_LESS: Final = 0.7
+"""An exposure must reduce the difference of most of the coarse pixels to this share; a new object does not."""
+_LEAST_RANGE: Final = 12
 _LEAST_SHARE: Final = 0.001
 """Share of the pixels that a grey level must have to count."""
 
 
 def shows_nothing(grey: Image) -> bool:
-    """Whether a (H, W) image is black, white or nearly uniform: its pixels have fewer than 12 grey levels."""
-    return int(np.sum(_histogram(grey) > _LEAST_SHARE * grey.size)) < _LEAST_LEVELS
+    """Whether a (H, W) image is black, white or nearly uniform: its grey levels are within a narrow range."""
+    levels = np.flatnonzero(_histogram(grey) > _LEAST_SHARE * grey.size)
+    return bool(np.ptp(levels) < _LEAST_RANGE)
 
 
 def equalised(before: Image, after: Image) -> tuple[Image, Image]:
@@ -44,7 +48,15 @@ def equalised(before: Image, after: Image) -> tuple[Image, Image]:
     gain = np.ptp(wanted[whole]) / np.ptp(levels[whole])
     offset = float(np.median(wanted[whole] - gain * levels[whole]))
     table = np.clip(np.rint(gain * np.arange(256) + offset), 0, 255).astype(np.uint8)
-    return np.asarray(cv2.LUT(before, table), np.uint8), np.clip(after, table[0], table[-1])
+    exposed, clipped = np.asarray(cv2.LUT(before, table), np.uint8), np.clip(after, table[0], table[-1])
+    is_exposure = _difference(exposed, clipped) < _LESS * _difference(before, after)
+    return (exposed, clipped) if is_exposure else (before, after)
+
+
+def _difference(before: Image, after: Image) -> float:
+    """Median difference of the coarse images, which hardly depends on motion."""
+    coarse = (cv2.resize(image, _COARSE, interpolation=cv2.INTER_AREA).astype(float) for image in (before, after))
+    return float(np.median(np.abs(np.subtract(*coarse))))
 
 
 def _histogram(grey: Image) -> Float:
