@@ -9,6 +9,7 @@ from tests.accuracy.running import Results
 from tests.accuracy.scenarios import (
     ALONE,
     ALONE_LEADS,
+    ALONE_TURN,
     AT_TWO_HZ,
     BRAKING,
     BY_JPEG,
@@ -18,7 +19,7 @@ from tests.accuracy.scenarios import (
     COURSE_FRAMES,
     COURSE_OBSTACLE,
     EXPOSURES,
-    KITTI_DRIVE,
+    KITTI_WAYS,
     MODELS,
     ROADS,
     STANDARD,
@@ -131,12 +132,16 @@ def of_surface():
 
 def of_odometry():
     """One camera at a known height, on real images."""
-    line = partial(bounded, "One camera, KITTI", scenarios=KITTI_DRIVE)
-    return (
-        line("step, median error", at_most(2, "%"), value=of_motion.step_error),
-        line("length of the path", at_most(2, "%"), value=of_motion.length_error),
-        line("steps with scale", at_least(95, "%"), value=of_motion.with_scale),
-    )
+    for way, scenarios in KITTI_WAYS.items():
+        line = partial(bounded, "One camera, KITTI", scenarios=scenarios)
+        yield line(f"{way}: step, median error", at_most(2, "%"), value=of_motion.step_error)
+        yield line(f"{way}: length of the path", at_most(2, "%"), value=of_motion.length_error)
+        yield line(f"{way}: steps with scale", at_least(95, "%"), value=of_motion.with_scale)
+        yield line(f"{way}: steps beyond 3 deviations", at_most(4, "%"), value=of_uncertainty.steps_beyond)
+    line = partial(bounded, "One camera, turn", scenarios=ALONE_TURN)
+    yield line("step, median error", REPORTED, value=of_motion.step_error)
+    yield line("steps with scale", REPORTED, value=of_motion.with_scale)
+    yield line("steps beyond 3 deviations", at_most(4, "%"), value=of_uncertainty.steps_beyond)
 
 
 def of_exposure():

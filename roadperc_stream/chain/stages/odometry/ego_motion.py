@@ -277,7 +277,7 @@ def _localised_without_depth(this: FollowedFrame, px: Float32) -> Estimate | Non
         pitch = camera_pitch.updated(pitch, direction)
         if on_road:
             longest_m = cfg.max_speed_mps * seconds
-            motion, pitch = scaled_by_road(frame, this.keyframe.grey, motion, pitch, _expected(this), longest_m)
+            motion, pitch = scaled_by_road(frame, this.keyframe, motion, pitch, _expected(this), longest_m)
     return Estimate(px, motion, this.pose(motion), pitch)
 
 

@@ -129,6 +129,8 @@ def test_the_road_gives_the_scale():
     _, results = run(SHOTS, depth=False, road=ROAD)
     assert not any(out.up_to_scale for out in results)
     assert distances_m(poses(results))[-1] == pytest.approx(distances_m(np.array(POSES))[-1], rel=0.02)
+    step, covariance = results[-1].step, np.reshape(results[-1].covariance, (6, 6))
+    assert np.sqrt(covariance[0, 0]) > 0.02 * np.linalg.norm(step[:3, 3])  # the mounting's height
 
 
 def test_the_scale_is_kept_while_depth_is_missing():
