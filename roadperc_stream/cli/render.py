@@ -80,6 +80,8 @@ def _add_noise(group: argparse._ArgumentGroup) -> None:
         ("--drop", "P", "probability of a missing file of a sensor; the first frame is complete"),
     ):
         group.add_argument(name, type=float, default=0.0, metavar=metavar, help=text)
+    text = "gain 0.5 to 2 and offset change every second (steps) or frame, or the images turn black (blackouts)"
+    group.add_argument("--exposure", choices=("steps", "frames", "blackouts"), help=text)
 
 
 def _add_lane_changes(group: argparse._ArgumentGroup) -> None:

@@ -49,6 +49,25 @@ class Noise:
         return f"t{100 * self.tags:02.0f}-d{100 * self.depth:02.0f}{jpeg}"
 
 
+@dataclass(frozen=True)
+class Excerpt:
+    """Every ``step``-th frame of a sequence in KITTI's layout at 10 Hz; a negative step runs backwards."""
+
+    folder: str
+    step: int
+
+    def write(self, folder):
+        """Write the frames as a sequence into a folder; returns its frames per second."""
+        source = Path(self.folder)
+        (folder / "image_0").mkdir(parents=True, exist_ok=True)
+        shutil.copy(source / "calib.txt", folder)
+        for k, picture in enumerate(sorted((source / "image_0").iterdir())[:: self.step]):
+            shutil.copy(picture, folder / "image_0" / f"{k:06d}.png")
+        lines = (source / "poses.txt").read_text().splitlines()[:: self.step]
+        (folder / "poses.txt").write_text("\n".join(lines) + "\n")
+        return 10 / abs(self.step)
+
+
 def drive(name, seeds=1.0, *, pitch_is_unknown=False, **options):
     """A drive of the usual size."""
     usual = {"width": 640, "height": 480, "rate_hz": 10.0, "without": ("right",)}

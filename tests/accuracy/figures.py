@@ -9,6 +9,7 @@ from tests.accuracy.running import Results
 from tests.accuracy.scenarios import (
     ALONE,
     ALONE_LEADS,
+    ALONE_TURN,
     APPROACHING,
     AT_TWO_HZ,
     BEHIND_BONNET,
@@ -19,7 +20,8 @@ from tests.accuracy.scenarios import (
     CHANGED,
     COURSE_FRAMES,
     COURSE_OBSTACLE,
-    KITTI_DRIVE,
+    EXPOSURES,
+    KITTI_WAYS,
     MODELS,
     ONE_BY_ONE,
     ROADS,
@@ -147,12 +149,25 @@ def of_surface():
 
 def of_odometry():
     """One camera at a known height, on real images."""
-    line = partial(bounded, "One camera, KITTI", scenarios=KITTI_DRIVE)
-    return (
-        line("step, median error", at_most(2, "%"), value=of_motion.step_error),
-        line("length of the path", at_most(2, "%"), value=of_motion.length_error),
-        line("steps with scale", at_least(95, "%"), value=of_motion.with_scale),
-    )
+    for way, scenarios in KITTI_WAYS.items():
+        line = partial(bounded, "One camera, KITTI", scenarios=scenarios)
+        yield line(f"{way}: step, median error", at_most(2, "%"), value=of_motion.step_error)
+        yield line(f"{way}: length of the path", at_most(2, "%"), value=of_motion.length_error)
+        yield line(f"{way}: steps with scale", at_least(95, "%"), value=of_motion.with_scale)
+        yield line(f"{way}: steps beyond 3 deviations", at_most(4, "%"), value=of_uncertainty.steps_beyond)
+    line = partial(bounded, "One camera, turn", scenarios=ALONE_TURN)
+    yield line("step, median error", REPORTED, value=of_motion.step_error)
+    yield line("steps with scale", REPORTED, value=of_motion.with_scale)
+    yield line("steps beyond 3 deviations", at_most(4, "%"), value=of_uncertainty.steps_beyond)
+
+
+def of_exposure():
+    """Images whose brightness changes, and black ones, with depth."""
+    line = partial(bounded, "Exposure")
+    for kind, scenarios in EXPOSURES.items():
+        if kind != "blackouts":
+            yield line(f"{kind}: frames lost", at_most(0, "%"), scenarios, of_motion.lost)
+        yield line(f"{kind}: last pose", at_most(1, "%"), scenarios, of_motion.end_error)
 
 
 DISTANCES = ((0, 10), (10, 20), (20, 40), (40, 80))
@@ -289,6 +304,7 @@ FIGURES = (
     *of_hard_inputs(),
     *of_surface(),
     *of_odometry(),
+    *of_exposure(),
     *of_distances(),
     *of_untagged(),
     *of_filter(),

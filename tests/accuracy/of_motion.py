@@ -1,6 +1,8 @@
 """Values of the surface and odometry figures, and quantiles of error columns."""
 
+import numpy as np
 import polars as pl
+from scipy.spatial.transform import Rotation
 
 from tests.accuracy import measures
 from tests.accuracy.scenarios import BY_MODEL, MODELS
@@ -64,3 +66,27 @@ def with_scale(replays):
     """Share of steps with a known length, in percent."""
     steps, total = _steps(replays)
     return Value(100 * steps.height / total)
+
+
+def lost(replays):
+    """Share of frames without a motion, in percent."""
+    statuses = pl.concat([replay.frames["odometry_status"] for replay in replays])
+    return Value(100 * float(statuses.eq_missing("lost").mean()))
+
+
+def end_error(replays):
+    """Distance of the last pose from the true one, in percent of the path; the mean of several replays."""
+    return Value(100 * float(np.mean([_end_error(replay.frames) for replay in replays])))
+
+
+def _end_error(frames):
+    placed = frames.filter(pl.col("odom_x_m").is_not_null())
+    found_m, true_m = (_from_first(placed, of) for of in ("odom", "true"))
+    return np.linalg.norm(found_m[-1] - true_m[-1]) / np.linalg.norm(np.diff(true_m, axis=0), axis=1).sum()
+
+
+def _from_first(frames, of):
+    """(N, 3) positions in the ego frame of the first row, metres."""
+    positions_m = frames.select(f"{of}_{axis}_m" for axis in "xyz").to_numpy()
+    first = Rotation.from_quat(frames.select(f"{of}_q{part}" for part in "xyzw").to_numpy()[0])
+    return first.inv().apply(positions_m - positions_m[0])

@@ -4,7 +4,7 @@ from functools import cache
 
 from roadperc_stream.eval.consistency import Consistency, added, consistency_of_run
 from roadperc_stream.eval.runs import open_run
-from tests.accuracy.values import Measured, nothing, percent
+from tests.accuracy.values import Measured, Value, nothing, percent
 
 QUANTITIES = {
     "lane offset": 2,
@@ -37,3 +37,9 @@ def shares(quantity, scenarios, beyond_percent, results):
     met = 0.5 <= within_1 <= 0.85 and within_2 >= 0.9 and 100 * beyond_3 <= beyond_percent
     text = f"{100 * within_1:.1f} / {100 * within_2:.1f} / {100 * beyond_3:.1f} % ({nees})"
     return Measured(text, percent(found.values / found.errors), met)
+
+
+def steps_beyond(replays):
+    """Share of the steps beyond three standard deviations, in percent."""
+    found = sum((added([of_replay(replay.path)]).get("step", Consistency()) for replay in replays), Consistency())
+    return Value(100 * (1 - found.within(3)) if found.values else None, detail=f"{found.values} steps")

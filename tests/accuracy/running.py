@@ -16,7 +16,7 @@ from roadperc_stream.cli import convert
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.output.tables import sidecar_path
 from tests import course
-from tests.accuracy.drives import Drive, make_logs
+from tests.accuracy.drives import Drive, Excerpt, make_logs
 from tests.accuracy.scenarios import Scenario
 
 
@@ -105,7 +105,8 @@ def replay_source(source, seed, scenarios: Sequence[Scenario], folder):
         if isinstance(source, Drive):
             logs = make_logs(folder, source, seed, {scenario.noise for scenario in scenarios})
         else:
-            logs = {scenario.noise: recording(Path(source), folder) for scenario in scenarios}
+            made = excerpt(source, folder) if isinstance(source, Excerpt) else recording(Path(source), folder)
+            logs = {scenario.noise: made for scenario in scenarios}
     except (LookupError, RuntimeError) as error:
         return {scenario.name: str(error) for scenario in scenarios}
     problems = {scenario.name: replay(scenario, logs[scenario.noise], seed, folder) for scenario in scenarios}
@@ -130,6 +131,22 @@ def recording(source, folder):
     if convert.main([str(source), str(target), "--quiet", "--force"]) != 0:
         raise RuntimeError(f"{source.name} cannot be converted")
     return target
+
+
+def excerpt(source, folder):
+    """Frames of a recording as a log.
+
+    Raises:
+        LookupError: it does not exist.
+        RuntimeError: it cannot be converted.
+    """
+    if not Path(source.folder).exists():
+        raise LookupError(f"no recording {Path(source.folder).name}")
+    dump = folder / f"{Path(source.folder).name}-{source.step}"
+    rate_hz = source.write(dump)
+    if convert.main([str(dump), f"{dump}.mcap", "--quiet", "--force", "--rate", f"{rate_hz:g}"]) != 0:
+        raise RuntimeError(f"{dump.name} cannot be converted")
+    return Path(f"{dump}.mcap")
 
 
 def replay(scenario, log, seed, folder):

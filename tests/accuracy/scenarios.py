@@ -4,10 +4,11 @@ import os
 from dataclasses import dataclass
 
 from tests import course
-from tests.accuracy.drives import ROOT, Drive, Noise, drive
+from tests.accuracy.drives import ROOT, Drive, Excerpt, Noise, drive
 from tests.conftest import DEFAULT_DATA
 
 CLEAN, MODEST, HEAVY = Noise(), Noise(0.02, 0.01), Noise(0.05, 0.02)
+MOTION = "surface,odometry"
 LANES = "surface,odometry,lanes"
 OBJECTS = "surface,odometry,lanes,objects"
 TAG_NOISES = {percent: Noise(percent / 100, 0.01) for percent in (0, 5, 10, 20, 40)}
@@ -19,10 +20,10 @@ DATA = os.environ.get("ROADPERC_DATA", str(DEFAULT_DATA))
 
 @dataclass(frozen=True)
 class Scenario:
-    """A drive under a kind of noise, or a recording (a log, or a folder to convert), replayed with some stages."""
+    """A drive under a kind of noise, or a recording (a log, a folder, or frames of one), replayed with some stages."""
 
     name: str
-    source: Drive | str
+    source: Drive | Excerpt | str
     noise: Noise = CLEAN
     only: str = ""
     settings: tuple[str, ...] = ()
@@ -165,4 +166,26 @@ ALONE = (*ALONE_LEADS, ALONE_TOWN)
 STANDARD = (Scenario("sample", SAMPLE),)
 COURSE_FRAMES = (Scenario("course frames", f"{DATA}/course_frames"),)
 COURSE_OBSTACLE = (Scenario("course obstacle", COURSE_STEREO, settings=course.SETTINGS, template=course.TEMPLATE),)
-KITTI_DRIVE = (Scenario("kitti", KITTI, only="surface,odometry"),)
+SMALL = {"scene": "town", "width": 320, "height": 240, "seconds": 3.0}
+EXPOSURES = {
+    kind: (
+        Scenario(
+            f"exposure {kind}", drive(f"exposure-{kind}", exposure=kind, rate_hz=rate_hz, **SMALL), MODEST, MOTION
+        ),
+    )
+    for kind, rate_hz in (("steps", 10.0), ("frames", 10.0), ("blackouts", 20.0))
+}
+KITTI_WAYS = {
+    name: (Scenario(f"kitti, {name}", KITTI if step == 1 else Excerpt(KITTI, step), only=MOTION),)
+    for name, step in (("forwards", 1), ("backwards", -1), ("every second frame", 2))
+}
+ALONE_TURN = (
+    Scenario(
+        "one camera, turn",
+        drive(
+            "alone-turn", scene="town", turn="left", width=320, height=240, seconds=12.0, speed_mps=6.0, **ONE_CAMERA
+        ),
+        Noise(0.02),
+        MOTION,
+    ),
+)

@@ -150,4 +150,6 @@ class _Job:
         right = sensor == "right"
         beside = moment.world_T_ego @ rig.ego_T_right
         rgb = View(moment, rig.camera, beside, options.bonnet).rgb if right else left.rgb
+        if options.exposure is not None:
+            rgb = noise.exposed(rgb, *noise.exposure_at(options.exposure, moment.time_s, frame, options.seed))
         return noise.noisy_rgb(rgb, options.rgb_noise, self._rng(frame, sensor)) if options.rgb_noise else rgb

@@ -12,6 +12,7 @@ from roadperc_stream.geometry import Camera, Float, Float32, inverse, project, t
 from .faces import Body
 from .ground import FAR_M
 from .object_truth import ObjectTruth
+from .options import Exposure
 from .view import Moment
 
 Tags = NDArray[np.uint8]
@@ -73,6 +74,29 @@ def noisy_rgb(rgb: NDArray[np.uint8], std: float, rng: np.random.Generator) -> N
     """Return colours with independent noise; ``std`` is in grey levels."""
     noise = rng.standard_normal(rgb.shape, np.float32) * np.float32(std)
     return np.clip(np.rint(rgb + noise), 0, 255).astype(np.uint8)
+
+
+GAIN: Final = (0.5, 2.0)
+OFFSET: Final = 12.0
+"""Range of the gain of an exposure, and largest offset to either side, grey levels."""
+BLACK_S: Final = 0.25
+"""Length of a blackout."""
+
+
+def exposed(rgb: NDArray[np.uint8], gain: float, offset: float) -> NDArray[np.uint8]:
+    """Return colours at another exposure."""
+    return np.asarray(np.clip(np.rint(rgb * np.float32(gain) + np.float32(offset)), 0, 255), np.uint8)
+
+
+def exposure_at(kind: Exposure, time_s: float, frame: int, seed: int) -> tuple[float, float]:
+    """Return gain and offset of a frame.
+
+    ``steps`` changes both every second and ``frames`` in every frame. ``blackouts`` ends every two seconds with black.
+    """
+    if kind == "blackouts":
+        return float(time_s % 2.0 < 2.0 - BLACK_S), 0.0
+    rng = np.random.default_rng((seed, 102, int(time_s) if kind == "steps" else frame))
+    return float(np.exp(rng.uniform(*np.log(GAIN)))), float(rng.uniform(-OFFSET, OFFSET))
 
 
 MISSED: Final = 0.05

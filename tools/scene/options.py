@@ -10,6 +10,7 @@ Mount = tuple[float, float, float, float, float, float]
 Stretch = tuple[float, float]
 LaneEvent = Literal["begins", "ends", "splits", "merges"]
 LaneSide = Literal["left", "right"]
+Exposure = Literal["steps", "frames", "blackouts"]
 SceneName = Literal["straight", "bend", "hill", "town"]
 SCENES: Final[tuple[str, ...]] = get_args(SceneName)
 SENSORS: Final = ("rgb", "depth", "segmentation", "right")
@@ -50,6 +51,7 @@ class RenderOptions:
     tag_noise: float = 0.0
     depth_noise: float = 0.0
     rgb_noise: float = 0.0
+    exposure: Exposure | None = None
     drop: float = 0.0
     jpeg: bool = False
     lidar: bool = False

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from roadperc_stream.tools.scene.noise import _wobbled, noisy_depth, noisy_tags
+from roadperc_stream.tools.scene.noise import GAIN, _wobbled, exposed, exposure_at, noisy_depth, noisy_tags
 
 
 def stripes():
@@ -28,6 +28,17 @@ def test_depth_noise_is_relative_and_spares_the_sky():
     assert (noisy[:50] == 1000).all()
     assert noisy[50:].std() == pytest.approx(0.2, rel=0.03)
     assert noisy[50:].mean() == pytest.approx(20.0, abs=0.01)
+
+
+def test_exposures_change_every_second_or_frame_and_end_in_black():
+    def gains(kind):
+        return [exposure_at(kind, k / 10, k, 5)[0] for k in range(20)]
+
+    assert [len(set(gains(kind))) for kind in ("steps", "frames", "blackouts")] == [2, 20, 2]
+    assert all(GAIN[0] <= gain <= GAIN[1] for kind in ("steps", "frames") for gain in gains(kind))
+    assert gains("blackouts") == [1.0] * 18 + [0.0] * 2
+    grey = np.array([[0, 100, 200]], np.uint8)
+    np.testing.assert_array_equal(exposed(grey, 1.5, -10.0), [[0, 140, 255]])
 
 
 def test_the_displacement_is_smooth_with_the_given_deviation():

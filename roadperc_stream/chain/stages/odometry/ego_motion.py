@@ -14,7 +14,7 @@ import numpy as np
 
 from roadperc_stream.chain.kernels import align_patches
 from roadperc_stream.chain.kernels.odometry_plain import REACH_PX
-from roadperc_stream.chain.stages.odometry import camera_pitch, keyframes
+from roadperc_stream.chain.stages.odometry import brightness, camera_pitch, keyframes
 from roadperc_stream.chain.stages.odometry.camera_pitch import LINES_STD, CameraPitch, pitch_by_lines
 from roadperc_stream.chain.stages.odometry.epipolar import motion_from_rays
 from roadperc_stream.chain.stages.odometry.features import FRONTENDS, TrackingFrame, tracking_frame
@@ -95,7 +95,7 @@ def step(
 ) -> tuple[OdometryState, Odometry | Absent]:
     """Follow the camera from the last frames to this one.
 
-    The keyframe is kept during frames without a grey image: the next frame continues from it, and no motion is lost.
+    The keyframe is kept during frames without a usable image: the next frame continues from it, and no motion is lost.
     If its points are not found again, the frame is lost and becomes the keyframe, at the last known pose. Without
     dense depth the motion comes from the image and its scale from ``road`` (in the front camera's frame). Pixels of
     vehicles and pedestrians are left out. ``rng`` seeds OpenCV's random numbers.
@@ -103,23 +103,34 @@ def step(
     Returns:
         The new state, and the pose; absent before the first image.
     """
-    if scene.grey is None:
-        why = Reason("odometry", "image_unusable" if scene.image_unusable else "no_image")
-        missed = scene.image_unusable or state.keyframe is not None
-        return state, Odometry("lost", state.odom_T_ego, reason=why) if missed else Absent(why)
+    if scene.grey is None or brightness.shows_nothing(scene.grey):
+        return state, _without_image(state, scene)
     cv2.setRNGSeed(int(rng.integers(2**31)))
     frame = tracking_frame(cfg, scene, scene.grey, road)
     pitch = _with_lines(camera_pitch.begun(cfg) if state.pitch is None else state.pitch, frame)
     if state.keyframe is None or state.last is None:
         return _begun(cfg, state.odom_T_ego, pitch, frame), Odometry("first", state.odom_T_ego)
     this = FollowedFrame(cfg, frame, state.keyframe, state.last, state.odom_T_ego, pitch)
-    estimate = _estimated(this)
+    estimate = _estimated(_equalised(this))
     if not isinstance(estimate, Absent):
         return _continued(this, estimate)
     same_camera = frame.camera == state.keyframe.camera
     pitch = camera_pitch.after_loss(cfg, pitch, this.seconds) if same_camera else camera_pitch.begun(cfg)
     lost = Odometry("lost", state.odom_T_ego, reason=estimate.reason)
     return _begun(cfg, state.odom_T_ego, pitch, frame), lost
+
+
+def _without_image(state: OdometryState, scene: Scene) -> Odometry | Absent:
+    """The result of a frame whose image is missing, cannot be decoded or shows nothing."""
+    missing = scene.grey is None and not scene.image_unusable
+    why = Reason("odometry", "no_image" if missing else "image_unusable" if scene.grey is None else "image_uniform")
+    return Absent(why) if missing and state.keyframe is None else Odometry("lost", state.odom_T_ego, reason=why)
+
+
+def _equalised(this: FollowedFrame) -> FollowedFrame:
+    """The frame and its keyframe with one exposure."""
+    key_grey, grey = brightness.equalised(this.keyframe.grey, this.frame.grey)
+    return replace(this, keyframe=replace(this.keyframe, grey=key_grey), frame=replace(this.frame, grey=grey))
 
 
 def _with_lines(pitch: CameraPitch, frame: TrackingFrame) -> CameraPitch:
@@ -266,7 +277,7 @@ def _localised_without_depth(this: FollowedFrame, px: Float32) -> Estimate | Non
         pitch = camera_pitch.updated(pitch, direction)
         if on_road:
             longest_m = cfg.max_speed_mps * seconds
-            motion, pitch = scaled_by_road(frame, this.keyframe.grey, motion, pitch, _expected(this), longest_m)
+            motion, pitch = scaled_by_road(frame, this.keyframe, motion, pitch, _expected(this), longest_m)
     return Estimate(px, motion, this.pose(motion), pitch)
 
 

@@ -60,16 +60,19 @@ class Landmarks:
 
 @dataclass(frozen=True)
 class Keyframe:
-    """An image, its landmarks, and its pose."""
+    """An image, its landmarks, and its pose; ``movable`` (H, W) is not 0 on movable objects, None if unknown."""
 
     camera: Camera
     grey: Image
     landmarks: Landmarks
     odom_T_camera: Float
     stamp_ns: int
+    movable: Image | None = None
 
     def __post_init__(self) -> None:
         read_only(self.odom_T_camera, np.float64, (4, 4), "odom_T_camera")
+        if self.movable is not None:
+            read_only(self.movable, np.uint8, self.camera.size, "movable")
         read_only(self.grey, np.uint8, self.camera.size, "grey")
 
 
@@ -216,7 +219,7 @@ def make_keyframe(
     With neither, it keeps the landmarks that were tracked into it (``carried``).
     """
     landmarks = _by_depth(cfg, frame) or _on_road(cfg, frame) or _carried_on(cfg, frame, carried)
-    return Keyframe(frame.camera, frame.grey, landmarks, odom_T_camera, frame.stamp_ns)
+    return Keyframe(frame.camera, frame.grey, landmarks, odom_T_camera, frame.stamp_ns, frame.movable)
 
 
 def is_due(cfg: OdometryConfig, keyframe: Keyframe, frame: TrackingFrame, px: Float32, inliers: Mask) -> bool:

@@ -9,13 +9,16 @@ dependence of length and pitch.
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from roadperc_stream.chain.stages.odometry.camera_pitch import CameraPitch, updated
 from roadperc_stream.chain.stages.odometry.features import TrackingFrame
+from roadperc_stream.chain.stages.odometry.keyframes import Keyframe
 from roadperc_stream.chain.stages.odometry.motion import Motion, Scale
 from roadperc_stream.config import scaled
 from roadperc_stream.geometry import Camera, Float, Float32, inverse, project, rays, rigid, transform
@@ -37,6 +40,24 @@ _CARRIED_SHARE: Final = 0.2
 _AHEAD_M: Final = (2.0, 18.0)
 _HALF_WIDTH_M: Final = 2.2
 """Extent of the road ahead of the camera and to either side."""
+_TIGHTEST_PER_M: Final = 0.15
+"""Largest curvature of the road ahead."""
+_FARTHEST_TURN: Final = 0.8
+"""Turn of the car's path, radians, up to which the road is used: beyond it the view ahead shows the roadside."""
+_BLOCK_ENDS_M: Final = (4.0, 6.5, 10.0)
+_BLOCKS_ACROSS: Final = 3
+"""The road is divided at these distances, and across."""
+_CLIPPED: Final = 2.0
+"""Multiple of the median of the grey levels' sizes at which they are clipped: the shadow of a car ahead is stronger
+than the road's grain, and moves with that car."""
+_STRIP_M: Final = 0.1
+"""Width of the strips along the path whose mean is removed: a line along the path fits every length."""
+_LEAST_AGREEING: Final = 0.5
+"""Minimum share of the road's texture in blocks that correlate."""
+_HEIGHT_SHARE: Final = 0.02
+"""Standard deviation of the camera height by the mounting, as a share; all lengths share it."""
+_LEAN_M: Final = 0.8
+"""Standard deviation of a length in a bend, as a share, by its curvature per metre: the car leans to one side."""
 _BLUR_PX: Final = 51.0
 """Side, at 960 rows, of the subtracted local mean: shadows and vignetting do not move with the road."""
 _LEAST_PIXELS: Final = 1000
@@ -44,6 +65,8 @@ _MOST_PIXELS: Final = 16384
 _ROAD_PART: Final = 2.0
 """Ratio of the image below the horizon to its road; larger images are subsampled."""
 _LEAST_CORRELATION: Final = 0.5
+_LEAST_UNEXPECTED: Final = 0.7
+"""The same among all lengths: where the length is not expected, a wrong one correlates by chance."""
 _GRAIN_PX: Final = 16.0
 """Pixels that err together, from the deviations of lengths and pitches on real logs."""
 _TRIED_PX: Final = 0.7
@@ -66,7 +89,8 @@ class Expected:
 class RoadView:
     """The road in the keyframe: (M, 3) rays and (M,) grey levels of its pixels, and how many share one error.
 
-    ``camera`` has both images, ``plane`` is the road in the keyframe's camera.
+    ``camera`` has both images, ``plane`` is the road in the keyframe's camera. ``block`` and ``strip`` (M,) number the
+    parts of the road, and its strips along the car's path. Grey levels are clipped to ``limit``.
     """
 
     camera: Camera
@@ -74,6 +98,9 @@ class RoadView:
     rays: Float
     levels: Float32
     alike: float
+    block: NDArray[np.intp]
+    strip: NDArray[np.intp]
+    limit: float
 
 
 @dataclass(frozen=True)
@@ -93,7 +120,7 @@ class RoadMotion:
 
 def scaled_by_road(
     frame: TrackingFrame,
-    key_grey: Image,
+    keyframe: Keyframe,
     motion: Motion,
     pitch: CameraPitch,
     expected: Expected | None,
@@ -101,29 +128,54 @@ def scaled_by_road(
 ) -> tuple[Motion, CameraPitch]:
     """The motion with the length that the road shows, else the expected length; and the updated pitch.
 
-    ``key_grey`` is the keyframe's image. The pitch counts if the road's plane is assumed from the mounting.
+    The pitch counts if the road's plane is assumed from the mounting.
     ``expected`` is the length at the last known speed, ``longest_m`` the length at the greatest possible speed.
     """
     length = float(np.linalg.norm(motion.this_T_key[:3, 3]))
     R, t = motion.this_T_key[:3, :3], motion.this_T_key[:3, 3] / length
-    tried_m = 0.0, longest_m
+    bend_per_m = _curvature(frame, R, expected)
+    find = partial(_on_road, frame, keyframe, (R, t), pitch, bend_per_m)
+    found = None
     if expected is not None:
         reach_m = _SEARCHED * expected.length_m + _SIGMAS * float(np.sqrt(expected.variance))
-        tried_m = max(expected.length_m - reach_m, 0.0), min(expected.length_m + reach_m, longest_m)
-    found = _on_road(frame, key_grey, (R, t), pitch, tried_m)
+        found = find((max(expected.length_m - reach_m, 0.0), min(expected.length_m + reach_m, longest_m)))
     if found is None:
-        return _carried(motion, pitch, expected), pitch
+        found = find((0.0, longest_m), _LEAST_UNEXPECTED)
+    if found is None:
+        return _carried(motion, pitch, expected, bend_per_m), pitch
     if _is_assumed(frame):
         sharper = updated(pitch, (pitch.offset + found.pitch, found.pitch_variance + _PLANE_STD**2))
         found = replace(found, length_m=found.length_m + found.metres_per_pitch * (sharper.offset - pitch.offset))
         pitch = sharper
     length_m, noise = _fused(found, expected)
-    shared = found.metres_per_pitch**2 * pitch.variance if _is_assumed(frame) else 0.0
-    return _with_length(motion, "measured", length_m, noise, shared), pitch
+    shared = 0.0
+    if _is_assumed(frame):
+        shared = found.metres_per_pitch**2 * pitch.variance + _mounting_variance(length_m, bend_per_m)
+    return _with_length(motion, "measured", length_m, noise, max(shared, found.variance)), pitch
+
+
+def _curvature(frame: TrackingFrame, R: Float, expected: Expected | None) -> float:
+    """Curvature of the car's path, 1/m, positive to the left; 0 without an expected length."""
+    turned = frame.ego_T_camera[:3, :3] @ R.T @ frame.ego_T_camera[:3, :3].T
+    if expected is None or expected.length_m <= 0:
+        return 0.0
+    per_m = float(np.arctan2(turned[1, 0], turned[0, 0])) / expected.length_m
+    return float(np.clip(per_m, -_TIGHTEST_PER_M, _TIGHTEST_PER_M))
+
+
+def _mounting_variance(length_m: float, bend_per_m: float) -> float:
+    """Variance of a length by the mounting: its height, and the car's lean in a bend."""
+    return length_m**2 * (_HEIGHT_SHARE**2 + (_LEAN_M * bend_per_m) ** 2)
 
 
 def _on_road(
-    frame: TrackingFrame, key_grey: Image, turn: tuple[Float, Float], pitch: CameraPitch, tried_m: tuple[float, float]
+    frame: TrackingFrame,
+    keyframe: Keyframe,
+    turn: tuple[Float, Float],
+    pitch: CameraPitch,
+    bend_per_m: float,
+    tried_m: tuple[float, float],
+    least_correlation: float = _LEAST_CORRELATION,
 ) -> RoadMotion | None:
     if frame.road is None:
         return None
@@ -132,10 +184,10 @@ def _on_road(
         plane = transform_plane(inverse(frame.ego_T_camera), tilted_ground(frame.ego_T_camera, pitch.offset))
     # The camera moves along the road: it was as high above it at the keyframe.
     key_plane = Plane.of(turn[0].T @ plane.n, plane.offset_m)
-    view = road_view(frame.camera, frame.ego_T_camera, key_plane, key_grey)
+    view = road_view(frame.camera, frame.ego_T_camera, key_plane, keyframe.grey, keyframe.movable, bend_per_m)
     if view is None:
         return None
-    return road_motion(view, frame.grey, frame.movable, turn, tried_m)
+    return road_motion(view, frame.grey, frame.movable, turn, tried_m, least_correlation)
 
 
 def _is_assumed(frame: TrackingFrame) -> bool:
@@ -158,10 +210,11 @@ def _fused(found: RoadMotion, expected: Expected | None) -> tuple[float, float]:
     return found.length_m + gain * off, (1.0 - gain) * noise
 
 
-def _carried(motion: Motion, pitch: CameraPitch, expected: Expected | None) -> Motion:
+def _carried(motion: Motion, pitch: CameraPitch, expected: Expected | None, bend_per_m: float) -> Motion:
     if expected is None or expected.variance > (_CARRIED_SHARE * expected.length_m) ** 2:
         return replace(motion, scaled=False, scale="none")
-    shared = (_LENGTH_PER_PITCH * expected.length_m) ** 2 * pitch.variance
+    by_pitch = (_LENGTH_PER_PITCH * expected.length_m) ** 2 * pitch.variance
+    shared = by_pitch + _mounting_variance(expected.length_m, bend_per_m)
     return _with_length(motion, "carried", expected.length_m, expected.variance, shared)
 
 
@@ -189,20 +242,43 @@ def high_pass(grey: Image) -> Float32:
     return np.asarray(levels - cv2.blur(levels, (side, side)), np.float32)
 
 
-def road_view(camera: Camera, ego_T_camera: Float, plane: Plane, key_grey: Image) -> RoadView | None:
-    """The pixels of the keyframe on the road ahead, without regard to obstacles; None if they are too few."""
+def road_view(
+    camera: Camera,
+    ego_T_camera: Float,
+    plane: Plane,
+    key_grey: Image,
+    key_movable: Image | None = None,
+    bend_per_m: float = 0.0,
+) -> RoadView | None:
+    """The pixels of the keyframe on the road ahead; None if they are too few.
+
+    ``key_movable`` is not 0 on the keyframe's movable objects: a car ahead moves as if the own car stood still. The
+    road has the curvature of the car's path, 1/m, positive to the left.
+    """
     horizon = int(np.clip(np.floor(camera.cy - camera.fy * plane.normal[2] / plane.normal[1]), 0, camera.height - 1))
     apart = int(np.ceil(np.sqrt((camera.height - horizon) * camera.width / _MOST_PIXELS / _ROAD_PART)))
     rows, columns = np.mgrid[horizon : camera.height : apart, 0 : camera.width : apart].reshape(2, -1)
     px = np.stack((columns, rows), axis=-1).astype(float)
     ahead = transform(ego_T_camera, intersect_plane(camera, px, plane)) - ego_T_camera[:3, 3]
+    farthest_m = min(_AHEAD_M[1], _FARTHEST_TURN / max(abs(bend_per_m), 1e-9))
     with np.errstate(invalid="ignore"):
-        near = (ahead[:, 0] > _AHEAD_M[0]) & (ahead[:, 0] < _AHEAD_M[1]) & (np.abs(ahead[:, 1]) < _HALF_WIDTH_M)
+        aside_m = ahead[:, 1] - 0.5 * bend_per_m * ahead[:, 0] ** 2
+        near = (ahead[:, 0] > _AHEAD_M[0]) & (ahead[:, 0] < farthest_m) & (np.abs(aside_m) < _HALF_WIDTH_M)
+    if key_movable is not None:
+        near &= key_movable[rows, columns] == 0
     chosen = np.flatnonzero(near)[:_MOST_PIXELS]
     if len(chosen) < _LEAST_PIXELS:
         return None
+    strip = ((aside_m[chosen] + _HALF_WIDTH_M) / _STRIP_M).astype(int)
     levels = high_pass(key_grey)[rows[chosen], columns[chosen]]
-    return RoadView(camera, plane, rays(camera, px[chosen]), levels, max(_GRAIN_PX / apart**2, 1.0))
+    limit = _CLIPPED * float(np.median(np.abs(levels)))
+    levels = np.clip(levels, -limit, limit)
+    along = np.searchsorted(_BLOCK_ENDS_M, ahead[chosen, 0])
+    across = np.floor((aside_m[chosen] / _HALF_WIDTH_M + 1) / 2 * _BLOCKS_ACROSS).astype(int)
+    block = along * _BLOCKS_ACROSS + np.clip(across, 0, _BLOCKS_ACROSS - 1)
+    return RoadView(
+        camera, plane, rays(camera, px[chosen]), levels, max(_GRAIN_PX / apart**2, 1.0), block, strip, limit
+    )
 
 
 def road_motion(
@@ -211,6 +287,7 @@ def road_motion(
     movable: Image | None,
     key_T_this_turn: tuple[Float, Float],
     tried_m: tuple[float, float],
+    least_correlation: float = _LEAST_CORRELATION,
 ) -> RoadMotion | None:
     """The length of a motion by the road's image.
 
@@ -220,11 +297,12 @@ def road_motion(
         movable: (H, W) not 0 on movable objects in this image, or None.
         key_T_this_turn: the (3, 3) rotation R and the (3,) unit direction t with X_this = R X_key + length t.
         tried_m: shortest and longest length.
+        least_correlation: of the best length.
 
     Returns:
         The length; None if the road has too little texture or no length fits clearly.
     """
-    picture = _Picture(view, high_pass(grey), movable, *key_T_this_turn)
+    picture = _Picture(view, np.clip(high_pass(grey), -view.limit, view.limit), movable, *key_T_this_turn)
     shift_px = picture.shift_px_per_m
     if not 0 < shift_px < np.inf:  # a wrong motion turns the road out of sight
         return None
@@ -232,7 +310,7 @@ def road_motion(
     lengths = np.arange(tried_m[0], tried_m[1] + step_m, step_m)
     fits = np.array([picture.correlation(length) for length in lengths])
     best = int(np.argmax(fits))
-    if not 0 < best < len(lengths) - 1 or fits[best] < _LEAST_CORRELATION:
+    if not 0 < best < len(lengths) - 1 or fits[best] < least_correlation:
         return None
     before, at, after = fits[best - 1 : best + 2]
     bend = before - 2 * at + after
@@ -261,7 +339,8 @@ class _Picture:
         seen, visible = self.seen(length_m, 0.0)
         if int(np.sum(visible)) < _LEAST_PIXELS:
             return -1.0
-        return float(normalised(self.view.levels[visible]) @ normalised(seen[visible]))
+        strip = self.view.strip[visible]
+        return float(normalised(self.view.levels[visible], strip) @ normalised(seen[visible], strip))
 
     def seen(self, length_m: float, pitch: float) -> tuple[Float32, Mask]:
         """(M,) levels of this image at the road's pixels, and (M,) which of them are visible."""
@@ -290,10 +369,14 @@ def _at_peak(picture: _Picture, length_m: float, small_m: float) -> RoadMotion |
     visible = np.all([mask for _, mask in (at, *moved, *tilted)], axis=0)
     if int(np.sum(visible)) < _LEAST_PIXELS:
         return None
-    residual = normalised(picture.view.levels[visible]) - normalised(at[0][visible])
+    block, strip = picture.view.block[visible], picture.view.strip[visible]
+    key, now = (normalised(levels[visible], strip) for levels in (picture.view.levels, at[0]))
+    if _agreeing(key, now, block) < _LEAST_AGREEING:
+        return None
+    residual = key - now
     J = np.stack(
         [
-            (normalised(after[visible]) - normalised(before[visible])) / (2 * small)
+            (normalised(after[visible], strip) - normalised(before[visible], strip)) / (2 * small)
             for ((before, _), (after, _)), small in ((moved, small_m), (tilted, _SMALL_PITCH))
         ],
         axis=-1,
@@ -303,12 +386,27 @@ def _at_peak(picture: _Picture, length_m: float, small_m: float) -> RoadMotion |
     determinant = float(np.linalg.det(N))
     if N[0, 0] <= 0 or determinant <= 1e-9 * N[0, 0] * N[1, 1]:
         return None
-    pitch = float(np.linalg.solve(N, J.T @ residual)[1])
+    small = np.linalg.solve(N, J.T @ residual)
+    pulls = np.bincount(block, J[:, 0] * (residual - J @ small)) / N[0, 0]
+    variance = max(per_pixel / float(N[0, 0]), float(pulls @ pulls) * _spread_factor(block))
     pitch_variance = per_pixel * float(N[0, 0]) / determinant
-    return RoadMotion(length_m, per_pixel / float(N[0, 0]), -float(N[0, 1] / N[0, 0]), pitch, pitch_variance)
+    return RoadMotion(length_m, variance, -float(N[0, 1] / N[0, 0]), float(small[1]), pitch_variance)
 
 
-def normalised(levels: Float32) -> Float:
-    """(M,) with zero mean and unit length; zeros where all are equal."""
-    centred = levels.astype(float) - float(levels.mean())
+def _agreeing(key: Float, now: Float, block: NDArray[np.intp]) -> float:
+    """Share of the texture of (M,) levels in blocks whose levels correlate in both images."""
+    power, other, both = (np.bincount(block, product) for product in (key**2, now**2, key * now))
+    return float(power[both > _LEAST_CORRELATION * np.sqrt(power * other)].sum() / power.sum())
+
+
+def _spread_factor(block: NDArray[np.intp]) -> float:
+    """Correction of a sum of squares over few blocks."""
+    count = len(np.unique(block))
+    return count / max(count - 1, 1)
+
+
+def normalised(levels: Float32, strip: NDArray[np.intp]) -> Float:
+    """(M,) with zero mean in each strip and unit length; zeros where all are equal."""
+    means = np.bincount(strip, levels) / np.maximum(np.bincount(strip), 1)
+    centred = levels - means[strip]
     return centred / max(float(np.linalg.norm(centred)), 1e-9)

@@ -134,6 +134,29 @@ def test_the_road_gives_no_length_without_texture_or_if_no_length_fits():
     assert road_view(CAMERA, EGO_T_CAMERA, up, np.zeros(CAMERA.size, np.uint8)) is None
 
 
+def test_parts_of_the_road_that_disagree_enlarge_the_variance_of_the_length():
+    right, farther = (photograph(pose(x), ego_T_camera=DOWN).grey for x in (0.5, 0.8))
+    mixed = right.copy()
+    mixed[:, 320:] = farther[:, 320:]
+    whole = road_between(pose(0), pose(0.5), grey=right, believed=WRONG)
+    found = road_between(pose(0), pose(0.5), grey=mixed, believed=WRONG)
+    assert found is None or found.variance > (2 * np.sqrt(whole.variance) + 0.02) ** 2
+
+
+def test_the_road_ahead_follows_the_bend_and_has_no_movable_objects():
+    def view(movable=None, bend_per_m=0.0):
+        plane = g.transform_plane(g.inverse(EGO_T_CAMERA), g.Plane((0.0, 0.0, 1.0), 0.0))
+        return road_view(CAMERA, EGO_T_CAMERA, plane, np.zeros(CAMERA.size, np.uint8), movable, bend_per_m)
+
+    assert abs(np.median(view().rays[:, 0])) < 0.02
+    assert np.median(view(bend_per_m=0.1).rays[:, 0]) < -0.1
+    farthest_m = 1.4 / view(bend_per_m=0.1).rays[:, 1].min()
+    assert farthest_m == pytest.approx(8.0, rel=0.05)
+    car = np.zeros(CAMERA.size, np.uint8)
+    car[:, 320:] = 1
+    assert view(car).rays[:, 0].max() < 0.01
+
+
 def test_a_wrong_pitch_of_the_mounting_is_corrected(shots):
     states, results = run(shots, depth=False, road=ROAD)
     true_m = np.diff(distances_m(np.array([p @ DOWN for p in POSES])))

@@ -129,6 +129,8 @@ def test_the_road_gives_the_scale():
     _, results = run(SHOTS, depth=False, road=ROAD)
     assert not any(out.up_to_scale for out in results)
     assert distances_m(poses(results))[-1] == pytest.approx(distances_m(np.array(POSES))[-1], rel=0.02)
+    step, covariance = results[-1].step, np.reshape(results[-1].covariance, (6, 6))
+    assert np.sqrt(covariance[0, 0]) > 0.02 * np.linalg.norm(step[:3, 3])  # the mounting's height
 
 
 def test_the_scale_is_kept_while_depth_is_missing():
@@ -159,13 +161,13 @@ def test_features_on_movable_objects_are_not_used():
     assert statuses(results) == ["first", "tracked", "tracked"]
 
 
-def test_no_image_is_absent_and_a_blank_image_is_lost():
+def test_no_image_is_absent_and_a_blank_image_is_skipped():
     assert isinstance(run([None])[1][0], Absent)
     blank = Shot(np.full(CAMERA.size, 90, np.uint8), SHOTS[0].depth_m)
     for depth in (True, False):
         for features in ("klt", "orb", "sift"):
             _, results = run([blank, *SHOTS[:2]], CFG.model_copy(update={"features": features}), depth=depth)
-            assert statuses(results) == ["first", "lost", "tracked"]
+            assert statuses(results) == ["lost", "first", "tracked"]
 
 
 @pytest.mark.parametrize(
