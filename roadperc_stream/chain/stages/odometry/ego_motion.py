@@ -20,6 +20,7 @@ from roadperc_stream.chain.stages.odometry.epipolar import motion_from_rays
 from roadperc_stream.chain.stages.odometry.features import FRONTENDS, TrackingFrame, tracking_frame
 from roadperc_stream.chain.stages.odometry.keyframes import Keyframe, LastFrame, OdometryState, make_keyframe
 from roadperc_stream.chain.stages.odometry.motion import Motion, in_ego_axes, motion_from_points, moved, step_covariance
+from roadperc_stream.chain.stages.odometry.rivals import along_path, best_shift
 from roadperc_stream.chain.stages.odometry.road_scale import Expected, scaled_by_road
 from roadperc_stream.config import OdometryConfig, scaled
 from roadperc_stream.geometry import Float, Float32, inverse, project, transform
@@ -184,7 +185,7 @@ def _continued(this: FollowedFrame, estimate: Estimate) -> tuple[OdometryState, 
         found_px = keyframe.landmarks.features.px
         influence, length_variance = np.zeros((len(found_px), 6)), 0.0
     velocity = this.velocity(estimate.odom_T_ego)
-    speed_variance = motion.noise_variance / this.seconds**2 if metric and motion.scale is not None else None
+    speed_variance = motion.noise_variance / this.seconds**2 if metric and motion.noise_variance > 0 else None
     now = LastFrame(frame.stamp_ns, velocity, found_px, influence, length_variance, speed_variance)
     return OdometryState(estimate.odom_T_ego, keyframe, now, estimate.pitch), out
 
@@ -212,9 +213,41 @@ def _estimated(this: FollowedFrame) -> Estimate | Absent:
         if np.sum(estimate.motion.inliers) < max(ratio * _findable(keyframe, frame, estimate), cfg.min_inliers):
             continue
         if _possible(this, estimate):
-            return estimate
+            return _verified(this, estimate, expected=bool(np.isfinite(near_px).any()))
         rejected = Reason("odometry", "impossible_motion")
     return Absent(rejected)
+
+
+def _verified(this: FollowedFrame, estimate: Estimate, *, expected: bool) -> Estimate:
+    """The estimate after a search for other shifts that fit both images and depths, unless it continues a sure motion.
+
+    If another shift fits better, it replaces the estimate. Shifts that fit about as well enlarge the variance.
+    """
+    keyframe, frame = this.keyframe, this.frame
+    sure = expected and this.last.speed_variance is None
+    if keyframe.landmarks.source != "depth" or frame.depth_m is None or sure:
+        return estimate
+    shift_m, std_m = best_shift(keyframe, frame, estimate.motion.this_T_key)
+    if shift_m:
+        estimate = _shifted(this, estimate, shift_m)
+    return replace(estimate, motion=replace(estimate.motion, length_variance=std_m**2, noise_variance=std_m**2))
+
+
+def _shifted(this: FollowedFrame, estimate: Estimate, shift_m: float) -> Estimate:
+    """The estimate at a shift along the car's path; the estimate itself if the features do not agree there."""
+    points_m, motion = this.keyframe.landmarks.points_m, estimate.motion
+    start, px = along_path(this.frame, shift_m) @ motion.this_T_key, estimate.px
+    for _ in range(2):
+        px = aligned(this.keyframe, this.frame, start)
+        found = motion_from_points(this.frame.camera, points_m, px, start)
+        if found is None:
+            return estimate
+        motion, start = found, found.this_T_key
+    if np.sum(motion.inliers) < this.cfg.min_inliers:
+        return estimate
+    odom_T_ego = this.pose(motion)
+    moved_estimate = Estimate(px, motion, odom_T_ego, this.turned_pitch(odom_T_ego))
+    return moved_estimate if _possible(this, moved_estimate) else estimate
 
 
 def guesses(this: FollowedFrame) -> Iterator[tuple[Float32, Float32, float]]:

@@ -43,12 +43,12 @@ def texture(seed):
 TEXTURES = tuple(texture(seed) for seed in range(len(PLANES)))
 
 
-def photograph(odom_T_ego, camera=CAMERA, ego_T_camera=EGO_T_CAMERA):
+def photograph(odom_T_ego, camera=CAMERA, ego_T_camera=EGO_T_CAMERA, textures=TEXTURES):
     rows, columns = np.indices(camera.size, dtype=float)
     pixels = np.stack((columns, rows), axis=-1)
     odom_T_camera = odom_T_ego @ ego_T_camera
     nearest, grey = np.full(camera.size, np.inf), np.zeros(camera.size, np.float32)
-    for plane, pattern in zip(PLANES, TEXTURES, strict=True):
+    for plane, pattern in zip(PLANES, textures, strict=True):
         visible = g.intersect_plane(camera, pixels, g.transform_plane(g.inverse(odom_T_camera), plane))
         points = g.transform(odom_T_camera, visible) / GRAIN_M
         axes = [k for k in range(3) if abs(plane.normal[k]) < 0.5]
