@@ -135,7 +135,7 @@ def assert_alike(last, with_sensor, offset_m):
     assert last.surface.camera_height_m == pytest.approx(with_sensor.surface.camera_height_m, abs=0.05)
     for side in ("left", "right"):
         assert last.lanes.side(side).offset_m == pytest.approx(with_sensor.lanes.side(side).offset_m, abs=offset_m)
-    near = [item for item in with_sensor.objects.objects if item.kept and (item.distance_m or 99) < 15]
+    near = [item for item in with_sensor.objects.objects if item.kept and (item.distance_m or 99) < 12]
     for item in near:
         (same_one,) = [other for other in last.objects.objects if other.detection == item.detection]
         assert same_one.distance_m == pytest.approx(item.distance_m, rel=0.1)

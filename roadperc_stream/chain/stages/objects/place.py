@@ -1,6 +1,6 @@
 """The place of an object on the ground and its speed over the ground, by which detections and tracks are associated.
 
-Place and speed are in the axes of the camera. The camera's motion by odometry moves the place to the next frame, so a
+GroundPlace and speed are in the axes of the camera. The camera's motion by odometry moves the place to the next frame, so a
 standing object stays where it is however fast the car drives. A new object may have any usual speed of its kind.
 """
 
@@ -24,6 +24,8 @@ _SPEED_WALK: Final = 3.0
 _WIDTH_STD: Final = 0.15
 """Standard deviation of the middle of an object, in its widths: other parts of it become visible."""
 _LEAST_STD_M: Final = 0.15
+_DISTANCE_STD: Final = 0.05
+"""Standard deviation of a distance, as a share: distances of stereo jump by more than their own deviation."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,7 @@ class Sighting:
 
 
 @dataclass(frozen=True)
-class Place:
+class GroundPlace:
     """Filters of the place and the speed over the ground, to the right of the camera and ahead, metres."""
 
     right_m: RateFilter
@@ -44,25 +46,25 @@ class Place:
     down_m: float
 
     @classmethod
-    def of_first(cls, seen: Sighting, label: str) -> "Place":
+    def of_first(cls, seen: Sighting, label: str) -> "GroundPlace":
         """The place of a new object with a label."""
         speed_std_mps = usual_speed_std_mps(label)
         right_m = rate_filter.start(seen.point_m[0], seen.right_std_m, speed_std_mps)
         return cls(right_m, rate_filter.start(seen.point_m[2], seen.ahead_std_m, speed_std_mps), seen.point_m[1])
 
-    def predict(self, now_T_last: Float, dt_s: float) -> "Place":
+    def predict(self, now_T_last: Float, dt_s: float) -> "GroundPlace":
         """The place ``dt_s`` seconds later, in the axes of the camera after its (4, 4) motion."""
         right_m, ahead_m = (m.predict(_SPEED_WALK, dt_s) for m in (self.right_m, self.ahead_m))
         turn = now_T_last[:3, :3]
         x, y, z = (turn @ np.array((right_m.value, self.down_m, ahead_m.value)) + now_T_last[:3, 3]).tolist()
         x_mps, _, z_mps = (turn @ np.array((right_m.rate, 0.0, ahead_m.rate))).tolist()
         right_m = right_m.shifted(x - right_m.value, x_mps - right_m.rate)
-        return Place(right_m, ahead_m.shifted(z - ahead_m.value, z_mps - ahead_m.rate), y)
+        return GroundPlace(right_m, ahead_m.shifted(z - ahead_m.value, z_mps - ahead_m.rate), y)
 
-    def update(self, seen: Sighting) -> "Place":
+    def update(self, seen: Sighting) -> "GroundPlace":
         """The predicted place after the object was seen."""
         x, y, z = seen.point_m
-        return Place(self.right_m.update(x, seen.right_std_m), self.ahead_m.update(z, seen.ahead_std_m), y)
+        return GroundPlace(self.right_m.update(x, seen.right_std_m), self.ahead_m.update(z, seen.ahead_std_m), y)
 
 
 def sighting(camera: Camera, box_px: Box, distance_m: float, std_m: float) -> Sighting:
@@ -72,7 +74,7 @@ def sighting(camera: Camera, box_px: Box, distance_m: float, std_m: float) -> Si
     ahead_m = distance_m / hypot(x, y, 1.0)
     width_m = (box_px.x_max - box_px.x_min) / camera.fx * ahead_m
     aside_std_m = hypot(_WIDTH_STD * width_m, abs(x) * std_m, _LEAST_STD_M)
-    return Sighting((x * ahead_m, y * ahead_m, ahead_m), aside_std_m, hypot(std_m, _LEAST_STD_M))
+    return Sighting((x * ahead_m, y * ahead_m, ahead_m), aside_std_m, hypot(std_m, _DISTANCE_STD * distance_m))
 
 
 def usual_speed_std_mps(label: str) -> float:

@@ -10,7 +10,7 @@ from math import hypot, sqrt
 
 from roadperc_stream.chain.stages.objects import rate_filter
 from roadperc_stream.chain.stages.objects.growth import GROWTH_WALK, Growth
-from roadperc_stream.chain.stages.objects.place import Place, Sighting, usual_speed_std_mps
+from roadperc_stream.chain.stages.objects.place import GroundPlace, Sighting, usual_speed_std_mps
 from roadperc_stream.chain.stages.objects.rate_filter import EgoRate, Jitter, RateFilter, Ray, change_of_distance_m
 from roadperc_stream.chain.stages.objects.template import Template
 from roadperc_stream.config import ObjectsConfig
@@ -87,7 +87,7 @@ class ObjectTrack:
     jitter: Jitter | None = None
     growth: Growth | None = None
     ground_share: float | None = None
-    place: Place | None = None
+    place: GroundPlace | None = None
 
 
 def start(cfg: ObjectsConfig, number: int, item: Object, box_px: Box, stamp_ns: int) -> ObjectTrack:
@@ -216,7 +216,7 @@ def seen_at(track: ObjectTrack, seen: Sighting | None) -> ObjectTrack:
     """The track after its object was seen at a place on the ground, if that is known."""
     if seen is None:
         return track
-    place = track.place.update(seen) if track.place else Place.of_first(seen, track.detection.label)
+    place = track.place.update(seen) if track.place else GroundPlace.of_first(seen, track.detection.label)
     return replace(track, place=place)
 
 

@@ -13,7 +13,7 @@ from tests.scenes import scene_of
 
 CAMERA = Camera("camera", 320, 240, 1e6, 1e6, 159.5, 119.5)
 """A lens so long that the distance of every pixel equals its depth."""
-CFG = ObjectsConfig()
+CFG = ObjectsConfig(distance_pixels="class")
 FAR_M = 90.0
 LIMIT_M = 100.0
 
