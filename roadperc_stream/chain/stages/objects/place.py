@@ -1,6 +1,6 @@
 """The place of an object on the ground and its speed over the ground, by which detections and tracks are associated.
 
-GroundPlace and speed are in the axes of the camera. The camera's motion by odometry moves the place to the next frame, so a
+Place and speed are in the axes of the camera. The camera's motion by odometry moves the place to the next frame, so a
 standing object stays where it is however fast the car drives. A new object may have any usual speed of its kind.
 """
 
