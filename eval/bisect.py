@@ -94,7 +94,8 @@ def _searched(
     yield from _lines(found, window, arguments, out)
     values = [f"{key}={as_typed(setting_of(cfg, key))}" for key in needed]
     if changed:
-        yield f"settings   {len(needed)} of {number(len(changed), 'change')} needed{': ' if values else ''}{' '.join(values)}"
+        needs = f"{len(needed)} of {number(len(changed), 'change')} needed"
+        yield f"settings   {': '.join(filter(None, (needs, ' '.join(values))))}"
     yield f"replays    {replays.count}"
     yield f"show       {found.worst.command}"
     options = [*(("--config", str(arguments.base)) if arguments.base else ()), *(f"--set={value}" for value in values)]
