@@ -4,12 +4,12 @@ import argparse
 import math
 import shlex
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
-from roadperc_stream import log
 from roadperc_stream.config import ReplayConfig, load_config, validated
 from roadperc_stream.config.catalogue import catalogue
 from roadperc_stream.config.settings import as_typed
@@ -18,14 +18,15 @@ from roadperc_stream.input import ReplaySource
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.output.terminal import job_progress
 from roadperc_stream.schemas.roles import parse_topic_options
-from roadperc_stream.system.files import not_a_log
+from roadperc_stream.system.files import not_a_log, target_errors
 from roadperc_stream.system.text import number, print_line
 from roadperc_stream.system.time import NS_PER_S, ns_to_seconds
 
-from .bisect_replays import ExcerptReplays, Show, Verdict, Window
+from .bisect_replays import ExcerptReplays, ReplayVerdict, Window, first_ns
 from .criteria import Criterion, hint, read_criteria
 from .delta_debugging import ddmin
-from .judging import Result
+from .judging import Result, WorstPlace
+from .runs import open_run
 from .sweeping.settings import setting_of
 
 _FIRST_REACH_S: Final = 1.0
@@ -47,19 +48,33 @@ def bisect(arguments: argparse.Namespace) -> None:
     if not arguments.log.is_file():
         raise LogError(not_a_log(arguments.log) if arguments.log.is_dir() else f"{arguments.log}: no such file")
     ReplayTarget(out, force=arguments.force).require_writable(source.files, None, resume=False)
-    ReplayTarget(out, force=arguments.force).require_free(source.files)
     base, cfg = load_config(arguments.base), load_config(arguments.config, arguments.set)
     criteria = _chosen(read_criteria(arguments.criteria), arguments)
+    with target_errors(out):
+        out.parent.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(prefix=".roadperc-bisect-", dir=out.parent) as folder, job_progress() as show:
-        replays = ExcerptReplays(source, arguments.criteria, criteria, out, Path(folder))
+        replays = ExcerptReplays(source, arguments.criteria, criteria, out, Path(folder), show)
         try:
-            lines = list(_searched(replays, base, cfg, arguments, out, show))
+            found = _found(replays, base, cfg)
         except KeyboardInterrupt:
             if replays.can_continue:
                 raise KeyboardInterrupt("interrupted; run the same command again to continue") from None
             raise
-    for line in lines:
+    for line in _lines(found, arguments, out):
         print_line(line)
+
+
+@dataclass(frozen=True)
+class Found:
+    """The result of a search: the excerpt and its result, and the needed ones of the changed settings."""
+
+    whole: ReplayVerdict
+    window: Window
+    result: Result
+    worst: WorstPlace
+    needed: tuple[str, ...]
+    changed: int
+    replays: int
 
 
 def _chosen(criteria: Sequence[Criterion], arguments: argparse.Namespace) -> Sequence[Criterion]:
@@ -75,43 +90,45 @@ def _chosen(criteria: Sequence[Criterion], arguments: argparse.Namespace) -> Seq
     return [criterion for criterion in criteria if name in (None, criterion.title)]
 
 
-def _searched(
-    replays: ExcerptReplays, base: ReplayConfig, cfg: ReplayConfig, arguments: argparse.Namespace, out: Path, show: Show
-) -> Iterator[str]:
-    """Search over time, then over the settings; yields the lines to print."""
-    whole = replays.verdict(cfg, None, show)
+def _found(replays: ExcerptReplays, base: ReplayConfig, cfg: ReplayConfig) -> Found:
+    """Search over time, then over the settings, and write the excerpt."""
+    whole = replays.verdict(cfg, None)
     if not whole.failed:
         replays.forget()
-        raise RegressionError(f"{arguments.log}: nothing fails on the whole log: {whole.text}")
-    yield f"whole log  {whole.failed}: {whole.text}"
+        raise RegressionError(f"{replays.input_log}: nothing fails on the whole log: {whole.text}")
     replays.criteria = tuple(item for item in replays.criteria if item.title == whole.failed)
     changed = changed_settings(base, cfg)
-    window = _shortest(replays, cfg, whole, len(changed), show)
-    needed = _needed(replays, base, cfg, changed, window, show)
-    found = replays.write(with_settings(base, cfg, needed), window, show)
-    if found is None or found.worst is None:
-        raise RoadpercError(f"{out}: {whole.failed} does not fail again; does it depend on times?")
-    yield from _lines(found, window, arguments, out)
-    values = [f"{key}={as_typed(setting_of(cfg, key))}" for key in needed]
-    if changed:
-        needs = f"{len(needed)} of {number(len(changed), 'change')} needed"
-        yield f"settings   {': '.join(filter(None, (needs, ' '.join(values))))}"
-    yield f"replays    {replays.count}"
+    window = shortest(replays, cfg, whole, len(changed))
+    replays.left = _replays_of(len(changed)) + 2
+    needed = needed_settings(replays, base, cfg, changed, window)
+    result = replays.write(with_settings(base, cfg, needed), window)
+    if result is None or result.worst is None:
+        raise RoadpercError(f"{replays.input_log}: {whole.failed} does not fail again; does it depend on times?")
+    values = tuple(f"{key}={as_typed(setting_of(cfg, key))}" for key in needed)
+    return Found(whole, window, result, result.worst, values, len(changed), replays.count)
+
+
+def _lines(found: Found, arguments: argparse.Namespace, out: Path) -> Iterator[str]:
+    """What was found, and the commands that show, replay and judge the excerpt."""
+    start_s, end_s = (ns_to_seconds(time_ns - first_ns(ReplaySource(arguments.log))) for time_ns in found.window)
+    frames = number(open_run(ReplayTarget(out).metrics, out.name).frames, "frame")
+    yield f"whole log  {found.whole.failed}: {found.whole.text}"
+    yield f"excerpt    {out}: {start_s:.3f} to {end_s:.3f} s of the log, {frames}: {found.result.text}"
+    if found.changed:
+        needs = f"{len(found.needed)} of {number(found.changed, 'change')} needed"
+        yield f"settings   {': '.join(filter(None, (needs, ' '.join(found.needed))))}"
+    yield f"replays    {found.replays}"
     yield f"show       {found.worst.command}"
-    options = [*(("--config", str(arguments.base)) if arguments.base else ()), *(f"--set={value}" for value in values)]
+    options = [
+        *(("--config", str(arguments.base)) if arguments.base else ()),
+        *(f"--set={item}" for item in found.needed),
+    ]
     options += [f"--topic={topic}" for topic in arguments.topic]
     yield f"replay     {shlex.join(['roadperc-replay', str(out), 'again.mcap', *options])}"
     yield f"judge      {shlex.join(['roadperc-check', 'again.mcap', '--criteria', str(arguments.criteria)])}"
 
 
-def _lines(found: Result, window: Window, arguments: argparse.Namespace, out: Path) -> Iterator[str]:
-    start_s = ns_to_seconds(window[0] - (log.summarise(arguments.log).first_ns or 0))
-    length_s = ns_to_seconds(window[1] - window[0])
-    frames = number(found.frames, "frame")
-    yield f"excerpt    {out}: {length_s:.3g} s from {max(start_s, 0):.3f} s, {frames}: {found.text}"
-
-
-def _shortest(replays: ExcerptReplays, cfg: ReplayConfig, whole: Verdict, settings: int, show: Show) -> Window:
+def shortest(replays: ExcerptReplays, cfg: ReplayConfig, whole: ReplayVerdict, settings: int) -> Window:
     """The shortest excerpt that fails.
 
     The first excerpts are around the worst frame of the whole log, and grow until one fails. Delta debugging shortens
@@ -120,35 +137,36 @@ def _shortest(replays: ExcerptReplays, cfg: ReplayConfig, whole: Verdict, settin
     frames = range(-whole.frames_before, whole.frames_after)
 
     def fails(part: Sequence[int]) -> bool:
-        return bool(replays.verdict(cfg, _window(whole, part), show).failed)
-
-    def steps(items: int) -> int:
-        return 2 * math.ceil(math.log2(items + 1))
+        return bool(replays.verdict(cfg, _window(whole, part)).failed)
 
     passed: list[range] = []
     for power in count():
         reach = math.ceil(_FIRST_REACH_S * _GROWTH**power * NS_PER_S / whole.frame_ns)
         part = range(max(frames.start, -reach), min(frames.stop, 1 + reach // _GROWTH))
-        replays.left = steps(len(part)) + steps(settings) + 2
+        replays.left = _replays_of(len(part)) + _replays_of(settings) + 2
         if part == frames or fails(part):
             break
         passed.append(part)
     return _window(whole, ddmin(part, fails, passed, span=True))
 
 
-def _window(whole: Verdict, part: Sequence[int]) -> Window:
+def _replays_of(items: int) -> int:
+    """Expected replays of delta debugging: one for each half, for each half of these, and so on."""
+    return 2 * math.ceil(math.log2(items + 1))
+
+
+def _window(whole: ReplayVerdict, part: Sequence[int]) -> Window:
     """Log times of an excerpt; its limits are in the middle between two frames."""
     start_ns, end_ns = (whole.frame_ns * (2 * place + side) // 2 for place, side in ((part[0], -1), (part[-1], 1)))
     return whole.worst_ns + start_ns, whole.worst_ns + end_ns
 
 
-def _needed(
+def needed_settings(
     replays: ExcerptReplays,
     base: ReplayConfig,
     cfg: ReplayConfig,
     changed: Sequence[str],
     window: Window,
-    show: Show,
 ) -> Sequence[str]:
     """The fewest changed settings with which the excerpt fails. A combination that is not valid counts as passed."""
 
@@ -157,7 +175,7 @@ def _needed(
             part = with_settings(base, cfg, keys)
         except ConfigError:
             return False
-        return bool(replays.verdict(part, window, show).failed)
+        return bool(replays.verdict(part, window).failed)
 
     return () if not changed or fails(()) else ddmin(changed, fails)
 

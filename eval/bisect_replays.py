@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
@@ -36,7 +37,7 @@ _SUFFIX: Final = ".replays.json"
 
 
 @dataclass(frozen=True)
-class Verdict:
+class ReplayVerdict:
     """What a replay shows: the title of the failing criterion, empty without one, and the worst frame's log time.
 
     ``text`` has value and bound, or the reason why nothing fails. ``frame_ns`` is the median time between frames, and
@@ -59,18 +60,18 @@ class ExcerptReplays:
     """
 
     def __init__(
-        self, source: ReplaySource, path: Path, criteria: Sequence[Criterion], out: Path, folder: Path
+        self, source: ReplaySource, path: Path, criteria: Sequence[Criterion], out: Path, folder: Path, show: Show
     ) -> None:
         """Read the verdicts of an interrupted search.
 
-        ``folder`` is for temporary files.
+        ``out`` is the excerpt to write, ``folder`` is for temporary files, and ``show`` shows the progress.
 
         Raises:
             TableError: the file with the verdicts cannot be read.
             OSError: the log cannot be read.
         """
         self.criteria, self.count, self.left = tuple(criteria), 0, 0
-        self._source, self._path, self._out, self._folder = source, path, out, folder
+        self._source, self._path, self._out, self._folder, self._show = source, path, out, folder, show
         self._file = out.with_suffix(_SUFFIX)
         self._frames = 0
         self._kept: tuple[Path, Window] | None = None
@@ -83,7 +84,7 @@ class ExcerptReplays:
             with file.open("rb") as stream:
                 self._digest.update(hashlib.file_digest(stream, hashlib.sha256).digest())
 
-    def verdict(self, cfg: ReplayConfig, window: Window | None, show: Show) -> Verdict:
+    def verdict(self, cfg: ReplayConfig, window: Window | None) -> ReplayVerdict:
         """Replay an excerpt alone, or the whole log for None, and judge it.
 
         Raises:
@@ -92,12 +93,12 @@ class ExcerptReplays:
         self.count, self.left = self.count + 1, max(self.left - 1, 0)
         key = self._key(cfg, window)
         if key not in self._known:
-            self._known[key] = asdict(self._replayed(cfg, window, show))
+            self._known[key] = asdict(self._replayed(cfg, window))
             with completing(self._file) as partial:
                 partial.write_text(json.dumps(self._known))
-        return Verdict(**self._known[key])
+        return ReplayVerdict(**self._known[key])
 
-    def write(self, cfg: ReplayConfig, window: Window, show: Show) -> Result | None:
+    def write(self, cfg: ReplayConfig, window: Window) -> Result | None:
         """Write the output: the excerpt, replayed alone. Remove the file with the verdicts.
 
         Returns:
@@ -106,11 +107,16 @@ class ExcerptReplays:
         Raises:
             RoadpercError: it cannot be replayed or written.
         """
-        self.count += 1
+        self.count, self.left = self.count + 1, 0
         target = ReplayTarget(self._out, force=True)
-        failed, _ = self._judged(self._excerpt(cfg, window), target, cfg, show)
+        failed, _ = self._judged(self._excerpt(cfg, window), target, cfg)
         self.forget()
         return failed
+
+    @property
+    def input_log(self) -> Path:
+        """The whole log."""
+        return self._source.files[0]
 
     def forget(self) -> None:
         """Remove the file with the verdicts."""
@@ -126,15 +132,15 @@ class ExcerptReplays:
         digest.update(repr((self.criteria, cfg.to_toml(), window)).encode())
         return digest.hexdigest()
 
-    def _replayed(self, cfg: ReplayConfig, window: Window | None, show: Show) -> Verdict:
+    def _replayed(self, cfg: ReplayConfig, window: Window | None) -> ReplayVerdict:
         target = ReplayTarget(self._folder / "replay.mcap", results_only=True, force=True)
         try:
             source = self._source.paths if window is None else self._excerpt(cfg, window)
-            failed, text = self._judged(source, target, cfg, show)
+            failed, text = self._judged(source, target, cfg)
         except NoFrameError as error:
-            return Verdict(text=str(error))
+            return ReplayVerdict(text=str(error))
         if failed is None:
-            return Verdict(text=text)
+            return ReplayVerdict(text=text)
         if isinstance(source, Path) and window is not None:
             self._kept = source.replace(self._folder / "excerpt.mcap"), window
         return _verdict(failed, target)
@@ -144,8 +150,7 @@ class ExcerptReplays:
         if self._kept is not None and self._kept[1] == window:
             return self._kept[0]
         whole = replace(self._source, paths=self._kept[0]) if self._kept else self._source
-        first_ns = log.summarise(whole.files).first_ns or 0
-        start_s, end_s = (ns_to_seconds(time_ns - first_ns) for time_ns in window)
+        start_s, end_s = (ns_to_seconds(time_ns - first_ns(whole)) for time_ns in window)
         target = ReplayTarget(self._folder / "cut.mcap", force=True)
         idle = load_config(None, [switched_off(stage) for stage in STAGES])
         reading = {"sync": cfg.sync, "limits": cfg.limits, "tag_table": cfg.tag_table}
@@ -153,31 +158,41 @@ class ExcerptReplays:
         return target.path
 
     def _judged(
-        self, paths: Path | Sequence[Path], target: ReplayTarget, cfg: ReplayConfig, show: Show
+        self, paths: Path | Sequence[Path], target: ReplayTarget, cfg: ReplayConfig
     ) -> tuple[Result | None, str]:
         """Replay a log; the first criterion that fails, and its text or the reason why none fails."""
-
-        def progress(done: int, expected: int) -> None:
-            activity = f"replay {self.count} of about {self.count + self.left}"
-            show(activity, self._frames + done, self._frames + expected * (1 + self.left))
-
         cfg, own = own_stages(cfg)
         options = ReplayOptions(threads=usable_cores(), own=own)
-        summary = replay(replace(self._source, paths=paths), target, cfg, options, Callbacks(progress))
+        summary = replay(replace(self._source, paths=paths), target, cfg, options, Callbacks(self._progress))
         self._frames += summary.frames
-        results = judge(self.criteria, [open_run(target.metrics, self._source.files[0].name)], self._path)
+        results = judge(self.criteria, [open_run(target.metrics, self.input_log.name)], self._path)
         failed = next((result for result in results if result.outcome == "failed"), None)
-        if failed is None and len(results) == 1:
+        if failed is not None:
+            return failed, failed.text
+        if len(results) == 1:
             return None, f"{results[0].criterion.title} is {results[0].outcome}: {results[0].text}"
-        return failed, "no criterion fails" if failed is None else failed.text
+        found = Counter(result.outcome for result in results)
+        return None, ", ".join(f"{count} {outcome}" for outcome, count in found.items())
+
+    def _progress(self, done: int, expected: int) -> None:
+        """Show the progress over all replays; further ones are expected to be as long as this one."""
+        further = f" of about {self.count + self.left}" if self.left else ""
+        self._show(f"replay {self.count}{further}", self._frames + done, self._frames + expected * (1 + self.left))
 
 
-def _verdict(failed: Result, target: ReplayTarget) -> Verdict:
+def first_ns(source: ReplaySource) -> int:
+    """Log time of the first message of a log."""
+    return log.summarise(log.received(source.files)).first_ns or 0
+
+
+def _verdict(failed: Result, target: ReplayTarget) -> ReplayVerdict:
     """The failing criterion, and the place of its worst frame among the frames of the result log."""
     messages = log.read(log.summarise(target.path), topics=(METRICS_TOPIC,))
-    times_ns = {message.sequence: message.log_time_ns for message in messages}
-    first_ns, *_, last_ns = (*times_ns.values(), max(times_ns.values()))
-    frame_ns = round(median([b - a for a, b in pairwise(times_ns.values()) if b > a] or [NS_PER_S]))
-    worst_ns = times_ns[failed.worst.frame] if failed.worst else first_ns
-    before, after = round((worst_ns - first_ns) / frame_ns), round((last_ns - worst_ns) / frame_ns) + 1
-    return Verdict(failed.criterion.title, failed.text, worst_ns, frame_ns, before, after)
+    by_frame = {message.sequence: message.log_time_ns for message in messages}
+    times_ns = list(by_frame.values())
+    frame_ns = round(
+        median([later - earlier for earlier, later in pairwise(times_ns) if later > earlier] or [NS_PER_S])
+    )
+    worst_ns = by_frame[failed.worst.frame] if failed.worst else times_ns[0]
+    before, after = round((worst_ns - times_ns[0]) / frame_ns), round((times_ns[-1] - worst_ns) / frame_ns) + 1
+    return ReplayVerdict(failed.criterion.title, failed.text, worst_ns, frame_ns, before, after)

@@ -1,6 +1,7 @@
 """roadperc-bisect: the excerpt fails alone and no shorter one does, it names the setting, and continues."""
 
 import shlex
+from contextlib import nullcontext
 
 import polars as pl
 import pytest
@@ -8,8 +9,10 @@ from polars.testing import assert_frame_equal
 
 from roadperc_stream.cli import bisect, check, replay
 from roadperc_stream.config import load_config
+from roadperc_stream.eval import bisect as searching
 from roadperc_stream.eval import bisect_replays
-from roadperc_stream.eval.bisect import changed_settings, with_settings
+from roadperc_stream.eval.bisect import changed_settings, needed_settings, shortest, with_settings
+from roadperc_stream.eval.bisect_replays import ReplayVerdict
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from roadperc_stream.system.time import NS_PER_S
 from tests import logs
@@ -35,13 +38,6 @@ statistic = "max"
 most = 0.001
 least_frames = {HELD}
 filter = "lane_left_status = 'held'"
-
-[[criterion]]
-name = "absent"
-column = "lane_left_offset_m"
-statistic = "mean"
-most = 100
-least_coverage = 1
 """
 SETTINGS = ("lanes.hold_s=3", "seed=3", "lanes.process_noise=0.6", "surface.inlier_m=0.06")
 BASE = "odometry.enabled = false\nobjects.enabled = false\noccupancy.enabled = false\n"
@@ -74,6 +70,8 @@ def test_an_interrupted_search_continues_and_finds_the_excerpt_and_the_setting(g
             raise KeyboardInterrupt
         return original(self, *arguments)
 
+    shown = []
+    monkeypatch.setattr(searching, "job_progress", lambda: nullcontext(lambda *values: shown.append(values)))
     monkeypatch.setattr(bisect_replays.ExcerptReplays, "_replayed", replayed)
     code, _, err = outcome(bisect.main, capsys, *given)
     assert (code, err) == (3, "error: interrupted; run the same command again to continue\n")
@@ -86,6 +84,8 @@ def test_an_interrupted_search_continues_and_finds_the_excerpt_and_the_setting(g
     lines = dict(line.split(maxsplit=1) for line in out.splitlines())
     assert lines["settings"] == "1 of 4 changes needed: lanes.hold_s=3.0"
     assert int(lines["replays"]) == calls[-1] + 1 <= 25
+    assert (shown[0], shown[-1][0]) == (("replay 1", 1, FRAMES), f"replay {lines['replays']}")
+    assert all(done <= total for _, done, total in shown)
     assert lines["show"] == f"roadperc-view drive.bisect.mcap --frame {HELD}"
     rows = pl.read_parquet(results[1])
     assert rows["lane_left_status"].to_list() == ["measured", *["held"] * HELD]
@@ -100,13 +100,50 @@ def names(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_a_frame_without_a_lane_needs_no_setting(given, capsys):
-    code, out, _ = outcome(
-        bisect.main, capsys, *given[:-3], "--set=lanes.hold_s=0.2", "--criterion=absent", "--out=o.mcap"
-    )
-    assert code == 0
-    assert "settings   0 of 1 change needed\n" in out
-    assert pl.read_parquet("o.metrics.parquet")["lane_left_offset_m"].to_list() == [None]
+class Judging:
+    """Replays that fail if ``fails`` says so about the window in frames after the worst one, or about the settings."""
+
+    def __init__(self, fails):
+        self.fails, self.windows, self.left = fails, [], 0
+
+    def verdict(self, cfg, window):
+        self.windows.append(window)
+        return ReplayVerdict("limit" if self.fails(cfg, window) else "")
+
+
+@pytest.mark.parametrize(("first", "last"), [(0, 0), (-19, 0), (-25, 3), (-7, 13), (-150, 150), (-4010, 0)])
+def test_the_excerpt_has_the_frames_that_the_failure_needs(first, last):
+    whole = ReplayVerdict("limit", "", 10**18, 10**8, 4013, 1987)
+
+    def fails(_, window):
+        return window[0] < 10**18 + first * 10**8 and 10**18 + last * 10**8 < window[1]
+
+    judging = Judging(fails)
+    window = shortest(judging, load_config(), whole, 8)
+    assert [(limit_ns - 10**18) / 10**8 for limit_ns in window] == [first - 0.5, last + 0.5]
+    assert len(set(judging.windows)) == len(judging.windows)
+    assert len(judging.windows) <= (16 if last - first < 40 else 31)
+
+
+@pytest.mark.parametrize(
+    ("given", "fails", "needed"),
+    [
+        ((), lambda _: True, ()),
+        (("seed=1", "lanes.hold_s=3"), lambda _: True, ()),
+        (
+            ("seed=1", "lanes.hold_s=3", "lanes.use_odometry=false"),
+            lambda cfg: cfg.seed and cfg.lanes.hold_s == 3,
+            (0, 1),
+        ),
+        (("stereo.p1=1000", "stereo.p2=2000", "seed=1"), lambda cfg: cfg.stereo.p1 == 1000, (0, 1)),
+    ],
+    ids=["no change", "no needed change", "two needed", "not valid without the other"],
+)
+def test_the_needed_settings(given, fails, needed):
+    base, cfg = load_config(), load_config(None, given)
+    changed = changed_settings(base, cfg)
+    found = needed_settings(Judging(lambda part, _: fails(part)), base, cfg, changed, (0, 1))
+    assert set(found) == {given[place].partition("=")[0] for place in needed}
 
 
 def test_nothing_fails_is_one_line_and_exit_code_1(given, capsys, tmp_path):
