@@ -23,7 +23,7 @@ from roadperc_stream.system.text import number, print_line
 from roadperc_stream.system.time import NS_PER_S, ns_to_seconds
 
 from .bisect_replays import ExcerptReplays, ReplayVerdict, Window, first_ns
-from .criteria import Criterion, hint, read_criteria
+from .criteria import Criterion, hint
 from .delta_debugging import ddmin
 from .judging import Result, WorstPlace
 from .runs import open_run
@@ -49,11 +49,11 @@ def bisect(arguments: argparse.Namespace) -> None:
         raise LogError(not_a_log(arguments.log) if arguments.log.is_dir() else f"{arguments.log}: no such file")
     ReplayTarget(out, force=arguments.force).require_writable(source.files, None, resume=False)
     base, cfg = load_config(arguments.base), load_config(arguments.config, arguments.set)
-    criteria = _chosen(read_criteria(arguments.criteria), arguments)
     with target_errors(out):
         out.parent.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(prefix=".roadperc-bisect-", dir=out.parent) as folder, job_progress() as show:
-        replays = ExcerptReplays(source, arguments.criteria, criteria, out, Path(folder), show)
+        replays = ExcerptReplays(source, arguments.criteria, out, Path(folder), show)
+        replays.criteria = _chosen(replays.criteria, arguments)
         try:
             found = _found(replays, base, cfg)
         except KeyboardInterrupt:
@@ -77,7 +77,7 @@ class Found:
     replays: int
 
 
-def _chosen(criteria: Sequence[Criterion], arguments: argparse.Namespace) -> Sequence[Criterion]:
+def _chosen(criteria: tuple[Criterion, ...], arguments: argparse.Namespace) -> tuple[Criterion, ...]:
     """The criterion of ``--criterion``, else all.
 
     Raises:
@@ -87,7 +87,7 @@ def _chosen(criteria: Sequence[Criterion], arguments: argparse.Namespace) -> Seq
     titles = [criterion.title for criterion in criteria]
     if name is not None and name not in titles:
         raise ConfigError(f"{arguments.criteria}: no criterion {name!r}; {hint(name, titles)}")
-    return [criterion for criterion in criteria if name in (None, criterion.title)]
+    return tuple(criterion for criterion in criteria if name in (None, criterion.title))
 
 
 def _found(replays: ExcerptReplays, base: ReplayConfig, cfg: ReplayConfig) -> Found:

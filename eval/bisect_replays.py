@@ -5,6 +5,7 @@ import json
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
@@ -24,7 +25,7 @@ from roadperc_stream.system.files import completing
 from roadperc_stream.system.threads import usable_cores
 from roadperc_stream.system.time import NS_PER_S, TimeRange, ns_to_seconds
 
-from .criteria import Criterion
+from .criteria import read_criteria
 from .judging import Result, judge
 from .runs import open_run
 
@@ -59,18 +60,16 @@ class ExcerptReplays:
     further ones. Each failing excerpt replaces the last one, because the next excerpts are parts of it.
     """
 
-    def __init__(
-        self, source: ReplaySource, path: Path, criteria: Sequence[Criterion], out: Path, folder: Path, show: Show
-    ) -> None:
-        """Read the verdicts of an interrupted search.
+    def __init__(self, source: ReplaySource, path: Path, out: Path, folder: Path, show: Show) -> None:
+        """Read the criteria, and the verdicts of an interrupted search.
 
         ``out`` is the excerpt to write, ``folder`` is for temporary files, and ``show`` shows the progress.
 
         Raises:
+            ConfigError: the criteria cannot be read.
             TableError: the file with the verdicts cannot be read.
-            OSError: the log cannot be read.
         """
-        self.criteria, self.count, self.left = tuple(criteria), 0, 0
+        self.criteria, self.count, self.left = read_criteria(path), 0, 0
         self._source, self._path, self._out, self._folder, self._show = source, path, out, folder, show
         self._file = out.with_suffix(_SUFFIX)
         self._frames = 0
@@ -79,10 +78,6 @@ class ExcerptReplays:
             self._known: dict[str, dict[str, Any]] = json.loads(self._file.read_text()) if self._file.exists() else {}
         except ValueError as error:
             raise TableError(f"{self._file}: is not JSON ({error}); remove it to start over") from error
-        self._digest = hashlib.sha256(repr((__version__, source.overrides)).encode())
-        for file in source.files:
-            with file.open("rb") as stream:
-                self._digest.update(hashlib.file_digest(stream, hashlib.sha256).digest())
 
     def verdict(self, cfg: ReplayConfig, window: Window | None) -> ReplayVerdict:
         """Replay an excerpt alone, or the whole log for None, and judge it.
@@ -128,9 +123,13 @@ class ExcerptReplays:
         return self._file.exists()
 
     def _key(self, cfg: ReplayConfig, window: Window | None) -> str:
-        digest = self._digest.copy()
-        digest.update(repr((self.criteria, cfg.to_toml(), window)).encode())
-        return digest.hexdigest()
+        facts = __version__, self._log_digest, self._source.overrides, self.criteria, cfg.to_toml(), window
+        return hashlib.sha256(repr(facts).encode()).hexdigest()
+
+    @cached_property
+    def _log_digest(self) -> str:
+        with self.input_log.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
 
     def _replayed(self, cfg: ReplayConfig, window: Window | None) -> ReplayVerdict:
         target = ReplayTarget(self._folder / "replay.mcap", results_only=True, force=True)
