@@ -21,7 +21,8 @@ HEAD = """# When something goes wrong
 
 Check a log first: `roadperc-info in.mcap` shows its channels, the role of each topic, and any damage.
 
-An error is one line on stderr, and the exit code is 1, or 3 in `roadperc-check` and `roadperc-compare`.
+An error is one line on stderr, and the exit code is 1, or 3 in `roadperc-bisect`, `roadperc-check` and
+`roadperc-compare`.
 Wrong usage prints the usage as well and has exit code 2.
 A failed command leaves no partial output. Notes and warnings do not change the exit code.
 

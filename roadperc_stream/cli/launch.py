@@ -105,7 +105,7 @@ def _flushed(code: int, command: str) -> int:
 
 def _error_code(command: str) -> int:
     """The exit code of an error; 1 is a result of the commands that judge."""
-    return EXIT_UNDECIDED if command in {"check", "compare"} else EXIT_ERROR
+    return EXIT_UNDECIDED if command in {"bisect", "check", "compare"} else EXIT_ERROR
 
 
 def _refused(why: str, command: str) -> int:
@@ -161,6 +161,7 @@ def _end(_number: int, _frame: FrameType | None, code: int) -> None:
 
 COMMANDS = {
     "batch": "replay many logs, one per core or on a cluster",
+    "bisect": "find the shortest excerpt for which a criterion fails",
     "check": "check runs against limits: passed or failed",
     "compare": "compare runs with a base: worse, better or unchanged",
     "convert": "convert folders of frames, such as CARLA dumps, to a log",

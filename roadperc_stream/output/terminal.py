@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from typing import Final, TextIO
 
 from rich.box import Box
@@ -137,12 +138,23 @@ def print_lines(console: Console, *lines: str | Table, unbroken: bool = False) -
 @contextmanager
 def frame_progress(activity: str, enabled: bool) -> Iterator[Callable[[int, int], None]]:
     """A progress bar over frames on a terminal; nothing in a pipe."""
-    console = PipeConsole(stderr=True)
-    if not (enabled and console.is_terminal):
+    if not enabled:
         yield no_progress
         return
-    columns = (TextColumn(activity), BarColumn(), MofNCompleteColumn(), TextColumn("frames"), TimeRemainingColumn())
+    with job_progress() as show:
+        yield partial(show, activity)
+
+
+@contextmanager
+def job_progress() -> Iterator[Callable[[str, int, int], None]]:
+    """As ``frame_progress``, for a job whose activity changes: the callback takes it with the frames."""
+    console = PipeConsole(stderr=True)
+    if not console.is_terminal:
+        yield lambda _activity, _done, _total: None
+        return
+    text = TextColumn("{task.description}", markup=False)
+    columns = (text, BarColumn(), MofNCompleteColumn(), TextColumn("frames"), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as bar:
         console.show_cursor(True)  # a program that a signal kills does not restore a hidden cursor
-        task = bar.add_task(activity, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+        task = bar.add_task("", total=None)
+        yield lambda activity, done, total: bar.update(task, description=activity, completed=done, total=total)

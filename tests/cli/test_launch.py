@@ -36,6 +36,7 @@ def signalling(folder, library, number):
 
 
 ENOUGH = {
+    "roadperc-bisect": ["in.mcap", "--criteria", "limits.toml"],
     "roadperc-infer": ["in.mcap", "out.mcap", "--network", "n.toml"],
     "roadperc": ["info", "in.mcap"],
     "roadperc-lanes": ["in.mcap", "--tusimple", "lanes.json"],
@@ -44,7 +45,7 @@ ENOUGH = {
     "roadperc-view": ["in.mcap"],
 }
 """Valid arguments of commands that do not take two names."""
-ERRORS = {"roadperc-check": 3, "roadperc-compare": 3}
+ERRORS = {"roadperc-bisect": 3, "roadperc-check": 3, "roadperc-compare": 3}
 """Exit codes of errors, if not 1."""
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -155,7 +156,7 @@ WRITING = [
 ]
 
 
-JUDGES = {"roadperc-check", "roadperc-compare"}
+JUDGES = {"roadperc-bisect", "roadperc-check", "roadperc-compare"}
 """Commands whose exit code 1 is a result; an error exits with 3."""
 CODES = {"--help": 0, "--version": 0, "--wrong": 2, "none.mcap": 1}
 """Exit codes of the arguments."""
