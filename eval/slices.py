@@ -45,7 +45,7 @@ def slices_of_runs(runs: Sequence[Run], by: Sequence[str]) -> Answer:
     columns = frozenset[str]().union(*(run.columns for run in runs)) | {_LOG}
     if of_objects(by, columns):
         tables = [(run.name, table, table.objects) for run in runs for table in run.tables]
-        scanned_objects = [_objects(name, table, path) for name, table, path in tables if path]
+        scanned_objects = [objects_of(name, table, path) for name, table, path in tables if path]
         if not scanned_objects:
             raise TableError(f"--by {','.join(by)}: {runs[0].beside(OBJECTS_SUFFIX)} does not exist; expected it")
         return object_slices(pl.concat(scanned_objects, how="diagonal_relaxed"), by, str(runs[0].path))
@@ -88,7 +88,8 @@ def _keyed(run: Run, by: Sequence[str]) -> pl.DataFrame:
     )
 
 
-def _objects(name: str, table: Run, path: Path) -> pl.LazyFrame:
+def objects_of(name: str, table: Run, path: Path) -> pl.LazyFrame:
+    """The rows of the table of objects at ``path``, which belongs to a metrics table; ``log`` is ``name``."""
     rows = pl.scan_parquet(path, glob=False).with_columns(pl.lit(name).alias(_LOG))
     return rows if table.end_frame is None else rows.filter(pl.col("frame") < table.end_frame)
 

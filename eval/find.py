@@ -1,0 +1,163 @@
+"""Finds events in the logs of a dataset, or of runs: prints a table, and writes JSON and excerpts of the logs."""
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import polars as pl
+
+from roadperc_stream.errors import TableError
+from roadperc_stream.output.terminal import console_for, print_lines
+from roadperc_stream.system.text import number
+from roadperc_stream.system.time import ns_to_seconds
+
+from .clips import Clip, write_clips
+from .continued import find_joined
+from .dataset.keys import LOG, log_names
+from .dataset.pairs import in_a_folder
+from .dataset.place import (
+    DONE,
+    FILE,
+    NO_TABLES,
+    Dataset,
+    dataset_at,
+    metrics_files,
+    read_runs,
+    scan_tables,
+    without_file,
+)
+from .dataset.reading import metrics_tables
+from .dataset.worst import LogKey
+from .events import Condition, Searched, condition_of, events_of, matches
+from .frame_commands import view_command, view_dataset_command
+from .frames import runs_of_keys
+from .machine import require_result, write_json
+from .runs import Run
+from .scan import rows_of
+from .slices import objects_of
+
+_LISTED: Final = 40
+
+
+@dataclass(frozen=True)
+class _Place:
+    """The logs to search: their tables, and how to name a log, to show a frame of it, and to find its runs.
+
+    ``absent`` are the logs and configurations whose files other logs have replaced.
+    """
+
+    tables: Searched
+    absent: pl.DataFrame
+    name: Callable[[LogKey], str]
+    command: Callable[[LogKey, int], str]
+    runs: Callable[[Sequence[LogKey], ExitStack], dict[LogKey, Run]]
+
+
+def find(arguments: argparse.Namespace) -> None:
+    """Print the events of a condition, and write the files that the options name.
+
+    Raises:
+        TableError: there are no tables, a table cannot be read, or the condition does not fit.
+        RoadpercError: a file cannot be written, or a log cannot be read or replayed.
+    """
+    dataset = dataset_at(arguments.dataset)
+    place = _of_dataset(dataset) if dataset else _of_runs(find_joined([arguments.dataset]).runs)
+    schema = place.tables.schema()
+    condition = condition_of(arguments.condition, arguments.peak or "", schema)
+    found = matches(place.tables, condition, schema).join(place.absent, on=LOG, how="anti")
+    events = [
+        {"log": place.name(key), **row, "seconds": ns_to_seconds(row["last_ns"] - row["first_ns"]), "command": command}
+        for row in events_of(found, arguments.gap, arguments.min_seconds, lowest=condition.lowest).to_dicts()
+        for key in [(row["log_id"], row["config"])]
+        for command in [place.command(key, row["peak_frame"])]
+    ]
+    clips = [_clip(event, arguments.clips) for event in events] if arguments.clips else []
+    if arguments.json:
+        files = [{"clip": str(clip.path)} for clip in clips] or [{}] * len(events)
+        of_events = [event | file for event, file in zip(events, files, strict=True)]
+        values = {"condition": arguments.condition, "peak": condition.peak, "events": of_events}
+        write_json(require_result(arguments.json), values)
+    print_lines(console_for(sys.stdout), *_lines(events, condition, arguments.condition), unbroken=True)
+    if clips:
+        with ExitStack() as stack:
+            runs = place.runs(list(dict.fromkeys(clip.key for clip in clips)), stack)
+            write_clips(clips, runs, arguments)
+
+
+def _of_dataset(dataset: Dataset) -> _Place:
+    files = metrics_files(dataset)
+    if not files:
+        raise TableError(f"{dataset.address}: {NO_TABLES}")
+    metrics_tables(files)
+    objects = dataset.tables("objects", "date=*", "*.parquet")
+    runs = read_runs(dataset)
+    done = runs.filter(pl.col("log_id").is_not_null(), pl.col("status") == DONE)
+    names = log_names(done["log_id"].unique(maintain_order=True), runs)
+    several = runs["config"].n_unique() > 1
+
+    def command(key: LogKey, frame: int) -> str:
+        return view_dataset_command(dataset.address, names.get(key[0], key[0]), frame, key[1] if several else "")
+
+    def runs_of(keys: Sequence[LogKey], stack: ExitStack) -> dict[LogKey, Run]:
+        local = replace(stack.enter_context(in_a_folder(dataset)), copy_of=dataset.address)
+        return runs_of_keys(local, runs, keys, names)
+
+    return _Place(
+        Searched(partial(_scan, files), partial(_scan, objects) if objects else None, files),
+        without_file(runs).select(LOG),
+        lambda key: " ".join((names.get(key[0], key[0]), *([key[1]] if several else []))),
+        command,
+        runs_of,
+    )
+
+
+def _scan(files: Sequence[str], columns: Sequence[str] | None) -> pl.LazyFrame:
+    return scan_tables(files, columns).drop(FILE)
+
+
+def _of_runs(runs: Sequence[Run]) -> _Place:
+    """The logs of runs; the name of a run takes the place of its ``log_id``."""
+    named = {run.name: run for run in runs}
+    none = pl.lit("").alias("config")
+    frames = [rows_of(run).with_columns(none, log_id=pl.lit(run.name)) for run in runs]
+    tables = [objects_of(run.name, table, table.objects) for run in runs for table in run.tables if table.objects]
+    objects = [rows.with_columns(none, log_id=pl.col("log")).drop("log") for rows in tables]
+    return _Place(
+        Searched(
+            lambda _: pl.concat(frames, how="diagonal_relaxed"),
+            (lambda _: pl.concat(objects, how="diagonal_relaxed")) if objects else None,
+            [str(table.path) for run in runs for table in run.tables],
+        ),
+        pl.DataFrame(schema=dict.fromkeys(LOG, pl.String)),
+        lambda key: key[0],
+        lambda key, frame: view_command(named[key[0]], frame),
+        lambda keys, _: {key: named[key[0]] for key in keys},
+    )
+
+
+def _lines(events: Sequence[dict[str, Any]], condition: Condition, text: str) -> Iterator[str]:
+    """The number of events, then a table of the worst ones, with the command that shows the peak of each."""
+    logs = number(len({event["log"] for event in events}), "log")
+    yield f"{number(len(events), 'event')} in {logs}: {text}" if events else f"no event: {text}"
+    rows = [("log", "first", "last", "seconds", condition.peak, "command")] if events else []
+    for event in events[:_LISTED]:
+        peak = "" if event["peak"] is None else f"{event['peak']:.4g}"
+        frames = str(event["first_frame"]), str(event["last_frame"]), f"{event['seconds']:.2f}"
+        rows.append((event["log"], *frames, peak, event["command"]))
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for log, *numbers, command in rows:
+        cells = (cell.rjust(width) for cell, width in zip(numbers, widths[1:-1], strict=True))
+        yield "  ".join((log.ljust(widths[0]), *cells, command))
+    if len(events) > _LISTED:
+        yield f"listed: the worst {_LISTED} of {len(events)}; --json writes all"
+
+
+def _clip(event: dict[str, Any], folder: Path) -> Clip:
+    name = f"{event['log']}-{event['first_frame']}".replace("/", "_").replace(" ", "_")
+    frames = event["first_frame"], event["last_frame"], event["peak_frame"]
+    return Clip(folder / f"{name}.mcap", (event["log_id"], event["config"]), frames)
