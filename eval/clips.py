@@ -4,7 +4,6 @@ import argparse
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from heapq import merge
 from pathlib import Path
 
@@ -23,56 +22,53 @@ from roadperc_stream.system.time import TimeRange, ns_to_seconds
 from roadperc_stream.view.frame_times import frame_times
 
 from .dataset.worst import LogKey
+from .events import Event
 from .frame_replay import AFTER_S, BEFORE_S, kept_log, recorded_config, recorded_replay
 from .runs import Run
 
 
-@dataclass(frozen=True)
-class Clip:
-    """An excerpt to write: its file, its log, and the first frame, the last frame and the peak of its event."""
+def write_clips(events: Sequence[Event], runs: Mapping[LogKey, Run], arguments: argparse.Namespace) -> None:
+    """Write the ``clip`` of each event, with ``BEFORE_S`` before and ``AFTER_S`` after it, and print a summary.
 
-    path: Path
-    key: LogKey
-    frames: tuple[int, int, int]
-
-
-def write_clips(clips: Sequence[Clip], runs: Mapping[LogKey, Run], arguments: argparse.Namespace) -> None:
-    """Write excerpts with ``BEFORE_S`` before and ``AFTER_S`` after the event, and print what was written.
+    ``runs`` has the run of each ``log_id`` and ``config``.
 
     Raises:
-        RoadpercError: some excerpts cannot be written; a line gives the reason of each.
+        LogError: some clips cannot be written; a line gives the reason of each.
     """
     failed = 0
-    for clip in clips:
+    for event in events:
         try:
-            with frame_progress(clip.path.name, enabled=True) as progress, ExitStack() as files:
-                notes = _write(clip, runs[clip.key].table_of(clip.frames[0]), arguments, files, progress)
+            with frame_progress("clip", enabled=True) as progress, ExitStack() as files:
+                run = runs[event.log_id, event.config].table_of(event.first_frame)
+                notes = _write(event, run, arguments, files, progress)
             for note in notes:
-                print_line(f"note: {clip.path}: {note}")
+                print_line(f"note: {event.clip}: {note}")
         except RoadpercError as error:
             failed += 1
-            print_line(f"warning: {clip.path} was not written: {error}", sys.stderr)
-    print_line(f"wrote {number(len(clips) - failed, 'clip')} to {arguments.clips}")
+            print_line(f"warning: no {event.clip}: {error}", sys.stderr)
+    print_line(f"wrote {number(len(events) - failed, 'clip')} to {arguments.clips}")
     if failed:
-        raise LogError(f"{arguments.clips}: {failed} of {number(len(clips), 'clip')} were not written")
+        raise LogError(f"{arguments.clips}: {failed} of {number(len(events), 'clip')} could not be written")
 
 
 def _write(
-    clip: Clip, run: Run, arguments: argparse.Namespace, files: ExitStack, progress: Progress
+    event: Event, run: Run, arguments: argparse.Namespace, files: ExitStack, progress: Progress
 ) -> tuple[str, ...]:
-    """Write an excerpt; returns notes on values that differ from the recorded ones."""
-    target = ReplayTarget(clip.path, force=arguments.force)
+    """Write a clip; returns notes on values that differ from the recorded ones."""
+    target = ReplayTarget(Path(event.clip or ""), force=arguments.force)
     kept = kept_log(run)
     if kept is not None and not all(map(is_result, log.summarise(kept).channels)):
         target.require_writable((kept,), None, resume=False)
-        _cut(kept, clip, recorded_config(run, (), files))
+        _cut(kept, event, target.path, recorded_config(run, (), files))
         return ()
-    return recorded_replay(run, arguments.topic, arguments.set, files).excerpt(clip.frames, target, progress).notes
+    recorded = recorded_replay(run, arguments.topic, arguments.set, files)
+    frames = event.first_frame, event.last_frame, event.peak_frame
+    return recorded.excerpt(frames, target, progress).notes
 
 
-def _cut(source: Path, clip: Clip, cfg: ReplayConfig) -> None:
+def _cut(source: Path, event: Event, target: Path, cfg: ReplayConfig) -> None:
     """Copy the messages and the results around an event, and the calibrations and transforms that hold there."""
-    first, last, _ = clip.frames
+    first, last = event.first_frame, event.last_frame
     around = [ns for frame, ns in frame_times(source).items() if first <= frame <= last]
     if not around:
         raise LogError(f"{source}: has no results of the frames {first} to {last}; it is not the log of the run")
@@ -83,7 +79,7 @@ def _cut(source: Path, clip: Clip, cfg: ReplayConfig) -> None:
     topics = {channel.topic for channel in channels if is_result(channel)}
     read = log.read(found.summary, topics=topics, start_ns=window.start_ns, end_ns=window.end_ns)
     results = (message for message in read if is_result(message.channel))
-    with LogWriter(clip.path, found.summary.profile) as writer:
+    with LogWriter(target, found.summary.profile) as writer:
         for channel in channels:
             writer.register(channel)
         for message in merge(found.messages(), results, key=lambda message: message.log_time_ns):

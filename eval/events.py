@@ -9,7 +9,7 @@ import polars as pl
 
 from roadperc_stream.errors import TableError
 from roadperc_stream.schemas.columns import FrameMetrics, columns_of
-from roadperc_stream.system.time import NS_PER_S, seconds_to_ns
+from roadperc_stream.system.time import NS_PER_S, ns_to_seconds, seconds_to_ns
 
 from .dataset.keys import LOG
 from .dataset.reading import reading_files
@@ -22,6 +22,33 @@ _IN_SQL: Final = re.compile(r"""('(?:[^']|'')*')|(?<!")\bobjects\.(?:"(\w+)"|(\w
 """A text, or a column of objects."""
 _FRAME: Final = (*LOG, "frame")
 _BETTER: Final = {name: column.better for name, column in columns_of(FrameMetrics).items()}
+
+
+@dataclass(frozen=True)
+class Event:
+    """Frames of a log that fulfil a condition, close in time.
+
+    ``frames`` is their number. ``peak`` is None if no frame has a value; then ``peak_frame`` is the first frame.
+    ``command`` shows that frame. ``clip`` is the path of the excerpt to write, None without ``--clips``.
+    """
+
+    log: str
+    log_id: str
+    config: str
+    first_frame: int
+    last_frame: int
+    frames: int
+    first_ns: int
+    last_ns: int
+    peak: float | None
+    peak_frame: int
+    command: str
+    clip: str | None
+
+    @property
+    def seconds(self) -> float:
+        """From the first frame to the last."""
+        return ns_to_seconds(self.last_ns - self.first_ns)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
@@ -14,9 +14,7 @@ import polars as pl
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.terminal import console_for, print_lines
 from roadperc_stream.system.text import number
-from roadperc_stream.system.time import ns_to_seconds
 
-from .clips import Clip, write_clips
 from .continued import find_joined
 from .dataset.keys import LOG, log_names
 from .dataset.pairs import in_a_folder
@@ -33,15 +31,16 @@ from .dataset.place import (
 )
 from .dataset.reading import metrics_tables
 from .dataset.worst import LogKey
-from .events import Condition, Searched, condition_of, events_of, matches
+from .events import Condition, Event, Searched, condition_of, events_of, matches
 from .frame_commands import view_command, view_dataset_command
 from .frames import runs_of_keys
 from .machine import require_result, write_json
 from .runs import Run
-from .scan import rows_of
-from .slices import objects_of
+from .scan import objects_of, rows_of
 
+WriteClips = Callable[[Sequence[Event], Mapping[LogKey, Run], argparse.Namespace], None]
 _LISTED: Final = 40
+"""Events in the table."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +57,10 @@ class _Place:
     runs: Callable[[Sequence[LogKey], ExitStack], dict[LogKey, Run]]
 
 
-def find(arguments: argparse.Namespace) -> None:
+def find(arguments: argparse.Namespace, write_clips: WriteClips | None) -> None:
     """Print the events of a condition, and write the files that the options name.
+
+    ``write_clips`` is None without clips, since its import is slow.
 
     Raises:
         TableError: there are no tables, a table cannot be read, or the condition does not fit.
@@ -70,23 +71,28 @@ def find(arguments: argparse.Namespace) -> None:
     schema = place.tables.schema()
     condition = condition_of(arguments.condition, arguments.peak or "", schema)
     found = matches(place.tables, condition, schema).join(place.absent, on=LOG, how="anti")
-    events = [
-        {"log": place.name(key), **row, "seconds": ns_to_seconds(row["last_ns"] - row["first_ns"]), "command": command}
-        for row in events_of(found, arguments.gap, arguments.min_seconds, lowest=condition.lowest).to_dicts()
-        for key in [(row["log_id"], row["config"])]
-        for command in [place.command(key, row["peak_frame"])]
-    ]
-    clips = [_clip(event, arguments.clips) for event in events] if arguments.clips else []
+    rows = events_of(found, arguments.gap, arguments.min_seconds, lowest=condition.lowest)
+    events = [_event(row, place, arguments.clips) for row in rows.iter_rows(named=True)]
     if arguments.json:
-        files = [{"clip": str(clip.path)} for clip in clips] or [{}] * len(events)
-        of_events = [event | file for event, file in zip(events, files, strict=True)]
+        of_events = [vars(event) | {"seconds": event.seconds} for event in events]
         values = {"condition": arguments.condition, "peak": condition.peak, "events": of_events}
         write_json(require_result(arguments.json), values)
     print_lines(console_for(sys.stdout), *_lines(events, condition, arguments.condition), unbroken=True)
-    if clips:
-        with ExitStack() as stack:
-            runs = place.runs(list(dict.fromkeys(clip.key for clip in clips)), stack)
-            write_clips(clips, runs, arguments)
+    if events and write_clips:
+        with ExitStack() as files:
+            write_clips(events, place.runs(list(dict.fromkeys(map(_key, events))), files), arguments)
+
+
+def _key(event: Event) -> LogKey:
+    return event.log_id, event.config
+
+
+def _event(row: Mapping[str, Any], place: _Place, clips: Path | None) -> Event:
+    key = row["log_id"], row["config"]
+    name = place.name(key)
+    clip = f"{name}-{row['first_frame']}.mcap".replace("/", "_").replace(" ", "_")
+    command = place.command(key, row["peak_frame"])
+    return Event(log=name, **row, command=command, clip=str(clips / clip) if clips else None)
 
 
 def _of_dataset(dataset: Dataset) -> _Place:
@@ -140,24 +146,21 @@ def _of_runs(runs: Sequence[Run]) -> _Place:
     )
 
 
-def _lines(events: Sequence[dict[str, Any]], condition: Condition, text: str) -> Iterator[str]:
+def _lines(events: Sequence[Event], condition: Condition, text: str) -> Iterator[str]:
     """The number of events, then a table of the worst ones, with the command that shows the peak of each."""
-    logs = number(len({event["log"] for event in events}), "log")
-    yield f"{number(len(events), 'event')} in {logs}: {text}" if events else f"no event: {text}"
-    rows = [("log", "first", "last", "seconds", condition.peak, "command")] if events else []
+    logs = number(len({_key(event) for event in events}), "log")
+    if not events:
+        yield f"no event: {text}"
+        return
+    yield f"{number(len(events), 'event')} in {logs}: {text}"
+    rows = [("log", "first", "last", "seconds", condition.peak, "command")]
     for event in events[:_LISTED]:
-        peak = "" if event["peak"] is None else f"{event['peak']:.4g}"
-        frames = str(event["first_frame"]), str(event["last_frame"]), f"{event['seconds']:.2f}"
-        rows.append((event["log"], *frames, peak, event["command"]))
+        peak = "" if event.peak is None else f"{event.peak:.4g}"
+        frames = str(event.first_frame), str(event.last_frame), f"{event.seconds:.2f}"
+        rows.append((event.log, *frames, peak, event.command))
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for log, *numbers, command in rows:
         cells = (cell.rjust(width) for cell, width in zip(numbers, widths[1:-1], strict=True))
         yield "  ".join((log.ljust(widths[0]), *cells, command))
     if len(events) > _LISTED:
         yield f"listed: the worst {_LISTED} of {len(events)}; --json writes all"
-
-
-def _clip(event: dict[str, Any], folder: Path) -> Clip:
-    name = f"{event['log']}-{event['first_frame']}".replace("/", "_").replace(" ", "_")
-    frames = event["first_frame"], event["last_frame"], event["peak_frame"]
-    return Clip(folder / f"{name}.mcap", (event["log_id"], event["config"]), frames)

@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, Final
 
 import polars as pl
@@ -23,7 +22,7 @@ from .expressions import as_key, key_name, require_roots, roots
 from .frame_commands import view_command
 from .quantities import RANKED, percent
 from .runs import Run, collect
-from .scan import rows_of, scanned, worst_frames
+from .scan import objects_of, rows_of, scanned, worst_frames
 from .summary import EXACT_FRAMES, Summary, WorstFrame, worst_of
 
 _LOG: Final = "log"
@@ -86,12 +85,6 @@ def _keyed(run: Run, by: Sequence[str]) -> pl.DataFrame:
     return collect(
         pl.concat([scanned(rows, run.columns), keys], how="horizontal").with_columns(config), run.source_name
     )
-
-
-def objects_of(name: str, table: Run, path: Path) -> pl.LazyFrame:
-    """The rows of the table of objects at ``path``, which belongs to a metrics table; ``log`` is ``name``."""
-    rows = pl.scan_parquet(path, glob=False).with_columns(pl.lit(name).alias(_LOG))
-    return rows if table.end_frame is None else rows.filter(pl.col("frame") < table.end_frame)
 
 
 def object_slices(rows: pl.LazyFrame, by: Sequence[str], source: str) -> Answer:

@@ -22,7 +22,8 @@ def main(argv: list[str] | None = None) -> int:
     """``roadperc-find``: print the events, with the command that shows each."""
     arguments = parse(_parser(), argv)
     finding = part("eval.find")
-    return run(lambda: finding.find(arguments))
+    write_clips = part("eval.clips").write_clips if arguments.clips else None
+    return run(lambda: finding.find(arguments, write_clips))
 
 
 def _parser() -> argparse.ArgumentParser:

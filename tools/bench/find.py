@@ -85,7 +85,7 @@ def _template(kind: str, seed: int, frames: int, event: bool) -> bytes:
         "distance_m": values,
     }
     named = {name: np.repeat(np.asarray(column), copies) for name, column in of_frames.items()}
-    named |= {"log_id": [_ID.decode()] * rows, "config": [_CONFIG] * rows}
+    named |= {"log_id": np.repeat(_ID.decode(), rows), "config": np.repeat(_CONFIG, rows)}
     table = random_table(arrow_schema(row_type, times, {}, {"config": _CONFIG}), seed, rows, named)
     compression = dict.fromkeys(table.column_names, "zstd") | {"log_id": "none"}
     pq.write_table(table, buffer := BytesIO(), ROW_GROUP_ROWS, compression=compression)

@@ -104,7 +104,7 @@ def numbered(rows: int) -> dict[str, Sequence[int]]:
     return {"frame": range(rows), "segment": [0] * rows, "stamp_ns": range(0, rows * _STEP_NS, _STEP_NS)}
 
 
-def random_table(schema: pa.Schema, seed: int, rows: int, named: Mapping[str, Sequence[Any]]) -> pa.Table:
+def random_table(schema: pa.Schema, seed: int, rows: int, named: Mapping[str, Any]) -> pa.Table:
     """Return a table of random values, and of the values of the ``named`` columns."""
     rng = np.random.default_rng(seed)
     columns = {field.name: _values(field, rng, rows) for field in schema}
