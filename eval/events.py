@@ -21,6 +21,8 @@ OBJECTS: Final = "objects."
 _IN_SQL: Final = re.compile(r"""('(?:[^']|'')*')|(?<!")\bobjects\.(?:"(\w+)"|(\w+))""")
 """A text, or a column of objects."""
 _FRAME: Final = (*LOG, "frame")
+_PLACES: Final = ("frame", "stamp_ns", SEGMENT)
+"""Columns of numbers that are no measurement."""
 _BETTER: Final = {name: column.better for name, column in columns_of(FrameMetrics).items()}
 
 
@@ -107,7 +109,7 @@ def condition_of(text: str, peak: str, schema: dict[str, pl.DataType]) -> Condit
     _require_condition(text, rule, schema)
     if peak and not schema[peak].is_numeric():
         raise TableError(f"--peak {peak}: is of type {schema[peak]}, expected numbers")
-    peak = peak or next((name for name in names if schema[name].is_numeric()), "")
+    peak = peak or next((name for name in names if schema[name].is_numeric() and name not in _PLACES), "")
     below = re.search(rf"(?<![\w.]){re.escape(peak)}\s*<(?!>)", text) if peak else None
     return Condition(rule, peak, below is not None or _BETTER.get(peak) == "high")
 
