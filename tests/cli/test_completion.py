@@ -77,6 +77,7 @@ def test_every_command_completes_its_options(command, folder):
         ("roadperc-report --html ", ["a.html", "drive/"]),
         ("roadperc-compare a.mcap ", ["a.mcap", "a.metrics.parquet", "b.mcap", "drive/"]),
         ("roadperc-check a.mcap --criteria ", ["a.toml", "drive/"]),
+        ("roadperc-find drive x --json ", ["a.json", "drive/"]),
         ("roadperc-trajectory --export-tum ", ["drive/"]),
         ("roadperc-lanes a.mcap --truth ", ["a.json", "drive/"]),
         ("roadperc-view --save ", ["a.rrd", "drive/"]),
