@@ -91,7 +91,7 @@ bench-report: $(VENV)/.installed  # speed of reports: writes 5 GB, needs 8 GB of
 	$(BIN)/python -m roadperc_stream.tools.bench.report logs/runs/bench-report
 
 bench-find: $(VENV)/.installed  # speed of roadperc-find over 10,000 logs: writes 6 GB
-	$(BIN)/python -m roadperc_stream.tools.bench.find logs/runs/bench-find
+	$(BIN)/python -m tests.eval.bench_find logs/runs/bench-find
 
 ENGINE ?= docker
 IMAGE ?= roadperc

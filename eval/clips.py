@@ -3,9 +3,9 @@
 import argparse
 import sys
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
 from heapq import merge
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from roadperc_stream import log
 from roadperc_stream.config import ReplayConfig
@@ -16,14 +16,13 @@ from roadperc_stream.log import LogWriter, Metadata
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.schemas import record
-from roadperc_stream.system.progress import Progress
 from roadperc_stream.system.text import number, print_line
 from roadperc_stream.system.time import TimeRange, ns_to_seconds
 from roadperc_stream.view.frame_times import frame_times
 
 from .dataset.worst import LogKey
 from .events import Event
-from .frame_replay import AFTER_S, BEFORE_S, kept_log, recorded_config, recorded_replay
+from .frame_replay import AFTER_S, BEFORE_S, Part, kept_log, recorded_config, replayed
 from .runs import Run
 
 
@@ -38,10 +37,8 @@ def write_clips(events: Sequence[Event], runs: Mapping[LogKey, Run], arguments: 
     failed = 0
     for event in events:
         try:
-            with frame_progress("clip", enabled=True) as progress, ExitStack() as files:
-                run = runs[event.log_id, event.config].table_of(event.first_frame)
-                notes = _write(event, run, arguments, files, progress)
-            for note in notes:
+            run = runs[event.log_id, event.config].table_of(event.first_frame)
+            for note in _write(event, run, arguments):
                 print_line(f"note: {event.clip}: {note}")
         except RoadpercError as error:
             failed += 1
@@ -51,19 +48,18 @@ def write_clips(events: Sequence[Event], runs: Mapping[LogKey, Run], arguments: 
         raise LogError(f"{arguments.clips}: {failed} of {number(len(events), 'clip')} could not be written")
 
 
-def _write(
-    event: Event, run: Run, arguments: argparse.Namespace, files: ExitStack, progress: Progress
-) -> tuple[str, ...]:
+def _write(event: Event, run: Run, arguments: argparse.Namespace) -> tuple[str, ...]:
     """Write a clip; returns notes on values that differ from the recorded ones."""
     target = ReplayTarget(Path(event.clip or ""), force=arguments.force)
     kept = kept_log(run)
-    if kept is not None and not all(map(is_result, log.summarise(kept).channels)):
-        target.require_writable((kept,), None, resume=False)
-        _cut(kept, event, target.path, recorded_config(run, (), files))
-        return ()
-    recorded = recorded_replay(run, arguments.topic, arguments.set, files)
-    frames = event.first_frame, event.last_frame, event.peak_frame
-    return recorded.excerpt(frames, target, progress).notes
+    with TemporaryDirectory(prefix="roadperc-find-") as folder:
+        if kept is not None and not all(map(is_result, log.summarise(kept).channels)):
+            target.require_writable((kept,), None, resume=False)
+            _cut(kept, event, target.path, recorded_config(run, (), Path(folder)))
+            return ()
+        part = Part(event.peak_frame, (event.first_ns, event.last_ns), target)
+        with frame_progress("clip", enabled=True) as progress:
+            return replayed(run, part, arguments.topic, arguments.set, Path(folder), progress).notes
 
 
 def _cut(source: Path, event: Event, target: Path, cfg: ReplayConfig) -> None:

@@ -14,7 +14,7 @@ from roadperc_stream.system.time import NS_PER_S, ns_to_seconds, seconds_to_ns
 from .dataset.keys import LOG
 from .dataset.reading import reading_files
 from .expressions import on_empty_rows, parsed, similar
-from .scan import SEGMENT, segment
+from .scan import SEGMENT, segment, typed
 
 OBJECTS: Final = "objects."
 """Prefix of the columns of objects in a condition."""
@@ -83,11 +83,6 @@ class Condition:
     peak: str
     lowest: bool
 
-    @property
-    def columns(self) -> set[str]:
-        """The columns that it reads."""
-        return {*self.rule.meta.root_names(), *([self.peak] if self.peak else [])}
-
 
 def condition_of(text: str, peak: str, schema: dict[str, pl.DataType]) -> Condition:
     """A condition in SQL; without a ``peak`` its first column of numbers.
@@ -133,17 +128,15 @@ def matches(searched: Searched, condition: Condition, schema: dict[str, pl.DataT
     Raises:
         TableError: a table cannot be read.
     """
-    wanted = {*_FRAME, "stamp_ns", SEGMENT, *condition.columns}
+    wanted = {*LOG, *_PLACES, condition.peak, *condition.rule.meta.root_names()}
     own = [name for name in schema if name in wanted and not name.startswith(OBJECTS)]
     joined = [name.removeprefix(OBJECTS) for name in wanted if name.startswith(OBJECTS)]
     rows = searched.frames(own).select(own)
     if joined and searched.objects:
         named = [pl.col(name).alias(f"{OBJECTS}{name}") for name in joined]
         rows = rows.join(searched.objects((*_FRAME, *joined)).select(*_FRAME, *named), on=_FRAME, how="left")
-    value = pl.col(condition.peak) if condition.peak else pl.lit(None)
-    found = rows.filter(condition.rule).select(
-        *LOG, segment(schema), "frame", "stamp_ns", value.cast(pl.Float64).alias("value")
-    )
+    value = typed(schema, condition.peak, pl.Float64()).alias("value")
+    found = rows.filter(condition.rule).select(*LOG, segment(schema), "frame", "stamp_ns", value)
     with reading_files(searched.files):
         return found.collect(engine="streaming")
 

@@ -5,7 +5,7 @@ import math
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -15,7 +15,7 @@ import polars as pl
 from roadperc_stream import log
 from roadperc_stream.batch.storage.addresses import is_address
 from roadperc_stream.batch.storage.location import Location
-from roadperc_stream.chain.own_stage import OwnStages, own_stages
+from roadperc_stream.chain.own_stage import own_stages
 from roadperc_stream.config import ReplayConfig, implementations, load_config
 from roadperc_stream.errors import ConfigError, LogError, TableError
 from roadperc_stream.input import ReplaySource
@@ -57,6 +57,18 @@ class FrameToShow:
     notes: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True)
+class Part:
+    """The part of a log to replay: up to a frame, or around the first and the last stamp ``span_ns`` of an excerpt.
+
+    ``target`` keeps the replay; None writes it into a temporary folder.
+    """
+
+    frame: int
+    span_ns: tuple[int, int] | None = None
+    target: ReplayTarget | None = None
+
+
 def shown(
     run: Run | Path, frame: int | None, topics: Sequence[str], changed: Sequence[str], files: ExitStack, bar: Progress
 ) -> FrameToShow:
@@ -81,8 +93,8 @@ def shown(
         return FrameToShow(kept, frame)
     if frame is None:
         raise TableError(f"{run.path}: its result log was not kept; pass --frame N or --worst COLUMN")
-    recorded = recorded_replay(run, topics, changed, files)
-    return recorded.up_to(frame, Path(files.enter_context(_folder()), "out.mcap"), bar)
+    folder = Path(files.enter_context(TemporaryDirectory(prefix="roadperc-view-")))
+    return replayed(run, Part(frame), topics, changed, folder, bar)
 
 
 def kept_log(run: Run) -> Path | None:
@@ -91,104 +103,55 @@ def kept_log(run: Run) -> Path | None:
     return path if path.is_file() else None
 
 
-def _folder() -> TemporaryDirectory[str]:
-    return TemporaryDirectory(prefix="roadperc-view-")
-
-
-def recorded_config(run: Run, changed: Sequence[str], files: ExitStack) -> ReplayConfig:
-    """The configuration that a table records, with ``changed`` settings.
-
-    Raises:
-        ConfigError: a setting does not fit.
-    """
-    config = Path(files.enter_context(_folder()), CONFIG_ATTACHMENT)
+def recorded_config(run: Run, changed: Sequence[str], folder: Path) -> ReplayConfig:
+    """The configuration that a table records, with ``changed`` settings; ``folder`` is temporary."""
+    config = folder / CONFIG_ATTACHMENT
     config.write_text(run.config, "utf-8", errors="surrogateescape")
     return load_config(config, changed)
 
 
-def recorded_replay(run: Run, topics: Sequence[str], changed: Sequence[str], files: ExitStack) -> "RecordedReplay":
-    """The replay that a table records; the arguments are those of ``shown``.
-
-    Raises:
-        TableError: the table has no configuration.
-        LogError: the input is missing.
-        ConfigError: a stage of the user's own is not repeated.
-    """
+def replayed(
+    run: Run, part: Part, topics: Sequence[str], changed: Sequence[str], folder: Path, progress: Progress
+) -> FrameToShow:
+    """A replay of a part of a run's input; the arguments and errors are those of ``shown``, ``folder`` is temporary."""
     if not run.source or not run.config:
         raise TableError(f"{run.path}: does not record the input and the configuration; replay the log")
-    cfg = recorded_config(run, changed, files)
+    rows = collect(rows_of(run), run.source_name)
+    found = rows.filter(pl.col("frame") == part.frame)
+    if found.is_empty():
+        raise TableError(f"{run.path}: no frame {part.frame}; the table has {number(rows.height, 'frame')}")
+    row, cfg = found.row(0, named=True), recorded_config(run, changed, folder)
     named = [f"{stage}.implementation={name}" for stage, name in implementations(cfg)]
     if missing := [f"--set {setting}" for setting in named if setting not in changed]:
         raise ConfigError(f"{run.path}: used a stage of your own; to run its code, pass {' '.join(missing)}")
-    options = _options(run.options)
-    source = _input(run, Path(files.enter_context(_folder())))
-    return RecordedReplay(run, source, *own_stages(cfg), parse_topic_options([*options.topic, *topics]), options)
+    cfg, own = own_stages(cfg)
+    source, options = _input(run, folder), _options(run.options)
+    time_range, warm_up_s = _time_range(row, part, options, log.summarise(source).first_ns or 0)
+    target = part.target or ReplayTarget(folder / "out.mcap")
+    replay(
+        ReplaySource(source, parse_topic_options([*options.topic, *topics]), time_range, recover=True),
+        target,
+        cfg,
+        ReplayOptions(warm_up_s=warm_up_s, threads=usable_cores(), own=own),
+        Callbacks(progress),
+    )
+    again = pl.read_parquet(target.metrics).filter(pl.col("stamp_ns") == row["stamp_ns"])
+    if again.is_empty():
+        raise LogError(f"{run.source}: no frame with stamp {row['stamp_ns']} ns; it is not the whole log of the run")
+    is_far = warm_up_s > 0 and part.target is None
+    far = (f"replayed from {_WARM_UP_S + BEFORE_S:g} s before the frame; the trajectory starts there",) * is_far
+    return FrameToShow(target.path, again["frame"][0], (*far, *_differing(row, again.row(0, named=True))))
 
 
-@dataclass(frozen=True)
-class RecordedReplay:
-    """The replay that a table records, to repeat a part of it."""
-
-    run: Run
-    source: Path
-    cfg: ReplayConfig
-    own: OwnStages
-    topics: Mapping[str, str]
-    options: argparse.Namespace
-
-    def up_to(self, frame: int, out: Path, progress: Progress) -> FrameToShow:
-        """Replay the log up to a frame; a far frame with a warm-up before it.
-
-        Raises:
-            TableError: the table has no such frame.
-            LogError: the input is not the log of the table.
-        """
-        row = self._row(frame)
-        at_s, options = self._seconds(row), self.options
-        is_far = at_s - (options.start or 0.0) > _FAR_S
-        end_s = min(at_s + AFTER_S, options.end or math.inf)
-        part = TimeRange(at_s - BEFORE_S, end_s) if is_far else TimeRange(options.start, end_s, frame + 1)
-        found = self._replayed(row, part, _WARM_UP_S if is_far else 0.0, ReplayTarget(out), progress)
-        far = (f"replayed from {_WARM_UP_S + BEFORE_S:g} s before the frame; the trajectory starts there",) * is_far
-        return replace(found, notes=(*far, *found.notes))
-
-    def excerpt(self, frames: Sequence[int], target: ReplayTarget, progress: Progress) -> FrameToShow:
-        """Replay the log from ``BEFORE_S`` before the first to ``AFTER_S`` after the last of some frames.
-
-        A warm-up comes before; the excerpt contains its state. The result shows the last one of ``frames``.
-
-        Raises:
-            LogError: the input is not the log of the table.
-        """
-        rows = [self._row(frame) for frame in frames]
-        times_s = [self._seconds(row) for row in rows]
-        start_s = max(min(times_s) - BEFORE_S, self.options.start or 0.0)
-        part = TimeRange(start_s, min(max(times_s) + AFTER_S, self.options.end or math.inf))
-        return self._replayed(rows[-1], part, _WARM_UP_S, target, progress)
-
-    def _row(self, frame: int) -> dict[str, Any]:
-        rows = collect(rows_of(self.run), self.run.source_name)
-        found = rows.filter(pl.col("frame") == frame)
-        if found.is_empty():
-            raise TableError(f"{self.run.path}: no frame {frame}; the table has {number(rows.height, 'frame')}")
-        return found.row(0, named=True)
-
-    def _seconds(self, row: Mapping[str, Any]) -> float:
-        """The time of a frame since the first message of the log."""
-        return ns_to_seconds(row["stamp_ns"] - (log.summarise(self.source).first_ns or 0))
-
-    def _replayed(
-        self, row: Mapping[str, Any], part: TimeRange, warm_up_s: float, target: ReplayTarget, progress: Progress
-    ) -> FrameToShow:
-        """Replay a part of the log; the notes name the values of a row that differ from the recorded ones."""
-        options = ReplayOptions(warm_up_s=warm_up_s, threads=usable_cores(), own=self.own)
-        source = ReplaySource(self.source, self.topics, part, recover=True)
-        replay(source, target, self.cfg, options, Callbacks(progress))
-        again = pl.read_parquet(target.metrics).filter(pl.col("stamp_ns") == row["stamp_ns"])
-        if again.is_empty():
-            place = f"{self.run.source}: no frame with stamp {row['stamp_ns']} ns"
-            raise LogError(f"{place}; it is not the whole log of the run")
-        return FrameToShow(target.path, again["frame"][0], tuple(_differing(row, again.row(0, named=True))))
+def _time_range(
+    row: Mapping[str, Any], part: Part, options: argparse.Namespace, begin_ns: int
+) -> tuple[TimeRange, float]:
+    """The time range to replay, and the seconds of warm-up before it; the log begins at ``begin_ns``."""
+    first_s, last_s = (ns_to_seconds(ns - begin_ns) for ns in part.span_ns or (row["stamp_ns"],) * 2)
+    start_s, end_s = options.start or 0.0, min(last_s + AFTER_S, options.end or math.inf)
+    if part.span_ns is None and first_s - start_s <= _FAR_S:
+        return TimeRange(options.start, end_s, row["frame"] + 1), 0.0
+    return TimeRange(max(first_s - BEFORE_S, start_s), end_s), _WARM_UP_S
 
 
 def _input(run: Run, folder: Path) -> Path:

@@ -6,7 +6,6 @@ The tables are those of a batch's dataset. Run ``make bench-report`` or
 
 import argparse
 import sys
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, get_type_hints
 
@@ -28,7 +27,6 @@ _COLUMNS: Final = (*(name for name, column in columns_of(FrameMetrics).items() i
 """The columns in a report."""
 _FACTS: Final = {f"{FACT_PREFIX}{key}": "bench" for key in ("config_digest", "version", "log")}
 _CONFIGS: Final = ("00000000", "11111111")
-_STEP_NS: Final = 50_000_000
 _STATES: Final = np.array(["measured", "held", "lost"])
 _REPORT: Final = "import sys; from roadperc_stream.cli.report import main; sys.exit(main(sys.argv[1:]))"
 _GROUP_BY: Final = "import sys; from roadperc_stream.tools.bench.report import group_by; group_by(sys.argv[1])"
@@ -93,23 +91,16 @@ def run_row(**known: object) -> RunRow:
 
 def _write(path: Path, index: int, rows: int, config: str) -> None:
     schema = arrow_schema(FrameMetrics, TIME_COLUMNS, _FACTS, {"config": config})
-    named = {"log_id": [f"{index:016x}"] * rows, "config": [config] * rows, **numbered(rows)}
-    partial = path.with_suffix(".partial")
-    pq.write_table(random_table(schema, index, rows, named), partial, ROW_GROUP_ROWS, compression="zstd")
-    partial.replace(path)
-
-
-def numbered(rows: int) -> dict[str, Sequence[int]]:
-    """Return the columns that number the frames of a log at 20 Hz."""
-    return {"frame": range(rows), "segment": [0] * rows, "stamp_ns": range(0, rows * _STEP_NS, _STEP_NS)}
-
-
-def random_table(schema: pa.Schema, seed: int, rows: int, named: Mapping[str, Any]) -> pa.Table:
-    """Return a table of random values, and of the values of the ``named`` columns."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(index)
     columns = {field.name: _values(field, rng, rows) for field in schema}
-    known = {name: pa.array(values) for name, values in named.items() if name in columns}
-    return pa.table(columns | known, schema=schema)
+    columns["log_id"] = pa.array([f"{index:016x}"] * rows)
+    columns["frame"] = pa.array(np.arange(rows))
+    columns["segment"] = pa.array([0] * rows)
+    columns["stamp_ns"] = pa.array(np.arange(rows) * 50_000_000)
+    columns["config"] = pa.array([config] * rows)
+    partial = path.with_suffix(".partial")
+    pq.write_table(pa.table(columns, schema=schema), partial, ROW_GROUP_ROWS, compression="zstd")
+    partial.replace(path)
 
 
 def _values(field: pa.Field, rng: np.random.Generator, rows: int) -> pa.Array:
@@ -120,8 +111,6 @@ def _values(field: pa.Field, rng: np.random.Generator, rows: int) -> pa.Array:
         return pa.array([(value,) if lacks else () for lacks in rng.random(rows) < 0.02], type=field.type)
     if pa.types.is_string(field.type):
         return pa.array(_STATES[rng.choice(3, rows, p=(0.9, 0.08, 0.02))], mask=null)
-    if pa.types.is_boolean(field.type):
-        return pa.array(rng.random(rows) < 0.9, mask=null)
     if pa.types.is_integer(field.type):
         return pa.array(rng.poisson(8, rows), mask=null)
     return pa.array(rng.gamma(2, size=rows) if field.name in TIME_COLUMNS else rng.normal(size=rows), mask=null)

@@ -1,6 +1,6 @@
 """Measure ``roadperc-find`` on the dataset of many logs, of which every hundredth has one event.
 
-Run ``make bench-find`` or ``python -m roadperc_stream.tools.bench.find FOLDER``.
+Run ``make bench-find`` or ``python -m tests.eval.bench_find FOLDER``.
 """
 
 import argparse
@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 
 from roadperc_stream.cli.plumbing import run, whole_number
@@ -19,9 +20,8 @@ from roadperc_stream.output.terminal import console_for, frame_progress, print_t
 from roadperc_stream.output.text_table import TextTable, row
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics, ObjectMetrics
 from roadperc_stream.schemas.columns.runs import RUN_TIME_COLUMNS, RunRow
-
-from .replays import cost_of
-from .report import numbered, random_table, run_row
+from roadperc_stream.tools.bench.replays import cost_of
+from roadperc_stream.tools.bench.report import run_row
 
 EVERY: Final = 100
 """One log of so many has an event."""
@@ -39,7 +39,7 @@ _FIND: Final = "import sys; from roadperc_stream.cli.find import main; sys.exit(
 
 def main(argv: list[str] | None = None) -> int:
     """Write missing tables, find the events twice by columns of frames and of objects, and print the second times."""
-    parser = argparse.ArgumentParser(prog="python -m roadperc_stream.tools.bench.find", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tests.eval.bench_find", description=__doc__)
     parser.add_argument("folder", metavar="FOLDER", type=Path, help="folder that keeps the dataset")
     parser.add_argument("--logs", type=whole_number, default=10_000, metavar="N", help="logs (10000)")
     parser.add_argument("--frames", type=whole_number, default=600, metavar="N", help="frames of each log (600)")
@@ -79,17 +79,31 @@ def _template(kind: str, seed: int, frames: int, event: bool) -> bytes:
     values = np.where(changes, 5.0, np.random.default_rng(seed).uniform(0, 10, frames))
     values = np.where(inside, 1 + np.abs(frame - middle) / frames, values)
     of_frames = {
-        **numbered(frames),
+        "frame": frame,
+        "segment": 0 * frame,
+        "stamp_ns": frame * 50_000_000,
         "lane_change": np.where(inside | changes, "left", "none"),
         "time_to_impact_s": values,
         "distance_m": values,
     }
-    named = {name: np.repeat(np.asarray(column), copies) for name, column in of_frames.items()}
+    named = {name: np.repeat(column, copies) for name, column in of_frames.items()}
     named |= {"log_id": np.repeat(_ID.decode(), rows), "config": np.repeat(_CONFIG, rows)}
-    table = random_table(arrow_schema(row_type, times, {}, {"config": _CONFIG}), seed, rows, named)
-    compression = dict.fromkeys(table.column_names, "zstd") | {"log_id": "none"}
+    schema = arrow_schema(row_type, times, {}, {"config": _CONFIG})
+    rng = np.random.default_rng(seed)
+    columns = {field.name: pa.array(named.get(field.name, _random(field.type, rng, rows))) for field in schema}
+    table = pa.table({name: columns[name].cast(schema.field(name).type) for name in columns}, schema=schema)
+    compression = dict.fromkeys(schema.names, "zstd") | {"log_id": "none"}
     pq.write_table(table, buffer := BytesIO(), ROW_GROUP_ROWS, compression=compression)
     return buffer.getvalue()
+
+
+def _random(kind: pa.DataType, rng: np.random.Generator, rows: int) -> Any:
+    """Random values of a type; random floats do not compress, like real ones."""
+    if pa.types.is_list(kind):
+        return [[] for _ in range(rows)]
+    if pa.types.is_string(kind):
+        return rng.choice(["measured", "held", "lost"], rows, p=(0.9, 0.08, 0.02))
+    return rng.normal(size=rows) if pa.types.is_floating(kind) else rng.integers(0, 2, rows)
 
 
 def _bench(arguments: argparse.Namespace) -> None:
