@@ -18,17 +18,7 @@ from roadperc_stream.system.text import number
 from .continued import find_joined
 from .dataset.keys import LOG, log_names
 from .dataset.pairs import in_a_folder
-from .dataset.place import (
-    DONE,
-    FILE,
-    NO_TABLES,
-    Dataset,
-    dataset_at,
-    metrics_files,
-    read_runs,
-    scan_tables,
-    without_file,
-)
+from .dataset.place import DONE, NO_TABLES, Dataset, dataset_at, metrics_files, read_runs, scan_tables, without_file
 from .dataset.reading import metrics_tables
 from .dataset.worst import LogKey
 from .events import Condition, Event, Searched, condition_of, events_of, matches
@@ -114,16 +104,12 @@ def _of_dataset(dataset: Dataset) -> _Place:
         return runs_of_keys(local, runs, keys, names)
 
     return _Place(
-        Searched(partial(_scan, files), partial(_scan, objects) if objects else None, files),
+        Searched(partial(scan_tables, files), partial(scan_tables, objects) if objects else None, files),
         without_file(runs).select(LOG),
         lambda key: " ".join((names.get(key[0], key[0]), *([key[1]] if several else []))),
         command,
         runs_of,
     )
-
-
-def _scan(files: Sequence[str], columns: Sequence[str] | None) -> pl.LazyFrame:
-    return scan_tables(files, columns).drop(FILE)
 
 
 def _of_runs(runs: Sequence[Run]) -> _Place:

@@ -76,8 +76,8 @@ def scan_tables(files: Sequence[str], columns: Collection[str] | None = None) ->
     """All rows of metrics tables with their ``FILE``; columns that a table lacks are null in its rows.
 
     The columns are those of the first and the last file; they differ if the files come from different versions.
-    ``files`` are at least one, for an address a pattern. ``columns`` limits the columns: the scan of many files is
-    faster than with a later selection.
+    ``files`` are at least one, for an address a pattern. ``columns`` limits the columns, without ``FILE``: the scan of
+    many files is faster than with a later selection.
 
     Raises:
         TableError: a file cannot be read.
@@ -96,7 +96,7 @@ def scan_tables(files: Sequence[str], columns: Collection[str] | None = None) ->
         schema=known,
         hive_partitioning=False,  # otherwise folders above the dataset become columns, too
         hidden_file_prefix=_HIDDEN if is_address(files[0]) else None,
-        include_file_paths=FILE,
+        include_file_paths=FILE if columns is None else None,
         missing_columns="insert",
         extra_columns="ignore",
         use_statistics=columns is None,  # those of all columns cost more than reading a few columns

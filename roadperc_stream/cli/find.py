@@ -34,28 +34,15 @@ def _parser() -> argparse.ArgumentParser:
         _EXAMPLE,
     )
     add = parser.add_argument
-    dataset = add(
-        "dataset",
-        metavar="DATASET",
-        help="the OUT_DIR of a batch, which may be an address; or runs, as in roadperc-report",
-    )
-    add(
-        "condition",
-        metavar="CONDITION",
-        help="polars SQL on columns of the table of frames; objects.COLUMN is a column of the table of objects",
-    )
+    dataset = add("dataset", metavar="DATASET", help="the OUT_DIR of a batch, or its address; or runs, as in report")
+    add("condition", metavar="CONDITION", help="SQL on columns of frames; objects.COLUMN is a column of objects")
     seconds = number(0, 3.2e9, "0 seconds or more")
     add("--gap", metavar="SECONDS", type=seconds, default=1.0, help="frames closer than this are one event (default 1)")
     add("--min-seconds", metavar="SECONDS", type=seconds, default=0.0, help="leave out shorter events (default 0)")
-    add(
-        "--peak",
-        metavar="COLUMN",
-        help="the column whose worst value is the peak of an event (default: the condition's first column of numbers)",
-    )
+    text = "its worst value is the peak of an event (default: the condition's first column of numbers)"
+    add("--peak", metavar="COLUMN", help=text)
     json = add("--json", metavar="FILE", type=Path, help="write all events as one nested object")
-    clips = add(
-        "--clips", metavar="DIR", type=Path, help="write an excerpt of the log for each event, with the results"
-    )
+    clips = add("--clips", metavar="DIR", type=Path, help="write an excerpt of the log, with results, for each event")
     add("--force", action="store_true", help="with --clips: replace existing excerpts")
     add_topic_argument(parser)
     text = "with --clips, if a log is replayed: repeat STAGE.implementation=MODULE:NAME, or change a setting"
