@@ -70,12 +70,16 @@ def roots(text: str) -> list[str]:
 
 def unknown(text: str, name: str, known: Iterable[str], where: str) -> TableError:
     """The error for a column that does not exist; it lists similar columns, or all."""
+    column = "" if text == name else f" {name}"
+    return TableError(f"--by {text}: no column{column} of {where}; {similar(name, known)}")
+
+
+def similar(name: str, known: Iterable[str]) -> str:
+    """The known columns that are similar to a wrong one, else all."""
     names = sorted(set(known))
     word = name.partition("_")[0]
     near = get_close_matches(name, names, 4) + [other for other in names if word in other]
-    hint = f"similar columns: {listed(list(dict.fromkeys(near)))}" if near else f"columns: {listed(names, 200)}"
-    column = "" if text == name else f" {name}"
-    return TableError(f"--by {text}: no column{column} of {where}; {hint}")
+    return f"similar columns: {listed(list(dict.fromkeys(near)))}" if near else f"columns: {listed(names, 200)}"
 
 
 def require_roots(by: Iterable[str], known: Iterable[str], others: Iterable[str], where: str) -> None:

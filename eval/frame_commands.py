@@ -32,7 +32,7 @@ def _argument(run: Run, frame: int) -> str:
     """The dataset, the log if it exists, or the table of a run."""
     if run.dataset:
         return run.dataset[0]
-    table = next((table for table in reversed(run.tables) if table.first_frame <= frame), run)
+    table = run.table_of(frame)
     log = table.beside(".mcap")
     path = str(log if log.exists() else table.path)
     return f"./{path}" if path.startswith("-") else path

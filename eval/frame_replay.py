@@ -38,9 +38,9 @@ from .scan import rows_of
 _FAR_S: Final = 60.0
 """A frame later than this is replayed from a warm-up before it, not from the start."""
 _WARM_UP_S: Final = 20.0
-_BEFORE_S: Final = 5.0
+BEFORE_S: Final = 5.0
 """Shown before a far frame."""
-_AFTER_S: Final = 2.0
+AFTER_S: Final = 2.0
 """Replayed after the frame, because messages may be logged this long after their stamps."""
 _OF_THE_REPLAY: Final = ("log_id", "config", "frame", "segment", "reasons", "missing", "odom_", *TIME_COLUMNS)
 """Beginnings of columns that are not results, or depend on the part of the log."""
@@ -55,6 +55,18 @@ class FrameToShow:
     log: Path
     number: int | None
     notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Part:
+    """The part of a log to replay: up to a frame, or around the first and the last stamp ``span_ns`` of an excerpt.
+
+    ``target`` keeps the replay; None writes it into a temporary folder.
+    """
+
+    frame: int
+    span_ns: tuple[int, int] | None = None
+    target: ReplayTarget | None = None
 
 
 def shown(
@@ -75,49 +87,71 @@ def shown(
         LogError: the input is missing or is not the log of the table.
         ConfigError: a stage of the user's own is not repeated.
     """
-    kept = run if isinstance(run, Path) else Path(run.log) if run.dataset else run.beside(".mcap")
-    if isinstance(run, Path) or kept.is_file():
+    if isinstance(run, Path):
+        return FrameToShow(run, frame)
+    if kept := kept_log(run):
         return FrameToShow(kept, frame)
     if frame is None:
         raise TableError(f"{run.path}: its result log was not kept; pass --frame N or --worst COLUMN")
+    folder = Path(files.enter_context(TemporaryDirectory(prefix="roadperc-view-")))
+    return replayed(run, Part(frame), topics, changed, folder, bar)
+
+
+def kept_log(run: Run) -> Path | None:
+    """The result log of a run; None if it was not kept."""
+    path = Path(run.log) if run.dataset else run.beside(".mcap")
+    return path if path.is_file() else None
+
+
+def recorded_config(run: Run, changed: Sequence[str], folder: Path) -> ReplayConfig:
+    """The configuration that a table records, with ``changed`` settings; ``folder`` is temporary."""
+    config = folder / CONFIG_ATTACHMENT
+    config.write_text(run.config, "utf-8", errors="surrogateescape")
+    return load_config(config, changed)
+
+
+def replayed(
+    run: Run, part: Part, topics: Sequence[str], changed: Sequence[str], folder: Path, progress: Progress
+) -> FrameToShow:
+    """A replay of a part of a run's input; the arguments and errors are those of ``shown``, ``folder`` is temporary."""
     if not run.source or not run.config:
         raise TableError(f"{run.path}: does not record the input and the configuration; replay the log")
     rows = collect(rows_of(run), run.source_name)
-    found = rows.filter(pl.col("frame") == frame)
+    found = rows.filter(pl.col("frame") == part.frame)
     if found.is_empty():
-        raise TableError(f"{run.path}: no frame {frame}; the table has {number(rows.height, 'frame')}")
-    folder = Path(files.enter_context(TemporaryDirectory(prefix="roadperc-view-")))
-    config = folder / CONFIG_ATTACHMENT
-    config.write_text(run.config, "utf-8", errors="surrogateescape")
-    cfg = load_config(config, changed)
+        raise TableError(f"{run.path}: no frame {part.frame}; the table has {number(rows.height, 'frame')}")
+    row, cfg = found.row(0, named=True), recorded_config(run, changed, folder)
     named = [f"{stage}.implementation={name}" for stage, name in implementations(cfg)]
     if missing := [f"--set {setting}" for setting in named if setting not in changed]:
         raise ConfigError(f"{run.path}: used a stage of your own; to run its code, pass {' '.join(missing)}")
-    return _replayed(run, found.row(0, named=True), topics, cfg, folder, bar)
-
-
-def _replayed(
-    run: Run, row: Mapping[str, Any], topics: Sequence[str], cfg: ReplayConfig, folder: Path, progress: Progress
-) -> FrameToShow:
     cfg, own = own_stages(cfg)
     source, options = _input(run, folder), _options(run.options)
-    at_s = ns_to_seconds(row["stamp_ns"] - (log.summarise(source).first_ns or 0))
-    is_far = at_s - (options.start or 0.0) > _FAR_S
-    end_s = min(at_s + _AFTER_S, options.end or math.inf)
-    part = TimeRange(at_s - _BEFORE_S, end_s) if is_far else TimeRange(options.start, end_s, row["frame"] + 1)
-    target = ReplayTarget(folder / "out.mcap")
+    time_range, warm_up_s = _time_range(row, part, options, log.summarise(source).first_ns or 0)
+    target = part.target or ReplayTarget(folder / "out.mcap")
     replay(
-        ReplaySource(source, parse_topic_options([*options.topic, *topics]), part, recover=True),
+        ReplaySource(source, parse_topic_options([*options.topic, *topics]), time_range, recover=True),
         target,
         cfg,
-        ReplayOptions(warm_up_s=_WARM_UP_S if is_far else 0.0, threads=usable_cores(), own=own),
+        ReplayOptions(warm_up_s=warm_up_s, threads=usable_cores(), own=own),
         Callbacks(progress),
     )
     again = pl.read_parquet(target.metrics).filter(pl.col("stamp_ns") == row["stamp_ns"])
     if again.is_empty():
         raise LogError(f"{run.source}: no frame with stamp {row['stamp_ns']} ns; it is not the whole log of the run")
-    far = (f"replayed from {_WARM_UP_S + _BEFORE_S:g} s before the frame; the trajectory starts there",) * is_far
+    is_far = warm_up_s > 0 and part.target is None
+    far = (f"replayed from {_WARM_UP_S + BEFORE_S:g} s before the frame; the trajectory starts there",) * is_far
     return FrameToShow(target.path, again["frame"][0], (*far, *_differing(row, again.row(0, named=True))))
+
+
+def _time_range(
+    row: Mapping[str, Any], part: Part, options: argparse.Namespace, begin_ns: int
+) -> tuple[TimeRange, float]:
+    """The time range to replay, and the seconds of warm-up before it; the log begins at ``begin_ns``."""
+    first_s, last_s = (ns_to_seconds(ns - begin_ns) for ns in part.span_ns or (row["stamp_ns"],) * 2)
+    start_s, end_s = options.start or 0.0, min(last_s + AFTER_S, options.end or math.inf)
+    if part.span_ns is None and first_s - start_s <= _FAR_S:
+        return TimeRange(options.start, end_s, row["frame"] + 1), 0.0
+    return TimeRange(max(first_s - BEFORE_S, start_s), end_s), _WARM_UP_S
 
 
 def _input(run: Run, folder: Path) -> Path:

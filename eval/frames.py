@@ -1,6 +1,6 @@
 """Finds the run and the frame that the arguments of ``roadperc-view`` name: a log, a table, or a batch's dataset."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path, PurePath
@@ -11,9 +11,10 @@ from roadperc_stream.errors import TableError
 from roadperc_stream.schemas.columns import FrameMetrics, columns_of
 from roadperc_stream.system.text import nearest
 
-from .dataset.keys import config_named, log_names, settings_by_config
+from .dataset.keys import LOG, config_named, log_names, settings_by_config
 from .dataset.pairs import in_a_folder, runs_of_logs
 from .dataset.place import DONE, Dataset, dataset_at, read_runs
+from .dataset.worst import LogKey
 from .quantities import listed
 from .runs import Run, collect, find_runs
 from .scan import rows_of
@@ -53,9 +54,20 @@ def _runs_of_log(dataset: Dataset, name: str | None, configs: Sequence[str]) -> 
     of_log = runs.filter(pl.col("log_id") == log_id)
     known = settings_by_config(of_log, of_log["config"].to_list())
     keys = [(log_id, config_named("--config", config, known)) for config in configs]
-    whole = of_log.filter(pl.col("logs") == "whole")["config"].to_list()
+    return [*runs_of_keys(dataset, of_log, keys, names).values()]
+
+
+def runs_of_keys(
+    dataset: Dataset, runs: pl.DataFrame, keys: Sequence[LogKey], names: Mapping[str, str]
+) -> dict[LogKey, Run]:
+    """The runs of logs and configurations, from a dataset in a local folder; ``log`` is empty without a whole result.
+
+    Raises:
+        TableError: a table cannot be read.
+    """
+    whole = {*runs.filter(pl.col("logs") == "whole").select(LOG).iter_rows()}
     found = runs_of_logs(dataset, keys, names)
-    return [run if key[1] in whole else replace(run, log="") for key, run in found.items()]
+    return {key: run if key in whole else replace(run, log="") for key, run in found.items()}
 
 
 def worst_frame(run: Run | Path, column: str) -> int:

@@ -244,5 +244,4 @@ def _worst(criterion: Criterion, parts: Sequence[_Part], *, by_value: bool) -> W
     if at is None:
         return None
     run, frame = parts[rows["part"][at]].run, rows["frame"][at]
-    of_frame = next((table for table in reversed(run.tables) if table.first_frame <= frame), run)
-    return WorstPlace(run.name, frame, rows["value"][at], view_command(of_frame, frame))
+    return WorstPlace(run.name, frame, rows["value"][at], view_command(run.table_of(frame), frame))

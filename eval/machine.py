@@ -46,8 +46,7 @@ def write_files(
     """
     paths = [path for path in (arguments.json, arguments.markdown, arguments.junit) if path is not None]
     for place, path in enumerate(paths):
-        if path.suffix.lower() in _INPUTS:
-            raise TargetError(f"{path}: expected the name of a result, not of a log, a table or a criteria file")
+        require_result(path)
         if real_path(path) in map(real_path, paths[:place]):
             raise TargetError(f"{path}: two options name it; give each result its own file")
     if arguments.json is not None:
@@ -56,6 +55,17 @@ def write_files(
         write_markdown(arguments.markdown, *markdown)
     if arguments.junit is not None:
         write_junit(arguments.junit, f"roadperc-{suite}", cases)
+
+
+def require_result(path: Path) -> Path:
+    """The path of a result.
+
+    Raises:
+        TargetError: it has the suffix of an input.
+    """
+    if path.suffix.lower() in _INPUTS:
+        raise TargetError(f"{path}: expected the name of a result, not of a log, a table or a criteria file")
+    return path
 
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:

@@ -165,6 +165,10 @@ class Run:
         """The file beside the table with another suffix, such as ``.mcap`` for its log."""
         return self.path.with_name(self.path.name.removesuffix(METRICS_SUFFIX) + suffix)
 
+    def table_of(self, frame: int) -> "Run":
+        """The run of the metrics table that has a frame."""
+        return next((table for table in reversed(self.tables) if table.first_frame <= frame), self)
+
     @property
     def objects(self) -> Path | None:
         """The table of objects beside the table or in its dataset; None without one, or if it holds other runs too."""

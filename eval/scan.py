@@ -6,6 +6,7 @@ difference, gap or motion is measured across segments. Time continues from one s
 
 import math
 from collections.abc import Container, Iterable
+from pathlib import Path
 from typing import Final
 
 import polars as pl
@@ -45,6 +46,12 @@ def _rows_of_table(table: Run) -> pl.LazyFrame:
     if table.within is not None:
         log_id, config = table.within
         rows = rows.filter(pl.col("log_id") == log_id, pl.col("config") == config)
+    return rows if table.end_frame is None else rows.filter(pl.col("frame") < table.end_frame)
+
+
+def objects_of(name: str, table: Run, path: Path) -> pl.LazyFrame:
+    """The rows of the table of objects at ``path``, which belongs to a metrics table; ``log`` is ``name``."""
+    rows = pl.scan_parquet(path, glob=False).with_columns(pl.lit(name).alias("log"))
     return rows if table.end_frame is None else rows.filter(pl.col("frame") < table.end_frame)
 
 

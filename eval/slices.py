@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, Final
 
 import polars as pl
@@ -23,7 +22,7 @@ from .expressions import as_key, key_name, require_roots, roots
 from .frame_commands import view_command
 from .quantities import RANKED, percent
 from .runs import Run, collect
-from .scan import rows_of, scanned, worst_frames
+from .scan import objects_of, rows_of, scanned, worst_frames
 from .summary import EXACT_FRAMES, Summary, WorstFrame, worst_of
 
 _LOG: Final = "log"
@@ -45,7 +44,7 @@ def slices_of_runs(runs: Sequence[Run], by: Sequence[str]) -> Answer:
     columns = frozenset[str]().union(*(run.columns for run in runs)) | {_LOG}
     if of_objects(by, columns):
         tables = [(run.name, table, table.objects) for run in runs for table in run.tables]
-        scanned_objects = [_objects(name, table, path) for name, table, path in tables if path]
+        scanned_objects = [objects_of(name, table, path) for name, table, path in tables if path]
         if not scanned_objects:
             raise TableError(f"--by {','.join(by)}: {runs[0].beside(OBJECTS_SUFFIX)} does not exist; expected it")
         return object_slices(pl.concat(scanned_objects, how="diagonal_relaxed"), by, str(runs[0].path))
@@ -86,11 +85,6 @@ def _keyed(run: Run, by: Sequence[str]) -> pl.DataFrame:
     return collect(
         pl.concat([scanned(rows, run.columns), keys], how="horizontal").with_columns(config), run.source_name
     )
-
-
-def _objects(name: str, table: Run, path: Path) -> pl.LazyFrame:
-    rows = pl.scan_parquet(path, glob=False).with_columns(pl.lit(name).alias(_LOG))
-    return rows if table.end_frame is None else rows.filter(pl.col("frame") < table.end_frame)
 
 
 def object_slices(rows: pl.LazyFrame, by: Sequence[str], source: str) -> Answer:

@@ -33,13 +33,22 @@ def timed_rows(summary: LogSummary, problems: Problems) -> Iterator[tuple[int, F
             yield message.log_time_ns, row
 
 
+def frame_times(path: Path) -> dict[int, int]:
+    """The log time in nanoseconds of every frame of a log with results, by its number in the metrics.
+
+    Raises:
+        LogError: the log cannot be read.
+    """
+    return {row.frame: log_time_ns for log_time_ns, row in timed_rows(log.summarise(path), Problems())}
+
+
 def find_stop(path: Path, frame: int) -> Stop:
     """The stop at a frame of a log with results, by its number in the metrics.
 
     Raises:
         LogError: the log cannot be read, or has no such frame.
     """
-    times_ns = {row.frame: log_time_ns for log_time_ns, row in timed_rows(log.summarise(path), Problems())}
+    times_ns = frame_times(path)
     if frame not in times_ns:
         known = f"expected {min(times_ns)} to {max(times_ns)}" if times_ns else "the log has no results"
         raise LogError(f"{path}: no frame {frame}; {known}")

@@ -74,6 +74,7 @@ def test_every_command_completes_its_options(command, folder):
         ("roadperc-compare a.mcap ", ["a.mcap", "a.metrics.parquet", "b.mcap", "drive/"]),
         ("roadperc-check a.mcap --criteria ", ["a.toml", "drive/"]),
         ("roadperc-bisect a.mcap --base ", ["a.toml", "drive/"]),
+        ("roadperc-find drive x --json ", ["a.json", "drive/"]),
         ("roadperc-trajectory --export-tum ", ["drive/"]),
         ("roadperc-lanes a.mcap --truth ", ["a.json", "drive/"]),
         ("roadperc-view --save ", ["a.rrd", "drive/"]),

@@ -1,0 +1,152 @@
+"""Finds events in the logs of a dataset, or of runs: prints a table, and writes JSON and excerpts of the logs."""
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import polars as pl
+
+from roadperc_stream.errors import TableError
+from roadperc_stream.output.terminal import console_for, print_lines
+from roadperc_stream.system.text import number
+
+from .continued import find_joined
+from .dataset.keys import LOG, log_names
+from .dataset.pairs import in_a_folder
+from .dataset.place import DONE, NO_TABLES, Dataset, dataset_at, metrics_files, read_runs, scan_tables, without_file
+from .dataset.reading import metrics_tables
+from .dataset.worst import LogKey
+from .events import Condition, Event, Searched, condition_of, events_of, matches
+from .frame_commands import view_command, view_dataset_command
+from .frames import runs_of_keys
+from .machine import require_result, write_json
+from .runs import Run
+from .scan import objects_of, rows_of
+
+WriteClips = Callable[[Sequence[Event], Mapping[LogKey, Run], argparse.Namespace], None]
+_LISTED: Final = 40
+"""Events in the table."""
+
+
+@dataclass(frozen=True)
+class _Place:
+    """The logs to search: their tables, and how to name a log, to show a frame of it, and to find its runs.
+
+    ``absent`` are the logs and configurations whose files other logs have replaced.
+    """
+
+    tables: Searched
+    absent: pl.DataFrame
+    name: Callable[[LogKey], str]
+    command: Callable[[LogKey, int], str]
+    runs: Callable[[Sequence[LogKey], ExitStack], dict[LogKey, Run]]
+
+
+def find(arguments: argparse.Namespace, write_clips: WriteClips | None) -> None:
+    """Print the events of a condition, and write the files that the options name.
+
+    ``write_clips`` is None without clips, since its import is slow.
+
+    Raises:
+        TableError: there are no tables, a table cannot be read, or the condition does not fit.
+        RoadpercError: a file cannot be written, or a log cannot be read or replayed.
+    """
+    dataset = dataset_at(arguments.dataset)
+    place = _of_dataset(dataset) if dataset else _of_runs(find_joined([arguments.dataset]).runs)
+    schema = place.tables.schema()
+    condition = condition_of(arguments.condition, arguments.peak or "", schema)
+    found = matches(place.tables, condition, schema).join(place.absent, on=LOG, how="anti")
+    rows = events_of(found, arguments.gap, arguments.min_seconds, lowest=condition.lowest)
+    events = [_event(row, place, arguments.clips) for row in rows.iter_rows(named=True)]
+    if arguments.json:
+        of_events = [vars(event) | {"seconds": event.seconds} for event in events]
+        values = {"condition": arguments.condition, "peak": condition.peak, "events": of_events}
+        write_json(require_result(arguments.json), values)
+    print_lines(console_for(sys.stdout), *_lines(events, condition, arguments.condition), unbroken=True)
+    if events and write_clips:
+        with ExitStack() as files:
+            write_clips(events, place.runs(list(dict.fromkeys(map(_key, events))), files), arguments)
+
+
+def _key(event: Event) -> LogKey:
+    return event.log_id, event.config
+
+
+def _event(row: Mapping[str, Any], place: _Place, clips: Path | None) -> Event:
+    key = row["log_id"], row["config"]
+    name = place.name(key)
+    clip = f"{name}-{row['first_frame']}.mcap".replace("/", "_").replace(" ", "_")
+    command = place.command(key, row["peak_frame"])
+    return Event(log=name, **row, command=command, clip=str(clips / clip) if clips else None)
+
+
+def _of_dataset(dataset: Dataset) -> _Place:
+    files = metrics_files(dataset)
+    if not files:
+        raise TableError(f"{dataset.address}: {NO_TABLES}")
+    metrics_tables(files)
+    objects = dataset.tables("objects", "date=*", "*.parquet")
+    runs = read_runs(dataset)
+    done = runs.filter(pl.col("log_id").is_not_null(), pl.col("status") == DONE)
+    names = log_names(done["log_id"].unique(maintain_order=True), runs)
+    several = runs["config"].n_unique() > 1
+
+    def command(key: LogKey, frame: int) -> str:
+        return view_dataset_command(dataset.address, names.get(key[0], key[0]), frame, key[1] if several else "")
+
+    def runs_of(keys: Sequence[LogKey], stack: ExitStack) -> dict[LogKey, Run]:
+        local = replace(stack.enter_context(in_a_folder(dataset)), copy_of=dataset.address)
+        return runs_of_keys(local, runs, keys, names)
+
+    return _Place(
+        Searched(partial(scan_tables, files), partial(scan_tables, objects) if objects else None, files),
+        without_file(runs).select(LOG),
+        lambda key: " ".join((names.get(key[0], key[0]), *([key[1]] if several else []))),
+        command,
+        runs_of,
+    )
+
+
+def _of_runs(runs: Sequence[Run]) -> _Place:
+    """The logs of runs; the name of a run takes the place of its ``log_id``."""
+    named = {run.name: run for run in runs}
+    none = pl.lit("").alias("config")
+    frames = [rows_of(run).with_columns(none, log_id=pl.lit(run.name)) for run in runs]
+    tables = [objects_of(run.name, table, table.objects) for run in runs for table in run.tables if table.objects]
+    objects = [rows.with_columns(none, log_id=pl.col("log")).drop("log") for rows in tables]
+    return _Place(
+        Searched(
+            lambda _: pl.concat(frames, how="diagonal_relaxed"),
+            (lambda _: pl.concat(objects, how="diagonal_relaxed")) if objects else None,
+            [str(table.path) for run in runs for table in run.tables],
+        ),
+        pl.DataFrame(schema=dict.fromkeys(LOG, pl.String)),
+        lambda key: key[0],
+        lambda key, frame: view_command(named[key[0]], frame),
+        lambda keys, _: {key: named[key[0]] for key in keys},
+    )
+
+
+def _lines(events: Sequence[Event], condition: Condition, text: str) -> Iterator[str]:
+    """The number of events, then a table of the worst ones, with the command that shows the peak of each."""
+    logs = number(len({_key(event) for event in events}), "log")
+    if not events:
+        yield f"no event: {text}"
+        return
+    yield f"{number(len(events), 'event')} in {logs}: {text}"
+    rows = [("log", "first", "last", "seconds", condition.peak, "command")]
+    for event in events[:_LISTED]:
+        peak = "" if event.peak is None else f"{event.peak:.4g}"
+        frames = str(event.first_frame), str(event.last_frame), f"{event.seconds:.2f}"
+        rows.append((event.log, *frames, peak, event.command))
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for log, *numbers, command in rows:
+        cells = (cell.rjust(width) for cell, width in zip(numbers, widths[1:-1], strict=True))
+        yield "  ".join((log.ljust(widths[0]), *cells, command))
+    if len(events) > _LISTED:
+        yield f"listed: the worst {_LISTED} of {len(events)}; --json writes all"
