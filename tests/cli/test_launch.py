@@ -38,6 +38,7 @@ def signalling(folder, library, number):
 ENOUGH = {
     "roadperc-infer": ["in.mcap", "out.mcap", "--network", "n.toml"],
     "roadperc": ["info", "in.mcap"],
+    "roadperc-degrade": ["in.mcap", "out.mcap", "--with", "fog=1"],
     "roadperc-lanes": ["in.mcap", "--tusimple", "lanes.json"],
     "roadperc-render": ["drive"],
     "roadperc-sweep": ["in.mcap", "--vary", "seed=1,2"],

@@ -1,0 +1,165 @@
+"""Corruptions of (H, W, 3) uint8 images, with the formulas of ImageNet-C and RoboBEV (see ``levels``).
+
+Blurs are in pixels, whatever the size of the image, as in ImageNet-C.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+import cv2
+import numpy as np
+
+from roadperc_stream.formats.images import decode_bgr, encode_jpeg
+from roadperc_stream.geometry import Float32
+from roadperc_stream.model import Image
+
+from .draw import Draw
+
+_LARGEST_ANGLE_DEG: Final = 45
+_SMALL_DISK: Final = 8
+"""Disks up to this radius have a smoother edge of 3 px, larger ones of 5 px."""
+
+
+def _bytes(values: Float32) -> Image:
+    """Values of 0 to 1 as uint8, rounded down as in ImageNet-C."""
+    return (np.clip(values, 0, 1) * 255).astype(np.uint8)
+
+
+def gaussian_noise(pixels: Image, std: float, draw: Draw) -> Image:
+    """Independent normal noise in each value."""
+    noise = draw.of_message.standard_normal(pixels.shape, np.float32)
+    return _bytes(pixels / np.float32(255) + np.float32(std) * noise)
+
+
+def shot_noise(pixels: Image, photons: float, draw: Draw) -> Image:
+    """Poisson noise: a white pixel has ``photons`` on average."""
+    return _bytes((draw.of_message.poisson(pixels * (photons / 255)) / photons).astype(np.float32))
+
+
+def impulse_noise(pixels: Image, share: float, draw: Draw) -> Image:
+    """A share of the values is black or white, half of it each."""
+    chance = draw.of_message.random(pixels.shape, np.float32)
+    return np.where(chance < share / 2, np.uint8(0), np.where(chance < share, np.uint8(255), pixels))
+
+
+def defocus_blur(pixels: Image, disk: tuple[int, float], _draw: Draw) -> Image:
+    """The mean over a disk whose edge is smoothed."""
+    radius, edge = disk
+    reach = np.arange(-max(radius, _SMALL_DISK), max(radius, _SMALL_DISK) + 1)
+    kernel = (reach**2 + reach[:, None] ** 2 <= radius**2).astype(np.float32)
+    smooth = (3, 3) if radius <= _SMALL_DISK else (5, 5)
+    kernel = np.asarray(cv2.GaussianBlur(kernel / kernel.sum(), smooth, edge), np.float32)
+    return _bytes(np.asarray(cv2.filter2D(pixels / np.float32(255), -1, kernel), np.float32))
+
+
+def motion_blur(pixels: Image, trail: tuple[int, float], draw: Draw) -> Image:
+    """The mean along a trail of random direction; its weights fall as one half of a normal distribution."""
+    radius, std = trail
+    angle = math.radians(draw.of_frame.uniform(-_LARGEST_ANGLE_DEG, _LARGEST_ANGLE_DEG))
+    steps = np.arange(2 * radius + 1)
+    weights = np.exp(-(steps**2) / (2 * std**2))
+    rows, columns = (np.ceil(steps * part - 0.5).astype(int) for part in (math.sin(angle), math.cos(angle)))
+    kernel = np.zeros((4 * radius + 1, 4 * radius + 1), np.float32)
+    np.add.at(kernel, (2 * radius + rows, 2 * radius + columns), weights / weights.sum())
+    blurred = cv2.filter2D(pixels / np.float32(255), -1, kernel, borderType=cv2.BORDER_REPLICATE)
+    return _bytes(np.asarray(blurred, np.float32))
+
+
+def fog(pixels: Image, density_decay: tuple[float, float], draw: Draw) -> Image:
+    """A random pattern of white, added and scaled back so that the brightest pixel stays."""
+    density, decay = density_decay
+    height, width = pixels.shape[:2]
+    side = 1 << (max(height, width) - 1).bit_length()
+    pattern = plasma(side, decay, draw.of_frame)[:height, :width, None]
+    values = pixels / np.float32(255)
+    brightest = values.max()
+    return _bytes((values + np.float32(density) * pattern) * brightest / (brightest + density))
+
+
+def plasma(side: int, decay: float, rng: np.random.Generator) -> Float32:
+    """(side, side) heights of 0 to 1 by the diamond-square algorithm on a torus; ``side`` is a power of 2.
+
+    Each halving of the step divides the random part by ``decay``. Source: Fournier, Fussell and Carpenter, "Computer
+    Rendering of Stochastic Models", 1982; the amplitude falls with its square, as in ImageNet-C.
+    """
+    heights = np.zeros((side, side), np.float32)
+    step, amplitude = side, 100.0
+
+    def middle(of: Float32) -> Float32:
+        noise = rng.uniform(-amplitude, amplitude, of.shape).astype(np.float32)
+        return of / 4 + np.float32(amplitude) * noise
+
+    while step > 1:
+        half = step // 2
+        corners = heights[::step, ::step]
+        rows = corners + np.roll(corners, -1, 0)
+        centres = middle(rows + np.roll(rows, -1, 1))
+        heights[half::step, half::step] = centres
+        across = centres + np.roll(centres, 1, 0) + corners + np.roll(corners, -1, 1)
+        heights[::step, half::step] = middle(across)
+        along = centres + np.roll(centres, 1, 1) + corners + np.roll(corners, -1, 0)
+        heights[half::step, ::step] = middle(along)
+        step, amplitude = half, amplitude / decay
+    heights -= heights.min()
+    return heights / heights.max()
+
+
+def brightness(pixels: Image, more: float, _draw: Draw) -> Image:
+    """A higher value in HSV, with the same hue and saturation: all channels are scaled alike, black becomes grey."""
+    values = pixels / np.float32(255)
+    before = values.max(axis=2, keepdims=True)
+    after = np.minimum(before + np.float32(more), 1)
+    return _bytes(np.where(before > 0, values * after / np.maximum(before, 1 / 255), after))
+
+
+def contrast(pixels: Image, factor: float, _draw: Draw) -> Image:
+    """The difference from the mean of each channel, scaled."""
+    values = pixels / np.float32(255)
+    means = values.mean(axis=(0, 1), keepdims=True)
+    return _bytes((values - means) * np.float32(factor) + means)
+
+
+def jpeg_compression(pixels: Image, quality: int, _draw: Draw) -> Image:
+    """The image after JPEG."""
+    return decode_bgr(encode_jpeg(pixels, quality))
+
+
+def low_light(pixels: Image, light: tuple[float, float, float], draw: Draw) -> Image:
+    """A darker image, with the noise of few photons and of the sensor."""
+    brightest, tenth_of_photons, ten_std = light
+    rng, values = draw.of_message, pixels / np.float32(255)
+    span = max(float(np.ptp(values)), 1 / 255)
+    dark = brightest * ((values - values.min()) / span) ** 2
+    noisy = np.clip(rng.poisson(dark * 10 * tenth_of_photons) / (10 * tenth_of_photons), 0, 1)
+    return _bytes(noisy.astype(np.float32) + np.float32(ten_std / 10) * rng.standard_normal(noisy.shape, np.float32))
+
+
+def is_crashed(share: float, draw: Draw) -> bool:
+    """Whether the camera has crashed: once in the log, for a share of it."""
+    begin = draw.of_log.uniform(0, 1 - share)
+    return bool(begin <= draw.share <= begin + share)
+
+
+def camera_crash(pixels: Image, share: float, draw: Draw) -> Image:
+    """A black image while the camera has crashed."""
+    return np.zeros_like(pixels) if is_crashed(share, draw) else pixels
+
+
+IMAGES: Final[Mapping[str, Callable[[Image, Any, Draw], Image]]] = {
+    function.__name__: function
+    for function in (
+        gaussian_noise,
+        shot_noise,
+        impulse_noise,
+        defocus_blur,
+        motion_blur,
+        fog,
+        brightness,
+        contrast,
+        jpeg_compression,
+        low_light,
+        camera_crash,
+    )
+}
+"""By name: the function of the pixels, the constants of the severity, and the random numbers."""

@@ -1,0 +1,141 @@
+"""Corruptions of depth, segmentation, detections, calibration, and of the times at which messages arrive."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any, Final
+
+import cv2
+import numpy as np
+
+from roadperc_stream.geometry import Float32, rigid
+from roadperc_stream.geometry.rotations import rotation_from_vector
+from roadperc_stream.model import Box, Detection, Image, Transform
+from roadperc_stream.schemas.roles import Kind
+from roadperc_stream.system.time import seconds_to_ns
+
+from ..scene.noise import false_detection, noisy_tags
+from .draw import Draw
+from .images import is_crashed
+
+_HOLE_RADIUS: Final = (0.01, 0.06)
+"""Half axes of a hole, as shares of the image's width."""
+_LATE: Final = 0.2
+"""Share of late messages."""
+OF_CAMERA: Final[tuple[Kind, ...]] = ("tags", "instances", "detections")
+"""Kinds that are computed from the image: a crashed camera sends none."""
+Detections = tuple[Detection, ...]
+Transforms = tuple[Transform, ...]
+
+
+def depth_noise(depth_m: Float32, relative_std: float, draw: Draw) -> Float32:
+    """Depth with an independent relative error in each pixel."""
+    noise = draw.of_message.standard_normal(depth_m.shape, np.float32)
+    return depth_m * np.maximum(1 + np.float32(relative_std) * noise, 0)
+
+
+def depth_holes(depth_m: Float32, share: float, draw: Draw) -> Float32:
+    """Depth that is unknown in random ellipses, which cover at least a share of the image."""
+    rng, (height, width) = draw.of_message, depth_m.shape
+    holes = np.zeros(depth_m.shape, np.uint8)
+    while holes.mean() < share:
+        centre = rng.integers(0, (width, height))
+        axes = np.maximum(rng.uniform(*_HOLE_RADIUS, 2) * width, 1).astype(int)
+        cv2.ellipse(holes, centre.tolist(), axes.tolist(), float(rng.uniform(0, 180)), 0, 360, 1, -1)
+    return np.where(holes > 0, np.float32(np.nan), depth_m)
+
+
+def tag_noise(tags: Image, share: float, draw: Draw) -> Image:
+    """Tags with the errors of a network, as in rendered scenes."""
+    return noisy_tags(tags, share, draw.of_message)
+
+
+def detections_jittered(found: Detections, std: float, draw: Draw) -> Detections:
+    """Boxes with a random error on each side; a box is at least one pixel wide and high."""
+    rng = draw.of_message
+    return tuple(replace(item, box_px=_jittered(item.box_px, std, rng)) for item in found)
+
+
+def _jittered(box: Box, std: float, rng: np.random.Generator) -> Box:
+    width, height = box.x_max - box.x_min, box.y_max - box.y_min
+    dx0, dy0, dx1, dy1 = rng.normal(0, std, 4) * (width, height, width, height)
+    x_min, y_min = float(box.x_min + dx0), float(box.y_min + dy0)
+    return Box(x_min, y_min, max(float(box.x_max + dx1), x_min + 1), max(float(box.y_max + dy1), y_min + 1))
+
+
+def detections_missed(found: Detections, share: float, draw: Draw) -> Detections:
+    """Detections without a random share."""
+    kept = draw.of_message.random(len(found)) >= share
+    return tuple(item for item, keep in zip(found, kept, strict=True) if keep)
+
+
+def detections_false(found: Detections, mean: float, draw: Draw) -> Detections:
+    """Detections with boxes of likely shapes at random positions."""
+    rng, camera = draw.of_message, draw.cameras[0]
+    false = (false_detection(camera.width, camera.height, rng) for _ in range(rng.poisson(mean)))
+    return (*found, *(Detection(label, Box(*box), score) for label, box, score in false))
+
+
+def calibration_turned(edges: Transforms, degrees: float, draw: Draw) -> Transforms:
+    """The cameras' mountings, turned about one random axis, the same in the whole log."""
+    axis, frames = draw.of_log.standard_normal(3), {camera.frame_id for camera in draw.cameras}
+    turn = rigid(rotation_from_vector(np.radians(degrees) * axis / np.linalg.norm(axis)), np.zeros(3))
+    return tuple(
+        replace(edge, parent_T_child=edge.parent_T_child @ turn) if edge.child in frames else edge for edge in edges
+    )
+
+
+CONTENTS: Final[Mapping[Kind, Mapping[str, Callable[[Any, Any, Draw], Any]]]] = {
+    "depth": {"depth_noise": depth_noise, "depth_holes": depth_holes},
+    "tags": {"tag_noise": tag_noise},
+    "detections": {
+        "detections_jittered": detections_jittered,
+        "detections_missed": detections_missed,
+        "detections_false": detections_false,
+    },
+    "tf": {"calibration_turned": calibration_turned},
+}
+"""By kind and name: the function of the content, the constants of the severity, and the random numbers."""
+
+Delays = tuple[int, ...]
+"""When a message arrives, in nanoseconds after its log time; empty if it is lost."""
+
+
+def crash_delays(kind: Kind, share: float, draw: Draw) -> Delays:
+    """Nothing that is computed from the image arrives while the camera has crashed."""
+    return () if kind in OF_CAMERA and is_crashed(share, draw) else (0,)
+
+
+def frame_drop(_kind: Kind, share: float, draw: Draw) -> Delays:
+    """All sensors' messages of some stamps are lost."""
+    return () if draw.of_frame.random() < share else (0,)
+
+
+def messages_late(_kind: Kind, delay_s: float, draw: Draw) -> Delays:
+    """Every fifth message, at random, arrives late."""
+    return (seconds_to_ns(delay_s) if draw.of_message.random() < _LATE else 0,)
+
+
+def messages_lost(_kind: Kind, share: float, draw: Draw) -> Delays:
+    """Some messages are lost, independently of each other."""
+    return () if draw.of_message.random() < share else (0,)
+
+
+def messages_twice(_kind: Kind, share: float, draw: Draw) -> Delays:
+    """Some messages arrive twice."""
+    return (0, 0) if draw.of_message.random() < share else (0,)
+
+
+def messages_out_of_order(_kind: Kind, largest_s: float, draw: Draw) -> Delays:
+    """Every message arrives after a random delay."""
+    return (seconds_to_ns(draw.of_message.uniform(0, largest_s)),)
+
+
+DELIVERIES: Final[Mapping[str, Callable[[Kind, Any, Draw], Delays]]] = {
+    "camera_crash": crash_delays,
+    "frame_drop": frame_drop,
+    "messages_late": messages_late,
+    "messages_lost": messages_lost,
+    "messages_twice": messages_twice,
+    "messages_out_of_order": messages_out_of_order,
+}
+"""By name: the function of the message's kind, the constants of the severity, and the random numbers."""

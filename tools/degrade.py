@@ -1,0 +1,280 @@
+"""Write a log with corruptions: of known names and severities, the same bytes for the same seed, the truth kept."""
+
+import argparse
+import math
+import shutil
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from heapq import heappop, heappush
+from itertools import count
+from pathlib import Path
+from typing import Any, Final
+
+from roadperc_stream import __version__, log
+from roadperc_stream.errors import ChannelError, DecodeError
+from roadperc_stream.formats.images import PNG_MAGIC, encode_indices, encode_jpeg, encode_png
+from roadperc_stream.geometry import Camera
+from roadperc_stream.input.earlier_replay import is_result
+from roadperc_stream.input.roles import assignment_of_log
+from roadperc_stream.input.stream import Problems, RoleAssignment, Stamped, decoded_messages
+from roadperc_stream.log import Channel, LogSummary, LogWriter, Message, Metadata
+from roadperc_stream.model import CameraImage, DepthImage, TagImage
+from roadperc_stream.output import encoding
+from roadperc_stream.output.terminal import frame_progress
+from roadperc_stream.schemas import record
+from roadperc_stream.schemas.roles import ROLES, Kind, parse_topic_options
+from roadperc_stream.system.files import completing, require_free
+from roadperc_stream.system.process import optional_output
+from roadperc_stream.system.progress import Progress, no_progress
+from roadperc_stream.system.text import number, print_line
+from roadperc_stream.system.threads import in_order, one_thread, usable_cores
+
+from .carla_dump.messages import JPEG_QUALITY, channel_of
+from .corruptions.draw import Draw
+from .corruptions.images import IMAGES
+from .corruptions.levels import LEVELS
+from .corruptions.sensors import CONTENTS, DELIVERIES
+
+_CHANGES: Final = {**CONTENTS, "image": IMAGES}
+_SENSORS: Final[tuple[Kind, ...]] = ("image", "tags", "instances", "depth", "points", "detections")
+_TRUTH_OF: Final = {"depth": "truth_depth", "segmentation": "truth_segmentation"}
+
+
+@dataclass(frozen=True)
+class Degradation:
+    """A log, its roles with one role a topic, and the corruptions in their order with severities of 1 or more.
+
+    ``truths`` are the topics whose messages are also written unchanged as truth, each with the topic of the truth.
+    """
+
+    summary: LogSummary
+    roles: RoleAssignment
+    cameras: tuple[Camera, ...]
+    severities: Mapping[str, int]
+    seed: int
+    truths: Mapping[str, str]
+
+    def draw(self, name: str, item: Stamped) -> Draw:
+        """The random numbers of a corruption of a message."""
+        first_ns, last_ns = self.summary.first_ns or 0, self.summary.last_ns or 0
+        share = (item.log_time_ns - first_ns) / max(last_ns - first_ns, 1)
+        return Draw(self.seed, name, item.stamp_ns, item.role, share, self.cameras)
+
+    def level(self, name: str) -> Any:
+        """The constants of a corruption at its severity."""
+        return LEVELS[name][self.severities[name] - 1]
+
+
+def degrade(arguments: argparse.Namespace) -> None:
+    """Write OUT.mcap with the corruptions.
+
+    Raises:
+        RoadpercError: the input or the output cannot be used, or the log has nothing that a corruption changes.
+    """
+    source, out = arguments.log, arguments.out
+    require_free(out, force=arguments.force, suffix=".mcap", source=source)
+    with frame_progress("degrading", not arguments.quiet) as progress:
+        overrides = parse_topic_options(arguments.topic)
+        remarks = degrade_log(source, out, arguments.severities, arguments.seed, overrides, progress)
+    with optional_output(sys.stderr):
+        for text in remarks:
+            print_line(f"warning: {text}", sys.stderr)
+
+
+def degrade_log(
+    source: Path,
+    out: Path,
+    severities: Mapping[str, int],
+    seed: int,
+    overrides: Mapping[str, str],
+    progress: Progress = no_progress,
+) -> list[str]:
+    """Write a log with corruptions and return warnings; without any of severity 1 or more, copy its bytes.
+
+    Raises:
+        RoadpercError: as ``degrade``.
+    """
+    summary = log.summarise(source)
+    job = _job(summary, {name: found for name, found in severities.items() if found}, seed, overrides)
+    if not job.severities:
+        with completing(out) as temporary:
+            shutil.copyfile(source, temporary)
+        return []
+    problems = Problems()
+    kept = [channel for channel in summary.channels if not is_result(channel)]
+    with one_thread(), LogWriter(out, summary.profile) as target:
+        for channel in kept:
+            target.register(channel, ids=(channel.source_id, summary.schema_ids.get(channel.source_id, 0)))
+        for message in _in_log_order(_degraded(job, problems, progress)):
+            target.write(message)
+        _describe(job, target)
+    unreadable = [
+        f"{number(n, 'message')} on {topic} could not be read, left unchanged" for topic, n in problems.counts.items()
+    ]
+    return [*unreadable, *problems.first.values()]
+
+
+def _job(summary: LogSummary, severities: Mapping[str, int], seed: int, overrides: Mapping[str, str]) -> Degradation:
+    """Find what the corruptions change.
+
+    Raises:
+        ChannelError: a corruption changes nothing in this log.
+    """
+    assigned = assignment_of_log(summary, overrides)
+    by_topic: dict[str, str] = {}
+    for role, topic in assigned.topics.items():
+        if ROLES[role].kind in (*_SENSORS, "tf") and not ROLES[role].truth:
+            by_topic.setdefault(topic, role)
+    roles = replace(assigned, topics={role: topic for topic, role in by_topic.items()})
+    kinds = {ROLES[role].kind for role in roles.topics}
+    for name in severities:
+        changed = {kind for kind, changes in _CHANGES.items() if name in changes} or set(_SENSORS)
+        if not changed & kinds:
+            raise ChannelError(f"{summary.path}: {name} changes nothing: no channel of {' or '.join(sorted(changed))}")
+    touched = {role for role in _TRUTH_OF if _is_touched(ROLES[role].kind, severities)}
+    truths = {
+        roles.topics[role]: ROLES[truth].topic
+        for role, truth in _TRUTH_OF.items()
+        if role in touched & roles.topics.keys() and truth not in assigned.topics
+    }
+    return Degradation(summary, roles, _cameras(summary, assigned), severities, seed, truths)
+
+
+def _is_touched(kind: Kind, severities: Iterable[str]) -> bool:
+    return any(name in _CHANGES[kind] or name in DELIVERIES for name in severities)
+
+
+def _cameras(summary: LogSummary, roles: RoleAssignment) -> tuple[Camera, ...]:
+    """The first calibration of each camera, the front camera's first.
+
+    Raises:
+        ChannelError: there is none.
+    """
+    topics = {role: topic for role, topic in roles.topics.items() if ROLES[role].kind == "calibration"}
+    cameras: dict[str, Camera] = {}
+    for role, topic in topics.items():
+        one = replace(roles, topics={role: topic})
+        found = next(decoded_messages(log.read(summary, topics=(topic,)), one, "auto", Problems()), None)
+        if found is not None and isinstance(found.payload, Camera):
+            cameras[role] = found.payload
+    if not cameras:
+        raise ChannelError(f"{summary.path}: no calibration of a camera")
+    return tuple(cameras.values())
+
+
+def _degraded(job: Degradation, problems: Problems, progress: Progress) -> Iterator[tuple[int, tuple[Message, ...]]]:
+    """Yield each message's log time, and what it becomes; unreadable messages stay as they are.
+
+    Several are computed at a time.
+    """
+    total = sum(job.summary.counts.values())
+
+    def read() -> Iterator[tuple[Message, Stamped | None]]:
+        for message in log.read(job.summary):
+            if not is_result(message.channel):
+                yield message, next(decoded_messages([message], job.roles, "auto", problems), None)
+
+    def changed(pair: tuple[Message, Stamped | None]) -> tuple[Message, tuple[Message, ...] | DecodeError]:
+        message, item = pair
+        try:
+            return message, (message,) if item is None else _corrupted(job, message, item)
+        except DecodeError as error:
+            return message, error
+
+    for done, (message, found) in enumerate(in_order(changed, read(), usable_cores()), 1):
+        if isinstance(found, DecodeError):
+            problems.add(message.channel.topic, message.log_time_ns, found)
+        yield message.log_time_ns, (message,) if isinstance(found, DecodeError) else found
+        progress(done, total)
+
+
+def _corrupted(job: Degradation, message: Message, item: Stamped) -> tuple[Message, ...]:
+    """What a message becomes: a clean copy as truth if the log has none, and the message as often as it arrives."""
+    kind, topic = ROLES[item.role].kind, message.channel.topic
+    delays: tuple[int, ...] = (0,)
+    for name in job.severities:
+        if name in DELIVERIES and kind in _SENSORS:
+            more = DELIVERIES[name](kind, job.level(name), job.draw(name, item))
+            delays = tuple(delay + later for delay in delays for later in more)
+    clean = []
+    if topic in job.truths:
+        clean.append(replace(message, channel=replace(message.channel, topic=job.truths[topic])))
+    changed = _changed(job, message, item, kind) if delays else message
+    return (*clean, *(replace(changed, log_time_ns=message.log_time_ns + delay) for delay in delays))
+
+
+def _changed(job: Degradation, message: Message, item: Stamped, kind: Kind) -> Message:
+    """The message with changed content; the message itself if no corruption changes it."""
+    names = [name for name in job.severities if name in _CHANGES.get(kind, {})]
+    if not names:
+        return message
+    before = content = _content(item)
+    for name in names:
+        content = _CHANGES[kind][name](content, job.level(name), job.draw(name, item))
+    channel = _own_channel(message.channel, item)
+    if content is before and channel is message.channel:
+        return message
+    return replace(message, channel=channel, data=_encoded(job, message, item, content))
+
+
+def _content(item: Stamped) -> Any:
+    match item.payload:
+        case CameraImage():
+            return item.payload.bgr
+        case DepthImage():
+            return item.payload.depth_m
+        case TagImage():
+            return item.payload.tags
+    return item.payload
+
+
+def _own_channel(channel: Channel, item: Stamped) -> Channel:
+    """The channel for messages of this program: the message's own, if it has the schema that they are written with."""
+    table = item.payload.table if isinstance(item.payload, TagImage) else None
+    own = replace(channel_of(item.role, table), topic=channel.topic, source_id=channel.source_id)
+    return channel if own.schema == channel.schema and set(own.metadata) <= set(channel.metadata) else own
+
+
+def _encoded(job: Degradation, message: Message, item: Stamped, content: Any) -> bytes:
+    stamp_ns, payload = item.stamp_ns, item.payload
+    match payload:
+        case CameraImage():
+            lossless = PNG_MAGIC in message.data or "Compressed" not in message.channel.schema_name
+            form, data = ("png", encode_png(content)) if lossless else ("jpeg", encode_jpeg(content, JPEG_QUALITY))
+            return encoding.encode_image(stamp_ns, payload.frame_id, form, data)
+        case DepthImage():
+            as_float = payload.limit_m == math.inf
+            return encoding.encode_depth(stamp_ns, payload.frame_id, content, as_float=as_float)
+        case TagImage():
+            png = encode_indices(content, payload.table.colours)
+            return encoding.encode_image(stamp_ns, payload.frame_id, "png", png)
+    if ROLES[item.role].kind == "tf":
+        return encoding.encode_transforms(stamp_ns, content)
+    return encoding.encode_detections(stamp_ns, job.cameras[0].frame_id, content)
+
+
+def _in_log_order(groups: Iterable[tuple[int, tuple[Message, ...]]]) -> Iterator[Message]:
+    """Yield messages in log-time order. The messages of a group are not earlier than its time, and the times rise."""
+    waiting: list[tuple[int, int, Message]] = []
+    serial = count()
+    for time_ns, group in groups:
+        while waiting and waiting[0][0] < time_ns:
+            yield heappop(waiting)[2]
+        for message in group:
+            heappush(waiting, (message.log_time_ns, next(serial), message))
+    while waiting:
+        yield heappop(waiting)[2]
+
+
+def _describe(job: Degradation, target: LogWriter) -> None:
+    """Copy attachments and metadata, and record the corruptions."""
+    for attachment in job.summary.attachments:
+        if attachment.name not in record.OWN_ATTACHMENTS:
+            target.attach(attachment)
+    for metadata in job.summary.metadata:
+        if metadata.name != record.METADATA_RECORD:
+            target.describe(metadata)
+    values = {name: str(severity) for name, severity in job.severities.items()}
+    values |= {record.SEED_KEY: str(job.seed), record.VERSION_KEY: __version__}
+    target.describe(Metadata(record.DEGRADATION_RECORD, tuple(values.items())))
