@@ -4,9 +4,9 @@ import argparse
 from pathlib import Path
 from typing import Final
 
-from roadperc_stream.cli.arguments import add_topic_argument
+from roadperc_stream.cli.arguments import SEED, add_topic_argument
 from roadperc_stream.cli.completers import completed_by, files, words
-from roadperc_stream.cli.plumbing import command_parser, number, parse, part, run
+from roadperc_stream.cli.plumbing import command_parser, parse, part, run
 
 _EXAMPLE: Final = """\
 example:
@@ -18,7 +18,6 @@ corruptions:
 {names}
 """
 _ACROSS: Final = 4
-_seed = number(0, 2**63 - 1, "a whole number of 0 or more", int)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -48,7 +47,7 @@ def _parser() -> argparse.ArgumentParser:
         required=True,
         help="corruptions, in this order, with severities of 1 to 5; severity 0 changes nothing",
     )
-    add("--seed", type=_seed, metavar="N", default=0, help="seed of the random numbers (default: 0)")
+    add("--seed", type=SEED, metavar="N", default=0, help="seed of the random numbers (default: 0)")
     add_topic_argument(parser)
     add("--force", action="store_true", help="replace an existing log")
     add("--quiet", action="store_true", help="print errors and warnings only")

@@ -56,3 +56,14 @@ def severities(text: str) -> dict[str, int]:
             raise argparse.ArgumentTypeError(f"{word.strip()}: expected NAME=SEVERITY once, with a severity of 0 to 5")
         found[name] = int(severity)
     return found
+
+
+def swept(text: str) -> tuple[str, tuple[int, ...]]:
+    """Parse a corruption with several severities, such as ``fog=1,3,5``; severity 0 is always part of a sweep.
+
+    Raises:
+        ArgumentTypeError: as ``severities``.
+    """
+    name, _, values = text.partition("=")
+    found = {severity for value in values.split(",") for severity in severities(f"{name}={value}").values()}
+    return name.strip(), tuple(sorted(found - {0}))
