@@ -60,7 +60,7 @@ def sweep(folder, name, *options):
 def test_rows_equal_those_of_a_replay_of_the_degraded_log(swept):
     copy = swept / "degraded.mcap"
     assert degrade.main([str(swept / "in.mcap"), str(copy), "--with", "depth_noise=5", "--seed", "3", "--quiet"]) == 0
-    replay(copy, swept / "one.mcap")
+    replay(copy, swept / "one.mcap", ReplayConfig())
     rows = pl.scan_parquet(f"{swept}/out/**/*.parquet").collect()
     own = rows.filter(pl.col("corruption") == "depth_noise", pl.col("severity") == 5)
     expected = pl.read_parquet(sidecar_path(swept / "one.mcap", "metrics"))
