@@ -2,7 +2,7 @@
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -27,9 +27,9 @@ from .sweeping.robustness import (
     degradations,
     names_of,
     of_corruption,
-    rates,
-    rates_tables,
     require_baseline,
+    robustness_of_all,
+    tables_of,
 )
 from .sweeping.settings import Combination, combinations, dataset, describe, reference_of, shown, table_names
 from .sweeping.sweep_log import Job, sweep_logs
@@ -39,8 +39,8 @@ LEGEND: Final = (
     "best: among the settings with the highest coverage; lower coverage: better, but in fewer frames",
     "time: only for comparing settings, which share the decoding; a replay takes longer",
 )
-DegradeLog = Callable[[Path, Path, Mapping[str, int], int, Mapping[str, str]], object]
-"""Writes a log with corruptions: takes the log, the new one, severities by name, the seed and topics by role."""
+DegradeLog = Callable[..., object]
+"""``tools.degrade.degrade_log``, which writes a log with corruptions."""
 CURVES: Final = "curves.svg"
 
 
@@ -149,9 +149,8 @@ def _jobs(
             continue
         for item in made:
             chosen = {str(item.settings["corruption"]): int(item.settings["severity"] or 0)} if item.number else {}
-            options = {"severities": chosen, "seed": arguments.seed, "overrides": overrides}
-            degrade = partial(degrade_log, **options) if chosen else None
-            yield replace(job, combinations=(item,), degrade=degrade)
+            degrade = partial(degrade_log, severities=chosen, seed=arguments.seed, overrides=overrides)
+            yield replace(job, combinations=(item,), degrade=degrade if chosen else None)
 
 
 def _print(arguments: argparse.Namespace, made: Sequence[Combination], reference: Combination) -> None:
@@ -164,9 +163,9 @@ def _print(arguments: argparse.Namespace, made: Sequence[Combination], reference
     taken = (f"  {key} {', '.join(texts)}" for key, texts in values.items())
     as_json = _as_json(found, made, reference)
     if arguments.degrade:
-        rated = rates(found, made, arguments.baseline)
-        tables = (*_by_severity(found, made), *rates_tables(rated, arguments.baseline))
-        as_json["robustness"] = {name: {"rr": item.resilience, "ce": item.error} for name, item in rated.items()}
+        rated = robustness_of_all(found, made, arguments.baseline)
+        tables = (*_by_severity(found, made), *tables_of(rated, arguments.baseline))
+        as_json["robustness"] = {name: {"rr": rates, "ce": errors} for name, (rates, errors) in rated.items()}
         (folder / CURVES).write_text(curves([scored for scored in found if _differ(*scored)], made), encoding="utf-8")
         notes = [f"curves: {folder / CURVES}", without_effect(found), LEGEND[0]]
     else:

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from heapq import heappop, heappush
-from itertools import count
+from itertools import count, islice
 from pathlib import Path
 from typing import Any, Final
 
@@ -32,13 +32,15 @@ from roadperc_stream.system.threads import in_order, one_thread, usable_cores
 
 from .carla_dump.messages import JPEG_QUALITY, channel_of
 from .corruptions.draw import Draw
-from .corruptions.images import IMAGES
 from .corruptions.levels import LEVELS
 from .corruptions.sensors import CONTENTS, DELIVERIES
 
-_CHANGES: Final = {**CONTENTS, "image": IMAGES}
 _SENSORS: Final[tuple[Kind, ...]] = ("image", "tags", "instances", "depth", "points", "detections")
 _TRUTH_OF: Final = {"depth": "truth_depth", "segmentation": "truth_segmentation"}
+_PIXELS: Final = {"image": "bgr", "depth": "depth_m", "tags": "tags"}
+"""The attribute of the payload that holds the pixels, by kind."""
+_CALIBRATIONS: Final = 200
+"""Messages that are searched for the cameras."""
 
 
 @dataclass(frozen=True)
@@ -55,15 +57,12 @@ class Degradation:
     seed: int
     truths: Mapping[str, str]
 
-    def draw(self, name: str, item: Stamped) -> Draw:
-        """The random numbers of a corruption of a message."""
+    def parameters(self, name: str, item: Stamped) -> tuple[Any, Draw]:
+        """The constants of a corruption, and the random numbers for a message."""
         first_ns, last_ns = self.summary.first_ns or 0, self.summary.last_ns or 0
         share = (item.log_time_ns - first_ns) / max(last_ns - first_ns, 1)
-        return Draw(self.seed, name, item.stamp_ns, item.role, share, self.cameras)
-
-    def level(self, name: str) -> Any:
-        """The constants of a corruption at its severity."""
-        return LEVELS[name][self.severities[name] - 1]
+        draw = Draw(self.seed, name, item.stamp_ns, item.role, share, self.cameras)
+        return LEVELS[name][self.severities[name] - 1], draw
 
 
 def degrade(arguments: argparse.Namespace) -> None:
@@ -129,20 +128,16 @@ def _job(summary: LogSummary, severities: Mapping[str, int], seed: int, override
     roles = replace(assigned, topics={role: topic for topic, role in by_topic.items()})
     kinds = {ROLES[role].kind for role in roles.topics}
     for name in severities:
-        changed = {kind for kind, changes in _CHANGES.items() if name in changes} or set(_SENSORS)
+        changed = {kind for kind, changes in CONTENTS.items() if name in changes} or set(_SENSORS)
         if not changed & kinds:
             raise ChannelError(f"{summary.path}: {name} changes nothing: no channel of {' or '.join(sorted(changed))}")
-    touched = {role for role in _TRUTH_OF if _is_touched(ROLES[role].kind, severities)}
+    touched = {ROLES[role].kind for role in _TRUTH_OF if severities.keys() & {*CONTENTS[ROLES[role].kind], *DELIVERIES}}
     truths = {
-        roles.topics[role]: ROLES[truth].topic
-        for role, truth in _TRUTH_OF.items()
-        if role in touched & roles.topics.keys() and truth not in assigned.topics
+        topic: ROLES[_TRUTH_OF[role]].topic
+        for role, topic in roles.topics.items()
+        if role in _TRUTH_OF and ROLES[role].kind in touched and _TRUTH_OF[role] not in assigned.topics
     }
     return Degradation(summary, roles, _cameras(summary, assigned), severities, seed, truths)
-
-
-def _is_touched(kind: Kind, severities: Iterable[str]) -> bool:
-    return any(name in _CHANGES[kind] or name in DELIVERIES for name in severities)
 
 
 def _cameras(summary: LogSummary, roles: RoleAssignment) -> tuple[Camera, ...]:
@@ -152,15 +147,12 @@ def _cameras(summary: LogSummary, roles: RoleAssignment) -> tuple[Camera, ...]:
         ChannelError: there is none.
     """
     topics = {role: topic for role, topic in roles.topics.items() if ROLES[role].kind == "calibration"}
-    cameras: dict[str, Camera] = {}
-    for role, topic in topics.items():
-        one = replace(roles, topics={role: topic})
-        found = next(decoded_messages(log.read(summary, topics=(topic,)), one, "auto", Problems()), None)
-        if found is not None and isinstance(found.payload, Camera):
-            cameras[role] = found.payload
+    messages = islice(log.read(summary, topics=tuple(topics.values())), _CALIBRATIONS)
+    items = list(decoded_messages(messages, replace(roles, topics=topics), "auto", Problems()))
+    cameras = {item.role: item.payload for item in reversed(items) if isinstance(item.payload, Camera)}
     if not cameras:
         raise ChannelError(f"{summary.path}: no calibration of a camera")
-    return tuple(cameras.values())
+    return tuple(cameras[role] for role in topics if role in cameras)
 
 
 def _degraded(job: Degradation, problems: Problems, progress: Progress) -> Iterator[tuple[int, tuple[Message, ...]]]:
@@ -195,7 +187,7 @@ def _corrupted(job: Degradation, message: Message, item: Stamped) -> tuple[Messa
     delays: tuple[int, ...] = (0,)
     for name in job.severities:
         if name in DELIVERIES and kind in _SENSORS:
-            more = DELIVERIES[name](kind, job.level(name), job.draw(name, item))
+            more = DELIVERIES[name](kind, *job.parameters(name, item))
             delays = tuple(delay + later for delay in delays for later in more)
     clean = []
     if topic in job.truths:
@@ -206,27 +198,16 @@ def _corrupted(job: Degradation, message: Message, item: Stamped) -> tuple[Messa
 
 def _changed(job: Degradation, message: Message, item: Stamped, kind: Kind) -> Message:
     """The message with changed content; the message itself if no corruption changes it."""
-    names = [name for name in job.severities if name in _CHANGES.get(kind, {})]
+    names = [name for name in job.severities if name in CONTENTS.get(kind, {})]
     if not names:
         return message
-    before = content = _content(item)
+    before = content = getattr(item.payload, _PIXELS[kind]) if kind in _PIXELS else item.payload
     for name in names:
-        content = _CHANGES[kind][name](content, job.level(name), job.draw(name, item))
+        content = CONTENTS[kind][name](content, *job.parameters(name, item))
     channel = _own_channel(message.channel, item)
     if content is before and channel is message.channel:
         return message
     return replace(message, channel=channel, data=_encoded(job, message, item, content))
-
-
-def _content(item: Stamped) -> Any:
-    match item.payload:
-        case CameraImage():
-            return item.payload.bgr
-        case DepthImage():
-            return item.payload.depth_m
-        case TagImage():
-            return item.payload.tags
-    return item.payload
 
 
 def _own_channel(channel: Channel, item: Stamped) -> Channel:

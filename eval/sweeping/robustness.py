@@ -5,7 +5,6 @@ Source: Kong et al., "Robo3D: Towards Robust and Reliable 3D Perception against 
 
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
 from typing import Any, Final
@@ -21,34 +20,17 @@ from .ranking import SettingScore, SweepMetric, scores
 from .settings import MARK, Combination
 
 CLEAN: Final = "clean"
+MEAN: Final = "mean"
 Scored = tuple[SweepMetric, Sequence[SettingScore]]
 """A metric, and the score of every combination."""
-
-
 Rates = dict[str, float | None]
-"""A rate by corruption, after its mean with the key ``mean``; None if undefined."""
-MEAN: Final = "mean"
-
-
-@dataclass(frozen=True)
-class Robustness:
-    """Resilience rates and corruption errors of a metric; the errors are empty without a baseline."""
-
-    resilience: Rates
-    error: Rates
-
-
-def _with_mean(rates: Rates) -> Rates:
-    known = [value for value in rates.values() if value is not None]
-    return {MEAN: fmean(known) if known and len(known) == len(rates) else None, **rates} if rates else {}
+"""A rate by corruption, after the mean of all; None if undefined."""
 
 
 def degradations(cfg: ReplayConfig, severities: Mapping[str, Sequence[int]]) -> tuple[Combination, ...]:
     """The clean log, then each corruption with each severity, under one configuration."""
     pairs = [(CLEAN, 0), *((name, severity) for name, several in severities.items() for severity in several)]
-    return tuple(
-        Combination(at, {"corruption": name, "severity": severity}, cfg) for at, (name, severity) in enumerate(pairs)
-    )
+    return tuple(Combination(at, {"corruption": name, "severity": s}, cfg) for at, (name, s) in enumerate(pairs))
 
 
 def of_corruption(found: Sequence[Any], made: Sequence[Combination], name: str) -> list[Any]:
@@ -61,43 +43,42 @@ def names_of(made: Sequence[Combination]) -> list[str]:
     return list(dict.fromkeys(str(item.settings["corruption"]) for item in made[1:]))
 
 
-def is_rated(metric: SweepMetric) -> bool:
-    """Whether the rates are defined for a metric: it lies in 0 to 1, and 1 is best."""
-    return metric.quantity.unit == RATIO and metric.quantity.better == "high"
-
-
 def robustness(
     found: Sequence[SettingScore], made: Sequence[Combination], baseline: Sequence[SettingScore] | None
-) -> Robustness:
-    """Rates of a metric m in 0 to 1, over the severities of each corruption. Frames without a value count as 0.
+) -> tuple[Rates, Rates]:
+    """Resilience rates and corruption errors of a metric m in 0 to 1; no errors without a baseline.
 
-    RR = sum(m) / (n m_clean), CE = sum(1 - m) / sum(1 - m_baseline).
+    RR = sum(m) / (n m_clean), CE = sum(1 - m) / sum(1 - m_baseline), over n severities. Frames without a value count as
+    0, so m is the score times the coverage.
     """
     rates, errors = Rates(), Rates()
+    values, base = ([(s.value or 0.0) * s.coverage for s in several] for several in (found, baseline or found))
     for name in names_of(made):
-        clean, *values = map(_m, of_corruption(found, made, name))
-        rates[name] = fmean(values) / clean if clean else None
-        if baseline is not None:
-            worse = sum(1 - _m(score) for score in of_corruption(baseline, made, name)[1:])
-            errors[name] = sum(1 - value for value in values) / worse if worse else None
-    return Robustness(_with_mean(rates), _with_mean(errors))
+        clean, *own = of_corruption(values, made, name)
+        worse = sum(1 - value for value in of_corruption(base, made, name)[1:])
+        rates[name] = fmean(own) / clean if clean else None
+        errors[name] = sum(1 - value for value in own) / worse if worse else None
+    return _with_mean(rates), _with_mean(errors) if baseline else {}
 
 
-def _m(score: SettingScore) -> float:
-    return (score.value or 0.0) * score.coverage
+def _with_mean(rates: Rates) -> Rates:
+    known = [value for value in rates.values() if value is not None]
+    return {MEAN: fmean(known) if known and len(known) == len(rates) else None, **rates}
 
 
-def rates(found: Sequence[Scored], made: Sequence[Combination], baseline: Path | None) -> dict[str, Robustness]:
-    """The rates of each metric in 0 to 1, by the metric's name.
+def robustness_of_all(
+    found: Sequence[Scored], made: Sequence[Combination], baseline: Path | None
+) -> dict[str, tuple[Rates, Rates]]:
+    """Rates and errors of each metric that lies in 0 to 1, where 1 is best, by its name.
 
     Raises:
-        TableError: the baseline cannot be read.
+        TableError: the tables of the baseline, the folder of another sweep, cannot be read.
     """
-    tables = sorted(baseline.rglob(f"*{METRICS_SUFFIX}")) if baseline is not None else []
+    tables = sorted(baseline.rglob(f"*{METRICS_SUFFIX}")) if baseline else []
     return {
         metric.quantity.name: robustness(own, made, scores(tables, made, metric) if tables else None)
         for metric, own in found
-        if is_rated(metric) and any(score.value is not None for score in own)
+        if metric.quantity.unit == RATIO and metric.quantity.better == "high" and own[0].value is not None
     }
 
 
@@ -114,16 +95,11 @@ def require_baseline(folder: Path, facts: Mapping[str, Any]) -> None:
             raise TableError(f"{folder}: {key} {known.get(key)}, expected a sweep with {facts[key]}")
 
 
-def rates_tables(rated: Mapping[str, Robustness], baseline: Path | None) -> Iterator[TextTable]:
+def tables_of(rated: Mapping[str, tuple[Rates, Rates]], baseline: Path | None) -> Iterator[TextTable]:
     """A row per metric: mRR and the rate of each corruption; with a baseline also mCE and the errors."""
-    note = "RR: mean over the severities, in percent of the clean log; frames without a value count as 0"
-    yield _table("mRR", {name: item.resilience for name, item in rated.items()}, note)
-    if baseline is not None:
-        note = f"CE: sum of 1 - value, in percent of the baseline {baseline}"
-        yield _table("mCE", {name: item.error for name, item in rated.items()}, note)
-
-
-def _table(mean: str, rates: Mapping[str, Rates], note: str) -> TextTable:
-    headers = tuple(mean if key == MEAN else key for key in next(iter(rates.values()), ()))
-    rows = (row(name, *("" if v is None else percent(v) for v in item.values())) for name, item in rates.items())
-    return TextTable(f"{mean}, %", headers, tuple(rows), (note,))
+    notes = ["RR: mean over the severities, in percent of the clean log; frames without a value count as 0"]
+    notes += [f"CE: sum of 1 - value, in percent of the baseline {baseline}"] if baseline else []
+    for at, (mean, note) in enumerate(zip(("mRR", "mCE"), notes, strict=False)):
+        headers = tuple(mean if key == MEAN else key for key in next(iter(rated.values()), ({}, {}))[at])
+        cells = {name: ["" if v is None else percent(v) for v in both[at].values()] for name, both in rated.items()}
+        yield TextTable(f"{mean}, %", headers, tuple(row(name, *texts) for name, texts in cells.items()), (note,))

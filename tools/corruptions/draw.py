@@ -1,6 +1,7 @@
 """The random numbers of one corruption of one message."""
 
 from dataclasses import dataclass
+from typing import Literal
 from zlib import crc32
 
 import numpy as np
@@ -10,9 +11,9 @@ from roadperc_stream.geometry import Camera
 
 @dataclass(frozen=True)
 class Draw:
-    """Where a message is in its log, and generators that depend on nothing else.
+    """A message's place in its log, on which alone its random numbers depend.
 
-    ``share`` is the message's place in time, from the log's begin (0) to its end (1), ``cameras`` are those of the log.
+    ``share`` is its place in time, from the log's begin (0) to its end (1), ``cameras`` are those of the log.
     """
 
     seed: int
@@ -22,21 +23,7 @@ class Draw:
     share: float
     cameras: tuple[Camera, ...]
 
-    @property
-    def of_log(self) -> np.random.Generator:
-        """A new generator, equal for all messages."""
-        return np.random.default_rng(self._key)
-
-    @property
-    def of_frame(self) -> np.random.Generator:
-        """A new generator, equal for all messages with this stamp."""
-        return np.random.default_rng((*self._key, self.stamp_ns))
-
-    @property
-    def of_message(self) -> np.random.Generator:
-        """A new generator of this message."""
-        return np.random.default_rng((*self._key, self.stamp_ns, crc32(self.role.encode())))
-
-    @property
-    def _key(self) -> tuple[int, int]:
-        return self.seed, crc32(self.name.encode())
+    def rng(self, scope: Literal["log", "stamp", "message"]) -> np.random.Generator:
+        """A new generator, equal for all messages of the log, for those of one stamp, or for this message alone."""
+        parts = {"log": (), "stamp": (self.stamp_ns,), "message": (self.stamp_ns, crc32(self.role.encode()))}[scope]
+        return np.random.default_rng((self.seed, crc32(self.name.encode()), *parts))

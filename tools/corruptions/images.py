@@ -28,18 +28,18 @@ def _bytes(values: Float32) -> Image:
 
 def gaussian_noise(pixels: Image, std: float, draw: Draw) -> Image:
     """Independent normal noise in each value."""
-    noise = draw.of_message.standard_normal(pixels.shape, np.float32)
+    noise = draw.rng("message").standard_normal(pixels.shape, np.float32)
     return _bytes(pixels / np.float32(255) + np.float32(std) * noise)
 
 
 def shot_noise(pixels: Image, photons: float, draw: Draw) -> Image:
     """Poisson noise: a white pixel has ``photons`` on average."""
-    return _bytes((draw.of_message.poisson(pixels * (photons / 255)) / photons).astype(np.float32))
+    return _bytes((draw.rng("message").poisson(pixels * (photons / 255)) / photons).astype(np.float32))
 
 
 def impulse_noise(pixels: Image, share: float, draw: Draw) -> Image:
     """A share of the values is black or white, half of it each."""
-    chance = draw.of_message.random(pixels.shape, np.float32)
+    chance = draw.rng("message").random(pixels.shape, np.float32)
     return np.where(chance < share / 2, np.uint8(0), np.where(chance < share, np.uint8(255), pixels))
 
 
@@ -56,7 +56,7 @@ def defocus_blur(pixels: Image, disk: tuple[int, float], _draw: Draw) -> Image:
 def motion_blur(pixels: Image, trail: tuple[int, float], draw: Draw) -> Image:
     """The mean along a trail of random direction; its weights fall as one half of a normal distribution."""
     radius, std = trail
-    angle = math.radians(draw.of_frame.uniform(-_LARGEST_ANGLE_DEG, _LARGEST_ANGLE_DEG))
+    angle = math.radians(draw.rng("stamp").uniform(-_LARGEST_ANGLE_DEG, _LARGEST_ANGLE_DEG))
     steps = np.arange(2 * radius + 1)
     weights = np.exp(-(steps**2) / (2 * std**2))
     rows, columns = (np.ceil(steps * part - 0.5).astype(int) for part in (math.sin(angle), math.cos(angle)))
@@ -71,7 +71,7 @@ def fog(pixels: Image, density_decay: tuple[float, float], draw: Draw) -> Image:
     density, decay = density_decay
     height, width = pixels.shape[:2]
     side = 1 << (max(height, width) - 1).bit_length()
-    pattern = plasma(side, decay, draw.of_frame)[:height, :width, None]
+    pattern = plasma(side, decay, draw.rng("stamp"))[:height, :width, None]
     values = pixels / np.float32(255)
     brightest = values.max()
     return _bytes((values + np.float32(density) * pattern) * brightest / (brightest + density))
@@ -87,8 +87,7 @@ def plasma(side: int, decay: float, rng: np.random.Generator) -> Float32:
     step, amplitude = side, 100.0
 
     def middle(of: Float32) -> Float32:
-        noise = rng.uniform(-amplitude, amplitude, of.shape).astype(np.float32)
-        return of / 4 + np.float32(amplitude) * noise
+        return of / 4 + (amplitude * rng.uniform(-amplitude, amplitude, of.shape)).astype(np.float32)
 
     while step > 1:
         half = step // 2
@@ -128,7 +127,7 @@ def jpeg_compression(pixels: Image, quality: int, _draw: Draw) -> Image:
 def low_light(pixels: Image, light: tuple[float, float, float], draw: Draw) -> Image:
     """A darker image, with the noise of few photons and of the sensor."""
     brightest, tenth_of_photons, ten_std = light
-    rng, values = draw.of_message, pixels / np.float32(255)
+    rng, values = draw.rng("message"), pixels / np.float32(255)
     span = max(float(np.ptp(values)), 1 / 255)
     dark = brightest * ((values - values.min()) / span) ** 2
     noisy = np.clip(rng.poisson(dark * 10 * tenth_of_photons) / (10 * tenth_of_photons), 0, 1)
@@ -137,7 +136,7 @@ def low_light(pixels: Image, light: tuple[float, float, float], draw: Draw) -> I
 
 def is_crashed(share: float, draw: Draw) -> bool:
     """Whether the camera has crashed: once in the log, for a share of it."""
-    begin = draw.of_log.uniform(0, 1 - share)
+    begin = draw.rng("log").uniform(0, 1 - share)
     return bool(begin <= draw.share <= begin + share)
 
 
@@ -146,20 +145,8 @@ def camera_crash(pixels: Image, share: float, draw: Draw) -> Image:
     return np.zeros_like(pixels) if is_crashed(share, draw) else pixels
 
 
-IMAGES: Final[Mapping[str, Callable[[Image, Any, Draw], Image]]] = {
-    function.__name__: function
-    for function in (
-        gaussian_noise,
-        shot_noise,
-        impulse_noise,
-        defocus_blur,
-        motion_blur,
-        fog,
-        brightness,
-        contrast,
-        jpeg_compression,
-        low_light,
-        camera_crash,
-    )
-}
+IMAGES: Final[Mapping[str, Callable[[Image, Any, Draw], Image]]] = {f.__name__: f for f in (
+    gaussian_noise, shot_noise, impulse_noise, defocus_blur, motion_blur, fog, brightness, contrast, jpeg_compression,
+    low_light, camera_crash,
+)}  # fmt: skip
 """By name: the function of the pixels, the constants of the severity, and the random numbers."""

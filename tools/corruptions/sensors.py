@@ -15,7 +15,7 @@ from roadperc_stream.system.time import seconds_to_ns
 
 from ..scene.noise import false_detection, noisy_tags
 from .draw import Draw
-from .images import is_crashed
+from .images import IMAGES, is_crashed
 
 _HOLE_RADIUS: Final = (0.01, 0.06)
 """Half axes of a hole, as shares of the image's width."""
@@ -29,13 +29,13 @@ Transforms = tuple[Transform, ...]
 
 def depth_noise(depth_m: Float32, relative_std: float, draw: Draw) -> Float32:
     """Depth with an independent relative error in each pixel."""
-    noise = draw.of_message.standard_normal(depth_m.shape, np.float32)
+    noise = draw.rng("message").standard_normal(depth_m.shape, np.float32)
     return depth_m * np.maximum(1 + np.float32(relative_std) * noise, 0)
 
 
 def depth_holes(depth_m: Float32, share: float, draw: Draw) -> Float32:
     """Depth that is unknown in random ellipses, which cover at least a share of the image."""
-    rng, (height, width) = draw.of_message, depth_m.shape
+    rng, (height, width) = draw.rng("message"), depth_m.shape
     holes = np.zeros(depth_m.shape, np.uint8)
     while holes.mean() < share:
         centre = rng.integers(0, (width, height))
@@ -46,12 +46,12 @@ def depth_holes(depth_m: Float32, share: float, draw: Draw) -> Float32:
 
 def tag_noise(tags: Image, share: float, draw: Draw) -> Image:
     """Tags with the errors of a network, as in rendered scenes."""
-    return noisy_tags(tags, share, draw.of_message)
+    return noisy_tags(tags, share, draw.rng("message"))
 
 
 def detections_jittered(found: Detections, std: float, draw: Draw) -> Detections:
     """Boxes with a random error on each side; a box is at least one pixel wide and high."""
-    rng = draw.of_message
+    rng = draw.rng("message")
     return tuple(replace(item, box_px=_jittered(item.box_px, std, rng)) for item in found)
 
 
@@ -64,20 +64,20 @@ def _jittered(box: Box, std: float, rng: np.random.Generator) -> Box:
 
 def detections_missed(found: Detections, share: float, draw: Draw) -> Detections:
     """Detections without a random share."""
-    kept = draw.of_message.random(len(found)) >= share
+    kept = draw.rng("message").random(len(found)) >= share
     return tuple(item for item, keep in zip(found, kept, strict=True) if keep)
 
 
 def detections_false(found: Detections, mean: float, draw: Draw) -> Detections:
     """Detections with boxes of likely shapes at random positions."""
-    rng, camera = draw.of_message, draw.cameras[0]
+    rng, camera = draw.rng("message"), draw.cameras[0]
     false = (false_detection(camera.width, camera.height, rng) for _ in range(rng.poisson(mean)))
     return (*found, *(Detection(label, Box(*box), score) for label, box, score in false))
 
 
 def calibration_turned(edges: Transforms, degrees: float, draw: Draw) -> Transforms:
     """The cameras' mountings, turned about one random axis, the same in the whole log."""
-    axis, frames = draw.of_log.standard_normal(3), {camera.frame_id for camera in draw.cameras}
+    axis, frames = draw.rng("log").standard_normal(3), {camera.frame_id for camera in draw.cameras}
     turn = rigid(rotation_from_vector(np.radians(degrees) * axis / np.linalg.norm(axis)), np.zeros(3))
     return tuple(
         replace(edge, parent_T_child=edge.parent_T_child @ turn) if edge.child in frames else edge for edge in edges
@@ -85,13 +85,10 @@ def calibration_turned(edges: Transforms, degrees: float, draw: Draw) -> Transfo
 
 
 CONTENTS: Final[Mapping[Kind, Mapping[str, Callable[[Any, Any, Draw], Any]]]] = {
-    "depth": {"depth_noise": depth_noise, "depth_holes": depth_holes},
+    "image": IMAGES,
+    "depth": {f.__name__: f for f in (depth_noise, depth_holes)},
     "tags": {"tag_noise": tag_noise},
-    "detections": {
-        "detections_jittered": detections_jittered,
-        "detections_missed": detections_missed,
-        "detections_false": detections_false,
-    },
+    "detections": {f.__name__: f for f in (detections_jittered, detections_missed, detections_false)},
     "tf": {"calibration_turned": calibration_turned},
 }
 """By kind and name: the function of the content, the constants of the severity, and the random numbers."""
@@ -100,42 +97,12 @@ Delays = tuple[int, ...]
 """When a message arrives, in nanoseconds after its log time; empty if it is lost."""
 
 
-def crash_delays(kind: Kind, share: float, draw: Draw) -> Delays:
-    """Nothing that is computed from the image arrives while the camera has crashed."""
-    return () if kind in OF_CAMERA and is_crashed(share, draw) else (0,)
-
-
-def frame_drop(_kind: Kind, share: float, draw: Draw) -> Delays:
-    """All sensors' messages of some stamps are lost."""
-    return () if draw.of_frame.random() < share else (0,)
-
-
-def messages_late(_kind: Kind, delay_s: float, draw: Draw) -> Delays:
-    """Every fifth message, at random, arrives late."""
-    return (seconds_to_ns(delay_s) if draw.of_message.random() < _LATE else 0,)
-
-
-def messages_lost(_kind: Kind, share: float, draw: Draw) -> Delays:
-    """Some messages are lost, independently of each other."""
-    return () if draw.of_message.random() < share else (0,)
-
-
-def messages_twice(_kind: Kind, share: float, draw: Draw) -> Delays:
-    """Some messages arrive twice."""
-    return (0, 0) if draw.of_message.random() < share else (0,)
-
-
-def messages_out_of_order(_kind: Kind, largest_s: float, draw: Draw) -> Delays:
-    """Every message arrives after a random delay."""
-    return (seconds_to_ns(draw.of_message.uniform(0, largest_s)),)
-
-
 DELIVERIES: Final[Mapping[str, Callable[[Kind, Any, Draw], Delays]]] = {
-    "camera_crash": crash_delays,
-    "frame_drop": frame_drop,
-    "messages_late": messages_late,
-    "messages_lost": messages_lost,
-    "messages_twice": messages_twice,
-    "messages_out_of_order": messages_out_of_order,
+    "camera_crash": lambda kind, share, draw: () if kind in OF_CAMERA and is_crashed(share, draw) else (0,),
+    "frame_drop": lambda _, share, draw: () if draw.rng("stamp").random() < share else (0,),
+    "messages_late": lambda _, late_s, draw: (seconds_to_ns(late_s) if draw.rng("message").random() < _LATE else 0,),
+    "messages_lost": lambda _, share, draw: () if draw.rng("message").random() < share else (0,),
+    "messages_twice": lambda _, share, draw: (0, 0) if draw.rng("message").random() < share else (0,),
+    "messages_out_of_order": lambda _, most_s, draw: (seconds_to_ns(draw.rng("message").uniform(0, most_s)),),
 }
 """By name: the function of the message's kind, the constants of the severity, and the random numbers."""

@@ -26,20 +26,20 @@ def scores(*values):
 
 def test_the_rates_are_those_of_robo3d():
     found = robustness(scores(0.8, 0.6, 0.2, 0.4), MADE, scores(0.9, 0.7, 0.3, 0.7))
-    assert found.resilience == pytest.approx({"mean": 0.5, "fog": 0.8 / 1.6, "contrast": 0.5})
-    assert found.error == pytest.approx({"mean": (1.2 + 2) / 2, "fog": 1.2 / 1, "contrast": 0.6 / 0.3})
+    assert found[0] == pytest.approx({"mean": 0.5, "fog": 0.8 / 1.6, "contrast": 0.5})
+    assert found[1] == pytest.approx({"mean": (1.2 + 2) / 2, "fog": 1.2 / 1, "contrast": 0.6 / 0.3})
 
 
 def test_frames_without_a_value_count_as_0():
     found = robustness([SettingScore(0.8, 0.5), *scores(0.2, 0.2, None)], MADE, None)
-    assert found.resilience == pytest.approx({"mean": 0.25, "fog": 0.5, "contrast": 0})
-    assert found.error == {}
+    assert found[0] == pytest.approx({"mean": 0.25, "fog": 0.5, "contrast": 0})
+    assert found[1] == {}
 
 
 def test_a_rate_without_a_denominator_is_undefined():
     found = robustness(scores(0, 0, 0, 0), MADE, scores(1, 1, 1, 0.5))
-    assert found.resilience == {"mean": None, "fog": None, "contrast": None}
-    assert found.error == {"mean": None, "fog": None, "contrast": 2}
+    assert found[0] == {"mean": None, "fog": None, "contrast": None}
+    assert found[1] == {"mean": None, "fog": None, "contrast": 2}
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,7 @@
 """Makes the pictures of docs/degrade.md with the command that the page shows; ``make pictures`` runs it.
 
 Usage:
-    python docs/corruption_pictures.py LOG.mcap FOLDER    degraded_*.jpg in docs/; FOLDER gets the logs
+    python -m tests.degrade_pictures LOG.mcap FOLDER    degraded_*.jpg in docs/; FOLDER gets the logs
 """
 
 import subprocess
@@ -21,11 +21,9 @@ from roadperc_stream.input.stream import Problems, decoded_messages
 from roadperc_stream.tools.corruptions.levels import LEVELS
 
 Picture = NDArray[np.uint8]
-_DOCS: Final = Path(__file__).parent
+_DOCS: Final = Path(__file__).parents[1] / "docs"
 _BIN: Final = Path(sys.executable).parent
 _FRAME: Final = 20
-_CRASH_AT: Final = 0.3
-"""Share of the frames in which the camera of the picture has crashed."""
 _SIZE: Final = (240, 180)
 _ACROSS: Final = 4
 _QUALITY: Final = 70
