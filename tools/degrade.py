@@ -4,8 +4,9 @@ import argparse
 import math
 import shutil
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from heapq import heappop, heappush
 from itertools import count, islice
 from pathlib import Path
@@ -27,7 +28,7 @@ from roadperc_stream.schemas.roles import ROLES, Kind, parse_topic_options
 from roadperc_stream.system.files import completing, require_free
 from roadperc_stream.system.process import optional_output
 from roadperc_stream.system.progress import Progress, no_progress
-from roadperc_stream.system.text import number, print_line
+from roadperc_stream.system.text import print_line
 from roadperc_stream.system.threads import in_order, one_thread, usable_cores
 
 from .carla_dump.messages import JPEG_QUALITY, channel_of
@@ -36,6 +37,7 @@ from .corruptions.levels import LEVELS
 from .corruptions.sensors import CONTENTS, DELIVERIES
 
 _SENSORS: Final[tuple[Kind, ...]] = ("image", "tags", "instances", "depth", "points", "detections")
+_READ: Final[tuple[Kind, ...]] = (*_SENSORS, "tf")
 _TRUTH_OF: Final = {"depth": "truth_depth", "segmentation": "truth_segmentation"}
 _PIXELS: Final = {"image": "bgr", "depth": "depth_m", "tags": "tags"}
 """The attribute of the payload that holds the pixels, by kind."""
@@ -45,7 +47,7 @@ _CALIBRATIONS: Final = 200
 
 @dataclass(frozen=True)
 class Degradation:
-    """A log, its roles with one role a topic, and the corruptions in their order with severities of 1 or more.
+    """A log, the roles that may change, and the corruptions in their order with severities of 1 or more.
 
     ``truths`` are the topics whose messages are also written unchanged as truth, each with the topic of the truth.
     """
@@ -100,18 +102,13 @@ def degrade_log(
         with completing(out) as temporary:
             shutil.copyfile(source, temporary)
         return []
-    problems = Problems()
-    kept = [channel for channel in summary.channels if not is_result(channel)]
     with one_thread(), LogWriter(out, summary.profile) as target:
-        for channel in kept:
-            target.register(channel, ids=(channel.source_id, summary.schema_ids.get(channel.source_id, 0)))
-        for message in _in_log_order(_degraded(job, problems, progress)):
-            target.write(message)
+        for channel in summary.channels:
+            if not is_result(channel):
+                target.register(channel, ids=(channel.source_id, summary.schema_ids.get(channel.source_id, 0)))
+        unreadable = _write(job, target, progress)
         _describe(job, target)
-    unreadable = [
-        f"{number(n, 'message')} on {topic} could not be read, left unchanged" for topic, n in problems.counts.items()
-    ]
-    return [*unreadable, *problems.first.values()]
+    return [f"{text}; unreadable messages on this topic stay unchanged" for text in unreadable.values()]
 
 
 def _job(summary: LogSummary, severities: Mapping[str, int], seed: int, overrides: Mapping[str, str]) -> Degradation:
@@ -121,12 +118,10 @@ def _job(summary: LogSummary, severities: Mapping[str, int], seed: int, override
         ChannelError: a corruption changes nothing in this log.
     """
     assigned = assignment_of_log(summary, overrides)
-    by_topic: dict[str, str] = {}
-    for role, topic in assigned.topics.items():
-        if ROLES[role].kind in (*_SENSORS, "tf") and not ROLES[role].truth:
-            by_topic.setdefault(topic, role)
-    roles = replace(assigned, topics={role: topic for topic, role in by_topic.items()})
-    kinds = {ROLES[role].kind for role in roles.topics}
+    read = {
+        role: topic for role, topic in assigned.topics.items() if ROLES[role].kind in _READ and not ROLES[role].truth
+    }
+    roles, kinds = replace(assigned, topics=read), {ROLES[role].kind for role in read}
     for name in severities:
         changed = {kind for kind, changes in CONTENTS.items() if name in changes} or set(_SENSORS)
         if not changed & kinds:
@@ -155,49 +150,57 @@ def _cameras(summary: LogSummary, roles: RoleAssignment) -> tuple[Camera, ...]:
     return tuple(cameras[role] for role in topics if role in cameras)
 
 
-def _degraded(job: Degradation, problems: Problems, progress: Progress) -> Iterator[tuple[int, tuple[Message, ...]]]:
-    """Yield each message's log time, and what it becomes; unreadable messages stay as they are.
-
-    Several are computed at a time.
-    """
-    total = sum(job.summary.counts.values())
-
-    def read() -> Iterator[tuple[Message, Stamped | None]]:
-        for message in log.read(job.summary):
-            if not is_result(message.channel):
-                yield message, next(decoded_messages([message], job.roles, "auto", problems), None)
-
-    def changed(pair: tuple[Message, Stamped | None]) -> tuple[Message, tuple[Message, ...] | DecodeError]:
-        message, item = pair
-        try:
-            return message, (message,) if item is None else _corrupted(job, message, item)
-        except DecodeError as error:
-            return message, error
-
-    for done, (message, found) in enumerate(in_order(changed, read(), usable_cores()), 1):
-        if isinstance(found, DecodeError):
-            problems.add(message.channel.topic, message.log_time_ns, found)
-        yield message.log_time_ns, (message,) if isinstance(found, DecodeError) else found
+def _write(job: Degradation, target: LogWriter, progress: Progress) -> dict[str, str]:
+    """Write what the messages become, in log-time order; return a text about the first unreadable one of each topic."""
+    messages = (message for message in log.read(job.summary) if not is_result(message.channel))
+    unreadable: dict[str, str] = {}
+    waiting: list[tuple[int, int, Message]] = []
+    serial, total = count(), sum(job.summary.counts.values())
+    for done, (time_ns, group, first) in enumerate(in_order(partial(_corrupted, job), messages, usable_cores()), 1):
+        while waiting and waiting[0][0] < time_ns:
+            target.write(heappop(waiting)[2])
+        for message in group:
+            heappush(waiting, (message.log_time_ns, next(serial), message))
+        unreadable = first | unreadable
         progress(done, total)
+    for _, _, message in sorted(waiting, key=lambda item: item[:2]):
+        target.write(message)
+    return unreadable
 
 
-def _corrupted(job: Degradation, message: Message, item: Stamped) -> tuple[Message, ...]:
-    """What a message becomes: a clean copy as truth if the log has none, and the message as often as it arrives."""
-    kind, topic = ROLES[item.role].kind, message.channel.topic
-    delays: tuple[int, ...] = (0,)
+def _corrupted(job: Degradation, message: Message) -> tuple[int, list[Message], dict[str, str]]:
+    """A message's log time, what it becomes, and a text by its topic if it cannot be read.
+
+    It becomes a clean copy as truth if the log has none, and the message as often as it arrives.
+    """
+    time_ns, topic, problems = message.log_time_ns, message.channel.topic, Problems()
+    item = next(decoded_messages([message], job.roles, "auto", problems), None)
+    group = [message]
+    if item is not None:
+        delays, changed = _delays(job, item), message
+        try:
+            changed = _changed(job, message, item) if delays else message
+        except DecodeError as error:
+            problems.add(topic, time_ns, error)
+        group = [replace(changed, log_time_ns=time_ns + delay) for delay in delays]
+        if topic in job.truths:
+            group.insert(0, replace(message, channel=replace(message.channel, topic=job.truths[topic])))
+    return time_ns, group, problems.first
+
+
+def _delays(job: Degradation, item: Stamped) -> list[int]:
+    """How late a message arrives each time, in nanoseconds."""
+    kind, delays = ROLES[item.role].kind, [0]
     for name in job.severities:
         if name in DELIVERIES and kind in _SENSORS:
             more = DELIVERIES[name](kind, *job.parameters(name, item))
-            delays = tuple(delay + later for delay in delays for later in more)
-    clean = []
-    if topic in job.truths:
-        clean.append(replace(message, channel=replace(message.channel, topic=job.truths[topic])))
-    changed = _changed(job, message, item, kind) if delays else message
-    return (*clean, *(replace(changed, log_time_ns=message.log_time_ns + delay) for delay in delays))
+            delays = [delay + later for delay in delays for later in more]
+    return delays
 
 
-def _changed(job: Degradation, message: Message, item: Stamped, kind: Kind) -> Message:
+def _changed(job: Degradation, message: Message, item: Stamped) -> Message:
     """The message with changed content; the message itself if no corruption changes it."""
+    kind = ROLES[item.role].kind
     names = [name for name in job.severities if name in CONTENTS.get(kind, {})]
     if not names:
         return message
@@ -233,19 +236,6 @@ def _encoded(job: Degradation, message: Message, item: Stamped, content: Any) ->
     if ROLES[item.role].kind == "tf":
         return encoding.encode_transforms(stamp_ns, content)
     return encoding.encode_detections(stamp_ns, job.cameras[0].frame_id, content)
-
-
-def _in_log_order(groups: Iterable[tuple[int, tuple[Message, ...]]]) -> Iterator[Message]:
-    """Yield messages in log-time order. The messages of a group are not earlier than its time, and the times rise."""
-    waiting: list[tuple[int, int, Message]] = []
-    serial = count()
-    for time_ns, group in groups:
-        while waiting and waiting[0][0] < time_ns:
-            yield heappop(waiting)[2]
-        for message in group:
-            heappush(waiting, (message.log_time_ns, next(serial), message))
-    while waiting:
-        yield heappop(waiting)[2]
 
 
 def _describe(job: Degradation, target: LogWriter) -> None:

@@ -2,6 +2,7 @@
 
 import argparse
 from pathlib import Path
+from textwrap import fill
 from typing import Final
 
 from roadperc_stream.cli.arguments import SEED, add_topic_argument
@@ -17,7 +18,6 @@ example:
 corruptions:
 {names}
 """
-_ACROSS: Final = 4
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -29,12 +29,10 @@ def main(argv: list[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     levels = part("tools.corruptions.levels")
-    names = list(levels.LEVELS)
-    rows = ("  " + ", ".join(names[at : at + _ACROSS]) for at in range(0, len(names), _ACROSS))
     parser = command_parser(
         "degrade",
         "Write a log with corruptions. The same seed gives the same bytes. The truth and all other messages stay.",
-        _EXAMPLE.format(names=",\n".join(rows)),
+        _EXAMPLE.format(names=fill(", ".join(levels.LEVELS), 100, initial_indent="  ", subsequent_indent="  ")),
     )
     add = parser.add_argument
     source = add("log", type=Path, metavar="IN.mcap", help="log to read")
@@ -53,5 +51,5 @@ def _parser() -> argparse.ArgumentParser:
     add("--quiet", action="store_true", help="print errors and warnings only")
     for action in (source, out):
         completed_by(action, files(".mcap"))
-    completed_by(corruptions, words(f"{name}=" for name in names))
+    completed_by(corruptions, words(f"{name}=" for name in levels.LEVELS))
     return parser

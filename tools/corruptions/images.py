@@ -16,25 +16,10 @@ from roadperc_stream.model import Image
 
 from .draw import Draw
 
-_LARGEST_ANGLE_DEG: Final = 45
-_SMALL_DISK: Final = 8
-"""Disks up to this radius have a smoother edge of 3 px, larger ones of 5 px."""
 
-
-def _bytes(values: Float32) -> Image:
+def _bytes(values: Any) -> Image:
     """Values of 0 to 1 as uint8, rounded down as in ImageNet-C."""
     return (np.clip(values, 0, 1) * 255).astype(np.uint8)
-
-
-def gaussian_noise(pixels: Image, std: float, draw: Draw) -> Image:
-    """Independent normal noise in each value."""
-    noise = draw.rng("message").standard_normal(pixels.shape, np.float32)
-    return _bytes(pixels / np.float32(255) + np.float32(std) * noise)
-
-
-def shot_noise(pixels: Image, photons: float, draw: Draw) -> Image:
-    """Poisson noise: a white pixel has ``photons`` on average."""
-    return _bytes((draw.rng("message").poisson(pixels * (photons / 255)) / photons).astype(np.float32))
 
 
 def impulse_noise(pixels: Image, share: float, draw: Draw) -> Image:
@@ -46,35 +31,32 @@ def impulse_noise(pixels: Image, share: float, draw: Draw) -> Image:
 def defocus_blur(pixels: Image, disk: tuple[int, float], _draw: Draw) -> Image:
     """The mean over a disk whose edge is smoothed."""
     radius, edge = disk
-    reach = np.arange(-max(radius, _SMALL_DISK), max(radius, _SMALL_DISK) + 1)
+    half, smooth = (8, (3, 3)) if radius <= 8 else (radius, (5, 5))
+    reach = np.arange(-half, half + 1)
     kernel = (reach**2 + reach[:, None] ** 2 <= radius**2).astype(np.float32)
-    smooth = (3, 3) if radius <= _SMALL_DISK else (5, 5)
-    kernel = np.asarray(cv2.GaussianBlur(kernel / kernel.sum(), smooth, edge), np.float32)
-    return _bytes(np.asarray(cv2.filter2D(pixels / np.float32(255), -1, kernel), np.float32))
+    return _bytes(cv2.filter2D(pixels / np.float32(255), -1, cv2.GaussianBlur(kernel / kernel.sum(), smooth, edge)))
 
 
 def motion_blur(pixels: Image, trail: tuple[int, float], draw: Draw) -> Image:
     """The mean along a trail of random direction; its weights fall as one half of a normal distribution."""
     radius, std = trail
-    angle = math.radians(draw.rng("stamp").uniform(-_LARGEST_ANGLE_DEG, _LARGEST_ANGLE_DEG))
+    angle = math.radians(draw.rng("stamp").uniform(-45, 45))
     steps = np.arange(2 * radius + 1)
     weights = np.exp(-(steps**2) / (2 * std**2))
     rows, columns = (np.ceil(steps * part - 0.5).astype(int) for part in (math.sin(angle), math.cos(angle)))
     kernel = np.zeros((4 * radius + 1, 4 * radius + 1), np.float32)
     np.add.at(kernel, (2 * radius + rows, 2 * radius + columns), weights / weights.sum())
-    blurred = cv2.filter2D(pixels / np.float32(255), -1, kernel, borderType=cv2.BORDER_REPLICATE)
-    return _bytes(np.asarray(blurred, np.float32))
+    return _bytes(cv2.filter2D(pixels / np.float32(255), -1, kernel, borderType=cv2.BORDER_REPLICATE))
 
 
 def fog(pixels: Image, density_decay: tuple[float, float], draw: Draw) -> Image:
     """A random pattern of white, added and scaled back so that the brightest pixel stays."""
-    density, decay = density_decay
-    height, width = pixels.shape[:2]
+    (density, decay), (height, width) = density_decay, pixels.shape[:2]
     side = 1 << (max(height, width) - 1).bit_length()
     pattern = plasma(side, decay, draw.rng("stamp"))[:height, :width, None]
     values = pixels / np.float32(255)
     brightest = values.max()
-    return _bytes((values + np.float32(density) * pattern) * brightest / (brightest + density))
+    return _bytes((values + density * pattern) * brightest / (brightest + density))
 
 
 def plasma(side: int, decay: float, rng: np.random.Generator) -> Float32:
@@ -108,30 +90,16 @@ def brightness(pixels: Image, more: float, _draw: Draw) -> Image:
     """A higher value in HSV, with the same hue and saturation: all channels are scaled alike, black becomes grey."""
     values = pixels / np.float32(255)
     before = values.max(axis=2, keepdims=True)
-    after = np.minimum(before + np.float32(more), 1)
+    after = np.minimum(before + more, 1)
     return _bytes(np.where(before > 0, values * after / np.maximum(before, 1 / 255), after))
-
-
-def contrast(pixels: Image, factor: float, _draw: Draw) -> Image:
-    """The difference from the mean of each channel, scaled."""
-    values = pixels / np.float32(255)
-    means = values.mean(axis=(0, 1), keepdims=True)
-    return _bytes((values - means) * np.float32(factor) + means)
-
-
-def jpeg_compression(pixels: Image, quality: int, _draw: Draw) -> Image:
-    """The image after JPEG."""
-    return decode_bgr(encode_jpeg(pixels, quality))
 
 
 def low_light(pixels: Image, light: tuple[float, float, float], draw: Draw) -> Image:
     """A darker image, with the noise of few photons and of the sensor."""
-    brightest, tenth_of_photons, ten_std = light
-    rng, values = draw.rng("message"), pixels / np.float32(255)
-    span = max(float(np.ptp(values)), 1 / 255)
-    dark = brightest * ((values - values.min()) / span) ** 2
-    noisy = np.clip(rng.poisson(dark * 10 * tenth_of_photons) / (10 * tenth_of_photons), 0, 1)
-    return _bytes(noisy.astype(np.float32) + np.float32(ten_std / 10) * rng.standard_normal(noisy.shape, np.float32))
+    (brightest, photons, std), rng, values = light, draw.rng("message"), pixels.astype(np.float32)
+    dark = brightest * ((values - values.min()) / max(float(np.ptp(values)), 1)) ** 2
+    noisy = np.clip(rng.poisson(dark * photons) / photons, 0, 1)
+    return _bytes(noisy + std * rng.standard_normal(noisy.shape, np.float32))
 
 
 def is_crashed(share: float, draw: Draw) -> bool:
@@ -140,13 +108,17 @@ def is_crashed(share: float, draw: Draw) -> bool:
     return bool(begin <= draw.share <= begin + share)
 
 
-def camera_crash(pixels: Image, share: float, draw: Draw) -> Image:
-    """A black image while the camera has crashed."""
-    return np.zeros_like(pixels) if is_crashed(share, draw) else pixels
-
-
-IMAGES: Final[Mapping[str, Callable[[Image, Any, Draw], Image]]] = {f.__name__: f for f in (
-    gaussian_noise, shot_noise, impulse_noise, defocus_blur, motion_blur, fog, brightness, contrast, jpeg_compression,
-    low_light, camera_crash,
-)}  # fmt: skip
+IMAGES: Final[Mapping[str, Callable[[Image, Any, Draw], Image]]] = {
+    "gaussian_noise": lambda x, std, draw: _bytes(x / 255 + std * draw.rng("message").standard_normal(x.shape)),
+    "shot_noise": lambda x, photons, draw: _bytes(draw.rng("message").poisson(x * (photons / 255)) / photons),
+    "impulse_noise": impulse_noise,
+    "defocus_blur": defocus_blur,
+    "motion_blur": motion_blur,
+    "fog": fog,
+    "brightness": brightness,
+    "contrast": lambda x, factor, _: _bytes((factor * x + (1 - factor) * x.mean(axis=(0, 1))) / 255),
+    "jpeg_compression": lambda x, quality, _: decode_bgr(encode_jpeg(x, quality)),
+    "low_light": low_light,
+    "camera_crash": lambda x, share, draw: np.zeros_like(x) if is_crashed(share, draw) else x,
+}
 """By name: the function of the pixels, the constants of the severity, and the random numbers."""

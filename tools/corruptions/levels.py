@@ -22,8 +22,8 @@ LEVELS: Final[Mapping[str, tuple[Any, ...]]] = {
     "brightness": (0.1, 0.2, 0.3, 0.4, 0.5),  # added to the value of HSV
     "contrast": (0.4, 0.3, 0.2, 0.1, 0.05),  # factor
     "jpeg_compression": (25, 18, 15, 10, 7),  # quality
-    "low_light": ((0.6, 60, 0.08), (0.5, 25, 0.12), (0.4, 12, 0.18), (0.3, 5, 0.26), (0.2, 3, 0.38)),
-    # above: brightest value, tenth of the photons of a white pixel, ten times the standard deviation of the noise
+    # brightest value, photons of a white pixel, and standard deviation of the noise
+    "low_light": ((0.6, 600, 0.008), (0.5, 250, 0.012), (0.4, 120, 0.018), (0.3, 50, 0.026), (0.2, 30, 0.038)),
     "camera_crash": (0.1, 0.2, 0.3, 0.4, 0.5),  # share of the log
     "frame_drop": (0.1, 0.2, 0.3, 0.4, 0.5),  # share of the frames
     "depth_noise": (0.01, 0.02, 0.05, 0.1, 0.2),  # relative standard deviation

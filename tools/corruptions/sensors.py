@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from itertools import compress
 from typing import Any, Final
 
 import cv2
@@ -9,7 +10,7 @@ import numpy as np
 
 from roadperc_stream.geometry import Float32, rigid
 from roadperc_stream.geometry.rotations import rotation_from_vector
-from roadperc_stream.model import Box, Detection, Image, Transform
+from roadperc_stream.model import Box, Detection, Transform
 from roadperc_stream.schemas.roles import Kind
 from roadperc_stream.system.time import seconds_to_ns
 
@@ -19,9 +20,7 @@ from .images import IMAGES, is_crashed
 
 _HOLE_RADIUS: Final = (0.01, 0.06)
 """Half axes of a hole, as shares of the image's width."""
-_LATE: Final = 0.2
-"""Share of late messages."""
-OF_CAMERA: Final[tuple[Kind, ...]] = ("tags", "instances", "detections")
+_FROM_IMAGE: Final = ("tags", "instances", "detections")
 """Kinds that are computed from the image: a crashed camera sends none."""
 Detections = tuple[Detection, ...]
 Transforms = tuple[Transform, ...]
@@ -44,28 +43,13 @@ def depth_holes(depth_m: Float32, share: float, draw: Draw) -> Float32:
     return np.where(holes > 0, np.float32(np.nan), depth_m)
 
 
-def tag_noise(tags: Image, share: float, draw: Draw) -> Image:
-    """Tags with the errors of a network, as in rendered scenes."""
-    return noisy_tags(tags, share, draw.rng("message"))
-
-
 def detections_jittered(found: Detections, std: float, draw: Draw) -> Detections:
     """Boxes with a random error on each side; a box is at least one pixel wide and high."""
-    rng = draw.rng("message")
-    return tuple(replace(item, box_px=_jittered(item.box_px, std, rng)) for item in found)
-
-
-def _jittered(box: Box, std: float, rng: np.random.Generator) -> Box:
-    width, height = box.x_max - box.x_min, box.y_max - box.y_min
-    dx0, dy0, dx1, dy1 = rng.normal(0, std, 4) * (width, height, width, height)
-    x_min, y_min = float(box.x_min + dx0), float(box.y_min + dy0)
-    return Box(x_min, y_min, max(float(box.x_max + dx1), x_min + 1), max(float(box.y_max + dy1), y_min + 1))
-
-
-def detections_missed(found: Detections, share: float, draw: Draw) -> Detections:
-    """Detections without a random share."""
-    kept = draw.rng("message").random(len(found)) >= share
-    return tuple(item for item, keep in zip(found, kept, strict=True) if keep)
+    corners = np.array([(d.box_px.x_min, d.box_px.y_min, d.box_px.x_max, d.box_px.y_max) for d in found]).reshape(-1, 4)
+    sides = np.tile(corners[:, 2:] - corners[:, :2], 2)
+    corners += draw.rng("message").normal(0, std, corners.shape) * sides
+    corners[:, 2:] = np.maximum(corners[:, 2:], corners[:, :2] + 1)
+    return tuple(replace(item, box_px=Box(*box)) for item, box in zip(found, corners.tolist(), strict=True))
 
 
 def detections_false(found: Detections, mean: float, draw: Draw) -> Detections:
@@ -86,9 +70,13 @@ def calibration_turned(edges: Transforms, degrees: float, draw: Draw) -> Transfo
 
 CONTENTS: Final[Mapping[Kind, Mapping[str, Callable[[Any, Any, Draw], Any]]]] = {
     "image": IMAGES,
-    "depth": {f.__name__: f for f in (depth_noise, depth_holes)},
-    "tags": {"tag_noise": tag_noise},
-    "detections": {f.__name__: f for f in (detections_jittered, detections_missed, detections_false)},
+    "depth": {"depth_noise": depth_noise, "depth_holes": depth_holes},
+    "tags": {"tag_noise": lambda tags, share, draw: noisy_tags(tags, share, draw.rng("message"))},
+    "detections": {
+        "detections_jittered": detections_jittered,
+        "detections_missed": lambda found, p, draw: tuple(compress(found, draw.rng("message").random(len(found)) >= p)),
+        "detections_false": detections_false,
+    },
     "tf": {"calibration_turned": calibration_turned},
 }
 """By kind and name: the function of the content, the constants of the severity, and the random numbers."""
@@ -98,9 +86,9 @@ Delays = tuple[int, ...]
 
 
 DELIVERIES: Final[Mapping[str, Callable[[Kind, Any, Draw], Delays]]] = {
-    "camera_crash": lambda kind, share, draw: () if kind in OF_CAMERA and is_crashed(share, draw) else (0,),
+    "camera_crash": lambda kind, share, draw: () if kind in _FROM_IMAGE and is_crashed(share, draw) else (0,),
     "frame_drop": lambda _, share, draw: () if draw.rng("stamp").random() < share else (0,),
-    "messages_late": lambda _, late_s, draw: (seconds_to_ns(late_s) if draw.rng("message").random() < _LATE else 0,),
+    "messages_late": lambda _, late_s, draw: (seconds_to_ns(late_s) if draw.rng("message").random() < 0.2 else 0,),
     "messages_lost": lambda _, share, draw: () if draw.rng("message").random() < share else (0,),
     "messages_twice": lambda _, share, draw: (0, 0) if draw.rng("message").random() < share else (0,),
     "messages_out_of_order": lambda _, most_s, draw: (seconds_to_ns(draw.rng("message").uniform(0, most_s)),),
