@@ -63,7 +63,11 @@ def picture(name: str, path: Path) -> Picture:
     if name.startswith("tag"):
         found = payloads(path, "segmentation")[_FRAME]
         return np.asarray(found.table.colours, np.uint8)[found.tags][..., ::-1]
-    shown = payloads(path, "image")[_FRAME].bgr.copy()
+    images = [image.bgr for image in payloads(path, "image")]
+    if name == "camera_crash":  # sixteen images of the whole log
+        small = [cv2.resize(image, None, fx=0.25, fy=0.25) for image in images[:: len(images) // 16]]
+        return np.asarray(np.vstack([np.hstack(small[at : at + 4]) for at in range(0, 16, 4)]), np.uint8)
+    shown = images[_FRAME].copy()
     if name.startswith("detections"):
         for item in payloads(path, "detections")[_FRAME]:
             corners = np.rint([item.box_px.x_min, item.box_px.y_min, item.box_px.x_max, item.box_px.y_max]).astype(int)

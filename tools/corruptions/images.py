@@ -19,7 +19,7 @@ from .draw import Draw
 
 def _bytes(values: Any) -> Image:
     """Values of 0 to 1 as uint8, rounded down as in ImageNet-C."""
-    return (np.clip(values, 0, 1) * 255).astype(np.uint8)
+    return np.asarray(np.clip(values, 0, 1) * 255).astype(np.uint8)
 
 
 def impulse_noise(pixels: Image, share: float, draw: Draw) -> Image:
@@ -69,7 +69,8 @@ def plasma(side: int, decay: float, rng: np.random.Generator) -> Float32:
     step, amplitude = side, 100.0
 
     def middle(of: Float32) -> Float32:
-        return of / 4 + (amplitude * rng.uniform(-amplitude, amplitude, of.shape)).astype(np.float32)
+        noise = amplitude * rng.uniform(-amplitude, amplitude, of.shape)
+        return of / np.float32(4) + noise.astype(np.float32)
 
     while step > 1:
         half = step // 2
@@ -83,7 +84,7 @@ def plasma(side: int, decay: float, rng: np.random.Generator) -> Float32:
         heights[half::step, ::step] = middle(along)
         step, amplitude = half, amplitude / decay
     heights -= heights.min()
-    return heights / heights.max()
+    return np.asarray(heights / heights.max(), np.float32)
 
 
 def brightness(pixels: Image, more: float, _draw: Draw) -> Image:

@@ -28,8 +28,8 @@ Transforms = tuple[Transform, ...]
 
 def depth_noise(depth_m: Float32, relative_std: float, draw: Draw) -> Float32:
     """Depth with an independent relative error in each pixel."""
-    noise = draw.rng("message").standard_normal(depth_m.shape, np.float32)
-    return depth_m * np.maximum(1 + np.float32(relative_std) * noise, 0)
+    factor = 1 + relative_std * draw.rng("message").standard_normal(depth_m.shape, np.float32)
+    return np.asarray(depth_m * np.maximum(factor, 0), np.float32)
 
 
 def depth_holes(depth_m: Float32, share: float, draw: Draw) -> Float32:
