@@ -130,6 +130,7 @@ pictures: $(VENV)/.installed $(EVENT_LOGS)  # all pictures of docs/ except foxgl
 	$(BIN)/python docs/make_pictures.py frames $(PICTURES)/change.mcap docs/lane_change.jpg 67 76
 	$(BIN)/python docs/make_pictures.py frames $(PICTURES)/brake.mcap docs/braking.jpg 63 78
 	$(BIN)/python docs/make_pictures.py frames $(PICTURES)/worn.mcap docs/worn.jpg 38 54
+	$(BIN)/python -m tests.degrade_pictures logs/sample.mcap $(PICTURES)
 
 $(PICTURES)/change.mcap: EVENT := --scene town --change-lane left --seed 113
 $(PICTURES)/brake.mcap: EVENT := --scene town --lead-brakes --seed 101

@@ -2,7 +2,9 @@
 
 import argparse
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,7 +20,17 @@ from roadperc_stream.system.text import print_line
 
 from .machine import Case, write_files
 from .quantities import percent, rounded
+from .sweeping.curves import curves
 from .sweeping.ranking import METRICS, SettingScore, SweepMetric, best, effect, scores, without_influence
+from .sweeping.robustness import (
+    Scored,
+    degradations,
+    names_of,
+    of_corruption,
+    require_baseline,
+    robustness_of_all,
+    tables_of,
+)
 from .sweeping.settings import Combination, combinations, dataset, describe, reference_of, shown, table_names
 from .sweeping.sweep_log import Job, sweep_logs
 
@@ -27,8 +39,9 @@ LEGEND: Final = (
     "best: among the settings with the highest coverage; lower coverage: better, but in fewer frames",
     "time: only for comparing settings, which share the decoding; a replay takes longer",
 )
-Scored = tuple[SweepMetric, Sequence[SettingScore]]
-"""A metric, and the score of every combination."""
+DegradeLog = Callable[..., object]
+"""``tools.degrade.degrade_log``, which writes a log with corruptions."""
+CURVES: Final = "curves.svg"
 
 
 def best_settings(found: Sequence[Scored], made: Sequence[Combination], reference: Combination) -> TextTable:
@@ -95,48 +108,84 @@ def _changes(item: Combination, reference: Combination) -> str:
     return " ".join(f"{name}={shown(value)}" for name, value, before in pairs if value != before) or "reference"
 
 
-def sweep(arguments: argparse.Namespace) -> None:
-    """Replay logs under every combination of settings and print the best ones.
+def sweep(arguments: argparse.Namespace, degrade_log: DegradeLog | None = None) -> None:
+    """Replay logs under every combination of settings, or with corruptions, and print the scores.
 
     Raises:
         RoadpercError: a log cannot be replayed, a setting is invalid, or the dataset cannot be written.
     """
-    made = combinations(arguments.config, arguments.set, arguments.vary)
-    reference = reference_of(made, own_stages(load_config(arguments.config, tuple(arguments.set)))[0])
+    cfg = own_stages(load_config(arguments.config, tuple(arguments.set)))[0]
+    severities = dict(arguments.degrade)
+    varied = combinations(arguments.config, arguments.set, arguments.vary)
+    made = degradations(cfg, severities) if severities else varied
     for path in arguments.logs:  # fail before any log is replayed
         if not path.is_file():
             raise LogError(not_a_log(path) if path.is_dir() else f"{path}: no such file")
-    overrides, time_range = parse_topic_options(arguments.topic), time_range_of(arguments)
-    named = list(zip(arguments.logs, table_names(arguments.logs), strict=True))
+    facts: dict[str, Any] = {"logs": [str(path.absolute()) for path in arguments.logs]}
+    if severities:
+        facts |= {"degrade": {name: list(several) for name, several in severities.items()}, "seed": arguments.seed}
+    if arguments.baseline is not None:
+        require_baseline(arguments.baseline, facts)
     with dataset(arguments.out, arguments.force) as folder:
-        jobs = [Job(path, name, folder, made, overrides, time_range) for path, name in named]
+        jobs = list(_jobs(arguments, made, folder, degrade_log))
         with frame_progress(f"{len(made)} combinations", enabled=True) as bar:
             notes = sweep_logs(jobs, arguments.jobs, bar)
-        describe(folder, made, arguments.logs)
-    for job, texts in zip(jobs, notes, strict=True):
-        for note in texts:
-            print_line(f"note: {job.source.name}: {note}")
-    _print(arguments, made, reference)
+        describe(folder, made, facts)
+    found = (f"note: {job.source.name}: {note}" for job, texts in zip(jobs, notes, strict=True) for note in texts)
+    for line in dict.fromkeys(found):
+        print_line(line)
+    _print(arguments, made, reference_of(made, cfg))
+
+
+def _jobs(
+    arguments: argparse.Namespace, made: tuple[Combination, ...], folder: Path, degrade_log: DegradeLog | None
+) -> Iterator[Job]:
+    """A job per log; with corruptions also one per combination, because each replays another log."""
+    overrides, time_range = parse_topic_options(arguments.topic), time_range_of(arguments)
+    for path, name in zip(arguments.logs, table_names(arguments.logs), strict=True):
+        job = Job(path, name, folder, made, overrides, time_range)
+        if degrade_log is None:
+            yield job
+            continue
+        for item in made:
+            chosen = {str(item.settings["corruption"]): int(item.settings["severity"] or 0)} if item.number else {}
+            degrade = partial(degrade_log, severities=chosen, seed=arguments.seed, overrides=overrides)
+            yield replace(job, combinations=(item,), degrade=degrade if chosen else None)
 
 
 def _print(arguments: argparse.Namespace, made: Sequence[Combination], reference: Combination) -> None:
-    """Print the best settings, and write them to the files for other programs."""
+    """Print the best settings or the effect of corruptions, and write them to the files for other programs."""
     folder: Path = arguments.out
     console, files = console_for(sys.stdout), sorted(folder.rglob(f"*{METRICS_SUFFIX}"))
-    found = [(metric, scores(files, made, metric)) for metric in METRICS]
+    found = [(metric, scores(files, made, metric)) for metric in METRICS if not (arguments.degrade and metric.noise)]
     heading = f"{len(files)} tables in {folder}: {len(made)} settings, reference {reference}"
     values = {key: dict.fromkeys(shown(item.settings[key]) for item in made) for key in reference.settings}
     taken = (f"  {key} {', '.join(texts)}" for key, texts in values.items())
-    tables = (best_settings(found, made, reference), *(effects(found, made, key) for key in reference.settings))
-    idle = [f"{key} changed nothing" for key in without_influence(folder, files, made)]
-    notes = [*idle, without_effect(found), *LEGEND]
+    as_json = _as_json(found, made, reference)
+    if arguments.degrade:
+        rated = robustness_of_all(found, made, arguments.baseline)
+        tables = (*_by_severity(found, made), *tables_of(rated, arguments.baseline))
+        as_json["robustness"] = {name: {"rr": rates, "ce": errors} for name, (rates, errors) in rated.items()}
+        (folder / CURVES).write_text(curves([scored for scored in found if _differ(*scored)], made), encoding="utf-8")
+        notes = [f"curves: {folder / CURVES}", without_effect(found), LEGEND[0]]
+    else:
+        tables = (best_settings(found, made, reference), *(effects(found, made, key) for key in reference.settings))
+        idle = [f"{key} changed nothing" for key in without_influence(folder, files, made)]
+        notes = [*idle, without_effect(found), *LEGEND]
     markdown = f"Sweep: {heading}", [note for note in notes if note], tables
     cases = [_case(scored, made, reference) for scored in found]
-    write_files(arguments, _as_json(found, made, reference), markdown, "sweep", cases)
+    write_files(arguments, as_json, markdown, "sweep", cases)
     print_lines(console, heading, *taken, unbroken=True)
     for table in tables:
         print_table(console, table)
     print_lines(console, "", *notes)
+
+
+def _by_severity(found: Sequence[Scored], made: Sequence[Combination]) -> Iterator[TextTable]:
+    """A table per corruption: the scores by severity, 0 is the clean log."""
+    for name in names_of(made):
+        own = [(metric, of_corruption(several, made, name)) for metric, several in found]
+        yield replace(effects(own, of_corruption(made, made, name), "severity"), title=f"{name}, severity")
 
 
 def _as_json(found: Sequence[Scored], made: Sequence[Combination], reference: Combination) -> dict[str, Any]:

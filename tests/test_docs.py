@@ -21,7 +21,7 @@ from tests.commands import run_forked
 ROOT = Path(__file__).parents[1]
 PAGES = [
     ROOT / "README.md",
-    *(ROOT / f"docs/{name}.md" for name in ("viewing", "recordings", "chain", "own_stage", "evaluation")),
+    *(ROOT / f"docs/{name}.md" for name in ("viewing", "recordings", "chain", "own_stage", "degrade", "evaluation")),
 ]
 """Pages whose commands run, in the order in which a reader meets them."""
 TEXTS = [

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import reduce
 from itertools import product
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import tomli_w
 
@@ -109,15 +109,14 @@ def dataset(target: Path, force: bool) -> Iterator[Path]:
         yield hidden
 
 
-def describe(folder: Path, made: Sequence[Combination], logs: Sequence[Path]) -> None:
-    """Write the varied settings, the logs, and the whole configuration of each combination.
+def describe(folder: Path, made: Sequence[Combination], facts: Mapping[str, Any]) -> None:
+    """Write the varied settings, more facts, and the whole configuration of each combination.
 
     Raises:
         TargetError: a file cannot be written.
     """
     vary = {key: list(dict.fromkeys(item.settings[key] for item in made)) for key in made[0].settings}
-    facts = {"version": __version__, "logs": [str(log.absolute()) for log in logs], "vary": vary}
-    texts = {folder / MARK: tomli_w.dumps(facts)}
+    texts = {folder / MARK: tomli_w.dumps({"version": __version__, **facts, "vary": vary})}
     texts |= {folder / item.folder / CONFIG_ATTACHMENT: item.cfg.to_toml() for item in made}
     for path, text in texts.items():
         with target_errors(path):

@@ -47,6 +47,8 @@ class Job:
     combinations: tuple[Combination, ...]
     overrides: Mapping[str, str]
     time_range: TimeRange
+    degrade: Callable[[Path, Path], object] | None = None
+    """Writes the log that is replayed instead of ``source``, which is removed afterwards; None to replay ``source``."""
 
 
 @dataclass
@@ -79,19 +81,34 @@ def sweep_log(job: Job, progress: Progress) -> tuple[str, ...]:
     Raises:
         RoadpercError: the log cannot be read or replayed, or a table cannot be written.
     """
-    notes = [note for group in passes(job.combinations) for note in _one_pass(job, group, progress)]
+    with _replayed(job) as path:
+        notes = [note for group in passes(job.combinations) for note in _one_pass(job, path, group, progress)]
     return tuple(dict.fromkeys(notes))
 
 
-def _one_pass(job: Job, group: Sequence[Combination], progress: Progress) -> tuple[str, ...]:
-    """Replay the log under a group of combinations that use the same samples."""
-    opened = open_log(ReplaySource(job.source, job.overrides, job.time_range), group[0].cfg)
+@contextmanager
+def _replayed(job: Job) -> Iterator[Path]:
+    """The log to replay."""
+    if job.degrade is None:
+        yield job.source
+        return
+    copy = (job.folder / job.combinations[0].folder / job.table).with_suffix(".mcap")
+    try:
+        job.degrade(job.source, copy)
+        yield copy
+    finally:
+        copy.unlink(missing_ok=True)
+
+
+def _one_pass(job: Job, path: Path, group: Sequence[Combination], progress: Progress) -> tuple[str, ...]:
+    """Replay a log under a group of combinations that use the same samples."""
+    opened = open_log(ReplaySource(path, job.overrides, job.time_range), group[0].cfg)
     log_in = opened.input
     progress(0, log_in.expected_frames)
     candidates = []
     for item in group:
-        path, facts = job.folder / item.folder / job.table, table_facts(job.source, job.source, item.cfg)
-        table = TableWriter(path, FrameMetrics, facts, TIME_COLUMNS, item.settings)
+        facts = table_facts(job.source, job.source, item.cfg)
+        table = TableWriter(job.folder / item.folder / job.table, FrameMetrics, facts, TIME_COLUMNS, item.settings)
         candidates.append(Candidate(item.cfg, own_stages(item.cfg)[1], table, opened.state_for(item.cfg)))
     with one_thread(), ExitStack() as tables:
         for candidate in candidates:

@@ -15,6 +15,10 @@ if TYPE_CHECKING:
     from roadperc_stream.system.time import TimeRange
 
 
+SEED: Final = number(0, 2**63 - 1, "a whole number of 0 or more", int)
+"""The type of ``--seed``."""
+
+
 def add_input_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of every command that replays: settings, topics and the part of the log."""
     add = parser.add_argument

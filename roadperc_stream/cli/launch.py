@@ -165,6 +165,7 @@ COMMANDS = {
     "check": "check runs against limits: passed or failed",
     "compare": "compare runs with a base: worse, better or unchanged",
     "convert": "convert folders of frames, such as CARLA dumps, to a log",
+    "degrade": "write a log with corruptions of known severity",
     "find": "find events in many logs by a condition in SQL",
     "infer": "write the segmentation and detections that networks compute",
     "info": "show a log's channels, rates, roles and damage",

@@ -4,41 +4,50 @@ import argparse
 import os
 from pathlib import Path
 
-from roadperc_stream.cli.arguments import add_input_arguments, add_machine_arguments
-from roadperc_stream.cli.completers import LOGS, completed_by, files, varied_settings
+from roadperc_stream.cli.arguments import SEED, add_input_arguments, add_machine_arguments
+from roadperc_stream.cli.completers import LOGS, completed_by, files, varied_settings, words
 from roadperc_stream.cli.plumbing import command_parser, parse, part, run, whole_number
 from roadperc_stream.system.files import real_path
 
 _EXAMPLE = """\
 example:
   roadperc-sweep logs/sample.mcap --vary lanes.fit_strip_m=0.2,0.3,0.5 --vary surface.inlier_m=0.03,0.05
+  roadperc-sweep logs/sample.mcap --degrade fog=1,3,5 --degrade frame_drop=1,3,5 --out robustness
 
-This replays the sample under all six combinations and writes a metrics table for each below sweep/, with the settings
-as columns. Read them with pl.scan_parquet("sweep/**/*.parquet") or roadperc-report sweep/.
+The first line replays the sample under all six combinations and writes a metrics table for each below sweep/, with
+the settings as columns. Read them with pl.scan_parquet("sweep/**/*.parquet") or roadperc-report sweep/.
 """
 
 
 def main(argv: list[str] | None = None) -> int:
-    """``roadperc-sweep``: replay logs under every combination of settings."""
+    """``roadperc-sweep``: replay logs under every combination of settings, or with corruptions."""
     parser = _parser()
     arguments = parse(parser, argv)
-    keys = [item.key for item in arguments.vary]
-    for key in keys:
-        if keys.count(key) > 1:
-            parser.error(f"argument --vary: {key} is varied twice")
+    for option, keys in (
+        ("vary", [item.key for item in arguments.vary]),
+        ("degrade", [n for n, _ in arguments.degrade]),
+    ):
+        for key in keys:
+            if keys.count(key) > 1:
+                parser.error(f"argument --{option}: {key} is varied twice")
+    if not (arguments.vary or arguments.degrade) or (arguments.vary and arguments.degrade):
+        parser.error("expected either --vary or --degrade")
+    if arguments.baseline is not None and not arguments.degrade:
+        parser.error("--baseline needs --degrade")
     logs = [real_path(path) for path in arguments.logs]
     for path in arguments.logs:
         if logs.count(real_path(path)) > 1:
             parser.error(f"argument IN.mcap: {path} is given twice")
     sweeping = part("eval.sweep")
-    return run(lambda: sweeping.sweep(arguments))
+    degrade_log = part("tools.degrade").degrade_log if arguments.degrade else None
+    return run(lambda: sweeping.sweep(arguments, degrade_log))
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser(
         "sweep",
-        "Replay logs under every combination of some settings, write the metrics to one dataset, and print the\n"
-        "best setting for each metric. Each log is read and decoded once.",
+        "Replay logs under every combination of some settings, or with corruptions, write the metrics to one dataset,\n"
+        "and print the best setting for each metric, or its values by severity.",
         _EXAMPLE,
     )
     logs = parser.add_argument("logs", metavar="IN.mcap", type=Path, nargs="+", help="the logs to replay")
@@ -47,8 +56,20 @@ def _parser() -> argparse.ArgumentParser:
         metavar="KEY=A,B,...",
         type=part("eval.options").varied,
         action="append",
-        required=True,
+        default=[],
         help="a setting and its values; repeat the option for combinations of settings",
+    )
+    degrade = parser.add_argument(
+        "--degrade",
+        metavar="NAME=A,B,...",
+        type=part("tools.corruptions.levels").swept,
+        action="append",
+        default=[],
+        help="a corruption of roadperc-degrade and its severities, instead of settings; the option can be repeated",
+    )
+    parser.add_argument("--seed", type=SEED, metavar="N", default=0, help="seed of the corruptions (default: 0)")
+    baseline = parser.add_argument(
+        "--baseline", metavar="DIR", type=Path, help="result of the same --degrade under other settings, for mCE"
     )
     out = parser.add_argument(
         "--out", metavar="DIR", type=Path, default=Path("sweep"), help="folder of the dataset (default: sweep)"
@@ -63,6 +84,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--force", action="store_true", help="replace DIR if it is the result of an earlier sweep")
     add_machine_arguments(parser)
-    for action, completer in ((logs, files(*LOGS)), (vary, varied_settings), (out, files())):
+    names = words(f"{name}=" for name in part("tools.corruptions.levels").LEVELS)
+    for action, completer in (
+        (logs, files(*LOGS)),
+        (vary, varied_settings),
+        (degrade, names),
+        (out, files()),
+        (baseline, files()),
+    ):
         completed_by(action, completer)
     return parser

@@ -272,6 +272,13 @@ def encode_jpeg(pixels_bgr: Image, quality: int) -> bytes:
     return encoded.tobytes()
 
 
+def encode_png(pixels: Image) -> bytes:
+    """PNG of (H, W, 3) pixels, or (H, W) grey ones."""
+    import cv2
+
+    return cv2.imencode(".png", pixels)[1].tobytes()
+
+
 def depth_from_mm(depth_mm: NDArray[np.uint16]) -> Float32:
     """(H, W) metres of 16-bit millimetres: NaN for 0; 65535 means 65.535 m or more."""
     depth_m = depth_mm.astype(np.float32)

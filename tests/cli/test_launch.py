@@ -39,6 +39,7 @@ ENOUGH = {
     "roadperc-bisect": ["in.mcap", "--criteria", "limits.toml"],
     "roadperc-infer": ["in.mcap", "out.mcap", "--network", "n.toml"],
     "roadperc": ["info", "in.mcap"],
+    "roadperc-degrade": ["in.mcap", "out.mcap", "--with", "fog=1"],
     "roadperc-lanes": ["in.mcap", "--tusimple", "lanes.json"],
     "roadperc-render": ["drive"],
     "roadperc-sweep": ["in.mcap", "--vary", "seed=1,2"],

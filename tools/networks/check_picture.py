@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from roadperc_stream.errors import ConfigError
-from roadperc_stream.formats.images import decode_bgr
+from roadperc_stream.formats.images import decode_bgr, encode_png
 from roadperc_stream.model import Image
 from roadperc_stream.system.files import completing, require_free
 from roadperc_stream.system.text import print_line
@@ -43,7 +43,7 @@ def check(description: Path, image: Path, out: Path, *, force: bool) -> None:
     width = max(row.shape[1] for row in rows)
     picture = np.vstack([np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0))) for row in rows])
     with completing(out, force=force) as partial:
-        partial.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
+        partial.write_bytes(encode_png(picture))
     print_line(f"left: the network's input; right: its results; below: with the other order of colours: {out}")
 
 

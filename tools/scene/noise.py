@@ -127,7 +127,7 @@ def detect(
     visible = {truth.name for truth in seen}
     hidden = [body for body in moment.bodies if body.name not in visible]
     found += _occluded(hidden, camera, world_T_camera, rng)
-    found += [_false(camera, rng) for _ in range(rng.poisson(FALSE_PER_FRAME))]
+    found += [false_detection(camera.width, camera.height, rng) for _ in range(rng.poisson(FALSE_PER_FRAME))]
     return [
         {"label": label, "box_px": [round(c, 2) for c in box], "score": round(score, 4)}
         for label, box, score in sorted(found, key=lambda detected: -detected[2])
@@ -165,11 +165,11 @@ def whole_box(body: Body, camera: Camera, world_T_camera: Float) -> Box | None:
     return (float(x0), float(y0), float(x1), float(y1)) if inside else None
 
 
-def _false(camera: Camera, rng: np.random.Generator) -> Detected:
-    """Return a false detection: a box of a likely shape at a random position."""
+def false_detection(columns: int, rows: int, rng: np.random.Generator) -> Detected:
+    """Return a false detection: a box of a likely shape at a random position in an image of this size."""
     label = "Car" if rng.random() < 0.6 else "Pedestrian"
-    height = camera.height * float(np.exp(rng.uniform(np.log(0.03), np.log(0.2))))
+    height = rows * float(np.exp(rng.uniform(np.log(0.03), np.log(0.2))))
     width = height * float(rng.uniform(1.0, 2.2) if label == "Car" else rng.uniform(0.3, 0.55))
-    x, y = rng.uniform(0, camera.width), camera.height * rng.uniform(0.2, 0.8)
+    x, y = rng.uniform(0, columns), rows * rng.uniform(0.2, 0.8)
     box = (float(x) - width / 2, float(y) - height / 2, float(x) + width / 2, float(y) + height / 2)
     return label, box, float(rng.uniform(0.3, 0.75))

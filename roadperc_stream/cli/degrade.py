@@ -1,0 +1,55 @@
+"""``roadperc-degrade``: write a log with corruptions of known severity."""
+
+import argparse
+from pathlib import Path
+from textwrap import fill
+from typing import Final
+
+from roadperc_stream.cli.arguments import SEED, add_topic_argument
+from roadperc_stream.cli.completers import completed_by, files, words
+from roadperc_stream.cli.plumbing import command_parser, parse, part, run
+
+_EXAMPLE: Final = """\
+example:
+  roadperc-degrade in.mcap foggy.mcap --with fog=3,frame_drop=2 --seed 1
+  roadperc-replay foggy.mcap out.mcap
+  roadperc-sweep in.mcap --degrade fog=1,3,5
+
+corruptions:
+{names}
+"""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """``roadperc-degrade``: exit code 0 on success, 1 on an error, 2 on wrong usage."""
+    arguments = parse(_parser(), argv)
+    degrading = part("tools.degrade")
+    return run(lambda: degrading.degrade(arguments))
+
+
+def _parser() -> argparse.ArgumentParser:
+    levels = part("tools.corruptions.levels")
+    parser = command_parser(
+        "degrade",
+        "Write a log with corruptions. The same seed gives the same bytes. The truth and all other messages stay.",
+        _EXAMPLE.format(names=fill(", ".join(levels.LEVELS), 100, initial_indent="  ", subsequent_indent="  ")),
+    )
+    add = parser.add_argument
+    source = add("log", type=Path, metavar="IN.mcap", help="log to read")
+    out = add("out", type=Path, metavar="OUT.mcap", help="log to write")
+    corruptions = add(
+        "--with",
+        dest="severities",
+        type=levels.severities,
+        metavar="NAME=SEVERITY,...",
+        required=True,
+        help="corruptions, in this order, with severities of 1 to 5; severity 0 changes nothing",
+    )
+    add("--seed", type=SEED, metavar="N", default=0, help="seed of the random numbers (default: 0)")
+    add_topic_argument(parser)
+    add("--force", action="store_true", help="replace an existing log")
+    add("--quiet", action="store_true", help="print errors and warnings only")
+    for action in (source, out):
+        completed_by(action, files(".mcap"))
+    completed_by(corruptions, words(f"{name}=" for name in levels.LEVELS))
+    return parser

@@ -1,0 +1,172 @@
+"""``roadperc-degrade`` on small logs: what changes, what stays, and when messages arrive."""
+
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+import pytest
+
+from roadperc_stream import log
+from roadperc_stream.cli import replay
+from roadperc_stream.cli.degrade import main
+from roadperc_stream.config import DEFAULT_LIMITS
+from roadperc_stream.geometry.rotations import rotation_angle
+from roadperc_stream.input.roles import assignment_of_log
+from roadperc_stream.input.stream import Problems, decoded_messages
+from roadperc_stream.log.audit import in_file_order
+from roadperc_stream.tools.corruptions.levels import LEVELS
+from tests import logs
+from tests.analytic import STEP_NS
+
+DEPTH, TAGS, IMAGE = (f"/camera/front/{name}" for name in ("depth", "segmentation", "image"))
+DETECTIONS = "/camera/front/detections"
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory):
+    """Ten frames, with a message of an unknown channel."""
+    extra = replace(logs.foreign(), log_time_ns=logs.START_NS)
+    return logs.write(tmp_path_factory.mktemp("clean") / "in.mcap", logs.items(frames=10), [extra])
+
+
+def degrade(source, out, corruptions, seed=1, *options):
+    assert main([str(source), str(out), "--with", corruptions, "--seed", str(seed), "--quiet", *options]) == 0
+    return out
+
+
+def messages(path):
+    """Every message by topic, in log-time order."""
+    found = {}
+    for item in log.read(log.summarise(path)):
+        found.setdefault(item.channel.topic, []).append(item)
+    return found
+
+
+def payloads(path, role):
+    summary = log.summarise(path)
+    roles = assignment_of_log(summary, {})
+    return [
+        item.payload for item in decoded_messages(log.read(summary), roles, "auto", Problems()) if item.role == role
+    ]
+
+
+def test_severity_0_copies_every_byte(clean, tmp_path):
+    copy = degrade(clean, tmp_path / "out.mcap", "fog=0,frame_drop=0")
+    assert copy.read_bytes() == clean.read_bytes()
+
+
+@pytest.mark.parametrize("name", LEVELS)
+def test_every_corruption_changes_the_log_the_same_way_each_time(clean, tmp_path, name):
+    first, again = (degrade(clean, tmp_path / out, f"{name}=5") for out in ("a.mcap", "b.mcap"))
+    assert first.read_bytes() == again.read_bytes()
+    before, after = messages(clean), messages(first)
+    assert after["/rosout"] == before["/rosout"]
+    changed = {topic for topic in before if after.get(topic) != before[topic]}
+    assert changed
+    assert DEPTH not in changed or after["/truth/depth"][0].data == before[DEPTH][0].data
+    assert TAGS not in changed or [m.data for m in after["/truth/segmentation"]] == [m.data for m in before[TAGS]]
+
+
+def test_another_seed_gives_other_bytes(clean, tmp_path):
+    outs = [degrade(clean, tmp_path / f"{seed}.mcap", "depth_noise=1", seed) for seed in (1, 2)]
+    assert messages(outs[0])[DEPTH] != messages(outs[1])[DEPTH]
+    assert messages(outs[0])[IMAGE] == messages(outs[1])[IMAGE]
+
+
+def test_the_record_names_severities_and_seed(clean, tmp_path):
+    out = degrade(degrade(clean, tmp_path / "a.mcap", "fog=3,frame_drop=2"), tmp_path / "b.mcap", "messages_lost=1", 7)
+    first, second = (dict(record.values) for record in log.summarise(out).metadata if record.name == "roadperc_degrade")
+    assert (first["fog"], first["frame_drop"], first["seed"], second["seed"]) == ("3", "2", "1", "7")
+
+
+def test_dropped_frames_lose_all_sensors(clean, tmp_path):
+    after = messages(degrade(clean, tmp_path / "out.mcap", "frame_drop=5"))
+    stamps = [{m.log_time_ns for m in after[topic]} for topic in (IMAGE, DEPTH, TAGS, DETECTIONS)]
+    assert stamps[0] == stamps[1] == stamps[2] == stamps[3]
+    assert 1 < len(stamps[0]) < 9
+    assert len(after["/truth/depth"]) == 10
+
+
+def test_late_messages_keep_their_stamps_and_the_log_its_order(clean, tmp_path):
+    out = degrade(clean, tmp_path / "out.mcap", "messages_late=3")
+    before, after = messages(clean), messages(out)
+    delays = {m.log_time_ns - m.publish_time_ns for topic in (IMAGE, DEPTH) for m in after[topic]}
+    assert delays == {0, 200_000_000}
+    assert sorted(m.data for m in after[DEPTH]) == sorted(m.data for m in before[DEPTH])
+    times = [m.log_time_ns for m in in_file_order(out, DEFAULT_LIMITS)]
+    assert times == sorted(times)
+
+
+def test_twice_lost_and_out_of_order(clean, tmp_path):
+    twice = messages(degrade(clean, tmp_path / "twice.mcap", "messages_twice=5"))[IMAGE]
+    assert 11 < len(twice) < 19
+    assert len({m.sequence for m in twice}) == 10
+    assert 1 < len(messages(degrade(clean, tmp_path / "lost.mcap", "messages_lost=5"))[IMAGE]) < 10
+    mixed = messages(degrade(clean, tmp_path / "mixed.mcap", "messages_out_of_order=3"))[IMAGE]
+    assert [m.sequence for m in mixed] != sorted(m.sequence for m in mixed)
+    assert max(m.log_time_ns - m.publish_time_ns for m in mixed) <= 8 * STEP_NS
+
+
+def test_depth_holes_are_unknown_and_other_pixels_stay(clean, tmp_path):
+    (before, *_), (after, *_) = (
+        payloads(clean, "depth"),
+        payloads(degrade(clean, tmp_path / "o.mcap", "depth_holes=3"), "depth"),
+    )
+    holes = np.isnan(after.depth_m) & ~np.isnan(before.depth_m)
+    assert 0.05 < holes.mean() < 0.3  # the sky is unknown before
+    known = ~np.isnan(after.depth_m)
+    assert np.array_equal(before.depth_m[known], after.depth_m[known])
+
+
+def test_the_calibration_is_turned_by_the_angle(clean, tmp_path):
+    ((before,),), ((after,),) = (
+        payloads(clean, "tf"),
+        payloads(degrade(clean, tmp_path / "o.mcap", "calibration_turned=4"), "tf"),
+    )
+    turn = before.parent_T_child[:3, :3].T @ after.parent_T_child[:3, :3]
+    assert np.degrees(rotation_angle(turn)) == pytest.approx(2)
+    assert np.array_equal(before.parent_T_child[:3, 3], after.parent_T_child[:3, 3])
+
+
+def test_detections_are_missed_and_false(clean, tmp_path):
+    numbers = [
+        len(found) for found in payloads(degrade(clean, tmp_path / "m.mcap", "detections_missed=5"), "detections")
+    ]
+    assert 1 < sum(numbers) < 14
+    numbers = [
+        len(found) - 2 for found in payloads(degrade(clean, tmp_path / "f.mcap", "detections_false=3"), "detections")
+    ]
+    assert 2 < np.mean(numbers) < 6
+
+
+def test_a_crashed_camera_sends_black_images_and_no_tags(clean, tmp_path):
+    out = degrade(clean, tmp_path / "out.mcap", "camera_crash=5")
+    before, after = messages(clean), messages(out)
+    black = [
+        m.log_time_ns for m, image in zip(after[IMAGE], payloads(out, "image"), strict=True) if not image.bgr.any()
+    ]
+    assert 4 <= len(black) <= 6
+    kept = {m.log_time_ns for m in after[TAGS]}
+    assert kept == {m.log_time_ns for m in before[TAGS]} - set(black)
+    assert [m for m in after[IMAGE] if m.log_time_ns in kept] == [m for m in before[IMAGE] if m.log_time_ns in kept]
+    assert after[DEPTH] == before[DEPTH]
+
+
+def test_a_result_is_degraded_without_its_results_and_replays(clean, tmp_path):
+    run = [str(clean), str(tmp_path / "run.mcap"), "--quiet"]
+    assert replay.main(run) == 0
+    out = degrade(tmp_path / "run.mcap", tmp_path / "out.mcap", "depth_noise=2")
+    assert not [topic for topic in messages(out) if topic.startswith("/perception")]
+    assert replay.main([str(out), str(tmp_path / "again.mcap"), "--quiet"]) == 0
+    heights = [pl.read_parquet(tmp_path / f"{name}.metrics.parquet")["camera_height_m"] for name in ("run", "again")]
+    assert 0 < (heights[0] - heights[1]).abs().max() < 0.1
+
+
+def test_wrong_input_is_one_line(clean, tmp_path, capsys):
+    only_image = logs.write(tmp_path / "image.mcap", logs.items(2, roles=("calibration", "image")))
+    assert main([str(only_image), str(tmp_path / "o.mcap"), "--with", "depth_noise=1"]) == 1
+    assert capsys.readouterr().err == f"error: {only_image}: depth_noise changes nothing: no channel of depth\n"
+    for wrong in ("foggy=1", "fog=6", "fog", "fog=1,fog=2"):
+        with pytest.raises(SystemExit):
+            main([str(clean), str(tmp_path / "o.mcap"), "--with", wrong])
+    assert "did you mean fog?" in capsys.readouterr().err
