@@ -51,6 +51,8 @@ _VAGUE_M = 1.0
 """An edge with a larger standard deviation cannot be judged to be in the path."""
 _VAGUE_MPS = 0.8
 """An edge whose speed has a larger standard deviation cannot be judged to stay in the path."""
+_ACROSS = 3.0
+"""Least ratio of the speeds across and towards the camera of an object that crosses the road."""
 _CROSSING_MPS = 2.0
 """Speed across the path above which a vehicle crosses it instead of changing lanes."""
 _SURE_SIGMAS = 2.0
@@ -266,12 +268,15 @@ def _may_be_hit(cfg: ObjectsConfig, label: str, track: ObjectTrack, after_s: flo
 
 
 def _crosses_road(track: ObjectTrack) -> bool:
-    """Whether an object certainly moves over the ground, and faster across than towards the camera."""
+    """Whether an object certainly moves over the ground, and much faster across than towards the camera.
+
+    In a turn, an oncoming car moves across as well.
+    """
     place = track.place
     if place is None:
         return False
     across_mps = abs(place.right_m.rate) - sqrt(place.right_m.rate_var)
-    return across_mps > max(_CROSSING_MPS, -place.ahead_m.rate)
+    return across_mps > max(_CROSSING_MPS, _ACROSS * -place.ahead_m.rate)
 
 
 def _least(edge: RateFilter, after_s: float) -> float:
