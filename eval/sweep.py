@@ -20,17 +20,9 @@ from roadperc_stream.system.text import print_line
 
 from .machine import Case, write_files
 from .quantities import percent, rounded
+from .sweeping import robustness
 from .sweeping.curves import curves
 from .sweeping.ranking import METRICS, SettingScore, SweepMetric, best, effect, scores, without_influence
-from .sweeping.robustness import (
-    Scored,
-    degradations,
-    names_of,
-    of_corruption,
-    require_baseline,
-    robustness_of_all,
-    tables_of,
-)
 from .sweeping.settings import Combination, combinations, dataset, describe, reference_of, shown, table_names
 from .sweeping.sweep_log import Job, sweep_logs
 
@@ -44,14 +36,14 @@ DegradeLog = Callable[..., object]
 CURVES: Final = "curves.svg"
 
 
-def best_settings(found: Sequence[Scored], made: Sequence[Combination], reference: Combination) -> TextTable:
+def best_settings(found: Sequence[robustness.Scored], made: Sequence[Combination], reference: Combination) -> TextTable:
     """A row per metric on which settings differ: scores and coverage of the best and the reference, and the changes."""
     headers = ("best", "frames %", "reference", "frames %", "setting")
     rows = (line for scored in found if _differ(*scored) for line in _best_rows(scored, made, reference))
     return TextTable("Best setting", headers, tuple(rows), last_is_text=True, label_columns=22)
 
 
-def _best_rows(scored: Scored, made: Sequence[Combination], reference: Combination) -> Iterator[TextRow]:
+def _best_rows(scored: robustness.Scored, made: Sequence[Combination], reference: Combination) -> Iterator[TextRow]:
     metric, scores = scored
     places = best(metric, scores, made, reference) or ()
     for label, at in zip((metric.quantity.label, "  lower coverage"), places, strict=False):
@@ -61,14 +53,14 @@ def _best_rows(scored: Scored, made: Sequence[Combination], reference: Combinati
             yield row(label, *cells, _changes(made[at], reference))
 
 
-def without_effect(found: Sequence[Scored]) -> str:
+def without_effect(found: Sequence[robustness.Scored]) -> str:
     """A line with the metrics that are equal under all settings; metrics without values are left out."""
     known = [(metric, scores) for metric, scores in found if any(score.value is not None for score in scores)]
     same = [metric.quantity.name for metric, scores in known if not _differ(metric, scores)]
     return f"no difference: {', '.join(same)}" if same else ""
 
 
-def effects(found: Sequence[Scored], made: Sequence[Combination], key: str) -> TextTable:
+def effects(found: Sequence[robustness.Scored], made: Sequence[Combination], key: str) -> TextTable:
     """A row per metric on which the setting has an effect: the mean score of the combinations with each value.
 
     If coverage differs between the values, a second row has the mean shares of frames, in percent.
@@ -78,7 +70,7 @@ def effects(found: Sequence[Scored], made: Sequence[Combination], key: str) -> T
     return TextTable(key, tuple(shown(value) for value in values), tuple(rows), label_columns=22)
 
 
-def _effect_rows(scored: Scored, made: Sequence[Combination], key: str) -> Iterator[TextRow]:
+def _effect_rows(scored: robustness.Scored, made: Sequence[Combination], key: str) -> Iterator[TextRow]:
     metric, scores = scored
     means = list(effect(scores, made, key).values())
     if not _differ(metric, means):
@@ -117,7 +109,7 @@ def sweep(arguments: argparse.Namespace, degrade_log: DegradeLog | None = None) 
     cfg = own_stages(load_config(arguments.config, tuple(arguments.set)))[0]
     severities = dict(arguments.degrade)
     varied = combinations(arguments.config, arguments.set, arguments.vary)
-    made = degradations(cfg, severities) if severities else varied
+    made = robustness.degradations(cfg, severities) if severities else varied
     for path in arguments.logs:  # fail before any log is replayed
         if not path.is_file():
             raise LogError(not_a_log(path) if path.is_dir() else f"{path}: no such file")
@@ -125,7 +117,7 @@ def sweep(arguments: argparse.Namespace, degrade_log: DegradeLog | None = None) 
     if severities:
         facts |= {"degrade": {name: list(several) for name, several in severities.items()}, "seed": arguments.seed}
     if arguments.baseline is not None:
-        require_baseline(arguments.baseline, facts)
+        robustness.require_baseline(arguments.baseline, facts)
     with dataset(arguments.out, arguments.force) as folder:
         jobs = list(_jobs(arguments, made, folder, degrade_log))
         with frame_progress(f"{len(made)} combinations", enabled=True) as bar:
@@ -163,8 +155,8 @@ def _print(arguments: argparse.Namespace, made: Sequence[Combination], reference
     taken = (f"  {key} {', '.join(texts)}" for key, texts in values.items())
     as_json = _as_json(found, made, reference)
     if arguments.degrade:
-        rated = robustness_of_all(found, made, arguments.baseline)
-        tables = (*_by_severity(found, made), *tables_of(rated, arguments.baseline))
+        rated = robustness.robustness_of_all(found, made, arguments.baseline)
+        tables = (*_by_severity(found, made), *robustness.tables_of(rated, arguments.baseline))
         as_json["robustness"] = {name: {"rr": rates, "ce": errors} for name, (rates, errors) in rated.items()}
         (folder / CURVES).write_text(curves([scored for scored in found if _differ(*scored)], made), encoding="utf-8")
         notes = [f"curves: {folder / CURVES}", without_effect(found), LEGEND[0]]
@@ -181,14 +173,14 @@ def _print(arguments: argparse.Namespace, made: Sequence[Combination], reference
     print_lines(console, "", *notes)
 
 
-def _by_severity(found: Sequence[Scored], made: Sequence[Combination]) -> Iterator[TextTable]:
+def _by_severity(found: Sequence[robustness.Scored], made: Sequence[Combination]) -> Iterator[TextTable]:
     """A table per corruption: the scores by severity, 0 is the clean log."""
-    for name in names_of(made):
-        own = [(metric, of_corruption(several, made, name)) for metric, several in found]
-        yield replace(effects(own, of_corruption(made, made, name), "severity"), title=f"{name}, severity")
+    for name in robustness.names_of(made):
+        own = [(metric, robustness.of_corruption(several, made, name)) for metric, several in found]
+        yield replace(effects(own, robustness.of_corruption(made, made, name), "severity"), title=f"{name}, severity")
 
 
-def _as_json(found: Sequence[Scored], made: Sequence[Combination], reference: Combination) -> dict[str, Any]:
+def _as_json(found: Sequence[robustness.Scored], made: Sequence[Combination], reference: Combination) -> dict[str, Any]:
     """The combinations by their folders, and the scores of each metric with a value."""
     metrics = {}
     for metric, scored in found:
@@ -203,7 +195,7 @@ def _as_json(found: Sequence[Scored], made: Sequence[Combination], reference: Co
     }
 
 
-def _case(scored: Scored, made: Sequence[Combination], reference: Combination) -> Case:
+def _case(scored: robustness.Scored, made: Sequence[Combination], reference: Combination) -> Case:
     """A metric with the scores of all combinations; skipped without values."""
     metric, scores = scored
     if not best(metric, scores, made, reference):

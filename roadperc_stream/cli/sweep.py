@@ -84,13 +84,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--force", action="store_true", help="replace DIR if it is the result of an earlier sweep")
     add_machine_arguments(parser)
-    names = words(f"{name}=" for name in part("tools.corruptions.levels").LEVELS)
-    for action, completer in (
-        (logs, files(*LOGS)),
-        (vary, varied_settings),
-        (degrade, names),
-        (out, files()),
-        (baseline, files()),
-    ):
+    completed_by(degrade, words(f"{name}=" for name in part("tools.corruptions.levels").LEVELS))
+    for action, completer in ((logs, files(*LOGS)), (vary, varied_settings), (out, files()), (baseline, files())):
         completed_by(action, completer)
     return parser
