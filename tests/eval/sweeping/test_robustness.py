@@ -76,12 +76,12 @@ def test_rows_equal_those_of_a_replay_of_the_degraded_log(swept):
 
 def test_json_has_scores_and_rates_and_curves_are_svg(swept):
     values = json.loads((swept / "out.json").read_text())
-    rates = values["robustness"]["lane left coverage"]
+    rates = values["robustness"]["lane left measured"]
     assert rates["rr"]["camera_crash"] < 1 == rates["rr"]["depth_noise"]
     assert set(rates["ce"]) == {"mean", "depth_noise", "camera_crash"}
     assert values["settings"]["0002"] == {"corruption": "depth_noise", "severity": 5}
     root = ElementTree.parse(swept / "out" / "curves.svg").getroot()
-    assert "lane left coverage" in [text.text for text in root.iter("{http://www.w3.org/2000/svg}text")]
+    assert "lane left measured" in [text.text for text in root.iter("{http://www.w3.org/2000/svg}text")]
 
 
 def test_another_folder_is_no_baseline(swept, capsys):
