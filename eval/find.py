@@ -134,7 +134,7 @@ def _of_runs(runs: Sequence[Run]) -> _Place:
 
 def _lines(events: Sequence[Event], condition: Condition, text: str) -> Iterator[str]:
     """The number of events, then a table of the worst ones, with the command that shows the peak of each."""
-    logs = number(len({_key(event) for event in events}), "log")
+    logs = number(len({event.log_id for event in events}), "log")
     if not events:
         yield f"no event: {text}"
         return

@@ -11,7 +11,7 @@ _EXAMPLE = """\
 example:
   roadperc-find dataset "time_to_impact_s < 2 and lane_change <> 'none'"
   roadperc-find dataset "abs(lane_left_error_m) > 0.3" --gap 0.5 --min-seconds 1
-  roadperc-find dataset "objects.label = 'pedestrian' and objects.distance_m < 10 and step_m > 0.5"
+  roadperc-find dataset "objects.label = 'Pedestrian' and objects.distance_m < 10 and step_m > 0.5"
   roadperc-find dataset "odometry_status = 'lost'" --peak turn_deg --json events.json
   roadperc-find dataset "time_to_impact_s < 2" --clips clips    also an excerpt of the log for each event
   roadperc-find out.mcap "time_to_impact_s < 2"                 the events of one run

@@ -104,6 +104,7 @@ def test_of_two_configurations_each_is_named_and_replaced_logs_are_left_out(data
     write_runs(dataset / "runs.parquet", runs)
     events, lines = found(capsys, tmp_path, dataset, CONDITION)
     assert events == [(f"drive1 {B}", 0, 0, 1.0), (f"drive1 {A}", 3, 16, 1.2)]
+    assert lines[0] == f"2 events in 1 log: {CONDITION}"
     assert lines[2].endswith(f"--log drive1 --config {B} --frame 0")
 
 
