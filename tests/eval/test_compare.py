@@ -14,6 +14,7 @@ from junitparser import JUnitXml
 from roadperc_stream.cli.compare import main
 from roadperc_stream.config import load_config
 from roadperc_stream.eval.comparison.bootstrap import MANY_LOGS
+from roadperc_stream.eval.criteria import BY_NAME
 from roadperc_stream.output.tables import table_facts
 from tests.eval.tables import START_NS, outcome, row, write
 
@@ -74,7 +75,8 @@ def test_metrics_that_become_worse(reference, capsys, before, after, options, wo
     base = other(reference, "c", **before)
     code, text, error = compare(capsys, base, other(base, "d", **after), *options)
     assert (code, error) == ((1, f"worse than the base run: {worse}\n") if worse else (0, ""))
-    assert text.startswith(f"worse: {worse} " if worse else ("no relevant difference", "better: "))
+    beginning = (f"worse: {BY_NAME[worse].label}, mean ",) if worse else ("no relevant difference", "better: ")
+    assert text.startswith(beginning)
 
 
 def test_tolerance_and_ignored_fields(reference, capsys):
@@ -118,7 +120,7 @@ def test_times_are_judged_on_request_only(reference, capsys):
     slower = other(reference, total_ms=pl.col("total_ms") * 1.2)
     code, text, error = compare(capsys, reference, slower, "--allow", "total_ms=10%")
     assert (code, error) == (1, "worse than the base run: total_ms\n")
-    assert "worse, times: total_ms mean 10 → 12 ms (+2 [+2, +2])" in text
+    assert "worse, times: total, mean 10 → 12 ms (+2 [+2, +2])" in text
     for allowed in ("10%", "total_ms=21%"):
         assert compare(capsys, reference, slower, "--allow", allowed)[0] == 0
 
@@ -198,7 +200,7 @@ def test_a_jump_in_two_frames_is_named_with_its_log_and_command(tmp_path, capsys
     assert (found["verdict"], found["counts"]) == ("worse", {"worse": 1, "unchanged": 2, "better": 0})
     place = found["metrics"]["lane_left_error_m"]["place"]
     assert (place["log"], place["frame"], place["new"]) == ("part0/log1", 7, 2.42)
-    assert outputs["markdown"].read_text().startswith("## Comparison: worse: lane\\_left\\_error\\_m worst frame")
+    assert outputs["markdown"].read_text().startswith("## Comparison: worse: lane left error at 10 m, worst frame")
     (suite,) = JUnitXml.fromfile(str(outputs["junit"]))
     bad = [case for case in suite if case.result]
     assert [(case.classname, case.name) for case in bad] == [("part0/log1", "lane_left_error_m worst frame")]
