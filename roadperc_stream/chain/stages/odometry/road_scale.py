@@ -48,8 +48,8 @@ _BLOCK_ENDS_M: Final = (4.0, 6.5, 10.0)
 _BLOCKS_ACROSS: Final = 3
 """The road is divided at these distances, and across."""
 _CLIPPED: Final = 8.0
-"""Multiple of the median of the grey levels' sizes at which they are clipped: the shadow of a car ahead is stronger
-than the road's grain, and moves with that car. A smaller one hides the dashes of a smooth road, which show the length."""
+"""Multiple of the median of the grey levels' sizes at which they are clipped: the shadow of a car ahead moves with that
+car. A smaller one hides the dashes of a smooth road, which give the length."""
 _STRIP_M: Final = 0.1
 """Width of the strips along the path whose mean is removed: a line along the path fits every length."""
 _LEAST_AGREEING: Final = 0.5
