@@ -215,11 +215,9 @@ def broken(*_):
 def test_points_that_cannot_be_used_are_missing_and_reported(changes, problem):
     result = run(lidar_frame(**changes))
     assert str(result.problems[0]).startswith(problem)
-    assert str(result.problems[1]) == (
-        "surface: no depth, the mounting gives the plane, the lanes' vanishing point gives its pitch"
-    )
-    assert result.surface.source == "estimated"
-    assert result.objects.objects[0].distance_source == "ground"
+    assert str(result.problems[1]) == "surface: no depth, the mounting gives the plane"
+    assert result.surface.source == "assumed"
+    assert result.objects.objects[0].distance_m is None
 
 
 SMALL = logs.SMALL
@@ -269,7 +267,7 @@ def test_the_transform_tree_places_the_points(tmp_path, edges, frame_id, ego_T_p
 
 def test_a_frame_outside_the_tree_is_reported(tmp_path):
     _, table = replayed(log_of(tmp_path / "in.mcap", EGO_T_LIDAR, "roof"))
-    assert table["surface_source"].to_list() == ["estimated"] * 2
+    assert table["surface_source"].to_list() == ["assumed", "estimated"]
     assert table["missing"].to_list() == [[]] * 2
     for reasons in table["reasons"].to_list():
         assert "lidar: no transform connects its frame 'roof' with ego" in reasons
@@ -322,7 +320,7 @@ def test_points_of_unassigned_topics_are_reported_and_not_used(tmp_path):
     candidates = ", ".join(f"{topic} (foxglove.PointCloud)" for topic in ("/radar", "/rear", "/side"))
     assert summary.notes == (f"role lidar: not assigned; candidates: {candidates}, ...: --topic lidar=/radar",)
     table = pl.read_parquet(sidecar_path(tmp_path / "out.mcap", "metrics"))
-    assert set(table["surface_source"]) == {"estimated"}
+    assert set(table["surface_source"]) == {"assumed", "estimated"}
     both = renamed(source, "both.mcap", ("/lidar/points", "/velodyne"))
     assert replay(both, tmp_path / "both_out.mcap", ReplayConfig()).notes == ()
     _, table = replayed(others, "assigned.mcap", overrides={"lidar": "/velodyne"})

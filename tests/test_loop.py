@@ -284,7 +284,7 @@ def test_a_role_the_log_does_not_fill_is_null_with_a_reason(tmp_path, role):
     table = metrics(target)
     assert table.height == 6
     if role == "depth":
-        assert table["surface_source"].to_list() == ["estimated"] * 6
+        assert table["surface_source"].to_list() == ["assumed"] + ["estimated"] * 5
     if role == "segmentation":
         assert table["lane_left_offset_m"].null_count() == 6
         assert table["detections_unjudged"].to_list() == [2] * 6

@@ -51,7 +51,7 @@ def test_course_frames_keep_the_known_detections(replayed, data_dir):
         rows = objects.filter(pl.col("frame") == frame)
         assert rows["class_ratio"].to_list() == pytest.approx(expected[str(frame)]["segmentation_ratio"], abs=0.001)
         assert [k for k, kept in enumerate(rows["kept"]) if kept] == expected[str(frame)]["kept"]
-    assert set(metrics["surface_source"]) == {"estimated"}
+    assert set(metrics["surface_source"]) == {"assumed"}
     assert set(objects["distance_source"].drop_nulls()) == {"ground"}
 
 

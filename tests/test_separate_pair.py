@@ -141,7 +141,7 @@ def test_a_pair_without_left_images_gives_no_depth(tmp_path):
     """Matching the front image with the right one would give depth with a wrong scale."""
     table, _ = replayed(tmp_path, items(rectified(), without=[(k, "left") for k in range(FRAMES)]))
     assert table["camera_height_m"].to_list() == pytest.approx([FRONT.height_m] * FRAMES, abs=1e-9)
-    assert set(table["surface_source"]) == {"estimated"}
+    assert set(table["surface_source"]) == {"assumed"}
     for reasons in table["reasons"].to_list():
         assert "stereo: no left image" in reasons
 

@@ -17,6 +17,8 @@ _ROWS: Final = 240
 """Least rows of the reduced image in which lines are searched: enough for a tenth of a degree."""
 _FEWEST_LINES: Final = 2
 _MOST_LINES: Final = 40
+_SIGMAS: Final = 3.0
+"""Least pitch in standard deviations; a smaller one does not contradict the mounting."""
 _DRIVE_S: Final = 1.0
 """Longest time between frames of a drive; odometry may match the similar roads of two single images."""
 
@@ -57,4 +59,6 @@ def _by_lanes(cfg: ReplayConfig, scene: Scene) -> KnownPitch | None:
     found = lines.on_road(proposals, road.view(bool))
     longest = np.argsort(-np.linalg.norm(found[:, 2:] - found[:, :2], axis=1), kind="stable")[:_MOST_LINES]
     pitch = pitch_of_segments(part(scene.camera, n, n), scene.ego_T_camera, found[longest], _FEWEST_LINES)
-    return None if pitch is None else KnownPitch(*pitch, "the lanes' vanishing point")
+    if pitch is None or abs(pitch[0]) < _SIGMAS * np.sqrt(pitch[1]):
+        return None
+    return KnownPitch(*pitch, "the lanes' vanishing point")

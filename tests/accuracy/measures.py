@@ -135,18 +135,15 @@ def kept_true(replays, nearest_m, farthest_m):
 
 
 def true_distances(replays):
-    """Rows of true detections with a distance."""
-    return pl.concat([replay.objects for replay in replays]).drop_nulls(("distance_m", "true_distance_m"))
+    """Rows of true detections with a distance, and their share of all true detections."""
+    true = pl.concat([replay.objects for replay in replays]).drop_nulls("true_distance_m")
+    known = true.drop_nulls("distance_m")
+    return known, known.height / true.height if true.height else None
 
 
-def false_alarms(frames, alarm_s=1.5, calm_s=2.0, margin_s=0.0):
-    """(N,) bool for frames without a true impact before ``calm_s``: the estimate is below ``alarm_s``.
-
-    Frames within ``margin_s`` of a frame with a true impact do not count.
-    """
-    is_calm = pl.col("true_time_to_impact_s").is_null() | (pl.col("true_time_to_impact_s") > calm_s)
-    away = away_from(frames["stamp_ns"].to_numpy(), frames.filter(~is_calm)["stamp_ns"].to_numpy(), margin_s)
-    calm = frames.filter(is_calm & pl.Series(away, dtype=pl.Boolean))
+def false_alarms(frames, alarm_s=1.5, calm_s=2.0):
+    """(N,) bool for frames without a true impact before ``calm_s``: the estimate is below ``alarm_s``."""
+    calm = frames.filter(pl.col("true_time_to_impact_s").is_null() | (pl.col("true_time_to_impact_s") > calm_s))
     return (calm["time_to_impact_s"] < alarm_s).fill_null(value=False).to_numpy()
 
 
@@ -156,7 +153,7 @@ def impacts(replays, soonest_s=0.5, latest_s=3.0, first=0):
     Frames before number ``first`` of a log do not count.
     """
     columns = "time_to_impact_s", "true_time_to_impact_s"
-    rows = pl.concat([replay.frames.filter(pl.col("frame") >= first).select(columns) for replay in replays])
+    rows = pl.concat([replay.frames[first:].select(columns) for replay in replays])
     near = rows.filter(pl.col("true_time_to_impact_s").is_between(soonest_s, latest_s))
     return near.to_numpy().astype(float)
 

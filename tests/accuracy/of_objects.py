@@ -25,17 +25,18 @@ def off_by_a_metre(replays, nearest_m, farthest_m):
 
 def right_or_unsure(replays):
     """Share in percent of the true detections' distances within 1 m or two standard deviations."""
-    known = measures.true_distances(replays)
+    known, coverage = measures.true_distances(replays)
     limit_m = pl.max_horizontal(1.0, 2 * pl.col("distance_std_m").fill_null(0.0))
     right = (pl.col("distance_m") - pl.col("true_distance_m")).abs() <= limit_m
-    return Value(100 * known.select(right.mean()).item() if known.height else None, None, f"{known.height} distances")
+    share = 100 * known.select(right.mean()).item() if known.height else None
+    return Value(share, coverage, f"{known.height} distances")
 
 
 def sure(replays, share=0.15):
     """Share in percent of the true detections' distances with a deviation below a share of the distance."""
-    known = measures.true_distances(replays)
+    known, coverage = measures.true_distances(replays)
     is_sure = pl.col("distance_std_m") < share * pl.col("distance_m")
-    return Value(100 * known.select(is_sure.mean()).item() if known.height else None)
+    return Value(100 * known.select(is_sure.mean()).item() if known.height else None, coverage)
 
 
 def distance_error(replays, nearest_m, farthest_m):
@@ -82,9 +83,9 @@ def recall(replays):
     return Value(tp / (tp + fn) if tp + fn else None, coverage)
 
 
-def false_alarms(replays, margin_s=0.0):
-    """Number of frames with a false alarm, not within ``margin_s`` of a true impact."""
-    flags = np.concatenate([measures.false_alarms(replay.frames, margin_s=margin_s) for replay in replays])
+def false_alarms(replays):
+    """Number of frames with a false alarm."""
+    flags = np.concatenate([measures.false_alarms(replay.frames) for replay in replays])
     return Value(float(flags.sum()), None, f"of {len(flags)}")
 
 

@@ -209,5 +209,5 @@ def test_without_mounting_and_depth_the_camera_has_the_assumed_height(tmp_path):
     source = logs.write(tmp_path / "in.mcap", logs.items(2, roles=("calibration", "image", "segmentation")))
     replay(source, tmp_path / "out.mcap", load_config(None, ("surface.assumed_height_m=2.5",)))
     table = pl.read_parquet(sidecar_path(tmp_path / "out.mcap", "metrics"))
-    assert table["surface_source"].to_list() == ["estimated"] * 2
+    assert table["surface_source"].to_list() == ["assumed", "estimated"]
     assert table["camera_height_m"].to_list() == pytest.approx([2.5] * 2)

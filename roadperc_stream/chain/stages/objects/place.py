@@ -16,7 +16,7 @@ from roadperc_stream.geometry import Camera, Float
 from roadperc_stream.model import Box
 from roadperc_stream.model.tag_tables import classes_of_label
 
-_SPEED_STD_MPS: Final = 10.0
+_SPEED_STD_MPS: Final = 15.0
 _WALKING_STD_MPS: Final = 2.0
 """Standard deviation of the unknown speed of an object over the ground, and of a pedestrian's."""
 _SPEED_WALK: Final = 3.0

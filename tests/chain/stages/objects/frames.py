@@ -14,6 +14,7 @@ from tests.scenes import scene_of
 CAMERA = Camera("camera", 320, 240, 1e6, 1e6, 159.5, 119.5)
 """A lens so long that the distance of every pixel equals its depth."""
 CFG = ObjectsConfig(distance_pixels="class")
+"""All pixels of a box count: on this scale of millimetres, objects have no points above the ground."""
 FAR_M = 90.0
 LIMIT_M = 100.0
 
