@@ -1,12 +1,12 @@
 """The assignment problem: one-to-one pairs with the largest total score.
 
-Usually the pairs split into groups of two or three, and trying all combinations is enough. Otherwise scipy solves it;
-its import takes half a second.
+Usually the pairs split into small groups, in which a best-first search (A*: Hart, Nilsson and Raphael 1968) takes a few
+steps. Otherwise scipy solves it; its import takes half a second.
 """
 
 from collections.abc import Iterable
-from itertools import product
-from math import fsum, prod
+from heapq import heappop, heappush
+from itertools import count
 
 import numpy as np
 
@@ -14,8 +14,8 @@ from roadperc_stream.geometry import Float
 
 _MOST_PAIRS = 512
 """Largest number of candidate pairs that are split into groups."""
-_MOST_WAYS = 512
-"""Largest number of combinations tried per group."""
+_MOST_STEPS = 512
+"""Largest number of steps of the search in a group."""
 _TIE = 1e-9
 """Difference of totals below which rounding may change the order; scipy then solves the problem."""
 
@@ -42,7 +42,7 @@ def _of_all(scores: Float) -> dict[int, int]:
 
 
 def _of_groups(scores: Float) -> dict[int, int] | None:
-    """The pairs found by trying all combinations; None if they are too many or the best is not unique."""
+    """The pairs found by a search in each group; None if it takes too long or the best is not unique."""
     rows, columns = np.nonzero(scores > 0)
     if len(rows) > _MOST_PAIRS:
         return None
@@ -68,16 +68,31 @@ def _groups(pairs: Iterable[Pair]) -> list[list[Pair]]:
 
 
 def _best(scores: Float, group: list[Pair]) -> list[Pair] | None:
-    """The pairs of a group with the largest total; None if it is not unique."""
-    choices: dict[int, list[int | None]] = {}
+    """The pairs of a group with the largest total; None if it is not unique or the search takes too long."""
+    choices: dict[int, list[int]] = {}
     for row, column in group:
-        choices.setdefault(row, [None]).append(column)
-    if prod(len(columns) for columns in choices.values()) > _MOST_WAYS:
-        return None
-    totals = []
-    for way in product(*choices.values()):
-        pairs = [(row, column) for row, column in zip(choices, way, strict=True) if column is not None]
-        if len({column for _, column in pairs}) == len(pairs):
-            totals.append((fsum(scores[pair] for pair in pairs), pairs))
-    totals.sort(reverse=True)
-    return totals[0][1] if totals[0][0] - totals[1][0] > _TIE else None
+        choices.setdefault(row, []).append(column)
+    rows = sorted(choices, key=lambda row: len(choices[row]))
+    highest = [max(scores.item(row, column) for column in choices[row]) for row in rows]
+    rest = [sum(highest[k:]) for k in range(len(rows) + 1)]  # at most so much is added from row k on
+    found: tuple[float, list[Pair]] | None = None
+    number = count()
+    # The highest possible total first: its negative, a number for equal ones, the total of k rows, k, and the pairs.
+    waiting: list[tuple[float, int, float, int, list[Pair]]] = [(-rest[0], 0, 0.0, 0, [])]
+    for _ in range(_MOST_STEPS):
+        negative, _, total, k, pairs = heappop(waiting)
+        if found is not None:
+            return found[1] if found[0] + negative > _TIE else None
+        if k == len(rows):
+            found = total, pairs
+            continue
+        taken = [column for _, column in pairs]
+        ways = [(total, pairs)]
+        ways += [
+            (total + scores.item(rows[k], column), [*pairs, (rows[k], column)])
+            for column in choices[rows[k]]
+            if column not in taken
+        ]
+        for after, chosen in ways:
+            heappush(waiting, (-(after + rest[k + 1]), next(number), after, k + 1, chosen))
+    return None

@@ -110,7 +110,7 @@ def step(
         for k, track in _detected(cfg, state.next_number, scene, known, kept, pairs).items()
     }
     missed = [tracking.aimed(track, scene.camera) for k, track in enumerate(known) if k not in pairs]
-    searched = [_searched(cfg, scene, path, track, kept) for track in missed]
+    searched = _searched(cfg, scene, path, missed, kept)
     found = tuple(judged(cfg, path, s.item, s.track) for s in searched if s.item is not None)
     tracks = _remembered([*detected.values(), *(s.track for s in searched)])
     after = ObjectsState(tracks, state.next_number + len(kept.items) - len(pairs), path, arc)
@@ -241,36 +241,59 @@ def _template(cfg: ObjectsConfig, scene: Scene, track: ObjectTrack) -> Template 
     return cut(scene.grey, track.box_px, distance_m)
 
 
-def _searched(cfg: ObjectsConfig, scene: Scene, path: EgoPath, track: ObjectTrack, kept: _Kept) -> _Searched:
-    """The track and its object where its template matches, or where its own pixels are at its predicted place.
+def _searched(
+    cfg: ObjectsConfig, scene: Scene, path: EgoPath, tracks: Sequence[ObjectTrack], kept: _Kept
+) -> list[_Searched]:
+    """The tracks, with objects where their templates match, or where their own pixels are at their predicted places.
 
-    The object is filtered as detections are. It is dropped if it overlaps a kept detection, or if tags or depth
-    contradict it.
+    The objects are filtered as detections are.
     """
-    if not cfg.template_search or not tracking.confirmed(cfg, track):
-        return _Searched(track)
-    matched, correlation = _matched(cfg, scene, track)
-    lost = _Searched(track, None, correlation)
-    box_px = track.box_px if matched is None and track.place is not None and divides(scene) else matched
-    if box_px is None:
+    matches = [_matched(cfg, scene, track) for track in tracks]
+    boxes = [_sought(cfg, scene, track, matched) for track, (matched, _) in zip(tracks, matches, strict=True)]
+    sought = [replace(track, box_px=box) for track, box in zip(tracks, boxes, strict=True) if box is not None]
+    detections = tuple(replace(track.detection, box_px=track.box_px) for track in sought)
+    expected_m = {k: None if track.distance_m is None else track.distance_m.value for k, track in enumerate(sought)}
+    filtered = filter_detections(cfg, scene, detections, expected_m) if detections else None
+    items = iter(filtered.objects if isinstance(filtered, Objects) else ())
+    return [
+        _Searched(track, None, correlation)
+        if box is None
+        else _found(cfg, scene, path, _Searched(track, next(items), correlation), kept, by_template=matched is not None)
+        for track, box, (matched, correlation) in zip(tracks, boxes, matches, strict=True)
+    ]
+
+
+def _sought(cfg: ObjectsConfig, scene: Scene, track: ObjectTrack, matched: Box | None) -> Box | None:
+    """The box in the image where a track's object may be: where its template matched, else at its predicted place."""
+    at_place = cfg.template_search and tracking.confirmed(cfg, track) and track.place is not None and divides(scene)
+    if matched is None and not at_place:
+        return None
+    box = _within(scene.camera, matched or track.box_px)
+    return box if matched or (box.x_min < box.x_max and box.y_min < box.y_max) else None
+
+
+def _found(
+    cfg: ObjectsConfig, scene: Scene, path: EgoPath, searched: _Searched, kept: _Kept, *, by_template: bool
+) -> _Searched:
+    """The track after its object; the object is dropped if it overlaps a kept detection, or is contradicted.
+
+    Tags or depth may contradict it. Without a match of the template, its distance must be the predicted one.
+    """
+    track, item = searched.track, searched.item
+    lost = replace(searched, item=None)
+    if item is None or not item.kept or not (by_template or tracking.agrees(cfg, track, item)):
         return lost
-    detection = replace(track.detection, box_px=_within(scene.camera, box_px))
-    expected_m = None if track.distance_m is None else track.distance_m.value
-    filtered = filter_detections(cfg, scene, (detection,), {0: expected_m})
-    if isinstance(filtered, Absent) or not filtered.objects[0].kept:
-        return lost
-    item = replace(filtered.objects[0], status="tracked")
-    if matched is None and not tracking.agrees(cfg, track, item):
-        return lost
+    item = replace(item, status="tracked")
     after = tracking.observed(cfg, track, item, item.detection.box_px)
     if overlap_similarities(cfg, [after], kept.items, kept.boxes).any():
         return lost
-    return _Searched(tracking.placed(after, extent(scene, path, item), after.template), item, correlation)
+    track = tracking.placed(after, extent(scene, path, item), after.template)
+    return replace(searched, track=track, item=item)
 
 
 def _matched(cfg: ObjectsConfig, scene: Scene, track: ObjectTrack) -> tuple[Box | None, Correlation | None]:
     """The whole object's box where its template matches, None if nowhere, and the correlation."""
-    if track.template is None or scene.grey is None:
+    if not cfg.template_search or not tracking.confirmed(cfg, track) or track.template is None or scene.grey is None:
         return None, None
     scale = tracking.zoom(track.template.distance_m, track.distance_m)
     correlation = track.template.search(scene.grey, _around(track), scale)

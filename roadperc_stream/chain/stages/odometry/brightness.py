@@ -26,11 +26,13 @@ _LESS: Final = 0.7
 _LEAST_RANGE: Final = 12
 _LEAST_SHARE: Final = 0.001
 """Share of the pixels that a grey level must have to count."""
+_EVERY: Final = 4
+"""Every fourth row is counted: four times as fast, and as exact as needed."""
 
 
 def shows_nothing(grey: Image) -> bool:
     """Whether a (H, W) image is black, white or nearly uniform: its grey levels are within a narrow range."""
-    levels = np.flatnonzero(_histogram(grey) > _LEAST_SHARE * grey.size)
+    levels = np.flatnonzero(_shares(grey) > _LEAST_SHARE)
     return bool(np.ptp(levels) < _LEAST_RANGE)
 
 
@@ -59,11 +61,12 @@ def _difference(before: Image, after: Image) -> float:
     return float(np.median(np.abs(np.subtract(*coarse))))
 
 
-def _histogram(grey: Image) -> Float:
-    return np.asarray(cv2.calcHist([grey], [0], None, [256], [0, 256]), np.float64).ravel()
+def _shares(grey: Image) -> Float:
+    """(256,) share of the pixels at each grey level."""
+    rows = grey[::_EVERY]
+    return np.asarray(cv2.calcHist([rows], [0], None, [256], [0, 256]), np.float64).ravel() / rows.size
 
 
 def _quantiles(grey: Image) -> Float:
     """Grey levels at ``_SHARES``, interpolated within a level."""
-    below = np.cumsum(_histogram(grey)) / grey.size
-    return np.asarray(np.interp(_SHARES, below, np.arange(256) + 0.5))
+    return np.asarray(np.interp(_SHARES, np.cumsum(_shares(grey)), np.arange(256) + 0.5))
