@@ -8,7 +8,7 @@ from roadperc_stream import geometry as g
 from roadperc_stream.chain.stages.odometry import camera_pitch as cp
 from roadperc_stream.chain.stages.odometry.epipolar import motion_from_rays
 from roadperc_stream.chain.stages.odometry.motion import Motion
-from roadperc_stream.chain.stages.odometry.road_scale import road_motion, road_view
+from roadperc_stream.chain.stages.odometry.road_image import road_motion, road_view
 from roadperc_stream.chain.stages.surface.road import assumed_surface
 from roadperc_stream.geometry.ground import tilted_ground
 from roadperc_stream.geometry.rotations import rotation_from_rpy

@@ -2,7 +2,8 @@
 
 import pytest
 
-from roadperc_stream.chain.stages.odometry.road_scale import Expected, RoadMotion, _fused
+from roadperc_stream.chain.stages.odometry.road_image import RoadMotion
+from roadperc_stream.chain.stages.odometry.road_scale import Expected, _fused
 
 KNOWN = Expected(length_m=1.0, variance=0.02**2)
 
