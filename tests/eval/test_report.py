@@ -231,7 +231,7 @@ def test_the_short_report_of_many_runs_has_fifteen_lines(tmp_path, capsys):
 
 
 def test_two_runs_that_differ_in_everything_have_fifteen_lines(tmp_path, capsys):
-    errors = ("lane_left_error_m", "object_distance_error_m", "stereo_epe_px", "step_error_m", "surface_angle_error_deg")
+    errors = ("lane_left_error_m", "object_distance_error_m", "stereo_epe_px", "step_error_m", "camera_height_error_m")
     base, new = tmp_path / "base.metrics.parquet", tmp_path / "new.metrics.parquet"
     for path, worse, status in ((base, 0.3, "tracked"), (new, 1.3, "lost")):
         values = [dict.fromkeys(errors, worse + frame % 3 / 1000) for frame in range(60)]
