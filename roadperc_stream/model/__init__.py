@@ -1,9 +1,6 @@
 """The inputs and results of a frame: frozen dataclasses with read-only arrays."""
 
-from roadperc_stream.geometry.arrays import Ids as Ids
-from roadperc_stream.geometry.arrays import Image as Image
-from roadperc_stream.geometry.arrays import Mask as Mask
-from roadperc_stream.geometry.arrays import read_only as read_only
+from roadperc_stream.geometry.arrays import Ids, Image, Mask, read_only
 from roadperc_stream.geometry.planes import HeightGrid as HeightGrid
 from roadperc_stream.geometry.planes import Surface as Surface
 from roadperc_stream.geometry.planes import SurfaceSource as SurfaceSource
@@ -41,11 +38,4 @@ from roadperc_stream.model.results import PathSource as PathSource
 from roadperc_stream.model.results import Side as Side
 from roadperc_stream.model.results import StereoDepth as StereoDepth
 from roadperc_stream.model.results import Verdict as Verdict
-from roadperc_stream.model.sample import EGO as EGO
-from roadperc_stream.model.sample import ODOM as ODOM
-from roadperc_stream.model.sample import OWN_ODOM as OWN_ODOM
-from roadperc_stream.model.sample import UNWRITTEN as UNWRITTEN
-from roadperc_stream.model.sample import EarlierTruth as EarlierTruth
-from roadperc_stream.model.sample import FrameAnchor as FrameAnchor
-from roadperc_stream.model.sample import Sample as Sample
-from roadperc_stream.model.sample import Truth as Truth
+from roadperc_stream.model.sample import EGO, ODOM, OWN_ODOM, UNWRITTEN, EarlierTruth, FrameAnchor, Sample, Truth
