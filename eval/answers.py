@@ -35,6 +35,7 @@ from .runs import Run
 from .summary import Summary
 
 _MARKS: Final[tuple[Mark, ...]] = ("worse", "better")
+_DIFFERENCES_SHOWN: Final = 5
 
 
 @dataclass(frozen=True)
@@ -124,11 +125,12 @@ def _worst_line(found: Comparison) -> str:
 
 def _differences(groups: Sequence[CauseGroup]) -> TextTable:
     """A row for the leading metric of each group, with its first finding of that mark, the mean if possible."""
-    rows = tuple(map(_difference, groups))
+    rows = tuple(map(_difference, groups[:_DIFFERENCES_SHOWN]))
     headers = ("base", "new", "change", f"{LEVEL:.0%} interval", "mark")
     more = any(len(group.verdicts) > 1 for group in groups)
-    notes = ("(+N): N more metrics of the same cause, which roadperc-compare lists",) if more else ()
-    return TextTable("Difference", headers, rows, notes, label_columns=15)
+    notes = ["(+N): N more metrics of the same cause"] if more else []
+    notes += [f"{len(groups) - len(rows)} more causes differ"] if len(groups) > len(rows) else []
+    return TextTable("Difference", headers, rows, ("; ".join(notes),) if notes else (), label_columns=15)
 
 
 def _difference(group: CauseGroup) -> TextRow:

@@ -15,7 +15,9 @@ from .summary import Summary, WorstFrame
 Command = Callable[[WorstFrame], str]
 """The command that shows a frame."""
 LISTED: Final = 10
-"""Most rows of the short tables with a row for each run, configuration or slice: the worst ones."""
+"""Most rows of the short tables with a row for each configuration or slice: the worst ones."""
+RUNS_SHOWN: Final = 6
+"""Most runs in the short report of several runs, which has at most 15 lines."""
 NO_TRUTH: Final = "No frame has truth: the figures are the stages' own quality numbers, not errors."
 _KNOWN: Final = {quantity.column: quantity for quantity in (*NUMBERS, *QUALITY)}
 _STAGES: Final = {
@@ -155,13 +157,16 @@ def latency(summary: Summary) -> dict[str, float]:
     return {"median_ms": total.median, "p95_ms": total.p95, "frames_per_core_s": rate}
 
 
-def rows_tables(title: str, summaries: Sequence[Summary]) -> tuple[TextTable, ...]:
-    """Two tables with a row for each summary, the worst first: the tails of the stages' errors, and the coverage."""
+def rows_tables(title: str, summaries: Sequence[Summary], *, of_runs: bool = False) -> tuple[TextTable, ...]:
+    """Two tables with a row for each summary, the worst first: the tails of the stages' errors, and the coverage.
+
+    For the short report ``of_runs``, one table: fewer rows, and the least coverage of any run as the last one.
+    """
     truth = has_truth(summaries)
     found = {summary.name: {f.stage: f for f in stage_figures(summary, truth=truth)} for summary in summaries}
     stages = [stage for stage in _STAGES if any(stage in figures for figures in found.values())]
     ordered = sorted(summaries, key=lambda summary: -max((f.badness for f in found[summary.name].values()), default=0))
-    shown = ordered[:LISTED]
+    shown = ordered[: RUNS_SHOWN if of_runs else LISTED]
     units = {stage: _KNOWN[_STAGES[stage][1 if truth else 2]] for stage in stages}
     headers = [f"{_NARROW.get(stage, stage)}{'' if q.unit in UNITLESS else f' {q.unit}'}" for stage, q in units.items()]
     tails, covered = [], []
@@ -173,6 +178,10 @@ def rows_tables(title: str, summaries: Sequence[Summary]) -> tuple[TextTable, ..
         covered = [replace(covered[0], label="each row")]
     notes = (f"listed: the worst {len(shown)} of {len(summaries)}",) if len(summaries) > len(shown) else ()
     kinds = "p95 error" if truth else "p95 or p5"
+    if of_runs:
+        least = (min(of_run[stage].coverage for of_run in found.values() if stage in of_run) for stage in stages)
+        rows = (*tails, row("least coverage, %", "", *map(percent, least)))
+        return (TextTable(f"{title}: {kinds}", ("frames", *headers), rows, label_columns=15),)
     return (
         TextTable(f"{title}: {kinds}", ("frames", *headers), tuple(tails), notes, label_columns=15),
         TextTable("Coverage, %", tuple(_NARROW.get(s, s) for s in stages), tuple(covered), label_columns=15),

@@ -16,7 +16,7 @@ from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.system.text import number
 
 from .answers import Answer, of_pair, of_summaries, print_answer, wants_files, write_answer
-from .brief import rows_tables
+from .brief import RUNS_SHOWN, rows_tables
 from .configurations import UNKNOWN, grouped, settings_table, short_digest
 from .continued import find_joined
 from .frame_commands import view_command
@@ -83,11 +83,19 @@ def _answer(runs: Sequence[Run], by: Sequence[str]) -> Answer:
         line, errors = _trajectory(runs[0], summary)
         values = {"runs": {summary.name: answer.values["runs"][summary.name] | errors}}
         return replace(answer, head=head, tail=(*line, *answer.tail, _MORE), values=values)
-    head = (f"{contents(summaries)}, {sum(summary.frames for summary in summaries)} frames", *answer.head)
+    shown = f"; the worst {RUNS_SHOWN}:" if len(runs) > RUNS_SHOWN else ""
+    head = (f"{contents(summaries)}, {sum(summary.frames for summary in summaries)} frames{shown}", *answer.head)
     names = short_names([run.name for run in runs], name_columns(console_for(sys.stdout)))
-    settings = settings_table({names[run.name]: run for run in runs})
-    tables = (settings, *rows_tables("Run", [replace(s, name=names[s.name]) for s in summaries]))
-    return replace(answer, head=head, tables=tables, tail=(*legend(names), *answer.tail, _MORE))
+    tables = rows_tables("Run", [replace(s, name=names[s.name]) for s in summaries], of_runs=True)
+    return replace(answer, head=(*head, *_settings(runs)), tables=tables, tail=(*answer.tail, _MORE))
+
+
+def _settings(runs: Sequence[Run]) -> Iterator[str]:
+    """A line with the values of the settings that differ."""
+    table = settings_table({run.name: run for run in runs})
+    texts = [f"{item.label} {'/'.join(dict.fromkeys(value for (value,) in item.cells))}" for item in table.rows]
+    if texts or table.notes:
+        yield f"settings that differ: {listed((*texts, *table.notes))}"
 
 
 def _trajectory(run: Run, summary: Summary) -> tuple[tuple[str, ...], dict[str, Any]]:

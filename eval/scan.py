@@ -117,7 +117,7 @@ def derived_columns() -> list[pl.Expr]:
     stages = [quantity.column for quantity in STAGE_TIMES if quantity not in {TOTAL, REST}]
     lost = pl.sum_horizontal((pl.col(f"lane_{side}_status") == "lost").cast(pl.Float64) for side in SIDES)
     return [
-        (pl.col(TOTAL.column) - pl.sum_horizontal(stages)).alias(REST.column),
+        (pl.col(TOTAL.column) - pl.sum_horizontal(stages)).clip(0.0).alias(REST.column),
         pl.when(lost > 0).then(lost).alias(LOST.column),
         *(column for side in SIDES for column in _second_differences(side)),
     ]

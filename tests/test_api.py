@@ -13,6 +13,7 @@ import pytest
 
 import roadperc_stream as rp
 from roadperc_stream.input.arrays import depth_image
+from roadperc_stream.model import Object, Objects
 from roadperc_stream.output.tables import sidecar_path
 
 SAMPLE = Path(__file__).parents[1] / "logs" / "sample.mcap"
@@ -299,3 +300,6 @@ def test_a_result_prints_as_one_line():
     assert str(result.surface).startswith("surface: depth, camera 1.50 m above the road, pitch ")
     assert "\n" not in str(result)
     assert str(result).endswith("; objects: no detections; odometry: no image")
+    car = Object(rp.Detection("car", rp.Box(0, 0, 4, 4), score=1.0), kept=True, distance_m=12.34)
+    assert str(Objects((car,))) == f"objects: 1 of 1 kept, nearest: {car}"
+    assert str(car) == "car at 12.3 m"

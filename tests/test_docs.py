@@ -145,6 +145,17 @@ def test_every_python_example_runs(code, tmp_path):
     run(f"{PYTHON} example.py", tmp_path)
 
 
+def test_type_checkers_see_what_the_examples_import():
+    """Of a package with types, ``from a import b`` in its ``__init__`` is private; ``import b as b`` is public."""
+    sources = [text for page in TEXTS for *_, text in FENCE.findall(page.read_text(encoding="utf-8"))]
+    found = [re.findall(r"^from (roadperc_stream\.\w+) import (.+)$", text, re.MULTILINE) for text in sources]
+    imports = [(package, name) for of_one in found for package, names in of_one for name in names.split(", ")]
+    assert imports
+    for package, name in imports:
+        init = ROOT / package.replace(".", "/") / "__init__.py"
+        assert f" import {name} as {name}\n" in init.read_text(encoding="utf-8"), (package, name)
+
+
 @pytest.mark.parametrize("page", ["README.md", "docs/evaluation.md"])
 def test_the_pages_show_lines_of_the_report(folder, page):
     printed = run("roadperc-report logs/runs/demo/sample.mcap", folder).splitlines()

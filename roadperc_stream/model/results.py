@@ -220,6 +220,9 @@ class Object:
     cut_in: bool | None = None
     distance_source: DistanceSource = "depth"
 
+    def __str__(self) -> str:
+        return self.detection.label + ("" if self.distance_m is None else f" at {self.distance_m:.1f} m")
+
     @property
     def verdict(self) -> Verdict:
         """The filter's verdict: ``unverified`` objects are kept because there is no segmentation to verify them."""
@@ -272,7 +275,7 @@ class Objects:
 
     def __str__(self) -> str:
         near = self.nearest
-        nearest = "" if near is None else f", nearest: {near.detection.label} at {near.distance_m:.1f} m"
+        nearest = "" if near is None else f", nearest: {near}"
         return f"objects: {sum(item.kept for item in self.objects)} of {len(self.objects)} kept{nearest}"
 
     @property

@@ -219,6 +219,28 @@ def test_two_runs_of_a_log_show_only_relevant_differences(tmp_path, capsys):
     assert view_pair_command(run_of(paths[0]), run_of(paths[2]), 0) in text
 
 
+def test_the_short_report_of_many_runs_has_fifteen_lines(tmp_path, capsys):
+    for k in range(8):
+        configured(tmp_path / f"drive_{k}.metrics.parquet", 0.1 + k / 100, f"lanes.hold_s={k % 2 + 1}")
+    write(tmp_path / "drive_8.metrics.parquet", [row(0, lane_left_offset_m=1.75)])
+    _, text, _ = short(capsys, tmp_path)
+    assert len(text.splitlines()) <= 15
+    assert line_of(text, "drive_7")[:3] == ["drive_7", "1", "0.170"]
+    assert "settings that differ: lanes.hold_s 1.0/2.0/unknown" in text
+    assert line_of(text, "least coverage, %")[3] == "0.0"
+
+
+def test_two_runs_that_differ_in_everything_have_fifteen_lines(tmp_path, capsys):
+    errors = ("lane_left_error_m", "object_distance_error_m", "stereo_epe_px", "step_error_m", "camera_height_error_m")
+    base, new = tmp_path / "base.metrics.parquet", tmp_path / "new.metrics.parquet"
+    for path, worse, status in ((base, 0.3, "tracked"), (new, 1.3, "lost")):
+        values = [dict.fromkeys(errors, worse + frame % 3 / 1000) for frame in range(60)]
+        write(path, [row(frame, **of_frame, odometry_status=status) for frame, of_frame in enumerate(values)])
+    _, text, _ = short(capsys, base, new)
+    assert len(text.splitlines()) <= 15
+    assert "1 more causes differ" in text
+
+
 @pytest.mark.parametrize(
     ("by", "expected"),
     [
