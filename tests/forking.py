@@ -60,6 +60,7 @@ def _become(command, arguments, cwd, folder, variables, memory_bytes, file_bytes
     code = 1
     try:
         code = _main(command)()
+        sys.stdout.flush()
     finally:
         os._exit(code)
 
