@@ -30,8 +30,11 @@ settings.register_profile("roadperc", settings(), deadline=None)  # a machine ma
 settings.load_profile("roadperc")
 
 
-LONG_FILES = ("test_docs.py", "test_compare_replays.py", "test_accuracy.py")
-"""Few tests that take minutes: a process that begins with one of them last has the others wait for it."""
+LONG_FILES = (
+    "test_docs.py", "test_cluster.py", "test_fuzz.py", "test_chaos.py", "test_pictures.py", "test_sample.py",
+    "test_compare_replays.py", "test_accuracy.py", "test_accuracy_odometry.py", "test_drive.py", "test_lidar_drive.py",
+)  # fmt: skip
+"""Few tests that take long: a process that begins with one of them last has the others wait for it."""
 IMPORT = re.compile(r"^ *(?:from ([\w.]+) )?import (\([^)]*\)|.+)$", re.MULTILINE)
 
 
