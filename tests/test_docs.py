@@ -129,7 +129,7 @@ CHECK = "roadperc-check out.mcap"
 
 def test_every_command_runs_in_order(tmp_path):
     """The comparison and the check of README need all frames; then the logs are shortened, to save time."""
-    folder = readers_folder(tmp_path, 0.5)
+    folder = readers_folder(tmp_path, 0.3)
     shown = None
     for block in blocks():
         if block.language == "python":
