@@ -34,6 +34,7 @@ demo: $(VENV)/.installed
 	@echo "a row per object   $(DEMO)/sample.objects.parquet"
 
 TESTS ?=
+test: export PYTHONDONTWRITEBYTECODE :=  # hundreds of tests start commands, which would compile all modules
 test: $(VENV)/.installed  # all tests, or those of TESTS=tests/cli
 	$(BIN)/python -m pytest $(PARALLEL) $(TESTS)
 

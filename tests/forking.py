@@ -1,6 +1,5 @@
 """The process from which ``commands.run_forked`` forks: it has imported the package; a request is a line of JSON."""
 
-import importlib
 import json
 import os
 import pkgutil
@@ -8,6 +7,7 @@ import re
 import resource
 import signal
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import roadperc_stream
@@ -15,7 +15,7 @@ import roadperc_stream.eval
 import roadperc_stream.tools
 from roadperc_stream.cli import launch
 
-TIMEOUT_S = 120
+TIMEOUT_S = 240
 
 
 def import_all():
@@ -23,7 +23,7 @@ def import_all():
     for package in (roadperc_stream, roadperc_stream.eval, roadperc_stream.tools):
         for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
             if ".bench" not in module.name:
-                importlib.import_module(module.name)
+                import_module(module.name)
 
 
 def limit_memory(growth_bytes):
@@ -47,7 +47,8 @@ def _become(command, arguments, cwd, folder, variables, memory_bytes, file_bytes
     streams = [os.open(f"{folder}/{name}", os.O_WRONLY | os.O_CREAT | os.O_APPEND) for name in ("stdout", "stderr")]
     for number, stream in enumerate((null, *streams)):
         os.dup2(stream, number)
-    sys.stdin, sys.stdout, sys.stderr = (os.fdopen(number, "r" if number == 0 else "w") for number in range(3))
+    modes = ("r", "w", "w")  # a command may replace its streams, and the files stay open
+    sys.stdin, sys.stdout, sys.stderr = (os.fdopen(n, mode, closefd=False) for n, mode in enumerate(modes))
     os.environ.clear()
     os.environ.update(variables)
     os.chdir(cwd)
@@ -58,9 +59,17 @@ def _become(command, arguments, cwd, folder, variables, memory_bytes, file_bytes
     sys.argv = [command, *arguments]
     code = 1
     try:
-        code = getattr(launch, command.replace("-", "_").removeprefix("roadperc_"))()
+        code = _main(command)()
+        sys.stdout.flush()
     finally:
         os._exit(code)
+
+
+def _main(command):
+    """The function of a console script, or the ``main`` of a module of the tests."""
+    if command.startswith("tests."):
+        return import_module(command).main
+    return getattr(launch, command.replace("-", "_").removeprefix("roadperc_"))
 
 
 if __name__ == "__main__":

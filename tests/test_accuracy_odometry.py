@@ -53,7 +53,7 @@ CASES = {
 
 
 LENGTHS = {
-    "short": (("--seconds", "1.5", "--size", "640x480"), (5, 10)),
+    "short": (("--seconds", "1.2", "--size", "640x480"), (5, 10)),
     "long": (("--seconds", "20"), (25, 50, 100)),
 }
 """Options of the drive, and the lengths in metres of the error segments."""

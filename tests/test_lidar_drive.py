@@ -7,7 +7,7 @@ from roadperc_stream.cli import convert, render, report
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.output.tables import sidecar_path
 
-OPTIONS = ("--size", "640x480", "--scene", "straight", "--seconds", "0.5", "--lidar")
+OPTIONS = ("--size", "640x480", "--scene", "straight", "--seconds", "0.3", "--lidar")
 
 
 def test_the_points_give_road_lane_distances_and_scale(tmp_path, capsys):

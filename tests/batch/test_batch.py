@@ -248,8 +248,8 @@ def test_the_row_of_a_log_that_crashes_its_worker_has_the_error(folder, tmp_path
 
 def test_a_killed_batch_continues(tmp_path):
     out, source = tmp_path / "out", tmp_path / "in"
-    for number in range(4):
-        write_log(source / f"{number}.mcap", frames=20, lane_m=0.03 * number)
+    for number in range(3):
+        write_log(source / f"{number}.mcap", frames=12, lane_m=0.03 * number)
     process = subprocess.Popen(words("roadperc-batch", out, source, "--jobs", "1"), stdout=subprocess.DEVNULL)
     while not written(out):
         time.sleep(0.02)

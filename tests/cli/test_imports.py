@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from roadperc_stream.cli.launch import COMMANDS
-from tests.cli.test_launch import SCRIPTS
+from tests.commands import SCRIPTS
 from tests.test_sample import SAMPLE
 
 HEAVY = {"PIL", "cv2", "foxglove", "google", "jinja2", "mcap", "numpy", "plotly", "polars", "pyarrow", "pydantic"}

@@ -8,7 +8,6 @@ import polars as pl
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from scipy.signal import lfilter
 
 from roadperc_stream.eval.comparison.agreement import INCOMPARABLE, Agreement, Difference, added, distance
 from roadperc_stream.eval.comparison.bootstrap import MANY_LOGS, Interval, _block_means, block_length, mean_interval
@@ -79,6 +78,8 @@ def test_invalid_allowances_and_tolerances(parse, texts):
 
 def drive(rng, frames, correlation):
     """Noise around zero with correlated neighbours."""
+    from scipy.signal import lfilter  # takes a second in each process that collects the tests
+
     return lfilter([1.0], [1.0, -correlation], rng.normal(size=frames + 200))[200:]
 
 

@@ -119,21 +119,22 @@ def test_second_differences_do_not_cross_from_log_to_log(tmp_path):
     assert together.statistics["lane_left_second_difference_m"].abs_most == 0.0
 
 
-def fifty_tables(tmp_path):
+@pytest.fixture(scope="module")
+def fifty_tables(tmp_path_factory):
     """Fifty tables of up to 300 frames, each about a place of its own; a fifth of the values are null."""
-    rng = np.random.default_rng(7)
+    rng, folder = np.random.default_rng(7), tmp_path_factory.mktemp("tables")
     for index in range(50):
         errors = rng.normal(rng.uniform(-2, 2), 0.1, rng.integers(1, 300))
         known = rng.random(len(errors)) > 0.2
         rows = [
             row(k, f"{index:016x}", lane_left_error_m=error if known[k] else None) for k, error in enumerate(errors)
         ]
-        write(tmp_path / f"log{index:02}.metrics.parquet", rows)
-    return find_runs([str(tmp_path)]), pl.read_parquet(tmp_path / "*.parquet")["lane_left_error_m"].drop_nulls()
+        write(folder / f"log{index:02}.metrics.parquet", rows)
+    return find_runs([str(folder)]), pl.read_parquet(folder / "*.parquet")["lane_left_error_m"].drop_nulls()
 
 
-def test_over_few_frames_all_statistics_are_exact(tmp_path):
-    runs, joined = fifty_tables(tmp_path)
+def test_over_few_frames_all_statistics_are_exact(fifty_tables):
+    runs, joined = fifty_tables
     together = over_all(runs)
     found = together.statistics["lane_left_error_m"]
     assert together.rank_error == 0
@@ -146,9 +147,9 @@ def test_over_few_frames_all_statistics_are_exact(tmp_path):
     assert [found.abs_median, found.abs_p95, found.abs_most] == pytest.approx(expected, rel=1e-12)
 
 
-def test_over_many_frames_quantiles_are_within_their_rank_error(tmp_path, monkeypatch):
+def test_over_many_frames_quantiles_are_within_their_rank_error(fifty_tables, monkeypatch):
     """Sixteen values per table, as for ten million frames; the other statistics stay exact."""
-    runs, joined = fifty_tables(tmp_path)
+    runs, joined = fifty_tables
     exact = over_all(runs)
     monkeypatch.setattr(module, "EXACT_FRAMES", 100)
     monkeypatch.setattr(module, "POINTS", 16)

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 
+from tests.commands import run_forked
 from tests.fuzz.cases import recorded
 from tests.fuzz.judge import ROOT
 
@@ -14,8 +15,7 @@ DRAWN = 20
 
 
 def fuzz(*words):
-    words = [sys.executable, "-m", "tests.fuzz", *map(str, words)]
-    return subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
+    return run_forked("tests.fuzz.__main__", *words)
 
 
 def test_the_corpus_and_random_cases_find_no_fault():
@@ -56,7 +56,7 @@ def info():
     if name == "large": bytearray(2**29); bytearray(2**31)
     return 0
 
-trying.prepared, trying.launch.info, trying.CPU_S, trying.WALL_S = prepared, info, 2, 5
+trying.prepared, trying.launch.info, trying.CPU_S, trying.WALL_S = prepared, info, 1, 5
 names = ["a", "busy", "killed", "asleep", "never made", "large", "b"]
 found = {case.name: verdict.faults for case, verdict in trying.run(map(Case, names), 2)}
 print(found)
@@ -68,6 +68,6 @@ def test_time_and_memory_of_a_case_are_limited_and_the_others_continue():
     found = eval(done.stdout)
     assert found.pop("large")[0].startswith("traceback: MemoryError")
     assert found == {
-        "a": [], "b": [], "busy": ["hang: more than 2 s"], "asleep": ["hang: more than 2 s"],
-        "killed": ["died: the process ended with -9"], "never made": ["its own fault: hang: more than 2 s"],
+        "a": [], "b": [], "busy": ["hang: more than 1 s"], "asleep": ["hang: more than 1 s"],
+        "killed": ["died: the process ended with -9"], "never made": ["its own fault: hang: more than 1 s"],
     }, done.stderr  # fmt: skip

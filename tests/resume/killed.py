@@ -1,4 +1,4 @@
-"""``roadperc-replay`` in a process that is killed: ``killed.py N SECONDS ARGUMENTS``.
+"""``roadperc-replay`` in a process that is killed: ``N SECONDS ARGUMENTS``.
 
 It is killed before the N-th rename, removal or sync, or after SECONDS of CPU time after the imports (0: never).
 """
@@ -10,20 +10,21 @@ import sys
 from itertools import count
 from pathlib import Path
 
-from roadperc_stream.cli.replay import main
-
-LAST, AFTER_S, CALLS = int(sys.argv[1]), float(sys.argv[2]), count(1)
+from roadperc_stream.cli import replay
 
 
-def before(function):
-    def counted(*arguments, **options):
-        if next(CALLS) == LAST:
-            os.kill(os.getpid(), signal.SIGKILL)
-        return function(*arguments, **options)
+def main():
+    last, after_s, calls = int(sys.argv[1]), float(sys.argv[2]), count(1)
 
-    return counted
+    def before(function):
+        def counted(*arguments, **options):
+            if next(calls) == last:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return function(*arguments, **options)
 
+        return counted
 
-Path.replace, Path.unlink, shutil.rmtree, os.fsync = map(before, (Path.replace, Path.unlink, shutil.rmtree, os.fsync))
-signal.setitimer(signal.ITIMER_PROF, AFTER_S)  # without a handler, the signal ends the process
-sys.exit(main(sys.argv[3:]))
+    for owner, name in ((Path, "replace"), (Path, "unlink"), (shutil, "rmtree"), (os, "fsync")):
+        setattr(owner, name, before(getattr(owner, name)))
+    signal.setitimer(signal.ITIMER_PROF, after_s)  # without a handler, the signal ends the process
+    return replay.main(sys.argv[3:])

@@ -101,7 +101,7 @@ def test_the_sample_cut_anywhere(data):
 
 def test_the_sample_in_three_parts(tmp_path):
     """The last part is shorter than the wait."""
-    messages = [m for m in inputs(SAMPLE) if m.log_time_ns < log.summarise(SAMPLE).first_ns + 600_000_000]
+    messages = [m for m in inputs(SAMPLE) if m.log_time_ns < log.summarise(SAMPLE).first_ns + 400_000_000]
     first, last = messages[0].log_time_ns, messages[-1].log_time_ns
     cfg = load_config(None, ("sync.max_wait_s=0.2",))
     parts = replayed(tmp_path, cut(messages, [first + (last - first) // 2, last - 120_000_000]), cfg)

@@ -3,11 +3,8 @@
 import os
 import random
 import signal
-import subprocess
-import sys
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import polars as pl
 import pytest
@@ -20,6 +17,7 @@ from roadperc_stream.resume.checkpoint import Checkpoint, CheckpointFolder, chec
 from roadperc_stream.resume.state import ReplayState
 from roadperc_stream.schemas.columns import FrameMetrics
 from tests import logs
+from tests.commands import run_forked
 from tests.replaying import replay
 
 SETTINGS = ("sync.max_wait_s=0.1",)
@@ -40,20 +38,9 @@ def undisturbed(source):
     return source.with_name("whole.mcap")
 
 
-def command(source, target, *options, kill_before=0, kill_after_s=0.0):
-    script = Path(__file__).with_name("killed.py")
+def killed_replay(source, target, *options, kill_before=0, kill_after_s=0.0):
     settings = [part for setting in SETTINGS for part in ("--set", setting)]
-    return [
-        sys.executable,
-        str(script),
-        str(kill_before),
-        str(kill_after_s),
-        str(source),
-        str(target),
-        *settings,
-        *EVERY,
-        *options,
-    ]
+    return run_forked("tests.resume.killed", kill_before, kill_after_s, source, target, *settings, *EVERY, *options)
 
 
 def same(target, expected):
@@ -78,7 +65,7 @@ OUTPUTS = ["out.mcap", "out.metrics.parquet", "out.objects.parquet"]
 def test_a_replay_killed_before_a_rename_is_resumed(source, undisturbed, tmp_path, kill_before):
     """While a checkpoint is written, while the outputs are renamed, while checkpoints are removed."""
     target = tmp_path / "out.mcap"
-    killed = subprocess.run(command(source, target, kill_before=kill_before), timeout=100, check=False)
+    killed = killed_replay(source, target, kill_before=kill_before)
     assert killed.returncode == -signal.SIGKILL
     replay(source, target, CFG, checkpoint_every_s=0.2, resume=True)
     assert same(target, undisturbed)
@@ -94,12 +81,11 @@ def test_a_hundred_kills_at_random_moments(source, undisturbed, tmp_path):
     takes_s = time.process_time() - started_s
     while killed < KILLS or completed < KILLS // 3:
         kill_after_s = rng.choice((0.0, *(rng.uniform(0.01, 1.2) * takes_s for _ in range(2))))
-        words = command(source, target, "--resume", "--quiet", kill_after_s=kill_after_s)
-        done = subprocess.run(words, check=False, capture_output=True)
+        done = killed_replay(source, target, "--resume", "--quiet", kill_after_s=kill_after_s)
         if done.returncode == -signal.SIGPROF:
             killed += 1
             continue
-        assert (done.returncode, done.stderr) == (0, b"")
+        assert (done.returncode, done.stderr) == (0, "")
         assert same(target, undisturbed)
         assert names(tmp_path) == OUTPUTS
         completed += 1

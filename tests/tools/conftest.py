@@ -10,13 +10,14 @@ from tests.tools.rendered import Dump
 
 @pytest.fixture(scope="module")
 def rendered(tmp_path_factory):
-    """Render a dump once for each set of options."""
+    """Render a dump once for each set of options, without the right camera unless a test needs it."""
 
     @cache
-    def render(*options):
+    def render(*options, right=False):
         folder = tmp_path_factory.mktemp("render") / "dump"
         size = () if "--size" in options else ("--size", "160x120")
-        assert main([str(folder), *size, "--rate", "1", *options]) == 0
+        cameras = () if right else ("--without", "right")
+        assert main([str(folder), *size, *cameras, "--rate", "1", *options]) == 0
         return Dump(folder)
 
     return render

@@ -15,7 +15,12 @@ from tests.tools.rendered import CAMERA_X, CAMERA_Z, TAG
 @pytest.fixture
 def three_frames(rendered):
     """Three frames of a scene, one second apart."""
-    return lambda scene, size="320x240": rendered("--scene", scene, "--seconds", "3", "--weave", "0.5", "--size", size)
+
+    def render(scene, size="320x240"):
+        options = ("--scene", scene, "--seconds", "3", "--weave", "0.5", "--size", size)
+        return rendered(*options, right=size == "640x480")
+
+    return render
 
 
 def test_flat_road_depth_is_true_to_a_millimetre(rendered):
@@ -159,7 +164,7 @@ def test_objects_are_boxed_tightly_and_measured_to_their_nearest_pixel(three_fra
 
 
 def test_closing_speed_is_the_change_of_the_distance(rendered):
-    dump = rendered("--scene", "bend", "--seconds", "1", "--rate", "20", "--size", "320x240", "--without", "right")
+    dump = rendered("--scene", "bend", "--seconds", "1", "--rate", "20", "--size", "320x240")
     objects = [{o["id"]: o for o in frame} for frame in dump.truth["objects"].values()]
     compared = 0
     for before, now, after in zip(objects, objects[1:], objects[2:], strict=False):
@@ -184,7 +189,7 @@ def overlap(a, b):
 
 
 def test_detector_finds_nearly_all_and_more(rendered):
-    dump = rendered("--scene", "town", "--seconds", "4", "--rate", "5", "--size", "320x240", "--without", "right")
+    dump = rendered("--scene", "town", "--seconds", "4", "--rate", "5", "--size", "320x240")
     found = expected = right = total = 0
     for name, detections in dump.json("detections").items():
         truth = [o for o in dump.truth["objects"][name] if o["box_px"][2] - o["box_px"][0] > 6]
@@ -213,14 +218,14 @@ SPOILED = (*TINY, "--tag-noise", "0.02", "--depth-noise", "0.01", "--rgb-noise",
 def test_equal_options_give_equal_bytes_and_another_seed_others(rendered, tmp_path):
     for name, seed in (("b", "0"), ("c", "4")):
         assert main([str(tmp_path / name), *SPOILED, "--seed", seed]) == 0
-    a, b, c = (contents(folder) for folder in (rendered(*SPOILED).folder, tmp_path / "b", tmp_path / "c"))
+    a, b, c = (contents(folder) for folder in (rendered(*SPOILED, right=True).folder, tmp_path / "b", tmp_path / "c"))
     assert a == b
     assert a.keys() == c.keys()
     assert a[Path("rgb/000000.png")] != c[Path("rgb/000000.png")]
 
 
 def test_spoiled_pictures_have_their_clean_ones_beside_them(rendered):
-    clean, spoiled = rendered(*TINY), rendered(*SPOILED)
+    clean, spoiled = (rendered(*options, right=True) for options in (TINY, SPOILED))
     assert not (clean.folder / "truth").exists()
     for name in clean.names:
         assert (spoiled.tags(name, "truth/segmentation") == clean.tags(name)).all()
@@ -233,18 +238,18 @@ def test_spoiled_pictures_have_their_clean_ones_beside_them(rendered):
 
 
 def test_drop_leaves_out_files_but_none_of_the_first_frame_nor_of_the_truth(rendered):
-    dump = rendered("--seconds", "3", "--rate", "10", "--size", "64x48", "--drop", "0.3")
+    dump = rendered("--seconds", "2", "--rate", "10", "--size", "64x48", "--drop", "0.3", right=True)
     for sensor in ("rgb", "depth", "segmentation", "right"):
         present = {path.stem for path in (dump.folder / sensor).iterdir()}
         assert "000000" in present
-        assert 0.5 < len(present) / 30 < 0.9
-    assert [len(list((dump.folder / "truth" / name).iterdir())) for name in ("segmentation", "depth")] == [30, 30]
+        assert 0.5 < len(present) / 20 < 0.9
+    assert [len(list((dump.folder / "truth" / name).iterdir())) for name in ("segmentation", "depth")] == [20, 20]
     rgb, depth = ({p.stem for p in (dump.folder / s).iterdir()} for s in ("rgb", "depth"))
     assert rgb != depth
 
 
 def test_files_of_a_dump(rendered):
-    dump = rendered("--seconds", "0.5", "--rate", "4", "--size", "160x120", "--jpeg")
+    dump = rendered("--seconds", "0.5", "--rate", "4", "--size", "160x120", "--jpeg", right=True)
     assert dump.names == ["000000", "000001"]
     assert sorted(p.name for p in (dump.folder / "rgb").iterdir()) == ["000000.jpg", "000001.jpg"]
     assert (dump.folder / "right" / "000001.jpg").exists()
@@ -318,8 +323,8 @@ def test_the_lidars_points_lie_on_what_the_depth_shows(rendered, scene):
 
 def test_sensors_left_out_leave_the_truth_and_change_no_other_file(rendered):
     two_frames = ("--seconds", "0.1", "--rate", "20")
-    whole = rendered(*two_frames, "--lidar")
-    part = rendered(*two_frames, "--without", "depth", "--without", "right")
+    whole = rendered(*two_frames, "--lidar", right=True)
+    part = rendered(*two_frames, "--without", "depth")
     names = {path.name for path in part.folder.iterdir()}
     assert {"rgb", "segmentation", "truth"} <= names
     assert not {"depth", "right", "lidar"} & names

@@ -67,8 +67,10 @@ def line_at(moment: Moment, edge: Edge, x_ego_m: Float) -> tuple[Float, NDArray[
         ahead = _on_road(scene, s + 0.01, edge, ego_T_world)
         # Stay within the edge: after a crossing the road may never reach this x.
         with np.errstate(divide="ignore", invalid="ignore"):
-            s = np.clip(s + (x_ego_m - points[:, 0]) / ((ahead[:, 0] - points[:, 0]) / 0.01), edge.from_m, edge.to_m)
-        points = _on_road(scene, s, edge, ego_T_world)
+            new = np.clip(s + (x_ego_m - points[:, 0]) / ((ahead[:, 0] - points[:, 0]) / 0.01), edge.from_m, edge.to_m)
+        if np.array_equal(new, s):
+            break
+        s, points = new, _on_road(scene, new, edge, ego_T_world)
     return points, np.abs(points[:, 0] - x_ego_m) < FOUND_M
 
 

@@ -5,7 +5,6 @@ from contextlib import nullcontext
 
 import numpy as np
 import pytest
-from scipy.stats import wilcoxon
 
 from roadperc_stream.errors import ProgramError
 from roadperc_stream.tools.bench import compare
@@ -86,6 +85,8 @@ def test_unknown_logs_are_refused(tmp_path, capsys):
 
 @pytest.mark.parametrize("count", [1, 6, 12])
 def test_probabilities_are_those_of_wilcoxons_test(count):
+    from scipy.stats import wilcoxon  # takes a second in each process that collects the tests
+
     rng = np.random.default_rng(count)
     values = rng.normal(0.4, 1, count)
     ranks = np.argsort(np.argsort(np.abs(values))) + 1

@@ -1,6 +1,7 @@
 """Odometry over frames with known motion."""
 
 import pickle
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -17,8 +18,12 @@ from tests.chain.test_chain import same
 from tests.scenes import scene_of
 
 POSES = drive(12)
-SHOTS = [photograph(p) for p in POSES]
 ROAD = assumed_surface(CAMERA, EGO_T_CAMERA)
+
+
+@cache
+def photographed():
+    return [photograph(p) for p in POSES]
 
 
 def noisy(shot, seed, std=2.0):
@@ -39,7 +44,7 @@ def statuses(results):
     [("klt", "brute_force"), ("orb", "brute_force"), ("sift", "brute_force"), ("sift", "flann")],
 )
 def test_known_motion_with_depth(features, matcher):
-    shots = SHOTS if features == "klt" else SHOTS[:8]
+    shots = photographed() if features == "klt" else photographed()[:8]
     states, results = run(shots, CFG.model_copy(update={"features": features, "matcher": matcher}))
     assert statuses(results) == ["first"] + ["tracked"] * (len(shots) - 1)
     shift, turn = relative_errors(poses(results), np.array(POSES[: len(shots)]), (2.0,), every=1)
@@ -53,7 +58,7 @@ def test_known_motion_with_depth(features, matcher):
 
 
 def test_the_covariance_of_a_step_at_full_size_covers_its_error():
-    _, results = run(SHOTS[:3], CFG.model_copy(update={"min_rows": 480}))
+    _, results = run(photographed()[:3], CFG.model_copy(update={"min_rows": 480}))
     covariance = np.array(results[1].covariance).reshape(6, 6)
     np.testing.assert_allclose(covariance, covariance.T, atol=1e-15)
     assert np.linalg.eigvalsh(covariance).min() > 0
@@ -64,10 +69,10 @@ def test_the_covariance_of_a_step_at_full_size_covers_its_error():
 def test_standing_still_does_not_drift_while_a_car_passes():
     shots = []
     for k in range(10):
-        shot = noisy(SHOTS[0], k)
+        shot = noisy(photographed()[0], k)
         grey, depth_m = shot.grey.copy(), shot.depth_m.copy()
         columns = slice(50 * k, 50 * k + 160)
-        grey[220:330, columns] = SHOTS[5].grey[120:230, 100:260]
+        grey[220:330, columns] = photographed()[5].grey[120:230, 100:260]
         depth_m[220:330, columns] = 6.0
         shots.append(Shot(grey, depth_m))
     for depth in (True, False):
@@ -78,7 +83,7 @@ def test_standing_still_does_not_drift_while_a_car_passes():
 
 
 def test_a_missing_frame_is_lost_but_its_motion_is_not():
-    states, results = run([*SHOTS[:3], None, *SHOTS[4:8]])
+    states, results = run([*photographed()[:3], None, *photographed()[4:8]])
     assert statuses(results) == ["first", "tracked", "tracked", "lost", "tracked", "tracked", "tracked", "tracked"]
     np.testing.assert_array_equal(results[3].odom_T_ego, results[2].odom_T_ego)
     assert results[3].step is None
@@ -91,7 +96,7 @@ def test_a_missing_frame_is_lost_but_its_motion_is_not():
 def test_another_place_is_lost_and_then_tracked():
     elsewhere = [Shot(s.grey[::-1].copy(), s.depth_m) for s in (photograph(pose(20.0, yaw=1.0)),)]
     there = [photograph(pose(20.0, 1.0) @ p) for p in drive(4)]
-    _, results = run([*SHOTS[:4], *elsewhere, *there])
+    _, results = run([*photographed()[:4], *elsewhere, *there])
     assert statuses(results)[4:6] == ["lost", "lost"]
     assert statuses(results)[6:] == ["tracked"] * 3
     np.testing.assert_array_equal(results[5].odom_T_ego, results[3].odom_T_ego)
@@ -108,13 +113,13 @@ def test_another_place_is_lost_and_then_tracked():
     ],
 )
 def test_an_impossible_motion_is_lost(limit, reason):
-    _, results = run(SHOTS[:2], CFG.model_copy(update=limit))
+    _, results = run(photographed()[:2], CFG.model_copy(update=limit))
     assert statuses(results) == ["first", "lost"]
     assert results[1].reason == Reason("odometry", reason)
 
 
 def test_without_depth_the_shape_of_the_path_is_right():
-    _, results = run(SHOTS, depth=False)
+    _, results = run(photographed(), depth=False)
     assert statuses(results) == ["first"] + ["tracked"] * 11
     assert all(out.up_to_scale for out in results[1:])
     assert np.linalg.norm(results[1].step[:3, 3]) == pytest.approx(1.0, abs=0.05)
@@ -126,7 +131,7 @@ def test_without_depth_the_shape_of_the_path_is_right():
 
 
 def test_the_road_gives_the_scale():
-    _, results = run(SHOTS, depth=False, road=ROAD)
+    _, results = run(photographed(), depth=False, road=ROAD)
     assert not any(out.up_to_scale for out in results)
     assert distances_m(poses(results))[-1] == pytest.approx(distances_m(np.array(POSES))[-1], rel=0.02)
     step, covariance = results[-1].step, np.reshape(results[-1].covariance, (6, 6))
@@ -134,7 +139,7 @@ def test_the_road_gives_the_scale():
 
 
 def test_the_scale_is_kept_while_depth_is_missing():
-    blind = [Shot(s.grey, np.full_like(s.depth_m, np.nan)) if 3 <= k < 9 else s for k, s in enumerate(SHOTS)]
+    blind = [Shot(s.grey, np.full_like(s.depth_m, np.nan)) if 3 <= k < 9 else s for k, s in enumerate(photographed())]
     _, results = run(blind)
     assert statuses(results) == ["first"] + ["tracked"] * 11
     assert not any(out.up_to_scale for out in results)
@@ -144,7 +149,7 @@ def test_the_scale_is_kept_while_depth_is_missing():
 def test_depth_with_holes_and_noise_that_grows():
     rng = np.random.default_rng(3)
     shots = []
-    for shot in SHOTS:
+    for shot in photographed():
         disparity = 160.0 / shot.depth_m + rng.normal(0, 0.3, shot.depth_m.shape)
         depth_m = (160.0 / np.maximum(disparity, 0.5)).astype(np.float32)
         depth_m[rng.random(depth_m.shape) < 0.2] = np.nan
@@ -156,17 +161,17 @@ def test_depth_with_holes_and_noise_that_grows():
 def test_features_on_movable_objects_are_not_used():
     movable = np.zeros(CAMERA.size, bool)
     movable[:, 320:] = True
-    states, results = run(SHOTS[:3], movable=movable)
+    states, results = run(photographed()[:3], movable=movable)
     assert states[0].keyframe.landmarks.features.px[:, 0].max() < 160
     assert statuses(results) == ["first", "tracked", "tracked"]
 
 
 def test_no_image_is_absent_and_a_blank_image_is_skipped():
     assert isinstance(run([None])[1][0], Absent)
-    blank = Shot(np.full(CAMERA.size, 90, np.uint8), SHOTS[0].depth_m)
+    blank = Shot(np.full(CAMERA.size, 90, np.uint8), photographed()[0].depth_m)
     for depth in (True, False):
         for features in ("klt", "orb", "sift"):
-            _, results = run([blank, *SHOTS[:2]], CFG.model_copy(update={"features": features}), depth=depth)
+            _, results = run([blank, *photographed()[:2]], CFG.model_copy(update={"features": features}), depth=depth)
             assert statuses(results) == ["lost", "first", "tracked"]
 
 
@@ -176,9 +181,9 @@ def test_no_image_is_absent_and_a_blank_image_is_skipped():
 )
 def test_a_second_run_and_a_resumed_run_give_equal_results(features, matcher, depth):
     cfg = CFG.model_copy(update={"features": features, "matcher": matcher})
-    states, results = run(SHOTS[:4], cfg, depth=depth)
-    _, again = run(SHOTS[:3], cfg, depth=depth)
-    _, resumed = run(SHOTS[2:4], cfg, pickle.loads(pickle.dumps(states[1])), first=2, depth=depth)
+    states, results = run(photographed()[:4], cfg, depth=depth)
+    _, again = run(photographed()[:3], cfg, depth=depth)
+    _, resumed = run(photographed()[2:4], cfg, pickle.loads(pickle.dumps(states[1])), first=2, depth=depth)
     assert same(tuple(results[:3]), tuple(again))
     assert same(tuple(results[2:]), tuple(resumed))
 
@@ -186,11 +191,11 @@ def test_a_second_run_and_a_resumed_run_give_equal_results(features, matcher, de
 @pytest.mark.parametrize("missed", [0, 1])
 def test_the_search_for_features_begins_where_a_steady_motion_predicts_them(missed):
     """The motion is steady, so the next two poses are known."""
-    states, _ = run(SHOTS[:4])
+    states, _ = run(photographed()[:4])
     state, frame = states[-1], 4 + missed
     stamp_ns = 1_000_000_000 + frame * STEP_NS
-    scene = scene_of(CAMERA, EGO_T_CAMERA, depth_m=SHOTS[frame].depth_m, stamp_ns=stamp_ns)
-    view = tracking_frame(CFG, scene, SHOTS[frame].grey, None)
+    scene = scene_of(CAMERA, EGO_T_CAMERA, depth_m=photographed()[frame].depth_m, stamp_ns=stamp_ns)
+    view = tracking_frame(CFG, scene, photographed()[frame].grey, None)
     this = FollowedFrame(CFG, view, state.keyframe, state.last, state.odom_T_ego, state.pitch)
     (first, near, share), (second, anywhere, twice) = guesses(this)
     camera_T_key = inverse(POSES[frame] @ EGO_T_CAMERA) @ state.keyframe.odom_T_camera
