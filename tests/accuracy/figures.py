@@ -22,8 +22,11 @@ from tests.accuracy.scenarios import (
     COURSE_OBSTACLE,
     EXPOSURES,
     KITTI_WAYS,
+    MERGING,
     MODELS,
+    NOISY_TOWNS,
     ONE_BY_ONE,
+    PARKED,
     ROADS,
     SPARSE,
     STANDARD,
@@ -196,12 +199,31 @@ def of_untagged():
         yield line(f"{name}: deviation below 15 %", at_least(66.6, "%"), value=of_objects.sure)
 
 
+def of_hidden():
+    """Cars parked in rows, each partly hidden by the next one."""
+    line = partial(bounded, "Distances, parked rows", scenarios=PARKED["seen"])
+    for nearest_m, farthest_m in DISTANCES:
+        value = partial(of_objects.off_and_sure, nearest_m=nearest_m, farthest_m=farthest_m)
+        name = f"off by over 1 m and 2 deviations, {nearest_m} to {farthest_m} m"
+        yield line(name, at_most(5, "%"), value=value)
+    scenarios = (*PARKED["seen"], *PARKED["whole"])
+    name, value = "30 % or more visible: deviation below 10 %", of_objects.sure_though_hidden
+    yield bounded("Distances, parked rows", name, at_least(80, "%"), scenarios, value)
+    measure = partial(of_uncertainty.shares, "distance", PARKED["seen"], of_uncertainty.QUANTITIES["distance"])
+    name = "distance, within 1 and 2 deviations, beyond 3"
+    yield Figure("Distances, parked rows", name, "50 to 85 / ≥ 90 / ≤ 4 %", PARKED["seen"], measure)
+
+
 def of_filter():
     """Detections kept and dropped."""
     for name, scenarios, precision in (("sample", STANDARD, 0.82), ("town", TOWNS["1+2 %"], 0.93)):
         line = partial(bounded, "Filter", scenarios=scenarios)
         yield line(f"{name}: precision", at_least(precision, ""), value=of_objects.precision)
         yield line(f"{name}: recall", at_least(0.995, ""), value=of_objects.recall)
+    for percent, recall in ((10, 0.95), (20, 0.85)):
+        line = partial(bounded, "Filter", scenarios=NOISY_TOWNS[percent])
+        yield line(f"town, tag noise {percent} %: precision", at_least(0.9, ""), value=of_objects.precision)
+        yield line(f"town, tag noise {percent} %: recall", at_least(recall, ""), value=of_objects.recall)
 
 
 IMPACTS = {"town": TOWNS, "braking lead car": BRAKING}
@@ -218,7 +240,8 @@ def of_impact():
     """Time to impact, in frames with and without a true one."""
     noisy = {f"{name}, noise {level}": by[level] for level in TOWNS for name, by in IMPACTS.items()}
     crossing = "crossing people and cars"
-    for name, scenarios in {"sample": STANDARD, "turn": TURNING, **noisy, crossing: APPROACHING}.items():
+    cases = {"sample": STANDARD, "turn": TURNING, "lane that merges": MERGING, **noisy, crossing: APPROACHING}
+    for name, scenarios in cases.items():
         title = f"{name}: below 1.5 s although the true time is above 2 s or absent"
         yield bounded("Impact", title, at_most(0, "frames"), scenarios, of_objects.false_alarms)
     title = "5 to 30 m/s, 5 to 20 Hz, 0.5 to 3 s: frames with a value, from the third one on"
@@ -306,6 +329,7 @@ FIGURES = (
     *of_exposure(),
     *of_distances(),
     *of_untagged(),
+    *of_hidden(),
     *of_filter(),
     *of_impact(),
     *of_obstacle(),

@@ -129,8 +129,29 @@ def kept_true(replays, nearest_m, farthest_m):
         numbers = total + np.unique(names, return_inverse=True)[1].reshape(-1)
         total += len(set(names))
         parts.append(
-            rows.select("distance_m", "true_distance_m").with_columns(object=pl.Series(numbers, dtype=pl.Int64))
+            rows.select("distance_m", "distance_std_m", "true_distance_m").with_columns(
+                object=pl.Series(numbers, dtype=pl.Int64)
+            )
         )
+    return pl.concat(parts)
+
+
+def with_visible_share(replays):
+    """Rows of true detections by boxes of visible parts, with the area as a share of that of the whole object's box.
+
+    The second half of the replays has the boxes of whole objects, with the same random numbers. Objects are the same if
+    their true distances are.
+    """
+    half = len(replays) // 2
+    keys, area = (
+        ["frame", "true_distance_m"],
+        (pl.col("x_max_px") - pl.col("x_min_px")) * (pl.col("y_max_px") - pl.col("y_min_px")),
+    )
+    parts = []
+    for seen, whole in zip(replays[:half], replays[half:], strict=True):
+        areas = [replay.objects.drop_nulls("true_distance_m").with_columns(area=area) for replay in (seen, whole)]
+        both = areas[0].join(areas[1].select(*keys, whole="area").unique(keys), on=keys)
+        parts.append(both.with_columns(visible=pl.col("area") / pl.col("whole")))
     return pl.concat(parts)
 
 

@@ -39,6 +39,11 @@ SWEPT = (CHANGES[1], drive("bend", scene="bend", weave_m=0.5, seconds=4.0))
 TWO_HZ = drive("two-hz", scene="bend", weave_m=0.5, rate_hz=2.0, seconds=15.0)
 HILL = drive("hill", scene="hill", rate_hz=2.0, seconds=8.0)
 TOWN = drive("town", 2.5, scene="town", path_truth=True, rate_hz=5.0, seconds=8.0)
+MERGE = drive("merge", scene="bend", lane="merges", path_truth=True, seconds=8.0)
+ROWS = {
+    kind: drive(f"parked-{kind}", scene="town", parked_rows=True, whole_boxes=kind == "whole", rate_hz=5.0, seconds=6.0)
+    for kind in ("seen", "whole")
+}
 WHOLE = drive("town-whole", 2.0, scene="town", path_truth=True, whole_boxes=True, rate_hz=5.0, seconds=8.0)
 TURN = drive("turn", scene="town", turn="right", path_truth=True, seconds=6.0)
 TURNS = tuple(drive(f"whole-turn-{side}", scene="town", turn=side, seconds=11.0) for side in ("left", "right"))
@@ -106,6 +111,11 @@ BY_MODEL = {
 TOWNS = {
     level: (Scenario(f"town, {level}", TOWN, noise, OBJECTS),) for level, noise in (("1+2 %", MODEST), ("2+5 %", HEAVY))
 }
+NOISY_TOWNS = {
+    percent: (Scenario(f"town, tags {percent} %", TOWN, TAG_NOISES[percent], OBJECTS),) for percent in (10, 20)
+}
+PARKED = {kind: (Scenario(f"parked rows, {kind}", of, MODEST, OBJECTS),) for kind, of in ROWS.items()}
+MERGING = (Scenario("merge", MERGE, MODEST, OBJECTS),)
 WHOLE_BOXES = {
     level: (Scenario(f"town, whole boxes, {level}", WHOLE, noise, OBJECTS),)
     for level, noise in (("1+2 %", MODEST), ("2+5 %", HEAVY))

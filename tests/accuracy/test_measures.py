@@ -93,10 +93,17 @@ def test_rows_of_one_object_are_not_independent():
 def test_equal_track_numbers_of_two_replays_are_two_objects():
     table = pl.DataFrame(
         {"kept": [True, True, False], "track_id": ["1", "1", "1"], "distance_m": [9.0, None, 9.0],
-         "true_distance_m": [9.0, 25.0, 9.0]}
+         "distance_std_m": [0.1, None, 0.1], "true_distance_m": [9.0, 25.0, 9.0]}
     )  # fmt: skip
     rows = measures.kept_true([replayed(objects=table), replayed(objects=table)], 0, 20)
     assert rows["object"].to_list() == [0, 1]
+
+
+def test_the_visible_share_is_that_of_the_areas_of_equal_objects():
+    seen = pl.DataFrame({"frame": [0, 0, 1], "true_distance_m": [9.0, 20.0, None], "x_min_px": [0.0, 5.0, 0.0],
+                         "x_max_px": [4.0, 9.0, 9.0], "y_min_px": [0.0] * 3, "y_max_px": [5.0] * 3})  # fmt: skip
+    whole = seen.with_columns(x_max_px=pl.Series([8.0, 9.0, 9.0]), frame=pl.Series([0, 3, 1]))
+    assert measures.with_visible_share([replayed(objects=seen), replayed(objects=whole)])["visible"].to_list() == [0.5]
 
 
 def test_an_alarm_without_a_true_impact_is_false():

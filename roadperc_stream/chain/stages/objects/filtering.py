@@ -2,11 +2,13 @@
 
 A detector with high recall reports false and hidden objects. The box of a hidden car lies on the car in front of it,
 so each region belongs to the detection that it fits best. A detection is kept if a region of its class fits its box,
-or (the lecture's filter) if enough of its box has tags of its class. Its distance is a low quantile of the region's
-distances.
+or (the lecture's filter) if enough of its box has tags of its class. Wrong tags cover an object or displace its border,
+but not its depth: without such a region, one of any class above the ground may fit. The distance of a detection is a
+low quantile of the region's distances.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from math import inf, log
 from typing import Final
@@ -18,7 +20,7 @@ from numpy.typing import NDArray
 from roadperc_stream.chain.kernels import mark
 from roadperc_stream.chain.stages.objects import regions
 from roadperc_stream.chain.stages.objects.mosaic import areas, corners, cut_out, kinds, shared_areas
-from roadperc_stream.chain.stages.objects.points import measured_by_points
+from roadperc_stream.chain.stages.objects.points import measured_by_points, usual_heights
 from roadperc_stream.chain.stages.objects.regions import UNKNOWN, Measured, Region, nearest, of_box
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Float32
@@ -37,10 +39,15 @@ FITS_ALIKE = 0.1
 """Difference below which fits count as equal."""
 AS_EXPECTED = 0.1
 """Largest difference between the distance of a tracked object and the expected one, as a share."""
-LEAST_RATIO = 0.2
+LEAST_RATIO = 0.03
 """Minimum share of its class in the box of a new object, even if its region fits well."""
 _MIN_FIT = 0.7
 """Minimum fit of a region to its box for a detection to be kept."""
+_BY_DEPTH = 0.95
+"""Factor of the fit of a region of any class: regions of the class are chosen first."""
+_GROUND: Final = ("road", "road_line", "ground", "sidewalk", "rail_track", "terrain")
+_LEAST_USUAL = 0.1
+"""Minimum weight of the height of a box at the distance of a region of any class."""
 _MIN_FIT_SEEN = 0.2
 """Minimum fit for an object tracked for ``carry_after_s``; a share above ``min_class_ratio`` is also enough."""
 
@@ -160,8 +167,30 @@ def _candidates(
         return [_NO_REGION] * len(detections)
     boxes = [detection.box_px for detection in detections]
     found = regions.find_regions(scene.camera, cut_out(scene, lookups, boxes), boxes)
+    poor = [
+        k
+        for k, lookup in enumerate(lookups)
+        if lookup is not None and max((r.fit for r in found[k]), default=0) <= _MIN_FIT
+    ]
+    for k, more in zip(poor, _above_ground(cfg, scene, [detections[k] for k in poor]), strict=True):
+        found[k] += tuple(replace(region, owner=k, fit=_BY_DEPTH * region.fit) for region in more)
     labels = [detection.label for detection in detections]
     return choose(labels, found, lambda region: regions.of_region(cfg, region), expected_m)
+
+
+def _above_ground(cfg: ObjectsConfig, scene: Scene, detections: Sequence[Detection]) -> Iterator[tuple[Region, ...]]:
+    """For each detection, the regions of any class above the ground at whose distance its box has a usual height."""
+    if scene.table is None or scene.instances is not None:
+        yield from [()] * len(detections)
+        return
+    boxes = [detection.box_px for detection in detections]
+    lookup = 1 - scene.table.lookup(_GROUND)
+    found = regions.find_regions(scene.camera, cut_out(scene, [lookup] * len(boxes), boxes), boxes)
+    for detection, box, of_one in zip(detections, boxes, found, strict=True):
+        distances = np.array([regions.of_region(cfg, region).distance_m or np.nan for region in of_one])
+        heights_m = (box.y_max - box.y_min) / scene.camera.fy * distances
+        usual = usual_heights(detection.label, heights_m) > _LEAST_USUAL
+        yield tuple(region for region, is_usual in zip(of_one, usual, strict=True) if is_usual)
 
 
 def _filtered(
@@ -187,9 +216,10 @@ def _filtered(
     kept = ratio is None or _is_kept(cfg, scene, ratio, fit, expected=expected, beyond=beyond)
     if beyond and cfg.distance_pixels == "region":
         measured = Measured(beyond_range=True)
+    claimed = fit == 0 and divides(scene)  # the pixels of the class belong to other detections
     if scene.depth_m is not None and measured == UNKNOWN and of_class is None and cfg.distance_pixels == "region":
         measured = measured_by_points(cfg, scene.camera, scene.depth_m, scene.depth_limit_m, detection)
-    elif scene.depth_m is not None and measured == UNKNOWN:
+    elif scene.depth_m is not None and measured == UNKNOWN and (cfg.distance_pixels != "region" or not claimed):
         distances = of_box(scene.camera, scene.depth_m, box, scene.depth_limit_m)
         measured = nearest(cfg, _counted(cfg, scene, distances, of_class))
     return Object(detection, kept, ratio, measured.distance_m, measured.std_m, beyond_range=measured.beyond_range)

@@ -6,7 +6,7 @@ speed. A vehicle cuts in if it is beside the path and moves towards it.
 """
 
 from dataclasses import dataclass, replace
-from math import atan2, ceil, cos, exp, fsum, hypot, sin, sqrt
+from math import atan2, ceil, cos, exp, fsum, hypot, radians, sin, sqrt
 
 import numpy as np
 
@@ -31,6 +31,8 @@ _LANE_WIDTH_MIN_M = 2.0
 """Width of the narrowest lane in which the car can drive."""
 _LANE_WIDTH_MAX_M = 5.0
 """In a wider lane, the path is parallel to the boundaries through the car, not in the middle."""
+_PARALLEL = radians(3.0)
+"""Largest angle between the boundaries of a lane; where a lane merges or splits, it is larger."""
 OBJECT_LENGTH_M = 5.0
 """Pixels up to this far behind an object's nearest point determine its place: a car's length."""
 LATERAL_STD_M = 0.1
@@ -109,6 +111,8 @@ def path_of(lanes: Lanes | None, arc: DrivenArc) -> EgoPath:
         arc: the arc of the last metres by odometry.
     """
     known = [] if lanes is None else [line for side in SIDES if (line := _known(lanes.side(side))) is not None]
+    if len(known) == len(SIDES) and abs(known[0][1] - known[1][1]) > _PARALLEL:
+        known = [min(known, key=lambda line: abs(line[1]))]  # the car drives along this one
     width_m = known[0][0] - known[1][0] if len(known) == len(SIDES) else None
     if known and (width_m is None or width_m >= _LANE_WIDTH_MIN_M):
         offset, heading, curvature = (fsum(values) / len(values) for values in zip(*known, strict=True))

@@ -74,7 +74,7 @@ def measured_by_points(
         first, last, bounds = bounds_of_groups(sorted_m, columns[order], rows[order], _GAP)
         fits = fits_of_bounds(corners([Box(x0, y0, x1, y1)]), bounds) * (last - first >= LEAST_POINTS)
         heights_m = (y1 - y0) / camera.fy * sorted_m[first]
-        weights = fits**_ALIKE * _usual(detection.label, heights_m)
+        weights = fits**_ALIKE * usual_heights(detection.label, heights_m)
         best = int(np.argmax(weights))
         if weights[best] > 0:
             return _with_doubt(cfg, sorted_m[first[best] : last[best]], weights, sorted_m[first])
@@ -107,7 +107,7 @@ def _upright(camera: Camera, columns: Float, rows: Float, distances_m: Float) ->
     return np.asarray(pairs.any(axis=1), np.bool_)
 
 
-def _usual(label: str, heights_m: Float) -> Float:
+def usual_heights(label: str, heights_m: Float) -> Float:
     """(K,) 0 to 1: how usual heights of a box in metres are for a label; a part of an object may be visible."""
     usual_m = _USUAL_M.get(classes_of_label(label) or ())
     if usual_m is None:

@@ -36,13 +36,23 @@ LEAST_FIT = 0.2
 """Minimum fit of a region to the detection's box."""
 MISSING_WEIGHT = 0.1
 """Weight of the part of the box that a region does not fill."""
+EDGE_PX = 0.4
+"""A region that extends beyond its box by this much still fits: boxes of far objects are few pixels wide."""
 MOST_REGIONS = 4
 """Largest number of regions for one box."""
-LEAST_PIXELS = 3
+LEAST_PIXELS = 12
+"""Minimum number of pixels of a region; a few pixels fit any small box."""
 NOISE_LEFT = 1 / 3
 """Standard deviation of a distance, as a share of its pixels' noise: a mean of 3x3 independent pixels."""
 SMOOTHING_STD = 0.002
 """Standard deviation without noise, as a share of the distance: smoothing moves edges."""
+_JOINED_M = 1.5
+"""A region whose middle pixel is farther behind its distance may join two cars of a row."""
+_ROWS_FROM_M = 40.0
+"""Distance from which the smallest jump is nearly as large as the gap between cars of a row."""
+_SURE_FIT = 0.85
+_NEXT_CAR_M = 3.0
+"""Standard deviation of a far region with a lower fit: about half the distance to the next car."""
 GAP = 0.08
 """Gap between the distances of two points, as a share of the distance, beyond which they are different objects."""
 LEAST_POINTS = 3
@@ -136,10 +146,16 @@ def fits_of_bounds(boxes: Float, around: Float) -> Float:
     shared area and both weighted differences. The part of the box without the region may be hidden, so it weighs less
     than the part of the region outside the box.
     """
-    shared = areas(np.concatenate((np.maximum(boxes[:2], around[:2]), np.minimum(boxes[2:], around[2:]))))
-    alone = MISSING_WEIGHT * (areas(boxes) - shared) + areas(around) - shared
+    shared = areas(_common(boxes, around))
+    grown = boxes + np.array((-EDGE_PX, -EDGE_PX, EDGE_PX, EDGE_PX))[:, None]
+    alone = MISSING_WEIGHT * (areas(boxes) - shared) + areas(around) - areas(_common(grown, around))
     fits: Float = shared / np.maximum(shared + alone, 1e-9)
     return fits
+
+
+def _common(ours: Float, theirs: Float) -> Float:
+    """(4, K) corners of what (4, K) and (4, K) corners have in common."""
+    return np.concatenate((np.maximum(ours[:2], theirs[:2]), np.minimum(ours[2:], theirs[2:])))
 
 
 def _region(mosaic: Mosaic, division: Division, k: int, owner: int, box: Float, fit: float) -> Region:
@@ -173,7 +189,19 @@ def of_region(cfg: ObjectsConfig, region: Region) -> Measured:
         return measured
     # Four times as fast as np.mean.
     share = NOISE_LEFT * float(np.add.reduce(noise_of_finite) / len(noise_of_finite)) + SMOOTHING_STD
-    return Measured(measured.distance_m, hypot(measured.std_m, share * measured.distance_m))
+    doubt_m = _doubt_m(region.fit, measured.distance_m, ranked(near, 0.5)[0] - measured.distance_m)
+    return Measured(measured.distance_m, hypot(measured.std_m, share * measured.distance_m, doubt_m))
+
+
+def _doubt_m(fit: float, distance_m: float, spread_m: float) -> float:
+    """Standard deviation, because far regions may join two cars of a row or be the next car, metres.
+
+    ``spread_m`` is how far the middle one of the pixels' distances is behind the distance.
+    """
+    next_m = _NEXT_CAR_M if distance_m > _ROWS_FROM_M else 0.0
+    if _JOINED_M < spread_m < np.inf:
+        return max(spread_m, next_m)
+    return next_m if fit < _SURE_FIT else 0.0
 
 
 def of_box(camera: Camera, depth_m: Float32, box: tuple[int, int, int, int], limit_m: float) -> Float32:

@@ -13,7 +13,7 @@ import numpy as np
 
 from roadperc_stream.chain.stages.objects import contact, tracking
 from roadperc_stream.chain.stages.objects.association import overlap_similarities, similarities
-from roadperc_stream.chain.stages.objects.contact import BORDER_PX, Contact, GroundPlane
+from roadperc_stream.chain.stages.objects.contact import Contact, GroundPlane
 from roadperc_stream.chain.stages.objects.filtering import divides, filter_detections
 from roadperc_stream.chain.stages.objects.mosaic import corners, kinds, overlaps
 from roadperc_stream.chain.stages.objects.path import DrivenArc, EgoPath, extent, judged, path_of
@@ -30,6 +30,8 @@ MOST_TRACKS = 256
 """Largest number of tracks; beyond it, the tracks longest without a detection are dropped."""
 EXPECTED_OVERLAP = 0.4
 """Least intersection over union of a detection and the predicted box of its object."""
+_EDGE_SIGMAS = 2.0
+"""A box whose edge is this near to the image's border, in deviations of the edge, counts as cut by it."""
 _SEARCH_SIGMAS = 3.0
 _SEARCH_SIDES = 1.0
 """Largest search distance to each side of the predicted centre, in box sides."""
@@ -208,8 +210,9 @@ def _detected(
     tracks: dict[int, ObjectTrack] = {}
     for k, (item, box, position) in enumerate(zip(kept.items, kept.boxes, kept.positions, strict=True)):
         if k in track_of:
-            # The object continues beyond one side of the image.
-            cut = (box.x_min < BORDER_PX) != (box.x_max > scene.camera.width - BORDER_PX)
+            # The object continues beyond one side of the image; the deviation of its edge hides that.
+            edge_px = _EDGE_SIGMAS * contact.edge_std_px(box.x_max - box.x_min)
+            cut = (box.x_min < edge_px) != (box.x_max > scene.camera.width - edge_px)
             track = tracking.detected(cfg, known[track_of[k]], item, box, cut=cut)
         else:
             track = tracking.start(cfg, next_number, item, box, scene.stamp_ns)

@@ -162,8 +162,18 @@ def test_a_car_before_the_depths_limit_is_separate_from_those_beyond():
 def test_a_new_object_needs_enough_pixels_of_its_class():
     tags, depth = pictures()
     assert judged((10, 20, 30, 40), tags=tags, depth_m=depth)[0].kept
-    tags[22:, 12:] = 0
+    tags[21:], tags[20, 18:] = 0, 0
     assert not judged((10, 20, 30, 40), tags=tags, depth_m=depth)[0].kept
+
+
+@pytest.mark.parametrize(("depth_m", "kept"), [(20.0, True), (60.0, False), (55.0, False)])
+def test_an_object_with_displaced_tags_stands_out_in_depth(depth_m, kept):
+    """Not if it is as far as its surroundings, or as high as a house."""
+    tags, depth = np.zeros(CAMERA.size, np.uint8), np.full(CAMERA.size, 60.0, np.float32)
+    tags[24:28, 35:41], depth[24:28, 30:36] = VEHICLE, depth_m
+    item, hidden = judged((30, 24, 36, 28), (31, 24, 37, 28), tags=tags, depth_m=depth)
+    assert (item.kept, hidden.kept) == (kept, False)
+    assert item.distance_m == pytest.approx(21.0, abs=1.0) or not kept
 
 
 def test_an_expected_object_needs_a_lower_fit():

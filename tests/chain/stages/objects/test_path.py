@@ -1,6 +1,6 @@
 """The car's path, objects in it, cut-in and time to impact, on constructed circles and backs of cars."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -61,6 +61,12 @@ def test_the_path_follows_a_boundary_if_the_lane_is_unknown_or_too_wide(sides):
     assert path_of(lanes(*sides, heading=0.02), RIGHT_BEND) == EgoPath("boundary", 0.0, 0.02, 0.0, None, 2)
 
 
+def test_the_path_follows_the_boundary_that_the_car_follows_where_a_lane_ends():
+    lane = lanes(2.0, -1.5, heading=0.01)
+    ends = replace(lane, boundaries=(lane.side("left"), replace(lane.side("right"), heading=0.08)))
+    assert path_of(ends, RIGHT_BEND) == EgoPath("boundary", 0.0, 0.01, 0.0, None, 2)
+
+
 @pytest.mark.parametrize("ego_lane", [None, lanes(None, None), lanes(-1.8, -1.35)])
 def test_the_path_is_the_driven_circle_without_a_lane(ego_lane):
     path = path_of(ego_lane, RIGHT_BEND)
@@ -105,6 +111,8 @@ class Road:
     depth_noise: float = 0.0
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
     label: str = "Car"
+    first_px: float = -1000.0
+    """Left end of all boxes."""
 
     def frame(self, *backs, ego_step_m=None):
         depth, tags = np.full(CAMERA.size, FAR_M, np.float32), np.zeros(CAMERA.size, np.uint8)
@@ -117,7 +125,9 @@ class Road:
             depth_m=depth,
             tags=tags,
             stamp_ns=self.stamp_ns,
-            detections=tuple(Detection(self.label, box, 0.9) for box in boxes),
+            detections=tuple(
+                Detection(self.label, replace(box, x_min=max(box.x_min, self.first_px)), 0.9) for box in boxes
+            ),
         )
         last_T_this = None if ego_step_m is None else rigid(np.eye(3), np.array([ego_step_m, 0.0, 0.0]))
         self.state, out = step(self.cfg, self.state, scene, self.lane, last_T_this)
@@ -251,10 +261,11 @@ def test_impact_with_a_lead_car_that_brakes_hard(depth_noise):
     assert np.mean(np.abs(deviations) < 2) > 0.9
 
 
-def test_a_car_cut_by_the_images_border_keeps_its_speed():
+@pytest.mark.parametrize("first_px", [-1000.0, 2.0])
+def test_a_car_cut_by_the_images_border_keeps_its_speed(first_px):
     """Its nearest visible point changes in every frame: the distance stays, although the car passes at 10 m/s."""
-    road = Road()
+    road = Road(first_px=first_px)
     for k in range(40):
         (item,) = road.frame((max(20.0 - 0.5 * k, 4.5), 4.2), ego_step_m=0.5).objects
-    assert item.detection.box_px.x_min < 0
+    assert item.detection.box_px.x_min < 3
     assert item.closing_speed_mps == pytest.approx(10 * np.cos(np.arctan2(3.8, 4.5)), abs=1.0)

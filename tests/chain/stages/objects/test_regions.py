@@ -1,11 +1,21 @@
 """Regions of one class, divided at jumps of the depth, on cars drawn by hand; lidar points."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.ndimage import label
 
 from roadperc_stream.chain.stages.objects.mosaic import LONGEST_SIDE, Mosaic, cut_out
-from roadperc_stream.chain.stages.objects.regions import JUMPS, MISSING_WEIGHT, divide, find_regions, own_distances
+from roadperc_stream.chain.stages.objects.regions import (
+    JUMPS,
+    MISSING_WEIGHT,
+    divide,
+    find_regions,
+    of_region,
+    own_distances,
+)
+from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Camera
 from roadperc_stream.model import Box
 from roadperc_stream.model.tag_tables import label_lookup
@@ -46,6 +56,19 @@ def test_a_car_behind_another_is_a_region_of_its_own(noise):
     assert (near.box_px.overlap(NEAR), far.box_px.overlap(FAR)) > (0.9, 0.9)
     assert np.median(distances_m(near)) == pytest.approx(12.5, abs=0.5)
     assert np.median(distances_m(far)) == pytest.approx(21.0, abs=1.0)
+
+
+@pytest.mark.parametrize(("fit", "next_m", "least_m", "most_m"), [(1.0, 0, 0, 1), (0.8, 0, 3, 3.2), (1.0, 5, 4, 6)])
+def test_a_far_region_that_may_be_another_car_of_a_row_is_uncertain(fit, next_m, least_m, most_m):
+    """A car 45 m away, and pixels of the next one in most of its region."""
+    tags, depth = rows_of_cars()
+    depth[:] = 60.0
+    depth[30:60, 80:140] = 45.0
+    ((region, *_),) = regions_of(FAR, tags=tags, depth=depth)
+    distances = region.distances_m.copy()
+    distances[:, 10:] += next_m
+    std_m = of_region(ObjectsConfig(), replace(region, fit=fit, distances_m=distances)).std_m
+    assert least_m <= std_m <= most_m
 
 
 def test_the_order_of_boxes_does_not_matter():
