@@ -198,12 +198,9 @@ def after_loss(cfg: OdometryConfig, pitch: CameraPitch, seconds: float) -> Camer
 
 def _grown(cfg: OdometryConfig, pitch: CameraPitch, length_m: float, seconds: float) -> CameraPitch:
     variance = pitch.variance + _SLOPE_STD_PER_ROOT_M**2 * length_m + _TURN_STD_PER_ROOT_S**2 * seconds
-    most = begun(cfg).variance
-    return (
-        replace(pitch, variance=variance)
-        if variance < most
-        else replace(pitch, offset=0.0, variance=most, measured=False)
-    )
+    if variance >= begun(cfg).variance:
+        pitch, variance = replace(pitch, offset=0.0, measured=False), begun(cfg).variance
+    return replace(pitch, variance=variance)
 
 
 def updated(pitch: CameraPitch, measured: tuple[float, float] | None) -> CameraPitch:

@@ -5,7 +5,7 @@ shift: the stretch follows from the motion and the local planes. It finds featur
 predicts them, as in SVO (Forster, Pizzoli and Scaramuzza 2014).
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -22,7 +22,6 @@ from roadperc_stream.chain.stages.odometry.keyframes import Keyframe, LastFrame,
 from roadperc_stream.chain.stages.odometry.motion import Motion, in_ego_axes, motion_from_points, moved, step_covariance
 from roadperc_stream.chain.stages.odometry.rivals import along_path, best_shift
 from roadperc_stream.chain.stages.odometry.road_scale import Expected, scaled_by_road
-from roadperc_stream.chain.stages.odometry.wide_baseline import with_orb
 from roadperc_stream.config import OdometryConfig, scaled
 from roadperc_stream.geometry import Float, Float32, inverse, project, rigid, transform
 from roadperc_stream.geometry.rotations import rotation_from_vector, rotation_vector
@@ -231,27 +230,9 @@ def _estimated(this: FollowedFrame) -> Estimate | Absent:
     cfg, frame, keyframe = this.cfg, this.frame, this.keyframe
     if frame.camera != keyframe.camera:
         return Absent(Reason("odometry", "camera_changed"))
-    match, features = FRONTENDS[cfg.features].match, keyframe.landmarks.features
-    return _plausible(this, lambda px: match(cfg, keyframe.grey, features, px, frame.grey), guesses(this))
-
-
-def _estimated_by_orb(this: FollowedFrame, failed: Absent) -> tuple[FollowedFrame, Estimate | Absent]:
-    """The motion by ORB features of the keyframe; the failure of optical flow if it is not plausible."""
-    keyframe, last, px = with_orb(this.cfg, this.keyframe, this.last, this.frame)
-    wide = replace(this, keyframe=keyframe, last=last)
-    *_, anywhere = guesses(wide)
-    estimate = _plausible(wide, lambda _: px, (anywhere,))
-    return (this, failed) if isinstance(estimate, Absent) else (wide, replace(estimate, by_orb=True))
-
-
-def _plausible(
-    this: FollowedFrame, match: Callable[[Float32], Float32], tried: Iterable[tuple[Float32, Float32, float]]
-) -> Estimate | Absent:
-    """The first plausible motion of the ``tried`` guesses; ``match`` finds the features' pixels from a guess."""
-    cfg, frame, keyframe = this.cfg, this.frame, this.keyframe
     rejected = Reason("odometry", "too_few_inliers")
-    for guess_px, near_px, ratio in tried:
-        px = match(guess_px)
+    for guess_px, near_px, ratio in guesses(this):
+        px = FRONTENDS[cfg.features].match(cfg, keyframe.grey, keyframe.landmarks.features, guess_px, frame.grey)
         astray = np.linalg.norm(px - near_px, axis=1) > scaled(_ASTRAY_PX, frame.grey.shape[0])
         px[astray | frame.on_movable(px)] = np.nan
         estimate = _localised(this, px)
@@ -263,6 +244,15 @@ def _plausible(
             return _verified(this, estimate, expected=bool(np.isfinite(near_px).any()))
         rejected = Reason("odometry", "impossible_motion")
     return Absent(rejected)
+
+
+def _estimated_by_orb(this: FollowedFrame, failed: Absent) -> tuple[FollowedFrame, Estimate | Absent]:
+    """The motion by ORB features of the keyframe; the failure of optical flow if it is not plausible."""
+    cfg = this.cfg.model_copy(update={"features": "orb"})
+    keyframe, last = keyframes.detected_again(cfg, this.keyframe, this.last, this.frame)
+    wide = replace(this, keyframe=keyframe, last=last)
+    estimate = _estimated(replace(wide, cfg=cfg))
+    return (this, failed) if isinstance(estimate, Absent) else (wide, replace(estimate, by_orb=True))
 
 
 def _verified(this: FollowedFrame, estimate: Estimate, *, expected: bool) -> Estimate:

@@ -229,6 +229,24 @@ def make_keyframe(
     return Keyframe(frame.camera, frame.grey, landmarks, odom_T_camera, frame.stamp_ns, frame.movable, depth_m)
 
 
+def detected_again(
+    cfg: OdometryConfig, keyframe: Keyframe, last: LastFrame, frame: TrackingFrame
+) -> tuple[Keyframe, LastFrame]:
+    """The keyframe with the features of another configuration, for a later frame that its own ones do not match.
+
+    With depth the last velocity is left out: across a wide baseline, steady motion predicts the pixels too poorly. The
+    influence of the features on the last pose is known only if the keyframe is the last frame.
+    """
+    then = replace(
+        frame, grey=keyframe.grey, movable=keyframe.movable, depth_m=keyframe.depth_m, stamp_ns=keyframe.stamp_ns
+    )
+    keyframe = make_keyframe(cfg, then, keyframe.odom_T_camera)
+    px = keyframe.landmarks.features.px
+    influence = np.zeros((len(px), 6)) if last.stamp_ns == keyframe.stamp_ns else None
+    velocity = None if keyframe.landmarks.source == "depth" else last.velocity
+    return keyframe, replace(last, found_px=px, influence=influence, velocity=velocity)
+
+
 def is_due(cfg: OdometryConfig, keyframe: Keyframe, frame: TrackingFrame, px: Float32, inliers: Mask) -> bool:
     """Whether the frame must become the next keyframe: few points are left, or they have moved far.
 
