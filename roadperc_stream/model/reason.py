@@ -67,6 +67,8 @@ TEMPLATES: Final[dict[str, str]] = {
     "camera_changed": "the camera differs from that of earlier frames",
     "too_few_inliers": "too few points agree on a motion",
     "impossible_motion": "the points agree on a motion that the car cannot make",
+    "matched_by_orb": "optical flow tracked too few points, ORB features match them",
+    "matched_by_orb_and": "optical flow tracked too few points, ORB features match them; {cause}",
     "scale_carried": "the road's image shows no length, the last known speed gives the scale",
     "scale_unknown": "neither the road's image nor the last known speed gives the scale",
     "no_baseline": "P[0][3] of the right camera is 0: expected -fx * baseline, which is {shortest_m:g} to "

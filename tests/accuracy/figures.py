@@ -12,6 +12,7 @@ from tests.accuracy.scenarios import (
     ALONE_TURN,
     APPROACHING,
     AT_TWO_HZ,
+    AT_WIDE_BASELINES,
     BEHIND_BONNET,
     BRAKING,
     BY_JPEG,
@@ -30,6 +31,7 @@ from tests.accuracy.scenarios import (
     ROADS,
     SPARSE,
     STANDARD,
+    TILTED,
     TOWNS,
     TURNED,
     TURNING,
@@ -162,6 +164,18 @@ def of_odometry():
     yield line("step, median error", REPORTED, value=of_motion.step_error)
     yield line("steps with scale", REPORTED, value=of_motion.with_scale)
     yield line("steps beyond 3 deviations", at_most(4, "%"), value=of_uncertainty.steps_beyond)
+    name = "level road, unknown pitch of -3 and 3°: height of the last pose, share of the path"
+    yield bounded("One camera, pose", name, at_most(1, "%"), TILTED, of_motion.height_error)
+
+
+def of_wide_baselines():
+    """Turns at 2 Hz, with the default features and with ORB alone."""
+    scenarios = AT_WIDE_BASELINES["klt"], AT_WIDE_BASELINES["orb"]
+    for name, required, measure in (
+        ("frames lost whose step `orb` gives within 10 %", "≤ 0 frames", of_motion.lost_where_others_track),
+        ("step, median error, klt / orb", "klt ≤ 1.1 times orb", of_motion.as_exact),
+    ):
+        yield Figure("Turn at 2 Hz", name, required, sum(scenarios, ()), partial(measure, *scenarios))
 
 
 def of_exposure():
@@ -326,6 +340,7 @@ FIGURES = (
     *of_hard_inputs(),
     *of_surface(),
     *of_odometry(),
+    *of_wide_baselines(),
     *of_exposure(),
     *of_distances(),
     *of_untagged(),

@@ -79,10 +79,39 @@ def end_error(replays):
     return Value(100 * float(np.mean([_end_error(replay.frames) for replay in replays])))
 
 
-def _end_error(frames):
+TRACKS = 0.1
+"""Largest error of a step, as a share of it, with which a frame counts as tracked."""
+
+
+def lost_where_others_track(scenarios, others, results):
+    """Frames that are lost although other settings give their step; met if there are none."""
+    pairs = [
+        sorted(results.of(chosen), key=lambda replay: (replay.scenario, replay.seed)) for chosen in (scenarios, others)
+    ]
+    lost, tracked = (pl.concat([replay.frames for replay in replays]) for replays in pairs)
+    right = (tracked["step_error_m"] < TRACKS * tracked["true_step_m"]).fill_null(value=False)
+    missed = int((lost["odometry_status"].eq_missing("lost") & right).sum())
+    both = [100 * float(frames["odometry_status"].eq_missing("lost").mean()) for frames in (lost, tracked)]
+    return Measured(f"{missed} of {right.sum()} frames (lost: {both[0]:.1f} %, {both[1]:.1f} %)", "", missed == 0)
+
+
+def as_exact(scenarios, others, results):
+    """Median errors of steps with both settings; met if the first one is at most SLACK times the second."""
+    own, other = (step_error(results.of(chosen)) for chosen in (scenarios, others))
+    met = own.number <= SLACK * other.number
+    return Measured(f"{own.number:.2f} / {other.number:.2f} %", percent(own.coverage), met)
+
+
+def height_error(replays):
+    """Largest error of the last pose's height, in percent of the path."""
+    return Value(100 * max(_end_error(replay.frames, axes=[2]) for replay in replays))
+
+
+def _end_error(frames, axes=(0, 1, 2)):
     placed = frames.filter(pl.col("odom_x_m").is_not_null())
     found_m, true_m = (_from_first(placed, of) for of in ("odom", "true"))
-    return np.linalg.norm(found_m[-1] - true_m[-1]) / np.linalg.norm(np.diff(true_m, axis=0), axis=1).sum()
+    off_m = np.take(found_m[-1] - true_m[-1], axes)
+    return np.linalg.norm(off_m) / np.linalg.norm(np.diff(true_m, axis=0), axis=1).sum()
 
 
 def _from_first(frames, of):

@@ -199,3 +199,29 @@ ALONE_TURN = (
         MOTION,
     ),
 )
+WIDE_TURNS = tuple(
+    drive(f"wide-turn-{side}", scene="town", turn=side, rate_hz=2.0, seconds=12.0, speed_mps=5.0)
+    for side in ("left", "right")
+)
+AT_WIDE_BASELINES = {
+    features: tuple(
+        Scenario(f"{of.name}, {features}", of, CLEAN, MOTION, (f"odometry.features={features}",)) for of in WIDE_TURNS
+    )
+    for features in ("klt", "orb")
+}
+TILTED = tuple(
+    Scenario(of.name, of, Noise(0.02), MOTION)
+    for of in (
+        drive(
+            f"tilted-{scene}",
+            scene=scene,
+            width=320,
+            height=240,
+            seconds=6.0,
+            mount=(1.5, 0.0, 1.4, 0.0, pitch_deg, 0.0),
+            pitch_is_unknown=True,
+            **ONE_CAMERA,
+        )
+        for scene, pitch_deg in (("straight", -3.0), ("bend", 3.0))
+    )
+)

@@ -64,12 +64,17 @@ _GATE: Final = 9.0
 class CameraPitch:
     """The pitch of the camera against the road beyond its mounting, radians, nose down, and its variance.
 
-    ``measured`` is true once the motion or the road's image has shown it.
+    ``measured`` is true once the motion or the road's image has shown it. ``mounting`` is the mean of the measured
+    pitch over the driven distance, radians, without slopes and springs. ``weight`` is the sum of its weights, metres
+    per squared radian. ``levelled`` is the part of it in the pose.
     """
 
     offset: float
     variance: float
     measured: bool = False
+    mounting: float = 0.0
+    weight: float = 0.0
+    levelled: float = 0.0
 
 
 def pitch_by_lines(
@@ -193,8 +198,9 @@ def after_loss(cfg: OdometryConfig, pitch: CameraPitch, seconds: float) -> Camer
 
 def _grown(cfg: OdometryConfig, pitch: CameraPitch, length_m: float, seconds: float) -> CameraPitch:
     variance = pitch.variance + _SLOPE_STD_PER_ROOT_M**2 * length_m + _TURN_STD_PER_ROOT_S**2 * seconds
-    mounting = begun(cfg)
-    return replace(pitch, variance=variance) if variance < mounting.variance else mounting
+    if variance >= begun(cfg).variance:
+        pitch, variance = replace(pitch, offset=0.0, measured=False), begun(cfg).variance
+    return replace(pitch, variance=variance)
 
 
 def updated(pitch: CameraPitch, measured: tuple[float, float] | None) -> CameraPitch:
@@ -206,7 +212,17 @@ def updated(pitch: CameraPitch, measured: tuple[float, float] | None) -> CameraP
     excess = off**2 / (pitch.variance + variance) / _GATE
     variance *= max(excess, 1.0)
     gain = pitch.variance / (pitch.variance + variance)
-    return CameraPitch(pitch.offset + gain * off, (1.0 - gain) * pitch.variance, measured=True)
+    return replace(pitch, offset=pitch.offset + gain * off, variance=(1.0 - gain) * pitch.variance, measured=True)
+
+
+def averaged(pitch: CameraPitch, length_m: float) -> CameraPitch:
+    """The pitch with the mean of its mounting after a further step, metres."""
+    if not pitch.measured or pitch.variance == 0 or length_m == 0:
+        return pitch
+    added = length_m / pitch.variance
+    share = added / (pitch.weight + added)
+    mounting = pitch.mounting + share * (pitch.offset - pitch.mounting)
+    return replace(pitch, mounting=mounting, weight=pitch.weight + added)
 
 
 def expansion(motion: Motion, ego_T_camera: Float, key_px: Float32, width: int) -> tuple[float, float] | None:

@@ -23,8 +23,8 @@ from roadperc_stream.chain.stages.odometry.motion import Motion, in_ego_axes, mo
 from roadperc_stream.chain.stages.odometry.rivals import along_path, best_shift
 from roadperc_stream.chain.stages.odometry.road_scale import Expected, scaled_by_road
 from roadperc_stream.config import OdometryConfig, scaled
-from roadperc_stream.geometry import Float, Float32, inverse, project, transform
-from roadperc_stream.geometry.rotations import rotation_vector
+from roadperc_stream.geometry import Float, Float32, inverse, project, rigid, transform
+from roadperc_stream.geometry.rotations import rotation_from_vector, rotation_vector
 from roadperc_stream.model import Absent, Matches, Odometry, Reason, Surface
 from roadperc_stream.model.scene import Scene
 from roadperc_stream.system.time import NS_PER_S
@@ -79,12 +79,16 @@ class FollowedFrame:
 
 @dataclass(frozen=True)
 class Estimate:
-    """The (N, 2) pixels of the keyframe's features in a frame, and the motion, pose and pitch estimated from them."""
+    """The (N, 2) pixels of the keyframe's features in a frame, and the motion, pose and pitch estimated from them.
+
+    ``by_orb`` is true if optical flow failed and ORB features were matched.
+    """
 
     px: Float32
     motion: Motion
     odom_T_ego: Float
     pitch: CameraPitch
+    by_orb: bool = False
 
 
 def step(
@@ -112,11 +116,15 @@ def step(
     if state.keyframe is None or state.last is None:
         return _begun(cfg, state.odom_T_ego, pitch, frame), Odometry("first", state.odom_T_ego)
     this = FollowedFrame(cfg, frame, state.keyframe, state.last, state.odom_T_ego, pitch)
-    estimate = _estimated(_equalised(this))
+    same_camera = frame.camera == state.keyframe.camera
+    equal = _equalised(this)
+    estimate = _estimated(equal)
+    if isinstance(estimate, Absent) and cfg.features == "klt" and same_camera:
+        this, estimate = _estimated_by_orb(equal, estimate)
     if not isinstance(estimate, Absent):
         return _continued(this, estimate)
-    same_camera = frame.camera == state.keyframe.camera
-    pitch = camera_pitch.after_loss(cfg, pitch, this.seconds) if same_camera else camera_pitch.begun(cfg)
+    new_camera = replace(camera_pitch.begun(cfg), levelled=pitch.levelled)
+    pitch = camera_pitch.after_loss(cfg, pitch, this.seconds) if same_camera else new_camera
     lost = Odometry("lost", state.odom_T_ego, reason=estimate.reason)
     return _begun(cfg, state.odom_T_ego, pitch, frame), lost
 
@@ -161,9 +169,11 @@ def _continued(this: FollowedFrame, estimate: Estimate) -> tuple[OdometryState, 
     influence = in_ego_axes(frame.ego_T_camera, motion.influence)
     key_px = keyframe.landmarks.features.px
     length_variance = motion.length_variance
+    velocity = this.velocity(estimate.odom_T_ego)
+    odom_T_ego, keyframe, pitch = _levelled(estimate, keyframe, float(np.linalg.norm(last_T_this[:3, 3])))
     out = Odometry(
         "tracked",
-        estimate.odom_T_ego,
+        odom_T_ego,
         last_T_this,
         int(np.sum(motion.inliers)),
         not metric,
@@ -171,7 +181,7 @@ def _continued(this: FollowedFrame, estimate: Estimate) -> tuple[OdometryState, 
             key_px, frame.camera.width, influence, last.influence, last_T_this, length_variance + last.length_variance
         ),
         last.stamp_ns,
-        _SCALE_REASONS.get(motion.scale),
+        _reason_of(estimate),
         _matches(keyframe, frame, estimate),
     )
     if not motion.scaled and motion.scale is None:
@@ -179,15 +189,33 @@ def _continued(this: FollowedFrame, estimate: Estimate) -> tuple[OdometryState, 
     found_px = np.where(np.isfinite(estimate.px), estimate.px, last.found_px)
     if motion.scale is not None:
         length_variance = motion.noise_variance
-    if keyframes.is_due(cfg, keyframe, frame, estimate.px, motion.inliers):
+    if estimate.by_orb or keyframes.is_due(cfg, keyframe, frame, estimate.px, motion.inliers):
         carried = keyframes.carry(keyframe.landmarks, motion, estimate.px)
-        keyframe = make_keyframe(cfg, frame, estimate.odom_T_ego @ frame.ego_T_camera, carried)
+        keyframe = make_keyframe(cfg, frame, odom_T_ego @ frame.ego_T_camera, carried)
         found_px = keyframe.landmarks.features.px
         influence, length_variance = np.zeros((len(found_px), 6)), 0.0
-    velocity = this.velocity(estimate.odom_T_ego)
     speed_variance = motion.noise_variance / this.seconds**2 if metric and motion.noise_variance > 0 else None
     now = LastFrame(frame.stamp_ns, velocity, found_px, influence, length_variance, speed_variance)
-    return OdometryState(estimate.odom_T_ego, keyframe, now, estimate.pitch), out
+    return OdometryState(odom_T_ego, keyframe, now, pitch), out
+
+
+def _levelled(estimate: Estimate, keyframe: Keyframe, length_m: float) -> tuple[Float, Keyframe, CameraPitch]:
+    """The pose and the keyframe, turned about ego's origin to the pitch of the mounting, and the pitch."""
+    pitch = camera_pitch.averaged(estimate.pitch, length_m)
+    if pitch.weight == 0:
+        return estimate.odom_T_ego, keyframe, pitch
+    turn = rotation_from_vector(np.array([0.0, pitch.mounting - pitch.levelled, 0.0]))
+    odom_T_ego = estimate.odom_T_ego @ rigid(turn, np.zeros(3))
+    odom_T_camera = odom_T_ego @ inverse(estimate.odom_T_ego) @ keyframe.odom_T_camera
+    return odom_T_ego, replace(keyframe, odom_T_camera=odom_T_camera), replace(pitch, levelled=pitch.mounting)
+
+
+def _reason_of(estimate: Estimate) -> Reason | None:
+    """Why a tracked frame has another matching or another scale than usual."""
+    scale = _SCALE_REASONS.get(estimate.motion.scale)
+    if not estimate.by_orb:
+        return scale
+    return Reason("odometry", "matched_by_orb" if scale is None else "matched_by_orb_and", cause=scale)
 
 
 def _matches(keyframe: Keyframe, frame: TrackingFrame, estimate: Estimate) -> Matches:
@@ -216,6 +244,15 @@ def _estimated(this: FollowedFrame) -> Estimate | Absent:
             return _verified(this, estimate, expected=bool(np.isfinite(near_px).any()))
         rejected = Reason("odometry", "impossible_motion")
     return Absent(rejected)
+
+
+def _estimated_by_orb(this: FollowedFrame, failed: Absent) -> tuple[FollowedFrame, Estimate | Absent]:
+    """The motion by ORB features of the keyframe; the failure of optical flow if it is not plausible."""
+    cfg = this.cfg.model_copy(update={"features": "orb"})
+    keyframe, last = keyframes.detected_again(cfg, this.keyframe, this.last, this.frame)
+    wide = replace(this, keyframe=keyframe, last=last)
+    estimate = _estimated(replace(wide, cfg=cfg))
+    return (this, failed) if isinstance(estimate, Absent) else (wide, replace(estimate, by_orb=True))
 
 
 def _verified(this: FollowedFrame, estimate: Estimate, *, expected: bool) -> Estimate:

@@ -60,7 +60,10 @@ class Landmarks:
 
 @dataclass(frozen=True)
 class Keyframe:
-    """An image, its landmarks, and its pose; ``movable`` (H, W) is not 0 on movable objects, None if unknown."""
+    """An image, its landmarks, and its pose; ``movable`` (H, W) is not 0 on movable objects, None if unknown.
+
+    ``depth_m`` is that of the whole image, for features that are detected later; None if unknown or not used.
+    """
 
     camera: Camera
     grey: Image
@@ -68,8 +71,11 @@ class Keyframe:
     odom_T_camera: Float
     stamp_ns: int
     movable: Image | None = None
+    depth_m: Float32 | None = None
 
     def __post_init__(self) -> None:
+        if self.depth_m is not None:
+            read_only(self.depth_m, np.float32, (None, None), "depth_m")
         read_only(self.odom_T_camera, np.float64, (4, 4), "odom_T_camera")
         if self.movable is not None:
             read_only(self.movable, np.uint8, self.camera.size, "movable")
@@ -219,7 +225,26 @@ def make_keyframe(
     With neither, it keeps the landmarks that were tracked into it (``carried``).
     """
     landmarks = _by_depth(cfg, frame) or _on_road(cfg, frame) or _carried_on(cfg, frame, carried)
-    return Keyframe(frame.camera, frame.grey, landmarks, odom_T_camera, frame.stamp_ns, frame.movable)
+    depth_m = frame.depth_m if landmarks.source == "depth" and cfg.features == "klt" else None
+    return Keyframe(frame.camera, frame.grey, landmarks, odom_T_camera, frame.stamp_ns, frame.movable, depth_m)
+
+
+def detected_again(
+    cfg: OdometryConfig, keyframe: Keyframe, last: LastFrame, frame: TrackingFrame
+) -> tuple[Keyframe, LastFrame]:
+    """The keyframe with the features of another configuration, for a later frame that its own ones do not match.
+
+    With depth the last velocity is left out: across a wide baseline, steady motion predicts the pixels too poorly. The
+    influence of the features on the last pose is known only if the keyframe is the last frame.
+    """
+    then = replace(
+        frame, grey=keyframe.grey, movable=keyframe.movable, depth_m=keyframe.depth_m, stamp_ns=keyframe.stamp_ns
+    )
+    keyframe = make_keyframe(cfg, then, keyframe.odom_T_camera)
+    px = keyframe.landmarks.features.px
+    influence = np.zeros((len(px), 6)) if last.stamp_ns == keyframe.stamp_ns else None
+    velocity = None if keyframe.landmarks.source == "depth" else last.velocity
+    return keyframe, replace(last, found_px=px, influence=influence, velocity=velocity)
 
 
 def is_due(cfg: OdometryConfig, keyframe: Keyframe, frame: TrackingFrame, px: Float32, inliers: Mask) -> bool:
@@ -245,7 +270,8 @@ def carry(landmarks: Landmarks, motion: Motion, px: Float32) -> Landmarks:
 
 def counted_from_here(state: OdometryState) -> OdometryState:
     """The state with the origin of odom at the current ego frame."""
-    if state.keyframe is None:
-        return replace(state, odom_T_ego=np.eye(4))
-    here_T_camera = inverse(state.odom_T_ego) @ state.keyframe.odom_T_camera
-    return replace(state, odom_T_ego=np.eye(4), keyframe=replace(state.keyframe, odom_T_camera=here_T_camera))
+    here_T_odom, keyframe = inverse(state.odom_T_ego), state.keyframe
+    if keyframe is not None:
+        keyframe = replace(keyframe, odom_T_camera=here_T_odom @ keyframe.odom_T_camera)
+    pitch = None if state.pitch is None else replace(state.pitch, levelled=0.0)
+    return replace(state, odom_T_ego=np.eye(4), keyframe=keyframe, pitch=pitch)

@@ -1,5 +1,7 @@
 """The camera's pitch and the scale of steps without depth: from the motion, the road's image and vanishing points."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -7,6 +9,7 @@ import pytest
 from roadperc_stream import geometry as g
 from roadperc_stream.chain.stages.odometry import camera_pitch as cp
 from roadperc_stream.chain.stages.odometry.epipolar import motion_from_rays
+from roadperc_stream.chain.stages.odometry.keyframes import counted_from_here
 from roadperc_stream.chain.stages.odometry.motion import Motion
 from roadperc_stream.chain.stages.odometry.road_image import road_motion, road_view
 from roadperc_stream.chain.stages.surface.road import assumed_surface
@@ -50,6 +53,15 @@ def test_the_pitch_turns_with_the_camera_and_its_variance_grows_with_distance():
     farther = cp.predicted(CFG, start, g.rigid(np.eye(3), np.array([5.0, 0, 0])), 0.1)
     assert start.variance < after.variance < farther.variance
     assert cp.predicted(CFG, start, g.rigid(np.eye(3), np.array([1e3, 0, 0])), 50.0) == cp.begun(CFG)
+
+
+def test_the_mountings_pitch_is_the_mean_over_the_driven_distance():
+    pitch = cp.CameraPitch(0.01, 1e-4)
+    assert cp.averaged(pitch, 1.0) is pitch
+    for offset, variance in ((0.01, 1e-4), (0.02, 2e-4), (0.03, 1e-4)):
+        pitch = cp.averaged(replace(pitch, offset=offset, variance=variance, measured=True), 2.0)
+    assert pitch.mounting == pytest.approx(0.02)
+    assert pitch.weight == pytest.approx(5e4)
 
 
 @pytest.mark.parametrize("steps", [1, 100])
@@ -165,6 +177,13 @@ def test_a_wrong_pitch_of_the_mounting_is_corrected(shots):
     assert lengths_m(results).sum() == pytest.approx(true_m.sum(), rel=0.03)
     pitch = states[-1].pitch
     assert abs(pitch.offset - WRONG) < 2 * np.sqrt(pitch.variance) < np.deg2rad(0.5)
+    assert abs(results[-1].odom_T_ego[2, 3]) < 0.2 * np.sin(WRONG) * lengths_m(results).sum()
+
+
+def test_the_pose_stays_level_after_a_new_origin(shots):
+    states, _ = run(shots[:6], depth=False, road=ROAD)
+    _, results = run(shots[6:], state=counted_from_here(states[-1]), first=6, depth=False, road=ROAD)
+    assert abs(results[-1].odom_T_ego[2, 3]) < 0.2 * np.sin(WRONG) * 8 * 0.4
 
 
 def test_a_fixed_pitch_is_not_corrected(shots):
