@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from roadperc_stream.chain.kernels import mark
 from roadperc_stream.chain.stages.objects import regions
-from roadperc_stream.chain.stages.objects.mosaic import areas, corners, cut_out, kinds, shared_areas
+from roadperc_stream.chain.stages.objects.mosaic import areas, corners, cut_out, kinds, shared_areas, with_classes
 from roadperc_stream.chain.stages.objects.points import measured_by_points, usual_heights
 from roadperc_stream.chain.stages.objects.regions import UNKNOWN, Measured, Region, nearest, of_box
 from roadperc_stream.config import ObjectsConfig
@@ -166,31 +166,30 @@ def _candidates(
     if not divides(scene) or "region" not in (cfg.distance_pixels, cfg.filter):
         return [_NO_REGION] * len(detections)
     boxes = [detection.box_px for detection in detections]
-    found = regions.find_regions(scene.camera, cut_out(scene, lookups, boxes), boxes)
-    poor = [
-        k
-        for k, lookup in enumerate(lookups)
-        if lookup is not None and max((r.fit for r in found[k]), default=0) <= _MIN_FIT
-    ]
-    for k, more in zip(poor, _above_ground(cfg, scene, [detections[k] for k in poor]), strict=True):
-        found[k] += tuple(replace(region, owner=k, fit=_BY_DEPTH * region.fit) for region in more)
+    mosaic = cut_out(scene, lookups, boxes)
+    found = regions.find_regions(scene.camera, mosaic, boxes)
+    needed = [_MIN_FIT_SEEN if k in expected_m else _MIN_FIT for k in range(len(boxes))]
+    poor = [max((r.fit for r in of_one), default=0.0) <= fit for of_one, fit in zip(found, needed, strict=True)]
+    if scene.table is not None and scene.instances is None and any(poor):
+        ground = scene.table.lookup(_GROUND)
+        above = [
+            1 - ground if is_poor and lookup is not None else None
+            for is_poor, lookup in zip(poor, lookups, strict=True)
+        ]
+        others = regions.find_regions(scene.camera, with_classes(mosaic, scene, above, boxes), boxes)
+        more = (_usual(cfg, scene, *of_one) for of_one in zip(detections, others, strict=True))
+        found = [(*of_class, *of_any) for of_class, of_any in zip(found, more, strict=True)]
     labels = [detection.label for detection in detections]
     return choose(labels, found, lambda region: regions.of_region(cfg, region), expected_m)
 
 
-def _above_ground(cfg: ObjectsConfig, scene: Scene, detections: Sequence[Detection]) -> Iterator[tuple[Region, ...]]:
-    """For each detection, the regions of any class above the ground at whose distance its box has a usual height."""
-    if scene.table is None or scene.instances is not None:
-        yield from [()] * len(detections)
-        return
-    boxes = [detection.box_px for detection in detections]
-    lookup = 1 - scene.table.lookup(_GROUND)
-    found = regions.find_regions(scene.camera, cut_out(scene, [lookup] * len(boxes), boxes), boxes)
-    for detection, box, of_one in zip(detections, boxes, found, strict=True):
-        distances = np.array([regions.of_region(cfg, region).distance_m or np.nan for region in of_one])
-        heights_m = (box.y_max - box.y_min) / scene.camera.fy * distances
-        usual = usual_heights(detection.label, heights_m) > _LEAST_USUAL
-        yield tuple(region for region, is_usual in zip(of_one, usual, strict=True) if is_usual)
+def _usual(cfg: ObjectsConfig, scene: Scene, detection: Detection, found: Sequence[Region]) -> Iterator[Region]:
+    """The regions at whose distance a detection's box has a usual height, with the fit of regions of any class."""
+    distances_m = np.array([regions.of_region(cfg, region).distance_m or np.nan for region in found])
+    heights_m = (detection.box_px.y_max - detection.box_px.y_min) / scene.camera.fy * distances_m
+    for region, usual in zip(found, usual_heights(detection.label, heights_m), strict=True):
+        if usual > _LEAST_USUAL:
+            yield replace(region, fit=_BY_DEPTH * region.fit)
 
 
 def _filtered(

@@ -4,7 +4,7 @@ With a mosaic, each step over pixels is one call for all boxes. This is faster, 
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import cv2
@@ -111,11 +111,8 @@ def cut_out(scene: Scene, lookups: Sequence[Image | None], boxes: Sequence[Box])
     shapes = [tuple(len(range(part.start, part.stop, part.step)) for part in cutout) for cutout in cutouts]
     tops = np.cumsum([0, *(height + 1 for height, _ in shapes)])
     size = int(tops[-1]), max((width for _, width in shapes), default=0)
-    of_class = np.zeros(size, np.uint8)
     places = [(slice(top, top + height), slice(width)) for top, (height, width) in zip(tops, shapes, strict=False)]
-    for cutout, place, lookup in zip(cutouts, places, lookups, strict=True):
-        if of_class[place].size:
-            _mark(scene, lookup, cutout, of_class[place])
+    of_class = _marks(scene, lookups, cutouts, places, size)
     first_px = np.array([(columns.start, rows.start) for rows, columns in cutouts], np.int64).reshape(-1, 2)
     steps = np.array([(columns.step, rows.step) for rows, columns in cutouts], np.int64).reshape(-1, 2)
     ids = None if scene.instances is None else _placed(scene.instances, cutouts, places, np.zeros(size, np.uint16))
@@ -130,6 +127,31 @@ def cut_out(scene: Scene, lookups: Sequence[Image | None], boxes: Sequence[Box])
     distances[beyond] = np.inf
     distances[unknown] = np.nan
     return Mosaic(first_px, steps, tops, of_class, log_depth, distances, noise, ids)
+
+
+def with_classes(mosaic: Mosaic, scene: Scene, lookups: Sequence[Image | None], boxes: Sequence[Box]) -> Mosaic:
+    """The mosaic of the same frame and boxes with other classes; boxes without a lookup have no pixels."""
+    cutouts = [_around(scene.camera, box) for box in boxes]
+    places = [
+        (slice(top, end - 1), slice(len(range(c.start, c.stop, c.step))))
+        for (_, c), top, end in zip(cutouts, mosaic.tops[:-1], mosaic.tops[1:], strict=True)
+    ]
+    return replace(mosaic, of_class=_marks(scene, lookups, cutouts, places, mosaic.of_class.shape))
+
+
+def _marks(
+    scene: Scene,
+    lookups: Sequence[Image | None],
+    cutouts: Sequence[Pixels],
+    places: Sequence[Pixels],
+    size: tuple[int, ...],
+) -> Image:
+    """(H, W) 1 at pixels of each cutout's classes."""
+    of_class = np.zeros(size, np.uint8)
+    for cutout, place, lookup in zip(cutouts, places, lookups, strict=True):
+        if of_class[place].size:
+            _mark(scene, lookup, cutout, of_class[place])
+    return of_class
 
 
 def _around(camera: Camera, box: Box) -> Pixels:
