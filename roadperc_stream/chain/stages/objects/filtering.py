@@ -177,19 +177,22 @@ def _candidates(
             for is_poor, lookup in zip(poor, lookups, strict=True)
         ]
         others = regions.find_regions(scene.camera, with_classes(mosaic, scene, above, boxes), boxes)
-        more = (_usual(cfg, scene, *of_one) for of_one in zip(detections, others, strict=True))
+        more = (_usual(cfg, scene, *of_one) for of_one in zip(detections, others, needed, strict=True))
         found = [(*of_class, *of_any) for of_class, of_any in zip(found, more, strict=True)]
     labels = [detection.label for detection in detections]
     return choose(labels, found, lambda region: regions.of_region(cfg, region), expected_m)
 
 
-def _usual(cfg: ObjectsConfig, scene: Scene, detection: Detection, found: Sequence[Region]) -> Iterator[Region]:
-    """The regions at whose distance a detection's box has a usual height, with the fit of regions of any class."""
-    distances_m = np.array([regions.of_region(cfg, region).distance_m or np.nan for region in found])
-    heights_m = (detection.box_px.y_max - detection.box_px.y_min) / scene.camera.fy * distances_m
-    for region, usual in zip(found, usual_heights(detection.label, heights_m), strict=True):
-        if usual > _LEAST_USUAL:
-            yield replace(region, fit=_BY_DEPTH * region.fit)
+def _usual(
+    cfg: ObjectsConfig, scene: Scene, detection: Detection, found: Sequence[Region], least_fit: float
+) -> Iterator[Region]:
+    """Regions of any class that fit a detection's box, if it has a usual height at their distance."""
+    height = (detection.box_px.y_max - detection.box_px.y_min) / scene.camera.fy
+    for region in found:
+        if _BY_DEPTH * region.fit > least_fit:
+            heights_m = height * np.array([regions.of_region(cfg, region).distance_m or np.nan])
+            if usual_heights(detection.label, heights_m)[0] > _LEAST_USUAL:
+                yield replace(region, fit=_BY_DEPTH * region.fit)
 
 
 def _filtered(
