@@ -27,6 +27,8 @@ _MIN_PARALLAX_PX = 1.5
 deviations."""
 _STANDING_SHARE = 0.75
 """Minimum share of the points that a rotation alone predicts if the camera stands still."""
+_FOUND_SHARE = 0.5
+"""Minimum share of the features that are found if the camera stands still; after a long step only far ones are."""
 _REWEIGHTINGS = 5
 _SMALL_ANGLE = 1e-4
 """Radians; smaller residuals do not increase the weight."""
@@ -48,7 +50,7 @@ def motion_from_rays(
     if len(usable) < _SMALLEST_SET:
         return None
     a, b = rays(camera, key_px[usable].astype(float)), rays(camera, px[usable].astype(float))
-    standing = _standing(camera, a, px[usable])
+    standing = _standing(camera, a, px[usable]) if len(usable) > _FOUND_SHARE * len(px) else None
     direction = standing or _direction(camera, a, b)
     if direction is None:
         return None
