@@ -12,14 +12,9 @@ WRONG = Scenario("wrong setting", TINY, Noise(0.05), "surface", ("surface.model=
 ABSENT = Scenario("absent", "/no/such/recording")
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    return tmp_path_factory.mktemp("accuracy")
-
-
-def test_drives_are_replayed_and_failures_named(folder):
+def test_drives_are_rendered_once_and_replayed_and_failures_named(tmp_path):
     said = []
-    results = run((NOISY, WRONG, ABSENT), folder, first=7, count=1, jobs=1, said=said.append)
+    results = run((NOISY, WRONG, ABSENT), tmp_path, first=7, count=1, jobs=1, said=said.append)
     replays = results.of((NOISY,))
     assert sorted(replay.seed for replay in replays) == [7]
     assert all(replay.frames.height == 3 for replay in replays)
@@ -29,11 +24,8 @@ def test_drives_are_replayed_and_failures_named(folder):
         results.of((NOISY, WRONG))
     with pytest.raises(LookupError, match="no recording"):
         results.of((ABSENT,))
-
-
-def test_a_log_is_rendered_once(folder):
-    (log,) = folder.glob("tiny-*/7-*.mcap")
+    (log,) = tmp_path.glob("tiny-*/7-*.mcap")
     before = log.stat().st_mtime_ns
-    assert replay_source(TINY, 7, (NOISY,), folder) == {}
+    assert replay_source(TINY, 7, (NOISY,), tmp_path) == {}
     assert log.stat().st_mtime_ns == before
-    assert not list(folder.glob("tiny-7-*")), "dumps are gone"
+    assert not list(tmp_path.glob("tiny-7-*")), "dumps are gone"

@@ -64,7 +64,7 @@ MANY = struct.pack(">I", 10_000_000)
     [
         (b"", "not the state"),
         (b"PK\3\4 and so on", "not the state"),
-        (encoding._MAGIC + b"\1abc", "version 1, expected 8"),
+        (encoding._MAGIC + b"\1abc", f"version 1, expected {FORMAT_VERSION}"),
         (encoding._MAGIC + bytes([FORMAT_VERSION]) + b"abc", "CRC is wrong"),
         (checked(b"\x28\xb5\x2f\xfdrubbish"), "damaged"),
         (packed(b""), "damaged"),

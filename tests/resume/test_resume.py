@@ -11,9 +11,9 @@ from roadperc_stream.cli.replay import main
 from roadperc_stream.config import load_config
 from roadperc_stream.errors import StateError, TargetError
 from roadperc_stream.resume.checkpoint import CheckpointFolder, checkpoint_folder
-from tests import logs
+from tests import commands, logs
 from tests.replaying import replay
-from tests.resume.test_kills import CFG, EVERY, OUTPUTS, ROAD, SETTINGS, command, interrupt, names, same
+from tests.resume.test_kills import CFG, EVERY, OUTPUTS, ROAD, SETTINGS, interrupt, names, same
 
 RESUMED = {"checkpoint_every_s": 0.2, "resume": True}
 
@@ -51,7 +51,7 @@ def test_a_flipped_bit_in_a_checkpoint_gives_one_error(source, stopped, name):
 @pytest.mark.promise("States", "Two replays never write to one checkpoint")
 def test_a_second_replay_of_the_same_output_is_refused(source, tmp_path):
     target = tmp_path / "out.mcap"
-    first = subprocess.Popen(command(source, target, "--resume", "--quiet"))
+    first = subprocess.Popen(commands.words("roadperc-replay", *words(source, target, "--resume", "--quiet")))
     while not (checkpoint_folder(target) / "state").exists():
         assert first.poll() is None
         time.sleep(0.001)
