@@ -27,7 +27,7 @@ _MIN_PARALLAX_PX = 1.5
 deviations."""
 _STANDING_SHARE = 0.75
 """Minimum share of the points that a rotation alone predicts if the camera stands still."""
-_FOUND_SHARE = 0.5
+_FOUND_SHARE = 0.25
 """Minimum share of the features that are found if the camera stands still; after a long step only far ones are."""
 _REWEIGHTINGS = 5
 _SMALL_ANGLE = 1e-4
