@@ -27,7 +27,7 @@ _LEAST_RANGE: Final = 12
 _LEAST_SHARE: Final = 0.001
 """Share of the pixels that a grey level must have to count."""
 _EVERY: Final = 4
-"""Every fourth row is counted: four times as fast, and as exact as needed."""
+"""Every fourth pixel in both directions is counted, which is exact enough."""
 
 
 def shows_nothing(grey: Image) -> bool:
@@ -50,21 +50,25 @@ def equalised(before: Image, after: Image) -> tuple[Image, Image]:
     gain = np.ptp(wanted[whole]) / np.ptp(levels[whole])
     offset = float(np.median(wanted[whole] - gain * levels[whole]))
     table = np.clip(np.rint(gain * np.arange(256) + offset), 0, 255).astype(np.uint8)
-    exposed, clipped = np.asarray(cv2.LUT(before, table), np.uint8), np.clip(after, table[0], table[-1])
-    is_exposure = _difference(exposed, clipped) < _LESS * _difference(before, after)
-    return (exposed, clipped) if is_exposure else (before, after)
+    dim, bright = (_coarse(image) for image in (before, after))
+    if _difference(table[dim], np.clip(bright, table[0], table[-1])) >= _LESS * _difference(dim, bright):
+        return before, after
+    return np.asarray(cv2.LUT(before, table), np.uint8), np.clip(after, table[0], table[-1])
 
 
-def _difference(before: Image, after: Image) -> float:
-    """Median difference of the coarse images, which hardly depends on motion."""
-    coarse = (cv2.resize(image, _COARSE, interpolation=cv2.INTER_AREA).astype(float) for image in (before, after))
-    return float(np.median(np.abs(np.subtract(*coarse))))
+def _coarse(grey: Image) -> Image:
+    return np.asarray(cv2.resize(grey[::_EVERY], _COARSE, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _difference(one: Image, other: Image) -> float:
+    """Median difference of coarse images, which hardly depends on motion."""
+    return float(np.median(np.abs(np.subtract(one, other, dtype=float))))
 
 
 def _shares(grey: Image) -> Float:
     """(256,) share of the pixels at each grey level."""
-    rows = grey[::_EVERY]
-    return np.asarray(cv2.calcHist([rows], [0], None, [256], [0, 256]), np.float64).ravel() / rows.size
+    sampled = grey[::_EVERY, ::_EVERY]
+    return np.bincount(sampled.ravel(), minlength=256) / sampled.size
 
 
 def _quantiles(grey: Image) -> Float:
