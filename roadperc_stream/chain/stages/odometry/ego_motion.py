@@ -204,10 +204,12 @@ def _levelled(estimate: Estimate, keyframe: Keyframe, length_m: float) -> tuple[
     pitch = camera_pitch.averaged(estimate.pitch, length_m)
     if pitch.weight == 0:
         return estimate.odom_T_ego, keyframe, pitch
-    turn = rotation_from_vector(np.array([0.0, pitch.mounting - pitch.levelled, 0.0]))
-    odom_T_ego = estimate.odom_T_ego @ rigid(turn, np.zeros(3))
-    odom_T_camera = odom_T_ego @ inverse(estimate.odom_T_ego) @ keyframe.odom_T_camera
-    return odom_T_ego, replace(keyframe, odom_T_camera=odom_T_camera), replace(pitch, levelled=pitch.mounting)
+    R, at = estimate.odom_T_ego[:3, :3], estimate.odom_T_ego[:3, 3]
+    # The inverse of the pose would double its rounding error in every frame.
+    turn = rotation_from_vector(R @ np.array([0.0, pitch.mounting - pitch.levelled, 0.0]))
+    level = rigid(turn, at - turn @ at)
+    keyframe = replace(keyframe, odom_T_camera=level @ keyframe.odom_T_camera)
+    return level @ estimate.odom_T_ego, keyframe, replace(pitch, levelled=pitch.mounting)
 
 
 def _reason_of(estimate: Estimate) -> Reason | None:

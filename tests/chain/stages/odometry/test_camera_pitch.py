@@ -8,6 +8,7 @@ import pytest
 
 from roadperc_stream import geometry as g
 from roadperc_stream.chain.stages.odometry import camera_pitch as cp
+from roadperc_stream.chain.stages.odometry.ego_motion import Estimate, _levelled
 from roadperc_stream.chain.stages.odometry.epipolar import motion_from_rays
 from roadperc_stream.chain.stages.odometry.keyframes import counted_from_here
 from roadperc_stream.chain.stages.odometry.motion import Motion
@@ -184,6 +185,16 @@ def test_the_pose_stays_level_after_a_new_origin(shots):
     states, _ = run(shots[:6], depth=False, road=ROAD)
     _, results = run(shots[6:], state=counted_from_here(states[-1]), first=6, depth=False, road=ROAD)
     assert abs(results[-1].odom_T_ego[2, 3]) < 0.2 * np.sin(WRONG) * 8 * 0.4
+
+
+def test_the_pose_of_a_long_drive_is_still_a_rotation(shots):
+    """The error of one frame must not be doubled by the next one."""
+    keyframe, pitch = run(shots[:3], depth=False, road=ROAD)[0][-1].keyframe, cp.CameraPitch(WRONG, 1e-5, measured=True)
+    step = g.rigid(rotation_from_rpy(0.001, 0.002, 0.03), np.array([0.5, 0.0, 0.0]))
+    for _ in range(200):
+        odom_T_ego = keyframe.odom_T_camera @ g.inverse(EGO_T_CAMERA) @ step
+        odom_T_ego, keyframe, pitch = _levelled(Estimate(None, None, odom_T_ego, pitch), keyframe, 0.5)
+    np.testing.assert_allclose(odom_T_ego[:3, :3] @ odom_T_ego[:3, :3].T, np.eye(3), atol=1e-9)
 
 
 def test_a_fixed_pitch_is_not_corrected(shots):
