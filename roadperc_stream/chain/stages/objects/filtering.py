@@ -218,10 +218,10 @@ def _filtered(
     kept = ratio is None or _is_kept(cfg, scene, ratio, fit, expected=expected, beyond=beyond)
     if beyond and cfg.distance_pixels == "region":
         measured = Measured(beyond_range=True)
-    claimed = fit == 0 and divides(scene)  # the pixels of the class belong to other detections
+    claimed = fit == 0 and divides(scene) and cfg.distance_pixels == "region"  # other detections have its pixels
     if scene.depth_m is not None and measured == UNKNOWN and of_class is None and cfg.distance_pixels == "region":
         measured = measured_by_points(cfg, scene.camera, scene.depth_m, scene.depth_limit_m, detection)
-    elif scene.depth_m is not None and measured == UNKNOWN and (cfg.distance_pixels != "region" or not claimed):
+    elif scene.depth_m is not None and measured == UNKNOWN and not claimed:
         distances = of_box(scene.camera, scene.depth_m, box, scene.depth_limit_m)
         measured = nearest(cfg, _counted(cfg, scene, distances, of_class))
     return Object(detection, kept, ratio, measured.distance_m, measured.std_m, beyond_range=measured.beyond_range)

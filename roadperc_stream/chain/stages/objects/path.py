@@ -32,7 +32,7 @@ _LANE_WIDTH_MIN_M = 2.0
 _LANE_WIDTH_MAX_M = 5.0
 """In a wider lane, the path is parallel to the boundaries through the car, not in the middle."""
 _PARALLEL = radians(3.0)
-"""Largest angle between the boundaries of a lane; where a lane merges or splits, it is larger."""
+"""Largest angle in radians between the boundaries of a lane; where a lane merges or splits, it is larger."""
 OBJECT_LENGTH_M = 5.0
 """Pixels up to this far behind an object's nearest point determine its place: a car's length."""
 LATERAL_STD_M = 0.1

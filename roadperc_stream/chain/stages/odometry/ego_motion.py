@@ -1,8 +1,6 @@
 """One frame of visual odometry: match the keyframe's features, estimate the motion, keep or change the keyframe.
 
-The motion since the keyframe comes from its depth, else from the image alone. With depth, the alignment searches only a
-shift: the stretch follows from the motion and the local planes. It finds features that matching lost where the motion
-predicts them, as in SVO (Forster, Pizzoli and Scaramuzza 2014).
+The motion since the keyframe comes from its depth, else from the image alone.
 """
 
 from collections.abc import Iterator
@@ -12,9 +10,8 @@ from typing import Final
 import cv2
 import numpy as np
 
-from roadperc_stream.chain.kernels import align_patches
-from roadperc_stream.chain.kernels.odometry_plain import REACH_PX
 from roadperc_stream.chain.stages.odometry import brightness, camera_pitch, keyframes
+from roadperc_stream.chain.stages.odometry.alignment import aligned, predicted_px
 from roadperc_stream.chain.stages.odometry.camera_pitch import LINES_STD, CameraPitch, pitch_by_lines
 from roadperc_stream.chain.stages.odometry.epipolar import motion_from_rays
 from roadperc_stream.chain.stages.odometry.features import FRONTENDS, TrackingFrame, tracking_frame
@@ -37,10 +34,6 @@ _ASTRAY_PX = 20.0
 """Largest distance, at 960 rows, from the pixel that steady motion predicts; farther matches are wrong."""
 MIN_INLIER_RATIO: Final = 0.25
 """Minimum share of the visible points that agree on a steady motion; twice that for an unexpected one."""
-_ITERATIONS = 4
-_FARTHEST_PX = 1.5
-"""Largest shift of an alignment; larger ones are wrong."""
-_LEAST_CORRELATION = 0.7
 _FIRST_LENGTH = 1.0
 """Length of the first step if its scale is unknown."""
 _ACCELERATION: Final = 2.0
@@ -362,31 +355,3 @@ def _expected(this: FollowedFrame) -> Expected | None:
     speed_mps = float(np.linalg.norm(last.velocity[:3]))
     speed_variance = last.speed_variance + (_ACCELERATION * seconds) ** 2
     return Expected(driven_m + speed_mps * seconds, last.length_variance + speed_variance * seconds**2)
-
-
-def aligned(keyframe: Keyframe, frame: TrackingFrame, this_T_key: Float) -> Float32:
-    """(N, 2) pixels of the keyframe's features aligned in a frame, NaN where they do not look as predicted."""
-    landmarks = keyframe.landmarks
-    predicted = predicted_px(keyframe, frame, this_T_key)
-    chosen = np.flatnonzero(np.isfinite(predicted[:, 0]) & np.isfinite(landmarks.slope[:, 0]))
-    found = np.full_like(predicted, np.nan)
-    if not len(chosen):
-        return found
-    key_px, start = landmarks.features.px[chosen], predicted[chosen]
-    stretched = keyframes.stretch(
-        frame.camera, key_px.astype(float), landmarks.points_m[chosen, 2], landmarks.slope[chosen], this_T_key
-    )
-    px = start.astype(float)
-    correlation = align_patches(keyframe.grey, key_px.astype(float), stretched, frame.grey, px, _ITERATIONS)
-    good = (np.linalg.norm(px - start, axis=1) < _FARTHEST_PX) & (correlation > _LEAST_CORRELATION)
-    found[chosen[good]] = px[good]
-    return found
-
-
-def predicted_px(keyframe: Keyframe, frame: TrackingFrame, this_T_key: Float) -> Float32:
-    """(N, 2) pixels where a motion predicts the features, NaN outside the image or on movable objects."""
-    px = project(frame.camera, transform(this_T_key, keyframe.landmarks.points_m)).astype(np.float32)
-    inside = ((px >= REACH_PX) & (px <= np.array(frame.grey.shape[::-1]) - 1 - REACH_PX)).all(axis=1)
-    px[~inside] = np.nan
-    px[frame.on_movable(px)] = np.nan
-    return px

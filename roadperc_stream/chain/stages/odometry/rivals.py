@@ -49,9 +49,9 @@ def best_shift(keyframe: Keyframe, frame: TrackingFrame, this_T_key: Float) -> t
     key = _patches(keyframe.grey, key_px, np.ones(len(used)))
     points_m, px = points_m[:, used], px[:, used]
     inside, agrees = _seen(frame, px, points_m[..., 2])
-    found = np.zeros((*px.shape[:2], len(_PATCH_PX)))
     if not agrees.any():
         return 0.0, 0.0
+    found = np.zeros((*px.shape[:2], len(_PATCH_PX)))
     found[agrees] = _patches(frame.grey, px[agrees], (key_depth_m / points_m[..., 2])[agrees])
     visible = np.sum(inside, axis=1)
     scores = np.einsum("snp,np->s", found, key) / np.maximum(visible, 1)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from roadperc_stream import geometry as g
-from roadperc_stream.chain.stages.odometry.ego_motion import aligned
+from roadperc_stream.chain.stages.odometry.alignment import aligned
 from roadperc_stream.chain.stages.odometry.epipolar import motion_from_rays
 from roadperc_stream.chain.stages.odometry.features import FRONTENDS, MAX_POINTS, spread, tracking_frame
 from roadperc_stream.chain.stages.odometry.keyframes import (
