@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
 _DOCS: Final = Path(__file__).parent
-_SHOWN_FRAME: Final = 30
+_SHOWN_FRAME: Final = 12
 _PANEL_SIZE: Final = (1110, 1240)
 """Columns and rows of the browser's window."""
 _PANEL_SCALE: Final = 0.58

@@ -19,14 +19,14 @@ SEEDS = 4
 BLOCK = re.compile(r"(<!-- figures -->\n).*?(<!-- end -->)", re.DOTALL)
 VERDICTS = {True: "yes", False: "no", None: ""}
 HEADERS = ("figure", "required", "measured", "coverage", "met")
-FIRST_SEED = 100
+FIRST_SEED = 200
 
 
 def parser():
     """The command line."""
     made = argparse.ArgumentParser("python -m tests.accuracy", description=__doc__)
     made.add_argument("--seeds", type=int, default=SEEDS, help=f"seeds per drive; town has more (default: {SEEDS})")
-    made.add_argument("--first-seed", type=int, default=FIRST_SEED, help="first seed; tune below 100 (default: 100)")
+    made.add_argument("--first-seed", type=int, default=FIRST_SEED, help="first seed; tune below 100 (default: 200)")
     made.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes (default: the cores)")
     made.add_argument("--folder", type=Path, default=ROOT / "logs" / "runs" / "accuracy", help="of rendered logs")
     made.add_argument("--page", type=Path, help="page whose tables are replaced")

@@ -23,16 +23,6 @@ def off_by_a_metre(replays, nearest_m, farthest_m):
     return Value(share, known.height / rows.height, detail)
 
 
-def off_and_sure(replays, nearest_m, farthest_m):
-    """Share in percent of kept true distances in a range that are off by more than 1 m and two deviations."""
-    rows = measures.kept_true(replays, nearest_m, farthest_m)
-    known = rows.drop_nulls("distance_m")
-    limit_m = pl.max_horizontal(1.0, 2 * pl.col("distance_std_m").fill_null(0.0))
-    wrong = (pl.col("distance_m") - pl.col("true_distance_m")).abs() > limit_m
-    share = 100 * known.select(wrong.mean()).item() if known.height else None
-    return Value(share, known.height / rows.height if rows.height else None, f"{known.height} distances")
-
-
 def sure_though_hidden(replays, least_visible=0.3, share=0.1):
     """Share in percent of the true detections, visible to a least share, with a deviation below a share.
 

@@ -85,7 +85,7 @@ def lanes(dump):
 
 
 def test_path_truth_adds_keys_and_changes_nothing_else(rendered):
-    plain, more = (rendered("--seconds", "2", *option) for option in ((), ("--path-truth",)))
+    plain, more = (rendered("--seconds", "2", *option, colour=True) for option in ((), ("--path-truth",)))
     for file in ("detections.json", "rgb/000001.png", "segmentation/000001.png"):
         assert (plain.folder / file).read_bytes() == (more.folder / file).read_bytes()
     for before, after in zip(lanes(plain), lanes(more), strict=True):

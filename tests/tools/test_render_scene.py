@@ -18,7 +18,7 @@ def three_frames(rendered):
 
     def render(scene, size="320x240"):
         options = ("--scene", scene, "--seconds", "3", "--weave", "0.5", "--size", size)
-        return rendered(*options, right=size == "640x480")
+        return rendered(*options, colour=size == "640x480")
 
     return render
 
@@ -218,14 +218,14 @@ SPOILED = (*TINY, "--tag-noise", "0.02", "--depth-noise", "0.01", "--rgb-noise",
 def test_equal_options_give_equal_bytes_and_another_seed_others(rendered, tmp_path):
     for name, seed in (("b", "0"), ("c", "4")):
         assert main([str(tmp_path / name), *SPOILED, "--seed", seed]) == 0
-    a, b, c = (contents(folder) for folder in (rendered(*SPOILED, right=True).folder, tmp_path / "b", tmp_path / "c"))
+    a, b, c = (contents(folder) for folder in (rendered(*SPOILED, colour=True).folder, tmp_path / "b", tmp_path / "c"))
     assert a == b
     assert a.keys() == c.keys()
     assert a[Path("rgb/000000.png")] != c[Path("rgb/000000.png")]
 
 
 def test_spoiled_pictures_have_their_clean_ones_beside_them(rendered):
-    clean, spoiled = (rendered(*options, right=True) for options in (TINY, SPOILED))
+    clean, spoiled = (rendered(*options, colour=True) for options in (TINY, SPOILED))
     assert not (clean.folder / "truth").exists()
     for name in clean.names:
         assert (spoiled.tags(name, "truth/segmentation") == clean.tags(name)).all()
@@ -238,7 +238,7 @@ def test_spoiled_pictures_have_their_clean_ones_beside_them(rendered):
 
 
 def test_drop_leaves_out_files_but_none_of_the_first_frame_nor_of_the_truth(rendered):
-    dump = rendered("--seconds", "2", "--rate", "10", "--size", "64x48", "--drop", "0.3", right=True)
+    dump = rendered("--seconds", "2", "--rate", "10", "--size", "64x48", "--drop", "0.3", colour=True)
     for sensor in ("rgb", "depth", "segmentation", "right"):
         present = {path.stem for path in (dump.folder / sensor).iterdir()}
         assert "000000" in present
@@ -249,7 +249,7 @@ def test_drop_leaves_out_files_but_none_of_the_first_frame_nor_of_the_truth(rend
 
 
 def test_files_of_a_dump(rendered):
-    dump = rendered("--seconds", "0.5", "--rate", "4", "--size", "160x120", "--jpeg", right=True)
+    dump = rendered("--seconds", "0.5", "--rate", "4", "--size", "160x120", "--jpeg", colour=True)
     assert dump.names == ["000000", "000001"]
     assert sorted(p.name for p in (dump.folder / "rgb").iterdir()) == ["000000.jpg", "000001.jpg"]
     assert (dump.folder / "right" / "000001.jpg").exists()
@@ -323,8 +323,8 @@ def test_the_lidars_points_lie_on_what_the_depth_shows(rendered, scene):
 
 def test_sensors_left_out_leave_the_truth_and_change_no_other_file(rendered):
     two_frames = ("--seconds", "0.1", "--rate", "20")
-    whole = rendered(*two_frames, "--lidar", right=True)
-    part = rendered(*two_frames, "--without", "depth")
+    whole = rendered(*two_frames, "--lidar", colour=True)
+    part = rendered(*two_frames, "--without", "depth", "--without", "right", colour=True)
     names = {path.name for path in part.folder.iterdir()}
     assert {"rgb", "segmentation", "truth"} <= names
     assert not {"depth", "right", "lidar"} & names

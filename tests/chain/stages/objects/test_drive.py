@@ -40,7 +40,7 @@ def well_visible(rows):
 
 
 def test_short_closing_speed_of_near_objects(tmp_path):
-    rows = kept_objects(tmp_path, "--scene", "straight", "--seconds", "2")
+    rows = kept_objects(tmp_path, "--scene", "straight", "--seconds", "2", "--rate", "10")
     near = well_visible(rows)
     assert near.select(ERROR_MPS).median().item() < 0.25
     assert near["closing_speed_mps"].is_not_null().mean() > 0.85
