@@ -174,6 +174,10 @@ def _signals_unwind() -> Iterator[None]:
     hook, sys.unraisablehook = sys.unraisablehook, _interrupt_again
     try:
         yield
+    except RuntimeError as error:
+        if isinstance(error.__cause__, KeyboardInterrupt):  # before 3.12, a class statement of a late import wraps it
+            raise error.__cause__ from None
+        raise
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         sys.unraisablehook = hook
