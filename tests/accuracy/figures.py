@@ -222,6 +222,8 @@ def of_hidden():
     scenarios = (*PARKED["seen"], *PARKED["whole"])
     name, value = "30 % or more visible: deviation below 10 %", of_objects.sure_though_hidden
     yield bounded("Distances, parked rows", name, at_least(80, "%"), scenarios, value)
+    name, value = "people seen to less than half: off by over 1 m", of_objects.hidden_people_off
+    yield bounded("Distances, parked rows", name, at_most(5, "%"), scenarios, value)
     measure = partial(of_uncertainty.shares, "distance", PARKED["seen"], of_uncertainty.QUANTITIES["distance"])
     name = "distance, within 1 and 2 deviations, beyond 3"
     yield Figure("Distances, parked rows", name, "50 to 85 / ≥ 90 / ≤ 4 %", PARKED["seen"], measure)

@@ -36,6 +36,21 @@ def sure_though_hidden(replays, least_visible=0.3, share=0.1):
     return Value(100 * rows.select(is_sure.mean()).item() if rows.height else None, None, f"{rows.height} detections")
 
 
+def hidden_people_off(replays, most_visible=0.5):
+    """Share in percent of the distances of people, at most half visible, that are off by more than 1 m.
+
+    Args:
+        replays: of boxes of visible parts, then as many of the same scenes with boxes of whole objects.
+        most_visible: largest area of the visible part's box as a share of the whole object's.
+    """
+    hidden = (pl.col("visible") < most_visible) & (pl.col("label") == "Pedestrian")
+    rows = measures.with_visible_share(replays).filter(hidden)
+    known = rows.drop_nulls("distance_m")
+    wrong = (pl.col("distance_m") - pl.col("true_distance_m")).abs() > 1.0
+    share = 100 * known.select(wrong.mean()).item() if known.height else None
+    return Value(share, known.height / rows.height if rows.height else None, f"{known.height} distances")
+
+
 def right_or_unsure(replays):
     """Share in percent of the true detections' distances within 1 m or two standard deviations."""
     known, coverage = measures.true_distances(replays)

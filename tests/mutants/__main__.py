@@ -46,7 +46,7 @@ MEASURING = """[run]
 source = {sources}
 data_file = {folder}/coverage
 parallel = true
-patch = subprocess
+patch = subprocess, _exit, fork
 concurrency = thread,multiprocessing
 disable_warnings = no-data-collected, module-not-measured, module-not-imported, already-imported, no-ctracer
 """
