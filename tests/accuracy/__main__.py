@@ -83,7 +83,7 @@ def cells(figure, measured):
 def summary(lines):
     """A sentence with the number of required figures that are met."""
     required = [(figure, measured) for figure, measured in lines if figure.required]
-    met = sum(measured.met is True for _, measured in required)
+    met = sum(bool(measured.met) for _, measured in required)
     missing = sum(measured.met is None for _, measured in required)
     return f"{met} of {len(required)} required figures are met, {missing} could not be measured"
 
