@@ -289,9 +289,7 @@ def guesses(this: FollowedFrame) -> Iterator[tuple[Float32, Float32, float]]:
     shifted by one repetition also agree on a motion. The second guess is the last pixels; NaN accepts any match.
     """
     frame, keyframe, last = this.frame, this.keyframe, this.last
-    if last.velocity is not None:
-        odom_T_camera = this.odom_T_last @ moved(last.velocity * this.seconds) @ frame.ego_T_camera
-        camera_T_key = inverse(odom_T_camera) @ keyframe.odom_T_camera
+    if (camera_T_key := _expected_motion(this)) is not None:
         predicted = project(frame.camera, transform(camera_T_key, keyframe.landmarks.points_m)).astype(np.float32)
         yield np.where(np.isfinite(predicted), predicted, last.found_px), predicted, MIN_INLIER_RATIO
     yield last.found_px, np.full_like(last.found_px, np.nan), 2 * MIN_INLIER_RATIO
@@ -333,7 +331,7 @@ def _localised_without_depth(this: FollowedFrame, px: Float32) -> Estimate | Non
     seconds = (frame.stamp_ns - this.keyframe.stamp_ns) / NS_PER_S
     length = _FIRST_LENGTH if last.velocity is None else float(np.linalg.norm(last.velocity[:3])) * seconds
     points_m = np.full_like(landmarks.points_m, np.nan) if on_road else landmarks.points_m
-    motion = motion_from_rays(frame.camera, features_px, px, points_m, length)
+    motion = motion_from_rays(frame.camera, features_px, px, points_m, length, _expected_motion(this))
     if motion is None:
         return None
     pitch = this.turned_pitch(this.pose(motion))
@@ -344,6 +342,14 @@ def _localised_without_depth(this: FollowedFrame, px: Float32) -> Estimate | Non
             longest_m = cfg.max_speed_mps * seconds
             motion, pitch = scaled_by_road(frame, this.keyframe, motion, pitch, _expected(this), longest_m)
     return Estimate(px, motion, this.pose(motion), pitch)
+
+
+def _expected_motion(this: FollowedFrame) -> Float | None:
+    """(4, 4) motion since the keyframe if the last one continues; None without a last one."""
+    if this.last.velocity is None:
+        return None
+    odom_T_camera = this.odom_T_last @ moved(this.last.velocity * this.seconds) @ this.frame.ego_T_camera
+    return inverse(odom_T_camera) @ this.keyframe.odom_T_camera
 
 
 def _expected(this: FollowedFrame) -> Expected | None:

@@ -29,6 +29,9 @@ _STANDING_SHARE = 0.75
 """Minimum share of the points that a rotation alone predicts if the camera stands still."""
 _FOUND_SHARE = 0.25
 """Minimum share of the features that are found if the camera stands still; after a long step only far ones are."""
+_LEAST_EXPECTED_M = 1e-3
+_REVERSED = 3
+"""A car has reversed if the opposite direction has so many times as many points in front of the camera."""
 _REWEIGHTINGS = 5
 _SMALL_ANGLE = 1e-4
 """Radians; smaller residuals do not increase the weight."""
@@ -40,8 +43,12 @@ def motion_from_rays(
     px: Float32,
     points_m: Float,
     fallback_length: float,
+    expected: Float | None = None,
 ) -> Motion | None:
     """The motion since the keyframe, and the points that it triangulates; None if too few points agree.
+
+    The search also starts from the ``expected`` motion, (4, 4): with far points, the best random sample may have a
+    wrong direction with which fewer points agree.
 
     The features are at the (N, 2) pixels ``key_px`` and ``px`` (NaN: not found). ``points_m`` are their (N, 3) points
     in the keyframe's camera, NaN unknown. With too few known points the motion has the ``fallback_length``.
@@ -51,7 +58,7 @@ def motion_from_rays(
         return None
     a, b = rays(camera, key_px[usable].astype(float)), rays(camera, px[usable].astype(float))
     standing = _standing(camera, a, px[usable]) if len(usable) > _FOUND_SHARE * len(px) else None
-    direction = standing or _direction(camera, a, b)
+    direction = standing or _direction(camera, a, b, expected)
     if direction is None:
         return None
     R, t, agrees, pulls = direction
@@ -91,9 +98,20 @@ def _turn(a: Float, b: Float) -> Float:
     return R
 
 
-def _direction(camera: Camera, a: Float, b: Float) -> tuple[Float, Float, Mask, Float] | None:
+def _direction(camera: Camera, a: Float, b: Float, expected: Float | None) -> tuple[Float, Float, Mask, Float] | None:
     """R and unit t with b ~ R a + t, (N,) inliers, and the (N, 6) pulls of all points on t and R."""
     gate = scaled(INLIER_PX, camera.height) / camera.fx
+    near = None
+    if expected is not None and (length := float(np.linalg.norm(expected[:3, 3]))) > _LEAST_EXPECTED_M:
+        R, t = _turn(a, b), expected[:3, 3] / length
+        ahead, behind = (np.count_nonzero(np.isfinite(_triangulated(camera, R, d, a, b)[:, 2])) for d in (t, -t))
+        near = _agreeing(camera, R, -t if behind > _REVERSED * ahead else t, a, b, gate)
+    found = _by_sampling(a, b, gate)
+    fit = None if found is None else _agreeing(camera, *found, a, b, gate)
+    return near if fit is None or (near is not None and np.sum(near[2]) > np.sum(fit[2])) else fit
+
+
+def _by_sampling(a: Float, b: Float, gate: float) -> tuple[Float, Float] | None:
     E, _ = cv2.findEssentialMat(
         a[:, :2],
         b[:, :2],
@@ -106,7 +124,12 @@ def _direction(camera: Camera, a: Float, b: Float) -> tuple[Float, Float, Mask, 
     if E is None or E.shape != (3, 3):
         return None
     _, rotation, translation, _ = cv2.recoverPose(E, a[:, :2], b[:, :2], np.eye(3), mask=None)
-    R, t = np.asarray(rotation, float), np.ravel(np.asarray(translation, float))
+    return np.asarray(rotation, float), np.ravel(np.asarray(translation, float))
+
+
+def _agreeing(
+    camera: Camera, R: Float, t: Float, a: Float, b: Float, gate: float
+) -> tuple[Float, Float, Mask, Float] | None:
     agrees = np.abs(_sampson(R, t, a, b)) < gate
     if int(np.sum(agrees)) < _SMALLEST_SET:
         return None
