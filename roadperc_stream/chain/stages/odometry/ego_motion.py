@@ -65,6 +65,14 @@ class FollowedFrame:
         last_T_this = inverse(self.odom_T_last) @ odom_T_ego
         return np.concatenate((last_T_this[:3, 3], rotation_vector(last_T_this[:3, :3]))) / self.seconds
 
+    @property
+    def expected_this_T_key(self) -> Float | None:
+        """(4, 4) motion since the keyframe if the last motion continues; None without a last one."""
+        if self.last.velocity is None:
+            return None
+        odom_T_camera = self.odom_T_last @ moved(self.last.velocity * self.seconds) @ self.frame.ego_T_camera
+        return inverse(odom_T_camera) @ self.keyframe.odom_T_camera
+
     def turned_pitch(self, odom_T_ego: Float) -> CameraPitch:
         """The pitch, turned with the camera since the last frame."""
         return camera_pitch.predicted(self.cfg, self.pitch, inverse(self.odom_T_last) @ odom_T_ego, self.seconds)
@@ -289,8 +297,8 @@ def guesses(this: FollowedFrame) -> Iterator[tuple[Float32, Float32, float]]:
     shifted by one repetition also agree on a motion. The second guess is the last pixels; NaN accepts any match.
     """
     frame, keyframe, last = this.frame, this.keyframe, this.last
-    if (camera_T_key := _expected_motion(this)) is not None:
-        predicted = project(frame.camera, transform(camera_T_key, keyframe.landmarks.points_m)).astype(np.float32)
+    if (this_T_key := this.expected_this_T_key) is not None:
+        predicted = project(frame.camera, transform(this_T_key, keyframe.landmarks.points_m)).astype(np.float32)
         yield np.where(np.isfinite(predicted), predicted, last.found_px), predicted, MIN_INLIER_RATIO
     yield last.found_px, np.full_like(last.found_px, np.nan), 2 * MIN_INLIER_RATIO
 
@@ -331,7 +339,7 @@ def _localised_without_depth(this: FollowedFrame, px: Float32) -> Estimate | Non
     seconds = (frame.stamp_ns - this.keyframe.stamp_ns) / NS_PER_S
     length = _FIRST_LENGTH if last.velocity is None else float(np.linalg.norm(last.velocity[:3])) * seconds
     points_m = np.full_like(landmarks.points_m, np.nan) if on_road else landmarks.points_m
-    motion = motion_from_rays(frame.camera, features_px, px, points_m, length, _expected_motion(this))
+    motion = motion_from_rays(frame.camera, features_px, px, points_m, length, this.expected_this_T_key)
     if motion is None:
         return None
     pitch = this.turned_pitch(this.pose(motion))
@@ -340,19 +348,11 @@ def _localised_without_depth(this: FollowedFrame, px: Float32) -> Estimate | Non
         pitch = camera_pitch.updated(pitch, direction)
         if on_road:
             longest_m = cfg.max_speed_mps * seconds
-            motion, pitch = scaled_by_road(frame, this.keyframe, motion, pitch, _expected(this), longest_m)
+            motion, pitch = scaled_by_road(frame, this.keyframe, motion, pitch, _expected_length(this), longest_m)
     return Estimate(px, motion, this.pose(motion), pitch)
 
 
-def _expected_motion(this: FollowedFrame) -> Float | None:
-    """(4, 4) motion since the keyframe if the last one continues; None without a last one."""
-    if this.last.velocity is None:
-        return None
-    odom_T_camera = this.odom_T_last @ moved(this.last.velocity * this.seconds) @ this.frame.ego_T_camera
-    return inverse(odom_T_camera) @ this.keyframe.odom_T_camera
-
-
-def _expected(this: FollowedFrame) -> Expected | None:
+def _expected_length(this: FollowedFrame) -> Expected | None:
     """The distance from the keyframe at the last speed; None if the road has not shown a speed."""
     last, seconds = this.last, this.seconds
     if last.velocity is None or last.speed_variance is None:

@@ -29,9 +29,12 @@ _STANDING_SHARE = 0.75
 """Minimum share of the points that a rotation alone predicts if the camera stands still."""
 _FOUND_SHARE = 0.25
 """Minimum share of the features that are found if the camera stands still; after a long step only far ones are."""
-_LEAST_EXPECTED_M = 1e-3
-_REVERSED = 3
-"""A car has reversed if the opposite direction has so many times as many points in front of the camera."""
+_AS_EXPECTED = 0.99
+"""Cosine of the angle to the expected direction from which the best sample needs no comparison."""
+_ALIKE = 0.9
+"""Cosine of the angle between two directions from which they are alike."""
+_STILL_M = 1e-3
+"""Length of a motion below which its direction is rounding error."""
 _REWEIGHTINGS = 5
 _SMALL_ANGLE = 1e-4
 """Radians; smaller residuals do not increase the weight."""
@@ -43,12 +46,12 @@ def motion_from_rays(
     px: Float32,
     points_m: Float,
     fallback_length: float,
-    expected: Float | None = None,
+    expected_this_T_key: Float | None = None,
 ) -> Motion | None:
     """The motion since the keyframe, and the points that it triangulates; None if too few points agree.
 
-    The search also starts from the ``expected`` motion, (4, 4): with far points, the best random sample may have a
-    wrong direction with which fewer points agree.
+    The search starts from random samples and from ``expected_this_T_key``, (4, 4); the motion with which more points
+    agree counts. If few points are near, the best sample may have a wrong direction.
 
     The features are at the (N, 2) pixels ``key_px`` and ``px`` (NaN: not found). ``points_m`` are their (N, 3) points
     in the keyframe's camera, NaN unknown. With too few known points the motion has the ``fallback_length``.
@@ -58,7 +61,7 @@ def motion_from_rays(
         return None
     a, b = rays(camera, key_px[usable].astype(float)), rays(camera, px[usable].astype(float))
     standing = _standing(camera, a, px[usable]) if len(usable) > _FOUND_SHARE * len(px) else None
-    direction = standing or _direction(camera, a, b, expected)
+    direction = standing or _direction(camera, a, b, expected_this_T_key)
     if direction is None:
         return None
     R, t, agrees, pulls = direction
@@ -98,20 +101,26 @@ def _turn(a: Float, b: Float) -> Float:
     return R
 
 
-def _direction(camera: Camera, a: Float, b: Float, expected: Float | None) -> tuple[Float, Float, Mask, Float] | None:
+def _direction(
+    camera: Camera, a: Float, b: Float, expected_this_T_key: Float | None
+) -> tuple[Float, Float, Mask, Float] | None:
     """R and unit t with b ~ R a + t, (N,) inliers, and the (N, 6) pulls of all points on t and R."""
     gate = scaled(INLIER_PX, camera.height) / camera.fx
-    near = None
-    if expected is not None and (length := float(np.linalg.norm(expected[:3, 3]))) > _LEAST_EXPECTED_M:
-        R, t = _turn(a, b), expected[:3, 3] / length
-        ahead, behind = (np.count_nonzero(np.isfinite(_triangulated(camera, R, d, a, b)[:, 2])) for d in (t, -t))
-        near = _agreeing(camera, R, -t if behind > _REVERSED * ahead else t, a, b, gate)
-    found = _by_sampling(a, b, gate)
-    fit = None if found is None else _agreeing(camera, *found, a, b, gate)
-    return near if fit is None or (near is not None and np.sum(near[2]) > np.sum(fit[2])) else fit
+    start = _by_sampling(a, b, gate)
+    sampled = None if start is None else _from_start(camera, *start, a, b, gate)
+    expected_m = np.zeros(3) if expected_this_T_key is None else expected_this_T_key[:3, 3]
+    length_m = np.linalg.norm(expected_m)
+    if length_m < _STILL_M or (sampled is not None and sampled[1] @ expected_m > _AS_EXPECTED * length_m):
+        return sampled
+    continued = _from_start(camera, _turn(a, b), expected_m / length_m, a, b, gate)
+    if sampled is None or continued is None:
+        return sampled or continued
+    opposite = continued[1] @ sampled[1] < -_ALIKE  # the sample's points are in front of the camera
+    return sampled if opposite or np.sum(continued[2]) <= np.sum(sampled[2]) else continued
 
 
 def _by_sampling(a: Float, b: Float, gate: float) -> tuple[Float, Float] | None:
+    """R and unit t of the best random sample; None without a unique one."""
     E, _ = cv2.findEssentialMat(
         a[:, :2],
         b[:, :2],
@@ -127,9 +136,10 @@ def _by_sampling(a: Float, b: Float, gate: float) -> tuple[Float, Float] | None:
     return np.asarray(rotation, float), np.ravel(np.asarray(translation, float))
 
 
-def _agreeing(
+def _from_start(
     camera: Camera, R: Float, t: Float, a: Float, b: Float, gate: float
 ) -> tuple[Float, Float, Mask, Float] | None:
+    """As ``_direction``, by least squares from a start; None if too few points agree with it."""
     agrees = np.abs(_sampson(R, t, a, b)) < gate
     if int(np.sum(agrees)) < _SMALLEST_SET:
         return None

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from roadperc_stream import geometry as g
+from roadperc_stream.chain.stages.odometry import epipolar
 from roadperc_stream.chain.stages.odometry.alignment import aligned
 from roadperc_stream.chain.stages.odometry.epipolar import motion_from_rays
 from roadperc_stream.chain.stages.odometry.features import FRONTENDS, MAX_POINTS, spread, tracking_frame
@@ -95,6 +96,31 @@ def test_a_camera_that_finds_only_far_features_again_does_not_stand_still():
     ]
     assert lengths[0] > 0.5
     assert lengths[1] == 0.0
+
+
+def seen(this_T_key, X, seed, noise_px=0.3, outliers=0.2):
+    """(N, 2) noisy pixels of points after a motion."""
+    rng = np.random.default_rng(seed)
+    px = pixels_of(this_T_key, X) + rng.normal(0, noise_px, (len(X), 2))
+    px += 4 * rng.standard_normal(px.shape) * (rng.random((len(X), 1)) < outliers)
+    return px.astype(np.float32)
+
+
+def test_a_sample_of_a_wrong_direction_loses_to_the_expected_motion(monkeypatch):
+    monkeypatch.setattr(epipolar, "_by_sampling", lambda *_: (np.eye(3), np.array([1.0, 0.0, 0.0])))
+    ahead, X = moved(np.array([0.0, 0.0, -0.6, 0.0, 0.0, 0.0])), cloud()
+    key_px, px, unknown = pixels_of(np.eye(4), X), seen(ahead, X, 0), np.full_like(X, np.nan)
+    wrong, right = (motion_from_rays(CAMERA, key_px, px, unknown, 1.0, expected) for expected in (None, ahead))
+    assert wrong.this_T_key[2, 3] > -0.5
+    np.testing.assert_allclose(right.this_T_key[:3, 3], (0.0, 0.0, -1.0), atol=0.05)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_car_that_is_expected_to_drive_ahead_may_reverse(seed):
+    ahead, X = moved(np.array([0.0, 0.0, -0.6, 0.0, 0.0, 0.0])), cloud()
+    px = seen(g.inverse(ahead), X, seed)
+    back = motion_from_rays(CAMERA, pixels_of(np.eye(4), X), px, np.full_like(X, np.nan), 1.0, ahead)
+    assert back.this_T_key[2, 3] > 0.9
 
 
 def test_too_few_features_give_no_covariance():
