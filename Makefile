@@ -2,6 +2,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --no-compile
 # Tests of clusters, locks and signals wait, hence two workers more than cores. A worker that crashes ends the run with
 # an error; replaced workers can hang.
 PARALLEL := -n $(shell expr $$(nproc) + 2) --maxprocesses 4 --dist loadfile --no-loadscope-reorder --max-worker-restart=0
@@ -16,10 +17,12 @@ EVENT_LOGS := $(EVENTS:%=$(PICTURES)/%.mcap)
 
 .PHONY: $(EVENT_LOGS) demo test test-hostile mutants accuracy accuracy-long gate-rates kills cluster parts bench bench-compare bench-report bench-find image fuzz lint pages proto sample pictures docs clean
 
+# uv is three times as fast as pip, but reads no settings of pip: where it finds no packages, pip installs.
 $(VENV)/.installed: pyproject.toml setup.py $(wildcard roadperc_stream/*/*.pyx roadperc_stream/*/*/*.pyx)
-	@echo "installing into $(VENV), compiling inner loops: a minute or two"
+	@echo "installing into $(VENV), compiling inner loops: about a minute"
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install -qq --disable-pip-version-check --no-compile --editable '.[dev]'
+	$(PIP) uv && $(BIN)/uv pip install --quiet --system-certs --python $(BIN)/python --editable '.[dev]' || \
+		$(PIP) --editable '.[dev]'
 	@touch $@
 
 demo: $(VENV)/.installed

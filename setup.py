@@ -48,4 +48,7 @@ def kernels() -> list[Extension]:
     return found
 
 
-setup(ext_modules=kernels(), options={"bdist_wheel": {"py_limited_api": OLDEST_PYTHON}})
+setup(
+    ext_modules=kernels(),
+    options={"bdist_wheel": {"py_limited_api": OLDEST_PYTHON}, "build_ext": {"parallel": True}},
+)
