@@ -3,9 +3,9 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --no-compile
-# Tests of clusters, locks and signals wait, hence two workers more than cores. A worker that crashes ends the run with
-# an error; replaced workers can hang.
-PARALLEL := -n $(shell expr $$(nproc) + 2) --maxprocesses 4 --dist loadfile --no-loadscope-reorder --max-worker-restart=0
+# Tests of locks and signals wait, hence a worker more than cores. A worker that crashes ends the run with an error;
+# replaced workers can hang.
+PARALLEL := -n $(shell expr $$(nproc) + 1) --maxprocesses 4 --dist loadfile --no-loadscope-reorder --max-worker-restart=0
 DEMO := logs/runs/demo
 PICTURES := logs/runs/pictures
 EVENTS := change brake worn

@@ -1,4 +1,7 @@
-"""Batches on a real Ray cluster of two machines, one of which fails."""
+"""Batches on a local Ray, and on a real Ray cluster of two machines, one of which fails.
+
+``make cluster`` runs those that fail; `make test` runs a batch on a local Ray.
+"""
 
 import signal
 import socket
@@ -50,6 +53,7 @@ def test_a_batch_from_outside_by_ray_client(two_machines, tmp_path):
     assert_as_single(tmp_path / "out", source, tmp_path)
 
 
+@pytest.mark.accuracy
 def test_a_lost_machine_loses_no_log(two_machines, folder, tmp_path):
     out = tmp_path / "out"
     with started_batch(out, folder, "--ray", two_machines.address, "--memory", "500MB") as process:
@@ -64,6 +68,7 @@ def test_a_lost_machine_loses_no_log(two_machines, folder, tmp_path):
         assert_as_single(out, source, tmp_path)
 
 
+@pytest.mark.accuracy
 def test_a_lost_cluster_is_a_one_line_error(two_machines, folder, tmp_path, monkeypatch):
     """The last test of this cluster; by default Ray waits a minute for the head to come back."""
     monkeypatch.setenv("RAY_gcs_rpc_server_reconnect_timeout_s", "3")
@@ -76,8 +81,10 @@ def test_a_lost_cluster_is_a_one_line_error(two_machines, folder, tmp_path, monk
     assert (process.returncode, errors) == (1, f"error: --ray {two_machines.address}: {lost}\n")
 
 
-@pytest.mark.parametrize("sent", [pytest.param(signal.SIGINT, marks=pytest.mark.accuracy), signal.SIGKILL])
-def test_a_local_ray_ends_with_the_batch(folder, tmp_path, sent):
+@pytest.mark.parametrize("sent", [
+    None, *(pytest.param(sent, marks=pytest.mark.accuracy) for sent in (signal.SIGINT, signal.SIGKILL))
+])  # fmt: skip
+def test_a_local_ray_gives_the_rows_of_single_replays_and_ends_with_the_batch(folder, tmp_path, sent):
     family = []
     with started_batch(tmp_path / "out", folder, "--ray", "local", "--jobs", "1") as process:
 
@@ -86,12 +93,16 @@ def test_a_local_ray_ends_with_the_batch(folder, tmp_path, sent):
             return any(is_at_log(p) for p in family) or process.poll() is not None
 
         wait_until(is_at_work, 180)
-        process.send_signal(sent)
-        _, errors = process.communicate(timeout=60)
-    killed = sent == signal.SIGKILL
-    assert (process.returncode, errors) == (-sent if killed else 1, "" if killed else f"error: {INTERRUPTED}\n")
+        if sent:
+            process.send_signal(sent)
+        _, errors = process.communicate(timeout=240)
+    codes = {None: 0, signal.SIGINT: 1, signal.SIGKILL: -signal.SIGKILL}
+    printed = f"error: {INTERRUPTED}\n" if sent == signal.SIGINT else ""
+    assert (process.returncode, errors) == (codes[sent], printed)
     _, left = psutil.wait_procs(family, timeout=20)
     assert [title(p) for p in left] == []
+    for source in () if sent else sorted(folder.glob("*.mcap")):
+        assert_as_single(tmp_path / "out", source, tmp_path)
 
 
 @pytest.mark.parametrize(
