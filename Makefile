@@ -42,10 +42,9 @@ test: $(VENV)/.installed  # all tests, or those of TESTS=tests/cli
 	$(BIN)/python -m pytest $(PARALLEL) $(TESTS)
 
 HOSTILE := tests/hostile/test_logs.py tests/hostile/test_terminal.py tests/info tests/test_docs.py \
-	tests/test_sample.py tests/batch/test_dataset_lock.py tests/cli/test_completion.py tests/cli/test_template.py \
-	tests/cli/test_view.py tests/eval/test_continued.py tests/eval/test_html_page.py tests/eval/test_lanes.py \
-	tests/eval/test_report.py tests/eval/test_trajectory.py tests/eval/dataset tests/resume/test_resume.py \
-	tests/tools/test_carla_to_mcap.py tests/view/rerun
+	tests/batch/test_dataset_lock.py tests/cli/test_completion.py tests/cli/test_template.py tests/cli/test_view.py \
+	tests/eval/test_continued.py tests/eval/test_html_page.py tests/eval/test_lanes.py tests/eval/test_report.py \
+	tests/eval/test_trajectory.py tests/resume/test_resume.py tests/tools/test_carla_to_mcap.py tests/view/rerun
 test-hostile: $(VENV)/.installed  # test modules that run every command, in an unusual environment
 	.ci/in-hostile-environment $(BIN)/python -m pytest $(PARALLEL) -m 'commands and not accuracy' $(HOSTILE) \
 		--deselect tests/test_docs.py::test_every_command_runs_in_order

@@ -1,6 +1,7 @@
 """A road that can be computed by hand: what a pinhole camera sees of a plane with two lane lines."""
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -50,9 +51,7 @@ class Road:
 
     def ground(self):
         """(H, W, 3) camera points and (H, W, 3) ego points on the road, NaN above the horizon."""
-        rows, columns = np.indices((self.height, self.width), dtype=float)
-        points = g.intersect_plane(self.camera, np.stack((columns, rows), axis=-1), self.plane)
-        return points, g.transform(self.ego_T_camera, points)
+        return _ground(replace(self, left_m=0.0, right_m=0.0, heading=0.0, curvature_per_m=0.0, line_m=0.0))
 
     def depth_m(self):
         depth = self.ground()[0][..., 2].astype(np.float32)
@@ -86,6 +85,13 @@ class Road:
             detections=(),
         )
         return replace(frame, **changes)
+
+
+@lru_cache(maxsize=8)
+def _ground(road):
+    rows, columns = np.indices((road.height, road.width), dtype=float)
+    points = g.intersect_plane(road.camera, np.stack((columns, rows), axis=-1), road.plane)
+    return points, g.transform(road.ego_T_camera, points)
 
 
 def box(label, x_min, y_min, x_max, y_max, score=0.9):

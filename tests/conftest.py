@@ -26,7 +26,7 @@ for _name in STREAM_VARIABLES:
 
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup it is ignored, and by all processes that tests start
 
-settings.register_profile("roadperc", settings(), deadline=None)  # a machine may be busy with other things
+settings.register_profile("roadperc", deadline=None, max_examples=50)  # a machine may be busy with other things
 settings.load_profile("roadperc")
 
 

@@ -1,6 +1,7 @@
 """Small logs of the analytic road, written through the package's own encoders."""
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -58,6 +59,7 @@ def shifted(road, k):
     return replace(road, left_m=road.left_m + sideways, right_m=road.right_m + sideways)
 
 
+@lru_cache(maxsize=256)
 def frame_items(stamp, road):
     tags = road.tags()
     palette = images.encode_indices(tags, TABLE.colours)

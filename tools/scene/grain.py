@@ -106,7 +106,8 @@ def _level(
     blur = np.outer(_gauss(fft.fftfreq(ROWS), along), _gauss(fft.rfftfreq(COLUMNS), across))
     noise = fft.irfft2(spectrum * blur.astype(np.float32), (ROWS, COLUMNS))
     # Without grain stereo finds nothing; real frames keep about half of it at long range.
-    strength = max(float(noise.std()) / sharp_std, 0.45) / float(noise.std())
+    std = float(noise.std())
+    strength = max(std / sharp_std, 0.45) / std
     grey = np.clip(128 + (noise - noise.mean()) * strength * GRAIN_STD, 0, 255).astype(np.uint8)
     return np.pad(grey, GUARD, mode="wrap")
 
