@@ -223,6 +223,20 @@ def test_poses_without_orientation_are_not_drawn(tmp_path):
     assert "Trajectory" not in page.text
 
 
+@pytest.mark.parametrize("with_truth", [True, False])
+def test_the_position_error_is_drawn_if_there_is_truth(tmp_path, with_truth):
+    def pose(prefix, x_m):
+        return {f"{prefix}_{name}": 0.0 for name in ("y_m", "z_m", "qx", "qy", "qz")} | {
+            f"{prefix}_x_m": x_m, f"{prefix}_qw": 1.0
+        }  # fmt: skip
+
+    drive = [pose("odom", 0.5 * k) | (pose("true", 0.6 * k) if with_truth else {}) for k in range(3)]
+    rows = [row(k, **poses) for k, poses in enumerate(drive)]
+    page, _ = report(tmp_path, write(tmp_path / "a.metrics.parquet", rows))
+    assert "Trajectory" in page.text
+    assert ("Position error over distance" in page.text) == with_truth
+
+
 @pytest.mark.parametrize(
     ("content", "said"),
     [
