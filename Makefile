@@ -21,7 +21,7 @@ EVENT_LOGS := $(EVENTS:%=$(PICTURES)/%.mcap)
 $(VENV)/.installed: pyproject.toml setup.py $(wildcard roadperc_stream/*/*.pyx roadperc_stream/*/*/*.pyx)
 	@echo "installing into $(VENV), compiling inner loops: about a minute"
 	$(PYTHON) -m venv $(VENV)
-	$(PIP) uv && $(BIN)/uv pip install --quiet --system-certs --python $(BIN)/python --editable '.[dev]' || \
+	$(PIP) 'uv>=0.13,<1' && $(BIN)/uv pip install --quiet --system-certs --python $(BIN)/python --editable '.[dev]' || \
 		$(PIP) --editable '.[dev]'
 	@touch $@
 
