@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from roadperc_stream import geometry as g
-from roadperc_stream.chain.stages.objects.template import LABEL, correlate, find_obstacle, picture, png_of
+from roadperc_stream.chain.stages.objects.template import LABEL, correlate, cut, find_obstacle, picture, png_of
 from roadperc_stream.chain.stages.objects.tracker import ObjectsState, step
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.model import Absent, Box
@@ -21,6 +21,19 @@ def test_the_template_is_found_where_it_was_cut_out(around):
     box, score = correlate(IMAGE, TEMPLATE, around).match(0.9)
     assert (box, score) == (PLACE, pytest.approx(1.0))
     assert correlate(IMAGE, TEMPLATE, Box(51, 30, 90, 60)).match(0.9) is None
+
+
+@pytest.mark.parametrize(
+    ("box", "off_px", "shape"),
+    [
+        (Box(-10.0, 20.0, 30.0, 50.5), (5.0, 0.25), (31, 30)),  # beyond the image's border
+        (Box(10.25, 20.0, 110.0, 50.0), (-0.125, 0.0), (30, 96)),  # longer than a template
+    ],
+)
+def test_a_template_is_the_middle_of_its_box(box, off_px, shape):
+    made = cut(IMAGE, box, 12.0)
+    assert (made.off_px, made.grey.shape) == (off_px, shape)
+    assert made.sides_px == (box.x_max - box.x_min, box.y_max - box.y_min)
 
 
 def test_the_least_score_decides():
