@@ -17,7 +17,7 @@ from roadperc_stream.output.tables import sidecar_path
 
 BEND = ("--scene", "bend", "--weave", "0.5")
 NOISE = ("--tag-noise", "0.02", "--depth-noise", "0.01")
-SHORT = ("--size", "640x480", "--seconds", "0.7", "--without", "right")
+SHORT = ("--size", "640x480", "--seconds", "1", "--without", "right")
 
 
 def long(*options):

@@ -15,7 +15,7 @@ from tests.batch.dataset import assert_as_single, batch, runs, statuses, write_l
 from tests.batch.machines import is_at_log, title
 from tests.commands import words
 
-KILLS = 4
+KILLS = 6
 
 
 @pytest.fixture(scope="module")
@@ -23,8 +23,8 @@ def folder(tmp_path_factory):
     """Good logs of several lengths, a cut log, an empty log, and a log that needs too much memory."""
     folder = tmp_path_factory.mktemp("logs")
     for number in range(5):
-        write_log(folder / f"good_{number}.mcap", frames=6 + 3 * number, lane_m=0.04 * number)
-    write_log(folder / "good_long.mcap", frames=50, lane_m=-0.04)
+        write_log(folder / f"good_{number}.mcap", frames=10 + 5 * number, lane_m=0.04 * number)
+    write_log(folder / "good_long.mcap", frames=80, lane_m=-0.04)
     whole = (folder / "good_4.mcap").read_bytes()
     (folder / "cut.mcap").write_bytes(whole[: len(whole) // 3])
     (folder / "nothing.mcap").write_bytes(b"")

@@ -218,7 +218,7 @@ def test_other_files_are_never_replaced(source, tmp_path, capsys):
 
 @pytest.fixture(scope="module")
 def long_logs(tmp_path_factory):
-    """Two logs whose sweep takes longer than a signal."""
+    """Two logs, long enough for a signal during their sweep."""
     folder = tmp_path_factory.mktemp("long")
     return [logs.write(folder / f"in{k}.mcap", logs.items(100)) for k in range(2)]
 
