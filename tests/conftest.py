@@ -24,7 +24,9 @@ STREAM_VARIABLES = (
 for _name in STREAM_VARIABLES:
     os.environ.pop(_name, None)
 
-signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup it is ignored, and by all processes that tests start
+# nohup ignores SIGHUP and a script's "&" SIGINT; all processes that tests start would ignore them too.
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 settings.register_profile("roadperc", deadline=None, max_examples=50)  # a machine may be busy with other things
 settings.load_profile("roadperc")
