@@ -16,7 +16,6 @@ import numpy as np
 import polars as pl
 import polars.selectors as cs
 from numpy.typing import NDArray
-from scipy import special
 
 from roadperc_stream.geometry import Float
 
@@ -100,6 +99,8 @@ class Consistency:
         """
         if self.blocks < _FEWEST_BLOCKS or self.squares == 0:
             return None
+        from scipy import special  # its import takes a quarter of a second
+
         mean = self.nees
         scatter = max(self.s_s - 2 * mean * self.s_n + mean**2 * self.n_n, 0.0)
         error = np.sqrt(scatter * self.blocks / (self.blocks - 1)) / self.values

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy import special
 
 from roadperc_stream.geometry import Float
 
@@ -118,5 +117,7 @@ def _resampled_logs(differences: Sequence[Float]) -> tuple[Float, int, int]:
 
 def _widening(blocks: int, freedom: int, tests: int) -> float:
     """Factor by which the bootstrap's interval is widened for a number of blocks, degrees of freedom and tests."""
+    from scipy import special  # its import takes a quarter of a second
+
     tail = (1 - LEVEL) / 2
     return float(special.stdtrit(freedom, tail / tests) / special.ndtri(tail) * np.sqrt(blocks / freedom))

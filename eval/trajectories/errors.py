@@ -8,7 +8,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from roadperc_stream.errors import TableError
 from roadperc_stream.geometry import Float, inverse
@@ -186,5 +185,6 @@ def motions(world_T_a: Float, world_T_b: Float) -> Float:
 
 def angles_deg(rotations: Float) -> Float:
     """(N,) angles of (N, 3, 3) rotations, degrees; accurate for small angles."""
-    angles: Float = np.degrees(Rotation.from_matrix(rotations).magnitude())
+    doubled_sines = np.linalg.norm(rotations[:, (2, 0, 1), (1, 2, 0)] - rotations[:, (1, 2, 0), (2, 0, 1)], axis=1)
+    angles: Float = np.degrees(np.arctan2(doubled_sines, np.trace(rotations, axis1=1, axis2=2) - 1))
     return angles

@@ -9,10 +9,10 @@ from typing import Final, Literal
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from roadperc_stream.errors import TableError
 from roadperc_stream.geometry import Float, inverse
+from roadperc_stream.geometry.rotations import quaternion, rotations_from_quaternions
 from roadperc_stream.system.files import completing
 from roadperc_stream.system.time import NS_PER_S
 
@@ -78,7 +78,7 @@ def _pose_matrices(rows: Float) -> Float:
     """(N, 4, 4) transforms from (N, 7) rows: x, y, z in metres and a quaternion x, y, z, w of any norm except 0."""
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
     poses[:, :3, 3] = rows[:, :3]
-    poses[:, :3, :3] = Rotation.from_quat(rows[:, 3:]).as_matrix()
+    poses[:, :3, :3] = rotations_from_quaternions(rows[:, 3:])
     return poses
 
 
@@ -151,7 +151,7 @@ def tum_lines(stamps_ns: NDArray[np.int64], poses: Float) -> list[str]:
     Numbers have enough digits to restore the float.
     Source: the file format of the TUM RGB-D benchmark (Sturm et al. 2012).
     """
-    quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
+    quaternions = [quaternion(rotation) for rotation in poses[:, :3, :3]]
     rows = np.hstack((poses[:, :3, 3], quaternions)).tolist()
     stamps = (divmod(stamp_ns, NS_PER_S) for stamp_ns in stamps_ns.tolist())
     return [f"{s}.{ns:09d} {_numbers(row)}" for (s, ns), row in zip(stamps, rows, strict=True)]

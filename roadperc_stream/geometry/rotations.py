@@ -104,6 +104,12 @@ def rotation_from_quaternion(x: float, y: float, z: float, w: float) -> Float:
     return _matrix(_normalised((x, y, z, w)))
 
 
+def rotations_from_quaternions(quaternions: Float) -> Float:
+    """(N, 3, 3) rotations of (N, 4) quaternions x, y, z, w of any length above zero."""
+    unit = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+    return np.moveaxis(_matrix(unit.T), -1, 0)
+
+
 def rotation_from_vector(vector: Float) -> Float:
     """(3, 3) rotation about a (3,) axis by its length, radians."""
     x, y, z = vector.tolist()
@@ -173,8 +179,8 @@ def _product(p: Quaternion, q: Quaternion) -> Quaternion:
     )
 
 
-def _matrix(quaternion: Quaternion) -> Float:
-    """(3, 3) rotation of a quaternion of unit length."""
+def _matrix(quaternion: Quaternion | Float) -> Float:
+    """(3, 3) rotation of a quaternion of unit length, or (3, 3, N) rotations of (4, N) ones."""
     x, y, z, w = quaternion
     xx, yy, zz, ww = x * x, y * y, z * z, w * w
     return np.array(

@@ -11,7 +11,6 @@ from types import TracebackType
 from typing import Any, Final, Self
 
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from roadperc_stream import __version__
@@ -169,6 +168,8 @@ def totals(path: Path, columns: Iterable[str]) -> TableTotals:
     Raises:
         TableError: the file cannot be read, is not Parquet, or lacks a column.
     """
+    import pyarrow.compute as pc
+
     sums: dict[str, float] = {}
     first_ns, last_ns = None, 0
     with _opened(path) as table:

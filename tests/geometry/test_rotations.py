@@ -67,3 +67,9 @@ def test_zero_and_infinite_quaternions_are_refused(numbers):
 def test_a_quaternion_of_any_length_is_scaled(scale):
     R = rotations.rotation_from_quaternion(0.1 * scale, -0.2 * scale, 0.3 * scale, 0.9 * scale)
     np.testing.assert_allclose(R, rotations.rotation_from_quaternion(0.1, -0.2, 0.3, 0.9), atol=1e-15)
+
+
+@given(st.lists(QUATERNIONS, min_size=1, max_size=3))
+def test_a_stack_of_quaternions_has_the_rotations_of_each(several):
+    expected = [rotations.rotation_from_quaternion(*numbers) for numbers in several]
+    np.testing.assert_allclose(rotations.rotations_from_quaternions(np.array(several)), expected, atol=EXACT)

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.optimize import nnls
 
 from roadperc_stream.geometry import Camera, Float, inverse, transform
 from roadperc_stream.model import Box, Detection, Object, Objects
@@ -72,6 +71,8 @@ def box_distance_m(camera: Camera, camera_T_box: Float, size_m: Float) -> float:
 
 def _nearest_m(normals: Float, bounds: Float) -> float:
     """Return the least norm of points with ``normals @ point >= bounds``, or NaN if there is no such point."""
+    from scipy.optimize import nnls  # its import takes half a second
+
     system = np.vstack((normals.T, bounds))
     weights, residual = nnls(system, np.array([0.0, 0.0, 0.0, 1.0]))
     *beside, last = system @ weights - (0.0, 0.0, 0.0, 1.0)

@@ -283,7 +283,7 @@ def normal_equations(
     for n in range(equations):
         if not 0 <= first[n] <= count - unknowns:
             raise ValueError(f"unknowns {first[n]} to {first[n] + unknowns - 1}: expected 0 to {count - 1}")
-    cdef double[:, ::1] lower = np.zeros((unknowns, count))
+    cdef double[:, ::1] matrix = np.zeros((count, count))
     cdef double[::1] right = np.zeros(count)
     with nogil:
         for n in range(equations):
@@ -292,5 +292,8 @@ def normal_equations(
             for i in range(unknowns):
                 right[at + i] += pull * values[n, i]
                 for j in range(i + 1):
-                    lower[i - j, at + j] += weight * (values[n, i] * values[n, j])
-    return np.asarray(lower), np.asarray(right)
+                    matrix[at + i, at + j] += weight * (values[n, i] * values[n, j])
+        for i in range(count):
+            for j in range(i):
+                matrix[j, i] = matrix[i, j]
+    return np.asarray(matrix), np.asarray(right)

@@ -90,13 +90,14 @@ def normal_equations(
     (N,) and the right side b ``targets`` (N,). Sums go from the first equation to the last.
 
     Returns:
-        (D, P) main diagonal and the diagonals below it, each element at its column, and the (P,) right side.
+        (P, P) matrix and (P,) right side.
     """
     unknowns = values.shape[1]
     row, column = np.tril_indices(unknowns)
     products = weights[:, None] * (values[:, row] * values[:, column])
-    lower = np.bincount(((row - column) * count + first[:, None] + column).ravel(), products.ravel(), unknowns * count)
+    places = (first[:, None] + row) * count + first[:, None] + column
+    lower = np.bincount(places.ravel(), products.ravel(), count**2).reshape(count, count).astype(float, copy=False)
     right = np.bincount(
         (first[:, None] + np.arange(unknowns)).ravel(), ((weights * targets)[:, None] * values).ravel(), count
     )
-    return lower.reshape(unknowns, count).astype(float, copy=False), right.astype(float, copy=False)
+    return lower + np.tril(lower, -1).T, right.astype(float, copy=False)

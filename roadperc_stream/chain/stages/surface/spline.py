@@ -6,10 +6,10 @@ with a standard deviation of the road's curvature. So the scatter of the data de
 without data it continues straight. Iteratively reweighted least squares make the fit robust (Holland and Welsch 1977):
 Huber's weights find the road, Tukey's weights then remove objects on it. The fit grows outwards from the car, as far as
 the curvature of a road allows. It uses one point of each square metre, the one of median height, because the image has
-many pixels near the car and few far ahead. Four B-splines are not 0 at a point, so the normal equations are a band, and
-the time to solve them grows linearly with the length of the road.
+many pixels near the car and few far ahead.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
@@ -130,19 +130,14 @@ def _design(cfg: SurfaceConfig, x: Float, y: Float) -> _Design:
 
 @lru_cache(maxsize=2)
 def _prior(cfg: SurfaceConfig) -> Float:
-    """(15, 2 M) information on the coefficients as a band: curvature along x of both kinds, and slope across."""
+    """(2 M, 2 M) information on the coefficients: curvature along x of both kinds, and slope across."""
     count = _splines(cfg)
     bend = np.diff(np.eye(count), 2, axis=0) / (cfg.spline_curvature_per_m * cfg.spline_knot_m**2)
     bank = np.eye(count) / (_BANK_STD * cfg.spline_half_width_m)
     prior = np.zeros((2 * count, 2 * count))
     prior[::2, ::2] = bend.T @ bend
     prior[1::2, 1::2] = bend.T @ bend + bank.T @ bank
-    band = np.zeros((2 * _SUPPORT - 1, 2 * count))
-    for beside in range(1 - _SUPPORT, _SUPPORT):
-        diagonal = np.diag(prior, -beside)
-        start = max(-beside, 0)
-        band[_SUPPORT - 1 + beside, start : start + len(diagonal)] = diagonal
-    return band
+    return prior
 
 
 def _grow(cfg: SurfaceConfig, points: Float, weights: Float) -> Float:
@@ -153,7 +148,7 @@ def _grow(cfg: SurfaceConfig, points: Float, weights: Float) -> Float:
     """
     x, heights = points[:, 0], points[:, 2]
     design, prior = _design(cfg, x, points[:, 1]), _prior(cfg)
-    coefficients: Float = np.zeros(prior.shape[1])
+    coefficients: Float = np.zeros(len(prior))
     known_m = float(x.min())
     for reach in np.arange(known_m + _REACH_STEP_M, _length_m(cfg) + _REACH_STEP_M, _REACH_STEP_M):
         bend = _GATE_STDS * cfg.spline_curvature_per_m / 2 * np.maximum(x - known_m, 0.0) ** 2
@@ -167,9 +162,8 @@ def _grow(cfg: SurfaceConfig, points: Float, weights: Float) -> Float:
 def _robust_fit(design: _Design, heights: Float, weights: Float, prior: Float, coefficients: Float) -> Float:
     """(P,) coefficients by penalised, iteratively reweighted least squares, from (P,) initial ones.
 
-    ``heights`` are (N,) metres, ``prior`` (15, P) information as a band.
+    ``heights`` are (N,) metres, ``prior`` (P, P) information. Singular equations keep the coefficients.
     """
-    count = prior.shape[1]
     first = design.indices[:, 0]
     for i in range(_HUBER_ROUNDS + _TUKEY_ROUNDS):
         residual = np.abs(heights - design.heights(coefficients))
@@ -179,8 +173,9 @@ def _robust_fit(design: _Design, heights: Float, weights: Float, prior: Float, c
             robust = np.minimum(1.0, _HUBER / np.maximum(off, _HUBER))
         else:
             robust = np.clip(1.0 - (off / _TUKEY) ** 2, 0.0, None) ** 2
-        lower, right = normal_equations(first, design.values, robust * weights / std**2, heights, count)
-        coefficients = solved(band_of(lower) + prior, right, coefficients)
+        information, right = normal_equations(first, design.values, robust * weights / std**2, heights, len(prior))
+        with suppress(np.linalg.LinAlgError):
+            coefficients = np.asarray(np.linalg.solve(information + prior, right), float)
     return coefficients
 
 
@@ -199,33 +194,6 @@ def _nodes(cfg: SurfaceConfig) -> tuple[Float, Float, _Design]:
     x, y = np.arange(0.0, _length_m(cfg) + _STEP_M / 2, _STEP_M), np.arange(-half, half + _STEP_M / 2, _STEP_M)
     columns, rows = (values.ravel() for values in np.meshgrid(x, y))
     return x, y, _design(cfg, columns, rows)
-
-
-def band_of(lower: Float) -> Float:
-    """(2 D - 1, P) band of a symmetric (P, P) matrix from its (D, P) main diagonal and diagonals below.
-
-    Row r holds the diagonal r - D + 1 below the main one, each element at its column.
-    """
-    diagonals, columns = lower.shape
-    band = np.zeros((2 * diagonals - 1, columns))
-    band[diagonals - 1 :] = lower
-    for beside in range(1, diagonals):
-        band[diagonals - 1 - beside, beside:] = lower[beside, :-beside]
-    return band
-
-
-def solved(band: Float, right: Float, otherwise: Float) -> Float:
-    """(P,) solution of equations given as a (2 D - 1, P) band, by LU decomposition; ``otherwise`` if it is singular.
-
-    This calls LAPACK directly, because the checks of scipy's ``solve_banded`` take longer than everything else here.
-    """
-    from scipy.linalg.lapack import dgbsv
-
-    beside = len(band) // 2
-    workspace = np.zeros((len(band) + beside, band.shape[1]), order="F")
-    workspace[beside:] = band
-    _, _, solution, fault = dgbsv(beside, beside, workspace, right, overwrite_ab=True)
-    return otherwise if fault else np.asarray(solution, float)
 
 
 def basis(knot_m: float, splines: int, x: Float) -> tuple[NDArray[np.intp], Float]:
