@@ -13,7 +13,6 @@ from ..configurations import change
 from ..options import Rules
 from .agreement import NOT_COMPARED, Agreement, Overlap, added, compare_tables
 from .bootstrap import Interval, mean_interval
-from .messages import message_agreements
 from .metrics import FRAMES, METRICS, Metric
 from .pairing import Pairing, RunPair
 from .tails import tail_findings
@@ -164,11 +163,16 @@ def compare_runs(pairing: Pairing, logs: tuple[Path, Path] | None, rules: Rules)
         columns = set[str]().union(*(pair.columns for pair in pairing.pairs)).difference(NOT_COMPARED)
         rules.require_use({*columns, *(metric.name for metric in METRICS), FRAMES.name})
     overlaps, agreements = zip(*(compare_tables(pair, rules) for pair in pairing.pairs), strict=True)
+    messages: Mapping[str, Agreement] = {}
+    if logs:
+        from .messages import message_agreements  # imports the readers of logs
+
+        messages = message_agreements(*logs, pairing.pairs[0].name, rules)
     return Comparison(
         pairing,
         overlaps,
         tuple(change(pair.base, pair.new) for pair in pairing.pairs),
         added(agreements),
-        message_agreements(*logs, pairing.pairs[0].name, rules) if logs else {},
+        messages,
         verdicts(pairing.pairs, overlaps, rules),
     )
