@@ -15,7 +15,7 @@ SAMPLE_OPTIONS := --scene town --size 360x270 --seconds 2 --tag-noise 0.01 --dep
 
 EVENT_LOGS := $(EVENTS:%=$(PICTURES)/%.mcap)
 
-.PHONY: $(EVENT_LOGS) demo test test-hostile mutants accuracy accuracy-long gate-rates kills cluster parts bench bench-compare bench-report bench-find image fuzz lint pages proto sample pictures docs clean
+.PHONY: $(EVENT_LOGS) demo test test-long test-hostile mutants accuracy accuracy-long gate-rates kills cluster parts bench bench-compare bench-report bench-find image fuzz lint pages proto sample pictures docs clean
 
 # uv is three times as fast as pip, but reads no settings of pip: where it finds no packages, pip installs.
 $(VENV)/.installed: pyproject.toml setup.py $(wildcard roadperc_stream/*/*.pyx roadperc_stream/*/*/*.pyx)
@@ -37,17 +37,19 @@ demo: $(VENV)/.installed
 	@echo "a row per object   $(DEMO)/sample.objects.parquet"
 
 TESTS ?=
-test: export PYTHONDONTWRITEBYTECODE :=  # hundreds of tests start commands, which would compile all modules
-test: $(VENV)/.installed  # all tests, or those of TESTS=tests/cli
-	$(BIN)/python -m pytest $(PARALLEL) $(TESTS)
+test test-long: export PYTHONDONTWRITEBYTECODE :=  # hundreds of tests start commands, which would compile all modules
+test: $(VENV)/.installed  # all tests but the long ones, or those of TESTS=tests/cli
+	$(BIN)/python -m pytest $(PARALLEL) -m 'not accuracy and not long' $(TESTS)
+
+test-long: $(VENV)/.installed  # whole drives, kills, the commands of all pages: 3 minutes
+	$(BIN)/python -m pytest $(PARALLEL) -m 'long and not accuracy'
 
 HOSTILE := tests/hostile/test_logs.py tests/hostile/test_terminal.py tests/info tests/test_docs.py \
 	tests/batch/test_dataset_lock.py tests/cli/test_completion.py tests/cli/test_template.py tests/cli/test_view.py \
 	tests/eval/test_continued.py tests/eval/test_html_page.py tests/eval/test_lanes.py tests/eval/test_report.py \
 	tests/eval/test_trajectory.py tests/resume/test_resume.py tests/tools/test_carla_to_mcap.py tests/view/rerun
 test-hostile: $(VENV)/.installed  # test modules that run every command, in an unusual environment
-	.ci/in-hostile-environment $(BIN)/python -m pytest $(PARALLEL) -m 'commands and not accuracy' $(HOSTILE) \
-		--deselect tests/test_docs.py::test_every_command_runs_in_order
+	.ci/in-hostile-environment $(BIN)/python -m pytest $(PARALLEL) -m 'commands and not accuracy and not long' $(HOSTILE)
 
 N ?= 200
 SEED ?= 1

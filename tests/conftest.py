@@ -32,18 +32,17 @@ settings.register_profile("roadperc", deadline=None, max_examples=50)  # a machi
 settings.load_profile("roadperc")
 
 
-LONG_FILES = (
-    "test_docs.py", "test_cluster.py", "test_fuzz.py", "test_chaos.py", "test_pictures.py", "test_sample.py",
-    "test_compare_replays.py", "test_accuracy.py", "test_accuracy_odometry.py", "test_drive.py", "test_lidar_drive.py",
-)  # fmt: skip
-"""Few tests that take long: a process that begins with one of them last has the others wait for it."""
 IMPORT = re.compile(r"^ *(?:from ([\w.]+) )?import (\([^)]*\)|.+)$", re.MULTILINE)
 
 
 def pytest_collection_modifyitems(items):
-    """Mark every module that starts a process or imports a command's main function, and put what takes long first."""
+    """Mark every module that starts a process or imports a command's main function, and put what takes long first.
+
+    A worker that begins with a long module last has the others wait for it.
+    """
     tests = Counter(item.path for item in items)
-    items.sort(key=lambda item: (item.path.name not in LONG_FILES, -tests[item.path], item.path))
+    long = {item.path for item in items if item.get_closest_marker("long")}
+    items.sort(key=lambda item: (item.path not in long, -tests[item.path], item.path))
     for item in items:
         if _runs_commands(item.path):
             item.add_marker(pytest.mark.commands)

@@ -15,6 +15,8 @@ from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.eval.scores import correlations, lag_frames
 from roadperc_stream.output.tables import sidecar_path
 
+pytestmark = pytest.mark.long
+
 BEND = ("--scene", "bend", "--weave", "0.5")
 NOISE = ("--tag-noise", "0.02", "--depth-noise", "0.01")
 SHORT = ("--size", "640x480", "--seconds", "1", "--without", "right")

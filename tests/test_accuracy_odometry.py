@@ -21,6 +21,8 @@ from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.roles import ROLES
 from tests.chain.stages.odometry.trajectories import aligned_errors_m, distances_m, relative_errors
 
+pytestmark = pytest.mark.long
+
 STAGES = "stereo,surface,odometry"
 """Odometry and the stages that it needs."""
 WITHOUT_DEPTH = ("depth", "truth_depth")

@@ -127,6 +127,7 @@ COMPARISON = "roadperc-compare out.mcap other.mcap || true"
 CHECK = "roadperc-check out.mcap"
 
 
+@pytest.mark.long
 def test_every_command_runs_in_order(tmp_path):
     """The comparison and the check of README need all frames; then the logs are shortened, to save time."""
     folder = readers_folder(tmp_path, 0.3)

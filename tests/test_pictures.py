@@ -5,6 +5,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 
 from docs.make_pictures import _SHOWN_FRAME, overlay_jpegs
 from tests.commands import run_forked
@@ -12,6 +13,7 @@ from tests.commands import run_forked
 ROOT = Path(__file__).parents[1]
 
 
+@pytest.mark.long
 def test_the_overlay_is_redrawn_as_in_the_picture(tmp_path):
     rendered = re.search(r"roadperc-render \S+/drive (.*) --seconds", (ROOT / "Makefile").read_text())[1].split()
     seconds = ("--seconds", (_SHOWN_FRAME + 1) / 20)

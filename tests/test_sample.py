@@ -53,6 +53,7 @@ def test_it_holds_every_role_and_truth_in_few_bytes():
     assert SAMPLE.stat().st_size < 8_000_000
 
 
+@pytest.mark.long
 def test_its_commands_make_it_again(remade):
     """Decoded content, for another version of a codec may pack the same pixels into other bytes."""
     old, new = list(log.read(log.summarise(SAMPLE))), list(log.read(log.summarise(remade)))

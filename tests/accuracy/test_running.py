@@ -12,6 +12,7 @@ WRONG = Scenario("wrong setting", TINY, Noise(0.05), "surface", ("surface.model=
 ABSENT = Scenario("absent", "/no/such/recording")
 
 
+@pytest.mark.long
 def test_drives_are_rendered_once_and_replayed_and_failures_named(tmp_path):
     said = []
     results = run((NOISY, WRONG, ABSENT), tmp_path, first=7, count=1, jobs=1, said=said.append)

@@ -15,6 +15,8 @@ from tests.batch.dataset import assert_as_single, batch, runs, statuses, write_l
 from tests.batch.machines import is_at_log, title
 from tests.commands import words
 
+pytestmark = pytest.mark.long
+
 KILLS = 6
 
 

@@ -81,6 +81,7 @@ def test_a_lost_cluster_is_a_one_line_error(two_machines, folder, tmp_path, monk
     assert (process.returncode, errors) == (1, f"error: --ray {two_machines.address}: {lost}\n")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("sent", [
     None, *(pytest.param(sent, marks=pytest.mark.accuracy) for sent in (signal.SIGINT, signal.SIGKILL))
 ])  # fmt: skip

@@ -14,6 +14,8 @@ from roadperc_stream.system.time import TimeRange
 from tests.eval.tables import outcome
 from tests.replaying import replay
 
+pytestmark = pytest.mark.long
+
 compare = partial(outcome, main)
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"

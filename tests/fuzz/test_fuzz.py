@@ -7,9 +7,13 @@ import re
 import subprocess
 import sys
 
+import pytest
+
 from tests.commands import run_forked
 from tests.fuzz.cases import recorded
 from tests.fuzz.judge import ROOT
+
+pytestmark = pytest.mark.long
 
 DRAWN = 20
 

@@ -20,6 +20,8 @@ from tests import logs
 from tests.commands import run_forked
 from tests.replaying import replay
 
+pytestmark = pytest.mark.long
+
 SETTINGS = ("sync.max_wait_s=0.1",)
 CFG = load_config(None, SETTINGS)
 ROAD = replace(logs.SMALL, width=96, height=72)

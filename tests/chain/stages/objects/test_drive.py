@@ -39,6 +39,7 @@ def well_visible(rows):
     )
 
 
+@pytest.mark.long
 def test_short_closing_speed_of_near_objects(tmp_path):
     rows = kept_objects(tmp_path, "--scene", "straight", "--seconds", "2", "--rate", "10")
     near = well_visible(rows)

@@ -61,6 +61,7 @@ def poses(results):
     return np.array([out.odom_T_ego for out in results])
 
 
+@pytest.mark.long
 def test_carla_rgbd_steps_chained_steps_and_the_way_back(data_dir):
     folder = data_dir / "carla_rgbd"
     camera, frames = calibrated(folder)[0], list(pictures(folder))
