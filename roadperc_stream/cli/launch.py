@@ -20,6 +20,8 @@ _MOST_HIDDEN_BYTES = 1 << 20
 """Further writes to file 2 fail, so that messages of libraries on broken images do not fill the memory."""
 _STATED = 64
 """Added to the exit code of a child process that printed its error."""
+_UNLINKED = 127
+"""Exit code of a process in which the dynamic linker found no memory; it prints nothing that arrives."""
 _LIMITED = "not enough memory under the limit that ulimit sets"
 _PR_SET_PDEATHSIG = 1  # of Linux's prctl: the child process ends with its parent
 
@@ -72,7 +74,8 @@ def _watched(command: str) -> int:
     for number in ending_signals():
         signal.signal(number, lambda number, _: os.kill(child, number))
     code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    return code - _STATED if code >= _STATED else _refused(f"{_LIMITED}: the process ended with {code}", command)
+    is_stated = code >= _STATED and code != _UNLINKED
+    return code - _STATED if is_stated else _refused(f"{_LIMITED}: the process ended with {code}", command)
 
 
 def _ended_under_limit(command: str) -> int:

@@ -281,6 +281,14 @@ def test_too_little_memory_is_one_line(command, megabytes, made, tmp_path):
     assert not list(tmp_path.glob("out*"))
 
 
+def test_a_process_that_finds_no_memory_for_a_library_is_one_line():
+    code = "from roadperc_stream.cli import launch; launch._ended_under_limit = lambda command: 127 - launch._STATED; "
+    words = [sys.executable, "-c", f"{code}raise SystemExit(launch._watched('replay'))"]
+    ended = subprocess.run(words, check=False, capture_output=True, text=True, timeout=60)
+    expected = "error: not enough memory under the limit that ulimit sets: the process ended with 127\n"
+    assert (ended.returncode, ended.stderr) == (1, expected)
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="the system does not limit address space")
 def test_a_note_is_printed_under_a_memory_limit(tmp_path):
     (tmp_path / "old.toml").write_text("[lanes]\nfit_huber = 3.0\n")
