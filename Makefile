@@ -38,11 +38,11 @@ demo: $(VENV)/.installed
 
 TESTS ?=
 test test-long: export PYTHONDONTWRITEBYTECODE :=  # hundreds of tests start commands, which would compile all modules
-test: $(VENV)/.installed  # all tests but the long ones, or those of TESTS=tests/cli
+test: $(VENV)/.installed  # all tests except the long ones, or those of TESTS=tests/cli
 	$(BIN)/python -m pytest $(PARALLEL) -m 'not accuracy and not long' $(TESTS)
 
-test-long: $(VENV)/.installed  # whole drives, kills, the commands of all pages: 3 minutes
-	$(BIN)/python -m pytest $(PARALLEL) -m 'long and not accuracy'
+test-long: $(VENV)/.installed  # rendered scenes, killed replays, the commands of all pages: 3 minutes
+	$(BIN)/python -m pytest $(PARALLEL) -m 'long and not accuracy' $(TESTS)
 
 HOSTILE := tests/hostile/test_logs.py tests/hostile/test_terminal.py tests/info tests/test_docs.py \
 	tests/batch/test_dataset_lock.py tests/cli/test_completion.py tests/cli/test_template.py tests/cli/test_view.py \

@@ -36,9 +36,9 @@ IMPORT = re.compile(r"^ *(?:from ([\w.]+) )?import (\([^)]*\)|.+)$", re.MULTILIN
 
 
 def pytest_collection_modifyitems(items):
-    """Mark every module that starts a process or imports a command's main function, and put what takes long first.
+    """Mark every module that starts a process or imports a command's main function, and put long tests first.
 
-    A worker that begins with a long module last has the others wait for it.
+    Otherwise one worker starts a long module last, and the others wait.
     """
     tests = Counter(item.path for item in items)
     long = {item.path for item in items if item.get_closest_marker("long")}

@@ -1,6 +1,6 @@
 """Accuracy and coverage of the chain on rendered logs with truth.
 
-``make accuracy-long`` runs the long forms at full size and with several seeds; `make test` runs short forms.
+``make accuracy-long`` runs the long forms at full size and with several seeds; `make test-long` runs short forms.
 """
 
 from dataclasses import dataclass

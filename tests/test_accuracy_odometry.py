@@ -1,7 +1,7 @@
 """Errors of odometry in replays of a rendered town, by depth source.
 
 The poses come from the result's topic, the truth from the input. ``make accuracy-long`` runs the long forms at full
-size over 20 s; `make test` runs a short form.
+size over 20 s; `make test-long` runs a short form.
 """
 
 from dataclasses import dataclass

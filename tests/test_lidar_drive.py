@@ -2,6 +2,7 @@
 
 import numpy as np
 import polars as pl
+import pytest
 
 from roadperc_stream.cli import convert, render, report
 from roadperc_stream.cli.replay import main as replay_main
@@ -10,6 +11,7 @@ from roadperc_stream.output.tables import sidecar_path
 OPTIONS = ("--size", "640x480", "--scene", "straight", "--seconds", "0.3", "--lidar")
 
 
+@pytest.mark.long
 def test_the_points_give_road_lane_distances_and_scale(tmp_path, capsys):
     without = ("--without", "depth", "--without", "right")
     assert render.main([str(tmp_path / "dump"), *OPTIONS, *without]) == 0

@@ -165,7 +165,7 @@ def compare_runs(pairing: Pairing, logs: tuple[Path, Path] | None, rules: Rules)
     overlaps, agreements = zip(*(compare_tables(pair, rules) for pair in pairing.pairs), strict=True)
     messages: Mapping[str, Agreement] = {}
     if logs:
-        from .messages import message_agreements  # imports the readers of logs
+        from .messages import message_agreements  # only here, because it imports the readers of logs
 
         messages = message_agreements(*logs, pairing.pairs[0].name, rules)
     return Comparison(

@@ -184,7 +184,7 @@ def motions(world_T_a: Float, world_T_b: Float) -> Float:
 
 
 def angles_deg(rotations: Float) -> Float:
-    """(N,) angles of (N, 3, 3) rotations, degrees; accurate for small angles."""
+    """(N,) angles of (N, 3, 3) rotations, degrees; accurate for small angles and half turns."""
     doubled_sines = np.linalg.norm(rotations[:, (2, 0, 1), (1, 2, 0)] - rotations[:, (1, 2, 0), (2, 0, 1)], axis=1)
     angles: Float = np.degrees(np.arctan2(doubled_sines, np.trace(rotations, axis1=1, axis2=2) - 1))
     return angles

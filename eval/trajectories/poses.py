@@ -151,7 +151,7 @@ def tum_lines(stamps_ns: NDArray[np.int64], poses: Float) -> list[str]:
     Numbers have enough digits to restore the float.
     Source: the file format of the TUM RGB-D benchmark (Sturm et al. 2012).
     """
-    quaternions = [quaternion(rotation) for rotation in poses[:, :3, :3]]
+    quaternions = np.array([quaternion(rotation) for rotation in poses[:, :3, :3]]).reshape(-1, 4)
     rows = np.hstack((poses[:, :3, 3], quaternions)).tolist()
     stamps = (divmod(stamp_ns, NS_PER_S) for stamp_ns in stamps_ns.tolist())
     return [f"{s}.{ns:09d} {_numbers(row)}" for (s, ns), row in zip(stamps, rows, strict=True)]

@@ -105,7 +105,7 @@ def rotation_from_quaternion(x: float, y: float, z: float, w: float) -> Float:
 
 
 def rotations_from_quaternions(quaternions: Float) -> Float:
-    """(N, 3, 3) rotations of (N, 4) quaternions x, y, z, w of any length above zero."""
+    """(N, 3, 3) rotations of (N, 4) finite quaternions x, y, z, w, of lengths from 1e-150 to 1e150."""
     unit = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
     return np.moveaxis(_matrix(unit.T), -1, 0)
 

@@ -1,6 +1,6 @@
 """Batches on a local Ray, and on a real Ray cluster of two machines, one of which fails.
 
-``make cluster`` runs those that fail; `make test` runs a batch on a local Ray.
+``make cluster`` runs all tests; `make test-long` runs a batch on a local Ray.
 """
 
 import signal

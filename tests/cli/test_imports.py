@@ -74,7 +74,8 @@ for command in {(*COMMANDS, "subcommands")}:
 def test_a_replay_needs_no_data_frames_charts_or_viewers(made):
     _, modules = made
     assert "cv2" in modules
-    assert not packages(modules) & {"polars", "plotly", "rerun", "foxglove", "jinja2"}
+    assert not packages(modules) & {"polars", "plotly", "rerun", "foxglove", "jinja2", "scipy"}
+    assert "pyarrow.compute" not in modules
 
 
 def test_info_decodes_no_image(made, tmp_path):
@@ -83,7 +84,8 @@ def test_info_decodes_no_image(made, tmp_path):
 
 
 def test_a_report_draws_only_for_a_page(made, tmp_path):
-    assert not packages(loaded("report", made[0])) & {"cv2", "plotly", "rerun", "foxglove", "jinja2"}
+    usual = packages(loaded("report", made[0]))
+    assert not usual & {"cv2", "plotly", "rerun", "foxglove", "jinja2", "rosbags", "scipy"}
     assert {"cv2", "plotly"} <= packages(loaded("report", made[0], "--html", tmp_path / "page.html"))
 
 

@@ -1,6 +1,6 @@
 """Every case of the corpus and random cases end with a result or one clear line.
 
-CI runs 500 random cases. For more: make fuzz N=20000.
+CI runs 200 more random cases. For more: make fuzz N=20000.
 """
 
 import re

@@ -294,6 +294,6 @@ def normal_equations(
                 for j in range(i + 1):
                     matrix[at + i, at + j] += weight * (values[n, i] * values[n, j])
         for i in range(count):
-            for j in range(i):
+            for j in range(max(0, i - unknowns + 1), i):
                 matrix[j, i] = matrix[i, j]
     return np.asarray(matrix), np.asarray(right)

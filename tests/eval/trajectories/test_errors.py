@@ -94,11 +94,12 @@ def test_a_relative_error_is_in_the_moving_frame():
     assert off_deg == pytest.approx([60.0])
 
 
-def test_small_angles_are_exact():
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 2.0, np.pi - 1e-9, np.pi])
+def test_angles_are_exact_also_near_zero_and_half_a_turn(angle):
     true = straight(2, 1.0)
-    estimated = poses_at(true[:, :3, 3], np.array([[0, 0, 0], [0, 0, 1e-9]]))
+    estimated = poses_at(true[:, :3, 3], np.array([[0, 0, 0], [0, 0, angle]]))
     _, off_deg = relative_errors(estimated, true, *pairs(true, Delta(1, "frames")))
-    assert off_deg == pytest.approx([np.degrees(1e-9)], rel=1e-6)
+    assert off_deg == pytest.approx([np.degrees(angle)], rel=1e-6, abs=1e-15)
 
 
 def test_pairs_of_frames():

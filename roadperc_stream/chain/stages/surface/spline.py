@@ -130,7 +130,7 @@ def _design(cfg: SurfaceConfig, x: Float, y: Float) -> _Design:
 
 @lru_cache(maxsize=2)
 def _prior(cfg: SurfaceConfig) -> Float:
-    """(2 M, 2 M) information on the coefficients: curvature along x of both kinds, and slope across."""
+    """(P, P) information on the coefficients: curvature along x of both kinds, and slope across."""
     count = _splines(cfg)
     bend = np.diff(np.eye(count), 2, axis=0) / (cfg.spline_curvature_per_m * cfg.spline_knot_m**2)
     bank = np.eye(count) / (_BANK_STD * cfg.spline_half_width_m)
@@ -162,7 +162,8 @@ def _grow(cfg: SurfaceConfig, points: Float, weights: Float) -> Float:
 def _robust_fit(design: _Design, heights: Float, weights: Float, prior: Float, coefficients: Float) -> Float:
     """(P,) coefficients by penalised, iteratively reweighted least squares, from (P,) initial ones.
 
-    ``heights`` are (N,) metres, ``prior`` (P, P) information. Singular equations keep the coefficients.
+    ``heights`` are (N,) metres, ``prior`` (P, P) information. If the equations are
+    singular, the coefficients before remain. The time grows with P^3: P is 30 by default.
     """
     first = design.indices[:, 0]
     for i in range(_HUBER_ROUNDS + _TUKEY_ROUNDS):
