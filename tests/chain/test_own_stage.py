@@ -259,7 +259,7 @@ def test_all_stages_can_be_replaced_and_are_written(tmp_path):
 
     def match(cfg, left, right, ego_T_left, left_image, right_image):
         depth_m.setdefault("size", left.size)
-        return StereoDepth(left.frame_id, np.full(left.size, 7.0, np.float32))
+        return StereoDepth(left.frame_id, np.full(left.size, 0.25, np.float32))
 
     def follow(cfg, state, scene, road, rng):
         assert road.camera_height_m == 1.25
