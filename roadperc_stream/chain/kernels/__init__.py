@@ -31,6 +31,7 @@ try:
             median_places,
             moments_near,
             normal_equations,
+            solve_band,
         )
     COMPILED = True
 except ImportError:
@@ -46,6 +47,7 @@ except ImportError:
         median_places,
         moments_near,
         normal_equations,
+        solve_band,
     )
 
     COMPILED = False

@@ -283,7 +283,7 @@ def normal_equations(
     for n in range(equations):
         if not 0 <= first[n] <= count - unknowns:
             raise ValueError(f"unknowns {first[n]} to {first[n] + unknowns - 1}: expected 0 to {count - 1}")
-    cdef double[:, ::1] matrix = np.zeros((count, count))
+    cdef double[:, ::1] lower = np.zeros((unknowns, count))
     cdef double[::1] right = np.zeros(count)
     with nogil:
         for n in range(equations):
@@ -292,8 +292,33 @@ def normal_equations(
             for i in range(unknowns):
                 right[at + i] += pull * values[n, i]
                 for j in range(i + 1):
-                    matrix[at + i, at + j] += weight * (values[n, i] * values[n, j])
-        for i in range(count):
-            for j in range(max(0, i - unknowns + 1), i):
-                matrix[j, i] = matrix[i, j]
-    return np.asarray(matrix), np.asarray(right)
+                    lower[i - j, at + j] += weight * (values[n, i] * values[n, j])
+    return np.asarray(lower), np.asarray(right)
+
+
+def solve_band(const double[:, ::1] lower, const double[:] right):
+    cdef Py_ssize_t diagonals = lower.shape[0], count = lower.shape[1], j, b, c, reach
+    cdef bint solvable = True
+    cdef double factor
+    if right.shape[0] != count:
+        raise ValueError(f"{count} unknowns: expected as many right sides, got {right.shape[0]}")
+    cdef double[:, ::1] rest = np.array(lower)
+    cdef double[::1] x = np.array(right)
+    with nogil:
+        for j in range(count):
+            if not rest[0, j] > 0:
+                solvable = False
+                break
+            reach = min(diagonals, count - j)
+            for b in range(1, reach):
+                factor = rest[b, j] / rest[0, j]
+                for c in range(b, reach):
+                    rest[c - b, j + b] -= factor * rest[c, j]
+                x[j + b] -= factor * x[j]
+                rest[b, j] = factor
+        if solvable:
+            for j in range(count - 1, -1, -1):
+                x[j] = x[j] / rest[0, j]
+                for b in range(1, min(diagonals, count - j)):
+                    x[j] -= rest[b, j] * x[j + b]
+    return np.asarray(x) if solvable else None

@@ -90,14 +90,38 @@ def normal_equations(
     (N,) and the right side b ``targets`` (N,). Sums go from the first equation to the last.
 
     Returns:
-        (P, P) matrix and (P,) right side.
+        (D, P) main diagonal and the diagonals below it, each element at its column, and the (P,) right side.
     """
     unknowns = values.shape[1]
     row, column = np.tril_indices(unknowns)
     products = weights[:, None] * (values[:, row] * values[:, column])
-    places = (first[:, None] + row) * count + first[:, None] + column
-    lower = np.bincount(places.ravel(), products.ravel(), count**2).reshape(count, count).astype(float, copy=False)
+    lower = np.bincount(((row - column) * count + first[:, None] + column).ravel(), products.ravel(), unknowns * count)
     right = np.bincount(
         (first[:, None] + np.arange(unknowns)).ravel(), ((weights * targets)[:, None] * values).ravel(), count
     )
-    return lower + np.tril(lower, -1).T, right.astype(float, copy=False)
+    return lower.reshape(unknowns, count).astype(float, copy=False), right.astype(float, copy=False)
+
+
+def solve_band(lower: Float, right: Float) -> Float | None:
+    """(P,) solution of P equations with a symmetric band matrix, None if it is not positive definite.
+
+    ``lower`` is (D, P): the main diagonal and the diagonals below it, each element at its column, as from
+    ``normal_equations``; ``right`` is (P,). Method: L D L^T without pivoting (Golub and Van Loan 2013).
+    """
+    rest, x = lower.tolist(), right.tolist()
+    count = len(x)
+    for j in range(count):
+        if not rest[0][j] > 0:
+            return None
+        reach = min(len(rest), count - j)
+        for b in range(1, reach):
+            factor = rest[b][j] / rest[0][j]
+            for c in range(b, reach):
+                rest[c - b][j + b] -= factor * rest[c][j]
+            x[j + b] -= factor * x[j]
+            rest[b][j] = factor
+    for j in reversed(range(count)):
+        x[j] /= rest[0][j]
+        for b in range(1, min(len(rest), count - j)):
+            x[j] -= rest[b][j] * x[j + b]
+    return np.array(x)

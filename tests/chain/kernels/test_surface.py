@@ -96,6 +96,8 @@ def test_arrays_of_other_sizes_are_refused():
     for off in (-1, 7):
         with pytest.raises(ValueError, match="expected 0 to 8"):
             compiled.normal_equations(first + off, values, weights, weights, 9)
+    with pytest.raises(ValueError, match="3 unknowns: expected as many right sides, got 2"):
+        compiled.solve_band(np.ones((1, 3)), np.ones(2))
 
 
 @BOTH
@@ -125,10 +127,28 @@ def test_normal_equations_are_those_of_the_full_matrix(unknowns, seed, number):
     A = np.zeros((number, count))
     np.put_along_axis(A, first[:, None] + np.arange(unknowns), values, axis=1)
     N = A.T @ (weights[:, None] * A)
-    matrix, right = plain.normal_equations(first, values, weights, targets, count)
-    np.testing.assert_allclose(matrix, N, atol=1e-12)
+    lower, right = plain.normal_equations(first, values, weights, targets, count)
+    for beside in range(unknowns):
+        np.testing.assert_allclose(lower[beside, : count - beside], np.diag(N, -beside), atol=1e-12)
     np.testing.assert_allclose(right, A.T @ (weights * targets), atol=1e-12)
     for found, expected in zip(
-        compiled.normal_equations(first, values, weights, targets, count), (matrix, right), strict=True
+        compiled.normal_equations(first, values, weights, targets, count), (lower, right), strict=True
     ):
         np.testing.assert_array_equal(found, expected)
+
+
+@given(st.integers(1, 8), st.integers(1, 20), st.integers(0, 2**32 - 1))
+def test_a_band_has_the_solution_of_its_matrix(diagonals, count, seed):
+    rng = np.random.default_rng(seed)
+    factor = np.tril(np.triu(rng.normal(size=(count, count)), 1 - diagonals)) + 3 * diagonals * np.eye(count)
+    matrix, right = factor @ factor.T, rng.normal(size=count)
+    lower = np.array([np.pad(np.diag(matrix, -k), (0, min(k, count))) for k in range(diagonals)])
+    expected = plain.solve_band(lower, right)
+    np.testing.assert_allclose(expected, np.linalg.solve(matrix, right), atol=1e-12)
+    np.testing.assert_array_equal(compiled.solve_band(lower, right), expected)
+
+
+@BOTH
+@pytest.mark.parametrize("lower", [[[0.0, 1.0]], [[1.0, 1.0], [1.0, 0.0]], [[1.0, -1.0]], [[np.nan, 1.0]]])
+def test_a_band_that_is_not_positive_definite_has_no_solution(kernel, lower):
+    assert kernel.solve_band(np.array(lower), np.ones(2)) is None

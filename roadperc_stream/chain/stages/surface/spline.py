@@ -6,10 +6,10 @@ with a standard deviation of the road's curvature. So the scatter of the data de
 without data it continues straight. Iteratively reweighted least squares make the fit robust (Holland and Welsch 1977):
 Huber's weights find the road, Tukey's weights then remove objects on it. The fit grows outwards from the car, as far as
 the curvature of a road allows. It uses one point of each square metre, the one of median height, because the image has
-many pixels near the car and few far ahead.
+many pixels near the car and few far ahead. Four B-splines are not 0 at a point, so the normal equations are a band, and
+the time to solve them grows linearly with the length of the road.
 """
 
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.chain.kernels import median_places, normal_equations
+from roadperc_stream.chain.kernels import median_places, normal_equations, solve_band
 from roadperc_stream.chain.stages.surface.plane import NORMAL_MAD, first_row, median, number_of
 from roadperc_stream.config import SurfaceConfig
 from roadperc_stream.geometry import Camera, Float, Float32
@@ -130,14 +130,20 @@ def _design(cfg: SurfaceConfig, x: Float, y: Float) -> _Design:
 
 @lru_cache(maxsize=2)
 def _prior(cfg: SurfaceConfig) -> Float:
-    """(P, P) information on the coefficients: curvature along x of both kinds, and slope across."""
+    """(8, P) information on the coefficients: curvature along x of both kinds, and slope across.
+
+    These are the main diagonal and the diagonals below it, each element at its column.
+    """
     count = _splines(cfg)
     bend = np.diff(np.eye(count), 2, axis=0) / (cfg.spline_curvature_per_m * cfg.spline_knot_m**2)
     bank = np.eye(count) / (_BANK_STD * cfg.spline_half_width_m)
     prior = np.zeros((2 * count, 2 * count))
     prior[::2, ::2] = bend.T @ bend
     prior[1::2, 1::2] = bend.T @ bend + bank.T @ bank
-    return prior
+    lower = np.zeros((_SUPPORT, 2 * count))
+    for beside in range(_SUPPORT):
+        lower[beside, : 2 * count - beside] = np.diag(prior, -beside)
+    return lower
 
 
 def _grow(cfg: SurfaceConfig, points: Float, weights: Float) -> Float:
@@ -148,7 +154,7 @@ def _grow(cfg: SurfaceConfig, points: Float, weights: Float) -> Float:
     """
     x, heights = points[:, 0], points[:, 2]
     design, prior = _design(cfg, x, points[:, 1]), _prior(cfg)
-    coefficients: Float = np.zeros(len(prior))
+    coefficients: Float = np.zeros(prior.shape[1])
     known_m = float(x.min())
     for reach in np.arange(known_m + _REACH_STEP_M, _length_m(cfg) + _REACH_STEP_M, _REACH_STEP_M):
         bend = _GATE_STDS * cfg.spline_curvature_per_m / 2 * np.maximum(x - known_m, 0.0) ** 2
@@ -162,9 +168,9 @@ def _grow(cfg: SurfaceConfig, points: Float, weights: Float) -> Float:
 def _robust_fit(design: _Design, heights: Float, weights: Float, prior: Float, coefficients: Float) -> Float:
     """(P,) coefficients by penalised, iteratively reweighted least squares, from (P,) initial ones.
 
-    ``heights`` are (N,) metres, ``prior`` (P, P) information. If the equations are
-    singular, the coefficients before remain. The time grows with P^3: P is 30 by default.
+    ``heights`` are (N,) metres, ``prior`` (8, P) as from ``_prior``. Equations without a solution change nothing.
     """
+    count = prior.shape[1]
     first = design.indices[:, 0]
     for i in range(_HUBER_ROUNDS + _TUKEY_ROUNDS):
         residual = np.abs(heights - design.heights(coefficients))
@@ -174,9 +180,9 @@ def _robust_fit(design: _Design, heights: Float, weights: Float, prior: Float, c
             robust = np.minimum(1.0, _HUBER / np.maximum(off, _HUBER))
         else:
             robust = np.clip(1.0 - (off / _TUKEY) ** 2, 0.0, None) ** 2
-        information, right = normal_equations(first, design.values, robust * weights / std**2, heights, len(prior))
-        with suppress(np.linalg.LinAlgError):
-            coefficients = np.asarray(np.linalg.solve(information + prior, right), float)
+        lower, right = normal_equations(first, design.values, robust * weights / std**2, heights, count)
+        solution = solve_band(lower + prior, right)
+        coefficients = coefficients if solution is None else solution
     return coefficients
 
 
