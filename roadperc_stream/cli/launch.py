@@ -21,7 +21,7 @@ _MOST_HIDDEN_BYTES = 1 << 20
 _STATED = 64
 """Added to the exit code of a child process that printed its error."""
 _UNLINKED = 127
-"""Exit code of a process in which the dynamic linker found no memory; it prints nothing that arrives."""
+"""Exit code of a process whose dynamic linker found no memory; its message is suppressed."""
 _LIMITED = "not enough memory under the limit that ulimit sets"
 _PR_SET_PDEATHSIG = 1  # of Linux's prctl: the child process ends with its parent
 
