@@ -36,13 +36,13 @@ IMPORT = re.compile(r"^ *(?:from ([\w.]+) )?import (\([^)]*\)|.+)$", re.MULTILIN
 
 
 def pytest_collection_modifyitems(items):
-    """Mark every module that starts a process or imports a command's main function, and put long tests first.
+    """Mark every module that starts a process or imports a command's main function, and sort modules.
 
-    Otherwise one worker starts a long module last, and the others wait.
+    Those with few tests that take long come first. Otherwise one worker starts such a module last, and the others wait.
     """
     tests = Counter(item.path for item in items)
-    long = {item.path for item in items if item.get_closest_marker("long")}
-    items.sort(key=lambda item: (item.path not in long, -tests[item.path], item.path))
+    first = {item.path for item in items if item.get_closest_marker("long") or item.path.name == "test_recorded.py"}
+    items.sort(key=lambda item: (item.path not in first, -tests[item.path], item.path))
     for item in items:
         if _runs_commands(item.path):
             item.add_marker(pytest.mark.commands)
