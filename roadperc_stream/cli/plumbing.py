@@ -20,6 +20,10 @@ from roadperc_stream.system.process import EXIT_DONE, EXIT_ERROR, discard_output
 from roadperc_stream.system.text import nearest, print_line, shown
 
 _AGAIN_AFTER_S = 0.05
+_LOCKING = ("__enter__", "__exit__", "_acquire_restore", "_release_save")
+"""Functions of ``threading`` that take or release a lock."""
+_FUTURES = "concurrent.futures._base"
+"""Its functions hold locks, and wait only in ``threading``."""
 _MOST_CHARACTERS = 255
 """Shown on either side of an invalid character: the longest name of a file."""
 _COMPLETING = "_ARGCOMPLETE"
@@ -175,8 +179,10 @@ def _signals_unwind() -> Iterator[None]:
     try:
         yield
     except RuntimeError as error:
-        if isinstance(error.__cause__, KeyboardInterrupt):  # before 3.12, a class statement of a late import wraps it
-            raise error.__cause__ from None
+        interrupt = error.__cause__ or error.__context__
+        # Before 3.12, a class statement of a late import wraps it; a wait has released its lock and cannot again.
+        if isinstance(interrupt, KeyboardInterrupt):
+            raise interrupt from None
         raise
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
@@ -185,8 +191,15 @@ def _signals_unwind() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _interrupt(_number: int, _frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
+def _interrupt(_number: int, frame: FrameType | None) -> None:
+    """Raise what Ctrl-C raises, but a moment later where a lock is taken or released.
+
+    Otherwise the lock could stay locked, and a thread that needs it would never end.
+    """
+    if frame and (frame.f_code.co_name in _LOCKING or frame.f_globals.get("__name__") == _FUTURES):
+        signal.setitimer(signal.ITIMER_REAL, _AGAIN_AFTER_S)
+    else:
+        raise KeyboardInterrupt
 
 
 def _interrupt_again(ignored: "sys.UnraisableHookArgs") -> None:

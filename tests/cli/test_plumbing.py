@@ -4,7 +4,9 @@ import errno
 import os
 import signal
 import time
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import redirect_stdout
+from threading import Event
 
 import pytest
 
@@ -67,6 +69,25 @@ def test_a_signal_while_an_object_is_deleted_still_ends_the_command(number, caps
 
     assert run(command) == 1
     assert capsys.readouterr().err == "error: interrupted\n"
+
+
+@pytest.mark.promise("Start and end", "A signal while a command waits for a thread ends the command")
+def test_signals_leave_no_lock_locked(capsys):
+    """A thread that needs the lock would otherwise wait forever."""
+    future, event, signals = Future(), Event(), 500
+
+    def command():
+        signal.setitimer(signal.ITIMER_REAL, next(delays_s))
+        while not future.done():
+            wait([future], 1e-6)
+            event.wait(1e-6)
+
+    delays_s = (1e-6 * n for n in range(1, signals + 1))
+    assert [run(command) for _ in range(signals)] == [1] * signals
+    assert capsys.readouterr().err == "error: interrupted\n" * signals
+    with ThreadPoolExecutor(1) as other:
+        assert other.submit(future._condition.acquire, timeout=0).result()
+        assert other.submit(event._cond.acquire, timeout=0).result()
 
 
 def test_other_errors_while_an_object_is_deleted_are_reported_and_end_nothing(capsys):
