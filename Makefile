@@ -41,7 +41,7 @@ test test-long: export PYTHONDONTWRITEBYTECODE :=  # hundreds of tests start com
 test: $(VENV)/.installed  # all tests except the long ones, or those of TESTS=tests/cli
 	$(BIN)/python -m pytest $(PARALLEL) -m 'not accuracy and not long' $(TESTS)
 
-test-long: $(VENV)/.installed  # rendered scenes, killed replays, the commands of all pages: 3 minutes
+test-long: $(VENV)/.installed  # rendered scenes, killed replays, the commands of all pages: 4 minutes
 	$(BIN)/python -m pytest $(PARALLEL) -m 'long and not accuracy' $(TESTS)
 
 HOSTILE := tests/hostile/test_logs.py tests/hostile/test_terminal.py tests/info tests/test_docs.py \

@@ -42,7 +42,12 @@ def pytest_collection_modifyitems(items):
     """
     tests = Counter(item.path for item in items)
     first = {item.path for item in items if item.get_closest_marker("long") or item.path.name == "test_recorded.py"}
-    items.sort(key=lambda item: (item.path not in first, -tests[item.path], item.path))
+
+    def place(item):
+        path = item.path
+        return (0, tests[path], path) if path in first else (1, -tests[path], path)
+
+    items.sort(key=place)
     for item in items:
         if _runs_commands(item.path):
             item.add_marker(pytest.mark.commands)

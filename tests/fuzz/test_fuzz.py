@@ -1,6 +1,6 @@
 """Every case of the corpus and random cases end with a result or one clear line.
 
-CI runs 200 more random cases. For more: make fuzz N=20000.
+For more random cases: make fuzz N=20000.
 """
 
 import re
@@ -15,7 +15,7 @@ from tests.fuzz.judge import ROOT
 
 pytestmark = pytest.mark.long
 
-DRAWN = 20
+DRAWN = 200
 
 
 def fuzz(*words):
