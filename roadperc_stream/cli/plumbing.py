@@ -180,7 +180,7 @@ def _signals_unwind() -> Iterator[None]:
         yield
     except RuntimeError as error:
         interrupt = error.__cause__ or error.__context__
-        # Before 3.12, a class statement of a late import wraps it; a wait has released its lock and cannot again.
+        # Before 3.12, a class statement of a late import wraps it. A wait that it ends may release its lock twice.
         if isinstance(interrupt, KeyboardInterrupt):
             raise interrupt from None
         raise
