@@ -16,7 +16,7 @@ from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.output.writing import NO_CALLBACKS, Callbacks, Outputs, ReplaySummary
 from roadperc_stream.resume.checkpoint import Checkpoint, CheckpointFolder, Checkpoints
 from roadperc_stream.resume.opening import PLAIN, OpenedLog, ReplayOptions, finished, open_replay, run_of
-from roadperc_stream.resume.state import ReplayState
+from roadperc_stream.resume.state import ReplayState, packed
 from roadperc_stream.system.files import all_or_none
 from roadperc_stream.system.pipeline import Pipeline
 from roadperc_stream.system.progress import StageTimer
@@ -78,7 +78,7 @@ _Timed = tuple[Sample, StageTimer]
 class _Frames:
     """The frames of one replay; each step keeps its own state, so the steps may run in different threads.
 
-    ``end`` is the state after the last frame that no later message can change.
+    ``end`` is the state after the last frame that no later message can change, packed while later frames are computed.
     """
 
     def __init__(
@@ -87,18 +87,19 @@ class _Frames:
         self._cfg, self._input = cfg, opened.input
         self._outputs, self._checkpoints, self._callbacks = outputs, checkpoints, callbacks
         self._samples = self._written = 0
-        self.end = checkpoints.begun.state
-        self._localised = self._perceived = self.end.chain
-        self._earlier = self.end.earlier
+        self.end: ReplayState | bytes = checkpoints.begun.state
+        self._localised = self._perceived = checkpoints.begun.state.chain
+        self._earlier = checkpoints.begun.state.earlier
 
     def replay(self, threads: int, own: OwnStages) -> None:
         """Write all frames: copy those of an interrupted replay, compute the others."""
         self._threads, self._own, samples = threads, own, self._input.samples()
-        self._outputs.begin(self._callbacks, self.end.shown, self._checkpoints.begun.counted)
-        for sample in islice(samples, self._checkpoints.begun.samples):
+        begun = self._checkpoints.begun
+        self._outputs.begin(self._callbacks, begun.state.shown, begun.counted)
+        for sample in islice(samples, begun.samples):
             if sample.is_written:
                 self._outputs.write_again(sample, self._checkpoints.next_output(sample.index))
-            self._done(sample, self.end)
+            self._done(sample, begun.state)
         read = Pipeline[_Timed](self._read(samples))
         read.then(self._observe).then(self._localise).then(self._perceive).then(self._write).run(threads)
 
@@ -142,4 +143,6 @@ class _Frames:
         if self._samples <= self._input.plan.first_pass.complete_frames:
             self.end = state
             self._checkpoints.reached(sample.log_time_ns, self._samples, state, self._outputs.counted)
+        elif isinstance(self.end, ReplayState):
+            self.end = packed(self.end)
         self._callbacks.on_progress(self._written, self._input.expected_frames)

@@ -12,6 +12,7 @@ _LEAST_ITEMS: Final = 1_000_000
 _ITEMS_PER_TRANSFORM: Final = 500
 """An edge has 16 items. Each pending frame may hold its own transform tree."""
 _ITEMS_PER_DETECTION: Final = 64
+_BYTES_PER_PIXEL: Final = 4
 
 
 @dataclass(frozen=True)
@@ -23,9 +24,9 @@ class StateBounds:
 
     @classmethod
     def of(cls, limits: LimitsConfig) -> "StateBounds":
-        """The bounds for messages within the limits. The largest array is a grey image."""
+        """The bounds for messages within the limits. The largest array is a depth image."""
         per_message = _ITEMS_PER_TRANSFORM * limits.transforms + _ITEMS_PER_DETECTION * limits.detections
-        return cls(_LEAST_ITEMS + per_message, limits.image_pixels + limits.message_bytes)
+        return cls(_LEAST_ITEMS + per_message, _BYTES_PER_PIXEL * limits.image_pixels + limits.message_bytes)
 
 
 DEFAULT_BOUNDS: Final = StateBounds.of(DEFAULT_LIMITS)

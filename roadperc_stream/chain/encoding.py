@@ -35,7 +35,7 @@ T = TypeVar("T")
 class _EncodedArray:
     dtype: str
     shape: tuple[int, ...]
-    elements: bytes
+    elements: memoryview
 
 
 def encode(state: Any) -> bytes:
@@ -98,7 +98,7 @@ def _unpacked(packed: bytes) -> bytes:
 
 def _encoded(value: Any) -> Any:
     if isinstance(value, np.ndarray):
-        return _EncodedArray(value.dtype.str, value.shape, value.tobytes())
+        return _EncodedArray(value.dtype.str, value.shape, np.ascontiguousarray(value).data)
     if isinstance(value, np.generic):
         return value.item()
     raise NotImplementedError(f"{type(value).__name__} has no encoding")

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from roadperc_stream import __version__, log
+from roadperc_stream.chain.bounds import StateBounds
 from roadperc_stream.chain.encoding import decode, encode
 from roadperc_stream.chain.own_stage import OwnStages
 from roadperc_stream.chain.step import ChainState, step
@@ -22,7 +23,15 @@ from roadperc_stream.log import DIGEST_ALGORITHM, Attachment, LogSummary
 from roadperc_stream.output.tables import config_text, read_footer
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.output.writing import ReplaySummary
-from roadperc_stream.resume.state import Notes, ReplayState, SavedState, settings_of, state_at_begin, state_at_end
+from roadperc_stream.resume.state import (
+    Notes,
+    ReplayState,
+    SavedState,
+    settings_of,
+    state_at_begin,
+    state_at_end,
+    unpacked,
+)
 from roadperc_stream.schemas import record
 from roadperc_stream.schemas.topics import result_schemas
 from roadperc_stream.system.threads import one_thread
@@ -54,17 +63,17 @@ class OpenedLog:
         return ReplayState() if saved is None else saved.replay
 
     def attachments(
-        self, cfg: ReplayConfig, end: ReplayState, *, with_messages: bool
+        self, cfg: ReplayConfig, end: ReplayState | bytes, *, with_messages: bool
     ) -> tuple[tuple[Attachment, ...], Notes]:
         """The states that the result begins and ends with, and notes for the user.
 
-        ``end`` is the state after the last complete frame. It carries its messages if the output does not
-        (``with_messages``).
+        ``end`` is the state after the last complete frame, perhaps ``packed``. It carries its messages if the output
+        does not (``with_messages``).
         """
         begin, log_in = self.saved_for(cfg), self.input
         states = () if begin is None else (Attachment(record.BEGIN_ATTACHMENT, _MEDIA_TYPE, encode(begin)),)
         waiting = log_in.end_state(with_messages=with_messages)
-        saved = SavedState(log_in.log_id, settings_of(cfg), waiting, end, log_in.lost_to_come)
+        saved = SavedState(log_in.log_id, settings_of(cfg), waiting, unpacked(end, cfg), log_in.lost_to_come)
         try:
             return (*states, Attachment(record.STATE_ATTACHMENT, _MEDIA_TYPE, encode(saved))), ()
         except StateError as error:  # the results do not depend on it
@@ -196,7 +205,7 @@ def _warmed(
     end = log_in.end_state(with_messages=True)
     end = replace(end, from_ns=start_ns, numbers=FrameNumbers(written_from_ns=start_ns))
     saved = SavedState("", settings_of(cfg), end, ReplayState(chain, earlier))
-    return decode(encode(saved), SavedState)  # as a later replay reads it
+    return decode(encode(saved), SavedState, StateBounds.of(cfg.limits))  # as a later replay reads it
 
 
 def run_of(cfg: ReplayConfig, opened: OpenedLog, target: ReplayTarget) -> dict[str, str]:

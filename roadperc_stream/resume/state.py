@@ -8,7 +8,7 @@ from typing import Any
 
 from roadperc_stream import log
 from roadperc_stream.chain.bounds import StateBounds
-from roadperc_stream.chain.encoding import decode
+from roadperc_stream.chain.encoding import decode, encode
 from roadperc_stream.chain.step import ChainState
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import StateError
@@ -32,6 +32,19 @@ class ReplayState:
     chain: ChainState = field(default_factory=ChainState)
     earlier: EarlierTruth | None = None
     shown: Shown = field(default_factory=Shown)
+
+
+def packed(state: ReplayState) -> ReplayState | bytes:
+    """The state in less memory: encoded, if it is not too large to be saved."""
+    try:
+        return encode(state)
+    except StateError:
+        return state
+
+
+def unpacked(state: ReplayState | bytes, cfg: ReplayConfig) -> ReplayState:
+    """The state that ``packed`` encoded."""
+    return decode(state, ReplayState, StateBounds.of(cfg.limits)) if isinstance(state, bytes) else state
 
 
 @dataclass(frozen=True)

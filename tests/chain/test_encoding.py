@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from roadperc_stream.chain import encoding
 from roadperc_stream.chain.bounds import StateBounds, require_bounded
 from roadperc_stream.chain.encoding import FORMAT_VERSION, decode, encode
+from roadperc_stream.config import LimitsConfig
 from roadperc_stream.errors import StateError
 from roadperc_stream.geometry import Float
 
@@ -45,6 +46,12 @@ def test_equal_values_give_equal_bytes():
     assert encode(decode(data, Thing)) == data
 
 
+def test_the_depth_of_the_largest_image_is_within_the_bounds():
+    limits = LimitsConfig(image_megapixels=1, message_mb=1)
+    depth = Thing(1.0, anything=np.zeros(4_000_000, np.uint8))
+    assert decode(encode(depth), Thing, StateBounds.of(limits)).anything.size == 4_000_000
+
+
 def checked(data):
     """Bytes with a correct header."""
     return encoding._MAGIC + bytes([FORMAT_VERSION]) + struct.pack("<I", zlib.crc32(data)) + data
@@ -73,7 +80,7 @@ MANY = struct.pack(">I", 10_000_000)
         (packed(b"\xdd" + MANY + b"\0" * 10_000_000), "items: expected"),
         (packed(b"\xdf" + MANY), "items: expected"),
         (packed(b"\x91" * 50_000_000), "items: expected"),
-        (packed(msgspec.msgpack.encode({**ARRAY, "elements": b"\0" * 100_000_000})), "array of 100000000 bytes: exp"),
+        (packed(msgspec.msgpack.encode({**ARRAY, "elements": b"\0" * 200_000_000})), "array of 200000000 bytes: exp"),
         (packed(msgspec.msgpack.encode({"value": "1"})), "Expected `float`"),
         (packed(msgspec.msgpack.encode({"value": 1.0, "pose": {**ARRAY, "dtype": "|O"}})), "dtype '|O'"),
         (packed(msgspec.msgpack.encode({"value": 1.0, "pose": {**ARRAY, "dtype": "<f4"}})), "expected '<f8'"),
