@@ -48,10 +48,10 @@ cdef void _point(
         points.height[k] = at_z - ((road.d - road.a * points.x[k]) - road.b * points.y[k])
 
 
-cdef void _sort(const Rules* rules, Points* points, int count) noexcept nogil:
-    """Compute the cell and the kind of each point; both are 0 outside the grid."""
+cdef bint _sort(const Rules* rules, Points* points, int count) noexcept nogil:
+    """Compute the cell and the kind of each point; both are 0 outside the grid. Return whether any point counts."""
     cdef int k
-    cdef int32_t kind, inside
+    cdef int32_t kind, inside, kinds = 0
     cdef float i, j, height
     for k in range(count):
         height = points.height[k]
@@ -64,6 +64,8 @@ cdef void _sort(const Rules* rules, Points* points, int count) noexcept nogil:
         j = j if inside else <float>0.0
         points.place[k] = <int32_t>j * rules.columns + <int32_t>i  # truncation is floor for these numbers
         points.kind[k] = kind if inside else 0
+        kinds |= points.kind[k]
+    return kinds != 0
 
 
 cdef void _count(const Points* points, int64_t* free, int64_t* occupied, int count) noexcept nogil:
@@ -123,8 +125,8 @@ def count_points(cells, pixels, rays, const float[::1] abd, int64_t[:, ::1] free
                 )
                 for k in range(0 if is_plane else count):
                     points.height[k] = height_m[v, first + k]
-                _sort(&rules, &points, count)
-                _count(&points, &free[0, 0], &occupied[0, 0], count)
+                if _sort(&rules, &points, count):
+                    _count(&points, &free[0, 0], &occupied[0, 0], count)
 
 
 cdef enum:
