@@ -78,7 +78,7 @@ _Timed = tuple[Sample, StageTimer]
 class _Frames:
     """The frames of one replay; each step keeps its own state, so the steps may run in different threads.
 
-    ``end`` is the state after the last frame that no later message can change, packed while later frames are computed.
+    ``end`` is the state after the last frame that no later message can change; ``packed`` after that frame.
     """
 
     def __init__(
@@ -140,9 +140,8 @@ class _Frames:
 
     def _done(self, sample: Sample, state: ReplayState) -> None:
         self._samples, self._written = self._samples + 1, self._written + sample.is_written
-        if self._samples <= self._input.plan.first_pass.complete_frames:
-            self.end = state
+        complete_frames = self._input.plan.first_pass.complete_frames
+        if self._samples <= complete_frames:
+            self.end = packed(state) if self._samples == complete_frames else state
             self._checkpoints.reached(sample.log_time_ns, self._samples, state, self._outputs.counted)
-        elif isinstance(self.end, ReplayState):
-            self.end = packed(self.end)
         self._callbacks.on_progress(self._written, self._input.expected_frames)

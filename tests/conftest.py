@@ -23,7 +23,7 @@ STREAM_VARIABLES = (
 
 for _name in STREAM_VARIABLES:
     os.environ.pop(_name, None)
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in commands: unused threads busy-wait at the start
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in commands
 
 # nohup ignores SIGHUP and a script's "&" SIGINT; all processes that tests start would ignore them too.
 signal.signal(signal.SIGHUP, signal.SIG_DFL)

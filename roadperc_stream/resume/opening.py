@@ -23,15 +23,7 @@ from roadperc_stream.log import DIGEST_ALGORITHM, Attachment, LogSummary
 from roadperc_stream.output.tables import config_text, read_footer
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.output.writing import ReplaySummary
-from roadperc_stream.resume.state import (
-    Notes,
-    ReplayState,
-    SavedState,
-    settings_of,
-    state_at_begin,
-    state_at_end,
-    unpacked,
-)
+from roadperc_stream.resume.state import Notes, ReplayState, SavedState, settings_of, state_at_begin, state_at_end
 from roadperc_stream.schemas import record
 from roadperc_stream.schemas.topics import result_schemas
 from roadperc_stream.system.threads import one_thread
@@ -67,14 +59,15 @@ class OpenedLog:
     ) -> tuple[tuple[Attachment, ...], Notes]:
         """The states that the result begins and ends with, and notes for the user.
 
-        ``end`` is the state after the last complete frame, perhaps ``packed``. It carries its messages if the output
-        does not (``with_messages``).
+        ``end`` is the state after the last complete frame, or its bytes. It carries its messages if the output does
+        not (``with_messages``).
         """
         begin, log_in = self.saved_for(cfg), self.input
         states = () if begin is None else (Attachment(record.BEGIN_ATTACHMENT, _MEDIA_TYPE, encode(begin)),)
         waiting = log_in.end_state(with_messages=with_messages)
-        saved = SavedState(log_in.log_id, settings_of(cfg), waiting, unpacked(end, cfg), log_in.lost_to_come)
         try:
+            state = decode(end, ReplayState, StateBounds.of(cfg.limits)) if isinstance(end, bytes) else end
+            saved = SavedState(log_in.log_id, settings_of(cfg), waiting, state, log_in.lost_to_come)
             return (*states, Attachment(record.STATE_ATTACHMENT, _MEDIA_TYPE, encode(saved))), ()
         except StateError as error:  # the results do not depend on it
             return states, (f"{record.STATE_ATTACHMENT}: left out, this result cannot be continued: {error}",)

@@ -35,16 +35,11 @@ class ReplayState:
 
 
 def packed(state: ReplayState) -> ReplayState | bytes:
-    """The state in less memory: encoded, if it is not too large to be saved."""
+    """The encoded state, which needs less memory than its images; the state itself if it is too large to encode."""
     try:
         return encode(state)
     except StateError:
         return state
-
-
-def unpacked(state: ReplayState | bytes, cfg: ReplayConfig) -> ReplayState:
-    """The state that ``packed`` encoded."""
-    return decode(state, ReplayState, StateBounds.of(cfg.limits)) if isinstance(state, bytes) else state
 
 
 @dataclass(frozen=True)
