@@ -19,7 +19,7 @@ from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
 from roadperc_stream.system.files import METRICS_SUFFIX, OBJECTS_SUFFIX, TABLE_SUFFIX, real_path
 from roadperc_stream.system.text import number
 
-_COMPLETE: Final = ("log_id", "stamp_ns", "total_ms")
+_COMPLETE: Final = ("log_id", "frame", "stamp_ns", "total_ms")
 """Columns that have a value in every row."""
 _WHOLE: Final = ("frame", "stamp_ns")
 """Columns of whole numbers, by which frames are found."""

@@ -289,7 +289,7 @@ def _metrics_table(path: Path) -> pl.DataFrame:
     if table.is_dir():
         raise TableError(f"{table}: expected a metrics table, found a folder")
     try:
-        return pl.read_parquet(table)
+        return pl.read_parquet(table, glob=False)
     except FileNotFoundError as error:
         raise TableError(f"{table}: no such metrics table") from error
     except (OSError, pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
