@@ -11,7 +11,7 @@ from typing import Annotated, Any, Final, Literal, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from roadperc_stream.config.settings import MOST_BYTES, in_brief, parsed_toml
+from roadperc_stream.config.settings import in_brief, read_toml
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.system.text import nearest
 
@@ -146,13 +146,7 @@ def effects(path: Path) -> Mapping[str, Effect]:
 
 
 def _read(path: Path) -> Criteria:
-    try:
-        with path.open("rb") as stream:
-            tree = parsed_toml(stream.read(MOST_BYTES + 1))
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}") from error
-    except ConfigError as error:
-        raise ConfigError(f"{path}: {error}") from error
+    tree = read_toml(path)
     try:
         return Criteria.model_validate(tree)
     except ValidationError as error:

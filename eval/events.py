@@ -138,10 +138,10 @@ def matches(searched: Searched, condition: Condition, schema: dict[str, pl.DataT
     value = typed(schema, condition.peak, pl.Float64()).alias("value")
     found = rows.filter(condition.rule).select(*LOG, segment(schema), "frame", "stamp_ns", value)
     with reading_files(searched.files):
-        rows = found.collect(engine="streaming")
-    if nameless := [name for name in (*LOG, "frame", "stamp_ns") if rows[name].null_count()]:
+        table = found.collect(engine="streaming")
+    if nameless := [name for name in (*LOG, "frame", "stamp_ns") if table[name].null_count()]:
         raise TableError(f"{searched.files[0]} or another table: has rows without {nameless[0]}; replay the log again")
-    return rows
+    return table
 
 
 def events_of(found: pl.DataFrame, gap_s: float, least_s: float, *, lowest: bool) -> pl.DataFrame:

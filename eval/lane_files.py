@@ -24,7 +24,7 @@ from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas.roles import Kind
 from roadperc_stream.schemas.topics import CALIBRATION_SCHEMA, LANES_TOPIC, RESULTS
-from roadperc_stream.system.files import completing, require_suffix
+from roadperc_stream.system.files import completing, read_file, require_suffix
 
 from .runs import collect, open_run
 from .scan import SEGMENT, rows_of, segment
@@ -34,6 +34,8 @@ ABSENT_PX: Final = -2
 FARTHEST_PX: Final = 1e9
 """Largest absolute column or row that is accepted, so that squares stay finite."""
 _DECIMALS: Final = 2
+_MOST_BYTES: Final = 1_000_000_000
+"""Largest file of lanes."""
 _SCHEMAS: Final = {"lanes": RESULTS[LANES_TOPIC], "calibration": CALIBRATION_SCHEMA}
 _TOP: Final = 160 / 720
 """TuSimple's first row as a ratio of the image's height."""
@@ -93,8 +95,8 @@ def read_frames(path: Path) -> list[LaneFrame]:
         LaneFileError: a line is not a JSON object of the format, or the file is empty.
         OSError: the file cannot be read.
     """
-    with path.open("rb") as stream:
-        frames = [_frame(line, f"{path}:{k}") for k, line in enumerate(stream, 1) if line.strip()]
+    lines = read_file(path, _MOST_BYTES).split(b"\n")
+    frames = [_frame(line, f"{path}:{k}") for k, line in enumerate(lines, 1) if line.strip()]
     if not frames:
         raise LaneFileError(f"{path}: no lines in this file; expected a JSON object for each frame")
     return frames

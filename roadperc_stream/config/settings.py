@@ -3,11 +3,13 @@
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
+from reprlib import Repr
 from typing import Any, Final
 from warnings import warn
 
 from roadperc_stream.config.stages import OWN_STAGES, UNSET
 from roadperc_stream.errors import ConfigError
+from roadperc_stream.system.files import read_file
 from roadperc_stream.system.text import number
 
 MOST_BYTES: Final = 1_000_000
@@ -15,6 +17,11 @@ MOST_BYTES: Final = 1_000_000
 _MOST_DOTS: Final = 100
 """Largest number of dots in a line; keys of settings have one."""
 _MOST_SHOWN: Final = 200
+_REPR: Final = Repr()
+"""Values as text, whose lists of lists may be the same list many times, as in YAML."""
+_REPR.maxlevel = 3
+_REPR.maxdict = _REPR.maxlist = _REPR.maxtuple = _REPR.maxset = _REPR.maxfrozenset = 100
+_REPR.maxstring = _REPR.maxother = _REPR.maxlong = 5 * _MOST_SHOWN
 FIXED: Final[Mapping[str, float]] = {
     "surface.drivable_m": 0.15,
     "surface.batch": 32,
@@ -98,6 +105,20 @@ def without_fixed(tree: dict[str, Any], source: Path) -> dict[str, Any]:
     return tree
 
 
+def read_toml(path: Path) -> dict[str, Any]:
+    """A TOML file as nested mappings.
+
+    Raises:
+        ConfigError: the file cannot be read, or as in ``parsed_toml``; the message begins with the path.
+    """
+    try:
+        return parsed_toml(read_file(path, MOST_BYTES))
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror or error}") from error
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
+
+
 def parsed_toml(toml: bytes) -> dict[str, Any]:
     """A TOML text as nested mappings.
 
@@ -119,7 +140,7 @@ def parsed_toml(toml: bytes) -> dict[str, Any]:
 def in_brief(value: Any, most: int = _MOST_SHOWN) -> str:
     """A value of any type and size as text of at most ``most`` characters."""
     try:
-        text = repr(value)
+        text = _REPR.repr(value)
     except (ValueError, RecursionError):  # too many digits or levels for repr
         return f"a {type(value).__name__} too long to show"
     return text if len(text) <= most else f"{text[:most]}..."

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from roadperc_stream.errors import ConfigError
-from roadperc_stream.geometry import Camera, Float, pinhole_fault
+from roadperc_stream.geometry import Camera, Float, is_rotation, pinhole_fault
 from roadperc_stream.model import Box, CameraImage, DepthImage, Detection, Image, TagImage
 from roadperc_stream.model.tag_tables import TagTable
 
@@ -61,7 +61,7 @@ def checked_mounting(ego_T_camera: ArrayLike) -> Float:
     if pose.shape != (4, 4) or not np.isfinite(pose).all():
         raise ValueError(f"ego_T_camera: expected (4, 4) finite numbers, found {pose.shape}")
     R, last = pose[:3, :3], pose[3].tolist()
-    if not np.allclose(R @ R.T, np.eye(3), atol=_ROTATION_TOLERANCE) or np.linalg.det(R) < 0:
+    if not is_rotation(R, _ROTATION_TOLERANCE):
         raise ValueError(f"ego_T_camera: expected a rotation in its first three rows and columns, found {R.tolist()}")
     if last != [0.0, 0.0, 0.0, 1.0]:
         raise ValueError(f"ego_T_camera: expected 0, 0, 0, 1 in its last row, found {last}")

@@ -1,5 +1,6 @@
-"""Output files: they replace no file without ``force``, and appear under their names only when complete."""
+"""Files: read up to a size; written without replacing a file unless forced, and under their names only if complete."""
 
+import errno
 import os
 import re
 import shlex
@@ -8,7 +9,7 @@ import stat
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, BinaryIO, Final, Protocol
 
 from roadperc_stream.errors import TargetError
 
@@ -16,6 +17,36 @@ TABLE_SUFFIX: Final = ".parquet"
 METRICS_SUFFIX: Final = ".metrics.parquet"
 OBJECTS_SUFFIX: Final = ".objects.parquet"
 BAG_METADATA: Final = "metadata.yaml"
+
+
+def open_file(path: Path) -> BinaryIO:
+    """Open a regular file to read it. A pipe may block, and a device may have no end.
+
+    Raises:
+        OSError: it cannot be read, or is something else; ``strerror`` is the reason.
+    """
+    try:
+        stream = open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK))  # noqa: SIM115
+    except ValueError as error:
+        raise OSError(errno.EINVAL, f"is not a name of a file: {error}", str(path)) from error
+    if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
+        stream.close()
+        raise OSError(errno.EINVAL, "is a pipe or a device, expected a file", str(path))
+    return stream
+
+
+def read_file(path: Path, most_bytes: int) -> bytes:
+    """The content of a regular file.
+
+    Raises:
+        OSError: it cannot be read, is something else, or is larger; ``strerror`` is the reason.
+    """
+    with open_file(path) as stream:
+        is_large = os.fstat(stream.fileno()).st_size > most_bytes
+        data = b"" if is_large else stream.read(most_bytes + 1)
+    if is_large or len(data) > most_bytes:
+        raise OSError(errno.EFBIG, f"is larger than {most_bytes / 1e6:g} MB", str(path))
+    return data
 
 
 def require_free(target: Path, *, force: bool, suffix: str, source: Path | None = None) -> None:

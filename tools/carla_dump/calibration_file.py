@@ -5,17 +5,17 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import AliasChoices, Field, FiniteFloat, PositiveInt, TypeAdapter
+from pydantic import AliasChoices, FailFast, Field, PositiveInt, TypeAdapter
 
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float, baseline_of, decompose_projection
 from roadperc_stream.system.text import nearest
 
-from .json_files import Document, Numbers3, Numbers4, checked, read_json
+from .json_files import Document, Number, Numbers3, Numbers4, checked, read_json
 from .truth_file import CarlaPose
 
 CALIBRATION_NAME: Final = "calibration.json"
-Positive = Annotated[float, Field(gt=0.0)]
+Positive = Annotated[Number, Field(gt=0.0)]
 FieldOfView = Annotated[float, Field(gt=0.0, lt=180.0)]
 Pixels = Annotated[PositiveInt, Field(le=1_000_000)]
 _HALF_PIXEL = 0.5
@@ -34,7 +34,7 @@ class Intrinsics(Document):
     width: Pixels | None = None
     height: Pixels | None = None
     K: Matrix3 | None = None
-    D: tuple[FiniteFloat, ...] = ()
+    D: Annotated[tuple[Number, ...], FailFast()] = ()
     distortion_model: str = "plumb_bob"
     R: Matrix3 | None = None
     P: tuple[Numbers4, Numbers4, Numbers4] | None = None
@@ -52,8 +52,8 @@ class CalibrationFile(Intrinsics):
     cameras: dict[str, Intrinsics] = Field(default_factory=dict)
     """Cameras that differ from the front one, by role: ``{"depth": {"width": 800, "height": 600, "fov_deg": 90}}``."""
     mounting: dict[str, CarlaPose] = Field(default_factory=dict)
-    rgb_height_m: FiniteFloat | None = None
-    depth_height_m: FiniteFloat | None = None
+    rgb_height_m: Number | None = None
+    depth_height_m: Number | None = None
     carla_tags: str | None = None
     rate_hz: Positive | None = None
 

@@ -5,20 +5,22 @@ from typing import Annotated
 
 import numpy as np
 import yaml
-from pydantic import Field, FiniteFloat, PositiveInt, TypeAdapter
+from pydantic import Field, PositiveInt, TypeAdapter
 
 from roadperc_stream.errors import DumpError
 
 from .calibration_file import CalibrationFile, require_pinhole
-from .json_files import Document, checked
+from .json_files import Document, Listed, Number, checked, read_text
 
 SUFFIXES = (".yaml", ".yml")
+_MOST_BYTES = 1_000_000
+"""Largest file; the usual ones have 1 kB, and PyYAML takes seconds for a megabyte."""
 
 
 class _Matrix(Document):
     rows: PositiveInt
     cols: PositiveInt
-    data: list[FiniteFloat]
+    data: Listed[Number]
 
 
 class _CameraInfo(Document):
@@ -37,11 +39,10 @@ def load_camera_info(path: Path) -> CalibrationFile:
     Raises:
         DumpError: the file cannot be read, or is not such a YAML; the message names file, key and error.
     """
+    text = read_text(path, _MOST_BYTES)
     try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise DumpError(f"{path}: {error.strerror or error}") from error
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
+        document = yaml.safe_load(text)
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
         raise DumpError(f"{path}: not YAML: {' '.join(str(error).split())}") from error
     info = checked(path, TypeAdapter(_CameraInfo), document)
     K = _rows(f"{path}: camera_matrix", info.camera_matrix, 3)

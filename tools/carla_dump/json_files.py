@@ -1,22 +1,42 @@
-"""Read and check the documents of a dump; each error is a DumpError with file and key."""
+"""Read and check the documents of a dump and of datasets; each error is a DumpError with file and key.
 
+All layouts read files, JSON, numbers, poses and named paths with these functions.
+"""
+
+import csv
 import json
+import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, Final, TypeVar
 
-from pydantic import BaseModel, ConfigDict, FiniteFloat, TypeAdapter, ValidationError
+import numpy as np
+from pydantic import BaseModel, ConfigDict, FailFast, Field, TypeAdapter, ValidationError
 
 from roadperc_stream.config.settings import in_brief
 from roadperc_stream.errors import DumpError
+from roadperc_stream.geometry import Float, is_rotation, rigid
+from roadperc_stream.system.files import read_file, real_path
 from roadperc_stream.system.time import NS_PER_S
 
 T = TypeVar("T")
-Numbers3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-Numbers4 = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
-_SHOWN_CHARACTERS = 80
-_UNIX_SECONDS = re.compile(r"(?<![0-9.])([12][0-9]{9})\.([0-9]{1,9})(?![0-9])")
+LARGEST: Final = 1e9
+"""Largest absolute number of a document: metres, pixels, degrees. Products of several such numbers are finite."""
+Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
+Numbers3 = tuple[Number, Number, Number]
+Numbers4 = tuple[Number, Number, Number, Number]
+Id = Annotated[int, Field(ge=-(2**63), lt=2**63)] | str
+Listed = Annotated[list[T], FailFast()]
+"""A list whose check ends at the first wrong item."""
+_MOST_BYTES: Final = 2_000_000_000
+"""Largest document; the largest tables of nuScenes have 1.3 GB."""
+_MOST_VALUES: Final = 50_000_000
+"""Most values of a JSON document, which take 50 to 100 bytes each in memory."""
+_MOST_DIGITS: Final = 19
+"""Digits of a whole number of 64 bits."""
+_SHOWN_CHARACTERS: Final = 80
+_UNIX_SECONDS: Final = re.compile(r"(?<![0-9.])([12][0-9]{9})\.([0-9]{1,9})(?![0-9])")
 
 
 class Document(BaseModel):
@@ -25,36 +45,117 @@ class Document(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
 
-def read_json(path: Path) -> Any:
-    """Return the content of a JSON file.
+def read_text(path: Path, most_bytes: int = _MOST_BYTES) -> str:
+    """Return the content of a text file.
 
     Raises:
-        DumpError: the file cannot be read, or is not JSON.
+        DumpError: the file cannot be read, is too large, or is not text.
     """
     try:
-        return json.loads(path.read_bytes())
-    except OSError as error:
-        raise DumpError(f"{path}: {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:
-        raise DumpError(f"{path}: not JSON: {error}") from error
-
-
-def read_lines(path: Path) -> list[str]:
-    """Return the lines of a text file.
-
-    Raises:
-        DumpError: the file cannot be read.
-    """
-    try:
-        return path.read_text(encoding="utf-8-sig").splitlines()
+        return read_file(path, most_bytes).decode("utf-8-sig")
     except OSError as error:
         raise DumpError(f"{path}: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
         raise DumpError(f"{path}: not a text file in UTF-8: {error.reason} at byte {error.start}") from error
 
 
-def checked(path: Path | str, expected: TypeAdapter[T], data: Any) -> T:
-    """Return data as the expected type.
+def read_lines(path: Path) -> list[str]:
+    """Return the lines of a text file; errors as in ``read_text``."""
+    return read_text(path).splitlines()
+
+
+def read_json(path: Path) -> Any:
+    """Return the content of a JSON file; errors as in ``read_text`` and ``parsed_json``."""
+    return parsed_json(path, read_text(path))
+
+
+def read_rows(path: Path, lines: Iterable[str], separator: str = ",") -> Iterator[list[str]]:
+    """Yield the fields of each line of a CSV table.
+
+    Raises:
+        DumpError: a field is longer than 128 kB.
+    """
+    try:
+        yield from csv.reader(lines, delimiter=separator)
+    except csv.Error as error:
+        raise DumpError(f"{path}: not a table: {error}") from error
+
+
+def parsed_json(where: Path | str, text: str) -> Any:
+    """Return the content of a JSON text.
+
+    Raises:
+        DumpError: the text is not JSON, nested too deeply, or has too many values; the message begins with ``where``.
+    """
+    if sum(map(text.count, "[{,")) > _MOST_VALUES:
+        raise DumpError(f"{where}: more than {_MOST_VALUES} values")
+    try:
+        return json.loads(text)
+    except RecursionError as error:
+        raise DumpError(f"{where}: not JSON: nested too deeply") from error
+    except ValueError as error:
+        raise DumpError(f"{where}: not JSON: {error}") from error
+
+
+def numbers(where: str, words: Sequence[str]) -> Float:
+    """Return (N,) finite numbers of up to ``LARGEST`` from words.
+
+    Raises:
+        DumpError: a word is something else; the message begins with ``where``.
+    """
+    found = list(map(_number, words))
+    wrong = next((word for word, value in zip(words, found, strict=True) if not abs(value) <= LARGEST), None)
+    if wrong is not None:
+        raise DumpError(
+            f"{where}: expected finite numbers up to {LARGEST:g}, found {in_brief(wrong, _SHOWN_CHARACTERS)}"
+        )
+    return np.array(found, np.float64)
+
+
+def _number(word: str) -> float:
+    try:
+        return float(word)
+    except ValueError:
+        return float("nan")
+
+
+def whole_number(text: str) -> int | None:
+    """Return a whole number from 0 of at most 64 bits, or None for any other text."""
+    is_whole = text.isascii() and text.isdigit() and len(text) <= _MOST_DIGITS
+    return int(text) if is_whole else None
+
+
+def pose(where: str, matrix: Float) -> Float:
+    """Return the (4, 4) pose of a (4, 4), (3, 4) or (3, 3) matrix.
+
+    Raises:
+        DumpError: the matrix is not a rotation and a translation; the message begins with ``where``.
+    """
+    result = np.eye(4)
+    result[: matrix.shape[0], : matrix.shape[1]] = matrix
+    if not is_rotation(result[:3, :3]) or result[3].tolist() != [0, 0, 0, 1]:
+        raise DumpError(f"{where}: expected a rotation without mirror and scale, found {result.tolist()}")
+    return rigid(result[:3, :3], result[:3, 3])
+
+
+def named_file(where: str, folder: Path, name: str) -> Path | None:
+    """Return the path of a file in a folder, as another file names it; None if there is no such file.
+
+    Raises:
+        DumpError: the path, or a link on it, leads out of the folder; the message begins with ``where``.
+    """
+    try:
+        is_inside = real_path(folder / name).is_relative_to(real_path(folder))
+    except ValueError:  # no name of a file
+        is_inside = False
+    if not is_inside:
+        found = in_brief(name, _SHOWN_CHARACTERS)
+        raise DumpError(f"{where}: {found} leads out of {folder}; copy the files into this folder")
+    return folder / name if os.path.isfile(folder / name) else None  # noqa: PTH113 - false for a name too long
+
+
+def checked(path: Path | str, expected: TypeAdapter[T], data: Any, *place: str) -> T:
+    """Return data as the expected type; ``place`` are the keys of the data in the file.
 
     Raises:
         DumpError: the data has another type; the message names file, key, error and value.
@@ -63,8 +164,17 @@ def checked(path: Path | str, expected: TypeAdapter[T], data: Any) -> T:
         return expected.validate_python(data)
     except ValidationError as error:
         first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "the document"
+        key = ".".join(str(part) for part in (*place, *first["loc"])) or "the document"
         raise DumpError(f"{path}: {key}: {first['msg']}, got {in_brief(first['input'], _SHOWN_CHARACTERS)}") from error
+
+
+def checked_entries(path: Path, expected: TypeAdapter[T], data: Any, *place: str) -> dict[str, T]:
+    """Return the entries of an object, each as the expected type; arguments and errors as those of ``checked``.
+
+    The first wrong entry ends the check, because pydantic would collect the errors of all.
+    """
+    entries = checked(path, TypeAdapter(dict[str, Any]), data, *place)
+    return {name: checked(path, expected, entry, *place, name) for name, entry in entries.items()}
 
 
 def frame_number(name: str) -> int | None:
@@ -76,7 +186,7 @@ def frame_number(name: str) -> int | None:
     if stamp := _UNIX_SECONDS.search(name):
         return int(stamp[1]) * NS_PER_S + int(stamp[2].ljust(9, "0"))
     groups = re.findall(r"[0-9]+", name.removesuffix("_leftImg8bit"))
-    return int(groups[-1]) if groups else None
+    return whole_number(groups[-1]) if groups else None
 
 
 def by_frame(path: Path, entries: Mapping[str, T]) -> dict[int, T]:

@@ -7,14 +7,17 @@ from typing import Annotated, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError, field_validator, model_validator
 
-from roadperc_stream.config.settings import MOST_BYTES, in_brief, parsed_toml
+from roadperc_stream.config.settings import in_brief, read_toml
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.model.tag_tables import UNLABELED, TagTable, table_of_classes
+from roadperc_stream.system.files import read_file
 from roadperc_stream.system.text import nearest
 
 Share = Annotated[float, Field(gt=0, le=1)]
 Numbers = tuple[float, float, float]
 _SHOWN: Final = 80
+_MOST_MODEL_BYTES: Final = 2**31
+"""A model in one file is smaller: it is a protobuf message."""
 
 
 class _Keys(BaseModel):
@@ -155,14 +158,19 @@ def read_network(path: Path) -> Network:
     Raises:
         ConfigError: a file cannot be read, a key is invalid, or the model's digest is not the stated one.
     """
+    tree = read_toml(path)
     try:
-        keys = NetworkKeys.model_validate(parsed_toml(_bytes_of(path, MOST_BYTES + 1)))
+        keys = NetworkKeys.model_validate(tree)
     except ConfigError as error:
-        raise error if str(path) in str(error) else ConfigError(f"{path}: {error}") from error
+        raise ConfigError(f"{path}: {error}") from error
     except ValidationError as error:
         raise ConfigError(f"{path}: {_complaint(error)}") from error
     file = path.parent / keys.file
-    model = _bytes_of(file, -1, hint=f", named by {path}" + f"; download it from {keys.source}" * bool(keys.source))
+    hint = f", named by {path}" + f"; download it from {keys.source}" * bool(keys.source)
+    try:
+        model = read_file(file, _MOST_MODEL_BYTES)
+    except OSError as error:
+        raise ConfigError(f"{file}: {error.strerror or error}{hint}") from error
     digest = hashlib.sha256(model).hexdigest()
     if keys.sha256 not in ("", digest):
         raise ConfigError(
@@ -170,14 +178,6 @@ def read_network(path: Path) -> Network:
             "the key sha256 if the model is the right one"
         )
     return Network(path, keys, model, digest)
-
-
-def _bytes_of(path: Path, most: int, hint: str = "") -> bytes:
-    try:
-        with path.open("rb") as stream:
-            return stream.read(most)
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror or error}{hint}") from error
 
 
 def _complaint(error: ValidationError) -> str:
