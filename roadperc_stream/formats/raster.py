@@ -47,7 +47,9 @@ _TO_BGR: Final[Mapping[str, str]] = {
 """OpenCV's name of the conversion."""
 _COLOURS: Final = ("bgr8", "8UC3")
 _GREYS: Final = ("mono8", "8UC1")
+_GREYS_16: Final = ("mono16", "16UC1")
 _DEPTHS: Final = ("16UC1", "mono16", "32FC1")
+_LARGEST_TAG: Final = 255
 Content = bytes | memoryview
 """The bytes of a file or of raw pixels; a memoryview shares the message's memory."""
 
@@ -176,16 +178,21 @@ class Raster:
 
     @property
     def indexed(self) -> bool:
-        """Whether a pixel is one byte: in a segmentation a tag, not a colour."""
-        return self.encoding in _GREYS
+        """Whether a pixel is one number: in a segmentation a tag, not a colour."""
+        return self.encoding in (*_GREYS, *_GREYS_16)
 
     def tags(self, table: TagTable) -> Image:
-        """(H, W) uint8 tags: the pixels themselves, or the classes of CARLA's colours.
+        """(H, W) uint8 tags: the pixels themselves, also of 16 bits, or the classes of CARLA's colours.
 
         Raises:
-            DecodeError: not tags, or a colour without a class.
+            DecodeError: not tags, a tag above 255, or a colour without a class.
         """
-        return self.pixels() if self.indexed else tags_of_colours(self.bgr(), table)
+        if not self.indexed:
+            return tags_of_colours(self.bgr(), table)
+        pixels = self.pixels()
+        if pixels.dtype.itemsize > 1 and (largest := int(pixels.max())) > _LARGEST_TAG:
+            raise DecodeError(f"tags of encoding {self.encoding!r} up to {largest}: expected 0 to {_LARGEST_TAG}")
+        return pixels.astype(np.uint8, copy=False)
 
     def _grey16(self) -> Image:
         grey: Image = (self.pixels() >> 8).astype(np.uint8)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -55,6 +55,18 @@ def names_in(payload: Payload | model.Transform | model.Detection) -> Iterator[s
                 yield from names_in(part)
         case _:
             yield payload.frame_id
+
+
+def without_slashes(payload: Payload) -> Payload:
+    """The payload without leading slashes of its frames: ``/cam`` and ``cam`` are one frame, as in ROS 1."""
+    found: Payload = tuple(map(_bare, payload)) if isinstance(payload, tuple) else _bare(payload)
+    return found
+
+
+def _bare(payload: Any) -> Any:
+    names = {field: getattr(payload, field, "") for field in ("frame_id", "parent", "child")}
+    slashed = {field: name.lstrip("/") for field, name in names.items() if name.startswith("/")}
+    return replace(payload, **slashed) if slashed else payload
 
 
 @dataclass(frozen=True)

@@ -96,6 +96,15 @@ def test_tags_are_numbers_of_a_table_or_its_colours():
     assert [before.table.name_of(tag) for tag in before.tags[0]] == ["road", "vehicle", "road_line"]
 
 
+@pytest.mark.parametrize("encoding", ["mono16", "16UC1"])
+def test_tags_of_16_bits_are_the_numbers_themselves(encoding):
+    tags = np.array([[0, 1, 24]], "<u2")
+    found = read("tags", ros2.IMAGE, image(encoding, tags), table=CARLA_FROM_0_9_14).payload.tags
+    assert (found.dtype, found.tolist()) == (np.uint8, tags.tolist())
+    with pytest.raises(DecodeError, match=r"6144.*0 to 255"):
+        _ = read("tags", ros2.IMAGE, image(encoding, tags * 256), table=CARLA_FROM_0_9_14).payload.tags
+
+
 def test_instance_masks_are_numbers_in_green_and_blue():
     pixels = np.array([[(2, 1, 14, 255), (0, 7, 12, 255)]], np.uint8)
     found = read("instances", ros2.IMAGE, image("bgra8", pixels)).payload
@@ -312,6 +321,22 @@ def test_a_box_that_is_not_finite_is_refused():
 
 POSE = {"position": {"x": 1.0, "y": 2.0, "z": 3.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 1.0, "w": 0.0}}
 TURNED = [[-1, 0, 0, 1], [0, -1, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]
+
+
+def test_frames_have_no_leading_slash():
+    """As in ROS 1: its drivers write ``/cam`` in some messages and ``cam`` in others."""
+    edge = {
+        "header": rosbag.header(STAMP, "/base_link"),
+        "child_frame_id": "/cam",
+        "transform": {"translation": POSE["position"], "rotation": POSE["orientation"]},
+    }
+    (found,) = read("tf", "tf2_msgs/msg/TFMessage", {"transforms": [edge]}).payload
+    assert (found.parent, found.child) == ("base_link", "cam")
+    cameras = rosbag.camera_info(STAMP, "/cam", 320, 240, [300, 0, 160, 0, 300, 120, 0, 0, 1])
+    assert read("calibration", "sensor_msgs/msg/CameraInfo", cameras).payload.frame_id == "cam"
+    assert read("image", ros2.IMAGE, rosbag.image(STAMP, "/cam", "mono8", GREY)).payload.frame_id == "cam"
+    pose = read("pose", "nav_msgs/msg/Odometry", rosbag.odometry(STAMP, "/base_link", POSE)).payload
+    assert pose.child == "base_link"
 
 
 def test_transforms_and_poses():
