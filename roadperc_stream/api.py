@@ -148,6 +148,7 @@ def frames(
     cfg, own = own_stages(_config(config))
     source = ReplaySource(_paths(log), topics or {}, TimeRange(start_s, end_s, max_frames), recover)
     opened = open_log(source, cfg)
+    cfg = opened.input.cfg
     state = opened.state_for(cfg)
     chain, earlier = state.chain, state.earlier
     for sample in opened.input.samples():

@@ -49,6 +49,7 @@ def replay(
         target.require_writable(source.files, options.continued, resume=options.resume)
         target.remove_stale_partials()
         opened = open_replay(source, cfg, options)
+        cfg = opened.input.cfg
         summary = finished(target, cfg, opened) if options.resume and found is None else None
         if summary is None:
             start = Checkpoint(run_of(cfg, opened, target), opened.state_for(cfg))

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import Final
 
-from roadperc_stream.cli.arguments import add_input_arguments, add_only_argument
+from roadperc_stream.cli.arguments import add_input_arguments, add_log_arguments, add_only_argument
 from roadperc_stream.cli.completers import LOGS, completed_by, files
 from roadperc_stream.cli.plumbing import command_parser, number, parse, positive_seconds, run, whole_number
 
@@ -62,6 +62,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     add_input_arguments(parser)
     add_only_argument(parser)
+    add_log_arguments(parser)
     _add_dataset_arguments(parser)
     _add_worker_arguments(parser)
     completed_by(out, files())

@@ -14,6 +14,10 @@ from roadperc_stream.system.text import nearest
 
 _KINDS: Final[Mapping[str, str]] = {"integer": "a whole number ", "number": "a number "}
 """Text for types that the range does not show."""
+_ABOUT_THE_LOG: Final[Mapping[str, str]] = {
+    "calibration": "keys and values as in calibration.json (docs/recordings.md)",
+    "labels": 'a known label for a label, such as auto = "car"',
+}
 
 
 def load_config(path: str | Path | None = None, settings: str | Sequence[str] = ()) -> ReplayConfig:
@@ -37,6 +41,18 @@ def load_config(path: str | Path | None = None, settings: str | Sequence[str] = 
     return validated(tree, f"{path}: " if path else "")
 
 
+def load_labels(path: Path) -> dict[str, str]:
+    """Known labels by other labels, from the table ``[labels]`` of a TOML file.
+
+    Raises:
+        ConfigError: the file cannot be read, has other tables, or a label is unknown.
+    """
+    found = load_config(path)
+    if not found.labels or found != ReplayConfig(labels=found.labels):
+        raise ConfigError(f'{path}: expected the table [labels] alone, with lines such as auto = "car"')
+    return found.labels
+
+
 def validated(tree: Mapping[str, Any], source: str) -> ReplayConfig:
     """Configuration from nested mappings with any part of the keys.
 
@@ -56,6 +72,9 @@ def validated(tree: Mapping[str, Any], source: str) -> ReplayConfig:
 def _complaint(error: ValidationError) -> str:
     """The first error, such as ``lanes.hold_s: expected a number 0 to 3600 (s), found -1``."""
     first = error.errors()[0]
+    if first["loc"] and (table := str(first["loc"][0])) in _ABOUT_THE_LOG and first["type"] != "value_error":
+        named = ".".join(str(part) for part in first["loc"])
+        return f"{named}: expected {_ABOUT_THE_LOG[table]}, found {in_brief(first['input'])}"
     keys = [str(part) for part in first["loc"][:2]]  # the rest are types of values, or positions in a list
     key = ".".join(keys)
     if first["type"] == "extra_forbidden":

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 from warnings import warn
 
-from roadperc_stream.config.stages import OWN_STAGES, UNSET
+from roadperc_stream.config.stages import ABOUT_THE_LOG, OWN_STAGES, UNSET
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.system.text import number
 
@@ -59,6 +59,8 @@ FIXED: Final[Mapping[str, float]] = {
 }
 """Settings of older versions that are constants now, with their values; logs and tables still contain them."""
 
+NOT_SET: Final = "not set"
+"""Text for a setting about the log that a configuration does not contain, because the log itself says it."""
 BUILT_IN_STAGES: Final = {f"{stage}.{name}": value for stage in OWN_STAGES for name, value in UNSET}
 """Settings that a configuration contains only with other values."""
 
@@ -76,6 +78,11 @@ def settings_in(toml: bytes) -> dict[str, Any]:
     except RecursionError as error:
         raise ConfigError("not TOML of settings: nested too deeply") from error
     return {key: value for key, value in found.items() if key not in FIXED or FIXED[key] != value}
+
+
+def is_about_log(key: str) -> bool:
+    """Whether a key such as ``calibration.fov_deg`` says something about the log."""
+    return key.partition(".")[0] in ABOUT_THE_LOG
 
 
 def without_fixed(tree: dict[str, Any], source: Path) -> dict[str, Any]:

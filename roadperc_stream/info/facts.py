@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Literal
 
 from roadperc_stream.config import ReplayConfig
-from roadperc_stream.config.settings import as_typed, settings_in
+from roadperc_stream.config.settings import NOT_SET, as_typed, is_about_log, settings_in
 from roadperc_stream.errors import ConfigError, TableError
 from roadperc_stream.geometry import Camera
 from roadperc_stream.info.role_states import RoleState
 from roadperc_stream.input.earlier_replay import digest_algorithm, replay_record
 from roadperc_stream.log import Attachment, Damage, Metadata, Recovery
+from roadperc_stream.model.finding import Finding
 from roadperc_stream.output.tables import read_footer, sidecar_path
 from roadperc_stream.schemas import record
 
@@ -106,6 +107,7 @@ def _settings(toml: bytes | None) -> tuple[tuple[ResolvedSetting, ...], str]:
     defaults = settings_in(ReplayConfig().to_toml().encode())
     differing = [key for key, value in found.items() if key not in defaults or defaults[key] != value]
     known = {key: as_typed(value) for key, value in defaults.items()}
+    known |= {key: NOT_SET for key in differing if is_about_log(key)}
     return tuple(ResolvedSetting(key, as_typed(found[key]), known.get(key)) for key in differing), ""
 
 
@@ -203,6 +205,8 @@ class ReplayFacts:
 
     refusal: str | None
     """Why a replay would stop before its first frame."""
+    options: Mapping[str, str]
+    """Topics by role, for ``--topic``, with which it would not stop."""
     notes: tuple[str, ...]
     """Notes on guessed and missing roles."""
     roles: tuple[RoleState, ...]
@@ -224,6 +228,8 @@ class ReplayFacts:
     """Messages of assigned roles that cannot be decoded, by topic."""
     problems: tuple[str, ...]
     """The first problem of each topic, as text."""
+    findings: tuple[Finding, ...]
+    """Contradictions in the input."""
 
 
 @dataclass(frozen=True)

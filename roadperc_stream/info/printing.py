@@ -90,14 +90,18 @@ def _frame_lines(whole: bool, replay: ReplayFacts) -> Iterator[str]:
         yield f"{topic}: {number(count, 'message')} cannot be decoded"
     for problem in replay.problems:
         yield f"first of these: {problem}"
+    for finding in replay.findings:
+        yield f"finding: {finding.text}"
 
 
 def _proposals(replay: ReplayFacts, source: Path) -> Iterator[str]:
-    """The command with a topic for a role: for the one that stops a replay, else for missing images."""
-    refused = [state for state in replay.roles if f"fit role {state.role}:" in (replay.refusal or "")]
+    """The command with topics for the roles that stop a replay, else for missing images."""
     missing = [state for state in replay.roles if state.role == "image" and state.state == "missing"]
-    for option in [f"{state.role}={state.candidates[0]}" for state in refused or missing if state.candidates][:1]:
-        yield f"to use this topic: roadperc-replay {quote(str(source))} OUT.mcap --topic {quote(option)}"
+    options = replay.options or {state.role: state.candidates[0] for state in missing if state.candidates}
+    if options:
+        named = " ".join(f"--topic {quote(f'{role}={topic}')}" for role, topic in options.items())
+        what = "these topics" if len(options) > 1 else "this topic"
+        yield f"to use {what}: roadperc-replay {quote(str(source))} OUT.mcap {named}"
 
 
 def _alone_lines(replay: ReplayFacts) -> Iterator[str]:

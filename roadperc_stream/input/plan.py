@@ -17,6 +17,8 @@ from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ChannelError, NoFrameError, StateError
 from roadperc_stream.input.earlier_replay import is_result, replay_record
 from roadperc_stream.input.order import OrderConfig
+from roadperc_stream.input.replaced import rig_of_log
+from roadperc_stream.input.rig import NO_RIG, Rig
 from roadperc_stream.input.roles import NOTHING_TO_REPLAY, assignment_of_log
 from roadperc_stream.input.source import ReplaySource
 from roadperc_stream.input.state import InputState, PendingMessage, pending, restored
@@ -140,6 +142,8 @@ class InputPlan:
     latched_messages: tuple[Message, ...]
     problems: Problems
     first_pass: FirstPass
+    rig: Rig = NO_RIG
+    """The cameras and mountings that replace those of the log."""
     most_frames: int | None = None
     """Largest number of frames: the first ones by stamp among those that arrive in the time range."""
 
@@ -153,6 +157,7 @@ def plan_input(
 
     Raises:
         ChannelError: the channels do not fit the roles.
+        DumpError: the given calibration does not fit the log.
         LogError: the log is damaged.
         NoFrameError: the requested part has no frame.
         StateError: the log cannot continue from ``begin``.
@@ -176,7 +181,7 @@ def plan_input(
     most = None if part.frames is None else part.frames + start.frames_waiting
     order = replace(order, lateness_ns=found.lateness_ns)
     read = messages.window, start, begun, begin is not None, latched_messages
-    return InputPlan(roles, order, *read, problems, found, most)
+    return InputPlan(roles, order, *read, problems, found, rig_of_log(summary, roles, cfg), most)
 
 
 def _roles(summary: LogSummary, overrides: Mapping[str, str], begin: InputState | None) -> tuple[RoleAssignment, str]:

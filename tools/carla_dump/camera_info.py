@@ -8,8 +8,9 @@ import yaml
 from pydantic import Field, FiniteFloat, PositiveInt, TypeAdapter
 
 from roadperc_stream.errors import DumpError
+from roadperc_stream.input.projections import require_pinhole
 
-from .calibration_file import CalibrationFile, require_pinhole
+from .calibration_file import CalibrationFile
 from .json_files import Document, checked
 
 SUFFIXES = (".yaml", ".yml")

@@ -8,11 +8,11 @@ from shlex import quote
 from typing import Final
 
 from roadperc_stream.errors import DumpError
+from roadperc_stream.schemas.role_names import names_other_sensor, role_of
 from roadperc_stream.system.files import real_path
 
 from .calibration_file import CALIBRATION_NAME
 from .json_files import frame_number
-from .role_names import names_other_sensor, role_of
 
 _IMAGE_SUFFIXES: Final = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".webp", ".tif", ".tiff", ".ppm", ".exr"})
 _NUMBER_SUFFIXES: Final = frozenset({".npy", ".npz", ".dat", ".csv", ".raw", ".bin", ".h5", ".hdf5"})

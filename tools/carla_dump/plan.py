@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Final, TypeVar
 
 from roadperc_stream.errors import DumpError
+from roadperc_stream.input.rig import LIDAR
 from roadperc_stream.model.tag_tables import TagTable
 
 from ..layouts.drive import ConvertOptions, Drive
-from .camera_rig import LIDAR
 from .depth_files import GREY, DepthEncoding, depth_encoding, grey_encoding
 from .survey import SensorSurvey, apart_ns, meeting_notes, of_size, reference_of
 from .tag_files import LOSSY_TAGS, TagEncoding, choose_table, named_table, tag_encoding

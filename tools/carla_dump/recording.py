@@ -1,15 +1,16 @@
 """A dataset folder as a recording."""
 
 from collections.abc import Iterator, Mapping
+from itertools import chain
 from typing import Final
 
+from roadperc_stream.input.rig import LIDAR
 from roadperc_stream.log import Message
 from roadperc_stream.schemas.record import PIXEL_ORIGIN_KEY
 from roadperc_stream.system.text import number, shown
 
 from ..layouts.drive import ConvertOptions, Drive
-from ..recording import Recording, SensorRow, camera_facts, mounting_fact
-from .camera_rig import LIDAR
+from ..recording import Recording, SensorRow, camera_facts, finding_notes, mounting_fact
 from .messages import channels, messages
 from .plan import Plan, make_plan
 
@@ -34,7 +35,7 @@ def recording_of_drive(drive: Drive, options: ConvertOptions) -> Recording:
         messages=lambda warnings: _messages(plan, warnings),
         required=tuple(plan.drive.surveys),
         metadata=_metadata(plan),
-        notes=plan.drive.notes,
+        notes=(*plan.drive.notes, *finding_notes(plan.drive.rig, chain.from_iterable(drive.detections.values()))),
         warnings=(*plan.warnings, *map(_MISSING.format, plan.unreadable)),
     )
 

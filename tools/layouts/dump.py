@@ -7,15 +7,14 @@ from pathlib import Path
 from typing import Final
 
 from roadperc_stream.errors import DumpError
+from roadperc_stream.input.rig import CAMERA_ROLES, LIDAR, build_rig
 from roadperc_stream.model import Detection
 
 from ..carla_dump.calibration_file import CALIBRATION_NAME, CalibrationFile, load_calibration
 from ..carla_dump.camera_info import SUFFIXES, load_camera_info
-from ..carla_dump.camera_rig import CAMERA_ROLES, LIDAR, build_rig
 from ..carla_dump.detection_files import load_detections, load_kitti_labels
 from ..carla_dump.frame_stamps import DEFAULT_RATE_HZ, mean_rate, stamps_of_file, stamps_of_names, stamps_of_rate
 from ..carla_dump.layout import DumpLayout, find_layout
-from ..carla_dump.role_names import role_of
 from ..carla_dump.survey import SensorSurvey, front_sensors, points_fault, reference_of, surveyed
 from ..carla_dump.truth_file import NO_TRUTH, load_poses, load_truth
 from .drive import ConvertOptions, Drive
@@ -79,16 +78,17 @@ def calibration_of(beside: Path, options: ConvertOptions) -> tuple[CalibrationFi
         DumpError: a file is wrong, or both the file and the options give the mounting.
     """
     path = options.calibration or beside
-    load = load_camera_info if path.suffix.lower() in SUFFIXES else load_calibration
-    calibration = load(path) if options.calibration or path.is_file() else CalibrationFile()
-    if options.fov_deg is not None:
-        no_lens = {"K": None, "D": (), "R": None, "P": None}
-        calibration = calibration.model_copy(update={"fov_deg": options.fov_deg, **no_lens})
-    if options.height_m is not None:
-        if any(role_of(name) in ("image", "left") for name in calibration.mounting):
-            raise DumpError(f"{path} has the camera's mounting: remove it there, or remove --height")
-        calibration = calibration.model_copy(update={"rgb_height_m": options.height_m})
-    return calibration, path
+    calibration = calibration_in(path) if options.calibration or path.is_file() else CalibrationFile()
+    return calibration.with_options(path, options.fov_deg, options.height_m), path
+
+
+def calibration_in(path: Path) -> CalibrationFile:
+    """Return the calibration of a file: ``camera_info`` YAML of ROS, or JSON.
+
+    Raises:
+        DumpError: the file is wrong.
+    """
+    return load_camera_info(path) if path.suffix.lower() in SUFFIXES else load_calibration(path)
 
 
 def _with_pixel_origin(layout: DumpLayout, calibration: CalibrationFile) -> CalibrationFile:

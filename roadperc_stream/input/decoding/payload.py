@@ -137,6 +137,9 @@ def camera_from_calibration(message: Any) -> Camera:
         DecodeError: neither K nor P describes a possible pinhole camera, or there is no size.
     """
     K, P = list(message.K), list(message.P)
+    if not any((*K, *P)):
+        expected = "expected a pinhole camera; pass --fov DEGREES or --calibration FILE"
+        raise DecodeError(f"calibration of {message.frame_id!r}: all numbers are 0: {expected}")
     intrinsics = _intrinsics(K, P)
     fx, fy, cx, cy = (float(value) for value in intrinsics)
     if not (np.isfinite(intrinsics).all() and fx > 0 and fy > 0 and message.width and message.height):

@@ -5,12 +5,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from roadperc_stream.errors import DumpError
-from roadperc_stream.tools.carla_dump.calibration_file import (
-    decompose_pair,
-    load_calibration,
-    pinhole_of_fov,
-    pinhole_of_K,
-)
+from roadperc_stream.geometry.cameras import pinhole_of_fov, pinhole_of_K
+from roadperc_stream.input.projections import decompose_pair
+from roadperc_stream.tools.carla_dump.calibration_file import load_calibration
 from tests.tools.dump_writer import document
 
 K = [[640, 0, 640], [0, 640, 480], [0, 0, 1]]
