@@ -36,7 +36,11 @@ from roadperc_stream.system.time import TimeRange
 if TYPE_CHECKING:
     import polars as pl
 
-_ARGUMENTS: Final = {"--force": "force=True", "--resume": "resume=True"}
+_ARGUMENTS: Final = {
+    "--force": "force=True",
+    "--resume": "resume=True",
+    "--fov DEGREES or --calibration FILE": 'config={"calibration": {"fov_deg": DEGREES}}',
+}
 """Arguments of ``replay`` for the options that errors name."""
 Config = ReplayConfig | Mapping[str, Any] | str | Path | None
 """A configuration, a nested mapping such as ``{"lanes": {"hold_s": 0.8}}``, a TOML file, or None for the defaults."""

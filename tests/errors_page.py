@@ -66,6 +66,7 @@ ENTRIES = (
         "Missing calibration", "roadperc-replay no_calibration.mcap out.mcap",
         "The chain cannot use an image without its camera's calibration.",
         "Record the calibration topic, or name it with `--topic calibration=/TOPIC`. "
+        "If the log has none, give it: [logs without a calibration](recordings.md#logs-without-a-calibration). "
         "Pass all files of a split log together.",
     ),
     Entry(

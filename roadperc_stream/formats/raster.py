@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats import images
 from roadperc_stream.geometry import Float32
-from roadperc_stream.model import Image
+from roadperc_stream.model import Ids, Image
 from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14, TagTable
 
 PALETTE_TABLE: Final = CARLA_FROM_0_9_14
@@ -193,6 +193,14 @@ class Raster:
         if pixels.dtype.itemsize > 1 and (largest := int(pixels.max())) > _LARGEST_TAG:
             raise DecodeError(f"tags of encoding {self.encoding!r} up to {largest}: expected 0 to {_LARGEST_TAG}")
         return pixels.astype(np.uint8, copy=False)
+
+    def ids(self) -> Ids:
+        """(H, W) uint16 instance ids: the pixels themselves, or CARLA's coding in colours.
+
+        Raises:
+            DecodeError: not instance masks.
+        """
+        return self.pixels().astype(np.uint16) if self.indexed else images.instance_ids(self.bgr())
 
     def _grey16(self) -> Image:
         grey: Image = (self.pixels() >> 8).astype(np.uint8)

@@ -28,7 +28,7 @@ _MIDDLE: Final = (0.25, 0.75)
 """The part of the image's width and height that the principal point lies in."""
 _LONGEST_BASELINE_M: Final = 3.0
 _MASKS: Final = 20
-"""Masks of a log that are examined, at equal distances."""
+"""Most masks of a log that are examined, at equal distances."""
 _MOST_NAMED: Final = 5
 _WITHOUT_CLASS: Final = ("misc", "other", "unknown", "dontcare")
 """Labels that say themselves that their things have no class."""
@@ -131,7 +131,7 @@ class Evidence:
                 self.lidar_frame = cloud.frame_id
             case "segmentation", TagImage() as image:
                 self.masks_seen += 1
-                if (self.masks_seen - 1) % max(self.masks_to_come // _MASKS, 1) == 0:
+                if (self.masks_seen - 1) % max(-(-self.masks_to_come // _MASKS), 1) == 0:
                     self._add_tags(image)
 
     def add_labels(self, labels: Iterable[str]) -> None:

@@ -28,7 +28,7 @@ RASTER_KINDS: Final[tuple[Kind, ...]] = (*FILE_KINDS, "depth")
 
 
 def of_raster(kind: Kind, frame_id: str, raster: Raster, context: Context) -> Picture:
-    """An image, tags (numbers or CARLA's colours), instance masks in CARLA's coding, or depth of raw pixels.
+    """An image, tags or instance masks (numbers, or CARLA's colours), or depth of raw pixels.
 
     Raises:
         DecodeError: it exceeds the limits, or the table of numeric tags is unknown.
@@ -41,7 +41,7 @@ def of_raster(kind: Kind, frame_id: str, raster: Raster, context: Context) -> Pi
         case "depth":
             return DepthImage(frame_id, raster.depth)
         case "instances":
-            return InstanceImage(frame_id, lambda: images.instance_ids(raster.bgr()))
+            return InstanceImage(frame_id, raster.ids)
     table = _table_of(context.tag_table, indexed=raster.indexed)
     return TagImage(frame_id, table, lambda: raster.tags(table))
 

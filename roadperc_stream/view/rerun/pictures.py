@@ -1,6 +1,6 @@
 """Draws images, tags, depth and cameras in Rerun."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Final
 
@@ -9,7 +9,9 @@ import rerun as rr
 
 from roadperc_stream.formats.images import depth_to_mm, encode_jpeg
 from roadperc_stream.geometry import Camera
+from roadperc_stream.input.rig import NO_RIG
 from roadperc_stream.model import CameraImage, DepthImage, InstanceImage, TagImage
+from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.view.rerun.tree import Entry, SceneState, annotation_context, image_plane, new_edges
 
 _MM_PER_M: Final = 1000.0
@@ -56,8 +58,16 @@ def depth(entity: str, role: str, payload: DepthImage, state: SceneState) -> Ite
 def calibration(entity: str, role: str, payload: Camera, state: SceneState) -> Iterator[Entry]:
     """Draw a camera. The front camera determines which frame of the tree is ego."""
     state.latch(role, payload)
-    yield pinhole(entity, payload)
+    yield pinhole(entity, state.latched.cameras[role])
     yield from new_edges(state)
+
+
+def given(roles: Mapping[str, str], state: SceneState) -> Iterator[Entry]:
+    """Draw the cameras that the user gave, and the log does not have; ``roles`` are the topics of its roles."""
+    for role, camera in state.rig.cameras.items():
+        if role not in roles:
+            yield pinhole(ROLES[role].topic, camera)
+    yield from new_edges(state) if state.rig != NO_RIG else ()
 
 
 def pinhole(entity: str, payload: Camera) -> Entry:

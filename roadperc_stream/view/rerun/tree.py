@@ -10,6 +10,8 @@ import rerun as rr
 from roadperc_stream.geometry import Camera, Float
 from roadperc_stream.input.assemble import ego_frame_of
 from roadperc_stream.input.decoding import Payload
+from roadperc_stream.input.replaced import replaced
+from roadperc_stream.input.rig import NO_RIG, Rig
 from roadperc_stream.input.stream import Stamped
 from roadperc_stream.input.sync import LatchedState
 from roadperc_stream.input.transforms import TransformTree
@@ -34,11 +36,18 @@ class SceneState:
 
     reference: str = "image"
     """The role whose messages are the frames; results belong to its camera."""
-    latched: LatchedState = field(default_factory=LatchedState)
+    rig: Rig = NO_RIG
+    """The cameras and mountings that the replay used instead of those of the log."""
+    of_log: LatchedState = field(default_factory=LatchedState)
     assumed_mounting: Float | None = None
     """ego_T_camera of a front camera without transforms."""
     edges: dict[str, Transform] = field(default_factory=dict)
     texts: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def latched(self) -> LatchedState:
+        """The cameras and transforms that the replay used."""
+        return replaced(self.of_log, self.rig, self.reference)
 
     @property
     def front(self) -> Camera | None:
@@ -64,9 +73,9 @@ class SceneState:
     def latch(self, role: str, payload: Payload) -> None:
         """Update a calibration or transforms; leaves out edges that close a loop, like the chain."""
         item = Stamped(role, 0, 0, payload)
-        looping = self.latched.tree.looping(item.edges)
+        looping = self.of_log.tree.looping(item.edges)
         kept = tuple(edge for edge in item.edges if edge.child not in looping)
-        self.latched = self.latched.updated(replace(item, payload=kept) if looping else item)
+        self.of_log = self.of_log.updated(replace(item, payload=kept) if looping else item)
 
 
 def image_plane(frame_id: str) -> str:

@@ -110,6 +110,8 @@ def test_instance_masks_are_numbers_in_green_and_blue():
     found = read("instances", ros2.IMAGE, image("bgra8", pixels)).payload
     np.testing.assert_array_equal(found.ids, np.array([[513, 7]], np.uint16))
     assert found.ids.dtype == np.uint16
+    numbers = np.array([[0, 1, 513]], "<u2")
+    assert read("instances", ros2.IMAGE, image("mono16", numbers)).payload.ids.tolist() == numbers.tolist()
 
 
 def test_tags_of_an_unknown_table_or_colour_are_an_error():
