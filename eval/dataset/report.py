@@ -19,7 +19,7 @@ from roadperc_stream.system.text import number
 from roadperc_stream.system.time import NS_PER_S
 
 from ..answers import Answer, of_summaries, print_answer, wants_files, write_answer
-from ..brief import has_truth, rows_tables, stage_figures, with_unit
+from ..brief import judged_stages, rows_tables, stage_figures, with_unit
 from ..configurations import Settings, rows_that_differ
 from ..frame_commands import view_dataset_command
 from ..quantities import Quantity, legend, listed, percent, rounded, short_names
@@ -116,7 +116,7 @@ def worst_logs_table(worst: Mapping[Quantity, Sequence[Row]], names: Mapping[Log
     """The worst logs by each quantity, and the frames to look at in each."""
     rows: list[TextRow] = []
     for quantity, logs in worst.items():
-        rows.append(row(quantity.label))
+        rows.append(row(quantity.column))
         for item in logs:
             values = (rounded(value, quantity) for value in (item["mean"], item["at"][0]["value"]))
             frames = ", ".join(f"{at['frame']}({at['since_start_s']:.2f}s)" for at in item["at"])
@@ -236,7 +236,7 @@ def _answer(
     renamed = [replace(summary, name=short[summary.name]) for summary in summaries]
     answer = of_summaries("Report", "groups", summaries, lambda _: "")
     several = found.logs["config"].n_unique() > 1
-    columns = {figures.quantity.column for s in summaries for figures in stage_figures(s, truth=has_truth(summaries))}
+    columns = {figures.quantity.column for s in summaries for figures in stage_figures(s, judged_stages(summaries))}
     worst = [(q, logs[0]) for q, logs in worst_logs(found.logs, 1)[0].items() if q.column in columns]
     lines, values = [], []
     for quantity, item in sorted(worst, key=lambda pair: -pair[1]["mean"] / (pair[0].limit or math.inf))[:_FEW]:

@@ -10,6 +10,7 @@ from roadperc_stream.output.text_table import TextTable, by_header, row
 from roadperc_stream.system.files import completing, require_suffix
 from roadperc_stream.system.text import number
 
+from ..brief import stages_of
 from ..comparison.verdicts import Mark
 from ..dataset.groups import group_frames, summaries_of
 from ..dataset.keys import in_order_of_runs, log_names, settings_by_config
@@ -20,7 +21,7 @@ from ..dataset.worst import LogKey, key_of, worst_logs
 from ..quantities import Quantity
 from .page import rendered, write_page
 from .pictures import shown
-from .verdict import single_sentence, size, stage_table
+from .verdict import single_sentence, size
 
 PAGES: Final = 10
 """Most pages of logs: failed ones first, then the worst."""
@@ -71,7 +72,7 @@ def _write(target: Path, local: Dataset, address: str) -> None:
         verdicts.append((mark, f"{summary.name}: {text}" if len(summaries) > 1 else text))
     settings = settings_that_differ(settings_by_config(runs, configs))
     lost, bad = _failed_table(failed, several), _worst_table(worst, names, several)
-    tables = [(stage_table(summaries), {}), (settings, {}), (lost, failed_links), (bad, links)]
+    tables = [(stages_of(summaries), {}), (settings, {}), (lost, failed_links), (bad, links)]
     _render(target, address, verdicts, tables)
 
 
