@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from roadperc_stream import log
+from roadperc_stream.config.complaints import complaint, key_of
 from roadperc_stream.errors import LogError, RoadpercError
 from roadperc_stream.geometry import Camera, Float
 from roadperc_stream.input.decoding import Context, Decoded, decode
@@ -105,7 +106,7 @@ def _frame(text: bytes, place: str) -> LaneFrame:
         line = _Line.model_validate_json(text)
     except ValidationError as error:
         found = error.errors(include_url=False)[0]
-        why = ": ".join(filter(None, (".".join(map(str, found["loc"])), found["msg"])))
+        why = ": ".join(filter(None, (key_of(found["loc"]), complaint(found))))
         raise LaneFileError(f"{place}: is not in TuSimple's format: {why}") from error
     rows = len(line.h_samples)
     for k, lane in enumerate(line.lanes):

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, FiniteFloat, TypeAdapter, ValidationError
 
+from roadperc_stream.config.complaints import complaint, key_of
 from roadperc_stream.config.settings import in_brief
 from roadperc_stream.errors import DumpError
 from roadperc_stream.system.time import NS_PER_S
@@ -53,18 +54,19 @@ def read_lines(path: Path) -> list[str]:
         raise DumpError(f"{path}: not a text file in UTF-8: {error.reason} at byte {error.start}") from error
 
 
-def checked(path: Path | str, expected: TypeAdapter[T], data: Any) -> T:
+def checked(path: Path | str, expected: TypeAdapter[T], data: Any, hint: str = "") -> T:
     """Return data as the expected type.
 
     Raises:
-        DumpError: the data has another type; the message names file, key, error and value.
+        DumpError: the data has another type; the message names file, key, error and value, and ends with ``hint``.
     """
     try:
         return expected.validate_python(data)
     except ValidationError as error:
         first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "the document"
-        raise DumpError(f"{path}: {key}: {first['msg']}, got {in_brief(first['input'], _SHOWN_CHARACTERS)}") from error
+        said = complaint(first, _SHOWN_CHARACTERS)
+        said += f" in {in_brief(first['input'], _SHOWN_CHARACTERS)}" * (said == "missing")
+        raise DumpError(f"{path}: {key_of(first['loc']) or 'the document'}: {said}{hint}") from error
 
 
 def frame_number(name: str) -> int | None:

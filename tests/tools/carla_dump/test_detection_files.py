@@ -59,16 +59,17 @@ def test_kitti_maxima_become_half_open(tmp_path):
 @pytest.mark.parametrize(
     ("content", "fault"),
     [
-        ({"0": [{"label": "Car", "box_px": [1, 2, 3]}]}, r"0\.0\.box_px\.3: Field required"),
+        ({"0": [{"label": "Car", "box_px": [1, 2, 3]}]}, r"0\[0\]\.box_px\[3\]: missing"),
         ({"0": [{"label": "Car", "box_px": [9, 2, 3, 4]}]}, "frame 0: box 9.0, 2.0, 3.0, 4.0"),
-        ({"0": [{"label": "Car", "box_px": [1, 2, 3, float("nan")]}]}, r"0\.0\.box_px\.3"),
-        ({"0": [{"box_px": [1, 2, 3, 4]}]}, r"0\.0\.label: Field required"),
+        ({"0": [{"label": "Car", "box_px": [1, 2, 3, float("nan")]}]}, r"0\[0\]\.box_px\[3\]"),
+        ({"0": [{"box_px": [1, 2, 3, 4]}]}, r"0\[0\]\.label: missing"),
         ({"first": []}, "'first': expected a frame number"),
         ({"1": [], "01": []}, "'1' and '01' are both frame 1"),
         ([{"image_id": 1, "bbox": [1, 2, 3, 4]}], "expected category_id, category or label"),
         ([{"image_id": 1, "bbox": [1, 2, -3, 4], "category_id": 3}], "frame 1: box"),
         ([{"image_id": "first", "bbox": [1, 2, 3, 4], "category_id": 3}], "'first': expected a frame number"),
-        ("text", "valid dictionary"),
+        ([{"label": "Car", "box_px": [1, 2, 3, 4]}], r"\[0\]\.image_id: missing.*COCO"),
+        ("text", "expected keys with values"),
     ],
 )
 def test_faults_name_file_and_key(tmp_path, content, fault):
