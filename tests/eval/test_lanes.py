@@ -37,10 +37,10 @@ def upright(x_px):
     return np.array([(x_px, y_px) for y_px in np.arange(719.0, 150.0, -10.0)])
 
 
-def seen(stamp_ns, *lines_px):
+def seen(stamp_ns, *lines_px, camera="camera"):
     sides = zip(("left", "right"), lines_px, strict=False)
     lanes = Lanes(tuple(Boundary(side, "measured", line_px=line) for side, line in sides))
-    return Item("truth_lanes", stamp_ns, encoding.encode_lanes(stamp_ns, "camera", lanes), "/perception/lanes")
+    return Item("truth_lanes", stamp_ns, encoding.encode_lanes(stamp_ns, camera, lanes), "/perception/lanes")
 
 
 def run_log(path, items):
