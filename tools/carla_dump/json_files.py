@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
+import yaml
 from pydantic import BaseModel, ConfigDict, FiniteFloat, TypeAdapter, ValidationError
 
 from roadperc_stream.config.complaints import complaint, key_of
@@ -38,6 +39,20 @@ def read_json(path: Path) -> Any:
         raise DumpError(f"{path}: {error.strerror or error}") from error
     except (ValueError, RecursionError) as error:
         raise DumpError(f"{path}: not JSON: {error}") from error
+
+
+def read_yaml(path: Path) -> Any:
+    """Return the content of a YAML file.
+
+    Raises:
+        DumpError: the file cannot be read, or is not YAML.
+    """
+    try:
+        return yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise DumpError(f"{path}: {error.strerror or error}") from error
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
+        raise DumpError(f"{path}: not YAML: {' '.join(str(error).split())}") from error
 
 
 def read_lines(path: Path) -> list[str]:
@@ -94,6 +109,6 @@ def by_frame(path: Path, entries: Mapping[str, T]) -> dict[int, T]:
         if number is None:
             raise DumpError(f"{path}: {name!r}: expected a frame number as key")
         if number in names:
-            raise DumpError(f"{path}: {names[number]!r} and {name!r} are both frame {number}")
+            raise DumpError(f"{path}: {names[number]!r} and {name!r} are both frame {number}; remove one of them")
         numbered[number], names[number] = entry, name
     return numbered
