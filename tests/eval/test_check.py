@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from junitparser import Error, Failure, JUnitXml, Skipped
 
-from roadperc_stream.cli import check, replay
+from roadperc_stream.cli import check, replay, report
 from roadperc_stream.eval.criteria import DEFAULT_CRITERIA, Effect, effects, read_criteria
 from roadperc_stream.eval.machine import write_json
 from tests.commands import SCRIPTS
@@ -118,10 +118,22 @@ def test_files_for_other_programs(capsys, table, tmp_path):
         "step_error_m mean": ("out", [Skipped]),
         "height": ("out", []),
     }
-    assert "0.4 m, at most 0.2 m" in next(iter(suite)).result[0].text
+    result = next(iter(suite)).result[0]
+    assert "0.4 m, at most 0.2 m" in result.text
+    assert "0.4 m, at most 0.2 m" in result.message
     markdown = (tmp_path / "a.md").read_text()
     assert markdown.startswith("## Check: failed\n")
     assert "| lane\\_left\\_error\\_m max | failed | out | 0.4 m, at most 0.2 m; coverage 80.0 % | 5 |" in markdown
+
+
+def test_a_second_summary_is_appended_and_the_text_of_others_stays(capsys, table, tmp_path):
+    (tmp_path / "criteria.toml").write_text(FAILING)
+    (tmp_path / "a.md").write_text("# Nightly\n")
+    outcome(check.main, capsys, table, "--criteria", tmp_path / "criteria.toml", "--markdown", tmp_path / "a.md")
+    outcome(report.main, capsys, table, "--markdown", tmp_path / "a.md")
+    markdown = (tmp_path / "a.md").read_text()
+    assert re.findall("^#+ .*", markdown, re.MULTILINE)[:2] == ["# Nightly", "## Check: failed"]
+    assert markdown.count("\n\n## ") == 2
 
 
 def test_a_failed_log_of_a_batch_is_an_error(capsys, tmp_path):
