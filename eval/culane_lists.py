@@ -22,18 +22,14 @@ def read_list(path: Path, images: Collection[str], rows: Float) -> list[LaneFram
     lines = [line.split() for line in path.read_text(encoding="utf-8", errors="replace").splitlines()]
     listed = {name: k for k, line in enumerate(lines, 1) if line and (name := image_name(line[0])) in images}
     if not listed:
-        raise LaneFileError(f"{path}: names no image of the log; {_example(images)}")
+        example = min(images, default="those of a dataset that roadperc-convert converted")
+        raise LaneFileError(f"{path}: names no image of the log; expected names such as {example}")
     labels = {name: PurePosixPath(name).with_suffix(".lines.txt") for name in listed}
     first = next(iter(labels.values()))
     folder = next((folder for folder in path.absolute().parents if (folder / first).is_file()), None)
     if folder is None:
         raise LaneFileError(f"{path}: no {first} in its folder or above it; expected the list of CULane in list/")
     return [_listed(name, folder / labels[name], rows, f"{path}:{k}") for name, k in listed.items()]
-
-
-def _example(images: Collection[str]) -> str:
-    example = f"such as {min(images)}" if images else "but the log names none: convert the dataset again"
-    return f"expected names of converted images, {example}"
 
 
 def _listed(name: str, path: Path, rows: Float, place: str) -> LaneFrame:

@@ -155,7 +155,7 @@ def test_a_failed_log_of_a_batch_is_an_error(capsys, tmp_path):
         ("[[criterions]]", "no key criterions; did you mean criterion?"),
         ('criterion = [{ metric = "a" }]', "criterion 1 ('a'): expected the key statistic"),
         ('criterion = [{ metric = "lane_left_eror_m", statistic = "max", most = 1 }]', "mean lane_left_error_m?"),
-        ('criterion = [{ column = "frame", statistic = "p50", most = 1 }]', "statistic: expected one of mean, median"),
+        ('criterion = [{ column = "frame", statistic = "p50", most = 1 }]', "statistic: expected one of 'mean',"),
         ('criterion = [{ column = "frame", statistic = "max", most = "1" }]', "most: expected a number"),
         ('criterion = [{ column = "frame", statistic = "max" }]', "expected one of most and least"),
         ('criterion = [{ column = "frame", statistic = "share", most = 1 }]', "within belongs to the statistic share"),

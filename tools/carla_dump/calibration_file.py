@@ -26,23 +26,15 @@ _FOCAL_DIGITS = 9
 """Decimals of a focal length, so that 90 degrees give exactly w / 2."""
 
 
-def _rows_of(columns: int) -> BeforeValidator:
-    """Refuse values that are not three rows, such as the nine numbers of a K in ROS."""
-
-    def rows(found: Any) -> Any:
-        if isinstance(found, (list, tuple)) and len(found) == 3 and all(_is_row(row, columns) for row in found):
-            return found
-        raise ValueError(f"expected 3 rows of {columns} numbers, [[...], [...], [...]], found {in_brief(found, 80)}")
-
-    return BeforeValidator(rows)
+def _rows(found: Any) -> Any:
+    """Refuse values that are not rows, such as the nine numbers of a K in ROS."""
+    if isinstance(found, (list, tuple)) and all(isinstance(row, (list, tuple)) for row in found):
+        return found
+    raise ValueError(f"expected 3 rows of numbers, [[...], [...], [...]], found {in_brief(found, 80)}")
 
 
-def _is_row(found: Any, columns: int) -> bool:
-    return isinstance(found, (list, tuple)) and len(found) == columns
-
-
-Matrix3 = Annotated[tuple[Numbers3, Numbers3, Numbers3], _rows_of(3)]
-Matrix34 = Annotated[tuple[Numbers4, Numbers4, Numbers4], _rows_of(4)]
+Matrix3 = Annotated[tuple[Numbers3, Numbers3, Numbers3], BeforeValidator(_rows)]
+Matrix34 = Annotated[tuple[Numbers4, Numbers4, Numbers4], BeforeValidator(_rows)]
 
 
 class Intrinsics(Document):
