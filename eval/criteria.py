@@ -7,10 +7,11 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Self, get_args
+from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from roadperc_stream.config.complaints import complaint
 from roadperc_stream.config.settings import MOST_BYTES, in_brief, parsed_toml
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.system.text import nearest
@@ -171,11 +172,7 @@ def _complaint(error: ValidationError, tree: Mapping[str, Any]) -> str:
         return f"{where}no key {key}; {hint(str(key), model.model_fields)}"
     if first["type"] == "missing":
         return f"{where}expected the key {key}"
-    if first["type"] == "value_error":
-        return f"{where}{first['ctx']['error']}"
-    kinds = f"one of {', '.join(get_args(Statistic))}"
-    expected = kinds if key == "statistic" else first["msg"].removeprefix("Input should be ")
-    return f"{where}{key}: expected {expected}, found {in_brief(first['input'])}"
+    return f"{where}{f'{key}: ' if key else ''}{complaint(first)}"
 
 
 def _place(place: list[Any], tree: Mapping[str, Any]) -> str:

@@ -14,8 +14,8 @@ from roadperc_stream.schemas.columns import TIME_COLUMNS, UNITLESS, FrameMetrics
 from roadperc_stream.system.text import number as number_of
 from roadperc_stream.system.time import NS_PER_S
 
-from .criteria import BY_NAME, Criterion, hint
-from .expressions import on_empty_rows
+from .criteria import BY_NAME, Criterion
+from .expressions import on_empty_rows, similar
 from .frame_commands import view_command
 from .machine import Outcome
 from .quantities import percent
@@ -139,7 +139,8 @@ def _require_fit(criterion: Criterion, schema: pl.Schema, where: str) -> None:
         ("column", pl.col(criterion.column or "frame"), "numbers"),
     ):
         if wrong := [name for name in found.meta.root_names() if name not in schema]:
-            raise ConfigError(f"{where}: {key}: no column {wrong[0]}; {hint(wrong[0], schema.names())}")
+            text = str(getattr(criterion, key))
+            raise ConfigError(f"{where}: {key}: no column {wrong[0]}; {similar(text, wrong[0], schema)}")
         try:
             kind = on_empty_rows(found, schema).dtype
         except ValueError as error:

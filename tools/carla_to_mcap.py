@@ -17,7 +17,7 @@ from roadperc_stream import __version__
 from roadperc_stream.errors import DumpError
 from roadperc_stream.log import LogWriter, Message, Metadata, is_log
 from roadperc_stream.output.terminal import PipeConsole, print_lines
-from roadperc_stream.schemas.record import CONVERSION_RECORD
+from roadperc_stream.schemas.record import CONVERSION_RECORD, IMAGES_RECORD
 from roadperc_stream.system.files import is_bag_folder, require_free
 from roadperc_stream.system.process import optional_output
 from roadperc_stream.system.text import print_line
@@ -127,6 +127,8 @@ def write(recording: Recording, out: Path, *, force: bool, quiet: bool) -> int:
             raise DumpError(f"{lost[0]}: no file can be read; {(warnings or ['no file belongs to a frame'])[0]}")
         values = {"version": __version__, "frames": str(counts["image"]), **recording.metadata}
         log.describe(Metadata(CONVERSION_RECORD, tuple(sorted(values.items()))))
+        if recording.images:
+            log.describe(Metadata(IMAGES_RECORD, tuple(sorted(recording.images.items()))))
         require_free(out, force=force, suffix=".mcap")  # another program may have written it in the meantime
     _warn(warnings)
     return counts.total()

@@ -1,7 +1,7 @@
 """A recording of any kind, as ``roadperc-convert`` prints and writes it."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 from roadperc_stream.geometry import Camera
@@ -33,6 +33,8 @@ class Recording:
     """Roles that must get messages."""
     metadata: Mapping[str, str]
     """How the log was made, without data of the machine or the user."""
+    images: Mapping[str, str] = field(default_factory=dict)
+    """Stamp in nanoseconds of each labelled image by its name in the dataset's label files."""
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 

@@ -298,6 +298,17 @@ def test_depth_alone_is_enough(tmp_path):
     assert found["depth"][0][2].frame_id == found["calibration"][0][2].frame_id == "camera_front"
 
 
+def test_labels_of_yolo_are_detections_and_an_image_without_a_file_has_none(tmp_path):
+    for number in (1, 2):
+        write_png(tmp_path / "yolo" / "images" / f"{number}.png", camera_pixels(number))
+    (tmp_path / "yolo" / "labels").mkdir()
+    (tmp_path / "yolo" / "labels" / "1.txt").write_text("1 0.5 0.5 0.5 0.5\n")
+    (tmp_path / "yolo" / "data.yaml").write_text("names: [person, car]\n")
+    first, second = payloads(convert(tmp_path / "yolo", "--fov", "60"))["detections"]
+    assert [(d.label, d.box_px) for d in first[2]] == [("car", Box(4, 3, 12, 9))]
+    assert second[2] == ()
+
+
 def test_detections_and_poses_without_an_image_are_left_out(dump, capsys):
     document(dump / "detections.json", {"1": [{"label": "Car", "box_px": [1, 2, 3, 4], "score": 0.5}], "9": []})
     pose = {"location": {"x": 1, "y": 2, "z": 0}, "rotation": {"pitch": 0, "yaw": 90, "roll": 0}}

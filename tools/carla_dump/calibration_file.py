@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import AliasChoices, Field, FiniteFloat, PositiveInt, TypeAdapter
+from pydantic import AliasChoices, BeforeValidator, Field, FiniteFloat, PositiveInt, TypeAdapter
 
+from roadperc_stream.config.settings import in_brief
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float, baseline_of, decompose_projection
 from roadperc_stream.system.text import nearest
@@ -25,7 +26,15 @@ _FOCAL_DIGITS = 9
 """Decimals of a focal length, so that 90 degrees give exactly w / 2."""
 
 
-Matrix3 = tuple[Numbers3, Numbers3, Numbers3]
+def _rows(found: Any) -> Any:
+    """Refuse values that are not rows, such as the nine numbers of a K in ROS."""
+    if isinstance(found, (list, tuple)) and all(isinstance(row, (list, tuple)) for row in found):
+        return found
+    raise ValueError(f"expected 3 rows of numbers, [[...], [...], [...]], found {in_brief(found, 80)}")
+
+
+Matrix3 = Annotated[tuple[Numbers3, Numbers3, Numbers3], BeforeValidator(_rows)]
+Matrix34 = Annotated[tuple[Numbers4, Numbers4, Numbers4], BeforeValidator(_rows)]
 
 
 class Intrinsics(Document):
@@ -37,15 +46,15 @@ class Intrinsics(Document):
     D: tuple[FiniteFloat, ...] = ()
     distortion_model: str = "plumb_bob"
     R: Matrix3 | None = None
-    P: tuple[Numbers4, Numbers4, Numbers4] | None = None
+    P: Matrix34 | None = None
     fov_deg: FieldOfView | None = Field(None, validation_alias=AliasChoices("fov_deg", "fov"))
 
 
 class CalibrationFile(Intrinsics):
     """All known keys of ``calibration.json``; other keys are notes."""
 
-    P_left: tuple[Numbers4, Numbers4, Numbers4] | None = None
-    P_right: tuple[Numbers4, Numbers4, Numbers4] | None = None
+    P_left: Matrix34 | None = None
+    P_right: Matrix34 | None = None
     baseline_m: Positive | None = None
     pixel_origin: Literal["corner", "centre", "center"] = "corner"
     """Origin of K's principal point: the first pixel's corner (CARLA: c = w / 2) or its centre."""

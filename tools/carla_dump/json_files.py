@@ -6,8 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
+import yaml
 from pydantic import BaseModel, ConfigDict, FiniteFloat, TypeAdapter, ValidationError
 
+from roadperc_stream.config.complaints import complaint, key_of
 from roadperc_stream.config.settings import in_brief
 from roadperc_stream.errors import DumpError
 from roadperc_stream.system.time import NS_PER_S
@@ -39,6 +41,20 @@ def read_json(path: Path) -> Any:
         raise DumpError(f"{path}: not JSON: {error}") from error
 
 
+def read_yaml(path: Path) -> Any:
+    """Return the content of a YAML file.
+
+    Raises:
+        DumpError: the file cannot be read, or is not YAML.
+    """
+    try:
+        return yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise DumpError(f"{path}: {error.strerror or error}") from error
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
+        raise DumpError(f"{path}: not YAML: {' '.join(str(error).split())}") from error
+
+
 def read_lines(path: Path) -> list[str]:
     """Return the lines of a text file.
 
@@ -53,18 +69,19 @@ def read_lines(path: Path) -> list[str]:
         raise DumpError(f"{path}: not a text file in UTF-8: {error.reason} at byte {error.start}") from error
 
 
-def checked(path: Path | str, expected: TypeAdapter[T], data: Any) -> T:
+def checked(path: Path | str, expected: TypeAdapter[T], data: Any, hint: str = "") -> T:
     """Return data as the expected type.
 
     Raises:
-        DumpError: the data has another type; the message names file, key, error and value.
+        DumpError: the data has another type; the message names file, key, error and value, and ends with ``hint``.
     """
     try:
         return expected.validate_python(data)
     except ValidationError as error:
         first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "the document"
-        raise DumpError(f"{path}: {key}: {first['msg']}, got {in_brief(first['input'], _SHOWN_CHARACTERS)}") from error
+        said = complaint(first, _SHOWN_CHARACTERS)
+        said += f" in {in_brief(first['input'], _SHOWN_CHARACTERS)}" * (said == "missing")
+        raise DumpError(f"{path}: {key_of(first['loc']) or 'the document'}: {said}{hint}") from error
 
 
 def frame_number(name: str) -> int | None:
@@ -92,6 +109,6 @@ def by_frame(path: Path, entries: Mapping[str, T]) -> dict[int, T]:
         if number is None:
             raise DumpError(f"{path}: {name!r}: expected a frame number as key")
         if number in names:
-            raise DumpError(f"{path}: {names[number]!r} and {name!r} are both frame {number}")
+            raise DumpError(f"{path}: {names[number]!r} and {name!r} are both frame {number}; remove one of them")
         numbered[number], names[number] = entry, name
     return numbered

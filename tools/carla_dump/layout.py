@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from shlex import quote
 from typing import Final
@@ -13,6 +13,7 @@ from roadperc_stream.system.files import real_path
 from .calibration_file import CALIBRATION_NAME
 from .json_files import frame_number
 from .role_names import names_other_sensor, role_of
+from .yolo_files import NAMES_FILES
 
 _IMAGE_SUFFIXES: Final = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".webp", ".tif", ".tiff", ".ppm", ".exr"})
 _NUMBER_SUFFIXES: Final = frozenset({".npy", ".npz", ".dat", ".csv", ".raw", ".bin", ".h5", ".hdf5"})
@@ -28,6 +29,7 @@ _DOCUMENTS: Final = {
 }
 _DOCUMENT_SUFFIXES: Final = frozenset({".json", ".txt", ".yaml", ".yml"})
 _DOCUMENT_NAMES: Final = frozenset(name for names in _DOCUMENTS.values() for name in names)
+_NOT_FRAMES: Final = _DOCUMENT_NAMES.union(NAMES_FILES)
 _KNOWN_DOCUMENTS: Final = "known documents are " + ", ".join(names[0] for names in _DOCUMENTS.values())
 _TRUTH_FOLDER: Final = "truth"
 
@@ -56,8 +58,10 @@ class DumpLayout:
     notes: tuple[str, ...] = ()
 
 
-def find_layout(dump: Path, overrides: Mapping[str, Path]) -> DumpLayout:
+def find_layout(dump: Path, overrides: Mapping[str, Path], *, below: bool = True) -> DumpLayout:
     """Return the sensors and documents of a dump; ``overrides`` are the paths of ``--role``.
+
+    With ``below``, a folder without sensors may hold one folder with a dump, such as ``_out``.
 
     Raises:
         DumpError: no such folder, no sensor, two candidates for one role, or two files of one frame.
@@ -76,8 +80,14 @@ def find_layout(dump: Path, overrides: Mapping[str, Path]) -> DumpLayout:
     sensors = _one_per_role(candidates)
     if not sensors and (camera := _only_images(dump, entries)):
         sensors, notes = {"image": camera}, [f"{camera.source}: taken as the images of the front camera"]
+    inside = [entry for entry in entries if entry.is_dir() and frame_count(entry)] if below and not sensors else []
+    if len(inside) == 1:
+        found = find_layout(inside[0], overrides, below=False)
+        note = f"{inside[0].name}/ is read: {dump.name} has no sensor itself"
+        return replace(found, notes=(note, *found.notes))
     if not sensors:
-        raise DumpError(_nothing_found(dump, entries))
+        several = f"; {len(inside)} folders in it hold frames: pass one, such as {inside[0]}" if inside else ""
+        raise DumpError(_nothing_found(dump, entries) + several)
     if "detections" in sensors and "detections" in documents:
         raise DumpError(
             f"{dump}: both {documents['detections'].name} and {sensors['detections'].source}/ hold detections; "
@@ -121,7 +131,7 @@ def _candidates(entries: Sequence[Path], notes: list[str]) -> Iterator[Sensor]:
     notes += [
         f"{entry.name} is not used: {_KNOWN_DOCUMENTS}"
         for entry in entries
-        if entry.suffix.lower() in _DOCUMENT_SUFFIXES and entry.name not in _DOCUMENT_NAMES and entry.is_file()
+        if entry.suffix.lower() in _DOCUMENT_SUFFIXES and entry.name not in _NOT_FRAMES and entry.is_file()
     ]
     for folder in (entry for entry in entries if entry.is_dir()):
         if folder.name == _TRUTH_FOLDER:
@@ -175,7 +185,7 @@ def _may_be_frame(path: Path) -> bool:
 
 
 def _label_files(folder: Path) -> list[Path]:
-    return [p for p in _entries(folder) if p.suffix == ".txt" and p.name not in _DOCUMENT_NAMES]
+    return [p for p in _entries(folder) if p.suffix == ".txt" and p.name not in _NOT_FRAMES]
 
 
 def _is_single(path: Path) -> bool:
@@ -192,7 +202,10 @@ def _numbered(role: str, source: str, files: list[Path], notes: list[str], *, si
         if number is None:
             unnumbered.append(path.name)
         elif number in numbered:
-            raise DumpError(f"{source}: {numbered[number].name} and {path.name} are both frame {number}")
+            raise DumpError(
+                f"{source}: {numbered[number].name} and {path.name} are both frame {number}: the last number in a "
+                "name is the frame's; rename the files, move other sensors into folders of their own, or remove one"
+            )
         else:
             numbered[number] = path
     if not files:

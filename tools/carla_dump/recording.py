@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Final
 
+from roadperc_stream.geometry.rectification import is_rectified
 from roadperc_stream.log import Message
 from roadperc_stream.schemas.record import PIXEL_ORIGIN_KEY
 from roadperc_stream.system.text import number, shown
@@ -34,6 +35,7 @@ def recording_of_drive(drive: Drive, options: ConvertOptions) -> Recording:
         messages=lambda warnings: _messages(plan, warnings),
         required=tuple(plan.drive.surveys),
         metadata=_metadata(plan),
+        images=_images(plan.drive),
         notes=plan.drive.notes,
         warnings=(*plan.warnings, *map(_MISSING.format, plan.unreadable)),
     )
@@ -51,6 +53,12 @@ def _metadata(plan: Plan) -> Mapping[str, str]:
     origin = {PIXEL_ORIGIN_KEY: plan.drive.pixel_origin} if plan.drive.pixel_origin else {}
     layout = {"dataset": plan.drive.title} if plan.drive.title else {}
     return {"frames": str(len(plan.frames)), "time": plan.drive.timing, **encodings, **table, **origin, **layout}
+
+
+def _images(drive: Drive) -> Mapping[str, str]:
+    """Return the stamps of labelled images by name; none if the log's images lack the labels' distortion."""
+    names = drive.label_names if is_rectified(drive.rig.cameras["calibration"]) else {}
+    return {name: str(drive.stamps_ns[number]) for number, name in names.items() if number in drive.stamps_ns}
 
 
 def _sensors(plan: Plan) -> Iterator[SensorRow]:

@@ -59,8 +59,9 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
     stamps_ns = {number: EPOCH_NS + number * NS_PER_S // _RATE_HZ for number in files}
     lines_px = {number: labels[path] for number, path in files.items() if path in labels}
     drive = labelled_drive(folder, options, Sensor("image", "clips", files), lines_px, stamps_ns)
+    names = {number: path.relative_to(folder).as_posix() for number, path in files.items() if path in labels}
     timing = f"{_RATE_HZ} Hz in a clip, a clip every {_EVERY_S} s"
-    return replace(drive, title=f"TuSimple, clips: {len(clips)}", timing=timing)
+    return replace(drive, title=f"TuSimple, clips: {len(clips)}", timing=timing, label_names=names)
 
 
 def _files(folder: Path) -> list[Path]:
