@@ -7,7 +7,7 @@ that is cut there, so that it is reported and recovered as any other damaged log
 import re
 import sqlite3
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path, PurePath
@@ -43,6 +43,17 @@ class _Bag(msgspec.Struct):
 
     relative_file_paths: list[str]
     compression_format: str | None = None
+
+
+def is_log(path: Path) -> bool:
+    """Whether a path is a log or a ROS bag, by its name or its first bytes; false if it cannot be read."""
+    if path.suffix in (".mcap", ".db3", ".bag") or is_bag_folder(path):
+        return True
+    with suppress(OSError):
+        if path.is_file():
+            with path.open("rb") as stream:
+                return stream.read(len(_SQLITE)).startswith((MAGIC, _ZSTD, _SQLITE, _ROS1))
+    return False
 
 
 def received(paths: Sequence[Path]) -> tuple[Path, ...]:

@@ -21,7 +21,7 @@ def read(data: bytes, name: str, definition: bytes, encoding: str = "ros2msg") -
 
     Args:
         data: CDR with its encapsulation header, of either byte order; or a message of ROS 1.
-        name: the message's type, such as ``sensor_msgs/msg/Image``.
+        name: the message's type, such as ``sensor_msgs/msg/Image``, or ``sensor_msgs/Image`` in ROS 1.
         definition: text of the type and of the types that it contains, as a log stores it.
         encoding: ``ros2msg``, ``ros2idl`` or, for a message of ROS 1, ``ros1msg``.
 
@@ -30,6 +30,7 @@ def read(data: bytes, name: str, definition: bytes, encoding: str = "ros2msg") -
     """
     if not definition:
         raise DecodeError(f"the log does not define {name}: expected ros2msg, ros2idl or ros1msg")
+    name = name if "/msg/" in name else name.replace("/", "/msg/", 1)
     layout = layout_of(name, definition, encoding)
     with as_defined(f"{len(data)} bytes are not a valid {name}"):
         content = layout.ros1_to_cdr(data, name) if encoding == "ros1msg" else memoryview(data)

@@ -226,10 +226,10 @@ def test_a_bag_without_files_has_no_command_for_them(tmp_path):
     assert refused(tmp_path).endswith("names it; copy the whole folder of the bag again")
 
 
-def test_a_bag_is_not_converted(tmp_path, capsys):
-    (tmp_path / "metadata.yaml").write_text(metadata("bag.db3"))
-    assert convert_main([str(tmp_path), str(tmp_path / "in.mcap")]) == 1
-    assert f"replay it with: roadperc-replay {tmp_path} OUT.mcap" in capsys.readouterr().err
+def test_a_bag_without_video_is_not_converted(tmp_path, messages, capsys):
+    folder = bag(tmp_path / "bag", messages[:3])
+    assert convert_main([str(folder), str(tmp_path / "in.mcap")]) == 1
+    assert f"replay it with: roadperc-replay {folder} OUT.mcap" in capsys.readouterr().err
 
 
 def test_info_lists_every_file_of_a_bag_and_proposes_the_topic(tmp_path, messages, capsys):
