@@ -12,6 +12,8 @@ from roadperc_stream.errors import DecodeError
 from roadperc_stream.schemas.definitions import brief, types_of
 from roadperc_stream.system.time import NS_PER_S
 
+_ZSTD: Final = b"\x28\xb5\x2f\xfd"
+"""First bytes of a compressed message; no CDR message begins so."""
 _MOST_LAYOUTS: Final = 64
 """Parsed definitions to keep; a log has only a few."""
 
@@ -32,6 +34,8 @@ def read(data: bytes, name: str, definition: bytes, encoding: str = "ros2msg") -
         raise DecodeError(f"the log does not define {name}: expected ros2msg, ros2idl or ros1msg")
     name = name if "/msg/" in name else name.replace("/", "/msg/", 1)
     layout = layout_of(name, definition, encoding)
+    if data[: len(_ZSTD)] == _ZSTD:
+        raise DecodeError("the messages are compressed: replay the folder of the bag with its metadata.yaml")
     with as_defined(f"{len(data)} bytes are not a valid {name}"):
         content = layout.ros1_to_cdr(data, name) if encoding == "ros1msg" else memoryview(data)
         return layout.deserialize_cdr(content, name)

@@ -1,6 +1,7 @@
 """ROS bags are read as the MCAP log with the same messages."""
 
 import json
+import re
 import sqlite3
 from dataclasses import replace
 
@@ -224,6 +225,27 @@ def test_a_damaged_message_is_named(tmp_path, messages):
 def test_a_bag_without_files_has_no_command_for_them(tmp_path):
     (tmp_path / "metadata.yaml").write_text(metadata("bag.db3"))
     assert refused(tmp_path).endswith("names it; copy the whole folder of the bag again")
+
+
+@pytest.mark.parametrize("storage", [SQLITE, MCAP], ids=["db3", "mcap"])
+def test_a_compressed_file_without_metadata_is_read_and_named(tmp_path, single, messages, storage):
+    folder = bag(tmp_path / "bag", messages, storage, "FILE")
+    (folder / "metadata.yaml").unlink()
+    (file,) = folder.iterdir()
+    assert file.suffix == ".zstd"
+    assert contents(file) == contents(single)
+    with pytest.raises(LogError, match=f"such as {re.escape(str(file))}"):
+        log.summarise(folder)
+    if storage == MCAP:
+        with pytest.raises(LogError, match=f"zstd -d {re.escape(str(file))}"):
+            log.summarise(file)
+
+
+def test_compressed_messages_without_metadata_name_the_folder(tmp_path, messages, capsys):
+    folder = bag(tmp_path / "bag", messages, MCAP, "MESSAGE")
+    (folder / "metadata.yaml").unlink()
+    assert replay_main([*map(str, folder.iterdir()), str(tmp_path / "out.mcap")]) == 1
+    assert "are compressed: replay the folder of the bag" in capsys.readouterr().err
 
 
 def test_a_bag_without_video_is_not_converted(tmp_path, messages, capsys):
