@@ -41,9 +41,11 @@ def main(argv: list[str] | None = None) -> int:
         return run(lambda: checking.check(Path(description), Path(image), out, force=arguments.force))
     if arguments.out is None or not arguments.network:
         parser.error("expected IN OUT.mcap and --network FILE.toml")
+    from roadperc_stream.log import is_log
+
     inferring = part("tools.infer")
     given = [f"--{name}" for name in _OF_CONVERSION if getattr(arguments, name) is not None]
-    if given and inferring.is_log(arguments.source):
+    if given and is_log(arguments.source):
         parser.error(f"{' and '.join(given)}: {arguments.source} is a log, which has its own calibration and times")
     return run(lambda: inferring.infer(arguments))
 

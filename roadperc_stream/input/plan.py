@@ -17,7 +17,7 @@ from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ChannelError, NoFrameError, StateError
 from roadperc_stream.input.earlier_replay import is_result, replay_record
 from roadperc_stream.input.order import OrderConfig
-from roadperc_stream.input.roles import NOTHING_TO_REPLAY, assignment_of_log
+from roadperc_stream.input.roles import NOTHING_TO_REPLAY, assignment_of_log, with_paths
 from roadperc_stream.input.source import ReplaySource
 from roadperc_stream.input.state import InputState, PendingMessage, pending, restored
 from roadperc_stream.input.stream import Problems, RoleAssignment, Stamped, decoded_messages
@@ -183,7 +183,8 @@ def _roles(summary: LogSummary, overrides: Mapping[str, str], begin: InputState 
     """The topic of each role, including those of the continued result, and the role whose messages make the frames."""
     roles = assignment_of_log(summary, overrides) if begin is None else _roles_so_far(summary, overrides, begin)
     if roles.reference is None:
-        raise ChannelError("; ".join((f"{summary.path}: {NOTHING_TO_REPLAY}", *roles.unassigned)))
+        text = "; ".join((NOTHING_TO_REPLAY, *roles.unassigned))
+        raise ChannelError(f"{summary.path}: {with_paths(text, summary)}")
     if begin is not None and roles.reference != begin.reference:
         known, found = begin.reference, roles.reference
         raise StateError(

@@ -10,7 +10,7 @@ from roadperc_stream.input.assemble import sample_of
 from roadperc_stream.input.earlier_replay import is_result, networks_digest
 from roadperc_stream.input.outcome import FileSpan, InputOutcome, continuation_notes, file_notes
 from roadperc_stream.input.plan import InputPlan, plan_input
-from roadperc_stream.input.roles import tag_table_to_record
+from roadperc_stream.input.roles import tag_table_to_record, with_paths
 from roadperc_stream.input.source import LossTimes, ReadableLog, ReplaySource
 from roadperc_stream.input.state import InputState
 from roadperc_stream.input.stream import Problems, Stamped, decoded_messages
@@ -148,7 +148,8 @@ class ReplayInput:
                 yield sample
         if not self.frames and not self.plan.is_continuation:
             topic = self.topics[plan.order.reference]
-            raise NoFrameError(f"{self.summary.path}: no message on {topic} makes a frame; {'; '.join(self.notes)}")
+            notes = with_paths("; ".join(self.notes), self.summary)
+            raise NoFrameError(f"{self.summary.path}: no message on {topic} makes a frame; {notes}")
 
     def _until_ns(self, synced: SyncedMessages, since_ns: int | None, log_time_ns: int) -> int:
         """The log time up to which messages of a frame may have been lost."""

@@ -246,8 +246,8 @@ def test_a_bag_without_calibration_lists_candidates(tmp_path, recorded, capsys):
 
 BROKEN = {
     "/camera/front/image": (
-        {"encoding": "bayer_rggb8"},
-        "image encoding 'bayer_rggb8': expected one of bgr8",
+        {"encoding": "nv24"},
+        "image encoding 'nv24': expected one of bgr8",
     ),
     "/camera/front/depth": (
         {"step": 10},
