@@ -34,6 +34,7 @@ from roadperc_stream.model import Absent, Frame, FrameResult, Image, Mask, Objec
 from roadperc_stream.model.results import StereoDepth
 from roadperc_stream.model.scene import DepthMap, Scene
 from roadperc_stream.system.threads import opencv_threads
+from roadperc_stream.system.time import LONGEST_PAUSE_NS
 
 _TURNED: Final = np.deg2rad(0.5)
 """Turn of an assumed plane that moves a boundary 10 m ahead by a tenth of a metre, more than its standard deviation."""
@@ -199,13 +200,12 @@ def perceive(
 
 
 def _in_order(state: ChainState, stamp_ns: int) -> tuple[ChainState, list[Reason]]:
-    """The state, cleared if the stamp is not after the last one, and the problem."""
+    """The state, cleared if the stamp begins a new segment, and the problem."""
     last_ns = state.stamp_ns
-    if last_ns is None or stamp_ns > last_ns:
+    if last_ns is None or 0 < stamp_ns - last_ns <= LONGEST_PAUSE_NS:
         return state, []
-    if stamp_ns == last_ns:
-        return ChainState(), [Reason("time", "time_stood_still", (stamp_ns,))]
-    return ChainState(), [Reason("time", "time_went_back", (last_ns, stamp_ns))]
+    code = "time_jumped" if stamp_ns > last_ns else "time_went_back"
+    return ChainState(), [Reason("time", code, (last_ns, stamp_ns))]
 
 
 def _with_origin_here(localised: LocalisedFrame) -> LocalisedFrame:
