@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from roadperc_stream.chain import pixels
+from roadperc_stream.chain.frozen_image import FROZEN, ImageRepeats
 from roadperc_stream.chain.own_stage import NO_OWN, OwnStages
 from roadperc_stream.chain.protocols import LanesStage, ObjectsStage, OdometryStage, StereoStage, SurfaceStage
 from roadperc_stream.chain.road_pitch import known_pitch
@@ -57,6 +58,7 @@ class ChainState:
     odometry: OdometryState | bytes = field(default_factory=OdometryState)
     lanes: LanesState | bytes = field(default_factory=LanesState)
     objects: ObjectsState | bytes = field(default_factory=ObjectsState)
+    repeats: ImageRepeats = field(default_factory=ImageRepeats)
 
 
 @dataclass(frozen=True)
@@ -132,13 +134,14 @@ def observe(
         undecodable=tuple(undecodable),
         problems=tuple(problems),
         number=frame.number,
+        pose_mark=frame.pose_mark,
     )
 
 
 def localise(
     cfg: ReplayConfig, state: ChainState, scene: Scene, timer: Timer = nullcontext, own: OwnStages = NO_OWN
 ) -> LocalisedFrame:
-    """Find the road and the car's motion. Use only stamp, surface and odometry of the state."""
+    """Find the road and the car's motion. Use only stamp, surface, odometry and repeats of the state."""
     stages = Stages(cfg, timer, own, scene)
     last, _ = _in_order(state, scene.stamp_ns)
     rng = np.random.default_rng((cfg.seed, scene.stamp_ns % 2**63))
@@ -146,7 +149,15 @@ def localise(
     is_built_in = cfg.surface.enabled and "surface" not in own
     seen = or_assumed(scene, found) if is_built_in else found
     metric_road = _metric_road(scene, _in_front_camera(scene, seen))
-    moved, motion = stages.step("odometry", ego_motion.step, last.odometry, scene, metric_road, rng)
+    repeats = last.repeats
+    if cfg.odometry.enabled:
+        with timer("odometry"):
+            repeats = repeats.after(scene)
+    moved, motion = (
+        (last.odometry, FROZEN)
+        if repeats.is_frozen
+        else stages.step("odometry", ego_motion.step, last.odometry, scene, metric_road, rng)
+    )
     metric, pitch = _metric_motion(motion, last.stamp_ns), None
     last_T_this = None if metric is None else metric.step
     kept, road, held = surfaces, found, tuple[Reason, ...]()
@@ -157,7 +168,7 @@ def localise(
             kept = replace(kept, pitch=pitch)
     front_road = _in_front_camera(scene, road)
     drivable = stages.run("surface", lambda: drivable_mask(cfg.surface, scene, front_road), off("drivable"))
-    state = replace(last, stamp_ns=scene.stamp_ns, surface=kept, odometry=moved)
+    state = replace(last, stamp_ns=scene.stamp_ns, surface=kept, odometry=moved, repeats=repeats)
     other_plane = _on_other_plane(road, _last_pitch(last), pitch)
     localised = LocalisedFrame(scene, state, motion, road, front_road, drivable, held, other_plane, pitch)
     return _with_origin_here(localised) if scene.is_origin and last.stamp_ns is not None else localised

@@ -36,6 +36,7 @@ TEMPLATES: Final[dict[str, str]] = {
     "square pixels; if one of the two is wrong, heights and pitch are wrong",
     "no_image": "no image",
     "image_unusable": "its image cannot be used",
+    "image_frozen": "its image repeats while the car's pose or other sensors change",
     "image_uniform": "its image is black, white or nearly uniform",
     "no_segmentation": "no segmentation",
     "no_segmentation_lower_image": "no segmentation, the lower image is used as the road",
