@@ -37,7 +37,7 @@ def examine(path: Path, overrides: Mapping[str, str]) -> LogFacts:
         messages=salvage.counts.total(),
         first_ns=first_ns,
         last_ns=last_ns,
-        span_s=_seconds(last_ns, first_ns) or 0.0,
+        span_s=_seconds(last_ns, (first_ns or 0) + scan.pauses_ns) or 0.0,
         log_times_back=scan.log_times_back,
         channels=tuple(_channel_facts(salvage.channels[i], scan, first_ns) for i in sorted(salvage.channels)),
         replay=_replay_facts(scan),

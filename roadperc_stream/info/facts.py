@@ -210,7 +210,7 @@ class ReplayFacts:
     """The role whose messages make the frames."""
     frames: int
     segments: int
-    """Sections with increasing stamps; several if the log contains two recordings or a looped bag."""
+    """Sections with increasing stamps; several after a second recording, a looped bag, or a clock that was set."""
     alone: Mapping[str, int]
     """Frames without a message of an assigned role within the tolerance, by role."""
     unused: Mapping[str, int]
@@ -240,6 +240,7 @@ class LogFacts:
     first_ns: int | None
     last_ns: int | None
     span_s: float
+    """Without pauses of more than an hour."""
     log_times_back: int
     """Messages after one of any channel with a later log time."""
     channels: tuple[ChannelFacts, ...]

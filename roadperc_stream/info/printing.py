@@ -78,7 +78,8 @@ def _frame_lines(whole: bool, replay: ReplayFacts) -> Iterator[str]:
         skew = "" if replay.skew_s is None else f", stamps within a frame differ by up to {1000 * replay.skew_s:.1f} ms"
         yield f"{number(replay.frames, 'frame')}, one per message of role {replay.reference}{skew}"
     if replay.segments > 1:
-        yield f"{replay.segments} segments: the stamps restart, as in a second recording or a bag played in a loop"
+        why = "as in a second recording, a bag played in a loop, or after the clock was set"
+        yield f"{replay.segments} segments: the stamps restart or jump ahead by more than an hour, {why}"
     yield from _alone_lines(replay)
     if replay.unused:
         unused = ", ".join(f"{role} {count}" for role, count in sorted(replay.unused.items()))

@@ -109,9 +109,9 @@ class ReplayInput:
 
     @property
     def expected_frames(self) -> int:
-        """Number of messages of the reference role; an unreadable one makes no frame."""
-        plan = self.plan
-        there = plan.first_pass.counts[self.topics[plan.order.reference]] + plan.start.frames_waiting
+        """Number of messages of the reference role that are not left out; an unreadable one makes no frame."""
+        plan, found = self.plan, self.plan.first_pass
+        there = found.counts[self.topics[plan.order.reference]] - found.left_out + plan.start.frames_waiting
         return there if plan.most_frames is None else min(there, plan.most_frames)
 
     @property
@@ -162,7 +162,7 @@ class ReplayInput:
         self._outcome.drop(item)
         if item.role == self.plan.order.reference:
             topic, stamp = self.topics[item.role], f"stamp {item.stamp_ns} ns at log time {item.log_time_ns} ns"
-            self._problems.report(topic, f"{topic}: message with {stamp}: too late, left out")
+            self._problems.report(f"{topic}: {item.fault}", f"{topic}: message with {stamp}: {item.fault}, left out")
 
     def _sample(self, synced: SyncedMessages, index: int) -> Sample:
         try:

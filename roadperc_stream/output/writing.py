@@ -12,6 +12,7 @@ from roadperc_stream.log import Attachment, Channel, LogWriter, Message, Message
 from roadperc_stream.model import FrameResult, Odometry, ReasonKind, Sample
 from roadperc_stream.model.sample import frame_reasons
 from roadperc_stream.output.drawing.on_request import PictureMaker
+from roadperc_stream.output.frozen_frames import FrozenFrames
 from roadperc_stream.output.reason_counts import ReasonCount, merged, of_frame, throughout
 from roadperc_stream.output.results import result_channel, result_messages
 from roadperc_stream.output.tables import TableWriter, config_text, table_facts
@@ -152,6 +153,7 @@ class Outputs:
         self._pictures = PictureMaker(target.on_request)
         self.files = (self._log, self._objects, self._frames)
         """Renamed in reverse order: when the log has its name, the tables have theirs."""
+        self._frozen = FrozenFrames()
         self._frames_before = 0
         self._resumed_ns: int | None = None
 
@@ -216,6 +218,7 @@ class Outputs:
         if self._on_frame is not None:
             self._on_frame(output.row, output.times_ms)
         self._frames.append(output.row, **output.times_ms)
+        self._frozen.add(output.row)
         for item in output.objects:
             self._objects.append(item)
 
@@ -256,7 +259,7 @@ class Outputs:
             log_in.log_id,
             log_in.frames,
             self._log.messages,
-            notes=(*notes, *log_in.notes, *self._pictures.notes()),
+            notes=(*notes, *log_in.notes, *self._frozen.notes(), *self._pictures.notes()),
             warnings=warnings,
             dropped=log_in.dropped,
             problems=log_in.unreadable,

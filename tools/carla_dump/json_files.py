@@ -3,8 +3,9 @@
 import json
 import re
 from collections.abc import Mapping
+from decimal import Decimal
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, FiniteFloat, TypeAdapter, ValidationError
@@ -18,6 +19,10 @@ T = TypeVar("T")
 Numbers3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Numbers4 = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
 _SHOWN_CHARACTERS = 80
+EPOCH_NS: Final = 1_577_836_800 * NS_PER_S
+"""2020-01-01T00:00:00Z: time 0 of every dump, so that a conversion is reproducible."""
+_SECONDS = re.compile(r"(?<![0-9A-Za-z.])[0-9]{1,7}\.[0-9]{1,20}(?=[^0-9.]*$)")
+"""The last number of a name, as a simulation writes its time; longer numbers are dates and Unix time."""
 _UNIX_SECONDS = re.compile(r"(?<![0-9.])([12][0-9]{9})\.([0-9]{1,9})(?![0-9])")
 
 
@@ -87,13 +92,22 @@ def checked(path: Path | str, expected: TypeAdapter[T], data: Any, hint: str = "
 def frame_number(name: str) -> int | None:
     """Return the frame number in a name, its last group of digits (``frame_00001`` is 1), or None.
 
-    Unix time with a fraction (``1305031102.933``, as in TUM's image names) is one number, in nanoseconds. The 8 in
-    Cityscapes' ``leftImg8bit`` is no frame number.
+    Seconds with a fraction are one number, in nanoseconds: Unix time (``1305031102.933``, as in TUM's image names), and
+    time of a simulation (``12.80``), which is counted from ``EPOCH_NS``. The 8 in Cityscapes' ``leftImg8bit`` is no
+    frame number.
     """
     if stamp := _UNIX_SECONDS.search(name):
         return int(stamp[1]) * NS_PER_S + int(stamp[2].ljust(9, "0"))
-    groups = re.findall(r"[0-9]+", name.removesuffix("_leftImg8bit"))
+    name = name.removesuffix("_leftImg8bit")
+    if seconds := _SECONDS.search(name):
+        return EPOCH_NS + round(Decimal(seconds[0]) * NS_PER_S)
+    groups = re.findall(r"[0-9]+", name)
     return int(groups[-1]) if groups else None
+
+
+def is_seconds(name: str) -> bool:
+    """Return True if the number in a name is the time of a simulation in seconds with a fraction."""
+    return _SECONDS.search(name.removesuffix("_leftImg8bit")) is not None
 
 
 def by_frame(path: Path, entries: Mapping[str, T]) -> dict[int, T]:

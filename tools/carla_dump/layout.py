@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from shlex import quote
 from typing import Final
@@ -11,7 +12,7 @@ from roadperc_stream.errors import DumpError
 from roadperc_stream.system.files import real_path
 
 from .calibration_file import CALIBRATION_NAME
-from .json_files import frame_number
+from .json_files import frame_number, is_seconds
 from .role_names import names_other_sensor, role_of
 from .yolo_files import NAMES_FILES
 
@@ -32,6 +33,7 @@ _DOCUMENT_NAMES: Final = frozenset(name for names in _DOCUMENTS.values() for nam
 _NOT_FRAMES: Final = _DOCUMENT_NAMES.union(NAMES_FILES)
 _KNOWN_DOCUMENTS: Final = "known documents are " + ", ".join(names[0] for names in _DOCUMENTS.values())
 _TRUTH_FOLDER: Final = "truth"
+_SHORTEST_NS: Final = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -197,8 +199,10 @@ def _numbered(role: str, source: str, files: list[Path], notes: list[str], *, si
     """Return a sensor with its files by the number in their names; a ``single`` file is frame 0."""
     numbered: dict[int, Path] = {}
     unnumbered = []
+    in_seconds = any(is_seconds(path.stem) for path in files)
     for path in files:
-        number = 0 if single else frame_number(path.stem)
+        whole = in_seconds and not is_seconds(path.stem)  # 13.png among 12.95.png and 13.05.png
+        number = 0 if single else frame_number(f"{path.stem}.0" if whole else path.stem)
         if number is None:
             unnumbered.append(path.name)
         elif number in numbered:
@@ -214,7 +218,17 @@ def _numbered(role: str, source: str, files: list[Path], notes: list[str], *, si
         raise DumpError(f"{source}: no frame number in the name of {unnumbered[0]}; expected names such as 000001.png")
     if unnumbered:
         notes.append(f"{source}: left out, no frame number in the name: {', '.join(unnumbered[:3])}")
+    if in_seconds:
+        _require_times(source, numbered)
     return Sensor(role, source, numbered)
+
+
+def _require_times(source: str, files: Mapping[int, Path]) -> None:
+    """Check that decimal numbers in names are seconds: as such, ``1.0001`` and ``1.0002`` are too close."""
+    for earlier_ns, later_ns in pairwise(sorted(files)):
+        if later_ns - earlier_ns <= _SHORTEST_NS:
+            names = f"{files[earlier_ns].name} and {files[later_ns].name}"
+            raise DumpError(f"{source}: {names}: as seconds 1 ms apart or less; write frame numbers without a point")
 
 
 def _flat_sensors(files: Iterable[Path], notes: list[str]) -> Iterator[Sensor]:
@@ -222,7 +236,7 @@ def _flat_sensors(files: Iterable[Path], notes: list[str]) -> Iterator[Sensor]:
     groups: dict[str, list[Path]] = {}
     for path in files:
         # The name without its frame number; a plain number is a camera image.
-        words = re.sub(r"[0-9]+(?=[^0-9]*$)", "", path.stem).strip("_-. ")
+        words = re.sub(r"([0-9]+\.)?[0-9]+(?=[^0-9]*$)", "", path.stem).strip("_-. ")
         if role := role_of(words) if words else "image":
             groups.setdefault(role, []).append(path)
         else:

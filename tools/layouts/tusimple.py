@@ -17,8 +17,7 @@ from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float
 from roadperc_stream.system.time import NS_PER_S
 
-from ..carla_dump.frame_stamps import EPOCH_NS
-from ..carla_dump.json_files import Document, checked, read_lines
+from ..carla_dump.json_files import EPOCH_NS, Document, checked, read_lines
 from ..carla_dump.layout import Sensor, sensor_in
 from .drive import ConvertOptions, Drive
 from .lane_labels import FLAGS, labelled_drive

@@ -41,7 +41,7 @@ class RunRow:
     names: Annotated[tuple[str, ...], Column("all known paths and addresses of the log")]
     fingerprints: Annotated[tuple[str, ...], Column("size and modification time of the log under each name")]
     date: Annotated[str | None, Column("UTC date of the log's first message, YYYY-MM-DD", null=_UNKNOWN)]
-    duration_s: Annotated[float | None, Column("from the first frame to the last", "s", "no frame")]
+    duration_s: Annotated[float | None, Column("first to last frame, summed over segments", "s", "no frame")]
     size_bytes: Annotated[int, Column("of the log's files")]
     frames: Annotated[int, Column("frames replayed", COUNT)]
     dropped: Annotated[int, Column("messages that belong to no frame", COUNT)]
