@@ -1,7 +1,7 @@
 """Findings on odometry against the poses of the log: scale, delay, and mirrored turns.
 
-Scale: lengths between positions some metres apart. The noise of single poses hardly changes them. Delay: yaw rates of
-both, correlated over offsets in whole frames; three correlations around the best one give its fraction.
+Scale: distances between positions some metres apart, which the noise of single poses hardly changes. Delay: yaw rates
+of both, correlated over offsets in whole frames; the three correlations around the best one give its fraction.
 """
 
 import math
@@ -21,7 +21,7 @@ _WINDOW_M: Final = 3.0
 _FEWEST_WINDOWS: Final = 4
 _SCALE: Final = 0.05
 _STDS: Final = 3.0
-_SCALES: Final = (0.01, 100.0)
+_MOST_SCALE: Final = 100.0
 _MOST_FRAMES: Final = 10
 """Largest offset that is searched."""
 _FEWEST_PAIRS: Final = 30
@@ -34,6 +34,8 @@ _WORSE: Final = 4.0
 _UNEXPLAINED: Final = 0.005
 _LEAST_DELAY: Final = 0.5
 _POSES: Final = "the poses (role truth_pose)"
+_Pair = tuple[Float, Float]
+"""Pose by odometry and pose of the log: (7,) position and quaternion x, y, z, w."""
 
 
 class PoseEvidence:
@@ -41,74 +43,51 @@ class PoseEvidence:
 
     def __init__(self) -> None:
         self._windows = Spread[tuple[float, float]]()
-        self._begin: tuple[Float, Float] | None = None
-        self._std_m = 0.0
-        self._last: tuple[int, Float, Float] | None = None
-        self._own: deque[float] = deque(maxlen=_MOST_FRAMES + 1)
-        self._true: deque[float] = deque(maxlen=_MOST_FRAMES + 1)
+        self._begin: _Pair | None = None
+        self._last: tuple[int, _Pair] | None = None
+        self._std_m = self._turned = self._seconds = 0.0
+        self._rates = deque[tuple[float, float]](maxlen=_MOST_FRAMES + 1)
         self._sums = np.zeros((2 * _MOST_FRAMES + 1, 6))
-        self._intervals_s = Spread[float]()
-        self._turned = 0.0
 
     def add(self, row: FrameMetrics) -> None:
         """Count a frame."""
         poses = _poses_of(row)
-        if poses is None:
-            self._begin = self._last = None
-            self._rates(math.nan, math.nan)
-            return
-        own, true = poses
-        self._lengths(own, true, row)
-        self._turns(row.stamp_ns, own, true, is_first=row.odometry_status == "first")
+        self._add_step(poses, row)
+        rates, last = (math.nan, math.nan), self._last
+        if poses and last and row.odometry_status != "first" and row.stamp_ns > last[0]:
+            seconds = (row.stamp_ns - last[0]) / NS_PER_S
+            own, true = (_turn_between(before, now) for before, now in zip(last[1], poses, strict=True))
+            self._turned, self._seconds = self._turned + abs(true), self._seconds + seconds
+            rates = own / seconds, true / seconds
+        self._last = None if poses is None else (row.stamp_ns, poses)
+        self._add_rates(rates)
+
+    def _add_step(self, poses: _Pair | None, row: FrameMetrics) -> None:
+        """End a window if the car has driven far enough; a step without a length begins a new one."""
+        begin, self._std_m = self._begin, self._std_m + (row.step_std_m or 0.0)
+        if poses and begin and row.step_m is not None:
+            own_m, true_m = (float(np.linalg.norm((now - then)[:3])) for now, then in zip(poses, begin, strict=True))
+            if max(own_m, true_m) < _WINDOW_M:
+                return
+            ratio = own_m / max(true_m, own_m / _MOST_SCALE)
+            self._windows.add((ratio, self._std_m / max(own_m, true_m)))
+        self._begin, self._std_m = poses, 0.0
+
+    def _add_rates(self, rates: tuple[float, float]) -> None:
+        """Add the pairs of new yaw rates with earlier ones to the sums of each offset; NaN is unknown."""
+        self._rates.append(rates)
+        for back, earlier in enumerate(reversed(self._rates)):
+            pairs = {_MOST_FRAMES - back: (rates[0], earlier[1]), _MOST_FRAMES + back: (earlier[0], rates[1])}
+            for place, (own, true) in pairs.items():
+                if not math.isnan(own + true):
+                    self._sums[place] += (1.0, own, true, own * own, true * true, own * true)
 
     def findings(self) -> Sequence[Finding | None]:
-        """Scale and delay, None if they fit or the car hardly drove or turned."""
-        return odometry_scale(self._windows.values), self._delay()
-
-    def _lengths(self, own: Float, true: Float, row: FrameMetrics) -> None:
-        """End a window if the car has driven far enough; a step without a length begins a new one."""
-        if self._begin is None or row.step_m is None:
-            self._begin, self._std_m = (own, true), 0.0
-            return
-        self._std_m += row.step_std_m or 0.0
-        lengths = tuple(
-            float(np.linalg.norm(now[:3] - begun[:3])) for now, begun in zip((own, true), self._begin, strict=True)
-        )
-        if max(lengths) >= _WINDOW_M:
-            least, most = _SCALES
-            ratio = min(max(lengths[0] / max(lengths[1], 1e-9), least), most)
-            self._windows.add((ratio, self._std_m / max(lengths[0], 1e-9)))
-            self._begin, self._std_m = (own, true), 0.0
-
-    def _turns(self, stamp_ns: int, own: Float, true: Float, *, is_first: bool) -> None:
-        """Add the yaw rates since the last frame."""
-        last, self._last = self._last, (stamp_ns, own, true)
-        if last is None or is_first or stamp_ns <= last[0]:
-            self._rates(math.nan, math.nan)
-            return
-        seconds = (stamp_ns - last[0]) / NS_PER_S
-        turns = _turn_between(last[1], own), _turn_between(last[2], true)
-        self._turned += abs(turns[1])
-        self._intervals_s.add(seconds)
-        self._rates(turns[0] / seconds, turns[1] / seconds)
-
-    def _rates(self, own: float, true: float) -> None:
-        """Add the pairs of a new yaw rate with earlier ones to the sums of each offset; NaN if it is unknown."""
-        self._own.append(own)
-        self._true.append(true)
-        for back in range(len(self._own)):
-            self._pair(_MOST_FRAMES - back, own, self._true[-1 - back])
-            if back:
-                self._pair(_MOST_FRAMES + back, self._own[-1 - back], true)
-
-    def _pair(self, place: int, own: float, true: float) -> None:
-        if not math.isnan(own + true):
-            self._sums[place] += (1.0, own, true, own * own, true * true, own * true)
-
-    def _delay(self) -> Finding | None:
-        if self._turned < _LEAST_TURN:
-            return None
-        return pose_delay(correlations(self._sums), self._sums[:, 0], spread_of(self._intervals_s.values)[0])
+        """Scale and delay; None if they fit, or if the car hardly drove or turned."""
+        scale, pairs = odometry_scale(self._windows.values), self._sums[_MOST_FRAMES, 0]
+        if self._turned < _LEAST_TURN or not pairs:
+            return (scale,)
+        return scale, pose_delay(correlations(self._sums), self._seconds / pairs)
 
 
 def odometry_scale(windows: Sequence[tuple[float, float]]) -> Finding | None:
@@ -121,57 +100,52 @@ def odometry_scale(windows: Sequence[tuple[float, float]]) -> Finding | None:
         return None
     return Finding(
         "odometry_scale",
-        f"odometry drives {scale:.3g} times as far as {_POSES}, expected within {_SCALE:.0%}; camera height, field of "
-        "view, depth scale, baseline or the unit of the poses is wrong: pass --height or --fov, or correct the "
-        "calibration",
+        f"odometry drives {scale:.3g} times as far as {_POSES}, expected within {100 * _SCALE:g} %; camera height, "
+        "field of view, scale of the depth, baseline or the unit of the poses is wrong: pass --height, --fov or "
+        "--calibration, or correct the poses",
     )
 
 
 def correlations(sums: Float) -> Float:
-    """(N,) correlations of two series from (N, 6) sums: count, a, b, a a, b b, a b; NaN without scatter."""
+    """(N,) correlations of two series from (N, 6) sums: count, a, b, a a, b b, a b; 0 without enough pairs."""
     count, a, b, aa, bb, ab = sums.T
     with np.errstate(invalid="ignore", divide="ignore"):
-        return (count * ab - a * b) / np.sqrt((count * aa - a * a) * (count * bb - b * b))
+        found = (count * ab - a * b) / np.sqrt((count * aa - a * a) * (count * bb - b * b))
+    return np.where(count >= _FEWEST_PAIRS, np.nan_to_num(found), 0.0)
 
 
-def pose_delay(found: Float, counts: Float, interval_s: float) -> Finding | None:
+def pose_delay(found: Float, interval_s: float) -> Finding | None:
     """Whether turns of the poses come before or after those of the images, or to the other side.
 
-    Args:
-        found: correlations of the yaw rates at each offset, from ``-_MOST_FRAMES`` on; the poses are late in positive
-            ones.
-        counts: number of pairs in each.
-        interval_s: time between frames.
+    ``found`` are correlations of the yaw rates at each offset, from ``-_MOST_FRAMES`` frames of ``interval_s`` on; the
+    poses are late at positive ones.
     """
-    known = np.where(counts >= _FEWEST_PAIRS, np.nan_to_num(found), 0.0)
-    if known.min() <= -_ALIKE and known.max() < _ALIKE:
+    best = int(np.argmax(found))
+    if found.min() <= -_ALIKE and found[best] < _ALIKE:
         return Finding(
             "pose_mirrored",
-            f"{_POSES} turn left where the images turn right, correlation {known.min():.2f}; the poses are left-handed "
+            f"{_POSES} turn left where the images turn right, correlation {found.min():.2f}; the poses are left-handed "
             "(CARLA, Unreal): convert them to x forward, y left, z up",
         )
-    best = int(np.argmax(known))
-    unexplained, least = 1 - known[_MOST_FRAMES] ** 2, 1 - known[best] ** 2
-    if known[best] < _ALIKE or best in (0, len(known) - 1):
+    unexplained, least = 1 - found[_MOST_FRAMES] ** 2, 1 - found[best] ** 2
+    at_end = best in (0, len(found) - 1)
+    if found[best] < _ALIKE or at_end or unexplained <= max(_UNEXPLAINED, _WORSE * least):
         return None
-    if unexplained <= max(_UNEXPLAINED, _WORSE * least):
-        return None
-    before, at, after = known[best - 1 : best + 2]
+    before, at, after = found[best - 1 : best + 2]
     bend = before - 2 * at + after
-    frames = best - _MOST_FRAMES + (float(before - after) / (2 * float(bend)) if bend < 0 else 0.0)
+    frames = best - _MOST_FRAMES + (float((before - after) / (2 * bend)) if bend < 0 else 0.0)
     if abs(frames) <= _LEAST_DELAY:
         return None
     late = "after" if frames > 0 else "before"
     return Finding(
         "pose_delay",
         f"{_POSES} turn {abs(frames) * interval_s:.3f} s ({abs(frames):.1f} frames) {late} the images, expected within "
-        "half a frame; their stamps are those of arrival, or of another clock: correct the stamps of the poses or of "
-        "the images",
+        "half a frame; their stamps are those of arrival, or of another clock: correct the stamps",
     )
 
 
-def _poses_of(row: FrameMetrics) -> tuple[Float, Float] | None:
-    """x, y, z and quaternion x, y, z, w of odometry and of the log's pose; None if one is unknown or lost."""
+def _poses_of(row: FrameMetrics) -> _Pair | None:
+    """The pose by odometry and that of the log; None if one is unknown or lost."""
     own = (row.odom_x_m, row.odom_y_m, row.odom_z_m, row.odom_qx, row.odom_qy, row.odom_qz, row.odom_qw)
     true = (row.true_x_m, row.true_y_m, row.true_z_m, row.true_qx, row.true_qy, row.true_qz, row.true_qw)
     if row.odometry_status not in ("first", "tracked") or None in own or None in true:
@@ -180,7 +154,7 @@ def _poses_of(row: FrameMetrics) -> tuple[Float, Float] | None:
 
 
 def _turn_between(before: Float, now: Float) -> float:
-    """Angle about the vehicle's z axis between two poses of position and quaternion, radians."""
+    """Angle about the vehicle's z axis between two poses, radians."""
     x, y, z, w = before[3:]
     a, b, c, d = now[3:]
     about_z, real = w * c - z * d - x * b + y * a, w * d + x * a + y * b + z * c

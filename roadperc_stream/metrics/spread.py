@@ -5,22 +5,22 @@ from statistics import median
 from typing import Final, Generic, TypeVar
 
 T = TypeVar("T")
-_KEPT: Final = 4096
+_KEPT: Final = 1024
 _NORMAL_MAD: Final = 1.4826
 
 
 class Spread(Generic[T]):
-    """All values of a short replay, every second one of a longer one, and so on."""
+    """All values of a short replay, every second one of a longer one, and so on; ``count`` is that of all values."""
 
     def __init__(self) -> None:
         self.values: list[T] = []
-        self._seen, self._every = 0, 1
+        self.count, self._every = 0, 1
 
     def add(self, value: T) -> None:
         """Add the next value."""
-        if self._seen % self._every == 0:
+        if self.count % self._every == 0:
             self.values.append(value)
-        self._seen += 1
+        self.count += 1
         if len(self.values) > _KEPT:
             self.values, self._every = self.values[::2], self._every * 2
 

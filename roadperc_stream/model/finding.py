@@ -40,15 +40,11 @@ def decoded_findings(text: str) -> tuple[Finding, ...]:
 class Evidence:
     """Facts of one frame, beside its row, from which findings are made; None if unknown.
 
-    The road's pixels are those of the lower image that see the ground in front of the mounted camera.
-
     Args:
         mounting_m: height of the surface's camera by the transforms.
         rough_ratio: share of neighbouring pixels of the depth image whose depths differ by metres.
         road_known_ratio: share of the road's pixels with a depth, from camera or stereo.
         road_depth_ratio: median of their depth / the depth of the ground there.
-        searched_ratio: share of the road's pixels whose disparity by the baseline is among those searched.
-        baseline_m: of the stereo pair.
         unusable: why messages of the frame exist but cannot be used.
     """
 
@@ -56,6 +52,4 @@ class Evidence:
     rough_ratio: float | None = None
     road_known_ratio: float | None = None
     road_depth_ratio: float | None = None
-    searched_ratio: float | None = None
-    baseline_m: float | None = None
     unusable: tuple[str, ...] = ()

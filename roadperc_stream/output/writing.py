@@ -104,8 +104,11 @@ class FindingCounter(Protocol):
     def add(self, row: FrameMetrics, evidence: Evidence) -> None:
         """Count a frame."""
 
-    def findings(self, unreadable: Mapping[str, int]) -> tuple[Finding, ...]:
-        """The findings of all frames; ``unreadable`` counts the messages of each role that are not in any frame."""
+    def findings(self, unreadable: Mapping[str, int], reference: str) -> tuple[Finding, ...]:
+        """The findings of all frames.
+
+        ``unreadable`` counts the messages of each role that are in no frame; those of ``reference`` make no frame.
+        """
 
 
 @dataclass(frozen=True)
@@ -280,7 +283,7 @@ class Outputs:
         """The findings of the input, then those of the results."""
         topics, unreadable = self._input.topics, self._input.unreadable
         by_role = {role: unreadable[topic] for role, topic in topics.items() if topic in unreadable}
-        return (*self._input.findings, *self._counter.findings(by_role))
+        return (*self._input.findings, *self._counter.findings(by_role, self._input.plan.order.reference))
 
     def make_durable(self) -> None:
         """Complete all files and sync them to the disk, before the rename."""
