@@ -30,7 +30,7 @@ _FAR_M: Final = 60.0
 
 def evidence_of(cfg: ReplayConfig, frame: Frame, result: FrameResult) -> Evidence:
     """The evidence of one frame; what its stages did not decode is not decoded for it."""
-    sensor_m = _sensor_depth_m(cfg, frame)
+    sensor_m, reasons = _sensor_depth_m(cfg, frame), result.reasons()
     places = {
         frame.camera.frame_id: frame.ego_T_camera,
         frame.left_camera.frame_id: frame.ego_T_left,
@@ -38,9 +38,9 @@ def evidence_of(cfg: ReplayConfig, frame: Frame, result: FrameResult) -> Evidenc
     }
     ego_T_surface = None if isinstance(result.surface, Absent) else places.get(result.surface.frame_id)
     road: tuple[float | None, float | None] = None, None
-    if sensor_m is not None:
+    if sensor_m is not None and cfg.surface.enabled:
         road = road_depth(frame.depth_camera, frame.ego_T_depth_camera, sensor_m)
-    elif isinstance(result.stereo, StereoDepth):
+    elif isinstance(result.stereo, StereoDepth) and cfg.surface.enabled:
         searched_m = searched_depths(cfg, frame)
         road = road_depth(frame.left_camera, frame.ego_T_left, result.stereo.depth_m, searched_m)
     return Evidence(
@@ -48,7 +48,8 @@ def evidence_of(cfg: ReplayConfig, frame: Frame, result: FrameResult) -> Evidenc
         rough_ratio=None if sensor_m is None else rough_ratio(sensor_m),
         road_known_ratio=road[0],
         road_depth_ratio=road[1],
-        unusable=tuple(str(reason) for reason in result.reasons() if reason.code in UNUSABLE),
+        lane_width_m=next((float(reason.values[1]) for reason in reasons if reason.code == "lane_width"), None),
+        unusable=tuple(str(reason) for reason in reasons if reason.code in UNUSABLE),
     )
 
 

@@ -27,7 +27,8 @@ _USUAL_LANE_M: Final = 3.5
 _FEWEST_WIDTHS: Final = 3
 _ROAD_FACTOR: Final = 10.0
 """Factor between measured and expected depth of the road that no vehicle ahead and no bonnet explains."""
-_FEWEST_KNOWN: Final = 0.02
+_FEWEST_KNOWN: Final = 0.4
+"""Share of the road's pixels with a depth; exchanged cameras match a third of them by chance."""
 _SOURCES: Final = {
     "depth": "depth",
     "stereo": "stereo depth",
@@ -126,10 +127,14 @@ def road_depth(frames: Frames) -> Finding | None:
 
 
 def lane_width(frames: Frames) -> Finding | None:
-    """Whether the lane is too narrow or too wide in most frames that measure both boundaries."""
+    """Whether the lane is too narrow or too wide in most frames that measure both boundaries, or reject its width."""
     narrow, wide = _WIDTHS_M
-    rows = [row for row, _ in frames if row.lane_left_status == row.lane_right_status == "measured"]
-    widths_m = [row.lane_width_m for row in rows if row.lane_width_m is not None]
+    measured = [
+        (row, row.lane_width_m if found.lane_width_m is None else found.lane_width_m)
+        for row, found in frames
+        if row.lane_left_status == row.lane_right_status == "measured" or found.lane_width_m is not None
+    ]
+    rows, widths_m = [row for row, _ in measured], [width for _, width in measured if width is not None]
     if len(widths_m) < _FEWEST_WIDTHS or 2 * sum(not narrow <= width <= wide for width in widths_m) <= len(widths_m):
         return None
     width_m, heights_m = median(widths_m), [row.camera_height_m for row in rows if row.camera_height_m is not None]

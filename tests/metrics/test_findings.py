@@ -52,9 +52,10 @@ def of_depth(depth_m, **options):
 
 
 WRONG = {
-    "camera_height": {"depth": of_depth(DEPTH_M * 5, as_float=True)},
+    "camera_height": {"depth": of_depth(DEPTH_M * 1.2, as_float=True)},
     "camera_height lane_width": {"narrow": np.sqrt(3)},
     "lane_width": {"narrow": np.sqrt(3), "roles": WITHOUT_TRANSFORM},
+    "lane_width ": {"narrow": 2.5, "roles": WITHOUT_TRANSFORM},
     "depth_rough": {"depth": of_depth(exchanged(DEPTH_M))},
     "road_depth": {"depth": of_depth(DEPTH_M * 1000, as_float=True)},
     "undecodable": {"depth": lambda stamp_ns: of_depth(DEPTH_M)(stamp_ns)[:-100]},
@@ -71,7 +72,7 @@ def test_a_wrong_input_is_a_finding(tmp_path, codes):
 def test_both_heights_are_named(tmp_path):
     source = logs.write(tmp_path / "in.mcap", items(**WRONG["camera_height"]))
     (found,) = replaying.replay(source, tmp_path / "out.mcap", CFG).findings
-    assert "7 m" in found.text
+    assert "1.68 m" in found.text
     assert "1.4 m" in found.text
 
 
