@@ -8,12 +8,12 @@ from roadperc_stream.chain.pixels import needs_scene
 from roadperc_stream.chain.stages.stereo import disparities_needed
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.geometry import Camera, Float, Float32, Plane, inverse, rays, transform_plane
+from roadperc_stream.geometry import Camera, Float, Float32, Plane, intersect_plane, inverse, transform_plane
 from roadperc_stream.model import Absent, Frame, FrameResult, StereoDepth
 from roadperc_stream.model.finding import Evidence
 from roadperc_stream.model.reason import UNUSABLE
 
-_COMPARED: Final = 128
+_COMPARED: Final = 64
 """Rows or columns of a depth image from which neighbours are compared."""
 _ROUGH_M, _ROUGH_SHARE = 1.0, 0.25
 """Rough difference of neighbours: in metres, and as a share of the smaller depth. The road near the horizon differs by
@@ -105,15 +105,15 @@ def road_depth(
     The road's pixels are those of the lower image that see the level ground. Pixels whose ground is outside
     ``searched_m`` cannot get a depth by stereo, and count as unknown.
     """
-    rows = np.linspace(_ROAD_ROWS * camera.height, camera.height - 1, _ROAD_GRID[0]).round()
-    columns = np.linspace(0, camera.width - 1, _ROAD_GRID[1]).round()
+    rows = np.linspace(_ROAD_ROWS * camera.height, camera.height - 1, _ROAD_GRID[0]).astype(int)
+    columns = np.linspace(0, camera.width - 1, _ROAD_GRID[1]).astype(int)
     pixels = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
-    road = transform_plane(inverse(ego_T_camera), Plane.of(np.array([0.0, 0.0, 1.0]), 0.0))
-    slope = -rays(camera, pixels) @ road.n
-    ahead = slope * _FAR_M > road.offset_m
-    if road.offset_m <= 0 or not ahead.any():
+    ground = transform_plane(inverse(ego_T_camera), Plane.of(np.array([0.0, 0.0, 1.0]), 0.0))
+    ground_m = intersect_plane(camera, pixels.astype(float), ground)[:, 2]
+    ahead = ground_m < _FAR_M
+    if ground.offset_m <= 0 or not ahead.any():
         return None, None
-    ground_m, (x, y) = road.offset_m / slope[ahead], pixels[ahead].astype(int).T
+    ground_m, (x, y) = ground_m[ahead], pixels[ahead].T
     found_m = depth_m[y, x]
     known = (found_m > 0) & (ground_m >= searched_m[0]) & (ground_m <= searched_m[1])
     ratio = float(np.median(found_m[known] / ground_m[known])) if known.any() else None

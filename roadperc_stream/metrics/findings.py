@@ -159,7 +159,7 @@ def undecodable(frames: Frames, unreadable: Mapping[str, int], reference: str, c
         bad = round(len(own) / max(len(frames), 1) * count) + unreadable.get(role, 0)
         expected = count + (unreadable.get(role, 0) if role == reference else 0)
         if 2 * bad > expected:
-            why = f", such as {own[0]}" if own else ""
+            why = f" ({own[0].removeprefix(f'{role}: ')})" if own else ""
             text = f"{role}: its messages cannot be used in {bad} of {number(expected, 'frame')}{why}"
             hint = "roadperc-info shows their encoding, docs/recordings.md those that are read"
             yield Finding("undecodable", f"{text}; {hint}")

@@ -5,7 +5,6 @@ of both, correlated over offsets in whole frames; the three correlations around 
 """
 
 import math
-from collections import deque
 from collections.abc import Sequence
 from typing import Final
 
@@ -22,6 +21,8 @@ _FEWEST_WINDOWS: Final = 4
 _SCALE: Final = 0.05
 _STDS: Final = 3.0
 _MOST_SCALE: Final = 100.0
+_MOST_TURNS: Final = 2**16
+"""Frames whose turns are kept, an hour at 20 Hz."""
 _MOST_FRAMES: Final = 10
 """Largest offset that is searched."""
 _FEWEST_PAIRS: Final = 30
@@ -42,25 +43,21 @@ class PoseEvidence:
     """Odometry and poses of a log, frame by frame, in bounded memory."""
 
     def __init__(self) -> None:
-        self._windows = Spread[tuple[float, float]]()
+        self._windows, self._std_m = Spread[tuple[float, float]](), 0.0
         self._begin: _Pair | None = None
         self._last: tuple[int, _Pair] | None = None
-        self._std_m = self._turned = self._seconds = 0.0
-        self._rates = deque[tuple[float, float]](maxlen=_MOST_FRAMES + 1)
-        self._sums = np.zeros((2 * _MOST_FRAMES + 1, 6))
+        self._turns: list[tuple[float, float, float]] = []
 
     def add(self, row: FrameMetrics) -> None:
         """Count a frame."""
-        poses = _poses_of(row)
+        poses, turns, last = _poses_of(row), (math.nan, math.nan), self._last
         self._add_step(poses, row)
-        rates, last = (math.nan, math.nan), self._last
-        if poses and last and row.odometry_status != "first" and row.stamp_ns > last[0]:
-            seconds = (row.stamp_ns - last[0]) / NS_PER_S
-            own, true = (_turn_between(before, now) for before, now in zip(last[1], poses, strict=True))
-            self._turned, self._seconds = self._turned + abs(true), self._seconds + seconds
-            rates = own / seconds, true / seconds
+        seconds = (row.stamp_ns - last[0]) / NS_PER_S if last else 0.0
+        if poses and last and row.odometry_status != "first" and seconds > 0:
+            turns = _turn_between(last[1][0], poses[0]), _turn_between(last[1][1], poses[1])
+        if len(self._turns) < _MOST_TURNS:
+            self._turns.append((*turns, seconds))
         self._last = None if poses is None else (row.stamp_ns, poses)
-        self._add_rates(rates)
 
     def _add_step(self, poses: _Pair | None, row: FrameMetrics) -> None:
         """End a window if the car has driven far enough; a step without a length begins a new one."""
@@ -73,21 +70,15 @@ class PoseEvidence:
             self._windows.add((ratio, self._std_m / max(own_m, true_m)))
         self._begin, self._std_m = poses, 0.0
 
-    def _add_rates(self, rates: tuple[float, float]) -> None:
-        """Add the pairs of new yaw rates with earlier ones to the sums of each offset; NaN is unknown."""
-        self._rates.append(rates)
-        for back, earlier in enumerate(reversed(self._rates)):
-            pairs = {_MOST_FRAMES - back: (rates[0], earlier[1]), _MOST_FRAMES + back: (earlier[0], rates[1])}
-            for place, (own, true) in pairs.items():
-                if not math.isnan(own + true):
-                    self._sums[place] += (1.0, own, true, own * own, true * true, own * true)
-
     def findings(self) -> Sequence[Finding | None]:
         """Scale and delay; None if they fit, or if the car hardly drove or turned."""
-        scale, pairs = odometry_scale(self._windows.values), self._sums[_MOST_FRAMES, 0]
-        if self._turned < _LEAST_TURN or not pairs:
+        own, true, seconds = np.array(self._turns, float).reshape(-1, 3).T
+        scale, known = odometry_scale(self._windows.values), ~np.isnan(own)
+        if np.abs(true[known]).sum() < _LEAST_TURN:
             return (scale,)
-        return scale, pose_delay(correlations(self._sums), self._seconds / pairs)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            found = correlations(own / seconds, true / seconds)
+        return scale, pose_delay(found, float(np.median(seconds[known])))
 
 
 def odometry_scale(windows: Sequence[tuple[float, float]]) -> Finding | None:
@@ -106,12 +97,15 @@ def odometry_scale(windows: Sequence[tuple[float, float]]) -> Finding | None:
     )
 
 
-def correlations(sums: Float) -> Float:
-    """(N,) correlations of two series from (N, 6) sums: count, a, b, a a, b b, a b; 0 without enough pairs."""
-    count, a, b, aa, bb, ab = sums.T
-    with np.errstate(invalid="ignore", divide="ignore"):
-        found = (count * ab - a * b) / np.sqrt((count * aa - a * a) * (count * bb - b * b))
-    return np.where(count >= _FEWEST_PAIRS, np.nan_to_num(found), 0.0)
+def correlations(own: Float, true: Float) -> Float:
+    """(2 K + 1,) correlations of two (N,) series, the second one -K to K frames later; 0 with too few known pairs."""
+    found = np.zeros(2 * _MOST_FRAMES + 1)
+    for place, late in enumerate(range(-_MOST_FRAMES, _MOST_FRAMES + 1)):
+        pairs = np.stack((own[max(-late, 0) : len(own) - max(late, 0)], true[max(late, 0) : len(true) + min(late, 0)]))
+        pairs = pairs[:, ~np.isnan(pairs).any(axis=0)]
+        if pairs.shape[1] >= _FEWEST_PAIRS and pairs.std(axis=1).min() > 0:
+            found[place] = np.corrcoef(*pairs)[0, 1]
+    return found
 
 
 def pose_delay(found: Float, interval_s: float) -> Finding | None:

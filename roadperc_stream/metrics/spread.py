@@ -5,7 +5,7 @@ from statistics import median
 from typing import Final, Generic, TypeVar
 
 T = TypeVar("T")
-_KEPT: Final = 1024
+_KEPT: Final = 512
 _NORMAL_MAD: Final = 1.4826
 
 

@@ -157,7 +157,7 @@ def test_values_of_a_long_replay_are_bounded_and_even():
     kept = Spread[int]()
     for value in range(100_000):
         kept.add(value)
-    assert len(kept.values) <= 1024
+    assert len(kept.values) <= 512
     assert len({later - earlier for earlier, later in zip(kept.values, kept.values[1:], strict=False)}) == 1
 
 
