@@ -29,6 +29,7 @@ from .comparison.comparing import Comparison, compare_runs
 from .comparison.pairing import pair_runs
 from .comparison.summary import shown_unit, where
 from .comparison.verdicts import CauseGroup, Mark
+from .findings import Found, finding_counts, report_lines
 from .frame_commands import view_command
 from .machine import Case, write_files
 from .options import Rules
@@ -57,6 +58,12 @@ def print_answer(console: Console, answer: Answer) -> None:
     print_lines(console, *answer.head, unbroken=True)
     print_parts(console, *answer.tables)
     print_lines(console, *answer.tail, unbroken=True)
+
+
+def with_findings(answer: Answer, found: Found) -> Answer:
+    """The answer with the findings of its runs in its first lines and its values."""
+    values = {**answer.values, "findings": finding_counts(found)}
+    return replace(answer, head=(*report_lines(found), *answer.head), values=values)
 
 
 def wants_files(arguments: argparse.Namespace) -> bool:

@@ -18,9 +18,10 @@ from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.system.text import number
 from roadperc_stream.system.time import NS_PER_S
 
-from ..answers import Answer, of_summaries, print_answer, wants_files, write_answer
+from ..answers import Answer, of_summaries, print_answer, wants_files, with_findings, write_answer
 from ..brief import judged_stages, rows_tables, stage_figures, with_unit
 from ..configurations import Settings, rows_that_differ
+from ..findings import findings_of_dataset, report_lines
 from ..frame_commands import view_dataset_command
 from ..quantities import Quantity, legend, listed, percent, rounded, short_names
 from ..report import inputs, precision
@@ -205,6 +206,7 @@ def _print_tables(
 ) -> None:
     if arguments.by and of_objects(arguments.by, (*scan_tables(files).collect_schema(), *RUN_COLUMNS, DATE)):
         answer = object_slices(scan_objects(dataset, runs), arguments.by, dataset.address)
+        answer = with_findings(answer, findings_of_dataset(runs))
         write_answer(answer, arguments)
         print_answer(console, answer)
         return
@@ -218,11 +220,12 @@ def _print_tables(
     if not arguments.full or wants_files(arguments):
         answer = _answer(dataset, found, runs, names, summaries)
         answer = replace(answer, head=(*head, *answer.head), tables=(settings, *answer.tables))
+        answer = with_findings(answer, findings_of_dataset(runs))
         write_answer(answer, arguments)
         if not arguments.full:
             print_answer(console, answer)
             return
-    print_lines(console, *head, unbroken=True)
+    print_lines(console, *report_lines(findings_of_dataset(runs)), *head, unbroken=True)
     print_table(console, settings)
     _print_groups(console, summaries, found)
     _print_worst(console, found.logs, runs, names, arguments.worst)

@@ -18,6 +18,7 @@ from ..dataset.pairs import in_a_folder, runs_of_logs
 from ..dataset.place import DONE, Dataset, metrics_files, read_runs
 from ..dataset.report import settings_that_differ
 from ..dataset.worst import LogKey, key_of, worst_logs
+from ..findings import findings_of_dataset, report_lines
 from ..quantities import Quantity
 from .page import rendered, write_page
 from .pictures import shown
@@ -66,7 +67,8 @@ def _write(target: Path, local: Dataset, address: str) -> None:
         write_page(folder / f"worst_{place}.html", [run])
         links[_name(names[key[0]], key[1], several)] = f"{folder.name}/worst_{place}.html"
     mark: Mark = "worse" if failed.height else "better"
-    verdicts = [(mark, f"{failed.height} of {number(runs.height, 'run')} failed")] if runs.height else []
+    verdicts: list[tuple[Mark, str]] = [("worse", line) for line in report_lines(findings_of_dataset(runs))]
+    verdicts += [(mark, f"{failed.height} of {number(runs.height, 'run')} failed")] if runs.height else []
     for summary in summaries:
         mark, text = single_sentence(summary)
         verdicts.append((mark, f"{summary.name}: {text}" if len(summaries) > 1 else text))

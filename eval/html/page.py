@@ -21,6 +21,7 @@ from roadperc_stream.system.text import shown
 from ..brief import stages_of
 from ..comparison.comparing import Comparison
 from ..configurations import UNKNOWN, grouped, settings_table, short_digest
+from ..findings import findings_of, report_lines
 from ..frame_commands import view_command, view_pair_command
 from ..quantities import listed, percent
 from ..report import in_segments
@@ -104,6 +105,7 @@ def _page(runs: Sequence[Run], command: Command) -> str:
     return _render(
         names=[run.name for run in drawn],
         left_out=len(runs) - len(drawn),
+        findings=report_lines(findings_of(runs)),
         compared=compared is not None,
         verdicts=[sentence(compared)] if compared else verdicts,
         bars=bars(compared) if compared else [],

@@ -16,6 +16,7 @@ from roadperc_stream.geometry import Camera
 from roadperc_stream.info.role_states import RoleState
 from roadperc_stream.input.earlier_replay import digest_algorithm, replay_record
 from roadperc_stream.log import Attachment, Damage, Metadata, Recovery
+from roadperc_stream.model.finding import Finding, decoded_findings
 from roadperc_stream.output.tables import read_footer, sidecar_path
 from roadperc_stream.schemas import record
 
@@ -59,6 +60,8 @@ class Provenance:
     settings: tuple[ResolvedSetting, ...]
     config_fault: str
     tables: tuple[SidecarTable, ...]
+    findings: tuple[Finding, ...] = ()
+    """Contradictions that the replay found."""
 
     @property
     def changed(self) -> bool:
@@ -92,6 +95,7 @@ def provenance_of(
         settings=settings,
         config_fault=fault,
         tables=tuple(_table(sidecar_path(path, name), digest, config_digest) for name in ("metrics", "objects")),
+        findings=decoded_findings(facts.get(record.FINDINGS_KEY, "")),
     )
 
 

@@ -275,6 +275,7 @@ def _provenance_lines(provenance: Provenance, own_frames: int) -> Iterator[str]:
         again = (provenance.frames or 0) - own_frames
         repeats = f", and repeats its last {number(again, 'frame')}, now complete" if own_frames and again > 0 else ""
         yield f"continues the result of log {provenance.continues}{repeats}"
+    yield from (f"finding {finding}" for finding in provenance.findings)
     yield _digest_line(provenance)
     if provenance.dropped:
         dropped = ", ".join(f"{role} {count}" for role, count in provenance.dropped.items())

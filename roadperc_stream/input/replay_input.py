@@ -18,6 +18,7 @@ from roadperc_stream.input.sync import StampPairing, SyncedMessages
 from roadperc_stream.input.window import WindowMessages
 from roadperc_stream.log import DIGEST_ALGORITHM, Channel, LogSummary, LostSpan, Message, Piece, Recovery
 from roadperc_stream.model import UNWRITTEN, FrameResult, Sample
+from roadperc_stream.model.finding import Finding
 from roadperc_stream.model.reason import UNUSABLE
 from roadperc_stream.schemas import record
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES, require_role
@@ -247,6 +248,11 @@ class ReplayInput:
     def unreadable(self) -> dict[str, int]:
         """Number of messages of each topic that could not be decoded."""
         return dict(self._problems.counts)
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Contradictions that the input alone shows."""
+        return ()
 
     @property
     def notes(self) -> tuple[str, ...]:

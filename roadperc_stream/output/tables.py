@@ -195,7 +195,8 @@ def copy_table(source: Path, target: Path, facts: Mapping[str, str], constant: M
     """
     with _opened(source) as table:
         old = table.schema_arrow
-        more = _encoded({f"{FACT_PREFIX}{key}": value for key, value in facts.items()})
+        known = facts_in(table.metadata.metadata) | dict(facts)
+        more = _encoded({f"{FACT_PREFIX}{key}": value for key, value in known.items()})
         columns = [*old, *(_field(name, type(value)) for name, value in constant.items())]
         schema = pa.schema(columns, (old.metadata or {}) | more)
         with target_errors(target), pq.ParquetWriter(target, schema, compression="zstd") as copy:
@@ -278,6 +279,10 @@ class TableWriter:
             with target_errors(self._path):
                 self._writer.write_table(pa.Table.from_pylist(self._rows, schema=self._schema))
             self._rows.clear()
+
+    def add_facts(self, facts: Mapping[str, str]) -> None:
+        """Add entries to the footer, known only after the last row."""
+        self._writer.add_key_value_metadata(_encoded({f"{FACT_PREFIX}{key}": value for key, value in facts.items()}))
 
     def complete(self) -> None:
         """Write the remaining rows and the footer; only the rename is left.

@@ -28,6 +28,8 @@ DIGEST_ALGORITHM_KEY: Final = "digest_algorithm"
 FIRST_DIGEST_ALGORITHM: Final = "sha256"
 """Algorithm of results that do not name one."""
 FRAMES_KEY: Final = "frames"
+FINDINGS_KEY: Final = "findings"
+"""The findings as JSON: in the replay record if there are any, and in the footer of the table of frames."""
 END_KEY: Final = "end_ns"
 """In the replay record of a cut log: the log time at which the rest of the log begins.
 

@@ -223,7 +223,7 @@ def test_written_criteria_pass_on_their_runs_and_fail_on_worse_ones(sample, caps
 def test_the_default_criteria_pass_on_the_sample(sample, capsys):
     code, out, _ = outcome(check.main, capsys, sample)
     assert (code, out.count("\n")) == (0, 2), out
-    assert len(read_criteria(DEFAULT_CRITERIA)) == 12
+    assert len(read_criteria(DEFAULT_CRITERIA)) == 13
 
 
 def test_git_bisect_finds_the_commit_with_the_bad_setting(tmp_path):

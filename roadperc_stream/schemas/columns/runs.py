@@ -47,6 +47,9 @@ class RunRow:
     dropped: Annotated[int, Column("messages that belong to no frame", COUNT)]
     unreadable: Annotated[int, Column("messages that could not be decoded", COUNT)]
     warnings: Annotated[tuple[str, ...], Column("messages saved and lost with `--recover`, and other warnings")]
+    findings: Annotated[
+        tuple[str, ...], Column("contradictions between inputs, or between inputs and results, as `code: text`")
+    ]
     seconds: Annotated[float, Column("the last attempt, from start to end", "s")]
     peak_memory_mb: Annotated[float | None, Column("peak memory of its process", "MB", "the process was killed")]
     version: Annotated[str, Column("version of the program")]
