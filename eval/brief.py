@@ -40,9 +40,10 @@ class _Stage:
     states: tuple[str, ...] = ("held",)
 
 
+_HEIGHT: Final = "camera_height_m"
 _STAGES: Final = {
     "surface": _Stage(
-        *("surface", "surface_height_error_m", "surface_inlier_ratio", "camera_height_m", "surface", "surface_source"),
+        *("surface", "surface_height_error_m", "surface_inlier_ratio", _HEIGHT, "surface", "surface_source"),
         ("held", "estimated", "assumed"),
     ),
     "lane left": _Stage(
@@ -167,12 +168,15 @@ def _telling(summary: Summary, of: _Stage) -> StageFigures | None:
     found = summary.statistics.get(of.telling)
     if found is None or not summary.coverage(COVERED[of.output]):
         return None
-    return StageFigures("", summary.coverage(of.telling), _KNOWN[of.telling], found.median, found.p95)
+    quantity, mounting_m = _KNOWN[of.telling], summary.mounting_height_m
+    if quantity.column == _HEIGHT and mounting_m is not None:
+        quantity = replace(quantity, name=f"{quantity.name} (mounting {mounting_m:.3f})")
+    return StageFigures("", summary.coverage(of.telling), quantity, found.median, found.p95)
 
 
 def assumed_height(summary: Summary) -> str:
     """The line on an assumed camera height; empty if the log or depth gave the height of every frame."""
-    height, assumed = summary.statistics.get("camera_height_m"), any(_ASSUMED in kind[0] for kind in summary.reasons)
+    height, assumed = summary.statistics.get(_HEIGHT), any(_ASSUMED in kind[0] for kind in summary.reasons)
     if height is None or not assumed:
         return ""
     return f"assumed height {height.median:g} m, because the log has no mounting; pass --height to roadperc-replay"

@@ -132,7 +132,8 @@ class Run:
     ``within`` is the log and the configuration of the run's rows if its file holds rows of other runs too.
     ``dataset`` is the dataset of the run, as the user named it, and the name of its configuration there.
 
-    ``findings`` are those of its replay, None if the table does not record them.
+    ``findings`` are those of its replay, None if the table does not record them. ``mounting_height_m`` is the camera's
+    height by the transforms of the log, None without transforms.
 
     If continued replays were joined, ``joined`` holds their runs in order, at least two. The other fields, except the
     counts and the name, are those of the first one.
@@ -158,6 +159,7 @@ class Run:
     within: tuple[str, str] | None = None
     dataset: tuple[str, str] | None = None
     findings: tuple[Finding, ...] | None = None
+    mounting_height_m: float | None = None
     joined: tuple["Run", ...] = ()
 
     @property
@@ -244,7 +246,16 @@ def open_run(path: Path, name: str) -> Run:
     first_frame = _whole_number(facts.get(record.FIRST_FRAME_KEY, ""))
     stored = facts.get(record.FINDINGS_KEY)
     findings = None if stored is None else decoded_findings(stored)
-    return Run(name, path, rows, frozenset(columns), **known, first_frame=first_frame, rows=rows, findings=findings)
+    known |= {"findings": findings, "mounting_height_m": _height(facts.get(record.MOUNTING_KEY, ""))}
+    return Run(name, path, rows, frozenset(columns), **known, first_frame=first_frame, rows=rows)
+
+
+def _height(text: str) -> float | None:
+    """The number; None if the text is not one."""
+    try:
+        return float(text)
+    except ValueError:
+        return None
 
 
 def _whole_number(text: str) -> int:

@@ -55,6 +55,12 @@ class Contradictions:
         self._frames.add((row, evidence))
         self._poses.add(row)
 
+    @property
+    def mounting_m(self) -> float | None:
+        """Median height of the camera by the transforms; None without transforms."""
+        known = [found.mounting_m for _, found in self._frames.values if found.mounting_m is not None]
+        return median(known) if known else None
+
     def findings(self, unreadable: Mapping[str, int], reference: str) -> tuple[Finding, ...]:
         """The findings of all frames.
 

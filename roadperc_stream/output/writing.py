@@ -105,6 +105,10 @@ class FindingCounter(Protocol):
     def add(self, row: FrameMetrics, evidence: Evidence) -> None:
         """Count a frame."""
 
+    @property
+    def mounting_m(self) -> float | None:
+        """Height of the camera by the transforms; None without transforms."""
+
     def findings(self, unreadable: Mapping[str, int], reference: str) -> tuple[Finding, ...]:
         """The findings of all frames.
 
@@ -277,7 +281,9 @@ class Outputs:
             if metadata.name != METADATA_RECORD:
                 self._log.describe(metadata)
         stored = {record.FINDINGS_KEY: encoded_findings(self._findings())}
-        self._frames.add_facts(stored)
+        mounting_m = self._counter.mounting_m
+        known = {} if mounting_m is None else {record.MOUNTING_KEY: repr(mounting_m)}
+        self._frames.add_facts({**stored, **known})
         made = {record.VERSION_KEY: __version__, record.SEED_KEY: str(self._cfg.seed)}
         values = {**made, **facts, **self._input.record(), **(stored if self._findings() else {})}
         self._log.describe(Metadata(METADATA_RECORD, tuple(values.items())))

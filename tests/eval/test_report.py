@@ -309,9 +309,9 @@ def test_without_truth_measured_held_and_assumed_frames_are_told_apart(tmp_path,
 def test_without_truth_the_short_report_has_the_values_that_tell_the_scale(tmp_path, capsys):
     reasons = ("surface: no depth, the assumed height gives the plane",)
     rows = [without_truth(k, lane_width_m=3.5, lane_right_offset_m=-1.7, reasons=reasons) for k in range(4)]
-    _, text, _ = short(capsys, write(tmp_path / "drive.metrics.parquet", rows))
+    _, text, _ = short(capsys, write(tmp_path / "drive.metrics.parquet", rows, mounting_height_m="1.4"))
     assert line_of(text, "  speed")[-2:] == ["10.00", "10.00"]
-    assert line_of(text, "  camera height")[-2] == "1.500"
+    assert line_of(text, "  camera height (mounting 1.400), m")[-2] == "1.500"
     assert line_of(text, "  lane width")[-2] == "3.500"
     assert "assumed height 1.5 m" in text
     assert {"speed_mps", "camera_height_m", "lane_width_m"} <= set(re.findall(r"\w+", text.partition("columns:")[2]))
