@@ -48,7 +48,8 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
         number: mask for number, path in files.items() if (mask := _mask(folder, path, _IDS.get(table, "labelIds")))
     }
     sensors = {"image": Sensor("image", _IMAGES, files)}
-    sensors |= {"segmentation": Sensor("segmentation", "labels", masks)} if masks else {}
+    labels = {path.relative_to(folder).parts[0]: None for path in masks.values()}
+    sensors |= {"segmentation": Sensor("segmentation", " and ".join(labels), masks)} if masks else {}
     surveys = surveyed(sensors)
     calibration, source = calibration_of(folder / CALIBRATION_NAME, options)
     sizes = {role: found.size for role, found in surveys.items() if found.size}

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from roadperc_stream.cli.convert import main
 from tests.tools.dump_writer import HEIGHT, WIDTH, camera_pixels, png
 from tests.tools.test_carla_to_mcap import convert, failure, payloads
 
@@ -34,3 +35,10 @@ def test_one_city_is_chosen_and_a_missing_one_is_an_error(cityscapes, tmp_path, 
     found = payloads(convert(cityscapes, *options, "--sequence", "val/lindau"))
     assert len(found["image"]) == 1
     assert "leftImg8bit/test" in failure(capsys, cityscapes, tmp_path / "o.mcap", *options, "--sequence", "test")
+
+
+def test_a_real_frame_in_folders_without_splits(data_dir, tmp_path):
+    out = tmp_path / "o.mcap"
+    assert main([str(data_dir / "label_masks" / "cityscapes"), str(out), "--fov", "50", "--quiet"]) == 0
+    tags = payloads(out)["segmentation"][0][2]
+    assert {tags.table.name_of(tag) for tag in np.unique(tags.tags)} >= {"road", "car", "sidewalk"}
