@@ -224,7 +224,7 @@ class Chain:
 
         Args:
             stamp_ns: the frame's time, of any integer type. A stamp before the last frame's, or more than an hour after
-                it, begins a new ``segment``: it clears the state, and ``problems`` of the result says so.
+                it, begins a new ``segment``: it clears the state, and ``problems`` of the result has the reason.
             image: (H, W, 3) uint8 in OpenCV's order blue, green, red, or (H, W) grey.
             depth_m: (H, W) floating-point metres along the camera's z axis, NaN unknown.
             tags: (H, W) class of each pixel, by ``tag_table``: any integer type, 0 to 255.
