@@ -25,6 +25,8 @@ _ROUGH: Final = 0.3
 _WIDTHS_M: Final = (2.3, 4.8)
 _USUAL_LANE_M: Final = 3.5
 _FEWEST_WIDTHS: Final = 3
+_HIGH_M: Final = 3.0
+"""Camera height above which a rejected wide lane counts. Else a line is missing, and that of the next lane is seen."""
 _ROAD_FACTOR: Final = 10.0
 """Factor between measured and expected depth of the road that no vehicle ahead and no bonnet explains."""
 _FEWEST_KNOWN: Final = 0.4
@@ -133,14 +135,16 @@ def road_depth(frames: Frames) -> Finding | None:
 
 
 def lane_width(frames: Frames) -> Finding | None:
-    """Whether the lane is too narrow or too wide in most frames that measure both boundaries, or reject its width."""
+    """Whether the lane is too narrow or too wide in most frames that measure its width, also if they reject it."""
     narrow, wide = _WIDTHS_M
-    measured = [
-        (row, row.lane_width_m if found.lane_width_m is None else found.lane_width_m)
-        for row, found in frames
-        if row.lane_left_status == row.lane_right_status == "measured" or found.lane_width_m is not None
-    ]
-    rows, widths_m = [row for row, _ in measured], [width for _, width in measured if width is not None]
+    measured: list[tuple[FrameMetrics, float]] = []
+    for row, found in frames:
+        both = row.lane_left_status == row.lane_right_status == "measured"
+        if row.lane_width_m is not None and both:
+            measured.append((row, row.lane_width_m))
+        elif found.lane_width_m and (found.lane_width_m < narrow or (row.camera_height_m or 0.0) > _HIGH_M):
+            measured.append((row, found.lane_width_m))
+    rows, widths_m = [row for row, _ in measured], [width for _, width in measured]
     if len(widths_m) < _FEWEST_WIDTHS or 2 * sum(not narrow <= width <= wide for width in widths_m) <= len(widths_m):
         return None
     width_m, heights_m = median(widths_m), [row.camera_height_m for row in rows if row.camera_height_m is not None]

@@ -63,11 +63,12 @@ class PoseEvidence:
         """End a window if the car has driven far enough; a step without a length begins a new one."""
         begin, self._std_m = self._begin, self._std_m + (row.step_std_m or 0.0)
         if poses and begin and row.step_m is not None:
-            own_m, true_m = (float(np.linalg.norm((now - then)[:3])) for now, then in zip(poses, begin, strict=True))
+            own_m, true_m = (math.dist(now[:3], then[:3]) for now, then in zip(poses, begin, strict=True))
             if max(own_m, true_m) < _WINDOW_M:
                 return
             ratio = own_m / max(true_m, own_m / _MOST_SCALE)
-            self._windows.add((ratio, self._std_m / max(own_m, true_m)))
+            if math.isfinite(ratio):
+                self._windows.add((ratio, self._std_m / max(own_m, true_m)))
         self._begin, self._std_m = poses, 0.0
 
     def findings(self) -> Sequence[Finding | None]:

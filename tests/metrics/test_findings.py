@@ -153,6 +153,17 @@ def test_heights_that_scatter_and_few_widths_are_no_finding():
     assert counter.findings({}, "image") == ()
 
 
+@pytest.mark.parametrize(
+    ("height_m", "rejected_m", "is_found"), [(1.4, 9.7, False), (7.0, 16.9, True), (0.8, 1.9, True)]
+)
+def test_rejected_lanes_count_if_their_width_fits_a_wrong_scale(height_m, rejected_m, is_found):
+    counter = Contradictions(CFG)
+    for frame in range(5):
+        measured = row(frame, camera_height_m=height_m, surface_source="depth")
+        counter.add(measured, Evidence(lane_width_m=rejected_m))
+    assert (counter.findings({}, "image") != ()) == is_found
+
+
 def test_values_of_a_long_replay_are_bounded_and_even():
     kept = Spread[int]()
     for value in range(100_000):

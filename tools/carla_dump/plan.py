@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, TypeVar
@@ -108,8 +109,10 @@ def _depth_encoding(
         notes.append(note)
     if found == "disparity" and not drive.rig.baseline_m:
         raise DumpError(f"{files[0]}: disparity needs the baseline; add baseline_m to calibration.json")
-    focal_baseline = drive.rig.camera_of(role).fx * (drive.rig.baseline_m or math.nan)
-    shares = [rough_ratio(depth_metres(pixels, found, focal_baseline)) for pixels in surveyed(files)]
+    focal_baseline, shares = drive.rig.camera_of(role).fx * (drive.rig.baseline_m or math.nan), []
+    for pixels in surveyed(files):
+        with suppress(DumpError):  # a file of another encoding is reported when it is written
+            shares.append(rough_ratio(depth_metres(pixels, found, focal_baseline)))
     if (rough := depth_rough([share for share in shares if share is not None])) is not None:
         notes.append(f"{role}: {rough}")
     return found
