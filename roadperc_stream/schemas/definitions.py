@@ -106,8 +106,17 @@ def _count_field(field: str, kind: FieldDesc, types: Typesdict, within: tuple[st
     if fixed and not 1 <= int(length) <= _LONGEST_ARRAY:
         raise DecodeError(f"{field} is an array of length {brief(length)}: expected 1 to {_LONGEST_ARRAY}")
     each = _count(str(item[1]), types, within) if item[0] == Nodetype.NAME else 1
+    if not fixed and _is_empty(item, types):
+        raise DecodeError(f"{field} is a sequence of items without fields")  # a few bytes could claim 2^32 of them
     unrolled = fixed and (item[0] == Nodetype.NAME or item[1][0] == "string")
     return each * int(length) if unrolled else each
+
+
+def _is_empty(kind: FieldDesc, types: Typesdict) -> bool:
+    """Whether a field takes no bytes."""
+    if kind[0] == Nodetype.NAME:
+        return all(_is_empty(part, types) for _, part in types[str(kind[1])][1])
+    return kind[0] == Nodetype.ARRAY and _is_empty(kind[1][0], types)
 
 
 def brief(text: object) -> str:
