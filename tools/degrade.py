@@ -81,6 +81,9 @@ def degrade(arguments: argparse.Namespace) -> None:
     with optional_output(sys.stderr):
         for text in remarks:
             print_line(f"warning: {text}", sys.stderr)
+    if not arguments.quiet:
+        made = ", ".join(f"{name}={severity}" for name, severity in arguments.severities.items())
+        print_line(f"{made}, seed {arguments.seed}, {out.stat().st_size / 1e6:.1f} MB: {out}")
 
 
 def degrade_log(

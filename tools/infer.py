@@ -4,7 +4,7 @@ import argparse
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -26,8 +26,7 @@ from roadperc_stream.output import encoding
 from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.schemas import record
 from roadperc_stream.schemas.roles import ROLES, parse_topic_options
-from roadperc_stream.schemas.topics import VIDEO_SCHEMA
-from roadperc_stream.system.files import is_bag_folder, partial_of, require_free
+from roadperc_stream.system.files import partial_of, require_free
 from roadperc_stream.system.process import optional_output
 from roadperc_stream.system.text import number, print_line
 from roadperc_stream.system.threads import in_order, one_thread, usable_cores
@@ -39,6 +38,7 @@ from .networks.description import read_network
 from .networks.frames import Inferred, Pair, RawResult, load
 from .networks.plausibility import RoadCheck
 from .networks.semantic import HorizonEstimate
+from .video_log import videos_of
 
 _IMAGE_ROLES: Final = ("image", "left")
 
@@ -64,13 +64,6 @@ class InferenceJob:
         """The new channels, by role."""
         table = None if self.pair.segmentation is None else self.pair.segmentation[1].table
         return {role: channel_of(role, table) for role in self.pair.sessions}
-
-
-def is_log(path: Path) -> bool:
-    """Return whether a path is a log or a ROS bag, by its name or its first bytes."""
-    with suppress(OSError):
-        return path.suffix in (".mcap", ".db3", ".bag") or is_bag_folder(path) or log.is_log(path)
-    return False
 
 
 def infer(arguments: argparse.Namespace, cfg: ReplayConfig) -> None:
@@ -101,7 +94,7 @@ def infer(arguments: argparse.Namespace, cfg: ReplayConfig) -> None:
 @contextmanager
 def _as_log(arguments: argparse.Namespace) -> Iterator[LogSummary]:
     """Yield the log, or a temporary one beside the output that is converted from other input."""
-    summary = log.summarise(log.received([arguments.source])) if is_log(arguments.source) else None
+    summary = log.summarise(log.received([arguments.source])) if log.is_log(arguments.source) else None
     if summary is not None and not _has_only_video(summary):
         yield summary
         return
@@ -117,9 +110,10 @@ def _as_log(arguments: argparse.Namespace) -> Iterator[LogSummary]:
 
 
 def _has_only_video(summary: LogSummary) -> bool:
-    """Whether the images of a log are ``foxglove.CompressedVideo``."""
-    has_images = any(fits(ROLES["image"], channel) for channel in summary.channels)
-    return not has_images and any(channel.schema_name == VIDEO_SCHEMA for channel in summary.channels)
+    """Whether the images of a log are videos."""
+    videos = videos_of(summary)
+    has_images = any(fits(ROLES["image"], channel) for channel in summary.channels if channel not in videos)
+    return not has_images and bool(videos)
 
 
 def _job(summary: LogSummary, pair: Pair, arguments: argparse.Namespace, cfg: ReplayConfig) -> InferenceJob:

@@ -1,12 +1,12 @@
 """A recording of any kind, as ``roadperc-convert`` prints and writes it."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 from roadperc_stream.geometry import Camera
 from roadperc_stream.geometry.rectification import is_rectified, lens_of
-from roadperc_stream.input.findings import Evidence, camera_findings, label_findings
+from roadperc_stream.input.findings import InputEvidence, camera_findings, label_findings
 from roadperc_stream.input.rig import Rig
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.model import Detection
@@ -34,6 +34,8 @@ class Recording:
     """Roles that must get messages."""
     metadata: Mapping[str, str]
     """How the log was made, without data of the machine or the user."""
+    images: Mapping[str, str] = field(default_factory=dict)
+    """Stamp in nanoseconds of each labelled image by its name in the dataset's label files."""
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
@@ -57,7 +59,7 @@ def finding_notes(rig: Rig, detections: Iterable[Detection] = ()) -> Iterator[st
     for role, camera in rig.cameras.items():
         option = f"{'--fov DEGREES or ' * (role == 'calibration')}--calibration FILE"
         yield from (finding.text for finding in camera_findings(camera.frame_id, camera, option))
-    evidence = Evidence({})
+    evidence = InputEvidence({})
     evidence.add_labels(detection.label for detection in detections)
     yield from (found.text for found in label_findings("detections", evidence.unknown, evidence.detections))
 

@@ -16,7 +16,7 @@ from roadperc_stream.system.text import shown
 from roadperc_stream.system.threads import in_order
 
 from .carla_dump.calibration_file import CALIBRATION_NAME
-from .carla_dump.frame_stamps import EPOCH_NS
+from .carla_dump.json_files import EPOCH_NS
 from .carla_dump.messages import JPEG_QUALITY, WORKERS, channel_of, static_messages, straightened
 from .layouts.drive import ConvertOptions
 from .layouts.dump import calibration_of

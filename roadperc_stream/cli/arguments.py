@@ -116,11 +116,11 @@ def add_machine_arguments(parser: argparse.ArgumentParser) -> None:
     """Add ``--json``, ``--markdown`` and ``--junit`` to a command of the evaluation."""
     group = parser.add_argument_group("results for other programs")
     for option, suffix, text in (
-        ("--json", ".json", "one nested object"),
-        ("--markdown", ".md", "a summary for merge requests, such as $GITHUB_STEP_SUMMARY"),
-        ("--junit", ".xml", "JUnit XML for GitLab, GitHub and Jenkins"),
+        ("--json", ".json", "write one nested object"),
+        ("--markdown", ".md", "append a summary for merge requests to a file such as $GITHUB_STEP_SUMMARY"),
+        ("--junit", ".xml", "write JUnit XML for GitLab, GitHub and Jenkins"),
     ):
-        action = group.add_argument(option, metavar="FILE", type=Path, help=f"write {text}")
+        action = group.add_argument(option, metavar="FILE", type=Path, help=text)
         completed_by(action, files(suffix))
 
 

@@ -19,7 +19,8 @@ example:
   roadperc-batch dataset 'logs/2026-*/*.mcap' @more.txt --join '_\\d+$' --recover
   roadperc-batch s3://bucket/dataset s3://bucket/logs/ --ray auto --memory 4GB
 
-In Python: polars.scan_parquet("dataset/metrics/**/*.parquet", hive_partitioning=True)
+In Python: polars.scan_parquet("dataset/metrics/**/*.parquet", hive_partitioning=True); docs/evaluation.md reads
+tables of several versions
 """
 _UNITS: Final = {"": 1, "k": 1e3, "m": 1e6, "g": 1e9, "t": 1e12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
 

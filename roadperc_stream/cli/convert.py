@@ -25,6 +25,7 @@ datasets:
   KITTI odometry: the folder with sequences/ and poses/ (choose one with --sequence NN), or one sequence.
   KITTI raw, object and tracking: the folder with training/, or with drives and calib_*.txt.
   TuSimple: the folder with label_data_*.json and clips/. CULane: a folder with *.lines.txt. Pass --fov and --height.
+  Cityscapes: the folder with leftImg8bit/ and gtFine/. Pass --fov. --sequence train/aachen chooses a city.
   nuScenes: the folder with v1.0-*/. CARLA leaderboard: a route with rgb/ and measurements/. Bench2Drive: a clip.
   The table of docs/recordings.md says what comes out. Calibration, stamps and true poses are those of the dataset.
 
@@ -43,7 +44,8 @@ optional files:
                      pixel_origin "corner" (c = w / 2, CARLA) or "centre" (KITTI, the default in its layout)
                      D, distortion_model (plumb_bob, rational_polynomial, equidistant), R and P as in ROS' CameraInfo:
                      distortion is removed, and the log holds the rectified images
-  detections.json    {frame: [{label, box_px, score}]}, COCO results, or KITTI files in label_2/
+  detections.json    {frame: [{label, box_px, score}]}, COCO results, KITTI files in label_2/, or YOLO files in labels/
+                     with the names of data.yaml or classes.txt
   timestamps.txt     one line per frame: 'frame seconds', or seconds
   poses.json         {frame: {location, rotation}}, or poses.csv
   truth.json, truth/ as roadperc-render writes them
@@ -125,9 +127,10 @@ def _add_coding_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--depth-coding",
         "--grey-depth",
-        choices=("mm", "cm", "m", "depth-256", "disparity", "linear", "linear-50", "logarithmic"),
+        choices=("mm", "cm", "m", "depth-256", "tum", "disparity", "linear", "linear-50", "logarithmic"),
         help="coding of depth files whose content does not show it: unit of numbers, KITTI's depth or disparity * 256, "
-        "or coding of 8-bit images (default: metres of floats, mm of integers, the grey that gives a level ground)",
+        "TUM's depth * 5000, or coding of 8-bit images (default: metres of floats, mm of integers, the grey that gives "
+        "a level ground)",
     )
     parser.add_argument(
         "--allow-lossy-tags",

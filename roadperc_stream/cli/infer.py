@@ -41,13 +41,16 @@ def main(argv: list[str] | None = None) -> int:
         return run(lambda: checking.check(Path(description), Path(image), out, force=arguments.force))
     if arguments.out is None or not arguments.network:
         parser.error("expected IN OUT.mcap and --network FILE.toml")
+    from roadperc_stream.log import is_log
+
     inferring = part("tools.infer")
-    is_log = inferring.is_log(arguments.source)
-    if arguments.rate is not None and is_log:
-        parser.error(f"--rate: {arguments.source} is a log, which has its own times")
     from roadperc_stream.config import ReplayConfig
 
-    return run(lambda: inferring.infer(arguments, about_log(ReplayConfig(), arguments) if is_log else ReplayConfig()))
+    source_is_log = is_log(arguments.source)
+    if arguments.rate is not None and source_is_log:
+        parser.error(f"--rate: {arguments.source} is a log, which has its own times")
+    cfg = about_log(ReplayConfig(), arguments) if source_is_log else ReplayConfig()
+    return run(lambda: inferring.infer(arguments, cfg))
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -3,15 +3,34 @@
 from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import AliasChoices, Field, FiniteFloat, PositiveInt, SerializerFunctionWrapHandler, model_serializer
+from pydantic import (
+    AliasChoices,
+    BeforeValidator,
+    Field,
+    FiniteFloat,
+    PositiveInt,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+)
 
 from roadperc_stream.config.fields import Section
 from roadperc_stream.errors import DumpError
 from roadperc_stream.schemas.role_names import role_of
+from roadperc_stream.system.text import in_brief
 
 Numbers3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Numbers4 = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
-Matrix3 = tuple[Numbers3, Numbers3, Numbers3]
+
+
+def _rows(found: Any) -> Any:
+    """Refuse values that are not rows, such as the nine numbers of a K in ROS."""
+    if isinstance(found, (list, tuple)) and all(isinstance(row, (list, tuple)) for row in found):
+        return found
+    raise ValueError(f"expected 3 rows of numbers, [[...], [...], [...]], found {in_brief(found, 80)}")
+
+
+Matrix3 = Annotated[tuple[Numbers3, Numbers3, Numbers3], BeforeValidator(_rows)]
+Matrix34 = Annotated[tuple[Numbers4, Numbers4, Numbers4], BeforeValidator(_rows)]
 FieldOfView = Annotated[float, Field(gt=0.0, lt=180.0)]
 PositiveNumber = Annotated[float, Field(gt=0.0)]
 ImageSide = Annotated[PositiveInt, Field(le=1_000_000)]
@@ -36,7 +55,7 @@ class Intrinsics(Written):
     D: tuple[FiniteFloat, ...] = ()
     distortion_model: str = "plumb_bob"
     R: Matrix3 | None = None
-    P: tuple[Numbers4, Numbers4, Numbers4] | None = None
+    P: Matrix34 | None = None
     fov_deg: FieldOfView | None = Field(None, validation_alias=AliasChoices("fov_deg", "fov"))
 
 
@@ -54,8 +73,8 @@ class CarlaPose(Written):
 class CalibrationConfig(Intrinsics):
     """The cameras of a recording, and their mountings."""
 
-    P_left: tuple[Numbers4, Numbers4, Numbers4] | None = None
-    P_right: tuple[Numbers4, Numbers4, Numbers4] | None = None
+    P_left: Matrix34 | None = None
+    P_right: Matrix34 | None = None
     baseline_m: PositiveNumber | None = None
     pixel_origin: Literal["corner", "centre", "center"] = "corner"
     """Origin of K's principal point: the first pixel's corner (CARLA: c = w / 2) or its centre."""

@@ -7,10 +7,11 @@ from typing import Any, Final
 from pydantic import BaseModel, ValidationError
 
 from roadperc_stream.config.catalogue import catalogue
-from roadperc_stream.config.settings import MOST_BYTES, in_brief, parsed_toml, without_fixed
+from roadperc_stream.config.complaints import complaint
+from roadperc_stream.config.settings import MOST_BYTES, parsed_toml, without_fixed
 from roadperc_stream.config.stages import ReplayConfig
 from roadperc_stream.errors import ConfigError
-from roadperc_stream.system.text import nearest
+from roadperc_stream.system.text import in_brief, nearest
 
 _KINDS: Final[Mapping[str, str]] = {"integer": "a whole number ", "number": "a number "}
 """Text for types that the range does not show."""
@@ -79,14 +80,11 @@ def _complaint(error: ValidationError) -> str:
     key = ".".join(keys)
     if first["type"] == "extra_forbidden":
         return _unknown(keys)
-    if first["type"] == "value_error":
-        return f"{key}: {first['ctx']['error']}"
     setting = next((setting for setting in catalogue() if setting.key == key), None)
-    expected = first["msg"]
-    if setting:
-        unit = f" ({setting.unit})" if setting.unit else ""
-        expected = f"expected {_KINDS.get(setting.type, '')}{setting.range}{unit}"
-    return f"{key}: {expected}, found {in_brief(first['input'])}"
+    if setting is None or first["type"] == "value_error":
+        return f"{key}: {complaint(first)}" if key else complaint(first)
+    unit = f" ({setting.unit})" if setting.unit else ""
+    return f"{key}: expected {_KINDS.get(setting.type, '')}{setting.range}{unit}, found {in_brief(first['input'])}"
 
 
 def _unknown(keys: list[str]) -> str:

@@ -16,7 +16,7 @@ from roadperc_stream.geometry import Camera
 from roadperc_stream.info.role_states import RoleState
 from roadperc_stream.input.earlier_replay import digest_algorithm, replay_record
 from roadperc_stream.log import Attachment, Damage, Metadata, Recovery
-from roadperc_stream.model.finding import Finding
+from roadperc_stream.model.finding import Finding, decoded_findings
 from roadperc_stream.output.tables import read_footer, sidecar_path
 from roadperc_stream.schemas import record
 
@@ -60,6 +60,8 @@ class Provenance:
     settings: tuple[ResolvedSetting, ...]
     config_fault: str
     tables: tuple[SidecarTable, ...]
+    findings: tuple[Finding, ...] = ()
+    """Contradictions that the replay found."""
 
     @property
     def changed(self) -> bool:
@@ -93,6 +95,7 @@ def provenance_of(
         settings=settings,
         config_fault=fault,
         tables=tuple(_table(sidecar_path(path, name), digest, config_digest) for name in ("metrics", "objects")),
+        findings=decoded_findings(facts.get(record.FINDINGS_KEY, "")),
     )
 
 
@@ -214,7 +217,7 @@ class ReplayFacts:
     """The role whose messages make the frames."""
     frames: int
     segments: int
-    """Sections with increasing stamps; several if the log contains two recordings or a looped bag."""
+    """Sections with increasing stamps; several after a second recording, a looped bag, or a clock that was set."""
     alone: Mapping[str, int]
     """Frames without a message of an assigned role within the tolerance, by role."""
     unused: Mapping[str, int]
@@ -246,6 +249,7 @@ class LogFacts:
     first_ns: int | None
     last_ns: int | None
     span_s: float
+    """Without pauses of more than an hour."""
     log_times_back: int
     """Messages after one of any channel with a later log time."""
     channels: tuple[ChannelFacts, ...]

@@ -18,7 +18,7 @@ from roadperc_stream.geometry import Float
 from roadperc_stream.info.role_states import Roles, continued, roles_of
 from roadperc_stream.info.stamps import StampReader, stamp_reader
 from roadperc_stream.input.earlier_replay import digest_algorithm, is_result, recorded_tag_table, recorded_topics
-from roadperc_stream.input.findings import Evidence
+from roadperc_stream.input.findings import InputEvidence
 from roadperc_stream.input.order import OrderConfig
 from roadperc_stream.input.replaced import replaced, rig_of_log, with_recorded
 from roadperc_stream.input.stream import Problems, Stamped, decoded_messages
@@ -29,7 +29,7 @@ from roadperc_stream.model import CameraImage, DepthImage
 from roadperc_stream.model.finding import Finding
 from roadperc_stream.schemas.record import BEGIN_ATTACHMENT
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
-from roadperc_stream.system.time import NS_PER_S, seconds_to_ns
+from roadperc_stream.system.time import LONGEST_PAUSE_NS, NS_PER_S, seconds_to_ns
 
 _MOST_KEPT: Final = 65_536
 """Most intervals in memory per channel; beyond it every second, fourth, ... interval is kept."""
@@ -135,14 +135,14 @@ class Scan:
     """None for a damaged file."""
     cfg: ReplayConfig = field(default_factory=ReplayConfig)
     """With what an earlier replay recorded about its log."""
-    evidence: Evidence = field(default_factory=lambda: Evidence({}))
+    evidence: InputEvidence = field(default_factory=lambda: InputEvidence({}))
     tallies: dict[int, Tally] = field(default_factory=dict)
     """By ``Channel.source_id``."""
     problems: Problems = field(default_factory=Problems)
     latched: LatchedState = field(default_factory=LatchedState)
     frames: int = 0
     segments: int = 1
-    """One more than the number of restarts of the stamps."""
+    """One more than the number of times that the stamps restarted or jumped ahead."""
     dropped: Counter[str] = field(default_factory=Counter)
     """Messages per role that belong to no frame."""
     alone: Counter[str] = field(default_factory=Counter)
@@ -151,6 +151,8 @@ class Scan:
     """(width, height) of the first readable image, by role."""
     skew_ns: int | None = None
     log_times_back: int = 0
+    pauses_ns: int = 0
+    """Sum of the pauses of more than an hour between messages of any channel."""
     inputs: int = 0
     """Number of messages that are not results."""
     inputs_back: int = 0
@@ -182,7 +184,7 @@ class Scan:
         with suppress(ConfigError):  # the record of a result is listed with its fault
             cfg = with_recorded(cfg, first.described.attachments, path)
         scan = cls(salvage, replace(roles, assignment=assignment), summary, cfg, algorithm=algorithm, _digest=digest)
-        scan.evidence = Evidence(cfg.labels, scan._count(first, "segmentation"))
+        scan.evidence = InputEvidence(cfg.labels, scan._count(first, "segmentation"))
         scan._run()
         scan._replace_cameras()
         return scan
@@ -250,10 +252,12 @@ class Scan:
 
     def _counted(self, messages: Iterable[Message]) -> Iterator[Message]:
         """Count the messages and pass them on."""
-        latest_ns = latest_input_ns = 0
+        latest_ns, latest_input_ns = None, 0
         for message in messages:
-            self.log_times_back += message.log_time_ns < latest_ns
-            latest_ns = max(latest_ns, message.log_time_ns)
+            step_ns = 0 if latest_ns is None else message.log_time_ns - latest_ns
+            self.log_times_back += step_ns < 0
+            self.pauses_ns += step_ns if step_ns > LONGEST_PAUSE_NS else 0
+            latest_ns = max(latest_ns or 0, message.log_time_ns)
             source_id = message.channel.source_id
             if source_id not in self.tallies:
                 self.tallies[source_id] = Tally(stamp_reader(message.channel))

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final, TypeVar
+from zlib import crc32
 
 import numpy as np
 
@@ -53,6 +54,7 @@ def sample_of(
     left = _payload(messages, "left", model.CameraImage) if is_pair else None
     points = _payload(messages, "lidar", model.PointCloud)
     detections = messages.get("detections")
+    pose = _payload(messages, "truth_pose", model.Transform)
     frame = model.Frame(
         stamp_ns=synced.reference.stamp_ns,
         camera=camera,
@@ -74,6 +76,7 @@ def sample_of(
         ego_T_lidar=None if points is None else lidar_mounting(tree, ego_T_camera, camera, points.frame_id),
         is_origin=index == 0,
         number=None if index == model.UNWRITTEN else index,
+        pose_mark=None if pose is None else crc32(pose.parent_T_child.tobytes()),
     )
     missing = tuple(role for role in topics if _expected(role) and role not in messages)
     own = None if given is not None else _own_frame(tree, camera)

@@ -102,7 +102,7 @@ def transform_findings(
 
 
 @dataclass
-class Evidence:
+class InputEvidence:
     """What the findings need of the messages until now, in bounded memory.
 
     ``masks_to_come`` is the number of masks in the log.

@@ -8,11 +8,11 @@ from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ChannelError, NoFrameError
 from roadperc_stream.input.assemble import sample_of
 from roadperc_stream.input.earlier_replay import is_result, networks_digest
-from roadperc_stream.input.findings import Evidence
+from roadperc_stream.input.findings import InputEvidence
 from roadperc_stream.input.outcome import FileSpan, InputOutcome, continuation_notes, file_notes
 from roadperc_stream.input.plan import InputPlan, plan_input
 from roadperc_stream.input.replaced import as_configured, with_recorded
-from roadperc_stream.input.roles import tag_table_to_record
+from roadperc_stream.input.roles import tag_table_to_record, with_paths
 from roadperc_stream.input.source import LossTimes, ReadableLog, ReplaySource
 from roadperc_stream.input.state import InputState
 from roadperc_stream.input.stream import Problems, Stamped, decoded_messages
@@ -81,7 +81,7 @@ class ReplayInput:
         self._problems = Problems(plan.problems.strict_in)
         self._outcome = InputOutcome(plan.begun.segment)
         masks = plan.first_pass.counts[self.topics.get("segmentation", "")]
-        self._evidence, self._latched = Evidence({}, masks), LatchedState()
+        self._evidence, self._latched = InputEvidence({}, masks), LatchedState()
         self._pairing = StampPairing(self.cfg.sync, plan.order, plan.roles.topics, plan.begun, self._drop)
 
     def _ended(self, lost: Sequence[LostSpan]) -> tuple[LostSpan, ...]:
@@ -115,9 +115,9 @@ class ReplayInput:
 
     @property
     def expected_frames(self) -> int:
-        """Number of messages of the reference role; an unreadable one makes no frame."""
-        plan = self.plan
-        there = plan.first_pass.counts[self.topics[plan.order.reference]] + plan.start.frames_waiting
+        """Number of messages of the reference role that are not left out; an unreadable one makes no frame."""
+        plan, found = self.plan, self.plan.first_pass
+        there = found.counts[self.topics[plan.order.reference]] - found.left_out + plan.start.frames_waiting
         return there if plan.most_frames is None else min(there, plan.most_frames)
 
     @property
@@ -157,7 +157,8 @@ class ReplayInput:
                 yield sample
         if not self.frames and not self.plan.is_continuation:
             topic = self.topics[plan.order.reference]
-            raise NoFrameError(f"{self.summary.path}: no message on {topic} makes a frame; {'; '.join(self.notes)}")
+            notes = with_paths("; ".join(self.notes), self.summary)
+            raise NoFrameError(f"{self.summary.path}: no message on {topic} makes a frame; {notes}")
 
     def _until_ns(self, synced: SyncedMessages, since_ns: int | None, log_time_ns: int) -> int:
         """The log time up to which messages of a frame may have been lost."""
@@ -175,7 +176,7 @@ class ReplayInput:
         self._outcome.drop(item)
         if item.role == self.plan.order.reference:
             topic, stamp = self.topics[item.role], f"stamp {item.stamp_ns} ns at log time {item.log_time_ns} ns"
-            self._problems.report(topic, f"{topic}: message with {stamp}: too late, left out")
+            self._problems.report(f"{topic}: {item.fault}", f"{topic}: message with {stamp}: {item.fault}, left out")
 
     def _sample(self, synced: SyncedMessages, index: int) -> Sample:
         try:

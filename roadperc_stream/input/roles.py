@@ -8,6 +8,7 @@ from typing import Final, Literal
 
 from roadperc_stream.errors import ChannelError
 from roadperc_stream.input.decoding import schemas_of_kind
+from roadperc_stream.input.decoding.pictures import CONVERT_VIDEO
 from roadperc_stream.input.earlier_replay import is_result, recorded_tag_table, recorded_topics
 from roadperc_stream.input.stream import RoleAssignment
 from roadperc_stream.input.topics import (
@@ -28,9 +29,8 @@ from roadperc_stream.input.topics import (
 from roadperc_stream.log import Channel, LogSummary
 from roadperc_stream.schemas.record import TAG_TABLE_KEY
 from roadperc_stream.schemas.roles import REFERENCE_ROLES, ROLES, SHARED_KINDS, Role
-from roadperc_stream.schemas.topics import VIDEO_SCHEMA
+from roadperc_stream.schemas.topics import VIDEO_SCHEMAS
 
-_CONVERT_VIDEO: Final = "run roadperc-convert on the log, which stores the frames as images"
 _GUESSED_ROLES: Final = ("image", "calibration", "depth", "segmentation", "detections", "lidar", "tf")
 """Roles that take a topic of another name if it is the only one that fits."""
 _NEEDED_ROLES: Final = ("image", "calibration")
@@ -135,12 +135,17 @@ def assignment_of_log(summary: LogSummary, overrides: Mapping[str, str]) -> Role
     try:
         roles = assign_roles(present, named, partial(probe_first_message, summary))
     except ChannelError as error:
-        files = (str(file.path) for file in summary.files or (summary,))
-        command = shlex.join(("roadperc-replay", *files, "OUT.mcap"))
-        text = str(error).replace("choose one with --topic", f"choose one with: {command} --topic")
-        raise ChannelError(f"{summary.path}: {text}") from error
+        raise ChannelError(f"{summary.path}: {with_paths(str(error), summary)}") from error
     chosen = _choices(present, named) if named else {}
     return replace(roles, chosen=chosen, tag_table=recorded_tag_table(summary.metadata))
+
+
+def with_paths(text: str, summary: LogSummary) -> str:
+    """The text with whole commands for a log, which the parts of a text do not know."""
+    files = [str(file.path) for file in summary.files or (summary,)]
+    command = shlex.join(("roadperc-replay", *files, "OUT.mcap"))
+    text = text.replace("choose one with --topic", f"choose one with: {command} --topic")
+    return text if len(files) > 1 else text.replace("roadperc-convert LOG", shlex.join(("roadperc-convert", *files)))
 
 
 def _choices(channels: Sequence[Channel], named: Mapping[str, str]) -> dict[str, str]:
@@ -231,7 +236,7 @@ def channel_state(role: Role, named: Sequence[Channel]) -> tuple[RoleFilling, st
         if not fits(role, channel):
             expected = " or ".join(f"{schema} ({encoding})" for schema, encoding in schemas_of_kind(role.kind))
             found = f"{channel.schema_name or 'no schema'} ({channel.message_encoding or 'no encoding'})"
-            hint = f"; {_CONVERT_VIDEO}" if channel.schema_name == VIDEO_SCHEMA else ""
+            hint = f"; {CONVERT_VIDEO}" if channel.schema_name in VIDEO_SCHEMAS else ""
             return "wrong schema", f"found {found}, expected {expected}{hint}"
     if len(named) > 1 and role.kind not in SHARED_KINDS:
         return "several channels", f"{len(named)} channels carry this topic, expected one"
@@ -263,8 +268,8 @@ def candidates(
 
 def _videos_in_words(channels: Iterable[Channel]) -> tuple[str, ...]:
     """A line for each topic with video."""
-    topics = distinct(channel for channel in channels if channel.schema_name == VIDEO_SCHEMA)
-    return tuple(f"{topic}: {VIDEO_SCHEMA} is not read; {_CONVERT_VIDEO}" for topic in topics)
+    topics = distinct(channel for channel in channels if channel.schema_name in VIDEO_SCHEMAS)
+    return tuple(f"{topic}: video is not read; {CONVERT_VIDEO}" for topic in topics)
 
 
 def _unassigned_in_words(found: Mapping[str, tuple[str, ...]], channels: Iterable[Channel]) -> tuple[str, ...]:

@@ -236,7 +236,7 @@ def table_for_version(version: str) -> TagTable:
         return _table_of_dataset(version)
     match = re.fullmatch(r"v?(\d{1,4})\.(\d{1,4})(?:\.(\d{1,4}))?(?:\D.*)?", version.strip())
     if not match:
-        raise ConfigError(f"CARLA version {version!r}: expected a number such as 0.9.15, or one of {', '.join(TABLES)}")
+        raise ConfigError(f"no tag table {version!r}; expected a CARLA version, such as 0.9.15, or {', '.join(TABLES)}")
     numbers = tuple(int(part or 0) for part in match.groups())
     return CARLA_FROM_0_9_14 if numbers >= (0, 9, 14) else CARLA_BEFORE_0_9_14
 

@@ -21,6 +21,7 @@ from roadperc_stream.input.replaced import with_recorded
 from roadperc_stream.input.source import ReadableLog
 from roadperc_stream.input.state import FrameNumbers
 from roadperc_stream.log import DIGEST_ALGORITHM, Attachment, LogSummary
+from roadperc_stream.model.finding import decoded_findings
 from roadperc_stream.output.tables import config_text, read_footer
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.output.writing import ReplaySummary
@@ -248,6 +249,7 @@ def finished(target: ReplayTarget, cfg: ReplayConfig, opened: OpenedLog) -> Repl
         frames_before=frames,
         is_new=False,
         first_ns=opened.input.summary.first_ns or 0,
+        findings=decoded_findings(recorded.get(record.FINDINGS_KEY, "")),
     )
 
 

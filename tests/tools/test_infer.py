@@ -173,7 +173,7 @@ def test_without_onnxruntime_opencv_says_what_to_install(drive, data_dir, capsys
     (drive / "quantised.toml").write_text(text.replace("[320, 320]", "[320, 160]"))
     words = drive / "out.mcap", drive / "cv.mcap", "--network", drive / "quantised.toml", "--force"
     assert main([str(word) for word in words]) == 1
-    assert "pip install 'roadperc_stream[networks]'" in capsys.readouterr().err
+    assert "pip install '.[networks]'" in capsys.readouterr().err
 
 
 def test_an_interrupted_inference_leaves_no_file(drive):

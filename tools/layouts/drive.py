@@ -92,6 +92,8 @@ class Drive:
     poses: Mapping[int, Float] = field(default_factory=dict)
     """(4, 4) true odom_T_ego."""
     truth: TruthTables = NO_TRUTH
+    label_names: Mapping[int, str] = field(default_factory=dict)
+    """Name of each labelled image in the dataset's own label files."""
     side_by_side: int = 1
     """Cameras that each file of a camera holds along its width; the middle one is used."""
     grey_depth: DepthEncoding | None = None

@@ -17,6 +17,7 @@ from ..carla_dump.frame_stamps import DEFAULT_RATE_HZ, mean_rate, stamps_of_file
 from ..carla_dump.layout import DumpLayout, find_layout
 from ..carla_dump.survey import SensorSurvey, front_sensors, points_fault, reference_of, surveyed
 from ..carla_dump.truth_file import NO_TRUTH, load_poses, load_truth
+from ..carla_dump.yolo_files import is_yolo, load_yolo_labels
 from .drive import ConvertOptions, Drive
 
 _KITTI_IMAGES: Final = re.compile(r"image_0?[0-3]")
@@ -47,7 +48,8 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
     rig = build_rig(calibration, calibration_path, list(surveys), sizes, front_name=front_name)
     notes += rig.notes
     stamps_ns, timing, is_by_name = _stamps(layout, options, calibration.rate_hz, notes)
-    detections, detections_source = _detections(layout, notes)
+    camera = rig.cameras["calibration"]
+    detections, detections_source = _detections(layout, (camera.width, camera.height), notes)
     truth = layout.documents.get("truth")
     return Drive(
         folder=folder,
@@ -165,10 +167,15 @@ def _stamps_beside(layout: DumpLayout) -> Path | None:
     return next((path for path in paths if path.is_file()), None)
 
 
-def _detections(layout: DumpLayout, notes: list[str]) -> tuple[Mapping[int, tuple[Detection, ...]], str]:
-    """Return the detections by frame number, and their source."""
+def _detections(
+    layout: DumpLayout, size: tuple[int, int], notes: list[str]
+) -> tuple[Mapping[int, tuple[Detection, ...]], str]:
+    """Return the detections by frame number, and their source; ``size`` is columns and rows of the images."""
     if "detections" in layout.sensors:
         sensor = layout.sensors["detections"]
+        if is_yolo(sensor.files.values()):
+            detections, names = load_yolo_labels(sensor.files, _frames(layout), size)
+            return detections, f"{sensor.source}, YOLO labels, {names}"
         return load_kitti_labels(sensor.files), f"{sensor.source}, KITTI labels"
     path = layout.documents.get("detections")
     if path is None:

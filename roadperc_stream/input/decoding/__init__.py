@@ -61,6 +61,8 @@ DECODERS: Final[Mapping[tuple[Kind, str, str], Decoder]] = {
     **{(kind, t.DESCRIPTOR.full_name, "protobuf"): _protobuf(t, f) for (kind, t), f in _MESSAGES.items()},
     **{(kind, t.DESCRIPTOR.full_name, "protobuf"): _picture(t, f) for (kind, t), f in foxglove.PICTURES.items()},
     **{(kind, name, "cdr"): _cdr(name, f) for (kind, name), f in ros.DECODERS.items()},
+    **{(kind, name.replace("/msg/", "/"), "ros1"): _cdr(name, f) for (kind, name), f in ros.DECODERS.items()},
+    ("tf", "tf/tfMessage", "ros1"): _cdr("tf/msg/tfMessage", ros.DECODERS["tf", "tf2_msgs/msg/TFMessage"]),
     **{(kind, t.DESCRIPTOR.full_name, "json"): _json(t, _whole(f)) for (kind, t), f in foxglove.PICTURES.items()},
     **{(kind, t.DESCRIPTOR.full_name, "json"): _json(t, f) for (kind, t), f in foxglove.DECODERS.items()},
 }

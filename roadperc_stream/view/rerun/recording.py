@@ -230,8 +230,9 @@ class _Sender:
                 self.problems.add(message.channel.topic, message.log_time_ns, error)
 
     def _log(self, entry: Entry) -> None:
-        is_result = entry.entity.startswith(topics.RESULT_PREFIX) and not isinstance(entry.archetype, rr.Transform3D)
-        if self._root == NEW and not is_result:  # inputs and transforms come from the base
+        is_frame = isinstance(entry.archetype, rr.Transform3D | rr.Pinhole)
+        is_result = entry.entity.startswith(topics.RESULT_PREFIX) and not is_frame
+        if self._root == NEW and not is_result:  # inputs and frames come from the base
             return
         self.entities.add(entry.entity)
         path = f"{self._root}{entry.entity}"

@@ -43,6 +43,8 @@ class SceneState:
     """ego_T_camera of a front camera without transforms."""
     edges: dict[str, Transform] = field(default_factory=dict)
     texts: dict[str, str] = field(default_factory=dict)
+    planes: dict[str, tuple[str, Camera]] = field(default_factory=dict)
+    """The entity that draws each image plane, and its camera: Rerun takes a frame from one entity only."""
 
     @property
     def latched(self) -> LatchedState:
@@ -64,7 +66,23 @@ class SceneState:
     def image_frame(self, role: str, frame_id: str) -> str:
         """Coordinate frame of a role's pixels, from its calibration if it has one."""
         camera = self.camera_of(role)
-        return image_plane(camera.frame_id if camera else frame_id)
+        return self.plane_of(camera) if camera else image_plane(frame_id)
+
+    def plane_of(self, camera: Camera) -> str:
+        """The image plane of a camera, which all cameras with its frame and its pixels share."""
+        drawn = (name for name, (_, other) in self.planes.items() if _pixels(other) == _pixels(camera))
+        return next(drawn, image_plane(camera.frame_id))
+
+    def plane_to_draw(self, entity: str, camera: Camera) -> str | None:
+        """The image plane that an entity draws for its camera; None if another entity draws it already."""
+        own = next((name for name, (owner, _) in self.planes.items() if owner == entity), None)
+        plane = own or self.plane_of(camera)
+        if not own and plane in self.planes:
+            if _pixels(self.planes[plane][1]) == _pixels(camera):
+                return None
+            plane = f"{plane} of {entity}"
+        self.planes[plane] = entity, camera
+        return plane
 
     def knows(self, frame_id: str) -> bool:
         """Whether the log's transforms contain this frame."""
@@ -76,6 +94,10 @@ class SceneState:
         looping = self.of_log.tree.looping(item.edges)
         kept = tuple(edge for edge in item.edges if edge.child not in looping)
         self.of_log = self.of_log.updated(replace(item, payload=kept) if looping else item)
+
+
+def _pixels(camera: Camera) -> tuple[object, ...]:
+    return camera.frame_id, camera.size, camera.K.tobytes()
 
 
 def image_plane(frame_id: str) -> str:
