@@ -1,5 +1,6 @@
 """The short report: coverage, error and worst frame of each stage, as a table, as lines, and for other programs."""
 
+import math
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
@@ -244,7 +245,7 @@ def _cells(found: StageFigures) -> list[str]:
 def worst_of(figures: Iterable[StageFigures]) -> StageFigures | None:
     """The stage whose worst frame is the largest multiple of its limit; without limits the first with a frame."""
     having = [found for found in figures if found.at and found.worst is not None]
-    return max(having, key=lambda found: abs(found.worst or 0.0) / (found.quantity.limit or 1e99), default=None)
+    return max(having, key=lambda found: abs(found.worst or 0.0) / (found.quantity.limit or math.inf), default=None)
 
 
 def with_unit(value: float, quantity: Quantity) -> str:

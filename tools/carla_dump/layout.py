@@ -82,7 +82,8 @@ def find_layout(dump: Path, overrides: Mapping[str, Path], *, below: bool = True
     sensors = _one_per_role(candidates)
     if not sensors and (camera := _only_images(dump, entries)):
         sensors, notes = {"image": camera}, [f"{camera.source}: taken as the images of the front camera"]
-    inside = [entry for entry in entries if entry.is_dir() and frame_count(entry)] if below and not sensors else []
+    folders = [entry for entry in entries if entry.is_dir() and not names_other_sensor(entry.name)]
+    inside = [folder for folder in folders if frame_count(folder)] if below and not sensors else []
     if len(inside) == 1:
         found = find_layout(inside[0], overrides, below=False)
         note = f"{inside[0].name}/ is read: {dump.name} has no sensor itself"
