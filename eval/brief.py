@@ -232,9 +232,9 @@ def _rows(found: StageFigures) -> Iterator[tuple[str, str, tuple[str, ...]]]:
         cells = (percent(found.coverage), *_cells(found), str(found.at.frame) if found.at else "")
         yield found.label, found.quantity.column, cells
     for state, share in found.states.items():
-        yield f"  {state}", found.stage, (percent(share),)
+        yield f"{found.stage}: {state}", "", (percent(share),)
     if told := found.telling:
-        yield f"  {told.quantity.label}", told.quantity.column, (percent(told.coverage), *_cells(told)[:2])
+        yield told.quantity.label, told.quantity.column, (percent(told.coverage), *_cells(told)[:2])
 
 
 def _cells(found: StageFigures) -> list[str]:

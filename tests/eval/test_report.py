@@ -300,7 +300,7 @@ def test_without_truth_measured_held_and_assumed_frames_are_told_apart(tmp_path,
     path = write(tmp_path / "drive.metrics.parquet", rows)
     code, text, _ = short(capsys, path, "--json", tmp_path / "report.json")
     assert code == 0
-    assert [line_of(text, start)[1] for start in ("surface ", "  estimated", "  assumed")] == ["25.0"] * 3
+    assert [line_of(text, f"surface{state} ")[-1] for state in ("", ": estimated", ": assumed")] == ["25.0"] * 3
     stages = json.loads((tmp_path / "report.json").read_text())["runs"]["drive"]["stages"]
     assert stages["surface"]["states"] == {"held": 0.25, "estimated": 0.25, "assumed": 0.25}
     assert (stages["lane_left"]["coverage"], stages["lane_left"]["states"]) == (0.5, {"held": 0.25})
@@ -310,9 +310,9 @@ def test_without_truth_the_short_report_has_the_values_that_tell_the_scale(tmp_p
     reasons = ("surface: no depth, the assumed height gives the plane",)
     rows = [without_truth(k, lane_width_m=3.5, lane_right_offset_m=-1.7, reasons=reasons) for k in range(4)]
     _, text, _ = short(capsys, write(tmp_path / "drive.metrics.parquet", rows, mounting_height_m="1.4"))
-    assert line_of(text, "  speed")[-2:] == ["10.00", "10.00"]
-    assert line_of(text, "  camera height (mounting 1.400), m")[-2] == "1.500"
-    assert line_of(text, "  lane width")[-2] == "3.500"
+    assert line_of(text, "speed")[-2:] == ["10.00", "10.00"]
+    assert line_of(text, "camera height (mounting 1.400), m")[-2] == "1.500"
+    assert line_of(text, "lane width")[-2] == "3.500"
     assert "assumed height 1.5 m" in text
     assert {"speed_mps", "camera_height_m", "lane_width_m"} <= set(re.findall(r"\w+", text.partition("columns:")[2]))
 
@@ -323,8 +323,8 @@ def test_steps_without_scale_and_lost_frames_are_told_with_their_reason(tmp_path
     rows += [without_truth(3, **lost, reasons=("odometry: lost, too few points agree on a motion",))]
     _, text, _ = short(capsys, write(tmp_path / "drive.metrics.parquet", rows))
     assert line_of(text, "odometry inliers")[2] == "50.0"
-    assert line_of(text, "  lost")[1] == "25.0"
-    assert line_of(text, "  without metric scale")[-1] == "50.0"
+    assert line_of(text, "odometry: lost")[-1] == "25.0"
+    assert line_of(text, "odometry: without metric scale")[-1] == "50.0"
     assert "odometry lost: lost, too few points agree on a motion" in text
     assert "speed" not in text
 
