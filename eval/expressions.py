@@ -11,6 +11,7 @@ from typing import Final
 import polars as pl
 
 from roadperc_stream.errors import TableError
+from roadperc_stream.system.text import nearest
 
 from .quantities import listed
 from .runs import first_line
@@ -91,7 +92,8 @@ def _require_scalar(text: str) -> None:
         is_called = kind == "name" and text.startswith("(", at)
         is_operator = kind == "between" or _OPERATORS.fullmatch(word) is not None
         if is_called and not is_operator and word not in _FUNCTIONS.split():
-            raise ValueError(f"no function {word} in an expression; {similar(word, _FUNCTIONS.split(), 'functions')}")
+            near = nearest(word, _FUNCTIONS.split())
+            raise ValueError(f"no function {word}; {f'did you mean {near}?' if near else 'docs/checks.md lists them'}")
         if ended and not is_operator and kind != "close" and word != "[":
             raise ValueError(f"unexpected {word[:20]!r} after a value; expected one expression, without a query")
         if kind == "open":
@@ -123,17 +125,20 @@ def roots(text: str) -> list[str]:
 
 
 def unknown(text: str, name: str, known: Iterable[str], where: str) -> TableError:
-    """The error for a column that does not exist; it lists similar columns, or all."""
+    """The error for a column that does not exist; it lists similar columns."""
     column = "" if text == name else f" {name}"
-    return TableError(f"--by {text}: no column{column} of {where}; {similar(name, known)}")
+    return TableError(f"--by {text}: no column{column} of {where}; {similar(text, name, known)}")
 
 
-def similar(name: str, known: Iterable[str], kind: str = "columns") -> str:
-    """The known columns that are similar to a wrong one, else all; ``kind`` is what they are called."""
+def similar(text: str, name: str, known: Iterable[str]) -> str:
+    """The known columns that are similar to a wrong one of an expression; else that a text needs quotes."""
     names = sorted(set(known))
     word = name.partition("_")[0]
     near = get_close_matches(name, names, 4) + [other for other in names if word in other]
-    return f"similar {kind}: {listed(list(dict.fromkeys(near)))}" if near else f"{kind}: {listed(names, 200)}"
+    if near:
+        return f"similar columns: {listed(list(dict.fromkeys(near)))}"
+    quotes = "" if text == name else f"if it is a text, write '{name}' in single quotes; "
+    return f"{quotes}docs/metrics.md lists the {len(names)} columns"
 
 
 def require_roots(by: Iterable[str], known: Iterable[str], others: Iterable[str], where: str) -> None:

@@ -2,10 +2,16 @@
 
 import difflib
 from collections.abc import Iterable
+from reprlib import Repr
 from typing import Final, TextIO
 
 _LONGEST: Final = 10_000
 """Characters of a line; the longest path has 4096."""
+_REPR: Final = Repr()
+"""Values as text, whose lists of lists may be the same list many times, as in YAML."""
+_REPR.maxlevel = 3
+_REPR.maxdict = _REPR.maxlist = _REPR.maxtuple = _REPR.maxset = _REPR.maxfrozenset = 100
+_REPR.maxstring = _REPR.maxother = _REPR.maxlong = 1000
 
 
 def shown(text: str) -> str:
@@ -48,3 +54,12 @@ def nearest(name: str, known: Iterable[str], likeness: float = 0.6) -> str | Non
     folded = {candidate.casefold(): candidate for candidate in known}
     close = difflib.get_close_matches(name.casefold(), folded, n=1, cutoff=likeness)
     return folded[close[0]] if close else None
+
+
+def in_brief(value: object, most: int = 200) -> str:
+    """A value of any type and size as text of at most ``most`` characters."""
+    try:
+        text = _REPR.repr(value)
+    except (ValueError, RecursionError):  # too many digits or levels for repr
+        return f"a {type(value).__name__} too long to show"
+    return text if len(text) <= most else f"{text[:most]}..."

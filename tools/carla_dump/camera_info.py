@@ -4,17 +4,16 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import yaml
 from pydantic import Field, PositiveInt, TypeAdapter
 
+from roadperc_stream.config.calibration import Number
 from roadperc_stream.errors import DumpError
+from roadperc_stream.input.projections import require_pinhole
 
-from .calibration_file import CalibrationFile, require_pinhole
-from .json_files import Document, Listed, Number, checked, read_text
+from .calibration_file import CalibrationFile
+from .json_files import Document, Listed, checked, read_yaml
 
 SUFFIXES = (".yaml", ".yml")
-_MOST_BYTES = 1_000_000
-"""Largest file; the usual ones have 1 kB, and PyYAML takes seconds for a megabyte."""
 
 
 class _Matrix(Document):
@@ -39,12 +38,7 @@ def load_camera_info(path: Path) -> CalibrationFile:
     Raises:
         DumpError: the file cannot be read, or is not such a YAML; the message names file, key and error.
     """
-    text = read_text(path, _MOST_BYTES)
-    try:
-        document = yaml.safe_load(text)
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
-        raise DumpError(f"{path}: not YAML: {' '.join(str(error).split())}") from error
-    info = checked(path, TypeAdapter(_CameraInfo), document)
+    info = checked(path, TypeAdapter(_CameraInfo), read_yaml(path))
     K = _rows(f"{path}: camera_matrix", info.camera_matrix, 3)
     require_pinhole(f"{path}: camera_matrix", np.array(K))
     return CalibrationFile(

@@ -8,34 +8,39 @@ import json
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from decimal import Decimal
 from pathlib import Path
 from typing import Annotated, Any, Final, TypeVar
 
 import numpy as np
+import yaml
 from pydantic import BaseModel, ConfigDict, FailFast, Field, TypeAdapter, ValidationError
 
-from roadperc_stream.config.settings import in_brief
+from roadperc_stream.config.calibration import LARGEST
+from roadperc_stream.config.complaints import complaint, key_of
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float, is_rotation, rigid
 from roadperc_stream.system.files import read_file, real_path
+from roadperc_stream.system.text import in_brief
 from roadperc_stream.system.time import NS_PER_S
 
 T = TypeVar("T")
-LARGEST: Final = 1e9
-"""Largest absolute number of a document: metres, pixels, degrees. Products of several such numbers are finite."""
-Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
-Numbers3 = tuple[Number, Number, Number]
-Numbers4 = tuple[Number, Number, Number, Number]
 Id = Annotated[int, Field(ge=-(2**63), lt=2**63)] | str
 Listed = Annotated[list[T], FailFast()]
 """A list whose check ends at the first wrong item."""
 _MOST_BYTES: Final = 2_000_000_000
 """Largest document; the largest tables of nuScenes have 1.3 GB."""
+_MOST_YAML_BYTES: Final = 1_000_000
+"""Largest YAML; the usual ones have 1 kB, and PyYAML takes seconds for a megabyte."""
 _MOST_VALUES: Final = 50_000_000
 """Most values of a JSON document, which take 50 to 100 bytes each in memory."""
 _MOST_DIGITS: Final = 19
 """Digits of a whole number of 64 bits."""
 _SHOWN_CHARACTERS: Final = 80
+EPOCH_NS: Final = 1_577_836_800 * NS_PER_S
+"""2020-01-01T00:00:00Z: time 0 of every dump, so that a conversion is reproducible."""
+_SECONDS: Final = re.compile(r"(?<![0-9A-Za-z.])[0-9]{1,7}\.[0-9]{1,20}(?=[^0-9.]*$)")
+"""The last number of a name, as a simulation writes its time; longer numbers are dates and Unix time."""
 _UNIX_SECONDS: Final = re.compile(r"(?<![0-9.])([12][0-9]{9})\.([0-9]{1,9})(?![0-9])")
 
 
@@ -67,6 +72,18 @@ def read_lines(path: Path) -> list[str]:
 def read_json(path: Path) -> Any:
     """Return the content of a JSON file; errors as in ``read_text`` and ``parsed_json``."""
     return parsed_json(path, read_text(path))
+
+
+def read_yaml(path: Path) -> Any:
+    """Return the content of a YAML file; errors as in ``read_text``.
+
+    Raises:
+        DumpError: the file is not YAML.
+    """
+    try:
+        return yaml.safe_load(read_text(path, _MOST_YAML_BYTES))
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        raise DumpError(f"{path}: not YAML: {' '.join(str(error).split())}") from error
 
 
 def read_rows(path: Path, lines: Iterable[str], separator: str = ",") -> Iterator[list[str]]:
@@ -154,18 +171,19 @@ def named_file(where: str, folder: Path, name: str) -> Path | None:
     return folder / name if os.path.isfile(folder / name) else None  # noqa: PTH113 - false for a name too long
 
 
-def checked(path: Path | str, expected: TypeAdapter[T], data: Any, *place: str) -> T:
+def checked(path: Path | str, expected: TypeAdapter[T], data: Any, *place: str, hint: str = "") -> T:
     """Return data as the expected type; ``place`` are the keys of the data in the file.
 
     Raises:
-        DumpError: the data has another type; the message names file, key, error and value.
+        DumpError: the data has another type; the message names file, key, error and value, and ends with ``hint``.
     """
     try:
         return expected.validate_python(data)
     except ValidationError as error:
         first = error.errors()[0]
-        key = ".".join(str(part) for part in (*place, *first["loc"])) or "the document"
-        raise DumpError(f"{path}: {key}: {first['msg']}, got {in_brief(first['input'], _SHOWN_CHARACTERS)}") from error
+        said = complaint(first, _SHOWN_CHARACTERS)
+        said += f" in {in_brief(first['input'], _SHOWN_CHARACTERS)}" * (said == "missing")
+        raise DumpError(f"{path}: {key_of((*place, *first['loc'])) or 'the document'}: {said}{hint}") from error
 
 
 def checked_entries(path: Path, expected: TypeAdapter[T], data: Any, *place: str) -> dict[str, T]:
@@ -180,13 +198,22 @@ def checked_entries(path: Path, expected: TypeAdapter[T], data: Any, *place: str
 def frame_number(name: str) -> int | None:
     """Return the frame number in a name, its last group of digits (``frame_00001`` is 1), or None.
 
-    Unix time with a fraction (``1305031102.933``, as in TUM's image names) is one number, in nanoseconds. The 8 in
-    Cityscapes' ``leftImg8bit`` is no frame number.
+    Seconds with a fraction are one number, in nanoseconds: Unix time (``1305031102.933``, as in TUM's image names), and
+    time of a simulation (``12.80``), which is counted from ``EPOCH_NS``. The 8 in Cityscapes' ``leftImg8bit`` is no
+    frame number.
     """
     if stamp := _UNIX_SECONDS.search(name):
         return int(stamp[1]) * NS_PER_S + int(stamp[2].ljust(9, "0"))
-    groups = re.findall(r"[0-9]+", name.removesuffix("_leftImg8bit"))
+    name = name.removesuffix("_leftImg8bit")
+    if seconds := _SECONDS.search(name):
+        return EPOCH_NS + round(Decimal(seconds[0]) * NS_PER_S)
+    groups = re.findall(r"[0-9]+", name)
     return whole_number(groups[-1]) if groups else None
+
+
+def is_seconds(name: str) -> bool:
+    """Return True if the number in a name is the time of a simulation in seconds with a fraction."""
+    return _SECONDS.search(name.removesuffix("_leftImg8bit")) is not None
 
 
 def by_frame(path: Path, entries: Mapping[str, T]) -> dict[int, T]:
@@ -202,6 +229,6 @@ def by_frame(path: Path, entries: Mapping[str, T]) -> dict[int, T]:
         if number is None:
             raise DumpError(f"{path}: {name!r}: expected a frame number as key")
         if number in names:
-            raise DumpError(f"{path}: {names[number]!r} and {name!r} are both frame {number}")
+            raise DumpError(f"{path}: {names[number]!r} and {name!r} are both frame {number}; remove one of them")
         numbered[number], names[number] = entry, name
     return numbered

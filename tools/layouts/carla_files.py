@@ -12,12 +12,13 @@ from typing import Annotated, Any, Final
 import numpy as np
 from pydantic import Field
 
+from roadperc_stream.config.calibration import Number, Numbers4
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float
+from roadperc_stream.input.rig import LIDAR
 from roadperc_stream.system.files import read_file
 
-from ..carla_dump.camera_rig import LIDAR
-from ..carla_dump.json_files import Number, Numbers4, frame_number, parsed_json, pose
+from ..carla_dump.json_files import frame_number, parsed_json, pose
 from ..carla_dump.layout import Sensor
 from ..carla_dump.survey import points_fault
 
