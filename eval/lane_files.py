@@ -27,6 +27,7 @@ from roadperc_stream.schemas.record import IMAGES_RECORD
 from roadperc_stream.schemas.roles import Kind
 from roadperc_stream.schemas.topics import CALIBRATION_SCHEMA, LANES_TOPIC, RESULTS
 from roadperc_stream.system.files import completing, read_file, require_suffix
+from roadperc_stream.system.text import whole_number
 
 from .runs import collect, open_run
 from .scan import SEGMENT, rows_of, segment
@@ -168,7 +169,7 @@ class RunLanes:
     def images_ns(self) -> dict[str, int]:
         """The stamp of each labelled image by its name in the converted dataset; empty for other logs."""
         record = next((found.values for found in self.summary.metadata if found.name == IMAGES_RECORD), ())
-        return {name: int(stamp) for name, stamp in record if is_stamp(stamp)}
+        return {name: found for name, stamp in record if (found := whole_number(stamp)) is not None}
 
     def frames(self) -> Iterator[RunFrame]:
         """Every frame in order; a frame that is only in the table has no lines.
@@ -206,11 +207,6 @@ def open_lanes(path: Path) -> RunLanes:
     frame_id = next((pb.Lanes.FromString(m.data).frame_id for m in log.read(summary, topics=[LANES_TOPIC])), None)
     topics = [c.topic for c in channels if c.schema_name == _SCHEMAS["calibration"]]
     return RunLanes(summary, _camera(summary, topics, frame_id), _times_ms(path), frame_id is not None)
-
-
-def is_stamp(text: str) -> bool:
-    """Whether a text is a stamp in ns."""
-    return text.isascii() and text.isdecimal() and len(text) <= len(str(2**63))
 
 
 def _frames_before(waiting: deque[tuple[int, float]], stamp_ns: int, left: Counter[int]) -> Iterator[tuple[int, float]]:

@@ -138,6 +138,14 @@ def real_path(path: Path) -> Path:
     return Path(os.path.realpath(path))
 
 
+def is_inside(path: Path, folder: Path) -> bool:
+    """Whether a path is below a folder, with the links in both resolved."""
+    try:
+        return real_path(path).is_relative_to(real_path(folder))
+    except ValueError:  # no name of a file
+        return False
+
+
 @contextmanager
 def target_errors(target: Path) -> Iterator[None]:
     """Turn an error of the system into an error that names the file.

@@ -1,4 +1,4 @@
-"""Escaped lines for a terminal, counts, exceptions in one line, and similar names."""
+"""Escaped lines for a terminal, counts, whole numbers, exceptions in one line, and similar names."""
 
 import difflib
 from collections.abc import Iterable
@@ -7,6 +7,8 @@ from typing import Final, TextIO
 
 _LONGEST: Final = 10_000
 """Characters of a line; the longest path has 4096."""
+_MOST_DIGITS: Final = 19
+"""Digits of a whole number of 64 bits."""
 _REPR: Final = Repr()
 """Values as text, whose lists of lists may be the same list many times, as in YAML."""
 _REPR.maxlevel = 3
@@ -34,6 +36,11 @@ def print_line(line: str, stream: TextIO | None = None) -> None:
 def number(count: int, what: str) -> str:
     """A count with its noun: 1 frame, 2 frames."""
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
+
+
+def whole_number(text: str) -> int | None:
+    """A whole number from 0 of at most 64 bits; None for any other text."""
+    return int(text) if text.isascii() and text.isdigit() and len(text) <= _MOST_DIGITS else None
 
 
 def failure(error: BaseException, name: str) -> str:

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Final
 
 from roadperc_stream.errors import DumpError
-from roadperc_stream.system.text import in_brief
+from roadperc_stream.system.text import in_brief, whole_number
 from roadperc_stream.system.time import NS_PER_S
 
-from .json_files import EPOCH_NS, frame_number, read_lines, read_rows, whole_number
+from .json_files import EPOCH_NS, frame_number, read_lines, read_rows
 
 _UNITS: Final = {"ns": 9, "nsec": 9, "nanoseconds": 9, "us": 6, "ms": 3, "s": 0, "sec": 0, "seconds": 0}
 """Powers of ten of the units: 10^n per second."""

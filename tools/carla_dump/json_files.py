@@ -20,8 +20,8 @@ from roadperc_stream.config.calibration import LARGEST
 from roadperc_stream.config.complaints import complaint, key_of
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float, is_rotation, rigid
-from roadperc_stream.system.files import read_file, real_path
-from roadperc_stream.system.text import in_brief
+from roadperc_stream.system.files import is_inside, read_file
+from roadperc_stream.system.text import in_brief, whole_number
 from roadperc_stream.system.time import NS_PER_S
 
 T = TypeVar("T")
@@ -30,12 +30,13 @@ Listed = Annotated[list[T], FailFast()]
 """A list whose check ends at the first wrong item."""
 _MOST_BYTES: Final = 2_000_000_000
 """Largest document; the largest tables of nuScenes have 1.3 GB."""
+_MOST_LINES_BYTES: Final = 200_000_000
+_MOST_LINES: Final = 5_000_000
+"""Most lines of a text; 69 hours at 20 Hz."""
 _MOST_YAML_BYTES: Final = 1_000_000
 """Largest YAML; the usual ones have 1 kB, and PyYAML takes seconds for a megabyte."""
 _MOST_VALUES: Final = 50_000_000
 """Most values of a JSON document, which take 50 to 100 bytes each in memory."""
-_MOST_DIGITS: Final = 19
-"""Digits of a whole number of 64 bits."""
 _SHOWN_CHARACTERS: Final = 80
 EPOCH_NS: Final = 1_577_836_800 * NS_PER_S
 """2020-01-01T00:00:00Z: time 0 of every dump, so that a conversion is reproducible."""
@@ -65,8 +66,15 @@ def read_text(path: Path, most_bytes: int = _MOST_BYTES) -> str:
 
 
 def read_lines(path: Path) -> list[str]:
-    """Return the lines of a text file; errors as in ``read_text``."""
-    return read_text(path).splitlines()
+    """Return the lines of a text file; errors as in ``read_text``.
+
+    Raises:
+        DumpError: the file has too many lines.
+    """
+    lines = read_text(path, _MOST_LINES_BYTES).splitlines()
+    if len(lines) > _MOST_LINES:
+        raise DumpError(f"{path}: has {len(lines)} lines, expected {_MOST_LINES} at most")
+    return lines
 
 
 def read_json(path: Path) -> Any:
@@ -136,12 +144,6 @@ def _number(word: str) -> float:
         return float("nan")
 
 
-def whole_number(text: str) -> int | None:
-    """Return a whole number from 0 of at most 64 bits, or None for any other text."""
-    is_whole = text.isascii() and text.isdigit() and len(text) <= _MOST_DIGITS
-    return int(text) if is_whole else None
-
-
 def pose(where: str, matrix: Float) -> Float:
     """Return the (4, 4) pose of a (4, 4), (3, 4) or (3, 3) matrix.
 
@@ -161,11 +163,7 @@ def named_file(where: str, folder: Path, name: str) -> Path | None:
     Raises:
         DumpError: the path, or a link on it, leads out of the folder; the message begins with ``where``.
     """
-    try:
-        is_inside = real_path(folder / name).is_relative_to(real_path(folder))
-    except ValueError:  # no name of a file
-        is_inside = False
-    if not is_inside:
+    if not is_inside(folder / name, folder):
         found = in_brief(name, _SHOWN_CHARACTERS)
         raise DumpError(f"{where}: {found} leads out of {folder}; copy the files into this folder")
     return folder / name if os.path.isfile(folder / name) else None  # noqa: PTH113 - false for a name too long
