@@ -3,15 +3,18 @@
 import gzip
 import json
 import os
+from contextlib import suppress
 
 import numpy as np
 import pytest
 
-from roadperc_stream.cli import convert
+from roadperc_stream.cli import batch, convert
 from roadperc_stream.config import load_config
+from roadperc_stream.config.loading import load_labels
 from roadperc_stream.errors import ConfigError, DumpError
 from roadperc_stream.eval.criteria import read_criteria
-from roadperc_stream.eval.lane_files import read_frames
+from roadperc_stream.eval.culane_lists import read_list
+from roadperc_stream.eval.lane_files import LaneFileError, read_frames
 from roadperc_stream.tools.carla_dump import json_files
 from roadperc_stream.tools.carla_dump.calibration_file import load_calibration
 from roadperc_stream.tools.carla_dump.camera_info import load_camera_info
@@ -20,7 +23,9 @@ from roadperc_stream.tools.carla_dump.frame_stamps import stamps_of_file
 from roadperc_stream.tools.carla_dump.image_files import read_bytes, read_header
 from roadperc_stream.tools.carla_dump.pixel_files import file_size
 from roadperc_stream.tools.carla_dump.point_files import points_kind
+from roadperc_stream.tools.carla_dump.tag_files import named_table
 from roadperc_stream.tools.carla_dump.truth_file import load_poses, load_truth
+from roadperc_stream.tools.carla_dump.yolo_files import is_yolo, load_yolo_labels
 from roadperc_stream.tools.layouts.carla_files import read_document
 from roadperc_stream.tools.networks.description import read_network
 from tests.eval.tables import outcome
@@ -33,6 +38,8 @@ __all__ = ["dataset", "nuscenes"]
 READERS = {
     "configuration": load_config,
     "criteria": read_criteria,
+    "labels": load_labels,
+    "tags": lambda path: named_table(str(path.rename(path.with_suffix(".toml")))),
     "network": read_network,
     "calibration": load_calibration,
     "camera_info": load_camera_info,
@@ -43,6 +50,9 @@ READERS = {
     "document": read_document,
     "text": json_files.read_lines,
     "lanes": read_frames,
+    "list of lanes": lambda path: read_list(path, ["a.jpg"], np.arange(9.0)),
+    "boxes": lambda path: is_yolo([path]),
+    "YAML": json_files.read_yaml,
     "image": read_bytes,
     "header": read_header,
     "pixels": file_size,
@@ -60,6 +70,12 @@ def test_only_regular_files_are_read(tmp_path, read):
     for path in (pipe, endless):
         with pytest.raises(NO_FILE, match="a pipe or a device"):
             read(path)
+
+
+@pytest.mark.promise("Dumps", "A pipe, a device or an endless file in place of a file is refused at once")
+def test_a_list_of_logs_is_a_regular_file(tmp_path, capsys):
+    code, _, err = outcome(batch.main, capsys, tmp_path / "out", "@/dev/zero")
+    assert (code, "a pipe or a device" in err) == (1, True)
 
 
 @pytest.mark.promise("Dumps", "A file above the size of its kind is refused before it is read")
@@ -89,6 +105,19 @@ def test_named_paths_stay_below_the_folder(nuscenes, tmp_path, capsys, how):
         code, _, err = outcome(convert.main, capsys, where, tmp_path / "o.mcap", *options)
         assert (code, err.count("\n"), "leads out of" in err) == (1, 1, True), err
         assert not (tmp_path / "o.mcap").exists()
+
+
+@pytest.mark.promise("Dumps", "A path that a dataset's file names stays below its folder, links resolved")
+@pytest.mark.parametrize("how", ["parent", "link"])
+def test_labels_of_a_list_stay_below_the_folder(tmp_path, how):
+    (tmp_path / "culane" / "list").mkdir(parents=True)
+    (tmp_path / "secret.lines.txt").write_text("1 2 3 4")
+    (tmp_path / "culane" / "link.lines.txt").symlink_to(tmp_path / "secret.lines.txt")
+    name = {"parent": "list/../../secret.jpg", "link": "link.jpg"}[how]
+    listed = tmp_path / "culane" / "list" / "train.txt"
+    listed.write_text(f"/{name} 1 1\n")
+    with pytest.raises(LaneFileError, match="leads out of"):
+        read_list(listed, [name], np.arange(9.0))
 
 
 @pytest.mark.promise("Dumps", "A pose that is a mirror, has a scale or is no rotation is refused")
@@ -129,6 +158,17 @@ def test_numbers_have_a_limit(dataset, tmp_path, capsys, word):
     stamps.write_text(f"1 {word}\n")
     with pytest.raises(DumpError, match="expected 'seconds' or 'frame seconds'"):
         stamps_of_file(stamps, [1])
+
+
+@pytest.mark.promise("Dumps", "A number of any size or length in a dataset is read or refused with one line")
+@pytest.mark.parametrize("word", LARGE, ids=["negative", "infinite", "2^63", "nan", "6000 digits"])
+def test_boxes_of_a_list_have_limits(tmp_path, word):
+    labels, names = tmp_path / "1.txt", tmp_path / "data.yaml"
+    for line, kind in ((f"{word} 0.5 0.5 0.1 0.1", "0"), (f"0 0.5 {word} 0.1 0.1", "0"), ("0 0.5 0.5 0.1 0.1", word)):
+        names.write_text(f"names: {{{kind}: car}}")
+        labels.write_text(line)
+        with suppress(DumpError):
+            load_yolo_labels({1: labels}, [1], (100, 50))
 
 
 @pytest.mark.promise("Dumps", "JSON that is nested deeply, and a literal or gzip that expands, give a one-line error")
