@@ -94,16 +94,19 @@ def test_a_column_of_nulls_counts_as_missing(tmp_path, table):
 
 @pytest.mark.promise("Settings and tables", "A table without facts in its footer is read")
 @pytest.mark.promise("Settings and tables", "A frame without a number gives a one-line error")
+@pytest.mark.promise("Settings and tables", "A frame whose time is infinite gives a one-line error")
 def test_a_table_of_another_program_is_read_or_refused(tmp_path, table, capsys):
-    plain, nameless = tmp_path / "plain.metrics.parquet", tmp_path / "nameless.metrics.parquet"
+    plain, nameless, endless = (tmp_path / f"{name}.metrics.parquet" for name in ("plain", "nameless", "endless"))
     pq.write_table(table.to_arrow().replace_schema_metadata(None), plain, store_schema=False)
     table.with_columns(frame=pl.when(pl.col("frame") > 0).then("frame")).write_parquet(nameless)
+    table.with_columns(total_ms=pl.lit(float("inf"))).write_parquet(endless)
     for main, *more in ((report.main,), (check.main,), (trajectory.main,), (find.main, "true"), (compare.main, plain)):
         code, _, err = outcome(main, capsys, plain, *more)
         assert (code, err.count("\n") <= 1) == (code, True), err
-        code, out, err = outcome(main, capsys, nameless, *more)
-        assert (out, err.count("\n")) == ("", 1)
-        assert "column frame has rows without a value" in err
+        for path, column in ((nameless, "frame"), (endless, "total_ms")):
+            code, out, err = outcome(main, capsys, path, *more)
+            assert (out, err.count("\n")) == ("", 1)
+            assert f"column {column} has rows without a value" in err
 
 
 @pytest.mark.promise("Settings and tables", "A criteria file with thousands of criteria is checked in linear time")

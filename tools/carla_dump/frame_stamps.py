@@ -32,6 +32,8 @@ _LIMIT_S: Final = 2**31
 _DATE: Final = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(\.\d+)?Z?")
 _MOST_CHARACTERS: Final = 100
 """Characters of a time."""
+_LONGEST_HEADER: Final = 10_000
+"""Characters of the names of columns."""
 
 
 def _column_table(path: Path, lines: Sequence[str]) -> list[tuple[int | None, int, int]]:
@@ -46,7 +48,9 @@ def _column_table(path: Path, lines: Sequence[str]) -> list[tuple[int | None, in
     """
     header = next(((place, line) for place, line in enumerate(lines) if line.strip()), None)
     separator = next((sign for sign in _SEPARATORS if header and sign in header[1]), None)
-    if header is None or separator is None or any(field[:1].isdigit() for field in header[1].split(separator)):
+    if header is None or separator is None or len(header[1]) > _LONGEST_HEADER:
+        return []
+    if any(field[:1].isdigit() for field in header[1].split(separator)):
         return []
     names = [_plain(name) for name in header[1].split(separator)]
     stamps = next((k for k, (name, _) in enumerate(names) if name in _STAMPS), None)

@@ -30,7 +30,7 @@ Listed = Annotated[list[T], FailFast()]
 """A list whose check ends at the first wrong item."""
 _MOST_BYTES: Final = 2_000_000_000
 """Largest document; the largest tables of nuScenes have 1.3 GB."""
-_MOST_LINES_BYTES: Final = 200_000_000
+_MOST_LINES_BYTES: Final = 100_000_000
 _MOST_LINES: Final = 5_000_000
 """Most lines of a text; 69 hours at 20 Hz."""
 _MOST_YAML_BYTES: Final = 1_000_000

@@ -14,6 +14,7 @@ from roadperc_stream.geometry import Float, Plane
 from roadperc_stream.input.rig import right_handed
 from roadperc_stream.model import Boundary, Detection, HeightGrid, Lanes, Object, Objects, Side, Surface
 from roadperc_stream.model.results import LaneChange
+from roadperc_stream.system.text import in_brief
 
 from .detection_files import checked_box
 from .json_files import (
@@ -65,14 +66,14 @@ def _read_table(path: Path) -> dict[str, dict[str, str]]:
     rows = [[cell.strip() for cell in row] for row in split]
     header = [name.lower() for name in rows[0]] if rows else []
     if not set(COLUMNS) <= set(header):
-        raise DumpError(f"{path}: expected a header with {','.join(COLUMNS)}, got {','.join(header) or 'nothing'}")
+        raise DumpError(f"{path}: expected a header with {','.join(COLUMNS)}, got {in_brief(','.join(header))}")
     table: dict[str, dict[str, str]] = {}
     for line, row in enumerate(rows[1:], 2):
         if len(row) != len(header):
             raise DumpError(f"{path}: row {line}: expected {len(header)} values, got {len(row)}")
         entry = dict(zip(header, row, strict=True))
         if table.setdefault(entry["frame"], {}):
-            raise DumpError(f"{path}: row {line}: frame {entry['frame']} appears twice")
+            raise DumpError(f"{path}: row {line}: frame {in_brief(entry['frame'])} appears twice")
         table[entry["frame"]] = {name: entry[name] for name in COLUMNS[1:]}
     return table
 
