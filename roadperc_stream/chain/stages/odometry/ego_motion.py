@@ -13,12 +13,13 @@ import numpy as np
 from roadperc_stream.chain.stages.odometry import brightness, camera_pitch, keyframes
 from roadperc_stream.chain.stages.odometry.alignment import aligned, predicted_px
 from roadperc_stream.chain.stages.odometry.camera_pitch import LINES_STD, CameraPitch, pitch_by_lines
-from roadperc_stream.chain.stages.odometry.epipolar import motion_from_rays
+from roadperc_stream.chain.stages.odometry.epipolar import motion_from_rays, standing_still
 from roadperc_stream.chain.stages.odometry.features import FRONTENDS, TrackingFrame, tracking_frame
 from roadperc_stream.chain.stages.odometry.keyframes import Keyframe, LastFrame, OdometryState, make_keyframe
-from roadperc_stream.chain.stages.odometry.motion import Motion, in_ego_axes, motion_from_points, moved, step_covariance
+from roadperc_stream.chain.stages.odometry.motion import Motion, in_ego_axes, motion_from_points, moved, standing_motion, step_covariance
 from roadperc_stream.chain.stages.odometry.rivals import along_path, best_shift
 from roadperc_stream.chain.stages.odometry.road_scale import Expected, scaled_by_road
+from roadperc_stream.chain.stages.odometry.speed import KnownSpeed
 from roadperc_stream.config import OdometryConfig, scaled
 from roadperc_stream.geometry import Float, Float32, inverse, project, rigid, transform
 from roadperc_stream.geometry.rotations import rotation_from_vector, rotation_vector
@@ -27,6 +28,7 @@ from roadperc_stream.model.scene import Scene
 from roadperc_stream.system.time import NS_PER_S
 
 _SCALE_REASONS: Final[dict[str | None, Reason]] = {
+    "points": Reason("odometry", "scale_by_points"),
     "carried": Reason("odometry", "scale_carried"),
     "none": Reason("odometry", "scale_unknown"),
 }
@@ -35,9 +37,14 @@ _ASTRAY_PX = 20.0
 MIN_INLIER_RATIO: Final = 0.25
 """Minimum share of the visible points that agree on a steady motion; twice that for an unexpected one."""
 _FIRST_LENGTH = 1.0
-"""Length of the first step if its scale is unknown."""
-_ACCELERATION: Final = 2.0
-"""Standard deviation of the acceleration, metres per second squared."""
+"""Length of the first step in a log without a metric scale: the unit of its path."""
+_POINTS_SHARE: Final = 0.02
+"""Standard deviation of a length by triangulated points, as a share."""
+_ROAD_SHARE: Final = 0.03
+"""Standard deviation of a length by the road, as a share: the search for it extends beyond the possible lengths."""
+_DEPTH_JITTER_M: Final = 0.07
+"""Standard deviation of the difference of two steps by depth with 30 % noise; their covariances do not show it."""
+_SIGMAS: Final = 3.0
 
 
 @dataclass(frozen=True)
@@ -50,6 +57,12 @@ class FollowedFrame:
     last: LastFrame
     odom_T_last: Float
     pitch: CameraPitch
+    speed: KnownSpeed | None = None
+
+    @property
+    def middle_ns(self) -> int:
+        """The middle of the time since the last frame, at which the car has its mean speed."""
+        return (self.last.stamp_ns + self.frame.stamp_ns) // 2
 
     @property
     def seconds(self) -> float:
@@ -72,6 +85,18 @@ class FollowedFrame:
             return None
         odom_T_camera = self.odom_T_last @ moved(self.last.velocity * self.seconds) @ self.frame.ego_T_camera
         return inverse(odom_T_camera) @ self.keyframe.odom_T_camera
+
+    @property
+    def metric_speed(self) -> KnownSpeed | None:
+        """The last known speed in metres per second."""
+        return self.speed if self.speed is not None and self.speed.metric else None
+
+    def limits_mps(self, variance: float = 0.0) -> tuple[float, float]:
+        """Least and greatest speed of a car since the last frame; ``variance`` is that of the speed to compare."""
+        if (speed := self.metric_speed) is None:
+            return 0.0, self.cfg.max_speed_mps
+        least, most = speed.limits_mps((self.middle_ns - speed.stamp_ns) / NS_PER_S, variance)
+        return least, min(most, self.cfg.max_speed_mps)
 
     def turned_pitch(self, odom_T_ego: Float) -> CameraPitch:
         """The pitch, turned with the camera since the last frame."""
@@ -102,6 +127,7 @@ def step(
     """Follow the camera from the last frames to this one.
 
     The keyframe is kept during frames without a usable image: the next frame continues from it, and no motion is lost.
+    It is also kept if a car cannot brake or accelerate as the images show: they repeat, or the match is wrong.
     If its points are not found again, the frame is lost and becomes the keyframe, at the last known pose. Without
     dense depth the motion comes from the image and its scale from ``road`` (in the front camera's frame). Pixels of
     vehicles and pedestrians are left out. ``rng`` seeds OpenCV's random numbers.
@@ -116,18 +142,20 @@ def step(
     pitch = _with_lines(camera_pitch.begun(cfg) if state.pitch is None else state.pitch, frame)
     if state.keyframe is None or state.last is None:
         return _begun(cfg, state.odom_T_ego, pitch, frame), Odometry("first", state.odom_T_ego)
-    this = FollowedFrame(cfg, frame, state.keyframe, state.last, state.odom_T_ego, pitch)
+    this = FollowedFrame(cfg, frame, state.keyframe, state.last, state.odom_T_ego, pitch, state.speed)
     same_camera = frame.camera == state.keyframe.camera
     equal = _equalised(this)
     estimate = _estimated(equal)
     if isinstance(estimate, Absent) and cfg.features == "klt" and same_camera:
         this, estimate = _estimated_by_orb(equal, estimate)
     if not isinstance(estimate, Absent):
-        return _continued(this, estimate)
+        return _continued(this, estimate) if estimate.motion.scaled else _bridged(this, state, estimate)
+    lost = Odometry("lost", state.odom_T_ego, reason=estimate.reason)
+    if estimate.reason.code == "impossible_acceleration":
+        return state, lost
     new_camera = replace(camera_pitch.begun(cfg), levelled=pitch.levelled)
     pitch = camera_pitch.after_loss(cfg, pitch, this.seconds) if same_camera else new_camera
-    lost = Odometry("lost", state.odom_T_ego, reason=estimate.reason)
-    return _begun(cfg, state.odom_T_ego, pitch, frame), lost
+    return _begun(cfg, state.odom_T_ego, pitch, frame, state.speed), lost
 
 
 def _without_image(state: OdometryState, scene: Scene) -> Odometry | Absent:
@@ -155,21 +183,45 @@ def _with_lines(pitch: CameraPitch, frame: TrackingFrame) -> CameraPitch:
     return replace(camera_pitch.updated(pitch, lines), measured=pitch.measured)
 
 
-def _begun(cfg: OdometryConfig, odom_T_ego: Float, pitch: CameraPitch, frame: TrackingFrame) -> OdometryState:
+def _begun(
+    cfg: OdometryConfig, odom_T_ego: Float, pitch: CameraPitch, frame: TrackingFrame, speed: KnownSpeed | None = None
+) -> OdometryState:
     """The state with this frame as keyframe, at the last known pose."""
     keyframe = make_keyframe(cfg, frame, odom_T_ego @ frame.ego_T_camera)
     px = keyframe.landmarks.features.px
-    return OdometryState(odom_T_ego, keyframe, LastFrame(frame.stamp_ns, None, px, np.zeros((len(px), 6))), pitch)
+    last = LastFrame(frame.stamp_ns, None, px, np.zeros((len(px), 6)))
+    return OdometryState(odom_T_ego, keyframe, last, pitch, speed)
+
+
+def _bridged(this: FollowedFrame, state: OdometryState, estimate: Estimate) -> tuple[OdometryState, Odometry]:
+    """The state and result of a frame whose step has no scale: it turns, and its pose is unknown.
+
+    The next step begins at the last known pose again, so no distance is lost until the keyframe must be replaced.
+    """
+    frame, last = this.frame, this.last
+    odom_T_ego = rigid(estimate.odom_T_ego[:3, :3], this.odom_T_last[:3, 3])
+    out = Odometry(
+        "tracked",
+        odom_T_ego,
+        inverse(this.odom_T_last) @ odom_T_ego,
+        int(np.sum(estimate.motion.inliers)),
+        up_to_scale=True,
+        since_ns=last.stamp_ns,
+        reason=_reason_of(estimate),
+        matches=_matches(this.keyframe, frame, estimate),
+        has_length=False,
+    )
+    if _is_due(this, estimate):
+        return _begun(this.cfg, odom_T_ego, estimate.pitch, frame, state.speed), out
+    return replace(state, last=replace(last, found_px=_last_px(last, estimate))), out
 
 
 def _continued(this: FollowedFrame, estimate: Estimate) -> tuple[OdometryState, Odometry]:
     """The state and pose after a tracked frame."""
     cfg, frame, keyframe, last, motion = this.cfg, this.frame, this.keyframe, this.last, estimate.motion
-    metric = keyframe.landmarks.metric and motion.scaled
+    metric = keyframe.landmarks.metric
     last_T_this = inverse(this.odom_T_last) @ estimate.odom_T_ego
     influence = in_ego_axes(frame.ego_T_camera, motion.influence)
-    key_px = keyframe.landmarks.features.px
-    length_variance = motion.length_variance
     velocity = this.velocity(estimate.odom_T_ego)
     odom_T_ego, keyframe, pitch = _levelled(estimate, keyframe, float(np.linalg.norm(last_T_this[:3, 3])))
     out = Odometry(
@@ -178,26 +230,56 @@ def _continued(this: FollowedFrame, estimate: Estimate) -> tuple[OdometryState, 
         last_T_this,
         int(np.sum(motion.inliers)),
         not metric,
-        step_covariance(
-            key_px, frame.camera.width, influence, last.influence, last_T_this, length_variance + last.length_variance
-        ),
+        _covariance(this, motion, influence, last_T_this),
         last.stamp_ns,
         _reason_of(estimate),
         _matches(keyframe, frame, estimate),
     )
-    if not motion.scaled and motion.scale is None:
-        keyframe = replace(keyframe, landmarks=replace(keyframe.landmarks, points_m=motion.points_m, metric=metric))
-    found_px = np.where(np.isfinite(estimate.px), estimate.px, last.found_px)
-    if motion.scale is not None:
-        length_variance = motion.noise_variance
-    if estimate.by_orb or keyframes.is_due(cfg, keyframe, frame, estimate.px, motion.inliers):
-        carried = keyframes.carry(keyframe.landmarks, motion, estimate.px)
+    if keyframe.landmarks.source != "depth":
+        keyframe = replace(keyframe, landmarks=keyframes.with_points(keyframe.landmarks, motion))
+    found_px = _last_px(last, estimate)
+    length_variance = motion.length_variance if motion.scale is None else motion.noise_variance
+    if motion.still is not None:
+        influence = np.zeros((len(found_px), 6))
+    if _is_due(this, estimate):
+        by_road = motion.scale == "measured" and this.keyframe.stamp_ns == last.stamp_ns
+        carried = None if by_road else keyframes.carry(frame.camera, keyframe.landmarks, motion, estimate.px)
         keyframe = make_keyframe(cfg, frame, odom_T_ego @ frame.ego_T_camera, carried)
         found_px = keyframe.landmarks.features.px
         influence, length_variance = np.zeros((len(found_px), 6)), 0.0
-    speed_variance = motion.noise_variance / this.seconds**2 if metric and motion.noise_variance > 0 else None
-    now = LastFrame(frame.stamp_ns, velocity, found_px, influence, length_variance, speed_variance)
-    return OdometryState(odom_T_ego, keyframe, now, pitch), out
+    speed = this.speed
+    if motion.scale in (None, "measured"):
+        mps = float(np.linalg.norm(velocity[:3]))
+        speed = KnownSpeed(mps, motion.noise_variance / this.seconds**2, this.middle_ns, metric)
+    begins = last.velocity is None and motion.still is not None
+    now = LastFrame(frame.stamp_ns, None if begins else velocity, found_px, influence, length_variance)
+    return OdometryState(odom_T_ego, keyframe, now, pitch, speed), out
+
+
+def _covariance(this: FollowedFrame, motion: Motion, influence: Float | None, last_T_this: Float) -> tuple[float, ...]:
+    """Covariance of the step, row by row; empty if it is unknown."""
+    if motion.still is not None:
+        ego_T_camera = this.frame.ego_T_camera
+        along_rows = in_ego_axes(ego_T_camera, motion.still)
+        return tuple(np.ravel(in_ego_axes(ego_T_camera, np.transpose(along_rows))).tolist())
+    key_px, width = this.keyframe.landmarks.features.px, this.frame.camera.width
+    length_variance = motion.length_variance + this.last.length_variance
+    return step_covariance(key_px, width, influence, this.last.influence, last_T_this, length_variance)
+
+
+def _last_px(last: LastFrame, estimate: Estimate) -> Float32:
+    """(N, 2) last pixels of the keyframe's features."""
+    return np.where(np.isfinite(estimate.px), estimate.px, last.found_px)
+
+
+def _is_due(this: FollowedFrame, estimate: Estimate) -> bool:
+    """Whether the frame must become the next keyframe, also where a car without depth has just come to a stand."""
+    motion, landmarks = estimate.motion, this.keyframe.landmarks
+    if estimate.by_orb or keyframes.is_due(this.cfg, this.keyframe, this.frame, estimate.px, motion.inliers):
+        return True
+    if landmarks.source == "depth" or not motion.this_T_key[:3, 3].any():
+        return False
+    return standing_still(this.frame.camera, this.last.found_px, estimate.px) is not None
 
 
 def _levelled(estimate: Estimate, keyframe: Keyframe, length_m: float) -> tuple[Float, Keyframe, CameraPitch]:
@@ -243,9 +325,10 @@ def _estimated(this: FollowedFrame) -> Estimate | Absent:
             continue
         if np.sum(estimate.motion.inliers) < max(ratio * _findable(keyframe, frame, estimate), cfg.min_inliers):
             continue
-        if _possible(this, estimate):
+        impossible = _impossible(this, estimate)
+        if impossible is None:
             return _verified(this, estimate, expected=bool(np.isfinite(near_px).any()))
-        rejected = Reason("odometry", "impossible_motion")
+        rejected = impossible
     return Absent(rejected)
 
 
@@ -264,7 +347,7 @@ def _verified(this: FollowedFrame, estimate: Estimate, *, expected: bool) -> Est
     If another shift fits better, it replaces the estimate. Shifts that fit about as well enlarge the variance.
     """
     keyframe, frame = this.keyframe, this.frame
-    sure = expected and this.last.speed_variance is None
+    sure = expected and (this.speed is None or this.speed.variance == 0)
     if keyframe.landmarks.source != "depth" or frame.depth_m is None or sure:
         return estimate
     shift_m, std_m = best_shift(keyframe, frame, estimate.motion.this_T_key)
@@ -287,7 +370,7 @@ def _shifted(this: FollowedFrame, estimate: Estimate, shift_m: float) -> Estimat
         return estimate
     odom_T_ego = this.pose(motion)
     moved_estimate = Estimate(px, motion, odom_T_ego, this.turned_pitch(odom_T_ego))
-    return moved_estimate if _possible(this, moved_estimate) else estimate
+    return estimate if _impossible(this, moved_estimate) else moved_estimate
 
 
 def guesses(this: FollowedFrame) -> Iterator[tuple[Float32, Float32, float]]:
@@ -303,11 +386,19 @@ def guesses(this: FollowedFrame) -> Iterator[tuple[Float32, Float32, float]]:
     yield last.found_px, np.full_like(last.found_px, np.nan), 2 * MIN_INLIER_RATIO
 
 
-def _possible(this: FollowedFrame, estimate: Estimate) -> bool:
-    """Whether a car can make the motion; without scale only the turn rate is checked."""
+def _impossible(this: FollowedFrame, estimate: Estimate) -> Reason | None:
+    """Why a car cannot make the motion; None if it can. Without scale only the turn rate is checked."""
+    motion = estimate.motion
     speed, turn_rate = np.linalg.norm(this.velocity(estimate.odom_T_ego).reshape(2, 3), axis=1)
-    fast = this.keyframe.landmarks.metric and estimate.motion.scaled and speed > this.cfg.max_speed_mps
-    return not fast and bool(turn_rate <= np.deg2rad(this.cfg.max_turn_rate_dps))
+    fast = motion.scaled and speed > this.cfg.max_speed_mps
+    if fast or not turn_rate <= np.deg2rad(this.cfg.max_turn_rate_dps):
+        return Reason("odometry", "impossible_motion")
+    landmarks = this.keyframe.landmarks
+    hidden_m2 = _DEPTH_JITTER_M**2 if landmarks.source == "depth" else 0.0
+    least, most = this.limits_mps((motion.length_variance + hidden_m2) / this.seconds**2)
+    if landmarks.metric and motion.scaled and not least <= speed <= most:
+        return Reason("odometry", "impossible_acceleration", (float(speed), least, most))
+    return None
 
 
 def _findable(keyframe: Keyframe, frame: TrackingFrame, estimate: Estimate) -> int:
@@ -333,31 +424,63 @@ def _localised(this: FollowedFrame, px: Float32) -> Estimate | None:
 
 
 def _localised_without_depth(this: FollowedFrame, px: Float32) -> Estimate | None:
-    """The estimate without depth: the length comes from the road, else from triangulated points."""
-    cfg, frame, last, landmarks = this.cfg, this.frame, this.last, this.keyframe.landmarks
-    features_px, on_road = landmarks.features.px, landmarks.source == "plane"
-    seconds = (frame.stamp_ns - this.keyframe.stamp_ns) / NS_PER_S
-    length = _FIRST_LENGTH if last.velocity is None else float(np.linalg.norm(last.velocity[:3])) * seconds
-    points_m = np.full_like(landmarks.points_m, np.nan) if on_road else landmarks.points_m
-    motion = motion_from_rays(frame.camera, features_px, px, points_m, length, this.expected_this_T_key)
+    """The estimate without depth: the length comes from the road, from triangulated points or from the last speed."""
+    frame, landmarks = this.frame, this.keyframe.landmarks
+    key_px, points_m = landmarks.features.px, landmarks.triangulated_m
+    unit = min(this.speed.mps * this.seconds if this.speed else _FIRST_LENGTH, this.cfg.max_speed_mps * this.seconds)
+    motion = motion_from_rays(frame.camera, key_px, px, points_m, unit or _FIRST_LENGTH, this.expected_this_T_key)
+    if motion is None or not motion.scaled:
+        motion = _by_points(this, points_m, px) or motion
     if motion is None:
         return None
     pitch = this.turned_pitch(this.pose(motion))
-    if motion.this_T_key[:3, 3].any():
-        direction = camera_pitch.expansion(motion, frame.ego_T_camera, features_px, frame.camera.width)
-        pitch = camera_pitch.updated(pitch, direction)
-        if on_road:
-            longest_m = cfg.max_speed_mps * seconds
-            motion, pitch = scaled_by_road(frame, this.keyframe, motion, pitch, _expected_length(this), longest_m)
+    if not motion.this_T_key[:3, 3].any():
+        motion = standing_motion(frame.camera, landmarks.points_m, key_px, px, motion)
+        return Estimate(px, motion, this.pose(motion), pitch)
+    direction = camera_pitch.expansion(motion, frame.ego_T_camera, key_px, frame.camera.width)
+    pitch = camera_pitch.updated(pitch, direction)
+    if landmarks.source == "plane":
+        motion, pitch = scaled_by_road(frame, this.keyframe, motion, pitch, *_expected_length(this, motion))
+    elif not motion.scaled:
+        motion = _in_units(this, motion)
     return Estimate(px, motion, this.pose(motion), pitch)
 
 
-def _expected_length(this: FollowedFrame) -> Expected | None:
-    """The distance from the keyframe at the last speed; None if the road has not shown a speed."""
-    last, seconds = this.last, this.seconds
-    if last.velocity is None or last.speed_variance is None:
+def _in_units(this: FollowedFrame, motion: Motion) -> Motion:
+    """A motion whose scale nothing shows: after a start without a metric scale, its length is the path's unit."""
+    if this.keyframe.landmarks.metric or this.last.velocity is not None:
+        return replace(motion, scale="none")
+    return replace(motion, scaled=True, scale=None if this.speed is None else "carried")
+
+
+def _by_points(this: FollowedFrame, points_m: Float, px: Float32) -> Motion | None:
+    """The motion by known points: while the car stops and drives off, rays hardly show its direction.
+
+    Points that are unknown do not contradict it.
+    """
+    motion = motion_from_points(this.frame.camera, points_m, px, this.expected_this_T_key)
+    found, known = np.isfinite(px[:, 0]), np.isfinite(points_m[:, 2])
+    least = max(2 * MIN_INLIER_RATIO * np.sum(found & known), this.cfg.min_inliers)
+    if motion is None or np.sum(motion.inliers) < least:
         return None
+    return replace(motion, inliers=motion.inliers | (found & ~known))
+
+
+def _expected_length(this: FollowedFrame, motion: Motion) -> tuple[Expected | None, tuple[float, float]]:
+    """The length since the keyframe by triangulated points, else by the last speed, and the range of possible lengths.
+
+    The length is None if neither is known.
+    """
+    last, seconds, speed = this.last, this.seconds, this.metric_speed
     driven_m = float(np.linalg.norm((this.odom_T_last @ this.frame.ego_T_camera - this.keyframe.odom_T_camera)[:3, 3]))
-    speed_mps = float(np.linalg.norm(last.velocity[:3]))
-    speed_variance = last.speed_variance + (_ACCELERATION * seconds) ** 2
-    return Expected(driven_m + speed_mps * seconds, last.length_variance + speed_variance * seconds**2)
+    least, most = (limit * seconds for limit in this.limits_mps((_ROAD_SHARE * speed.mps) ** 2 if speed else 0.0))
+    reach_m = _SIGMAS * float(np.sqrt(last.length_variance))
+    tried_m = max(driven_m + (least or -most) - reach_m, 0.0), driven_m + most + reach_m
+    if motion.scaled:
+        length_m = float(np.linalg.norm(motion.this_T_key[:3, 3]))
+        share = this.keyframe.landmarks.scale_variance + _POINTS_SHARE**2
+        return Expected(length_m, motion.length_variance + share * length_m**2), tried_m
+    if speed is None:
+        return None, tried_m
+    variance = speed.variance_after((this.middle_ns - speed.stamp_ns) / NS_PER_S)
+    return Expected(driven_m + speed.mps * seconds, last.length_variance + variance * seconds**2), tried_m
