@@ -12,7 +12,7 @@ from roadperc_stream.geometry import Float32
 
 from .description import Network
 
-_INSTALL: Final = "pip install 'roadperc_stream[networks]'"
+_INSTALL: Final = "pip install '.[networks]' in the project's folder"
 
 
 class Session(Protocol):
