@@ -64,7 +64,9 @@ class Landmarks:
     @property
     def triangulated_m(self) -> Float:
         """(N, 3) the points that give a motion its length, NaN for the others."""
-        return np.where(np.isfinite(self.slope[:, :1]), np.nan, self.points_m) if self.source == "plane" else self.points_m
+        return (
+            np.where(np.isfinite(self.slope[:, :1]), np.nan, self.points_m) if self.source == "plane" else self.points_m
+        )
 
     def __post_init__(self) -> None:
         read_only(self.points_m, np.float64, (len(self.features.px), 3), "points_m")

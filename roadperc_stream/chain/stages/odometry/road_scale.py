@@ -40,7 +40,7 @@ _LEAN_M: Final = 0.8
 _LEAST_UNEXPECTED: Final = 0.7
 """Least correlation where the length is not expected: among all lengths, a wrong one fits by chance."""
 _SAME_DOUBT: Final = 0.05
-"""Largest relative difference of two doubts, one after the other, at which the road is right and the points are wrong."""
+"""Largest relative difference of two successive doubts at which the road is right and the points are wrong."""
 
 
 @dataclass(frozen=True)
