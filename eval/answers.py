@@ -14,8 +14,9 @@ from roadperc_stream.system.text import number
 from .brief import (
     NO_TRUTH,
     Command,
+    assumed_height,
     cases_of,
-    has_truth,
+    judged_stages,
     latency_line,
     stage_figures,
     stage_table,
@@ -28,9 +29,11 @@ from .comparison.comparing import Comparison, compare_runs
 from .comparison.pairing import pair_runs
 from .comparison.summary import shown_unit, where
 from .comparison.verdicts import CauseGroup, Mark
+from .findings import Found, finding_counts, report_lines
 from .frame_commands import view_command
 from .machine import Case, write_files
 from .options import Rules
+from .quantities import TRUTH
 from .runs import Run
 from .summary import Summary
 
@@ -57,6 +60,12 @@ def print_answer(console: Console, answer: Answer) -> None:
     print_lines(console, *answer.tail, unbroken=True)
 
 
+def with_findings(answer: Answer, found: Found) -> Answer:
+    """The answer with the findings of its runs in its first lines and its values."""
+    values = {**answer.values, "findings": finding_counts(found)}
+    return replace(answer, head=(*report_lines(found), *answer.head), values=values)
+
+
 def wants_files(arguments: argparse.Namespace) -> bool:
     """Whether the options name a file for another program."""
     return any((arguments.json, arguments.markdown, arguments.junit))
@@ -74,16 +83,19 @@ def write_answer(answer: Answer, arguments: argparse.Namespace) -> None:
 
 def of_summaries(title: str, kind: str, summaries: Sequence[Summary], command: Command) -> Answer:
     """The stages of one summary, or the worst frame of several; ``kind`` is their name in JSON."""
-    truth = has_truth(summaries)
-    figures = {summary.name: stage_figures(summary, truth=truth) for summary in summaries}
+    judged = judged_stages(summaries)
+    figures = {summary.name: stage_figures(summary, judged) for summary in summaries}
     worst = worst_of(found for of_one in figures.values() for found in of_one)
     (first, *others) = summaries
-    tables = () if others else (stage_table(figures[first.name], truth=truth),)
+    tables = () if others else (stage_table(figures, judged),)
     shown = [worst_line(worst, command(worst.at))] if worst and worst.at else []
     times = [] if others else [latency_line(first)]
     values = {summary.name: values_of(summary, figures[summary.name], command) for summary in summaries}
     cases = tuple(case for name, found in figures.items() for case in cases_of(name, found))
-    return Answer(title, () if truth else (NO_TRUTH,), tables, (*shown, *times), {kind: values}, cases)
+    truth = any(quantity.column in summary.statistics for quantity in TRUTH for summary in summaries)
+    head = () if truth else (NO_TRUTH,)
+    heights = dict.fromkeys(filter(None, map(assumed_height, summaries)))
+    return Answer(title, (*head, *heights), tables, (*shown, *times), {kind: values}, cases)
 
 
 def of_pair(runs: Sequence[Run], summaries: Sequence[Summary]) -> Answer:

@@ -189,7 +189,7 @@ def with_settings(base: ReplayConfig, cfg: ReplayConfig, keys: Sequence[str]) ->
     Raises:
         ConfigError: the settings do not fit together.
     """
-    tree = base.model_dump(mode="json")
+    tree = base.with_log_facts(cfg).model_dump(mode="json")
     for key in keys:
         section, _, name = key.rpartition(".")
         (tree[section] if section else tree)[name] = setting_of(cfg, key)

@@ -8,7 +8,7 @@ from itertools import chain
 from typing import Any, Final
 
 from roadperc_stream import log
-from roadperc_stream.config.settings import BUILT_IN_STAGES, as_typed, settings_in
+from roadperc_stream.config.settings import BUILT_IN_STAGES, NOT_SET, as_typed, is_about_log, settings_in
 from roadperc_stream.errors import ConfigError, LogError
 from roadperc_stream.output.text_table import TextRow, TextTable
 from roadperc_stream.schemas.record import CONFIG_ATTACHMENT, NETWORKS_COMMENT
@@ -78,7 +78,8 @@ def differing(configurations: Sequence[Settings]) -> dict[str, tuple[str, ...]]:
     """The settings that differ between configurations, each with its values."""
 
     def value(settings: Settings, key: str) -> str:
-        return as_typed(settings[key]) if key in settings else NO_SUCH_SETTING
+        unset = NOT_SET if is_about_log(key) else NO_SUCH_SETTING
+        return as_typed(settings[key]) if key in settings else unset
 
     keys = dict.fromkeys(chain.from_iterable(configurations))
     rows = {key: tuple(value(settings, key) for settings in configurations) for key in keys}

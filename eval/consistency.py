@@ -33,24 +33,23 @@ _FEWEST_BLOCKS: Final = 8
 class Judged:
     """A quantity, its truth and its standard deviation: three columns of a table in the same unit."""
 
-    name: str
     estimate: str
     truth: str
     std: str
 
 
 FRAME_QUANTITIES: Final = (
-    Judged("lane left offset", "lane_left_offset_m", "lane_left_true_offset_m", "lane_left_offset_std_m"),
-    Judged("lane right offset", "lane_right_offset_m", "lane_right_true_offset_m", "lane_right_offset_std_m"),
-    Judged("lane heading", "lane_heading_deg", "lane_true_heading_deg", "lane_heading_std_deg"),
-    Judged("step", "step_m", "true_step_m", "step_std_m"),
-    Judged("turn", "turn_deg", "true_turn_deg", "turn_std_deg"),
+    Judged("lane_left_offset_m", "lane_left_true_offset_m", "lane_left_offset_std_m"),
+    Judged("lane_right_offset_m", "lane_right_true_offset_m", "lane_right_offset_std_m"),
+    Judged("lane_heading_deg", "lane_true_heading_deg", "lane_heading_std_deg"),
+    Judged("step_m", "true_step_m", "step_std_m"),
+    Judged("turn_deg", "true_turn_deg", "turn_std_deg"),
 )
 """Quantities of the table with one row per frame."""
 OBJECT_QUANTITIES: Final = (
-    Judged("distance", "distance_m", "true_distance_m", "distance_std_m"),
-    Judged("closing speed", "closing_speed_mps", "true_closing_speed_mps", "closing_speed_std_mps"),
-    Judged("time to impact", "time_to_impact_s", "true_time_to_impact_s", "time_to_impact_std_s"),
+    Judged("distance_m", "true_distance_m", "distance_std_m"),
+    Judged("closing_speed_mps", "true_closing_speed_mps", "closing_speed_std_mps"),
+    Judged("time_to_impact_s", "true_time_to_impact_s", "time_to_impact_std_s"),
 )
 """Quantities of the table with one row per detection; only kept detections are used."""
 JUDGED: Final = (*FRAME_QUANTITIES, *OBJECT_QUANTITIES)
@@ -147,12 +146,14 @@ def consistency_of_run(run: Run) -> dict[str, Consistency]:
         TableError: the data of a table cannot be read.
     """
     frames = collect(rows_of(run).select(_columns(FRAME_QUANTITIES)), run.source_name)
-    parts = [{judged.name: consistency_of_frames(*errors_of(frames, judged)) for judged in FRAME_QUANTITIES}]
+    parts = [{judged.estimate: consistency_of_frames(*errors_of(frames, judged)) for judged in FRAME_QUANTITIES}]
     for table in run.tables:
         if table.objects is not None:
             seen = _kept_objects(table.objects, table.end_frame)
             objects = object_numbers(seen)
-            parts.append({judged.name: consistency(*errors_of(seen, judged), objects) for judged in OBJECT_QUANTITIES})
+            parts.append(
+                {judged.estimate: consistency(*errors_of(seen, judged), objects) for judged in OBJECT_QUANTITIES}
+            )
     return {name: sums for name, sums in added(parts).items() if sums.errors}
 
 

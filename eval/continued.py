@@ -93,6 +93,7 @@ def _joined(chain: Sequence[Run]) -> Run:
         rows=sum(run.rows for run in chain),
         end_frame=None,
         next_run="",
+        findings=tuple({finding.code: finding for run in reversed(chain) for finding in run.findings or ()}.values()),
         joined=tuple(chain),
     )
 

@@ -7,18 +7,19 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Self, get_args
+from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from roadperc_stream.config.settings import MOST_BYTES, in_brief, parsed_toml
+from roadperc_stream.config.complaints import complaint
+from roadperc_stream.config.settings import MOST_BYTES, parsed_toml
 from roadperc_stream.errors import ConfigError
-from roadperc_stream.system.text import nearest
+from roadperc_stream.system.text import in_brief, nearest
 
 from .comparison.metrics import METRICS
 from .expressions import parsed
 
-Statistic = Literal["mean", "median", "p1", "p5", "p95", "p99", "min", "max", "share", "rate"]
+Statistic = Literal["mean", "median", "p1", "p5", "p95", "p99", "min", "max", "share", "rate", "findings"]
 DEFAULT_CRITERIA: Final = Path(__file__).with_name("criteria.toml")
 BY_NAME: Final = {metric.name: metric for metric in METRICS}
 _NAME: Final = r"[A-Za-z0-9_\-./ ]+"
@@ -43,7 +44,7 @@ class Criterion(_Table):
     """A bound on a statistic of a metric or a column, over the frames that fulfil ``filter``.
 
     The values of an error metric are absolute. ``within`` belongs to the share of values, ``event`` (an SQL condition)
-    to the rate of its beginnings per minute.
+    to the rate of its beginnings per minute. The statistic ``findings`` is the largest number of findings of a run.
     """
 
     name: str = ""
@@ -61,7 +62,7 @@ class Criterion(_Table):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        counted = self.statistic == "rate"
+        counted = self.statistic in ("rate", "findings")
         if (self.most is None) == (self.least is None):
             raise ValueError("expected one of most and least")
         if (self.metric is None) + (self.column is None) != 1 + counted:
@@ -71,7 +72,9 @@ class Criterion(_Table):
             if (value is not None) != (self.statistic == owner):
                 raise ValueError(f"{key} belongs to the statistic {owner}, found {self.statistic}")
         if counted and self.least_coverage:
-            raise ValueError("least_coverage does not belong to the statistic rate")
+            raise ValueError(f"least_coverage does not belong to the statistic {self.statistic}")
+        if self.filter is not None and self.statistic == "findings":
+            raise ValueError("filter does not belong to the statistic findings")
         if self.metric is not None and self.metric not in BY_NAME:
             raise ValueError(f"no metric {self.metric}; {hint(self.metric, BY_NAME)}")
         if not re.fullmatch(_NAME, self.title):
@@ -87,7 +90,7 @@ class Criterion(_Table):
     def title(self) -> str:
         """The name, or the metric with the statistic; unique within the file."""
         subject = "event" if self.statistic == "rate" else self.subject
-        return self.name or f"{subject} {self.statistic}"
+        return self.name or f"{subject} {self.statistic}".strip()
 
     @property
     def bound(self) -> str:
@@ -171,11 +174,7 @@ def _complaint(error: ValidationError, tree: Mapping[str, Any]) -> str:
         return f"{where}no key {key}; {hint(str(key), model.model_fields)}"
     if first["type"] == "missing":
         return f"{where}expected the key {key}"
-    if first["type"] == "value_error":
-        return f"{where}{first['ctx']['error']}"
-    kinds = f"one of {', '.join(get_args(Statistic))}"
-    expected = kinds if key == "statistic" else first["msg"].removeprefix("Input should be ")
-    return f"{where}{key}: expected {expected}, found {in_brief(first['input'])}"
+    return f"{where}{f'{key}: ' if key else ''}{complaint(first)}"
 
 
 def _place(place: list[Any], tree: Mapping[str, Any]) -> str:

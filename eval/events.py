@@ -100,7 +100,7 @@ def condition_of(text: str, peak: str, schema: dict[str, pl.DataType]) -> Condit
     names = rule.meta.root_names()
     for name in (*names, *([peak] if peak else [])):
         if name not in schema:
-            raise TableError(f"{text}: no column {name} of the tables; {similar(name, schema)}")
+            raise TableError(f"{text}: no column {name} of the tables; {similar(text, name, schema)}")
     _require_condition(text, rule, schema)
     if peak and not schema[peak].is_numeric():
         raise TableError(f"--peak {peak}: is of type {schema[peak]}, expected numbers")
@@ -116,7 +116,8 @@ def _require_condition(text: str, rule: pl.Expr, schema: dict[str, pl.DataType])
         raise TableError(f"{text}: cannot be computed from the tables' columns: {error}") from error
     if found.dtype != pl.Boolean or found.len() == 1:
         kind = "one value for all rows" if found.len() == 1 else f"of type {found.dtype}"
-        raise TableError(f"{text}: is {kind}, expected a condition on columns")
+        quotes = f", such as {text} > 2; put it in quotes, because a shell reads > as a file" if text in schema else ""
+        raise TableError(f"{text}: is {kind}, expected a condition on columns{quotes}")
 
 
 def matches(searched: Searched, condition: Condition, schema: dict[str, pl.DataType]) -> pl.DataFrame:

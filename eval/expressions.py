@@ -69,17 +69,20 @@ def roots(text: str) -> list[str]:
 
 
 def unknown(text: str, name: str, known: Iterable[str], where: str) -> TableError:
-    """The error for a column that does not exist; it lists similar columns, or all."""
+    """The error for a column that does not exist; it lists similar columns."""
     column = "" if text == name else f" {name}"
-    return TableError(f"--by {text}: no column{column} of {where}; {similar(name, known)}")
+    return TableError(f"--by {text}: no column{column} of {where}; {similar(text, name, known)}")
 
 
-def similar(name: str, known: Iterable[str]) -> str:
-    """The known columns that are similar to a wrong one, else all."""
+def similar(text: str, name: str, known: Iterable[str]) -> str:
+    """The known columns that are similar to a wrong one of an expression; else that a text needs quotes."""
     names = sorted(set(known))
     word = name.partition("_")[0]
     near = get_close_matches(name, names, 4) + [other for other in names if word in other]
-    return f"similar columns: {listed(list(dict.fromkeys(near)))}" if near else f"columns: {listed(names, 200)}"
+    if near:
+        return f"similar columns: {listed(list(dict.fromkeys(near)))}"
+    quotes = "" if text == name else f"if it is a text, write '{name}' in single quotes; "
+    return f"{quotes}docs/metrics.md lists the {len(names)} columns"
 
 
 def require_roots(by: Iterable[str], known: Iterable[str], others: Iterable[str], where: str) -> None:

@@ -14,8 +14,9 @@ from roadperc_stream.schemas.columns import TIME_COLUMNS, UNITLESS, FrameMetrics
 from roadperc_stream.system.text import number as number_of
 from roadperc_stream.system.time import NS_PER_S
 
-from .criteria import BY_NAME, Criterion, hint
-from .expressions import on_empty_rows
+from .criteria import BY_NAME, Criterion
+from .expressions import on_empty_rows, similar
+from .findings import finding_lines, findings_of
 from .frame_commands import view_command
 from .machine import Outcome
 from .quantities import percent
@@ -70,6 +71,8 @@ class Result:
             return self.reason
         unit = unit_of(self.criterion)
         value = "no value" if self.value is None else f"{self.value:.4g}{unit}"
+        if self.criterion.statistic == "findings":
+            return f"{value}, {self.criterion.bound}{f': {self.reason}' if self.reason else ''}"
         covered = "" if self.criterion.statistic == "rate" else f"; coverage {percent(self.coverage)} %"
         least = self.criterion.least_coverage
         return f"{value}, {self.criterion.bound}{unit}{covered}{f', at least {percent(least)} %' if least else ''}"
@@ -99,14 +102,28 @@ def judge(criteria: Sequence[Criterion], runs: Sequence[Run], source: Path) -> l
     schema = pl.Schema({**_written(), **{k: v for run in runs for k, v in _frames_of(run).collect_schema().items()}})
     for criterion in criteria:
         _require_fit(criterion, schema, f"{source}: criterion {criterion.title!r}")
-    by_run = [_measured(criteria, run, schema) for run in runs]
+    by_run = [_measured([c for c in criteria if c.statistic != "findings"], run, schema) for run in runs]
+    of_frames = zip(*by_run, strict=True)
     results: list[Result] = []
-    for criterion, parts in zip(criteria, zip(*by_run, strict=True), strict=True):
-        if criterion.per_log:
-            results += [_judged(criterion, [part], part.run.name) for part in parts]
-        else:
-            results.append(_judged(criterion, parts, parts[0].run.name if len(parts) == 1 else ALL))
+    for criterion in criteria:
+        parts = None if criterion.statistic == "findings" else next(of_frames)
+        groups = [[place] for place in range(len(runs))] if criterion.per_log else [range(len(runs))]
+        for group in groups:
+            some = [runs[place] for place in group]
+            log = some[0].name if len(some) == 1 else ALL
+            of_group = None if parts is None else [parts[place] for place in group]
+            results.append(_found(criterion, some, log) if of_group is None else _judged(criterion, of_group, log))
     return results
+
+
+def _found(criterion: Criterion, runs: Sequence[Run], log: str) -> Result:
+    """The result of a criterion on the findings that the tables of runs record."""
+    frames, known = sum(run.frames for run in runs), [run for run in runs if run.findings is not None]
+    if not known:
+        return Result(criterion, log, "skipped", frames, reason="the tables do not record findings")
+    value = float(max(len(run.findings or ()) for run in known))
+    outcome: Outcome = "passed" if _within_bound(criterion, value) else "failed"
+    return Result(criterion, log, outcome, frames, value, 1.0, "; ".join(finding_lines(findings_of(known))))
 
 
 def unit_of(criterion: Criterion) -> str:
@@ -139,7 +156,8 @@ def _require_fit(criterion: Criterion, schema: pl.Schema, where: str) -> None:
         ("column", pl.col(criterion.column or "frame"), "numbers"),
     ):
         if wrong := [name for name in found.meta.root_names() if name not in schema]:
-            raise ConfigError(f"{where}: {key}: no column {wrong[0]}; {hint(wrong[0], schema.names())}")
+            text = str(getattr(criterion, key))
+            raise ConfigError(f"{where}: {key}: no column {wrong[0]}; {similar(text, wrong[0], schema)}")
         try:
             kind = on_empty_rows(found, schema).dtype
         except ValueError as error:

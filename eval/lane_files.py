@@ -7,13 +7,14 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Annotated, Final
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from roadperc_stream import log
+from roadperc_stream.config.complaints import complaint, key_of
 from roadperc_stream.errors import LogError, RoadpercError
 from roadperc_stream.geometry import Camera, Float
 from roadperc_stream.input.decoding import Context, Decoded, decode
@@ -22,6 +23,7 @@ from roadperc_stream.metrics.lanes import ROW_STEP_PX, columns_at, in_view
 from roadperc_stream.model import Lanes
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas import roadperc_pb2 as pb
+from roadperc_stream.schemas.record import IMAGES_RECORD
 from roadperc_stream.schemas.roles import Kind
 from roadperc_stream.schemas.topics import CALIBRATION_SCHEMA, LANES_TOPIC, RESULTS
 from roadperc_stream.system.files import completing, require_suffix
@@ -40,7 +42,7 @@ _TOP: Final = 160 / 720
 
 
 class LaneFileError(RoadpercError):
-    """A file of lanes is not in TuSimple's format, or does not belong to the run."""
+    """A file of lanes is not in TuSimple's or CULane's format, or does not belong to the run."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +107,7 @@ def _frame(text: bytes, place: str) -> LaneFrame:
         line = _Line.model_validate_json(text)
     except ValidationError as error:
         found = error.errors(include_url=False)[0]
-        why = ": ".join(filter(None, (".".join(map(str, found["loc"])), found["msg"])))
+        why = ": ".join(filter(None, (key_of(found["loc"]), complaint(found))))
         raise LaneFileError(f"{place}: is not in TuSimple's format: {why}") from error
     rows = len(line.h_samples)
     for k, lane in enumerate(line.lanes):
@@ -114,6 +116,11 @@ def _frame(text: bytes, place: str) -> LaneFrame:
     columns = (np.array(lane, float) for lane in line.lanes)
     lanes = tuple(np.where(lane < 0, np.nan, lane) for lane in columns)
     return LaneFrame(line.raw_file, np.array(line.h_samples, float), lanes, line.run_time, place)
+
+
+def image_name(raw_file: str) -> str:
+    """The path of an image from its dataset's folder on."""
+    return PurePosixPath(raw_file.lstrip("/")).as_posix()
 
 
 @contextmanager
@@ -147,11 +154,19 @@ class RunLanes:
     """A log with lanes, and their camera.
 
     ``times_ms`` are stamp and total time of each frame, in order; empty without a metrics table beside the log.
+    ``has_lanes`` is whether the log has a message with lanes.
     """
 
     summary: LogSummary
     camera: Camera
     times_ms: Sequence[tuple[int, float]]
+    has_lanes: bool
+
+    @property
+    def images_ns(self) -> dict[str, int]:
+        """The stamp of each labelled image by its name in the converted dataset; empty for other logs."""
+        record = next((found.values for found in self.summary.metadata if found.name == IMAGES_RECORD), ())
+        return {name: int(stamp) for name, stamp in record if is_stamp(stamp)}
 
     def frames(self) -> Iterator[RunFrame]:
         """Every frame in order; a frame that is only in the table has no lines.
@@ -188,7 +203,12 @@ def open_lanes(path: Path) -> RunLanes:
         raise LogError(f"{path}: no {LANES_TOPIC} of schema {_SCHEMAS['lanes']}; {hint}")
     frame_id = next((pb.Lanes.FromString(m.data).frame_id for m in log.read(summary, topics=[LANES_TOPIC])), None)
     topics = [c.topic for c in channels if c.schema_name == _SCHEMAS["calibration"]]
-    return RunLanes(summary, _camera(summary, topics, frame_id), _times_ms(path))
+    return RunLanes(summary, _camera(summary, topics, frame_id), _times_ms(path), frame_id is not None)
+
+
+def is_stamp(text: str) -> bool:
+    """Whether a text is a stamp in ns."""
+    return text.isascii() and text.isdecimal() and len(text) <= len(str(2**63))
 
 
 def _frames_before(waiting: deque[tuple[int, float]], stamp_ns: int, left: Counter[int]) -> Iterator[tuple[int, float]]:
@@ -230,9 +250,10 @@ def _decoded(role: Kind, message: log.Message) -> Decoded:
 def _camera(summary: LogSummary, topics: list[str], frame_id: str | None) -> Camera:
     for message in log.read(summary, topics=topics) if topics else ():
         camera = _decoded("calibration", message).payload
-        if isinstance(camera, Camera) and camera.frame_id == frame_id:
+        if isinstance(camera, Camera) and frame_id in (None, camera.frame_id):
             return camera
-    raise LogError(f"{summary.path}: no calibration of camera {frame_id!r} of {LANES_TOPIC}; expected one on any topic")
+    of_camera = f" of camera {frame_id!r} of {LANES_TOPIC}" if frame_id else ""
+    raise LogError(f"{summary.path}: no calibration{of_camera}; expected one on any topic")
 
 
 def _times_ms(path: Path) -> list[tuple[int, float]]:

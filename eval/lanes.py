@@ -12,16 +12,23 @@ from roadperc_stream.metrics.lanes import CULANE_THRESHOLDS as THRESHOLDS
 from roadperc_stream.metrics.lanes import Counts, TuSimpleScore, counts_above, line_overlaps, tusimple
 from roadperc_stream.output.terminal import console_for, print_parts
 from roadperc_stream.output.text_table import TextTable, row
+from roadperc_stream.schemas.topics import LANES_TOPIC
 from roadperc_stream.system.files import real_path
+from roadperc_stream.system.text import number
 
 from . import lane_files
-from .lane_files import LaneFileError, LaneFrame, RunFrame, RunLanes
+from .culane_lists import read_list
+from .lane_files import LaneFileError, LaneFrame, RunFrame, RunLanes, image_name, is_stamp
 from .options import LanePairing
 from .quantities import listed, percent
 from .scores import Score
 
 NAMED: Final = 10
 """Missing frames that are listed by name."""
+_NO_LANES: Final = f"no frame has a message on {LANES_TOPIC}; lanes need segmentation, such as that of roadperc-infer"
+_EXPECTED_NAMES: Final = (
+    "expected names that end in a frame's stamp in ns, or images of a dataset that roadperc-convert converted"
+)
 
 
 class FrameScore(NamedTuple):
@@ -32,27 +39,38 @@ class FrameScore(NamedTuple):
     has_lanes: bool
 
 
-def by_key(truth: Sequence[LaneFrame], pairing: LanePairing) -> dict[int, LaneFrame]:
-    """True frames by stamp in ns, from the last component of ``raw_file``, or by their order in the file.
+def by_key(
+    truth: Sequence[LaneFrame], pairing: LanePairing, images_ns: Mapping[str, int]
+) -> tuple[dict[int, LaneFrame], LanePairing]:
+    """True frames by stamp in ns, or by their order in the file, and which of the two.
+
+    If ``images_ns`` has the name of a true frame, it gives the stamps, and other frames are left out. Otherwise the
+    stamp is the last component of ``raw_file``.
 
     Raises:
         LaneFileError: a ``raw_file`` has no stamp, or the stamp of another line.
     """
-    if pairing == "order":
-        return dict(enumerate(truth))
+    named = [frame for frame in truth if image_name(frame.raw_file) in images_ns]
+    if pairing == "order" and not named:
+        return dict(enumerate(truth)), pairing
     found: dict[int, LaneFrame] = {}
-    for frame in truth:
-        stamp = PurePosixPath(frame.raw_file).stem
-        if not (stamp.isascii() and stamp.isdecimal() and len(stamp) <= len(str(2**63))):
-            raise LaneFileError(
-                f"{frame.place}: raw_file {frame.raw_file!r} has no stamp; expected a stamp in ns after the last /, "
-                "such as drive/1600000000000000000, or pass --pair order"
-            )
-        if int(stamp) in found:
-            other = found[int(stamp)].place
+    for frame in named or truth:
+        stamp_ns = images_ns[image_name(frame.raw_file)] if named else _stamp_ns(frame)
+        if stamp_ns in found:
+            other = found[stamp_ns].place
             raise LaneFileError(f"{frame.place}: raw_file {frame.raw_file!r} has the same stamp as {other}")
-        found[int(stamp)] = frame
-    return found
+        found[stamp_ns] = frame
+    return found, "stamp"
+
+
+def _stamp_ns(frame: LaneFrame) -> int:
+    stamp = PurePosixPath(frame.raw_file).stem
+    if not is_stamp(stamp):
+        raise LaneFileError(
+            f"{frame.place}: raw_file {frame.raw_file!r} has no stamp; expected a stamp in ns after the last /, "
+            "such as drive/1600000000000000000, or pass --pair order"
+        )
+    return int(stamp)
 
 
 def paired(
@@ -109,17 +127,30 @@ def print_lanes(
         size: columns and rows of the image of both files' pixels; None for the camera's.
 
     Raises:
-        LaneFileError: a file is not in TuSimple's format, or ``target`` is ``true_lanes``.
+        LaneFileError: a file is not in TuSimple's or CULane's format, no line of it belongs to the run, or ``target``
+            is ``true_lanes``.
         RoadpercError: the log cannot be read.
     """
     if target and true_lanes and real_path(target) == real_path(true_lanes):
         raise LaneFileError(f"{target}: is the file with the true lanes; pass another file to write")
-    truth = by_key(lane_files.read_frames(true_lanes), pairing) if true_lanes else {}
     source = lane_files.open_lanes(path)
+    if not (source.has_lanes or true_lanes):
+        raise LaneFileError(f"{path}: {_NO_LANES}")
     size = size or (source.camera.width, source.camera.height)
+    lines = _read_truth(true_lanes, source, size) if true_lanes else []
+    truth, pairing = by_key(lines, pairing, source.images_ns)
     with lane_files.lane_writer(target) as write:
         parts = _write_and_score(source, truth, pairing, size, write) if truth else [_export(source, size, write)]
-    print_parts(console_for(sys.stdout), *parts)
+    others = f"left out: {number(len(lines) - len(truth), 'line')} of images that the log does not have"
+    notes = [others] * (len(truth) < len(lines)) + [f"note: {_NO_LANES}"] * (not source.has_lanes)
+    print_parts(console_for(sys.stdout), *parts, *notes)
+
+
+def _read_truth(path: Path, source: RunLanes, size: tuple[int, int]) -> list[LaneFrame]:
+    """True frames of TuSimple's JSON lines, or of a list of CULane."""
+    if path.suffix.lower() == ".txt":
+        return read_list(path, source.images_ns, lane_files.default_rows(size[1]))
+    return lane_files.read_frames(path)
 
 
 def _export(source: RunLanes, size: tuple[int, int], write: Callable[[LaneFrame], object]) -> str:
@@ -148,6 +179,10 @@ def _write_and_score(
         write(found)
         scores.append(score_frame(found, truth, size))
         missing.pop(truth.raw_file, None)
+    if not scores:
+        place, run = next(iter(true_frames.values())).place, source.summary.path
+        why = f"{place}: no line belongs to a frame of {run}; {_EXPECTED_NAMES}"
+        raise LaneFileError(why if source.has_lanes else f"{run}: {_NO_LANES}")
     # a frame that the run lacks has no lanes
     scores += [score_frame(LaneFrame(name, truth.rows, ()), truth, size) for name, truth in missing.items()]
     return _figures(source.summary.path.stem, scores, list(missing))
@@ -166,7 +201,7 @@ def _figures(name: str, scores: Sequence[FrameScore], missing: Sequence[str]) ->
     culane = (Score(f"lanes at IoU {limit:g}", *each) for limit, each in zip(THRESHOLDS, counts, strict=True))
     headers = ("frames %", "precision", "recall", "F1", "TP", "FP", "FN")
     return [
-        f"{name}: {len(scores)} true frames, lanes in {with_lanes} of them ({share} %)",
+        f"{name}: {number(len(scores), 'true frame')}, lanes in {with_lanes} of them ({share} %)",
         *([f"missing in the run, scored as empty: {len(missing)}: {listed(missing, NAMED)}"] if missing else []),
         TextTable("TuSimple", ("frames %", "accuracy", "FP", "FN"), (row("lane points", share, *points),)),
         TextTable("CULane", headers, tuple(row(score.name, share, *score.cells(4)) for score in culane)),

@@ -4,6 +4,7 @@ import argparse
 import json
 import math
 import re
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -92,13 +93,18 @@ def _plain(value: Any) -> Any:
 
 
 def write_markdown(path: Path, title: str, lines: Sequence[str], tables: Sequence[TextTable] = ()) -> None:
-    """Write a heading, a list of lines, and tables as Markdown.
+    """Append a heading, a list of lines, and tables as Markdown; the file may have text of others.
 
     Raises:
         TargetError: the file cannot be written.
     """
     parts = [f"## {_escaped(title)}", "\n".join(f"- {_escaped(line)}" for line in lines), *map(_markdown, tables)]
-    _write(path, "\n\n".join(part for part in parts if part) + "\n")
+    text = "\n\n".join(part for part in parts if part) + "\n"
+    with completing(path) as temporary:
+        if is_begun := path.is_file() and path.stat().st_size > 0:
+            shutil.copyfile(path, temporary)
+        with temporary.open("a", encoding="utf-8") as stream:
+            stream.write("\n" * is_begun + text)
 
 
 def _markdown(table: TextTable) -> str:
@@ -118,7 +124,7 @@ def write_junit(path: Path, suite: str, cases: Sequence[Case]) -> None:
     """Write cases as JUnit XML that GitLab, GitHub's actions and Jenkins read.
 
     The class name of a case is its log. The text is the body of its element, because GitLab ignores the attribute
-    ``message``.
+    ``message``; other readers show only that, so it has the first line.
 
     Raises:
         TargetError: the file cannot be written.
@@ -132,7 +138,10 @@ def write_junit(path: Path, suite: str, cases: Sequence[Case]) -> None:
     for case in cases:
         item = ElementTree.SubElement(group, "testcase", {"classname": case.log, "name": case.name})
         if case.text or case.outcome in _ELEMENTS:
-            ElementTree.SubElement(item, _ELEMENTS.get(case.outcome, "system-out")).text = case.text
+            element = ElementTree.SubElement(item, _ELEMENTS.get(case.outcome, "system-out"))
+            element.text = case.text
+            if case.text and case.outcome in _ELEMENTS:
+                element.set("message", case.text.partition("\n")[0])
     ElementTree.indent(root)
     text = ElementTree.tostring(root, encoding="unicode", xml_declaration=True)
     _write(path, _NOT_IN_XML.sub("?", text) + "\n")

@@ -111,7 +111,16 @@ CONFUSED: Final = {
 TEXTS: Final = (*CATEGORIES, *(truth for truth, _ in CONFUSED.values()))
 LOST: Final = Quantity("lanes_lost", "lane boundaries lost", COUNT, 0)
 """Number of lost boundaries of a frame, null if 0; derived."""
-DERIVED: Final = (REST, LOST, *JITTERS)
+SPEED: Final = Quantity("speed_mps", "speed", "m/s", 2, stage="odometry")
+"""Length of a step over its time; derived."""
+UNMEASURED: Final = ("held", "estimated", "assumed", "lost")
+"""Statuses of outputs that a frame did not measure."""
+MEASURED: Final = {
+    "surface measured": ("camera_height_m", "surface_source"),
+    **{f"{side} measured": (f"lane_{side}_offset_m", f"lane_{side}_status") for side in SIDES},
+}
+"""The derived columns that have the values of a column only in frames that measured it, by its status column."""
+DERIVED: Final = (REST, LOST, SPEED, *JITTERS, *(Quantity(name, name, "m", 3) for name in MEASURED))
 STORED: Final = tuple(q for q in (*SEEN, *TRUTH, *STAGE_TIMES, SKEW, *OFFSETS) if q != REST)
 NUMBERS: Final = (*STORED, *DERIVED)
 SUSPECT: Final = (LOST, SEEN[0], TOTAL)
@@ -128,15 +137,15 @@ QUALITY: Final = tuple(replace(q, better=_BETTER[q.column]) for q in (*SEEN, *JI
 RANKED: Final = (*TRUTH, *SUSPECT, *QUALITY)
 """Quantities for rankings of frames and logs."""
 COVERED: Final = {
-    "surface": "camera_height_m",
+    "surface": "surface measured",
     "drivable": "drivable_ratio",
-    "left": "lane_left_offset_m",
-    "right": "lane_right_offset_m",
+    "left": "left measured",
+    "right": "right measured",
     "objects": "detections",
     "stereo": "stereo_valid_ratio",
-    "odometry": "step_m",
+    "odometry": "turn_deg",
 }
-"""For each output, the column that has a value in frames with that output."""
+"""For each output, a column that has a value in the frames in which it was measured."""
 COUNTED: Final = {
     "detections kept": ("filter_tp", "filter_fp", "filter_fn"),
     "lanes at IoU 0.5": ("lane_culane_tp_50", "lane_culane_fp_50", "lane_culane_fn_50"),

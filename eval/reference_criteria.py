@@ -25,7 +25,7 @@ _HEAD: Final = """\
 # Change any number. docs/checks.md explains the keys.
 
 criterion = [
-"""
+{findings}"""
 
 
 def write_criteria(path: Path, runs: Sequence[Run], *, force: bool) -> int:
@@ -43,7 +43,10 @@ def write_criteria(path: Path, runs: Sequence[Run], *, force: bool) -> int:
     if not lines:
         raise TableError(f"{runs[0].source_name}: no metric has a value, so there is nothing to limit")
     names = listed([run.name for run in runs]) if len(runs) > 1 else runs[0].name
-    head = _HEAD.format(frames=number(sum(run.frames for run in runs), "frame"), names=names, margin=_MARGIN)
+    frames = number(sum(run.frames for run in runs), "frame")
+    known = [len(run.findings) for run in runs if run.findings is not None]
+    findings = f'  {{ statistic = "findings", most = {max(known)} }},\n' if known else ""
+    head = _HEAD.format(frames=frames, names=names, margin=_MARGIN, findings=findings)
     with completing(path, force=force) as temporary:
         temporary.write_text(head + "".join(lines) + "]\n", encoding="utf-8")
     return len(lines)

@@ -15,10 +15,11 @@ from roadperc_stream.output.terminal import console_for, print_lines, print_part
 from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.system.text import number
 
-from .answers import Answer, of_pair, of_summaries, print_answer, wants_files, write_answer
+from .answers import Answer, of_pair, of_summaries, print_answer, wants_files, with_findings, write_answer
 from .brief import RUNS_SHOWN, rows_tables
 from .configurations import UNKNOWN, grouped, settings_table, short_digest
 from .continued import find_joined
+from .findings import findings_of, report_lines
 from .frame_commands import view_command
 from .quantities import SKEW, legend, listed, name_columns, percent, short_names
 from .runs import Run
@@ -50,10 +51,12 @@ def print_report(arguments: argparse.Namespace, write_page: WritePage | None) ->
     if arguments.html is not None and write_page is not None:
         write_page(arguments.html, filled)  # first, because the reader of the text may close the pipe
     answer = None if arguments.full and not wants_files(arguments) else _answer(filled, arguments.by)
+    findings = findings_of(filled)
     if answer is not None:
-        write_answer(answer, arguments)
+        write_answer(with_findings(answer, findings), arguments)
     console = console_for(sys.stdout)
-    print_lines(console, *found.notes, *(item.why_empty for item in found.runs if not item.frames), unbroken=True)
+    empty = (item.why_empty for item in found.runs if not item.frames)
+    print_lines(console, *report_lines(findings), *found.notes, *empty, unbroken=True)
     if answer is not None and not arguments.full:
         print_answer(console, answer)
     elif len(filled) == 1:

@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from roadperc_stream.errors import TableError
+from roadperc_stream.model.finding import Finding, decoded_findings
 from roadperc_stream.output.tables import arrow_schema, facts_in, sidecar_path
 from roadperc_stream.schemas import record
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
@@ -131,6 +132,9 @@ class Run:
     ``within`` is the log and the configuration of the run's rows if its file holds rows of other runs too.
     ``dataset`` is the dataset of the run, as the user named it, and the name of its configuration there.
 
+    ``findings`` are those of its replay, None if the table does not record them. ``mounting_height_m`` is the camera's
+    height by the transforms of the log, None without transforms.
+
     If continued replays were joined, ``joined`` holds their runs in order, at least two. The other fields, except the
     counts and the name, are those of the first one.
     """
@@ -154,6 +158,8 @@ class Run:
     rows: int = 0
     within: tuple[str, str] | None = None
     dataset: tuple[str, str] | None = None
+    findings: tuple[Finding, ...] | None = None
+    mounting_height_m: float | None = None
     joined: tuple["Run", ...] = ()
 
     @property
@@ -238,7 +244,18 @@ def open_run(path: Path, name: str) -> Run:
     rows = footer.num_rows
     known: dict[str, Any] = {key: facts[key] for key in _FACTS if key in facts}
     first_frame = _whole_number(facts.get(record.FIRST_FRAME_KEY, ""))
+    stored = facts.get(record.FINDINGS_KEY)
+    findings = None if stored is None else decoded_findings(stored)
+    known |= {"findings": findings, "mounting_height_m": _height(facts.get(record.MOUNTING_KEY, ""))}
     return Run(name, path, rows, frozenset(columns), **known, first_frame=first_frame, rows=rows)
+
+
+def _height(text: str) -> float | None:
+    """The number; None if the text is not one."""
+    try:
+        return float(text)
+    except ValueError:
+        return None
 
 
 def _whole_number(text: str) -> int:

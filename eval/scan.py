@@ -5,7 +5,7 @@ difference, gap or motion is measured across segments. Time continues from one s
 """
 
 import math
-from collections.abc import Container, Iterable
+from collections.abc import Container, Iterable, Iterator
 from pathlib import Path
 from typing import Final
 
@@ -14,12 +14,28 @@ import polars as pl
 from roadperc_stream.schemas.columns import RATIO
 from roadperc_stream.system.time import NS_PER_S
 
-from .quantities import COUNTS, LOST, REST, SIDES, STAGE_TIMES, STORED, TEXTS, TOTAL, TRACED, Quantity
+from .quantities import (
+    COUNTS,
+    LOST,
+    MEASURED,
+    REST,
+    SIDES,
+    SPEED,
+    STAGE_TIMES,
+    STORED,
+    TEXTS,
+    TOTAL,
+    TRACED,
+    UNMEASURED,
+    Quantity,
+)
 from .runs import Run
 
 SEGMENT: Final = "segment"
 _STAMP_NS: Final = pl.col("stamp_ns")
 _LANE_CHANGES: Final = "lane_changes"
+_INLIERS: Final = "odometry_inliers"
+_STATUS: Final = "odometry_status"
 _TRUE_OFFSETS: Final = tuple(truth for _, truth in TRACED.values())
 NUMBER_COLUMNS: Final = tuple(dict.fromkeys((*(q.column for q in STORED), *COUNTS, *_TRUE_OFFSETS, _LANE_CHANGES)))
 """The numeric columns of a report."""
@@ -62,9 +78,17 @@ def stored_columns(columns: Container[str]) -> list[pl.Expr]:
         pl.col("frame", "stamp_ns").cast(pl.Int64),
         segment(columns),
         pl.col("missing", "reasons").cast(pl.List(pl.String)),
-        *(typed(columns, name, pl.Float64()) for name in NUMBER_COLUMNS),
+        *(typed(columns, name, pl.Float64()) for name in NUMBER_COLUMNS if name != _INLIERS),
         *(typed(columns, name, pl.String()) for name in TEXTS),
+        *_inliers(columns),
     ]
+
+
+def _inliers(columns: Container[str]) -> Iterator[pl.Expr]:
+    """The inliers of frames with a motion: the first frame cannot have any."""
+    inliers = typed(columns, _INLIERS, pl.Float64())
+    status = typed(columns, _STATUS, pl.String())
+    yield pl.when(status.fill_null("") != "first").then(inliers).alias(_INLIERS)
 
 
 def typed(columns: Container[str], name: str, kind: pl.DataType) -> pl.Expr:
@@ -119,6 +143,11 @@ def derived_columns() -> list[pl.Expr]:
     return [
         (pl.col(TOTAL.column) - pl.sum_horizontal(stages)).clip(0.0).alias(REST.column),
         pl.when(lost > 0).then(lost).alias(LOST.column),
+        *(
+            pl.when(~pl.col(status).fill_null("").is_in(UNMEASURED)).then(pl.col(column)).alias(name)
+            for name, (column, status) in MEASURED.items()
+        ),
+        (pl.col("step_m") * NS_PER_S / difference(_STAMP_NS)).alias(SPEED.column),
         *(column for side in SIDES for column in _second_differences(side)),
     ]
 

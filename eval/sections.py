@@ -16,6 +16,7 @@ from .consistency import JUDGED, Consistency
 from .quantities import (
     CATEGORIES,
     CONFUSED,
+    COUNTED,
     SEEN,
     SIDES,
     STAGE_TIMES,
@@ -43,13 +44,17 @@ LISTED: Final = 12
 Summaries = Sequence[Summary]
 """The subjects of a table: runs or pooled runs, side by side."""
 _STATUSES: Final = ("measured", "held", "lost")
+_LANE_COLUMNS: Final = "columns: lane_left_status, lane_left_offset_m, lane_left_raw_offset_m; the same for right"
 _JITTER: Final = "jitter: standard deviation of the offset's second difference, smoothed and raw"
 _LAG: Final = "lag: frames by which the smoothed offset lags the true one; \N{EN DASH} if unknown"
 _ERRORS: Final = "median, p95 and worst are of the absolute error, bias is the median error"
 _COVERAGE: Final = "frames %: those with a value; p5 instead of p95, and the lowest as worst, where high is better"
 _CLASSES: Final = 6
 """Most estimated classes with a column."""
-_CONFUSION: Final = "columns: class estimated beyond the boundary, left and right together; none: lost or unknown"
+_CONFUSION: Final = (
+    "in the columns: estimated class, lane_left_boundary_class and lane_right_boundary_class together; none: lost or "
+    "unknown; in the rows: lane_left_true_boundary_class and lane_right_true_boundary_class"
+)
 _NO_TRUTH: Final = "No frame has truth for the replayed stages."
 _SECONDS: Final = "s: seconds from the log's first frame"
 _SEGMENTS: Final = "a segment starts at the time at which the previous one ended"
@@ -73,9 +78,9 @@ def sections(summaries: Summaries) -> Iterator[TextTable]:
 def coverage(summaries: Summaries) -> TextTable:
     """Coverage and typical values of the outputs, without truth; a note names the columns without values."""
     rows = [
-        *_states(summaries, "surface_source", "surface"),
-        *_states(summaries, "surface_model", "surface model"),
-        *_states(summaries, "odometry_status", "odometry"),
+        *_states(summaries, "surface_source"),
+        *_states(summaries, "surface_model"),
+        *_states(summaries, "odometry_status"),
         *_quantities(summaries, SEEN, _typical),
     ]
     absent = no_values(summaries)
@@ -88,7 +93,7 @@ def lane_boundaries(summaries: Summaries) -> TextTable:
     present = any(summary.categories[f"lane_{side}_status"] for summary in summaries for side in SIDES)
     rows = [TextRow(side, tuple(_boundary(summary, side) for summary in summaries)) for side in SIDES if present]
     lag = any(summary.correlations for summary in summaries)
-    notes = (_JITTER, *([_LAG] if lag else []), *_remarks(summaries, _beyond_lanes)) if present else ()
+    notes = (_LANE_COLUMNS, _JITTER, *([_LAG] if lag else []), *_remarks(summaries, _beyond_lanes)) if present else ()
     headers = (*(f"{status} %" for status in _STATUSES), "offset m", "jitter cm", "raw cm", *(["lag"] if lag else []))
     return _table("Lane boundary", headers, rows, summaries, notes, label_columns=13)
 
@@ -118,8 +123,8 @@ def missing_outputs(summaries: Summaries) -> TextTable:
 def accuracy(summaries: Summaries) -> TextTable:
     """Errors (estimate minus truth) beside coverage; a note names the quantities without truth."""
     headers = ("frames %", "bias", "median", "p95", "worst")
-    rows = list(_quantities(summaries, TRUTH, _accuracy, better))
-    absent = [q.label for q in TRUTH if not any(q.column in summary.statistics for summary in summaries)]
+    rows = list(_quantities(summaries, TRUTH, _accuracy, lambda q: f"{q.label}; {better(q)}"))
+    absent = [q.column for q in TRUTH if not any(q.column in summary.statistics for summary in summaries)]
     without = [f"No frame has an estimate and a truth for: {'; '.join(absent)}."] if absent else []
     notes = (_ERRORS, _COVERAGE, *without)
     return _table("Accuracy", headers, rows, summaries, notes if rows else (_NO_TRUTH,))
@@ -127,7 +132,8 @@ def accuracy(summaries: Summaries) -> TextTable:
 
 def consistency_table(summaries: Summaries) -> TextTable:
     """Errors in units of the chain's standard deviations, where truth is known."""
-    found = {judged.name: [summary.consistency.get(judged.name) for summary in summaries] for judged in JUDGED}
+    columns = [judged.estimate for judged in JUDGED]
+    found = {column: [summary.consistency.get(column) for summary in summaries] for column in columns}
     rows = [
         TextRow(name, tuple(_consistency(item) if item and item.values else () for item in items))
         for name, items in found.items()
@@ -144,12 +150,14 @@ def detection_counts(summaries: Summaries) -> TextTable:
     found = [{score.name: score for score in summary.scores} for summary in summaries]
     names = dict.fromkeys(name for scores in found for name in scores)
     rows = [TextRow(name, tuple(scores[name].cells(3) if name in scores else () for scores in found)) for name in names]
-    return _table("Detection counts", ("precision", "recall", "F1", "TP", "FP", "FN"), rows, summaries)
+    notes = [f"{name}: {', '.join(COUNTED[name])}" for name in names]
+    headers = ("precision", "recall", "F1", "TP", "FP", "FN")
+    return _table("Detection counts", headers, rows, summaries, tuple(notes))
 
 
 def latency(summaries: Summaries) -> TextTable:
     """Time per stage, and the speed relative to the log's time."""
-    rows = list(_quantities(summaries, STAGE_TIMES, _times))
+    rows = list(_quantities(summaries, STAGE_TIMES, _times, lambda _: ""))
     headers = ("median ms", "p95 ms", "p99 ms", "share %")
     return _table("Latency", headers, rows, summaries, tuple(_remarks(summaries, _speed)))
 
@@ -204,26 +212,25 @@ def _first(item: TextRow) -> tuple[int, ...]:
     return tuple(place for place, cells in enumerate(item.cells) if cells)[:LISTED]
 
 
-def _states(summaries: Summaries, column: str, label: str) -> Iterator[TextRow]:
+def _states(summaries: Summaries, column: str) -> Iterator[TextRow]:
     """A row for each value of a text column, with its share of the frames."""
     total = sum((summary.categories[column] for summary in summaries), Counter[str]())
     for value, _ in total.most_common():
-        yield TextRow(f"{label}: {value}", tuple((percent(summary.share(column, value)),) for summary in summaries))
+        yield TextRow(f"{column}: {value}", tuple((percent(summary.share(column, value)),) for summary in summaries))
 
 
 def _quantities(
     summaries: Summaries,
     quantities: Iterable[Quantity],
     cells: Callable[[Summary, Quantity, Statistics], tuple[str, ...]],
-    direction: Callable[[Quantity], str] = lambda _quantity: "",
+    about: Callable[[Quantity], str] = lambda quantity: quantity.label,
 ) -> Iterator[TextRow]:
     """A row for each quantity with values in any summary."""
     for quantity in quantities:
         found = [(summary, summary.statistics.get(quantity.column)) for summary in summaries]
         if any(statistics for _, statistics in found):
             row_cells = tuple(cells(summary, quantity, s) if s else () for summary, s in found)
-            label = quantity.name if quantity in STAGE_TIMES else quantity.label
-            yield TextRow(label, row_cells, direction(quantity), listed(summaries, quantity))
+            yield TextRow(quantity.column, row_cells, about(quantity), listed(summaries, quantity))
 
 
 def listed(summaries: Summaries, quantity: Quantity) -> tuple[int, ...]:
@@ -337,10 +344,10 @@ def _worst(summaries: Summaries, quantity: Quantity, several: bool) -> Iterator[
     having = [summaries[place].worst.get(quantity.column, ()) for place in listed(summaries, quantity)]
     frames = list(chain.from_iterable(having))
     if several:
-        yield row(quantity.label)
+        yield row(quantity.column)
         yield from (row(f"  {frame.run}", *_worst_cells(frame, quantity)) for frame in frames)
     else:
-        labels = (quantity.label, *("" for _ in frames))
+        labels = (quantity.column, *("" for _ in frames))
         yield from (row(label, *_worst_cells(frame, quantity)) for label, frame in zip(labels, frames, strict=False))
 
 

@@ -54,7 +54,7 @@ class Summary(Tallies):
     is the number of segments, ``span_s`` the sum of their time spans, ``longest_gap_s`` the longest time between two
     frames of one. ``statistics`` has the numeric columns with values, ``worst`` the worst frames per column.
     ``correlations`` are those of each side's smoothed offset with its truth, by shift. ``consistency`` has the
-    quantities with known truth.
+    quantities with known truth. ``mounting_height_m`` is the camera's height by the transforms of a single run.
     """
 
     name: str
@@ -67,6 +67,7 @@ class Summary(Tallies):
     segments: int = 0
     span_s: float = 0.0
     longest_gap_s: float = 0.0
+    mounting_height_m: float | None = None
     correlations: Mapping[str, tuple[float | None, ...]] = field(default_factory=dict)
     consistency: Mapping[str, Consistency] = field(default_factory=dict)
     worst: Mapping[str, tuple[WorstFrame, ...]] = field(default_factory=dict, repr=False)
@@ -156,6 +157,7 @@ def _read(run: Run, worst: int, points: int) -> tuple[Summary, dict[str, Distrib
         segments=found["segments"],
         span_s=found["span_s"],
         longest_gap_s=found["longest_gap_s"] or 0.0,
+        mounting_height_m=run.mounting_height_m,
         statistics=present,
         correlations={side: tuple(found[f"correlations {side}"]) for side in TRACED},
         consistency=consistency_of_run(run),

@@ -160,6 +160,7 @@ def in_short(run: Run) -> tuple[tuple[str, ...], dict[str, Any]]:
         percent_off, deg_off = _segment_cells(found.together)
         over = f"over {lengths[0]:.0f} to {lengths[-1]:.0f} m"
         line += f", KITTI t_err {percent_off} %, r_err {deg_off} deg/100 m {over}"
+    line = "; ".join(filter(None, (line, _without_scale(found))))
     return (line,), {"trajectory": _as_json(found)}
 
 

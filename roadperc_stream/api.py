@@ -36,7 +36,11 @@ from roadperc_stream.system.time import TimeRange
 if TYPE_CHECKING:
     import polars as pl
 
-_ARGUMENTS: Final = {"--force": "force=True", "--resume": "resume=True"}
+_ARGUMENTS: Final = {
+    "--force": "force=True",
+    "--resume": "resume=True",
+    "--fov DEGREES or --calibration FILE": 'config={"calibration": {"fov_deg": DEGREES}}',
+}
 """Arguments of ``replay`` for the options that errors name."""
 Config = ReplayConfig | Mapping[str, Any] | str | Path | None
 """A configuration, a nested mapping such as ``{"lanes": {"hold_s": 0.8}}``, a TOML file, or None for the defaults."""
@@ -148,6 +152,7 @@ def frames(
     cfg, own = own_stages(_config(config))
     source = ReplaySource(_paths(log), topics or {}, TimeRange(start_s, end_s, max_frames), recover)
     opened = open_log(source, cfg)
+    cfg = opened.input.cfg
     state = opened.state_for(cfg)
     chain, earlier = state.chain, state.earlier
     for sample in opened.input.samples():
@@ -202,11 +207,13 @@ class Chain:
         self._ego_T_camera = level if ego_T_camera is None else arrays.checked_mounting(ego_T_camera)
         version = tag_table or self._cfg.tag_table
         self._table = None if version == "auto" else table_for_version(version)
-        self._state = ChainState()
+        self.reset()
 
     def reset(self) -> None:
         """Clear the state."""
         self._state = ChainState()
+        self.segment = 0
+        """Number of times that a stamp cleared the state since then."""
 
     def step(
         self,
@@ -221,7 +228,8 @@ class Chain:
         """Run the chain on one frame; any input may be missing.
 
         Args:
-            stamp_ns: the frame's time, of any integer type; a stamp not after the last frame's clears the state.
+            stamp_ns: the frame's time, of any integer type. A stamp before the last frame's, or more than an hour after
+                it, begins a new ``segment``: it clears the state, and ``problems`` of the result has the reason.
             image: (H, W, 3) uint8 in OpenCV's order blue, green, red, or (H, W) grey.
             depth_m: (H, W) floating-point metres along the camera's z axis, NaN unknown.
             tags: (H, W) class of each pixel, by ``tag_table``: any integer type, 0 to 255.
@@ -233,13 +241,17 @@ class Chain:
 
         Raises:
             TypeError: the stamp or a detection has another type.
-            ValueError: an array has another shape or type, or a detection's box is invalid.
+            ValueError: an array has another shape or type, a detection's box is invalid, or the stamp is the last
+                frame's.
             ConfigError: tags were given without a tag table.
         """
         camera, ego_T_camera = self._camera, self._ego_T_camera
         right_camera = self._right_camera or camera
+        stamp_ns = arrays.checked_stamp_ns(stamp_ns)
+        if stamp_ns == self._state.stamp_ns:
+            raise ValueError(f"stamp_ns: {stamp_ns} is also the last frame's; pass a later one, or call reset() before")
         frame = Frame(
-            stamp_ns=arrays.checked_stamp_ns(stamp_ns),
+            stamp_ns=stamp_ns,
             camera=camera,
             ego_T_camera=ego_T_camera,
             depth_camera=camera,
@@ -256,6 +268,7 @@ class Chain:
         )
         with one_thread():
             self._state, result = step(self._cfg, self._state, rectified_frame(frame), own=self._own)
+        self.segment += any(problem.source == "time" for problem in result.problems)
         return result
 
 

@@ -10,6 +10,7 @@ from roadperc_stream.chain.step import ChainState, LocalisedFrame, localise, obs
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.input import ReplaySource
 from roadperc_stream.metrics import frame_metrics, object_metrics
+from roadperc_stream.metrics.findings import Contradictions
 from roadperc_stream.model import FrameResult, Sample
 from roadperc_stream.model.scene import Scene
 from roadperc_stream.output.target import ReplayTarget
@@ -48,6 +49,7 @@ def replay(
         found = folder.read() if options.resume else None
         target.require_writable(source.files, options.continued, resume=options.resume)
         opened = open_replay(source, cfg, options)
+        cfg = opened.input.cfg
         summary = finished(target, cfg, opened) if options.resume and found is None else None
         if summary is None:
             start = Checkpoint(run_of(cfg, opened, target), opened.state_for(cfg))
@@ -55,7 +57,7 @@ def replay(
             was_killed = options.resume and folder.path.exists() and not target.is_complete
             target = replace(target, force=target.force or found is not None or was_killed)
             target.require_free(source.files)
-            outputs = Outputs(target, cfg, opened.input, opened.table_facts())
+            outputs = Outputs(target, cfg, opened.input, opened.table_facts(), Contradictions(cfg))
             checkpoints.begin()
             with one_thread(), all_or_none(*outputs.files):
                 frames = _Frames(cfg, opened, outputs, checkpoints, callbacks)

@@ -51,7 +51,7 @@ ENTRIES = (
         "The command never overwrites its input.", "Name another output.",
     ),
     Entry(
-        "Not an MCAP log", "roadperc-info notes.mcap", "The file has another format.",
+        "Not an MCAP log", "roadperc-replay cut_off.mp4 out.mcap", "The file has another format.",
         "Convert videos and folders of frames with `roadperc-convert`. ROS bags are replayed directly.",
     ),
     Entry(
@@ -66,6 +66,7 @@ ENTRIES = (
         "Missing calibration", "roadperc-replay no_calibration.mcap out.mcap",
         "The chain cannot use an image without its camera's calibration.",
         "Record the calibration topic, or name it with `--topic calibration=/TOPIC`. "
+        "If the log has none, give it: [logs without a calibration](recordings.md#logs-without-a-calibration). "
         "Pass all files of a split log together.",
     ),
     Entry(
@@ -122,7 +123,8 @@ ENTRIES = (
     Entry(
         "Video that cannot be read", "roadperc-convert cut_off.mp4 in2.mcap --fov 55",
         "The file is no video, or the recorder was switched off before it wrote the index of the MP4.",
-        "Repair the file with the tool of the camera, or record Matroska (`.mkv`), which can be read up to a cut.",
+        "Repair the file with the tool of the camera, or record Matroska (`.mkv`), which can be read up to a cut. "
+        "If OpenCV does not decode the codec, for example AV1, encode the video as H.264.",
     ),
     Entry(
         "Network without its model", "roadperc-infer in.mcap in2.mcap --network twinlitenet.toml",

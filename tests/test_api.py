@@ -90,6 +90,19 @@ def test_the_chain_on_arrays_measures_what_was_drawn():
     assert depth_m.flags.writeable
 
 
+def test_a_chain_counts_segments_and_refuses_the_same_stamp_twice():
+    chain = rp.Chain(CAMERA)
+    for stamp_ns, segment in ((0, 0), (STEP_NS, 0), (3601 * 10**9, 1), (STEP_NS, 2)):
+        result = chain.step(stamp_ns)
+        assert chain.segment == segment
+    assert "time: went back from 3601000000000 to 50000000 ns, state of all stages cleared" in map(str, result.problems)
+    with pytest.raises(ValueError, match=r"stamp_ns: 50000000 is also the last frame's; pass a later one, or call"):
+        chain.step(STEP_NS)
+    chain.reset()
+    chain.step(STEP_NS)
+    assert chain.segment == 0
+
+
 def test_the_caller_may_use_the_arrays_again():
     depth_m, tags = road()
     first, second = rp.Chain(CAMERA, tag_table="0.9.15"), rp.Chain(CAMERA, tag_table="0.9.15")

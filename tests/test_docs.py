@@ -13,6 +13,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+import polars as pl
 import pytest
 
 from roadperc_stream import log
@@ -264,3 +265,18 @@ def test_every_sentence_is_short_and_clear(page):
 
 def test_the_readme_is_short():
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 130
+
+
+@pytest.mark.parametrize(("first", "second"), ["ab", "ba"])
+def test_the_example_of_a_dataset_reads_tables_of_several_versions_in_any_order(tmp_path, first, second):
+    """A version without a column writes a table before or after one with it."""
+    (code,) = [text for *_, text in FENCE.findall((ROOT / "docs/evaluation.md").read_text()) if "runs.parquet" in text]
+    folder = tmp_path / "dataset" / "metrics" / "date=2020-01-01"
+    folder.mkdir(parents=True)
+    rows = pl.DataFrame({"log_id": ["x", "x"], "config": ["c", "c"], "lane_left_error_m": [0.25, -0.75]})
+    rows.write_parquet(folder / f"{first}.parquet")
+    rows.drop("lane_left_error_m").with_columns(log_id=pl.lit("y")).write_parquet(folder / f"{second}.parquet")
+    runs = pl.DataFrame({"log_id": ["x", "y"], "config": ["c", "c"], "path": ["p", "q"], "settings": ["", ""]})
+    runs.write_parquet(tmp_path / "dataset" / "runs.parquet")
+    (tmp_path / "example.py").write_text(code)
+    assert re.search(r"x +┆ c +┆ 0\.5 ", run(f"{PYTHON} example.py", tmp_path))

@@ -315,10 +315,10 @@ def renamed(source, name, topics):
 
 def test_points_of_unassigned_topics_are_reported_and_not_used(tmp_path):
     source = log_of(tmp_path / "in.mcap", np.eye(4), "ego")
-    others = renamed(source, "others.mcap", ("/velodyne", "/radar", "/rear", "/side"))
+    others = renamed(source, "others.mcap", ("/velodyne", "/rear", "/side", "/top"))
     summary = replay(others, tmp_path / "out.mcap", ReplayConfig())
-    candidates = ", ".join(f"{topic} (foxglove.PointCloud)" for topic in ("/radar", "/rear", "/side"))
-    assert summary.notes == (f"role lidar: not assigned; candidates: {candidates}, ...: --topic lidar=/radar",)
+    candidates = ", ".join(f"{topic} (foxglove.PointCloud)" for topic in ("/rear", "/side", "/top"))
+    assert summary.notes == (f"role lidar: not assigned; candidates: {candidates}, ...: --topic lidar=/rear",)
     table = pl.read_parquet(sidecar_path(tmp_path / "out.mcap", "metrics"))
     assert set(table["surface_source"]) == {"assumed", "estimated"}
     both = renamed(source, "both.mcap", ("/lidar/points", "/velodyne"))

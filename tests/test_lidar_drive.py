@@ -33,4 +33,4 @@ def test_the_points_give_road_lane_distances_and_scale(tmp_path, capsys):
     assert len(error_m) >= 10
     assert np.median(error_m) < 0.2
     assert report.main([str(sidecar_path(tmp_path / "out.mcap", "metrics")), "--full"]) == 0
-    assert "surface: lidar" in capsys.readouterr().out
+    assert "surface_source: lidar" in capsys.readouterr().out

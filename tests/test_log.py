@@ -110,6 +110,22 @@ def test_a_path_without_a_log_gives_one_line(tmp_path, kind, words):
     assert ("roadperc-info" in str(caught.value)) == (kind in {"half", "flipped"})
 
 
+@pytest.mark.parametrize(
+    ("name", "content", "command"),
+    [
+        ("drops.mp4", b"\0\0\0 ftypisom", "roadperc-convert {0}/drops.mp4 IN.mcap"),
+        ("1.png", b"\x89PNG\r\n", "roadperc-convert {0} IN.mcap"),
+        ("x.bag", b"#ROSBAG V2.0\n", "roadperc-replay {0}/x.bag OUT.mcap"),
+        ("x.parquet", b"PAR1", "roadperc-report {0}/x.parquet"),
+    ],
+)
+def test_the_error_for_another_file_names_its_command(tmp_path, name, content, command):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(LogError) as caught:
+        log.summarise(tmp_path / name)
+    assert str(caught.value).endswith(command.format(tmp_path))
+
+
 def test_the_error_for_a_damaged_log_names_roadperc_info(tmp_path):
     (tmp_path / "my logs").mkdir()
     path = broken(tmp_path / "my logs", "half")

@@ -6,7 +6,6 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from shlex import quote
 from typing import Final
 
 from rich.console import Console
@@ -17,8 +16,8 @@ from roadperc_stream import __version__
 from roadperc_stream.errors import DumpError
 from roadperc_stream.log import LogWriter, Message, Metadata, is_log
 from roadperc_stream.output.terminal import PipeConsole, print_lines
-from roadperc_stream.schemas.record import CONVERSION_RECORD
-from roadperc_stream.system.files import is_bag_folder, require_free
+from roadperc_stream.schemas.record import CONVERSION_RECORD, IMAGES_RECORD
+from roadperc_stream.system.files import require_free
 from roadperc_stream.system.process import optional_output
 from roadperc_stream.system.text import print_line
 
@@ -40,14 +39,13 @@ def recording_of(path: Path, options: ConvertOptions) -> Recording:
     Raises:
         RoadpercError: the recording cannot be converted.
     """
-    if options.layout is None and (path.suffix in (".db3", ".bag") or is_bag_folder(path)):
-        raise DumpError(
-            f"{path}: a ROS bag needs no conversion; replay it with: roadperc-replay {quote(str(path))} OUT.mcap"
-        )
     try:
         if path.is_file():
             options.refuse(path, ["--layout", "--sequence"], "is an option for folders")
-            return recording_of_log(path) if is_log(path) else recording_of_videos(path, [path], options)
+        if options.layout is None and is_log(path):
+            return recording_of_log(path)
+        if path.is_file():
+            return recording_of_videos(path, [path], options)
         layout = layout_of(path, options.layout)
         videos = videos_in(path) if path.is_dir() and options.layout is None and layout is dump else []
     except OSError as error:
@@ -127,6 +125,8 @@ def write(recording: Recording, out: Path, *, force: bool, quiet: bool) -> int:
             raise DumpError(f"{lost[0]}: no file can be read; {(warnings or ['no file belongs to a frame'])[0]}")
         values = {"version": __version__, "frames": str(counts["image"]), **recording.metadata}
         log.describe(Metadata(CONVERSION_RECORD, tuple(sorted(values.items()))))
+        if recording.images:
+            log.describe(Metadata(IMAGES_RECORD, tuple(sorted(recording.images.items()))))
         require_free(out, force=force, suffix=".mcap")  # another program may have written it in the meantime
     _warn(warnings)
     return counts.total()

@@ -8,15 +8,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from heapq import heappop, heappush
-from itertools import count, islice
+from itertools import count
 from pathlib import Path
 from typing import Any, Final
 
 from roadperc_stream import __version__, log
+from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ChannelError, DecodeError
 from roadperc_stream.formats.images import PNG_MAGIC, encode_indices, encode_jpeg, encode_png
 from roadperc_stream.geometry import Camera
 from roadperc_stream.input.earlier_replay import is_result
+from roadperc_stream.input.replaced import attachments_about_log, first_latched, with_recorded
 from roadperc_stream.input.roles import assignment_of_log
 from roadperc_stream.input.stream import Problems, RoleAssignment, Stamped, decoded_messages
 from roadperc_stream.log import Channel, LogSummary, LogWriter, Message, Metadata
@@ -41,8 +43,6 @@ _READ: Final[tuple[Kind, ...]] = (*_SENSORS, "tf")
 _TRUTH_OF: Final = {"depth": "truth_depth", "segmentation": "truth_segmentation"}
 _PIXELS: Final = {"image": "bgr", "depth": "depth_m", "tags": "tags"}
 """The attribute of the payload that holds the pixels, by kind."""
-_CALIBRATIONS: Final = 200
-"""Messages that are searched for the cameras."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +81,9 @@ def degrade(arguments: argparse.Namespace) -> None:
     with optional_output(sys.stderr):
         for text in remarks:
             print_line(f"warning: {text}", sys.stderr)
+    if not arguments.quiet:
+        made = ", ".join(f"{name}={severity}" for name, severity in arguments.severities.items())
+        print_line(f"{made}, seed {arguments.seed}, {out.stat().st_size / 1e6:.1f} MB: {out}")
 
 
 def degrade_log(
@@ -141,13 +144,10 @@ def _cameras(summary: LogSummary, roles: RoleAssignment) -> tuple[Camera, ...]:
     Raises:
         ChannelError: there is none.
     """
-    topics = {role: topic for role, topic in roles.topics.items() if ROLES[role].kind == "calibration"}
-    messages = islice(log.read(summary, topics=tuple(topics.values())), _CALIBRATIONS)
-    items = list(decoded_messages(messages, replace(roles, topics=topics), "auto", Problems()))
-    cameras = {item.role: item.payload for item in reversed(items) if isinstance(item.payload, Camera)}
+    cameras = first_latched(summary, roles).cameras
     if not cameras:
         raise ChannelError(f"{summary.path}: no calibration of a camera")
-    return tuple(cameras[role] for role in topics if role in cameras)
+    return tuple(cameras[role] for role in ROLES if role in cameras)
 
 
 def _write(job: Degradation, target: LogWriter, progress: Progress) -> dict[str, str]:
@@ -243,6 +243,9 @@ def _describe(job: Degradation, target: LogWriter) -> None:
     for attachment in job.summary.attachments:
         if attachment.name not in record.OWN_ATTACHMENTS:
             target.attach(attachment)
+    cfg = with_recorded(ReplayConfig(), job.summary.attachments, job.summary.path)
+    for attachment in attachments_about_log(cfg):
+        target.attach(attachment)
     for metadata in job.summary.metadata:
         if metadata.name != record.METADATA_RECORD:
             target.describe(metadata)

@@ -6,7 +6,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
-from itertools import islice
 from pathlib import Path
 from typing import Final
 
@@ -14,21 +13,20 @@ from roadperc_stream import __version__, log
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ChannelError, DecodeError, NoFrameError
 from roadperc_stream.formats.images import encode_indices
-from roadperc_stream.geometry import Camera
 from roadperc_stream.input.assemble import ego_T_camera_of
 from roadperc_stream.input.earlier_replay import is_result
+from roadperc_stream.input.replaced import attachments_about_log, first_latched, with_recorded
+from roadperc_stream.input.rig import calibration_role
 from roadperc_stream.input.roles import assignment_of_log
 from roadperc_stream.input.stream import Problems, RoleAssignment, Stamped, decoded_messages
 from roadperc_stream.input.topics import fits
-from roadperc_stream.input.transforms import TransformTree
 from roadperc_stream.log import Channel, LogSummary, LogWriter, Message, MessageCopy, Metadata
 from roadperc_stream.model import CameraImage
 from roadperc_stream.output import encoding
 from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.schemas import record
 from roadperc_stream.schemas.roles import ROLES, parse_topic_options
-from roadperc_stream.schemas.topics import VIDEO_SCHEMA
-from roadperc_stream.system.files import is_bag_folder, require_free, scratch_folder
+from roadperc_stream.system.files import require_free, scratch_folder
 from roadperc_stream.system.process import optional_output
 from roadperc_stream.system.text import number, print_line
 from roadperc_stream.system.threads import in_order, one_thread, usable_cores
@@ -40,10 +38,9 @@ from .networks.description import read_network
 from .networks.frames import Inferred, Pair, RawResult, load
 from .networks.plausibility import RoadCheck
 from .networks.semantic import HorizonEstimate
+from .video_log import videos_of
 
 _IMAGE_ROLES: Final = ("image", "left")
-_MOUNTING_MESSAGES: Final = 200
-"""Calibrations and transforms that are searched for the camera's mounting."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +56,8 @@ class InferenceJob:
     replaced: frozenset[str]
     camera_height_m: float
     pair: Pair
+    cfg: ReplayConfig
+    """What the user, or an earlier replay, says about the log."""
 
     @property
     def channels(self) -> dict[str, Channel]:
@@ -67,15 +66,10 @@ class InferenceJob:
         return {role: channel_of(role, table) for role in self.pair.sessions}
 
 
-def is_log(path: Path) -> bool:
-    """Return whether a path is a log or a ROS bag, by its name or its first bytes."""
-    with suppress(OSError):
-        return path.suffix in (".mcap", ".db3", ".bag") or is_bag_folder(path) or log.is_log(path)
-    return False
-
-
-def infer(arguments: argparse.Namespace) -> None:
+def infer(arguments: argparse.Namespace, cfg: ReplayConfig) -> None:
     """Write OUT.mcap from a log, a ROS bag, or anything that ``roadperc-convert`` reads.
+
+    ``cfg`` says what a log does not.
 
     Raises:
         RoadpercError: a network, the input or the output cannot be used.
@@ -84,7 +78,7 @@ def infer(arguments: argparse.Namespace) -> None:
     require_free(out, force=arguments.force, suffix=".mcap", source=arguments.source)
     pair = load([read_network(path) for path in arguments.network])
     with one_thread(), _as_log(arguments) as summary:
-        job = _job(summary, pair, arguments)
+        job = _job(summary, pair, arguments, with_recorded(cfg, summary.attachments, arguments.source))
         started = time.monotonic()
         frames, warnings = _write(job, out, arguments)
     with optional_output(sys.stderr):
@@ -100,7 +94,7 @@ def infer(arguments: argparse.Namespace) -> None:
 @contextmanager
 def _as_log(arguments: argparse.Namespace) -> Iterator[LogSummary]:
     """Yield the log, or a temporary one beside the output that is converted from other input."""
-    summary = log.summarise(log.received([arguments.source])) if is_log(arguments.source) else None
+    summary = log.summarise(log.received([arguments.source])) if log.is_log(arguments.source) else None
     if summary is not None and not _has_only_video(summary):
         yield summary
         return
@@ -114,12 +108,13 @@ def _as_log(arguments: argparse.Namespace) -> Iterator[LogSummary]:
 
 
 def _has_only_video(summary: LogSummary) -> bool:
-    """Whether the images of a log are ``foxglove.CompressedVideo``."""
-    has_images = any(fits(ROLES["image"], channel) for channel in summary.channels)
-    return not has_images and any(channel.schema_name == VIDEO_SCHEMA for channel in summary.channels)
+    """Whether the images of a log are videos."""
+    videos = videos_of(summary)
+    has_images = any(fits(ROLES["image"], channel) for channel in summary.channels if channel not in videos)
+    return not has_images and bool(videos)
 
 
-def _job(summary: LogSummary, pair: Pair, arguments: argparse.Namespace) -> InferenceJob:
+def _job(summary: LogSummary, pair: Pair, arguments: argparse.Namespace, cfg: ReplayConfig) -> InferenceJob:
     """Return the job of a log.
 
     Raises:
@@ -133,21 +128,16 @@ def _job(summary: LogSummary, pair: Pair, arguments: argparse.Namespace) -> Infe
     if there and not arguments.force:
         listed = ", ".join(f"{role} on {topic}" for role, topic in there.items())
         raise ChannelError(f"{summary.path}: has {listed}; pass --force to replace it")
-    height_m = arguments.height or _camera_height_m(summary, roles, image)
-    return InferenceJob(summary, roles, image, frozenset(there.values()), height_m, pair)
+    height_m = arguments.height or _camera_height_m(summary, roles, image, cfg)
+    return InferenceJob(summary, roles, image, frozenset(there.values()), height_m, pair, cfg)
 
 
-def _camera_height_m(summary: LogSummary, roles: RoleAssignment, image: str) -> float:
-    """Height of the camera by the log's transforms, else ``surface.assumed_height_m``."""
-    calibration = "calibration" if image == "image" else f"{image}_calibration"
-    wanted = {role: roles.topics[role] for role in (calibration, "tf", "tf_static") if role in roles.topics}
-    messages = islice(log.read(summary, topics=tuple(wanted.values())), _MOUNTING_MESSAGES)
-    camera, tree = None, TransformTree()
-    for item in decoded_messages(messages, replace(roles, topics=wanted), "auto", Problems()):
-        camera = item.payload if camera is None and isinstance(item.payload, Camera) else camera
-        tree = tree.updated(item.edges) if not tree.looping(item.edges) else tree
-    known = None if camera is None else ego_T_camera_of(tree, camera)
-    return ReplayConfig().surface.assumed_height_m if known is None or known[2, 3] <= 0 else float(known[2, 3])
+def _camera_height_m(summary: LogSummary, roles: RoleAssignment, image: str, cfg: ReplayConfig) -> float:
+    """Height of the camera by its mounting, else ``surface.assumed_height_m``."""
+    latched = first_latched(summary, roles, cfg)
+    camera = latched.cameras.get(calibration_role(image, latched.cameras))
+    known = None if camera is None else ego_T_camera_of(latched.tree, camera)
+    return cfg.surface.assumed_height_m if known is None or known[2, 3] <= 0 else float(known[2, 3])
 
 
 def _write(job: InferenceJob, out: Path, arguments: argparse.Namespace) -> tuple[int, list[str]]:
@@ -236,6 +226,8 @@ def _describe(job: InferenceJob, target: LogWriter) -> None:
     for attachment in summary.attachments:
         if attachment.name not in record.OWN_ATTACHMENTS:
             target.attach(attachment)
+    for attachment in attachments_about_log(job.cfg):
+        target.attach(attachment)
     for metadata in summary.metadata:
         if metadata.name == record.NETWORKS_RECORD:
             values = {**dict(metadata.values), **values}

@@ -1,14 +1,15 @@
 """A recording of any kind, as ``roadperc-convert`` prints and writes it."""
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Final
 
 from roadperc_stream.geometry import Camera
 from roadperc_stream.geometry.rectification import is_rectified, lens_of
+from roadperc_stream.input.findings import InputEvidence, camera_findings, label_findings
+from roadperc_stream.input.rig import Rig
 from roadperc_stream.log import Channel, Message
-
-from .carla_dump.camera_rig import Rig
+from roadperc_stream.model import Detection
 
 COLUMNS: Final = ("role", "from", "frames", "missing", "size", "encoding")
 SensorRow = tuple[str, str, str, str, str, str]
@@ -33,6 +34,8 @@ class Recording:
     """Roles that must get messages."""
     metadata: Mapping[str, str]
     """How the log was made, without data of the machine or the user."""
+    images: Mapping[str, str] = field(default_factory=dict)
+    """Stamp in nanoseconds of each labelled image by its name in the dataset's label files."""
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
@@ -49,6 +52,16 @@ def mounting_fact(rig: Rig) -> tuple[str, str]:
         for edge in rig.transforms
     ]
     return "mounting", "; ".join(edges) or "unknown"
+
+
+def finding_notes(rig: Rig, detections: Iterable[Detection] = ()) -> Iterator[str]:
+    """Yield the findings on the cameras, and on the labels of the detections."""
+    for role, camera in rig.cameras.items():
+        option = f"{'--fov DEGREES or ' * (role == 'calibration')}--calibration FILE"
+        yield from (finding.text for finding in camera_findings(camera.frame_id, camera, option))
+    evidence = InputEvidence({})
+    evidence.add_labels(detection.label for detection in detections)
+    yield from (found.text for found in label_findings("detections", evidence.unknown, evidence.detections))
 
 
 def _camera(camera: Camera) -> str:

@@ -1,114 +1,200 @@
-"""A log with ``foxglove.CompressedVideo`` as a recording: each frame becomes a JPEG, all other messages stay.
+"""A log with video as a recording: each frame becomes a JPEG, all other messages stay.
 
-A frame of a video needs all frames since its key frame, so a replay cannot read one alone. OpenCV decodes H.264 from
-memory: one key frame with its followers at a time, so that a frame belongs to its message even after damage.
+A frame of a video needs all frames since its key frame, so a replay cannot read one alone. OpenCV decodes H.264 and
+H.265 from memory: one key frame with its followers at a time, so that a frame belongs to its message even after damage.
 """
 
 import io
 import re
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from shlex import quote
+from typing import Any, Final
 
 import numpy as np
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
-from google.protobuf.message import DecodeError as ProtobufError
 
 from roadperc_stream import log
-from roadperc_stream.errors import DumpError
-from roadperc_stream.formats.images import encode_jpeg
+from roadperc_stream.errors import DecodeError, DumpError
+from roadperc_stream.formats.images import encode_jpeg, video_codec
+from roadperc_stream.input.decoding.wire import from_json
 from roadperc_stream.log import Channel, LogSummary, Message
 from roadperc_stream.output import encoding
-from roadperc_stream.schemas.protobuf import stamp_ns
-from roadperc_stream.schemas.topics import VIDEO_SCHEMA
+from roadperc_stream.schemas import cdr, protobuf
+from roadperc_stream.schemas.topics import IMAGE_SCHEMA, VIDEO_SCHEMAS
 from roadperc_stream.system.text import shown
 
 from .carla_dump.messages import JPEG_QUALITY, channel_of
 from .recording import Recording
 from .video_file import open_capture
 
-_KEY_FRAME: Final = re.compile(rb"\x00\x00\x01[\x07\x27\x47\x67]")
-"""The start of a sequence parameter set, which each key frame has in an H.264 stream of Foxglove."""
+_KEY_FRAMES: Final = {
+    "h264": re.compile(rb"\x00\x00\x01[\x07\x27\x47\x67]"),
+    "h265": re.compile(rb"\x00\x00\x01[\x42\x43]"),
+}
+"""The start of a sequence parameter set, which each key frame has in a stream of Foxglove, by codec."""
+_FOXGLOVE: Final[Mapping[str, Any]] = {t.DESCRIPTOR.full_name: t for t in (CompressedVideo, CompressedImage)}
+_IMAGE_SCHEMAS: Final = (IMAGE_SCHEMA, "sensor_msgs/msg/CompressedImage", "sensor_msgs/CompressedImage")
+
+
+@dataclass(frozen=True)
+class _Packet:
+    """The content of a message with an image or a frame of video."""
+
+    stamp_ns: int
+    frame_id: str
+    format: str
+    data: bytes
 
 
 def recording_of_log(path: Path) -> Recording:
-    """Return the recording of a log with video.
+    """Return the recording of a log or ROS bag with video.
 
     Raises:
-        DumpError: the log has no H.264 video.
+        DumpError: the log has no video, or in a codec or message encoding that cannot be decoded.
         LogError: the log cannot be read.
     """
-    summary = log.summarise(path)
-    videos = [c for c in summary.channels if (c.schema_name, c.message_encoding) == (VIDEO_SCHEMA, "protobuf")]
+    summary = log.summarise(log.received([path]))
+    videos = videos_of(summary)
     if not videos:
-        raise DumpError(f"{path}: a log without {VIDEO_SCHEMA}: roadperc-replay reads it as it is")
+        raise DumpError(f"{path}: a log without video; replay it with: roadperc-replay {quote(str(path))} OUT.mcap")
+    for channel, codec in videos.items():
+        _require_codec(f"{path}: {channel.topic}", codec)
     counts = {channel.topic: summary.counts.get(channel.source_id, 0) for channel in videos}
+    codecs = {channel.topic: codec for channel, codec in videos.items()}
     kept = {f"{c.topic} {c.source_id}": _as_images(c) if c in videos else c for c in summary.channels}
     return Recording(
         title=f"{path}: {sum(counts.values())} frames of video",
-        sensors=tuple(("image", shown(topic), str(n), "", "", "h264, stored as jpeg") for topic, n in counts.items()),
+        sensors=tuple(("image", shown(t), str(n), "", "", f"{codecs[t]}, stored as jpeg") for t, n in counts.items()),
         facts=(("time", "that of the messages"),),
         frames=sum(counts.values()),
         channels=kept,
         messages=lambda warnings: _messages(summary, videos, warnings),
         required=("image",),
-        metadata={"time": "that of the messages", "encoding.image": f"h264, stored as jpeg {JPEG_QUALITY}"},
+        metadata={
+            "time": "that of the messages",
+            "encoding.image": f"{', '.join(dict.fromkeys(codecs.values()))}, stored as jpeg {JPEG_QUALITY}",
+        },
     )
+
+
+def videos_of(summary: LogSummary) -> dict[Channel, str]:
+    """Return the codec of each channel with video, by the format of its first message.
+
+    Raises:
+        DumpError: a message of video cannot be read.
+    """
+    found = {}
+    for channel in summary.channels:
+        is_video = channel.schema_name in VIDEO_SCHEMAS
+        if (is_video or channel.schema_name in _IMAGE_SCHEMAS) and summary.counts.get(channel.source_id):
+            first = next(m for m in log.read(summary, topics=[channel.topic]) if m.channel == channel)
+            try:
+                layout = _packet(summary, first).format
+            except DumpError:
+                if is_video:
+                    raise
+                continue  # a replay reports images that cannot be read
+            if is_video or video_codec(layout):
+                found[channel] = video_codec(layout) or layout
+    return found
+
+
+def _require_codec(where: str, codec: str) -> None:
+    if codec not in _KEY_FRAMES:
+        expected = " or ".join(_KEY_FRAMES)
+        raise DumpError(f"{where}: video of codec {codec!r}, expected {expected}; store it as foxglove.CompressedImage")
 
 
 def _as_images(channel: Channel) -> Channel:
     return replace(channel_of("image"), topic=channel.topic, source_id=channel.source_id)
 
 
-def _messages(summary: LogSummary, videos: list[Channel], warnings: list[str]) -> Iterator[tuple[str, Message]]:
-    decoded = {channel.topic: _decoded(summary, channel.topic, warnings) for channel in videos}
+def _messages(summary: LogSummary, videos: Mapping[Channel, str], warnings: list[str]) -> Iterator[tuple[str, Message]]:
+    decoded = {channel: _decoded(summary, channel, codec, warnings) for channel, codec in videos.items()}
     for message in log.read(summary):
         if message.channel in videos:
-            data = next(decoded[message.channel.topic])
+            data = next(decoded[message.channel])
             if data is not None:
                 yield "image", replace(message, channel=_as_images(message.channel), data=data)
         else:
             yield message.channel.topic, message
 
 
-def _decoded(summary: LogSummary, topic: str, warnings: list[str]) -> Iterator[bytes | None]:
-    """Yield the image of each message on a topic; None for those that cannot be decoded."""
-    group: list[CompressedVideo] = []
-    for message in log.read(summary, topics=[topic]):
-        frame = _frame(summary, message)
-        if _KEY_FRAME.search(frame.data):
-            yield from _images(topic, group, warnings)
+def _decoded(summary: LogSummary, channel: Channel, codec: str, warnings: list[str]) -> Iterator[bytes | None]:
+    """Yield the image of each message of a channel; None for those that cannot be decoded."""
+    group: list[_Packet] = []
+    for message in log.read(summary, topics=[channel.topic]):
+        if message.channel != channel:
+            continue
+        packet = _packet(summary, message)
+        if video_codec(packet.format) != codec:
+            raise DumpError(f"{_where(summary, message)}: format {packet.format!r}, expected {codec} as before")
+        if _KEY_FRAMES[codec].search(packet.data):
+            yield from _images(channel.topic, codec, group, warnings)
             group = []
-        group.append(frame)
-    yield from _images(topic, group, warnings)
+        group.append(packet)
+    yield from _images(channel.topic, codec, group, warnings)
 
 
-def _frame(summary: LogSummary, message: Message) -> CompressedVideo:
-    where = f"{summary.path}: {message.channel.topic}: message at {message.log_time_ns} ns"
+def _where(summary: LogSummary, message: Message) -> str:
+    return f"{summary.path}: {message.channel.topic}: message at {message.log_time_ns} ns"
+
+
+def _packet(summary: LogSummary, message: Message) -> _Packet:
+    """Return the content of a message.
+
+    Raises:
+        DumpError: its encoding is not read, or its bytes do not match its schema.
+    """
+    channel = message.channel
     try:
-        frame = CompressedVideo.FromString(message.data)
-    except ProtobufError as error:
-        raise DumpError(f"{where}: not a {VIDEO_SCHEMA}: {error}") from error
-    if frame.format != "h264":
-        raise DumpError(
-            f"{where}: video of format {frame.format!r}, expected h264; store it as foxglove.CompressedImage"
-        )
-    return frame
+        read = _READERS[channel.message_encoding]
+        with cdr.as_defined(f"{len(message.data)} bytes are not a {channel.schema_name}"):
+            return read(channel, message.data)
+    except KeyError:
+        found = f"{channel.schema_name} ({channel.message_encoding})"
+        raise DumpError(f"{_where(summary, message)}: {found}: expected {', '.join(_READERS)}") from None
+    except DecodeError as error:
+        raise DumpError(f"{_where(summary, message)}: {error}") from error
 
 
-def _images(topic: str, group: list[CompressedVideo], warnings: list[str]) -> list[bytes | None]:
+def _of_ros(channel: Channel, data: bytes) -> _Packet:
+    found = cdr.read(data, channel.schema_name, channel.schema_data, channel.schema_encoding)
+    frame_id, stamp = (
+        (found.header.frame_id, found.header.stamp) if hasattr(found, "header") else (found.frame_id, found.timestamp)
+    )
+    return _Packet(cdr.stamp_ns(stamp), frame_id, found.format, found.data.tobytes())
+
+
+def _of_foxglove(message: Any) -> _Packet:
+    return _Packet(protobuf.stamp_ns(message.timestamp), message.frame_id, message.format, message.data)
+
+
+_READERS: Final[Mapping[str, Callable[[Channel, bytes], _Packet]]] = {
+    "protobuf": lambda channel, data: _of_foxglove(_FOXGLOVE[channel.schema_name].FromString(data)),
+    "json": lambda channel, data: _of_foxglove(from_json(_FOXGLOVE[channel.schema_name], data)),
+    "cdr": _of_ros,
+    "ros1": _of_ros,
+}
+
+
+def _images(topic: str, codec: str, group: list[_Packet], warnings: list[str]) -> list[bytes | None]:
     """Return the images of a key frame and the frames up to the next one."""
     if not group:
         return []
     jpegs: list[bytes] = []
-    if _KEY_FRAME.search(group[0].data):
-        with open_capture(topic, io.BytesIO(b"".join(frame.data for frame in group))) as capture:
+    if _KEY_FRAMES[codec].search(group[0].data):
+        content = io.BytesIO(b"".join(packet.data for packet in group))
+        with suppress(DumpError), open_capture(topic, content) as capture:  # the warning names frames that are missing
             while (found := capture.read())[0]:
                 jpegs.append(encode_jpeg(np.asarray(found[1], np.uint8), JPEG_QUALITY))
     if len(jpegs) != len(group):
-        first = stamp_ns(group[0].timestamp)
+        first = group[0].stamp_ns
         warnings.append(f"{topic}: {len(group)} frames from {first} ns on are missing: {len(jpegs)} can be decoded")
         return [None] * len(group)
     pairs = zip(group, jpegs, strict=True)
-    return [encoding.encode_image(stamp_ns(f.timestamp), f.frame_id, "jpeg", jpeg) for f, jpeg in pairs]
+    return [encoding.encode_image(packet.stamp_ns, packet.frame_id, "jpeg", jpeg) for packet, jpeg in pairs]

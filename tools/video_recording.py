@@ -7,6 +7,7 @@ from typing import Final
 
 from roadperc_stream.errors import DumpError
 from roadperc_stream.formats.images import encode_jpeg
+from roadperc_stream.input.rig import FRONT, Rig, build_rig
 from roadperc_stream.log import Message
 from roadperc_stream.model import Image
 from roadperc_stream.output import encoding
@@ -15,12 +16,11 @@ from roadperc_stream.system.text import shown
 from roadperc_stream.system.threads import in_order
 
 from .carla_dump.calibration_file import CALIBRATION_NAME
-from .carla_dump.camera_rig import FRONT, Rig, build_rig
-from .carla_dump.frame_stamps import EPOCH_NS
+from .carla_dump.json_files import EPOCH_NS
 from .carla_dump.messages import JPEG_QUALITY, WORKERS, channel_of, static_messages, straightened
 from .layouts.drive import ConvertOptions
 from .layouts.dump import calibration_of
-from .recording import Recording, SensorRow, camera_facts, mounting_fact
+from .recording import Recording, SensorRow, camera_facts, finding_notes, mounting_fact
 from .video_file import ReadCounts, VideoFile, frames_of, open_video
 
 VIDEO_SUFFIXES: Final = frozenset({".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".ts", ".mts", ".mpg", ".mpeg"})
@@ -77,7 +77,7 @@ def recording_of_videos(source: Path, paths: Sequence[Path], options: ConvertOpt
         messages=lambda warnings: _messages(videos, rig, warnings),
         required=("image",),
         metadata={"time": timing, "encoding.image": stored},
-        notes=tuple(rig.notes),
+        notes=(*rig.notes, *finding_notes(rig)),
     )
 
 

@@ -17,7 +17,7 @@ from .metrics import FRAMES, METRICS, Metric
 from .pairing import Pairing, RunPair
 from .tails import tail_findings
 from .values import LogValues, values_of
-from .verdicts import CauseGroup, Finding, Mark, Place, Verdict
+from .verdicts import CauseGroup, Mark, MarkedStatistic, Place, Verdict
 
 ROUNDING: Final = 1e-9
 """Ratio to a metric's size below which a difference is rounding, as on another processor."""
@@ -56,7 +56,7 @@ def _judge(logs: Sequence[LogValues], rules: Rules, tests: int) -> Verdict:
     mark = _mark(metric, new - base, interval, allowed)
     places = [place for log in logs if (place := log.place())]
     worst = max(places, key=lambda at: metric.sign * (at.new - at.base), default=None)
-    mean = Finding(metric, "mean", base, new, interval, mark, worst)
+    mean = MarkedStatistic(metric, "mean", base, new, interval, mark, worst)
     tails = tuple(tail_findings(logs, allowed, rules.limits.get(metric.name, metric.limit), tests, worst))
     worse = any(finding.mark == "worse" for finding in tails)
     judged = not metric.timed or rules.times or rules.names(metric.name)

@@ -9,7 +9,7 @@ from ..machine import Case, Outcome, write_files
 from .comparing import Comparison
 from .display import metrics_table
 from .summary import command, outcome, summary, values, where
-from .verdicts import Finding, Mark, Place, Verdict
+from .verdicts import Mark, MarkedStatistic, Place, Verdict
 
 _ALL_LOGS = "all logs"
 
@@ -49,7 +49,7 @@ def _metric(verdict: Verdict) -> dict[str, Any]:
     return {**facts, "relevant": float(f"{verdict.relevant:.6g}"), **statistics, **place}
 
 
-def _statistic(finding: Finding) -> dict[str, Any]:
+def _statistic(finding: MarkedStatistic) -> dict[str, Any]:
     known = {"base": finding.base, "new": finding.new, "difference": finding.new - finding.base, "mark": finding.mark}
     interval = vars(finding.interval) if finding.interval else {}
     return {**known, **interval, **({"log": finding.log} if finding.log else {})}

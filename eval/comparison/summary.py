@@ -13,7 +13,7 @@ from ..quantities import QUALITY, SEEN, listed
 from .agreement import Agreements, Value
 from .comparing import Comparison
 from .metrics import Metric
-from .verdicts import CauseGroup, Finding, Mark, Place, Statistic, Verdict
+from .verdicts import CauseGroup, Mark, MarkedStatistic, Place, Statistic, Verdict
 
 _MOST_GROUPS: Final[dict[Mark, int]] = {"worse": 3, "better": 2}
 """Groups of metrics with a line each; ``--full`` lists all."""
@@ -74,18 +74,18 @@ def _verdict(found: Comparison) -> str:
     return f"{result}: {f'{_sentence(_lead(changed[0].verdicts[0]), interval=False)}; ' if changed else ''}{metrics}"
 
 
-def _lead(verdict: Verdict) -> Finding:
+def _lead(verdict: Verdict) -> MarkedStatistic:
     """The finding that explains the mark: the mean, else the one that is easiest to look at."""
     found = [finding for finding in verdict.findings if finding.mark == verdict.mark]
     return min(found, key=lambda finding: _BY_USE.index(finding.statistic), default=verdict.findings[0])
 
 
-def _sentence(finding: Finding, *, interval: bool = True) -> str:
+def _sentence(finding: MarkedStatistic, *, interval: bool = True) -> str:
     log = f" of {finding.log}" if finding.log else ""
     return f"{finding.metric.label}, {finding.statistic}{log} {values(finding, interval=interval)}"
 
 
-def values(finding: Finding, *, interval: bool = True) -> str:
+def values(finding: MarkedStatistic, *, interval: bool = True) -> str:
     """A statistic in both runs with its unit, and its difference with the interval, if it has one."""
     scale, unit = shown_unit(finding.metric, finding.statistic)
     shown = both(finding.base * scale, finding.new * scale) + unit

@@ -25,7 +25,7 @@ from roadperc_stream.geometry import Float
 from .bootstrap import mean_interval
 from .metrics import COVERAGE_RELEVANT, Metric
 from .values import LogValues
-from .verdicts import Finding, Mark, Place
+from .verdicts import Mark, MarkedStatistic, Place
 
 FEWEST: Final = 2
 JUMP: Final = 10.0
@@ -37,7 +37,7 @@ _TAIL: Final = 0.95
 
 def tail_findings(
     logs: Sequence[LogValues], relevant: float, limit: float | None, tests: int, place: Place | None
-) -> Iterator[Finding]:
+) -> Iterator[MarkedStatistic]:
     """The findings on the tail of one metric; none for times, and only the worst log for shares.
 
     ``tests`` is the number of tests that share ``LEVEL``, ``place`` the worst frame.
@@ -51,10 +51,10 @@ def tail_findings(
         return
     base, new = ([metric.sign * log.judged[side] for log in logs] for side in (0, 1))
     bound, after, worse = _quantile(base, new, relevant, tests)
-    yield Finding(metric, "p95", metric.sign * bound, metric.sign * after, None, _mark(worse), place)
+    yield MarkedStatistic(metric, "p95", metric.sign * bound, metric.sign * after, None, _mark(worse), place)
     deviations = [_deviations(log.base) for log in logs], [_deviations(log.new) for log in logs]
     bound, after, worse = _quantile(*deviations, relevant / 10, tests)
-    yield Finding(metric, "spread", bound, after, None, _mark(worse and after >= SPREAD_RATIO * bound), place)
+    yield MarkedStatistic(metric, "spread", bound, after, None, _mark(worse and after >= SPREAD_RATIO * bound), place)
     if limit is not None:
         yield _worst_frame(logs, relevant, limit, place)
         yield _beyond_limit(metric, base, new, metric.sign * limit, tests, place)
@@ -76,7 +76,7 @@ def _rises(beyond: Sequence[tuple[NDArray[np.bool_], NDArray[np.bool_]]], tests:
     return mean_interval([new.astype(float) - base for base, new in beyond], tests).low > 0
 
 
-def _worst_log(logs: Sequence[LogValues], relevant: float, tests: int) -> Finding:
+def _worst_log(logs: Sequence[LogValues], relevant: float, tests: int) -> MarkedStatistic:
     metric = logs[0].metric
     rises = [float(log.rises.mean()) for log in logs]
     worst = logs[int(np.argmax(rises))]
@@ -88,10 +88,10 @@ def _worst_log(logs: Sequence[LogValues], relevant: float, tests: int) -> Findin
     elif worse:
         interval = mean_interval([worst.differences], tests * len(logs))
         worse = interval.low > 0 or interval.high < 0
-    return Finding(metric, "worst log", base, new, interval, _mark(worse), worst.place(), worst.pair.name)
+    return MarkedStatistic(metric, "worst log", base, new, interval, _mark(worse), worst.place(), worst.pair.name)
 
 
-def _worst_frame(logs: Sequence[LogValues], relevant: float, limit: float, place: Place | None) -> Finding:
+def _worst_frame(logs: Sequence[LogValues], relevant: float, limit: float, place: Place | None) -> MarkedStatistic:
     metric = logs[0].metric
     rises = np.concatenate([log.rises for log in logs])
     bad = np.concatenate([metric.sign * log.judged[1] > metric.sign * limit for log in logs])
@@ -99,16 +99,18 @@ def _worst_frame(logs: Sequence[LogValues], relevant: float, limit: float, place
     worse = jumps.size > 0 and jumps[-1] >= LONE_JUMP * relevant
     worse = worse or (jumps.size >= FEWEST and jumps[-FEWEST] >= JUMP * relevant)
     base, new = (place.base, place.new) if place else (0.0, 0.0)
-    return Finding(metric, "worst frame", base, new, None, _mark(worse), place, place.pair.name if place else "")
+    return MarkedStatistic(
+        metric, "worst frame", base, new, None, _mark(worse), place, place.pair.name if place else ""
+    )
 
 
 def _beyond_limit(
     metric: Metric, base: Sequence[Float], new: Sequence[Float], limit: float, tests: int, place: Place | None
-) -> Finding:
+) -> MarkedStatistic:
     before, after = (float(np.mean(np.concatenate(side) > limit)) for side in (base, new))
     worse = after - before >= COVERAGE_RELEVANT
     worse = worse and _rises([(b > limit, n > limit) for b, n in zip(base, new, strict=True)], tests)
-    return Finding(metric, "beyond limit", before, after, None, _mark(worse), place)
+    return MarkedStatistic(metric, "beyond limit", before, after, None, _mark(worse), place)
 
 
 def _mark(worse: bool) -> Mark:

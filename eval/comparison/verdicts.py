@@ -23,7 +23,7 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Finding:
+class MarkedStatistic:
     """A statistic of a metric in both runs, and its mark.
 
     ``interval`` is that of the difference, if the statistic has one. ``log`` is the name of the pair that the statistic
@@ -55,7 +55,7 @@ class Verdict:
     interval: Interval
     mark: Mark
     judged: bool
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[MarkedStatistic, ...] = ()
     place: Place | None = None
     relevant: float = 0.0
 
@@ -71,7 +71,7 @@ class Verdict:
         return max(effects, default=0.0) / (self.relevant or 1.0)
 
     @property
-    def worst(self) -> Finding | None:
+    def worst(self) -> MarkedStatistic | None:
         """The finding with the largest effect among those that are worse."""
         worse = [found for found in self.findings if found.mark == "worse"]
         return max(worse, key=lambda found: abs(found.new - found.base), default=None)

@@ -18,9 +18,10 @@ from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.system.text import number
 from roadperc_stream.system.time import NS_PER_S
 
-from ..answers import Answer, of_summaries, print_answer, wants_files, write_answer
-from ..brief import has_truth, rows_tables, stage_figures, with_unit
+from ..answers import Answer, of_summaries, print_answer, wants_files, with_findings, write_answer
+from ..brief import judged_stages, rows_tables, stage_figures, with_unit
 from ..configurations import Settings, rows_that_differ
+from ..findings import findings_of_dataset, report_lines
 from ..frame_commands import view_dataset_command
 from ..quantities import Quantity, legend, listed, percent, rounded, short_names
 from ..report import inputs, precision
@@ -116,7 +117,7 @@ def worst_logs_table(worst: Mapping[Quantity, Sequence[Row]], names: Mapping[Log
     """The worst logs by each quantity, and the frames to look at in each."""
     rows: list[TextRow] = []
     for quantity, logs in worst.items():
-        rows.append(row(quantity.label))
+        rows.append(row(quantity.column))
         for item in logs:
             values = (rounded(value, quantity) for value in (item["mean"], item["at"][0]["value"]))
             frames = ", ".join(f"{at['frame']}({at['since_start_s']:.2f}s)" for at in item["at"])
@@ -205,6 +206,7 @@ def _print_tables(
 ) -> None:
     if arguments.by and of_objects(arguments.by, (*scan_tables(files).collect_schema(), *RUN_COLUMNS, DATE)):
         answer = object_slices(scan_objects(dataset, runs), arguments.by, dataset.address)
+        answer = with_findings(answer, findings_of_dataset(runs))
         write_answer(answer, arguments)
         print_answer(console, answer)
         return
@@ -218,11 +220,12 @@ def _print_tables(
     if not arguments.full or wants_files(arguments):
         answer = _answer(dataset, found, runs, names, summaries)
         answer = replace(answer, head=(*head, *answer.head), tables=(settings, *answer.tables))
+        answer = with_findings(answer, findings_of_dataset(runs))
         write_answer(answer, arguments)
         if not arguments.full:
             print_answer(console, answer)
             return
-    print_lines(console, *head, unbroken=True)
+    print_lines(console, *report_lines(findings_of_dataset(runs)), *head, unbroken=True)
     print_table(console, settings)
     _print_groups(console, summaries, found)
     _print_worst(console, found.logs, runs, names, arguments.worst)
@@ -236,7 +239,7 @@ def _answer(
     renamed = [replace(summary, name=short[summary.name]) for summary in summaries]
     answer = of_summaries("Report", "groups", summaries, lambda _: "")
     several = found.logs["config"].n_unique() > 1
-    columns = {figures.quantity.column for s in summaries for figures in stage_figures(s, truth=has_truth(summaries))}
+    columns = {figures.quantity.column for s in summaries for figures in stage_figures(s, judged_stages(summaries))}
     worst = [(q, logs[0]) for q, logs in worst_logs(found.logs, 1)[0].items() if q.column in columns]
     lines, values = [], []
     for quantity, item in sorted(worst, key=lambda pair: -pair[1]["mean"] / (pair[0].limit or math.inf))[:_FEW]:

@@ -19,6 +19,8 @@ ERROR_COLUMNS: Final = tuple(quantity.column for quantity in TRUTH)
 """Columns of the distributions."""
 POSE_COLUMNS: Final = (*ESTIMATED_COLUMNS, *TRUE_COLUMNS)
 """Columns of the trajectory."""
+SCALE_COLUMNS: Final = ("turn_deg", "step_m")
+"""A step without scale has only the first of these."""
 Paths = dict[str, Float]
 """(N, 6) poses by path, from ``paths``."""
 
@@ -33,7 +35,7 @@ def distributions(runs: Sequence[Series]) -> Iterator[Figure]:
         ]
         if traces:
             look = layout(quantity.label, "frames up to here, %", height=230, showlegend=len(runs) > 1)
-            yield Figure(quantity.label, better(quantity), traces, look)
+            yield Figure(quantity.label, f"{quantity.column}; {better(quantity)}", traces, look)
 
 
 def trajectory(runs: Sequence[Series], found: Sequence[Paths]) -> Iterator[Figure]:
@@ -45,21 +47,29 @@ def trajectory(runs: Sequence[Series], found: Sequence[Paths]) -> Iterator[Figur
     traces = [trace for at, (run, path) in pairs for trace in _traces(run, path, at, len(runs) > 1)]
     if not traces:
         return
-    note = "From above: ahead of the first frame is up, left is left; both axes to one scale, in metres."
+    unit = "no scale" if any(map(without_scale, runs)) else "m"
+    note = "From above: ahead of the first frame is up, left is left; both axes have one scale."
     if any(np.ptp(run.segments) for run in runs):
         note += " Each segment of a log begins at the origin."
     if any(trace["line"]["dash"] != "solid" for trace in traces):
         note += " The true path is dashed."
-    errors = [(at, run, path) for at, (run, path) in pairs if path.keys() >= {"odom", "true"}]
+    both = [(at, run, path) for at, (run, path) in pairs if path.keys() >= {"odom", "true"}]
+    errors = [(at, run, path) for at, run, path in both if not without_scale(run)]
     if len(runs) == 1 and errors:
         traces.append(_coloured_by_error(runs[0], found[0]))
-    left = axis("y to the left, m", autorange="reversed")
-    ahead = axis("x ahead, m", scaleanchor="x", scaleratio=1)
+    left = axis(f"y to the left, {unit}", autorange="reversed")
+    ahead = axis(f"x ahead, {unit}", scaleanchor="x", scaleratio=1)
     yield Figure("Trajectory", note, traces, layout("", "", hovermode="closest", height=440, xaxis=left, yaxis=ahead))
     if errors:
         look = layout("distance driven, m", "position error, m", showlegend=len(runs) > 1)
         lines = [_over_distance(run, path, at) for at, run, path in errors]
         yield Figure("Position error over distance", "Without alignment: both paths begin at one pose.", lines, look)
+
+
+def without_scale(run: Series) -> bool:
+    """Whether most steps of a run have no scale, so that its path is not in metres."""
+    turned, metric = (int(np.isfinite(run.values.get(name, np.zeros(0))).sum()) for name in SCALE_COLUMNS)
+    return 2 * metric < turned
 
 
 def _over_distance(run: Series, found: Paths, at: int) -> Trace:

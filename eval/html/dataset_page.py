@@ -10,6 +10,7 @@ from roadperc_stream.output.text_table import TextTable, by_header, row
 from roadperc_stream.system.files import completing, require_suffix
 from roadperc_stream.system.text import number
 
+from ..brief import stages_of
 from ..comparison.verdicts import Mark
 from ..dataset.groups import group_frames, summaries_of
 from ..dataset.keys import in_order_of_runs, log_names, settings_by_config
@@ -17,10 +18,11 @@ from ..dataset.pairs import in_a_folder, runs_of_logs
 from ..dataset.place import DONE, Dataset, metrics_files, read_runs
 from ..dataset.report import settings_that_differ
 from ..dataset.worst import LogKey, key_of, worst_logs
+from ..findings import findings_of_dataset, report_lines
 from ..quantities import Quantity
 from .page import rendered, write_page
 from .pictures import shown
-from .verdict import single_sentence, size, stage_table
+from .verdict import single_sentence, size
 
 PAGES: Final = 10
 """Most pages of logs: failed ones first, then the worst."""
@@ -65,13 +67,14 @@ def _write(target: Path, local: Dataset, address: str) -> None:
         write_page(folder / f"worst_{place}.html", [run])
         links[_name(names[key[0]], key[1], several)] = f"{folder.name}/worst_{place}.html"
     mark: Mark = "worse" if failed.height else "better"
-    verdicts = [(mark, f"{failed.height} of {number(runs.height, 'run')} failed")] if runs.height else []
+    verdicts: list[tuple[Mark, str]] = [("worse", line) for line in report_lines(findings_of_dataset(runs))]
+    verdicts += [(mark, f"{failed.height} of {number(runs.height, 'run')} failed")] if runs.height else []
     for summary in summaries:
         mark, text = single_sentence(summary)
         verdicts.append((mark, f"{summary.name}: {text}" if len(summaries) > 1 else text))
     settings = settings_that_differ(settings_by_config(runs, configs))
     lost, bad = _failed_table(failed, several), _worst_table(worst, names, several)
-    tables = [(stage_table(summaries), {}), (settings, {}), (lost, failed_links), (bad, links)]
+    tables = [(stages_of(summaries), {}), (settings, {}), (lost, failed_links), (bad, links)]
     _render(target, address, verdicts, tables)
 
 

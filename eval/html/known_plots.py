@@ -14,7 +14,7 @@ from roadperc_stream.system.text import number
 
 from ..runs import Run, collect, reading
 from ..scan import rows_of
-from .charts import Paths
+from .charts import Paths, without_scale
 from .figures import TIME_TITLE, TRUTH_COLOUR, Figure, Series, Trace, colour_of, layout, line, thinned
 
 _AXES: Final = {"x ahead": "m", "y to the left": "m", "z up": "m", "roll": "deg", "pitch": "deg", "yaw": "deg"}
@@ -37,7 +37,7 @@ Mask = NDArray[np.bool_]
 
 def poses_over_time(runs: Sequence[Series], paths: Sequence[Paths]) -> Iterator[Figure]:
     """Position and rotation against the first pose over time, with the truth."""
-    several = len(runs) > 1
+    several, scaled = len(runs) > 1, not any(map(without_scale, runs))
     for at, (name, unit) in enumerate(_AXES.items()):
         traces = []
         for place, (run, found) in enumerate(zip(runs, paths, strict=True)):
@@ -49,7 +49,12 @@ def poses_over_time(runs: Sequence[Series], paths: Sequence[Paths]) -> Iterator[
                 traces.append(line(label, run.since_start_s[kept], poses[kept, at], colour, **more))
         if traces:
             note = "Against the first pose. The truth is dashed."
-            yield Figure(f"Pose: {name}", note, traces, layout(TIME_TITLE, f"{name}, {unit}"))
+            yield Figure(
+                f"Pose: {name}",
+                note,
+                traces,
+                layout(TIME_TITLE, f"{name}, {unit if scaled or unit == 'deg' else 'no scale'}"),
+            )
 
 
 def precision_recall(runs: Sequence[Run]) -> Iterator[Figure]:

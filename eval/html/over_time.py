@@ -121,6 +121,10 @@ def _thinned_line(name: str, run: Series, column: str, colour: str, **more: Any)
 
 
 def _note(chart: TimeChart, runs: int) -> str:
+    return f"{_meaning(chart, runs)} Columns: {', '.join(kind.column for kind in chart.kinds)}.".strip()
+
+
+def _meaning(chart: TimeChart, runs: int) -> str:
     if runs == 1 or len(chart.kinds) == 1:
         return chart.note
     dashes = {"solid": "solid", "dot": "dotted", "dash": "dashed"}

@@ -18,26 +18,28 @@ from roadperc_stream.output.text_table import TextRow, TextTable, by_header
 from roadperc_stream.system.files import completing, require_suffix
 from roadperc_stream.system.text import shown
 
+from ..brief import stages_of
 from ..comparison.comparing import Comparison
 from ..configurations import UNKNOWN, grouped, settings_table, short_digest
+from ..findings import findings_of, report_lines
 from ..frame_commands import view_command, view_pair_command
 from ..quantities import listed, percent
 from ..report import in_segments
 from ..runs import Run
 from ..sections import sections
 from ..summary import Summary, WorstFrame, summarise_group
-from .charts import ERROR_COLUMNS, POSE_COLUMNS, distributions, paths, trajectory
+from .charts import ERROR_COLUMNS, POSE_COLUMNS, SCALE_COLUMNS, distributions, paths, trajectory
 from .figures import Figure, load_series
 from .known_plots import poses_over_time, precision_recall
 from .over_time import COLUMNS, over_time, stage_times
 from .pictures import WORST, Command, Gallery, Key, frames_of, gallery, log_of
 from .pictures import shown as shown_value
-from .verdict import Ranked, bars, comparison_of, place_text, ranked_frames, sentence, single_sentence, stage_table
+from .verdict import Ranked, bars, comparison_of, place_text, ranked_frames, sentence, single_sentence
 
 RUNS_DRAWN: Final = 8
 """Most runs on a page; there are as many colours."""
 _NOT_NAMED: Final = "not named"
-_COLUMNS: Final = (*COLUMNS, *POSE_COLUMNS, *ERROR_COLUMNS)
+_COLUMNS: Final = (*COLUMNS, *POSE_COLUMNS, *SCALE_COLUMNS, *ERROR_COLUMNS)
 
 
 def identity(summaries: Sequence[Summary], runs: Sequence[Run]) -> TextTable:
@@ -103,10 +105,11 @@ def _page(runs: Sequence[Run], command: Command) -> str:
     return _render(
         names=[run.name for run in drawn],
         left_out=len(runs) - len(drawn),
+        findings=report_lines(findings_of(runs)),
         compared=compared is not None,
         verdicts=[sentence(compared)] if compared else verdicts,
         bars=bars(compared) if compared else [],
-        stages=stage_table(summaries),
+        stages=stages_of(summaries),
         lead=lead,
         ranked=[(item, shown_value(item.frame.value, item.quantity)) for item in ranked],
         gallery=pictures,

@@ -7,7 +7,6 @@ from typing import Final
 
 import numpy as np
 
-from roadperc_stream.output.text_table import TextTable
 from roadperc_stream.schemas.columns import RATIO, UNITLESS
 from roadperc_stream.system.text import number
 
@@ -15,9 +14,9 @@ from ..comparison.comparing import Comparison, compare_runs
 from ..comparison.pairing import pair_runs
 from ..comparison.verdicts import Mark, Place, Verdict
 from ..options import Rules
-from ..quantities import LOST, NUMBERS, TRUTH, Quantity, listed
+from ..quantities import LOST, TRUTH, Quantity, listed
 from ..runs import Run
-from ..sections import accuracy, coverage, ranked_by
+from ..sections import ranked_by
 from ..summary import Summary, WorstFrame
 
 BARS: Final = 9
@@ -26,12 +25,6 @@ _NO_EFFECT: Final = 0.01
 """Largest effect that is not drawn, as a multiple of the relevant effect."""
 _CUT: Final = 10.0
 """Largest effect drawn, as a multiple of the relevant effect."""
-_SHOWN: Final = {
-    *("surface_height_error_m", "lane_left_error_m", "lane_right_error_m", "object_distance_error_m", "stereo_epe_px"),
-    *("step_error_m", "surface_inlier_ratio", "lane_width_m", "detections_kept", "stereo_valid_ratio"),
-    "odometry_inliers",
-}
-"""The column of each stage's error, and the column shown without truth."""
 
 
 @dataclass(frozen=True)
@@ -54,14 +47,6 @@ class Ranked:
     frame: WorstFrame
     quantity: Quantity
     size: float
-
-
-def stage_table(summaries: Sequence[Summary]) -> TextTable:
-    """Coverage and error of each stage; without truth the stages' own values."""
-    labels = {quantity.label for quantity in NUMBERS if quantity.column in _SHOWN}
-    errors, values = accuracy(summaries), coverage(summaries)
-    table, notes = (errors, ()) if errors.rows else (values, ("No frame has truth: the values are not errors.",))
-    return replace(table, title="Stages", rows=tuple(row for row in table.rows if row.label in labels), notes=notes)
 
 
 def single_sentence(summary: Summary) -> tuple[Mark, str]:

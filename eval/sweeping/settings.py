@@ -69,7 +69,9 @@ def passes(made: Sequence[Combination]) -> list[tuple[Combination, ...]]:
     groups: dict[Hashable, list[Combination]] = {}
     for item in made:
         # The settings that samples depend on, see ``ReplayInput.samples`` and ``assemble.sample_of``.
-        decoding = (item.cfg.sync, item.cfg.limits, item.cfg.tag_table, item.cfg.surface.assumed_height_m)
+        cfg = item.cfg
+        about_log = cfg.calibration.model_dump_json(), tuple(cfg.labels.items())
+        decoding = (cfg.sync, cfg.limits, cfg.tag_table, cfg.surface.assumed_height_m, *about_log)
         groups.setdefault(decoding, []).append(item)
     return [tuple(group[at : at + AT_ONCE]) for group in groups.values() for at in range(0, len(group), AT_ONCE)]
 

@@ -90,7 +90,7 @@ class RayBackend:
 
     def __init__(self, address: str, jobs: int, memory_bytes: int) -> None:
         if importlib.util.find_spec("ray") is None:
-            raise ClusterError("--ray: Ray is not installed; pip install 'roadperc_stream[cluster]'")
+            raise ClusterError("--ray: Ray is not installed; pip install '.[cluster]' in the project's folder")
         self._request = ClusterRequest(address, jobs, memory_bytes, code_digest())
         self._tasks: dict[str, Task] = {}
         self._state = ClusterState(0, {})

@@ -206,6 +206,7 @@ class Outcome:
     dropped: int = 0
     unreadable: int = 0
     warnings: tuple[str, ...] = ()
+    findings: tuple[str, ...] = ()
     is_new: bool = True
     stages_s: Mapping[str, float] = field(default_factory=dict)
     seconds: float = 0.0

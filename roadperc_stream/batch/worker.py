@@ -195,6 +195,7 @@ def _published(task: Task, target: ReplayTarget, summary: ReplaySummary) -> Outc
         dropped=sum(summary.dropped.values()),
         unreadable=sum(summary.problems.values()),
         warnings=tuple(map(as_text, summary.warnings)),
+        findings=tuple(as_text(str(finding)) for finding in summary.findings),
         stages_s={stage_column(name): value / 1000 for name, value in measured.sums.items()},
     )
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from roadperc_stream.chain import pixels
+from roadperc_stream.chain.frozen_image import FROZEN, ImageRepeats
 from roadperc_stream.chain.own_stage import NO_OWN, OwnStages
 from roadperc_stream.chain.protocols import LanesStage, ObjectsStage, OdometryStage, StereoStage, SurfaceStage
 from roadperc_stream.chain.road_pitch import known_pitch
@@ -34,6 +35,7 @@ from roadperc_stream.model import Absent, Frame, FrameResult, Image, Mask, Objec
 from roadperc_stream.model.results import StereoDepth
 from roadperc_stream.model.scene import DepthMap, Scene
 from roadperc_stream.system.threads import opencv_threads
+from roadperc_stream.system.time import LONGEST_PAUSE_NS
 
 _TURNED: Final = np.deg2rad(0.5)
 """Turn of an assumed plane that moves a boundary 10 m ahead by a tenth of a metre, more than its standard deviation."""
@@ -56,6 +58,7 @@ class ChainState:
     odometry: OdometryState | bytes = field(default_factory=OdometryState)
     lanes: LanesState | bytes = field(default_factory=LanesState)
     objects: ObjectsState | bytes = field(default_factory=ObjectsState)
+    repeats: ImageRepeats = field(default_factory=ImageRepeats)
 
 
 @dataclass(frozen=True)
@@ -131,13 +134,14 @@ def observe(
         undecodable=tuple(undecodable),
         problems=tuple(problems),
         number=frame.number,
+        pose_mark=frame.pose_mark,
     )
 
 
 def localise(
     cfg: ReplayConfig, state: ChainState, scene: Scene, timer: Timer = nullcontext, own: OwnStages = NO_OWN
 ) -> LocalisedFrame:
-    """Find the road and the car's motion. Use only stamp, surface and odometry of the state."""
+    """Find the road and the car's motion. Use only stamp, surface, odometry and repeats of the state."""
     stages = Stages(cfg, timer, own, scene)
     last, _ = _in_order(state, scene.stamp_ns)
     rng = np.random.default_rng((cfg.seed, scene.stamp_ns % 2**63))
@@ -145,7 +149,15 @@ def localise(
     is_built_in = cfg.surface.enabled and "surface" not in own
     seen = or_assumed(scene, found) if is_built_in else found
     metric_road = _metric_road(scene, _in_front_camera(scene, seen))
-    moved, motion = stages.step("odometry", ego_motion.step, last.odometry, scene, metric_road, rng)
+    repeats = last.repeats
+    if cfg.odometry.enabled:
+        with timer("odometry"):
+            repeats = repeats.after(scene)
+    moved, motion = (
+        (last.odometry, FROZEN)
+        if repeats.is_frozen
+        else stages.step("odometry", ego_motion.step, last.odometry, scene, metric_road, rng)
+    )
     metric, pitch = _metric_motion(motion, last.stamp_ns), None
     last_T_this = None if metric is None else metric.step
     kept, road, held = surfaces, found, tuple[Reason, ...]()
@@ -156,7 +168,7 @@ def localise(
             kept = replace(kept, pitch=pitch)
     front_road = _in_front_camera(scene, road)
     drivable = stages.run("surface", lambda: drivable_mask(cfg.surface, scene, front_road), off("drivable"))
-    state = replace(last, stamp_ns=scene.stamp_ns, surface=kept, odometry=moved)
+    state = replace(last, stamp_ns=scene.stamp_ns, surface=kept, odometry=moved, repeats=repeats)
     other_plane = _on_other_plane(road, _last_pitch(last), pitch)
     localised = LocalisedFrame(scene, state, motion, road, front_road, drivable, held, other_plane, pitch)
     return _with_origin_here(localised) if scene.is_origin and last.stamp_ns is not None else localised
@@ -199,13 +211,12 @@ def perceive(
 
 
 def _in_order(state: ChainState, stamp_ns: int) -> tuple[ChainState, list[Reason]]:
-    """The state, cleared if the stamp is not after the last one, and the problem."""
+    """The state, cleared if the stamp begins a new segment, and the problem."""
     last_ns = state.stamp_ns
-    if last_ns is None or stamp_ns > last_ns:
+    if last_ns is None or 0 < stamp_ns - last_ns <= LONGEST_PAUSE_NS:
         return state, []
-    if stamp_ns == last_ns:
-        return ChainState(), [Reason("time", "time_stood_still", (stamp_ns,))]
-    return ChainState(), [Reason("time", "time_went_back", (last_ns, stamp_ns))]
+    code = "time_jumped" if stamp_ns > last_ns else "time_went_back"
+    return ChainState(), [Reason("time", code, (last_ns, stamp_ns))]
 
 
 def _with_origin_here(localised: LocalisedFrame) -> LocalisedFrame:

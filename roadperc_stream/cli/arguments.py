@@ -1,12 +1,13 @@
 """Arguments that several commands share."""
 
 import argparse
+import math
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from roadperc_stream.cli.completers import completed_by, files, settings, topics, words
-from roadperc_stream.cli.plumbing import number, seconds, whole_number
+from roadperc_stream.cli.plumbing import number, part, seconds, whole_number
 from roadperc_stream.schemas.topics import NEEDS, STAGES, switched_off
 from roadperc_stream.view.live import FASTEST, SLOWEST, PlaybackOptions
 
@@ -17,6 +18,10 @@ if TYPE_CHECKING:
 
 SEED: Final = number(0, 2**63 - 1, "a whole number of 0 or more", int)
 """The type of ``--seed``."""
+ABOUT_LOG: Final = ("fov", "height", "calibration", "labels")
+"""Options of ``add_log_arguments``."""
+_field_of_view = number(1e-3, math.nextafter(180, 0), "degrees below 180")
+_height = number(0.05, 100, "metres from 0.05 to 100")
 
 
 def add_input_arguments(parser: argparse.ArgumentParser) -> None:
@@ -30,6 +35,49 @@ def add_input_arguments(parser: argparse.ArgumentParser) -> None:
     add("--frames", metavar="N", type=whole_number, help="replay at most N frames")
     completed_by(config, files(".toml"))
     completed_by(setting, settings)
+
+
+def add_log_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say what a log does not: its camera and its labels."""
+    group = parser.add_argument_group("instead of what the log says")
+    add_camera_arguments(group, "default: that of the log")
+    labels = group.add_argument("--labels", type=Path, metavar="FILE", help="TOML file with known labels for others")
+    completed_by(labels, files(".toml"))
+
+
+def add_camera_arguments(parser: argparse._ActionsContainer, default: str) -> None:
+    """Add ``--fov``, ``--height`` and ``--calibration``."""
+    add = parser.add_argument
+    add("--fov", type=_field_of_view, metavar="DEGREES", help="horizontal field of view")
+    add("--height", type=_height, metavar="METRES", help="height of a level camera above the road")
+    calibration = add(
+        "--calibration",
+        type=Path,
+        metavar="FILE",
+        help=f"calibration of the camera: camera_info YAML of ROS, or JSON ({default})",
+    )
+    completed_by(calibration, files(".yaml", ".yml", ".json"))
+
+
+def about_log(cfg: "ReplayConfig", arguments: argparse.Namespace) -> "ReplayConfig":
+    """The configuration with what the options say about the log.
+
+    Raises:
+        RoadpercError: a file of the options is wrong.
+    """
+    from roadperc_stream.config import ReplayConfig
+    from roadperc_stream.config.calibration import CalibrationConfig
+    from roadperc_stream.config.loading import load_labels
+
+    path: Path | None = arguments.calibration
+    found = CalibrationConfig()
+    if path is not None:
+        known = part("tools.layouts.dump").calibration_in(path).model_dump(include=set(CalibrationConfig.model_fields))
+        found = CalibrationConfig.model_validate(known)
+    found = found.with_options(path, arguments.fov, arguments.height)
+    labels: Path | None = vars(arguments).get("labels")
+    given = ReplayConfig(calibration=found, labels=load_labels(labels) if labels else {}).with_log_facts(cfg)
+    return cfg.model_copy(update={name: getattr(given, name) for name in ("calibration", "labels")})
 
 
 def add_topic_argument(parser: argparse.ArgumentParser) -> None:
@@ -68,11 +116,11 @@ def add_machine_arguments(parser: argparse.ArgumentParser) -> None:
     """Add ``--json``, ``--markdown`` and ``--junit`` to a command of the evaluation."""
     group = parser.add_argument_group("results for other programs")
     for option, suffix, text in (
-        ("--json", ".json", "one nested object"),
-        ("--markdown", ".md", "a summary for merge requests, such as $GITHUB_STEP_SUMMARY"),
-        ("--junit", ".xml", "JUnit XML for GitLab, GitHub and Jenkins"),
+        ("--json", ".json", "write one nested object"),
+        ("--markdown", ".md", "append a summary for merge requests to a file such as $GITHUB_STEP_SUMMARY"),
+        ("--junit", ".xml", "write JUnit XML for GitLab, GitHub and Jenkins"),
     ):
-        action = group.add_argument(option, metavar="FILE", type=Path, help=f"write {text}")
+        action = group.add_argument(option, metavar="FILE", type=Path, help=text)
         completed_by(action, files(suffix))
 
 
@@ -88,16 +136,16 @@ def time_range_of(arguments: argparse.Namespace) -> "TimeRange":
 
 
 def config_of(arguments: argparse.Namespace) -> "ReplayConfig":
-    """The configuration that ``--config``, ``--set`` and ``--only`` give together.
+    """The configuration that ``--config``, ``--set``, ``--only`` and the options about the log give together.
 
     Raises:
-        ConfigError: the file cannot be read, or a setting does not fit.
+        RoadpercError: a file cannot be read, or a setting does not fit.
     """
     from roadperc_stream.config import load_config
 
     only = arguments.only or STAGES
     off = tuple(switched_off(stage) for stage in STAGES if stage not in only)
-    return load_config(arguments.config, (*arguments.set, *off))
+    return about_log(load_config(arguments.config, (*arguments.set, *off)), arguments)
 
 
 _SERVING_OPTIONS: Final = tuple(field.name for field in fields(PlaybackOptions) if field.name != "start_s")

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import Final
 
-from roadperc_stream.cli.arguments import add_input_arguments, add_only_argument
+from roadperc_stream.cli.arguments import add_input_arguments, add_log_arguments, add_only_argument
 from roadperc_stream.cli.completers import LOGS, completed_by, files
 from roadperc_stream.cli.plumbing import command_parser, number, parse, positive_seconds, run, whole_number
 
@@ -19,7 +19,8 @@ example:
   roadperc-batch dataset 'logs/2026-*/*.mcap' @more.txt --join '_\\d+$' --recover
   roadperc-batch s3://bucket/dataset s3://bucket/logs/ --ray auto --memory 4GB
 
-In Python: polars.scan_parquet("dataset/metrics/**/*.parquet", hive_partitioning=True)
+In Python: polars.scan_parquet("dataset/metrics/**/*.parquet", hive_partitioning=True); docs/evaluation.md reads
+tables of several versions
 """
 _UNITS: Final = {"": 1, "k": 1e3, "m": 1e6, "g": 1e9, "t": 1e12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
 
@@ -62,6 +63,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     add_input_arguments(parser)
     add_only_argument(parser)
+    add_log_arguments(parser)
     _add_dataset_arguments(parser)
     _add_worker_arguments(parser)
     completed_by(out, files())

@@ -1,12 +1,13 @@
 """``roadperc-convert``: convert a dump folder, images or videos to a log."""
 
 import argparse
-import math
 from pathlib import Path
 from typing import Final
 
+from roadperc_stream.cli.arguments import add_camera_arguments
 from roadperc_stream.cli.completers import LOGS, completed_by, files, roles_in_dump
 from roadperc_stream.cli.plumbing import command_parser, number, parse, part, run
+from roadperc_stream.schemas.role_names import ROLES
 
 _EXAMPLE: Final = """\
 example:
@@ -24,6 +25,7 @@ datasets:
   KITTI odometry: the folder with sequences/ and poses/ (choose one with --sequence NN), or one sequence.
   KITTI raw, object and tracking: the folder with training/, or with drives and calib_*.txt.
   TuSimple: the folder with label_data_*.json and clips/. CULane: a folder with *.lines.txt. Pass --fov and --height.
+  Cityscapes: the folder with leftImg8bit/ and gtFine/. Pass --fov. --sequence train/aachen chooses a city.
   nuScenes: the folder with v1.0-*/. CARLA leaderboard: a route with rgb/ and measurements/. Bench2Drive: a clip.
   The table of docs/recordings.md says what comes out. Calibration, stamps and true poses are those of the dataset.
 
@@ -42,13 +44,12 @@ optional files:
                      pixel_origin "corner" (c = w / 2, CARLA) or "centre" (KITTI, the default in its layout)
                      D, distortion_model (plumb_bob, rational_polynomial, equidistant), R and P as in ROS' CameraInfo:
                      distortion is removed, and the log holds the rectified images
-  detections.json    {frame: [{label, box_px, score}]}, COCO results, or KITTI files in label_2/
+  detections.json    {frame: [{label, box_px, score}]}, COCO results, KITTI files in label_2/, or YOLO files in labels/
+                     with the names of data.yaml or classes.txt
   timestamps.txt     one line per frame: 'frame seconds', or seconds
   poses.json         {frame: {location, rotation}}, or poses.csv
   truth.json, truth/ as roadperc-render writes them
 """
-_field_of_view = number(1e-3, math.nextafter(180, 0), "degrees below 180")
-_height = number(0.05, 100, "metres from 0.05 to 100")
 _rate = number(1e-3, 1e6, "a number from 0.001 to 1000000")
 
 
@@ -61,24 +62,15 @@ def main(argv: list[str] | None = None) -> int:
     return run(lambda: converting.convert(arguments))
 
 
-def add_camera_arguments(parser: argparse.ArgumentParser) -> None:
+def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of videos and images, and of a dump with one camera."""
-    parser.add_argument("--fov", type=_field_of_view, metavar="DEGREES", help="horizontal field of view")
-    parser.add_argument("--height", type=_height, metavar="METRES", help="height of a level camera above the road")
-    calibration = parser.add_argument(
-        "--calibration",
-        type=Path,
-        metavar="FILE",
-        help="calibration of the camera: camera_info YAML of ROS, or JSON (default: calibration.json of the recording)",
-    )
-    completed_by(calibration, files(".yaml", ".yml", ".json"))
+    add_camera_arguments(parser, "default: calibration.json of the recording")
     parser.add_argument(
         "--rate", type=_rate, metavar="HZ", help="frames per second (default: timestamps, or rate_hz, or 20)"
     )
 
 
 def _parser() -> argparse.ArgumentParser:
-    roles = part("tools.carla_dump.role_names").ROLES
     parser = command_parser(
         "convert",
         "Convert a dataset, a CARLA dump, images or videos to a log. The command detects the layout and prints it.",
@@ -96,7 +88,7 @@ def _parser() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar="ROLE=PATH",
-        help=f"use this folder for a role: {', '.join(roles)}",
+        help=f"use this folder for a role: {', '.join(ROLES)}",
     )
     layouts = part("tools.layouts").LAYOUTS
     parser.add_argument(
@@ -110,14 +102,14 @@ def _parser() -> argparse.ArgumentParser:
     tags = parser.add_argument(
         "--tags", metavar="TABLE", help="table of the tags: a dataset's name, such as cityscapes, or a TOML file"
     )
-    add_camera_arguments(parser)
+    add_recording_arguments(parser)
     _add_coding_arguments(parser)
     parser.add_argument("--force", action="store_true", help="replace an existing log")
     parser.add_argument("--quiet", action="store_true", help="print errors only")
     for action, completer in (
         (dump, files()),
         (out, files(*LOGS)),
-        (role, roles_in_dump(roles)),
+        (role, roles_in_dump(ROLES)),
         (tags, files(".toml")),
     ):
         completed_by(action, completer)
@@ -135,9 +127,10 @@ def _add_coding_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--depth-coding",
         "--grey-depth",
-        choices=("mm", "cm", "m", "depth-256", "disparity", "linear", "linear-50", "logarithmic"),
+        choices=("mm", "cm", "m", "depth-256", "tum", "disparity", "linear", "linear-50", "logarithmic"),
         help="coding of depth files whose content does not show it: unit of numbers, KITTI's depth or disparity * 256, "
-        "or coding of 8-bit images (default: metres of floats, mm of integers, the grey that gives a level ground)",
+        "TUM's depth * 5000, or coding of 8-bit images (default: metres of floats, mm of integers, the grey that gives "
+        "a level ground)",
     )
     parser.add_argument(
         "--allow-lossy-tags",
@@ -148,8 +141,7 @@ def _add_coding_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _role(parser: argparse.ArgumentParser, option: str) -> tuple[str, str]:
     """The role and the path of a ``--role`` option."""
-    roles = part("tools.carla_dump.role_names").ROLES
     role, separator, name = option.partition("=")
-    if not separator or not name or role not in roles:
-        parser.error(f"--role {option}: expected ROLE=PATH with a role of {', '.join(roles)}")
+    if not separator or not name or role not in ROLES:
+        parser.error(f"--role {option}: expected ROLE=PATH with a role of {', '.join(ROLES)}")
     return role, name

@@ -6,8 +6,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Final
 
+from roadperc_stream.cli.arguments import about_log
 from roadperc_stream.cli.completers import LOGS, completed_by, files
-from roadperc_stream.cli.convert import add_camera_arguments
+from roadperc_stream.cli.convert import add_recording_arguments
 from roadperc_stream.cli.plumbing import command_parser, parse, part, run, whole_number
 
 _USAGE: Final = """\
@@ -23,10 +24,9 @@ the networks:
   FILE.toml names an .onnx file beside it, and its input, outputs and classes. docs/networks/ has two examples.
 
 videos and images:
-  --fov, --calibration, --rate and --height are those of roadperc-convert. --height also counts for a log without a
-  mounting: it gives the width of markings (default: surface.assumed_height_m).
+  --fov, --calibration, --rate and --height are those of roadperc-convert, and without --rate those of roadperc-replay
+  for a log. The height gives the width of markings (default: surface.assumed_height_m).
 """
-_OF_CONVERSION: Final = ("fov", "calibration", "rate")
 _CHECK_WORDS: Final = (2, 3)
 
 
@@ -45,11 +45,16 @@ def main(argv: list[str] | None = None) -> int:
         return run(lambda: checking.check(Path(description), Path(image), out, force=arguments.force))
     if arguments.out is None or not arguments.network:
         parser.error("expected IN OUT.mcap and --network FILE.toml")
+    from roadperc_stream.log import is_log
+
     inferring = part("tools.infer")
-    given = [f"--{name}" for name in _OF_CONVERSION if getattr(arguments, name) is not None]
-    if given and inferring.is_log(arguments.source):
-        parser.error(f"{' and '.join(given)}: {arguments.source} is a log, which has its own calibration and times")
-    return run(lambda: inferring.infer(arguments))
+    from roadperc_stream.config import ReplayConfig
+
+    source_is_log = is_log(arguments.source)
+    if arguments.rate is not None and source_is_log:
+        parser.error(f"--rate: {arguments.source} is a log, which has its own times")
+    cfg = about_log(ReplayConfig(), arguments) if source_is_log else ReplayConfig()
+    return run(lambda: inferring.infer(arguments, cfg))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -80,7 +85,7 @@ def _parser() -> argparse.ArgumentParser:
         help="write a picture of what a network sees in an image, and of its results; default IMAGE.check.png",
     )
     add("--topic", action="append", default=[], metavar="image=/TOPIC", help="use the images of this topic")
-    add_camera_arguments(parser)
+    add_recording_arguments(parser)
     add(
         "--threads",
         type=whole_number,

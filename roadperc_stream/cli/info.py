@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from roadperc_stream.cli.arguments import add_topic_argument
+from roadperc_stream.cli.arguments import ABOUT_LOG, about_log, add_log_arguments, add_topic_argument
 from roadperc_stream.cli.completers import LOGS, completed_by, files
 from roadperc_stream.cli.plumbing import command_parser, parse, run
 
@@ -31,7 +31,7 @@ def main(argv: list[str] | None = None) -> int:
     if arguments.recover is not None:
         if len(arguments.logs) > 1:
             parser.error(f"--recover: expected one LOG, found {len(arguments.logs)}")
-        for option in ("json", "topic"):
+        for option in ("json", "topic", *ABOUT_LOG):
             if getattr(arguments, option):
                 parser.error(f"--{option} cannot be combined with --recover")
         from roadperc_stream.info.listing import recover_log
@@ -39,9 +39,14 @@ def main(argv: list[str] | None = None) -> int:
         return run(lambda: recover_log(arguments.logs[0], arguments.recover, force=arguments.force))
     if arguments.force:
         parser.error("--force needs --recover")
+    from roadperc_stream.config import ReplayConfig
     from roadperc_stream.info.listing import list_logs
 
-    return run(lambda: list_logs(arguments.logs, arguments.topic, as_json=arguments.json))
+    def listed() -> None:
+        cfg = about_log(ReplayConfig(), arguments)
+        list_logs(arguments.logs, arguments.topic, cfg, as_json=arguments.json)
+
+    return run(listed)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -59,6 +64,7 @@ def _parser() -> argparse.ArgumentParser:
         help="an input or result log, also a damaged one; - for standard input",
     )
     add_topic_argument(parser)
+    add_log_arguments(parser)
     parser.add_argument("--json", action="store_true", help="print one line of JSON per log")
     recover = parser.add_argument(
         "--recover", metavar="OUT.mcap", type=Path, help="write the readable part of a damaged LOG as a new log"

@@ -17,6 +17,8 @@ lines:
 
 pairs:
   By default the stamp at the end of raw_file pairs a true frame with a frame. --pair order pairs them in order.
+  In a log that roadperc-convert made of TuSimple or CULane, the names of the images pair them. So the official files
+  score its run: label_data_*.json of TuSimple, list/*.txt of CULane. Lines of images outside the log are left out.
 
 scores:
   TuSimple: a point is correct within 20 px over the cosine of the lane's angle. A lane is found if 85 % of its points
@@ -30,7 +32,7 @@ example:
   roadperc-lanes runs/sample.mcap --tusimple sample.json                write the lanes of the run
   roadperc-replay logs/sample.mcap runs/other.mcap --set lanes.model=line
   roadperc-lanes runs/other.mcap --truth sample.json                    score another run against them
-  roadperc-lanes runs/clips.mcap --truth test_label.json --pair order --size 1280x720
+  roadperc-lanes runs/clips.mcap --truth tusimple/label_data_0313.json
 """
 
 
@@ -53,9 +55,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     truth = add(
         "--truth",
-        metavar="FILE.json",
+        metavar="FILE",
         type=Path,
-        help="score against the true lanes in this file, in TuSimple's format",
+        help="score against the true lanes in this .json file of TuSimple's format, or of this .txt list of CULane",
     )
     add(
         "--pair",
@@ -69,6 +71,6 @@ def _parser() -> argparse.ArgumentParser:
         type=image_size,
         help="image size that the pixels in FILE.json refer to (default: the camera's)",
     )
-    for action, suffixes in ((log, LOGS), (tusimple, (".json",)), (truth, (".json",))):
+    for action, suffixes in ((log, LOGS), (tusimple, (".json",)), (truth, (".json", ".txt"))):
         completed_by(action, files(*suffixes))
     return parser

@@ -73,6 +73,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     shared.add_input_arguments(parser)
     shared.add_only_argument(parser)
+    shared.add_log_arguments(parser)
     _add_parts_arguments(parser)
     add("--results-only", action="store_true", help="write only results to OUT.mcap, without the input's messages")
     add("--overlay", action="store_true", help="write /perception/overlay: the camera image with all results drawn")
@@ -168,7 +169,7 @@ def _require_alone(parser: argparse.ArgumentParser, arguments: argparse.Namespac
     """Exit with code 2 if an argument contradicts ``--list-settings`` or ``--print-config``."""
     asked, known = "--list-settings", {"list_settings", "json"}
     if not arguments.list_settings:
-        asked, known = "--print-config", {"print_config", "config", "set", "only"}
+        asked, known = "--print-config", {"print_config", "config", "set", "only", *shared.ABOUT_LOG}
     given = [name for name, value in vars(arguments).items() if name not in known and value != parser.get_default(name)]
     if given:
         option = {"logs": "IN.mcap", "continued": "--continue"}.get(given[0], f"--{given[0].replace('_', '-')}")

@@ -17,7 +17,8 @@ import tomli_w
 from roadperc_stream.cli.arguments import config_of
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.config.catalogue import Setting, Value, catalogue, sections
-from roadperc_stream.model.tag_tables import CLASS_NAMES
+from roadperc_stream.config.stages import ABOUT_THE_LOG
+from roadperc_stream.model.tag_tables import CLASS_NAMES, LABEL_CLASSES
 
 _NARROWEST, _WIDEST = 50, 100
 _CLASSES: Final = "names of classes"
@@ -26,6 +27,10 @@ _SCALING: Final = (
     "Lengths in pixels refer to 960 image rows and scale with the image. Lengths of `stereo` do not scale."
 )
 _PLAIN_SCALING: Final = _SCALING.replace("`", "")
+_OF_LOG: Final = (
+    "Two more tables say what a log does not: `calibration`, with the keys of `calibration.json`, and `labels`, such "
+    'as `auto = "car"`. See recordings.md.'
+)
 _PAGE_HEAD: Final = f"""\
 # Settings
 
@@ -34,7 +39,23 @@ All settings of a replay, with their defaults. Change one with `--set KEY=VALUE`
 `roadperc-replay --list-settings` prints these tables on the terminal, with `--json` for programs.
 
 {_SCALING}
+{_OF_LOG.replace("recordings.md", "[your own recordings](recordings.md#logs-without-a-calibration)")}
 """
+_LABELS_HEAD: Final = """\
+## labels
+
+The known labels of detections, and the classes of their pixels. Case does not matter; blanks and hyphens are
+underscores. Tags do not judge a box with another label. `--labels FILE.toml` gives a known label for others:
+
+```toml
+[labels]
+auto = "car"
+Mensch = "person"
+3 = "truck"
+```
+
+| label | classes |
+|---|---|"""
 
 
 def print_settings(arguments: argparse.Namespace) -> None:
@@ -59,7 +80,7 @@ def as_text(width: int) -> str:
         for setting in settings:
             quantity = f"  {setting.key} = {_value(setting.default)}{f'  [{setting.unit}]' if setting.unit else ''}"
             lines += [f"{quantity}  ({_range(setting)})", f"    {setting.meaning}"]
-    lines += ["", f"{_CLASSES}: {', '.join(_CLASS_NAMES)}"]
+    lines += ["", f"{_CLASSES}: {', '.join(_CLASS_NAMES)}", "", _OF_LOG.replace("`", "")]
     return "".join(f"{_wrapped(line, width)}\n" for line in lines)
 
 
@@ -79,6 +100,8 @@ def as_toml(cfg: ReplayConfig) -> str:
         for setting in settings:
             value = (values[section] if section else values).get(setting.name, setting.default)
             lines += [*_comment(setting), tomli_w.dumps({setting.name: value}).rstrip()]
+    about_log = {name: values[name] for name in ABOUT_THE_LOG if name in values}
+    lines += ["", tomli_w.dumps(about_log).rstrip()] if about_log else []
     return "\n".join(lines) + "\n"
 
 
@@ -89,7 +112,8 @@ def as_page() -> str:
         lines += [f"## {section}\n\n{sections()[section]}\n" if section else "## whole replay\n"]
         lines += ["| setting | default | range | unit | meaning |", "|---|---|---|---|---|"]
         lines += [*map(_row, settings), ""]
-    lines += ["Classes:\n", *(f"- `{name}`" for name in _CLASS_NAMES)]
+    lines += ["Classes:\n", *(f"- `{name}`" for name in _CLASS_NAMES), "", _LABELS_HEAD]
+    lines += [f"| `{label}` | {', '.join(classes)} |" for label, classes in sorted(LABEL_CLASSES.items())]
     return "\n".join(lines) + "\n"
 
 

@@ -12,7 +12,7 @@ from typing import Any, Final
 from pydantic import BaseModel
 
 from roadperc_stream.config.fields import Section
-from roadperc_stream.config.stages import ReplayConfig
+from roadperc_stream.config.stages import ABOUT_THE_LOG, ReplayConfig
 
 _UNIT_OF_SUFFIX: Final[Mapping[str, str]] = {
     "_per_m": "1/m",
@@ -75,7 +75,7 @@ def catalogue() -> tuple[Setting, ...]:
 @cache
 def sections() -> Mapping[str, str]:
     """One sentence about each section."""
-    models = {name: field.default for name, field in ReplayConfig.model_fields.items()}
+    models = {name: field.default for name, field in ReplayConfig.model_fields.items() if name not in ABOUT_THE_LOG}
     texts = {name: type(model).__doc__ or "" for name, model in models.items() if isinstance(model, BaseModel)}
     return {name: text.partition("\n")[0] for name, text in texts.items()}
 
@@ -85,6 +85,8 @@ def _settings(model: type[BaseModel], prefix: str) -> Iterator[Setting]:
     kinds = [kind for kind in reversed(model.__mro__) if issubclass(kind, Section)]
     meanings = {name: text for kind in kinds for name, text in _meanings(kind).items()}
     for name, field in model.model_fields.items():
+        if not prefix and name in ABOUT_THE_LOG:
+            continue
         if isinstance(field.default, BaseModel):
             yield from _settings(type(field.default), f"{name}.")
         else:

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Final, Literal, get_args
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, field_validator
 
 from roadperc_stream.errors import ConfigError
-from roadperc_stream.model.tag_tables import CLASS_NAMES, TABLES, table_for_version
+from roadperc_stream.model.tag_tables import CLASS_NAMES, LABEL_CLASSES, TABLES, normal_label, table_for_version
 
 ImageFormat = Literal["png", "jpeg", "webp", "avif", "bmp", "gif"]
 """Formats with one size in the header, known before decoding; a TIFF may have several sizes, JPEG 2000 two."""
@@ -37,6 +37,14 @@ def _known_table(version: str) -> str:
         return version if version == "auto" else table_for_version(version).name
     except ConfigError as error:
         raise ValueError(str(error)) from error
+
+
+def _known_labels(labels: dict[str, str]) -> dict[str, str]:
+    """Sorted, and each label in its normal form."""
+    found = {normal_label(label): normal_label(known) for label, known in sorted(labels.items())}
+    if unknown := [f"{label} = {known!r}" for label, known in found.items() if known not in LABEL_CLASSES]:
+        raise ValueError(f"{unknown[0]}: expected one of {', '.join(sorted(LABEL_CLASSES))}")
+    return found
 
 
 def _odd(count: int) -> int:
@@ -71,6 +79,7 @@ TableName = Annotated[
     AfterValidator(_known_table),
     Field(json_schema_extra={"choices": ["auto", *TABLES], "remark": "a CARLA version"}),
 ]
+Labels = Annotated[dict[str, str], AfterValidator(_known_labels)]
 BUILT_IN: Final = "built-in"
 ImplementationName = Annotated[
     str,

@@ -7,13 +7,18 @@ from typing import Any, Final
 from pydantic import BaseModel, ValidationError
 
 from roadperc_stream.config.catalogue import catalogue
-from roadperc_stream.config.settings import MOST_BYTES, in_brief, parsed_toml, without_fixed
+from roadperc_stream.config.complaints import complaint
+from roadperc_stream.config.settings import MOST_BYTES, parsed_toml, without_fixed
 from roadperc_stream.config.stages import ReplayConfig
 from roadperc_stream.errors import ConfigError
-from roadperc_stream.system.text import nearest
+from roadperc_stream.system.text import in_brief, nearest
 
 _KINDS: Final[Mapping[str, str]] = {"integer": "a whole number ", "number": "a number "}
 """Text for types that the range does not show."""
+_ABOUT_THE_LOG: Final[Mapping[str, str]] = {
+    "calibration": "keys and values as in calibration.json (docs/recordings.md)",
+    "labels": 'a known label for a label, such as auto = "car"',
+}
 
 
 def load_config(path: str | Path | None = None, settings: str | Sequence[str] = ()) -> ReplayConfig:
@@ -37,6 +42,18 @@ def load_config(path: str | Path | None = None, settings: str | Sequence[str] = 
     return validated(tree, f"{path}: " if path else "")
 
 
+def load_labels(path: Path) -> dict[str, str]:
+    """Known labels by other labels, from the table ``[labels]`` of a TOML file.
+
+    Raises:
+        ConfigError: the file cannot be read, has other tables, or a label is unknown.
+    """
+    found = load_config(path)
+    if not found.labels or found != ReplayConfig(labels=found.labels):
+        raise ConfigError(f'{path}: expected the table [labels] alone, with lines such as auto = "car"')
+    return found.labels
+
+
 def validated(tree: Mapping[str, Any], source: str) -> ReplayConfig:
     """Configuration from nested mappings with any part of the keys.
 
@@ -56,18 +73,18 @@ def validated(tree: Mapping[str, Any], source: str) -> ReplayConfig:
 def _complaint(error: ValidationError) -> str:
     """The first error, such as ``lanes.hold_s: expected a number 0 to 3600 (s), found -1``."""
     first = error.errors()[0]
+    if first["loc"] and (table := str(first["loc"][0])) in _ABOUT_THE_LOG and first["type"] != "value_error":
+        named = ".".join(str(part) for part in first["loc"])
+        return f"{named}: expected {_ABOUT_THE_LOG[table]}, found {in_brief(first['input'])}"
     keys = [str(part) for part in first["loc"][:2]]  # the rest are types of values, or positions in a list
     key = ".".join(keys)
     if first["type"] == "extra_forbidden":
         return _unknown(keys)
-    if first["type"] == "value_error":
-        return f"{key}: {first['ctx']['error']}"
     setting = next((setting for setting in catalogue() if setting.key == key), None)
-    expected = first["msg"]
-    if setting:
-        unit = f" ({setting.unit})" if setting.unit else ""
-        expected = f"expected {_KINDS.get(setting.type, '')}{setting.range}{unit}"
-    return f"{key}: {expected}, found {in_brief(first['input'])}"
+    if setting is None or first["type"] == "value_error":
+        return f"{key}: {complaint(first)}" if key else complaint(first)
+    unit = f" ({setting.unit})" if setting.unit else ""
+    return f"{key}: expected {_KINDS.get(setting.type, '')}{setting.range}{unit}, found {in_brief(first['input'])}"
 
 
 def _unknown(keys: list[str]) -> str:

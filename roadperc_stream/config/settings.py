@@ -6,15 +6,14 @@ from pathlib import Path
 from typing import Any, Final
 from warnings import warn
 
-from roadperc_stream.config.stages import OWN_STAGES, UNSET
+from roadperc_stream.config.stages import ABOUT_THE_LOG, OWN_STAGES, UNSET
 from roadperc_stream.errors import ConfigError
-from roadperc_stream.system.text import number
+from roadperc_stream.system.text import in_brief, number
 
 MOST_BYTES: Final = 1_000_000
 """Largest size of a configuration; all settings with their comments take 30 kB."""
 _MOST_DOTS: Final = 100
 """Largest number of dots in a line; keys of settings have one."""
-_MOST_SHOWN: Final = 200
 FIXED: Final[Mapping[str, float]] = {
     "surface.drivable_m": 0.15,
     "surface.batch": 32,
@@ -59,6 +58,8 @@ FIXED: Final[Mapping[str, float]] = {
 }
 """Settings of older versions that are constants now, with their values; logs and tables still contain them."""
 
+NOT_SET: Final = "not set"
+"""Text for a setting about the log that a configuration does not contain, because the log itself says it."""
 BUILT_IN_STAGES: Final = {f"{stage}.{name}": value for stage in OWN_STAGES for name, value in UNSET}
 """Settings that a configuration contains only with other values."""
 
@@ -76,6 +77,11 @@ def settings_in(toml: bytes) -> dict[str, Any]:
     except RecursionError as error:
         raise ConfigError("not TOML of settings: nested too deeply") from error
     return {key: value for key, value in found.items() if key not in FIXED or FIXED[key] != value}
+
+
+def is_about_log(key: str) -> bool:
+    """Whether a key such as ``calibration.fov_deg`` says something about the log."""
+    return key.partition(".")[0] in ABOUT_THE_LOG
 
 
 def without_fixed(tree: dict[str, Any], source: Path) -> dict[str, Any]:
@@ -114,15 +120,6 @@ def parsed_toml(toml: bytes) -> dict[str, Any]:
         raise ConfigError("not TOML of settings: nested too deeply") from error
     except ValueError as error:
         raise ConfigError(f"not TOML: {error}") from error
-
-
-def in_brief(value: Any, most: int = _MOST_SHOWN) -> str:
-    """A value of any type and size as text of at most ``most`` characters."""
-    try:
-        text = repr(value)
-    except (ValueError, RecursionError):  # too many digits or levels for repr
-        return f"a {type(value).__name__} too long to show"
-    return text if len(text) <= most else f"{text[:most]}..."
 
 
 def as_typed(value: Any) -> str:

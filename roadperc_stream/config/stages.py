@@ -11,6 +11,7 @@ import tomli_w
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from roadperc_stream.config import fields
+from roadperc_stream.config.calibration import CalibrationConfig
 from roadperc_stream.config.fields import Classes, Count, Pixels, Positive, Ratio, Seconds, Section, unit
 
 MOST_PNG_BYTES = 1_000_000
@@ -24,6 +25,8 @@ _CONFIG_ROWS: Final = 960.0
 OWN_STAGES: Final = ("stereo", "surface", "odometry", "lanes", "objects")
 """Stages that the user can replace."""
 BUILT_IN: Final = fields.BUILT_IN
+ABOUT_THE_LOG: Final[tuple[str, ...]] = ("calibration", "labels")
+"""Tables that do not set a stage, but say what the log does not, or says wrongly."""
 UNSET: Final = (("implementation", BUILT_IN), ("implementation_source", ""))
 """Settings of a stage that are written only with other values."""
 
@@ -306,6 +309,20 @@ class ReplayConfig(Section):
     objects: ObjectsConfig = ObjectsConfig()
     occupancy: OccupancyConfig = OccupancyConfig()
     limits: fields.LimitsConfig = fields.LimitsConfig()
+    calibration: CalibrationConfig = CalibrationConfig()
+    """The cameras, instead of those of the log."""
+    labels: fields.Labels = Field(default_factory=dict)
+    """Known labels by the labels of the log's detections."""
+
+    @model_serializer(mode="wrap")
+    def _without_unset(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Tables about the log are written only if they say something, so the digests of other configurations stay."""
+        return {key: value for key, value in dump(self).items() if value or key not in ABOUT_THE_LOG}
+
+    def with_log_facts(self, recorded: Self) -> Self:
+        """The same settings; what they do not say about the log is taken from ``recorded``."""
+        calibration = self.calibration.over(recorded.calibration)
+        return self.model_copy(update={"calibration": calibration, "labels": {**recorded.labels, **self.labels}})
 
     def to_toml(self) -> str:
         """The whole configuration, defaults included; ``load_config`` reads it back."""

@@ -43,6 +43,8 @@ _FORMATS: Final[Mapping[str, bytes]] = {
     "PostScript": rb"%!PS|\xc5\xd0\xd3\xc6",
 }
 """The first bytes of each format. Readable formats have Pillow's names."""
+_VIDEOS: Final = {"h264": r"h\.?264|avc", "h265": r"h\.?265|hevc", "av1": "av0?1", "vp9": "vp0?9", "vp8": "vp0?8"}
+"""Names of video in the format of a message, by codec."""
 _JPEG_FRAME: Final = struct.Struct(">BBHBHH")
 """A frame header: marker, length, bits, rows, columns."""
 _JPEG_FRAMES: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
@@ -112,6 +114,11 @@ def require_pixels(what: str, width: int, height: int, limits: LimitsConfig) -> 
 def format_of(data: bytes) -> str:
     """Name of an image's format by its first bytes; empty if unknown."""
     return next((name for name, magic in _FORMATS.items() if re.match(magic, data, re.DOTALL)), "")
+
+
+def video_codec(layout: str) -> str:
+    """The codec that the ``format`` of an image message names; empty for images."""
+    return next((codec for codec, names in _VIDEOS.items() if re.search(names, layout, re.IGNORECASE)), "")
 
 
 def _allowed_format(data: bytes, limits: LimitsConfig) -> str:

@@ -15,13 +15,17 @@ from numpy.typing import NDArray
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats import images
 from roadperc_stream.geometry import Float32
-from roadperc_stream.model import Image
+from roadperc_stream.model import Ids, Image
 from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14, TagTable
 
 PALETTE_TABLE: Final = CARLA_FROM_0_9_14
 """Table for colours in a log without a tag table. It has all earlier classes (a vehicle is a car)."""
 UNKNOWN: Final = 255
 """In ``tags_by_code``: a colour without a class."""
+_BAYER: Final = {
+    f"bayer_{tiles.lower()}{bits}": (tiles, bits) for tiles in ("RGGB", "BGGR", "GBRG", "GRBG") for bits in (8, 16)
+}
+"""The colours of a mosaic's first two rows, and bits of a number."""
 _LAYOUTS: Final[Mapping[str, tuple[str, int]]] = {
     "bgr8": ("u1", 3),
     "rgb8": ("u1", 3),
@@ -34,6 +38,17 @@ _LAYOUTS: Final[Mapping[str, tuple[str, int]]] = {
     "8UC4": ("u1", 4),
     "16UC1": ("u2", 1),
     "32FC1": ("f4", 1),
+    "bgr16": ("u2", 3),
+    "rgb16": ("u2", 3),
+    "bgra16": ("u2", 4),
+    "rgba16": ("u2", 4),
+    **{name: (f"u{bits // 8}", 1) for name, (_, bits) in _BAYER.items()},
+    "yuv422": ("u1", 2),
+    "uyvy": ("u1", 2),
+    "yuv422_yuy2": ("u1", 2),
+    "yuyv": ("u1", 2),
+    "nv12": ("u1", 1),
+    "nv21": ("u1", 1),
 }
 """numpy type of a number, and numbers a pixel."""
 _TO_BGR: Final[Mapping[str, str]] = {
@@ -43,11 +58,25 @@ _TO_BGR: Final[Mapping[str, str]] = {
     "rgba8": "COLOR_RGBA2BGR",
     "mono8": "COLOR_GRAY2BGR",
     "8UC1": "COLOR_GRAY2BGR",
+    "rgb16": "COLOR_RGB2BGR",
+    "bgra16": "COLOR_BGRA2BGR",
+    "rgba16": "COLOR_RGBA2BGR",
+    **{name: f"COLOR_Bayer{tiles}2BGR" for name, (tiles, _) in _BAYER.items()},
+    "yuv422": "COLOR_YUV2BGR_UYVY",
+    "uyvy": "COLOR_YUV2BGR_UYVY",
+    "yuv422_yuy2": "COLOR_YUV2BGR_YUY2",
+    "yuyv": "COLOR_YUV2BGR_YUY2",
+    "nv12": "COLOR_YUV2BGR_NV12",
+    "nv21": "COLOR_YUV2BGR_NV21",
 }
 """OpenCV's name of the conversion."""
-_COLOURS: Final = ("bgr8", "8UC3")
+_COLOURS: Final = ("bgr8", "8UC3", "bgr16")
+_PLANES: Final = ("nv12", "nv21")
+"""Half as many rows of colours follow the rows of brightness."""
 _GREYS: Final = ("mono8", "8UC1")
+_GREYS_16: Final = ("mono16", "16UC1")
 _DEPTHS: Final = ("16UC1", "mono16", "32FC1")
+_LARGEST_TAG: Final = 255
 Content = bytes | memoryview
 """The bytes of a file or of raw pixels; a memoryview shares the message's memory."""
 
@@ -102,7 +131,7 @@ class Raster:
         return cls(str(message.encoding), *size, np.asarray(message.data, np.uint8), bool(message.is_bigendian))
 
     def pixels(self) -> NDArray[Any]:
-        """(H, W) or (H, W, channels) numbers; a view of ``data`` if rows are not padded.
+        """(H, W) or (H, W, channels) numbers, (3 H / 2, W) of nv12; a view of ``data`` if rows are not padded.
 
         Raises:
             DecodeError: an unknown encoding, or too few bytes for the size.
@@ -112,11 +141,12 @@ class Raster:
         kind, channels = _LAYOUTS[self.encoding]
         dtype = np.dtype(kind).newbyteorder(">" if self.big_endian else "<")
         used, found = dtype.itemsize * channels * self.width, len(self.data)
-        if not (self.width and self.height) or self.step < used or found < self.step * self.height:
+        height = self.height * 3 // 2 if self.encoding in _PLANES else self.height
+        if not (self.width and self.height) or self.step < used or found < self.step * height:
             size = f"{self.encoding!r} image {self.width}x{self.height} with step {self.step}"
-            raise DecodeError(f"{size}: expected {max(self.step, used) * self.height} bytes or more, found {found}")
-        rows = np.frombuffer(self.data, np.uint8, self.step * self.height).reshape(self.height, self.step)
-        shape = (self.height, self.width) + (channels,) * (channels > 1)
+            raise DecodeError(f"{size}: expected {max(self.step, used) * height} bytes or more, found {found}")
+        rows = np.frombuffer(self.data, np.uint8, self.step * height).reshape(height, self.step)
+        shape = (height, self.width) + (channels,) * (channels > 1)
         return np.ascontiguousarray(rows[:, :used]).view(dtype).reshape(shape)
 
     def size(self) -> tuple[int, int]:
@@ -125,8 +155,8 @@ class Raster:
         Raises:
             DecodeError: as ``pixels``.
         """
-        rows, columns = self.pixels().shape[:2]
-        return columns, rows
+        self.pixels()
+        return self.width, self.height
 
     def bgr(self) -> Image:
         """(H, W, 3) uint8, also of a grey image.
@@ -135,15 +165,19 @@ class Raster:
             DecodeError: the encoding is not one of a camera image.
         """
         if self.encoding == "mono16":
-            return np.repeat(self._grey16()[..., np.newaxis], 3, axis=2)
+            return np.repeat(self._eight_bits()[..., np.newaxis], 3, axis=2)
         if self.encoding in _COLOURS:
-            return self.pixels()
+            return self._eight_bits()
         if self.encoding in _LAYOUTS and self.encoding not in _TO_BGR:
             raise DecodeError(f"image encoding {self.encoding!r}: expected colours, mono8 or mono16")
-        pixels = self.pixels()
+        pixels = self._eight_bits()
         import cv2
 
-        return cv2.cvtColor(pixels, getattr(cv2, _TO_BGR[self.encoding])).astype(np.uint8, copy=False)
+        try:
+            return cv2.cvtColor(pixels, getattr(cv2, _TO_BGR[self.encoding])).astype(np.uint8, copy=False)
+        except cv2.error as error:
+            size = f"{self.encoding!r} image {self.width}x{self.height}"
+            raise DecodeError(f"{size}: expected an even number of columns and rows") from error
 
     def grey(self) -> Image:
         """(H, W) uint8.
@@ -152,7 +186,7 @@ class Raster:
             DecodeError: the encoding is not one of a camera image.
         """
         if self.encoding == "mono16":
-            return self._grey16()
+            return self._eight_bits()
         if self.encoding in _GREYS:
             return self.pixels()
         import cv2
@@ -176,17 +210,31 @@ class Raster:
 
     @property
     def indexed(self) -> bool:
-        """Whether a pixel is one byte: in a segmentation a tag, not a colour."""
-        return self.encoding in _GREYS
+        """Whether a pixel is one number: in a segmentation a tag, not a colour."""
+        return self.encoding in (*_GREYS, *_GREYS_16)
 
     def tags(self, table: TagTable) -> Image:
-        """(H, W) uint8 tags: the pixels themselves, or the classes of CARLA's colours.
+        """(H, W) uint8 tags: the pixels themselves, also of 16 bits, or the classes of CARLA's colours.
 
         Raises:
-            DecodeError: not tags, or a colour without a class.
+            DecodeError: not tags, a tag above 255, or a colour without a class.
         """
-        return self.pixels() if self.indexed else tags_of_colours(self.bgr(), table)
+        if not self.indexed:
+            return tags_of_colours(self.bgr(), table)
+        pixels = self.pixels()
+        if pixels.dtype.itemsize > 1 and (largest := int(pixels.max())) > _LARGEST_TAG:
+            raise DecodeError(f"tags of encoding {self.encoding!r} up to {largest}: expected 0 to {_LARGEST_TAG}")
+        return pixels.astype(np.uint8, copy=False)
 
-    def _grey16(self) -> Image:
-        grey: Image = (self.pixels() >> 8).astype(np.uint8)
-        return grey
+    def ids(self) -> Ids:
+        """(H, W) uint16 instance ids: the pixels themselves, or CARLA's coding in colours.
+
+        Raises:
+            DecodeError: not instance masks.
+        """
+        return self.pixels().astype(np.uint16) if self.indexed else images.instance_ids(self.bgr())
+
+    def _eight_bits(self) -> Image:
+        """``pixels``; of 16 bits the upper 8."""
+        pixels: Image = self.pixels()
+        return (pixels >> 8).astype(np.uint8) if pixels.dtype.itemsize > 1 else pixels

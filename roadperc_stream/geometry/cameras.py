@@ -18,6 +18,9 @@ _FOCAL_LENGTHS: Final = (1e-3, 1e3)
 """Shortest and longest plausible focal length, in image widths."""
 _FARTHEST_CENTRE: Final = 10.0
 """Largest distance of the principal point from the first pixel, in image widths or heights; images may be cropped."""
+_HALF_PIXEL: Final = 0.5
+_FOCAL_DIGITS: Final = 9
+"""Decimals of a focal length, so that 90 degrees give exactly w / 2."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +96,22 @@ def pinhole_fault(width: int, height: int, fx: float, fy: float, cx: float, cy: 
         if not abs(found) <= _FARTHEST_CENTRE * side:
             return f"{name} {found:g}: expected at most {_FARTHEST_CENTRE * side:g} pixels from 0 in an image of {side}"
     return None
+
+
+Pinhole = tuple[float, float, float, float]
+"""fx, fy, cx, cy in pixels, pixel centres at integers from 0."""
+
+
+def pinhole_of_K(K: Float, pixel_origin: str) -> Pinhole:
+    """The pinhole of K, moved by half a pixel if the principal point counts from the pixel's corner."""
+    shift = _HALF_PIXEL if pixel_origin == "corner" else 0.0
+    return float(K[0, 0]), float(K[1, 1]), float(K[0, 2]) - shift, float(K[1, 2]) - shift
+
+
+def pinhole_of_fov(fov_deg: float, width: int, height: int) -> Pinhole:
+    """A pinhole with square pixels: f = w / (2 tan(fov / 2)), principal point at the image's centre."""
+    f = round(float(width / (2.0 * np.tan(np.deg2rad(fov_deg) / 2.0))), _FOCAL_DIGITS)
+    return f, f, (width - 1) / 2.0, (height - 1) / 2.0
 
 
 def decompose_projection(P: Float) -> tuple[Float, Float, Float]:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
+from roadperc_stream.config import ReplayConfig
 from roadperc_stream.geometry import Camera
 from roadperc_stream.info.facts import CameraFacts, ChannelFacts, FileFacts, LogFacts, ReplayFacts, provenance_of
 from roadperc_stream.info.scan import Scan, Tally
@@ -14,15 +15,15 @@ from roadperc_stream.schemas.record import CONVERSION_RECORD, PRODUCER, TAG_TABL
 from roadperc_stream.system.time import ns_to_seconds
 
 
-def examine(path: Path, overrides: Mapping[str, str]) -> LogFacts:
+def examine(path: Path, overrides: Mapping[str, str], cfg: ReplayConfig | None = None) -> LogFacts:
     """Return the facts of a log, from one pass.
 
-    ``overrides`` are topics by role, from ``--topic``.
+    ``overrides`` are topics by role, from ``--topic``; ``cfg`` says what the log does not.
 
     Raises:
         LogError: the file cannot be opened, or is not a log. A damaged log raises no error.
     """
-    scan = Scan.of(path, overrides)
+    scan = Scan.of(path, overrides, cfg or ReplayConfig())
     salvage, tallies = scan.salvage, scan.tallies.values()
     first_ns = min((tally.first_ns for tally in tallies if tally.first_ns is not None), default=None)
     last_ns = max((tally.last_ns for tally in tallies), default=None)
@@ -37,7 +38,7 @@ def examine(path: Path, overrides: Mapping[str, str]) -> LogFacts:
         messages=salvage.counts.total(),
         first_ns=first_ns,
         last_ns=last_ns,
-        span_s=_seconds(last_ns, first_ns) or 0.0,
+        span_s=_seconds(last_ns, (first_ns or 0) + scan.pauses_ns) or 0.0,
         log_times_back=scan.log_times_back,
         channels=tuple(_channel_facts(salvage.channels[i], scan, first_ns) for i in sorted(salvage.channels)),
         replay=_replay_facts(scan),
@@ -95,6 +96,7 @@ def _replay_facts(scan: Scan) -> ReplayFacts:
     roles, topics = scan.roles, scan.roles.assignment.topics
     return ReplayFacts(
         refusal=roles.refusal,
+        options=roles.options,
         notes=roles.assignment.notes,
         roles=roles.states,
         reference=roles.assignment.reference,
@@ -107,6 +109,7 @@ def _replay_facts(scan: Scan) -> ReplayFacts:
         tag_table=_tag_table(scan, topics.get("segmentation")),
         unreadable=dict(scan.problems.counts),
         problems=tuple(scan.problems.first.values()),
+        findings=scan.findings,
     )
 
 

@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Literal
 
 from roadperc_stream.config import ReplayConfig
-from roadperc_stream.config.settings import as_typed, settings_in
+from roadperc_stream.config.settings import NOT_SET, as_typed, is_about_log, settings_in
 from roadperc_stream.errors import ConfigError, TableError
 from roadperc_stream.geometry import Camera
 from roadperc_stream.info.role_states import RoleState
 from roadperc_stream.input.earlier_replay import digest_algorithm, replay_record
 from roadperc_stream.log import Attachment, Damage, Metadata, Recovery
+from roadperc_stream.model.finding import Finding, decoded_findings
 from roadperc_stream.output.tables import read_footer, sidecar_path
 from roadperc_stream.schemas import record
 
@@ -59,6 +60,8 @@ class Provenance:
     settings: tuple[ResolvedSetting, ...]
     config_fault: str
     tables: tuple[SidecarTable, ...]
+    findings: tuple[Finding, ...] = ()
+    """Contradictions that the replay found."""
 
     @property
     def changed(self) -> bool:
@@ -92,6 +95,7 @@ def provenance_of(
         settings=settings,
         config_fault=fault,
         tables=tuple(_table(sidecar_path(path, name), digest, config_digest) for name in ("metrics", "objects")),
+        findings=decoded_findings(facts.get(record.FINDINGS_KEY, "")),
     )
 
 
@@ -106,6 +110,7 @@ def _settings(toml: bytes | None) -> tuple[tuple[ResolvedSetting, ...], str]:
     defaults = settings_in(ReplayConfig().to_toml().encode())
     differing = [key for key, value in found.items() if key not in defaults or defaults[key] != value]
     known = {key: as_typed(value) for key, value in defaults.items()}
+    known |= {key: NOT_SET for key in differing if is_about_log(key)}
     return tuple(ResolvedSetting(key, as_typed(found[key]), known.get(key)) for key in differing), ""
 
 
@@ -203,6 +208,8 @@ class ReplayFacts:
 
     refusal: str | None
     """Why a replay would stop before its first frame."""
+    options: Mapping[str, str]
+    """Topics by role, for ``--topic``, with which it would not stop."""
     notes: tuple[str, ...]
     """Notes on guessed and missing roles."""
     roles: tuple[RoleState, ...]
@@ -210,7 +217,7 @@ class ReplayFacts:
     """The role whose messages make the frames."""
     frames: int
     segments: int
-    """Sections with increasing stamps; several if the log contains two recordings or a looped bag."""
+    """Sections with increasing stamps; several after a second recording, a looped bag, or a clock that was set."""
     alone: Mapping[str, int]
     """Frames without a message of an assigned role within the tolerance, by role."""
     unused: Mapping[str, int]
@@ -224,6 +231,8 @@ class ReplayFacts:
     """Messages of assigned roles that cannot be decoded, by topic."""
     problems: tuple[str, ...]
     """The first problem of each topic, as text."""
+    findings: tuple[Finding, ...]
+    """Contradictions in the input."""
 
 
 @dataclass(frozen=True)
@@ -240,6 +249,7 @@ class LogFacts:
     first_ns: int | None
     last_ns: int | None
     span_s: float
+    """Without pauses of more than an hour."""
     log_times_back: int
     """Messages after one of any channel with a later log time."""
     channels: tuple[ChannelFacts, ...]

@@ -9,6 +9,7 @@ from pathlib import Path
 from rich.console import Console
 
 from roadperc_stream import log
+from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import LogError
 from roadperc_stream.info.examine import examine
 from roadperc_stream.info.facts import LogFacts
@@ -122,11 +123,11 @@ def recover_log(source: Path, target: Path, *, force: bool) -> None:
     print_lines(console, f"wrote {target} ({recovery.saved} messages)", unbroken=True)
 
 
-def list_logs(paths: Sequence[Path], topics: Sequence[str], *, as_json: bool) -> None:
+def list_logs(paths: Sequence[Path], topics: Sequence[str], cfg: ReplayConfig, *, as_json: bool) -> None:
     """Print the facts of each log; for several logs also how they follow each other.
 
-    The path ``-`` is standard input. ``topics`` are ``ROLE=/NAME``, as a replay takes them. ``as_json`` prints a JSON
-    object on one line for each log instead of text.
+    The path ``-`` is standard input. ``topics`` are ``ROLE=/NAME``, as a replay takes them; ``cfg`` says what the logs
+    do not. ``as_json`` prints a JSON object on one line for each log instead of text.
 
     Raises:
         ChannelError: a topic option has the wrong form.
@@ -137,7 +138,7 @@ def list_logs(paths: Sequence[Path], topics: Sequence[str], *, as_json: bool) ->
     for path in paths:
         found: Sequence[LogFacts | LogError]
         try:
-            found = [examine(file, overrides) for file in log.received([path])]
+            found = [examine(file, overrides, cfg) for file in log.received([path])]
         except LogError as error:
             found = [error]
         for item in found:

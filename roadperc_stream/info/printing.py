@@ -78,7 +78,8 @@ def _frame_lines(whole: bool, replay: ReplayFacts) -> Iterator[str]:
         skew = "" if replay.skew_s is None else f", stamps within a frame differ by up to {1000 * replay.skew_s:.1f} ms"
         yield f"{number(replay.frames, 'frame')}, one per message of role {replay.reference}{skew}"
     if replay.segments > 1:
-        yield f"{replay.segments} segments: the stamps restart, as in a second recording or a bag played in a loop"
+        why = "as in a second recording, a bag played in a loop, or after the clock was set"
+        yield f"{replay.segments} segments: the stamps restart or jump ahead by more than an hour, {why}"
     yield from _alone_lines(replay)
     if replay.unused:
         unused = ", ".join(f"{role} {count}" for role, count in sorted(replay.unused.items()))
@@ -90,14 +91,18 @@ def _frame_lines(whole: bool, replay: ReplayFacts) -> Iterator[str]:
         yield f"{topic}: {number(count, 'message')} cannot be decoded"
     for problem in replay.problems:
         yield f"first of these: {problem}"
+    for finding in replay.findings:
+        yield f"finding {finding}"
 
 
 def _proposals(replay: ReplayFacts, source: Path) -> Iterator[str]:
-    """The command with a topic for a role: for the one that stops a replay, else for missing images."""
-    refused = [state for state in replay.roles if f"fit role {state.role}:" in (replay.refusal or "")]
+    """The command with topics for the roles that stop a replay, else for missing images."""
     missing = [state for state in replay.roles if state.role == "image" and state.state == "missing"]
-    for option in [f"{state.role}={state.candidates[0]}" for state in refused or missing if state.candidates][:1]:
-        yield f"to use this topic: roadperc-replay {quote(str(source))} OUT.mcap --topic {quote(option)}"
+    options = replay.options or {state.role: state.candidates[0] for state in missing if state.candidates}
+    if options:
+        named = " ".join(f"--topic {quote(f'{role}={topic}')}" for role, topic in options.items())
+        what = "these topics" if len(options) > 1 else "this topic"
+        yield f"to use {what}: roadperc-replay {quote(str(source))} OUT.mcap {named}"
 
 
 def _alone_lines(replay: ReplayFacts) -> Iterator[str]:
@@ -152,7 +157,7 @@ def print_log(console: Console, facts: LogFacts, source: Path) -> None:
     cameras = tuple(map(_camera, facts.replay.cameras))
     print_table(console, TextTable("Camera", headers, cameras, last_is_text=True, label_columns=18))
     if facts.provenance is not None:
-        print_lines(console, "", *_provenance_lines(facts.provenance, facts.replay.frames), unbroken=True)
+        print_lines(console, "", *_provenance_lines(facts.provenance, facts.replay), unbroken=True)
         settings = facts.provenance.settings
         rows = tuple(
             row(item.key, item.value, "no such setting" if item.default is None else item.default) for item in settings
@@ -264,8 +269,9 @@ def _is_odd(channel: ChannelFacts, least: float, seconds: float | None) -> bool:
     return seconds * channel.rate_hz >= least
 
 
-def _provenance_lines(provenance: Provenance, own_frames: int) -> Iterator[str]:
-    """Lines about the replay of a result; ``own_frames`` is the number of frames of the images in it."""
+def _provenance_lines(provenance: Provenance, replay: ReplayFacts) -> Iterator[str]:
+    """Lines about the replay of a result, without the findings that ``replay`` has too."""
+    own_frames = replay.frames
     config = (provenance.config_digest or "unknown")[:8]
     version, seed = provenance.version or "unknown", provenance.seed or "unknown"
     frames = "" if provenance.frames is None else f", {number(provenance.frames, 'frame')}"
@@ -274,6 +280,8 @@ def _provenance_lines(provenance: Provenance, own_frames: int) -> Iterator[str]:
         again = (provenance.frames or 0) - own_frames
         repeats = f", and repeats its last {number(again, 'frame')}, now complete" if own_frames and again > 0 else ""
         yield f"continues the result of log {provenance.continues}{repeats}"
+    shown = {finding.code for finding in replay.findings}
+    yield from (f"finding {finding}" for finding in provenance.findings if finding.code not in shown)
     yield _digest_line(provenance)
     if provenance.dropped:
         dropped = ", ".join(f"{role} {count}" for role, count in provenance.dropped.items())

@@ -1,20 +1,27 @@
 """Assigns channels to the roles of a replay, and describes the effect of each missing role."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from roadperc_stream.errors import ChannelError
 from roadperc_stream.input.earlier_replay import is_result
-from roadperc_stream.input.roles import NOTHING_TO_REPLAY, RoleFilling, assign_roles, candidates, channel_state
+from roadperc_stream.input.roles import (
+    NOTHING_TO_REPLAY,
+    RoleFilling,
+    SeveralTopicsError,
+    assign_roles,
+    candidates,
+    channel_state,
+)
 from roadperc_stream.input.stream import RoleAssignment
-from roadperc_stream.input.topics import ContentProbe, beside_camera, distinct, fits
+from roadperc_stream.input.topics import ContentProbe, distinct, fits
 from roadperc_stream.log import Channel
 from roadperc_stream.schemas.record import BEGIN_ATTACHMENT
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES, Role
 
 _COSTS: Final = {
-    "calibration": "a replay stops, unless another file of the log has it: the camera is unknown",
+    "calibration": "a replay stops, unless another file of the log has it: the camera is unknown; see --calibration",
     "segmentation": "no lanes, no verified detections, the lower image counts as road",
     "detections": "no objects",
     "tf": "the camera is assumed level at the height of the setting surface.assumed_height_m",
@@ -46,6 +53,8 @@ class Roles:
     assignment: RoleAssignment
     refusal: str | None = None
     """Why a replay with these topics stops before its first frame."""
+    options: Mapping[str, str] = field(default_factory=dict)
+    """Topics by role with which it does not stop."""
 
 
 def roles_of(channels: Sequence[Channel], overrides: Mapping[str, str], probe: ContentProbe | None) -> Roles:
@@ -54,20 +63,19 @@ def roles_of(channels: Sequence[Channel], overrides: Mapping[str, str], probe: C
     ``overrides`` are topics by role, from ``--topic``; ``probe`` reads first messages, for ``candidates``.
     """
     inputs = [channel for channel in channels if not is_result(channel)]
-    refusal = None
+    refusal, options = None, dict[str, str]()
     try:
         assignment = assign_roles(inputs, overrides)
     except ChannelError as error:
         refusal, assignment = str(error), RoleAssignment(_named(inputs, overrides))
+        options = dict(error.options) if isinstance(error, SeveralTopicsError) else {}
     if refusal is None and assignment.reference is None:
         refusal = NOTHING_TO_REPLAY
     unassigned = (channel for channel in inputs if channel.topic not in assignment.topics.values())
     poses = distinct(channel for channel in unassigned if fits(ROLES["truth_pose"], channel))
     could = {**candidates(inputs, assignment.topics, probe), "truth_pose": poses}
-    images = sorted(could.get("image", ()), key=lambda topic: not beside_camera(ROLES["calibration"], topic, inputs))
-    could["image"] = tuple(images)  # those with a calibration first
     states = (_state(role, inputs, assignment, overrides, could.get(role.name, ())) for role in ROLES.values())
-    return Roles(tuple(states), assignment, refusal)
+    return Roles(tuple(states), assignment, refusal, options)
 
 
 def continued(roles: Roles) -> Roles:

@@ -12,21 +12,24 @@ from typing import Final
 import numpy as np
 
 from roadperc_stream import log
-from roadperc_stream.config import SyncConfig
-from roadperc_stream.errors import DecodeError, LogError
+from roadperc_stream.config import ReplayConfig, SyncConfig
+from roadperc_stream.errors import ConfigError, DecodeError, DumpError, LogError
 from roadperc_stream.geometry import Float
 from roadperc_stream.info.role_states import Roles, continued, roles_of
 from roadperc_stream.info.stamps import StampReader, stamp_reader
 from roadperc_stream.input.earlier_replay import digest_algorithm, is_result, recorded_tag_table, recorded_topics
+from roadperc_stream.input.findings import InputEvidence
 from roadperc_stream.input.order import OrderConfig
+from roadperc_stream.input.replaced import replaced, rig_of_log, with_recorded
 from roadperc_stream.input.stream import Problems, Stamped, decoded_messages
 from roadperc_stream.input.sync import LatchedState, PairingState, StampPairing, without_loops
 from roadperc_stream.input.topics import probe_first_message
 from roadperc_stream.log import DIGEST_ALGORITHM, LogSummary, Message, MessageDigest, Salvage
 from roadperc_stream.model import CameraImage, DepthImage
+from roadperc_stream.model.finding import Finding
 from roadperc_stream.schemas.record import BEGIN_ATTACHMENT
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
-from roadperc_stream.system.time import NS_PER_S, seconds_to_ns
+from roadperc_stream.system.time import LONGEST_PAUSE_NS, NS_PER_S, seconds_to_ns
 
 _MOST_KEPT: Final = 65_536
 """Most intervals in memory per channel; beyond it every second, fourth, ... interval is kept."""
@@ -130,13 +133,16 @@ class Scan:
     roles: Roles
     summary: LogSummary | None
     """None for a damaged file."""
+    cfg: ReplayConfig = field(default_factory=ReplayConfig)
+    """With what an earlier replay recorded about its log."""
+    evidence: InputEvidence = field(default_factory=lambda: InputEvidence({}))
     tallies: dict[int, Tally] = field(default_factory=dict)
     """By ``Channel.source_id``."""
     problems: Problems = field(default_factory=Problems)
     latched: LatchedState = field(default_factory=LatchedState)
     frames: int = 0
     segments: int = 1
-    """One more than the number of restarts of the stamps."""
+    """One more than the number of times that the stamps restarted or jumped ahead."""
     dropped: Counter[str] = field(default_factory=Counter)
     """Messages per role that belong to no frame."""
     alone: Counter[str] = field(default_factory=Counter)
@@ -145,6 +151,8 @@ class Scan:
     """(width, height) of the first readable image, by role."""
     skew_ns: int | None = None
     log_times_back: int = 0
+    pauses_ns: int = 0
+    """Sum of the pauses of more than an hour between messages of any channel."""
     inputs: int = 0
     """Number of messages that are not results."""
     inputs_back: int = 0
@@ -153,7 +161,7 @@ class Scan:
     _digest: MessageDigest = field(default_factory=MessageDigest)
 
     @classmethod
-    def of(cls, path: Path, overrides: Mapping[str, str]) -> "Scan":
+    def of(cls, path: Path, overrides: Mapping[str, str], cfg: ReplayConfig) -> "Scan":
         """The finished scan of a log.
 
         Raises:
@@ -173,9 +181,33 @@ class Scan:
         assignment = replace(roles.assignment, tag_table=recorded_tag_table(metadata))
         algorithm = digest_algorithm(metadata)
         digest = MessageDigest(algorithm if MessageDigest.is_known(algorithm) else DIGEST_ALGORITHM)
-        scan = cls(salvage, replace(roles, assignment=assignment), summary, algorithm=algorithm, _digest=digest)
+        with suppress(ConfigError):  # the record of a result is listed with its fault
+            cfg = with_recorded(cfg, first.described.attachments, path)
+        scan = cls(salvage, replace(roles, assignment=assignment), summary, cfg, algorithm=algorithm, _digest=digest)
+        scan.evidence = InputEvidence(cfg.labels, scan._count(first, "segmentation"))
         scan._run()
+        scan._replace_cameras()
         return scan
+
+    def _count(self, first: Salvage, role: str) -> int:
+        topic = self.roles.assignment.topics.get(role)
+        return sum(first.counts[number] for number, channel in first.channels.items() if channel.topic == topic)
+
+    def _replace_cameras(self) -> None:
+        """Replace the log's cameras and mountings by those of the configuration."""
+        reference = self.roles.assignment.reference
+        if self.summary is not None and reference is not None:
+            try:
+                rig = rig_of_log(self.summary, self.roles.assignment, self.cfg)
+                self.latched = replaced(self.latched, rig, reference)
+            except DumpError as error:
+                self.roles = replace(self.roles, refusal=str(error))
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """The contradictions in the input."""
+        roles = self.roles.assignment
+        return self.evidence.findings(self.cfg, roles.topics, roles.reference, self.latched) if roles.reference else ()
 
     def digest(self) -> str | None:
         """Digest of the input's messages in log-time order; None if a message is unreadable or the algorithm unknown.
@@ -195,7 +227,7 @@ class Scan:
 
     def _run(self) -> None:
         roles = self.roles.assignment
-        decoded = decoded_messages(self._counted(self.salvage.messages()), roles, "auto", self.problems)
+        decoded = decoded_messages(self._counted(self.salvage.messages()), roles, self.cfg.tag_table, self.problems)
         items = self._without_latched(without_loops(decoded, self.latched.tree, roles.topics, self.problems))
         if roles.reference is None:
             for _ in items:
@@ -220,10 +252,12 @@ class Scan:
 
     def _counted(self, messages: Iterable[Message]) -> Iterator[Message]:
         """Count the messages and pass them on."""
-        latest_ns = latest_input_ns = 0
+        latest_ns, latest_input_ns = None, 0
         for message in messages:
-            self.log_times_back += message.log_time_ns < latest_ns
-            latest_ns = max(latest_ns, message.log_time_ns)
+            step_ns = 0 if latest_ns is None else message.log_time_ns - latest_ns
+            self.log_times_back += step_ns < 0
+            self.pauses_ns += step_ns if step_ns > LONGEST_PAUSE_NS else 0
+            latest_ns = max(latest_ns or 0, message.log_time_ns)
             source_id = message.channel.source_id
             if source_id not in self.tallies:
                 self.tallies[source_id] = Tally(stamp_reader(message.channel))
@@ -238,6 +272,7 @@ class Scan:
     def _without_latched(self, items: Iterable[Stamped]) -> Iterator[Stamped]:
         """The items to pair, without content; calibrations and transforms go to ``latched``."""
         for item in items:
+            self.evidence.add([item])
             if ROLES[item.role].kind in LATCHED_KINDS:
                 self.latched = self.latched.updated(item)
             else:

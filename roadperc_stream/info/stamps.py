@@ -1,7 +1,7 @@
 """Reads the stamp of a message without decoding the rest.
 
 The channel's schema shows the place: a field ``timestamp`` (protobuf or JSON, in Foxglove's and this project's
-messages), a leading std_msgs/Header (ROS 2), or that of the first element of a list of transforms.
+messages), a leading std_msgs/Header (ROS), or that of the first element of a list of transforms.
 """
 
 import json
@@ -19,7 +19,7 @@ from roadperc_stream.system.time import NS_PER_S
 
 _FIELD, _LIST = "timestamp", "transforms"
 _TIMESTAMP: Final = "google.protobuf.Timestamp"
-_HEADERS: Final = ("std_msgs/Header ", "std_msgs/msg/Header ")
+_HEADERS: Final = ("std_msgs/Header ", "std_msgs/msg/Header ", "Header ")
 _LISTS_OF_STAMPED: Final = ("geometry_msgs/TransformStamped[] ", "geometry_msgs/msg/TransformStamped[] ")
 _LIST_LENGTH_BYTES: Final = 4
 StampReader = Callable[[bytes], int | None]
@@ -30,7 +30,8 @@ def stamp_reader(channel: Channel) -> StampReader | None:
 
     The function returns None for an unreadable stamp and for zero, which means that it was not set.
     """
-    reader = {"protobuf": _protobuf_reader, "cdr": _cdr_reader, "json": _json_reader}.get(channel.message_encoding)
+    readers = {"protobuf": _protobuf_reader, "cdr": _ros_reader, "ros1": _ros_reader, "json": _json_reader}
+    reader = readers.get(channel.message_encoding)
     found = None if reader is None else reader(channel)
     return None if found is None else _forgiving(found)
 
@@ -65,19 +66,20 @@ def _has_stamp(message: Any) -> bool:
     return single is not None and bool(single.full_name == _TIMESTAMP)
 
 
-def _cdr_reader(channel: Channel) -> Callable[[bytes], int] | None:
+def _ros_reader(channel: Channel) -> Callable[[bytes], int] | None:
+    """A reader of CDR or of ROS 1. The stamp has one place in both: CDR's first 4 bytes are a header of its own."""
+    is_ros1 = channel.message_encoding == "ros1"
     lines = channel.schema_data.decode(errors="replace").splitlines()
     first = next((line.strip() for line in lines if line.strip() and not line.lstrip().startswith("#")), "")
     if first.startswith(_HEADERS):
-        return lambda data: _cdr_stamp_ns(data, 4)
+        return lambda data: _stamp_ns(data, 4, is_little=is_ros1 or bool(data[1] & 1))
     if first.startswith(_LISTS_OF_STAMPED):
-        return lambda data: _cdr_stamp_ns(data, 4 + _LIST_LENGTH_BYTES)
+        return lambda data: _stamp_ns(data, 4 + _LIST_LENGTH_BYTES, is_little=is_ros1 or bool(data[1] & 1))
     return None
 
 
-def _cdr_stamp_ns(data: bytes, at: int) -> int:
-    """The stamp at a byte of a CDR message, whose second byte gives the byte order."""
-    seconds, nanoseconds = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, at)
+def _stamp_ns(data: bytes, at: int, *, is_little: bool) -> int:
+    seconds, nanoseconds = struct.unpack_from("<iI" if is_little else ">iI", data, at)
     return int(seconds) * NS_PER_S + int(nanoseconds)
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final, TypeVar
+from zlib import crc32
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ChannelError
 from roadperc_stream.geometry import Camera, Float, inverse, mounting
 from roadperc_stream.input.rectified import rectified_frame, rectified_truth
+from roadperc_stream.input.rig import NO_RIG, Rig, calibration_role, own_calibration
 from roadperc_stream.input.stream import Stamped
 from roadperc_stream.input.sync import LatchedState, SyncedMessages
 from roadperc_stream.input.transforms import TransformTree
@@ -24,12 +26,18 @@ T = TypeVar("T")
 
 
 def sample_of(
-    cfg: ReplayConfig, synced: SyncedMessages, index: int, topics: Mapping[str, str], parent_of: Mapping[str, str]
+    cfg: ReplayConfig,
+    synced: SyncedMessages,
+    index: int,
+    topics: Mapping[str, str],
+    parent_of: Mapping[str, str],
+    rig: Rig = NO_RIG,
 ) -> model.Sample:
     """The sample of one instant's messages.
 
     ``cfg`` gives the assumed height of a camera without a mounting. ``index`` is the number of the frame in the replay,
-    from 0, or ``UNWRITTEN`` for a warm-up frame. ``parent_of`` has each frame that the log places at any time.
+    from 0, or ``UNWRITTEN`` for a warm-up frame. ``parent_of`` has each frame that the log places at any time. ``rig``
+    replaced the cameras and mountings of the log in ``synced``.
 
     Raises:
         ChannelError: a camera without calibration; the message names it.
@@ -38,13 +46,15 @@ def sample_of(
     depth = _payload(messages, "depth", model.DepthImage)
     camera = _camera(synced, topics)
     depth_camera = _depth_camera(latched, camera, depth)
-    known = ego_T_camera_of(tree, camera)
+    given = next((edge.parent_T_child for edge in rig.transforms if edge.child == camera.frame_id), None)
+    known = ego_T_camera_of(tree, camera) if given is None else given
     ego_T_camera = mounting(z=cfg.surface.assumed_height_m) if known is None else known
     left_camera = _left_camera(synced, camera, topics)
     is_pair = "left" in topics and synced.reference.role != "left"
     left = _payload(messages, "left", model.CameraImage) if is_pair else None
     points = _payload(messages, "lidar", model.PointCloud)
     detections = messages.get("detections")
+    pose = _payload(messages, "truth_pose", model.Transform)
     frame = model.Frame(
         stamp_ns=synced.reference.stamp_ns,
         camera=camera,
@@ -63,12 +73,14 @@ def sample_of(
         instances=_payload(messages, "instances", model.InstanceImage),
         detections=detections.payload if detections else None,  # type: ignore[arg-type]
         points=points,
-        ego_T_lidar=None if points is None else _lidar_mounting(tree, ego_T_camera, camera, points.frame_id),
+        ego_T_lidar=None if points is None else lidar_mounting(tree, ego_T_camera, camera, points.frame_id),
         is_origin=index == 0,
         number=None if index == model.UNWRITTEN else index,
+        pose_mark=None if pose is None else crc32(pose.parent_T_child.tobytes()),
     )
     missing = tuple(role for role in topics if _expected(role) and role not in messages)
-    truth, anchor = _truth(messages, tree, camera), _anchor(tree, camera, ego_T_camera, parent_of)
+    own = None if given is not None else _own_frame(tree, camera)
+    truth, anchor = _truth(messages, tree, camera), _anchor(own, camera, ego_T_camera, parent_of)
     reference = synced.reference
     frame, truth = rectified_frame(frame), rectified_truth(truth, camera)
     return model.Sample(index, reference.log_time_ns, frame, truth, missing, synced.skew_ns, anchor, reference.segment)
@@ -85,14 +97,14 @@ def _payload(messages: Mapping[str, Stamped], role: str, kind: type[T]) -> T | N
 
 def _camera(synced: SyncedMessages, topics: Mapping[str, str]) -> Camera:
     """The camera of image, segmentation and detections."""
-    role = synced.reference.role
-    wanted = {"left": "left_calibration", "depth": "depth_calibration"}.get(role, "calibration")
-    camera = synced.latched.cameras.get(wanted) or synced.latched.cameras.get("calibration")
+    role, wanted = synced.reference.role, own_calibration(synced.reference.role)
+    camera = synced.latched.cameras.get(calibration_role(role, synced.latched.cameras))
     if camera is None:
         frame_id = getattr(synced.reference.payload, "frame_id", "")
         raise ChannelError(
             f"{topics[role]}: camera {frame_id!r} has no calibration at {synced.reference.stamp_ns} ns: expected a "
-            f"{ROLES[wanted].schema} on {ROLES[wanted].topic}, or --topic {wanted}=/TOPIC"
+            f"{ROLES[wanted].schema} on {ROLES[wanted].topic}, or --topic {wanted}=/TOPIC, or pass --fov DEGREES or "
+            "--calibration FILE"
         )
     return camera
 
@@ -119,7 +131,10 @@ def _left_camera(synced: SyncedMessages, camera: Camera, topics: Mapping[str, st
     if "left" not in topics:
         return camera if own is None or _is_front(synced.latched.tree, camera, own) else own
     if own is None:
-        raise ChannelError(f"{topics['left']}: the left camera has no calibration at {synced.reference.stamp_ns} ns")
+        raise ChannelError(
+            f"{topics['left']}: the left camera has no calibration at {synced.reference.stamp_ns} ns: "
+            "expected one in the log, or pass --calibration FILE with cameras.left"
+        )
     return own
 
 
@@ -144,11 +159,13 @@ def ego_frame_of(tree: TransformTree, camera: Camera) -> str | None:
     return None if camera.frame_id in EGO_FRAMES else _ego_frame(tree, camera.frame_id)
 
 
-def _anchor(
-    tree: TransformTree, camera: Camera, ego_T_camera: Float, parent_of: Mapping[str, str]
-) -> model.FrameAnchor:
-    """The anchor at the log's ego frame; without one, at the camera with its assumed mounting."""
-    own = camera.frame_id if camera.frame_id in EGO_FRAMES else ego_frame_of(tree, camera)
+def _own_frame(tree: TransformTree, camera: Camera) -> str | None:
+    """The log's ego frame, which may be the frame of its images."""
+    return camera.frame_id if camera.frame_id in EGO_FRAMES else ego_frame_of(tree, camera)
+
+
+def _anchor(own: str | None, camera: Camera, ego_T_camera: Float, parent_of: Mapping[str, str]) -> model.FrameAnchor:
+    """The anchor at the log's ego frame ``own``; without one, at the camera with its assumed or given mounting."""
     frame_id, ego_T_frame = (camera.frame_id, ego_T_camera) if own is None else (own, np.eye(4))
     placed = frame_id in parent_of
     is_taken = placed or model.ODOM in parent_of or model.ODOM in parent_of.values()
@@ -179,7 +196,7 @@ def _mounting(tree: TransformTree, ego_T_camera: Float, camera: Camera, other: C
     return ego_T_camera if camera_T_other is None else ego_T_camera @ camera_T_other
 
 
-def _lidar_mounting(tree: TransformTree, ego_T_camera: Float, camera: Camera, frame_id: str) -> Float | None:
+def lidar_mounting(tree: TransformTree, ego_T_camera: Float, camera: Camera, frame_id: str) -> Float | None:
     """ego_T_lidar by the transform tree, preferably through the camera; None without a transform.
 
     A lidar is never at the front camera's place, so none is assumed. Points in the camera's or ego's frame need no

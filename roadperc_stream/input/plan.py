@@ -17,7 +17,9 @@ from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ChannelError, NoFrameError, StateError
 from roadperc_stream.input.earlier_replay import is_result, replay_record
 from roadperc_stream.input.order import OrderConfig
-from roadperc_stream.input.roles import NOTHING_TO_REPLAY, assignment_of_log
+from roadperc_stream.input.replaced import rig_of_log
+from roadperc_stream.input.rig import NO_RIG, Rig
+from roadperc_stream.input.roles import NOTHING_TO_REPLAY, assignment_of_log, with_paths
 from roadperc_stream.input.source import ReplaySource
 from roadperc_stream.input.state import InputState, PendingMessage, pending, restored
 from roadperc_stream.input.stream import Problems, RoleAssignment, Stamped, decoded_messages
@@ -39,7 +41,7 @@ class FirstPass:
 
     ``counts`` has the messages of each topic. ``parent_of`` has the last parent of each frame that a transform places,
     in this log or an earlier one. No later message can change the first ``complete_frames``; ``end`` is the state after
-    them.
+    them. ``left_out`` is the number of reference messages that are left out.
     """
 
     digest: str
@@ -48,6 +50,7 @@ class FirstPass:
     parent_of: Mapping[str, str]
     complete_frames: int
     end: InputState
+    left_out: int
 
 
 @dataclass
@@ -91,7 +94,8 @@ def first_pass(
     roles, cfg = reader.roles, reader.cfg
     tally = _Tally(start.arrived, dict(start.parent_of))
     patient = replace(order, lateness_ns=order.max_wait_ns)
-    pairing = StampPairing(cfg.sync, patient, roles.topics, begun, lambda _: None)
+    left_out = Counter[str]()
+    pairing = StampPairing(cfg.sync, patient, roles.topics, begun, lambda item: left_out.update((item.role,)))
 
     def items(messages: Iterable[Message]) -> Iterator[Stamped]:
         """The messages to pair, without the contents, which pairing does not need."""
@@ -117,7 +121,8 @@ def first_pass(
     )
     for _ in pairing.through(items(reader.late())):
         pass  # only to measure their lateness
-    return FirstPass(tally.digest.hexdigest(), tally.counts, pairing.lateness_ns, tally.parent_of, complete_frames, end)
+    measured = tally.digest.hexdigest(), tally.counts, pairing.lateness_ns, tally.parent_of
+    return FirstPass(*measured, complete_frames, end, left_out[order.reference])
 
 
 @dataclass(frozen=True)
@@ -140,6 +145,8 @@ class InputPlan:
     latched_messages: tuple[Message, ...]
     problems: Problems
     first_pass: FirstPass
+    rig: Rig = NO_RIG
+    """The cameras and mountings that replace those of the log."""
     most_frames: int | None = None
     """Largest number of frames: the first ones by stamp among those that arrive in the time range."""
 
@@ -153,6 +160,7 @@ def plan_input(
 
     Raises:
         ChannelError: the channels do not fit the roles.
+        DumpError: the given calibration does not fit the log.
         LogError: the log is damaged.
         NoFrameError: the requested part has no frame.
         StateError: the log cannot continue from ``begin``.
@@ -176,14 +184,15 @@ def plan_input(
     most = None if part.frames is None else part.frames + start.frames_waiting
     order = replace(order, lateness_ns=found.lateness_ns)
     read = messages.window, start, begun, begin is not None, latched_messages
-    return InputPlan(roles, order, *read, problems, found, most)
+    return InputPlan(roles, order, *read, problems, found, rig_of_log(summary, roles, cfg), most)
 
 
 def _roles(summary: LogSummary, overrides: Mapping[str, str], begin: InputState | None) -> tuple[RoleAssignment, str]:
     """The topic of each role, including those of the continued result, and the role whose messages make the frames."""
     roles = assignment_of_log(summary, overrides) if begin is None else _roles_so_far(summary, overrides, begin)
     if roles.reference is None:
-        raise ChannelError("; ".join((f"{summary.path}: {NOTHING_TO_REPLAY}", *roles.unassigned)))
+        text = "; ".join((NOTHING_TO_REPLAY, *roles.unassigned))
+        raise ChannelError(f"{summary.path}: {with_paths(text, summary)}")
     if begin is not None and roles.reference != begin.reference:
         known, found = begin.reference, roles.reference
         raise StateError(
@@ -207,7 +216,7 @@ def _window(summary: LogSummary, cfg: ReplayConfig, part: TimeRange, roles: Role
     end_ns = None if part.end_s is None else first_ns + seconds_to_ns(part.end_s)
     if part.frames is not None:
         inside = log.read(summary, topics=[topic], start_ns=start_ns, end_ns=end_ns)
-        beyond = next(islice(inside, part.frames, None), None)
+        beyond = next(islice(_with_own_stamps(inside, cfg, roles, reference), part.frames, None), None)
         end_ns = beyond.log_time_ns if beyond else end_ns
     cut_ns = _cut_ns(summary, end_ns)
     if end_ns is None:
@@ -216,6 +225,24 @@ def _window(summary: LogSummary, cfg: ReplayConfig, part: TimeRange, roles: Role
     after = decoded_messages(beyond_end, roles, cfg.tag_table, Problems(), cfg.limits)
     first_after = next((item for item in after if item.role == reference), None)
     return Window(start_ns, end_ns, first_after.stamp_ns if first_after else None, cut_ns)
+
+
+def _with_own_stamps(
+    messages: Iterable[Message], cfg: ReplayConfig, roles: RoleAssignment, reference: str
+) -> Iterator[Message]:
+    """The reference messages without those that have the stamp of an earlier one in their segment."""
+    stamps = set[int]()
+    latest_ns, wait_ns = 0, seconds_to_ns(cfg.sync.max_wait_s)
+    for message in messages:
+        decoded = decoded_messages([message], roles, cfg.tag_table, Problems(), cfg.limits)
+        stamp_ns = next((item.stamp_ns for item in decoded if item.role == reference), None)
+        if stamp_ns is not None and stamp_ns < latest_ns - wait_ns:
+            stamps, latest_ns = set(), stamp_ns
+        if stamp_ns is None or stamp_ns not in stamps:
+            yield message
+        if stamp_ns is not None:
+            stamps.add(stamp_ns)
+            latest_ns = max(latest_ns, stamp_ns)
 
 
 def _cut_ns(summary: LogSummary, end_ns: int | None) -> int | None:

@@ -8,16 +8,19 @@ from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ChannelError, NoFrameError
 from roadperc_stream.input.assemble import sample_of
 from roadperc_stream.input.earlier_replay import is_result, networks_digest
+from roadperc_stream.input.findings import InputEvidence
 from roadperc_stream.input.outcome import FileSpan, InputOutcome, continuation_notes, file_notes
 from roadperc_stream.input.plan import InputPlan, plan_input
-from roadperc_stream.input.roles import tag_table_to_record
+from roadperc_stream.input.replaced import as_configured, with_recorded
+from roadperc_stream.input.roles import tag_table_to_record, with_paths
 from roadperc_stream.input.source import LossTimes, ReadableLog, ReplaySource
 from roadperc_stream.input.state import InputState
 from roadperc_stream.input.stream import Problems, Stamped, decoded_messages
-from roadperc_stream.input.sync import StampPairing, SyncedMessages
+from roadperc_stream.input.sync import LatchedState, StampPairing, SyncedMessages
 from roadperc_stream.input.window import WindowMessages
 from roadperc_stream.log import DIGEST_ALGORITHM, Channel, LogSummary, LostSpan, Message, Piece, Recovery
 from roadperc_stream.model import UNWRITTEN, FrameResult, Sample
+from roadperc_stream.model.finding import Finding
 from roadperc_stream.model.reason import UNUSABLE
 from roadperc_stream.schemas import record
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES, require_role
@@ -52,6 +55,7 @@ def input_of(
     for role, topic in source.overrides.items():
         require_role(role, f"topic {topic}")
     asked = replace(source, time_range=found.part(source.time_range))
+    cfg = with_recorded(cfg, found.summary.attachments, found.summary.path)
     plan = plan_input(found.summary, cfg, asked, begin)
     if not source.recover:
         found.require_outside(plan.window.start_ns, plan.window.end_ns)
@@ -59,14 +63,14 @@ def input_of(
 
 
 class ReplayInput:
-    """The frames of a log, their messages, and counts of dropped and unreadable messages.
+    """The frames of a log, their messages, findings, and counts of dropped and unreadable messages.
 
-    ``frames``, ``dropped``, ``unreadable`` and ``notes`` describe the samples read until now; ``samples`` resets them.
+    ``cfg`` includes what an earlier replay recorded about its log. ``frames``, ``dropped``, ``unreadable``, ``notes``
+    and ``findings`` describe the samples read until now; ``samples`` resets them.
     """
 
     def __init__(self, summary: LogSummary, cfg: ReplayConfig, plan: InputPlan, lost: Sequence[LostSpan] = ()) -> None:
-        self.summary, self.plan = summary, plan
-        self._cfg = cfg
+        self.summary, self.plan, self.cfg = summary, plan, cfg
         recovery = Recovery.of_records(summary.metadata)
         self._gaps = (*self._ended(lost), *(() if recovery is None else recovery.gaps))
         self._losses = LossTimes(self._gaps)
@@ -76,7 +80,9 @@ class ReplayInput:
         plan = self.plan
         self._problems = Problems(plan.problems.strict_in)
         self._outcome = InputOutcome(plan.begun.segment)
-        self._pairing = StampPairing(self._cfg.sync, plan.order, plan.roles.topics, plan.begun, self._drop)
+        masks = plan.first_pass.counts[self.topics.get("segmentation", "")]
+        self._evidence, self._latched = InputEvidence({}, masks), LatchedState()
+        self._pairing = StampPairing(self.cfg.sync, plan.order, plan.roles.topics, plan.begun, self._drop)
 
     def _ended(self, lost: Sequence[LostSpan]) -> tuple[LostSpan, ...]:
         """The gaps of the continued result; one without an end ends before the first new message."""
@@ -109,9 +115,9 @@ class ReplayInput:
 
     @property
     def expected_frames(self) -> int:
-        """Number of messages of the reference role; an unreadable one makes no frame."""
-        plan = self.plan
-        there = plan.first_pass.counts[self.topics[plan.order.reference]] + plan.start.frames_waiting
+        """Number of messages of the reference role that are not left out; an unreadable one makes no frame."""
+        plan, found = self.plan, self.plan.first_pass
+        there = found.counts[self.topics[plan.order.reference]] - found.left_out + plan.start.frames_waiting
         return there if plan.most_frames is None else min(there, plan.most_frames)
 
     @property
@@ -131,11 +137,14 @@ class ReplayInput:
         """
         self._begin()
         plan, topics, numbers = self.plan, self.topics, self.plan.start.numbers
-        messages, limits = self._messages.all(set(topics.values())), self._cfg.limits
-        decoded = decoded_messages(messages, plan.roles, self._cfg.tag_table, self._problems, limits)
+        messages, limits = self._messages.all(set(topics.values())), self.cfg.limits
+        decoded = decoded_messages(messages, plan.roles, self.cfg.tag_table, self._problems, limits)
         items = plan.start.to_come(decoded, topics, self._problems, limits)
         before_ns = numbers.log_time_ns if numbers.next else None
-        for synced in islice(self._pairing.frames_of(items), plan.most_frames):
+        for found in islice(self._pairing.frames_of(items), plan.most_frames):
+            synced = as_configured(found, plan.rig, self.cfg.labels)
+            self._evidence.add(synced.messages.values())
+            self._latched = synced.latched
             before, numbers = numbers, numbers.after(synced.reference)
             is_written = before.is_written(synced.reference)
             sample = self._sample(synced, before.next if is_written else UNWRITTEN)
@@ -148,7 +157,8 @@ class ReplayInput:
                 yield sample
         if not self.frames and not self.plan.is_continuation:
             topic = self.topics[plan.order.reference]
-            raise NoFrameError(f"{self.summary.path}: no message on {topic} makes a frame; {'; '.join(self.notes)}")
+            notes = with_paths("; ".join(self.notes), self.summary)
+            raise NoFrameError(f"{self.summary.path}: no message on {topic} makes a frame; {notes}")
 
     def _until_ns(self, synced: SyncedMessages, since_ns: int | None, log_time_ns: int) -> int:
         """The log time up to which messages of a frame may have been lost."""
@@ -157,15 +167,20 @@ class ReplayInput:
         interval_ns = 0 if since_ns is None else log_time_ns - since_ns  # assume the same interval to the next frame
         return log_time_ns + self.plan.order.lateness_ns + interval_ns
 
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What contradicts itself in the samples read until now."""
+        return self._evidence.findings(self.cfg, self.topics, self.plan.order.reference, self._latched)
+
     def _drop(self, item: Stamped) -> None:
         self._outcome.drop(item)
         if item.role == self.plan.order.reference:
             topic, stamp = self.topics[item.role], f"stamp {item.stamp_ns} ns at log time {item.log_time_ns} ns"
-            self._problems.report(topic, f"{topic}: message with {stamp}: too late, left out")
+            self._problems.report(f"{topic}: {item.fault}", f"{topic}: message with {stamp}: {item.fault}, left out")
 
     def _sample(self, synced: SyncedMessages, index: int) -> Sample:
         try:
-            sample = sample_of(self._cfg, synced, index, self.topics, self.plan.first_pass.parent_of)
+            sample = sample_of(self.cfg, synced, index, self.topics, self.plan.first_pass.parent_of, self.plan.rig)
         except ChannelError as error:
             known = (*self.plan.problems.first.values(), *self.plan.roles.unassigned, *self._if_in_other_files)
             raise ChannelError("; ".join((f"{self.summary.path}: {error}", *known))) from error
@@ -235,7 +250,7 @@ class ReplayInput:
     @property
     def _messages(self) -> WindowMessages:
         plan = self.plan
-        return WindowMessages(self.summary, self._cfg, plan.roles, plan.window, plan.latched_messages)
+        return WindowMessages(self.summary, self.cfg, plan.roles, plan.window, plan.latched_messages)
 
     @property
     def dropped(self) -> dict[str, int]:
@@ -256,7 +271,7 @@ class ReplayInput:
         plan, topics = self.plan, self.topics
         files = file_notes(self.summary, topics[plan.order.reference])
         problems = (plan.problems.first | self._problems.first).values()
-        outcome = self._outcome.notes(topics, self._cfg.sync, self._pairing.nearest_ns)
+        outcome = self._outcome.notes(topics, self.cfg.sync, self._pairing.nearest_ns)
         return (*files, *self._before, *plan.roles.notes, *problems, *outcome)
 
     @property
@@ -277,7 +292,7 @@ class ReplayInput:
     def record(self) -> dict[str, str]:
         """The input facts that a result records, so that it can be replayed again."""
         roles = self.plan.roles
-        tag_table = tag_table_to_record(self.summary.channels, roles, self._cfg.tag_table)
+        tag_table = tag_table_to_record(self.summary.channels, roles, self.cfg.tag_table)
         return {
             record.DIGEST_KEY: self.plan.first_pass.digest,
             record.DIGEST_ALGORITHM_KEY: DIGEST_ALGORITHM,

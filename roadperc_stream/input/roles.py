@@ -8,6 +8,7 @@ from typing import Final, Literal
 
 from roadperc_stream.errors import ChannelError
 from roadperc_stream.input.decoding import schemas_of_kind
+from roadperc_stream.input.decoding.pictures import CONVERT_VIDEO
 from roadperc_stream.input.earlier_replay import is_result, recorded_tag_table, recorded_topics
 from roadperc_stream.input.stream import RoleAssignment
 from roadperc_stream.input.topics import (
@@ -19,6 +20,8 @@ from roadperc_stream.input.topics import (
     fitting,
     known_elsewhere,
     nearest,
+    other_side,
+    preferred,
     probe_first_message,
     shared_parts,
     without_a_word,
@@ -26,10 +29,9 @@ from roadperc_stream.input.topics import (
 from roadperc_stream.log import Channel, LogSummary
 from roadperc_stream.schemas.record import TAG_TABLE_KEY
 from roadperc_stream.schemas.roles import REFERENCE_ROLES, ROLES, SHARED_KINDS, Role
-from roadperc_stream.schemas.topics import VIDEO_SCHEMA
+from roadperc_stream.schemas.topics import VIDEO_SCHEMAS
 
-_CONVERT_VIDEO: Final = "run roadperc-convert on the log, which stores the frames as images"
-_GUESSED_ROLES: Final = ("image", "calibration", "depth", "segmentation", "detections", "tf")
+_GUESSED_ROLES: Final = ("image", "calibration", "depth", "segmentation", "detections", "lidar", "tf")
 """Roles that take a topic of another name if it is the only one that fits."""
 _NEEDED_ROLES: Final = ("image", "calibration")
 """Roles that every frame needs: if several topics fit, the user must choose."""
@@ -38,20 +40,36 @@ _UNNAMED_ROLES: Final = ("depth", "segmentation")
 """Roles whose images are recognised by their contents if no name matches."""
 _MOST_CANDIDATES_NAMED: Final = 3
 """Candidates of a role that a note lists."""
+
+
+class SeveralTopicsError(ChannelError):
+    """Several topics fit a role that is needed. ``options`` are topics by role with which the log can be replayed."""
+
+    def __init__(self, role: str, topics: Sequence[str], options: Mapping[str, str] | None = None) -> None:
+        """Make the message; of ``topics`` the best one is the first."""
+        self.role, self.topics, self.options = role, topics, options or {role: topics[0]}
+        chosen = " ".join(f"--topic {shlex.quote(f'{name}={topic}')}" for name, topic in self.options.items())
+        super().__init__(f"{len(topics)} topics fit role {role}: {', '.join(topics)}; choose one with {chosen}")
+
+
 RoleFilling = Literal["filled", "missing", "wrong schema", "several channels"]
 
 
 def guess(role: Role, inputs: Collection[Channel], topics: Mapping[str, str]) -> str | None:
     """The topic of another name for a role; None without one, or if it is ambiguous.
 
-    Points and stereo images are not guessed: a radar or another camera has the same schema.
+    Stereo images are only guessed without another image, because other cameras look to the left and right, too.
 
     Raises:
-        ChannelError: several topics fit, and the role is needed.
+        SeveralTopicsError: several topics fit, and the role is needed.
     """
     if CAMERA_OF.get(role.name) in topics:
         return _calibration(role, inputs, topics)
-    return choice(role, fitting(role, unassigned(inputs, topics)), topics) if role.name in _GUESSED_ROLES else None
+    if role.name == "right" and "left" in topics:
+        return other_side(topics["left"], unassigned(inputs, topics))
+    is_guessed = role.name in _GUESSED_ROLES or (role.name == "left" and "image" not in topics)
+    could = fitting(role, unassigned(inputs, topics)) if is_guessed else ()
+    return choice(role, preferred(could, role, inputs), topics)
 
 
 def _calibration(role: Role, inputs: Collection[Channel], topics: Mapping[str, str]) -> str | None:
@@ -76,14 +94,13 @@ def choice(role: Role, could: tuple[str, ...], topics: Mapping[str, str]) -> str
     """The only topic for a role, or the only one nearest to its camera's namespace; None if ambiguous.
 
     Raises:
-        ChannelError: several topics fit, and the role is needed.
+        SeveralTopicsError: several topics fit, and the role is needed.
     """
     camera_topic = topics.get(CAMERA_OF.get(role.name, "image"), "")
     near = nearest(could, camera_topic) if len(could) > 1 else could
-    if len(near) > 1 and role.name in _NEEDED_ROLES:
-        raise ChannelError(
-            f"{len(near)} topics fit role {role.name}: {', '.join(near)}; choose one with --topic {role.name}={near[0]}"
-        )
+    is_left_needed = role.name == "left" and not topics.keys() & set(REFERENCE_ROLES)
+    if len(near) > 1 and (role.name in _NEEDED_ROLES or is_left_needed):
+        raise SeveralTopicsError(role.name, near)
     return near[0] if len(near) == 1 else None
 
 
@@ -118,12 +135,17 @@ def assignment_of_log(summary: LogSummary, overrides: Mapping[str, str]) -> Role
     try:
         roles = assign_roles(present, named, partial(probe_first_message, summary))
     except ChannelError as error:
-        files = (str(file.path) for file in summary.files or (summary,))
-        command = shlex.join(("roadperc-replay", *files, "OUT.mcap"))
-        text = str(error).replace("choose one with --topic", f"choose one with: {command} --topic")
-        raise ChannelError(f"{summary.path}: {text}") from error
+        raise ChannelError(f"{summary.path}: {with_paths(str(error), summary)}") from error
     chosen = _choices(present, named) if named else {}
     return replace(roles, chosen=chosen, tag_table=recorded_tag_table(summary.metadata))
+
+
+def with_paths(text: str, summary: LogSummary) -> str:
+    """The text with whole commands for a log, which the parts of a text do not know."""
+    files = [str(file.path) for file in summary.files or (summary,)]
+    command = shlex.join(("roadperc-replay", *files, "OUT.mcap"))
+    text = text.replace("choose one with --topic", f"choose one with: {command} --topic")
+    return text if len(files) > 1 else text.replace("roadperc-convert LOG", shlex.join(("roadperc-convert", *files)))
 
 
 def _choices(channels: Sequence[Channel], named: Mapping[str, str]) -> dict[str, str]:
@@ -156,9 +178,29 @@ def assign_roles(
     ``--topic``.
 
     Raises:
-        ChannelError: a named topic is missing or has the wrong schema, or several fit a role that is needed.
+        SeveralTopicsError: several fit a role that is needed.
+        ChannelError: a named topic is missing or has the wrong schema.
     """
     inputs = [channel for channel in channels if not is_result(channel)]
+    try:
+        return _assigned(inputs, overrides, probe)
+    except SeveralTopicsError as error:
+        raise SeveralTopicsError(error.role, error.topics, _options(inputs, overrides, error)) from error
+
+
+def _options(inputs: Sequence[Channel], overrides: Mapping[str, str], error: SeveralTopicsError) -> dict[str, str]:
+    """The best topics by role with which no role has several."""
+    chosen = {error.role: error.topics[0]}
+    try:
+        _assigned(inputs, {**overrides, **chosen}, None)
+    except SeveralTopicsError as further:
+        chosen |= _options(inputs, {**overrides, **chosen}, further)
+    except ChannelError:  # an error that no topic mends
+        pass
+    return chosen
+
+
+def _assigned(inputs: Sequence[Channel], overrides: Mapping[str, str], probe: ContentProbe | None) -> RoleAssignment:
     topics: dict[str, str] = {}
     for role in ROLES.values():
         topic = overrides.get(role.name, role.topic)
@@ -194,7 +236,7 @@ def channel_state(role: Role, named: Sequence[Channel]) -> tuple[RoleFilling, st
         if not fits(role, channel):
             expected = " or ".join(f"{schema} ({encoding})" for schema, encoding in schemas_of_kind(role.kind))
             found = f"{channel.schema_name or 'no schema'} ({channel.message_encoding or 'no encoding'})"
-            hint = f"; {_CONVERT_VIDEO}" if channel.schema_name == VIDEO_SCHEMA else ""
+            hint = f"; {CONVERT_VIDEO}" if channel.schema_name in VIDEO_SCHEMAS else ""
             return "wrong schema", f"found {found}, expected {expected}{hint}"
     if len(named) > 1 and role.kind not in SHARED_KINDS:
         return "several channels", f"{len(named)} channels carry this topic, expected one"
@@ -211,7 +253,8 @@ def candidates(
         assigned: topic of each assigned role; these topics are not candidates.
         probe: tells whether a channel has depth or tags if its name does not; None to read no messages.
     """
-    unused = unassigned((channel for channel in channels if not is_result(channel)), assigned)
+    channels = [channel for channel in channels if not is_result(channel)]
+    unused = unassigned(channels, assigned)
     left = [role for role in ROLES.values() if role.name not in assigned and not role.truth]
     found = {role.name: could_serve(role, unused, assigned) for role in left}
     if not (assigned.keys() | {name for name, topics in found.items() if topics}) & set(REFERENCE_ROLES):
@@ -219,13 +262,14 @@ def candidates(
     for name in _UNNAMED_ROLES:
         if probe is not None and name in found and not found[name]:
             found[name] = distinct(c for c in without_a_word(ROLES[name], unused) if probe(ROLES[name].kind, c))
-    return {name: topics for name, topics in found.items() if topics}
+    images = {name: preferred(found[name], ROLES[name], channels) for name in found.keys() - CAMERA_OF.keys()}
+    return {name: images.get(name, topics) for name, topics in found.items() if topics}
 
 
 def _videos_in_words(channels: Iterable[Channel]) -> tuple[str, ...]:
     """A line for each topic with video."""
-    topics = distinct(channel for channel in channels if channel.schema_name == VIDEO_SCHEMA)
-    return tuple(f"{topic}: {VIDEO_SCHEMA} is not read; {_CONVERT_VIDEO}" for topic in topics)
+    topics = distinct(channel for channel in channels if channel.schema_name in VIDEO_SCHEMAS)
+    return tuple(f"{topic}: video is not read; {CONVERT_VIDEO}" for topic in topics)
 
 
 def _unassigned_in_words(found: Mapping[str, tuple[str, ...]], channels: Iterable[Channel]) -> tuple[str, ...]:

@@ -59,7 +59,8 @@ class Stamped:
     """One decoded message of a role.
 
     ``segment`` is the number of its segment. ``number`` is its place among the messages of assigned roles with equal
-    log time. ``carried`` is the message itself if it comes from the state of an earlier log.
+    log time. ``carried`` is the message itself if it comes from the state of an earlier log. ``fault`` is why a
+    reference message is left out.
     """
 
     role: str
@@ -69,6 +70,7 @@ class Stamped:
     segment: int = 0
     number: int = 0
     carried: Message | None = None
+    fault: str = ""
 
     @property
     def is_latched(self) -> bool:

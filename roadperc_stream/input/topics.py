@@ -13,7 +13,7 @@ from roadperc_stream.input.decoding import context_of_channel, decode, schemas_o
 from roadperc_stream.log import Channel, LogSummary
 from roadperc_stream.model import DepthImage, TagImage
 from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14
-from roadperc_stream.schemas.roles import CARLA_BRIDGE, CARLA_TOPICS, Kind, Role
+from roadperc_stream.schemas.roles import CARLA_BRIDGE, CARLA_TOPICS, ROLES, Kind, Role
 
 CAMERA_OF: Final = {
     "calibration": "image",
@@ -29,6 +29,7 @@ _WORDS: Final = {
     "left": ("left",),
     "right": ("right",),
     "truth": ("truth",),
+    "radar": ("radar",),
     "tf_static": ("static",),
 }
 _SIDES: Final = {"left", "right"}
@@ -74,12 +75,30 @@ def beside_camera(role: Role, camera_topic: str, channels: Iterable[Channel]) ->
     A calibration whose last name suggests the camera comes before one whose last name suggests nothing. Topics without
     a namespace give no result.
     """
-    parts = _parts(camera_topic)
-    parts = parts[:-1] if parts[-1] in _TRANSPORTS else parts
+    parts = _without_transport(camera_topic)
     near = [c for c in channels if len(parts) > 1 and _parts(c.topic)[:-1] == parts[:-1] and fits(role, c)]
     said = {channel.topic: _spoken(_parts(channel.topic)[-1]) for channel in near}
     could = sorted(topic for topic, words in said.items() if words <= _own_words(role) | _spoken(parts[-1]))
     return tuple(topic for topic in could if said[topic]) or tuple(could)
+
+
+def preferred(topics: Iterable[str], role: Role, channels: Iterable[Channel]) -> tuple[str, ...]:
+    """The topics for a role, the best first: images with a calibration beside them, then names with ``front``."""
+    is_camera, calibrations = role.name in CAMERA_OF.values(), (c for c in channels if fits(ROLES["calibration"], c))
+    calibrated = {_namespace(channel.topic) for channel in calibrations} if is_camera else set()
+
+    def rank(topic: str) -> tuple[bool, bool]:
+        return is_camera and _namespace(topic) not in calibrated, "front" not in topic.lower()
+
+    return tuple(sorted(topics, key=rank))
+
+
+def other_side(topic: str, channels: Iterable[Channel]) -> str | None:
+    """The topic with ``right`` instead of ``left`` in its name; None without one."""
+    sides = {"left": "right", "Left": "Right", "LEFT": "RIGHT"}
+    other = re.sub("|".join(sides), lambda found: sides[found[0]], topic)
+    found = any(channel.topic == other != topic and fits(ROLES["right"], channel) for channel in channels)
+    return other if found else None
 
 
 def nearest(topics: tuple[str, ...], topic: str) -> tuple[str, ...]:
@@ -92,6 +111,15 @@ def shared_parts(one: str, other: str) -> int:
     """Number of leading parts that the namespaces of two topics share."""
     pairs = zip(_parts(one)[:-1], _parts(other)[:-1], strict=False)
     return len(list(takewhile(lambda pair: pair[0] == pair[1], pairs)))
+
+
+def _namespace(topic: str) -> tuple[str, ...]:
+    return tuple(_without_transport(topic)[:-1])
+
+
+def _without_transport(topic: str) -> list[str]:
+    parts = _parts(topic)
+    return parts[:-1] if parts[-1] in _TRANSPORTS else parts
 
 
 def _parts(topic: str) -> list[str]:

@@ -7,7 +7,7 @@ that is cut there, so that it is reported and recovered as any other damaged log
 import re
 import sqlite3
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path, PurePath
@@ -20,7 +20,7 @@ import zstandard
 
 from roadperc_stream.config import DEFAULT_LIMITS
 from roadperc_stream.errors import LogError, RoadpercError
-from roadperc_stream.log.damage import unopened
+from roadperc_stream.log.damage import BAGS, ZSTD, unopened
 from roadperc_stream.log.layout import MAGIC
 from roadperc_stream.log.records import Channel, Message
 from roadperc_stream.log.salvage import Salvage
@@ -28,8 +28,7 @@ from roadperc_stream.log.stored import Spool, StoredLog, received_files, storing
 from roadperc_stream.log.writing import StoredLogWriter
 from roadperc_stream.system.files import BAG_METADATA, is_bag_folder
 
-_ZSTD, _SQLITE, _ROS1 = b"\x28\xb5\x2f\xfd", b"SQLite format 3\0", b"#ROSBAG V"
-"""First bytes of files; no CDR message begins as Zstandard does."""
+_SQLITE, _ROS1 = BAGS
 _PACKED: Final = re.compile(rb"compression_mode:\s*['\"]?message", re.IGNORECASE)
 _DEFINITIONS: Final = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
 _QOS: Final = "offered_qos_profiles"
@@ -43,6 +42,17 @@ class _Bag(msgspec.Struct):
 
     relative_file_paths: list[str]
     compression_format: str | None = None
+
+
+def is_log(path: Path) -> bool:
+    """Whether a path is a log or a ROS bag, by its name or its first bytes; false if it cannot be read."""
+    if path.suffix in (".mcap", ".db3", ".bag") or is_bag_folder(path):
+        return True
+    with suppress(OSError):
+        if path.is_file():
+            with path.open("rb") as stream:
+                return stream.read(len(MAGIC)).startswith((MAGIC, ZSTD, *BAGS))
+    return False
 
 
 def received(paths: Sequence[Path]) -> tuple[Path, ...]:
@@ -94,7 +104,7 @@ def _as_mcap(path: Path) -> Path:
         if isinstance(path, StoredLog) or not path.is_file():
             return path
         with path.open("rb") as stream:
-            if stream.read(len(_ZSTD)) != _ZSTD:
+            if stream.read(len(ZSTD)) != ZSTD:
                 return _copied(path, path)
             stream.seek(0)
             with storing(str(path)):
@@ -115,7 +125,7 @@ def _as_mcap(path: Path) -> Path:
 def _copied(name: Path, place: Path) -> Path:
     """Return a copy in MCAP under a name, or ``place`` if its file needs none."""
     with place.open("rb") as stream:
-        start = stream.read(len(_SQLITE))
+        start = stream.read(len(MAGIC))
     described = name.parent / BAG_METADATA
     if start == _SQLITE:
         called = quote(str(name))
@@ -156,7 +166,7 @@ def _plain(message: Message) -> Message:
     """Return a message decompressed; one beyond the limits stays as it is, and cannot be decoded."""
     data, most = message.data, DEFAULT_LIMITS.message_bytes
     try:
-        is_plain = not data.startswith(_ZSTD) or zstandard.frame_content_size(data) > most
+        is_plain = not data.startswith(ZSTD) or zstandard.frame_content_size(data) > most
         return message if is_plain else replace(message, data=zstandard.ZstdDecompressor().decompress(data, most))
     except zstandard.ZstdError as error:
         raise ValueError(f"{message.channel.topic}: message at {message.log_time_ns} ns: {error}") from error

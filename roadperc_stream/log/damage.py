@@ -4,11 +4,18 @@ import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Final, Self
 
 from roadperc_stream.errors import LogError
 from roadperc_stream.log.layout import MAGIC
 from roadperc_stream.system.files import not_a_log
+
+ZSTD: Final = b"\x28\xb5\x2f\xfd"
+"""First bytes of a compressed file; no CDR message begins so."""
+BAGS: Final = (b"SQLite f", b"#ROSBAG ")
+"""First bytes of the files of ROS bags, as many as of MCAP."""
+_TABLE: Final = b"PAR1"
+_IMAGES: Final = (b"\xff\xd8\xff", b"\x89PNG")
 
 
 def damaged(path: Path, fault: str) -> LogError:
@@ -37,7 +44,22 @@ def require_magic(path: Path, start: bytes) -> None:
     if not start:
         raise LogError(f"{path}: empty file, expected an MCAP log")
     if start != MAGIC:
-        raise LogError(f"{path}: not an MCAP log (it does not start with the MCAP magic)")
+        raise LogError(f"{path}: not an MCAP log (it does not start with the MCAP magic){_way_to_mcap(path, start)}")
+
+
+def _way_to_mcap(path: Path, start: bytes) -> str:
+    """Return the command that makes a log of another file, to append to an error."""
+    name = shlex.quote(str(path))
+    if start.startswith(ZSTD):
+        return f"; decompress it with: zstd -d {name}"
+    if start.startswith(BAGS):
+        return f"; copy the bag to MCAP with: roadperc-replay {name} OUT.mcap"
+    if start.startswith(_TABLE):
+        return f"; it is a table: roadperc-report {name}"
+    if start.startswith(_IMAGES):
+        return f"; convert the folder of images with: roadperc-convert {shlex.quote(str(path.parent))} IN.mcap"
+    is_named = path.suffix in ("", ".mcap")
+    return "" if is_named else f"; if it is a video, convert it with: roadperc-convert {name} IN.mcap"
 
 
 @dataclass(frozen=True)

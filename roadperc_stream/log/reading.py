@@ -16,7 +16,6 @@ from roadperc_stream.log.audit import audited, damage_in, in_file_order
 from roadperc_stream.log.files import UnitedFiles, united
 from roadperc_stream.log.index import most_at_once
 from roadperc_stream.log.indexed import IndexedFile
-from roadperc_stream.log.layout import MAGIC
 from roadperc_stream.log.limits import LimitError, require_attachments
 from roadperc_stream.log.mcap_file import Piece
 from roadperc_stream.log.records import Channel, LogSummary, Message
@@ -25,16 +24,6 @@ from roadperc_stream.log.sorting import SortedMessages
 
 _LEAST_HELD_BYTES: Final = 1024 * 1024
 """Least memory counted for an open file, so that few are open at a time."""
-
-
-def is_log(path: Path) -> bool:
-    """Whether a file begins as MCAP does.
-
-    Raises:
-        OSError: it cannot be read.
-    """
-    with path.open("rb") as stream:
-        return stream.read(len(MAGIC)) == MAGIC
 
 
 def summarise(

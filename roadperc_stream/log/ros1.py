@@ -12,10 +12,6 @@ from rosbags.typesys import Stores, get_typestore
 from roadperc_stream.log.records import Channel, Message
 from roadperc_stream.schemas.definitions import types_of
 
-_HEADER: Final = "std_msgs/msg/Header"
-_RULE: Final = "\n" + "=" * 80 + "\nMSG: builtin_interfaces/"
-_BUILT_IN: Final = f"{_RULE}Time\nint32 sec\nuint32 nanosec{_RULE}Duration\nint32 sec\nuint32 nanosec\n"
-"""Types that ROS 1 does not define in a bag."""
 _RENAMED: Final = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
 
 
@@ -39,15 +35,12 @@ def contents_of_ros1(path: Path) -> Iterator[Channel | Message]:
 def _as_ros2(connection: Connection) -> tuple[Channel, Callable[[bytes], memoryview | bytes]]:
     """Return the channel of a connection, and the conversion of its messages.
 
-    ROS 2 has no sequence number in the header, and only names of fields in lower case. A type whose definition cannot
-    be read stays in the encoding of ROS 1.
+    A type whose definition cannot be read stays in the encoding of ROS 1.
     """
     name, text = _RENAMED.get(connection.msgtype, connection.msgtype), connection.msgdef.data
     try:
-        types = types_of(connection.msgtype, f"{text}{_BUILT_IN}".encode(), "ros2msg")
+        types = types_of(connection.msgtype, text.encode(), "ros1msg")
         types[name] = types.pop(connection.msgtype)
-        types = {key: (said, [(f.lower(), kind) for f, kind in fields]) for key, (said, fields) in types.items()}
-        types[_HEADER] = get_typestore(Stores.ROS2_HUMBLE).fielddefs[_HEADER]
         store = get_typestore(Stores.EMPTY)
         store.register(types)
         definition = store.generate_msgdef(name, ros_version=2)[0].encode()

@@ -1,6 +1,10 @@
-"""A contradiction between two inputs, or between an input and a result."""
+"""A contradiction between two inputs, or between an input and a result, and its stored form."""
 
+import json
+from collections.abc import Iterable
 from dataclasses import dataclass
+
+import msgspec
 
 
 @dataclass(frozen=True)
@@ -14,3 +18,40 @@ class Finding:
 
     code: str
     text: str
+
+    def __str__(self) -> str:
+        return f"{self.code}: {self.text}"
+
+
+def encoded_findings(findings: Iterable[Finding]) -> str:
+    """Findings as JSON, as results store them."""
+    return json.dumps([vars(finding) for finding in findings])
+
+
+def decoded_findings(text: str) -> tuple[Finding, ...]:
+    """The findings that a result stores; none if the text is not a list of findings."""
+    try:
+        return msgspec.json.decode(text, type=tuple[Finding, ...])
+    except (msgspec.MsgspecError, RecursionError, UnicodeError):
+        return ()
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Facts of one frame, beside its row, from which findings are made; None if unknown.
+
+    Args:
+        mounting_m: height of the surface's camera by the transforms.
+        rough_ratio: share of neighbouring pixels of the depth image whose depths differ by metres.
+        road_known_ratio: share of the road's pixels with a depth, from camera or stereo.
+        road_depth_ratio: median of their depth / the depth of the ground there.
+        lane_width_m: width of a lane that the chain rejects as too narrow or too wide.
+        unusable: why messages of the frame exist but cannot be used.
+    """
+
+    mounting_m: float | None = None
+    rough_ratio: float | None = None
+    road_known_ratio: float | None = None
+    road_depth_ratio: float | None = None
+    lane_width_m: float | None = None
+    unusable: tuple[str, ...] = ()

@@ -241,6 +241,8 @@ class Frame:
     is_origin: bool = False
     number: int | None = None
     """Number of the frame in the replay, for messages; None for a frame that is not written."""
+    pose_mark: int | None = None
+    """CRC-32 of the car's pose in the log. It says only whether the pose changed; None without one."""
 
     def __post_init__(self) -> None:
         read_only(self.ego_T_camera, np.float64, (4, 4), "ego_T_camera")

@@ -25,8 +25,8 @@ TEMPLATES: Final[dict[str, str]] = {
     "no_points_in_view": "none of its {points:d} points is in the camera's view",
     "no_finite_points_in_view": "none of its {points:d} points is in the camera's view; {infinite:d} of them are "
     "not finite",
-    "time_stood_still": "stood still at {stamp_ns:d} ns, state of all stages cleared",
     "time_went_back": "went back from {last_ns:d} to {stamp_ns:d} ns, state of all stages cleared",
+    "time_jumped": "jumped ahead from {last_ns:d} to {stamp_ns:d} ns, state of all stages cleared",
     "lost_to_damage": "messages between {first_ns:d} and {last_ns:d} ns were lost to damage",
     "lost_to_damage_before": "messages up to {last_ns:d} ns were lost to damage",
     "lost_to_damage_after": "messages from {first_ns:d} ns on were lost to damage",
@@ -36,6 +36,7 @@ TEMPLATES: Final[dict[str, str]] = {
     "square pixels; if one of the two is wrong, heights and pitch are wrong",
     "no_image": "no image",
     "image_unusable": "its image cannot be used",
+    "image_frozen": "its image repeats while the car's pose or other sensors change",
     "image_uniform": "its image is black, white or nearly uniform",
     "no_segmentation": "no segmentation",
     "no_segmentation_lower_image": "no segmentation, the lower image is used as the road",

@@ -57,8 +57,8 @@ class Scene:
     no object) and ``detections`` belong; ``depth`` may be from another camera. Missing and unusable
     inputs are None; an empty detections message is (). ``grey`` is decoded from ``image``.
     Without a mounting (``mounted`` False) ``ego_T_camera`` is that of a level camera at the assumed height.
-    ``is_origin`` and ``number`` as in ``Frame``. ``undecodable`` are the front camera's images that cannot be used,
-    ``problems`` all other problems.
+    ``is_origin``, ``number`` and ``pose_mark`` as in ``Frame``. ``undecodable`` are the front camera's images that
+    cannot be used, ``problems`` all other problems.
     """
 
     stamp_ns: int
@@ -77,6 +77,7 @@ class Scene:
     undecodable: tuple[Reason, ...] = ()
     problems: tuple[Reason, ...] = ()
     number: int | None = None
+    pose_mark: int | None = None
 
     @property
     def bgr(self) -> Image | None:

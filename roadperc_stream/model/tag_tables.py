@@ -181,10 +181,20 @@ LABEL_CLASSES: Final[dict[str, tuple[str, ...]]] = {
 """Detector labels (lower case, blanks as underscores) and the classes their pixels may carry."""
 
 
+def normal_label(label: str) -> str:
+    """The label in lower case, with underscores for blanks and hyphens."""
+    return label.strip().lower().replace(" ", "_").replace("-", "_")
+
+
+def known_label(label: str, labels: Mapping[str, str]) -> str:
+    """The known label of a label, by its normal form; the label itself if ``labels`` does not have it."""
+    return labels.get(normal_label(label), label) if labels else label
+
+
 @lru_cache(maxsize=_LABELS)
 def classes_of_label(label: str) -> tuple[str, ...] | None:
     """Classes whose tags a detection of this label should cover; None if the label is unknown."""
-    return LABEL_CLASSES.get(label.strip().lower().replace(" ", "_").replace("-", "_"))
+    return LABEL_CLASSES.get(normal_label(label))
 
 
 @cache
@@ -226,7 +236,7 @@ def table_for_version(version: str) -> TagTable:
         return _table_of_dataset(version)
     match = re.fullmatch(r"v?(\d{1,4})\.(\d{1,4})(?:\.(\d{1,4}))?(?:\D.*)?", version.strip())
     if not match:
-        raise ConfigError(f"CARLA version {version!r}: expected a number such as 0.9.15, or one of {', '.join(TABLES)}")
+        raise ConfigError(f"no tag table {version!r}; expected a CARLA version, such as 0.9.15, or {', '.join(TABLES)}")
     numbers = tuple(int(part or 0) for part in match.groups())
     return CARLA_FROM_0_9_14 if numbers >= (0, 9, 14) else CARLA_BEFORE_0_9_14
 

@@ -156,7 +156,7 @@ def read_rows_around(
 
 @dataclass(frozen=True)
 class TableTotals:
-    """Number of rows of a table, sums of its columns without nulls, and the time from first to last stamp."""
+    """Number of rows of a table, sums of its columns without nulls, and the sum of its segments' time spans."""
 
     rows: int
     sums: Mapping[str, float]
@@ -172,19 +172,19 @@ def totals(path: Path, columns: Iterable[str]) -> TableTotals:
     import pyarrow.compute as pc  # its import takes 40 ms
 
     sums: dict[str, float] = {}
-    first_ns, last_ns = None, 0
+    spans: dict[int, tuple[int, int]] = {}
     with _opened(path) as table:
-        wanted = _present(path, table, ("stamp_ns", *columns))
+        wanted = _present(path, table, ("segment", "stamp_ns", *columns))
         for batch in table.iter_batches(ROW_GROUP_ROWS, columns=wanted):
-            stamps = pc.min_max(batch["stamp_ns"])
-            first_ns = min(first_ns or stamps["min"].as_py(), stamps["min"].as_py())
-            last_ns = max(last_ns, stamps["max"].as_py())
-            for name in wanted[1:]:
+            for segment, stamp_ns in zip(*(batch[name].to_pylist() for name in wanted[:2]), strict=True):
+                first_ns, last_ns = spans.get(segment, (stamp_ns, stamp_ns))
+                spans[segment] = min(first_ns, stamp_ns), max(last_ns, stamp_ns)
+            for name in wanted[2:]:
                 total = pc.sum(batch[name]).as_py()
                 if total is not None:
                     sums[name] = sums.get(name, 0.0) + total
         rows = table.metadata.num_rows
-    return TableTotals(rows, sums, last_ns - (first_ns or 0))
+    return TableTotals(rows, sums, sum(last_ns - first_ns for first_ns, last_ns in spans.values()))
 
 
 def copy_table(source: Path, target: Path, facts: Mapping[str, str], constant: Mapping[str, Scalar]) -> None:
@@ -196,7 +196,8 @@ def copy_table(source: Path, target: Path, facts: Mapping[str, str], constant: M
     """
     with _opened(source) as table:
         old = table.schema_arrow
-        more = _encoded({f"{FACT_PREFIX}{key}": value for key, value in facts.items()})
+        known = facts_in(table.metadata.metadata) | dict(facts)
+        more = _encoded({f"{FACT_PREFIX}{key}": value for key, value in known.items()})
         columns = [*old, *(_field(name, type(value)) for name, value in constant.items())]
         schema = pa.schema(columns, (old.metadata or {}) | more)
         with target_errors(target), pq.ParquetWriter(target, schema, compression="zstd") as copy:
@@ -280,6 +281,10 @@ class TableWriter:
             with target_errors(self._path):
                 self._writer.write_table(pa.Table.from_pylist(self._rows, schema=self._schema))
             self._rows.clear()
+
+    def add_facts(self, facts: Mapping[str, str]) -> None:
+        """Add entries to the footer, known only after the last row."""
+        self._writer.add_key_value_metadata(_encoded({f"{FACT_PREFIX}{key}": value for key, value in facts.items()}))
 
     def complete(self) -> None:
         """Write the remaining rows and the footer; only the rename is left.

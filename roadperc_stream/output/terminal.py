@@ -10,6 +10,7 @@ from rich.box import Box
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 
 from roadperc_stream.output.text_table import TextRow, TextTable, transposed
 from roadperc_stream.system.process import discard_output
@@ -23,6 +24,10 @@ _GAP: Final = 2
 """Spaces between two columns."""
 _LEAST_LABEL: Final = 15
 """Minimum width of labels; columns of numbers that do not fit beside them continue in a table below."""
+
+
+_VERDICT: Final = r"^(?:check: )?(?:(?P<red>worse|failed|error)|(?P<green>better|passed))(?=$|[:, ])"
+"""A verdict at the beginning of a line or a cell; the names of the groups are its colours."""
 
 
 class PipeConsole(Console):
@@ -117,8 +122,16 @@ def _rendered(table: TextTable, width: int) -> Table:
     if words:
         rendered.add_column(table.headers[-1], overflow="fold")
     for item in table.rows:
-        rendered.add_row(f"{item.label}\n{item.below}" if item.below else item.label, *item.cells[0])
+        label = f"{item.label}\n{item.below}" if item.below else item.label
+        rendered.add_row(label, *map(_coloured, item.cells[0]))
     return rendered
+
+
+def _coloured(text: str) -> Text:
+    """A text with the colour of the verdict that it begins with; a pipe and ``NO_COLOR`` get none."""
+    coloured = Text(text)
+    coloured.highlight_regex(_VERDICT)
+    return coloured
 
 
 def print_lines(console: Console, *lines: str | Table, unbroken: bool = False) -> None:
@@ -129,7 +142,7 @@ def print_lines(console: Console, *lines: str | Table, unbroken: bool = False) -
     """
     with console.capture() as capture:
         for line in lines:
-            text = shown(line) if isinstance(line, str) else line
+            text = _coloured(shown(line)) if isinstance(line, str) else line
             console.print(text, crop=False, soft_wrap=unbroken and isinstance(line, str))
     for line in capture.get().splitlines():
         console.file.write(f"{line.rstrip()}\n")

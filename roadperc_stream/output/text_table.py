@@ -9,7 +9,7 @@ _ONE_VALUE: Final = ("",)
 
 @dataclass(frozen=True)
 class TextRow:
-    """A row: a label, the cells of each subject, and whether lower or higher is better.
+    """A row: a label, the cells of each subject, and an explanation of the label, shown on a page only.
 
     A subject without values has no cells; the last cells may be left out. ``listed`` are the subjects that get a line,
     in order; None for all subjects with values.
@@ -17,7 +17,7 @@ class TextRow:
 
     label: str
     cells: tuple[tuple[str, ...], ...] = ((),)
-    better: str = ""
+    about: str = ""
     listed: tuple[int, ...] | None = None
     below: str = ""
     """A second line of the label, on a terminal only."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, Protocol
 
 from roadperc_stream import __version__
 from roadperc_stream.config import ReplayConfig
@@ -10,14 +10,17 @@ from roadperc_stream.geometry import Float
 from roadperc_stream.input.replay_input import ReplayInput
 from roadperc_stream.log import Attachment, Channel, LogWriter, Message, MessageCopy, Metadata, Piece
 from roadperc_stream.model import FrameResult, Odometry, ReasonKind, Sample
+from roadperc_stream.model.finding import Evidence, Finding, encoded_findings
 from roadperc_stream.model.sample import frame_reasons
 from roadperc_stream.output.drawing.on_request import PictureMaker
+from roadperc_stream.output.frozen_frames import FrozenFrames
 from roadperc_stream.output.reason_counts import ReasonCount, merged, of_frame, throughout
 from roadperc_stream.output.results import result_channel, result_messages
 from roadperc_stream.output.tables import TableWriter, config_text, table_facts
 from roadperc_stream.output.target import ReplayTarget
+from roadperc_stream.schemas import record
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics, ObjectMetrics
-from roadperc_stream.schemas.record import CONFIG_ATTACHMENT, METADATA_RECORD, OWN_ATTACHMENTS, SEED_KEY, VERSION_KEY
+from roadperc_stream.schemas.record import CONFIG_ATTACHMENT, METADATA_RECORD, OWN_ATTACHMENTS
 from roadperc_stream.schemas.topics import result_schemas
 from roadperc_stream.system.files import partial_of, sync_file
 from roadperc_stream.system.progress import Progress, StageTimer, no_progress
@@ -81,12 +84,36 @@ class Counted:
 
 @dataclass(frozen=True)
 class FrameOutput:
-    """The output of one frame: topic and bytes of its messages, its row with time columns, rows of its objects."""
+    """The output of one frame: topic and bytes of its messages, its row with time columns, rows of its objects.
+
+    ``evidence`` is for the findings of the whole replay.
+    """
 
     messages: tuple[tuple[str, bytes], ...]
     row: FrameMetrics
     times_ms: Mapping[str, float]
     objects: tuple[ObjectMetrics, ...]
+    evidence: Evidence = field(default_factory=Evidence)
+
+
+class FindingCounter(Protocol):
+    """Collects the evidence of all frames; implemented in the metrics."""
+
+    def evidence(self, sample: Sample, result: FrameResult) -> Evidence:
+        """The evidence of one frame, beside its row."""
+
+    def add(self, row: FrameMetrics, evidence: Evidence) -> None:
+        """Count a frame."""
+
+    @property
+    def mounting_m(self) -> float | None:
+        """Height of the camera by the transforms; None without transforms."""
+
+    def findings(self, unreadable: Mapping[str, int], reference: str) -> tuple[Finding, ...]:
+        """The findings of all frames.
+
+        ``unreadable`` counts the messages of each role that are in no frame; those of ``reference`` make no frame.
+        """
 
 
 @dataclass(frozen=True)
@@ -116,6 +143,8 @@ class ReplaySummary:
     """Whether the replay wrote an output; False if the output was already complete."""
     first_ns: int = 0
     """Log time of the input's first message in nanoseconds."""
+    findings: tuple[Finding, ...] = ()
+    """Contradictions between inputs, or between inputs and results."""
 
     @property
     def frames_per_s(self) -> float:
@@ -131,7 +160,7 @@ class ReplaySummary:
         )
         return (
             *(f"warning: {warning}" for warning in self.warnings),
-            *(f"note: {note}" for note in (*self.notes, *self.throughout)),
+            *(f"note: {note}" for note in (*self.findings, *self.notes, *self.throughout)),
             *unreadable,
         )
 
@@ -142,9 +171,16 @@ class Outputs:
     ``shown`` are the facts of earlier frames for the messages of the next frame.
     """
 
-    def __init__(self, target: ReplayTarget, cfg: ReplayConfig, log_in: ReplayInput, facts: Mapping[str, str]) -> None:
-        """Name the files."""
-        self._target, self._cfg, self._input = target, cfg, log_in
+    def __init__(
+        self,
+        target: ReplayTarget,
+        cfg: ReplayConfig,
+        log_in: ReplayInput,
+        facts: Mapping[str, str],
+        counter: FindingCounter,
+    ) -> None:
+        """Name the files; ``counter`` finds contradictions."""
+        self._target, self._cfg, self._input, self._counter = target, cfg, log_in, counter
         facts = table_facts(log_in.summary.path, target.path, cfg, facts, log_in.networks)
         self._frames = TableWriter(target.metrics, FrameMetrics, facts, TIME_COLUMNS)
         self._objects = TableWriter(target.objects, ObjectMetrics, facts)
@@ -152,6 +188,7 @@ class Outputs:
         self._pictures = PictureMaker(target.on_request)
         self.files = (self._log, self._objects, self._frames)
         """Renamed in reverse order: when the log has its name, the tables have theirs."""
+        self._frozen = FrozenFrames()
         self._frames_before = 0
         self._resumed_ns: int | None = None
 
@@ -182,12 +219,14 @@ class Outputs:
         """Copy the input's messages up to a frame, then write the frame's messages and rows."""
         with timer("copy"):
             self._copy.through(sample.log_time_ns)
+        with timer("metrics"):
+            evidence = self._counter.evidence(sample, result)
         with timer("encode"):
             messages = self._messages(sample, result, row)
         with timer("write"):
             self._write_messages(sample, messages)
         timer.end()
-        output = FrameOutput(messages, row, timer.columns(), tuple(objects))
+        output = FrameOutput(messages, row, timer.columns(), tuple(objects), evidence)
         self._append(output)
         return output
 
@@ -215,7 +254,9 @@ class Outputs:
     def _append(self, output: FrameOutput) -> None:
         if self._on_frame is not None:
             self._on_frame(output.row, output.times_ms)
+        self._counter.add(output.row, output.evidence)
         self._frames.append(output.row, **output.times_ms)
+        self._frozen.add(output.row)
         for item in output.objects:
             self._objects.append(item)
 
@@ -239,8 +280,19 @@ class Outputs:
         for metadata in self._input.summary.metadata:
             if metadata.name != METADATA_RECORD:
                 self._log.describe(metadata)
-        record = {VERSION_KEY: __version__, SEED_KEY: str(self._cfg.seed), **facts, **self._input.record()}
-        self._log.describe(Metadata(METADATA_RECORD, tuple(record.items())))
+        stored = {record.FINDINGS_KEY: encoded_findings(self._findings())}
+        mounting_m = self._counter.mounting_m
+        known = {} if mounting_m is None else {record.MOUNTING_KEY: repr(mounting_m)}
+        self._frames.add_facts({**stored, **known})
+        made = {record.VERSION_KEY: __version__, record.SEED_KEY: str(self._cfg.seed)}
+        values = {**made, **facts, **self._input.record(), **(stored if self._findings() else {})}
+        self._log.describe(Metadata(METADATA_RECORD, tuple(values.items())))
+
+    def _findings(self) -> tuple[Finding, ...]:
+        """The findings of the input, then those of the results."""
+        topics, unreadable = self._input.topics, self._input.unreadable
+        by_role = {role: unreadable[topic] for role, topic in topics.items() if topic in unreadable}
+        return (*self._input.findings, *self._counter.findings(by_role, self._input.plan.order.reference))
 
     def make_durable(self) -> None:
         """Complete all files and sync them to the disk, before the rename."""
@@ -256,7 +308,7 @@ class Outputs:
             log_in.log_id,
             log_in.frames,
             self._log.messages,
-            notes=(*notes, *log_in.notes, *self._pictures.notes()),
+            notes=(*notes, *log_in.notes, *self._frozen.notes(), *self._pictures.notes()),
             warnings=warnings,
             dropped=log_in.dropped,
             problems=log_in.unreadable,
@@ -264,4 +316,5 @@ class Outputs:
             frames_before=self._frames_before,
             resumed_s=None if resumed_ns is None else ns_to_seconds(resumed_ns - (log_in.summary.first_ns or 0)),
             first_ns=log_in.summary.first_ns or 0,
+            findings=self._findings(),
         )

@@ -17,9 +17,11 @@ from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ConfigError, NoFrameError, StateError, TableError
 from roadperc_stream.input import ReplayInput, ReplaySource, input_of
 from roadperc_stream.input.earlier_replay import is_result, replay_record
+from roadperc_stream.input.replaced import with_recorded
 from roadperc_stream.input.source import ReadableLog
 from roadperc_stream.input.state import FrameNumbers
 from roadperc_stream.log import DIGEST_ALGORITHM, Attachment, LogSummary
+from roadperc_stream.model.finding import decoded_findings
 from roadperc_stream.output.tables import config_text, read_footer
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.output.writing import ReplaySummary
@@ -133,6 +135,7 @@ def open_log(source: ReplaySource, cfg: ReplayConfig) -> OpenedLog:
         StateError: its saved state cannot be read.
     """
     found = source.read(cfg.limits)
+    cfg = with_recorded(cfg, found.summary.attachments, found.summary.path)
     return _opened(found, source, cfg, *state_at_begin(found.summary, cfg, source.time_range))
 
 
@@ -161,6 +164,7 @@ def _open_warmed(source: ReplaySource, cfg: ReplayConfig, warm_up_s: float, own:
         LogError: these seconds are damaged, which would change the state; else as ``open_log``.
     """
     found = source.read(cfg.limits)
+    cfg = with_recorded(cfg, found.summary.attachments, found.summary.path)
     start_s, first_ns = found.part(source.time_range).start_s or 0.0, found.summary.first_ns or 0
     short = (f"warm-up: {start_s:g} s; the log has no more before the start",) if start_s < warm_up_s else ()
     lead = replace(source, time_range=TimeRange(start_s - warm_up_s, start_s))
@@ -245,6 +249,7 @@ def finished(target: ReplayTarget, cfg: ReplayConfig, opened: OpenedLog) -> Repl
         frames_before=frames,
         is_new=False,
         first_ns=opened.input.summary.first_ns or 0,
+        findings=decoded_findings(recorded.get(record.FINDINGS_KEY, "")),
     )
 
 

@@ -1,4 +1,4 @@
-"""Reads and writes ROS 2 messages in CDR, by the definition in the log."""
+"""Reads ROS messages, and writes those of ROS 2 in CDR, by the definition in the log."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,27 +12,33 @@ from roadperc_stream.errors import DecodeError
 from roadperc_stream.schemas.definitions import brief, types_of
 from roadperc_stream.system.time import NS_PER_S
 
+_ZSTD: Final = b"\x28\xb5\x2f\xfd"
+"""First bytes of a compressed message; no CDR message begins so."""
 _MOST_LAYOUTS: Final = 64
 """Parsed definitions to keep; a log has only a few."""
 
 
 def read(data: bytes, name: str, definition: bytes, encoding: str = "ros2msg") -> Any:
-    """Return a message whose arrays are views of ``data``.
+    """Return a message. Its arrays are views of ``data`` in CDR, or of one copy of a message of ROS 1.
 
     Args:
-        data: CDR with its encapsulation header, of either byte order.
-        name: the message's type, such as ``sensor_msgs/msg/Image``.
+        data: CDR with its encapsulation header, of either byte order; or a message of ROS 1.
+        name: the message's type, such as ``sensor_msgs/msg/Image``, or ``sensor_msgs/Image`` in ROS 1.
         definition: text of the type and of the types that it contains, as a log stores it.
-        encoding: ``ros2msg`` or ``ros2idl``.
+        encoding: ``ros2msg``, ``ros2idl`` or, for a message of ROS 1, ``ros1msg``.
 
     Raises:
         DecodeError: the definition does not define the type, or the bytes do not match it.
     """
     if not definition:
-        raise DecodeError(f"the log does not define {name}: expected ros2msg or ros2idl")
+        raise DecodeError(f"the log does not define {name}: expected ros2msg, ros2idl or ros1msg")
+    name = name if "/msg/" in name else name.replace("/", "/msg/", 1)
     layout = layout_of(name, definition, encoding)
+    if data[: len(_ZSTD)] == _ZSTD:
+        raise DecodeError("the messages are compressed: replay the folder of the bag with its metadata.yaml")
     with as_defined(f"{len(data)} bytes are not a valid {name}"):
-        return layout.deserialize_cdr(memoryview(data), name)
+        content = layout.ros1_to_cdr(data, name) if encoding == "ros1msg" else memoryview(data)
+        return layout.deserialize_cdr(content, name)
 
 
 def layout_of(name: str, definition: bytes, encoding: str = "ros2msg") -> Typestore:

@@ -1,4 +1,4 @@
-"""Parses the ROS 2 message definitions of a log, within limits on their size.
+"""Parses the ROS message definitions of a log, within limits on their size.
 
 The library generates code from a definition, and unrolls every item of a fixed array of strings or messages. One line
 of text could need gigabytes of code. Nested brackets and sequences in IDL take the parser exponential time.
@@ -20,6 +20,13 @@ MOST_ELEMENTS: Final = 1000
 DEEPEST: Final = 50
 _LONGEST_ARRAY: Final = 2**31 - 1
 _SEPARATOR: Final = "=" * 80 + "\n"
+_BUILT_IN: Final = (
+    f"\n{_SEPARATOR}MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+    f"{_SEPARATOR}MSG: builtin_interfaces/Duration\nint32 sec\nuint32 nanosec\n"
+)
+"""Types that ROS 1 does not define in a bag."""
+_HEADER: Final = get_types_from_msg("builtin_interfaces/Time stamp\nstring frame_id\n", "std_msgs/msg/Header")
+"""ROS 2 has no sequence number in the header."""
 _IDL_TEXT: Final = re.compile(r'"(?:\\"|[^"])*"|/\*.*?\*/|//[^\n]*', re.DOTALL)
 _IDL_ANNOTATION: Final = re.compile(r"@\s*[\w:]+\s*\(")
 _IDL_COMPUTED: Final = re.compile(r"[(*]|<<|sequence\s*<\s*sequence\b")
@@ -29,7 +36,8 @@ def types_of(name: str, definition: bytes, encoding: str) -> Typesdict:
     """Return the types in a definition, including ``name``.
 
     ``name`` is a type such as ``sensor_msgs/msg/Image``; ``definition`` is its text with the types that it contains.
-    ``encoding`` is ``ros2msg`` or ``ros2idl``.
+    ``encoding`` is ``ros2msg``, ``ros2idl``, or ``ros1msg``, whose types are returned as those of ROS 2: with names of
+    fields in lower case only.
 
     Raises:
         DecodeError: the type or one that it contains is undefined, contains itself, or exceeds the limits.
@@ -40,10 +48,14 @@ def types_of(name: str, definition: bytes, encoding: str) -> Typesdict:
     text = definition.decode()
     if encoding == "ros2msg":
         types = get_types_from_msg(text, name)
+    elif encoding == "ros1msg":
+        found = get_types_from_msg(text + _BUILT_IN, name)
+        types = {key: (said, [(f.lower(), kind) for f, kind in fields]) for key, (said, fields) in found.items()}
+        types |= _HEADER
     elif encoding == "ros2idl":
         types = {key: value for part in _idl_parts(text) for key, value in get_types_from_idl(part).items()}
     else:
-        raise DecodeError(f"definition in encoding {encoding or 'none'}: expected ros2msg or ros2idl")
+        raise DecodeError(f"definition in encoding {encoding or 'none'}: expected ros2msg, ros2idl or ros1msg")
     stated = sum(len(constants) + len(fields) for constants, fields in types.values())
     if stated > MOST_ELEMENTS:
         raise DecodeError(f"{stated} fields and constants: expected {MOST_ELEMENTS} at most")
@@ -94,8 +106,17 @@ def _count_field(field: str, kind: FieldDesc, types: Typesdict, within: tuple[st
     if fixed and not 1 <= int(length) <= _LONGEST_ARRAY:
         raise DecodeError(f"{field} is an array of length {brief(length)}: expected 1 to {_LONGEST_ARRAY}")
     each = _count(str(item[1]), types, within) if item[0] == Nodetype.NAME else 1
+    if not fixed and _is_empty(item, types):
+        raise DecodeError(f"{field} is a sequence of items without fields")  # a few bytes could claim 2^32 of them
     unrolled = fixed and (item[0] == Nodetype.NAME or item[1][0] == "string")
     return each * int(length) if unrolled else each
+
+
+def _is_empty(kind: FieldDesc, types: Typesdict) -> bool:
+    """Whether a field takes no bytes."""
+    if kind[0] == Nodetype.NAME:
+        return all(_is_empty(part, types) for _, part in types[str(kind[1])][1])
+    return kind[0] == Nodetype.ARRAY and _is_empty(kind[1][0], types)
 
 
 def brief(text: object) -> str:

@@ -4,7 +4,11 @@ from collections.abc import Collection, Mapping
 from typing import Final, Literal
 
 IMAGE_SCHEMA: Final = "foxglove.CompressedImage"
-VIDEO_SCHEMA: Final = "foxglove.CompressedVideo"
+VIDEO_SCHEMAS: Final = (
+    "foxglove.CompressedVideo",
+    "foxglove_msgs/msg/CompressedVideo",
+    "foxglove_msgs/CompressedVideo",
+)
 CALIBRATION_SCHEMA: Final = "foxglove.CameraCalibration"
 POINTS_SCHEMA: Final = "foxglove.PointCloud"
 ROS_IMAGE_SCHEMA: Final = "sensor_msgs/msg/Image"

@@ -17,6 +17,7 @@ TABLE_SUFFIX: Final = ".parquet"
 METRICS_SUFFIX: Final = ".metrics.parquet"
 OBJECTS_SUFFIX: Final = ".objects.parquet"
 BAG_METADATA: Final = "metadata.yaml"
+_LOG_NAMES: Final = ("*.mcap", "*.db3", "*.bag", "*.mcap.zst*", "*.db3.zst*")
 
 
 def require_free(target: Path, *, force: bool, suffix: str, source: Path | None = None) -> None:
@@ -92,9 +93,10 @@ def is_bag_folder(path: Path) -> bool:
 
 def not_a_log(folder: Path) -> str:
     """The error for a folder instead of a log: names the logs in it, or the command that converts a dump."""
-    logs = sorted(folder.glob("*.mcap")) or sorted(folder.glob("*.db3"))
-    if logs:
-        files = f", or all {len(logs)} files of one log: {folder}/*{logs[0].suffix}" if len(logs) > 1 else ""
+    pattern = next((pattern for pattern in _LOG_NAMES if any(folder.glob(pattern))), "")
+    if pattern:
+        logs = sorted(folder.glob(pattern))
+        files = f", or all {len(logs)} files of one log: {folder}/{pattern}" if len(logs) > 1 else ""
         return f"{folder}: is a folder, expected a log, such as {logs[0]}{files}"
     target = f"{folder if folder.name.strip('.') else folder.resolve().name}.mcap"
     command = shlex.join(("roadperc-convert", str(folder), target))

@@ -63,3 +63,12 @@ def nearest(name: str, known: Iterable[str], likeness: float = 0.6) -> str | Non
     folded = {candidate.casefold(): candidate for candidate in known}
     close = difflib.get_close_matches(name.casefold(), folded, n=1, cutoff=likeness)
     return folded[close[0]] if close else None
+
+
+def in_brief(value: object, most: int = 200) -> str:
+    """A value of any type and size as text of at most ``most`` characters."""
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # too many digits or levels for repr
+        return f"a {type(value).__name__} too long to show"
+    return text if len(text) <= most else f"{text[:most]}..."

@@ -8,6 +8,8 @@ from typing import Final
 from roadperc_stream.errors import ConfigError
 
 NS_PER_S: Final = 1_000_000_000
+LONGEST_PAUSE_NS: Final = 3600 * NS_PER_S
+"""Longest pause between two frames of a segment; a longer one is a jump of the clock, or another recording."""
 END_OF_TIME_NS: Final = 2**63
 """The first stamp beyond the signed 64 bits of tables and viewers."""
 

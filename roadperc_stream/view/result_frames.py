@@ -12,8 +12,10 @@ from roadperc_stream.geometry import Camera
 from roadperc_stream.input.decoding import Decoded, context_of_channel, decode
 from roadperc_stream.input.earlier_replay import is_result, is_result_of
 from roadperc_stream.input.rectified import rectified
+from roadperc_stream.input.replaced import first_latched
+from roadperc_stream.input.rig import calibration_role
 from roadperc_stream.input.roles import assignment_of_log
-from roadperc_stream.input.stream import Problems, RoleAssignment, decoded_messages
+from roadperc_stream.input.stream import Problems, RoleAssignment
 from roadperc_stream.log import LogSummary, Message
 from roadperc_stream.model import Absent, CameraImage, Lanes, Mask, Objects, Reason, TagImage, parse_reason
 from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14
@@ -179,12 +181,8 @@ def _image_source(summary: LogSummary) -> _ImageSource:
         roles = assignment_of_log(summary, {})
     except ChannelError:  # the roles of the input are ambiguous
         return "", None
-    names = ("image", "calibration") if "image" in roles.topics else ("left", "left_calibration")
-    topic = roles.topics.get(names[1]) or roles.topics.get("calibration", "")
-    calibrations = replace(roles, topics={"calibration": topic})
-    items = decoded_messages(log.read(summary, topics=(topic,)), calibrations, "auto", Problems())
-    camera = next((item.payload for item in items if isinstance(item.payload, Camera)), None)
-    return roles.topics.get(names[0], ""), camera
+    role, cameras = "image" if "image" in roles.topics else "left", first_latched(summary, roles).cameras
+    return roles.topics.get(role, ""), cameras.get(calibration_role(role, cameras))
 
 
 def _frame_of(

@@ -27,7 +27,7 @@ from roadperc_stream.output.drawing.overlay import draw_frame
 from roadperc_stream.schemas.topics import METRICS_TOPIC, OVERLAY_TOPIC
 from roadperc_stream.system.files import completing, require_free
 from roadperc_stream.system.progress import no_progress
-from roadperc_stream.system.time import NS_PER_S, ns_to_seconds
+from roadperc_stream.system.time import LONGEST_PAUSE_NS, NS_PER_S, ns_to_seconds
 from roadperc_stream.view.result_frames import content_of, read_frames, read_rows, row_of
 
 _CODEC: Final = "vp09"
@@ -98,12 +98,12 @@ def frame_rate_hz(stamps_ns: Sequence[int]) -> float:
 def pictures_shown(stamps_ns: Sequence[int], rate_hz: float) -> list[int]:
     """The number of video pictures of each frame, so that video time follows the stamps.
 
-    0 for a frame that is faster than the video rate, 1 where stamps go back.
+    0 for a frame that is faster than the video rate, 1 at the end of a segment.
     """
     elapsed, ticks = 0.0, [0]
     for earlier, later in pairwise(stamps_ns):
-        seconds = ns_to_seconds(later - earlier)
-        elapsed += min(seconds, _LONGEST_STILL_S) if seconds > 0 else 1 / rate_hz
+        seconds, is_same = ns_to_seconds(later - earlier), 0 < later - earlier <= LONGEST_PAUSE_NS
+        elapsed += min(seconds, _LONGEST_STILL_S) if is_same else 1 / rate_hz
         # Rounding to the nearest picture keeps regular intervals regular.
         ticks.append(int(elapsed * rate_hz + 0.5))
     return [later - earlier for earlier, later in pairwise([*ticks, ticks[-1] + 1])]

@@ -16,7 +16,15 @@ QUANTITIES = {
     "time to impact": 4,
 }
 """The maximum share in percent beyond three standard deviations."""
-PARTS = {"lane offset": ("lane left offset", "lane right offset")}
+COLUMNS = {
+    "lane offset": ("lane_left_offset_m", "lane_right_offset_m"),
+    "lane heading": ("lane_heading_deg",),
+    "step": ("step_m",),
+    "turn": ("turn_deg",),
+    "distance": ("distance_m",),
+    "closing speed": ("closing_speed_mps",),
+    "time to impact": ("time_to_impact_s",),
+}
 
 
 @cache
@@ -28,7 +36,7 @@ def of_replay(path):
 def shares(quantity, scenarios, beyond_percent, results):
     """Shares within one and two standard deviations and beyond three, with NEES, pooled over replays."""
     total = added(of_replay(replay.path) for replay in results.of(scenarios))
-    found = sum((total.get(name, Consistency()) for name in PARTS.get(quantity, (quantity,))), Consistency())
+    found = sum((total.get(name, Consistency()) for name in COLUMNS[quantity]), Consistency())
     if not found.values:
         return nothing("no standard deviation in the tables" if found.errors else "no truth")
     within_1, within_2, beyond_3 = found.within(1), found.within(2), 1 - found.within(3)
@@ -41,5 +49,5 @@ def shares(quantity, scenarios, beyond_percent, results):
 
 def steps_beyond(replays):
     """Share of the steps beyond three standard deviations, in percent."""
-    found = sum((added([of_replay(replay.path)]).get("step", Consistency()) for replay in replays), Consistency())
+    found = sum((added([of_replay(replay.path)]).get("step_m", Consistency()) for replay in replays), Consistency())
     return Value(100 * (1 - found.within(3)) if found.values else None, detail=f"{found.values} steps")

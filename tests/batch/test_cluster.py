@@ -143,5 +143,5 @@ def test_an_address_with_another_listener(monkeypatch):
 def test_without_ray_the_error_has_the_command_to_install_it(folder, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     done = batch(tmp_path / "out", folder, "--ray", "local")
-    install = "pip install 'roadperc_stream[cluster]'"
+    install = "pip install '.[cluster]' in the project's folder"
     assert (done.returncode, done.stderr) == (1, f"error: --ray: Ray is not installed; {install}\n")

@@ -99,11 +99,16 @@ def test_an_unusable_input_counts_as_missing_and_is_reported(changes, source, pr
     assert result.surface.source == source
 
 
-@pytest.mark.parametrize(("frames", "code"), [((0, 1, 2, 3, 0), "time_went_back"), ((0, 0), "time_stood_still")])
-def test_a_stamp_that_is_not_after_the_last_one_clears_the_state(frames, code):
-    stamps = tuple(drive(4)[k].stamp_ns for k in frames[-2:])
-    _, results = run([drive(4)[k] for k in frames])
-    assert Reason("time", code, stamps if code == "time_went_back" else stamps[:1]) in results[-1].problems
+@pytest.mark.parametrize(
+    ("to_ns", "code"),
+    [(lambda last: last - 1, "time_went_back"), (lambda last: last + 3600 * 10**9 + 1, "time_jumped")],
+    ids=["back", "more than an hour ahead"],
+)
+def test_a_stamp_that_begins_a_segment_clears_the_state(to_ns, code):
+    frames = drive(5)
+    last_ns = frames[3].stamp_ns
+    _, results = run([*frames[:4], replace(frames[4], stamp_ns=to_ns(last_ns))])
+    assert Reason("time", code, (last_ns, to_ns(last_ns))) in results[-1].problems
     assert results[-1].lanes.side("left").status == "measured"
 
 

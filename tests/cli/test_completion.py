@@ -76,7 +76,7 @@ def test_every_command_completes_its_options(command, folder):
         ("roadperc-bisect a.mcap --base ", ["a.toml", "drive/"]),
         ("roadperc-find drive x --json ", ["a.json", "drive/"]),
         ("roadperc-trajectory --export-tum ", ["drive/"]),
-        ("roadperc-lanes a.mcap --truth ", ["a.json", "drive/"]),
+        ("roadperc-lanes a.mcap --truth ", ["a.json", "drive/", "notes.txt"]),
         ("roadperc-view --save ", ["a.rrd", "drive/"]),
         ("roadperc-view --video ", ["a.mp4", "drive/"]),
         ("roadperc-view --foxglove-layout ", ["a.json", "drive/"]),

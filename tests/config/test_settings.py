@@ -10,7 +10,7 @@ import pytest
 from roadperc_stream.chain.step import ChainState, step
 from roadperc_stream.config import STAGES, ReplayConfig, load_config, switched_off
 from roadperc_stream.config.fields import Section
-from roadperc_stream.config.stages import OWN_STAGES
+from roadperc_stream.config.stages import ABOUT_THE_LOG, OWN_STAGES
 from roadperc_stream.input import ReplaySource, open_input
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.system.threads import one_thread
@@ -170,8 +170,10 @@ def results(stages, settings):
 
 
 def all_settings():
-    """``section.key``, and the keys that belong to no section."""
+    """``section.key``, and the keys that belong to no section; not those of tables about the log."""
     for name, field in ReplayConfig.model_fields.items():
+        if name in ABOUT_THE_LOG:
+            continue
         if isinstance(field.default, Section):
             yield from (f"{name}.{key}" for key in type(field.default).model_fields)
         else:

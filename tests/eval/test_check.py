@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from junitparser import Error, Failure, JUnitXml, Skipped
 
-from roadperc_stream.cli import check, replay
+from roadperc_stream.cli import check, replay, report
 from roadperc_stream.eval.criteria import DEFAULT_CRITERIA, Effect, effects, read_criteria
 from roadperc_stream.eval.machine import write_json
 from tests.commands import SCRIPTS
@@ -118,10 +118,22 @@ def test_files_for_other_programs(capsys, table, tmp_path):
         "step_error_m mean": ("out", [Skipped]),
         "height": ("out", []),
     }
-    assert "0.4 m, at most 0.2 m" in next(iter(suite)).result[0].text
+    result = next(iter(suite)).result[0]
+    assert "0.4 m, at most 0.2 m" in result.text
+    assert "0.4 m, at most 0.2 m" in result.message
     markdown = (tmp_path / "a.md").read_text()
     assert markdown.startswith("## Check: failed\n")
     assert "| lane\\_left\\_error\\_m max | failed | out | 0.4 m, at most 0.2 m; coverage 80.0 % | 5 |" in markdown
+
+
+def test_a_second_summary_is_appended_and_the_text_of_others_stays(capsys, table, tmp_path):
+    (tmp_path / "criteria.toml").write_text(FAILING)
+    (tmp_path / "a.md").write_text("# Nightly\n")
+    outcome(check.main, capsys, table, "--criteria", tmp_path / "criteria.toml", "--markdown", tmp_path / "a.md")
+    outcome(report.main, capsys, table, "--markdown", tmp_path / "a.md")
+    markdown = (tmp_path / "a.md").read_text()
+    assert re.findall("^#+ .*", markdown, re.MULTILINE)[:2] == ["# Nightly", "## Check: failed"]
+    assert markdown.count("\n\n## ") == 2
 
 
 def test_a_failed_log_of_a_batch_is_an_error(capsys, tmp_path):
@@ -143,14 +155,14 @@ def test_a_failed_log_of_a_batch_is_an_error(capsys, tmp_path):
         ("[[criterions]]", "no key criterions; did you mean criterion?"),
         ('criterion = [{ metric = "a" }]', "criterion 1 ('a'): expected the key statistic"),
         ('criterion = [{ metric = "lane_left_eror_m", statistic = "max", most = 1 }]', "mean lane_left_error_m?"),
-        ('criterion = [{ column = "frame", statistic = "p50", most = 1 }]', "statistic: expected one of mean, median"),
-        ('criterion = [{ column = "frame", statistic = "max", most = "1" }]', "most: expected a valid number"),
+        ('criterion = [{ column = "frame", statistic = "p50", most = 1 }]', "statistic: expected one of 'mean',"),
+        ('criterion = [{ column = "frame", statistic = "max", most = "1" }]', "most: expected a number"),
         ('criterion = [{ column = "frame", statistic = "max" }]', "expected one of most and least"),
         ('criterion = [{ column = "frame", statistic = "share", most = 1 }]', "within belongs to the statistic share"),
-        ('criterion = [{ column = "fram", statistic = "max", most = 1 }]', "column: no column fram; did you mean"),
+        ('criterion = [{ column = "fram", statistic = "max", most = 1 }]', "column: no column fram; similar"),
         ('criterion = [{ column = "reasons", statistic = "max", most = 1 }]', "expected numbers"),
         ('criterion = [{ column = "frame", statistic = "max", most = 1, filter = "a +" }]', "filter: 'a +' is no SQL"),
-        ('criterion = [{ column = "frame", statistic = "max", most = 1, filter = "fram > 1" }]', "did you mean frame?"),
+        ('criterion = [{ column = "frame", statistic = "max", most = 1, filter = "fram > 1" }]', "columns: frame"),
         ('criterion = [{ column = "frame", statistic = "max", most = 1, filter = "frame" }]', "expected a condition"),
         (f'criterion = [{{ column = "frame", statistic = "max", most = 1, filter = "{1200 * "("}" }}]', "1000 at most"),
         ('criterion = [{ column = "frame", statistic = "max", most = 1, name = "a,b" }]', "expected a name of letters"),
@@ -211,7 +223,7 @@ def test_written_criteria_pass_on_their_runs_and_fail_on_worse_ones(sample, caps
 def test_the_default_criteria_pass_on_the_sample(sample, capsys):
     code, out, _ = outcome(check.main, capsys, sample)
     assert (code, out.count("\n")) == (0, 2), out
-    assert len(read_criteria(DEFAULT_CRITERIA)) == 12
+    assert len(read_criteria(DEFAULT_CRITERIA)) == 13
 
 
 def test_git_bisect_finds_the_commit_with_the_bad_setting(tmp_path):

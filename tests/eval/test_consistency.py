@@ -95,7 +95,7 @@ def test_tables_add_up(parts):
     """The sums over several tables equal those of one table with all rows."""
     numbers = np.concatenate([100 * k + np.arange(len(part)) for k, part in enumerate(parts)])
     whole = consistency(np.concatenate(parts), len(numbers), numbers)
-    total = added({"step": of(*part)} for part in parts)["step"]
+    total = added({"step_m": of(*part)} for part in parts)["step_m"]
     assert total.nees == pytest.approx(whole.nees)
     assert [total.within(k) for k in (1, 2, 3)] == [whole.within(k) for k in (1, 2, 3)]
     assert (total.nees_interval is None) == (whole.nees_interval is None)
@@ -121,11 +121,11 @@ def test_a_run_is_read_from_both_tables(tmp_path):
         distance_std_m=[1.0, 1.0, 1.0],
     )
     found = only_run(path)
-    assert list(found) == ["step", "distance"]
-    assert (found["step"].errors, found["step"].values) == (4, 2)  # null, and a deviation of nothing
-    assert found["step"].nees == pytest.approx(5.0)
-    assert (found["distance"].values, found["distance"].blocks) == (2, 1)  # what was dropped does not count
-    assert found["distance"].nees == pytest.approx(2.5)
+    assert list(found) == ["step_m", "distance_m"]
+    assert (found["step_m"].errors, found["step_m"].values) == (4, 2)  # null, and a deviation of nothing
+    assert found["step_m"].nees == pytest.approx(5.0)
+    assert (found["distance_m"].values, found["distance_m"].blocks) == (2, 1)  # what was dropped does not count
+    assert found["distance_m"].nees == pytest.approx(2.5)
 
 
 def test_the_report_and_the_page_have_the_table(tmp_path, capsys):
@@ -133,7 +133,7 @@ def test_the_report_and_the_page_have_the_table(tmp_path, capsys):
     path = frames(tmp_path / "drive.metrics.parquet", 0.1 * errors, np.full(200, 0.1))
     assert main([str(path), "--full", "--html", str(tmp_path / "page.html")]) == 0
     text = capsys.readouterr().out
-    line = next(line for line in text.partition("Consistency")[2].splitlines() if line.startswith("step")).split()
+    line = next(line for line in text.partition("Consistency")[2].splitlines() if line.startswith("step_m")).split()
     assert line[1:3] == ["200", "100.0"]
     assert float(line[3]) == pytest.approx(100 * np.mean(np.abs(errors) <= 1), abs=0.06)
     assert float(line[6]) == pytest.approx(np.mean(errors**2), abs=0.006)
@@ -151,6 +151,6 @@ def test_extreme_numbers_in_a_table_are_clipped(tmp_path, recwarn):
     path = frames(tmp_path / "drive.metrics.parquet", [1e99, 0.1, -0.1], [1e-300, 0.1, np.nan])
     objects(path, kept=[1, 0], distance_m=[1e308, 1.0], true_distance_m=[-1e308, 1.0], distance_std_m=[1.0, 1.0])
     found = only_run(path)
-    assert list(found) == ["step"]
-    assert found["step"].nees == pytest.approx(5e11)
+    assert list(found) == ["step_m"]
+    assert found["step_m"].nees == pytest.approx(5e11)
     assert not recwarn.list

@@ -113,6 +113,7 @@ def test_of_two_configurations_each_is_named_and_replaced_logs_are_left_out(data
     [
         ("time_to_impct_s < 2", [], "no column time_to_impct_s of the tables; similar columns: time_to_impact_s, "),
         ("objects.distanc_m < 2", [], "no column objects.distanc_m of the tables; similar columns: objects.distance_"),
+        ("lane_left_status = lost", [], "if it is a text, write 'lost' in single quotes; docs/metrics.md lists"),
         ("time_to_impact_s", [], "is of type Float64, expected a condition on columns"),
         ("max(time_to_impact_s) > 3", [], "is one value for all rows, expected a condition on columns"),
         ("time_to_impact_s <", [], "is not a polars SQL condition (unable to parse "),

@@ -37,10 +37,10 @@ def upright(x_px):
     return np.array([(x_px, y_px) for y_px in np.arange(719.0, 150.0, -10.0)])
 
 
-def seen(stamp_ns, *lines_px):
+def seen(stamp_ns, *lines_px, camera="camera"):
     sides = zip(("left", "right"), lines_px, strict=False)
     lanes = Lanes(tuple(Boundary(side, "measured", line_px=line) for side, line in sides))
-    return Item("truth_lanes", stamp_ns, encoding.encode_lanes(stamp_ns, "camera", lanes), "/perception/lanes")
+    return Item("truth_lanes", stamp_ns, encoding.encode_lanes(stamp_ns, camera, lanes), "/perception/lanes")
 
 
 def run_log(path, items):
@@ -214,16 +214,16 @@ def test_lanes_are_scaled_to_size(drive, tmp_path, capsys):
 
 
 BAD = {
-    "nonsense": "Invalid JSON",
-    "[1]": "Input should be an object",
-    '{"raw_file": "a/1", "h_samples": [1]}': "lanes: Field required",
+    "nonsense": "expected JSON",
+    "[1]": "expected keys with values",
+    '{"raw_file": "a/1", "h_samples": [1]}': "lanes: missing",
     truth_line(1, lanes=[[1.0, 2.0]]): "lanes[0] has 2 columns; expected 56, one per h_sample",
-    truth_line(1, lanes=[], h_samples=[]): "h_samples: List should have at least 1 item",
-    truth_line(1, lanes=[["x"]]): "lanes.0.0",
-    truth_line(1, lanes=[[float("nan")]]): "lanes.0.0",
-    truth_line(1, lanes=[[10**400] * len(ROWS)]): "lanes.0.0: Input should be less than or equal to 1000000000",
-    truth_line(1, lanes=[], h_samples=[1e300]): "h_samples.0: Input should be less than or equal to 1000000000",
-    truth_line(1, raw_file=3): "raw_file: Input should be a valid string",
+    truth_line(1, lanes=[], h_samples=[]): "h_samples: expected at least 1",
+    truth_line(1, lanes=[["x"]]): "lanes[0][0]",
+    truth_line(1, lanes=[[float("nan")]]): "lanes[0][0]",
+    truth_line(1, lanes=[[10**400] * len(ROWS)]): "lanes[0][0]: expected less than or equal to 1000000000",
+    truth_line(1, lanes=[], h_samples=[1e300]): "h_samples[0]: expected less than or equal to 1000000000",
+    truth_line(1, raw_file=3): "raw_file: expected a text",
     truth_line(1, raw_file="clips/20_a.jpg"): "raw_file 'clips/20_a.jpg' has no stamp; expected a stamp in ns",
     truth_line(STAMPS_NS[0]): "has the same stamp as",
 }

@@ -57,7 +57,7 @@ def test_a_log_without_truth_is_ranked_by_suspect_quantities(tmp_path, capsys):
     assert "No frame has truth" in text
     assert "Consistency" not in text
     assert "error" not in text
-    assert line_of(text, "lane boundaries lost")[3:] == ["1", "1", "0.050", "1577836800050000000"]
+    assert line_of(text, "lanes_lost")[1:] == ["1", "1", "0.050", "1577836800050000000"]
 
 
 @pytest.mark.parametrize("columns", ["20", "80", "120"])
@@ -81,7 +81,7 @@ def test_a_long_name_is_shortened_and_explained_in_the_legend(drive, tmp_path, c
     lines = text.splitlines()
     assert f"the_qui…azy_dog: {name}" in lines
     assert sum(name in line for line in lines) == 1
-    at = next(k for k, line in enumerate(lines) if line == "lane left error at 10 m, m" and "15778" in lines[k + 1])
+    at = next(k for k, line in enumerate(lines) if line == "lane_left_error_m" and "15778" in lines[k + 1])
     assert lines[at + 1].split() == ["the_qui…azy_dog", "9.000", "0", "0.000", "1577836800000000000"]
     rows = [line for line in lines if line.lstrip().startswith("the_qui…azy_dog ")]
     assert all(re.search(r"\d$", line) for line in rows)
@@ -279,3 +279,71 @@ def test_an_empty_table_is_noted_beside_others_and_an_error_alone(tmp_path, caps
     assert "drive: log" in text
     message = f"error: {empty}: no frames in this table; expected a table with frames\n"
     assert report(capsys, empty) == (1, "", message)
+
+
+def without_truth(k, source="depth", **columns):
+    """A frame of a log without truth, half a metre of road a frame at 20 Hz."""
+    first = {"odometry_status": "first", "odometry_inliers": 0}
+    later = {"odometry_status": "tracked", "odometry_inliers": 100 + k, "turn_deg": 0.1, "step_m": 0.5}
+    given = {"surface_source": source, "camera_height_m": 1.5, **(later if k else first)}
+    return row(k, **(given | columns))
+
+
+def test_without_truth_measured_held_and_assumed_frames_are_told_apart(tmp_path, capsys):
+    lane = {"lane_left_offset_m": 1.7, "lane_width_m": 3.5}
+    rows = [
+        without_truth(0, "depth", lane_left_status="measured", **lane),
+        without_truth(1, "held", lane_left_status="held", **lane),
+        without_truth(2, "estimated", lane_left_status="lost"),
+        without_truth(3, "assumed", lane_left_status="measured", **lane),
+    ]
+    path = write(tmp_path / "drive.metrics.parquet", rows)
+    code, text, _ = short(capsys, path, "--json", tmp_path / "report.json")
+    assert code == 0
+    assert [line_of(text, f"surface{state} ")[-1] for state in ("", ": estimated", ": assumed")] == ["25.0"] * 3
+    stages = json.loads((tmp_path / "report.json").read_text())["runs"]["drive"]["stages"]
+    assert stages["surface"]["states"] == {"held": 0.25, "estimated": 0.25, "assumed": 0.25}
+    assert (stages["lane_left"]["coverage"], stages["lane_left"]["states"]) == (0.5, {"held": 0.25})
+
+
+def test_without_truth_the_short_report_has_the_values_that_tell_the_scale(tmp_path, capsys):
+    reasons = ("surface: no depth, the assumed height gives the plane",)
+    rows = [without_truth(k, lane_width_m=3.5, lane_right_offset_m=-1.7, reasons=reasons) for k in range(4)]
+    _, text, _ = short(capsys, write(tmp_path / "drive.metrics.parquet", rows, mounting_height_m="1.4"))
+    assert line_of(text, "speed")[-2:] == ["10.00", "10.00"]
+    assert line_of(text, "camera height (mounting 1.400), m")[-2] == "1.500"
+    assert line_of(text, "lane width")[-2] == "3.500"
+    assert "assumed height 1.5 m" in text
+    assert {"speed_mps", "camera_height_m", "lane_width_m"} <= set(re.findall(r"\w+", text.partition("columns:")[2]))
+
+
+def test_steps_without_scale_and_lost_frames_are_told_with_their_reason(tmp_path, capsys):
+    lost = {"odometry_status": "lost", "odometry_inliers": 3, "turn_deg": None, "step_m": None}
+    rows = [without_truth(k, step_m=None) for k in range(3)]
+    rows += [without_truth(3, **lost, reasons=("odometry: lost, too few points agree on a motion",))]
+    _, text, _ = short(capsys, write(tmp_path / "drive.metrics.parquet", rows))
+    assert line_of(text, "odometry inliers")[2] == "50.0"
+    assert line_of(text, "odometry: lost")[-1] == "25.0"
+    assert line_of(text, "odometry: without metric scale")[-1] == "50.0"
+    assert "odometry lost: lost, too few points agree on a motion" in text
+    assert "speed" not in text
+
+
+def test_the_first_frame_is_never_the_worst_by_inliers(tmp_path, capsys):
+    path = write(tmp_path / "drive.metrics.parquet", [without_truth(k) for k in range(4)])
+    _, text, _ = short(capsys, path)
+    assert line_of(text, "odometry inliers")[-2:] == ["101.0", "1"]
+
+
+def test_a_stage_without_truth_keeps_its_quality_beside_stages_with_truth(tmp_path, capsys):
+    rows = [without_truth(k, step_error_m=0.1 if k else None, surface_inlier_ratio=0.9) for k in range(4)]
+    _, text, _ = short(capsys, write(tmp_path / "drive.metrics.parquet", rows))
+    assert line_of(text, "odometry: step error")[-2:] == ["0.1000", "1"]
+    assert line_of(text, "surface inlier ratio")[3] == "100.0"
+    assert "No frame has truth" not in text
+
+
+@pytest.mark.parametrize("options", [(), ("--full",)])
+def test_every_figure_names_its_column(drive, capsys, options):
+    _, text, _ = short(capsys, drive, *options)
+    assert {"lane_left_error_m", "object_distance_error_m"} <= set(re.findall(r"\w+", text))

@@ -6,7 +6,7 @@ import pytest
 from roadperc_stream.errors import ChannelError
 from roadperc_stream.geometry import Camera
 from roadperc_stream.input.assemble import ego_T_camera_of
-from roadperc_stream.input.roles import assign_roles, candidates
+from roadperc_stream.input.roles import SeveralTopicsError, assign_roles, candidates
 from roadperc_stream.input.stream import RoleAssignment
 from roadperc_stream.input.transforms import TransformTree
 from roadperc_stream.log import Channel
@@ -185,6 +185,54 @@ def test_a_needed_role_must_be_chosen():
     channels = ros(image=IMAGE, a__info=INFO, b__info=INFO)
     with pytest.raises(ChannelError, match="2 topics fit role calibration: /a/info, /b/info"):
         assign_roles(channels, {})
+
+
+def test_the_only_point_cloud_is_the_lidar():
+    channels = ros(cam__image=IMAGE, cam__camera_info=INFO, velodyne_points=CLOUD, radar__points=CLOUD)
+    assert assign_roles(channels, {}).topics["lidar"] == "/velodyne_points"
+
+
+ZED = {"left/image": IMAGE, "left/camera_info": INFO, "right/image": IMAGE, "right/camera_info": INFO}
+
+
+def zed(**more):
+    topics = ZED | {name.replace("__", "/"): schema for name, schema in more.items()}
+    return [Channel(f"/zed/{topic}", "cdr", schema) for topic, schema in topics.items()]
+
+
+def test_a_stereo_camera_without_another_image_is_the_pair():
+    found = assign_roles(zed(), {})
+    pair = {"left": "/zed/left/image", "right": "/zed/right/image"}
+    infos = {"left_calibration": "/zed/left/camera_info", "right_calibration": "/zed/right/camera_info"}
+    assert (found.reference, dict(found.topics)) == ("left", pair | infos)
+
+
+def test_beside_a_front_camera_left_and_right_are_no_pair():
+    found = assign_roles(zed(front__image=IMAGE, front__camera_info=INFO), {}).topics
+    assert dict(found) == {"image": "/zed/front/image", "calibration": "/zed/front/camera_info"}
+
+
+@pytest.mark.parametrize(
+    ("channels", "options"),
+    [
+        (zed(left__raw=IMAGE), {"left": "/zed/left/image"}),
+        (ros(a_back__image=IMAGE, a_back__info=INFO, front__image=IMAGE, front__info=INFO), {"image": "/front/image"}),
+        (ros(back__image=IMAGE, back__info=INFO, front__image=IMAGE), {"image": "/back/image"}),
+        (
+            ros(back__image=IMAGE, back__info=INFO, front__image=IMAGE, front__info=INFO, front__info_raw=INFO),
+            {"image": "/front/image", "calibration": "/front/info"},
+        ),
+    ],
+    ids=["left", "front", "calibrated", "both"],
+)
+def test_the_suggestion_for_several_topics_works(channels, options):
+    """It prefers calibrated cameras, then those called front."""
+    with pytest.raises(SeveralTopicsError) as caught:
+        assign_roles(channels, {})
+    assert caught.value.options == options
+    assert all(f"--topic {role}={topic}" in str(caught.value) for role, topic in options.items())
+    topics = assign_roles(channels, options).topics
+    assert topics.keys() & {"calibration", "left_calibration"}
 
 
 def test_a_topic_of_the_wrong_schema_is_named():

@@ -103,6 +103,55 @@ def test_three_ascending_images_begin_a_segment(stamps, given, stragglers):
     assert ordered(arriving(*stamps)) == (given, [("image", stamp) for stamp in stragglers])
 
 
+HOUR = 3_600_000
+
+
+@pytest.mark.parametrize(
+    ("stamps", "given", "left"),
+    [
+        ((0, 50, HOUR + 50), images(0, 50, HOUR + 50), ()),
+        ((0, HOUR + 1, HOUR + 51, HOUR + 101), images(0) + images(HOUR + 1, HOUR + 51, HOUR + 101, segment=1), ()),
+        ((0, 50, HOUR + 51, HOUR + 101), images(0, 50) + images(HOUR + 51, HOUR + 101, segment=1), ()),
+        ((0, 50, 9 * HOUR, 100, 150), images(0, 50, 100, 150), (9 * HOUR,)),
+        ((0, 2 * HOUR, 4 * HOUR, 6 * HOUR), [row for k in range(4) for row in images(2 * k * HOUR, segment=k)], ()),
+        (
+            (9 * HOUR, 0, 50, 2 * HOUR, 2 * HOUR + 50),
+            images(9 * HOUR) + images(0, 50, segment=1) + images(2 * HOUR, 2 * HOUR + 50, segment=2),
+            (),
+        ),
+    ],
+    ids=["an hour", "more", "at the end of the log", "a single image", "an image every two hours", "back and ahead"],
+)
+def test_a_jump_ahead_of_more_than_an_hour_begins_a_segment(stamps, given, left):
+    assert ordered(arriving(*stamps)) == (given, [("image", stamp) for stamp in left])
+
+
+def test_other_sensors_begin_no_segment_and_go_to_that_of_their_image():
+    others = [item("depth", 9 * HOUR, 1), item("calibration", 0, 2, CAMERA), item("depth", 2 * HOUR, 15)]
+    given, left = ordered([*arriving(10, 2 * HOUR, 2 * HOUR + 50, 2 * HOUR + 100), *others])
+    assert [row for row in given if row[1] == "image"] == images(10) + images(
+        2 * HOUR, 2 * HOUR + 50, 2 * HOUR + 100, segment=1
+    )
+    assert (1, "depth", 2 * HOUR) in given
+    assert left == []
+
+
+@pytest.mark.parametrize(
+    "stamps",
+    [
+        (0, 0, 50, 100, 100, 100, 150),
+        (0, 50, 0, 100, 50, 150, 100, 150),
+        (1000, 1050, 0, 0, 50, 50, 100, 100),
+        (0, 0, 2 * HOUR, 2 * HOUR, 2 * HOUR + 50, 2 * HOUR + 50, 2 * HOUR + 100, 2 * HOUR + 100),
+    ],
+    ids=["copies", "a second recorder, a frame later", "after a step back", "after a jump ahead"],
+)
+def test_the_first_of_images_with_equal_stamps_is_used(stamps):
+    given, left = ordered(arriving(*stamps))
+    assert [stamp for *_, stamp in given] == sorted(set(stamps), key=stamps.index)
+    assert len(left) == len(stamps) - len(given)
+
+
 def test_messages_around_a_segment_start_are_assigned_by_stamp():
     items = [
         *arriving(1000, 1050),

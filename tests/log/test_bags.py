@@ -1,11 +1,15 @@
 """ROS bags are read as the MCAP log with the same messages."""
 
+import json
+import re
 import sqlite3
 from dataclasses import replace
 
 import pytest
+from mcap.writer import Writer as McapWriter
 from rosbags import rosbag1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 
 from roadperc_stream import log
 from roadperc_stream.cli.convert import main as convert_main
@@ -13,10 +17,12 @@ from roadperc_stream.cli.info import main as info_main
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.errors import LogError
 from roadperc_stream.schemas import cdr
+from roadperc_stream.schemas.topics import METRICS_TOPIC
 from tests.input import test_elsewhere as elsewhere
 
 FRAMES = 2
 SQLITE, MCAP = StoragePlugin.SQLITE3, StoragePlugin.MCAP
+NOETIC = get_typestore(Stores.ROS1_NOETIC)
 KINDS = [(SQLITE, None), (SQLITE, "MESSAGE"), (SQLITE, "FILE"), (MCAP, None), (MCAP, "MESSAGE"), (MCAP, "FILE")]
 
 
@@ -59,6 +65,23 @@ def ros1_bag(path, messages):
             if c not in known:
                 known[c] = writer.add_connection(c.topic, c.schema_name, typestore=store)
             writer.write(known[c], m.log_time_ns, store.cdr_to_ros1(m.data, c.schema_name))
+    return path
+
+
+def ros1_mcap(path, bag):
+    """The messages of a ROS 1 bag in MCAP, as ``mcap convert`` writes them: with names and definitions of ROS 1."""
+    with path.open("wb") as stream, rosbag1.Reader(bag) as reader:
+        writer = McapWriter(stream)
+        writer.start("ros1")
+        known = {}
+        for c in reader.connections:
+            is_known = c.msgtype in NOETIC.fielddefs  # CameraInfo with fields in upper case
+            text = NOETIC.generate_msgdef(c.msgtype)[0] if is_known else c.msgdef.data
+            schema = writer.register_schema(c.msgtype.replace("/msg/", "/"), "ros1msg", text.encode())
+            known[c.id] = writer.register_channel(c.topic, "ros1", schema)
+        for c, time_ns, data in reader.messages():
+            writer.add_message(known[c.id], time_ns, bytes(data), time_ns)
+        writer.finish()
     return path
 
 
@@ -119,6 +142,17 @@ def test_a_split_bag_replays_to_the_results_of_the_single_file(tmp_path, single,
 
 def test_a_ros_1_bag_replays_to_the_results_of_the_log(tmp_path, messages, result):
     assert results(replayed(tmp_path, ros1_bag(tmp_path / "in.bag", messages))) == results(result)
+
+
+def test_mcap_of_profile_ros1_replays_to_the_results_of_the_bag_and_is_kept(tmp_path, messages, result, capsys):
+    path = ros1_mcap(tmp_path / "in.mcap", ros1_bag(tmp_path / "in.bag", messages))
+    target = replayed(tmp_path, path)
+    estimates = [[m for m in results(one) if m[0] != METRICS_TOPIC] for one in (target, result)]  # these name the log
+    assert estimates[0] == estimates[1]
+    assert [m for m in contents(target) if not m[0].startswith("/perception/")] == contents(path)
+    assert info_main(["--json", str(path)]) == 0
+    channels = json.loads(capsys.readouterr().out)["channels"]
+    assert {channel["stamps_unset"] for channel in channels} == {0}
 
 
 def test_a_db3_file_without_definitions_has_those_of_ros_2(tmp_path, messages):
@@ -193,10 +227,31 @@ def test_a_bag_without_files_has_no_command_for_them(tmp_path):
     assert refused(tmp_path).endswith("names it; copy the whole folder of the bag again")
 
 
-def test_a_bag_is_not_converted(tmp_path, capsys):
-    (tmp_path / "metadata.yaml").write_text(metadata("bag.db3"))
-    assert convert_main([str(tmp_path), str(tmp_path / "in.mcap")]) == 1
-    assert f"replay it with: roadperc-replay {tmp_path} OUT.mcap" in capsys.readouterr().err
+@pytest.mark.parametrize("storage", [SQLITE, MCAP], ids=["db3", "mcap"])
+def test_a_compressed_file_without_metadata_is_read_and_named(tmp_path, single, messages, storage):
+    folder = bag(tmp_path / "bag", messages, storage, "FILE")
+    (folder / "metadata.yaml").unlink()
+    (file,) = folder.iterdir()
+    assert file.suffix == ".zstd"
+    assert contents(file) == contents(single)
+    with pytest.raises(LogError, match=f"such as {re.escape(str(file))}"):
+        log.summarise(folder)
+    if storage == MCAP:
+        with pytest.raises(LogError, match=f"zstd -d {re.escape(str(file))}"):
+            log.summarise(file)
+
+
+def test_compressed_messages_without_metadata_name_the_folder(tmp_path, messages, capsys):
+    folder = bag(tmp_path / "bag", messages, MCAP, "MESSAGE")
+    (folder / "metadata.yaml").unlink()
+    assert replay_main([*map(str, folder.iterdir()), str(tmp_path / "out.mcap")]) == 1
+    assert "are compressed: replay the folder of the bag" in capsys.readouterr().err
+
+
+def test_a_bag_without_video_is_not_converted(tmp_path, messages, capsys):
+    folder = bag(tmp_path / "bag", messages[:3])
+    assert convert_main([str(folder), str(tmp_path / "in.mcap")]) == 1
+    assert f"replay it with: roadperc-replay {folder} OUT.mcap" in capsys.readouterr().err
 
 
 def test_info_lists_every_file_of_a_bag_and_proposes_the_topic(tmp_path, messages, capsys):

@@ -218,6 +218,34 @@ def test_partly_paired_stamps_in_names_are_counted(tmp_path, capsys):
     )
 
 
+@pytest.mark.parametrize(
+    ("names", "stamps_us"),
+    [
+        (("12.80", "12.95", "13.00", "13.25"), (12_800_000, 12_950_000, 13_000_000, 13_250_000)),
+        (("9.95", "10", "10.05"), (9_950_000, 10_000_000, 10_050_000)),
+        (("52.610000", "52.660000"), (52_610_000, 52_660_000)),
+        (("1700000000.123456", "1700000000.173456"), (1_700_000_000_123_456, 1_700_000_000_173_456)),
+    ],
+    ids=["hundredths", "a whole second", "microseconds", "Unix time"],
+)
+@pytest.mark.parametrize("where", ["rgb/{}.png", "{}.png", "rgb_{}.png"])
+def test_names_in_decimal_seconds_are_stamps(tmp_path, where, names, stamps_us):
+    levels = [50 * k for k in range(len(names))]
+    for name, level in zip(names, levels, strict=True):
+        write_png(tmp_path / "dump" / where.format(name), np.full((48, 64, 3), level, np.uint8))
+    found = payloads(convert(tmp_path / "dump", "--fov", "90", "--height", "1.4"))["image"]
+    assert [image.grey[0, 0] for *_, image in found] == levels
+    epoch_ns = EPOCH_NS if stamps_us[0] > 1e15 else 0
+    assert [t + epoch_ns for t, *_ in found] == [1000 * us for us in stamps_us]
+
+
+@pytest.mark.parametrize("names", [("1.0001", "1.0002"), ("1.9", "1.10", "1.1")], ids=["too close", "equal"])
+def test_decimal_names_that_may_be_frame_numbers_are_refused(tmp_path, capsys, names):
+    for name in names:
+        write_png(tmp_path / "dump" / "rgb" / f"{name}.png", np.zeros((48, 64, 3), np.uint8))
+    assert f"{names[-1]}.png" in failure(capsys, tmp_path / "dump", tmp_path / "dump.mcap", "--fov", "90")
+
+
 def test_a_rate_where_names_are_stamps_is_refused(tmp_path, capsys):
     assert main([str(tum_dump(tmp_path / "dump")), str(tmp_path / "out.mcap"), "--rate", "10"]) == 1
     assert "--rate 10: the names of the files are stamps" in capsys.readouterr().err
@@ -296,6 +324,17 @@ def test_depth_alone_is_enough(tmp_path):
     found = payloads(convert(dump, "--fov", "90"))
     assert set(found) == {"calibration", "depth"}
     assert found["depth"][0][2].frame_id == found["calibration"][0][2].frame_id == "camera_front"
+
+
+def test_labels_of_yolo_are_detections_and_an_image_without_a_file_has_none(tmp_path):
+    for number in (1, 2):
+        write_png(tmp_path / "yolo" / "images" / f"{number}.png", camera_pixels(number))
+    (tmp_path / "yolo" / "labels").mkdir()
+    (tmp_path / "yolo" / "labels" / "1.txt").write_text("1 0.5 0.5 0.5 0.5\n")
+    (tmp_path / "yolo" / "data.yaml").write_text("names: [person, car]\n")
+    first, second = payloads(convert(tmp_path / "yolo", "--fov", "60"))["detections"]
+    assert [(d.label, d.box_px) for d in first[2]] == [("car", Box(4, 3, 12, 9))]
+    assert second[2] == ()
 
 
 def test_detections_and_poses_without_an_image_are_left_out(dump, capsys):

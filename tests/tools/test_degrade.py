@@ -166,7 +166,16 @@ def test_wrong_input_is_one_line(clean, tmp_path, capsys):
     only_image = logs.write(tmp_path / "image.mcap", logs.items(2, roles=("calibration", "image")))
     assert main([str(only_image), str(tmp_path / "o.mcap"), "--with", "depth_noise=1"]) == 1
     assert capsys.readouterr().err == f"error: {only_image}: depth_noise changes nothing: no channel of depth\n"
-    for wrong in ("foggy=1", "fog=6", "fog", "fog=1,fog=2"):
+    for wrong in ("foggy=1", "fog=6", "fog", "fog=1,fog=2", "snow=3"):
         with pytest.raises(SystemExit):
             main([str(clean), str(tmp_path / "o.mcap"), "--with", wrong])
-    assert "did you mean fog?" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "did you mean fog?" in error
+    assert "no corruption 'snow'; known: gaussian_noise, " in error
+
+
+def test_the_command_says_what_it_wrote(clean, tmp_path, capsys):
+    assert main([str(clean), str(tmp_path / "o.mcap"), "--with", "fog=2"]) == 0
+    line = capsys.readouterr().out
+    assert "fog=2" in line
+    assert str(tmp_path / "o.mcap") in line

@@ -13,8 +13,9 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin
 
 from roadperc_stream import log
-from roadperc_stream.cli import replay
+from roadperc_stream.cli import degrade, replay
 from roadperc_stream.cli.infer import main
+from roadperc_stream.log import LogWriter
 from tests.input import test_elsewhere as elsewhere
 from tests.log.test_bags import split_bag
 from tests.tools.test_video_logs import TOPIC, write_log
@@ -60,7 +61,24 @@ def test_options_of_the_input_reach_the_conversion(drive, data_dir, capsys):
     assert times[2] - times[0] == 400_000_000
     with pytest.raises(SystemExit):
         infer(drive, drive / "slow.mcap", "no.mcap", *options)
-    assert "--fov and --rate: " in capsys.readouterr().err
+    assert "--rate: " in capsys.readouterr().err
+
+
+def test_the_output_of_a_log_stores_the_calibration_that_the_options_give(drive):
+    """As does that of roadperc-degrade."""
+    images = [m for m in log.read(log.summarise(drive / "out.mcap")) if m.channel.topic == "/camera/front/image"]
+    with LogWriter(drive / "bare.mcap") as writer:
+        for message in images:
+            writer.write(message)
+    assert infer(drive, drive / "bare.mcap", "given.mcap", "--fov", 55, "--height", 1.3) == 0
+    degraded = [str(drive / "given.mcap"), str(drive / "degraded.mcap"), "--with", "contrast=1", "--quiet"]
+    assert degrade.main(degraded) == 0
+    found = {}
+    for name in ("out", "given", "degraded"):
+        target = drive / f"{name}.replayed.mcap"
+        assert replay.main([str(drive / f"{name}.mcap"), str(target), "--quiet"]) == 0
+        found[name] = pl.read_parquet(drive / f"{name}.replayed.metrics.parquet")["camera_height_m"].to_list()
+    assert found["given"] == found["out"] == found["degraded"] == [1.3] * 3
 
 
 def test_a_log_with_only_video_is_converted_first(drive, data_dir):
@@ -155,7 +173,7 @@ def test_without_onnxruntime_opencv_says_what_to_install(drive, data_dir, capsys
     (drive / "quantised.toml").write_text(text.replace("[320, 320]", "[320, 160]"))
     words = drive / "out.mcap", drive / "cv.mcap", "--network", drive / "quantised.toml", "--force"
     assert main([str(word) for word in words]) == 1
-    assert "pip install 'roadperc_stream[networks]'" in capsys.readouterr().err
+    assert "pip install '.[networks]'" in capsys.readouterr().err
 
 
 def test_an_interrupted_inference_leaves_no_file(drive):

@@ -1,4 +1,8 @@
-"""Logs with H.264 video become logs with images, frame by frame."""
+"""Logs with video become logs with images, frame by frame."""
+
+import base64
+import shlex
+from functools import partial
 
 import cv2
 import numpy as np
@@ -12,8 +16,10 @@ from roadperc_stream.cli import replay
 from roadperc_stream.cli.convert import main
 from roadperc_stream.log import LogWriter, Message
 from roadperc_stream.output.encoding import encode_calibration
+from roadperc_stream.schemas import cdr
 from roadperc_stream.schemas.protobuf import set_stamp
-from tests import logs
+from tests import logs, rosbag
+from tests.foxglove_json import as_json
 from tests.tools.test_carla_to_mcap import failure
 
 TOPIC = "/dashcam/video"
@@ -46,6 +52,94 @@ def write_log(path, packets, form="h264", topic=TOPIC):
             set_stamp(frame, stamp_ns)
             writer.write(Message(channel, stamp_ns + 1000, stamp_ns, number, frame.SerializeToString()))
     return path
+
+
+H265 = [
+    base64.b64decode(text)
+    for text in (
+        "AAAAAUABDAH//wFgAAADAJAAAAMAAAMAPJKAkAAAAAFCAQEBYAAAAwCQAAADAAADADygCggPFlkqSTK5oCAAAAMAIAAAAwFBAAAAAUQBwXK0YkAA"
+        "AAEoAa9yFok86wIB//SiSC4RUYR7klu4A6AM4JOApb0VkBbgrxOJyJMDNGUAACkghwAAAwAAAwAH+A==",
+        "AAAAAQIB0Al+KSYFxhGR1uD4NMP39/ujt5nXln/dQIcE5A==",
+        "AAAAAUABDAH//wFgAAADAJAAAAMAAAMAPJKAkAAAAAFCAQEBYAAAAwCQAAADAAADADygCggPFlkqSTK5oCAAAAMAIAAAAwFBAAAAAUQBwXK0YkAA"
+        "AAEqAawI9caIWyjw4wmjlszaLDgqY0fO+8yOiJx7kAXgG3CkuhX4AQYDxEQXsJMBphIgAAKahwAAAwAAAwABUw==",
+        "AAAAAQIB0Bl+KSYHZhER1uD4NMP39/ujt5nXln/dQIcE5A==",
+    )
+]
+"""Four frames of 320x240 pixels, of the greys in ``GREYS``, with two key frames."""
+GREYS = [40, 90, 140, 200]
+VIDEO_MSG = "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format\n"
+VIDEO_MSG += "=" * 80 + "\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+IN_ROS = {"foxglove_msgs/msg/CompressedVideo": VIDEO_MSG}
+IN_ROS["sensor_msgs/msg/CompressedImage"] = rosbag.definition_of("sensor_msgs/msg/CompressedImage")
+
+
+def in_foxglove(message_type, encoding, stamp_ns, packet, form):
+    frame = message_type(frame_id="camera", data=packet, format=form)
+    set_stamp(frame, stamp_ns)
+    data = as_json(frame) if encoding == "json" else frame.SerializeToString()
+    text = b"{}" if encoding == "json" else build_file_descriptor_set(message_type).SerializeToString()
+    name = message_type.DESCRIPTOR.full_name
+    return log.Channel(TOPIC, encoding, name, "jsonschema" if encoding == "json" else encoding, text), data
+
+
+def in_ros(name, encoding, stamp_ns, packet, form):
+    head = rosbag.header(stamp_ns, "camera")
+    head = {"header": head} if "Image" in name else {"timestamp": head["stamp"], "frame_id": head["frame_id"]}
+    data = rosbag.serialised(name, head | {"data": packet, "format": form}, IN_ROS[name])
+    if encoding == "cdr":
+        return log.Channel(TOPIC, "cdr", name, "ros2msg", IN_ROS[name].encode()), data
+    store = cdr.layout_of(name, IN_ROS[name].encode())
+    text = store.generate_msgdef(name, ros_version=1)[0].encode()
+    return log.Channel(TOPIC, "ros1", name.replace("/msg/", "/"), "ros1msg", text), bytes(store.cdr_to_ros1(data, name))
+
+
+FORMS = {
+    **{
+        f"{t.__name__} {e}": partial(in_foxglove, t, e)
+        for t in (CompressedVideo, CompressedImage)
+        for e in ("protobuf", "json")
+    },
+    **{f"{name} {encoding}": partial(in_ros, name, encoding) for name in IN_ROS for encoding in ("cdr", "ros1")},
+}
+
+
+def log_in(form, path, packets, codec="h265"):
+    camera = logs.Item("calibration", logs.START_NS, encode_calibration(logs.START_NS, logs.SMALL.camera))
+    with LogWriter(path) as writer:
+        writer.write(logs.message(camera, 0))
+        for number, packet in enumerate(packets):
+            stamp_ns = logs.START_NS + number * 40_000_000
+            channel, data = FORMS[form](stamp_ns, packet, codec)
+            writer.write(Message(channel, stamp_ns, stamp_ns, number, data))
+    return path
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_the_command_in_the_error_of_a_replay_makes_a_log_that_replays(tmp_path, capsys, form):
+    path, out = log_in(form, tmp_path / "in.mcap", H265), tmp_path / "images.mcap"
+    assert replay.main([str(path), str(tmp_path / "out.mcap")]) == 1
+    error = capsys.readouterr().err
+    command = shlex.split(error[error.index("roadperc-convert") :].replace("IMAGES.mcap", str(out)))
+    assert main([*command[1:], "--quiet"]) == 0
+    images = [m for m in log.read(log.summarise(out)) if m.channel.topic == TOPIC]
+    assert [pixels(m).mean() for m in images] == pytest.approx(GREYS, abs=3)
+    stamps = [CompressedImage.FromString(m.data).timestamp.ToNanoseconds() for m in images]
+    assert stamps == [m.log_time_ns for m in images]
+    assert replay.main([str(out), str(tmp_path / "out.mcap"), "--quiet"]) == 0
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_codec_that_cannot_be_decoded_is_named(tmp_path, capsys, form):
+    path = log_in(form, tmp_path / "in.mcap", H265[:1], "av1")
+    assert "codec 'av1', expected h264 or h265" in failure(capsys, path, tmp_path / "out.mcap")
+
+
+def test_a_bag_with_video_is_converted(tmp_path):
+    (tmp_path / "bag").mkdir()
+    log_in("foxglove_msgs/msg/CompressedVideo cdr", tmp_path / "bag" / "bag.mcap", H265)
+    text = "rosbag2_bagfile_information:\n  version: 5\n  relative_file_paths: [bag.mcap]\n"
+    (tmp_path / "bag" / "metadata.yaml").write_text(text)
+    assert len(converted(tmp_path / "bag")[1]) == len(H265)
 
 
 def converted(path, *options):
@@ -91,12 +185,16 @@ def test_a_replay_of_video_says_what_to_do(tmp_path, capsys, packets):
         assert replay.main([str(path), str(tmp_path / "out.mcap")]) == 1
         error = capsys.readouterr().err
         assert topic in error
-        assert "run roadperc-convert on the log" in error
+        assert f"roadperc-convert {path}" in error
 
 
 def test_other_formats_and_logs_without_video_are_errors(tmp_path, capsys, packets):
-    path = write_log(tmp_path / "in.mcap", packets[:1], form="h265")
-    assert f"{TOPIC}: message at" in (line := failure(capsys, path, tmp_path / "out.mcap"))
-    assert "format 'h265', expected h264" in line
+    path = write_log(tmp_path / "in.mcap", packets[:1], form="theora")
+    assert f"{TOPIC}: video of codec 'theora', expected h264" in failure(capsys, path, tmp_path / "out.mcap")
+    channel = log.Channel(TOPIC, "flatbuffer", "foxglove.CompressedVideo", "flatbuffer", b"")
+    with LogWriter(tmp_path / "flat.mcap") as writer:
+        writer.write(Message(channel, logs.START_NS, logs.START_NS, 0, b"x"))
+    line = failure(capsys, tmp_path / "flat.mcap", tmp_path / "out.mcap")
+    assert "foxglove.CompressedVideo (flatbuffer): expected protobuf, json" in line
     plain = logs.write(tmp_path / "plain.mcap", logs.items(1))
-    assert "roadperc-replay reads it as it is" in failure(capsys, plain, tmp_path / "out.mcap")
+    assert f"replay it with: roadperc-replay {plain} OUT.mcap" in failure(capsys, plain, tmp_path / "out.mcap")

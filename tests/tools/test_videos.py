@@ -13,7 +13,7 @@ from roadperc_stream.geometry import Camera
 from roadperc_stream.tools.video_file import ReadCounts, frames_of, open_video
 from tests.tools.dump_writer import camera_pixels, document, jpeg
 from tests.tools.test_carla_to_mcap import convert, failure, payloads, printed_by
-from tests.tools.video_writer import HEIGHT, WIDTH, frame_of, turned, with_times, write_video
+from tests.tools.video_writer import HEIGHT, WIDTH, frame_of, turned, with_times, write_video, write_with_gaps
 
 FOV = ("--fov", "90")
 TIMES_MS = (0, 50, 100, 300, 350, 1000, 1033, 1066, 1100, 1500, 1550, 1600)
@@ -38,6 +38,25 @@ def test_a_video_becomes_a_log(tmp_path, name, fourcc):
 def test_a_variable_frame_rate_is_respected(tmp_path):
     found = payloads(convert(with_times(write_video(tmp_path / "drive.mp4"), TIMES_MS), *FOV))
     assert images(found) == [(pytest.approx(ms, abs=0.1), k) for k, ms in enumerate(TIMES_MS)]
+
+
+def test_a_whole_video_with_dropped_frames_is_not_called_cut(tmp_path, capsys):
+    path, out = write_with_gaps(tmp_path / "drive.mkv"), tmp_path / "out.mcap"
+    assert main([str(path), str(out), *FOV]) == 0
+    printed = capsys.readouterr()
+    assert "drive.mkv: 12 frames" in printed.out
+    assert "6.667 Hz" in printed.out
+    assert printed.err == ""
+    assert images(payloads(out)) == [(150 * k, k) for k in range(12)]
+    path.write_bytes(path.read_bytes()[:-3000])
+    assert main([str(path), str(out), *FOV, "--force"]) == 0
+    assert "the file is cut" in capsys.readouterr().err
+
+
+def av1(path):
+    """A video whose decoder OpenCV does not have."""
+    made = write_video(path).read_bytes()
+    path.write_bytes(made.replace(b"V_MPEG4/ISO/ASP", b"V_AV1".ljust(15, b"\0")))
 
 
 def test_a_rotated_video_is_upright(tmp_path, capsys):
@@ -109,6 +128,7 @@ def cut_mp4(path):
         ("text.mp4", lambda path: path.write_text("hello" * 100), "not a video"),
         ("cut.mp4", cut_mp4, "without its index"),
         ("none.avi", without_frames, "video"),
+        ("new.mkv", av1, "cannot decode its codec, AV01"),
     ],
 )
 def test_a_video_without_frames_is_an_error_that_names_it(tmp_path, capsys, name, make, words):

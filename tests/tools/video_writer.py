@@ -30,6 +30,20 @@ def write_video(path, frames=12, fourcc="mp4v", size=(WIDTH, HEIGHT), first=0):
     return path
 
 
+def write_with_gaps(path, frames=12):
+    """A Matroska file in which the camera dropped two of three frames."""
+    options = [cv2.VIDEOWRITER_PROP_RAW_VIDEO, 1]
+    writer = cv2.VideoWriter(
+        str(path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"MJPG"), RATE_HZ, (WIDTH, HEIGHT), options
+    )
+    assert writer.isOpened()
+    for number in range(frames):
+        writer.set(cv2.VIDEOWRITER_PROP_PTS, 3 * number)
+        writer.write(cv2.imencode(".jpg", picture(number))[1].reshape(1, -1))
+    writer.release()
+    return path
+
+
 def frame_of(bgr):
     """The number of a decoded picture."""
     return round((int((bgr[-30, :, 1] > 120).sum()) - 6) / 6)

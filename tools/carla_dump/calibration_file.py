@@ -1,71 +1,34 @@
-"""Read ``calibration.json``; compute pinholes from K, a field of view or projection matrices."""
+"""Read ``calibration.json``."""
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
-from pydantic import AliasChoices, Field, FiniteFloat, PositiveInt, TypeAdapter
+from pydantic import ConfigDict, TypeAdapter
 
+from roadperc_stream.config.calibration import CalibrationConfig, Intrinsics, PositiveNumber
 from roadperc_stream.errors import DumpError
-from roadperc_stream.geometry import Float, baseline_of, decompose_projection
+from roadperc_stream.input.projections import require_pinhole
 from roadperc_stream.system.text import nearest
 
-from .json_files import Document, Numbers3, Numbers4, checked, read_json
-from .truth_file import CarlaPose
+from .json_files import checked, read_json
 
 CALIBRATION_NAME: Final = "calibration.json"
-Positive = Annotated[float, Field(gt=0.0)]
-FieldOfView = Annotated[float, Field(gt=0.0, lt=180.0)]
-Pixels = Annotated[PositiveInt, Field(le=1_000_000)]
-_HALF_PIXEL = 0.5
-_ROUNDING_PX = 1e-9
-"""Largest rounding error of a decomposition in a skew of zero."""
-_FOCAL_DIGITS = 9
-"""Decimals of a focal length, so that 90 degrees give exactly w / 2."""
 
 
-Matrix3 = tuple[Numbers3, Numbers3, Numbers3]
-
-
-class Intrinsics(Document):
-    """The size of a camera, and its K or horizontal field of view. The names of a lens are those of CameraInfo."""
-
-    width: Pixels | None = None
-    height: Pixels | None = None
-    K: Matrix3 | None = None
-    D: tuple[FiniteFloat, ...] = ()
-    distortion_model: str = "plumb_bob"
-    R: Matrix3 | None = None
-    P: tuple[Numbers4, Numbers4, Numbers4] | None = None
-    fov_deg: FieldOfView | None = Field(None, validation_alias=AliasChoices("fov_deg", "fov"))
-
-
-class CalibrationFile(Intrinsics):
+class CalibrationFile(CalibrationConfig):
     """All known keys of ``calibration.json``; other keys are notes."""
 
-    P_left: tuple[Numbers4, Numbers4, Numbers4] | None = None
-    P_right: tuple[Numbers4, Numbers4, Numbers4] | None = None
-    baseline_m: Positive | None = None
-    pixel_origin: Literal["corner", "centre", "center"] = "corner"
-    """Origin of K's principal point: the first pixel's corner (CARLA: c = w / 2) or its centre."""
-    cameras: dict[str, Intrinsics] = Field(default_factory=dict)
-    """Cameras that differ from the front one, by role: ``{"depth": {"width": 800, "height": 600, "fov_deg": 90}}``."""
-    mounting: dict[str, CarlaPose] = Field(default_factory=dict)
-    rgb_height_m: FiniteFloat | None = None
-    depth_height_m: FiniteFloat | None = None
+    model_config = ConfigDict(extra="ignore")
+
     carla_tags: str | None = None
-    rate_hz: Positive | None = None
+    rate_hz: PositiveNumber | None = None
 
 
 _CAMERA_KEYS = (*Intrinsics.model_fields, "fov")
 _KEYS = (*CalibrationFile.model_fields, "fov")
 _MISSPELLED = 0.78
 """An unknown key is an error if it is more similar to a known one: ``widht`` has 0.8, ``fov_y`` 0.75 (a note)."""
-
-
-Pinhole = tuple[float, float, float, float]
-"""fx, fy, cx, cy in pixels, pixel centres at integers from 0."""
 
 
 def load_calibration(path: Path) -> CalibrationFile:
@@ -76,7 +39,7 @@ def load_calibration(path: Path) -> CalibrationFile:
     """
     document = read_json(path)
     _refuse_misspelled(path, document)
-    calibration = checked(path, TypeAdapter(CalibrationFile), document)
+    calibration = checked(path, TypeAdapter(CalibrationFile), _without_notes(document))
     for name, camera in {"": calibration, **calibration.cameras}.items():
         if camera.K is not None:
             require_pinhole(f"{path}: {f'cameras.{name}.' if name else ''}K", np.array(camera.K))
@@ -101,65 +64,14 @@ def _refuse_misspelled(path: Path, document: Any) -> None:
                 raise DumpError(f"{path}: unknown key {place}{key}; did you mean {meant}?")
 
 
+def _without_notes(document: Any) -> Any:
+    """The document without unknown keys of its cameras."""
+    cameras = dict(_items(document)).get("cameras")
+    if not (isinstance(cameras, dict) and all(isinstance(camera, dict) for camera in cameras.values())):
+        return document
+    known = {name: {k: v for k, v in camera.items() if k in _CAMERA_KEYS} for name, camera in cameras.items()}
+    return {**document, "cameras": known}
+
+
 def _items(found: Any) -> list[tuple[str, Any]]:
     return list(found.items()) if isinstance(found, dict) else []
-
-
-def require_pinhole(where: str, K: Float) -> None:
-    """Check that a (3, 3) matrix is that of a camera without skew.
-
-    Raises:
-        DumpError: it is not; the message starts with ``where``.
-    """
-    upper = K[0, 1] == K[1, 0] == 0 and K[2].tolist() == [0, 0, 1]
-    if not (upper and K[0, 0] > 0 and K[1, 1] > 0):
-        raise DumpError(f"{where}: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got {K.tolist()}")
-
-
-def pinhole_of_K(K: Float, pixel_origin: str) -> Pinhole:
-    """Return the pinhole of K, moved by half a pixel if the principal point counts from the pixel's corner."""
-    shift = _HALF_PIXEL if pixel_origin == "corner" else 0.0
-    return float(K[0, 0]), float(K[1, 1]), float(K[0, 2]) - shift, float(K[1, 2]) - shift
-
-
-def pinhole_of_fov(fov_deg: float, width: int, height: int) -> Pinhole:
-    """Return a pinhole with square pixels: f = w / (2 tan(fov / 2)), principal point at the image's centre."""
-    f = round(float(width / (2.0 * np.tan(np.deg2rad(fov_deg) / 2.0))), _FOCAL_DIGITS)
-    return f, f, (width - 1) / 2.0, (height - 1) / 2.0
-
-
-@dataclass(frozen=True)
-class ProjectionPair:
-    """A rectified stereo pair, from two projection matrices."""
-
-    K_left: Float
-    K_right: Float
-    baseline_m: float
-    along_rows: bool
-    """True if the right camera lies along the first axis of the left one."""
-
-
-def decompose_pair(path: Path, P_left: Float, P_right: Float) -> ProjectionPair:
-    """Return K of both (3, 4) matrices, and the distance of their centres -M^-1 p4 with P = [M | p4] and M = K R.
-
-    Raises:
-        DumpError: a matrix is not a projection, or both have the same centre.
-    """
-    K_left, R_left, centre_left = _decompose(f"{path}: P_left", P_left)
-    K_right, _, centre_right = _decompose(f"{path}: P_right", P_right)
-    try:
-        baseline_m = baseline_of(P_left, P_right)
-    except ValueError as error:
-        raise DumpError(f"{path}: P_left and P_right: {error}") from error
-    offset = R_left @ (centre_right - centre_left)
-    return ProjectionPair(K_left, K_right, baseline_m, bool(offset[0] > 0.99 * baseline_m))
-
-
-def _decompose(where: str, P: Float) -> tuple[Float, Float, Float]:
-    try:
-        K, R, centre = decompose_projection(P)
-    except ValueError as error:
-        raise DumpError(f"{where}: {error}") from error
-    K[np.abs(K) < _ROUNDING_PX] = 0.0
-    require_pinhole(where, K)
-    return K, R, centre

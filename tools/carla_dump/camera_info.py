@@ -4,13 +4,13 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import yaml
 from pydantic import Field, FiniteFloat, PositiveInt, TypeAdapter
 
 from roadperc_stream.errors import DumpError
+from roadperc_stream.input.projections import require_pinhole
 
-from .calibration_file import CalibrationFile, require_pinhole
-from .json_files import Document, checked
+from .calibration_file import CalibrationFile
+from .json_files import Document, checked, read_yaml
 
 SUFFIXES = (".yaml", ".yml")
 
@@ -37,13 +37,7 @@ def load_camera_info(path: Path) -> CalibrationFile:
     Raises:
         DumpError: the file cannot be read, or is not such a YAML; the message names file, key and error.
     """
-    try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise DumpError(f"{path}: {error.strerror or error}") from error
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
-        raise DumpError(f"{path}: not YAML: {' '.join(str(error).split())}") from error
-    info = checked(path, TypeAdapter(_CameraInfo), document)
+    info = checked(path, TypeAdapter(_CameraInfo), read_yaml(path))
     K = _rows(f"{path}: camera_matrix", info.camera_matrix, 3)
     require_pinhole(f"{path}: camera_matrix", np.array(K))
     return CalibrationFile(

@@ -22,7 +22,7 @@ from roadperc_stream.geometry import Camera, Float, Float32
 
 from .pixel_files import Pixels, surveyed
 
-Units = Literal["mm", "cm", "m", "depth-256", "disparity"]
+Units = Literal["mm", "cm", "m", "depth-256", "tum", "disparity"]
 GreyDepth = Literal["linear", "linear-50", "logarithmic"]
 DepthCoding = GreyDepth | Units
 DepthEncoding = Literal[
@@ -51,8 +51,10 @@ GREY: Final[Mapping[DepthEncoding, str]] = {
 }
 """Precision of the 8-bit codings."""
 _NUMBERS: Final = frozenset({"metres", "metres / 1000"})
-_FACTORS: Final = {"mm": 0.001, "cm": 0.01, "m": 1.0, "depth-256": 1 / 256, "disparity": 1 / 256}
-"""Metres or pixels of a number, by its encoding, which only the user knows; KITTI has 256 steps a metre or pixel."""
+_FACTORS: Final = {"mm": 0.001, "cm": 0.01, "m": 1.0, "depth-256": 1 / 256, "tum": 1 / 5000, "disparity": 1 / 256}
+"""Metres or pixels of a number, by its encoding, which only the user knows.
+
+KITTI has 256 steps a metre or pixel, TUM's RGB-D benchmark 5000 steps a metre."""
 _FARTHEST_MEDIAN_M: Final = 1000.0
 _LARGEST_CODE: Final = 2**24 - 1
 
@@ -70,7 +72,7 @@ def depth_encoding(files: Sequence[Path], asked: DepthCoding | None = None) -> D
             raise DumpError(f"{files[0]}: depth is encoded as {other}, but --depth-coding {asked} is for numbers")
         return cast("Units", asked)
     if "metres" in found and (median := max(map(_median, samples))) > _FARTHEST_MEDIAN_M:
-        raise DumpError(f"{files[0]}: the median is {median:g}: pass --depth-coding mm, cm, m or disparity")
+        raise DumpError(f"{files[0]}: the median is {median:g}: pass --depth-coding mm, cm, m, tum or disparity")
     if "metres" in found and set(found) <= _NUMBERS:
         return "metres"
     return found[0] if found else ("metres" if samples[0].values.dtype.kind == "f" else "carla 24 bit")

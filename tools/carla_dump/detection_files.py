@@ -27,6 +27,9 @@ COCO_LABELS: Final = {
 }
 """COCO's standard category ids of classes on a road."""
 _COCO_LISTS: Final = ("annotations", "results", "detections", "predictions")
+_COCO_HINT: Final = (
+    "; read as COCO: each entry has image_id, bbox and category_id; the other form is {frame: [{label, box_px, score}]}"
+)
 _KITTI_COLUMNS: Final = 15
 KITTI_IGNORED: Final = "DontCare"
 
@@ -90,7 +93,7 @@ def _coco(path: Path, data: Any) -> tuple[Detections, str, tuple[str, ...]]:
     """Read COCO results (a list), or an object with a list of annotations, and optional images and categories."""
     tree: Mapping[str, Any] = data if isinstance(data, dict) else {"annotations": data}
     listed = next(tree[key] for key in _COCO_LISTS if isinstance(tree.get(key), list))
-    entries = checked(path, TypeAdapter(list[_CocoEntry]), listed)
+    entries = checked(path, TypeAdapter(list[_CocoEntry]), listed, _COCO_HINT)
     categories = checked(path, TypeAdapter(list[_Category]), tree.get("categories") or [])
     images = checked(path, TypeAdapter(list[_Image]), tree.get("images") or [])
     names = {category.id: category.name for category in categories} or COCO_LABELS

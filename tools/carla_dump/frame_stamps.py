@@ -16,7 +16,7 @@ from typing import Final
 from roadperc_stream.errors import DumpError
 from roadperc_stream.system.time import NS_PER_S
 
-from .json_files import frame_number, read_lines
+from .json_files import EPOCH_NS, frame_number, read_lines
 
 _UNITS: Final = {"ns": 9, "nsec": 9, "nanoseconds": 9, "us": 6, "ms": 3, "s": 0, "sec": 0, "seconds": 0}
 """Powers of ten of the units: 10^n per second."""
@@ -24,8 +24,6 @@ _STAMPS: Final = ("timestamp", "stamp", "time", "sim_time", "elapsed", "t", "sec
 _FRAMES: Final = ("frame", "frame_number", "frame_id", "index", "idx", "number", "id")
 _FILES: Final = ("filename", "file", "file_name", "image", "name", "path")
 _SEPARATORS: Final = (",", ";", "\t")
-EPOCH_NS: Final = 1_577_836_800 * NS_PER_S
-"""2020-01-01T00:00:00Z: time 0 of every dump, so that a conversion is reproducible."""
 DEFAULT_RATE_HZ: Final = 20.0
 _UNIX_TIME_FROM_S: Final = 1_000_000_000
 """Larger values in seconds (from 2001 on) are Unix time; a simulation does not run for 31 years."""

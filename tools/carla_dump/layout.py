@@ -2,17 +2,19 @@
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from shlex import quote
 from typing import Final
 
 from roadperc_stream.errors import DumpError
+from roadperc_stream.schemas.role_names import names_other_sensor, role_of
 from roadperc_stream.system.files import real_path
 
 from .calibration_file import CALIBRATION_NAME
-from .json_files import frame_number
-from .role_names import names_other_sensor, role_of
+from .json_files import frame_number, is_seconds
+from .yolo_files import NAMES_FILES
 
 _IMAGE_SUFFIXES: Final = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".webp", ".tif", ".tiff", ".ppm", ".exr"})
 _NUMBER_SUFFIXES: Final = frozenset({".npy", ".npz", ".dat", ".csv", ".raw", ".bin", ".h5", ".hdf5"})
@@ -28,8 +30,10 @@ _DOCUMENTS: Final = {
 }
 _DOCUMENT_SUFFIXES: Final = frozenset({".json", ".txt", ".yaml", ".yml"})
 _DOCUMENT_NAMES: Final = frozenset(name for names in _DOCUMENTS.values() for name in names)
+_NOT_FRAMES: Final = _DOCUMENT_NAMES.union(NAMES_FILES)
 _KNOWN_DOCUMENTS: Final = "known documents are " + ", ".join(names[0] for names in _DOCUMENTS.values())
 _TRUTH_FOLDER: Final = "truth"
+_SHORTEST_NS: Final = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -56,8 +60,10 @@ class DumpLayout:
     notes: tuple[str, ...] = ()
 
 
-def find_layout(dump: Path, overrides: Mapping[str, Path]) -> DumpLayout:
+def find_layout(dump: Path, overrides: Mapping[str, Path], *, below: bool = True) -> DumpLayout:
     """Return the sensors and documents of a dump; ``overrides`` are the paths of ``--role``.
+
+    With ``below``, a folder without sensors may hold one folder with a dump, such as ``_out``.
 
     Raises:
         DumpError: no such folder, no sensor, two candidates for one role, or two files of one frame.
@@ -76,8 +82,15 @@ def find_layout(dump: Path, overrides: Mapping[str, Path]) -> DumpLayout:
     sensors = _one_per_role(candidates)
     if not sensors and (camera := _only_images(dump, entries)):
         sensors, notes = {"image": camera}, [f"{camera.source}: taken as the images of the front camera"]
+    folders = [entry for entry in entries if entry.is_dir() and not names_other_sensor(entry.name)]
+    inside = [folder for folder in folders if frame_count(folder)] if below and not sensors else []
+    if len(inside) == 1:
+        found = find_layout(inside[0], overrides, below=False)
+        note = f"{inside[0].name}/ is read: {dump.name} has no sensor itself"
+        return replace(found, notes=(note, *found.notes))
     if not sensors:
-        raise DumpError(_nothing_found(dump, entries))
+        several = f"; {len(inside)} folders in it hold frames: pass one, such as {inside[0]}" if inside else ""
+        raise DumpError(_nothing_found(dump, entries) + several)
     if "detections" in sensors and "detections" in documents:
         raise DumpError(
             f"{dump}: both {documents['detections'].name} and {sensors['detections'].source}/ hold detections; "
@@ -121,7 +134,7 @@ def _candidates(entries: Sequence[Path], notes: list[str]) -> Iterator[Sensor]:
     notes += [
         f"{entry.name} is not used: {_KNOWN_DOCUMENTS}"
         for entry in entries
-        if entry.suffix.lower() in _DOCUMENT_SUFFIXES and entry.name not in _DOCUMENT_NAMES and entry.is_file()
+        if entry.suffix.lower() in _DOCUMENT_SUFFIXES and entry.name not in _NOT_FRAMES and entry.is_file()
     ]
     for folder in (entry for entry in entries if entry.is_dir()):
         if folder.name == _TRUTH_FOLDER:
@@ -175,7 +188,7 @@ def _may_be_frame(path: Path) -> bool:
 
 
 def _label_files(folder: Path) -> list[Path]:
-    return [p for p in _entries(folder) if p.suffix == ".txt" and p.name not in _DOCUMENT_NAMES]
+    return [p for p in _entries(folder) if p.suffix == ".txt" and p.name not in _NOT_FRAMES]
 
 
 def _is_single(path: Path) -> bool:
@@ -187,12 +200,17 @@ def _numbered(role: str, source: str, files: list[Path], notes: list[str], *, si
     """Return a sensor with its files by the number in their names; a ``single`` file is frame 0."""
     numbered: dict[int, Path] = {}
     unnumbered = []
+    in_seconds = any(is_seconds(path.stem) for path in files)
     for path in files:
-        number = 0 if single else frame_number(path.stem)
+        whole = in_seconds and not is_seconds(path.stem)  # 13.png among 12.95.png and 13.05.png
+        number = 0 if single else frame_number(f"{path.stem}.0" if whole else path.stem)
         if number is None:
             unnumbered.append(path.name)
         elif number in numbered:
-            raise DumpError(f"{source}: {numbered[number].name} and {path.name} are both frame {number}")
+            raise DumpError(
+                f"{source}: {numbered[number].name} and {path.name} are both frame {number}: the last number in a "
+                "name is the frame's; rename the files, move other sensors into folders of their own, or remove one"
+            )
         else:
             numbered[number] = path
     if not files:
@@ -201,7 +219,17 @@ def _numbered(role: str, source: str, files: list[Path], notes: list[str], *, si
         raise DumpError(f"{source}: no frame number in the name of {unnumbered[0]}; expected names such as 000001.png")
     if unnumbered:
         notes.append(f"{source}: left out, no frame number in the name: {', '.join(unnumbered[:3])}")
+    if in_seconds:
+        _require_times(source, numbered)
     return Sensor(role, source, numbered)
+
+
+def _require_times(source: str, files: Mapping[int, Path]) -> None:
+    """Check that decimal numbers in names are seconds: as such, ``1.0001`` and ``1.0002`` are too close."""
+    for earlier_ns, later_ns in pairwise(sorted(files)):
+        if later_ns - earlier_ns <= _SHORTEST_NS:
+            names = f"{files[earlier_ns].name} and {files[later_ns].name}"
+            raise DumpError(f"{source}: {names}: as seconds 1 ms apart or less; write frame numbers without a point")
 
 
 def _flat_sensors(files: Iterable[Path], notes: list[str]) -> Iterator[Sensor]:
@@ -209,7 +237,7 @@ def _flat_sensors(files: Iterable[Path], notes: list[str]) -> Iterator[Sensor]:
     groups: dict[str, list[Path]] = {}
     for path in files:
         # The name without its frame number; a plain number is a camera image.
-        words = re.sub(r"[0-9]+(?=[^0-9]*$)", "", path.stem).strip("_-. ")
+        words = re.sub(r"([0-9]+\.)?[0-9]+(?=[^0-9]*$)", "", path.stem).strip("_-. ")
         if role := role_of(words) if words else "image":
             groups.setdefault(role, []).append(path)
         else:

@@ -71,7 +71,9 @@ def _library(path: Path, name: str) -> Iterator[Any]:
     try:
         library = import_module(name)
     except ImportError as error:
-        raise DumpError(f"{path}: {name} is not installed; pip install 'roadperc_stream[recordings]'") from error
+        raise DumpError(
+            f"{path}: {name} is not installed; pip install '.[recordings]' in the project's folder"
+        ) from error
     own = (library.errors.LaspyException,) if name == "laspy" else ()
     try:
         yield library

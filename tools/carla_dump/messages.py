@@ -15,6 +15,7 @@ from roadperc_stream.formats.images import decode_bgr, encode_indices, encode_jp
 from roadperc_stream.geometry import Camera
 from roadperc_stream.geometry.rectification import is_rectified, rectified, resampled
 from roadperc_stream.input.rectified import rectified_by
+from roadperc_stream.input.rig import FRONT, LIDAR, Rig
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.model import EGO
 from roadperc_stream.model.tag_tables import TagTable
@@ -24,7 +25,6 @@ from roadperc_stream.schemas.record import TAG_TABLE_KEY
 from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.system.threads import in_order
 
-from .camera_rig import FRONT, LIDAR, Rig
 from .depth_files import depth_metres
 from .image_files import UnreadableFrameError, read_bytes, require_whole
 from .pixel_files import Pixels, load_pixels

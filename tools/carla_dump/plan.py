@@ -1,16 +1,21 @@
 """The plan of a conversion: all files are found and checked before the first message is written."""
 
+import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, TypeVar
 
 from roadperc_stream.errors import DumpError
+from roadperc_stream.input.rig import LIDAR
+from roadperc_stream.metrics.evidence import rough_ratio
+from roadperc_stream.metrics.findings import depth_rough
 from roadperc_stream.model.tag_tables import TagTable
 
 from ..layouts.drive import ConvertOptions, Drive
-from .camera_rig import LIDAR
-from .depth_files import GREY, DepthEncoding, depth_encoding, grey_encoding
+from .depth_files import GREY, DepthEncoding, depth_encoding, depth_metres, grey_encoding
+from .pixel_files import surveyed
 from .survey import SensorSurvey, apart_ns, meeting_notes, of_size, reference_of
 from .tag_files import LOSSY_TAGS, TagEncoding, choose_table, named_table, tag_encoding
 
@@ -91,7 +96,7 @@ def make_plan(drive: Drive, options: ConvertOptions) -> Plan:
 def _depth_encoding(
     drive: Drive, role: str, files: Sequence[Path], options: ConvertOptions, notes: list[str]
 ) -> DepthEncoding:
-    """Return the encoding of a sensor's depth; adds a note for 8-bit grey.
+    """Return the encoding of a sensor's depth; adds a note for 8-bit grey, and a finding for rough depth.
 
     Raises:
         DumpError: the encoding is not known, or disparity without a baseline.
@@ -104,6 +109,12 @@ def _depth_encoding(
         notes.append(note)
     if found == "disparity" and not drive.rig.baseline_m:
         raise DumpError(f"{files[0]}: disparity needs the baseline; add baseline_m to calibration.json")
+    focal_baseline, shares = drive.rig.camera_of(role).fx * (drive.rig.baseline_m or math.nan), []
+    for pixels in surveyed(files):
+        with suppress(DumpError):  # a file of another encoding is reported when it is written
+            shares.append(rough_ratio(depth_metres(pixels, found, focal_baseline)))
+    if (rough := depth_rough([share for share in shares if share is not None])) is not None:
+        notes.append(f"{role}: {rough}")
     return found
 
 

@@ -1,15 +1,17 @@
 """A dataset folder as a recording."""
 
 from collections.abc import Iterator, Mapping
+from itertools import chain
 from typing import Final
 
+from roadperc_stream.geometry.rectification import is_rectified
+from roadperc_stream.input.rig import LIDAR
 from roadperc_stream.log import Message
 from roadperc_stream.schemas.record import PIXEL_ORIGIN_KEY
 from roadperc_stream.system.text import number, shown
 
 from ..layouts.drive import ConvertOptions, Drive
-from ..recording import Recording, SensorRow, camera_facts, mounting_fact
-from .camera_rig import LIDAR
+from ..recording import Recording, SensorRow, camera_facts, finding_notes, mounting_fact
 from .messages import channels, messages
 from .plan import Plan, make_plan
 
@@ -34,7 +36,8 @@ def recording_of_drive(drive: Drive, options: ConvertOptions) -> Recording:
         messages=lambda warnings: _messages(plan, warnings),
         required=tuple(plan.drive.surveys),
         metadata=_metadata(plan),
-        notes=plan.drive.notes,
+        images=_images(plan.drive),
+        notes=(*plan.drive.notes, *finding_notes(plan.drive.rig, chain.from_iterable(drive.detections.values()))),
         warnings=(*plan.warnings, *map(_MISSING.format, plan.unreadable)),
     )
 
@@ -51,6 +54,12 @@ def _metadata(plan: Plan) -> Mapping[str, str]:
     origin = {PIXEL_ORIGIN_KEY: plan.drive.pixel_origin} if plan.drive.pixel_origin else {}
     layout = {"dataset": plan.drive.title} if plan.drive.title else {}
     return {"frames": str(len(plan.frames)), "time": plan.drive.timing, **encodings, **table, **origin, **layout}
+
+
+def _images(drive: Drive) -> Mapping[str, str]:
+    """Return the stamps of labelled images by name; none if the log's images lack the labels' distortion."""
+    names = drive.label_names if is_rectified(drive.rig.cameras["calibration"]) else {}
+    return {name: str(drive.stamps_ns[number]) for number, name in names.items() if number in drive.stamps_ns}
 
 
 def _sensors(plan: Plan) -> Iterator[SensorRow]:

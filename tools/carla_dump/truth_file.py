@@ -1,10 +1,4 @@
-"""Ground truth of a dump by frame: poses, and lanes, surface and objects of ``truth.json``.
-
-CARLA (Unreal) is left-handed: x forward, y right, z up; rotations are yaw about z (to the right), then pitch (nose up),
-then roll (right side down), in degrees, with the matrix of ``carla::geom::Transform::GetMatrix``. Mirroring y turns it
-into ROS' x forward, y left, z up: with M = diag(1, -1, 1) the rotation becomes M R M. In angles that is roll, -pitch,
--yaw for Rz(yaw) Ry(pitch) Rx(roll), and y becomes -y in positions.
-"""
+"""Ground truth of a dump by frame: poses, and lanes, surface and objects of ``truth.json``."""
 
 import csv
 from collections.abc import Mapping
@@ -15,9 +9,10 @@ from typing import Annotated
 import numpy as np
 from pydantic import AliasPath, ConfigDict, Field, FiniteFloat, PositiveInt, TypeAdapter
 
+from roadperc_stream.config.calibration import CarlaPose
 from roadperc_stream.errors import DumpError
-from roadperc_stream.geometry import EGO_R_OPTICAL, Float, Plane, rigid
-from roadperc_stream.geometry.rotations import rotation_from_rpy
+from roadperc_stream.geometry import Float, Plane
+from roadperc_stream.input.rig import right_handed
 from roadperc_stream.model import Boundary, Detection, HeightGrid, Lanes, Object, Objects, Side, Surface
 from roadperc_stream.model.results import LaneChange
 
@@ -27,21 +22,10 @@ from .json_files import Document, Numbers3, Numbers4, by_frame, checked, read_js
 COLUMNS = ("frame", "x", "y", "z", "roll", "pitch", "yaw")
 
 
-class CarlaPose(Document):
-    """Position in metres and angles in degrees in CARLA's left-handed convention."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    x: FiniteFloat = 0.0
-    y: FiniteFloat = 0.0
-    z: FiniteFloat
-    roll: FiniteFloat = 0.0
-    pitch: FiniteFloat = 0.0
-    yaw: FiniteFloat = 0.0
-
-
-class _Transform(Document):
+class _Transform(CarlaPose):
     """A pose in the format of ``carla.Transform``: {"location": {x, y, z}, "rotation": {pitch, yaw, roll}}."""
+
+    model_config = ConfigDict(extra="ignore")
 
     x: FiniteFloat = Field(validation_alias=AliasPath("location", "x"))
     y: FiniteFloat = Field(validation_alias=AliasPath("location", "y"))
@@ -49,17 +33,6 @@ class _Transform(Document):
     roll: FiniteFloat = Field(validation_alias=AliasPath("rotation", "roll"))
     pitch: FiniteFloat = Field(validation_alias=AliasPath("rotation", "pitch"))
     yaw: FiniteFloat = Field(validation_alias=AliasPath("rotation", "yaw"))
-
-
-def right_handed(pose: CarlaPose | _Transform) -> Float:
-    """Return (4, 4) right-handed parent_T_body of a CARLA pose, metres."""
-    roll, pitch, yaw = np.deg2rad((pose.roll, -pose.pitch, -pose.yaw))
-    return rigid(rotation_from_rpy(roll, pitch, yaw), np.array([pose.x, -pose.y, pose.z]))
-
-
-def camera_mounting(pose: CarlaPose) -> Float:
-    """Return ego_T_camera (optical frame) of a camera mounted at a CARLA pose in the ego frame."""
-    return right_handed(pose) @ rigid(EGO_R_OPTICAL, np.zeros(3))
 
 
 def load_poses(path: Path) -> dict[int, Float]:

@@ -51,7 +51,8 @@ def severities(text: str) -> dict[str, int]:
         name, _, severity = (part.strip() for part in word.partition("="))
         if name not in LEVELS:
             near = nearest(name, LEVELS)
-            raise argparse.ArgumentTypeError(f"no corruption {name!r}" + (f"; did you mean {near}?" if near else ""))
+            hint = f"did you mean {near}?" if near else f"known: {', '.join(LEVELS)}"
+            raise argparse.ArgumentTypeError(f"no corruption {name!r}; {hint}")
         if name in found or not re.fullmatch("[0-5]", severity):
             raise argparse.ArgumentTypeError(f"{word.strip()}: expected NAME=SEVERITY once, with a severity of 0 to 5")
         found[name] = int(severity)

@@ -16,6 +16,7 @@ LAYOUTS: Final = (
     "kitti-tracking",
     "tusimple",
     "culane",
+    "cityscapes",
     "nuscenes",
     "carla-leaderboard",
     "bench2drive",

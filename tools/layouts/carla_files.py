@@ -13,8 +13,8 @@ import numpy as np
 
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float
+from roadperc_stream.input.rig import LIDAR
 
-from ..carla_dump.camera_rig import LIDAR
 from ..carla_dump.json_files import Numbers4, frame_number
 from ..carla_dump.layout import Sensor
 from ..carla_dump.survey import points_fault

@@ -12,17 +12,18 @@ from typing import Any, Final
 import numpy as np
 from pydantic import FiniteFloat, TypeAdapter
 
+from roadperc_stream.config.calibration import CarlaPose
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float, inverse, mounting, rigid
+from roadperc_stream.geometry.cameras import pinhole_of_fov
+from roadperc_stream.input.rig import LIDAR, right_handed
 
-from ..carla_dump.calibration_file import CALIBRATION_NAME, pinhole_of_fov
-from ..carla_dump.camera_rig import LIDAR
+from ..carla_dump.calibration_file import CALIBRATION_NAME
 from ..carla_dump.depth_files import DepthEncoding
 from ..carla_dump.frame_stamps import stamps_of_rate
 from ..carla_dump.json_files import Document, Numbers3, checked
 from ..carla_dump.layout import Sensor, sensor_in
 from ..carla_dump.survey import SensorSurvey, surveyed
-from ..carla_dump.truth_file import CarlaPose, right_handed
 from .boxes import LabelledBox, objects_of_boxes
 from .carla_files import Matrix4, folders_that, laz_sensor, numbered, read_document, right_handed_matrix
 from .drive import ConvertOptions, Drive, choose_sequence

@@ -21,6 +21,8 @@ from .lane_labels import FLAGS, labelled_drive
 
 _SUFFIX: Final = ".lines.txt"
 _RATE_HZ: Final = 30.0
+_NAME_PARTS: Final = 3
+"""Parts of an image's path in the lists: drive, video and file."""
 _DEPTHS: Final = ("", "*/", "*/*/")
 
 
@@ -43,7 +45,8 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
     labels = {number: path.with_suffix(_SUFFIX) for number, path in images.files.items()}
     lines_px = {number: _lines(path) for number, path in labels.items() if path.is_file()}
     drive = labelled_drive(folder, options, images, lines_px, stamps_of_rate(sorted(images.files), rate_hz))
-    return replace(drive, title=f"CULane, {name}", timing=f"{rate_hz:g} Hz by frame number")
+    names = {number: "/".join(images.files[number].resolve().parts[-_NAME_PARTS:]) for number in lines_px}
+    return replace(drive, title=f"CULane, {name}", timing=f"{rate_hz:g} Hz by frame number", label_names=names)
 
 
 def _lines(path: Path) -> list[Float]:

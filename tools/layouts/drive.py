@@ -7,9 +7,9 @@ from typing import Final, Protocol
 
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float
+from roadperc_stream.input.rig import Rig
 from roadperc_stream.model import Detection
 
-from ..carla_dump.camera_rig import Rig
 from ..carla_dump.depth_files import DepthCoding, DepthEncoding
 from ..carla_dump.survey import SensorSurvey
 from ..carla_dump.truth_file import NO_TRUTH, TruthTables
@@ -92,6 +92,8 @@ class Drive:
     poses: Mapping[int, Float] = field(default_factory=dict)
     """(4, 4) true odom_T_ego."""
     truth: TruthTables = NO_TRUTH
+    label_names: Mapping[int, str] = field(default_factory=dict)
+    """Name of each labelled image in the dataset's own label files."""
     side_by_side: int = 1
     """Cameras that each file of a camera holds along its width; the middle one is used."""
     grey_depth: DepthEncoding | None = None

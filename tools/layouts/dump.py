@@ -7,17 +7,17 @@ from pathlib import Path
 from typing import Final
 
 from roadperc_stream.errors import DumpError
+from roadperc_stream.input.rig import CAMERA_ROLES, LIDAR, build_rig
 from roadperc_stream.model import Detection
 
 from ..carla_dump.calibration_file import CALIBRATION_NAME, CalibrationFile, load_calibration
 from ..carla_dump.camera_info import SUFFIXES, load_camera_info
-from ..carla_dump.camera_rig import CAMERA_ROLES, LIDAR, build_rig
 from ..carla_dump.detection_files import load_detections, load_kitti_labels
 from ..carla_dump.frame_stamps import DEFAULT_RATE_HZ, mean_rate, stamps_of_file, stamps_of_names, stamps_of_rate
 from ..carla_dump.layout import DumpLayout, find_layout
-from ..carla_dump.role_names import role_of
 from ..carla_dump.survey import SensorSurvey, front_sensors, points_fault, reference_of, surveyed
 from ..carla_dump.truth_file import NO_TRUTH, load_poses, load_truth
+from ..carla_dump.yolo_files import is_yolo, load_yolo_labels
 from .drive import ConvertOptions, Drive
 
 _KITTI_IMAGES: Final = re.compile(r"image_0?[0-3]")
@@ -48,7 +48,8 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
     rig = build_rig(calibration, calibration_path, list(surveys), sizes, front_name=front_name)
     notes += rig.notes
     stamps_ns, timing, is_by_name = _stamps(layout, options, calibration.rate_hz, notes)
-    detections, detections_source = _detections(layout, notes)
+    camera = rig.cameras["calibration"]
+    detections, detections_source = _detections(layout, (camera.width, camera.height), notes)
     truth = layout.documents.get("truth")
     return Drive(
         folder=folder,
@@ -79,16 +80,17 @@ def calibration_of(beside: Path, options: ConvertOptions) -> tuple[CalibrationFi
         DumpError: a file is wrong, or both the file and the options give the mounting.
     """
     path = options.calibration or beside
-    load = load_camera_info if path.suffix.lower() in SUFFIXES else load_calibration
-    calibration = load(path) if options.calibration or path.is_file() else CalibrationFile()
-    if options.fov_deg is not None:
-        no_lens = {"K": None, "D": (), "R": None, "P": None}
-        calibration = calibration.model_copy(update={"fov_deg": options.fov_deg, **no_lens})
-    if options.height_m is not None:
-        if any(role_of(name) in ("image", "left") for name in calibration.mounting):
-            raise DumpError(f"{path} has the camera's mounting: remove it there, or remove --height")
-        calibration = calibration.model_copy(update={"rgb_height_m": options.height_m})
-    return calibration, path
+    calibration = calibration_in(path) if options.calibration or path.is_file() else CalibrationFile()
+    return calibration.with_options(path, options.fov_deg, options.height_m), path
+
+
+def calibration_in(path: Path) -> CalibrationFile:
+    """Return the calibration of a file: ``camera_info`` YAML of ROS, or JSON.
+
+    Raises:
+        DumpError: the file is wrong.
+    """
+    return load_camera_info(path) if path.suffix.lower() in SUFFIXES else load_calibration(path)
 
 
 def _with_pixel_origin(layout: DumpLayout, calibration: CalibrationFile) -> CalibrationFile:
@@ -165,10 +167,15 @@ def _stamps_beside(layout: DumpLayout) -> Path | None:
     return next((path for path in paths if path.is_file()), None)
 
 
-def _detections(layout: DumpLayout, notes: list[str]) -> tuple[Mapping[int, tuple[Detection, ...]], str]:
-    """Return the detections by frame number, and their source."""
+def _detections(
+    layout: DumpLayout, size: tuple[int, int], notes: list[str]
+) -> tuple[Mapping[int, tuple[Detection, ...]], str]:
+    """Return the detections by frame number, and their source; ``size`` is columns and rows of the images."""
     if "detections" in layout.sensors:
         sensor = layout.sensors["detections"]
+        if is_yolo(sensor.files.values()):
+            detections, names = load_yolo_labels(sensor.files, _frames(layout), size)
+            return detections, f"{sensor.source}, YOLO labels, {names}"
         return load_kitti_labels(sensor.files), f"{sensor.source}, KITTI labels"
     path = layout.documents.get("detections")
     if path is None:

@@ -14,9 +14,9 @@ import numpy as np
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float, inverse, mounting, rigid
 from roadperc_stream.geometry.rotations import rotation_from_rpy
+from roadperc_stream.input.rig import LIDAR, Rig
 from roadperc_stream.model import Object
 
-from ..carla_dump.camera_rig import LIDAR, Rig
 from ..carla_dump.detection_files import KITTI_IGNORED, kitti_detection
 from ..carla_dump.json_files import read_lines
 from ..carla_dump.layout import sensor_in

@@ -11,10 +11,10 @@ import numpy as np
 
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Camera, Float, mounting, pinhole_fault, rigid
+from roadperc_stream.input.projections import require_pinhole
+from roadperc_stream.input.rig import FRONT, LIDAR, RIGHT, Rig, Size
 from roadperc_stream.model import EGO, Transform
 
-from ..carla_dump.calibration_file import require_pinhole
-from ..carla_dump.camera_rig import FRONT, LIDAR, RIGHT, Rig, Size
 from ..carla_dump.json_files import read_lines
 from ..carla_dump.layout import Sensor, sensor_in
 from ..carla_dump.survey import SensorSurvey

@@ -7,10 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
+from roadperc_stream.input.rig import LIDAR
 from roadperc_stream.model import Objects
 
 from ..carla_dump.calibration_file import CALIBRATION_NAME
-from ..carla_dump.camera_rig import LIDAR
 from ..carla_dump.frame_stamps import stamps_of_rate
 from ..carla_dump.truth_file import NO_TRUTH
 from .drive import ConvertOptions, Drive, choose_sequence

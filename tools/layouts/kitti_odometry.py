@@ -11,10 +11,10 @@ import numpy as np
 
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float, inverse
+from roadperc_stream.input.rig import LIDAR
 from roadperc_stream.system.text import number
 
 from ..carla_dump.calibration_file import CALIBRATION_NAME
-from ..carla_dump.camera_rig import LIDAR
 from ..carla_dump.frame_stamps import mean_rate, stamps_by_line, stamps_of_rate
 from ..carla_dump.json_files import read_lines
 from ..carla_dump.layout import sensor_in

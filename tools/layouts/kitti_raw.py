@@ -11,9 +11,9 @@ import numpy as np
 
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float, rigid
+from roadperc_stream.input.rig import LIDAR
 
 from ..carla_dump.calibration_file import CALIBRATION_NAME
-from ..carla_dump.camera_rig import LIDAR
 from ..carla_dump.frame_stamps import mean_rate, stamps_by_line
 from ..carla_dump.json_files import frame_number, read_lines
 from ..carla_dump.layout import sensor_in

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Final
 
 from roadperc_stream.geometry import Float
+from roadperc_stream.input.rig import LIDAR
 from roadperc_stream.model import Object, Objects
 
 from ..carla_dump.calibration_file import CALIBRATION_NAME
-from ..carla_dump.camera_rig import LIDAR
 from ..carla_dump.frame_stamps import stamps_of_rate
 from ..carla_dump.json_files import read_lines
 from ..carla_dump.truth_file import NO_TRUTH

@@ -13,13 +13,13 @@ from typing import Annotated, Final, TypeVar
 import numpy as np
 from pydantic import AfterValidator, AliasChoices, Field, TypeAdapter
 
+from roadperc_stream.config.calibration import Matrix3, PositiveNumber
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float, inverse, rigid
 from roadperc_stream.geometry.rotations import rotation_from_quaternion
+from roadperc_stream.input.rig import LIDAR
 from roadperc_stream.model.tag_tables import classes_of_label
 
-from ..carla_dump.calibration_file import Matrix3, Positive
-from ..carla_dump.camera_rig import LIDAR
 from ..carla_dump.frame_stamps import mean_rate
 from ..carla_dump.json_files import Document, Numbers3, Numbers4, checked, read_json
 from ..carla_dump.layout import Sensor
@@ -83,7 +83,7 @@ class _Instance(_Row):
 class _Annotation(_Placed):
     sample_token: str
     instance_token: str
-    size: tuple[Positive, Positive, Positive]
+    size: tuple[PositiveNumber, PositiveNumber, PositiveNumber]
     """Width, length, height."""
     num_lidar_pts: int | None = None
     num_radar_pts: int | None = None

@@ -17,8 +17,7 @@ from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float
 from roadperc_stream.system.time import NS_PER_S
 
-from ..carla_dump.frame_stamps import EPOCH_NS
-from ..carla_dump.json_files import Document, checked, read_lines
+from ..carla_dump.json_files import EPOCH_NS, Document, checked, read_lines
 from ..carla_dump.layout import Sensor, sensor_in
 from .drive import ConvertOptions, Drive
 from .lane_labels import FLAGS, labelled_drive
@@ -59,8 +58,9 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
     stamps_ns = {number: EPOCH_NS + number * NS_PER_S // _RATE_HZ for number in files}
     lines_px = {number: labels[path] for number, path in files.items() if path in labels}
     drive = labelled_drive(folder, options, Sensor("image", "clips", files), lines_px, stamps_ns)
+    names = {number: path.relative_to(folder).as_posix() for number, path in files.items() if path in labels}
     timing = f"{_RATE_HZ} Hz in a clip, a clip every {_EVERY_S} s"
-    return replace(drive, title=f"TuSimple, clips: {len(clips)}", timing=timing)
+    return replace(drive, title=f"TuSimple, clips: {len(clips)}", timing=timing, label_names=names)
 
 
 def _files(folder: Path) -> list[Path]:

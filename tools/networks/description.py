@@ -9,7 +9,8 @@ from typing import Annotated, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError, field_validator, model_validator
 
-from roadperc_stream.config.settings import MOST_BYTES, in_brief, parsed_toml
+from roadperc_stream.config.complaints import complaint, key_of
+from roadperc_stream.config.settings import MOST_BYTES, parsed_toml
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.model.tag_tables import UNLABELED, TagTable, table_of_classes
 from roadperc_stream.system.text import nearest
@@ -192,15 +193,16 @@ def _bytes_of(path: Path, most: int, hint: str = "") -> bytes:
 def _complaint(error: ValidationError) -> str:
     """The first error, such as ``input.size: expected ..., found ...``; a misspelt key is also missing."""
     first = min(error.errors(), key=lambda found: found["type"] != "extra_forbidden")
-    sections = [str(part) for part in first["loc"] if part not in _DECODERS]
-    key = ".".join(sections)
+    key = key_of(first["loc"], _DECODERS)
+    sections = key.split(".")
     if first["type"] == "extra_forbidden":
         models = _MODELS[1:] if len(sections) > 1 else _MODELS[:1]
         near = nearest(sections[-1], (name for model in models for name in model.model_fields))
         return f"no key {key}; " + (f"did you mean {near}?" if near else "docs/networks.md lists all keys")
-    if first["type"] == "missing":
-        return f"{key}: missing; see docs/networks.md for an example"
-    return f"{key}: {first.get('ctx', {}).get('error', first['msg'])}, found {in_brief(first['input'], _SHOWN)}"
+    if first["type"].startswith("union_tag"):
+        key = f"{key}.decoder"
+    example = "; see docs/networks.md for an example" if complaint(first) == "missing" else ""
+    return f"{key}: {complaint(first, _SHOWN)}{example}"
 
 
 _MODELS: Final = (NetworkKeys, InputKeys, SegmentationKeys, DetectionKeys)

@@ -16,7 +16,7 @@ from roadperc_stream.geometry import Float32
 
 from .description import Network
 
-_INSTALL: Final = "pip install 'roadperc_stream[networks]'"
+_INSTALL: Final = "pip install '.[networks]' in the project's folder"
 _MOST_BYTES: Final = 2 << 30
 """Memory of the loading, and of all runs at a time: a small file may describe constants of any size."""
 _NO_MEMORY: Final = ("bad_alloc", "bad allocation", "Available memory", "nsufficient memory", "Failed to allocate")

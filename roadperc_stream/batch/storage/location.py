@@ -182,7 +182,8 @@ def find_files(pattern: str) -> list[StoredFile]:
     found = list(Location(base).files(_LOG_SUFFIX, parts).values())
     if not found:
         why = f"no {_LOG_SUFFIX} file matches" if parts else f"no such file, and no {_LOG_SUFFIX} file below it"
-        raise StorageError(f"{address}: {why}")
+        hint = "; pass ROS bags and compressed logs by their names" if Path(address).is_dir() else ""
+        raise StorageError(f"{address}: {why}{hint}")
     return found
 
 

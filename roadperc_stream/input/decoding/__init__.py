@@ -17,6 +17,7 @@ from roadperc_stream.input.decoding.payload import (
     Payload,
     camera_from_calibration,
     require_within,
+    without_slashes,
 )
 from roadperc_stream.input.decoding.wire import from_json, parsed
 from roadperc_stream.log.records import Channel
@@ -60,6 +61,8 @@ DECODERS: Final[Mapping[tuple[Kind, str, str], Decoder]] = {
     **{(kind, t.DESCRIPTOR.full_name, "protobuf"): _protobuf(t, f) for (kind, t), f in _MESSAGES.items()},
     **{(kind, t.DESCRIPTOR.full_name, "protobuf"): _picture(t, f) for (kind, t), f in foxglove.PICTURES.items()},
     **{(kind, name, "cdr"): _cdr(name, f) for (kind, name), f in ros.DECODERS.items()},
+    **{(kind, name.replace("/msg/", "/"), "ros1"): _cdr(name, f) for (kind, name), f in ros.DECODERS.items()},
+    ("tf", "tf/tfMessage", "ros1"): _cdr("tf/msg/tfMessage", ros.DECODERS["tf", "tf2_msgs/msg/TFMessage"]),
     **{(kind, t.DESCRIPTOR.full_name, "json"): _json(t, _whole(f)) for (kind, t), f in foxglove.PICTURES.items()},
     **{(kind, t.DESCRIPTOR.full_name, "json"): _json(t, f) for (kind, t), f in foxglove.DECODERS.items()},
 }
@@ -89,7 +92,7 @@ def context_of_channel(
 
 
 def decode(kind: Kind, schema: str, encoding: str, data: bytes, log_time_ns: int, context: Context) -> Decoded:
-    """Decode one message; a message without a stamp gets its log time.
+    """Decode one message; a message without a stamp gets its log time. Frames lose their leading slash.
 
     Raises:
         DecodeError: the bytes do not fit the schema, or the kind does not accept the schema.
@@ -105,7 +108,7 @@ def decode(kind: Kind, schema: str, encoding: str, data: bytes, log_time_ns: int
         require_within(decoded.payload, context.limits)
     except (ProtobufError, ValueError) as error:
         raise DecodeError(f"{len(data)} bytes are not a valid {schema}: {error}") from error
-    decoded = decoded if decoded.stamp_ns else replace(decoded, stamp_ns=log_time_ns)
+    decoded = Decoded(decoded.stamp_ns or log_time_ns, without_slashes(decoded.payload))
     if not 0 <= decoded.stamp_ns < END_OF_TIME_NS:
         raise DecodeError(f"stamp {decoded.stamp_ns} ns does not fit 64 bits")
     return decoded

@@ -26,7 +26,12 @@ Picture = Callable[[Any, Content, Context], Decoded]
 
 def _file(kind: Kind) -> Picture:
     """A decoder of messages that contain an image file."""
-    return lambda message, data, context: _stamped(message, pictures.of_file(kind, message.frame_id, data, context))
+
+    def decoded(message: Any, data: Content, context: Context) -> Decoded:
+        pictures.require_picture(message.format)
+        return _stamped(message, pictures.of_file(kind, message.frame_id, data, context))
+
+    return decoded
 
 
 def _raw(kind: Kind) -> Picture:

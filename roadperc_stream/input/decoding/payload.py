@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -55,6 +55,18 @@ def names_in(payload: Payload | model.Transform | model.Detection) -> Iterator[s
                 yield from names_in(part)
         case _:
             yield payload.frame_id
+
+
+def without_slashes(payload: Payload) -> Payload:
+    """The payload without leading slashes of its frames: ``/cam`` and ``cam`` are one frame, as in ROS 1."""
+    found: Payload = tuple(map(_bare, payload)) if isinstance(payload, tuple) else _bare(payload)
+    return found
+
+
+def _bare(payload: Any) -> Any:
+    names = {field: getattr(payload, field, "") for field in ("frame_id", "parent", "child")}
+    slashed = {field: name.lstrip("/") for field, name in names.items() if name.startswith("/")}
+    return replace(payload, **slashed) if slashed else payload
 
 
 @dataclass(frozen=True)
@@ -125,6 +137,9 @@ def camera_from_calibration(message: Any) -> Camera:
         DecodeError: neither K nor P describes a possible pinhole camera, or there is no size.
     """
     K, P = list(message.K), list(message.P)
+    if not any((*K, *P)):
+        expected = "expected a pinhole camera; pass --fov DEGREES or --calibration FILE"
+        raise DecodeError(f"calibration of {message.frame_id!r}: all numbers are 0: {expected}")
     intrinsics = _intrinsics(K, P)
     fx, fy, cx, cy = (float(value) for value in intrinsics)
     if not (np.isfinite(intrinsics).all() and fx > 0 and fy > 0 and message.width and message.height):

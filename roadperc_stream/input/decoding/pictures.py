@@ -15,6 +15,7 @@ from roadperc_stream.model import CameraImage, DepthImage, Image, InstanceImage,
 from roadperc_stream.model.tag_tables import TagTable
 from roadperc_stream.schemas.roles import Kind
 
+CONVERT_VIDEO: Final = "store its frames as images with: roadperc-convert LOG IMAGES.mcap"
 _COLOUR_TYPE: Final = 25
 """Position of a PNG's colour type."""
 _TRUE_COLOURS: Final = (b"\x02", b"\x06")
@@ -28,7 +29,7 @@ RASTER_KINDS: Final[tuple[Kind, ...]] = (*FILE_KINDS, "depth")
 
 
 def of_raster(kind: Kind, frame_id: str, raster: Raster, context: Context) -> Picture:
-    """An image, tags (numbers or CARLA's colours), instance masks in CARLA's coding, or depth of raw pixels.
+    """An image, tags or instance masks (numbers, or CARLA's colours), or depth of raw pixels.
 
     Raises:
         DecodeError: it exceeds the limits, or the table of numeric tags is unknown.
@@ -41,7 +42,7 @@ def of_raster(kind: Kind, frame_id: str, raster: Raster, context: Context) -> Pi
         case "depth":
             return DepthImage(frame_id, raster.depth)
         case "instances":
-            return InstanceImage(frame_id, lambda: images.instance_ids(raster.bgr()))
+            return InstanceImage(frame_id, raster.ids)
     table = _table_of(context.tag_table, indexed=raster.indexed)
     return TagImage(frame_id, table, lambda: raster.tags(table))
 
@@ -71,6 +72,16 @@ def of_file(kind: Kind, frame_id: str, content: Content, context: Context) -> Pi
     if in_colours:
         return TagImage(frame_id, table, lambda: tags_of_colours(bgr(), table))
     return TagImage(frame_id, table, lambda: images.decode_indices(bytes(content), limits))
+
+
+def require_picture(layout: str) -> None:
+    """Check that the ``format`` of a message is not one of video.
+
+    Raises:
+        DecodeError: it is.
+    """
+    if images.video_codec(layout):
+        raise DecodeError(f"image of format {layout!r}: a frame of video, expected jpeg or png; {CONVERT_VIDEO}")
 
 
 def _is_png(content: Content) -> bool:

@@ -51,6 +51,7 @@ def _file(kind: Kind) -> Decoder:
     """A decoder of sensor_msgs/msg/CompressedImage."""
 
     def decoded(message: Any, context: Context) -> Decoded:
+        pictures.require_picture(message.format)
         content = message.data.tobytes()
         return _stamped(message, pictures.of_file(kind, _frame_id(message), content, context))
 

@@ -30,7 +30,7 @@ class InputColumns:
     """The input of a frame."""
 
     segment: Annotated[
-        int, Column("number of times that the stamps restarted before the frame: another log, or one played in a loop")
+        int, Column("number of times that the stamps restarted or jumped ahead by more than an hour before the frame")
     ] = 0
     sync_skew_ms: Annotated[
         float | None,

@@ -41,12 +41,15 @@ class RunRow:
     names: Annotated[tuple[str, ...], Column("all known paths and addresses of the log")]
     fingerprints: Annotated[tuple[str, ...], Column("size and modification time of the log under each name")]
     date: Annotated[str | None, Column("UTC date of the log's first message, YYYY-MM-DD", null=_UNKNOWN)]
-    duration_s: Annotated[float | None, Column("from the first frame to the last", "s", "no frame")]
+    duration_s: Annotated[float | None, Column("first to last frame, summed over segments", "s", "no frame")]
     size_bytes: Annotated[int, Column("of the log's files")]
     frames: Annotated[int, Column("frames replayed", COUNT)]
     dropped: Annotated[int, Column("messages that belong to no frame", COUNT)]
     unreadable: Annotated[int, Column("messages that could not be decoded", COUNT)]
     warnings: Annotated[tuple[str, ...], Column("messages saved and lost with `--recover`, and other warnings")]
+    findings: Annotated[
+        tuple[str, ...], Column("contradictions between inputs, or between inputs and results, as `code: text`")
+    ]
     seconds: Annotated[float, Column("the last attempt, from start to end", "s")]
     peak_memory_mb: Annotated[float | None, Column("peak memory of its process", "MB", "the process was killed")]
     version: Annotated[str, Column("version of the program")]

@@ -15,7 +15,7 @@ from foxglove import websocket as ws
 from foxglove.websocket import PlaybackStatus
 
 from roadperc_stream.log import Channel, Message
-from roadperc_stream.system.time import NS_PER_S, ns_to_seconds
+from roadperc_stream.system.time import LONGEST_PAUSE_NS, NS_PER_S, ns_to_seconds
 from roadperc_stream.view.live import FASTEST, SLOWEST
 from roadperc_stream.view.live.answers import QUIET_S, Answers
 from roadperc_stream.view.live.source import Reach, Source, held
@@ -81,10 +81,10 @@ def advance(
 ) -> tuple[Playhead, float]:
     """The playhead now, and the seconds until it changes or the next message is due.
 
-    A message is due when playback reaches its log time, or at once if log time goes back. A change from the end to a
-    pause starts playback over: viewers then drop the messages that they showed. ``next_ns`` is the log time of the next
-    message, ``reach`` the playable span, read before that message. ``loop_ns`` is the log time to start over from at
-    the end, None to stay there.
+    A message is due when playback reaches its log time, or at once if log time goes back. A gap of more than an hour is
+    skipped. A change from the end to a pause starts playback over: viewers then drop the messages that they showed.
+    ``next_ns`` is the log time of the next message, ``reach`` the playable span, read before that message. ``loop_ns``
+    is the log time to start over from at the end, None to stay there.
     """
     if playhead.status == PlaybackStatus.Buffering:
         return _at_the_edge(playhead, reach, clock_ns)
@@ -94,6 +94,8 @@ def advance(
         return playhead, LONGEST_WAIT_S
     now_ns = playhead.at(clock_ns)
     if next_ns is not None:
+        if next_ns - now_ns > LONGEST_PAUSE_NS:
+            playhead, now_ns = replace(playhead, log_ns=next_ns, clock_ns=clock_ns), next_ns
         return playhead, min(max(next_ns - now_ns, 0) / playhead.rate / NS_PER_S, TICK_S)
     if reach.complete:
         return Playhead(PlaybackStatus.Ended, reach.last_ns, clock_ns, playhead.rate), LOOP_PAUSE_S

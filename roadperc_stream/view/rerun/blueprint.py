@@ -24,6 +24,8 @@ _IN_SPACE: Final = (
     topics.TRAJECTORY_TOPIC,
     topics.TF_TOPIC,
 )
+_FRONT_CAMERA: Final = ("calibration", "left_calibration", "depth_calibration")
+"""Roles of which the first one draws the image plane, if they have the same frame and pixels."""
 _CURVES: Final[Mapping[str, tuple[str, ...]]] = {
     "lane offsets, m": (
         "lane_left_offset_m",
@@ -139,8 +141,9 @@ def _picture(name: str, entity: str, over: tuple[str, ...] = ()) -> rrb.Spatial2
 def _space(log: Log) -> rrb.View | None:
     """The 3D scene from behind and above the car; depth, or stereo depth, as points."""
     depth = log.present([log.topics.get("depth"), topics.STEREO_DEPTH_TOPIC])[:1]
-    inputs = log.present(log.topics.get(role) for role in ("image", "calibration", "lidar", "truth_lanes"))
-    parts = [*depth, *inputs, *log.present([TREE]), *log.present(_IN_SPACE)]
+    inputs = log.present(log.topics.get(role) for role in ("image", "lidar", "truth_lanes"))
+    camera = log.present(log.topics.get(role) for role in _FRONT_CAMERA)[:1]
+    parts = [*depth, *inputs, *camera, *log.present([TREE]), *log.present(_IN_SPACE)]
     if not (depth or log.present(_IN_SPACE) or log.has(log.topics.get("lidar", "?"))):
         return None
     return rrb.Spatial3DView(

@@ -1,6 +1,6 @@
 """Draws images, tags, depth and cameras in Rerun."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Final
 
@@ -9,7 +9,9 @@ import rerun as rr
 
 from roadperc_stream.formats.images import depth_to_mm, encode_jpeg
 from roadperc_stream.geometry import Camera
+from roadperc_stream.input.rig import NO_RIG
 from roadperc_stream.model import CameraImage, DepthImage, InstanceImage, TagImage
+from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.view.rerun.tree import Entry, SceneState, annotation_context, image_plane, new_edges
 
 _MM_PER_M: Final = 1000.0
@@ -46,32 +48,45 @@ def depth(entity: str, role: str, payload: DepthImage, state: SceneState) -> Ite
     """Draw depth in millimetres; unknown and saturated pixels are 0, so they give no 3D points."""
     camera = state.camera_of(role)
     borrowed = "depth_calibration" not in state.latched.cameras
-    if camera and borrowed and payload.frame_id not in ("", camera.frame_id):
-        yield pinhole(f"{entity}/camera", replace(camera, frame_id=payload.frame_id))
+    if camera and payload.frame_id not in ("", camera.frame_id):
+        camera = replace(camera, frame_id=payload.frame_id)
+        if borrowed:
+            yield from pinhole(f"{entity}/camera", camera, state)
     known_mm = np.where(payload.depth_m < payload.limit_m, depth_to_mm(payload.depth_m), 0).astype(np.uint16)
     picture = rr.DepthImage(known_mm, meter=_MM_PER_M, colormap="turbo", depth_range=_COLOURED_MM, point_fill_ratio=0.5)
-    yield Entry(entity, picture, image_plane(payload.frame_id or (camera.frame_id if camera else "")))
+    yield Entry(entity, picture, state.plane_of(camera) if camera else image_plane(payload.frame_id))
 
 
 def calibration(entity: str, role: str, payload: Camera, state: SceneState) -> Iterator[Entry]:
     """Draw a camera. The front camera determines which frame of the tree is ego."""
     state.latch(role, payload)
-    yield pinhole(entity, payload)
+    yield from pinhole(entity, state.latched.cameras[role], state)
     yield from new_edges(state)
 
 
-def pinhole(entity: str, payload: Camera) -> Entry:
-    """The image plane below a camera's frame."""
+def given(roles: Mapping[str, str], state: SceneState) -> Iterator[Entry]:
+    """Draw the cameras that the user gave, and the log does not have; ``roles`` are the topics of its roles."""
+    for role, camera in state.rig.cameras.items():
+        if role not in roles:
+            yield from pinhole(ROLES[role].topic, camera, state)
+    yield from new_edges(state) if state.rig != NO_RIG else ()
+
+
+def pinhole(entity: str, payload: Camera, state: SceneState) -> Iterator[Entry]:
+    """Draw the image plane below a camera's frame, once for cameras with the same frame and pixels."""
+    plane = state.plane_to_draw(entity, payload)
+    if plane is None:
+        return
     K = payload.K.copy()
     K[:2, 2] += _PIXEL_CENTRE
-    return Entry(
+    yield Entry(
         entity,
         rr.Pinhole(
             image_from_camera=K,
             resolution=(payload.width, payload.height),
             camera_xyz=rr.ViewCoordinates.RDF,
             parent_frame=payload.frame_id,
-            child_frame=image_plane(payload.frame_id),
+            child_frame=plane,
             image_plane_distance=1.0,
         ),
     )

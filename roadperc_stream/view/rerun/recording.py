@@ -12,8 +12,10 @@ import rerun as rr
 from google.protobuf.message import DecodeError as ProtobufError
 
 from roadperc_stream import log
+from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import DecodeError, LogError, TargetError
 from roadperc_stream.input.earlier_replay import is_result_of
+from roadperc_stream.input.replaced import rig_of_log, with_recorded
 from roadperc_stream.input.roles import assignment_of_log
 from roadperc_stream.input.stream import Problems, RoleAssignment
 from roadperc_stream.log import LogSummary, Message
@@ -28,6 +30,7 @@ from roadperc_stream.view.frame_times import Stop
 from roadperc_stream.view.rerun.blueprint import Log, blueprint
 from roadperc_stream.view.rerun.drawing import drawers
 from roadperc_stream.view.rerun.pair import BASE, NEW, Opening, arrange_pair
+from roadperc_stream.view.rerun.pictures import given
 from roadperc_stream.view.rerun.timelines import set_log_time, time_panel
 from roadperc_stream.view.rerun.tree import Entry, SceneState
 from roadperc_stream.view.rerun.viewer import URL, ending_at_once, saving, start_viewer
@@ -170,7 +173,9 @@ class _Sender:
         """Topic whose messages are counted as frames in a log without metrics; None if absent."""
         self.frame = -1
         """Number of the current frame from 0; -1 before the first one."""
-        state = SceneState(roles.reference or "")
+        cfg = with_recorded(ReplayConfig(), summary.attachments, summary.path)
+        state = SceneState(roles.reference or "", rig_of_log(summary, roles, cfg))
+        self._given = list(given(roles.topics, state))
         self._drawers = drawers(summary.channels, roles, state, TableTimes(sidecar_path(summary.path, "metrics")).of)
         self._contexts: dict[str, rr.AsComponents] = {}
         self._drawn: set[str] = set()
@@ -199,7 +204,7 @@ class _Sender:
         self.frame = self._frame_of(messages, metrics)
         set_log_time(self._recording, log_time_ns, self._stop)
         self._recording.set_time(FRAME, sequence=max(self.frame, 0))  # earlier messages belong to the first frame
-        entries = list(self._entries(messages))
+        entries, self._given = [*self._given, *self._entries(messages)], []
         for entry in entries:
             self._log(entry)
         if metrics:  # every frame of a result has metrics
@@ -225,8 +230,9 @@ class _Sender:
                 self.problems.add(message.channel.topic, message.log_time_ns, error)
 
     def _log(self, entry: Entry) -> None:
-        is_result = entry.entity.startswith(topics.RESULT_PREFIX) and not isinstance(entry.archetype, rr.Transform3D)
-        if self._root == NEW and not is_result:  # inputs and transforms come from the base
+        is_frame = isinstance(entry.archetype, rr.Transform3D | rr.Pinhole)
+        is_result = entry.entity.startswith(topics.RESULT_PREFIX) and not is_frame
+        if self._root == NEW and not is_result:  # inputs and frames come from the base
             return
         self.entities.add(entry.entity)
         path = f"{self._root}{entry.entity}"

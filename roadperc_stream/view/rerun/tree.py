@@ -10,6 +10,8 @@ import rerun as rr
 from roadperc_stream.geometry import Camera, Float
 from roadperc_stream.input.assemble import ego_frame_of
 from roadperc_stream.input.decoding import Payload
+from roadperc_stream.input.replaced import replaced
+from roadperc_stream.input.rig import NO_RIG, Rig
 from roadperc_stream.input.stream import Stamped
 from roadperc_stream.input.sync import LatchedState
 from roadperc_stream.input.transforms import TransformTree
@@ -34,11 +36,20 @@ class SceneState:
 
     reference: str = "image"
     """The role whose messages are the frames; results belong to its camera."""
-    latched: LatchedState = field(default_factory=LatchedState)
+    rig: Rig = NO_RIG
+    """The cameras and mountings that the replay used instead of those of the log."""
+    of_log: LatchedState = field(default_factory=LatchedState)
     assumed_mounting: Float | None = None
     """ego_T_camera of a front camera without transforms."""
     edges: dict[str, Transform] = field(default_factory=dict)
     texts: dict[str, str] = field(default_factory=dict)
+    planes: dict[str, tuple[str, Camera]] = field(default_factory=dict)
+    """The entity that draws each image plane, and its camera: Rerun takes a frame from one entity only."""
+
+    @property
+    def latched(self) -> LatchedState:
+        """The cameras and transforms that the replay used."""
+        return replaced(self.of_log, self.rig, self.reference)
 
     @property
     def front(self) -> Camera | None:
@@ -55,7 +66,23 @@ class SceneState:
     def image_frame(self, role: str, frame_id: str) -> str:
         """Coordinate frame of a role's pixels, from its calibration if it has one."""
         camera = self.camera_of(role)
-        return image_plane(camera.frame_id if camera else frame_id)
+        return self.plane_of(camera) if camera else image_plane(frame_id)
+
+    def plane_of(self, camera: Camera) -> str:
+        """The image plane of a camera, which all cameras with its frame and its pixels share."""
+        drawn = (name for name, (_, other) in self.planes.items() if _pixels(other) == _pixels(camera))
+        return next(drawn, image_plane(camera.frame_id))
+
+    def plane_to_draw(self, entity: str, camera: Camera) -> str | None:
+        """The image plane that an entity draws for its camera; None if another entity draws it already."""
+        own = next((name for name, (owner, _) in self.planes.items() if owner == entity), None)
+        plane = own or self.plane_of(camera)
+        if not own and plane in self.planes:
+            if _pixels(self.planes[plane][1]) == _pixels(camera):
+                return None
+            plane = f"{plane} of {entity}"
+        self.planes[plane] = entity, camera
+        return plane
 
     def knows(self, frame_id: str) -> bool:
         """Whether the log's transforms contain this frame."""
@@ -64,9 +91,13 @@ class SceneState:
     def latch(self, role: str, payload: Payload) -> None:
         """Update a calibration or transforms; leaves out edges that close a loop, like the chain."""
         item = Stamped(role, 0, 0, payload)
-        looping = self.latched.tree.looping(item.edges)
+        looping = self.of_log.tree.looping(item.edges)
         kept = tuple(edge for edge in item.edges if edge.child not in looping)
-        self.latched = self.latched.updated(replace(item, payload=kept) if looping else item)
+        self.of_log = self.of_log.updated(replace(item, payload=kept) if looping else item)
+
+
+def _pixels(camera: Camera) -> tuple[object, ...]:
+    return camera.frame_id, camera.size, camera.K.tobytes()
 
 
 def image_plane(frame_id: str) -> str:

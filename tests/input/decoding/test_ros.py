@@ -5,6 +5,7 @@ import math
 import cv2
 import numpy as np
 import pytest
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.input.decoding import Context, context_of_channel, decode
@@ -33,8 +34,8 @@ def image(encoding, pixels, padding=0, **other):
     return rosbag.image(STAMP, "camera", encoding, pixels, padding) | other
 
 
-def camera_pixels(encoding, pixels, padding=0):
-    return read("image", ros2.IMAGE, image(encoding, pixels, padding)).payload
+def camera_pixels(encoding, pixels, padding=0, **other):
+    return read("image", ros2.IMAGE, image(encoding, pixels, padding, **other)).payload
 
 
 @pytest.mark.parametrize("padding", [0, 3])
@@ -72,6 +73,49 @@ def test_grey_images_are_decoded(encoding, pixels):
     np.testing.assert_array_equal(found.bgr, np.dstack([GREY] * 3))
 
 
+COLOURS = np.repeat(np.array([[(200, 100, 30), (20, 60, 220)]], np.uint8), 8, axis=1).repeat(8, axis=0)
+"""(8, 16, 3) red, green and blue of two halves."""
+YUV = cv2.cvtColor(COLOURS, cv2.COLOR_RGB2YUV_I420)
+Y, U, V = YUV[:8], YUV[8:10].reshape(4, 8), YUV[10:].reshape(4, 8)
+
+
+def mosaic(tiles):
+    """What a sensor with this pattern of filters in its first two rows sees."""
+    seen = np.empty((8, 16), np.uint8)
+    for place, colour in enumerate(tiles):
+        rows = slice(place // 2, None, 2), slice(place % 2, None, 2)
+        seen[rows] = COLOURS[(*rows, "rgb".index(colour))]
+    return seen
+
+
+def interleaved(*planes):
+    return np.stack(planes, axis=-1).reshape(len(planes[0]), -1)
+
+
+def in_turns(first, second, *, is_colour_first):
+    """4:2:2: brightness, and both colours in turns."""
+    colours = interleaved(first, second).repeat(2, axis=0)
+    return interleaved(*((colours, Y) if is_colour_first else (Y, colours)))
+
+
+MOSAICS = {f"bayer_{tiles}8": mosaic(tiles) for tiles in ("rggb", "bggr", "gbrg", "grbg")}
+DEEP = {name.replace("8", "16"): seen.astype("<u2") * 256 + 9 for name, seen in MOSAICS.items()}
+DEEP |= {"rgb16": COLOURS.astype(">u2") * 256 + 9, "bgr16": COLOURS[..., ::-1].astype("<u2") * 256 + 9}
+UYVY, YUYV = (in_turns(U, V, is_colour_first=first) for first in (True, False))
+BRIGHTNESS_FIRST = {"nv12": np.vstack((Y, interleaved(U, V))), "nv21": np.vstack((Y, interleaved(V, U)))}
+RAW = {**MOSAICS, **DEEP, "yuv422": UYVY, "uyvy": UYVY, "yuv422_yuy2": YUYV, "yuyv": YUYV, **BRIGHTNESS_FIRST}
+
+
+@pytest.mark.parametrize("padding", [0, 6])
+@pytest.mark.parametrize("encoding", RAW)
+def test_the_colours_of_sensors_are_decoded(encoding, padding):
+    found = camera_pixels(encoding, RAW[encoding], padding, height=8, width=16)
+    inside = np.s_[2:-2, [3, 12]]  # away from edges, where a mosaic is interpolated
+    np.testing.assert_allclose(found.bgr[inside], COLOURS[inside][..., ::-1], atol=3)
+    np.testing.assert_array_equal(found.grey, cv2.cvtColor(found.bgr, cv2.COLOR_BGR2GRAY))
+    assert found.size == (16, 8)
+
+
 @pytest.mark.parametrize("order", ["<", ">"])
 @pytest.mark.parametrize("padding", [0, 2])
 def test_depth_in_millimetres_and_metres(order, padding):
@@ -96,11 +140,22 @@ def test_tags_are_numbers_of_a_table_or_its_colours():
     assert [before.table.name_of(tag) for tag in before.tags[0]] == ["road", "vehicle", "road_line"]
 
 
+@pytest.mark.parametrize("encoding", ["mono16", "16UC1"])
+def test_tags_of_16_bits_are_the_numbers_themselves(encoding):
+    tags = np.array([[0, 1, 24]], "<u2")
+    found = read("tags", ros2.IMAGE, image(encoding, tags), table=CARLA_FROM_0_9_14).payload.tags
+    assert (found.dtype, found.tolist()) == (np.uint8, tags.tolist())
+    with pytest.raises(DecodeError, match=r"6144.*0 to 255"):
+        _ = read("tags", ros2.IMAGE, image(encoding, tags * 256), table=CARLA_FROM_0_9_14).payload.tags
+
+
 def test_instance_masks_are_numbers_in_green_and_blue():
     pixels = np.array([[(2, 1, 14, 255), (0, 7, 12, 255)]], np.uint8)
     found = read("instances", ros2.IMAGE, image("bgra8", pixels)).payload
     np.testing.assert_array_equal(found.ids, np.array([[513, 7]], np.uint16))
     assert found.ids.dtype == np.uint16
+    numbers = np.array([[0, 1, 513]], "<u2")
+    assert read("instances", ros2.IMAGE, image("mono16", numbers)).payload.ids.tolist() == numbers.tolist()
 
 
 def test_tags_of_an_unknown_table_or_colour_are_an_error():
@@ -114,14 +169,15 @@ def test_tags_of_an_unknown_table_or_colour_are_an_error():
 @pytest.mark.parametrize(
     ("message", "words"),
     [
-        (image("yuv422", BGR), "image encoding 'yuv422': expected one of bgr8"),
+        (image("nv24", BGR), "image encoding 'nv24': expected one of bgr8"),
+        (image("nv12", np.zeros((5, 5), np.uint8), height=3), "'nv12' image 5x3: expected an even number"),
         (image("bgr8", BGR, step=14), "'bgr8' image 5x3 with step 14: expected 45 bytes or more, found 45"),
         (image("bgr8", BGR, height=4), "expected 60 bytes or more, found 45"),
         (image("bgr8", BGR, width=2**31), "expected"),
         (image("bgr8", BGR, width=0), "image 0x3"),
         (image("16UC1", GREY.astype("<u2")), "'16UC1': expected colours, mono8 or mono16"),
     ],
-    ids=["encoding", "step", "height", "huge", "empty", "depth"],
+    ids=["encoding", "odd", "step", "height", "huge", "empty", "depth"],
 )
 def test_impossible_pixels_are_an_error(message, words):
     found = read("image", ros2.IMAGE, message).payload
@@ -314,6 +370,22 @@ POSE = {"position": {"x": 1.0, "y": 2.0, "z": 3.0}, "orientation": {"x": 0.0, "y
 TURNED = [[-1, 0, 0, 1], [0, -1, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]
 
 
+def test_frames_have_no_leading_slash():
+    """As in ROS 1: its drivers write ``/cam`` in some messages and ``cam`` in others."""
+    edge = {
+        "header": rosbag.header(STAMP, "/base_link"),
+        "child_frame_id": "/cam",
+        "transform": {"translation": POSE["position"], "rotation": POSE["orientation"]},
+    }
+    (found,) = read("tf", "tf2_msgs/msg/TFMessage", {"transforms": [edge]}).payload
+    assert (found.parent, found.child) == ("base_link", "cam")
+    cameras = rosbag.camera_info(STAMP, "/cam", 320, 240, [300, 0, 160, 0, 300, 120, 0, 0, 1])
+    assert read("calibration", "sensor_msgs/msg/CameraInfo", cameras).payload.frame_id == "cam"
+    assert read("image", ros2.IMAGE, rosbag.image(STAMP, "/cam", "mono8", GREY)).payload.frame_id == "cam"
+    pose = read("pose", "nav_msgs/msg/Odometry", rosbag.odometry(STAMP, "/base_link", POSE)).payload
+    assert pose.child == "base_link"
+
+
 def test_transforms_and_poses():
     edge = {
         "header": rosbag.header(STAMP, "map"),
@@ -345,7 +417,7 @@ def test_cut_bytes_are_an_error(length):
         (b"!!", "ros2msg", "cannot be read"),
         (b"\xff\xfe", "ros2msg", "cannot be read"),
         (b"std_msgs/Header header\n", "ros2msg", "type 'std_msgs/msg/Header' is not defined"),
-        (b"uint8 x\n", "protobuf", "definition in encoding protobuf: expected ros2msg or ros2idl"),
+        (b"uint8 x\n", "protobuf", "definition in encoding protobuf: expected ros2msg, "),
     ],
     ids=["none", "text", "bytes", "part", "encoding"],
 )
@@ -364,3 +436,24 @@ def test_definitions_in_idl_are_read():
     body = bytes([5]) + bytes(7) + np.array([1.5, -2.0]).tobytes()
     found = cdr.read(b"\x00\x01\x00\x00" + body, "demo/msg/Pair", text.encode(), "ros2idl")
     assert (found.n, found.at.x, found.at.y) == (5, 1.5, -2.0)
+
+
+def test_the_first_transforms_of_ros_1_are_read():
+    store = get_typestore(Stores.ROS1_NOETIC)
+    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf/msg/tfMessage"))
+    edge = store.types["geometry_msgs/msg/TransformStamped"]
+    pose = store.types["geometry_msgs/msg/Transform"](
+        store.types["geometry_msgs/msg/Vector3"](1.0, 2.0, 3.0),
+        store.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
+    )
+    header = store.types["std_msgs/msg/Header"](7, store.types["builtin_interfaces/msg/Time"](17, 5), "base_link")
+    message = store.types["tf/msg/tfMessage"]([edge(header, "camera", pose)])
+    text = store.generate_msgdef(message.__msgtype__)[0].encode()
+    data = bytes(store.serialize_ros1(message, message.__msgtype__))
+    for name in ("tf/tfMessage", "tf2_msgs/TFMessage"):
+        context = context_of_channel(Channel("/tf", "ros1", name, "ros1msg", text), "auto")
+        found = decode("tf", name, "ros1", data, STAMP, context)
+        ((parent, child, matrix),) = [(e.parent, e.child, e.parent_T_child) for e in found.payload]
+        assert (found.stamp_ns, parent, child, *matrix[:3, 3]) == (17_000_000_005, "base_link", "camera", 1, 2, 3)
+    with pytest.raises(DecodeError, match="not a valid tf2_msgs/msg/TFMessage"):
+        decode("tf", "tf2_msgs/TFMessage", "ros1", data[:-3], STAMP, context)

@@ -5,12 +5,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from roadperc_stream.errors import DumpError
-from roadperc_stream.tools.carla_dump.calibration_file import (
-    decompose_pair,
-    load_calibration,
-    pinhole_of_fov,
-    pinhole_of_K,
-)
+from roadperc_stream.geometry.cameras import pinhole_of_fov, pinhole_of_K
+from roadperc_stream.input.projections import decompose_pair
+from roadperc_stream.tools.carla_dump.calibration_file import load_calibration
 from tests.tools.dump_writer import document
 
 K = [[640, 0, 640], [0, 640, 480], [0, 0, 1]]
@@ -61,8 +58,9 @@ P = [[640, 0, 640, 0], [0, 640, 480, 0], [0, 0, 1, 0]]
 @pytest.mark.parametrize(
     ("content", "fault"),
     [
-        ({"K": [[1, 0], [0, 1]]}, r"K\.0\.2: Field required"),
-        ({"K": [[640, 0, float("nan")], [0, 640, 480], [0, 0, 1]]}, r"K\.0\.2: .*finite"),
+        ({"K": [640, 0, 640, 0, 640, 480, 0, 0, 1]}, "K: expected 3 rows of numbers"),
+        ({"K": [[1, 0], [0, 1]]}, r"K\[0\]\[2\]: missing"),
+        ({"K": [[640, 0, float("nan")], [0, 640, 480], [0, 0, 1]]}, r"K\[0\]\[2\]: .*finite"),
         ({"K": [[-640, 0, 640], [0, 640, 480], [0, 0, 1]]}, "K: expected"),
         ({"K": [[640, 5, 640], [0, 640, 480], [0, 0, 1]]}, "K: expected"),
         ({"fov_deg": 180}, "fov_deg.*less than 180"),
@@ -72,12 +70,12 @@ P = [[640, 0, 640, 0], [0, 640, 480, 0], [0, 0, 1, 0]]
         ({"width": 10**400}, "width: .*1000000"),
         ({"pixel_origin": "middle"}, "pixel_origin"),
         ({"mounting": {"rgb": {"z": 1.5, "hight": 2}}}, r"mounting\.rgb\.hight"),
-        ({"mounting": {"rgb": {"x": 1.5}}}, r"mounting\.rgb\.z: Field required"),
+        ({"mounting": {"rgb": {"x": 1.5}}}, r"mounting\.rgb\.z: missing"),
         ({"cameras": {"depth": {"K": [[0, 0, 0], [0, 1, 0], [0, 0, 1]]}}}, r"cameras\.depth\.K: expected"),
         ({"rate_hz": 0}, "rate_hz"),
         ({"carla_tags": 0.9}, "carla_tags"),
         ({"P_left": P}, "P_left and P_right: expected both"),
-        ([], "valid dictionary"),
+        ([], "expected keys with values"),
     ],
 )
 def test_malformed_values_name_file_and_key(tmp_path, content, fault):

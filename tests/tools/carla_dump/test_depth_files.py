@@ -78,6 +78,7 @@ NUMBERS_16 = np.array([[0, 1500], [65535, 256]], np.uint16)
         ("cm", [[np.nan, 15.0], [655.35, 2.56]]),
         ("m", [[np.nan, 1500.0], [65535.0, 256.0]]),
         ("depth-256", [[np.nan, 1500 / 256], [65535 / 256, 1.0]]),
+        ("tum", [[np.nan, 0.3], [65535 / 5000, 0.0512]]),
         ("disparity", [[np.nan, 360 * 256 / 1500], [360 * 256 / 65535, 360.0]]),
     ],
 )
@@ -97,7 +98,7 @@ def test_millimetres_of_larger_integers_need_no_option(tmp_path):
 
 def test_an_unknown_unit_and_a_wrong_coding_are_errors_that_name_the_option(tmp_path):
     far = npy(tmp_path / "0.npy", np.array([[0.0, 1200.0, 45000.0, np.inf]]))
-    with pytest.raises(DumpError, match=r"0\.npy: the median is 23100: pass --depth-coding mm, cm, m or disparity"):
+    with pytest.raises(DumpError, match=r"0\.npy: the median is 23100: pass --depth-coding mm"):
         depth_encoding([far])
     codes = png(tmp_path / "1.png", carla_codes(depth_m()))
     with pytest.raises(DumpError, match=r"1\.png: depth is encoded as carla 24 bit, but --depth-coding cm is for numb"):

@@ -3,6 +3,7 @@ import pytest
 from roadperc_stream.errors import DumpError
 from roadperc_stream.model import Box, Detection
 from roadperc_stream.tools.carla_dump.detection_files import load_detections, load_kitti_labels
+from roadperc_stream.tools.carla_dump.yolo_files import is_yolo, load_yolo_labels
 from tests.tools.dump_writer import document
 
 
@@ -59,16 +60,17 @@ def test_kitti_maxima_become_half_open(tmp_path):
 @pytest.mark.parametrize(
     ("content", "fault"),
     [
-        ({"0": [{"label": "Car", "box_px": [1, 2, 3]}]}, r"0\.0\.box_px\.3: Field required"),
+        ({"0": [{"label": "Car", "box_px": [1, 2, 3]}]}, r"0\[0\]\.box_px\[3\]: missing"),
         ({"0": [{"label": "Car", "box_px": [9, 2, 3, 4]}]}, "frame 0: box 9.0, 2.0, 3.0, 4.0"),
-        ({"0": [{"label": "Car", "box_px": [1, 2, 3, float("nan")]}]}, r"0\.0\.box_px\.3"),
-        ({"0": [{"box_px": [1, 2, 3, 4]}]}, r"0\.0\.label: Field required"),
+        ({"0": [{"label": "Car", "box_px": [1, 2, 3, float("nan")]}]}, r"0\[0\]\.box_px\[3\]"),
+        ({"0": [{"box_px": [1, 2, 3, 4]}]}, r"0\[0\]\.label: missing"),
         ({"first": []}, "'first': expected a frame number"),
         ({"1": [], "01": []}, "'1' and '01' are both frame 1"),
         ([{"image_id": 1, "bbox": [1, 2, 3, 4]}], "expected category_id, category or label"),
         ([{"image_id": 1, "bbox": [1, 2, -3, 4], "category_id": 3}], "frame 1: box"),
         ([{"image_id": "first", "bbox": [1, 2, 3, 4], "category_id": 3}], "'first': expected a frame number"),
-        ("text", "valid dictionary"),
+        ([{"label": "Car", "box_px": [1, 2, 3, 4]}], r"\[0\]\.image_id: missing.*COCO"),
+        ("text", "expected keys with values"),
     ],
 )
 def test_faults_name_file_and_key(tmp_path, content, fault):
@@ -83,3 +85,41 @@ def test_kitti_faults_name_the_line(tmp_path, line):
     path.write_text(f"\n{line}\n")
     with pytest.raises(DumpError, match=r"000003\.txt: line 2: "):
         load_kitti_labels({3: path})
+
+
+@pytest.mark.parametrize(
+    ("names", "content", "label"),
+    [
+        ("data.yaml", "names: [person, car]", "car"),
+        ("data.yaml", "names:\n  0: person\n  1: car", "car"),
+        ("labels/classes.txt", "person\ncar\n", "car"),
+        ("classes.txt", "person\n", "1"),
+        ("other.txt", "person\ncar", "1"),
+    ],
+)
+def test_labels_of_yolo_are_boxes_in_pixels_with_the_names_of_the_classes(tmp_path, names, content, label):
+    (tmp_path / "labels").mkdir()
+    (tmp_path / names).write_text(content)
+    path = tmp_path / "labels" / "7.txt"
+    path.write_text("1 0.5 0.5 0.25 0.5 0.75\n")
+    assert is_yolo([path])
+    found, _ = load_yolo_labels({7: path}, [7, 8], (640, 480))
+    assert found == {7: (Detection(label, Box(240.0, 120.0, 400.0, 360.0), 0.75),), 8: ()}
+
+
+@pytest.mark.parametrize(
+    "line", ["0 0.5 0.5 0.1", "0 320 240 64 48", "0 0.1 0.1 0.1 0.2 0.2 0.2", "0 nan 0 0 0", f"{'9' * 6000} 0 0 0 0"]
+)
+def test_a_line_that_is_no_box_of_yolo_is_named(tmp_path, line):
+    path = tmp_path / "0.txt"
+    path.write_text(f"0 0.5 0.5 0.1 0.1\n{line}\n")
+    with pytest.raises(DumpError, match=r"0\.txt: line 2: expected class"):
+        load_yolo_labels({0: path}, [0], (640, 480))
+
+
+def test_a_file_without_names_of_classes_is_an_error(tmp_path):
+    (tmp_path / "data.yaml").write_text("names: 3")
+    path = tmp_path / "0.txt"
+    path.write_text("0 0.5 0.5 0.1 0.1\n")
+    with pytest.raises(DumpError, match=r"data\.yaml: expected names"):
+        load_yolo_labels({0: path}, [0], (640, 480))

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from roadperc_stream.errors import DumpError
 from roadperc_stream.tools.carla_dump.calibration_file import load_calibration
 from roadperc_stream.tools.carla_dump.detection_files import load_detections
-from roadperc_stream.tools.carla_dump.json_files import by_frame, frame_number
+from roadperc_stream.tools.carla_dump.json_files import EPOCH_NS, by_frame, frame_number
 from roadperc_stream.tools.carla_dump.truth_file import load_poses, load_truth
 from tests.tools.dump_writer import document
 
@@ -49,6 +49,11 @@ def test_any_document_is_read_or_stated(tmp_path, load, content):
         ("rgb_1305031102.000000001", 1_305_031_102_000_000_001),
         ("v1.2_1305031102", 1_305_031_102),
         ("130503110.933", 933),
+        ("12.80", EPOCH_NS + 12_800_000_000),
+        ("rgb_0013.050", EPOCH_NS + 13_050_000_000),
+        ("12.850000000000001", EPOCH_NS + 12_850_000_000),
+        ("shot1.0001", 1),
+        ("0.9.15", 15),
         ("frankfurt_000000_000294_leftImg8bit", 294),
         ("frankfurt_000000_000294_gtFine_labelIds", 294),
     ],

@@ -143,7 +143,7 @@ def detections_twice(folder: Path) -> None:
     ("make", "words"),
     [
         (two_depths, ["Camera Depth", "depth", "--role depth='Camera Depth'"]),
-        (one_number_twice, ["000001.png", "1.png", "frame 1"]),
+        (one_number_twice, ["000001.png", "1.png", "frame 1", "rename"]),
         (no_number, ["rgb", "no frame number", "first.png"]),
         (only_junk, ["no sensor found", "holiday/", "notes.txt"]),
         (lambda _: None, ["no sensor found", "found: nothing"]),
@@ -161,3 +161,22 @@ def test_faults_name_what_is_there(tmp_path, make, words):
 def test_a_missing_folder_is_named(tmp_path):
     with pytest.raises(DumpError, match="nowhere: No such file"):
         find_layout(tmp_path / "nowhere", {})
+
+
+def test_a_dump_one_folder_further_down_is_found_and_said(tmp_path):
+    plain_dump(tmp_path / "run" / "_out")
+    (tmp_path / "run" / "config").mkdir()
+    layout = find_layout(tmp_path / "run", {})
+    assert sources(layout)["image"] == "rgb"
+    assert any("_out/" in note for note in layout.notes)
+    assert layout.documents["calibration"].parent.name == "_out"
+    plain_dump(tmp_path / "run" / "second")
+    with pytest.raises(DumpError, match=r"2 folders in it hold frames: pass one, such as .*_out"):
+        find_layout(tmp_path / "run", {})
+
+
+def test_a_link_to_the_folder_itself_is_no_dump_further_down(tmp_path):
+    (tmp_path / "run" / "_out").mkdir(parents=True)
+    (tmp_path / "run" / "_out" / "_out").symlink_to(tmp_path / "run")
+    with pytest.raises(DumpError, match="no sensor found"):
+        find_layout(tmp_path / "run", {})

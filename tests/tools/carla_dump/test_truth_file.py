@@ -3,10 +3,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from roadperc_stream.config.calibration import CarlaPose
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import rigid, transform
+from roadperc_stream.input.rig import camera_mounting, right_handed
 from roadperc_stream.model import Box
-from roadperc_stream.tools.carla_dump.truth_file import CarlaPose, camera_mounting, load_poses, load_truth, right_handed
+from roadperc_stream.tools.carla_dump.truth_file import load_poses, load_truth
 from tests.tools.dump_writer import document
 from tests.tools.rendered import carla_rotation
 
@@ -57,7 +59,7 @@ def test_poses_of_tables(tmp_path, text):
     ("name", "text", "fault"),
     [
         ("poses.json", "{", "not JSON"),
-        ("poses.json", '{"0": {"location": {"x": 1, "y": 2}}}', "0.location.z: Field required"),
+        ("poses.json", '{"0": {"location": {"x": 1, "y": 2}}}', "0.location.z: missing"),
         ("poses.json", '{"a": 1}', "poses.json: a"),
         ("poses.csv", "1 0 0 0 1 0 0 0 1", "expected a header"),
         ("poses.csv", "", "expected a header"),
@@ -115,12 +117,12 @@ def test_truth_by_frame(tmp_path):
 @pytest.mark.parametrize(
     ("change", "fault"),
     [
-        ({"lanes": {"0": {"left": {"offset_m": 1.0}}}}, r"lanes\.0\.left\.heading: Field required"),
+        ({"lanes": {"0": {"left": {"offset_m": 1.0}}}}, r"lanes\.0\.left\.heading: missing"),
         ({"surface": {"0": {**SURFACE, "camera_height_m": 0}}}, r"surface\.0\.camera_height_m"),
         ({"surface": {"0": {**SURFACE, "normal": [0, 0, 0]}}}, "surface of frame 0: normal is zero"),
         ({"surface": {"0": {**SURFACE, "height_grid": {**GRID, "rows": 3}}}}, "6 heights for 3 rows x 3 columns"),
         ({"objects": {"0": [{**OBJECT, "box_px": [3, 2, 1, 4]}]}}, "objects of frame 0: box"),
-        ({"objects": {"0": [{**OBJECT, "distance_m": float("inf")}]}}, r"objects\.0\.0\.distance_m"),
+        ({"objects": {"0": [{**OBJECT, "distance_m": float("inf")}]}}, r"objects\.0\[0\]\.distance_m"),
     ],
 )
 def test_faults_of_truth_name_file_and_key(tmp_path, change, fault):

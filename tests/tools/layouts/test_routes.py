@@ -119,7 +119,7 @@ def test_the_tables_name_what_is_wrong(nuscenes, capsys):
     table(version, "ego_pose", [])
     assert "ego_pose.json: no row has the token 'CAM_FRONT0.97'" in failure(capsys, *chosen)
     table(version, "ego_pose", [{"token": "t", "translation": (0, 0), "rotation": UNTURNED}])
-    assert "ego_pose.json: 0.translation.2: " in failure(capsys, *chosen)
+    assert "ego_pose.json: [0].translation[2]: " in failure(capsys, *chosen)
 
 
 def carla_matrix(x, y, z=0.0):

@@ -67,6 +67,8 @@ def test_an_unknown_class_of_a_segmentation_is_an_error(tmp_path):
         segmenting(tmp_path / "a", 'decoder = "semantic", classes = { 1 = "raod" }')
     with pytest.raises(ConfigError, match="expected numbers of channels as keys, found street"):
         segmenting(tmp_path / "b", 'decoder = "semantic", classes = { street = "road" }')
+    with pytest.raises(ConfigError, match=r"output\.decoder: expected one of 'semantic', 'heads'.*found 'yolo'"):
+        segmenting(tmp_path / "c", 'decoder = "yolo", classes = { 1 = "road" }')
 
 
 def test_a_cell_of_a_grid_is_a_box_at_its_place(tmp_path):

@@ -301,6 +301,12 @@ def test_a_seek_is_clamped_to_the_log(seek_s, lands_s):
         assert (head.log_ns, head.status, moved) == (lands_s * S, status, True)
 
 
+def test_a_gap_of_more_than_an_hour_is_skipped():
+    next_ns = 110 * S + 3600 * S + 1
+    head, wait_s = advance(PLAYING, next_ns, Reach(100 * S, 2 * next_ns), 7 * S)
+    assert (head.log_ns, head.at(7 * S), wait_s) == (next_ns, next_ns, 0)
+
+
 @pytest.mark.parametrize("status", [Status.Ended, Status.Paused])
 def test_playing_from_the_end_starts_over(status):
     head, moved = apply_request(Playhead(status, 200 * S, 0), request(play=True), LOG, 9 * S)

@@ -1,5 +1,6 @@
 """Places of images, boxes, road and map in a recording, from its pinholes and transforms."""
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -129,6 +130,22 @@ def test_results_of_left_frames_belong_to_the_left_camera(tmp_path):
     assert ego_T(entities, "camera", 0) == pytest.approx(wanted, abs=1e-5)
     lanes = shown(entities, "/perception/lanes/annotations/smoothed", 0)
     assert lanes["CoordinateFrame:frame"] == ["camera_image_plane"]
+
+
+def test_each_frame_has_one_entity_if_cameras_share_theirs(tmp_path):
+    """As in the bags of RealSense and ZED: colour, depth and left camera in one frame, transforms on two topics."""
+    items = logs.items(frames=2)
+    calibration, edge = (next(item for item in items if item.role == role) for role in ("calibration", "tf"))
+    items += [replace(calibration, role=f"{role}_calibration") for role in ("depth", "left")]
+    items += [replace(item, role="left") for item in items if item.role == "image"]
+    items += [replace(edge, role="tf_static")]
+    entities = replayed(tmp_path, sorted(items, key=lambda item: item.stamp_ns))
+    placed = Counter()
+    for entity in entities:
+        cells = shown(entities, entity, 1)
+        placed.update(name for key in ("Transform3D", "Pinhole") for name in cells.get(f"{key}:child_frame", ()))
+    assert placed["camera_image_plane"] == 1
+    assert set(placed.values()) == {1}
 
 
 @pytest.mark.parametrize("role", ["tf", "tf_static"])

@@ -234,9 +234,9 @@ NOTHING = "no topic that roadperc-view can show; "
         ([], [], "the log has no messages to show$"),
         ([], [logs.foreign()], f"{NOTHING}try rerun "),
         (
-            [logs.Item("lidar", 5, b"", "/radar")],
+            [logs.Item("lidar", 5, b"", "/front/points"), logs.Item("lidar", 5, b"", "/back/points")],
             [],
-            f"{NOTHING}role lidar: not assigned; .* --topic lidar=/radar; try rerun ",
+            f"{NOTHING}role lidar: not assigned; .* --topic lidar=/front/points; try rerun ",
         ),
         (
             [logs.Item("image", 5, b"\xff\xfe\x07bad")],

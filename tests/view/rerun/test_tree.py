@@ -6,7 +6,7 @@ import pytest
 from roadperc_stream.geometry import Camera, Plane, inverse, mounting, rigid
 from roadperc_stream.geometry.rotations import rotation_from_rpy
 from roadperc_stream.input.assemble import ego_T_camera_of
-from roadperc_stream.model import Surface, Transform
+from roadperc_stream.model import DepthImage, Surface, Transform
 from roadperc_stream.view.rerun import pictures, scene
 from roadperc_stream.view.rerun.tree import SceneState
 
@@ -180,3 +180,33 @@ def test_poses_of_log_and_results_have_different_odom_frames(role, frame):
 def test_a_pose_in_an_odom_without_transforms_uses_the_odom_of_the_results():
     (arrow,) = scene.pose("/truth/pose", "truth_pose", edge("odom", "ego", 2.0), SceneState())
     assert arrow.frame == "odom"
+
+
+def planes(entries):
+    """(entity, image plane) of the pinholes of the entries."""
+    found = ((e.entity, e.archetype) for e in entries if e.archetype.archetype() == "rerun.archetypes.Pinhole")
+    return [(entity, pinhole.child_frame.as_arrow_array().to_pylist()[0]) for entity, pinhole in found]
+
+
+def test_cameras_of_one_frame_draw_its_image_plane_once():
+    """As the aligned depth of a RealSense, the left camera of a ZED, and a depth image of half the size."""
+    state = SceneState()
+    front, half = camera("camera"), Camera("camera", 160, 120, 80.0, 80.0, 79.5, 59.5)
+    assert planes(pictures.calibration("/color", "calibration", front, state)) == [("/color", "camera_image_plane")]
+    assert planes(pictures.calibration("/left", "left_calibration", front, state)) == []
+    ((entity, plane),) = planes(pictures.calibration("/depth", "depth_calibration", half, state))
+    assert (entity, plane != "camera_image_plane") == ("/depth", True)
+    frames = {role: state.image_frame(role, "camera") for role in ("image", "left", "depth")}
+    assert frames == {"image": "camera_image_plane", "left": "camera_image_plane", "depth": plane}
+    picture = DepthImage("camera", lambda: (np.ones((120, 160), np.float32), 65.535))
+    assert [entry.frame for entry in pictures.depth("/depth/image", "depth", picture, state)] == [plane]
+    assert planes(pictures.calibration("/color", "calibration", front, state)) == [("/color", "camera_image_plane")]
+
+
+def test_a_depth_image_without_calibration_shares_the_plane_of_its_frame():
+    state = SceneState()
+    for name, role in (("camera", "calibration"), ("left", "left_calibration")):
+        list(pictures.calibration(f"/{name}", role, camera(name), state))
+    picture = DepthImage("left", lambda: (np.ones((240, 320), np.float32), 65.535))
+    (entry,) = pictures.depth("/depth", "depth", picture, state)
+    assert entry.frame == "left_image_plane"

@@ -3,10 +3,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from roadperc_stream.config.calibration import CalibrationConfig
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import EGO_R_OPTICAL
-from roadperc_stream.tools.carla_dump.calibration_file import CalibrationFile
-from roadperc_stream.tools.carla_dump.camera_rig import build_rig
+from roadperc_stream.input.rig import build_rig
 
 PATH = Path("dump/calibration.json")
 SIZE = (1280, 960)
@@ -15,7 +15,7 @@ RGB = {"x": 1.5, "y": 0.0, "z": 1.4}
 
 
 def rig(roles=("image", "depth"), front_name="image", **content):
-    calibration = CalibrationFile.model_validate({**BASE, **content})
+    calibration = CalibrationConfig.model_validate({**BASE, **content})
     return build_rig(calibration, PATH, roles, dict.fromkeys(roles, SIZE), front_name=front_name)
 
 
@@ -125,7 +125,7 @@ def test_contradictions_are_errors(content, fault):
 
 def test_an_unknown_size_is_an_error():
     with pytest.raises(DumpError, match="camera_front: its image size is unknown"):
-        build_rig(CalibrationFile.model_validate({"fov_deg": 90}), PATH, ("depth",), {})
+        build_rig(CalibrationConfig.model_validate({"fov_deg": 90}), PATH, ("depth",), {})
 
 
 @pytest.mark.parametrize(("fy", "notes"), [(640, 0), (620, 0), (480, 1)])

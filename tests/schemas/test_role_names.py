@@ -1,6 +1,6 @@
 import pytest
 
-from roadperc_stream.tools.carla_dump.role_names import role_of
+from roadperc_stream.schemas.role_names import role_of
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,10 @@
-"""The cameras of a dump: intrinsics, frames and mountings, from ``calibration.json`` and the images' sizes."""
+"""The cameras of a recording: intrinsics, frames and mountings, from a calibration and the images' sizes.
+
+CARLA (Unreal) is left-handed: x forward, y right, z up; rotations are yaw about z (to the right), then pitch (nose up),
+then roll (right side down), in degrees, with the matrix of ``carla::geom::Transform::GetMatrix``. Mirroring y turns it
+into ROS' x forward, y left, z up: with M = diag(1, -1, 1) the rotation becomes M R M. In angles that is roll, -pitch,
+-yaw for Rz(yaw) Ry(pitch) Rx(roll), and y becomes -y in positions.
+"""
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -7,15 +13,15 @@ from typing import Final
 
 import numpy as np
 
+from roadperc_stream.config.calibration import CalibrationConfig, CarlaPose, Intrinsics
 from roadperc_stream.errors import DumpError
-from roadperc_stream.geometry import Camera, Float, Lens, mounting, pinhole_fault, rigid
+from roadperc_stream.geometry import EGO_R_OPTICAL, Camera, Float, Lens, mounting, pinhole_fault, rigid
+from roadperc_stream.geometry.cameras import Pinhole, pinhole_of_fov, pinhole_of_K
 from roadperc_stream.geometry.rectification import lens_fault
+from roadperc_stream.geometry.rotations import rotation_from_rpy
+from roadperc_stream.input.projections import ProjectionPair, decompose_pair
 from roadperc_stream.model import EGO, Reason, Transform
-
-from . import calibration_file
-from .calibration_file import CalibrationFile, Intrinsics, ProjectionPair
-from .role_names import role_of
-from .truth_file import camera_mounting, right_handed
+from roadperc_stream.schemas.role_names import role_of
 
 FRONT: Final = "camera_front"
 DEPTH: Final = "camera_depth"
@@ -57,7 +63,7 @@ class Rig:
 class _Known:
     """The calibration by role."""
 
-    file: CalibrationFile
+    file: CalibrationConfig
     path: Path
     sizes: Mapping[str, Size]
     pair: ProjectionPair | None
@@ -67,8 +73,19 @@ class _Known:
     ego_T_lidar: Float | None
 
 
+def right_handed(pose: CarlaPose) -> Float:
+    """Return (4, 4) right-handed parent_T_body of a CARLA pose, metres."""
+    roll, pitch, yaw = np.deg2rad((pose.roll, -pose.pitch, -pose.yaw))
+    return rigid(rotation_from_rpy(roll, pitch, yaw), np.array([pose.x, -pose.y, pose.z]))
+
+
+def camera_mounting(pose: CarlaPose) -> Float:
+    """Return ego_T_camera (optical frame) of a camera mounted at a CARLA pose in the ego frame."""
+    return right_handed(pose) @ rigid(EGO_R_OPTICAL, np.zeros(3))
+
+
 def build_rig(
-    calibration: CalibrationFile,
+    calibration: CalibrationConfig,
     path: Path,
     roles: Collection[str],
     sizes: Mapping[str, Size],
@@ -114,10 +131,72 @@ def build_rig(
     return Rig(cameras, frame_ids, transforms, tuple(_notes(known, front_T, cameras, roles)), _stated(known))
 
 
-def _known(calibration: CalibrationFile, path: Path, sizes: Mapping[str, Size], front_name: str) -> _Known:
+NO_RIG: Final = Rig({}, {}, ())
+
+
+@dataclass(frozen=True)
+class LogSensor:
+    """A sensor of a log: the frame and, for a camera, the size of its first readable message."""
+
+    topic: str
+    frame_id: str
+    size: Size | None = None
+
+
+def replacing_rig(calibration: CalibrationConfig, sensors: Mapping[str, LogSensor], front: str) -> Rig:
+    """The cameras and mountings that a calibration gives to the sensors of a log, by role; others stay.
+
+    K, a field of view or a pair at the top are those of the front camera, whose role is ``front``.
+
+    Raises:
+        DumpError: the calibration is wrong, incomplete, or of images of another size.
+    """
+    sizes = {role: sensor.size for role, sensor in sensors.items() if sensor.size}
+    known = _known(calibration, Path("calibration"), sizes, front)
+    named = {role for role in sensors if role in known.intrinsics or (known.pair and role in ("left", "right"))}
+    file, front_T = known.file, known.mountings.get(front, known.mountings.get("image"))
+    baseline_m = _baseline(known, known.mountings.get("left", front_T))
+    at_top = bool(file.K or file.fov_deg or known.pair)
+    named |= {front} if at_top else set()
+    named |= {"right"} if at_top and baseline_m and "right" in sensors else set()
+    cameras = {own_calibration(role): _camera(known, sensors[role].frame_id, role) for role in sorted(named)}
+    if "right" in named:
+        cameras["right_calibration"] = replace(cameras["right_calibration"], baseline_m=baseline_m)
+    for role in named:
+        _require_size(sensors[role], cameras[own_calibration(role)])
+    mountings = {**known.mountings, front: front_T, LIDAR: known.ego_T_lidar}
+    edges = (_edge(EGO, sensor.frame_id, mountings.get(role)) for role, sensor in sensors.items())
+    placed = tuple(edge for edges_of_one in edges for edge in edges_of_one)
+    if len({edge.child for edge in placed}) < len(placed):
+        frames = ", ".join(f"{sensor.topic} {sensor.frame_id!r}" for sensor in sensors.values())
+        raise DumpError(f"calibration: mountings of sensors with one frame: {frames}; leave out one of them")
+    return Rig(cameras, {}, placed)
+
+
+def own_calibration(role: str) -> str:
+    """The role of the calibration of a sensor's camera."""
+    return "calibration" if role in ("image", "segmentation") else f"{role}_calibration"
+
+
+def calibration_role(reference: str, cameras: Mapping[str, Camera]) -> str:
+    """The role of the calibration of the frames' camera: its own one, else that of the front camera."""
+    own = own_calibration(reference)
+    return own if own in cameras else "calibration"
+
+
+def _require_size(sensor: LogSensor, camera: Camera) -> None:
+    if sensor.size is not None and sensor.size != (camera.width, camera.height):
+        found, expected = f"{sensor.size[0]}x{sensor.size[1]}", f"{camera.width}x{camera.height}"
+        raise DumpError(
+            f"{sensor.topic}: images of {found}, but the given calibration is of {expected}; "
+            "pass that of this resolution"
+        )
+
+
+def _known(calibration: CalibrationConfig, path: Path, sizes: Mapping[str, Size], front_name: str) -> _Known:
     pair = None
     if calibration.P_left is not None and calibration.P_right is not None:
-        pair = calibration_file.decompose_pair(path, np.array(calibration.P_left), np.array(calibration.P_right))
+        pair = decompose_pair(path, np.array(calibration.P_left), np.array(calibration.P_right))
     heights = {"image": calibration.rgb_height_m, "depth": calibration.depth_height_m}
     mountings = {role: mounting(z=height) for role, height in heights.items() if height is not None}
     mountings |= {role_of(name) or name: camera_mounting(pose) for name, pose in calibration.mounting.items()}
@@ -139,7 +218,7 @@ def _camera(known: _Known, frame_id: str, role: str) -> Camera:
         of_pair = known.pair.K_right if role == "right" else known.pair.K_left
     K = of_pair if source.K is None else np.array(source.K)
     if source.fov_deg is not None and source.K is None:
-        return Camera(frame_id, width, height, *calibration_file.pinhole_of_fov(source.fov_deg, width, height))
+        return Camera(frame_id, width, height, *pinhole_of_fov(source.fov_deg, width, height))
     if K is None:
         raise DumpError(
             f"{frame_id} has no calibration: pass --fov DEGREES (horizontal field of view) or --calibration FILE "
@@ -148,8 +227,8 @@ def _camera(known: _Known, frame_id: str, role: str) -> Camera:
     return _with_lens(known, Camera(frame_id, width, height, *_pinhole(known, K)), source)
 
 
-def _pinhole(known: _Known, K: Float) -> calibration_file.Pinhole:
-    return calibration_file.pinhole_of_K(K, known.file.pixel_origin)
+def _pinhole(known: _Known, K: Float) -> Pinhole:
+    return pinhole_of_K(K, known.file.pixel_origin)
 
 
 def _with_lens(known: _Known, camera: Camera, source: Intrinsics) -> Camera:

@@ -1,0 +1,120 @@
+"""The evidence of one frame for the findings of a replay: facts that no column of its row holds."""
+
+from typing import Final
+
+import numpy as np
+
+from roadperc_stream.chain.pixels import needs_scene
+from roadperc_stream.chain.stages.stereo import disparities_needed
+from roadperc_stream.config import ReplayConfig
+from roadperc_stream.errors import DecodeError
+from roadperc_stream.geometry import Camera, Float, Float32, Plane, intersect_plane, inverse, transform_plane
+from roadperc_stream.model import Absent, Frame, FrameResult, StereoDepth
+from roadperc_stream.model.finding import Evidence
+from roadperc_stream.model.reason import UNUSABLE
+
+_COMPARED: Final = 64
+"""Rows or columns of a depth image from which neighbours are compared."""
+_ROUGH_M, _ROUGH_SHARE = 1.0, 0.25
+"""Rough difference of neighbours: in metres, and as a share of the smaller depth. The road near the horizon differs by
+metres, but in few rows by this share."""
+_FEWEST_DIFFER: Final = 0.02
+"""Share of the neighbours that must differ, and so show whether the depth is rough. Millimetres in 16 bits end at
+65.535 m; most of a depth in the wrong byte order is beyond."""
+_ROAD_ROWS: Final = 0.6
+"""Share of the image above the pixels that see the road."""
+_ROAD_GRID: Final = (16, 32)
+_FAR_M: Final = 60.0
+"""Depth of the ground up to which its pixels count."""
+
+
+def evidence_of(cfg: ReplayConfig, frame: Frame, result: FrameResult) -> Evidence:
+    """The evidence of one frame; what its stages did not decode is not decoded for it."""
+    sensor_m, reasons = _sensor_depth_m(cfg, frame), result.reasons()
+    places = {
+        frame.camera.frame_id: frame.ego_T_camera,
+        frame.left_camera.frame_id: frame.ego_T_left,
+        frame.depth_camera.frame_id: frame.ego_T_depth_camera,
+    }
+    ego_T_surface = None if isinstance(result.surface, Absent) else places.get(result.surface.frame_id)
+    road: tuple[float | None, float | None] = None, None
+    if sensor_m is not None and cfg.surface.enabled:
+        road = road_depth(frame.depth_camera, frame.ego_T_depth_camera, sensor_m)
+    elif isinstance(result.stereo, StereoDepth) and cfg.surface.enabled:
+        searched_m = searched_depths(cfg, frame)
+        road = road_depth(frame.left_camera, frame.ego_T_left, result.stereo.depth_m, searched_m)
+    return Evidence(
+        mounting_m=float(ego_T_surface[2, 3]) if frame.mounted and ego_T_surface is not None else None,
+        rough_ratio=None if sensor_m is None else rough_ratio(sensor_m),
+        road_known_ratio=road[0],
+        road_depth_ratio=road[1],
+        lane_width_m=next((float(reason.values[1]) for reason in reasons if reason.code == "lane_width"), None),
+        unusable=tuple(str(reason) for reason in reasons if reason.code in UNUSABLE),
+    )
+
+
+def _sensor_depth_m(cfg: ReplayConfig, frame: Frame) -> Float32 | None:
+    """The depth image, if the chain has decoded it and it has the size of its camera."""
+    if frame.depth is None or not needs_scene(cfg):
+        return None
+    try:
+        depth_m = frame.depth.depth_m
+    except DecodeError:
+        return None
+    return depth_m if depth_m.shape == frame.depth_camera.size else None
+
+
+def rough_ratio(depth_m: Float32) -> float | None:
+    """Share of neighbouring pixels that differ by metres among those that differ at all.
+
+    In depth read with the wrong byte order neighbours are unrelated. In depth of a scene only the borders of objects
+    and the horizon are rough.
+
+    Args:
+        depth_m: (H, W) metres, NaN or 0 unknown.
+
+    Returns:
+        0 to 1; None if few neighbours are known and differ.
+    """
+    step = max(1, min(depth_m.shape) // _COMPARED)
+    here = depth_m[:-1:step, :-1:step]
+    first, second = np.stack([here, here]), np.stack([depth_m[1::step, :-1:step], depth_m[:-1:step, 1::step]])
+    with np.errstate(invalid="ignore"):
+        difference, least = np.abs(first - second), np.minimum(first, second)
+        differ = (least > 0) & (difference > 0)
+        rough = differ & (difference > _ROUGH_M) & (difference > _ROUGH_SHARE * least)
+    count = int(np.count_nonzero(differ))
+    return int(np.count_nonzero(rough)) / count if count > _FEWEST_DIFFER * differ.size else None
+
+
+def searched_depths(cfg: ReplayConfig, frame: Frame) -> tuple[float, float]:
+    """Nearest and farthest depth whose disparities stereo searches, metres; both 0 without a baseline."""
+    left, asked = frame.left_camera, cfg.stereo.disparities
+    baseline_m = frame.right_camera.baseline_m if frame.right_camera else None
+    if not baseline_m:
+        return 0.0, 0.0
+    count = (disparities_needed(left, baseline_m, frame.ego_T_left) or 1) if asked == "auto" else asked
+    return left.fx * baseline_m / count, left.fx * baseline_m / cfg.stereo.min_disparity_px
+
+
+def road_depth(
+    camera: Camera, ego_T_camera: Float, depth_m: Float32, searched_m: tuple[float, float] = (0.0, np.inf)
+) -> tuple[float | None, float | None]:
+    """Share of the road's pixels with a depth, and the median of their depth / the ground's; None if unknown.
+
+    The road's pixels are those of the lower image that see the level ground. Pixels whose ground is outside
+    ``searched_m`` cannot get a depth by stereo, and count as unknown.
+    """
+    rows = np.linspace(_ROAD_ROWS * camera.height, camera.height - 1, _ROAD_GRID[0]).astype(int)
+    columns = np.linspace(0, camera.width - 1, _ROAD_GRID[1]).astype(int)
+    pixels = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+    ground = transform_plane(inverse(ego_T_camera), Plane.of(np.array([0.0, 0.0, 1.0]), 0.0))
+    ground_m = intersect_plane(camera, pixels.astype(float), ground)[:, 2]
+    ahead = ground_m < _FAR_M
+    if ground.offset_m <= 0 or not ahead.any():
+        return None, None
+    ground_m, (x, y) = ground_m[ahead], pixels[ahead].T
+    found_m = depth_m[y, x]
+    known = (found_m > 0) & (ground_m >= searched_m[0]) & (ground_m <= searched_m[1])
+    ratio = float(np.median(found_m[known] / ground_m[known])) if known.any() else None
+    return float(np.mean(known)), ratio

@@ -1,0 +1,72 @@
+"""Cityscapes: ``leftImg8bit`` and ``gtFine``, with folders of splits and cities; the images are unrelated, 2 s apart.
+
+``leftImg8bit/train/aachen/aachen_000000_000019_leftImg8bit.png`` belongs to
+``gtFine/train/aachen/aachen_000000_000019_gtFine_labelIds.png``.
+"""
+
+from pathlib import Path
+from typing import Final
+
+from roadperc_stream.errors import DumpError
+from roadperc_stream.input.rig import build_rig
+
+from ..carla_dump.calibration_file import CALIBRATION_NAME
+from ..carla_dump.frame_stamps import stamps_of_rate
+from ..carla_dump.layout import Sensor
+from ..carla_dump.survey import surveyed
+from .drive import ConvertOptions, Drive
+from .dump import calibration_of
+
+_IMAGES: Final = "leftImg8bit"
+_LABELS: Final = ("gtFine", "gtCoarse")
+_IDS: Final = {"cityscapes": "labelIds", "cityscapes-train-ids": "labelTrainIds"}
+"""End of the names of the masks by the table of their tags."""
+_DEPTHS: Final = ("*/*/", "*/", "")
+_RATE_HZ: Final = 0.5
+
+
+def detect(folder: Path) -> bool:
+    """Return True if the folder has images and labels of Cityscapes."""
+    return (folder / _IMAGES).is_dir() and any((folder / name).is_dir() for name in _LABELS)
+
+
+def read(folder: Path, options: ConvertOptions) -> Drive:
+    """Read the images; ``--sequence`` chooses those whose path below ``leftImg8bit`` begins with it.
+
+    Raises:
+        DumpError: there is no such image, or the camera has no calibration.
+    """
+    options.require_only(folder, "--sequence", "--fov", "--calibration", "--height", "--rate", "--tags")
+    wanted, rate_hz = options.sequence or "", options.rate_hz or _RATE_HZ
+    table = options.tags or "cityscapes"
+    images = [path for depth in _DEPTHS for path in sorted((folder / _IMAGES).glob(f"{depth}*_{_IMAGES}.*"))]
+    chosen = [path for path in images if path.relative_to(folder / _IMAGES).as_posix().startswith(wanted)]
+    if not chosen:
+        raise DumpError(f"{folder}: no image {_IMAGES}/{wanted or 'SPLIT/CITY/'}*_{_IMAGES}.png")
+    files = dict(enumerate(chosen))
+    masks = {
+        number: mask for number, path in files.items() if (mask := _mask(folder, path, _IDS.get(table, "labelIds")))
+    }
+    sensors = {"image": Sensor("image", _IMAGES, files)}
+    labels = {path.relative_to(folder).parts[0]: None for path in masks.values()}
+    sensors |= {"segmentation": Sensor("segmentation", " and ".join(labels), masks)} if masks else {}
+    surveys = surveyed(sensors)
+    calibration, source = calibration_of(folder / CALIBRATION_NAME, options)
+    sizes = {role: found.size for role, found in surveys.items() if found.size}
+    rig = build_rig(calibration, source, list(surveys), sizes)
+    return Drive(
+        folder=folder,
+        title=f"Cityscapes, {wanted}" if wanted else "Cityscapes",
+        surveys=surveys,
+        stamps_ns=stamps_of_rate(list(files), rate_hz),
+        timing=f"{rate_hz:g} Hz in the order of the names",
+        rig=rig,
+        tag_table=table,
+        notes=(*rig.notes, "the images are unrelated"),
+    )
+
+
+def _mask(folder: Path, image: Path, ids: str) -> Path | None:
+    place, stem = image.parent.relative_to(folder / _IMAGES), image.name.rpartition(f"_{_IMAGES}")[0]
+    masks = (folder / labels / place / f"{stem}_{labels}_{ids}.png" for labels in _LABELS)
+    return next((mask for mask in masks if mask.is_file()), None)
