@@ -34,10 +34,10 @@ FAILING_AT_RUN = model(
     [info("y")],
     [constant("shape", 7, 7)],
 )
-EXPANDING = model([node("ConstantOfShape", ["shape"], ["big"]), node("Sin", ["big"], ["y"])], [info("y")], [constant("shape", *HUGE)])
-EXPANDING_AT_RUN = model(
-    [node("Tile", ["image", "shape"], ["y"])], [info("y")], [constant("shape", 9, 1, 2**9, 2**9)]
+EXPANDING = model(
+    [node("ConstantOfShape", ["shape"], ["big"]), node("Sin", ["big"], ["y"])], [info("y")], [constant("shape", *HUGE)]
 )
+EXPANDING_AT_RUN = model([node("Tile", ["image", "shape"], ["y"])], [info("y")], [constant("shape", 9, 1, 2**9, 2**9)])
 """Its result has 3.6 GB."""
 
 
