@@ -1,4 +1,4 @@
-"""``roadperc-replay`` in a process that is killed: ``N SECONDS ARGUMENTS``.
+"""``roadperc-replay``, or another command, in a process that is killed: ``N SECONDS ARGUMENTS``.
 
 It is killed before the N-th rename, removal or sync, or after SECONDS of CPU time after the imports (0: never).
 """
@@ -13,7 +13,7 @@ from pathlib import Path
 from roadperc_stream.cli import replay
 
 
-def main():
+def main(command=replay.main):
     last, after_s, calls = int(sys.argv[1]), float(sys.argv[2]), count(1)
 
     def before(function):
@@ -27,4 +27,4 @@ def main():
     for owner, name in ((Path, "replace"), (Path, "unlink"), (shutil, "rmtree"), (os, "fsync")):
         setattr(owner, name, before(getattr(owner, name)))
     signal.setitimer(signal.ITIMER_PROF, after_s)  # without a handler, the signal ends the process
-    return replay.main(sys.argv[3:])
+    return command(sys.argv[3:])
