@@ -1,9 +1,6 @@
 """Partial files and folders of a killed command are removed by the next run of the same command."""
 
-import os
 import signal
-import subprocess
-import sys
 
 import cv2
 import numpy as np
@@ -14,12 +11,9 @@ from roadperc_stream.log import LogWriter
 from roadperc_stream.system import process
 from tests import logs
 from tests.analytic import Road
-from tests.commands import ROOT
+from tests.commands import run_forked
 from tests.tools.networks.onnx_files import SAME
 
-CODE = (
-    "import sys; from tests.resume import killed; from roadperc_stream.cli.{} import main; sys.exit(killed.main(main))"
-)
 NEVER = 0
 COMMANDS = {
     "replay": "in.mcap out.mcap --frames 2",
@@ -42,9 +36,7 @@ def run(tmp_path_factory):
 
 def ended(folder, command, kill_before, *options):
     """Exit code and stderr of a command that is killed before a number of file operations."""
-    words = [sys.executable, "-c", CODE.format(command), kill_before, 0, *COMMANDS[command].split(), *options]
-    variables = os.environ | {"TMPDIR": str(folder), "PYTHONPATH": str(ROOT)}
-    done = subprocess.run([*map(str, words)], cwd=folder, env=variables, capture_output=True, text=True, check=False)
+    done = run_forked("tests.resume.killed", kill_before, 0, command, *COMMANDS[command].split(), *options, cwd=folder)
     return done.returncode, done.stderr
 
 
