@@ -12,6 +12,7 @@ import numpy as np
 import psutil
 
 from roadperc_stream.errors import ConfigError
+from roadperc_stream.formats.images import quiet_opencv
 from roadperc_stream.geometry import Float32
 
 from .description import Network
@@ -120,7 +121,7 @@ class _OpenCvSession:
     def __init__(self, network: Network) -> None:
         self.runtime = f"cv2.dnn {cv2.__version__}"
         try:
-            with limited_memory():
+            with quiet_opencv(), limited_memory():
                 self._net = cv2.dnn.readNetFromONNX(np.frombuffer(network.model, np.uint8))
             names = list(self._net.getUnconnectedOutLayersNames())
         except Exception as error:  # also ValueError and MemoryError
