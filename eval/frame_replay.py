@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import gettempdir
 from typing import Any, Final
 
 import polars as pl
@@ -26,6 +26,7 @@ from roadperc_stream.resume.opening import ReplayOptions
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from roadperc_stream.schemas.record import CONFIG_ATTACHMENT
 from roadperc_stream.schemas.roles import parse_topic_options
+from roadperc_stream.system.files import scratch_folder
 from roadperc_stream.system.progress import Progress
 from roadperc_stream.system.text import number
 from roadperc_stream.system.threads import usable_cores
@@ -93,7 +94,7 @@ def shown(
         return FrameToShow(kept, frame)
     if frame is None:
         raise TableError(f"{run.path}: its result log was not kept; pass --frame N or --worst COLUMN")
-    folder = Path(files.enter_context(TemporaryDirectory(prefix="roadperc-view-")))
+    folder = files.enter_context(scratch_folder(Path(gettempdir(), "roadperc-view")))
     return replayed(run, Part(frame), topics, changed, folder, bar)
 
 

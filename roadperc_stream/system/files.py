@@ -9,6 +9,7 @@ import stat
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from pathlib import Path
+from tempfile import mkdtemp
 from typing import Any, BinaryIO, Final, Protocol
 
 from roadperc_stream.errors import TargetError
@@ -191,16 +192,37 @@ def partial_of(target: Path, suffix: str = "", mark: str = "") -> Path:
 
 
 def remove_stale_partials(target: Path) -> None:
-    """Remove the partial files of a target whose processes have ended.
+    """Remove the partial files and folders of a target whose processes have ended; all writers call it first.
 
     The names contain the process numbers. A file stays if any process has its number now.
     """
-    name = re.compile(rf"\.{re.escape(target.name)}\.(\d+)\.partial({re.escape(target.suffix)})?")
+    name = re.compile(rf"\.{re.escape(target.name)}\.(\d+)\.partial(\.\w+)?")
     with suppress(OSError):
         for path in target.parent.iterdir():
             found = name.fullmatch(path.name)
-            if found and path.is_file() and not path.is_symlink() and not _is_alive(int(found[1])):
+            if not found or path.is_symlink() or _is_alive(int(found[1])):
+                continue
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            elif path.is_file():
                 path.unlink(missing_ok=True)
+
+
+@contextmanager
+def scratch_folder(target: Path) -> Iterator[Path]:
+    """A hidden folder beside a target for files that are needed only during the block.
+
+    Raises:
+        TargetError: it cannot be made.
+    """
+    with target_errors(target):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        remove_stale_partials(target)
+        folder = Path(mkdtemp(prefix=f"{partial_of(target).name}.", dir=target.parent))
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _is_alive(process: int) -> bool:
@@ -228,6 +250,8 @@ def completing(target: Path, *, force: bool = True, mark: str = "") -> Iterator[
     try:
         with target_errors(target):
             target.parent.mkdir(parents=True, exist_ok=True)
+            if not mark:
+                remove_stale_partials(target)
             yield temporary
             if target.exists() and not force:
                 raise TargetError(f"{target}: written by another program; pass --force to overwrite it")
@@ -251,6 +275,7 @@ def completing_folder(target: Path, keep: Callable[[Path], bool] = lambda _: Fal
     former = hidden.with_suffix(".former")
     try:
         with target_errors(target):
+            remove_stale_partials(place)
             hidden.mkdir(parents=True)
             yield hidden
             if place.exists():

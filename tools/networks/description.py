@@ -1,6 +1,7 @@
 """Description of a network, from a TOML file: its model, input, outputs, classes and corrections."""
 
 import hashlib
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, Literal
@@ -15,6 +16,7 @@ from roadperc_stream.system.files import read_file
 from roadperc_stream.system.text import nearest
 
 Share = Annotated[float, Field(gt=0, le=1)]
+Side = Annotated[int, Field(ge=1, le=8192)]
 Numbers = tuple[float, float, float]
 _SHOWN: Final = 80
 _MOST_MODEL_BYTES: Final = 2**31
@@ -28,7 +30,7 @@ class _Keys(BaseModel):
 class InputKeys(_Keys):
     """How an image becomes the model's input: ``(pixel - mean) * scale`` of pixels from 0 to 255."""
 
-    size: tuple[PositiveInt, PositiveInt]
+    size: tuple[Side, Side]
     """Columns and rows."""
     layout: Literal["NCHW", "NHWC"] = "NCHW"
     colours: Literal["rgb", "bgr"] = "rgb"
@@ -77,7 +79,7 @@ class SegmentationKeys(_OutputKeys):
 
     @model_validator(mode="after")
     def _numbered(self) -> "SegmentationKeys":
-        if self.decoder == "semantic" and not all(key.isdecimal() for key in self.classes):
+        if self.decoder == "semantic" and not all(re.fullmatch("[0-9]{1,4}", key) for key in self.classes):
             raise ValueError(f"classes: expected numbers of channels as keys, found {', '.join(self.classes)}")
         return self
 
@@ -103,7 +105,7 @@ class DetectionKeys(_OutputKeys):
     classes: dict[Annotated[int, Field(ge=0)], str] = Field(min_length=1)
     outputs: tuple[str, ...] = ()
     """Names of the outputs; empty for the model's own."""
-    strides: tuple[PositiveInt, ...] = (8, 16, 32)
+    strides: Annotated[tuple[PositiveInt, ...], Field(min_length=1, max_length=8)] = (8, 16, 32)
     min_score: Share = 0.3
     max_overlap: Share = 0.45
     """Largest intersection over union of two boxes, whatever their classes."""
