@@ -29,6 +29,8 @@ def open_file(path: Path) -> BinaryIO:
     """
     try:
         stream = open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK))  # noqa: SIM115
+    except IsADirectoryError as error:
+        raise OSError(errno.EISDIR, "is a folder, expected a file", str(path)) from error
     except ValueError as error:
         raise OSError(errno.EINVAL, f"is not a name of a file: {error}", str(path)) from error
     if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
