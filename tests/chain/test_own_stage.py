@@ -189,7 +189,9 @@ HOSTILE = {
 }  # fmt: skip
 
 
-@pytest.mark.promise("Own stages", "Whatever a stage raises or returns, the replay ends with one error and exit code 1")
+@pytest.mark.promise(
+    "Own stages", "If a stage raises or returns anything unusable, the replay ends with one error and exit code 1"
+)
 @pytest.mark.parametrize(("stage", "message"), HOSTILE.values(), ids=HOSTILE)
 def test_a_failing_stage_is_one_clear_error(stage, message):
     with pytest.raises(StageError, match=message) as caught:
@@ -411,7 +413,7 @@ raise Odd
 """
 
 
-@pytest.mark.promise("Own stages", "Code that cannot be imported is one error and exit code 1, whatever it raises")
+@pytest.mark.promise("Own stages", "Code that cannot be imported is one error and exit code 1")
 @pytest.mark.parametrize(
     ("text", "name", "message"),
     [
