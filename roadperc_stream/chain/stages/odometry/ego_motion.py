@@ -118,10 +118,11 @@ def _bridged(this: FollowedFrame, state: OdometryState, estimate: Estimate) -> t
     """
     frame, last = this.frame, this.last
     odom_T_ego = rigid(estimate.odom_T_ego[:3, :3], this.odom_T_last[:3, 3])
+    last_T_this = inverse(this.odom_T_last) @ odom_T_ego
     out = Odometry(
         "tracked",
         odom_T_ego,
-        inverse(this.odom_T_last) @ odom_T_ego,
+        last_T_this,
         int(np.sum(estimate.motion.inliers)),
         up_to_scale=True,
         since_ns=last.stamp_ns,
@@ -131,7 +132,8 @@ def _bridged(this: FollowedFrame, state: OdometryState, estimate: Estimate) -> t
     )
     if _is_due(this, estimate):
         return _begun(this.cfg, odom_T_ego, estimate.pitch, frame, state.speed), out
-    return replace(state, last=replace(last, found_px=_last_px(last, estimate))), out
+    pitch = camera_pitch.predicted(this.cfg, estimate.pitch, inverse(last_T_this), this.seconds)  # at the last frame
+    return replace(state, last=replace(last, found_px=_last_px(last, estimate)), pitch=pitch), out
 
 
 def _continued(this: FollowedFrame, estimate: Estimate) -> tuple[OdometryState, Odometry]:
