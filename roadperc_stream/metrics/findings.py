@@ -107,7 +107,7 @@ def depth_rough(shares: Sequence[float]) -> Finding | None:
     return Finding(
         "depth_rough",
         f"{_percent(median(shares))} of the neighbouring pixels with different depths differ by metres, expected at "
-        f"most {_percent(_ROUGH)}; the byte order is wrong (red and blue exchanged, big endian), or this is not depth: "
+        f"most {_percent(_ROUGH)}; byte order (red and blue exchanged, big endian) or unit is wrong, or no depth: "
         "exchange the bytes in the files, or correct the encoding of the messages",
     )
 

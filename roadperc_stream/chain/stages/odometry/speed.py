@@ -5,27 +5,38 @@ differ by at most that times the time between the middles of the spans. The limi
 known speed, so a wrong one does not exclude the right one for long.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
+from roadperc_stream.system.time import NS_PER_S
+
 _MOST_MPS2: Final = 12.0
 """Greatest acceleration and deceleration of a car: three standard deviations."""
 _SIGMAS: Final = 3.0
+_DRIFT_MPS2: Final = 1.0
+"""Growth of the standard deviation of a speed by points with the time since the last measured one."""
 
 
 @dataclass(frozen=True)
 class KnownSpeed:
     """The last speed that images have shown, with its variance; ``stamp_ns`` is the middle of its span of time.
 
-    Without ``metric`` it is in units of the first step per second.
+    Without ``metric`` it is in units of the first step per second. ``measured_ns`` is the stamp of the last speed that
+    did not come from points alone.
     """
 
     mps: float
     variance: float
     stamp_ns: int
-    metric: bool = True
+    metric: bool
+    measured_ns: int
+
+    def by_points(self, mps: float, variance: float, stamp_ns: int) -> "KnownSpeed":
+        """A later speed that only points of earlier frames show: its deviation grows, as their scale may be wrong."""
+        drift_mps = _DRIFT_MPS2 * (stamp_ns - self.measured_ns) / NS_PER_S
+        return replace(self, mps=mps, variance=variance + drift_mps**2, stamp_ns=stamp_ns)
 
     def variance_after(self, seconds: float) -> float:
         """Variance of the speed after a time."""
