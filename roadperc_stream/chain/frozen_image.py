@@ -46,7 +46,8 @@ def _marks(scene: Scene) -> dict[str, int]:
     """The car's pose alone if it is known: noise changes depth and tags, but no pose."""
     if scene.pose_mark is not None:
         return {"pose": scene.pose_mark}
-    images = {"depth": scene.depth and scene.depth.depth_m, "tags": scene.tags}
+    depth_m = None if scene.depth is None else scene.depth.depth_m
+    images: dict[str, NDArray[Any] | None] = {"depth": depth_m, "tags": scene.tags}
     marks = {name: _mark(values[::_EVERY]) for name, values in images.items() if values is not None}
     if scene.detections is not None:
         marks["detections"] = zlib.crc32(repr(scene.detections).encode())
