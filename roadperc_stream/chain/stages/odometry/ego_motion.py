@@ -169,8 +169,8 @@ def _continued(this: FollowedFrame, estimate: Estimate) -> tuple[OdometryState, 
         influence, length_variance = np.zeros((len(found_px), 6)), 0.0
     speed = this.speed
     if motion.scale in (None, "measured"):
-        mps = float(np.linalg.norm(velocity[:3]))
-        speed = KnownSpeed(mps, motion.noise_variance / this.seconds**2, this.middle_ns, metric)
+        per_s = float(np.linalg.norm(velocity[:3]))
+        speed = KnownSpeed(per_s, motion.noise_variance / this.seconds**2, this.middle_ns, metric)
     begins = last.velocity is None and motion.still is not None
     now = LastFrame(frame.stamp_ns, None if begins else velocity, found_px, influence, length_variance)
     return OdometryState(odom_T_ego, keyframe, now, pitch, speed), out

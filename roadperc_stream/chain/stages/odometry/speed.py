@@ -19,10 +19,10 @@ _SIGMAS: Final = 3.0
 class KnownSpeed:
     """The last speed that images have shown, with its variance; ``stamp_ns`` is the middle of its span of time.
 
-    Without ``metric`` it is in units of the first step per second.
+    It is in metres per second; without ``metric``, in units of the first step per second.
     """
 
-    mps: float
+    per_s: float
     variance: float
     stamp_ns: int
     metric: bool = True
@@ -34,4 +34,4 @@ class KnownSpeed:
     def limits_mps(self, seconds: float, variance: float) -> tuple[float, float]:
         """Least and greatest speed after a time; ``variance`` is that of the speed which is compared with them."""
         reach_mps = _MOST_MPS2 * seconds + _SIGMAS * float(np.sqrt(self.variance + variance))
-        return max(self.mps - reach_mps, 0.0), self.mps + reach_mps
+        return max(self.per_s - reach_mps, 0.0), self.per_s + reach_mps
