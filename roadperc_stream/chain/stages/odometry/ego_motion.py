@@ -167,11 +167,11 @@ def _continued(this: FollowedFrame, estimate: Estimate) -> tuple[OdometryState, 
         keyframe = make_keyframe(cfg, frame, odom_T_ego @ frame.ego_T_camera, carried)
         found_px = keyframe.landmarks.features.px
         influence, length_variance = np.zeros((len(found_px), 6)), 0.0
-    speed, mps = this.speed, float(np.linalg.norm(velocity[:3]))
+    speed, per_s = this.speed, float(np.linalg.norm(velocity[:3]))
     if motion.scale in (None, "measured"):
-        speed = KnownSpeed(mps, motion.noise_variance / this.seconds**2, this.middle_ns, metric, this.middle_ns)
+        speed = KnownSpeed(per_s, motion.noise_variance / this.seconds**2, this.middle_ns, metric, this.middle_ns)
     elif motion.scale == "points" and not motion.doubts and speed is not None:
-        speed = speed.by_points(mps, motion.noise_variance / this.seconds**2, this.middle_ns)
+        speed = speed.by_points(per_s, motion.noise_variance / this.seconds**2, this.middle_ns)
     begins = last.velocity is None and motion.still is not None
     now = LastFrame(frame.stamp_ns, None if begins else velocity, found_px, influence, length_variance)
     return OdometryState(odom_T_ego, keyframe, now, pitch, speed), out

@@ -23,20 +23,20 @@ _DRIFT_MPS2: Final = 1.0
 class KnownSpeed:
     """The last speed that images have shown, with its variance; ``stamp_ns`` is the middle of its span of time.
 
-    Without ``metric`` it is in units of the first step per second. ``measured_ns`` is the stamp of the last speed that
-    did not come from points alone.
+    It is in metres per second; without ``metric``, in units of the first step per second. ``measured_ns`` is the stamp
+    of the last speed that did not come from points alone.
     """
 
-    mps: float
+    per_s: float
     variance: float
     stamp_ns: int
     metric: bool
     measured_ns: int
 
-    def by_points(self, mps: float, variance: float, stamp_ns: int) -> "KnownSpeed":
+    def by_points(self, per_s: float, variance: float, stamp_ns: int) -> "KnownSpeed":
         """A later speed that only points of earlier frames show: its deviation grows, as their scale may be wrong."""
-        drift_mps = _DRIFT_MPS2 * (stamp_ns - self.measured_ns) / NS_PER_S
-        return replace(self, mps=mps, variance=variance + drift_mps**2, stamp_ns=stamp_ns)
+        drift_per_s = _DRIFT_MPS2 * (stamp_ns - self.measured_ns) / NS_PER_S
+        return replace(self, per_s=per_s, variance=variance + drift_per_s**2, stamp_ns=stamp_ns)
 
     def variance_after(self, seconds: float) -> float:
         """Variance of the speed after a time."""
@@ -45,4 +45,4 @@ class KnownSpeed:
     def limits_mps(self, seconds: float, variance: float) -> tuple[float, float]:
         """Least and greatest speed after a time; ``variance`` is that of the speed which is compared with them."""
         reach_mps = _MOST_MPS2 * seconds + _SIGMAS * float(np.sqrt(self.variance + variance))
-        return max(self.mps - reach_mps, 0.0), self.mps + reach_mps
+        return max(self.per_s - reach_mps, 0.0), self.per_s + reach_mps
