@@ -11,7 +11,7 @@ from tests import logs
 from tests.batch.dataset import batch, runs
 from tests.eval.dataset.datasets import add_table, done, frames, write_runs
 from tests.eval.tables import outcome, row, write
-from tests.metrics.test_findings import WRONG, items
+from tests.output.test_findings import WRONG, items
 
 HEIGHT, LANE = Finding("camera_height", "7 m, not 1.4 m"), Finding("lane_width", "16.9 m")
 CRITERION = 'criterion = [{ statistic = "findings", most = 0 }]'
