@@ -126,7 +126,7 @@ def test_a_real_car_that_stops_stands_where_it_stopped(data_dir, tmp_path):
     seconds = (table["stamp_ns"][-1] - table["stamp_ns"][0]) / 1e9
     assert 10 < table["odom_x_m"][-1] < 10 * seconds
     standing = table.filter(pl.col("step_m") < 0.01)
-    assert len(standing) > 5
+    assert len(standing) >= 10
     assert standing["step_std_m"].null_count() == 0
 
 
