@@ -165,6 +165,7 @@ def test_a_step_of_unknown_length_has_no_pose_until_the_road_shows_lengths_again
     unknown = [out for out in results if not out.has_pose]
     assert unknown == results[1:4]
     assert {str(out.reason) for out in unknown} == {str(Reason("odometry", "scale_unknown"))}
+    assert all(out.covariance for out in unknown)  # that of the turn is known
     driven_m = distances_m(poses(results[3:]))[-1]
     assert driven_m == pytest.approx(distances_m(np.array(POSES[3:]))[-1], rel=0.02)
 
