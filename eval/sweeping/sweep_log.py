@@ -189,8 +189,8 @@ def sweep_logs(jobs: Sequence[Job], processes: int, progress: Progress) -> list[
             raise RoadpercError("a process of the sweep was killed; pass --jobs 1 to use less memory") from error
         finally:
             shared.stop.set()
-            pool.shutdown(wait=False, cancel_futures=True)
-            if wait([future for future in pending if not future.done()], PATIENCE_S).not_done:
+            started = [future for future in pending if not future.cancel()]
+            if wait(started, PATIENCE_S).not_done:
                 for process in multiprocessing.active_children():  # a stage of the user's own may never return
                     process.kill()
 
