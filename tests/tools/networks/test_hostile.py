@@ -77,7 +77,7 @@ def test_a_model_that_cannot_be_run_is_one_error(tmp_path, capsys, onnx_bytes, w
     assert words in line
 
 
-@pytest.mark.promise("Networks", "A small ONNX file with huge constants or results ends with one error and takes less than 3 GB")
+@pytest.mark.promise("Networks", "A small ONNX file with huge constants or results is one error below 3 GB")
 @pytest.mark.parametrize("onnx_bytes", [EXPANDING, EXPANDING_AT_RUN], ids=["constants", "results"])
 def test_a_model_that_expands_is_one_error(tmp_path, onnx_bytes):
     with subprocess.Popen(commands.words("roadperc-infer", *described(tmp_path, onnx_bytes)), stderr=-1) as process:
