@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Final
 
 from roadperc_stream.config import ReplayConfig, load_config, validated
@@ -18,7 +17,7 @@ from roadperc_stream.input import ReplaySource
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.output.terminal import job_progress
 from roadperc_stream.schemas.roles import parse_topic_options
-from roadperc_stream.system.files import not_a_log, target_errors
+from roadperc_stream.system.files import not_a_log, scratch_folder
 from roadperc_stream.system.text import number, print_line
 from roadperc_stream.system.time import NS_PER_S, ns_to_seconds
 
@@ -49,10 +48,8 @@ def bisect(arguments: argparse.Namespace) -> None:
         raise LogError(not_a_log(arguments.log) if arguments.log.is_dir() else f"{arguments.log}: no such file")
     ReplayTarget(out, force=arguments.force).require_writable(source.files, None, resume=False)
     base, cfg = load_config(arguments.base), load_config(arguments.config, arguments.set)
-    with target_errors(out):
-        out.parent.mkdir(parents=True, exist_ok=True)
-    with TemporaryDirectory(prefix=".roadperc-bisect-", dir=out.parent) as folder, job_progress() as show:
-        replays = ExcerptReplays(source, arguments.criteria, out, Path(folder), show)
+    with scratch_folder(out) as folder, job_progress() as show:
+        replays = ExcerptReplays(source, arguments.criteria, out, folder, show)
         replays.criteria = _chosen(replays.criteria, arguments)
         try:
             found = _found(replays, base, cfg)

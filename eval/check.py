@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, get_args
 
@@ -40,12 +41,13 @@ class Check:
     results: tuple[Result, ...]
     failed_logs: tuple[tuple[str, str], ...]
 
-    @property
+    @cached_property
     def by_title(self) -> dict[str, list[Result]]:
         """The results of each criterion, the failed ones first."""
-        order = sorted(self.results, key=lambda result: _BY_SEVERITY.index(result.outcome))
-        titles = dict.fromkeys(result.criterion.title for result in self.results)
-        return {title: [result for result in order if result.criterion.title == title] for title in titles}
+        found: dict[str, list[Result]] = {result.criterion.title: [] for result in self.results}
+        for result in sorted(self.results, key=lambda result: _BY_SEVERITY.index(result.outcome)):
+            found[result.criterion.title].append(result)
+        return found
 
     @property
     def counts(self) -> dict[Outcome, int]:

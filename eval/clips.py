@@ -5,7 +5,6 @@ import sys
 from collections.abc import Mapping, Sequence
 from heapq import merge
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from roadperc_stream import log
 from roadperc_stream.config import ReplayConfig
@@ -16,6 +15,7 @@ from roadperc_stream.log import LogWriter, Metadata
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.schemas import record
+from roadperc_stream.system.files import scratch_folder
 from roadperc_stream.system.text import number, print_line
 from roadperc_stream.system.time import TimeRange, ns_to_seconds
 from roadperc_stream.view.frame_times import frame_times
@@ -52,14 +52,14 @@ def _write(event: Event, run: Run, arguments: argparse.Namespace) -> tuple[str, 
     """Write a clip; returns notes on values that differ from the recorded ones."""
     target = ReplayTarget(Path(event.clip or ""), force=arguments.force)
     kept = kept_log(run)
-    with TemporaryDirectory(prefix="roadperc-find-") as folder:
+    with scratch_folder(target.path) as folder:
         if kept is not None and not all(map(is_result, log.summarise(kept).channels)):
             target.require_writable((kept,), None, resume=False)
-            _cut(kept, event, target.path, recorded_config(run, (), Path(folder)))
+            _cut(kept, event, target.path, recorded_config(run, (), folder))
             return ()
         part = Part(event.peak_frame, (event.first_ns, event.last_ns), target)
         with frame_progress("clip", enabled=True) as progress:
-            return replayed(run, part, arguments.topic, arguments.set, Path(folder), progress).notes
+            return replayed(run, part, arguments.topic, arguments.set, folder, progress).notes
 
 
 def _cut(source: Path, event: Event, target: Path, cfg: ReplayConfig) -> None:

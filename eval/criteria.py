@@ -12,7 +12,7 @@ from typing import Annotated, Any, Final, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from roadperc_stream.config.complaints import complaint
-from roadperc_stream.config.settings import MOST_BYTES, parsed_toml
+from roadperc_stream.config.settings import read_toml
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.system.text import in_brief, nearest
 
@@ -149,13 +149,7 @@ def effects(path: Path) -> Mapping[str, Effect]:
 
 
 def _read(path: Path) -> Criteria:
-    try:
-        with path.open("rb") as stream:
-            tree = parsed_toml(stream.read(MOST_BYTES + 1))
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}") from error
-    except ConfigError as error:
-        raise ConfigError(f"{path}: {error}") from error
+    tree = read_toml(path)
     try:
         return Criteria.model_validate(tree)
     except ValidationError as error:

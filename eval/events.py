@@ -127,7 +127,7 @@ def matches(searched: Searched, condition: Condition, schema: dict[str, pl.DataT
     without objects has nulls in their columns.
 
     Raises:
-        TableError: a table cannot be read.
+        TableError: a table cannot be read, or a frame has no log, configuration, number or stamp.
     """
     wanted = {*LOG, *_PLACES, condition.peak, *condition.rule.meta.root_names()}
     own = [name for name in schema if name in wanted and not name.startswith(OBJECTS)]
@@ -139,7 +139,10 @@ def matches(searched: Searched, condition: Condition, schema: dict[str, pl.DataT
     value = typed(schema, condition.peak, pl.Float64()).alias("value")
     found = rows.filter(condition.rule).select(*LOG, segment(schema), "frame", "stamp_ns", value)
     with reading_files(searched.files):
-        return found.collect(engine="streaming")
+        table = found.collect(engine="streaming")
+    if nameless := [name for name in (*LOG, "frame", "stamp_ns") if table[name].null_count()]:
+        raise TableError(f"{searched.files[0]} or another table: has rows without {nameless[0]}; replay the log again")
+    return table
 
 
 def events_of(found: pl.DataFrame, gap_s: float, least_s: float, *, lowest: bool) -> pl.DataFrame:

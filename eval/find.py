@@ -13,7 +13,7 @@ import polars as pl
 
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.terminal import console_for, print_lines
-from roadperc_stream.system.text import number
+from roadperc_stream.system.text import number, shown
 
 from .continued import find_joined
 from .dataset.keys import LOG, log_names
@@ -80,7 +80,7 @@ def _key(event: Event) -> LogKey:
 def _event(row: Mapping[str, Any], place: _Place, clips: Path | None) -> Event:
     key = row["log_id"], row["config"]
     name = place.name(key)
-    clip = f"{name}-{row['first_frame']}.mcap".replace("/", "_").replace(" ", "_")
+    clip = shown(f"{name}-{row['first_frame']}.mcap").replace("/", "_").replace(" ", "_")
     command = place.command(key, row["peak_frame"])
     return Event(log=name, **row, command=command, clip=str(clips / clip) if clips else None)
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import gettempdir
 from typing import Any, Final
 
 import polars as pl
@@ -26,6 +26,7 @@ from roadperc_stream.resume.opening import ReplayOptions
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from roadperc_stream.schemas.record import CONFIG_ATTACHMENT
 from roadperc_stream.schemas.roles import parse_topic_options
+from roadperc_stream.system.files import scratch_folder
 from roadperc_stream.system.progress import Progress
 from roadperc_stream.system.text import number
 from roadperc_stream.system.threads import usable_cores
@@ -93,7 +94,7 @@ def shown(
         return FrameToShow(kept, frame)
     if frame is None:
         raise TableError(f"{run.path}: its result log was not kept; pass --frame N or --worst COLUMN")
-    folder = Path(files.enter_context(TemporaryDirectory(prefix="roadperc-view-")))
+    folder = files.enter_context(scratch_folder(Path(gettempdir(), "roadperc-view")))
     return replayed(run, Part(frame), topics, changed, folder, bar)
 
 
@@ -125,7 +126,7 @@ def replayed(
     if missing := [f"--set {setting}" for setting in named if setting not in changed]:
         raise ConfigError(f"{run.path}: used a stage of your own; to run its code, pass {' '.join(missing)}")
     cfg, own = own_stages(cfg)
-    source, options = _input(run, folder), _options(run.options)
+    source, options = _input(run, folder), _options(run)
     time_range, warm_up_s = _time_range(row, part, options, log.summarise(source).first_ns or 0)
     target = part.target or ReplayTarget(folder / "out.mcap")
     replay(
@@ -135,7 +136,7 @@ def replayed(
         ReplayOptions(warm_up_s=warm_up_s, threads=usable_cores(), own=own),
         Callbacks(progress),
     )
-    again = pl.read_parquet(target.metrics).filter(pl.col("stamp_ns") == row["stamp_ns"])
+    again = pl.read_parquet(target.metrics, glob=False).filter(pl.col("stamp_ns") == row["stamp_ns"])
     if again.is_empty():
         raise LogError(f"{run.source}: no frame with stamp {row['stamp_ns']} ns; it is not the whole log of the run")
     is_far = warm_up_s > 0 and part.target is None
@@ -164,13 +165,16 @@ def _input(run: Run, folder: Path) -> Path:
     return Path(run.source)
 
 
-def _options(text: str) -> argparse.Namespace:
+def _options(run: Run) -> argparse.Namespace:
     """The options of a batch, as ``BatchConfiguration.options`` writes them."""
-    parser = argparse.ArgumentParser(add_help=False)
+    parser = argparse.ArgumentParser(add_help=False, exit_on_error=False)
     parser.add_argument("--topic", action="append", default=[])
     for name in ("--start", "--end", "--frames"):
         parser.add_argument(name, type=float)
-    return parser.parse_args(shlex.split(text))
+    try:
+        return parser.parse_known_args(shlex.split(run.options))[0]
+    except (ValueError, argparse.ArgumentError) as error:
+        raise TableError(f"{run.path}: options {run.options!r}: {error}; replay the log again") from error
 
 
 def _differing(row: Mapping[str, Any], again: Mapping[str, Any]) -> Iterator[str]:

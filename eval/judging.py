@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import chain
 from pathlib import Path
 from typing import Final
 
@@ -15,13 +16,13 @@ from roadperc_stream.system.text import number as number_of
 from roadperc_stream.system.time import NS_PER_S
 
 from .criteria import BY_NAME, Criterion
-from .expressions import on_empty_rows, similar
+from .expressions import on_empty_rows, parsed, similar
 from .findings import finding_lines, findings_of
 from .frame_commands import view_command
 from .machine import Outcome
 from .quantities import percent
 from .runs import Run, reading
-from .scan import before, rows_of, scan
+from .scan import SEGMENT, before, rows_of, scan
 
 _QUANTILES: Final = {"median": 0.5, "p1": 0.01, "p5": 0.05, "p95": 0.95, "p99": 0.99, "min": 0.0, "max": 1.0}
 _TRUTHS: Final = (
@@ -168,7 +169,7 @@ def _require_fit(criterion: Criterion, schema: pl.Schema, where: str) -> None:
 
 def _sql(text: str | None) -> pl.Expr:
     """A condition that the reader of the file has parsed; true without one."""
-    return pl.lit(value=True) if text is None else pl.sql_expr(text)
+    return pl.lit(value=True) if text is None else parsed(text)
 
 
 def _value(criterion: Criterion) -> pl.Expr:
@@ -187,23 +188,21 @@ def _measured(criteria: Sequence[Criterion], run: Run, schema: pl.Schema) -> lis
     frames = _frames_of(run)
     present = {*frames.collect_schema().names()}
     lacking = [pl.lit(None, kind).alias(name) for name, kind in schema.items() if name not in present]
-    columns = [pl.col("frame"), before(pl.col("stamp_ns"), -1).sub(pl.col("stamp_ns")).alias("lasts")]
-    columns += [pl.any_horizontal(pl.col(names).is_not_null()).any().alias(f"truth {names[0]}") for names in _OF_TRUTH]
-    for number, criterion in enumerate(criteria):
-        columns.append(_sql(criterion.filter).fill_null(value=False).alias(f"keep {number}"))
-        columns.append(_value(criterion).alias(f"value {number}"))
-    with reading(f"{run.source_name}, with the filters and events of the criteria"):
-        table = frames.with_columns(lacking).select(columns).collect(engine="in-memory")
-    table = table.with_columns(pl.col("lasts").fill_null(pl.col("lasts").median()).fill_null(0) / NS_PER_S)
+    needed = {"frame", "stamp_ns", SEGMENT, *chain(*_OF_TRUTH), *chain(*map(_columns_of, criteria))}
     parts = []
-    for number, criterion in enumerate(criteria):
-        rows = table.filter(f"keep {number}")
-        needed = _columns_of(criterion)
-        of_truth = [names[0] for names in _OF_TRUTH if not set(needed[:1]).isdisjoint(names)]
-        absent = next((name for name in needed if name in _written() and name not in run.columns), "")
-        has_truth = all(table[f"truth {name}"].any() for name in of_truth)
-        minutes = float(rows["lasts"].sum()) / _S_PER_MINUTE
-        parts.append(_Part(run, rows.select("frame", value=f"value {number}"), minutes, has_truth, absent))
+    with reading(f"{run.source_name}, with the filters and events of the criteria"):
+        table = frames.with_columns(lacking).select(sorted(needed)).collect(engine="in-memory")
+        lasts = before(pl.col("stamp_ns"), -1) - pl.col("stamp_ns")
+        table = table.with_columns(lasts=lasts.fill_null(lasts.median()).fill_null(0) / NS_PER_S)
+        known = {names[0] for names in _OF_TRUTH if any(table[name].null_count() < table.height for name in names)}
+        for criterion in criteria:
+            # one by one: polars takes quadratic time for many expressions in one query
+            kept = table.select("frame", "lasts", keep=_sql(criterion.filter), value=_value(criterion)).filter("keep")
+            columns = _columns_of(criterion)
+            of_truth = {names[0] for names in _OF_TRUTH if not set(columns[:1]).isdisjoint(names)}
+            absent = next((name for name in columns if name in _written() and name not in run.columns), "")
+            minutes = float(kept["lasts"].sum()) / _S_PER_MINUTE
+            parts.append(_Part(run, kept.select("frame", "value"), minutes, of_truth <= known, absent))
     return parts
 
 

@@ -26,7 +26,8 @@ from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas.record import IMAGES_RECORD
 from roadperc_stream.schemas.roles import Kind
 from roadperc_stream.schemas.topics import CALIBRATION_SCHEMA, LANES_TOPIC, RESULTS
-from roadperc_stream.system.files import completing, require_suffix
+from roadperc_stream.system.files import completing, read_file, require_suffix
+from roadperc_stream.system.text import whole_number
 
 from .runs import collect, open_run
 from .scan import SEGMENT, rows_of, segment
@@ -36,6 +37,8 @@ ABSENT_PX: Final = -2
 FARTHEST_PX: Final = 1e9
 """Largest absolute column or row that is accepted, so that squares stay finite."""
 _DECIMALS: Final = 2
+_MOST_BYTES: Final = 1_000_000_000
+"""Largest file of lanes."""
 _SCHEMAS: Final = {"lanes": RESULTS[LANES_TOPIC], "calibration": CALIBRATION_SCHEMA}
 _TOP: Final = 160 / 720
 """TuSimple's first row as a ratio of the image's height."""
@@ -95,8 +98,8 @@ def read_frames(path: Path) -> list[LaneFrame]:
         LaneFileError: a line is not a JSON object of the format, or the file is empty.
         OSError: the file cannot be read.
     """
-    with path.open("rb") as stream:
-        frames = [_frame(line, f"{path}:{k}") for k, line in enumerate(stream, 1) if line.strip()]
+    lines = read_file(path, _MOST_BYTES).split(b"\n")
+    frames = [_frame(line, f"{path}:{k}") for k, line in enumerate(lines, 1) if line.strip()]
     if not frames:
         raise LaneFileError(f"{path}: no lines in this file; expected a JSON object for each frame")
     return frames
@@ -166,7 +169,7 @@ class RunLanes:
     def images_ns(self) -> dict[str, int]:
         """The stamp of each labelled image by its name in the converted dataset; empty for other logs."""
         record = next((found.values for found in self.summary.metadata if found.name == IMAGES_RECORD), ())
-        return {name: int(stamp) for name, stamp in record if is_stamp(stamp)}
+        return {name: found for name, stamp in record if (found := whole_number(stamp)) is not None}
 
     def frames(self) -> Iterator[RunFrame]:
         """Every frame in order; a frame that is only in the table has no lines.
@@ -204,11 +207,6 @@ def open_lanes(path: Path) -> RunLanes:
     frame_id = next((pb.Lanes.FromString(m.data).frame_id for m in log.read(summary, topics=[LANES_TOPIC])), None)
     topics = [c.topic for c in channels if c.schema_name == _SCHEMAS["calibration"]]
     return RunLanes(summary, _camera(summary, topics, frame_id), _times_ms(path), frame_id is not None)
-
-
-def is_stamp(text: str) -> bool:
-    """Whether a text is a stamp in ns."""
-    return text.isascii() and text.isdecimal() and len(text) <= len(str(2**63))
 
 
 def _frames_before(waiting: deque[tuple[int, float]], stamp_ns: int, left: Counter[int]) -> Iterator[tuple[int, float]]:

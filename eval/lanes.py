@@ -14,11 +14,11 @@ from roadperc_stream.output.terminal import console_for, print_parts
 from roadperc_stream.output.text_table import TextTable, row
 from roadperc_stream.schemas.topics import LANES_TOPIC
 from roadperc_stream.system.files import real_path
-from roadperc_stream.system.text import number
+from roadperc_stream.system.text import number, whole_number
 
 from . import lane_files
 from .culane_lists import read_list
-from .lane_files import LaneFileError, LaneFrame, RunFrame, RunLanes, image_name, is_stamp
+from .lane_files import LaneFileError, LaneFrame, RunFrame, RunLanes, image_name
 from .options import LanePairing
 from .quantities import listed, percent
 from .scores import Score
@@ -64,13 +64,13 @@ def by_key(
 
 
 def _stamp_ns(frame: LaneFrame) -> int:
-    stamp = PurePosixPath(frame.raw_file).stem
-    if not is_stamp(stamp):
+    stamp_ns = whole_number(PurePosixPath(frame.raw_file).stem)
+    if stamp_ns is None:
         raise LaneFileError(
             f"{frame.place}: raw_file {frame.raw_file!r} has no stamp; expected a stamp in ns after the last /, "
             "such as drive/1600000000000000000, or pass --pair order"
         )
-    return int(stamp)
+    return stamp_ns
 
 
 def paired(

@@ -1,6 +1,7 @@
 """Results for other programs: JSON, Markdown for merge requests, and JUnit XML for CI servers."""
 
 import argparse
+import html
 import json
 import math
 import re
@@ -14,13 +15,13 @@ from xml.etree import ElementTree
 from roadperc_stream.errors import TargetError
 from roadperc_stream.output.text_table import TextTable
 from roadperc_stream.system.files import completing, real_path, require_plain
+from roadperc_stream.system.text import shown
 
 Outcome = Literal["passed", "failed", "skipped", "error"]
 _ELEMENTS: Final[Mapping[Outcome, str]] = {"failed": "failure", "skipped": "skipped", "error": "error"}
 _INPUTS: Final = {".mcap", ".parquet", ".toml"}
 """Suffixes of files that a result does not replace."""
 _NOT_IN_NAMES: Final = re.compile(r"[^/\w.\- ]", re.ASCII)
-_NOT_IN_XML: Final = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,8 @@ def _markdown(table: TextTable) -> str:
 
 
 def _escaped(text: str) -> str:
-    return re.sub(r"([\\`*_|<>\[\]])", r"\\\1", " ".join(text.split()))
+    """A text in one line without HTML, links and control characters."""
+    return re.sub(r"([\\`*_|\[\]])", r"\\\1", html.escape(shown(" ".join(text.split())), quote=False))
 
 
 def write_junit(path: Path, suite: str, cases: Sequence[Case]) -> None:
@@ -136,15 +138,15 @@ def write_junit(path: Path, suite: str, cases: Sequence[Case]) -> None:
     root = ElementTree.Element("testsuites")
     group = ElementTree.SubElement(root, "testsuite", {"name": suite, "tests": str(len(cases)), **counts})
     for case in cases:
-        item = ElementTree.SubElement(group, "testcase", {"classname": case.log, "name": case.name})
+        item = ElementTree.SubElement(group, "testcase", {"classname": shown(case.log), "name": shown(case.name)})
         if case.text or case.outcome in _ELEMENTS:
             element = ElementTree.SubElement(item, _ELEMENTS.get(case.outcome, "system-out"))
-            element.text = case.text
+            element.text = "\n".join(map(shown, case.text.splitlines()))
             if case.text and case.outcome in _ELEMENTS:
-                element.set("message", case.text.partition("\n")[0])
+                element.set("message", element.text.partition("\n")[0])
     ElementTree.indent(root)
     text = ElementTree.tostring(root, encoding="unicode", xml_declaration=True)
-    _write(path, _NOT_IN_XML.sub("?", text) + "\n")
+    _write(path, text + "\n")
 
 
 def _write(path: Path, text: str) -> None:

@@ -20,8 +20,8 @@ from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
 from roadperc_stream.system.files import METRICS_SUFFIX, OBJECTS_SUFFIX, TABLE_SUFFIX, real_path
 from roadperc_stream.system.text import number
 
-_COMPLETE: Final = ("log_id", "stamp_ns", "total_ms")
-"""Columns that have a value in every row."""
+_COMPLETE: Final = ("log_id", "frame", "stamp_ns", "total_ms")
+"""Columns that have a finite value in every row."""
 _WHOLE: Final = ("frame", "stamp_ns")
 """Columns of whole numbers, by which frames are found."""
 _LARGEST: Final[Mapping[pl.DataType, float]] = {pl.Int64(): 2.0**63 - 1024, pl.Float64(): 1e100}
@@ -79,7 +79,7 @@ def _require_columns_as_written(path: Path) -> None:
     finite = {name: pl.col(name).filter(pl.col(name).is_finite()) for name in largest if found[name] != pl.Null}
     values = collect(
         rows.select(
-            *(pl.col(name).null_count().alias(f"{name} without") for name in _COMPLETE),
+            *((pl.len() - finite.get(name, pl.col(name)).count()).alias(f"{name} without") for name in _COMPLETE),
             *(column.min().alias(f"{name} least") for name, column in finite.items()),
             *(column.max().alias(f"{name} most") for name, column in finite.items()),
         ),

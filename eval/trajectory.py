@@ -42,7 +42,7 @@ def _without_scale(evaluation: Evaluation) -> str:
     if run.up_to_scale:
         hint = "" if evaluation.alignment == "sim3" else "; pass --align sim3"
         return f"up to scale ({counted}): only errors aligned by Sim(3) are meaningful{hint}"
-    return f"{counted}; it comes from the steps before and after" if run.without_scale else ""
+    return f"{counted}; their frames have no pose" if run.without_scale else ""
 
 
 def _error_table(evaluation: Evaluation) -> TextTable:

@@ -194,7 +194,7 @@ class Chain:
                 in ``roadperc_stream.chain.protocols``. They override ``implementation`` in the configuration.
 
         Raises:
-            TypeError: a camera is not a Camera.
+            TypeError: a camera is not a Camera, or one of its fields has another type.
             ValueError: a camera or the mounting has invalid numbers, or the camera does not look ahead.
             ConfigError: the configuration is invalid, the tag table is unknown, or a stage cannot be used.
         """
@@ -302,7 +302,7 @@ def _metrics_table(path: Path) -> pl.DataFrame:
     if table.is_dir():
         raise TableError(f"{table}: expected a metrics table, found a folder")
     try:
-        return pl.read_parquet(table)
+        return pl.read_parquet(table, glob=False)
     except FileNotFoundError as error:
         raise TableError(f"{table}: no such metrics table") from error
     except (OSError, pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:

@@ -48,7 +48,6 @@ def replay(
     with CheckpointFolder(target.path, cfg.limits) as folder:
         found = folder.read() if options.resume else None
         target.require_writable(source.files, options.continued, resume=options.resume)
-        target.remove_stale_partials()
         opened = open_replay(source, cfg, options)
         cfg = opened.input.cfg
         summary = finished(target, cfg, opened) if options.resume and found is None else None
@@ -102,7 +101,7 @@ class _Frames:
             if sample.is_written:
                 self._outputs.write_again(sample, self._checkpoints.next_output(sample.index))
             self._done(sample, begun.state)
-        read = Pipeline[_Timed](self._read(samples))
+        read = Pipeline[_Timed](self._read(samples), apart=bool(own))
         read.then(self._observe).then(self._localise).then(self._perceive).then(self._write).run(threads)
 
     def _read(self, samples: Iterator[Sample]) -> Iterator[_Timed]:

@@ -4,7 +4,7 @@ import argparse
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -26,7 +26,7 @@ from roadperc_stream.output import encoding
 from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.schemas import record
 from roadperc_stream.schemas.roles import ROLES, parse_topic_options
-from roadperc_stream.system.files import partial_of, require_free
+from roadperc_stream.system.files import require_free, scratch_folder
 from roadperc_stream.system.process import optional_output
 from roadperc_stream.system.text import number, print_line
 from roadperc_stream.system.threads import in_order, one_thread, usable_cores
@@ -101,12 +101,10 @@ def _as_log(arguments: argparse.Namespace) -> Iterator[LogSummary]:
     options = ConvertOptions(
         fov_deg=arguments.fov, rate_hz=arguments.rate, calibration=arguments.calibration, height_m=arguments.height
     )
-    temporary = partial_of(arguments.out, ".mcap")
-    try:
-        write(recording_of(arguments.source, options), temporary, force=False, quiet=True)
-        yield log.summarise(temporary)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with scratch_folder(arguments.out) as folder:
+        converted = folder / f"{arguments.source.name or arguments.out.stem}.mcap"
+        write(recording_of(arguments.source, options), converted, force=False, quiet=True)
+        yield log.summarise(converted)
 
 
 def _has_only_video(summary: LogSummary) -> bool:
@@ -149,11 +147,12 @@ def _write(job: InferenceJob, out: Path, arguments: argparse.Namespace) -> tuple
     topic = job.roles.topics[job.image]
     expected = sum(summary.counts.get(c.source_id, 0) for c in summary.channels if c.topic == topic)
     threads = arguments.threads or usable_cores()
+    varying: list[str] = []
     with LogWriter(out, summary.profile) as target, frame_progress("inferring", not arguments.quiet) as progress:
         copy = MessageCopy(target, kept, log.pieces(summary, kept, None, None), summary.schema_ids)
         for channel in channels.values():
             target.register(channel)
-        for item, result in _results(job, problems, threads):
+        for item, result in _results(job, problems, varying, threads):
             copy.through(item.log_time_ns)
             for role, data in _encoded(job, item, result):
                 target.write(Message(channels[role], item.log_time_ns, item.log_time_ns, frames, data))
@@ -168,11 +167,16 @@ def _write(job: InferenceJob, out: Path, arguments: argparse.Namespace) -> tuple
         require_free(out, force=arguments.force, suffix=".mcap")  # another program may have written it
     name = "" if job.pair.segmentation is None else job.pair.segmentation[0].keys.file
     unreadable = [f"{number(count, 'image')} could not be read, skipped" for count in problems.counts.values()]
-    return frames, [*unreadable, *problems.first.values(), *check.warnings(name)]
+    return frames, [*varying, *unreadable, *problems.first.values(), *check.warnings(name)]
 
 
-def _results(job: InferenceJob, problems: Problems, threads: int) -> Iterator[tuple[Stamped, Inferred]]:
-    """Yield images and their results in order; several images are computed at a time."""
+def _results(
+    job: InferenceJob, problems: Problems, varying: list[str], threads: int
+) -> Iterator[tuple[Stamped, Inferred]]:
+    """Yield images and their results in order; several images are computed at a time.
+
+    Appends the warnings of networks with random numbers to ``varying``.
+    """
     topic, horizon = job.roles.topics[job.image], HorizonEstimate()
     roles = replace(job.roles, topics={job.image: topic})
     items = decoded_messages(log.read(job.summary, topics=(topic,)), roles, "auto", problems)
@@ -184,12 +188,25 @@ def _results(job: InferenceJob, problems: Problems, threads: int) -> Iterator[tu
         except DecodeError as error:
             return item, error
 
-    for item, raw in in_order(raw_of, items, threads):
+    for item, raw in in_order(raw_of, _tried(job.pair, items, varying), threads):
         if isinstance(raw, DecodeError):
             problems.add(topic, item.log_time_ns, raw)
         else:
             horizon, result = job.pair.results(raw, horizon, job.camera_height_m)
             yield item, result
+
+
+def _tried(pair: Pair, items: Iterator[Stamped], varying: list[str]) -> Iterator[Stamped]:
+    """Yield the images; before the first readable one, run the networks on it twice and append their warnings."""
+    is_tried = False
+    for item in items:
+        assert isinstance(item.payload, CameraImage)
+        if not is_tried:
+            with suppress(DecodeError):
+                (found,) = in_order(pair.varying, [item.payload.decode_bgr()], 1)
+                varying += found
+                is_tried = True
+        yield item
 
 
 def _encoded(job: InferenceJob, item: Stamped, result: Inferred) -> Iterator[tuple[str, bytes]]:

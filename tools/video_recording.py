@@ -12,7 +12,7 @@ from roadperc_stream.log import Message
 from roadperc_stream.model import Image
 from roadperc_stream.output import encoding
 from roadperc_stream.schemas.roles import ROLES
-from roadperc_stream.system.text import shown
+from roadperc_stream.system.text import shown, whole_number
 from roadperc_stream.system.threads import in_order
 
 from .carla_dump.calibration_file import CALIBRATION_NAME
@@ -35,7 +35,7 @@ def videos_in(folder: Path) -> list[Path]:
 
 def _by_number(path: Path) -> list[tuple[bool, int, str]]:
     parts = re.split(r"([0-9]+)", path.name)
-    return [(not part.isdigit(), int(part) if part.isdigit() else 0, part) for part in parts]
+    return [(number is None, number or 0, part) for part in parts for number in (whole_number(part),)]
 
 
 def recording_of_videos(source: Path, paths: Sequence[Path], options: ConvertOptions) -> Recording:

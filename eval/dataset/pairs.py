@@ -5,14 +5,14 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import gettempdir
 from typing import Any, Final
 
 import polars as pl
 
 from roadperc_stream.batch.storage.location import Location
 from roadperc_stream.errors import TableError
-from roadperc_stream.system.files import TABLE_SUFFIX
+from roadperc_stream.system.files import TABLE_SUFFIX, scratch_folder
 
 from ..configurations import Settings
 from ..runs import Run, open_run
@@ -42,11 +42,12 @@ def in_a_folder(dataset: Dataset) -> Iterator[Dataset]:
     names = [f"{folder}/{name}" for folder in folders for name in store.at(folder).files(TABLE_SUFFIX)]
     if not names:
         raise TableError(f"{dataset.address}: {NO_TABLES}")
-    with TemporaryDirectory(prefix="roadperc-compare-") as folder, ThreadPoolExecutor(_AT_ONCE) as threads:
-        list(threads.map(lambda name: store.at(name).fetch(Path(folder, name)), names))
+    place = Path(gettempdir(), "roadperc-compare")
+    with scratch_folder(place) as folder, ThreadPoolExecutor(_AT_ONCE) as threads:
+        list(threads.map(lambda name: store.at(name).fetch(folder / name), names))
         if (runs := store.at(RUNS).read()) is not None:
-            Path(folder, RUNS).write_bytes(runs)
-        yield Dataset(folder, dataset.address)
+            (folder / RUNS).write_bytes(runs)
+        yield Dataset(str(folder), dataset.address)
 
 
 def runs_of_configs(dataset: Dataset, names: tuple[str | None, str | None]) -> tuple[tuple[Run, ...], tuple[Run, ...]]:

@@ -14,6 +14,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from roadperc_stream.geometry import Float
+from roadperc_stream.system.text import shown
 
 from ..runs import Run, collect
 from ..scan import SEGMENT, finite, rows_of, segment, since_start_s
@@ -98,7 +99,7 @@ def numbers(values: Float) -> list[float | None]:
 
 def escaped(text: str) -> str:
     """A text for plotly.js, which interprets tags in names as markup."""
-    return html.escape(text, quote=False)
+    return html.escape(shown(text), quote=False)
 
 
 def colour_of(place: int) -> str:

@@ -3,13 +3,13 @@
 Source: Kong et al., "Robo3D: Towards Robust and Reliable 3D Perception against Corruptions", ICCV 2023, section 4.
 """
 
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from statistics import fmean
 from typing import Any, Final
 
 from roadperc_stream.config import ReplayConfig
+from roadperc_stream.config.settings import read_toml
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.text_table import TextTable, row
 from roadperc_stream.schemas.columns import RATIO
@@ -89,7 +89,7 @@ def require_baseline(folder: Path, facts: Mapping[str, Any]) -> None:
         TableError: it is another folder.
     """
     mark = folder / MARK
-    known = tomllib.loads(mark.read_text(encoding="utf-8")) if mark.is_file() else {}
+    known = read_toml(mark) if mark.is_file() else {}
     for key in ("degrade", "seed", "logs"):
         if known.get(key) != facts[key]:
             raise TableError(f"{folder}: {key} {known.get(key)}, expected a sweep with {facts[key]}")

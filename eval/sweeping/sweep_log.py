@@ -6,10 +6,11 @@ Processes share the logs. One log stays in one process, because each frame depen
 import multiprocessing
 import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_EXCEPTION, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing.sharedctypes import Synchronized
 from multiprocessing.synchronize import Event
 from pathlib import Path
@@ -26,6 +27,7 @@ from roadperc_stream.output.tables import TableWriter, table_facts
 from roadperc_stream.resume.opening import open_log
 from roadperc_stream.resume.state import ReplayState
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
+from roadperc_stream.system.pipeline import PATIENCE_S, Pipeline
 from roadperc_stream.system.process import ending_signals
 from roadperc_stream.system.progress import StageTimer
 from roadperc_stream.system.threads import one_thread
@@ -113,13 +115,16 @@ def _one_pass(job: Job, path: Path, group: Sequence[Combination], progress: Prog
     with one_thread(), ExitStack() as tables:
         for candidate in candidates:
             tables.enter_context(candidate.table)
-        for sample in log_in.samples():
-            # The first candidate decodes for all, so each takes its turn; otherwise times would not compare.
-            first = sample.index % len(candidates)
-            for candidate in (*candidates[first:], *candidates[:first]):
-                candidate.replay(log_in.log_id, sample)
-            progress(1, 0)
+        samples = Pipeline[Sample](log_in.samples(), apart=any(candidate.own for candidate in candidates))
+        samples.then(partial(_replay, candidates, log_in.log_id)).then(lambda _: progress(1, 0)).run(1)
     return log_in.notes
+
+
+def _replay(candidates: Sequence[Candidate], log_id: str, sample: Sample) -> None:
+    """Replay a sample; the first candidate decodes for all, so each takes its turn for comparable times."""
+    first = sample.index % len(candidates)
+    for candidate in (*candidates[first:], *candidates[:first]):
+        candidate.replay(log_id, sample)
 
 
 # A forked process inherits the locks of polars' and OpenCV's threads, but not the threads that release them.
@@ -169,6 +174,7 @@ def sweep_logs(jobs: Sequence[Job], processes: int, progress: Progress) -> list[
     with _signals_held():
         shared = Shared(_CONTEXT.Value("q"), _CONTEXT.Value("q"), _CONTEXT.Event())
     with ProcessPoolExecutor(workers, mp_context=_CONTEXT, initializer=_join, initargs=(shared,)) as pool:
+        pending = set[Future[tuple[str, ...]]]()
         try:
             with _signals_held():
                 futures = [pool.submit(_work, job) for job in jobs]
@@ -183,7 +189,10 @@ def sweep_logs(jobs: Sequence[Job], processes: int, progress: Progress) -> list[
             raise RoadpercError("a process of the sweep was killed; pass --jobs 1 to use less memory") from error
         finally:
             shared.stop.set()
-            pool.shutdown(cancel_futures=True)
+            pool.shutdown(wait=False, cancel_futures=True)
+            if wait([future for future in pending if not future.done()], PATIENCE_S).not_done:
+                for process in multiprocessing.active_children():  # a stage of the user's own may never return
+                    process.kill()
 
 
 @contextmanager

@@ -37,7 +37,7 @@ class RunPoses:
     another frame of the truth.
 
     A ``lost`` frame has no estimate; its row repeats the last known pose. Of the ``steps`` between estimates, those
-    ``without_scale`` have a direction but no length in metres.
+    ``without_scale`` have no length in metres. Their frames have no estimate, or one up to scale.
     """
 
     name: str
@@ -65,8 +65,8 @@ class RunPoses:
 
     @property
     def up_to_scale(self) -> bool:
-        """Whether most steps have no scale, so that the path's unit of length is unknown."""
-        return 2 * self.without_scale > self.steps
+        """Whether most estimates are up to scale, so that the path's unit of length is unknown."""
+        return 2 * (self.steps - self.without_scale) < self.estimated_frames - 1
 
     @property
     def coverage(self) -> float:

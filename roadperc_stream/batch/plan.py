@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Literal
+from typing import Final, Literal
 
 from roadperc_stream import __version__
 from roadperc_stream.batch.runs import BatchRow, KnownRuns
@@ -14,7 +14,10 @@ from roadperc_stream.batch.storage.location import Location, StoredFile, find_fi
 from roadperc_stream.batch.task import LOGS, METRICS, OBJECTS, BatchJob, LogFiles, code_digest, name_in
 from roadperc_stream.errors import StorageError
 from roadperc_stream.schemas.columns.runs import OF_THE_MACHINE, STATUSES
-from roadperc_stream.system.files import TABLE_SUFFIX
+from roadperc_stream.system.files import TABLE_SUFFIX, read_file
+
+_MOST_LIST_BYTES: Final = 100_000_000
+"""Largest list of logs."""
 
 
 def find_logs(arguments: Sequence[str], out: Location, join: re.Pattern[str] | None) -> list[LogFiles]:
@@ -61,7 +64,7 @@ def _listed(arguments: Iterable[str]) -> Iterator[str]:
             yield argument
             continue
         try:
-            lines = Path(argument[1:]).read_text(encoding="utf-8-sig").splitlines()
+            lines = read_file(Path(argument[1:]), _MOST_LIST_BYTES).decode("utf-8-sig").splitlines()
         except (OSError, UnicodeDecodeError) as error:
             reason = error.strerror if isinstance(error, OSError) else "expected text in UTF-8"
             raise StorageError(f"{argument[1:]}: cannot read the list of logs: {reason}") from error

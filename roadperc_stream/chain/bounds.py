@@ -13,6 +13,9 @@ _ITEMS_PER_TRANSFORM: Final = 500
 """An edge has 16 items. Each pending frame may hold its own transform tree."""
 _ITEMS_PER_DETECTION: Final = 64
 _BYTES_PER_PIXEL: Final = 4
+_MOST_NESTED: Final = 64
+"""Levels of lists and maps. Python's own limit depends on the thread, and so would the result."""
+TOO_NESTED: Final = f"nested more than {_MOST_NESTED} levels deep"
 
 
 @dataclass(frozen=True)
@@ -45,25 +48,34 @@ class _Kind(NamedTuple):
 
 
 def require_bounded(plain: bytes, bounds: StateBounds) -> None:
-    """Check the declared numbers of items and array bytes. The decoder reports truncated MessagePack.
+    """Check the declared numbers of items and array bytes, and the depth. The decoder reports truncated MessagePack.
 
     Raises:
         StateError: more than the bounds allow.
     """
     kinds, most, size = _KINDS, bounds.items, len(plain)
     at, start, pending, done = 0, 0, 1, 0
+    ends: list[int] = []  # of the lists and maps around the item: the number of pending items behind them
     while pending and at < size:
+        while ends and pending <= ends[-1]:
+            ends.pop()
         before, start = start, at
         length_bytes, more_bytes, more_items, items_each = kinds[plain[at]]
         at += 1 + more_bytes
         pending += more_items - 1
         done += 1
+        if more_items:
+            ends.append(pending - more_items)
         if length_bytes:
             length = int.from_bytes(plain[start + 1 : start + 1 + length_bytes], "big")
             at += length_bytes + (0 if items_each else length)
             pending += length * items_each
+            if items_each:
+                ends.append(pending - length * items_each)
             if length > bounds.array_bytes and plain[before:start].endswith(ARRAY_DATA_KEY):
                 raise StateError(f"array of {length} bytes: expected {bounds.array_bytes} at most")
+        if len(ends) > _MOST_NESTED:
+            raise StateError(TOO_NESTED)
         if done + pending > most:
             raise StateError(f"more than {most} items: expected {most} at most")
 

@@ -16,7 +16,7 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from roadperc_stream.chain.bounds import DEFAULT_BOUNDS, StateBounds, require_bounded
+from roadperc_stream.chain.bounds import DEFAULT_BOUNDS, TOO_NESTED, StateBounds, require_bounded
 from roadperc_stream.errors import StateError
 
 FORMAT_VERSION: Final = 10
@@ -72,7 +72,10 @@ def decode(data: bytes, kind: type[T], bounds: StateBounds = DEFAULT_BOUNDS) -> 
 
 def encode_plain(value: Any, most_bytes: int) -> bytes:
     """The MessagePack of a dataclass; ``StateError`` if it is too large, ``TypeError`` if a value has no encoding."""
-    plain = msgspec.msgpack.encode(value, enc_hook=_encoded)
+    try:
+        plain = msgspec.msgpack.encode(value, enc_hook=_encoded)
+    except RecursionError as error:
+        raise StateError(TOO_NESTED) from error
     if len(plain) > most_bytes:
         raise StateError(f"{len(plain)} bytes: expected {most_bytes} at most")
     return plain

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from roadperc_stream.chain.encoding import MOST_BYTES, decode_plain, encode_plain
-from roadperc_stream.geometry import Camera
+from roadperc_stream.geometry import Camera, is_rotation
 from roadperc_stream.model import Absent, Lanes, Objects, Odometry, StereoDepth, Surface
 from roadperc_stream.model.scene import Scene
 
@@ -94,8 +94,7 @@ def _faults_of_covariance(covariance: tuple[float, ...], size: int) -> Iterator[
 
 
 def _is_rigid(matrix: np.ndarray[Any, Any]) -> bool:
-    R = matrix[:3, :3]
-    return bool(np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.array_equal(matrix[3], (0, 0, 0, 1)))
+    return is_rotation(matrix[:3, :3], 1e-6) and np.array_equal(matrix[3], (0, 0, 0, 1))
 
 
 OUTPUTS: Final[Mapping[str, tuple[type, Callable[[Any, Any], Iterable[str]]]]] = {

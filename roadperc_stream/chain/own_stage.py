@@ -8,7 +8,7 @@ import hashlib
 import importlib
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import packages_distributions, version
@@ -21,11 +21,12 @@ from numpy import ndarray
 from roadperc_stream.chain.encoding import decode_plain, encode_plain
 from roadperc_stream.chain.output_checks import OUTPUTS, checked
 from roadperc_stream.config import ReplayConfig, implementations
-from roadperc_stream.errors import ConfigError, StageError
+from roadperc_stream.errors import ConfigError, RoadpercError, StageError
 from roadperc_stream.model import Absent, StereoDepth
 from roadperc_stream.system.text import failure
 
 _MOST_STATE_BYTES: Final = 64 * 1024**2
+_NOTHING: Final = object()
 _distributions = cache(packages_distributions)  # takes 0.2 s
 
 
@@ -45,16 +46,14 @@ class OwnStage:
         Raises:
             ConfigError: it cannot be used as a stage.
         """
-        home = code if hasattr(code, "__qualname__") else type(code)
-        name = name or f"{home.__module__}:{home.__qualname__}"
         if stage not in OUTPUTS:
             raise ConfigError(f"no stage {stage!r} to replace; expected one of {', '.join(OUTPUTS)}")
-        try:
+        if not name:
+            home = code if hasattr(code, "__qualname__") else type(code)
+            name = f"{home.__module__}:{home.__qualname__}"
+        with _user_code(ConfigError, f"{stage}: {name}", name, "; see roadperc_stream/chain/protocols.py"):
             own = cls(stage, name, code() if isinstance(code, type) else code, getattr(code, "State", NoneType))
             own._require_usable()
-        except (Exception, SystemExit) as error:  # code of the user can fail in any way
-            text = f"{failure(error, name)}; see roadperc_stream/chain/protocols.py"
-            raise ConfigError(f"{stage}: {name}: {text}") from error
         return own
 
     def _require_usable(self) -> None:
@@ -86,16 +85,9 @@ class OwnStage:
             found: StereoDepth | Absent = checked(self.stage, self.function(cfg, *_read_only(inputs)), inputs[0])
             return found
 
-    @contextmanager
-    def _naming(self, place: str) -> Iterator[None]:
+    def _naming(self, place: str) -> AbstractContextManager[None]:
         """Errors of the user's code, and of checks, name stage and frame."""
-        try:
-            yield
-        except MemoryError:
-            raise
-        except (Exception, SystemExit) as error:  # code of the user can fail in any way
-            text = failure(error, self.name)
-            raise StageError(f"{self.stage}: {self.name} failed in {place}: {text}") from error
+        return _user_code(StageError, f"{self.stage}: {self.name} failed in {place}", self.name)
 
     def _encoded(self, state: object) -> bytes:
         if type(state) is not self.state_type:
@@ -123,15 +115,17 @@ def own_stages(cfg: ReplayConfig) -> tuple[ReplayConfig, OwnStages]:
     for stage, name in implementations(cfg):
         key, section, (module_name, _, attribute) = f"{stage}.implementation", getattr(cfg, stage), name.partition(":")
         module = _imported(key, module_name)
-        found, expected = _source(key, module), section.implementation_source
+        with _user_code(ConfigError, f"{key}: {name}", name):
+            file, code = getattr(module, "__file__", None), getattr(module, attribute, _NOTHING)
+        found, expected = _source(key, module_name, file), section.implementation_source
         if expected not in ("", found):
             raise ConfigError(
-                f"{key}: {module.__file__} changed: found {found}, expected {expected}; "
+                f"{key}: {file} changed: found {found}, expected {expected}; "
                 f"restore that source, or remove {key}_source from the configuration"
             )
-        if not hasattr(module, attribute):
-            raise ConfigError(f"{key}: {module.__file__} has no {attribute!r}; expected a class or function")
-        own[stage] = OwnStage.of(stage, getattr(module, attribute), name)
+        if code is _NOTHING:
+            raise ConfigError(f"{key}: {file} has no {attribute!r}; expected a class or function")
+        own[stage] = OwnStage.of(stage, code, name)
         sections[stage] = section.model_copy(update={"implementation_source": found})
     return cfg.model_copy(update=sections), own
 
@@ -141,21 +135,35 @@ def _imported(key: str, name: str) -> ModuleType:
     if str(Path.cwd()) not in sys.path:
         sys.path.append(str(Path.cwd()))
     importlib.invalidate_caches()
+    with _user_code(ConfigError, f"{key}: {name} cannot be imported", name):
+        try:
+            return importlib.import_module(name)
+        except ModuleNotFoundError as error:
+            if f"{name}.".startswith(f"{error.name}."):
+                error.msg = f"{error.msg}; install it, or run the command in the folder of its file"
+            raise
+
+
+@contextmanager
+def _user_code(kind: type[RoadpercError], what: str, name: str, hint: str = "") -> Iterator[None]:
+    """Turn whatever the user's code raises into one error; only Ctrl-C and a lack of memory stay as they are.
+
+    ``name`` is that of the code, whose failing line the error names.
+    """
     try:
-        return importlib.import_module(name)
-    except (Exception, SystemExit) as error:  # code of the user can fail in any way
-        hint = ""
-        if isinstance(error, ModuleNotFoundError) and f"{name}.".startswith(f"{error.name}."):
-            hint = "; install it, or run the command in the folder of its file"
-        raise ConfigError(f"{key}: {name} cannot be imported: {failure(error, name)}{hint}") from error
+        yield
+    except (KeyboardInterrupt, MemoryError):
+        raise
+    except BaseException as error:  # such as SystemExit
+        raise kind(f"{what}: {failure(error, name)}{hint}") from error
 
 
-def _source(key: str, module: ModuleType) -> str:
+def _source(key: str, name: str, file: object) -> str:
     """Distribution and version, if the module has them, and the digest of its file."""
-    if not getattr(module, "__file__", None):
-        raise ConfigError(f"{key}: module {module.__name__} has no source file; name the module of the stage")
-    digest = hashlib.sha256(Path(str(module.__file__)).read_bytes()).hexdigest()
-    names = sorted(set(_distributions().get(module.__name__.partition(".")[0], ())))
+    if not isinstance(file, str) or not Path(file).is_file():
+        raise ConfigError(f"{key}: module {name} has no source file; name the module of the stage")
+    digest = hashlib.sha256(Path(file).read_bytes()).hexdigest()
+    names = sorted(set(_distributions().get(name.partition(".")[0], ())))
     return ", ".join((*(f"{name} {version(name)}" for name in names), f"sha256 {digest}"))
 
 

@@ -1,6 +1,8 @@
 """``roadperc-infer``: write the channels that networks compute from a log's images."""
 
 import argparse
+from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 from typing import Final
 
@@ -32,6 +34,8 @@ def main(argv: list[str] | None = None) -> int:
     """``roadperc-infer``: exit code 0 on success, 1 on an error, 2 on wrong usage."""
     parser = _parser()
     arguments = parse(parser, argv)
+    with suppress(ImportError):
+        import_module("onnxruntime")  # an extra; imported before ``run``, as its own import swallows signals
     if arguments.check is not None:
         if len(arguments.check) not in _CHECK_WORDS or arguments.source is not None:
             parser.error("--check: expected FILE.toml IMAGE [OUT.png] and no other files")

@@ -40,12 +40,22 @@ def _launch(command: str) -> int:
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
         code = _watched(command) if _is_limited() else _ended(command)
-    except Exception:  # a fault of the program
-        sys.excepthook(*sys.exc_info())
+    except BaseException as error:  # a fault of the program
+        import_module("roadperc_stream.system.text").print_trace(error)
         code = _error_code(command)
     for number in ending_signals():
         signal.signal(number, lambda *_: os._exit(code))
+    if code and _has_other_threads():
+        os._exit(code)  # the interpreter would wait for a thread that may never end
     return code
+
+
+def _has_other_threads() -> bool:
+    """Whether threads of the pipeline or of code of the user still run."""
+    import threading
+
+    others = [thread for thread in threading.enumerate() if thread is not threading.main_thread()]
+    return any(not thread.daemon or thread.name.startswith("roadperc_") for thread in others)
 
 
 def _ended(command: str) -> int:

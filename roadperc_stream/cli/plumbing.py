@@ -16,8 +16,9 @@ from types import FrameType
 from typing import Any, NoReturn
 
 from roadperc_stream.errors import RegressionError, RoadpercError
+from roadperc_stream.system import process
 from roadperc_stream.system.process import EXIT_DONE, EXIT_ERROR, discard_output, ending_signals, optional_output
-from roadperc_stream.system.text import nearest, print_line, shown
+from roadperc_stream.system.text import failure, nearest, print_line, shown
 
 _AGAIN_AFTER_S = 0.05
 _LOCKING = ("__enter__", "__exit__", "_acquire_restore", "_release_save")
@@ -175,7 +176,8 @@ def _signals_unwind() -> Iterator[None]:
         yield
         return
     before = {number: signal.signal(number, _interrupt) for number in (*ending_signals(), signal.SIGALRM)}
-    hook, sys.unraisablehook = sys.unraisablehook, _interrupt_again
+    hooks = sys.unraisablehook, threading.excepthook
+    sys.unraisablehook, threading.excepthook = _interrupt_again, _note_of_thread
     try:
         yield
     except RuntimeError as error:
@@ -186,7 +188,8 @@ def _signals_unwind() -> Iterator[None]:
         raise
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
-        sys.unraisablehook = hook
+        sys.unraisablehook, threading.excepthook = hooks
+        process.is_interrupted = False
         for number, handler in before.items():
             signal.signal(number, handler)
 
@@ -196,6 +199,7 @@ def _interrupt(_number: int, frame: FrameType | None) -> None:
 
     Otherwise the lock could stay locked, and a thread that needs it would never end.
     """
+    process.is_interrupted = True
     if frame and (frame.f_code.co_name in _LOCKING or frame.f_globals.get("__name__") == _FUTURES):
         signal.setitimer(signal.ITIMER_REAL, _AGAIN_AFTER_S)
     else:
@@ -206,8 +210,13 @@ def _interrupt_again(ignored: "sys.UnraisableHookArgs") -> None:
     """Send a signal again that Python dropped while it deleted an object."""
     if ignored.exc_type is KeyboardInterrupt:
         signal.setitimer(signal.ITIMER_REAL, _AGAIN_AFTER_S)
-    else:
-        sys.__unraisablehook__(ignored)
+    elif ignored.exc_value is not None:
+        _note(f"exception ignored: {failure(ignored.exc_value, '')}")
+
+
+def _note_of_thread(ended: threading.ExceptHookArgs) -> None:
+    if ended.exc_value is not None:
+        _note(f"exception in a thread: {failure(ended.exc_value, '')}")
 
 
 def number(least: float, most: float, expected: str, kind: type[float] = float) -> Callable[[str], Any]:

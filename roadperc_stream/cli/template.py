@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import Final
 
 from roadperc_stream.chain.stages.objects.template import png_of
-from roadperc_stream.config import ReplayConfig
+from roadperc_stream.config import DEFAULT_LIMITS, ReplayConfig
 from roadperc_stream.config.loading import validated
 from roadperc_stream.config.stages import MOST_PNG_BYTES
 from roadperc_stream.errors import ConfigError, DecodeError
 from roadperc_stream.formats.images import decode_grey
 from roadperc_stream.input import ReplaySource, open_input
 from roadperc_stream.model import Image
+from roadperc_stream.system.files import read_file
 
 _IN_FRAME: Final = re.compile(r"(\d{1,9}):(\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9})")
 _EXPECTED: Final = "expected an image file, or FRAME:X0,Y0,X1,Y1 with X0 < X1 and Y0 < Y1"
@@ -47,7 +48,7 @@ def with_template(cfg: ReplayConfig, option: str | None, source: ReplaySource) -
 
 def _of_file(path: Path) -> Image:
     try:
-        return decode_grey(path.read_bytes())
+        return decode_grey(read_file(path, DEFAULT_LIMITS.message_bytes))
     except OSError as error:
         raise ConfigError(f"--template: {path}: {error.strerror}; {_EXPECTED}") from error
     except DecodeError as error:

@@ -6,8 +6,8 @@ from typing import Annotated, Any, Final, Literal, Self
 from pydantic import (
     AliasChoices,
     BeforeValidator,
+    FailFast,
     Field,
-    FiniteFloat,
     PositiveInt,
     SerializerFunctionWrapHandler,
     model_serializer,
@@ -18,8 +18,11 @@ from roadperc_stream.errors import DumpError
 from roadperc_stream.schemas.role_names import role_of
 from roadperc_stream.system.text import in_brief
 
-Numbers3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-Numbers4 = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
+LARGEST: Final = 1e9
+"""Largest absolute number of a document: metres, pixels, degrees. Products of several such numbers are finite."""
+Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
+Numbers3 = tuple[Number, Number, Number]
+Numbers4 = tuple[Number, Number, Number, Number]
 
 
 def _rows(found: Any) -> Any:
@@ -32,7 +35,7 @@ def _rows(found: Any) -> Any:
 Matrix3 = Annotated[tuple[Numbers3, Numbers3, Numbers3], BeforeValidator(_rows)]
 Matrix34 = Annotated[tuple[Numbers4, Numbers4, Numbers4], BeforeValidator(_rows)]
 FieldOfView = Annotated[float, Field(gt=0.0, lt=180.0)]
-PositiveNumber = Annotated[float, Field(gt=0.0)]
+PositiveNumber = Annotated[Number, Field(gt=0.0)]
 ImageSide = Annotated[PositiveInt, Field(le=1_000_000)]
 _MOUNTING_KEYS: Final = frozenset(("mounting", "rgb_height_m", "depth_height_m"))
 
@@ -52,7 +55,7 @@ class Intrinsics(Written):
     width: ImageSide | None = None
     height: ImageSide | None = None
     K: Matrix3 | None = None
-    D: tuple[FiniteFloat, ...] = ()
+    D: Annotated[tuple[Number, ...], FailFast()] = ()
     distortion_model: str = "plumb_bob"
     R: Matrix3 | None = None
     P: Matrix34 | None = None
@@ -62,12 +65,12 @@ class Intrinsics(Written):
 class CarlaPose(Written):
     """Position in metres and angles in degrees in CARLA's left-handed convention."""
 
-    x: FiniteFloat = 0.0
-    y: FiniteFloat = 0.0
-    z: FiniteFloat
-    roll: FiniteFloat = 0.0
-    pitch: FiniteFloat = 0.0
-    yaw: FiniteFloat = 0.0
+    x: Number = 0.0
+    y: Number = 0.0
+    z: Number
+    roll: Number = 0.0
+    pitch: Number = 0.0
+    yaw: Number = 0.0
 
 
 class CalibrationConfig(Intrinsics):
@@ -81,8 +84,8 @@ class CalibrationConfig(Intrinsics):
     cameras: Mapping[str, Intrinsics] = {}
     """Cameras that differ from the front one, by role: ``{"depth": {"width": 800, "height": 600, "fov_deg": 90}}``."""
     mounting: Mapping[str, CarlaPose] = {}
-    rgb_height_m: FiniteFloat | None = None
-    depth_height_m: FiniteFloat | None = None
+    rgb_height_m: Number | None = None
+    depth_height_m: Number | None = None
 
     def with_options(self, where: object, fov_deg: float | None, height_m: float | None) -> Self:
         """The calibration with a field of view instead of K and the lens, and a level camera at a height.

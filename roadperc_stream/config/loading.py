@@ -8,7 +8,7 @@ from pydantic import BaseModel, ValidationError
 
 from roadperc_stream.config.catalogue import catalogue
 from roadperc_stream.config.complaints import complaint
-from roadperc_stream.config.settings import MOST_BYTES, parsed_toml
+from roadperc_stream.config.settings import parsed_toml, read_toml
 from roadperc_stream.config.stages import ReplayConfig
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.system.text import in_brief, nearest
@@ -31,7 +31,7 @@ def load_config(path: str | Path | None = None, settings: str | Sequence[str] = 
     Raises:
         ConfigError: the file cannot be read, or a key or value is invalid; the message names it.
     """
-    tree = _read_toml(Path(path)) if path else {}
+    tree = read_toml(Path(path)) if path else {}
     for setting in [settings] if isinstance(settings, str) else settings:
         key, separator, value = setting.partition("=")
         if not separator:
@@ -104,16 +104,6 @@ def _elsewhere(name: str) -> list[str]:
     names = {key for model in models.values() for key in model.model_fields}
     key = nearest(name, sorted(names))
     return [f"{section}.{key}" for section, model in models.items() if key in model.model_fields]
-
-
-def _read_toml(path: Path) -> dict[str, Any]:
-    try:
-        with path.open("rb") as stream:
-            return parsed_toml(stream.read(MOST_BYTES + 1))
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}") from error
-    except ConfigError as error:
-        raise ConfigError(f"{path}: {error}") from error
 
 
 def _toml_value(text: str) -> Any:

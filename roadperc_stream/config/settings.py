@@ -6,6 +6,7 @@ from typing import Any, Final
 
 from roadperc_stream.config.stages import ABOUT_THE_LOG, OWN_STAGES, UNSET
 from roadperc_stream.errors import ConfigError
+from roadperc_stream.system.files import read_file
 from roadperc_stream.system.text import in_brief
 
 MOST_BYTES: Final = 1_000_000
@@ -33,6 +34,20 @@ def settings_in(toml: bytes) -> dict[str, Any]:
 def is_about_log(key: str) -> bool:
     """Whether a key such as ``calibration.fov_deg`` says something about the log."""
     return key.partition(".")[0] in ABOUT_THE_LOG
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """A TOML file as nested mappings.
+
+    Raises:
+        ConfigError: the file cannot be read, or as in ``parsed_toml``; the message begins with the path.
+    """
+    try:
+        return parsed_toml(read_file(path, MOST_BYTES))
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror or error}") from error
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
 
 
 def parsed_toml(toml: bytes) -> dict[str, Any]:

@@ -26,6 +26,7 @@ from roadperc_stream.geometry.planes import transform_plane as transform_plane
 from roadperc_stream.geometry.rotations import EGO_R_OPTICAL as EGO_R_OPTICAL
 from roadperc_stream.geometry.rotations import adjoint as adjoint
 from roadperc_stream.geometry.rotations import inverse as inverse
+from roadperc_stream.geometry.rotations import is_rotation as is_rotation
 from roadperc_stream.geometry.rotations import mounting as mounting
 from roadperc_stream.geometry.rotations import rigid as rigid
 from roadperc_stream.geometry.rotations import transform as transform

@@ -30,6 +30,12 @@ def rigid(rotation: Float, translation: Float) -> Float:
     return T
 
 
+def is_rotation(matrix: Float, tolerance: float = 5e-3) -> bool:
+    """Whether a (3, 3) matrix is a rotation, up to rounding: no mirror, no scale."""
+    near = np.abs(matrix).max() <= 2 and np.allclose(matrix @ matrix.T, np.eye(3), atol=tolerance)
+    return bool(near and np.linalg.det(matrix) > 0)
+
+
 def inverse(a_T_b: Float) -> Float:
     """b_T_a of a rigid transform."""
     R = a_T_b[:3, :3].T

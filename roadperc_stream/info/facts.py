@@ -19,6 +19,7 @@ from roadperc_stream.log import Attachment, Damage, Metadata, Recovery
 from roadperc_stream.model.finding import Finding, decoded_findings
 from roadperc_stream.output.tables import read_footer, sidecar_path
 from roadperc_stream.schemas import record
+from roadperc_stream.system.text import whole_number
 
 
 @dataclass(frozen=True)
@@ -82,10 +83,10 @@ def provenance_of(
         seed=facts.get(record.SEED_KEY, ""),
         digest=digest,
         digest_found=digest_found,
-        frames=_number(facts.get(record.FRAMES_KEY, "")),
+        frames=whole_number(facts.get(record.FRAMES_KEY, "")),
         continues=facts.get(record.CONTINUES_KEY),
         dropped={
-            name.removeprefix(record.DROPPED_KEY): _number(value) or 0
+            name.removeprefix(record.DROPPED_KEY): whole_number(value) or 0
             for name, value in facts.items()
             if name.startswith(record.DROPPED_KEY)
         },
@@ -110,10 +111,6 @@ def _settings(toml: bytes | None) -> tuple[tuple[ResolvedSetting, ...], str]:
     known = {key: as_typed(value) for key, value in defaults.items()}
     known |= {key: NOT_SET for key in differing if is_about_log(key)}
     return tuple(ResolvedSetting(key, as_typed(found[key]), known.get(key)) for key in differing), ""
-
-
-def _number(text: str) -> int | None:
-    return int(text) if text.isdecimal() else None
 
 
 def _table(path: Path, digest: str, config_digest: str | None) -> SidecarTable:

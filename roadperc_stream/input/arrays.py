@@ -1,9 +1,9 @@
 """Checks the arrays, poses and detections of an API caller and converts them for a frame."""
 
 import operator
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from math import acos, degrees, isfinite
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any, Final
 
 import cv2
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from roadperc_stream.errors import ConfigError
-from roadperc_stream.geometry import Camera, Float, pinhole_fault
+from roadperc_stream.geometry import Camera, Float, is_rotation, pinhole_fault
 from roadperc_stream.model import Box, CameraImage, DepthImage, Detection, Image, TagImage
 from roadperc_stream.model.tag_tables import TagTable
 
@@ -19,6 +19,13 @@ _MOST_ASIDE_DEG: Final = 80.0
 """Largest angle of the optical axis to ego's x axis; the chain needs the road ahead in the image."""
 _ROTATION_TOLERANCE: Final = 1e-3
 """Tolerance for R @ R.T, so that rotations written with four digits pass."""
+_OF_CAMERA: Final[Mapping[str, tuple[type | tuple[type, ...], str]]] = {
+    "frame_id": (str, "text"),
+    **dict.fromkeys(("width", "height"), (Integral, "whole pixels")),
+    **dict.fromkeys(("fx", "fy", "cx", "cy"), (Real, "a number")),
+    "baseline_m": ((Real, type(None)), "metres or None"),
+}
+"""Type of a camera's fields, and its words."""
 
 
 def checked_stamp_ns(stamp_ns: Any) -> int:
@@ -37,11 +44,14 @@ def checked_camera(name: str, camera: Any) -> Camera:
     """The camera, checked.
 
     Raises:
-        TypeError: not a Camera.
+        TypeError: not a Camera, or a field has another type.
         ValueError: its size, focal lengths or principal point are impossible.
     """
     if not isinstance(camera, Camera):
         raise TypeError(f"{name}: expected a Camera, found {type(camera).__name__}")
+    for field, (kind, words) in _OF_CAMERA.items():
+        if not isinstance(getattr(camera, field), kind):
+            raise TypeError(f"{name}: expected {words} as {field}, found {getattr(camera, field)!r}")
     if camera.width < 1 or camera.height < 1:
         raise ValueError(f"{name}: expected an image of one pixel or more, found {camera.width}x{camera.height}")
     fault = pinhole_fault(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
@@ -61,7 +71,7 @@ def checked_mounting(ego_T_camera: ArrayLike) -> Float:
     if pose.shape != (4, 4) or not np.isfinite(pose).all():
         raise ValueError(f"ego_T_camera: expected (4, 4) finite numbers, found {pose.shape}")
     R, last = pose[:3, :3], pose[3].tolist()
-    if not np.allclose(R @ R.T, np.eye(3), atol=_ROTATION_TOLERANCE) or np.linalg.det(R) < 0:
+    if not is_rotation(R, _ROTATION_TOLERANCE):
         raise ValueError(f"ego_T_camera: expected a rotation in its first three rows and columns, found {R.tolist()}")
     if last != [0.0, 0.0, 0.0, 1.0]:
         raise ValueError(f"ego_T_camera: expected 0, 0, 0, 1 in its last row, found {last}")
@@ -79,12 +89,17 @@ def checked_mounting(ego_T_camera: ArrayLike) -> Float:
 
 
 def camera_image(name: str, pixels: ArrayLike, camera: Camera) -> CameraImage:
-    """An image of (H, W, 3) blue, green, red, or (H, W) grey, 0 to 255.
+    """A copy of an image of (H, W, 3) blue, green, red, or (H, W) grey, 0 to 255.
 
     Raises:
         ValueError: the pixels have another size or type.
     """
-    image = _bytes(name, _of_size(name, pixels, [camera.size, (*camera.size, 3)]))
+    found = _of_size(name, pixels, [camera.size, (*camera.size, 3)])
+    image = _bytes(name, found)
+    if found.dtype != np.uint8:  # 0 to 255 of 65535 is nearly black
+        raise ValueError(
+            f"{name}: expected uint8, found {found.dtype}; scale it to 0 to 255, then pass astype(np.uint8)"
+        )
     return CameraImage(
         camera.frame_id, _converted(image, cv2.COLOR_GRAY2BGR, 2), _converted(image, cv2.COLOR_BGR2GRAY, 3)
     )
@@ -130,9 +145,14 @@ def checked_detections(detections: Iterable[Any]) -> tuple[Detection, ...]:
 def _checked_detection(name: str, detection: Any) -> Detection:
     if not isinstance(detection, Detection):
         raise TypeError(f"{name}: expected a Detection, found {detection!r}")
+    for field in ("label", "id"):
+        if not isinstance(getattr(detection, field), str):
+            raise TypeError(f"{name}: expected text as {field}, found {getattr(detection, field)!r}")
     box = detection.box_px
     if not isinstance(box, Box):
         raise TypeError(f"{name}: expected box_px to be a Box, found {box!r}")
+    if not all(isinstance(side, Real) for side in (box.x_min, box.y_min, box.x_max, box.y_max)):
+        raise TypeError(f"{name}: expected numbers in box_px, found {box}")
     if not (-np.inf < box.x_min <= box.x_max < np.inf and -np.inf < box.y_min <= box.y_max < np.inf):
         raise ValueError(f"{name}: expected x_min <= x_max and y_min <= y_max, found {box}")
     if not isinstance(detection.score, Real):

@@ -10,7 +10,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
-from typing import Final
 
 from roadperc_stream import log
 from roadperc_stream.config import ReplayConfig
@@ -29,10 +28,8 @@ from roadperc_stream.input.window import Window, WindowMessages
 from roadperc_stream.log import LogSummary, Message, MessageDigest
 from roadperc_stream.schemas.record import END_KEY
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
+from roadperc_stream.system.text import whole_number
 from roadperc_stream.system.time import TimeRange, ns_to_seconds, seconds_to_ns
-
-_MOST_DIGITS: Final = 19
-"""Of a recorded log time."""
 
 
 @dataclass(frozen=True)
@@ -248,7 +245,7 @@ def _with_own_stamps(
 def _cut_ns(summary: LogSummary, end_ns: int | None) -> int | None:
     """The log time from which another replay continues the log: the requested or the recorded end."""
     recorded = replay_record(summary.metadata).get(END_KEY, "")
-    known = [int(recorded)] if recorded.isascii() and recorded.isdigit() and len(recorded) <= _MOST_DIGITS else []
+    known = [] if (stamp_ns := whole_number(recorded)) is None else [stamp_ns]
     asked = [] if end_ns is None or end_ns > (summary.last_ns or 0) else [end_ns]
     return min(known + asked, default=None)
 

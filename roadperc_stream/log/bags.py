@@ -26,13 +26,14 @@ from roadperc_stream.log.records import Channel, Message
 from roadperc_stream.log.salvage import Salvage
 from roadperc_stream.log.stored import Spool, StoredLog, received_files, storing
 from roadperc_stream.log.writing import StoredLogWriter
-from roadperc_stream.system.files import BAG_METADATA, is_bag_folder
+from roadperc_stream.system.files import BAG_METADATA, is_bag_folder, read_file
 
 _SQLITE, _ROS1 = BAGS
 _PACKED: Final = re.compile(rb"compression_mode:\s*['\"]?message", re.IGNORECASE)
 _DEFINITIONS: Final = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
 _QOS: Final = "offered_qos_profiles"
 _BLOCK_BYTES: Final = 1024 * 1024
+_MOST_METADATA_BYTES: Final = 10_000_000
 Contents = Iterator[Channel | Message]
 """The channels of a file, then its messages in file order."""
 
@@ -81,7 +82,8 @@ def _files_of(path: Path) -> list[Path]:
     replay = join(("roadperc-replay", *map(str, there), "OUT.mcap"))
     command = f"; replay the existing files with: {replay}" if there else "; copy the whole folder of the bag again"
     try:
-        bag = msgspec.yaml.decode(described.read_bytes(), type=dict[str, _Bag])["rosbag2_bagfile_information"]
+        text = read_file(described, _MOST_METADATA_BYTES)
+        bag = msgspec.yaml.decode(text, type=dict[str, _Bag])["rosbag2_bagfile_information"]
     except (OSError, ValueError, KeyError, msgspec.MsgspecError, RecursionError) as error:
         raise LogError(f"{described}: cannot be read: {_line(error)}{command}") from error
     if bag.compression_format not in (None, "", "zstd"):
@@ -134,7 +136,7 @@ def _copied(name: Path, place: Path) -> Path:
     if start.startswith(_ROS1):
         contents = import_module("roadperc_stream.log.ros1").contents_of_ros1(place)  # on use: it imports rosbags
         return _copy(name, "rosbag (ROS 1)", contents, f"rosbag reindex {quote(str(name))}")
-    if start.startswith(MAGIC) and described.is_file() and _PACKED.search(described.read_bytes()):
+    if start.startswith(MAGIC) and described.is_file() and _PACKED.search(read_file(described, _MOST_METADATA_BYTES)):
         return _copy(name, "rosbag2 (compressed messages)", _of_mcap(place), f"roadperc-info {quote(str(name))}")
     return place
 

@@ -17,7 +17,8 @@ from roadperc_stream.log.growing import GrowingLog
 from roadperc_stream.log.mcap_file import ChunkRecords, McapFile, OpenChunk, Piece
 from roadperc_stream.log.records import Attachment, Channel, Message, Metadata
 from roadperc_stream.log.stored import storing
-from roadperc_stream.system.files import partial_of, target_errors
+from roadperc_stream.system.files import partial_of, remove_stale_partials, target_errors
+from roadperc_stream.system.process import require_uninterrupted
 
 CHUNK_SIZE_BYTES = 1024 * 1024
 _IDS: Final = 65535
@@ -54,6 +55,7 @@ class LogWriter:
 
     def _open(self) -> IO[bytes]:
         self.path.parent.mkdir(parents=True, exist_ok=True)
+        remove_stale_partials(self.path)
         return self._temporary.open("wb")
 
     def _errors(self) -> AbstractContextManager[None]:
@@ -194,6 +196,7 @@ class LogWriter:
             self.discard()
 
     def _name(self) -> None:
+        require_uninterrupted()
         if self._growing is not None:
             self._growing.finish(self._temporary, self.path)
         else:

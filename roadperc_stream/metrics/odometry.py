@@ -13,7 +13,7 @@ def odometry_columns(odometry: Odometry | Absent) -> OdometryColumns:
     """The columns of status, pose and step; a step up to scale has no length."""
     if isinstance(odometry, Absent):
         return OdometryColumns()
-    x, y, z, qx, qy, qz, qw = _position_and_quaternion(odometry.odom_T_ego)
+    x, y, z, qx, qy, qz, qw = _position_and_quaternion(odometry.odom_T_ego) if odometry.has_length else (None,) * 7
     step, covariance = odometry.step, odometry.covariance
     metric_step = None if odometry.up_to_scale else step
     turn_std = None if step is None else _std_along(rotation_vector(step[:3, :3]), covariance, 3)
@@ -67,12 +67,14 @@ def odometry_errors(odometry: Odometry | Absent, sample: Sample, previous: Earli
 def _std_along(direction: Float, covariance: tuple[float, ...], first: int) -> float | None:
     """Standard deviation along a (3,) direction, of three of the six components from ``first`` on.
 
-    None if the covariance is unknown or the direction has no length.
+    A direction without a length has the largest deviation. None if the covariance is unknown.
     """
-    length = float(np.linalg.norm(direction))
-    if not covariance or length == 0:
+    if not covariance:
         return None
     part = np.reshape(covariance, (6, 6))[first : first + 3, first : first + 3]
+    length = float(np.linalg.norm(direction))
+    if length == 0:
+        return float(np.sqrt(np.linalg.eigvalsh(part)[-1]))
     return float(np.sqrt(direction @ part @ direction)) / length
 
 

@@ -68,8 +68,12 @@ TEMPLATES: Final[dict[str, str]] = {
     "camera_changed": "the camera differs from that of earlier frames",
     "too_few_inliers": "too few points agree on a motion",
     "impossible_motion": "the points agree on a motion that the car cannot make",
+    "impossible_acceleration": "the points agree on a speed of {speed_mps:g} m/s; a car that brakes or accelerates "
+    "from its last known speed has {least_mps:g} to {most_mps:g} m/s",
     "matched_by_orb": "optical flow tracked too few points, ORB features match them",
     "matched_by_orb_and": "optical flow tracked too few points, ORB features match them; {cause}",
+    "scale_by_points": "the road's image shows no length that fits the speed and the points of earlier frames, these "
+    "points give the scale",
     "scale_carried": "the road's image shows no length, the last known speed gives the scale",
     "scale_unknown": "neither the road's image nor the last known speed gives the scale",
     "no_baseline": "P[0][3] of the right camera is 0: expected -fx * baseline, which is {shortest_m:g} to "

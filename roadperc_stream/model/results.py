@@ -95,6 +95,12 @@ class Odometry:
     since_ns: int | None = None
     reason: Reason | None = None
     matches: Matches | None = field(default=None, repr=False)
+    has_length: bool = True
+
+    @property
+    def has_pose(self) -> bool:
+        """Whether the pose is this frame's, not the last known one."""
+        return self.status != "lost" and self.has_length
 
     def __post_init__(self) -> None:
         read_only(self.odom_T_ego, np.float64, (4, 4), "odom_T_ego")

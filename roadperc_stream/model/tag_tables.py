@@ -82,30 +82,29 @@ _COLOURS: Final = {
 }
 
 
-def load_table(path: Path, name: str = "") -> TagTable:
-    """The table of a TOML file; a table without a name, as a user's, is called by the class of each tag.
+def table_of(document: dict[str, Any], source: str, name: str = "") -> TagTable:
+    """The table of a TOML document; a table without a name, as a user's, is called by the class of each tag.
 
     ``[tags]`` has the tags of each class. ``[colours]`` has its colours in palette images: all of them in a user's
     table, those besides the common ones in a named table. ``instances_per_tag`` is that of ``TagTable``.
 
     Raises:
-        ConfigError: the file cannot be read, or a key, class, tag or colour is wrong.
+        ConfigError: a key, class, tag or colour of the file ``source`` is wrong.
     """
     try:
-        document = tomllib.loads(path.read_text("utf-8"))
         of_tag = _class_of(document.pop("tags", {}), _tag)
         of_colour = _class_of(document.pop("colours", {}), _rgb)
         instances = document.pop("instances_per_tag", 0)
         _require_keys(document, of_tag, of_colour, instances)
-    except (OSError, ValueError, AttributeError, ConfigError) as error:
-        raise ConfigError(f"{path}: {error}") from error
+    except (ValueError, AttributeError, ConfigError) as error:
+        raise ConfigError(f"{source}: {error}") from error
     names = tuple(of_tag.get(tag, UNLABELED) for tag in range(max(of_tag) + 1))
     by_colour = {colour: names.index(found) for colour, found in of_colour.items()}
     if name or not by_colour:
         by_colour |= {_COLOURS[found]: tag for tag, found in sorted(of_tag.items())}
     gaps = frozenset(range(len(names))).difference(of_tag)
     return replace(
-        _listed(names, name), tag_by_colour=by_colour, gaps=gaps, instances_per_tag=instances, title=name or str(path)
+        _listed(names, name), tag_by_colour=by_colour, gaps=gaps, instances_per_tag=instances, title=name or source
     )
 
 
@@ -154,7 +153,8 @@ TABLES: Final = tuple(sorted(path.stem for path in _FILES.glob("*.toml")))
 
 @cache
 def _table_of_dataset(name: str) -> TagTable:
-    return load_table(_FILES / f"{name}.toml", name)
+    path = _FILES / f"{name}.toml"
+    return table_of(tomllib.loads(path.read_text("utf-8")), str(path), name)
 
 
 CARLA_BEFORE_0_9_14: Final = _table_of_dataset("carla-before-0.9.14")

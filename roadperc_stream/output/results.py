@@ -105,7 +105,7 @@ def _odometry(stamp_ns: int, odom: str, odometry: Odometry, trajectory: Sequence
     """Odometry messages. A lost frame has no pose message, as its pose is that of an earlier frame."""
     yield topics.ODOMETRY_STATE_TOPIC, encoding.encode_odometry(stamp_ns, EGO, odometry)
     yield topics.TRAJECTORY_TOPIC, encoding.encode_poses(stamp_ns, odom, trajectory)
-    if odometry.status != "lost":
+    if odometry.has_pose:
         yield topics.ODOMETRY_TOPIC, encoding.encode_pose(stamp_ns, odom, odometry.odom_T_ego)
 
 
@@ -114,7 +114,7 @@ def _edges(anchor: FrameAnchor, odometry: Odometry | Absent) -> list[Transform]:
     edges = []
     if anchor.frame_id:
         edges.append(_edge_between(anchor.frame_id, EGO, inverse(anchor.ego_T_frame), anchor.placed))
-    if not isinstance(odometry, Absent) and odometry.status != "lost":
+    if not isinstance(odometry, Absent) and odometry.has_pose:
         edges.append(_edge_between(anchor.odom, EGO, odometry.odom_T_ego, not anchor.placed))
     return edges
 

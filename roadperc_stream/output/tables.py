@@ -17,7 +17,8 @@ from roadperc_stream import __version__
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import TableError
 from roadperc_stream.schemas.record import NETWORKS_COMMENT
-from roadperc_stream.system.files import TABLE_SUFFIX, partial_of, target_errors
+from roadperc_stream.system.files import TABLE_SUFFIX, partial_of, remove_stale_partials, target_errors
+from roadperc_stream.system.process import require_uninterrupted
 
 ROW_GROUP_ROWS: Final = 1000
 FACT_PREFIX: Final = "roadperc."
@@ -261,6 +262,7 @@ class TableWriter:
     def __enter__(self) -> Self:
         with target_errors(self._path):
             self._path.parent.mkdir(parents=True, exist_ok=True)
+            remove_stale_partials(self._path)
             self._writer = pq.ParquetWriter(self._temporary, self._schema, compression="zstd")
         return self
 
@@ -300,6 +302,7 @@ class TableWriter:
         try:
             if kind is None:
                 self.complete()
+                require_uninterrupted()
                 with target_errors(self._path):
                     self._temporary.replace(self._path)
         finally:

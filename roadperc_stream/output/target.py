@@ -9,7 +9,7 @@ from roadperc_stream.errors import LogError, TargetError
 from roadperc_stream.input.earlier_replay import is_result_log
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.topics import Request
-from roadperc_stream.system.files import TABLE_SUFFIX, remove_stale_partials, require_free
+from roadperc_stream.system.files import TABLE_SUFFIX, require_free
 
 
 @dataclass(frozen=True)
@@ -91,8 +91,3 @@ class ReplayTarget:
             raise TargetError(
                 f"refusing to overwrite {self.path}: it was not written by roadperc-replay. Is OUT.mcap missing?"
             )
-
-    def remove_stale_partials(self) -> None:
-        """Remove the partial files of killed replays."""
-        for path in self.files:
-            remove_stale_partials(path)

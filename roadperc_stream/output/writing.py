@@ -68,7 +68,7 @@ class Shown:
     def after(self, result: FrameResult, reasons: tuple[str, ...]) -> "Shown":
         """The facts after one more frame, with its pose if known."""
         poses = self.trajectory
-        if isinstance(result.odometry, Odometry) and result.odometry.status != "lost":
+        if isinstance(result.odometry, Odometry) and result.odometry.has_pose:
             poses = (*poses, result.odometry.odom_T_ego)[-TRAJECTORY_POSES:]
         return Shown(poses, reasons, result.stamp_ns if self.first_ns is None else self.first_ns)
 

@@ -1,5 +1,6 @@
-"""Output files: they replace no file without ``force``, and appear under their names only when complete."""
+"""Files: read up to a size; written without replacing a file unless forced, and under their names only if complete."""
 
+import errno
 import os
 import re
 import shlex
@@ -8,7 +9,8 @@ import stat
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any, Final, Protocol
+from tempfile import mkdtemp
+from typing import Any, BinaryIO, Final, Protocol
 
 from roadperc_stream.errors import TargetError
 
@@ -17,6 +19,38 @@ METRICS_SUFFIX: Final = ".metrics.parquet"
 OBJECTS_SUFFIX: Final = ".objects.parquet"
 BAG_METADATA: Final = "metadata.yaml"
 _LOG_NAMES: Final = ("*.mcap", "*.db3", "*.bag", "*.mcap.zst*", "*.db3.zst*")
+
+
+def open_file(path: Path) -> BinaryIO:
+    """Open a regular file to read it. A pipe may block, and a device may have no end.
+
+    Raises:
+        OSError: it cannot be read, or is something else; ``strerror`` is the reason.
+    """
+    try:
+        stream = open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK))  # noqa: SIM115
+    except IsADirectoryError as error:
+        raise OSError(errno.EISDIR, "is a folder, expected a file", str(path)) from error
+    except ValueError as error:
+        raise OSError(errno.EINVAL, f"is not a name of a file: {error}", str(path)) from error
+    if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
+        stream.close()
+        raise OSError(errno.EINVAL, "is a pipe or a device, expected a file", str(path))
+    return stream
+
+
+def read_file(path: Path, most_bytes: int) -> bytes:
+    """The content of a regular file.
+
+    Raises:
+        OSError: it cannot be read, is something else, or is larger; ``strerror`` is the reason.
+    """
+    with open_file(path) as stream:
+        is_large = os.fstat(stream.fileno()).st_size > most_bytes
+        data = b"" if is_large else stream.read(most_bytes + 1)
+    if is_large or len(data) > most_bytes:
+        raise OSError(errno.EFBIG, f"is larger than {most_bytes / 1e6:g} MB", str(path))
+    return data
 
 
 def require_free(target: Path, *, force: bool, suffix: str, source: Path | None = None) -> None:
@@ -107,6 +141,14 @@ def real_path(path: Path) -> Path:
     return Path(os.path.realpath(path))
 
 
+def is_inside(path: Path, folder: Path) -> bool:
+    """Whether a path is below a folder, with the links in both resolved."""
+    try:
+        return real_path(path).is_relative_to(real_path(folder))
+    except ValueError:  # no name of a file
+        return False
+
+
 @contextmanager
 def target_errors(target: Path) -> Iterator[None]:
     """Turn an error of the system into an error that names the file.
@@ -152,16 +194,37 @@ def partial_of(target: Path, suffix: str = "", mark: str = "") -> Path:
 
 
 def remove_stale_partials(target: Path) -> None:
-    """Remove the partial files of a target whose processes have ended.
+    """Remove the partial files and folders of a target whose processes have ended; all writers call it first.
 
     The names contain the process numbers. A file stays if any process has its number now.
     """
-    name = re.compile(rf"\.{re.escape(target.name)}\.(\d+)\.partial({re.escape(target.suffix)})?")
+    name = re.compile(rf"\.{re.escape(target.name)}\.(\d+)\.partial(\.\w+)?")
     with suppress(OSError):
         for path in target.parent.iterdir():
             found = name.fullmatch(path.name)
-            if found and path.is_file() and not path.is_symlink() and not _is_alive(int(found[1])):
+            if not found or path.is_symlink() or _is_alive(int(found[1])):
+                continue
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            elif path.is_file():
                 path.unlink(missing_ok=True)
+
+
+@contextmanager
+def scratch_folder(target: Path) -> Iterator[Path]:
+    """A hidden folder beside a target for files that are needed only during the block.
+
+    Raises:
+        TargetError: it cannot be made.
+    """
+    with target_errors(target):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        remove_stale_partials(target)
+        folder = Path(mkdtemp(prefix=f"{partial_of(target).name}.", dir=target.parent))
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _is_alive(process: int) -> bool:
@@ -189,6 +252,8 @@ def completing(target: Path, *, force: bool = True, mark: str = "") -> Iterator[
     try:
         with target_errors(target):
             target.parent.mkdir(parents=True, exist_ok=True)
+            if not mark:
+                remove_stale_partials(target)
             yield temporary
             if target.exists() and not force:
                 raise TargetError(f"{target}: written by another program; pass --force to overwrite it")
@@ -212,6 +277,7 @@ def completing_folder(target: Path, keep: Callable[[Path], bool] = lambda _: Fal
     former = hidden.with_suffix(".former")
     try:
         with target_errors(target):
+            remove_stale_partials(place)
             hidden.mkdir(parents=True)
             yield hidden
             if place.exists():

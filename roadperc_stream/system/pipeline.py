@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from queue import Empty, SimpleQueue
 from threading import Condition, Thread
+from time import monotonic
 from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
@@ -24,29 +25,37 @@ _BEFORE_ALL: Final = -1
 """A number before that of the first item."""
 _WAKES_EVERY_S: Final = 0.5
 """Longest delay of a signal."""
+_POLL_S: Final = 0.02
+PATIENCE_S: Final = 0.7
+"""Longest wait for threads after Ctrl-C: code of the user may never return."""
 
 
 @dataclass(frozen=True)
 class Pipeline(Generic[T]):
-    """Items, and the steps for each of them."""
+    """Items, and the steps for each of them.
+
+    ``apart`` uses another thread even if one is enough, so that the caller's thread handles signals during any step.
+    """
 
     items: Iterator[Any]
     steps: tuple[Callable[[Any], Any], ...] = ()
+    apart: bool = False
 
     def then(self, step: Callable[[T], U]) -> "Pipeline[U]":
         """A pipeline with one more step, which takes the result of the previous step."""
-        return Pipeline(self.items, (*self.steps, step))
+        return Pipeline(self.items, (*self.steps, step), self.apart)
 
     def run(self, threads: int) -> None:
         """Run all steps on all items.
 
         Args:
-            threads: number of threads, which end before the call returns; 1 uses the caller's thread.
+            threads: number of threads; 1 uses the caller's thread. They end before the call returns, unless one does
+                not return from a step within ``PATIENCE_S`` after Ctrl-C.
 
         Raises:
             Exception: the error that a single thread would meet first; all items before it are complete.
         """
-        if threads > 1:
+        if threads > 1 or self.apart:
             _Work(self, threads).run()
             return
         for item in self.items:
@@ -75,17 +84,23 @@ class _Work:
         caller waits with a timeout, because a signal can arrive just before a wait.
         """
         ended = SimpleQueue[None]()
-        helpers = [Thread(target=self._help, args=(ended,), name=f"roadperc_{n}") for n in range(self._threads)]
+        names = [f"roadperc_{n}" for n in range(self._threads)]
+        helpers = [Thread(target=self._help, args=(ended,), name=name, daemon=True) for name in names]
+        until_s = None
         try:
             for helper in helpers:
                 helper.start()
             for _ in helpers:
                 while not _has_ended(ended):
                     pass
+        except KeyboardInterrupt:
+            until_s = monotonic() + PATIENCE_S
+            raise
         finally:  # a thread in a step ends after it, and wakes the waiting threads
             self._is_stopped = True
             for helper in filter(Thread.is_alive, helpers):
-                helper.join()
+                while helper.is_alive() and (self._busy[-1] or until_s is None or monotonic() < until_s):
+                    helper.join(_POLL_S)  # the last step writes files, which must stay open meanwhile
         if self._failed is not None:
             raise self._failed[1]
 

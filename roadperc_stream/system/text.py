@@ -1,11 +1,20 @@
-"""Escaped lines for a terminal, counts, exceptions in one line, and similar names."""
+"""Escaped lines for a terminal, counts, whole numbers, exceptions in one line, and similar names."""
 
 import difflib
+import sys
 from collections.abc import Iterable
+from reprlib import Repr
 from typing import Final, TextIO
 
 _LONGEST: Final = 10_000
 """Characters of a line; the longest path has 4096."""
+_MOST_DIGITS: Final = 19
+"""Digits of a whole number of 64 bits."""
+_REPR: Final = Repr()
+"""Values as text, whose lists of lists may be the same list many times, as in YAML."""
+_REPR.maxlevel = 3
+_REPR.maxdict = _REPR.maxlist = _REPR.maxtuple = _REPR.maxset = _REPR.maxfrozenset = 100
+_REPR.maxstring = _REPR.maxother = _REPR.maxlong = 1000
 
 
 def shown(text: str) -> str:
@@ -25,9 +34,22 @@ def print_line(line: str, stream: TextIO | None = None) -> None:
     print(shown(line), file=stream)
 
 
+def print_trace(error: BaseException) -> None:
+    """Print the traceback of a fault of the program on stderr, escaped."""
+    import traceback  # noqa: PLC0415 - rare, and takes 3 ms
+
+    for line in "".join(traceback.format_exception(error)).splitlines():
+        print_line(line, sys.stderr)
+
+
 def number(count: int, what: str) -> str:
     """A count with its noun: 1 frame, 2 frames."""
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
+
+
+def whole_number(text: str) -> int | None:
+    """A whole number from 0 of at most 64 bits; None for any other text."""
+    return int(text) if text.isascii() and text.isdigit() and len(text) <= _MOST_DIGITS else None
 
 
 def failure(error: BaseException, name: str) -> str:
@@ -37,7 +59,13 @@ def failure(error: BaseException, name: str) -> str:
         if trace.tb_frame.f_globals.get("__name__") == name.partition(":")[0]:
             place = f" ({trace.tb_frame.f_code.co_filename}, line {trace.tb_lineno})"
         trace = trace.tb_next
-    return " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":") + place
+    try:
+        text = str(error)
+    except (KeyboardInterrupt, MemoryError):
+        raise
+    except BaseException as fault:  # code of the user makes the text
+        text = f"its text cannot be made ({type(fault).__name__})"
+    return " ".join(f"{type(error).__name__}: {text}".split()).removesuffix(":") + place
 
 
 def nearest(name: str, known: Iterable[str], likeness: float = 0.6) -> str | None:
@@ -53,7 +81,7 @@ def nearest(name: str, known: Iterable[str], likeness: float = 0.6) -> str | Non
 def in_brief(value: object, most: int = 200) -> str:
     """A value of any type and size as text of at most ``most`` characters."""
     try:
-        text = repr(value)
+        text = _REPR.repr(value)
     except (ValueError, RecursionError):  # too many digits or levels for repr
         return f"a {type(value).__name__} too long to show"
     return text if len(text) <= most else f"{text[:most]}..."

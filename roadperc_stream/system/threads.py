@@ -3,13 +3,15 @@
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from typing import TypeVar
 
 import cv2
 import numpy as np
 from threadpoolctl import threadpool_limits
+
+from roadperc_stream.system.pipeline import PATIENCE_S
 
 T = TypeVar("T")
 U = TypeVar("U")
@@ -42,7 +44,7 @@ def in_order(step: Callable[[T], U], items: Iterable[T], threads: int) -> Iterat
     """Yield the results of a step for each item, in the items' order.
 
     Threads prepare a few results in advance, since the libraries release the GIL; one more item than threads is in
-    memory.
+    memory. A step that does not return delays Ctrl-C by ``PATIENCE_S``.
     """
     pending: deque[Future[U]] = deque()
     pool = ThreadPoolExecutor(threads)
@@ -50,8 +52,12 @@ def in_order(step: Callable[[T], U], items: Iterable[T], threads: int) -> Iterat
         for item in items:
             pending.append(pool.submit(step, item))
             if len(pending) > threads:
-                yield pending.popleft().result()
+                yield pending[0].result()
+                pending.popleft()
         while pending:
-            yield pending.popleft().result()
+            yield pending[0].result()
+            pending.popleft()
     finally:
-        pool.shutdown(cancel_futures=True)
+        pool.shutdown(wait=False, cancel_futures=True)
+        running = wait([future for future in pending if not future.done()], PATIENCE_S).not_done
+        pool.shutdown(wait=not running)

@@ -1,8 +1,12 @@
 """Stages of the user's own: their inputs, their state, the checks of their output, and where their code is from."""
 
 import hashlib
+import os
 import re
+import signal
+import subprocess
 import sys
+import time
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 
@@ -46,6 +50,7 @@ class Counting:
         state = self.State(state.frames + 1)
         return state, Lanes((Boundary("left", "measured", offset_m=float(state.frames), raw_offset_m=None),))
 '''
+OWN = ["--set", "lanes.implementation=counting:Counting"]
 ONLY = ["--only", "lanes", "--quiet"]
 OFF = {name: {"enabled": False} for name in ("odometry", "objects", "occupancy")}
 CONFIG = {"sync": {"max_wait_s": 0.05}, "surface": {"model": "plane"}, "stereo": {"method": "off"}, **OFF}
@@ -132,12 +137,34 @@ def darkening(cfg, state, scene, road, drivable, motion):
     scene.depth_m[:] = 1
 
 
+class Odd(BaseException):
+    """An error that is not an Exception, and whose text cannot be made."""
+
+    def __str__(self):
+        raise SystemExit
+
+
+def odd(*_):
+    raise Odd
+
+
+def reason_of(causes):
+    reason = Reason("lanes", "other", ("tired",))
+    for _ in range(causes):
+        reason = Reason("lanes", "no_surface", (), reason)
+    return lambda *_: (None, Absent(reason))
+
+
 def lines(**fields):
     return Lanes((Boundary("left", "measured", **fields),))
 
 
 HOSTILE = {
     "raises": (raising, r"frame with stamp 0 ns: ZeroDivisionError: division by zero \(.*test_own_stage.py, line"),
+    "exits without a word": (lambda *_: sys.exit(), "ns: SystemExit"),
+    "odd": (odd, r"Odd: its text cannot be made \(SystemExit\)"),
+    "endless reason": (reason_of(300), "nested more than 64 levels deep"),
+    "deeper than Python": (reason_of(50_000), "nested more than 64 levels deep"),
     "exits": (lambda *_: sys.exit("no\nmore"), "SystemExit: no more"),
     "None": (lambda *_: None, "expected state and output, found None"),
     "output only": (lambda *_: LEFT, "expected state and output, found Lanes"),
@@ -162,6 +189,9 @@ HOSTILE = {
 }  # fmt: skip
 
 
+@pytest.mark.promise(
+    "Own stages", "If a stage raises or returns anything unusable, the replay ends with one error and exit code 1"
+)
 @pytest.mark.parametrize(("stage", "message"), HOSTILE.values(), ids=HOSTILE)
 def test_a_failing_stage_is_one_clear_error(stage, message):
     with pytest.raises(StageError, match=message) as caught:
@@ -375,12 +405,26 @@ def test_a_result_does_not_import_code(folder):
         assert offsets(found.log) == [1.0, 2.0]
 
 
+ODD = """
+class Odd(BaseException):
+    def __str__(self):
+        raise SystemExit
+raise Odd
+"""
+
+
+@pytest.mark.promise("Own stages", "Code that cannot be imported is one error and exit code 1")
 @pytest.mark.parametrize(
     ("text", "name", "message"),
     [
         ("x = = 1", "mine:Mine", r"mine cannot be imported: SyntaxError: invalid syntax \(mine.py, line 1\)"),
         ("\nraise OSError('no\\nfile')", "mine:Mine", r"OSError: no file \(.*mine.py, line 2\)"),
         ("import sys; sys.exit(3)", "mine:Mine", "SystemExit: 3"),
+        ("import sys; sys.exit()", "mine:Mine", "SystemExit"),
+        ("raise GeneratorExit", "mine:Mine", "GeneratorExit"),
+        ("def __getattr__(name): raise SystemExit", "mine:Mine", "SystemExit"),
+        (ODD, "mine:Mine", r"Odd: its text cannot be made \(SystemExit\)"),
+        (r"raise OSError('\33[31m')", "mine:Mine", r"OSError: .*\\x1b\[31m"),
         ("import nothing_there", "mine:Mine", "ModuleNotFoundError: No module named 'nothing_there'"),
         ("Mine = 3", "mine:Mine", "mine:Mine: TypeError: expected a class or function, found int"),
         ("", "mine:Mine", "mine.py has no 'Mine'; expected a class or function"),
@@ -407,6 +451,72 @@ def test_the_command_finds_a_module_in_its_folder_and_names_the_failing_line(fol
     assert done.stderr.startswith("error: lanes: counting:Counting failed in frame 1 (stamp ")
     assert done.stderr.endswith(" ns): ZeroDivisionError: division by zero (" + f"{folder / 'counting.py'}, line 14)\n")
     assert not list(folder.glob("*.mcap"))
+
+
+def is_running(session):
+    try:
+        os.killpg(session, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+ASLEEP = "import time; time.sleep(1000)"
+STUCK = """
+from pathlib import Path
+
+def lanes(*_):
+    Path("stuck").touch()
+    while True:
+        try:
+            FOREVER
+        except BaseException:
+            pass
+"""
+
+
+@pytest.mark.promise("Own stages", "Ctrl-C ends a stage that never returns within two seconds, and no file stays")
+@pytest.mark.parametrize(
+    ("words", "forever"),
+    [
+        (f"roadperc-replay {SAMPLE} out.mcap --threads 1", "pass"),
+        (f"roadperc-replay {SAMPLE} out.mcap --threads 2", "pass"),
+        (f"roadperc-replay {SAMPLE} out.mcap --threads 2", ASLEEP),
+        (f"roadperc-sweep {SAMPLE} --out out --jobs 1", "pass"),
+        (f"roadperc-sweep {SAMPLE} --out out --jobs 2", ASLEEP),
+        (f"roadperc-batch out {SAMPLE} --jobs 2", "pass"),
+    ],
+)
+def test_an_endless_stage_can_be_interrupted(folder, words, forever):
+    (folder / "stuck.py").write_text(STUCK.replace("FOREVER", forever))
+    vary = ["--vary" if "sweep" in words else "--set", "lanes.implementation=stuck:lanes"]
+    command, *options = words.split()
+    options += [*vary, "--set", "stereo.method=off"]
+    process = subprocess.Popen(commands.words(command, *options), stderr=-1, start_new_session=True)
+    while process.poll() is None and not (folder / "stuck").exists():
+        time.sleep(0.05)
+    time.sleep(0.2)
+    asked = time.monotonic()
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=30)
+    assert time.monotonic() - asked < 2
+    assert process.returncode == 1, error
+    assert error.splitlines()[-1].startswith(b"error: interrupted"), error
+    assert not list(folder.rglob("*.mcap"))
+    while is_running(process.pid):  # a worker
+        assert time.monotonic() - asked < 5
+        time.sleep(0.05)
+
+
+@pytest.mark.promise("Own stages", "Errors of other threads of a stage are one escaped line each")
+def test_an_error_of_another_thread_is_one_line(folder):
+    raising = "import threading; raise ValueError('\\33[31m')"
+    start = (
+        f"import threading; thread = threading.Thread(target=lambda: exec({raising!r})); thread.start(); thread.join()"
+    )
+    (folder / "counting.py").write_text(f"{start}\n{COUNTING}")
+    done = commands.run("roadperc-replay", SAMPLE, "out.mcap", *OWN, "--frames", "2", *ONLY, cwd=folder)
+    assert (done.returncode, done.stderr) == (0, "note: exception in a thread: ValueError: \\x1b[31m\n")
 
 
 def test_batches_and_sweeps_run_own_stages(folder):

@@ -141,6 +141,7 @@ def written(path, topic=None):
     return [(m.channel.topic, m.log_time_ns, m.data) for m in messages if is_result(m.channel)]
 
 
+@pytest.mark.promise("Settings and tables", "Names of logs and folders may hold any character, such as `[`")
 @pytest.mark.parametrize("kept", [True, False])
 def test_a_clip_has_the_results_and_replays_alone(kept, result, capsys, tmp_path, monkeypatch):
     for module in (clips, frame_replay):
@@ -149,9 +150,9 @@ def test_a_clip_has_the_results_and_replays_alone(kept, result, capsys, tmp_path
     run = shutil.copytree(result.parent, tmp_path / "run")
     if not kept:
         (run / "out.mcap").unlink()
-    asked = (run / "out.metrics.parquet", "frame >= 25 and frame < 30", "--clips", tmp_path / "clips")
+    asked = (run / "out.metrics.parquet", "frame >= 25 and frame < 30", "--clips", tmp_path / "clips[1]")
     code, out, _ = outcome(find.main, capsys, *asked)
-    clip, again = tmp_path / "clips" / "out-25.mcap", tmp_path / "again.mcap"
+    clip, again = tmp_path / "clips[1]" / "out-25.mcap", tmp_path / "again.mcap"
     assert code == 0
     assert out.endswith(f"wrote 1 clip to {clip.parent}\n")
     assert {"/camera/front/calibration", "/tf"} <= {m.channel.topic for m in log.read(log.summarise(clip))}

@@ -1,16 +1,20 @@
 """Unusable configurations and tables give a one-line error that names the place."""
 
 from contextlib import suppress
+from time import process_time
 
 import polars as pl
+import pyarrow.parquet as pq
 import pytest
 
 import roadperc_stream as rp
+from roadperc_stream.cli import check, compare, find, report, trajectory
 from roadperc_stream.config import load_config
 from roadperc_stream.config.settings import as_typed, settings_in
 from roadperc_stream.errors import ConfigError, TableError
 from roadperc_stream.eval.runs import collect, open_run
 from tests.commands import run_forked
+from tests.eval.tables import outcome
 from tests.hostile.inputs import write_log
 
 pytestmark = pytest.mark.commands
@@ -86,6 +90,34 @@ def test_a_column_of_nulls_counts_as_missing(tmp_path, table):
     path = tmp_path / "a.metrics.parquet"
     table.with_columns(pl.lit(None).alias("odom_x_m")).write_parquet(path)
     assert run_forked("roadperc-report", path).returncode == 0
+
+
+@pytest.mark.promise("Settings and tables", "A table without facts in its footer is read")
+@pytest.mark.promise("Settings and tables", "A frame without a number gives a one-line error")
+@pytest.mark.promise("Settings and tables", "A frame whose time is infinite gives a one-line error")
+def test_a_table_of_another_program_is_read_or_refused(tmp_path, table, capsys):
+    plain, nameless, endless = (tmp_path / f"{name}.metrics.parquet" for name in ("plain", "nameless", "endless"))
+    pq.write_table(table.to_arrow().replace_schema_metadata(None), plain, store_schema=False)
+    table.with_columns(frame=pl.when(pl.col("frame") > 0).then("frame")).write_parquet(nameless)
+    table.with_columns(total_ms=pl.lit(float("inf"))).write_parquet(endless)
+    for main, *more in ((report.main,), (check.main,), (trajectory.main,), (find.main, "true"), (compare.main, plain)):
+        code, _, err = outcome(main, capsys, plain, *more)
+        assert (code, err.count("\n") <= 1) == (code, True), err
+        for path, column in ((nameless, "frame"), (endless, "total_ms")):
+            code, out, err = outcome(main, capsys, path, *more)
+            assert (out, err.count("\n")) == ("", 1)
+            assert f"column {column} has rows without a value" in err
+
+
+@pytest.mark.promise("Settings and tables", "A criteria file with thousands of criteria is checked in linear time")
+def test_many_criteria_take_linear_time(tmp_path, table, capsys):
+    table.write_parquet(tmp_path / "a.metrics.parquet")
+    one = "[[criterion]]\nname = 'c{}'\ncolumn = 'frame'\nstatistic = 'max'\nmost = 99\nfilter = 'frame < {}'\n"
+    (tmp_path / "c.toml").write_text("".join(one.format(k, k) for k in range(1, 1001)))
+    began_s = process_time()
+    code, out, _ = outcome(check.main, capsys, tmp_path / "a.metrics.parquet", "--criteria", tmp_path / "c.toml")
+    assert (code, "1000 passed" in out) == (0, True)
+    assert process_time() - began_s < 20
 
 
 @pytest.mark.promise("Settings and tables", "A panic in polars gives a one-line error")

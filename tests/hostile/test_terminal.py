@@ -9,8 +9,10 @@ import sys
 
 import pytest
 
+from roadperc_stream.cli import check, report
 from roadperc_stream.system.text import shown
 from tests.commands import run_forked, words
+from tests.eval.tables import outcome, row, write
 from tests.hostile.inputs import COMMANDS, EVIL, SHOWN, taint, topic_options, write_log
 from tests.view.live.client import Viewer
 
@@ -98,6 +100,23 @@ def test_every_command_prints_escaped_text(folder, case):
         assert any(EVIL in channel["topic"] for channel in json.loads(done.stdout)["channels"])
     if case == "report":
         assert "\x1b" not in (folder / "a.html").read_text()
+
+
+@pytest.mark.promise("The terminal", "Names reach Markdown and JUnit files without HTML and control characters")
+def test_names_in_results_for_pages_are_escaped(tmp_path, capsys):
+    name = f"<img src=x onerror=alert(1)>&#x202e;{EVIL[:10]}{EVIL[-8:]}"
+    table = write(tmp_path / f"{name}.metrics.parquet", [row(k, lane_left_status=name) for k in range(3)])
+    (tmp_path / "c.toml").write_text("[[criterion]]\ncolumn = 'frame'\nstatistic = 'max'\nmost = 1\nper_log = true\n")
+    files = ("--markdown", tmp_path / "a.md", "--junit", tmp_path / "a.xml")
+    for main, *options in ((report.main, "--by", "lane_left_status"), (check.main, "--criteria", tmp_path / "c.toml")):
+        outcome(main, capsys, table, *options, *files)
+        for path in (tmp_path / "a.md", tmp_path / "a.xml"):
+            text = path.read_text("utf-8")
+            assert not COMMANDS & set(text)
+            assert "<img" not in text
+            assert "&#x202e;" not in text
+        assert "&lt;img" in (tmp_path / "a.md").read_text("utf-8")
+    assert "&lt;img" in (tmp_path / "a.xml").read_text("utf-8")
 
 
 @pytest.mark.promise("The terminal", "Text that a client sends to the live server is escaped when the SDK logs it")

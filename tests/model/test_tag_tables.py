@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from roadperc_stream.config.settings import read_toml
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.model import tag_tables as s
 
@@ -96,14 +97,14 @@ road = ["#010203", "#000000"]
 def test_a_table_of_ones_own_travels_as_its_classes(tmp_path):
     path = tmp_path / "own.toml"
     path.write_text(OWN)
-    table = s.load_table(path)
+    table = s.table_of(read_toml(path), str(path))
     assert table.names == ("unlabeled", "road", "unlabeled", "road", "unlabeled", "unlabeled", "unlabeled", "car")
     assert table.tag_by_colour == {(255, 0, 255): 7, (1, 2, 3): 1, (0, 0, 0): 1}
     assert (table.gaps, table.instances_per_tag, table.title) == ({0, 2, 4, 5, 6}, 100, str(path))
     read = s.table_named(table.name)
     assert (table.name, read.names) == (f"classes:{','.join(table.names)}", table.names)
     path.write_text("[tags]\nroad = 0\n")
-    assert s.load_table(path).tag_by_colour == {(128, 64, 128): 0}
+    assert s.table_of(read_toml(path), str(path)).tag_by_colour == {(128, 64, 128): 0}
 
 
 @pytest.mark.parametrize(
@@ -124,7 +125,7 @@ def test_a_wrong_table_is_named(tmp_path, text, words):
     path = tmp_path / "own.toml"
     path.write_text(text)
     with pytest.raises(ConfigError) as fault:
-        s.load_table(path)
+        s.table_of(read_toml(path), str(path))
     assert str(fault.value).startswith(f"{path}: ")
     assert words in str(fault.value)
 

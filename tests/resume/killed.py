@@ -1,4 +1,4 @@
-"""``roadperc-replay`` in a process that is killed: ``N SECONDS ARGUMENTS``.
+"""A command in a process that is killed: ``N SECONDS COMMAND ARGUMENTS``.
 
 It is killed before the N-th rename, removal or sync, or after SECONDS of CPU time after the imports (0: never).
 """
@@ -7,10 +7,9 @@ import os
 import shutil
 import signal
 import sys
+from importlib import import_module
 from itertools import count
 from pathlib import Path
-
-from roadperc_stream.cli import replay
 
 
 def main():
@@ -27,4 +26,4 @@ def main():
     for owner, name in ((Path, "replace"), (Path, "unlink"), (shutil, "rmtree"), (os, "fsync")):
         setattr(owner, name, before(getattr(owner, name)))
     signal.setitimer(signal.ITIMER_PROF, after_s)  # without a handler, the signal ends the process
-    return replay.main(sys.argv[3:])
+    return import_module(f"roadperc_stream.cli.{sys.argv[3]}").main(sys.argv[4:])

@@ -42,7 +42,9 @@ def undisturbed(source):
 
 def killed_replay(source, target, *options, kill_before=0, kill_after_s=0.0):
     settings = [part for setting in SETTINGS for part in ("--set", setting)]
-    return run_forked("tests.resume.killed", kill_before, kill_after_s, source, target, *settings, *EVERY, *options)
+    return run_forked(
+        "tests.resume.killed", kill_before, kill_after_s, "replay", source, target, *settings, *EVERY, *options
+    )
 
 
 def same(target, expected):

@@ -139,10 +139,10 @@ def dead_process():
 
 def test_partial_files_of_ended_processes_are_removed(tmp_path):
     dead, target = dead_process(), tmp_path / "out.mcap"
-    left = [f".out.mcap.{dead}.partial", f".out.mcap.{dead}.partial.mcap", f".out.mcap.{'9' * 30}.partial"]
+    names = (f"{dead}.partial", f"{dead}.partial.mcap", f"{dead}.partial.html", f"{'9' * 30}.partial")
+    left = [f".out.mcap.{name}" for name in names]
     kept = [
         f".out.mcap.{os.getppid()}.partial",  # of one that lives
-        f".out.mcap.{dead}.partial.html",
         f".other.mcap.{dead}.partial",
         f".out.mcap.5.{dead}.partial",  # of the target out.mcap.5
         f"out.mcap.{dead}.partial",
@@ -150,9 +150,11 @@ def test_partial_files_of_ended_processes_are_removed(tmp_path):
     ]
     for name in (*left, *kept):
         (tmp_path / name).write_bytes(b"")
-    (tmp_path / ".out.mcap.0.partial").mkdir()
+    folder = tmp_path / f".out.mcap.{dead}.partial.x1"  # a scratch folder
+    folder.mkdir()
+    (folder / "log.mcap").touch()
     remove_stale_partials(target)
-    assert {path.name for path in tmp_path.iterdir()} == {*kept, ".out.mcap.0.partial"}
+    assert {path.name for path in tmp_path.iterdir()} == set(kept)
     remove_stale_partials(tmp_path / "no folder" / "out.mcap")
 
 

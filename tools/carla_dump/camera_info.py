@@ -4,13 +4,14 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field, FiniteFloat, PositiveInt, TypeAdapter
+from pydantic import Field, PositiveInt, TypeAdapter
 
+from roadperc_stream.config.calibration import Number
 from roadperc_stream.errors import DumpError
 from roadperc_stream.input.projections import require_pinhole
 
 from .calibration_file import CalibrationFile
-from .json_files import Document, checked, read_yaml
+from .json_files import Document, Listed, checked, read_yaml
 
 SUFFIXES = (".yaml", ".yml")
 
@@ -18,7 +19,7 @@ SUFFIXES = (".yaml", ".yml")
 class _Matrix(Document):
     rows: PositiveInt
     cols: PositiveInt
-    data: list[FiniteFloat]
+    data: Listed[Number]
 
 
 class _CameraInfo(Document):

@@ -1,16 +1,27 @@
 """Read the detections of a dump: the project's JSON, COCO results or KITTI label files."""
 
-import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from pydantic import FiniteFloat, TypeAdapter
+from pydantic import TypeAdapter
 
+from roadperc_stream.config.calibration import Number, Numbers4
 from roadperc_stream.errors import DumpError
 from roadperc_stream.model import Box, Detection
 
-from .json_files import Document, Numbers4, by_frame, checked, frame_number, read_json, read_lines
+from .json_files import (
+    Document,
+    Id,
+    Listed,
+    by_frame,
+    checked,
+    checked_entries,
+    frame_number,
+    numbers,
+    read_json,
+    read_lines,
+)
 
 Detections = dict[int, tuple[Detection, ...]]
 
@@ -37,18 +48,18 @@ KITTI_IGNORED: Final = "DontCare"
 class _Entry(Document):
     label: str
     box_px: Numbers4
-    score: FiniteFloat = 1.0
-    id: str | int = ""
+    score: Number = 1.0
+    id: Id = ""
 
 
 class _CocoEntry(Document):
-    image_id: str | int
+    image_id: Id
     bbox: Numbers4
-    score: FiniteFloat = 1.0
+    score: Number = 1.0
     category_id: int | None = None
     category: str | None = None
     label: str | None = None
-    id: str | int = ""
+    id: Id = ""
 
 
 class _Category(Document):
@@ -57,7 +68,7 @@ class _Category(Document):
 
 
 class _Image(Document):
-    id: str | int
+    id: Id
     file_name: str
 
 
@@ -70,7 +81,7 @@ def load_detections(path: Path) -> tuple[Detections, str, tuple[str, ...]]:
     data = read_json(path)
     if isinstance(data, list) or (isinstance(data, dict) and any(isinstance(data.get(k), list) for k in _COCO_LISTS)):
         return _coco(path, data)
-    frames = by_frame(path, checked(path, TypeAdapter(dict[str, list[_Entry]]), data))
+    frames = by_frame(path, checked_entries(path, TypeAdapter(Listed[_Entry]), data))
     return {n: tuple(_detection(path, n, e) for e in entries) for n, entries in frames.items()}, "boxes by frame", ()
 
 
@@ -93,9 +104,9 @@ def _coco(path: Path, data: Any) -> tuple[Detections, str, tuple[str, ...]]:
     """Read COCO results (a list), or an object with a list of annotations, and optional images and categories."""
     tree: Mapping[str, Any] = data if isinstance(data, dict) else {"annotations": data}
     listed = next(tree[key] for key in _COCO_LISTS if isinstance(tree.get(key), list))
-    entries = checked(path, TypeAdapter(list[_CocoEntry]), listed, _COCO_HINT)
-    categories = checked(path, TypeAdapter(list[_Category]), tree.get("categories") or [])
-    images = checked(path, TypeAdapter(list[_Image]), tree.get("images") or [])
+    entries = checked(path, TypeAdapter(Listed[_CocoEntry]), listed, hint=_COCO_HINT)
+    categories = checked(path, TypeAdapter(Listed[_Category]), tree.get("categories") or [])
+    images = checked(path, TypeAdapter(Listed[_Image]), tree.get("images") or [])
     names = {category.id: category.name for category in categories} or COCO_LABELS
     files = {str(image.id): Path(image.file_name).stem for image in images}
     frames: dict[int, list[Detection]] = {n: [] for name in files.values() if (n := frame_number(name)) is not None}
@@ -145,10 +156,6 @@ def kitti_detection(where: str, fields: list[str]) -> Detection:
     """
     if len(fields) not in (_KITTI_COLUMNS, _KITTI_COLUMNS + 1):
         raise DumpError(f"{where}: expected {_KITTI_COLUMNS} or {_KITTI_COLUMNS + 1} KITTI columns, got {len(fields)}")
-    try:
-        x_min, y_min, x_max, y_max, *_, score = map(float, (*fields[4:_KITTI_COLUMNS], (*fields[15:], "1")[0]))
-    except ValueError as error:
-        raise DumpError(f"{where}: {error}") from error
-    if not all(map(math.isfinite, (x_min, y_min, x_max, y_max, score))):
-        raise DumpError(f"{where}: expected finite numbers, got {' '.join(fields)}")
+    found = numbers(where, (*fields[4:_KITTI_COLUMNS], (*fields[15:], "1")[0]))
+    x_min, y_min, x_max, y_max, *_, score = found.tolist()
     return Detection(fields[0], checked_box(where, x_min, y_min, x_max + 1.0, y_max + 1.0), score)

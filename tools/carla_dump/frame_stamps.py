@@ -3,7 +3,6 @@
 A file has one stamp per line, or is a table whose first line names the columns, such as EuRoC's ``data.csv``.
 """
 
-import csv
 import re
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -14,9 +13,10 @@ from pathlib import Path
 from typing import Final
 
 from roadperc_stream.errors import DumpError
+from roadperc_stream.system.text import in_brief, whole_number
 from roadperc_stream.system.time import NS_PER_S
 
-from .json_files import EPOCH_NS, frame_number, read_lines
+from .json_files import EPOCH_NS, frame_number, read_lines, read_rows
 
 _UNITS: Final = {"ns": 9, "nsec": 9, "nanoseconds": 9, "us": 6, "ms": 3, "s": 0, "sec": 0, "seconds": 0}
 """Powers of ten of the units: 10^n per second."""
@@ -30,6 +30,10 @@ _UNIX_TIME_FROM_S: Final = 1_000_000_000
 _LIMIT_S: Final = 2**31
 """Limit of stamps in ROS messages, in 2038."""
 _DATE: Final = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(\.\d+)?Z?")
+_MOST_CHARACTERS: Final = 100
+"""Characters of a time."""
+_LONGEST_HEADER: Final = 10_000
+"""Characters of the names of columns."""
 
 
 def _column_table(path: Path, lines: Sequence[str]) -> list[tuple[int | None, int, int]]:
@@ -44,21 +48,25 @@ def _column_table(path: Path, lines: Sequence[str]) -> list[tuple[int | None, in
     """
     header = next(((place, line) for place, line in enumerate(lines) if line.strip()), None)
     separator = next((sign for sign in _SEPARATORS if header and sign in header[1]), None)
-    if header is None or separator is None or any(field[:1].isdigit() for field in header[1].split(separator)):
+    if header is None or separator is None or len(header[1]) > _LONGEST_HEADER:
+        return []
+    if any(field[:1].isdigit() for field in header[1].split(separator)):
         return []
     names = [_plain(name) for name in header[1].split(separator)]
     stamps = next((k for k, (name, _) in enumerate(names) if name in _STAMPS), None)
     if stamps is None:
-        raise DumpError(f"{path}: columns {header[1].strip()!r}: expected one of {', '.join(_STAMPS)}")
+        raise DumpError(f"{path}: columns {in_brief(header[1].strip())}: expected one of {', '.join(_STAMPS)}")
     frames = next((k for k, (name, _) in enumerate(names) if name in _FRAMES), None)
     files = next((k for k, (name, _) in enumerate(names) if name in _FILES), None)
     found: list[tuple[int | None, int, int]] = []
-    for line, row in enumerate(csv.reader(lines[header[0] + 1 :], delimiter=separator), header[0] + 2):
+    for line, row in enumerate(read_rows(path, lines[header[0] + 1 :], separator), header[0] + 2):
         if not row or row[0].startswith("#"):
             continue
         stamp = stamp_of_seconds(_in_seconds(row[stamps].strip(), names[stamps][1])) if stamps < len(row) else None
         if stamp is None:
-            raise DumpError(f"{path}: line {line}: expected a time in column {stamps + 1}, got {separator.join(row)!r}")
+            raise DumpError(
+                f"{path}: line {line}: expected a time in column {stamps + 1}, got {in_brief(separator.join(row))}"
+            )
         named = frames if frames is not None else files
         number = frame_number(Path(row[named].strip()).stem) if named is not None and named < len(row) else None
         found.append((number, stamp, line))
@@ -75,11 +83,8 @@ def _plain(name: str) -> tuple[str, str]:
 
 def _in_seconds(text: str, unit: str) -> str:
     """Return a time in seconds; without a unit, the unit is the one that puts it between 2001 and 2038."""
-    try:
-        value = Decimal(text)
-    except InvalidOperation:
-        return text
-    if not value.is_finite():
+    value = _decimal(text)
+    if value is None:
         return text
     digits = _UNITS.get(unit)
     if digits is None:
@@ -172,21 +177,28 @@ def _line(path: Path, text: str, line: int) -> tuple[int | None, int, int]:
     fields = [*text[: date.start()].split(), date.group()] if date else re.split(r"[,;\s]+", text)
     fields = [field.strip(",; ") for field in fields]
     stamp = _date_ns(date) if date else stamp_of_seconds(fields[-1])
-    if stamp is None or len(fields) not in (1, 2) or (len(fields) == 2 and not fields[0].isdigit()):
-        raise DumpError(f"{path}: line {line}: expected 'seconds' or 'frame seconds', got {text!r}")
-    return (int(fields[0]) if len(fields) == 2 else None, stamp, line)
+    number = whole_number(fields[0]) if len(fields) == 2 else None
+    if stamp is None or len(fields) not in (1, 2) or (len(fields) == 2 and number is None):
+        raise DumpError(f"{path}: line {line}: expected 'seconds' or 'frame seconds', got {in_brief(text)}")
+    return number, stamp, line
 
 
 def stamp_of_seconds(text: str) -> int | None:
     """Return the stamp in nanoseconds of seconds as text, or None if it is not a time."""
-    try:
-        seconds = Decimal(text)
-    except InvalidOperation:
-        return None
-    if not seconds.is_finite() or not 0 <= seconds < _LIMIT_S:
+    seconds = _decimal(text)
+    if seconds is None or not 0 <= seconds < _LIMIT_S:
         return None
     stamp = round(seconds * NS_PER_S) + (0 if seconds >= _UNIX_TIME_FROM_S else EPOCH_NS)
     return stamp if stamp < _LIMIT_S * NS_PER_S else None
+
+
+def _decimal(text: str) -> Decimal | None:
+    """Return a finite number of at most ``_MOST_CHARACTERS``, or None."""
+    try:
+        value = Decimal(text) if len(text) <= _MOST_CHARACTERS else None
+    except InvalidOperation:
+        return None
+    return value if value is not None and value.is_finite() and abs(value.adjusted()) < _MOST_CHARACTERS else None
 
 
 def _date_ns(date: re.Match[str]) -> int | None:

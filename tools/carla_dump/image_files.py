@@ -9,10 +9,13 @@ from PIL import Image as PillowImage
 
 from roadperc_stream.errors import DumpError
 from roadperc_stream.formats.images import PNG_MAGIC, format_of
+from roadperc_stream.system.files import open_file, read_file
 
 ImageFormat = Literal["png", "jpeg"]
 _PNG_MODES: Final = {0: "grey", 2: "RGB", 3: "palette", 4: "grey + alpha", 6: "RGBA"}
 _TAIL_BYTES: Final = 1024
+_MOST_BYTES: Final = 1024**3
+"""Largest file of a frame; a larger message would be beyond ``limits.record_mb``."""
 
 
 class UnreadableFrameError(DumpError):
@@ -39,7 +42,7 @@ def read_header(path: Path) -> tuple[tuple[int, int], str]:
         UnreadableFrameError: the file is empty, cut off, or neither PNG nor JPEG.
     """
     try:
-        with path.open("rb") as stream:
+        with open_file(path) as stream:
             head = stream.read(32)
             form = image_format(path, head)
             stream.seek(0, 2)
@@ -96,6 +99,6 @@ def read_bytes(path: Path) -> bytes:
         UnreadableFrameError: the file cannot be read.
     """
     try:
-        return path.read_bytes()
+        return read_file(path, _MOST_BYTES)
     except OSError as error:
         raise UnreadableFrameError(f"{path}: {error.strerror or error}") from error

@@ -1,29 +1,48 @@
-"""Read and check the documents of a dump; each error is a DumpError with file and key."""
+"""Read and check the documents of a dump and of datasets; each error is a DumpError with file and key.
 
+All layouts read files, JSON, numbers, poses and named paths with these functions.
+"""
+
+import csv
 import json
+import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from decimal import Decimal
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Annotated, Any, Final, TypeVar
 
+import numpy as np
 import yaml
-from pydantic import BaseModel, ConfigDict, FiniteFloat, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, FailFast, Field, TypeAdapter, ValidationError
 
+from roadperc_stream.config.calibration import LARGEST
 from roadperc_stream.config.complaints import complaint, key_of
 from roadperc_stream.errors import DumpError
-from roadperc_stream.system.text import in_brief
+from roadperc_stream.geometry import Float, is_rotation, rigid
+from roadperc_stream.system.files import is_inside, read_file
+from roadperc_stream.system.text import in_brief, whole_number
 from roadperc_stream.system.time import NS_PER_S
 
 T = TypeVar("T")
-Numbers3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-Numbers4 = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
-_SHOWN_CHARACTERS = 80
+Id = Annotated[int, Field(ge=-(2**63), lt=2**63)] | str
+Listed = Annotated[list[T], FailFast()]
+"""A list whose check ends at the first wrong item."""
+_MOST_BYTES: Final = 2_000_000_000
+"""Largest document; the largest tables of nuScenes have 1.3 GB."""
+_MOST_LINES_BYTES: Final = 100_000_000
+_MOST_LINES: Final = 5_000_000
+"""Most lines of a text; 69 hours at 20 Hz."""
+_MOST_YAML_BYTES: Final = 1_000_000
+"""Largest YAML; the usual ones have 1 kB, and PyYAML takes seconds for a megabyte."""
+_MOST_VALUES: Final = 50_000_000
+"""Most values of a JSON document, which take 50 to 100 bytes each in memory."""
+_SHOWN_CHARACTERS: Final = 80
 EPOCH_NS: Final = 1_577_836_800 * NS_PER_S
 """2020-01-01T00:00:00Z: time 0 of every dump, so that a conversion is reproducible."""
-_SECONDS = re.compile(r"(?<![0-9A-Za-z.])[0-9]{1,7}\.[0-9]{1,20}(?=[^0-9.]*$)")
+_SECONDS: Final = re.compile(r"(?<![0-9A-Za-z.])[0-9]{1,7}\.[0-9]{1,20}(?=[^0-9.]*$)")
 """The last number of a name, as a simulation writes its time; longer numbers are dates and Unix time."""
-_UNIX_SECONDS = re.compile(r"(?<![0-9.])([12][0-9]{9})\.([0-9]{1,9})(?![0-9])")
+_UNIX_SECONDS: Final = re.compile(r"(?<![0-9.])([12][0-9]{9})\.([0-9]{1,9})(?![0-9])")
 
 
 class Document(BaseModel):
@@ -32,50 +51,126 @@ class Document(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
 
-def read_json(path: Path) -> Any:
-    """Return the content of a JSON file.
+def read_text(path: Path, most_bytes: int = _MOST_BYTES) -> str:
+    """Return the content of a text file.
 
     Raises:
-        DumpError: the file cannot be read, or is not JSON.
+        DumpError: the file cannot be read, is too large, or is not text.
     """
     try:
-        return json.loads(path.read_bytes())
-    except OSError as error:
-        raise DumpError(f"{path}: {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:
-        raise DumpError(f"{path}: not JSON: {error}") from error
-
-
-def read_yaml(path: Path) -> Any:
-    """Return the content of a YAML file.
-
-    Raises:
-        DumpError: the file cannot be read, or is not YAML.
-    """
-    try:
-        return yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise DumpError(f"{path}: {error.strerror or error}") from error
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
-        raise DumpError(f"{path}: not YAML: {' '.join(str(error).split())}") from error
-
-
-def read_lines(path: Path) -> list[str]:
-    """Return the lines of a text file.
-
-    Raises:
-        DumpError: the file cannot be read.
-    """
-    try:
-        return path.read_text(encoding="utf-8-sig").splitlines()
+        return read_file(path, most_bytes).decode("utf-8-sig")
     except OSError as error:
         raise DumpError(f"{path}: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
         raise DumpError(f"{path}: not a text file in UTF-8: {error.reason} at byte {error.start}") from error
 
 
-def checked(path: Path | str, expected: TypeAdapter[T], data: Any, hint: str = "") -> T:
-    """Return data as the expected type.
+def read_lines(path: Path) -> list[str]:
+    """Return the lines of a text file; errors as in ``read_text``.
+
+    Raises:
+        DumpError: the file has too many lines.
+    """
+    lines = read_text(path, _MOST_LINES_BYTES).splitlines()
+    if len(lines) > _MOST_LINES:
+        raise DumpError(f"{path}: has {len(lines)} lines, expected {_MOST_LINES} at most")
+    return lines
+
+
+def read_json(path: Path) -> Any:
+    """Return the content of a JSON file; errors as in ``read_text`` and ``parsed_json``."""
+    return parsed_json(path, read_text(path))
+
+
+def read_yaml(path: Path) -> Any:
+    """Return the content of a YAML file; errors as in ``read_text``.
+
+    Raises:
+        DumpError: the file is not YAML.
+    """
+    try:
+        return yaml.safe_load(read_text(path, _MOST_YAML_BYTES))
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        raise DumpError(f"{path}: not YAML: {' '.join(str(error).split())}") from error
+
+
+def read_rows(path: Path, lines: Iterable[str], separator: str = ",") -> Iterator[list[str]]:
+    """Yield the fields of each line of a CSV table.
+
+    Raises:
+        DumpError: a field is longer than 128 kB.
+    """
+    try:
+        yield from csv.reader(lines, delimiter=separator)
+    except csv.Error as error:
+        raise DumpError(f"{path}: not a table: {error}") from error
+
+
+def parsed_json(where: Path | str, text: str) -> Any:
+    """Return the content of a JSON text.
+
+    Raises:
+        DumpError: the text is not JSON, nested too deeply, or has too many values; the message begins with ``where``.
+    """
+    if sum(map(text.count, "[{,")) > _MOST_VALUES:
+        raise DumpError(f"{where}: more than {_MOST_VALUES} values")
+    try:
+        return json.loads(text)
+    except RecursionError as error:
+        raise DumpError(f"{where}: not JSON: nested too deeply") from error
+    except ValueError as error:
+        raise DumpError(f"{where}: not JSON: {error}") from error
+
+
+def numbers(where: str, words: Sequence[str]) -> Float:
+    """Return (N,) finite numbers of up to ``LARGEST`` from words.
+
+    Raises:
+        DumpError: a word is something else; the message begins with ``where``.
+    """
+    found = list(map(_number, words))
+    wrong = next((word for word, value in zip(words, found, strict=True) if not abs(value) <= LARGEST), None)
+    if wrong is not None:
+        raise DumpError(
+            f"{where}: expected finite numbers up to {LARGEST:g}, found {in_brief(wrong, _SHOWN_CHARACTERS)}"
+        )
+    return np.array(found, np.float64)
+
+
+def _number(word: str) -> float:
+    try:
+        return float(word)
+    except ValueError:
+        return float("nan")
+
+
+def pose(where: str, matrix: Float) -> Float:
+    """Return the (4, 4) pose of a (4, 4), (3, 4) or (3, 3) matrix.
+
+    Raises:
+        DumpError: the matrix is not a rotation and a translation; the message begins with ``where``.
+    """
+    result = np.eye(4)
+    result[: matrix.shape[0], : matrix.shape[1]] = matrix
+    if not is_rotation(result[:3, :3]) or result[3].tolist() != [0, 0, 0, 1]:
+        raise DumpError(f"{where}: expected a rotation without mirror and scale, found {result.tolist()}")
+    return rigid(result[:3, :3], result[:3, 3])
+
+
+def named_file(where: str, folder: Path, name: str) -> Path | None:
+    """Return the path of a file in a folder, as another file names it; None if there is no such file.
+
+    Raises:
+        DumpError: the path, or a link on it, leads out of the folder; the message begins with ``where``.
+    """
+    if not is_inside(folder / name, folder):
+        found = in_brief(name, _SHOWN_CHARACTERS)
+        raise DumpError(f"{where}: {found} leads out of {folder}; copy the files into this folder")
+    return folder / name if os.path.isfile(folder / name) else None  # noqa: PTH113 - false for a name too long
+
+
+def checked(path: Path | str, expected: TypeAdapter[T], data: Any, *place: str, hint: str = "") -> T:
+    """Return data as the expected type; ``place`` are the keys of the data in the file.
 
     Raises:
         DumpError: the data has another type; the message names file, key, error and value, and ends with ``hint``.
@@ -86,7 +181,16 @@ def checked(path: Path | str, expected: TypeAdapter[T], data: Any, hint: str = "
         first = error.errors()[0]
         said = complaint(first, _SHOWN_CHARACTERS)
         said += f" in {in_brief(first['input'], _SHOWN_CHARACTERS)}" * (said == "missing")
-        raise DumpError(f"{path}: {key_of(first['loc']) or 'the document'}: {said}{hint}") from error
+        raise DumpError(f"{path}: {key_of((*place, *first['loc'])) or 'the document'}: {said}{hint}") from error
+
+
+def checked_entries(path: Path, expected: TypeAdapter[T], data: Any, *place: str) -> dict[str, T]:
+    """Return the entries of an object, each as the expected type; arguments and errors as those of ``checked``.
+
+    The first wrong entry ends the check, because pydantic would collect the errors of all.
+    """
+    entries = checked(path, TypeAdapter(dict[str, Any]), data, *place)
+    return {name: checked(path, expected, entry, *place, name) for name, entry in entries.items()}
 
 
 def frame_number(name: str) -> int | None:
@@ -102,7 +206,7 @@ def frame_number(name: str) -> int | None:
     if seconds := _SECONDS.search(name):
         return EPOCH_NS + round(Decimal(seconds[0]) * NS_PER_S)
     groups = re.findall(r"[0-9]+", name)
-    return int(groups[-1]) if groups else None
+    return whole_number(groups[-1]) if groups else None
 
 
 def is_seconds(name: str) -> bool:

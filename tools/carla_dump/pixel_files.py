@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
 from roadperc_stream.model.tag_tables import Colour
+from roadperc_stream.system.files import open_file
 
 from .image_files import UnreadableFrameError, read_bytes, read_header, require_whole
 from .library_formats import EXR_MAGIC, HDF5_MAGIC, read_exr, read_hdf5
@@ -175,7 +176,7 @@ def file_size(path: Path) -> tuple[int, int] | None:
         UnreadableFrameError: the file is empty, cut off, or of an unknown format.
     """
     try:
-        with path.open("rb") as stream:
+        with open_file(path) as stream:
             head = stream.read(256)
     except OSError as error:
         raise UnreadableFrameError(f"{path}: {error.strerror or error}") from error

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.geometry import Float32
+from roadperc_stream.system.files import open_file
 
 from .image_files import UnreadableFrameError, read_bytes
 from .library_formats import LAS_MAGIC, read_las
@@ -56,7 +57,7 @@ def points_kind(path: Path) -> str:
         raise UnreadableFrameError(f"{path}: expected points as .ply, .npy, .bin, .las or .laz")
     magic, expected, kind = _KINDS[_suffix(path)]
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             start = file.read(len(NPY_MAGIC))
     except OSError as error:
         raise UnreadableFrameError(f"{path}: {error.strerror or error}") from error

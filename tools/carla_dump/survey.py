@@ -15,7 +15,7 @@ from roadperc_stream.input.rig import CAMERA_ROLES, LIDAR, Rig
 from roadperc_stream.schemas.roles import REFERENCE_ROLES, ROLES
 from roadperc_stream.system.time import ns_to_seconds, seconds_to_ns
 
-from .image_files import UnreadableFrameError, read_header
+from .image_files import UnreadableFrameError, read_bytes, read_header
 from .layout import Sensor
 from .pixel_files import file_size
 from .point_files import load_points, points_kind
@@ -66,7 +66,7 @@ def _same_files(a: Mapping[int, Path], b: Mapping[int, Path]) -> bool:
     """Return True if all files have the same sizes, and the first files have the same bytes."""
     if a.keys() != b.keys() or any(a[number].stat().st_size != b[number].stat().st_size for number in a):
         return False
-    return a[min(a)].read_bytes() == b[min(b)].read_bytes()
+    return read_bytes(a[min(a)]) == read_bytes(b[min(b)])
 
 
 def surveyed(sensors: Mapping[str, Sensor]) -> dict[str, SensorSurvey]:

@@ -8,6 +8,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from roadperc_stream.config.settings import read_toml
 from roadperc_stream.errors import DumpError
 from roadperc_stream.formats.raster import PALETTE_TABLE, UNKNOWN, tags_by_code
 from roadperc_stream.model import Image, tag_tables
@@ -34,7 +35,7 @@ def named_table(name: str | None) -> tuple[TagTable, str] | None:
     if name is None:
         return None
     if name.endswith(".toml"):
-        return tag_tables.load_table(Path(name)), name
+        return tag_tables.table_of(read_toml(Path(name)), name), name
     return tag_tables.table_for_version(name), name if name in tag_tables.TABLES else f"CARLA {name}"
 
 

@@ -1,24 +1,35 @@
 """Ground truth of a dump by frame: poses, and lanes, surface and objects of ``truth.json``."""
 
-import csv
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from pydantic import AliasPath, ConfigDict, Field, FiniteFloat, PositiveInt, TypeAdapter
+from pydantic import AliasPath, ConfigDict, Field, PositiveInt, TypeAdapter
 
-from roadperc_stream.config.calibration import CarlaPose
+from roadperc_stream.config.calibration import CarlaPose, Number, Numbers3, Numbers4
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float, Plane
 from roadperc_stream.input.rig import right_handed
 from roadperc_stream.model import Boundary, Detection, HeightGrid, Lanes, Object, Objects, Side, Surface
 from roadperc_stream.model.results import LaneChange
+from roadperc_stream.system.text import in_brief
 
 from .detection_files import checked_box
-from .json_files import Document, Numbers3, Numbers4, by_frame, checked, read_json, read_lines
+from .json_files import (
+    Document,
+    Id,
+    Listed,
+    by_frame,
+    checked,
+    checked_entries,
+    read_json,
+    read_lines,
+    read_rows,
+)
 
+T = TypeVar("T")
 COLUMNS = ("frame", "x", "y", "z", "roll", "pitch", "yaw")
 
 
@@ -27,12 +38,12 @@ class _Transform(CarlaPose):
 
     model_config = ConfigDict(extra="ignore")
 
-    x: FiniteFloat = Field(validation_alias=AliasPath("location", "x"))
-    y: FiniteFloat = Field(validation_alias=AliasPath("location", "y"))
-    z: FiniteFloat = Field(validation_alias=AliasPath("location", "z"))
-    roll: FiniteFloat = Field(validation_alias=AliasPath("rotation", "roll"))
-    pitch: FiniteFloat = Field(validation_alias=AliasPath("rotation", "pitch"))
-    yaw: FiniteFloat = Field(validation_alias=AliasPath("rotation", "yaw"))
+    x: Number = Field(validation_alias=AliasPath("location", "x"))
+    y: Number = Field(validation_alias=AliasPath("location", "y"))
+    z: Number = Field(validation_alias=AliasPath("location", "z"))
+    roll: Number = Field(validation_alias=AliasPath("rotation", "roll"))
+    pitch: Number = Field(validation_alias=AliasPath("rotation", "pitch"))
+    yaw: Number = Field(validation_alias=AliasPath("rotation", "yaw"))
 
 
 def load_poses(path: Path) -> dict[int, Float]:
@@ -42,38 +53,38 @@ def load_poses(path: Path) -> dict[int, Float]:
         DumpError: the file is neither the expected JSON nor the expected table, or a value is not a pose.
     """
     if path.suffix == ".json":
-        poses: Mapping[str, CarlaPose | _Transform] = checked(path, TypeAdapter(dict[str, _Transform]), read_json(path))
+        poses: Mapping[str, CarlaPose | _Transform] = checked_entries(path, TypeAdapter(_Transform), read_json(path))
     else:
-        poses = checked(path, TypeAdapter(dict[str, CarlaPose]), _read_table(path))
+        poses = checked_entries(path, TypeAdapter(CarlaPose), _read_table(path))
     return {number: right_handed(pose) for number, pose in by_frame(path, poses).items()}
 
 
 def _read_table(path: Path) -> dict[str, dict[str, str]]:
     """Return the rows by frame of a table with a header line, separated by commas or spaces."""
     lines = [line for line in read_lines(path) if line.strip()]
-    split = list(csv.reader(lines)) if lines and "," in lines[0] else [line.split() for line in lines]
+    split = list(read_rows(path, lines)) if lines and "," in lines[0] else [line.split() for line in lines]
     rows = [[cell.strip() for cell in row] for row in split]
     header = [name.lower() for name in rows[0]] if rows else []
     if not set(COLUMNS) <= set(header):
-        raise DumpError(f"{path}: expected a header with {','.join(COLUMNS)}, got {','.join(header) or 'nothing'}")
+        raise DumpError(f"{path}: expected a header with {','.join(COLUMNS)}, got {in_brief(','.join(header))}")
     table: dict[str, dict[str, str]] = {}
     for line, row in enumerate(rows[1:], 2):
         if len(row) != len(header):
             raise DumpError(f"{path}: row {line}: expected {len(header)} values, got {len(row)}")
         entry = dict(zip(header, row, strict=True))
         if table.setdefault(entry["frame"], {}):
-            raise DumpError(f"{path}: row {line}: frame {entry['frame']} appears twice")
+            raise DumpError(f"{path}: row {line}: frame {in_brief(entry['frame'])} appears twice")
         table[entry["frame"]] = {name: entry[name] for name in COLUMNS[1:]}
     return table
 
 
 class _Boundary(Document):
-    offset_m: float
-    heading: float
-    curvature_per_m: float
+    offset_m: Number
+    heading: Number
+    curvature_per_m: Number
     inside: str = ""
     outside: str = ""
-    line_ego_m: list[Numbers3] = Field(default_factory=list)
+    line_ego_m: Listed[Numbers3] = Field(default_factory=list)
 
 
 class _Lanes(Document):
@@ -84,40 +95,34 @@ class _Lanes(Document):
 
 
 class _HeightGrid(Document):
-    x_min_m: float
-    y_min_m: float
-    step_m: Annotated[float, Field(gt=0)]
+    x_min_m: Number
+    y_min_m: Number
+    step_m: Annotated[Number, Field(gt=0)]
     columns: PositiveInt
     rows: PositiveInt
-    z_m: list[float]
+    z_m: Listed[Number]
 
 
 class _Surface(Document):
     normal: Numbers3
-    camera_height_m: Annotated[float, Field(gt=0)]
-    pitch: float
-    roll: float
-    a: float
-    b: float
-    d: float
+    camera_height_m: Annotated[Number, Field(gt=0)]
+    pitch: Number
+    roll: Number
+    a: Number
+    b: Number
+    d: Number
     height_grid: _HeightGrid | None = None
 
 
 class _Object(Document):
-    id: str | int
+    id: Id
     label: str
     box_px: Numbers4
-    distance_m: float | None = None
-    closing_speed_mps: float | None = None
+    distance_m: Number | None = None
+    closing_speed_mps: Number | None = None
     time_to_impact_s: float | None = None
-    lateral_m: float | None = None
+    lateral_m: Number | None = None
     in_path: bool | None = None
-
-
-class _Truth(Document):
-    lanes: dict[str, _Lanes] = Field(default_factory=dict)
-    surface: dict[str, _Surface] = Field(default_factory=dict)
-    objects: dict[str, list[_Object]] = Field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -138,13 +143,17 @@ def load_truth(path: Path, surface_frame_id: str) -> TruthTables:
     Raises:
         DumpError: the file is wrong; the message names file, key and error.
     """
-    truth = checked(path, TypeAdapter(_Truth), read_json(path))
+    truth = checked(path, TypeAdapter(dict[str, Any]), read_json(path))
+
+    def entries(key: str, expected: TypeAdapter[T]) -> dict[int, T]:
+        return by_frame(path, checked_entries(path, expected, truth.get(key, {}), key))
+
     return TruthTables(
-        {n: _lanes(lanes) for n, lanes in by_frame(path, truth.lanes).items()},
-        {n: _surface(path, n, s, surface_frame_id) for n, s in by_frame(path, truth.surface).items()},
+        {n: _lanes(lanes) for n, lanes in entries("lanes", TypeAdapter(_Lanes)).items()},
+        {n: _surface(path, n, s, surface_frame_id) for n, s in entries("surface", TypeAdapter(_Surface)).items()},
         {
-            n: Objects(tuple(_object(f"{path}: objects of frame {n}", entry) for entry in entries))
-            for n, entries in by_frame(path, truth.objects).items()
+            n: Objects(tuple(_object(f"{path}: objects of frame {n}", entry) for entry in objects))
+            for n, objects in entries("objects", TypeAdapter(Listed[_Object])).items()
         },
     )
 

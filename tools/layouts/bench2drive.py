@@ -9,20 +9,20 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from pydantic import FiniteFloat, TypeAdapter
+from pydantic import TypeAdapter
 
-from roadperc_stream.config.calibration import CarlaPose, Matrix3
+from roadperc_stream.config.calibration import CarlaPose, Matrix3, Number, Numbers3
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import EGO_R_OPTICAL, Float, inverse, rigid
 from roadperc_stream.input.rig import LIDAR, right_handed
 from roadperc_stream.model.tag_tables import classes_of_label
 
 from ..carla_dump.frame_stamps import stamps_of_rate
-from ..carla_dump.json_files import Document, Numbers3, checked
+from ..carla_dump.json_files import Document, Id, Listed, checked
 from ..carla_dump.layout import sensor_in
 from ..carla_dump.survey import surveyed
 from .boxes import LabelledBox, objects_of_boxes
-from .carla_files import Matrix4, folders_that, laz_sensor, numbered, read_document, right_handed_matrix
+from .carla_files import Halves, Matrix4, folders_that, laz_sensor, numbered, read_document, right_handed_matrix
 from .drive import ConvertOptions, Drive, choose_sequence
 from .front_rig import front_rig
 
@@ -46,9 +46,9 @@ class _Sensors(Document):
 
 
 class _Annotation(Document):
-    theta: float | None = None
+    theta: Number | None = None
     sensors: _Sensors
-    bounding_boxes: list[dict[str, Any]]
+    bounding_boxes: Listed[dict[str, Any]]
 
 
 class _Ego(Document):
@@ -57,10 +57,10 @@ class _Ego(Document):
 
 
 class _Actor(Document):
-    id: int | str = ""
+    id: Id = ""
     base_type: str | None = None
     center: Numbers3
-    extent: tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+    extent: Halves
     world2vehicle: Matrix4 | None = None
     world2ped: Matrix4 | None = None
 
@@ -102,7 +102,7 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
         np.array(front.intrinsic),
         "corner",
         (
-            right_handed_matrix(front.cam2ego) @ rigid(EGO_R_OPTICAL, np.zeros(3)),
+            right_handed_matrix(f"{clip}: cam2ego of CAM_FRONT", front.cam2ego) @ rigid(EGO_R_OPTICAL, np.zeros(3)),
             np.eye(4) if LIDAR in surveys else None,
         ),
     )
@@ -134,7 +134,7 @@ def _ego_pose(path: Path, found: _Annotation) -> Float | None:
         return None
     ego = checked(path, TypeAdapter(_Ego), row)
     if ego.world2ego is not None:
-        return inverse(right_handed_matrix(ego.world2ego))
+        return inverse(right_handed_matrix(f"{path}: world2ego", ego.world2ego))
     if found.theta is None:
         return None
     x, y, z = ego.location
@@ -151,7 +151,8 @@ def _boxes(path: Path, found: _Annotation, ego_T_world: Float) -> Iterator[Label
         if matrix is not None:
             x, y, z = actor.center
             length_m, width_m, height_m = (2 * half for half in actor.extent)
-            world_T_box = rigid(inverse(right_handed_matrix(matrix))[:3, :3], np.array([x, -y, z]))
+            world_R_box = inverse(right_handed_matrix(f"{path}: {actor.id}", matrix))[:3, :3]
+            world_T_box = rigid(world_R_box, np.array([x, -y, z]))
             kind = actor.base_type or ""
             label = "pedestrian" if actor.world2ped else (kind if classes_of_label(kind) else "vehicle")
             yield LabelledBox(label, ego_T_world @ world_T_box, (length_m, width_m, height_m), str(actor.id))

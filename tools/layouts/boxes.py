@@ -49,11 +49,12 @@ def _seen(camera: Camera, camera_T_ego: Float, boxes: Iterable[LabelledBox]) -> 
             )
 
 
-def box_distance_m(camera: Camera, camera_T_box: Float, size_m: Float) -> float:
+def box_distance_m(camera: Camera, camera_T_box: Float, size_m: Float) -> float | None:
     """Return the straight-line distance from the camera to the nearest point of a box inside the image's limits.
 
-    A box outside the view counts as a whole. Source: C. Lawson and R. Hanson, Solving Least Squares Problems (1974),
-    chapter 23: the point of least norm under linear inequalities is a nonnegative least squares problem.
+    A box outside the view counts as a whole. None if the numbers are too large for an answer. Source: C. Lawson and
+    R. Hanson, Solving Least Squares Problems (1974), chapter 23: the point of least norm under linear inequalities is
+    a nonnegative least squares problem.
 
     Args:
         camera: the camera; only its size and matrix are used.
@@ -66,14 +67,14 @@ def box_distance_m(camera: Camera, camera_T_box: Float, size_m: Float) -> float:
     bounds = np.concatenate((middle - size_m / 2, -middle - size_m / 2))
     limits = view_limits(camera)
     inside = _nearest_m(np.vstack((sides, limits)), np.concatenate((bounds, np.zeros(len(limits)))))
-    return _nearest_m(sides, bounds) if np.isnan(inside) else inside
+    return _nearest_m(sides, bounds) if inside is None else inside
 
 
-def _nearest_m(normals: Float, bounds: Float) -> float:
-    """Return the least norm of points with ``normals @ point >= bounds``, or NaN if there is no such point."""
+def _nearest_m(normals: Float, bounds: Float) -> float | None:
+    """Return the least norm of points with ``normals @ point >= bounds``; None without one."""
     from scipy.optimize import nnls  # its import takes half a second
 
     system = np.vstack((normals.T, bounds))
     weights, residual = nnls(system, np.array([0.0, 0.0, 0.0, 1.0]))
     *beside, last = system @ weights - (0.0, 0.0, 0.0, 1.0)
-    return float("nan") if residual < 1e-9 else float(np.linalg.norm(beside) / -last)
+    return None if residual < 1e-9 or last >= 0 else float(np.linalg.norm(beside) / -last)

@@ -2,25 +2,34 @@
 
 import ast
 import gzip
-import json
+import io
 import os
 import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
+from pydantic import Field
 
+from roadperc_stream.config.calibration import Number, Numbers4
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float
 from roadperc_stream.input.rig import LIDAR
+from roadperc_stream.system.files import read_file
 
-from ..carla_dump.json_files import Numbers4, frame_number
+from ..carla_dump.json_files import frame_number, parsed_json, pose
 from ..carla_dump.layout import Sensor
 from ..carla_dump.survey import points_fault
 
 Matrix4 = tuple[Numbers4, Numbers4, Numbers4, Numbers4]
-_LARGEST_BYTES: Final = 64_000_000
+_Half = Annotated[Number, Field(ge=0)]
+Halves = tuple[_Half, _Half, _Half]
+"""Half the length, width and height of a box, or the whole in TransFuser."""
+_MOST_BYTES: Final = 16_000_000
+"""Largest document of a frame; those of Bench2Drive have 100 kB."""
+_MOST_LITERAL: Final = 1_000_000
+"""Longest Python literal; its syntax tree takes hundreds of bytes for each character."""
 _MIRROR: Final = np.diag((1.0, -1.0, 1.0, 1.0))
 
 
@@ -31,18 +40,21 @@ def read_document(path: Path) -> Any:
         DumpError: the file cannot be read, is too large, or holds neither; the message names the line.
     """
     try:
-        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
-            data = file.read(_LARGEST_BYTES + 1)
-        if len(data) > _LARGEST_BYTES:
-            raise DumpError(f"{path}: more than {_LARGEST_BYTES // 1_000_000} MB")
+        data = read_file(path, _MOST_BYTES)
+        if path.suffix == ".gz":
+            data = gzip.GzipFile(fileobj=io.BytesIO(data)).read(_MOST_BYTES + 1)
         text = data.decode()
-    except (OSError, EOFError, zlib.error, UnicodeDecodeError) as error:
+    except OSError as error:
+        raise DumpError(f"{path}: {error.strerror or error}") from error
+    except (EOFError, zlib.error, UnicodeDecodeError) as error:
         raise DumpError(f"{path}: {error}") from error
+    if len(data) > _MOST_BYTES:
+        raise DumpError(f"{path}: is larger than {_MOST_BYTES // 1_000_000} MB without compression")
     try:
-        return json.loads(text)
-    except (ValueError, RecursionError) as error:
-        if "'" not in text:
-            raise DumpError(f"{path}: not JSON: {error}") from error
+        return parsed_json(path, text)
+    except DumpError:
+        if "'" not in text or len(text) > _MOST_LITERAL:
+            raise
     try:
         return ast.literal_eval(text)
     except (ValueError, SyntaxError, RecursionError, MemoryError) as error:
@@ -66,10 +78,13 @@ def folders_that(fits: Callable[[Path], bool], folder: Path) -> dict[str, Path]:
     return {name: folder / name for name in inside if fits(folder / name)}
 
 
-def right_handed_matrix(matrix: Matrix4) -> Float:
-    """Return the (4, 4) right-handed transform of a matrix of ``carla.Transform.get_matrix``, or of its inverse."""
-    mirrored: Float = _MIRROR @ np.array(matrix, np.float64) @ _MIRROR
-    return mirrored
+def right_handed_matrix(where: Path | str, matrix: Matrix4) -> Float:
+    """Return the (4, 4) right-handed transform of a matrix of ``carla.Transform.get_matrix``, or of its inverse.
+
+    Raises:
+        DumpError: it is not a rotation and a translation; the message begins with ``where``.
+    """
+    return pose(f"{where}", _MIRROR @ np.array(matrix, np.float64) @ _MIRROR)
 
 
 def laz_sensor(route: Path, frames: set[int], notes: list[str]) -> dict[str, Sensor]:

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from pydantic import FiniteFloat, TypeAdapter
+from pydantic import TypeAdapter
 
-from roadperc_stream.config.calibration import CarlaPose
+from roadperc_stream.config.calibration import CarlaPose, Number
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float, inverse, mounting, rigid
 from roadperc_stream.geometry.cameras import pinhole_of_fov
@@ -21,11 +21,11 @@ from roadperc_stream.input.rig import LIDAR, right_handed
 from ..carla_dump.calibration_file import CALIBRATION_NAME
 from ..carla_dump.depth_files import DepthEncoding
 from ..carla_dump.frame_stamps import stamps_of_rate
-from ..carla_dump.json_files import Document, Numbers3, checked
+from ..carla_dump.json_files import Document, Id, Listed, checked
 from ..carla_dump.layout import Sensor, sensor_in
 from ..carla_dump.survey import SensorSurvey, surveyed
 from .boxes import LabelledBox, objects_of_boxes
-from .carla_files import Matrix4, folders_that, laz_sensor, numbered, read_document, right_handed_matrix
+from .carla_files import Halves, Matrix4, folders_that, laz_sensor, numbered, read_document, right_handed_matrix
 from .drive import ConvertOptions, Drive, choose_sequence
 from .front_rig import front_rig
 
@@ -59,18 +59,18 @@ _FOLDERS: Final = frozenset(("rgb", "rgb_front", "measurements", "boxes", "label
 
 class _Measurement(Document):
     ego_matrix: Matrix4 | None = None
-    pos_global: tuple[FiniteFloat, FiniteFloat] | None = None
-    x: FiniteFloat | None = None
-    y: FiniteFloat | None = None
-    theta: FiniteFloat
+    pos_global: tuple[Number, Number] | None = None
+    x: Number | None = None
+    y: Number | None = None
+    theta: Number
 
 
 class _Label(Document):
     matrix: Matrix4 | None = None
     ego_matrix: Matrix4 | None = None
-    extent: Numbers3
+    extent: Halves
     num_points: int | None = None
-    id: int | str = ""
+    id: Id = ""
 
 
 def detect(folder: Path) -> bool:
@@ -160,7 +160,7 @@ def _poses(route: Path, notes: list[str]) -> dict[int, Float]:
         found = checked(path, TypeAdapter(_Measurement), read_document(path))
         x, y = found.pos_global or (found.x, found.y)
         if found.ego_matrix is not None:
-            poses[number] = right_handed_matrix(found.ego_matrix)
+            poses[number] = right_handed_matrix(f"{path}: ego_matrix", found.ego_matrix)
         elif x is not None and y is not None:
             poses[number] = right_handed(CarlaPose(x=x, y=y, z=0.0, yaw=float(np.rad2deg(found.theta))))
             is_flat = True
@@ -176,9 +176,9 @@ def _boxes(path: Path, world_T_ego: Float) -> Iterator[LabelledBox]:
     The origin of a vehicle is on the road below the middle of its box, that of a walker in the middle.
     TransFuser has height, length and width in ``extent``, carla_garage halves of length, width and height.
     """
-    for row in checked(path, TypeAdapter(list[dict[str, Any]]), read_document(path)):
-        kind = str(row.get("class"))
-        label = _LABELS.get(kind.lower())
+    for row in checked(path, TypeAdapter(Listed[dict[str, Any]]), read_document(path)):
+        kind = row.get("class")
+        label = _LABELS.get(kind.lower()) if isinstance(kind, str) else None
         if label is None or row.get("num_points") == 0 or row.get("distance") == -1:
             continue
         found = checked(path, TypeAdapter(_Label), row)
@@ -189,4 +189,5 @@ def _boxes(path: Path, world_T_ego: Float) -> Iterator[LabelledBox]:
         size_m = (b, c, a) if kind == "Car" else (2 * a, 2 * b, 2 * c)
         up_m = 0.0 if label == "pedestrian" else size_m[2] / 2
         middle = rigid(np.eye(3), np.array([0.0, 0.0, up_m]))
-        yield LabelledBox(label, inverse(world_T_ego) @ right_handed_matrix(matrix) @ middle, size_m, str(found.id))
+        world_T_base = right_handed_matrix(f"{path}: {kind} {found.id}", matrix)
+        yield LabelledBox(label, inverse(world_T_ego) @ world_T_base @ middle, size_m, str(found.id))

@@ -8,13 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float
 
 from ..carla_dump.frame_stamps import stamps_of_rate
-from ..carla_dump.json_files import read_lines
+from ..carla_dump.json_files import numbers, read_lines
 from ..carla_dump.layout import sensor_in
 from .drive import ConvertOptions, Drive, choose_sequence
 from .lane_labels import FLAGS, labelled_drive
@@ -53,11 +51,8 @@ def _lines(path: Path) -> list[Float]:
     """Return the lines of a file, each (N, 2) x, y in pixels."""
     found = []
     for k, text in enumerate(read_lines(path), 1):
-        try:
-            points = np.array(text.split(), np.float64).reshape(-1, 2)
-        except ValueError:
-            points = np.array([[np.nan]])
-        if not np.isfinite(points).all():
+        values = numbers(f"{path}: line {k}", text.split())
+        if len(values) % 2:
             raise DumpError(f"{path}: line {k}: expected pairs of x and y, found {text[:60]!r}")
-        found.append(points)
+        found.append(values.reshape(-1, 2))
     return found

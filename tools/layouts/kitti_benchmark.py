@@ -16,9 +16,10 @@ from roadperc_stream.geometry import Float, inverse, mounting, rigid
 from roadperc_stream.geometry.rotations import rotation_from_rpy
 from roadperc_stream.input.rig import LIDAR, Rig
 from roadperc_stream.model import Object
+from roadperc_stream.system.text import whole_number
 
 from ..carla_dump.detection_files import KITTI_IGNORED, kitti_detection
-from ..carla_dump.json_files import read_lines
+from ..carla_dump.json_files import numbers, read_lines
 from ..carla_dump.layout import sensor_in
 from ..carla_dump.survey import SensorSurvey, surveyed
 from . import kitti_calibration as kitti
@@ -59,12 +60,12 @@ def read_calibration(path: Path, surveys: Mapping[str, SensorSurvey], height_m: 
     matrices = kitti.read_matrices(path)
     camera0_T_lidar = ego_T_imu = None
     if LIDAR in surveys or any(name in matrices for name in _IMU):
-        rectification = kitti.square(kitti.matrix_of(path, matrices, "R_rect", "R0_rect"))
-        camera0_T_lidar = rectification @ kitti.square(kitti.matrix_of(path, matrices, "Tr_velo_cam", "Tr_velo_to_cam"))
+        rectification = kitti.pose_of(path, matrices, "R_rect", "R0_rect")
+        camera0_T_lidar = rectification @ kitti.pose_of(path, matrices, "Tr_velo_cam", "Tr_velo_to_cam")
     projections = {role: kitti.matrix_of(path, matrices, P) for role, P in _PROJECTIONS.items() if role in surveys}
     rig, ego_T_camera0 = kitti.rig(path, projections, surveys, camera0_T_lidar, height_m, number)
     if camera0_T_lidar is not None and any(name in matrices for name in _IMU):
-        ego_T_imu = ego_T_camera0 @ camera0_T_lidar @ kitti.square(kitti.matrix_of(path, matrices, *_IMU))
+        ego_T_imu = ego_T_camera0 @ camera0_T_lidar @ kitti.pose_of(path, matrices, *_IMU)
     return Calibration(rig, inverse(mounting(z=height_m)) @ ego_T_camera0, ego_T_imu)
 
 
@@ -80,21 +81,22 @@ def read_labels(path: Path, calibration: Calibration, before: int = 0) -> Iterat
         where, fields = f"{path}: line {at}", line.split()
         if not fields:
             continue
-        number, name = fields[:2] if before else (path.stem, f"{path.stem}/{at}")
-        if len(fields) - before not in (_COLUMNS, _COLUMNS + 1) or not number.isdecimal():
+        text, name = fields[:2] if before and len(fields) > 1 else (path.stem, f"{path.stem}/{at}")
+        number = whole_number(text)
+        if len(fields) - before not in (_COLUMNS, _COLUMNS + 1) or number is None:
             raise DumpError(
                 f"{where}: expected {before + _COLUMNS} columns of a label, found {len(fields)}: {line[:60]!r}"
             )
         if (found := _object(where, fields[before:], name, calibration)) is not None:
-            yield int(number), found
+            yield number, found
 
 
 def _object(where: str, fields: list[str], name: str, calibration: Calibration) -> Object | None:
     detection = kitti_detection(where, fields)
     if detection.label == KITTI_IGNORED:
         return None
-    height_m, width_m, length_m, x_m, y_m, z_m, rotation = shape = [float(text) for text in fields[8:_COLUMNS]]
-    if not np.isfinite(shape).all() or min(height_m, width_m, length_m) <= 0:
+    height_m, width_m, length_m, x_m, y_m, z_m, rotation = numbers(where, fields[8:_COLUMNS]).tolist()
+    if min(height_m, width_m, length_m) <= 0:
         raise DumpError(f"{where}: expected a 3D box with sizes above 0, found {' '.join(fields[8:_COLUMNS])}")
     camera0_T_box = rigid(rotation_from_rpy(0.0, rotation, 0.0), np.array((x_m, y_m - height_m / 2, z_m)))
     front_T_box, size_m = calibration.front_T_camera0 @ camera0_T_box, np.array((length_m, height_m, width_m))

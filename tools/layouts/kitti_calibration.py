@@ -3,6 +3,7 @@
 The matrices P0 to P3 project from the frame of the rectified left grey camera (camera 0: x right, y down, z forward).
 """
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
@@ -15,7 +16,7 @@ from roadperc_stream.input.projections import require_pinhole
 from roadperc_stream.input.rig import FRONT, LIDAR, RIGHT, Rig, Size
 from roadperc_stream.model import EGO, Transform
 
-from ..carla_dump.json_files import read_lines
+from ..carla_dump.json_files import numbers, pose, read_lines
 from ..carla_dump.layout import Sensor, sensor_in
 from ..carla_dump.survey import SensorSurvey
 from .drive import ConvertOptions
@@ -25,6 +26,7 @@ HEIGHT_M: Final = 1.65
 PIXEL_ORIGIN: Final = "the first pixel's centre, as KITTI has it"
 _PAIRS: Final = ((2, 3), (0, 1))
 """Left and right camera: colour, then grey."""
+_NUMBER: Final = re.compile(r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?")
 _SHAPES: Final = {12: (3, 4), 9: (3, 3)}
 
 
@@ -39,17 +41,15 @@ def read_matrices(path: Path) -> dict[str, Float]:
     found: dict[str, Float] = {}
     for at, line in enumerate(read_lines(path), 1):
         name, *words = line.replace(":", " ", 1).split() or [""]
-        try:
-            values = np.array(words, np.float64)
-        except ValueError as error:
-            if name.startswith(("P", "R", "T")):
-                raise DumpError(f"{path}: line {at}: {name}: {error}") from error
-            continue
-        if not np.isfinite(values).all():
-            raise DumpError(f"{path}: line {at}: {name}: expected finite numbers")
-        if len(values):
+        if words and (name.startswith(("P", "R", "T")) or all(map(_NUMBER.fullmatch, words))):
+            values = numbers(f"{path}: line {at}: {name}", words)
             found[name] = values.reshape(_SHAPES.get(len(values), (-1,)))
     return found
+
+
+def pose_of(path: Path, matrices: Mapping[str, Float], *names: str) -> Float:
+    """Return the (4, 4) pose with the first of these names; errors as in ``matrix_of`` and ``json_files.pose``."""
+    return pose(f"{path}: {' or '.join(names)}", matrix_of(path, matrices, *names))
 
 
 def matrix_of(path: Path, matrices: Mapping[str, Float], *names: str) -> Float:
@@ -91,13 +91,6 @@ def height_of(options: ConvertOptions, notes: list[str]) -> float:
     assumed = f"assumed: level cameras {HEIGHT_M} m above the road, as KITTI describes its car"
     notes += [] if options.height_m else [assumed]
     return options.height_m or HEIGHT_M
-
-
-def square(matrix: Float) -> Float:
-    """Return the (4, 4) matrix of a (3, 4) or (3, 3) one."""
-    result = np.eye(4)
-    result[:3, : matrix.shape[1]] = matrix
-    return result
 
 
 def camera_centre(where: str, P: Float) -> Float:

@@ -7,8 +7,6 @@ import re
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float, inverse
 from roadperc_stream.input.rig import LIDAR
@@ -16,7 +14,7 @@ from roadperc_stream.system.text import number
 
 from ..carla_dump.calibration_file import CALIBRATION_NAME
 from ..carla_dump.frame_stamps import mean_rate, stamps_by_line, stamps_of_rate
-from ..carla_dump.json_files import read_lines
+from ..carla_dump.json_files import numbers, pose, read_lines
 from ..carla_dump.layout import sensor_in
 from ..carla_dump.survey import surveyed
 from . import kitti_calibration as kitti
@@ -46,7 +44,7 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
     calibration = sequence / _CALIBRATION
     matrices = kitti.read_matrices(calibration)
     sensors, projections = kitti.cameras_of(sequence, _CAMERA, "P", calibration, matrices, notes)
-    camera0_T_lidar = kitti.square(kitti.matrix_of(calibration, matrices, "Tr")) if "Tr" in matrices else None
+    camera0_T_lidar = kitti.pose_of(calibration, matrices, "Tr") if "Tr" in matrices else None
     if (sequence / "velodyne").is_dir():
         if camera0_T_lidar is None:
             notes.append(f"velodyne/ is left out: {_CALIBRATION} has no Tr; KITTI's calibration archive has it")
@@ -113,11 +111,8 @@ def _poses(sequence: Path, ego_T_camera0: Float, notes: list[str]) -> dict[int, 
 
 def _pose(path: Path, number: int, line: str) -> Float:
     """Return the (4, 4) pose of camera 0 relative to the first frame."""
-    try:
-        values = np.array(re.split(r"[,\s]+", line.strip()), np.float64)
-    except ValueError as error:
-        raise DumpError(f"{path}: line {number + 1}: {error}") from error
-    finite = np.count_nonzero(np.isfinite(values))
-    if values.size != _POSE_NUMBERS or finite != values.size:
-        raise DumpError(f"{path}: line {number + 1}: expected 12 finite numbers, found {finite}: {line[:60]!r}")
-    return kitti.square(values.reshape(3, 4))
+    where = f"{path}: line {number + 1}"
+    values = numbers(where, re.split(r"[,\s]+", line.strip()))
+    if values.size != _POSE_NUMBERS:
+        raise DumpError(f"{where}: expected 12 finite numbers, found {values.size}: {line[:60]!r}")
+    return pose(where, values.reshape(3, 4))

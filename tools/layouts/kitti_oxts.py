@@ -13,6 +13,8 @@ from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float, inverse, rigid
 from roadperc_stream.geometry.rotations import rotation_from_rpy
 
+from ..carla_dump.json_files import numbers
+
 _RADIUS_M: Final = 6_378_137.0
 _NUMBERS: Final = 30
 
@@ -24,11 +26,8 @@ def packet(where: str, line: str) -> Float:
         DumpError: the line is not a packet; the message starts with ``where``.
     """
     words = line.split()
-    try:
-        values = np.array(words[:6], np.float64)
-    except ValueError as error:
-        raise DumpError(f"{where}: {error}") from error
-    if len(words) != _NUMBERS or not np.isfinite(values).all() or abs(values[0]) >= 90:
+    values = numbers(where, words[:6])
+    if len(words) != _NUMBERS or abs(values[0]) >= 90:
         raise DumpError(f"{where}: expected {_NUMBERS} numbers, a latitude first; found {len(words)}: {line[:60]!r}")
     return values
 

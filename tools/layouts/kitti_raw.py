@@ -10,12 +10,12 @@ from typing import Final
 import numpy as np
 
 from roadperc_stream.errors import DumpError
-from roadperc_stream.geometry import Float, rigid
+from roadperc_stream.geometry import Float
 from roadperc_stream.input.rig import LIDAR
 
 from ..carla_dump.calibration_file import CALIBRATION_NAME
 from ..carla_dump.frame_stamps import mean_rate, stamps_by_line
-from ..carla_dump.json_files import frame_number, read_lines
+from ..carla_dump.json_files import frame_number, pose, read_lines
 from ..carla_dump.layout import sensor_in
 from ..carla_dump.survey import surveyed
 from . import kitti_calibration as kitti
@@ -51,7 +51,7 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
         raise DumpError(f"{calibration}: no such file; put KITTI's calibration of the date beside the drive")
     matrices = kitti.read_matrices(calibration)
     sensors, projections = kitti.cameras_of(drive, _CAMERA, "P_rect_0", calibration, matrices, notes)
-    rectification = kitti.square(kitti.matrix_of(calibration, matrices, "R_rect_00"))
+    rectification = kitti.pose_of(calibration, matrices, "R_rect_00")
     camera0_T_lidar = _calibrated(calibration.with_name(_LIDAR_CALIBRATION), rectification)
     camera0_T_imu = _calibrated(calibration.with_name(_IMU_CALIBRATION), camera0_T_lidar)
     if (drive / _POINTS).is_dir() and camera0_T_lidar is None:
@@ -94,7 +94,7 @@ def _calibrated(path: Path, camera0_T_parent: Float | None) -> Float | None:
     rotation, shift_m = kitti.matrix_of(path, matrices, "R"), matrices.get("T", np.empty(0))
     if rotation.shape != (3, 3) or shift_m.shape != (3,):
         raise DumpError(f"{path}: expected R with 9 and T with 3 numbers, found {rotation.size} and {shift_m.size}")
-    return camera0_T_parent @ rigid(rotation, shift_m)
+    return camera0_T_parent @ pose(f"{path}: R and T", np.column_stack((rotation, shift_m)))
 
 
 def _stamps(drive: Path, front: Path, numbers: list[int], notes: list[str]) -> tuple[dict[int, int], str]:

@@ -7,13 +7,14 @@ constant speed, as in ``NuScenes.get_boxes`` of nuscenes-devkit.
 
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from math import hypot
 from pathlib import Path
 from typing import Annotated, Final, TypeVar
 
 import numpy as np
 from pydantic import AfterValidator, AliasChoices, Field, TypeAdapter
 
-from roadperc_stream.config.calibration import Matrix3, PositiveNumber
+from roadperc_stream.config.calibration import Matrix3, Numbers3, Numbers4, PositiveNumber
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float, inverse, rigid
 from roadperc_stream.geometry.rotations import rotation_from_quaternion
@@ -21,7 +22,7 @@ from roadperc_stream.input.rig import LIDAR
 from roadperc_stream.model.tag_tables import classes_of_label
 
 from ..carla_dump.frame_stamps import mean_rate
-from ..carla_dump.json_files import Document, Numbers3, Numbers4, checked, read_json
+from ..carla_dump.json_files import Document, Listed, checked, named_file, read_json
 from ..carla_dump.layout import Sensor
 from ..carla_dump.survey import surveyed
 from .boxes import LabelledBox, objects_of_boxes
@@ -31,11 +32,18 @@ from .front_rig import front_rig
 _CHANNELS: Final = {"image": "CAM_FRONT", LIDAR: "LIDAR_TOP"}
 _NEAREST_US: Final = 50_000
 """A box without a later or earlier sample of its object counts until this much before or after its sample."""
+_UNIT_TOLERANCE: Final = 0.01
 Microseconds = Annotated[int, Field(ge=0, lt=2**31 * 1_000_000)]
 
 
-Quaternion = Annotated[Numbers4, AfterValidator(lambda wxyz: rotation_from_quaternion(*wxyz) is not None and wxyz)]
-"""w, x, y, z of any length above zero."""
+def _unit(wxyz: Numbers4) -> Numbers4:
+    if abs(hypot(*wxyz) - 1) > _UNIT_TOLERANCE:
+        raise ValueError("expected a rotation, a quaternion of length 1")
+    return wxyz
+
+
+Quaternion = Annotated[Numbers4, AfterValidator(_unit)]
+"""w, x, y, z."""
 
 
 class _Row(Document):
@@ -97,7 +105,7 @@ class _Table(dict[str, T]):
 
     def __init__(self, version: Path, name: str, row: type[T]) -> None:
         self.path = version / f"{name}.json"
-        listed: TypeAdapter[list[T]] = TypeAdapter(list[row])  # type: ignore[valid-type]
+        listed: TypeAdapter[list[T]] = TypeAdapter(Listed[row])  # type: ignore[valid-type]
         rows = checked(self.path, listed, read_json(self.path)) if self.path.is_file() else []
         super().__init__({found.token: found for found in rows})
 
@@ -169,13 +177,18 @@ def _data(version: Path, samples: set[str], notes: list[str]) -> dict[str, list[
             channel = channels[sensors[row.calibrated_sensor_token].sensor_token].name
             found.setdefault(channel, []).append(row)
     used = {role: found.pop(name, []) for role, name in _CHANNELS.items()}
-    kept = {role: [row for row in rows if (version.parent / row.filename).is_file()] for role, rows in used.items()}
+    kept = {role: [row for row in rows if _is_there(version, row)] for role, rows in used.items()}
     if not kept["image"]:
         raise DumpError(f"{table.path}: no file of {_CHANNELS['image']} exists in {version.parent}")
     notes += [f"{', '.join(sorted(found))} are left out: CAM_FRONT is the front camera"] if found else []
     if lost := sum(map(len, used.values())) - sum(map(len, kept.values())):
         notes.append(f"{lost} files of {table.path.name} do not exist")
     return {role: rows for role, rows in kept.items() if rows}
+
+
+def _is_there(version: Path, row: _Data) -> bool:
+    where = f"{version / 'sample_data.json'}: filename of {row.token}"
+    return named_file(where, version.parent, row.filename) is not None
 
 
 def _boxes(

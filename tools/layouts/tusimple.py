@@ -4,7 +4,6 @@ Each line of a file labels one image, usually the last of its clip: columns of e
 where the lane has none. Clips are unrelated, so one begins every three seconds.
 """
 
-import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +16,7 @@ from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float
 from roadperc_stream.system.time import NS_PER_S
 
-from ..carla_dump.json_files import EPOCH_NS, Document, checked, read_lines
+from ..carla_dump.json_files import EPOCH_NS, Document, Listed, checked, named_file, parsed_json, read_lines
 from ..carla_dump.layout import Sensor, sensor_in
 from .drive import ConvertOptions, Drive
 from .lane_labels import FLAGS, labelled_drive
@@ -30,8 +29,8 @@ _Pixel = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 class _Label(Document):
     raw_file: str
-    lanes: list[list[_Pixel]]
-    h_samples: list[_Pixel]
+    lanes: Listed[Listed[_Pixel]]
+    h_samples: Listed[_Pixel]
 
 
 def detect(folder: Path) -> bool:
@@ -47,7 +46,7 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
     """
     options.require_only(folder, *FLAGS)
     wanted = f"{folder / 'clips' / (options.sequence or '.')}"
-    labels = {image: lines for image, lines in _labels(folder) if f"{image}".startswith(wanted) and image.is_file()}
+    labels = {image: lines for image, lines in _labels(folder) if f"{image}".startswith(wanted)}
     clips = sorted({image.parent for image in labels})
     if not clips:
         raise DumpError(f"{folder}: the labels name no image in clips/{options.sequence or ''}")
@@ -68,15 +67,13 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _labels(folder: Path) -> Iterator[tuple[Path, list[Float]]]:
-    """Yield the labelled images and their lines in pixels, without absent points."""
+    """Yield the labelled images that exist and their lines in pixels, without absent points."""
     for place, text in (
         (f"{path}: line {k}", text) for path in _files(folder) for k, text in enumerate(read_lines(path), 1)
     ):
-        try:
-            label = checked(place, TypeAdapter(_Label), json.loads(text or "null"))
-        except ValueError as error:
-            raise DumpError(f"{place}: not JSON: {error}") from error
-        if any(len(columns) != len(label.h_samples) for columns in label.lanes) or ".." in Path(label.raw_file).parts:
-            raise DumpError(f"{place}: expected raw_file below clips, and a column of each lane at each of h_samples")
+        label = checked(place, TypeAdapter(_Label), parsed_json(place, text or "null"))
+        if any(len(columns) != len(label.h_samples) for columns in label.lanes):
+            raise DumpError(f"{place}: expected a column of each lane at each of h_samples")
         lines = [np.column_stack((columns, label.h_samples)) for columns in label.lanes]
-        yield folder / label.raw_file, [line[line[:, 0] >= 0] for line in lines]
+        if image := named_file(f"{place}: raw_file", folder, label.raw_file):
+            yield image, [line[line[:, 0] >= 0] for line in lines]

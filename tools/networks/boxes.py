@@ -51,7 +51,7 @@ def decoded(network: Network, keys: DetectionKeys, outputs: list[Float32]) -> Bo
 
 def _joined(network: Network, outputs: list[Float32]) -> Boxes:
     """Boxes that the model has decoded: rows of four corners, score, class; or corners, scores and classes apart."""
-    flat = [output.reshape(-1, output.shape[-1] if output.ndim > 1 else 1) for output in outputs]
+    flat = [output.reshape(-1, max(output.shape[-1], 1) if output.ndim > 1 else 1) for output in outputs]
     if len(outputs) == 3:  # boxes, scores, classes
         flat = [flat[0], *(output.reshape(-1, 1) for output in flat[1:])]
     columns = sum(output.shape[1] for output in flat)

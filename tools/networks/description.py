@@ -1,6 +1,7 @@
 """Description of a network, from a TOML file: its model, input, outputs, classes and corrections."""
 
 import hashlib
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, Literal
@@ -8,14 +9,18 @@ from typing import Annotated, Final, Literal
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError, field_validator, model_validator
 
 from roadperc_stream.config.complaints import complaint, key_of
-from roadperc_stream.config.settings import MOST_BYTES, parsed_toml
+from roadperc_stream.config.settings import read_toml
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.model.tag_tables import UNLABELED, TagTable, table_of_classes
+from roadperc_stream.system.files import read_file
 from roadperc_stream.system.text import nearest
 
 Share = Annotated[float, Field(gt=0, le=1)]
+Side = Annotated[int, Field(ge=1, le=8192)]
 Numbers = tuple[float, float, float]
 _SHOWN: Final = 80
+_MOST_MODEL_BYTES: Final = 2**31
+"""A model in one file is smaller: it is a protobuf message."""
 
 
 class _Keys(BaseModel):
@@ -25,7 +30,7 @@ class _Keys(BaseModel):
 class InputKeys(_Keys):
     """How an image becomes the model's input: ``(pixel - mean) * scale`` of pixels from 0 to 255."""
 
-    size: tuple[PositiveInt, PositiveInt]
+    size: tuple[Side, Side]
     """Columns and rows."""
     layout: Literal["NCHW", "NHWC"] = "NCHW"
     colours: Literal["rgb", "bgr"] = "rgb"
@@ -74,7 +79,7 @@ class SegmentationKeys(_OutputKeys):
 
     @model_validator(mode="after")
     def _numbered(self) -> "SegmentationKeys":
-        if self.decoder == "semantic" and not all(key.isdecimal() for key in self.classes):
+        if self.decoder == "semantic" and not all(re.fullmatch("[0-9]{1,4}", key) for key in self.classes):
             raise ValueError(f"classes: expected numbers of channels as keys, found {', '.join(self.classes)}")
         return self
 
@@ -100,7 +105,7 @@ class DetectionKeys(_OutputKeys):
     classes: dict[Annotated[int, Field(ge=0)], str] = Field(min_length=1)
     outputs: tuple[str, ...] = ()
     """Names of the outputs; empty for the model's own."""
-    strides: tuple[PositiveInt, ...] = (8, 16, 32)
+    strides: Annotated[tuple[PositiveInt, ...], Field(min_length=1, max_length=8)] = (8, 16, 32)
     min_score: Share = 0.3
     max_overlap: Share = 0.45
     """Largest intersection over union of two boxes, whatever their classes."""
@@ -156,14 +161,19 @@ def read_network(path: Path) -> Network:
     Raises:
         ConfigError: a file cannot be read, a key is invalid, or the model's digest is not the stated one.
     """
+    tree = read_toml(path)
     try:
-        keys = NetworkKeys.model_validate(parsed_toml(_bytes_of(path, MOST_BYTES + 1)))
+        keys = NetworkKeys.model_validate(tree)
     except ConfigError as error:
-        raise error if str(path) in str(error) else ConfigError(f"{path}: {error}") from error
+        raise ConfigError(f"{path}: {error}") from error
     except ValidationError as error:
         raise ConfigError(f"{path}: {_complaint(error)}") from error
     file = path.parent / keys.file
-    model = _bytes_of(file, -1, hint=f", named by {path}" + f"; download it from {keys.source}" * bool(keys.source))
+    hint = f", named by {path}" + f"; download it from {keys.source}" * bool(keys.source)
+    try:
+        model = read_file(file, _MOST_MODEL_BYTES)
+    except OSError as error:
+        raise ConfigError(f"{file}: {error.strerror or error}{hint}") from error
     digest = hashlib.sha256(model).hexdigest()
     if keys.sha256 not in ("", digest):
         raise ConfigError(
@@ -171,14 +181,6 @@ def read_network(path: Path) -> Network:
             "the key sha256 if the model is the right one"
         )
     return Network(path, keys, model, digest)
-
-
-def _bytes_of(path: Path, most: int, hint: str = "") -> bytes:
-    try:
-        with path.open("rb") as stream:
-            return stream.read(most)
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror or error}{hint}") from error
 
 
 def _complaint(error: ValidationError) -> str:

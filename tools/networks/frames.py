@@ -19,9 +19,13 @@ from .description import DetectionKeys, Network, SegmentationKeys
 from .pixels import as_seen, placement, require_orientation, tensor
 from .plausibility import ROAD
 from .semantic import HorizonEstimate, RoadMasks, corrected, full_size_scores, seen_mask
-from .session import Session, open_session, require_output
+from .session import Session, limited_memory, open_session, require_output
 
 MARKING: Final = "road_line"
+_MOST_NUMBERS: Final = 1 << 28
+"""In one output: more than 100 classes at 1920x1080 pixels."""
+_MOST_CHANNELS: Final = 256
+"""Each takes an image of scores."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +73,26 @@ class Pair:
             None if self.segmentation is None else class_masks(*self.segmentation, bgr),
             None if self.detections is None else object_boxes(*self.detections, bgr),
         )
+
+    def varying(self, bgr: Image) -> list[str]:
+        """Run each network twice on an (H, W, 3) image, and return a warning for each whose outputs differ.
+
+        No other thread may run, because the memory is limited meanwhile.
+
+        Raises:
+            ConfigError: as ``raw``.
+        """
+        warnings = []
+        for network, session in self.sessions.values():
+            with limited_memory():
+                pairs = zip(*(_outputs(network, session, bgr) for _ in range(2)), strict=True)
+                same = [np.array_equal(one, other, equal_nan=True) for one, other in pairs]
+            if differing := [name for name, is_same in zip(session.outputs, same, strict=True) if not is_same]:
+                warnings.append(
+                    f"{network.keys.file}: output {', '.join(differing)} differs between two runs on the first image: "
+                    "the model uses random numbers; export it for inference, or every run writes another log"
+                )
+        return warnings
 
     def results(
         self, raw: RawResult, horizon: HorizonEstimate, camera_height_m: float
@@ -127,14 +151,15 @@ def class_masks(network: Network, keys: SegmentationKeys, session: Session, bgr:
 
 def _channels(network: Network, keys: SegmentationKeys, output: Float32) -> Float32:
     """(C, h, w) scores of an output; a head has those of other and class, or the class's logits."""
-    scores = output[0] if output.ndim == 4 else np.zeros((0, 0, 0), np.float32)
+    scores = output[0] if output.ndim == 4 and len(output) == 1 else np.zeros((0, 0, 0), np.float32)
     scores = scores if network.keys.input.layout == "NCHW" else scores.transpose(2, 0, 1)
     if keys.decoder == "heads":
         fits, expected = len(scores) in (1, 2), "[1, 1 or 2, rows, columns]"
     else:
         least = max(2, *(1 + int(channel) for channel in keys.classes))
-        fits, expected = len(scores) >= least, f"[1, {least} or more, rows, columns]"
-    require_output(network, "of scores", output.shape, expected, fits=fits)
+        most = "" if len(scores) <= _MOST_CHANNELS else f" up to {_MOST_CHANNELS}"
+        fits, expected = len(scores) >= least and not most, f"[1, {least} or more{most}, rows, columns]"
+    require_output(network, "of scores", output.shape, expected, fits=fits and scores.size > 0)
     return scores
 
 
@@ -160,7 +185,12 @@ def object_boxes(network: Network, keys: DetectionKeys, session: Session, bgr: I
 
 def _outputs(network: Network, session: Session, bgr: Image) -> list[Float32]:
     require_orientation(network, (bgr.shape[1], bgr.shape[0]))
-    return session.run(tensor(network.keys.input, as_seen(network.keys.input, bgr)))
+    found = session.run(tensor(network.keys.input, as_seen(network.keys.input, bgr)))
+    for name, output in zip(session.outputs, found, strict=True):
+        require_output(
+            network, name, output.shape, f"{_MOST_NUMBERS} numbers at most", fits=output.size <= _MOST_NUMBERS
+        )
+    return found
 
 
 def _tags(keys: SegmentationKeys, by_class: Mapping[str, Mask], road: RoadMasks) -> Image:

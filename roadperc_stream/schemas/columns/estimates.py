@@ -215,7 +215,7 @@ class StereoColumns:
 
 
 def _pose(what: str, unit: str = "") -> Column:
-    return Column(what, unit, "as the status")
+    return Column(what, unit, "as the status, or the length of the step is unknown")
 
 
 @dataclass(frozen=True)

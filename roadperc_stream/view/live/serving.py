@@ -1,9 +1,12 @@
 """Serves a finished log until Ctrl-C, or the output of a replay during the replay."""
 
+import logging
 import shlex
+import sys
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager, suppress
+from ipaddress import ip_address
 from pathlib import Path
 from threading import Thread
 from time import monotonic_ns
@@ -24,8 +27,11 @@ from roadperc_stream.view.live.player import LONGEST_WAIT_S, Player, Viewers
 from roadperc_stream.view.live.source import Source, finished_log, has_times, running_replay, with_times
 from roadperc_stream.view.result_frames import ReplayTimes, TableTimes
 
-_BACKLOG_MESSAGES: Final = 256
+_BACKLOG_MESSAGES: Final = 512
 """Messages that wait for a slow viewer; older ones are dropped."""
+logging.getLogger("foxglove.websocket.connected_client").addFilter(
+    lambda record: not record.getMessage().startswith("No playback state")  # the answer is late, see ``Answers``
+)
 _STOP_S: Final = 2.0
 _HOW_TO_CONNECT: Final = (
     "Foxglove: Open connection > Foxglove WebSocket > this address; playback starts when a panel is open"
@@ -112,6 +118,13 @@ class LiveReplay(ExitStack):
             self._playback.result()
 
 
+def _is_this_machine(host: str) -> bool:
+    """Whether only this machine reaches an address."""
+    with suppress(ValueError):
+        return ip_address(host).is_loopback
+    return host == "localhost"
+
+
 @contextmanager
 def playing(
     source: Source, name: str, span_ns: tuple[int, int], options: PlaybackOptions, layout: str | None
@@ -151,6 +164,10 @@ def playing(
                 print_line(f"serving ws://{f'[{host}]' if ':' in host else host}:{server.port} (press Ctrl-C to end)")
                 print_line(_HOW_TO_CONNECT)
                 print_line(f"layout, for Layouts > Import from file: roadperc-view {layout}")
+        if not _is_this_machine(host):
+            note = "every machine that reaches it can read the messages and move the playback"
+            with optional_output(sys.stderr):
+                print_line(f"note: {host}: {note}; without --host only this machine can", sys.stderr)
         yield player, viewers
     finally:  # a viewer that does not respond must not block the end
         stopping = Thread(target=server.stop, name="stop", daemon=True)

@@ -125,7 +125,7 @@ def test_a_tracking_sequence_has_ids_poses_and_stamps_of_its_numbers(tracking, t
             "label_02/0001.txt",
             2,
             f"1 5 Van {CAR.format(truncated=0)}".replace("1.65", "x"),
-            "line 3: could not convert",
+            "line 3: expected finite numbers",
         ),
         (
             "label_02/0001.txt",

@@ -116,10 +116,15 @@ def test_without_their_calibration_lidar_and_poses_are_left_out(day, tmp_path, c
             "T: 1 2",
             "calib_velo_to_cam.txt: expected R with 9 and T with 3 numbers, found 9 and 2",
         ),
-        ("calib_cam_to_cam.txt", 7, "P_rect_02: 1 x", "calib_cam_to_cam.txt: line 8: P_rect_02: could not convert"),
+        (
+            "calib_cam_to_cam.txt",
+            7,
+            "P_rect_02: 1 x",
+            "calib_cam_to_cam.txt: line 8: P_rect_02: expected finite numbers",
+        ),
         (f"{NAME}/image_00/timestamps.txt", 1, "noon", "image_00/timestamps.txt: line 2: expected"),
         (f"{NAME}/oxts/data/0000000003.txt", 0, "49 8 112", "0000000003.txt: line 1: expected 30 numbers"),
-        (f"{NAME}/oxts/data/0000000003.txt", 0, "49 8 x", "0000000003.txt: line 1: could not convert"),
+        (f"{NAME}/oxts/data/0000000003.txt", 0, "49 8 x", "0000000003.txt: line 1: expected finite numbers"),
     ],
 )
 def test_a_mistake_names_file_and_line(day, tmp_path, capsys, name, line, text, said):

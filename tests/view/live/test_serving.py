@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from threading import Event, Thread
@@ -179,6 +180,22 @@ def test_many_seeks_of_a_viewer_do_not_block_a_second_viewer(path):
         storming.result()
 
 
+@pytest.mark.promise("The live server", "A viewer stays connected while another one sends 3,000 seeks at once")
+@pytest.mark.parametrize("pause_s", [0.0, 0.0002])
+def test_a_flood_of_seeks_closes_no_other_connection(path, pause_s):
+    """The SDK closes that of the flood if the requests come faster than it reads them."""
+    with served(path) as port, Viewer(port) as first, Viewer(port) as second:
+        second.subscribe()
+        second.until(lambda: second.shown("/image"))
+        for k in range(3000):
+            first.request(f"seek {k}", play=k % 2 == 0, seek_ns=1000 * S + k * S // 100)
+            time.sleep(pause_s)
+        if pause_s:
+            newest = first.until(lambda: [s for s in first.states() if s.request_id == "seek 2999"])
+            assert newest[0].log_ns == 1000 * S + 2999 * S // 100
+        assert second.control(play=False).status == "paused"
+
+
 def test_a_viewer_after_the_end_gets_the_time_and_the_last_frame(path):
     with served(path, start_s=59.0, rate=20.0) as port:
         with Viewer(port) as first:
@@ -241,6 +258,13 @@ def test_a_loop_starts_a_new_session_with_new_channels(path):
         times = [item[0] for item in viewer.heard if len(item) == 1]
         assert 1059 * S <= times[0] < 1060 * S
         assert times == sorted(times)
+
+
+@pytest.mark.promise("The live server", "With `--host`, a note says that other machines can read and control")
+@pytest.mark.parametrize(("host", "is_noted"), [("0.0.0.0", True), ("::", True), ("127.0.0.1", False), ("::1", False)])
+def test_a_note_says_that_other_machines_can_connect(path, host, is_noted, capsys):
+    with served(path, host=host):
+        assert ("every machine" in capsys.readouterr().err) == is_noted
 
 
 def test_other_addresses_connect_only_with_host(path):

@@ -3,93 +3,36 @@
 The motion since the keyframe comes from its depth, else from the image alone.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import cv2
 import numpy as np
 
 from roadperc_stream.chain.stages.odometry import brightness, camera_pitch, keyframes
-from roadperc_stream.chain.stages.odometry.alignment import aligned, predicted_px
 from roadperc_stream.chain.stages.odometry.camera_pitch import LINES_STD, CameraPitch, pitch_by_lines
-from roadperc_stream.chain.stages.odometry.epipolar import motion_from_rays
-from roadperc_stream.chain.stages.odometry.features import FRONTENDS, TrackingFrame, tracking_frame
+from roadperc_stream.chain.stages.odometry.epipolar import standing_still
+from roadperc_stream.chain.stages.odometry.features import TrackingFrame, tracking_frame
+from roadperc_stream.chain.stages.odometry.followed import Estimate, FollowedFrame
 from roadperc_stream.chain.stages.odometry.keyframes import Keyframe, LastFrame, OdometryState, make_keyframe
-from roadperc_stream.chain.stages.odometry.motion import Motion, in_ego_axes, motion_from_points, moved, step_covariance
-from roadperc_stream.chain.stages.odometry.rivals import along_path, best_shift
-from roadperc_stream.chain.stages.odometry.road_scale import Expected, scaled_by_road
-from roadperc_stream.config import OdometryConfig, scaled
-from roadperc_stream.geometry import Float, Float32, inverse, project, rigid, transform
-from roadperc_stream.geometry.rotations import rotation_from_vector, rotation_vector
+from roadperc_stream.chain.stages.odometry.motion import (
+    Motion,
+    in_ego_axes,
+    step_covariance,
+)
+from roadperc_stream.chain.stages.odometry.search import estimated, estimated_by_orb
+from roadperc_stream.chain.stages.odometry.speed import KnownSpeed
+from roadperc_stream.config import OdometryConfig
+from roadperc_stream.geometry import Float, Float32, adjoint, inverse, rigid
+from roadperc_stream.geometry.rotations import rotation_from_vector
 from roadperc_stream.model import Absent, Matches, Odometry, Reason, Surface
 from roadperc_stream.model.scene import Scene
-from roadperc_stream.system.time import NS_PER_S
 
 _SCALE_REASONS: Final[dict[str | None, Reason]] = {
+    "points": Reason("odometry", "scale_by_points"),
     "carried": Reason("odometry", "scale_carried"),
     "none": Reason("odometry", "scale_unknown"),
 }
-_ASTRAY_PX = 20.0
-"""Largest distance, at 960 rows, from the pixel that steady motion predicts; farther matches are wrong."""
-MIN_INLIER_RATIO: Final = 0.25
-"""Minimum share of the visible points that agree on a steady motion; twice that for an unexpected one."""
-_FIRST_LENGTH = 1.0
-"""Length of the first step if its scale is unknown."""
-_ACCELERATION: Final = 2.0
-"""Standard deviation of the acceleration, metres per second squared."""
-
-
-@dataclass(frozen=True)
-class FollowedFrame:
-    """A frame with its references: the keyframe, and the pose and pitch at the last frame."""
-
-    cfg: OdometryConfig
-    frame: TrackingFrame
-    keyframe: Keyframe
-    last: LastFrame
-    odom_T_last: Float
-    pitch: CameraPitch
-
-    @property
-    def seconds(self) -> float:
-        """Since the last frame."""
-        return (self.frame.stamp_ns - self.last.stamp_ns) / NS_PER_S
-
-    def pose(self, motion: Motion) -> Float:
-        """odom_T_ego after a motion from the keyframe."""
-        return self.keyframe.odom_T_camera @ inverse(motion.this_T_key) @ inverse(self.frame.ego_T_camera)
-
-    def velocity(self, odom_T_ego: Float) -> Float:
-        """(6,) metres and radians per second since the last frame."""
-        last_T_this = inverse(self.odom_T_last) @ odom_T_ego
-        return np.concatenate((last_T_this[:3, 3], rotation_vector(last_T_this[:3, :3]))) / self.seconds
-
-    @property
-    def expected_this_T_key(self) -> Float | None:
-        """(4, 4) motion since the keyframe if the last motion continues; None without a last one."""
-        if self.last.velocity is None:
-            return None
-        odom_T_camera = self.odom_T_last @ moved(self.last.velocity * self.seconds) @ self.frame.ego_T_camera
-        return inverse(odom_T_camera) @ self.keyframe.odom_T_camera
-
-    def turned_pitch(self, odom_T_ego: Float) -> CameraPitch:
-        """The pitch, turned with the camera since the last frame."""
-        return camera_pitch.predicted(self.cfg, self.pitch, inverse(self.odom_T_last) @ odom_T_ego, self.seconds)
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """The (N, 2) pixels of the keyframe's features in a frame, and the motion, pose and pitch estimated from them.
-
-    ``by_orb`` is true if optical flow failed and ORB features were matched.
-    """
-
-    px: Float32
-    motion: Motion
-    odom_T_ego: Float
-    pitch: CameraPitch
-    by_orb: bool = False
 
 
 def step(
@@ -102,6 +45,7 @@ def step(
     """Follow the camera from the last frames to this one.
 
     The keyframe is kept during frames without a usable image: the next frame continues from it, and no motion is lost.
+    It is also kept if a car cannot brake or accelerate as the images show: they repeat, or the match is wrong.
     If its points are not found again, the frame is lost and becomes the keyframe, at the last known pose. Without
     dense depth the motion comes from the image and its scale from ``road`` (in the front camera's frame). Pixels of
     vehicles and pedestrians are left out. ``rng`` seeds OpenCV's random numbers.
@@ -116,18 +60,20 @@ def step(
     pitch = _with_lines(camera_pitch.begun(cfg) if state.pitch is None else state.pitch, frame)
     if state.keyframe is None or state.last is None:
         return _begun(cfg, state.odom_T_ego, pitch, frame), Odometry("first", state.odom_T_ego)
-    this = FollowedFrame(cfg, frame, state.keyframe, state.last, state.odom_T_ego, pitch)
+    this = FollowedFrame(cfg, frame, state.keyframe, state.last, state.odom_T_ego, pitch, state.speed)
     same_camera = frame.camera == state.keyframe.camera
     equal = _equalised(this)
-    estimate = _estimated(equal)
+    estimate = estimated(equal)
     if isinstance(estimate, Absent) and cfg.features == "klt" and same_camera:
-        this, estimate = _estimated_by_orb(equal, estimate)
+        this, estimate = estimated_by_orb(equal, estimate)
     if not isinstance(estimate, Absent):
-        return _continued(this, estimate)
+        return _continued(this, estimate) if estimate.motion.scaled else _bridged(this, state, estimate)
+    lost = Odometry("lost", state.odom_T_ego, reason=estimate.reason)
+    if estimate.reason.code == "impossible_acceleration":
+        return state, lost
     new_camera = replace(camera_pitch.begun(cfg), levelled=pitch.levelled)
     pitch = camera_pitch.after_loss(cfg, pitch, this.seconds) if same_camera else new_camera
-    lost = Odometry("lost", state.odom_T_ego, reason=estimate.reason)
-    return _begun(cfg, state.odom_T_ego, pitch, frame), lost
+    return _begun(cfg, state.odom_T_ego, pitch, frame, state.speed), lost
 
 
 def _without_image(state: OdometryState, scene: Scene) -> Odometry | Absent:
@@ -155,21 +101,45 @@ def _with_lines(pitch: CameraPitch, frame: TrackingFrame) -> CameraPitch:
     return replace(camera_pitch.updated(pitch, lines), measured=pitch.measured)
 
 
-def _begun(cfg: OdometryConfig, odom_T_ego: Float, pitch: CameraPitch, frame: TrackingFrame) -> OdometryState:
+def _begun(
+    cfg: OdometryConfig, odom_T_ego: Float, pitch: CameraPitch, frame: TrackingFrame, speed: KnownSpeed | None = None
+) -> OdometryState:
     """The state with this frame as keyframe, at the last known pose."""
     keyframe = make_keyframe(cfg, frame, odom_T_ego @ frame.ego_T_camera)
     px = keyframe.landmarks.features.px
-    return OdometryState(odom_T_ego, keyframe, LastFrame(frame.stamp_ns, None, px, np.zeros((len(px), 6))), pitch)
+    last = LastFrame(frame.stamp_ns, None, px, np.zeros((len(px), 6)))
+    return OdometryState(odom_T_ego, keyframe, last, pitch, speed)
+
+
+def _bridged(this: FollowedFrame, state: OdometryState, estimate: Estimate) -> tuple[OdometryState, Odometry]:
+    """The state and result of a frame whose step has no scale: it turns, and its pose is unknown.
+
+    The next step begins at the last known pose again, so no distance is lost until the keyframe must be replaced.
+    """
+    frame, last = this.frame, this.last
+    odom_T_ego = rigid(estimate.odom_T_ego[:3, :3], this.odom_T_last[:3, 3])
+    out = Odometry(
+        "tracked",
+        odom_T_ego,
+        inverse(this.odom_T_last) @ odom_T_ego,
+        int(np.sum(estimate.motion.inliers)),
+        up_to_scale=True,
+        since_ns=last.stamp_ns,
+        reason=_reason_of(estimate),
+        matches=_matches(this.keyframe, frame, estimate),
+        has_length=False,
+    )
+    if _is_due(this, estimate):
+        return _begun(this.cfg, odom_T_ego, estimate.pitch, frame, state.speed), out
+    return replace(state, last=replace(last, found_px=_last_px(last, estimate))), out
 
 
 def _continued(this: FollowedFrame, estimate: Estimate) -> tuple[OdometryState, Odometry]:
     """The state and pose after a tracked frame."""
     cfg, frame, keyframe, last, motion = this.cfg, this.frame, this.keyframe, this.last, estimate.motion
-    metric = keyframe.landmarks.metric and motion.scaled
+    metric = keyframe.landmarks.metric
     last_T_this = inverse(this.odom_T_last) @ estimate.odom_T_ego
     influence = in_ego_axes(frame.ego_T_camera, motion.influence)
-    key_px = keyframe.landmarks.features.px
-    length_variance = motion.length_variance
     velocity = this.velocity(estimate.odom_T_ego)
     odom_T_ego, keyframe, pitch = _levelled(estimate, keyframe, float(np.linalg.norm(last_T_this[:3, 3])))
     out = Odometry(
@@ -178,26 +148,55 @@ def _continued(this: FollowedFrame, estimate: Estimate) -> tuple[OdometryState, 
         last_T_this,
         int(np.sum(motion.inliers)),
         not metric,
-        step_covariance(
-            key_px, frame.camera.width, influence, last.influence, last_T_this, length_variance + last.length_variance
-        ),
+        _covariance(this, motion, influence, last_T_this),
         last.stamp_ns,
         _reason_of(estimate),
         _matches(keyframe, frame, estimate),
     )
-    if not motion.scaled and motion.scale is None:
-        keyframe = replace(keyframe, landmarks=replace(keyframe.landmarks, points_m=motion.points_m, metric=metric))
-    found_px = np.where(np.isfinite(estimate.px), estimate.px, last.found_px)
-    if motion.scale is not None:
-        length_variance = motion.noise_variance
-    if estimate.by_orb or keyframes.is_due(cfg, keyframe, frame, estimate.px, motion.inliers):
-        carried = keyframes.carry(keyframe.landmarks, motion, estimate.px)
+    if keyframe.landmarks.source != "depth":
+        keyframe = replace(keyframe, landmarks=keyframes.with_points(keyframe.landmarks, motion))
+    found_px = _last_px(last, estimate)
+    length_variance = motion.length_variance if motion.scale is None else motion.noise_variance
+    if motion.still is not None:
+        influence = np.zeros((len(found_px), 6))
+    if _is_due(this, estimate):
+        by_road = motion.scale == "measured" and this.keyframe.stamp_ns == last.stamp_ns
+        carried = None if by_road else keyframes.carry(frame.camera, keyframe.landmarks, motion, estimate.px)
         keyframe = make_keyframe(cfg, frame, odom_T_ego @ frame.ego_T_camera, carried)
         found_px = keyframe.landmarks.features.px
         influence, length_variance = np.zeros((len(found_px), 6)), 0.0
-    speed_variance = motion.noise_variance / this.seconds**2 if metric and motion.noise_variance > 0 else None
-    now = LastFrame(frame.stamp_ns, velocity, found_px, influence, length_variance, speed_variance)
-    return OdometryState(odom_T_ego, keyframe, now, pitch), out
+    speed = this.speed
+    if motion.scale in (None, "measured"):
+        mps = float(np.linalg.norm(velocity[:3]))
+        speed = KnownSpeed(mps, motion.noise_variance / this.seconds**2, this.middle_ns, metric)
+    begins = last.velocity is None and motion.still is not None
+    now = LastFrame(frame.stamp_ns, None if begins else velocity, found_px, influence, length_variance)
+    return OdometryState(odom_T_ego, keyframe, now, pitch, speed), out
+
+
+def _covariance(this: FollowedFrame, motion: Motion, influence: Float | None, last_T_this: Float) -> tuple[float, ...]:
+    """Covariance of the step, row by row; empty if it is unknown."""
+    if motion.still is not None:
+        in_ego = adjoint(this.frame.ego_T_camera)
+        return tuple((in_ego @ motion.still @ in_ego.T).ravel().tolist())
+    key_px, width = this.keyframe.landmarks.features.px, this.frame.camera.width
+    length_variance = motion.length_variance + this.last.length_variance
+    return step_covariance(key_px, width, influence, this.last.influence, last_T_this, length_variance)
+
+
+def _last_px(last: LastFrame, estimate: Estimate) -> Float32:
+    """(N, 2) last pixels of the keyframe's features."""
+    return np.where(np.isfinite(estimate.px), estimate.px, last.found_px)
+
+
+def _is_due(this: FollowedFrame, estimate: Estimate) -> bool:
+    """Whether the frame must become the next keyframe, also where a car without depth has just come to a stand."""
+    motion, landmarks = estimate.motion, this.keyframe.landmarks
+    if estimate.by_orb or keyframes.is_due(this.cfg, this.keyframe, this.frame, estimate.px, motion.inliers):
+        return True
+    if landmarks.source == "depth" or not motion.this_T_key[:3, 3].any():
+        return False
+    return standing_still(this.frame.camera, this.last.found_px, estimate.px) is not None
 
 
 def _levelled(estimate: Estimate, keyframe: Keyframe, length_m: float) -> tuple[Float, Keyframe, CameraPitch]:
@@ -226,138 +225,3 @@ def _matches(keyframe: Keyframe, frame: TrackingFrame, estimate: Estimate) -> Ma
     found = np.isfinite(estimate.px).all(axis=1)
     key_px = frame.whole(keyframe.landmarks.features.px[found])
     return Matches(key_px, frame.whole(estimate.px[found]), estimate.motion.inliers[found])
-
-
-def _estimated(this: FollowedFrame) -> Estimate | Absent:
-    """The first plausible motion; absent with a reason if no motion is plausible."""
-    cfg, frame, keyframe = this.cfg, this.frame, this.keyframe
-    if frame.camera != keyframe.camera:
-        return Absent(Reason("odometry", "camera_changed"))
-    rejected = Reason("odometry", "too_few_inliers")
-    for guess_px, near_px, ratio in guesses(this):
-        px = FRONTENDS[cfg.features].match(cfg, keyframe.grey, keyframe.landmarks.features, guess_px, frame.grey)
-        astray = np.linalg.norm(px - near_px, axis=1) > scaled(_ASTRAY_PX, frame.grey.shape[0])
-        px[astray | frame.on_movable(px)] = np.nan
-        estimate = _localised(this, px)
-        if estimate is None:
-            continue
-        if np.sum(estimate.motion.inliers) < max(ratio * _findable(keyframe, frame, estimate), cfg.min_inliers):
-            continue
-        if _possible(this, estimate):
-            return _verified(this, estimate, expected=bool(np.isfinite(near_px).any()))
-        rejected = Reason("odometry", "impossible_motion")
-    return Absent(rejected)
-
-
-def _estimated_by_orb(this: FollowedFrame, failed: Absent) -> tuple[FollowedFrame, Estimate | Absent]:
-    """The motion by ORB features of the keyframe; the failure of optical flow if it is not plausible."""
-    cfg = this.cfg.model_copy(update={"features": "orb"})
-    keyframe, last = keyframes.detected_again(cfg, this.keyframe, this.last, this.frame)
-    wide = replace(this, keyframe=keyframe, last=last)
-    estimate = _estimated(replace(wide, cfg=cfg))
-    return (this, failed) if isinstance(estimate, Absent) else (wide, replace(estimate, by_orb=True))
-
-
-def _verified(this: FollowedFrame, estimate: Estimate, *, expected: bool) -> Estimate:
-    """The estimate after a search for other shifts that fit both images and depths, unless it continues a sure motion.
-
-    If another shift fits better, it replaces the estimate. Shifts that fit about as well enlarge the variance.
-    """
-    keyframe, frame = this.keyframe, this.frame
-    sure = expected and this.last.speed_variance is None
-    if keyframe.landmarks.source != "depth" or frame.depth_m is None or sure:
-        return estimate
-    shift_m, std_m = best_shift(keyframe, frame, estimate.motion.this_T_key)
-    if shift_m:
-        estimate = _shifted(this, estimate, shift_m)
-    return replace(estimate, motion=replace(estimate.motion, length_variance=std_m**2, noise_variance=std_m**2))
-
-
-def _shifted(this: FollowedFrame, estimate: Estimate, shift_m: float) -> Estimate:
-    """The estimate at a shift along the car's path; the estimate itself if the features do not agree there."""
-    points_m, motion = this.keyframe.landmarks.points_m, estimate.motion
-    start, px = along_path(this.frame, shift_m) @ motion.this_T_key, estimate.px
-    for _ in range(2):
-        px = aligned(this.keyframe, this.frame, start)
-        found = motion_from_points(this.frame.camera, points_m, px, start)
-        if found is None:
-            return estimate
-        motion, start = found, found.this_T_key
-    if np.sum(motion.inliers) < this.cfg.min_inliers:
-        return estimate
-    odom_T_ego = this.pose(motion)
-    moved_estimate = Estimate(px, motion, odom_T_ego, this.turned_pitch(odom_T_ego))
-    return moved_estimate if _possible(this, moved_estimate) else estimate
-
-
-def guesses(this: FollowedFrame) -> Iterator[tuple[Float32, Float32, float]]:
-    """(N, 2) pixels where the search starts, (N, 2) pixels near which matches must lie, and the share that must agree.
-
-    The first guess continues the last motion and accepts only matches near it: a road's texture repeats, and matches
-    shifted by one repetition also agree on a motion. The second guess is the last pixels; NaN accepts any match.
-    """
-    frame, keyframe, last = this.frame, this.keyframe, this.last
-    if (this_T_key := this.expected_this_T_key) is not None:
-        predicted = project(frame.camera, transform(this_T_key, keyframe.landmarks.points_m)).astype(np.float32)
-        yield np.where(np.isfinite(predicted), predicted, last.found_px), predicted, MIN_INLIER_RATIO
-    yield last.found_px, np.full_like(last.found_px, np.nan), 2 * MIN_INLIER_RATIO
-
-
-def _possible(this: FollowedFrame, estimate: Estimate) -> bool:
-    """Whether a car can make the motion; without scale only the turn rate is checked."""
-    speed, turn_rate = np.linalg.norm(this.velocity(estimate.odom_T_ego).reshape(2, 3), axis=1)
-    fast = this.keyframe.landmarks.metric and estimate.motion.scaled and speed > this.cfg.max_speed_mps
-    return not fast and bool(turn_rate <= np.deg2rad(this.cfg.max_turn_rate_dps))
-
-
-def _findable(keyframe: Keyframe, frame: TrackingFrame, estimate: Estimate) -> int:
-    """Number of features that the motion predicts in the image if all points are known, else of those found."""
-    if keyframe.landmarks.source != "depth":
-        return int(np.sum(np.isfinite(estimate.px[:, 0])))
-    return int(np.sum(np.isfinite(predicted_px(keyframe, frame, estimate.motion.this_T_key)[:, 0])))
-
-
-def _localised(this: FollowedFrame, px: Float32) -> Estimate | None:
-    """The motion estimated from the features' pixels, and the pose that follows."""
-    camera, landmarks = this.frame.camera, this.keyframe.landmarks
-    if landmarks.source != "depth":
-        return _localised_without_depth(this, px)
-    motion = motion_from_points(camera, landmarks.points_m, px)
-    if motion is not None:
-        px = aligned(this.keyframe, this.frame, motion.this_T_key)
-        motion = motion_from_points(camera, landmarks.points_m, px, motion.this_T_key)
-    if motion is None:
-        return None
-    odom_T_ego = this.pose(motion)
-    return Estimate(px, motion, odom_T_ego, this.turned_pitch(odom_T_ego))
-
-
-def _localised_without_depth(this: FollowedFrame, px: Float32) -> Estimate | None:
-    """The estimate without depth: the length comes from the road, else from triangulated points."""
-    cfg, frame, last, landmarks = this.cfg, this.frame, this.last, this.keyframe.landmarks
-    features_px, on_road = landmarks.features.px, landmarks.source == "plane"
-    seconds = (frame.stamp_ns - this.keyframe.stamp_ns) / NS_PER_S
-    length = _FIRST_LENGTH if last.velocity is None else float(np.linalg.norm(last.velocity[:3])) * seconds
-    points_m = np.full_like(landmarks.points_m, np.nan) if on_road else landmarks.points_m
-    motion = motion_from_rays(frame.camera, features_px, px, points_m, length, this.expected_this_T_key)
-    if motion is None:
-        return None
-    pitch = this.turned_pitch(this.pose(motion))
-    if motion.this_T_key[:3, 3].any():
-        direction = camera_pitch.expansion(motion, frame.ego_T_camera, features_px, frame.camera.width)
-        pitch = camera_pitch.updated(pitch, direction)
-        if on_road:
-            longest_m = cfg.max_speed_mps * seconds
-            motion, pitch = scaled_by_road(frame, this.keyframe, motion, pitch, _expected_length(this), longest_m)
-    return Estimate(px, motion, this.pose(motion), pitch)
-
-
-def _expected_length(this: FollowedFrame) -> Expected | None:
-    """The distance from the keyframe at the last speed; None if the road has not shown a speed."""
-    last, seconds = this.last, this.seconds
-    if last.velocity is None or last.speed_variance is None:
-        return None
-    driven_m = float(np.linalg.norm((this.odom_T_last @ this.frame.ego_T_camera - this.keyframe.odom_T_camera)[:3, 3]))
-    speed_mps = float(np.linalg.norm(last.velocity[:3]))
-    speed_variance = last.speed_variance + (_ACCELERATION * seconds) ** 2
-    return Expected(driven_m + speed_mps * seconds, last.length_variance + speed_variance * seconds**2)

@@ -19,10 +19,10 @@ _SMALLEST_SET = 8
 _CONFIDENCE = 0.999
 _MIN_KNOWN = 5
 """Minimum number of known points for a length."""
-_MIN_DEPTH_PARALLAX_PX = 2.0
+_MIN_DEPTH_PARALLAX_PX = 5.0
 """Parallax, at 960 rows, from which a point is triangulated."""
 _EVALUATIONS = 20
-_MIN_PARALLAX_PX = 1.5
+MIN_PARALLAX_PX = 1.5
 """Shift of the points at 960 rows, beyond that of the rotation, below which the camera stands still: three standard
 deviations."""
 _STANDING_SHARE = 0.75
@@ -60,15 +60,16 @@ def motion_from_rays(
     if len(usable) < _SMALLEST_SET:
         return None
     a, b = rays(camera, key_px[usable].astype(float)), rays(camera, px[usable].astype(float))
-    standing = _standing(camera, a, px[usable]) if len(usable) > _FOUND_SHARE * len(px) else None
-    direction = standing or _direction(camera, a, b, expected_this_T_key)
+    if (turn := standing_still(camera, key_px, px)) is not None:
+        shift_px = np.linalg.norm(project(camera, rays(camera, key_px.astype(float)) @ turn.T) - px, axis=1)
+        inliers = shift_px < scaled(INLIER_PX, camera.height)
+        return Motion(rigid(turn, np.zeros(3)), inliers, points_m, None, scaled=True)
+    direction = _direction(camera, a, b, expected_this_T_key)
     if direction is None:
         return None
     R, t, agrees, pulls = direction
     inliers = np.zeros(len(px), bool)
     inliers[usable[agrees]] = True
-    if standing is not None:
-        return Motion(rigid(R, t), inliers, points_m, None, scaled=True)
     known = agrees & np.isfinite(points_m[usable, 2])
     length = _length(camera, R, t, points_m[usable][known], b[known])
     metres, variance = length or (fallback_length, 0.0)
@@ -80,13 +81,18 @@ def motion_from_rays(
     return Motion(rigid(R, metres * t), inliers, filled, influence, length is not None, variance)
 
 
-def _standing(camera: Camera, a: Float, px: Float32) -> tuple[Float, Float, Mask, Float] | None:
-    """The rotation, if it alone predicts nearly all points; None if the camera has moved."""
-    R = _turn(a, rays(camera, px.astype(float)))
-    shift_px = np.linalg.norm(project(camera, a @ R.T) - px, axis=1)
-    if not np.quantile(shift_px, _STANDING_SHARE) < scaled(_MIN_PARALLAX_PX, camera.height):
+def standing_still(camera: Camera, before_px: Float32, px: Float32) -> Float | None:
+    """(3, 3) rotation of a camera that stands still between two images; None if it has moved.
+
+    The features are at (N, 2) pixels in both images, NaN not found. The rotation alone predicts nearly all of them.
+    """
+    found = np.isfinite(px).all(axis=1)
+    if not np.sum(found) > _FOUND_SHARE * len(px):
         return None
-    return R, np.zeros(3), shift_px < scaled(INLIER_PX, camera.height), np.zeros((len(a), 6))
+    a = rays(camera, before_px[found].astype(float))
+    R = _turn(a, rays(camera, px[found].astype(float)))
+    shift_px = np.linalg.norm(project(camera, a @ R.T) - px[found], axis=1)
+    return R if np.quantile(shift_px, _STANDING_SHARE) < scaled(MIN_PARALLAX_PX, camera.height) else None
 
 
 def _turn(a: Float, b: Float) -> Float:

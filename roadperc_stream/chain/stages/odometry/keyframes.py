@@ -15,6 +15,7 @@ import numpy as np
 from roadperc_stream.chain.stages.odometry.camera_pitch import CameraPitch
 from roadperc_stream.chain.stages.odometry.features import FRONTENDS, Features, TrackingFrame, spread
 from roadperc_stream.chain.stages.odometry.motion import Motion
+from roadperc_stream.chain.stages.odometry.speed import KnownSpeed
 from roadperc_stream.config import OdometryConfig, scaled
 from roadperc_stream.geometry import Float, Float32, Plane, intersect_plane, inverse, transform
 from roadperc_stream.geometry.cameras import Camera, project, rays, unproject
@@ -38,6 +39,8 @@ LandmarkSource = Literal["depth", "plane", "carried"]
 _ROAD_AHEAD_M: Final = (2.0, 20.0)
 _ROAD_HALF_WIDTH_M = 3.0
 """The part of the road that is used without depth (ego frame)."""
+_CARRIED_VARIANCE: Final = 0.02**2
+"""Variance that the scale of known points gains with each keyframe, as a share."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,9 @@ class Landmarks:
     """(N,) features, their (N, 3) points in the camera's frame, and the (N, 2) slope of 1 / depth around each.
 
     The slope is in 1/m per pixel to the right and down. Unknown is NaN; ``metric`` is true if lengths are in metres.
+    Points of the source ``plane`` with a slope lie on the road's plane, those without are triangulated. For the latter,
+    ``scale_variance`` is the variance of their scale, as a share, and ``doubt`` the ratio of lengths by the road and by
+    them in the last frame that contradicted them.
     """
 
     features: Features
@@ -52,6 +58,15 @@ class Landmarks:
     slope: Float
     source: LandmarkSource
     metric: bool
+    scale_variance: float = 0.0
+    doubt: float | None = None
+
+    @property
+    def triangulated_m(self) -> Float:
+        """(N, 3) the points that give a motion its length, NaN for the others."""
+        return (
+            np.where(np.isfinite(self.slope[:, :1]), np.nan, self.points_m) if self.source == "plane" else self.points_m
+        )
 
     def __post_init__(self) -> None:
         read_only(self.points_m, np.float64, (len(self.features.px), 3), "points_m")
@@ -89,8 +104,7 @@ class LastFrame:
     ``velocity`` is (6,) metres and radians per second in the ego frame, None before the second frame. ``found_px`` are
     the (N, 2) last pixels of the keyframe's features. ``influence`` (N, 6) is the pull of each feature on the pose
     against the keyframe, in ego's axes, None if unknown. ``length_variance`` is the additional variance of the distance
-    from the keyframe, in square metres. ``speed_variance`` is in square metres per second squared, None if the road has
-    shown no speed.
+    from the keyframe, in square metres.
     """
 
     stamp_ns: int
@@ -98,7 +112,6 @@ class LastFrame:
     found_px: Float32
     influence: Float | None
     length_variance: float = 0.0
-    speed_variance: float | None = None
 
     def __post_init__(self) -> None:
         read_only(self.found_px, np.float32, (None, 2), "found_px")
@@ -116,6 +129,7 @@ class OdometryState:
     keyframe: Keyframe | None = None
     last: LastFrame | None = None
     pitch: CameraPitch | None = None
+    speed: KnownSpeed | None = None
 
     def __post_init__(self) -> None:
         read_only(self.odom_T_ego, np.float64, (4, 4), "odom_T_ego")
@@ -180,30 +194,38 @@ def _by_depth(cfg: OdometryConfig, frame: TrackingFrame) -> Landmarks | None:
     return Landmarks(features, points_m, slope[known], "depth", metric=True)
 
 
-def _on_road(cfg: OdometryConfig, frame: TrackingFrame) -> Landmarks | None:
-    """Features of the whole image; those on the road in front of the car lie on its plane. None without a plane."""
-    if frame.road is None:
-        return None
-    features = _detected(cfg, frame, np.ones(frame.grey.shape, np.uint8))
-    px = features.px.astype(float)
-    points_m = intersect_plane(frame.camera, px, frame.road.plane)
-    x, y, _ = transform(frame.ego_T_camera, points_m).T
-    near, far = _ROAD_AHEAD_M
-    points_m[~((x > near) & (x < far) & (np.abs(y) < _ROAD_HALF_WIDTH_M))] = np.nan
-    slope = np.broadcast_to(slope_of_plane(frame.camera, frame.road.plane), px.shape)
-    return Landmarks(features, points_m, slope, "plane", metric=True)
-
-
 def _carried_on(cfg: OdometryConfig, frame: TrackingFrame, carried: Landmarks | None) -> Landmarks:
-    """The landmarks tracked into the frame, and new features between them, whose points are unknown."""
+    """The landmarks tracked into the frame, and new features between them.
+
+    New ones on the road in front of the car lie on its plane, the points of all others are unknown.
+    """
     features, strength = _candidates(cfg, frame, np.ones(frame.grey.shape, np.uint8))
-    points_m = np.full((len(features.px), 3), np.nan)
+    points_m, slope = _on_road(frame, features.px.astype(float))
     if carried is not None:
-        features, points_m = carried.features.joined(features), np.concatenate((carried.points_m, points_m))
+        # Optical flow needs no descriptors of features that ORB has matched.
+        width, before = features.descriptors.shape[1], carried.features
+        features = Features(before.px, before.descriptors[:, :width]).joined(features)
+        points_m, slope = (np.concatenate(pair) for pair in ((carried.points_m, points_m), (carried.slope, slope)))
         strength = np.concatenate((np.full(len(carried.points_m), np.inf, np.float32), strength))
     chosen = spread(features.px, strength, frame.grey.shape)
-    slope = np.full((len(chosen), 2), np.nan)
-    return Landmarks(features.take(chosen), points_m[chosen], slope, "carried", carried is not None and carried.metric)
+    source: LandmarkSource = "carried" if frame.road is None else "plane"
+    metric = frame.road is not None or (carried is not None and carried.metric)
+    kept = Landmarks(features.take(chosen), points_m[chosen], slope[chosen], source, metric)
+    return kept if carried is None else replace(kept, scale_variance=carried.scale_variance, doubt=carried.doubt)
+
+
+def _on_road(frame: TrackingFrame, px: Float) -> tuple[Float, Float]:
+    """(N, 3) points and (N, 2) slopes of (N, 2) pixels on the road in front of the car, NaN for the others."""
+    points_m, slope = np.full((len(px), 3), np.nan), np.full((len(px), 2), np.nan)
+    if frame.road is None:
+        return points_m, slope
+    on_plane = intersect_plane(frame.camera, px, frame.road.plane)
+    x, y, _ = transform(frame.ego_T_camera, on_plane).T
+    near, far = _ROAD_AHEAD_M
+    ahead = (x > near) & (x < far) & (np.abs(y) < _ROAD_HALF_WIDTH_M)
+    points_m[ahead] = on_plane[ahead]
+    slope[ahead] = slope_of_plane(frame.camera, frame.road.plane)
+    return points_m, slope
 
 
 def _detected(cfg: OdometryConfig, frame: TrackingFrame, allowed: Image) -> Features:
@@ -220,11 +242,11 @@ def _candidates(cfg: OdometryConfig, frame: TrackingFrame, allowed: Image) -> tu
 def make_keyframe(
     cfg: OdometryConfig, frame: TrackingFrame, odom_T_camera: Float, carried: Landmarks | None = None
 ) -> Keyframe:
-    """The frame as the keyframe of the next ones: its points come from depth, else from the road's plane.
+    """The frame as the keyframe of the next ones: its points come from depth, else it keeps those tracked into it.
 
-    With neither, it keeps the landmarks that were tracked into it (``carried``).
+    The latter are ``carried``.
     """
-    landmarks = _by_depth(cfg, frame) or _on_road(cfg, frame) or _carried_on(cfg, frame, carried)
+    landmarks = _by_depth(cfg, frame) or _carried_on(cfg, frame, carried)
     depth_m = frame.depth_m if landmarks.source == "depth" and cfg.features == "klt" else None
     return Keyframe(frame.camera, frame.grey, landmarks, odom_T_camera, frame.stamp_ns, frame.movable, depth_m)
 
@@ -260,12 +282,34 @@ def is_due(cfg: OdometryConfig, keyframe: Keyframe, frame: TrackingFrame, px: Fl
     return share < KEYFRAME_SHARE or shift > scaled(KEYFRAME_FLOW_PX, frame.grey.shape[0])
 
 
-def carry(landmarks: Landmarks, motion: Motion, px: Float32) -> Landmarks:
-    """The landmarks that agree on a motion, at their (N, 2) pixels in its frame, with their points in its camera."""
-    kept = motion.inliers
+def with_points(landmarks: Landmarks, motion: Motion) -> Landmarks:
+    """The landmarks with the points that a motion has triangulated, and the variance of their scale."""
+    known = np.isfinite(motion.points_m[:, 2:])
+    variance, doubt = landmarks.scale_variance, motion.doubt
+    if motion.scale is not None and doubt is None:
+        now = motion.noise_variance / float(np.sum(motion.this_T_key[:3, 3] ** 2))
+        variance = min(variance, now) if np.isfinite(landmarks.triangulated_m[:, 2]).any() else now
+    return replace(
+        landmarks,
+        points_m=np.where(known, motion.points_m, landmarks.points_m),
+        slope=np.where(known, np.nan, landmarks.slope),
+        scale_variance=variance,
+        doubt=landmarks.doubt if doubt is None and motion.scale != "measured" else doubt,
+    )
+
+
+def carry(camera: Camera, landmarks: Landmarks, motion: Motion, px: Float32) -> Landmarks:
+    """The landmarks that agree on a motion, at their (N, 2) pixels in its frame, with their points in its camera.
+
+    Each point keeps its depth and moves to the ray of its pixel.
+    """
+    kept = motion.inliers & (np.isfinite(motion.points_m[:, 2]) | (landmarks.source != "plane"))
     features = replace(landmarks.features.take(kept), px=px[kept])
-    points_m = transform(motion.this_T_key, motion.points_m[kept])
-    return Landmarks(features, points_m, landmarks.slope[kept], "carried", landmarks.metric)
+    depth_m = transform(motion.this_T_key, motion.points_m[kept])[:, 2]
+    points_m = unproject(camera, features.px.astype(float), np.where(depth_m > 0, depth_m, np.nan))
+    variance = landmarks.scale_variance + _CARRIED_VARIANCE
+    slope = np.full((len(points_m), 2), np.nan)
+    return Landmarks(features, points_m, slope, "carried", landmarks.metric, variance, landmarks.doubt)
 
 
 def counted_from_here(state: OdometryState) -> OdometryState:

@@ -11,7 +11,7 @@ cluster-robust estimate of Liang and Zeger, "Longitudinal data analysis using ge
 1986.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import cv2
@@ -20,11 +20,11 @@ import numpy as np
 from roadperc_stream.chain.kernels import linearise
 from roadperc_stream.chain.kernels.odometry_plain import Projection, Weighting
 from roadperc_stream.config import scaled
-from roadperc_stream.geometry import Camera, Float, Float32, adjoint, inverse, rigid
+from roadperc_stream.geometry import Camera, Float, Float32, adjoint, inverse, rays, rigid
 from roadperc_stream.geometry.rotations import rotation_from_vector
 from roadperc_stream.model import Mask
 
-Scale = Literal["measured", "carried", "none"]
+Scale = Literal["measured", "points", "carried", "none"]
 PIXEL_STD_PX = 0.5
 """Standard deviation of a tracked point at 960 rows; it sets the weights of the points."""
 INLIER_PX: Final = 2.0
@@ -46,6 +46,8 @@ _CELLS: Final = 8
 _SYSTEMATIC: Final = 0.001
 """Error shared by all features, as a share of the step; the scatter does not show it. Windows follow a stretch only in
 part."""
+_FAR_M: Final = 60.0
+"""Distance of points whose depth is unknown, for a camera that stands still."""
 _FREE: Final = 6
 """Degrees of freedom of a motion."""
 
@@ -59,7 +61,9 @@ class Motion:
     in its own axes, that each feature's residual causes; 0 for unused features, None if unknown. ``scaled``: the length
     is in the unit of known points. ``length_variance`` is the part of its variance, in square metres, that the
     influence does not show. ``scale`` is the source of a length by the road; None if the points give the length. With
-    a ``scale``, ``noise_variance`` is the part of ``length_variance`` that later motions do not share.
+    a ``scale``, ``noise_variance`` is the part of ``length_variance`` that later motions do not share. ``doubt`` is the
+    ratio to this length of one by the road that contradicts it. ``still`` is the (6, 6) covariance of a camera that
+    stands still, in its axes.
     """
 
     this_T_key: Float
@@ -70,6 +74,8 @@ class Motion:
     length_variance: float = 0.0
     scale: Scale | None = None
     noise_variance: float = 0.0
+    doubt: float | None = None
+    still: Float | None = None
 
 
 def motion_from_points(camera: Camera, points_m: Float, px: Float32, start: Float | None = None) -> Motion | None:
@@ -117,11 +123,9 @@ def refined(camera: Camera, X: Float, px: Float, this_T_key: Float) -> tuple[Flo
     ``X`` are (N, 3) points in the keyframe's camera, ``px`` their (N, 2) pixels in this frame. Every iteration chooses
     the inliers again. The influence is None if the points do not determine the motion.
     """
-    std_px = scaled(PIXEL_STD_PX, camera.height)
-    projection = Projection(camera.fx, camera.fy, camera.cx, camera.cy)
-    weighting = Weighting(std_px, _DEPTH_STD_PER_M, _HUBER, INLIER_PX / PIXEL_STD_PX)
+    model = _model(camera)
     for _ in range(_ITERATIONS):
-        residual, J, agrees = linearise(projection, weighting, X, px, this_T_key)
+        residual, J, agrees = linearise(*model, X, px, this_T_key)
         N = J.T @ J
         least, *_, most = np.linalg.eigvalsh(N)
         if np.sum(agrees) < _SMALLEST_SET or not least * _SINGULAR > most:
@@ -133,6 +137,31 @@ def refined(camera: Camera, X: Float, px: Float, this_T_key: Float) -> tuple[Flo
     known = agrees.astype(bool)
     each = (J * residual[:, None]).reshape(-1, 2, 6).sum(axis=1)[known]
     return this_T_key, known, np.linalg.solve(N, each.T).T
+
+
+def standing_motion(camera: Camera, points_m: Float, key_px: Float32, px: Float32, motion: Motion) -> Motion:
+    """The motion of a camera that stands still, with its covariance: noise, and a hidden motion straight ahead.
+
+    The (N, 3) points of the (N, 2) features are far where they are unknown (NaN), so their parallax shows less.
+    """
+    used = motion.inliers
+    far = rays(camera, key_px[used].astype(float)) * _FAR_M
+    X = np.where(np.isfinite(points_m[used, 2:]), points_m[used], far)
+    residual, J, _ = linearise(*_model(camera), X, px[used].astype(float), motion.this_T_key)
+    J = J[:, 2:]
+    covariance = np.zeros((6, 6))
+    covariance[2:, 2:] = np.linalg.pinv(J.T @ J)
+    hidden = covariance[2:, 2:] @ (residual @ J)
+    covariance[2, 2] += hidden[0] ** 2
+    variance = float(covariance[2, 2])
+    return replace(motion, still=covariance, noise_variance=variance, length_variance=variance)
+
+
+def _model(camera: Camera) -> tuple[Projection, Weighting]:
+    """The projection of points, and the weights of their errors."""
+    std_px = scaled(PIXEL_STD_PX, camera.height)
+    weighting = Weighting(std_px, _DEPTH_STD_PER_M, _HUBER, INLIER_PX / PIXEL_STD_PX)
+    return Projection(camera.fx, camera.fy, camera.cx, camera.cy), weighting
 
 
 def moved(small: Float) -> Float:

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from roadperc_stream.chain.stages.odometry.epipolar import MIN_PARALLAX_PX
 from roadperc_stream.config import scaled
 from roadperc_stream.geometry import Camera, Float, Float32, project, rays, transform
 from roadperc_stream.geometry.planes import Plane, intersect_plane
@@ -158,7 +159,11 @@ def road_motion(
     if not 0 < shift_px < np.inf:  # a wrong motion turns the road out of sight
         return None
     step_m = max(_TRIED_PX / shift_px, (tried_m[1] - tried_m[0]) / _MOST_TRIED)
-    lengths = np.arange(tried_m[0], tried_m[1] + step_m, step_m)
+    # A camera that does not stand still moves the near road at least as far as most features.
+    shortest_m = max(tried_m[0], scaled(MIN_PARALLAX_PX, grey.shape[0]) / shift_px)
+    if shortest_m > tried_m[1]:
+        return None
+    lengths = step_m * np.arange(np.floor(shortest_m / step_m), tried_m[1] / step_m + 1.0)
     fits = np.array([picture.correlation(length) for length in lengths])
     best = int(np.argmax(fits))
     if not 0 < best < len(lengths) - 1 or fits[best] < least_correlation:

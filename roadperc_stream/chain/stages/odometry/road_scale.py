@@ -29,6 +29,8 @@ _SEARCHED: Final = 0.3
 """Search range below and above the expected length, as its share."""
 _CARRIED_SHARE: Final = 0.2
 """Largest standard deviation, as a share of the length, at which the last speed gives the scale."""
+_CARRIED_M: Final = 0.02
+"""The same in metres, for short lengths."""
 _TIGHTEST_PER_M: Final = 0.15
 """Largest curvature of the road ahead."""
 _HEIGHT_SHARE: Final = 0.02
@@ -37,11 +39,13 @@ _LEAN_M: Final = 0.8
 """Standard deviation of a length in a bend, as a share, by its curvature per metre: the car leans to one side."""
 _LEAST_UNEXPECTED: Final = 0.7
 """Least correlation where the length is not expected: among all lengths, a wrong one fits by chance."""
+_SAME_DOUBT: Final = 0.05
+"""Largest relative difference of two successive doubts at which the road is right and the points are wrong."""
 
 
 @dataclass(frozen=True)
 class Expected:
-    """The expected length in metres at the last known speed, with its variance."""
+    """The expected length in metres, with its variance."""
 
     length_m: float
     variance: float
@@ -53,12 +57,13 @@ def scaled_by_road(
     motion: Motion,
     pitch: CameraPitch,
     expected: Expected | None,
-    longest_m: float,
+    possible_m: tuple[float, float],
 ) -> tuple[Motion, CameraPitch]:
     """The motion with the length that the road shows, else the expected length; and the updated pitch.
 
     The pitch counts if the road's plane is assumed from the mounting.
-    ``expected`` is the length at the last known speed, ``longest_m`` the length at the greatest possible speed.
+    ``expected`` is the length by triangulated points or at the last known speed, ``possible_m`` the shortest and the
+    longest length that a car can drive.
     """
     length = float(np.linalg.norm(motion.this_T_key[:3, 3]))
     R, t = motion.this_T_key[:3, :3], motion.this_T_key[:3, 3] / length
@@ -67,15 +72,20 @@ def scaled_by_road(
     found = None
     if expected is not None:
         reach_m = _SEARCHED * expected.length_m + _SIGMAS * float(np.sqrt(expected.variance))
-        found = find((max(expected.length_m - reach_m, 0.0), min(expected.length_m + reach_m, longest_m)))
+        found = find((max(expected.length_m - reach_m, possible_m[0]), min(expected.length_m + reach_m, possible_m[1])))
     if found is None:
-        found = find((0.0, longest_m), _LEAST_UNEXPECTED)
+        found = find(possible_m, _LEAST_UNEXPECTED)
     if found is None:
         return _carried(motion, pitch, expected, bend_per_m), pitch
+    before = pitch
     if _is_assumed(frame):
-        sharper = updated(pitch, (pitch.offset + found.pitch, found.pitch_variance + _PLANE_STD**2))
-        found = replace(found, length_m=found.length_m + found.metres_per_pitch * (sharper.offset - pitch.offset))
-        pitch = sharper
+        pitch = updated(pitch, (pitch.offset + found.pitch, found.pitch_variance + _PLANE_STD**2))
+        found = replace(found, length_m=found.length_m + found.metres_per_pitch * (pitch.offset - before.offset))
+    if expected is not None and _contradict(found, expected):
+        doubt, last = found.length_m / expected.length_m, keyframe.landmarks.doubt
+        if last is None or abs(doubt / last - 1.0) > _SAME_DOUBT:
+            return _doubted(_carried(motion, before, expected, bend_per_m), doubt), before
+        expected = None
     length_m, noise = _fused(found, expected)
     shared = 0.0
     if _is_assumed(frame):
@@ -123,28 +133,40 @@ def _is_assumed(frame: TrackingFrame) -> bool:
     return frame.road is not None and frame.road.source == "assumed"
 
 
-def _fused(found: RoadMotion, expected: Expected | None) -> tuple[float, float]:
-    """Length and variance, fused from the road and the expected length.
+def _noise(found: RoadMotion) -> float:
+    return found.variance + (_ROAD_SHARE * found.length_m) ** 2
 
-    If they contradict each other, the expected length counts, but with a standard deviation of a third of their
-    difference: a single wrong match changes nothing, and a second one that confirms the first one is believed.
-    """
-    noise = found.variance + (_ROAD_SHARE * found.length_m) ** 2
+
+def _contradict(found: RoadMotion, expected: Expected) -> bool:
+    """Whether a length by the road and the expected length differ beyond their deviations."""
+    return (expected.length_m - found.length_m) ** 2 > _SIGMAS**2 * (_noise(found) + expected.variance)
+
+
+def _fused(found: RoadMotion, expected: Expected | None) -> tuple[float, float]:
+    """Length and variance, fused from the road and the expected length."""
+    noise = _noise(found)
     if expected is None:
         return found.length_m, noise
-    off = expected.length_m - found.length_m
-    if off**2 > _SIGMAS**2 * (noise + expected.variance):
-        return expected.length_m, (off / _SIGMAS) ** 2
     gain = noise / (noise + expected.variance)
-    return found.length_m + gain * off, (1.0 - gain) * noise
+    return found.length_m + gain * (expected.length_m - found.length_m), (1.0 - gain) * noise
+
+
+def _doubted(carried: Motion, doubt: float) -> Motion:
+    """The motion with the expected length that a length by the road contradicts; ``doubt`` is the ratio of the two.
+
+    Its standard deviation grows by a third of their difference. A single wrong match changes nothing, and a second one
+    with the same ratio is believed.
+    """
+    off_m = (doubt - 1.0) * float(np.linalg.norm(carried.this_T_key[:3, 3]))
+    return replace(carried, doubt=doubt, length_variance=carried.length_variance + (off_m / _SIGMAS) ** 2)
 
 
 def _carried(motion: Motion, pitch: CameraPitch, expected: Expected | None, bend_per_m: float) -> Motion:
-    if expected is None or expected.variance > (_CARRIED_SHARE * expected.length_m) ** 2:
+    if expected is None or expected.variance > max(_CARRIED_SHARE * expected.length_m, _CARRIED_M) ** 2:
         return replace(motion, scaled=False, scale="none")
     by_pitch = (_LENGTH_PER_PITCH * expected.length_m) ** 2 * pitch.variance
     shared = by_pitch + _mounting_variance(expected.length_m, bend_per_m)
-    return _with_length(motion, "carried", expected.length_m, expected.variance, shared)
+    return _with_length(motion, "points" if motion.scaled else "carried", expected.length_m, expected.variance, shared)
 
 
 def _with_length(motion: Motion, scale: Scale, length_m: float, noise: float, shared: float) -> Motion:

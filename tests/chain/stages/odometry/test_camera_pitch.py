@@ -210,10 +210,10 @@ def blind(shot):
     return Shot(grey, shot.depth_m)
 
 
-def test_a_road_without_texture_carries_the_speed_with_growing_variance(shots):
+def test_on_a_road_without_texture_points_carry_the_scale_with_growing_variance(shots):
     _, results = run([*shots[:6], *map(blind, shots[6:9])], depth=False, road=ROAD)
     carried = results[6:]
-    assert [str(out.reason) for out in carried[:3]] == [str(Reason("odometry", "scale_carried"))] * 3
+    assert [str(out.reason) for out in carried[:3]] == [str(Reason("odometry", "scale_by_points"))] * 3
     assert not any(out.up_to_scale for out in carried[:3])
     assert lengths_m(results)[5:8] == pytest.approx([0.4] * 3, rel=0.05)
     stds = [np.sqrt(np.reshape(out.covariance, (6, 6))[0, 0]) for out in results[3:9]]

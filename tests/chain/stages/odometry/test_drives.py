@@ -4,12 +4,14 @@ import json
 
 import cv2
 import numpy as np
+import polars as pl
 import pytest
 
+from roadperc_stream import replay
 from roadperc_stream.chain.stages.odometry import ego_motion
 from roadperc_stream.chain.stages.odometry.keyframes import OdometryState
 from roadperc_stream.chain.stages.surface.road import assumed_surface
-from roadperc_stream.cli import render
+from roadperc_stream.cli import convert, render
 from roadperc_stream.config import OdometryConfig
 from roadperc_stream.geometry import EGO_R_OPTICAL, Camera, inverse, mounting, rigid
 from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14 as TABLE
@@ -108,3 +110,35 @@ def test_standing_still(tmp_path):
             stray_m = np.linalg.norm(poses(results)[:, :3, 3], axis=1).max()
             print(f"\nstanding, depth {depth}, tags {tags}: strays {1000 * stray_m:.2f} mm")
             assert stray_m < 0.02
+
+
+def stopping_drive(source, tmp_path):
+    """The table of a replay with one camera."""
+    assert convert.main([str(source), str(tmp_path / "in.mcap"), "--quiet"]) == 0
+    replay(tmp_path / "in.mcap", tmp_path / "out.mcap", config={"objects": {"enabled": False}})
+    table = pl.read_parquet(tmp_path / "out.metrics.parquet")
+    assert set(table["odometry_status"]) == {"first", "tracked"}
+    return table
+
+
+def test_a_real_car_that_stops_stands_where_it_stopped(data_dir, tmp_path):
+    table = stopping_drive(data_dir / "stop_and_go", tmp_path)
+    seconds = (table["stamp_ns"][-1] - table["stamp_ns"][0]) / 1e9
+    assert 10 < table["odom_x_m"][-1] < 10 * seconds
+    standing = table.filter(pl.col("step_m") < 0.01)
+    assert len(standing) > 5
+    assert standing["step_std_m"].null_count() == 0
+
+
+@pytest.mark.accuracy
+@pytest.mark.parametrize("seed", ["1", "4"])
+def test_a_rendered_car_that_brakes_stands_where_it_stopped(tmp_path, seed):
+    options = (
+        "--scene straight --lead-brakes --fov 70 --seconds 7 --rate 10 --size 320x240 --without right --without depth"
+    )
+    assert render.main([str(tmp_path / "dump"), *options.split(), "--seed", seed]) == 0
+    table = stopping_drive(tmp_path / "dump", tmp_path)
+    standing = table.filter(pl.col("true_step_m") < 0.001)
+    assert len(standing) > 15
+    assert standing["step_m"].max() < 0.005
+    assert table["step_m"].sum() == pytest.approx(table["true_step_m"].sum(), rel=0.03)

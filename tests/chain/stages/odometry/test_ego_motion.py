@@ -4,11 +4,15 @@ import pickle
 from functools import cache
 from itertools import pairwise
 
+import cv2
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from roadperc_stream.chain.stages.odometry.ego_motion import MIN_INLIER_RATIO, FollowedFrame, guesses
 from roadperc_stream.chain.stages.odometry.features import tracking_frame
+from roadperc_stream.chain.stages.odometry.followed import MIN_INLIER_RATIO, FollowedFrame
+from roadperc_stream.chain.stages.odometry.search import guesses
 from roadperc_stream.chain.stages.surface.road import assumed_surface
 from roadperc_stream.geometry import inverse, project, transform
 from roadperc_stream.model import Absent, Reason
@@ -105,13 +109,14 @@ def test_another_place_is_lost_and_then_tracked():
 
 
 def test_orb_matches_a_large_turn_that_optical_flow_loses():
-    turned = [pose(1.0, yaw=0.6) @ p for p in drive(2)]
+    steady = drive(2, step_m=1.0)
+    turned = [pose(1.0, yaw=0.6) @ p for p in steady]
     _, results = run(
         [photographed()[0], *map(photograph, turned)], CFG.model_copy(update={"max_turn_rate_dps": 1000.0})
     )
     assert statuses(results) == ["first", "tracked", "tracked"]
     assert [out.reason for out in results[1:]] == [Reason("odometry", "matched_by_orb"), None]
-    for out, true in zip(results[1:], (turned[0], drive(2)[1]), strict=True):
+    for out, true in zip(results[1:], (turned[0], steady[1]), strict=True):
         assert np.linalg.norm((inverse(true) @ out.step)[:3, 3]) < 0.01
         assert len(out.covariance) == 36
 
@@ -128,6 +133,73 @@ def test_an_impossible_motion_is_lost(limit, reason):
     _, results = run(photographed()[:2], CFG.model_copy(update=limit))
     assert statuses(results) == ["first", "lost"]
     assert results[1].reason == Reason("odometry", reason)
+
+
+def test_a_speed_that_no_car_reaches_in_time_is_lost_and_the_motion_goes_on():
+    """The images of two frames are exchanged: one seems 0.8 m ahead, the other 0.8 m back, at steps of 0.4 m."""
+    order = [0, 1, 2, 3, 5, 4, 6, 7]
+    _, results = run([photographed()[k] for k in order])
+    assert statuses(results) == ["first"] + ["tracked"] * 3 + ["lost"] * 2 + ["tracked"] * 2
+    assert {out.reason.code for out in results[4:6]} == {"impossible_acceleration"}
+    assert np.linalg.norm((inverse(POSES[7]) @ results[7].odom_T_ego)[:3, 3]) < 0.02
+
+
+@pytest.mark.parametrize("depth", [True, False])
+def test_the_scale_is_right_before_a_stop_and_after_it(depth):
+    """The car brakes with 8 m/s2 from 8 m/s, stands, and drives off with 6 m/s2."""
+    speeds = np.concatenate((np.full(4, 8.0), np.arange(7.6, 0.0, -0.4), np.zeros(8), np.arange(0.3, 4.8, 0.3)))
+    at_m = np.concatenate(([0.0], np.cumsum(speeds * STEP_NS / 1e9)))
+    shots = [noisy(photograph(pose(x)), k, std=1.0) for k, x in enumerate(at_m)]
+    _, results = run(shots, depth=depth, road=ROAD)
+    steps_m = np.array([np.linalg.norm(out.step[:3, 3]) for out in results[1:]])
+    stands = speeds == 0
+    assert steps_m[stands][1:].max() < 0.002
+    assert all(out.covariance for out in results[1:])
+    np.testing.assert_allclose(steps_m[-5:].sum(), np.diff(at_m)[-5:].sum(), rtol=0.05)
+    assert abs(results[-1].odom_T_ego[0, 3] - at_m[-1]) < 0.03 * at_m[-1]
+
+
+def test_a_step_of_unknown_length_has_no_pose_until_the_road_shows_lengths_again():
+    plain = [Shot(np.where(np.arange(480)[:, None] < 240, s.grey, np.uint8(90)), s.depth_m) for s in photographed()[:3]]
+    _, results = run([*plain, *photographed()[3:]], depth=False, road=ROAD)
+    unknown = [out for out in results if not out.has_pose]
+    assert unknown == results[1:4]
+    assert {str(out.reason) for out in unknown} == {str(Reason("odometry", "scale_unknown"))}
+    driven_m = distances_m(poses(results[3:]))[-1]
+    assert driven_m == pytest.approx(distances_m(np.array(POSES[3:]))[-1], rel=0.02)
+
+
+IMAGES = st.one_of(
+    st.tuples(st.just("street"), st.integers(0, 11)),
+    st.tuples(st.just("noise"), st.integers(0, 3)),
+    st.tuples(st.just("zoom"), st.integers(-6, 12)),
+    st.tuples(st.just("plain"), st.just(0)),
+)
+
+
+def image(kind, number):
+    if kind == "street":
+        return photographed()[number].grey
+    if kind == "plain":
+        return np.zeros(CAMERA.size, np.uint8)
+    if kind == "noise":
+        return np.random.default_rng(number).integers(0, 256, CAMERA.size, np.uint8)
+    zoom = cv2.getRotationMatrix2D((CAMERA.cx, CAMERA.cy), 0.0, 1.1**number)
+    return cv2.warpAffine(photographed()[0].grey, zoom, CAMERA.size[::-1], borderMode=cv2.BORDER_REFLECT)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.lists(IMAGES, min_size=3, max_size=8),
+    st.sampled_from([(True, None), (False, ROAD), (False, None)]),
+    st.sampled_from([0.5, 5.0, 70.0]),
+)
+def test_whatever_the_images_show_the_car_drives_no_farther_than_its_greatest_speed(images, source, most_mps):
+    depth, road = source
+    shots = [Shot(image(*each), photographed()[0].depth_m) for each in images]
+    _, results = run(shots, CFG.model_copy(update={"max_speed_mps": most_mps}), depth=depth, road=road)
+    for k, out in enumerate(results):
+        assert np.linalg.norm(out.odom_T_ego[:3, 3]) <= most_mps * k * STEP_NS / 1e9 + 1e-9
 
 
 def test_without_depth_the_shape_of_the_path_is_right():

@@ -1,9 +1,16 @@
 """The length of a step from the road's image and the last speed."""
 
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 
+from roadperc_stream.chain.stages.odometry import road_scale
+from roadperc_stream.chain.stages.odometry.camera_pitch import CameraPitch
+from roadperc_stream.chain.stages.odometry.motion import Motion
 from roadperc_stream.chain.stages.odometry.road_image import RoadMotion
-from roadperc_stream.chain.stages.odometry.road_scale import Expected, _fused
+from roadperc_stream.chain.stages.odometry.road_scale import Expected, _fused, scaled_by_road
+from roadperc_stream.geometry import rigid
 
 KNOWN = Expected(length_m=1.0, variance=0.02**2)
 
@@ -23,9 +30,18 @@ def test_without_a_known_speed_the_roads_length_counts():
     assert _fused(found(0.7), None)[0] == 0.7
 
 
-def test_a_contradicting_length_counts_only_if_the_next_one_confirms_it():
-    length_m, variance = _fused(found(0.7), KNOWN)
-    assert (length_m, variance) == (1.0, pytest.approx(0.1**2))
-    after = Expected(length_m, variance)
-    assert _fused(found(0.7), after)[0] == pytest.approx(0.7, abs=0.02)
-    assert _fused(found(1.0), after)[0] == 1.0
+@pytest.mark.parametrize(
+    ("last_doubt", "length_m", "std_m", "scale"),
+    [(None, 1.0, 0.1, "points"), (1.5, 1.0, 0.1, "points"), (0.72, 0.7, 0.016, "measured")],
+)
+def test_a_contradicting_length_counts_only_if_it_confirms_the_last_one(
+    monkeypatch, last_doubt, length_m, std_m, scale
+):
+    monkeypatch.setattr(road_scale, "_on_road", lambda *_: found(0.7))
+    frame = SimpleNamespace(road=None, ego_T_camera=np.eye(4))
+    keyframe = SimpleNamespace(landmarks=SimpleNamespace(doubt=last_doubt))
+    ahead = Motion(rigid(np.eye(3), np.array([0.0, 0.0, -1.0])), np.ones(1, bool), np.zeros((1, 3)), None, scaled=True)
+    motion, _ = scaled_by_road(frame, keyframe, ahead, CameraPitch(0.0, 0.0), KNOWN, (0.0, 2.0))
+    assert np.linalg.norm(motion.this_T_key[:3, 3]) == pytest.approx(length_m)
+    assert motion.length_variance == pytest.approx(std_m**2, rel=0.2)
+    assert motion.scale == scale

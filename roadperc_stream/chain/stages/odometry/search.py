@@ -1,0 +1,140 @@
+"""The search for the first motion that a car can make.
+
+The features are looked for where a steady motion predicts them, then near their last pixels; ORB is the last resort.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from roadperc_stream.chain.stages.odometry import keyframes
+from roadperc_stream.chain.stages.odometry.alignment import aligned, predicted_px
+from roadperc_stream.chain.stages.odometry.features import FRONTENDS, TrackingFrame
+from roadperc_stream.chain.stages.odometry.followed import MIN_INLIER_RATIO, Estimate, FollowedFrame
+from roadperc_stream.chain.stages.odometry.keyframes import Keyframe
+from roadperc_stream.chain.stages.odometry.motion import motion_from_points
+from roadperc_stream.chain.stages.odometry.rivals import along_path, best_shift
+from roadperc_stream.chain.stages.odometry.without_depth import localised_without_depth
+from roadperc_stream.config import scaled
+from roadperc_stream.geometry import Float32, project, transform
+from roadperc_stream.model import Absent, Reason
+
+_ASTRAY_PX = 20.0
+"""Largest distance, at 960 rows, from the pixel that steady motion predicts; farther matches are wrong."""
+_DEPTH_JITTER_M: Final = 0.07
+"""Standard deviation of the difference of two steps by depth with 30 % noise; their covariances do not show it."""
+
+
+def estimated(this: FollowedFrame) -> Estimate | Absent:
+    """The first plausible motion; absent with a reason if no motion is plausible."""
+    cfg, frame, keyframe = this.cfg, this.frame, this.keyframe
+    if frame.camera != keyframe.camera:
+        return Absent(Reason("odometry", "camera_changed"))
+    rejected = Reason("odometry", "too_few_inliers")
+    for guess_px, near_px, ratio in guesses(this):
+        px = FRONTENDS[cfg.features].match(cfg, keyframe.grey, keyframe.landmarks.features, guess_px, frame.grey)
+        astray = np.linalg.norm(px - near_px, axis=1) > scaled(_ASTRAY_PX, frame.grey.shape[0])
+        px[astray | frame.on_movable(px)] = np.nan
+        estimate = _localised(this, px)
+        if estimate is None:
+            continue
+        if np.sum(estimate.motion.inliers) < max(ratio * _findable(keyframe, frame, estimate), cfg.min_inliers):
+            continue
+        impossible = _impossible(this, estimate)
+        if impossible is None:
+            return _verified(this, estimate, expected=bool(np.isfinite(near_px).any()))
+        rejected = impossible
+    return Absent(rejected)
+
+
+def estimated_by_orb(this: FollowedFrame, failed: Absent) -> tuple[FollowedFrame, Estimate | Absent]:
+    """The motion by ORB features of the keyframe; the failure of optical flow if it is not plausible."""
+    cfg = this.cfg.model_copy(update={"features": "orb"})
+    keyframe, last = keyframes.detected_again(cfg, this.keyframe, this.last, this.frame)
+    wide = replace(this, keyframe=keyframe, last=last)
+    estimate = estimated(replace(wide, cfg=cfg))
+    return (this, failed) if isinstance(estimate, Absent) else (wide, replace(estimate, by_orb=True))
+
+
+def _verified(this: FollowedFrame, estimate: Estimate, *, expected: bool) -> Estimate:
+    """The estimate after a search for other shifts that fit both images and depths, unless it continues a sure motion.
+
+    If another shift fits better, it replaces the estimate. Shifts that fit about as well enlarge the variance.
+    """
+    keyframe, frame = this.keyframe, this.frame
+    sure = expected and (this.speed is None or this.speed.variance == 0)
+    if keyframe.landmarks.source != "depth" or frame.depth_m is None or sure:
+        return estimate
+    shift_m, std_m = best_shift(keyframe, frame, estimate.motion.this_T_key)
+    if shift_m:
+        estimate = _shifted(this, estimate, shift_m)
+    return replace(estimate, motion=replace(estimate.motion, length_variance=std_m**2, noise_variance=std_m**2))
+
+
+def _shifted(this: FollowedFrame, estimate: Estimate, shift_m: float) -> Estimate:
+    """The estimate at a shift along the car's path; the estimate itself if the features do not agree there."""
+    points_m, motion = this.keyframe.landmarks.points_m, estimate.motion
+    start, px = along_path(this.frame, shift_m) @ motion.this_T_key, estimate.px
+    for _ in range(2):
+        px = aligned(this.keyframe, this.frame, start)
+        found = motion_from_points(this.frame.camera, points_m, px, start)
+        if found is None:
+            return estimate
+        motion, start = found, found.this_T_key
+    if np.sum(motion.inliers) < this.cfg.min_inliers:
+        return estimate
+    odom_T_ego = this.pose(motion)
+    moved_estimate = Estimate(px, motion, odom_T_ego, this.turned_pitch(odom_T_ego))
+    return estimate if _impossible(this, moved_estimate) else moved_estimate
+
+
+def guesses(this: FollowedFrame) -> Iterator[tuple[Float32, Float32, float]]:
+    """(N, 2) pixels where the search starts, (N, 2) pixels near which matches must lie, and the share that must agree.
+
+    The first guess continues the last motion and accepts only matches near it: a road's texture repeats, and matches
+    shifted by one repetition also agree on a motion. The second guess is the last pixels; NaN accepts any match.
+    """
+    frame, keyframe, last = this.frame, this.keyframe, this.last
+    if (this_T_key := this.expected_this_T_key) is not None:
+        predicted = project(frame.camera, transform(this_T_key, keyframe.landmarks.points_m)).astype(np.float32)
+        yield np.where(np.isfinite(predicted), predicted, last.found_px), predicted, MIN_INLIER_RATIO
+    yield last.found_px, np.full_like(last.found_px, np.nan), 2 * MIN_INLIER_RATIO
+
+
+def _impossible(this: FollowedFrame, estimate: Estimate) -> Reason | None:
+    """Why a car cannot make the motion; None if it can. Without scale only the turn rate is checked."""
+    motion = estimate.motion
+    speed, turn_rate = np.linalg.norm(this.velocity(estimate.odom_T_ego).reshape(2, 3), axis=1)
+    fast = motion.scaled and speed > this.cfg.max_speed_mps
+    if fast or not turn_rate <= np.deg2rad(this.cfg.max_turn_rate_dps):
+        return Reason("odometry", "impossible_motion")
+    landmarks = this.keyframe.landmarks
+    hidden_m2 = _DEPTH_JITTER_M**2 if landmarks.source == "depth" else 0.0
+    least, most = this.limits_mps((motion.length_variance + hidden_m2) / this.seconds**2)
+    if landmarks.metric and motion.scaled and not least <= speed <= most:
+        return Reason("odometry", "impossible_acceleration", (float(speed), least, most))
+    return None
+
+
+def _findable(keyframe: Keyframe, frame: TrackingFrame, estimate: Estimate) -> int:
+    """Number of features that the motion predicts in the image if all points are known, else of those found."""
+    if keyframe.landmarks.source != "depth":
+        return int(np.sum(np.isfinite(estimate.px[:, 0])))
+    return int(np.sum(np.isfinite(predicted_px(keyframe, frame, estimate.motion.this_T_key)[:, 0])))
+
+
+def _localised(this: FollowedFrame, px: Float32) -> Estimate | None:
+    """The motion estimated from the features' pixels, and the pose that follows."""
+    camera, landmarks = this.frame.camera, this.keyframe.landmarks
+    if landmarks.source != "depth":
+        return localised_without_depth(this, px)
+    motion = motion_from_points(camera, landmarks.points_m, px)
+    if motion is not None:
+        px = aligned(this.keyframe, this.frame, motion.this_T_key)
+        motion = motion_from_points(camera, landmarks.points_m, px, motion.this_T_key)
+    if motion is None:
+        return None
+    odom_T_ego = this.pose(motion)
+    return Estimate(px, motion, odom_T_ego, this.turned_pitch(odom_T_ego))

@@ -1,0 +1,193 @@
+"""Files of datasets: one function reads them up to a size, and their paths, numbers and poses are checked."""
+
+import gzip
+import json
+import os
+from contextlib import suppress
+
+import numpy as np
+import pytest
+
+from roadperc_stream.cli import batch, convert
+from roadperc_stream.config import load_config
+from roadperc_stream.config.loading import load_labels
+from roadperc_stream.errors import ConfigError, DumpError
+from roadperc_stream.eval.criteria import read_criteria
+from roadperc_stream.eval.culane_lists import read_list
+from roadperc_stream.eval.lane_files import LaneFileError, read_frames
+from roadperc_stream.tools.carla_dump import json_files
+from roadperc_stream.tools.carla_dump.calibration_file import load_calibration
+from roadperc_stream.tools.carla_dump.camera_info import load_camera_info
+from roadperc_stream.tools.carla_dump.detection_files import load_detections
+from roadperc_stream.tools.carla_dump.frame_stamps import stamps_of_file
+from roadperc_stream.tools.carla_dump.image_files import read_bytes, read_header
+from roadperc_stream.tools.carla_dump.pixel_files import file_size
+from roadperc_stream.tools.carla_dump.point_files import points_kind
+from roadperc_stream.tools.carla_dump.tag_files import named_table
+from roadperc_stream.tools.carla_dump.truth_file import load_poses, load_truth
+from roadperc_stream.tools.carla_dump.yolo_files import is_yolo, load_yolo_labels
+from roadperc_stream.tools.layouts.carla_files import read_document
+from roadperc_stream.tools.networks.description import read_network
+from tests.eval.tables import outcome
+from tests.tools.dump_writer import camera_pixels, jpeg
+from tests.tools.layouts.test_kitti_odometry import dataset, numbers, replaced
+from tests.tools.layouts.test_lane_labels import tusimple_folder
+from tests.tools.layouts.test_routes import carla_matrix, nuscenes, packed
+
+__all__ = ["dataset", "nuscenes"]
+READERS = {
+    "configuration": load_config,
+    "criteria": read_criteria,
+    "labels": load_labels,
+    "tags": lambda path: named_table(str(path.rename(path.with_suffix(".toml")))),
+    "network": read_network,
+    "calibration": load_calibration,
+    "camera_info": load_camera_info,
+    "detections": load_detections,
+    "stamps": lambda path: stamps_of_file(path, [1]),
+    "poses": load_poses,
+    "truth": lambda path: load_truth(path, "camera_front"),
+    "document": read_document,
+    "text": json_files.read_lines,
+    "lanes": read_frames,
+    "list of lanes": lambda path: read_list(path, ["a.jpg"], np.arange(9.0)),
+    "boxes": lambda path: is_yolo([path]),
+    "YAML": json_files.read_yaml,
+    "image": read_bytes,
+    "header": read_header,
+    "pixels": file_size,
+    "points": points_kind,
+}
+NO_FILE = (ConfigError, DumpError, OSError)
+
+
+@pytest.mark.promise("Dumps", "A pipe, a device or an endless file in place of a file is refused at once")
+@pytest.mark.parametrize("read", READERS.values(), ids=READERS)
+def test_only_regular_files_are_read(tmp_path, read):
+    pipe, endless = tmp_path / "pipe.bin", tmp_path / "endless.bin"
+    os.mkfifo(pipe)
+    endless.symlink_to("/dev/zero")
+    for path in (pipe, endless):
+        with pytest.raises(NO_FILE, match="a pipe or a device"):
+            read(path)
+
+
+@pytest.mark.promise("Dumps", "A pipe, a device or an endless file in place of a file is refused at once")
+def test_a_list_of_logs_is_a_regular_file(tmp_path, capsys):
+    code, _, err = outcome(batch.main, capsys, tmp_path / "out", "@/dev/zero")
+    assert (code, "a pipe or a device" in err) == (1, True)
+
+
+@pytest.mark.promise("Dumps", "A file above the size of its kind is refused before it is read")
+def test_a_file_is_read_up_to_a_size(tmp_path):
+    path = tmp_path / "a.toml"
+    with path.open("wb") as file:
+        file.truncate(3_000_000_000)
+    for read in (load_config, read_criteria, load_camera_info, read_document, json_files.read_json):
+        with pytest.raises((ConfigError, DumpError), match="is larger than"):
+            read(path)
+
+
+@pytest.mark.promise("Dumps", "A path that a dataset's file names stays below its folder, links resolved")
+@pytest.mark.parametrize("how", ["parent", "absolute", "link"])
+def test_named_paths_stay_below_the_folder(nuscenes, tmp_path, capsys, how):
+    """An image outside the folder is never read."""
+    secret = tmp_path / "secret.jpg"
+    jpeg(secret, camera_pixels())
+    rows = nuscenes / "v1.0-mini" / "sample_data.json"
+    labels = tusimple_folder(tmp_path / "tusimple") / "label_data_0313.json"
+    for folder in (nuscenes, labels.parent):
+        (folder / "link.jpg").symlink_to(secret)
+    name = {"parent": "../secret.jpg", "absolute": str(secret), "link": "link.jpg"}[how]
+    rows.write_text(rows.read_text().replace("samples/CAM_FRONT/970000.jpg", name))
+    labels.write_text(labels.read_text().replace("clips/0531/7/20.jpg", name))
+    for where, *options in ((nuscenes, "--sequence", "scene-0001"), (labels.parent, "--fov", "60")):
+        code, _, err = outcome(convert.main, capsys, where, tmp_path / "o.mcap", *options)
+        assert (code, err.count("\n"), "leads out of" in err) == (1, 1, True), err
+        assert not (tmp_path / "o.mcap").exists()
+
+
+@pytest.mark.promise("Dumps", "A path that a dataset's file names stays below its folder, links resolved")
+@pytest.mark.parametrize("how", ["parent", "link"])
+def test_labels_of_a_list_stay_below_the_folder(tmp_path, how):
+    (tmp_path / "culane" / "list").mkdir(parents=True)
+    (tmp_path / "secret.lines.txt").write_text("1 2 3 4")
+    (tmp_path / "culane" / "link.lines.txt").symlink_to(tmp_path / "secret.lines.txt")
+    name = {"parent": "list/../../secret.jpg", "link": "link.jpg"}[how]
+    listed = tmp_path / "culane" / "list" / "train.txt"
+    listed.write_text(f"/{name} 1 1\n")
+    with pytest.raises(LaneFileError, match="leads out of"):
+        read_list(listed, [name], np.arange(9.0))
+
+
+@pytest.mark.promise("Dumps", "A pose that is a mirror, has a scale or is no rotation is refused")
+@pytest.mark.parametrize("matrix", [np.diag((1, -1, 1)), 2 * np.eye(3), np.zeros((3, 3)), np.diag((-1, -1, -1))])
+def test_poses_are_rotations(dataset, nuscenes, tmp_path, capsys, matrix):
+    route = tmp_path / "route"
+    jpeg(route / "rgb" / "0000.jpg", camera_pixels())
+    placed = np.eye(4)
+    placed[:3, :3] = matrix
+    packed(route / "measurements" / "0000.json.gz", {"theta": 0, "ego_matrix": placed.tolist()})
+    replaced(dataset / "poses" / "00.txt", 1, numbers(placed[:3]))
+    rows = json.loads((nuscenes / "v1.0-mini" / "ego_pose.json").read_text())
+    rows[0]["rotation"] = (matrix[0, 0] * 2.0, 0, 0, 0)
+    (nuscenes / "v1.0-mini" / "ego_pose.json").write_text(json.dumps(rows))
+    for arguments in ((dataset, "--sequence", "00"), (route,), (nuscenes, "--sequence", "scene-0001")):
+        code, _, err = outcome(convert.main, capsys, *arguments, tmp_path / "o.mcap")
+        assert (code, err.count("\n"), "expected a rotation" in err) == (1, 1, True), err
+
+
+LARGE = ("-1e308", "1e999", "9223372036854775808", "nan", "9" * 6000)
+
+
+@pytest.mark.promise("Dumps", "A number of any size or length in a dataset is read or refused with one line")
+@pytest.mark.parametrize("word", LARGE, ids=["negative", "infinite", "2^63", "nan", "6000 digits"])
+def test_numbers_have_a_limit(dataset, tmp_path, capsys, word):
+    replaced(dataset / "sequences" / "00" / "calib.txt", 2, f"P2: {word} 0 7.5 0 0 8 5.5 0 0 0 1 0")
+    route = tmp_path / "route"
+    jpeg(route / "rgb" / "0000.jpg", camera_pixels())
+    packed(route / "measurements" / "0000.json.gz", {"theta": 0, "ego_matrix": carla_matrix(0, 0)})
+    box = {"class": "car", "extent": [2, 1, "W"], "num_points": 3, "id": 7, "matrix": carla_matrix(10, 25)}
+    boxes = json.dumps([box]).replace('"W"', word.replace("nan", "NaN"))
+    (route / "boxes").mkdir()
+    (route / "boxes" / "0000.json.gz").write_bytes(gzip.compress(boxes.encode()))
+    for arguments in ((dataset, "--sequence", "00"), (route,)):
+        code, _, err = outcome(convert.main, capsys, *arguments, tmp_path / "o.mcap")
+        assert (code, err.count("\n"), len(err) < 1000) == (1, 1, True), err
+    stamps = tmp_path / "timestamps.txt"
+    stamps.write_text(f"1 {word}\n")
+    with pytest.raises(DumpError, match="expected 'seconds' or 'frame seconds'"):
+        stamps_of_file(stamps, [1])
+
+
+@pytest.mark.promise("Dumps", "A number of any size or length in a dataset is read or refused with one line")
+@pytest.mark.parametrize("word", LARGE, ids=["negative", "infinite", "2^63", "nan", "6000 digits"])
+def test_boxes_of_a_list_have_limits(tmp_path, word):
+    labels, names = tmp_path / "1.txt", tmp_path / "data.yaml"
+    for line, kind in ((f"{word} 0.5 0.5 0.1 0.1", "0"), (f"0 0.5 {word} 0.1 0.1", "0"), ("0 0.5 0.5 0.1 0.1", word)):
+        names.write_text(f"names: {{{kind}: car}}")
+        labels.write_text(line)
+        with suppress(DumpError):
+            load_yolo_labels({1: labels}, [1], (100, 50))
+
+
+@pytest.mark.promise("Dumps", "JSON that is nested deeply, and a literal or gzip that expands, give a one-line error")
+@pytest.mark.parametrize(
+    ("name", "data"),
+    [
+        ("nested.json", b"[" * 100_000),
+        ("literal.json", b"{'a': [" + b"[],'" * 300_000 + b"]}"),
+        ("bomb.json.gz", gzip.compress(bytes(200_000_000))),
+        ("cut.json.gz", gzip.compress(b"[1, 2]")[:-9]),
+    ],
+    ids=["nested", "literal", "gzip", "cut"],
+)
+def test_documents_do_not_expand(tmp_path, name, data):
+    path = tmp_path / name
+    path.write_bytes(data)
+    with pytest.raises(DumpError, match=name) as fault:
+        read_document(path)
+    assert len(str(fault.value)) < 1000
+    if not name.endswith("gz"):
+        with pytest.raises(DumpError, match="not JSON"):
+            load_detections(path)
