@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final
 
 from roadperc_stream.output.reason_counts import ranked as ranked_reasons
 from roadperc_stream.output.text_table import TextRow, TextTable, row
-from roadperc_stream.schemas.columns import UNITLESS
+from roadperc_stream.schemas.columns import UNITLESS, FrameMetrics
 
 from .machine import Case
 from .quantities import COVERED, NUMBERS, QUALITY, SPEED, TOTAL, Quantity, percent, rounded
@@ -20,6 +20,7 @@ LISTED: Final = 10
 RUNS_SHOWN: Final = 6
 """Most runs in the short report of several runs, which has at most 15 lines."""
 NO_TRUTH: Final = "No frame has truth: the figures are the stages' own quality numbers, not errors."
+_STORED: Final = frozenset(column.name for column in fields(FrameMetrics))
 _KNOWN: Final = {quantity.column: quantity for quantity in (*NUMBERS, *QUALITY)}
 
 
@@ -205,8 +206,8 @@ def stage_table(figures: Mapping[str, Sequence[StageFigures]], judged: Container
     ]
     shown = [f for f in of_stages if f.median is not None]
     figured = [f for found in of_stages for f in (found, found.telling) if f and f.median is not None]
-    columns = dict.fromkeys(f.quantity.column for f in figured)
-    whole = [f"{f.stage}{' lost' * (f.median is not None)}: {f.reason}" for f in of_stages if f.reason]
+    columns = dict.fromkeys(f.quantity.column for f in figured if f.quantity.column in _STORED)
+    whole = [f"{f.stage}: {f.reason}" for f in of_stages if f.reason]
     apart = dict.fromkeys(f.stage for f in shown if f.stage not in judged)
     all_apart = len(apart) == len({f.stage for f in shown})
     notes = [f"no truth, the stage's own quality: {', '.join(apart)}"] if apart and not all_apart else []

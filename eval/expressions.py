@@ -40,6 +40,7 @@ ltrim rtrim length char_length character_length octet_length starts_with ends_wi
 regexp_like concat array_length array_contains array_get array_mean any all avg count max median min stddev sum variance
 """
 """Functions of values and columns; none reads a file, or makes a text or a list of any length."""
+_KNOWN: Final = frozenset(_FUNCTIONS.split())
 _CLOSING: Final = {"(": ")", "[": "]", "case": "end"}
 
 
@@ -91,8 +92,8 @@ def _require_scalar(text: str) -> None:
         word, kind, at = found[0].strip().lower(), found.lastgroup, found.end()
         is_called = kind == "name" and text.startswith("(", at)
         is_operator = kind == "between" or _OPERATORS.fullmatch(word) is not None
-        if is_called and not is_operator and word not in _FUNCTIONS.split():
-            near = nearest(word, _FUNCTIONS.split())
+        if is_called and not is_operator and word not in _KNOWN:
+            near = nearest(word, _KNOWN)
             raise ValueError(f"no function {word}; {f'did you mean {near}?' if near else 'docs/checks.md lists them'}")
         if ended and not is_operator and kind != "close" and word != "[":
             raise ValueError(f"unexpected {word[:20]!r} after a value; expected one expression, without a query")

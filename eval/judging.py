@@ -107,13 +107,12 @@ def judge(criteria: Sequence[Criterion], runs: Sequence[Run], source: Path) -> l
     of_frames = zip(*by_run, strict=True)
     results: list[Result] = []
     for criterion in criteria:
-        parts = None if criterion.statistic == "findings" else next(of_frames)
-        groups = [[place] for place in range(len(runs))] if criterion.per_log else [range(len(runs))]
-        for group in groups:
-            some = [runs[place] for place in group]
-            log = some[0].name if len(some) == 1 else ALL
-            of_group = None if parts is None else [parts[place] for place in group]
-            results.append(_found(criterion, some, log) if of_group is None else _judged(criterion, of_group, log))
+        parts = [None] * len(runs) if criterion.statistic == "findings" else next(of_frames)
+        pairs = list(zip(runs, parts, strict=True))
+        for group in [[pair] for pair in pairs] if criterion.per_log else [pairs]:
+            log, of_group = group[0][0].name if len(group) == 1 else ALL, [part for _, part in group if part]
+            found = _judged(criterion, of_group, log) if of_group else _found(criterion, [run for run, _ in group], log)
+            results.append(found)
     return results
 
 

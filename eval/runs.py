@@ -18,7 +18,7 @@ from roadperc_stream.output.tables import arrow_schema, facts_in, sidecar_path
 from roadperc_stream.schemas import record
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
 from roadperc_stream.system.files import METRICS_SUFFIX, OBJECTS_SUFFIX, TABLE_SUFFIX, real_path
-from roadperc_stream.system.text import number
+from roadperc_stream.system.text import number, whole_number
 
 _COMPLETE: Final = ("log_id", "frame", "stamp_ns", "total_ms")
 """Columns that have a finite value in every row."""
@@ -34,8 +34,6 @@ _FACTS: Final = (
     *(record.LOG_ID_KEY, record.CONTINUES_KEY),
 )
 """Entries of a table's footer that become attributes of its run, under the same names."""
-_MOST_DIGITS: Final = 16
-"""Digits of a frame number."""
 
 
 def collect(frame: pl.LazyFrame, source: str) -> pl.DataFrame:
@@ -242,7 +240,7 @@ def open_run(path: Path, name: str) -> Run:
     facts = facts_in(footer.metadata)
     rows = footer.num_rows
     known: dict[str, Any] = {key: facts[key] for key in _FACTS if key in facts}
-    first_frame = _whole_number(facts.get(record.FIRST_FRAME_KEY, ""))
+    first_frame = whole_number(facts.get(record.FIRST_FRAME_KEY, "")) or 0
     stored = facts.get(record.FINDINGS_KEY)
     findings = None if stored is None else decoded_findings(stored)
     known |= {"findings": findings, "mounting_height_m": _height(facts.get(record.MOUNTING_KEY, ""))}
@@ -255,11 +253,6 @@ def _height(text: str) -> float | None:
         return float(text)
     except ValueError:
         return None
-
-
-def _whole_number(text: str) -> int:
-    """The number; 0 if the text is not one."""
-    return int(text) if text.isascii() and text.isdigit() and len(text) < _MOST_DIGITS else 0
 
 
 def distinct_names(paths: Sequence[Path]) -> list[str]:

@@ -5,7 +5,7 @@ difference, gap or motion is measured across segments. Time continues from one s
 """
 
 import math
-from collections.abc import Container, Iterable, Iterator
+from collections.abc import Container, Iterable
 from pathlib import Path
 from typing import Final
 
@@ -80,15 +80,15 @@ def stored_columns(columns: Container[str]) -> list[pl.Expr]:
         pl.col("missing", "reasons").cast(pl.List(pl.String)),
         *(typed(columns, name, pl.Float64()) for name in NUMBER_COLUMNS if name != _INLIERS),
         *(typed(columns, name, pl.String()) for name in TEXTS),
-        *_inliers(columns),
+        _inliers(columns),
     ]
 
 
-def _inliers(columns: Container[str]) -> Iterator[pl.Expr]:
-    """The inliers of frames with a motion: the first frame cannot have any."""
+def _inliers(columns: Container[str]) -> pl.Expr:
+    """The inliers of frames with a motion: the first frame and lost ones have none."""
     inliers = typed(columns, _INLIERS, pl.Float64())
     status = typed(columns, _STATUS, pl.String())
-    yield pl.when(status.fill_null("") != "first").then(inliers).alias(_INLIERS)
+    return pl.when(status.is_null() | (status == "tracked")).then(inliers).alias(_INLIERS)
 
 
 def typed(columns: Container[str], name: str, kind: pl.DataType) -> pl.Expr:

@@ -10,11 +10,11 @@ from roadperc_stream.chain.step import ChainState, LocalisedFrame, localise, obs
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.input import ReplaySource
 from roadperc_stream.metrics import frame_metrics, object_metrics
-from roadperc_stream.metrics.findings import Contradictions
+from roadperc_stream.metrics.evidence import evidence_of
 from roadperc_stream.model import FrameResult, Sample
 from roadperc_stream.model.scene import Scene
 from roadperc_stream.output.target import ReplayTarget
-from roadperc_stream.output.writing import NO_CALLBACKS, Callbacks, Outputs, ReplaySummary
+from roadperc_stream.output.writing import NO_CALLBACKS, Callbacks, FrameOutput, Outputs, ReplaySummary
 from roadperc_stream.resume.checkpoint import Checkpoint, CheckpointFolder, Checkpoints
 from roadperc_stream.resume.opening import PLAIN, OpenedLog, ReplayOptions, finished, open_replay, run_of
 from roadperc_stream.resume.state import ReplayState, packed
@@ -57,7 +57,7 @@ def replay(
             was_killed = options.resume and folder.path.exists() and not target.is_complete
             target = replace(target, force=target.force or found is not None or was_killed)
             target.require_free(source.files)
-            outputs = Outputs(target, cfg, opened.input, opened.table_facts(), Contradictions(cfg))
+            outputs = Outputs(target, cfg, opened.input, opened.table_facts())
             checkpoints.begin()
             with one_thread(), all_or_none(*outputs.files):
                 frames = _Frames(cfg, opened, outputs, checkpoints, callbacks)
@@ -135,7 +135,8 @@ class _Frames:
             with timer("metrics"):
                 row = frame_metrics(self._cfg, self._input.log_id, sample, result, self._earlier)
                 objects = object_metrics(self._input.log_id, sample, result)
-            self._checkpoints.keep(self._outputs.write(sample, result, row, objects, timer))
+                output = FrameOutput((), row, {}, tuple(objects), evidence_of(self._cfg, sample.frame, result))
+            self._checkpoints.keep(self._outputs.write(sample, result, output, timer))
         self._earlier = sample.as_earlier
         self._done(sample, ReplayState(chain, self._earlier, self._outputs.shown))
 

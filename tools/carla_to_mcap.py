@@ -43,6 +43,7 @@ def recording_of(path: Path, options: ConvertOptions) -> Recording:
         if path.is_file():
             options.refuse(path, ["--layout", "--sequence"], "is an option for folders")
         if options.layout is None and is_log(path):
+            options.require_only(path)
             return recording_of_log(path)
         if path.is_file():
             return recording_of_videos(path, [path], options)

@@ -147,12 +147,12 @@ def _write(job: InferenceJob, out: Path, arguments: argparse.Namespace) -> tuple
     topic = job.roles.topics[job.image]
     expected = sum(summary.counts.get(c.source_id, 0) for c in summary.channels if c.topic == topic)
     threads = arguments.threads or usable_cores()
-    varying: list[str] = []
+    varying = _varying(job)  # before the loop: its memory is limited, so no other thread may run
     with LogWriter(out, summary.profile) as target, frame_progress("inferring", not arguments.quiet) as progress:
         copy = MessageCopy(target, kept, log.pieces(summary, kept, None, None), summary.schema_ids)
         for channel in channels.values():
             target.register(channel)
-        for item, result in _results(job, problems, varying, threads):
+        for item, result in _results(job, problems, threads):
             copy.through(item.log_time_ns)
             for role, data in _encoded(job, item, result):
                 target.write(Message(channels[role], item.log_time_ns, item.log_time_ns, frames, data))
@@ -170,16 +170,9 @@ def _write(job: InferenceJob, out: Path, arguments: argparse.Namespace) -> tuple
     return frames, [*varying, *unreadable, *problems.first.values(), *check.warnings(name)]
 
 
-def _results(
-    job: InferenceJob, problems: Problems, varying: list[str], threads: int
-) -> Iterator[tuple[Stamped, Inferred]]:
-    """Yield images and their results in order; several images are computed at a time.
-
-    Appends the warnings of networks with random numbers to ``varying``.
-    """
+def _results(job: InferenceJob, problems: Problems, threads: int) -> Iterator[tuple[Stamped, Inferred]]:
+    """Yield images and their results in order; several images are computed at a time."""
     topic, horizon = job.roles.topics[job.image], HorizonEstimate()
-    roles = replace(job.roles, topics={job.image: topic})
-    items = decoded_messages(log.read(job.summary, topics=(topic,)), roles, "auto", problems)
 
     def raw_of(item: Stamped) -> tuple[Stamped, RawResult | DecodeError]:
         assert isinstance(item.payload, CameraImage)
@@ -188,7 +181,7 @@ def _results(
         except DecodeError as error:
             return item, error
 
-    for item, raw in in_order(raw_of, _tried(job.pair, items, varying), threads):
+    for item, raw in in_order(raw_of, _images(job, problems), threads):
         if isinstance(raw, DecodeError):
             problems.add(topic, item.log_time_ns, raw)
         else:
@@ -196,17 +189,21 @@ def _results(
             yield item, result
 
 
-def _tried(pair: Pair, items: Iterator[Stamped], varying: list[str]) -> Iterator[Stamped]:
-    """Yield the images; before the first readable one, run the networks on it twice and append their warnings."""
-    is_tried = False
-    for item in items:
+def _varying(job: InferenceJob) -> list[str]:
+    """Run the networks twice on the first readable image, and return their warnings."""
+    for item in _images(job, Problems()):
         assert isinstance(item.payload, CameraImage)
-        if not is_tried:
-            with suppress(DecodeError):
-                (found,) = in_order(pair.varying, [item.payload.decode_bgr()], 1)
-                varying += found
-                is_tried = True
-        yield item
+        with suppress(DecodeError):
+            (found,) = in_order(job.pair.varying, [item.payload.decode_bgr()], 1)
+            return found
+    return []
+
+
+def _images(job: InferenceJob, problems: Problems) -> Iterator[Stamped]:
+    topics = {job.image: job.roles.topics[job.image]}
+    return decoded_messages(
+        log.read(job.summary, topics=topics.values()), replace(job.roles, topics=topics), "auto", problems
+    )
 
 
 def _encoded(job: InferenceJob, item: Stamped, result: Inferred) -> Iterator[tuple[str, bytes]]:

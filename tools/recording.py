@@ -58,10 +58,10 @@ def finding_notes(rig: Rig, detections: Iterable[Detection] = ()) -> Iterator[st
     """Yield the findings on the cameras, and on the labels of the detections."""
     for role, camera in rig.cameras.items():
         option = f"{'--fov DEGREES or ' * (role == 'calibration')}--calibration FILE"
-        yield from (finding.text for finding in camera_findings(camera.frame_id, camera, option))
+        yield from (str(finding) for finding in camera_findings(camera.frame_id, camera, option))
     evidence = InputEvidence({})
     evidence.add_labels(detection.label for detection in detections)
-    yield from (found.text for found in label_findings("detections", evidence.unknown, evidence.detections))
+    yield from (str(found) for found in label_findings("detections", evidence.unknown, evidence.detections))
 
 
 def _camera(camera: Camera) -> str:

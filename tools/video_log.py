@@ -6,25 +6,23 @@ H.265 from memory: one key frame with its followers at a time, so that a frame b
 
 import io
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from shlex import quote
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
 
 from roadperc_stream import log
 from roadperc_stream.errors import DecodeError, DumpError
 from roadperc_stream.formats.images import encode_jpeg, video_codec
-from roadperc_stream.input.decoding.wire import from_json
+from roadperc_stream.input.decoding import context_of_channel, decode, schemas_of_kind
 from roadperc_stream.log import Channel, LogSummary, Message
+from roadperc_stream.model import VideoFrame
 from roadperc_stream.output import encoding
-from roadperc_stream.schemas import cdr, protobuf
-from roadperc_stream.schemas.topics import IMAGE_SCHEMA, VIDEO_SCHEMAS
+from roadperc_stream.schemas.topics import VIDEO_SCHEMAS
 from roadperc_stream.system.text import shown
 
 from .carla_dump.messages import JPEG_QUALITY, channel_of
@@ -36,18 +34,6 @@ _KEY_FRAMES: Final = {
     "h265": re.compile(rb"\x00\x00\x01[\x42\x43]"),
 }
 """The start of a sequence parameter set, which each key frame has in a stream of Foxglove, by codec."""
-_FOXGLOVE: Final[Mapping[str, Any]] = {t.DESCRIPTOR.full_name: t for t in (CompressedVideo, CompressedImage)}
-_IMAGE_SCHEMAS: Final = (IMAGE_SCHEMA, "sensor_msgs/msg/CompressedImage", "sensor_msgs/CompressedImage")
-
-
-@dataclass(frozen=True)
-class _Packet:
-    """The content of a message with an image or a frame of video."""
-
-    stamp_ns: int
-    frame_id: str
-    format: str
-    data: bytes
 
 
 def recording_of_log(path: Path) -> Recording:
@@ -90,10 +76,11 @@ def videos_of(summary: LogSummary) -> dict[Channel, str]:
     found = {}
     for channel in summary.channels:
         is_video = channel.schema_name in VIDEO_SCHEMAS
-        if (is_video or channel.schema_name in _IMAGE_SCHEMAS) and summary.counts.get(channel.source_id):
+        kind = channel.schema_name, channel.message_encoding
+        if (is_video or kind in schemas_of_kind("video")) and summary.counts.get(channel.source_id):
             first = next(m for m in log.read(summary, topics=[channel.topic]) if m.channel == channel)
             try:
-                layout = _packet(summary, first).format
+                layout = _packet(summary, first)[1].format
             except DumpError:
                 if is_video:
                     raise
@@ -126,17 +113,17 @@ def _messages(summary: LogSummary, videos: Mapping[Channel, str], warnings: list
 
 def _decoded(summary: LogSummary, channel: Channel, codec: str, warnings: list[str]) -> Iterator[bytes | None]:
     """Yield the image of each message of a channel; None for those that cannot be decoded."""
-    group: list[_Packet] = []
+    group: list[tuple[int, VideoFrame]] = []
     for message in log.read(summary, topics=[channel.topic]):
         if message.channel != channel:
             continue
-        packet = _packet(summary, message)
+        stamp_ns, packet = _packet(summary, message)
         if video_codec(packet.format) != codec:
             raise DumpError(f"{_where(summary, message)}: format {packet.format!r}, expected {codec} as before")
         if _KEY_FRAMES[codec].search(packet.data):
             yield from _images(channel.topic, codec, group, warnings)
             group = []
-        group.append(packet)
+        group.append((stamp_ns, packet))
     yield from _images(channel.topic, codec, group, warnings)
 
 
@@ -144,57 +131,34 @@ def _where(summary: LogSummary, message: Message) -> str:
     return f"{summary.path}: {message.channel.topic}: message at {message.log_time_ns} ns"
 
 
-def _packet(summary: LogSummary, message: Message) -> _Packet:
-    """Return the content of a message.
+def _packet(summary: LogSummary, message: Message) -> tuple[int, VideoFrame]:
+    """Return the stamp of a message in nanoseconds, and its content.
 
     Raises:
         DumpError: its encoding is not read, or its bytes do not match its schema.
     """
-    channel = message.channel
+    channel, content = message.channel, (message.data, message.log_time_ns, context_of_channel(message.channel, "auto"))
     try:
-        read = _READERS[channel.message_encoding]
-        with cdr.as_defined(f"{len(message.data)} bytes are not a {channel.schema_name}"):
-            return read(channel, message.data)
-    except KeyError:
-        found = f"{channel.schema_name} ({channel.message_encoding})"
-        raise DumpError(f"{_where(summary, message)}: {found}: expected {', '.join(_READERS)}") from None
+        found = decode("video", channel.schema_name, channel.message_encoding, *content)
     except DecodeError as error:
         raise DumpError(f"{_where(summary, message)}: {error}") from error
+    assert isinstance(found.payload, VideoFrame)
+    return found.stamp_ns, found.payload
 
 
-def _of_ros(channel: Channel, data: bytes) -> _Packet:
-    found = cdr.read(data, channel.schema_name, channel.schema_data, channel.schema_encoding)
-    frame_id, stamp = (
-        (found.header.frame_id, found.header.stamp) if hasattr(found, "header") else (found.frame_id, found.timestamp)
-    )
-    return _Packet(cdr.stamp_ns(stamp), frame_id, found.format, found.data.tobytes())
-
-
-def _of_foxglove(message: Any) -> _Packet:
-    return _Packet(protobuf.stamp_ns(message.timestamp), message.frame_id, message.format, message.data)
-
-
-_READERS: Final[Mapping[str, Callable[[Channel, bytes], _Packet]]] = {
-    "protobuf": lambda channel, data: _of_foxglove(_FOXGLOVE[channel.schema_name].FromString(data)),
-    "json": lambda channel, data: _of_foxglove(from_json(_FOXGLOVE[channel.schema_name], data)),
-    "cdr": _of_ros,
-    "ros1": _of_ros,
-}
-
-
-def _images(topic: str, codec: str, group: list[_Packet], warnings: list[str]) -> list[bytes | None]:
+def _images(topic: str, codec: str, group: list[tuple[int, VideoFrame]], warnings: list[str]) -> list[bytes | None]:
     """Return the images of a key frame and the frames up to the next one."""
     if not group:
         return []
     jpegs: list[bytes] = []
-    if _KEY_FRAMES[codec].search(group[0].data):
-        content = io.BytesIO(b"".join(packet.data for packet in group))
+    if _KEY_FRAMES[codec].search(group[0][1].data):
+        content = io.BytesIO(b"".join(packet.data for _, packet in group))
         with suppress(DumpError), open_capture(topic, content) as capture:  # the warning names frames that are missing
             while (found := capture.read())[0]:
                 jpegs.append(encode_jpeg(np.asarray(found[1], np.uint8), JPEG_QUALITY))
     if len(jpegs) != len(group):
-        first = group[0].stamp_ns
+        first = group[0][0]
         warnings.append(f"{topic}: {len(group)} frames from {first} ns on are missing: {len(jpegs)} can be decoded")
         return [None] * len(group)
     pairs = zip(group, jpegs, strict=True)
-    return [encoding.encode_image(packet.stamp_ns, packet.frame_id, "jpeg", jpeg) for packet, jpeg in pairs]
+    return [encoding.encode_image(stamp_ns, packet.frame_id, "jpeg", jpeg) for (stamp_ns, packet), jpeg in pairs]

@@ -4,7 +4,8 @@ A standing car also gives equal images if they have no noise, as rendered ones. 
 """
 
 import zlib
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -18,45 +19,40 @@ _EVERY: Final = 4
 """Every fourth row of depth and tags is compared, which is enough to notice a change."""
 FROZEN: Final = Absent(Reason("odometry", "image_frozen"))
 """Odometry of a frame whose image repeats: the car does not stand."""
-Marks = tuple[int | None, int | None, int | None, int | None]
-"""CRC-32 of the car's pose, of depth, tags and detections; None for a missing one."""
 
 
 @dataclass(frozen=True)
 class ImageRepeats:
-    """CRC-32 of the last image, the latest marks beside it, and whether it repeats while they changed."""
+    """CRC-32 of the last image and of what is known beside it, and whether the image repeats while that changed."""
 
     image: int | None = None
-    beside: Marks = (None, None, None, None)
+    beside: Mapping[str, int] = field(default_factory=dict)
     is_frozen: bool = False
 
     def after(self, scene: Scene) -> "ImageRepeats":
         """The state after one more frame; a frame without an image changes nothing."""
         if scene.grey is None:
             return self
-        image, beside = _mark(scene.grey), _beside(scene)
+        image, beside = _mark(scene.grey), _marks(scene)
         if image != self.image:
             return ImageRepeats(image, beside)
-        is_frozen = self.is_frozen or (_changed(self.beside, beside) and not shows_nothing(scene.grey))
-        pose, depth, tags, found = (old if new is None else new for old, new in zip(self.beside, beside, strict=True))
-        return ImageRepeats(image, (pose, depth, tags, found), is_frozen)
+        compared = beside.keys() & ({"pose"} if "pose" in self.beside else self.beside)
+        changed = any(beside[name] != self.beside[name] for name in compared)
+        is_frozen = self.is_frozen or (changed and not shows_nothing(scene.grey))
+        return ImageRepeats(image, {**self.beside, **beside}, is_frozen)
 
 
-def _beside(scene: Scene) -> Marks:
+def _marks(scene: Scene) -> dict[str, int]:
+    """The car's pose alone if it is known: noise changes depth and tags, but no pose."""
     if scene.pose_mark is not None:
-        return scene.pose_mark, None, None, None
-    depth = None if scene.depth is None else _mark(scene.depth.depth_m[::_EVERY])
-    tags = None if scene.tags is None else _mark(scene.tags[::_EVERY])
-    detections = None if scene.detections is None else zlib.crc32(repr(scene.detections).encode())
-    return None, depth, tags, detections
+        return {"pose": scene.pose_mark}
+    depth_m = None if scene.depth is None else scene.depth.depth_m
+    images: dict[str, NDArray[Any] | None] = {"depth": depth_m, "tags": scene.tags}
+    marks = {name: _mark(values[::_EVERY]) for name, values in images.items() if values is not None}
+    if scene.detections is not None:
+        marks["detections"] = zlib.crc32(repr(scene.detections).encode())
+    return marks
 
 
 def _mark(values: NDArray[Any]) -> int:
     return zlib.crc32(np.ascontiguousarray(values).data)
-
-
-def _changed(before: Marks, now: Marks) -> bool:
-    """Whether the pose changed, or in a log without poses anything else: noise changes depth and tags, but no pose."""
-    pairs = list(zip(before, now, strict=True))
-    known = pairs[:1] if before[0] is not None else pairs
-    return any(None not in pair and pair[0] != pair[1] for pair in known)

@@ -53,8 +53,11 @@ def main(argv: list[str] | None = None) -> int:
     source_is_log = is_log(arguments.source)
     if arguments.rate is not None and source_is_log:
         parser.error(f"--rate: {arguments.source} is a log, which has its own times")
-    cfg = about_log(ReplayConfig(), arguments) if source_is_log else ReplayConfig()
-    return run(lambda: inferring.infer(arguments, cfg))
+
+    def infer() -> None:
+        inferring.infer(arguments, about_log(ReplayConfig(), arguments) if source_is_log else ReplayConfig())
+
+    return run(infer)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -7,18 +7,14 @@ from typing import Any, Final
 from pydantic import BaseModel, ValidationError
 
 from roadperc_stream.config.catalogue import catalogue
-from roadperc_stream.config.complaints import complaint
+from roadperc_stream.config.complaints import complaint, key_of
 from roadperc_stream.config.settings import parsed_toml, read_toml
-from roadperc_stream.config.stages import ReplayConfig
+from roadperc_stream.config.stages import ABOUT_THE_LOG, ReplayConfig
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.system.text import in_brief, nearest
 
 _KINDS: Final[Mapping[str, str]] = {"integer": "a whole number ", "number": "a number "}
 """Text for types that the range does not show."""
-_ABOUT_THE_LOG: Final[Mapping[str, str]] = {
-    "calibration": "keys and values as in calibration.json (docs/recordings.md)",
-    "labels": 'a known label for a label, such as auto = "car"',
-}
 
 
 def load_config(path: str | Path | None = None, settings: str | Sequence[str] = ()) -> ReplayConfig:
@@ -71,9 +67,8 @@ def validated(tree: Mapping[str, Any], source: str) -> ReplayConfig:
 def _complaint(error: ValidationError) -> str:
     """The first error, such as ``lanes.hold_s: expected a number 0 to 3600 (s), found -1``."""
     first = error.errors()[0]
-    if first["loc"] and (table := str(first["loc"][0])) in _ABOUT_THE_LOG and first["type"] != "value_error":
-        named = ".".join(str(part) for part in first["loc"])
-        return f"{named}: expected {_ABOUT_THE_LOG[table]}, found {in_brief(first['input'])}"
+    if first["loc"] and first["loc"][0] in ABOUT_THE_LOG and first["type"] != "extra_forbidden":
+        return f"{key_of(first['loc'])}: {complaint(first)}"
     keys = [str(part) for part in first["loc"][:2]]  # the rest are types of values, or positions in a list
     key = ".".join(keys)
     if first["type"] == "extra_forbidden":

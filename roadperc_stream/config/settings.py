@@ -2,6 +2,7 @@
 
 import tomllib
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Final
 
 from roadperc_stream.config.stages import ABOUT_THE_LOG, OWN_STAGES, UNSET

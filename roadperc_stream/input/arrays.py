@@ -54,7 +54,10 @@ def checked_camera(name: str, camera: Any) -> Camera:
             raise TypeError(f"{name}: expected {words} as {field}, found {getattr(camera, field)!r}")
     if camera.width < 1 or camera.height < 1:
         raise ValueError(f"{name}: expected an image of one pixel or more, found {camera.width}x{camera.height}")
-    fault = pinhole_fault(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+    try:
+        fault = pinhole_fault(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+    except OverflowError as error:
+        raise ValueError(f"{name}: {error}") from error
     if fault:
         raise ValueError(f"{name}: {fault}")
     return camera

@@ -63,7 +63,7 @@ def label_findings(topic: str, unknown: Counter[str], detections: int) -> Iterat
         some = [f"{label[:50]!r} ({count})" for label, count in unknown.most_common(_MOST_NAMED)]
         named = f"{', '.join(some)}{', ...' * (len(unknown) > len(some))}"
         boxes = f"{unknown.total()} of {number(detections, 'detection')}"
-        fate = 'tags do not judge these boxes, they are kept; pass --labels FILE with [labels] such as auto = "car"'
+        fate = 'tags do not judge these boxes, they are kept; pass roadperc-replay --labels FILE, such as auto = "car"'
         yield Finding("labels", f"{topic}: unknown labels of {boxes}: {named}; {fate}")
 
 
@@ -73,7 +73,7 @@ def tag_findings(topic: str, table: TagTable, pixels: NDArray[np.int64], masks: 
     if strange := [tag for tag in present if tag >= len(table.names) or tag in table.gaps]:
         share = 100 * pixels[strange].sum() / pixels.sum()
         some = ", ".join(map(str, strange[:_MOST_NAMED])) + ", ..." * (len(strange) > _MOST_NAMED)
-        text = f"{topic}: tags {some} are not in the table {table.title}, {share:.2g} % of the pixels"
+        text = f"{topic}: tags {some} are not in the table {table.title}, {share:.3g} % of the pixels"
         yield Finding("tags", f"{text}; for another table pass --set tag_table=NAME (docs/settings.md)")
     if len(present) == 1:
         text = f"every pixel of {number(masks, 'mask')} has the tag {present[0]} ({table.name_of(present[0])})"

@@ -165,12 +165,12 @@ def replacing_rig(calibration: CalibrationConfig, sensors: Mapping[str, LogSenso
     for role in named:
         _require_size(sensors[role], cameras[own_calibration(role)])
     mountings = {**known.mountings, front: front_T, LIDAR: known.ego_T_lidar}
-    edges = (_edge(EGO, sensor.frame_id, mountings.get(role)) for role, sensor in sensors.items())
-    placed = tuple(edge for edges_of_one in edges for edge in edges_of_one)
-    if len({edge.child for edge in placed}) < len(placed):
-        frames = ", ".join(f"{sensor.topic} {sensor.frame_id!r}" for sensor in sensors.values())
-        raise DumpError(f"calibration: mountings of sensors with one frame: {frames}; leave out one of them")
-    return Rig(cameras, {}, placed)
+    placed: dict[str, Transform] = {}
+    for role, sensor in sensors.items():
+        for edge in _edge(EGO, sensor.frame_id, mountings.get(role)):
+            if not np.array_equal(placed.setdefault(edge.child, edge).parent_T_child, edge.parent_T_child):
+                raise DumpError(f"calibration: two mountings of the frame {edge.child!r}, also of {role}; remove one")
+    return Rig(cameras, {}, tuple(placed.values()))
 
 
 def own_calibration(role: str) -> str:

@@ -13,6 +13,7 @@ from roadperc_stream.model.frame import InstanceImage as InstanceImage
 from roadperc_stream.model.frame import PointCloud as PointCloud
 from roadperc_stream.model.frame import TagImage as TagImage
 from roadperc_stream.model.frame import Transform as Transform
+from roadperc_stream.model.frame import VideoFrame as VideoFrame
 from roadperc_stream.model.reason import MISSING_ROLES as MISSING_ROLES
 from roadperc_stream.model.reason import TEMPLATES as TEMPLATES
 from roadperc_stream.model.reason import Reason as Reason

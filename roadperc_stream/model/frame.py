@@ -51,6 +51,15 @@ class CameraImage:
 
 
 @dataclass(frozen=True)
+class VideoFrame:
+    """A frame of a video, or an image; ``format`` is its codec."""
+
+    frame_id: str
+    format: str
+    data: bytes
+
+
+@dataclass(frozen=True)
 class DepthImage:
     """Depth along the camera's z axis, decoded when first used."""
 

@@ -80,10 +80,11 @@ class Matches:
 class Odometry:
     """The pose of the ego frame. ``step`` maps this frame's ego coordinates to the last one's (last_T_this).
 
-    With ``up_to_scale`` lengths are in units of the first step, not metres. ``covariance`` is 6x6 row by row of
-    x, y, z, roll, pitch, yaw of ``step`` in the ego frame's axes. ``since_ns`` is the stamp at which ``step``
-    begins. ``reason`` is why a frame is ``lost``, or the source of its scale instead of the road. A lost frame has the
-    last known pose. ``matches`` are the features of the estimated motion, None without a motion.
+    With ``up_to_scale`` lengths are in units of the first step, not metres. Without ``has_length`` the step only turns:
+    its length is unknown, and the pose keeps the last known place. ``covariance`` is 6x6 row by row of x, y, z, roll,
+    pitch, yaw of ``step`` in the ego frame's axes. ``since_ns`` is the stamp at which ``step`` begins. ``reason`` is
+    why a frame is ``lost``, or the source of its scale instead of the road. A lost frame has the last known pose.
+    ``matches`` are the features of the estimated motion, None without a motion.
     """
 
     status: OdometryStatus

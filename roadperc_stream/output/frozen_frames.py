@@ -17,33 +17,27 @@ _MOST_NAMED: Final = 5
 class FrozenFrames:
     """The runs of written frames with a frozen image: number and stamp of the first and the last frame of each."""
 
-    _run: tuple[int, int, int, int] | None = None
-    _named: list[str] = field(default_factory=list)
+    _runs: list[list[tuple[int, int]]] = field(default_factory=list)
     _more: int = 0
+    _is_frozen: bool = False
 
     def add(self, row: FrameMetrics) -> None:
         """Take the row of the next frame."""
-        if _FROZEN in row.reasons:
-            first = (row.frame, row.stamp_ns) if self._run is None else self._run[:2]
-            self._run = (*first, row.frame, row.stamp_ns)
-        else:
-            self._end_run()
+        here, was_frozen, self._is_frozen = (row.frame, row.stamp_ns), self._is_frozen, _FROZEN in row.reasons
+        if self._is_frozen and was_frozen:
+            self._runs[-1][1] = here
+        elif self._is_frozen:
+            runs = self._long()
+            self._more += len(runs) > _MOST_NAMED
+            self._runs = [*runs[:_MOST_NAMED], [here, here]]
 
     def notes(self) -> Iterator[str]:
         """A note on the long runs until now, if there are any."""
-        self._end_run()
-        if self._named:
-            frames = ", ".join(self._named) + f" and {self._more} more times" * (self._more > 0)
+        if runs := self._long():
+            named = [f"{a} to {b} (stamps {a_ns} to {b_ns} ns)" for (a, a_ns), (b, b_ns) in runs[:_MOST_NAMED]]
+            more = self._more + len(runs) - len(named)
+            frames = ", ".join(named) + f" and {more} more times" * (more > 0)
             yield f"frozen camera: the image repeats while other sensors change, odometry is null: frames {frames}"
 
-    def _end_run(self) -> None:
-        if self._run is None:
-            return
-        first, first_ns, last, last_ns = self._run
-        self._run = None
-        if last - first + 1 < _FEWEST_REPEATS:
-            return
-        if len(self._named) < _MOST_NAMED:
-            self._named.append(f"{first} to {last} (stamps {first_ns} to {last_ns} ns)")
-        else:
-            self._more += 1
+    def _long(self) -> list[list[tuple[int, int]]]:
+        return [run for run in self._runs if run[1][0] - run[0][0] + 1 >= _FEWEST_REPEATS]

@@ -1,8 +1,8 @@
 """Writes the log with results and its two tables, frame by frame."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import Final, Protocol
+from dataclasses import dataclass, field, replace
+from typing import Final
 
 from roadperc_stream import __version__
 from roadperc_stream.config import ReplayConfig
@@ -13,6 +13,7 @@ from roadperc_stream.model import FrameResult, Odometry, ReasonKind, Sample
 from roadperc_stream.model.finding import Evidence, Finding, encoded_findings
 from roadperc_stream.model.sample import frame_reasons
 from roadperc_stream.output.drawing.on_request import PictureMaker
+from roadperc_stream.output.findings import Contradictions
 from roadperc_stream.output.frozen_frames import FrozenFrames
 from roadperc_stream.output.reason_counts import ReasonCount, merged, of_frame, throughout
 from roadperc_stream.output.results import result_channel, result_messages
@@ -96,26 +97,6 @@ class FrameOutput:
     evidence: Evidence = field(default_factory=Evidence)
 
 
-class FindingCounter(Protocol):
-    """Collects the evidence of all frames; implemented in the metrics."""
-
-    def evidence(self, sample: Sample, result: FrameResult) -> Evidence:
-        """The evidence of one frame, beside its row."""
-
-    def add(self, row: FrameMetrics, evidence: Evidence) -> None:
-        """Count a frame."""
-
-    @property
-    def mounting_m(self) -> float | None:
-        """Height of the camera by the transforms; None without transforms."""
-
-    def findings(self, unreadable: Mapping[str, int], reference: str) -> tuple[Finding, ...]:
-        """The findings of all frames.
-
-        ``unreadable`` counts the messages of each role that are in no frame; those of ``reference`` make no frame.
-        """
-
-
 @dataclass(frozen=True)
 class ReplaySummary:
     """A summary of a replay, for the user.
@@ -171,16 +152,9 @@ class Outputs:
     ``shown`` are the facts of earlier frames for the messages of the next frame.
     """
 
-    def __init__(
-        self,
-        target: ReplayTarget,
-        cfg: ReplayConfig,
-        log_in: ReplayInput,
-        facts: Mapping[str, str],
-        counter: FindingCounter,
-    ) -> None:
-        """Name the files; ``counter`` finds contradictions."""
-        self._target, self._cfg, self._input, self._counter = target, cfg, log_in, counter
+    def __init__(self, target: ReplayTarget, cfg: ReplayConfig, log_in: ReplayInput, facts: Mapping[str, str]) -> None:
+        """Name the files."""
+        self._target, self._cfg, self._input = target, cfg, log_in
         facts = table_facts(log_in.summary.path, target.path, cfg, facts, log_in.networks)
         self._frames = TableWriter(target.metrics, FrameMetrics, facts, TIME_COLUMNS)
         self._objects = TableWriter(target.objects, ObjectMetrics, facts)
@@ -188,7 +162,8 @@ class Outputs:
         self._pictures = PictureMaker(target.on_request)
         self.files = (self._log, self._objects, self._frames)
         """Renamed in reverse order: when the log has its name, the tables have theirs."""
-        self._frozen = FrozenFrames()
+        self._frozen, self._contradictions = FrozenFrames(), Contradictions()
+        self._findings: tuple[Finding, ...] = ()
         self._frames_before = 0
         self._resumed_ns: int | None = None
 
@@ -208,25 +183,16 @@ class Outputs:
         if callbacks.on_start is not None:
             callbacks.on_start(self._log, log_in.span_ns)
 
-    def write(
-        self,
-        sample: Sample,
-        result: FrameResult,
-        row: FrameMetrics,
-        objects: Iterable[ObjectMetrics],
-        timer: StageTimer,
-    ) -> FrameOutput:
-        """Copy the input's messages up to a frame, then write the frame's messages and rows."""
+    def write(self, sample: Sample, result: FrameResult, output: FrameOutput, timer: StageTimer) -> FrameOutput:
+        """Copy the input's messages up to a frame, then write the frame's rows, and messages that it makes of them."""
         with timer("copy"):
             self._copy.through(sample.log_time_ns)
-        with timer("metrics"):
-            evidence = self._counter.evidence(sample, result)
         with timer("encode"):
-            messages = self._messages(sample, result, row)
+            messages = self._messages(sample, result, output.row)
         with timer("write"):
             self._write_messages(sample, messages)
         timer.end()
-        output = FrameOutput(messages, row, timer.columns(), tuple(objects), evidence)
+        output = replace(output, messages=messages, times_ms=timer.columns())
         self._append(output)
         return output
 
@@ -254,7 +220,7 @@ class Outputs:
     def _append(self, output: FrameOutput) -> None:
         if self._on_frame is not None:
             self._on_frame(output.row, output.times_ms)
-        self._counter.add(output.row, output.evidence)
+        self._contradictions.add(output.row, output.evidence)
         self._frames.append(output.row, **output.times_ms)
         self._frozen.add(output.row)
         for item in output.objects:
@@ -280,19 +246,17 @@ class Outputs:
         for metadata in self._input.summary.metadata:
             if metadata.name != METADATA_RECORD:
                 self._log.describe(metadata)
-        stored = {record.FINDINGS_KEY: encoded_findings(self._findings())}
-        mounting_m = self._counter.mounting_m
+        topics, unreadable = self._input.topics, self._input.unreadable
+        by_role = {role: unreadable[topic] for role, topic in topics.items() if topic in unreadable}
+        found = self._contradictions.findings(by_role, self._input.plan.order.reference)
+        self._findings = (*self._input.findings, *found)
+        stored = {record.FINDINGS_KEY: encoded_findings(self._findings)}
+        mounting_m = self._contradictions.mounting_m
         known = {} if mounting_m is None else {record.MOUNTING_KEY: repr(mounting_m)}
         self._frames.add_facts({**stored, **known})
         made = {record.VERSION_KEY: __version__, record.SEED_KEY: str(self._cfg.seed)}
-        values = {**made, **facts, **self._input.record(), **(stored if self._findings() else {})}
+        values = {**made, **facts, **self._input.record(), **(stored if self._findings else {})}
         self._log.describe(Metadata(METADATA_RECORD, tuple(values.items())))
-
-    def _findings(self) -> tuple[Finding, ...]:
-        """The findings of the input, then those of the results."""
-        topics, unreadable = self._input.topics, self._input.unreadable
-        by_role = {role: unreadable[topic] for role, topic in topics.items() if topic in unreadable}
-        return (*self._input.findings, *self._counter.findings(by_role, self._input.plan.order.reference))
 
     def make_durable(self) -> None:
         """Complete all files and sync them to the disk, before the rename."""
@@ -316,5 +280,5 @@ class Outputs:
             frames_before=self._frames_before,
             resumed_s=None if resumed_ns is None else ns_to_seconds(resumed_ns - (log_in.summary.first_ns or 0)),
             first_ns=log_in.summary.first_ns or 0,
-            findings=self._findings(),
+            findings=self._findings,
         )

@@ -9,6 +9,7 @@ from roadperc_stream.schemas.topics import CALIBRATION_SCHEMA, IMAGE_SCHEMA, POI
 
 Kind = Literal[
     "image",
+    "video",
     "tags",
     "instances",
     "depth",

@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from roadperc_stream import replay
 from roadperc_stream.cli.convert import main as convert_main
 from roadperc_stream.cli.info import main as info_main
+from roadperc_stream.cli.render import main as render_main
 from roadperc_stream.config import ReplayConfig, load_config
 from roadperc_stream.formats import images
 from roadperc_stream.geometry import Camera, mounting
@@ -163,7 +165,7 @@ def test_info_prints_findings_as_text_and_json(tmp_path, capsys):
 def test_convert_prints_findings_as_notes(data_dir, tmp_path, capsys):
     assert convert_main([str(data_dir / "carla_rgbd"), str(tmp_path / "in.mcap"), "--fov", "1.2"]) == 0
     said = capsys.readouterr().out
-    assert "note: camera_front: fx" in said
+    assert "note: field_of_view: camera_front: fx" in said
     assert "--fov DEGREES" in said
 
 
@@ -171,21 +173,45 @@ def test_the_sample_has_no_finding():
     assert findings_of(SAMPLE) == {}
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "carla_frame",
-        "carla_raw_tags",
-        "course_frames",
-        "course_stereo",
-        "kitti_object",
-        "kitti_tracking",
-        "nuscenes_sample",
-        "stop_and_go",
-        "carla_leaderboard/route_00",
-        "highway_second/test_video.mp4",
-    ],
+HEALTHY = (
+    "carla_frame",
+    "carla_leaderboard/route_00",
+    "carla_raw_tags",
+    "course_frames",
+    "course_stereo",
+    "highway_second/test_video.mp4",
+    "kitti_object",
+    "kitti_tracking",
+    "nuscenes_sample",
+    "stop_and_go",
 )
+
+
+@pytest.mark.parametrize("name", HEALTHY)
 def test_healthy_recordings_have_no_finding(data_dir, tmp_path, name):
     assert convert_main([str(data_dir / name), str(tmp_path / "in.mcap"), "--quiet"]) == 0
     assert findings_of(tmp_path / "in.mcap") == {}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", [*HEALTHY, "carla_rgbd", "kitti_odometry"])
+def test_replays_of_healthy_recordings_have_no_finding(data_dir, tmp_path, name):
+    assert convert_main([str(data_dir / name), str(tmp_path / "in.mcap"), "--quiet"]) == 0
+    require_no_finding(tmp_path)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("scene", ["straight", "bend", "town", "hill"])
+@pytest.mark.parametrize("options", ["", "--without depth", "--without depth --without right --fov 70", "--lidar"])
+def test_replays_of_rendered_drives_have_no_finding(tmp_path, scene, options):
+    seed = str(len(scene) + len(options))
+    small = "--size 320x240 --seconds 2 --rate 10"
+    assert (
+        render_main([str(tmp_path / "dump"), "--scene", scene, "--seed", seed, *small.split(), *options.split()]) == 0
+    )
+    assert convert_main([str(tmp_path / "dump"), str(tmp_path / "in.mcap"), "--quiet"]) == 0
+    require_no_finding(tmp_path)
+
+
+def require_no_finding(folder):
+    assert replay(folder / "in.mcap", folder / "out.mcap").findings == ()

@@ -191,10 +191,12 @@ def test_a_replay_of_video_says_what_to_do(tmp_path, capsys, packets):
 def test_other_formats_and_logs_without_video_are_errors(tmp_path, capsys, packets):
     path = write_log(tmp_path / "in.mcap", packets[:1], form="theora")
     assert f"{TOPIC}: video of codec 'theora', expected h264" in failure(capsys, path, tmp_path / "out.mcap")
-    channel = log.Channel(TOPIC, "flatbuffer", "foxglove.CompressedVideo", "flatbuffer", b"")
-    with LogWriter(tmp_path / "flat.mcap") as writer:
-        writer.write(Message(channel, logs.START_NS, logs.START_NS, 0, b"x"))
-    line = failure(capsys, tmp_path / "flat.mcap", tmp_path / "out.mcap")
-    assert "foxglove.CompressedVideo (flatbuffer): expected protobuf, json" in line
+    for schema, form in (("foxglove.CompressedVideo", "flatbuffer"), ("foxglove_msgs/msg/CompressedVideo", "json")):
+        channel = log.Channel(TOPIC, form, schema, "", b"")
+        with LogWriter(tmp_path / f"{form}.mcap") as writer:
+            writer.write(Message(channel, logs.START_NS, logs.START_NS, 0, b"{}"))
+        line = failure(capsys, tmp_path / f"{form}.mcap", tmp_path / "out.mcap")
+        assert f"found {schema} ({form})" in line
+        assert "foxglove_msgs/msg/CompressedVideo (cdr)" in line
     plain = logs.write(tmp_path / "plain.mcap", logs.items(1))
     assert f"replay it with: roadperc-replay {plain} OUT.mcap" in failure(capsys, plain, tmp_path / "out.mcap")

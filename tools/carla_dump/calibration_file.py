@@ -1,5 +1,6 @@
 """Read ``calibration.json``."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,11 +17,18 @@ from .json_files import checked, read_json
 CALIBRATION_NAME: Final = "calibration.json"
 
 
+class CameraOfFile(Intrinsics):
+    """A camera of ``calibration.json``; unknown keys are notes."""
+
+    model_config = ConfigDict(extra="ignore")
+
+
 class CalibrationFile(CalibrationConfig):
     """All known keys of ``calibration.json``; other keys are notes."""
 
     model_config = ConfigDict(extra="ignore")
 
+    cameras: Mapping[str, CameraOfFile] = {}
     carla_tags: str | None = None
     rate_hz: PositiveNumber | None = None
 
@@ -39,7 +47,7 @@ def load_calibration(path: Path) -> CalibrationFile:
     """
     document = read_json(path)
     _refuse_misspelled(path, document)
-    calibration = checked(path, TypeAdapter(CalibrationFile), _without_notes(document))
+    calibration = checked(path, TypeAdapter(CalibrationFile), document)
     for name, camera in {"": calibration, **calibration.cameras}.items():
         if camera.K is not None:
             require_pinhole(f"{path}: {f'cameras.{name}.' if name else ''}K", np.array(camera.K))
@@ -62,15 +70,6 @@ def _refuse_misspelled(path: Path, document: Any) -> None:
         for key in (key for key, _ in _items(keys) if key not in known):
             if meant := nearest(key, known, _MISSPELLED):
                 raise DumpError(f"{path}: unknown key {place}{key}; did you mean {meant}?")
-
-
-def _without_notes(document: Any) -> Any:
-    """The document without unknown keys of its cameras."""
-    cameras = dict(_items(document)).get("cameras")
-    if not (isinstance(cameras, dict) and all(isinstance(camera, dict) for camera in cameras.values())):
-        return document
-    known = {name: {k: v for k, v in camera.items() if k in _CAMERA_KEYS} for name, camera in cameras.items()}
-    return {**document, "cameras": known}
 
 
 def _items(found: Any) -> list[tuple[str, Any]]:

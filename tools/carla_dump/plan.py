@@ -10,8 +10,8 @@ from typing import Final, TypeVar
 from roadperc_stream.errors import DumpError
 from roadperc_stream.input.rig import LIDAR
 from roadperc_stream.metrics.evidence import rough_ratio
-from roadperc_stream.metrics.findings import depth_rough
 from roadperc_stream.model.tag_tables import TagTable
+from roadperc_stream.output.findings import depth_rough
 
 from ..layouts.drive import ConvertOptions, Drive
 from .depth_files import GREY, DepthEncoding, depth_encoding, depth_metres, grey_encoding

@@ -1,6 +1,5 @@
 """Read YOLO's label files: on each line class, centre and size of a box in shares of the image, and perhaps a score."""
 
-import math
 import re
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
@@ -10,7 +9,7 @@ from roadperc_stream.errors import DumpError
 from roadperc_stream.model import Detection
 
 from .detection_files import Detections, checked_box
-from .json_files import read_lines, read_yaml
+from .json_files import numbers, read_lines, read_yaml
 
 NAMES_FILES: Final = ("data.yaml", "dataset.yaml", "classes.txt", "names.txt", "obj.names", "coco.names")
 """Files with the names of the classes: beside the labels, or up to two folders above."""
@@ -47,13 +46,10 @@ def _boxes(path: Path, names: Mapping[int, str], size: tuple[int, int]) -> Itera
         if not line.strip():
             continue
         where, (kind, *fields) = f"{path}: line {at}", line.split()
-        try:
-            x, y, width, height, score = shares = tuple(map(float, (*fields, "1")[:5]))
-        except ValueError:
-            shares = (math.nan,)
+        shares = numbers(where, (*fields, "1")[:5]).tolist()
         if len(fields) not in _FIELDS or not _CLASS.fullmatch(kind) or not all(abs(share) <= _MOST for share in shares):
             raise DumpError(f"{where}: expected class, x, y, width, height (shares of the image) and perhaps a score")
-        columns, rows = size
+        (x, y, width, height, score), (columns, rows) = shares, size
         left, top = (x - width / 2) * columns, (y - height / 2) * rows
         box = checked_box(where, left, top, left + width * columns, top + height * rows)
         yield Detection(names.get(int(kind), kind), box, score)

@@ -63,7 +63,7 @@ class ConvertOptions:
             DumpError: another flag was passed.
         """
         others = [flag for flag in _FLAGS if flag not in (*flags, "--layout")]
-        self.refuse(source, others, "is not an option of this layout")
+        self.refuse(source, others, "is not an option for it")
 
 
 @dataclass(frozen=True)

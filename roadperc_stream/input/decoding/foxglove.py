@@ -6,6 +6,7 @@ from typing import Any, Final
 import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud as PointCloudProto
@@ -17,7 +18,7 @@ from roadperc_stream.formats.raster import Content, Raster
 from roadperc_stream.geometry import Float32
 from roadperc_stream.input.decoding import pictures
 from roadperc_stream.input.decoding.payload import Context, Decoded, camera_from_calibration, pose_matrix, require_count
-from roadperc_stream.model import EGO, PointCloud, Transform
+from roadperc_stream.model import EGO, PointCloud, Transform, VideoFrame
 from roadperc_stream.schemas.protobuf import stamp_ns
 from roadperc_stream.schemas.roles import Kind
 
@@ -80,12 +81,18 @@ def _pose(message: Any, _: Context) -> Decoded:
     return _stamped(message, Transform(message.frame_id, EGO, matrix))
 
 
+def _video(message: Any, _: Context) -> Decoded:
+    return _stamped(message, VideoFrame(message.frame_id, message.format, message.data))
+
+
 PICTURES: Final[Mapping[tuple[Kind, Any], Picture]] = {
     **{(kind, CompressedImage): _file(kind) for kind in pictures.FILE_KINDS},
     **{(kind, RawImage): _raw(kind) for kind in pictures.RASTER_KINDS},
 }
 """Decoder by kind and message type; the field ``data`` is passed separately."""
 DECODERS: Final[Mapping[tuple[Kind, Any], Callable[[Any, Context], Decoded]]] = {
+    ("video", CompressedVideo): _video,
+    ("video", CompressedImage): _video,
     ("points", PointCloudProto): _point_cloud,
     ("calibration", CameraCalibration): lambda message, _: _stamped(message, camera_from_calibration(message)),
     ("tf", FrameTransforms): _transforms,

@@ -19,6 +19,7 @@ from roadperc_stream.schemas.roles import Kind
 
 Payload = (
     model.CameraImage
+    | model.VideoFrame
     | model.TagImage
     | model.InstanceImage
     | model.DepthImage
@@ -31,7 +32,7 @@ Payload = (
     | model.Lanes
     | model.Objects
 )
-READ_AS_A_WHOLE: Final[frozenset[Kind]] = frozenset(("image", "tags", "instances", "depth", "points"))
+READ_AS_A_WHOLE: Final[frozenset[Kind]] = frozenset(("image", "video", "tags", "instances", "depth", "points"))
 """Kinds with one large block of data. The others have many items, so their messages have a size limit."""
 _INTRINSICS: Final = (0, 4, 2, 5)
 """Indices of fx, fy, cx and cy in K, row by row."""

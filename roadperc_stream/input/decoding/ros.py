@@ -15,7 +15,7 @@ from roadperc_stream.formats.raster import Raster
 from roadperc_stream.geometry import Float32
 from roadperc_stream.input.decoding import pictures
 from roadperc_stream.input.decoding.payload import Context, Decoded, camera_from_calibration, pose_matrix, require_count
-from roadperc_stream.model import EGO, Box, Detection, PointCloud, Transform
+from roadperc_stream.model import EGO, Box, Detection, PointCloud, Transform, VideoFrame
 from roadperc_stream.schemas import cdr, ros2
 from roadperc_stream.schemas.protobuf import require_finite
 from roadperc_stream.schemas.roles import Kind
@@ -67,6 +67,12 @@ def _compressed_image(message: Any, context: Context) -> Decoded:
 def _compressed_depth(message: Any, context: Context) -> Decoded:
     content = message.data.tobytes()
     return _stamped(message, pictures.encoded_depth(_frame_id(message), message.format, content, context))
+
+
+def _video(message: Any, _: Context) -> Decoded:
+    """A frame of a foxglove_msgs/msg/CompressedVideo, which has no header, or of a sensor_msgs/msg/CompressedImage."""
+    stamp, head = (message.header.stamp, message.header) if hasattr(message, "header") else (message.timestamp, message)
+    return Decoded(cdr.stamp_ns(stamp), VideoFrame(head.frame_id, message.format, message.data.tobytes()))
 
 
 def _calibration(message: Any, context: Context) -> Decoded:
@@ -197,6 +203,8 @@ DECODERS: Final[Mapping[tuple[Kind, str], Decoder]] = {
     **{(kind, _COMPRESSED): _file(kind) for kind in pictures.FILE_KINDS},
     ("image", _COMPRESSED): _compressed_image,
     ("depth", _COMPRESSED): _compressed_depth,
+    ("video", "foxglove_msgs/msg/CompressedVideo"): _video,
+    ("video", _COMPRESSED): _video,
     ("points", "sensor_msgs/msg/PointCloud2"): _point_cloud,
     ("calibration", "sensor_msgs/msg/CameraInfo"): _calibration,
     ("detections", "vision_msgs/msg/Detection2DArray"): _detections,

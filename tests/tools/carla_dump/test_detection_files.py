@@ -113,7 +113,7 @@ def test_labels_of_yolo_are_boxes_in_pixels_with_the_names_of_the_classes(tmp_pa
 def test_a_line_that_is_no_box_of_yolo_is_named(tmp_path, line):
     path = tmp_path / "0.txt"
     path.write_text(f"0 0.5 0.5 0.1 0.1\n{line}\n")
-    with pytest.raises(DumpError, match=r"0\.txt: line 2: expected class"):
+    with pytest.raises(DumpError, match=r"0\.txt: line 2: expected"):
         load_yolo_labels({0: path}, [0], (640, 480))
 
 

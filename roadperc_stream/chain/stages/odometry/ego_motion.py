@@ -118,10 +118,11 @@ def _bridged(this: FollowedFrame, state: OdometryState, estimate: Estimate) -> t
     """
     frame, last = this.frame, this.last
     odom_T_ego = rigid(estimate.odom_T_ego[:3, :3], this.odom_T_last[:3, 3])
+    last_T_this = inverse(this.odom_T_last) @ odom_T_ego
     out = Odometry(
         "tracked",
         odom_T_ego,
-        inverse(this.odom_T_last) @ odom_T_ego,
+        last_T_this,
         int(np.sum(estimate.motion.inliers)),
         up_to_scale=True,
         since_ns=last.stamp_ns,
@@ -131,7 +132,8 @@ def _bridged(this: FollowedFrame, state: OdometryState, estimate: Estimate) -> t
     )
     if _is_due(this, estimate):
         return _begun(this.cfg, odom_T_ego, estimate.pitch, frame, state.speed), out
-    return replace(state, last=replace(last, found_px=_last_px(last, estimate))), out
+    pitch = camera_pitch.predicted(this.cfg, estimate.pitch, inverse(last_T_this), this.seconds)  # at the last frame
+    return replace(state, last=replace(last, found_px=_last_px(last, estimate)), pitch=pitch), out
 
 
 def _continued(this: FollowedFrame, estimate: Estimate) -> tuple[OdometryState, Odometry]:
@@ -165,10 +167,11 @@ def _continued(this: FollowedFrame, estimate: Estimate) -> tuple[OdometryState, 
         keyframe = make_keyframe(cfg, frame, odom_T_ego @ frame.ego_T_camera, carried)
         found_px = keyframe.landmarks.features.px
         influence, length_variance = np.zeros((len(found_px), 6)), 0.0
-    speed = this.speed
+    speed, per_s = this.speed, float(np.linalg.norm(velocity[:3]))
     if motion.scale in (None, "measured"):
-        mps = float(np.linalg.norm(velocity[:3]))
-        speed = KnownSpeed(mps, motion.noise_variance / this.seconds**2, this.middle_ns, metric)
+        speed = KnownSpeed(per_s, motion.noise_variance / this.seconds**2, this.middle_ns, metric, this.middle_ns)
+    elif motion.scale == "points" and not motion.doubts and speed is not None:
+        speed = speed.by_points(per_s, motion.noise_variance / this.seconds**2, this.middle_ns)
     begins = last.velocity is None and motion.still is not None
     now = LastFrame(frame.stamp_ns, None if begins else velocity, found_px, influence, length_variance)
     return OdometryState(odom_T_ego, keyframe, now, pitch, speed), out

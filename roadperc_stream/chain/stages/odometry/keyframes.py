@@ -49,8 +49,8 @@ class Landmarks:
 
     The slope is in 1/m per pixel to the right and down. Unknown is NaN; ``metric`` is true if lengths are in metres.
     Points of the source ``plane`` with a slope lie on the road's plane, those without are triangulated. For the latter,
-    ``scale_variance`` is the variance of their scale, as a share, and ``doubt`` the ratio of lengths by the road and by
-    them in the last frame that contradicted them.
+    ``scale_variance`` is the variance of their scale, as a share, and ``doubts`` the ratios of lengths by the road and
+    by them in the last frames that contradicted them.
     """
 
     features: Features
@@ -59,7 +59,7 @@ class Landmarks:
     source: LandmarkSource
     metric: bool
     scale_variance: float = 0.0
-    doubt: float | None = None
+    doubts: tuple[float, ...] = ()
 
     @property
     def triangulated_m(self) -> Float:
@@ -211,7 +211,7 @@ def _carried_on(cfg: OdometryConfig, frame: TrackingFrame, carried: Landmarks | 
     source: LandmarkSource = "carried" if frame.road is None else "plane"
     metric = frame.road is not None or (carried is not None and carried.metric)
     kept = Landmarks(features.take(chosen), points_m[chosen], slope[chosen], source, metric)
-    return kept if carried is None else replace(kept, scale_variance=carried.scale_variance, doubt=carried.doubt)
+    return kept if carried is None else replace(kept, scale_variance=carried.scale_variance, doubts=carried.doubts)
 
 
 def _on_road(frame: TrackingFrame, px: Float) -> tuple[Float, Float]:
@@ -285,8 +285,8 @@ def is_due(cfg: OdometryConfig, keyframe: Keyframe, frame: TrackingFrame, px: Fl
 def with_points(landmarks: Landmarks, motion: Motion) -> Landmarks:
     """The landmarks with the points that a motion has triangulated, and the variance of their scale."""
     known = np.isfinite(motion.points_m[:, 2:])
-    variance, doubt = landmarks.scale_variance, motion.doubt
-    if motion.scale is not None and doubt is None:
+    variance = landmarks.scale_variance
+    if motion.scale is not None and not motion.doubts:
         now = motion.noise_variance / float(np.sum(motion.this_T_key[:3, 3] ** 2))
         variance = min(variance, now) if np.isfinite(landmarks.triangulated_m[:, 2]).any() else now
     return replace(
@@ -294,7 +294,7 @@ def with_points(landmarks: Landmarks, motion: Motion) -> Landmarks:
         points_m=np.where(known, motion.points_m, landmarks.points_m),
         slope=np.where(known, np.nan, landmarks.slope),
         scale_variance=variance,
-        doubt=landmarks.doubt if doubt is None and motion.scale != "measured" else doubt,
+        doubts=() if motion.scale == "measured" else motion.doubts or landmarks.doubts,
     )
 
 
@@ -309,7 +309,7 @@ def carry(camera: Camera, landmarks: Landmarks, motion: Motion, px: Float32) -> 
     points_m = unproject(camera, features.px.astype(float), np.where(depth_m > 0, depth_m, np.nan))
     variance = landmarks.scale_variance + _CARRIED_VARIANCE
     slope = np.full((len(points_m), 2), np.nan)
-    return Landmarks(features, points_m, slope, "carried", landmarks.metric, variance, landmarks.doubt)
+    return Landmarks(features, points_m, slope, "carried", landmarks.metric, variance, landmarks.doubts)
 
 
 def counted_from_here(state: OdometryState) -> OdometryState:

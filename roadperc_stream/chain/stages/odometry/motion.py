@@ -61,9 +61,9 @@ class Motion:
     in its own axes, that each feature's residual causes; 0 for unused features, None if unknown. ``scaled``: the length
     is in the unit of known points. ``length_variance`` is the part of its variance, in square metres, that the
     influence does not show. ``scale`` is the source of a length by the road; None if the points give the length. With
-    a ``scale``, ``noise_variance`` is the part of ``length_variance`` that later motions do not share. ``doubt`` is the
-    ratio to this length of one by the road that contradicts it. ``still`` is the (6, 6) covariance of a camera that
-    stands still, in its axes.
+    a ``scale``, ``noise_variance`` is the part of ``length_variance`` that later motions do not share. ``doubts`` are
+    the last ratios of lengths by the road to lengths by points, which they contradict. ``still`` is the (6, 6)
+    covariance of a camera that stands still, in its axes.
     """
 
     this_T_key: Float
@@ -74,7 +74,7 @@ class Motion:
     length_variance: float = 0.0
     scale: Scale | None = None
     noise_variance: float = 0.0
-    doubt: float | None = None
+    doubts: tuple[float, ...] = ()
     still: Float | None = None
 
 

@@ -40,7 +40,9 @@ _LEAN_M: Final = 0.8
 _LEAST_UNEXPECTED: Final = 0.7
 """Least correlation where the length is not expected: among all lengths, a wrong one fits by chance."""
 _SAME_DOUBT: Final = 0.05
-"""Largest relative difference of two successive doubts at which the road is right and the points are wrong."""
+"""Largest relative difference of successive doubts at which the road is right and the points are wrong."""
+_DOUBTS: Final = 4
+"""Number of such doubts: the shadow of a car ahead moves with it, so its image shows a short length in some frames."""
 
 
 @dataclass(frozen=True)
@@ -82,9 +84,9 @@ def scaled_by_road(
         pitch = updated(pitch, (pitch.offset + found.pitch, found.pitch_variance + _PLANE_STD**2))
         found = replace(found, length_m=found.length_m + found.metres_per_pitch * (pitch.offset - before.offset))
     if expected is not None and _contradict(found, expected):
-        doubt, last = found.length_m / expected.length_m, keyframe.landmarks.doubt
-        if last is None or abs(doubt / last - 1.0) > _SAME_DOUBT:
-            return _doubted(_carried(motion, before, expected, bend_per_m), doubt), before
+        doubts = (*keyframe.landmarks.doubts, found.length_m / expected.length_m)[-_DOUBTS:]
+        if len(doubts) < _DOUBTS or max(doubts) > (1.0 + _SAME_DOUBT) * min(doubts):
+            return _doubted(_carried(motion, before, expected, bend_per_m), doubts), before
         expected = None
     length_m, noise = _fused(found, expected)
     shared = 0.0
@@ -151,14 +153,14 @@ def _fused(found: RoadMotion, expected: Expected | None) -> tuple[float, float]:
     return found.length_m + gain * (expected.length_m - found.length_m), (1.0 - gain) * noise
 
 
-def _doubted(carried: Motion, doubt: float) -> Motion:
-    """The motion with the expected length that a length by the road contradicts; ``doubt`` is the ratio of the two.
+def _doubted(carried: Motion, doubts: tuple[float, ...]) -> Motion:
+    """The motion with the expected length that a length by the road contradicts; ``doubts`` are ratios of the two.
 
-    Its standard deviation grows by a third of their difference. A single wrong match changes nothing, and a second one
-    with the same ratio is believed.
+    Its standard deviation grows by a third of their difference. Single wrong matches change nothing, and several in a
+    row with the same ratio are believed.
     """
-    off_m = (doubt - 1.0) * float(np.linalg.norm(carried.this_T_key[:3, 3]))
-    return replace(carried, doubt=doubt, length_variance=carried.length_variance + (off_m / _SIGMAS) ** 2)
+    off_m = (doubts[-1] - 1.0) * float(np.linalg.norm(carried.this_T_key[:3, 3]))
+    return replace(carried, doubts=doubts, length_variance=carried.length_variance + (off_m / _SIGMAS) ** 2)
 
 
 def _carried(motion: Motion, pitch: CameraPitch, expected: Expected | None, bend_per_m: float) -> Motion:

@@ -30,7 +30,7 @@ def localised_without_depth(this: FollowedFrame, px: Float32) -> Estimate | None
     """The estimate without depth: the length comes from the road, from triangulated points or from the last speed."""
     frame, landmarks = this.frame, this.keyframe.landmarks
     key_px, points_m = landmarks.features.px, landmarks.triangulated_m
-    unit = min(this.speed.mps * this.seconds if this.speed else _FIRST_LENGTH, this.cfg.max_speed_mps * this.seconds)
+    unit = min(this.speed.per_s * this.seconds if this.speed else _FIRST_LENGTH, this.cfg.max_speed_mps * this.seconds)
     motion = motion_from_rays(frame.camera, key_px, px, points_m, unit or _FIRST_LENGTH, this.expected_this_T_key)
     if motion is None or not motion.scaled:
         motion = _by_points(this, points_m, px) or motion
@@ -76,7 +76,7 @@ def _expected_length(this: FollowedFrame, motion: Motion) -> tuple[Expected | No
     """
     last, seconds, speed = this.last, this.seconds, this.metric_speed
     driven_m = float(np.linalg.norm((this.odom_T_last @ this.frame.ego_T_camera - this.keyframe.odom_T_camera)[:3, 3]))
-    least, most = (limit * seconds for limit in this.limits_mps((_SEARCH_SHARE * speed.mps) ** 2 if speed else 0.0))
+    least, most = (limit * seconds for limit in this.limits_mps((_SEARCH_SHARE * speed.per_s) ** 2 if speed else 0.0))
     reach_m = _SIGMAS * float(np.sqrt(last.length_variance))
     tried_m = max(driven_m + (least or -most) - reach_m, 0.0), driven_m + most + reach_m
     if motion.scaled:
@@ -86,4 +86,4 @@ def _expected_length(this: FollowedFrame, motion: Motion) -> tuple[Expected | No
     if speed is None:
         return None, tried_m
     variance = speed.variance_after((this.middle_ns - speed.stamp_ns) / NS_PER_S)
-    return Expected(driven_m + speed.mps * seconds, last.length_variance + variance * seconds**2), tried_m
+    return Expected(driven_m + speed.per_s * seconds, last.length_variance + variance * seconds**2), tried_m

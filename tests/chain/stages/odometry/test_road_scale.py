@@ -31,15 +31,13 @@ def test_without_a_known_speed_the_roads_length_counts():
 
 
 @pytest.mark.parametrize(
-    ("last_doubt", "length_m", "std_m", "scale"),
-    [(None, 1.0, 0.1, "points"), (1.5, 1.0, 0.1, "points"), (0.72, 0.7, 0.016, "measured")],
+    ("doubts", "length_m", "std_m", "scale"),
+    [((), 1.0, 0.1, "points"), ((0.7, 0.7, 1.5), 1.0, 0.1, "points"), ((0.7, 0.72, 0.71), 0.7, 0.016, "measured")],
 )
-def test_a_contradicting_length_counts_only_if_it_confirms_the_last_one(
-    monkeypatch, last_doubt, length_m, std_m, scale
-):
+def test_a_contradicting_length_counts_only_if_it_confirms_the_last_ones(monkeypatch, doubts, length_m, std_m, scale):
     monkeypatch.setattr(road_scale, "_on_road", lambda *_: found(0.7))
     frame = SimpleNamespace(road=None, ego_T_camera=np.eye(4))
-    keyframe = SimpleNamespace(landmarks=SimpleNamespace(doubt=last_doubt))
+    keyframe = SimpleNamespace(landmarks=SimpleNamespace(doubts=doubts))
     ahead = Motion(rigid(np.eye(3), np.array([0.0, 0.0, -1.0])), np.ones(1, bool), np.zeros((1, 3)), None, scaled=True)
     motion, _ = scaled_by_road(frame, keyframe, ahead, CameraPitch(0.0, 0.0), KNOWN, (0.0, 2.0))
     assert np.linalg.norm(motion.this_T_key[:3, 3]) == pytest.approx(length_m)

@@ -11,8 +11,8 @@ from typing import Final
 import numpy as np
 
 from roadperc_stream.geometry import Float
-from roadperc_stream.metrics.spread import Spread, spread_of
 from roadperc_stream.model.finding import Finding
+from roadperc_stream.output.spread import Spread, spread_of
 from roadperc_stream.schemas.columns import FrameMetrics
 from roadperc_stream.system.time import NS_PER_S
 

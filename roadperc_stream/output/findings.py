@@ -4,12 +4,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from statistics import median, mode
 from typing import Final
 
-from roadperc_stream.config import ReplayConfig
-from roadperc_stream.metrics.evidence import evidence_of
-from roadperc_stream.metrics.pose_evidence import PoseEvidence
-from roadperc_stream.metrics.spread import Spread, spread_of
-from roadperc_stream.model import FrameResult, Sample
 from roadperc_stream.model.finding import Evidence, Finding
+from roadperc_stream.output.pose_evidence import PoseEvidence
+from roadperc_stream.output.spread import Spread, spread_of
 from roadperc_stream.schemas.columns import FrameMetrics
 from roadperc_stream.system.text import number
 
@@ -44,13 +41,8 @@ _OPTIONS: Final = "pass --depth-coding to roadperc-convert, or --fov, --height o
 class Contradictions:
     """Collects the evidence of the frames of a replay, in bounded memory."""
 
-    def __init__(self, cfg: ReplayConfig) -> None:
-        self._cfg = cfg
+    def __init__(self) -> None:
         self._frames, self._poses = Spread[tuple[FrameMetrics, Evidence]](), PoseEvidence()
-
-    def evidence(self, sample: Sample, result: FrameResult) -> Evidence:
-        """The evidence of one frame, beside its row."""
-        return evidence_of(self._cfg, sample.frame, result)
 
     def add(self, row: FrameMetrics, evidence: Evidence) -> None:
         """Count a frame."""
@@ -107,7 +99,7 @@ def depth_rough(shares: Sequence[float]) -> Finding | None:
     return Finding(
         "depth_rough",
         f"{_percent(median(shares))} of the neighbouring pixels with different depths differ by metres, expected at "
-        f"most {_percent(_ROUGH)}; the byte order is wrong (red and blue exchanged, big endian), or this is not depth: "
+        f"most {_percent(_ROUGH)}; byte order (red and blue exchanged, big endian) or unit is wrong, or no depth: "
         "exchange the bytes in the files, or correct the encoding of the messages",
     )
 

@@ -11,11 +11,11 @@ from roadperc_stream.cli import check, info, replay, report
 from roadperc_stream.config import load_config
 from roadperc_stream.geometry.rotations import quaternion, rotation_from_rpy
 from roadperc_stream.metrics.evidence import road_depth, rough_ratio, searched_depths
-from roadperc_stream.metrics.findings import Contradictions
-from roadperc_stream.metrics.pose_evidence import PoseEvidence
-from roadperc_stream.metrics.spread import Spread
 from roadperc_stream.model.finding import Evidence, Finding, decoded_findings, encoded_findings
 from roadperc_stream.output import encoding
+from roadperc_stream.output.findings import Contradictions
+from roadperc_stream.output.pose_evidence import PoseEvidence
+from roadperc_stream.output.spread import Spread
 from roadperc_stream.output.tables import read_footer, sidecar_path
 from roadperc_stream.tools.carla_dump.depth_files import carla_metres
 from tests import logs, replaying
@@ -125,7 +125,7 @@ def test_stored_findings_are_read_again():
 def test_a_baseline_of_another_unit_leaves_no_road_in_the_searched_disparities(baseline_m, is_found):
     frame = SMALL.frame(right_camera=replace(SMALL.camera, baseline_m=baseline_m))
     share, ratio = road_depth(SMALL.camera, SMALL.ego_T_camera, DEPTH_M, searched_depths(CFG, frame))
-    counter = Contradictions(CFG)
+    counter = Contradictions()
     counter.add(row(0), Evidence(road_known_ratio=share, road_depth_ratio=ratio))
     assert {found.code for found in counter.findings({}, "image")} == ({"road_depth"} if is_found else set())
 
@@ -145,7 +145,7 @@ def test_depth_in_the_wrong_byte_order_is_rough_and_depth_with_noise_is_not():
 
 
 def test_heights_that_scatter_and_few_widths_are_no_finding():
-    counter = Contradictions(CFG)
+    counter = Contradictions()
     for frame, height_m in enumerate((1.2, 1.9, 2.3, 1.5)):
         measured = {"camera_height_m": height_m, "surface_source": "depth"}
         lane = dict.fromkeys(("lane_left_status", "lane_right_status"), "measured") if frame < 2 else {}
@@ -157,7 +157,7 @@ def test_heights_that_scatter_and_few_widths_are_no_finding():
     ("height_m", "rejected_m", "is_found"), [(1.4, 9.7, False), (7.0, 16.9, True), (0.8, 1.9, True)]
 )
 def test_rejected_lanes_count_if_their_width_fits_a_wrong_scale(height_m, rejected_m, is_found):
-    counter = Contradictions(CFG)
+    counter = Contradictions()
     for frame in range(5):
         measured = row(frame, camera_height_m=height_m, surface_source="depth")
         counter.add(measured, Evidence(lane_width_m=rejected_m))
