@@ -31,7 +31,7 @@ REQUIRED_COLUMNS: Final = ("log_id", "frame", "stamp_ns", "missing", "reasons", 
 """Columns of every metrics table. Tables of older versions may lack the others, which then count as null."""
 _FACTS: Final = (
     *("config_digest", "version", "config", "options", "source", "log"),
-    *(record.LOG_ID_KEY, record.DIGEST_ALGORITHM_KEY, record.CONTINUES_KEY),
+    *(record.LOG_ID_KEY, record.CONTINUES_KEY),
 )
 """Entries of a table's footer that become attributes of its run, under the same names."""
 
@@ -123,7 +123,7 @@ class Run:
     command line) identify the replay, ``source`` and ``log`` its input and its result. Each is empty if the file does
     not record it.
 
-    ``log_id`` and ``continues`` are digests, made by ``digest_algorithm``, of this log and of the log it continues.
+    ``log_id`` and ``continues`` are digests of this log and of the log it continues.
     The table starts at ``first_frame``. Frames from ``end_frame`` on are not used, because the run ``next_run``
     continues this one and repeats them, complete.
 
@@ -148,7 +148,6 @@ class Run:
     source: str = ""
     log: str = ""
     log_id: str = ""
-    digest_algorithm: str = record.FIRST_DIGEST_ALGORITHM
     continues: str = ""
     first_frame: int = 0
     end_frame: int | None = None

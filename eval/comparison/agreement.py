@@ -10,7 +10,6 @@ import polars as pl
 
 from roadperc_stream.errors import TableError
 from roadperc_stream.schemas.columns import TIME_COLUMNS
-from roadperc_stream.schemas.record import LOG_ID_KEY
 
 from ..options import Rules
 from ..runs import Run, collect
@@ -109,7 +108,7 @@ class Overlap(NamedTuple):
 def compare_tables(pair: RunPair, rules: Rules) -> tuple[Overlap, dict[str, Agreement]]:
     """Pair the frames of two tables by stamp and compare each column over the common frames.
 
-    Times are not compared. ``log_id`` is not compared if two digest algorithms made it.
+    Times are not compared.
 
     Raises:
         TableError: the tables share no frame, or a table's data cannot be read.
@@ -125,8 +124,7 @@ def compare_tables(pair: RunPair, rules: Rules) -> tuple[Overlap, dict[str, Agre
         raise TableError(
             f"{pair.new.path}: shares no stamp with {pair.base.path}: {found}, expected some of {expected}"
         )
-    left_out = NOT_COMPARED if pair.by_one_digest else (*NOT_COMPARED, LOG_ID_KEY)
-    compared = [name for name in columns if name not in left_out and not rules.ignores(name)]
+    compared = [name for name in columns if name not in NOT_COMPARED and not rules.ignores(name)]
     agreements = {name: _column(joined, name, pair.name, rules.tolerance(name)) for name in compared}
     return Overlap(common, ours.height - common, theirs.height - common), agreements
 

@@ -42,11 +42,6 @@ class RunPair:
         """The columns of both tables."""
         return self.base.columns | self.new.columns
 
-    @property
-    def by_one_digest(self) -> bool:
-        """Whether one algorithm made both log digests; earlier versions used another one."""
-        return self.base.digest_algorithm == self.new.digest_algorithm
-
     @cached_property
     def by_segment(self) -> bool:
         """Whether frames pair within segments, because several segments may have the same stamps.
@@ -98,7 +93,7 @@ def pair_runs(base: Sequence[Run], new: Sequence[Run], other_log: bool) -> Pairi
         raise TableError(f"{new[0].path}: no new run has the log or the name of a base run")
     for pair in pairs:
         ours, theirs = pair.base, pair.new
-        if ours.log_id != theirs.log_id and pair.by_one_digest and not other_log:
+        if ours.log_id != theirs.log_id and not other_log:
             raise TableError(
                 f"{theirs.path}: is of log {theirs.log_id}, expected {ours.log_id} as in {ours.path}; "
                 "pass --other-log to compare two logs by their stamps"

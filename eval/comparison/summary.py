@@ -159,9 +159,6 @@ def _settings(found: Comparison, *, full: bool) -> Iterator[str]:
 def _compared(found: Comparison) -> Iterator[str]:
     """The number of compared frames, and what only one side has."""
     pairs = found.pairing.pairs
-    for pair in (pair for pair in pairs if not pair.by_one_digest):
-        algorithms = f"digest algorithms {pair.base.digest_algorithm} and {pair.new.digest_algorithm}"
-        yield f"{pair.name}: the log ids have {algorithms}; whether both runs are of one log is unknown"
     yield f"{number(found.frames, 'frame')} compared" + (f" in {len(pairs)} pairs of runs" if len(pairs) > 1 else "")
     apart = [(pair.name, part) for pair, part in zip(pairs, found.overlaps, strict=True) if sum(part[1:])]
     if apart:

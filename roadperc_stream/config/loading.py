@@ -8,7 +8,7 @@ from pydantic import BaseModel, ValidationError
 
 from roadperc_stream.config.catalogue import catalogue
 from roadperc_stream.config.complaints import complaint, key_of
-from roadperc_stream.config.settings import parsed_toml, read_toml, without_fixed
+from roadperc_stream.config.settings import parsed_toml, read_toml
 from roadperc_stream.config.stages import ABOUT_THE_LOG, ReplayConfig
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.system.text import in_brief, nearest
@@ -20,8 +20,6 @@ _KINDS: Final[Mapping[str, str]] = {"integer": "a whole number ", "number": "a n
 def load_config(path: str | Path | None = None, settings: str | Sequence[str] = ()) -> ReplayConfig:
     """Configuration from a TOML file and ``KEY=VALUE`` settings, which override the file.
 
-    A file of an older version may have settings that are constants now; one warning lists them.
-
     Args:
         path: TOML file with any part of the keys; None for the defaults.
         settings: one or several such as ``lanes.hold_s=0.8``; the value is TOML; a word without quotes is a string.
@@ -29,7 +27,7 @@ def load_config(path: str | Path | None = None, settings: str | Sequence[str] = 
     Raises:
         ConfigError: the file cannot be read, or a key or value is invalid; the message names it.
     """
-    tree = without_fixed(read_toml(Path(path)), Path(path)) if path else {}
+    tree = read_toml(Path(path)) if path else {}
     for setting in [settings] if isinstance(settings, str) else settings:
         key, separator, value = setting.partition("=")
         if not separator:

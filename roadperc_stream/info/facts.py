@@ -14,7 +14,7 @@ from roadperc_stream.config.settings import NOT_SET, as_typed, is_about_log, set
 from roadperc_stream.errors import ConfigError, TableError
 from roadperc_stream.geometry import Camera
 from roadperc_stream.info.role_states import RoleState
-from roadperc_stream.input.earlier_replay import digest_algorithm, replay_record
+from roadperc_stream.input.earlier_replay import replay_record
 from roadperc_stream.log import Attachment, Damage, Metadata, Recovery
 from roadperc_stream.model.finding import Finding, decoded_findings
 from roadperc_stream.output.tables import read_footer, sidecar_path
@@ -49,7 +49,6 @@ class Provenance:
     version: str
     seed: str
     digest: str
-    digest_algorithm: str
     digest_found: str | None
     """Digest of the input's messages in the file; None if they are missing or not all readable."""
     frames: int | None
@@ -83,7 +82,6 @@ def provenance_of(
         version=facts.get(record.VERSION_KEY, ""),
         seed=facts.get(record.SEED_KEY, ""),
         digest=digest,
-        digest_algorithm=digest_algorithm(metadata),
         digest_found=digest_found,
         frames=whole_number(facts.get(record.FRAMES_KEY, "")),
         continues=facts.get(record.CONTINUES_KEY),

@@ -12,7 +12,7 @@ from rich.filesize import decimal
 
 from roadperc_stream.info.facts import CameraFacts, ChannelFacts, LogFacts, Provenance, ReplayFacts
 from roadperc_stream.info.role_states import RoleState
-from roadperc_stream.log import MessageDigest, number_of
+from roadperc_stream.log import number_of
 from roadperc_stream.output.terminal import print_lines, print_table
 from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.schemas.record import PIXEL_ORIGIN_KEY, log_id_of
@@ -297,8 +297,6 @@ def _provenance_lines(provenance: Provenance, replay: ReplayFacts) -> Iterator[s
 
 def _digest_line(provenance: Provenance) -> str:
     digest = log_id_of(provenance.digest) or "unknown"
-    if not MessageDigest.is_known(provenance.digest_algorithm):
-        return f"input {digest}: not compared, because this version does not know {provenance.digest_algorithm} digests"
     if provenance.digest_found is None:
         return f"input {digest}: not in the file (--results-only), or not fully readable"
     if provenance.changed:

@@ -17,14 +17,14 @@ from roadperc_stream.errors import ConfigError, DecodeError, DumpError, LogError
 from roadperc_stream.geometry import Float
 from roadperc_stream.info.role_states import Roles, continued, roles_of
 from roadperc_stream.info.stamps import StampReader, stamp_reader
-from roadperc_stream.input.earlier_replay import digest_algorithm, is_result, recorded_tag_table, recorded_topics
+from roadperc_stream.input.earlier_replay import is_result, recorded_tag_table, recorded_topics
 from roadperc_stream.input.findings import InputEvidence
 from roadperc_stream.input.order import OrderConfig
 from roadperc_stream.input.replaced import replaced, rig_of_log, with_recorded
 from roadperc_stream.input.stream import Problems, Stamped, decoded_messages
 from roadperc_stream.input.sync import LatchedState, PairingState, StampPairing, without_loops
 from roadperc_stream.input.topics import probe_first_message
-from roadperc_stream.log import DIGEST_ALGORITHM, LogSummary, Message, MessageDigest, Salvage
+from roadperc_stream.log import LogSummary, Message, MessageDigest, Salvage
 from roadperc_stream.model import CameraImage, DepthImage
 from roadperc_stream.model.finding import Finding
 from roadperc_stream.schemas.record import BEGIN_ATTACHMENT
@@ -156,8 +156,6 @@ class Scan:
     inputs: int = 0
     """Number of messages that are not results."""
     inputs_back: int = 0
-    algorithm: str = DIGEST_ALGORITHM
-    """Algorithm of the digest, as a result records it."""
     _digest: MessageDigest = field(default_factory=MessageDigest)
 
     @classmethod
@@ -179,11 +177,9 @@ class Scan:
         if any(attachment.name == BEGIN_ATTACHMENT for attachment in first.described.attachments):
             roles = continued(roles)
         assignment = replace(roles.assignment, tag_table=recorded_tag_table(metadata))
-        algorithm = digest_algorithm(metadata)
-        digest = MessageDigest(algorithm if MessageDigest.is_known(algorithm) else DIGEST_ALGORITHM)
         with suppress(ConfigError):  # the record of a result is listed with its fault
             cfg = with_recorded(cfg, first.described.attachments, path)
-        scan = cls(salvage, replace(roles, assignment=assignment), summary, cfg, algorithm=algorithm, _digest=digest)
+        scan = cls(salvage, replace(roles, assignment=assignment), summary, cfg)
         scan.evidence = InputEvidence(cfg.labels, scan._count(first, "segmentation"))
         scan._run()
         scan._replace_cameras()
@@ -210,16 +206,15 @@ class Scan:
         return self.evidence.findings(self.cfg, roles.topics, roles.reference, self.latched) if roles.reference else ()
 
     def digest(self) -> str | None:
-        """Digest of the input's messages in log-time order; None if a message is unreadable or the algorithm unknown.
+        """Digest of the input's messages in log-time order; None if a message is unreadable.
 
         Reads the messages again if the file is in another order.
         """
-        is_known = MessageDigest.is_known(self.algorithm)
-        if self.summary is None or not self.salvage.whole or not self.inputs or not is_known:
+        if self.summary is None or not self.salvage.whole or not self.inputs:
             return None
         if not self.inputs_back:
             return self._digest.hexdigest()
-        digest = MessageDigest(self.algorithm)
+        digest = MessageDigest()
         for message in log.read(self.summary):
             if not is_result(message.channel):
                 digest.update(message)

@@ -5,7 +5,7 @@ import json
 from collections.abc import Iterable
 from typing import Final
 
-from roadperc_stream.log import DIGEST_ALGORITHM, Channel, Metadata
+from roadperc_stream.log import Channel, Metadata
 from roadperc_stream.model.tag_tables import TABLES
 from roadperc_stream.schemas import record
 from roadperc_stream.schemas.roles import ROLES
@@ -42,13 +42,6 @@ def recorded_tag_table(metadata: Iterable[Metadata]) -> str:
     """The tag table that the user of an earlier replay named; empty if unknown."""
     name = replay_record(metadata).get(record.TAG_TABLE_KEY, "")
     return name if name in TABLES else ""
-
-
-def digest_algorithm(metadata: Iterable[Metadata]) -> str:
-    """The algorithm of a result's digest; for other logs, the current one."""
-    found = replay_record(metadata)
-    stated = found.get(record.DIGEST_ALGORITHM_KEY, record.FIRST_DIGEST_ALGORITHM)
-    return stated if record.DIGEST_KEY in found else DIGEST_ALGORITHM
 
 
 def networks_digest(metadata: Iterable[Metadata]) -> str:

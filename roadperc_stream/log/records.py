@@ -1,16 +1,14 @@
 """The contents of a log as types independent of the mcap library, and the digest of its messages."""
 
-import hashlib
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Final, Protocol
 
 from blake3 import blake3
 
 RECOVERY_RECORD: Final = "roadperc.recovery"
 """Name of a repaired log's metadata record that lists what was lost."""
-_HASHES: Final[dict[str, Callable[[], Any]]] = {"blake3": blake3, "sha256": hashlib.sha256}
 DIGEST_ALGORITHM: Final = "blake3"
 """BLAKE3 takes a quarter of the time of SHA-256, even with the processor's SHA instructions."""
 
@@ -100,15 +98,10 @@ class LogSummary:
 
 
 class MessageDigest:
-    """Digest of messages in order: topic, schema, times, sequence and bytes. Earlier versions used ``sha256``."""
+    """Digest of messages in order: topic, schema, times, sequence and bytes."""
 
-    def __init__(self, algorithm: str = DIGEST_ALGORITHM) -> None:
-        self._hash = _HASHES[algorithm]()
-
-    @staticmethod
-    def is_known(algorithm: str) -> bool:
-        """Return whether the algorithm is supported."""
-        return algorithm in _HASHES
+    def __init__(self) -> None:
+        self._hash = blake3()
 
     def update(self, message: Message) -> None:
         """Add a message."""

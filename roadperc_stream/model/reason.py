@@ -107,30 +107,6 @@ TEMPLATES: Final[dict[str, str]] = {
     "other": "{text}",
 }
 """The sentence of each code, without ``source: ``. ``{cause}`` is the sentence of another reason."""
-_EARLIER: Final[dict[str, str]] = {
-    "not_written": "not written, the frame's stamp is beyond {last_ns:d} ns (2038-01-19), the last one ROS 2 "
-    "messages hold",
-    "no_points_in_view": "none of its {points:d} points lies in the camera's view",
-    "no_finite_points_in_view": "none of its {points:d} points lies in the camera's view; {infinite:d} of them are "
-    "not finite",
-    "not_rectified": "its camera is not rectified, and only stereo undoes the distortion",
-    "pixels_not_square": "fx {fx:g} and fy {fy:g} of its calibration differ by more than 5 %: the pixels of nearly "
-    "every camera are square, and heights and pitch are wrong where one of the two is",
-    "no_segmentation_lower_image": "no segmentation, the lower image stands in for the road",
-    "no_segmentation_sparse_depth": "no segmentation, and the points of a lidar are too sparse to classify pixels",
-    "no_depth_pitch_estimated": "no depth, {plane_source} gives the plane and {pitch_source} its pitch",
-    "plane_held": "the plane of the frames before, moved by odometry, stands in: {cause}",
-    "plane_estimated": "{plane_source} gives the plane and {pitch_source} its pitch: {cause}",
-    "heights_unknown": "the depth does not show the road, from which heights are measured",
-    "no_plane": "no plane through {points:d} road points holds {share:.0%} of them",
-    "plane_without_points": "no plane holds three of the road's points",
-    "camera_changed": "the camera is not the one of the frames before",
-    "scale_carried": "the road's picture shows no length, the speed so far gives the scale",
-    "scale_unknown": "neither the road's picture nor the speed so far gives the scale",
-    "edges_disagree": "too few edges agree on where it is",
-    "lane_width": "{side} boundary lost, it makes a lane of {width_m:g} m, expected {narrowest_m:g} to {widest_m:g} m",
-}
-"""Sentences of older versions, so that their logs and tables stay readable."""
 MISSING_ROLES: Final[dict[str, tuple[str, ...]]] = {
     "no_image": ("image",),
     "no_segmentation": ("segmentation",),
@@ -231,8 +207,7 @@ def _parsed(source: str, text: str) -> Reason:
 @cache
 def _patterns() -> tuple[tuple[str, re.Pattern[str]], ...]:
     """The regular expression of each template; that of ``other`` matches every text."""
-    templates = (*_EARLIER.items(), *TEMPLATES.items())
-    return tuple((code, re.compile(_pattern(template), re.DOTALL)) for code, template in templates)
+    return tuple((code, re.compile(_pattern(template), re.DOTALL)) for code, template in TEMPLATES.items())
 
 
 def _pattern(template: str) -> str:

@@ -3,8 +3,6 @@
 import pytest
 
 from roadperc_stream.config import ReplayConfig, load_config
-from roadperc_stream.config.catalogue import catalogue
-from roadperc_stream.config.settings import FIXED, settings_in
 from roadperc_stream.errors import ConfigError
 
 
@@ -49,36 +47,6 @@ def test_toml_comes_back_as_it_was(tmp_path):
 def test_an_invalid_setting_is_named(setting, message):
     with pytest.raises(ConfigError, match=message):
         load_config(None, ("seed=1", setting))
-
-
-OLD = """
-seed = 3
-[surface]
-inlier_m = 0.07
-drivable_m = 0.15
-[lanes]
-fit_huber = 3.0
-"""
-"""A file of an older version with two settings that are constants now, one of them with another value."""
-
-
-def test_a_file_of_an_older_version_is_read_with_one_note(tmp_path):
-    (tmp_path / "old.toml").write_text(OLD)
-    with pytest.warns(UserWarning, match="older version") as notes:
-        cfg = load_config(tmp_path / "old.toml", "lanes.hold_s=1")
-    assert cfg == load_config(None, ("seed=3", "surface.inlier_m=0.07", "lanes.hold_s=1"))
-    (note,) = notes
-    assert str(note.message) == (
-        f"{tmp_path / 'old.toml'}: 2 settings of an older version cannot be changed any more; lanes.fit_huber is 2.0"
-    )
-
-
-def test_settings_equal_to_the_constants_are_left_out():
-    assert settings_in(OLD.encode()).items() >= {"seed": 3, "surface.inlier_m": 0.07, "lanes.fit_huber": 3.0}.items()
-
-
-def test_constants_are_not_settings():
-    assert not FIXED.keys() & {setting.key for setting in catalogue()}
 
 
 @pytest.mark.parametrize(

@@ -253,15 +253,6 @@ def test_runs_that_cannot_be_compared(reference, capsys, make, options, message)
     assert re.fullmatch(rf"error: .*{message}.*\n", error)
 
 
-def test_log_ids_of_two_algorithms_are_not_compared(reference, capsys):
-    rows = [row(k, OTHER, lane_left_error_m=error) for k, error in enumerate(wave(40))]
-    write(reference.with_name("b.metrics.parquet"), rows, digest_algorithm="blake3")
-    code, text, _ = compare(capsys, reference, reference.with_name("b.metrics.parquet"), "--exact")
-    assert code == 0
-    assert "the log ids have digest algorithms sha256 and blake3" in text
-    assert "log_id:" not in text
-
-
 def test_folders_without_anything_in_common(tmp_path, capsys):
     ours = folder(tmp_path / "a", [0.0, 0.0])
     for name in ("x", "y"):

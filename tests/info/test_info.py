@@ -12,7 +12,7 @@ from mcap.writer import Writer
 from roadperc_stream.cli.info import main
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.info.examine import examine
-from roadperc_stream.log import Channel, LogWriter, Message, MessageDigest, Metadata, read, summarise
+from roadperc_stream.log import Channel, LogWriter, Message, Metadata, read, summarise
 from roadperc_stream.output import encoding
 from roadperc_stream.output.tables import sidecar_path
 from tests import logs
@@ -257,42 +257,6 @@ def test_an_input_changed_after_the_replay_is_reported(result, tmp_path, capsys)
     out = info(capsys, changed)[1]
     assert "CHANGED" in out
     assert "changed.metrics.parquet: missing" in out
-
-
-def with_record(result, path, **changes):
-    """A copy of a result with changes in its record; None removes a key."""
-    summary = summarise(result)
-    (record,) = [dict(record.values) for record in summary.metadata if record.name == "roadperc"]
-    with LogWriter(path) as writer:
-        for message in read(summary):
-            writer.write(message)
-        values = {key: value for key, value in {**record, **changes}.items() if value is not None}
-        writer.describe(Metadata("roadperc", tuple(values.items())))
-    return path
-
-
-def input_digest(result, algorithm):
-    digest = MessageDigest(algorithm)
-    for message in read(summarise(result)):
-        if not message.channel.label("producer"):
-            digest.update(message)
-    return digest.hexdigest()
-
-
-def test_results_with_old_and_new_digests_are_compared(result, tmp_path):
-    digest = input_digest(result, "sha256")
-    found = facts_of(with_record(result, tmp_path / "before.mcap", digest=digest, digest_algorithm=None))
-    assert (found.log_id, found.provenance.changed) == (digest[:16], False)
-    digest = input_digest(result, "blake3")
-    found = facts_of(with_record(result, tmp_path / "same.mcap"))
-    assert (found.log_id, found.provenance.digest, found.provenance.changed) == (digest[:16], digest, False)
-
-
-def test_an_unknown_digest_algorithm_is_not_compared(result, tmp_path, capsys):
-    changed = with_record(result, tmp_path / "later.mcap", digest_algorithm="blake9")
-    found = facts_of(changed)
-    assert (found.log_id, found.provenance.digest_found, found.provenance.changed) == (None, None, False)
-    assert "not compared, because this version does not know blake9 digests" in info(capsys, changed)[1]
 
 
 def test_a_result_without_its_input_has_no_digest_and_other_tables_are_reported(source, result, tmp_path):

@@ -98,23 +98,3 @@ def test_numbers_of_any_size_are_read_back(number):
 def test_values_that_do_not_fit_the_template_are_refused(code, values, cause):
     with pytest.raises(ValueError, match=f"{code}: expected"):
         Reason("lanes", code, values, cause)
-
-
-@pytest.mark.parametrize(
-    ("text", "code"),
-    [
-        ("no segmentation, the lower image stands in for the road", "no_segmentation_lower_image"),
-        ("the plane of the frames before, moved by odometry, stands in: no depth", "plane_held"),
-        ("none of its 3 points lies in the camera's view; 2 of them are not finite", "no_finite_points_in_view"),
-        (
-            "the mounting gives the plane and the drive its pitch: no plane holds three of the road's points",
-            "plane_estimated",
-        ),
-        ("left boundary not seen, too few edges agree on where it is", "boundary_lost"),
-        ("right boundary lost, it makes a lane of 1.2 m, expected 2 to 7 m", "lane_width"),
-        ("the road's picture shows no length, the speed so far gives the scale", "scale_carried"),
-        ("neither the road's picture nor the speed so far gives the scale", "scale_unknown"),
-    ],
-)
-def test_a_sentence_of_an_older_version_is_read(text, code):
-    assert parse_reason(f"surface: {text}").code == code
