@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any, Final
 from numpy.typing import ArrayLike
 
 from roadperc_stream.chain.own_stage import OwnStage, own_stages
-from roadperc_stream.chain.step import ChainState, step
+from roadperc_stream.chain.prepare import prepare
+from roadperc_stream.chain.step import State, step
 from roadperc_stream.config import ReplayConfig, load_config, validated
 from roadperc_stream.errors import ConfigError, RoadpercError, TableError
 from roadperc_stream.geometry import Camera, mounting
@@ -157,11 +158,12 @@ def frames(
     chain, earlier = state.chain, state.earlier
     for sample in opened.input.samples():
         with one_thread():  # the same bits as in a replay, with any settings of the caller
-            chain, result = step(cfg, chain, sample.frame, own=own)
+            frame = prepare(cfg, sample.frame, own=own)
+            chain, result = step(cfg, chain, frame, own=own)
             row = frame_metrics(cfg, opened.input.log_id, sample, result, earlier)
         earlier = sample.as_earlier
         if sample.is_written:
-            yield LogFrame(sample.frame, sample.truth, result, row)
+            yield LogFrame(frame, sample.truth, result, row)
 
 
 class Chain:
@@ -211,7 +213,7 @@ class Chain:
 
     def reset(self) -> None:
         """Clear the state."""
-        self._state = ChainState()
+        self._state = State()
         self.segment = 0
         """Number of times that a stamp cleared the state since then."""
 
@@ -245,29 +247,26 @@ class Chain:
                 frame's.
             ConfigError: tags were given without a tag table.
         """
-        camera, ego_T_camera = self._camera, self._ego_T_camera
+        camera = self._camera
         right_camera = self._right_camera or camera
         stamp_ns = arrays.checked_stamp_ns(stamp_ns)
         if stamp_ns == self._state.stamp_ns:
             raise ValueError(f"stamp_ns: {stamp_ns} is also the last frame's; pass a later one, or call reset() before")
-        frame = Frame(
-            stamp_ns=stamp_ns,
-            camera=camera,
-            ego_T_camera=ego_T_camera,
-            depth_camera=camera,
-            ego_T_depth_camera=ego_T_camera,
-            left_camera=camera,
-            ego_T_left=ego_T_camera,
+        frame = Frame.of(
+            stamp_ns,
+            camera,
+            self._ego_T_camera,
             mounted=self._mounted,
             image=None if image is None else arrays.camera_image("image", image, camera),
             right=None if right_image is None else arrays.camera_image("right_image", right_image, right_camera),
             right_camera=self._right_camera,
-            depth=None if depth_m is None else arrays.depth_image(depth_m, camera),
+            depth_image=None if depth_m is None else arrays.depth_image(depth_m, camera),
             segmentation=None if tags is None else arrays.tag_image(tags, camera, self._table),
             detections=None if detections is None else arrays.checked_detections(detections),
         )
         with one_thread():
-            self._state, result = step(self._cfg, self._state, rectified_frame(frame), own=self._own)
+            prepared = prepare(self._cfg, rectified_frame(frame), own=self._own)
+            self._state, result = step(self._cfg, self._state, prepared, own=self._own)
         self.segment += any(problem.source == "time" for problem in result.problems)
         return result
 

@@ -6,13 +6,13 @@ from itertools import islice
 from time import perf_counter, thread_time
 
 from roadperc_stream.chain.own_stage import OwnStages
-from roadperc_stream.chain.step import ChainState, LocalisedFrame, localise, observe, perceive
+from roadperc_stream.chain.prepare import prepare
+from roadperc_stream.chain.step import State, step
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.input import ReplaySource
 from roadperc_stream.metrics import frame_metrics, object_metrics
 from roadperc_stream.metrics.evidence import evidence_of
 from roadperc_stream.model import FrameResult, Sample
-from roadperc_stream.model.scene import Scene
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.output.writing import NO_CALLBACKS, Callbacks, FrameOutput, Outputs, ReplaySummary
 from roadperc_stream.resume.checkpoint import Checkpoint, CheckpointFolder, Checkpoints
@@ -89,7 +89,7 @@ class _Frames:
         self._outputs, self._checkpoints, self._callbacks = outputs, checkpoints, callbacks
         self._samples = self._written = 0
         self.end: ReplayState | bytes = checkpoints.begun.state
-        self._localised = self._perceived = checkpoints.begun.state.chain
+        self._chain = checkpoints.begun.state.chain
         self._earlier = checkpoints.begun.state.earlier
 
     def replay(self, threads: int, own: OwnStages) -> None:
@@ -102,7 +102,7 @@ class _Frames:
                 self._outputs.write_again(sample, self._checkpoints.next_output(sample.index))
             self._done(sample, begun.state)
         read = Pipeline[_Timed](self._read(samples), apart=bool(own))
-        read.then(self._observe).then(self._localise).then(self._perceive).then(self._write).run(threads)
+        read.then(self._prepare).then(self._step).then(self._write).run(threads)
 
     def _read(self, samples: Iterator[Sample]) -> Iterator[_Timed]:
         while True:
@@ -113,22 +113,16 @@ class _Frames:
                 return
             yield sample, timer
 
-    def _observe(self, item: _Timed) -> tuple[_Timed, Scene]:
+    def _prepare(self, item: _Timed) -> _Timed:
         sample, timer = item
-        return item, observe(self._cfg, sample.frame, timer, self._threads, self._own)
+        return replace(sample, frame=prepare(self._cfg, sample.frame, timer, self._threads, self._own)), timer
 
-    def _localise(self, item: tuple[_Timed, Scene]) -> tuple[_Timed, LocalisedFrame]:
-        (sample, timer), scene = item
-        localised = localise(self._cfg, self._localised, scene, timer, self._own)
-        self._localised = localised.state
-        return (sample, timer), localised
+    def _step(self, item: _Timed) -> tuple[_Timed, State, FrameResult]:
+        sample, timer = item
+        self._chain, result = step(self._cfg, self._chain, sample.frame, timer, self._own)
+        return item, self._chain, result
 
-    def _perceive(self, item: tuple[_Timed, LocalisedFrame]) -> tuple[_Timed, ChainState, FrameResult]:
-        (sample, timer), localised = item
-        self._perceived, result = perceive(self._cfg, self._perceived, localised, timer, self._own)
-        return (sample, timer), self._perceived, result
-
-    def _write(self, item: tuple[_Timed, ChainState, FrameResult]) -> None:
+    def _write(self, item: tuple[_Timed, State, FrameResult]) -> None:
         (sample, timer), chain, result = item
         if sample.is_written:
             self._input.require_usable(result)

@@ -71,16 +71,12 @@ class Road:
 
     def frame(self, index=0, **changes):
         tags, depth = self.tags(), self.depth_m()
-        frame = Frame(
-            stamp_ns=1_000_000_000 + index * STEP_NS,
-            camera=self.camera,
-            ego_T_camera=self.ego_T_camera,
-            depth_camera=self.camera,
-            ego_T_depth_camera=self.ego_T_camera,
-            left_camera=self.camera,
-            ego_T_left=self.ego_T_camera,
+        frame = Frame.of(
+            1_000_000_000 + index * STEP_NS,
+            self.camera,
+            self.ego_T_camera,
             mounted=True,
-            depth=DepthImage("camera", lambda: (depth, 65.535)),
+            depth_image=DepthImage("camera", lambda: (depth, 65.535)),
             segmentation=TagImage("camera", TABLE, lambda: tags),
             detections=(),
         )

@@ -9,7 +9,7 @@ import pytest
 
 from roadperc_stream import geometry as g
 from roadperc_stream import log
-from roadperc_stream.chain.step import ChainState, step
+from roadperc_stream.chain.step import State
 from roadperc_stream.config import ReplayConfig, load_config
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.geometry.registration import depth_of_points
@@ -21,6 +21,7 @@ from tests import logs
 from tests.analytic import VEHICLE, Road, box
 from tests.replaying import replay
 from tests.resume.parts import write
+from tests.steps import step
 
 CFG = ReplayConfig()
 ROAD = Road(pitch=0.02, roll=-0.01)
@@ -53,12 +54,12 @@ def lidar_frame(index=0, road=ROAD, **changes):
     behind = np.array([[0.0, 0.5, -8.0], [3.0, -1.0, -20.0]])
     points = cloud(np.concatenate((pixel_points(depth), behind)), road)
     detections = (box("Car", 300, 230, 341, 261),)
-    changes = {"depth": None, "segmentation": tagged, "points": points, "ego_T_lidar": EGO_T_LIDAR} | changes
+    changes = {"depth_image": None, "segmentation": tagged, "points": points, "ego_T_lidar": EGO_T_LIDAR} | changes
     return replace(frame, detections=detections, **changes)
 
 
 def run(frame, cfg=CFG):
-    return step(cfg, ChainState(), frame)[1]
+    return step(cfg, State(), frame)[1]
 
 
 def texts(reasons):
@@ -142,7 +143,7 @@ def test_a_depth_camera_that_misses_the_road_gives_the_mountings_plane_or_none(m
     depth_m = np.full_like(ROAD.depth_m(), np.nan)
     depth_m[400:402, 320] = 3.0
     depth = DepthImage(CAMERA.frame_id, lambda: (depth_m, np.inf))
-    result = run(lidar_frame(points=None, depth=depth, mounted=mounted))
+    result = run(lidar_frame(points=None, depth_image=depth, mounted=mounted))
     missed = Reason("surface", "too_few_road_points", (2,))
     if mounted:
         assert result.surface.source == "assumed"
@@ -156,7 +157,7 @@ def test_a_depth_camera_that_misses_the_road_gives_the_mountings_plane_or_none(m
 
 def test_the_drivable_pixels_are_dense():
     frame = lidar_frame()
-    dense = run(replace(frame, points=None, depth=ROAD.frame().depth))
+    dense = run(replace(frame, points=None, depth_image=ROAD.frame().depth_image))
     sparse = run(frame)
     both, either = np.sum(dense.drivable & sparse.drivable), np.sum(dense.drivable | sparse.drivable)
     assert both / either > 0.98
@@ -185,15 +186,15 @@ def test_without_segmentation_the_lower_image_gives_the_plane():
 
 
 def test_a_depth_sensor_comes_first_then_stereo_then_the_lidar(monkeypatch):
-    frame = lidar_frame(points=PointCloud("lidar", broken), depth=ROAD.frame().depth)
+    frame = lidar_frame(points=PointCloud("lidar", broken), depth_image=ROAD.frame().depth_image)
     assert run(frame).surface.source == "depth"
     assert not run(frame).problems, "the points are not decoded"
     frame = lidar_frame()
     failing = DepthImage(CAMERA.frame_id, broken)
-    assert run(replace(frame, depth=failing)).surface.source == "lidar"
+    assert run(replace(frame, depth_image=failing)).surface.source == "lidar"
     depth_m = ROAD.depth_m()
-    monkeypatch.setattr("roadperc_stream.chain.step._stereo", lambda *_: StereoDepth(CAMERA.frame_id, depth_m))
-    assert run(replace(frame, depth=failing)).surface.source == "stereo"
+    monkeypatch.setattr("roadperc_stream.chain.prepare._stereo", lambda *_: StereoDepth(CAMERA.frame_id, depth_m))
+    assert run(replace(frame, depth_image=failing)).surface.source == "stereo"
 
 
 def broken(*_):

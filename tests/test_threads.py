@@ -15,7 +15,7 @@ import pytest
 
 import roadperc_stream as rp
 from roadperc_stream import loop
-from roadperc_stream.chain import pixels
+from roadperc_stream.chain import prepare
 from roadperc_stream.cli.replay import main
 from roadperc_stream.config import load_config
 from roadperc_stream.errors import ConfigError, LogError, TargetError
@@ -33,7 +33,7 @@ FEW_STAGES = ("stereo.method=off", "odometry.enabled=false", "lanes.enabled=fals
 LIGHT = load_config(None, ("sync.max_wait_s=0.1", *FEW_STAGES))
 TINY = Road(width=160, height=120)
 THREADS = (2, 3, 5)
-CHAIN = ("observe", "localise", "perceive")
+CHAIN = ("prepare", "step")
 FRAMES = 5
 
 
@@ -209,7 +209,7 @@ def test_the_times_of_one_thread_add_up(tmp_path, monkeypatch):
         return worked
 
     monkeypatch.setattr(loop, "perf_counter", lambda: now_s[0])
-    monkeypatch.setattr(pixels, "sensor_depth", taking(3, pixels.sensor_depth))
+    monkeypatch.setattr(prepare, "_sensor_depth", taking(3, prepare._sensor_depth))
     monkeypatch.setattr(loop, "frame_metrics", taking(5, loop.frame_metrics))
     monkeypatch.setattr(writing.MessageCopy, "through", taking(7, writing.MessageCopy.through))
     monkeypatch.setattr(writing.Outputs, "_messages", taking(11, writing.Outputs._messages))

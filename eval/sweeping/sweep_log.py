@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Final
 
 from roadperc_stream.chain.own_stage import OwnStages, own_stages
+from roadperc_stream.chain.prepare import prepare
 from roadperc_stream.chain.step import step
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import RoadpercError
@@ -66,7 +67,8 @@ class Candidate:
         """Run the chain on a sample and add its row, the same as in a replay with this configuration."""
         timer = StageTimer()
         with timer("total"):
-            chain, result = step(self.cfg, self.state.chain, sample.frame, timer, self.own)
+            frame = prepare(self.cfg, sample.frame, timer, own=self.own)
+            chain, result = step(self.cfg, self.state.chain, frame, timer, self.own)
             with timer("metrics"):
                 row = frame_metrics(self.cfg, log_id, sample, result, self.state.earlier)
         self.state = ReplayState(chain, sample.as_earlier)

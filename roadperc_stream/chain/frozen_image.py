@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from roadperc_stream.chain.stages.odometry.brightness import shows_nothing
 from roadperc_stream.model import Absent, Reason
-from roadperc_stream.model.scene import Scene
+from roadperc_stream.model.frame import Frame
 
 _EVERY: Final = 4
 """Every fourth row of depth and tags is compared, which is enough to notice a change."""
@@ -30,24 +30,24 @@ class ImageRepeats:
     beside: Marks = (None, None, None, None)
     is_frozen: bool = False
 
-    def after(self, scene: Scene) -> "ImageRepeats":
+    def after(self, frame: Frame) -> "ImageRepeats":
         """The state after one more frame; a frame without an image changes nothing."""
-        if scene.grey is None:
+        if frame.grey is None:
             return self
-        image, beside = _mark(scene.grey), _beside(scene)
+        image, beside = _mark(frame.grey), _beside(frame)
         if image != self.image:
             return ImageRepeats(image, beside)
-        is_frozen = self.is_frozen or (_changed(self.beside, beside) and not shows_nothing(scene.grey))
+        is_frozen = self.is_frozen or (_changed(self.beside, beside) and not shows_nothing(frame.grey))
         pose, depth, tags, found = (old if new is None else new for old, new in zip(self.beside, beside, strict=True))
         return ImageRepeats(image, (pose, depth, tags, found), is_frozen)
 
 
-def _beside(scene: Scene) -> Marks:
-    if scene.pose_mark is not None:
-        return scene.pose_mark, None, None, None
-    depth = None if scene.depth is None else _mark(scene.depth.depth_m[::_EVERY])
-    tags = None if scene.tags is None else _mark(scene.tags[::_EVERY])
-    detections = None if scene.detections is None else zlib.crc32(repr(scene.detections).encode())
+def _beside(frame: Frame) -> Marks:
+    if frame.pose_mark is not None:
+        return frame.pose_mark, None, None, None
+    depth = None if frame.depth is None else _mark(frame.depth.depth_m[::_EVERY])
+    tags = None if frame.tags is None else _mark(frame.tags[::_EVERY])
+    detections = None if frame.detections is None else zlib.crc32(repr(frame.detections).encode())
     return None, depth, tags, detections
 
 

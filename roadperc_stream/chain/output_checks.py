@@ -10,7 +10,7 @@ import numpy as np
 from roadperc_stream.chain.encoding import MOST_BYTES, decode_plain, encode_plain
 from roadperc_stream.geometry import Camera, is_rotation
 from roadperc_stream.model import Absent, Lanes, Objects, Odometry, StereoDepth, Surface
-from roadperc_stream.model.scene import Scene
+from roadperc_stream.model.frame import Frame
 
 _MOST: Final = 2**31
 """Whole numbers are below this, as in messages; times are not."""
@@ -19,7 +19,7 @@ _PARTLY_UNKNOWN: Final = ("depth_m", "scores")
 _LEAST_UP: Final = 0.1
 
 
-def checked(stage: str, output: object, seen: Scene | Camera) -> Any:
+def checked(stage: str, output: object, seen: Frame | Camera) -> Any:
     """A copy of a stage's output, with the types that its class declares; ``seen`` is the left camera for stereo.
 
     Raises:
@@ -61,31 +61,31 @@ def _faults_of_depth(output: StereoDepth, left: Camera) -> Iterator[str]:
         yield "depth_m: expected positive metres or NaN"
 
 
-def _faults_of_surface(output: Surface, scene: Scene) -> Iterator[str]:
-    cameras = {scene.camera.frame_id, (scene.depth or scene).camera.frame_id}
+def _faults_of_surface(output: Surface, frame: Frame) -> Iterator[str]:
+    cameras = {frame.camera.frame_id, (frame.depth or frame).camera.frame_id}
     if output.frame_id not in cameras:
         yield f"frame_id: expected {' or '.join(sorted(cameras))}, found {output.frame_id}"
     if output.ego_plane.normal[2] < _LEAST_UP:
         yield "ego_plane: expected a normal that points up"
 
 
-def _faults_of_odometry(output: Odometry, scene: Scene) -> Iterator[str]:
+def _faults_of_odometry(output: Odometry, frame: Frame) -> Iterator[str]:
     yield from _faults_of_covariance(output.covariance, 6)
     if not all(_is_rigid(matrix) for matrix in (output.odom_T_ego, output.step) if matrix is not None):
         yield "odom_T_ego, step: expected rotations and translations"
     if output.status == "tracked" and (output.step is None or output.since_ns is None):
         yield "step, since_ns: expected for a tracked frame"
-    if scene.is_origin and not np.array_equal(output.odom_T_ego, np.eye(4)):
-        yield "odom_T_ego: expected the identity, because scene.is_origin is True"
+    if frame.is_origin and not np.array_equal(output.odom_T_ego, np.eye(4)):
+        yield "odom_T_ego: expected the identity, because frame.is_origin is True"
 
 
-def _faults_of_lanes(output: Lanes, scene: Scene) -> Iterator[str]:
+def _faults_of_lanes(output: Lanes, frame: Frame) -> Iterator[str]:
     for boundary in output.boundaries:
         yield from _faults_of_covariance(boundary.covariance, 3)
     if len({boundary.side for boundary in output.boundaries}) < len(output.boundaries):
         yield "boundaries: expected one for each side"
-    if output.edges is not None and output.edges.shape != scene.camera.size:
-        yield f"edges: expected the shape {scene.camera.size}, found {output.edges.shape}"
+    if output.edges is not None and output.edges.shape != frame.camera.size:
+        yield f"edges: expected the shape {frame.camera.size}, found {output.edges.shape}"
 
 
 def _faults_of_covariance(covariance: tuple[float, ...], size: int) -> Iterator[str]:

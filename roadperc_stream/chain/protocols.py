@@ -17,7 +17,7 @@ from roadperc_stream.chain.stages.objects.contact import GroundPlane
 from roadperc_stream.config import LanesConfig, ObjectsConfig, OdometryConfig, StereoConfig, SurfaceConfig
 from roadperc_stream.geometry import Camera, Float
 from roadperc_stream.model import Absent, Image, Lanes, Mask, Objects, Odometry, StereoDepth, Surface
-from roadperc_stream.model.scene import Scene
+from roadperc_stream.model.frame import Frame
 
 S = TypeVar("S")
 """The stage's ``State``."""
@@ -47,7 +47,7 @@ class SurfaceStage(Protocol[S]):
     """
 
     def __call__(
-        self, cfg: SurfaceConfig, state: S, scene: Scene, rng: np.random.Generator, /
+        self, cfg: SurfaceConfig, state: S, frame: Frame, rng: np.random.Generator, /
     ) -> tuple[S, Surface | Absent]:
         """The new state and the surface."""
 
@@ -56,11 +56,11 @@ class OdometryStage(Protocol[S]):
     """The car's motion. ``road`` is the road in the front camera's frame if its height is known, for the scale.
 
     The result is the pose ``odom_T_ego``. A ``tracked`` frame also has the ``step`` since the frame with the stamp
-    ``since_ns``. The pose is the identity in a frame with ``scene.is_origin``. A lost frame has the last known pose.
+    ``since_ns``. The pose is the identity in a frame with ``frame.is_origin``. A lost frame has the last known pose.
     """
 
     def __call__(
-        self, cfg: OdometryConfig, state: S, scene: Scene, road: Surface | None, rng: np.random.Generator, /
+        self, cfg: OdometryConfig, state: S, frame: Frame, road: Surface | None, rng: np.random.Generator, /
     ) -> tuple[S, Odometry | Absent]:
         """The new state and the motion."""
 
@@ -76,7 +76,7 @@ class LanesStage(Protocol[S]):
         self,
         cfg: LanesConfig,
         state: S,
-        scene: Scene,
+        frame: Frame,
         road: Surface | Absent,
         drivable: Mask | Absent,
         motion: Odometry | None,
@@ -95,7 +95,7 @@ class ObjectsStage(Protocol[S]):
         self,
         cfg: ObjectsConfig,
         state: S,
-        scene: Scene,
+        frame: Frame,
         lanes: Lanes | None,
         last_T_this: Float | None,
         ground: GroundPlane | None,

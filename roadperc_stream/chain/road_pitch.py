@@ -10,7 +10,7 @@ from roadperc_stream.chain.stages.odometry.keyframes import OdometryState
 from roadperc_stream.chain.stages.surface.road import KnownPitch, SurfaceState
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.geometry.ground import part
-from roadperc_stream.model.scene import Scene
+from roadperc_stream.model.frame import Frame
 from roadperc_stream.system.time import NS_PER_S
 
 _ROWS: Final = 240
@@ -27,7 +27,7 @@ def known_pitch(
     cfg: ReplayConfig,
     surfaces: SurfaceState | bytes,
     odometry: OdometryState | bytes,
-    scene: Scene,
+    frame: Frame,
     last_ns: int | None = None,
 ) -> KnownPitch | None:
     """The pitch beyond the mounting; None if neither motion nor lanes show it, or if the mounting's is exact.
@@ -37,19 +37,19 @@ def known_pitch(
     """
     shown = None if isinstance(odometry, bytes) or odometry.pitch is None else odometry.pitch
     by_motion = KnownPitch(shown.offset, shown.variance, "the motion") if shown and shown.measured else None
-    is_drive = last_ns is None or (scene.stamp_ns - last_ns) / NS_PER_S <= _DRIVE_S
+    is_drive = last_ns is None or (frame.stamp_ns - last_ns) / NS_PER_S <= _DRIVE_S
     if by_motion is not None and by_motion.variance < LINES_STD**2 and is_drive:
         return by_motion
-    has_plane = scene.depth is not None or isinstance(surfaces, bytes) or surfaces.ego_plane is not None
+    has_plane = frame.depth is not None or isinstance(surfaces, bytes) or surfaces.ego_plane is not None
     if has_plane or cfg.odometry.pitch_std_deg == 0:
         return by_motion
-    return _by_lanes(cfg, scene) or by_motion
+    return _by_lanes(cfg, frame) or by_motion
 
 
-def _by_lanes(cfg: ReplayConfig, scene: Scene) -> KnownPitch | None:
+def _by_lanes(cfg: ReplayConfig, frame: Frame) -> KnownPitch | None:
     """The pitch by the long lines of the separators on the road, searched in every n-th pixel."""
-    n = max(scene.camera.height // _ROWS, 1)
-    labels = scene.labels(cfg.lanes.separators), scene.labels(cfg.surface.classes)
+    n = max(frame.camera.height // _ROWS, 1)
+    labels = frame.labels(cfg.lanes.separators), frame.labels(cfg.surface.classes)
     separators, road = (None if found is None else np.ascontiguousarray(found[::n, ::n]) for found in labels)
     far = None if road is None else lines.road_far_end(road.view(bool))
     if separators is None or road is None or far is None:
@@ -58,7 +58,7 @@ def _by_lanes(cfg: ReplayConfig, scene: Scene) -> KnownPitch | None:
     proposals = lines.propose(cfg.lanes, lines.edges_of(cfg.lanes, separators), visible)
     found = lines.on_road(proposals, road.view(bool))
     longest = np.argsort(-np.linalg.norm(found[:, 2:] - found[:, :2], axis=1), kind="stable")[:_MOST_LINES]
-    pitch = pitch_of_segments(part(scene.camera, n, n), scene.ego_T_camera, found[longest], _FEWEST_LINES)
+    pitch = pitch_of_segments(part(frame.camera, n, n), frame.ego_T_camera, found[longest], _FEWEST_LINES)
     if pitch is None or abs(pitch[0]) < _SIGMAS * np.sqrt(pitch[1]):
         return None
     return KnownPitch(*pitch, "the lanes' vanishing point")

@@ -11,7 +11,6 @@ from roadperc_stream.config import BUILT_IN, ReplayConfig
 from roadperc_stream.errors import ConfigError, StateError
 from roadperc_stream.model import Absent, Frame, Reason
 from roadperc_stream.model.results import StereoDepth
-from roadperc_stream.model.scene import Scene
 
 T = TypeVar("T")
 U = TypeVar("U")
@@ -26,7 +25,7 @@ class Stages:
     cfg: ReplayConfig
     timer: Timer
     own: OwnStages
-    frame: Frame | Scene
+    frame: Frame
 
     def run(self, stage: str, compute: Callable[[], T], otherwise: U) -> T | U:
         """The result of ``compute``, or ``otherwise`` if the stage is switched off."""
@@ -65,6 +64,11 @@ class Stages:
     def _place(self) -> str:
         stamp = f"stamp {self.frame.stamp_ns} ns"
         return f"the frame with {stamp}" if self.frame.number is None else f"frame {self.frame.number} ({stamp})"
+
+
+def needs_scene(cfg: ReplayConfig) -> bool:
+    """Whether an enabled stage uses depth or tags: any stage except stereo."""
+    return any(stage.enabled for stage in (cfg.surface, cfg.odometry, cfg.lanes, cfg.objects, cfg.occupancy))
 
 
 def off(stage: str) -> Absent:

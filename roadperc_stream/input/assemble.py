@@ -68,9 +68,9 @@ def sample_of(
         left=left,
         right=_payload(messages, "right", model.CameraImage),
         right_camera=latched.cameras.get("right_calibration"),
-        depth=depth,
+        depth_image=depth,
         segmentation=_payload(messages, "segmentation", model.TagImage),
-        instances=_payload(messages, "instances", model.InstanceImage),
+        instance_image=_payload(messages, "instances", model.InstanceImage),
         detections=detections.payload if detections else None,  # type: ignore[arg-type]
         points=points,
         ego_T_lidar=None if points is None else lidar_mounting(tree, ego_T_camera, camera, points.frame_id),

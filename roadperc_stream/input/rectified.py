@@ -23,8 +23,8 @@ def rectified_frame(frame: model.Frame) -> model.Frame:
     """The frame with rectified cameras; a lens that is impossible or unknown stays, with its images as recorded."""
     camera, is_left = frame.camera, frame.left is None and frame.left_camera == frame.camera
     if _distorted(frame.depth_camera) is not None:
-        depth = rectified(frame.depth, frame.depth_camera)
-        frame = replace(frame, depth_camera=lenses.rectified(frame.depth_camera), depth=depth)
+        depth_image = rectified(frame.depth_image, frame.depth_camera)
+        frame = replace(frame, depth_camera=lenses.rectified(frame.depth_camera), depth_image=depth_image)
     if _distorted(camera) is None:
         return frame
     return replace(
@@ -33,7 +33,7 @@ def rectified_frame(frame: model.Frame) -> model.Frame:
         left=frame.image if is_left else frame.left,
         image=rectified(frame.image, camera),
         segmentation=rectified(frame.segmentation, camera),
-        instances=rectified(frame.instances, camera),
+        instance_image=rectified(frame.instance_image, camera),
         detections=rectified(frame.detections, camera),
     )
 

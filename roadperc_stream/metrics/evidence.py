@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from roadperc_stream.chain.pixels import needs_scene
+from roadperc_stream.chain.stage_runner import needs_scene
 from roadperc_stream.chain.stages.stereo import disparities_needed
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import DecodeError
@@ -55,10 +55,10 @@ def evidence_of(cfg: ReplayConfig, frame: Frame, result: FrameResult) -> Evidenc
 
 def _sensor_depth_m(cfg: ReplayConfig, frame: Frame) -> Float32 | None:
     """The depth image, if the chain has decoded it and it has the size of its camera."""
-    if frame.depth is None or not needs_scene(cfg):
+    if frame.depth_image is None or not needs_scene(cfg):
         return None
     try:
-        depth_m = frame.depth.depth_m
+        depth_m = frame.depth_image.depth_m
     except DecodeError:
         return None
     return depth_m if depth_m.shape == frame.depth_camera.size else None

@@ -35,7 +35,7 @@ def stereo_columns(stereo: StereoDepth | Absent) -> StereoColumns:
 def stereo_errors_of(stereo: StereoDepth | Absent, sample: Sample) -> StereoErrorColumns:
     """Errors against the front depth; empty columns unless the front camera is the left one."""
     frame = sample.frame
-    depth = sample.truth.depth or frame.depth
+    depth = sample.truth.depth or frame.depth_image
     is_front = frame.left is None or rectified(frame.left_camera) == frame.camera
     if isinstance(stereo, Absent) or depth is None or frame.right_camera is None or not is_front:
         return StereoErrorColumns()

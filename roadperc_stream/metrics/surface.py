@@ -9,7 +9,7 @@ from roadperc_stream.errors import DecodeError
 from roadperc_stream.geometry import angle_between
 from roadperc_stream.geometry.ground import height_at
 from roadperc_stream.model import Absent, FrameResult, Mask, Sample, Surface
-from roadperc_stream.model.scene import DepthMap, Scene
+from roadperc_stream.model.frame import DepthMap, Frame
 from roadperc_stream.schemas.columns.errors import SurfaceErrorColumns
 from roadperc_stream.schemas.columns.estimates import SurfaceColumns
 
@@ -72,7 +72,7 @@ def _true_drivable(cfg: ReplayConfig, sample: Sample) -> Mask | None:
     The tags are never the chain's input. A log without ``/truth/depth`` has clean depth itself.
     """
     frame, truth = sample.frame, sample.truth
-    depth = truth.depth or frame.depth
+    depth = truth.depth or frame.depth_image
     if truth.segmentation is None or depth is None or truth.surface is None:
         return None
     try:
@@ -83,8 +83,8 @@ def _true_drivable(cfg: ReplayConfig, sample: Sample) -> Mask | None:
         return None
     true_depth = DepthMap(depth_m, frame.camera, frame.ego_T_camera, depth.limit_m, "depth")
     table = truth.segmentation.table
-    scene = Scene(frame.stamp_ns, frame.camera, frame.ego_T_camera, tags=tags, table=table, depth=true_depth)
-    mask = drivable_mask(cfg.surface, scene, truth.surface)
+    true_frame = Frame.of(frame.stamp_ns, frame.camera, frame.ego_T_camera, tags=tags, table=table, depth=true_depth)
+    mask = drivable_mask(cfg.surface, true_frame, truth.surface)
     return None if isinstance(mask, Absent) else mask
 
 

@@ -1,232 +1,70 @@
-"""The input of the chain at one instant. Images are decoded when their pixels are first used."""
+"""The input of the chain at one instant."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from math import floor
+from typing import Any, Final
 
 import numpy as np
 
-from roadperc_stream.geometry import Camera, Float, Float32
+from roadperc_stream.chain.kernels import mark
+from roadperc_stream.geometry import Camera, Float, Float32, inverse
 from roadperc_stream.geometry.arrays import Ids, Image, read_only
+from roadperc_stream.geometry.planes import SurfaceSource
+from roadperc_stream.geometry.registration import sample_labels, warp_depth
+from roadperc_stream.model.inputs import CameraImage, DepthImage, Detection, InstanceImage, PointCloud, TagImage
+from roadperc_stream.model.reason import Reason
+from roadperc_stream.model.results import Absent, StereoDepth
 from roadperc_stream.model.tag_tables import TagTable
 
+_NOT_RUN: Final = Absent(Reason("stereo", "not_run"))
+_SAME_PLACE_M: Final = 1e-6
+
 
 @dataclass(frozen=True)
-class CameraImage:
-    """An image that is decoded when its pixels are first used."""
+class DepthMap:
+    """(H, W) depth, metres along z, NaN unknown, with its camera; the encoding saturates at ``limit_m``."""
 
-    frame_id: str
-    decode_bgr: Callable[[], Image] = field(repr=False)
-    decode_grey: Callable[[], Image] = field(repr=False)
-    read_size: Callable[[], tuple[int, int]] | None = field(default=None, repr=False)
-    """Reads columns and rows without decoding; None if the format does not allow it."""
+    depth_m: Float32
+    camera: Camera
+    ego_T_camera: Float
+    limit_m: float
+    source: SurfaceSource
 
     @property
-    def size(self) -> tuple[int, int]:
-        """Columns and rows.
+    def dense(self) -> bool:
+        """Whether most pixels have a depth; a lidar has few points."""
+        return self.source != "lidar"
 
-        Raises:
-            DecodeError: the bytes are not an image.
-        """
-        return self.read_size() if self.read_size else (self.grey.shape[1], self.grey.shape[0])
+    def registered_to(self, camera: Camera, ego_T_camera: Float) -> Float32:
+        """(h, w) depth in another camera's image."""
+        if self._is_of(camera, ego_T_camera):
+            return self.depth_m
+        return warp_depth(self.camera, inverse(ego_T_camera) @ self.ego_T_camera, camera, self.depth_m)
 
-    @cached_property
-    def grey(self) -> Image:
-        """(H, W) uint8.
+    def labels_from(self, camera: Camera, ego_T_camera: Float, labels: Image) -> Image:
+        """(H, W) another camera's (h, w) labels at the pixels of this depth."""
+        if self._is_of(camera, ego_T_camera):
+            return labels
+        return sample_labels(self.camera, inverse(ego_T_camera) @ self.ego_T_camera, camera, self.depth_m, labels)
 
-        Raises:
-            DecodeError: the bytes are not an image.
-        """
-        return read_only(self.decode_grey(), np.uint8, (None, None), "image")
-
-    @cached_property
-    def bgr(self) -> Image:
-        """(H, W, 3) uint8.
-
-        Raises:
-            DecodeError: the bytes are not an image.
-        """
-        return read_only(self.decode_bgr(), np.uint8, (None, None, 3), "image")
-
-
-@dataclass(frozen=True)
-class VideoFrame:
-    """A frame of a video, or an image; ``format`` is its codec."""
-
-    frame_id: str
-    format: str
-    data: bytes
-
-
-@dataclass(frozen=True)
-class DepthImage:
-    """Depth along the camera's z axis, decoded when first used."""
-
-    frame_id: str
-    decode_depth: Callable[[], tuple[Float32, float]] = field(repr=False)
-
-    @cached_property
-    def _decoded(self) -> tuple[Float32, float]:
-        depth_m, limit_m = self.decode_depth()
-        return read_only(depth_m, np.float32, (None, None), "depth"), limit_m
-
-    @property
-    def depth_m(self) -> Float32:
-        """(H, W) float32 metres, NaN unknown, ``limit_m`` at or beyond the end of the encoding's range.
-
-        Raises:
-            DecodeError: the message cannot be decoded.
-        """
-        return self._decoded[0]
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Columns and rows.
-
-        Raises:
-            DecodeError: as ``depth_m``.
-        """
-        return self.depth_m.shape[1], self.depth_m.shape[0]
-
-    @property
-    def limit_m(self) -> float:
-        """Depth at which the encoding saturates, metres; such a pixel is at least this far."""
-        return self._decoded[1]
-
-
-@dataclass(frozen=True)
-class PointCloud:
-    """A lidar's points, decoded when first used."""
-
-    frame_id: str
-    decode_points: Callable[[], Float32] = field(repr=False)
-    """Returns all points, including those that are not finite."""
-
-    @cached_property
-    def points_m(self) -> Float32:
-        """(N, 3) float32 metres in the frame ``frame_id``, without points that are not finite.
-
-        Raises:
-            DecodeError: the message cannot be decoded.
-        """
-        finite = np.isfinite(self._all_m).all(axis=1)
-        return read_only(self._all_m if finite.all() else self._all_m[finite], np.float32, (None, 3), "points")
-
-    @property
-    def left_out(self) -> int:
-        """Number of points that are not finite."""
-        return len(self._all_m) - len(self.points_m)
-
-    @cached_property
-    def _all_m(self) -> Float32:
-        return self.decode_points()
-
-
-@dataclass(frozen=True)
-class TagImage:
-    """A segmentation, decoded when first used."""
-
-    frame_id: str
-    table: TagTable
-    decode_tags: Callable[[], Image] = field(repr=False)
-
-    @cached_property
-    def tags(self) -> Image:
-        """(H, W) uint8 tags of ``table``.
-
-        Raises:
-            DecodeError: the bytes are not a tag image.
-        """
-        return read_only(self.decode_tags(), np.uint8, (None, None), "tags")
-
-
-@dataclass(frozen=True)
-class InstanceImage:
-    """The objects' masks, decoded when first used."""
-
-    frame_id: str
-    decode_ids: Callable[[], Ids] = field(repr=False)
-
-    @cached_property
-    def ids(self) -> Ids:
-        """(H, W) uint16 number of the object in each pixel, 0 without an object.
-
-        Raises:
-            DecodeError: the bytes are not instance masks.
-        """
-        return read_only(self.decode_ids(), np.uint16, (None, None), "instances")
-
-
-@dataclass(frozen=True)
-class Transform:
-    """One edge of the transform tree: ``parent_T_child``."""
-
-    parent: str
-    child: str
-    parent_T_child: Float
-
-    def __post_init__(self) -> None:
-        read_only(self.parent_T_child, np.float64, (4, 4), "parent_T_child")
-
-
-@dataclass(frozen=True)
-class Box:
-    """Half-open box in pixels: columns x_min to x_max and rows y_min to y_max, without the maxima."""
-
-    x_min: float
-    y_min: float
-    x_max: float
-    y_max: float
-
-    def rounded(self, width: int, height: int) -> tuple[int, int, int, int]:
-        """x_min, y_min, x_max, y_max as whole pixels (rounded half up) clipped to the image."""
-        x0, y0, x1, y1 = (floor(side + 0.5) for side in (self.x_min, self.y_min, self.x_max, self.y_max))
-        return max(x0, 0), max(y0, 0), min(x1, width), min(y1, height)
-
-    def meets(self, other: "Box") -> bool:
-        """Whether the boxes have an area in common."""
-        return min(self.x_max, other.x_max) > max(self.x_min, other.x_min) and min(self.y_max, other.y_max) > max(
-            self.y_min, other.y_min
-        )
-
-    def overlap(self, other: "Box") -> float:
-        """Intersection over union, 0 if the boxes do not meet."""
-        width = min(self.x_max, other.x_max) - max(self.x_min, other.x_min)
-        height = min(self.y_max, other.y_max) - max(self.y_min, other.y_min)
-        if width <= 0 or height <= 0:
-            return 0.0
-        return width * height / (self.area + other.area - width * height)
-
-    @property
-    def area(self) -> float:
-        """Square pixels."""
-        return max(self.x_max - self.x_min, 0.0) * max(self.y_max - self.y_min, 0.0)
-
-
-@dataclass(frozen=True)
-class Detection:
-    """One box of a detector, with its label and score.
-
-    The score is usually 0 to 1; any finite number is allowed. ``id`` is the object's id from the detector's own
-    tracker, empty without one.
-    """
-
-    label: str
-    box_px: Box
-    score: float
-    id: str = ""
+    def _is_of(self, camera: Camera, ego_T_camera: Float) -> bool:
+        """Whether the depth is in that camera's image, pixel by pixel."""
+        return np.allclose(ego_T_camera, self.ego_T_camera, atol=_SAME_PLACE_M) and camera.same_view(self.camera)
 
 
 @dataclass(frozen=True)
 class Frame:
-    """The whole input of the chain at one instant.
+    """The whole input of the chain at one instant: its messages, and the pixels that ``prepare`` decodes from them.
 
-    ``camera`` is the camera of image, segmentation and detections; the depth may come from another one. The left camera
-    of a stereo pair is the front camera if ``left_camera`` is ``camera`` and ``left`` is None. Without a mounting
-    (``mounted`` False) the transforms are those of a level camera at the assumed height. ``ego_T_lidar`` is None if
-    no transform connects it with ego. ``is_origin`` says that odom begins at this frame: earlier frames only warmed up
-    the chain.
+    ``camera`` is the front camera, to which ``image``, ``segmentation`` (tags of ``table``), ``instance_image`` and
+    ``detections`` belong; the depth may come from another one. The left camera of a stereo pair is the front camera if
+    ``left_camera`` is ``camera`` and ``left`` is None. Without a mounting (``mounted`` False) the transforms are those
+    of a level camera at the assumed height. ``ego_T_lidar`` is None if no transform connects it with ego. ``is_origin``
+    says that odom begins at this frame: earlier frames only warmed up the chain. A missing input is None; an empty
+    detections message is ().
+
+    The chain's stages use ``tags`` (H, W), ``grey`` (H, W), ``depth`` (which may be from another camera), ``stereo``
+    and ``instances`` (H, W, 0 for no object). Of these, unusable ones are None, with a reason in ``problems``.
     """
 
     stamp_ns: int
@@ -241,9 +79,9 @@ class Frame:
     left: CameraImage | None = None
     right: CameraImage | None = None
     right_camera: Camera | None = None
-    depth: DepthImage | None = None
+    depth_image: DepthImage | None = None
     segmentation: TagImage | None = None
-    instances: InstanceImage | None = None
+    instance_image: InstanceImage | None = None
     detections: tuple[Detection, ...] | None = None
     points: PointCloud | None = None
     ego_T_lidar: Float | None = None
@@ -253,8 +91,66 @@ class Frame:
     pose_mark: int | None = None
     """CRC-32 of the car's pose in the log. It says only whether the pose changed; None without one."""
 
+    table: TagTable | None = None
+    tags: Image | None = None
+    grey: Image | None = None
+    depth: DepthMap | None = None
+    instances: Ids | None = None
+    stereo: StereoDepth | Absent = _NOT_RUN
+    problems: tuple[Reason, ...] = ()
+
     def __post_init__(self) -> None:
         read_only(self.ego_T_camera, np.float64, (4, 4), "ego_T_camera")
         read_only(self.ego_T_depth_camera, np.float64, (4, 4), "ego_T_depth_camera")
         if self.ego_T_lidar is not None:
             read_only(self.ego_T_lidar, np.float64, (4, 4), "ego_T_lidar")
+
+    @classmethod
+    def of(cls, stamp_ns: int, camera: Camera, ego_T_camera: Float, **inputs: Any) -> "Frame":
+        """A frame whose depth and left image, if there are any, are of the front camera."""
+        return cls(stamp_ns, camera, ego_T_camera, camera, ego_T_camera, camera, ego_T_camera, **inputs)
+
+    @property
+    def bgr(self) -> Image | None:
+        """(H, W, 3) colours blue, green, red; None if ``grey`` is None."""
+        return None if self.image is None or self.grey is None else self.image.bgr
+
+    @property
+    def image_unusable(self) -> bool:
+        """Whether ``grey`` is None although the frame has an image."""
+        return self.image is not None and self.grey is None
+
+    @cached_property
+    def depth_m(self) -> Float32 | None:
+        """(H, W) depth in metres in the front camera's image."""
+        depth_m = None if self.depth is None else self.depth.registered_to(self.camera, self.ego_T_camera)
+        return None if depth_m is None else read_only(depth_m, np.float32, (None, None), "depth_m")
+
+    @property
+    def dense_depth_m(self) -> Float32 | None:
+        """``depth_m`` if most pixels have a depth; None for lidar points."""
+        return self.depth_m if self.depth is not None and self.depth.dense else None
+
+    @property
+    def depth_limit_m(self) -> float:
+        """Depth at which the encoding saturates; infinite without depth."""
+        return np.inf if self.depth is None else self.depth.limit_m
+
+    @property
+    def plane_source(self) -> str:
+        """The source of the assumed road plane, in words."""
+        return "the mounting" if self.mounted else "the assumed height"
+
+    def labels(self, classes: tuple[str, ...]) -> Image | None:
+        """(H, W) uint8, 1 at pixels of the classes, read-only; None without tags."""
+        if self.table is None or self.tags is None:
+            return None
+        if classes not in self._labels:
+            self._labels[classes] = mark(self.tags, self.table.lookup(classes))
+            self._labels[classes].setflags(write=False)
+        return self._labels[classes]
+
+    @cached_property
+    def _labels(self) -> dict[tuple[str, ...], Image]:
+        """A cache by classes, because several stages use the same."""
+        return {}

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from roadperc_stream.geometry import Float, Float32
 from roadperc_stream.geometry.arrays import Mask, read_only
 from roadperc_stream.geometry.planes import Surface
-from roadperc_stream.model.frame import Box, Detection
+from roadperc_stream.model.inputs import Box, Detection
 from roadperc_stream.model.reason import Reason
 
 Side = Literal["left", "right"]

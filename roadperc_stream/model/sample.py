@@ -8,7 +8,8 @@ import numpy as np
 from roadperc_stream.geometry import Float
 from roadperc_stream.geometry.arrays import read_only
 from roadperc_stream.geometry.planes import Surface
-from roadperc_stream.model.frame import DepthImage, Frame, TagImage
+from roadperc_stream.model.frame import Frame
+from roadperc_stream.model.inputs import DepthImage, TagImage
 from roadperc_stream.model.reason import Reason
 from roadperc_stream.model.results import Absent, FrameResult, Lanes, Objects
 

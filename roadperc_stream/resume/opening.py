@@ -12,7 +12,8 @@ from roadperc_stream import __version__, log
 from roadperc_stream.chain.bounds import StateBounds
 from roadperc_stream.chain.encoding import decode, encode
 from roadperc_stream.chain.own_stage import OwnStages
-from roadperc_stream.chain.step import ChainState, step
+from roadperc_stream.chain.prepare import prepare
+from roadperc_stream.chain.step import State, step
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ConfigError, NoFrameError, StateError, TableError
 from roadperc_stream.input import ReplayInput, ReplaySource, input_of
@@ -194,10 +195,10 @@ def _warmed(
         log_in = input_of(ReadableLog(summary), lead, cfg)
     except NoFrameError:
         return None
-    chain, earlier = ChainState(), None
+    chain, earlier = State(), None
     with one_thread():
         for sample in islice(log_in.samples(), log_in.plan.first_pass.complete_frames):
-            chain, _ = step(cfg, chain, sample.frame, own=own)
+            chain, _ = step(cfg, chain, prepare(cfg, sample.frame, own=own), own=own)
             earlier = sample.as_earlier
     end = log_in.end_state(with_messages=True)
     end = replace(end, from_ns=start_ns, numbers=FrameNumbers(written_from_ns=start_ns))

@@ -9,7 +9,7 @@ from typing import Any
 from roadperc_stream import log
 from roadperc_stream.chain.bounds import StateBounds
 from roadperc_stream.chain.encoding import decode, encode
-from roadperc_stream.chain.step import ChainState
+from roadperc_stream.chain.step import State
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import StateError
 from roadperc_stream.input.earlier_replay import is_result
@@ -29,7 +29,7 @@ _MOST_NAMED = 3
 class ReplayState:
     """The state that a replay keeps between frames."""
 
-    chain: ChainState = field(default_factory=ChainState)
+    chain: State = field(default_factory=State)
     earlier: EarlierTruth | None = None
     shown: Shown = field(default_factory=Shown)
 

@@ -8,7 +8,7 @@ import pytest
 
 from roadperc_stream import geometry as g
 from roadperc_stream.chain.stages.surface.road import KnownPitch, assumed_surface
-from roadperc_stream.chain.step import ChainState, _metric_road, _on_other_plane, step
+from roadperc_stream.chain.step import State, _on_other_plane, _with_known_height
 from roadperc_stream.config import STAGES, ReplayConfig, load_config, switched_off
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.model import Absent, CameraImage, DepthImage, Reason, TagImage
@@ -16,6 +16,7 @@ from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14 as TABLE
 from roadperc_stream.system.progress import StageTimer
 from tests.analytic import ROAD, Road, box
 from tests.logs import SMALL, shifted
+from tests.steps import step
 
 CFG = ReplayConfig()
 
@@ -27,7 +28,7 @@ def drive(count=5):
 
 def run(frames, state=None, cfg=CFG):
     results = []
-    state = state or ChainState()
+    state = state or State()
     for frame in frames:
         state, result = step(cfg, state, frame)
         results.append(result)
@@ -51,12 +52,12 @@ def same(a, b):
 
 def test_a_disabled_stage_has_no_time():
     timer, cfg = StageTimer(), load_config(settings=[switched_off(stage) for stage in STAGES if stage != "surface"])
-    step(cfg, ChainState(), *drive(1), timer)
+    step(cfg, State(), *drive(1), timer)
     assert set(timer.columns()) == {"decode_ms", "surface_ms"}
 
 
 def test_a_frame_without_depth_tags_and_detections_has_an_assumed_road():
-    bare = replace(drive(1)[0], depth=None, segmentation=None, detections=None)
+    bare = replace(drive(1)[0], depth_image=None, segmentation=None, detections=None)
     _, (result,) = run([bare])
     assert result.surface.source == "assumed"
     assert isinstance(result.drivable, Absent)
@@ -71,7 +72,7 @@ def broken(*_):
     ("changes", "source", "problems"),
     [
         (
-            {"segmentation": TagImage("camera", TABLE, broken), "depth": DepthImage("camera", broken)},
+            {"segmentation": TagImage("camera", TABLE, broken), "depth_image": DepthImage("camera", broken)},
             "assumed",
             (
                 "segmentation: cannot be decoded: cut off",
@@ -138,7 +139,7 @@ def test_a_depth_camera_below_the_image_camera():
         road.frame(),
         depth_camera=depth_camera,
         ego_T_depth_camera=lower.ego_T_camera,
-        depth=DepthImage("depth", lambda: (depth, 65.535)),
+        depth_image=DepthImage("depth", lambda: (depth, 65.535)),
     )
     _, (result,) = run([frame])
     assert result.surface.camera_height_m == pytest.approx(1.2, abs=1e-3)
@@ -173,8 +174,8 @@ def test_a_front_camera_that_is_not_rectified_or_has_no_square_pixels_is_reporte
 )
 def test_a_road_gives_the_scale_if_depth_or_the_mounting_gives_its_height(source, mounted, used):
     road = replace(assumed_surface(SMALL.camera, SMALL.ego_T_camera), source=source)
-    assert _metric_road(SimpleNamespace(mounted=mounted), road) is (road if used else None)
-    assert _metric_road(SimpleNamespace(mounted=mounted), Absent(Reason("surface", "no_depth"))) is None
+    assert _with_known_height(SimpleNamespace(mounted=mounted), road) is (road if used else None)
+    assert _with_known_height(SimpleNamespace(mounted=mounted), Absent(Reason("surface", "no_depth"))) is None
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 
 from roadperc_stream import geometry as g
 from roadperc_stream.chain.encoding import decode, encode
-from roadperc_stream.chain.step import ChainState, localise, observe, perceive, step
+from roadperc_stream.chain.step import State
 from roadperc_stream.config import load_config
 from roadperc_stream.geometry.rotations import rotation_from_rpy
 from roadperc_stream.input import ReplaySource, open_input
@@ -18,6 +18,7 @@ from roadperc_stream.model import Absent, DepthImage, PointCloud, Reason
 from roadperc_stream.system.threads import one_thread
 from roadperc_stream.system.time import TimeRange
 from tests.chain.test_chain import same
+from tests.steps import step
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
 CFG = load_config(None, ("surface.model=spline",))
@@ -33,7 +34,7 @@ def frames():
 
 def with_lidar(frame):
     """The frame with an additional lidar, whose points are a few of the depth camera's."""
-    depth_m = frame.depth.depth_m[::6, ::2]
+    depth_m = frame.depth_image.depth_m[::6, ::2]
     v, u = 6 * np.indices(depth_m.shape)[0], 2 * np.indices(depth_m.shape)[1]
     near = depth_m < 60
     pixels = np.stack((u, v), axis=-1)[near].astype(float)
@@ -45,12 +46,12 @@ def with_lidar(frame):
 @pytest.fixture(scope="module")
 def lidar_frames(frames):
     """The same frames with a lidar, but without depth and right image."""
-    return [replace(frame, depth=None, right=None) for frame in frames]
+    return [replace(frame, depth_image=None, right=None) for frame in frames]
 
 
 def run(frames, state=None):
     results = []
-    state = state or ChainState()
+    state = state or State()
     with one_thread():
         for frame in frames:
             state, result = step(CFG, state, frame)
@@ -85,27 +86,6 @@ def test_a_second_run_and_a_run_from_a_pickled_state_have_equal_results(log, res
     assert same(run(frames[3:], pickle.loads(pickle.dumps(state)))[1], expected[3:])
 
 
-@pytest.mark.parametrize("log", ["frames", "lidar_frames"])
-def test_localise_may_run_frames_ahead_of_perceive(log, request):
-    """Each keeps its own state; the last frame's stamp is not after the one before."""
-    frames = request.getfixturevalue(log)
-    frames = [*frames[:3], replace(frames[1], stamp_ns=frames[2].stamp_ns)]
-    localised, results, first, second = [], [], ChainState(), ChainState()
-    with one_thread():
-        scenes = [observe(CFG, frame) for frame in frames]
-        for scene in scenes:
-            localised.append(localise(CFG, first, scene))
-            first = localised[-1].state
-        for frame in localised:
-            state, result = perceive(CFG, second, frame)
-            second = replace(ChainState(state.stamp_ns), lanes=state.lanes, objects=state.objects)
-            results.append(result)
-    assert (first.lanes, first.objects) == (ChainState().lanes, ChainState().objects)
-    end, expected = run(frames)
-    assert same(tuple(results), expected)
-    assert same(state, end)
-
-
 ABSENT_WITHOUT = {
     "image": {"odometry": "no_image", "stereo": "no_left_image"},
     "right": {"stereo": "no_right_image"},
@@ -115,18 +95,20 @@ ABSENT_WITHOUT = {
 }
 
 
-@pytest.mark.parametrize("missing", ["image", "right", "right_camera", "depth", "segmentation", "detections", "points"])
+@pytest.mark.parametrize(
+    "missing", ["image", "right", "right_camera", "depth_image", "segmentation", "detections", "points"]
+)
 def test_any_input_may_be_missing(frames, whole, missing):
     _, results = run([replace(frame, **{missing: None}) for frame in frames[:2]])
     if missing == "points":
         assert same(results, whole[:2]), "a lidar is not used if there is depth"
         return
     reasons = {reason for result in results for reason in result.reasons()}
-    assert reasons or missing == "depth", "stereo replaces the depth, which the source reports"
+    assert reasons or missing == "depth_image", "stereo replaces the depth, which the source reports"
     last = results[-1]
     for stage, code in ABSENT_WITHOUT.get(missing, {}).items():
         assert getattr(last, stage) == Absent(Reason(stage, code))
-    assert last.surface.source == {"depth": "stereo", "segmentation": "lower_image"}.get(missing, "depth")
+    assert last.surface.source == {"depth_image": "stereo", "segmentation": "lower_image"}.get(missing, "depth")
     assert missing == "image" or last.odometry.status == "tracked"
 
 
@@ -144,7 +126,7 @@ def assert_alike(last, with_sensor, offset_m):
 
 def test_two_cameras_and_tags_are_enough_for_everything(frames, whole):
     """Without a depth sensor, stereo gives the plane, the lane on the ground, distances and metric odometry."""
-    _, results = run([replace(frame, depth=None) for frame in frames])
+    _, results = run([replace(frame, depth_image=None) for frame in frames])
     assert_alike(results[-1], whole[-1], offset_m=0.1)
 
 
@@ -192,7 +174,7 @@ def faults(value, where):
 
 @pytest.mark.parametrize("settings", [(), ("odometry.features=sift",)])
 def test_a_state_contains_immutable_plain_values(settings):
-    cfg, state = load_config(None, settings), ChainState()
+    cfg, state = load_config(None, settings), State()
     for sample in open_input(ReplaySource(SAMPLE, time_range=TimeRange(frames=3)), cfg).samples():
         state, _ = step(cfg, state, sample.frame)
         assert faults(state, "state") == []
@@ -206,15 +188,15 @@ FAILS_FROM = 2
 
 def failing(*settings):
     """Results and lane errors of a log whose depth has errors of 30 % from its third frame on."""
-    cfg, state, found = load_config(None, ("objects.enabled=false", "stereo.method=off", *settings)), ChainState(), []
+    cfg, state, found = load_config(None, ("objects.enabled=false", "stereo.method=off", *settings)), State(), []
     for sample in open_input(ReplaySource(SAMPLE, time_range=TimeRange(frames=FRAMES - 1)), cfg).samples():
         frame = sample.frame
         if sample.index >= FAILS_FROM:
-            depth_m = frame.depth.depth_m
+            depth_m = frame.depth_image.depth_m
             noise = np.random.default_rng(sample.index).normal(1, 0.3, depth_m.shape).astype(np.float32)
             noisy = (depth_m * noise, np.inf)
-            frame = replace(frame, depth=DepthImage(frame.depth.frame_id, lambda noisy=noisy: noisy))
-        state, result = step(cfg, decode(encode(state), ChainState), frame)
+            frame = replace(frame, depth_image=DepthImage(frame.depth_image.frame_id, lambda noisy=noisy: noisy))
+        state, result = step(cfg, decode(encode(state), State), frame)
         found.append((result, lane_errors(result.lanes, sample.truth.lanes)))
     return found
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from roadperc_stream.chain.step import ChainState, step
+from roadperc_stream.chain.step import State
 from roadperc_stream.config import STAGES, load_config, switched_off
 from roadperc_stream.input import ReplaySource, open_input
 from roadperc_stream.model import Absent, Reason
@@ -15,11 +15,12 @@ from tests.analytic import STEP_NS
 from tests.replaying import replay
 from tests.resume.parts import cut, replayed, rows, write
 from tests.resume.test_kills import interrupt, same
+from tests.steps import step
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
 CFG = load_config(None, tuple(switched_off(stage) for stage in STAGES if stage not in ("surface", "odometry")))
 FROZEN = Absent(Reason("odometry", "image_frozen"))
-BESIDE = {"pose_mark": None, "depth": None, "segmentation": None, "detections": None}
+BESIDE = {"pose_mark": None, "depth_image": None, "segmentation": None, "detections": None}
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +30,7 @@ def sample():
 
 
 def odometry(frames):
-    state, found = ChainState(), []
+    state, found = State(), []
     for frame in frames:
         state, result = step(CFG, state, frame)
         found.append(result.odometry)
@@ -41,7 +42,7 @@ def with_image_of(frames, first, last):
     return [replace(frame, image=frames[first].image) if first < k <= last else frame for k, frame in enumerate(frames)]
 
 
-@pytest.mark.parametrize("kept", [("pose_mark",), ("depth",), ("segmentation",), ("detections",), tuple(BESIDE)])
+@pytest.mark.parametrize("kept", [("pose_mark",), ("depth_image",), ("segmentation",), ("detections",), tuple(BESIDE)])
 def test_odometry_is_null_while_the_image_repeats_and_covers_the_whole_way_afterwards(sample, kept):
     frames = with_image_of(
         [replace(frame, **{name: None for name in BESIDE if name not in kept}) for frame in sample], 2, 7
@@ -49,18 +50,20 @@ def test_odometry_is_null_while_the_image_repeats_and_covers_the_whole_way_after
     found = odometry(frames)
     assert [k for k, motion in enumerate(found) if motion == FROZEN] == [3, 4, 5, 6, 7]
     assert found[8].status == "tracked"
-    if "depth" in kept:
+    if "depth_image" in kept:
         assert found[8].odom_T_ego[0, 3] == pytest.approx(odometry(sample)[8].odom_T_ego[0, 3], abs=0.05)
 
 
-@pytest.mark.parametrize("known", [(), ("pose_mark",), ("depth", "segmentation", "detections")])
+@pytest.mark.parametrize("known", [(), ("pose_mark",), ("depth_image", "segmentation", "detections")])
 def test_a_standing_car_is_not_frozen(sample, known):
     """All that is known beside the image is constant. Noise in the depth says nothing if the pose is constant."""
     beside = {name: getattr(sample[2], name) if name in known else None for name in BESIDE}
-    beside |= {"depth": sample[2].depth} if "pose_mark" not in known else {"depth": None}
+    beside |= {"depth_image": sample[2].depth_image} if "pose_mark" not in known else {"depth_image": None}
     standing = [replace(frame, image=sample[2].image, **beside) for frame in sample]
     if "pose_mark" in known:
-        standing = [replace(frame, depth=other.depth) for frame, other in zip(standing, sample, strict=True)]
+        standing = [
+            replace(frame, depth_image=other.depth_image) for frame, other in zip(standing, sample, strict=True)
+        ]
     assert FROZEN not in odometry(standing)
 
 

@@ -18,7 +18,7 @@ import roadperc_stream as rp
 from roadperc_stream import log
 from roadperc_stream.chain.encoding import decode, encode
 from roadperc_stream.chain.protocols import LanesStage
-from roadperc_stream.chain.step import ChainState
+from roadperc_stream.chain.step import State
 from roadperc_stream.cli.batch import main as batch_main
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.cli.sweep import main as sweep_main
@@ -110,7 +110,7 @@ def test_the_saved_state_is_the_state_of_the_next_frame():
     for k in range(3):
         result = one.step(k * STEP_NS, depth_m=DEPTH_M, tags=TAGS)
         again = other.step(k * STEP_NS, depth_m=DEPTH_M, tags=TAGS)
-        other._state = decode(encode(other._state), ChainState)
+        other._state = decode(encode(other._state), State)
         assert str(result.lanes) == str(again.lanes)
     built_in = rp.Chain(CAMERA, tag_table="0.9.15")
     built_in._state = one._state

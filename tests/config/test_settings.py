@@ -7,7 +7,7 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from roadperc_stream.chain.step import ChainState, step
+from roadperc_stream.chain.step import State
 from roadperc_stream.config import STAGES, ReplayConfig, load_config, switched_off
 from roadperc_stream.config.fields import Section
 from roadperc_stream.config.stages import ABOUT_THE_LOG, OWN_STAGES
@@ -18,6 +18,7 @@ from roadperc_stream.system.time import TimeRange
 from tests import logs
 from tests.chain.test_chain import same
 from tests.replaying import replay
+from tests.steps import step
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
 FRAMES = 8
@@ -153,7 +154,7 @@ GROUPS = (
 @cache
 def frames(mono):
     found = open_input(ReplaySource(SAMPLE, time_range=TimeRange(frames=FRAMES)), ReplayConfig()).samples()
-    lacking = {"depth": None, "right": None} if mono else {}
+    lacking = {"depth_image": None, "right": None} if mono else {}
     return [replace(sample.frame, **lacking) for sample in found]
 
 
@@ -161,7 +162,7 @@ def frames(mono):
 def results(stages, settings):
     others = tuple(switched_off(stage) for stage in STAGES if stage not in stages)
     cfg = load_config(None, (*others, *(s for s in settings if s != "mono")))
-    state, found = ChainState(), []
+    state, found = State(), []
     with one_thread():
         for frame in frames("mono" in settings):
             state, result = step(cfg, state, frame)

@@ -119,7 +119,7 @@ def test_pixels_outside_the_image_are_unknown(tmp_path):
     *_, valid = rectification_maps(replace(BARREL, fx=60.0, fy=60.0), found.camera)
     assert not valid[0, 0]
     assert found.segmentation.tags[0, 0] == 0
-    assert np.isnan(found.depth.depth_m[0, 0])
+    assert np.isnan(found.depth_image.depth_m[0, 0])
 
 
 def test_an_image_of_another_size_keeps_its_size():

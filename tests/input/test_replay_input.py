@@ -114,7 +114,7 @@ def test_a_late_message_after_the_end_belongs_to_its_frame(tmp_path):
     assert [(m.channel.topic, m.log_time_ns) for m in behind] == [("/camera/front/depth", arrived_ns)]
     found = list(late.samples())
     assert [sample.frame.stamp_ns for sample in found] == [sample.frame.stamp_ns for sample in tidy]
-    assert found[-1].frame.depth is not None
+    assert found[-1].frame.depth_image is not None
 
 
 def test_carried_messages_are_read_from_the_first_one_on(tmp_path, reads):

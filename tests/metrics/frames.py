@@ -2,17 +2,18 @@
 
 import numpy as np
 
-from roadperc_stream.chain.step import ChainState, step
+from roadperc_stream.chain.step import State
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.model import Boundary, Sample, Truth
 from tests.analytic import Road, box
+from tests.steps import step
 
 CFG = ReplayConfig()
 
 
 def sample_and_result(**truth):
     frame = Road().frame(detections=(box("Car", 0, 0, 10, 10), box("Unicorn", 300, 300, 340, 340)))
-    _, result = step(CFG, ChainState(), frame)
+    _, result = step(CFG, State(), frame)
     return Sample(0, frame.stamp_ns, frame, Truth(**truth), (), 0), result
 
 

@@ -22,7 +22,7 @@ def columns(estimated_m, true_m, **changes):
     sample, _ = sample_and_result()
     camera = sample.frame.camera
     right, depth = replace(camera, baseline_m=BASELINE_M), DepthImage("camera", lambda: (true_m, 65.535))
-    frame = replace(sample.frame, **{"right_camera": right, "depth": depth, **changes})
+    frame = replace(sample.frame, **{"right_camera": right, "depth_image": depth, **changes})
     return stereo_errors_of(StereoDepth("camera", estimated_m), replace(sample, frame=frame))
 
 
@@ -42,7 +42,7 @@ def test_the_depth_of_the_log_is_the_truth_of_stereo():
 
 
 def test_without_depth_at_the_left_camera_there_are_no_errors():
-    assert columns(wall(10.0), wall(10.0), depth=None) == StereoErrorColumns()
+    assert columns(wall(10.0), wall(10.0), depth_image=None) == StereoErrorColumns()
     assert columns(wall(10.0), wall(10.0), right_camera=None) == StereoErrorColumns()
     assert columns(wall(10.0), np.zeros((2, 2), np.float32)) == StereoErrorColumns()
 

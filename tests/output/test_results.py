@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roadperc_stream.chain.step import ChainState, step
+from roadperc_stream.chain.step import State
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.metrics import frame_metrics
 from roadperc_stream.model import Odometry, Reason, Sample, Truth
 from roadperc_stream.output.results import result_messages
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from tests.logs import SMALL
+from tests.steps import step
 
 POSES = {"/perception/odometry", "/perception/tf"}
 
@@ -21,7 +22,7 @@ def test_a_lost_frame_has_a_state_with_a_reason_and_no_pose(status):
     """The last known pose is not the pose of a lost frame; viewers would draw the car at a wrong place."""
     sample = Sample(0, 0, SMALL.frame(0), Truth())
     reason = Reason("odometry", "no_image") if status == "lost" else None
-    _, result = step(ReplayConfig(), ChainState(), sample.frame)
+    _, result = step(ReplayConfig(), State(), sample.frame)
     result = replace(result, odometry=Odometry(status, np.eye(4), reason=reason))
     row = frame_metrics(ReplayConfig(), "log", sample, result)
     written = dict(result_messages(sample, result, row, (), (np.eye(4),)))

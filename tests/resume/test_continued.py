@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 from roadperc_stream import log, read_metrics
 from roadperc_stream.chain import encoding
 from roadperc_stream.chain.encoding import FORMAT_VERSION, decode, encode
-from roadperc_stream.chain.step import step
 from roadperc_stream.cli.report import main as report
 from roadperc_stream.config import load_config
 from roadperc_stream.errors import NoFrameError, StateError
@@ -33,6 +32,7 @@ from roadperc_stream.system.time import TimeRange
 from tests import logs
 from tests.replaying import replay
 from tests.resume.parts import cut, inputs, replayed, results, rows, with_attachments, write
+from tests.steps import step
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
 WAIT = ("sync.max_wait_s=0.2",)

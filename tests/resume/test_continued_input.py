@@ -56,7 +56,7 @@ LATCHED = ("/camera/front/calibration", "/tf")
 def seen(sample):
     """The facts of a sample that depend on its messages."""
     frame = sample.frame
-    parts = (frame.image, frame.depth, frame.segmentation, frame.detections)
+    parts = (frame.image, frame.depth_image, frame.segmentation, frame.detections)
     places = tuple(None if place is None else place.tobytes() for place in (frame.ego_T_camera, frame.ego_T_left))
     return (
         sample.index,

@@ -97,7 +97,7 @@ def test_instance_masks_go_through_the_log_to_the_frame(rendered, tmp_path):
     assert len(samples) == len(dump.names) == 2
     for name, sample in zip(dump.names, samples, strict=True):
         picture = cv2.imread(str(dump.folder / "instance_segmentation" / f"{name}.png"), cv2.IMREAD_UNCHANGED)
-        ids = sample.frame.instances.ids
+        ids = sample.frame.instance_image.ids
         assert {o["instance_id"] for o in dump.truth["objects"][name]} <= set(ids.ravel().tolist())
         np.testing.assert_array_equal(ids, picture[..., 1] + 256 * picture[..., 0].astype(int))
 

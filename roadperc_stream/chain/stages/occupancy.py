@@ -21,7 +21,7 @@ from roadperc_stream.config import OccupancyConfig, scaled
 from roadperc_stream.geometry import Float32, inverse
 from roadperc_stream.geometry.ground import ego_points, ego_rays, height_above, height_at, part
 from roadperc_stream.model import Absent, Image, Mask, Occupancy, Reason, Surface
-from roadperc_stream.model.scene import Scene
+from roadperc_stream.model.frame import Frame
 
 Counts = NDArray[np.int64]
 
@@ -33,7 +33,7 @@ _ROWS_AT_ONCE: Final = 64
 """Rows per pass: their points stay in the processor's cache between operations."""
 
 
-def build(cfg: OccupancyConfig, scene: Scene, surface: Surface | Absent, drivable: Mask | Absent) -> Occupancy | Absent:
+def build(cfg: OccupancyConfig, frame: Frame, surface: Surface | Absent, drivable: Mask | Absent) -> Occupancy | Absent:
     """The grid of one frame.
 
     Without tags heights alone decide what is an obstacle. ``surface`` is in the front camera's frame; ``drivable`` is
@@ -42,32 +42,32 @@ def build(cfg: OccupancyConfig, scene: Scene, surface: Surface | Absent, drivabl
     Returns:
         The grid or ``Absent``.
     """
-    if scene.depth_m is None:
+    if frame.depth_m is None:
         return Absent(Reason("occupancy", "no_depth"))
     if isinstance(surface, Absent):
         return Absent(Reason("occupancy", "no_surface", cause=surface.reason))
     if isinstance(drivable, Absent):
         return Absent(Reason("occupancy", "no_drivable_surface", cause=drivable.reason))
-    dense = scene.dense_depth_m is not None
+    dense = frame.dense_depth_m is not None
     if dense and not surface.measured:
         return Absent(Reason("occupancy", "heights_unknown"))
-    free, occupied = _points_in_cells(cfg, scene, surface, drivable, scene.depth_m)
+    free, occupied = _points_in_cells(cfg, frame, surface, drivable, frame.depth_m)
     cells = np.full(_shape(cfg), UNKNOWN, np.int8)
     cells[free >= cfg.min_points] = FREE
-    cells[_visible_drivable(cfg, scene, surface, drivable)] = FREE
+    cells[_visible_drivable(cfg, frame, surface, drivable)] = FREE
     cells[occupied >= cfg.min_points] = OCCUPIED
     return Occupancy(cfg.x_min_m, -cfg.half_width_m, cfg.resolution_m, cells)
 
 
 def _points_in_cells(
-    cfg: OccupancyConfig, scene: Scene, surface: Surface, drivable: Mask, depth_m: Float32
+    cfg: OccupancyConfig, frame: Frame, surface: Surface, drivable: Mask, depth_m: Float32
 ) -> tuple[Counts, Counts]:
     """(rows, columns) counts of drivable points and of obstacle points in each cell."""
     step = 1
-    if scene.dense_depth_m is not None:
-        step = max(round(scaled(cfg.pixel_step, scene.camera.height)), 1)
-    camera, depth_m, marks = part(scene.camera, step, step), depth_m[::step, ::step], drivable[::step, ::step]
-    tags, obstacle_tags = _obstacles(cfg, scene, step)
+    if frame.dense_depth_m is not None:
+        step = max(round(scaled(cfg.pixel_step, frame.camera.height)), 1)
+    camera, depth_m, marks = part(frame.camera, step, step), depth_m[::step, ::step], drivable[::step, ::step]
+    tags, obstacle_tags = _obstacles(cfg, frame, step)
     cells = Cells(cfg.x_min_m, -cfg.half_width_m, cfg.resolution_m, cfg.min_height_m, cfg.max_height_m)
     abd = np.array(surface.abd, np.float32)
     free, occupied = np.zeros(_shape(cfg), np.int64), np.zeros(_shape(cfg), np.int64)
@@ -75,8 +75,8 @@ def _points_in_cells(
         rows = slice(top, top + _ROWS_AT_ONCE)
         heights = None
         if surface.height_grid is not None:
-            heights = height_above(surface, *ego_points(camera, scene.ego_T_camera, depth_m[rows], top))
-        rays = ego_rays(camera, scene.ego_T_camera, top, len(depth_m[rows]))
+            heights = height_above(surface, *ego_points(camera, frame.ego_T_camera, depth_m[rows], top))
+        rays = ego_rays(camera, frame.ego_T_camera, top, len(depth_m[rows]))
         pixels = KnownPixels(depth_m[rows], heights, marks[rows].view(np.uint8), tags[rows], obstacle_tags)
         count_points(cells, pixels, rays, abd, free, occupied)
     return free, occupied
@@ -88,29 +88,29 @@ def _shape(cfg: OccupancyConfig) -> tuple[int, int]:
     return int(rows + 1e-6), int(columns + 1e-6)
 
 
-def _obstacles(cfg: OccupancyConfig, scene: Scene, step: int) -> tuple[Image, Image]:
+def _obstacles(cfg: OccupancyConfig, frame: Frame, step: int) -> tuple[Image, Image]:
     """Tags of every ``step``-th pixel in both directions, and (256,) 1 at the tags of obstacles.
 
     Without tags, and for lidar points, no tag is an obstacle.
     """
-    if scene.tags is None or scene.table is None or scene.dense_depth_m is None:
-        size = part(scene.camera, step, step).size
+    if frame.tags is None or frame.table is None or frame.dense_depth_m is None:
+        size = part(frame.camera, step, step).size
         return np.broadcast_to(np.zeros((), np.uint8), size), np.zeros(256, np.uint8)
-    return scene.tags[::step, ::step], scene.table.lookup(cfg.obstacle_classes)
+    return frame.tags[::step, ::step], frame.table.lookup(cfg.obstacle_classes)
 
 
-def _visible_drivable(cfg: OccupancyConfig, scene: Scene, surface: Surface, drivable: Mask) -> Mask:
+def _visible_drivable(cfg: OccupancyConfig, frame: Frame, surface: Surface, drivable: Mask) -> Mask:
     """(rows, columns) cells whose middle is visible as drivable road, at its own distance where the depth is dense."""
-    camera = scene.camera
+    camera = frame.camera
     rows, columns = _shape(cfg)
     x = cfg.x_min_m + cfg.resolution_m * (np.arange(columns, dtype=float) + 0.5)
     y = cfg.resolution_m * (np.arange(rows, dtype=float) + 0.5) - cfg.half_width_m
     visible = mark_visible(
         Projection(camera.fx, camera.fy, camera.cx, camera.cy),
-        inverse(scene.ego_T_camera),
+        inverse(frame.ego_T_camera),
         Middles(x, y, height_at(surface, x, y[:, None])),
         drivable.view(np.uint8),
-        scene.dense_depth_m,
+        frame.dense_depth_m,
         (cfg.depth_tolerance, cfg.resolution_m),
     )
     return visible.view(bool)

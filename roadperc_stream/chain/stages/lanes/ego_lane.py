@@ -12,7 +12,7 @@ from roadperc_stream.chain.stages.lanes.tracking import LanesState, TrackedBound
 from roadperc_stream.config import LanesConfig
 from roadperc_stream.geometry import Float
 from roadperc_stream.model import SIDES, Absent, Boundary, Lanes, Line, Mask, Odometry, Reason, Side, Surface
-from roadperc_stream.model.scene import Scene
+from roadperc_stream.model.frame import Frame
 from roadperc_stream.system.time import NS_PER_S
 
 _CHORD_AHEAD_M = 15.0
@@ -28,7 +28,7 @@ _PARALLEL_M = 0.3
 _TURNED = 0.1
 """If two headings differ by more, the boundary that is turned farther from the car's axis is wrong."""
 _ELSEWHERE = frozenset(("camera_changed", "too_few_inliers", "impossible_motion"))
-"""Reason codes of lost odometry after which the image may show a different scene than the last one."""
+"""Reason codes of lost odometry after which the image may show a different frame than the last one."""
 
 
 def _boundary(
@@ -162,7 +162,7 @@ def _worse(left: TrackedBoundary, right: TrackedBoundary) -> bool:
 def step(
     cfg: LanesConfig,
     state: LanesState,
-    scene: Scene,
+    frame: Frame,
     surface: Surface | Absent,
     drivable: Mask | Absent,
     motion: Odometry | None,
@@ -175,27 +175,27 @@ def step(
     Returns:
         The new state and the lanes; lanes are absent if no boundary is observed or held.
     """
-    found = _observed(cfg, scene, surface, drivable)
+    found = _observed(cfg, frame, surface, drivable)
     observation = None if isinstance(found, Absent) else found
-    after = _followed(cfg, _remembered(cfg, state, motion, scene.stamp_ns), motion, observation, scene.stamp_ns)
-    after = following.handed_over(cfg, after, observation, scene.stamp_ns)
+    after = _followed(cfg, _remembered(cfg, state, motion, frame.stamp_ns), motion, observation, frame.stamp_ns)
+    after = following.handed_over(cfg, after, observation, frame.stamp_ns)
     after, implausible = without_implausible(after)
     after = replace(after, lane_change=following.change_of(cfg, after.lane_change, after))
     if isinstance(found, Absent) and after.left is None and after.right is None:
         return after, found
     reasons = implausible | unusable(after)
-    projection = None if isinstance(surface, Absent) else RoadProjection(scene.camera, scene.ego_T_camera, surface)
+    projection = None if isinstance(surface, Absent) else RoadProjection(frame.camera, frame.ego_T_camera, surface)
     boundaries = tuple(_boundary(side, after.side(side), reasons.get(side), found, projection) for side in SIDES)
     lanes = Lanes(boundaries, lane_change=after.lane_change, lane_changes=after.lane_changes)
     if observation is None:
         return after, lanes
-    merged = [lines.drawn(group, float(scene.camera.height), observation.far) for group in observation.groups]
+    merged = [lines.drawn(group, float(frame.camera.height), observation.far) for group in observation.groups]
     merged_px = np.array(merged).reshape(-1, 4)
     return after, replace(lanes, proposals_px=observation.proposals, merged_px=merged_px, edges=observation.edge_pixels)
 
 
 def _remembered(cfg: LanesConfig, state: LanesState, motion: Odometry | None, stamp_ns: int) -> LanesState:
-    """The state, cleared if the scene changed or the motion was unknown for more than ``lanes.hold_s``."""
+    """The state, cleared if the frame changed or the motion was unknown for more than ``lanes.hold_s``."""
     known = [boundary.track.stamp_ns for side in SIDES if (boundary := state.side(side)) is not None]
     gap_s = (stamp_ns - max(known)) / NS_PER_S if known else 0.0
     elsewhere = motion is not None and motion.reason is not None and motion.reason.code in _ELSEWHERE
@@ -226,13 +226,13 @@ def _followed(
 
 
 def _observed(
-    cfg: LanesConfig, scene: Scene, surface: Surface | Absent, drivable: Mask | Absent
+    cfg: LanesConfig, frame: Frame, surface: Surface | Absent, drivable: Mask | Absent
 ) -> Observation | Absent:
-    if scene.tags is None or scene.table is None:
+    if frame.tags is None or frame.table is None:
         return Absent(Reason("lanes", "no_segmentation"))
     if isinstance(surface, Absent):
         return Absent(Reason("lanes", "no_surface", cause=surface.reason))
     if isinstance(drivable, Absent):
         return Absent(Reason("lanes", "no_drivable_surface", cause=drivable.reason))
-    projection = RoadProjection(scene.camera, scene.ego_T_camera, surface)
-    return observe(cfg, projection, scene.tags, scene.table, drivable)
+    projection = RoadProjection(frame.camera, frame.ego_T_camera, surface)
+    return observe(cfg, projection, frame.tags, frame.table, drivable)

@@ -18,7 +18,7 @@ from roadperc_stream.chain.stages.objects.tracking import Extent
 from roadperc_stream.geometry import Camera, Float, rays
 from roadperc_stream.geometry.planes import Plane
 from roadperc_stream.model import Box, Object, Surface
-from roadperc_stream.model.scene import Scene
+from roadperc_stream.model.frame import Frame
 from roadperc_stream.model.tag_tables import classes_of_label
 
 EDGE_STD_PX: Final = 1.0
@@ -175,13 +175,13 @@ def _nearest_ray(camera: Camera, box: Box) -> tuple[float, float, float]:
     return min(max(0.0, x0), x1), min(max(0.0, y0), y1), 1.0
 
 
-def extent(scene: Scene, path: EgoPath, item: Object, contact: Contact) -> Extent | None:
+def extent(frame: Frame, path: EgoPath, item: Object, contact: Contact) -> Extent | None:
     """The edges of an object beside the path, from its box at its ground contact; None without a depth.
 
     The box of a vehicle beside the camera's axis shows its flank. The flank's far end bounds the box, so that side of
     the box is deeper by a vehicle's length.
     """
-    box, camera = item.detection.box_px, scene.camera
+    box, camera = item.detection.box_px, frame.camera
     if contact.depth_m is None:
         return None
     directions = rays(camera, np.array([[x - 0.5, box.y_max - 0.5] for x in (box.x_min, box.x_max)]))
@@ -190,7 +190,7 @@ def extent(scene: Scene, path: EgoPath, item: Object, contact: Contact) -> Exten
     depths_m = np.array([contact.depth_m + (long_m if k == inner else 0.0) for k in range(2)])
     points = directions * contact.depth_m
     points[:, 0] = directions[:, 0] * depths_m
-    left, right = left_of(path, points, scene.ego_T_camera).tolist()
+    left, right = left_of(path, points, frame.ego_T_camera).tolist()
     across = edge_std_px(box.x_max - box.x_min) * contact.depth_m / camera.fx
     aside = float(np.abs(directions[:, 0]).max()) * contact.std_m
     std_m = sqrt(LATERAL_STD_M**2 + across**2 + aside**2)

@@ -25,7 +25,7 @@ from roadperc_stream.chain.stages.objects.regions import UNKNOWN, Measured, Regi
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Float32
 from roadperc_stream.model import Absent, Detection, Image, Object, Objects, Reason
-from roadperc_stream.model.scene import Scene
+from roadperc_stream.model.frame import Frame
 from roadperc_stream.model.tag_tables import label_lookup
 
 SAME_DISTANCE = 0.03
@@ -122,7 +122,7 @@ def _apart(one_m: float | None, other_m: float | None) -> float:
 
 def filter_detections(
     cfg: ObjectsConfig,
-    scene: Scene,
+    frame: Frame,
     detections: tuple[Detection, ...] | None,
     expected_m: Mapping[int, float | None],
 ) -> Objects | Absent:
@@ -130,7 +130,7 @@ def filter_detections(
 
     Args:
         cfg: thresholds.
-        scene: the frame; without tags every detection is kept.
+        frame: the frame; without tags every detection is kept.
         detections: in its image; None if the frame has no detections message.
         expected_m: expected distance of an object that is already tracked, None if unknown, by the detection's
             position. Such a detection needs a lower fit, and of equal fits the region at that distance wins.
@@ -140,54 +140,54 @@ def filter_detections(
     """
     if detections is None:
         return Absent(Reason("objects", "no_detections"))
-    lookups = [None if scene.table is None else label_lookup(scene.table, d.label) for d in detections]
-    chosen = _candidates(cfg, scene, detections, lookups, expected_m)
+    lookups = [None if frame.table is None else label_lookup(frame.table, d.label) for d in detections]
+    chosen = _candidates(cfg, frame, detections, lookups, expected_m)
     return Objects(
         tuple(
-            _filtered(cfg, scene, detection, lookup, candidate, k in expected_m)
+            _filtered(cfg, frame, detection, lookup, candidate, k in expected_m)
             for k, (detection, lookup, candidate) in enumerate(zip(detections, lookups, chosen, strict=True))
         )
     )
 
 
-def divides(scene: Scene) -> bool:
+def divides(frame: Frame) -> bool:
     """Whether instance masks, or tags with dense depth, separate the objects of a class."""
-    return scene.instances is not None or (scene.tags is not None and scene.dense_depth_m is not None)
+    return frame.instances is not None or (frame.tags is not None and frame.dense_depth_m is not None)
 
 
 def _candidates(
     cfg: ObjectsConfig,
-    scene: Scene,
+    frame: Frame,
     detections: tuple[Detection, ...],
     lookups: list[Image | None],
     expected_m: Mapping[int, float | None],
 ) -> list[tuple[float, Measured]]:
     """Fit and distance of the region that is each detection's object."""
-    if not divides(scene) or "region" not in (cfg.distance_pixels, cfg.filter):
+    if not divides(frame) or "region" not in (cfg.distance_pixels, cfg.filter):
         return [_NO_REGION] * len(detections)
     boxes = [detection.box_px for detection in detections]
-    mosaic = cut_out(scene, lookups, boxes)
-    found = regions.find_regions(scene.camera, mosaic, boxes)
+    mosaic = cut_out(frame, lookups, boxes)
+    found = regions.find_regions(frame.camera, mosaic, boxes)
     needed = [_MIN_FIT_SEEN if k in expected_m else _MIN_FIT for k in range(len(boxes))]
     poor = [max((r.fit for r in of_one), default=0.0) <= fit for of_one, fit in zip(found, needed, strict=True)]
-    if scene.table is not None and scene.instances is None and any(poor):
-        ground = scene.table.lookup(_GROUND)
+    if frame.table is not None and frame.instances is None and any(poor):
+        ground = frame.table.lookup(_GROUND)
         above = [
             1 - ground if is_poor and lookup is not None else None
             for is_poor, lookup in zip(poor, lookups, strict=True)
         ]
-        others = regions.find_regions(scene.camera, with_classes(mosaic, scene, above, boxes), boxes)
-        more = (_usual(cfg, scene, *of_one) for of_one in zip(detections, others, needed, strict=True))
+        others = regions.find_regions(frame.camera, with_classes(mosaic, frame, above, boxes), boxes)
+        more = (_usual(cfg, frame, *of_one) for of_one in zip(detections, others, needed, strict=True))
         found = [(*of_class, *of_any) for of_class, of_any in zip(found, more, strict=True)]
     labels = [detection.label for detection in detections]
     return choose(labels, found, lambda region: regions.of_region(cfg, region), expected_m)
 
 
 def _usual(
-    cfg: ObjectsConfig, scene: Scene, detection: Detection, found: Sequence[Region], least_fit: float
+    cfg: ObjectsConfig, frame: Frame, detection: Detection, found: Sequence[Region], least_fit: float
 ) -> Iterator[Region]:
     """Regions of any class that fit a detection's box, if it has a usual height at their distance."""
-    height = (detection.box_px.y_max - detection.box_px.y_min) / scene.camera.fy
+    height = (detection.box_px.y_max - detection.box_px.y_min) / frame.camera.fy
     for region in found:
         if _BY_DEPTH * region.fit > least_fit:
             heights_m = height * np.array([regions.of_region(cfg, region).distance_m or np.nan])
@@ -197,63 +197,63 @@ def _usual(
 
 def _filtered(
     cfg: ObjectsConfig,
-    scene: Scene,
+    frame: Frame,
     detection: Detection,
     lookup: Image | None,
     candidate: tuple[float, Measured],
     expected: bool,
 ) -> Object:
-    x0, y0, x1, y1 = box = detection.box_px.rounded(scene.camera.width, scene.camera.height)
+    x0, y0, x1, y1 = box = detection.box_px.rounded(frame.camera.width, frame.camera.height)
     if x0 >= x1 or y0 >= y1:
         return Object(detection, kept=lookup is None)  # outside the image
     ratio = of_class = None
     fit, measured = candidate if cfg.distance_pixels == "region" else (candidate[0], UNKNOWN)
-    if scene.tags is not None and lookup is not None:
-        tags = scene.tags[y0:y1, x0:x1]
+    if frame.tags is not None and lookup is not None:
+        tags = frame.tags[y0:y1, x0:x1]
         marks = mark(tags, lookup)
         ratio = cv2.countNonZero(marks) / tags.size
         if fit <= _MIN_FIT or measured == UNKNOWN:
             of_class = marks
-    beyond = fit <= _MIN_FIT and divides(scene) and _mostly_beyond(scene, box, of_class)
-    kept = ratio is None or _is_kept(cfg, scene, ratio, fit, expected=expected, beyond=beyond)
+    beyond = fit <= _MIN_FIT and divides(frame) and _mostly_beyond(frame, box, of_class)
+    kept = ratio is None or _is_kept(cfg, frame, ratio, fit, expected=expected, beyond=beyond)
     if beyond and cfg.distance_pixels == "region":
         measured = Measured(beyond_range=True)
-    claimed = fit == 0 and divides(scene) and cfg.distance_pixels == "region"  # other detections have its pixels
-    if scene.depth_m is not None and measured == UNKNOWN and of_class is None and cfg.distance_pixels == "region":
-        measured = measured_by_points(cfg, scene.camera, scene.depth_m, scene.depth_limit_m, detection)
-    elif scene.depth_m is not None and measured == UNKNOWN and not claimed:
-        distances = of_box(scene.camera, scene.depth_m, box, scene.depth_limit_m)
-        measured = nearest(cfg, _counted(cfg, scene, distances, of_class))
+    claimed = fit == 0 and divides(frame) and cfg.distance_pixels == "region"  # other detections have its pixels
+    if frame.depth_m is not None and measured == UNKNOWN and of_class is None and cfg.distance_pixels == "region":
+        measured = measured_by_points(cfg, frame.camera, frame.depth_m, frame.depth_limit_m, detection)
+    elif frame.depth_m is not None and measured == UNKNOWN and not claimed:
+        distances = of_box(frame.camera, frame.depth_m, box, frame.depth_limit_m)
+        measured = nearest(cfg, _counted(cfg, frame, distances, of_class))
     return Object(detection, kept, ratio, measured.distance_m, measured.std_m, beyond_range=measured.beyond_range)
 
 
-def _counted(cfg: ObjectsConfig, scene: Scene, distances_m: Float32, of_class: Image | None) -> Float32:
+def _counted(cfg: ObjectsConfig, frame: Frame, distances_m: Float32, of_class: Image | None) -> Float32:
     """Distances of a box's pixels that count without a region: those of the class; with lidar, the object's points."""
     if of_class is None or cfg.distance_pixels == "box":
         return distances_m.ravel()
-    if cfg.distance_pixels == "class" or scene.dense_depth_m is not None:
+    if cfg.distance_pixels == "class" or frame.dense_depth_m is not None:
         return distances_m[of_class > 0]
     return regions.own_distances(np.where(of_class > 0, distances_m, np.float32(np.nan)))
 
 
-def _mostly_beyond(scene: Scene, box: tuple[int, int, int, int], of_class: Image | None) -> bool:
+def _mostly_beyond(frame: Frame, box: tuple[int, int, int, int], of_class: Image | None) -> bool:
     """Whether most pixels of the class in a box are beyond the depth's range, so that objects cannot be separated."""
-    depth_m = scene.dense_depth_m
-    if depth_m is None or of_class is None or scene.instances is not None:
+    depth_m = frame.dense_depth_m
+    if depth_m is None or of_class is None or frame.instances is not None:
         return False
     x0, y0, x1, y1 = box
-    beyond = of_class[depth_m[y0:y1, x0:x1] >= np.float32(scene.depth_limit_m)]
+    beyond = of_class[depth_m[y0:y1, x0:x1] >= np.float32(frame.depth_limit_m)]
     return 2 * cv2.countNonZero(beyond) > cv2.countNonZero(of_class)
 
 
-def _is_kept(cfg: ObjectsConfig, scene: Scene, ratio: float, fit: float, *, expected: bool, beyond: bool) -> bool:
+def _is_kept(cfg: ObjectsConfig, frame: Frame, ratio: float, fit: float, *, expected: bool, beyond: bool) -> bool:
     """Whether a detection is kept, by its region's fit, or without regions by the share of its class in the box.
 
     There are no regions beyond the depth's range. For an expected object, either test is enough: its region may be
     wrong, or it may be partly hidden.
     """
     of_class = ratio > cfg.min_class_ratio
-    if cfg.filter == "class_ratio" or not divides(scene):
+    if cfg.filter == "class_ratio" or not divides(frame):
         return of_class
     if expected:
         return fit > _MIN_FIT_SEEN or of_class

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from roadperc_stream.chain.kernels import mark
 from roadperc_stream.geometry import Camera, Float, Float32
 from roadperc_stream.model import Box, Ids, Image
-from roadperc_stream.model.scene import Scene
+from roadperc_stream.model.frame import Frame
 from roadperc_stream.model.tag_tables import classes_of_label
 
 MARGIN = 0.25
@@ -99,48 +99,48 @@ def kinds(*lists: Sequence[str]) -> tuple[NDArray[np.int64], ...]:
     return tuple(np.array([numbers[kind] for kind in kinds], np.int64) for kinds in of_label)
 
 
-def cut_out(scene: Scene, lookups: Sequence[Image | None], boxes: Sequence[Box]) -> Mosaic:
+def cut_out(frame: Frame, lookups: Sequence[Image | None], boxes: Sequence[Box]) -> Mosaic:
     """The mosaic of the surroundings of boxes.
 
     Args:
-        scene: the frame; without tags, pixels count as any class.
+        frame: the frame; without tags, pixels count as any class.
         lookups: for each box, (256,) 1 at the tags of its classes; None if they are unknown.
         boxes: boxes in the frame's image; a box outside the image has an empty cutout.
     """
-    cutouts = [_around(scene.camera, box) for box in boxes]
+    cutouts = [_around(frame.camera, box) for box in boxes]
     shapes = [tuple(len(range(part.start, part.stop, part.step)) for part in cutout) for cutout in cutouts]
     tops = np.cumsum([0, *(height + 1 for height, _ in shapes)])
     size = int(tops[-1]), max((width for _, width in shapes), default=0)
     places = [(slice(top, top + height), slice(width)) for top, (height, width) in zip(tops, shapes, strict=False)]
-    of_class = _marks(scene, lookups, cutouts, places, size)
+    of_class = _marks(frame, lookups, cutouts, places, size)
     first_px = np.array([(columns.start, rows.start) for rows, columns in cutouts], np.int64).reshape(-1, 2)
     steps = np.array([(columns.step, rows.step) for rows, columns in cutouts], np.int64).reshape(-1, 2)
-    ids = None if scene.instances is None else _placed(scene.instances, cutouts, places, np.zeros(size, np.uint16))
-    if scene.dense_depth_m is None or not of_class.size:
+    ids = None if frame.instances is None else _placed(frame.instances, cutouts, places, np.zeros(size, np.uint16))
+    if frame.dense_depth_m is None or not of_class.size:
         return Mosaic(first_px, steps, tops, of_class, None, None, None, ids)
-    depth_m = _placed(scene.dense_depth_m, cutouts, places, np.full(size, np.nan, np.float32))
-    beyond = depth_m >= np.float32(scene.depth_limit_m)
+    depth_m = _placed(frame.dense_depth_m, cutouts, places, np.full(size, np.nan, np.float32))
+    beyond = depth_m >= np.float32(frame.depth_limit_m)
     unknown = ~(depth_m > 0)
     log_depth, noise = _smoothed(np.multiply(depth_m, np.float32(1 + BEYOND), out=depth_m, where=beyond), unknown)
-    distances = _ray_lengths(scene.camera, first_px, steps, tops, size)
+    distances = _ray_lengths(frame.camera, first_px, steps, tops, size)
     distances *= np.exp(log_depth)
     distances[beyond] = np.inf
     distances[unknown] = np.nan
     return Mosaic(first_px, steps, tops, of_class, log_depth, distances, noise, ids)
 
 
-def with_classes(mosaic: Mosaic, scene: Scene, lookups: Sequence[Image | None], boxes: Sequence[Box]) -> Mosaic:
+def with_classes(mosaic: Mosaic, frame: Frame, lookups: Sequence[Image | None], boxes: Sequence[Box]) -> Mosaic:
     """The mosaic of the same frame and boxes with other classes; boxes without a lookup have no pixels."""
-    cutouts = [_around(scene.camera, box) for box in boxes]
+    cutouts = [_around(frame.camera, box) for box in boxes]
     places = [
         (slice(top, end - 1), slice(len(range(c.start, c.stop, c.step))))
         for (_, c), top, end in zip(cutouts, mosaic.tops[:-1], mosaic.tops[1:], strict=True)
     ]
-    return replace(mosaic, of_class=_marks(scene, lookups, cutouts, places, mosaic.of_class.shape))
+    return replace(mosaic, of_class=_marks(frame, lookups, cutouts, places, mosaic.of_class.shape))
 
 
 def _marks(
-    scene: Scene,
+    frame: Frame,
     lookups: Sequence[Image | None],
     cutouts: Sequence[Pixels],
     places: Sequence[Pixels],
@@ -150,7 +150,7 @@ def _marks(
     of_class = np.zeros(size, np.uint8)
     for cutout, place, lookup in zip(cutouts, places, lookups, strict=True):
         if of_class[place].size:
-            _mark(scene, lookup, cutout, of_class[place])
+            _mark(frame, lookup, cutout, of_class[place])
     return of_class
 
 
@@ -170,15 +170,15 @@ def _sampled(first: int, end: int) -> slice:
     return slice(first, end, max(-(-(end - first) // LONGEST_SIDE), 1))
 
 
-def _mark(scene: Scene, lookup: Image | None, cutout: Pixels, marked: Image) -> None:
+def _mark(frame: Frame, lookup: Image | None, cutout: Pixels, marked: Image) -> None:
     """Set ``marked`` to 1 at pixels of the class, except for isolated pixels and pairs, which would join objects.
 
     Pixels without a class count only with instance masks; depth alone does not separate a car from the road.
     """
-    if lookup is None or scene.tags is None:
-        marked[...] = scene.instances is not None
+    if lookup is None or frame.tags is None:
+        marked[...] = frame.instances is not None
     else:
-        of_class = mark(scene.tags[cutout], lookup)
+        of_class = mark(frame.tags[cutout], lookup)
         # OpenCV mirrors the borders.
         marked[...] = of_class & (cv2.boxFilter(of_class, -1, (3, 3), normalize=False) >= LEAST_TOGETHER)
 

@@ -18,7 +18,7 @@ from roadperc_stream.chain.stages.objects.tracking import Extent, ObjectTrack
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Float, Float32
 from roadperc_stream.model import SIDES, Boundary, Detection, Lanes, Object, PathSource
-from roadperc_stream.model.scene import Scene
+from roadperc_stream.model.frame import Frame
 from roadperc_stream.model.tag_tables import classes_of_label, label_lookup
 
 _TURNING_FROM_M = 1e-3
@@ -133,23 +133,23 @@ def _known(boundary: Boundary) -> tuple[float, float, float] | None:
     return boundary.offset_m, boundary.heading, boundary.curvature_per_m or 0.0
 
 
-def extent(scene: Scene, path: EgoPath, item: Object) -> Extent | None:
+def extent(frame: Frame, path: EgoPath, item: Object) -> Extent | None:
     """The edges of an object beside the path, from its pixels up to a car's length behind its nearest point.
 
     Args:
-        scene: the frame.
+        frame: the frame.
         path: the car's path, in the ego frame.
         item: the object with its distance in this frame.
 
     Returns:
         None if too few pixels have a depth.
     """
-    if item.distance_m is None or scene.depth_m is None:
+    if item.distance_m is None or frame.depth_m is None:
         return None
-    points, ranges_m = _points(scene, scene.depth_m, item.detection, item.distance_m)
+    points, ranges_m = _points(frame, frame.depth_m, item.detection, item.distance_m)
     if len(points) < _FEWEST_PIXELS:
         return None
-    right, left = ranked(left_of(path, points, scene.ego_T_camera), _OUTERMOST, 1.0 - _OUTERMOST)
+    right, left = ranked(left_of(path, points, frame.ego_T_camera), _OUTERMOST, 1.0 - _OUTERMOST)
     nearest = points[ranges_m <= ranked(ranges_m, _NEAREST)[0]]
     x, y = (np.cumsum(nearest[:, :2] / nearest[:, 2:], axis=0)[-1] / len(nearest)).tolist()
     return Extent(right, left, LATERAL_STD_M + _STD_SHARE * item.distance_m, (x, y, 1.0))
@@ -171,13 +171,13 @@ def left_of(path: EgoPath, points: Float, ego_T_camera: Float) -> Float:
     return lateral
 
 
-def _points(scene: Scene, depth_m: Float32, detection: Detection, distance_m: float) -> tuple[Float, Float]:
+def _points(frame: Frame, depth_m: Float32, detection: Detection, distance_m: float) -> tuple[Float, Float]:
     """(N, 3) points of the object in the camera's frame, and their distances, from pixels spread over its box."""
-    camera = scene.camera
+    camera = frame.camera
     x0, y0, x1, y1 = detection.box_px.rounded(camera.width, camera.height)
     step = max(ceil(sqrt(max(x1 - x0, 0) * max(y1 - y0, 0) / _MOST_PIXELS)), 1)
-    lookup = None if scene.table is None else label_lookup(scene.table, detection.label)
-    of_class = None if scene.tags is None or lookup is None else (scene.tags, lookup)
+    lookup = None if frame.table is None else label_lookup(frame.table, detection.label)
+    of_class = None if frame.tags is None or lookup is None else (frame.tags, lookup)
     behind_m = -_NEARER_M - _NEARER_SHARE * distance_m, OBJECT_LENGTH_M
     pinhole = camera.fx, camera.fy, camera.cx, camera.cy
     return object_points(depth_m, pinhole, (x0, y0, x1, y1, step), of_class, distance_m, behind_m)

@@ -19,7 +19,7 @@ from roadperc_stream.chain.stages.objects.regions import Measured, nearest, of_b
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Float
 from roadperc_stream.model import Box, Correlation, Detection, Image, Mask, Object, read_only
-from roadperc_stream.model.scene import Scene
+from roadperc_stream.model.frame import Frame
 
 _FLAT = 0.5
 """Standard deviation in grey levels up to which pixels have no texture, only rounding errors."""
@@ -151,21 +151,21 @@ def _resized(grey: Image, scale: float) -> Image:
     return np.asarray(cv2.resize(grey, (columns, rows), interpolation=interpolation), np.uint8)
 
 
-def find_obstacle(cfg: ObjectsConfig, scene: Scene) -> tuple[Object | None, Correlation | None]:
+def find_obstacle(cfg: ObjectsConfig, frame: Frame) -> tuple[Object | None, Correlation | None]:
     """The obstacle of ``objects.template_png`` with the correlation as its score, and the correlation everywhere.
 
     Both are None without a template or a grey image; the obstacle is None below ``objects.template_min_score``.
     """
     template = picture(cfg.template_png) if cfg.template_png else None
-    if template is None or scene.grey is None:
+    if template is None or frame.grey is None:
         return None, None
-    correlation = correlate(scene.grey, template, Box(0.0, 0.0, scene.camera.width, scene.camera.height))
+    correlation = correlate(frame.grey, template, Box(0.0, 0.0, frame.camera.width, frame.camera.height))
     found = None if correlation is None else correlation.match(cfg.template_min_score)
     if found is None:
         return None, correlation
     box_px, score = found
     detection = Detection(LABEL, box_px, score)
-    measured = _measured(cfg, scene, box_px)
+    measured = _measured(cfg, frame, box_px)
     obstacle = Object(
         detection,
         kept=True,
@@ -193,12 +193,12 @@ def png_of(grey: Image) -> str:
     return base64.b64encode(cv2.imencode(".png", grey)[1].tobytes()).decode()
 
 
-def _measured(cfg: ObjectsConfig, scene: Scene, box_px: Box) -> Measured:
+def _measured(cfg: ObjectsConfig, frame: Frame, box_px: Box) -> Measured:
     """The quantile of the distances of the box's pixels, or of their depths along the camera's axis."""
-    if scene.depth_m is None:
+    if frame.depth_m is None:
         return Measured()
-    box = box_px.rounded(scene.camera.width, scene.camera.height)
+    box = box_px.rounded(frame.camera.width, frame.camera.height)
     if cfg.template_distance == "ray":
-        return nearest(cfg, of_box(scene.camera, scene.depth_m, box, scene.depth_limit_m))
+        return nearest(cfg, of_box(frame.camera, frame.depth_m, box, frame.depth_limit_m))
     x0, y0, x1, y1 = box
-    return nearest(cfg, within_range(scene.depth_m[y0:y1, x0:x1], scene.depth_limit_m))
+    return nearest(cfg, within_range(frame.depth_m[y0:y1, x0:x1], frame.depth_limit_m))

@@ -24,7 +24,7 @@ from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Camera, Float, inverse
 from roadperc_stream.geometry.assignment import largest_total
 from roadperc_stream.model import Absent, Box, Correlation, Detection, Lanes, Object, Objects
-from roadperc_stream.model.scene import Scene
+from roadperc_stream.model.frame import Frame
 
 MOST_TRACKS = 256
 """Largest number of tracks; beyond it, the tracks longest without a detection are dropped."""
@@ -75,7 +75,7 @@ class _Searched:
 def step(
     cfg: ObjectsConfig,
     state: ObjectsState,
-    scene: Scene,
+    frame: Frame,
     ego_lane: Lanes | None = None,
     last_T_this: Float | None = None,
     ground: GroundPlane | None = None,
@@ -85,7 +85,7 @@ def step(
     Args:
         cfg: thresholds.
         state: the state after the last frame.
-        scene: a later frame. Without tags every detection is kept; without a grey image, tracks without a detection
+        frame: a later frame. Without tags every detection is kept; without a grey image, tracks without a detection
             are not searched for.
         ego_lane: the lane of the car, None if unknown.
         last_T_this: (4, 4) metric motion since the last frame, ego frame; None if unknown.
@@ -100,23 +100,23 @@ def step(
     """
     arc = state.arc.after(last_T_this)
     path = path_of(ego_lane, arc)
-    known = _known(cfg, state, scene, path, last_T_this, with_depth=ground is None)
-    filtered = filter_detections(cfg, scene, scene.detections, _expected(cfg, scene, known))
+    known = _known(cfg, state, frame, path, last_T_this, with_depth=ground is None)
+    filtered = filter_detections(cfg, frame, frame.detections, _expected(cfg, frame, known))
     own = () if isinstance(filtered, Absent) else filtered.objects
-    contacts = {} if ground is None else contact.contacts(scene.camera, ground, own)
-    own = contact.with_distances(scene.camera, own, contacts)
-    kept = _kept(cfg, scene, own)
+    contacts = {} if ground is None else contact.contacts(frame.camera, ground, own)
+    own = contact.with_distances(frame.camera, own, contacts)
+    kept = _kept(cfg, frame, own)
     pairs = largest_total(similarities(cfg, known, kept.items, kept.boxes, kept.seen))
     detected = {
-        k: _placed(cfg, scene, path, own[k], track, contacts.get(k))
-        for k, track in _detected(cfg, state.next_number, scene, known, kept, pairs).items()
+        k: _placed(cfg, frame, path, own[k], track, contacts.get(k))
+        for k, track in _detected(cfg, state.next_number, frame, known, kept, pairs).items()
     }
-    missed = [tracking.aimed(track, scene.camera) for k, track in enumerate(known) if k not in pairs]
-    searched = _searched(cfg, scene, path, missed, kept)
+    missed = [tracking.aimed(track, frame.camera) for k, track in enumerate(known) if k not in pairs]
+    searched = _searched(cfg, frame, path, missed, kept)
     found = tuple(judged(cfg, path, s.item, s.track) for s in searched if s.item is not None)
     tracks = _remembered([*detected.values(), *(s.track for s in searched)])
     after = ObjectsState(tracks, state.next_number + len(kept.items) - len(pairs), path, arc)
-    obstacle, correlation = find_obstacle(cfg, scene)
+    obstacle, correlation = find_obstacle(cfg, frame)
     found += () if obstacle is None else (obstacle,)
     if isinstance(filtered, Absent) and not found:
         return after, filtered
@@ -128,7 +128,7 @@ def step(
 def _known(
     cfg: ObjectsConfig,
     state: ObjectsState,
-    scene: Scene,
+    frame: Frame,
     path: EgoPath,
     last_T_this: Float | None,
     *,
@@ -137,25 +137,25 @@ def _known(
     """The tracks predicted to this frame. Without depth the motion's scale is too uncertain for the filters."""
     now_T_last = None
     if last_T_this is not None and with_depth:
-        now_T_last = inverse(last_T_this @ scene.ego_T_camera) @ scene.ego_T_camera
+        now_T_last = inverse(last_T_this @ frame.ego_T_camera) @ frame.ego_T_camera
     last = [tracking.with_depth(track) for track in state.tracks] if with_depth else state.tracks
-    known = [tracking.predict(cfg, track, scene.stamp_ns, now_T_last) for track in last]
+    known = [tracking.predict(cfg, track, frame.stamp_ns, now_T_last) for track in last]
     known = [track for track in known if not tracking.expired(cfg, track)]
     return known if path.goes_on(state.path) else [replace(track, right_m=None, left_m=None) for track in known]
 
 
-def _expected(cfg: ObjectsConfig, scene: Scene, known: Sequence[ObjectTrack]) -> dict[int, float | None]:
+def _expected(cfg: ObjectsConfig, frame: Frame, known: Sequence[ObjectTrack]) -> dict[int, float | None]:
     """The positions of detections at a predicted object of their kind, with the predicted distance, None if unknown.
 
     Only confirmed tracks count. Among several objects, the one with the largest overlap counts.
     """
     tracks = [track for track in known if tracking.confirmed(cfg, track)]
-    detections = scene.detections
+    detections = frame.detections
     if not tracks or not detections:
         return {}
     ours, theirs = kinds([track.detection.label for track in tracks], [d.label for d in detections])
     with np.errstate(all="ignore"):
-        boxes = corners(_within(scene.camera, d.box_px) for d in detections)
+        boxes = corners(_within(frame.camera, d.box_px) for d in detections)
         overlap = overlaps(corners(track.box_px for track in tracks), boxes)
     overlap = np.where((overlap >= EXPECTED_OVERLAP) & (ours[:, None] == theirs), overlap, 0.0)
     best = overlap.argmax(axis=0)
@@ -163,22 +163,22 @@ def _expected(cfg: ObjectsConfig, scene: Scene, known: Sequence[ObjectTrack]) ->
     return {k: distances[best[k]] for k in np.flatnonzero(overlap.max(axis=0)).tolist()}
 
 
-def _kept(cfg: ObjectsConfig, scene: Scene, objects: Sequence[Object]) -> _Kept:
+def _kept(cfg: ObjectsConfig, frame: Frame, objects: Sequence[Object]) -> _Kept:
     """The kept objects by decreasing score, so that the order of the detections has no effect."""
     positions = sorted(
         (k for k, item in enumerate(objects) if item.kept), key=lambda k: (*_order(objects[k].detection), k)
     )
     items = tuple(objects[k] for k in positions)
-    boxes = tuple(_within(scene.camera, item.detection.box_px) for item in items)
-    seen = tuple(_sighting(cfg, scene, item, box) for item, box in zip(items, boxes, strict=True))
+    boxes = tuple(_within(frame.camera, item.detection.box_px) for item in items)
+    seen = tuple(_sighting(cfg, frame, item, box) for item, box in zip(items, boxes, strict=True))
     return _Kept(items, boxes, tuple(positions), seen)
 
 
-def _sighting(cfg: ObjectsConfig, scene: Scene, item: Object, box: Box) -> Sighting | None:
+def _sighting(cfg: ObjectsConfig, frame: Frame, item: Object, box: Box) -> Sighting | None:
     """Where an object is seen; None without depth."""
-    if item.distance_m is None or scene.depth is None:
+    if item.distance_m is None or frame.depth is None:
         return None
-    return sighting(scene.camera, box, item.distance_m, distance_std_m(cfg, item))
+    return sighting(frame.camera, box, item.distance_m, distance_std_m(cfg, item))
 
 
 def _within(camera: Camera, box: Box) -> Box:
@@ -200,7 +200,7 @@ def _order(detection: Detection) -> tuple[float | str, ...]:
 def _detected(
     cfg: ObjectsConfig,
     next_number: int,
-    scene: Scene,
+    frame: Frame,
     known: Sequence[ObjectTrack],
     kept: _Kept,
     pairs: dict[int, int],
@@ -212,71 +212,71 @@ def _detected(
         if k in track_of:
             # The object continues beyond one side of the image; the deviation of its edge hides that.
             edge_px = _EDGE_SIGMAS * contact.edge_std_px(box.x_max - box.x_min)
-            cut = (box.x_min < edge_px) != (box.x_max > scene.camera.width - edge_px)
+            cut = (box.x_min < edge_px) != (box.x_max > frame.camera.width - edge_px)
             track = tracking.detected(cfg, known[track_of[k]], item, box, cut=cut)
         else:
-            track = tracking.start(cfg, next_number, item, box, scene.stamp_ns)
+            track = tracking.start(cfg, next_number, item, box, frame.stamp_ns)
             next_number += 1
         tracks[position] = track
     return tracks
 
 
 def _placed(
-    cfg: ObjectsConfig, scene: Scene, path: EgoPath, item: Object, track: ObjectTrack, at: Contact | None
+    cfg: ObjectsConfig, frame: Frame, path: EgoPath, item: Object, track: ObjectTrack, at: Contact | None
 ) -> ObjectTrack:
     """The track after its object's edges, its template and, at a ground contact, the growth of its box."""
-    template = _template(cfg, scene, track)
+    template = _template(cfg, frame, track)
     if at is None:
         return tracking.seen_at(
-            tracking.placed(track, extent(scene, path, item), template), _sighting(cfg, scene, item, track.box_px)
+            tracking.placed(track, extent(frame, path, item), template), _sighting(cfg, frame, item, track.box_px)
         )
-    track = tracking.placed(track, contact.extent(scene, path, item, at), template)
+    track = tracking.placed(track, contact.extent(frame, path, item, at), template)
     track, box = replace(track, ground_share=at.common_share), track.box_px
     edge_std_px = contact.edge_std_px(box.x_max - box.x_min), contact.edge_std_px(box.y_max - box.y_min)
     return tracking.grown(cfg, track, edge_std_px) if at.clear else track
 
 
-def _template(cfg: ObjectsConfig, scene: Scene, track: ObjectTrack) -> Template | None:
+def _template(cfg: ObjectsConfig, frame: Frame, track: ObjectTrack) -> Template | None:
     """The track's template from this frame; without an image, the last one is kept."""
-    if scene.grey is None or not cfg.template_search:
+    if frame.grey is None or not cfg.template_search:
         return track.template
     distance_m = track.distance_m.value if track.distance_m else None
-    return cut(scene.grey, track.box_px, distance_m)
+    return cut(frame.grey, track.box_px, distance_m)
 
 
 def _searched(
-    cfg: ObjectsConfig, scene: Scene, path: EgoPath, tracks: Sequence[ObjectTrack], kept: _Kept
+    cfg: ObjectsConfig, frame: Frame, path: EgoPath, tracks: Sequence[ObjectTrack], kept: _Kept
 ) -> list[_Searched]:
     """The tracks, with objects where their templates match, or where their own pixels are at their predicted places.
 
     The objects are filtered as detections are.
     """
-    matches = [_matched(cfg, scene, track) for track in tracks]
-    boxes = [_sought(cfg, scene, track, matched) for track, (matched, _) in zip(tracks, matches, strict=True)]
+    matches = [_matched(cfg, frame, track) for track in tracks]
+    boxes = [_sought(cfg, frame, track, matched) for track, (matched, _) in zip(tracks, matches, strict=True)]
     sought = [replace(track, box_px=box) for track, box in zip(tracks, boxes, strict=True) if box is not None]
     detections = tuple(replace(track.detection, box_px=track.box_px) for track in sought)
     expected_m = {k: None if track.distance_m is None else track.distance_m.value for k, track in enumerate(sought)}
-    filtered = filter_detections(cfg, scene, detections, expected_m) if detections else None
+    filtered = filter_detections(cfg, frame, detections, expected_m) if detections else None
     items = iter(filtered.objects if isinstance(filtered, Objects) else ())
     return [
         _Searched(track, None, correlation)
         if box is None
-        else _found(cfg, scene, path, _Searched(track, next(items), correlation), kept, by_template=matched is not None)
+        else _found(cfg, frame, path, _Searched(track, next(items), correlation), kept, by_template=matched is not None)
         for track, box, (matched, correlation) in zip(tracks, boxes, matches, strict=True)
     ]
 
 
-def _sought(cfg: ObjectsConfig, scene: Scene, track: ObjectTrack, matched: Box | None) -> Box | None:
+def _sought(cfg: ObjectsConfig, frame: Frame, track: ObjectTrack, matched: Box | None) -> Box | None:
     """The box in the image where a track's object may be: where its template matched, else at its predicted place."""
-    at_place = cfg.template_search and tracking.confirmed(cfg, track) and track.place is not None and divides(scene)
+    at_place = cfg.template_search and tracking.confirmed(cfg, track) and track.place is not None and divides(frame)
     if matched is None and not at_place:
         return None
-    box = _within(scene.camera, matched or track.box_px)
+    box = _within(frame.camera, matched or track.box_px)
     return box if matched or (box.x_min < box.x_max and box.y_min < box.y_max) else None
 
 
 def _found(
-    cfg: ObjectsConfig, scene: Scene, path: EgoPath, searched: _Searched, kept: _Kept, *, by_template: bool
+    cfg: ObjectsConfig, frame: Frame, path: EgoPath, searched: _Searched, kept: _Kept, *, by_template: bool
 ) -> _Searched:
     """The track after its object; the object is dropped if it overlaps a kept detection, or is contradicted.
 
@@ -290,16 +290,16 @@ def _found(
     after = tracking.observed(cfg, track, item, item.detection.box_px)
     if overlap_similarities(cfg, [after], kept.items, kept.boxes).any():
         return lost
-    track = tracking.placed(after, extent(scene, path, item), after.template)
+    track = tracking.placed(after, extent(frame, path, item), after.template)
     return replace(searched, track=track, item=item)
 
 
-def _matched(cfg: ObjectsConfig, scene: Scene, track: ObjectTrack) -> tuple[Box | None, Correlation | None]:
+def _matched(cfg: ObjectsConfig, frame: Frame, track: ObjectTrack) -> tuple[Box | None, Correlation | None]:
     """The whole object's box where its template matches, None if nowhere, and the correlation."""
-    if not cfg.template_search or not tracking.confirmed(cfg, track) or track.template is None or scene.grey is None:
+    if not cfg.template_search or not tracking.confirmed(cfg, track) or track.template is None or frame.grey is None:
         return None, None
     scale = tracking.zoom(track.template.distance_m, track.distance_m)
-    correlation = track.template.search(scene.grey, _around(track), scale)
+    correlation = track.template.search(frame.grey, _around(track), scale)
     found = None if correlation is None else correlation.match(cfg.template_min_score)
     return None if found is None else track.template.whole(found[0], scale), correlation
 

@@ -13,7 +13,7 @@ from roadperc_stream.geometry import Float
 from roadperc_stream.model import Image
 
 _SHARES: Final = np.linspace(0.05, 0.95, 19)
-"""The compared quantiles: lamps and deep shadows at either end are not typical of the scene."""
+"""The compared quantiles: lamps and deep shadows at either end are not typical of the frame."""
 _DARKEST: Final = 2.0
 _BRIGHTEST: Final = 253.0
 """Quantiles outside these grey levels may be clipped."""

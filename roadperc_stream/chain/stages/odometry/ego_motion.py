@@ -26,7 +26,7 @@ from roadperc_stream.config import OdometryConfig
 from roadperc_stream.geometry import Float, Float32, adjoint, inverse, rigid
 from roadperc_stream.geometry.rotations import rotation_from_vector
 from roadperc_stream.model import Absent, Matches, Odometry, Reason, Surface
-from roadperc_stream.model.scene import Scene
+from roadperc_stream.model.frame import Frame
 
 _SCALE_REASONS: Final[dict[str | None, Reason]] = {
     "points": Reason("odometry", "scale_by_points"),
@@ -38,7 +38,7 @@ _SCALE_REASONS: Final[dict[str | None, Reason]] = {
 def step(
     cfg: OdometryConfig,
     state: OdometryState,
-    scene: Scene,
+    frame: Frame,
     road: Surface | None,
     rng: np.random.Generator,
 ) -> tuple[OdometryState, Odometry | Absent]:
@@ -53,15 +53,15 @@ def step(
     Returns:
         The new state, and the pose; absent before the first image.
     """
-    if scene.grey is None or brightness.shows_nothing(scene.grey):
-        return state, _without_image(state, scene)
+    if frame.grey is None or brightness.shows_nothing(frame.grey):
+        return state, _without_image(state, frame)
     cv2.setRNGSeed(int(rng.integers(2**31)))
-    frame = tracking_frame(cfg, scene, scene.grey, road)
-    pitch = _with_lines(camera_pitch.begun(cfg) if state.pitch is None else state.pitch, frame)
+    tracked = tracking_frame(cfg, frame, frame.grey, road)
+    pitch = _with_lines(camera_pitch.begun(cfg) if state.pitch is None else state.pitch, tracked)
     if state.keyframe is None or state.last is None:
-        return _begun(cfg, state.odom_T_ego, pitch, frame), Odometry("first", state.odom_T_ego)
-    this = FollowedFrame(cfg, frame, state.keyframe, state.last, state.odom_T_ego, pitch, state.speed)
-    same_camera = frame.camera == state.keyframe.camera
+        return _begun(cfg, state.odom_T_ego, pitch, tracked), Odometry("first", state.odom_T_ego)
+    this = FollowedFrame(cfg, tracked, state.keyframe, state.last, state.odom_T_ego, pitch, state.speed)
+    same_camera = tracked.camera == state.keyframe.camera
     equal = _equalised(this)
     estimate = estimated(equal)
     if isinstance(estimate, Absent) and cfg.features == "klt" and same_camera:
@@ -73,13 +73,13 @@ def step(
         return state, lost
     new_camera = replace(camera_pitch.begun(cfg), levelled=pitch.levelled)
     pitch = camera_pitch.after_loss(cfg, pitch, this.seconds) if same_camera else new_camera
-    return _begun(cfg, state.odom_T_ego, pitch, frame, state.speed), lost
+    return _begun(cfg, state.odom_T_ego, pitch, tracked, state.speed), lost
 
 
-def _without_image(state: OdometryState, scene: Scene) -> Odometry | Absent:
+def _without_image(state: OdometryState, frame: Frame) -> Odometry | Absent:
     """The result of a frame whose image is missing, cannot be decoded or shows nothing."""
-    missing = scene.grey is None and not scene.image_unusable
-    why = Reason("odometry", "no_image" if missing else "image_unusable" if scene.grey is None else "image_uniform")
+    missing = frame.grey is None and not frame.image_unusable
+    why = Reason("odometry", "no_image" if missing else "image_unusable" if frame.grey is None else "image_uniform")
     return Absent(why) if missing and state.keyframe is None else Odometry("lost", state.odom_T_ego, reason=why)
 
 

@@ -19,7 +19,7 @@ from roadperc_stream.config import OdometryConfig, scaled
 from roadperc_stream.geometry import Camera, Float, Float32
 from roadperc_stream.geometry.ground import part
 from roadperc_stream.model import Image, Mask, Surface, read_only
-from roadperc_stream.model.scene import Scene
+from roadperc_stream.model.frame import Frame
 
 _MOVABLE = ("vehicle", "pedestrian")
 """Classes on which no feature is detected or tracked."""
@@ -114,28 +114,28 @@ class Frontend:
     match: Callable[[OdometryConfig, Image, Features, Float32, Image], Float32]
 
 
-def tracking_frame(cfg: OdometryConfig, scene: Scene, grey: Image, road: Surface | None) -> TrackingFrame:
+def tracking_frame(cfg: OdometryConfig, frame: Frame, grey: Image, road: Surface | None) -> TrackingFrame:
     """The frame at the tracking resolution: halved while ``odometry.min_rows`` rows remain.
 
     ``grey`` is its (H, W) image, ``road`` the road in the front camera's frame.
     """
-    camera, shrink = scene.camera, 1
+    camera, shrink = frame.camera, 1
     while grey.shape[0] % 2 == 0 and grey.shape[1] % 2 == 0 and grey.shape[0] // 2 >= cfg.min_rows:
         grey = np.asarray(cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), np.uint8)
         # Pixel centres are at integers: u becomes (u - 0.5) / 2.
         camera = replace(part(camera, 2, 2), cx=(camera.cx - 0.5) / 2, cy=(camera.cy - 0.5) / 2)
         shrink *= 2
-    movable = _movable(scene, grey)
-    return TrackingFrame(camera, scene.ego_T_camera, grey, shrink, scene.dense_depth_m, movable, road, scene.stamp_ns)
+    movable = _movable(frame, grey)
+    return TrackingFrame(camera, frame.ego_T_camera, grey, shrink, frame.dense_depth_m, movable, road, frame.stamp_ns)
 
 
-def _movable(scene: Scene, grey: Image) -> Image | None:
+def _movable(frame: Frame, grey: Image) -> Image | None:
     """(H, W) nonzero on movable objects of the tracked image, widened by half a window; None without tags."""
-    if scene.tags is None or scene.table is None:
+    if frame.tags is None or frame.table is None:
         return None
     rows, columns = grey.shape
-    tags = cv2.resize(scene.tags, (columns, rows), interpolation=cv2.INTER_NEAREST)
-    movable: Image = mark(np.asarray(tags, np.uint8), scene.table.lookup(_MOVABLE))
+    tags = cv2.resize(frame.tags, (columns, rows), interpolation=cv2.INTER_NEAREST)
+    movable: Image = mark(np.asarray(tags, np.uint8), frame.table.lookup(_MOVABLE))
     if not movable.any():
         return movable
     side = max(round(scaled(WINDOW_PX, rows)), 1) | 1

@@ -12,7 +12,7 @@ from roadperc_stream.geometry import Camera, Float, inverse, project, rigid, tra
 from roadperc_stream.geometry.ground import ego_points, height_above, height_at, tilted_ground
 from roadperc_stream.geometry.planes import Plane, transform_plane
 from roadperc_stream.model import Absent, Mask, Reason, Surface, SurfaceSource
-from roadperc_stream.model.scene import DepthMap, Scene
+from roadperc_stream.model.frame import DepthMap, Frame
 
 _UP_EGO = np.array([0.0, 0.0, 1.0])
 _DRIVABLE_M = 0.15
@@ -41,12 +41,10 @@ class SurfaceState:
 
     ego_plane: Plane | None = None
     driven_m: float = 0.0
-    pitch: KnownPitch | None = None
-    """The pitch in the last frame; None if it was unknown."""
 
 
 def find_surface(
-    cfg: SurfaceConfig, state: SurfaceState, scene: Scene, rng: np.random.Generator
+    cfg: SurfaceConfig, state: SurfaceState, frame: Frame, rng: np.random.Generator
 ) -> tuple[SurfaceState, Surface | Absent]:
     """Fit the road to the frame's depth; without depth, take it from the camera's mounting.
 
@@ -54,23 +52,23 @@ def find_surface(
         The same state, and the surface with its plane in the frame of the depth's camera; absent if the depth does not
         show the road.
     """
-    if scene.depth is None:
-        return state, assumed_surface(*_depth_camera(scene))
-    labels = scene.labels(cfg.classes)
+    if frame.depth is None:
+        return state, assumed_surface(*_depth_camera(frame))
+    labels = frame.labels(cfg.classes)
     drivable = None
     if labels is not None:
-        drivable = scene.depth.labels_from(scene.camera, scene.ego_T_camera, labels).view(bool)
-    return state, fit_surface(cfg, scene.depth, drivable, rng)
+        drivable = frame.depth.labels_from(frame.camera, frame.ego_T_camera, labels).view(bool)
+    return state, fit_surface(cfg, frame.depth, drivable, rng)
 
 
-def or_assumed(scene: Scene, found: Surface | Absent) -> Surface | Absent:
+def or_assumed(frame: Frame, found: Surface | Absent) -> Surface | Absent:
     """The found surface; if the depth does not show the road, that of the mounting.
 
     Dense depth without a mounting gives ``Absent``.
     """
-    if isinstance(found, Surface) or (scene.depth is not None and scene.depth.dense and not scene.mounted):
+    if isinstance(found, Surface) or (frame.depth is not None and frame.depth.dense and not frame.mounted):
         return found
-    return assumed_surface(*_depth_camera(scene))
+    return assumed_surface(*_depth_camera(frame))
 
 
 def fit_surface(
@@ -103,9 +101,9 @@ def assumed_surface(camera: Camera, ego_T_camera: Float) -> Surface:
     return known_surface("assumed", camera, ego_T_camera, Plane.of(_UP_EGO, 0.0))
 
 
-def _depth_camera(scene: Scene) -> tuple[Camera, Float]:
+def _depth_camera(frame: Frame) -> tuple[Camera, Float]:
     """The camera of the depth and its mounting; without depth, the front camera and its mounting."""
-    place = scene if scene.depth is None else scene.depth
+    place = frame if frame.depth is None else frame.depth
     return place.camera, place.ego_T_camera
 
 
@@ -114,18 +112,18 @@ def known_surface(source: SurfaceSource, camera: Camera, ego_T_camera: Float, eg
     return Surface.of(source, camera, ego_T_camera, transform_plane(inverse(ego_T_camera), ego_plane))
 
 
-def drivable_mask(cfg: SurfaceConfig, scene: Scene, surface: Surface | Absent) -> Mask | Absent:
+def drivable_mask(cfg: SurfaceConfig, frame: Frame, surface: Surface | Absent) -> Mask | Absent:
     """(H, W) pixels of a drivable class near the surface.
 
     The distance to a plane is perpendicular, the distance to a height field vertical. On a slope of 10 % they differ by
     half a percent. Without dense depth, or if it does not show the road, only the class counts. Without segmentation,
     only the surface counts. The plane of ``surface`` is in the frame of the front camera.
     """
-    drivable, depth_m, camera = scene.labels(cfg.classes), scene.dense_depth_m, scene.camera
+    drivable, depth_m, camera = frame.labels(cfg.classes), frame.dense_depth_m, frame.camera
     if depth_m is None and drivable is not None:
         return drivable.view(bool)
     if depth_m is None:
-        return Absent(Reason("drivable", "no_segmentation_sparse_depth" if scene.depth else "no_depth_no_segmentation"))
+        return Absent(Reason("drivable", "no_segmentation_sparse_depth" if frame.depth else "no_depth_no_segmentation"))
     if isinstance(surface, Absent):
         return Absent(Reason("drivable", "no_surface", cause=surface.reason))
     if not surface.measured:
@@ -133,11 +131,11 @@ def drivable_mask(cfg: SurfaceConfig, scene: Scene, surface: Surface | Absent) -
     among = np.ones(camera.size, bool) if drivable is None else drivable.view(bool)
     if surface.height_grid is None:
         return pixels_near(camera, depth_m, surface.plane, _DRIVABLE_M, among)
-    top = max(first_row(among), _horizon_row(surface, camera, scene.ego_T_camera))
+    top = max(first_row(among), _horizon_row(surface, camera, frame.ego_T_camera))
     mask = np.zeros(camera.size, bool)
     for first in range(top, camera.height, _ROWS_AT_ONCE):
         rows = slice(first, min(first + _ROWS_AT_ONCE, camera.height))
-        off_m = height_above(surface, *ego_points(camera, scene.ego_T_camera, depth_m[rows], first))
+        off_m = height_above(surface, *ego_points(camera, frame.ego_T_camera, depth_m[rows], first))
         # Unknown depth is never drivable: a comparison with NaN is False, in OpenCV, too.
         near = np.asarray(cv2.inRange(off_m, -_DRIVABLE_M, _DRIVABLE_M), np.uint8)
         mask[rows] = near & among[rows].view(np.uint8)
@@ -155,7 +153,7 @@ def _horizon_row(surface: Surface, camera: Camera, ego_T_camera: Float) -> int:
 def remember(
     cfg: SurfaceConfig,
     state: SurfaceState,
-    scene: Scene,
+    frame: Frame,
     found: Surface | Absent,
     last_T_this: Float | None,
     pitch: KnownPitch | None = None,
@@ -165,7 +163,7 @@ def remember(
     Args:
         cfg: with ``hold_m``, the distance for which a plane is held.
         state: the state after the last frame.
-        scene: the frame.
+        frame: the frame.
         found: fitted to the frame's depth, or taken from the mounting without depth; absent if the depth does not show
             the road.
         last_T_this: (4, 4) motion of the ego frame since the last frame, metres; None if unknown.
@@ -176,21 +174,21 @@ def remember(
     """
     if isinstance(found, Surface) and found.measured:
         return SurfaceState(found.ego_plane), found, ()
-    failed, road = found.reason if isinstance(found, Absent) else None, or_assumed(scene, found)
+    failed, road = found.reason if isinstance(found, Absent) else None, or_assumed(frame, found)
     state = _moved(state, last_T_this)
     if state.ego_plane is not None and state.driven_m <= cfg.hold_m:
         cause = Reason("surface", "no_depth") if failed is None else failed
-        held = known_surface("held", *_depth_camera(scene), state.ego_plane)
+        held = known_surface("held", *_depth_camera(frame), state.ego_plane)
         return state, held, (Reason("surface", "plane_held", cause=cause),)
     if isinstance(road, Absent):
         return state, road, ()
     if pitch is not None:
-        road = known_surface("estimated", *_depth_camera(scene), tilted_ground(scene.ego_T_camera, pitch.offset))
+        road = known_surface("estimated", *_depth_camera(frame), tilted_ground(frame.ego_T_camera, pitch.offset))
     if failed is None:
         return state, road, ()
     if pitch is None:
-        return state, road, (Reason("surface", "plane_assumed", (scene.plane_source,), failed),)
-    return state, road, (Reason("surface", "plane_estimated", (scene.plane_source, pitch.source), failed),)
+        return state, road, (Reason("surface", "plane_assumed", (frame.plane_source,), failed),)
+    return state, road, (Reason("surface", "plane_estimated", (frame.plane_source, pitch.source), failed),)
 
 
 def _moved(state: SurfaceState, last_T_this: Float | None) -> SurfaceState:

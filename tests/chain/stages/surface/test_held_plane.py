@@ -9,7 +9,7 @@ from roadperc_stream import geometry as g
 from roadperc_stream.chain.stages.surface.road import SurfaceState, find_surface, remember
 from roadperc_stream.config import SurfaceConfig
 from roadperc_stream.model import Absent, Reason
-from roadperc_stream.model.scene import DepthMap
+from roadperc_stream.model.frame import DepthMap
 from tests.analytic import Road
 from tests.scenes import scene_of
 

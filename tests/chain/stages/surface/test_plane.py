@@ -14,7 +14,7 @@ from roadperc_stream.chain.stages.surface.plane import leaves_plane, median
 from roadperc_stream.chain.stages.surface.road import assumed_surface, drivable_mask, fit_surface
 from roadperc_stream.config import SurfaceConfig
 from roadperc_stream.model import Absent, Reason
-from roadperc_stream.model.scene import DepthMap
+from roadperc_stream.model.frame import DepthMap
 from tests.analytic import LINE, ROAD, Road
 from tests.hills import Hill
 from tests.scenes import scene_of

@@ -19,7 +19,7 @@ from roadperc_stream.config import LanesConfig, SurfaceConfig
 from roadperc_stream.geometry.ground import height_at
 from roadperc_stream.geometry.rotations import rotation_from_rpy
 from roadperc_stream.metrics.surface import surface_height_error_m
-from roadperc_stream.model.scene import DepthMap
+from roadperc_stream.model.frame import DepthMap
 from tests.analytic import LINE, ROAD
 from tests.hills import Hill
 from tests.scenes import scene_of
