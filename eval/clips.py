@@ -78,10 +78,10 @@ def _cut(source: Path, event: Event, target: Path, cfg: ReplayConfig) -> None:
     with LogWriter(target, found.summary.profile) as writer:
         for channel in channels:
             writer.register(channel)
-        for message in merge(found.messages(), results, key=lambda message: message.log_time_ns):
+        for message in merge(found.messages.copied(), results, key=lambda message: message.log_time_ns):
             writer.write(message)
         for attachment in found.summary.attachments:
-            if attachment.name not in (record.STATE_ATTACHMENT, record.BEGIN_ATTACHMENT):
+            if attachment.name != record.STATE_ATTACHMENT:
                 writer.attach(attachment)
         for metadata in found.summary.metadata:
             if metadata.name != record.METADATA_RECORD:

@@ -154,8 +154,7 @@ def frames(
     source = ReplaySource(_paths(log), topics or {}, TimeRange(start_s, end_s, max_frames), recover)
     opened = open_log(source, cfg)
     cfg = opened.input.cfg
-    state = opened.state_for(cfg)
-    chain, earlier = state.chain, state.earlier
+    chain, earlier = State(), None
     for sample in opened.input.samples():
         with one_thread():  # the same bits as in a replay, with any settings of the caller
             frame = prepare(cfg, sample.frame, own=own)

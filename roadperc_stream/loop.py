@@ -17,7 +17,7 @@ from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.output.writing import NO_CALLBACKS, Callbacks, FrameOutput, Outputs, ReplaySummary
 from roadperc_stream.resume.checkpoint import Checkpoint, CheckpointFolder, Checkpoints
 from roadperc_stream.resume.opening import PLAIN, OpenedLog, ReplayOptions, finished, open_replay, run_of
-from roadperc_stream.resume.state import ReplayState, packed
+from roadperc_stream.resume.state import ReplayState
 from roadperc_stream.system.files import all_or_none
 from roadperc_stream.system.pipeline import Pipeline
 from roadperc_stream.system.progress import StageTimer
@@ -52,7 +52,7 @@ def replay(
         cfg = opened.input.cfg
         summary = finished(target, cfg, opened) if options.resume and found is None else None
         if summary is None:
-            start = Checkpoint(run_of(cfg, opened, target), opened.state_for(cfg))
+            start = Checkpoint(run_of(cfg, opened, target), opened.begin)
             checkpoints = Checkpoints(folder, options.checkpoint_every_s, start, found, force=target.force)
             was_killed = options.resume and folder.path.exists() and not target.is_complete
             target = replace(target, force=target.force or found is not None or was_killed)
@@ -62,7 +62,7 @@ def replay(
             with one_thread(), all_or_none(*outputs.files):
                 frames = _Frames(cfg, opened, outputs, checkpoints, callbacks)
                 frames.replay(options.threads, options.own)
-                states, notes = opened.attachments(cfg, frames.end, with_messages=target.results_only)
+                states, notes = ((), ()) if target.results_only else frames.end.attached()
                 outputs.end(opened.facts(), states)
                 target.require_free(source.files)  # another program may have written them
                 if checkpoints.are_durable:
@@ -77,10 +77,7 @@ _Timed = tuple[Sample, StageTimer]
 
 
 class _Frames:
-    """The frames of one replay; each step keeps its own state, so the steps may run in different threads.
-
-    ``end`` is the state after the last frame that no later message can change; ``packed`` after that frame.
-    """
+    """The frames of one replay; the steps may run in different threads, one after the other for each frame."""
 
     def __init__(
         self, cfg: ReplayConfig, opened: OpenedLog, outputs: Outputs, checkpoints: Checkpoints, callbacks: Callbacks
@@ -88,9 +85,8 @@ class _Frames:
         self._cfg, self._input = cfg, opened.input
         self._outputs, self._checkpoints, self._callbacks = outputs, checkpoints, callbacks
         self._samples = self._written = 0
-        self.end: ReplayState | bytes = checkpoints.begun.state
-        self._chain = checkpoints.begun.state.chain
-        self._earlier = checkpoints.begun.state.earlier
+        self.end = opened.end_state()
+        self._chain, self._earlier = checkpoints.begun.state.chain, checkpoints.begun.state.earlier
 
     def replay(self, threads: int, own: OwnStages) -> None:
         """Write all frames: copy those of an interrupted replay, compute the others."""
@@ -136,8 +132,7 @@ class _Frames:
 
     def _done(self, sample: Sample, state: ReplayState) -> None:
         self._samples, self._written = self._samples + 1, self._written + sample.is_written
-        complete_frames = self._input.plan.first_pass.complete_frames
-        if self._samples <= complete_frames:
-            self.end = packed(state) if self._samples == complete_frames else state
+        self.end.reached(sample.complete, state)
+        if sample.complete is not None:
             self._checkpoints.reached(sample.log_time_ns, self._samples, state, self._outputs.counted)
         self._callbacks.on_progress(self._written, self._input.expected_frames)

@@ -1,7 +1,7 @@
 """Assigns channels to the roles of a replay, and describes the effect of each missing role."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Final
 
 from roadperc_stream.errors import ChannelError
@@ -17,8 +17,7 @@ from roadperc_stream.input.roles import (
 from roadperc_stream.input.stream import RoleAssignment
 from roadperc_stream.input.topics import ContentProbe, distinct, fits
 from roadperc_stream.log import Channel
-from roadperc_stream.schemas.record import BEGIN_ATTACHMENT
-from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES, Role
+from roadperc_stream.schemas.roles import ROLES, Role
 
 _COSTS: Final = {
     "calibration": "a replay stops, unless another file of the log has it: the camera is unknown; see --calibration",
@@ -76,16 +75,6 @@ def roles_of(channels: Sequence[Channel], overrides: Mapping[str, str], probe: C
     could = {**candidates(inputs, assignment.topics, probe), "truth_pose": poses}
     states = (_state(role, inputs, assignment, overrides, could.get(role.name, ())) for role in ROLES.values())
     return Roles(tuple(states), assignment, refusal, options)
-
-
-def continued(roles: Roles) -> Roles:
-    """The roles of a continued replay: earlier calibrations and transforms still hold."""
-
-    def state_of(state: RoleState) -> RoleState:
-        is_held = state.state == "missing" and state.cost and ROLES[state.role].kind in LATCHED_KINDS
-        return replace(state, cost=f"held from the continued replay, in {BEGIN_ATTACHMENT}") if is_held else state
-
-    return replace(roles, states=tuple(map(state_of, roles.states)))
 
 
 def _named(inputs: Sequence[Channel], overrides: Mapping[str, str]) -> dict[str, str]:

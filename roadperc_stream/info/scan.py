@@ -15,19 +15,18 @@ from roadperc_stream import log
 from roadperc_stream.config import ReplayConfig, SyncConfig
 from roadperc_stream.errors import ConfigError, DecodeError, DumpError, LogError
 from roadperc_stream.geometry import Float
-from roadperc_stream.info.role_states import Roles, continued, roles_of
+from roadperc_stream.info.role_states import Roles, roles_of
 from roadperc_stream.info.stamps import StampReader, stamp_reader
 from roadperc_stream.input.earlier_replay import is_result, recorded_tag_table, recorded_topics
 from roadperc_stream.input.findings import InputEvidence
 from roadperc_stream.input.order import OrderConfig
 from roadperc_stream.input.replaced import replaced, rig_of_log, with_recorded
 from roadperc_stream.input.stream import Problems, Stamped, decoded_messages
-from roadperc_stream.input.sync import LatchedState, PairingState, StampPairing, without_loops
+from roadperc_stream.input.sync import LatchedState, StampPairing, without_loops
 from roadperc_stream.input.topics import probe_first_message
 from roadperc_stream.log import LogSummary, Message, MessageDigest, Salvage
 from roadperc_stream.model import CameraImage, DepthImage
 from roadperc_stream.model.finding import Finding
-from roadperc_stream.schemas.record import BEGIN_ATTACHMENT
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
 from roadperc_stream.system.time import LONGEST_PAUSE_NS, NS_PER_S, seconds_to_ns
 
@@ -174,8 +173,6 @@ class Scan:
         channels = tuple(first.channels[number] for number in sorted(first.channels) if first.counts[number])
         named = {**recorded_topics(metadata, channels), **overrides}
         roles = roles_of(channels, named, None if summary is None else cache(partial(probe_first_message, summary)))
-        if any(attachment.name == BEGIN_ATTACHMENT for attachment in first.described.attachments):
-            roles = continued(roles)
         assignment = replace(roles.assignment, tag_table=recorded_tag_table(metadata))
         with suppress(ConfigError):  # the record of a result is listed with its fault
             cfg = with_recorded(cfg, first.described.attachments, path)
@@ -235,15 +232,15 @@ class Scan:
         cfg = SyncConfig()
         wait_ns = seconds_to_ns(cfg.max_wait_s)
         order = OrderConfig(roles.reference, wait_ns, lateness_ns=wait_ns)
-        pairing = StampPairing(cfg, order, roles.topics, PairingState(), drop)
+        pairing = StampPairing(cfg, order, roles.topics, LatchedState(), drop)
         paired = [role for role in roles.topics if ROLES[role].kind not in LATCHED_KINDS]
         sorted_items = log.in_order_within(items, lambda item: item.log_time_ns, lambda _: 1, _MOST_SORTED)
         for synced in pairing.frames_of(sorted_items):
+            self.frames += 1
             self.segments = max(self.segments, synced.reference.segment + 1)
             self.alone.update(role for role in paired if role not in synced.messages)
             if synced.skew_ns is not None:
                 self.skew_ns = max(self.skew_ns or 0, synced.skew_ns)
-        self.frames = pairing.frames
 
     def _counted(self, messages: Iterable[Message]) -> Iterator[Message]:
         """Count the messages and pass them on."""

@@ -10,7 +10,7 @@ messages with equal stamps, as of two recorders, the first one is used.
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from heapq import heappop, heappush
-from typing import Final, Generic, TypeVar
+from typing import Final
 
 from roadperc_stream.input.stream import Stamped
 from roadperc_stream.system.time import LONGEST_PAUSE_NS, NS_PER_S
@@ -24,8 +24,6 @@ _LONGEST_HOLD_NS: Final = 10 * NS_PER_S
 _TOO_LATE: Final = "too late"
 _AHEAD: Final = "its stamp is more than an hour ahead of the messages around it"
 _REPEATED: Final = "an earlier message has the same stamp"
-T = TypeVar("T")
-U = TypeVar("U")
 Drop = Callable[[Stamped], None]
 """Receives a message that is left out."""
 
@@ -42,27 +40,6 @@ class OrderConfig:
     lateness_ns: int = 0
 
 
-@dataclass(frozen=True)
-class OrderState(Generic[T]):
-    """The state of the sorting between messages; ``T`` is any type that represents a message.
-
-    ``held`` starts with the first message whose stamp is far back. ``waiting`` has the messages of ``given_segment``
-    that wait for earlier ones, in output order.
-    """
-
-    segment: int = 0
-    latest_ns: int | None = None
-    held: tuple[T, ...] = ()
-    waiting: tuple[T, ...] = ()
-    given_segment: int = 0
-    given_ns: int | None = None
-
-    def mapped(self, function: Callable[[T], U]) -> "OrderState[U]":
-        """The same state with ``function`` applied to each message."""
-        held, waiting = tuple(map(function, self.held)), tuple(map(function, self.waiting))
-        return OrderState(self.segment, self.latest_ns, held, waiting, self.given_segment, self.given_ns)
-
-
 class StampOrder:
     """Sorts messages by segment and stamp; latched messages come first among equal stamps.
 
@@ -70,20 +47,15 @@ class StampOrder:
     at once. While the reference sensor is silent for long, the other messages do not wait for it.
     """
 
-    def __init__(self, cfg: OrderConfig, drop: Drop, state: OrderState[Stamped] | None = None) -> None:
-        """Start, or continue from a state.
-
-        ``drop`` is called with each message that is left out; ``state`` is that of an earlier sorting.
-        """
-        state = state or OrderState()
+    def __init__(self, cfg: OrderConfig, drop: Drop) -> None:
+        """``drop`` is called with each message that is left out."""
         self._cfg, self._drop = cfg, drop
-        self._segments = _Segments(cfg, drop, state)
-        self._given_segment, self._given_ns = state.given_segment, state.given_ns  # of the latest reference message
+        self._segments = _Segments(cfg, drop)
+        self._given_segment = 0
+        self._given_ns: int | None = None  # of the latest reference message
         self._heap: list[tuple[int, bool, int, Stamped]] = []
         self._stamps = set[int]()  # of the reference messages in the heap
         self._number = 0
-        for item in state.waiting:
-            self._add(item)
         self.lateness_ns = 0
         """The largest lag behind the reference sensor's latest stamp, at most the wait; late reference messages do
         not count."""
@@ -102,12 +74,10 @@ class StampOrder:
         yield from self._all()
 
     @property
-    def state(self) -> OrderState[Stamped]:
-        """The current state; consume all of ``through`` first."""
-        found = self._segments
-        waiting = tuple(entry[-1] for entry in sorted(self._heap, key=lambda entry: entry[:3]))
-        given = self._given_segment, self._given_ns
-        return OrderState(found.segment, found.latest_ns, tuple(found.held), waiting, *given)
+    def waiting(self) -> Iterator[Stamped]:
+        """The messages that wait for earlier ones."""
+        yield from self._segments.held
+        yield from (entry[-1] for entry in self._heap)
 
     def _ordered(self, items: Iterable[Stamped]) -> Iterator[Stamped]:
         for item in items:
@@ -172,13 +142,13 @@ class _Segments:
     begin a new segment. Fewer are left out; those ahead begin one at the end of the log.
     """
 
-    def __init__(self, cfg: OrderConfig, drop: Drop, state: OrderState[Stamped]) -> None:
+    def __init__(self, cfg: OrderConfig, drop: Drop) -> None:
         self._cfg, self._drop = cfg, drop
-        self.segment = state.segment
-        self.latest_ns = state.latest_ns
+        self.segment = 0
+        self.latest_ns: int | None = None
         """Latest stamp of the segment's reference messages."""
-        self.held = list(state.held)  # from the first message with a stamp far off
-        self.row = [item for item in state.held if item.role == cfg.reference]
+        self.held: list[Stamped] = []  # from the first message with a stamp far off
+        self.row: list[Stamped] = []
 
     def numbered(self, item: Stamped) -> Iterator[Stamped]:
         """Take one more message; give the messages whose segment is then known, in order of arrival."""

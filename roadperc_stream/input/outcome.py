@@ -44,15 +44,14 @@ class InputOutcome:
     dropped_stamps_ns: dict[str, int] = field(default_factory=dict)
     """The stamp of the first such message."""
 
-    def add(self, synced: SyncedMessages, *, is_written: bool = True) -> None:
-        """Count a frame."""
-        reference = synced.reference
+    def add(self, synced: SyncedMessages, segment: int, *, is_written: bool = True, is_again: bool = False) -> None:
+        """Count a frame; ``is_again`` if the continued result has it too."""
         self.paired.update(synced.messages)
         if is_written:
             self.frames += 1
-            self.given_again += reference.carried is not None
-            self.segment_frames[reference.segment] += 1
-            self.segment_stamps_ns.setdefault(reference.segment, reference.stamp_ns)
+            self.given_again += is_again
+            self.segment_frames[segment] += 1
+            self.segment_stamps_ns.setdefault(segment, synced.reference.stamp_ns)
 
     def drop(self, item: Stamped) -> None:
         """Count a message that belongs to no frame."""

@@ -2,24 +2,24 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import islice
+from itertools import chain
+from math import inf
 
 from roadperc_stream.config import ReplayConfig
-from roadperc_stream.errors import ChannelError, NoFrameError
+from roadperc_stream.errors import ChannelError, NoFrameError, StateError
 from roadperc_stream.input.assemble import sample_of
-from roadperc_stream.input.earlier_replay import is_result, networks_digest
+from roadperc_stream.input.earlier_replay import networks_digest
 from roadperc_stream.input.findings import InputEvidence
 from roadperc_stream.input.outcome import FileSpan, InputOutcome, continuation_notes, file_notes
 from roadperc_stream.input.plan import InputPlan, plan_input
 from roadperc_stream.input.replaced import as_configured, with_recorded
 from roadperc_stream.input.roles import tag_table_to_record, with_paths
 from roadperc_stream.input.source import LossTimes, ReadableLog, ReplaySource
-from roadperc_stream.input.state import InputState
 from roadperc_stream.input.stream import Problems, Stamped, decoded_messages
-from roadperc_stream.input.sync import LatchedState, StampPairing, SyncedMessages
-from roadperc_stream.input.window import WindowMessages
-from roadperc_stream.log import DIGEST_ALGORITHM, Channel, LogSummary, LostSpan, Message, Piece, Recovery
-from roadperc_stream.model import UNWRITTEN, FrameResult, Sample
+from roadperc_stream.input.sync import LatchedState, StampPairing, SyncedMessages, without_loops
+from roadperc_stream.input.window import Lead, WindowMessages
+from roadperc_stream.log import DIGEST_ALGORITHM, Channel, LogSummary, LostSpan, Recovery
+from roadperc_stream.model import UNWRITTEN, FrameResult, LastFrame, Sample
 from roadperc_stream.model.finding import Finding
 from roadperc_stream.model.reason import UNUSABLE
 from roadperc_stream.schemas import record
@@ -37,29 +37,23 @@ def open_input(source: ReplaySource, cfg: ReplayConfig) -> "ReplayInput":
     return input_of(source.read(cfg.limits), source, cfg)
 
 
-def input_of(
-    found: ReadableLog,
-    source: ReplaySource,
-    cfg: ReplayConfig,
-    begin: InputState | None = None,
-    lost: Sequence[LostSpan] = (),
-) -> "ReplayInput":
+def input_of(found: ReadableLog, source: ReplaySource, cfg: ReplayConfig, lead: Lead | None = None) -> "ReplayInput":
     """As ``open_input``, for a log that was already read.
 
-    ``source`` read ``found``. ``begin`` is the end state of a continued result, ``lost`` the gaps of that result; a gap
-    without an end ends where this log begins.
+    ``source`` read ``found``. ``lead`` is read before it: the end of a continued result, or the seconds of a warm-up.
 
     Raises:
-        StateError: the log cannot continue from ``begin``; else as ``open_input``.
+        StateError: the log cannot continue the result; else as ``open_input``.
     """
     for role, topic in source.overrides.items():
         require_role(role, f"topic {topic}")
     asked = replace(source, time_range=found.part(source.time_range))
     cfg = with_recorded(cfg, found.summary.attachments, found.summary.path)
-    plan = plan_input(found.summary, cfg, asked, begin)
+    plan = plan_input(found.summary, cfg, asked, lead)
     if not source.recover:
-        found.require_outside(plan.window.start_ns, plan.window.end_ns)
-    return ReplayInput(found.summary, cfg, plan, lost)
+        start_ns = plan.window.start_ns if lead is None or lead.continues else lead.start_ns
+        found.require_outside(start_ns, plan.window.end_ns)
+    return ReplayInput(found.summary, cfg, plan)
 
 
 class ReplayInput:
@@ -69,25 +63,26 @@ class ReplayInput:
     and ``findings`` describe the samples read until now; ``samples`` resets them.
     """
 
-    def __init__(self, summary: LogSummary, cfg: ReplayConfig, plan: InputPlan, lost: Sequence[LostSpan] = ()) -> None:
+    def __init__(self, summary: LogSummary, cfg: ReplayConfig, plan: InputPlan) -> None:
         self.summary, self.plan, self.cfg = summary, plan, cfg
-        recovery = Recovery.of_records(summary.metadata)
-        self._gaps = (*self._ended(lost), *(() if recovery is None else recovery.gaps))
-        self._losses = LossTimes(self._gaps)
+        self.messages = WindowMessages(summary, cfg, plan.roles, plan.window, plan.latched_messages, plan.lead)
+        logs = (summary,) if not plan.continues or plan.lead is None else (plan.lead.summary, summary)
+        recovered = [Recovery.of_records(found.metadata) for found in logs]
+        gaps = [() if recovery is None else recovery.gaps for recovery in recovered]
+        self._losses = LossTimes(chain(*map(self._ended, gaps[:-1]), gaps[-1]))
         self._begin()
 
     def _begin(self) -> None:
-        plan = self.plan
+        plan, lead = self.plan, self.plan.lead
         self._problems = Problems(plan.problems.strict_in)
-        self._outcome = InputOutcome(plan.begun.segment)
-        masks = plan.first_pass.counts[self.topics.get("segmentation", "")]
+        self._outcome = InputOutcome(lead.last.segment if lead is not None and lead.last is not None else 0)
+        masks = plan.first.counts[self.topics.get("segmentation", "")]
         self._evidence, self._latched = InputEvidence({}, masks), LatchedState()
-        self._pairing = StampPairing(self.cfg.sync, plan.order, plan.roles.topics, plan.begun, self._drop)
+        self._pairing = StampPairing(self.cfg.sync, plan.order, plan.roles.topics, plan.latched, self._drop)
 
     def _ended(self, lost: Sequence[LostSpan]) -> tuple[LostSpan, ...]:
         """The gaps of the continued result; one without an end ends before the first new message."""
-        inside = (message.log_time_ns for message in self._messages.inside()) if lost else ()
-        next_ns = next((time_ns for time_ns in inside if time_ns >= self.plan.start.from_ns), None)
+        next_ns = next((message.log_time_ns for message in self.messages.inside()), None) if lost else None
         return tuple(
             replace(gap, last_ns=max(next_ns - 1, gap.first_ns or 0)) if gap.last_ns is None and next_ns else gap
             for gap in lost
@@ -101,7 +96,7 @@ class ReplayInput:
     @property
     def log_id(self) -> str:
         """The name of the log in every table."""
-        return record.log_id_of(self.plan.first_pass.digest)
+        return record.log_id_of(self.plan.first.digest.hexdigest())
 
     @property
     def networks(self) -> str:
@@ -116,9 +111,10 @@ class ReplayInput:
     @property
     def expected_frames(self) -> int:
         """Number of messages of the reference role that are not left out; an unreadable one makes no frame."""
-        plan, found = self.plan, self.plan.first_pass
-        there = found.counts[self.topics[plan.order.reference]] - found.left_out + plan.start.frames_waiting
-        return there if plan.most_frames is None else min(there, plan.most_frames)
+        first, lead = self.plan.first, self.plan.lead
+        last_ns = inf if lead is None or not lead.continues else -1 if lead.last is None else lead.last.log_time_ns
+        there = first.frames - sum(time_ns <= last_ns for time_ns in first.lead_frames_ns)
+        return there if self.plan.most_frames is None else min(there, self.plan.most_frames)
 
     @property
     def span_ns(self) -> tuple[int, int]:
@@ -136,29 +132,59 @@ class ReplayInput:
             NoFrameError: no message makes a frame.
         """
         self._begin()
-        plan, topics, numbers = self.plan, self.topics, self.plan.start.numbers
-        messages, limits = self._messages.all(set(topics.values())), self.cfg.limits
-        decoded = decoded_messages(messages, plan.roles, self.cfg.tag_table, self._problems, limits)
-        items = plan.start.to_come(decoded, topics, self._problems, limits)
-        before_ns = numbers.log_time_ns if numbers.next else None
-        for found in islice(self._pairing.frames_of(items), plan.most_frames):
-            synced = as_configured(found, plan.rig, self.cfg.labels)
+        plan, lead = self.plan, self.plan.lead
+        last = None if lead is None else lead.last
+        before_ns, number, own = (None, 0, 0) if last is None else (last.log_time_ns, last.number + 1, 0)
+        for found, segment in self._frames():
+            synced, reference = as_configured(found, plan.rig, self.cfg.labels), found.reference
             self._evidence.add(synced.messages.values())
             self._latched = synced.latched
-            before, numbers = numbers, numbers.after(synced.reference)
-            is_written = before.is_written(synced.reference)
-            sample = self._sample(synced, before.next if is_written else UNWRITTEN)
-            self._outcome.add(synced, is_written=is_written)
-            if is_written:
-                lost = self._losses.reason(before_ns, self._until_ns(synced, before_ns, numbers.log_time_ns))
-                yield replace(sample, log_time_ns=numbers.log_time_ns, lost=lost)
-                before_ns = numbers.log_time_ns
-            else:
+            in_lead = lead is not None and lead.contains(reference.log_time_ns)
+            is_written = not in_lead or plan.continues
+            sample = replace(self._sample(synced, number if is_written else UNWRITTEN), segment=segment)
+            self._outcome.add(synced, segment, is_written=is_written, is_again=in_lead)
+            if not is_written:
                 yield sample
-        if not self.frames and not self.plan.is_continuation:
+                continue
+            log_time_ns = max(before_ns or 0, reference.log_time_ns)
+            lost = self._losses.reason(before_ns, self._until_ns(synced, before_ns, log_time_ns))
+            here = LastFrame(number, reference.stamp_ns, log_time_ns, segment, self._pairing.since_ns(found))
+            complete = here if self._is_complete(found, here.since_ns) else None
+            yield replace(sample, log_time_ns=log_time_ns, lost=lost, complete=complete)
+            before_ns, number, own = log_time_ns, number + 1, own + (not in_lead)
+            if own == plan.most_frames:
+                break
+        if not self.frames and not plan.continues:
             topic = self.topics[plan.order.reference]
             notes = with_paths("; ".join(self.notes), self.summary)
             raise NoFrameError(f"{self.summary.path}: no message on {topic} makes a frame; {notes}")
+
+    def _frames(self) -> Iterator[tuple[SyncedMessages, int]]:
+        """The frames with the numbers of their segments, without those up to the last one of a continued result."""
+        plan, limits = self.plan, self.cfg.limits
+        messages = self.messages.all(set(self.topics.values()))
+        decoded = decoded_messages(messages, plan.roles, self.cfg.tag_table, self._problems, limits)
+        frames = self._pairing.frames_of(without_loops(decoded, plan.latched.tree, self.topics, self._problems, limits))
+        if plan.lead is None or (last := plan.lead.last) is None:
+            yield from ((frame, frame.reference.segment) for frame in frames)
+            return
+        latest_ns = 0
+        for frame in frames:
+            latest_ns = max(latest_ns, frame.reference.log_time_ns)
+            if (frame.reference.stamp_ns, latest_ns) == (last.stamp_ns, last.log_time_ns):
+                first = last.segment - frame.reference.segment
+                yield from ((later, first + later.reference.segment) for later in frames)
+                return
+        raise StateError(
+            f"{plan.lead.summary.path}: frame {last.number} with stamp {last.stamp_ns} ns is not in it: "
+            "expected the unchanged result of a replay"
+        )
+
+    def _is_complete(self, frame: SyncedMessages, since_ns: int) -> bool:
+        """Whether no later message can change a frame, and the copy has all messages that later frames may take."""
+        plan, reference = self.plan, frame.reference
+        is_copied = plan.lead is None or plan.continues or since_ns >= plan.lead.end_ns
+        return is_copied and (reference.segment, reference.stamp_ns) < plan.first.settled
 
     def _until_ns(self, synced: SyncedMessages, since_ns: int | None, log_time_ns: int) -> int:
         """The log time up to which messages of a frame may have been lost."""
@@ -173,6 +199,9 @@ class ReplayInput:
         return self._evidence.findings(self.cfg, self.topics, self.plan.order.reference, self._latched)
 
     def _drop(self, item: Stamped) -> None:
+        lead = self.plan.lead
+        if lead is not None and lead.is_known(item.log_time_ns, item.stamp_ns):
+            return
         self._outcome.drop(item)
         if item.role == self.plan.order.reference:
             topic, stamp = self.topics[item.role], f"stamp {item.stamp_ns} ns at log time {item.log_time_ns} ns"
@@ -180,7 +209,7 @@ class ReplayInput:
 
     def _sample(self, synced: SyncedMessages, index: int) -> Sample:
         try:
-            sample = sample_of(self.cfg, synced, index, self.topics, self.plan.first_pass.parent_of, self.plan.rig)
+            sample = sample_of(self.cfg, synced, index, self.topics, self.plan.first.parent_of, self.plan.rig)
         except ChannelError as error:
             known = (*self.plan.problems.first.values(), *self.plan.roles.unassigned, *self._if_in_other_files)
             raise ChannelError("; ".join((f"{self.summary.path}: {error}", *known))) from error
@@ -193,7 +222,7 @@ class ReplayInput:
     @property
     def _if_in_other_files(self) -> tuple[str, ...]:
         """A hint for a log whose calibrations may be in another file."""
-        if self.plan.is_continuation or any(ROLES[role].kind == "calibration" for role in self.topics):
+        if self.plan.continues or any(ROLES[role].kind == "calibration" for role in self.topics):
             return ()
         return ("pass the earlier files of the log too, or pass --continue with the result of the previous one",)
 
@@ -210,47 +239,7 @@ class ReplayInput:
     @property
     def channels(self) -> tuple[Channel, ...]:
         """All channels of the log except the results of an earlier replay."""
-        return tuple(channel for channel in self.summary.channels if not is_result(channel))
-
-    def messages(self) -> Iterator[Message]:
-        """All messages of the part to replay, unchanged and in log-time order; no results."""
-        return self._messages.all()
-
-    def pieces(self) -> Iterator[Piece]:
-        """As ``messages``, but as whole chunks of the log where possible."""
-        return self._messages.pieces()
-
-    def end_state(self, *, with_messages: bool) -> InputState:
-        """The state that later frames need.
-
-        Args:
-            with_messages: whether it contains its messages; else it refers to those in the output by log time and
-                number.
-        """
-        end = self.plan.first_pass.end
-        first_ns = end.first_pending_ns
-        if first_ns is None or not with_messages:
-            return end
-        return end.carrying(self._messages.inside(set(self.topics.values()), first_ns))
-
-    @property
-    def lost_to_come(self) -> tuple[LostSpan, ...]:
-        """The gaps that may affect the frames after the last complete one, without gaps after the cut."""
-        numbers = self.plan.first_pass.end.numbers
-        since_ns = numbers.log_time_ns if numbers.next else None
-        cut_ns = self.plan.window.cut_ns
-        own = (gap for gap in self._gaps if cut_ns is None or gap.first_ns is None or gap.first_ns < cut_ns)
-        spans = dict.fromkeys(
-            (gap.first_ns, gap.last_ns)
-            for gap in own
-            if since_ns is None or gap.last_ns is None or gap.last_ns > since_ns
-        )
-        return tuple(LostSpan(first_ns, last_ns, {}) for first_ns, last_ns in spans)
-
-    @property
-    def _messages(self) -> WindowMessages:
-        plan = self.plan
-        return WindowMessages(self.summary, self.cfg, plan.roles, plan.window, plan.latched_messages)
+        return self.messages.inputs
 
     @property
     def dropped(self) -> dict[str, int]:
@@ -277,12 +266,12 @@ class ReplayInput:
     @property
     def _before(self) -> tuple[str, ...]:
         """A note if there is a gap between this log and the result that it continues."""
-        plan = self.plan
-        if not plan.is_continuation or plan.start.numbers.written_from_ns is not None:
+        plan, lead = self.plan, self.plan.lead
+        if lead is None or not lead.continues:
             return ()
-        frames = plan.first_pass.counts[self.topics[plan.order.reference]]
-        waiting = [item.log_time_ns for item in plan.start.pairing.items if item.role == plan.order.reference]
-        return continuation_notes(FileSpan(str(self.summary.path), *self.span_ns, frames), waiting, plan.start.from_ns)
+        frames = plan.first.counts[self.topics[plan.order.reference]] - len(plan.first.lead_frames_ns)
+        here = FileSpan(str(self.summary.path), *self.span_ns, frames)
+        return continuation_notes(here, plan.first.lead_frames_ns, lead.end_ns - 1)
 
     @property
     def chosen_topics(self) -> dict[str, str]:
@@ -294,9 +283,9 @@ class ReplayInput:
         roles = self.plan.roles
         tag_table = tag_table_to_record(self.summary.channels, roles, self.cfg.tag_table)
         return {
-            record.DIGEST_KEY: self.plan.first_pass.digest,
+            record.DIGEST_KEY: self.plan.first.digest.hexdigest(),
             record.DIGEST_ALGORITHM_KEY: DIGEST_ALGORITHM,
-            "input_messages": str(self.plan.first_pass.counts.total()),
+            "input_messages": str(self.plan.first.counts.total()),
             record.FRAMES_KEY: str(self.frames),
             **({} if self.plan.window.cut_ns is None else {record.END_KEY: str(self.plan.window.cut_ns)}),
             **self.chosen_topics,

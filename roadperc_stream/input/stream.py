@@ -1,7 +1,7 @@
 """Decodes the messages of a log for their roles, and counts those that cannot be read."""
 
 from collections import Counter
-from collections.abc import Container, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -58,9 +58,7 @@ class Problems:
 class Stamped:
     """One decoded message of a role.
 
-    ``segment`` is the number of its segment. ``number`` is its place among the messages of assigned roles with equal
-    log time. ``carried`` is the message itself if it comes from the state of an earlier log. ``fault`` is why a
-    reference message is left out.
+    ``segment`` is the number of its segment. ``fault`` is why a reference message is left out.
     """
 
     role: str
@@ -68,8 +66,6 @@ class Stamped:
     stamp_ns: int
     payload: Payload
     segment: int = 0
-    number: int = 0
-    carried: Message | None = None
     fault: str = ""
 
     @property
@@ -124,8 +120,10 @@ def decoded_messages(
     """
     contexts: dict[Channel, Context] = {}
     roles_by_topic = {topic: roles.roles_of(topic) for topic in set(roles.topics.values())}
-    for message, number in numbered(messages, roles_by_topic):
+    for message in messages:
         channel = message.channel
+        if channel.topic not in roles_by_topic:
+            continue
         if channel not in contexts:
             contexts[channel] = context_of_channel(channel, tag_table, roles.tag_table, limits)
         for role in roles_by_topic[channel.topic]:
@@ -135,17 +133,4 @@ def decoded_messages(
             except DecodeError as error:
                 problems.add(channel.topic, message.log_time_ns, error)
                 continue
-            yield Stamped(role.name, message.log_time_ns, decoded.stamp_ns, decoded.payload, number=number)
-
-
-def numbered(messages: Iterable[Message], topics: Container[str]) -> Iterator[tuple[Message, int]]:
-    """The messages on some topics, each with its place among those of equal log time.
-
-    ``messages`` are in log-time order.
-    """
-    log_time_ns, number = None, 0
-    for message in messages:
-        if message.channel.topic in topics:
-            number = number + 1 if message.log_time_ns == log_time_ns else 0
-            log_time_ns = message.log_time_ns
-            yield message, number
+            yield Stamped(role.name, message.log_time_ns, decoded.stamp_ns, decoded.payload)

@@ -6,13 +6,14 @@ the nearest stamp, within the tolerance. Calibrations and transforms hold until 
 """
 
 from collections import deque
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Final, Generic, TypeVar
+from itertools import chain
+from typing import Final
 
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig, SyncConfig
 from roadperc_stream.geometry import Camera
-from roadperc_stream.input.order import Drop, OrderConfig, OrderState, StampOrder
+from roadperc_stream.input.order import Drop, OrderConfig, StampOrder
 from roadperc_stream.input.stream import Problems, Stamped
 from roadperc_stream.input.transforms import TransformTree
 from roadperc_stream.model import Transform
@@ -21,8 +22,6 @@ from roadperc_stream.system.time import seconds_to_ns
 
 _MOST_EDGES_NAMED: Final = 3
 """Transforms that a problem text lists."""
-T = TypeVar("T")
-U = TypeVar("U")
 
 
 @dataclass(frozen=True)
@@ -87,80 +86,38 @@ class SyncedMessages:
     skew_ns: int | None
 
 
-@dataclass(frozen=True)
-class PairingState(Generic[T]):
-    """The state of the pairing between messages; ``T`` is any type that represents a message.
-
-    ``streams`` has the messages of each role that no frame has taken yet. ``waiting`` has the reference messages of
-    incomplete frames, each with the latched state at its arrival.
-    """
-
-    order: OrderState[T] = field(default_factory=OrderState)
-    latched: LatchedState = field(default_factory=LatchedState)
-    segment: int = 0
-    streams: Mapping[str, tuple[T, ...]] = field(default_factory=dict)
-    waiting: tuple[tuple[T, LatchedState], ...] = ()
-
-    def mapped(self, function: Callable[[T], U]) -> "PairingState[U]":
-        """The same state with ``function`` applied to each message."""
-        streams = {role: tuple(map(function, items)) for role, items in self.streams.items()}
-        waiting = tuple((function(item), latched) for item, latched in self.waiting)
-        return PairingState(self.order.mapped(function), self.latched, self.segment, streams, waiting)
-
-    @property
-    def items(self) -> Iterator[T]:
-        """All messages in the state."""
-        yield from self.order.held
-        yield from self.order.waiting
-        for stream in self.streams.values():
-            yield from stream
-        yield from (item for item, _ in self.waiting)
-
-
 class StampPairing:
     """Makes the frames of one pass over a log: sorts the messages by stamp, then synchronises them."""
 
     def __init__(
-        self, cfg: SyncConfig, order: OrderConfig, roles: Iterable[str], state: PairingState[Stamped], drop: Drop
+        self, cfg: SyncConfig, order: OrderConfig, roles: Iterable[str], latched: LatchedState, drop: Drop
     ) -> None:
-        """Start, or continue from a state.
+        """Start with the calibrations and transforms that hold at the beginning.
 
-        ``state`` is that of an earlier pass, at the beginning only the latched state. ``drop`` is called with each
-        message that belongs to no frame.
+        ``drop`` is called with each message that belongs to no frame.
         """
-        self._order = StampOrder(order, drop, state.order)
+        self._order = StampOrder(order, drop)
         self._tolerance_ns, self._reference, self._drop = seconds_to_ns(cfg.tolerance_s), order.reference, drop
         self._forget_after_ns = 4 * order.max_wait_ns
-        self._latched, self._segment = state.latched, state.segment
+        self._latched, self._segment = latched, 0
         others = (role for role in roles if role != order.reference and ROLES[role].kind not in LATCHED_KINDS)
-        self._streams = {role: deque[Stamped](state.streams.get(role, ())) for role in others}
-        self._waiting = deque[tuple[Stamped, LatchedState]](state.waiting)
+        self._streams = {role: deque[Stamped]() for role in others}
+        self._waiting = deque[tuple[Stamped, LatchedState]]()
         self._last_ns: int | None = None  # stamp of the latest frame of this segment
-        self.frames = 0
-        """Number of frames until now."""
         self.nearest_ns = dict[str, int]()
         """Smallest distance of each role's dropped messages to a frame, as difference of stamps."""
 
     def frames_of(self, items: Iterable[Stamped]) -> Iterator[SyncedMessages]:
-        """The frames of all messages of a log."""
-        yield from self.through(items)
+        """The frames of messages in log order."""
+        yield from self._synced(self._order.through(items))
         yield from self._synced(self._order.rest())
         yield from self._rest()
 
-    def through(self, items: Iterable[Stamped]) -> Iterator[SyncedMessages]:
-        """Take more messages in log order; give the frames that are then complete."""
-        return self._synced(self._order.through(items))
-
-    @property
-    def state(self) -> PairingState[Stamped]:
-        """The current state; consume all of ``through`` first."""
-        streams = {role: tuple(items) for role, items in self._streams.items() if items}
-        return PairingState(self._order.state, self._latched, self._segment, streams, tuple(self._waiting))
-
-    @property
-    def lateness_ns(self) -> int:
-        """The largest lag behind the reference sensor's latest stamp, at most the wait."""
-        return self._order.lateness_ns
+    def since_ns(self, frame: SyncedMessages) -> int:
+        """The earliest log time of the messages of the latest frame, and of those that later frames may take."""
+        taken, streams = frame.messages.values(), self._streams.values()
+        items = chain(taken, *streams, (item for item, _ in self._waiting), self._order.waiting)
+        return min(item.log_time_ns for item in items)
 
     def _synced(self, items: Iterable[Stamped]) -> Iterator[SyncedMessages]:
         """Take more messages, sorted by segment and stamp; give the frames that are then complete."""
@@ -205,7 +162,6 @@ class StampPairing:
             if nearest is not None and abs(nearest.stamp_ns - reference.stamp_ns) <= self._tolerance_ns:
                 messages[role] = nearest
                 stream.remove(nearest)
-        self.frames += 1
         self._last_ns = reference.stamp_ns
         skews = [abs(part.stamp_ns - reference.stamp_ns) for part in messages.values() if part is not reference]
         return SyncedMessages(reference, messages, latched, max(skews, default=None))

@@ -1,6 +1,6 @@
 """Reads the messages of the replayed part of a log."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 from roadperc_stream import log
@@ -8,6 +8,7 @@ from roadperc_stream.config import ReplayConfig
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.stream import Problems, RoleAssignment, decoded_messages
 from roadperc_stream.log import Channel, LogSummary, Message, Piece
+from roadperc_stream.model import LastFrame
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
 from roadperc_stream.system.time import seconds_to_ns
 
@@ -30,10 +31,34 @@ class Window:
 
 
 @dataclass(frozen=True)
-class WindowMessages:
-    """Reads the messages to replay, in log-time order: latched ones, the window, and late ones.
+class Lead:
+    """What is read before the window, from ``start_ns`` up to ``end_ns``: the end of a continued result, or a warm-up.
 
-    ``latched`` has the messages from before the window that hold in it.
+    Of a continued result, the frames up to its ``last`` complete one are left out, and the later ones are written
+    again. Frames of a warm-up only build the chain's state.
+    """
+
+    summary: LogSummary
+    start_ns: int
+    end_ns: int
+    continues: bool
+    last: LastFrame | None = None
+
+    def contains(self, log_time_ns: int) -> bool:
+        """Whether a message of this log time is before the window."""
+        return log_time_ns < self.end_ns
+
+    def is_known(self, log_time_ns: int, stamp_ns: int) -> bool:
+        """Whether a message belongs to the frames that are left out, or to a warm-up: its loss was counted before."""
+        is_earlier = not self.continues or (self.last is not None and stamp_ns <= self.last.stamp_ns)
+        return is_earlier and self.contains(log_time_ns)
+
+
+@dataclass(frozen=True)
+class WindowMessages:
+    """Reads the messages to replay, in log-time order: the lead, the window, and late ones.
+
+    ``latched`` has the messages from before that hold at the beginning of the copy.
     """
 
     summary: LogSummary
@@ -41,39 +66,48 @@ class WindowMessages:
     roles: RoleAssignment
     window: Window
     latched: tuple[Message, ...]
+    lead: Lead | None = None
 
     def all(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        """All messages of the window.
-
-        ``topics`` limits them; None yields all.
-        """
+        """All messages that make the frames; ``topics`` limits them."""
+        yield from self.before(topics)
         yield from self.inside(topics)
         yield from self.late(topics)
 
-    def inside(self, topics: Collection[str] | None = None, from_ns: int = 0) -> Iterator[Message]:
-        """Latched messages, and messages in the window up to the cut.
-
-        ``topics`` limits them; None yields all. ``from_ns`` is the first log time read.
-        """
-        held = (m for m in self.latched if m.log_time_ns >= from_ns)
-        yield from (m for m in held if topics is None or m.channel.topic in topics)
-        ends = [ns for ns in (self.window.end_ns, self.window.cut_ns) if ns is not None]
-        yield from self._read(max(self.window.start_ns or 0, from_ns), min(ends, default=None), topics)
+    def copied(self) -> Iterator[Message]:
+        """All messages of the output's copy: latched ones, those of a continued result, and the window's."""
+        yield from self.latched
+        yield from self.before() if self.lead is not None and self.lead.continues else ()
+        yield from self.inside()
+        yield from self.late()
 
     def pieces(self) -> Iterator[Piece]:
-        """All messages of the window, as whole chunks of the log where possible."""
+        """As ``copied``, but as whole chunks of the log where possible."""
         start_ns, end_ns = self.window.start_ns, self.window.end_ns
         if self.window.cut_ns is not None and start_ns is not None:
             start_ns = min(start_ns, self.window.cut_ns)
         yield from self.latched
-        yield from log.pieces(self.summary, self._inputs, start_ns, end_ns)
+        yield from self.before() if self.lead is not None and self.lead.continues else ()
+        yield from log.pieces(self.summary, self.inputs, start_ns, end_ns)
         yield from self._behind_the_end(None)
+
+    def before(self, topics: Collection[str] | None = None) -> Iterator[Message]:
+        """The messages of the lead, on the channels of the log; ``topics`` limits them."""
+        if self.lead is None:
+            return
+        messages = _inputs_of(self.lead.summary, self.lead.start_ns, self.lead.end_ns, topics)
+        yield from on_channels_of(self.summary, messages)
+
+    def inside(self, topics: Collection[str] | None = None) -> Iterator[Message]:
+        """The messages in the window up to the cut; ``topics`` limits them."""
+        ends = [ns for ns in (self.window.end_ns, self.window.cut_ns) if ns is not None]
+        return _inputs_of(self.summary, self.window.start_ns, min(ends, default=None), topics)
 
     def late(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """Messages that arrive after the cut or the window, and belong to it by their stamps."""
         end_ns, cut_ns = self.window.end_ns, self.window.cut_ns
         if cut_ns is not None and (end_ns is None or cut_ns < end_ns):
-            yield from self._read(cut_ns, end_ns, topics)
+            yield from _inputs_of(self.summary, cut_ns, end_ns, topics)
         yield from self._behind_the_end(topics)
 
     def with_late(self) -> "WindowMessages":
@@ -83,26 +117,21 @@ class WindowMessages:
             return self
         sensors = {topic for role, topic in self.roles.topics.items() if ROLES[role].kind not in LATCHED_KINDS}
         last_ns = None
-        for message in self._read(end_ns, end_ns + seconds_to_ns(self.cfg.sync.max_wait_s), sensors):
+        for message in _inputs_of(self.summary, end_ns, end_ns + seconds_to_ns(self.cfg.sync.max_wait_s), sensors):
             if self._belongs_inside(message):
                 last_ns = message.log_time_ns
         return replace(self, window=replace(self.window, late_until_ns=None if last_ns is None else last_ns + 1))
 
+    @property
+    def inputs(self) -> tuple[Channel, ...]:
+        """All channels of the log except the results of an earlier replay."""
+        return tuple(channel for channel in self.summary.channels if not is_result(channel))
+
     def _behind_the_end(self, topics: Collection[str] | None) -> Iterator[Message]:
         """Messages after the window that belong to it by their stamps."""
         until_ns = self.window.late_until_ns
-        late = () if until_ns is None else self._read(self.window.end_ns, until_ns, topics)
+        late = () if until_ns is None else _inputs_of(self.summary, self.window.end_ns, until_ns, topics)
         yield from (message for message in late if self._belongs_inside(message))
-
-    def _read(self, start_ns: int | None, end_ns: int | None, topics: Collection[str] | None) -> Iterator[Message]:
-        inputs = {channel.topic for channel in self._inputs}  # channels of results are not read
-        topics = inputs if topics is None else topics
-        messages = log.read(self.summary, topics=topics, start_ns=start_ns, end_ns=end_ns)
-        return (message for message in messages if not is_result(message.channel))
-
-    @property
-    def _inputs(self) -> tuple[Channel, ...]:
-        return tuple(channel for channel in self.summary.channels if not is_result(channel))
 
     def _belongs_inside(self, message: Message) -> bool:
         """Whether a sensor's message has a stamp before the first frame after the window."""
@@ -110,3 +139,21 @@ class WindowMessages:
         items = decoded_messages([message], self.roles, self.cfg.tag_table, Problems(), self.cfg.limits)
         sensed = (item.stamp_ns for item in items if ROLES[item.role].kind not in LATCHED_KINDS)
         return end_stamp_ns is not None and any(stamp_ns < end_stamp_ns for stamp_ns in sensed)
+
+
+def on_channels_of(summary: LogSummary, messages: Iterable[Message]) -> Iterator[Message]:
+    """Messages of an earlier log, on the equal channels of a log if it has them."""
+    own = {replace(channel, source_id=0): channel for channel in summary.channels}
+    for message in messages:
+        channel = replace(message.channel, source_id=0)
+        yield replace(message, channel=own.get(channel, channel))
+
+
+def _inputs_of(
+    summary: LogSummary, start_ns: int | None, end_ns: int | None, topics: Collection[str] | None
+) -> Iterator[Message]:
+    """The messages of a log without the results of an earlier replay."""
+    if topics is None:
+        topics = {channel.topic for channel in summary.channels if not is_result(channel)}
+    messages = log.read(summary, topics=topics, start_ns=start_ns, end_ns=end_ns)
+    return (message for message in messages if not is_result(message.channel))

@@ -39,4 +39,14 @@ from roadperc_stream.model.results import PathSource as PathSource
 from roadperc_stream.model.results import Side as Side
 from roadperc_stream.model.results import StereoDepth as StereoDepth
 from roadperc_stream.model.results import Verdict as Verdict
-from roadperc_stream.model.sample import EGO, ODOM, OWN_ODOM, UNWRITTEN, EarlierTruth, FrameAnchor, Sample, Truth
+from roadperc_stream.model.sample import (
+    EGO,
+    ODOM,
+    OWN_ODOM,
+    UNWRITTEN,
+    EarlierTruth,
+    FrameAnchor,
+    LastFrame,
+    Sample,
+    Truth,
+)

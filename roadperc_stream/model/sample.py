@@ -67,6 +67,21 @@ class EarlierTruth:
 
 
 @dataclass(frozen=True)
+class LastFrame:
+    """The last frame of a replay that no later message can change; there a later log continues it.
+
+    ``log_time_ns`` is that of its results. A continued replay reads the log again from ``since_ns``: the earliest log
+    time of the messages of this frame, and of those that later frames may take.
+    """
+
+    number: int
+    stamp_ns: int
+    log_time_ns: int
+    segment: int
+    since_ns: int
+
+
+@dataclass(frozen=True)
 class Sample:
     """The synchronised inputs of one instant of a log."""
 
@@ -81,6 +96,8 @@ class Sample:
     """Number of restarts of the stamps before it."""
     lost: Reason | None = None
     """Reason if damage lost messages since the previous frame, else None."""
+    complete: LastFrame | None = None
+    """Set if no later message can change this frame, and a later log may continue the replay after it."""
 
     @property
     def is_written(self) -> bool:

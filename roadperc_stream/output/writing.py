@@ -171,7 +171,7 @@ class Outputs:
         """Register all channels; ``shown`` and ``counted`` are those of earlier frames."""
         log_in, self.shown, self._on_frame = self._input, shown, callbacks.on_frame
         copied: tuple[Iterable[Channel], Iterator[Piece]] = (
-            ((), iter(())) if self._target.results_only else (log_in.channels, log_in.pieces())
+            ((), iter(())) if self._target.results_only else (log_in.channels, log_in.messages.pieces())
         )
         self._copy = MessageCopy(self._log, *copied, log_in.summary.schema_ids)
         topics = result_schemas(self._pictures.requests)

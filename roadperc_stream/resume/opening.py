@@ -1,90 +1,66 @@
 """Opens a log for a replay: its frames, the state before the first one, and whether its output is already complete."""
 
-import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from itertools import islice
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
 from roadperc_stream import __version__, log
-from roadperc_stream.chain.bounds import StateBounds
-from roadperc_stream.chain.encoding import decode, encode
 from roadperc_stream.chain.own_stage import OwnStages
-from roadperc_stream.chain.prepare import prepare
-from roadperc_stream.chain.step import State, step
 from roadperc_stream.config import ReplayConfig
-from roadperc_stream.errors import ConfigError, NoFrameError, StateError, TableError
+from roadperc_stream.errors import ConfigError, StateError, TableError
 from roadperc_stream.input import ReplayInput, ReplaySource, input_of
 from roadperc_stream.input.earlier_replay import is_result, replay_record
-from roadperc_stream.input.replaced import with_recorded
-from roadperc_stream.input.source import ReadableLog
-from roadperc_stream.input.state import FrameNumbers
-from roadperc_stream.log import DIGEST_ALGORITHM, Attachment, LogSummary
+from roadperc_stream.input.window import Lead
+from roadperc_stream.log import DIGEST_ALGORITHM
 from roadperc_stream.model.finding import decoded_findings
 from roadperc_stream.output.tables import config_text, read_footer
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.output.writing import ReplaySummary
-from roadperc_stream.resume.state import Notes, ReplayState, SavedState, settings_of, state_at_begin, state_at_end
+from roadperc_stream.resume.state import EndState, Notes, ReplayState, SavedState, settings_of, state_at_end
 from roadperc_stream.schemas import record
 from roadperc_stream.schemas.topics import result_schemas
-from roadperc_stream.system.threads import one_thread
-from roadperc_stream.system.time import TimeRange, ns_to_seconds, seconds_to_ns
-
-_MEDIA_TYPE: Final = "application/zstd"
-"""Media type of an attached state."""
-_MOST_FRAMES: Final = 2**32
-"""A log numbers its messages with 32 bits."""
+from roadperc_stream.system.text import whole_number
+from roadperc_stream.system.time import ns_to_seconds, seconds_to_ns
 
 
 @dataclass(frozen=True)
 class OpenedLog:
-    """The input of a replay, and the saved state that it begins with, if there is one."""
+    """The input of a replay, and the state that it begins with.
+
+    ``continues`` is the log_id of a continued result, ``warm_up_s`` the length of a warm-up; a result with either
+    cannot be repeated from its own messages.
+    """
 
     input: ReplayInput
-    begin: SavedState | None = None
+    begin: ReplayState = field(default_factory=ReplayState)
+    continues: str = ""
+    warm_up_s: float = 0.0
     notes: Notes = ()
     warnings: tuple[str, ...] = ()
     """Warnings about a damaged log."""
 
-    def saved_for(self, cfg: ReplayConfig) -> SavedState | None:
-        """The saved state that a replay with these settings begins with."""
-        return None if self.begin is None else self.begin.with_settings(cfg)
-
-    def state_for(self, cfg: ReplayConfig) -> ReplayState:
-        """The state of a replay with these settings before the first frame."""
-        saved = self.saved_for(cfg)
-        return ReplayState() if saved is None else saved.replay
-
-    def attachments(
-        self, cfg: ReplayConfig, end: ReplayState | bytes, *, with_messages: bool
-    ) -> tuple[tuple[Attachment, ...], Notes]:
-        """The states that the result begins and ends with, and notes for the user.
-
-        ``end`` is the state after the last complete frame, or its bytes. It carries its messages if the output does
-        not (``with_messages``).
-        """
-        begin, log_in = self.saved_for(cfg), self.input
-        states = () if begin is None else (Attachment(record.BEGIN_ATTACHMENT, _MEDIA_TYPE, encode(begin)),)
-        waiting = log_in.end_state(with_messages=with_messages)
-        try:
-            state = decode(end, ReplayState, StateBounds.of(cfg.limits)) if isinstance(end, bytes) else end
-            saved = SavedState(log_in.log_id, settings_of(cfg), waiting, state, log_in.lost_to_come)
-            return (*states, Attachment(record.STATE_ATTACHMENT, _MEDIA_TYPE, encode(saved))), ()
-        except StateError as error:  # the results do not depend on it
-            return states, (f"{record.STATE_ATTACHMENT}: left out, this result cannot be continued: {error}",)
+    def end_state(self) -> EndState:
+        """The state for a later log, before the first frame."""
+        lead = self.input.plan.lead
+        last = None if lead is None else lead.last
+        saved = SavedState(self.input.log_id, settings_of(self.input.cfg), self.begin, last)
+        return EndState(saved, StateError("no frame is complete") if self.warm_up_s else None)
 
     def facts(self) -> dict[str, str]:
-        """Which log the replay continues, for the output to record."""
-        return {record.CONTINUES_KEY: self.begin.log_id} if self.begin is not None and self.begin.log_id else {}
+        """How the replay begins, for the output to record."""
+        continues = {record.CONTINUES_KEY: self.continues} if self.continues else {}
+        return continues | ({record.WARM_UP_KEY: repr(self.warm_up_s)} if self.warm_up_s else {})
 
     def table_facts(self) -> dict[str, str]:
         """The log facts for the tables, and the number of a continued replay's first frame."""
         log_id = {record.LOG_ID_KEY: self.input.log_id, record.DIGEST_ALGORITHM_KEY: DIGEST_ALGORITHM}
-        if self.begin is None or not self.begin.log_id:
+        lead = self.input.plan.lead
+        if lead is None or not lead.continues:
             return log_id
-        return {**log_id, **self.facts(), record.FIRST_FRAME_KEY: str(self.begin.input.numbers.next)}
+        first = 0 if lead.last is None else lead.last.number + 1
+        return {**log_id, **self.facts(), record.FIRST_FRAME_KEY: str(first)}
 
 
 @dataclass(frozen=True)
@@ -124,101 +100,83 @@ def open_replay(source: ReplaySource, cfg: ReplayConfig, options: ReplayOptions)
         raise ConfigError("warm_up_s: expected a start; pass --start too")
     if continued is not None:
         return _open_continued(source, cfg, continued)
-    return _open_warmed(source, cfg, warm_up_s, options.own) if warm_up_s else open_log(source, cfg)
+    return _open_warmed(source, cfg, warm_up_s) if warm_up_s else open_log(source, cfg)
 
 
 def open_log(source: ReplaySource, cfg: ReplayConfig) -> OpenedLog:
-    """Open a log. If a replay wrote it, begin with the state that this replay began with.
+    """Open a log. The replay begins without a state.
 
     Raises:
         ChannelError: the channels do not fit the roles.
         LogError: the log cannot be read, is damaged, or the requested part has no frame.
-        StateError: its saved state cannot be read.
     """
     found = source.read(cfg.limits)
-    cfg = with_recorded(cfg, found.summary.attachments, found.summary.path)
-    return _opened(found, source, cfg, *state_at_begin(found.summary, cfg, source.time_range))
+    recorded = replay_record(found.summary.metadata)
+    begun = {record.CONTINUES_KEY: "continues another result", record.WARM_UP_KEY: "began with a warm-up"}
+    notes = (
+        f"{found.summary.path}: this result {words}; this replay begins without its state, so the results differ"
+        for key, words in begun.items()
+        if key in recorded and source.time_range.start_s is None
+    )
+    return OpenedLog(input_of(found, source, cfg), notes=tuple(notes), warnings=found.warnings)
 
 
 def _open_continued(source: ReplaySource, cfg: ReplayConfig, before: Path) -> OpenedLog:
-    """Open a log that continues an earlier result.
+    """Open a log that continues an earlier result, whose last messages are read again.
 
     Raises:
         StateError: the log does not follow the result; else as ``open_log``.
     """
-    begin = state_at_end(before, cfg)
-    opened = _opened(source.read(cfg.limits), source, cfg, begin)
-    summary, starts_ns, ended_ns = opened.input.summary, opened.input.span_ns[0], begin.input.from_ns
+    earlier = log.summarise(before, cfg.limits)
+    begin = state_at_end(earlier, cfg)
+    cut_ns = whole_number(replay_record(earlier.metadata).get(record.END_KEY, ""))
+    ended_ns = (earlier.last_ns or 0) if cut_ns is None else cut_ns
+    lead = Lead(
+        earlier,
+        0 if begin.last is None else begin.last.since_ns,
+        ended_ns + 1 if cut_ns is None else ended_ns,
+        continues=True,
+        last=begin.last,
+    )
+    found = source.read(cfg.limits)
+    log_in = input_of(found, source, cfg, lead)
+    summary, starts_ns = log_in.summary, log_in.span_ns[0]
     if summary.first_ns is not None and starts_ns < ended_ns:
-        lead_s, start_s = ns_to_seconds(ended_ns - starts_ns), ns_to_seconds(begin.input.next_ns - summary.first_ns)
+        lead_s, start_s = ns_to_seconds(ended_ns - starts_ns), ns_to_seconds(lead.end_ns - summary.first_ns)
         raise StateError(
             f"{summary.path}: begins {lead_s:.3f} s before the end of {before}: expected later messages; "
             f"pass --start {start_s:.9f} to skip the overlap, or pass all files of the log together"
         )
-    return opened
+    return OpenedLog(log_in, begin.replay, begin.log_id, warnings=found.warnings)
 
 
-def _open_warmed(source: ReplaySource, cfg: ReplayConfig, warm_up_s: float, own: OwnStages) -> OpenedLog:
-    """Open a part of a log, with the state after a warm-up on the seconds before it.
+def _open_warmed(source: ReplaySource, cfg: ReplayConfig, warm_up_s: float) -> OpenedLog:
+    """Open a part of a log whose earlier seconds build the state first.
 
     Raises:
         LogError: these seconds are damaged, which would change the state; else as ``open_log``.
     """
     found = source.read(cfg.limits)
-    cfg = with_recorded(cfg, found.summary.attachments, found.summary.path)
     start_s, first_ns = found.part(source.time_range).start_s or 0.0, found.summary.first_ns or 0
     short = (f"warm-up: {start_s:g} s; the log has no more before the start",) if start_s < warm_up_s else ()
-    lead = replace(source, time_range=TimeRange(start_s - warm_up_s, start_s))
-    start_ns = first_ns + seconds_to_ns(start_s)
-    if not source.recover:
-        found.require_outside(first_ns + seconds_to_ns(start_s - warm_up_s), start_ns)
-    begin = _warmed(found.summary, lead, cfg, start_ns, own) if start_s > 0 else None
-    return _opened(found, source, cfg, begin, short)
-
-
-def _opened(
-    found: ReadableLog, source: ReplaySource, cfg: ReplayConfig, begin: SavedState | None, notes: Notes = ()
-) -> OpenedLog:
-    """The input of a replay that begins with a state."""
-    log_in = input_of(found, source, cfg, *(() if begin is None else (begin.input, begin.lost)))
-    first = log_in.plan.start.numbers.next
-    if first < 0 or first + log_in.expected_frames > _MOST_FRAMES:
-        raise StateError(f"frame {first} and {log_in.expected_frames} more: a log numbers {_MOST_FRAMES} at most")
-    return OpenedLog(log_in, begin, notes, found.warnings)
-
-
-def _warmed(
-    summary: LogSummary, lead: ReplaySource, cfg: ReplayConfig, start_ns: int, own: OwnStages
-) -> SavedState | None:
-    """The state after the frames before a start; None without such frames. The frames are not written."""
-    try:
-        log_in = input_of(ReadableLog(summary), lead, cfg)
-    except NoFrameError:
-        return None
-    chain, earlier = State(), None
-    with one_thread():
-        for sample in islice(log_in.samples(), log_in.plan.first_pass.complete_frames):
-            chain, _ = step(cfg, chain, prepare(cfg, sample.frame, own=own), own=own)
-            earlier = sample.as_earlier
-    end = log_in.end_state(with_messages=True)
-    end = replace(end, from_ns=start_ns, numbers=FrameNumbers(written_from_ns=start_ns))
-    saved = SavedState("", settings_of(cfg), end, ReplayState(chain, earlier))
-    return decode(encode(saved), SavedState, StateBounds.of(cfg.limits))  # as a later replay reads it
+    begins_ns, start_ns = (first_ns + seconds_to_ns(time_s) for time_s in (start_s - warm_up_s, start_s))
+    lead = Lead(found.summary, max(begins_ns, 0), start_ns, continues=False) if start_s > 0 else None
+    return OpenedLog(input_of(found, source, cfg, lead), warm_up_s=warm_up_s, notes=short, warnings=found.warnings)
 
 
 def run_of(cfg: ReplayConfig, opened: OpenedLog, target: ReplayTarget) -> dict[str, str]:
     """All inputs and options that the output of a replay depends on, by name and value."""
-    plan, begin = opened.input.plan, opened.saved_for(cfg)
+    plan = opened.input.plan
     return {
         **settings_of(cfg),
         "version": __version__,
-        "input": plan.first_pass.digest,
+        "input": plan.first.digest.hexdigest(),
         "topics": json.dumps(dict(plan.roles.topics)),
         "frames at most": str(plan.most_frames),
         "pictures": json.dumps(sorted(target.on_request)),
         "results only": str(target.results_only),
         "strict": str(plan.problems.strict_in is not None),
-        "state at the beginning": "" if begin is None else hashlib.sha256(encode(begin)).hexdigest(),
+        "beginning": json.dumps(opened.facts()),
     }
 
 
@@ -228,14 +186,15 @@ def finished(target: ReplayTarget, cfg: ReplayConfig, opened: OpenedLog) -> Repl
         return None
     summary = log.summarise(target.path)
     attached = {item.name: item.data for item in summary.attachments}
-    recorded, begin = replay_record(summary.metadata), opened.saved_for(cfg)
+    recorded = replay_record(summary.metadata)
     chosen = {key: topic for key, topic in recorded.items() if key.startswith(record.TOPIC_KEY)}
     is_same = (
-        recorded.get(record.DIGEST_KEY) == opened.input.plan.first_pass.digest
+        recorded.get(record.DIGEST_KEY) == opened.input.plan.first.digest.hexdigest()
         and recorded.get(record.VERSION_KEY) == __version__
         and chosen == opened.input.chosen_topics
         and attached.get(record.CONFIG_ATTACHMENT) == config_text(cfg, opened.input.networks).encode()
-        and attached.get(record.BEGIN_ATTACHMENT) == (None if begin is None else encode(begin))
+        and {key: recorded[key] for key in (record.CONTINUES_KEY, record.WARM_UP_KEY) if key in recorded}
+        == opened.facts()
         and {(channel.topic, is_result(channel)) for channel in summary.channels} == _topics(target, opened)
     )
     if not is_same or not _are_its_tables(target, recorded, opened):

@@ -3,25 +3,21 @@
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-from roadperc_stream import log
 from roadperc_stream.chain.bounds import StateBounds
 from roadperc_stream.chain.encoding import decode, encode
 from roadperc_stream.chain.step import State
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import StateError
-from roadperc_stream.input.earlier_replay import is_result
-from roadperc_stream.input.state import InputState
-from roadperc_stream.log import LogSummary, LostSpan, Message
-from roadperc_stream.model import EarlierTruth
+from roadperc_stream.log import Attachment, LogSummary
+from roadperc_stream.model import EarlierTruth, LastFrame
 from roadperc_stream.output.writing import Shown
-from roadperc_stream.schemas.record import BEGIN_ATTACHMENT, STATE_ATTACHMENT
-from roadperc_stream.system.time import TimeRange
+from roadperc_stream.schemas.record import STATE_ATTACHMENT
 
 Notes = tuple[str, ...]
-_MOST_NAMED = 3
+_MEDIA_TYPE: Final = "application/zstd"
+_MOST_NAMED: Final = 3
 """Settings that a message lists."""
 
 
@@ -34,27 +30,18 @@ class ReplayState:
     shown: Shown = field(default_factory=Shown)
 
 
-def packed(state: ReplayState) -> ReplayState | bytes:
-    """The encoded state, which needs less memory than its images; the state itself if it is too large to encode."""
-    try:
-        return encode(state)
-    except StateError:
-        return state
-
-
 @dataclass(frozen=True)
 class SavedState:
     """The state after the last complete frame, saved in a result for a continued replay.
 
-    ``log_id`` names the log of the result. ``settings`` has the JSON value of each configuration key. ``lost`` has the
-    gaps of a damaged log that may affect later frames.
+    ``log_id`` names the log of the result. ``settings`` has the JSON value of each configuration key. ``last`` is None
+    if no frame is complete.
     """
 
     log_id: str
     settings: Mapping[str, str]
-    input: InputState
-    replay: ReplayState
-    lost: tuple[LostSpan, ...] = ()
+    replay: ReplayState = field(default_factory=ReplayState)
+    last: LastFrame | None = None
 
     def differences(self, cfg: ReplayConfig) -> Notes:
         """Descriptions of the settings that differ from a configuration."""
@@ -63,12 +50,39 @@ class SavedState:
         values = ((key, self.settings.get(key, "not set"), now.get(key, "not set")) for key in keys)
         return tuple(f"{key} was {before}, is {after}" for key, before, after in values if before != after)
 
-    def with_settings(self, cfg: ReplayConfig) -> "SavedState":
-        """The state for a replay with these settings.
 
-        With other settings the messages and the frame numbers continue, but the chain begins without a state.
-        """
-        return replace(self, settings=settings_of(cfg), replay=ReplayState()) if self.differences(cfg) else self
+class EndState:
+    """The state that a result ends with: that after its last complete frame.
+
+    It is encoded at the first frame that is not complete, because its bytes need less memory than its images.
+    """
+
+    def __init__(self, saved: SavedState, error: StateError | None = None) -> None:
+        """Begin with the state of a replay without a complete frame; ``error`` if it cannot be continued."""
+        self._saved, self._encoded, self._error = saved, b"", error
+
+    def reached(self, last: LastFrame | None, state: ReplayState) -> None:
+        """Take the state after one more frame, which is ``last`` if it is complete."""
+        if last is not None:
+            self._saved, self._encoded, self._error = replace(self._saved, replay=state, last=last), b"", None
+        elif not self._encoded and self._error is None:
+            self._encode()
+
+    def attached(self) -> tuple[tuple[Attachment, ...], Notes]:
+        """The attachment with the state, and notes for the user."""
+        if not self._encoded and self._error is None:
+            self._encode()
+        if self._error is not None:  # the results do not depend on it
+            return (), (f"{STATE_ATTACHMENT}: left out, this result cannot be continued: {self._error}",)
+        return (Attachment(STATE_ATTACHMENT, _MEDIA_TYPE, self._encoded),), ()
+
+    def _encode(self) -> None:
+        try:
+            self._encoded = encode(self._saved)
+        except StateError as error:
+            self._error = error
+        else:
+            self._saved = replace(self._saved, replay=ReplayState())
 
 
 def settings_of(cfg: ReplayConfig) -> dict[str, str]:
@@ -84,63 +98,24 @@ def _flat(prefix: str, tree: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
             yield f"{prefix}{key}", value
 
 
-def state_at_end(path: Path, cfg: ReplayConfig) -> SavedState:
-    """The state at the end of a result, including the messages it needs.
+def state_at_end(summary: LogSummary, cfg: ReplayConfig) -> SavedState:
+    """The state at the end of a result.
 
     Raises:
-        LogError: the log cannot be read.
         StateError: it has no state, or its state was saved with other settings.
     """
-    summary = log.summarise(path, cfg.limits)
-    state = _attached(summary, STATE_ATTACHMENT, cfg)
-    if state is None:
-        raise StateError(
-            f"{path}: has no attachment {STATE_ATTACHMENT}: expected the result of a replay of this version"
-        )
-    if differing := state.differences(cfg):
-        raise StateError(f"{path}: cannot be continued with other settings: {_some(differing)}")
-    try:
-        return replace(state, input=state.input.carrying(_inputs(summary, state)))
-    except StateError as error:
-        raise StateError(f"{path}: {STATE_ATTACHMENT}: {error}") from error
-
-
-def state_at_begin(summary: LogSummary, cfg: ReplayConfig, part: TimeRange) -> tuple[SavedState | None, Notes]:
-    """The state before the first frame of a result, and notes for the user.
-
-    A replay with a start time begins without a state.
-
-    Raises:
-        StateError: the state cannot be read.
-    """
-    state = None if part.start_s is not None else _attached(summary, BEGIN_ATTACHMENT, cfg)
-    if state is None or not (differing := state.differences(cfg)):
-        return state, ()
-    return state, (
-        f"{BEGIN_ATTACHMENT}: saved with other settings ({_some(differing)}): the chain begins without a state",
-    )
-
-
-def _attached(summary: LogSummary, name: str, cfg: ReplayConfig) -> SavedState | None:
-    found = [attachment for attachment in summary.attachments if attachment.name == name]
+    path = summary.path
+    found = [attachment for attachment in summary.attachments if attachment.name == STATE_ATTACHMENT]
     if not found:
-        return None
+        raise StateError(
+            f"{path}: has no attachment {STATE_ATTACHMENT}: expected the result of a replay of this version, "
+            "with its input (not --results-only)"
+        )
     try:
         state = decode(found[-1].data, SavedState, StateBounds.of(cfg.limits))
-        state.input.require_usable(cfg.limits)
     except StateError as error:
-        raise StateError(f"{summary.path}: attachment {name}: {error}; replay its input again") from error
+        raise StateError(f"{path}: attachment {STATE_ATTACHMENT}: {error}; replay its input again") from error
+    if differing := state.differences(cfg):
+        named = ", ".join(differing[:_MOST_NAMED]) + ", ..." * (len(differing) > _MOST_NAMED)
+        raise StateError(f"{path}: cannot be continued with other settings: {named}")
     return state
-
-
-def _inputs(summary: LogSummary, state: SavedState) -> Iterator[Message]:
-    """The messages of the log, starting with the first one that the state refers to."""
-    start_ns = state.input.first_pending_ns
-    if start_ns is None:
-        return iter(())
-    messages = log.read(summary, topics=set(state.input.topics.values()), start_ns=start_ns)
-    return (message for message in messages if not is_result(message.channel))
-
-
-def _some(differing: Notes) -> str:
-    return ", ".join(differing[:_MOST_NAMED]) + ", ..." * (len(differing) > _MOST_NAMED)
