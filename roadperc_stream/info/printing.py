@@ -271,15 +271,12 @@ def _is_odd(channel: ChannelFacts, least: float, seconds: float | None) -> bool:
 
 def _provenance_lines(provenance: Provenance, replay: ReplayFacts) -> Iterator[str]:
     """Lines about the replay of a result, without the findings that ``replay`` has too."""
-    own_frames = replay.frames
     config = (provenance.config_digest or "unknown")[:8]
     version, seed = provenance.version or "unknown", provenance.seed or "unknown"
     frames = "" if provenance.frames is None else f", {number(provenance.frames, 'frame')}"
     yield f"replayed by version {version}, configuration {config}, seed {seed}{frames}"
     if provenance.continues:
-        again = (provenance.frames or 0) - own_frames
-        repeats = f", and repeats its last {number(again, 'frame')}, now complete" if own_frames and again > 0 else ""
-        yield f"continues the result of log {provenance.continues}{repeats}"
+        yield f"continues the result of log {provenance.continues}"
     shown = {finding.code for finding in replay.findings}
     yield from (f"finding {finding}" for finding in provenance.findings if finding.code not in shown)
     yield _digest_line(provenance)

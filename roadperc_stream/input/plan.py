@@ -20,7 +20,7 @@ from roadperc_stream.input.roles import NOTHING_TO_REPLAY, assignment_of_log, wi
 from roadperc_stream.input.source import ReplaySource
 from roadperc_stream.input.stream import Problems, RoleAssignment, Stamped, decoded_messages
 from roadperc_stream.input.sync import LatchedState, without_loops
-from roadperc_stream.input.window import Lead, Window, WindowMessages, on_channels_of
+from roadperc_stream.input.window import LeadIn, Window, WindowMessages, on_channels_of
 from roadperc_stream.log import LogSummary, Message, MessageDigest
 from roadperc_stream.schemas.record import END_KEY
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
@@ -61,7 +61,7 @@ class FirstReading:
             self.parent_of |= {edge.child: edge.parent for edge in item.edges}
             yield item
 
-    def without_content(self, items: Iterable[Stamped], lead: Lead | None) -> Iterator[Stamped]:
+    def without_content(self, items: Iterable[Stamped], lead: LeadIn | None) -> Iterator[Stamped]:
         """Count the reference messages, and pass on only what sorting needs."""
         for item in items:
             if item.role == self.reference:
@@ -120,7 +120,7 @@ class InputPlan:
     order: OrderConfig
     """The role that makes the frames, and how late messages are."""
     window: Window
-    lead: Lead | None
+    lead: LeadIn | None
     latched: LatchedState
     latched_messages: tuple[Message, ...]
     problems: Problems
@@ -136,7 +136,7 @@ class InputPlan:
         return self.lead is not None and self.lead.continues
 
 
-def plan_input(summary: LogSummary, cfg: ReplayConfig, asked: ReplaySource, lead: Lead | None = None) -> InputPlan:
+def plan_input(summary: LogSummary, cfg: ReplayConfig, asked: ReplaySource, lead: LeadIn | None = None) -> InputPlan:
     """Assign the roles, find the part to replay, and read it once: every CRC is checked before work starts.
 
     ``asked`` is in seconds from the first message of ``summary``; ``lead`` is read before it.
@@ -172,7 +172,7 @@ def plan_input(summary: LogSummary, cfg: ReplayConfig, asked: ReplaySource, lead
     return InputPlan(roles, order, messages.window, lead, latched, before, problems, found, rig, part.frames)
 
 
-def _roles(summary: LogSummary, overrides: Mapping[str, str], lead: Lead | None) -> tuple[RoleAssignment, str]:
+def _roles(summary: LogSummary, overrides: Mapping[str, str], lead: LeadIn | None) -> tuple[RoleAssignment, str]:
     """The topic of each role, including those of the continued result, and the role whose messages make the frames."""
     if lead is None or not lead.continues:
         roles = assignment_of_log(summary, overrides)

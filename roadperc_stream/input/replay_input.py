@@ -17,9 +17,9 @@ from roadperc_stream.input.roles import tag_table_to_record, with_paths
 from roadperc_stream.input.source import LossTimes, ReadableLog, ReplaySource
 from roadperc_stream.input.stream import Problems, Stamped, decoded_messages
 from roadperc_stream.input.sync import LatchedState, StampPairing, SyncedMessages, without_loops
-from roadperc_stream.input.window import Lead, WindowMessages
+from roadperc_stream.input.window import LeadIn, WindowMessages
 from roadperc_stream.log import DIGEST_ALGORITHM, Channel, LogSummary, LostSpan, Recovery
-from roadperc_stream.model import UNWRITTEN, FrameResult, LastFrame, Sample
+from roadperc_stream.model import UNWRITTEN, FrameResult, LastComplete, Sample
 from roadperc_stream.model.finding import Finding
 from roadperc_stream.model.reason import UNUSABLE
 from roadperc_stream.schemas import record
@@ -37,7 +37,7 @@ def open_input(source: ReplaySource, cfg: ReplayConfig) -> "ReplayInput":
     return input_of(source.read(cfg.limits), source, cfg)
 
 
-def input_of(found: ReadableLog, source: ReplaySource, cfg: ReplayConfig, lead: Lead | None = None) -> "ReplayInput":
+def input_of(found: ReadableLog, source: ReplaySource, cfg: ReplayConfig, lead: LeadIn | None = None) -> "ReplayInput":
     """As ``open_input``, for a log that was already read.
 
     ``source`` read ``found``. ``lead`` is read before it: the end of a continued result, or the seconds of a warm-up.
@@ -148,7 +148,8 @@ class ReplayInput:
                 continue
             log_time_ns = max(before_ns or 0, reference.log_time_ns)
             lost = self._losses.reason(before_ns, self._until_ns(synced, before_ns, log_time_ns))
-            here = LastFrame(number, reference.stamp_ns, log_time_ns, segment, self._pairing.since_ns(found))
+            times = reference.stamp_ns, reference.log_time_ns, log_time_ns
+            here = LastComplete(number, *times, segment, self._pairing.since_ns(found))
             complete = here if self._is_complete(found, here.since_ns) else None
             yield replace(sample, log_time_ns=log_time_ns, lost=lost, complete=complete)
             before_ns, number, own = log_time_ns, number + 1, own + (not in_lead)
@@ -168,10 +169,8 @@ class ReplayInput:
         if plan.lead is None or (last := plan.lead.last) is None:
             yield from ((frame, frame.reference.segment) for frame in frames)
             return
-        latest_ns = 0
         for frame in frames:
-            latest_ns = max(latest_ns, frame.reference.log_time_ns)
-            if (frame.reference.stamp_ns, latest_ns) == (last.stamp_ns, last.log_time_ns):
+            if (frame.reference.stamp_ns, frame.reference.log_time_ns) == (last.stamp_ns, last.arrived_ns):
                 first = last.segment - frame.reference.segment
                 yield from ((later, first + later.reference.segment) for later in frames)
                 return

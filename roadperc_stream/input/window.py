@@ -8,7 +8,7 @@ from roadperc_stream.config import ReplayConfig
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.stream import Problems, RoleAssignment, decoded_messages
 from roadperc_stream.log import Channel, LogSummary, Message, Piece
-from roadperc_stream.model import LastFrame
+from roadperc_stream.model import LastComplete
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
 from roadperc_stream.system.time import seconds_to_ns
 
@@ -31,7 +31,7 @@ class Window:
 
 
 @dataclass(frozen=True)
-class Lead:
+class LeadIn:
     """What is read before the window, from ``start_ns`` up to ``end_ns``: the end of a continued result, or a warm-up.
 
     Of a continued result, the frames up to its ``last`` complete one are left out, and the later ones are written
@@ -42,7 +42,7 @@ class Lead:
     start_ns: int
     end_ns: int
     continues: bool
-    last: LastFrame | None = None
+    last: LastComplete | None = None
 
     def contains(self, log_time_ns: int) -> bool:
         """Whether a message of this log time is before the window."""
@@ -66,7 +66,7 @@ class WindowMessages:
     roles: RoleAssignment
     window: Window
     latched: tuple[Message, ...]
-    lead: Lead | None = None
+    lead: LeadIn | None = None
 
     def all(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """All messages that make the frames; ``topics`` limits them."""

@@ -46,7 +46,7 @@ from roadperc_stream.model.sample import (
     UNWRITTEN,
     EarlierTruth,
     FrameAnchor,
-    LastFrame,
+    LastComplete,
     Sample,
     Truth,
 )

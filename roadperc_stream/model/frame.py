@@ -1,6 +1,6 @@
 """The input of the chain at one instant."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Final
 
@@ -24,7 +24,7 @@ _SAME_PLACE_M: Final = 1e-6
 class DepthMap:
     """(H, W) depth, metres along z, NaN unknown, with its camera; the encoding saturates at ``limit_m``."""
 
-    depth_m: Float32
+    depth_m: Float32 = field(repr=False)
     camera: Camera
     ego_T_camera: Float
     limit_m: float
@@ -92,11 +92,11 @@ class Frame:
     """CRC-32 of the car's pose in the log. It says only whether the pose changed; None without one."""
 
     table: TagTable | None = None
-    tags: Image | None = None
-    grey: Image | None = None
+    tags: Image | None = field(default=None, repr=False)
+    grey: Image | None = field(default=None, repr=False)
     depth: DepthMap | None = None
-    instances: Ids | None = None
-    stereo: StereoDepth | Absent = _NOT_RUN
+    instances: Ids | None = field(default=None, repr=False)
+    stereo: StereoDepth | Absent = field(default=_NOT_RUN, repr=False)
     problems: tuple[Reason, ...] = ()
 
     def __post_init__(self) -> None:

@@ -67,15 +67,17 @@ class EarlierTruth:
 
 
 @dataclass(frozen=True)
-class LastFrame:
+class LastComplete:
     """The last frame of a replay that no later message can change; there a later log continues it.
 
-    ``log_time_ns`` is that of its results. A continued replay reads the log again from ``since_ns``: the earliest log
-    time of the messages of this frame, and of those that later frames may take.
+    ``arrived_ns`` is the log time of its message, ``log_time_ns`` that of its results. A continued replay reads the
+    log again from ``since_ns``: the earliest log time of the messages of this frame, and of those that later frames
+    may take.
     """
 
     number: int
     stamp_ns: int
+    arrived_ns: int
     log_time_ns: int
     segment: int
     since_ns: int
@@ -96,7 +98,7 @@ class Sample:
     """Number of restarts of the stamps before it."""
     lost: Reason | None = None
     """Reason if damage lost messages since the previous frame, else None."""
-    complete: LastFrame | None = None
+    complete: LastComplete | None = None
     """Set if no later message can change this frame, and a later log may continue the replay after it."""
 
     @property

@@ -12,7 +12,7 @@ from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ConfigError, StateError, TableError
 from roadperc_stream.input import ReplayInput, ReplaySource, input_of
 from roadperc_stream.input.earlier_replay import is_result, replay_record
-from roadperc_stream.input.window import Lead
+from roadperc_stream.input.window import LeadIn
 from roadperc_stream.log import DIGEST_ALGORITHM
 from roadperc_stream.model.finding import decoded_findings
 from roadperc_stream.output.tables import config_text, read_footer
@@ -131,7 +131,7 @@ def _open_continued(source: ReplaySource, cfg: ReplayConfig, before: Path) -> Op
     begin = state_at_end(earlier, cfg)
     cut_ns = whole_number(replay_record(earlier.metadata).get(record.END_KEY, ""))
     ended_ns = (earlier.last_ns or 0) if cut_ns is None else cut_ns
-    lead = Lead(
+    lead = LeadIn(
         earlier,
         0 if begin.last is None else begin.last.since_ns,
         ended_ns + 1 if cut_ns is None else ended_ns,
@@ -160,7 +160,7 @@ def _open_warmed(source: ReplaySource, cfg: ReplayConfig, warm_up_s: float) -> O
     start_s, first_ns = found.part(source.time_range).start_s or 0.0, found.summary.first_ns or 0
     short = (f"warm-up: {start_s:g} s; the log has no more before the start",) if start_s < warm_up_s else ()
     begins_ns, start_ns = (first_ns + seconds_to_ns(time_s) for time_s in (start_s - warm_up_s, start_s))
-    lead = Lead(found.summary, max(begins_ns, 0), start_ns, continues=False) if start_s > 0 else None
+    lead = LeadIn(found.summary, max(begins_ns, 0), start_ns, continues=False) if start_s > 0 else None
     return OpenedLog(input_of(found, source, cfg, lead), warm_up_s=warm_up_s, notes=short, warnings=found.warnings)
 
 

@@ -130,9 +130,7 @@ def _channel(content: Content, choices: Choices) -> None:
 
 def _attach(content: Content, choices: Choices) -> None:
     """Damage an attachment of the project, or add an unknown one."""
-    name = choices.of(
-        "name", ("roadperc.toml", "roadperc.state", "roadperc.state.begin", "notes.txt", wild_text(choices))
-    )
+    name = choices.of("name", ("roadperc.toml", "roadperc.state", "notes.txt", wild_text(choices)))
     known = [item for item in content.attachments if item.name == name]
     before = known[0].data if known else CONFIGURATION
     inner = choices.part("damage")

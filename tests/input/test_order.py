@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream.input.order import OrderConfig, OrderState, StampOrder, _Segments
+from roadperc_stream.input.order import OrderConfig, StampOrder, _Segments
 from tests.input.test_sync import CAMERA, MS, item
 
 WAIT_MS = 200
@@ -186,7 +186,7 @@ def test_messages_with_earlier_stamps_do_not_wait_forever(row):
     """Its messages are given as they are, images that may begin a segment go on waiting for a third one."""
     images_back = [item("image", t, 5050 + t) for t in row]
     others = [item("depth", t, 5100 + t) for t in range(0, 40_000, 50)]
-    held, most_held = _Segments(CFG, lambda _: None, OrderState()), 0
+    held, most_held = _Segments(CFG, lambda _: None), 0
     given = list(held.numbered(item("image", 5000)))
     for one in [*images_back, *others]:
         given += list(held.numbered(one))
@@ -200,7 +200,7 @@ def test_messages_with_earlier_stamps_do_not_wait_forever(row):
 
 
 def test_a_sensor_that_catches_up_during_a_pause_of_the_images_does_not_wait():
-    held = _Segments(CFG, lambda _: None, OrderState())
+    held = _Segments(CFG, lambda _: None)
     times = [*range(0, 500, 50), *range(5000, 30_000, 50)]
     given = [list(held.numbered(one)) for one in [item("image", 5000), *(item("depth", t, 5000 + t) for t in times)]]
     assert len(given[-1]) == 1

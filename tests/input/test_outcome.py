@@ -4,12 +4,11 @@ from dataclasses import replace
 
 import pytest
 
-from roadperc_stream import log
 from roadperc_stream.cli.replay import main
 from roadperc_stream.config import SyncConfig, load_config
 from roadperc_stream.input.order import OrderConfig
 from roadperc_stream.input.outcome import FileSpan, InputOutcome, continuation_notes
-from roadperc_stream.input.sync import PairingState, StampPairing, SyncedMessages
+from roadperc_stream.input.sync import LatchedState, StampPairing, SyncedMessages
 from tests import logs
 from tests.analytic import STEP_NS
 from tests.input.test_sync import MS, item
@@ -18,7 +17,6 @@ from tests.resume.parts import inputs, results, rows, write
 
 CFG = load_config(None, ("sync.max_wait_s=0.2",))
 ROAD = replace(logs.SMALL, width=96, height=72)
-CARRIED = log.Message(logs.channel("image"), 0, 0, 0, b"")
 S = 1_000_000_000
 
 
@@ -41,15 +39,15 @@ def notes_of(outcome, nearest_ns=None):
     return list(outcome.notes(topics, CFG.sync, nearest_ns or {}))
 
 
-def synced(segment, stamp_ms, *others, carried=False):
-    reference = replace(item("image", stamp_ms), segment=segment, carried=CARRIED if carried else None)
+def synced(segment, stamp_ms, *others):
+    reference = replace(item("image", stamp_ms), segment=segment)
     return SyncedMessages(reference, {"image": reference} | dict.fromkeys(others, reference), None, None)
 
 
 def test_new_segments_are_listed_with_stamps_and_frames():
     outcome = InputOutcome()
     for segment, stamp_ms in [(0, 5), (0, 55), (1, 7), (2, 3), (2, 53)]:
-        outcome.add(synced(segment, stamp_ms))
+        outcome.add(synced(segment, stamp_ms), segment)
     assert notes_of(outcome) == [
         "3 segments, the state is reset in each: 0 from stamp 5000000 ns, 2 frames; "
         "1 from stamp 7000000 ns, 1 frames; 2 from stamp 3000000 ns, 2 frames"
@@ -59,7 +57,7 @@ def test_new_segments_are_listed_with_stamps_and_frames():
 def test_at_most_five_segments_are_listed():
     outcome = InputOutcome()
     for segment in range(9):
-        outcome.add(synced(segment, 5))
+        outcome.add(synced(segment, 5), segment)
     (note,) = notes_of(outcome)
     assert note.startswith("9 segments, ")
     assert note.endswith("; 4 from stamp 5000000 ns, 1 frames; and 4 more")
@@ -68,7 +66,7 @@ def test_at_most_five_segments_are_listed():
 @pytest.mark.parametrize(("begun", "said"), [(1, 0), (0, 1)])
 def test_a_continued_segment_is_not_new(begun, said):
     outcome = InputOutcome(begun)
-    outcome.add(synced(1, 5))
+    outcome.add(synced(1, 5), 1)
     assert len(notes_of(outcome)) == said
 
 
@@ -84,7 +82,7 @@ def test_messages_in_no_frame_give_one_note():
 
 def test_the_note_on_a_sensor_in_no_frame_names_the_setting():
     outcome = InputOutcome()
-    outcome.add(synced(0, 5, "lidar"), is_written=False)
+    outcome.add(synced(0, 5, "lidar"), 0, is_written=False)
     for role in ("depth", "lidar"):
         outcome.drop(item(role, 3))
     _, note = notes_of(outcome, {"depth": 12 * MS, "lidar": 11 * MS})
@@ -97,7 +95,7 @@ def test_the_note_on_a_sensor_in_no_frame_names_the_setting():
 def test_the_distance_to_the_nearest_frame_is_found_on_either_side(stamps_ms, nearest_ms):
     """Of depth images before, between and behind two frames; of one that a frame has there is none."""
     order = OrderConfig("image", 1000 * MS)
-    pairing = StampPairing(SyncConfig(tolerance_s=0.01), order, ("image", "depth"), PairingState(), lambda _: None)
+    pairing = StampPairing(SyncConfig(tolerance_s=0.01), order, ("image", "depth"), LatchedState(), lambda _: None)
     items = [item("image", 0), item("image", 50), *(item("depth", t) for t in stamps_ms)]
     assert len(list(pairing.frames_of(sorted(items, key=lambda i: i.log_time_ns)))) == 2
     assert pairing.nearest_ns == ({} if nearest_ms is None else {"depth": nearest_ms * MS})

@@ -5,14 +5,13 @@ from dataclasses import replace
 import pytest
 
 from roadperc_stream import log
-from roadperc_stream.config import ReplayConfig, load_config
+from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ChannelError
 from roadperc_stream.input import ReplaySource, open_input
-from roadperc_stream.input.window import WindowMessages
 from roadperc_stream.system.time import TimeRange
 from tests import logs
 from tests.analytic import STEP_NS
-from tests.resume.parts import carried, write
+from tests.resume.parts import write
 
 CFG = ReplayConfig()
 
@@ -27,7 +26,7 @@ def test_samples_messages_and_counts(source):
     assert (log_in.expected_frames, log_in.frames) == (4, 0)
     assert [sample.index for sample in log_in.samples()] == [0, 1, 2, 3]
     assert (log_in.frames, log_in.dropped, log_in.unreadable, log_in.notes) == (4, {}, {}, ())
-    assert list(log_in.messages()) == list(log.read(log.summarise(source)))
+    assert list(log_in.messages.copied()) == list(log.read(log.summarise(source)))
     assert log_in.span_ns == (log_in.summary.first_ns, log_in.summary.last_ns)
     assert set(log_in.topics) == set(logs.ALL)
 
@@ -50,7 +49,7 @@ def test_dropped_messages_are_recorded(source):
     record = log_in.record()
     assert (record["frames"], record["dropped.depth"]) == ("4", "4")
     assert record["digest"].startswith(log_in.log_id)
-    assert record["input_messages"] == str(len(list(log_in.messages())))
+    assert record["input_messages"] == str(len(list(log_in.messages.copied())))
     assert not any(key.startswith("topic.") for key in record)
 
 
@@ -64,19 +63,6 @@ def test_a_topic_that_the_user_chose_is_recorded(source, tmp_path):
 
 
 FRAMES = 3
-
-
-@pytest.fixture
-def reads(monkeypatch):
-    """First log time of every part of a log that is read."""
-    asked, read = [], WindowMessages._read
-
-    def noted(self, start_ns, *more):
-        asked.append(start_ns)
-        return read(self, start_ns, *more)
-
-    monkeypatch.setattr(WindowMessages, "_read", noted)
-    return asked
 
 
 def opened(source):
@@ -94,34 +80,14 @@ def with_late_depth(source, path, frame, by_ns):
     return write(path, moved)
 
 
-def test_messages_after_the_end_are_read_once(tmp_path, reads):
-    log_in = opened(logs.write(tmp_path / "in.mcap", logs.items(8)))
-    assert len(list(log_in.samples())) == FRAMES
-    messages = list(log_in.messages())
-    end_ns = logs.START_NS + FRAMES * STEP_NS
-    assert log_in.plan.window.end_ns == end_ns
-    assert max(message.log_time_ns for message in messages) < end_ns
-    assert reads.count(end_ns) == 1
-
-
 def test_a_late_message_after_the_end_belongs_to_its_frame(tmp_path):
     source = logs.write(tmp_path / "in.mcap", logs.items(8))
     tidy = list(opened(source).samples())
     late = opened(with_late_depth(source, tmp_path / "late.mcap", FRAMES - 1, 3 * STEP_NS + 1))
     arrived_ns = logs.START_NS + (FRAMES + 2) * STEP_NS + 1
     assert late.plan.window.late_until_ns == arrived_ns + 1
-    behind = [m for m in late.messages() if m.log_time_ns >= late.plan.window.end_ns]
+    behind = [m for m in late.messages.copied() if m.log_time_ns >= late.plan.window.end_ns]
     assert [(m.channel.topic, m.log_time_ns) for m in behind] == [("/camera/front/depth", arrived_ns)]
     found = list(late.samples())
     assert [sample.frame.stamp_ns for sample in found] == [sample.frame.stamp_ns for sample in tidy]
     assert found[-1].frame.depth_image is not None
-
-
-def test_carried_messages_are_read_from_the_first_one_on(tmp_path, reads):
-    source = logs.write(tmp_path / "in.mcap", logs.items(12))
-    cfg = load_config(None, ("sync.max_wait_s=0.2",))
-    log_in = open_input(ReplaySource(source, time_range=TimeRange(start_s=0.1)), cfg)
-    reads.clear()
-    end = log_in.end_state(with_messages=True)
-    assert reads == [log_in.plan.first_pass.end.first_pending_ns]
-    assert min(m.log_time_ns for m in carried(end)) == reads[0] > (log.summarise(source).first_ns or 0)

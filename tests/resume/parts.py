@@ -43,11 +43,6 @@ def with_attachments(source, target, **changed):
     return target
 
 
-def carried(state):
-    """The messages in an input's state."""
-    return [item.message for item in state.pairing.items if item.message is not None]
-
-
 def cut(messages, times_ns):
     """Messages cut at the times, by log time."""
     edges = [0, *sorted(times_ns), 2**63]

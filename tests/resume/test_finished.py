@@ -19,7 +19,7 @@ from roadperc_stream.model import Transform
 from roadperc_stream.output import encoding
 from roadperc_stream.resume import opening
 from roadperc_stream.resume.checkpoint import checkpoint_folder
-from roadperc_stream.schemas.record import BEGIN_ATTACHMENT, STATE_ATTACHMENT
+from roadperc_stream.schemas.record import STATE_ATTACHMENT
 from tests import logs
 from tests.analytic import STEP_NS
 from tests.resume.parts import with_attachments
@@ -113,16 +113,11 @@ def warmed(tmp_path_factory):
 
 
 @pytest.mark.promise("States", "A state of an older format gives one error that says what to do")
-@pytest.mark.parametrize("name", [STATE_ATTACHMENT, BEGIN_ATTACHMENT])
-def test_a_state_of_an_older_version_is_one_error(warmed, tmp_path, capsys, name):
-    """In a continued replay, and in a replay of the result."""
-    (data,) = (item.data for item in log.summarise(warmed).attachments if item.name == name)
-    older = with_attachments(warmed, tmp_path / "older.mcap", **{name: older_version(data)})
-    words = [str(older), str(tmp_path / "new.mcap"), *EVERY]
-    if name == STATE_ATTACHMENT:
-        words = [str(warmed), *words[1:], "--continue", str(older)]
-    assert main(words) == 1
-    assert capsys.readouterr().err == f"error: {older}: attachment {name}: {OLDER}replay its input again\n"
+def test_a_state_of_an_older_version_is_one_error(warmed, tmp_path, capsys):
+    (data,) = (item.data for item in log.summarise(warmed).attachments if item.name == STATE_ATTACHMENT)
+    older = with_attachments(warmed, tmp_path / "older.mcap", **{STATE_ATTACHMENT: older_version(data)})
+    assert main([str(warmed), str(tmp_path / "new.mcap"), *EVERY, "--continue", str(older)]) == 1
+    assert capsys.readouterr().err == f"error: {older}: attachment {STATE_ATTACHMENT}: {OLDER}replay its input again\n"
     assert list(tmp_path.iterdir()) == [older]
 
 

@@ -64,18 +64,22 @@ def test_the_state_is_that_of_earlier_frames(source, warmed, tmp_path):
             assert ours.equals(theirs), name
 
 
-def test_the_output_replays_to_itself(warmed, tmp_path):
-    names = [attachment.name for attachment in log.summarise(warmed).attachments]
-    assert names == ["roadperc.toml", "roadperc.state.begin", "roadperc.state"]
-    replay(warmed, tmp_path / "again.mcap", CFG)
-    assert (tmp_path / "again.mcap").read_bytes() == warmed.read_bytes()
+def test_a_replay_of_the_output_says_that_it_begins_without_the_state(warmed, tmp_path):
+    summary = replay(warmed, tmp_path / "again.mcap", CFG)
+    assert any("began with a warm-up; this replay begins without its state" in note for note in summary.notes)
+    assert read_metrics(tmp_path / "again.mcap")["odometry_status"][0] == "first"
 
 
 def test_a_warmed_up_result_can_be_continued(source, warmed, tmp_path):
     first, second = tmp_path / "a.mcap", tmp_path / "b.mcap"
-    replay(source, first, CFG, time_range=TimeRange(0.5, 0.6), warm_up_s=0.4)
-    replay(source, second, CFG, time_range=TimeRange(0.6), continued=first)
+    replay(source, first, CFG, time_range=TimeRange(0.5, 0.85), warm_up_s=0.4)
+    replay(source, second, CFG, time_range=TimeRange(0.85), continued=first)
     assert results([first, second]) == results([warmed])
+
+
+def test_a_warmed_up_result_without_a_complete_frame_cannot_be_continued(source, tmp_path):
+    summary = replay(source, tmp_path / "a.mcap", CFG, time_range=TimeRange(0.5, 0.6), warm_up_s=0.4)
+    assert any("cannot be continued: no frame is complete" in note for note in summary.notes)
 
 
 def test_late_messages_around_the_start(source, tmp_path):
