@@ -198,7 +198,7 @@ def test_declared_sizes_are_not_allocated(parts, tmp_path):
 
 def test_a_result_is_continued_with_its_own_limits(tmp_path, parts):
     """A state within the limits of a replay is read with the same limits."""
-    cfg = load_config(None, ("sync.max_wait_s=0.2", "limits.image_megapixels=0.01", "limits.transforms=1"))
+    cfg = load_config(None, ("sync.max_wait_s=0.2", "limits.image_megapixels=0.01"))
     source = inputs(parts[0])
     made = replayed(tmp_path, cut(source, [source[0].log_time_ns + 300_000_000]), cfg)
     assert len(made) == 2

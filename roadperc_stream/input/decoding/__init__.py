@@ -102,7 +102,7 @@ def decode(kind: Kind, schema: str, encoding: str, data: bytes, log_time_ns: int
         expected = ", ".join(f"{known} ({written})" for known, written in schemas_of_kind(kind))
         raise DecodeError(f"expected {expected}; found {schema or 'no schema'} ({encoding})")
     if len(data) > context.limits.message_bytes and kind not in READ_AS_A_WHOLE:
-        raise DecodeError(f"{len(data)} bytes: expected limits.message_mb {context.limits.message_mb} at most")
+        raise DecodeError(f"{len(data)} bytes: expected {context.limits.message_bytes} at most")
     try:
         decoded = decoder(data, context)
         require_within(decoded.payload, context.limits)
