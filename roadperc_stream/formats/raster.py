@@ -54,8 +54,6 @@ _PLANES: Final = ("nv12", "nv21")
 _TAGS: Final = ("mono8", "8UC1", "mono16", "16UC1")
 _DEPTHS: Final = ("16UC1", "mono16", "32FC1")
 _LARGEST_TAG: Final = 255
-Content = bytes | memoryview
-"""The bytes of a file or of raw pixels; a memoryview shares the message's memory."""
 
 
 @cache
@@ -98,7 +96,7 @@ class Raster:
     width: int
     height: int
     step: int
-    data: Content | NDArray[np.uint8]
+    data: bytes | NDArray[np.uint8]
     big_endian: bool = False
 
     @classmethod
