@@ -32,7 +32,8 @@ def largest_total(scores: Float) -> dict[int, int]:
 def _best_of_others(scores: Float) -> Float:
     """(M, N) largest other score of the same row, at least 0."""
     second, first = np.sort(np.pad(scores, ((0, 0), (2, 0))), axis=1)[:, -2:, None].transpose(1, 0, 2)
-    return np.where(scores == first, second, first)
+    others: Float = np.where(scores == first, second, first)
+    return others
 
 
 def _by_scipy(scores: Float) -> dict[int, int]:
