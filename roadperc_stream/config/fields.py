@@ -1,14 +1,11 @@
 """Types of settings, and the limits on the content of logs and messages."""
 
-from typing import Annotated, Any, Final, Literal, get_args
+from typing import Annotated, Any, ClassVar, Final
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, field_validator
 
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.model.tag_tables import CLASS_NAMES, LABEL_CLASSES, TABLES, normal_label, table_for_version
-
-ImageFormat = Literal["png", "jpeg", "webp", "avif", "bmp", "gif"]
-"""Formats with one size in the header, known before decoding; a TIFF may have several sizes, JPEG 2000 two."""
 
 _ORDER: Final = ("road", "road_line", "ground", "sidewalk", "rail_track", "guard_rail", "vehicle", "pedestrian")
 """The classes of defaults, in an order that fits all of them; the other classes follow by name."""
@@ -26,10 +23,6 @@ def _known_classes(names: tuple[str, ...]) -> tuple[str, ...]:
 def _in_order(names: tuple[str, ...], order: tuple[str, ...]) -> tuple[str, ...]:
     """Each name once, in the order of all names: lists that mean the same have the same digest."""
     return tuple(name for name in dict.fromkeys(order) if name in names)
-
-
-def _formats_in_order(names: tuple[str, ...]) -> tuple[str, ...]:
-    return _in_order(names, get_args(ImageFormat))
 
 
 def _known_table(version: str) -> str:
@@ -107,35 +100,28 @@ class LimitsConfig(Section):
     ``roadperc-info``, ``roadperc-view`` and the evaluation read with the defaults.
     """
 
-    chunk_mb: Annotated[int, Field(ge=1, le=65_536), unit("MiB")] = 256
-    """Largest decompressed chunk; writers make chunks of 1 to 8 MiB, or of one larger message."""
-    chunk_messages: Annotated[int, Field(ge=1, le=1_000_000_000), unit("messages")] = 1_000_000
-    """Most messages in a chunk; a chunk of 8 MiB holds 0.3 million of the shortest messages."""
-    record_mb: Annotated[int, Field(ge=1, le=1_048_576), unit("MiB")] = 1024
-    """Largest record of the file: a compressed chunk, an attachment or a message outside chunks."""
-    attachments_mb: Annotated[int, Field(ge=1, le=1_048_576), unit("MiB")] = 1024
-    """Largest total size of the attachments and metadata of a log, which are kept in memory."""
-    gaps: Annotated[int, Field(ge=1, le=1_000_000), unit("gaps")] = 10_000
-    """Most gaps that a repaired log lists; it lists the rest as one gap."""
     image_megapixels: Annotated[float, Field(ge=0.01, le=170.0), unit("megapixels")] = 40.0
     """Largest image, by its header and its calibration; 8K has 33 megapixels."""
-    image_formats: Annotated[
-        tuple[ImageFormat, ...],
-        BeforeValidator(split),
-        AfterValidator(_formats_in_order),
-        Field(min_length=1, json_schema_extra={"choices": [*get_args(ImageFormat)]}),
-    ] = ("png", "jpeg", "webp")
-    """Image formats to decode; an error names any other format."""
-    points: Annotated[int, Field(ge=1, le=1_000_000_000), unit("points")] = 10_000_000
+    chunk_mb: Annotated[int, Field(ge=1, le=65_536), unit("MiB")] = 256
+    """Largest decompressed chunk; writers make chunks of 1 to 8 MiB, or of one larger message."""
+    record_mb: Annotated[int, Field(ge=1, le=1_048_576), unit("MiB")] = 1024
+    """Largest record of the file (a compressed chunk, an attachment or a message outside chunks), and largest total of
+    the attachments and metadata of a log, which are kept in memory."""
+
+    chunk_messages: ClassVar[int] = 1_000_000
+    """Most messages in a chunk; a chunk of 8 MiB holds 0.3 million of the shortest messages."""
+    gaps: ClassVar[int] = 10_000
+    """Most gaps that a repaired log lists; it lists the rest as one gap."""
+    points: ClassVar[int] = 10_000_000
     """Most points in a lidar message; a turn of 128 beams has 0.3 million."""
-    message_mb: Annotated[int, Field(ge=1, le=4096), unit("MiB")] = 16
-    """Largest message except images and points."""
-    detections: Annotated[int, Field(ge=1, le=100_000), unit("boxes")] = 2000
-    """Most detections or objects in a message."""
-    transforms: Annotated[int, Field(ge=1, le=100_000), unit("frames")] = 2000
-    """Most frames in the tree of transforms."""
-    name_length: Annotated[int, Field(ge=1, le=1_000_000), unit("characters")] = 1000
-    """Longest name in a message, such as a frame, a class, an object or an encoding."""
+    message_bytes: ClassVar[int] = 16 * _MIB
+    """Size of the largest message except images and points; 2000 detections take 0.2 MB."""
+    detections: ClassVar[int] = 2000
+    """Most detections or objects in a message; the largest data sets have some hundred in a frame."""
+    transforms: ClassVar[int] = 2000
+    """Most frames in the tree of transforms; a car with all its sensors has some hundred."""
+    name_length: ClassVar[int] = 1000
+    """Most characters of a name in a message, such as a frame, a class, an object or an encoding."""
 
     @property
     def chunk_bytes(self) -> int:
@@ -144,18 +130,8 @@ class LimitsConfig(Section):
 
     @property
     def record_bytes(self) -> int:
-        """Size of the largest record."""
+        """Size of the largest record, and of all attachments and metadata."""
         return self.record_mb * _MIB
-
-    @property
-    def attachments_bytes(self) -> int:
-        """Size of all attachments and metadata."""
-        return self.attachments_mb * _MIB
-
-    @property
-    def message_bytes(self) -> int:
-        """Size of the largest message except images and points."""
-        return self.message_mb * _MIB
 
     @property
     def image_pixels(self) -> int:

@@ -1,26 +1,23 @@
 """Encodes and decodes images.
 
 OpenCV is imported at the first decoded image, Pillow at the first one that neither OpenCV nor ``png`` reads.
-Both get only the formats in ``limits.image_formats``, because some of Pillow's readers start a program.
+Both get only PNG, JPEG and WebP: these have one size in the header, and some of Pillow's other readers start a program.
 """
 
 import io
 import os
 import re
 import struct
-import threading
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Final, get_args
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
-from roadperc_stream.config.fields import ImageFormat
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.formats import avif, png
+from roadperc_stream.formats import png
 from roadperc_stream.geometry import Float32
 from roadperc_stream.model import Ids, Image
 from roadperc_stream.model.tag_tables import Colour
@@ -43,6 +40,7 @@ _FORMATS: Final[Mapping[str, bytes]] = {
     "PostScript": rb"%!PS|\xc5\xd0\xd3\xc6",
 }
 """The first bytes of each format. Readable formats have Pillow's names."""
+_READ: Final = ("PNG", "JPEG", "WEBP")
 _VIDEOS: Final = {"h264": r"h\.?264|avc", "h265": r"h\.?265|hevc", "av1": "av0?1", "vp9": "vp0?9", "vp8": "vp0?8"}
 """Names of video in the format of a message, by codec."""
 _JPEG_FRAME: Final = struct.Struct(">BBHBHH")
@@ -63,7 +61,6 @@ _ROWS_AT_ONCE: Final = 32
 """Rows of a depth image that fit into the processor's cache."""
 _LAST_UPRIGHT: Final = 4
 """Larger EXIF orientations swap rows and columns."""
-_PILLOWS_WARNINGS: Final = threading.RLock()
 
 
 def decode_bgr(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> Image:
@@ -72,7 +69,7 @@ def decode_bgr(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> Image:
     Raises:
         DecodeError: OpenCV cannot read the image, or its header exceeds the limits.
     """
-    return _decoded(data, "IMREAD_COLOR", limits)
+    return _eight_bits(data, "IMREAD_COLOR", limits)
 
 
 def decode_grey(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> Image:
@@ -81,10 +78,10 @@ def decode_grey(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> Image:
     Raises:
         DecodeError: OpenCV cannot read the image, or its header exceeds the limits.
     """
-    return _decoded(data, "IMREAD_GRAYSCALE", limits)
+    return _eight_bits(data, "IMREAD_GRAYSCALE", limits)
 
 
-def _decoded(data: bytes, mode: str, limits: LimitsConfig) -> Image:
+def _eight_bits(data: bytes, mode: str, limits: LimitsConfig) -> Image:
     pixels = _pixels(data, mode, limits)
     if pixels is None:
         raise DecodeError(f"{len(data)} bytes are not an image{_why(data, limits)}")
@@ -121,18 +118,17 @@ def video_codec(layout: str) -> str:
     return next((codec for codec, names in _VIDEOS.items() if re.search(names, layout, re.IGNORECASE)), "")
 
 
-def _allowed_format(data: bytes, limits: LimitsConfig) -> str:
+def _readable_format(data: bytes) -> str:
     """Name of an image's format.
 
     Raises:
-        DecodeError: not an image, or the limits do not list its format.
+        DecodeError: not an image, or of another format.
     """
-    name, allowed = format_of(data), limits.image_formats
+    name = format_of(data)
     if not name:
         raise DecodeError(f"{len(data)} bytes are not an image" + f", they start with {data[:4].hex()}" * bool(data))
-    if (key := name.lower()) not in allowed:
-        listed = f", or set limits.image_formats={','.join((*allowed, key))}" * (key in get_args(ImageFormat))
-        raise DecodeError(f"image of format {name}: expected {', '.join(allowed)}; convert it{listed}")
+    if name not in _READ:
+        raise DecodeError(f"image of format {name}: expected png, jpeg or webp; convert it")
     return name
 
 
@@ -144,7 +140,7 @@ def image_size(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> tuple[int,
     """
     from PIL import ExifTags
 
-    with _opened(data, _allowed_format(data, limits), limits) as image:
+    with _opened(data, _readable_format(data), limits) as image:
         turned = image.getexif().get(ExifTags.Base.Orientation, 1) > _LAST_UPRIGHT
         return (image.height, image.width) if turned else (image.width, image.height)
 
@@ -159,18 +155,14 @@ def _opened(data: bytes, name: str, limits: LimitsConfig) -> Iterator["PillowIma
     from PIL import Image as Pillow
     from PIL import UnidentifiedImageError
 
+    Pillow.MAX_IMAGE_PIXELS = None  # the limits replace it
     try:
-        # warning filters belong to the process: concurrent changes could leave them changed
-        with _PILLOWS_WARNINGS, warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # the limits replace its size warnings
-            with Pillow.open(io.BytesIO(data), formats=(name,)) as image:
-                require_pixels("image", image.width, image.height, limits)
-                if name == "AVIF":
-                    avif.require_frames_of(data, image.size)
-                yield image
+        with Pillow.open(io.BytesIO(data), formats=(name,)) as image:
+            require_pixels("image", image.width, image.height, limits)
+            yield image
     except UnidentifiedImageError as error:
         raise DecodeError(f"{len(data)} bytes are not a valid {name}, they start with {data[:4].hex()}") from error
-    except (OSError, ValueError, RuntimeError, SyntaxError, struct.error, Pillow.DecompressionBombError) as error:
+    except (OSError, ValueError, RuntimeError, SyntaxError, struct.error) as error:
         raise DecodeError(f"{len(data)} bytes are not a complete {name}: {error}") from error
 
 
@@ -180,7 +172,7 @@ def _require_within(data: bytes, limits: LimitsConfig) -> None:
     Raises:
         DecodeError: not an image, or its format or size exceeds the limits.
     """
-    name = _allowed_format(data, limits)
+    name = _readable_format(data)
     if name == "PNG" and len(data) >= png.SIZE.size + png.SIZE_AT:
         width, height = png.SIZE.unpack_from(data, png.SIZE_AT)
         require_pixels("image", width, height, limits)
@@ -209,7 +201,7 @@ def _jpeg_size(data: bytes) -> tuple[int, int]:
 def _why(data: bytes, limits: LimitsConfig) -> str:
     """Pillow's reason why an image cannot be decoded; empty without one."""
     try:
-        with _opened(data, _allowed_format(data, limits), limits) as image:
+        with _opened(data, _readable_format(data), limits) as image:
             image.load()
     except DecodeError as error:
         return f": {str(error).partition(': ')[2]}" if ": " in str(error) else ""

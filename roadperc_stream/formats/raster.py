@@ -22,63 +22,38 @@ PALETTE_TABLE: Final = CARLA_FROM_0_9_14
 """Table for colours in a log without a tag table. It has all earlier classes (a vehicle is a car)."""
 UNKNOWN: Final = 255
 """In ``tags_by_code``: a colour without a class."""
-_BAYER: Final = {
-    f"bayer_{tiles.lower()}{bits}": (tiles, bits) for tiles in ("RGGB", "BGGR", "GBRG", "GRBG") for bits in (8, 16)
+_ENCODINGS: Final[Mapping[str, tuple[str, int, str | None]]] = {
+    "bgr8": ("u1", 3, ""),
+    "8UC3": ("u1", 3, ""),
+    "bgr16": ("u2", 3, ""),
+    "rgb8": ("u1", 3, "RGB2BGR"),
+    "rgb16": ("u2", 3, "RGB2BGR"),
+    "bgra8": ("u1", 4, "BGRA2BGR"),
+    "8UC4": ("u1", 4, "BGRA2BGR"),
+    "bgra16": ("u2", 4, "BGRA2BGR"),
+    "rgba8": ("u1", 4, "RGBA2BGR"),
+    "rgba16": ("u2", 4, "RGBA2BGR"),
+    "mono8": ("u1", 1, "GRAY2BGR"),
+    "8UC1": ("u1", 1, "GRAY2BGR"),
+    "mono16": ("u2", 1, "GRAY2BGR"),
+    "16UC1": ("u2", 1, None),
+    "32FC1": ("f4", 1, None),
+    **{
+        f"bayer_{tiles.lower()}{8 * size}": (f"u{size}", 1, f"Bayer{tiles}2BGR")
+        for tiles in ("RGGB", "BGGR", "GBRG", "GRBG")
+        for size in (1, 2)
+    },
+    **dict.fromkeys(("yuv422", "uyvy"), ("u1", 2, "YUV2BGR_UYVY")),
+    **dict.fromkeys(("yuv422_yuy2", "yuyv"), ("u1", 2, "YUV2BGR_YUY2")),
+    "nv12": ("u1", 1, "YUV2BGR_NV12"),
+    "nv21": ("u1", 1, "YUV2BGR_NV21"),
 }
-"""The colours of a mosaic's first two rows, and bits of a number."""
-_LAYOUTS: Final[Mapping[str, tuple[str, int]]] = {
-    "bgr8": ("u1", 3),
-    "rgb8": ("u1", 3),
-    "bgra8": ("u1", 4),
-    "rgba8": ("u1", 4),
-    "mono8": ("u1", 1),
-    "mono16": ("u2", 1),
-    "8UC1": ("u1", 1),
-    "8UC3": ("u1", 3),
-    "8UC4": ("u1", 4),
-    "16UC1": ("u2", 1),
-    "32FC1": ("f4", 1),
-    "bgr16": ("u2", 3),
-    "rgb16": ("u2", 3),
-    "bgra16": ("u2", 4),
-    "rgba16": ("u2", 4),
-    **{name: (f"u{bits // 8}", 1) for name, (_, bits) in _BAYER.items()},
-    "yuv422": ("u1", 2),
-    "uyvy": ("u1", 2),
-    "yuv422_yuy2": ("u1", 2),
-    "yuyv": ("u1", 2),
-    "nv12": ("u1", 1),
-    "nv21": ("u1", 1),
-}
-"""numpy type of a number, and numbers a pixel."""
-_TO_BGR: Final[Mapping[str, str]] = {
-    "rgb8": "COLOR_RGB2BGR",
-    "bgra8": "COLOR_BGRA2BGR",
-    "8UC4": "COLOR_BGRA2BGR",
-    "rgba8": "COLOR_RGBA2BGR",
-    "mono8": "COLOR_GRAY2BGR",
-    "8UC1": "COLOR_GRAY2BGR",
-    "rgb16": "COLOR_RGB2BGR",
-    "bgra16": "COLOR_BGRA2BGR",
-    "rgba16": "COLOR_RGBA2BGR",
-    **{name: f"COLOR_Bayer{tiles}2BGR" for name, (tiles, _) in _BAYER.items()},
-    "yuv422": "COLOR_YUV2BGR_UYVY",
-    "uyvy": "COLOR_YUV2BGR_UYVY",
-    "yuv422_yuy2": "COLOR_YUV2BGR_YUY2",
-    "yuyv": "COLOR_YUV2BGR_YUY2",
-    "nv12": "COLOR_YUV2BGR_NV12",
-    "nv21": "COLOR_YUV2BGR_NV21",
-}
-"""OpenCV's name of the conversion."""
-_COLOURS: Final = ("bgr8", "8UC3", "bgr16")
+"""numpy type of a number, numbers a pixel, and OpenCV's conversion to BGR: empty for BGR, None if no camera image."""
 _PLANES: Final = ("nv12", "nv21")
 """Half as many rows of colours follow the rows of brightness."""
-_GREYS: Final = ("mono8", "8UC1")
-_GREYS_16: Final = ("mono16", "16UC1")
+_TAGS: Final = ("mono8", "8UC1", "mono16", "16UC1")
 _DEPTHS: Final = ("16UC1", "mono16", "32FC1")
 _LARGEST_TAG: Final = 255
-Content = bytes | memoryview
-"""The bytes of a file or of raw pixels; a memoryview shares the message's memory."""
 
 
 @cache
@@ -121,7 +96,7 @@ class Raster:
     width: int
     height: int
     step: int
-    data: Content | NDArray[np.uint8]
+    data: bytes | NDArray[np.uint8]
     big_endian: bool = False
 
     @classmethod
@@ -136,9 +111,9 @@ class Raster:
         Raises:
             DecodeError: an unknown encoding, or too few bytes for the size.
         """
-        if self.encoding not in _LAYOUTS:
-            raise DecodeError(f"image encoding {self.encoding!r}: expected one of {', '.join(_LAYOUTS)}")
-        kind, channels = _LAYOUTS[self.encoding]
+        if self.encoding not in _ENCODINGS:
+            raise DecodeError(f"image encoding {self.encoding!r}: expected one of {', '.join(_ENCODINGS)}")
+        kind, channels, _ = _ENCODINGS[self.encoding]
         dtype = np.dtype(kind).newbyteorder(">" if self.big_endian else "<")
         used, found = dtype.itemsize * channels * self.width, len(self.data)
         height = self.height * 3 // 2 if self.encoding in _PLANES else self.height
@@ -164,17 +139,15 @@ class Raster:
         Raises:
             DecodeError: the encoding is not one of a camera image.
         """
-        if self.encoding == "mono16":
-            return np.repeat(self._eight_bits()[..., np.newaxis], 3, axis=2)
-        if self.encoding in _COLOURS:
-            return self._eight_bits()
-        if self.encoding in _LAYOUTS and self.encoding not in _TO_BGR:
+        pixels, conversion = self._eight_bits(), _ENCODINGS[self.encoding][-1]
+        if conversion is None:
             raise DecodeError(f"image encoding {self.encoding!r}: expected colours, mono8 or mono16")
-        pixels = self._eight_bits()
+        if not conversion:
+            return pixels
         import cv2
 
         try:
-            return cv2.cvtColor(pixels, getattr(cv2, _TO_BGR[self.encoding])).astype(np.uint8, copy=False)
+            return cv2.cvtColor(pixels, getattr(cv2, f"COLOR_{conversion}")).astype(np.uint8, copy=False)
         except cv2.error as error:
             size = f"{self.encoding!r} image {self.width}x{self.height}"
             raise DecodeError(f"{size}: expected an even number of columns and rows") from error
@@ -185,10 +158,8 @@ class Raster:
         Raises:
             DecodeError: the encoding is not one of a camera image.
         """
-        if self.encoding == "mono16":
+        if self.encoding in ("mono8", "8UC1", "mono16"):
             return self._eight_bits()
-        if self.encoding in _GREYS:
-            return self.pixels()
         import cv2
 
         return cv2.cvtColor(self.bgr(), cv2.COLOR_BGR2GRAY).astype(np.uint8, copy=False)
@@ -211,7 +182,7 @@ class Raster:
     @property
     def indexed(self) -> bool:
         """Whether a pixel is one number: in a segmentation a tag, not a colour."""
-        return self.encoding in (*_GREYS, *_GREYS_16)
+        return self.encoding in _TAGS
 
     def tags(self, table: TagTable) -> Image:
         """(H, W) uint8 tags: the pixels themselves, also of 16 bits, or the classes of CARLA's colours.

@@ -28,7 +28,7 @@ def examine(path: Path, overrides: Mapping[str, str], cfg: ReplayConfig | None =
     first_ns = min((tally.first_ns for tally in tallies if tally.first_ns is not None), default=None)
     last_ns = max((tally.last_ns for tally in tallies), default=None)
     described = salvage.described
-    result = is_result_log(described.metadata, salvage.channels.values())
+    result = is_result_log((item.name for item in described.metadata), salvage.channels.values())
     digest = scan.digest()
     return LogFacts(
         log=str(path),

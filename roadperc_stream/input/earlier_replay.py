@@ -20,9 +20,9 @@ def is_result(channel: Channel) -> bool:
     return record.PRODUCER in channel.metadata
 
 
-def is_result_log(metadata: Iterable[Metadata], channels: Iterable[Channel]) -> bool:
+def is_result_log(metadata_names: Iterable[str], channels: Iterable[Channel]) -> bool:
     """Whether a replay wrote the log, by its contents."""
-    return any(item.name == record.METADATA_RECORD for item in metadata) or any(map(is_result, channels))
+    return record.METADATA_RECORD in metadata_names or any(map(is_result, channels))
 
 
 def is_result_of(channel: Channel, topic: str) -> bool:

@@ -61,8 +61,7 @@ def without_loops(
         at = f"{topic}: message at {item.log_time_ns} ns"
         if len(fitting) < len(edges):
             beyond = {edge.child for edge in edges} - {edge.child for edge in fitting}
-            most = f"limits.transforms {limits.transforms}"
-            problems.report(topic, f"{at}: {len(beyond)} transforms to more frames than {most}: left out")
+            problems.report(topic, f"{at}: {len(beyond)} transforms to more frames than {limits.transforms}: left out")
         if looping:
             problems.report(topic, f"{at}: {_loop_in_words(fitting, looping)}")
         if kept:

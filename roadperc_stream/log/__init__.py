@@ -8,6 +8,7 @@ from roadperc_stream.log.bags import is_log, received, received_file
 from roadperc_stream.log.damage import Damage, DamagedLogError, first_damage, number_of
 from roadperc_stream.log.files import counted_topics, gone_on_ns
 from roadperc_stream.log.growing import GrowingLog
+from roadperc_stream.log.index import outline
 from roadperc_stream.log.mcap_file import Piece
 from roadperc_stream.log.reading import pieces, read, summarise
 from roadperc_stream.log.records import (

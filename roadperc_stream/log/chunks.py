@@ -97,7 +97,7 @@ def unpacked(head: ChunkHead, *, check_crc: bool) -> Unpacked:
 
 def too_many(most: int) -> str:
     """Return the fault of a chunk with more messages than the limit."""
-    return f"more messages in a chunk than limits.chunk_messages, which is {most}"
+    return f"more messages in a chunk than {most}"
 
 
 def _at_once(head: ChunkHead) -> memoryview | None:

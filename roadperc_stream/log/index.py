@@ -5,6 +5,7 @@ import os
 import struct
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import IO, Final, TypeVar
 
 from deflate import crc32
@@ -16,7 +17,10 @@ from mcap.records import ChunkIndex
 from mcap.records import Schema as McapSchema
 from mcap.summary import Summary
 
+from roadperc_stream.config import DEFAULT_LIMITS
+from roadperc_stream.errors import LogError
 from roadperc_stream.log.layout import CRC_BYTES, MAGIC, UNREADABLE
+from roadperc_stream.log.limits import GuardedFile
 from roadperc_stream.log.records import Attachment, Channel, Metadata
 
 MOST_HELD_BYTES: Final = 32 * 1024 * 1024
@@ -90,6 +94,23 @@ def index_of(stream: IO[bytes]) -> Summary | None:
     known = all(channel is not None and channel.schema_id in {0, *index.schemas} for channel in used)
     whole = index.statistics.chunk_count == len(index.chunk_indexes)
     return index if known and whole and index.statistics.channel_count <= len(index.channels) else None
+
+
+def outline(path: Path) -> tuple[tuple[str, ...], tuple[Channel, ...]]:
+    """Return the names of the metadata records and the channels, by the index; both are empty without an index.
+
+    Raises:
+        LogError: the file cannot be read, is not MCAP, or its end is cut or damaged.
+    """
+    try:
+        with GuardedFile(path, DEFAULT_LIMITS) as stream:
+            index = make_reader(stream).get_summary()
+    except (OSError, *UNREADABLE) as error:
+        raise LogError(f"{path}: {error}") from error
+    if index is None:
+        return (), ()
+    channels = (channel_of(channel, index.schemas.get(channel.schema_id)) for channel in index.channels.values())
+    return tuple(metadata.name for metadata in index.metadata_indexes), tuple(channels)
 
 
 def data_end_of(stream: IO[bytes]) -> int | None:

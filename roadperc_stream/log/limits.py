@@ -77,8 +77,8 @@ def require_attachments(size_bytes: int, limits: LimitsConfig) -> None:
     Raises:
         LimitError: it exceeds the limit.
     """
-    if size_bytes > limits.attachments_bytes:
-        raise LimitError(_beyond("attachments and metadata", size_bytes, "attachments_mb", limits.attachments_bytes))
+    if size_bytes > limits.record_bytes:
+        raise LimitError(_beyond("attachments and metadata", size_bytes, "record_mb", limits.record_bytes))
 
 
 def require_gaps(metadata: Metadata, limits: LimitsConfig) -> None:
@@ -91,7 +91,7 @@ def require_gaps(metadata: Metadata, limits: LimitsConfig) -> None:
         return
     text = dict(metadata.values).get("gaps", "")
     if text.count("[") - 1 > limits.gaps and (found := _STRING.sub("", text).count("[") - 1) > limits.gaps:
-        raise LimitError(f"metadata {RECOVERY_RECORD} with {found} gaps: expected limits.gaps {limits.gaps} at most")
+        raise LimitError(f"metadata {RECOVERY_RECORD} with {found} gaps: expected {limits.gaps} at most")
 
 
 def _beyond(what: str, size_bytes: int, setting: str, most_bytes: int) -> str:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,24 +28,12 @@ Line = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class Absent:
-    """A missing output of a stage, with its reason; it is false, and its text is the reason."""
+    """A missing output of a stage, with its reason; ``isinstance(output, Absent)`` finds it."""
 
     reason: Reason
 
-    def __bool__(self) -> Literal[False]:  # `if result.lanes:` tells type checkers that it is present
-        return False
-
     def __str__(self) -> str:
         return str(self.reason)
-
-    def __format__(self, layout: str) -> str:
-        return format(str(self), layout)
-
-    if not TYPE_CHECKING:  # mypy must see only the reason of an absent output
-
-        def __getattr__(self, name: str) -> object:
-            """Raise for each attribute of a present output."""
-            raise AttributeError(f"no {name!r} in this frame: {self.__dict__.get('reason')}", name=name, obj=self)
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 
@@ -80,22 +81,18 @@ def encode_pose(stamp_ns: int, frame_id: str, frame_T_body: Float) -> bytes:
 
 
 def encode_poses(stamp_ns: int, frame_id: str, frame_T_body: Iterable[Float]) -> bytes:
-    """foxglove.PosesInFrame of (4, 4) transforms, in order.
-
-    Joins the bytes of messages with one pose each, which equal the bytes of one message with all poses.
-    Source: Protocol Buffers, Encoding: poses are the last field, and each element of a list is encoded separately.
-    """
-    message = PosesInFrame(frame_id=frame_id)
+    """foxglove.PosesInFrame of (4, 4) transforms, in order."""
+    message = PosesInFrame(frame_id=frame_id, poses=[_listed_pose(matrix.tobytes()) for matrix in frame_T_body])
     set_stamp(message, stamp_ns)
-    return message.SerializeToString() + b"".join(_listed_pose(matrix.tobytes()) for matrix in frame_T_body)
+    return message.SerializeToString()
 
 
 @lru_cache(_KEPT_POSES)
-def _listed_pose(matrix: bytes) -> bytes:
-    """A pose as an element of foxglove.PosesInFrame, from the bytes of a (4, 4) float64 transform."""
-    message = PosesInFrame()
-    _set_pose(message.poses.add(), np.frombuffer(matrix).reshape(4, 4))
-    return message.SerializeToString()
+def _listed_pose(matrix: bytes) -> Any:
+    """foxglove.Pose of the bytes of a (4, 4) float64 transform."""
+    pose = Pose()
+    _set_pose(pose, np.frombuffer(matrix).reshape(4, 4))
+    return pose
 
 
 def encode_odometry(stamp_ns: int, frame_id: str, odometry: Odometry) -> bytes:

@@ -82,11 +82,9 @@ class ReplayTarget:
         if not self.path.exists():
             return
         try:
-            found = log.summarise(self.path)
+            replaceable = is_result_log(*log.outline(self.path))
         except LogError:
             replaceable = not several
-        else:
-            replaceable = is_result_log(found.metadata, found.channels)
         if not replaceable:
             raise TargetError(
                 f"refusing to overwrite {self.path}: it was not written by roadperc-replay. Is OUT.mcap missing?"

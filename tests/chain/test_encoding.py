@@ -47,7 +47,7 @@ def test_equal_values_give_equal_bytes():
 
 
 def test_the_depth_of_the_largest_image_is_within_the_bounds():
-    limits = LimitsConfig(image_megapixels=1, message_mb=1)
+    limits = LimitsConfig(image_megapixels=1)
     depth = Thing(1.0, anything=np.zeros(4_000_000, np.uint8))
     assert decode(encode(depth), Thing, StateBounds.of(limits)).anything.size == 4_000_000
 

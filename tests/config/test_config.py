@@ -87,7 +87,6 @@ def test_numbers_must_be_finite():
         ("surface.classes=ground,road_line,road", "seed=0"),
         ("lanes.separators=guard_rail,rail_track,sidewalk,road_line", "seed=0"),
         ("occupancy.obstacle_classes=pedestrian,vehicle", "seed=0"),
-        ("limits.image_formats=webp,png,jpeg", "seed=0"),
     ],
 )
 def test_equal_settings_have_equal_digests(one, other):

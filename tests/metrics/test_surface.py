@@ -8,7 +8,9 @@ import pytest
 from roadperc_stream.geometry import Plane
 from roadperc_stream.metrics import frame_metrics
 from roadperc_stream.metrics.surface import intersection_over_union, surface_height_error_m
-from roadperc_stream.model import HeightGrid
+from roadperc_stream.model import DepthImage, HeightGrid, TagImage
+from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14 as TABLE
+from tests.analytic import Road
 from tests.hills import Hill
 from tests.metrics.frames import CFG, sample_and_result
 
@@ -19,6 +21,27 @@ def test_intersection_over_union():
     assert intersection_over_union(a, b) == pytest.approx(2 / 6)
     assert intersection_over_union(a, a) == 1.0
     assert intersection_over_union(a & False, b & False) is None
+
+
+def test_a_fault_of_the_chains_mask_does_not_cancel(monkeypatch):
+    """The chain takes everything within 10 m of the plane for the road; a block with the road's tag stands on it."""
+    road = Road()
+    tags, depth_m = road.tags(), road.depth_m().copy()
+    drivable = TABLE.lookup(CFG.surface.classes)[tags] > 0
+    block = np.zeros_like(drivable)
+    block[320:350, 300:340] = drivable[320:350, 300:340]
+    depth_m[block] *= np.float32(0.8)
+    monkeypatch.setattr("roadperc_stream.chain.stages.surface.road._DRIVABLE_M", 10.0)
+    _, result = sample_and_result()
+    sample, _ = sample_and_result(
+        surface=result.surface,
+        depth=DepthImage("camera", lambda: (depth_m, 65.535)),
+        segmentation=TagImage("camera", TABLE, lambda: tags),
+    )
+    row = frame_metrics(CFG, "id", sample, result)
+    known = drivable & np.isfinite(depth_m)
+    assert block.sum() > 500
+    assert row.drivable_iou == pytest.approx((known & ~block).sum() / known.sum(), abs=0.01)
 
 
 def test_a_surface_turned_by_a_degree():

@@ -8,8 +8,8 @@ from google.protobuf.message import DecodeError as ProtobufError
 
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.formats.raster import Content
 from roadperc_stream.input.decoding import foxglove, own, ros
+from roadperc_stream.input.decoding.json_messages import from_json
 from roadperc_stream.input.decoding.payload import (
     READ_AS_A_WHOLE,
     Context,
@@ -19,7 +19,6 @@ from roadperc_stream.input.decoding.payload import (
     require_within,
     without_slashes,
 )
-from roadperc_stream.input.decoding.wire import from_json, parsed
 from roadperc_stream.log.records import Channel
 from roadperc_stream.model.tag_tables import table_named
 from roadperc_stream.schemas import cdr, ros2
@@ -34,16 +33,8 @@ def _protobuf(message_type: Any, decoder: Callable[[Any, Context], Decoded]) -> 
     return lambda data, context: decoder(message_type.FromString(data), context)
 
 
-def _picture(message_type: Any, decoder: Callable[[Any, Content, Context], Decoded]) -> Decoder:
-    return lambda data, context: decoder(*parsed(message_type, data, "data"), context)
-
-
 def _json(message_type: Any, decoder: Callable[[Any, Context], Decoded]) -> Decoder:
     return lambda data, context: decoder(from_json(message_type, data), context)
-
-
-def _whole(decoder: Callable[[Any, Content, Context], Decoded]) -> Callable[[Any, Context], Decoded]:
-    return lambda message, context: decoder(message, message.data, context)
 
 
 def _cdr(name: str, decoder: Callable[[Any, Context], Decoded]) -> Decoder:
@@ -59,11 +50,9 @@ def _cdr(name: str, decoder: Callable[[Any, Context], Decoded]) -> Decoder:
 _MESSAGES: Final = {**own.DECODERS, **foxglove.DECODERS}
 DECODERS: Final[Mapping[tuple[Kind, str, str], Decoder]] = {
     **{(kind, t.DESCRIPTOR.full_name, "protobuf"): _protobuf(t, f) for (kind, t), f in _MESSAGES.items()},
-    **{(kind, t.DESCRIPTOR.full_name, "protobuf"): _picture(t, f) for (kind, t), f in foxglove.PICTURES.items()},
     **{(kind, name, "cdr"): _cdr(name, f) for (kind, name), f in ros.DECODERS.items()},
     **{(kind, name.replace("/msg/", "/"), "ros1"): _cdr(name, f) for (kind, name), f in ros.DECODERS.items()},
     ("tf", "tf/tfMessage", "ros1"): _cdr("tf/msg/tfMessage", ros.DECODERS["tf", "tf2_msgs/msg/TFMessage"]),
-    **{(kind, t.DESCRIPTOR.full_name, "json"): _json(t, _whole(f)) for (kind, t), f in foxglove.PICTURES.items()},
     **{(kind, t.DESCRIPTOR.full_name, "json"): _json(t, f) for (kind, t), f in foxglove.DECODERS.items()},
 }
 
@@ -102,7 +91,7 @@ def decode(kind: Kind, schema: str, encoding: str, data: bytes, log_time_ns: int
         expected = ", ".join(f"{known} ({written})" for known, written in schemas_of_kind(kind))
         raise DecodeError(f"expected {expected}; found {schema or 'no schema'} ({encoding})")
     if len(data) > context.limits.message_bytes and kind not in READ_AS_A_WHOLE:
-        raise DecodeError(f"{len(data)} bytes: expected limits.message_mb {context.limits.message_mb} at most")
+        raise DecodeError(f"{len(data)} bytes: expected {context.limits.message_bytes} at most")
     try:
         decoded = decoder(data, context)
         require_within(decoded.payload, context.limits)

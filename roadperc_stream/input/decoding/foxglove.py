@@ -14,7 +14,7 @@ from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
 from roadperc_stream.formats import points
-from roadperc_stream.formats.raster import Content, Raster
+from roadperc_stream.formats.raster import Raster
 from roadperc_stream.geometry import Float32
 from roadperc_stream.input.decoding import pictures
 from roadperc_stream.input.decoding.payload import Context, Decoded, camera_from_calibration, pose_matrix, require_count
@@ -22,24 +22,24 @@ from roadperc_stream.model import EGO, PointCloud, Transform, VideoFrame
 from roadperc_stream.schemas.protobuf import stamp_ns
 from roadperc_stream.schemas.roles import Kind
 
-Picture = Callable[[Any, Content, Context], Decoded]
+Decoder = Callable[[Any, Context], Decoded]
 
 
-def _file(kind: Kind) -> Picture:
+def _file(kind: Kind) -> Decoder:
     """A decoder of messages that contain an image file."""
 
-    def decoded(message: Any, data: Content, context: Context) -> Decoded:
+    def decoded(message: Any, context: Context) -> Decoded:
         pictures.require_picture(message.format)
-        return _stamped(message, pictures.of_file(kind, message.frame_id, data, context))
+        return _stamped(message, pictures.of_file(kind, message.frame_id, message.data, context))
 
     return decoded
 
 
-def _raw(kind: Kind) -> Picture:
+def _raw(kind: Kind) -> Decoder:
     """A decoder of messages that contain raw pixels."""
 
-    def decoded(message: Any, data: Content, context: Context) -> Decoded:
-        raster = Raster(message.encoding, message.width, message.height, message.step, data)
+    def decoded(message: Any, context: Context) -> Decoded:
+        raster = Raster(message.encoding, message.width, message.height, message.step, message.data)
         return _stamped(message, pictures.of_raster(kind, message.frame_id, raster, context))
 
     return decoded
@@ -85,12 +85,9 @@ def _video(message: Any, _: Context) -> Decoded:
     return _stamped(message, VideoFrame(message.frame_id, message.format, message.data))
 
 
-PICTURES: Final[Mapping[tuple[Kind, Any], Picture]] = {
+DECODERS: Final[Mapping[tuple[Kind, Any], Decoder]] = {
     **{(kind, CompressedImage): _file(kind) for kind in pictures.FILE_KINDS},
     **{(kind, RawImage): _raw(kind) for kind in pictures.RASTER_KINDS},
-}
-"""Decoder by kind and message type; the field ``data`` is passed separately."""
-DECODERS: Final[Mapping[tuple[Kind, Any], Callable[[Any, Context], Decoded]]] = {
     ("video", CompressedVideo): _video,
     ("video", CompressedImage): _video,
     ("points", PointCloudProto): _point_cloud,

@@ -113,7 +113,7 @@ def require_count(items: Literal["points", "detections", "transforms"], found: i
     """
     most: int = getattr(limits, items)
     if found > most:
-        raise DecodeError(f"{found} {items}: expected limits.{items} {most} at most")
+        raise DecodeError(f"{found} {items}: expected {most} at most")
 
 
 def require_within(payload: Payload, limits: LimitsConfig) -> None:
@@ -126,7 +126,7 @@ def require_within(payload: Payload, limits: LimitsConfig) -> None:
         require_pixels("calibration", payload.width, payload.height, limits)
     longest = max(map(len, names_in(payload)), default=0)
     if longest > limits.name_length:
-        raise DecodeError(f"a name of {longest} characters: expected limits.name_length {limits.name_length} at most")
+        raise DecodeError(f"a name of {longest} characters: expected {limits.name_length} at most")
 
 
 def camera_from_calibration(message: Any) -> Camera:

@@ -8,7 +8,7 @@ import numpy as np
 from roadperc_stream.config import LimitsConfig
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats import images
-from roadperc_stream.formats.raster import PALETTE_TABLE, Content, Raster, tags_of_colours
+from roadperc_stream.formats.raster import PALETTE_TABLE, Raster, tags_of_colours
 from roadperc_stream.geometry import Float32
 from roadperc_stream.input.decoding.payload import Context
 from roadperc_stream.model import CameraImage, DepthImage, Image, InstanceImage, TagImage
@@ -47,7 +47,7 @@ def of_raster(kind: Kind, frame_id: str, raster: Raster, context: Context) -> Pi
     return TagImage(frame_id, table, lambda: raster.tags(table))
 
 
-def of_file(kind: Kind, frame_id: str, content: Content, context: Context) -> Picture:
+def of_file(kind: Kind, frame_id: str, content: bytes, context: Context) -> Picture:
     """An image of a file's bytes, instance masks of a PNG in CARLA's coding, or tags of a PNG.
 
     Tags are palette indices, grey values, or CARLA's colours.
@@ -58,11 +58,11 @@ def of_file(kind: Kind, frame_id: str, content: Content, context: Context) -> Pi
     limits = context.limits
 
     def bgr() -> Image:
-        return images.decode_bgr(bytes(content), limits)
+        return images.decode_bgr(content, limits)
 
     if kind == "image":
         grey, size = images.decode_grey, images.image_size
-        return CameraImage(frame_id, bgr, lambda: grey(bytes(content), limits), lambda: size(bytes(content), limits))
+        return CameraImage(frame_id, bgr, lambda: grey(content, limits), lambda: size(content, limits))
     if kind == "instances":
         if not _is_png(content):
             raise DecodeError("instance masks: expected a lossless PNG with CARLA's coding")
@@ -71,7 +71,7 @@ def of_file(kind: Kind, frame_id: str, content: Content, context: Context) -> Pi
     table = _table_of(context.tag_table, indexed=not in_colours)
     if in_colours:
         return TagImage(frame_id, table, lambda: tags_of_colours(bgr(), table))
-    return TagImage(frame_id, table, lambda: images.decode_indices(bytes(content), limits))
+    return TagImage(frame_id, table, lambda: images.decode_indices(content, limits))
 
 
 def require_picture(layout: str) -> None:
@@ -84,7 +84,7 @@ def require_picture(layout: str) -> None:
         raise DecodeError(f"image of format {layout!r}: a frame of video, expected jpeg or png; {CONVERT_VIDEO}")
 
 
-def _is_png(content: Content) -> bool:
+def _is_png(content: bytes) -> bool:
     return content[: len(images.PNG_MAGIC)] == images.PNG_MAGIC
 
 
