@@ -139,9 +139,10 @@ class Raster:
         Raises:
             DecodeError: the encoding is not one of a camera image.
         """
-        pixels, conversion = self._eight_bits(), _ENCODINGS[self.encoding][-1]
+        *_, conversion = _ENCODINGS.get(self.encoding, ("",))
         if conversion is None:
             raise DecodeError(f"image encoding {self.encoding!r}: expected colours, mono8 or mono16")
+        pixels = self._eight_bits()  # of an encoding that is known
         if not conversion:
             return pixels
         import cv2
