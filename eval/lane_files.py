@@ -17,7 +17,7 @@ from roadperc_stream import log
 from roadperc_stream.config.complaints import complaint, key_of
 from roadperc_stream.errors import LogError, RoadpercError
 from roadperc_stream.geometry import Camera, Float
-from roadperc_stream.input.decoding import Context, Decoded, decode
+from roadperc_stream.input.decoding import Context, Stamped, decode
 from roadperc_stream.log import LogSummary
 from roadperc_stream.metrics.lanes import ROW_STEP_PX, columns_at, in_view
 from roadperc_stream.model import Lanes
@@ -239,7 +239,7 @@ def lane_frame(frame: RunFrame, camera: Camera, size: tuple[int, int], raw_file:
     return LaneFrame(raw_file, rows, tuple(lane for lane in lanes if np.isfinite(lane).any()), frame.run_time_ms)
 
 
-def _decoded(role: Kind, message: log.Message) -> Decoded:
+def _decoded(role: Kind, message: log.Message) -> Stamped:
     channel = message.channel
     kind = channel.schema_name, channel.message_encoding
     return decode(role, *kind, message.data, message.log_time_ns, Context())

@@ -17,10 +17,11 @@ from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ChannelError, DecodeError
 from roadperc_stream.formats.images import PNG_MAGIC, encode_indices, encode_jpeg, encode_png
 from roadperc_stream.geometry import Camera
+from roadperc_stream.input.decoding import Stamped
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.replaced import attachments_about_log, first_latched, with_recorded
 from roadperc_stream.input.roles import assignment_of_log
-from roadperc_stream.input.stream import Problems, RoleAssignment, Stamped, decoded_messages
+from roadperc_stream.input.stream import Problems, RoleAssignment, decoded_messages
 from roadperc_stream.log import Channel, LogSummary, LogWriter, Message, Metadata
 from roadperc_stream.model import CameraImage, DepthImage, TagImage
 from roadperc_stream.output import encoding

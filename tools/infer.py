@@ -14,11 +14,12 @@ from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ChannelError, DecodeError, NoFrameError
 from roadperc_stream.formats.images import encode_indices
 from roadperc_stream.input.assemble import ego_T_camera_of
+from roadperc_stream.input.decoding import Stamped
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.replaced import attachments_about_log, first_latched, with_recorded
 from roadperc_stream.input.rig import calibration_role
 from roadperc_stream.input.roles import assignment_of_log
-from roadperc_stream.input.stream import Problems, RoleAssignment, Stamped, decoded_messages
+from roadperc_stream.input.stream import Problems, RoleAssignment, decoded_messages
 from roadperc_stream.input.topics import fits
 from roadperc_stream.log import Channel, LogSummary, LogWriter, Message, MessageCopy, Metadata
 from roadperc_stream.model import CameraImage

@@ -17,13 +17,15 @@ from roadperc_stream.errors import ConfigError, DecodeError, DumpError, LogError
 from roadperc_stream.geometry import Float
 from roadperc_stream.info.role_states import Roles, roles_of
 from roadperc_stream.info.stamps import StampReader, stamp_reader
+from roadperc_stream.input.decoding import Stamped
 from roadperc_stream.input.earlier_replay import is_result, recorded_tag_table, recorded_topics
 from roadperc_stream.input.findings import InputEvidence
 from roadperc_stream.input.order import OrderConfig
 from roadperc_stream.input.replaced import replaced, rig_of_log, with_recorded
-from roadperc_stream.input.stream import Problems, Stamped, decoded_messages
-from roadperc_stream.input.sync import LatchedState, StampPairing, without_loops
+from roadperc_stream.input.stream import Problems, decoded_messages
+from roadperc_stream.input.sync import StampPairing, reference_of, skew_ns, without_loops
 from roadperc_stream.input.topics import probe_first_message
+from roadperc_stream.input.transforms import LatchedState
 from roadperc_stream.log import LogSummary, Message, MessageDigest, Salvage
 from roadperc_stream.model import CameraImage, DepthImage
 from roadperc_stream.model.finding import Finding
@@ -235,12 +237,12 @@ class Scan:
         pairing = StampPairing(cfg, order, roles.topics, LatchedState(), drop)
         paired = [role for role in roles.topics if ROLES[role].kind not in LATCHED_KINDS]
         sorted_items = log.in_order_within(items, lambda item: item.log_time_ns, lambda _: 1, _MOST_SORTED)
-        for synced in pairing.frames_of(sorted_items):
+        for paired_now in pairing.frames_of(sorted_items):
             self.frames += 1
-            self.segments = max(self.segments, synced.reference.segment + 1)
-            self.alone.update(role for role in paired if role not in synced.messages)
-            if synced.skew_ns is not None:
-                self.skew_ns = max(self.skew_ns or 0, synced.skew_ns)
+            self.segments = max(self.segments, reference_of(paired_now).segment + 1)
+            self.alone.update(role for role in paired if role not in paired_now)
+            if (skew := skew_ns(paired_now)) is not None:
+                self.skew_ns = max(self.skew_ns or 0, skew)
 
     def _counted(self, messages: Iterable[Message]) -> Iterator[Message]:
         """Count the messages and pass them on."""
@@ -266,7 +268,7 @@ class Scan:
         for item in items:
             self.evidence.add([item])
             if ROLES[item.role].kind in LATCHED_KINDS:
-                self.latched = self.latched.updated(item)
+                self.latched = self.latched.updated(item.role, item.payload)
             else:
                 if item.role not in self.sizes and isinstance(item.payload, CameraImage | DepthImage):
                     with suppress(DecodeError):

@@ -11,11 +11,11 @@ from roadperc_stream import model
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ChannelError
 from roadperc_stream.geometry import Camera, Float, inverse, mounting
+from roadperc_stream.input.decoding import Stamped
 from roadperc_stream.input.rectified import rectified_frame, rectified_truth
 from roadperc_stream.input.rig import NO_RIG, Rig, calibration_role, own_calibration
-from roadperc_stream.input.stream import Stamped
-from roadperc_stream.input.sync import LatchedState, SyncedMessages
-from roadperc_stream.input.transforms import TransformTree
+from roadperc_stream.input.sync import Paired, reference_of, skew_ns
+from roadperc_stream.input.transforms import LatchedState, TransformTree
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
 
 EGO_FRAMES: Final = (model.EGO, "base_footprint", "base_link", "ego_vehicle", "hero")
@@ -27,7 +27,7 @@ T = TypeVar("T")
 
 def sample_of(
     cfg: ReplayConfig,
-    synced: SyncedMessages,
+    paired: Paired,
     index: int,
     topics: Mapping[str, str],
     parent_of: Mapping[str, str],
@@ -37,26 +37,27 @@ def sample_of(
 
     ``cfg`` gives the assumed height of a camera without a mounting. ``index`` is the number of the frame in the replay,
     from 0, or ``UNWRITTEN`` for a warm-up frame. ``parent_of`` has each frame that the log places at any time. ``rig``
-    replaced the cameras and mountings of the log in ``synced``.
+    replaced the cameras and mountings of the log in ``paired``.
 
     Raises:
         ChannelError: a camera without calibration; the message names it.
     """
-    messages, latched, tree = synced.messages, synced.latched, synced.latched.tree
+    reference = reference_of(paired)
+    messages, latched, tree = paired, reference.latched, reference.latched.tree
     depth = _payload(messages, "depth", model.DepthImage)
-    camera = _camera(synced, topics)
+    camera = _camera(reference, topics)
     depth_camera = _depth_camera(latched, camera, depth)
     given = next((edge.parent_T_child for edge in rig.transforms if edge.child == camera.frame_id), None)
     known = ego_T_camera_of(tree, camera) if given is None else given
     ego_T_camera = mounting(z=cfg.surface.assumed_height_m) if known is None else known
-    left_camera = _left_camera(synced, camera, topics)
-    is_pair = "left" in topics and synced.reference.role != "left"
+    left_camera = _left_camera(reference, camera, topics)
+    is_pair = "left" in topics and reference.role != "left"
     left = _payload(messages, "left", model.CameraImage) if is_pair else None
     points = _payload(messages, "lidar", model.PointCloud)
     detections = messages.get("detections")
     pose = _payload(messages, "truth_pose", model.Transform)
     frame = model.Frame(
-        stamp_ns=synced.reference.stamp_ns,
+        stamp_ns=reference.stamp_ns,
         camera=camera,
         ego_T_camera=ego_T_camera,
         depth_camera=depth_camera,
@@ -81,9 +82,8 @@ def sample_of(
     missing = tuple(role for role in topics if _expected(role) and role not in messages)
     own = None if given is not None else _own_frame(tree, camera)
     truth, anchor = _truth(messages, tree, camera), _anchor(own, camera, ego_T_camera, parent_of)
-    reference = synced.reference
     frame, truth = rectified_frame(frame), rectified_truth(truth, camera)
-    return model.Sample(index, reference.log_time_ns, frame, truth, missing, synced.skew_ns, anchor, reference.segment)
+    return model.Sample(index, reference.log_time_ns, frame, truth, missing, skew_ns(paired), anchor, reference.segment)
 
 
 def _expected(role: str) -> bool:
@@ -95,14 +95,14 @@ def _payload(messages: Mapping[str, Stamped], role: str, kind: type[T]) -> T | N
     return message.payload if message is not None and isinstance(message.payload, kind) else None
 
 
-def _camera(synced: SyncedMessages, topics: Mapping[str, str]) -> Camera:
+def _camera(reference: Stamped, topics: Mapping[str, str]) -> Camera:
     """The camera of image, segmentation and detections."""
-    role, wanted = synced.reference.role, own_calibration(synced.reference.role)
-    camera = synced.latched.cameras.get(calibration_role(role, synced.latched.cameras))
+    role, wanted = reference.role, own_calibration(reference.role)
+    camera = reference.latched.cameras.get(calibration_role(role, reference.latched.cameras))
     if camera is None:
-        frame_id = getattr(synced.reference.payload, "frame_id", "")
+        frame_id = getattr(reference.payload, "frame_id", "")
         raise ChannelError(
-            f"{topics[role]}: camera {frame_id!r} has no calibration at {synced.reference.stamp_ns} ns: expected a "
+            f"{topics[role]}: camera {frame_id!r} has no calibration at {reference.stamp_ns} ns: expected a "
             f"{ROLES[wanted].schema} on {ROLES[wanted].topic}, or --topic {wanted}=/TOPIC, or pass --fov DEGREES or "
             "--calibration FILE"
         )
@@ -119,20 +119,20 @@ def _depth_camera(latched: LatchedState, camera: Camera, depth: model.DepthImage
     return replace(camera, frame_id=depth.frame_id, baseline_m=None, distortion=(), lens=None)
 
 
-def _left_camera(synced: SyncedMessages, camera: Camera, topics: Mapping[str, str]) -> Camera:
+def _left_camera(reference: Stamped, camera: Camera, topics: Mapping[str, str]) -> Camera:
     """The left camera of a stereo pair: a separate one if the log has it, else the front camera.
 
     A log may have a left calibration without left images. The baseline then does not hold for the front camera, so its
     image must not be matched.
     """
-    if synced.reference.role == "left":
+    if reference.role == "left":
         return camera
-    own = synced.latched.cameras.get("left_calibration")
+    own = reference.latched.cameras.get("left_calibration")
     if "left" not in topics:
-        return camera if own is None or _is_front(synced.latched.tree, camera, own) else own
+        return camera if own is None or _is_front(reference.latched.tree, camera, own) else own
     if own is None:
         raise ChannelError(
-            f"{topics['left']}: the left camera has no calibration at {synced.reference.stamp_ns} ns: "
+            f"{topics['left']}: the left camera has no calibration at {reference.stamp_ns} ns: "
             "expected one in the log, or pass --calibration FILE with cameras.left"
         )
     return own

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from heapq import heappop, heappush
 from typing import Final
 
-from roadperc_stream.input.stream import Stamped
+from roadperc_stream.input.decoding import Stamped
 from roadperc_stream.system.time import LONGEST_PAUSE_NS, NS_PER_S
 
 _ROW: Final = 3

@@ -7,8 +7,8 @@ from itertools import islice
 from typing import Final
 
 from roadperc_stream.config import SyncConfig
-from roadperc_stream.input.stream import Stamped
-from roadperc_stream.input.sync import SyncedMessages
+from roadperc_stream.input.decoding import Stamped
+from roadperc_stream.input.sync import Paired, reference_of
 from roadperc_stream.log import Attachment, LogSummary, Metadata, counted_topics
 from roadperc_stream.schemas.record import CONFIG_ATTACHMENT, METADATA_RECORD
 from roadperc_stream.system.time import ns_to_seconds
@@ -44,14 +44,14 @@ class InputOutcome:
     dropped_stamps_ns: dict[str, int] = field(default_factory=dict)
     """The stamp of the first such message."""
 
-    def add(self, synced: SyncedMessages, segment: int, *, is_written: bool = True, is_again: bool = False) -> None:
+    def add(self, paired: Paired, segment: int, *, is_written: bool = True, is_again: bool = False) -> None:
         """Count a frame; ``is_again`` if the continued result has it too."""
-        self.paired.update(synced.messages)
+        self.paired.update(paired)
         if is_written:
             self.frames += 1
             self.given_again += is_again
             self.segment_frames[segment] += 1
-            self.segment_stamps_ns.setdefault(segment, synced.reference.stamp_ns)
+            self.segment_stamps_ns.setdefault(segment, reference_of(paired).stamp_ns)
 
     def drop(self, item: Stamped) -> None:
         """Count a message that belongs to no frame."""

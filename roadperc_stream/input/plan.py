@@ -12,14 +12,16 @@ from math import inf
 from roadperc_stream import log
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ChannelError, NoFrameError, StateError
+from roadperc_stream.input.decoding import Stamped
 from roadperc_stream.input.earlier_replay import is_result, replay_record
 from roadperc_stream.input.order import OrderConfig, StampOrder
 from roadperc_stream.input.replaced import rig_of_log
 from roadperc_stream.input.rig import NO_RIG, Rig
 from roadperc_stream.input.roles import NOTHING_TO_REPLAY, assignment_of_log, with_paths
 from roadperc_stream.input.source import ReplaySource
-from roadperc_stream.input.stream import Problems, RoleAssignment, Stamped, decoded_messages
-from roadperc_stream.input.sync import LatchedState, without_loops
+from roadperc_stream.input.stream import Problems, RoleAssignment, decoded_messages
+from roadperc_stream.input.sync import without_loops
+from roadperc_stream.input.transforms import LatchedState
 from roadperc_stream.input.window import LeadIn, Window, WindowMessages, on_channels_of
 from roadperc_stream.log import LogSummary, Message, MessageDigest
 from roadperc_stream.schemas.record import END_KEY
@@ -265,7 +267,7 @@ def latched_at(
             decoded = decoded_messages([message], roles, cfg.tag_table, problems, cfg.limits)
             for item in without_loops(decoded, latched.tree, roles.topics, problems, cfg.limits):
                 if before or item.role in waiting:
-                    latched = latched.updated(item)
+                    latched = latched.updated(item.role, item.payload)
                     waiting.discard(item.role)
                 if before:
                     placed = [edge.child for edge in item.edges] or [""]

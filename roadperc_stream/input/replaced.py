@@ -12,10 +12,11 @@ from roadperc_stream.config.calibration import CalibrationConfig
 from roadperc_stream.config.settings import parsed_toml
 from roadperc_stream.config.stages import ABOUT_THE_LOG
 from roadperc_stream.errors import ConfigError, DecodeError
+from roadperc_stream.input.decoding import Stamped
 from roadperc_stream.input.rig import NO_RIG, LogSensor, Rig, calibration_role, own_calibration, replacing_rig
-from roadperc_stream.input.stream import Problems, RoleAssignment, Stamped, decoded_messages
-from roadperc_stream.input.sync import LatchedState, SyncedMessages, without_loops
-from roadperc_stream.input.transforms import TransformTree
+from roadperc_stream.input.stream import Problems, RoleAssignment, decoded_messages
+from roadperc_stream.input.sync import Paired, reference_of, without_loops
+from roadperc_stream.input.transforms import LatchedState, TransformTree
 from roadperc_stream.log import Attachment, LogSummary
 from roadperc_stream.model import (
     EGO,
@@ -92,7 +93,7 @@ def first_latched(summary: LogSummary, roles: RoleAssignment, cfg: ReplayConfig 
         messages = islice(log.read(summary, topics=tuple(topics.values())), _MOST_LATCHED) if topics else ()
         items = decoded_messages(messages, replace(roles, topics=topics), "auto", problems, cfg.limits)
         for item in without_loops(items, latched.tree, topics, problems, cfg.limits):
-            latched = latched if item.role in latched.cameras else latched.updated(item)
+            latched = latched if item.role in latched.cameras else latched.updated(item.role, item.payload)
     return replaced(latched, rig_of_log(summary, roles, cfg), roles.reference or "image")
 
 
@@ -116,11 +117,12 @@ def _readable(topic: str, items: Iterable[Stamped]) -> Iterator[LogSensor]:
                     yield LogSensor(topic, cloud.frame_id)
 
 
-def as_configured(synced: SyncedMessages, rig: Rig, labels: Mapping[str, str]) -> SyncedMessages:
+def as_configured(paired: Paired, rig: Rig, labels: Mapping[str, str]) -> Paired:
     """The messages of an instant with the cameras and mountings of ``rig``, and with known labels."""
-    latched = replaced(synced.latched, rig, synced.reference.role)
-    messages = {role: _relabelled(item, labels) for role, item in synced.messages.items()} if labels else {}
-    return replace(synced, latched=latched, messages={**synced.messages, **messages})
+    reference = reference_of(paired)
+    reference = replace(reference, latched=replaced(reference.latched, rig, reference.role))
+    paired = {**paired, reference.role: reference}
+    return {role: _relabelled(item, labels) for role, item in paired.items()} if labels else paired
 
 
 def _relabelled(item: Stamped, labels: Mapping[str, str]) -> Stamped:

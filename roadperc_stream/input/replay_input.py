@@ -8,6 +8,7 @@ from math import inf
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ChannelError, NoFrameError, StateError
 from roadperc_stream.input.assemble import sample_of
+from roadperc_stream.input.decoding import Stamped
 from roadperc_stream.input.earlier_replay import networks_digest
 from roadperc_stream.input.findings import InputEvidence
 from roadperc_stream.input.outcome import FileSpan, InputOutcome, continuation_notes, file_notes
@@ -15,8 +16,9 @@ from roadperc_stream.input.plan import InputPlan, plan_input
 from roadperc_stream.input.replaced import as_configured, with_recorded
 from roadperc_stream.input.roles import tag_table_to_record, with_paths
 from roadperc_stream.input.source import LossTimes, ReadableLog, ReplaySource
-from roadperc_stream.input.stream import Problems, Stamped, decoded_messages
-from roadperc_stream.input.sync import LatchedState, StampPairing, SyncedMessages, without_loops
+from roadperc_stream.input.stream import Problems, decoded_messages
+from roadperc_stream.input.sync import Paired, StampPairing, reference_of, without_loops
+from roadperc_stream.input.transforms import LatchedState
 from roadperc_stream.input.window import LeadIn, WindowMessages
 from roadperc_stream.log import DIGEST_ALGORITHM, Channel, LogSummary, LostSpan, Recovery
 from roadperc_stream.model import UNWRITTEN, FrameResult, LastComplete, Sample
@@ -136,18 +138,19 @@ class ReplayInput:
         last = None if lead is None else lead.last
         before_ns, number, own = (None, 0, 0) if last is None else (last.log_time_ns, last.number + 1, 0)
         for found, segment in self._frames():
-            synced, reference = as_configured(found, plan.rig, self.cfg.labels), found.reference
-            self._evidence.add(synced.messages.values())
-            self._latched = synced.latched
+            paired = as_configured(found, plan.rig, self.cfg.labels)
+            reference = reference_of(paired)
+            self._evidence.add(paired.values())
+            self._latched = reference.latched
             in_lead = lead is not None and lead.contains(reference.log_time_ns)
             is_written = not in_lead or plan.continues
-            sample = replace(self._sample(synced, number if is_written else UNWRITTEN), segment=segment)
-            self._outcome.add(synced, segment, is_written=is_written, is_again=in_lead)
+            sample = replace(self._sample(paired, number if is_written else UNWRITTEN), segment=segment)
+            self._outcome.add(paired, segment, is_written=is_written, is_again=in_lead)
             if not is_written:
                 yield sample
                 continue
             log_time_ns = max(before_ns or 0, reference.log_time_ns)
-            lost = self._losses.reason(before_ns, self._until_ns(synced, before_ns, log_time_ns))
+            lost = self._losses.reason(before_ns, self._until_ns(paired, before_ns, log_time_ns))
             times = reference.stamp_ns, reference.log_time_ns, log_time_ns
             here = LastComplete(number, *times, segment, self._pairing.since_ns(found))
             complete = here if self._is_complete(found, here.since_ns) else None
@@ -160,34 +163,35 @@ class ReplayInput:
             notes = with_paths("; ".join(self.notes), self.summary)
             raise NoFrameError(f"{self.summary.path}: no message on {topic} makes a frame; {notes}")
 
-    def _frames(self) -> Iterator[tuple[SyncedMessages, int]]:
+    def _frames(self) -> Iterator[tuple[Paired, int]]:
         """The frames with the numbers of their segments, without those up to the last one of a continued result."""
         plan, limits = self.plan, self.cfg.limits
         messages = self.messages.all(set(self.topics.values()))
         decoded = decoded_messages(messages, plan.roles, self.cfg.tag_table, self._problems, limits)
         frames = self._pairing.frames_of(without_loops(decoded, plan.latched.tree, self.topics, self._problems, limits))
         if plan.lead is None or (last := plan.lead.last) is None:
-            yield from ((frame, frame.reference.segment) for frame in frames)
+            yield from ((frame, reference_of(frame).segment) for frame in frames)
             return
         for frame in frames:
-            if (frame.reference.stamp_ns, frame.reference.log_time_ns) == (last.stamp_ns, last.arrived_ns):
-                first = last.segment - frame.reference.segment
-                yield from ((later, first + later.reference.segment) for later in frames)
+            reference = reference_of(frame)
+            if (reference.stamp_ns, reference.log_time_ns) == (last.stamp_ns, last.arrived_ns):
+                first = last.segment - reference.segment
+                yield from ((later, first + reference_of(later).segment) for later in frames)
                 return
         raise StateError(
             f"{plan.lead.summary.path}: frame {last.number} with stamp {last.stamp_ns} ns is not in it: "
             "expected the unchanged result of a replay"
         )
 
-    def _is_complete(self, frame: SyncedMessages, since_ns: int) -> bool:
+    def _is_complete(self, frame: Paired, since_ns: int) -> bool:
         """Whether no later message can change a frame, and the copy has all messages that later frames may take."""
-        plan, reference = self.plan, frame.reference
+        plan, reference = self.plan, reference_of(frame)
         is_copied = plan.lead is None or plan.continues or since_ns >= plan.lead.end_ns
         return is_copied and (reference.segment, reference.stamp_ns) < plan.first.settled
 
-    def _until_ns(self, synced: SyncedMessages, since_ns: int | None, log_time_ns: int) -> int:
+    def _until_ns(self, paired: Paired, since_ns: int | None, log_time_ns: int) -> int:
         """The log time up to which messages of a frame may have been lost."""
-        if all(role in synced.messages for role in self.topics if ROLES[role].kind not in LATCHED_KINDS):
+        if all(role in paired for role in self.topics if ROLES[role].kind not in LATCHED_KINDS):
             return log_time_ns
         interval_ns = 0 if since_ns is None else log_time_ns - since_ns  # assume the same interval to the next frame
         return log_time_ns + self.plan.order.lateness_ns + interval_ns
@@ -206,13 +210,13 @@ class ReplayInput:
             topic, stamp = self.topics[item.role], f"stamp {item.stamp_ns} ns at log time {item.log_time_ns} ns"
             self._problems.report(f"{topic}: {item.fault}", f"{topic}: message with {stamp}: {item.fault}, left out")
 
-    def _sample(self, synced: SyncedMessages, index: int) -> Sample:
+    def _sample(self, paired: Paired, index: int) -> Sample:
         try:
-            sample = sample_of(self.cfg, synced, index, self.topics, self.plan.first.parent_of, self.plan.rig)
+            sample = sample_of(self.cfg, paired, index, self.topics, self.plan.first.parent_of, self.plan.rig)
         except ChannelError as error:
             known = (*self.plan.problems.first.values(), *self.plan.roles.unassigned, *self._if_in_other_files)
             raise ChannelError("; ".join((f"{self.summary.path}: {error}", *known))) from error
-        if "truth_pose" in synced.messages and sample.truth.odom_T_ego is None:
+        if "truth_pose" in paired and sample.truth.odom_T_ego is None:
             topic = self.topics["truth_pose"]
             text = f"{topic}: no transform connects the frame of its poses with ego: not used as truth"
             self._problems.report(topic, text)

@@ -2,15 +2,14 @@
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import DecodeError, LogError
-from roadperc_stream.input.decoding import Context, Payload, context_of_channel, decode
+from roadperc_stream.input.decoding import Context, Stamped, context_of_channel, decode
 from roadperc_stream.log.records import Channel, Message
-from roadperc_stream.model import Transform
-from roadperc_stream.schemas.roles import LATCHED_KINDS, REFERENCE_ROLES, ROLES, Role
+from roadperc_stream.schemas.roles import REFERENCE_ROLES, ROLES, Role
 
 
 @dataclass
@@ -52,32 +51,6 @@ class Problems:
         """
         if self.strict_in is not None:
             raise LogError(f"{self.strict_in}: {text}; --strict stops there")
-
-
-@dataclass(frozen=True, eq=False)
-class Stamped:
-    """One decoded message of a role.
-
-    ``segment`` is the number of its segment. ``fault`` is why a reference message is left out.
-    """
-
-    role: str
-    log_time_ns: int
-    stamp_ns: int
-    payload: Payload
-    segment: int = 0
-    fault: str = ""
-
-    @property
-    def is_latched(self) -> bool:
-        """Whether it holds until a later message replaces it."""
-        return ROLES[self.role].kind in LATCHED_KINDS
-
-    @property
-    def edges(self) -> tuple[Transform, ...]:
-        """The transforms of a transforms message; empty for any other."""
-        parts = self.payload if isinstance(self.payload, tuple) else ()
-        return tuple(part for part in parts if isinstance(part, Transform))
 
 
 @dataclass(frozen=True)
@@ -133,4 +106,4 @@ def decoded_messages(
             except DecodeError as error:
                 problems.add(channel.topic, message.log_time_ns, error)
                 continue
-            yield Stamped(role.name, message.log_time_ns, decoded.stamp_ns, decoded.payload)
+            yield replace(decoded, role=role.name, log_time_ns=message.log_time_ns)

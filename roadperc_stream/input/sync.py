@@ -7,35 +7,21 @@ the nearest stamp, within the tolerance. Calibrations and transforms hold until 
 
 from collections import deque
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import chain
 from typing import Final
 
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig, SyncConfig
-from roadperc_stream.geometry import Camera
+from roadperc_stream.input.decoding import Stamped
 from roadperc_stream.input.order import Drop, OrderConfig, StampOrder
-from roadperc_stream.input.stream import Problems, Stamped
-from roadperc_stream.input.transforms import TransformTree
+from roadperc_stream.input.stream import Problems
+from roadperc_stream.input.transforms import LatchedState, TransformTree
 from roadperc_stream.model import Transform
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
 from roadperc_stream.system.time import seconds_to_ns
 
 _MOST_EDGES_NAMED: Final = 3
 """Transforms that a problem text lists."""
-
-
-@dataclass(frozen=True)
-class LatchedState:
-    """The camera of each calibration role and the transform tree at one instant."""
-
-    cameras: Mapping[str, Camera] = field(default_factory=dict)
-    tree: TransformTree = field(default_factory=TransformTree)
-
-    def updated(self, item: Stamped) -> "LatchedState":
-        """The state after a calibration or transforms message."""
-        if isinstance(item.payload, Camera):
-            return LatchedState({**self.cameras, item.role: item.payload}, self.tree)
-        return LatchedState(self.cameras, self.tree.updated(item.edges))
 
 
 def without_loops(
@@ -75,14 +61,19 @@ def _loop_in_words(edges: Iterable[Transform], children: Collection[str]) -> str
     return f"a loop of transforms ({some}), expected a tree: left out"
 
 
-@dataclass(frozen=True)
-class SyncedMessages:
-    """The messages of one instant by role, including the reference, and the latched state."""
+Paired = Mapping[str, Stamped]
+"""The messages of one instant by role; the first one is the reference message, which has the latched state."""
 
-    reference: Stamped
-    messages: Mapping[str, Stamped]
-    latched: LatchedState
-    skew_ns: int | None
+
+def reference_of(paired: Paired) -> Stamped:
+    """The reference message of an instant."""
+    return next(iter(paired.values()))
+
+
+def skew_ns(paired: Paired) -> int | None:
+    """The largest distance of another message's stamp to that of the reference; None without another one."""
+    stamp_ns, *others = (item.stamp_ns for item in paired.values())
+    return max((abs(other_ns - stamp_ns) for other_ns in others), default=None)
 
 
 class StampPairing:
@@ -101,49 +92,48 @@ class StampPairing:
         self._latched, self._segment = latched, 0
         others = (role for role in roles if role != order.reference and ROLES[role].kind not in LATCHED_KINDS)
         self._streams = {role: deque[Stamped]() for role in others}
-        self._waiting = deque[tuple[Stamped, LatchedState]]()
+        self._waiting = deque[Stamped]()
         self._last_ns: int | None = None  # stamp of the latest frame of this segment
         self.nearest_ns = dict[str, int]()
         """Smallest distance of each role's dropped messages to a frame, as difference of stamps."""
 
-    def frames_of(self, items: Iterable[Stamped]) -> Iterator[SyncedMessages]:
+    def frames_of(self, items: Iterable[Stamped]) -> Iterator[Paired]:
         """The frames of messages in log order."""
         yield from self._synced(self._order.through(items))
         yield from self._synced(self._order.rest())
         yield from self._rest()
 
-    def since_ns(self, frame: SyncedMessages) -> int:
+    def since_ns(self, frame: Paired) -> int:
         """The earliest log time of the messages of the latest frame, and of those that later frames may take."""
-        taken, streams = frame.messages.values(), self._streams.values()
-        items = chain(taken, *streams, (item for item, _ in self._waiting), self._order.waiting)
+        items = chain(frame.values(), *self._streams.values(), self._waiting, self._order.waiting)
         return min(item.log_time_ns for item in items)
 
-    def _synced(self, items: Iterable[Stamped]) -> Iterator[SyncedMessages]:
+    def _synced(self, items: Iterable[Stamped]) -> Iterator[Paired]:
         """Take more messages, sorted by segment and stamp; give the frames that are then complete."""
         for item in items:
             if item.segment != self._segment:
                 yield from self._rest()
                 self._segment, self._last_ns = item.segment, None
-            while self._waiting and item.stamp_ns > self._waiting[0][0].stamp_ns + self._tolerance_ns:
-                yield self._frame(*self._waiting.popleft())
+            while self._waiting and item.stamp_ns > self._waiting[0].stamp_ns + self._tolerance_ns:
+                yield self._frame(self._waiting.popleft())
             self._add(item)
 
-    def _rest(self) -> Iterator[SyncedMessages]:
+    def _rest(self) -> Iterator[Paired]:
         """The frames of all pending messages, at the end of a segment."""
         while self._waiting:
-            yield self._frame(*self._waiting.popleft())
+            yield self._frame(self._waiting.popleft())
         self._drop_before(None)
 
     def _add(self, item: Stamped) -> None:
         if item.is_latched:
-            self._latched = self._latched.updated(item)
+            self._latched = self._latched.updated(item.role, item.payload)
             return
         if item.role == self._reference:
-            self._waiting.append((item, self._latched))
+            self._waiting.append(replace(item, latched=self._latched))
         elif item.role in self._streams:
             self._streams[item.role].append(item)
         if self._waiting:
-            next_ns = self._waiting[0][0].stamp_ns
+            next_ns = self._waiting[0].stamp_ns
             self._drop_before(next_ns - self._tolerance_ns, next_ns)
         self._forget(item.log_time_ns)
 
@@ -153,7 +143,7 @@ class StampPairing:
             while stream and stream[0].log_time_ns < now_ns - self._forget_after_ns:
                 self._left_out(stream.popleft())
 
-    def _frame(self, reference: Stamped, latched: LatchedState) -> SyncedMessages:
+    def _frame(self, reference: Stamped) -> Paired:
         self._drop_before(reference.stamp_ns - self._tolerance_ns, reference.stamp_ns)
         messages = {reference.role: reference}
         for role, stream in self._streams.items():
@@ -162,8 +152,7 @@ class StampPairing:
                 messages[role] = nearest
                 stream.remove(nearest)
         self._last_ns = reference.stamp_ns
-        skews = [abs(part.stamp_ns - reference.stamp_ns) for part in messages.values() if part is not reference]
-        return SyncedMessages(reference, messages, latched, max(skews, default=None))
+        return messages
 
     def _drop_before(self, limit_ns: int | None, next_ns: int | None = None) -> None:
         """Drop messages before a limit, or all without one; ``next_ns`` is the next frame's stamp."""

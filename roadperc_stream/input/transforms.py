@@ -3,11 +3,12 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 
 from roadperc_stream.errors import ChannelError
-from roadperc_stream.geometry import Float, inverse
+from roadperc_stream.geometry import Camera, Float, inverse
 from roadperc_stream.model import Transform
 
 
@@ -107,3 +108,21 @@ def _in_loops(parents: Mapping[str, str], placed: Mapping[str, Transform]) -> se
             frames = list(path)
             found.update(frames[frames.index(at) :])
     return found
+
+
+@dataclass(frozen=True)
+class LatchedState:
+    """The camera of each calibration role and the transform tree at one instant."""
+
+    cameras: Mapping[str, Camera] = field(default_factory=dict)
+    tree: TransformTree = field(default_factory=TransformTree)
+
+    def updated(self, role: str, content: object) -> "LatchedState":
+        """The state after a calibration or transforms message."""
+        if isinstance(content, Camera):
+            return LatchedState({**self.cameras, role: content}, self.tree)
+        edges = content if isinstance(content, tuple) else ()
+        return LatchedState(self.cameras, self.tree.updated(edge for edge in edges if isinstance(edge, Transform)))
+
+
+NOTHING_LATCHED: Final = LatchedState()

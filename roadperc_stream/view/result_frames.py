@@ -9,7 +9,7 @@ from typing import Any, Final, TypeVar
 from roadperc_stream import log
 from roadperc_stream.errors import ChannelError, DecodeError, LogError
 from roadperc_stream.geometry import Camera
-from roadperc_stream.input.decoding import Decoded, context_of_channel, decode
+from roadperc_stream.input.decoding import Stamped, context_of_channel, decode
 from roadperc_stream.input.earlier_replay import is_result, is_result_of
 from roadperc_stream.input.rectified import rectified
 from roadperc_stream.input.replaced import first_latched
@@ -132,7 +132,7 @@ def read_frames(summary: LogSummary, problems: Problems) -> Iterator[tuple[Frame
         LogError: the log cannot be read.
     """
     image_topic, camera = _image_source(summary)
-    waiting: dict[int, dict[str, Decoded]] = {}
+    waiting: dict[int, dict[str, Stamped]] = {}
     for message in log.read(summary, topics={image_topic, METRICS_TOPIC, *_KINDS}):
         if row := row_of(message, problems):
             found = waiting.pop(row.stamp_ns, {})
@@ -186,7 +186,7 @@ def _image_source(summary: LogSummary) -> _ImageSource:
 
 
 def _frame_of(
-    found: Mapping[str, Decoded], source: _ImageSource, reasons: Iterable[str], stamp_ns: int, problems: Problems
+    found: Mapping[str, Stamped], source: _ImageSource, reasons: Iterable[str], stamp_ns: int, problems: Problems
 ) -> PerceivedFrame | None:
     topic, camera = source
     image = rectified(_result(found, topic, CameraImage, "image"), camera)
@@ -206,9 +206,9 @@ def _frame_of(
 
 def _messages(
     summary: LogSummary, image_topic: str, stamp_ns: int, lateness_ns: int, problems: Problems
-) -> tuple[dict[str, Decoded], tuple[str, ...]]:
+) -> tuple[dict[str, Stamped], tuple[str, ...]]:
     """Images and results of one stamp by topic, and its row's reasons."""
-    found: dict[str, Decoded] = {}
+    found: dict[str, Stamped] = {}
     reasons: tuple[str, ...] = ()
     for message in log.read(summary, start_ns=max(stamp_ns - lateness_ns, 0), end_ns=stamp_ns + lateness_ns + 1):
         if row := row_of(message, problems):
@@ -218,7 +218,7 @@ def _messages(
     return found, reasons
 
 
-def _decoded(message: Message, image_topic: str, problems: Problems) -> Decoded | None:
+def _decoded(message: Message, image_topic: str, problems: Problems) -> Stamped | None:
     channel, log_time_ns = message.channel, message.log_time_ns
     if is_result(channel):
         kind = _KINDS.get(channel.topic) if is_result_of(channel, channel.topic) else None
@@ -234,11 +234,11 @@ def _decoded(message: Message, image_topic: str, problems: Problems) -> Decoded 
     )
 
 
-def _result(found: Mapping[str, Decoded], topic: str, kind: type[Content], name: str) -> Content | Absent:
+def _result(found: Mapping[str, Stamped], topic: str, kind: type[Content], name: str) -> Content | Absent:
     payload = found[topic].payload if topic in found else None
     return payload if isinstance(payload, kind) else Absent(Reason(name, "not_in_log"))
 
 
-def _drivable(found: Mapping[str, Decoded]) -> Mask | Absent:
+def _drivable(found: Mapping[str, Stamped]) -> Mask | Absent:
     tags = _result(found, DRIVABLE_TOPIC, TagImage, "drivable")
     return tags if isinstance(tags, Absent) else tags.tags > 0

@@ -11,8 +11,8 @@ from roadperc_stream.config import LimitsConfig, load_config
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats import images
 from roadperc_stream.geometry import Camera
-from roadperc_stream.input.decoding import Context, decode
-from roadperc_stream.input.stream import Problems, Stamped
+from roadperc_stream.input.decoding import Context, Stamped, decode
+from roadperc_stream.input.stream import Problems
 from roadperc_stream.input.sync import without_loops
 from roadperc_stream.input.transforms import TransformTree
 from roadperc_stream.model import Transform
@@ -122,7 +122,7 @@ def test_a_message_beyond_a_limit_is_skipped(monkeypatch, message, limit, found)
 def test_transforms_beyond_the_limit_are_skipped(monkeypatch):
     """With one edge per message the tree grows up to the limit; further edges are reported once."""
     edges = [Transform(f"f{k}", f"f{k + 1}", np.eye(4)) for k in range(20_000)]
-    items = (Stamped("tf", k, k, (edge,)) for k, edge in enumerate(edges))
+    items = (Stamped(k, (edge,), "tf", k) for k, edge in enumerate(edges))
     monkeypatch.setattr(LimitsConfig, "transforms", 300)
     problems, started = Problems(), time.process_time()
     kept = list(without_loops(items, TransformTree(), {"tf": "/tf"}, problems, LimitsConfig()))

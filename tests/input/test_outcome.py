@@ -8,7 +8,8 @@ from roadperc_stream.cli.replay import main
 from roadperc_stream.config import SyncConfig, load_config
 from roadperc_stream.input.order import OrderConfig
 from roadperc_stream.input.outcome import FileSpan, InputOutcome, continuation_notes
-from roadperc_stream.input.sync import LatchedState, StampPairing, SyncedMessages
+from roadperc_stream.input.sync import StampPairing
+from roadperc_stream.input.transforms import LatchedState
 from tests import logs
 from tests.analytic import STEP_NS
 from tests.input.test_sync import MS, item
@@ -41,7 +42,7 @@ def notes_of(outcome, nearest_ns=None):
 
 def synced(segment, stamp_ms, *others):
     reference = replace(item("image", stamp_ms), segment=segment)
-    return SyncedMessages(reference, {"image": reference} | dict.fromkeys(others, reference), None, None)
+    return {"image": reference} | dict.fromkeys(others, reference)
 
 
 def test_new_segments_are_listed_with_stamps_and_frames():

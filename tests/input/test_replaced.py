@@ -17,8 +17,7 @@ from roadperc_stream.info.examine import examine
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.replaced import replaced
 from roadperc_stream.input.rig import LogSensor, replacing_rig
-from roadperc_stream.input.sync import LatchedState
-from roadperc_stream.input.transforms import TransformTree
+from roadperc_stream.input.transforms import LatchedState, TransformTree
 from roadperc_stream.model import Transform
 from roadperc_stream.output import encoding
 from roadperc_stream.output.tables import sidecar_path

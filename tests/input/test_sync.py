@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 
 from roadperc_stream.config import SyncConfig
 from roadperc_stream.geometry import Camera
+from roadperc_stream.input.decoding import Stamped
 from roadperc_stream.input.order import OrderConfig, StampOrder
-from roadperc_stream.input.stream import Problems, Stamped
-from roadperc_stream.input.sync import LatchedState, StampPairing, without_loops
-from roadperc_stream.input.transforms import TransformTree
+from roadperc_stream.input.stream import Problems
+from roadperc_stream.input.sync import StampPairing, reference_of, skew_ns, without_loops
+from roadperc_stream.input.transforms import LatchedState, TransformTree
 from roadperc_stream.model import Transform
 
 MS = 1_000_000
@@ -23,7 +24,8 @@ CAMERA = Camera("c", 10, 10, 5.0, 5.0, 4.5, 4.5)
 
 def item(role, stamp_ms, log_ms=None, payload=None):
     payload = payload if payload is not None else SimpleNamespace(frame_id="c")
-    return Stamped(role, round((stamp_ms if log_ms is None else log_ms) * MS), round(stamp_ms * MS), payload)
+    log_ms = stamp_ms if log_ms is None else log_ms
+    return Stamped(round(stamp_ms * MS), payload, role, round(log_ms * MS))
 
 
 class Pass:
@@ -52,16 +54,13 @@ def run(items, **options):
 
 
 def stamps(frames):
-    return [
-        (m.reference.stamp_ns // MS, m.messages["depth"].stamp_ns // MS if "depth" in m.messages else None)
-        for m in frames
-    ]
+    return [(reference_of(m).stamp_ns // MS, m["depth"].stamp_ns // MS if "depth" in m else None) for m in frames]
 
 
 def test_pairs_by_stamp_and_measures_the_skew():
     frames, synchroniser = run([item("image", 0), item("depth", 3), item("image", 50), item("depth", 48)])
     assert stamps(frames) == [(0, 3), (50, 48)]
-    assert [m.skew_ns for m in frames] == [3 * MS, 2 * MS]
+    assert [skew_ns(m) for m in frames] == [3 * MS, 2 * MS]
     assert synchroniser.dropped == {}
 
 
@@ -84,7 +83,7 @@ def test_a_sensor_that_never_comes_is_not_waited_for():
 def test_messages_outside_the_tolerance_are_missing_and_counted(tolerance_s, found):
     frames, synchroniser = run([item("image", 0), item("depth", 20)], tolerance_s=tolerance_s)
     assert stamps(frames) == [(0, found)]
-    assert frames[0].skew_ns == (None if found is None else 20 * MS)
+    assert skew_ns(frames[0]) == (None if found is None else 20 * MS)
     assert synchroniser.dropped == ({"depth": 1} if found is None else {})
 
 
@@ -119,7 +118,7 @@ def test_calibration_is_latched_until_replaced():
         item("image", 100),
     ]
     frames, _ = run(items, roles=("image", "calibration"))
-    assert [m.latched.cameras["calibration"].fx for m in frames] == [5.0, 5.0, 7.0]
+    assert [reference_of(m).latched.cameras["calibration"].fx for m in frames] == [5.0, 5.0, 7.0]
 
 
 @given(st.lists(st.tuples(st.integers(0, 40), st.integers(0, 400)), max_size=40))
@@ -127,13 +126,11 @@ def test_every_message_is_used_once_or_counted(arrivals):
     items = [item("image", t) for t in range(0, 2000, 50)]
     items += [item("depth", 50 * k, 50 * k + delay) for k, delay in arrivals]
     frames, synchroniser = run(items)
-    used = [m.messages["depth"] for m in frames if "depth" in m.messages]
+    used = [m["depth"] for m in frames if "depth" in m]
     assert len(frames) == 40
     assert len({id(part) for part in used}) == len(used)
     assert len(used) + synchroniser.dropped["depth"] == len(arrivals)
-    assert all(
-        abs(m.messages["depth"].stamp_ns - m.reference.stamp_ns) <= 10 * MS for m in frames if "depth" in m.messages
-    )
+    assert all(abs(m["depth"].stamp_ns - reference_of(m).stamp_ns) <= 10 * MS for m in frames if "depth" in m)
 
 
 def test_a_long_gap_keeps_the_messages_of_a_waiting_frame():
@@ -150,11 +147,11 @@ def test_equal_log_times_do_not_pile_up():
 
 
 def transforms(*edges, log_time_ns=0):
-    return Stamped("tf", log_time_ns, 0, tuple(Transform(parent, child, np.eye(4)) for parent, child in edges))
+    return Stamped(0, tuple(Transform(parent, child, np.eye(4)) for parent, child in edges), "tf", log_time_ns)
 
 
 def test_cameras_and_transforms_are_latched_side_by_side():
-    state = LatchedState().updated(Stamped("calibration", 0, 0, CAMERA)).updated(transforms(("ego", "camera")))
+    state = LatchedState().updated("calibration", CAMERA).updated("tf", transforms(("ego", "camera")).payload)
     assert (state.cameras, list(state.tree.edges)) == ({"calibration": CAMERA}, ["camera"])
 
 
@@ -164,7 +161,7 @@ def test_transforms_that_close_a_loop_are_left_out_and_reported():
         transforms(("ego", "camera")),
         transforms(("camera", "ego"), log_time_ns=5),
         transforms(("camera", "ego"), ("ego", "lidar"), log_time_ns=6),
-        Stamped("calibration", 7, 7, CAMERA),
+        Stamped(7, CAMERA, "calibration", 7),
     ]
     kept = list(without_loops(items, TransformTree(), {"tf": "/tf", "calibration": "/c"}, problems))
     assert [[edge.child for edge in item.edges] for item in kept] == [["camera"], ["lidar"], []]

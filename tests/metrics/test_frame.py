@@ -18,7 +18,7 @@ def test_identity_gives_zero_errors():
     sample, _ = sample_and_result(
         surface=result.surface,
         lanes=result.lanes,
-        depth_image=DepthImage("camera", lambda: (depth, 65.535)),
+        depth=DepthImage("camera", lambda: (depth, 65.535)),
         segmentation=TagImage("camera", TABLE, lambda: tags),
     )
     row = frame_metrics(CFG, "id", sample, result)

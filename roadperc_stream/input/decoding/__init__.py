@@ -13,8 +13,8 @@ from roadperc_stream.input.decoding.json_messages import from_json
 from roadperc_stream.input.decoding.payload import (
     READ_AS_A_WHOLE,
     Context,
-    Decoded,
     Payload,
+    Stamped,
     camera_from_calibration,
     require_within,
     without_slashes,
@@ -26,19 +26,19 @@ from roadperc_stream.schemas.record import TAG_TABLE_KEY
 from roadperc_stream.schemas.roles import CARLA_BRIDGE, Kind
 from roadperc_stream.system.time import END_OF_TIME_NS
 
-Decoder = Callable[[bytes, Context], Decoded]
+Decoder = Callable[[bytes, Context], Stamped]
 
 
-def _protobuf(message_type: Any, decoder: Callable[[Any, Context], Decoded]) -> Decoder:
+def _protobuf(message_type: Any, decoder: Callable[[Any, Context], Stamped]) -> Decoder:
     return lambda data, context: decoder(message_type.FromString(data), context)
 
 
-def _json(message_type: Any, decoder: Callable[[Any, Context], Decoded]) -> Decoder:
+def _json(message_type: Any, decoder: Callable[[Any, Context], Stamped]) -> Decoder:
     return lambda data, context: decoder(from_json(message_type, data), context)
 
 
-def _cdr(name: str, decoder: Callable[[Any, Context], Decoded]) -> Decoder:
-    def decode_cdr(data: bytes, context: Context) -> Decoded:
+def _cdr(name: str, decoder: Callable[[Any, Context], Stamped]) -> Decoder:
+    def decode_cdr(data: bytes, context: Context) -> Stamped:
         definition = context.definition or ros2.DEFINITIONS.get(name, b"")
         message = cdr.read(data, name, definition, context.definition_encoding)
         with cdr.as_defined(f"{name} as the log defines it"):
@@ -80,7 +80,7 @@ def context_of_channel(
     return replace(context, definition=channel.schema_data, definition_encoding=channel.schema_encoding)
 
 
-def decode(kind: Kind, schema: str, encoding: str, data: bytes, log_time_ns: int, context: Context) -> Decoded:
+def decode(kind: Kind, schema: str, encoding: str, data: bytes, log_time_ns: int, context: Context) -> Stamped:
     """Decode one message; a message without a stamp gets its log time. Frames lose their leading slash.
 
     Raises:
@@ -97,7 +97,7 @@ def decode(kind: Kind, schema: str, encoding: str, data: bytes, log_time_ns: int
         require_within(decoded.payload, context.limits)
     except (ProtobufError, ValueError) as error:
         raise DecodeError(f"{len(data)} bytes are not a valid {schema}: {error}") from error
-    decoded = Decoded(decoded.stamp_ns or log_time_ns, without_slashes(decoded.payload))
+    decoded = Stamped(decoded.stamp_ns or log_time_ns, without_slashes(decoded.payload))
     if not 0 <= decoded.stamp_ns < END_OF_TIME_NS:
         raise DecodeError(f"stamp {decoded.stamp_ns} ns does not fit 64 bits")
     return decoded

@@ -17,18 +17,18 @@ from roadperc_stream.formats import points
 from roadperc_stream.formats.raster import Raster
 from roadperc_stream.geometry import Float32
 from roadperc_stream.input.decoding import pictures
-from roadperc_stream.input.decoding.payload import Context, Decoded, camera_from_calibration, pose_matrix, require_count
+from roadperc_stream.input.decoding.payload import Context, Stamped, camera_from_calibration, pose_matrix, require_count
 from roadperc_stream.model import EGO, PointCloud, Transform, VideoFrame
 from roadperc_stream.schemas.protobuf import stamp_ns
 from roadperc_stream.schemas.roles import Kind
 
-Decoder = Callable[[Any, Context], Decoded]
+Decoder = Callable[[Any, Context], Stamped]
 
 
 def _file(kind: Kind) -> Decoder:
     """A decoder of messages that contain an image file."""
 
-    def decoded(message: Any, context: Context) -> Decoded:
+    def decoded(message: Any, context: Context) -> Stamped:
         pictures.require_picture(message.format)
         return _stamped(message, pictures.of_file(kind, message.frame_id, message.data, context))
 
@@ -38,18 +38,18 @@ def _file(kind: Kind) -> Decoder:
 def _raw(kind: Kind) -> Decoder:
     """A decoder of messages that contain raw pixels."""
 
-    def decoded(message: Any, context: Context) -> Decoded:
+    def decoded(message: Any, context: Context) -> Stamped:
         raster = Raster(message.encoding, message.width, message.height, message.step, message.data)
         return _stamped(message, pictures.of_raster(kind, message.frame_id, raster, context))
 
     return decoded
 
 
-def _stamped(message: Any, payload: Any) -> Decoded:
-    return Decoded(stamp_ns(message.timestamp), payload)
+def _stamped(message: Any, payload: Any) -> Stamped:
+    return Stamped(stamp_ns(message.timestamp), payload)
 
 
-def _point_cloud(message: Any, context: Context) -> Decoded:
+def _point_cloud(message: Any, context: Context) -> Stamped:
     require_count("points", len(message.data) // max(message.point_stride, 1), context.limits)
     return _stamped(message, PointCloud(message.frame_id, lambda: _points_m(message)))
 
@@ -62,12 +62,12 @@ def _points_m(message: Any) -> Float32:
     )
 
 
-def _transforms(message: Any, context: Context) -> Decoded:
+def _transforms(message: Any, context: Context) -> Stamped:
     """The first transform's stamp is the message's."""
     require_count("transforms", len(message.transforms), context.limits)
     edges = tuple(_edge(transform) for transform in message.transforms)
     stamp = stamp_ns(message.transforms[0].timestamp) if edges else 0
-    return Decoded(stamp, edges)
+    return Stamped(stamp, edges)
 
 
 def _edge(message: Any) -> Transform:
@@ -75,13 +75,13 @@ def _edge(message: Any) -> Transform:
     return Transform(message.parent_frame_id, message.child_frame_id, matrix)
 
 
-def _pose(message: Any, _: Context) -> Decoded:
+def _pose(message: Any, _: Context) -> Stamped:
     """A pose of the ego frame."""
     matrix = pose_matrix(message.pose.position, message.pose.orientation)
     return _stamped(message, Transform(message.frame_id, EGO, matrix))
 
 
-def _video(message: Any, _: Context) -> Decoded:
+def _video(message: Any, _: Context) -> Stamped:
     return _stamped(message, VideoFrame(message.frame_id, message.format, message.data))
 
 

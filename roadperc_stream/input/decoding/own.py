@@ -8,7 +8,7 @@ import numpy as np
 from roadperc_stream import model
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.geometry import Float, Plane
-from roadperc_stream.input.decoding.payload import Context, Decoded, require_count
+from roadperc_stream.input.decoding.payload import Context, Stamped, require_count
 from roadperc_stream.model.results import BoundaryStatus, LaneChange, ObjectStatus
 from roadperc_stream.schemas.protobuf import optional, require_finite, stamp_ns
 from roadperc_stream.schemas.roadperc_pb2 import Detections as DetectionsProto
@@ -27,10 +27,10 @@ _FEWEST: Final = 2
 _FINEST_M, _FARTHEST_M = 1e-3, 1e7
 
 
-def _detections(message: Any, context: Context) -> Decoded:
+def _detections(message: Any, context: Context) -> Stamped:
     """roadperc.Detections."""
     require_count("detections", len(message.detections), context.limits)
-    return Decoded(stamp_ns(message.timestamp), tuple(detection_from_proto(d) for d in message.detections))
+    return Stamped(stamp_ns(message.timestamp), tuple(detection_from_proto(d) for d in message.detections))
 
 
 def detection_from_proto(message: Any) -> model.Detection:
@@ -40,7 +40,7 @@ def detection_from_proto(message: Any) -> model.Detection:
     return model.Detection(message.label, box, float(message.score), message.id)
 
 
-def _surface(message: Any, _: Context) -> Decoded:
+def _surface(message: Any, _: Context) -> Stamped:
     """roadperc.Surface of a truth."""
     normal = np.array([message.normal.x, message.normal.y, message.normal.z])
     require_finite("surface", *normal, message.camera_height_m, message.a, message.b, message.d)
@@ -57,7 +57,7 @@ def _surface(message: Any, _: Context) -> Decoded:
         inlier_ratio=optional(message, "inlier_ratio"),
         height_grid=_height_grid(message.height_grid) if message.HasField("height_grid") else None,
     )
-    return Decoded(stamp_ns(message.timestamp), decoded)
+    return Stamped(stamp_ns(message.timestamp), decoded)
 
 
 def _height_grid(grid: Any) -> model.HeightGrid:
@@ -75,14 +75,14 @@ def _height_grid(grid: Any) -> model.HeightGrid:
     return model.HeightGrid(grid.x_min_m, grid.y_min_m, grid.step_m, heights.reshape(grid.rows, grid.columns))
 
 
-def _lanes(message: Any, _: Context) -> Decoded:
+def _lanes(message: Any, _: Context) -> Stamped:
     """roadperc.Lanes of a truth or of a replay; boundaries of an unknown side are left out."""
     found = model.Lanes(
         tuple(_boundary(b) for b in message.boundaries if b.side in _SIDE_OF),
         lane_change=_LANE_CHANGE_OF.get(message.lane_change),
         lane_changes=optional(message, "lane_changes"),
     )
-    return Decoded(stamp_ns(message.timestamp), found)
+    return Stamped(stamp_ns(message.timestamp), found)
 
 
 def _boundary(message: Any) -> model.Boundary:
@@ -129,10 +129,10 @@ _OPTIONAL_NUMBERS: Final = (
 )
 
 
-def _objects(message: Any, context: Context) -> Decoded:
+def _objects(message: Any, context: Context) -> Stamped:
     """roadperc.Objects of a truth or of a replay."""
     require_count("detections", len(message.objects), context.limits)
-    return Decoded(stamp_ns(message.timestamp), model.Objects(tuple(_object(o) for o in message.objects)))
+    return Stamped(stamp_ns(message.timestamp), model.Objects(tuple(_object(o) for o in message.objects)))
 
 
 def _object(message: Any) -> model.Object:
@@ -151,7 +151,7 @@ def _object(message: Any) -> model.Object:
     )
 
 
-DECODERS: Final[Mapping[tuple[Kind, Any], Callable[[Any, Context], Decoded]]] = {
+DECODERS: Final[Mapping[tuple[Kind, Any], Callable[[Any, Context], Stamped]]] = {
     ("detections", DetectionsProto): _detections,
     ("surface", SurfaceProto): _surface,
     ("lanes", LanesProto): _lanes,

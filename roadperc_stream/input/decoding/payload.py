@@ -13,9 +13,11 @@ from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats.images import require_pixels
 from roadperc_stream.geometry import Camera, Float, Lens, pinhole_fault, rigid
 from roadperc_stream.geometry.rotations import rotation_from_quaternion
+from roadperc_stream.input.transforms import NOTHING_LATCHED, LatchedState
+from roadperc_stream.model import Transform
 from roadperc_stream.model.tag_tables import TagTable
 from roadperc_stream.schemas.protobuf import require_finite
-from roadperc_stream.schemas.roles import Kind
+from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES, Kind
 
 Payload = (
     model.CameraImage
@@ -70,12 +72,32 @@ def _bare(payload: Any) -> Any:
     return replace(payload, **slashed) if slashed else payload
 
 
-@dataclass(frozen=True)
-class Decoded:
-    """The stamp of a message, 0 without one, and its content."""
+@dataclass(frozen=True, eq=False)
+class Stamped:
+    """A decoded message: its stamp and content, then its role and its place in the log.
+
+    ``segment`` is the number of its segment. ``fault`` is why a reference message is left out. ``latched`` are the
+    calibrations and transforms that hold for a reference message.
+    """
 
     stamp_ns: int
     payload: Payload
+    role: str = ""
+    log_time_ns: int = 0
+    segment: int = 0
+    fault: str = ""
+    latched: LatchedState = NOTHING_LATCHED
+
+    @property
+    def is_latched(self) -> bool:
+        """Whether it holds until a later message replaces it."""
+        return ROLES[self.role].kind in LATCHED_KINDS
+
+    @property
+    def edges(self) -> tuple[Transform, ...]:
+        """The transforms of a transforms message; empty for any other."""
+        parts = self.payload if isinstance(self.payload, tuple) else ()
+        return tuple(part for part in parts if isinstance(part, Transform))
 
 
 @dataclass(frozen=True)

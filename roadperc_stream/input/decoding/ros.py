@@ -14,7 +14,7 @@ from roadperc_stream.formats import points
 from roadperc_stream.formats.raster import Raster
 from roadperc_stream.geometry import Float32
 from roadperc_stream.input.decoding import pictures
-from roadperc_stream.input.decoding.payload import Context, Decoded, camera_from_calibration, pose_matrix, require_count
+from roadperc_stream.input.decoding.payload import Context, Stamped, camera_from_calibration, pose_matrix, require_count
 from roadperc_stream.model import EGO, Box, Detection, PointCloud, Transform, VideoFrame
 from roadperc_stream.schemas import cdr, ros2
 from roadperc_stream.schemas.protobuf import require_finite
@@ -26,21 +26,21 @@ _FOXGLOVE_TYPES: Final = {1: 2, 2: 1, 3: 4, 4: 3, 5: 6, 6: 5, 7: 7, 8: 8}
 _TO_PIXEL_CENTRE: Final = 0.5
 
 
-def _stamped(message: Any, payload: Any) -> Decoded:
-    return Decoded(cdr.stamp_ns(message.header.stamp), payload)
+def _stamped(message: Any, payload: Any) -> Stamped:
+    return Stamped(cdr.stamp_ns(message.header.stamp), payload)
 
 
 def _frame_id(message: Any) -> str:
     return str(message.header.frame_id)
 
 
-Decoder = Callable[[Any, Context], Decoded]
+Decoder = Callable[[Any, Context], Stamped]
 
 
 def _raw(kind: Kind) -> Decoder:
     """A decoder of sensor_msgs/msg/Image."""
 
-    def decoded(message: Any, context: Context) -> Decoded:
+    def decoded(message: Any, context: Context) -> Stamped:
         raster = Raster.of_ros(message)
         return _stamped(message, pictures.of_raster(kind, _frame_id(message), raster, context))
 
@@ -50,7 +50,7 @@ def _raw(kind: Kind) -> Decoder:
 def _file(kind: Kind) -> Decoder:
     """A decoder of sensor_msgs/msg/CompressedImage."""
 
-    def decoded(message: Any, context: Context) -> Decoded:
+    def decoded(message: Any, context: Context) -> Stamped:
         pictures.require_picture(message.format)
         content = message.data.tobytes()
         return _stamped(message, pictures.of_file(kind, _frame_id(message), content, context))
@@ -58,24 +58,24 @@ def _file(kind: Kind) -> Decoder:
     return decoded
 
 
-def _compressed_image(message: Any, context: Context) -> Decoded:
+def _compressed_image(message: Any, context: Context) -> Stamped:
     if "compressedDepth" in message.format:
         raise DecodeError(f"image of format {message.format!r}: that is depth, expected jpeg or png")
     return _file("image")(message, context)
 
 
-def _compressed_depth(message: Any, context: Context) -> Decoded:
+def _compressed_depth(message: Any, context: Context) -> Stamped:
     content = message.data.tobytes()
     return _stamped(message, pictures.encoded_depth(_frame_id(message), message.format, content, context))
 
 
-def _video(message: Any, _: Context) -> Decoded:
+def _video(message: Any, _: Context) -> Stamped:
     """A frame of a foxglove_msgs/msg/CompressedVideo, which has no header, or of a sensor_msgs/msg/CompressedImage."""
     stamp, head = (message.header.stamp, message.header) if hasattr(message, "header") else (message.timestamp, message)
-    return Decoded(cdr.stamp_ns(stamp), VideoFrame(head.frame_id, message.format, message.data.tobytes()))
+    return Stamped(cdr.stamp_ns(stamp), VideoFrame(head.frame_id, message.format, message.data.tobytes()))
 
 
-def _calibration(message: Any, context: Context) -> Decoded:
+def _calibration(message: Any, context: Context) -> Stamped:
     """A CameraInfo of the image as it is published.
 
     Raises:
@@ -119,7 +119,7 @@ class _PackedPoints:
     data: bytes
 
 
-def _point_cloud(message: Any, context: Context) -> Decoded:
+def _point_cloud(message: Any, context: Context) -> Stamped:
     require_count("points", message.width * message.height, context.limits)
     return _stamped(message, PointCloud(_frame_id(message), lambda: _points_m(message)))
 
@@ -140,7 +140,7 @@ def _points_m(message: Any) -> Float32:
     return points.unpack_points(_PackedPoints(message.point_step, fields, rows[:, :used].tobytes()), np.eye(4))
 
 
-def _detections(message: Any, context: Context) -> Decoded:
+def _detections(message: Any, context: Context) -> Stamped:
     require_count("detections", len(message.detections), context.limits)
     return _stamped(message, tuple(_detection(detection) for detection in message.detections))
 
@@ -166,22 +166,22 @@ def _box(message: Any) -> Box:
     return Box(centre.x - half_x, centre.y - half_y, centre.x + half_x, centre.y + half_y)
 
 
-def _transforms(message: Any, context: Context) -> Decoded:
+def _transforms(message: Any, context: Context) -> Stamped:
     """The first transform's stamp is the message's."""
     require_count("transforms", len(message.transforms), context.limits)
     edges = tuple(
         Transform(_frame_id(t), str(t.child_frame_id), pose_matrix(t.transform.translation, t.transform.rotation))
         for t in message.transforms
     )
-    return Decoded(cdr.stamp_ns(message.transforms[0].header.stamp) if edges else 0, edges)
+    return Stamped(cdr.stamp_ns(message.transforms[0].header.stamp) if edges else 0, edges)
 
 
-def _odometry(message: Any, _: Context) -> Decoded:
+def _odometry(message: Any, _: Context) -> Stamped:
     """The pose of the message's child frame; without one, of the ego frame."""
     return _pose_of(message, message.pose.pose, str(message.child_frame_id) or EGO)
 
 
-def _pose_of(message: Any, pose: Any, child: str) -> Decoded:
+def _pose_of(message: Any, pose: Any, child: str) -> Stamped:
     matrix = pose_matrix(pose.position, pose.orientation)
     return _stamped(message, Transform(_frame_id(message), child, matrix))
 

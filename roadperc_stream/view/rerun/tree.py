@@ -1,7 +1,7 @@
 """The state between messages and the transform tree, as entries for Rerun."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -12,9 +12,7 @@ from roadperc_stream.input.assemble import ego_frame_of
 from roadperc_stream.input.decoding import Payload
 from roadperc_stream.input.replaced import replaced
 from roadperc_stream.input.rig import NO_RIG, Rig
-from roadperc_stream.input.stream import Stamped
-from roadperc_stream.input.sync import LatchedState
-from roadperc_stream.input.transforms import TransformTree
+from roadperc_stream.input.transforms import LatchedState, TransformTree
 from roadperc_stream.model import EGO, ODOM, OWN_ODOM, Transform
 from roadperc_stream.model.tag_tables import Colour
 
@@ -90,10 +88,10 @@ class SceneState:
 
     def latch(self, role: str, payload: Payload) -> None:
         """Update a calibration or transforms; leaves out edges that close a loop, like the chain."""
-        item = Stamped(role, 0, 0, payload)
-        looping = self.of_log.tree.looping(item.edges)
-        kept = tuple(edge for edge in item.edges if edge.child not in looping)
-        self.of_log = self.of_log.updated(replace(item, payload=kept) if looping else item)
+        edges = tuple(part for part in payload if isinstance(part, Transform)) if isinstance(payload, tuple) else ()
+        looping = self.of_log.tree.looping(edges)
+        kept = tuple(edge for edge in edges if edge.child not in looping)
+        self.of_log = self.of_log.updated(role, kept if edges else payload)
 
 
 def _pixels(camera: Camera) -> tuple[object, ...]:
