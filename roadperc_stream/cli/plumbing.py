@@ -180,11 +180,12 @@ def _signals_unwind() -> Iterator[None]:
     sys.unraisablehook, threading.excepthook = _interrupt_again, _note_of_thread
     try:
         yield
-    except RuntimeError as error:
-        interrupt = error.__cause__ or error.__context__
-        # Before 3.12, a class statement of a late import wraps it. A wait that it ends may release its lock twice.
-        if isinstance(interrupt, KeyboardInterrupt):
-            raise interrupt from None
+    except RoadpercError:
+        raise
+    except Exception:
+        # A late import may wrap the interruption, and a wait that it ends may release its lock twice.
+        if process.is_interrupted:
+            raise KeyboardInterrupt from None
         raise
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
