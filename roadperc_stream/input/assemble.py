@@ -9,7 +9,7 @@ import numpy as np
 
 from roadperc_stream import model
 from roadperc_stream.config import ReplayConfig
-from roadperc_stream.errors import ChannelError
+from roadperc_stream.errors import WITHOUT_CALIBRATION, ChannelError
 from roadperc_stream.geometry import Camera, Float, inverse, mounting
 from roadperc_stream.input.rectified import rectified_frame, rectified_truth
 from roadperc_stream.input.rig import NO_RIG, Rig, calibration_role, own_calibration
@@ -103,8 +103,8 @@ def _camera(synced: SyncedMessages, topics: Mapping[str, str]) -> Camera:
         frame_id = getattr(synced.reference.payload, "frame_id", "")
         raise ChannelError(
             f"{topics[role]}: camera {frame_id!r} has no calibration at {synced.reference.stamp_ns} ns: expected a "
-            f"{ROLES[wanted].schema} on {ROLES[wanted].topic}, or --topic {wanted}=/TOPIC, or pass --fov DEGREES or "
-            "--calibration FILE"
+            f"{ROLES[wanted].schema} on {ROLES[wanted].topic}, or --topic {wanted}=/TOPIC",
+            WITHOUT_CALIBRATION,
         )
     return camera
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Final
 
 from roadperc_stream import __version__, log
-from roadperc_stream.chain.bounds import StateBounds
 from roadperc_stream.chain.encoding import decode, encode
 from roadperc_stream.chain.own_stage import OwnStages
 from roadperc_stream.chain.step import ChainState, step
@@ -68,7 +67,7 @@ class OpenedLog:
         states = () if begin is None else (Attachment(record.BEGIN_ATTACHMENT, _MEDIA_TYPE, encode(begin)),)
         waiting = log_in.end_state(with_messages=with_messages)
         try:
-            state = decode(end, ReplayState, StateBounds.of(cfg.limits)) if isinstance(end, bytes) else end
+            state = decode(end, ReplayState) if isinstance(end, bytes) else end
             saved = SavedState(log_in.log_id, settings_of(cfg), waiting, state, log_in.lost_to_come)
             return (*states, Attachment(record.STATE_ATTACHMENT, _MEDIA_TYPE, encode(saved))), ()
         except StateError as error:  # the results do not depend on it
@@ -202,7 +201,7 @@ def _warmed(
     end = log_in.end_state(with_messages=True)
     end = replace(end, from_ns=start_ns, numbers=FrameNumbers(written_from_ns=start_ns))
     saved = SavedState("", settings_of(cfg), end, ReplayState(chain, earlier))
-    return decode(encode(saved), SavedState, StateBounds.of(cfg.limits))  # as a later replay reads it
+    return decode(encode(saved), SavedState)  # as a later replay reads it
 
 
 def run_of(cfg: ReplayConfig, opened: OpenedLog, target: ReplayTarget) -> dict[str, str]:

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from roadperc_stream import log
-from roadperc_stream.chain.bounds import StateBounds
 from roadperc_stream.chain.encoding import decode, encode
 from roadperc_stream.chain.step import ChainState
 from roadperc_stream.config import ReplayConfig
@@ -126,7 +125,7 @@ def _attached(summary: LogSummary, name: str, cfg: ReplayConfig) -> SavedState |
     if not found:
         return None
     try:
-        state = decode(found[-1].data, SavedState, StateBounds.of(cfg.limits))
+        state = decode(found[-1].data, SavedState)
         state.input.require_usable(cfg.limits)
     except StateError as error:
         raise StateError(f"{summary.path}: attachment {name}: {error}; replay its input again") from error
