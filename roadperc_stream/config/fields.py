@@ -105,8 +105,8 @@ class LimitsConfig(Section):
     chunk_mb: Annotated[int, Field(ge=1, le=65_536), unit("MiB")] = 256
     """Largest decompressed chunk; writers make chunks of 1 to 8 MiB, or of one larger message."""
     record_mb: Annotated[int, Field(ge=1, le=1_048_576), unit("MiB")] = 1024
-    """Largest record of the file (a compressed chunk, an attachment or a message outside chunks), and largest total of
-    the attachments and metadata of a log, which are kept in memory."""
+    """Largest record of the file: a compressed chunk, an attachment or a message outside chunks. All attachments and
+    metadata of a log together, which are kept in memory, are at most as large."""
 
     chunk_messages: ClassVar[int] = 1_000_000
     """Most messages in a chunk; a chunk of 8 MiB holds 0.3 million of the shortest messages."""
