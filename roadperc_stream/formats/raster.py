@@ -139,9 +139,9 @@ class Raster:
         Raises:
             DecodeError: the encoding is not one of a camera image.
         """
-        pixels, conversion = self._eight_bits(), _ENCODINGS[self.encoding][-1]
-        if conversion is None:
+        if self.encoding in _ENCODINGS and _ENCODINGS[self.encoding][-1] is None:
             raise DecodeError(f"image encoding {self.encoding!r}: expected colours, mono8 or mono16")
+        pixels, conversion = self._eight_bits(), _ENCODINGS[self.encoding][-1]
         if not conversion:
             return pixels
         import cv2
