@@ -14,15 +14,11 @@ _MIB: Final = 1024 * 1024
 
 
 def _known_classes(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Each class once, in one order of all classes: lists that mean the same have the same digest."""
     unknown = [name for name in names if name not in CLASS_NAMES]
     if unknown:
         raise ValueError(f"unknown class {unknown[0]!r}; known: {', '.join(sorted(CLASS_NAMES))}")
-    return _in_order(names, (*_ORDER, *sorted(CLASS_NAMES)))
-
-
-def _in_order(names: tuple[str, ...], order: tuple[str, ...]) -> tuple[str, ...]:
-    """Each name once, in the order of all names: lists that mean the same have the same digest."""
-    return tuple(name for name in dict.fromkeys(order) if name in names)
+    return tuple(name for name in dict.fromkeys((*_ORDER, *sorted(CLASS_NAMES))) if name in names)
 
 
 def _known_table(version: str) -> str:
