@@ -19,7 +19,7 @@ from roadperc_stream.chain.own_stage import OwnStage, own_stages
 from roadperc_stream.chain.prepare import prepare
 from roadperc_stream.chain.step import State, step
 from roadperc_stream.config import ReplayConfig, load_config, validated
-from roadperc_stream.errors import ConfigError, RoadpercError, TableError
+from roadperc_stream.errors import WITHOUT_CALIBRATION, ConfigError, RoadpercError, TableError
 from roadperc_stream.geometry import Camera, mounting
 from roadperc_stream.input import ReplaySource, arrays
 from roadperc_stream.input.rectified import rectified_frame
@@ -39,8 +39,8 @@ if TYPE_CHECKING:
 
 _ARGUMENTS: Final = {
     "--force": "force=True",
-    "--resume": "resume=True",
-    "--fov DEGREES or --calibration FILE": 'config={"calibration": {"fov_deg": DEGREES}}',
+    "--resume or --force": "resume=True or force=True",
+    WITHOUT_CALIBRATION: 'config={"calibration": {"fov_deg": DEGREES}}',
 }
 """Arguments of ``replay`` for the options that errors name."""
 Config = ReplayConfig | Mapping[str, Any] | str | Path | None
@@ -112,10 +112,7 @@ def _arguments_in_errors() -> Iterator[None]:
     try:
         yield
     except RoadpercError as error:
-        text = str(error)
-        for option, argument in _ARGUMENTS.items():
-            text = text.replace(f"pass {option}", f"pass {argument}").replace(f"or {option}", f"or {argument}")
-        error.args = (text, *error.args[1:])
+        error.option = _ARGUMENTS.get(error.option, error.option)
         raise
 
 

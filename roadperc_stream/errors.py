@@ -1,8 +1,23 @@
 """Errors of this project, each with a one-line message; only the command line catches them."""
 
+from typing import Final
+
+WITHOUT_CALIBRATION: Final = "--fov DEGREES or --calibration FILE"
+"""The options for a log without calibration."""
+
 
 class RoadpercError(Exception):
-    """Root of all errors of this project; the message says what is wrong and where."""
+    """Root of all errors of this project; the message says what is wrong and where.
+
+    ``option`` is what the user may pass to a command instead, and ``purpose`` what for. The text names both.
+    """
+
+    def __init__(self, message: str = "", option: str = "", purpose: str = "") -> None:
+        super().__init__(message)
+        self.option, self.purpose = option, purpose
+
+    def __str__(self) -> str:
+        return f"{super().__str__()}; pass {self.option} {self.purpose}".rstrip() if self.option else super().__str__()
 
 
 class LogError(RoadpercError):

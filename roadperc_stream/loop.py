@@ -45,7 +45,7 @@ def replay(
             stay.
     """
     started = perf_counter()
-    with CheckpointFolder(target.path, cfg.limits) as folder:
+    with CheckpointFolder(target.path) as folder:
         found = folder.read() if options.resume else None
         target.require_writable(source.files, options.continued, resume=options.resume)
         opened = open_replay(source, cfg, options)

@@ -15,7 +15,7 @@ from typing import Any, Final
 from roadperc_stream import __version__, log
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ChannelError, DecodeError
-from roadperc_stream.formats.images import PNG_MAGIC, encode_indices, encode_jpeg, encode_png
+from roadperc_stream.formats.images import encode_indices, encode_jpeg, encode_png
 from roadperc_stream.geometry import Camera
 from roadperc_stream.input.decoding import Stamped
 from roadperc_stream.input.earlier_replay import is_result
@@ -211,7 +211,7 @@ def _changed(job: Degradation, message: Message, item: Stamped) -> Message:
     channel = _own_channel(message.channel, item)
     if content is before and channel is message.channel:
         return message
-    return replace(message, channel=channel, data=_encoded(job, message, item, content))
+    return replace(message, channel=channel, data=_encoded(job, item, content))
 
 
 def _own_channel(channel: Channel, item: Stamped) -> Channel:
@@ -221,13 +221,13 @@ def _own_channel(channel: Channel, item: Stamped) -> Channel:
     return channel if own.schema == channel.schema and set(own.metadata) <= set(channel.metadata) else own
 
 
-def _encoded(job: Degradation, message: Message, item: Stamped, content: Any) -> bytes:
+def _encoded(job: Degradation, item: Stamped, content: Any) -> bytes:
     stamp_ns, payload = item.stamp_ns, item.payload
     match payload:
         case CameraImage():
-            lossless = PNG_MAGIC in message.data or "Compressed" not in message.channel.schema_name
-            form, data = ("png", encode_png(content)) if lossless else ("jpeg", encode_jpeg(content, JPEG_QUALITY))
-            return encoding.encode_image(stamp_ns, payload.frame_id, form, data)
+            if payload.lossless:
+                return encoding.encode_image(stamp_ns, payload.frame_id, "png", encode_png(content))
+            return encoding.encode_image(stamp_ns, payload.frame_id, "jpeg", encode_jpeg(content, JPEG_QUALITY))
         case DepthImage():
             as_float = payload.limit_m == math.inf
             return encoding.encode_depth(stamp_ns, payload.frame_id, content, as_float=as_float)

@@ -1,14 +1,13 @@
 """Encodes states: a magic number, the format version, a CRC-32, and MessagePack compressed with Zstandard.
 
 A dataclass becomes a map by field name, an array a map of ``dtype``, ``shape`` and ``elements`` (little-endian,
-C order), so floats keep all their bits. Decoding checks the CRC, the bounds and every type, and never runs code.
+C order), so floats keep all their bits. Decoding checks the CRC, the size and every type, and never runs code.
 """
 
 import math
 import struct
 import zlib
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, Final, TypeVar, get_args
 
 import msgspec
@@ -16,13 +15,12 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from roadperc_stream.chain.bounds import DEFAULT_BOUNDS, TOO_NESTED, StateBounds, require_bounded
 from roadperc_stream.errors import StateError
 
 FORMAT_VERSION: Final = 11
 """Raise it with every change to the contents of a state; otherwise an older state would be misread."""
-MOST_BYTES: Final = 512 * 1024**2
-"""Limit on the size of an uncompressed state."""
+MOST_BYTES: Final = 256 * 1024**2
+"""Limit on the size of an uncompressed state; the state of a long log with large images has some megabytes."""
 _MAGIC: Final = b"RPSTATE"
 _CRC: Final = struct.Struct("<I")
 _HEADER_BYTES: Final = len(_MAGIC) + 1 + _CRC.size
@@ -49,13 +47,11 @@ def encode(state: Any) -> bytes:
     return _MAGIC + bytes([FORMAT_VERSION]) + _CRC.pack(zlib.crc32(packed)) + packed
 
 
-def decode(data: bytes, kind: type[T], bounds: StateBounds = DEFAULT_BOUNDS) -> T:
+def decode(data: bytes, kind: type[T]) -> T:
     """The dataclass that the bytes encode.
 
-    ``data`` come from ``encode``, or from an untrusted file; ``bounds`` limit its contents.
-
     Raises:
-        StateError: the bytes have another format or version, were changed, or exceed the bounds.
+        StateError: the bytes have another format or version, were changed, or are too many.
     """
     packed = data[_HEADER_BYTES:]
     if data[: len(_MAGIC)] != _MAGIC or len(data) <= len(_MAGIC):
@@ -65,7 +61,7 @@ def decode(data: bytes, kind: type[T], bounds: StateBounds = DEFAULT_BOUNDS) -> 
     if data[len(_MAGIC) + 1 : _HEADER_BYTES] != _CRC.pack(zlib.crc32(packed)):
         raise StateError("damaged: its CRC is wrong")
     try:
-        return decode_plain(_unpacked(packed), kind, bounds)
+        return decode_plain(_unpacked(packed), kind)
     except (ValueError, RecursionError, OverflowError) as error:
         raise StateError(f"damaged: {error}") from error
 
@@ -75,16 +71,15 @@ def encode_plain(value: Any, most_bytes: int) -> bytes:
     try:
         plain = msgspec.msgpack.encode(value, enc_hook=_encoded)
     except RecursionError as error:
-        raise StateError(TOO_NESTED) from error
+        raise StateError("nested too deeply") from error
     if len(plain) > most_bytes:
         raise StateError(f"{len(plain)} bytes: expected {most_bytes} at most")
     return plain
 
 
-def decode_plain(plain: bytes, kind: type[T], bounds: StateBounds = DEFAULT_BOUNDS) -> T:
+def decode_plain(plain: bytes, kind: type[T]) -> T:
     """The dataclass that MessagePack encodes; errors as in ``decode``, or of the dataclass itself."""
-    require_bounded(plain, bounds)
-    found: T = msgspec.msgpack.decode(plain, type=kind, dec_hook=partial(_decoded, bounds))
+    found: T = msgspec.msgpack.decode(plain, type=kind, dec_hook=_decoded)
     return found
 
 
@@ -107,10 +102,8 @@ def _encoded(value: Any) -> Any:
     raise NotImplementedError(f"{type(value).__name__} has no encoding")
 
 
-def _decoded(bounds: StateBounds, kind: Any, value: Any) -> NDArray[Any]:
+def _decoded(kind: Any, value: Any) -> NDArray[Any]:
     array = msgspec.convert(value, _EncodedArray)
-    if len(array.elements) > bounds.array_bytes:
-        raise ValueError(f"array of {len(array.elements)} bytes: expected {bounds.array_bytes} at most")
     if array.dtype not in _DTYPES or any(length < 0 for length in array.shape):
         raise ValueError(f"array of dtype {array.dtype!r} and shape {array.shape}")
     dtype = np.dtype(array.dtype)

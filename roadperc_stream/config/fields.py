@@ -14,15 +14,11 @@ _MIB: Final = 1024 * 1024
 
 
 def _known_classes(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Each class once, in one order of all classes: lists that mean the same have the same digest."""
     unknown = [name for name in names if name not in CLASS_NAMES]
     if unknown:
         raise ValueError(f"unknown class {unknown[0]!r}; known: {', '.join(sorted(CLASS_NAMES))}")
-    return _in_order(names, (*_ORDER, *sorted(CLASS_NAMES)))
-
-
-def _in_order(names: tuple[str, ...], order: tuple[str, ...]) -> tuple[str, ...]:
-    """Each name once, in the order of all names: lists that mean the same have the same digest."""
-    return tuple(name for name in dict.fromkeys(order) if name in names)
+    return tuple(name for name in dict.fromkeys((*_ORDER, *sorted(CLASS_NAMES))) if name in names)
 
 
 def _known_table(version: str) -> str:
@@ -105,8 +101,8 @@ class LimitsConfig(Section):
     chunk_mb: Annotated[int, Field(ge=1, le=65_536), unit("MiB")] = 256
     """Largest decompressed chunk; writers make chunks of 1 to 8 MiB, or of one larger message."""
     record_mb: Annotated[int, Field(ge=1, le=1_048_576), unit("MiB")] = 1024
-    """Largest record of the file (a compressed chunk, an attachment or a message outside chunks), and largest total of
-    the attachments and metadata of a log, which are kept in memory."""
+    """Largest record of the file: a compressed chunk, an attachment or a message outside chunks. All attachments and
+    metadata of a log together, which are kept in memory, are at most as large."""
 
     chunk_messages: ClassVar[int] = 1_000_000
     """Most messages in a chunk; a chunk of 8 MiB holds 0.3 million of the shortest messages."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from roadperc_stream import model
 from roadperc_stream.config import ReplayConfig
-from roadperc_stream.errors import ChannelError
+from roadperc_stream.errors import WITHOUT_CALIBRATION, ChannelError
 from roadperc_stream.geometry import Camera, Float, inverse, mounting
 from roadperc_stream.input.decoding import Stamped
 from roadperc_stream.input.rectified import rectified_frame, rectified_truth
@@ -103,8 +103,8 @@ def _camera(reference: Stamped, topics: Mapping[str, str]) -> Camera:
         frame_id = getattr(reference.payload, "frame_id", "")
         raise ChannelError(
             f"{topics[role]}: camera {frame_id!r} has no calibration at {reference.stamp_ns} ns: expected a "
-            f"{ROLES[wanted].schema} on {ROLES[wanted].topic}, or --topic {wanted}=/TOPIC, or pass --fov DEGREES or "
-            "--calibration FILE"
+            f"{ROLES[wanted].schema} on {ROLES[wanted].topic}, or --topic {wanted}=/TOPIC",
+            WITHOUT_CALIBRATION,
         )
     return camera
 

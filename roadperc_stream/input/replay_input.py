@@ -215,7 +215,7 @@ class ReplayInput:
             sample = sample_of(self.cfg, paired, index, self.topics, self.plan.first.parent_of, self.plan.rig)
         except ChannelError as error:
             known = (*self.plan.problems.first.values(), *self.plan.roles.unassigned, *self._if_in_other_files)
-            raise ChannelError("; ".join((f"{self.summary.path}: {error}", *known))) from error
+            raise ChannelError("; ".join((f"{self.summary.path}: {error.args[0]}", *known)), error.option) from error
         if "truth_pose" in paired and sample.truth.odom_T_ego is None:
             topic = self.topics["truth_pose"]
             text = f"{topic}: no transform connects the frame of its poses with ego: not used as truth"

@@ -21,6 +21,8 @@ class CameraImage:
     decode_grey: Callable[[], Image] = field(repr=False)
     read_size: Callable[[], tuple[int, int]] | None = field(default=None, repr=False)
     """Reads columns and rows without decoding; None if the format does not allow it."""
+    lossless: bool = True
+    """Whether the message stores the pixels themselves: raw, or as a PNG."""
 
     @property
     def size(self) -> tuple[int, int]:

@@ -14,9 +14,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import IO, Final, Self
 
-from roadperc_stream.chain.bounds import StateBounds
 from roadperc_stream.chain.encoding import decode, encode
-from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import StateError
 from roadperc_stream.output.writing import Counted, FrameOutput
 from roadperc_stream.resume.lock import FolderLock
@@ -51,9 +49,8 @@ def checkpoint_folder(target: Path) -> Path:
 class CheckpointFolder:
     """Reads and writes the checkpoints of one output. Use it as a context manager, or only to read."""
 
-    def __init__(self, target: Path, limits: LimitsConfig = DEFAULT_LIMITS) -> None:
+    def __init__(self, target: Path) -> None:
         self.path = checkpoint_folder(target)
-        self._bounds = StateBounds.of(limits)
         self._lock = FolderLock(self.path)
         self._frames: IO[bytes] | None = None
 
@@ -91,7 +88,7 @@ class CheckpointFolder:
             StateError: it cannot be read.
         """
         try:
-            checkpoint = decode((self.path / _STATE).read_bytes(), Checkpoint, self._bounds)
+            checkpoint = decode((self.path / _STATE).read_bytes(), Checkpoint)
             is_whole = (self.path / _FRAMES).stat().st_size >= checkpoint.length
         except FileNotFoundError:
             return None
@@ -115,7 +112,7 @@ class CheckpointFolder:
             while frames.tell() < checkpoint.length:
                 try:
                     (length,) = _LENGTH.unpack(frames.read(_LENGTH.size))
-                    output = decode(frames.read(min(length, checkpoint.length)), FrameOutput, self._bounds)
+                    output = decode(frames.read(min(length, checkpoint.length)), FrameOutput)
                 except (struct.error, StateError) as error:
                     raise self.damaged(str(error)) from error
                 yield output
@@ -213,7 +210,7 @@ class Checkpoints:
         run, known = start.run, start.run if found is None else found.run
         differing = ", ".join(name for name in {**run, **known} if run.get(name) != known.get(name))
         if differing and not force:
-            raise StateError(f"{folder.path}: of another replay ({differing} differ); pass --force to start over")
+            raise StateError(f"{folder.path}: of another replay ({differing} differ)", "--force", "to start over")
         self.is_resumed = found is not None and not differing
         self.begun = found if found is not None and not differing else start
         """The replay after the samples that are already complete."""
@@ -221,7 +218,7 @@ class Checkpoints:
         left_over = folder.holds_one and not self.is_resumed and every_s is None
         self.notes = (f"{folder.path}: left by an interrupted replay; removed",) if left_over else ()
         if found is None and every_s is not None and not force and folder.holds_one:
-            raise StateError(f"{folder.path}: left by an interrupted replay; pass --resume or --force (start over)")
+            raise StateError(f"{folder.path}: left by an interrupted replay", "--resume or --force", "(start over)")
 
     @property
     def are_durable(self) -> bool:

@@ -5,7 +5,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
-from roadperc_stream.chain.bounds import StateBounds
 from roadperc_stream.chain.encoding import decode, encode
 from roadperc_stream.chain.step import State
 from roadperc_stream.config import ReplayConfig
@@ -112,7 +111,7 @@ def state_at_end(summary: LogSummary, cfg: ReplayConfig) -> SavedState:
             "with its input (not --results-only)"
         )
     try:
-        state = decode(found[-1].data, SavedState, StateBounds.of(cfg.limits))
+        state = decode(found[-1].data, SavedState)
     except StateError as error:
         raise StateError(f"{path}: attachment {STATE_ATTACHMENT}: {error}; replay its input again") from error
     if differing := state.differences(cfg):

@@ -67,7 +67,7 @@ def require_free(target: Path, *, force: bool, suffix: str, source: Path | None 
     if source is not None and target.exists() and source.exists() and target.samefile(source):
         raise TargetError(f"{target}: is the input; name another output")
     if target.exists() and not force:
-        raise TargetError(f"{target}: exists; pass --force to overwrite it")
+        raise TargetError(f"{target}: exists", "--force", "to overwrite it")
 
 
 def require_plain(target: Path) -> None:
@@ -256,7 +256,7 @@ def completing(target: Path, *, force: bool = True, mark: str = "") -> Iterator[
                 remove_stale_partials(target)
             yield temporary
             if target.exists() and not force:
-                raise TargetError(f"{target}: written by another program; pass --force to overwrite it")
+                raise TargetError(f"{target}: written by another program", "--force", "to overwrite it")
             temporary.replace(target)
     finally:
         with suppress(OSError):

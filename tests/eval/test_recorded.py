@@ -1,19 +1,15 @@
-"""The commands' output for tables with known numbers, and the page, equal their recordings.
+"""The commands' output for tables with known numbers equals its recording.
 
 After an intended change, ``pytest tests/eval/test_recorded.py --force-regen`` replaces the recordings.
 """
 
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from roadperc_stream.cli.report import main
-from tests import summaries
 from tests.eval.dataset.datasets import small_dataset
 from tests.eval.tables import row, write
-from tests.eval.test_html_page import Page
 from tests.eval.trajectories.paths import helix, noisy, rigid, scaled, write_run
 from tests.sessions import repeated
 
@@ -66,22 +62,6 @@ def drive(path, seed):
 def runs(tmp_path):
     names = ("one", "other", "third")
     return [str(drive(tmp_path / f"{name}.metrics.parquet", seed)) for seed, name in enumerate(names)]
-
-
-@pytest.mark.parametrize("number", [1, 2])
-def test_the_report_equals_its_recording(number, runs, tmp_path, monkeypatch, capsys, file_regression):
-    monkeypatch.chdir(tmp_path)
-    assert main([path.rpartition("/")[2] for path in runs[:number]] + ["--full"]) == 0
-    file_regression.check(re.sub(r" +$", "", capsys.readouterr().out, flags=re.MULTILINE))
-
-
-@pytest.mark.parametrize("number", [1, 2, 3])
-def test_the_page_equals_its_recording(number, runs, tmp_path, ndarrays_regression):
-    assert main([*runs[:number], "--html", str(tmp_path / "page.html")]) == 0
-    page = Page((tmp_path / "page.html").read_text())
-    words = np.array([line.strip() for line in page.text.replace(str(tmp_path), "").splitlines() if line.strip()])
-    found = {"words": {"": (words, summaries.EXACT)}, "charts": summaries.of_document(page.specs)}
-    summaries.check(ndarrays_regression, found)
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import numpy as np
 
 from roadperc_stream import model
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
-from roadperc_stream.errors import DecodeError
+from roadperc_stream.errors import WITHOUT_CALIBRATION, DecodeError
 from roadperc_stream.formats.images import require_pixels
 from roadperc_stream.geometry import Camera, Float, Lens, pinhole_fault, rigid
 from roadperc_stream.geometry.rotations import rotation_from_quaternion
@@ -161,8 +161,8 @@ def camera_from_calibration(message: Any) -> Camera:
     """
     K, P = list(message.K), list(message.P)
     if not any((*K, *P)):
-        expected = "expected a pinhole camera; pass --fov DEGREES or --calibration FILE"
-        raise DecodeError(f"calibration of {message.frame_id!r}: all numbers are 0: {expected}")
+        found = f"calibration of {message.frame_id!r}: all numbers are 0: expected a pinhole camera"
+        raise DecodeError(found, WITHOUT_CALIBRATION)
     intrinsics = _intrinsics(K, P)
     fx, fy, cx, cy = (float(value) for value in intrinsics)
     if not (np.isfinite(intrinsics).all() and fx > 0 and fy > 0 and message.width and message.height):

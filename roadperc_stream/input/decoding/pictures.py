@@ -62,7 +62,9 @@ def of_file(kind: Kind, frame_id: str, content: bytes, context: Context) -> Pict
 
     if kind == "image":
         grey, size = images.decode_grey, images.image_size
-        return CameraImage(frame_id, bgr, lambda: grey(content, limits), lambda: size(content, limits))
+        return CameraImage(
+            frame_id, bgr, lambda: grey(content, limits), lambda: size(content, limits), _is_png(content)
+        )
     if kind == "instances":
         if not _is_png(content):
             raise DecodeError("instance masks: expected a lossless PNG with CARLA's coding")

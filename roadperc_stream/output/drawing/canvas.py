@@ -117,8 +117,10 @@ def write(canvas: Image, text: str, at_px: Point, colour: Colour, pen: Pen) -> N
 
 
 def write_on_plate(canvas: Image, text: str, at_px: Point, colour: Colour, pen: Pen) -> None:
-    """Write a line of text on a dark plate with the top left corner ``at_px``."""
-    (left, top), (width, height) = _nearest_pixel(at_px), text_size(text, pen)
+    """Write a line of text on a dark plate with the top left corner ``at_px``, moved to be inside the image."""
+    width, height = text_size(text, pen)
+    sides = zip(_nearest_pixel(at_px), pen.size, (width, height), strict=True)
+    left, top = (max(min(at, size - side), 0) for at, size, side in sides)
     cv2.rectangle(canvas, (left, top), (left + width - 1, top + height - 1), DARK, cv2.FILLED)
     write(canvas, text, (left, top), colour, pen)
 

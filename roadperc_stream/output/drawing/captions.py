@@ -143,8 +143,4 @@ def _moved_inside(place: Box, image_size: Size) -> Box:
 def _is_free(place: Box, rows: tuple[float, float], covered: Sequence[Box]) -> bool:
     gap = _GAP * (place.y_max - place.y_min)
     apart = Box(place.x_min - gap, place.y_min, place.x_max + gap, place.y_max)
-    return rows[0] <= place.y_min and place.y_max <= rows[1] and not any(_meet(apart, box) for box in covered)
-
-
-def _meet(a: Box, b: Box) -> bool:
-    return a.y_min < b.y_max and b.y_min < a.y_max and a.x_min < b.x_max and b.x_min < a.x_max
+    return rows[0] <= place.y_min and place.y_max <= rows[1] and not any(map(apart.meets, covered))

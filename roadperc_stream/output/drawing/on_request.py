@@ -13,7 +13,7 @@ from roadperc_stream.formats.images import encode_jpeg
 from roadperc_stream.geometry import Camera, Float32
 from roadperc_stream.output import encoding
 from roadperc_stream.output.drawing import colours
-from roadperc_stream.output.drawing.canvas import Colour, Pen, polyline, text_size, write_on_plate
+from roadperc_stream.output.drawing.canvas import Colour, Pen, polyline, write_on_plate
 from roadperc_stream.output.drawing.colours import bgr
 from roadperc_stream.output.drawing.overlay import PerceivedFrame, draw_frame
 from roadperc_stream.schemas import topics
@@ -93,7 +93,7 @@ def template_picture(image_bgr: model.Image, searches: Iterable[model.Correlatio
             corners = [(place.x_min, place.y_min), (place.x_max - 1, place.y_max - 1)]
             (x0, y0), (x1, y1) = (tuple(round(v) for v in corner) for corner in corners)
             cv2.rectangle(canvas, (x0, y0), (x1, y1), _PEAK, max(pen.line_px // 2, 1))
-            _draw_plate(canvas, f"{score:.2f}", (x0, y1 + 1), _PEAK, pen)
+            write_on_plate(canvas, f"{score:.2f}", (x0, y1 + 1), _PEAK, pen)
     _draw_legend(canvas, [("correlation, at the patch's middle: blue -1 to red 1", _PEAK)], pen)
     return canvas
 
@@ -138,14 +138,7 @@ def _lay_heat(canvas: model.Image, search: model.Correlation) -> None:
 def _draw_legend(canvas: model.Image, phrases: Iterable[tuple[str, Colour]], pen: Pen) -> None:
     """Write the meaning of the colours as lines in the upper left corner."""
     for row, (text, colour) in enumerate(phrases):
-        _draw_plate(canvas, text, (0, row * pen.row_px), colour, pen)
-
-
-def _draw_plate(canvas: model.Image, text: str, at_px: tuple[int, int], colour: Colour, pen: Pen) -> None:
-    """Write text on a dark plate, moved to be inside the image."""
-    width, height = text_size(text, pen)
-    x, y = (max(min(at, size - side), 0) for at, size, side in zip(at_px, pen.size, (width, height), strict=True))
-    write_on_plate(canvas, text, (x, y), colour, pen)
+        write_on_plate(canvas, text, (0, row * pen.row_px), colour, pen)
 
 
 _JPEG_QUALITY: Final = 85

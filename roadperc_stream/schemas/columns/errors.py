@@ -52,8 +52,8 @@ class SurfaceErrorColumns:
     drivable_iou: Annotated[
         float | None,
         _score(
-            "intersection over union of the drivable mask A and of B: pixels with a drivable clean tag whose point by "
-            "clean depth is within 0.15 m of the true road's height",
+            "intersection over union of the drivable mask A and of B: pixels with a drivable true tag, "
+            "by true depth within 0.15 m of the true road",
             RATIO,
             "no mask, or one of the three is missing; both masks empty",
             "drivable IoU",

@@ -9,7 +9,7 @@ from roadperc_stream.model import Absent, Object, Objects, Reason
 from roadperc_stream.output.drawing import colours
 from roadperc_stream.output.drawing.canvas import Pen
 from roadperc_stream.output.drawing.colours import bgr
-from roadperc_stream.output.drawing.strip import LEGEND, draw_strip, frame_phrases, lay_out_strip
+from roadperc_stream.output.drawing.overlay import LEGEND, draw_strip, frame_phrases, lay_out_strip
 from roadperc_stream.schemas.columns import FrameMetrics
 from tests.analytic import box
 
