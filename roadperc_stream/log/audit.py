@@ -76,7 +76,7 @@ def in_file_order(path: Path, limits: LimitsConfig) -> Iterator[Message]:
                         raise McapError(f"no channel record found with id {head.channel_id}")
                     yield head.of(described.channels[head.channel_id], item.body)
                 elif item.opcode in INSIDE:
-                    described.add(parse(item.opcode, bytes(item.body), spare_allowed=True), in_data=True)
+                    described.add(parse(item.opcode, bytes(item.body)), in_data=True)
         if framing.damages:
             raise McapError(framing.damages[0].words)
 

@@ -7,6 +7,7 @@ Format: https://mcap.dev/spec.
 import bisect
 import re
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import IO, Final
 
@@ -14,7 +15,7 @@ from deflate import crc32
 from mcap.opcode import Opcode
 
 from roadperc_stream.log.damage import Damage
-from roadperc_stream.log.layout import CRC_BYTES, MAGIC, MESSAGE, NAMES, RECORD, Record, chunk_head
+from roadperc_stream.log.layout import MAGIC, MESSAGE, NAMES, RECORD, UNREADABLE, Record, attachment_crcs, chunk_head
 
 BREAK: Final = 0
 """Opcode of the record that marks invalid bytes in the data section; the specification does not use it."""
@@ -38,8 +39,8 @@ _LEAST_BYTES: Final = {
 """Smallest length of each kind of record: all its variable fields are empty."""
 IsMessage = Callable[[bytes], bool]
 """Returns whether the first bytes of a message record belong to a message of this log."""
-_FIRST_PRIVATE: Final = 0x80
-"""First opcode of the range that applications may use."""
+_SUMMARY_CRC_AT: Final = 16
+"""Offset of the summary's CRC in the footer's body."""
 _OF_DATA: Final = frozenset(_LEAST_BYTES) | {Opcode.MESSAGE_INDEX}
 _OF_SUMMARY: Final = frozenset(Opcode) - _OF_DATA - {Opcode.HEADER} | {Opcode.SCHEMA, Opcode.CHANNEL}
 _MOST_LISTED: Final = 1000
@@ -142,6 +143,8 @@ class Framing:
     is_message: IsMessage = bool
     fault: str = ""
     damages: list[Damage] = field(default_factory=list)
+    doubts: list[Damage] = field(default_factory=list)
+    """Damages of the data section, unless its CRC is correct."""
     ended: bool = False
     """Whether the file ends with footer and magic, as a complete log does."""
     sealed: bool = False
@@ -206,13 +209,13 @@ class Framing:
             return f"cut off: {self.fault or f'the file ends after {self.size_bytes} bytes, before its footer'}"
         opcode, length = RECORD.unpack(head)
         left = self.size_bytes - at - RECORD.size
-        if opcode not in NAMES and opcode < _FIRST_PRIVATE:
-            return f"no record starts here: unknown opcode {opcode:#04x}"
+        if opcode == 0:
+            return "no record starts here: opcode 0x00"
         if length > left:
             return f"cut off or damaged: a record of {length} bytes starts here, {left} bytes are left"
         in_section = _OF_DATA if self.summary_start is None else _OF_SUMMARY
         expected = in_section if at > len(MAGIC) else {Opcode.HEADER}
-        if opcode < _FIRST_PRIVATE and opcode not in expected:
+        if opcode not in expected and (opcode in NAMES or at == len(MAGIC)):
             return f"a {Record(at, opcode, b'').name} record does not belong here"
         return None
 
@@ -244,21 +247,25 @@ class Framing:
         self._chunked |= record.opcode == Opcode.CHUNK
         if record.opcode == Opcode.DATA_END:
             self.summary_start = record.end
-            self.sealed = bool(_crc_in(record))
-            self._data_crc_damage = _crc_damage("data section", record, self._data_crc)
+            self.sealed = bool(record.number(0))
+            self._data_crc_damage = _crc_damage("data section", record, record.number(0), self._data_crc)
             self.note(self._data_crc_damage)
+            if not self.sealed or self._data_crc_damage or self._data_crc is None:
+                for damage in self.doubts:
+                    self.note(damage)
             self._summary_crc = 0
         elif self._summary_crc is not None:
-            without_last = CRC_BYTES if record.opcode == Opcode.FOOTER else 0
-            self._summary_crc = record.crc(self._summary_crc, without_last=without_last)
-            if record.opcode == Opcode.FOOTER:
-                self.summary_sealed = bool(_crc_in(record))
-                self.note(_crc_damage("summary", record, self._summary_crc, of_messages=False))
+            is_footer = record.opcode == Opcode.FOOTER
+            self._summary_crc = record.crc(self._summary_crc, _SUMMARY_CRC_AT if is_footer else None)
+            if is_footer:
+                expected = record.number(_SUMMARY_CRC_AT)
+                self.summary_sealed = bool(expected)
+                self.note(_crc_damage("summary", record, expected, self._summary_crc, of_messages=False))
         elif self._data_crc is not None:
             self._data_crc = record.crc(self._data_crc)
         if record.opcode == Opcode.ATTACHMENT:
-            found = crc32(memoryview(record.body)[:-CRC_BYTES])
-            self.note(_crc_damage("attachment", record, found, of_messages=False))
+            with suppress(UNREADABLE):  # reported when its fields are read
+                self.note(_crc_damage("attachment", record, *attachment_crcs(bytes(record.body)), of_messages=False))
 
     def note(self, damage: Damage | None) -> None:
         """Add a damage, if any; the last listed damage also represents all later ones."""
@@ -270,14 +277,10 @@ class Framing:
             self.damages[-1] = self.damages[-1].with_more(damage)
 
 
-def _crc_in(record: Record) -> int:
-    """Return the CRC at the end of a record; zero means that the writer did not compute one."""
-    return int.from_bytes(record.body[-CRC_BYTES:], "little")
-
-
-def _crc_damage(what: str, record: Record, found: int | None, *, of_messages: bool = True) -> Damage | None:
+def _crc_damage(
+    what: str, record: Record, expected: int, found: int | None, *, of_messages: bool = True
+) -> Damage | None:
     """Return the damage if a computed CRC differs from the record's; None if equal, or if one of them is missing."""
-    expected = _crc_in(record)
     if not expected or found in (None, expected):
         return None
     words = f"CRC of the {what} is {found:#010x}, expected {expected:#010x}"

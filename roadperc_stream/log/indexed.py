@@ -194,7 +194,7 @@ class IndexedFile:
         """Return whether a record of a chunk equals a channel or a schema of the index."""
         known = self._descriptions.get(key)
         try:
-            return known is not None and layout.parse(key[0], bytes(body), spare_allowed=True) == known
+            return known is not None and layout.parse(key[0], bytes(body)) == known
         except layout.UNREADABLE:
             return False
 

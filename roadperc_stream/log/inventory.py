@@ -168,15 +168,11 @@ class Inventory:
         found = self.counts.total()
         if said.message_count != found:
             yield Damage(byte, f"{found} messages found, the statistics count {said.message_count}")
-        elif +Counter(said.channel_message_counts) != +self.counts:
+        elif said.channel_message_counts and +Counter(said.channel_message_counts) != +self.counts:
             ids = sorted({*said.channel_message_counts, *self.counts})
             wrong = next(i for i in ids if said.channel_message_counts.get(i, 0) != self.counts[i])
             words = f"{self.counts[wrong]} messages found on channel {wrong}, the statistics count"
             yield Damage(byte, f"{words} {said.channel_message_counts.get(wrong, 0)}")
-        times = (said.message_start_time, said.message_end_time)
-        if found and times != (self.first_ns, self.last_ns):
-            words = f"log times {self.first_ns} to {self.last_ns} found, the statistics state {times[0]} to {times[1]}"
-            yield Damage(byte, words)
         for what, number, counted in (
             ("chunks", len(self.chunks), said.chunk_count),
             ("attachments", len(self.attachments), said.attachment_count),

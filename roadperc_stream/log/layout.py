@@ -78,10 +78,14 @@ class Record(NamedTuple):
         """The byte behind it."""
         return self.start + RECORD.size + len(self.body)
 
-    def crc(self, before: int, *, without_last: int = 0) -> int:
-        """Return the CRC ``before``, continued with this record without its last bytes."""
+    def crc(self, before: int, end: int | None = None) -> int:
+        """Return the CRC ``before``, continued with this record, or with its body up to ``end``."""
         head = RECORD.pack(self.opcode, len(self.body))
-        return crc32(memoryview(self.body)[: len(self.body) - without_last], crc32(head, before))
+        return crc32(memoryview(self.body)[:end], crc32(head, before))
+
+    def number(self, at: int) -> int:
+        """Return the 32-bit number at a byte of the body; 0 behind its end."""
+        return int.from_bytes(self.body[at : at + CRC_BYTES], "little")
 
 
 @dataclass(frozen=True)
@@ -218,24 +222,30 @@ def message_indexes(data: bytes) -> list[MessageIndex]:
     return [message_index(item.body, item.start) for item in records_in(data)]
 
 
-def parse(opcode: int, body: bytes, *, spare_allowed: bool) -> Any:
-    """Read a record's fields with the mcap library, within the record's bytes.
+def parse(opcode: int, body: bytes) -> Any:
+    """Read a record's fields with the mcap library; later versions of the format may add bytes behind them.
 
     Args:
         opcode: one of ``PARSED``.
         body: the record behind its length.
-        spare_allowed: accept bytes behind the fields. The library skips them inside a chunk, but elsewhere it reads the
-            next record from the wrong byte.
 
     Raises:
         EndOfFile: the body is too short for the fields.
-        ValueError: the fields are not valid, or have spare bytes behind them that are not allowed.
+        ValueError: the fields are not valid.
+    """
+    return PARSED[opcode].read(_Bounded(BytesIO(body)))
+
+
+def attachment_crcs(body: bytes) -> tuple[int, int]:
+    """Return the CRC that an attachment's record states, and the one of its fields.
+
+    Raises:
+        EndOfFile, ValueError: as ``parse``.
     """
     stream = _Bounded(BytesIO(body))
-    item = PARSED[opcode].read(stream)
-    if not spare_allowed and stream.count < len(body):
-        raise ValueError(f"a record of {len(body)} bytes whose fields have {stream.count}")
-    return item
+    records.Attachment.read(stream)
+    end = stream.count - CRC_BYTES
+    return int.from_bytes(body[end : stream.count], "little"), crc32(memoryview(body)[:end])
 
 
 class _Bounded(ReadDataStream):

@@ -28,7 +28,6 @@ from roadperc_stream.log.limits import GuardedFile, LimitError, require_attachme
 from roadperc_stream.log.records import Message
 from roadperc_stream.log.stored import StoredLog
 
-_PRIVATE_BIT: Final = 0x80
 _OF_MESSAGES: Final = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.MESSAGE_INDEX))
 """Records of the data section whose damage affects messages."""
 _FAR_NS: Final = 24 * 3600 * 1_000_000_000
@@ -181,8 +180,8 @@ class Salvage:
                 if len(record.body) > (self.limits.chunk_messages + 1) * layout.ENTRY.size:
                     raise ValueError(too_many(self.limits.chunk_messages))
                 self._inventory.add_message_index(record)
-            elif record.opcode >= _PRIVATE_BIT:
-                self._require_private(record)
+            elif record.opcode not in layout.NAMES:
+                self._require_unknown(record)
             else:
                 self._note(record.opcode, bytes(record.body), record.start)
         except LimitError:
@@ -275,18 +274,19 @@ class Salvage:
                 return
             self.damages[number] = replace(damage, first_ns=damage.first_ns or first_ns, last_ns=last_ns)
 
-    def _require_private(self, record: layout.Record) -> None:
-        """Check that an application's private record is not a message or chunk whose opcode was damaged."""
-        opcode = record.opcode & ~_PRIVATE_BIT
-        if opcode == Opcode.MESSAGE and self._framing.is_message(bytes(record.body)):
-            raise ValueError("has the form of a message")
-        if opcode == Opcode.CHUNK and is_chunk(record.body, len(record.body)):
-            raise ValueError("has the form of a chunk")
+    def _require_unknown(self, record: layout.Record) -> None:
+        """Note a record of an unknown kind that has the form of a message or chunk: its opcode may be damaged."""
+        is_message = self._framing.is_message(bytes(record.body[: layout.MESSAGE.size]))
+        if is_message or is_chunk(record.body, len(record.body)):
+            words = f"a record with opcode {record.name} has the form of a {'message' if is_message else 'chunk'}"
+            self._framing.doubts.append(Damage(record.start, words))
+            self._open_at = record.start
+            self.losses.add(Gap(self._inventory.next_ns, None), is_open=True)
 
     def _note(self, opcode: int, body: bytes, start: int | None = None) -> None:
         """Store the content of a record that is not a message; ``start`` is its first byte, None inside a chunk."""
         if opcode in layout.PARSED:
-            item = layout.parse(opcode, body, spare_allowed=start is None)
+            item = layout.parse(opcode, body)
             if start is not None:
                 self._inventory.note(start, item)
             self.described.add(item, in_data=self._framing.summary_start is None)
