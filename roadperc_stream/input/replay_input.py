@@ -245,7 +245,7 @@ class ReplayInput:
             for gap in own
             if since_ns is None or gap.last_ns is None or gap.last_ns > since_ns
         )
-        return tuple(LostSpan(first_ns, last_ns, {}) for first_ns, last_ns in spans)
+        return tuple(LostSpan(first_ns, last_ns) for first_ns, last_ns in spans)
 
     @property
     def _messages(self) -> WindowMessages:

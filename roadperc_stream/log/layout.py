@@ -65,8 +65,6 @@ class Record(NamedTuple):
     start: int
     opcode: int
     body: bytes | memoryview
-    fault: str = ""
-    """Why it is incomplete; empty if it is complete."""
 
     @property
     def name(self) -> str:
@@ -213,6 +211,12 @@ def message_index(body: bytes | memoryview, offset: int = 0) -> MessageIndex:
     return MessageIndex(offset, channel_id, list(ENTRY.iter_unpack(memoryview(body)[INDEX.size :][:length])))
 
 
+def has_form_of_index(body: bytes | memoryview) -> bool:
+    """Return whether a record's body has the length that it states as a message index."""
+    length = INDEX.unpack_from(body)[1] if len(body) >= INDEX.size else 0
+    return bool(length) and length % ENTRY.size == 0 and INDEX.size + length == len(body)
+
+
 def message_indexes(data: bytes) -> list[MessageIndex]:
     """Read the message indexes of some bytes.
 
@@ -231,21 +235,24 @@ def parse(opcode: int, body: bytes) -> Any:
 
     Raises:
         EndOfFile: the body is too short for the fields.
-        ValueError: the fields are not valid.
-    """
-    return PARSED[opcode].read(_Bounded(BytesIO(body)))
-
-
-def attachment_crcs(body: bytes) -> tuple[int, int]:
-    """Return the CRC that an attachment's record states, and the one of its fields.
-
-    Raises:
-        EndOfFile, ValueError: as ``parse``.
+        ValueError: the fields are not valid, or the CRC of an attachment is wrong.
     """
     stream = _Bounded(BytesIO(body))
-    records.Attachment.read(stream)
-    end = stream.count - CRC_BYTES
-    return int.from_bytes(body[end : stream.count], "little"), crc32(memoryview(body)[:end])
+    item = PARSED[opcode].read(stream)
+    if opcode == Opcode.ATTACHMENT:
+        end = stream.count - CRC_BYTES
+        require_crc("attachment", crc32(memoryview(body)[:end]), int.from_bytes(body[end : stream.count], "little"))
+    return item
+
+
+def require_crc(what: str, found: int, expected: int) -> None:
+    """Compare a computed CRC with the written one; zero means that the writer did not compute one.
+
+    Raises:
+        ValueError: they differ.
+    """
+    if expected not in {0, found}:
+        raise ValueError(f"CRC of the {what} is {found:#010x}, expected {expected:#010x}")
 
 
 class _Bounded(ReadDataStream):

@@ -50,6 +50,17 @@ class GuardedFile(io.BufferedReader):
                 raise LimitError(_beyond("a record", size, "record_mb", self._most_bytes))
         return super().read(size)
 
+    def exactly(self, size: int) -> bytes:
+        """Read bytes.
+
+        Raises:
+            McapError: the file has fewer left; else as ``read``.
+        """
+        data = self.read(size)
+        if len(data) < size:
+            raise McapError(f"expected {size} bytes, found {len(data)}")
+        return data
+
 
 def require_chunk(head: ChunkHead, limits: LimitsConfig) -> None:
     """Check the decompressed size that a chunk declares.

@@ -97,7 +97,7 @@ def statistics(times, counts, start_ns, end_ns):
 
 
 def written(path, times, *, more=b"", before=b"", summary=b""):
-    """A log without chunks, with all CRCs: ``more`` bytes behind known fields, records ``before`` and in the summary."""
+    """A log without chunks: ``more`` bytes behind known fields, records ``before`` and in the summary."""
     schema = record(3, struct.pack("<H", 1) + text(b"Ex") + text(b"jsonschema") + text(b"{}"), more)
     channel = record(4, struct.pack("<HH", 1, 1) + text(b"/a") + text(b"json") + struct.pack("<I", 0), more)
     content = b"\x89MCAP0\r\n" + record(1, text(b"") + text(b"t"), more) + before + schema + channel
