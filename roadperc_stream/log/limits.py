@@ -14,7 +14,7 @@ import zstandard
 from mcap.exceptions import McapError
 
 from roadperc_stream.config import LimitsConfig
-from roadperc_stream.log.layout import ChunkHead
+from roadperc_stream.log.layout import TOO_SHORT, ChunkHead
 from roadperc_stream.log.records import RECOVERY_RECORD, Metadata
 
 _STRING: Final = re.compile(r'"(?:[^"\\]|\\.)*"', re.DOTALL)
@@ -67,8 +67,10 @@ def require_chunk(head: ChunkHead, limits: LimitsConfig) -> None:
 
     Raises:
         LimitError: it exceeds the limit.
-        McapError: the compressed data declares more.
+        McapError: the compressed data declares more, or is shorter than declared.
     """
+    if head.stored_bytes > len(head.stored):
+        raise McapError(TOO_SHORT)
     if head.size_bytes > limits.chunk_bytes:
         raise LimitError(_beyond("a chunk", head.size_bytes, "chunk_mb", limits.chunk_bytes))
     if _stated_bytes(head) > head.size_bytes:

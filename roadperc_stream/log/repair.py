@@ -118,7 +118,7 @@ def _repaired(source: Path, writer_of: Callable[[str], LogWriter], limits: Limit
         for attachment in described.attachments:
             writer.attach(attachment)
         earlier = Recovery.of_records(described.metadata) or Recovery(0)
-        recovery = Recovery(salvage.counts.total(), salvage.gaps)
+        recovery = Recovery(salvage.counts.total(), salvage.losses.gaps)
         if not salvage.whole:
             recovery = replace(recovery, gaps=(*earlier.gaps, *recovery.gaps)).of_at_most(limits.gaps)
         for metadata in described.metadata:

@@ -119,7 +119,7 @@ class RecordSearch:
             return 0, False
         if opcode != Opcode.CHUNK:
             return fields_at + length, False
-        stated = chunk_bytes(self._bytes(fields_at, min(length, _FIELDS_BYTES)))
+        stated = _chunk_bytes(self._bytes(fields_at, min(length, _FIELDS_BYTES)))
         return (fields_at + length if 0 < stated <= RECORD.size + length else 0), stated == RECORD.size + length
 
 
@@ -128,10 +128,15 @@ def follows(head: bytes, left: int) -> bool:
     if len(head) < RECORD.size:
         return not head
     opcode, length = RECORD.unpack(head)
-    return opcode != 0 and RECORD.size + length <= left
+    return bool(opcode) and bool(RECORD.size + length <= left)
 
 
-def chunk_bytes(fields: bytes | memoryview) -> int:
+def is_chunk(body: bytes | memoryview) -> bool:
+    """Return whether a record's body has the form of a chunk of just its length."""
+    return _chunk_bytes(body) == RECORD.size + len(body)
+
+
+def _chunk_bytes(fields: bytes | memoryview) -> int:
     """Return the length of the whole record that a chunk's first fields state; 0 if they are none of a chunk."""
     try:
         head = chunk_head(fields)

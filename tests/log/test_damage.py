@@ -87,7 +87,7 @@ def test_every_intact_message_comes_back(tmp_path_factory, shape, data):
     altered = (Counter(found) - every).total()
     assert altered <= sum(map(len, unverified)) - sum(messages in unverified for messages in expected)
     for _, time_ns, _, _ in every - Counter(found) if not altered else ():
-        assert any((gap.first_ns or 0) <= time_ns <= (gap.last_ns or 2**64) for gap in salvage.gaps)
+        assert any((gap.first_ns or 0) <= time_ns <= (gap.last_ns or 2**64) for gap in salvage.losses.gaps)
     if changed != content:
         assert salvage.damages
         with pytest.raises(LogError, match=f"^{path}: "):
