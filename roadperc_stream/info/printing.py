@@ -201,7 +201,8 @@ def _span(facts: LogFacts) -> str:
 def _damage_lines(facts: LogFacts) -> Iterator[str]:
     file = facts.file
     for damage in file.damages[:_DAMAGES_SHOWN]:
-        yield f"byte {damage.byte}: {damage.words}"
+        lost = f"; messages lost {damage.span.words(facts.first_ns)}" if damage.span and damage.is_loss else ""
+        yield f"byte {damage.byte}: {damage.words}{lost}"
     if len(file.damages) > _DAMAGES_SHOWN:
         yield f"and {number_of(file.damages) - _DAMAGES_SHOWN} more damaged places"
     if file.damages and file.last_good_ns is not None and facts.first_ns is not None:

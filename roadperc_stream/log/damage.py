@@ -9,6 +9,7 @@ from typing import Any, Final, Self
 from roadperc_stream.errors import LogError
 from roadperc_stream.log.layout import MAGIC
 from roadperc_stream.system.files import not_a_log
+from roadperc_stream.system.time import ns_to_seconds
 
 ZSTD: Final = b"\x28\xb5\x2f\xfd"
 """First bytes of a compressed file; no CDR message begins so."""
@@ -75,6 +76,12 @@ class LostSpan:
         starts_behind = self.first_ns is not None and end_ns is not None and self.first_ns >= end_ns
         return not (ends_before or starts_behind)
 
+    def words(self, from_ns: int | None) -> str:
+        """Return its times as text; seconds count from ``from_ns``."""
+        ends = ("from", self.first_ns), ("to", self.last_ns)
+        known = [f"{word} {_at(time_ns, from_ns)}" for word, time_ns in ends if time_ns is not None]
+        return " ".join(known) or "at an unknown time"
+
     def with_more(self, other: "LostSpan") -> "LostSpan":
         """Return the span from the earlier start to the later end."""
         first_ns = None if None in (self.first_ns, other.first_ns) else min(self.first_ns or 0, other.first_ns or 0)
@@ -85,6 +92,10 @@ class LostSpan:
         """Return the span with an end, if it has none and does not begin later."""
         is_open = self.last_ns is None and (self.first_ns is None or self.first_ns <= last_ns)
         return LostSpan(self.first_ns, last_ns) if is_open else self
+
+
+def _at(time_ns: int, from_ns: int | None) -> str:
+    return f"{time_ns} ns" if from_ns is None else f"{ns_to_seconds(time_ns - from_ns):.3f} s ({time_ns} ns)"
 
 
 @dataclass(frozen=True)

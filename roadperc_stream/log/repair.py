@@ -18,7 +18,6 @@ from roadperc_stream.log.recovery import Salvage
 from roadperc_stream.log.sorting import in_order_within
 from roadperc_stream.log.stored import Spool, StoredLog, storing
 from roadperc_stream.log.writing import LogWriter, StoredLogWriter
-from roadperc_stream.system.time import ns_to_seconds
 
 _MOST_HELD_BYTES: Final = 32 * 1024 * 1024
 _VERSION: Final = "2"
@@ -71,19 +70,9 @@ class Recovery:
         """Yield one line for all losses, then one for each of the first gaps; seconds count from ``first_ns``."""
         yield f"{self.saved} messages saved, {'others are lost' if self.gaps else 'no loss found'}"
         for gap in self.gaps[:_GAPS_LISTED]:
-            yield f"lost {_between(gap, first_ns)}"
+            yield f"lost {gap.words(first_ns)}"
         if len(self.gaps) > _GAPS_LISTED:
             yield f"and {len(self.gaps) - _GAPS_LISTED} more gaps"
-
-
-def _between(gap: LostSpan, first_ns: int | None) -> str:
-    ends = ("from", gap.first_ns), ("to", gap.last_ns)
-    known = [f"{word} {_at(time_ns, first_ns)}" for word, time_ns in ends if time_ns is not None]
-    return " ".join(known) or "at an unknown time"
-
-
-def _at(time_ns: int, first_ns: int | None) -> str:
-    return f"{time_ns} ns" if first_ns is None else f"{ns_to_seconds(time_ns - first_ns):.3f} s ({time_ns} ns)"
 
 
 def write_repaired(source: Path, target: Path, limits: LimitsConfig = DEFAULT_LIMITS) -> tuple[Salvage, Recovery]:
