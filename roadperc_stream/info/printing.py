@@ -182,6 +182,7 @@ def _file_lines(facts: LogFacts) -> Iterator[str]:
     if PIXEL_ORIGIN_KEY in file.conversion:
         yield f"converted with a K that counts pixels from {shown(file.conversion[PIXEL_ORIGIN_KEY])}"
     yield from _damage_lines(facts)
+    yield from (f"note: {note}" for note in file.notes)
     if file.absent:
         yield f"without {', without '.join(file.absent)}"
     if facts.log_times_back:
@@ -200,7 +201,8 @@ def _span(facts: LogFacts) -> str:
 def _damage_lines(facts: LogFacts) -> Iterator[str]:
     file = facts.file
     for damage in file.damages[:_DAMAGES_SHOWN]:
-        yield f"byte {damage.byte}: {damage.words}"
+        lost = f"; messages lost {damage.span.words(facts.first_ns)}" if damage.span and damage.is_loss else ""
+        yield f"byte {damage.byte}: {damage.words}{lost}"
     if len(file.damages) > _DAMAGES_SHOWN:
         yield f"and {number_of(file.damages) - _DAMAGES_SHOWN} more damaged places"
     if file.damages and file.last_good_ns is not None and facts.first_ns is not None:

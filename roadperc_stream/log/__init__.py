@@ -3,9 +3,8 @@
 It handles bytes; ``schemas`` and ``input`` decode them.
 """
 
-from roadperc_stream.log.audit import audited
 from roadperc_stream.log.bags import is_log, received, received_file
-from roadperc_stream.log.damage import Damage, DamagedLogError, first_damage, number_of
+from roadperc_stream.log.damage import Damage, DamagedLogError, LostSpan, first_damage, number_of
 from roadperc_stream.log.files import counted_topics, gone_on_ns
 from roadperc_stream.log.growing import GrowingLog
 from roadperc_stream.log.index import outline
@@ -21,7 +20,7 @@ from roadperc_stream.log.records import (
     MessageDigest,
     Metadata,
 )
-from roadperc_stream.log.repair import LostSpan, Recovery, RepairedLog, repaired_copy, write_repaired
-from roadperc_stream.log.salvage import Salvage
+from roadperc_stream.log.recovery import Salvage, audited
+from roadperc_stream.log.repair import Recovery, RepairedLog, repaired_copy, write_repaired
 from roadperc_stream.log.sorting import in_order_within
 from roadperc_stream.log.writing import LogWriter, MessageCopy

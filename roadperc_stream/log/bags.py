@@ -23,7 +23,7 @@ from roadperc_stream.errors import LogError, RoadpercError
 from roadperc_stream.log.damage import BAGS, ZSTD, unopened
 from roadperc_stream.log.layout import MAGIC
 from roadperc_stream.log.records import Channel, Message
-from roadperc_stream.log.salvage import Salvage
+from roadperc_stream.log.recovery import Salvage
 from roadperc_stream.log.stored import Spool, StoredLog, received_files, storing
 from roadperc_stream.log.writing import StoredLogWriter
 from roadperc_stream.system.files import BAG_METADATA, is_bag_folder, read_file

@@ -15,7 +15,7 @@ from deflate import crc32
 from mcap.opcode import Opcode
 from zstandard import ZstdDecompressor, ZstdError
 
-from roadperc_stream.log.layout import RECORD, TOO_SHORT, ChunkHead, Record, records_in
+from roadperc_stream.log.layout import NAMES, RECORD, TOO_SHORT, ChunkHead, Record, records_in
 
 INSIDE: Final = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
 _PIECE_BYTES: Final = 1024 * 1024
@@ -30,19 +30,17 @@ _STREAMS: Final[dict[str, Callable[[ChunkHead], Any]]] = {
 def contents_of(head: ChunkHead, most: int) -> tuple[list[Record], str]:
     """Return a chunk's records up to the first fault, at most ``most``, and the fault; empty without one.
 
-    If only the CRC is wrong, no record is returned, because any of them may be wrong.
+    If the CRC of complete data is wrong, no record is returned, because any of them may be wrong.
     """
     data, broken = _decompressed(head)
-    found, fault = _split(data, most)
-    if head.stored_bytes > len(head.stored):
-        return found, TOO_SHORT
-    if broken or fault:
-        return found, broken or fault
-    if head.crc and (crc := crc32(data)) != head.crc:
+    is_whole = len(data) == head.size_bytes
+    if head.stored_bytes > len(head.stored) and not is_whole:
+        broken = TOO_SHORT
+    if head.crc and (is_whole or not broken) and (crc := crc32(data)) != head.crc:
         return [], _wrong_crc(crc, head.crc)
-    if len(data) != head.size_bytes:
-        return found, f"holds {len(data)} bytes, expected {head.size_bytes}"
-    return found, ""
+    found, fault = _split(data, most)
+    expected = "" if is_whole else f"holds {len(data)} bytes, expected {head.size_bytes}"
+    return found, broken or fault or expected
 
 
 def streamed(head: ChunkHead) -> Iterator[Record]:
@@ -150,7 +148,7 @@ def _split(data: memoryview, most: int) -> tuple[list[Record], str]:
         for record in records_in(data):
             if len(found) == most:
                 return found, too_many(most)
-            if record.opcode not in INSIDE:
+            if record.opcode in NAMES and record.opcode not in INSIDE:
                 kind = f"a record with opcode {record.opcode:#04x} at its byte {record.start}"
                 return found, f"{kind}, expected schema, channel or message"
             found.append(record)

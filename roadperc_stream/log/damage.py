@@ -9,6 +9,7 @@ from typing import Any, Final, Self
 from roadperc_stream.errors import LogError
 from roadperc_stream.log.layout import MAGIC
 from roadperc_stream.system.files import not_a_log
+from roadperc_stream.system.time import ns_to_seconds
 
 ZSTD: Final = b"\x28\xb5\x2f\xfd"
 """First bytes of a compressed file; no CDR message begins so."""
@@ -63,33 +64,62 @@ def _way_to_mcap(path: Path, start: bytes) -> str:
 
 
 @dataclass(frozen=True)
-class Damage:
-    """One damage of a file: its first byte, and a text that describes it.
+class LostSpan:
+    """First and last log time of lost messages, both included; None if unknown."""
 
-    Messages between the log times ``first_ns`` and ``last_ns`` may be affected; None is no limit. ``of_messages`` is
-    false if no message is affected, for example for a damaged index.
-    """
+    first_ns: int | None
+    last_ns: int | None
+
+    def overlaps(self, start_ns: int | None, end_ns: int | None) -> bool:
+        """Return whether it has a log time from ``start_ns`` up to ``end_ns``; None is no limit."""
+        ends_before = self.last_ns is not None and start_ns is not None and self.last_ns < start_ns
+        starts_behind = self.first_ns is not None and end_ns is not None and self.first_ns >= end_ns
+        return not (ends_before or starts_behind)
+
+    def words(self, from_ns: int | None) -> str:
+        """Return its times as text; seconds count from ``from_ns``."""
+        ends = ("from", self.first_ns), ("to", self.last_ns)
+        known = [f"{word} {_at(time_ns, from_ns)}" for word, time_ns in ends if time_ns is not None]
+        return " ".join(known) or "at an unknown time"
+
+    def with_more(self, other: "LostSpan") -> "LostSpan":
+        """Return the span from the earlier start to the later end."""
+        first_ns = None if None in (self.first_ns, other.first_ns) else min(self.first_ns or 0, other.first_ns or 0)
+        last_ns = None if None in (self.last_ns, other.last_ns) else max(self.last_ns or 0, other.last_ns or 0)
+        return LostSpan(first_ns, last_ns)
+
+    def ending(self, last_ns: int) -> "LostSpan":
+        """Return the span with an end, if it has none and does not begin later."""
+        is_open = self.last_ns is None and (self.first_ns is None or self.first_ns <= last_ns)
+        return LostSpan(self.first_ns, last_ns) if is_open else self
+
+
+def _at(time_ns: int, from_ns: int | None) -> str:
+    return f"{time_ns} ns" if from_ns is None else f"{ns_to_seconds(time_ns - from_ns):.3f} s ({time_ns} ns)"
+
+
+@dataclass(frozen=True)
+class Damage:
+    """One damage of a file: its first byte, and a text that describes it."""
 
     byte: int
     words: str
-    first_ns: int | None = None
-    last_ns: int | None = None
-    of_messages: bool = True
+    span: LostSpan | None = None
+    """The messages that may be affected; None if none are, for example by a damaged attachment."""
+    is_loss: bool = False
+    """Whether messages in the span are lost; otherwise all were read, but may be wrong."""
     number: int = 1
     """Number of damages that it represents; the last listed one also represents all later ones."""
 
     def concerns(self, start_ns: int | None, end_ns: int | None) -> bool:
         """Return whether messages from ``start_ns`` up to ``end_ns`` may be affected; None is no limit."""
-        ends_before = self.last_ns is not None and start_ns is not None and self.last_ns < start_ns
-        starts_behind = self.first_ns is not None and end_ns is not None and self.first_ns >= end_ns
-        return self.of_messages and not (ends_before or starts_behind)
+        return self.span is not None and self.span.overlaps(start_ns, end_ns)
 
     def with_more(self, other: "Damage") -> "Damage":
         """Return a damage that also represents a later one."""
-        first_ns = None if None in (self.first_ns, other.first_ns) else min(self.first_ns or 0, other.first_ns or 0)
-        last_ns = None if None in (self.last_ns, other.last_ns) else max(self.last_ns or 0, other.last_ns or 0)
-        of_messages = self.of_messages or other.of_messages
-        return Damage(self.byte, self.words, first_ns, last_ns, of_messages, self.number + other.number)
+        both = self.span and other.span and self.span.with_more(other.span)
+        span, is_loss = both or self.span or other.span, self.is_loss or other.is_loss
+        return Damage(self.byte, self.words, span, is_loss, self.number + other.number)
 
 
 def number_of(damages: Iterable[Damage]) -> int:

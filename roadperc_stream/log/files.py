@@ -16,8 +16,8 @@ from itertools import chain, pairwise
 from pathlib import Path
 
 from roadperc_stream.config import LimitsConfig
-from roadperc_stream.log.audit import in_file_order
 from roadperc_stream.log.damage import damaged
+from roadperc_stream.log.file_order import in_file_order
 from roadperc_stream.log.index import MOST_HELD_BYTES
 from roadperc_stream.log.records import RECOVERY_RECORD, Attachment, Channel, LogSummary, Message, Metadata
 from roadperc_stream.log.repair import Recovery

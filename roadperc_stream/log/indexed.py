@@ -8,25 +8,24 @@ import heapq
 from collections import deque
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from itertools import accumulate, chain, groupby, pairwise
-from pathlib import Path
-from typing import IO, Final
+from typing import Final
 
 from deflate import crc32
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel as McapChannel
-from mcap.records import ChunkIndex, McapRecord
-from mcap.summary import Summary
+from mcap.records import ChunkIndex
+from mcap.records import Schema as McapSchema
 
-from roadperc_stream.config import LimitsConfig
 from roadperc_stream.log import layout
-from roadperc_stream.log.audit import in_file_order, opened
-from roadperc_stream.log.chunks import Unpacked, unpacked
-from roadperc_stream.log.index import MOST_HELD_BYTES, channel_of, held_bytes, is_within, may_hold, share_channels
+from roadperc_stream.log.chunks import INSIDE, Unpacked, unpacked
+from roadperc_stream.log.file_order import opened
+from roadperc_stream.log.index import MOST_HELD_BYTES, channel_of, held_bytes, is_within, may_hold
+from roadperc_stream.log.limits import GuardedFile
 from roadperc_stream.log.mcap_file import ChunkRecords, Piece
 from roadperc_stream.log.records import Channel, Message
+from roadperc_stream.log.recovery import Salvage
 from roadperc_stream.log.sorting import SortedMessages
 
 _MOST_WHOLE_BYTES: Final = 16 * 1024 * 1024
@@ -54,39 +53,22 @@ class ChunkContents:
 class IndexedFile:
     """A checked log that is read by its index, or sorted on disk if that would take too much memory."""
 
-    path: Path
-    check_chunks: bool
-    """Whether the CRCs of chunks are still to be checked."""
-    limits: LimitsConfig
-    channels: Mapping[int, Channel]
-    """By ``Channel.source_id``."""
-    chunks: tuple[ChunkIndex, ...]
-    """In file order."""
+    found: Salvage
+    """The finished account; the CRCs of chunks are still to be checked if it is not ``sealed``."""
     in_order: SortedMessages
     """All messages, for reading that would take too much memory by the index."""
-    _descriptions: Mapping[tuple[int, int], McapRecord]
-    """The index's channels and schemas, by opcode and id."""
     _seen: dict[int, ChunkContents] = field(default_factory=dict, compare=False, repr=False)
     """Contents of the chunks already read, by their first byte."""
 
-    @classmethod
-    def of(cls, path: Path, index: Summary, limits: LimitsConfig, *, check_chunks: bool) -> "IndexedFile":
-        """Return the log with this index."""
-        known = {number: channel_of(c, index.schemas.get(c.schema_id)) for number, c in sorted(index.channels.items())}
-        chunks = tuple(sorted(index.chunk_indexes, key=_start))
-        shared: dict[frozenset[int], dict[int, int]] = {}
-        for chunk in chunks:
-            share_channels(chunk, shared)
-        descriptions: dict[tuple[int, int], McapRecord] = {(Opcode.SCHEMA, i): s for i, s in index.schemas.items()}
-        descriptions |= {(Opcode.CHANNEL, i): channel for i, channel in index.channels.items()}
-        in_order = SortedMessages(str(path), partial(in_file_order, path, limits))
-        return cls(path, check_chunks, limits, known, chunks, in_order, descriptions)
+    @property
+    def channels(self) -> Mapping[int, Channel]:
+        """By ``Channel.source_id``."""
+        return self.found.channels
 
     @property
-    def schema_ids(self) -> dict[int, int]:
-        """Schema id by ``Channel.source_id``; 0 is no schema."""
-        found = self._descriptions.values()
-        return {item.id: item.schema_id for item in found if isinstance(item, McapChannel)}
+    def chunks(self) -> Sequence[ChunkIndex]:
+        """In file order."""
+        return self.found.index
 
     def messages(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
         """Yield messages as ``reading.read`` does."""
@@ -95,7 +77,7 @@ class IndexedFile:
         if held_bytes(chunks) > MOST_HELD_BYTES:
             yield from self.in_order.messages(topics, start_ns, end_ns)
             return
-        with opened(self.path, self.limits) as stream:
+        with opened(self.found.path, self.found.limits) as stream:
             yield from self._in_order(stream, chunks, wanted, start_ns, end_ns)
 
     def pieces(self, kept: frozenset[int], start_ns: int | None, end_ns: int | None) -> Iterator[Piece]:
@@ -105,7 +87,7 @@ class IndexedFile:
             messages = self.in_order.messages({self.channels[i].topic for i in kept}, start_ns, end_ns)
             yield from (message for message in messages if message.channel.source_id in kept)
             return
-        with opened(self.path, self.limits) as stream:
+        with opened(self.found.path, self.found.limits) as stream:
             whole = {_start(chunk) for chunk in apart(chunks) if _lies_in(chunk, kept, start_ns, end_ns)}
             for is_whole, group in groupby(chunks, key=lambda chunk: _start(chunk) in whole):
                 if is_whole:
@@ -113,7 +95,7 @@ class IndexedFile:
                 else:
                     yield from self._in_order(stream, group, kept, start_ns, end_ns)
 
-    def _as_is(self, stream: IO[bytes], chunk: ChunkIndex, kept: frozenset[int]) -> Iterator[Piece]:
+    def _as_is(self, stream: GuardedFile, chunk: ChunkIndex, kept: frozenset[int]) -> Iterator[Piece]:
         """Yield a chunk unchanged, or its messages if it is not tidy."""
         if _start(chunk) not in self._seen:
             deque(self._bodies(stream, chunk), maxlen=0)
@@ -126,7 +108,7 @@ class IndexedFile:
 
     def _known_by(self, kept: frozenset[int]) -> frozenset[tuple[int, int]]:
         """Return opcode and id of these channels and their schemas."""
-        ids = self.schema_ids
+        ids = self.found.described.schema_ids
         schemas = {(int(Opcode.SCHEMA), ids[i]) for i in kept}
         return frozenset(schemas | {(int(Opcode.CHANNEL), i) for i in kept})
 
@@ -139,7 +121,7 @@ class IndexedFile:
 
     def _in_order(
         self,
-        stream: IO[bytes],
+        stream: GuardedFile,
         chunks: Iterable[ChunkIndex],
         wanted: Collection[int],
         start_ns: int | None,
@@ -162,10 +144,10 @@ class IndexedFile:
                 head = layout.message_head(body)
                 yield head.of(self.channels[head.channel_id], body)
 
-    def _bodies(self, stream: IO[bytes], chunk: ChunkIndex) -> Iterator[Body]:
+    def _bodies(self, stream: GuardedFile, chunk: ChunkIndex) -> Iterator[Body]:
         """Yield the message records of a chunk, and record its contents."""
         head = layout.chunk_of(_record(stream, chunk))
-        found = unpacked(head, check_crc=self.check_chunks)
+        found = unpacked(head, check_crc=not self.found.sealed)
         others, entries = list[tuple[int, Body]](), list[IndexEntry]()
         for item in layout.records_in(found.data):
             if item.opcode == Opcode.MESSAGE:
@@ -191,12 +173,18 @@ class IndexedFile:
         return ChunkContents(crc, is_tidy and is_known and is_correct, frozenset(described))
 
     def _describes(self, key: tuple[int, int], body: Body) -> bool:
-        """Return whether a record of a chunk equals a channel or a schema of the index."""
-        known = self._descriptions.get(key)
+        """Return whether a record of a chunk equals a channel or a schema of the log."""
+        known = self.found.described
         try:
-            return known is not None and layout.parse(key[0], bytes(body), spare_allowed=True) == known
+            item = layout.parse(key[0], bytes(body)) if key[0] in INSIDE else None
         except layout.UNREADABLE:
             return False
+        match item:
+            case McapSchema():
+                return known.schemas.get(item.id) == item
+            case McapChannel() if known.schema_ids.get(item.id) == item.schema_id:
+                return known.channels.get(item.id) == channel_of(item, known.schemas.get(item.schema_id))
+        return False
 
 
 def _lies_in(chunk: ChunkIndex, kept: frozenset[int], start_ns: int | None, end_ns: int | None) -> bool:
@@ -237,22 +225,11 @@ def _in_order_and_indexed(entries: Sequence[IndexEntry], indexes: Sequence[layou
     return in_order and len(channels) == len(set(channels)) and sorted(entries) == listed
 
 
-def _record(stream: IO[bytes], chunk: ChunkIndex) -> bytes:
-    return _read(stream, chunk.chunk_start_offset, chunk.chunk_length)
+def _record(stream: GuardedFile, chunk: ChunkIndex) -> bytes:
+    stream.seek(chunk.chunk_start_offset)
+    return stream.exactly(chunk.chunk_length)
 
 
-def _indexes(stream: IO[bytes], chunk: ChunkIndex) -> bytes:
-    return _read(stream, chunk.chunk_start_offset + chunk.chunk_length, chunk.message_index_length)
-
-
-def _read(stream: IO[bytes], start: int, length: int) -> bytes:
-    """Read bytes of a file.
-
-    Raises:
-        McapError: the file became shorter.
-    """
-    stream.seek(start)
-    data = stream.read(length)
-    if len(data) < length:
-        raise McapError(f"expected {length} bytes at byte {start}, found {len(data)}")
-    return data
+def _indexes(stream: GuardedFile, chunk: ChunkIndex) -> bytes:
+    stream.seek(chunk.chunk_start_offset + chunk.chunk_length)
+    return stream.exactly(chunk.message_index_length)

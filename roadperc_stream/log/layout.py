@@ -65,8 +65,6 @@ class Record(NamedTuple):
     start: int
     opcode: int
     body: bytes | memoryview
-    fault: str = ""
-    """Why it is incomplete; empty if it is complete."""
 
     @property
     def name(self) -> str:
@@ -78,10 +76,14 @@ class Record(NamedTuple):
         """The byte behind it."""
         return self.start + RECORD.size + len(self.body)
 
-    def crc(self, before: int, *, without_last: int = 0) -> int:
-        """Return the CRC ``before``, continued with this record without its last bytes."""
+    def crc(self, before: int, end: int | None = None) -> int:
+        """Return the CRC ``before``, continued with this record, or with its body up to ``end``."""
         head = RECORD.pack(self.opcode, len(self.body))
-        return crc32(memoryview(self.body)[: len(self.body) - without_last], crc32(head, before))
+        return crc32(memoryview(self.body)[:end], crc32(head, before))
+
+    def number(self, at: int) -> int:
+        """Return the 32-bit number at a byte of the body; 0 behind its end."""
+        return int.from_bytes(self.body[at : at + CRC_BYTES], "little")
 
 
 @dataclass(frozen=True)
@@ -209,6 +211,12 @@ def message_index(body: bytes | memoryview, offset: int = 0) -> MessageIndex:
     return MessageIndex(offset, channel_id, list(ENTRY.iter_unpack(memoryview(body)[INDEX.size :][:length])))
 
 
+def has_form_of_index(body: bytes | memoryview) -> bool:
+    """Return whether a record's body has the length that it states as a message index."""
+    length = INDEX.unpack_from(body)[1] if len(body) >= INDEX.size else 0
+    return bool(length) and length % ENTRY.size == 0 and INDEX.size + length == len(body)
+
+
 def message_indexes(data: bytes) -> list[MessageIndex]:
     """Read the message indexes of some bytes.
 
@@ -218,24 +226,33 @@ def message_indexes(data: bytes) -> list[MessageIndex]:
     return [message_index(item.body, item.start) for item in records_in(data)]
 
 
-def parse(opcode: int, body: bytes, *, spare_allowed: bool) -> Any:
-    """Read a record's fields with the mcap library, within the record's bytes.
+def parse(opcode: int, body: bytes) -> Any:
+    """Read a record's fields with the mcap library; later versions of the format may add bytes behind them.
 
     Args:
         opcode: one of ``PARSED``.
         body: the record behind its length.
-        spare_allowed: accept bytes behind the fields. The library skips them inside a chunk, but elsewhere it reads the
-            next record from the wrong byte.
 
     Raises:
         EndOfFile: the body is too short for the fields.
-        ValueError: the fields are not valid, or have spare bytes behind them that are not allowed.
+        ValueError: the fields are not valid, or the CRC of an attachment is wrong.
     """
     stream = _Bounded(BytesIO(body))
     item = PARSED[opcode].read(stream)
-    if not spare_allowed and stream.count < len(body):
-        raise ValueError(f"a record of {len(body)} bytes whose fields have {stream.count}")
+    if opcode == Opcode.ATTACHMENT:
+        end = stream.count - CRC_BYTES
+        require_crc("attachment", crc32(memoryview(body)[:end]), int.from_bytes(body[end : stream.count], "little"))
     return item
+
+
+def require_crc(what: str, found: int, expected: int) -> None:
+    """Compare a computed CRC with the written one; zero means that the writer did not compute one.
+
+    Raises:
+        ValueError: they differ.
+    """
+    if expected not in {0, found}:
+        raise ValueError(f"CRC of the {what} is {found:#010x}, expected {expected:#010x}")
 
 
 class _Bounded(ReadDataStream):

@@ -1,10 +1,10 @@
 """Reads a log: its summary, and its messages in log-time order.
 
-A log without a usable index, or with large overlapping chunks, is sorted on disk, because a log may be a single chunk.
+Chunks are read by the index that the check of the file made. A log with messages outside chunks, or with large
+overlapping chunks, is sorted on disk.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -12,14 +12,14 @@ from typing import Final
 
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import LogError
-from roadperc_stream.log.audit import audited, damage_in, in_file_order
+from roadperc_stream.log.file_order import in_file_order
 from roadperc_stream.log.files import UnitedFiles, united
 from roadperc_stream.log.index import most_at_once
 from roadperc_stream.log.indexed import IndexedFile
 from roadperc_stream.log.limits import LimitError, require_attachments
 from roadperc_stream.log.mcap_file import Piece
 from roadperc_stream.log.records import Channel, LogSummary, Message
-from roadperc_stream.log.salvage import Salvage
+from roadperc_stream.log.recovery import audited, damage_in
 from roadperc_stream.log.sorting import SortedMessages
 
 _LEAST_HELD_BYTES: Final = 1024 * 1024
@@ -109,20 +109,16 @@ def _summary_of(path: Path, limits: LimitsConfig, *, check_chunks: bool) -> LogS
     found = audited(path, limits, check_chunks=check_chunks)
     if not found.whole:
         raise damage_in(found)
-    index = found.index if found.all_in_chunks else None
-    if index is None and not found.inside:  # its channels may be in chunks
-        found = Salvage(path, limits=limits).run()
-        if not found.whole:
-            raise damage_in(found)
-    described = found.described
-    beside = tuple(described.attachments), tuple(described.metadata)
-    if index is None or index.statistics is None:
-        in_order = SortedMessages(str(path), partial(in_file_order, path, limits))
-        channels = tuple(found.channels[i] for i in sorted(found.channels))
-        times_ns = found.first_ns, found.last_ns
-        return LogSummary(path, in_order, described.profile, channels, dict(found.counts), *beside, *times_ns)
-    file = IndexedFile.of(path, index, limits, check_chunks=not found.sealed)
-    channels, counts = tuple(file.channels.values()), dict(index.statistics.channel_message_counts)
-    times_ns = index.statistics.message_start_time, index.statistics.message_end_time
-    summary = LogSummary(path, file, described.profile, channels, counts, *beside, *times_ns)
-    return replace(summary, schema_ids=file.schema_ids)
+    in_order, described = SortedMessages(str(path), partial(in_file_order, path, limits)), found.described
+    return LogSummary(
+        path,
+        IndexedFile(found, in_order) if found.all_in_chunks else in_order,
+        described.profile,
+        tuple(found.channels[number] for number in sorted(found.channels)),
+        dict(found.counts),
+        tuple(described.attachments),
+        tuple(described.metadata),
+        found.first_ns,
+        found.last_ns,
+        schema_ids=described.schema_ids if found.all_in_chunks else {},
+    )

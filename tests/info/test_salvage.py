@@ -52,7 +52,6 @@ def test_a_chunk_with_a_wrong_record_length_is_read(tmp_path):
 def test_missing_optional_parts_are_listed(tmp_path, options, absent):
     salvage, _ = salvaged(write(tmp_path / "a.mcap", TIMES, **options))
     assert salvage.absent == absent
-    assert salvage.written == (None if "index" in absent else {1: len(TIMES)})
 
 
 def test_chunks_without_crc_are_counted(tmp_path):

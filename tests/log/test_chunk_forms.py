@@ -16,7 +16,7 @@ from roadperc_stream import log
 from roadperc_stream.config import DEFAULT_LIMITS
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import Channel, LogWriter, MessageCopy, Salvage
-from roadperc_stream.log.audit import in_file_order
+from roadperc_stream.log.file_order import in_file_order
 from roadperc_stream.log.mcap_file import ChunkRecords, McapFile
 
 A = Channel("/a", "x", source_id=1)

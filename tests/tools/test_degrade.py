@@ -13,7 +13,7 @@ from roadperc_stream.config import DEFAULT_LIMITS
 from roadperc_stream.geometry.rotations import rotation_angle
 from roadperc_stream.input.roles import assignment_of_log
 from roadperc_stream.input.stream import Problems, decoded_messages
-from roadperc_stream.log.audit import in_file_order
+from roadperc_stream.log.file_order import in_file_order
 from roadperc_stream.tools.corruptions.levels import LEVELS
 from tests import logs
 from tests.analytic import STEP_NS
