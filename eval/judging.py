@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from itertools import chain
 from pathlib import Path
 from typing import Final
@@ -10,7 +9,6 @@ from typing import Final
 import polars as pl
 
 from roadperc_stream.errors import ConfigError
-from roadperc_stream.output.tables import arrow_schema
 from roadperc_stream.schemas.columns import TIME_COLUMNS, UNITLESS, FrameMetrics, columns_of, errors
 from roadperc_stream.system.text import number as number_of
 from roadperc_stream.system.time import NS_PER_S
@@ -21,7 +19,7 @@ from .findings import finding_lines, findings_of
 from .frame_commands import view_command
 from .machine import Outcome
 from .quantities import percent
-from .runs import Run, reading
+from .runs import Run, reading, written
 from .scan import SEGMENT, before, rows_of, scan
 
 _QUANTILES: Final = {"median": 0.5, "p1": 0.01, "p5": 0.05, "p95": 0.95, "p99": 0.99, "min": 0.0, "max": 1.0}
@@ -100,7 +98,7 @@ def judge(criteria: Sequence[Criterion], runs: Sequence[Run], source: Path) -> l
         ConfigError: a criterion of the file ``source`` names an unknown column, or its SQL does not fit.
         TableError: a table cannot be read.
     """
-    schema = pl.Schema({**_written(), **{k: v for run in runs for k, v in _frames_of(run).collect_schema().items()}})
+    schema = pl.Schema({**written(), **{k: v for run in runs for k, v in _frames_of(run).collect_schema().items()}})
     for criterion in criteria:
         _require_fit(criterion, schema, f"{source}: criterion {criterion.title!r}")
     by_run = [_measured([c for c in criteria if c.statistic != "findings"], run, schema) for run in runs]
@@ -133,12 +131,6 @@ def unit_of(criterion: Criterion) -> str:
     known = {name: column.unit for name, column in columns_of(FrameMetrics).items()} | dict.fromkeys(TIME_COLUMNS, "ms")
     unit = BY_NAME[criterion.metric].unit if criterion.metric else known.get(criterion.column or "", "")
     return "" if unit in UNITLESS or criterion.statistic == "share" else f" {unit}"
-
-
-@cache
-def _written() -> pl.Schema:
-    """Names and types of the columns that a replay writes."""
-    return pl.DataFrame(arrow_schema(FrameMetrics, TIME_COLUMNS).empty_table()).schema
 
 
 def _frames_of(run: Run) -> pl.LazyFrame:
@@ -199,7 +191,7 @@ def _measured(criteria: Sequence[Criterion], run: Run, schema: pl.Schema) -> lis
             kept = table.select("frame", "lasts", keep=_sql(criterion.filter), value=_value(criterion)).filter("keep")
             columns = _columns_of(criterion)
             of_truth = {names[0] for names in _OF_TRUTH if not set(columns[:1]).isdisjoint(names)}
-            absent = next((name for name in columns if name in _written() and name not in run.columns), "")
+            absent = next((name for name in columns if name in written() and name not in run.columns), "")
             minutes = float(kept["lasts"].sum()) / _S_PER_MINUTE
             parts.append(_Part(run, kept.select("frame", "value"), minutes, of_truth <= known, absent))
     return parts

@@ -70,10 +70,10 @@ def _require_columns_as_written(path: Path) -> None:
     rows = pl.scan_parquet(path, glob=False)
     with reading(str(path)):
         found = rows.collect_schema()
-    for name, expected in _written().items():
+    for name, expected in written().items():
         if name in found and not _fits(name, expected, found[name]):
             raise TableError(f"{path}: column {name} is of type {found[name]}, expected {expected}")
-    largest = {name: _LARGEST[kind] for name, kind in _written().items() if name in found and kind in _LARGEST}
+    largest = {name: _LARGEST[kind] for name, kind in written().items() if name in found and kind in _LARGEST}
     finite = {name: pl.col(name).filter(pl.col(name).is_finite()) for name in largest if found[name] != pl.Null}
     values = collect(
         rows.select(
@@ -93,7 +93,7 @@ def _require_columns_as_written(path: Path) -> None:
 
 
 @cache
-def _written() -> pl.Schema:
+def written() -> pl.Schema:
     """Names and types of the columns that a replay writes."""
     return pl.DataFrame(arrow_schema(FrameMetrics, TIME_COLUMNS).empty_table()).schema
 
@@ -103,10 +103,9 @@ def _fits(name: str, expected: pl.DataType, kind: pl.DataType) -> bool:
     if kind == pl.Null:
         return name not in REQUIRED_COLUMNS
     if isinstance(expected, pl.List):
-        if not isinstance(kind, pl.List):
-            return False
-        inner = kind.inner
-        return inner == pl.Null or (inner.is_numeric() if expected.inner.is_numeric() else inner in _TEXTS)
+        inner, wanted = getattr(kind, "inner", None), expected.inner
+        texts = _TEXTS if wanted == pl.String else ()
+        return inner in (pl.Null, wanted, *texts) or (wanted.is_numeric() and inner is not None and inner.is_numeric())
     if expected == pl.String:
         return kind in _TEXTS
     if expected == pl.Boolean:

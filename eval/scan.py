@@ -29,7 +29,7 @@ from .quantities import (
     UNMEASURED,
     Quantity,
 )
-from .runs import Run
+from .runs import Run, written
 
 SEGMENT: Final = "segment"
 _STAMP_NS: Final = pl.col("stamp_ns")
@@ -77,7 +77,8 @@ def stored_columns(columns: Container[str]) -> list[pl.Expr]:
         pl.col("log_id").cast(pl.String),
         pl.col("frame", "stamp_ns").cast(pl.Int64),
         segment(columns),
-        pl.col("missing", "reasons").cast(pl.List(pl.String)),
+        pl.col("missing").cast(pl.List(pl.String)),
+        pl.col("reasons").cast(written()["reasons"]),
         *(typed(columns, name, pl.Float64()) for name in NUMBER_COLUMNS if name != _INLIERS),
         *(typed(columns, name, pl.String()) for name in TEXTS),
         _inliers(columns),

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from roadperc_stream.chain.bounds import DEFAULT_BOUNDS, TOO_NESTED, StateBounds, require_bounded
 from roadperc_stream.errors import StateError
 
-FORMAT_VERSION: Final = 10
+FORMAT_VERSION: Final = 11
 """Raise it with every change to the contents of a state; otherwise an older state would be misread."""
 MOST_BYTES: Final = 512 * 1024**2
 """Limit on the size of an uncompressed state."""

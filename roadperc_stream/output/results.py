@@ -11,7 +11,7 @@ from roadperc_stream.formats.png import encode_mask
 from roadperc_stream.geometry import Float, inverse
 from roadperc_stream.geometry.planes import SurfaceModel, SurfaceSource
 from roadperc_stream.log import Channel
-from roadperc_stream.model import EGO, Absent, FrameAnchor, FrameResult, Odometry, Sample, Transform
+from roadperc_stream.model import EGO, Absent, FrameAnchor, FrameResult, Odometry, Reason, Sample, Transform
 from roadperc_stream.model.results import BoundaryStatus, OdometryStatus
 from roadperc_stream.model.sample import LAST_ROS_STAMP_NS
 from roadperc_stream.model.tag_tables import Colour
@@ -19,8 +19,8 @@ from roadperc_stream.output import encoding
 from roadperc_stream.output.drawing import annotations, colours
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas import topics
-from roadperc_stream.schemas.columns import FrameMetrics
-from roadperc_stream.schemas.protobuf import require_finite, schema, set_stamp
+from roadperc_stream.schemas.columns import FrameMetrics, cells
+from roadperc_stream.schemas.protobuf import reason_in, require_finite, schema, set_stamp
 from roadperc_stream.schemas.record import PRODUCER
 from roadperc_stream.schemas.ros2 import pack_occupancy_grid
 
@@ -47,7 +47,7 @@ def result_messages(
     sample: Sample,
     result: FrameResult,
     metrics: FrameMetrics,
-    previous_reasons: tuple[str, ...],
+    previous_reasons: tuple[Reason, ...],
     trajectory: Sequence[Float],
 ) -> Written:
     """Topic and bytes of each result of a frame; absent results are not written.
@@ -128,7 +128,7 @@ def _edge_between(frame_id: str, other: str, frame_T_other: Float, above: bool) 
 
 def encode_metrics(frame_id: str, metrics: FrameMetrics) -> bytes:
     """roadperc.FrameMetrics: the row, unknown fields absent."""
-    known = {name: value for name, value in vars(metrics).items() if value is not None}
+    known = {name: value for name, value in cells(metrics).items() if value is not None}
     message = pb.FrameMetrics(frame_id=frame_id, **known)
     set_stamp(message, metrics.stamp_ns)
     return message.SerializeToString()
@@ -152,4 +152,4 @@ def decode_metrics(data: bytes) -> FrameMetrics:
         if known.get(column, words[0]) not in words:
             raise DecodeError(f"{column} {known[column]!r}: expected one of {', '.join(words)}")
     lists = {name: tuple(getattr(message, name)) for name in _LISTS}
-    return FrameMetrics(**always | known | lists)
+    return FrameMetrics(**always | known | lists | {"reasons": tuple(map(reason_in, message.reasons))})

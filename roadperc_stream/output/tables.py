@@ -16,6 +16,8 @@ import pyarrow.parquet as pq
 from roadperc_stream import __version__
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import TableError
+from roadperc_stream.model import Reason
+from roadperc_stream.schemas.columns import cells
 from roadperc_stream.schemas.record import NETWORKS_COMMENT
 from roadperc_stream.system.files import TABLE_SUFFIX, partial_of, remove_stale_partials, target_errors
 from roadperc_stream.system.process import require_uninterrupted
@@ -30,6 +32,11 @@ _ARROW_TYPES: Final[Mapping[Any, pa.DataType]] = {
     bool: pa.bool_(),
     tuple[str, ...]: pa.list_(pa.string()),
     tuple[float, ...]: pa.list_(pa.float64()),
+    tuple[Reason, ...]: pa.list_(
+        pa.struct(
+            [("source", pa.string()), ("code", pa.string()), ("values", pa.list_(pa.string())), ("cause", pa.string())]
+        )
+    ),
 }
 Scalar = bool | int | float | str
 
@@ -272,7 +279,7 @@ class TableWriter:
         Raises:
             TargetError: the row cannot be written, as on a full disk.
         """
-        self._rows.append(vars(row) | extra | self._constant)
+        self._rows.append(cells(row) | extra | self._constant)
         if len(self._rows) >= ROW_GROUP_ROWS:
             self._flush()
 

@@ -18,6 +18,7 @@ from google.protobuf.message import Message as ProtobufMessage
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from roadperc_stream.errors import DecodeError
+from roadperc_stream.model import Reason, reason_of
 from roadperc_stream.schemas import roadperc_pb2, ros2
 from roadperc_stream.system.time import NS_PER_S
 
@@ -37,6 +38,11 @@ def require_finite(what: str, *values: float | None) -> None:
 def optional(message: Any, name: str) -> Any:
     """Return a field of a protobuf message; None if it is not set."""
     return getattr(message, name) if message.HasField(name) else None
+
+
+def reason_in(message: Any) -> Reason:
+    """Return the reason of a roadperc.Reason."""
+    return reason_of(message.source, message.code, message.values, message.cause)
 
 
 MESSAGE_TYPES: Final[dict[str, type[ProtobufMessage]]] = {

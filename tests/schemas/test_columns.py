@@ -9,6 +9,7 @@ import pytest
 
 from roadperc_stream.eval.metrics_page import table, with_tables
 from roadperc_stream.eval.quantities import DERIVED, NUMBERS
+from roadperc_stream.model import Reason
 from roadperc_stream.output.tables import arrow_schema
 from roadperc_stream.schemas.columns import TIME_COLUMNS, Column, FrameMetrics, ObjectMetrics, columns_of, row_of
 from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics as FrameMetricsProto
@@ -19,6 +20,7 @@ PROTO_TYPES = {
     str: FrameMetricsProto.DESCRIPTOR.fields_by_name["log_id"].type,
     int: FrameMetricsProto.DESCRIPTOR.fields_by_name["frame"].type,
     float: FrameMetricsProto.DESCRIPTOR.fields_by_name["lane_width_m"].type,
+    Reason: FrameMetricsProto.DESCRIPTOR.fields_by_name["reasons"].type,
 }
 
 
@@ -60,7 +62,7 @@ def test_the_table_has_every_column_in_its_order():
     assert not schema.field("stamp_ns").nullable
     assert schema.field("lane_width_m").nullable
     assert schema.names[:4] == ["log_id", "frame", "stamp_ns", "surface_inlier_ratio"]
-    assert schema.names[-len(TIME_COLUMNS) - 4 :][:4] == ["segment", "sync_skew_ms", "missing", "reasons"]
+    assert schema.names[-len(TIME_COLUMNS) - 2 :][:2] == ["reasons", "reason_codes"]
 
 
 def test_labels_of_reports_are_unique():
