@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 from roadperc_stream import __version__
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import TableError
-from roadperc_stream.model import Reason
+from roadperc_stream.model.reason import Reason
 from roadperc_stream.schemas.columns import cells
 from roadperc_stream.schemas.record import NETWORKS_COMMENT
 from roadperc_stream.system.files import TABLE_SUFFIX, partial_of, remove_stale_partials, target_errors

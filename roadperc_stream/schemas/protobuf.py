@@ -18,8 +18,8 @@ from google.protobuf.message import Message as ProtobufMessage
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.model import Reason, reason_of
-from roadperc_stream.schemas import roadperc_pb2, ros2
+from roadperc_stream.model.reason import Reason, reason_of
+from roadperc_stream.schemas import roadperc_pb2, ros2, row_messages
 from roadperc_stream.system.time import NS_PER_S
 
 _LARGEST: Final = float(np.finfo(np.float32).max)
@@ -58,11 +58,11 @@ MESSAGE_TYPES: Final[dict[str, type[ProtobufMessage]]] = {
         PosesInFrame,
         SceneUpdate,
         roadperc_pb2.Detections,
-        roadperc_pb2.FrameMetrics,
+        row_messages.FrameMetrics,
         roadperc_pb2.Lanes,
         roadperc_pb2.Objects,
         roadperc_pb2.Odometry,
-        roadperc_pb2.StageTimes,
+        row_messages.StageTimes,
         roadperc_pb2.Surface,
     )
 }

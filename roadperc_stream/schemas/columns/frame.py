@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Annotated, Any, Final
 
-from roadperc_stream.model import Reason
+from roadperc_stream.model.reason import Reason
 from roadperc_stream.schemas.columns import errors, estimates
 from roadperc_stream.schemas.columns.column import RATIO, Column
 

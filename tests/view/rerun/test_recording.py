@@ -16,7 +16,7 @@ from roadperc_stream.output.drawing.annotations import caption
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from roadperc_stream.schemas.record import PRODUCER
-from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics
+from roadperc_stream.schemas.row_messages import FrameMetrics
 from roadperc_stream.schemas.topics import RESULTS
 from roadperc_stream.view.layout.curves import STAGE_COLOURS
 from roadperc_stream.view.rerun import save_recording
