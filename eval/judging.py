@@ -79,16 +79,12 @@ class Result:
 
 @dataclass(frozen=True)
 class _Part:
-    """The frames of a run that fulfil a criterion's filter: ``frame`` and ``value``, and their time in minutes.
-
-    ``absent`` is a column that the criterion needs and the table lacks.
-    """
+    """The frames of a run that fulfil a criterion's filter: ``frame`` and ``value``, and their time in minutes."""
 
     run: Run
     rows: pl.DataFrame
     minutes: float
     has_truth: bool
-    absent: str
 
 
 def judge(criteria: Sequence[Criterion], runs: Sequence[Run], source: Path) -> list[Result]:
@@ -191,9 +187,8 @@ def _measured(criteria: Sequence[Criterion], run: Run, schema: pl.Schema) -> lis
             kept = table.select("frame", "lasts", keep=_sql(criterion.filter), value=_value(criterion)).filter("keep")
             columns = _columns_of(criterion)
             of_truth = {names[0] for names in _OF_TRUTH if not set(columns[:1]).isdisjoint(names)}
-            absent = next((name for name in columns if name in written() and name not in run.columns), "")
             minutes = float(kept["lasts"].sum()) / _S_PER_MINUTE
-            parts.append(_Part(run, kept.select("frame", "value"), minutes, of_truth <= known, absent))
+            parts.append(_Part(run, kept.select("frame", "value"), minutes, of_truth <= known))
     return parts
 
 
@@ -205,8 +200,6 @@ def _columns_of(criterion: Criterion) -> list[str]:
 
 def _judged(criterion: Criterion, parts: Sequence[_Part], log: str) -> Result:
     frames = sum(part.rows.height for part in parts)
-    if lacking := next((part for part in parts if part.absent), None):
-        return Result(criterion, log, "skipped", frames, reason=f"{lacking.run.name} has no column {lacking.absent}")
     parts = [part for part in parts if part.has_truth]
     if not parts:
         return Result(criterion, log, "skipped", frames, reason="no truth")

@@ -137,7 +137,7 @@ def compare_tables(pair: RunPair, rules: Rules) -> tuple[Overlap, dict[str, Agre
 
 
 def _rows(run: Run, by_segment: bool) -> pl.DataFrame:
-    return collect(numbered(rows_of(run), run, by_segment), run.source_name)
+    return collect(numbered(rows_of(run), by_segment), run.source_name)
 
 
 def _column(joined: pl.DataFrame, name: str, run: str, tolerance: float) -> Agreement:

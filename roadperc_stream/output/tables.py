@@ -3,7 +3,7 @@
 import hashlib
 import types
 import typing
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -141,10 +141,8 @@ def read_footer(path: Path) -> TableFooter:
     return TableFooter(footer.num_rows, facts_in(footer.metadata), log_ids[0].as_py() if len(log_ids) else None)
 
 
-def read_rows_around(
-    path: Path, frame: int, columns: Iterable[str], optional: Collection[str] = ()
-) -> list[dict[str, Any]]:
-    """Read columns of the one row group that contains a frame; ``optional`` columns may be missing.
+def read_rows_around(path: Path, frame: int, columns: Iterable[str]) -> list[dict[str, Any]]:
+    """Read columns of the one row group that contains a frame.
 
     Returns:
         The rows; empty if no group contains the frame.
@@ -154,7 +152,6 @@ def read_rows_around(
     """
     with _opened(path) as table:
         wanted = _present(path, table, ("frame", *columns))
-        wanted += [name for name in table.schema_arrow.names if name in optional]
         frames = table.schema_arrow.names.index("frame")
         spans = [table.metadata.row_group(i).column(frames).statistics for i in range(table.num_row_groups)]
         group = next((i for i, span in enumerate(spans) if span and span.min <= frame <= span.max), None)

@@ -27,9 +27,6 @@ from roadperc_stream.schemas.roles import Kind
 from roadperc_stream.schemas.topics import DRIVABLE_TOPIC, LANES_TOPIC, METRICS_TOPIC, OBJECTS_TOPIC
 from roadperc_stream.system.time import NS_PER_S
 
-_TOTAL: Final = "total_ms"
-_PARTS: Final = frozenset(TIME_COLUMNS) - {_TOTAL}
-"""Tables of earlier versions lack some of these columns."""
 TimesMs = Mapping[str, float]
 """Milliseconds by time column; stages that did not run are left out."""
 TimesOfFrame = Callable[[str, int], TimesMs]
@@ -51,7 +48,7 @@ class TableTimes:
         """
         if frame not in self._rows:
             exists = self._path.exists()
-            rows = read_rows_around(self._path, frame, ("log_id", _TOTAL), _PARTS) if exists else []
+            rows = read_rows_around(self._path, frame, ("log_id", *TIME_COLUMNS)) if exists else []
             self._rows = {frame: {}} | {row["frame"]: row for row in rows}
         row = self._rows[frame]
         return _known(row) if row.get("log_id") == log_id else {}

@@ -137,14 +137,6 @@ def test_frames_that_only_one_run_has(reference, tmp_path, capsys):
     assert compare(capsys, shorter, reference, "--exact")[0] == 1
 
 
-def test_a_table_of_an_older_version_lacks_columns(reference, capsys):
-    older = reference.with_name("old.metrics.parquet")
-    pl.read_parquet(reference).drop("lane_left_error_m", "objects_carried").write_parquet(older)
-    code, text, _ = compare(capsys, older, reference, "--full")
-    assert code == 0
-    assert "lane_left_error_m: none → 0.1, in 40 frames" in text
-
-
 def test_columns_of_a_type_that_no_replay_writes(reference, capsys):
     kinds = pl.duration(seconds="frame"), pl.struct("frame", "log_id"), pl.col("log_id").cast(pl.Binary)
     strange = {f"extra{k}": kind for k, kind in enumerate((*kinds, pl.concat_list("frame")))}
