@@ -162,8 +162,8 @@ def _states(summary: Summary, of: _Stage) -> dict[str, float]:
 
 
 def _reason(summary: Summary, of: _Stage) -> str:
-    texts = (str(reason) for reason in ranked_reasons(summary.reasons).values())
-    return next((text for text in texts if text.startswith(f"{of.source}: ")), "").removeprefix(f"{of.source}: ")
+    found = ranked_reasons(summary.reasons).values()
+    return next((count.text for count in found if count.reason.source == of.source), "")
 
 
 def _telling(summary: Summary, of: _Stage) -> StageFigures | None:

@@ -3,15 +3,13 @@
 from collections import Counter
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from hashlib import sha256
 from itertools import chain
 from typing import Any, Final
 
-from roadperc_stream import log
 from roadperc_stream.config.settings import BUILT_IN_STAGES, NOT_SET, as_typed, is_about_log, settings_in
-from roadperc_stream.errors import ConfigError, LogError
+from roadperc_stream.errors import ConfigError
 from roadperc_stream.output.text_table import TextRow, TextTable
-from roadperc_stream.schemas.record import CONFIG_ATTACHMENT, NETWORKS_COMMENT
+from roadperc_stream.schemas.record import NETWORKS_COMMENT
 
 from .runs import Run
 
@@ -60,18 +58,11 @@ def short_digest(digest: str) -> str:
 
 
 def settings_of(run: Run) -> Settings | None:
-    """The settings of a run; None if unknown.
-
-    They come from the table, or from a sweep's file or the log beside it. Their digest must be the table's, because the
-    log may have been replayed again.
-    """
-    for toml in _stored(run):
-        if sha256(toml).hexdigest() == run.config_digest:
-            try:
-                return {**BUILT_IN_STAGES, **settings_in(toml)}
-            except ConfigError:
-                return None
-    return None
+    """The settings that a run's table records; None if it has none, or no valid ones."""
+    try:
+        return {**BUILT_IN_STAGES, **settings_in(run.config.encode(errors="surrogateescape"))} if run.config else None
+    except ConfigError:
+        return None
 
 
 def differing(configurations: Sequence[Settings]) -> dict[str, tuple[str, ...]]:
@@ -92,7 +83,7 @@ def change(base: Run, new: Run) -> tuple[str, ...]:
         return ()
     ours, theirs = settings_of(base), settings_of(new)
     if ours is None or theirs is None:
-        return (f"{UNKNOWN}, because a run has no configuration in its table or in a log beside it",)
+        return (f"{UNKNOWN}, because a run has no configuration in its table",)
     rows = differing([ours, theirs])
     if _networks(base) != _networks(new):
         rows["networks of the input"] = _networks(base), _networks(new)
@@ -126,26 +117,11 @@ def rows_that_differ(found: Mapping[str, Settings | None]) -> tuple[TextRow, ...
 def _notes(found: Mapping[str, Settings | None], rows: Sequence[TextRow]) -> Iterator[str]:
     unknown = [name for name, settings in found.items() if settings is None]
     if unknown:
-        yield f"{UNKNOWN}: no configuration in the table or in a log beside it: {', '.join(unknown)}"
+        yield f"{UNKNOWN}: no configuration in the table: {', '.join(unknown)}"
     if not rows and len(unknown) < len(found) - 1:
         yield "none: the versions differ"
     if any(cells[0] == NO_SUCH_SETTING for row in rows for cells in row.cells):
         yield f"{NO_SUCH_SETTING}: the version that made the run has no such setting"
-
-
-def _stored(run: Run) -> Iterator[bytes]:
-    """The configurations in and beside a table, the nearest first."""
-    if run.config:
-        yield run.config.encode("utf-8", "surrogateescape")
-    written = run.path.with_name(CONFIG_ATTACHMENT)
-    if written.is_file():
-        yield written.read_bytes()
-    recorded = run.beside(".mcap")
-    if recorded.is_file():
-        try:
-            yield from (item.data for item in log.summarise(recorded).attachments if item.name == CONFIG_ATTACHMENT)
-        except LogError:
-            return
 
 
 def _made_by(run: Run) -> Hashable:

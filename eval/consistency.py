@@ -14,7 +14,6 @@ from typing import Final
 
 import numpy as np
 import polars as pl
-import polars.selectors as cs
 from numpy.typing import NDArray
 
 from roadperc_stream.geometry import Float
@@ -168,7 +167,7 @@ def added(parts: Iterable[Mapping[str, Consistency]]) -> dict[str, Consistency]:
 
 def errors_of(table: pl.DataFrame, judged: Judged) -> tuple[Float, int]:
     """(N,) estimate minus truth in units of its deviation, NaN if unknown; and the number of known errors."""
-    estimate, truth, std = (_values(table, name) for name in (judged.estimate, judged.truth, judged.std))
+    estimate, truth, std = (table[name].to_numpy() for name in (judged.estimate, judged.truth, judged.std))
     with np.errstate(over="ignore", invalid="ignore"):  # tables may hold any number
         error = estimate - truth
         normalised = error / np.where(std > 0, std, np.nan)
@@ -177,23 +176,18 @@ def errors_of(table: pl.DataFrame, judged: Judged) -> tuple[Float, int]:
 
 
 def _kept_objects(path: Path, end_frame: int | None) -> pl.DataFrame:
-    """The kept detections of a table before ``end_frame``, with the columns of ``OBJECT_QUANTITIES`` that it has.
+    """The kept detections of a table before ``end_frame``, with the columns of ``OBJECT_QUANTITIES``.
 
     Raises:
         TableError: the data cannot be read.
     """
-    kinds = {"frame": pl.Int64, "kept": pl.Boolean, "track_id": pl.String}
-    keys = [cs.by_name(name, require_all=False).cast(kind) for name, kind in kinds.items()]
-    table = collect(pl.scan_parquet(path, glob=False).select(*keys, _columns(OBJECT_QUANTITIES)), str(path))
-    limits = [pl.col("kept")] if "kept" in table.columns else []
-    limits += [pl.col("frame") < end_frame] if end_frame is not None and "frame" in table.columns else []
-    return table.filter(*limits)
+    rows = pl.scan_parquet(path, glob=False).filter("kept")
+    rows = rows if end_frame is None else rows.filter(pl.col("frame") < end_frame)
+    return collect(rows.select(pl.col("track_id").cast(pl.String), _columns(OBJECT_QUANTITIES)), str(path))
 
 
 def object_numbers(table: pl.DataFrame) -> NDArray[np.int64]:
     """(N,) object number of each row, from 0; each row without a track is a separate object."""
-    if "track_id" not in table.columns:
-        return np.arange(table.height)
     ranks = table["track_id"].rank("dense").to_numpy().astype(float)
     untracked = np.isnan(ranks)
     alone = table.height + np.cumsum(untracked)
@@ -202,11 +196,4 @@ def object_numbers(table: pl.DataFrame) -> NDArray[np.int64]:
 
 def _columns(judged: Sequence[Judged]) -> pl.Expr:
     names = dict.fromkeys(name for item in judged for name in (item.estimate, item.truth, item.std))
-    return cs.by_name(*names, require_all=False).cast(pl.Float64)
-
-
-def _values(table: pl.DataFrame, name: str) -> Float:
-    """(N,) values of a column, NaN if null or if the table lacks the column."""
-    if name not in table.columns:
-        return np.full(table.height, np.nan)
-    return table[name].to_numpy().astype(float)
+    return pl.col(list(names)).cast(pl.Float64)

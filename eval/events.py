@@ -14,7 +14,7 @@ from roadperc_stream.system.time import NS_PER_S, ns_to_seconds, seconds_to_ns
 from .dataset.keys import LOG
 from .dataset.reading import reading_files
 from .expressions import on_empty_rows, parsed, similar
-from .scan import SEGMENT, segment, typed
+from .scan import SEGMENT
 
 OBJECTS: Final = "objects."
 """Prefix of the columns of objects in a condition."""
@@ -136,8 +136,8 @@ def matches(searched: Searched, condition: Condition, schema: dict[str, pl.DataT
     if joined and searched.objects:
         named = [pl.col(name).alias(f"{OBJECTS}{name}") for name in joined]
         rows = rows.join(searched.objects((*_FRAME, *joined)).select(*_FRAME, *named), on=_FRAME, how="left")
-    value = typed(schema, condition.peak, pl.Float64()).alias("value")
-    found = rows.filter(condition.rule).select(*LOG, segment(schema), "frame", "stamp_ns", value)
+    value = (pl.col(condition.peak) if condition.peak else pl.lit(None)).cast(pl.Float64).alias("value")
+    found = rows.filter(condition.rule).select(*LOG, SEGMENT, "frame", "stamp_ns", value)
     with reading_files(searched.files):
         table = found.collect(engine="streaming")
     if nameless := [name for name in (*LOG, "frame", "stamp_ns") if table[name].null_count()]:

@@ -79,16 +79,12 @@ class Result:
 
 @dataclass(frozen=True)
 class _Part:
-    """The frames of a run that fulfil a criterion's filter: ``frame`` and ``value``, and their time in minutes.
-
-    ``absent`` is a column that the criterion needs and the table lacks.
-    """
+    """The frames of a run that fulfil a criterion's filter: ``frame`` and ``value``, and their time in minutes."""
 
     run: Run
     rows: pl.DataFrame
     minutes: float
     has_truth: bool
-    absent: str
 
 
 def judge(criteria: Sequence[Criterion], runs: Sequence[Run], source: Path) -> list[Result]:
@@ -98,8 +94,9 @@ def judge(criteria: Sequence[Criterion], runs: Sequence[Run], source: Path) -> l
         ConfigError: a criterion of the file ``source`` names an unknown column, or its SQL does not fit.
         TableError: a table cannot be read.
     """
-    read = {name: kind for run in runs for name, kind in _frames_of(run).collect_schema().items()}
-    schema = pl.Schema({**written_columns(), **read})
+    schema = pl.Schema(
+        {**written_columns(), **{k: v for run in runs for k, v in _frames_of(run).collect_schema().items()}}
+    )
     for criterion in criteria:
         _require_fit(criterion, schema, f"{source}: criterion {criterion.title!r}")
     by_run = [_measured([c for c in criteria if c.statistic != "findings"], run, schema) for run in runs]
@@ -192,9 +189,8 @@ def _measured(criteria: Sequence[Criterion], run: Run, schema: pl.Schema) -> lis
             kept = table.select("frame", "lasts", keep=_sql(criterion.filter), value=_value(criterion)).filter("keep")
             columns = _columns_of(criterion)
             of_truth = {names[0] for names in _OF_TRUTH if not set(columns[:1]).isdisjoint(names)}
-            absent = next((name for name in columns if name in written_columns() and name not in run.columns), "")
             minutes = float(kept["lasts"].sum()) / _S_PER_MINUTE
-            parts.append(_Part(run, kept.select("frame", "value"), minutes, of_truth <= known, absent))
+            parts.append(_Part(run, kept.select("frame", "value"), minutes, of_truth <= known))
     return parts
 
 
@@ -206,8 +202,6 @@ def _columns_of(criterion: Criterion) -> list[str]:
 
 def _judged(criterion: Criterion, parts: Sequence[_Part], log: str) -> Result:
     frames = sum(part.rows.height for part in parts)
-    if lacking := next((part for part in parts if part.absent), None):
-        return Result(criterion, log, "skipped", frames, reason=f"{lacking.run.name} has no column {lacking.absent}")
     parts = [part for part in parts if part.has_truth]
     if not parts:
         return Result(criterion, log, "skipped", frames, reason="no truth")

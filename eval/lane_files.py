@@ -30,7 +30,7 @@ from roadperc_stream.system.files import completing, read_file, require_suffix
 from roadperc_stream.system.text import whole_number
 
 from .runs import collect, open_run
-from .scan import SEGMENT, rows_of, segment
+from .scan import SEGMENT, rows_of
 
 ABSENT_PX: Final = -2
 """The written column of an absent point; any negative column is read as absent."""
@@ -259,5 +259,5 @@ def _times_ms(path: Path) -> list[tuple[int, float]]:
     if not table.exists():
         return []
     run = open_run(table, path.stem)
-    rows = rows_of(run).select(segment(run.columns), "stamp_ns", "total_ms").sort(SEGMENT, "stamp_ns")
+    rows = rows_of(run).select(SEGMENT, "stamp_ns", "total_ms").sort(SEGMENT, "stamp_ns")
     return list(collect(rows.drop(SEGMENT), str(table)).iter_rows())

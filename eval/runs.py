@@ -27,8 +27,6 @@ _WHOLE: Final = ("frame", "stamp_ns")
 _LARGEST: Final[Mapping[pl.DataType, float]] = {pl.Int64(): 2.0**63 - 1024, pl.Float64(): 1e100}
 """Largest number accepted in a column, by its type in replays; sums of squares of such numbers stay finite."""
 _TEXTS: Final = (pl.String, pl.Categorical, pl.Enum)
-REQUIRED_COLUMNS: Final = ("log_id", "frame", "stamp_ns", "missing", "reasons", "total_ms")
-"""Columns of every metrics table. Tables of older versions may lack the others, which then count as null."""
 _FACTS: Final = (
     *("config_digest", "version", "config", "options", "source", "log"),
     *(record.LOG_ID_KEY, record.CONTINUES_KEY),
@@ -101,12 +99,11 @@ def written_columns() -> pl.Schema:
 def _fits(name: str, expected: pl.DataType, kind: pl.DataType) -> bool:
     """Whether a column of type ``kind`` can be read as ``expected``; a column without values has type null."""
     if kind == pl.Null:
-        return name not in REQUIRED_COLUMNS
+        return name not in _COMPLETE
     if isinstance(expected, pl.List):
-        if not isinstance(kind, pl.List):
-            return False
-        inner = kind.inner
-        return inner == pl.Null or (inner.is_numeric() if expected.inner.is_numeric() else inner in _TEXTS)
+        inner, wanted = getattr(kind, "inner", None), expected.inner
+        texts = _TEXTS if wanted == pl.String else ()
+        return inner in (pl.Null, wanted, *texts) or (wanted.is_numeric() and inner is not None and inner.is_numeric())
     if expected == pl.String:
         return kind in _TEXTS
     if expected == pl.Boolean:
@@ -308,12 +305,12 @@ def _in_glob(pattern: str) -> list[Path]:
 
 
 def _require_columns(path: Path, columns: Iterable[str]) -> None:
-    missing = [name for name in REQUIRED_COLUMNS if name not in columns]
-    if not missing:
+    missing = next((name for name in written_columns() if name not in columns), None)
+    if missing is None:
         return
     frames = f"{path.name.removesuffix(OBJECTS_SUFFIX)}{METRICS_SUFFIX}"
-    hint = f"; its frames are in {frames}" if path.name.endswith(OBJECTS_SUFFIX) else ""
-    raise TableError(f"{path}: is not a metrics table: it has no column {', '.join(missing)}{hint}")
+    hint = f"its frames are in {frames}" if path.name.endswith(OBJECTS_SUFFIX) else "replay the log again"
+    raise TableError(f"{path}: is not a metrics table of this version: it has no column {missing}; {hint}")
 
 
 def first_line(error: BaseException) -> str:

@@ -5,7 +5,7 @@ difference, gap or motion is measured across segments. Time continues from one s
 """
 
 import math
-from collections.abc import Container, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
@@ -29,7 +29,7 @@ from .quantities import (
     UNMEASURED,
     Quantity,
 )
-from .runs import Run
+from .runs import Run, written_columns
 
 SEGMENT: Final = "segment"
 _STAMP_NS: Final = pl.col("stamp_ns")
@@ -43,12 +43,12 @@ NUMBER_COLUMNS: Final = tuple(dict.fromkeys((*(q.column for q in STORED), *COUNT
 
 def scan(run: Run) -> pl.LazyFrame:
     """The columns of a report from one run, as in ``scanned``."""
-    return scanned(rows_of(run), run.columns)
+    return scanned(rows_of(run))
 
 
-def scanned(rows: pl.LazyFrame, columns: Container[str]) -> pl.LazyFrame:
-    """The columns of a report, a row per frame; null if not among ``columns``; then the derived columns."""
-    stored = rows.select(stored_columns(columns)).with_columns(finite(NUMBER_COLUMNS))
+def scanned(rows: pl.LazyFrame) -> pl.LazyFrame:
+    """The columns of a report, a row per frame; then the derived columns."""
+    stored = rows.select(stored_columns()).with_columns(finite(NUMBER_COLUMNS))
     return stored.with_columns(since_start_s(), *derived_columns())
 
 
@@ -71,41 +71,28 @@ def objects_of(name: str, table: Run, path: Path) -> pl.LazyFrame:
     return rows if table.end_frame is None else rows.filter(pl.col("frame") < table.end_frame)
 
 
-def stored_columns(columns: Container[str]) -> list[pl.Expr]:
-    """The columns of a report; null if not among ``columns``."""
+def stored_columns() -> list[pl.Expr]:
+    """The columns of a report."""
     return [
         pl.col("log_id").cast(pl.String),
-        pl.col("frame", "stamp_ns").cast(pl.Int64),
-        segment(columns),
-        pl.col("missing", "reasons").cast(pl.List(pl.String)),
-        *(typed(columns, name, pl.Float64()) for name in NUMBER_COLUMNS if name != _INLIERS),
-        *(typed(columns, name, pl.String()) for name in TEXTS),
-        _inliers(columns),
+        pl.col("frame", "stamp_ns", SEGMENT).cast(pl.Int64),
+        pl.col("missing").cast(pl.List(pl.String)),
+        pl.col("reasons").cast(written_columns()["reasons"]),
+        pl.col([name for name in NUMBER_COLUMNS if name != _INLIERS]).cast(pl.Float64),
+        pl.col(TEXTS).cast(pl.String),
+        _inliers(),
     ]
 
 
-def _inliers(columns: Container[str]) -> pl.Expr:
+def _inliers() -> pl.Expr:
     """The inliers of frames with a motion: the first frame and lost ones have none."""
-    inliers = typed(columns, _INLIERS, pl.Float64())
-    status = typed(columns, _STATUS, pl.String())
-    return pl.when(status.is_null() | (status == "tracked")).then(inliers).alias(_INLIERS)
-
-
-def typed(columns: Container[str], name: str, kind: pl.DataType) -> pl.Expr:
-    """A column cast to a type; null if it is not among ``columns``."""
-    return pl.col(name).cast(kind) if name in columns else pl.lit(None, kind).alias(name)
+    status = pl.col(_STATUS).cast(pl.String)
+    return pl.when(status.is_null() | (status == "tracked")).then(pl.col(_INLIERS).cast(pl.Float64)).alias(_INLIERS)
 
 
 def finite(names: Iterable[str]) -> list[pl.Expr]:
     """Numeric columns with null in place of values that are not finite."""
     return [pl.when(pl.col(name).is_finite()).then(pl.col(name)).alias(name) for name in names]
-
-
-def segment(columns: Container[str]) -> pl.Expr:
-    """The segment of each row; 0 in tables of older versions, which lack the column."""
-    if SEGMENT not in columns:
-        return pl.lit(0, pl.Int64).alias(SEGMENT)
-    return pl.col(SEGMENT).cast(pl.Int64).fill_null(0)
 
 
 def before(values: pl.Expr, rows: int) -> pl.Expr:

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import polars as pl
 
+from roadperc_stream.model import reason_of
 from roadperc_stream.output.reason_counts import ReasonCounts, grouped, merged
 
 from .quantities import CATEGORIES, CONFUSED, COUNTED, COUNTS, TRACED
@@ -146,7 +147,7 @@ def tallied(found: Mapping[str, Any]) -> Tallies:
         incomplete=found["incomplete"],
         categories={name: _counter(found[name]) for name in (*CATEGORIES, *CONFUSED)},
         missing=_counter(found["missing"]),
-        reasons=grouped(_counter(found["reasons"])),
+        reasons=grouped((reason_of(**item["text"]), item["count"]) for item in found["reasons"]),
         totals={name: found[name] for name in COUNTS if found[name] is not None},
     )
 

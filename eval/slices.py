@@ -82,9 +82,7 @@ def _keyed(run: Run, by: Sequence[str]) -> pl.DataFrame:
     schema = rows.collect_schema()
     keys = rows.select(as_key(text, schema) for text in by)
     config = pl.lit(short_digest(run.config_digest)).alias("config")
-    return collect(
-        pl.concat([scanned(rows, run.columns), keys], how="horizontal").with_columns(config), run.source_name
-    )
+    return collect(pl.concat([scanned(rows), keys], how="horizontal").with_columns(config), run.source_name)
 
 
 def object_slices(rows: pl.LazyFrame, by: Sequence[str], source: str) -> Answer:

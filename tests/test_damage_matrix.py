@@ -150,8 +150,8 @@ def tidy(tmp_path_factory):
 def assert_incomplete_frames_say_so(found, tidy):
     expected = dict(tidy.select("stamp_ns", "missing").iter_rows())
     lost = set(expected) - set(found["stamp_ns"])
-    for stamp, missing, reasons in found.select("stamp_ns", "missing", "reasons").iter_rows():
-        said = any(text.startswith("log: ") for text in reasons)
+    for stamp, missing, codes in found.select("stamp_ns", "missing", "reason_codes").iter_rows():
+        said = any(code.startswith("log.") for code in codes)
         lacks = set(missing) > set(expected[stamp])
         follows = any(stamp - STEP_NS == other for other in lost)
         assert said >= (lacks or follows)

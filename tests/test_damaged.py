@@ -67,7 +67,7 @@ def test_frames_outside_the_damage_equal_the_whole_log(whole, damaged):
     after = rows(target)
     missing = [stamp for stamp in before["stamp_ns"] if stamp not in after["stamp_ns"]]
     assert len(missing) in {1, 2}
-    gap = after.filter(pl.col("reasons").list.join(" ").str.contains("were lost to damage"))
+    gap = after.filter(pl.col("reason_codes").list.contains("log.lost_to_damage"))
     assert 1 <= gap.height <= 2
     first = before.filter(pl.col("stamp_ns") < gap["stamp_ns"][0])
     assert first.height >= 4
@@ -97,7 +97,7 @@ def test_damage_outside_the_requested_part_is_a_warning(whole, damaged, part):
     expected, _ = run(whole, "whole", time_range=part)
     target, summary = run(damaged, "out", time_range=part)
     assert "damaged at byte" in summary.warnings[0]
-    assert rows(target).drop("reasons").equals(rows(expected).drop("reasons"))
+    assert rows(target).drop("reasons", "reason_codes").equals(rows(expected).drop("reasons", "reason_codes"))
 
 
 def test_damage_in_the_requested_part_is_an_error(damaged):
@@ -118,7 +118,7 @@ def test_seconds_count_from_the_first_message_that_was_written(tmp_path):
     path.write_bytes(flipped(path.read_bytes(), 8 * 20_000))  # in the first chunk
     target, summary = run(path, "out", time_range=part)
     assert "lost from" in " ".join(summary.warnings)
-    assert rows(target).drop("reasons").equals(rows(expected).drop("reasons"))
+    assert rows(target).drop("reasons", "reason_codes").equals(rows(expected).drop("reasons", "reason_codes"))
 
 
 def test_a_lost_calibration_is_reported(whole):
@@ -149,7 +149,7 @@ def test_recover_does_not_change_the_replay_of_a_whole_log(whole):
 def test_frames_of_a_damaged_log(damaged):
     given = list(frames(damaged, config=CFG, recover=True))
     assert len(given) >= FRAMES - 2
-    assert any("lost to damage" in text for frame in given for text in frame.metrics.reasons)
+    assert any(reason.source == "log" for frame in given for reason in frame.metrics.reasons)
 
 
 def test_replay_prints_what_was_lost(damaged, capsys):
@@ -263,7 +263,9 @@ def test_losses_continue_in_a_continued_replay(tmp_path):
     first.write_bytes(first.read_bytes()[: first.stat().st_size * 3 // 4])
     replay(first, tmp_path / "a.mcap", cfg, recover=True)
     replay(second, tmp_path / "b.mcap", cfg, continued=tmp_path / "a.mcap")
-    said = [row["frame"] for row in rows(tmp_path / "b.mcap").to_dicts() if "lost to damage" in str(row["reasons"])]
+    said = [
+        row["frame"] for row in rows(tmp_path / "b.mcap").to_dicts() if "log.lost_to_damage" in str(row["reason_codes"])
+    ]
     last = rows(tmp_path / "a.mcap")["frame"].max()
     assert said
     assert set(said) <= {last, last + 1}

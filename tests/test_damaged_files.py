@@ -31,10 +31,10 @@ def beginning(path, share):
 
 
 def said(path):
-    """For each frame, the reason for losses and the missing sensors."""
+    """For each frame, code and values of the reason for losses, and the missing sensors."""
     table = pl.read_parquet(sidecar_path(path, "metrics"))
     return [
-        (next((text for text in reasons if text.startswith("log: ")), ""), SENSORS & set(missing))
+        (next(((r["code"], *r["values"]) for r in reasons if r["source"] == "log"), ()), SENSORS & set(missing))
         for reasons, missing in table.select("reasons", "missing").iter_rows()
     ]
 
@@ -75,9 +75,9 @@ def test_a_frame_cut_by_damage_has_a_reason(recording):
         frames = said(target)
         incomplete += any(lacking for _, lacking in frames)
         assert [bool(lacking) for _, lacking in frames[:-1]] == [False] * (len(frames) - 1)
-        assert [text for text, _ in frames[:-1]] == [""] * (len(frames) - 1)
-        text, lacking = frames[-1]
-        assert not lacking or text == f"log: messages from {gap.first_ns} ns on were lost to damage"
+        assert [reason for reason, _ in frames[:-1]] == [()] * (len(frames) - 1)
+        reason, lacking = frames[-1]
+        assert not lacking or reason == ("lost_to_damage_after", str(gap.first_ns))
         assert "others are lost" in " ".join(summary.warnings)
     assert incomplete >= 2
 
@@ -113,10 +113,10 @@ def test_a_gap_ends_where_the_next_file_begins(parts):
     target, summary = recovered(parts[0], "out", *parts[1:])
     frames = said(target)
     third_ns = logs.START_NS + 6 * STEP_NS
-    assert [text for text, _ in frames[:3]] == [""] * 3
-    assert [text for text, _ in frames[-2:]] == ["", ""]
-    assert frames[-3][0].startswith("log: messages between ")
-    assert f" and {third_ns} ns were lost" in frames[-3][0]
+    assert [reason for reason, _ in frames[:3]] == [()] * 3
+    assert [reason for reason, _ in frames[-2:]] == [(), ()]
+    code, _, last_ns = frames[-3][0]
+    assert (code, last_ns) == ("lost_to_damage", str(third_ns))
     assert f"to 0.300 s ({third_ns} ns)" in " ".join(summary.warnings)
     (gap,) = Recovery.of_records(log.summarise(target).metadata).gaps
     assert gap.last_ns == third_ns

@@ -271,7 +271,7 @@ def test_a_frame_outside_the_tree_is_reported(tmp_path):
     assert table["surface_source"].to_list() == ["assumed", "estimated"]
     assert table["missing"].to_list() == [[]] * 2
     for reasons in table["reasons"].to_list():
-        assert "lidar: no transform connects its frame 'roof' with ego" in reasons
+        assert {"source": "lidar", "code": "no_transform", "values": ["roof"], "cause": ""} in reasons
 
 
 def test_a_lidar_slower_than_the_camera_is_missing_in_between(tmp_path):

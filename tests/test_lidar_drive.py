@@ -26,7 +26,7 @@ def test_the_points_give_road_lane_distances_and_scale(tmp_path, capsys):
         assert table[f"lane_{side}_error_m"].abs().max() < 0.05
     assert table["odometry_status"].to_list() == ["first", *["tracked"] * (table.height - 1)]
     assert table["missing"].to_list() == [[]] * table.height
-    assert {reason for reasons in table["reasons"].to_list() for reason in reasons} == {"stereo: no right image"}
+    assert set(table["reason_codes"].explode()) == {"stereo.no_right_image"}
     table = pl.read_parquet(sidecar_path(tmp_path / "out.mcap", "objects"))
     known = table.filter(pl.col("kept") & (pl.col("true_distance_m") < 15)).drop_nulls("distance_m")
     error_m = (known["distance_m"] - known["true_distance_m"]).abs()

@@ -59,7 +59,7 @@ def test_a_row_per_frame_with_every_stage(source):
     assert table["total_ms"].min() > 0
     assert set(table["odometry_status"]) <= {"first", "tracked", "lost"}
     assert table["stereo_valid_ratio"].null_count() == 6
-    assert set(table["reasons"].explode()) == {"stereo: no right image"}
+    assert set(table["reason_codes"].explode()) == {"stereo.no_right_image"}
     assert table["log_id"].unique().to_list() == [summary.log_id]
     objects = pl.read_parquet(sidecar_path(target, "objects"))
     assert objects.height == 12
@@ -268,13 +268,19 @@ def test_a_dropped_sensor_is_named_in_its_frame(tmp_path):
     table = metrics(target)
     assert table["missing"].to_list() == [[], [], ["depth"], [], [], []]
     assert table["surface_source"].to_list()[2] == "held"
-    assert table["reasons"].to_list()[2] == [
-        "depth: no message at this frame",
-        "stereo: no right image",
-        "occupancy: no depth",
-        "surface: the plane of earlier frames, moved by odometry, is used: no depth",
-        "objects: no depth, the boxes' lower edges on the road give the distances",
+    assert table["reason_codes"].to_list()[2] == [
+        "depth.no_message",
+        "stereo.no_right_image",
+        "occupancy.no_depth",
+        "surface.plane_held",
+        "objects.no_depth_ground_distances",
     ]
+    assert table["reasons"].to_list()[2][3] == {
+        "source": "surface",
+        "code": "plane_held",
+        "values": [],
+        "cause": "no_depth",
+    }
 
 
 @pytest.mark.parametrize("role", ["depth", "segmentation", "detections"])
@@ -289,12 +295,12 @@ def test_a_role_the_log_does_not_fill_is_null_with_a_reason(tmp_path, role):
         assert table["lane_left_offset_m"].null_count() == 6
         assert table["detections_unjudged"].to_list() == [2] * 6
         reasons = [
-            "stereo: no right image",
-            "lanes: no segmentation",
-            "surface: no segmentation, the lower image is used as the road",
-            "objects: no segmentation, detections are not filtered",
+            "stereo.no_right_image",
+            "lanes.no_segmentation",
+            "surface.no_segmentation_lower_image",
+            "objects.no_segmentation_not_filtered",
         ]
-        assert table["reasons"].to_list() == [reasons] * 6
+        assert table["reason_codes"].to_list() == [reasons] * 6
         texts = [m.data for m in by_topic(target)["/perception/log"]]
         assert len(texts) == len(reasons), "each is logged once, not in every frame"
 
@@ -394,8 +400,8 @@ def test_the_command_prints_its_outputs(source, capsys):
     assert "6 frames" in out
     assert str(target) in out
     assert err == ""
-    assert metrics(target)["reasons"].to_list()[0] == [
-        f"{stage}: switched off" for stage in ("stereo", "odometry", "lanes", "objects", "occupancy")
+    assert metrics(target)["reason_codes"].to_list()[0] == [
+        f"{stage}.switched_off" for stage in ("stereo", "odometry", "lanes", "objects", "occupancy")
     ]
     assert replay_main([str(source), str(target), "--force", "--quiet"]) == 0
     assert capsys.readouterr().out == ""

@@ -93,11 +93,11 @@ def test_carla_rgbd_height_and_pitch(replayed):
     assert abs(metrics["camera_pitch_deg"].median()) < 0.02
     assert set(metrics["surface_source"]) == {"lower_image"}
     assert metrics["lane_left_status"].null_count() == 90
-    assert metrics["reasons"].explode().unique().sort().to_list() == [
-        "lanes: no segmentation",
-        "objects: no detections",
-        "stereo: no right image",
-        "surface: no segmentation, the lower image is used as the road",
+    assert metrics["reason_codes"].explode().unique().sort().to_list() == [
+        "lanes.no_segmentation",
+        "objects.no_detections",
+        "stereo.no_right_image",
+        "surface.no_segmentation_lower_image",
     ]
 
 

@@ -12,7 +12,7 @@ from roadperc_stream.errors import TableError
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 
 from ..options import Rules
-from ..runs import Run, collect
+from ..runs import Run, collect, written_columns
 from ..scan import rows_of
 from .pairing import KEY, NEW, STAMP, RunPair, numbered
 
@@ -23,6 +23,13 @@ INCOMPARABLE: Final = math.inf
 NOT_COMPARED = (STAMP, "config", *TIME_COLUMNS)
 """Columns that pair the frames, name the configuration, or differ in every replay."""
 _PLAIN: Final = (pl.String, pl.Boolean, pl.Null)
+_REASON: Final = pl.concat_str(
+    pl.element().struct.field("source", "code"),
+    pl.element().struct.field("values").list.join(" "),
+    pl.element().struct.field("cause"),
+    separator=" ",
+    ignore_nulls=True,
+).str.strip_chars_end()
 
 
 @dataclass(frozen=True)
@@ -130,7 +137,7 @@ def compare_tables(pair: RunPair, rules: Rules) -> tuple[Overlap, dict[str, Agre
 
 
 def _rows(run: Run, by_segment: bool) -> pl.DataFrame:
-    return collect(numbered(rows_of(run), run, by_segment), run.source_name)
+    return collect(numbered(rows_of(run), by_segment), run.source_name)
 
 
 def _column(joined: pl.DataFrame, name: str, run: str, tolerance: float) -> Agreement:
@@ -153,6 +160,8 @@ def _side(joined: pl.DataFrame, name: str) -> pl.Series:
     if name not in joined.columns:
         return pl.Series(name, [None] * joined.height, pl.Float64)
     column = joined[name]
+    if column.dtype == written_columns()["reasons"]:
+        column = column.list.eval(_REASON)
     if column.dtype in (pl.List(pl.String), pl.List(pl.Null), pl.List(pl.Float64)):
         return column.cast(pl.List(pl.String)).list.join("; ")
     if column.dtype.is_numeric() or column.dtype in _PLAIN:

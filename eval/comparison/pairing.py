@@ -14,7 +14,7 @@ from roadperc_stream.system.files import METRICS_SUFFIX
 
 from ..continued import find_joined
 from ..runs import Run, collect
-from ..scan import rows_of, segment
+from ..scan import SEGMENT, rows_of
 
 STAMP: Final = "stamp_ns"
 _NTH: Final = "nth of stamp"
@@ -49,7 +49,7 @@ class RunPair:
         Runs with different numbers of segments pair by stamp alone.
         """
         ours, theirs = (
-            collect(rows_of(run).select(segment(run.columns).n_unique()), run.source_name).item()
+            collect(rows_of(run).select(pl.col(SEGMENT).n_unique()), run.source_name).item()
             for run in (self.base, self.new)
         )
         return bool(ours == theirs > 1)
@@ -103,13 +103,13 @@ def pair_runs(base: Sequence[Run], new: Sequence[Run], other_log: bool) -> Pairi
     return Pairing(pairs, missing, tuple(run for run in new if run.name not in paired))
 
 
-def numbered(frame: pl.LazyFrame, run: Run, by_segment: bool) -> pl.LazyFrame:
+def numbered(frame: pl.LazyFrame, by_segment: bool) -> pl.LazyFrame:
     """The rows of a run with the columns ``KEY``, which distinguish frames of equal stamps.
 
     These are the segment, counted from 1 (without ``by_segment`` always 0), the stamp, and the frame's number among
     those of equal segment and stamp.
     """
-    segments = segment(run.columns).rank("dense").cast(pl.Int64) if by_segment else pl.lit(0, pl.Int64)
+    segments = pl.col(SEGMENT).rank("dense").cast(pl.Int64) if by_segment else pl.lit(0, pl.Int64)
     within = frame.with_columns(segments.alias(_WITHIN))
     return within.with_columns(pl.int_range(pl.len()).over(_WITHIN, STAMP).alias(_NTH))
 

@@ -83,7 +83,7 @@ def _joined(pair: RunPair) -> tuple[pl.DataFrame, set[str]]:
 
 def _measured(run: Run, by_segment: bool) -> tuple[pl.DataFrame, set[str]]:
     values = [metric.value.alias(metric.name) for metric in METRICS]
-    frames = collect(numbered(scan(run), run, by_segment).select(*KEY, _FRAME, *values), run.source_name)
+    frames = collect(numbered(scan(run), by_segment).select(*KEY, _FRAME, *values), run.source_name)
     classes = _class_errors(run)
     if classes is None:
         return frames, set()

@@ -161,13 +161,10 @@ def _run_rows(dataset: Dataset, name: str) -> pl.DataFrame | None:
 
 def _typed(file: str) -> pl.DataFrame:
     found = pl.read_parquet(file, hive_partitioning=False, glob=is_address(file))
-    lacking = [column for column in ("path", "config", "status", "finished_ns") if column not in found.columns]
+    lacking = [column for column in RUN_COLUMNS if column not in found.columns]
     if lacking:
-        raise TableError(f"{file}: is not a list of runs: it has no column {', '.join(lacking)}")
-    return found.select(
-        pl.col(column).cast(kind) if column in found.columns else pl.lit(None, kind).alias(column)
-        for column, kind in RUN_COLUMNS.items()
-    )
+        raise TableError(f"{file}: is not a list of runs of this version: it has no column {lacking[0]}")
+    return found.select(pl.col(column).cast(kind) for column, kind in RUN_COLUMNS.items())
 
 
 def _without_superseded(rows: pl.DataFrame) -> pl.DataFrame:

@@ -14,7 +14,7 @@ from roadperc_stream.errors import TableError
 
 from ..expressions import as_key, key_name
 from ..quantities import COVERED, RANKED
-from ..runs import REQUIRED_COLUMNS, first_line, reading
+from ..runs import first_line, reading, written_columns
 from ..scan import NUMBER_COLUMNS, SEGMENT, derived_columns, difference, finite, stored_columns
 from .keys import LOG, Grouping
 from .place import DATE, FILE, date_of, scan_tables
@@ -47,9 +47,9 @@ def metrics_tables(files: Sequence[str]) -> tuple[pl.LazyFrame, pl.Schema]:
     """
     tables = scan_tables(files)
     schema = tables.collect_schema()
-    lacking = [name for name in (*LOG, *REQUIRED_COLUMNS[1:]) if name not in schema]
+    lacking = [name for name in (*LOG, *written_columns()) if name not in schema]
     if lacking:
-        raise TableError(f"{files[0]}: is not a metrics table of a batch: it has no column {', '.join(lacking)}")
+        raise TableError(f"{files[0]}: is not a metrics table of a batch: it has no column {lacking[0]}")
     return tables, schema
 
 
@@ -67,7 +67,7 @@ def rows_of_tables(files: Sequence[str], by: Grouping) -> pl.LazyFrame:
         for name in by.columns
         if name not in by.of_runs
     ]
-    return tables.select(pl.col("config").cast(pl.String), pl.col(FILE), *keys, *stored_columns(frozenset(schema)))
+    return tables.select(pl.col("config").cast(pl.String), pl.col(FILE), *keys, *stored_columns())
 
 
 @contextmanager

@@ -111,7 +111,7 @@ def _read_log(item: tuple[LogKey, list[pl.Expr]], files: Mapping[LogKey, list[st
     (log_id, config), expressions = item
     tables = scan_tables(files[log_id, config])
     own = tables.filter(pl.col("log_id") == log_id, pl.col("config") == config)
-    lazy = scanned(own, frozenset(tables.collect_schema()))
+    lazy = scanned(own)
     return collect(lazy.select(expressions), files[log_id, config][0]).row(0, named=True)
 
 

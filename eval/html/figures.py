@@ -17,7 +17,7 @@ from roadperc_stream.geometry import Float
 from roadperc_stream.system.text import shown
 
 from ..runs import Run, collect
-from ..scan import SEGMENT, finite, rows_of, segment, since_start_s
+from ..scan import SEGMENT, finite, rows_of, since_start_s
 
 COLOURS: Final = ("#2563eb", "#d97706", "#059669", "#c026d3", "#dc2626", "#0891b2", "#65a30d", "#57534e")
 """Distinct on white, on paper, and for most forms of colour blindness."""
@@ -128,7 +128,7 @@ def load_series(run: Run, columns: Iterable[str]) -> Series:
         TableError: the table's data cannot be read.
     """
     present = [name for name in dict.fromkeys(columns) if name in run.columns]
-    rows = rows_of(run).select("stamp_ns", segment(run.columns), pl.col(present).cast(pl.Float64))
+    rows = rows_of(run).select("stamp_ns", SEGMENT, pl.col(present).cast(pl.Float64))
     table = collect(rows.with_columns(since_start_s(), *finite(present)), run.source_name)
     begins = np.flatnonzero(np.diff(table[SEGMENT])) + 1
     values = {name: np.insert(table[name].to_numpy().astype(float), begins, np.nan) for name in present}

@@ -142,9 +142,7 @@ def _detections(run: Run) -> pl.DataFrame:
 
 
 def _true_objects(run: Run) -> pl.DataFrame:
-    """Class and place of all true objects; no rows in tables of older versions, which lack them."""
-    if not set(_TRUTH) <= set(run.columns):
-        return pl.DataFrame(schema=_PLACED)
+    """Class and place of all true objects."""
     labels, *places = (pl.col(name) for name in _TRUTH)
     each = rows_of(run).select("frame", *_TRUTH, at=pl.int_ranges(labels.list.len())).explode("at").drop_nulls("at")
     at = (column.list.get(pl.col("at"), null_on_oob=True) for column in (labels, *places))

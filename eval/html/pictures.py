@@ -23,7 +23,7 @@ from roadperc_stream.view.result_frames import read_frame, read_frames
 from ..frame_commands import view_command
 from ..quantities import Quantity, rounded
 from ..runs import Run, collect
-from ..scan import rows_of, segment, since_start_s
+from ..scan import SEGMENT, rows_of, since_start_s
 from ..summary import WorstFrame
 
 WORST: Final = 10
@@ -76,7 +76,7 @@ def gallery(wanted: Iterable[WorstFrame], runs: Sequence[Run], command: Command 
 
 def frames_of(run: Run, wanted: pl.Expr) -> list[WorstFrame]:
     """The frames of a run for which an expression holds, without values."""
-    rows = rows_of(run).select("frame", "stamp_ns", segment(run.columns)).with_columns(since_start_s())
+    rows = rows_of(run).select("frame", "stamp_ns", SEGMENT).with_columns(since_start_s())
     found = collect(rows.filter(wanted), run.source_name).iter_rows(named=True)
     return [WorstFrame(run=run.name, value=math.nan, **row) for row in found]
 

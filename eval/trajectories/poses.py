@@ -17,7 +17,7 @@ from roadperc_stream.system.files import completing
 from roadperc_stream.system.time import NS_PER_S
 
 from ..runs import Run, collect
-from ..scan import SEGMENT, rows_of, segment, typed
+from ..scan import SEGMENT, rows_of
 
 _POSE: Final = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 ESTIMATED_COLUMNS: Final = tuple(f"odom_{name}" for name in _POSE)
@@ -90,8 +90,8 @@ def read_poses(run: Run) -> RunPoses:
     """
     kinds = {"odometry_status": pl.String(), "stamp_ns": pl.Int64()}
     kinds |= dict.fromkeys(("step_m", "turn_deg", *ESTIMATED_COLUMNS, *TRUE_COLUMNS), pl.Float64())
-    columns = [segment(run.columns), *(typed(run.columns, name, kind) for name, kind in kinds.items())]
-    table = collect(rows_of(run).select(columns), run.source_name)
+    columns = [pl.col(name).cast(kind) for name, kind in kinds.items()]
+    table = collect(rows_of(run).select(SEGMENT, *columns), run.source_name)
     if run.next_run and not run.frames:
         raise TableError(run.why_empty)
     lost = (table["odometry_status"] == "lost").fill_null(value=False).to_numpy()

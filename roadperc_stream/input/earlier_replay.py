@@ -8,8 +8,9 @@ from typing import Final
 from roadperc_stream.log import Channel, Metadata
 from roadperc_stream.model.tag_tables import TABLES
 from roadperc_stream.schemas import record
+from roadperc_stream.schemas.protobuf import schema_data
 from roadperc_stream.schemas.roles import ROLES
-from roadperc_stream.schemas.topics import ON_REQUEST, result_schemas
+from roadperc_stream.schemas.topics import METRICS_TOPIC, ON_REQUEST, result_schemas
 
 _SCHEMAS: Final = result_schemas(tuple(ON_REQUEST.values()))
 """The schema of each result, by topic."""
@@ -26,8 +27,13 @@ def is_result_log(metadata_names: Iterable[str], channels: Iterable[Channel]) ->
 
 
 def is_result_of(channel: Channel, topic: str) -> bool:
-    """Whether a replay wrote this channel. Other programs may use the same topic."""
-    return channel.topic == topic and is_result(channel) and channel.schema_name == _SCHEMAS.get(topic)
+    """Whether a replay wrote this channel. Other programs may use the same topic.
+
+    The field numbers of a row follow from its columns: rows of a version with other columns do not count.
+    """
+    if channel.topic != topic or not is_result(channel) or channel.schema_name != _SCHEMAS.get(topic):
+        return False
+    return topic != METRICS_TOPIC or channel.schema_data == schema_data(channel.schema_name)
 
 
 def recorded_topics(metadata: Iterable[Metadata], channels: Iterable[Channel]) -> dict[str, str]:

@@ -20,7 +20,7 @@ def frame_metrics(
     cfg: ReplayConfig, log_id: str, sample: Sample, result: FrameResult, previous: EarlierTruth | None = None
 ) -> FrameMetrics:
     """The row of one frame, with errors if the log has truth; ``previous`` is the truth of the previous frame."""
-    frame, truth = sample.frame, sample.truth
+    frame, truth, reasons = sample.frame, sample.truth, frame_reasons(sample, result)
     return row_of(
         FrameMetrics,
         FrameKey(log_id, sample.index, result.stamp_ns),
@@ -43,6 +43,7 @@ def frame_metrics(
             segment=sample.segment,
             sync_skew_ms=None if sample.skew_ns is None else sample.skew_ns / 1e6,
             missing=sample.missing,
-            reasons=tuple(str(reason) for reason in frame_reasons(sample, result)),
+            reasons=reasons,
+            reason_codes=tuple(f"{reason.source}.{reason.code}" for reason in reasons),
         ),
     )

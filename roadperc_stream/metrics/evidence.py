@@ -49,7 +49,7 @@ def evidence_of(cfg: ReplayConfig, frame: Frame, result: FrameResult) -> Evidenc
         road_known_ratio=road[0],
         road_depth_ratio=road[1],
         lane_width_m=next((float(reason.values[1]) for reason in reasons if reason.code == "lane_width"), None),
-        unusable=tuple(str(reason) for reason in reasons if reason.code in UNUSABLE),
+        unusable=tuple(reason for reason in reasons if reason.code in UNUSABLE),
     )
 
 

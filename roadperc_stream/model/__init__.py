@@ -18,7 +18,8 @@ from roadperc_stream.model.reason import MISSING_ROLES as MISSING_ROLES
 from roadperc_stream.model.reason import TEMPLATES as TEMPLATES
 from roadperc_stream.model.reason import Reason as Reason
 from roadperc_stream.model.reason import ReasonKind as ReasonKind
-from roadperc_stream.model.reason import parse_reason as parse_reason
+from roadperc_stream.model.reason import StoredReason as StoredReason
+from roadperc_stream.model.reason import reason_of as reason_of
 from roadperc_stream.model.results import SIDES as SIDES
 from roadperc_stream.model.results import Absent as Absent
 from roadperc_stream.model.results import Boundary as Boundary

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import msgspec
 
+from roadperc_stream.model.reason import Reason
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -54,4 +56,4 @@ class Evidence:
     road_known_ratio: float | None = None
     road_depth_ratio: float | None = None
     lane_width_m: float | None = None
-    unusable: tuple[str, ...] = ()
+    unusable: tuple[Reason, ...] = ()

@@ -1,14 +1,15 @@
 """Why an output is missing, unusable or replaced: a source, a code and values.
 
-``TEMPLATES`` gives the sentence of each code. Logs and tables hold only the sentence; ``parse_reason`` reads it back.
+``TEMPLATES`` gives the sentence of each code. Logs and tables hold the fields of ``StoredReason``, never a sentence.
 Reasons that differ only in their numbers have the same kind.
 """
 
-import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import starmap
 from string import Formatter
-from typing import Final
+from typing import Final, TypedDict
 
 Value = str | int | float
 TEMPLATES: Final[dict[str, str]] = {
@@ -130,11 +131,24 @@ _CAUSE_SOURCE: Final[dict[str, str]] = {"no_surface": "surface", "no_drivable_su
 """The source of the cause, by code; for other codes it is the source of the reason itself."""
 _DETAIL: Final = "detail"
 """The field with the text of a library or a file; reasons of one kind may differ in it."""
-_SOURCE: Final = re.compile(r"([a-z_]+): (.*)", re.DOTALL)
-_NUMBERS: Final = {"d": r"-?\d+", "g": r"-?(?:[\d.]+(?:e[-+]\d+)?|inf|nan)", ".0f": r"-?\d+|nan", ".0%": r"-?\d+%"}
+_BETWEEN_CAUSES: Final = "/"
+_MOST_CAUSES: Final = 64
 
 ReasonKind = tuple[tuple[str, ...], ...]
 """Source, code and text values of a reason, followed by those of its cause."""
+
+
+class StoredReason(TypedDict):
+    """A reason in tables and messages.
+
+    ``cause`` is the code of the cause and of the cause's cause, outermost first, separated by ``/``. ``values`` are
+    those of the reason, then those of its causes, as text.
+    """
+
+    source: str
+    code: str
+    values: list[str]
+    cause: str
 
 
 @dataclass(frozen=True)
@@ -177,15 +191,44 @@ class Reason:
         return ((self.source, self.code, *words), *(self.cause.kind if self.cause else ()))
 
     @property
+    def stored(self) -> StoredReason:
+        """The fields for a table or a message."""
+        values = [str(value) for value in self.values]
+        if self.cause is None:
+            return {"source": self.source, "code": self.code, "values": values, "cause": ""}
+        inner = self.cause.stored
+        cause = _BETWEEN_CAUSES.join(code for code in (inner["code"], inner["cause"]) if code)
+        return {"source": self.source, "code": self.code, "values": [*values, *inner["values"]], "cause": cause}
+
+    @property
     def _named(self) -> dict[str, Value]:
         """The values by the names of the template's fields."""
         return dict(zip((name for name in fields_of(self.code) if name != _CAUSE), self.values, strict=True))
 
 
-def parse_reason(text: str) -> Reason:
-    """Parse a sentence of a log or a table; its code is ``other`` if no template matches."""
-    found = _SOURCE.fullmatch(text)
-    return _parsed(found[1], found[2]) if found else Reason("", "other", (text,))
+def reason_of(source: str, code: str, values: Iterable[str] = (), cause: str = "") -> Reason:
+    """The reason of stored fields; with code ``other`` if they do not fit a code of ``TEMPLATES``."""
+    codes = [code, *(cause.split(_BETWEEN_CAUSES, _MOST_CAUSES) if cause else ())]
+    texts = list(values or ())
+    try:
+        return _reason_of(source, codes, texts)
+    except (KeyError, TypeError, ValueError):
+        return Reason(source or "", "other", (" ".join(map(str, (*codes, *texts))),))
+
+
+def _reason_of(source: str, codes: Sequence[str], values: Sequence[str]) -> Reason:
+    fields = {name: of for name, of in fields_of(codes[0]).items() if name != _CAUSE}
+    own, rest = values[: len(fields)], values[len(fields) :]
+    if rest and not codes[1:]:
+        raise ValueError(f"{codes[0]}: expected {len(fields)} values, got {values}")
+    cause = _reason_of(_CAUSE_SOURCE.get(codes[0], source), codes[1:], rest) if codes[1:] else None
+    return Reason(source, codes[0], tuple(starmap(_value, zip(fields.values(), own, strict=True))), cause)
+
+
+def _value(field: tuple[str, str], text: str) -> Value:
+    """The value of a field from its text."""
+    spec, conversion = field
+    return text if conversion or not spec else int(text) if spec == "d" else float(text)
 
 
 @cache
@@ -193,43 +236,6 @@ def fields_of(code: str) -> dict[str, tuple[str, str]]:
     """Format and conversion of each field of a template, by its name, in order."""
     parts = Formatter().parse(TEMPLATES[code])
     return {name: (spec or "", conversion or "") for _, name, spec, conversion in parts if name}
-
-
-def _parsed(source: str, text: str) -> Reason:
-    for code, pattern in _patterns():
-        if found := pattern.fullmatch(text):
-            texts = found.groupdict()
-            cause = _parsed(_CAUSE_SOURCE.get(code, source), texts.pop(_CAUSE)) if _CAUSE in texts else None
-            return Reason(source, code, tuple(_value(code, name, value) for name, value in texts.items()), cause)
-    raise AssertionError("the template of 'other' matches every text")
-
-
-@cache
-def _patterns() -> tuple[tuple[str, re.Pattern[str]], ...]:
-    """The regular expression of each template; that of ``other`` matches every text."""
-    return tuple((code, re.compile(_pattern(template), re.DOTALL)) for code, template in TEMPLATES.items())
-
-
-def _pattern(template: str) -> str:
-    parts = []
-    for literal, name, spec, conversion in Formatter().parse(template):
-        parts.append(re.escape(literal))
-        if name:
-            text = r"'[^']*'|\"[^\"]*\"" if conversion == "r" else r".*" if name in {_CAUSE, _DETAIL, "text"} else ".+?"
-            parts.append(f"(?P<{name}>{_NUMBERS.get(spec or '', text)})")
-    return "".join(parts)
-
-
-def _value(code: str, name: str, text: str) -> Value:
-    """The value of a field from its text."""
-    spec, conversion = fields_of(code)[name]
-    if spec == "d":
-        return int(text)
-    if spec == ".0%":
-        return float(text.removesuffix("%")) / 100
-    if spec:
-        return float(text)
-    return text[1:-1] if conversion == "r" else text
 
 
 UNUSABLE: Final = frozenset(("undecodable", "wrong_size", "pair_of_wrong_size", "pair_of_two_sizes"))

@@ -105,7 +105,7 @@ def encode_odometry(stamp_ns: int, frame_id: str, odometry: Odometry) -> bytes:
         up_to_scale=odometry.up_to_scale,
         inliers=odometry.inliers,
         covariance=odometry.covariance,
-        reason="" if odometry.reason is None else odometry.reason.text,
+        reason=None if odometry.reason is None else pb.Reason(**odometry.reason.stored),
     )
     return _serialised(message, stamp_ns)
 
@@ -197,7 +197,7 @@ def _boundary(boundary: Boundary) -> pb.Boundary:
         "smoothed_px": None if boundary.smoothed_px is None else _line(boundary.smoothed_px),
         "line_ego_m": [pb.Vector3(x=x, y=y, z=z) for x, y, z in boundary.line_ego_m.tolist()],
         "line_px": [pb.Point2(x=x, y=y) for x, y in boundary.line_px.tolist()],
-        "reason": "" if boundary.reason is None else str(boundary.reason),
+        "reason": None if boundary.reason is None else pb.Reason(**boundary.reason.stored),
     }
     return pb.Boundary(**vars(boundary) | converted)
 

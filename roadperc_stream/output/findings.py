@@ -155,13 +155,13 @@ def undecodable(frames: Frames, unreadable: Mapping[str, int], reference: str, c
 
     Unreadable messages of the ``reference`` would have made further frames.
     """
-    texts = [text for _, found in frames for text in found.unusable]
-    for role in sorted({*unreadable, *(text.partition(":")[0] for text in texts)}):
-        own = [text for text in texts if text.startswith(f"{role}:")]
+    reasons = [reason for _, found in frames for reason in found.unusable]
+    for role in sorted({*unreadable, *(reason.source for reason in reasons)}):
+        own = [reason for reason in reasons if reason.source == role]
         bad = round(len(own) / max(len(frames), 1) * count) + unreadable.get(role, 0)
         expected = count + (unreadable.get(role, 0) if role == reference else 0)
         if 2 * bad > expected:
-            why = f" ({own[0].removeprefix(f'{role}: ')})" if own else ""
+            why = f" ({own[0].text})" if own else ""
             text = f"{role}: its messages cannot be used in {bad} of {number(expected, 'frame')}{why}"
             hint = "roadperc-info shows their encoding, docs/recordings.md those that are read"
             yield Finding("undecodable", f"{text}; {hint}")

@@ -7,7 +7,7 @@ from typing import Final
 from roadperc_stream.model import Reason
 from roadperc_stream.schemas.columns import FrameMetrics
 
-_FROZEN: Final = str(Reason("odometry", "image_frozen"))
+_FROZEN: Final = Reason("odometry", "image_frozen")
 _FEWEST_REPEATS: Final = 4
 """A note names runs of five or more equal images; the first one is not frozen yet."""
 _MOST_NAMED: Final = 5

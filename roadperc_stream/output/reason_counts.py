@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from roadperc_stream.config import STAGES
-from roadperc_stream.model import MISSING_ROLES, Reason, ReasonKind, parse_reason
+from roadperc_stream.model import MISSING_ROLES, Reason, ReasonKind
 from roadperc_stream.model.reason import UNUSABLE
 
 _STAGES: Final = (*STAGES, "drivable")
@@ -15,14 +15,23 @@ _MOST_REPORTED: Final = 4
 
 @dataclass(frozen=True)
 class ReasonCount:
-    """A text of a kind of reason, its number of frames, and whether the numbers in the text vary."""
+    """A reason for its kind, the kind's number of frames, and whether its numbers vary."""
 
-    text: str
+    reason: Reason
     frames: int
     varies: bool = False
 
     def __str__(self) -> str:
-        return f"{self.text} (numbers vary)" if self.varies else self.text
+        return f"{self.reason}{self._varying}"
+
+    @property
+    def text(self) -> str:
+        """The sentence without its source."""
+        return f"{self.reason.text}{self._varying}"
+
+    @property
+    def _varying(self) -> str:
+        return " (numbers vary)" if self.varies else ""
 
 
 ReasonCounts = dict[ReasonKind, ReasonCount]
@@ -30,32 +39,37 @@ ReasonCounts = dict[ReasonKind, ReasonCount]
 
 def of_frame(reasons: Iterable[Reason]) -> ReasonCounts:
     """The reasons of one frame."""
-    return {reason.kind: ReasonCount(str(reason), 1) for reason in reasons}
+    return {reason.kind: ReasonCount(reason, 1) for reason in reasons}
 
 
-def grouped(counts: Mapping[str, int]) -> ReasonCounts:
-    """Group the texts of a table by kind; the most common text represents its kind.
+def grouped(counts: Iterable[tuple[Reason, int]]) -> ReasonCounts:
+    """Group the reasons of a table by kind; the most common one represents its kind.
 
-    ``counts`` are frames by text; a frame has a kind at most once.
+    ``counts`` are reasons and their frames; a frame has a kind at most once.
     """
-    texts = sorted(counts, key=lambda text: (-counts[text], text))
-    return merged({parse_reason(text).kind: ReasonCount(text, counts[text])} for text in texts)
+    first = sorted(counts, key=lambda item: (-item[1], str(item[0])))
+    return merged({reason.kind: ReasonCount(reason, frames)} for reason, frames in first)
 
 
 def merged(groups: Iterable[Mapping[ReasonKind, ReasonCount]]) -> ReasonCounts:
-    """Merge the counts of several groups of frames; the first text represents its kind."""
+    """Merge the counts of several groups of frames; the first reason represents its kind."""
     found: ReasonCounts = {}
     for counts in groups:
         for kind, count in counts.items():
-            known = found.get(kind, ReasonCount(count.text, 0))
-            varies = known.varies or count.varies or known.text != count.text
-            found[kind] = ReasonCount(known.text, known.frames + count.frames, varies)
+            known = found.get(kind, ReasonCount(count.reason, 0))
+            varies = known.varies or count.varies or str(known.reason) != str(count.reason)
+            found[kind] = ReasonCount(known.reason, known.frames + count.frames, varies)
     return found
 
 
 def ranked(counts: Mapping[ReasonKind, ReasonCount]) -> ReasonCounts:
     """The most frequent first; inputs before stages, since an input is often the cause."""
-    return dict(sorted(counts.items(), key=lambda item: (-item[1].frames, item[0][0][0] in _STAGES, item[1].text)))
+
+    def rank(item: tuple[ReasonKind, ReasonCount]) -> tuple[int, bool, str]:
+        reason = item[1].reason
+        return -item[1].frames, reason.source in _STAGES, str(reason)
+
+    return dict(sorted(counts.items(), key=rank))
 
 
 def throughout(counts: Mapping[ReasonKind, ReasonCount], frames: int, filled: Collection[str]) -> tuple[str, ...]:

@@ -11,22 +11,22 @@ from roadperc_stream.formats.png import encode_mask
 from roadperc_stream.geometry import Float, inverse
 from roadperc_stream.geometry.planes import SurfaceModel, SurfaceSource
 from roadperc_stream.log import Channel
-from roadperc_stream.model import EGO, Absent, FrameAnchor, FrameResult, Odometry, Sample, Transform
+from roadperc_stream.model import EGO, Absent, FrameAnchor, FrameResult, Odometry, Reason, Sample, Transform
 from roadperc_stream.model.results import BoundaryStatus, OdometryStatus
 from roadperc_stream.model.sample import LAST_ROS_STAMP_NS
 from roadperc_stream.model.tag_tables import Colour
 from roadperc_stream.output import encoding
 from roadperc_stream.output.drawing import annotations, colours
-from roadperc_stream.schemas import roadperc_pb2 as pb
-from roadperc_stream.schemas import topics
-from roadperc_stream.schemas.columns import FrameMetrics
-from roadperc_stream.schemas.protobuf import require_finite, schema, set_stamp
+from roadperc_stream.schemas import row_messages, topics
+from roadperc_stream.schemas.columns import FrameMetrics, cells
+from roadperc_stream.schemas.protobuf import optional, reason_in, require_finite, schema, set_stamp
 from roadperc_stream.schemas.record import PRODUCER
 from roadperc_stream.schemas.ros2 import pack_occupancy_grid
 
 DRIVABLE_COLOURS: tuple[Colour, Colour] = ((0, 0, 0), colours.DRIVABLE)
-_COLUMNS = {field.name for field in fields(FrameMetrics)}
-_LISTS: Final = tuple(field.name for field in fields(FrameMetrics) if field.default == ())
+_COLUMNS: Final = {field.name for field in fields(FrameMetrics)}
+_LISTS: Final = {field.name for field in fields(FrameMetrics) if field.default == ()}
+_OPTIONAL: Final = {field.name for field in fields(FrameMetrics) if field.default is None}
 _WORDS: Final[Mapping[str, tuple[str, ...]]] = {
     "surface_source": get_args(SurfaceSource),
     "surface_model": get_args(SurfaceModel),
@@ -47,7 +47,7 @@ def result_messages(
     sample: Sample,
     result: FrameResult,
     metrics: FrameMetrics,
-    previous_reasons: tuple[str, ...],
+    previous_reasons: tuple[Reason, ...],
     trajectory: Sequence[Float],
 ) -> Written:
     """Topic and bytes of each result of a frame; absent results are not written.
@@ -128,10 +128,10 @@ def _edge_between(frame_id: str, other: str, frame_T_other: Float, above: bool) 
 
 def encode_metrics(frame_id: str, metrics: FrameMetrics) -> bytes:
     """roadperc.FrameMetrics: the row, unknown fields absent."""
-    known = {name: value for name, value in vars(metrics).items() if value is not None}
-    message = pb.FrameMetrics(frame_id=frame_id, **known)
+    message = row_messages.FrameMetrics(frame_id=frame_id, **cells(metrics))
     set_stamp(message, metrics.stamp_ns)
-    return message.SerializeToString()
+    data: bytes = message.SerializeToString()
+    return data
 
 
 def decode_metrics(data: bytes) -> FrameMetrics:
@@ -141,15 +141,15 @@ def decode_metrics(data: bytes) -> FrameMetrics:
         DecodeError: the bytes are invalid, a number is not finite, or a status is unknown.
     """
     try:
-        message = pb.FrameMetrics.FromString(data)
+        message = row_messages.FrameMetrics.FromString(data)
     except ProtobufError as error:
         raise DecodeError(f"{len(data)} bytes are not a roadperc.FrameMetrics: {error}") from error
-    always: dict[str, Any] = {"log_id": message.log_id, "frame": message.frame, "stamp_ns": message.stamp_ns}
-    known: dict[str, Any] = {field.name: value for field, value in message.ListFields() if field.name in _COLUMNS}
+    known: dict[str, Any] = {name: optional(message, name) for name in _OPTIONAL}
+    known |= {name: tuple(getattr(message, name)) for name in _LISTS}
+    known |= {name: getattr(message, name) for name in _COLUMNS - known.keys()}
     numbers = (*message.true_object_distances_m, *message.true_object_laterals_m)
     require_finite("metrics", *(value for value in known.values() if isinstance(value, float)), *numbers)
     for column, words in _WORDS.items():
-        if known.get(column, words[0]) not in words:
+        if known[column] not in (None, *words):
             raise DecodeError(f"{column} {known[column]!r}: expected one of {', '.join(words)}")
-    lists = {name: tuple(getattr(message, name)) for name in _LISTS}
-    return FrameMetrics(**always | known | lists)
+    return FrameMetrics(**known | {"reasons": tuple(map(reason_in, message.reasons))})

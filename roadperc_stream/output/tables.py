@@ -3,7 +3,7 @@
 import hashlib
 import types
 import typing
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -16,6 +16,8 @@ import pyarrow.parquet as pq
 from roadperc_stream import __version__
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import TableError
+from roadperc_stream.model.reason import Reason
+from roadperc_stream.schemas.columns import cells
 from roadperc_stream.schemas.record import NETWORKS_COMMENT
 from roadperc_stream.system.files import TABLE_SUFFIX, partial_of, remove_stale_partials, target_errors
 from roadperc_stream.system.process import require_uninterrupted
@@ -30,6 +32,11 @@ _ARROW_TYPES: Final[Mapping[Any, pa.DataType]] = {
     bool: pa.bool_(),
     tuple[str, ...]: pa.list_(pa.string()),
     tuple[float, ...]: pa.list_(pa.float64()),
+    tuple[Reason, ...]: pa.list_(
+        pa.struct(
+            [("source", pa.string()), ("code", pa.string()), ("values", pa.list_(pa.string())), ("cause", pa.string())]
+        )
+    ),
 }
 Scalar = bool | int | float | str
 
@@ -134,10 +141,8 @@ def read_footer(path: Path) -> TableFooter:
     return TableFooter(footer.num_rows, facts_in(footer.metadata), log_ids[0].as_py() if len(log_ids) else None)
 
 
-def read_rows_around(
-    path: Path, frame: int, columns: Iterable[str], optional: Collection[str] = ()
-) -> list[dict[str, Any]]:
-    """Read columns of the one row group that contains a frame; ``optional`` columns may be missing.
+def read_rows_around(path: Path, frame: int, columns: Iterable[str]) -> list[dict[str, Any]]:
+    """Read columns of the one row group that contains a frame.
 
     Returns:
         The rows; empty if no group contains the frame.
@@ -147,7 +152,6 @@ def read_rows_around(
     """
     with _opened(path) as table:
         wanted = _present(path, table, ("frame", *columns))
-        wanted += [name for name in table.schema_arrow.names if name in optional]
         frames = table.schema_arrow.names.index("frame")
         spans = [table.metadata.row_group(i).column(frames).statistics for i in range(table.num_row_groups)]
         group = next((i for i, span in enumerate(spans) if span and span.min <= frame <= span.max), None)
@@ -272,7 +276,7 @@ class TableWriter:
         Raises:
             TargetError: the row cannot be written, as on a full disk.
         """
-        self._rows.append(vars(row) | extra | self._constant)
+        self._rows.append(cells(row) | extra | self._constant)
         if len(self._rows) >= ROW_GROUP_ROWS:
             self._flush()
 

@@ -9,7 +9,7 @@ from roadperc_stream.config import ReplayConfig
 from roadperc_stream.geometry import Float
 from roadperc_stream.input.replay_input import ReplayInput
 from roadperc_stream.log import Attachment, Channel, LogWriter, Message, MessageCopy, Metadata, Piece
-from roadperc_stream.model import FrameResult, Odometry, ReasonKind, Sample
+from roadperc_stream.model import FrameResult, Odometry, Reason, ReasonKind, Sample
 from roadperc_stream.model.finding import Evidence, Finding, encoded_findings
 from roadperc_stream.model.sample import frame_reasons
 from roadperc_stream.output.drawing.on_request import PictureMaker
@@ -59,14 +59,14 @@ class Shown:
     """
 
     trajectory: tuple[Float, ...] = ()
-    reasons: tuple[str, ...] = ()
+    reasons: tuple[Reason, ...] = ()
     first_ns: int | None = None
 
     def __post_init__(self) -> None:
         if any(pose.shape != (4, 4) for pose in self.trajectory):
             raise ValueError("trajectory: expected poses of shape (4, 4)")
 
-    def after(self, result: FrameResult, reasons: tuple[str, ...]) -> "Shown":
+    def after(self, result: FrameResult, reasons: tuple[Reason, ...]) -> "Shown":
         """The facts after one more frame, with its pose if known."""
         poses = self.trajectory
         if isinstance(result.odometry, Odometry) and result.odometry.has_pose:

@@ -18,7 +18,8 @@ from google.protobuf.message import Message as ProtobufMessage
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.schemas import roadperc_pb2, ros2
+from roadperc_stream.model.reason import Reason, reason_of
+from roadperc_stream.schemas import roadperc_pb2, ros2, row_messages
 from roadperc_stream.system.time import NS_PER_S
 
 _LARGEST: Final = float(np.finfo(np.float32).max)
@@ -39,6 +40,11 @@ def optional(message: Any, name: str) -> Any:
     return getattr(message, name) if message.HasField(name) else None
 
 
+def reason_in(message: Any) -> Reason:
+    """Return the reason of a roadperc.Reason."""
+    return reason_of(message.source, message.code, message.values, message.cause)
+
+
 MESSAGE_TYPES: Final[dict[str, type[ProtobufMessage]]] = {
     message_type.DESCRIPTOR.full_name: message_type
     for message_type in (
@@ -52,11 +58,11 @@ MESSAGE_TYPES: Final[dict[str, type[ProtobufMessage]]] = {
         PosesInFrame,
         SceneUpdate,
         roadperc_pb2.Detections,
-        roadperc_pb2.FrameMetrics,
+        row_messages.FrameMetrics,
         roadperc_pb2.Lanes,
         roadperc_pb2.Objects,
         roadperc_pb2.Odometry,
-        roadperc_pb2.StageTimes,
+        row_messages.StageTimes,
         roadperc_pb2.Surface,
     )
 }

@@ -23,6 +23,41 @@ else:
 DESCRIPTOR: _descriptor.FileDescriptor
 
 @_typing.final
+class Reason(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SOURCE_FIELD_NUMBER: _builtins.int
+    CODE_FIELD_NUMBER: _builtins.int
+    VALUES_FIELD_NUMBER: _builtins.int
+    CAUSE_FIELD_NUMBER: _builtins.int
+    source: _builtins.str
+    """Why an output is missing or replaced; model/reason.py has the sentence of each code.
+    stage or role
+    """
+    code: _builtins.str
+    cause: _builtins.str
+    """code of the cause, and of the cause's cause, separated by a slash"""
+    @_builtins.property
+    def values(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
+        """those of the sentence, then those of its causes"""
+
+    def __init__(
+        self,
+        *,
+        source: _builtins.str = ...,
+        code: _builtins.str = ...,
+        values: _abc.Iterable[_builtins.str] | None = ...,
+        cause: _builtins.str = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["cause", b"cause", "code", b"code", "source", b"source", "values", b"values"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___Reason: _TypeAlias = Reason  # noqa: Y015
+
+@_typing.final
 class Box(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
@@ -402,8 +437,6 @@ class Boundary(_message.Message):
     """class beside the boundary on the ego lane's side"""
     outside: _builtins.str
     """class that lies beyond the boundary"""
-    reason: _builtins.str
-    """why it is lost"""
     @_builtins.property
     def raw_px(self) -> Global___Line:
         """the merged Hough line"""
@@ -424,6 +457,10 @@ class Boundary(_message.Message):
     def line_px(self) -> _containers.RepeatedCompositeFieldContainer[Global___Point2]:
         """the same in the image"""
 
+    @_builtins.property
+    def reason(self) -> Global___Reason:
+        """why it is lost"""
+
     def __init__(
         self,
         *,
@@ -440,9 +477,9 @@ class Boundary(_message.Message):
         outside: _builtins.str = ...,
         line_ego_m: _abc.Iterable[Global___Vector3] | None = ...,
         line_px: _abc.Iterable[Global___Point2] | None = ...,
-        reason: _builtins.str = ...,
+        reason: Global___Reason | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_curvature_per_m", b"_curvature_per_m", "_heading", b"_heading", "_offset_m", b"_offset_m", "_raw_offset_m", b"_raw_offset_m", "curvature_per_m", b"curvature_per_m", "heading", b"heading", "offset_m", b"offset_m", "raw_offset_m", b"raw_offset_m", "raw_px", b"raw_px", "smoothed_px", b"smoothed_px"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_curvature_per_m", b"_curvature_per_m", "_heading", b"_heading", "_offset_m", b"_offset_m", "_raw_offset_m", b"_raw_offset_m", "curvature_per_m", b"curvature_per_m", "heading", b"heading", "offset_m", b"offset_m", "raw_offset_m", b"raw_offset_m", "raw_px", b"raw_px", "reason", b"reason", "smoothed_px", b"smoothed_px"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
     _ClearFieldArgType: _TypeAlias = _typing.Literal["_curvature_per_m", b"_curvature_per_m", "_heading", b"_heading", "_offset_m", b"_offset_m", "_raw_offset_m", b"_raw_offset_m", "covariance", b"covariance", "curvature_per_m", b"curvature_per_m", "heading", b"heading", "inside", b"inside", "line_ego_m", b"line_ego_m", "line_px", b"line_px", "offset_m", b"offset_m", "outside", b"outside", "raw_offset_m", b"raw_offset_m", "raw_px", b"raw_px", "reason", b"reason", "side", b"side", "smoothed_px", b"smoothed_px", "status", b"status"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
@@ -696,8 +733,6 @@ class Odometry(_message.Message):
     status: Global___Odometry.Status.ValueType
     up_to_scale: _builtins.bool
     inliers: _builtins.int
-    reason: _builtins.str
-    """why it is lost"""
     @_builtins.property
     def timestamp(self) -> _timestamp_pb2.Timestamp: ...
     @_builtins.property
@@ -712,6 +747,10 @@ class Odometry(_message.Message):
     def covariance(self) -> _containers.RepeatedScalarFieldContainer[_builtins.float]:
         """of step, 6x6 row by row: x, y, z, roll, pitch, yaw in the ego frame's axes"""
 
+    @_builtins.property
+    def reason(self) -> Global___Reason:
+        """why it is lost"""
+
     def __init__(
         self,
         *,
@@ -723,862 +762,12 @@ class Odometry(_message.Message):
         up_to_scale: _builtins.bool = ...,
         inliers: _builtins.int = ...,
         covariance: _abc.Iterable[_builtins.float] | None = ...,
-        reason: _builtins.str = ...,
+        reason: Global___Reason | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["odom_T_ego", b"odom_T_ego", "step", b"step", "timestamp", b"timestamp"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["odom_T_ego", b"odom_T_ego", "reason", b"reason", "step", b"step", "timestamp", b"timestamp"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
     _ClearFieldArgType: _TypeAlias = _typing.Literal["covariance", b"covariance", "frame_id", b"frame_id", "inliers", b"inliers", "odom_T_ego", b"odom_T_ego", "reason", b"reason", "status", b"status", "step", b"step", "timestamp", b"timestamp", "up_to_scale", b"up_to_scale"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
 Global___Odometry: _TypeAlias = Odometry  # noqa: Y015
-
-@_typing.final
-class StageTimes(_message.Message):
-    DESCRIPTOR: _descriptor.Descriptor
-
-    TIMESTAMP_FIELD_NUMBER: _builtins.int
-    FRAME_ID_FIELD_NUMBER: _builtins.int
-    READ_MS_FIELD_NUMBER: _builtins.int
-    DECODE_MS_FIELD_NUMBER: _builtins.int
-    SURFACE_MS_FIELD_NUMBER: _builtins.int
-    LANES_MS_FIELD_NUMBER: _builtins.int
-    OBJECTS_MS_FIELD_NUMBER: _builtins.int
-    STEREO_MS_FIELD_NUMBER: _builtins.int
-    ODOMETRY_MS_FIELD_NUMBER: _builtins.int
-    OCCUPANCY_MS_FIELD_NUMBER: _builtins.int
-    METRICS_MS_FIELD_NUMBER: _builtins.int
-    COPY_MS_FIELD_NUMBER: _builtins.int
-    ENCODE_MS_FIELD_NUMBER: _builtins.int
-    WRITE_MS_FIELD_NUMBER: _builtins.int
-    TOTAL_MS_FIELD_NUMBER: _builtins.int
-    frame_id: _builtins.str
-    read_ms: _builtins.float
-    decode_ms: _builtins.float
-    surface_ms: _builtins.float
-    lanes_ms: _builtins.float
-    objects_ms: _builtins.float
-    stereo_ms: _builtins.float
-    odometry_ms: _builtins.float
-    occupancy_ms: _builtins.float
-    metrics_ms: _builtins.float
-    copy_ms: _builtins.float
-    encode_ms: _builtins.float
-    write_ms: _builtins.float
-    total_ms: _builtins.float
-    @_builtins.property
-    def timestamp(self) -> _timestamp_pb2.Timestamp:
-        """One field per time column of the metrics table, milliseconds; a stage that did not run is absent."""
-
-    def __init__(
-        self,
-        *,
-        timestamp: _timestamp_pb2.Timestamp | None = ...,
-        frame_id: _builtins.str = ...,
-        read_ms: _builtins.float | None = ...,
-        decode_ms: _builtins.float | None = ...,
-        surface_ms: _builtins.float | None = ...,
-        lanes_ms: _builtins.float | None = ...,
-        objects_ms: _builtins.float | None = ...,
-        stereo_ms: _builtins.float | None = ...,
-        odometry_ms: _builtins.float | None = ...,
-        occupancy_ms: _builtins.float | None = ...,
-        metrics_ms: _builtins.float | None = ...,
-        copy_ms: _builtins.float | None = ...,
-        encode_ms: _builtins.float | None = ...,
-        write_ms: _builtins.float | None = ...,
-        total_ms: _builtins.float | None = ...,
-    ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_copy_ms", b"_copy_ms", "_decode_ms", b"_decode_ms", "_encode_ms", b"_encode_ms", "_lanes_ms", b"_lanes_ms", "_metrics_ms", b"_metrics_ms", "_objects_ms", b"_objects_ms", "_occupancy_ms", b"_occupancy_ms", "_odometry_ms", b"_odometry_ms", "_read_ms", b"_read_ms", "_stereo_ms", b"_stereo_ms", "_surface_ms", b"_surface_ms", "_total_ms", b"_total_ms", "_write_ms", b"_write_ms", "copy_ms", b"copy_ms", "decode_ms", b"decode_ms", "encode_ms", b"encode_ms", "lanes_ms", b"lanes_ms", "metrics_ms", b"metrics_ms", "objects_ms", b"objects_ms", "occupancy_ms", b"occupancy_ms", "odometry_ms", b"odometry_ms", "read_ms", b"read_ms", "stereo_ms", b"stereo_ms", "surface_ms", b"surface_ms", "timestamp", b"timestamp", "total_ms", b"total_ms", "write_ms", b"write_ms"]  # noqa: Y015
-    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_copy_ms", b"_copy_ms", "_decode_ms", b"_decode_ms", "_encode_ms", b"_encode_ms", "_lanes_ms", b"_lanes_ms", "_metrics_ms", b"_metrics_ms", "_objects_ms", b"_objects_ms", "_occupancy_ms", b"_occupancy_ms", "_odometry_ms", b"_odometry_ms", "_read_ms", b"_read_ms", "_stereo_ms", b"_stereo_ms", "_surface_ms", b"_surface_ms", "_total_ms", b"_total_ms", "_write_ms", b"_write_ms", "copy_ms", b"copy_ms", "decode_ms", b"decode_ms", "encode_ms", b"encode_ms", "frame_id", b"frame_id", "lanes_ms", b"lanes_ms", "metrics_ms", b"metrics_ms", "objects_ms", b"objects_ms", "occupancy_ms", b"occupancy_ms", "odometry_ms", b"odometry_ms", "read_ms", b"read_ms", "stereo_ms", b"stereo_ms", "surface_ms", b"surface_ms", "timestamp", b"timestamp", "total_ms", b"total_ms", "write_ms", b"write_ms"]  # noqa: Y015
-    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    _WhichOneofReturnType__copy_ms: _TypeAlias = _typing.Literal["copy_ms"]  # noqa: Y015
-    _WhichOneofArgType__copy_ms: _TypeAlias = _typing.Literal["_copy_ms", b"_copy_ms"]  # noqa: Y015
-    _WhichOneofReturnType__decode_ms: _TypeAlias = _typing.Literal["decode_ms"]  # noqa: Y015
-    _WhichOneofArgType__decode_ms: _TypeAlias = _typing.Literal["_decode_ms", b"_decode_ms"]  # noqa: Y015
-    _WhichOneofReturnType__encode_ms: _TypeAlias = _typing.Literal["encode_ms"]  # noqa: Y015
-    _WhichOneofArgType__encode_ms: _TypeAlias = _typing.Literal["_encode_ms", b"_encode_ms"]  # noqa: Y015
-    _WhichOneofReturnType__lanes_ms: _TypeAlias = _typing.Literal["lanes_ms"]  # noqa: Y015
-    _WhichOneofArgType__lanes_ms: _TypeAlias = _typing.Literal["_lanes_ms", b"_lanes_ms"]  # noqa: Y015
-    _WhichOneofReturnType__metrics_ms: _TypeAlias = _typing.Literal["metrics_ms"]  # noqa: Y015
-    _WhichOneofArgType__metrics_ms: _TypeAlias = _typing.Literal["_metrics_ms", b"_metrics_ms"]  # noqa: Y015
-    _WhichOneofReturnType__objects_ms: _TypeAlias = _typing.Literal["objects_ms"]  # noqa: Y015
-    _WhichOneofArgType__objects_ms: _TypeAlias = _typing.Literal["_objects_ms", b"_objects_ms"]  # noqa: Y015
-    _WhichOneofReturnType__occupancy_ms: _TypeAlias = _typing.Literal["occupancy_ms"]  # noqa: Y015
-    _WhichOneofArgType__occupancy_ms: _TypeAlias = _typing.Literal["_occupancy_ms", b"_occupancy_ms"]  # noqa: Y015
-    _WhichOneofReturnType__odometry_ms: _TypeAlias = _typing.Literal["odometry_ms"]  # noqa: Y015
-    _WhichOneofArgType__odometry_ms: _TypeAlias = _typing.Literal["_odometry_ms", b"_odometry_ms"]  # noqa: Y015
-    _WhichOneofReturnType__read_ms: _TypeAlias = _typing.Literal["read_ms"]  # noqa: Y015
-    _WhichOneofArgType__read_ms: _TypeAlias = _typing.Literal["_read_ms", b"_read_ms"]  # noqa: Y015
-    _WhichOneofReturnType__stereo_ms: _TypeAlias = _typing.Literal["stereo_ms"]  # noqa: Y015
-    _WhichOneofArgType__stereo_ms: _TypeAlias = _typing.Literal["_stereo_ms", b"_stereo_ms"]  # noqa: Y015
-    _WhichOneofReturnType__surface_ms: _TypeAlias = _typing.Literal["surface_ms"]  # noqa: Y015
-    _WhichOneofArgType__surface_ms: _TypeAlias = _typing.Literal["_surface_ms", b"_surface_ms"]  # noqa: Y015
-    _WhichOneofReturnType__total_ms: _TypeAlias = _typing.Literal["total_ms"]  # noqa: Y015
-    _WhichOneofArgType__total_ms: _TypeAlias = _typing.Literal["_total_ms", b"_total_ms"]  # noqa: Y015
-    _WhichOneofReturnType__write_ms: _TypeAlias = _typing.Literal["write_ms"]  # noqa: Y015
-    _WhichOneofArgType__write_ms: _TypeAlias = _typing.Literal["_write_ms", b"_write_ms"]  # noqa: Y015
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__copy_ms) -> _WhichOneofReturnType__copy_ms | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__decode_ms) -> _WhichOneofReturnType__decode_ms | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__encode_ms) -> _WhichOneofReturnType__encode_ms | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lanes_ms) -> _WhichOneofReturnType__lanes_ms | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__metrics_ms) -> _WhichOneofReturnType__metrics_ms | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__objects_ms) -> _WhichOneofReturnType__objects_ms | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__occupancy_ms) -> _WhichOneofReturnType__occupancy_ms | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__odometry_ms) -> _WhichOneofReturnType__odometry_ms | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__read_ms) -> _WhichOneofReturnType__read_ms | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__stereo_ms) -> _WhichOneofReturnType__stereo_ms | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__surface_ms) -> _WhichOneofReturnType__surface_ms | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__total_ms) -> _WhichOneofReturnType__total_ms | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__write_ms) -> _WhichOneofReturnType__write_ms | None: ...
-
-Global___StageTimes: _TypeAlias = StageTimes  # noqa: Y015
-
-@_typing.final
-class FrameMetrics(_message.Message):
-    DESCRIPTOR: _descriptor.Descriptor
-
-    TIMESTAMP_FIELD_NUMBER: _builtins.int
-    FRAME_ID_FIELD_NUMBER: _builtins.int
-    LOG_ID_FIELD_NUMBER: _builtins.int
-    FRAME_FIELD_NUMBER: _builtins.int
-    STAMP_NS_FIELD_NUMBER: _builtins.int
-    SURFACE_INLIER_RATIO_FIELD_NUMBER: _builtins.int
-    CAMERA_HEIGHT_M_FIELD_NUMBER: _builtins.int
-    CAMERA_PITCH_DEG_FIELD_NUMBER: _builtins.int
-    CAMERA_ROLL_DEG_FIELD_NUMBER: _builtins.int
-    DRIVABLE_RATIO_FIELD_NUMBER: _builtins.int
-    SURFACE_SOURCE_FIELD_NUMBER: _builtins.int
-    LANE_LEFT_STATUS_FIELD_NUMBER: _builtins.int
-    LANE_LEFT_OFFSET_M_FIELD_NUMBER: _builtins.int
-    LANE_LEFT_RAW_OFFSET_M_FIELD_NUMBER: _builtins.int
-    LANE_LEFT_BOUNDARY_CLASS_FIELD_NUMBER: _builtins.int
-    LANE_RIGHT_STATUS_FIELD_NUMBER: _builtins.int
-    LANE_RIGHT_OFFSET_M_FIELD_NUMBER: _builtins.int
-    LANE_RIGHT_RAW_OFFSET_M_FIELD_NUMBER: _builtins.int
-    LANE_RIGHT_BOUNDARY_CLASS_FIELD_NUMBER: _builtins.int
-    LANE_WIDTH_M_FIELD_NUMBER: _builtins.int
-    LANE_HEADING_DEG_FIELD_NUMBER: _builtins.int
-    LANE_PROPOSALS_FIELD_NUMBER: _builtins.int
-    LANE_MERGED_FIELD_NUMBER: _builtins.int
-    DETECTIONS_FIELD_NUMBER: _builtins.int
-    DETECTIONS_KEPT_FIELD_NUMBER: _builtins.int
-    DETECTIONS_UNJUDGED_FIELD_NUMBER: _builtins.int
-    NEAREST_OBJECT_M_FIELD_NUMBER: _builtins.int
-    NEAREST_OBJECT_CLASS_FIELD_NUMBER: _builtins.int
-    TIME_TO_IMPACT_S_FIELD_NUMBER: _builtins.int
-    STEREO_VALID_RATIO_FIELD_NUMBER: _builtins.int
-    STEREO_NEAREST_M_FIELD_NUMBER: _builtins.int
-    ODOMETRY_STATUS_FIELD_NUMBER: _builtins.int
-    ODOMETRY_INLIERS_FIELD_NUMBER: _builtins.int
-    STEP_M_FIELD_NUMBER: _builtins.int
-    TURN_DEG_FIELD_NUMBER: _builtins.int
-    ODOM_X_M_FIELD_NUMBER: _builtins.int
-    ODOM_Y_M_FIELD_NUMBER: _builtins.int
-    ODOM_Z_M_FIELD_NUMBER: _builtins.int
-    ODOM_QX_FIELD_NUMBER: _builtins.int
-    ODOM_QY_FIELD_NUMBER: _builtins.int
-    ODOM_QZ_FIELD_NUMBER: _builtins.int
-    ODOM_QW_FIELD_NUMBER: _builtins.int
-    SURFACE_ANGLE_ERROR_DEG_FIELD_NUMBER: _builtins.int
-    CAMERA_HEIGHT_ERROR_M_FIELD_NUMBER: _builtins.int
-    DRIVABLE_IOU_FIELD_NUMBER: _builtins.int
-    LANE_LEFT_ERROR_M_FIELD_NUMBER: _builtins.int
-    LANE_RIGHT_ERROR_M_FIELD_NUMBER: _builtins.int
-    OBJECT_DISTANCE_ERROR_M_FIELD_NUMBER: _builtins.int
-    STEREO_EPE_PX_FIELD_NUMBER: _builtins.int
-    STEREO_D1_RATIO_FIELD_NUMBER: _builtins.int
-    STEP_ERROR_M_FIELD_NUMBER: _builtins.int
-    TURN_ERROR_DEG_FIELD_NUMBER: _builtins.int
-    SYNC_SKEW_MS_FIELD_NUMBER: _builtins.int
-    MISSING_FIELD_NUMBER: _builtins.int
-    REASONS_FIELD_NUMBER: _builtins.int
-    OBJECTS_CARRIED_FIELD_NUMBER: _builtins.int
-    SURFACE_HEIGHT_ERROR_M_FIELD_NUMBER: _builtins.int
-    LANE_LEFT_TRUE_OFFSET_M_FIELD_NUMBER: _builtins.int
-    LANE_RIGHT_TRUE_OFFSET_M_FIELD_NUMBER: _builtins.int
-    LANE_TUSIMPLE_ACCURACY_FIELD_NUMBER: _builtins.int
-    LANE_TUSIMPLE_FP_FIELD_NUMBER: _builtins.int
-    LANE_TUSIMPLE_FN_FIELD_NUMBER: _builtins.int
-    LANE_CULANE_TP_50_FIELD_NUMBER: _builtins.int
-    LANE_CULANE_FP_50_FIELD_NUMBER: _builtins.int
-    LANE_CULANE_FN_50_FIELD_NUMBER: _builtins.int
-    LANE_CULANE_TP_30_FIELD_NUMBER: _builtins.int
-    LANE_CULANE_FP_30_FIELD_NUMBER: _builtins.int
-    LANE_CULANE_FN_30_FIELD_NUMBER: _builtins.int
-    FILTER_TP_FIELD_NUMBER: _builtins.int
-    FILTER_FP_FIELD_NUMBER: _builtins.int
-    FILTER_FN_FIELD_NUMBER: _builtins.int
-    FILTER_TN_FIELD_NUMBER: _builtins.int
-    FILTER_PRECISION_FIELD_NUMBER: _builtins.int
-    FILTER_RECALL_FIELD_NUMBER: _builtins.int
-    STEREO_ABS_REL_FIELD_NUMBER: _builtins.int
-    STEREO_COVERAGE_FIELD_NUMBER: _builtins.int
-    TRUE_X_M_FIELD_NUMBER: _builtins.int
-    TRUE_Y_M_FIELD_NUMBER: _builtins.int
-    TRUE_Z_M_FIELD_NUMBER: _builtins.int
-    TRUE_QX_FIELD_NUMBER: _builtins.int
-    TRUE_QY_FIELD_NUMBER: _builtins.int
-    TRUE_QZ_FIELD_NUMBER: _builtins.int
-    TRUE_QW_FIELD_NUMBER: _builtins.int
-    TIME_TO_IMPACT_STD_S_FIELD_NUMBER: _builtins.int
-    SEGMENT_FIELD_NUMBER: _builtins.int
-    LANE_LEFT_OFFSET_STD_M_FIELD_NUMBER: _builtins.int
-    LANE_RIGHT_OFFSET_STD_M_FIELD_NUMBER: _builtins.int
-    LANE_HEADING_STD_DEG_FIELD_NUMBER: _builtins.int
-    LANE_CHANGE_FIELD_NUMBER: _builtins.int
-    LANE_CHANGES_FIELD_NUMBER: _builtins.int
-    TRUE_LANE_CHANGE_FIELD_NUMBER: _builtins.int
-    TRUE_LANE_CHANGES_FIELD_NUMBER: _builtins.int
-    TRUE_TIME_TO_IMPACT_S_FIELD_NUMBER: _builtins.int
-    LANE_TRUE_HEADING_DEG_FIELD_NUMBER: _builtins.int
-    LANE_LEFT_TRUE_BOUNDARY_CLASS_FIELD_NUMBER: _builtins.int
-    LANE_RIGHT_TRUE_BOUNDARY_CLASS_FIELD_NUMBER: _builtins.int
-    TRUE_STEP_M_FIELD_NUMBER: _builtins.int
-    TRUE_TURN_DEG_FIELD_NUMBER: _builtins.int
-    PATH_SOURCE_FIELD_NUMBER: _builtins.int
-    OBJECTS_IN_PATH_FIELD_NUMBER: _builtins.int
-    CUT_INS_FIELD_NUMBER: _builtins.int
-    TIME_TO_IMPACT_ERROR_S_FIELD_NUMBER: _builtins.int
-    TRUE_OBJECT_LABELS_FIELD_NUMBER: _builtins.int
-    TRUE_OBJECT_DISTANCES_M_FIELD_NUMBER: _builtins.int
-    TRUE_OBJECT_LATERALS_M_FIELD_NUMBER: _builtins.int
-    SURFACE_MODEL_FIELD_NUMBER: _builtins.int
-    STEP_STD_M_FIELD_NUMBER: _builtins.int
-    TURN_STD_DEG_FIELD_NUMBER: _builtins.int
-    frame_id: _builtins.str
-    log_id: _builtins.str
-    frame: _builtins.int
-    stamp_ns: _builtins.int
-    surface_inlier_ratio: _builtins.float
-    camera_height_m: _builtins.float
-    camera_pitch_deg: _builtins.float
-    camera_roll_deg: _builtins.float
-    drivable_ratio: _builtins.float
-    surface_source: _builtins.str
-    lane_left_status: _builtins.str
-    lane_left_offset_m: _builtins.float
-    lane_left_raw_offset_m: _builtins.float
-    lane_left_boundary_class: _builtins.str
-    lane_right_status: _builtins.str
-    lane_right_offset_m: _builtins.float
-    lane_right_raw_offset_m: _builtins.float
-    lane_right_boundary_class: _builtins.str
-    lane_width_m: _builtins.float
-    lane_heading_deg: _builtins.float
-    lane_proposals: _builtins.int
-    lane_merged: _builtins.int
-    detections: _builtins.int
-    detections_kept: _builtins.int
-    detections_unjudged: _builtins.int
-    nearest_object_m: _builtins.float
-    nearest_object_class: _builtins.str
-    time_to_impact_s: _builtins.float
-    stereo_valid_ratio: _builtins.float
-    stereo_nearest_m: _builtins.float
-    odometry_status: _builtins.str
-    odometry_inliers: _builtins.int
-    step_m: _builtins.float
-    turn_deg: _builtins.float
-    odom_x_m: _builtins.float
-    odom_y_m: _builtins.float
-    odom_z_m: _builtins.float
-    odom_qx: _builtins.float
-    odom_qy: _builtins.float
-    odom_qz: _builtins.float
-    odom_qw: _builtins.float
-    surface_angle_error_deg: _builtins.float
-    camera_height_error_m: _builtins.float
-    drivable_iou: _builtins.float
-    lane_left_error_m: _builtins.float
-    lane_right_error_m: _builtins.float
-    object_distance_error_m: _builtins.float
-    stereo_epe_px: _builtins.float
-    stereo_d1_ratio: _builtins.float
-    step_error_m: _builtins.float
-    turn_error_deg: _builtins.float
-    sync_skew_ms: _builtins.float
-    objects_carried: _builtins.int
-    surface_height_error_m: _builtins.float
-    lane_left_true_offset_m: _builtins.float
-    lane_right_true_offset_m: _builtins.float
-    lane_tusimple_accuracy: _builtins.float
-    lane_tusimple_fp: _builtins.float
-    lane_tusimple_fn: _builtins.float
-    lane_culane_tp_50: _builtins.int
-    lane_culane_fp_50: _builtins.int
-    lane_culane_fn_50: _builtins.int
-    lane_culane_tp_30: _builtins.int
-    lane_culane_fp_30: _builtins.int
-    lane_culane_fn_30: _builtins.int
-    filter_tp: _builtins.int
-    filter_fp: _builtins.int
-    filter_fn: _builtins.int
-    filter_tn: _builtins.int
-    filter_precision: _builtins.float
-    filter_recall: _builtins.float
-    stereo_abs_rel: _builtins.float
-    stereo_coverage: _builtins.float
-    true_x_m: _builtins.float
-    true_y_m: _builtins.float
-    true_z_m: _builtins.float
-    true_qx: _builtins.float
-    true_qy: _builtins.float
-    true_qz: _builtins.float
-    true_qw: _builtins.float
-    time_to_impact_std_s: _builtins.float
-    segment: _builtins.int
-    lane_left_offset_std_m: _builtins.float
-    lane_right_offset_std_m: _builtins.float
-    lane_heading_std_deg: _builtins.float
-    lane_change: _builtins.str
-    lane_changes: _builtins.int
-    true_lane_change: _builtins.str
-    true_lane_changes: _builtins.int
-    true_time_to_impact_s: _builtins.float
-    lane_true_heading_deg: _builtins.float
-    lane_left_true_boundary_class: _builtins.str
-    lane_right_true_boundary_class: _builtins.str
-    true_step_m: _builtins.float
-    true_turn_deg: _builtins.float
-    path_source: _builtins.str
-    objects_in_path: _builtins.int
-    cut_ins: _builtins.int
-    time_to_impact_error_s: _builtins.float
-    surface_model: _builtins.str
-    step_std_m: _builtins.float
-    turn_std_deg: _builtins.float
-    @_builtins.property
-    def timestamp(self) -> _timestamp_pb2.Timestamp:
-        """One field per column of the metrics table, the times excepted: they change from run to run."""
-
-    @_builtins.property
-    def missing(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]: ...
-    @_builtins.property
-    def reasons(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]: ...
-    @_builtins.property
-    def true_object_labels(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]: ...
-    @_builtins.property
-    def true_object_distances_m(self) -> _containers.RepeatedScalarFieldContainer[_builtins.float]: ...
-    @_builtins.property
-    def true_object_laterals_m(self) -> _containers.RepeatedScalarFieldContainer[_builtins.float]: ...
-    def __init__(
-        self,
-        *,
-        timestamp: _timestamp_pb2.Timestamp | None = ...,
-        frame_id: _builtins.str = ...,
-        log_id: _builtins.str = ...,
-        frame: _builtins.int = ...,
-        stamp_ns: _builtins.int = ...,
-        surface_inlier_ratio: _builtins.float | None = ...,
-        camera_height_m: _builtins.float | None = ...,
-        camera_pitch_deg: _builtins.float | None = ...,
-        camera_roll_deg: _builtins.float | None = ...,
-        drivable_ratio: _builtins.float | None = ...,
-        surface_source: _builtins.str | None = ...,
-        lane_left_status: _builtins.str | None = ...,
-        lane_left_offset_m: _builtins.float | None = ...,
-        lane_left_raw_offset_m: _builtins.float | None = ...,
-        lane_left_boundary_class: _builtins.str | None = ...,
-        lane_right_status: _builtins.str | None = ...,
-        lane_right_offset_m: _builtins.float | None = ...,
-        lane_right_raw_offset_m: _builtins.float | None = ...,
-        lane_right_boundary_class: _builtins.str | None = ...,
-        lane_width_m: _builtins.float | None = ...,
-        lane_heading_deg: _builtins.float | None = ...,
-        lane_proposals: _builtins.int | None = ...,
-        lane_merged: _builtins.int | None = ...,
-        detections: _builtins.int | None = ...,
-        detections_kept: _builtins.int | None = ...,
-        detections_unjudged: _builtins.int | None = ...,
-        nearest_object_m: _builtins.float | None = ...,
-        nearest_object_class: _builtins.str | None = ...,
-        time_to_impact_s: _builtins.float | None = ...,
-        stereo_valid_ratio: _builtins.float | None = ...,
-        stereo_nearest_m: _builtins.float | None = ...,
-        odometry_status: _builtins.str | None = ...,
-        odometry_inliers: _builtins.int | None = ...,
-        step_m: _builtins.float | None = ...,
-        turn_deg: _builtins.float | None = ...,
-        odom_x_m: _builtins.float | None = ...,
-        odom_y_m: _builtins.float | None = ...,
-        odom_z_m: _builtins.float | None = ...,
-        odom_qx: _builtins.float | None = ...,
-        odom_qy: _builtins.float | None = ...,
-        odom_qz: _builtins.float | None = ...,
-        odom_qw: _builtins.float | None = ...,
-        surface_angle_error_deg: _builtins.float | None = ...,
-        camera_height_error_m: _builtins.float | None = ...,
-        drivable_iou: _builtins.float | None = ...,
-        lane_left_error_m: _builtins.float | None = ...,
-        lane_right_error_m: _builtins.float | None = ...,
-        object_distance_error_m: _builtins.float | None = ...,
-        stereo_epe_px: _builtins.float | None = ...,
-        stereo_d1_ratio: _builtins.float | None = ...,
-        step_error_m: _builtins.float | None = ...,
-        turn_error_deg: _builtins.float | None = ...,
-        sync_skew_ms: _builtins.float | None = ...,
-        missing: _abc.Iterable[_builtins.str] | None = ...,
-        reasons: _abc.Iterable[_builtins.str] | None = ...,
-        objects_carried: _builtins.int | None = ...,
-        surface_height_error_m: _builtins.float | None = ...,
-        lane_left_true_offset_m: _builtins.float | None = ...,
-        lane_right_true_offset_m: _builtins.float | None = ...,
-        lane_tusimple_accuracy: _builtins.float | None = ...,
-        lane_tusimple_fp: _builtins.float | None = ...,
-        lane_tusimple_fn: _builtins.float | None = ...,
-        lane_culane_tp_50: _builtins.int | None = ...,
-        lane_culane_fp_50: _builtins.int | None = ...,
-        lane_culane_fn_50: _builtins.int | None = ...,
-        lane_culane_tp_30: _builtins.int | None = ...,
-        lane_culane_fp_30: _builtins.int | None = ...,
-        lane_culane_fn_30: _builtins.int | None = ...,
-        filter_tp: _builtins.int | None = ...,
-        filter_fp: _builtins.int | None = ...,
-        filter_fn: _builtins.int | None = ...,
-        filter_tn: _builtins.int | None = ...,
-        filter_precision: _builtins.float | None = ...,
-        filter_recall: _builtins.float | None = ...,
-        stereo_abs_rel: _builtins.float | None = ...,
-        stereo_coverage: _builtins.float | None = ...,
-        true_x_m: _builtins.float | None = ...,
-        true_y_m: _builtins.float | None = ...,
-        true_z_m: _builtins.float | None = ...,
-        true_qx: _builtins.float | None = ...,
-        true_qy: _builtins.float | None = ...,
-        true_qz: _builtins.float | None = ...,
-        true_qw: _builtins.float | None = ...,
-        time_to_impact_std_s: _builtins.float | None = ...,
-        segment: _builtins.int = ...,
-        lane_left_offset_std_m: _builtins.float | None = ...,
-        lane_right_offset_std_m: _builtins.float | None = ...,
-        lane_heading_std_deg: _builtins.float | None = ...,
-        lane_change: _builtins.str | None = ...,
-        lane_changes: _builtins.int | None = ...,
-        true_lane_change: _builtins.str | None = ...,
-        true_lane_changes: _builtins.int | None = ...,
-        true_time_to_impact_s: _builtins.float | None = ...,
-        lane_true_heading_deg: _builtins.float | None = ...,
-        lane_left_true_boundary_class: _builtins.str | None = ...,
-        lane_right_true_boundary_class: _builtins.str | None = ...,
-        true_step_m: _builtins.float | None = ...,
-        true_turn_deg: _builtins.float | None = ...,
-        path_source: _builtins.str | None = ...,
-        objects_in_path: _builtins.int | None = ...,
-        cut_ins: _builtins.int | None = ...,
-        time_to_impact_error_s: _builtins.float | None = ...,
-        true_object_labels: _abc.Iterable[_builtins.str] | None = ...,
-        true_object_distances_m: _abc.Iterable[_builtins.float] | None = ...,
-        true_object_laterals_m: _abc.Iterable[_builtins.float] | None = ...,
-        surface_model: _builtins.str | None = ...,
-        step_std_m: _builtins.float | None = ...,
-        turn_std_deg: _builtins.float | None = ...,
-    ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_camera_height_error_m", b"_camera_height_error_m", "_camera_height_m", b"_camera_height_m", "_camera_pitch_deg", b"_camera_pitch_deg", "_camera_roll_deg", b"_camera_roll_deg", "_cut_ins", b"_cut_ins", "_detections", b"_detections", "_detections_kept", b"_detections_kept", "_detections_unjudged", b"_detections_unjudged", "_drivable_iou", b"_drivable_iou", "_drivable_ratio", b"_drivable_ratio", "_filter_fn", b"_filter_fn", "_filter_fp", b"_filter_fp", "_filter_precision", b"_filter_precision", "_filter_recall", b"_filter_recall", "_filter_tn", b"_filter_tn", "_filter_tp", b"_filter_tp", "_lane_change", b"_lane_change", "_lane_changes", b"_lane_changes", "_lane_culane_fn_30", b"_lane_culane_fn_30", "_lane_culane_fn_50", b"_lane_culane_fn_50", "_lane_culane_fp_30", b"_lane_culane_fp_30", "_lane_culane_fp_50", b"_lane_culane_fp_50", "_lane_culane_tp_30", b"_lane_culane_tp_30", "_lane_culane_tp_50", b"_lane_culane_tp_50", "_lane_heading_deg", b"_lane_heading_deg", "_lane_heading_std_deg", b"_lane_heading_std_deg", "_lane_left_boundary_class", b"_lane_left_boundary_class", "_lane_left_error_m", b"_lane_left_error_m", "_lane_left_offset_m", b"_lane_left_offset_m", "_lane_left_offset_std_m", b"_lane_left_offset_std_m", "_lane_left_raw_offset_m", b"_lane_left_raw_offset_m", "_lane_left_status", b"_lane_left_status", "_lane_left_true_boundary_class", b"_lane_left_true_boundary_class", "_lane_left_true_offset_m", b"_lane_left_true_offset_m", "_lane_merged", b"_lane_merged", "_lane_proposals", b"_lane_proposals", "_lane_right_boundary_class", b"_lane_right_boundary_class", "_lane_right_error_m", b"_lane_right_error_m", "_lane_right_offset_m", b"_lane_right_offset_m", "_lane_right_offset_std_m", b"_lane_right_offset_std_m", "_lane_right_raw_offset_m", b"_lane_right_raw_offset_m", "_lane_right_status", b"_lane_right_status", "_lane_right_true_boundary_class", b"_lane_right_true_boundary_class", "_lane_right_true_offset_m", b"_lane_right_true_offset_m", "_lane_true_heading_deg", b"_lane_true_heading_deg", "_lane_tusimple_accuracy", b"_lane_tusimple_accuracy", "_lane_tusimple_fn", b"_lane_tusimple_fn", "_lane_tusimple_fp", b"_lane_tusimple_fp", "_lane_width_m", b"_lane_width_m", "_nearest_object_class", b"_nearest_object_class", "_nearest_object_m", b"_nearest_object_m", "_object_distance_error_m", b"_object_distance_error_m", "_objects_carried", b"_objects_carried", "_objects_in_path", b"_objects_in_path", "_odom_qw", b"_odom_qw", "_odom_qx", b"_odom_qx", "_odom_qy", b"_odom_qy", "_odom_qz", b"_odom_qz", "_odom_x_m", b"_odom_x_m", "_odom_y_m", b"_odom_y_m", "_odom_z_m", b"_odom_z_m", "_odometry_inliers", b"_odometry_inliers", "_odometry_status", b"_odometry_status", "_path_source", b"_path_source", "_step_error_m", b"_step_error_m", "_step_m", b"_step_m", "_step_std_m", b"_step_std_m", "_stereo_abs_rel", b"_stereo_abs_rel", "_stereo_coverage", b"_stereo_coverage", "_stereo_d1_ratio", b"_stereo_d1_ratio", "_stereo_epe_px", b"_stereo_epe_px", "_stereo_nearest_m", b"_stereo_nearest_m", "_stereo_valid_ratio", b"_stereo_valid_ratio", "_surface_angle_error_deg", b"_surface_angle_error_deg", "_surface_height_error_m", b"_surface_height_error_m", "_surface_inlier_ratio", b"_surface_inlier_ratio", "_surface_model", b"_surface_model", "_surface_source", b"_surface_source", "_sync_skew_ms", b"_sync_skew_ms", "_time_to_impact_error_s", b"_time_to_impact_error_s", "_time_to_impact_s", b"_time_to_impact_s", "_time_to_impact_std_s", b"_time_to_impact_std_s", "_true_lane_change", b"_true_lane_change", "_true_lane_changes", b"_true_lane_changes", "_true_qw", b"_true_qw", "_true_qx", b"_true_qx", "_true_qy", b"_true_qy", "_true_qz", b"_true_qz", "_true_step_m", b"_true_step_m", "_true_time_to_impact_s", b"_true_time_to_impact_s", "_true_turn_deg", b"_true_turn_deg", "_true_x_m", b"_true_x_m", "_true_y_m", b"_true_y_m", "_true_z_m", b"_true_z_m", "_turn_deg", b"_turn_deg", "_turn_error_deg", b"_turn_error_deg", "_turn_std_deg", b"_turn_std_deg", "camera_height_error_m", b"camera_height_error_m", "camera_height_m", b"camera_height_m", "camera_pitch_deg", b"camera_pitch_deg", "camera_roll_deg", b"camera_roll_deg", "cut_ins", b"cut_ins", "detections", b"detections", "detections_kept", b"detections_kept", "detections_unjudged", b"detections_unjudged", "drivable_iou", b"drivable_iou", "drivable_ratio", b"drivable_ratio", "filter_fn", b"filter_fn", "filter_fp", b"filter_fp", "filter_precision", b"filter_precision", "filter_recall", b"filter_recall", "filter_tn", b"filter_tn", "filter_tp", b"filter_tp", "lane_change", b"lane_change", "lane_changes", b"lane_changes", "lane_culane_fn_30", b"lane_culane_fn_30", "lane_culane_fn_50", b"lane_culane_fn_50", "lane_culane_fp_30", b"lane_culane_fp_30", "lane_culane_fp_50", b"lane_culane_fp_50", "lane_culane_tp_30", b"lane_culane_tp_30", "lane_culane_tp_50", b"lane_culane_tp_50", "lane_heading_deg", b"lane_heading_deg", "lane_heading_std_deg", b"lane_heading_std_deg", "lane_left_boundary_class", b"lane_left_boundary_class", "lane_left_error_m", b"lane_left_error_m", "lane_left_offset_m", b"lane_left_offset_m", "lane_left_offset_std_m", b"lane_left_offset_std_m", "lane_left_raw_offset_m", b"lane_left_raw_offset_m", "lane_left_status", b"lane_left_status", "lane_left_true_boundary_class", b"lane_left_true_boundary_class", "lane_left_true_offset_m", b"lane_left_true_offset_m", "lane_merged", b"lane_merged", "lane_proposals", b"lane_proposals", "lane_right_boundary_class", b"lane_right_boundary_class", "lane_right_error_m", b"lane_right_error_m", "lane_right_offset_m", b"lane_right_offset_m", "lane_right_offset_std_m", b"lane_right_offset_std_m", "lane_right_raw_offset_m", b"lane_right_raw_offset_m", "lane_right_status", b"lane_right_status", "lane_right_true_boundary_class", b"lane_right_true_boundary_class", "lane_right_true_offset_m", b"lane_right_true_offset_m", "lane_true_heading_deg", b"lane_true_heading_deg", "lane_tusimple_accuracy", b"lane_tusimple_accuracy", "lane_tusimple_fn", b"lane_tusimple_fn", "lane_tusimple_fp", b"lane_tusimple_fp", "lane_width_m", b"lane_width_m", "nearest_object_class", b"nearest_object_class", "nearest_object_m", b"nearest_object_m", "object_distance_error_m", b"object_distance_error_m", "objects_carried", b"objects_carried", "objects_in_path", b"objects_in_path", "odom_qw", b"odom_qw", "odom_qx", b"odom_qx", "odom_qy", b"odom_qy", "odom_qz", b"odom_qz", "odom_x_m", b"odom_x_m", "odom_y_m", b"odom_y_m", "odom_z_m", b"odom_z_m", "odometry_inliers", b"odometry_inliers", "odometry_status", b"odometry_status", "path_source", b"path_source", "step_error_m", b"step_error_m", "step_m", b"step_m", "step_std_m", b"step_std_m", "stereo_abs_rel", b"stereo_abs_rel", "stereo_coverage", b"stereo_coverage", "stereo_d1_ratio", b"stereo_d1_ratio", "stereo_epe_px", b"stereo_epe_px", "stereo_nearest_m", b"stereo_nearest_m", "stereo_valid_ratio", b"stereo_valid_ratio", "surface_angle_error_deg", b"surface_angle_error_deg", "surface_height_error_m", b"surface_height_error_m", "surface_inlier_ratio", b"surface_inlier_ratio", "surface_model", b"surface_model", "surface_source", b"surface_source", "sync_skew_ms", b"sync_skew_ms", "time_to_impact_error_s", b"time_to_impact_error_s", "time_to_impact_s", b"time_to_impact_s", "time_to_impact_std_s", b"time_to_impact_std_s", "timestamp", b"timestamp", "true_lane_change", b"true_lane_change", "true_lane_changes", b"true_lane_changes", "true_qw", b"true_qw", "true_qx", b"true_qx", "true_qy", b"true_qy", "true_qz", b"true_qz", "true_step_m", b"true_step_m", "true_time_to_impact_s", b"true_time_to_impact_s", "true_turn_deg", b"true_turn_deg", "true_x_m", b"true_x_m", "true_y_m", b"true_y_m", "true_z_m", b"true_z_m", "turn_deg", b"turn_deg", "turn_error_deg", b"turn_error_deg", "turn_std_deg", b"turn_std_deg"]  # noqa: Y015
-    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_camera_height_error_m", b"_camera_height_error_m", "_camera_height_m", b"_camera_height_m", "_camera_pitch_deg", b"_camera_pitch_deg", "_camera_roll_deg", b"_camera_roll_deg", "_cut_ins", b"_cut_ins", "_detections", b"_detections", "_detections_kept", b"_detections_kept", "_detections_unjudged", b"_detections_unjudged", "_drivable_iou", b"_drivable_iou", "_drivable_ratio", b"_drivable_ratio", "_filter_fn", b"_filter_fn", "_filter_fp", b"_filter_fp", "_filter_precision", b"_filter_precision", "_filter_recall", b"_filter_recall", "_filter_tn", b"_filter_tn", "_filter_tp", b"_filter_tp", "_lane_change", b"_lane_change", "_lane_changes", b"_lane_changes", "_lane_culane_fn_30", b"_lane_culane_fn_30", "_lane_culane_fn_50", b"_lane_culane_fn_50", "_lane_culane_fp_30", b"_lane_culane_fp_30", "_lane_culane_fp_50", b"_lane_culane_fp_50", "_lane_culane_tp_30", b"_lane_culane_tp_30", "_lane_culane_tp_50", b"_lane_culane_tp_50", "_lane_heading_deg", b"_lane_heading_deg", "_lane_heading_std_deg", b"_lane_heading_std_deg", "_lane_left_boundary_class", b"_lane_left_boundary_class", "_lane_left_error_m", b"_lane_left_error_m", "_lane_left_offset_m", b"_lane_left_offset_m", "_lane_left_offset_std_m", b"_lane_left_offset_std_m", "_lane_left_raw_offset_m", b"_lane_left_raw_offset_m", "_lane_left_status", b"_lane_left_status", "_lane_left_true_boundary_class", b"_lane_left_true_boundary_class", "_lane_left_true_offset_m", b"_lane_left_true_offset_m", "_lane_merged", b"_lane_merged", "_lane_proposals", b"_lane_proposals", "_lane_right_boundary_class", b"_lane_right_boundary_class", "_lane_right_error_m", b"_lane_right_error_m", "_lane_right_offset_m", b"_lane_right_offset_m", "_lane_right_offset_std_m", b"_lane_right_offset_std_m", "_lane_right_raw_offset_m", b"_lane_right_raw_offset_m", "_lane_right_status", b"_lane_right_status", "_lane_right_true_boundary_class", b"_lane_right_true_boundary_class", "_lane_right_true_offset_m", b"_lane_right_true_offset_m", "_lane_true_heading_deg", b"_lane_true_heading_deg", "_lane_tusimple_accuracy", b"_lane_tusimple_accuracy", "_lane_tusimple_fn", b"_lane_tusimple_fn", "_lane_tusimple_fp", b"_lane_tusimple_fp", "_lane_width_m", b"_lane_width_m", "_nearest_object_class", b"_nearest_object_class", "_nearest_object_m", b"_nearest_object_m", "_object_distance_error_m", b"_object_distance_error_m", "_objects_carried", b"_objects_carried", "_objects_in_path", b"_objects_in_path", "_odom_qw", b"_odom_qw", "_odom_qx", b"_odom_qx", "_odom_qy", b"_odom_qy", "_odom_qz", b"_odom_qz", "_odom_x_m", b"_odom_x_m", "_odom_y_m", b"_odom_y_m", "_odom_z_m", b"_odom_z_m", "_odometry_inliers", b"_odometry_inliers", "_odometry_status", b"_odometry_status", "_path_source", b"_path_source", "_step_error_m", b"_step_error_m", "_step_m", b"_step_m", "_step_std_m", b"_step_std_m", "_stereo_abs_rel", b"_stereo_abs_rel", "_stereo_coverage", b"_stereo_coverage", "_stereo_d1_ratio", b"_stereo_d1_ratio", "_stereo_epe_px", b"_stereo_epe_px", "_stereo_nearest_m", b"_stereo_nearest_m", "_stereo_valid_ratio", b"_stereo_valid_ratio", "_surface_angle_error_deg", b"_surface_angle_error_deg", "_surface_height_error_m", b"_surface_height_error_m", "_surface_inlier_ratio", b"_surface_inlier_ratio", "_surface_model", b"_surface_model", "_surface_source", b"_surface_source", "_sync_skew_ms", b"_sync_skew_ms", "_time_to_impact_error_s", b"_time_to_impact_error_s", "_time_to_impact_s", b"_time_to_impact_s", "_time_to_impact_std_s", b"_time_to_impact_std_s", "_true_lane_change", b"_true_lane_change", "_true_lane_changes", b"_true_lane_changes", "_true_qw", b"_true_qw", "_true_qx", b"_true_qx", "_true_qy", b"_true_qy", "_true_qz", b"_true_qz", "_true_step_m", b"_true_step_m", "_true_time_to_impact_s", b"_true_time_to_impact_s", "_true_turn_deg", b"_true_turn_deg", "_true_x_m", b"_true_x_m", "_true_y_m", b"_true_y_m", "_true_z_m", b"_true_z_m", "_turn_deg", b"_turn_deg", "_turn_error_deg", b"_turn_error_deg", "_turn_std_deg", b"_turn_std_deg", "camera_height_error_m", b"camera_height_error_m", "camera_height_m", b"camera_height_m", "camera_pitch_deg", b"camera_pitch_deg", "camera_roll_deg", b"camera_roll_deg", "cut_ins", b"cut_ins", "detections", b"detections", "detections_kept", b"detections_kept", "detections_unjudged", b"detections_unjudged", "drivable_iou", b"drivable_iou", "drivable_ratio", b"drivable_ratio", "filter_fn", b"filter_fn", "filter_fp", b"filter_fp", "filter_precision", b"filter_precision", "filter_recall", b"filter_recall", "filter_tn", b"filter_tn", "filter_tp", b"filter_tp", "frame", b"frame", "frame_id", b"frame_id", "lane_change", b"lane_change", "lane_changes", b"lane_changes", "lane_culane_fn_30", b"lane_culane_fn_30", "lane_culane_fn_50", b"lane_culane_fn_50", "lane_culane_fp_30", b"lane_culane_fp_30", "lane_culane_fp_50", b"lane_culane_fp_50", "lane_culane_tp_30", b"lane_culane_tp_30", "lane_culane_tp_50", b"lane_culane_tp_50", "lane_heading_deg", b"lane_heading_deg", "lane_heading_std_deg", b"lane_heading_std_deg", "lane_left_boundary_class", b"lane_left_boundary_class", "lane_left_error_m", b"lane_left_error_m", "lane_left_offset_m", b"lane_left_offset_m", "lane_left_offset_std_m", b"lane_left_offset_std_m", "lane_left_raw_offset_m", b"lane_left_raw_offset_m", "lane_left_status", b"lane_left_status", "lane_left_true_boundary_class", b"lane_left_true_boundary_class", "lane_left_true_offset_m", b"lane_left_true_offset_m", "lane_merged", b"lane_merged", "lane_proposals", b"lane_proposals", "lane_right_boundary_class", b"lane_right_boundary_class", "lane_right_error_m", b"lane_right_error_m", "lane_right_offset_m", b"lane_right_offset_m", "lane_right_offset_std_m", b"lane_right_offset_std_m", "lane_right_raw_offset_m", b"lane_right_raw_offset_m", "lane_right_status", b"lane_right_status", "lane_right_true_boundary_class", b"lane_right_true_boundary_class", "lane_right_true_offset_m", b"lane_right_true_offset_m", "lane_true_heading_deg", b"lane_true_heading_deg", "lane_tusimple_accuracy", b"lane_tusimple_accuracy", "lane_tusimple_fn", b"lane_tusimple_fn", "lane_tusimple_fp", b"lane_tusimple_fp", "lane_width_m", b"lane_width_m", "log_id", b"log_id", "missing", b"missing", "nearest_object_class", b"nearest_object_class", "nearest_object_m", b"nearest_object_m", "object_distance_error_m", b"object_distance_error_m", "objects_carried", b"objects_carried", "objects_in_path", b"objects_in_path", "odom_qw", b"odom_qw", "odom_qx", b"odom_qx", "odom_qy", b"odom_qy", "odom_qz", b"odom_qz", "odom_x_m", b"odom_x_m", "odom_y_m", b"odom_y_m", "odom_z_m", b"odom_z_m", "odometry_inliers", b"odometry_inliers", "odometry_status", b"odometry_status", "path_source", b"path_source", "reasons", b"reasons", "segment", b"segment", "stamp_ns", b"stamp_ns", "step_error_m", b"step_error_m", "step_m", b"step_m", "step_std_m", b"step_std_m", "stereo_abs_rel", b"stereo_abs_rel", "stereo_coverage", b"stereo_coverage", "stereo_d1_ratio", b"stereo_d1_ratio", "stereo_epe_px", b"stereo_epe_px", "stereo_nearest_m", b"stereo_nearest_m", "stereo_valid_ratio", b"stereo_valid_ratio", "surface_angle_error_deg", b"surface_angle_error_deg", "surface_height_error_m", b"surface_height_error_m", "surface_inlier_ratio", b"surface_inlier_ratio", "surface_model", b"surface_model", "surface_source", b"surface_source", "sync_skew_ms", b"sync_skew_ms", "time_to_impact_error_s", b"time_to_impact_error_s", "time_to_impact_s", b"time_to_impact_s", "time_to_impact_std_s", b"time_to_impact_std_s", "timestamp", b"timestamp", "true_lane_change", b"true_lane_change", "true_lane_changes", b"true_lane_changes", "true_object_distances_m", b"true_object_distances_m", "true_object_labels", b"true_object_labels", "true_object_laterals_m", b"true_object_laterals_m", "true_qw", b"true_qw", "true_qx", b"true_qx", "true_qy", b"true_qy", "true_qz", b"true_qz", "true_step_m", b"true_step_m", "true_time_to_impact_s", b"true_time_to_impact_s", "true_turn_deg", b"true_turn_deg", "true_x_m", b"true_x_m", "true_y_m", b"true_y_m", "true_z_m", b"true_z_m", "turn_deg", b"turn_deg", "turn_error_deg", b"turn_error_deg", "turn_std_deg", b"turn_std_deg"]  # noqa: Y015
-    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    _WhichOneofReturnType__camera_height_error_m: _TypeAlias = _typing.Literal["camera_height_error_m"]  # noqa: Y015
-    _WhichOneofArgType__camera_height_error_m: _TypeAlias = _typing.Literal["_camera_height_error_m", b"_camera_height_error_m"]  # noqa: Y015
-    _WhichOneofReturnType__camera_height_m: _TypeAlias = _typing.Literal["camera_height_m"]  # noqa: Y015
-    _WhichOneofArgType__camera_height_m: _TypeAlias = _typing.Literal["_camera_height_m", b"_camera_height_m"]  # noqa: Y015
-    _WhichOneofReturnType__camera_pitch_deg: _TypeAlias = _typing.Literal["camera_pitch_deg"]  # noqa: Y015
-    _WhichOneofArgType__camera_pitch_deg: _TypeAlias = _typing.Literal["_camera_pitch_deg", b"_camera_pitch_deg"]  # noqa: Y015
-    _WhichOneofReturnType__camera_roll_deg: _TypeAlias = _typing.Literal["camera_roll_deg"]  # noqa: Y015
-    _WhichOneofArgType__camera_roll_deg: _TypeAlias = _typing.Literal["_camera_roll_deg", b"_camera_roll_deg"]  # noqa: Y015
-    _WhichOneofReturnType__cut_ins: _TypeAlias = _typing.Literal["cut_ins"]  # noqa: Y015
-    _WhichOneofArgType__cut_ins: _TypeAlias = _typing.Literal["_cut_ins", b"_cut_ins"]  # noqa: Y015
-    _WhichOneofReturnType__detections: _TypeAlias = _typing.Literal["detections"]  # noqa: Y015
-    _WhichOneofArgType__detections: _TypeAlias = _typing.Literal["_detections", b"_detections"]  # noqa: Y015
-    _WhichOneofReturnType__detections_kept: _TypeAlias = _typing.Literal["detections_kept"]  # noqa: Y015
-    _WhichOneofArgType__detections_kept: _TypeAlias = _typing.Literal["_detections_kept", b"_detections_kept"]  # noqa: Y015
-    _WhichOneofReturnType__detections_unjudged: _TypeAlias = _typing.Literal["detections_unjudged"]  # noqa: Y015
-    _WhichOneofArgType__detections_unjudged: _TypeAlias = _typing.Literal["_detections_unjudged", b"_detections_unjudged"]  # noqa: Y015
-    _WhichOneofReturnType__drivable_iou: _TypeAlias = _typing.Literal["drivable_iou"]  # noqa: Y015
-    _WhichOneofArgType__drivable_iou: _TypeAlias = _typing.Literal["_drivable_iou", b"_drivable_iou"]  # noqa: Y015
-    _WhichOneofReturnType__drivable_ratio: _TypeAlias = _typing.Literal["drivable_ratio"]  # noqa: Y015
-    _WhichOneofArgType__drivable_ratio: _TypeAlias = _typing.Literal["_drivable_ratio", b"_drivable_ratio"]  # noqa: Y015
-    _WhichOneofReturnType__filter_fn: _TypeAlias = _typing.Literal["filter_fn"]  # noqa: Y015
-    _WhichOneofArgType__filter_fn: _TypeAlias = _typing.Literal["_filter_fn", b"_filter_fn"]  # noqa: Y015
-    _WhichOneofReturnType__filter_fp: _TypeAlias = _typing.Literal["filter_fp"]  # noqa: Y015
-    _WhichOneofArgType__filter_fp: _TypeAlias = _typing.Literal["_filter_fp", b"_filter_fp"]  # noqa: Y015
-    _WhichOneofReturnType__filter_precision: _TypeAlias = _typing.Literal["filter_precision"]  # noqa: Y015
-    _WhichOneofArgType__filter_precision: _TypeAlias = _typing.Literal["_filter_precision", b"_filter_precision"]  # noqa: Y015
-    _WhichOneofReturnType__filter_recall: _TypeAlias = _typing.Literal["filter_recall"]  # noqa: Y015
-    _WhichOneofArgType__filter_recall: _TypeAlias = _typing.Literal["_filter_recall", b"_filter_recall"]  # noqa: Y015
-    _WhichOneofReturnType__filter_tn: _TypeAlias = _typing.Literal["filter_tn"]  # noqa: Y015
-    _WhichOneofArgType__filter_tn: _TypeAlias = _typing.Literal["_filter_tn", b"_filter_tn"]  # noqa: Y015
-    _WhichOneofReturnType__filter_tp: _TypeAlias = _typing.Literal["filter_tp"]  # noqa: Y015
-    _WhichOneofArgType__filter_tp: _TypeAlias = _typing.Literal["_filter_tp", b"_filter_tp"]  # noqa: Y015
-    _WhichOneofReturnType__lane_change: _TypeAlias = _typing.Literal["lane_change"]  # noqa: Y015
-    _WhichOneofArgType__lane_change: _TypeAlias = _typing.Literal["_lane_change", b"_lane_change"]  # noqa: Y015
-    _WhichOneofReturnType__lane_changes: _TypeAlias = _typing.Literal["lane_changes"]  # noqa: Y015
-    _WhichOneofArgType__lane_changes: _TypeAlias = _typing.Literal["_lane_changes", b"_lane_changes"]  # noqa: Y015
-    _WhichOneofReturnType__lane_culane_fn_30: _TypeAlias = _typing.Literal["lane_culane_fn_30"]  # noqa: Y015
-    _WhichOneofArgType__lane_culane_fn_30: _TypeAlias = _typing.Literal["_lane_culane_fn_30", b"_lane_culane_fn_30"]  # noqa: Y015
-    _WhichOneofReturnType__lane_culane_fn_50: _TypeAlias = _typing.Literal["lane_culane_fn_50"]  # noqa: Y015
-    _WhichOneofArgType__lane_culane_fn_50: _TypeAlias = _typing.Literal["_lane_culane_fn_50", b"_lane_culane_fn_50"]  # noqa: Y015
-    _WhichOneofReturnType__lane_culane_fp_30: _TypeAlias = _typing.Literal["lane_culane_fp_30"]  # noqa: Y015
-    _WhichOneofArgType__lane_culane_fp_30: _TypeAlias = _typing.Literal["_lane_culane_fp_30", b"_lane_culane_fp_30"]  # noqa: Y015
-    _WhichOneofReturnType__lane_culane_fp_50: _TypeAlias = _typing.Literal["lane_culane_fp_50"]  # noqa: Y015
-    _WhichOneofArgType__lane_culane_fp_50: _TypeAlias = _typing.Literal["_lane_culane_fp_50", b"_lane_culane_fp_50"]  # noqa: Y015
-    _WhichOneofReturnType__lane_culane_tp_30: _TypeAlias = _typing.Literal["lane_culane_tp_30"]  # noqa: Y015
-    _WhichOneofArgType__lane_culane_tp_30: _TypeAlias = _typing.Literal["_lane_culane_tp_30", b"_lane_culane_tp_30"]  # noqa: Y015
-    _WhichOneofReturnType__lane_culane_tp_50: _TypeAlias = _typing.Literal["lane_culane_tp_50"]  # noqa: Y015
-    _WhichOneofArgType__lane_culane_tp_50: _TypeAlias = _typing.Literal["_lane_culane_tp_50", b"_lane_culane_tp_50"]  # noqa: Y015
-    _WhichOneofReturnType__lane_heading_deg: _TypeAlias = _typing.Literal["lane_heading_deg"]  # noqa: Y015
-    _WhichOneofArgType__lane_heading_deg: _TypeAlias = _typing.Literal["_lane_heading_deg", b"_lane_heading_deg"]  # noqa: Y015
-    _WhichOneofReturnType__lane_heading_std_deg: _TypeAlias = _typing.Literal["lane_heading_std_deg"]  # noqa: Y015
-    _WhichOneofArgType__lane_heading_std_deg: _TypeAlias = _typing.Literal["_lane_heading_std_deg", b"_lane_heading_std_deg"]  # noqa: Y015
-    _WhichOneofReturnType__lane_left_boundary_class: _TypeAlias = _typing.Literal["lane_left_boundary_class"]  # noqa: Y015
-    _WhichOneofArgType__lane_left_boundary_class: _TypeAlias = _typing.Literal["_lane_left_boundary_class", b"_lane_left_boundary_class"]  # noqa: Y015
-    _WhichOneofReturnType__lane_left_error_m: _TypeAlias = _typing.Literal["lane_left_error_m"]  # noqa: Y015
-    _WhichOneofArgType__lane_left_error_m: _TypeAlias = _typing.Literal["_lane_left_error_m", b"_lane_left_error_m"]  # noqa: Y015
-    _WhichOneofReturnType__lane_left_offset_m: _TypeAlias = _typing.Literal["lane_left_offset_m"]  # noqa: Y015
-    _WhichOneofArgType__lane_left_offset_m: _TypeAlias = _typing.Literal["_lane_left_offset_m", b"_lane_left_offset_m"]  # noqa: Y015
-    _WhichOneofReturnType__lane_left_offset_std_m: _TypeAlias = _typing.Literal["lane_left_offset_std_m"]  # noqa: Y015
-    _WhichOneofArgType__lane_left_offset_std_m: _TypeAlias = _typing.Literal["_lane_left_offset_std_m", b"_lane_left_offset_std_m"]  # noqa: Y015
-    _WhichOneofReturnType__lane_left_raw_offset_m: _TypeAlias = _typing.Literal["lane_left_raw_offset_m"]  # noqa: Y015
-    _WhichOneofArgType__lane_left_raw_offset_m: _TypeAlias = _typing.Literal["_lane_left_raw_offset_m", b"_lane_left_raw_offset_m"]  # noqa: Y015
-    _WhichOneofReturnType__lane_left_status: _TypeAlias = _typing.Literal["lane_left_status"]  # noqa: Y015
-    _WhichOneofArgType__lane_left_status: _TypeAlias = _typing.Literal["_lane_left_status", b"_lane_left_status"]  # noqa: Y015
-    _WhichOneofReturnType__lane_left_true_boundary_class: _TypeAlias = _typing.Literal["lane_left_true_boundary_class"]  # noqa: Y015
-    _WhichOneofArgType__lane_left_true_boundary_class: _TypeAlias = _typing.Literal["_lane_left_true_boundary_class", b"_lane_left_true_boundary_class"]  # noqa: Y015
-    _WhichOneofReturnType__lane_left_true_offset_m: _TypeAlias = _typing.Literal["lane_left_true_offset_m"]  # noqa: Y015
-    _WhichOneofArgType__lane_left_true_offset_m: _TypeAlias = _typing.Literal["_lane_left_true_offset_m", b"_lane_left_true_offset_m"]  # noqa: Y015
-    _WhichOneofReturnType__lane_merged: _TypeAlias = _typing.Literal["lane_merged"]  # noqa: Y015
-    _WhichOneofArgType__lane_merged: _TypeAlias = _typing.Literal["_lane_merged", b"_lane_merged"]  # noqa: Y015
-    _WhichOneofReturnType__lane_proposals: _TypeAlias = _typing.Literal["lane_proposals"]  # noqa: Y015
-    _WhichOneofArgType__lane_proposals: _TypeAlias = _typing.Literal["_lane_proposals", b"_lane_proposals"]  # noqa: Y015
-    _WhichOneofReturnType__lane_right_boundary_class: _TypeAlias = _typing.Literal["lane_right_boundary_class"]  # noqa: Y015
-    _WhichOneofArgType__lane_right_boundary_class: _TypeAlias = _typing.Literal["_lane_right_boundary_class", b"_lane_right_boundary_class"]  # noqa: Y015
-    _WhichOneofReturnType__lane_right_error_m: _TypeAlias = _typing.Literal["lane_right_error_m"]  # noqa: Y015
-    _WhichOneofArgType__lane_right_error_m: _TypeAlias = _typing.Literal["_lane_right_error_m", b"_lane_right_error_m"]  # noqa: Y015
-    _WhichOneofReturnType__lane_right_offset_m: _TypeAlias = _typing.Literal["lane_right_offset_m"]  # noqa: Y015
-    _WhichOneofArgType__lane_right_offset_m: _TypeAlias = _typing.Literal["_lane_right_offset_m", b"_lane_right_offset_m"]  # noqa: Y015
-    _WhichOneofReturnType__lane_right_offset_std_m: _TypeAlias = _typing.Literal["lane_right_offset_std_m"]  # noqa: Y015
-    _WhichOneofArgType__lane_right_offset_std_m: _TypeAlias = _typing.Literal["_lane_right_offset_std_m", b"_lane_right_offset_std_m"]  # noqa: Y015
-    _WhichOneofReturnType__lane_right_raw_offset_m: _TypeAlias = _typing.Literal["lane_right_raw_offset_m"]  # noqa: Y015
-    _WhichOneofArgType__lane_right_raw_offset_m: _TypeAlias = _typing.Literal["_lane_right_raw_offset_m", b"_lane_right_raw_offset_m"]  # noqa: Y015
-    _WhichOneofReturnType__lane_right_status: _TypeAlias = _typing.Literal["lane_right_status"]  # noqa: Y015
-    _WhichOneofArgType__lane_right_status: _TypeAlias = _typing.Literal["_lane_right_status", b"_lane_right_status"]  # noqa: Y015
-    _WhichOneofReturnType__lane_right_true_boundary_class: _TypeAlias = _typing.Literal["lane_right_true_boundary_class"]  # noqa: Y015
-    _WhichOneofArgType__lane_right_true_boundary_class: _TypeAlias = _typing.Literal["_lane_right_true_boundary_class", b"_lane_right_true_boundary_class"]  # noqa: Y015
-    _WhichOneofReturnType__lane_right_true_offset_m: _TypeAlias = _typing.Literal["lane_right_true_offset_m"]  # noqa: Y015
-    _WhichOneofArgType__lane_right_true_offset_m: _TypeAlias = _typing.Literal["_lane_right_true_offset_m", b"_lane_right_true_offset_m"]  # noqa: Y015
-    _WhichOneofReturnType__lane_true_heading_deg: _TypeAlias = _typing.Literal["lane_true_heading_deg"]  # noqa: Y015
-    _WhichOneofArgType__lane_true_heading_deg: _TypeAlias = _typing.Literal["_lane_true_heading_deg", b"_lane_true_heading_deg"]  # noqa: Y015
-    _WhichOneofReturnType__lane_tusimple_accuracy: _TypeAlias = _typing.Literal["lane_tusimple_accuracy"]  # noqa: Y015
-    _WhichOneofArgType__lane_tusimple_accuracy: _TypeAlias = _typing.Literal["_lane_tusimple_accuracy", b"_lane_tusimple_accuracy"]  # noqa: Y015
-    _WhichOneofReturnType__lane_tusimple_fn: _TypeAlias = _typing.Literal["lane_tusimple_fn"]  # noqa: Y015
-    _WhichOneofArgType__lane_tusimple_fn: _TypeAlias = _typing.Literal["_lane_tusimple_fn", b"_lane_tusimple_fn"]  # noqa: Y015
-    _WhichOneofReturnType__lane_tusimple_fp: _TypeAlias = _typing.Literal["lane_tusimple_fp"]  # noqa: Y015
-    _WhichOneofArgType__lane_tusimple_fp: _TypeAlias = _typing.Literal["_lane_tusimple_fp", b"_lane_tusimple_fp"]  # noqa: Y015
-    _WhichOneofReturnType__lane_width_m: _TypeAlias = _typing.Literal["lane_width_m"]  # noqa: Y015
-    _WhichOneofArgType__lane_width_m: _TypeAlias = _typing.Literal["_lane_width_m", b"_lane_width_m"]  # noqa: Y015
-    _WhichOneofReturnType__nearest_object_class: _TypeAlias = _typing.Literal["nearest_object_class"]  # noqa: Y015
-    _WhichOneofArgType__nearest_object_class: _TypeAlias = _typing.Literal["_nearest_object_class", b"_nearest_object_class"]  # noqa: Y015
-    _WhichOneofReturnType__nearest_object_m: _TypeAlias = _typing.Literal["nearest_object_m"]  # noqa: Y015
-    _WhichOneofArgType__nearest_object_m: _TypeAlias = _typing.Literal["_nearest_object_m", b"_nearest_object_m"]  # noqa: Y015
-    _WhichOneofReturnType__object_distance_error_m: _TypeAlias = _typing.Literal["object_distance_error_m"]  # noqa: Y015
-    _WhichOneofArgType__object_distance_error_m: _TypeAlias = _typing.Literal["_object_distance_error_m", b"_object_distance_error_m"]  # noqa: Y015
-    _WhichOneofReturnType__objects_carried: _TypeAlias = _typing.Literal["objects_carried"]  # noqa: Y015
-    _WhichOneofArgType__objects_carried: _TypeAlias = _typing.Literal["_objects_carried", b"_objects_carried"]  # noqa: Y015
-    _WhichOneofReturnType__objects_in_path: _TypeAlias = _typing.Literal["objects_in_path"]  # noqa: Y015
-    _WhichOneofArgType__objects_in_path: _TypeAlias = _typing.Literal["_objects_in_path", b"_objects_in_path"]  # noqa: Y015
-    _WhichOneofReturnType__odom_qw: _TypeAlias = _typing.Literal["odom_qw"]  # noqa: Y015
-    _WhichOneofArgType__odom_qw: _TypeAlias = _typing.Literal["_odom_qw", b"_odom_qw"]  # noqa: Y015
-    _WhichOneofReturnType__odom_qx: _TypeAlias = _typing.Literal["odom_qx"]  # noqa: Y015
-    _WhichOneofArgType__odom_qx: _TypeAlias = _typing.Literal["_odom_qx", b"_odom_qx"]  # noqa: Y015
-    _WhichOneofReturnType__odom_qy: _TypeAlias = _typing.Literal["odom_qy"]  # noqa: Y015
-    _WhichOneofArgType__odom_qy: _TypeAlias = _typing.Literal["_odom_qy", b"_odom_qy"]  # noqa: Y015
-    _WhichOneofReturnType__odom_qz: _TypeAlias = _typing.Literal["odom_qz"]  # noqa: Y015
-    _WhichOneofArgType__odom_qz: _TypeAlias = _typing.Literal["_odom_qz", b"_odom_qz"]  # noqa: Y015
-    _WhichOneofReturnType__odom_x_m: _TypeAlias = _typing.Literal["odom_x_m"]  # noqa: Y015
-    _WhichOneofArgType__odom_x_m: _TypeAlias = _typing.Literal["_odom_x_m", b"_odom_x_m"]  # noqa: Y015
-    _WhichOneofReturnType__odom_y_m: _TypeAlias = _typing.Literal["odom_y_m"]  # noqa: Y015
-    _WhichOneofArgType__odom_y_m: _TypeAlias = _typing.Literal["_odom_y_m", b"_odom_y_m"]  # noqa: Y015
-    _WhichOneofReturnType__odom_z_m: _TypeAlias = _typing.Literal["odom_z_m"]  # noqa: Y015
-    _WhichOneofArgType__odom_z_m: _TypeAlias = _typing.Literal["_odom_z_m", b"_odom_z_m"]  # noqa: Y015
-    _WhichOneofReturnType__odometry_inliers: _TypeAlias = _typing.Literal["odometry_inliers"]  # noqa: Y015
-    _WhichOneofArgType__odometry_inliers: _TypeAlias = _typing.Literal["_odometry_inliers", b"_odometry_inliers"]  # noqa: Y015
-    _WhichOneofReturnType__odometry_status: _TypeAlias = _typing.Literal["odometry_status"]  # noqa: Y015
-    _WhichOneofArgType__odometry_status: _TypeAlias = _typing.Literal["_odometry_status", b"_odometry_status"]  # noqa: Y015
-    _WhichOneofReturnType__path_source: _TypeAlias = _typing.Literal["path_source"]  # noqa: Y015
-    _WhichOneofArgType__path_source: _TypeAlias = _typing.Literal["_path_source", b"_path_source"]  # noqa: Y015
-    _WhichOneofReturnType__step_error_m: _TypeAlias = _typing.Literal["step_error_m"]  # noqa: Y015
-    _WhichOneofArgType__step_error_m: _TypeAlias = _typing.Literal["_step_error_m", b"_step_error_m"]  # noqa: Y015
-    _WhichOneofReturnType__step_m: _TypeAlias = _typing.Literal["step_m"]  # noqa: Y015
-    _WhichOneofArgType__step_m: _TypeAlias = _typing.Literal["_step_m", b"_step_m"]  # noqa: Y015
-    _WhichOneofReturnType__step_std_m: _TypeAlias = _typing.Literal["step_std_m"]  # noqa: Y015
-    _WhichOneofArgType__step_std_m: _TypeAlias = _typing.Literal["_step_std_m", b"_step_std_m"]  # noqa: Y015
-    _WhichOneofReturnType__stereo_abs_rel: _TypeAlias = _typing.Literal["stereo_abs_rel"]  # noqa: Y015
-    _WhichOneofArgType__stereo_abs_rel: _TypeAlias = _typing.Literal["_stereo_abs_rel", b"_stereo_abs_rel"]  # noqa: Y015
-    _WhichOneofReturnType__stereo_coverage: _TypeAlias = _typing.Literal["stereo_coverage"]  # noqa: Y015
-    _WhichOneofArgType__stereo_coverage: _TypeAlias = _typing.Literal["_stereo_coverage", b"_stereo_coverage"]  # noqa: Y015
-    _WhichOneofReturnType__stereo_d1_ratio: _TypeAlias = _typing.Literal["stereo_d1_ratio"]  # noqa: Y015
-    _WhichOneofArgType__stereo_d1_ratio: _TypeAlias = _typing.Literal["_stereo_d1_ratio", b"_stereo_d1_ratio"]  # noqa: Y015
-    _WhichOneofReturnType__stereo_epe_px: _TypeAlias = _typing.Literal["stereo_epe_px"]  # noqa: Y015
-    _WhichOneofArgType__stereo_epe_px: _TypeAlias = _typing.Literal["_stereo_epe_px", b"_stereo_epe_px"]  # noqa: Y015
-    _WhichOneofReturnType__stereo_nearest_m: _TypeAlias = _typing.Literal["stereo_nearest_m"]  # noqa: Y015
-    _WhichOneofArgType__stereo_nearest_m: _TypeAlias = _typing.Literal["_stereo_nearest_m", b"_stereo_nearest_m"]  # noqa: Y015
-    _WhichOneofReturnType__stereo_valid_ratio: _TypeAlias = _typing.Literal["stereo_valid_ratio"]  # noqa: Y015
-    _WhichOneofArgType__stereo_valid_ratio: _TypeAlias = _typing.Literal["_stereo_valid_ratio", b"_stereo_valid_ratio"]  # noqa: Y015
-    _WhichOneofReturnType__surface_angle_error_deg: _TypeAlias = _typing.Literal["surface_angle_error_deg"]  # noqa: Y015
-    _WhichOneofArgType__surface_angle_error_deg: _TypeAlias = _typing.Literal["_surface_angle_error_deg", b"_surface_angle_error_deg"]  # noqa: Y015
-    _WhichOneofReturnType__surface_height_error_m: _TypeAlias = _typing.Literal["surface_height_error_m"]  # noqa: Y015
-    _WhichOneofArgType__surface_height_error_m: _TypeAlias = _typing.Literal["_surface_height_error_m", b"_surface_height_error_m"]  # noqa: Y015
-    _WhichOneofReturnType__surface_inlier_ratio: _TypeAlias = _typing.Literal["surface_inlier_ratio"]  # noqa: Y015
-    _WhichOneofArgType__surface_inlier_ratio: _TypeAlias = _typing.Literal["_surface_inlier_ratio", b"_surface_inlier_ratio"]  # noqa: Y015
-    _WhichOneofReturnType__surface_model: _TypeAlias = _typing.Literal["surface_model"]  # noqa: Y015
-    _WhichOneofArgType__surface_model: _TypeAlias = _typing.Literal["_surface_model", b"_surface_model"]  # noqa: Y015
-    _WhichOneofReturnType__surface_source: _TypeAlias = _typing.Literal["surface_source"]  # noqa: Y015
-    _WhichOneofArgType__surface_source: _TypeAlias = _typing.Literal["_surface_source", b"_surface_source"]  # noqa: Y015
-    _WhichOneofReturnType__sync_skew_ms: _TypeAlias = _typing.Literal["sync_skew_ms"]  # noqa: Y015
-    _WhichOneofArgType__sync_skew_ms: _TypeAlias = _typing.Literal["_sync_skew_ms", b"_sync_skew_ms"]  # noqa: Y015
-    _WhichOneofReturnType__time_to_impact_error_s: _TypeAlias = _typing.Literal["time_to_impact_error_s"]  # noqa: Y015
-    _WhichOneofArgType__time_to_impact_error_s: _TypeAlias = _typing.Literal["_time_to_impact_error_s", b"_time_to_impact_error_s"]  # noqa: Y015
-    _WhichOneofReturnType__time_to_impact_s: _TypeAlias = _typing.Literal["time_to_impact_s"]  # noqa: Y015
-    _WhichOneofArgType__time_to_impact_s: _TypeAlias = _typing.Literal["_time_to_impact_s", b"_time_to_impact_s"]  # noqa: Y015
-    _WhichOneofReturnType__time_to_impact_std_s: _TypeAlias = _typing.Literal["time_to_impact_std_s"]  # noqa: Y015
-    _WhichOneofArgType__time_to_impact_std_s: _TypeAlias = _typing.Literal["_time_to_impact_std_s", b"_time_to_impact_std_s"]  # noqa: Y015
-    _WhichOneofReturnType__true_lane_change: _TypeAlias = _typing.Literal["true_lane_change"]  # noqa: Y015
-    _WhichOneofArgType__true_lane_change: _TypeAlias = _typing.Literal["_true_lane_change", b"_true_lane_change"]  # noqa: Y015
-    _WhichOneofReturnType__true_lane_changes: _TypeAlias = _typing.Literal["true_lane_changes"]  # noqa: Y015
-    _WhichOneofArgType__true_lane_changes: _TypeAlias = _typing.Literal["_true_lane_changes", b"_true_lane_changes"]  # noqa: Y015
-    _WhichOneofReturnType__true_qw: _TypeAlias = _typing.Literal["true_qw"]  # noqa: Y015
-    _WhichOneofArgType__true_qw: _TypeAlias = _typing.Literal["_true_qw", b"_true_qw"]  # noqa: Y015
-    _WhichOneofReturnType__true_qx: _TypeAlias = _typing.Literal["true_qx"]  # noqa: Y015
-    _WhichOneofArgType__true_qx: _TypeAlias = _typing.Literal["_true_qx", b"_true_qx"]  # noqa: Y015
-    _WhichOneofReturnType__true_qy: _TypeAlias = _typing.Literal["true_qy"]  # noqa: Y015
-    _WhichOneofArgType__true_qy: _TypeAlias = _typing.Literal["_true_qy", b"_true_qy"]  # noqa: Y015
-    _WhichOneofReturnType__true_qz: _TypeAlias = _typing.Literal["true_qz"]  # noqa: Y015
-    _WhichOneofArgType__true_qz: _TypeAlias = _typing.Literal["_true_qz", b"_true_qz"]  # noqa: Y015
-    _WhichOneofReturnType__true_step_m: _TypeAlias = _typing.Literal["true_step_m"]  # noqa: Y015
-    _WhichOneofArgType__true_step_m: _TypeAlias = _typing.Literal["_true_step_m", b"_true_step_m"]  # noqa: Y015
-    _WhichOneofReturnType__true_time_to_impact_s: _TypeAlias = _typing.Literal["true_time_to_impact_s"]  # noqa: Y015
-    _WhichOneofArgType__true_time_to_impact_s: _TypeAlias = _typing.Literal["_true_time_to_impact_s", b"_true_time_to_impact_s"]  # noqa: Y015
-    _WhichOneofReturnType__true_turn_deg: _TypeAlias = _typing.Literal["true_turn_deg"]  # noqa: Y015
-    _WhichOneofArgType__true_turn_deg: _TypeAlias = _typing.Literal["_true_turn_deg", b"_true_turn_deg"]  # noqa: Y015
-    _WhichOneofReturnType__true_x_m: _TypeAlias = _typing.Literal["true_x_m"]  # noqa: Y015
-    _WhichOneofArgType__true_x_m: _TypeAlias = _typing.Literal["_true_x_m", b"_true_x_m"]  # noqa: Y015
-    _WhichOneofReturnType__true_y_m: _TypeAlias = _typing.Literal["true_y_m"]  # noqa: Y015
-    _WhichOneofArgType__true_y_m: _TypeAlias = _typing.Literal["_true_y_m", b"_true_y_m"]  # noqa: Y015
-    _WhichOneofReturnType__true_z_m: _TypeAlias = _typing.Literal["true_z_m"]  # noqa: Y015
-    _WhichOneofArgType__true_z_m: _TypeAlias = _typing.Literal["_true_z_m", b"_true_z_m"]  # noqa: Y015
-    _WhichOneofReturnType__turn_deg: _TypeAlias = _typing.Literal["turn_deg"]  # noqa: Y015
-    _WhichOneofArgType__turn_deg: _TypeAlias = _typing.Literal["_turn_deg", b"_turn_deg"]  # noqa: Y015
-    _WhichOneofReturnType__turn_error_deg: _TypeAlias = _typing.Literal["turn_error_deg"]  # noqa: Y015
-    _WhichOneofArgType__turn_error_deg: _TypeAlias = _typing.Literal["_turn_error_deg", b"_turn_error_deg"]  # noqa: Y015
-    _WhichOneofReturnType__turn_std_deg: _TypeAlias = _typing.Literal["turn_std_deg"]  # noqa: Y015
-    _WhichOneofArgType__turn_std_deg: _TypeAlias = _typing.Literal["_turn_std_deg", b"_turn_std_deg"]  # noqa: Y015
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__camera_height_error_m) -> _WhichOneofReturnType__camera_height_error_m | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__camera_height_m) -> _WhichOneofReturnType__camera_height_m | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__camera_pitch_deg) -> _WhichOneofReturnType__camera_pitch_deg | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__camera_roll_deg) -> _WhichOneofReturnType__camera_roll_deg | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__cut_ins) -> _WhichOneofReturnType__cut_ins | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__detections) -> _WhichOneofReturnType__detections | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__detections_kept) -> _WhichOneofReturnType__detections_kept | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__detections_unjudged) -> _WhichOneofReturnType__detections_unjudged | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__drivable_iou) -> _WhichOneofReturnType__drivable_iou | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__drivable_ratio) -> _WhichOneofReturnType__drivable_ratio | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__filter_fn) -> _WhichOneofReturnType__filter_fn | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__filter_fp) -> _WhichOneofReturnType__filter_fp | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__filter_precision) -> _WhichOneofReturnType__filter_precision | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__filter_recall) -> _WhichOneofReturnType__filter_recall | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__filter_tn) -> _WhichOneofReturnType__filter_tn | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__filter_tp) -> _WhichOneofReturnType__filter_tp | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_change) -> _WhichOneofReturnType__lane_change | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_changes) -> _WhichOneofReturnType__lane_changes | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_culane_fn_30) -> _WhichOneofReturnType__lane_culane_fn_30 | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_culane_fn_50) -> _WhichOneofReturnType__lane_culane_fn_50 | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_culane_fp_30) -> _WhichOneofReturnType__lane_culane_fp_30 | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_culane_fp_50) -> _WhichOneofReturnType__lane_culane_fp_50 | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_culane_tp_30) -> _WhichOneofReturnType__lane_culane_tp_30 | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_culane_tp_50) -> _WhichOneofReturnType__lane_culane_tp_50 | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_heading_deg) -> _WhichOneofReturnType__lane_heading_deg | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_heading_std_deg) -> _WhichOneofReturnType__lane_heading_std_deg | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_left_boundary_class) -> _WhichOneofReturnType__lane_left_boundary_class | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_left_error_m) -> _WhichOneofReturnType__lane_left_error_m | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_left_offset_m) -> _WhichOneofReturnType__lane_left_offset_m | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_left_offset_std_m) -> _WhichOneofReturnType__lane_left_offset_std_m | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_left_raw_offset_m) -> _WhichOneofReturnType__lane_left_raw_offset_m | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_left_status) -> _WhichOneofReturnType__lane_left_status | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_left_true_boundary_class) -> _WhichOneofReturnType__lane_left_true_boundary_class | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_left_true_offset_m) -> _WhichOneofReturnType__lane_left_true_offset_m | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_merged) -> _WhichOneofReturnType__lane_merged | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_proposals) -> _WhichOneofReturnType__lane_proposals | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_right_boundary_class) -> _WhichOneofReturnType__lane_right_boundary_class | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_right_error_m) -> _WhichOneofReturnType__lane_right_error_m | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_right_offset_m) -> _WhichOneofReturnType__lane_right_offset_m | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_right_offset_std_m) -> _WhichOneofReturnType__lane_right_offset_std_m | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_right_raw_offset_m) -> _WhichOneofReturnType__lane_right_raw_offset_m | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_right_status) -> _WhichOneofReturnType__lane_right_status | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_right_true_boundary_class) -> _WhichOneofReturnType__lane_right_true_boundary_class | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_right_true_offset_m) -> _WhichOneofReturnType__lane_right_true_offset_m | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_true_heading_deg) -> _WhichOneofReturnType__lane_true_heading_deg | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_tusimple_accuracy) -> _WhichOneofReturnType__lane_tusimple_accuracy | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_tusimple_fn) -> _WhichOneofReturnType__lane_tusimple_fn | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_tusimple_fp) -> _WhichOneofReturnType__lane_tusimple_fp | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_width_m) -> _WhichOneofReturnType__lane_width_m | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__nearest_object_class) -> _WhichOneofReturnType__nearest_object_class | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__nearest_object_m) -> _WhichOneofReturnType__nearest_object_m | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__object_distance_error_m) -> _WhichOneofReturnType__object_distance_error_m | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__objects_carried) -> _WhichOneofReturnType__objects_carried | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__objects_in_path) -> _WhichOneofReturnType__objects_in_path | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__odom_qw) -> _WhichOneofReturnType__odom_qw | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__odom_qx) -> _WhichOneofReturnType__odom_qx | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__odom_qy) -> _WhichOneofReturnType__odom_qy | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__odom_qz) -> _WhichOneofReturnType__odom_qz | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__odom_x_m) -> _WhichOneofReturnType__odom_x_m | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__odom_y_m) -> _WhichOneofReturnType__odom_y_m | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__odom_z_m) -> _WhichOneofReturnType__odom_z_m | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__odometry_inliers) -> _WhichOneofReturnType__odometry_inliers | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__odometry_status) -> _WhichOneofReturnType__odometry_status | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__path_source) -> _WhichOneofReturnType__path_source | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__step_error_m) -> _WhichOneofReturnType__step_error_m | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__step_m) -> _WhichOneofReturnType__step_m | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__step_std_m) -> _WhichOneofReturnType__step_std_m | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__stereo_abs_rel) -> _WhichOneofReturnType__stereo_abs_rel | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__stereo_coverage) -> _WhichOneofReturnType__stereo_coverage | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__stereo_d1_ratio) -> _WhichOneofReturnType__stereo_d1_ratio | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__stereo_epe_px) -> _WhichOneofReturnType__stereo_epe_px | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__stereo_nearest_m) -> _WhichOneofReturnType__stereo_nearest_m | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__stereo_valid_ratio) -> _WhichOneofReturnType__stereo_valid_ratio | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__surface_angle_error_deg) -> _WhichOneofReturnType__surface_angle_error_deg | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__surface_height_error_m) -> _WhichOneofReturnType__surface_height_error_m | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__surface_inlier_ratio) -> _WhichOneofReturnType__surface_inlier_ratio | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__surface_model) -> _WhichOneofReturnType__surface_model | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__surface_source) -> _WhichOneofReturnType__surface_source | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__sync_skew_ms) -> _WhichOneofReturnType__sync_skew_ms | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__time_to_impact_error_s) -> _WhichOneofReturnType__time_to_impact_error_s | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__time_to_impact_s) -> _WhichOneofReturnType__time_to_impact_s | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__time_to_impact_std_s) -> _WhichOneofReturnType__time_to_impact_std_s | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__true_lane_change) -> _WhichOneofReturnType__true_lane_change | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__true_lane_changes) -> _WhichOneofReturnType__true_lane_changes | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__true_qw) -> _WhichOneofReturnType__true_qw | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__true_qx) -> _WhichOneofReturnType__true_qx | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__true_qy) -> _WhichOneofReturnType__true_qy | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__true_qz) -> _WhichOneofReturnType__true_qz | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__true_step_m) -> _WhichOneofReturnType__true_step_m | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__true_time_to_impact_s) -> _WhichOneofReturnType__true_time_to_impact_s | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__true_turn_deg) -> _WhichOneofReturnType__true_turn_deg | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__true_x_m) -> _WhichOneofReturnType__true_x_m | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__true_y_m) -> _WhichOneofReturnType__true_y_m | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__true_z_m) -> _WhichOneofReturnType__true_z_m | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__turn_deg) -> _WhichOneofReturnType__turn_deg | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__turn_error_deg) -> _WhichOneofReturnType__turn_error_deg | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__turn_std_deg) -> _WhichOneofReturnType__turn_std_deg | None: ...
-
-Global___FrameMetrics: _TypeAlias = FrameMetrics  # noqa: Y015

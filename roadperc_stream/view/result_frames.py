@@ -17,7 +17,7 @@ from roadperc_stream.input.rig import calibration_role
 from roadperc_stream.input.roles import assignment_of_log
 from roadperc_stream.input.stream import Problems, RoleAssignment
 from roadperc_stream.log import LogSummary, Message
-from roadperc_stream.model import Absent, CameraImage, Lanes, Mask, Objects, Reason, TagImage, parse_reason
+from roadperc_stream.model import Absent, CameraImage, Lanes, Mask, Objects, Reason, TagImage
 from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14
 from roadperc_stream.output.drawing.overlay import PerceivedFrame
 from roadperc_stream.output.results import decode_metrics
@@ -27,9 +27,6 @@ from roadperc_stream.schemas.roles import Kind
 from roadperc_stream.schemas.topics import DRIVABLE_TOPIC, LANES_TOPIC, METRICS_TOPIC, OBJECTS_TOPIC
 from roadperc_stream.system.time import NS_PER_S
 
-_TOTAL: Final = "total_ms"
-_PARTS: Final = frozenset(TIME_COLUMNS) - {_TOTAL}
-"""Tables of earlier versions lack some of these columns."""
 TimesMs = Mapping[str, float]
 """Milliseconds by time column; stages that did not run are left out."""
 TimesOfFrame = Callable[[str, int], TimesMs]
@@ -51,7 +48,7 @@ class TableTimes:
         """
         if frame not in self._rows:
             exists = self._path.exists()
-            rows = read_rows_around(self._path, frame, ("log_id", _TOTAL), _PARTS) if exists else []
+            rows = read_rows_around(self._path, frame, ("log_id", *TIME_COLUMNS)) if exists else []
             self._rows = {frame: {}} | {row["frame"]: row for row in rows}
         row = self._rows[frame]
         return _known(row) if row.get("log_id") == log_id else {}
@@ -186,7 +183,7 @@ def _image_source(summary: LogSummary) -> _ImageSource:
 
 
 def _frame_of(
-    found: Mapping[str, Stamped], source: _ImageSource, reasons: Iterable[str], stamp_ns: int, problems: Problems
+    found: Mapping[str, Stamped], source: _ImageSource, reasons: Iterable[Reason], stamp_ns: int, problems: Problems
 ) -> PerceivedFrame | None:
     topic, camera = source
     image = rectified(_result(found, topic, CameraImage, "image"), camera)
@@ -197,7 +194,7 @@ def _frame_of(
         return None
     mask = content_of(lambda: _drivable(found), DRIVABLE_TOPIC, stamp_ns, problems)
     drivable = _drivable({}) if mask is None else mask
-    wrong_size = any((r.source, r.code) == ("image", "wrong_size") for r in map(parse_reason, reasons))
+    wrong_size = any((reason.source, reason.code) == ("image", "wrong_size") for reason in reasons)
     # If the mask has another size, mask, lanes and objects belong to another camera.
     fits = not wrong_size and (isinstance(drivable, Absent) or drivable.shape == image_bgr.shape[:2])
     lanes = _result(found, LANES_TOPIC, Lanes, "lanes")
@@ -206,10 +203,10 @@ def _frame_of(
 
 def _messages(
     summary: LogSummary, image_topic: str, stamp_ns: int, lateness_ns: int, problems: Problems
-) -> tuple[dict[str, Stamped], tuple[str, ...]]:
+) -> tuple[dict[str, Stamped], tuple[Reason, ...]]:
     """Images and results of one stamp by topic, and its row's reasons."""
     found: dict[str, Stamped] = {}
-    reasons: tuple[str, ...] = ()
+    reasons: tuple[Reason, ...] = ()
     for message in log.read(summary, start_ns=max(stamp_ns - lateness_ns, 0), end_ns=stamp_ns + lateness_ns + 1):
         if row := row_of(message, problems):
             reasons = row.reasons if row.stamp_ns == stamp_ns else reasons

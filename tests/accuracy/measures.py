@@ -93,7 +93,7 @@ def absent_without_reason(frames):
     """(N,) bool for absent boundaries: their frame has no reason of the lane stage."""
     statuses = [frames[f"lane_{side}_status"].is_in(["measured", "held"]) for side in SIDES]
     there = sum(found.fill_null(value=False).to_numpy().astype(int) for found in statuses)
-    silent = [not any(text.startswith("lanes") for text in reasons) for reasons in frames["reasons"].to_list()]
+    silent = [not any(code.startswith("lanes.") for code in codes) for codes in frames["reason_codes"].to_list()]
     return np.repeat(np.array(silent, bool), len(SIDES) - there)
 
 

@@ -23,7 +23,7 @@ def lanes(statuses, errors_m, changes):
         {
             "stamp_ns": [k * STEP_NS for k in range(n)],
             "true_lane_changes": changes,
-            "reasons": [[]] * n,
+            "reason_codes": [[]] * n,
             "lane_left_status": statuses,
             "lane_right_status": ["measured"] * n,
             **{f"lane_{side}_offset_m": values for side, values in offsets.items()},
@@ -32,7 +32,7 @@ def lanes(statuses, errors_m, changes):
             "lane_left_true_offset_m": [1.75] * n,
             "lane_right_true_offset_m": [-1.75] * n,
         },
-        schema_overrides={"reasons": pl.List(pl.String), "true_lane_changes": pl.Int64},
+        schema_overrides={"reason_codes": pl.List(pl.String), "true_lane_changes": pl.Int64},
     )
 
 
@@ -75,8 +75,8 @@ def test_lanes_of_wrong_width_or_beside_the_car_are_implausible():
 
 def test_an_absent_boundary_needs_a_reason_of_the_lane_stage():
     frames = lanes(["lost", "held", None, "measured"], [0.0] * 4, [0] * 4)
-    reasons = [["lanes left: too few edges"], [], ["stereo: no right image"], []]
-    assert measures.absent_without_reason(frames.with_columns(reasons=pl.Series(reasons))).tolist() == [False, True]
+    codes = [["lanes.boundary_lost"], [], ["stereo.no_right_image"], []]
+    assert measures.absent_without_reason(frames.with_columns(reason_codes=pl.Series(codes))).tolist() == [False, True]
 
 
 def test_rows_of_one_object_are_not_independent():

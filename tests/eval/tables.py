@@ -3,11 +3,12 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import polars as pl
 import pytest
 
 from roadperc_stream.eval.runs import Run, find_runs
-from roadperc_stream.output.tables import TableWriter
-from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
+from roadperc_stream.output.tables import TableWriter, arrow_schema
+from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics, ObjectMetrics
 
 STEP_NS = 50_000_000
 START_NS = 1_577_836_800_000_000_000
@@ -56,3 +57,10 @@ def outcome(main: Callable[[list[str]], int], capsys, *arguments) -> tuple[int, 
     code = main([str(argument) for argument in arguments])
     captured = capsys.readouterr()
     return code, captured.out, captured.err
+
+
+def object_rows(columns):
+    """A table of objects with some columns; the others are null."""
+    known = pl.DataFrame(arrow_schema(ObjectMetrics).empty_table()).schema
+    others = [pl.lit(None, kind).alias(name) for name, kind in known.items() if name not in columns]
+    return pl.DataFrame(columns).with_columns(others)

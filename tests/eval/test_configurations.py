@@ -1,15 +1,13 @@
-"""The settings of a run, from its table or the files beside it, and the settings that differ."""
+"""The settings of a run, from its table, and the settings that differ."""
 
 import hashlib
 from pathlib import Path
 
 import pytest
 
-from roadperc_stream.config import ReplayConfig, load_config
+from roadperc_stream.config import load_config
 from roadperc_stream.eval.configurations import change, differing, grouped, settings_of, settings_table
-from roadperc_stream.eval.runs import Run, find_runs
-from roadperc_stream.log import Attachment, LogWriter
-from tests.eval.tables import row, write
+from roadperc_stream.eval.runs import Run
 
 SLOW = load_config(settings=("lanes.hold_s=2",)).to_toml()
 
@@ -21,30 +19,6 @@ def digest(toml):
 def run(name="a", toml="", version="1", made_by=None):
     made_by = digest(toml) if made_by is None else made_by
     return Run(name, Path(f"/nowhere/{name}.metrics.parquet"), 1, frozenset(), made_by, version, toml)
-
-
-def log_of(folder, toml):
-    with LogWriter(folder / "a.mcap") as writer:
-        writer.attach(Attachment("roadperc.toml", "application/toml", toml.encode()))
-
-
-@pytest.mark.parametrize(
-    ("put_beside", "hold_s"),
-    [
-        (lambda _folder: None, None),
-        (lambda folder: log_of(folder, SLOW), 2.0),
-        (lambda folder: (folder / "roadperc.toml").write_text(SLOW), 2.0),
-        (lambda folder: log_of(folder, ReplayConfig().to_toml()), None),
-        (lambda folder: (folder / "a.mcap").write_bytes(b"not an mcap"), None),
-    ],
-    ids=["nothing", "its log", "its sweep's file", "a log of another configuration", "a damaged log"],
-)
-def test_settings_of_an_older_table_come_from_the_file_beside_it(tmp_path, put_beside, hold_s):
-    write(tmp_path / "a.metrics.parquet", [row(0)], config=digest(SLOW))
-    (found,) = find_runs([str(tmp_path / "a.metrics.parquet")])
-    put_beside(tmp_path)
-    settings = settings_of(found)
-    assert (settings and settings["lanes.hold_s"]) == hold_s
 
 
 def test_invalid_toml_gives_no_settings():
@@ -74,7 +48,7 @@ def test_the_table_has_a_row_for_each_setting_and_names_unknown_configurations()
     table = settings_table(runs)
     assert [(item.label, item.cells) for item in table.rows] == [("seed", (("1",), ("2",), ("unknown",)))]
     assert table.subjects == ("a", "b", "c")
-    assert table.notes == ("unknown: no configuration in the table or in a log beside it: c",)
+    assert table.notes == ("unknown: no configuration in the table: c",)
 
 
 def test_one_configuration_gives_no_table_and_two_versions_give_a_note():
@@ -83,7 +57,7 @@ def test_one_configuration_gives_no_table_and_two_versions_give_a_note():
     assert settings_table({"a": one, "b": other}).notes == ("none: the versions differ",)
 
 
-UNKNOWN_CONFIGURATION = "unknown, because a run has no configuration in its table or in a log beside it"
+UNKNOWN_CONFIGURATION = "unknown, because a run has no configuration in its table"
 
 
 @pytest.mark.parametrize(

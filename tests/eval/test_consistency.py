@@ -14,7 +14,7 @@ from roadperc_stream.eval.consistency import (
     consistency_of_run,
     object_numbers,
 )
-from tests.eval.tables import row, run_of, write
+from tests.eval.tables import object_rows, row, run_of, write
 
 
 def of(*normalised):
@@ -32,7 +32,7 @@ def frames(path, errors_m, stds_m):
 def objects(path, **columns):
     """The table of detections beside a table of frames."""
     target = path.with_name(path.name.replace("metrics", "objects"))
-    pl.DataFrame(columns).write_parquet(target)
+    object_rows(columns).write_parquet(target)
     return target
 
 
@@ -149,7 +149,7 @@ def test_damaged_detections_are_an_error_that_names_them(tmp_path, capsys):
 
 def test_extreme_numbers_in_a_table_are_clipped(tmp_path, recwarn):
     path = frames(tmp_path / "drive.metrics.parquet", [1e99, 0.1, -0.1], [1e-300, 0.1, np.nan])
-    objects(path, kept=[1, 0], distance_m=[1e308, 1.0], true_distance_m=[-1e308, 1.0], distance_std_m=[1.0, 1.0])
+    objects(path, kept=[True, False], distance_m=[1e308, 1.0], true_distance_m=[-1e308, 1.0], distance_std_m=[1.0, 1.0])
     found = only_run(path)
     assert list(found) == ["step_m"]
     assert found["step_m"].nees == pytest.approx(5e11)

@@ -31,7 +31,12 @@ def dataset(tmp_path):
     folder = tmp_path / "data set"
     for number, times_s in TIMES_S.items():
         rows = [
-            row(k, log_id(number), time_to_impact_s=times_s.get(k), lane_change="none" if k == 40 else "left")
+            row(
+                *(k, log_id(number)),
+                time_to_impact_s=times_s.get(k),
+                lane_change="none" if k == 40 else "left",
+                reason_codes=("stereo.no_right_image", *["surface.plane_held"] * (k == 7)),
+            )
             for k in range(50)
         ]
         add_table(folder, rows)
@@ -90,6 +95,7 @@ def test_frames_that_are_close_form_an_event(options, expected, dataset, capsys,
         ("objects.distance_m < 3.5 or frame = 49", [("drive1", 4, 4, 3.0), ("drive1", 49, 49, None), LAST]),
         ("objects.distance_m is null and frame < 5 and log_id = '0000000000000001'", [("drive1", 0, 2, None)]),
         ("lane_change = 'objects.label'", []),
+        ("array_contains(reason_codes, 'surface.plane_held')", [("drive1", 7, 7, None), ("drive2", 7, 7, None)]),
     ],
 )
 def test_conditions_on_objects_join_by_log_and_frame(condition, expected, dataset, capsys, tmp_path):

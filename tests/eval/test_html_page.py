@@ -112,17 +112,6 @@ def test_any_table_gives_a_page(tmp_path, frames, columns):
     assert ("No verdict, because no frame has truth" in page.text) == ("stereo_epe_px" not in columns)
 
 
-def test_a_table_of_an_older_version_gives_a_page(tmp_path):
-    required = pl.DataFrame(
-        {"log_id": ["a"], "frame": [0], "stamp_ns": [1], "missing": [["depth"]], "reasons": [["no depth"]]},
-        schema_overrides={"missing": pl.List(pl.String)},
-    ).with_columns(total_ms=pl.lit(3.0))
-    required.write_parquet(tmp_path / "old.metrics.parquet")
-    page, _ = report(tmp_path, tmp_path / "old.metrics.parquet")
-    assert "not named" in page.text
-    assert "depth 100.0 %" in page.text
-
-
 def test_two_runs_start_with_the_verdict_and_the_worst_frame_and_its_command(tmp_path):
     paths = [tmp_path / name / "a.metrics.parquet" for name in ("base", "slow")]
     for error, settings, path in zip((0.1, 2.0), ((), ("lanes.hold_s=2",)), paths, strict=True):

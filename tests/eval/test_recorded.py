@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from roadperc_stream.model import Reason
 from tests.eval.dataset.datasets import small_dataset
 from tests.eval.tables import row, write
 from tests.eval.trajectories.paths import helix, noisy, rigid, scaled, write_run
@@ -51,7 +52,7 @@ def drive(path, seed):
             "true_x_m": 0.5 * k,
             "true_y_m": 0.0,
             "missing": ["depth"] if not k % 7 else [],
-            "reasons": ["surface: no depth"] if not k % 7 else [],
+            "reasons": [Reason("surface", "no_depth")] if not k % 7 else [],
         }
         rows.append(row(k, **columns))
         times.append({"total_ms": 40.0 + random.exponential(5.0), "lanes_ms": 8.0 + random.exponential(1.0)})

@@ -60,7 +60,7 @@ def test_arguments_without_tables_are_errors(tmp_path, argument, message):
 def test_a_parquet_file_of_detections_is_an_error(tmp_path):
     path = tmp_path / "out.objects.parquet"
     pq.write_table(pa.table({"log_id": ["a"], "frame": [0], "stamp_ns": [1], "label": ["Car"]}), path)
-    with pytest.raises(TableError, match=r"no column missing, reasons, total_ms; .* in out\.metrics\.parquet"):
+    with pytest.raises(TableError, match=r"no column surface_inlier_ratio; .* in out\.metrics\.parquet"):
         find_runs([str(path)])
 
 

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import polars as pl
 import pytest
 
 from roadperc_stream.cli.report import main as report_main
@@ -70,14 +69,6 @@ def test_the_time_of_worst_frames_continues_across_segments(tmp_path):
     places = [(f.frame, f.segment, pytest.approx(f.since_start_s)) for f in found]
     assert places == [(1, 0, 0.05), (4, 1, 0.15)]
     assert found[0].stamp_ns == found[1].stamp_ns
-
-
-def test_a_table_without_the_column_is_one_segment(tmp_path):
-    path = write(tmp_path / "old.metrics.parquet", drive())
-    pl.read_parquet(path).drop("segment").write_parquet(path)
-    found = summarise_run(run_of(path), 3)
-    assert (found.segments, found.span_s) == (1, pytest.approx(0.05 * (FRAMES - 1)))
-    assert load_series(run_of(path), ["lane_left_offset_m"]).segments.tolist() == [0] * FRAMES
 
 
 def test_the_report_counts_segments_and_curves_are_interrupted_between_them(looped, capsys):

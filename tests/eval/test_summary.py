@@ -84,14 +84,6 @@ def test_worst_frames_without_a_lane(tmp_path):
     assert [(frame.frame, frame.value) for frame in worst] == [(2, 2.0), (1, 1.0)]
 
 
-def test_table_of_an_older_version_lacks_columns(tmp_path):
-    path = write(tmp_path / "old.metrics.parquet", [row(0, camera_height_m=1.5), row(1)])
-    pl.read_parquet(path).drop("lane_left_status", "stereo_ms", "drivable_iou").write_parquet(path)
-    found = summarise_run(run_of(path), 1)
-    assert (found.coverage("camera_height_m"), found.coverage("drivable_iou")) == (0.5, 0.0)
-    assert (found.configs, found.versions) == (("",), ("",))
-
-
 def test_damaged_data_behind_a_whole_footer(tmp_path):
     path = write(tmp_path / "bad.metrics.parquet", [row(k, camera_height_m=k / 7) for k in range(500)])
     content = bytearray(path.read_bytes())

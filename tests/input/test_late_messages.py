@@ -81,11 +81,11 @@ def test_a_log_played_twice_has_two_segments(messages, tidy, tmp_path):
     found = rows(output)
     assert found["segment"].to_list() == [0] * FRAMES + [1] * FRAMES
     assert found["frame"].to_list() == list(range(2 * FRAMES))
-    changing = ["frame", "segment", "reasons"]
+    changing = ["frame", "segment", "reasons", "reason_codes"]
     assert found[FRAMES:].drop(changing).equals(rows(tidy).drop(changing))
-    first, *rest = found[FRAMES:]["reasons"].to_list()
-    assert [reason.partition(" from")[0] for reason in first] == ["time: went back"]
-    assert rest == rows(tidy)["reasons"].to_list()[1:]
+    first, *rest = found[FRAMES:]["reason_codes"].to_list()
+    assert first == ["time.time_went_back"]
+    assert rest == rows(tidy)["reason_codes"].to_list()[1:]
 
 
 def is_image(message, stamp_ns):

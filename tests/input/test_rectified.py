@@ -81,7 +81,7 @@ def results(path):
 
 
 def reasons_of(table):
-    return table["reasons"].explode().drop_nulls().to_list()
+    return table["reason_codes"].explode().drop_nulls().to_list()
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +94,7 @@ def test_a_lens_is_undone_before_the_chain(tmp_path, plain, camera):
     table, out = results(recorded(tmp_path / "in.mcap", camera))
     for column, tolerance in (("lane_left_offset_m", 0.03), ("lane_right_offset_m", 0.03), ("camera_height_m", 0.01)):
         np.testing.assert_allclose(table[column].to_list(), plain[column].to_list(), atol=tolerance)
-    assert not [reason for reason in reasons_of(table) if reason.startswith("image")]
+    assert not [reason for reason in reasons_of(table) if reason.startswith("image.")]
     frame = next(iter(rp.frames(out)))
     assert frame.input.camera == CAMERA
     (found,) = frame.input.detections
@@ -110,7 +110,7 @@ def test_a_lens_is_undone_before_the_chain(tmp_path, plain, camera):
 def test_a_lens_that_is_unknown_is_reported_and_its_image_used_as_it_is(tmp_path):
     unknown = replace(BARREL, lens=replace(LENS, model="division"))
     table, _ = results(recorded(tmp_path / "in.mcap", replace(CAMERA, distortion=(0.1,), lens=unknown.lens)))
-    assert reasons_of(table).count("image: its camera has distortion that cannot be undone; it is used as it is") == 4
+    assert reasons_of(table).count("image.not_rectified") == 4
 
 
 def test_pixels_outside_the_image_are_unknown(tmp_path):

@@ -6,93 +6,91 @@ from roadperc_stream.output.reason_counts import ReasonCount, grouped, merged, o
 from tests import logs
 
 FILLED = ("image", "calibration", "segmentation")
-TILTED = "surface: the points' plane is tilted by {} degrees, expected at most 30"
-SIZE = "image: 520x360 pixels, its calibration says 640x480"
+SIZE = Reason("image", "wrong_size", (520, 360, 640, 480))
+NO_TAGS = Reason("lanes", "no_segmentation")
 
 
-def found(*texts):
-    """The reasons of one frame from a table."""
-    return grouped(dict.fromkeys(texts, 1))
+def tilted(deg):
+    return Reason("surface", "plane_tilted", (deg, 30.0))
 
 
-def test_texts_that_differ_in_numbers_are_one_kind():
-    (count,) = grouped({TILTED.format(3): 1, TILTED.format(-12): 4}).values()
-    assert count == ReasonCount(TILTED.format(-12), 5, varies=True)
-    assert str(count) == f"{TILTED.format(-12)} (numbers vary)"
-    (count,) = merged([found(SIZE), found(SIZE)]).values()
-    assert (count, str(count)) == (ReasonCount(SIZE, 2), SIZE)
+def other(source, text="odd"):
+    return Reason(source, "other", (text,))
+
+
+def test_reasons_that_differ_in_numbers_are_one_kind():
+    (count,) = grouped([(tilted(3.0), 1), (tilted(-12.0), 4)]).values()
+    assert count == ReasonCount(tilted(-12.0), 5, varies=True)
+    assert str(count) == f"{tilted(-12.0)} (numbers vary)"
+    (count,) = merged([of_frame([SIZE]), of_frame([SIZE])]).values()
+    assert (count, str(count)) == (ReasonCount(SIZE, 2), str(SIZE))
 
 
 def test_a_varying_reason_stays_varying():
-    first, second = found(TILTED.format(1)), found(TILTED.format(2))
-    assert next(iter(merged([first, second, first]).values())) == ReasonCount(TILTED.format(1), 3, varies=True)
+    first, second = of_frame([tilted(1.0)]), of_frame([tilted(2.0)])
+    assert next(iter(merged([first, second, first]).values())) == ReasonCount(tilted(1.0), 3, varies=True)
     assert merged([merged([first, second, first]), first]) == merged([first, merged([first, second, first])])
 
 
-def test_reasons_read_back_from_text_are_equal():
-    reasons = (Reason("image", "wrong_size", (520, 360, 640, 480)), Reason("surface", "plane_tilted", (90.0, 30.0)))
-    assert of_frame(reasons) == found(SIZE, TILTED.format(90))
-
-
 def test_frequent_reasons_come_first_and_inputs_before_stages():
-    lanes, image, drivable = "lanes: no segmentation", SIZE, "drivable: neither depth nor segmentation"
-    whole = merged([found(lanes, image, drivable), found(lanes)])
-    assert [count.text for count in ranked(whole).values()] == [lanes, image, drivable]
+    drivable = Reason("drivable", "no_depth_no_segmentation")
+    whole = merged([of_frame([NO_TAGS, SIZE, drivable]), of_frame([NO_TAGS])])
+    assert [count.reason for count in ranked(whole).values()] == [NO_TAGS, SIZE, drivable]
 
 
 def test_missing_topics_and_disabled_stages_are_not_reported():
-    for text in (
-        "stereo: no right image",
-        "drivable: neither depth nor segmentation",
-        "objects: no detections",
-        "surface: no depth, the assumed height gives the plane",
-        "lanes: no drivable surface: neither depth nor segmentation",
-        "lanes: switched off",
-        "lanes: no surface: switched off",
+    no_road = Reason("drivable", "no_depth_no_segmentation")
+    for reason in (
+        Reason("stereo", "no_right_image"),
+        no_road,
+        Reason("objects", "no_detections"),
+        Reason("surface", "no_depth_plane_assumed", ("the assumed height",)),
+        Reason("lanes", "no_drivable_surface", cause=no_road),
+        Reason("lanes", "switched_off"),
+        Reason("lanes", "no_surface", cause=Reason("surface", "switched_off")),
     ):
-        assert throughout(found(text), 1, FILLED) == (), text
+        assert throughout(of_frame([reason]), 1, FILLED) == (), reason
 
 
 def test_only_reasons_of_all_frames_are_reported():
-    late = "depth: no message at this frame"
-    whole = merged([found(SIZE, late), found(SIZE)])
+    whole = merged([of_frame([SIZE, Reason("depth", "no_message")]), of_frame([SIZE])])
     assert throughout(whole, 2, FILLED) == (f"in all 2 frames: {SIZE}",)
-    assert throughout(found(SIZE), 1, FILLED) == (f"in the only frame: {SIZE}",)
+    assert throughout(of_frame([SIZE]), 1, FILLED) == (f"in the only frame: {SIZE}",)
 
 
 def test_unusable_messages_of_some_frames_are_reported():
-    whole = merged([found(SIZE), found(SIZE), found()])
+    whole = merged([of_frame([SIZE]), of_frame([SIZE]), {}])
     assert throughout(whole, 3, FILLED) == (f"in 2 of 3 frames: {SIZE}",)
-    assert throughout(merged([found("lanes: no segmentation"), found()]), 2, FILLED) == ()
+    assert throughout(merged([of_frame([NO_TAGS]), {}]), 2, FILLED) == ()
 
 
 def test_only_four_kinds_of_unusable_messages_are_listed():
-    texts = [SIZE.replace("image", role) for role in ("a", "b", "c", "d", "e", "f")]
-    notes = throughout(merged([found(*texts), found()]), 2, FILLED)
-    assert notes[:4] == tuple(f"in 1 of 2 frames: {text}" for text in texts[:4])
+    sizes = [Reason(role, SIZE.code, SIZE.values) for role in "abcdef"]
+    notes = throughout(merged([of_frame(sizes), {}]), 2, FILLED)
+    assert notes[:4] == tuple(f"in 1 of 2 frames: {size}" for size in sizes[:4])
     assert notes[4:] == ("2 more kinds of messages that cannot be used, which roadperc-report lists",)
 
 
 def test_a_missing_input_with_a_topic_is_reported():
-    assert throughout(found("lanes: no segmentation"), 1, FILLED) == ("in the only frame: lanes: no segmentation",)
+    assert throughout(of_frame([NO_TAGS]), 1, FILLED) == (f"in the only frame: {NO_TAGS}",)
 
 
 def test_consequences_of_a_reason_are_not_reported():
-    why = "no plane fits three road points"
+    why = Reason("surface", "plane_without_points")
+    drivable = Reason("drivable", "no_surface", cause=why)
     later = (
-        f"drivable: no surface: {why}",
-        f"lanes: no surface: {why}",
-        f"occupancy: no drivable surface: no surface: {why}",
+        drivable,
+        Reason("lanes", "no_surface", cause=why),
+        Reason("occupancy", "no_drivable_surface", cause=drivable),
     )
-    assert throughout(found(f"surface: {why}", *later), 1, FILLED) == (f"in the only frame: surface: {why}",)
+    assert throughout(of_frame([why, *later]), 1, FILLED) == (f"in the only frame: {why}",)
 
 
 def test_only_four_reasons_are_listed():
-    notes = throughout(found(*(f"lidar: {letter}" for letter in "abcdef")), 1, FILLED)
+    notes = throughout(of_frame(other("lidar", letter) for letter in "abcdef"), 1, FILLED)
     assert [note.partition(": ")[2] for note in notes[:4]] == [f"lidar: {letter}" for letter in "abcd"]
     assert notes[4:] == ("in the only frame: 2 more reasons, which roadperc-report lists",)
-    assert throughout(found(*(f"lidar: {letter}" for letter in "abcd")), 1, FILLED) == notes[:4]
-    (*_, last) = throughout(found(*(f"lidar: {letter}" for letter in "abcde")), 1, FILLED)
+    (*_, last) = throughout(of_frame(other("lidar", letter) for letter in "abcde"), 1, FILLED)
     assert last == "in the only frame: 1 more reason, which roadperc-report lists"
 
 

@@ -28,5 +28,5 @@ def test_a_lost_frame_has_a_state_with_a_reason_and_no_pose(status):
     written = dict(result_messages(sample, result, row, (), (np.eye(4),)))
     assert POSES & set(written) == (set() if status == "lost" else POSES)
     state = pb.Odometry.FromString(written["/perception/odometry/state"])
-    assert (state.status, state.reason) == (pb.Odometry.Status.Value(status.upper()), "no image" if reason else "")
-    assert ("odometry: lost, no image" in row.reasons) == (status == "lost")
+    assert (state.status, state.reason.code) == (pb.Odometry.Status.Value(status.upper()), "no_image" if reason else "")
+    assert ("odometry.lost" in row.reason_codes) == (status == "lost")

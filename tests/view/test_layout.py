@@ -16,6 +16,7 @@ from roadperc_stream.errors import ChannelError, TargetError
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.schemas import roadperc_pb2
 from roadperc_stream.schemas.columns import TIME_COLUMNS
+from roadperc_stream.schemas.protobuf import MESSAGE_TYPES
 from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.schemas.topics import LIVE_ONLY, METRICS_TOPIC, ON_REQUEST, RESULTS, TIMES_TOPIC, result_schemas
 from roadperc_stream.view.layout.arrangement import layout_of, write_layout
@@ -163,7 +164,7 @@ def paths_of(layout):
 def test_plotted_paths_are_fields_of_their_messages():
     for path in paths_of(laid_out(EVERYTHING)):
         topic, _, name = path.partition(".")
-        descriptor = roadperc_pb2.DESCRIPTOR.message_types_by_name[SCHEMAS[topic].removeprefix("roadperc.")]
+        descriptor = MESSAGE_TYPES[SCHEMAS[topic]].DESCRIPTOR
         assert name in descriptor.fields_by_name, path
 
 

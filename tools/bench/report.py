@@ -15,6 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from roadperc_stream.cli.plumbing import run, whole_number
+from roadperc_stream.model import Reason
 from roadperc_stream.output.tables import FACT_PREFIX, ROW_GROUP_ROWS, TableWriter, arrow_schema
 from roadperc_stream.output.terminal import console_for, frame_progress, print_table
 from roadperc_stream.output.text_table import TextTable, row
@@ -27,6 +28,7 @@ _COLUMNS: Final = (*(name for name, column in columns_of(FrameMetrics).items() i
 """The columns in a report."""
 _FACTS: Final = {f"{FACT_PREFIX}{key}": "bench" for key in ("config_digest", "version", "log")}
 _CONFIGS: Final = ("00000000", "11111111")
+_NO_DEPTH: Final = Reason("surface", "no_depth")
 _STATES: Final = np.array(["measured", "held", "lost"])
 _REPORT: Final = "import sys; from roadperc_stream.cli.report import main; sys.exit(main(sys.argv[1:]))"
 _GROUP_BY: Final = "import sys; from roadperc_stream.tools.bench.report import group_by; group_by(sys.argv[1])"
@@ -107,7 +109,8 @@ def _values(field: pa.Field, rng: np.random.Generator, rows: int) -> pa.Array:
     """Return random values, which do not compress, like real ones."""
     null = rng.random(rows) < 0.1 if field.nullable and field.name not in TIME_COLUMNS else None
     if pa.types.is_list(field.type):
-        value = "depth" if pa.types.is_string(field.type.value_type) else 9.0
+        kind = field.type.value_type
+        value = _NO_DEPTH.stored if pa.types.is_struct(kind) else "depth" if pa.types.is_string(kind) else 9.0
         return pa.array([(value,) if lacks else () for lacks in rng.random(rows) < 0.02], type=field.type)
     if pa.types.is_string(field.type):
         return pa.array(_STATES[rng.choice(3, rows, p=(0.9, 0.08, 0.02))], mask=null)

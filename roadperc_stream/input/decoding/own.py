@@ -10,7 +10,7 @@ from roadperc_stream.errors import DecodeError
 from roadperc_stream.geometry import Float, Plane
 from roadperc_stream.input.decoding.payload import Context, Stamped, require_count
 from roadperc_stream.model.results import BoundaryStatus, LaneChange, ObjectStatus
-from roadperc_stream.schemas.protobuf import optional, require_finite, stamp_ns
+from roadperc_stream.schemas.protobuf import optional, reason_in, require_finite, stamp_ns
 from roadperc_stream.schemas.roadperc_pb2 import Detections as DetectionsProto
 from roadperc_stream.schemas.roadperc_pb2 import Lanes as LanesProto
 from roadperc_stream.schemas.roadperc_pb2 import Objects as ObjectsProto
@@ -100,7 +100,7 @@ def _boundary(message: Any) -> model.Boundary:
         outside=message.outside,
         line_ego_m=line_ego_m,
         line_px=line_px,
-        reason=model.parse_reason(message.reason) if message.reason else None,
+        reason=reason_in(message.reason) if message.HasField("reason") else None,
     )
 
 

@@ -6,4 +6,11 @@ the same fields.
 """
 
 from roadperc_stream.schemas.columns.column import COUNT, RATIO, UNITLESS, Column, columns_of, row_of
-from roadperc_stream.schemas.columns.frame import TIME_COLUMNS, FrameKey, FrameMetrics, InputColumns, ObjectMetrics
+from roadperc_stream.schemas.columns.frame import (
+    TIME_COLUMNS,
+    FrameKey,
+    FrameMetrics,
+    InputColumns,
+    ObjectMetrics,
+    cells,
+)

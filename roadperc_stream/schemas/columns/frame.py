@@ -1,8 +1,9 @@
 """The rows of a frame and of a detection: groups of columns, ordered from the last base class to the first."""
 
 from dataclasses import dataclass
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
+from roadperc_stream.model.reason import Reason
 from roadperc_stream.schemas.columns import errors, estimates
 from roadperc_stream.schemas.columns.column import RATIO, Column
 
@@ -43,7 +44,13 @@ class InputColumns:
         ),
     ] = None
     missing: Annotated[tuple[str, ...], Column("roles of the log without a message for the frame")] = ()
-    reasons: Annotated[tuple[str, ...], Column("why an output is missing or incomplete")] = ()
+    reasons: Annotated[
+        tuple[Reason, ...],
+        Column("why an output is missing or incomplete: structs of `source`, `code`, `values` and `cause`"),
+    ] = ()
+    reason_codes: Annotated[
+        tuple[str, ...], Column("source and code of each reason, for conditions, as `lanes.no_surface`")
+    ] = ()
 
 
 @dataclass(frozen=True)
@@ -67,6 +74,12 @@ class FrameMetrics(
     FrameKey,
 ):
     """The row of a frame without its times."""
+
+
+def cells(row: Any) -> dict[str, Any]:
+    """Return the values of a row by column, as tables and messages store them."""
+    values: dict[str, Any] = vars(row)
+    return values | {"reasons": [reason.stored for reason in values["reasons"]]} if "reasons" in values else values
 
 
 _NOT_TRACKED = "too few distances, or contradicting ones"

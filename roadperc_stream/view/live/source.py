@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 from google.protobuf.message import DecodeError as ProtobufError
 
@@ -11,7 +11,7 @@ from roadperc_stream.errors import LogError
 from roadperc_stream.input.earlier_replay import is_result_of
 from roadperc_stream.log import Channel, GrowingLog, LogSummary, Message
 from roadperc_stream.output.results import result_channel
-from roadperc_stream.schemas import roadperc_pb2 as pb
+from roadperc_stream.schemas.row_messages import FrameMetrics, StageTimes
 from roadperc_stream.schemas.topics import LIVE_ONLY, METRICS_TOPIC, TIMES_TOPIC
 from roadperc_stream.system.time import NS_PER_S
 from roadperc_stream.view.result_frames import TimesOfFrame
@@ -151,7 +151,7 @@ def _times_of(message: Message | None, channel: Channel, times: TimesOfFrame) ->
     times_ms = times(frame.log_id, frame.frame) if frame else {}
     if message is None or frame is None or not times_ms:
         return []
-    content = pb.StageTimes(timestamp=frame.timestamp, frame_id=frame.frame_id, **times_ms)
+    content = StageTimes(timestamp=frame.timestamp, frame_id=frame.frame_id, **times_ms)
     return [replace(message, channel=channel, data=content.SerializeToString())]
 
 
@@ -159,9 +159,9 @@ def _is_metrics(message: Message | None) -> bool:
     return message is not None and is_result_of(message.channel, METRICS_TOPIC)
 
 
-def _frame_of(message: Message | None) -> pb.FrameMetrics | None:
+def _frame_of(message: Message | None) -> Any:
     """The metrics in a message; None for other messages and damaged ones."""
     try:
-        return pb.FrameMetrics.FromString(message.data) if message and _is_metrics(message) else None
+        return FrameMetrics.FromString(message.data) if message and _is_metrics(message) else None
     except ProtobufError:
         return None

@@ -20,8 +20,8 @@ from roadperc_stream.log import Channel, Message
 from roadperc_stream.model.tag_tables import TagTable
 from roadperc_stream.output.results import DRIVABLE_COLOURS
 from roadperc_stream.schemas import cdr, ros2, topics
-from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics
 from roadperc_stream.schemas.roles import Kind
+from roadperc_stream.schemas.row_messages import FrameMetrics
 from roadperc_stream.view.rerun import overlays, pictures, scene
 from roadperc_stream.view.rerun.tree import Entry, SceneState
 from roadperc_stream.view.result_frames import TimesOfFrame

@@ -21,7 +21,7 @@ from roadperc_stream.input.stream import Problems, RoleAssignment
 from roadperc_stream.log import LogSummary, Message
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas import topics
-from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics
+from roadperc_stream.schemas.row_messages import FrameMetrics
 from roadperc_stream.schemas.topics import METRICS_TOPIC, RESULTS
 from roadperc_stream.system.files import completing, require_free
 from roadperc_stream.system.progress import no_progress

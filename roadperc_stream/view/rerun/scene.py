@@ -11,7 +11,7 @@ from roadperc_stream.geometry import mounting
 from roadperc_stream.model import EGO, PointCloud, Surface, Transform
 from roadperc_stream.output.drawing import colours
 from roadperc_stream.output.drawing.annotations import patch_triangles, road_patch
-from roadperc_stream.schemas.protobuf import require_finite
+from roadperc_stream.schemas.protobuf import reason_in, require_finite
 from roadperc_stream.view.rerun.tree import Entry, SceneState, edge_entry, known_as, new_edges, of_odometry
 
 _ROAD: Final = (*colours.DRIVABLE, 70)
@@ -104,7 +104,7 @@ def metrics(entity: str, message: Any, state: SceneState) -> Iterator[Entry]:
         if text or state.texts.get(name):  # an empty text ends the previous state
             yield Entry(f"{entity}/{name}", rr.StateChange(state=text))
         state.texts[name] = text
-    reasons = "; ".join(message.reasons)
+    reasons = "; ".join(str(reason_in(reason)) for reason in message.reasons)
     if reasons != state.texts.get("reasons", ""):
         line = rr.TextLog(reasons, level="WARN") if reasons else rr.TextLog("nothing is missing now", level="INFO")
         yield Entry(f"{entity}/reasons", line)

@@ -131,16 +131,6 @@ def test_compacted_tables_give_the_same_report(dataset, monkeypatch, capsys):
     assert report(capsys, dataset) == (0, before, "")
 
 
-def test_columns_that_an_older_version_lacks_are_null(dataset):
-    (path, *_) = sorted(dataset.glob(f"metrics/*/*-{A}.parquet"))
-    table = pl.read_parquet(path, hive_partitioning=False)
-    table.drop("lane_left_error_m", "segment").with_columns(new=pl.lit(1)).write_parquet(path)
-    first, second = summaries(dataset, "config")
-    assert first.frames == second.frames == 10
-    assert first.statistics["lane_left_error_m"].values == 6
-    assert second.statistics["lane_left_error_m"].values == 9
-
-
 def test_a_column_that_only_the_newest_version_has_groups(dataset):
     *_, path = sorted(dataset.glob("metrics/*/*.parquet"))
     pl.read_parquet(path, hive_partitioning=False).with_columns(weather=pl.lit("rain")).write_parquet(path)
@@ -249,7 +239,7 @@ ROWS_WITHOUT = f"{log_id(1)}-{B}.parquet: is not a metrics table of a batch: it 
         *((partial(without_column, column=name), ROWS_WITHOUT) for name in ("log_id", "config", "stamp_ns", "frame")),
         (damaged, f"{log_id(2)}-{B}.parquet"),
         (of_single_replays, "it has no column config"),
-        (with_another_list, "runs.parquet: is not a list of runs: it has no column path"),
+        (with_another_list, "runs.parquet: is not a list of runs of this version: it has no column log_id"),
         (with_logs_that_are_gone, "error: no log to report"),
     ],
 )

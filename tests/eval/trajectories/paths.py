@@ -4,6 +4,7 @@ import numpy as np
 import polars as pl
 from scipy.spatial.transform import Rotation
 
+from roadperc_stream.eval.runs import written_columns
 from tests.eval.tables import START_NS, STEP_NS
 
 
@@ -64,6 +65,7 @@ def write_run(path, estimated, true=None, **others):
         "log_id": ["a" * 16] * frames,
         "frame": range(frames),
         "stamp_ns": [START_NS + k * STEP_NS + 123_456_789 for k in range(frames)],
+        "segment": [0] * frames,
         "missing": [[]] * frames,
         "reasons": [[]] * frames,
         "total_ms": [10.0] * frames,
@@ -74,5 +76,7 @@ def write_run(path, estimated, true=None, **others):
         **(columns("true", true) if true is not None else {}),
         **others,
     }
-    pl.DataFrame(table, strict=False).write_parquet(path)
+    found = pl.DataFrame(table, strict=False)
+    others = [pl.lit(None, kind).alias(name) for name, kind in written_columns().items() if name not in table]
+    found.with_columns(others).write_parquet(path)
     return path

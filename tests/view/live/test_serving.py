@@ -23,7 +23,7 @@ from roadperc_stream.errors import LogError
 from roadperc_stream.log import Channel, LogWriter, Message
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.columns import TIME_COLUMNS
-from roadperc_stream.schemas.roadperc_pb2 import StageTimes
+from roadperc_stream.schemas.row_messages import StageTimes
 from roadperc_stream.schemas.topics import RESULTS, TIMES_TOPIC
 from roadperc_stream.view.live import PlaybackOptions
 from roadperc_stream.view.live import serving as live_serving

@@ -5,10 +5,10 @@ import pytest
 from roadperc_stream import log
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import Channel, LogWriter, Message
-from roadperc_stream.schemas import roadperc_pb2 as pb
+from roadperc_stream.output.results import result_channel
+from roadperc_stream.schemas import row_messages as pb
 from roadperc_stream.schemas.columns import FrameMetrics
 from roadperc_stream.schemas.protobuf import schema
-from roadperc_stream.schemas.record import PRODUCER
 from roadperc_stream.schemas.topics import LIVE_ONLY, RESULTS, TIMES_TOPIC
 from roadperc_stream.view.live.source import Reach, Source, finished_log, has_times, held, running_replay, with_times
 from roadperc_stream.view.result_frames import ReplayTimes
@@ -143,7 +143,7 @@ def test_a_log_without_messages_cannot_be_played(tmp_path):
 
 
 IMAGE, LINE = Channel("/image", "raw"), Channel("/perception/log", "raw")
-METRICS = Channel("/perception/metrics", "protobuf", "roadperc.FrameMetrics", metadata=(PRODUCER,))
+METRICS = result_channel("/perception/metrics", "roadperc.FrameMetrics")
 
 
 def metrics(frame, channel=METRICS):
