@@ -37,7 +37,7 @@ def replay(
         source: the log to read, and the part to replay.
         target: the log to write, and its content.
         cfg: the chain's configuration.
-        options: state at the start, checkpoints, and threads.
+        options: how to begin, checkpoints, threads, and stages of the user's own.
         callbacks: called during the replay.
 
     Raises:
@@ -125,7 +125,8 @@ class _Frames:
             with timer("metrics"):
                 row = frame_metrics(self._cfg, self._input.log_id, sample, result, self._earlier)
                 objects = object_metrics(self._input.log_id, sample, result)
-                output = FrameOutput((), row, {}, tuple(objects), evidence_of(self._cfg, sample.frame, result))
+                evidence = evidence_of(self._cfg, sample.frame, result)
+                output = FrameOutput(messages=(), row=row, times_ms={}, objects=tuple(objects), evidence=evidence)
             self._checkpoints.keep(self._outputs.write(sample, result, output, timer))
         self._earlier = sample.as_earlier
         self._done(sample, ReplayState(chain, self._earlier, self._outputs.shown))

@@ -47,7 +47,7 @@ if TYPE_CHECKING:  # the built-in stages have the signatures that stages of the 
 class State:
     """What the chain keeps between frames; bytes are the encoded state of a stage of the user's own.
 
-    ``pitch`` is the camera's pitch in the last frame against a road without depth; None with depth, or if unknown.
+    ``pitch`` is that of the front camera in the last frame, known from motion or lanes; None with depth, or if unknown.
     """
 
     stamp_ns: int | None = None
@@ -73,46 +73,46 @@ def step(
     last, out_of_order = _in_order(state, frame.stamp_ns)
     rng = np.random.default_rng((cfg.seed, frame.stamp_ns % 2**63))
 
-    # Surface: the road that the frame's depth shows, or that of the mounting. Odometry takes its scale from it.
-    surfaces, found = stages.step("surface", find_surface, last.surface, frame, rng)
+    # Surface: the road that the frame's depth shows, in the frame of its camera, or that of the mounting.
+    surface_state, found = stages.step("surface", find_surface, last.surface, frame, rng)
     is_built_in = cfg.surface.enabled and "surface" not in own
     seen = or_assumed(frame, found) if is_built_in else found
 
-    # Odometry: not of an image that repeats while the car moves.
+    # Odometry, with its scale from the road: not of an image that repeats while the car moves.
     repeats = last.repeats
     if cfg.odometry.enabled:
         with timer("odometry"):
             repeats = repeats.after(frame)
     known_road = _with_known_height(frame, _in_front_camera(frame, seen))
-    odometry, motion = (
+    odometry_state, motion = (
         (last.odometry, FROZEN)
         if repeats.is_frozen
         else stages.step("odometry", ego_motion.step, last.odometry, frame, known_road, rng)
     )
-    if frame.is_origin and last.stamp_ns is not None and not isinstance(odometry, bytes):
-        odometry, motion = _with_origin_here(odometry, motion)  # an own stage begins odom by itself
+    if frame.is_origin and last.stamp_ns is not None and not isinstance(odometry_state, bytes):
+        odometry_state, motion = _with_origin_here(odometry_state, motion)  # an own stage begins odom by itself
     metric = _metric_motion(motion, last.stamp_ns)
     last_T_this = None if metric is None else metric.step
 
-    # Pitch: without depth the motion or the lanes may show it. Then the road of this frame is known.
+    # Pitch: without depth the motion or the lanes may show it. Then the road is chosen: measured, held or assumed.
     pitch, road, held = None, found, tuple[Reason, ...]()
-    if is_built_in and isinstance(surfaces, SurfaceState):
+    if is_built_in and isinstance(surface_state, SurfaceState):
         with timer("surface"):
-            pitch = known_pitch(cfg, surfaces, odometry, frame, last.stamp_ns)
-            surfaces, road, held = remember(cfg.surface, surfaces, frame, found, last_T_this, pitch)
+            pitch = known_pitch(cfg, surface_state, odometry_state, frame, last.stamp_ns)
+            surface_state, road, held = remember(cfg.surface, surface_state, frame, found, last_T_this, pitch)
     front_road = _in_front_camera(frame, road)
     drivable = stages.run("surface", lambda: drivable_mask(cfg.surface, frame, front_road), off("drivable"))
 
     # Lanes: after a turn of the road's plane their headings do not fit it.
-    lanes = last.lanes
-    if _on_other_plane(road, last.pitch, pitch) and isinstance(lanes, LanesState):
-        lanes = LanesState(lane_changes=lanes.lane_changes)
-    lanes, found_lanes = stages.step("lanes", ego_lane.step, lanes, frame, front_road, drivable, metric)
+    lanes_state = last.lanes
+    if _on_other_plane(road, last.pitch, pitch) and isinstance(lanes_state, LanesState):
+        lanes_state = LanesState(lane_changes=lanes_state.lane_changes)
+    lanes_state, found_lanes = stages.step("lanes", ego_lane.step, lanes_state, frame, front_road, drivable, metric)
 
     # Objects, with distances from depth, else from the road.
-    ego_lane_here = None if isinstance(found_lanes, Absent) else found_lanes
+    lane = None if isinstance(found_lanes, Absent) else found_lanes
     ground = _ground(cfg, frame, front_road, pitch)
-    objects, tracked = stages.step("objects", tracker.step, last.objects, frame, ego_lane_here, last_T_this, ground)
+    objects_state, tracked = stages.step("objects", tracker.step, last.objects, frame, lane, last_T_this, ground)
 
     grid = stages.run(
         "occupancy", lambda: occupancy.build(cfg.occupancy, frame, front_road, drivable), off("occupancy")
@@ -131,7 +131,16 @@ def step(
         occupancy=grid,
         problems=(*out_of_order, *frame.problems, *held, *_odd_camera(frame), *missing),
     )
-    return State(frame.stamp_ns, surfaces, repeats, odometry, pitch, lanes, objects), result
+    state = State(
+        frame.stamp_ns,
+        surface=surface_state,
+        repeats=repeats,
+        odometry=odometry_state,
+        pitch=pitch,
+        lanes=lanes_state,
+        objects=objects_state,
+    )
+    return state, result
 
 
 def _in_order(state: State, stamp_ns: int) -> tuple[State, list[Reason]]:

@@ -136,7 +136,7 @@ class ReplayInput:
         self._begin()
         plan, lead = self.plan, self.plan.lead
         last = None if lead is None else lead.last
-        before_ns, number, own = (None, 0, 0) if last is None else (last.log_time_ns, last.number + 1, 0)
+        before_ns, number, new_frames = (None, 0, 0) if last is None else (last.log_time_ns, last.number + 1, 0)
         for found, segment in self._frames():
             paired = as_configured(found, plan.rig, self.cfg.labels)
             reference = reference_of(paired)
@@ -155,8 +155,8 @@ class ReplayInput:
             here = LastComplete(number, *times, segment, self._pairing.since_ns(found))
             complete = here if self._is_complete(found, here.since_ns) else None
             yield replace(sample, log_time_ns=log_time_ns, lost=lost, complete=complete)
-            before_ns, number, own = log_time_ns, number + 1, own + (not in_lead)
-            if own == plan.most_frames:
+            before_ns, number, new_frames = log_time_ns, number + 1, new_frames + (not in_lead)
+            if new_frames == plan.most_frames:
                 break
         if not self.frames and not plan.continues:
             topic = self.topics[plan.order.reference]
@@ -184,7 +184,7 @@ class ReplayInput:
         )
 
     def _is_complete(self, frame: Paired, since_ns: int) -> bool:
-        """Whether no later message can change a frame, and the copy has all messages that later frames may take."""
+        """Whether no later message can change a frame, and the output has all messages that later frames may take."""
         plan, reference = self.plan, reference_of(frame)
         is_copied = plan.lead is None or plan.continues or since_ns >= plan.lead.end_ns
         return is_copied and (reference.segment, reference.stamp_ns) < plan.first.settled
