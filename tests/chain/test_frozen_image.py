@@ -107,7 +107,7 @@ def test_a_note_names_the_frames_and_their_odometry_is_null(whole):
     found = rows([target], "metrics")
     assert [k for k, status in enumerate(found["odometry_status"]) if status is None] == list(range(9, 15))
     assert found[9:15].select("odom_x_m", "step_m", "turn_deg").null_count().row(0) == (6, 6, 6)
-    assert all(str(FROZEN.reason) in reasons for reasons in found["reasons"][9:15])
+    assert all("odometry.image_frozen" in codes for codes in found["reason_codes"][9:15])
 
 
 def test_continued_and_resumed_replays_know_that_the_image_repeats(frozen, whole, tmp_path):

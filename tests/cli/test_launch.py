@@ -289,15 +289,6 @@ def test_a_process_that_finds_no_memory_for_a_library_is_one_line():
     assert (ended.returncode, ended.stderr) == (1, expected)
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="the system does not limit address space")
-def test_a_note_is_printed_under_a_memory_limit(tmp_path):
-    (tmp_path / "old.toml").write_text("[lanes]\nfit_huber = 3.0\n")
-    options = ["--config", "old.toml", "--print-config"]
-    ended = run("roadperc-replay", *options, cwd=tmp_path, preexec_fn=limited(16000))
-    assert (ended.returncode, ended.stderr.count("\n")) == (0, 1)
-    assert ended.stderr.startswith("note: old.toml: 1 setting of an older version")
-
-
 @pytest.mark.promise("Start and end", "Under `ulimit -v` or `-d` a signal ends the command as usual")
 @pytest.mark.skipif(sys.platform != "linux", reason="the system does not limit address space")
 @pytest.mark.parametrize("number", SIGNALS)

@@ -8,7 +8,7 @@ import pytest
 import roadperc_stream as rp
 from roadperc_stream.errors import ChannelError, ConfigError
 from roadperc_stream.geometry import Camera
-from roadperc_stream.model import Absent, Box, Detection, Reason
+from roadperc_stream.model import Box, Detection
 from tests import logs
 
 CAMERA = Camera("camera", 64, 48, 40.0, 40.0, 31.5, 23.5)
@@ -39,12 +39,6 @@ def test_an_option_of_a_wrong_type_is_named(log, option, words):
 
 def test_numpy_integers_are_accepted(log):
     assert len(list(rp.frames(log, max_frames=np.int64(1)))) == 1
-
-
-def test_an_absent_output_accepts_a_format_specification():
-    absent = Absent(Reason("depth", "no_image"))
-    assert f"{absent:>40}" == str(absent).rjust(40)
-    assert f"{absent}" == str(absent)
 
 
 @pytest.mark.promise("Python", "A mounting that is not a rotation and a translation is refused")
