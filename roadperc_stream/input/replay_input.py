@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from itertools import chain
 from math import inf
 
@@ -110,7 +111,7 @@ class ReplayInput:
         """Topic of each role that the log has."""
         return self.plan.roles.topics
 
-    @property
+    @cached_property
     def expected_frames(self) -> int:
         """Number of messages of the reference role that are not left out; an unreadable one makes no frame."""
         first, lead = self.plan.first, self.plan.lead
@@ -151,9 +152,9 @@ class ReplayInput:
                 continue
             log_time_ns = max(before_ns or 0, reference.log_time_ns)
             lost = self._losses.reason(before_ns, self._until_ns(paired, before_ns, log_time_ns))
+            since_ns = self._since_ns(found)
             times = reference.stamp_ns, reference.log_time_ns, log_time_ns
-            here = LastComplete(number, *times, segment, self._pairing.since_ns(found))
-            complete = here if self._is_complete(found, here.since_ns) else None
+            complete = None if since_ns is None else LastComplete(number, *times, segment, since_ns)
             yield replace(sample, log_time_ns=log_time_ns, lost=lost, complete=complete)
             before_ns, number, new_frames = log_time_ns, number + 1, new_frames + (not in_lead)
             if new_frames == plan.most_frames:
@@ -183,11 +184,16 @@ class ReplayInput:
             "expected the unchanged result of a replay"
         )
 
-    def _is_complete(self, frame: Paired, since_ns: int) -> bool:
-        """Whether no later message can change a frame, and the output has all messages that later frames may take."""
+    def _since_ns(self, frame: Paired) -> int | None:
+        """The log time from which a later log reads this one again; None if a later message may change the frame.
+
+        Also None if the output has not all messages since then, near the start of a warmed-up replay.
+        """
         plan, reference = self.plan, reference_of(frame)
-        is_copied = plan.lead is None or plan.continues or since_ns >= plan.lead.end_ns
-        return is_copied and (reference.segment, reference.stamp_ns) < plan.first.settled
+        if (reference.segment, reference.stamp_ns) >= plan.first.settled:
+            return None
+        since_ns = self._pairing.since_ns(frame)
+        return since_ns if plan.lead is None or plan.continues or since_ns >= plan.lead.end_ns else None
 
     def _until_ns(self, paired: Paired, since_ns: int | None, log_time_ns: int) -> int:
         """The log time up to which messages of a frame may have been lost."""

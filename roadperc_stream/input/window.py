@@ -76,8 +76,7 @@ class WindowMessages:
 
     def copied(self) -> Iterator[Message]:
         """All messages of the output's copy: latched ones, those of a continued result, and the window's."""
-        yield from self.latched
-        yield from self.before() if self.lead is not None and self.lead.continues else ()
+        yield from self._copied_before()
         yield from self.inside()
         yield from self.late()
 
@@ -86,10 +85,13 @@ class WindowMessages:
         start_ns, end_ns = self.window.start_ns, self.window.end_ns
         if self.window.cut_ns is not None and start_ns is not None:
             start_ns = min(start_ns, self.window.cut_ns)
-        yield from self.latched
-        yield from self.before() if self.lead is not None and self.lead.continues else ()
+        yield from self._copied_before()
         yield from log.pieces(self.summary, self.inputs, start_ns, end_ns)
         yield from self._behind_the_end(None)
+
+    def _copied_before(self) -> Iterator[Message]:
+        yield from self.latched
+        yield from self.before() if self.lead is not None and self.lead.continues else ()
 
     def before(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """The messages of the lead, on the channels of the log; ``topics`` limits them."""

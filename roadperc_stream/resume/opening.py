@@ -1,5 +1,6 @@
 """Opens a log for a replay: its frames, the state before the first one, and whether its output is already complete."""
 
+import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -7,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from roadperc_stream import __version__, log
+from roadperc_stream.chain.encoding import encode
 from roadperc_stream.chain.own_stage import OwnStages
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ConfigError, StateError, TableError
@@ -29,13 +31,13 @@ from roadperc_stream.system.time import ns_to_seconds, seconds_to_ns
 class OpenedLog:
     """The input of a replay, and the state that it begins with.
 
-    ``continues`` is the log_id of a continued result, ``warm_up_s`` the length of a warm-up; a result with either
-    cannot be repeated from its own messages.
+    ``continued_log_id`` names the log of a continued result, ``warm_up_s`` is the length of a warm-up. A result with
+    either cannot be repeated from its own messages.
     """
 
     input: ReplayInput
     begin: ReplayState = field(default_factory=ReplayState)
-    continues: str = ""
+    continued_log_id: str = ""
     warm_up_s: float = 0.0
     notes: Notes = ()
     warnings: tuple[str, ...] = ()
@@ -50,7 +52,7 @@ class OpenedLog:
 
     def facts(self) -> dict[str, str]:
         """How the replay begins, for the output to record."""
-        continues = {record.CONTINUES_KEY: self.continues} if self.continues else {}
+        continues = {record.CONTINUES_KEY: self.continued_log_id} if self.continued_log_id else {}
         return continues | ({record.WARM_UP_KEY: repr(self.warm_up_s)} if self.warm_up_s else {})
 
     def table_facts(self) -> dict[str, str]:
@@ -177,6 +179,7 @@ def run_of(cfg: ReplayConfig, opened: OpenedLog, target: ReplayTarget) -> dict[s
         "results only": str(target.results_only),
         "strict": str(plan.problems.strict_in is not None),
         "beginning": json.dumps(opened.facts()),
+        "state at the beginning": hashlib.sha256(encode(opened.begin)).hexdigest(),
     }
 
 
