@@ -94,7 +94,7 @@ class Frame:
     table: TagTable | None = None
     tags: Image | None = field(default=None, repr=False)
     grey: Image | None = field(default=None, repr=False)
-    depth: DepthMap | None = None
+    depth: DepthMap | None = field(default=None, repr=False)
     instances: Ids | None = field(default=None, repr=False)
     stereo: StereoDepth | Absent = field(default=_NOT_RUN, repr=False)
     problems: tuple[Reason, ...] = ()
