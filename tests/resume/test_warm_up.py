@@ -10,6 +10,9 @@ from roadperc_stream import log, read_metrics
 from roadperc_stream.cli.replay import main
 from roadperc_stream.config import load_config
 from roadperc_stream.errors import ConfigError
+from roadperc_stream.input import ReplaySource
+from roadperc_stream.output.target import ReplayTarget
+from roadperc_stream.resume.opening import ReplayOptions, open_replay, run_of
 from roadperc_stream.schemas.topics import ODOMETRY_TOPIC, TRAJECTORY_TOPIC
 from roadperc_stream.system.time import TimeRange
 from tests import logs
@@ -80,6 +83,18 @@ def test_a_warmed_up_result_can_be_continued(source, warmed, tmp_path):
 def test_a_warmed_up_result_without_a_complete_frame_cannot_be_continued(source, tmp_path):
     summary = replay(source, tmp_path / "a.mcap", CFG, time_range=TimeRange(0.5, 0.6), warm_up_s=0.4)
     assert any("cannot be continued: no frame is complete" in note for note in summary.notes)
+
+
+def test_a_checkpoint_is_of_the_state_that_it_began_with(source, tmp_path):
+    """Two results of the same messages, one with a warm-up, are continued."""
+    runs = []
+    for warm_up_s in (0.0, 0.4):
+        first = tmp_path / f"{warm_up_s}.mcap"
+        replay(source, first, CFG, time_range=TimeRange(0.5, 0.85), warm_up_s=warm_up_s)
+        later = ReplaySource(source, time_range=TimeRange(0.85))
+        opened = open_replay(later, CFG, ReplayOptions(continued=first))
+        runs.append(run_of(CFG, opened, ReplayTarget(tmp_path / "out.mcap")))
+    assert [name for name in runs[0] if runs[0][name] != runs[1][name]] == ["state at the beginning"]
 
 
 def test_late_messages_around_the_start(source, tmp_path):
