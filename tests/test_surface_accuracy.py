@@ -12,7 +12,7 @@ from roadperc_stream.geometry.ground import height_at
 from roadperc_stream.input import ReplaySource, open_input
 from roadperc_stream.metrics.surface import surface_height_error_m
 from roadperc_stream.model import Absent
-from roadperc_stream.model.frame import DepthMap, Frame
+from roadperc_stream.model.frame import Frame
 
 HILL = ("--scene", "hill", "--depth-noise", "0.01")
 MODELS = {model: load_config(None, (f"surface.model={model}",)).surface for model in ("plane", "spline")}
@@ -34,11 +34,11 @@ def errors_of(folder, *options):
         for model, cfg in MODELS.items():
             table, rng = frame.segmentation.table, np.random.default_rng(sample.index)
             road = table.lookup(cfg.classes)[tags]
-            depth = DepthMap(depth_m, frame.depth_camera, frame.ego_T_depth_camera, frame.depth_image.limit_m, "depth")
-            surface = fit_surface(cfg, depth, road.astype(bool), rng)
+            depth = {"raw_depth_m": depth_m, "depth_limit_m": frame.depth_image.limit_m}
+            scene = Frame.of(1, frame.camera, frame.ego_T_camera, tags=tags, table=table, **depth)
+            surface = fit_surface(cfg, scene, road.astype(bool), rng)
             assert not isinstance(surface, Absent)
             assert surface.model == model
-            scene = Frame.of(1, frame.camera, frame.ego_T_camera, tags=tags, table=table, depth=depth)
             mask = drivable_mask(cfg, scene, surface)
             x, y = np.meshgrid(np.arange(61.0), np.arange(-3.0, 4.0))
             worst = np.abs(height_at(surface, x, y) - height_at(truth, x, y)).max()

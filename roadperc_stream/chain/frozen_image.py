@@ -45,7 +45,7 @@ class ImageRepeats:
 def _beside(frame: Frame) -> Marks:
     if frame.pose_mark is not None:
         return frame.pose_mark, None, None, None
-    depth = None if frame.depth is None else _mark(frame.depth.depth_m[::_EVERY])
+    depth = None if frame.raw_depth_m is None else _mark(frame.raw_depth_m[::_EVERY])
     tags = None if frame.tags is None else _mark(frame.tags[::_EVERY])
     detections = None if frame.detections is None else zlib.crc32(repr(frame.detections).encode())
     return None, depth, tags, detections

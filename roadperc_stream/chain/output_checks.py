@@ -62,7 +62,7 @@ def _faults_of_depth(output: StereoDepth, left: Camera) -> Iterator[str]:
 
 
 def _faults_of_surface(output: Surface, frame: Frame) -> Iterator[str]:
-    cameras = {frame.camera.frame_id, (frame.depth or frame).camera.frame_id}
+    cameras = {frame.camera.frame_id, frame.depth_camera.frame_id}
     if output.frame_id not in cameras:
         yield f"frame_id: expected {' or '.join(sorted(cameras))}, found {output.frame_id}"
     if output.ego_plane.normal[2] < _LEAST_UP:

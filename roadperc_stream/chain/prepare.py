@@ -15,10 +15,9 @@ from roadperc_stream.chain.own_stage import NO_OWN, OwnStages
 from roadperc_stream.chain.stage_runner import Stages, Timer, needs_scene, off
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.geometry import Camera, inverse
+from roadperc_stream.geometry import Camera, Float32, inverse
 from roadperc_stream.geometry.registration import depth_of_points
 from roadperc_stream.model import Absent, CameraImage, Frame, Image, Reason
-from roadperc_stream.model.frame import DepthMap
 from roadperc_stream.model.results import StereoDepth
 from roadperc_stream.system.threads import opencv_threads
 
@@ -36,11 +35,11 @@ def prepare(
     With two or more ``threads`` OpenCV matches in half the time, with the same bits.
     """
     stages, problems, camera = Stages(cfg, timer, own, frame), list[Reason](), frame.camera
-    tags = sensor = instances = grey = depth = None
+    tags = sensor_m = instances = grey = None
     with timer("decode"):
         if needs_scene(cfg):
             tags = _decoded("segmentation", frame.segmentation, lambda image: image.tags, camera, problems)
-            sensor = _sensor_depth(frame, problems)
+            sensor_m = _decoded("depth", frame.depth_image, lambda image: image.depth_m, frame.depth_camera, problems)
         if cfg.objects.enabled:
             instances = _decoded("instances", frame.instance_image, lambda image: image.ids, camera, problems)
         if own or _needs_grey(cfg, frame):
@@ -48,13 +47,12 @@ def prepare(
     matched = stages.run("stereo", lambda: _stereo(stages, frame, grey, problems, threads), off("stereo"))
     with timer("decode"):
         if needs_scene(cfg):
-            depth = _best_depth(frame, sensor, matched, problems)
+            frame = _with_depth(frame, sensor_m, matched, problems)
     return replace(
         frame,
         table=frame.segmentation.table if frame.segmentation else None,
         tags=tags,
         grey=grey,
-        depth=depth,
         instances=instances,
         stereo=matched,
         problems=tuple(problems),
@@ -87,27 +85,19 @@ def _stereo(
         return stages.match(frame.left_camera, frame.right_camera, frame.ego_T_left, left_grey, right_grey)
 
 
-def _best_depth(
-    frame: Frame, sensor: DepthMap | None, matched: StereoDepth | Absent, problems: list[Reason]
-) -> DepthMap | None:
-    """The depth camera's depth, else stereo's, else the lidar's few points."""
-    if sensor is not None:
-        return sensor
+def _with_depth(frame: Frame, sensor_m: Float32 | None, matched: StereoDepth | Absent, problems: list[Reason]) -> Frame:
+    """The frame with the depth camera's depth, else stereo's, else the lidar's few points."""
+    if sensor_m is not None and frame.depth_image is not None:
+        return replace(frame, raw_depth_m=sensor_m, depth_limit_m=frame.depth_image.limit_m, depth_source="depth")
     if isinstance(matched, StereoDepth):
-        return DepthMap(matched.depth_m, frame.left_camera, frame.ego_T_left, np.inf, "stereo")
-    return _lidar_depth(frame, problems)
+        frame = replace(frame, depth_camera=frame.left_camera, ego_T_depth_camera=frame.ego_T_left)
+        return replace(frame, raw_depth_m=matched.depth_m, depth_source="stereo")
+    frame = replace(frame, depth_camera=frame.camera, ego_T_depth_camera=frame.ego_T_camera)
+    return replace(frame, raw_depth_m=_lidar_depth_m(frame, problems), depth_source="lidar")
 
 
-def _sensor_depth(frame: Frame, problems: list[Reason]) -> DepthMap | None:
-    """The depth camera's depth."""
-    depth_m = _decoded("depth", frame.depth_image, lambda image: image.depth_m, frame.depth_camera, problems)
-    if depth_m is None or frame.depth_image is None:
-        return None
-    return DepthMap(depth_m, frame.depth_camera, frame.ego_T_depth_camera, frame.depth_image.limit_m, "depth")
-
-
-def _lidar_depth(frame: Frame, problems: list[Reason]) -> DepthMap | None:
-    """The lidar's points as a sparse depth image of the front camera."""
+def _lidar_depth_m(frame: Frame, problems: list[Reason]) -> Float32 | None:
+    """(H, W) the lidar's points as a sparse depth image of the front camera."""
     if frame.points is None:
         return None
     if frame.ego_T_lidar is None:
@@ -124,7 +114,7 @@ def _lidar_depth(frame: Frame, problems: list[Reason]) -> DepthMap | None:
             none_in_view = Reason("lidar", "no_finite_points_in_view", (finite + infinite, infinite))
         problems.append(none_in_view)
         return None
-    return DepthMap(depth_m, frame.camera, frame.ego_T_camera, np.inf, "lidar")
+    return depth_m
 
 
 def _grey(role: str, image: CameraImage | None, camera: Camera, problems: list[Reason]) -> Image | None:

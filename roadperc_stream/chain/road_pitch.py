@@ -40,7 +40,7 @@ def known_pitch(
     is_drive = last_ns is None or (frame.stamp_ns - last_ns) / NS_PER_S <= _DRIVE_S
     if by_motion is not None and by_motion.variance < LINES_STD**2 and is_drive:
         return by_motion
-    has_plane = frame.depth is not None or isinstance(surfaces, bytes) or surfaces.ego_plane is not None
+    has_plane = frame.raw_depth_m is not None or isinstance(surfaces, bytes) or surfaces.ego_plane is not None
     if has_plane or cfg.odometry.pitch_std_deg == 0:
         return by_motion
     return _by_lanes(cfg, frame) or by_motion

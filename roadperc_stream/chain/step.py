@@ -160,10 +160,10 @@ def _with_origin_here(state: OdometryState, motion: Odometry | Absent) -> tuple[
 
 def _in_front_camera(frame: Frame, road: Surface | Absent) -> Surface | Absent:
     """The road with its plane in the frame of the front camera."""
-    depth = frame.depth
-    if isinstance(road, Absent) or depth is None or road.frame_id == frame.camera.frame_id:
+    if isinstance(road, Absent) or road.frame_id == frame.camera.frame_id:
         return road
-    return replace(road, plane=transform_plane(inverse(frame.ego_T_camera) @ depth.ego_T_camera, road.plane))
+    camera_T_depth = inverse(frame.ego_T_camera) @ frame.ego_T_depth_camera
+    return replace(road, plane=transform_plane(camera_T_depth, road.plane))
 
 
 def _with_known_height(frame: Frame, front_road: Surface | Absent) -> Surface | None:
@@ -192,7 +192,7 @@ def _ground(
     cfg: ReplayConfig, frame: Frame, front_road: Surface | Absent, pitch: KnownPitch | None
 ) -> contact.GroundPlane | None:
     """The road that gives the objects' distances; None with depth."""
-    if frame.depth is not None or isinstance(front_road, Absent):
+    if frame.raw_depth_m is not None or isinstance(front_road, Absent):
         return None
     pitch_std = float(np.deg2rad(cfg.odometry.pitch_std_deg) if pitch is None else np.sqrt(pitch.variance))
     return contact.ground_of(front_road, pitch_std, mounted=frame.mounted)
@@ -211,17 +211,17 @@ def _missing_inputs(
 ) -> Iterator[Reason]:
     """The missing inputs of stages that still have an output."""
     source = None if isinstance(road, Absent) else road.source
-    if frame.depth is None and source != "held":  # a held plane has its own reason
+    if frame.raw_depth_m is None and source != "held":  # a held plane has its own reason
         yield (
             Reason("surface", "no_depth_pitch_estimated", (frame.plane_source, pitch.source))
             if pitch is not None and source == "estimated"
             else Reason("surface", "no_depth_plane_assumed", (frame.plane_source,))
         )
-    if frame.depth is not None and frame.tags is None:
+    if frame.raw_depth_m is not None and frame.tags is None:
         yield Reason("surface", "no_segmentation_lower_image")
     if isinstance(tracked, Objects) and tracked.objects:
         if frame.tags is None:
             yield Reason("objects", "no_segmentation_not_filtered")
-        if frame.depth is None:
+        if frame.raw_depth_m is None:
             known = not isinstance(road, Absent)
             yield Reason("objects", "no_depth_ground_distances" if known else "no_depth_no_distances")

@@ -4,10 +4,8 @@ from typing import Final
 
 import numpy as np
 
-from roadperc_stream.chain.stage_runner import needs_scene
 from roadperc_stream.chain.stages.stereo import disparities_needed
 from roadperc_stream.config import ReplayConfig
-from roadperc_stream.errors import DecodeError
 from roadperc_stream.geometry import Camera, Float, Float32, Plane, intersect_plane, inverse, transform_plane
 from roadperc_stream.model import Absent, Frame, FrameResult, StereoDepth
 from roadperc_stream.model.finding import Evidence
@@ -30,7 +28,7 @@ _FAR_M: Final = 60.0
 
 def evidence_of(cfg: ReplayConfig, frame: Frame, result: FrameResult) -> Evidence:
     """The evidence of one frame; what its stages did not decode is not decoded for it."""
-    sensor_m, reasons = _sensor_depth_m(cfg, frame), result.reasons()
+    sensor_m, reasons = frame.raw_depth_m if frame.depth_source == "depth" else None, result.reasons()
     places = {
         frame.camera.frame_id: frame.ego_T_camera,
         frame.left_camera.frame_id: frame.ego_T_left,
@@ -51,17 +49,6 @@ def evidence_of(cfg: ReplayConfig, frame: Frame, result: FrameResult) -> Evidenc
         lane_width_m=next((float(reason.values[1]) for reason in reasons if reason.code == "lane_width"), None),
         unusable=tuple(reason for reason in reasons if reason.code in UNUSABLE),
     )
-
-
-def _sensor_depth_m(cfg: ReplayConfig, frame: Frame) -> Float32 | None:
-    """The depth image, if the chain has decoded it and it has the size of its camera."""
-    if frame.depth_image is None or not needs_scene(cfg):
-        return None
-    try:
-        depth_m = frame.depth_image.depth_m
-    except DecodeError:
-        return None
-    return depth_m if depth_m.shape == frame.depth_camera.size else None
 
 
 def rough_ratio(depth_m: Float32) -> float | None:

@@ -21,50 +21,21 @@ _SAME_PLACE_M: Final = 1e-6
 
 
 @dataclass(frozen=True)
-class DepthMap:
-    """(H, W) depth, metres along z, NaN unknown, with its camera; the encoding saturates at ``limit_m``."""
-
-    depth_m: Float32 = field(repr=False)
-    camera: Camera
-    ego_T_camera: Float
-    limit_m: float
-    source: SurfaceSource
-
-    @property
-    def dense(self) -> bool:
-        """Whether most pixels have a depth; a lidar has few points."""
-        return self.source != "lidar"
-
-    def registered_to(self, camera: Camera, ego_T_camera: Float) -> Float32:
-        """(h, w) depth in another camera's image."""
-        if self._is_of(camera, ego_T_camera):
-            return self.depth_m
-        return warp_depth(self.camera, inverse(ego_T_camera) @ self.ego_T_camera, camera, self.depth_m)
-
-    def labels_from(self, camera: Camera, ego_T_camera: Float, labels: Image) -> Image:
-        """(H, W) another camera's (h, w) labels at the pixels of this depth."""
-        if self._is_of(camera, ego_T_camera):
-            return labels
-        return sample_labels(self.camera, inverse(ego_T_camera) @ self.ego_T_camera, camera, self.depth_m, labels)
-
-    def _is_of(self, camera: Camera, ego_T_camera: Float) -> bool:
-        """Whether the depth is in that camera's image, pixel by pixel."""
-        return np.allclose(ego_T_camera, self.ego_T_camera, atol=_SAME_PLACE_M) and camera.same_view(self.camera)
-
-
-@dataclass(frozen=True)
 class Frame:
     """The whole input of the chain at one instant: its messages, and the pixels that ``prepare`` decodes from them.
 
     ``camera`` is the front camera, to which ``image``, ``segmentation`` (tags of ``table``), ``instance_image`` and
-    ``detections`` belong; the depth may come from another one. The left camera of a stereo pair is the front camera if
-    ``left_camera`` is ``camera`` and ``left`` is None. Without a mounting (``mounted`` False) the transforms are those
-    of a level camera at the assumed height. ``ego_T_lidar`` is None if no transform connects it with ego. ``is_origin``
-    says that odom begins at this frame: earlier frames only warmed up the chain. A missing input is None; an empty
-    detections message is ().
+    ``detections`` belong; ``depth_image`` belongs to ``depth_camera``. The left camera of a stereo pair is the front
+    camera if ``left_camera`` is ``camera`` and ``left`` is None. Without a mounting (``mounted`` False) the transforms
+    are those of a level camera at the assumed height. ``ego_T_lidar`` is None if no transform connects it with ego.
+    ``is_origin`` says that odom begins at this frame: earlier frames only warmed up the chain. A missing input is None;
+    an empty detections message is ().
 
-    The chain's stages use ``tags`` (H, W), ``grey`` (H, W), ``depth`` (which may be from another camera), ``stereo``
-    and ``instances`` (H, W, 0 for no object). Of these, unusable ones are None, with a reason in ``problems``.
+    The chain's stages use ``tags`` (H, W), ``grey`` (H, W), ``stereo``, ``instances`` (H, W, 0 for no object) and
+    ``raw_depth_m``: (H, W) metres along z, NaN unknown, in the image of ``depth_camera``. ``prepare`` takes it from the
+    depth image, else from stereo, else from lidar (``depth_source``), and sets ``depth_camera`` to the camera of that
+    depth, or without depth to the front camera. ``depth_limit_m`` is where the encoding saturates. Unusable inputs are
+    None, with a reason in ``problems``.
     """
 
     stamp_ns: int
@@ -94,7 +65,9 @@ class Frame:
     table: TagTable | None = None
     tags: Image | None = field(default=None, repr=False)
     grey: Image | None = field(default=None, repr=False)
-    depth: DepthMap | None = field(default=None, repr=False)
+    raw_depth_m: Float32 | None = field(default=None, repr=False)
+    depth_limit_m: float = np.inf
+    depth_source: SurfaceSource = "depth"
     instances: Ids | None = field(default=None, repr=False)
     stereo: StereoDepth | Absent = field(default=_NOT_RUN, repr=False)
     problems: tuple[Reason, ...] = ()
@@ -123,18 +96,30 @@ class Frame:
     @cached_property
     def depth_m(self) -> Float32 | None:
         """(H, W) depth in metres in the front camera's image."""
-        depth_m = None if self.depth is None else self.depth.registered_to(self.camera, self.ego_T_camera)
+        depth_m = self.raw_depth_m
+        if depth_m is not None and not self._is_depth_of_camera:
+            depth_m = warp_depth(self.depth_camera, self._camera_T_depth, self.camera, depth_m)
         return None if depth_m is None else read_only(depth_m, np.float32, (None, None), "depth_m")
+
+    @property
+    def has_dense_depth(self) -> bool:
+        """Whether most pixels have a depth; a lidar has few points."""
+        return self.raw_depth_m is not None and self.depth_source != "lidar"
 
     @property
     def dense_depth_m(self) -> Float32 | None:
         """``depth_m`` if most pixels have a depth; None for lidar points."""
-        return self.depth_m if self.depth is not None and self.depth.dense else None
+        return self.depth_m if self.has_dense_depth else None
 
     @property
-    def depth_limit_m(self) -> float:
-        """Depth at which the encoding saturates; infinite without depth."""
-        return np.inf if self.depth is None else self.depth.limit_m
+    def _is_depth_of_camera(self) -> bool:
+        """Whether the depth is in the front camera's image, pixel by pixel."""
+        is_here = np.allclose(self.ego_T_camera, self.ego_T_depth_camera, atol=_SAME_PLACE_M)
+        return is_here and self.camera.same_view(self.depth_camera)
+
+    @property
+    def _camera_T_depth(self) -> Float:
+        return inverse(self.ego_T_camera) @ self.ego_T_depth_camera
 
     @property
     def plane_source(self) -> str:
@@ -149,6 +134,13 @@ class Frame:
             self._labels[classes] = mark(self.tags, self.table.lookup(classes))
             self._labels[classes].setflags(write=False)
         return self._labels[classes]
+
+    def labels_of_depth(self, classes: tuple[str, ...]) -> Image | None:
+        """(H, W) ``labels`` at the pixels of ``raw_depth_m``; None without tags or depth."""
+        labels = self.labels(classes)
+        if labels is None or self.raw_depth_m is None or self._is_depth_of_camera:
+            return None if self.raw_depth_m is None else labels
+        return sample_labels(self.depth_camera, self._camera_T_depth, self.camera, self.raw_depth_m, labels)
 
     @cached_property
     def _labels(self) -> dict[tuple[str, ...], Image]:

@@ -176,7 +176,7 @@ def _kept(cfg: ObjectsConfig, frame: Frame, objects: Sequence[Object]) -> _Kept:
 
 def _sighting(cfg: ObjectsConfig, frame: Frame, item: Object, box: Box) -> Sighting | None:
     """Where an object is seen; None without depth."""
-    if item.distance_m is None or frame.depth is None:
+    if item.distance_m is None or frame.raw_depth_m is None:
         return None
     return sighting(frame.camera, box, item.distance_m, distance_std_m(cfg, item))
 

@@ -12,7 +12,7 @@ from roadperc_stream.geometry import Camera, Float, inverse, project, rigid, tra
 from roadperc_stream.geometry.ground import ego_points, height_above, height_at, tilted_ground
 from roadperc_stream.geometry.planes import Plane, transform_plane
 from roadperc_stream.model import Absent, Mask, Reason, Surface, SurfaceSource
-from roadperc_stream.model.frame import DepthMap, Frame
+from roadperc_stream.model.frame import Frame
 
 _UP_EGO = np.array([0.0, 0.0, 1.0])
 _DRIVABLE_M = 0.15
@@ -52,13 +52,10 @@ def find_surface(
         The same state, and the surface with its plane in the frame of the depth's camera; absent if the depth does not
         show the road.
     """
-    if frame.depth is None:
-        return state, assumed_surface(*_depth_camera(frame))
-    labels = frame.labels(cfg.classes)
-    drivable = None
-    if labels is not None:
-        drivable = frame.depth.labels_from(frame.camera, frame.ego_T_camera, labels).view(bool)
-    return state, fit_surface(cfg, frame.depth, drivable, rng)
+    if frame.raw_depth_m is None:
+        return state, assumed_surface(frame.depth_camera, frame.ego_T_depth_camera)
+    labels = frame.labels_of_depth(cfg.classes)
+    return state, fit_surface(cfg, frame, None if labels is None else labels.view(bool), rng)
 
 
 def or_assumed(frame: Frame, found: Surface | Absent) -> Surface | Absent:
@@ -66,22 +63,21 @@ def or_assumed(frame: Frame, found: Surface | Absent) -> Surface | Absent:
 
     Dense depth without a mounting gives ``Absent``.
     """
-    if isinstance(found, Surface) or (frame.depth is not None and frame.depth.dense and not frame.mounted):
+    if isinstance(found, Surface) or (frame.has_dense_depth and not frame.mounted):
         return found
-    return assumed_surface(*_depth_camera(frame))
+    return assumed_surface(frame.depth_camera, frame.ego_T_depth_camera)
 
 
-def fit_surface(
-    cfg: SurfaceConfig, depth: DepthMap, drivable: Mask | None, rng: np.random.Generator
-) -> Surface | Absent:
-    """The road from a depth image: its plane, and a height field with model ``spline``, or ``auto`` if it is better.
+def fit_surface(cfg: SurfaceConfig, frame: Frame, drivable: Mask | None, rng: np.random.Generator) -> Surface | Absent:
+    """The road from a frame's depth: its plane, and a height field with model ``spline``, or ``auto`` if it is better.
 
     ``drivable`` (H, W) are the pixels of a drivable class in the depth's image. Without segmentation it is None: the
     lower image is used, and the surface's source is ``lower_image``. The camera's mounting gives a rough upward
     direction. If too few points support a height field, the surface is the plane.
     """
-    source = depth.source if drivable is not None else "lower_image"
-    camera, ego_T_camera, depth_m = depth.camera, depth.ego_T_camera, depth.depth_m
+    camera, ego_T_camera, depth_m = frame.depth_camera, frame.ego_T_depth_camera, frame.raw_depth_m
+    assert depth_m is not None
+    source = frame.depth_source if drivable is not None else "lower_image"
     usable = usable_pixels(cfg, camera, depth_m, drivable)
     found = road_plane(cfg, camera, depth_m, usable, inverse(ego_T_camera)[:3, :3] @ _UP_EGO, rng)
     if isinstance(found, Absent):
@@ -101,12 +97,6 @@ def assumed_surface(camera: Camera, ego_T_camera: Float) -> Surface:
     return known_surface("assumed", camera, ego_T_camera, Plane.of(_UP_EGO, 0.0))
 
 
-def _depth_camera(frame: Frame) -> tuple[Camera, Float]:
-    """The camera of the depth and its mounting; without depth, the front camera and its mounting."""
-    place = frame if frame.depth is None else frame.depth
-    return place.camera, place.ego_T_camera
-
-
 def known_surface(source: SurfaceSource, camera: Camera, ego_T_camera: Float, ego_plane: Plane) -> Surface:
     """The surface with a known plane, given in the ego frame."""
     return Surface.of(source, camera, ego_T_camera, transform_plane(inverse(ego_T_camera), ego_plane))
@@ -123,7 +113,8 @@ def drivable_mask(cfg: SurfaceConfig, frame: Frame, surface: Surface | Absent) -
     if depth_m is None and drivable is not None:
         return drivable.view(bool)
     if depth_m is None:
-        return Absent(Reason("drivable", "no_segmentation_sparse_depth" if frame.depth else "no_depth_no_segmentation"))
+        has_depth = frame.raw_depth_m is not None
+        return Absent(Reason("drivable", "no_segmentation_sparse_depth" if has_depth else "no_depth_no_segmentation"))
     if isinstance(surface, Absent):
         return Absent(Reason("drivable", "no_surface", cause=surface.reason))
     if not surface.measured:
@@ -178,12 +169,13 @@ def remember(
     state = _moved(state, last_T_this)
     if state.ego_plane is not None and state.driven_m <= cfg.hold_m:
         cause = Reason("surface", "no_depth") if failed is None else failed
-        held = known_surface("held", *_depth_camera(frame), state.ego_plane)
+        held = known_surface("held", frame.depth_camera, frame.ego_T_depth_camera, state.ego_plane)
         return state, held, (Reason("surface", "plane_held", cause=cause),)
     if isinstance(road, Absent):
         return state, road, ()
     if pitch is not None:
-        road = known_surface("estimated", *_depth_camera(frame), tilted_ground(frame.ego_T_camera, pitch.offset))
+        tilted = tilted_ground(frame.ego_T_camera, pitch.offset)
+        road = known_surface("estimated", frame.depth_camera, frame.ego_T_depth_camera, tilted)
     if failed is None:
         return state, road, ()
     if pitch is None:

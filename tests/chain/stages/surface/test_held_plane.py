@@ -9,7 +9,6 @@ from roadperc_stream import geometry as g
 from roadperc_stream.chain.stages.surface.road import SurfaceState, find_surface, remember
 from roadperc_stream.config import SurfaceConfig
 from roadperc_stream.model import Absent, Reason
-from roadperc_stream.model.frame import DepthMap
 from tests.analytic import Road
 from tests.scenes import scene_of
 
@@ -31,8 +30,7 @@ def motion(yaw=0.0, pitch=0.0, ahead_m=1.0, up_m=0.0):
 def noisy_scene(mounted=True):
     """Depth with an error of 30 %, which shows no plane."""
     factor = np.random.default_rng(0).normal(1, 0.3, ROAD.depth_m().shape).astype(np.float32)
-    depth = DepthMap(ROAD.depth_m() * factor, ROAD.camera, ROAD.ego_T_camera, np.inf, "depth")
-    return replace(WITH_DEPTH, depth=depth, mounted=mounted)
+    return replace(WITH_DEPTH, raw_depth_m=ROAD.depth_m() * factor, mounted=mounted)
 
 
 def after(state, scene, last_T_this, cfg=CFG):
@@ -47,9 +45,9 @@ def test_the_plane_of_a_frame_that_shows_the_road_is_kept():
     assert state == SurfaceState(road.ego_plane, 0.0)
 
 
-@pytest.mark.parametrize(("depth", "cause"), [(noisy_scene().depth, "no_plane"), (None, "no_depth")])
-def test_a_plane_is_held_if_the_depth_is_missing_or_does_not_show_the_road(depth, cause):
-    state, road, reasons = after(STATE, replace(WITH_DEPTH, depth=depth), motion())
+@pytest.mark.parametrize(("depth_m", "cause"), [(noisy_scene().raw_depth_m, "no_plane"), (None, "no_depth")])
+def test_a_plane_is_held_if_the_depth_is_missing_or_does_not_show_the_road(depth_m, cause):
+    state, road, reasons = after(STATE, replace(WITH_DEPTH, raw_depth_m=depth_m), motion())
     assert (road.source, road.model, road.inlier_ratio, road.measured) == ("held", "plane", None, False)
     assert road.abd == pytest.approx((0.02, 0.0, 0.03), abs=1e-12)
     assert [(reason.code, reason.cause.code) for reason in reasons] == [("plane_held", cause)]
@@ -100,5 +98,5 @@ def test_a_standing_car_holds_the_plane_without_limit():
 
 
 def test_without_depth_and_without_a_held_plane_the_mounting_gives_the_road():
-    state, road, reasons = after(STATE, replace(WITH_DEPTH, depth=None), None)
+    state, road, reasons = after(STATE, replace(WITH_DEPTH, raw_depth_m=None), None)
     assert (state, road.source, reasons) == (SurfaceState(), "assumed", ())

@@ -14,7 +14,6 @@ from roadperc_stream.chain.stages.surface.plane import leaves_plane, median
 from roadperc_stream.chain.stages.surface.road import assumed_surface, drivable_mask, fit_surface
 from roadperc_stream.config import SurfaceConfig
 from roadperc_stream.model import Absent, Reason
-from roadperc_stream.model.frame import DepthMap
 from tests.analytic import LINE, ROAD, Road
 from tests.hills import Hill
 from tests.scenes import scene_of
@@ -23,8 +22,8 @@ CFG = SurfaceConfig()
 
 
 def fit(road, depth_m, mask, cfg=CFG, seed=0):
-    depth = DepthMap(depth_m, road.camera, road.ego_T_camera, np.inf, "depth")
-    return fit_surface(cfg, depth, mask, np.random.default_rng(seed))
+    frame = scene_of(road.camera, road.ego_T_camera, depth_m=depth_m)
+    return fit_surface(cfg, frame, mask, np.random.default_rng(seed))
 
 
 @settings(max_examples=15)
@@ -72,8 +71,8 @@ def test_depth_of_the_published_plane_of_course_frame_0_gives_the_plane_back(dat
     rng = np.random.default_rng(0)
     wild = rng.random(depth.shape) < 1 / 3
     depth[wild] = rng.uniform(1, 60, wild.sum()).astype(np.float32)
-    depth_map = DepthMap(depth, camera, g.mounting(z=1.4), np.inf, "depth")
-    surface = fit_surface(CFG, depth_map, road, np.random.default_rng(0))
+    frame = scene_of(camera, g.mounting(z=1.4), depth_m=depth)
+    surface = fit_surface(CFG, frame, road, np.random.default_rng(0))
     assert np.degrees(g.angle_between(surface.plane.n, plane.n)) < 0.01
     assert surface.camera_height_m == pytest.approx(plane.offset_m, abs=1e-3)
 

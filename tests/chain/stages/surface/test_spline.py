@@ -19,7 +19,6 @@ from roadperc_stream.config import LanesConfig, SurfaceConfig
 from roadperc_stream.geometry.ground import height_at
 from roadperc_stream.geometry.rotations import rotation_from_rpy
 from roadperc_stream.metrics.surface import surface_height_error_m
-from roadperc_stream.model.frame import DepthMap
 from tests.analytic import LINE, ROAD
 from tests.hills import Hill
 from tests.scenes import scene_of
@@ -40,7 +39,7 @@ def fit(hill, depth_m=None, mask=None, cfg=CFG):
 
 def depth_of(hill, depth_m, ego_T_camera=None):
     mounting = hill.ego_T_camera if ego_T_camera is None else ego_T_camera
-    return DepthMap(depth_m, hill.camera, mounting, np.inf, "depth")
+    return scene_of(hill.camera, mounting, depth_m=depth_m)
 
 
 def drivable(hill, surface, depth_m, road):
