@@ -39,7 +39,7 @@ def lanes_picture(image_bgr: model.Image, lanes: model.Lanes) -> model.Image:
     ``image_bgr`` is the (H, W, 3) camera image of the lanes.
     """
     canvas = _dimmed(image_bgr)
-    pen = Pen.of(canvas)
+    pen = Pen.of(canvas.shape)
     if lanes.edges is not None:
         canvas[lanes.edges] = _EDGE
     chosen = [boundary.raw_px for boundary in lanes.boundaries if boundary.raw_px is not None]
@@ -65,7 +65,7 @@ def matches_picture(image_bgr: model.Image, matches: model.Matches) -> model.Ima
     ``image_bgr`` is the (H, W, 3) camera image of the matches.
     """
     canvas = _dimmed(image_bgr)
-    pen = Pen.of(canvas)
+    pen = Pen.of(canvas.shape)
     groups = ((~matches.inliers, _OUTLIER, "outliers"), (matches.inliers, _INLIER, "inliers"))
     for chosen, colour, _ in groups:
         for start, end in zip(matches.key_px[chosen], matches.px[chosen], strict=True):
@@ -83,7 +83,7 @@ def template_picture(image_bgr: model.Image, searches: Iterable[model.Correlatio
     ``image_bgr`` is the (H, W, 3) camera image of the searches, which include objects that were not found.
     """
     canvas = _dimmed(image_bgr)
-    pen = Pen.of(canvas)
+    pen = Pen.of(canvas.shape)
     for search in searches:
         _lay_heat(canvas, search)
     for search in searches:
@@ -108,7 +108,7 @@ def disparity_picture(left: Camera, baseline_m: float, stereo: model.StereoDepth
     known = np.isfinite(share)
     canvas = _turbo(np.where(known, share, np.float32(0)))
     canvas[~known] = 0
-    _draw_legend(canvas, [(f"disparity 0 to {most_px:.0f} px", _PEAK)], Pen.of(canvas))
+    _draw_legend(canvas, [(f"disparity 0 to {most_px:.0f} px", _PEAK)], Pen.of(canvas.shape))
     return canvas
 
 
