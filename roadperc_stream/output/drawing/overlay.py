@@ -6,7 +6,7 @@ its numbers and the legend.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, Literal
 
 import cv2
@@ -133,7 +133,7 @@ def _draw_objects(canvas: Image, objects: Sequence[Object], pen: Pen, top_px: in
     places = label_places(pen.size, top_px, objects, boxes, text_sizes)
     for item, box, place in zip(objects, boxes, places, strict=True):
         if place is not None and caption(item):
-            _draw_tie(canvas, item, box, place, pen)
+            _draw_tie(canvas, item, box, place)
     for item, place in zip(objects, places, strict=True):
         if place is not None and caption(item):
             colour = bgr(colours.OBJECT[item.verdict])
@@ -148,14 +148,13 @@ def _draw_box(canvas: Image, item: Object, box: Box, pen: Pen) -> None:
     box_outline(canvas, box, bgr(colours.OBJECT[item.verdict]), thickness_px, pen, dash_px)
 
 
-def _draw_tie(canvas: Image, item: Object, box: Box, place: Box, pen: Pen) -> None:
+def _draw_tie(canvas: Image, item: Object, box: Box, place: Box) -> None:
     """Draw a thin line from a label down to its box, if they are apart."""
     if box.y_min - place.y_max > (place.y_max - place.y_min) / 2:
         x = (box.x_min + box.x_max) / 2
         start = min(max(x, place.x_min + 1), place.x_max - 1), place.y_max
-        polyline(
-            canvas, np.array((start, (x, box.y_min))), bgr(colours.OBJECT[item.verdict]), 1, replace(pen, scale=1.0)
-        )
+        tie = np.array((start, (x, box.y_min)))
+        polyline(canvas, tie, bgr(colours.OBJECT[item.verdict]), 1, Pen.of(canvas.shape))
 
 
 def draw_frame(frame: PerceivedFrame, metrics: FrameMetrics, since_start_s: float, width_px: int) -> Image:
