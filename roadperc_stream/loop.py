@@ -92,7 +92,7 @@ class _Frames:
         """Write all frames: copy those of an interrupted replay, compute the others."""
         self._threads, self._own, samples = threads, own, self._input.samples()
         begun = self._checkpoints.begun
-        self._outputs.begin(self._callbacks, begun.state.shown, begun.counted)
+        self._outputs.begin(self._callbacks, begun.state.shown)
         for sample in islice(samples, begun.samples):
             if sample.is_written:
                 self._outputs.write_again(sample, self._checkpoints.next_output(sample.index))
@@ -135,5 +135,5 @@ class _Frames:
         self._samples, self._written = self._samples + 1, self._written + sample.is_written
         self.end.reached(sample.complete, state)
         if sample.complete is not None:
-            self._checkpoints.reached(sample.log_time_ns, self._samples, state, self._outputs.counted)
+            self._checkpoints.reached(sample.log_time_ns, self._samples, state)
         self._callbacks.on_progress(self._written, self._input.expected_frames)

@@ -1,7 +1,6 @@
 """Prints the facts of a log: file, channels and their times, roles for a replay, provenance of a result."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from shlex import quote
@@ -225,8 +224,8 @@ def _channels(channels: Sequence[ChannelFacts], width: int) -> TextTable:
     if max(map(len, topics), default=0) + max(map(len, schemas), default=0) + _NUMBERS_WIDTH <= width:
         rows = tuple(row(topic, *cells, schema) for topic, schema, cells in found)
         return TextTable("Channel", ("messages", "Hz", "schema"), rows, last_is_text=True, label_columns=12)
-    rows = tuple(replace(row(topic, *cells), below=f"  {schema}") for topic, schema, cells in found)
-    return TextTable("Channel, schema", ("messages", "Hz"), rows)
+    lines = (line for topic, schema, cells in found for line in (row(topic, *cells), row(f"  {schema}")))
+    return TextTable("Channel, schema", ("messages", "Hz"), tuple(lines))
 
 
 def _schema(channel: ChannelFacts) -> str:

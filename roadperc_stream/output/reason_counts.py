@@ -10,7 +10,9 @@ from roadperc_stream.model.reason import UNUSABLE
 
 _STAGES: Final = (*STAGES, "drivable")
 """Sources that are stages; all others are inputs."""
-_MOST_REPORTED: Final = 4
+_IN_SOME: Final = UNUSABLE | {"image_frozen"}
+"""Codes that are reported even if they held in some frames only."""
+_MOST_REPORTED: Final = 6
 
 
 @dataclass(frozen=True)
@@ -73,30 +75,27 @@ def ranked(counts: Mapping[ReasonKind, ReasonCount]) -> ReasonCounts:
 
 
 def throughout(counts: Mapping[ReasonKind, ReasonCount], frames: int, filled: Collection[str]) -> tuple[str, ...]:
-    """Texts of the reasons in all frames of a replay, and of messages that could not be used in some frames.
+    """Texts of the reasons in all frames of a replay, and of inputs that could not be used in some frames.
 
-    The first few are listed, the others are only counted. Stages that are switched off, inputs without a topic in the
-    log, and consequences of a listed reason are left out. ``counts`` are those of all ``frames``; ``filled`` are the
-    roles that have a topic.
+    The most frequent are listed, the others are only counted. Stages that are switched off, inputs without a topic in
+    the log, and consequences of a listed reason are left out. ``counts`` are those of all ``frames``; ``filled`` are
+    the roles that have a topic.
     """
-    always = {kind: count for kind, count in ranked(counts).items() if count.frames == frames}
-    unexpected = {kind: count for kind, count in always.items() if not _is_expected(kind, filled)}
+    unexpected = {kind: count for kind, count in ranked(counts).items() if not _is_expected(kind, filled)}
+    always = {kind for kind, count in unexpected.items() if count.frames == frames}
     # A reason is a consequence if its cause, or the cause of its cause, is also a reason.
-    follows = {kind for kind in unexpected if any(kind[k:] in unexpected for k in range(1, len(kind)))}
-    first = [str(count) for kind, count in unexpected.items() if kind not in follows]
-    where = f"in all {frames} frames" if frames > 1 else "in the only frame"
-    rest = len(first) - _MOST_REPORTED
-    more = (f"{where}: {rest} more reason{'s' * (rest > 1)}, which roadperc-report lists",) if rest > 0 else ()
-    return (*(f"{where}: {text}" for text in first[:_MOST_REPORTED]), *more, *_unusable_in_some(counts, frames))
+    follows = {kind for kind in always if any(kind[k:] in always for k in range(1, len(kind)))}
+    listed = (count for kind, count in unexpected.items() if kind in always - follows or kind[0][1] in _IN_SOME)
+    lines = [f"in {_share(count.frames, frames)}: {count}" for count in listed]
+    rest = len(lines) - _MOST_REPORTED
+    more = (f"{rest} more reason{'s' * (rest > 1)}, which roadperc-report lists",) if rest > 0 else ()
+    return (*lines[:_MOST_REPORTED], *more)
 
 
-def _unusable_in_some(counts: Mapping[ReasonKind, ReasonCount], frames: int) -> tuple[str, ...]:
-    """Messages of some frames that could not be used, the most frequent first."""
-    some = ranked({kind: n for kind, n in counts.items() if n.frames < frames and kind[0][1] in UNUSABLE})
-    found = [f"in {count.frames} of {frames} frames: {count}" for count in some.values()]
-    rest = len(found) - _MOST_REPORTED
-    more = (f"{rest} more kinds of messages that cannot be used, which roadperc-report lists",) if rest > 0 else ()
-    return (*found[:_MOST_REPORTED], *more)
+def _share(count: int, frames: int) -> str:
+    if count < frames:
+        return f"{count} of {frames} frames"
+    return f"all {frames} frames" if frames > 1 else "the only frame"
 
 
 def _is_expected(kind: ReasonKind, filled: Collection[str]) -> bool:

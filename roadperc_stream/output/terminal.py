@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import partial
 from typing import Final, TextIO
 
@@ -12,7 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
-from roadperc_stream.output.text_table import TextRow, TextTable, transposed
+from roadperc_stream.output.text_table import TextTable
 from roadperc_stream.system.process import discard_output
 from roadperc_stream.system.progress import no_progress
 from roadperc_stream.system.text import shown
@@ -23,9 +22,7 @@ _RULE_BELOW_HEADER: Final = Box("\n".join(["    ", "    ", " ── ", "    ", "
 _GAP: Final = 2
 """Spaces between two columns."""
 _LEAST_LABEL: Final = 15
-"""Minimum width of labels; columns of numbers that do not fit beside them continue in a table below."""
-
-
+"""Width of labels in a table whose numbers leave no space for wider ones."""
 _VERDICT: Final = r"^(?:check: )?(?:(?P<red>worse|failed|error)|(?P<green>better|passed))(?=$|[:, ])"
 """A verdict at the beginning of a line or a cell; the names of the groups are its colours."""
 
@@ -47,13 +44,13 @@ def console_for(stream: TextIO) -> Console:
 def print_table(console: Console, table: TextTable) -> None:
     """Print a table after an empty line, with its notes below; without rows, print its title and notes.
 
-    In a narrow console labels and text wrap. Numbers never do: columns that do not fit continue below.
+    Labels and text wrap. Numbers never do: a table whose numbers do not fit is wider than the console.
     """
-    table = table.of_texts(shown)
     if table.rows:
-        for part in _parts(table, console.width):
-            print_lines(console, "", _rendered(part, console.width))
-        print_lines(console, *table.notes)
+        flat = table.flat()
+        if flat.headers == table.subjects and _least_label(flat) + sum(_numbers(flat)) > console.width:
+            flat = table.in_lines()
+        print_lines(console, "", _rendered(flat, console.width), *table.notes)
     elif table.notes:
         print_lines(console, "", *(f"{table.title}: {note}" for note in table.notes))
 
@@ -67,63 +64,36 @@ def print_parts(console: Console, *parts: str | TextTable) -> None:
             print_table(console, part)
 
 
-def _parts(table: TextTable, width: int) -> Iterator[TextTable]:
-    """Split the table into flat ones that fit the width, each with some of the columns."""
-    flat = table.flat()
-    if flat.last_is_text:
-        yield flat
-        return
-    if flat.headers == table.subjects and _needed(flat, range(len(flat.headers))) > width:
-        flat = transposed(flat)
-    columns: list[int] = []
-    for column in range(len(flat.headers)):
-        if columns and _needed(flat, [*columns, column]) > width:
-            yield _of_columns(flat, columns)
-            columns = []
-        columns.append(column)
-    yield _of_columns(flat, columns)
-
-
-def _needed(table: TextTable, columns: range | list[int]) -> int:
-    """Width of some columns with the narrowest labels."""
-    return _least_label(table) + sum(_GAP + _column_width(table, column) for column in columns)
+def _numbers(table: TextTable) -> tuple[int, ...]:
+    """The widths of a flat table's columns of numbers, with the gap before each."""
+    columns = range(len(table.headers) - table.last_is_text)
+    cells = (
+        (table.headers[column], *(item.cells[0][column] for item in table.rows if column < len(item.cells[0])))
+        for column in columns
+    )
+    return tuple(_GAP + max(len(shown(text)) for text in texts) for texts in cells)
 
 
 def _least_label(table: TextTable) -> int:
-    longest = max(max(len(item.label), len(item.below)) for item in table.rows)
-    return min(longest, _LEAST_LABEL)
-
-
-def _column_width(table: TextTable, column: int) -> int:
-    return max(len(table.headers[column]), *(len(_cell(item, column)) for item in table.rows))
-
-
-def _cell(item: TextRow, column: int) -> str:
-    return item.cells[0][column] if column < len(item.cells[0]) else ""
-
-
-def _of_columns(table: TextTable, columns: list[int]) -> TextTable:
-    rows = tuple(replace(item, cells=(tuple(_cell(item, column) for column in columns),)) for item in table.rows)
-    return replace(table, headers=tuple(table.headers[column] for column in columns), rows=rows)
+    return min(max(len(shown(item.label)) for item in table.rows), _LEAST_LABEL)
 
 
 def _rendered(table: TextTable, width: int) -> Table:
-    """A table without borders: labels on the left, columns of numbers, optionally a last column of text."""
+    """A flat table without borders: labels on the left, columns of numbers, optionally a last column of text."""
     rendered = Table(box=_RULE_BELOW_HEADER, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0), header_style="bold")
     # Only one column may fold: rich shrinks two columns equally, which makes labels too narrow.
-    words = table.last_is_text
-    numbers = range(len(table.headers) - words)
-    label_columns = max(width - sum(_GAP + _column_width(table, column) for column in numbers), _least_label(table))
-    least = table.label_columns if words else min(table.label_columns, label_columns)
-    rendered.add_column(table.title, min_width=least, no_wrap=words, overflow="fold", header_style="bold cyan")
-    for column in numbers:
-        header = table.headers[column]
-        rendered.add_column(header, justify="right", no_wrap=True, min_width=_column_width(table, column))
+    numbers, words = _numbers(table), table.last_is_text
+    labels = max(width - sum(numbers), _least_label(table))
+    least = table.label_columns if words else min(table.label_columns, labels)
+    rendered.add_column(shown(table.title), min_width=least, no_wrap=words, overflow="fold", header_style="bold cyan")
+    for header in table.headers[: len(numbers)]:
+        rendered.add_column(shown(header), justify="right", no_wrap=True)
     if words:
-        rendered.add_column(table.headers[-1], overflow="fold")
+        rendered.add_column(shown(table.headers[-1]), overflow="fold")
+    elif least + sum(numbers) > width:
+        rendered.width = least + sum(numbers)
     for item in table.rows:
-        label = f"{item.label}\n{item.below}" if item.below else item.label
-        rendered.add_row(label, *map(_coloured, item.cells[0]))
+        rendered.add_row(shown(item.label), *(_coloured(shown(cell)) for cell in item.cells[0]))
     return rendered
 
 

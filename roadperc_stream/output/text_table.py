@@ -1,6 +1,6 @@
 """A table of texts for the terminal and for HTML pages."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -19,13 +19,6 @@ class TextRow:
     cells: tuple[tuple[str, ...], ...] = ((),)
     about: str = ""
     listed: tuple[int, ...] | None = None
-    below: str = ""
-    """A second line of the label, on a terminal only."""
-
-    def of_texts(self, text: Callable[[str], str]) -> "TextRow":
-        """The row with a function applied to every text."""
-        cells = tuple(tuple(map(text, cells)) for cells in self.cells)
-        return replace(self, label=text(self.label), cells=cells, below=text(self.below))
 
 
 @dataclass(frozen=True)
@@ -44,12 +37,6 @@ class TextTable:
     last_is_text: bool = False
     label_columns: int = 26
 
-    def of_texts(self, text: Callable[[str], str]) -> "TextTable":
-        """The table with a function applied to every text."""
-        headers, subjects = tuple(map(text, self.headers)), tuple(map(text, self.subjects))
-        rows, notes = tuple(item.of_texts(text) for item in self.rows), tuple(map(text, self.notes))
-        return replace(self, title=text(self.title), headers=headers, rows=rows, notes=notes, subjects=subjects)
-
     def flat(self) -> "TextTable":
         """The table with one line of cells in every row.
 
@@ -60,6 +47,10 @@ class TextTable:
         if self.headers == _ONE_VALUE:
             rows = [row(item.label, *(cells[0] if cells else "" for cells in item.cells)) for item in self.rows]
             return replace(self, headers=self.subjects, rows=tuple(rows), subjects=())
+        return self.in_lines()
+
+    def in_lines(self) -> "TextTable":
+        """The table with a line for each subject below the label of the row."""
         return replace(self, rows=tuple(line for item in self.rows for line in self._lines(item)), subjects=())
 
     def _lines(self, item: TextRow) -> Iterable[TextRow]:
@@ -78,10 +69,3 @@ def by_header(item: TextRow, headers: Sequence[str]) -> list[tuple[str, tuple[st
     padded = [cells + ("",) * (len(headers) - len(cells)) for cells in item.cells]
     lines = zip(headers, zip(*padded, strict=True), strict=True)
     return [(header, cells) for header, cells in lines if any(cells)]
-
-
-def transposed(table: TextTable) -> TextTable:
-    """A flat table with rows and columns exchanged."""
-    columns = zip(*(item.cells[0] for item in table.rows), strict=True)
-    rows = tuple(row(header, *cells) for header, cells in zip(table.headers, columns, strict=True))
-    return replace(table, headers=tuple(item.label for item in table.rows), rows=rows)

@@ -9,13 +9,11 @@ from roadperc_stream.config import ReplayConfig
 from roadperc_stream.geometry import Float
 from roadperc_stream.input.replay_input import ReplayInput
 from roadperc_stream.log import Attachment, Channel, LogWriter, Message, MessageCopy, Metadata, Piece
-from roadperc_stream.model import FrameResult, Odometry, Reason, ReasonKind, Sample
+from roadperc_stream.model import FrameResult, Odometry, Reason, Sample
 from roadperc_stream.model.finding import Evidence, Finding, encoded_findings
-from roadperc_stream.model.sample import frame_reasons
-from roadperc_stream.output.drawing.on_request import PictureMaker
+from roadperc_stream.output.drawing.on_request import picture_messages
 from roadperc_stream.output.findings import Contradictions
-from roadperc_stream.output.frozen_frames import FrozenFrames
-from roadperc_stream.output.reason_counts import ReasonCount, merged, of_frame, throughout
+from roadperc_stream.output.reason_counts import ReasonCounts, merged, of_frame, throughout
 from roadperc_stream.output.results import result_channel, result_messages
 from roadperc_stream.output.tables import TableWriter, config_text, table_facts
 from roadperc_stream.output.target import ReplayTarget
@@ -72,15 +70,6 @@ class Shown:
         if isinstance(result.odometry, Odometry) and result.odometry.has_pose:
             poses = (*poses, result.odometry.odom_T_ego)[-TRAJECTORY_POSES:]
         return Shown(poses, reasons, result.stamp_ns if self.first_ns is None else self.first_ns)
-
-
-@dataclass(frozen=True)
-class Counted:
-    """The reasons of the written frames, and the numbers of frames without pictures and with bare ones."""
-
-    reasons: tuple[tuple[ReasonKind, ReasonCount], ...] = ()
-    without_image: int = 0
-    misfits: int = 0
 
 
 @dataclass(frozen=True)
@@ -159,27 +148,25 @@ class Outputs:
         self._frames = TableWriter(target.metrics, FrameMetrics, facts, TIME_COLUMNS)
         self._objects = TableWriter(target.objects, ObjectMetrics, facts)
         self._log = LogWriter(target.path, log_in.summary.profile)
-        self._pictures = PictureMaker(target.on_request)
         self.files = (self._log, self._objects, self._frames)
         """Renamed in reverse order: when the log has its name, the tables have theirs."""
-        self._frozen, self._contradictions = FrozenFrames(), Contradictions()
+        self._reasons: ReasonCounts = {}
+        self._contradictions = Contradictions()
         self._findings: tuple[Finding, ...] = ()
         self._frames_before = 0
         self._resumed_ns: int | None = None
 
-    def begin(self, callbacks: Callbacks, shown: Shown, counted: Counted) -> None:
-        """Register all channels; ``shown`` and ``counted`` are those of earlier frames."""
+    def begin(self, callbacks: Callbacks, shown: Shown) -> None:
+        """Register all channels; ``shown`` is that of earlier frames."""
         log_in, self.shown, self._on_frame = self._input, shown, callbacks.on_frame
         copied: tuple[Iterable[Channel], Iterator[Piece]] = (
             ((), iter(())) if self._target.results_only else (log_in.channels, log_in.messages.pieces())
         )
         self._copy = MessageCopy(self._log, *copied, log_in.summary.schema_ids)
-        topics = result_schemas(self._pictures.requests)
+        topics = result_schemas(self._target.on_request)
         self._channels = {topic: result_channel(topic, name) for topic, name in topics.items()}
         for channel in self._channels.values():
             self._log.register(channel)
-        self._reasons = dict(counted.reasons)
-        self._pictures.without_image, self._pictures.misfits = counted.without_image, counted.misfits
         if callbacks.on_start is not None:
             callbacks.on_start(self._log, log_in.span_ns)
 
@@ -206,10 +193,9 @@ class Outputs:
     def _messages(self, sample: Sample, result: FrameResult, row: FrameMetrics) -> tuple[tuple[str, bytes], ...]:
         """Topics and bytes of a frame's results and pictures."""
         known_reasons, self.shown = self.shown.reasons, self.shown.after(result, row.reasons)
-        self._reasons = merged((self._reasons, of_frame(frame_reasons(sample, result))))
         return (
             *result_messages(sample, result, row, known_reasons, self.shown.trajectory),
-            *self._pictures.messages(sample, result, row, self.shown.first_ns or 0),
+            *picture_messages(self._target.on_request, sample, result, row, self.shown.first_ns or 0),
         )
 
     def _write_messages(self, sample: Sample, messages: Iterable[tuple[str, bytes]]) -> None:
@@ -221,14 +207,10 @@ class Outputs:
         if self._on_frame is not None:
             self._on_frame(output.row, output.times_ms)
         self._contradictions.add(output.row, output.evidence)
+        self._reasons = merged((self._reasons, of_frame(output.row.reasons)))
         self._frames.append(output.row, **output.times_ms)
-        self._frozen.add(output.row)
         for item in output.objects:
             self._objects.append(item)
-
-    def counted(self) -> Counted:
-        """The current counts."""
-        return Counted(tuple(self._reasons.items()), self._pictures.without_image, self._pictures.misfits)
 
     def end(self, facts: Mapping[str, str], states: Iterable[Attachment]) -> None:
         """Copy the rest of the input, and record how the output was made.
@@ -268,11 +250,13 @@ class Outputs:
     def summary(self, warnings: tuple[str, ...], notes: tuple[str, ...]) -> ReplaySummary:
         """The summary of the replay, with warnings and more notes."""
         log_in, resumed_ns = self._input, self._resumed_ns
+        asked = " and ".join(f"--{request}" for request in self._target.on_request)
+        bare = (f"{asked}: no pictures, the log has no camera image",) if asked and "image" not in log_in.topics else ()
         return ReplaySummary(
             log_in.log_id,
             log_in.frames,
             self._log.messages,
-            notes=(*notes, *log_in.notes, *self._frozen.notes(), *self._pictures.notes()),
+            notes=(*notes, *log_in.notes, *bare),
             warnings=warnings,
             dropped=log_in.dropped,
             problems=log_in.unreadable,

@@ -8,15 +8,15 @@ Later records were written after the checkpoint; a resumed replay computes them 
 import os
 import shutil
 import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Final, Self
 
 from roadperc_stream.chain.encoding import decode, encode
 from roadperc_stream.errors import StateError
-from roadperc_stream.output.writing import Counted, FrameOutput
+from roadperc_stream.output.writing import FrameOutput
 from roadperc_stream.resume.lock import FolderLock
 from roadperc_stream.resume.state import ReplayState
 from roadperc_stream.system.files import sync_folder, target_errors
@@ -38,7 +38,6 @@ class Checkpoint:
     state: ReplayState
     samples: int = 0
     length: int = 0
-    counted: Counted = field(default_factory=Counted)
 
 
 def checkpoint_folder(target: Path) -> Path:
@@ -250,18 +249,17 @@ class Checkpoints:
         if self._every_ns is not None and output is not None:
             self._folder.append(output)
 
-    def reached(self, log_time_ns: int, samples: int, state: ReplayState, counted: Callable[[], Counted]) -> None:
+    def reached(self, log_time_ns: int, samples: int, state: ReplayState) -> None:
         """Write a checkpoint if it is due and the sample is new.
 
-        ``log_time_ns`` is that of the last frame. ``state`` and the result of ``counted`` describe all complete
-        ``samples``.
+        ``log_time_ns`` is that of the last frame, ``state`` that after all complete ``samples``.
         """
         if self._every_ns is None:
             return
         if self._last_ns is None or samples <= self.begun.samples:
             self._last_ns = log_time_ns
         elif log_time_ns - self._last_ns >= self._every_ns:
-            self._folder.write(Checkpoint(self.begun.run, state, samples, counted=counted()))
+            self._folder.write(Checkpoint(self.begun.run, state, samples))
             self._last_ns = log_time_ns
 
     def sync(self, target: Path) -> None:

@@ -113,17 +113,6 @@ def test_runs_without_a_configuration_are_not_pooled(tmp_path, capsys):
     assert "Settings that differ: unknown: no configuration in the table" in text.replace("\n", " ")
 
 
-def test_many_configurations_have_a_row_each(tmp_path, capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "80")
-    for k in range(1, 9):
-        configured(tmp_path / f"a_longer_name_{k}.metrics.parquet", 0.1, f"lanes.hold_s={k}", f"lanes.gate={k / 2}")
-    _, text, _ = report(capsys, tmp_path)
-    table = text[text.index("Settings that differ") :].split("\n\n")[0].splitlines()
-    assert sorted(table[0].split()[3:]) == ["lanes.gate", "lanes.hold_s"]
-    assert [line.split()[0] for line in table[2:]] == [f"a_longer_name_{k}" for k in range(1, 9)]
-    assert {"8.0", "4.0"} <= set(table[-1].split())
-
-
 def test_of_many_logs_the_worst_are_shown(tmp_path, capsys):
     for index in range(14):
         rows = [row(0, f"{index:016x}", lane_left_error_m=index / 100)]

@@ -7,7 +7,6 @@ from typing import Any, Final
 import cv2
 import numpy as np
 from foxglove_schemas_protobuf.Color_pb2 import Color
-from foxglove_schemas_protobuf.CubePrimitive_pb2 import CubePrimitive
 from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.Point2_pb2 import Point2
@@ -16,7 +15,6 @@ from foxglove_schemas_protobuf.PointsAnnotation_pb2 import PointsAnnotation
 from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
-from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from numpy.typing import NDArray
 
@@ -134,19 +132,24 @@ def objects_scene(stamp_ns: int, camera: Camera, ego_T_camera: Float, objects: O
     sides_of_image = Quaternion(x=x, y=y, z=z, w=w)
     for item, place in zip(objects.objects, _places(camera, objects.objects), strict=True):
         if item.kept and item.distance_m is not None:
-            slab = _slab(camera, ego_T_camera, sides_of_image, item.detection.box_px, item.distance_m)
+            centre_m, size_m = box_in_space(camera, item.detection.box_px, item.distance_m)
+            position = Vector3(**_xyz(transform(ego_T_camera, centre_m)))
             colour, _ = _box_style(item)
-            entity.cubes.add(pose=slab.pose, size=slab.size, color=_color(colour, 0.5))
+            entity.cubes.add(
+                pose=Pose(position=position, orientation=sides_of_image),
+                size=Vector3(**_xyz(size_m)),
+                color=_color(colour, 0.5),
+            )
             if place is not None:
-                entity.texts.append(_caption_above(slab, caption(item), colour))
+                above = Vector3(x=position.x, y=position.y, z=position.z + float(size_m[1]) / 2)
+                entity.texts.add(
+                    pose=Pose(position=above, orientation=Quaternion(w=1.0)),
+                    billboard=True,
+                    font_size=_CAPTION_M,
+                    color=_color(colour),
+                    text=caption(item),
+                )
     return message.SerializeToString()
-
-
-def _slab(camera: Camera, ego_T_camera: Float, orientation: Quaternion, box: Box, distance_m: float) -> CubePrimitive:
-    """The slab that covers a box at a distance from the camera; ``orientation`` aligns it with the image."""
-    centre_m, size_m = box_in_space(camera, box, distance_m)
-    pose = Pose(position=Vector3(**_xyz(transform(ego_T_camera, centre_m))), orientation=orientation)
-    return CubePrimitive(pose=pose, size=Vector3(**_xyz(size_m)))
 
 
 def box_in_space(camera: Camera, box: Box, distance_m: float) -> tuple[Float, Float]:
@@ -160,18 +163,6 @@ def box_in_space(camera: Camera, box: Box, distance_m: float) -> tuple[Float, Fl
     depth_m = distance_m / float(np.linalg.norm(ray))
     columns, rows = corners[2] - corners[0] + 1
     return ray * depth_m, np.array([columns * depth_m / camera.fx, rows * depth_m / camera.fy, _SLAB_M])
-
-
-def _caption_above(slab: CubePrimitive, text: str, colour: Colour) -> TextPrimitive:
-    place = slab.pose.position
-    above = Vector3(x=place.x, y=place.y, z=place.z + slab.size.y / 2)
-    return TextPrimitive(
-        pose=Pose(position=above, orientation=Quaternion(w=1.0)),
-        billboard=True,
-        font_size=_CAPTION_M,
-        color=_color(colour),
-        text=text,
-    )
 
 
 def road_patch(surface: Surface) -> Float:

@@ -38,14 +38,9 @@ class Pen:
     text_px: int
 
     @classmethod
-    def of(cls, image: Image, scale: float = 1.0) -> "Pen":
-        """A pen for an image that is ``scale`` times as large as the original."""
-        rows, columns = image.shape[:2]
-        return cls.of_size(columns, rows, scale)
-
-    @classmethod
-    def of_size(cls, columns: int, rows: int, scale: float = 1.0) -> "Pen":
-        """Like ``of``, from the size of the image."""
+    def of(cls, shape: tuple[int, ...], scale: float = 1.0) -> "Pen":
+        """A pen for an image of this shape (rows, columns, ...), ``scale`` times as large as the original."""
+        rows, columns = shape[:2]
         line_px = max(round(rows / _LINE_ROWS), 1)
         return cls((columns, rows), scale, line_px, max(round(rows / _TEXT_ROWS), _LEAST_TEXT_PX))
 

@@ -1,7 +1,6 @@
 """Draws the pictures that a replay writes on request: results and intermediate steps in the camera image, as JPEG."""
 
 from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass
 from typing import Final
 
 import cv2
@@ -40,7 +39,7 @@ def lanes_picture(image_bgr: model.Image, lanes: model.Lanes) -> model.Image:
     ``image_bgr`` is the (H, W, 3) camera image of the lanes.
     """
     canvas = _dimmed(image_bgr)
-    pen = Pen.of(canvas)
+    pen = Pen.of(canvas.shape)
     if lanes.edges is not None:
         canvas[lanes.edges] = _EDGE
     chosen = [boundary.raw_px for boundary in lanes.boundaries if boundary.raw_px is not None]
@@ -66,7 +65,7 @@ def matches_picture(image_bgr: model.Image, matches: model.Matches) -> model.Ima
     ``image_bgr`` is the (H, W, 3) camera image of the matches.
     """
     canvas = _dimmed(image_bgr)
-    pen = Pen.of(canvas)
+    pen = Pen.of(canvas.shape)
     groups = ((~matches.inliers, _OUTLIER, "outliers"), (matches.inliers, _INLIER, "inliers"))
     for chosen, colour, _ in groups:
         for start, end in zip(matches.key_px[chosen], matches.px[chosen], strict=True):
@@ -84,7 +83,7 @@ def template_picture(image_bgr: model.Image, searches: Iterable[model.Correlatio
     ``image_bgr`` is the (H, W, 3) camera image of the searches, which include objects that were not found.
     """
     canvas = _dimmed(image_bgr)
-    pen = Pen.of(canvas)
+    pen = Pen.of(canvas.shape)
     for search in searches:
         _lay_heat(canvas, search)
     for search in searches:
@@ -109,7 +108,7 @@ def disparity_picture(left: Camera, baseline_m: float, stereo: model.StereoDepth
     known = np.isfinite(share)
     canvas = _turbo(np.where(known, share, np.float32(0)))
     canvas[~known] = 0
-    _draw_legend(canvas, [(f"disparity 0 to {most_px:.0f} px", _PEAK)], Pen.of(canvas))
+    _draw_legend(canvas, [(f"disparity 0 to {most_px:.0f} px", _PEAK)], Pen.of(canvas.shape))
     return canvas
 
 
@@ -146,49 +145,37 @@ Picture = tuple[str, str, model.Image]
 """Topic, frame_id and (H, W, 3) pixels."""
 
 
-@dataclass
-class PictureMaker:
-    """Draws the requested pictures of one replay."""
+def picture_messages(
+    requests: Collection[topics.Request],
+    sample: model.Sample,
+    result: model.FrameResult,
+    metrics: FrameMetrics,
+    first_ns: int,
+) -> Iterator[tuple[str, bytes]]:
+    """Topic and bytes of a frame's requested pictures; absent results have no picture.
 
-    requests: Collection[topics.Request]
-    without_image: int = 0
-    """Frames without pictures, because they have no readable camera image."""
-    misfits: int = 0
-    """Frames with a bare picture, because the camera image is not of its calibration's size."""
+    ``first_ns`` is the stamp of the log's first frame.
+    """
+    for topic, frame_id, picture in _drawn(requests, sample, result, metrics, first_ns) if requests else ():
+        jpeg = encode_jpeg(picture, _JPEG_QUALITY)
+        yield topic, encoding.encode_image(result.stamp_ns, frame_id, "jpeg", jpeg)
 
-    def messages(
-        self, sample: model.Sample, result: model.FrameResult, metrics: FrameMetrics, first_ns: int
-    ) -> Iterator[tuple[str, bytes]]:
-        """Topic and bytes of a frame's pictures; absent results have no picture.
 
-        ``first_ns`` is the stamp of the log's first frame. Frames come in the order of the replay.
-        """
-        for topic, frame_id, picture in self._drawn(sample, result, metrics, first_ns) if self.requests else ():
-            jpeg = encode_jpeg(picture, _JPEG_QUALITY)
-            yield topic, encoding.encode_image(result.stamp_ns, frame_id, "jpeg", jpeg)
-
-    def notes(self) -> tuple[str, ...]:
-        """Lines for the user about frames without pictures or with bare ones."""
-        asked = " and ".join(f"--{request}" for request in self.requests)
-        counts = {
-            "frames without a readable camera image": self.without_image,
-            "frames without drawing, because the image size differs from its calibration": self.misfits,
-        }
-        return tuple(f"{asked}: {text}: {number}" for text, number in counts.items() if number)
-
-    def _drawn(
-        self, sample: model.Sample, result: model.FrameResult, metrics: FrameMetrics, first_ns: int
-    ) -> Iterator[Picture]:
-        image = _pixels(sample.frame.image)
-        fits = image is not None and image.shape[:2] == sample.frame.camera.size
-        self.without_image += image is None
-        self.misfits += image is not None and not fits
-        if image is not None and "overlay" in self.requests:
-            frame = PerceivedFrame(image, result.lanes, result.objects, result.drivable, fits)
-            since_start_s = ns_to_seconds(result.stamp_ns - first_ns)
-            yield topics.OVERLAY_TOPIC, result.frame_id, draw_frame(frame, metrics, since_start_s, image.shape[1])
-        if "debug" in self.requests:
-            yield from _debug(sample.frame, image if fits else None, result)
+def _drawn(
+    requests: Collection[topics.Request],
+    sample: model.Sample,
+    result: model.FrameResult,
+    metrics: FrameMetrics,
+    first_ns: int,
+) -> Iterator[Picture]:
+    image = _pixels(sample.frame.image)
+    fits = image is not None and image.shape[:2] == sample.frame.camera.size
+    if image is not None and "overlay" in requests:
+        frame = PerceivedFrame(image, result.lanes, result.objects, result.drivable, fits)
+        since_start_s = ns_to_seconds(result.stamp_ns - first_ns)
+        yield topics.OVERLAY_TOPIC, result.frame_id, draw_frame(frame, metrics, since_start_s, image.shape[1])
+    if "debug" in requests:
+        yield from _debug(sample.frame, image if fits else None, result)
 
 
 def _pixels(image: model.CameraImage | None) -> model.Image | None:

@@ -33,37 +33,31 @@ from roadperc_stream.output.drawing.captions import by_nearness, label_places
 from roadperc_stream.output.drawing.colours import bgr
 from roadperc_stream.schemas.columns import FrameMetrics
 
-Phrase = tuple[str, Colour]
-"""Text that stays on one line, and its colour."""
 _PLAIN: Final[Colour] = (240, 240, 240)
 _SHADE: Final = 0.7
 _GAP_CHARACTERS: Final = 0.6
 """Gap between two phrases, in heights of the text."""
 _SYMBOL_DASHES: Final = 4.0
-Symbol = Literal["area", "line", "dashed line", "box", "dashed box"]
 
 
 @dataclass(frozen=True)
-class LegendEntry:
-    """The meaning of a colour and a shape."""
+class Phrase:
+    """A text of the strip that stays on one line; with a symbol before it, the symbol has the colour."""
 
     text: str
-    colour: Colour
-    symbol: Symbol
+    colour: Colour = _PLAIN
+    symbol: Literal["", "area", "line", "dashed line", "box", "dashed box"] = ""
 
 
 LEGEND: Final = (
-    LegendEntry("drivable", bgr(colours.DRIVABLE), "area"),
-    LegendEntry("lane", bgr(colours.BOUNDARY["measured"]), "line"),
-    LegendEntry("held", bgr(colours.BOUNDARY["held"]), "line"),
-    LegendEntry("raw", bgr(colours.RAW_LINE), "dashed line"),
-    LegendEntry("kept", bgr(colours.OBJECT["kept"]), "box"),
-    LegendEntry("unverified", bgr(colours.OBJECT["unverified"]), "box"),
-    LegendEntry("dropped", bgr(colours.OBJECT["dropped"]), "dashed box"),
+    Phrase("drivable", bgr(colours.DRIVABLE), "area"),
+    Phrase("lane", bgr(colours.BOUNDARY["measured"]), "line"),
+    Phrase("held", bgr(colours.BOUNDARY["held"]), "line"),
+    Phrase("raw", bgr(colours.RAW_LINE), "dashed line"),
+    Phrase("kept", bgr(colours.OBJECT["kept"]), "box"),
+    Phrase("unverified", bgr(colours.OBJECT["unverified"]), "box"),
+    Phrase("dropped", bgr(colours.OBJECT["dropped"]), "dashed box"),
 )
-Item = Phrase | LegendEntry
-Strip = Sequence[Sequence[tuple[int, Item]]]
-"""Lines of items, each with its first column."""
 _TINT: Final = 0.22
 _LEVELS: Final = np.arange(256)[None, :, None]
 _TINTED: Final = np.rint((1 - _TINT) * _LEVELS + _TINT * np.array(bgr(colours.DRIVABLE))).astype(np.uint8)
@@ -103,20 +97,13 @@ def draw_results(frame: PerceivedFrame, width_px: int, top_px: int = 0) -> Image
 
     Returns:
         (H * width_px / W, width_px, 3) uint8, blue, green, red.
-
-    Raises:
-        ValueError: the sizes of mask and image differ.
     """
     scale = width_px / frame.image_bgr.shape[1]
     canvas = resized(frame.image_bgr, scale)
     if not frame.fits:
         return canvas
-    pen = Pen.of(canvas, scale)
+    pen = Pen.of(canvas.shape, scale)
     if not isinstance(frame.drivable, Absent):
-        if frame.drivable.shape != frame.image_bgr.shape[:2]:
-            raise ValueError(
-                f"drivable: expected the image's {frame.image_bgr.shape[:2]} pixels, got {frame.drivable.shape}"
-            )
         mask = cv2.resize(frame.drivable.astype(np.uint8), pen.size, interpolation=cv2.INTER_NEAREST)
         cv2.copyTo(cv2.LUT(canvas, _TINTED), mask, canvas)
     if not isinstance(frame.lanes, Absent):
@@ -166,7 +153,8 @@ def _draw_tie(canvas: Image, item: Object, box: Box, place: Box) -> None:
     if box.y_min - place.y_max > (place.y_max - place.y_min) / 2:
         x = (box.x_min + box.x_max) / 2
         start = min(max(x, place.x_min + 1), place.x_max - 1), place.y_max
-        polyline(canvas, np.array((start, (x, box.y_min))), bgr(colours.OBJECT[item.verdict]), 1, Pen.of(canvas))
+        tie = np.array((start, (x, box.y_min)))
+        polyline(canvas, tie, bgr(colours.OBJECT[item.verdict]), 1, Pen.of(canvas.shape))
 
 
 def draw_frame(frame: PerceivedFrame, metrics: FrameMetrics, since_start_s: float, width_px: int) -> Image:
@@ -175,43 +163,35 @@ def draw_frame(frame: PerceivedFrame, metrics: FrameMetrics, since_start_s: floa
     The picture has ``width_px`` columns; ``since_start_s`` are the seconds since the first frame.
     """
     rows, columns = frame.image_bgr.shape[:2]
-    pen = Pen.of_size(columns=width_px, rows=max(round(rows * width_px / columns), 1))
-    strip = lay_out_strip(pen, metrics, frame.objects, since_start_s)
+    pen = Pen.of((max(round(rows * width_px / columns), 1), width_px))
+    strip = lines_of((*frame_phrases(metrics, frame.objects, since_start_s), *LEGEND), pen)
     canvas = draw_results(frame, width_px, len(strip) * pen.row_px)
     draw_strip(canvas, strip)
     return canvas
 
 
-def lay_out_strip(pen: Pen, metrics: FrameMetrics, objects: Objects | Absent, since_start_s: float) -> Strip:
-    """Arrange a frame's numbers and the legend in lines; a narrow image needs more lines.
-
-    Null values are left out. The nearest and the most urgent object are named.
-    """
-    return _lines((*frame_phrases(metrics, objects, since_start_s), *LEGEND), pen)
-
-
-def draw_strip(canvas: Image, strip: Strip) -> None:
-    """Write the lines over the topmost rows of the image, (H, W, 3) uint8."""
-    pen = Pen.of(canvas)
+def draw_strip(canvas: Image, strip: Sequence[Sequence[tuple[int, Phrase]]]) -> None:
+    """Write lines of phrases, each with its first column, over the topmost rows of the image, (H, W, 3) uint8."""
+    pen = Pen.of(canvas.shape)
     shaded = canvas[: len(strip) * pen.row_px]
     shaded[...] = cv2.addWeighted(shaded, 1 - _SHADE, np.full_like(shaded, DARK), _SHADE, 0)
     for row, line in enumerate(strip):
-        for x, item in line:
-            _draw_item(canvas, item, (x, row * pen.row_px), pen)
+        for x, phrase in line:
+            _draw_phrase(canvas, phrase, (x, row * pen.row_px), pen)
 
 
-def _draw_item(canvas: Image, item: Item, at_px: tuple[int, int], pen: Pen) -> None:
-    if isinstance(item, LegendEntry):
-        x, y = at_px
-        width, height = _symbol_size(pen)
-        left, top = x + pen.margin_px, y + (pen.row_px - height) // 2
-        _draw_symbol(canvas, item, Box(left, top, left + width - 1, top + height - 1), pen)
-        write(canvas, item.text, (x + width + 2 * pen.margin_px, y), _PLAIN, pen)
-    else:
-        write(canvas, item[0], at_px, item[1], pen)
+def _draw_phrase(canvas: Image, phrase: Phrase, at_px: tuple[int, int], pen: Pen) -> None:
+    if not phrase.symbol:
+        write(canvas, phrase.text, at_px, phrase.colour, pen)
+        return
+    x, y = at_px
+    width, height = _symbol_size(pen)
+    left, top = x + pen.margin_px, y + (pen.row_px - height) // 2
+    _draw_symbol(canvas, phrase, Box(left, top, left + width - 1, top + height - 1), pen)
+    write(canvas, phrase.text, (x + width + 2 * pen.margin_px, y), _PLAIN, pen)
 
 
-def _draw_symbol(canvas: Image, entry: LegendEntry, place: Box, pen: Pen) -> None:
+def _draw_symbol(canvas: Image, entry: Phrase, place: Box, pen: Pen) -> None:
     """Draw a sample of the overlay's drawing, at the same line width."""
     y = (place.y_min + place.y_max) / 2
     dash_px = (place.x_max - place.x_min) / _SYMBOL_DASHES
@@ -233,32 +213,32 @@ def _symbol_size(pen: Pen) -> tuple[int, int]:
 
 def frame_phrases(metrics: FrameMetrics, objects: Objects | Absent, since_start_s: float) -> Iterator[Phrase]:
     """Phrases of a frame's row and of its nearest and most urgent objects, the most important numbers first."""
-    yield f"frame {metrics.frame}", _PLAIN
-    yield f"{since_start_s:.2f} s", _PLAIN
+    yield Phrase(f"frame {metrics.frame}")
+    yield Phrase(f"{since_start_s:.2f} s")
     yield from _lane("left", metrics.lane_left_status, metrics.lane_left_offset_m)
     yield from _lane("right", metrics.lane_right_status, metrics.lane_right_offset_m)
     if not isinstance(objects, Absent):
         yield from _objects(objects.nearest, objects.most_urgent)
     yield from _odometry(metrics)
     if metrics.surface_source is not None:
-        yield f"surface: {metrics.surface_source}", _PLAIN
+        yield Phrase(f"surface: {metrics.surface_source}")
 
 
 def _lane(side: str, status: str | None, offset_m: float | None) -> Iterator[Phrase]:
     if status is not None:
         text = status if offset_m is None else f"{offset_m:+.2f} m"
-        yield f"lane {side} {text}", bgr(colours.BOUNDARY[status])
+        yield Phrase(f"lane {side} {text}", bgr(colours.BOUNDARY[status]))
 
 
 def _objects(nearest: Object | None, urgent: Object | None) -> Iterator[Phrase]:
     """The most urgent object, then the nearest: the smallest time to impact may belong to another object."""
     if urgent is not None and urgent is nearest:
-        yield f"nearest {_named(urgent)}, impact in {urgent.time_to_impact_s:.1f} s", _PLAIN
+        yield Phrase(f"nearest {_named(urgent)}, impact in {urgent.time_to_impact_s:.1f} s")
         return
     if urgent is not None:
-        yield f"impact: {_named(urgent)} in {urgent.time_to_impact_s:.1f} s", _PLAIN
+        yield Phrase(f"impact: {_named(urgent)} in {urgent.time_to_impact_s:.1f} s")
     if nearest is not None:
-        yield f"nearest {_named(nearest)}", _PLAIN
+        yield Phrase(f"nearest {_named(nearest)}")
 
 
 def _named(item: Object) -> str:
@@ -269,27 +249,23 @@ def _named(item: Object) -> str:
 
 def _odometry(metrics: FrameMetrics) -> Iterator[Phrase]:
     if metrics.step_m is not None:
-        yield f"step {metrics.step_m:.2f} m", _PLAIN
+        yield Phrase(f"step {metrics.step_m:.2f} m")
     elif metrics.odometry_status is not None:
         text = "without scale" if metrics.odometry_status == "tracked" else metrics.odometry_status
-        yield f"odometry {text}", bgr(colours.ORANGE) if metrics.odometry_status == "lost" else _PLAIN
+        yield Phrase(f"odometry {text}", bgr(colours.ORANGE) if metrics.odometry_status == "lost" else _PLAIN)
 
 
-def _lines(items: Iterable[Item], pen: Pen) -> list[list[tuple[int, Item]]]:
-    """The items with their first columns, as many on a line as fit."""
-    lines: list[list[tuple[int, Item]]] = [[]]
+def lines_of(phrases: Iterable[Phrase], pen: Pen) -> list[list[tuple[int, Phrase]]]:
+    """The phrases with their first columns, as many on a line as fit; a narrow image needs more lines."""
+    lines: list[list[tuple[int, Phrase]]] = [[]]
     x = 0
-    for item in items:
-        width = _width(item, pen)
+    for phrase in phrases:
+        width, _ = text_size(phrase.text, pen)
+        if phrase.symbol:
+            width += _symbol_size(pen)[0] + 2 * pen.margin_px
         if lines[-1] and x + width > pen.size[0]:
             lines.append([])
             x = 0
-        lines[-1].append((x, item))
+        lines[-1].append((x, phrase))
         x += width + round(_GAP_CHARACTERS * pen.text_px)
     return lines
-
-
-def _width(item: Item, pen: Pen) -> int:
-    if isinstance(item, LegendEntry):
-        return text_size(item.text, pen)[0] + _symbol_size(pen)[0] + 2 * pen.margin_px
-    return text_size(item[0], pen)[0]

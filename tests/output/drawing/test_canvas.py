@@ -11,7 +11,7 @@ WHITE = (255, 255, 255)
 
 def written(text="Car 10.7 m", rows=960):
     canvas = np.zeros((rows, 1280, 3), np.uint8)
-    write(canvas, text, (10, 10), WHITE, Pen.of(canvas))
+    write(canvas, text, (10, 10), WHITE, Pen.of(canvas.shape))
     return canvas
 
 
@@ -25,7 +25,7 @@ def test_a_text_does_not_depend_on_earlier_texts():
 @pytest.mark.parametrize("rows", [240, 480, 960, 2160])
 def test_a_text_stays_within_its_text_size(rows):
     canvas = np.zeros((rows, 1280, 3), np.uint8)
-    pen, text = Pen.of(canvas), "jgy\u00c4Q 10.7 m"
+    pen, text = Pen.of(canvas.shape), "jgy\u00c4Q 10.7 m"
     width, height = text_size(text, pen)
     write(canvas, text, (20, 30), WHITE, pen)
     at_rows, at_columns = np.nonzero(canvas.any(axis=-1))
@@ -41,7 +41,7 @@ def test_a_text_stays_within_its_text_size(rows):
 
 def test_a_box_is_drawn_on_its_outermost_pixels():
     canvas = np.zeros((960, 1280, 3), np.uint8)
-    box_outline(canvas, box("", 100, 200, 300, 400).box_px, WHITE, 1, Pen.of(canvas))
+    box_outline(canvas, box("", 100, 200, 300, 400).box_px, WHITE, 1, Pen.of(canvas.shape))
     white = (canvas == 255).all(axis=-1)
     assert white[200, 100:301].all()
     assert white[200:401, 300].all()

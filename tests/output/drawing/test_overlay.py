@@ -144,11 +144,6 @@ def test_text_is_legible_and_labels_do_not_overlap():
         assert stats[1:, cv2.CC_STAT_HEIGHT].min() >= 11
 
 
-def test_a_mask_of_another_size_is_an_error():
-    with pytest.raises(ValueError, match=r"expected the image's \(240, 320\) pixels, got \(10, 10\)"):
-        draw_overlay(black(), NOTHING, NOTHING, np.zeros((10, 10), bool))
-
-
 coordinates = st.floats(-1e9, 1e9) | st.just(np.nan) | st.just(np.inf)
 
 

@@ -9,7 +9,7 @@ from roadperc_stream.model import Absent, Object, Objects, Reason
 from roadperc_stream.output.drawing import colours
 from roadperc_stream.output.drawing.canvas import Pen
 from roadperc_stream.output.drawing.colours import bgr
-from roadperc_stream.output.drawing.overlay import LEGEND, draw_strip, frame_phrases, lay_out_strip
+from roadperc_stream.output.drawing.overlay import LEGEND, draw_strip, frame_phrases, lines_of
 from roadperc_stream.schemas.columns import FrameMetrics
 from tests.analytic import box
 
@@ -34,7 +34,7 @@ NOTHING = Absent(Reason("objects", "not_run"))
 
 
 def words(row, *objects, since_start_s=0.35):
-    return [text for text, _ in frame_phrases(row, Objects(objects), since_start_s)]
+    return [phrase.text for phrase in frame_phrases(row, Objects(objects), since_start_s)]
 
 
 def test_the_strip_shows_the_numbers_of_the_row():
@@ -51,7 +51,7 @@ def test_the_strip_shows_the_numbers_of_the_row():
 
 def test_null_values_are_left_out():
     assert words(ROW) == ["frame 7", "0.35 s"]
-    assert [text for text, _ in frame_phrases(ROW, NOTHING, 0.35)] == ["frame 7", "0.35 s"]
+    assert [phrase.text for phrase in frame_phrases(ROW, NOTHING, 0.35)] == ["frame 7", "0.35 s"]
 
 
 @pytest.mark.parametrize(
@@ -84,15 +84,15 @@ def test_a_status_replaces_a_missing_number(columns, text):
 
 
 def test_a_lane_has_the_colour_of_its_status():
-    colours = dict(frame_phrases(FULL, NOTHING, 0.0))
+    colours = {phrase.text: phrase.colour for phrase in frame_phrases(FULL, NOTHING, 0.0)}
     assert colours["lane left +1.52 m"] == (77, 230, 26)
     assert colours["lane right -1.86 m"] == (0, 128, 255)
 
 
 @pytest.mark.parametrize(("status", "stands_out"), [("lost", True), ("first", False), ("tracked", False)])
 def test_lost_odometry_is_orange(status, stands_out):
-    ((_, colour),) = list(frame_phrases(replace(ROW, odometry_status=status), NOTHING, 0.0))[2:]
-    assert (colour == bgr(colours.ORANGE)) == stands_out
+    (phrase,) = list(frame_phrases(replace(ROW, odometry_status=status), NOTHING, 0.0))[2:]
+    assert (phrase.colour == bgr(colours.ORANGE)) == stands_out
 
 
 def test_the_legend_has_every_colour_of_an_overlay():
@@ -105,12 +105,12 @@ def test_the_legend_has_every_colour_of_an_overlay():
 @pytest.mark.parametrize(("rows", "columns"), [(270, 360), (960, 1280)])
 def test_the_strip_covers_the_top_rows_and_cuts_no_text(rows, columns):
     canvas = np.full((rows, columns, 3), 200, np.uint8)
-    strip = lay_out_strip(Pen.of(canvas), FULL, Objects((CAR, FAR_CAR)), 0.35)
+    strip = lines_of((*frame_phrases(FULL, Objects((CAR, FAR_CAR)), 0.35), *LEGEND), Pen.of(canvas.shape))
     draw_strip(canvas, strip)
     touched = (canvas != 200).any(axis=(1, 2))
     covered = int(touched.sum())
     assert touched[:covered].all()
-    assert covered == len(strip) * Pen.of(canvas).row_px
+    assert covered == len(strip) * Pen.of(canvas.shape).row_px
     assert 20 < covered < rows / 4
     shade = canvas[0, 0]
     assert (shade < 100).all()
@@ -120,7 +120,7 @@ def test_the_strip_covers_the_top_rows_and_cuts_no_text(rows, columns):
 @pytest.mark.parametrize(("rows", "columns"), [(1, 1), (20, 30)])
 def test_the_strip_fits_into_tiny_images(rows, columns):
     canvas = np.zeros((rows, columns, 3), np.uint8)
-    draw_strip(canvas, lay_out_strip(Pen.of(canvas), FULL, Objects((CAR, FAR_CAR)), 0.0))
+    draw_strip(canvas, lines_of((*frame_phrases(FULL, Objects((CAR, FAR_CAR)), 0.0), *LEGEND), Pen.of(canvas.shape)))
 
 
 @pytest.mark.parametrize(("rows", "columns"), [(480, 640), (960, 1280)])
@@ -129,7 +129,7 @@ def test_legend_symbols_have_colour_and_shape_of_the_drawing(rows, columns):
     for entry in LEGEND:
         canvas = np.zeros((rows, columns, 3), np.uint8)
         draw_strip(canvas, [[(0, entry)]])
-        symbol = canvas[:, : round(1.8 * Pen.of(canvas).text_px)]
+        symbol = canvas[:, : round(1.8 * Pen.of(canvas.shape).text_px)]
         mine = (np.abs(symbol.astype(int) - entry.colour) <= 40).all(axis=-1)
         at = mine[:, mine.any(axis=0)]
         gaps = np.diff(np.flatnonzero(mine.any(axis=0))).max(initial=1) > 1
