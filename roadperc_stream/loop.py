@@ -49,28 +49,36 @@ def replay(
         found = folder.read() if options.resume else None
         target.require_writable(source.files, options.continued, resume=options.resume)
         opened = open_replay(source, cfg, options)
-        cfg = opened.input.cfg
-        summary = finished(target, cfg, opened) if options.resume and found is None else None
+        summary = finished(target, opened) if options.resume and found is None else None
         if summary is None:
-            start = Checkpoint(run_of(cfg, opened, target), opened.begin)
+            start = Checkpoint(run_of(opened, target), opened.begin)
             checkpoints = Checkpoints(folder, options.checkpoint_every_s, start, found, force=target.force)
             was_killed = options.resume and folder.path.exists() and not target.is_complete
             target = replace(target, force=target.force or found is not None or was_killed)
-            target.require_free(source.files)
-            outputs = Outputs(target, cfg, opened.input, opened.table_facts())
-            checkpoints.begin()
-            with one_thread(), all_or_none(*outputs.files):
-                frames = _Frames(cfg, opened, outputs, checkpoints, callbacks)
-                frames.replay(options.threads, options.own)
-                states, notes = ((), ()) if target.results_only else frames.end.attached()
-                outputs.end(opened.facts(), states)
-                target.require_free(source.files)  # another program may have written them
-                if checkpoints.are_durable:
-                    outputs.make_durable()
-            checkpoints.sync(target.path)
-            summary = outputs.summary(opened.warnings, (*opened.notes, *notes, *checkpoints.notes))
+            summary = _write(source, target, opened, options, checkpoints, callbacks)
         folder.remove()
     return replace(summary, seconds=perf_counter() - started)
+
+
+def _write(
+    source: ReplaySource,
+    target: ReplayTarget,
+    opened: OpenedLog,
+    options: ReplayOptions,
+    checkpoints: Checkpoints,
+    callbacks: Callbacks,
+) -> ReplaySummary:
+    """Replay an opened log; the outputs get their names when all are complete."""
+    target.require_free(source.files)
+    outputs = Outputs(target, opened.input.cfg, opened.input, opened.table_facts())
+    checkpoints.begin()
+    with one_thread(), all_or_none(*outputs.files):
+        frames = _Frames(opened, outputs, checkpoints, callbacks)
+        frames.replay(options.threads, options.own)
+        states, notes = ((), ()) if target.results_only else frames.end.attached()
+        outputs.end(opened.facts(), states)
+        target.require_free(source.files)  # another program may have written them
+    return outputs.summary(opened.warnings, (*opened.notes, *notes, *checkpoints.notes))
 
 
 _Timed = tuple[Sample, StageTimer]
@@ -79,10 +87,8 @@ _Timed = tuple[Sample, StageTimer]
 class _Frames:
     """The frames of one replay; the steps may run in different threads, one after the other for each frame."""
 
-    def __init__(
-        self, cfg: ReplayConfig, opened: OpenedLog, outputs: Outputs, checkpoints: Checkpoints, callbacks: Callbacks
-    ) -> None:
-        self._cfg, self._input = cfg, opened.input
+    def __init__(self, opened: OpenedLog, outputs: Outputs, checkpoints: Checkpoints, callbacks: Callbacks) -> None:
+        self._cfg, self._input = opened.input.cfg, opened.input
         self._outputs, self._checkpoints, self._callbacks = outputs, checkpoints, callbacks
         self._samples = self._written = 0
         self.end = opened.end_state()

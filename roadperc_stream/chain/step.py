@@ -22,10 +22,10 @@ from roadperc_stream.chain.stages.odometry.keyframes import OdometryState, count
 from roadperc_stream.chain.stages.surface.road import (
     KnownPitch,
     SurfaceState,
+    choose_road,
     drivable_mask,
     find_surface,
     or_assumed,
-    remember,
 )
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.geometry import inverse, transform_plane
@@ -99,7 +99,7 @@ def step(
     if is_built_in and isinstance(surface_state, SurfaceState):
         with timer("surface"):
             pitch = known_pitch(cfg, surface_state, odometry_state, frame, last.stamp_ns)
-            surface_state, road, held = remember(cfg.surface, surface_state, frame, found, last_T_this, pitch)
+            surface_state, road, held = choose_road(cfg.surface, surface_state, frame, found, last_T_this, pitch)
     front_road = _in_front_camera(frame, road)
     drivable = stages.run("surface", lambda: drivable_mask(cfg.surface, frame, front_road), off("drivable"))
 

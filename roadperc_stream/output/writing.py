@@ -21,7 +21,6 @@ from roadperc_stream.schemas import record
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics, ObjectMetrics
 from roadperc_stream.schemas.record import CONFIG_ATTACHMENT, METADATA_RECORD, OWN_ATTACHMENTS
 from roadperc_stream.schemas.topics import result_schemas
-from roadperc_stream.system.files import partial_of, sync_file
 from roadperc_stream.system.progress import Progress, StageTimer, no_progress
 from roadperc_stream.system.text import number
 from roadperc_stream.system.time import ns_to_seconds
@@ -239,13 +238,6 @@ class Outputs:
         made = {record.VERSION_KEY: __version__, record.SEED_KEY: str(self._cfg.seed)}
         values = {**made, **facts, **self._input.record(), **(stored if self._findings else {})}
         self._log.describe(Metadata(METADATA_RECORD, tuple(values.items())))
-
-    def make_durable(self) -> None:
-        """Complete all files and sync them to the disk, before the rename."""
-        for file in self.files:
-            file.complete()
-        for path in self._target.files:
-            sync_file(partial_of(path))
 
     def summary(self, warnings: tuple[str, ...], notes: tuple[str, ...]) -> ReplaySummary:
         """The summary of the replay, with warnings and more notes."""

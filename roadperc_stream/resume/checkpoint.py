@@ -19,7 +19,7 @@ from roadperc_stream.errors import StateError
 from roadperc_stream.output.writing import FrameOutput
 from roadperc_stream.resume.lock import FolderLock
 from roadperc_stream.resume.state import ReplayState
-from roadperc_stream.system.files import sync_folder, target_errors
+from roadperc_stream.system.files import target_errors
 from roadperc_stream.system.time import seconds_to_ns
 
 _LENGTH: Final = struct.Struct("<Q")
@@ -127,7 +127,6 @@ class CheckpointFolder:
             self._frames = os.fdopen(os.open(self.path / _FRAMES, flags, 0o666), "ab")
             self._frames.truncate(0 if checkpoint is None else checkpoint.length)
             self._frames.seek(0, os.SEEK_END)  # tell() would return the length before truncation
-            sync_folder(self.path.parent)
 
     def append(self, output: FrameOutput) -> None:
         """Add a frame; the next checkpoint includes it."""
@@ -137,20 +136,16 @@ class CheckpointFolder:
             self._frames.write(_LENGTH.pack(len(data)) + data)
 
     def write(self, checkpoint: Checkpoint) -> None:
-        """Write a durable checkpoint of all frames: first the frames, then the state with their number."""
+        """Write a checkpoint of all frames: first the frames, then the state with their number."""
         assert self._frames is not None
         checkpoint = replace(checkpoint, length=self._frames.tell())
         new = self.path / f"{_STATE}.new"
         with target_errors(self.path):
             self._frames.flush()
-            os.fsync(self._frames.fileno())
             new.unlink(missing_ok=True)
             with new.open("xb") as state:
                 state.write(encode(checkpoint))
-                state.flush()
-                os.fsync(state.fileno())
             new.replace(self.path / _STATE)
-            sync_folder(self.path)
 
     @property
     def holds_one(self) -> bool:
@@ -219,11 +214,6 @@ class Checkpoints:
         if found is None and every_s is not None and not force and folder.holds_one:
             raise StateError(f"{folder.path}: left by an interrupted replay", "--resume or --force", "(start over)")
 
-    @property
-    def are_durable(self) -> bool:
-        """Whether complete frames survive a loss of power."""
-        return self._every_ns is not None
-
     def begin(self) -> None:
         """Prepare to read the complete frames, and to write checkpoints if enabled."""
         if self.is_resumed:
@@ -261,8 +251,3 @@ class Checkpoints:
         elif log_time_ns - self._last_ns >= self._every_ns:
             self._folder.write(Checkpoint(self.begun.run, state, samples))
             self._last_ns = log_time_ns
-
-    def sync(self, target: Path) -> None:
-        """Make the names of the complete outputs durable, if the checkpoints are."""
-        if self.are_durable:
-            sync_folder(target.parent)

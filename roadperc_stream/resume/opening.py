@@ -166,11 +166,11 @@ def _open_warmed(source: ReplaySource, cfg: ReplayConfig, warm_up_s: float) -> O
     return OpenedLog(input_of(found, source, cfg, lead), warm_up_s=warm_up_s, notes=short, warnings=found.warnings)
 
 
-def run_of(cfg: ReplayConfig, opened: OpenedLog, target: ReplayTarget) -> dict[str, str]:
+def run_of(opened: OpenedLog, target: ReplayTarget) -> dict[str, str]:
     """All inputs and options that the output of a replay depends on, by name and value."""
     plan = opened.input.plan
     return {
-        **settings_of(cfg),
+        **settings_of(opened.input.cfg),
         "version": __version__,
         "input": plan.first.digest.hexdigest(),
         "topics": json.dumps(dict(plan.roles.topics)),
@@ -183,7 +183,7 @@ def run_of(cfg: ReplayConfig, opened: OpenedLog, target: ReplayTarget) -> dict[s
     }
 
 
-def finished(target: ReplayTarget, cfg: ReplayConfig, opened: OpenedLog) -> ReplaySummary | None:
+def finished(target: ReplayTarget, opened: OpenedLog) -> ReplaySummary | None:
     """The summary of an earlier replay whose complete output is that of this replay; None without one."""
     if not target.is_complete:
         return None
@@ -195,7 +195,7 @@ def finished(target: ReplayTarget, cfg: ReplayConfig, opened: OpenedLog) -> Repl
         recorded.get(record.DIGEST_KEY) == opened.input.plan.first.digest.hexdigest()
         and recorded.get(record.VERSION_KEY) == __version__
         and chosen == opened.input.chosen_topics
-        and attached.get(record.CONFIG_ATTACHMENT) == config_text(cfg, opened.input.networks).encode()
+        and attached.get(record.CONFIG_ATTACHMENT) == config_text(opened.input.cfg, opened.input.networks).encode()
         and {key: recorded[key] for key in (record.CONTINUES_KEY, record.WARM_UP_KEY) if key in recorded}
         == opened.facts()
         and {(channel.topic, is_result(channel)) for channel in summary.channels} == _topics(target, opened)

@@ -162,26 +162,6 @@ def target_errors(target: Path) -> Iterator[None]:
         raise TargetError(f"{target}: {error.strerror or error}") from error
 
 
-def sync_file(path: Path) -> None:
-    """Make the content of a file durable.
-
-    Raises:
-        TargetError: it cannot be written, for example because the disk is full.
-    """
-    with target_errors(path), path.open("rb") as stream:
-        os.fsync(stream.fileno())
-
-
-def sync_folder(folder: Path) -> None:
-    """Make the names in a folder durable, if the system can."""
-    with suppress(OSError):
-        number = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(number)
-        finally:
-            os.close(number)
-
-
 def partial_of(target: Path, suffix: str = "", mark: str = "") -> Path:
     """The hidden path next to a target where this process writes it: its partial file.
 

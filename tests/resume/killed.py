@@ -1,6 +1,6 @@
 """A command in a process that is killed: ``N SECONDS COMMAND ARGUMENTS``.
 
-It is killed before the N-th rename, removal or sync, or after SECONDS of CPU time after the imports (0: never).
+It is killed before the N-th rename or removal, or after SECONDS of CPU time after the imports (0: never).
 """
 
 import os
@@ -23,7 +23,7 @@ def main():
 
         return counted
 
-    for owner, name in ((Path, "replace"), (Path, "unlink"), (shutil, "rmtree"), (os, "fsync")):
+    for owner, name in ((Path, "replace"), (Path, "unlink"), (shutil, "rmtree")):
         setattr(owner, name, before(getattr(owner, name)))
     signal.setitimer(signal.ITIMER_PROF, after_s)  # without a handler, the signal ends the process
     return import_module(f"roadperc_stream.cli.{sys.argv[3]}").main(sys.argv[4:])

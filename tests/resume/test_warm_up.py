@@ -93,7 +93,7 @@ def test_a_checkpoint_is_of_the_state_that_it_began_with(source, tmp_path):
         replay(source, first, CFG, time_range=TimeRange(0.5, 0.85), warm_up_s=warm_up_s)
         later = ReplaySource(source, time_range=TimeRange(0.85))
         opened = open_replay(later, CFG, ReplayOptions(continued=first))
-        runs.append(run_of(CFG, opened, ReplayTarget(tmp_path / "out.mcap")))
+        runs.append(run_of(opened, ReplayTarget(tmp_path / "out.mcap")))
     assert [name for name in runs[0] if runs[0][name] != runs[1][name]] == ["state at the beginning"]
 
 

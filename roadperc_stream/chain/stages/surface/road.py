@@ -141,7 +141,7 @@ def _horizon_row(surface: Surface, camera: Camera, ego_T_camera: Float) -> int:
     return int(np.clip(np.floor(np.nanmin(rows, initial=camera.height)), 0, camera.height - 1))
 
 
-def remember(
+def choose_road(
     cfg: SurfaceConfig,
     state: SurfaceState,
     frame: Frame,

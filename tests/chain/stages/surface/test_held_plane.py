@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from roadperc_stream import geometry as g
-from roadperc_stream.chain.stages.surface.road import SurfaceState, find_surface, remember
+from roadperc_stream.chain.stages.surface.road import SurfaceState, choose_road, find_surface
 from roadperc_stream.config import SurfaceConfig
 from roadperc_stream.model import Absent, Reason
 from tests.analytic import Road
@@ -36,7 +36,7 @@ def noisy_scene(mounted=True):
 def after(state, scene, last_T_this, cfg=CFG):
     same, found = find_surface(cfg, state, scene, np.random.default_rng(0))
     assert same is state
-    return remember(cfg, state, scene, found, last_T_this)
+    return choose_road(cfg, state, scene, found, last_T_this)
 
 
 def test_the_plane_of_a_frame_that_shows_the_road_is_kept():
@@ -92,7 +92,7 @@ def test_without_a_mounting_there_is_no_surface():
 def test_a_standing_car_holds_the_plane_without_limit():
     state, scene = STATE, noisy_scene()
     for _ in range(200):
-        state, road, _ = remember(CFG, state, scene, Absent(FAILED), motion(ahead_m=0.0))
+        state, road, _ = choose_road(CFG, state, scene, Absent(FAILED), motion(ahead_m=0.0))
         assert (state.driven_m, road.source) == (STATE.driven_m, "held")
     assert state.ego_plane.normal == pytest.approx(PLANE.normal)
 
