@@ -55,7 +55,7 @@ def replay(
             checkpoints = Checkpoints(folder, options.checkpoint_every_s, start, found, force=target.force)
             was_killed = options.resume and folder.path.exists() and not target.is_complete
             target = replace(target, force=target.force or found is not None or was_killed)
-            summary = _write(source, target, opened, options, checkpoints, callbacks)
+            summary = _write(source, target, opened, options, checkpoints, callbacks=callbacks)
         folder.remove()
     return replace(summary, seconds=perf_counter() - started)
 

@@ -17,15 +17,15 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "roadperc_stream"
 GENERATED = PACKAGE / "schemas" / "roadperc_pb2.py"
 
-DATA = {"errors", "chain.kernels", "geometry", "model"}
+DATA = {"errors", "kernels", "geometry", "model"}
 BELOW = DATA | {"schemas", "config", "system"}
 INPUT = BELOW | {"formats", "log"}
 FRAME = INPUT | {"input", "chain", "metrics", "output"}
 REPLAY = FRAME | {"resume", "loop"}
 MAY_IMPORT = {
     "errors": set(),
-    "chain.kernels": set(),
-    "geometry": {"errors", "chain.kernels"},
+    "kernels": set(),
+    "geometry": {"errors", "kernels"},
     "model": DATA - {"model"},
     "system": {"errors"},
     "schemas": DATA | {"system"},
@@ -45,7 +45,7 @@ MAY_IMPORT = {
     "cli": REPLAY | {"batch", "info", "view"},
 }
 """Allowed imports of each folder and root module; the package never imports tools or eval."""
-STAGES_MAY_IMPORT = {"errors", "model", "geometry", "config", "chain.kernels", "system.time", "numpy", "scipy", "cv2"}
+STAGES_MAY_IMPORT = {"errors", "model", "geometry", "config", "kernels", "system.time", "numpy", "scipy", "cv2"}
 MOST_ROOT_MODULES = 4
 LONGEST_CHAIN = 15
 LONGEST_IMPORT_CHAIN = 24
@@ -86,8 +86,8 @@ def module_of(path):
 
 
 def part_of(module):
-    """The part of a module: its folder or itself at the root; the kernels are a separate part."""
-    return "chain.kernels" if module.startswith("chain.kernels") else module.partition(".")[0]
+    """The part of a module: its folder or itself at the root."""
+    return module.partition(".")[0]
 
 
 def crossings():
@@ -102,7 +102,7 @@ def crossings():
 def test_every_part_has_a_rule():
     parts = {path.stem for path in PACKAGE.iterdir() if path.suffix == ".py" or (path / "__init__.py").is_file()}
     parts -= {path.name for path in PACKAGE.iterdir() if path.is_symlink()}  # eval and tools
-    assert parts - {"__init__"} | {"chain.kernels"} == set(MAY_IMPORT)
+    assert parts - {"__init__"} == set(MAY_IMPORT)
 
 
 def test_parts_import_only_allowed_parts():
@@ -198,7 +198,7 @@ def test_the_loop_is_short():
 
 def test_resume_imports_no_stage():
     for path in sources("roadperc_stream/resume"):
-        assert not [name for name in imports(path) if name.startswith(("chain.stages", "chain.kernels"))], path.name
+        assert not [name for name in imports(path) if name.startswith(("chain.stages", "kernels"))], path.name
 
 
 def test_the_chain_does_not_use_the_truth():

@@ -16,12 +16,12 @@ import deflate
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.chain.kernels import COMPILED
+from roadperc_stream.kernels import COMPILED
 from roadperc_stream.model import Image, Mask
 from roadperc_stream.model.tag_tables import Colour
 
 if COMPILED:
-    from roadperc_stream.chain.kernels import reverse_filters, reverse_to_grey
+    from roadperc_stream.kernels import reverse_filters, reverse_to_grey
 
 MAGIC: Final = b"\x89PNG\r\n\x1a\n"
 SIZE: Final = struct.Struct(">II")

@@ -11,11 +11,11 @@ from typing import Final
 import cv2
 import numpy as np
 
-from roadperc_stream.chain.kernels.occupancy_plain import Rays
 from roadperc_stream.geometry.arrays import Float, Float32
 from roadperc_stream.geometry.cameras import Camera, rays
 from roadperc_stream.geometry.planes import HeightGrid, Plane, Surface, intersect_plane
 from roadperc_stream.geometry.rotations import transform
+from roadperc_stream.kernels.occupancy_plain import Rays
 
 REACH_M: Final = 200.0
 """Largest depth at which a ray may meet the height field; it limits the extrapolation beyond the grid."""

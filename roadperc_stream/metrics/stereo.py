@@ -4,11 +4,11 @@ from typing import Final
 
 import numpy as np
 
-from roadperc_stream.chain.kernels import disparity_errors, seen_by_both
-from roadperc_stream.chain.kernels.stereo_plain import DisparityLimits
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.geometry import Camera, Float32
 from roadperc_stream.geometry.rectification import rectified
+from roadperc_stream.kernels import disparity_errors, seen_by_both
+from roadperc_stream.kernels.stereo_plain import DisparityLimits
 from roadperc_stream.model import Absent, Sample, StereoDepth
 from roadperc_stream.schemas.columns.errors import StereoErrorColumns
 from roadperc_stream.schemas.columns.estimates import StereoColumns

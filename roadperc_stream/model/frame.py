@@ -6,11 +6,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from roadperc_stream.chain.kernels import mark
 from roadperc_stream.geometry import Camera, Float, Float32, inverse
 from roadperc_stream.geometry.arrays import Ids, Image, read_only
 from roadperc_stream.geometry.planes import SurfaceSource
 from roadperc_stream.geometry.registration import sample_labels, warp_depth
+from roadperc_stream.kernels import mark
 from roadperc_stream.model.inputs import CameraImage, DepthImage, Detection, InstanceImage, PointCloud, TagImage
 from roadperc_stream.model.reason import Reason
 from roadperc_stream.model.results import Absent, StereoDepth

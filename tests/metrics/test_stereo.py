@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream.chain.kernels import seen_by_both
 from roadperc_stream.geometry import Camera
+from roadperc_stream.kernels import seen_by_both
 from roadperc_stream.metrics.stereo import OCCLUSION_PX, low_quantile, stereo_errors, stereo_errors_of
 from roadperc_stream.model import DepthImage, StereoDepth
 from roadperc_stream.schemas.columns.errors import StereoErrorColumns

@@ -14,12 +14,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.chain.kernels import count_points, mark_visible
-from roadperc_stream.chain.kernels.occupancy_plain import Cells, KnownPixels, Middles
-from roadperc_stream.chain.kernels.odometry_plain import Projection
 from roadperc_stream.config import OccupancyConfig, scaled
 from roadperc_stream.geometry import Float32, inverse
 from roadperc_stream.geometry.ground import ego_points, ego_rays, height_above, height_at, part
+from roadperc_stream.kernels import count_points, mark_visible
+from roadperc_stream.kernels.occupancy_plain import Cells, KnownPixels, Middles
+from roadperc_stream.kernels.odometry_plain import Projection
 from roadperc_stream.model import Absent, Image, Mask, Occupancy, Reason, Surface
 from roadperc_stream.model.frame import Frame
 

@@ -13,11 +13,11 @@ from typing import Final
 import cv2
 import numpy as np
 
-from roadperc_stream.chain.kernels import doubled, refined_disparities
 from roadperc_stream.config import StereoConfig
 from roadperc_stream.geometry import Float, Float32, Plane, inverse, rigid, transform_plane
 from roadperc_stream.geometry.cameras import Camera, project, rays
 from roadperc_stream.geometry.rectification import lens_fault, lens_of, rectification_maps, resampled, rotation_of
+from roadperc_stream.kernels import doubled, refined_disparities
 from roadperc_stream.model import Absent, Image, Mask, Reason, StereoDepth
 
 _MULTIPLE: Final = 16

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.chain.kernels import follow, rows_beside
-from roadperc_stream.chain.kernels.lanes_plain import Following, Points, Quadratic, Weighing
 from roadperc_stream.config import LanesConfig
 from roadperc_stream.geometry import Float
+from roadperc_stream.kernels import follow, rows_beside
+from roadperc_stream.kernels.lanes_plain import Following, Points, Quadratic, Weighing
 from roadperc_stream.model import Mask, Side
 
 _REACH_STEP_M = 6.0

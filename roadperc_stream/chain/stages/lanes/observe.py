@@ -5,13 +5,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.chain.kernels import mark
 from roadperc_stream.chain.stages.lanes import curves, lines
 from roadperc_stream.chain.stages.lanes.curves import Curve, Edges, lateral, outward
 from roadperc_stream.chain.stages.lanes.lines import LineGroup
 from roadperc_stream.config import LanesConfig
 from roadperc_stream.geometry import Camera, Float, inverse, project, transform
 from roadperc_stream.geometry.ground import ground_points, height_at
+from roadperc_stream.kernels import mark
 from roadperc_stream.model import SIDES, Image, Mask, Side, Surface
 from roadperc_stream.model.tag_tables import TagTable
 

@@ -17,13 +17,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.chain.kernels import mark
 from roadperc_stream.chain.stages.objects import regions
 from roadperc_stream.chain.stages.objects.mosaic import areas, corners, cut_out, kinds, shared_areas, with_classes
 from roadperc_stream.chain.stages.objects.points import measured_by_points, usual_heights
 from roadperc_stream.chain.stages.objects.regions import UNKNOWN, Measured, Region, nearest, of_box
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Float32
+from roadperc_stream.kernels import mark
 from roadperc_stream.model import Absent, Detection, Image, Object, Objects, Reason
 from roadperc_stream.model.frame import Frame
 from roadperc_stream.model.tag_tables import label_lookup

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.chain.kernels import mark
 from roadperc_stream.geometry import Camera, Float, Float32
+from roadperc_stream.kernels import mark
 from roadperc_stream.model import Box, Ids, Image
 from roadperc_stream.model.frame import Frame
 from roadperc_stream.model.tag_tables import classes_of_label

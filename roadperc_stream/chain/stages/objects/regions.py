@@ -22,11 +22,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.chain.kernels import divided, region_distances
-from roadperc_stream.chain.kernels.objects_plain import numbered
 from roadperc_stream.chain.stages.objects.mosaic import Indices, Mosaic, areas, boxes_of, corners
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Camera, Float, Float32
+from roadperc_stream.kernels import divided, region_distances
+from roadperc_stream.kernels.objects_plain import numbered
 from roadperc_stream.model import Box, Ids, Image
 
 JUMPS = np.array((0.02, 0.04, 0.08), np.float32)

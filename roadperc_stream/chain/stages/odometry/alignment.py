@@ -6,12 +6,12 @@ matching lost where the motion predicts them, as in SVO (Forster, Pizzoli and Sc
 
 import numpy as np
 
-from roadperc_stream.chain.kernels import align_patches
-from roadperc_stream.chain.kernels.odometry_plain import REACH_PX
 from roadperc_stream.chain.stages.odometry import keyframes
 from roadperc_stream.chain.stages.odometry.features import TrackingFrame
 from roadperc_stream.chain.stages.odometry.keyframes import Keyframe
 from roadperc_stream.geometry import Float, Float32, project, transform
+from roadperc_stream.kernels import align_patches
+from roadperc_stream.kernels.odometry_plain import REACH_PX
 
 _ITERATIONS = 4
 _FARTHEST_PX = 1.5

@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.chain.kernels import mark
 from roadperc_stream.config import OdometryConfig, scaled
 from roadperc_stream.geometry import Camera, Float, Float32
 from roadperc_stream.geometry.ground import part
+from roadperc_stream.kernels import mark
 from roadperc_stream.model import Image, Mask, Surface, read_only
 from roadperc_stream.model.frame import Frame
 

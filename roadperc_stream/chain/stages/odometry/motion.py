@@ -17,11 +17,11 @@ from typing import Final, Literal
 import cv2
 import numpy as np
 
-from roadperc_stream.chain.kernels import linearise
-from roadperc_stream.chain.kernels.odometry_plain import Projection, Weighting
 from roadperc_stream.config import scaled
 from roadperc_stream.geometry import Camera, Float, Float32, adjoint, inverse, rays, rigid
 from roadperc_stream.geometry.rotations import rotation_from_vector
+from roadperc_stream.kernels import linearise
+from roadperc_stream.kernels.odometry_plain import Projection, Weighting
 from roadperc_stream.model import Mask
 
 Scale = Literal["measured", "points", "carried", "none"]

@@ -18,11 +18,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.chain.kernels import mark_near, marked, moments_near
-from roadperc_stream.chain.kernels.surface_plain import PlaneDistances
 from roadperc_stream.config import SurfaceConfig
 from roadperc_stream.geometry import Camera, Float, Float32
 from roadperc_stream.geometry.planes import Plane, distance_per_depth, facing, fit_plane, plane_of_scatter
+from roadperc_stream.kernels import mark_near, marked, moments_near
+from roadperc_stream.kernels.surface_plain import PlaneDistances
 from roadperc_stream.model import Absent, Mask, Reason
 
 _LOWER_IMAGE = 0.6

@@ -17,11 +17,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.chain.kernels import median_places, normal_equations, solve_band
 from roadperc_stream.chain.stages.surface.plane import NORMAL_MAD, first_row, median, number_of
 from roadperc_stream.config import SurfaceConfig
 from roadperc_stream.geometry import Camera, Float, Float32
 from roadperc_stream.geometry.ground import REACH_M, ego_points, part
+from roadperc_stream.kernels import median_places, normal_equations, solve_band
 from roadperc_stream.model import HeightGrid, Mask, Surface
 
 DEGREE: Final = 3

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream.chain.kernels import surface_plain as plain
+from roadperc_stream.kernels import surface_plain as plain
 
-compiled = pytest.importorskip("roadperc_stream.chain.kernels.surface_compiled")
+compiled = pytest.importorskip("roadperc_stream.kernels.surface_compiled")
 BOTH = pytest.mark.parametrize("kernel", [plain, compiled], ids=["plain", "compiled"])
 
 

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.chain.kernels.odometry_plain import Projection
+from roadperc_stream.kernels.odometry_plain import Projection
 
 Float32 = NDArray[np.float32]
 Marks = NDArray[np.uint8]

@@ -7,7 +7,7 @@ from libc.stdlib cimport free, malloc
 
 import numpy as np
 
-from roadperc_stream.chain.kernels.lanes_plain import Quadratic
+from roadperc_stream.kernels.lanes_plain import Quadratic
 
 cdef enum:
     REWEIGHTINGS = 5

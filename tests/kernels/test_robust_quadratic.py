@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream.chain.kernels import lanes_plain as plain
+from roadperc_stream.kernels import lanes_plain as plain
 
-compiled = pytest.importorskip("roadperc_stream.chain.kernels.lanes_compiled")
+compiled = pytest.importorskip("roadperc_stream.kernels.lanes_compiled")
 BOTH = pytest.mark.parametrize("way", [plain, compiled], ids=["plain", "compiled"])
 STATE = (1.7, 0.02, 1 / 150)
 

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream.chain.kernels import stereo_plain as plain
-from roadperc_stream.chain.kernels.stereo_plain import DisparityLimits
+from roadperc_stream.kernels import stereo_plain as plain
+from roadperc_stream.kernels.stereo_plain import DisparityLimits
 
-compiled = pytest.importorskip("roadperc_stream.chain.kernels.stereo_compiled")
+compiled = pytest.importorskip("roadperc_stream.kernels.stereo_compiled")
 BOTH = pytest.mark.parametrize("kernel", [plain, compiled], ids=["plain", "compiled"])
 SEEDS, SHAPES = st.integers(0, 2**32 - 1), st.tuples(st.integers(0, 14), st.integers(0, 14))
 LARGE = float(np.finfo(np.float32).max)

@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream.chain.kernels import occupancy_plain as plain
-from roadperc_stream.chain.kernels.occupancy_plain import Cells, KnownPixels, Middles, Rays
-from roadperc_stream.chain.kernels.odometry_plain import Projection
 from roadperc_stream.geometry import inverse, mounting
+from roadperc_stream.kernels import occupancy_plain as plain
+from roadperc_stream.kernels.occupancy_plain import Cells, KnownPixels, Middles, Rays
+from roadperc_stream.kernels.odometry_plain import Projection
 
-compiled = pytest.importorskip("roadperc_stream.chain.kernels.occupancy_compiled")
+compiled = pytest.importorskip("roadperc_stream.kernels.occupancy_compiled")
 BOTH = pytest.mark.parametrize("kernel", [plain, compiled], ids=["plain", "compiled"])
 CELLS = Cells(0.0, -2.0, 0.5, 0.25, 2.0)
 SHAPE = 8, 6

@@ -6,11 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from roadperc_stream.chain.kernels import odometry_plain as plain
-from roadperc_stream.chain.kernels.odometry_plain import Projection, Weighting
 from roadperc_stream.geometry.rotations import rotation_from_vector
+from roadperc_stream.kernels import odometry_plain as plain
+from roadperc_stream.kernels.odometry_plain import Projection, Weighting
 
-compiled = pytest.importorskip("roadperc_stream.chain.kernels.odometry_compiled")
+compiled = pytest.importorskip("roadperc_stream.kernels.odometry_compiled")
 BOTH = pytest.mark.parametrize("kernel", [plain, compiled], ids=["plain", "compiled"])
 UNSTRETCHED = np.eye(2)
 IMAGES = arrays(np.uint8, st.tuples(st.integers(1, 20), st.integers(1, 20)))

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream.chain.kernels import objects_plain as plain
+from roadperc_stream.kernels import objects_plain as plain
 
-compiled = pytest.importorskip("roadperc_stream.chain.kernels.objects_compiled")
+compiled = pytest.importorskip("roadperc_stream.kernels.objects_compiled")
 BOTH = pytest.mark.parametrize("kernel", [plain, compiled], ids=["plain", "compiled"])
 JUMPS = np.array((0.02, 0.04, 0.08), np.float32)
 

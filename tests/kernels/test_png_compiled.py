@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-png = pytest.importorskip("roadperc_stream.chain.kernels.png_compiled")
+png = pytest.importorskip("roadperc_stream.kernels.png_compiled")
 
 
 @pytest.mark.parametrize("kind", [5, 255])
