@@ -18,7 +18,7 @@ EVENT_LOGS := $(EVENTS:%=$(PICTURES)/%.mcap)
 .PHONY: $(EVENT_LOGS) demo test test-long test-hostile mutants accuracy accuracy-long gate-rates kills cluster parts bench bench-compare bench-report bench-find image fuzz lint pages proto sample pictures docs clean
 
 # uv is three times as fast as pip, but reads no settings of pip: where it finds no packages, pip installs.
-$(VENV)/.installed: pyproject.toml setup.py $(wildcard roadperc_stream/*/*.pyx roadperc_stream/*/*/*.pyx)
+$(VENV)/.installed: pyproject.toml setup.py $(wildcard roadperc_stream/*/*.pyx)
 	@echo "installing into $(VENV), compiling inner loops: about a minute"
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) 'uv>=0.13,<1' && $(BIN)/uv pip install --quiet --system-certs --python $(BIN)/python --editable '.[dev]' || \
