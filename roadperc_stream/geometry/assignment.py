@@ -1,8 +1,6 @@
 """The assignment problem: one-to-one pairs with the largest total score."""
 
 import math
-from itertools import groupby, product
-from operator import itemgetter
 from typing import Final
 
 import numpy as np
@@ -13,8 +11,8 @@ _TIE: Final = 1e-9
 """Difference of totals below which rounding may change the order."""
 _ROUNDS: Final = 4
 """Most frames need two; an unbounded number would take seconds for thousands of crafted boxes."""
-_TRIALS: Final = 1000
-"""At most 2 ms; four rows with four columns each have 625."""
+_MOST_SETS: Final = 512
+"""Largest number of rows in doubt, times sets of columns in doubt, for which no import is worth its time."""
 
 
 def largest_total(scores: Float) -> dict[int, int]:
@@ -31,8 +29,9 @@ def largest_total(scores: Float) -> dict[int, int]:
         rows, columns = np.nonzero(left > _best_of_others(left) + _best_of_others(left.T).T + _TIE)
         found.update(zip(rows.tolist(), columns.tolist(), strict=True))
         left[rows], left[:, columns] = 0.0, 0.0
-    few = math.prod((np.count_nonzero(left, axis=1) + 1).tolist()) <= _TRIALS
-    return dict(sorted((found | (_by_trial(left) if few else _by_scipy(left))).items()))
+    many_rows, many_columns = (int(np.count_nonzero(left.any(axis=axis))) for axis in (1, 0))
+    is_little = many_rows * 2**many_columns <= _MOST_SETS
+    return dict(sorted((found | (_by_sets(left) if is_little else _by_scipy(left))).items()))
 
 
 def _best_of_others(scores: Float) -> Float:
@@ -42,13 +41,25 @@ def _best_of_others(scores: Float) -> Float:
     return others
 
 
-def _by_trial(scores: Float) -> dict[int, int]:
-    """The best of all one-to-one selections of at most one pair per row."""
-    scored = zip(*(places.tolist() for places in np.nonzero(scores)), strict=True)
-    choices = ([*pairs, None] for _, pairs in groupby(scored, key=itemgetter(0)))
-    selections = (dict(filter(None, pairs)) for pairs in product(*choices))
-    one_to_one = (pairs for pairs in selections if len(set(pairs.values())) == len(pairs))
-    return max(one_to_one, key=lambda pairs: math.fsum(scores[pair] for pair in pairs.items()))
+def _by_sets(scores: Float) -> dict[int, int]:
+    """The best one-to-one selection: row by row, the best one for each set of columns that it takes."""
+    rows, none = np.flatnonzero(scores.any(axis=1)).tolist(), scores.shape[1]
+    best: dict[frozenset[int], tuple[int, ...]] = {frozenset(): ()}
+
+    def rank(chosen: tuple[int, ...]) -> tuple[float, list[int]]:
+        total = math.fsum(scores[row, column] for row, column in zip(rows, chosen, strict=False) if column != none)
+        return total, [-column for column in chosen]
+
+    for row in rows:
+        longer: dict[frozenset[int], tuple[int, ...]] = {}
+        for taken, chosen in best.items():
+            for column in {*np.flatnonzero(scores[row]).tolist(), none} - taken:
+                key, more = (taken | {column}) - {none}, (*chosen, column)
+                if key not in longer or rank(more) > rank(longer[key]):
+                    longer[key] = more
+        best = longer
+    selected: tuple[int, ...] = max(best.values(), key=rank)
+    return {row: column for row, column in zip(rows, selected, strict=True) if column != none}
 
 
 def _by_scipy(scores: Float) -> dict[int, int]:
