@@ -58,8 +58,6 @@ def validated(tree: Mapping[str, Any], source: str) -> ReplayConfig:
     """
     try:
         return ReplayConfig.model_validate(tree)
-    except RecursionError as error:
-        raise ConfigError(f"{source}nested too deeply") from error
     except ValidationError as error:
         raise ConfigError(f"{source}{_complaint(error)}") from error
 
@@ -86,19 +84,14 @@ def _unknown(keys: list[str]) -> str:
     model: type[BaseModel] = ReplayConfig
     for section in sections:
         model = type(model.model_fields[section].default)
-    close = nearest(name, tuple(model.model_fields))
-    near = _elsewhere(name) if close is None else [".".join((*sections, close))]
-    hint = f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(model.model_fields)}"
+    known = tuple(model.model_fields)
+    if close := nearest(name, known):
+        near = [".".join((*sections, close))]
+    else:
+        elsewhere = nearest(name, sorted({setting.name for setting in catalogue()}))
+        near = [setting.key for setting in catalogue() if setting.name == elsewhere]
+    hint = f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(known)}"
     return f"no setting {'.'.join(keys)}; {hint}"
-
-
-def _elsewhere(name: str) -> list[str]:
-    """The settings of all sections with the nearest name; empty if no name is near."""
-    sections = {section: type(field.default) for section, field in ReplayConfig.model_fields.items()}
-    models = {section: model for section, model in sections.items() if issubclass(model, BaseModel)}
-    names = {key for model in models.values() for key in model.model_fields}
-    key = nearest(name, sorted(names))
-    return [f"{section}.{key}" for section, model in models.items() if key in model.model_fields]
 
 
 def _toml_value(text: str) -> Any:
