@@ -9,7 +9,7 @@ from pydantic import BaseModel, ValidationError
 from roadperc_stream.config.catalogue import catalogue
 from roadperc_stream.config.complaints import complaint, key_of
 from roadperc_stream.config.settings import parsed_toml, read_toml
-from roadperc_stream.config.stages import ABOUT_THE_LOG, ReplayConfig
+from roadperc_stream.config.stages import ReplayConfig
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.system.text import in_brief, nearest
 
@@ -65,15 +65,13 @@ def validated(tree: Mapping[str, Any], source: str) -> ReplayConfig:
 def _complaint(error: ValidationError) -> str:
     """The first error, such as ``lanes.hold_s: expected a number 0 to 3600 (s), found -1``."""
     first = error.errors()[0]
-    if first["loc"] and first["loc"][0] in ABOUT_THE_LOG and first["type"] != "extra_forbidden":
-        return f"{key_of(first['loc'])}: {complaint(first)}"
     keys = [str(part) for part in first["loc"][:2]]  # the rest are types of values, or positions in a list
-    key = ".".join(keys)
     if first["type"] == "extra_forbidden":
         return _unknown(keys)
+    key = ".".join(keys)
     setting = next((setting for setting in catalogue() if setting.key == key), None)
     if setting is None or first["type"] == "value_error":
-        return f"{key}: {complaint(first)}" if key else complaint(first)
+        return ": ".join(filter(None, (key_of(first["loc"]), complaint(first))))
     unit = f" ({setting.unit})" if setting.unit else ""
     return f"{key}: expected {_KINDS.get(setting.type, '')}{setting.range}{unit}, found {in_brief(first['input'])}"
 
