@@ -3,15 +3,7 @@
 from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import (
-    AliasChoices,
-    BeforeValidator,
-    FailFast,
-    Field,
-    PositiveInt,
-    SerializerFunctionWrapHandler,
-    model_serializer,
-)
+from pydantic import AliasChoices, BeforeValidator, FailFast, Field, PositiveInt
 
 from roadperc_stream.config.fields import Section
 from roadperc_stream.errors import DumpError
@@ -40,17 +32,10 @@ ImageSide = Annotated[PositiveInt, Field(le=1_000_000)]
 _MOUNTING_KEYS: Final = frozenset(("mounting", "rgb_height_m", "depth_height_m"))
 
 
-class Written(Section):
-    """A table that is written without the keys that have their default."""
-
-    @model_serializer(mode="wrap")
-    def _without_defaults(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        fields = type(self).model_fields
-        return {name: value for name, value in dump(self).items() if getattr(self, name) != fields[name].default}
-
-
-class Intrinsics(Written):
+class Intrinsics(Section):
     """The size of a camera, and its K or horizontal field of view. The names of a lens are those of CameraInfo."""
+
+    written_if_set = None
 
     width: ImageSide | None = None
     height: ImageSide | None = None
@@ -62,8 +47,10 @@ class Intrinsics(Written):
     fov_deg: FieldOfView | None = Field(None, validation_alias=AliasChoices("fov_deg", "fov"))
 
 
-class CarlaPose(Written):
+class CarlaPose(Section):
     """Position in metres and angles in degrees in CARLA's left-handed convention."""
+
+    written_if_set = None
 
     x: Number = 0.0
     y: Number = 0.0

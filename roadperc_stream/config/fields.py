@@ -1,8 +1,18 @@
 """Types of settings, and the limits on the content of logs and messages."""
 
+from collections.abc import Collection
 from typing import Annotated, Any, ClassVar, Final
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, field_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    field_validator,
+    model_serializer,
+)
 
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.model.tag_tables import CLASS_NAMES, LABEL_CLASSES, TABLES, normal_label, table_for_version
@@ -82,12 +92,22 @@ class Section(BaseModel):
     """A part of the configuration: frozen, no unknown keys, no NaN."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    written_if_set: ClassVar[Collection[str] | None] = ()
+    """Keys that are written only with another value than the default, so the digests of other configurations stay; None
+    for all keys."""
 
     @field_validator("*")
     @classmethod
     def _without_negative_zero(cls, value: Any) -> Any:
         """0.0 for -0.0: equal settings have the same digest."""
         return 0.0 if isinstance(value, float) and value == 0.0 else value
+
+    @model_serializer(mode="wrap")
+    def _without_unset(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        fields = type(self).model_fields
+        keys = fields if self.written_if_set is None else self.written_if_set
+        defaults = {key: fields[key].get_default(call_default_factory=True) for key in keys}
+        return {key: value for key, value in dump(self).items() if defaults.get(key, self) != getattr(self, key)}
 
 
 class LimitsConfig(Section):

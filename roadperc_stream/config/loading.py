@@ -9,7 +9,7 @@ from pydantic import BaseModel, ValidationError
 from roadperc_stream.config.catalogue import catalogue
 from roadperc_stream.config.complaints import complaint, key_of
 from roadperc_stream.config.settings import parsed_toml, read_toml
-from roadperc_stream.config.stages import ABOUT_THE_LOG, ReplayConfig
+from roadperc_stream.config.stages import ReplayConfig
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.system.text import in_brief, nearest
 
@@ -58,8 +58,6 @@ def validated(tree: Mapping[str, Any], source: str) -> ReplayConfig:
     """
     try:
         return ReplayConfig.model_validate(tree)
-    except RecursionError as error:
-        raise ConfigError(f"{source}nested too deeply") from error
     except ValidationError as error:
         raise ConfigError(f"{source}{_complaint(error)}") from error
 
@@ -67,15 +65,13 @@ def validated(tree: Mapping[str, Any], source: str) -> ReplayConfig:
 def _complaint(error: ValidationError) -> str:
     """The first error, such as ``lanes.hold_s: expected a number 0 to 3600 (s), found -1``."""
     first = error.errors()[0]
-    if first["loc"] and first["loc"][0] in ABOUT_THE_LOG and first["type"] != "extra_forbidden":
-        return f"{key_of(first['loc'])}: {complaint(first)}"
     keys = [str(part) for part in first["loc"][:2]]  # the rest are types of values, or positions in a list
-    key = ".".join(keys)
     if first["type"] == "extra_forbidden":
         return _unknown(keys)
+    key = ".".join(keys)
     setting = next((setting for setting in catalogue() if setting.key == key), None)
     if setting is None or first["type"] == "value_error":
-        return f"{key}: {complaint(first)}" if key else complaint(first)
+        return ": ".join(filter(None, (key_of(first["loc"]), complaint(first))))
     unit = f" ({setting.unit})" if setting.unit else ""
     return f"{key}: expected {_KINDS.get(setting.type, '')}{setting.range}{unit}, found {in_brief(first['input'])}"
 
@@ -86,19 +82,14 @@ def _unknown(keys: list[str]) -> str:
     model: type[BaseModel] = ReplayConfig
     for section in sections:
         model = type(model.model_fields[section].default)
-    close = nearest(name, tuple(model.model_fields))
-    near = _elsewhere(name) if close is None else [".".join((*sections, close))]
-    hint = f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(model.model_fields)}"
+    known = tuple(model.model_fields)
+    if close := nearest(name, known):
+        near = [".".join((*sections, close))]
+    else:
+        elsewhere = nearest(name, sorted({setting.name for setting in catalogue()}))
+        near = [setting.key for setting in catalogue() if setting.name == elsewhere]
+    hint = f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(known)}"
     return f"no setting {'.'.join(keys)}; {hint}"
-
-
-def _elsewhere(name: str) -> list[str]:
-    """The settings of all sections with the nearest name; empty if no name is near."""
-    sections = {section: type(field.default) for section, field in ReplayConfig.model_fields.items()}
-    models = {section: model for section, model in sections.items() if issubclass(model, BaseModel)}
-    names = {key for model in models.values() for key in model.model_fields}
-    key = nearest(name, sorted(names))
-    return [f"{section}.{key}" for section, model in models.items() if key in model.model_fields]
 
 
 def _toml_value(text: str) -> Any:

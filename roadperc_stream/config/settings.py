@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from roadperc_stream.config.stages import ABOUT_THE_LOG, OWN_STAGES, UNSET
+from roadperc_stream.config.stages import ABOUT_THE_LOG, OWN_STAGES, StageSection
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.system.files import read_file
 from roadperc_stream.system.text import in_brief
@@ -16,7 +16,11 @@ _MOST_DOTS: Final = 100
 """Largest number of dots in a line; keys of settings have one."""
 NOT_SET: Final = "not set"
 """Text for a setting about the log that a configuration does not contain, because the log itself says it."""
-BUILT_IN_STAGES: Final = {f"{stage}.{name}": value for stage in OWN_STAGES for name, value in UNSET}
+BUILT_IN_STAGES: Final = {
+    f"{stage}.{name}": StageSection.model_fields[name].default
+    for stage in OWN_STAGES
+    for name in StageSection.written_if_set or ()
+}
 """Settings that a configuration contains only with other values."""
 
 
@@ -26,10 +30,7 @@ def settings_in(toml: bytes) -> dict[str, Any]:
     Raises:
         ConfigError: the text is not TOML.
     """
-    try:
-        return _flat(parsed_toml(toml))
-    except RecursionError as error:
-        raise ConfigError("not TOML of settings: nested too deeply") from error
+    return _flat(parsed_toml(toml))
 
 
 def is_about_log(key: str) -> bool:

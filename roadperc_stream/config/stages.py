@@ -5,10 +5,10 @@ Lengths in pixels are given at 960 image rows and scale with the image.
 
 from base64 import b64decode
 from collections.abc import Iterator
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Final, Literal, Self
 
 import tomli_w
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import Field, model_validator
 
 from roadperc_stream.config import fields
 from roadperc_stream.config.calibration import CalibrationConfig
@@ -27,8 +27,6 @@ OWN_STAGES: Final = ("stereo", "surface", "odometry", "lanes", "objects")
 BUILT_IN: Final = fields.BUILT_IN
 ABOUT_THE_LOG: Final[tuple[str, ...]] = ("calibration", "labels")
 """Tables that do not set a stage, but say what the log does not, or says wrongly."""
-UNSET: Final = (("implementation", BUILT_IN), ("implementation_source", ""))
-"""Settings of a stage that are written only with other values."""
 
 
 def scaled(length_px: float, rows: int) -> float:
@@ -44,11 +42,7 @@ class StageSection(Section):
     A configuration in a log does not import code."""
     implementation_source: Annotated[str, Field(max_length=1000, json_schema_extra={"remark": "a text"})] = ""
     """Version and digest of the source of your own stage. A replay sets it; a value must match the source."""
-
-    @model_serializer(mode="wrap")
-    def _without_unset(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Only an own stage is written, so the digests of other configurations stay."""
-        return {key: value for key, value in dump(self).items() if (key, value) not in UNSET}
+    written_if_set = ("implementation", "implementation_source")
 
 
 class SyncConfig(Section):
@@ -313,11 +307,7 @@ class ReplayConfig(Section):
     """The cameras, instead of those of the log."""
     labels: fields.Labels = Field(default_factory=dict)
     """Known labels by the labels of the log's detections."""
-
-    @model_serializer(mode="wrap")
-    def _without_unset(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Tables about the log are written only if they say something, so the digests of other configurations stay."""
-        return {key: value for key, value in dump(self).items() if value or key not in ABOUT_THE_LOG}
+    written_if_set = ABOUT_THE_LOG
 
     def with_log_facts(self, recorded: Self) -> Self:
         """The same settings; what they do not say about the log is taken from ``recorded``."""

@@ -120,8 +120,9 @@ def _table(path: Path, digest: str, config_digest: str | None) -> SidecarTable:
         footer = read_footer(path)
     except TableError as error:
         return SidecarTable(str(path), None, str(error).removeprefix(f"{path}: "))
-    if footer.log_id not in (None, record.log_id_of(digest)):
-        return SidecarTable(str(path), footer.rows, f"belongs to log {footer.log_id}")
+    log_id = footer.facts.get(record.LOG_ID_KEY)
+    if log_id != record.log_id_of(digest):
+        return SidecarTable(str(path), footer.rows, f"belongs to log {log_id}")
     if footer.facts.get("config_digest") != config_digest:
         return SidecarTable(str(path), footer.rows, "belongs to another configuration")
     return SidecarTable(str(path), footer.rows)

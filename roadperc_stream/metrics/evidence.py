@@ -9,7 +9,6 @@ from roadperc_stream.config import ReplayConfig
 from roadperc_stream.geometry import Camera, Float, Float32, Plane, intersect_plane, inverse, transform_plane
 from roadperc_stream.model import Absent, Frame, FrameResult, StereoDepth
 from roadperc_stream.model.finding import Evidence
-from roadperc_stream.model.reason import UNUSABLE
 
 _COMPARED: Final = 64
 """Rows or columns of a depth image from which neighbours are compared."""
@@ -28,7 +27,7 @@ _FAR_M: Final = 60.0
 
 def evidence_of(cfg: ReplayConfig, frame: Frame, result: FrameResult) -> Evidence:
     """The evidence of one frame; what its stages did not decode is not decoded for it."""
-    sensor_m, reasons = frame.raw_depth_m if frame.depth_source == "depth" else None, result.reasons()
+    sensor_m = frame.raw_depth_m if frame.depth_source == "depth" else None
     places = {
         frame.camera.frame_id: frame.ego_T_camera,
         frame.left_camera.frame_id: frame.ego_T_left,
@@ -46,8 +45,6 @@ def evidence_of(cfg: ReplayConfig, frame: Frame, result: FrameResult) -> Evidenc
         rough_ratio=None if sensor_m is None else rough_ratio(sensor_m),
         road_known_ratio=road[0],
         road_depth_ratio=road[1],
-        lane_width_m=next((float(reason.values[1]) for reason in reasons if reason.code == "lane_width"), None),
-        unusable=tuple(reason for reason in reasons if reason.code in UNUSABLE),
     )
 
 

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 import msgspec
 
-from roadperc_stream.model.reason import Reason
-
 
 @dataclass(frozen=True)
 class Finding:
@@ -47,13 +45,9 @@ class Evidence:
         rough_ratio: share of neighbouring pixels of the depth image whose depths differ by metres.
         road_known_ratio: share of the road's pixels with a depth, from camera or stereo.
         road_depth_ratio: median of their depth / the depth of the ground there.
-        lane_width_m: width of a lane that the chain rejects as too narrow or too wide.
-        unusable: why messages of the frame exist but cannot be used.
     """
 
     mounting_m: float | None = None
     rough_ratio: float | None = None
     road_known_ratio: float | None = None
     road_depth_ratio: float | None = None
-    lane_width_m: float | None = None
-    unusable: tuple[Reason, ...] = ()

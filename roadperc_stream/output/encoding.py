@@ -74,33 +74,27 @@ def encode_transforms(stamp_ns: int, transforms: Iterable[Transform]) -> bytes:
 
 def encode_pose(stamp_ns: int, frame_id: str, frame_T_body: Float) -> bytes:
     """foxglove.PoseInFrame of a (4, 4) transform."""
-    message = PoseInFrame(frame_id=frame_id)
-    set_stamp(message, stamp_ns)
-    _set_pose(message.pose, frame_T_body)
-    return message.SerializeToString()
+    return _serialised(PoseInFrame(frame_id=frame_id, pose=_posed(Pose(), frame_T_body)), stamp_ns)
 
 
 def encode_poses(stamp_ns: int, frame_id: str, frame_T_body: Iterable[Float]) -> bytes:
     """foxglove.PosesInFrame of (4, 4) transforms, in order."""
-    message = PosesInFrame(frame_id=frame_id, poses=[_listed_pose(matrix.tobytes()) for matrix in frame_T_body])
-    set_stamp(message, stamp_ns)
-    return message.SerializeToString()
+    poses = [_listed_pose(matrix.tobytes()) for matrix in frame_T_body]
+    return _serialised(PosesInFrame(frame_id=frame_id, poses=poses), stamp_ns)
 
 
 @lru_cache(_KEPT_POSES)
 def _listed_pose(matrix: bytes) -> Any:
     """foxglove.Pose of the bytes of a (4, 4) float64 transform."""
-    pose = Pose()
-    _set_pose(pose, np.frombuffer(matrix).reshape(4, 4))
-    return pose
+    return _posed(Pose(), np.frombuffer(matrix).reshape(4, 4))
 
 
 def encode_odometry(stamp_ns: int, frame_id: str, odometry: Odometry) -> bytes:
     """roadperc.Odometry."""
     message = pb.Odometry(
         frame_id=frame_id,
-        odom_T_ego=_pose(odometry.odom_T_ego),
-        step=None if odometry.step is None else _pose(odometry.step),
+        odom_T_ego=_posed(pb.Pose(), odometry.odom_T_ego),
+        step=None if odometry.step is None else _posed(pb.Pose(), odometry.step),
         status=pb.Odometry.Status.Value(odometry.status.upper()),
         up_to_scale=odometry.up_to_scale,
         inliers=odometry.inliers,
@@ -212,15 +206,11 @@ def _object(item: Object) -> pb.Object:
     return pb.Object(**vars(item) | converted)
 
 
-def _pose(transform: Float) -> pb.Pose:
-    pose = pb.Pose()
-    _set_pose(pose, transform)
-    return pose
-
-
-def _set_pose(pose: Any, transform: Float) -> None:
+def _posed(pose: Any, transform: Float) -> Any:
+    """A pose message, filled with a (4, 4) transform."""
     _set_vector(pose.position, transform[:3, 3])
     _set_quaternion(pose.orientation, transform)
+    return pose
 
 
 def _set_vector(vector: Any, values: Float) -> None:

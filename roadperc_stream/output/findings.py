@@ -5,7 +5,9 @@ from statistics import median, mode
 from typing import Final
 
 from roadperc_stream.model.finding import Evidence, Finding
+from roadperc_stream.model.reason import UNUSABLE
 from roadperc_stream.output.pose_evidence import PoseEvidence
+from roadperc_stream.output.reason_counts import ReasonCounts
 from roadperc_stream.output.spread import Spread, spread_of
 from roadperc_stream.schemas.columns import FrameMetrics
 from roadperc_stream.system.text import number
@@ -55,16 +57,12 @@ class Contradictions:
         known = [found.mounting_m for _, found in self._frames.values if found.mounting_m is not None]
         return median(known) if known else None
 
-    def findings(self, unreadable: Mapping[str, int], reference: str) -> tuple[Finding, ...]:
-        """The findings of all frames.
-
-        ``unreadable`` counts the messages of each role that are in no frame; those of ``reference`` make no frame.
-        """
+    def findings(self) -> tuple[Finding, ...]:
+        """The findings of all frames."""
         frames = self._frames.values
         rough = depth_rough([found.rough_ratio for _, found in frames if found.rough_ratio is not None])
         of_road = (camera_height(frames), road_depth(frames), lane_width(frames)) if rough is None else (rough,)
-        unusable = undecodable(frames, unreadable, reference, self._frames.count)
-        return tuple(found for found in (*of_road, *self._poses.findings(), *unusable) if found is not None)
+        return tuple(found for found in (*of_road, *self._poses.findings()) if found is not None)
 
 
 def camera_height(frames: Frames) -> Finding | None:
@@ -130,12 +128,13 @@ def lane_width(frames: Frames) -> Finding | None:
     """Whether the lane is too narrow or too wide in most frames that measure its width, also if they reject it."""
     narrow, wide = _WIDTHS_M
     measured: list[tuple[FrameMetrics, float]] = []
-    for row, found in frames:
+    for row, _ in frames:
         both = row.lane_left_status == row.lane_right_status == "measured"
+        rejected_m = next((float(why.values[1]) for why in row.reasons if why.code == "lane_width"), 0.0)
         if row.lane_width_m is not None and both:
             measured.append((row, row.lane_width_m))
-        elif found.lane_width_m and (found.lane_width_m < narrow or (row.camera_height_m or 0.0) > _HIGH_M):
-            measured.append((row, found.lane_width_m))
+        elif rejected_m and (rejected_m < narrow or (row.camera_height_m or 0.0) > _HIGH_M):
+            measured.append((row, rejected_m))
     rows, widths_m = [row for row, _ in measured], [width for _, width in measured]
     if len(widths_m) < _FEWEST_WIDTHS or 2 * sum(not narrow <= width <= wide for width in widths_m) <= len(widths_m):
         return None
@@ -150,18 +149,18 @@ def lane_width(frames: Frames) -> Finding | None:
     return Finding("lane_width", f"{text}; {wrong}: {_OPTIONS}")
 
 
-def undecodable(frames: Frames, unreadable: Mapping[str, int], reference: str, count: int) -> Iterator[Finding]:
-    """Roles whose messages cannot be used in more than half of the ``count`` frames.
+def undecodable(reasons: ReasonCounts, unreadable: Mapping[str, int], reference: str, frames: int) -> Iterator[Finding]:
+    """Roles whose messages cannot be used in more than half of the frames.
 
-    Unreadable messages of the ``reference`` would have made further frames.
+    ``unreadable`` counts the messages of each role that are in no frame; those of ``reference`` would have made more.
     """
-    reasons = [reason for _, found in frames for reason in found.unusable]
-    for role in sorted({*unreadable, *(reason.source for reason in reasons)}):
-        own = [reason for reason in reasons if reason.source == role]
-        bad = round(len(own) / max(len(frames), 1) * count) + unreadable.get(role, 0)
-        expected = count + (unreadable.get(role, 0) if role == reference else 0)
+    unusable = [count for count in reasons.values() if count.reason.code in UNUSABLE]
+    for role in sorted({*unreadable, *(count.reason.source for count in unusable)}):
+        own = [count for count in unusable if count.reason.source == role]
+        bad = sum(count.frames for count in own) + unreadable.get(role, 0)
+        expected = frames + (unreadable.get(role, 0) if role == reference else 0)
         if 2 * bad > expected:
-            why = f" ({own[0].text})" if own else ""
+            why = f" ({own[0].reason.text})" if own else ""
             text = f"{role}: its messages cannot be used in {bad} of {number(expected, 'frame')}{why}"
             hint = "roadperc-info shows their encoding, docs/recordings.md those that are read"
             yield Finding("undecodable", f"{text}; {hint}")

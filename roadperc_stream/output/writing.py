@@ -12,7 +12,7 @@ from roadperc_stream.log import Attachment, Channel, LogWriter, Message, Message
 from roadperc_stream.model import FrameResult, Odometry, Reason, Sample
 from roadperc_stream.model.finding import Evidence, Finding, encoded_findings
 from roadperc_stream.output.drawing.on_request import picture_messages
-from roadperc_stream.output.findings import Contradictions
+from roadperc_stream.output.findings import Contradictions, undecodable
 from roadperc_stream.output.reason_counts import ReasonCounts, merged, of_frame, throughout
 from roadperc_stream.output.results import result_channel, result_messages
 from roadperc_stream.output.tables import TableWriter, config_text, table_facts
@@ -229,8 +229,8 @@ class Outputs:
                 self._log.describe(metadata)
         topics, unreadable = self._input.topics, self._input.unreadable
         by_role = {role: unreadable[topic] for role, topic in topics.items() if topic in unreadable}
-        found = self._contradictions.findings(by_role, self._input.plan.order.reference)
-        self._findings = (*self._input.findings, *found)
+        unusable = undecodable(self._reasons, by_role, self._input.plan.order.reference, self._input.frames)
+        self._findings = (*self._input.findings, *self._contradictions.findings(), *unusable)
         stored = {record.FINDINGS_KEY: encoded_findings(self._findings)}
         mounting_m = self._contradictions.mounting_m
         known = {} if mounting_m is None else {record.MOUNTING_KEY: repr(mounting_m)}

@@ -11,6 +11,7 @@ from roadperc_stream.cli import check, info, replay, report
 from roadperc_stream.config import load_config
 from roadperc_stream.geometry.rotations import quaternion, rotation_from_rpy
 from roadperc_stream.metrics.evidence import road_depth, rough_ratio, searched_depths
+from roadperc_stream.model import Reason
 from roadperc_stream.model.finding import Evidence, Finding, decoded_findings, encoded_findings
 from roadperc_stream.output import encoding
 from roadperc_stream.output.findings import Contradictions
@@ -127,7 +128,7 @@ def test_a_baseline_of_another_unit_leaves_no_road_in_the_searched_disparities(b
     share, ratio = road_depth(SMALL.camera, SMALL.ego_T_camera, DEPTH_M, searched_depths(CFG, frame))
     counter = Contradictions()
     counter.add(row(0), Evidence(road_known_ratio=share, road_depth_ratio=ratio))
-    assert {found.code for found in counter.findings({}, "image")} == ({"road_depth"} if is_found else set())
+    assert {found.code for found in counter.findings()} == ({"road_depth"} if is_found else set())
 
 
 def test_a_lower_image_without_depth_is_a_finding(tmp_path):
@@ -150,7 +151,7 @@ def test_heights_that_scatter_and_few_widths_are_no_finding():
         measured = {"camera_height_m": height_m, "surface_source": "depth"}
         lane = dict.fromkeys(("lane_left_status", "lane_right_status"), "measured") if frame < 2 else {}
         counter.add(row(frame, **measured, **lane, lane_width_m=7.0), Evidence(mounting_m=1.4))
-    assert counter.findings({}, "image") == ()
+    assert counter.findings() == ()
 
 
 @pytest.mark.parametrize(
@@ -159,9 +160,9 @@ def test_heights_that_scatter_and_few_widths_are_no_finding():
 def test_rejected_lanes_count_if_their_width_fits_a_wrong_scale(height_m, rejected_m, is_found):
     counter = Contradictions()
     for frame in range(5):
-        measured = row(frame, camera_height_m=height_m, surface_source="depth")
-        counter.add(measured, Evidence(lane_width_m=rejected_m))
-    assert (counter.findings({}, "image") != ()) == is_found
+        reasons = (Reason("lanes", "lane_width", ("left", rejected_m, 2.0, 7.0)),)
+        counter.add(row(frame, camera_height_m=height_m, surface_source="depth", reasons=reasons), Evidence())
+    assert (counter.findings() != ()) == is_found
 
 
 def test_values_of_a_long_replay_are_bounded_and_even():

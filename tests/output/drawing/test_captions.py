@@ -6,11 +6,8 @@ from hypothesis import strategies as st
 
 from roadperc_stream.model import Box, Object
 from roadperc_stream.output.drawing.captions import (
-    by_nearness,
     caption_places,
     label_places,
-    viewer_font_px,
-    viewer_text_size,
 )
 from tests.analytic import Road, box
 
@@ -46,31 +43,9 @@ def test_the_nearest_object_chooses_first():
     assert places([far, near, nowhere, middle]) == (below, above, None, inside)
 
 
-def test_kept_objects_choose_before_dropped_ones():
-    objects = [car(1.0, kept=False), car(50.0)]
-    assert by_nearness(objects) == [1, 0]
-    assert places(objects) == (Box(100, 60, 150, 70), Box(100, 50, 150, 60))
-
-
-def test_captions_fit_side_by_side():
-    assert None not in places([car(5.0, (x, 60, x + 40, 62)) for x in (0, 50, 100)])
-
-
-def test_the_text_size_in_a_viewer_grows_with_image_and_length():
-    columns, rows = viewer_text_size(CAMERA, "Car 4.0 m")
-    assert viewer_text_size(CAMERA, 2 * "Car 4.0 m") == pytest.approx((2 * columns, rows))
-    assert rows > viewer_font_px(CAMERA) >= CAMERA.height / 40
-
-
 def labels(*objects, top_px=0.0, text_size=(50.0, 10.0)):
     boxes = [item.detection.box_px for item in objects]
     return label_places(SIZE, top_px, objects, boxes, [text_size] * len(objects))
-
-
-@pytest.mark.parametrize(("corners", "left"), [((-20, 60, 30, 90), 0.0), ((300, 60, 320, 90), 270.0)])
-def test_a_label_at_the_edge_is_moved_into_the_picture(corners, left):
-    (place,) = labels(car(5.0, corners))
-    assert (place.x_min, place.x_max) == (left, left + 50)
 
 
 def test_a_second_object_at_the_same_place_has_a_higher_label():
@@ -97,12 +72,6 @@ def test_without_space_above_the_label_is_inside_a_large_box_or_below_a_small_on
 def test_labels_leave_out_the_reserved_rows():
     assert labels(car(5.0), top_px=48.0) == (Box(100, 48.5, 150, 58.5),)
     assert labels(car(5.0), top_px=49.0) == (Box(100, 91.5, 150, 101.5),)
-
-
-def test_a_dropped_object_has_its_label_next_to_it_or_none():
-    crowd = [car(1.0, (40, 40, 170, 59)), car(2.0, (40, 91, 170, 110))]
-    assert labels(car(5.0), *crowd)[0] == Box(100, 25.5, 150, 35.5)
-    assert labels(car(5.0, kept=False), *crowd)[0] is None
 
 
 def test_a_text_too_large_for_the_picture_is_left_out():

@@ -179,11 +179,6 @@ def test_lines_are_drawn_in_the_colour_of_their_kind():
     assert not picture[180, [100, 150, 280]].any()
 
 
-def test_lanes_without_edges_and_lines_give_the_dimmed_image():
-    picture = lanes_picture(np.full((240, 320, 3), 200, np.uint8), Lanes(()))
-    assert (picture[200:] == 90).all()
-
-
 def test_inliers_and_outliers_end_at_their_current_place():
     px = np.array([(100, 100), (200, 200)], np.float32)
     matches = Matches(px - np.float32(40), px, np.array([True, False]))
@@ -211,10 +206,6 @@ def test_the_heat_map_is_at_the_middles_and_the_box_at_the_peak():
     assert near(picture, WHITE)[80:91, [130, 150]].all()
 
 
-def test_an_unknown_correlation_has_no_heat_map_and_no_peak():
-    assert not template_picture(black(), (search(np.full((30, 40), -np.inf)),))[20:].any()
-
-
 def test_unknown_disparity_is_black_and_equal_disparities_have_equal_colours():
     """At 100 px and 0.4 m the disparity is 40 px / depth; that of 2 m has the last colour."""
     depth_m = np.full((240, 320), np.nan, np.float32)
@@ -230,9 +221,3 @@ def test_unknown_disparity_is_black_and_equal_disparities_have_equal_colours():
     np.testing.assert_array_equal(last, beyond)
     assert last[2] > 100 > last[0]
     assert far[0] > far[2]
-
-
-def test_matches_of_different_lengths_are_an_error():
-    px = np.zeros((3, 2), np.float32)
-    with pytest.raises(ValueError, match=r"inliers: expected bool \(3,\)"):
-        Matches(px, px.copy(), np.zeros(2, bool))

@@ -64,42 +64,12 @@ def test_the_raw_line_is_thin_dashed_and_on_top():
     assert ((in_dash[..., 1] > 150) & (in_dash[..., 2] < 60)).any(axis=1).all()
 
 
-def test_lines_have_dark_edges_for_contrast():
-    """Lane lines and boxes have a dark edge on either side, except in small images."""
-    objects = Objects((Object(box("Car", 200, 300, 800, 600), kept=True, class_ratio=1.0),))
-    for rows, edged in ((960, True), (240, False)):
-        image = np.full((rows, 1280, 3), GREEN, np.uint8)
-        drawn = draw_overlay(image, lane("measured"), NOTHING, NOTHING)
-        assert (drawn[180, 85:115].max(axis=1) < 120).any() == edged
-    drawn = draw_overlay(np.full((960, 1280, 3), GREEN, np.uint8), NOTHING, objects, NOTHING)
-    dark = is_colour(drawn, (25, 25, 25))
-    assert dark[450, 190:210].sum() == 2
-    assert dark[590:610, 700].sum() == 2
-
-
-def test_slanted_lines_are_anti_aliased():
-    """Pixels at the edge of a line have colours between those of line and background."""
-    line = np.array([(60.3, 239.0), (140.7, 120.0)])
-    lanes = Lanes((Boundary("left", "measured", line_px=line, raw_px=(220.2, 240.0, 180.6, 120.0)),))
-    drawn = draw_overlay(black(), lanes, NOTHING, NOTHING)
-    for columns in (slice(0, 160), slice(160, 320)):
-        green = drawn[130:230, columns, 1]
-        assert len(np.unique(green[green > 0])) > 20
-
-
 def test_labels_are_not_drawn_in_the_reserved_rows():
     objects = Objects((Object(box("Car", 80, 5, 200, 90), kept=True, class_ratio=1.0, distance_m=5.0),))
     drawn = draw_overlay(np.full((240, 320, 3), 255, np.uint8), NOTHING, objects, NOTHING, top_px=40)
     plate = is_colour(drawn, (25, 25, 25))
     assert plate.any()
     assert not plate[:40].any()
-
-
-def test_small_boxes_have_thin_lines():
-    for side, width in ((200, 3), (30, 2), (9, 1)):
-        objects = Objects((Object(box("", 300, 300, 300 + side, 300 + side), kept=True, class_ratio=1.0),))
-        drawn = is_colour(draw_overlay(black(960, 1280), NOTHING, objects, NOTHING), GREEN)
-        assert drawn[300 + side // 2, 290:304].sum() == width
 
 
 def test_a_smaller_copy_has_the_results_at_scaled_places():

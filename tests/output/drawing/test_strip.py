@@ -83,18 +83,6 @@ def test_a_status_replaces_a_missing_number(columns, text):
     assert words(FrameMetrics("log", 7, 0, **columns))[-1] == text
 
 
-def test_a_lane_has_the_colour_of_its_status():
-    colours = {phrase.text: phrase.colour for phrase in frame_phrases(FULL, NOTHING, 0.0)}
-    assert colours["lane left +1.52 m"] == (77, 230, 26)
-    assert colours["lane right -1.86 m"] == (0, 128, 255)
-
-
-@pytest.mark.parametrize(("status", "stands_out"), [("lost", True), ("first", False), ("tracked", False)])
-def test_lost_odometry_is_orange(status, stands_out):
-    (phrase,) = list(frame_phrases(replace(ROW, odometry_status=status), NOTHING, 0.0))[2:]
-    assert (phrase.colour == bgr(colours.ORANGE)) == stands_out
-
-
 def test_the_legend_has_every_colour_of_an_overlay():
     drawn = [*colours.OBJECT.values(), colours.RAW_LINE, colours.DRIVABLE]
     drawn += [colours.BOUNDARY[status] for status in ("measured", "held")]
@@ -121,18 +109,3 @@ def test_the_strip_covers_the_top_rows_and_cuts_no_text(rows, columns):
 def test_the_strip_fits_into_tiny_images(rows, columns):
     canvas = np.zeros((rows, columns, 3), np.uint8)
     draw_strip(canvas, lines_of((*frame_phrases(FULL, Objects((CAR, FAR_CAR)), 0.0), *LEGEND), Pen.of(canvas.shape)))
-
-
-@pytest.mark.parametrize(("rows", "columns"), [(480, 640), (960, 1280)])
-def test_legend_symbols_have_colour_and_shape_of_the_drawing(rows, columns):
-    """The symbols are areas, solid and dashed lines, solid and dashed boxes in the colours of their entries."""
-    for entry in LEGEND:
-        canvas = np.zeros((rows, columns, 3), np.uint8)
-        draw_strip(canvas, [[(0, entry)]])
-        symbol = canvas[:, : round(1.8 * Pen.of(canvas.shape).text_px)]
-        mine = (np.abs(symbol.astype(int) - entry.colour) <= 40).all(axis=-1)
-        at = mine[:, mine.any(axis=0)]
-        gaps = np.diff(np.flatnonzero(mine.any(axis=0))).max(initial=1) > 1
-        filled = at[at.any(axis=1)].mean()
-        assert gaps == entry.symbol.startswith("dashed")
-        assert (filled < 0.6) == entry.symbol.endswith("box")
