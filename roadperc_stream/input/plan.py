@@ -15,13 +15,11 @@ from roadperc_stream.errors import ChannelError, NoFrameError, StateError
 from roadperc_stream.input.decoding import Stamped
 from roadperc_stream.input.earlier_replay import is_result, replay_record
 from roadperc_stream.input.order import OrderConfig, StampOrder
-from roadperc_stream.input.replaced import rig_of_log
-from roadperc_stream.input.rig import NO_RIG, Rig
-from roadperc_stream.input.roles import NOTHING_TO_REPLAY, assignment_of_log, with_paths
+from roadperc_stream.input.replaced import given_for
+from roadperc_stream.input.roles import NOTHING_TO_REPLAY, assignment_of_log, with_path
 from roadperc_stream.input.source import ReplaySource
 from roadperc_stream.input.stream import Problems, RoleAssignment, decoded_messages
-from roadperc_stream.input.sync import without_loops
-from roadperc_stream.input.transforms import LatchedState
+from roadperc_stream.input.transforms import NOTHING_LATCHED, LatchedState
 from roadperc_stream.input.window import LeadIn, Window, WindowMessages, on_channels_of
 from roadperc_stream.log import LogSummary, Message, MessageDigest
 from roadperc_stream.schemas.record import END_KEY
@@ -57,15 +55,10 @@ class FirstReading:
             self.counts[message.channel.topic] += 1
             yield message
 
-    def placed(self, items: Iterable[Stamped]) -> Iterator[Stamped]:
-        """Note the parents of frames."""
+    def without_content(self, items: Iterable[Stamped], lead: LeadIn | None) -> Iterator[Stamped]:
+        """Count the reference messages, note the parents of frames, and pass on only what sorting needs."""
         for item in items:
             self.parent_of |= {edge.child: edge.parent for edge in item.edges}
-            yield item
-
-    def without_content(self, items: Iterable[Stamped], lead: LeadIn | None) -> Iterator[Stamped]:
-        """Count the reference messages, and pass on only what sorting needs."""
-        for item in items:
             if item.role == self.reference:
                 self.frames += 1
                 if lead is not None and lead.contains(item.log_time_ns):
@@ -102,8 +95,7 @@ def first_reading(
         found.settled = reached
         yield from found.counted(reader.late())  # only to count them, and to measure their lateness
 
-    decoded = found.placed(decoded_messages(messages(), roles, cfg.tag_table, problems, cfg.limits))
-    items = without_loops(decoded, latched.tree, roles.topics, Problems(), cfg.limits)
+    items = decoded_messages(messages(), roles, cfg, problems, latched.tree)
     for item in patient.through(found.without_content(items, lead)):
         reached = max(reached, (item.segment, item.stamp_ns - tolerance_ns))
     found.lateness_ns = patient.lateness_ns
@@ -127,7 +119,7 @@ class InputPlan:
     latched_messages: tuple[Message, ...]
     problems: Problems
     first: FirstReading
-    rig: Rig = NO_RIG
+    given: LatchedState = NOTHING_LATCHED
     """The cameras and mountings that replace those of the log."""
     most_frames: int | None = None
     """Largest number of frames: the first ones by stamp among those that arrive in the time range."""
@@ -170,8 +162,8 @@ def plan_input(summary: LogSummary, cfg: ReplayConfig, asked: ReplaySource, lead
         lasts = f"the log lasts {length_s:.3f} s"
         raise NoFrameError(f"{summary.path}: no message on {topic} in the requested part; {lasts}")
     order = replace(order, lateness_ns=found.lateness_ns)
-    rig = rig_of_log(summary, roles, cfg)
-    return InputPlan(roles, order, messages.window, lead, latched, before, problems, found, rig, part.frames)
+    given = given_for(summary, roles, cfg)
+    return InputPlan(roles, order, messages.window, lead, latched, before, problems, found, given, part.frames)
 
 
 def _roles(summary: LogSummary, overrides: Mapping[str, str], lead: LeadIn | None) -> tuple[RoleAssignment, str]:
@@ -182,7 +174,7 @@ def _roles(summary: LogSummary, overrides: Mapping[str, str], lead: LeadIn | Non
         roles = _roles_so_far(summary, overrides, assignment_of_log(lead.summary, {}))
     if roles.reference is None:
         text = "; ".join((NOTHING_TO_REPLAY, *roles.unassigned))
-        raise ChannelError(f"{summary.path}: {with_paths(text, summary)}")
+        raise ChannelError(f"{summary.path}: {with_path(text, summary)}")
     return roles, roles.reference
 
 
@@ -213,7 +205,7 @@ def _window(summary: LogSummary, cfg: ReplayConfig, part: TimeRange, roles: Role
     if end_ns is None:
         return Window(start_ns, cut_ns=cut_ns)
     beyond_end = log.read(summary, topics=[topic], start_ns=end_ns)
-    after = decoded_messages(beyond_end, roles, cfg.tag_table, Problems(), cfg.limits)
+    after = decoded_messages(beyond_end, roles, cfg)
     first_after = next((item for item in after if item.role == reference), None)
     return Window(start_ns, end_ns, first_after.stamp_ns if first_after else None, cut_ns)
 
@@ -225,7 +217,7 @@ def _with_own_stamps(
     stamps = set[int]()
     latest_ns, wait_ns = 0, seconds_to_ns(cfg.sync.max_wait_s)
     for message in messages:
-        decoded = decoded_messages([message], roles, cfg.tag_table, Problems(), cfg.limits)
+        decoded = decoded_messages([message], roles, cfg)
         stamp_ns = next((item.stamp_ns for item in decoded if item.role == reference), None)
         if stamp_ns is not None and stamp_ns < latest_ns - wait_ns:
             stamps, latest_ns = set(), stamp_ns
@@ -264,8 +256,7 @@ def latched_at(
             before = k == 0 and start_ns is not None and message.log_time_ns < start_ns
             if not (before or waiting):
                 break
-            decoded = decoded_messages([message], roles, cfg.tag_table, problems, cfg.limits)
-            for item in without_loops(decoded, latched.tree, roles.topics, problems, cfg.limits):
+            for item in decoded_messages([message], roles, cfg, problems, latched.tree):
                 if before or item.role in waiting:
                     latched = latched.updated(item.role, item.payload)
                     waiting.discard(item.role)

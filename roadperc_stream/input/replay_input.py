@@ -15,10 +15,10 @@ from roadperc_stream.input.findings import InputEvidence
 from roadperc_stream.input.outcome import FileSpan, InputOutcome, continuation_notes, file_notes
 from roadperc_stream.input.plan import InputPlan, plan_input
 from roadperc_stream.input.replaced import as_configured, with_recorded
-from roadperc_stream.input.roles import tag_table_to_record, with_paths
+from roadperc_stream.input.roles import tag_table_to_record, with_path
 from roadperc_stream.input.source import LossTimes, ReadableLog, ReplaySource
 from roadperc_stream.input.stream import Problems, decoded_messages
-from roadperc_stream.input.sync import Paired, StampPairing, reference_of, without_loops
+from roadperc_stream.input.sync import Paired, StampPairing, reference_of
 from roadperc_stream.input.transforms import LatchedState
 from roadperc_stream.input.window import LeadIn, WindowMessages
 from roadperc_stream.log import DIGEST_ALGORITHM, Channel, LogSummary, LostSpan, Recovery
@@ -139,7 +139,7 @@ class ReplayInput:
         last = None if lead is None else lead.last
         before_ns, number, new_frames = (None, 0, 0) if last is None else (last.log_time_ns, last.number + 1, 0)
         for found, segment in self._frames():
-            paired = as_configured(found, plan.rig, self.cfg.labels)
+            paired = as_configured(found, plan.given, self.cfg.labels)
             reference = reference_of(paired)
             self._evidence.add(paired.values())
             self._latched = reference.latched
@@ -161,15 +161,15 @@ class ReplayInput:
                 break
         if not self.frames and not plan.continues:
             topic = self.topics[plan.order.reference]
-            notes = with_paths("; ".join(self.notes), self.summary)
+            notes = with_path("; ".join(self.notes), self.summary)
             raise NoFrameError(f"{self.summary.path}: no message on {topic} makes a frame; {notes}")
 
     def _frames(self) -> Iterator[tuple[Paired, int]]:
         """The frames with the numbers of their segments, without those up to the last one of a continued result."""
-        plan, limits = self.plan, self.cfg.limits
+        plan = self.plan
         messages = self.messages.all(set(self.topics.values()))
-        decoded = decoded_messages(messages, plan.roles, self.cfg.tag_table, self._problems, limits)
-        frames = self._pairing.frames_of(without_loops(decoded, plan.latched.tree, self.topics, self._problems, limits))
+        decoded = decoded_messages(messages, plan.roles, self.cfg, self._problems, plan.latched.tree)
+        frames = self._pairing.frames_of(decoded)
         if plan.lead is None or (last := plan.lead.last) is None:
             yield from ((frame, reference_of(frame).segment) for frame in frames)
             return
@@ -218,7 +218,7 @@ class ReplayInput:
 
     def _sample(self, paired: Paired, index: int) -> Sample:
         try:
-            sample = sample_of(self.cfg, paired, index, self.topics, self.plan.first.parent_of, self.plan.rig)
+            sample = sample_of(self.cfg, paired, index, self.topics, self.plan.first.parent_of, self.plan.given)
         except ChannelError as error:
             known = (*self.plan.problems.first.values(), *self.plan.roles.unassigned, *self._if_in_other_files)
             raise ChannelError("; ".join((f"{self.summary.path}: {error.args[0]}", *known)), error.option) from error

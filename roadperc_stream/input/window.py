@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from roadperc_stream import log
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.input.earlier_replay import is_result
-from roadperc_stream.input.stream import Problems, RoleAssignment, decoded_messages
+from roadperc_stream.input.stream import RoleAssignment, decoded_messages
 from roadperc_stream.log import Channel, LogSummary, Message, Piece
 from roadperc_stream.model import LastComplete
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
@@ -138,7 +138,7 @@ class WindowMessages:
     def _belongs_inside(self, message: Message) -> bool:
         """Whether a sensor's message has a stamp before the first frame after the window."""
         end_stamp_ns = self.window.end_stamp_ns
-        items = decoded_messages([message], self.roles, self.cfg.tag_table, Problems(), self.cfg.limits)
+        items = decoded_messages([message], self.roles, self.cfg)
         sensed = (item.stamp_ns for item in items if ROLES[item.role].kind not in LATCHED_KINDS)
         return end_stamp_ns is not None and any(stamp_ns < end_stamp_ns for stamp_ns in sensed)
 

@@ -8,6 +8,8 @@ from google.protobuf.message import DecodeError as ProtobufError
 
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import DecodeError
+from roadperc_stream.formats.images import require_pixels
+from roadperc_stream.geometry import Camera
 from roadperc_stream.input.decoding import foxglove, own, ros
 from roadperc_stream.input.decoding.json_messages import from_json
 from roadperc_stream.input.decoding.payload import (
@@ -16,7 +18,6 @@ from roadperc_stream.input.decoding.payload import (
     Payload,
     Stamped,
     camera_from_calibration,
-    require_within,
     without_slashes,
 )
 from roadperc_stream.log.records import Channel
@@ -94,7 +95,8 @@ def decode(kind: Kind, schema: str, encoding: str, data: bytes, log_time_ns: int
         raise DecodeError(f"{len(data)} bytes: expected {context.limits.message_bytes} at most")
     try:
         decoded = decoder(data, context)
-        require_within(decoded.payload, context.limits)
+        if isinstance(decoded.payload, Camera):
+            require_pixels("calibration", decoded.payload.width, decoded.payload.height, context.limits)
     except (ProtobufError, ValueError) as error:
         raise DecodeError(f"{len(data)} bytes are not a valid {schema}: {error}") from error
     decoded = Stamped(decoded.stamp_ns or log_time_ns, without_slashes(decoded.payload))
