@@ -2,9 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
 from itertools import chain
-from math import inf
 
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ChannelError, NoFrameError, StateError
@@ -12,7 +10,7 @@ from roadperc_stream.input.assemble import sample_of
 from roadperc_stream.input.decoding import Stamped
 from roadperc_stream.input.earlier_replay import networks_digest
 from roadperc_stream.input.findings import InputEvidence
-from roadperc_stream.input.outcome import FileSpan, InputOutcome, continuation_notes, file_notes
+from roadperc_stream.input.outcome import FileSpan, InputOutcome, file_notes, joins
 from roadperc_stream.input.plan import InputPlan, plan_input
 from roadperc_stream.input.replaced import as_configured, with_recorded
 from roadperc_stream.input.roles import tag_table_to_record, with_path
@@ -20,8 +18,8 @@ from roadperc_stream.input.source import LossTimes, ReadableLog, ReplaySource
 from roadperc_stream.input.stream import Problems, decoded_messages
 from roadperc_stream.input.sync import Paired, StampPairing, reference_of
 from roadperc_stream.input.transforms import LatchedState
-from roadperc_stream.input.window import LeadIn, WindowMessages
-from roadperc_stream.log import DIGEST_ALGORITHM, Channel, LogSummary, LostSpan, Recovery
+from roadperc_stream.input.window import LeadIn
+from roadperc_stream.log import DIGEST_ALGORITHM, Channel, LogSummary, LostSpan, Recovery, counted_topics
 from roadperc_stream.model import UNWRITTEN, FrameResult, LastComplete, Sample
 from roadperc_stream.model.finding import Finding
 from roadperc_stream.model.reason import UNUSABLE
@@ -68,7 +66,7 @@ class ReplayInput:
 
     def __init__(self, summary: LogSummary, cfg: ReplayConfig, plan: InputPlan) -> None:
         self.summary, self.plan, self.cfg = summary, plan, cfg
-        self.messages = WindowMessages(summary, cfg, plan.roles, plan.window, plan.latched_messages, plan.lead)
+        self.messages = plan.messages
         logs = (summary,) if not plan.continues or plan.lead is None else (plan.lead.summary, summary)
         recovered = [Recovery.of_records(found.metadata) for found in logs]
         gaps = [() if recovery is None else recovery.gaps for recovery in recovered]
@@ -111,13 +109,11 @@ class ReplayInput:
         """Topic of each role that the log has."""
         return self.plan.roles.topics
 
-    @cached_property
+    @property
     def expected_frames(self) -> int:
         """Number of messages of the reference role that are not left out; an unreadable one makes no frame."""
-        first, lead = self.plan.first, self.plan.lead
-        last_ns = inf if lead is None or not lead.continues else -1 if lead.last is None else lead.last.log_time_ns
-        there = first.frames - sum(time_ns <= last_ns for time_ns in first.lead_frames_ns)
-        return there if self.plan.most_frames is None else min(there, self.plan.most_frames)
+        there, most = self.plan.first.frames, self.plan.most_frames
+        return there if most is None else min(there, most)
 
     @property
     def span_ns(self) -> tuple[int, int]:
@@ -275,12 +271,12 @@ class ReplayInput:
     @property
     def _before(self) -> tuple[str, ...]:
         """A note if there is a gap between this log and the result that it continues."""
-        plan, lead = self.plan, self.plan.lead
+        lead = self.plan.lead
         if lead is None or not lead.continues:
             return ()
-        frames = plan.first.counts[self.topics[plan.order.reference]] - len(plan.first.lead_frames_ns)
-        here = FileSpan(str(self.summary.path), *self.span_ns, frames)
-        return continuation_notes(here, plan.first.lead_frames_ns, lead.end_ns - 1)
+        frames = counted_topics(lead.summary)[self.topics[self.plan.order.reference]]
+        before = FileSpan("the continued result", lead.summary.first_ns or 0, lead.end_ns - 1, frames)
+        return tuple(filter(None, joins([before, FileSpan(str(self.summary.path), *self.span_ns, frames=0)])))
 
     @property
     def chosen_topics(self) -> dict[str, str]:
