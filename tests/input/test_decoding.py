@@ -84,11 +84,11 @@ GREY = PillowImage.fromarray(np.arange(64, dtype=np.uint8).reshape(8, 8))
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (packed(GREY, "JPEG"), "not a valid PNG, they start with ffd8"),
-        (packed(GREY, "GIF"), "not a valid PNG"),
+        (packed(GREY, "JPEG"), "format JPEG: expected png"),
+        (packed(GREY, "GIF"), "format GIF: expected png"),
         (packed(GREY.convert("RGB"), "PNG"), "mode RGB"),
         (packed(GREY, "PNG")[:50], "not a complete PNG"),
-        (b"", "0 bytes are not a valid PNG"),
+        (b"", "0 bytes are not an image"),
     ],
     ids=["jpeg", "gif", "rgb", "cut", "empty"],
 )
