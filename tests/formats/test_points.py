@@ -128,7 +128,7 @@ FIELD = PackedElementField(name="x", offset=0, type=PackedElementField.FLOAT32)
         (lying(data=b"1234567"), "7 bytes of points: expected a multiple of the stride, 12 bytes"),
         (lying(fields=[FIELD]), "fields x: expected x, y and z among them"),
         (lying(fields=[]), "fields none: expected x, y and z among them"),
-        (lying(fields=[PackedElementField(name="x")]), "field x: type 0, expected one of 1 to 8"),
+        (lying(fields=[PackedElementField(name="x")]), "field x: expected a known type of number"),
         (lying(fields=[PackedElementField(name="x", offset=2**32 - 1, type=7)]), "field x: ends at byte 4294967299"),
         (lying(pose={"position": {"x": 1.0}}), "pose without an orientation"),
         (lying(pose={"position": {"x": np.nan}, "orientation": {"w": 1.0}}), "pose: a number is not finite"),

@@ -1,6 +1,7 @@
 """The input and output types of decoders, and shared checks and conversions."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
@@ -14,7 +15,8 @@ from roadperc_stream.geometry.rotations import rotation_from_quaternion
 from roadperc_stream.input.transforms import NOTHING_LATCHED, LatchedState
 from roadperc_stream.model import Transform
 from roadperc_stream.model.tag_tables import TagTable
-from roadperc_stream.schemas.protobuf import require_finite
+from roadperc_stream.schemas import cdr
+from roadperc_stream.schemas.protobuf import require_finite, stamp_ns
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES, Kind
 
 Payload = (
@@ -89,6 +91,23 @@ class Context:
     limits: LimitsConfig = DEFAULT_LIMITS
     carla_bridge: bool = False
     """Whether CARLA's ROS bridge wrote it: its principal point counts from a pixel's corner."""
+
+
+Contents = Callable[[Any, Context], Payload]
+"""Makes the contents of a parsed message."""
+
+
+def stamp_of(message: Any) -> int:
+    """The stamp of a message, that of its first transform, or 0 without one."""
+    if hasattr(message, "transforms"):
+        return stamp_of(message.transforms[0]) if len(message.transforms) else 0
+    stamp = message.header.stamp if hasattr(message, "header") else message.timestamp
+    return stamp_ns(stamp) if hasattr(stamp, "seconds") else cdr.stamp_ns(stamp)
+
+
+def frame_of(message: Any) -> str:
+    """The frame of a message."""
+    return str((message.header if hasattr(message, "header") else message).frame_id)
 
 
 def pose_matrix(position: Any, orientation: Any) -> Float:
