@@ -314,7 +314,10 @@ def test_points_of_whole_numbers_keep_their_sign():
         ({"row_step": 20}, "with row step 20: expected 96 bytes, found 96"),
         ({"height": 3}, "expected 144 bytes, found 96"),
         ({"fields": [rosbag.field("x", 0), rosbag.field("z", 8)]}, "expected x, y and z"),
-        ({"fields": [rosbag.field("x", 0, 99), rosbag.field("y", 4), rosbag.field("z", 8)]}, "field x: expected a known type of number"),
+        (
+            {"fields": [rosbag.field("x", 0, 99), rosbag.field("y", 4), rosbag.field("z", 8)]},
+            "field x: expected a known type of number",
+        ),
     ],
     ids=["big endian", "step", "height", "no y", "type"],
 )
