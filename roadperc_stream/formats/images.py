@@ -78,13 +78,16 @@ def _eight_bits(data: bytes, mode: str, limits: LimitsConfig) -> Image:
     return pixels.astype(np.uint8, copy=False)
 
 
-def decode_unchanged(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> NDArray[Any] | None:
-    """Pixels in their encoded type; None if OpenCV cannot read them.
+def decode_grey16(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> NDArray[np.uint16]:
+    """(H, W) uint16 of a grey PNG with 16 bits a pixel.
 
     Raises:
-        DecodeError: the header exceeds the limits.
+        DecodeError: it is another image, or its header exceeds the limits.
     """
-    return _pixels(data, "IMREAD_UNCHANGED", limits)
+    pixels = _pixels(data, "IMREAD_UNCHANGED", limits, ("PNG",))
+    if pixels is None or pixels.dtype != np.uint16 or pixels.ndim != 2:
+        raise DecodeError(f"{len(data)} bytes are not a whole PNG with one number of 16 bits a pixel")
+    return pixels
 
 
 def require_pixels(what: str, width: int, height: int, limits: LimitsConfig) -> None:
@@ -157,11 +160,11 @@ def _why(data: bytes, limits: LimitsConfig) -> str:
     return ""
 
 
-def _pixels(data: bytes, mode: str, limits: LimitsConfig) -> NDArray[Any] | None:
+def _pixels(data: bytes, mode: str, limits: LimitsConfig, formats: tuple[str, ...] = _READ) -> NDArray[Any] | None:
     """Pixels in OpenCV's ``mode``; None if OpenCV cannot read them."""
     import cv2
 
-    with _opened(data, limits):
+    with _opened(data, limits, formats):
         pixels = _PNG_READERS[mode](data)
     if pixels is not None:
         return pixels

@@ -20,7 +20,7 @@ from tests.fuzz.pictures import POSTSCRIPT
 from tests.hostile import inputs
 
 ROOT = Path(__file__).parents[2]
-DECODERS = (images.decode_bgr, images.decode_grey, images.decode_unchanged, images.image_size)
+DECODERS = (images.decode_bgr, images.decode_grey, images.image_size)
 PICTURE = PillowImage.fromarray(np.random.default_rng(0).integers(0, 255, (24, 32, 3), np.uint8))
 
 

@@ -137,7 +137,7 @@ def _decoded_depth(layout: str, content: bytes, limits: LimitsConfig) -> tuple[F
     headed = "compressedDepth" in layout
     if headed and len(content) < _DEPTH_HEADER.size:
         raise DecodeError(f"depth of format {layout!r}: {len(content)} bytes, expected a header of 12 bytes")
-    pixels = _png16(layout, content[_DEPTH_HEADER.size :] if headed else content, limits)
+    pixels = images.decode_grey16(content[_DEPTH_HEADER.size :] if headed else content, limits)
     if not layout.startswith("32FC1"):
         return images.depth_from_mm(pixels), images.DEPTH_LIMIT_MM / 1000
     if not headed:
@@ -146,12 +146,3 @@ def _decoded_depth(layout: str, content: bytes, limits: LimitsConfig) -> tuple[F
     depth_m = np.float32(scale) / (pixels.astype(np.float32) - np.float32(offset))
     depth_m[(pixels == images.UNKNOWN_MM) | ~(depth_m > 0)] = np.nan
     return depth_m, np.inf
-
-
-def _png16(layout: str, content: bytes, limits: LimitsConfig) -> np.ndarray[tuple[int, int], np.dtype[np.uint16]]:
-    pixels = images.decode_unchanged(content, limits) if _is_png(content) else None
-    if pixels is None:
-        raise DecodeError(f"depth of format {layout!r}: expected a whole PNG, it starts with {content[:4].hex()}")
-    if pixels.dtype != np.uint16 or pixels.ndim != 2:
-        raise DecodeError(f"depth of format {layout!r}: {pixels.shape} {pixels.dtype}, expected 16 bits a pixel")
-    return pixels

@@ -223,9 +223,9 @@ def test_compressed_depth_of_both_kinds():
 @pytest.mark.parametrize(
     ("layout", "data", "words"),
     [
-        ("16UC1; compressedDepth rvl", bytes(30), "expected a whole PNG"),
+        ("16UC1; compressedDepth rvl", bytes(30), "18 bytes are not an image"),
         ("16UC1; compressedDepth", b"abc", "3 bytes, expected a header"),
-        ("16UC1; compressedDepth", bytes(12) + png(GREY), "expected 16 bits a pixel"),
+        ("16UC1; compressedDepth", bytes(12) + png(GREY), "16 bits a pixel"),
         ("32FC1; png compressed", png(GREY.astype(np.uint16)), "expected 16UC1, or compressedDepth"),
     ],
     ids=["rvl", "short", "8 bits", "floats"],
