@@ -20,7 +20,7 @@ from roadperc_stream.input.roles import NOTHING_TO_REPLAY, assignment_of_log, wi
 from roadperc_stream.input.source import ReplaySource
 from roadperc_stream.input.stream import Problems, RoleAssignment, decoded_messages
 from roadperc_stream.input.transforms import NOTHING_LATCHED, LatchedState
-from roadperc_stream.input.window import LeadIn, Window, WindowMessages, on_channels_of
+from roadperc_stream.input.window import LeadIn, WindowMessages, on_channels_of
 from roadperc_stream.log import LogSummary, Message, MessageDigest
 from roadperc_stream.schemas.record import END_KEY
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
@@ -56,7 +56,7 @@ def first_reading(
     Raises:
         LogError: the log is damaged.
     """
-    cfg, lead, cut_ns = reader.cfg, reader.lead, reader.window.cut_ns
+    cfg, lead, cut_ns = reader.cfg, reader.lead, reader.cut_ns
     found = FirstReading(parent_of={edge.child: edge.parent for edge in latched.tree.edges.values()})
     known_ns = -1 if lead is None else lead.known_ns
     tolerance_ns, now_ns = seconds_to_ns(cfg.sync.tolerance_s), 0
@@ -104,7 +104,6 @@ class InputPlan:
     roles: RoleAssignment
     order: OrderConfig
     """The role that makes the frames, and how late messages are."""
-    window: Window
     lead: LeadIn | None
     latched: LatchedState
     messages: WindowMessages
@@ -136,8 +135,8 @@ def plan_input(summary: LogSummary, cfg: ReplayConfig, asked: ReplaySource, lead
     part, continues = asked.time_range, lead is not None and lead.continues
     roles, reference = _roles(summary, asked.overrides, lead)
     problems = Problems(summary.path if asked.strict else None)
-    window = _window(summary, cfg, part, roles, reference)
-    own = summary, window.start_ns, window.end_ns
+    messages = _messages_of(summary, cfg, part, (roles, reference), lead)
+    own = summary, messages.start_ns, messages.end_ns
     parts = [own] if lead is None else [(lead.summary, lead.start_ns, lead.end_ns), own]
     latched, before = latched_at(parts, cfg, roles, problems)
     if continues:
@@ -145,7 +144,7 @@ def plan_input(summary: LogSummary, cfg: ReplayConfig, asked: ReplaySource, lead
     elif lead is not None:
         _, before = latched_at([own], cfg, roles, Problems())
     order = OrderConfig(reference, seconds_to_ns(cfg.sync.max_wait_s))
-    messages = WindowMessages(summary, cfg, roles, window, before, lead)
+    messages = replace(messages, latched=before)
     found = first_reading(messages, order, latched, problems)
     topic = roles.topics[reference]
     if not continues and not found.counts[topic]:
@@ -154,7 +153,7 @@ def plan_input(summary: LogSummary, cfg: ReplayConfig, asked: ReplaySource, lead
         raise NoFrameError(f"{summary.path}: no message on {topic} in the requested part; {lasts}")
     order = replace(order, lateness_ns=found.lateness_ns)
     given = given_for(summary, roles, cfg)
-    return InputPlan(roles, order, window, lead, latched, messages, problems, found, given, part.frames)
+    return InputPlan(roles, order, lead, latched, messages, problems, found, given, part.frames)
 
 
 def _roles(summary: LogSummary, overrides: Mapping[str, str], lead: LeadIn | None) -> tuple[RoleAssignment, str]:
@@ -184,7 +183,11 @@ def _roles_so_far(summary: LogSummary, overrides: Mapping[str, str], before: Rol
     return roles
 
 
-def _window(summary: LogSummary, cfg: ReplayConfig, part: TimeRange, roles: RoleAssignment, reference: str) -> Window:
+def _messages_of(
+    summary: LogSummary, cfg: ReplayConfig, part: TimeRange, assigned: tuple[RoleAssignment, str], lead: LeadIn | None
+) -> WindowMessages:
+    """The messages of a part of a log; ``assigned`` are its roles, and the one that makes the frames."""
+    roles, reference = assigned
     first_ns, topic = summary.first_ns or 0, roles.topics[reference]
     alone = replace(roles, topics={reference: topic})
 
@@ -197,11 +200,9 @@ def _window(summary: LogSummary, cfg: ReplayConfig, part: TimeRange, roles: Role
         wait_ns = seconds_to_ns(cfg.sync.max_wait_s)
         beyond = next(islice(_with_own_stamps(references(start_ns, end_ns), wait_ns), part.frames, None), None)
         end_ns = beyond.log_time_ns if beyond else end_ns
-    cut_ns = _cut_ns(summary, end_ns)
-    if end_ns is None:
-        return Window(start_ns, cut_ns=cut_ns)
-    first_after = next(references(end_ns), None)
-    return Window(start_ns, end_ns, first_after.stamp_ns if first_after else None, cut_ns)
+    first_after = None if end_ns is None else next(references(end_ns), None)
+    end_stamp_ns = None if first_after is None else first_after.stamp_ns
+    return WindowMessages(summary, cfg, roles, start_ns, end_ns, end_stamp_ns, _cut_ns(summary, end_ns), lead)
 
 
 def _with_own_stamps(items: Iterable[Stamped], wait_ns: int) -> Iterator[Stamped]:

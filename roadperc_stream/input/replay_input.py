@@ -52,8 +52,8 @@ def input_of(found: ReadableLog, source: ReplaySource, cfg: ReplayConfig, lead: 
     cfg = with_recorded(cfg, found.summary.attachments, found.summary.path)
     plan = plan_input(found.summary, cfg, asked, lead)
     if not source.recover:
-        start_ns = plan.window.start_ns if lead is None or lead.continues else lead.start_ns
-        found.require_outside(start_ns, plan.window.end_ns)
+        start_ns = plan.messages.start_ns if lead is None or lead.continues else lead.start_ns
+        found.require_outside(start_ns, plan.messages.end_ns)
     return ReplayInput(found.summary, cfg, plan)
 
 
@@ -118,7 +118,7 @@ class ReplayInput:
     @property
     def span_ns(self) -> tuple[int, int]:
         """First and last log time of the part to replay, without latched and late messages outside it."""
-        window, first_ns, last_ns = self.plan.window, self.summary.first_ns or 0, self.summary.last_ns or 0
+        window, first_ns, last_ns = self.messages, self.summary.first_ns or 0, self.summary.last_ns or 0
         start_ns = first_ns if window.start_ns is None else max(window.start_ns, first_ns)
         end_ns = last_ns if window.end_ns is None else min(window.end_ns, last_ns)
         return start_ns, max(start_ns, end_ns)
@@ -292,7 +292,7 @@ class ReplayInput:
             record.DIGEST_ALGORITHM_KEY: DIGEST_ALGORITHM,
             "input_messages": str(self.plan.first.counts.total()),
             record.FRAMES_KEY: str(self.frames),
-            **({} if self.plan.window.cut_ns is None else {record.END_KEY: str(self.plan.window.cut_ns)}),
+            **({} if self.messages.cut_ns is None else {record.END_KEY: str(self.messages.cut_ns)}),
             **self.chosen_topics,
             **({record.TAG_TABLE_KEY: tag_table} if tag_table else {}),
             **{f"{record.DROPPED_KEY}{role}": str(number) for role, number in sorted(self.dropped.items())},

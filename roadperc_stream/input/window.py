@@ -13,22 +13,6 @@ from roadperc_stream.system.time import seconds_to_ns
 
 
 @dataclass(frozen=True)
-class Window:
-    """The part of a log, by log time: from ``start_ns`` up to ``end_ns``, None without a limit.
-
-    ``end_stamp_ns`` is the stamp of the first frame after the window. A sensor's message with an earlier stamp belongs
-    to the window even if it arrives after ``end_ns``. ``cut_ns`` is the log time from which another replay continues
-    the log: ``end_ns``, or the cut of an earlier replay. Messages of this log after the cut arrived late, and the other
-    replay's input has them too.
-    """
-
-    start_ns: int | None = None
-    end_ns: int | None = None
-    end_stamp_ns: int | None = None
-    cut_ns: int | None = None
-
-
-@dataclass(frozen=True)
 class LeadIn:
     """What is read before the window, from ``start_ns`` up to ``end_ns``: the end of a continued result, or a warm-up.
 
@@ -62,15 +46,23 @@ class LeadIn:
 class WindowMessages:
     """Reads the messages to replay, in log-time order: the lead, the window, and late ones.
 
-    ``latched`` has the messages from before that hold at the beginning of the copy.
+    The window is the part of the log from ``start_ns`` up to ``end_ns``, None without a limit.
     """
 
     summary: LogSummary
     cfg: ReplayConfig
     roles: RoleAssignment
-    window: Window
-    latched: tuple[Message, ...]
-    lead: LeadIn | None = None
+    start_ns: int | None
+    end_ns: int | None
+    end_stamp_ns: int | None
+    """Stamp of the first frame after the window. A sensor's message with an earlier stamp belongs to the window even if
+    it arrives after ``end_ns``."""
+    cut_ns: int | None
+    """Log time from which another replay continues the log: ``end_ns``, or the cut of an earlier replay. Messages of
+    this log after the cut arrived late, and the other replay's input has them too."""
+    lead: LeadIn | None
+    latched: tuple[Message, ...] = ()
+    """The messages from before that hold at the beginning of the copy."""
 
     def all(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """All messages that make the frames; ``topics`` limits them."""
@@ -85,7 +77,7 @@ class WindowMessages:
     def pieces(self) -> Iterator[Piece]:
         """As ``copied``, but as whole chunks of the log where possible."""
         yield from self.copied_before()
-        yield from log.pieces(self.summary, self.inputs, self.window.start_ns, self.window.end_ns)
+        yield from log.pieces(self.summary, self.inputs, self.start_ns, self.end_ns)
         yield from self._late(None)
 
     def copied_before(self) -> Iterator[Message]:
@@ -102,7 +94,7 @@ class WindowMessages:
 
     def inside(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """The messages in the window, and later ones that belong to it; ``topics`` limits them."""
-        yield from _inputs_of(self.summary, self.window.start_ns, self.window.end_ns, topics)
+        yield from _inputs_of(self.summary, self.start_ns, self.end_ns, topics)
         yield from self._late(topics)
 
     @property
@@ -112,7 +104,7 @@ class WindowMessages:
 
     def _late(self, topics: Collection[str] | None) -> Iterator[Message]:
         """Messages of sensors after the window that belong to it by their stamps."""
-        end_ns, end_stamp_ns = self.window.end_ns, self.window.end_stamp_ns
+        end_ns, end_stamp_ns = self.end_ns, self.end_stamp_ns
         if end_ns is None or end_stamp_ns is None:
             return
         for message in _inputs_of(self.summary, end_ns, end_ns + seconds_to_ns(self.cfg.sync.max_wait_s), topics):
