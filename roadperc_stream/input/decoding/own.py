@@ -24,7 +24,6 @@ _OBJECT_STATUS_OF: Final[Mapping[int, ObjectStatus]] = {1: "measured", 2: "track
 """A truth without a status counts as measured."""
 _FEWEST: Final = 2
 """Least heights along each side of a grid; interpolation needs two."""
-_FINEST_M, _FARTHEST_M = 1e-3, 1e7
 
 
 def _detections(message: Any, context: Context) -> tuple[model.Detection, ...]:
@@ -65,12 +64,8 @@ def _height_grid(grid: Any) -> model.HeightGrid:
         size = f"{grid.rows} rows of {grid.columns}, {heights.size} heights"
         raise DecodeError(f"height grid: {size}: expected rows times columns, {_FEWEST} or more of each")
     require_finite("height grid", grid.x_min_m, grid.y_min_m, grid.step_m, heights.min(), heights.max())
-    farthest_m = max(abs(grid.x_min_m), abs(grid.y_min_m), grid.step_m, float(np.abs(heights).max()))
-    if not (grid.step_m >= _FINEST_M and farthest_m <= _FARTHEST_M):
-        found = f"up to {farthest_m:g} m, in steps of {grid.step_m:g} m"
-        raise DecodeError(
-            f"height grid: {found}: expected up to {_FARTHEST_M:g} m, in steps of {_FINEST_M:g} m or more"
-        )
+    if not grid.step_m > 0:
+        raise DecodeError(f"height grid: in steps of {grid.step_m:g} m: expected positive steps")
     return model.HeightGrid(grid.x_min_m, grid.y_min_m, grid.step_m, heights.reshape(grid.rows, grid.columns))
 
 
