@@ -71,7 +71,7 @@ def _cut(source: Path, event: Event, target: Path, cfg: ReplayConfig) -> None:
     begin_ns = log.summarise(source).first_ns or 0
     part = TimeRange(ns_to_seconds(min(around) - begin_ns) - BEFORE_S, ns_to_seconds(max(around) - begin_ns) + AFTER_S)
     found = open_input(ReplaySource(source, time_range=part, recover=True), cfg)
-    channels, window = found.summary.channels, found.plan.window
+    channels, window = found.summary.channels, found.messages
     topics = {channel.topic for channel in channels if is_result(channel)}
     read = log.read(found.summary, topics=topics, start_ns=window.start_ns, end_ns=window.end_ns)
     results = (message for message in read if is_result(message.channel))

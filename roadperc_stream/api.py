@@ -192,7 +192,7 @@ class Chain:
                 in ``roadperc_stream.chain.protocols``. They override ``implementation`` in the configuration.
 
         Raises:
-            TypeError: a camera is not a Camera, or one of its fields has another type.
+            TypeError: a camera is not a Camera.
             ValueError: a camera or the mounting has invalid numbers, or the camera does not look ahead.
             ConfigError: the configuration is invalid, the tag table is unknown, or a stage cannot be used.
         """

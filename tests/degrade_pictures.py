@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from roadperc_stream import log
 from roadperc_stream.formats.images import encode_jpeg
 from roadperc_stream.input.roles import assignment_of_log
-from roadperc_stream.input.stream import Problems, decoded_messages
+from roadperc_stream.input.stream import decoded_messages
 from roadperc_stream.tools.corruptions.levels import LEVELS
 
 Picture = NDArray[np.uint8]
@@ -40,7 +40,7 @@ _TOPICS: Final = tuple(f"/camera/front/{name}" for name in ("image", "depth", "s
 def payloads(path: Path, role: str) -> list[Any]:
     """The contents of a role's messages, in log-time order."""
     summary = log.summarise(path)
-    items = decoded_messages(log.read(summary), assignment_of_log(summary, {}), "auto", Problems())
+    items = decoded_messages(log.read(summary), assignment_of_log(summary, {}))
     return [item.payload for item in items if item.role == role]
 
 

@@ -209,11 +209,6 @@ def test_tags_without_a_table_and_an_invalid_pose_are_refused():
         ("1", None, "stamp_ns: expected whole nanoseconds, found '1'"),
         (0, [("car", 0.9, (1, 2, 3, 4))], r"detections\[0\]: expected a Detection, found \('car'"),
         (0, [rp.Detection("car", (1, 2, 3, 4), 0.9)], r"detections\[0\]: expected box_px to be a Box, found \(1, 2"),
-        (
-            0,
-            [rp.Detection("car", rp.Box(1, 2, 3, 4), "0.9")],
-            r"detections\[0\]: expected a number as score, found '0.9'",
-        ),
     ],
 )
 def test_a_stamp_or_detection_of_another_type_is_refused(stamp_ns, detections, message):

@@ -175,7 +175,7 @@ def _corrupted(job: Degradation, message: Message) -> tuple[int, list[Message], 
     It becomes a clean copy as truth if the log has none, and the message as often as it arrives.
     """
     time_ns, topic, problems = message.log_time_ns, message.channel.topic, Problems()
-    item = next(decoded_messages([message], job.roles, "auto", problems), None)
+    item = next(decoded_messages([message], job.roles, problems=problems), None)
     group = [message]
     if item is not None:
         delays, changed = _delays(job, item), message

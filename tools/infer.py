@@ -14,10 +14,10 @@ from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ChannelError, DecodeError, NoFrameError
 from roadperc_stream.formats.images import encode_indices
 from roadperc_stream.input.assemble import ego_T_camera_of
+from roadperc_stream.input.calibrations import calibration_role
 from roadperc_stream.input.decoding import Stamped
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.replaced import attachments_about_log, first_latched, with_recorded
-from roadperc_stream.input.rig import calibration_role
 from roadperc_stream.input.roles import assignment_of_log
 from roadperc_stream.input.stream import Problems, RoleAssignment, decoded_messages
 from roadperc_stream.input.topics import fits
@@ -192,7 +192,7 @@ def _results(job: InferenceJob, problems: Problems, threads: int) -> Iterator[tu
 
 def _varying(job: InferenceJob) -> list[str]:
     """Run the networks twice on the first readable image, and return their warnings."""
-    for item in _images(job, Problems()):
+    for item in _images(job):
         assert isinstance(item.payload, CameraImage)
         with suppress(DecodeError):
             (found,) = in_order(job.pair.varying, [item.payload.decode_bgr()], 1)
@@ -200,11 +200,10 @@ def _varying(job: InferenceJob) -> list[str]:
     return []
 
 
-def _images(job: InferenceJob, problems: Problems) -> Iterator[Stamped]:
+def _images(job: InferenceJob, problems: Problems | None = None) -> Iterator[Stamped]:
     topics = {job.image: job.roles.topics[job.image]}
-    return decoded_messages(
-        log.read(job.summary, topics=topics.values()), replace(job.roles, topics=topics), "auto", problems
-    )
+    messages = log.read(job.summary, topics=topics.values())
+    return decoded_messages(messages, replace(job.roles, topics=topics), problems=problems)
 
 
 def _encoded(job: InferenceJob, item: Stamped, result: Inferred) -> Iterator[tuple[str, bytes]]:

@@ -7,9 +7,10 @@ from typing import Final
 from roadperc_stream.geometry import Camera
 from roadperc_stream.geometry.rectification import is_rectified, lens_of
 from roadperc_stream.input.findings import InputEvidence, camera_findings, label_findings
-from roadperc_stream.input.rig import Rig
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.model import Detection
+
+from .rig import Rig
 
 COLUMNS: Final = ("role", "from", "frames", "missing", "size", "encoding")
 SensorRow = tuple[str, str, str, str, str, str]

@@ -7,7 +7,6 @@ from typing import Final
 
 from roadperc_stream.errors import DumpError
 from roadperc_stream.formats.images import encode_jpeg
-from roadperc_stream.input.rig import FRONT, Rig, build_rig
 from roadperc_stream.log import Message
 from roadperc_stream.model import Image
 from roadperc_stream.output import encoding
@@ -21,6 +20,7 @@ from .carla_dump.messages import JPEG_QUALITY, WORKERS, channel_of, static_messa
 from .layouts.drive import ConvertOptions
 from .layouts.dump import calibration_of
 from .recording import Recording, SensorRow, camera_facts, finding_notes, mounting_fact
+from .rig import FRONT, Rig, build_rig
 from .video_file import ReadCounts, VideoFile, frames_of, open_video
 
 VIDEO_SUFFIXES: Final = frozenset({".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".ts", ".mts", ".mpg", ".mpeg"})

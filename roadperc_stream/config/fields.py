@@ -136,8 +136,6 @@ class LimitsConfig(Section):
     """Most detections or objects in a message; the largest data sets have some hundred in a frame."""
     transforms: ClassVar[int] = 2000
     """Most frames in the tree of transforms; a car with all its sensors has some hundred."""
-    name_length: ClassVar[int] = 1000
-    """Most characters of a name in a message, such as a frame, a class, an object or an encoding."""
 
     @property
     def chunk_bytes(self) -> int:

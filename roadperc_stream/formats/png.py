@@ -24,9 +24,6 @@ if COMPILED:
     from roadperc_stream.kernels import reverse_filters, reverse_to_grey
 
 MAGIC: Final = b"\x89PNG\r\n\x1a\n"
-SIZE: Final = struct.Struct(">II")
-"""Columns and rows, at the start of a header."""
-SIZE_AT: Final = 16
 _CHUNK: Final = struct.Struct(">I4s")
 _CRC: Final = struct.Struct(">I")
 _HEADER: Final = struct.Struct(">IIBBBBB")

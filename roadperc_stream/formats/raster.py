@@ -100,10 +100,11 @@ class Raster:
     big_endian: bool = False
 
     @classmethod
-    def of_ros(cls, message: Any) -> "Raster":
-        """Pixels of a sensor_msgs/msg/Image, little-endian or big-endian."""
+    def of(cls, message: Any) -> "Raster":
+        """Pixels of a foxglove.RawImage, or of a sensor_msgs/msg/Image, little-endian or big-endian."""
         size = int(message.width), int(message.height), int(message.step)
-        return cls(str(message.encoding), *size, np.asarray(message.data, np.uint8), bool(message.is_bigendian))
+        data = message.data if isinstance(message.data, bytes) else np.asarray(message.data, np.uint8)
+        return cls(str(message.encoding), *size, data, bool(getattr(message, "is_bigendian", False)))
 
     def pixels(self) -> NDArray[Any]:
         """(H, W) or (H, W, channels) numbers, (3 H / 2, W) of nv12; a view of ``data`` if rows are not padded.

@@ -44,7 +44,7 @@ def _print_joined(console: Console, logs: Sequence[LogFacts], overrides: Mapping
     lines = (*filter(None, joins(spans)), *_continuations(logs), *_only_in_some(logs), *_whole(logs, spans))
     print_lines(console, "", *lines)
     if not any(facts.provenance for facts in logs):
-        print_roles(console, roles_of(_channels(logs), overrides, None).states)
+        print_roles(console, roles_of(_channels(logs), overrides).states)
 
 
 def _spans(logs: Iterable[LogFacts]) -> Iterator[FileSpan]:

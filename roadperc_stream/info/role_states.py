@@ -15,7 +15,7 @@ from roadperc_stream.input.roles import (
     channel_state,
 )
 from roadperc_stream.input.stream import RoleAssignment
-from roadperc_stream.input.topics import ContentProbe, distinct, fits
+from roadperc_stream.input.topics import distinct, fits
 from roadperc_stream.log import Channel
 from roadperc_stream.schemas.roles import ROLES, Role
 
@@ -56,10 +56,10 @@ class Roles:
     """Topics by role with which it does not stop."""
 
 
-def roles_of(channels: Sequence[Channel], overrides: Mapping[str, str], probe: ContentProbe | None) -> Roles:
+def roles_of(channels: Sequence[Channel], overrides: Mapping[str, str]) -> Roles:
     """The state of every role.
 
-    ``overrides`` are topics by role, from ``--topic``; ``probe`` reads first messages, for ``candidates``.
+    ``overrides`` are topics by role, from ``--topic``.
     """
     inputs = [channel for channel in channels if not is_result(channel)]
     refusal, options = None, dict[str, str]()
@@ -72,7 +72,7 @@ def roles_of(channels: Sequence[Channel], overrides: Mapping[str, str], probe: C
         refusal = NOTHING_TO_REPLAY
     unassigned = (channel for channel in inputs if channel.topic not in assignment.topics.values())
     poses = distinct(channel for channel in unassigned if fits(ROLES["truth_pose"], channel))
-    could = {**candidates(inputs, assignment.topics, probe), "truth_pose": poses}
+    could = {**candidates(inputs, assignment.topics), "truth_pose": poses}
     states = (_state(role, inputs, assignment, overrides, could.get(role.name, ())) for role in ROLES.values())
     return Roles(tuple(states), assignment, refusal, options)
 

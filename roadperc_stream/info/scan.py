@@ -5,7 +5,6 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cache, partial
 from pathlib import Path
 from typing import Final
 
@@ -21,10 +20,9 @@ from roadperc_stream.input.decoding import Stamped
 from roadperc_stream.input.earlier_replay import is_result, recorded_tag_table, recorded_topics
 from roadperc_stream.input.findings import InputEvidence
 from roadperc_stream.input.order import OrderConfig
-from roadperc_stream.input.replaced import replaced, rig_of_log, with_recorded
+from roadperc_stream.input.replaced import given_for, replaced, with_recorded
 from roadperc_stream.input.stream import Problems, decoded_messages
-from roadperc_stream.input.sync import StampPairing, reference_of, skew_ns, without_loops
-from roadperc_stream.input.topics import probe_first_message
+from roadperc_stream.input.sync import StampPairing, reference_of, skew_ns
 from roadperc_stream.input.transforms import LatchedState
 from roadperc_stream.log import LogSummary, Message, MessageDigest, Salvage
 from roadperc_stream.model import CameraImage, DepthImage
@@ -174,7 +172,7 @@ class Scan:
         metadata = first.described.metadata
         channels = tuple(first.channels[number] for number in sorted(first.channels) if first.counts[number])
         named = {**recorded_topics(metadata, channels), **overrides}
-        roles = roles_of(channels, named, None if summary is None else cache(partial(probe_first_message, summary)))
+        roles = roles_of(channels, named)
         assignment = replace(roles.assignment, tag_table=recorded_tag_table(metadata))
         with suppress(ConfigError):  # the record of a result is listed with its fault
             cfg = with_recorded(cfg, first.described.attachments, path)
@@ -193,8 +191,8 @@ class Scan:
         reference = self.roles.assignment.reference
         if self.summary is not None and reference is not None:
             try:
-                rig = rig_of_log(self.summary, self.roles.assignment, self.cfg)
-                self.latched = replaced(self.latched, rig, reference)
+                given = given_for(self.summary, self.roles.assignment, self.cfg)
+                self.latched = replaced(self.latched, given, reference)
             except DumpError as error:
                 self.roles = replace(self.roles, refusal=str(error))
 
@@ -221,8 +219,9 @@ class Scan:
 
     def _run(self) -> None:
         roles = self.roles.assignment
-        decoded = decoded_messages(self._counted(self.salvage.messages()), roles, self.cfg.tag_table, self.problems)
-        items = self._without_latched(without_loops(decoded, self.latched.tree, roles.topics, self.problems))
+        items = self._without_latched(
+            decoded_messages(self._counted(self.salvage.messages()), roles, self.cfg, self.problems)
+        )
         if roles.reference is None:
             for _ in items:
                 pass

@@ -11,11 +11,11 @@ from roadperc_stream import model
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import WITHOUT_CALIBRATION, ChannelError
 from roadperc_stream.geometry import Camera, Float, inverse, mounting
+from roadperc_stream.input.calibrations import calibration_role, own_calibration
 from roadperc_stream.input.decoding import Stamped
 from roadperc_stream.input.rectified import rectified_frame, rectified_truth
-from roadperc_stream.input.rig import NO_RIG, Rig, calibration_role, own_calibration
 from roadperc_stream.input.sync import Paired, reference_of, skew_ns
-from roadperc_stream.input.transforms import LatchedState, TransformTree
+from roadperc_stream.input.transforms import NOTHING_LATCHED, LatchedState, TransformTree
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
 
 EGO_FRAMES: Final = (model.EGO, "base_footprint", "base_link", "ego_vehicle", "hero")
@@ -31,13 +31,13 @@ def sample_of(
     index: int,
     topics: Mapping[str, str],
     parent_of: Mapping[str, str],
-    rig: Rig = NO_RIG,
+    given: LatchedState = NOTHING_LATCHED,
 ) -> model.Sample:
     """The sample of one instant's messages.
 
     ``cfg`` gives the assumed height of a camera without a mounting. ``index`` is the number of the frame in the replay,
-    from 0, or ``UNWRITTEN`` for a warm-up frame. ``parent_of`` has each frame that the log places at any time. ``rig``
-    replaced the cameras and mountings of the log in ``paired``.
+    from 0, or ``UNWRITTEN`` for a warm-up frame. ``parent_of`` has each frame that the log places at any time. The
+    ``given`` cameras and mountings replaced those of the log in ``paired``.
 
     Raises:
         ChannelError: a camera without calibration; the message names it.
@@ -47,8 +47,8 @@ def sample_of(
     depth = _payload(messages, "depth", model.DepthImage)
     camera = _camera(reference, topics)
     depth_camera = _depth_camera(latched, camera, depth)
-    given = next((edge.parent_T_child for edge in rig.transforms if edge.child == camera.frame_id), None)
-    known = ego_T_camera_of(tree, camera) if given is None else given
+    mounted = given.tree.edges.get(camera.frame_id)
+    known = ego_T_camera_of(tree, camera) if mounted is None else mounted.parent_T_child
     ego_T_camera = mounting(z=cfg.surface.assumed_height_m) if known is None else known
     left_camera = _left_camera(reference, camera, topics)
     is_pair = "left" in topics and reference.role != "left"
@@ -80,7 +80,7 @@ def sample_of(
         pose_mark=None if pose is None else crc32(pose.parent_T_child.tobytes()),
     )
     missing = tuple(role for role in topics if _expected(role) and role not in messages)
-    own = None if given is not None else _own_frame(tree, camera)
+    own = None if mounted is not None else _own_frame(tree, camera)
     truth, anchor = _truth(messages, tree, camera), _anchor(own, camera, ego_T_camera, parent_of)
     frame, truth = rectified_frame(frame), rectified_truth(truth, camera)
     return model.Sample(index, reference.log_time_ns, frame, truth, missing, skew_ns(paired), anchor, reference.segment)

@@ -14,8 +14,8 @@ from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.geometry import Camera
 from roadperc_stream.input.assemble import EGO_FRAMES, ego_T_camera_of, lidar_mounting
+from roadperc_stream.input.calibrations import calibration_role
 from roadperc_stream.input.decoding import Stamped
-from roadperc_stream.input.rig import calibration_role
 from roadperc_stream.input.topics import CAMERA_OF
 from roadperc_stream.input.transforms import LatchedState
 from roadperc_stream.model import Detection, PointCloud, TagImage

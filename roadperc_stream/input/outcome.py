@@ -83,13 +83,9 @@ class InputOutcome:
         return f"{len(self.segment_frames)} segments, the state is reset in each: {named}"
 
     def _dropped_in_words(self, topics: Mapping[str, str]) -> Iterator[str]:
-        """Numbers, topics and first stamps; topics with the same number and stamp are grouped."""
-        groups: dict[tuple[int, int], list[str]] = {}
         for role, messages in self.dropped.items():
-            groups.setdefault((messages, self.dropped_stamps_ns[role]), []).append(topics[role])
-        for (messages, stamp_ns), names in groups.items():
-            stamp = f"{'the first with ' if messages > 1 else ''}stamp {stamp_ns} ns"
-            yield f"{messages} on {'each of ' if len(names) > 1 else ''}{', '.join(names)}, {stamp}"
+            first = f"{'the first with ' if messages > 1 else ''}stamp {self.dropped_stamps_ns[role]} ns"
+            yield f"{messages} on {topics[role]}, {first}"
 
 
 def _never_near(topic: str, tolerance_s: float, nearest_ns: int) -> str:
@@ -136,18 +132,6 @@ def joins(files: Sequence[FileSpan]) -> list[str]:
         texts.append("" if latest is None else _join(latest, file, least_gap_ns))
         latest = file if latest is None or file.last_ns > latest.last_ns else latest
     return texts
-
-
-def continuation_notes(file: FileSpan, frames_before_ns: Sequence[int], ended_ns: int) -> tuple[str, ...]:
-    """Return a note if there is a gap between a log and the result that it continues.
-
-    ``frames_before_ns`` are known log times of the reference sensor's last messages in the result, which ends at the
-    log time ``ended_ns``.
-    """
-    before = FileSpan("the continued result", min(frames_before_ns, default=ended_ns), ended_ns, len(frames_before_ns))
-    gap_ns, interval_ns = file.first_ns - ended_ns, _interval_ns([before, file])
-    missing = interval_ns and gap_ns > _GAP_INTERVALS * interval_ns
-    return (_join(before, file, 0.0),) if missing else ()
 
 
 def _join(before: FileSpan, file: FileSpan, least_gap_ns: float) -> str:

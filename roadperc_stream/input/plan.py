@@ -3,7 +3,7 @@
 This first reading checks every CRC, counts the messages, and measures how late they are. It pairs nothing.
 """
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
@@ -15,14 +15,12 @@ from roadperc_stream.errors import ChannelError, NoFrameError, StateError
 from roadperc_stream.input.decoding import Stamped
 from roadperc_stream.input.earlier_replay import is_result, replay_record
 from roadperc_stream.input.order import OrderConfig, StampOrder
-from roadperc_stream.input.replaced import rig_of_log
-from roadperc_stream.input.rig import NO_RIG, Rig
-from roadperc_stream.input.roles import NOTHING_TO_REPLAY, assignment_of_log, with_paths
+from roadperc_stream.input.replaced import given_for
+from roadperc_stream.input.roles import NOTHING_TO_REPLAY, assignment_of_log, with_path
 from roadperc_stream.input.source import ReplaySource
 from roadperc_stream.input.stream import Problems, RoleAssignment, decoded_messages
-from roadperc_stream.input.sync import without_loops
-from roadperc_stream.input.transforms import LatchedState
-from roadperc_stream.input.window import LeadIn, Window, WindowMessages, on_channels_of
+from roadperc_stream.input.transforms import NOTHING_LATCHED, LatchedState
+from roadperc_stream.input.window import LeadIn, WindowMessages, on_channels_of
 from roadperc_stream.log import LogSummary, Message, MessageDigest
 from roadperc_stream.schemas.record import END_KEY
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
@@ -37,44 +35,15 @@ class FirstReading:
     ``digest`` and ``counts`` (by topic) are those of the output's copy.
     """
 
-    reference: str
     digest: MessageDigest = field(default_factory=MessageDigest)
     counts: Counter[str] = field(default_factory=Counter)
     parent_of: dict[str, str] = field(default_factory=dict)
     """The last parent of each frame that a transform places, in this log or an earlier one."""
     frames: int = 0
-    """Number of reference messages that are not left out."""
-    lead_frames_ns: list[int] = field(default_factory=list)
-    """Log times of those before the window."""
+    """Number of reference messages that are not left out, after those that the lead has already."""
     lateness_ns: int = 0
     settled: tuple[int, float] = 0, -inf
     """No later message can change frames whose segment and stamp are before this."""
-
-    def counted(self, messages: Iterable[Message]) -> Iterator[Message]:
-        """Count the messages of the copy."""
-        for message in messages:
-            self.digest.update(message)
-            self.counts[message.channel.topic] += 1
-            yield message
-
-    def placed(self, items: Iterable[Stamped]) -> Iterator[Stamped]:
-        """Note the parents of frames."""
-        for item in items:
-            self.parent_of |= {edge.child: edge.parent for edge in item.edges}
-            yield item
-
-    def without_content(self, items: Iterable[Stamped], lead: LeadIn | None) -> Iterator[Stamped]:
-        """Count the reference messages, and pass on only what sorting needs."""
-        for item in items:
-            if item.role == self.reference:
-                self.frames += 1
-                if lead is not None and lead.contains(item.log_time_ns):
-                    self.lead_frames_ns.append(item.log_time_ns)
-            yield item if item.is_latched else replace(item, payload=())
-
-    def leave_out(self, item: Stamped) -> None:
-        """Count a message that is left out."""
-        self.frames -= item.role == self.reference
 
 
 def first_reading(
@@ -87,25 +56,39 @@ def first_reading(
     Raises:
         LogError: the log is damaged.
     """
-    cfg, lead, roles = reader.cfg, reader.lead, reader.roles
-    found = FirstReading(order.reference)
-    found.parent_of |= {edge.child: edge.parent for edge in latched.tree.edges.values()}
-    patient = StampOrder(replace(order, lateness_ns=order.max_wait_ns), found.leave_out)
-    tolerance_ns, reached = seconds_to_ns(cfg.sync.tolerance_s), found.settled
+    cfg, lead, cut_ns = reader.cfg, reader.lead, reader.cut_ns
+    found = FirstReading(parent_of={edge.child: edge.parent for edge in latched.tree.edges.values()})
+    known_ns = -1 if lead is None else lead.known_ns
+    tolerance_ns, now_ns = seconds_to_ns(cfg.sync.tolerance_s), 0
+
+    def counted(messages: Iterable[Message]) -> Iterator[Message]:
+        for message in messages:
+            found.digest.update(message)
+            found.counts[message.channel.topic] += 1
+            yield message
 
     def messages() -> Iterator[Message]:
-        for _ in found.counted(reader.latched):
-            pass
+        nonlocal now_ns
+        deque(counted(reader.latched), maxlen=0)
         before = reader.before()
-        yield from found.counted(before) if lead is not None and lead.continues else before
-        yield from found.counted(reader.inside())
-        found.settled = reached
-        yield from found.counted(reader.late())  # only to count them, and to measure their lateness
+        yield from counted(before) if lead is not None and lead.continues else before
+        for message in counted(reader.inside()):
+            now_ns = message.log_time_ns
+            yield message
 
-    decoded = found.placed(decoded_messages(messages(), roles, cfg.tag_table, problems, cfg.limits))
-    items = without_loops(decoded, latched.tree, roles.topics, Problems(), cfg.limits)
-    for item in patient.through(found.without_content(items, lead)):
-        reached = max(reached, (item.segment, item.stamp_ns - tolerance_ns))
+    def without_content() -> Iterator[Stamped]:
+        for item in decoded_messages(messages(), reader.roles, cfg, problems, latched.tree):
+            found.parent_of |= {edge.child: edge.parent for edge in item.edges}
+            found.frames += item.role == order.reference and item.log_time_ns > known_ns
+            yield item if item.is_latched else replace(item, payload=())
+
+    def leave_out(item: Stamped) -> None:
+        found.frames -= item.role == order.reference and item.log_time_ns > known_ns
+
+    patient = StampOrder(replace(order, lateness_ns=order.max_wait_ns), leave_out)
+    for item in patient.through(without_content()):
+        if cut_ns is None or now_ns < cut_ns:  # later messages only count, and tell how late messages are
+            found.settled = max(found.settled, (item.segment, item.stamp_ns - tolerance_ns))
     found.lateness_ns = patient.lateness_ns
     return found
 
@@ -114,20 +97,19 @@ def first_reading(
 class InputPlan:
     """The plan of a replay: its part of the log, and the findings of the first reading.
 
-    ``latched`` holds at the beginning. ``latched_messages`` has the calibrations and transforms from before the copied
-    part that hold in it. They are part of the copy, because a replay of the output needs them.
+    ``latched`` holds at the beginning. ``messages`` are those of the part, and the calibrations and transforms from
+    before it that hold in it: a replay of the output needs them.
     """
 
     roles: RoleAssignment
     order: OrderConfig
     """The role that makes the frames, and how late messages are."""
-    window: Window
     lead: LeadIn | None
     latched: LatchedState
-    latched_messages: tuple[Message, ...]
+    messages: WindowMessages
     problems: Problems
     first: FirstReading
-    rig: Rig = NO_RIG
+    given: LatchedState = NOTHING_LATCHED
     """The cameras and mountings that replace those of the log."""
     most_frames: int | None = None
     """Largest number of frames: the first ones by stamp among those that arrive in the time range."""
@@ -153,8 +135,8 @@ def plan_input(summary: LogSummary, cfg: ReplayConfig, asked: ReplaySource, lead
     part, continues = asked.time_range, lead is not None and lead.continues
     roles, reference = _roles(summary, asked.overrides, lead)
     problems = Problems(summary.path if asked.strict else None)
-    window = _window(summary, cfg, part, roles, reference)
-    own = summary, window.start_ns, window.end_ns
+    messages = _messages_of(summary, cfg, part, (roles, reference), lead)
+    own = summary, messages.start_ns, messages.end_ns
     parts = [own] if lead is None else [(lead.summary, lead.start_ns, lead.end_ns), own]
     latched, before = latched_at(parts, cfg, roles, problems)
     if continues:
@@ -162,7 +144,7 @@ def plan_input(summary: LogSummary, cfg: ReplayConfig, asked: ReplaySource, lead
     elif lead is not None:
         _, before = latched_at([own], cfg, roles, Problems())
     order = OrderConfig(reference, seconds_to_ns(cfg.sync.max_wait_s))
-    messages = WindowMessages(summary, cfg, roles, window, before, lead).with_late()
+    messages = replace(messages, latched=before)
     found = first_reading(messages, order, latched, problems)
     topic = roles.topics[reference]
     if not continues and not found.counts[topic]:
@@ -170,8 +152,8 @@ def plan_input(summary: LogSummary, cfg: ReplayConfig, asked: ReplaySource, lead
         lasts = f"the log lasts {length_s:.3f} s"
         raise NoFrameError(f"{summary.path}: no message on {topic} in the requested part; {lasts}")
     order = replace(order, lateness_ns=found.lateness_ns)
-    rig = rig_of_log(summary, roles, cfg)
-    return InputPlan(roles, order, messages.window, lead, latched, before, problems, found, rig, part.frames)
+    given = given_for(summary, roles, cfg)
+    return InputPlan(roles, order, lead, latched, messages, problems, found, given, part.frames)
 
 
 def _roles(summary: LogSummary, overrides: Mapping[str, str], lead: LeadIn | None) -> tuple[RoleAssignment, str]:
@@ -182,7 +164,7 @@ def _roles(summary: LogSummary, overrides: Mapping[str, str], lead: LeadIn | Non
         roles = _roles_so_far(summary, overrides, assignment_of_log(lead.summary, {}))
     if roles.reference is None:
         text = "; ".join((NOTHING_TO_REPLAY, *roles.unassigned))
-        raise ChannelError(f"{summary.path}: {with_paths(text, summary)}")
+        raise ChannelError(f"{summary.path}: {with_path(text, summary)}")
     return roles, roles.reference
 
 
@@ -201,39 +183,38 @@ def _roles_so_far(summary: LogSummary, overrides: Mapping[str, str], before: Rol
     return roles
 
 
-def _window(summary: LogSummary, cfg: ReplayConfig, part: TimeRange, roles: RoleAssignment, reference: str) -> Window:
+def _messages_of(
+    summary: LogSummary, cfg: ReplayConfig, part: TimeRange, assigned: tuple[RoleAssignment, str], lead: LeadIn | None
+) -> WindowMessages:
+    """The messages of a part of a log; ``assigned`` are its roles, and the one that makes the frames."""
+    roles, reference = assigned
     first_ns, topic = summary.first_ns or 0, roles.topics[reference]
+    alone = replace(roles, topics={reference: topic})
+
+    def references(start_ns: int | None, end_ns: int | None = None) -> Iterator[Stamped]:
+        return decoded_messages(log.read(summary, topics=[topic], start_ns=start_ns, end_ns=end_ns), alone, cfg)
+
     start_ns = None if part.start_s is None else first_ns + seconds_to_ns(part.start_s)
     end_ns = None if part.end_s is None else first_ns + seconds_to_ns(part.end_s)
     if part.frames is not None:
-        inside = log.read(summary, topics=[topic], start_ns=start_ns, end_ns=end_ns)
-        beyond = next(islice(_with_own_stamps(inside, cfg, roles, reference), part.frames, None), None)
+        wait_ns = seconds_to_ns(cfg.sync.max_wait_s)
+        beyond = next(islice(_with_own_stamps(references(start_ns, end_ns), wait_ns), part.frames, None), None)
         end_ns = beyond.log_time_ns if beyond else end_ns
-    cut_ns = _cut_ns(summary, end_ns)
-    if end_ns is None:
-        return Window(start_ns, cut_ns=cut_ns)
-    beyond_end = log.read(summary, topics=[topic], start_ns=end_ns)
-    after = decoded_messages(beyond_end, roles, cfg.tag_table, Problems(), cfg.limits)
-    first_after = next((item for item in after if item.role == reference), None)
-    return Window(start_ns, end_ns, first_after.stamp_ns if first_after else None, cut_ns)
+    first_after = None if end_ns is None else next(references(end_ns), None)
+    end_stamp_ns = None if first_after is None else first_after.stamp_ns
+    return WindowMessages(summary, cfg, roles, start_ns, end_ns, end_stamp_ns, _cut_ns(summary, end_ns), lead)
 
 
-def _with_own_stamps(
-    messages: Iterable[Message], cfg: ReplayConfig, roles: RoleAssignment, reference: str
-) -> Iterator[Message]:
+def _with_own_stamps(items: Iterable[Stamped], wait_ns: int) -> Iterator[Stamped]:
     """The reference messages without those that have the stamp of an earlier one in their segment."""
-    stamps = set[int]()
-    latest_ns, wait_ns = 0, seconds_to_ns(cfg.sync.max_wait_s)
-    for message in messages:
-        decoded = decoded_messages([message], roles, cfg.tag_table, Problems(), cfg.limits)
-        stamp_ns = next((item.stamp_ns for item in decoded if item.role == reference), None)
-        if stamp_ns is not None and stamp_ns < latest_ns - wait_ns:
-            stamps, latest_ns = set(), stamp_ns
-        if stamp_ns is None or stamp_ns not in stamps:
-            yield message
-        if stamp_ns is not None:
-            stamps.add(stamp_ns)
-            latest_ns = max(latest_ns, stamp_ns)
+    stamps, latest_ns = set[int](), 0
+    for item in items:
+        if item.stamp_ns < latest_ns - wait_ns:
+            stamps, latest_ns = set(), 0
+        if item.stamp_ns not in stamps:
+            yield item
+        stamps.add(item.stamp_ns)
+        latest_ns = max(latest_ns, item.stamp_ns)
 
 
 def _cut_ns(summary: LogSummary, end_ns: int | None) -> int | None:
@@ -264,8 +245,7 @@ def latched_at(
             before = k == 0 and start_ns is not None and message.log_time_ns < start_ns
             if not (before or waiting):
                 break
-            decoded = decoded_messages([message], roles, cfg.tag_table, problems, cfg.limits)
-            for item in without_loops(decoded, latched.tree, roles.topics, problems, cfg.limits):
+            for item in decoded_messages([message], roles, cfg, problems, latched.tree):
                 if before or item.role in waiting:
                     latched = latched.updated(item.role, item.payload)
                     waiting.discard(item.role)

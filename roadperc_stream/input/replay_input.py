@@ -2,9 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
 from itertools import chain
-from math import inf
 
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ChannelError, NoFrameError, StateError
@@ -12,16 +10,16 @@ from roadperc_stream.input.assemble import sample_of
 from roadperc_stream.input.decoding import Stamped
 from roadperc_stream.input.earlier_replay import networks_digest
 from roadperc_stream.input.findings import InputEvidence
-from roadperc_stream.input.outcome import FileSpan, InputOutcome, continuation_notes, file_notes
+from roadperc_stream.input.outcome import FileSpan, InputOutcome, file_notes, joins
 from roadperc_stream.input.plan import InputPlan, plan_input
 from roadperc_stream.input.replaced import as_configured, with_recorded
-from roadperc_stream.input.roles import tag_table_to_record, with_paths
+from roadperc_stream.input.roles import tag_table_to_record, with_path
 from roadperc_stream.input.source import LossTimes, ReadableLog, ReplaySource
 from roadperc_stream.input.stream import Problems, decoded_messages
-from roadperc_stream.input.sync import Paired, StampPairing, reference_of, without_loops
+from roadperc_stream.input.sync import Paired, StampPairing, reference_of
 from roadperc_stream.input.transforms import LatchedState
-from roadperc_stream.input.window import LeadIn, WindowMessages
-from roadperc_stream.log import DIGEST_ALGORITHM, Channel, LogSummary, LostSpan, Recovery
+from roadperc_stream.input.window import LeadIn
+from roadperc_stream.log import DIGEST_ALGORITHM, Channel, LogSummary, LostSpan, Recovery, counted_topics
 from roadperc_stream.model import UNWRITTEN, FrameResult, LastComplete, Sample
 from roadperc_stream.model.finding import Finding
 from roadperc_stream.model.reason import UNUSABLE
@@ -54,8 +52,8 @@ def input_of(found: ReadableLog, source: ReplaySource, cfg: ReplayConfig, lead: 
     cfg = with_recorded(cfg, found.summary.attachments, found.summary.path)
     plan = plan_input(found.summary, cfg, asked, lead)
     if not source.recover:
-        start_ns = plan.window.start_ns if lead is None or lead.continues else lead.start_ns
-        found.require_outside(start_ns, plan.window.end_ns)
+        start_ns = plan.messages.start_ns if lead is None or lead.continues else lead.start_ns
+        found.require_outside(start_ns, plan.messages.end_ns)
     return ReplayInput(found.summary, cfg, plan)
 
 
@@ -68,7 +66,7 @@ class ReplayInput:
 
     def __init__(self, summary: LogSummary, cfg: ReplayConfig, plan: InputPlan) -> None:
         self.summary, self.plan, self.cfg = summary, plan, cfg
-        self.messages = WindowMessages(summary, cfg, plan.roles, plan.window, plan.latched_messages, plan.lead)
+        self.messages = plan.messages
         logs = (summary,) if not plan.continues or plan.lead is None else (plan.lead.summary, summary)
         recovered = [Recovery.of_records(found.metadata) for found in logs]
         gaps = [() if recovery is None else recovery.gaps for recovery in recovered]
@@ -111,18 +109,16 @@ class ReplayInput:
         """Topic of each role that the log has."""
         return self.plan.roles.topics
 
-    @cached_property
+    @property
     def expected_frames(self) -> int:
         """Number of messages of the reference role that are not left out; an unreadable one makes no frame."""
-        first, lead = self.plan.first, self.plan.lead
-        last_ns = inf if lead is None or not lead.continues else -1 if lead.last is None else lead.last.log_time_ns
-        there = first.frames - sum(time_ns <= last_ns for time_ns in first.lead_frames_ns)
-        return there if self.plan.most_frames is None else min(there, self.plan.most_frames)
+        there, most = self.plan.first.frames, self.plan.most_frames
+        return there if most is None else min(there, most)
 
     @property
     def span_ns(self) -> tuple[int, int]:
         """First and last log time of the part to replay, without latched and late messages outside it."""
-        window, first_ns, last_ns = self.plan.window, self.summary.first_ns or 0, self.summary.last_ns or 0
+        window, first_ns, last_ns = self.messages, self.summary.first_ns or 0, self.summary.last_ns or 0
         start_ns = first_ns if window.start_ns is None else max(window.start_ns, first_ns)
         end_ns = last_ns if window.end_ns is None else min(window.end_ns, last_ns)
         return start_ns, max(start_ns, end_ns)
@@ -139,7 +135,7 @@ class ReplayInput:
         last = None if lead is None else lead.last
         before_ns, number, new_frames = (None, 0, 0) if last is None else (last.log_time_ns, last.number + 1, 0)
         for found, segment in self._frames():
-            paired = as_configured(found, plan.rig, self.cfg.labels)
+            paired = as_configured(found, plan.given, self.cfg.labels)
             reference = reference_of(paired)
             self._evidence.add(paired.values())
             self._latched = reference.latched
@@ -161,15 +157,15 @@ class ReplayInput:
                 break
         if not self.frames and not plan.continues:
             topic = self.topics[plan.order.reference]
-            notes = with_paths("; ".join(self.notes), self.summary)
+            notes = with_path("; ".join(self.notes), self.summary)
             raise NoFrameError(f"{self.summary.path}: no message on {topic} makes a frame; {notes}")
 
     def _frames(self) -> Iterator[tuple[Paired, int]]:
         """The frames with the numbers of their segments, without those up to the last one of a continued result."""
-        plan, limits = self.plan, self.cfg.limits
+        plan = self.plan
         messages = self.messages.all(set(self.topics.values()))
-        decoded = decoded_messages(messages, plan.roles, self.cfg.tag_table, self._problems, limits)
-        frames = self._pairing.frames_of(without_loops(decoded, plan.latched.tree, self.topics, self._problems, limits))
+        decoded = decoded_messages(messages, plan.roles, self.cfg, self._problems, plan.latched.tree)
+        frames = self._pairing.frames_of(decoded)
         if plan.lead is None or (last := plan.lead.last) is None:
             yield from ((frame, reference_of(frame).segment) for frame in frames)
             return
@@ -218,7 +214,7 @@ class ReplayInput:
 
     def _sample(self, paired: Paired, index: int) -> Sample:
         try:
-            sample = sample_of(self.cfg, paired, index, self.topics, self.plan.first.parent_of, self.plan.rig)
+            sample = sample_of(self.cfg, paired, index, self.topics, self.plan.first.parent_of, self.plan.given)
         except ChannelError as error:
             known = (*self.plan.problems.first.values(), *self.plan.roles.unassigned, *self._if_in_other_files)
             raise ChannelError("; ".join((f"{self.summary.path}: {error.args[0]}", *known)), error.option) from error
@@ -275,12 +271,12 @@ class ReplayInput:
     @property
     def _before(self) -> tuple[str, ...]:
         """A note if there is a gap between this log and the result that it continues."""
-        plan, lead = self.plan, self.plan.lead
+        lead = self.plan.lead
         if lead is None or not lead.continues:
             return ()
-        frames = plan.first.counts[self.topics[plan.order.reference]] - len(plan.first.lead_frames_ns)
-        here = FileSpan(str(self.summary.path), *self.span_ns, frames)
-        return continuation_notes(here, plan.first.lead_frames_ns, lead.end_ns - 1)
+        frames = counted_topics(lead.summary)[self.topics[self.plan.order.reference]]
+        before = FileSpan("the continued result", lead.summary.first_ns or 0, lead.end_ns - 1, frames)
+        return tuple(filter(None, joins([before, FileSpan(str(self.summary.path), *self.span_ns, frames=0)])))
 
     @property
     def chosen_topics(self) -> dict[str, str]:
@@ -296,7 +292,7 @@ class ReplayInput:
             record.DIGEST_ALGORITHM_KEY: DIGEST_ALGORITHM,
             "input_messages": str(self.plan.first.counts.total()),
             record.FRAMES_KEY: str(self.frames),
-            **({} if self.plan.window.cut_ns is None else {record.END_KEY: str(self.plan.window.cut_ns)}),
+            **({} if self.messages.cut_ns is None else {record.END_KEY: str(self.messages.cut_ns)}),
             **self.chosen_topics,
             **({record.TAG_TABLE_KEY: tag_table} if tag_table else {}),
             **{f"{record.DROPPED_KEY}{role}": str(number) for role, number in sorted(self.dropped.items())},

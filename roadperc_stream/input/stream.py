@@ -4,12 +4,19 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Final
 
-from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
+from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import DecodeError, LogError
 from roadperc_stream.input.decoding import Context, Stamped, context_of_channel, decode
+from roadperc_stream.input.transforms import NOTHING_LATCHED, TransformTree
 from roadperc_stream.log.records import Channel, Message
+from roadperc_stream.model import Transform
 from roadperc_stream.schemas.roles import REFERENCE_ROLES, ROLES, Role
+
+_DEFAULTS: Final = ReplayConfig()
+_MOST_EDGES_NAMED: Final = 3
+"""Transforms that a problem text lists."""
 
 
 @dataclass
@@ -82,23 +89,25 @@ class RoleAssignment:
 def decoded_messages(
     messages: Iterable[Message],
     roles: RoleAssignment,
-    tag_table: str,
-    problems: Problems,
-    limits: LimitsConfig = DEFAULT_LIMITS,
+    cfg: ReplayConfig = _DEFAULTS,
+    problems: Problems | None = None,
+    tree: TransformTree = NOTHING_LATCHED.tree,
 ) -> Iterator[Stamped]:
-    """Decode the messages of assigned roles; unreadable ones are counted and left out.
+    """Decode the messages of assigned roles; unreadable ones are counted in ``problems`` and left out.
 
-    ``messages`` are in log-time order. ``tag_table`` is the configured table, or ``auto`` for the channel's table, else
-    the recorded one.
+    ``messages`` are in log-time order. ``cfg`` gives the limits and the tag table: ``auto`` for the channel's table,
+    else the recorded one. ``tree`` has the transforms before the first message. Transforms that close a loop in it are
+    left out and reported.
     """
     contexts: dict[Channel, Context] = {}
+    problems = Problems() if problems is None else problems
     roles_by_topic = {topic: roles.roles_of(topic) for topic in set(roles.topics.values())}
     for message in messages:
         channel = message.channel
         if channel.topic not in roles_by_topic:
             continue
         if channel not in contexts:
-            contexts[channel] = context_of_channel(channel, tag_table, roles.tag_table, limits)
+            contexts[channel] = context_of_channel(channel, cfg.tag_table, roles.tag_table, cfg.limits)
         for role in roles_by_topic[channel.topic]:
             try:
                 content = message.data, message.log_time_ns, contexts[channel]
@@ -106,4 +115,30 @@ def decoded_messages(
             except DecodeError as error:
                 problems.add(channel.topic, message.log_time_ns, error)
                 continue
-            yield replace(decoded, role=role.name, log_time_ns=message.log_time_ns)
+            item = replace(decoded, role=role.name, log_time_ns=message.log_time_ns)
+            if edges := item.edges:
+                kept = _placed(edges, tree, cfg.limits.transforms, problems, (channel.topic, message.log_time_ns))
+                if not kept:
+                    continue
+                tree, item = tree.updated(kept), item if len(kept) == len(edges) else replace(item, payload=kept)
+            yield item
+
+
+def _placed(
+    edges: tuple[Transform, ...], tree: TransformTree, most: int, problems: Problems, place: tuple[str, int]
+) -> tuple[Transform, ...]:
+    """Leave out and report transforms that close a loop, or give the tree more than ``most`` frames.
+
+    ``place`` is the message's topic and log time.
+    """
+    topic, time_ns = place
+    fitting = tree.fitting(edges, most)
+    if beyond := len({edge.child for edge in edges} - {edge.child for edge in fitting}):
+        text = f"{beyond} transforms to more frames than {most}: left out"
+        problems.report(topic, f"{topic}: message at {time_ns} ns: {text}")
+    if looping := tree.looping(fitting):
+        names = [f"{edge.parent!r} to {edge.child!r}" for edge in fitting if edge.child in looping]
+        some = ", ".join(names[:_MOST_EDGES_NAMED]) + ", ..." * (len(names) > _MOST_EDGES_NAMED)
+        text = f"a loop of transforms ({some}), expected a tree: left out"
+        problems.report(topic, f"{topic}: message at {time_ns} ns: {text}")
+    return tuple(edge for edge in fitting if edge.child not in looping)

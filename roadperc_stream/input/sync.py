@@ -6,60 +6,16 @@ the nearest stamp, within the tolerance. Calibrations and transforms hold until 
 """
 
 from collections import deque
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from itertools import chain
-from typing import Final
 
-from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig, SyncConfig
+from roadperc_stream.config import SyncConfig
 from roadperc_stream.input.decoding import Stamped
 from roadperc_stream.input.order import Drop, OrderConfig, StampOrder
-from roadperc_stream.input.stream import Problems
-from roadperc_stream.input.transforms import LatchedState, TransformTree
-from roadperc_stream.model import Transform
+from roadperc_stream.input.transforms import LatchedState
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
 from roadperc_stream.system.time import seconds_to_ns
-
-_MOST_EDGES_NAMED: Final = 3
-"""Transforms that a problem text lists."""
-
-
-def without_loops(
-    items: Iterable[Stamped],
-    tree: TransformTree,
-    topics: Mapping[str, str],
-    problems: Problems,
-    limits: LimitsConfig = DEFAULT_LIMITS,
-) -> Iterator[Stamped]:
-    """Leave out and report transforms that close a loop or exceed the limit.
-
-    ``items`` are in the order in which they take effect; ``tree`` are the transforms before the first one.
-    """
-    for item in items:
-        edges = item.edges
-        if not edges:
-            yield item
-            continue
-        fitting = tree.fitting(edges, limits.transforms)
-        looping = tree.looping(fitting)
-        kept = tuple(edge for edge in fitting if edge.child not in looping)
-        topic = topics[item.role]
-        at = f"{topic}: message at {item.log_time_ns} ns"
-        if len(fitting) < len(edges):
-            beyond = {edge.child for edge in edges} - {edge.child for edge in fitting}
-            problems.report(topic, f"{at}: {len(beyond)} transforms to more frames than {limits.transforms}: left out")
-        if looping:
-            problems.report(topic, f"{at}: {_loop_in_words(fitting, looping)}")
-        if kept:
-            tree = tree.updated(kept)
-            yield item if len(kept) == len(edges) else replace(item, payload=kept)
-
-
-def _loop_in_words(edges: Iterable[Transform], children: Collection[str]) -> str:
-    names = [f"{edge.parent!r} to {edge.child!r}" for edge in edges if edge.child in children]
-    some = ", ".join(names[:_MOST_EDGES_NAMED]) + ", ..." * (len(names) > _MOST_EDGES_NAMED)
-    return f"a loop of transforms ({some}), expected a tree: left out"
-
 
 Paired = Mapping[str, Stamped]
 """The messages of one instant by role; the first one is the reference message, which has the latched state."""

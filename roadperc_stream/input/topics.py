@@ -1,19 +1,13 @@
-"""Finds the roles that topics could serve, by their names, schemas and first messages."""
+"""Finds the topics that could serve a role, by their schemas, names and namespaces."""
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import takewhile
 from typing import Final
 
-import numpy as np
-
-from roadperc_stream import log
-from roadperc_stream.errors import DecodeError, LogError
-from roadperc_stream.input.decoding import context_of_channel, decode, schemas_of_kind
-from roadperc_stream.log import Channel, LogSummary
-from roadperc_stream.model import DepthImage, TagImage
-from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14
-from roadperc_stream.schemas.roles import CARLA_BRIDGE, CARLA_TOPICS, ROLES, Kind, Role
+from roadperc_stream.input.decoding import schemas_of_kind
+from roadperc_stream.log import Channel
+from roadperc_stream.schemas.roles import CARLA_BRIDGE, CARLA_TOPICS, ROLES, Role
 
 CAMERA_OF: Final = {
     "calibration": "image",
@@ -32,13 +26,8 @@ _WORDS: Final = {
     "radar": ("radar",),
     "tf_static": ("static",),
 }
-_SIDES: Final = {"left", "right"}
 _TRANSPORTS: Final = ("compressed", "compressedDepth")
 """Suffixes that ROS 2's image_transport appends to an image topic."""
-ContentProbe = Callable[[Kind, Channel], bool]
-"""Whether the contents of a channel are of a kind."""
-_MOST_CLASSES: Final = CARLA_FROM_0_9_14
-"""The table with the most classes: larger numbers are not tags in any version."""
 
 
 def fits(role: Role, channel: Channel) -> bool:
@@ -59,21 +48,52 @@ def known_elsewhere(role: Role, channels: Iterable[Channel]) -> tuple[str, ...]:
     return distinct(c for c in channels if known.fullmatch(c.topic) and fits(role, c))
 
 
-def fitting(role: Role, channels: Iterable[Channel]) -> tuple[str, ...]:
-    """Topics of the right schema whose names do not suggest another role."""
-    return distinct(c for c in channels if fits(role, c) and _spoken(c.topic) == _own_words(role))
+def could_serve(role: Role, inputs: Sequence[Channel], topics: Mapping[str, str]) -> tuple[str, ...]:
+    """Topics that may be a role's, the best first. A calibration may be assigned to another camera already.
+
+    Images with a calibration beside them come first, then names with ``front``. ``topics`` are those of assigned roles.
+    """
+    if CAMERA_OF.get(role.name) in topics:
+        return _calibrations(role, inputs, topics)
+    free = [channel for channel in inputs if channel.topic not in topics.values()]
+    if role.name == "right" and "left" in topics:
+        return _other_side(topics["left"], free)
+    is_camera = role.name in CAMERA_OF.values()
+    calibrated = {_namespace(c.topic) for c in inputs if is_camera and fits(ROLES["calibration"], c)}
+
+    def rank(topic: str) -> tuple[bool, bool]:
+        return is_camera and _namespace(topic) not in calibrated, "front" not in topic.lower()
+
+    return tuple(sorted(_fitting(role, free), key=rank))
 
 
-def without_a_word(role: Role, channels: Iterable[Channel]) -> tuple[Channel, ...]:
-    """Channels of the right schema whose names suggest no role, except for a side."""
-    return tuple(c for c in channels if fits(role, c) and _spoken(c.topic) <= _SIDES)
+def nearest(topics: Sequence[str], camera_topic: str) -> Sequence[str]:
+    """The topics that share most of a camera's namespace; all if none shares any."""
+    shared = {topic: _shared_parts(topic, camera_topic) for topic in topics}
+    return [topic for topic in topics if shared[topic] == max(shared.values())]
 
 
-def beside_camera(role: Role, camera_topic: str, channels: Iterable[Channel]) -> tuple[str, ...]:
+def _calibrations(role: Role, inputs: Sequence[Channel], topics: Mapping[str, str]) -> tuple[str, ...]:
+    """Calibrations in the namespace of a camera's images, else those whose names match.
+
+    A calibration beside another camera does not count. A depth camera may share the image's calibration.
+    """
+    others = {name: camera for name, camera in CAMERA_OF.items() if name != role.name and camera in topics}
+    if role.name == "calibration":
+        others.pop("depth_calibration", None)
+    theirs = {t for name, camera in others.items() for t in _beside(ROLES[name], topics[camera], inputs)}
+    beside = _beside(role, topics[CAMERA_OF[role.name]], inputs)
+    if len(beside) == 1 and beside[0] in theirs:
+        return ()
+    taken = theirs | set(topics.values())
+    return beside or _fitting(role, (c for c in inputs if c.topic not in taken))
+
+
+def _beside(role: Role, camera_topic: str, channels: Iterable[Channel]) -> tuple[str, ...]:
     """Calibrations in the namespace of a camera's images that may be its own.
 
-    A calibration whose last name suggests the camera comes before one whose last name suggests nothing. Topics without
-    a namespace give no result.
+    Those whose last name suggests the camera exclude those whose last name suggests nothing. Topics without a namespace
+    give no result.
     """
     parts = _without_transport(camera_topic)
     near = [c for c in channels if len(parts) > 1 and _parts(c.topic)[:-1] == parts[:-1] and fits(role, c)]
@@ -82,32 +102,19 @@ def beside_camera(role: Role, camera_topic: str, channels: Iterable[Channel]) ->
     return tuple(topic for topic in could if said[topic]) or tuple(could)
 
 
-def preferred(topics: Iterable[str], role: Role, channels: Iterable[Channel]) -> tuple[str, ...]:
-    """The topics for a role, the best first: images with a calibration beside them, then names with ``front``."""
-    is_camera, calibrations = role.name in CAMERA_OF.values(), (c for c in channels if fits(ROLES["calibration"], c))
-    calibrated = {_namespace(channel.topic) for channel in calibrations} if is_camera else set()
-
-    def rank(topic: str) -> tuple[bool, bool]:
-        return is_camera and _namespace(topic) not in calibrated, "front" not in topic.lower()
-
-    return tuple(sorted(topics, key=rank))
+def _fitting(role: Role, channels: Iterable[Channel]) -> tuple[str, ...]:
+    """Topics of the right schema whose names do not suggest another role."""
+    return distinct(c for c in channels if fits(role, c) and _spoken(c.topic) == _own_words(role))
 
 
-def other_side(topic: str, channels: Iterable[Channel]) -> str | None:
-    """The topic with ``right`` instead of ``left`` in its name; None without one."""
+def _other_side(topic: str, channels: Iterable[Channel]) -> tuple[str, ...]:
+    """The topic with ``right`` instead of ``left`` in its name, if it is there."""
     sides = {"left": "right", "Left": "Right", "LEFT": "RIGHT"}
     other = re.sub("|".join(sides), lambda found: sides[found[0]], topic)
-    found = any(channel.topic == other != topic and fits(ROLES["right"], channel) for channel in channels)
-    return other if found else None
+    return distinct(c for c in channels if c.topic == other != topic and fits(ROLES["right"], c))
 
 
-def nearest(topics: tuple[str, ...], topic: str) -> tuple[str, ...]:
-    """The topics that share most of another topic's namespace; all if none shares any."""
-    shared = {other: shared_parts(other, topic) for other in topics}
-    return tuple(other for other in topics if shared[other] == max(shared.values()))
-
-
-def shared_parts(one: str, other: str) -> int:
+def _shared_parts(one: str, other: str) -> int:
     """Number of leading parts that the namespaces of two topics share."""
     pairs = zip(_parts(one)[:-1], _parts(other)[:-1], strict=False)
     return len(list(takewhile(lambda pair: pair[0] == pair[1], pairs)))
@@ -134,22 +141,3 @@ def _spoken(name: str) -> set[str]:
 
 def _own_words(role: Role) -> set[str]:
     return {role.name.removesuffix("_calibration")} & _WORDS.keys()
-
-
-def probe_first_message(summary: LogSummary, kind: Kind, channel: Channel) -> bool:
-    """Whether the first message of a channel is depth (by its encoding) or tags (all pixels have a known class).
-
-    False if the log or the message cannot be read. ``kind`` is ``depth`` or ``tags``.
-    """
-    try:
-        message = next(log.read(summary, topics=(channel.topic,)), None)
-        if message is None:
-            return False
-        found, context = message.channel, context_of_channel(message.channel, _MOST_CLASSES.name)
-        schema, encoding = found.schema_name, found.message_encoding
-        payload = decode(kind, schema, encoding, message.data, message.log_time_ns, context).payload
-        if isinstance(payload, TagImage):
-            return 0 < int(np.max(payload.tags)) < len(_MOST_CLASSES.names)  # a black image has no tags
-        return isinstance(payload, DepthImage) and payload.depth_m.size > 0
-    except (LogError, DecodeError):
-        return False

@@ -6,28 +6,10 @@ from dataclasses import dataclass, replace
 from roadperc_stream import log
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.input.earlier_replay import is_result
-from roadperc_stream.input.stream import Problems, RoleAssignment, decoded_messages
+from roadperc_stream.input.stream import RoleAssignment, decoded_messages
 from roadperc_stream.log import Channel, LogSummary, Message, Piece
 from roadperc_stream.model import LastComplete
-from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
 from roadperc_stream.system.time import seconds_to_ns
-
-
-@dataclass(frozen=True)
-class Window:
-    """The part of a log, by log time: from ``start_ns`` up to ``end_ns``, None without a limit.
-
-    ``end_stamp_ns`` is the stamp of the first frame after the window. A sensor's message with an earlier stamp belongs
-    to the window even if it arrives after ``end_ns``. ``late_until_ns`` is the end of these late messages in log time,
-    None without any. ``cut_ns`` is the log time from which another replay continues the log: ``end_ns``, or the cut of
-    an earlier replay. Messages of this log after the cut arrived late, and the other replay's input has them too.
-    """
-
-    start_ns: int | None = None
-    end_ns: int | None = None
-    end_stamp_ns: int | None = None
-    cut_ns: int | None = None
-    late_until_ns: int | None = None
 
 
 @dataclass(frozen=True)
@@ -44,6 +26,12 @@ class LeadIn:
     continues: bool
     last: LastComplete | None = None
 
+    @property
+    def known_ns(self) -> int:
+        """The last log time of the frames that are left out, or of a warm-up."""
+        last_ns = -1 if self.last is None else self.last.log_time_ns
+        return last_ns if self.continues else self.end_ns - 1
+
     def contains(self, log_time_ns: int) -> bool:
         """Whether a message of this log time is before the window."""
         return log_time_ns < self.end_ns
@@ -58,38 +46,42 @@ class LeadIn:
 class WindowMessages:
     """Reads the messages to replay, in log-time order: the lead, the window, and late ones.
 
-    ``latched`` has the messages from before that hold at the beginning of the copy.
+    The window is the part of the log from ``start_ns`` up to ``end_ns``, None without a limit.
     """
 
     summary: LogSummary
     cfg: ReplayConfig
     roles: RoleAssignment
-    window: Window
-    latched: tuple[Message, ...]
-    lead: LeadIn | None = None
+    start_ns: int | None
+    end_ns: int | None
+    end_stamp_ns: int | None
+    """Stamp of the first frame after the window. A sensor's message with an earlier stamp belongs to the window even if
+    it arrives after ``end_ns``."""
+    cut_ns: int | None
+    """Log time from which another replay continues the log: ``end_ns``, or the cut of an earlier replay. Messages of
+    this log after the cut arrived late, and the other replay's input has them too."""
+    lead: LeadIn | None
+    latched: tuple[Message, ...] = ()
+    """The messages from before that hold at the beginning of the copy."""
 
     def all(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """All messages that make the frames; ``topics`` limits them."""
         yield from self.before(topics)
         yield from self.inside(topics)
-        yield from self.late(topics)
 
     def copied(self) -> Iterator[Message]:
         """All messages of the output's copy: latched ones, those of a continued result, and the window's."""
-        yield from self._copied_before()
+        yield from self.copied_before()
         yield from self.inside()
-        yield from self.late()
 
     def pieces(self) -> Iterator[Piece]:
         """As ``copied``, but as whole chunks of the log where possible."""
-        start_ns, end_ns = self.window.start_ns, self.window.end_ns
-        if self.window.cut_ns is not None and start_ns is not None:
-            start_ns = min(start_ns, self.window.cut_ns)
-        yield from self._copied_before()
-        yield from log.pieces(self.summary, self.inputs, start_ns, end_ns)
-        yield from self._behind_the_end(None)
+        yield from self.copied_before()
+        yield from log.pieces(self.summary, self.inputs, self.start_ns, self.end_ns)
+        yield from self._late(None)
 
-    def _copied_before(self) -> Iterator[Message]:
+    def copied_before(self) -> Iterator[Message]:
+        """The messages of the output's copy from before the window."""
         yield from self.latched
         yield from self.before() if self.lead is not None and self.lead.continues else ()
 
@@ -101,46 +93,24 @@ class WindowMessages:
         yield from on_channels_of(self.summary, messages)
 
     def inside(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        """The messages in the window up to the cut; ``topics`` limits them."""
-        ends = [ns for ns in (self.window.end_ns, self.window.cut_ns) if ns is not None]
-        return _inputs_of(self.summary, self.window.start_ns, min(ends, default=None), topics)
-
-    def late(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        """Messages that arrive after the cut or the window, and belong to it by their stamps."""
-        end_ns, cut_ns = self.window.end_ns, self.window.cut_ns
-        if cut_ns is not None and (end_ns is None or cut_ns < end_ns):
-            yield from _inputs_of(self.summary, cut_ns, end_ns, topics)
-        yield from self._behind_the_end(topics)
-
-    def with_late(self) -> "WindowMessages":
-        """The same with ``late_until_ns`` set: reads the stamps of the messages after the window."""
-        end_ns = self.window.end_ns
-        if end_ns is None or self.window.end_stamp_ns is None:
-            return self
-        sensors = {topic for role, topic in self.roles.topics.items() if ROLES[role].kind not in LATCHED_KINDS}
-        last_ns = None
-        for message in _inputs_of(self.summary, end_ns, end_ns + seconds_to_ns(self.cfg.sync.max_wait_s), sensors):
-            if self._belongs_inside(message):
-                last_ns = message.log_time_ns
-        return replace(self, window=replace(self.window, late_until_ns=None if last_ns is None else last_ns + 1))
+        """The messages in the window, and later ones that belong to it; ``topics`` limits them."""
+        yield from _inputs_of(self.summary, self.start_ns, self.end_ns, topics)
+        yield from self._late(topics)
 
     @property
     def inputs(self) -> tuple[Channel, ...]:
         """All channels of the log except the results of an earlier replay."""
         return tuple(channel for channel in self.summary.channels if not is_result(channel))
 
-    def _behind_the_end(self, topics: Collection[str] | None) -> Iterator[Message]:
-        """Messages after the window that belong to it by their stamps."""
-        until_ns = self.window.late_until_ns
-        late = () if until_ns is None else _inputs_of(self.summary, self.window.end_ns, until_ns, topics)
-        yield from (message for message in late if self._belongs_inside(message))
-
-    def _belongs_inside(self, message: Message) -> bool:
-        """Whether a sensor's message has a stamp before the first frame after the window."""
-        end_stamp_ns = self.window.end_stamp_ns
-        items = decoded_messages([message], self.roles, self.cfg.tag_table, Problems(), self.cfg.limits)
-        sensed = (item.stamp_ns for item in items if ROLES[item.role].kind not in LATCHED_KINDS)
-        return end_stamp_ns is not None and any(stamp_ns < end_stamp_ns for stamp_ns in sensed)
+    def _late(self, topics: Collection[str] | None) -> Iterator[Message]:
+        """Messages of sensors after the window that belong to it by their stamps."""
+        end_ns, end_stamp_ns = self.end_ns, self.end_stamp_ns
+        if end_ns is None or end_stamp_ns is None:
+            return
+        for message in _inputs_of(self.summary, end_ns, end_ns + seconds_to_ns(self.cfg.sync.max_wait_s), topics):
+            items = decoded_messages([message], self.roles, self.cfg)
+            if any(item.stamp_ns < end_stamp_ns and not item.is_latched for item in items):
+                yield message
 
 
 def on_channels_of(summary: LogSummary, messages: Iterable[Message]) -> Iterator[Message]:

@@ -9,11 +9,11 @@ from typing import Any, Final, TypeVar
 from roadperc_stream import log
 from roadperc_stream.errors import ChannelError, DecodeError, LogError
 from roadperc_stream.geometry import Camera
+from roadperc_stream.input.calibrations import calibration_role
 from roadperc_stream.input.decoding import Stamped, context_of_channel, decode
 from roadperc_stream.input.earlier_replay import is_result, is_result_of
 from roadperc_stream.input.rectified import rectified
 from roadperc_stream.input.replaced import first_latched
-from roadperc_stream.input.rig import calibration_role
 from roadperc_stream.input.roles import assignment_of_log
 from roadperc_stream.input.stream import Problems, RoleAssignment
 from roadperc_stream.log import LogSummary, Message

@@ -20,7 +20,7 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::UserWarning:PIL"),
 ]
 
-DECODERS = (images.decode_bgr, images.decode_grey, images.decode_unchanged, images.decode_indices)
+DECODERS = (images.decode_bgr, images.decode_grey, images.decode_grey16, images.decode_indices)
 CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
 BITS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
 SIDES = st.integers(1, 9)

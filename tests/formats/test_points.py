@@ -87,13 +87,6 @@ def test_points_are_transformed_by_their_pose():
     np.testing.assert_allclose(read(message).points_m, [(0, 1, 5)], atol=1e-6)
 
 
-@pytest.mark.parametrize("length", [1e300, 1e-300, 5e-324, 1.7e308, 3.0])
-def test_the_length_of_the_quaternion_does_not_matter(length):
-    message = PointCloudProto.FromString(encode_points(STAMP, "lidar", np.array([[1, 2, 3]], np.float32)))
-    message.pose.orientation.z = message.pose.orientation.w = length
-    np.testing.assert_allclose(read(message).points_m, [(-2, 1, 3)], atol=1e-6)
-
-
 @pytest.mark.parametrize("w", [0.0, np.nan, np.inf])
 def test_an_invalid_quaternion_is_an_error(w):
     message = PointCloudProto.FromString(encode_points(STAMP, "lidar", np.array([[1, 2, 3]], np.float32)))
@@ -128,7 +121,7 @@ FIELD = PackedElementField(name="x", offset=0, type=PackedElementField.FLOAT32)
         (lying(data=b"1234567"), "7 bytes of points: expected a multiple of the stride, 12 bytes"),
         (lying(fields=[FIELD]), "fields x: expected x, y and z among them"),
         (lying(fields=[]), "fields none: expected x, y and z among them"),
-        (lying(fields=[PackedElementField(name="x")]), "field x: type 0, expected one of 1 to 8"),
+        (lying(fields=[PackedElementField(name="x")]), "field x: expected a known type of number"),
         (lying(fields=[PackedElementField(name="x", offset=2**32 - 1, type=7)]), "field x: ends at byte 4294967299"),
         (lying(pose={"position": {"x": 1.0}}), "pose without an orientation"),
         (lying(pose={"position": {"x": np.nan}, "orientation": {"w": 1.0}}), "pose: a number is not finite"),

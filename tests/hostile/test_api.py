@@ -1,14 +1,11 @@
 """Invalid arguments of the Python API raise an error at the call."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 import roadperc_stream as rp
 from roadperc_stream.errors import ChannelError, ConfigError
 from roadperc_stream.geometry import Camera
-from roadperc_stream.model import Box, Detection
 from tests import logs
 
 CAMERA = Camera("camera", 64, 48, 40.0, 40.0, 31.5, 23.5)
@@ -66,28 +63,3 @@ def test_an_image_of_another_type_is_refused(kind):
     """Although its values are 0 to 255; those of 12 or 16 bits can be dark."""
     with pytest.raises(ValueError, match="image: expected uint8, found"):
         rp.Chain(CAMERA).step(0, image=np.ones((48, 64, 3), kind))
-
-
-@pytest.mark.promise("Python", "A field of a camera or detection with another type is named")
-@pytest.mark.parametrize(
-    "change",
-    [{"width": 640.5}, {"height": "48"}, {"fx": None}, {"cy": 1j}, {"frame_id": 3}, {"baseline_m": "0.5"}],
-    ids=str,
-)
-def test_a_field_of_a_camera_with_another_type_is_named(change):
-    with pytest.raises(TypeError, match=f"camera: expected .* as {next(iter(change))}, found"):
-        rp.Chain(replace(CAMERA, **change))
-
-
-@pytest.mark.promise("Python", "A field of a camera or detection with another type is named")
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        *(({"label": label}, "text as label") for label in (3, None, b"car", ["car"])),
-        ({"id": 7}, "text as id"),
-        ({"box_px": Box("1", 2, 3, 4)}, "numbers in box_px"),
-    ],
-)
-def test_a_field_of_a_detection_with_another_type_is_named(change, words):
-    with pytest.raises(TypeError, match=rf"detections\[0\]: expected {words}, found"):
-        rp.Chain(CAMERA).step(0, detections=[replace(Detection("car", Box(1, 2, 3, 4), 0.9), **change)])

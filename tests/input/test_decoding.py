@@ -1,7 +1,6 @@
 """Messages that lie: numbers that are not finite, stamps beyond time, images that are not PNG."""
 
 import io
-import zlib
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from roadperc_stream.model import Boundary, Lanes, Transform
 from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14 as TABLE
 from roadperc_stream.output import encoding
 from roadperc_stream.schemas import roadperc_pb2 as pb
-from roadperc_stream.schemas.protobuf import set_stamp
 from tests.analytic import box
 
 STAMP = 1_600_000_000_000_000_000
@@ -36,13 +34,6 @@ def test_a_transform_that_is_not_finite_is_refused():
     T[0, 3] = np.nan
     with pytest.raises(DecodeError, match="not finite"):
         read("tf", "foxglove.FrameTransforms", encoding.encode_transforms(STAMP, [Transform("ego", "c", T)]))
-
-
-def test_a_rotation_without_length_is_refused():
-    message = encoding.encode_transforms(STAMP, [Transform("ego", "c", np.eye(4))])
-    broken = message.replace(np.float64(1.0).tobytes(), np.float64(0.0).tobytes())
-    with pytest.raises(DecodeError, match="orientation"):
-        read("tf", "foxglove.FrameTransforms", broken)
 
 
 def test_boundaries_of_an_unknown_side_are_left_out():
@@ -84,11 +75,11 @@ GREY = PillowImage.fromarray(np.arange(64, dtype=np.uint8).reshape(8, 8))
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (packed(GREY, "JPEG"), "not a valid PNG, they start with ffd8"),
-        (packed(GREY, "GIF"), "not a valid PNG"),
+        (packed(GREY, "JPEG"), "format JPEG: expected png"),
+        (packed(GREY, "GIF"), "format GIF: expected png"),
         (packed(GREY.convert("RGB"), "PNG"), "mode RGB"),
         (packed(GREY, "PNG")[:50], "not a complete PNG"),
-        (b"", "0 bytes are not a valid PNG"),
+        (b"", "0 bytes are not an image"),
     ],
     ids=["jpeg", "gif", "rgb", "cut", "empty"],
 )
@@ -96,22 +87,6 @@ def test_tags_are_read_only_from_indexed_pngs(data, words):
     with pytest.raises(DecodeError, match=words) as caught:
         images.decode_indices(data)
     assert "0x" not in str(caught.value), "an address would differ from run to run"
-
-
-@pytest.mark.parametrize("side", [60_000, 100_000])
-@pytest.mark.parametrize("decoder", [images.decode_bgr, images.decode_grey, images.decode_indices])
-def test_a_header_that_claims_a_huge_image_is_refused(decoder, side):
-    data = bytearray(packed(GREY, "PNG"))
-    data[16:24] = side.to_bytes(4) * 2
-    data[29:33] = zlib.crc32(data[12:29]).to_bytes(4)
-    with pytest.raises(DecodeError, match=rf"{side**2 // 10**6} megapixels: expected limits\.image_megapixels 40"):
-        decoder(bytes(data))
-
-
-def test_set_stamp_keeps_nanoseconds():
-    message = pb.Detections()
-    set_stamp(message, STAMP + 123_456_789)
-    assert read("detections", "roadperc.Detections", message.SerializeToString()).stamp_ns == STAMP + 123_456_789
 
 
 def surface(**grid):
@@ -132,16 +107,11 @@ def test_a_height_grid_survives_a_round_trip():
     [
         ({"rows": 1, "columns": 6}, "1 rows of 6, 6 heights"),
         ({"rows": 6, "columns": 1}, "6 rows of 1, 6 heights"),
-        ({"rows": 0, "columns": 0, "z_m": []}, "0 rows of 0, 0 heights"),
         ({"z_m": range(5)}, "2 rows of 3, 5 heights"),
         ({"rows": 2**32 - 1, "columns": 2**32 - 1}, "6 heights"),
-        ({"step_m": 0.0}, "in steps of 0 m"),
         ({"step_m": -0.5}, "in steps of -0.5 m"),
         ({"step_m": np.nan}, "not finite"),
-        ({"x_min_m": np.inf}, "not finite"),
-        ({"y_min_m": -np.inf}, "not finite"),
         ({"z_m": [0, 1, 2, 3, 4, np.nan]}, "not finite"),
-        ({"x_min_m": 1e30}, r"1e\+30 m, in steps of 0.5 m"),
         ({"step_m": 1e300}, "not finite in 32 bits"),
     ],
     ids=str,
@@ -149,9 +119,3 @@ def test_a_height_grid_survives_a_round_trip():
 def test_an_invalid_height_grid_is_refused(grid, words):
     with pytest.raises(DecodeError, match=f"height grid: .*{words}"):
         surface(**grid)
-
-
-def test_an_infinite_normal_is_refused_without_a_warning():
-    message = pb.Surface(normal=pb.Vector3(z=-1e308))
-    with pytest.raises(DecodeError, match="surface: a number is not finite in 32 bits"):
-        read("surface", "roadperc.Surface", message.SerializeToString())

@@ -98,7 +98,7 @@ def test_two_calibrations_beside_a_camera_are_candidates():
     channels = ros(a__rgb=IMAGE, a__info=INFO, b__rgb=IMAGE, b__info=INFO, b__info_rectified=INFO, c__info=INFO)
     roles = assign_roles(channels, {"image": "/a/rgb", "right": "/b/rgb"})
     assert "right_calibration" not in roles.topics
-    assert candidates(channels, roles.topics) == {"right_calibration": ("/b/info", "/b/info_rectified", "/c/info")}
+    assert candidates(channels, roles.topics) == {"right_calibration": ("/b/info", "/b/info_rectified")}
 
 
 def test_a_calibration_left_by_another_camera_is_not_taken():

@@ -69,8 +69,7 @@ def test_an_image_later_than_the_wait_is_dropped_and_reported(messages, tidy, tm
     assert rows(output)["odometry_status"].to_list()[1:] == ["tracked"] * (FRAMES - 2)
     said = capsys.readouterr().out
     (note,) = [line for line in said.splitlines() if "belong to no frame" in line]
-    assert note.startswith("note: messages that belong to no frame: 1 on each of ")
-    assert note.endswith(f", /camera/front/image, stamp {stamps[3]} ns")
+    assert f"1 on /camera/front/image, stamp {stamps[3]} ns" in note
     assert f"/camera/front/image: message with stamp {stamps[3]} ns at log time" in said
     assert sum(is_image(m, stamps[3]) for m in log.read(log.summarise(output))) == 1  # it is copied all the same
 

@@ -15,8 +15,7 @@ from roadperc_stream.errors import ConfigError, RoadpercError
 from roadperc_stream.geometry import Camera, mounting
 from roadperc_stream.info.examine import examine
 from roadperc_stream.input.earlier_replay import is_result
-from roadperc_stream.input.replaced import replaced
-from roadperc_stream.input.rig import LogSensor, replacing_rig
+from roadperc_stream.input.replaced import LogSensor, given_to, replaced
 from roadperc_stream.input.transforms import LatchedState, TransformTree
 from roadperc_stream.model import Transform
 from roadperc_stream.output import encoding
@@ -155,8 +154,8 @@ def test_a_given_height_keeps_what_is_mounted_beside_the_camera(ego):
     camera = Camera("cam", 320, 240, 160, 160, 159.5, 119.5)
     latched = LatchedState({"calibration": camera}, TransformTree().updated(edges))
     sensors = {"image": LogSensor("/i", "cam", (320, 240)), "lidar": LogSensor("/l", "lidar")}
-    rig = replacing_rig(CalibrationConfig(rgb_height_m=1.4), sensors, "image")
-    tree = replaced(latched, rig, "image").tree
+    given = given_to(sensors, CalibrationConfig(rgb_height_m=1.4), "image")
+    tree = replaced(latched, given, "image").tree
     np.testing.assert_allclose(tree.lookup("ego", "cam"), mounting(z=1.4))
     np.testing.assert_allclose(tree.lookup("ego", "lidar"), shifted(-1.5, 2.4), atol=1e-12)
 
@@ -165,8 +164,8 @@ def test_a_camera_that_the_log_describes_as_the_front_one_is_replaced_too():
     wrong = Camera("cam", 320, 240, 57288.0, 57288.0, 160, 120)
     own = replace(wrong, fx=150.0, fy=150.0)
     cameras = {"calibration": wrong, "depth_calibration": replace(wrong, frame_id="depth"), "left_calibration": own}
-    rig = replacing_rig(CalibrationConfig(fov_deg=90), {"image": LogSensor("/i", "cam", (320, 240))}, "image")
-    found = replaced(LatchedState(cameras), rig, "image").cameras
+    given = given_to({"image": LogSensor("/i", "cam", (320, 240))}, CalibrationConfig(fov_deg=90), "image")
+    found = replaced(LatchedState(cameras), given, "image").cameras
     assert {role: camera.fx for role, camera in found.items()} == {
         "calibration": 160.0,
         "depth_calibration": 160.0,
@@ -177,9 +176,9 @@ def test_a_camera_that_the_log_describes_as_the_front_one_is_replaced_too():
 
 def test_a_pair_is_replaced_as_the_file_says():
     sensors = {"left": LogSensor("/l", "l", (320, 240)), "right": LogSensor("/r", "r", (320, 240))}
-    rig = replacing_rig(CalibrationConfig(fov_deg=90, baseline_m=0.12, **SIZE), sensors, "left")
-    assert rig.cameras["right_calibration"].baseline_m == 0.12
-    assert {role: camera.frame_id for role, camera in rig.cameras.items()} == {
+    given = given_to(sensors, CalibrationConfig(fov_deg=90, baseline_m=0.12, **SIZE), "left")
+    assert given.cameras["right_calibration"].baseline_m == 0.12
+    assert {role: camera.frame_id for role, camera in given.cameras.items()} == {
         "left_calibration": "l",
         "right_calibration": "r",
     }

@@ -13,10 +13,12 @@ from roadperc_stream.config import SyncConfig
 from roadperc_stream.geometry import Camera
 from roadperc_stream.input.decoding import Stamped
 from roadperc_stream.input.order import OrderConfig, StampOrder
-from roadperc_stream.input.stream import Problems
-from roadperc_stream.input.sync import StampPairing, reference_of, skew_ns, without_loops
-from roadperc_stream.input.transforms import LatchedState, TransformTree
+from roadperc_stream.input.stream import Problems, RoleAssignment, decoded_messages
+from roadperc_stream.input.sync import StampPairing, reference_of, skew_ns
+from roadperc_stream.input.transforms import LatchedState
+from roadperc_stream.log import Channel, Message
 from roadperc_stream.model import Transform
+from roadperc_stream.output import encoding
 
 MS = 1_000_000
 CAMERA = Camera("c", 10, 10, 5.0, 5.0, 4.5, 4.5)
@@ -146,25 +148,27 @@ def test_equal_log_times_do_not_pile_up():
     assert len(run(items)[0]) == 300
 
 
-def transforms(*edges, log_time_ns=0):
-    return Stamped(0, tuple(Transform(parent, child, np.eye(4)) for parent, child in edges), "tf", log_time_ns)
+def transforms(*edges, log_time_ns=1):
+    edges = [Transform(parent, child, np.eye(4)) for parent, child in edges]
+    data = encoding.encode_transforms(0, edges)
+    return Message(Channel("/tf", "protobuf", "foxglove.FrameTransforms"), log_time_ns, log_time_ns, 0, data)
 
 
 def test_cameras_and_transforms_are_latched_side_by_side():
-    state = LatchedState().updated("calibration", CAMERA).updated("tf", transforms(("ego", "camera")).payload)
+    edges = (Transform("ego", "camera", np.eye(4)),)
+    state = LatchedState().updated("calibration", CAMERA).updated("tf", edges)
     assert (state.cameras, list(state.tree.edges)) == ({"calibration": CAMERA}, ["camera"])
 
 
 def test_transforms_that_close_a_loop_are_left_out_and_reported():
     problems = Problems()
-    items = [
+    messages = [
         transforms(("ego", "camera")),
         transforms(("camera", "ego"), log_time_ns=5),
         transforms(("camera", "ego"), ("ego", "lidar"), log_time_ns=6),
-        Stamped(7, CAMERA, "calibration", 7),
     ]
-    kept = list(without_loops(items, TransformTree(), {"tf": "/tf", "calibration": "/c"}, problems))
-    assert [[edge.child for edge in item.edges] for item in kept] == [["camera"], ["lidar"], []]
+    kept = decoded_messages(messages, RoleAssignment({"tf": "/tf"}), problems=problems)
+    assert [[edge.child for edge in item.edges] for item in kept] == [["camera"], ["lidar"]]
     (text,) = problems.first.values()
     assert text == "/tf: message at 5 ns: a loop of transforms ('camera' to 'ego'), expected a tree: left out"
     assert not problems.counts

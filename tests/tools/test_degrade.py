@@ -12,7 +12,7 @@ from roadperc_stream.cli.degrade import main
 from roadperc_stream.config import DEFAULT_LIMITS
 from roadperc_stream.geometry.rotations import rotation_angle
 from roadperc_stream.input.roles import assignment_of_log
-from roadperc_stream.input.stream import Problems, decoded_messages
+from roadperc_stream.input.stream import decoded_messages
 from roadperc_stream.log.file_order import in_file_order
 from roadperc_stream.tools.corruptions.levels import LEVELS
 from tests import logs
@@ -45,9 +45,7 @@ def messages(path):
 def payloads(path, role):
     summary = log.summarise(path)
     roles = assignment_of_log(summary, {})
-    return [
-        item.payload for item in decoded_messages(log.read(summary), roles, "auto", Problems()) if item.role == role
-    ]
+    return [item.payload for item in decoded_messages(log.read(summary), roles) if item.role == role]
 
 
 def test_severity_0_copies_every_byte(clean, tmp_path):

@@ -14,8 +14,8 @@ from roadperc_stream.errors import DecodeError, DumpError
 from roadperc_stream.formats.images import decode_bgr, encode_indices, encode_jpeg
 from roadperc_stream.geometry import Camera
 from roadperc_stream.geometry.rectification import is_rectified, rectified, resampled
+from roadperc_stream.input.calibrations import LIDAR
 from roadperc_stream.input.rectified import rectified_by
-from roadperc_stream.input.rig import FRONT, LIDAR, Rig
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.model import EGO
 from roadperc_stream.model.tag_tables import TagTable
@@ -25,6 +25,7 @@ from roadperc_stream.schemas.record import TAG_TABLE_KEY
 from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.system.threads import in_order
 
+from ..rig import FRONT, Rig
 from .depth_files import depth_metres
 from .image_files import UnreadableFrameError, read_bytes, require_whole
 from .pixel_files import Pixels, load_pixels

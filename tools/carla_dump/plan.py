@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final, TypeVar
 
 from roadperc_stream.errors import DumpError
-from roadperc_stream.input.rig import LIDAR
+from roadperc_stream.input.calibrations import LIDAR
 from roadperc_stream.metrics.evidence import rough_ratio
 from roadperc_stream.model.tag_tables import TagTable
 from roadperc_stream.output.findings import depth_rough

@@ -5,7 +5,7 @@ from itertools import chain
 from typing import Final
 
 from roadperc_stream.geometry.rectification import is_rectified
-from roadperc_stream.input.rig import LIDAR
+from roadperc_stream.input.calibrations import LIDAR
 from roadperc_stream.log import Message
 from roadperc_stream.schemas.record import PIXEL_ORIGIN_KEY
 from roadperc_stream.system.text import number, shown

@@ -11,10 +11,11 @@ from pathlib import Path
 
 from roadperc_stream.config import SyncConfig
 from roadperc_stream.errors import DumpError
-from roadperc_stream.input.rig import CAMERA_ROLES, LIDAR, Rig
+from roadperc_stream.input.calibrations import LIDAR
 from roadperc_stream.schemas.roles import REFERENCE_ROLES, ROLES
 from roadperc_stream.system.time import ns_to_seconds, seconds_to_ns
 
+from ..rig import CAMERA_ROLES, Rig
 from .image_files import UnreadableFrameError, read_bytes, read_header
 from .layout import Sensor
 from .pixel_files import file_size

@@ -11,7 +11,7 @@ from pydantic import AliasPath, ConfigDict, Field, PositiveInt, TypeAdapter
 from roadperc_stream.config.calibration import CarlaPose, Number, Numbers3, Numbers4
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float, Plane
-from roadperc_stream.input.rig import right_handed
+from roadperc_stream.input.calibrations import right_handed
 from roadperc_stream.model import Boundary, Detection, HeightGrid, Lanes, Object, Objects, Side, Surface
 from roadperc_stream.model.results import LaneChange
 from roadperc_stream.system.text import in_brief

@@ -14,7 +14,7 @@ from pydantic import TypeAdapter
 from roadperc_stream.config.calibration import CarlaPose, Matrix3, Number, Numbers3
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import EGO_R_OPTICAL, Float, inverse, rigid
-from roadperc_stream.input.rig import LIDAR, right_handed
+from roadperc_stream.input.calibrations import LIDAR, right_handed
 from roadperc_stream.model.tag_tables import classes_of_label
 
 from ..carla_dump.frame_stamps import stamps_of_rate

@@ -7,11 +7,11 @@ from typing import Final
 import numpy as np
 
 from roadperc_stream.geometry import Camera, Float, inverse, transform
-from roadperc_stream.input.rig import FRONT, Rig
 from roadperc_stream.model import Box, Detection, Object, Objects
 
 from ..box_view import corners_between, image_box, seen_sides, view_limits
 from ..carla_dump.truth_file import TruthTables
+from ..rig import FRONT, Rig
 
 _NEAR_M: Final = 0.1
 

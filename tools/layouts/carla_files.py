@@ -15,7 +15,7 @@ from pydantic import Field
 from roadperc_stream.config.calibration import Number, Numbers4
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float
-from roadperc_stream.input.rig import LIDAR
+from roadperc_stream.input.calibrations import LIDAR
 from roadperc_stream.system.files import read_file
 
 from ..carla_dump.json_files import frame_number, parsed_json, pose

@@ -16,7 +16,7 @@ from roadperc_stream.config.calibration import CarlaPose, Number
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float, inverse, mounting, rigid
 from roadperc_stream.geometry.cameras import pinhole_of_fov
-from roadperc_stream.input.rig import LIDAR, right_handed
+from roadperc_stream.input.calibrations import LIDAR, right_handed
 
 from ..carla_dump.calibration_file import CALIBRATION_NAME
 from ..carla_dump.depth_files import DepthEncoding

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Final
 
 from roadperc_stream.errors import DumpError
-from roadperc_stream.input.rig import build_rig
 
 from ..carla_dump.calibration_file import CALIBRATION_NAME
 from ..carla_dump.frame_stamps import stamps_of_rate
 from ..carla_dump.layout import Sensor
 from ..carla_dump.survey import surveyed
+from ..rig import build_rig
 from .drive import ConvertOptions, Drive
 from .dump import calibration_of
 

@@ -7,12 +7,12 @@ from typing import Final, Protocol
 
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float
-from roadperc_stream.input.rig import Rig
 from roadperc_stream.model import Detection
 
 from ..carla_dump.depth_files import DepthCoding, DepthEncoding
 from ..carla_dump.survey import SensorSurvey
 from ..carla_dump.truth_file import NO_TRUTH, TruthTables
+from ..rig import Rig
 
 _FLAGS: Final = {
     "--role": "roles",

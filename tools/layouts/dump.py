@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from roadperc_stream.errors import DumpError
-from roadperc_stream.input.rig import CAMERA_ROLES, LIDAR, build_rig
+from roadperc_stream.input.calibrations import LIDAR
 from roadperc_stream.model import Detection
 
 from ..carla_dump.calibration_file import CALIBRATION_NAME, CalibrationFile, load_calibration
@@ -18,6 +18,7 @@ from ..carla_dump.layout import DumpLayout, find_layout
 from ..carla_dump.survey import SensorSurvey, front_sensors, points_fault, reference_of, surveyed
 from ..carla_dump.truth_file import NO_TRUTH, load_poses, load_truth
 from ..carla_dump.yolo_files import is_yolo, load_yolo_labels
+from ..rig import CAMERA_ROLES, build_rig
 from .drive import ConvertOptions, Drive
 
 _KITTI_IMAGES: Final = re.compile(r"image_0?[0-3]")

@@ -5,11 +5,12 @@ from typing import Literal
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Camera, Float, pinhole_fault
 from roadperc_stream.geometry.cameras import pinhole_of_K
+from roadperc_stream.input.calibrations import LIDAR
 from roadperc_stream.input.projections import require_pinhole
-from roadperc_stream.input.rig import FRONT, LIDAR, Rig
 from roadperc_stream.model import EGO, Transform
 
 from ..carla_dump.survey import SensorSurvey
+from ..rig import FRONT, Rig
 
 
 def front_rig(

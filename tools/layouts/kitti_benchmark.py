@@ -14,7 +14,7 @@ import numpy as np
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float, inverse, mounting, rigid
 from roadperc_stream.geometry.rotations import rotation_from_rpy
-from roadperc_stream.input.rig import LIDAR, Rig
+from roadperc_stream.input.calibrations import LIDAR
 from roadperc_stream.model import Object
 from roadperc_stream.system.text import whole_number
 
@@ -22,6 +22,7 @@ from ..carla_dump.detection_files import KITTI_IGNORED, kitti_detection
 from ..carla_dump.json_files import numbers, read_lines
 from ..carla_dump.layout import sensor_in
 from ..carla_dump.survey import SensorSurvey, surveyed
+from ..rig import Rig
 from . import kitti_calibration as kitti
 from .boxes import box_distance_m
 

@@ -12,13 +12,14 @@ import numpy as np
 
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Camera, Float, mounting, pinhole_fault, rigid
+from roadperc_stream.input.calibrations import LIDAR, Size
 from roadperc_stream.input.projections import require_pinhole
-from roadperc_stream.input.rig import FRONT, LIDAR, RIGHT, Rig, Size
 from roadperc_stream.model import EGO, Transform
 
 from ..carla_dump.json_files import numbers, pose, read_lines
 from ..carla_dump.layout import Sensor, sensor_in
 from ..carla_dump.survey import SensorSurvey
+from ..rig import FRONT, RIGHT, Rig
 from .drive import ConvertOptions
 
 HEIGHT_M: Final = 1.65

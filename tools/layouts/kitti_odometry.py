@@ -9,7 +9,7 @@ from typing import Final
 
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float, inverse
-from roadperc_stream.input.rig import LIDAR
+from roadperc_stream.input.calibrations import LIDAR
 from roadperc_stream.system.text import number
 
 from ..carla_dump.calibration_file import CALIBRATION_NAME

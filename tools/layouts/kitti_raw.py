@@ -11,7 +11,7 @@ import numpy as np
 
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float
-from roadperc_stream.input.rig import LIDAR
+from roadperc_stream.input.calibrations import LIDAR
 
 from ..carla_dump.calibration_file import CALIBRATION_NAME
 from ..carla_dump.frame_stamps import mean_rate, stamps_by_line

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from roadperc_stream.geometry import Float
-from roadperc_stream.input.rig import LIDAR
+from roadperc_stream.input.calibrations import LIDAR
 from roadperc_stream.model import Object, Objects
 
 from ..carla_dump.calibration_file import CALIBRATION_NAME

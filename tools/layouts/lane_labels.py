@@ -14,13 +14,13 @@ import numpy as np
 from roadperc_stream.config import SurfaceConfig
 from roadperc_stream.geometry import Camera, Float, mounting, rays
 from roadperc_stream.geometry.rectification import is_rectified, rectified, rectified_pixels
-from roadperc_stream.input.rig import FRONT, build_rig
 from roadperc_stream.model import EGO, SIDES, Boundary, Lanes, Transform
 
 from ..carla_dump.calibration_file import CALIBRATION_NAME
 from ..carla_dump.layout import Sensor
 from ..carla_dump.survey import surveyed
 from ..carla_dump.truth_file import NO_TRUTH
+from ..rig import FRONT, build_rig
 from .drive import ConvertOptions, Drive
 from .dump import calibration_of
 

@@ -18,7 +18,7 @@ from roadperc_stream.config.calibration import Matrix3, Numbers3, Numbers4, Posi
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float, inverse, rigid
 from roadperc_stream.geometry.rotations import rotation_from_quaternion
-from roadperc_stream.input.rig import LIDAR
+from roadperc_stream.input.calibrations import LIDAR
 from roadperc_stream.model.tag_tables import classes_of_label
 
 from ..carla_dump.frame_stamps import mean_rate

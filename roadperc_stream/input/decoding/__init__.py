@@ -8,15 +8,18 @@ from google.protobuf.message import DecodeError as ProtobufError
 
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import DecodeError
+from roadperc_stream.formats.images import require_pixels
+from roadperc_stream.geometry import Camera
 from roadperc_stream.input.decoding import foxglove, own, ros
 from roadperc_stream.input.decoding.json_messages import from_json
 from roadperc_stream.input.decoding.payload import (
     READ_AS_A_WHOLE,
+    Contents,
     Context,
     Payload,
     Stamped,
     camera_from_calibration,
-    require_within,
+    stamp_of,
     without_slashes,
 )
 from roadperc_stream.log.records import Channel
@@ -29,31 +32,35 @@ from roadperc_stream.system.time import END_OF_TIME_NS
 Decoder = Callable[[bytes, Context], Stamped]
 
 
-def _protobuf(message_type: Any, decoder: Callable[[Any, Context], Stamped]) -> Decoder:
-    return lambda data, context: decoder(message_type.FromString(data), context)
+def _protobuf(message_type: Any, contents: Contents) -> Decoder:
+    return lambda data, context: _stamped(message_type.FromString(data), contents, context)
 
 
-def _json(message_type: Any, decoder: Callable[[Any, Context], Stamped]) -> Decoder:
-    return lambda data, context: decoder(from_json(message_type, data), context)
+def _json(message_type: Any, contents: Contents) -> Decoder:
+    return lambda data, context: _stamped(from_json(message_type, data), contents, context)
 
 
-def _cdr(name: str, decoder: Callable[[Any, Context], Stamped]) -> Decoder:
+def _cdr(name: str, contents: Contents) -> Decoder:
     def decode_cdr(data: bytes, context: Context) -> Stamped:
         definition = context.definition or ros2.DEFINITIONS.get(name, b"")
         message = cdr.read(data, name, definition, context.definition_encoding)
         with cdr.as_defined(f"{name} as the log defines it"):
-            return decoder(message, context)
+            return _stamped(message, contents, context)
 
     return decode_cdr
 
 
-_MESSAGES: Final = {**own.DECODERS, **foxglove.DECODERS}
+def _stamped(message: Any, contents: Contents, context: Context) -> Stamped:
+    return Stamped(stamp_of(message), contents(message, context))
+
+
+_MESSAGES: Final = {**own.CONTENTS, **foxglove.CONTENTS}
 DECODERS: Final[Mapping[tuple[Kind, str, str], Decoder]] = {
     **{(kind, t.DESCRIPTOR.full_name, "protobuf"): _protobuf(t, f) for (kind, t), f in _MESSAGES.items()},
-    **{(kind, name, "cdr"): _cdr(name, f) for (kind, name), f in ros.DECODERS.items()},
-    **{(kind, name.replace("/msg/", "/"), "ros1"): _cdr(name, f) for (kind, name), f in ros.DECODERS.items()},
-    ("tf", "tf/tfMessage", "ros1"): _cdr("tf/msg/tfMessage", ros.DECODERS["tf", "tf2_msgs/msg/TFMessage"]),
-    **{(kind, t.DESCRIPTOR.full_name, "json"): _json(t, f) for (kind, t), f in foxglove.DECODERS.items()},
+    **{(kind, name, "cdr"): _cdr(name, f) for (kind, name), f in ros.CONTENTS.items()},
+    **{(kind, name.replace("/msg/", "/"), "ros1"): _cdr(name, f) for (kind, name), f in ros.CONTENTS.items()},
+    ("tf", "tf/tfMessage", "ros1"): _cdr("tf/msg/tfMessage", ros.CONTENTS["tf", "tf2_msgs/msg/TFMessage"]),
+    **{(kind, t.DESCRIPTOR.full_name, "json"): _json(t, f) for (kind, t), f in foxglove.CONTENTS.items()},
 }
 
 
@@ -94,7 +101,8 @@ def decode(kind: Kind, schema: str, encoding: str, data: bytes, log_time_ns: int
         raise DecodeError(f"{len(data)} bytes: expected {context.limits.message_bytes} at most")
     try:
         decoded = decoder(data, context)
-        require_within(decoded.payload, context.limits)
+        if isinstance(decoded.payload, Camera):
+            require_pixels("calibration", decoded.payload.width, decoded.payload.height, context.limits)
     except (ProtobufError, ValueError) as error:
         raise DecodeError(f"{len(data)} bytes are not a valid {schema}: {error}") from error
     decoded = Stamped(decoded.stamp_ns or log_time_ns, without_slashes(decoded.payload))

@@ -1,6 +1,6 @@
-"""Decodes the messages of roadperc.proto: detections, surface, lanes and objects."""
+"""The contents of the messages of roadperc.proto: detections, surface, lanes and objects."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -8,9 +8,9 @@ import numpy as np
 from roadperc_stream import model
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.geometry import Float, Plane
-from roadperc_stream.input.decoding.payload import Context, Stamped, require_count
+from roadperc_stream.input.decoding.payload import Contents, Context, require_count
 from roadperc_stream.model.results import BoundaryStatus, LaneChange, ObjectStatus
-from roadperc_stream.schemas.protobuf import optional, reason_in, require_finite, stamp_ns
+from roadperc_stream.schemas.protobuf import optional, reason_in, require_finite
 from roadperc_stream.schemas.roadperc_pb2 import Detections as DetectionsProto
 from roadperc_stream.schemas.roadperc_pb2 import Lanes as LanesProto
 from roadperc_stream.schemas.roadperc_pb2 import Objects as ObjectsProto
@@ -24,29 +24,28 @@ _OBJECT_STATUS_OF: Final[Mapping[int, ObjectStatus]] = {1: "measured", 2: "track
 """A truth without a status counts as measured."""
 _FEWEST: Final = 2
 """Least heights along each side of a grid; interpolation needs two."""
-_FINEST_M, _FARTHEST_M = 1e-3, 1e7
 
 
-def _detections(message: Any, context: Context) -> Stamped:
+def _detections(message: Any, context: Context) -> tuple[model.Detection, ...]:
     """roadperc.Detections."""
     require_count("detections", len(message.detections), context.limits)
-    return Stamped(stamp_ns(message.timestamp), tuple(detection_from_proto(d) for d in message.detections))
+    return tuple(map(_detection, message.detections))
 
 
-def detection_from_proto(message: Any) -> model.Detection:
+def _detection(message: Any) -> model.Detection:
     """One detection of a roadperc.Detections or roadperc.Objects."""
     box = model.Box(message.box_px.x_min, message.box_px.y_min, message.box_px.x_max, message.box_px.y_max)
     require_finite(f"detection {message.label!r}", box.x_min, box.y_min, box.x_max, box.y_max, message.score)
     return model.Detection(message.label, box, float(message.score), message.id)
 
 
-def _surface(message: Any, _: Context) -> Stamped:
+def _surface(message: Any, _: Context) -> model.Surface:
     """roadperc.Surface of a truth."""
     normal = np.array([message.normal.x, message.normal.y, message.normal.z])
     require_finite("surface", *normal, message.camera_height_m, message.a, message.b, message.d)
     if not np.linalg.norm(normal) > 0:
         raise DecodeError("surface without a normal")
-    decoded = model.Surface(
+    return model.Surface(
         source="truth",
         frame_id=message.frame_id,
         plane=Plane.of(normal, message.camera_height_m),
@@ -57,7 +56,6 @@ def _surface(message: Any, _: Context) -> Stamped:
         inlier_ratio=optional(message, "inlier_ratio"),
         height_grid=_height_grid(message.height_grid) if message.HasField("height_grid") else None,
     )
-    return Stamped(stamp_ns(message.timestamp), decoded)
 
 
 def _height_grid(grid: Any) -> model.HeightGrid:
@@ -66,23 +64,18 @@ def _height_grid(grid: Any) -> model.HeightGrid:
         size = f"{grid.rows} rows of {grid.columns}, {heights.size} heights"
         raise DecodeError(f"height grid: {size}: expected rows times columns, {_FEWEST} or more of each")
     require_finite("height grid", grid.x_min_m, grid.y_min_m, grid.step_m, heights.min(), heights.max())
-    farthest_m = max(abs(grid.x_min_m), abs(grid.y_min_m), grid.step_m, float(np.abs(heights).max()))
-    if not (grid.step_m >= _FINEST_M and farthest_m <= _FARTHEST_M):
-        found = f"up to {farthest_m:g} m, in steps of {grid.step_m:g} m"
-        raise DecodeError(
-            f"height grid: {found}: expected up to {_FARTHEST_M:g} m, in steps of {_FINEST_M:g} m or more"
-        )
+    if not grid.step_m > 0:
+        raise DecodeError(f"height grid: in steps of {grid.step_m:g} m: expected positive steps")
     return model.HeightGrid(grid.x_min_m, grid.y_min_m, grid.step_m, heights.reshape(grid.rows, grid.columns))
 
 
-def _lanes(message: Any, _: Context) -> Stamped:
+def _lanes(message: Any, _: Context) -> model.Lanes:
     """roadperc.Lanes of a truth or of a replay; boundaries of an unknown side are left out."""
-    found = model.Lanes(
+    return model.Lanes(
         tuple(_boundary(b) for b in message.boundaries if b.side in _SIDE_OF),
         lane_change=_LANE_CHANGE_OF.get(message.lane_change),
         lane_changes=optional(message, "lane_changes"),
     )
-    return Stamped(stamp_ns(message.timestamp), found)
 
 
 def _boundary(message: Any) -> model.Boundary:
@@ -129,17 +122,17 @@ _OPTIONAL_NUMBERS: Final = (
 )
 
 
-def _objects(message: Any, context: Context) -> Stamped:
+def _objects(message: Any, context: Context) -> model.Objects:
     """roadperc.Objects of a truth or of a replay."""
     require_count("detections", len(message.objects), context.limits)
-    return Stamped(stamp_ns(message.timestamp), model.Objects(tuple(_object(o) for o in message.objects)))
+    return model.Objects(tuple(map(_object, message.objects)))
 
 
 def _object(message: Any) -> model.Object:
     numbers = {name: optional(message, name) for name in _OPTIONAL_NUMBERS}
     require_finite("objects", *numbers.values())
     return model.Object(
-        detection=detection_from_proto(message.detection),
+        detection=_detection(message.detection),
         kept=message.kept,
         beyond_range=message.beyond_range,
         status=_OBJECT_STATUS_OF.get(message.status, "measured"),
@@ -151,10 +144,10 @@ def _object(message: Any) -> model.Object:
     )
 
 
-DECODERS: Final[Mapping[tuple[Kind, Any], Callable[[Any, Context], Stamped]]] = {
+CONTENTS: Final[Mapping[tuple[Kind, Any], Contents]] = {
     ("detections", DetectionsProto): _detections,
     ("surface", SurfaceProto): _surface,
     ("lanes", LanesProto): _lanes,
     ("objects", ObjectsProto): _objects,
 }
-"""Decoder by kind and message type."""
+"""By kind and message type."""

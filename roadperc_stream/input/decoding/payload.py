@@ -1,7 +1,7 @@
 """The input and output types of decoders, and shared checks and conversions."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
@@ -10,13 +10,13 @@ import numpy as np
 from roadperc_stream import model
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import WITHOUT_CALIBRATION, DecodeError
-from roadperc_stream.formats.images import require_pixels
 from roadperc_stream.geometry import Camera, Float, Lens, pinhole_fault, rigid
 from roadperc_stream.geometry.rotations import rotation_from_quaternion
 from roadperc_stream.input.transforms import NOTHING_LATCHED, LatchedState
 from roadperc_stream.model import Transform
 from roadperc_stream.model.tag_tables import TagTable
-from roadperc_stream.schemas.protobuf import require_finite
+from roadperc_stream.schemas import cdr
+from roadperc_stream.schemas.protobuf import require_finite, stamp_ns
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES, Kind
 
 Payload = (
@@ -38,26 +38,6 @@ READ_AS_A_WHOLE: Final[frozenset[Kind]] = frozenset(("image", "video", "tags", "
 """Kinds with one large block of data. The others have many items, so their messages have a size limit."""
 _INTRINSICS: Final = (0, 4, 2, 5)
 """Indices of fx, fy, cx and cy in K, row by row."""
-
-
-def names_in(payload: Payload | model.Transform | model.Detection) -> Iterator[str]:
-    """All names in a message: frames, labels, ids."""
-    match payload:
-        case model.Transform():
-            yield from (payload.parent, payload.child)
-        case model.Detection():
-            yield from (payload.label, payload.id)
-        case model.Lanes():
-            for boundary in payload.boundaries:
-                yield from (boundary.inside, boundary.outside)
-        case model.Objects():
-            for item in payload.objects:
-                yield from (item.detection.label, item.detection.id, item.track_id)
-        case tuple():
-            for part in payload:
-                yield from names_in(part)
-        case _:
-            yield payload.frame_id
 
 
 def without_slashes(payload: Payload) -> Payload:
@@ -113,6 +93,23 @@ class Context:
     """Whether CARLA's ROS bridge wrote it: its principal point counts from a pixel's corner."""
 
 
+Contents = Callable[[Any, Context], Payload]
+"""Makes the contents of a parsed message."""
+
+
+def stamp_of(message: Any) -> int:
+    """The stamp of a message, that of its first transform, or 0 without one."""
+    if hasattr(message, "transforms"):
+        return stamp_of(message.transforms[0]) if len(message.transforms) else 0
+    stamp = message.header.stamp if hasattr(message, "header") else message.timestamp
+    return stamp_ns(stamp) if hasattr(stamp, "seconds") else cdr.stamp_ns(stamp)
+
+
+def frame_of(message: Any) -> str:
+    """The frame of a message."""
+    return str((message.header if hasattr(message, "header") else message).frame_id)
+
+
 def pose_matrix(position: Any, orientation: Any) -> Float:
     """(4, 4) of a message's position and quaternion.
 
@@ -127,7 +124,7 @@ def pose_matrix(position: Any, orientation: Any) -> Float:
     return rigid(rotation, np.array([position.x, position.y, position.z]))
 
 
-def require_count(items: Literal["points", "detections", "transforms"], found: int, limits: LimitsConfig) -> None:
+def require_count(items: Literal["points", "detections"], found: int, limits: LimitsConfig) -> None:
     """Check the number of items in a message.
 
     Raises:
@@ -136,19 +133,6 @@ def require_count(items: Literal["points", "detections", "transforms"], found: i
     most: int = getattr(limits, items)
     if found > most:
         raise DecodeError(f"{found} {items}: expected {most} at most")
-
-
-def require_within(payload: Payload, limits: LimitsConfig) -> None:
-    """Check the size of a camera and the length of names.
-
-    Raises:
-        DecodeError: the message names the limit.
-    """
-    if isinstance(payload, Camera):
-        require_pixels("calibration", payload.width, payload.height, limits)
-    longest = max(map(len, names_in(payload)), default=0)
-    if longest > limits.name_length:
-        raise DecodeError(f"a name of {longest} characters: expected {limits.name_length} at most")
 
 
 def camera_from_calibration(message: Any) -> Camera:

@@ -1,7 +1,7 @@
 """Decodes images, tags, instance masks and depth from raw pixels or image files."""
 
 import struct
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -10,8 +10,8 @@ from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats import images
 from roadperc_stream.formats.raster import PALETTE_TABLE, Raster, tags_of_colours
 from roadperc_stream.geometry import Float32
-from roadperc_stream.input.decoding.payload import Context
-from roadperc_stream.model import CameraImage, DepthImage, Image, InstanceImage, TagImage
+from roadperc_stream.input.decoding.payload import Contents, Context, frame_of
+from roadperc_stream.model import CameraImage, DepthImage, Image, InstanceImage, TagImage, VideoFrame
 from roadperc_stream.model.tag_tables import TagTable
 from roadperc_stream.schemas.roles import Kind
 
@@ -28,26 +28,62 @@ FILE_KINDS: Final[tuple[Kind, ...]] = ("image", "tags", "instances")
 RASTER_KINDS: Final[tuple[Kind, ...]] = (*FILE_KINDS, "depth")
 
 
-def of_raster(kind: Kind, frame_id: str, raster: Raster, context: Context) -> Picture:
-    """An image, tags or instance masks (numbers, or CARLA's colours), or depth of raw pixels.
+def raw(kind: Kind) -> Contents:
+    """The contents of messages with raw pixels, of ROS or Foxglove: an image, tags, instance masks or depth.
 
-    Raises:
-        DecodeError: it exceeds the limits, or the table of numeric tags is unknown.
+    They raise ``DecodeError`` if it exceeds the limits, or the table of numeric tags is unknown.
     """
-    if raster.width * raster.height <= len(raster.data):  # decoding reports too few data
-        images.require_pixels(kind, raster.width, raster.height, context.limits)
-    match kind:
-        case "image":
-            return CameraImage(frame_id, raster.bgr, raster.grey, raster.size)
-        case "depth":
-            return DepthImage(frame_id, raster.depth)
-        case "instances":
-            return InstanceImage(frame_id, raster.ids)
-    table = _table_of(context.tag_table, indexed=raster.indexed)
-    return TagImage(frame_id, table, lambda: raster.tags(table))
+
+    def contents(message: Any, context: Context) -> Picture:
+        frame_id, raster = frame_of(message), Raster.of(message)
+        if raster.width * raster.height <= len(raster.data):  # decoding reports too few data
+            images.require_pixels(kind, raster.width, raster.height, context.limits)
+        match kind:
+            case "image":
+                return CameraImage(frame_id, raster.bgr, raster.grey, raster.size)
+            case "depth":
+                return DepthImage(frame_id, raster.depth)
+            case "instances":
+                return InstanceImage(frame_id, raster.ids)
+        table = _table_of(context.tag_table, indexed=raster.indexed)
+        return TagImage(frame_id, table, lambda: raster.tags(table))
+
+    return contents
 
 
-def of_file(kind: Kind, frame_id: str, content: bytes, context: Context) -> Picture:
+def file(kind: Kind) -> Contents:
+    """The contents of messages with an image file, of ROS or Foxglove.
+
+    They raise ``DecodeError`` if the format is another one than an image's, or as ``_of_file``.
+    """
+
+    def contents(message: Any, context: Context) -> Picture:
+        if kind == "image" and "compressedDepth" in message.format:
+            raise DecodeError(f"image of format {message.format!r}: that is depth, expected jpeg or png")
+        if images.video_codec(message.format):
+            raise DecodeError(
+                f"image of format {message.format!r}: a frame of video, expected jpeg or png; {CONVERT_VIDEO}"
+            )
+        return _of_file(kind, frame_of(message), _data_of(message), context)
+
+    return contents
+
+
+def video(message: Any, _: Context) -> VideoFrame:
+    """A frame of a video."""
+    return VideoFrame(frame_of(message), message.format, _data_of(message))
+
+
+def depth_file(message: Any, context: Context) -> DepthImage:
+    """Depth of a PNG with 16 bits a pixel.
+
+    The format is ``16UC1; compressedDepth``, ``32FC1; compressedDepth png`` or ``16UC1; png``.
+    """
+    layout, content = message.format, _data_of(message)
+    return DepthImage(frame_of(message), lambda: _decoded_depth(layout, content, context.limits))
+
+
+def _of_file(kind: Kind, frame_id: str, content: bytes, context: Context) -> Picture:
     """An image of a file's bytes, instance masks of a PNG in CARLA's coding, or tags of a PNG.
 
     Tags are palette indices, grey values, or CARLA's colours.
@@ -76,16 +112,6 @@ def of_file(kind: Kind, frame_id: str, content: bytes, context: Context) -> Pict
     return TagImage(frame_id, table, lambda: images.decode_indices(content, limits))
 
 
-def require_picture(layout: str) -> None:
-    """Check that the ``format`` of a message is not one of video.
-
-    Raises:
-        DecodeError: it is.
-    """
-    if images.video_codec(layout):
-        raise DecodeError(f"image of format {layout!r}: a frame of video, expected jpeg or png; {CONVERT_VIDEO}")
-
-
 def _is_png(content: bytes) -> bool:
     return content[: len(images.PNG_MAGIC)] == images.PNG_MAGIC
 
@@ -99,16 +125,8 @@ def _table_of(table: TagTable | None, *, indexed: bool) -> TagTable:
     return PALETTE_TABLE
 
 
-def encoded_depth(frame_id: str, layout: str, content: bytes, context: Context) -> DepthImage:
-    """Depth of a PNG with 16 bits a pixel.
-
-    Args:
-        frame_id: the camera's frame.
-        layout: the message's ``format``: ``16UC1; compressedDepth``, ``32FC1; compressedDepth png`` or ``16UC1; png``.
-        content: the message's data.
-        context: gives the size limits.
-    """
-    return DepthImage(frame_id, lambda: _decoded_depth(layout, content, context.limits))
+def _data_of(message: Any) -> bytes:
+    return message.data if isinstance(message.data, bytes) else bytes(message.data.tobytes())
 
 
 def _decoded_depth(layout: str, content: bytes, limits: LimitsConfig) -> tuple[Float32, float]:
@@ -119,7 +137,7 @@ def _decoded_depth(layout: str, content: bytes, limits: LimitsConfig) -> tuple[F
     headed = "compressedDepth" in layout
     if headed and len(content) < _DEPTH_HEADER.size:
         raise DecodeError(f"depth of format {layout!r}: {len(content)} bytes, expected a header of 12 bytes")
-    pixels = _png16(layout, content[_DEPTH_HEADER.size :] if headed else content, limits)
+    pixels = images.decode_grey16(content[_DEPTH_HEADER.size :] if headed else content, limits)
     if not layout.startswith("32FC1"):
         return images.depth_from_mm(pixels), images.DEPTH_LIMIT_MM / 1000
     if not headed:
@@ -128,12 +146,3 @@ def _decoded_depth(layout: str, content: bytes, limits: LimitsConfig) -> tuple[F
     depth_m = np.float32(scale) / (pixels.astype(np.float32) - np.float32(offset))
     depth_m[(pixels == images.UNKNOWN_MM) | ~(depth_m > 0)] = np.nan
     return depth_m, np.inf
-
-
-def _png16(layout: str, content: bytes, limits: LimitsConfig) -> np.ndarray[tuple[int, int], np.dtype[np.uint16]]:
-    pixels = images.decode_unchanged(content, limits) if _is_png(content) else None
-    if pixels is None:
-        raise DecodeError(f"depth of format {layout!r}: expected a whole PNG, it starts with {content[:4].hex()}")
-    if pixels.dtype != np.uint16 or pixels.ndim != 2:
-        raise DecodeError(f"depth of format {layout!r}: {pixels.shape} {pixels.dtype}, expected 16 bits a pixel")
-    return pixels

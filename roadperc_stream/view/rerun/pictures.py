@@ -9,7 +9,7 @@ import rerun as rr
 
 from roadperc_stream.formats.images import depth_to_mm, encode_jpeg
 from roadperc_stream.geometry import Camera
-from roadperc_stream.input.rig import NO_RIG
+from roadperc_stream.input.transforms import NOTHING_LATCHED
 from roadperc_stream.model import CameraImage, DepthImage, InstanceImage, TagImage
 from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.view.rerun.tree import Entry, SceneState, annotation_context, image_plane, new_edges
@@ -66,10 +66,10 @@ def calibration(entity: str, role: str, payload: Camera, state: SceneState) -> I
 
 def given(roles: Mapping[str, str], state: SceneState) -> Iterator[Entry]:
     """Draw the cameras that the user gave, and the log does not have; ``roles`` are the topics of its roles."""
-    for role, camera in state.rig.cameras.items():
+    for role, camera in state.given.cameras.items():
         if role not in roles:
             yield from pinhole(ROLES[role].topic, camera, state)
-    yield from new_edges(state) if state.rig != NO_RIG else ()
+    yield from new_edges(state) if state.given != NOTHING_LATCHED else ()
 
 
 def pinhole(entity: str, payload: Camera, state: SceneState) -> Iterator[Entry]:

@@ -15,7 +15,7 @@ from roadperc_stream import log
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import DecodeError, LogError, TargetError
 from roadperc_stream.input.earlier_replay import is_result_of
-from roadperc_stream.input.replaced import rig_of_log, with_recorded
+from roadperc_stream.input.replaced import given_for, with_recorded
 from roadperc_stream.input.roles import assignment_of_log
 from roadperc_stream.input.stream import Problems, RoleAssignment
 from roadperc_stream.log import LogSummary, Message
@@ -174,7 +174,7 @@ class _Sender:
         self.frame = -1
         """Number of the current frame from 0; -1 before the first one."""
         cfg = with_recorded(ReplayConfig(), summary.attachments, summary.path)
-        state = SceneState(roles.reference or "", rig_of_log(summary, roles, cfg))
+        state = SceneState(roles.reference or "", given_for(summary, roles, cfg))
         self._given = list(given(roles.topics, state))
         self._drawers = drawers(summary.channels, roles, state, TableTimes(sidecar_path(summary.path, "metrics")).of)
         self._contexts: dict[str, rr.AsComponents] = {}

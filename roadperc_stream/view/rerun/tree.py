@@ -11,8 +11,7 @@ from roadperc_stream.geometry import Camera, Float
 from roadperc_stream.input.assemble import ego_frame_of
 from roadperc_stream.input.decoding import Payload
 from roadperc_stream.input.replaced import replaced
-from roadperc_stream.input.rig import NO_RIG, Rig
-from roadperc_stream.input.transforms import LatchedState, TransformTree
+from roadperc_stream.input.transforms import NOTHING_LATCHED, LatchedState, TransformTree
 from roadperc_stream.model import EGO, ODOM, OWN_ODOM, Transform
 from roadperc_stream.model.tag_tables import Colour
 
@@ -34,7 +33,7 @@ class SceneState:
 
     reference: str = "image"
     """The role whose messages are the frames; results belong to its camera."""
-    rig: Rig = NO_RIG
+    given: LatchedState = NOTHING_LATCHED
     """The cameras and mountings that the replay used instead of those of the log."""
     of_log: LatchedState = field(default_factory=LatchedState)
     assumed_mounting: Float | None = None
@@ -47,7 +46,7 @@ class SceneState:
     @property
     def latched(self) -> LatchedState:
         """The cameras and transforms that the replay used."""
-        return replaced(self.of_log, self.rig, self.reference)
+        return replaced(self.of_log, self.given, self.reference)
 
     @property
     def front(self) -> Camera | None:

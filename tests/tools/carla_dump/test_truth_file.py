@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from roadperc_stream.config.calibration import CarlaPose
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import rigid, transform
-from roadperc_stream.input.rig import camera_mounting, right_handed
+from roadperc_stream.input.calibrations import camera_mounting, right_handed
 from roadperc_stream.model import Box
 from roadperc_stream.tools.carla_dump.truth_file import load_poses, load_truth
 from tests.tools.dump_writer import document

@@ -6,7 +6,7 @@ import pytest
 from roadperc_stream.config.calibration import CalibrationConfig
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import EGO_R_OPTICAL
-from roadperc_stream.input.rig import build_rig
+from roadperc_stream.tools.rig import build_rig
 
 PATH = Path("dump/calibration.json")
 SIZE = (1280, 960)
