@@ -15,9 +15,7 @@ from hashlib import blake2b
 from itertools import chain, pairwise
 from pathlib import Path
 
-from roadperc_stream.config import LimitsConfig
 from roadperc_stream.log.damage import damaged
-from roadperc_stream.log.file_order import in_file_order
 from roadperc_stream.log.index import MOST_HELD_BYTES
 from roadperc_stream.log.records import RECOVERY_RECORD, Attachment, Channel, LogSummary, Message, Metadata
 from roadperc_stream.log.repair import Recovery
@@ -66,14 +64,13 @@ class SortedFiles:
     Args:
         name: the log, for errors.
         files: sorted by their first log time.
-        limits: of their records and chunks.
     """
 
-    def __init__(self, name: str, files: Sequence[File], limits: LimitsConfig) -> None:
+    def __init__(self, name: str, files: Sequence[File]) -> None:
         self._origins = [(number, channel) for number, (_, known) in enumerate(files) for channel in known.values()]
         ids = iter(range(len(self._origins)))
         distinct = [(file, {i: replace(known[i], source_id=next(ids)) for i in known}) for file, known in files]
-        self._sorted = SortedMessages(name, partial(_in_file_order, distinct, limits))
+        self._sorted = SortedMessages(name, partial(_in_file_order, distinct))
 
     def numbered(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Numbered]:
         """Yield messages as ``MergedFiles.numbered``.
@@ -209,7 +206,7 @@ def _translated(path: Path, messages: Iterable[Message], translation: Translatio
         yield replace(message, channel=channel)
 
 
-def united(files: Sequence[LogSummary], held_bytes: float, limits: LimitsConfig) -> LogSummary:
+def united(files: Sequence[LogSummary], held_bytes: float) -> LogSummary:
     """Return files as one log, in the order of their times; equal channels of several files become one.
 
     ``held_bytes`` is the most memory that merging takes.
@@ -229,7 +226,7 @@ def united(files: Sequence[LogSummary], held_bytes: float, limits: LimitsConfig)
     shared = SharedTimes.of(file for file, _ in holding)
     is_in_turn = has_own_ids and not shared.spans and all(a[1] <= b[0] for a, b in pairwise(spans))
     is_little = held_bytes <= MOST_HELD_BYTES
-    combined = MergedFiles(holding) if is_little else SortedFiles(str(name), holding, limits)
+    combined = MergedFiles(holding) if is_little else SortedFiles(str(name), holding)
     source = UnitedFiles(combined, shared, [file for file, _ in holding] if is_in_turn else [])
     repeats = source.repeats()
     repeats_of = Counter[Path]()
@@ -325,6 +322,6 @@ def _span_ns(file: LogSummary) -> Span | None:
     return file.first_ns, file.last_ns
 
 
-def _in_file_order(files: Iterable[File], limits: LimitsConfig) -> Iterator[Message]:
+def _in_file_order(files: Iterable[File]) -> Iterator[Message]:
     for file, translation in files:
-        yield from _translated(file.path, in_file_order(file.path, limits), translation)
+        yield from _translated(file.path, file.source.messages(None, None, None), translation)

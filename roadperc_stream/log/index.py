@@ -21,6 +21,7 @@ from roadperc_stream.errors import LogError
 from roadperc_stream.log.layout import MAGIC, UNREADABLE
 from roadperc_stream.log.limits import GuardedFile
 from roadperc_stream.log.records import Attachment, Channel, Metadata
+from roadperc_stream.log.stored import LogFile
 
 MOST_HELD_BYTES: Final = 32 * 1024 * 1024
 """Most memory for messages while a log is put in order by its index; beyond, it is sorted on disk."""
@@ -93,7 +94,7 @@ def outline(path: Path) -> tuple[tuple[str, ...], tuple[Channel, ...]]:
     """
     found, names = Described(), list[str]()
     try:
-        with GuardedFile(path, DEFAULT_LIMITS) as stream:
+        with GuardedFile(LogFile.of(path), DEFAULT_LIMITS) as stream:
             for item in _whole_summary_of(stream):
                 found.add(item, in_data=False)
                 names += [item.name] if isinstance(item, records.MetadataIndex) else []

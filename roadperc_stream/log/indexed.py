@@ -77,7 +77,7 @@ class IndexedFile:
         if held_bytes(chunks) > MOST_HELD_BYTES:
             yield from self.in_order.messages(topics, start_ns, end_ns)
             return
-        with opened(self.found.path, self.found.limits) as stream:
+        with opened(self.found.file, self.found.limits) as stream:
             yield from self._in_order(stream, chunks, wanted, start_ns, end_ns)
 
     def pieces(self, kept: frozenset[int], start_ns: int | None, end_ns: int | None) -> Iterator[Piece]:
@@ -87,7 +87,7 @@ class IndexedFile:
             messages = self.in_order.messages({self.channels[i].topic for i in kept}, start_ns, end_ns)
             yield from (message for message in messages if message.channel.source_id in kept)
             return
-        with opened(self.found.path, self.found.limits) as stream:
+        with opened(self.found.file, self.found.limits) as stream:
             whole = {_start(chunk) for chunk in apart(chunks) if _lies_in(chunk, kept, start_ns, end_ns)}
             for is_whole, group in groupby(chunks, key=lambda chunk: _start(chunk) in whole):
                 if is_whole:

@@ -5,7 +5,6 @@ The mcap library allocates any size that a record declares.
 
 import io
 import os
-from pathlib import Path
 from typing import Final
 
 import lz4.frame
@@ -15,6 +14,7 @@ from mcap.exceptions import McapError
 from roadperc_stream.config import LimitsConfig
 from roadperc_stream.log.layout import TOO_SHORT, ChunkHead
 from roadperc_stream.log.records import RECOVERY_RECORD, Metadata
+from roadperc_stream.log.stored import LogFile
 
 _ALWAYS_BYTES: Final = 1024 * 1024
 """Reads up to this size are not checked."""
@@ -27,8 +27,8 @@ class LimitError(McapError):
 class GuardedFile(io.BufferedReader):
     """A file that raises an error for reads beyond its end, or of a record beyond the limit."""
 
-    def __init__(self, path: Path, limits: LimitsConfig) -> None:
-        super().__init__(path.open("rb").detach())
+    def __init__(self, file: LogFile, limits: LimitsConfig) -> None:
+        super().__init__(file.path.open("rb").detach())
         self.size_bytes, self._most_bytes = self.seek(0, os.SEEK_END), limits.record_bytes
         self.seek(0)
 

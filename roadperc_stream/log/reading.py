@@ -21,13 +21,14 @@ from roadperc_stream.log.mcap_file import Piece
 from roadperc_stream.log.records import Channel, LogSummary, Message
 from roadperc_stream.log.recovery import audited, damage_in
 from roadperc_stream.log.sorting import SortedMessages
+from roadperc_stream.log.stored import AnyLog, LogFile
 
 _LEAST_HELD_BYTES: Final = 1024 * 1024
 """Least memory counted for an open file, so that few are open at a time."""
 
 
 def summarise(
-    source: Path | Sequence[Path], limits: LimitsConfig = DEFAULT_LIMITS, *, check_chunks: bool = False
+    source: AnyLog | Sequence[AnyLog], limits: LimitsConfig = DEFAULT_LIMITS, *, check_chunks: bool = False
 ) -> LogSummary:
     """Return channels, counts, attachments and metadata of a log, from its index if it has one.
 
@@ -40,16 +41,16 @@ def summarise(
         LogError: a file cannot be read, is not MCAP, is cut or damaged, or exceeds the limits.
         TargetError: there is no space to sort several files.
     """
-    paths = [source] if isinstance(source, Path) else source
+    sources = [source] if isinstance(source, Path | LogFile) else source
     files, held_bytes = list[LogSummary](), 0
-    for path in paths:
-        files.append(_summary_of(path, limits, check_chunks=check_chunks))
+    for one in sources:
+        files.append(_summary_of(LogFile.of(one), limits, check_chunks=check_chunks))
         held_bytes += sum(len(attachment.data) for attachment in files[-1].attachments)
         try:
             require_attachments(held_bytes, limits)
         except LimitError as error:
-            raise LogError(f"{path}: {error}") from error
-    return united(files, _held_bytes(files), limits) if len(files) > 1 else files[0]
+            raise LogError(f"{one}: {error}") from error
+    return united(files, _held_bytes(files)) if len(files) > 1 else files[0]
 
 
 def _held_bytes(files: Iterable[LogSummary]) -> float:
@@ -100,18 +101,18 @@ def pieces(
     return (message for message in messages if message.channel in kept)
 
 
-def _summary_of(path: Path, limits: LimitsConfig, *, check_chunks: bool) -> LogSummary:
+def _summary_of(file: LogFile, limits: LimitsConfig, *, check_chunks: bool) -> LogSummary:
     """Return the summary of one file.
 
     Raises:
         LogError: as ``summarise``.
     """
-    found = audited(path, limits, check_chunks=check_chunks)
+    found = audited(file, limits, check_chunks=check_chunks)
     if not found.whole:
         raise damage_in(found)
-    in_order, described = SortedMessages(str(path), partial(in_file_order, path, limits)), found.described
+    in_order, described = SortedMessages(str(file), partial(in_file_order, file, limits)), found.described
     return LogSummary(
-        path,
+        file.name,
         IndexedFile(found, in_order) if found.all_in_chunks else in_order,
         described.profile,
         tuple(found.channels[number] for number in sorted(found.channels)),

@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
 from typing import IO, Final, Self
 
 from mcap import records
@@ -26,7 +25,7 @@ from roadperc_stream.log.limits import GuardedFile, LimitError, require_attachme
 from roadperc_stream.log.losses import ANY_TIME, Losses
 from roadperc_stream.log.records import Message
 from roadperc_stream.log.search import is_chunk
-from roadperc_stream.log.stored import StoredLog
+from roadperc_stream.log.stored import AnyLog, LogFile
 from roadperc_stream.log.walking import Walk
 from roadperc_stream.system.time import ns_to_seconds
 
@@ -72,7 +71,7 @@ class Salvage:
     """Reads a log once and records its state. The account is complete at the end of ``messages`` or ``run``.
 
     Args:
-        path: the log.
+        source: the log.
         inside: open all chunks. Otherwise only those are opened that have no CRC or no message indexes, and reading
             ends at the first damage.
         limits: of its records and chunks.
@@ -82,7 +81,7 @@ class Salvage:
             limits.
     """
 
-    path: Path
+    source: AnyLog
     inside: bool = True
     limits: LimitsConfig = DEFAULT_LIMITS
     size_bytes: int = 0
@@ -112,10 +111,12 @@ class Salvage:
         """In file order."""
         self.channels = self.described.channels
         """By ``Channel.source_id``, including channels without messages."""
+        self.file = LogFile.of(self.source)
+        self.path = self.file.name
         self._spans: dict[int, LostSpan] = {}
         self._statistics: tuple[int, records.Statistics] | None = None
         try:
-            with GuardedFile(self.path, self.limits) as stream:
+            with GuardedFile(self.file, self.limits) as stream:
                 self.size_bytes = stream.size_bytes
                 require_magic(self.path, stream.read(len(layout.MAGIC)))
                 self._read_summary(stream)
@@ -161,10 +162,9 @@ class Salvage:
 
     def _found(self) -> Iterator[Found]:
         is_message = partial(_is_message, self.described, self.losses)  # a method would make a reference cycle
-        fault = self.path.fault if isinstance(self.path, StoredLog) else ""
         try:
-            with GuardedFile(self.path, self.limits) as stream:
-                walk = Walk(stream, self.size_bytes, self.losses, is_message, self._spans, fault)
+            with GuardedFile(self.file, self.limits) as stream:
+                walk = Walk(stream, self.size_bytes, self.losses, is_message, self._spans, self.file.fault)
                 for record, cut in walk.records():
                     yield from self._messages_of(record, cut, walk)
                     if self.damages and not self.inside:
@@ -374,11 +374,11 @@ class Salvage:
             self.notes = (f"{found_times}, the statistics state {times[0]} to {times[1]} ns",)
 
 
-def audited(path: Path, limits: LimitsConfig = DEFAULT_LIMITS, *, check_chunks: bool = False) -> Salvage:
+def audited(source: AnyLog, limits: LimitsConfig = DEFAULT_LIMITS, *, check_chunks: bool = False) -> Salvage:
     """Return the finished account of a log.
 
     Args:
-        path: the log.
+        source: the log.
         limits: of its records and chunks.
         check_chunks: also open chunks that only their own CRC covers. Otherwise that CRC is checked when the chunk is
             read, which is too late for a caller that skips chunks or continues behind damage.
@@ -386,9 +386,9 @@ def audited(path: Path, limits: LimitsConfig = DEFAULT_LIMITS, *, check_chunks: 
     Raises:
         LogError: the file cannot be read, or is not MCAP.
     """
-    quick = Salvage(path, inside=False, limits=limits).run()
+    quick = Salvage(source, inside=False, limits=limits).run()
     is_checked = quick.sealed or not check_chunks
-    return quick if quick.whole and quick.conclusive and is_checked else Salvage(path, limits=limits).run()
+    return quick if quick.whole and quick.conclusive and is_checked else Salvage(source, limits=limits).run()
 
 
 def damage_in(found: Salvage) -> LogError:
