@@ -165,7 +165,7 @@ class Scan:
         Raises:
             LogError: the file cannot be opened, or is not a log.
         """
-        first, salvage = log.audited(source, check_chunks=True), Salvage(source)
+        first, salvage = log.audited(source), Salvage(source)
         summary = None
         if first.whole:
             with suppress(LogError):

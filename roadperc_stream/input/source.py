@@ -93,7 +93,7 @@ class ReadableLog:
 
 def _repaired(file: LogFile, limits: LimitsConfig, error: DamagedLogError) -> RepairedLog | None:
     """Return the repaired copy of a file; None if it is whole. ``error`` names the first damaged file."""
-    is_whole = file.name != error.path and log.audited(file, limits, check_chunks=True).whole
+    is_whole = file.name != error.path and log.audited(file, limits).whole
     return None if is_whole else log.repaired_copy(file, limits)
 
 
@@ -142,7 +142,7 @@ class ReplaySource:
         sources = log.received(self.files)
         despite_damage = self.recover or self.time_range != WHOLE
         try:
-            return ReadableLog(log.summarise(sources, limits, check_chunks=despite_damage))
+            return ReadableLog(log.summarise(sources, limits))
         except DamagedLogError as error:
             if not despite_damage:
                 raise

@@ -54,7 +54,7 @@ class IndexedFile:
     """A checked log that is read by its index, or sorted on disk if that would take too much memory."""
 
     found: Salvage
-    """The finished account; the CRCs of chunks are still to be checked if it is not ``sealed``."""
+    """The finished account."""
     in_order: SortedMessages
     """All messages, for reading that would take too much memory by the index."""
     _seen: dict[int, ChunkContents] = field(default_factory=dict, compare=False, repr=False)
@@ -147,7 +147,7 @@ class IndexedFile:
     def _bodies(self, stream: GuardedFile, chunk: ChunkIndex) -> Iterator[Body]:
         """Yield the message records of a chunk, and record its contents."""
         head = layout.chunk_of(_record(stream, chunk))
-        found = unpacked(head, check_crc=not self.found.sealed)
+        found = unpacked(head)
         others, entries = list[tuple[int, Body]](), list[IndexEntry]()
         for item in layout.records_in(found.data):
             if item.opcode == Opcode.MESSAGE:

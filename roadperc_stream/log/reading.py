@@ -27,15 +27,12 @@ _LEAST_HELD_BYTES: Final = 1024 * 1024
 """Least memory counted for an open file, so that few are open at a time."""
 
 
-def summarise(
-    source: AnyLog | Sequence[AnyLog], limits: LimitsConfig = DEFAULT_LIMITS, *, check_chunks: bool = False
-) -> LogSummary:
+def summarise(source: AnyLog | Sequence[AnyLog], limits: LimitsConfig = DEFAULT_LIMITS) -> LogSummary:
     """Return channels, counts, attachments and metadata of a log, from its index if it has one.
 
-    All CRCs are checked, and index and statistics are compared with the file. If only chunks have CRCs, these are
-    checked when the chunks are read. A log whose messages cannot be ordered in little memory is sorted on disk at the
-    first reading. If files share topics at the same time, their messages are read to find repeated ones. ``limits`` are
-    those of records and chunks; ``check_chunks`` checks the CRCs of chunks now.
+    All CRCs are checked, and index and statistics are compared with the file. A log whose messages cannot be ordered in
+    little memory is sorted on disk at the first reading. If files share topics at the same time, their messages are
+    read to find repeated ones. ``limits`` are those of records and chunks.
 
     Raises:
         LogError: a file cannot be read, is not MCAP, is cut or damaged, or exceeds the limits.
@@ -44,7 +41,7 @@ def summarise(
     sources = [source] if isinstance(source, Path | LogFile) else source
     files, held_bytes = list[LogSummary](), 0
     for one in sources:
-        files.append(_summary_of(LogFile.of(one), limits, check_chunks=check_chunks))
+        files.append(_summary_of(LogFile.of(one), limits))
         held_bytes += sum(len(attachment.data) for attachment in files[-1].attachments)
         try:
             require_attachments(held_bytes, limits)
@@ -101,13 +98,13 @@ def pieces(
     return (message for message in messages if message.channel in kept)
 
 
-def _summary_of(file: LogFile, limits: LimitsConfig, *, check_chunks: bool) -> LogSummary:
+def _summary_of(file: LogFile, limits: LimitsConfig) -> LogSummary:
     """Return the summary of one file.
 
     Raises:
         LogError: as ``summarise``.
     """
-    found = audited(file, limits, check_chunks=check_chunks)
+    found = audited(file, limits)
     if not found.whole:
         raise damage_in(found)
     in_order, described = SortedMessages(str(file), partial(in_file_order, file, limits)), found.described

@@ -84,7 +84,7 @@ def _view(
 def _readable(arguments: argparse.Namespace) -> log.LogFile:
     """A file that can be read repeatedly: store a pipe; with ``--recover`` repair a damaged log."""
     file = log.received_file(Path(arguments.log))
-    if not arguments.recover or log.audited(file, check_chunks=True).whole:
+    if not arguments.recover or log.audited(file).whole:
         return file
     copy = log.repaired_copy(file)
     if not arguments.quiet:
