@@ -108,8 +108,7 @@ class IndexedFile:
 
     def _known_by(self, kept: frozenset[int]) -> frozenset[tuple[int, int]]:
         """Return opcode and id of these channels and their schemas."""
-        ids = self.found.described.schema_ids
-        schemas = {(int(Opcode.SCHEMA), ids[i]) for i in kept}
+        schemas = {(int(Opcode.SCHEMA), self.channels[i].schema_id) for i in kept}
         return frozenset(schemas | {(int(Opcode.CHANNEL), i) for i in kept})
 
     def held_bytes(self) -> int:
@@ -182,8 +181,9 @@ class IndexedFile:
         match item:
             case McapSchema():
                 return known.schemas.get(item.id) == item
-            case McapChannel() if known.schema_ids.get(item.id) == item.schema_id:
-                return known.channels.get(item.id) == channel_of(item, known.schemas.get(item.schema_id))
+            case McapChannel() if (channel := known.channels.get(item.id)) is not None:
+                is_equal = channel == channel_of(item, known.schemas.get(item.schema_id))
+                return is_equal and channel.schema_id == item.schema_id
         return False
 
 

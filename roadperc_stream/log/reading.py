@@ -4,17 +4,16 @@ Chunks are read by the index that the check of the file made. A log with message
 overlapping chunks, is sorted on disk.
 """
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Final
 
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import LogError
 from roadperc_stream.log.file_order import in_file_order
 from roadperc_stream.log.files import UnitedFiles, united
-from roadperc_stream.log.index import most_at_once
 from roadperc_stream.log.indexed import IndexedFile
 from roadperc_stream.log.limits import LimitError, require_attachments
 from roadperc_stream.log.mcap_file import Piece
@@ -22,9 +21,6 @@ from roadperc_stream.log.records import Channel, LogSummary, Message
 from roadperc_stream.log.recovery import audited, damage_in
 from roadperc_stream.log.sorting import SortedMessages
 from roadperc_stream.log.stored import AnyLog, LogFile
-
-_LEAST_HELD_BYTES: Final = 1024 * 1024
-"""Least memory counted for an open file, so that few are open at a time."""
 
 
 def summarise(source: AnyLog | Sequence[AnyLog], limits: LimitsConfig = DEFAULT_LIMITS) -> LogSummary:
@@ -47,19 +43,7 @@ def summarise(source: AnyLog | Sequence[AnyLog], limits: LimitsConfig = DEFAULT_
             require_attachments(held_bytes, limits)
         except LimitError as error:
             raise LogError(f"{one}: {error}") from error
-    return united(files, _held_bytes(files)) if len(files) > 1 else files[0]
-
-
-def _held_bytes(files: Iterable[LogSummary]) -> float:
-    """Return the most memory that merging files takes; infinite if one with messages has no index."""
-    spans = []
-    for file in files:
-        if not any(file.counts.values()):
-            continue
-        if not isinstance(file.source, IndexedFile):
-            return float("inf")
-        spans.append((file.first_ns or 0, file.last_ns or 0, max(file.source.held_bytes(), _LEAST_HELD_BYTES)))
-    return most_at_once(spans)
+    return united(files) if len(files) > 1 else files[0]
 
 
 def read(
@@ -108,15 +92,15 @@ def _summary_of(file: LogFile, limits: LimitsConfig) -> LogSummary:
     if not found.whole:
         raise damage_in(found)
     in_order, described = SortedMessages(str(file), partial(in_file_order, file, limits)), found.described
+    channels = [found.channels[number] for number in sorted(found.channels)]
     return LogSummary(
         file.name,
         IndexedFile(found, in_order) if found.all_in_chunks else in_order,
         described.profile,
-        tuple(found.channels[number] for number in sorted(found.channels)),
+        tuple(channel if found.all_in_chunks else replace(channel, schema_id=0) for channel in channels),
         dict(found.counts),
         tuple(described.attachments),
         tuple(described.metadata),
         found.first_ns,
         found.last_ns,
-        schema_ids=described.schema_ids if found.all_in_chunks else {},
     )

@@ -26,7 +26,6 @@ LATEST_NS = 2**64 - 1
 def nothing_held(monkeypatch):
     """Sort logs with overlapping chunks on disk."""
     monkeypatch.setattr("roadperc_stream.log.indexed.MOST_HELD_BYTES", 1_000_000)
-    monkeypatch.setattr("roadperc_stream.log.files.MOST_HELD_BYTES", 1_000_000)
 
 
 def was_sorted(summary):

@@ -93,7 +93,7 @@ def copied(source, target):
             yield piece
 
     with LogWriter(target) as writer:
-        MessageCopy(writer, summary.channels, noted(), summary.schema_ids).rest()
+        MessageCopy(writer, summary.channels, noted()).rest()
     return whole
 
 

@@ -37,7 +37,7 @@ def copied(source, target, topics=("/a", "/b"), start_ns=None, end_ns=None, resu
             yield piece
 
     with LogWriter(target) as writer:
-        copy = MessageCopy(writer, channels, noted(), summary.schema_ids)
+        copy = MessageCopy(writer, channels, noted())
         writer.register(RESULT)
         for time in results:
             copy.through(time)
@@ -90,7 +90,7 @@ def test_channels_and_schemas_keep_their_ids(tmp_path):
     source = by_library(tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO)
     copied(source, tmp_path / "b.mcap", topics=["/b"], results=[0])
     summary = log.summarise(tmp_path / "b.mcap")
-    channels = {c.topic: (c.source_id, summary.schema_ids[c.source_id]) for c in summary.channels}
+    channels = {c.topic: (c.source_id, c.schema_id) for c in summary.channels}
     assert channels == {"/b": (2, 0), "/result": (3, 1)}
 
 
@@ -248,9 +248,7 @@ def test_a_growing_copy_is_read_in_log_time_order(tmp_path):
     source = by_library(tmp_path / "a.mcap", [("/a", 10 * k) for k in range(6)], chunk_size=2**20)
     summary = log.summarise(source)
     with LogWriter(tmp_path / "b.mcap") as writer:
-        copy = MessageCopy(
-            writer, summary.channels, log.pieces(summary, summary.channels, None, None), summary.schema_ids
-        )
+        copy = MessageCopy(writer, summary.channels, log.pieces(summary, summary.channels, None, None))
         writer.register(RESULT)
         growing = writer.while_written()
         followed, seen = growing.follow(0), []
@@ -272,5 +270,5 @@ def test_a_growing_copy_is_read_in_log_time_order(tmp_path):
 def test_new_channels_get_free_ids(tmp_path):
     last = Channel("/last", "x", source_id=65535)
     with LogWriter(tmp_path / "a.mcap") as writer:
-        assert [writer.register(c, ids=(c.source_id, 0)) for c in (last, A)] == [65535, 1]
+        assert [writer.register(c, keep_ids=True) for c in (last, A)] == [65535, 1]
         assert [writer.register(c) for c in (B, RESULT, A)] == [2, 3, 1]
